@@ -1,0 +1,46 @@
+"""Satellite systems and their carriers."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["CARRIER_HZ", "FIXABLE", "N_BANDS", "N_SYSTEMS", "SPEED_OF_LIGHT_MPS", "WAVELENGTH_M", "System"]
+
+SPEED_OF_LIGHT_MPS = 299_792_458.0  # SI definition of the metre
+
+
+class System(IntEnum):
+    """A satellite system; the value indexes the tables of this module and the clock columns of a design matrix."""
+
+    GPS = 0
+    GALILEO = 1
+    GLONASS = 2
+    BEIDOU = 3
+    QZSS = 4
+
+
+N_SYSTEMS = len(System)
+N_BANDS = 3
+
+CARRIER_HZ: NDArray[np.float64] = 1e6 * np.array(
+    [
+        [1575.42, 1227.60, 1176.45],  # L1, L2, L5: IS-GPS-200N 3.3.1.1, IS-GPS-705J 3.3.1.1
+        [1575.42, 1207.14, 1176.45],  # E1, E5b, E5a: Galileo OS SIS ICD 2.1, table 2
+        [1602.0, 1246.0, 1202.025],  # G1, G2 at channel 0: GLONASS ICD 5.1 table 3.1; G3: GLONASS CDMA L3 ICD 1.0
+        [1561.098, 1207.14, 1176.45],  # B1I, B2I, B2a: BDS-SIS-ICD-2.1 4.2.1, BDS-SIS-ICD-B2a-1.0 4.1
+        [1575.42, 1227.60, 1176.45],  # L1, L2, L5: IS-QZSS-PNT-005 4.1
+    ]
+)
+"""Carrier frequencies [Hz], (N_SYSTEMS, N_BANDS): band 0 = L1/E1/B1I, 1 = L2/E5b/B2I, 2 = L5/E5a/B2a."""
+
+WAVELENGTH_M: NDArray[np.float64] = SPEED_OF_LIGHT_MPS / CARRIER_HZ
+"""Carrier wavelengths [m], (N_SYSTEMS, N_BANDS). GLONASS at its nominal centre frequencies (channel 0)."""
+
+FIXABLE: NDArray[np.bool_] = np.array([True, True, False, True, True])
+"""Whether ambiguities of a system are integers after differencing, (N_SYSTEMS,). GLONASS FDMA ones are not."""
+
+for _table in (CARRIER_HZ, WAVELENGTH_M, FIXABLE):
+    _table.setflags(write=False)

@@ -1,0 +1,55 @@
+"""The sky seen from one street: what every vehicle of that street shares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["SkyView"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SkyView:
+    """Directions and ranges of S satellites at K epochs (or places), shared by B vehicles.
+
+    The line of sight is taken at the street's origin: the wave is plane over a street, and the direction is wrong by
+    baseline over range, 5e-5 rad per km.
+
+    Attributes
+    ----------
+    los_enu : (K, S, 3) unit vectors from receiver to satellite
+    elevation_rad, azimuth_rad : (K, S), azimuth clockwise from North in [0, 2 pi)
+    range_m : (K, S) geometric range
+    range_rate_mps : (K, S) the satellite's part of the range rate, positive when the range grows
+    above : (K, S) whether the elevation is above the mask angle
+    system, prn : (S,)
+    index : (B,) the row k that each vehicle uses
+    """
+
+    los_enu: Array
+    elevation_rad: Array
+    azimuth_rad: Array
+    range_m: Array
+    range_rate_mps: Array
+    above: NDArray[np.bool_]
+    system: NDArray[np.int64]
+    prn: NDArray[np.int64]
+    index: NDArray[np.int64]
+
+    @property
+    def batch(self) -> int:
+        """Number of vehicles B."""
+        return int(self.index.shape[0])
+
+    @property
+    def satellites(self) -> int:
+        """Number of satellites S, in view or not."""
+        return int(self.system.shape[0])
+
+    def for_vehicles(self, index: ArrayLike) -> SkyView:
+        """The same sky for other vehicles: ``index`` (B,) names the row k of each."""
+        return replace(self, index=np.atleast_1d(np.asarray(index, dtype=np.int64)))
