@@ -1,0 +1,116 @@
+"""Pydantic's findings in this package's words: the dotted path, the bound, the value found and the remedy."""
+
+from __future__ import annotations
+
+import typing
+from collections.abc import Mapping, Sequence
+from enum import Enum
+from typing import TYPE_CHECKING, Any
+
+from lanebound.integrity.presets import nearest
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel, ValidationError
+    from pydantic.fields import FieldInfo
+
+__all__ = ["explain"]
+
+BOUNDS = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
+SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+NUMBERS = {"float_type", "float_parsing", "int_type", "int_parsing"}
+
+
+def explain(model: type[BaseModel], error: ValidationError, path: str = "") -> str:
+    """One line for each problem that ``error`` found in ``model``, with ``path`` in front of each key."""
+    return "\n".join(_line(model, problem, path) for problem in error.errors())
+
+
+def _line(model: type[BaseModel], problem: Mapping[str, Any], path: str) -> str:
+    loc, kind = problem["loc"], problem["type"]
+    owner, field = _find(model, loc)
+    dotted = ".".join(filter(None, (path, *map(str, loc)))) or model.__name__
+    if kind == "extra_forbidden":
+        return f"{dotted} is not a known key: {nearest(str(loc[-1]), owner.model_fields if owner else ())}"
+    if kind == "missing":
+        return f"{dotted} is required, got nothing: add it"
+    if kind in ("value_error", "assertion_error"):
+        text = str(problem["ctx"]["error"])
+        return text if text.startswith(dotted) else f"{dotted}: {text}"
+    return f"{dotted} must {_demand(problem, field)}, got {_found(problem['input'])}: {_remedy(problem, field)}"
+
+
+def _demand(problem: Mapping[str, Any], field: FieldInfo | None) -> str:
+    """What the value must do, in words."""
+    kind, context = problem["type"], problem.get("ctx", {})
+    if kind in BOUNDS:
+        return _interval(field) or _one_bound(context)
+    if kind == "finite_number":
+        return "be finite"
+    if kind in NUMBERS:
+        return "be an integer" if kind.startswith("int") else "be a number"
+    if kind == "int_from_float":
+        return "be an integer"
+    if kind in ("enum", "literal_error"):
+        return f"be one of {context['expected']}"
+    if kind in ("model_type", "model_attributes_type", "dict_type"):
+        return "be a mapping"
+    text = str(problem["msg"])
+    text = text.removeprefix("Input should be ").removeprefix("a valid ")
+    return f"be {text}" if text != problem["msg"] else f"satisfy: {text}"
+
+
+def _one_bound(context: Mapping[str, Any]) -> str:
+    return " and ".join(f"be {SIGNS[key]} {limit}" for key, limit in context.items() if key in SIGNS)
+
+
+def _interval(field: FieldInfo | None) -> str | None:
+    """``"lie in (0, 1)"`` when the field has both bounds."""
+    limits = {
+        key: getattr(item, key) for item in (field.metadata if field else ()) for key in SIGNS if hasattr(item, key)
+    }
+    low = "gt" if "gt" in limits else "ge"
+    high = "lt" if "lt" in limits else "le"
+    if low not in limits or high not in limits:
+        return None
+    left, right = "(" if low == "gt" else "[", ")" if high == "lt" else "]"
+    return f"lie in {left}{limits[low]}, {limits[high]}{right}"
+
+
+def _found(value: Any) -> str:
+    shown = repr(value)
+    return shown if len(shown) <= 60 else f"{shown[:57]}..."
+
+
+def _remedy(problem: Mapping[str, Any], field: FieldInfo | None) -> str:
+    kind, value = problem["type"], problem["input"]
+    if kind in NUMBERS:
+        return "write the number without quotes" if isinstance(value, str) else "give a number"
+    if kind in ("enum", "literal_error"):
+        return nearest(str(value), str(problem["ctx"]["expected"]).replace(" or ", ", ").replace("'", "").split(", "))
+    default = field.get_default() if field is not None and not field.is_required() else None
+    if isinstance(default, int | float | str) and not isinstance(default, Enum):
+        return f"correct that value (the default is {default})"
+    return "correct that value"
+
+
+def _find(model: type[BaseModel], loc: Sequence[int | str]) -> tuple[type[BaseModel] | None, FieldInfo | None]:
+    """The model that owns the last key of ``loc``, and that key's field; None where the path leaves the models."""
+    owner: type[BaseModel] | None = model
+    field: FieldInfo | None = None
+    for depth, key in enumerate(loc):
+        if owner is None:
+            return None, None
+        if isinstance(key, int):
+            field = None
+        else:
+            field = owner.model_fields.get(key, field if depth and key not in owner.model_fields else None)
+        if depth < len(loc) - 1 and isinstance(key, str) and key in owner.model_fields:
+            owner = _model_in(owner.model_fields[key].annotation)
+    return owner, field
+
+
+def _model_in(annotation: Any) -> type[BaseModel] | None:
+    """The model inside an annotation such as ``Model``, ``Model | None`` or ``tuple[Model, ...]``."""
+    if isinstance(annotation, type) and hasattr(annotation, "model_fields"):
+        return annotation
+    return next(filter(None, map(_model_in, typing.get_args(annotation))), None)

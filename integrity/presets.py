@@ -1,0 +1,134 @@
+"""Presets: YAML files packaged with :mod:`lanebound.configs`, merged deeply, as plain data."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable, Mapping
+from functools import cache
+from importlib import resources
+from importlib.resources.abc import Traversable
+from typing import Any
+
+from lanebound.integrity.errors import ConfigError
+
+__all__ = ["deep_merge", "load_preset", "nearest", "parse_assignments", "parse_yaml", "preset_names"]
+
+PRESET_PACKAGE = "lanebound.configs"
+YAML_FLOAT = re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")  # YAML 1.1 reads 1e-7 as text
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """Advice that names the closest known word, or all of them when none is close."""
+    names = sorted(known)
+    close = difflib.get_close_matches(word, names, n=1, cutoff=0.5)
+    if close:
+        return f"did you mean '{close[0]}'?"
+    return f"known are {', '.join(names)}" if names else "none are known"
+
+
+def deep_merge(base: Mapping[str, Any], override: Mapping[str, Any]) -> dict[str, Any]:
+    """A copy of ``base`` in which mappings are merged key by key and every other value is replaced."""
+    merged = {key: deep_merge(value, {}) if isinstance(value, Mapping) else value for key, value in base.items()}
+    for key, value in override.items():
+        old = merged.get(key)
+        if isinstance(value, Mapping):
+            merged[key] = deep_merge(old if isinstance(old, Mapping) else {}, value)
+        else:
+            merged[key] = value
+    return merged
+
+
+@cache
+def _yaml_loader() -> Any:
+    """PyYAML's safe loader, which also reads 1e-7 as a number and refuses a key given twice."""
+    import yaml
+
+    class Loader(yaml.SafeLoader):
+        def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+            keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+            twice = [key for i, key in enumerate(keys) if key in keys[:i]]
+            if twice:
+                raise yaml.constructor.ConstructorError(None, None, f"key '{twice[0]}' twice", node.start_mark)
+            return super().construct_mapping(node, deep=deep)
+
+    Loader.add_implicit_resolver("tag:yaml.org,2002:float", YAML_FLOAT, list("-+.0123456789"))
+    return Loader
+
+
+def parse_yaml(text: str, source: str) -> Any:
+    """Plain data from YAML text; ``source`` names it in errors.
+
+    Raises
+    ------
+    ConfigError
+        The text is not YAML.
+    """
+    import yaml
+
+    try:
+        return yaml.load(text, Loader=_yaml_loader())  # a SafeLoader
+    except yaml.YAMLError as exc:
+        raise ConfigError(f"{source} is not valid YAML, got {' '.join(str(exc).split())}: correct that line") from exc
+
+
+def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
+    """Nested overrides from texts such as ``"rtk.max_age_s=20"``; values are read as YAML."""
+    overrides: dict[str, Any] = {}
+    for text in assignments:
+        path, equals, value = text.partition("=")
+        keys = [key.strip() for key in path.split(".")]
+        if not equals or not all(keys):
+            raise ConfigError(f"an override must read key=value, got '{text}': write for example rtk.max_age_s=20")
+        nested: Any = parse_yaml(value, f"the value of '{path}'")
+        for key in reversed(keys):
+            nested = {key: nested}
+        overrides = deep_merge(overrides, nested)
+    return overrides
+
+
+def _walk(folder: Traversable, prefix: str = "") -> Iterable[tuple[str, Traversable]]:
+    for entry in folder.iterdir():
+        if entry.is_dir():
+            yield from _walk(entry, f"{prefix}{entry.name}/")
+        elif entry.name.endswith(".yaml"):
+            yield prefix + entry.name.removesuffix(".yaml"), entry
+
+
+def _presets() -> dict[str, Traversable]:
+    return dict(sorted(_walk(resources.files(PRESET_PACKAGE))))
+
+
+def preset_names() -> list[str]:
+    """Names of the packaged presets: their paths below ``configs/`` without ``.yaml``, sorted."""
+    return list(_presets())
+
+
+def load_preset(name: str, overrides: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """The values of preset ``name`` with those it extends below it and ``overrides`` on top.
+
+    A preset may say ``extends: other`` (or a list, later ones win). ``kind``, when present, stays in the result.
+
+    Raises
+    ------
+    ConfigError
+        A preset is unknown, is not a mapping of YAML, or extends itself.
+    """
+    return deep_merge(_resolve(name, _presets(), ()), overrides or {})
+
+
+def _resolve(name: str, presets: Mapping[str, Traversable], seen: tuple[str, ...]) -> dict[str, Any]:
+    if name in seen:
+        raise ConfigError(f"preset '{name}' extends itself, by way of {' -> '.join((*seen, name))}: break the circle")
+    if name not in presets:
+        where = f" (extended by '{seen[-1]}')" if seen else ""
+        raise ConfigError(f"preset '{name}'{where} is unknown: {nearest(name, presets)}")
+    data = parse_yaml(presets[name].read_text(encoding="utf-8"), f"preset '{name}'")
+    if not isinstance(data, Mapping):
+        raise ConfigError(f"preset '{name}' must be a mapping, got {type(data).__name__}: write lines 'key: value'")
+    own = dict(data)
+    parents = own.pop("extends", [])
+    merged: dict[str, Any] = {}
+    for parent in [parents] if isinstance(parents, str) else parents:
+        merged = deep_merge(merged, _resolve(parent, presets, (*seen, name)))
+    return deep_merge(merged, own)
