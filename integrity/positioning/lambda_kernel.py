@@ -1,0 +1,437 @@
+"""Integer least squares: decorrelation of the ambiguities, MLAMBDA search, bootstrapped failure rate.
+
+Conventions of every kernel in this file
+    ``n`` ambiguities are used, whatever the capacity ``c >= n`` of the arrays. ``a`` is the float solution [cycles], ``Q``
+    (c, c) its covariance [cycles^2]. ``transform`` (2, c, c) holds two integer matrices as floats: ``transform[0] = Z'`` (its
+    rows are the new ambiguities, ``z = Z' a``) and ``transform[1] = Z^-1``, whose rows bring them back,
+    ``a = sum_i z_i Z^-1[i]``. ``U`` (c, c) and ``D`` (c,) factor the covariance of z as ``Z'QZ = U diag(D) U'`` with a unit upper
+    triangular U, so that ``D[i]`` is the variance of z_i given z_{i+1} .. z_{n-1}: the last one is the most precise.
+    ``work`` and ``transform`` come from :func:`lanebound.integrity.positioning.ambiguity.ambiguity_work`.
+
+Sources: Teunissen (1995), J. Geodesy 70, 65-82 (decorrelation, bootstrapping: Teunissen 1998, J. Geodesy 72, 606-612); de Jonge &
+Tiberius (1996), LGR series 12; Chang, Yang & Zhou (2005), J. Geodesy 79, 552-565 (MLAMBDA).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from lanebound.integrity.accel import jit
+
+OK, NODE_LIMIT, NOT_POSITIVE_DEFINITE, NOT_FINITE = 0, 1, 2, 3  # values of ambiguity.SearchStatus
+WORK_PLANES = 5  # planes of `work`: A, U, L, S and one of vectors
+VECTOR_ROWS = 8  # smallest capacity: the vectors of a search are rows of one plane
+SWAP_GAIN = 0.99  # Lovasz factor: a swap has to win 1 %, so that a drifting covariance keeps its transform
+PIVOT_FLOOR = 1e-13  # a conditional variance below this share of the variance is a loss of rank
+SMALL_VARIANCE = 0.05**2  # [cycles^2] below it everywhere, the search needs no decorrelation
+NO_FAILURE_VARIANCE = 0.0036  # [cycles^2] sigma 0.06: erfc(1 / (2 sqrt(2) sigma)) < 1e-16
+
+
+@jit
+def identity(n, transform):  # type: ignore[no-untyped-def]
+    """Set ``transform`` to the identity: the cold start of :func:`decorrelate`."""
+    for plane in range(2):
+        for i in range(n):
+            for j in range(n):
+                transform[plane, i, j] = 0.0
+            transform[plane, i, i] = 1.0
+
+
+@jit
+def transformed_covariance(n, Q, Zt, T, A):  # type: ignore[no-untyped-def]
+    """Lower triangle of ``A = Z' Q Z``; T is scratch. Zeros of Z, the majority, are skipped."""
+    for i in range(n):
+        row = T[i]
+        for q in range(n):
+            row[q] = 0.0
+        for k in range(n):
+            z = Zt[i, k]
+            if z != 0.0:
+                for q in range(n):
+                    row[q] += z * Q[k, q]
+        for j in range(i + 1):
+            total = 0.0
+            for q in range(n):
+                total += row[q] * Zt[j, q]
+            A[i, j] = total
+
+
+@jit
+def _swap_rows(M, i, j, first, n):  # type: ignore[no-untyped-def]
+    """Exchange the entries ``first .. n-1`` of two rows."""
+    for q in range(first, n):
+        M[i, q], M[j, q] = M[j, q], M[i, q]
+
+
+@jit
+def _pivot(n, i, A, U, D, transform):  # type: ignore[no-untyped-def]
+    """Bring the smallest remaining variance to position i (symmetric pivoting: most swaps are then spared later)."""
+    p = i
+    for q in range(i):
+        if A[q, q] < A[p, p]:
+            p = q
+    if p == i:
+        return
+    _swap_rows(A, p, i, 0, p)
+    for q in range(p + 1, i):
+        A[q, p], A[i, q] = A[i, q], A[q, p]
+    A[p, p], A[i, i] = A[i, i], A[p, p]
+    D[p], D[i] = D[i], D[p]
+    _swap_rows(U, p, i, i + 1, n)
+    _swap_rows(transform[0], p, i, 0, n)
+    _swap_rows(transform[1], p, i, 0, n)
+
+
+@jit
+def factor(n, A, U, D, pivot, transform):  # type: ignore[no-untyped-def]
+    """Factor ``A = U diag(D) U'`` from its lower triangle, which is overwritten; OK or NOT_POSITIVE_DEFINITE."""
+    for i in range(n):
+        if not A[i, i] > 0.0:
+            return NOT_POSITIVE_DEFINITE
+        D[i] = A[i, i] * PIVOT_FLOOR
+    for i in range(n - 1, -1, -1):
+        if pivot:
+            _pivot(n, i, A, U, D, transform)
+        d = A[i, i]
+        if not (d > D[i] and d < math.inf):
+            return NOT_POSITIVE_DEFINITE
+        D[i] = d
+        U[i, i] = 1.0
+        inverse = 1.0 / d
+        for j in range(i):
+            u = A[i, j] * inverse
+            U[j, i] = u
+            for q in range(j + 1):
+                A[j, q] -= u * A[i, q]
+    return OK
+
+
+@jit
+def _gauss(n, j, i, U, transform):  # type: ignore[no-untyped-def]
+    """Integer Gauss transformation ``z_j -= mu z_i`` with ``mu = round(U_ji)``, i > j."""
+    mu = np.floor(U[j, i] + 0.5)
+    if mu != 0.0:
+        for q in range(i, n):
+            U[j, q] -= mu * U[i, q]
+        for q in range(n):
+            transform[0, j, q] -= mu * transform[0, i, q]
+        for q in range(n):
+            transform[1, i, q] += mu * transform[1, j, q]
+
+
+@jit
+def _exchange(n, j, d, U, D, transform):  # type: ignore[no-untyped-def]
+    """Exchange z_j and z_j+1, where d is the variance that z_j+1 then has given those after it."""
+    u = U[j, j + 1]
+    eta = D[j] / d
+    lam = D[j + 1] * u / d
+    D[j] = eta * D[j + 1]
+    D[j + 1] = d
+    for q in range(j):
+        left, right = U[q, j], U[q, j + 1]
+        U[q, j] = right - u * left
+        U[q, j + 1] = eta * left + lam * right
+    U[j, j + 1] = lam
+    _swap_rows(U, j, j + 1, j + 2, n)
+    _swap_rows(transform[0], j, j + 1, 0, n)
+    _swap_rows(transform[1], j, j + 1, 0, n)
+
+
+@jit
+def reduce_block(n, first, U, D, transform):  # type: ignore[no-untyped-def]
+    """Reduce the trailing block ``first .. n-1``, of which all but row ``first`` is already reduced (or not).
+
+    Only the pair about to be exchanged is size-reduced on the way, and all of its row before an exchange, which keeps
+    the factor small (Chang et al. 2005, section 3).
+    """
+    j = n - 2
+    while j >= first:
+        u = U[j, j + 1]
+        rest = u - np.floor(u + 0.5)
+        d = D[j] + rest * rest * D[j + 1]
+        if d < SWAP_GAIN * D[j + 1]:
+            for i in range(j + 1, n):
+                _gauss(n, j, i, U, transform)
+            _exchange(n, j, D[j] + U[j, j + 1] ** 2 * D[j + 1], U, D, transform)
+            j = min(j + 1, n - 2)
+        else:
+            j -= 1
+
+
+@jit
+def size_reduce(n, U, transform):  # type: ignore[no-untyped-def]
+    """Bring every entry of the unit triangular factor to within +-1/2."""
+    for j in range(n - 2, -1, -1):
+        for i in range(j + 1, n):
+            _gauss(n, j, i, U, transform)
+
+
+@jit
+def all_small(n, Q):  # type: ignore[no-untyped-def]
+    """Whether every standard deviation is below 0.05 cycles: rounding is then almost always the answer."""
+    for i in range(n):
+        if not Q[i, i] < SMALL_VARIANCE:
+            return False
+    return True
+
+
+@jit
+def decorrelate(n, Q, warm, transform, U, D, A, T):  # type: ignore[no-untyped-def]
+    """Decorrelate: ``Z'QZ = U diag(D) U'`` with nearly diagonal U; OK or NOT_POSITIVE_DEFINITE.
+
+    Parameters
+    ----------
+    n, Q
+        Number of ambiguities and their covariance (c, c) [cycles^2]; only the lower triangle is read when cold.
+    warm
+        ``transform`` holds the result of an earlier call for the same ambiguities: few changes remain. Else it is reset.
+    transform, U, D
+        Out: the transformation, the factor and the conditional variances (see the conventions of this file).
+    A, T
+        Scratch (c, c).
+    """
+    if warm:
+        transformed_covariance(n, Q, transform[0], T, A)
+    else:
+        identity(n, transform)
+        for i in range(n):
+            for j in range(i + 1):
+                A[i, j] = Q[i, j]
+    status = factor(n, A, U, D, not warm, transform)
+    if status == OK and (warm or not all_small(n, Q)):
+        reduce_block(n, 0, U, D, transform)
+        size_reduce(n, U, transform)
+    return status
+
+
+@jit
+def bootstrap_failure_rate(first, n, D):  # type: ignore[no-untyped-def]
+    """``P_IF = 1 - prod_{i >= first} (2 Phi(1 / (2 sigma_i)) - 1)``, ``sigma_i = sqrt(D[i])`` [cycles].
+
+    The bootstrapped failure rate, an upper bound of that of integer least squares, accurate down to 1e-16: each factor is
+    ``1 - erfc(1 / (2 sqrt(2) sigma))`` and the product is a sum of log1p (Teunissen 1998; equations.md 4).
+    """
+    log_success = 0.0
+    for i in range(first, n):
+        if D[i] > NO_FAILURE_VARIANCE:
+            log_success += math.log1p(-math.erfc(math.sqrt(0.125 / D[i])))
+    return -math.expm1(log_success)
+
+
+@jit
+def partial_start(n, D, failure_limit):  # type: ignore[no-untyped-def]
+    """First index of the largest set ``z_first .. z_{n-1}`` whose bootstrapped failure rate is within the limit.
+
+    Returns n when not even the most precise one may be fixed.
+    """
+    floor = math.log1p(-failure_limit)
+    log_success = 0.0
+    for i in range(n - 1, -1, -1):
+        if D[i] > NO_FAILURE_VARIANCE:
+            log_success += math.log1p(-math.erfc(math.sqrt(0.125 / D[i])))
+        if log_success < floor:
+            return i + 1
+    return 0
+
+
+@jit
+def _keep(n, m, z, distance, candidates, norms):  # type: ignore[no-untyped-def]
+    """Insert a candidate into the m best, ordered by norm; returns the norm that a further one has to beat."""
+    slot = m - 1
+    while slot > 0 and norms[slot - 1] > distance:
+        norms[slot] = norms[slot - 1]
+        for i in range(n):
+            candidates[slot, i] = candidates[slot - 1, i]
+        slot -= 1
+    norms[slot] = distance
+    for i in range(n):
+        candidates[slot, i] = z[i]
+    return norms[m - 1]
+
+
+@jit
+def search(first, n, U, D, z_float, m, node_limit, candidates, norms, L, S, vectors):  # type: ignore[no-untyped-def]
+    """The m integer vectors nearest to ``z_first .. z_{n-1}`` in the metric of their covariance, best first.
+
+    Depth-first search of ``sum_i (z_i - zbar_i)^2 / D_i < bound`` in zig-zag order from the last ambiguity, the bound
+    shrinking to the norm of the m-th best (Chang et al. 2005, section 4). Returns OK, or NODE_LIMIT when
+    ``node_limit`` nodes did not suffice: the candidates are then good, but not proven best.
+
+    Parameters
+    ----------
+    z_float
+        Float solution in the decorrelated domain (c,) [cycles].
+    candidates, norms
+        Out: (m, c) integers as floats, of which ``first .. n-1`` are set, and (m,) squared norms.
+    L, S, vectors
+        Scratch (c, c); four rows of ``vectors`` are used.
+    """
+    distance, mean, z, step = vectors[0], vectors[1], vectors[2], vectors[3]
+    for slot in range(m):
+        norms[slot] = math.inf
+    if n <= first:
+        norms[0] = 0.0
+        return OK
+    for i in range(first, n):
+        S[n - 1, i] = z_float[i]
+        for q in range(first, i):
+            L[i, q] = U[q, i]
+    k = n - 1
+    distance[k] = 0.0
+    mean[k] = z_float[k]
+    z[k] = np.floor(mean[k] + 0.5)
+    y = mean[k] - z[k]
+    step[k] = 1.0 if y > 0.0 else -1.0
+    bound = math.inf
+    for _ in range(node_limit):
+        norm = distance[k] + y * y / D[k]
+        if norm < bound:
+            if k > first:
+                pull = z[k] - mean[k]
+                k -= 1
+                distance[k] = norm
+                for q in range(first, k + 1):
+                    S[k, q] = S[k + 1, q] + pull * L[k + 1, q]
+                mean[k] = S[k, k]
+                z[k] = np.floor(mean[k] + 0.5)
+                y = mean[k] - z[k]
+                step[k] = 1.0 if y > 0.0 else -1.0
+                continue
+            bound = _keep(n, m, z, norm, candidates, norms)
+        elif k == n - 1:
+            return OK
+        else:
+            k += 1
+        z[k] += step[k]
+        y = mean[k] - z[k]
+        step[k] = -step[k] - (1.0 if step[k] > 0.0 else -1.0)
+    return NODE_LIMIT
+
+
+@jit
+def to_decorrelated(n, a_hat, Zt, a_integer, z_float):  # type: ignore[no-untyped-def]
+    """``z = Z' (a - round(a))``: the whole cycles are set aside in ``a_integer``, so that nothing is lost to large counts."""
+    for i in range(n):
+        a_integer[i] = np.floor(a_hat[i] + 0.5)
+    for i in range(n):
+        total = 0.0
+        for q in range(n):
+            total += Zt[i, q] * (a_hat[q] - a_integer[q])
+        z_float[i] = total
+
+
+@jit
+def from_decorrelated(n, z, Z_inverse, a_integer, a):  # type: ignore[no-untyped-def]
+    """``a = round(a_hat) + Z^-T z``; ``a`` may not share memory with ``z``."""
+    for q in range(n):
+        a[q] = a_integer[q]
+    for i in range(n):
+        if z[i] != 0.0:
+            for q in range(n):
+                a[q] += z[i] * Z_inverse[i, q]
+
+
+@jit
+def all_finite(n, a_hat):  # type: ignore[no-untyped-def]
+    """Whether every entry of the float solution is finite."""
+    for i in range(n):
+        if not abs(a_hat[i]) < math.inf:
+            return False
+    return True
+
+
+@jit
+def integer_least_squares(n, a_hat, Q, m, node_limit, warm, transform, candidates, norms, D, work):  # type: ignore[no-untyped-def]
+    """The m integer vectors nearest to ``a_hat`` in the metric of Q: ``min (a_hat - a)' Q^-1 (a_hat - a)``.
+
+    Parameters
+    ----------
+    n, a_hat, Q
+        Number of ambiguities, float solution (c,) [cycles] and its covariance (c, c) [cycles^2].
+    m, node_limit
+        How many candidates, and the most nodes that the search may visit.
+    warm
+        ``transform`` comes from an earlier OK call for the same ambiguities in the same order.
+    transform
+        In and out (2, c, c): see the conventions of this file.
+    candidates, norms
+        Out: (m, c) integers as floats, best first, and (m,) squared norms (inf where there is no candidate; with n = 0 the
+        one candidate is empty and has norm 0).
+    D
+        Out: (c,) conditional variances after decorrelation, for :func:`bootstrap_failure_rate`.
+    work
+        Scratch (5, c, c).
+
+    Returns
+    -------
+    OK, NODE_LIMIT (candidates are good, not proven best), NOT_POSITIVE_DEFINITE or NOT_FINITE (candidates are untouched,
+    norms are inf and the transform must not be reused).
+    """
+    for slot in range(m):
+        norms[slot] = math.inf
+    if not all_finite(n, a_hat):
+        return NOT_FINITE
+    U, L, S, vectors = work[1], work[2], work[3], work[4]
+    status = decorrelate(n, Q, warm, transform, U, D, work[0], S)
+    if status != OK:
+        return status
+    a_integer, z_float, z = vectors[4], vectors[5], vectors[6]
+    to_decorrelated(n, a_hat, transform[0], a_integer, z_float)
+    status = search(0, n, U, D, z_float, m, node_limit, candidates, norms, L, S, vectors)
+    for slot in range(m):
+        if norms[slot] < math.inf:
+            for i in range(n):
+                z[i] = candidates[slot, i]
+            from_decorrelated(n, z, transform[1], a_integer, candidates[slot])
+    return status
+
+
+@jit
+def largest_prefix(n_groups, group, order, Q, failure_limit, transform, D, work):  # type: ignore[no-untyped-def]
+    """How many groups of ambiguities, best first, can be fixed together within a failure rate.
+
+    ``order`` (c,) lists ambiguity indices from the best satellite to the worst, ``group`` of them to a satellite (both
+    bands). The answer is the largest k for which the decorrelated ambiguities ``order[: k * group]`` have a
+    bootstrapped failure rate within ``failure_limit``, and that rate: ``(k, P_IF)``; (0, 0) when there is none, and
+    (-1, 1) when the covariance is not positive definite. Satellites outside keep their float ambiguities.
+
+    The reduction works from the last ambiguity forward, so with the best satellites last every prefix is met on the way
+    to the whole set: all of them together cost one decorrelation.
+
+    ``transform`` (2, c, c), ``D`` (c,) and ``work`` (5, c, c) are scratch.
+    """
+    n = n_groups * group
+    A, U = work[0], work[1]
+    for i in range(n):
+        for j in range(i + 1):
+            A[i, j] = Q[order[n - 1 - i], order[n - 1 - j]]
+    identity(n, transform)
+    if factor(n, A, U, D, False, transform) != OK:
+        return -1, 1.0
+    best, best_rate = 0, 0.0
+    for k in range(1, n_groups + 1):
+        reduce_block(n, n - k * group, U, D, transform)
+        rate = bootstrap_failure_rate(n - k * group, n, D)
+        if rate <= failure_limit:
+            best, best_rate = k, rate
+    return best, best_rate
+
+
+@jit
+def solve_epochs(a_hat, Q, m, node_limit, transform, candidates, norms, failure_rate, status, work):  # type: ignore[no-untyped-def]
+    """Solve the same ambiguities epoch after epoch, each with the transformation of the one before.
+
+    ``a_hat`` (E, c), ``Q`` (E, c, c) -> ``candidates`` (E, m, c), ``norms`` (E, m), ``failure_rate`` (E,), ``status``
+    (E,) int64; the first epoch, and those after a failure, start cold.
+    """
+    n = a_hat.shape[1]
+    D = work[4, 7]
+    warm = False
+    for e in range(a_hat.shape[0]):
+        status[e] = integer_least_squares(
+            n, a_hat[e], Q[e], m, node_limit, warm, transform, candidates[e], norms[e], D, work
+        )
+        warm = status[e] <= NODE_LIMIT
+        failure_rate[e] = bootstrap_failure_rate(0, n, D) if warm else 1.0
