@@ -1,0 +1,246 @@
+"""Integrity events of a drive, per epoch and axis (S3 II.C): available, MI, HMI, integrity failure, false alert.
+
+With AL the alert limit and PE the true error: available when ``PL <= AL``; MI when available and ``PL < PE <= AL``;
+HMI when available and ``PE > AL``; integrity failure when ``PE > AL`` has lasted longer than the time to alert without
+any alarm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lanebound.integrity.assessment.record import AXES, Axis, Record
+from lanebound.integrity.errors import InputError, require_in_range
+
+__all__ = [
+    "AxisEvents",
+    "Events",
+    "FailureClock",
+    "Zone",
+    "alert_delays",
+    "classify",
+    "find_events",
+    "running_age_s",
+]
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+EPS_S = 1e-9  # ages are sums of epoch intervals
+
+
+class Zone(IntEnum):
+    """Zones of the Stanford diagram (S3 Fig. 4)."""
+
+    NOMINAL = 0
+    MISLEADING = 1
+    HAZARDOUS = 2
+    UNAVAILABLE = 3
+    UNAVAILABLE_MISLEADING = 4
+
+    @property
+    def label(self) -> str:
+        """What the zone means, in a few words."""
+        return _ZONE_LABELS[self]
+
+
+_ZONE_LABELS = {
+    Zone.NOMINAL: "nominal operation",
+    Zone.MISLEADING: "misleading information",
+    Zone.HAZARDOUS: "hazardously misleading",
+    Zone.UNAVAILABLE: "system unavailable",
+    Zone.UNAVAILABLE_MISLEADING: "unavailable, misleading",
+}
+
+
+def classify(error_m: ArrayLike, pl_m: ArrayLike, al_m: float) -> NDArray[np.int64]:
+    """Zone codes of errors and protection levels.  (...,) [m] -> (...,); PE = PL is nominal, PL = inf unavailable."""
+    al = float(require_in_range("al_m", al_m, 0.0, np.inf, low_open=True, high_open=True))
+    pe, pl = np.abs(np.asarray(error_m, dtype=np.float64)), np.asarray(pl_m, dtype=np.float64)
+    unavailable = np.where(pe > pl, Zone.UNAVAILABLE_MISLEADING, Zone.UNAVAILABLE)
+    available = np.where(pe > al, Zone.HAZARDOUS, np.where(pe > pl, Zone.MISLEADING, Zone.NOMINAL))
+    return np.where(pl <= al, available, unavailable).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class AxisEvents:
+    """Events of one axis, bool arrays shaped like the record's (T,) or (T, B).
+
+    Attributes
+    ----------
+    available : ``PL <= AL`` and the system declared itself available.
+    mi, hmi : misleading and hazardously misleading information.
+    failure : positioning failure, ``PE > AL``, whatever was said about it.
+    integrity_failure : the failure has lasted longer than the TTA and no alarm has been raised since its onset.
+    false_alert : an alert without a positioning failure on this axis.
+    """
+
+    available: Bools
+    mi: Bools
+    hmi: Bools
+    failure: Bools
+    integrity_failure: Bools
+    false_alert: Bools
+
+    def counts(self) -> dict[str, int]:
+        """Epochs with each event, and under ``..._events`` the number of uninterrupted runs of them."""
+        named = {name: getattr(self, name) for name in ("available", "mi", "hmi", "failure", "integrity_failure")}
+        named["false_alert"] = self.false_alert
+        epochs = {name: int(mask.sum()) for name, mask in named.items()}
+        return epochs | {f"{name}_events": _runs(mask) for name, mask in named.items() if name != "available"}
+
+    def rates(self) -> dict[str, float]:
+        """Share of epochs with each event."""
+        total = self.available.size
+        return {name: count / total for name, count in self.counts().items() if not name.endswith("_events")}
+
+
+@dataclass(frozen=True)
+class Events:
+    """Events of both axes; a vehicle epoch is misleading when either axis is."""
+
+    at: AxisEvents
+    ct: AxisEvents
+    time_to_alert_s: float
+
+    @property
+    def mi(self) -> Bools:
+        """Misleading on either axis and hazardous on neither."""
+        return np.asarray((self.at.mi | self.ct.mi) & ~self.hmi)
+
+    @property
+    def hmi(self) -> Bools:
+        """Hazardously misleading on either axis."""
+        return np.asarray(self.at.hmi | self.ct.hmi)
+
+    @property
+    def available(self) -> Bools:
+        """Available on both axes."""
+        return np.asarray(self.at.available & self.ct.available)
+
+    @property
+    def integrity_failure(self) -> Bools:
+        """Integrity failure on either axis."""
+        return np.asarray(self.at.integrity_failure | self.ct.integrity_failure)
+
+    @property
+    def false_alert(self) -> Bools:
+        """An alert although both axes are within their limits."""
+        return np.asarray(self.at.false_alert & self.ct.false_alert)
+
+    def summary(self) -> dict[str, Any]:
+        """Counts and rates of each axis and of both, JSON-able."""
+        axes: dict[str, Any] = {
+            axis: {"counts": e.counts(), "rates": e.rates()} for axis, e in zip(AXES, (self.at, self.ct), strict=True)
+        }
+        both = {name: float(getattr(self, name).mean()) for name in ("available", "mi", "hmi", "integrity_failure")}
+        both["false_alert"] = float(self.false_alert.mean())
+        return {**axes, "either": both, "time_to_alert_s": self.time_to_alert_s}
+
+
+def find_events(record: Record, al_at_m: float, al_ct_m: float, time_to_alert_s: float = 1.0) -> Events:
+    """All events of a record, both axes.  Alert limits [m], time to alert [s]; S3 II.C."""
+    tta = float(require_in_range("time_to_alert_s", time_to_alert_s, 0.0, np.inf, high_open=True))
+    at, ct = (_axis_events(record, axis, al, tta) for axis, al in zip(AXES, (al_at_m, al_ct_m), strict=True))
+    return Events(at, ct, tta)
+
+
+def _axis_events(record: Record, axis: Axis, al_m: float, tta_s: float) -> AxisEvents:
+    zone = classify(record.error(axis), record.pl(axis), al_m)
+    declared, alert = np.asarray(record.available, dtype=np.bool_), np.asarray(record.alert, dtype=np.bool_)
+    failure = record.error(axis) > al_m
+    silent = running_age_s(record.time_s, failure) > tta_s + EPS_S
+    return AxisEvents(
+        available=(zone <= Zone.HAZARDOUS) & declared,
+        mi=(zone == Zone.MISLEADING) & declared,
+        hmi=(zone == Zone.HAZARDOUS) & declared,
+        failure=failure,
+        integrity_failure=silent & ~_seen_since_onset(failure, alert),
+        false_alert=alert & ~failure,
+    )
+
+
+def running_age_s(time_s: Array, active: Bools) -> Array:
+    """Time since the present run of ``active`` began, -1 outside runs.  (T,), (T, ...) -> (T, ...)."""
+    start = _run_start(active)
+    time = np.asarray(time_s, dtype=np.float64)
+    now = time.reshape((-1,) + (1,) * (active.ndim - 1))
+    return np.where(active, now - time[start], -1.0)
+
+
+def _run_start(active: Bools) -> NDArray[np.int64]:
+    """Index of the first epoch of the run each active epoch belongs to (any value outside runs)."""
+    begins = active.copy()
+    begins[1:] &= ~active[:-1]
+    index = np.arange(active.shape[0]).reshape((-1,) + (1,) * (active.ndim - 1))
+    return np.asarray(np.maximum.accumulate(np.where(begins, index, 0), axis=0))
+
+
+def _seen_since_onset(active: Bools, signal: Bools) -> Bools:
+    """Whether ``signal`` has been true at any epoch since the present run of ``active`` began."""
+    total = np.cumsum(signal, axis=0)
+    before = np.concatenate([np.zeros_like(total[:1]), total[:-1]])
+    return np.asarray(active & (total > np.take_along_axis(before, _run_start(active), axis=0)))
+
+
+def _runs(mask: Bools) -> int:
+    """Number of uninterrupted runs of True along the first axis."""
+    begins = mask.copy()
+    begins[1:] &= ~mask[:-1]
+    return int(begins.sum())
+
+
+def alert_delays(time_s: Array, alert: Bools, onset_s: ArrayLike, until_s: ArrayLike | None = None) -> Array:
+    """Time from each fault's onset to the first alert at or after it, ``inf`` when none comes before ``until_s``.
+
+    time_s (T,), alert (T,), onset_s (F,) -> (F,) [s]. An alert that is on at the onset counts as delay 0.
+
+    Raises
+    ------
+    InputError
+        ``alert`` is not (T,).
+    """
+    time, on = np.asarray(time_s, dtype=np.float64), np.asarray(alert, dtype=np.bool_)
+    if on.shape != time.shape:
+        raise InputError(f"alert must have shape {time.shape} like time_s, got {on.shape}: pass one vehicle at a time")
+    onset = np.atleast_1d(np.asarray(onset_s, dtype=np.float64))
+    until = np.broadcast_to(np.inf if until_s is None else np.asarray(until_s, dtype=np.float64), onset.shape)
+    at = np.append(time[on], np.inf)
+    first = at[np.searchsorted(at, onset - EPS_S)]
+    return np.where(first <= until, np.maximum(first - onset, 0.0), np.inf)
+
+
+@dataclass
+class FailureClock:
+    """The same accounting one epoch at a time, for scoring a simulation as it runs.
+
+    Attributes
+    ----------
+    age_s : (B,) time since the onset of the present positioning failure, -1 while there is none [s].
+    tta_s : (B,) time the alert took after that onset, ``inf`` while it has not come [s].
+    """
+
+    age_s: Array
+    tta_s: Array
+
+    @classmethod
+    def initial(cls, vehicles: int) -> FailureClock:
+        """No failure yet."""
+        return cls(np.full(vehicles, -1.0), np.full(vehicles, np.inf))
+
+    def copy(self) -> FailureClock:
+        """An independent copy."""
+        return FailureClock(self.age_s.copy(), self.tta_s.copy())
+
+    def advance(self, failure: Bools, alert: Bools, dt_s: float, time_to_alert_s: float) -> Bools:
+        """Advance in place by one epoch; returns (B,) which vehicles are in integrity failure."""
+        going_on = failure & (self.age_s >= 0.0)
+        self.age_s[:] = np.where(failure, np.where(going_on, self.age_s + dt_s, 0.0), -1.0)
+        silent = ~(going_on & (self.tta_s < np.inf))
+        self.tta_s[:] = np.where(failure & alert & silent, self.age_s, np.where(silent, np.inf, self.tta_s))
+        return np.asarray(failure & (self.tta_s == np.inf) & (self.age_s > time_to_alert_s + EPS_S))
