@@ -1,1 +1,1 @@
-"""."""
+"""Who drives, and what people run: controllers, learning, benchmarks and the command line."""

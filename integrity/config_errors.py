@@ -96,16 +96,13 @@ def _remedy(problem: Mapping[str, Any], field: FieldInfo | None) -> str:
 def _find(model: type[BaseModel], loc: Sequence[int | str]) -> tuple[type[BaseModel] | None, FieldInfo | None]:
     """The model that owns the last key of ``loc``, and that key's field; None where the path leaves the models."""
     owner: type[BaseModel] | None = model
+    inside: type[BaseModel] | None = model
     field: FieldInfo | None = None
-    for depth, key in enumerate(loc):
-        if owner is None:
-            return None, None
-        if isinstance(key, int):
-            field = None
-        else:
-            field = owner.model_fields.get(key, field if depth and key not in owner.model_fields else None)
-        if depth < len(loc) - 1 and isinstance(key, str) and key in owner.model_fields:
-            owner = _model_in(owner.model_fields[key].annotation)
+    for key in loc:
+        owner = inside
+        field = owner.model_fields.get(key) if owner is not None and isinstance(key, str) else None
+        if field is not None:
+            inside = _model_in(field.annotation)
     return owner, field
 
 

@@ -1,1 +1,1 @@
-"""Benchmarks: ratios taken in one run, printed by ``make bench`` and written to ``build/bench.json``."""
+"""Benchmarks: each module here that has ``measure(rounds) -> list[Row]`` is found and run by ``lanebound bench``."""

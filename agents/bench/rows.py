@@ -34,9 +34,7 @@ class Row:
         return {**asdict(self), "met": self.met}
 
 
-def alternate(
-    sides: dict[str, Callable[[], int]], rounds: int = 5, seconds: float = 0.4
-) -> dict[str, list[float]]:
+def alternate(sides: dict[str, Callable[[], int]], rounds: int = 5, seconds: float = 0.4) -> dict[str, list[float]]:
     """Rates [items/s] of each side, measured in turn within each round so that both see the same machine.
 
     Each callable does one piece of work and returns how many items it did. It is called once before timing.

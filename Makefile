@@ -1,0 +1,49 @@
+# Every target builds .venv/ when it is missing or out of date, and uses nothing else. Needs Python 3.11+ and make.
+PYTHON ?= python3
+WORKERS ?= 2
+ARGS ?=
+
+BIN := .venv/bin
+STAMP := .venv/installed
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+LAYERS := integrity envs agents configs
+
+.DEFAULT_GOAL := help
+.PHONY: help dev demo test test-slow check bench clean
+
+help: ## Say what each target does
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+$(STAMP): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+		|| { echo 'lanebound needs Python 3.11 or newer: make PYTHON=/path/to/python3.11 ...' >&2; exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(PIP) install --quiet -c constraints.txt torch
+	$(PIP) install --quiet -c constraints.txt -e '.[dev]'
+	mkdir -p .links/lanebound
+	for layer in $(LAYERS); do ln -sfn ../../$$layer .links/lanebound/$$layer; done
+	touch $@
+
+dev: $(STAMP) ## Install the package, editable, with its tools into .venv/
+
+demo: $(STAMP) ## Show what the package does
+	$(BIN)/lanebound config list
+
+test: $(STAMP) ## Run the tests, less the slow ones
+	$(BIN)/pytest -q -n $(WORKERS) --dist loadfile $(ARGS)
+
+test-slow: $(STAMP) ## Run the slow tests
+	$(BIN)/pytest -q -n $(WORKERS) --dist loadfile -m slow $(ARGS)
+
+check: $(STAMP) ## Style, types and the order of the layers
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy .links/lanebound
+	$(BIN)/lint-imports --no-cache --no-logo
+
+bench: $(STAMP) ## Measure speed against the gates; figures go to build/bench.json
+	$(BIN)/lanebound bench $(ARGS)
+
+clean: ## Remove what was built and measured; .venv/ stays
+	rm -rf build dist out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	find . -name .venv -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,72 @@
+"""Finds the benchmarks, runs them one after another, and keeps going when one fails."""
+
+from __future__ import annotations
+
+import json
+import pkgutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+
+from lanebound.agents.bench.rows import Row
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.presets import nearest
+
+__all__ = ["Report", "benchmark_names", "run", "select", "write"]
+
+BENCH_PACKAGE = "lanebound.agents.bench"
+SUPPORT = {"rows", "runner"}
+
+
+@dataclass
+class Report:
+    """What was measured, and by name why the others were not."""
+
+    rows: list[Row] = field(default_factory=list)
+    failures: dict[str, str] = field(default_factory=dict)
+
+
+def benchmark_names() -> list[str]:
+    """Modules of this package other than the support modules and those that begin with an underscore, sorted."""
+    found = pkgutil.iter_modules(import_module(BENCH_PACKAGE).__path__)
+    return sorted(item.name for item in found if item.name not in SUPPORT and not item.name.startswith("_"))
+
+
+def select(only: Sequence[str]) -> list[str]:
+    """The benchmarks asked for, or all of them when none is.
+
+    Raises
+    ------
+    InputError
+        A name is unknown; the message offers the nearest.
+    """
+    known = benchmark_names()
+    for name in only:
+        if name not in known:
+            raise InputError(f"benchmark '{name}' is unknown: {nearest(name, known)}")
+    return [name for name in known if name in only] if only else known
+
+
+def run(names: Sequence[str], rounds: int = 5, progress: Callable[[str], None] | None = None) -> Report:
+    """Run benchmarks by name; ``progress`` is told each name before it runs.
+
+    A module without ``measure`` is a helper of the others and is passed over.
+    """
+    report = Report()
+    for name in names:
+        if progress is not None:
+            progress(name)
+        try:
+            measure = getattr(import_module(f"{BENCH_PACKAGE}.{name}"), "measure", None)
+            if measure is not None:
+                report.rows.extend(measure(rounds))
+        except Exception as error:
+            report.failures[name] = f"{type(error).__name__}: {error}"
+    return report
+
+
+def write(rows: Sequence[Row], path: Path) -> None:
+    """Write the rows as a JSON list, making the folder when needed."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps([row.to_json() for row in rows], indent=2) + "\n", encoding="utf-8")

@@ -1,0 +1,60 @@
+"""The command line ``lanebound``. Each command lives in its own module and imports what is heavy when it runs."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from lanebound.agents.cli import bench, config
+from lanebound.agents.cli.advice import AdvisingGroup
+
+__all__ = ["app", "main"]
+
+EXAMPLES = """
+[bold]Examples[/bold]
+
+  lanebound config list                        which presets there are
+
+  lanebound config show NAME                   one of them, with units
+
+  lanebound config show NAME --set key=value   the same with a change
+
+  lanebound bench --json                       speed against the gates
+
+Every command explains itself: [bold]lanebound COMMAND --help[/bold]
+"""
+
+app = typer.Typer(
+    name="lanebound",
+    cls=AdvisingGroup,
+    help="Integrity-aware driving: where the vehicle is, how far to trust it, and agents that drive on that belief.",
+    epilog=EXAMPLES,
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+)
+app.add_typer(config.app, name="config")
+app.command("bench")(bench.bench)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"lanebound {version('lanebound')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    _version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and leave.")
+    ] = False,
+) -> None:
+    """Options of the program itself."""
+
+
+def main() -> None:
+    """Run the command line."""
+    app(prog_name="lanebound")

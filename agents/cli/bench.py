@@ -1,0 +1,42 @@
+"""``lanebound bench``: measured speed against the gates."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+__all__ = ["bench"]
+
+
+def bench(
+    only: Annotated[
+        list[str] | None, typer.Option("--only", metavar="NAME", help="Run this benchmark alone; may be repeated.")
+    ] = None,
+    rounds: Annotated[int, typer.Option(min=1, help="Repeat each comparison and keep the median.")] = 5,
+    out: Annotated[Path, typer.Option(help="Where to write the figures as JSON.")] = Path("build/bench.json"),
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+) -> None:
+    """Measure speed and compare it with the gates. Exit code 1 when a benchmark fails to run.
+
+    Example: lanebound bench --only lambda --rounds 3 --json
+    """
+    from rich.console import Console
+
+    from lanebound.agents.bench.runner import run, select, write
+    from lanebound.agents.cli.output import print_json, print_table
+
+    with Console(stderr=True).status("measuring") as status:
+        report = run(select(only or []), rounds, progress=lambda name: status.update(f"measuring {name}"))
+    write(report.rows, out)
+    rows = [row.to_json() for row in report.rows]
+    if as_json:
+        print_json(rows)
+    else:
+        columns = ("name", "value", "unit", "gate", "stretch", "met")
+        print_table("Benchmark", columns, ([row[column] for column in columns] for row in rows))
+    for name, failure in report.failures.items():
+        typer.echo(f"error: benchmark '{name}' failed: {failure}", err=True)
+    if report.failures:
+        raise typer.Exit(1)

@@ -1,0 +1,64 @@
+"""``lanebound config``: what presets there are, and what they resolve to."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+from lanebound.agents.cli.advice import AdvisingGroup
+
+__all__ = ["app"]
+
+app = typer.Typer(cls=AdvisingGroup, no_args_is_help=True, help="List the presets, or show one with its units.")
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+
+
+@app.command("list")
+def list_presets(as_json: AsJson = False) -> None:
+    """List the packaged presets and what each configures.
+
+    Example: lanebound config list --json
+    """
+    from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.integrity.presets import load_preset, preset_names
+
+    found = [{"preset": name, "kind": load_preset(name).get("kind")} for name in preset_names()]
+    if as_json:
+        print_json(found)
+    else:
+        print_table("Presets", ("preset", "kind"), ((row["preset"], row["kind"]) for row in found))
+
+
+@app.command("show")
+def show(
+    preset: Annotated[
+        str, typer.Argument(metavar="PRESET", help="Name of a preset, as 'lanebound config list' prints it.")
+    ],
+    assignments: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one value; may be repeated.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show the resolved values of a preset: what it says, what it extends, and the defaults below.
+
+    Example: lanebound config show NAME --set rtk.max_age_s=20 --json
+    """
+    from lanebound.agents.cli.kinds import resolve
+    from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.integrity.config import describe
+    from lanebound.integrity.presets import parse_assignments
+
+    kind, config = resolve(preset, parse_assignments(assignments or []))
+    entries = describe(config)
+    if as_json:
+        values: list[dict[str, Any]] = [{**entry._asdict(), "value": _plain(entry.value)} for entry in entries]
+        print_json({"preset": preset, "kind": kind, "values": values})
+    else:
+        print_table(f"{preset} ({kind})", ("key", "value", "unit", "what it is"), entries)
+
+
+def _plain(value: Any) -> Any:
+    from pydantic_core import to_jsonable_python
+
+    return to_jsonable_python(value)

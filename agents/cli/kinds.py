@@ -1,0 +1,39 @@
+"""Which configuration class the ``kind`` of a preset names, loaded only when asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from lanebound.integrity.errors import ConfigError
+
+if TYPE_CHECKING:
+    from lanebound.integrity.config import Config
+
+__all__ = ["KINDS", "resolve"]
+
+KINDS = {
+    "positioning": "lanebound.integrity.positioning.config:PositioningConfig",
+}
+
+
+def resolve(name: str, overrides: Mapping[str, Any] | None = None) -> tuple[str, Config]:
+    """The kind of a preset, and its configuration with ``overrides`` on top.
+
+    Raises
+    ------
+    ConfigError
+        The preset or its kind is unknown, or a value is refused.
+    """
+    from lanebound.integrity.presets import load_preset, nearest
+
+    data = load_preset(name, overrides)
+    kind = data.pop("kind", None)
+    if kind is None:
+        raise ConfigError(f"preset '{name}' names no kind: add a line such as 'kind: {min(KINDS)}'")
+    if kind not in KINDS:
+        raise ConfigError(f"kind '{kind}' of preset '{name}' is unknown: {nearest(str(kind), KINDS)}")
+    module, _, attribute = KINDS[kind].partition(":")
+    model: type[Config] = getattr(import_module(module), attribute)
+    return kind, model.load(data)

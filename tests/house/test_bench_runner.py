@@ -1,0 +1,74 @@
+"""The benchmark runner: discovery, selection, failures, the file it writes."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import pytest
+
+from lanebound.agents.bench import runner
+from lanebound.agents.bench.rows import Row
+from lanebound.integrity.errors import InputError
+
+GOOD = """
+from lanebound.agents.bench.rows import Row
+
+def measure(rounds=5):
+    return [Row("speed", float(rounds), "x", 3.0, 9.0), Row("time", 2.0, "s", 1.0, higher_is_better=False)]
+"""
+
+
+@pytest.fixture(autouse=True)
+def _toy_package(tmp_path, monkeypatch):
+    package = tmp_path / "toy_bench"
+    package.mkdir()
+    files = {
+        "__init__": "",
+        "rows": "raise ImportError('support modules are not benchmarks')",
+        "_private": "raise ImportError('neither are private ones')",
+        "good": GOOD,
+        "broken": "import a_module_that_is_not_there",
+        "helper": "UNIT = 1",
+    }
+    for name, text in files.items():
+        (package / f"{name}.py").write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(runner, "BENCH_PACKAGE", "toy_bench")
+    yield
+    for name in [name for name in sys.modules if name.partition(".")[0] == "toy_bench"]:
+        del sys.modules[name]
+
+
+def test_names():
+    assert runner.benchmark_names() == ["broken", "good", "helper"]
+
+
+def test_select_keeps_the_order_and_offers_the_nearest():
+    assert runner.select([]) == ["broken", "good", "helper"]
+    assert runner.select(["helper", "good"]) == ["good", "helper"]
+    with pytest.raises(InputError, match=r"benchmark 'godo' is unknown: did you mean 'good'\?"):
+        runner.select(["godo"])
+
+
+def test_a_failing_benchmark_is_reported_and_the_others_kept():
+    told: list[str] = []
+    report = runner.run(runner.select([]), rounds=4, progress=told.append)
+    assert [(row.name, row.value, row.met) for row in report.rows] == [("speed", 4.0, True), ("time", 2.0, False)]
+    assert list(report.failures) == ["broken"]
+    assert report.failures["broken"].startswith("ModuleNotFoundError: ")
+    assert told == ["broken", "good", "helper"]
+
+
+def test_write_gives_the_published_keys(tmp_path):
+    path = tmp_path / "new" / "bench.json"
+    runner.write([Row("speed", 4.0, "x", 3.0, 9.0)], path)
+    (row,) = json.loads(path.read_text(encoding="utf-8"))
+    assert {key: row[key] for key in ("name", "value", "unit", "gate", "stretch", "met")} == {
+        "name": "speed",
+        "value": 4.0,
+        "unit": "x",
+        "gate": 3.0,
+        "stretch": 9.0,
+        "met": True,
+    }

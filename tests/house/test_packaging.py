@@ -1,0 +1,93 @@
+"""The package is what the repository holds, and its layers stand in their order."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+LAYERS = ("agents", "configs", "envs", "integrity")
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+def folders_with_init() -> list[str]:
+    inits = (path for layer in LAYERS for path in (ROOT / layer).rglob("__init__.py"))
+    return sorted("lanebound." + ".".join(path.parent.relative_to(ROOT).parts) for path in inits)
+
+
+def test_every_package_is_listed():
+    assert PROJECT["tool"]["setuptools"]["packages"] == folders_with_init()
+
+
+def test_no_module_lies_in_a_folder_without_init():
+    modules = (path for layer in LAYERS for path in (ROOT / layer).rglob("*.py"))
+    assert [str(path.relative_to(ROOT)) for path in modules if not (path.parent / "__init__.py").exists()] == []
+
+
+def test_lanebound_itself_is_a_namespace():
+    import lanebound
+
+    assert getattr(lanebound, "__file__", None) is None
+
+
+def test_preset_files_are_packaged():
+    patterns = PROJECT["tool"]["setuptools"]["package-data"]["lanebound.configs"]
+    packaged = {path for pattern in patterns for path in (ROOT / "configs").glob(pattern)}
+    data = {path for path in (ROOT / "configs").rglob("*") if path.is_file() and "__pycache__" not in path.parts}
+    assert {path for path in data if path.suffix != ".py"} <= packaged
+
+
+def test_versions_agree():
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert re.search(r"^version: (\S+)$", citation, re.MULTILINE)[1] == PROJECT["project"]["version"]
+    assert metadata.version("lanebound") == PROJECT["project"]["version"]
+
+
+def requirement_names(lines: list[str]) -> set[str]:
+    names = (re.match(r"[A-Za-z0-9._-]+", line) for line in lines)
+    return {re.sub(r"[-_.]+", "-", name[0]).lower() for name in names if name}
+
+
+def test_every_requirement_is_pinned():
+    project = PROJECT["project"]
+    wanted = project["dependencies"] + project["optional-dependencies"]["dev"]
+    pinned = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    assert all(line.startswith("#") or "==" in line for line in pinned)
+    assert requirement_names(wanted) <= requirement_names([line for line in pinned if not line.startswith("#")])
+
+
+IMPORT_ALL = """
+import importlib, pkgutil, sys
+package = importlib.import_module("lanebound.integrity")
+for item in pkgutil.walk_packages(package.__path__, "lanebound.integrity."):
+    importlib.import_module(item.name)
+print(*sorted({name for name in sys.modules}))
+"""
+
+
+@pytest.fixture(scope="module")
+def modules_of_integrity() -> set[str]:
+    """Names of all modules loaded by a process that imports all of integrity."""
+    done = subprocess.run([sys.executable, "-c", IMPORT_ALL], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return set(done.stdout.split())
+
+
+@pytest.mark.parametrize(
+    "stranger",
+    ["gymnasium", "highway_env", "torch", "stable_baselines3", "pygame", "typer", "lanebound.envs", "lanebound.agents"],
+)
+def test_integrity_stands_alone(modules_of_integrity, stranger):
+    assert "lanebound.integrity.errors" in modules_of_integrity
+    assert stranger not in modules_of_integrity
+
+
+def test_the_smoke_test_of_the_wheel_covers_every_layer():
+    text = (ROOT / "tests" / "house" / "smoke_wheel.py").read_text(encoding="utf-8")
+    assert f"LAYERS = {LAYERS}".replace("'", '"') in text

@@ -1,0 +1,129 @@
+"""Presets: merging, extending, YAML's traps, overrides from text."""
+
+from __future__ import annotations
+
+import copy
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lanebound.integrity import presets
+from lanebound.integrity.config import Config
+from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.presets import deep_merge, load_preset, nearest, parse_assignments, parse_yaml, preset_names
+
+FILES = {
+    "base.yaml": "kind: toy\nrisk: 1e-7\nrtk: {age_s: 30, bands: [1, 2]}\n",
+    "city/dense.yaml": "extends: base\nrtk: {age_s: 20}\n",
+    "city/night.yaml": "extends: [city/dense, calm]\nrtk: {bands: [3]}\n",
+    "calm.yaml": "speed_mps: 5\n",
+    "circle_a.yaml": "extends: circle_b\n",
+    "circle_b.yaml": "extends: circle_a\n",
+    "orphan.yaml": "extends: bse\n",
+    "list.yaml": "- 1\n",
+    "twice.yaml": "a: 1\na: 2\n",
+    "broken.yaml": "a: [1\n",
+    "notes.txt": "not a preset",
+}
+
+
+@pytest.fixture(autouse=True)
+def _toy_presets(tmp_path, monkeypatch):
+    package = tmp_path / "toy_presets"
+    for name, text in {**FILES, "__init__.py": ""}.items():
+        path = package / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "toy_presets", raising=False)
+    monkeypatch.setattr(presets, "PRESET_PACKAGE", "toy_presets")
+
+
+def test_names_are_paths_without_suffix():
+    assert preset_names() == sorted(name.removesuffix(".yaml") for name in FILES if name.endswith(".yaml"))
+
+
+def test_extends_merges_parents_below_the_preset_and_overrides_on_top():
+    assert load_preset("city/dense") == {"kind": "toy", "risk": 1e-7, "rtk": {"age_s": 20, "bands": [1, 2]}}
+    night = load_preset("city/night", {"rtk": {"age_s": 1}})
+    assert night == {"kind": "toy", "risk": 1e-7, "speed_mps": 5, "rtk": {"age_s": 1, "bands": [3]}}
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("city/dnese", r"^preset 'city/dnese' is unknown: did you mean 'city/dense'\?$"),
+        ("orphan", r"^preset 'bse' \(extended by 'orphan'\) is unknown: did you mean 'base'\?$"),
+        ("circle_a", r"extends itself, by way of circle_a -> circle_b -> circle_a: break the circle$"),
+        ("list", r"^preset 'list' must be a mapping, got list: "),
+        ("twice", r"^preset 'twice' is not valid YAML, got key 'a' twice in .* line 1"),
+        ("broken", r"^preset 'broken' is not valid YAML, got "),
+        ("../base", r"^preset '\.\./base' is unknown"),
+    ],
+)
+def test_refusals(name, message):
+    with pytest.raises(ConfigError, match=message):
+        load_preset(name)
+
+
+def test_a_model_builds_from_its_preset():
+    class Rtk(Config):
+        age_s: float = 1.0
+        bands: tuple[int, ...] = ()
+
+    class Toy(Config):
+        risk: float = 0.5
+        rtk: Rtk = Rtk()
+
+    assert Toy.preset("city/dense", {"risk": 0.1}) == Toy(risk=0.1, rtk=Rtk(age_s=20.0, bands=(1, 2)))
+
+
+@pytest.mark.parametrize(
+    ("text", "value"), [("1e-7", 1e-7), ("-2.5E+3", -2500.0), (".5e1", 5.0), ("3", 3), ("1e", "1e"), ("e7", "e7")]
+)
+def test_numbers_in_scientific_notation_are_numbers(text, value):
+    assert parse_yaml(text, "test") == value
+    assert type(parse_yaml(text, "test")) is type(value)
+
+
+def test_assignments_nest_and_merge():
+    texts = ["rtk.age_s=20", "rtk.bands=[1, 2]", "risk = 1e-4", "name=a=b", "rtk.age_s=21"]
+    wanted = {"rtk": {"age_s": 21, "bands": [1, 2]}, "risk": 1e-4, "name": "a=b"}
+    assert parse_assignments(texts) == wanted
+
+
+@pytest.mark.parametrize("text", ["rtk.age_s", "=3", "rtk..age_s=1", ""])
+def test_assignments_must_read_key_equals_value(text):
+    with pytest.raises(ConfigError, match="an override must read key=value, got"):
+        parse_assignments([text])
+
+
+def test_nearest_falls_back_to_the_list():
+    assert nearest("zzz", ["b", "a"]) == "known are a, b"
+    assert nearest("zzz", []) == "none are known"
+
+
+TREES = st.recursive(
+    st.integers() | st.none(), lambda inner: st.dictionaries(st.sampled_from("abc"), inner, max_size=3), max_leaves=8
+)
+MAPPINGS = st.dictionaries(st.sampled_from("abc"), TREES, max_size=3)
+
+
+@given(MAPPINGS, MAPPINGS, MAPPINGS)
+def test_merging_keeps_all_keys_and_changes_no_argument(a, b, c):
+    before = copy.deepcopy((a, b, c))
+    merged = deep_merge(a, b)
+    assert deep_merge(a, {}) == a == deep_merge({}, a)
+    assert deep_merge(merged, b) == merged
+    assert set(deep_merge(merged, c)) == {*a, *b, *c}
+    assert (a, b, c) == before
+
+
+def test_a_merged_copy_shares_no_mapping():
+    base = {"a": {"b": 1}}
+    override = {"c": {"d": 2}}
+    merged = deep_merge(base, override)
+    merged["a"]["b"] = merged["c"]["d"] = 9
+    assert (base, override) == ({"a": {"b": 1}}, {"c": {"d": 2}})
