@@ -1,0 +1,1 @@
+"""Studies that reproduce what the source papers show, with one documented parameter set each."""

@@ -1,0 +1,159 @@
+"""Scripted drives: vehicles that follow a road with speed limits, curves and traffic lights, and give their truth.
+
+They exist to exercise the navigation on its own, without a driving environment. Longitudinal motion only: each vehicle
+keeps the middle of its lane, accelerates and brakes within comfortable limits and stops at red lights.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from lanebound.integrity.config import Config
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.frames import wrap_angle
+from lanebound.integrity.sky.road import Road
+from lanebound.integrity.streams import Streams
+from lanebound.integrity.truth import Truth, truth_between
+
+__all__ = ["CityDrive", "DriveConfig", "DriveState"]
+
+Array = NDArray[np.float64]
+
+
+class DriveConfig(Config):
+    """How the scripted drivers behave."""
+
+    speed_limit_mps: float = Field(13.9, gt=0, description="speed limit [m/s]; 50 km/h, Tokyo city streets")
+    acceleration_mps2: float = Field(1.5, gt=0, description="comfortable acceleration [m/s^2]; ISO 15622 allows up to 2")
+    braking_mps2: float = Field(2.0, gt=0, description="comfortable braking [m/s^2]; ISO 15622 allows up to 3.5")
+    lateral_mps2: float = Field(2.0, gt=0, description="lateral acceleration that limits the speed in curves [m/s^2]")
+    light_spacing_m: float = Field(250.0, gt=20, description="distance between traffic lights [m]; city blocks")
+    red_share: float = Field(0.45, ge=0, le=1, description="share of lights met at red [-]")
+    red_min_s: float = Field(5.0, ge=0, description="shortest wait at a red light [s]")
+    red_max_s: float = Field(50.0, ge=0, description="longest wait at a red light [s]")
+    lane: int = Field(0, ge=0, description="lane driven in, 0 is the rightmost")
+
+
+@dataclass
+class DriveState:
+    """Where the vehicles are along the road: all arrays (B,)."""
+
+    time_s: float
+    arc_m: Array
+    speed_mps: Array
+    light: NDArray[np.int64]
+    red: NDArray[np.bool_]
+    wait_s: Array
+    position_m: Array
+    heading_rad: Array
+
+    def copy(self) -> DriveState:
+        """An independent copy."""
+        return copy.deepcopy(self)
+
+
+class CityDrive:
+    """A batch of vehicles driving along ``road``.
+
+    Parameters
+    ----------
+    road : Road
+        Its centre line; closed roads are driven lap after lap, open ones to their end, where the vehicles stop.
+    config : DriveConfig
+    dt_s : float
+        Length of a navigation epoch.
+    """
+
+    def __init__(self, road: Road, config: DriveConfig, dt_s: float = 0.1) -> None:
+        if not dt_s > 0.0:
+            raise InputError(f"dt_s must be positive, got {dt_s}: pass the length of an epoch in seconds")
+        self.road, self.config, self.dt_s = road, config, dt_s
+        self._grid_m = np.arange(0.0, road.length_m, 2.0)
+        self._limit_mps = self._curve_limits()
+
+    def _curve_limits(self) -> Array:
+        """Speed limit at each grid point: the legal one, or what the curve ahead allows with comfortable braking."""
+        step = 2.0
+        _, heading = self.road.pose_at(self._grid_m, np.zeros_like(self._grid_m))
+        curvature = np.abs(wrap_angle(np.roll(heading, -1) - heading)) / step
+        limit = np.minimum(self.config.speed_limit_mps, np.sqrt(self.config.lateral_mps2 / np.maximum(curvature, 1e-6)))
+        limit = np.maximum(limit, 3.0)
+        for _ in range(2):  # twice, so that a closed road's end sees its beginning
+            for i in range(len(limit) - 1, -1, -1):
+                ahead = limit[(i + 1) % len(limit)]
+                limit[i] = min(limit[i], np.sqrt(ahead**2 + 2.0 * self.config.braking_mps2 * step))
+        return limit
+
+    def start(self, streams: Streams, spread_m: float = 0.0) -> DriveState:
+        """Vehicles at rest, spread uniformly over the first ``spread_m`` of the road."""
+        u = streams.uniform("traffic", 2)
+        arc = u[:, 0] * spread_m
+        position, heading = self._pose(arc)
+        return DriveState(
+            time_s=0.0,
+            arc_m=arc,
+            speed_mps=np.zeros(streams.batch),
+            light=np.floor(arc / self.config.light_spacing_m).astype(np.int64) + 1,
+            red=u[:, 1] < self.config.red_share,
+            wait_s=np.zeros(streams.batch),
+            position_m=position,
+            heading_rad=heading,
+        )
+
+    def _pose(self, arc_m: Array) -> tuple[Array, Array]:
+        lane = np.full(arc_m.shape, self.config.lane)
+        return self.road.pose_at(arc_m, self.road.lane_offset_m(lane))
+
+    def step(self, state: DriveState, streams: Streams) -> Truth:
+        """Advance ``state`` in place by one epoch and return its truth."""
+        c, dt = self.config, self.dt_s
+        u = streams.uniform("traffic", 2)
+        to_light = state.light * c.light_spacing_m - state.arc_m
+        allowed = self._allowed_speed(state, to_light)
+        speed = np.clip(allowed, state.speed_mps - 2.0 * c.braking_mps2 * dt, state.speed_mps + c.acceleration_mps2 * dt)
+        speed = np.where(speed < 0.05, np.where(allowed < 0.05, 0.0, speed), speed)
+        arc = state.arc_m + 0.5 * (speed + state.speed_mps) * dt
+        if not self.road.closed:
+            arc = np.minimum(arc, self.road.length_m)
+        self._lights(state, to_light, speed, u)
+        position, heading = self._pose(arc)
+        v0 = state.speed_mps[:, None] * np.column_stack([np.sin(state.heading_rad), np.cos(state.heading_rad)])
+        v1 = speed[:, None] * np.column_stack([np.sin(heading), np.cos(heading)])
+        truth = truth_between(
+            state.time_s + dt,
+            dt,
+            (state.position_m, position),
+            (v0, v1),
+            (state.heading_rad, heading),
+            arc_m=arc,
+            lane=c.lane,
+        )
+        state.time_s += dt
+        state.arc_m, state.speed_mps, state.position_m, state.heading_rad = arc, speed, position, heading
+        return truth
+
+    def _allowed_speed(self, state: DriveState, to_light: Array) -> Array:
+        """Speed that still allows to stop for a red light, or for the end of an open road, within comfortable braking."""
+        cell = (state.arc_m / 2.0).astype(np.int64) % len(self._grid_m)
+        gap = np.where(state.red, to_light - 1.0, np.inf)
+        if not self.road.closed:
+            gap = np.minimum(gap, self.road.length_m - 1.0 - state.arc_m)
+        stopping = np.sqrt(2.0 * self.config.braking_mps2 * np.maximum(gap, 0.0))
+        return np.minimum(self._limit_mps[cell], np.where(gap < 0.3, 0.0, stopping))
+
+    def _lights(self, state: DriveState, to_light: Array, speed: Array, u: Array) -> None:
+        """Count down the wait at a red light; draw the next light when one is passed."""
+        c = self.config
+        waiting = state.red & (speed == 0.0) & (to_light < 3.0)
+        begins = waiting & (state.wait_s <= 0.0)
+        state.wait_s = np.where(begins, c.red_min_s + (c.red_max_s - c.red_min_s) * u[:, 0], state.wait_s)
+        state.wait_s = np.where(waiting, state.wait_s - self.dt_s, state.wait_s)
+        state.red &= ~(waiting & (state.wait_s <= 0.0))
+        passed = to_light <= 0.0
+        state.light = state.light + passed
+        state.red = np.where(passed, u[:, 1] < c.red_share, state.red)

@@ -1,0 +1,115 @@
+"""What the positioning believes about its measurements, and the conditions of its modes.
+
+These are *declared* figures: the bounds and variances that the receiver assumes. What the sensors really do is
+configured in :mod:`lanebound.integrity.sensors`; a protection level is honest when the declared bounds the real.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from lanebound.integrity.config import Config
+
+__all__ = ["DeadReckoningConfig", "DopplerConfig", "HeadingConfig", "ModeConfig", "PositioningConfig", "RtkConfig"]
+
+
+class RtkConfig(Config):
+    """Declared errors of the single differences, and ambiguity resolution."""
+
+    sigma_code_m: float = Field(0.30, gt=0, description="code, zenith, one band [m]; RTKLIB 0.3 m (ratio 100 to phase)")
+    sigma_phase_m: float = Field(
+        0.0042, gt=0, description="phase, zenith, one band [m]; RTKLIB 3 mm for each receiver, so sqrt(2) x 3 mm"
+    )
+    phase_bias_m: float = Field(0.005, ge=0, description="bound of a phase bias of one satellite [m]; residual multipath")
+    reference_bias_m: float = Field(
+        0.0, ge=0, description="bound of the horizontal error of the reference coordinates [m]; datum and antenna offset"
+    )
+    age_bias_mps: float = Field(
+        0.0015, ge=0, description="growth of a satellite's bias bound with the age of corrections [m/s]; 5e-12 s/s clocks"
+    )
+    max_age_s: float = Field(30.0, gt=0, description="oldest usable corrections [s]; RTKLIB default")
+    elevation_mask_deg: float = Field(10.0, ge=0, lt=90, description="lowest elevation used [deg]")
+    cn0_min_dbhz: float = Field(30.0, ge=0, description="lowest C/N0 used in RTK [dB-Hz]; below it mostly reflections")
+    cn0_knee_dbhz: float = Field(35.0, ge=0, description="C/N0 at which the variance doubles [dB-Hz]")
+    ambiguity_risk_share: float = Field(
+        0.1, gt=0, le=1, description="largest failure rate of a fix as a share of the integrity risk [-]"
+    )
+    ratio_min: float = Field(2.0, ge=1, description="smallest ratio of second to best norm [-]; guards the model itself")
+    max_candidates: int = Field(16, ge=4, le=40, description="satellites whose ambiguities are searched at once [-]")
+    min_satellites: int = Field(5, ge=4, description="satellites of a fix with one system [-]; S1 section 2")
+    min_further: int = Field(3, ge=2, description="satellites that a further system must bring [-]; S1 section 2")
+    hold_failures: int = Field(
+        2, ge=1, description="rejected epochs in a row after which all held ambiguities are given up [-]"
+    )
+
+
+class DopplerConfig(Config):
+    """Declared errors of the range rates and of the velocity they give."""
+
+    sigma_mps: float = Field(0.10, gt=0, description="range rate, zenith [m/s]; S1 section 4 (10 cm/s)")
+    tau_s: float = Field(0.54, gt=0, description="correlation time of the velocity error [s]; fits S1 tables 4 and 5")
+    bias_mps: float = Field(0.002, ge=0, description="bound of a constant velocity bias in E and in N [m/s]")
+    elevation_mask_deg: float = Field(10.0, ge=0, lt=90, description="lowest elevation used [deg]")
+    cn0_min_dbhz: float = Field(28.0, ge=0, description="lowest C/N0 used for the velocity [dB-Hz]")
+
+
+class HeadingConfig(Config):
+    """The heading filter and its calibration."""
+
+    initial_sigma_deg: float = Field(10.0, gt=0, description="heading error before the first calibration [deg]; S1 section 4")
+    angle_random_walk_rad: float = Field(2.5e-4, gt=0, description="angle random walk [rad/sqrt(s)]; BMI088 0.014 dps/rtHz")
+    bias_initial_radps: float = Field(7e-3, gt=0, description="gyro bias at turn-on, 1 sigma [rad/s]; 0.4 deg/s MEMS")
+    bias_walk_radps: float = Field(1e-6, gt=0, description="random walk of the gyro bias [rad/s/sqrt(s)]")
+    min_speed_mps: float = Field(0.5, gt=0, description="odometer speed for Doppler calibration [m/s]; S1 table 1")
+    speed_agreement_mps: float = Field(1.5, gt=0, description="Doppler against odometer speed [m/s]; S1 table 1")
+    max_hdop: float = Field(2.5, gt=0, description="HDOP for Doppler calibration [-]; S1 table 1")
+    max_jump_deg: float = Field(2.0, gt=0, description="largest heading jump against the IMU [deg]; S2 section 2.2")
+
+
+class DeadReckoningConfig(Config):
+    """Declared errors of dead reckoning with heading and odometer."""
+
+    odometer_sigma_mps: float = Field(0.05, gt=0, description="odometer speed, 1 sigma [m/s]; S1 section 4")
+    odometer_tau_s: float = Field(1.0, gt=0, description="correlation time of the odometer's error [s]")
+    odometer_bias_mps: float = Field(0.01, ge=0, description="bound of a constant odometer error [m/s]; b_v of S1 eq 19")
+    heading_bias_deg: float = Field(0.2, ge=0, description="bound of the heading's error after calibration [deg]; b_theta0 of S1")
+    heading_drift_degps: float = Field(0.004, ge=0, description="growth of that bound since calibration [deg/s]; S1 section 4")
+
+
+class ModeConfig(Config):
+    """Conditions of S1 table 1."""
+
+    rtk_max_hdop: float = Field(3.0, gt=0, description="HDOP for RTK [-]; S1 table 1")
+    doppler_agreement_mps: float = Field(0.5, gt=0, description="Doppler against odometer speed [m/s]; S1 table 1")
+    doppler_max_hdop: float = Field(1.5, gt=0, description="HDOP for Doppler positioning [-]; S1 table 1")
+    doppler_max_s: float = Field(60.0, gt=0, description="longest Doppler positioning without RTK [s]; S1 section 5")
+
+
+class PositioningConfig(Config):
+    """All of positioning."""
+
+    rtk: RtkConfig = RtkConfig()
+    doppler: DopplerConfig = DopplerConfig()
+    heading: HeadingConfig = HeadingConfig()
+    dead_reckoning: DeadReckoningConfig = DeadReckoningConfig()
+    mode: ModeConfig = ModeConfig()
+    antenna_forward_m: float = Field(0.0, description="antenna ahead of the vehicle's reference point [m]")
+    antenna_right_m: float = Field(0.0, description="antenna to the right of the vehicle's reference point [m]")
+
+    @property
+    def lever_arm_m(self) -> tuple[float, float]:
+        """Antenna position in the body frame: forward, right [m]."""
+        return self.antenna_forward_m, self.antenna_right_m
+
+    @property
+    def heading_limits(self) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        """(4,) limits of :func:`.heading_kernel.doppler_heading_usable`."""
+        h = self.heading
+        return np.array([h.min_speed_mps, h.speed_agreement_mps, h.max_hdop, np.deg2rad(h.max_jump_deg)])
+
+    @property
+    def mode_limits(self) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        """(4,) limits of :func:`.mode_kernel.select_mode`."""
+        m = self.mode
+        return np.array([m.rtk_max_hdop, m.doppler_agreement_mps, m.doppler_max_hdop, m.doppler_max_s])

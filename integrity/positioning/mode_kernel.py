@@ -1,0 +1,25 @@
+"""Which positioning mode holds now: S1 table 1 and figure 1, for one vehicle."""
+
+from __future__ import annotations
+
+from lanebound.integrity.accel import jit
+
+NONE, RTK, DOPPLER, IMU_ODOMETER = 0, 1, 2, 3  # the values of modes.Mode
+
+
+@jit
+def select_mode(  # type: ignore[no-untyped-def]
+    rtk_fixed, hdop_rtk, doppler_solved, v_gnss, v_ss, hdop_doppler, outage_s, initialised, limits
+):
+    """RTK, then Doppler, then IMU + odometer; nothing before a first RTK position.
+
+    limits: RTK HDOP, Doppler speed agreement [m/s], Doppler HDOP, longest Doppler positioning without RTK [s].
+    """
+    if rtk_fixed and hdop_rtk < limits[0]:
+        return RTK
+    if not initialised:
+        return NONE
+    agrees = abs(v_gnss - abs(v_ss)) < limits[1]
+    if doppler_solved and agrees and hdop_doppler < limits[2] and outage_s <= limits[3]:
+        return DOPPLER
+    return IMU_ODOMETER

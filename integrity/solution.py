@@ -1,0 +1,72 @@
+"""What the navigation believes: the only thing a controller may act on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Solution"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Belief of B vehicles at one epoch. No entry is ever NaN; a missing protection level is ``inf``.
+
+    Attributes
+    ----------
+    time_s : end of the epoch
+    position_en_m : (B, 2) East, North of the vehicle's reference point; meaningful where ``mode`` is not NONE
+    heading_rad : (B,) azimuth clockwise from North
+    velocity_en_mps : (B, 2); speed_mps : (B,) odometer speed, signed
+    covariance_en_m2 : (B, 2, 2)
+    sigma_at_m, sigma_ct_m : (B,) standard deviations along and across the estimated heading
+    pl_at_m, pl_ct_m : (B,) protection levels at the operative risk
+    pl_cases_m : (B, R, 2) protection levels AT, CT of every configured case, the operative one first
+    mode : (B,) :class:`~lanebound.integrity.positioning.modes.Mode`
+    rtk : (B,) :class:`~lanebound.integrity.positioning.rtk_status.RtkStatus`, why RTK holds or not
+    alert : (B,) bool; available : (B,) bool, no protection level exceeds its limit now
+    reason : (B,) codes of :class:`~lanebound.integrity.monitoring.alerts.AlertReason`
+    hdop : (B,) of the solution in use (inf without satellites)
+    satellites : (B,) number used by RTK; satellites_doppler : (B,) by the velocity
+    excluded : (B,) satellites excluded by fault detection in this epoch, RTK and Doppler together
+    since_rtk_s : (B,) time since the last RTK position (inf before the first)
+    since_calibration_s : (B,) time since the heading was last calibrated
+    corrections_age_s : (B,) age of the reference data (inf when the link is out)
+    wrong_fix_risk : (B,) probability that the held ambiguities are wrong
+    held : (B, S) bool, satellites whose ambiguities are fixed and held
+    """
+
+    time_s: float
+    position_en_m: Array
+    heading_rad: Array
+    velocity_en_mps: Array
+    speed_mps: Array
+    covariance_en_m2: Array
+    sigma_at_m: Array
+    sigma_ct_m: Array
+    pl_at_m: Array
+    pl_ct_m: Array
+    pl_cases_m: Array
+    mode: NDArray[np.int64]
+    rtk: NDArray[np.int64]
+    alert: NDArray[np.bool_]
+    available: NDArray[np.bool_]
+    reason: NDArray[np.int64]
+    hdop: Array
+    satellites: NDArray[np.int64]
+    satellites_doppler: NDArray[np.int64]
+    excluded: NDArray[np.int64]
+    since_rtk_s: Array
+    since_calibration_s: Array
+    corrections_age_s: Array
+    wrong_fix_risk: Array
+    held: NDArray[np.bool_]
+
+    @property
+    def batch(self) -> int:
+        """Number of vehicles."""
+        return int(self.mode.shape[0])
