@@ -1,0 +1,151 @@
+"""YUMA almanacs: the text form in which GPS, and by custom other systems, publish their orbits."""
+
+from __future__ import annotations
+
+import re
+from datetime import date
+from pathlib import Path as FilePath
+
+import numpy as np
+
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.sky.constellation import SECONDS_PER_WEEK, SatelliteTable, gps_seconds_of
+from lanebound.integrity.sky.orbit import EARTH_RATE_RADPS, OrbitElements
+from lanebound.integrity.sky.systems import System
+
+__all__ = ["parse_yuma", "read_yuma"]
+
+# The start of each line's label, lower case, and the range its value must lie in (IS-GPS-200N 20.3.3.5, widened to
+# hold geosynchronous orbits).
+FIELDS: dict[str, tuple[str, float, float]] = {
+    "id": ("id", 1, 999),
+    "health": ("health", 0, 511),
+    "eccentricity": ("eccentricity", 0.0, 0.9),
+    "toa": ("time of applicability", 0.0, SECONDS_PER_WEEK),
+    "inclination": ("orbital inclination", 0.0, np.pi),
+    "node_rate": ("rate of right ascen", -1e-5, 1e-5),
+    "root_a": ("sqrt(a)", 2500.0, 8000.0),
+    "node": ("right ascen at", -100.0, 100.0),
+    "perigee": ("argument of perigee", -100.0, 100.0),
+    "anomaly": ("mean anom", -100.0, 100.0),
+    "af0": ("af0", -1.0, 1.0),
+    "af1": ("af1", -1e-3, 1e-3),
+    "week": ("week", 0, 1_000_000),
+}
+LABELS = {
+    System.GPS: ("PRN", "GPS", "G"),
+    System.GALILEO: ("GAL", "E"),
+    System.GLONASS: ("GLO", "R"),
+    System.BEIDOU: ("BDU", "BDS", "BEI", "C"),
+    System.QZSS: ("QZS", "QZ", "J"),
+}
+HEADER = re.compile(r"almanac for\s+([A-Za-z]+)", re.IGNORECASE)
+WEEKS_OF_ROLLOVER = 1024
+
+
+def read_yuma(path: str | FilePath, near: date, *, healthy_only: bool = True) -> SatelliteTable:
+    """Satellites of a YUMA file; see :func:`parse_yuma`.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is no text, is cut short or malformed.
+    """
+    try:
+        text = FilePath(path).read_text(encoding="ascii", errors="strict")
+    except (OSError, UnicodeDecodeError) as exc:
+        raise InputError(f"almanac {path} must be a readable ASCII text file, got: {exc}") from exc
+    return parse_yuma(text, near, healthy_only=healthy_only, source=str(path))
+
+
+def parse_yuma(text: str, near: date, *, healthy_only: bool = True, source: str = "text") -> SatelliteTable:
+    """Satellites of an almanac in YUMA form, in the order of the text.
+
+    Parameters
+    ----------
+    text : blocks of 13 lines ``label: value``, each after a line ``**** Week N almanac for SYS-NN ****``
+    near : a date within ten years of the almanac's; it resolves weeks given modulo 1024
+    healthy_only : leave out satellites with a health word other than 0
+    source : named in error messages
+
+    The right ascension is the Earth-fixed longitude of the node at the start of the week (IS-GPS-200N 20.3.3.5.2.1).
+
+    Raises
+    ------
+    InputError
+        Names the line, the field and how many satellites had been read.
+    """
+    system: list[int] = []
+    blocks: list[dict[str, float]] = []
+    current: dict[str, float] | None = None
+    for number, line in enumerate(text.splitlines(), start=1):
+        where = f"almanac {source}, line {number} ({len(blocks)} satellites read)"
+        if header := HEADER.search(line):
+            _require_complete(current, where)
+            system.append(int(_system_of(header[1], where)))
+            current = {}
+        elif line.strip():
+            if current is None:
+                raise InputError(f"{where}: a header '**** Week N almanac for PRN-NN ****' must come first, got {line!r}")
+            _read_field(line, current, where)
+            if len(current) == len(FIELDS):
+                blocks.append(current)
+    _require_complete(current, f"almanac {source}, end of text ({len(blocks)} satellites read)")
+    if not blocks:
+        raise InputError(f"almanac {source} must hold at least one satellite, got none: is it a YUMA file?")
+    keep = [i for i, b in enumerate(blocks) if b["health"] == 0 or not healthy_only]
+    if not keep:
+        raise InputError(f"almanac {source} must hold a healthy satellite, got none of {len(blocks)}: use healthy_only=False")
+    return _table([system[i] for i in keep], [blocks[i] for i in keep], near)
+
+
+def _system_of(label: str, where: str) -> System:
+    for system, prefixes in LABELS.items():
+        if label.upper() in prefixes:
+            return system
+    known = ", ".join(p for prefixes in LABELS.values() for p in prefixes)
+    raise InputError(f"{where}: the system must be one of {known}, got {label!r}: correct the header")
+
+
+def _require_complete(block: dict[str, float] | None, where: str) -> None:
+    if block is not None and len(block) < len(FIELDS):
+        missing = next(label for key, (label, _, _) in FIELDS.items() if key not in block)
+        raise InputError(f"{where}: field {missing!r} is missing, got {len(block)} of {len(FIELDS)}: is the file cut short?")
+
+
+def _read_field(line: str, block: dict[str, float], where: str) -> None:
+    label, colon, value = line.partition(":")
+    name = " ".join(label.lower().split())
+    key = next((k for k, (start, _, _) in FIELDS.items() if name.startswith(start)), None)
+    if not colon or key is None:
+        raise InputError(f"{where}: a line must read 'label: value' with a YUMA label, got {line!r}")
+    if key in block:
+        raise InputError(f"{where}: field {name!r} must appear once for each satellite, got it again")
+    try:
+        number = float(value)
+    except ValueError:
+        raise InputError(f"{where}: field {name!r} must be a number, got {value.strip()!r}") from None
+    _, low, high = FIELDS[key]
+    if not low <= number <= high:
+        raise InputError(f"{where}: field {name!r} must lie in [{low:g}, {high:g}], got {number:g}")
+    block[key] = number
+
+
+def _table(system: list[int], blocks: list[dict[str, float]], near: date) -> SatelliteTable:
+    column = {key: np.array([b[key] for b in blocks]) for key in FIELDS}
+    target = gps_seconds_of(near) / SECONDS_PER_WEEK
+    week = column["week"]
+    rolled = week < WEEKS_OF_ROLLOVER
+    week = week + rolled * WEEKS_OF_ROLLOVER * np.maximum(0.0, np.round((target - week) / WEEKS_OF_ROLLOVER))
+    elements = OrbitElements(
+        semi_major_m=column["root_a"] ** 2,
+        eccentricity=column["eccentricity"],
+        inclination_rad=column["inclination"],
+        # at the week's start the node is at ``node``; until the time of applicability the Earth turns beneath it
+        node_longitude_rad=column["node"] - EARTH_RATE_RADPS * column["toa"],
+        node_rate_radps=column["node_rate"],
+        perigee_rad=column["perigee"],
+        mean_anomaly_rad=column["anomaly"],
+        epoch_s=week * SECONDS_PER_WEEK + column["toa"],
+    )
+    return SatelliteTable(np.array(system, dtype=np.int64), column["id"].astype(np.int64), elements)
