@@ -1,0 +1,253 @@
+"""Weighted least squares of one epoch with one row for each satellite, the clocks eliminated analytically.
+
+The receiver has one clock for each group (constellation, or band of it). Centring the design rows in each group by
+their weighted mean removes the clocks exactly and leaves a 3x3 normal matrix.
+
+Letters: ``g`` centred design row (``-e`` less its group's mean), ``w = 1/variance``, ``P = (sum w g g')^-1``,
+``S_qj = w_j q'P g_j`` the gain of satellite j on axis q, ``h_kj = w_j (g_k'P g_j + 1/W_group)`` the hat matrix.
+
+Scratch belongs to the caller (:func:`scratch`) and is reused from epoch to epoch:
+
+``geo (GEO_ROWS, capacity)``
+    One column for each satellite. Columns n to the next multiple of LANES are zero: sums run over whole vectors.
+``head (HEAD_SIZE,)``
+    Figures of the epoch: ``P``, the fault-free solution, the clock of each group.
+``mode (MODE_ROWS, capacity)``
+    One column for each fault mode, filled by :mod:`lanebound.integrity.monitoring.separation_kernel`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.accel import jit
+
+__all__ = ["HEAD_SIZE", "MAX_GROUPS", "capacity", "dilution", "geometry", "scratch", "solve"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+MAX_GROUPS = 8
+LANES = 8
+SOLVED, TOO_FEW, SINGULAR = 0, 1, 2  # the codes of positioning.least_squares.Solvability
+SINGULAR_BELOW = 1e-12  # of the determinant of the normal matrix scaled to a unit diagonal
+
+# rows of geo
+GX, GY, GZ, W, HX, HY, HZ, S_AT, S_CT, FREE, RESIDUAL, CLOCK = range(12)
+V, B, BX, BY, BZ, SB_AT, SB_CT = range(12, 19)  # w^2 var_acc, b, w b g, S b
+GROUP_B = 19  # MAX_GROUPS rows: w b of the satellites of one group, 0 elsewhere
+GEO_ROWS = GROUP_B + MAX_GROUPS
+
+# entries of head
+P_EE, P_EN, P_EU, P_NN, P_NU, P_UU, SIGMA0_AT, SIGMA0_CT, B0_AT, B0_CT, GROUPS = range(11)
+X_E, X_N, X_U, CHI2, STATUS = range(11, 16)
+CLOCKS = 16  # MAX_GROUPS records of CLOCK_STEP entries
+C_INVERSE, C_E, C_N, C_U, C_COUNT, C_Y = range(6)  # 1/W, mean design row, satellites, mean measurement
+C_V, C_VE, C_VN, C_VU = range(6, 10)  # sums of w^2 var_acc, and of it times g
+CLOCK_STEP = 10
+HEAD_SIZE = CLOCKS + MAX_GROUPS * CLOCK_STEP
+
+# rows of mode
+SIGMA_AT, SIGMA_CT, DELTA_AT, DELTA_CT, BIAS_AT, BIAS_CT, D_AT, D_CT, PRIOR, LOG_PRIOR = range(10)
+OFFSET, RATE, WEIGHT, START = range(10, 14)  # one axis at a time, for the root
+MODE_ROWS = 14
+
+
+@jit
+def capacity(n: int, hypotheses: int = 0) -> int:
+    """Columns that ``geo`` and ``mode`` need for n satellites, all constellation modes and ``hypotheses`` more."""
+    return (n + 1 + MAX_GROUPS + hypotheses + LANES - 1) // LANES * LANES
+
+
+@jit
+def scratch(n: int, hypotheses: int = 0) -> tuple[Array, Array, Array]:
+    """Allocate ``(geo, head, mode)`` for up to n satellites."""
+    columns = capacity(n, hypotheses)
+    return np.zeros((GEO_ROWS, columns)), np.zeros(HEAD_SIZE), np.zeros((MODE_ROWS, columns))
+
+
+@jit
+def padded(n: int) -> int:
+    """The next multiple of LANES."""
+    return (n + LANES - 1) // LANES * LANES
+
+
+@jit
+def centre(los: Array, group: Ints, n: int, geo: Array, head: Array) -> int:
+    """Centre the design rows in each group with the weights geo[W]; returns the number of groups present."""
+    for i in range(CLOCKS, HEAD_SIZE):
+        head[i] = 0.0
+    for i in range(n):
+        q = CLOCKS + group[i] * CLOCK_STEP
+        w = geo[W, i]
+        head[q + C_INVERSE] += w
+        head[q + C_E] -= w * los[i, 0]
+        head[q + C_N] -= w * los[i, 1]
+        head[q + C_U] -= w * los[i, 2]
+        head[q + C_COUNT] += 1.0
+    groups = 0
+    for g in range(MAX_GROUPS):
+        q = CLOCKS + g * CLOCK_STEP
+        if head[q + C_COUNT] > 0.0:
+            groups += 1
+            inverse = 1.0 / head[q + C_INVERSE]
+            head[q + C_INVERSE] = inverse
+            head[q + C_E] *= inverse
+            head[q + C_N] *= inverse
+            head[q + C_U] *= inverse
+    for i in range(n):
+        q = CLOCKS + group[i] * CLOCK_STEP
+        keep = 1.0 if head[q + C_COUNT] > 1.0 else 0.0  # a satellite alone with its clock says nothing of the position
+        geo[CLOCK, i] = head[q + C_INVERSE]
+        geo[GX, i] = keep * (-los[i, 0] - head[q + C_E])
+        geo[GY, i] = keep * (-los[i, 1] - head[q + C_N])
+        geo[GZ, i] = keep * (-los[i, 2] - head[q + C_U])
+    return groups
+
+
+@jit
+def invert(
+    a: float, b: float, c: float, d: float, e: float, f: float
+) -> tuple[bool, float, float, float, float, float, float]:
+    """Whether [[a, b, c], [b, d, e], [c, e, f]] is regular, and the upper triangle of its inverse."""
+    m, o, p = d * f - e * e, c * e - b * f, b * e - c * d
+    det = a * m + b * o + c * p
+    if not det > SINGULAR_BELOW * a * d * f:
+        return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    t = 1.0 / det
+    return True, m * t, o * t, p * t, (a * f - c * c) * t, (b * c - a * e) * t, (a * d - b * b) * t
+
+
+@jit
+def normal(geo: Array, n: int, row: int) -> tuple[float, float, float, float, float, float]:
+    """Upper triangle of ``sum weight g g'`` with the weights in geo[row]."""
+    a, b, c, d, e, f = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(padded(n)):
+        x, y, z, w = geo[GX, i], geo[GY, i], geo[GZ, i], geo[row, i]
+        a += w * x * x
+        b += w * x * y
+        c += w * x * z
+        d += w * y * y
+        e += w * y * z
+        f += w * z * z
+    return a, b, c, d, e, f
+
+
+@jit
+def geometry(
+    los: Array, group: Ints, variance: Array, bias: Array, n: int, sin_h: float, cos_h: float, geo: Array, head: Array
+) -> int:
+    """Fault-free solution of one epoch: gains, standard deviation and bias bound on AT and CT (equations 2, 6).
+
+    Parameters
+    ----------
+    los : (>= n, 3) unit vectors receiver to satellite, ENU.
+    group : (>= n,) clock group of each satellite, 0 to MAX_GROUPS - 1.
+    variance : (>= n,) positive variance for integrity [m^2].
+    bias : (>= n,) bound of the nominal bias, >= 0 [m].
+    sin_h, cos_h : sine and cosine of the azimuth of motion.
+    geo, head : scratch; rows GX to CLOCK and B of ``geo`` (less RESIDUAL) and P, SIGMA0, B0, GROUPS of ``head`` are
+        filled. Gains on E, N, U are ``geo[W] * geo[HX]``, ``geo[W] * geo[HY]``, ``geo[W] * geo[HZ]``.
+
+    Returns
+    -------
+    SOLVED, TOO_FEW or SINGULAR (also in head[STATUS]). Unless SOLVED, SIGMA0 is inf, P and B0 are zero.
+    """
+    for i in range(n):
+        geo[W, i] = 1.0 / variance[i]
+        geo[B, i] = bias[i]
+        geo[RESIDUAL, i] = 0.0
+    for row in range(GROUP_B):
+        for i in range(n, padded(n)):
+            geo[row, i] = 0.0
+    groups = centre(los, group, n, geo, head)
+    for i in range(SIGMA0_AT):
+        head[i] = 0.0
+    head[SIGMA0_AT], head[SIGMA0_CT], head[B0_AT], head[B0_CT] = np.inf, np.inf, 0.0, 0.0
+    head[X_E], head[X_N], head[X_U], head[CHI2], head[GROUPS] = 0.0, 0.0, 0.0, 0.0, groups
+    status = TOO_FEW
+    if n >= 3 + groups:
+        a, b, c, d, e, f = normal(geo, n, W)
+        ok, head[P_EE], head[P_EN], head[P_EU], head[P_NN], head[P_NU], head[P_UU] = invert(a, b, c, d, e, f)
+        status = SOLVED if ok else SINGULAR
+    head[STATUS] = status
+    if status == SOLVED:
+        _gains(n, sin_h, cos_h, geo, head)
+    return status
+
+
+@jit
+def _gains(n: int, sin_h: float, cos_h: float, geo: Array, head: Array) -> None:
+    """Rows HX to FREE of ``geo``, and the fault-free standard deviations and bias bounds."""
+    ee, en, eu, nn, nu, uu = head[P_EE], head[P_EN], head[P_EU], head[P_NN], head[P_NU], head[P_UU]
+    m = padded(n)
+    for i in range(m):
+        geo[HX, i] = ee * geo[GX, i] + en * geo[GY, i] + eu * geo[GZ, i]
+    for i in range(m):
+        geo[HY, i] = en * geo[GX, i] + nn * geo[GY, i] + nu * geo[GZ, i]
+    for i in range(m):
+        geo[HZ, i] = eu * geo[GX, i] + nu * geo[GY, i] + uu * geo[GZ, i]
+    for i in range(m):
+        geo[S_AT, i] = geo[W, i] * (sin_h * geo[HX, i] + cos_h * geo[HY, i])
+    for i in range(m):
+        geo[S_CT, i] = geo[W, i] * (cos_h * geo[HX, i] - sin_h * geo[HY, i])
+    for i in range(m):
+        level = geo[HX, i] * geo[GX, i] + geo[HY, i] * geo[GY, i] + geo[HZ, i] * geo[GZ, i] + geo[CLOCK, i]
+        geo[FREE, i] = 1.0 - geo[W, i] * level
+    b_at, b_ct = 0.0, 0.0
+    for i in range(m):
+        b_at += abs(geo[S_AT, i]) * geo[B, i]
+        b_ct += abs(geo[S_CT, i]) * geo[B, i]
+    head[B0_AT], head[B0_CT] = b_at, b_ct
+    head[SIGMA0_AT] = math.sqrt(sin_h * sin_h * ee + 2.0 * sin_h * cos_h * en + cos_h * cos_h * nn)
+    head[SIGMA0_CT] = math.sqrt(cos_h * cos_h * ee - 2.0 * sin_h * cos_h * en + sin_h * sin_h * nn)
+
+
+@jit
+def solve(y: Array, group: Ints, n: int, geo: Array, head: Array) -> float:
+    """Least squares of ``y`` (n,) [m] after a SOLVED :func:`geometry`.
+
+    Writes the position to head[X_E], head[X_N], head[X_U] and the residuals to geo[RESIDUAL]. Returns the sum of squared normalised residuals (also in head[CHI2]), chi-square with n - 3 - groups degrees of
+    freedom when fault-free (S1 eq 8 with ``Q_y^-1``).
+    """
+    for i in range(n):
+        q = CLOCKS + group[i] * CLOCK_STEP
+        head[q + C_Y] = 0.0
+    for i in range(n):
+        q = CLOCKS + group[i] * CLOCK_STEP
+        head[q + C_Y] += geo[W, i] * head[q + C_INVERSE] * y[i]
+    for i in range(n):
+        geo[RESIDUAL, i] = y[i] - head[CLOCKS + group[i] * CLOCK_STEP + C_Y]
+    m = padded(n)
+    east, north, up = 0.0, 0.0, 0.0
+    for i in range(m):
+        weighted = geo[W, i] * geo[RESIDUAL, i]
+        east += weighted * geo[HX, i]
+        north += weighted * geo[HY, i]
+        up += weighted * geo[HZ, i]
+    total = 0.0
+    for i in range(m):
+        geo[RESIDUAL, i] -= geo[GX, i] * east + geo[GY, i] * north + geo[GZ, i] * up
+    for i in range(m):
+        total += geo[W, i] * geo[RESIDUAL, i] * geo[RESIDUAL, i]
+    head[X_E], head[X_N], head[X_U], head[CHI2] = east, north, up, total
+    return total
+
+
+@jit
+def dilution(los: Array, group: Ints, n: int) -> tuple[float, float]:
+    """HDOP and PDOP from ``(G'G)^-1`` in ENU with the same clock groups; (inf, inf) when not solvable.
+
+    Allocates a little: for the choice of the mode, not for inner loops.
+    """
+    geo, head = np.zeros((CLOCK + 1, padded(n))), np.empty(HEAD_SIZE)
+    geo[W, :n] = 1.0
+    groups = centre(los, group, n, geo, head)
+    if n < 3 + groups:
+        return np.inf, np.inf
+    a, b, c, d, e, f = normal(geo, n, W)
+    ok, ee, _, _, nn, _, uu = invert(a, b, c, d, e, f)
+    return (math.sqrt(ee + nn), math.sqrt(ee + nn + uu)) if ok else (np.inf, np.inf)

@@ -1,0 +1,319 @@
+"""Protection levels of one epoch from the columns of ``mode``: the closed form and the multi-hypothesis root.
+
+The root PL of an axis solves (S2 eq 10-11, with ``P_0 = 2``, ``T_i = K_fa sigma_di``)::
+
+    f(PL) = sum_i P_i Q((PL - T_i - b_i) / sigma_i) = budget
+
+by second-order steps on ``log f``, whose curvature is that of the normal tail: two or three evaluations reach 1e-10. The
+tail sum runs over whole vectors with a polynomial for the Mills ratio ``Q(z)/phi(z)`` and one for ``exp``, both of
+relative error below 4e-11. The last evaluation always proves ``f(PL) <= budget``.
+
+Columns of ``mode``: :mod:`lanebound.integrity.monitoring.separation_kernel`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.accel import jit, prange
+from lanebound.integrity.monitoring.geometry_kernel import (
+    BIAS_AT,
+    DELTA_AT,
+    LOG_PRIOR,
+    OFFSET,
+    PRIOR,
+    RATE,
+    SIGMA_AT,
+    SOLVED,
+    START,
+    WEIGHT,
+    geometry,
+    padded,
+    scratch,
+)
+from lanebound.integrity.monitoring.separation_kernel import modes, set_priors
+
+__all__ = [
+    "budgets_of",
+    "closed_form",
+    "closed_form_published",
+    "q_inverse",
+    "root",
+    "run_parallel",
+    "run_serial",
+    "tail",
+]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+INV_SQRT2 = 1.0 / math.sqrt(2.0)
+INV_SQRT2PI = 1.0 / math.sqrt(2.0 * math.pi)
+Z_MAX = 12.0  # Q(12) = 2e-33: nothing of a budget
+MAX_STEPS = 60
+NUDGE = 1e-10  # relative, upwards: the level aimed at lies this far above the root
+AXES = 2
+
+# Q(z) exp(z^2/2) on 0 <= z <= 12 as a polynomial in (z - 5)/(z + 5), Chebyshev fit of relative error 3.5e-11
+R0, R1, R2 = 0.07691930497723773, -0.14345755525916926, 0.11606881138328852
+R3, R4, R5 = -0.08088387731987831, 0.04785537003641929, -0.02341389447592925
+R6, R7, R8 = 0.008991144664521507, -0.0023790368541615225, 0.00022074669355228056
+R9, R10, R11, R12 = 0.00013601856512301277, -6.235428010679837e-05, -4.022118382931004e-06, 4.609079919907381e-06
+# exp(v) on -72/256 <= v <= 0, Chebyshev fit; its 256th power has relative error 9e-12
+E0, E1, E2, E3 = 0.9999999999999745, 0.99999999998819, 0.499999999114677, 0.16666664138016088
+E4, E5, E6, E7 = 0.04166631157666266, 0.008330619011153981, 0.0013773372860555956, 0.0001724923140051712
+
+
+@jit
+def q_inverse(p: float) -> float:
+    """``Qinv(p)``, the upper-tail quantile of N(0, 1): -inf for p >= 1, inf for p <= 0, else to 1e-14 relative."""
+    if p >= 1.0:
+        return -np.inf
+    if p <= 0.0:
+        return np.inf
+    small = min(p, 1.0 - p)
+    z = _rough_quantile(math.log(small))
+    for _ in range(2):
+        f = 0.5 * math.erfc(z * INV_SQRT2)
+        slope = -INV_SQRT2PI * math.exp(-0.5 * z * z) / f
+        z += _step(math.log(f / small), slope, slope * (-z - slope))
+    return z if p <= 0.5 else -z
+
+
+@jit(inline=True)
+def _rough_quantile(log_p: float) -> float:
+    """``Qinv(exp(log_p))`` for log_p <= log(1/2), to 4.5e-4 (Abramowitz and Stegun 26.2.23)."""
+    t = math.sqrt(max(-2.0 * log_p, 0.0))
+    return t - (2.515517 + t * (0.802853 + t * 0.010328)) / (1.0 + t * (1.432788 + t * (0.189269 + t * 0.001308)))
+
+
+@jit
+def _step(g: float, slope: float, curvature: float) -> float:
+    """Step to the zero of the parabola ``g + slope d + curvature d^2/2`` nearest to d = 0; slope < 0."""
+    square = slope * slope - 2.0 * g * curvature
+    return -2.0 * g / (slope - math.sqrt(square)) if square > 0.0 else -g / slope
+
+
+@jit
+def load(axis: int, k_fa: float, count: int, mode: Array) -> float:
+    """Rows OFFSET, RATE, WEIGHT of one axis; returns the total prior of the columns without a solution."""
+    lost = 0.0
+    for k in range(count, padded(count)):
+        mode[OFFSET, k], mode[RATE, k], mode[WEIGHT, k], mode[START, k] = 0.0, 0.0, 0.0, -np.inf
+    for k in range(count):
+        sigma = mode[SIGMA_AT + axis, k]
+        solved = sigma < np.inf
+        mode[RATE, k] = 1.0 / sigma
+        mode[WEIGHT, k] = mode[PRIOR, k] if solved else 0.0
+        lost += 0.0 if solved else mode[PRIOR, k]
+    for k in range(count):
+        mode[OFFSET, k] = k_fa * mode[DELTA_AT + axis, k] + mode[BIAS_AT + axis, k]
+    return lost
+
+
+@jit
+def tail(x: float, count: int, mode: Array) -> tuple[float, float, float]:
+    """``f``, ``-f'`` and ``f''`` of the loaded axis at x."""
+    f, f1, f2 = 0.0, 0.0, 0.0
+    for k in range(padded(count)):
+        rate = mode[RATE, k]
+        z = (x - mode[OFFSET, k]) * rate
+        a = min(abs(z), Z_MAX)
+        v = a * a * (-1.0 / 512.0)
+        e = E0 + v * (E1 + v * (E2 + v * (E3 + v * (E4 + v * (E5 + v * (E6 + v * E7))))))
+        e *= e
+        e *= e
+        e *= e
+        e *= e
+        e *= e
+        e *= e
+        e *= e
+        e *= e
+        s = (a - 5.0) / (a + 5.0)
+        low = R6 + s * (R7 + s * (R8 + s * (R9 + s * (R10 + s * (R11 + s * R12)))))
+        upper = e * (R0 + s * (R1 + s * (R2 + s * (R3 + s * (R4 + s * (R5 + s * low))))))
+        f += mode[WEIGHT, k] * (upper if z >= 0.0 else 1.0 - upper)
+        density = mode[WEIGHT, k] * rate * e
+        f1 += density
+        f2 += density * rate * z
+    return f, f1 * INV_SQRT2PI, f2 * INV_SQRT2PI
+
+
+@jit
+def _start(axis: int, log_budget: float, count: int, mode: Array) -> float:
+    """The largest level that one column alone asks for: just below the root."""
+    for k in range(count):
+        log_p = log_budget - mode[LOG_PRIOR, k]
+        level = mode[OFFSET, k] + _rough_quantile(min(log_p, -0.7)) * mode[SIGMA_AT + axis, k]
+        mode[START, k] = level if log_p < -0.7 and mode[WEIGHT, k] > 0.0 else -np.inf
+    x = 0.0
+    for k in range(count):
+        x = max(x, mode[START, k])
+    return x
+
+
+@jit
+def _root_of_axis(axis: int, budget: float, count: int, mode: Array) -> float:
+    """The level where the loaded axis' tail sum meets the budget, from above."""
+    log_budget = math.log(budget)
+    x = _start(axis, log_budget, count, mode)
+    low, high = 0.0, np.inf
+    for _ in range(MAX_STEPS):
+        f, f1, f2 = tail(x, count, mode)
+        if f <= budget:
+            high = x
+        else:
+            low = x
+        slope = -f1 / f
+        d = _step(math.log(f) - log_budget, slope, f2 / f - slope * slope)
+        if f <= budget and -d <= 4.0 * NUDGE * x:
+            return x
+        target = (x + d) * (1.0 + NUDGE)
+        if not low < target < high:
+            target = 0.5 * (low + high) if high < np.inf else 2.0 * x + 1e-6
+        x = target
+    return high
+
+
+@jit
+def root(count: int, k_fa: float, budgets: Array, tolerate: bool, mode: Array, out: Array) -> None:
+    """Multi-hypothesis protection levels (S2 eq 10-11) of ``count`` columns with priors set.
+
+    Parameters
+    ----------
+    k_fa : threshold of the separation test, in sigmas.
+    budgets : (R, 2) integrity risk of AT and CT, less what is spent on unmonitored faults; one row for each risk.
+    tolerate : move the prior of modes without a solution into the unmonitored risk; otherwise they make PL inf.
+    out : (R, 2) protection levels [m], never below the root and above it by at most 5e-10 relative; inf without one.
+    """
+    for axis in range(AXES):
+        lost = load(axis, k_fa, count, mode)
+        for r in range(budgets.shape[0]):
+            budget = budgets[r, axis] - (lost if tolerate else 0.0)
+            hopeless = budget <= 0.0 or (lost > 0.0 and not tolerate) or not mode[SIGMA_AT + axis, 0] < np.inf
+            out[r, axis] = np.inf if hopeless else _root_of_axis(axis, budget, count, mode)
+
+
+@jit
+def closed_form(
+    count: int, k_fa: float, budgets: Array, share0: float, tolerate: bool, mode: Array, out: Array
+) -> None:
+    """S1 eq 17 with exact factors: ``max_i K_fa sigma_di + K_md,i sigma_i + b_i``, ``K_md,i = Qinv(w_i budget / P_i)``.
+
+    ``share0`` is the fault-free mode's share w_0 of the budget (the others share the rest equally), 0 for equal shares.
+    Other parameters as :func:`root`; the result is never below the root's.
+    """
+    for axis in range(AXES):
+        lost = load(axis, k_fa, count, mode)
+        for r in range(budgets.shape[0]):
+            budget = budgets[r, axis] - (lost if tolerate else 0.0)
+            hopeless = budget <= 0.0 or (lost > 0.0 and not tolerate) or not mode[SIGMA_AT + axis, 0] < np.inf
+            out[r, axis] = np.inf if hopeless else _closed_of_axis(axis, budget, share0, count, mode)
+
+
+@jit
+def _closed_of_axis(axis: int, budget: float, share0: float, count: int, mode: Array) -> float:
+    equal = 1.0 / count
+    first = equal if share0 <= 0.0 or count == 1 else share0
+    other = (1.0 - first) / max(count - 1, 1)
+    level = mode[OFFSET, 0] + q_inverse(first * budget / mode[PRIOR, 0]) * mode[SIGMA_AT + axis, 0]
+    prior, k_md = -1.0, 0.0
+    for k in range(1, count):
+        if mode[WEIGHT, k] > 0.0:
+            if mode[PRIOR, k] != prior:
+                prior = mode[PRIOR, k]
+                k_md = q_inverse(other * budget / prior)
+            level = max(level, mode[OFFSET, k] + k_md * mode[SIGMA_AT + axis, k])
+    return level
+
+
+@jit
+def closed_form_published(count: int, k_fa: float, k_md: Array, mode: Array, out: Array) -> None:
+    """S1 eq 17 as printed, one unsplit ``k_md`` (R,) for each risk and every mode; out (R, 2) [m]."""
+    for axis in range(AXES):
+        load(axis, k_fa, count, mode)
+        for r in range(k_md.shape[0]):
+            level = 0.0
+            for k in range(count):
+                level = max(level, mode[OFFSET, k] + k_md[r] * mode[SIGMA_AT + axis, k])
+            out[r, axis] = level
+
+
+@jit
+def pair_risk(count: int, mode: Array) -> float:
+    """Bound of the probability of two or more faults at once, ``sum_{i<j} P_i P_j`` over columns 1 to count - 1."""
+    total, squares = 0.0, 0.0
+    for k in range(1, count):
+        total += mode[PRIOR, k]
+        squares += mode[PRIOR, k] * mode[PRIOR, k]
+    return 0.5 * (total * total - squares)
+
+
+@jit
+def budgets_of(risks: Array, split_at: float, unmonitored: float, budgets: Array) -> None:
+    """``budgets[r] = (risk - unmonitored) (split_at, 1 - split_at)``; not positive when nothing is left."""
+    for r in range(risks.shape[0]):
+        left = risks[r] - unmonitored
+        budgets[r, 0], budgets[r, 1] = left * split_at, left * (1.0 - split_at)
+
+
+def _run(
+    los: Array,
+    mask: Bools,
+    group: Ints,
+    variance: Array,
+    accuracy: Array,
+    bias: Array,
+    heading: Array,
+    unmonitored: Array,
+    satellite: Array,
+    constellation: Array,
+    k_fa: Array,
+    risks: Array,
+    split_at: float,
+    share0: float,
+    constellations: bool,
+    multiple: bool,
+    tolerate: bool,
+    want_root: bool,
+    want_closed: bool,
+    chunks: int,
+    status: Ints,
+    level: Array,
+    closed: Array,
+) -> None:
+    """Protection levels of E epochs in ``chunks`` runs that share scratch; see ``protection_levels_batch``."""
+    epochs, size = mask.shape
+    for chunk in prange(chunks):
+        geo, head, mode = scratch(size)
+        e, g = np.empty((size, 3)), np.empty(size, np.int64)
+        v, a, b = np.empty(size), np.empty(size), np.empty(size)
+        budgets = np.empty((risks.shape[0], AXES))
+        for i in range(chunk * epochs // chunks, (chunk + 1) * epochs // chunks):
+            n = 0
+            for j in range(size):
+                if mask[i, j]:
+                    e[n, 0], e[n, 1], e[n, 2] = los[i, j, 0], los[i, j, 1], los[i, j, 2]
+                    g[n], v[n], a[n], b[n] = group[i, j], variance[i, j], accuracy[i, j], bias[i, j]
+                    n += 1
+            sin_h, cos_h = math.sin(heading[i]), math.cos(heading[i])
+            status[i] = geometry(e, g, v, b, n, sin_h, cos_h, geo, head)
+            if status[i] != SOLVED:
+                level[i], closed[i] = np.inf, np.inf
+                continue
+            count = modes(g, v, a, n, sin_h, cos_h, constellations, False, geo, head, mode)
+            set_priors(g, n, count, satellite, constellation, head, mode)
+            spent = unmonitored[i] + (pair_risk(count, mode) if multiple else 0.0)
+            budgets_of(risks, split_at, spent, budgets)
+            if want_root:
+                root(count, k_fa[count - 1], budgets, tolerate, mode, level[i])
+            if want_closed:
+                closed_form(count, k_fa[count - 1], budgets, share0, tolerate, mode, closed[i])
+
+
+run_serial = jit(_run)
+run_parallel = jit(parallel=True)(_run)

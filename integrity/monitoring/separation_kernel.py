@@ -1,0 +1,356 @@
+"""Solution separation of one epoch by downdates of the fault-free solution (S1 eq 10-12).
+
+Removing satellite k is a rank-one downdate: ``[S_k]_qj = S_qj - c_qk (delta_kj - h_kj)`` with
+``c_qk = S_qk / (1 - h_kk)``, so ``sigma_k^2 = sigma_0^2 + c_qk^2 (1 - h_kk) var_k`` and ``x - x_k = c_qk r_k`` with the
+fault-free residual ``r_k``. Removing a constellation subtracts its own centred normal matrix, which is exact because each
+group has a clock of its own.
+
+Columns of ``mode``: 0 is fault-free, k = 1..n removes satellite k - 1, then one for each constellation present in ascending
+order of group when asked for, then hypotheses that the caller adds with :func:`add_hypothesis`. Letters and scratch:
+:mod:`lanebound.integrity.monitoring.geometry_kernel`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.accel import jit
+from lanebound.integrity.monitoring.geometry_kernel import (
+    B0_AT,
+    B0_CT,
+    BIAS_AT,
+    BIAS_CT,
+    BX,
+    BY,
+    BZ,
+    C_COUNT,
+    C_V,
+    C_VE,
+    C_VN,
+    C_VU,
+    CLOCK,
+    CLOCK_STEP,
+    CLOCKS,
+    D_AT,
+    D_CT,
+    DELTA_AT,
+    DELTA_CT,
+    FREE,
+    GROUP_B,
+    GROUPS,
+    GX,
+    GY,
+    GZ,
+    HX,
+    HY,
+    HZ,
+    LOG_PRIOR,
+    MAX_GROUPS,
+    PRIOR,
+    RESIDUAL,
+    S_AT,
+    S_CT,
+    SB_AT,
+    SB_CT,
+    SIGMA0_AT,
+    SIGMA0_CT,
+    SIGMA_AT,
+    SIGMA_CT,
+    B,
+    V,
+    W,
+    invert,
+    normal,
+    padded,
+)
+
+__all__ = ["add_hypothesis", "modes", "set_priors"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+UNSOLVABLE_BELOW = 1e-10  # of 1 - h_kk: the other satellites do not determine what this one did
+CAREFUL_BELOW = 0.05  # of 1 - h_kk: sum the separation's variance term by term, without cancellation
+
+
+@jit
+def modes(
+    group: Ints,
+    variance: Array,
+    accuracy: Array,
+    n: int,
+    sin_h: float,
+    cos_h: float,
+    constellations: bool,
+    published: bool,
+    geo: Array,
+    head: Array,
+    mode: Array,
+) -> int:
+    """Fill the columns of ``mode`` after a SOLVED ``geometry`` (and after ``solve`` when separations are wanted).
+
+    Parameters
+    ----------
+    group, variance : as given to ``geometry``.
+    accuracy : (>= n,) variance that the separations are tested with [m^2]; equal to ``variance`` in S1.
+    constellations : add a mode for each group present.
+    published : take the signed bias of S1 eq 17 in place of the bound ``sum_j abs([R S_i]_qj) b_j``.
+
+    Returns
+    -------
+    Columns filled, the fault-free one included. A mode that cannot be solved has SIGMA inf and the rest 0. Rows
+    D_AT, D_CT are 0 unless ``solve`` was called. Row PRIOR is left to :func:`set_priors`.
+    """
+    _prepare(group, accuracy, n, geo, head)
+    m_ee, m_en, m_eu, m_nn, m_nu, m_uu = normal(geo, n, V)
+    mode[SIGMA_AT, 0], mode[SIGMA_CT, 0] = head[SIGMA0_AT], head[SIGMA0_CT]
+    mode[BIAS_AT, 0], mode[BIAS_CT, 0] = head[B0_AT], head[B0_CT]
+    mode[DELTA_AT, 0], mode[DELTA_CT, 0], mode[D_AT, 0], mode[D_CT, 0] = 0.0, 0.0, 0.0, 0.0
+    var0_at, var0_ct = head[SIGMA0_AT] ** 2, head[SIGMA0_CT] ** 2
+    for k in range(n):
+        q = CLOCKS + group[k] * CLOCK_STEP
+        free = geo[FREE, k]
+        alone = head[q + C_COUNT] == 1.0
+        if free < UNSOLVABLE_BELOW and not alone:
+            _unsolvable(k + 1, mode)
+            continue
+        x, y, z = geo[HX, k], geo[HY, k], geo[HZ, k]
+        inverse = 0.0 if alone else 1.0 / free
+        c_at, c_ct = geo[S_AT, k] * inverse, geo[S_CT, k] * inverse
+        if free < CAREFUL_BELOW:
+            tested = _tested_variance(k, group, accuracy, n, geo)
+        else:
+            spread = x * (m_ee * x + 2.0 * (m_en * y + m_eu * z)) + y * (m_nn * y + 2.0 * m_nu * z) + m_uu * z * z
+            cross = 2.0 * (x * head[q + C_VE] + y * head[q + C_VN] + z * head[q + C_VU]) + geo[CLOCK, k] * head[q + C_V]
+            tested = spread + geo[CLOCK, k] * cross + accuracy[k] * (2.0 * free - 1.0)
+        tested = math.sqrt(max(tested, 0.0))
+        mode[SIGMA_AT, k + 1] = math.sqrt(var0_at + c_at * c_at * free * variance[k])
+        mode[SIGMA_CT, k + 1] = math.sqrt(var0_ct + c_ct * c_ct * free * variance[k])
+        mode[DELTA_AT, k + 1], mode[DELTA_CT, k + 1] = abs(c_at) * tested, abs(c_ct) * tested
+        mode[D_AT, k + 1], mode[D_CT, k + 1] = c_at * geo[RESIDUAL, k], c_ct * geo[RESIDUAL, k]
+    _biases(group, n, geo, head, mode)
+    count = n + 1
+    if constellations:
+        for g in range(MAX_GROUPS):
+            if head[CLOCKS + g * CLOCK_STEP + C_COUNT] > 0.0:
+                _constellation(g, count, group, accuracy, n, sin_h, cos_h, geo, head, mode)
+                count += 1
+    if published:
+        _published_biases(group, n, count, sin_h, cos_h, geo, head, mode)
+    return count
+
+
+@jit
+def _prepare(group: Ints, accuracy: Array, n: int, geo: Array, head: Array) -> None:
+    """Rows and moments that make each mode cheap: ``w b g``, ``S b``, ``w^2 var_acc``."""
+    m = padded(n)
+    for g in range(MAX_GROUPS):
+        if head[CLOCKS + g * CLOCK_STEP + C_COUNT] > 0.0:
+            for i in range(m):
+                geo[GROUP_B + g, i] = 0.0
+            for i in range(C_V, C_VU + 1):
+                head[CLOCKS + g * CLOCK_STEP + i] = 0.0
+    for i in range(n):
+        q = CLOCKS + group[i] * CLOCK_STEP
+        v = geo[W, i] * geo[W, i] * accuracy[i]
+        geo[V, i] = v
+        geo[GROUP_B + group[i], i] = geo[W, i] * geo[B, i]
+        head[q + C_V] += v
+        head[q + C_VE] += v * geo[GX, i]
+        head[q + C_VN] += v * geo[GY, i]
+        head[q + C_VU] += v * geo[GZ, i]
+    for i in range(m):
+        geo[BX, i] = geo[W, i] * geo[B, i] * geo[GX, i]
+    for i in range(m):
+        geo[BY, i] = geo[W, i] * geo[B, i] * geo[GY, i]
+    for i in range(m):
+        geo[BZ, i] = geo[W, i] * geo[B, i] * geo[GZ, i]
+    for i in range(m):
+        geo[SB_AT, i] = geo[S_AT, i] * geo[B, i]
+    for i in range(m):
+        geo[SB_CT, i] = geo[S_CT, i] * geo[B, i]
+
+
+@jit
+def _tested_variance(k: int, group: Ints, accuracy: Array, n: int, geo: Array) -> float:
+    """``sum_j (delta_kj - h_kj)^2 var_acc_j``."""
+    total = geo[FREE, k] * geo[FREE, k] * accuracy[k]
+    for j in range(n):
+        if j != k:
+            level = geo[HX, k] * geo[GX, j] + geo[HY, k] * geo[GY, j] + geo[HZ, k] * geo[GZ, j]
+            if group[j] == group[k]:
+                level += geo[CLOCK, k]
+            total += geo[V, j] * level * level
+    return total
+
+
+@jit
+def _unsolvable(column: int, mode: Array) -> None:
+    """A mode without a solution: infinite standard deviation, the rest zero."""
+    for row in range(D_CT + 1):
+        mode[row, column] = 0.0
+    mode[SIGMA_AT, column], mode[SIGMA_CT, column] = np.inf, np.inf
+
+
+@jit
+def _biases(group: Ints, n: int, geo: Array, head: Array, mode: Array) -> None:
+    """``sum_j abs([R S_k]_qj) b_j`` of every single-satellite mode: the inner loop of the room.
+
+    The sum runs over all satellites and the removed one's own term, ``abs(c_qk) b_k``, is taken off again.
+    """
+    m = padded(n)
+    for k in range(n):
+        free = geo[FREE, k]
+        if head[CLOCKS + group[k] * CLOCK_STEP + C_COUNT] == 1.0:
+            mode[BIAS_AT, k + 1], mode[BIAS_CT, k + 1] = head[B0_AT], head[B0_CT]
+        elif free < UNSOLVABLE_BELOW:
+            mode[BIAS_AT, k + 1], mode[BIAS_CT, k + 1] = 0.0, 0.0
+        else:
+            c_at, c_ct = geo[S_AT, k] / free, geo[S_CT, k] / free
+            x, y, z, clock, own = geo[HX, k], geo[HY, k], geo[HZ, k], geo[CLOCK, k], GROUP_B + group[k]
+            at, ct = 0.0, 0.0
+            for j in range(m):
+                level = x * geo[BX, j] + y * geo[BY, j] + z * geo[BZ, j] + clock * geo[own, j]
+                at += abs(geo[SB_AT, j] + c_at * level)
+                ct += abs(geo[SB_CT, j] + c_ct * level)
+            mode[BIAS_AT, k + 1] = max(at - abs(c_at) * geo[B, k], 0.0)
+            mode[BIAS_CT, k + 1] = max(ct - abs(c_ct) * geo[B, k], 0.0)
+
+
+@jit
+def _without_group(
+    g: int, group: Ints, n: int, geo: Array, head: Array
+) -> tuple[bool, float, float, float, float, float, float]:
+    """Whether the satellites outside group g give a position, and the upper triangle of its covariance."""
+    left = n - int(head[CLOCKS + g * CLOCK_STEP + C_COUNT])
+    if left < 3 + int(head[GROUPS]) - 1:
+        return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    a, b, c, d, e, f = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(n):
+        w = 0.0 if group[i] == g else geo[W, i]
+        x, y, z = geo[GX, i], geo[GY, i], geo[GZ, i]
+        a += w * x * x
+        b += w * x * y
+        c += w * x * z
+        d += w * y * y
+        e += w * y * z
+        f += w * z * z
+    return invert(a, b, c, d, e, f)
+
+
+@jit
+def _constellation(
+    g: int,
+    column: int,
+    group: Ints,
+    accuracy: Array,
+    n: int,
+    sin_h: float,
+    cos_h: float,
+    geo: Array,
+    head: Array,
+    mode: Array,
+) -> None:
+    """The mode that removes all satellites of group g."""
+    ok, ee, en, eu, nn, nu, uu = _without_group(g, group, n, geo, head)
+    if not ok:
+        _unsolvable(column, mode)
+        return
+    r_at_e, r_at_n, r_at_u = sin_h * ee + cos_h * en, sin_h * en + cos_h * nn, sin_h * eu + cos_h * nu
+    r_ct_e, r_ct_n, r_ct_u = cos_h * ee - sin_h * en, cos_h * en - sin_h * nn, cos_h * eu - sin_h * nu
+    v_at, v_ct, b_at, b_ct, d_at, d_ct = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(n):
+        x, y, z = geo[GX, i], geo[GY, i], geo[GZ, i]
+        w = 0.0 if group[i] == g else geo[W, i]
+        s_at = w * (r_at_e * x + r_at_n * y + r_at_u * z)
+        s_ct = w * (r_ct_e * x + r_ct_n * y + r_ct_u * z)
+        v_at += (s_at - geo[S_AT, i]) ** 2 * accuracy[i]
+        v_ct += (s_ct - geo[S_CT, i]) ** 2 * accuracy[i]
+        b_at += abs(s_at) * geo[B, i]
+        b_ct += abs(s_ct) * geo[B, i]
+        d_at -= s_at * geo[RESIDUAL, i]  # x_i = S_i (G x + r) = x + S_i r
+        d_ct -= s_ct * geo[RESIDUAL, i]
+    mode[SIGMA_AT, column] = math.sqrt(sin_h * r_at_e + cos_h * r_at_n)
+    mode[SIGMA_CT, column] = math.sqrt(cos_h * r_ct_e - sin_h * r_ct_n)
+    mode[DELTA_AT, column], mode[DELTA_CT, column] = math.sqrt(v_at), math.sqrt(v_ct)
+    mode[BIAS_AT, column], mode[BIAS_CT, column] = b_at, b_ct
+    mode[D_AT, column], mode[D_CT, column] = d_at, d_ct
+
+
+@jit
+def _published_biases(
+    group: Ints, n: int, count: int, sin_h: float, cos_h: float, geo: Array, head: Array, mode: Array
+) -> None:
+    """S1 eq 17: ``B_AT = sqrt((sin t a1'S_i b)^2 + (cos t a2'S_i b)^2)``, B_CT with sin and cos exchanged."""
+    e, north = 0.0, 0.0
+    for j in range(n):
+        e += geo[W, j] * geo[HX, j] * geo[B, j]
+        north += geo[W, j] * geo[HY, j] * geo[B, j]
+    _write_published(0, e, north, sin_h, cos_h, mode)
+    for k in range(n):
+        level = 0.0
+        for j in range(n):
+            level += geo[HX, k] * geo[BX, j] + geo[HY, k] * geo[BY, j] + geo[HZ, k] * geo[BZ, j]
+            level += geo[CLOCK, k] * geo[GROUP_B + group[k], j]
+        alone = head[CLOCKS + group[k] * CLOCK_STEP + C_COUNT] == 1.0
+        if alone or geo[FREE, k] >= UNSOLVABLE_BELOW:
+            drop = 0.0 if alone else geo[W, k] / geo[FREE, k] * (geo[B, k] - level)
+            _write_published(k + 1, e - drop * geo[HX, k], north - drop * geo[HY, k], sin_h, cos_h, mode)
+    g = -1
+    for column in range(n + 1, count):
+        g += 1
+        while head[CLOCKS + g * CLOCK_STEP + C_COUNT] == 0.0:
+            g += 1
+        ok, ee, en, eu, nn, nu, _ = _without_group(g, group, n, geo, head)
+        if ok:
+            x, y, z = 0.0, 0.0, 0.0
+            for j in range(n):
+                if group[j] != g:
+                    x += geo[BX, j]
+                    y += geo[BY, j]
+                    z += geo[BZ, j]
+            e_g, n_g = ee * x + en * y + eu * z, en * x + nn * y + nu * z
+            _write_published(column, e_g, n_g, sin_h, cos_h, mode)
+
+
+@jit
+def _write_published(column: int, e: float, north: float, sin_h: float, cos_h: float, mode: Array) -> None:
+    mode[BIAS_AT, column] = math.sqrt((sin_h * e) ** 2 + (cos_h * north) ** 2)
+    mode[BIAS_CT, column] = math.sqrt((cos_h * e) ** 2 + (sin_h * north) ** 2)
+
+
+@jit
+def set_priors(
+    group: Ints, n: int, count: int, satellite: Array, constellation: Array, head: Array, mode: Array
+) -> None:
+    """Rows PRIOR and LOG_PRIOR from the priors of each group, ``satellite`` and ``constellation`` (MAX_GROUPS,).
+
+    The fault-free column gets 2: both sides of its error count (S2 eq 10).
+    """
+    mode[PRIOR, 0], mode[LOG_PRIOR, 0] = 2.0, math.log(2.0)
+    last, logarithm = 2.0, math.log(2.0)
+    for k in range(n):
+        prior = satellite[group[k]]
+        if prior != last:
+            last, logarithm = prior, math.log(prior)
+        mode[PRIOR, k + 1], mode[LOG_PRIOR, k + 1] = prior, logarithm
+    column = n + 1
+    for g in range(MAX_GROUPS):
+        if column < count and head[CLOCKS + g * CLOCK_STEP + C_COUNT] > 0.0:
+            mode[PRIOR, column], mode[LOG_PRIOR, column] = constellation[g], math.log(constellation[g])
+            column += 1
+
+
+@jit
+def add_hypothesis(
+    column: int, prior: float, sigma_at: float, sigma_ct: float, bias_at: float, bias_ct: float, mode: Array
+) -> int:
+    """Append an untested hypothesis (a wrong fix, say) after :func:`set_priors`; returns the new number of columns."""
+    mode[SIGMA_AT, column], mode[SIGMA_CT, column] = sigma_at, sigma_ct
+    mode[BIAS_AT, column], mode[BIAS_CT, column] = abs(bias_at), abs(bias_ct)
+    mode[DELTA_AT, column], mode[DELTA_CT, column], mode[D_AT, column], mode[D_CT, column] = 0.0, 0.0, 0.0, 0.0
+    mode[PRIOR, column], mode[LOG_PRIOR, column] = prior, math.log(prior)
+    return column + 1
