@@ -55,12 +55,12 @@ def _demand(problem: Mapping[str, Any], field: FieldInfo | None) -> str:
     if kind in ("model_type", "model_attributes_type", "dict_type"):
         return "be a mapping"
     text = str(problem["msg"])
-    text = text.removeprefix("Input should be ").removeprefix("a valid ")
+    text = text.removeprefix("Input should be ")
     return f"be {text}" if text != problem["msg"] else f"satisfy: {text}"
 
 
 def _one_bound(context: Mapping[str, Any]) -> str:
-    return " and ".join(f"be {SIGNS[key]} {limit}" for key, limit in context.items() if key in SIGNS)
+    return " and ".join(f"be {SIGNS[key]} {limit:.12g}" for key, limit in context.items() if key in SIGNS)
 
 
 def _interval(field: FieldInfo | None) -> str | None:
@@ -73,7 +73,7 @@ def _interval(field: FieldInfo | None) -> str | None:
     if low not in limits or high not in limits:
         return None
     left, right = "(" if low == "gt" else "[", ")" if high == "lt" else "]"
-    return f"lie in {left}{limits[low]}, {limits[high]}{right}"
+    return f"lie in {left}{limits[low]:.12g}, {limits[high]:.12g}{right}"
 
 
 def _found(value: Any) -> str:

@@ -90,7 +90,7 @@ def test_config_show_prints_values_and_units():
         (["config", "show", "stray"], "error: kind 'tyo' of preset 'stray' is unknown: did you mean 'toy'?"),
         (["config", "show", "bare"], "error: preset 'bare' names no kind: add a line"),
         (["config", "show", "rush", "--set", "agee_s=1"], "error: agee_s is not a known key: did you mean 'age_s'?"),
-        (["config", "show", "rush", "--set", "age_s=-1"], "error: age_s must be > 0.0, got -1: "),
+        (["config", "show", "rush", "--set", "age_s=-1"], "error: age_s must be > 0, got -1: "),
         (["config", "show", "rush", "--set", "age_s"], "error: an override must read key=value"),
         (["config", "shwo"], "Did you mean 'show'?"),
         (["benhc"], "Did you mean 'bench'?"),

@@ -64,7 +64,7 @@ def refusal(data: dict, path: str = "", model: type[Config] = Receiver) -> list[
         ),
         (
             {"clock": {"drift_mps": -1}},
-            "clock.drift_mps must be >= 0.0, got -1: correct that value (the default is 0.1)",
+            "clock.drift_mps must be >= 0, got -1: correct that value (the default is 0.1)",
         ),
         (
             {"clock": {"drift_mps": math.inf}},
@@ -102,7 +102,7 @@ def refusal(data: dict, path: str = "", model: type[Config] = Receiver) -> list[
             {"grade": "tactcal"},
             "grade must be one of 'consumer' or 'tactical', got 'tactcal': did you mean 'tactical'?",
         ),
-        ({"limit_m": -2}, "limit_m must be > 0.0, got -2: correct that value"),
+        ({"limit_m": -2}, "limit_m must be > 0, got -2: correct that value"),
         ({"clock": 3}, "clock must be a mapping, got 3: correct that value"),
     ],
 )  # fmt: skip
