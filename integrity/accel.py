@@ -1,7 +1,8 @@
 """Numba, set up once: a versioned on-disk cache, and a parallel form only where it pays.
 
 Numba's cache hashes the file of a kernel but not the files of its callees, so the cache directory is versioned by a
-digest of every kernel file (``*_kernel.py``) of this package. Without a writable cache the kernels are compiled anew in each process.
+digest of every kernel file (``*_kernel.py``) of this package. Without a writable cache the kernels are compiled anew
+in each process.
 """
 
 from __future__ import annotations
@@ -31,11 +32,12 @@ def cache_directory() -> str | None:
     for source in sorted(Path(__file__).parent.rglob("*_kernel.py")):
         digest.update(source.read_bytes())
     base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    for parent in (Path(base).expanduser(), Path(tempfile.gettempdir())):
-        path = parent / "lanebound" / f"kernels-{digest.hexdigest()}"
+    places: tuple[Callable[[], Path | str], ...] = (Path(base).expanduser, tempfile.gettempdir)
+    for place in places:
         try:
+            path = Path(place()) / "lanebound" / f"kernels-{digest.hexdigest()}"
             path.mkdir(parents=True, exist_ok=True)
-        except OSError:
+        except (OSError, RuntimeError):  # not writable, no temporary directory, or a user without a home
             continue
         if os.access(path, os.W_OK):
             return str(path)

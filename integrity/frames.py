@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 __all__ = [
     "WGS84_A_M",
     "WGS84_E2",
-    "ecef_from_geodetic",
     "ecef_from_enu_matrix",
+    "ecef_from_geodetic",
     "enu_from_ecef",
     "enu_from_highway",
     "geodetic_from_ecef",
@@ -29,7 +29,7 @@ WGS84_E2 = WGS84_F * (2.0 - WGS84_F)
 
 
 def wrap_angle(angle_rad: ArrayLike) -> Array:
-    """Wrap to [-pi, pi).  angle_rad (...,) -> (...,)."""
+    """Wrap to [-pi, pi); rounding can give pi itself.  angle_rad (...,) -> (...,)."""
     return np.asarray((np.asarray(angle_rad) + np.pi) % (2.0 * np.pi) - np.pi)
 
 

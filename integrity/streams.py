@@ -24,12 +24,17 @@ def _name_key(name: str) -> int:
     return int.from_bytes(hashlib.blake2b(name.encode(), digest_size=8).digest(), "little")
 
 
+def _entropy(seed: int | Sequence[int]) -> list[int]:
+    """One seed, or several, as plain non-negative ints."""
+    entropy = [int(seed)] if isinstance(seed, int | np.integer) else [int(s) for s in seed]
+    if any(e < 0 for e in entropy):
+        raise InputError(f"seed must be non-negative, got {seed}: choose 0 or a positive integer")
+    return entropy
+
+
 def named_generator(seed: int | Sequence[int], name: str) -> np.random.Generator:
     """The generator of stream ``name`` under ``seed`` (a non-negative int, or a sequence of them)."""
-    entropy = [seed] if isinstance(seed, int | np.integer) else list(seed)
-    if any(int(e) < 0 for e in entropy):
-        raise InputError(f"seed must be non-negative, got {seed}: choose 0 or a positive integer")
-    return np.random.Generator(np.random.SFC64(np.random.SeedSequence([*map(int, entropy), _name_key(name)])))
+    return np.random.Generator(np.random.SFC64(np.random.SeedSequence([*_entropy(seed), _name_key(name)])))
 
 
 class Streams:
@@ -44,14 +49,23 @@ class Streams:
         Number of vehicles; needed only with a single seed.
 
     A draw is always shaped ``(B, *shape)``.
+
+    Raises
+    ------
+    InputError
+        When a seed is negative, none is given, or ``batch`` is missing or contradicts the number of seeds.
     """
 
     def __init__(self, seeds: int | Sequence[int], batch: int | None = None) -> None:
         self._joint = isinstance(seeds, int | np.integer)
         if self._joint and (batch is None or batch < 1):
             raise InputError(f"batch must be a positive int when one seed serves many vehicles, got {batch}")
-        self._seeds: list[int] = [int(seeds)] if self._joint else [int(s) for s in seeds]  # type: ignore[arg-type,union-attr]
+        self._seeds = _entropy(seeds)
         self.batch: int = int(batch) if self._joint and batch is not None else len(self._seeds)
+        if self.batch < 1 or batch not in (None, self.batch):
+            raise InputError(
+                f"seeds must hold one seed for each vehicle, got {self.batch} for batch {batch}: make them agree"
+            )
         self._generators: dict[str, list[np.random.Generator]] = {}
 
     def generators(self, name: str) -> list[np.random.Generator]:
@@ -86,7 +100,7 @@ class Streams:
         """Start vehicle ``index`` anew under ``seed`` (all its streams); refused for joint seeding."""
         if self._joint:
             raise InputError("streams seeded jointly cannot reseed one vehicle: give one seed for each vehicle")
-        self._seeds[index] = int(seed)
+        self._seeds[index] = _entropy(seed)[0]
         for name, generators in self._generators.items():
             generators[index] = named_generator(seed, name)
 

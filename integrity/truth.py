@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.errors import InputError, require_finite
+from lanebound.integrity.errors import InputError, require_finite, require_shape
 from lanebound.integrity.frames import wrap_angle
 
 __all__ = ["GRAVITY_MPS2", "Truth", "truth_between"]
@@ -25,8 +25,8 @@ class Truth:
     position_enu_m, velocity_enu_mps : (B, 3), at the end of the epoch
     heading_rad : (B,) azimuth of the body's x axis, clockwise from North, at the end
     delta_theta_rad : (B, 3) rotation over the epoch in body axes (forward, right, down)
-    delta_v_mps : (B, 3) integrated specific force over the epoch in body axes
-    distance_m : (B,) signed path length travelled by the wheels
+    delta_v_mps : (B, 3) integrated specific force over the epoch in the body axes of its middle
+    distance_m : (B,) signed length of the chord, which is the path's to second order in the turn
     arc_m : (B,) position along the street's centre line, for the sky mask
     lane : (B,) lane index there, 0 is the rightmost
     """
@@ -46,6 +46,13 @@ class Truth:
     def batch(self) -> int:
         """Number of vehicles."""
         return int(self.heading_rad.shape[0])
+
+
+def _plane_vectors(name: str, value: ArrayLike, batch: int) -> Array:
+    """``value`` as (B, 2) East, North."""
+    vectors = np.atleast_2d(require_finite(name, value))
+    require_shape(name, vectors, (batch, 2))
+    return vectors
 
 
 def truth_between(
@@ -68,13 +75,14 @@ def truth_between(
     Raises
     ------
     InputError
-        When an entry is not finite or ``dt_s`` is not positive.
+        When an entry is not finite, a shape does not fit the others, or ``dt_s`` is not positive.
     """
     if not dt_s > 0.0:
         raise InputError(f"dt_s must be positive, got {dt_s}: pass the length of the epoch in seconds")
-    p0, p1 = (require_finite("position_m", p).reshape(-1, 2) for p in position_m)
-    v0, v1 = (require_finite("velocity_mps", v).reshape(-1, 2) for v in velocity_mps)
     h0, h1 = (np.atleast_1d(require_finite("heading_rad", h)) for h in heading_rad)
+    require_shape("heading_rad", h0, (h1.size,))
+    p0, p1 = (_plane_vectors("position_m", p, h1.size) for p in position_m)
+    v0, v1 = (_plane_vectors("velocity_mps", v, h1.size) for v in velocity_mps)
     turn = wrap_angle(h1 - h0)
     middle = h0 + 0.5 * turn
     s, c = np.sin(middle), np.cos(middle)
@@ -92,6 +100,6 @@ def truth_between(
             [s * dv[:, 0] + c * dv[:, 1], c * dv[:, 0] - s * dv[:, 1], zero - GRAVITY_MPS2 * dt_s]
         ),
         distance_m=np.copysign(np.hypot(dp[:, 0], dp[:, 1]), forward),
-        arc_m=np.broadcast_to(np.asarray(arc_m, dtype=np.float64), h1.shape),
+        arc_m=np.broadcast_to(require_finite("arc_m", arc_m), h1.shape),
         lane=np.broadcast_to(np.asarray(lane, dtype=np.int64), h1.shape),
     )

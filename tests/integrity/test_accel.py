@@ -1,0 +1,143 @@
+import math
+import os
+import subprocess
+import sys
+
+import numba
+import numpy as np
+import pytest
+
+from lanebound.integrity import accel
+
+
+@pytest.fixture
+def unwritable(tmp_path):
+    """A path below a regular file: not even root can make it."""
+    file = tmp_path / "file"
+    file.write_text("")
+    return file / "below"
+
+
+def _run_kernel(code, **environment):
+    """Run ``code`` and a small kernel in a new process; returns the cache directory and the kernel's answer."""
+    code += (
+        "\nfrom lanebound.integrity import accel"
+        "\nfrom lanebound.integrity.positioning.heading_kernel import wrap"
+        "\nprint(accel.cache_directory(), wrap(7.0))"
+    )
+    env = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA_", "XDG_"))} | environment
+    done = subprocess.run([sys.executable, "-W", "error", "-c", code], env=env, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    directory, answer = done.stdout.split()
+    assert float(answer) == pytest.approx(7.0 - 2.0 * math.pi, abs=1e-12)
+    return directory
+
+
+def test_an_unwritable_cache_falls_back_to_the_temporary_directory(unwritable, tmp_path):
+    (tmp_path / "tmp").mkdir()
+    nowhere = str(unwritable)
+    directory = _run_kernel(
+        "", HOME=nowhere, NUMBA_CACHE_DIR=nowhere, XDG_CACHE_HOME=nowhere, TMPDIR=str(tmp_path / "tmp")
+    )
+    assert directory.startswith(str(tmp_path / "tmp" / "lanebound" / "kernels-"))
+    assert list((tmp_path / "tmp").rglob("*.nbi")), "the kernel was not cached in the fallback"
+
+
+def test_without_any_writable_directory_kernels_still_run(unwritable):
+    nowhere = str(unwritable)
+    code = f"import tempfile; tempfile.tempdir = {nowhere!r}"  # TMPDIR alone would fall back to /tmp
+    assert _run_kernel(code, HOME=nowhere, NUMBA_CACHE_DIR=nowhere, TMPDIR=nowhere) == "None"
+
+
+def test_neither_a_home_nor_a_temporary_directory_is_needed(monkeypatch):
+    def no_home(self):
+        raise RuntimeError("Could not determine home directory.")
+
+    def no_temporary_directory():
+        raise FileNotFoundError("No usable temporary directory found")
+
+    monkeypatch.setattr(accel.Path, "expanduser", no_home)
+    monkeypatch.setattr(accel.tempfile, "gettempdir", no_temporary_directory)
+    assert accel.cache_directory.__wrapped__() is None
+
+
+@pytest.mark.parametrize("variables", [("NUMBA_CACHE_DIR",), ("XDG_CACHE_HOME",), ("HOME",)])
+def test_the_directory_follows_the_environment(variables, monkeypatch, tmp_path):
+    for name in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    for name in variables:
+        monkeypatch.setenv(name, str(tmp_path))
+    parent = tmp_path / ".cache" if variables == ("HOME",) else tmp_path
+    assert accel.cache_directory.__wrapped__().startswith(str(parent / "lanebound" / "kernels-"))
+
+
+def test_the_directory_changes_with_any_kernel_file_and_no_other(monkeypatch, tmp_path):
+    package = tmp_path / "package"
+    (package / "room").mkdir(parents=True)
+    (package / "room" / "a_kernel.py").write_text("A = 1\n")
+    (package / "plain.py").write_text("B = 1\n")
+    monkeypatch.setattr(accel, "__file__", str(package / "accel.py"))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    first = accel.cache_directory.__wrapped__()
+    (package / "plain.py").write_text("B = 2\n")
+    assert accel.cache_directory.__wrapped__() == first
+    (package / "room" / "a_kernel.py").write_text("A = 2\n")
+    assert accel.cache_directory.__wrapped__() != first
+
+
+def _divide(a, b):
+    return a / b, math.isnan(a / b), math.isinf(a / b)
+
+
+def test_kernels_divide_as_c_does_and_keep_nan_and_inf():
+    fast = accel.jit(_divide)
+    assert fast(1.0, 0.0) == (math.inf, False, True)
+    assert fast(-1.0, 0.0) == (-math.inf, False, True)
+    quotient, is_nan, is_inf = fast(0.0, 0.0)
+    assert math.isnan(quotient)
+    assert (is_nan, is_inf) == (True, False)
+
+
+def test_the_global_cache_setting_is_left_as_it_was():
+    before = numba.config.CACHE_DIR
+    accel.jit(_divide)
+    assert before == numba.config.CACHE_DIR
+
+
+def test_a_function_without_a_file_is_compiled_in_memory():
+    scope = {}
+    exec("def double(x):\n    return 2.0 * x", scope)
+    assert accel.jit(scope["double"])(1.5) == 3.0
+
+
+def test_options_reach_numba_in_both_decorator_forms():
+    assert not accel.jit(_divide).targetoptions["parallel"]
+    options = accel.jit(parallel=True, inline=True)(_divide).targetoptions
+    assert options["parallel"]
+    assert options["inline"] == "always"
+    assert not {"nnan", "ninf", "fast"} & set(options["fastmath"])
+
+
+def test_threads_serve_only_large_batches_of_the_main_process(monkeypatch):
+    monkeypatch.setattr(accel.numba, "get_num_threads", lambda: 4)
+    assert [accel.use_parallel(b) for b in (1, accel.PARALLEL_FROM_BATCH - 1)] == [False, False]
+    assert accel.use_parallel(accel.PARALLEL_FROM_BATCH)
+    monkeypatch.setattr("multiprocessing.parent_process", lambda: object())
+    assert not accel.use_parallel(1000)
+
+
+def test_one_thread_is_no_reason_for_the_parallel_form(monkeypatch):
+    monkeypatch.setattr(accel.numba, "get_num_threads", lambda: 1)
+    assert not accel.use_parallel(1000)
+
+
+def test_reassociation_changes_a_sum_only_by_rounding():
+    @accel.jit
+    def total(x):
+        s = 0.0
+        for v in x:
+            s += v
+        return s
+
+    x = np.linspace(-1.0, 3.0, 1001)
+    assert total(x) == pytest.approx(math.fsum(x), rel=1e-13)
