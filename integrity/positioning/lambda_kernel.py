@@ -25,6 +25,7 @@ WORK_PLANES = 5  # planes of `work`: A, U, L, S and one of vectors
 VECTOR_ROWS = 8  # smallest capacity: the vectors of a search are rows of one plane
 SWAP_GAIN = 0.99  # Lovasz factor: a swap has to win 1 %, so that a drifting covariance keeps its transform
 PIVOT_FLOOR = 1e-13  # a conditional variance below this share of the variance is a loss of rank
+GROWTH_LIMIT = 64.0  # [1] entries of the factor above it are rounded off at once, so that no digits are lost
 SMALL_VARIANCE = 0.05**2  # [cycles^2] below it everywhere, the search needs no decorrelation
 NO_FAILURE_VARIANCE = 0.0036  # [cycles^2] sigma 0.06: erfc(1 / (2 sqrt(2) sigma)) < 1e-16
 
@@ -43,30 +44,31 @@ def identity(n, transform):  # type: ignore[no-untyped-def]
 def transformed_covariance(n, Q, Zt, T, A):  # type: ignore[no-untyped-def]
     """Lower triangle of ``A = Z' Q Z``; T is scratch. Zeros of Z, the majority, are skipped."""
     for i in range(n):
-        row = T[i]
         for q in range(n):
-            row[q] = 0.0
+            T[i, q] = 0.0
         for k in range(n):
             z = Zt[i, k]
             if z != 0.0:
                 for q in range(n):
-                    row[q] += z * Q[k, q]
+                    T[i, q] += z * Q[k, q]
         for j in range(i + 1):
             total = 0.0
             for q in range(n):
-                total += row[q] * Zt[j, q]
+                total += T[i, q] * Zt[j, q]
             A[i, j] = total
 
 
 @jit
-def _swap_rows(M, i, j, first, n):  # type: ignore[no-untyped-def]
-    """Exchange the entries ``first .. n-1`` of two rows."""
-    for q in range(first, n):
-        M[i, q], M[j, q] = M[j, q], M[i, q]
+def _swap_rows(M, i, j, n):  # type: ignore[no-untyped-def]
+    """Exchange the first n entries of two rows."""
+    for q in range(n):
+        kept = M[i, q]
+        M[i, q] = M[j, q]
+        M[j, q] = kept
 
 
 @jit
-def _pivot(n, i, A, U, D, transform):  # type: ignore[no-untyped-def]
+def _pivot(n, i, A, U, D, Zt, Z_inverse):  # type: ignore[no-untyped-def]
     """Bring the smallest remaining variance to position i (symmetric pivoting: most swaps are then spared later)."""
     p = i
     for q in range(i):
@@ -74,26 +76,28 @@ def _pivot(n, i, A, U, D, transform):  # type: ignore[no-untyped-def]
             p = q
     if p == i:
         return
-    _swap_rows(A, p, i, 0, p)
+    _swap_rows(A, p, i, p)
     for q in range(p + 1, i):
         A[q, p], A[i, q] = A[i, q], A[q, p]
     A[p, p], A[i, i] = A[i, i], A[p, p]
     D[p], D[i] = D[i], D[p]
-    _swap_rows(U, p, i, i + 1, n)
-    _swap_rows(transform[0], p, i, 0, n)
-    _swap_rows(transform[1], p, i, 0, n)
+    _swap_rows(U, p, i, n)
+    _swap_rows(Zt, p, i, n)
+    _swap_rows(Z_inverse, p, i, n)
 
 
 @jit
-def factor(n, A, U, D, pivot, transform):  # type: ignore[no-untyped-def]
+def factor(n, A, U, D, pivot, Zt, Z_inverse):  # type: ignore[no-untyped-def]
     """Factor ``A = U diag(D) U'`` from its lower triangle, which is overwritten; OK or NOT_POSITIVE_DEFINITE."""
     for i in range(n):
         if not A[i, i] > 0.0:
             return NOT_POSITIVE_DEFINITE
         D[i] = A[i, i] * PIVOT_FLOOR
+        for q in range(n):
+            U[i, q] = 0.0
     for i in range(n - 1, -1, -1):
         if pivot:
-            _pivot(n, i, A, U, D, transform)
+            _pivot(n, i, A, U, D, Zt, Z_inverse)
         d = A[i, i]
         if not (d > D[i] and d < math.inf):
             return NOT_POSITIVE_DEFINITE
@@ -109,63 +113,69 @@ def factor(n, A, U, D, pivot, transform):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _gauss(n, j, i, U, transform):  # type: ignore[no-untyped-def]
+def _gauss(n, j, i, U, Zt, Z_inverse):  # type: ignore[no-untyped-def]
     """Integer Gauss transformation ``z_j -= mu z_i`` with ``mu = round(U_ji)``, i > j."""
     mu = np.floor(U[j, i] + 0.5)
     if mu != 0.0:
-        for q in range(i, n):
+        for q in range(n):
             U[j, q] -= mu * U[i, q]
         for q in range(n):
-            transform[0, j, q] -= mu * transform[0, i, q]
+            Zt[j, q] -= mu * Zt[i, q]
         for q in range(n):
-            transform[1, i, q] += mu * transform[1, j, q]
+            Z_inverse[i, q] += mu * Z_inverse[j, q]
 
 
 @jit
-def _exchange(n, j, d, U, D, transform):  # type: ignore[no-untyped-def]
-    """Exchange z_j and z_j+1, where d is the variance that z_j+1 then has given those after it."""
-    u = U[j, j + 1]
-    eta = D[j] / d
-    lam = D[j + 1] * u / d
-    D[j] = eta * D[j + 1]
-    D[j + 1] = d
-    for q in range(j):
-        left, right = U[q, j], U[q, j + 1]
-        U[q, j] = right - u * left
-        U[q, j + 1] = eta * left + lam * right
-    U[j, j + 1] = lam
-    _swap_rows(U, j, j + 1, j + 2, n)
-    _swap_rows(transform[0], j, j + 1, 0, n)
-    _swap_rows(transform[1], j, j + 1, 0, n)
+def reduce_block(n, first, U, D, Zt, Z_inverse):  # type: ignore[no-untyped-def]
+    """Exchange neighbours until ``D[j] + U_j,j+1^2 D[j+1] >= D[j+1]`` throughout the trailing block ``first .. n-1``.
 
+    Work starts at the end, so a block whose tail is already reduced costs only its new rows. Before an exchange the entry
+    in question is rounded off, and others of its row when they have grown (rounding them all off is left to
+    :func:`size_reduce`; it does not change D).
 
-@jit
-def reduce_block(n, first, U, D, transform):  # type: ignore[no-untyped-def]
-    """Reduce the trailing block ``first .. n-1``, of which all but row ``first`` is already reduced (or not).
-
-    Only the pair about to be exchanged is size-reduced on the way, and all of its row before an exchange, which keeps
-    the factor small (Chang et al. 2005, section 3).
+    One body on purpose: Numba counts references to each array at each call, which here would take longer than the work.
     """
     j = n - 2
-    while j >= first:
+    while j >= first and j >= 0:
         u = U[j, j + 1]
-        rest = u - np.floor(u + 0.5)
-        d = D[j] + rest * rest * D[j + 1]
-        if d < SWAP_GAIN * D[j + 1]:
-            for i in range(j + 1, n):
-                _gauss(n, j, i, U, transform)
-            _exchange(n, j, D[j] + U[j, j + 1] ** 2 * D[j + 1], U, D, transform)
-            j = min(j + 1, n - 2)
-        else:
+        u -= np.floor(u + 0.5)
+        d = D[j] + u * u * D[j + 1]
+        if not d < SWAP_GAIN * D[j + 1]:
             j -= 1
+            continue
+        for i in range(j + 1, n):
+            size = abs(U[j, i])
+            if size > GROWTH_LIMIT or (i == j + 1 and size > 0.5):
+                mu = np.floor(U[j, i] + 0.5)
+                for q in range(n):
+                    U[j, q] -= mu * U[i, q]
+                for q in range(n):
+                    Zt[j, q] -= mu * Zt[i, q]
+                for q in range(n):
+                    Z_inverse[i, q] += mu * Z_inverse[j, q]
+        u = U[j, j + 1]
+        eta, lam = D[j] / d, D[j + 1] * u / d
+        D[j], D[j + 1] = eta * D[j + 1], d
+        for q in range(j):
+            left, right = U[q, j], U[q, j + 1]
+            U[q, j], U[q, j + 1] = right - u * left, eta * left + lam * right
+        for q in range(n):
+            U[j, q], U[j + 1, q] = U[j + 1, q], U[j, q]
+        U[j, j], U[j, j + 1], U[j + 1, j], U[j + 1, j + 1] = 1.0, lam, 0.0, 1.0
+        for q in range(n):
+            Zt[j, q], Zt[j + 1, q] = Zt[j + 1, q], Zt[j, q]
+        for q in range(n):
+            Z_inverse[j, q], Z_inverse[j + 1, q] = Z_inverse[j + 1, q], Z_inverse[j, q]
+        j = min(j + 1, n - 2)
 
 
 @jit
-def size_reduce(n, U, transform):  # type: ignore[no-untyped-def]
+def size_reduce(n, U, Zt, Z_inverse):  # type: ignore[no-untyped-def]
     """Bring every entry of the unit triangular factor to within +-1/2."""
     for j in range(n - 2, -1, -1):
         for i in range(j + 1, n):
-            _gauss(n, j, i, U, transform)
+            if abs(U[j, i]) > 0.5:
+                _gauss(n, j, i, U, Zt, Z_inverse)
 
 
 @jit
@@ -192,17 +202,18 @@ def decorrelate(n, Q, warm, transform, U, D, A, T):  # type: ignore[no-untyped-d
     A, T
         Scratch (c, c).
     """
+    Zt, Z_inverse = transform[0], transform[1]
     if warm:
-        transformed_covariance(n, Q, transform[0], T, A)
+        transformed_covariance(n, Q, Zt, T, A)
     else:
         identity(n, transform)
         for i in range(n):
             for j in range(i + 1):
                 A[i, j] = Q[i, j]
-    status = factor(n, A, U, D, not warm, transform)
+    status = factor(n, A, U, D, not warm, Zt, Z_inverse)
     if status == OK and (warm or not all_small(n, Q)):
-        reduce_block(n, 0, U, D, transform)
-        size_reduce(n, U, transform)
+        reduce_block(n, 0, U, D, Zt, Z_inverse)
+        size_reduce(n, U, Zt, Z_inverse)
     return status
 
 
@@ -268,15 +279,16 @@ def search(first, n, U, D, z_float, m, node_limit, candidates, norms, L, S, vect
     L, S, vectors
         Scratch (c, c); four rows of ``vectors`` are used.
     """
-    distance, mean, z, step = vectors[0], vectors[1], vectors[2], vectors[3]
+    distance, mean, z, step, inverse = vectors[0], vectors[1], vectors[2], vectors[3], vectors[7]
     for slot in range(m):
         norms[slot] = math.inf
     if n <= first:
         norms[0] = 0.0
         return OK
-    for i in range(first, n):
+    for i in range(n):
         S[n - 1, i] = z_float[i]
-        for q in range(first, i):
+        inverse[i] = 1.0 / D[i]
+        for q in range(i):
             L[i, q] = U[q, i]
     k = n - 1
     distance[k] = 0.0
@@ -286,13 +298,13 @@ def search(first, n, U, D, z_float, m, node_limit, candidates, norms, L, S, vect
     step[k] = 1.0 if y > 0.0 else -1.0
     bound = math.inf
     for _ in range(node_limit):
-        norm = distance[k] + y * y / D[k]
+        norm = distance[k] + y * y * inverse[k]
         if norm < bound:
             if k > first:
                 pull = z[k] - mean[k]
                 k -= 1
                 distance[k] = norm
-                for q in range(first, k + 1):
+                for q in range(k + 1):
                     S[k, q] = S[k + 1, q] + pull * L[k + 1, q]
                 mean[k] = S[k, k]
                 z[k] = np.floor(mean[k] + 0.5)
@@ -389,6 +401,41 @@ def integer_least_squares(n, a_hat, Q, m, node_limit, warm, transform, candidate
 
 
 @jit
+def partial_least_squares(  # type: ignore[no-untyped-def]
+    n, a_hat, Q, m, failure_limit, node_limit, warm, transform, candidates, norms, D, work
+):
+    """Fix only as many decorrelated ambiguities as the failure rate allows: the most precise ``z_first .. z_{n-1}``.
+
+    As :func:`integer_least_squares`, except that z_i with i < first stay real, at their means given the fixed ones, so
+    that the candidates are real vectors and the norms those of the fixed part. Returns ``(status, first)``; nothing is
+    fixed when first = n (Teunissen, Joosten & Tiberius 1999, ION GPS, 73-82).
+    """
+    for slot in range(m):
+        norms[slot] = math.inf
+    if not all_finite(n, a_hat):
+        return NOT_FINITE, n
+    U, L, S, vectors = work[1], work[2], work[3], work[4]
+    status = decorrelate(n, Q, warm, transform, U, D, work[0], S)
+    if status != OK:
+        return status, n
+    a_integer, z_float, z = vectors[4], vectors[5], vectors[6]
+    to_decorrelated(n, a_hat, transform[0], a_integer, z_float)
+    first = partial_start(n, D, failure_limit)
+    status = search(first, n, U, D, z_float, m, node_limit, candidates, norms, L, S, vectors)
+    pull = vectors[0]
+    for slot in range(m):
+        if norms[slot] < math.inf:
+            for k in range(n - 1, -1, -1):
+                mean = z_float[k]
+                for i in range(k + 1, n):
+                    mean += U[k, i] * pull[i]
+                z[k] = candidates[slot, k] if k >= first else mean
+                pull[k] = z[k] - mean
+            from_decorrelated(n, z, transform[1], a_integer, candidates[slot])
+    return status, first
+
+
+@jit
 def largest_prefix(n_groups, group, order, Q, failure_limit, transform, D, work):  # type: ignore[no-untyped-def]
     """How many groups of ambiguities, best first, can be fixed together within a failure rate.
 
@@ -404,15 +451,16 @@ def largest_prefix(n_groups, group, order, Q, failure_limit, transform, D, work)
     """
     n = n_groups * group
     A, U = work[0], work[1]
+    Zt, Z_inverse = transform[0], transform[1]
     for i in range(n):
         for j in range(i + 1):
             A[i, j] = Q[order[n - 1 - i], order[n - 1 - j]]
     identity(n, transform)
-    if factor(n, A, U, D, False, transform) != OK:
+    if factor(n, A, U, D, False, Zt, Z_inverse) != OK:
         return -1, 1.0
     best, best_rate = 0, 0.0
     for k in range(1, n_groups + 1):
-        reduce_block(n, n - k * group, U, D, transform)
+        reduce_block(n, n - k * group, U, D, Zt, Z_inverse)
         rate = bootstrap_failure_rate(n - k * group, n, D)
         if rate <= failure_limit:
             best, best_rate = k, rate
@@ -420,18 +468,19 @@ def largest_prefix(n_groups, group, order, Q, failure_limit, transform, D, work)
 
 
 @jit
-def solve_epochs(a_hat, Q, m, node_limit, transform, candidates, norms, failure_rate, status, work):  # type: ignore[no-untyped-def]
+def solve_epochs(a_hat, Q, m, node_limit, reuse, transform, candidates, norms, failure_rate, status, work):  # type: ignore[no-untyped-def]
     """Solve the same ambiguities epoch after epoch, each with the transformation of the one before.
 
-    ``a_hat`` (E, c), ``Q`` (E, c, c) -> ``candidates`` (E, m, c), ``norms`` (E, m), ``failure_rate`` (E,), ``status``
-    (E,) int64; the first epoch, and those after a failure, start cold.
+    ``a_hat`` (E, n), ``Q`` (E, n, n) -> ``candidates`` (E, m, n), ``norms`` (E, m), ``failure_rate`` (E,), ``status``
+    (E,) int64; the first epoch, those after a failure, and all of them when ``reuse`` is False, start cold.
     """
     n = a_hat.shape[1]
-    D = work[4, 7]
+    D = np.empty(n)
     warm = False
     for e in range(a_hat.shape[0]):
         status[e] = integer_least_squares(
             n, a_hat[e], Q[e], m, node_limit, warm, transform, candidates[e], norms[e], D, work
         )
-        warm = status[e] <= NODE_LIMIT
-        failure_rate[e] = bootstrap_failure_rate(0, n, D) if warm else 1.0
+        solved = status[e] <= NODE_LIMIT
+        failure_rate[e] = bootstrap_failure_rate(0, n, D) if solved else 1.0
+        warm = solved and reuse

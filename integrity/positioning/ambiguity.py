@@ -1,0 +1,350 @@
+"""Integer ambiguity resolution: plain reference of every kernel, and the batched front door.
+
+``resolve`` is what to call: any leading batch axes, compiled. ``integer_least_squares`` is the same in plain NumPy, slow and
+meant to be read; tests hold the two together. Letters as in :mod:`lanebound.integrity.positioning.lambda_kernel`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import erfc
+
+from lanebound.integrity.errors import InputError, require_probability
+from lanebound.integrity.positioning import lambda_kernel as kernel
+
+__all__ = [
+    "NODE_LIMIT",
+    "AmbiguitySolution",
+    "Decorrelation",
+    "SearchStatus",
+    "ambiguity_work",
+    "bootstrap_failure_rate",
+    "decorrelate",
+    "integer_least_squares",
+    "largest_prefix",
+    "partial_least_squares",
+    "resolve",
+]
+
+Array = NDArray[np.float64]
+NODE_LIMIT = 20_000  # about 0.2 ms; a decorrelated problem worth fixing needs some hundreds
+
+
+class SearchStatus(IntEnum):
+    """How a search ended; the integers are those of the kernels."""
+
+    OK = kernel.OK
+    NODE_LIMIT = kernel.NODE_LIMIT
+    NOT_POSITIVE_DEFINITE = kernel.NOT_POSITIVE_DEFINITE
+    NOT_FINITE = kernel.NOT_FINITE
+
+    @property
+    def advice(self) -> str:
+        """What to do about it."""
+        return _ADVICE[self]
+
+
+_ADVICE = {
+    SearchStatus.OK: "candidates are the best there are",
+    SearchStatus.NODE_LIMIT: "candidates are not proven best; wait for a more precise float solution",
+    SearchStatus.NOT_POSITIVE_DEFINITE: "covariance has lost rank; rebuild the float solution",
+    SearchStatus.NOT_FINITE: "float ambiguities are not numbers; rebuild the float solution",
+}
+
+
+@dataclass(frozen=True)
+class AmbiguitySolution:
+    """Integer candidates and what is known about them, for any batch shape ``...``."""
+
+    candidates: Array
+    """(..., m, n) best first [cycles]; NaN-free: the rounded float solution where there is none."""
+    norms: Array
+    """(..., m) squared norms, inf where there is no candidate."""
+    failure_rate: Array
+    """(...,) bootstrapped P_IF, 1 where the covariance is unusable."""
+    status: NDArray[np.int64]
+    """(...,) values of :class:`SearchStatus`."""
+
+    @property
+    def ratio(self) -> Array:
+        """(...,) second best over best norm; inf when the best fits perfectly or stands alone, 0 without a solution."""
+        best, second = self.norms[..., 0], self.norms[..., 1]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.where(np.isfinite(best), second / best, 0.0)
+        return np.where(np.isnan(ratio), np.inf, ratio)
+
+
+@dataclass(frozen=True)
+class Decorrelation:
+    """``Z'QZ = U diag(D) U'``: Z (n, n) unimodular, U (n, n) unit upper triangular, D (n,) [cycles^2]."""
+
+    Z: Array
+    U: Array
+    D: Array
+
+
+def ambiguity_work(n_max: int) -> tuple[Array, Array]:
+    """Scratch for the kernels: ``transform`` (2, c, c) and ``work`` (5, c, c) with capacity ``c >= n_max``."""
+    if n_max < 0:
+        raise InputError(f"n_max must be >= 0, got {n_max}: give the most ambiguities that can occur")
+    c = max(n_max, kernel.VECTOR_ROWS)
+    return np.zeros((2, c, c)), np.zeros((kernel.WORK_PLANES, c, c))
+
+
+def _factor(Q: Array) -> tuple[Array, Array, Array] | None:
+    """``P'QP = U D U'`` with the smallest remaining variance taken last to first, or None."""
+    n = len(Q)
+    A, U, order = Q.copy(), np.eye(n), np.arange(n)
+    D, floor = np.zeros(n), kernel.PIVOT_FLOOR * np.diag(Q)
+    if not (floor > 0.0).all():
+        return None
+    for i in range(n - 1, -1, -1):
+        swap = np.arange(n)
+        p = int(np.argmin(np.append(np.diag(A)[:i], np.inf)))
+        if i and A[p, p] < A[i, i]:
+            swap[[p, i]] = i, p
+        A, order, floor = A[np.ix_(swap, swap)], order[swap], floor[swap]
+        U[:, i + 1 :] = U[swap, i + 1 :]
+        D[i] = A[i, i]
+        if not floor[i] < D[i] < np.inf:
+            return None
+        U[:i, i] = A[:i, i] / D[i]
+        A[:i, :i] -= D[i] * np.outer(U[:i, i], U[:i, i])
+    return U, D, np.eye(n)[:, order]
+
+
+def _round(x: float) -> float:
+    """Nearest integer, halves upward as in the kernels."""
+    return float(np.floor(x + 0.5))
+
+
+def _exchange(j: int, d: float, U: Array, D: Array, Z: Array) -> None:
+    """Exchange z_j and z_j+1; d is the conditional variance of z_j+1 afterwards."""
+    u = U[j, j + 1]
+    eta, lam = D[j] / d, D[j + 1] * u / d
+    D[j], D[j + 1] = eta * D[j + 1], d
+    U[:j, [j, j + 1]] = U[:j, [j, j + 1]] @ np.array([[-u, eta], [1.0, lam]])
+    U[[j, j + 1], j + 2 :] = U[[j + 1, j], j + 2 :]
+    U[j, j + 1] = lam
+    Z[:, [j, j + 1]] = Z[:, [j + 1, j]]
+
+
+def _gauss(j: int, i: int, U: Array, Z: Array) -> None:
+    """``z_j -= mu z_i`` with ``mu = round(U_ji)``."""
+    mu = _round(U[j, i])
+    U[j] -= mu * U[i]
+    Z[:, j] -= mu * Z[:, i]
+
+
+def decorrelate(Q: ArrayLike) -> Decorrelation | None:
+    """Decorrelate one covariance (n, n) [cycles^2]; None when it is not positive definite.
+
+    Integer Gauss transformations and exchanges of neighbours (de Jonge & Tiberius 1996, section 3; Chang et al. 2005).
+    """
+    factored = _factor(np.asarray(Q, dtype=np.float64))
+    if factored is None:
+        return None
+    U, D, Z = factored
+    n, j = len(D), len(D) - 2
+    if n and np.diag(np.asarray(Q)).max() < kernel.SMALL_VARIANCE:
+        return Decorrelation(Z, U, D)
+    while j >= 0:
+        rest = U[j, j + 1] - _round(U[j, j + 1])
+        d = D[j] + rest**2 * D[j + 1]
+        if d < kernel.SWAP_GAIN * D[j + 1]:
+            for i in range(j + 1, n):
+                _gauss(j, i, U, Z)
+            _exchange(j, d, U, D, Z)
+            j = min(j + 1, n - 2)
+        else:
+            j -= 1
+    for j in range(n - 2, -1, -1):
+        for i in range(j + 1, n):
+            _gauss(j, i, U, Z)
+    return Decorrelation(Z, U, D)
+
+
+def bootstrap_failure_rate(D: ArrayLike) -> Array:
+    """``P_IF = 1 - prod_i (2 Phi(1 / (2 sqrt(D_i))) - 1)`` over the last axis: (..., n) [cycles^2] -> (...,).
+
+    Accurate down to 1e-16 (Teunissen 1998; equations.md 4). An empty product leaves P_IF = 0.
+    """
+    factors = np.log1p(-erfc(np.sqrt(0.125 / np.asarray(D, dtype=np.float64))))
+    return np.asarray(-np.expm1(factors.sum(axis=-1)))
+
+
+def _search(z_float: Array, U: Array, D: Array, m: int, node_limit: int) -> tuple[Array, Array, bool]:
+    """The m best integer vectors, their norms and whether that is proven; depth first in zig-zag order."""
+    n = len(D)
+    found: list[tuple[float, Array]] = []
+    distance, mean, z, step = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    k, descend, complete = n - 1, True, False
+    for _ in range(node_limit):
+        if descend:
+            mean[k] = z_float[k] + U[k, k + 1 :] @ (z - mean)[k + 1 :]
+            z[k] = _round(mean[k])
+            step[k] = 1.0 if mean[k] > z[k] else -1.0
+        norm = distance[k] + (mean[k] - z[k]) ** 2 / D[k]
+        inside = len(found) < m or norm < found[-1][0]
+        descend = inside and k > 0
+        if descend:
+            k -= 1
+            distance[k] = norm
+            continue
+        if inside:
+            found = sorted([*found, (norm, z.copy())], key=lambda item: item[0])[:m]
+        elif k == n - 1:
+            complete = True
+            break
+        else:
+            k += 1
+        z[k] += step[k]
+        step[k] = -step[k] - np.copysign(1.0, step[k])
+    candidates, norms = np.zeros((m, n)), np.full(m, np.inf)
+    for slot, (norm, vector) in enumerate(found):
+        candidates[slot], norms[slot] = vector, norm
+    return candidates, norms, complete
+
+
+def _solve_one(a_hat: Array, Q: Array, m: int, node_limit: int) -> tuple[Array, Array, float, SearchStatus]:
+    """Integer least squares of one problem: candidates (m, n), norms (m,), failure rate, status."""
+    n = len(a_hat)
+    none = np.tile(np.floor(np.nan_to_num(a_hat) + 0.5), (m, 1)), np.full(m, np.inf), 1.0
+    if not np.isfinite(a_hat).all():
+        return *none, SearchStatus.NOT_FINITE
+    reduced = decorrelate(Q)
+    if reduced is None:
+        return *none, SearchStatus.NOT_POSITIVE_DEFINITE
+    if n == 0:
+        return np.zeros((m, 0)), np.append(0.0, np.full(m - 1, np.inf)), 0.0, SearchStatus.OK
+    whole = np.floor(a_hat + 0.5)
+    z, norms, complete = _search(reduced.Z.T @ (a_hat - whole), reduced.U, reduced.D, m, node_limit)
+    candidates = whole + np.rint(np.linalg.solve(reduced.Z.T, z.T)).T
+    status = SearchStatus.OK if complete else SearchStatus.NODE_LIMIT
+    return candidates, norms, float(bootstrap_failure_rate(reduced.D)), status
+
+
+def _checked(a_hat: ArrayLike, Q: ArrayLike, m: int, node_limit: int) -> tuple[Array, Array, tuple[int, ...]]:
+    """The problems flattened to (E, n) and (E, n, n), and their batch shape; InputError on shapes that do not fit."""
+    try:
+        a, cov = np.asarray(a_hat, dtype=np.float64), np.asarray(Q, dtype=np.float64)
+        batch = np.broadcast_shapes(a.shape[:-1], cov.shape[:-2])
+    except ValueError as exc:
+        raise InputError(f"a_hat and Q must be numeric with batch axes that broadcast: {exc}") from exc
+    n = a.shape[-1] if a.ndim else -1
+    if n < 0 or cov.shape[-2:] != (n, n):
+        raise InputError(
+            f"Q must have shape (..., n, n) for a_hat (..., n), got {cov.shape} and {a.shape}: reshape them"
+        )
+    if m < 2 or node_limit < 1:
+        raise InputError(f"candidates must be >= 2 and node_limit >= 1, got {m} and {node_limit}: raise them")
+    count = int(np.prod(batch, dtype=np.int64))
+    flat_a = np.ascontiguousarray(np.broadcast_to(a, (*batch, n)).reshape(count, n))
+    return flat_a, np.ascontiguousarray(np.broadcast_to(cov, (*batch, n, n)).reshape(count, n, n)), batch
+
+
+def integer_least_squares(
+    a_hat: ArrayLike, Q: ArrayLike, candidates: int = 2, node_limit: int = NODE_LIMIT
+) -> AmbiguitySolution:
+    """Reference of ``min (a_hat - a)' Q^-1 (a_hat - a)`` over integer a, the best ``candidates`` of them.
+
+    Parameters
+    ----------
+    a_hat, Q
+        Float solutions (..., n) [cycles] and their covariances (..., n, n) [cycles^2]; batch axes broadcast.
+    candidates, node_limit
+        How many to return (>= 2), and the most nodes a search may visit.
+
+    Raises
+    ------
+    InputError
+        When shapes or counts do not fit. NaN and singular covariances are statuses, not errors.
+    """
+    a, cov, batch = _checked(a_hat, Q, candidates, node_limit)
+    solved = [_solve_one(x, q, candidates, node_limit) for x, q in zip(a, cov, strict=True)]
+    columns = list(zip(*solved, strict=True)) if solved else [(), (), (), ()]
+    n = a.shape[-1]
+    return AmbiguitySolution(
+        np.array(columns[0], dtype=np.float64).reshape(*batch, candidates, n),
+        np.array(columns[1], dtype=np.float64).reshape(*batch, candidates),
+        np.array(columns[2], dtype=np.float64).reshape(batch),
+        np.array(columns[3], dtype=np.int64).reshape(batch),
+    )
+
+
+def resolve(
+    a_hat: ArrayLike, Q: ArrayLike, candidates: int = 2, node_limit: int = NODE_LIMIT, reuse: bool = False
+) -> AmbiguitySolution:
+    """Compiled :func:`integer_least_squares`, same arguments and outputs.
+
+    ``reuse`` says that neighbours along the last batch axis are epochs of the same ambiguities: each then starts from the
+    transformation of the one before. Solutions and norms are the same, the failure rate may differ slightly.
+    """
+    a, cov, batch = _checked(a_hat, Q, candidates, node_limit)
+    count, n = a.shape
+    transform, work = ambiguity_work(n)
+    out = np.tile(np.floor(np.nan_to_num(a) + 0.5)[:, None, :], (1, candidates, 1))
+    norms, rate, status = np.empty((count, candidates)), np.empty(count), np.empty(count, dtype=np.int64)
+    kernel.solve_epochs(a, cov, candidates, node_limit, reuse, transform, out, norms, rate, status, work)
+    return AmbiguitySolution(
+        out.reshape(*batch, candidates, n),
+        norms.reshape(*batch, candidates),
+        rate.reshape(batch),
+        status.reshape(batch),
+    )
+
+
+def partial_least_squares(
+    a_hat: ArrayLike, Q: ArrayLike, failure_limit: float, candidates: int = 2, node_limit: int = NODE_LIMIT
+) -> tuple[Array, Array, int, SearchStatus]:
+    """Reference of partial fixing of one problem (n,), (n, n): only the most precise decorrelated ambiguities are fixed.
+
+    The rest take their means given the fixed ones. Returns candidates (m, n), norms (m,) of the fixed part, how many
+    decorrelated ambiguities were fixed, and the status (Teunissen, Joosten & Tiberius 1999).
+    """
+    limit = require_probability("failure_limit", failure_limit)
+    flat_a, flat_q, _ = _checked(a_hat, Q, candidates, node_limit)
+    a, cov = flat_a[0], flat_q[0]
+    none = np.tile(np.floor(np.nan_to_num(a) + 0.5), (candidates, 1)), np.full(candidates, np.inf), 0
+    if not np.isfinite(a).all():
+        return *none, SearchStatus.NOT_FINITE
+    reduced = decorrelate(cov)
+    if reduced is None:
+        return *none, SearchStatus.NOT_POSITIVE_DEFINITE
+    n, (Z, U, D) = len(a), (reduced.Z, reduced.U, reduced.D)
+    fixed = max(k for k in range(n + 1) if bootstrap_failure_rate(D[n - k :]) <= limit)
+    whole = np.floor(a + 0.5)
+    z_float = Z.T @ (a - whole)
+    first, complete = n - fixed, True
+    z, norms = np.tile(z_float, (candidates, 1)), np.append(0.0, np.full(candidates - 1, np.inf))
+    if fixed:
+        block = slice(first, n)
+        z[:, block], norms, complete = _search(z_float[block], U[block, block], D[block], candidates, node_limit)
+        # the means of z_1 given z_2 follow from U_12 U_22^-1, the regression of one on the other
+        z[:, :first] += (z[:, block] - z_float[block]) @ np.linalg.solve(U[block, block].T, U[:first, block].T)
+    status = SearchStatus.OK if complete else SearchStatus.NODE_LIMIT
+    return whole + np.linalg.solve(Z.T, z.T).T, norms, fixed, status
+
+
+def largest_prefix(Q: ArrayLike, order: ArrayLike, group: int, failure_limit: float) -> tuple[int, float]:
+    """Reference of the largest k whose ambiguities ``order[: k * group]`` can be fixed together, and their P_IF.
+
+    One decorrelation for each prefix (the kernel meets all prefixes in one; its P_IF may differ slightly, both are upper
+    bounds). (0, 0) when none can be fixed; (-1, 1) when Q (n, n) is not positive definite.
+    """
+    limit = require_probability("failure_limit", failure_limit)
+    cov, index = np.asarray(Q, dtype=np.float64), np.asarray(order, dtype=np.int64)
+    best = (0, 0.0)
+    for k in range(1, len(index) // group + 1):
+        subset = index[: k * group]
+        reduced = decorrelate(cov[np.ix_(subset, subset)])
+        if reduced is None:
+            return -1, 1.0
+        rate = float(bootstrap_failure_rate(reduced.D))
+        if rate <= limit:
+            best = (k, rate)
+    return best
