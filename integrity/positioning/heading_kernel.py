@@ -1,7 +1,7 @@
 """Heading from the gyro, calibrated by Doppler and by standstill (S1 section 2, S2 section 2.2).
 
-A two-state Kalman filter for one vehicle: heading error and gyro bias, with covariance ``p`` = [p_hh, p_hb, p_bb]. Doppler
-headings carry errors correlated over a time tau, much longer than one epoch: their variance is multiplied by
+A two-state Kalman filter for one vehicle: heading error and gyro bias, with covariance ``p`` = [p_hh, p_hb, p_bb].
+Doppler headings carry errors correlated over a time tau, much longer than one epoch: their variance is multiplied by
 ``2 tau / dt``, the white noise of equal power at low frequency, so that repeating them does not feign precision.
 """
 
@@ -16,7 +16,7 @@ HH, HB, BB = 0, 1, 2
 
 @jit
 def wrap(angle):  # type: ignore[no-untyped-def]
-    """Wrap to [-pi, pi)."""
+    """Wrap to [-pi, pi); rounding can give pi itself."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 

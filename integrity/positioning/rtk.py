@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DenseSolution:
-    """Position (3,) [m], its covariance (3,3), ambiguities (n,) [cycles], their covariance (n,n), owners and bands (n,)."""
+    """Position (3,) [m] and covariance (3,3); ambiguities (n,) [cycles], covariance (n,n), owners and bands (n,)."""
 
     position_enu_m: Array
     covariance_m2: Array
@@ -91,8 +91,8 @@ def solve_dense(
         for s in np.flatnonzero(code_used):
             add(int(s), b, "code", float(code_m[s, b]), float(variance_code_m2[s]))
         for s in np.flatnonzero(held):
-            y = float(phase_m[s, b] - wavelength_m[system[s], b] * integers[s, b])
-            add(int(s), b, "phase", y, float(variance_phase_m2[s]))
+            resolved = float(phase_m[s, b] - wavelength_m[system[s], b] * integers[s, b])
+            add(int(s), b, "phase", resolved, float(variance_phase_m2[s]))
         for s in candidates:
             add(int(s), b, "phase", float(phase_m[s, b]), float(variance_phase_m2[s]))
 
@@ -104,12 +104,13 @@ def solve_dense(
         if ambiguity is not None:
             G[i, 3 + n_clock + ambiguity] = wavelength
     y = np.array([row[4] for row in rows])
-    W = 1.0 / np.array([row[5] for row in rows])
-    normal = G.T @ (W[:, None] * G)
-    if np.linalg.matrix_rank(normal) < normal.shape[0]:
-        raise InputError("the geometry is singular: use more satellites, or drop a system with a single one")
-    Q = np.linalg.inv(normal)
-    x = Q @ (G.T @ (W * y))
+    root_w = 1.0 / np.sqrt([row[5] for row in rows])
+    if np.linalg.matrix_rank(root_w[:, None] * G) < G.shape[1]:
+        raise InputError("the geometry is singular: use more satellites in one system")
+    orthogonal, triangle = np.linalg.qr(root_w[:, None] * G)  # the normal equations would lose half of the digits
+    inverse = np.linalg.inv(triangle)
+    Q = inverse @ inverse.T
+    x = inverse @ (orthogonal.T @ (root_w * y))
     a = slice(3 + n_clock, None)
     return DenseSolution(
         position_enu_m=x[:3],

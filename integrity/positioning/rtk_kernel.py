@@ -55,13 +55,13 @@ def add_layer(e, system, member, variance, y, normal, rhs, e_mean, y_mean, w_sum
 
 @jit
 def invert_3x3(a, out):  # type: ignore[no-untyped-def]
-    """Inverse of a symmetric positive definite 3x3 matrix; returns False (and leaves ``out``) when it is not one."""
+    """Inverse of a symmetric positive definite 3x3 matrix; False (and ``out`` undefined) when it is not one."""
     c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[1, 2]
     c01 = a[0, 2] * a[1, 2] - a[0, 1] * a[2, 2]
     c02 = a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1]
     det = a[0, 0] * c00 + a[0, 1] * c01 + a[0, 2] * c02
-    scale = a[0, 0] * a[1, 1] * a[2, 2]
-    if not (det > 1e-12 * scale and a[0, 0] > 0.0 and scale > 0.0):
+    least, most = min(a[0, 0], a[1, 1], a[2, 2]), max(a[0, 0], a[1, 1], a[2, 2])
+    if not (det > 1e-12 * a[0, 0] * a[1, 1] * a[2, 2] and least > 1e-12 * most):  # also False for NaN
         return False
     out[0, 0] = c00 / det
     out[0, 1] = out[1, 0] = c01 / det
@@ -309,3 +309,15 @@ def _is_reference(s, owner, n):  # type: ignore[no-untyped-def]
         if owner[i] == s:
             return False
     return True
+
+
+@jit
+def hdop_of(e, group, member):  # type: ignore[no-untyped-def]
+    """Unweighted HDOP of the members with one clock for each group; inf when the geometry is singular."""
+    n = e.shape[0]
+    normal, inverse = np.zeros((3, 3)), np.empty((3, 3))
+    e_mean, y_mean, w_sum = np.empty((MAX_SYSTEMS, 3)), np.empty(MAX_SYSTEMS), np.empty(MAX_SYSTEMS)
+    add_layer(e, group, member, np.ones(n), np.zeros(n), normal, np.zeros(3), e_mean, y_mean, w_sum)
+    if not invert_3x3(normal, inverse):
+        return math.inf
+    return math.sqrt(inverse[0, 0] + inverse[1, 1])

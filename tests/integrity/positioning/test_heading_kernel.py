@@ -1,0 +1,200 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import chi2
+
+from lanebound.integrity.positioning.heading_kernel import (
+    correct,
+    doppler_heading_usable,
+    doppler_heading_variance,
+    predict_heading,
+    wrap,
+)
+
+DT_S = 0.1
+ARW = 2.5e-4  # angle random walk [rad/sqrt(s)]
+BIAS_WALK = 1e-6  # [rad/s/sqrt(s)]
+HEADING_SIGMA, BIAS_SIGMA = math.radians(10.0), 7e-3
+DOPPLER_SIGMA, TAU_S = 0.01, 0.54  # 0.1 m/s at 10 m/s, correlated over 0.54 s
+few = settings(max_examples=40, deadline=None, derandomize=True)
+
+
+def _initial_covariance():
+    return np.array([HEADING_SIGMA**2, 0.0, BIAS_SIGMA**2])
+
+
+def _matrix(p):
+    return np.array([[p[0], p[1]], [p[1], p[2]]])
+
+
+covariances = st.tuples(st.floats(1e-6, 1.0), st.floats(-0.99, 0.99), st.floats(1e-6, 1.0)).map(
+    lambda t: np.array([t[0], t[1] * math.sqrt(t[0] * t[2]), t[2]])
+)
+
+
+@few
+@given(angle=st.floats(-1e3, 1e3))
+def test_wrapping_keeps_the_direction_and_the_range(angle):
+    assert -math.pi <= wrap(angle) <= math.pi
+    assert math.remainder(wrap(angle) - angle, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_wrapping_at_the_seam():
+    assert [wrap(a) for a in (math.pi, -math.pi, 0.0)] == [-math.pi, -math.pi, 0.0]
+
+
+@few
+@given(p=covariances, dt=st.floats(1e-3, 1.0), bias=st.floats(-0.01, 0.01), increment=st.floats(-0.5, 0.5))
+def test_prediction_is_the_matrix_form(p, dt, bias, increment):
+    # the true bias turns the vehicle less than the gyro says: d_heading' = d_heading - dt d_bias
+    F = np.array([[1.0, -dt], [0.0, 1.0]])
+    expected = F @ _matrix(p) @ F.T + np.diag([ARW**2 * dt, BIAS_WALK**2 * dt])
+    found = predict_heading(3.0, bias, p, increment, dt, ARW, BIAS_WALK)
+    assert math.remainder(found - (3.0 + increment - bias * dt), 2.0 * math.pi) == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(_matrix(p), expected, rtol=1e-9, atol=1e-12)
+
+
+@few
+@given(
+    p=covariances,
+    h=st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0)),
+    variance=st.floats(1e-4, 10.0),
+    innovation=st.floats(-0.3, 0.3),
+)
+def test_correction_is_the_matrix_form(p, h, variance, innovation):
+    H, P = np.array([h]), _matrix(p)
+    K = P @ H.T / (H @ P @ H.T + variance)
+    heading, bias = correct(0.2, 0.001, p, innovation, *h, variance)
+    assert math.remainder(heading - 0.2 - K[0, 0] * innovation, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-11)
+    assert bias == pytest.approx(0.001 + K[1, 0] * innovation, abs=1e-11)
+    joseph = (np.eye(2) - K @ H) @ P @ (np.eye(2) - K @ H).T + K * variance @ K.T
+    np.testing.assert_allclose(_matrix(p), joseph, rtol=1e-8, atol=1e-11)
+    assert np.linalg.eigvalsh(_matrix(p)).min() > 0.0
+
+
+def test_a_correction_crosses_north_and_south_the_short_way():
+    p = np.array([1.0, 0.0, 1.0])
+    heading, _ = correct(math.pi - 0.01, 0.0, p, 0.1, 1.0, 0.0, 1.0)
+    assert heading == pytest.approx(-math.pi + 0.04)
+
+
+def test_standstill_teaches_the_bias_and_leaves_the_heading():
+    # At rest the gyro reads its bias plus white noise of variance arw^2 / dt: the information adds up.
+    rng = np.random.default_rng(4)
+    true_bias, p, bias, n = 0.006, _initial_covariance(), 0.0, 200
+    variance = ARW**2 / DT_S
+    for noise in rng.normal(size=n) * math.sqrt(variance):
+        heading, bias = correct(1.0, bias, p, true_bias + noise - bias, 0.0, 1.0, variance)
+    assert heading == 1.0
+    assert p[2] == pytest.approx(1.0 / (1.0 / BIAS_SIGMA**2 + n / variance))
+    np.testing.assert_array_equal(p[:2], [HEADING_SIGMA**2, 0.0])
+    assert abs(bias - true_bias) < 3.29 * math.sqrt(p[2])  # fails by chance once in 1000 seeds
+
+
+def test_standstill_while_drifting_stops_the_heading_too():
+    # The heading error came from the bias, so learning the bias at rest corrects the heading it has already turned.
+    true_bias, p, heading, bias = 0.006, np.array([1e-8, 0.0, BIAS_SIGMA**2]), 0.0, 0.0
+    for _ in range(100):
+        heading = predict_heading(heading, bias, p, true_bias * DT_S, DT_S, 1e-9, 1e-9)
+    assert heading == pytest.approx(0.06)
+    heading, bias = correct(heading, bias, p, true_bias - bias, 0.0, 1.0, 1e-12)
+    assert bias == pytest.approx(true_bias, rel=1e-5)
+    assert heading == pytest.approx(0.0, abs=1e-6)
+
+
+def _calibrate(inflation, runs=150, epochs=400, seed=6):
+    """Errors (runs, 2) and covariances (runs, 3) after ``epochs`` of gyro with bias and correlated Doppler headings."""
+    rng = np.random.default_rng(seed)
+    true = np.full(runs, 3.0)
+    gyro_bias = BIAS_SIGMA * rng.normal(size=runs)
+    heading, bias = true + HEADING_SIGMA * rng.normal(size=runs), np.zeros(runs)
+    p = np.tile(_initial_covariance(), (runs, 1))
+    phi = math.exp(-DT_S / TAU_S)
+    doppler_error = DOPPLER_SIGMA * rng.normal(size=runs)
+    for k in range(epochs):
+        turn = 0.03 * math.sin(0.05 * k)
+        true = true + turn
+        gyro_bias = gyro_bias + BIAS_WALK * math.sqrt(DT_S) * rng.normal(size=runs)
+        increment = turn + gyro_bias * DT_S + ARW * math.sqrt(DT_S) * rng.normal(size=runs)
+        white = math.sqrt(1.0 - phi**2) * DOPPLER_SIGMA * rng.normal(size=runs)
+        doppler_error = phi * doppler_error + white
+        for i in range(runs):
+            predicted = predict_heading(heading[i], bias[i], p[i], increment[i], DT_S, ARW, BIAS_WALK)
+            innovation = wrap(true[i] + doppler_error[i] - predicted)
+            heading[i], bias[i] = correct(predicted, bias[i], p[i], innovation, 1.0, 0.0, inflation * DOPPLER_SIGMA**2)
+    heading_error = np.array([wrap(angle) for angle in true - heading])
+    return np.column_stack([heading_error, gyro_bias - bias]), p
+
+
+def _nees(errors, p):
+    return np.array([e @ np.linalg.solve(_matrix(q), e) for e, q in zip(errors, p, strict=True)])
+
+
+def test_calibration_converges_and_its_covariance_is_honest():
+    errors, p = _calibrate(2.0 * TAU_S / DT_S)
+    nees = _nees(errors, p)
+    low, high = chi2.ppf([5e-4, 1.0 - 5e-4], df=errors.size)  # fails by chance once in 1000 seeds
+    assert low < nees.sum() < high
+    heading_rms, bias_rms = np.sqrt(np.mean(errors**2, axis=0))
+    assert heading_rms < math.radians(0.3)  # from 10 degrees
+    assert bias_rms < 0.05 * BIAS_SIGMA
+
+
+def test_repeating_a_correlated_heading_as_if_white_feigns_precision():
+    errors, p = _calibrate(1.0)
+    assert _nees(errors, p).sum() > 3.0 * chi2.ppf(1.0 - 1e-9, df=errors.size)
+
+
+LIMITS = np.array([0.5, 1.5, 2.5, math.radians(2.0)])  # S1 table 1, third column; S2 section 2.2
+USABLE = {"v_gnss": 5.0, "v_ss": 5.0, "hdop": 1.0, "jump": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("name", "inside", "outside"),
+    [
+        ("v_gnss", 6.499, 6.5),
+        ("v_gnss", 3.501, 3.5),
+        ("hdop", 2.499, 2.5),
+        ("jump", math.radians(1.999), math.radians(2.0)),
+        ("jump", -math.radians(1.999), -math.radians(2.0)),
+    ],
+)
+def test_each_condition_of_doppler_calibration_on_both_sides(name, inside, outside):
+    assert doppler_heading_usable(*(USABLE | {name: inside}).values(), LIMITS)
+    assert not doppler_heading_usable(*(USABLE | {name: outside}).values(), LIMITS)
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_the_odometer_must_turn_either_way(direction):
+    assert doppler_heading_usable(0.6, direction * 0.501, 1.0, 0.0, LIMITS)
+    assert not doppler_heading_usable(0.6, direction * 0.5, 1.0, 0.0, LIMITS)
+
+
+def test_an_infinite_hdop_or_undefined_speed_is_not_usable():
+    assert not doppler_heading_usable(5.0, 5.0, math.inf, 0.0, LIMITS)
+    assert not doppler_heading_usable(math.nan, 5.0, 1.0, 0.0, LIMITS)
+
+
+@few
+@given(theta=st.floats(-math.pi, math.pi), speed=st.floats(0.5, 40.0), q=covariances)
+def test_heading_variance_is_propagated_through_the_azimuth(theta, speed, q):
+    v_e, v_n = speed * math.sin(theta), speed * math.cos(theta)
+    step = 1e-6 * speed
+    jacobian = np.array(
+        [
+            wrap(math.atan2(v_e + step, v_n) - math.atan2(v_e - step, v_n)) / (2.0 * step),
+            wrap(math.atan2(v_e, v_n + step) - math.atan2(v_e, v_n - step)) / (2.0 * step),
+        ]
+    )
+    expected = jacobian @ _matrix(q) @ jacobian
+    assert doppler_heading_variance(v_e, v_n, *q) == pytest.approx(expected, rel=1e-6, abs=1e-6 * q.max() / speed**2)
+
+
+def test_heading_variance_is_that_across_the_motion():
+    assert doppler_heading_variance(0.0, 10.0, 0.04, 0.0, 9.0) == pytest.approx(0.04 / 100.0)
+    assert doppler_heading_variance(-10.0, 0.0, 9.0, 0.0, 0.04) == pytest.approx(0.04 / 100.0)
+    # North-east, correlation +1: all the noise is along the motion
+    assert doppler_heading_variance(3.0, 3.0, 0.01, 0.01, 0.01) == pytest.approx(0.0, abs=1e-15)
