@@ -1,7 +1,7 @@
 """Integer ambiguity resolution: plain reference of every kernel, and the batched front door.
 
-``resolve`` is what to call: any leading batch axes, compiled. ``integer_least_squares`` is the same in plain NumPy, slow and
-meant to be read; tests hold the two together. Letters as in :mod:`lanebound.integrity.positioning.lambda_kernel`.
+``resolve`` is what to call: any leading batch axes, compiled. ``integer_least_squares`` is the same in plain NumPy,
+slow and meant to be read; tests hold the two together. Letters as in :mod:`lanebound.integrity.positioning.lambda_kernel`.
 """
 
 from __future__ import annotations
@@ -171,7 +171,7 @@ def decorrelate(Q: ArrayLike) -> Decorrelation | None:
 def bootstrap_failure_rate(D: ArrayLike) -> Array:
     """``P_IF = 1 - prod_i (2 Phi(1 / (2 sqrt(D_i))) - 1)`` over the last axis: (..., n) [cycles^2] -> (...,).
 
-    Accurate down to 1e-16 (Teunissen 1998; equations.md 4). An empty product leaves P_IF = 0.
+    Accurate down to 1e-15 (Teunissen 1998). An empty product leaves P_IF = 0.
     """
     factors = np.log1p(-erfc(np.sqrt(0.125 / np.asarray(D, dtype=np.float64))))
     return np.asarray(-np.expm1(factors.sum(axis=-1)))
@@ -281,8 +281,8 @@ def resolve(
 ) -> AmbiguitySolution:
     """Compiled :func:`integer_least_squares`, same arguments and outputs.
 
-    ``reuse`` says that neighbours along the last batch axis are epochs of the same ambiguities: each then starts from the
-    transformation of the one before. Solutions and norms are the same, the failure rate may differ slightly.
+    ``reuse`` says that neighbours along the last batch axis are epochs of the same ambiguities: each then starts from
+    the transformation of the one before. Solutions and norms are the same, the failure rate may differ slightly.
     """
     a, cov, batch = _checked(a_hat, Q, candidates, node_limit)
     count, n = a.shape
@@ -301,10 +301,10 @@ def resolve(
 def partial_least_squares(
     a_hat: ArrayLike, Q: ArrayLike, failure_limit: float, candidates: int = 2, node_limit: int = NODE_LIMIT
 ) -> tuple[Array, Array, int, SearchStatus]:
-    """Reference of partial fixing of one problem (n,), (n, n): only the most precise decorrelated ambiguities are fixed.
+    """Reference of partial fixing of one problem (n,), (n, n): the most precise decorrelated ambiguities are fixed.
 
     The rest take their means given the fixed ones. Returns candidates (m, n), norms (m,) of the fixed part, how many
-    decorrelated ambiguities were fixed, and the status (Teunissen, Joosten & Tiberius 1999).
+    decorrelated ambiguities were fixed, and the status (Teunissen, Joosten & Tiberius, ION NTM 1999).
     """
     limit = require_probability("failure_limit", failure_limit)
     flat_a, flat_q, _ = _checked(a_hat, Q, candidates, node_limit)
@@ -333,8 +333,8 @@ def partial_least_squares(
 def largest_prefix(Q: ArrayLike, order: ArrayLike, group: int, failure_limit: float) -> tuple[int, float]:
     """Reference of the largest k whose ambiguities ``order[: k * group]`` can be fixed together, and their P_IF.
 
-    One decorrelation for each prefix (the kernel meets all prefixes in one; its P_IF may differ slightly, both are upper
-    bounds). (0, 0) when none can be fixed; (-1, 1) when Q (n, n) is not positive definite.
+    One decorrelation for each prefix (the kernel meets all prefixes in one; its P_IF may differ slightly, both are
+    upper bounds). (0, 0) when none can be fixed; (-1, 1) when Q (n, n) is not positive definite.
     """
     limit = require_probability("failure_limit", failure_limit)
     cov, index = np.asarray(Q, dtype=np.float64), np.asarray(order, dtype=np.int64)

@@ -1,15 +1,16 @@
 """Integer least squares: decorrelation of the ambiguities, MLAMBDA search, bootstrapped failure rate.
 
 Conventions of every kernel in this file
-    ``n`` ambiguities are used, whatever the capacity ``c >= n`` of the arrays. ``a`` is the float solution [cycles], ``Q``
-    (c, c) its covariance [cycles^2]. ``transform`` (2, c, c) holds two integer matrices as floats: ``transform[0] = Z'`` (its
-    rows are the new ambiguities, ``z = Z' a``) and ``transform[1] = Z^-1``, whose rows bring them back,
-    ``a = sum_i z_i Z^-1[i]``. ``U`` (c, c) and ``D`` (c,) factor the covariance of z as ``Z'QZ = U diag(D) U'`` with a unit upper
-    triangular U, so that ``D[i]`` is the variance of z_i given z_{i+1} .. z_{n-1}: the last one is the most precise.
+    ``n`` ambiguities are used, whatever the capacity ``c >= n`` of the arrays. ``a`` is the float solution [cycles],
+    ``Q`` (c, c) its covariance [cycles^2]. ``transform`` (2, c, c) holds two integer matrices as floats:
+    ``transform[0] = Z'`` (its rows are the new ambiguities, ``z = Z' a``) and ``transform[1] = Z^-1``, whose rows bring
+    them back, ``a = sum_i z_i Z^-1[i]``. ``U`` (c, c) and ``D`` (c,) factor the covariance of z as
+    ``Z'QZ = U diag(D) U'`` with a unit upper triangular U, so that ``D[i]`` is the variance of z_i given
+    z_{i+1} .. z_{n-1}: the last one is the most precise.
     ``work`` and ``transform`` come from :func:`lanebound.integrity.positioning.ambiguity.ambiguity_work`.
 
-Sources: Teunissen (1995), J. Geodesy 70, 65-82 (decorrelation, bootstrapping: Teunissen 1998, J. Geodesy 72, 606-612); de Jonge &
-Tiberius (1996), LGR series 12; Chang, Yang & Zhou (2005), J. Geodesy 79, 552-565 (MLAMBDA).
+Sources: Teunissen (1995), J. Geodesy 70, 65-82 (decorrelation); Teunissen (1998), J. Geodesy 72, 606-612
+(bootstrapping); de Jonge & Tiberius (1996), LGR series 12; Chang, Yang & Zhou (2005), J. Geodesy 79, 552-565 (MLAMBDA).
 """
 
 from __future__ import annotations
@@ -129,8 +130,8 @@ def _gauss(n, j, i, U, Zt, Z_inverse):  # type: ignore[no-untyped-def]
 def reduce_block(n, first, U, D, Zt, Z_inverse):  # type: ignore[no-untyped-def]
     """Exchange neighbours until ``D[j] + U_j,j+1^2 D[j+1] >= D[j+1]`` throughout the trailing block ``first .. n-1``.
 
-    Work starts at the end, so a block whose tail is already reduced costs only its new rows. Before an exchange the entry
-    in question is rounded off, and others of its row when they have grown (rounding them all off is left to
+    Work starts at the end, so a block whose tail is already reduced costs only its new rows. Before an exchange the
+    entry in question is rounded off, and others of its row when they have grown (rounding them all off is left to
     :func:`size_reduce`; it does not change D).
 
     One body on purpose: Numba counts references to each array at each call, which here would take longer than the work.
@@ -196,7 +197,8 @@ def decorrelate(n, Q, warm, transform, U, D, A, T):  # type: ignore[no-untyped-d
     n, Q
         Number of ambiguities and their covariance (c, c) [cycles^2]; only the lower triangle is read when cold.
     warm
-        ``transform`` holds the result of an earlier call for the same ambiguities: few changes remain. Else it is reset.
+        ``transform`` holds the result of an earlier call for the same ambiguities: few changes remain. Else it is
+        reset.
     transform, U, D
         Out: the transformation, the factor and the conditional variances (see the conventions of this file).
     A, T
@@ -221,8 +223,8 @@ def decorrelate(n, Q, warm, transform, U, D, A, T):  # type: ignore[no-untyped-d
 def bootstrap_failure_rate(first, n, D):  # type: ignore[no-untyped-def]
     """``P_IF = 1 - prod_{i >= first} (2 Phi(1 / (2 sigma_i)) - 1)``, ``sigma_i = sqrt(D[i])`` [cycles].
 
-    The bootstrapped failure rate, an upper bound of that of integer least squares, accurate down to 1e-16: each factor is
-    ``1 - erfc(1 / (2 sqrt(2) sigma))`` and the product is a sum of log1p (Teunissen 1998; equations.md 4).
+    The bootstrapped failure rate, an upper bound of that of integer least squares, accurate down to 1e-15: each factor
+    is ``1 - erfc(1 / (2 sqrt(2) sigma))`` and the product is a sum of log1p (Teunissen 1998).
     """
     log_success = 0.0
     for i in range(first, n):
@@ -324,7 +326,7 @@ def search(first, n, U, D, z_float, m, node_limit, candidates, norms, L, S, vect
 
 @jit
 def to_decorrelated(n, a_hat, Zt, a_integer, z_float):  # type: ignore[no-untyped-def]
-    """``z = Z' (a - round(a))``: the whole cycles are set aside in ``a_integer``, so that nothing is lost to large counts."""
+    """``z = Z' (a - round(a))``: whole cycles are set aside in ``a_integer``, so that large counts lose no digits."""
     for i in range(n):
         a_integer[i] = np.floor(a_hat[i] + 0.5)
     for i in range(n):
@@ -369,8 +371,8 @@ def integer_least_squares(n, a_hat, Q, m, node_limit, warm, transform, candidate
     transform
         In and out (2, c, c): see the conventions of this file.
     candidates, norms
-        Out: (m, c) integers as floats, best first, and (m,) squared norms (inf where there is no candidate; with n = 0 the
-        one candidate is empty and has norm 0).
+        Out: (m, c) integers as floats, best first, and (m,) squared norms (inf where there is no candidate; with n = 0
+        the one candidate is empty and has norm 0).
     D
         Out: (c,) conditional variances after decorrelation, for :func:`bootstrap_failure_rate`.
     work
@@ -378,8 +380,8 @@ def integer_least_squares(n, a_hat, Q, m, node_limit, warm, transform, candidate
 
     Returns
     -------
-    OK, NODE_LIMIT (candidates are good, not proven best), NOT_POSITIVE_DEFINITE or NOT_FINITE (candidates are untouched,
-    norms are inf and the transform must not be reused).
+    OK, NODE_LIMIT (candidates are good, not proven best), NOT_POSITIVE_DEFINITE or NOT_FINITE (candidates are
+    untouched, norms are inf and the transform must not be reused).
     """
     for slot in range(m):
         norms[slot] = math.inf
@@ -408,7 +410,7 @@ def partial_least_squares(  # type: ignore[no-untyped-def]
 
     As :func:`integer_least_squares`, except that z_i with i < first stay real, at their means given the fixed ones, so
     that the candidates are real vectors and the norms those of the fixed part. Returns ``(status, first)``; nothing is
-    fixed when first = n (Teunissen, Joosten & Tiberius 1999, ION GPS, 73-82).
+    fixed when first = n (Teunissen, Joosten & Tiberius, ION NTM 1999).
     """
     for slot in range(m):
         norms[slot] = math.inf
@@ -442,7 +444,9 @@ def largest_prefix(n_groups, group, order, Q, failure_limit, transform, D, work)
     ``order`` (c,) lists ambiguity indices from the best satellite to the worst, ``group`` of them to a satellite (both
     bands). The answer is the largest k for which the decorrelated ambiguities ``order[: k * group]`` have a
     bootstrapped failure rate within ``failure_limit``, and that rate: ``(k, P_IF)``; (0, 0) when there is none, and
-    (-1, 1) when the covariance is not positive definite. Satellites outside keep their float ambiguities.
+    (-1, 1) when the covariance is not positive definite. Satellites outside keep their float ambiguities. The rate is
+    not monotonic in k (a further satellite is one more to fix, but strengthens the geometry once fixed), so that every k
+    is tried.
 
     The reduction works from the last ambiguity forward, so with the best satellites last every prefix is met on the way
     to the whole set: all of them together cost one decorrelation.
