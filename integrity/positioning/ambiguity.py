@@ -1,7 +1,8 @@
 """Integer ambiguity resolution: plain reference of every kernel, and the batched front door.
 
 ``resolve`` is what to call: any leading batch axes, compiled. ``integer_least_squares`` is the same in plain NumPy,
-slow and meant to be read; tests hold the two together. Letters as in :mod:`lanebound.integrity.positioning.lambda_kernel`.
+slow and meant to be read; tests hold the two together. Letters as in
+:mod:`lanebound.integrity.positioning.lambda_kernel`.
 """
 
 from __future__ import annotations

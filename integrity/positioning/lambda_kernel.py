@@ -445,8 +445,8 @@ def largest_prefix(n_groups, group, order, Q, failure_limit, transform, D, work)
     bands). The answer is the largest k for which the decorrelated ambiguities ``order[: k * group]`` have a
     bootstrapped failure rate within ``failure_limit``, and that rate: ``(k, P_IF)``; (0, 0) when there is none, and
     (-1, 1) when the covariance is not positive definite. Satellites outside keep their float ambiguities. The rate is
-    not monotonic in k (a further satellite is one more to fix, but strengthens the geometry once fixed), so that every k
-    is tried.
+    not monotonic in k (a further satellite is one more to fix, but strengthens the geometry once fixed), so that every
+    k is tried.
 
     The reduction works from the last ambiguity forward, so with the best satellites last every prefix is met on the way
     to the whole set: all of them together cost one decorrelation.

@@ -211,7 +211,8 @@ def prefix(Q: Array, order: NDArray[np.int64], group: int, limit: float) -> tupl
     """The kernel's largest prefix."""
     transform, work = ambiguity_work(len(order))
     D = np.zeros(transform.shape[1])
-    return kernel.largest_prefix(len(order) // group, group, order, Q, limit, transform, D, work)
+    k, rate = kernel.largest_prefix(len(order) // group, group, order, Q, limit, transform, D, work)
+    return k, rate
 
 
 @pytest.mark.parametrize("limit", [1e-1, 1e-3, 1e-5])
