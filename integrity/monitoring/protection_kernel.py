@@ -4,8 +4,8 @@ The root PL of an axis solves (S2 eq 10-11, with ``P_0 = 2``, ``T_i = K_fa sigma
 
     f(PL) = sum_i P_i Q((PL - T_i - b_i) / sigma_i) = budget
 
-by second-order steps on ``log f``, whose curvature is that of the normal tail: two or three evaluations reach 1e-10. The
-tail sum runs over whole vectors with a polynomial for the Mills ratio ``Q(z)/phi(z)`` and one for ``exp``, both of
+by second-order steps on ``log f``, whose curvature is that of the normal tail: two or three evaluations reach 1e-10.
+The tail sum runs over whole vectors with a polynomial for the Mills ratio ``Q(z)/phi(z)`` and one for ``exp``, both of
 relative error below 4e-11. The last evaluation always proves ``f(PL) <= budget``.
 
 Columns of ``mode``: :mod:`lanebound.integrity.monitoring.separation_kernel`.
@@ -54,7 +54,8 @@ Bools = NDArray[np.bool_]
 INV_SQRT2 = 1.0 / math.sqrt(2.0)
 INV_SQRT2PI = 1.0 / math.sqrt(2.0 * math.pi)
 Z_MAX = 12.0  # Q(12) = 2e-33: nothing of a budget
-MAX_STEPS = 60
+PATIENCE = 6  # steps before bisection takes turns: a far, flat mode defeats the parabola
+MAX_STEPS = 120
 NUDGE = 1e-10  # relative, upwards: the level aimed at lies this far above the root
 AXES = 2
 
@@ -157,12 +158,26 @@ def _start(axis: int, log_budget: float, count: int, mode: Array) -> float:
 
 
 @jit
+def _ceiling(axis: int, budget: float, count: int, mode: Array) -> float:
+    """A level above the root: every column then uses at most its prior's share of the budget."""
+    total = 0.0
+    for k in range(count):
+        total += mode[WEIGHT, k]
+    z = max(q_inverse(budget / total), 0.0)
+    x = 0.0
+    for k in range(count):
+        if mode[WEIGHT, k] > 0.0:
+            x = max(x, mode[OFFSET, k] + z * mode[SIGMA_AT + axis, k])
+    return x
+
+
+@jit
 def _root_of_axis(axis: int, budget: float, count: int, mode: Array) -> float:
     """The level where the loaded axis' tail sum meets the budget, from above."""
     log_budget = math.log(budget)
     x = _start(axis, log_budget, count, mode)
     low, high = 0.0, np.inf
-    for _ in range(MAX_STEPS):
+    for i in range(MAX_STEPS):
         f, f1, f2 = tail(x, count, mode)
         if f <= budget:
             high = x
@@ -170,12 +185,15 @@ def _root_of_axis(axis: int, budget: float, count: int, mode: Array) -> float:
             low = x
         slope = -f1 / f
         d = _step(math.log(f) - log_budget, slope, f2 / f - slope * slope)
-        if f <= budget and -d <= 4.0 * NUDGE * x:
+        if f <= budget and (-d <= 4.0 * NUDGE * x or high - low <= 4.0 * NUDGE * x):
             return x
-        target = (x + d) * (1.0 + NUDGE)
-        if not low < target < high:
-            target = 0.5 * (low + high) if high < np.inf else 2.0 * x + 1e-6
-        x = target
+        x = (x + d) * (1.0 + NUDGE)
+        if i == PATIENCE:
+            high = min(high, _ceiling(axis, budget, count, mode))
+        if i >= PATIENCE and (i % 2 == 0 or not low < x < high):
+            x = 0.5 * (low + high)
+        elif not low < x < high:
+            x = 0.5 * (low + high) if high < np.inf else 2.0 * low + 1e-6
     return high
 
 
@@ -202,7 +220,7 @@ def root(count: int, k_fa: float, budgets: Array, tolerate: bool, mode: Array, o
 def closed_form(
     count: int, k_fa: float, budgets: Array, share0: float, tolerate: bool, mode: Array, out: Array
 ) -> None:
-    """S1 eq 17 with exact factors: ``max_i K_fa sigma_di + K_md,i sigma_i + b_i``, ``K_md,i = Qinv(w_i budget / P_i)``.
+    """``max_i K_fa sigma_di + K_md,i sigma_i + b_i``, ``K_md,i = Qinv(w_i budget / P_i)`` (S1 eq 17, exact factors).
 
     ``share0`` is the fault-free mode's share w_0 of the budget (the others share the rest equally), 0 for equal shares.
     Other parameters as :func:`root`; the result is never below the root's.

@@ -2,12 +2,12 @@
 
 Removing satellite k is a rank-one downdate: ``[S_k]_qj = S_qj - c_qk (delta_kj - h_kj)`` with
 ``c_qk = S_qk / (1 - h_kk)``, so ``sigma_k^2 = sigma_0^2 + c_qk^2 (1 - h_kk) var_k`` and ``x - x_k = c_qk r_k`` with the
-fault-free residual ``r_k``. Removing a constellation subtracts its own centred normal matrix, which is exact because each
-group has a clock of its own.
+fault-free residual ``r_k``. Removing a constellation subtracts its own centred normal matrix, which is exact because
+each group has a clock of its own.
 
-Columns of ``mode``: 0 is fault-free, k = 1..n removes satellite k - 1, then one for each constellation present in ascending
-order of group when asked for, then hypotheses that the caller adds with :func:`add_hypothesis`. Letters and scratch:
-:mod:`lanebound.integrity.monitoring.geometry_kernel`.
+Columns of ``mode``: 0 is fault-free, k = 1..n removes satellite k - 1, then one for each constellation present in
+ascending order of group when asked for, then hypotheses that the caller adds with :func:`add_hypothesis`. Letters and
+scratch: :mod:`lanebound.integrity.monitoring.geometry_kernel`.
 """
 
 from __future__ import annotations
@@ -255,7 +255,7 @@ def _constellation(
     mode: Array,
 ) -> None:
     """The mode that removes all satellites of group g."""
-    ok, ee, en, eu, nn, nu, uu = _without_group(g, group, n, geo, head)
+    ok, ee, en, eu, nn, nu, _ = _without_group(g, group, n, geo, head)
     if not ok:
         _unsolvable(column, mode)
         return

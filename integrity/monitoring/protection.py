@@ -1,0 +1,320 @@
+"""Protection levels from solution separation: closed form, multi-hypothesis root, and the batch driver of the kernels.
+
+``PL = inf`` whenever no finite level holds the risk: no solution, a mode with a prior that cannot be solved, or no risk
+left after what is spent on events outside the modes. Columns and axes as in
+:mod:`lanebound.integrity.monitoring.separation`; priors of the fault-free column are 2 (both sides count).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr
+
+from lanebound.integrity.accel import use_parallel
+from lanebound.integrity.errors import InputError, require_finite, require_in_range, require_shape
+from lanebound.integrity.monitoring import protection_kernel as kernel
+from lanebound.integrity.monitoring.geometry_kernel import MAX_GROUPS
+from lanebound.integrity.monitoring.risk import (
+    RiskConfig,
+    Variant,
+    missed_detection_factor,
+    mode_shares,
+    pair_risk,
+    upper_quantile,
+)
+from lanebound.integrity.monitoring.separation import Separation
+
+__all__ = [
+    "BatchLevels",
+    "Hypotheses",
+    "closed_form",
+    "closed_form_published",
+    "multi_hypothesis",
+    "protection_levels",
+    "protection_levels_batch",
+    "tail_sum",
+]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+FAULT_FREE_PRIOR = 2.0
+BISECTIONS = 80
+CHUNKS = 32
+
+
+@dataclass(frozen=True)
+class Hypotheses:
+    """Untested hypotheses, wrong fixes above all: prior (..., H) [-], sigma and bias (..., H, 2) [m] on AT, CT.
+
+    S1 3.2: ``risk = P_CF P(err > PL | correct) + sum_k P_IF,k P(err + bias_k > PL)``.
+    """
+
+    prior: Array
+    sigma_m: Array
+    bias_m: Array
+
+
+@dataclass(frozen=True)
+class BatchLevels:
+    """Levels of E epochs and R risks, (E, R, 2) [m], inf where none; ``status`` (E,) is a ``Solvability`` code."""
+
+    root_m: Array
+    closed_m: Array
+    status: Ints
+
+
+def closed_form(separation: Separation, k_fa: ArrayLike, k_md: ArrayLike) -> Array:
+    """``PL = max_i K_fa sigma_di + K_md,i sigma_i + B_i`` (S1 eq 17).
+
+    k_fa (...,); k_md (..., 1 + M) or (..., 1 + M, 2), -inf leaves a mode out -> (..., 2) [m].
+    """
+    factor = np.asarray(k_md, dtype=np.float64)
+    if factor.ndim == 0 or factor.shape[-1] != 2 or factor.ndim < separation.sigma_m.ndim:
+        factor = factor[..., None]
+    skipped = factor == -np.inf
+    with np.errstate(invalid="ignore"):  # factor 0 on a mode without a solution: still inf
+        margin = np.where(skipped, 0.0, factor) * np.where(skipped, 1.0, separation.sigma_m)
+    margin = np.where(~skipped & np.isinf(separation.sigma_m), np.inf, margin)
+    tested = np.asarray(k_fa, dtype=np.float64)[..., None, None] * separation.delta_m
+    level = np.where(skipped, -np.inf, tested + margin + separation.bias_m)
+    return np.asarray(np.where(np.isfinite(separation.sigma_m[..., 0, :]), level.max(-2), np.inf))
+
+
+def closed_form_published(separation: Separation, k_fa: ArrayLike, risk: float) -> Array:
+    """S1 eq 17 with the printed factor ``K_md = Qinv(risk)``, unsplit, for every mode.  -> (..., 2) [m]."""
+    return closed_form(separation, k_fa, np.full(separation.sigma_m.shape[-2], upper_quantile(risk)))
+
+
+def tail_sum(level_m: ArrayLike, separation: Separation, priors: ArrayLike, k_fa: ArrayLike) -> Array:
+    """``f(PL) = sum_i P_i Q((PL - K_fa sigma_di - b_i) / sigma_i)`` (S2 eq 10-11), P_0 = 2.
+
+    level_m (..., 2), priors (..., 1 + M), k_fa (...,) -> (..., 2). A mode without a solution counts with its whole prior.
+    """
+    offset = np.asarray(k_fa, dtype=np.float64)[..., None, None] * separation.delta_m + separation.bias_m
+    away = np.asarray(level_m, dtype=np.float64)[..., None, :] - offset
+    lost = ~np.isfinite(separation.sigma_m)
+    chance = np.where(lost, 1.0, ndtr(-away / np.where(lost, 1.0, separation.sigma_m)))
+    return np.asarray((np.asarray(priors, dtype=np.float64)[..., None] * chance).sum(-2))
+
+
+def multi_hypothesis(
+    separation: Separation, priors: ArrayLike, k_fa: ArrayLike, budgets: ArrayLike, tolerate: bool = False
+) -> Array:
+    """The level at which :func:`tail_sum` meets the budget, from above, by bisection to the last bits.
+
+    Parameters
+    ----------
+    priors : (..., 1 + M) probability of each column, 2 for column 0.
+    k_fa : (...,) threshold of the separation test, in sigmas.
+    budgets : (..., 2) integrity risk of AT and CT after deductions.
+    tolerate : spend the prior of modes without a solution; otherwise they make the level inf.
+
+    Returns
+    -------
+    (..., 2) [m].
+    """
+    p = np.asarray(priors, dtype=np.float64)
+    risk = np.asarray(budgets, dtype=np.float64)
+    lost = (p[..., 1:] * ~np.isfinite(separation.sigma_m[..., 1:, 0])).sum(-1)[..., None]
+    hopeless = (risk <= (lost if tolerate else 0.0)) | ~np.isfinite(separation.sigma_m[..., 0, :])
+    hopeless = hopeless | ((lost > 0.0) & (not tolerate))
+    goal = np.where(hopeless, 0.5, risk)
+    low = np.zeros(np.broadcast_shapes(goal.shape, separation.sigma_m[..., 0, :].shape))
+    finite = np.where(np.isfinite(separation.sigma_m), separation.sigma_m, 0.0)
+    offset = np.asarray(k_fa, dtype=np.float64)[..., None, None] * separation.delta_m + separation.bias_m
+    share = np.where(hopeless, 0.1, (risk - lost * tolerate) / p.sum(-1)[..., None])
+    high = (offset + upper_quantile(share)[..., None, :] * finite).max(-2) + np.zeros_like(low)
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        above = tail_sum(middle, separation, p, k_fa) > goal
+        low, high = np.where(above, middle, low), np.where(above, high, middle)
+    return np.where(hopeless, np.inf, high)
+
+
+def protection_levels(
+    separation: Separation,
+    priors: ArrayLike,
+    config: RiskConfig,
+    risks: ArrayLike | None = None,
+    *,
+    spent: ArrayLike = 0.0,
+    hypotheses: Hypotheses | None = None,
+    root: bool = True,
+) -> Array:
+    """PL_AT and PL_CT of each risk with the factors, budgets and variant of ``config``.
+
+    Parameters
+    ----------
+    separation : (..., 1 + M, 2) from :func:`lanebound.integrity.monitoring.separation.separate`.
+    priors : (..., M) fault probability of each mode [-]; a mode with prior 0 is not counted.
+    risks : (R,) total horizontal risks; default the configured one.
+    spent : (...,) risk already spent, the probability of a wrong fix above all [-].
+    hypotheses : untested columns to add; they enter the root, not the closed form.
+    root : the multi-hypothesis root (S2 eq 10-11), else the closed form (S1 eq 17).
+
+    Returns
+    -------
+    (..., R, 2) [m].
+    """
+    p = require_in_range("priors", priors, 0.0, 1.0)
+    require_shape("priors", p, (separation.sigma_m.shape[-2] - 1,))
+    n_modes = separation.sigma_m.shape[-2] - 1
+    k_fa = config.false_alarm_factors(n_modes)[n_modes]
+    if config.variant is Variant.PUBLISHED and not root:
+        levels = [closed_form_published(separation, k_fa, float(r)) for r in config.risks(risks)]
+        return np.stack(levels, -2)
+    outside = np.asarray(spent, dtype=np.float64) + config.unmonitored_risk
+    if config.subtract_multiple:
+        outside = outside + pair_risk(p)
+    budgets = config.axis_budgets(risks, outside)
+    columns = np.concatenate([np.full((*p.shape[:-1], 1), FAULT_FREE_PRIOR), p], -1)
+    if root:
+        return _root_of_risks(separation, columns, k_fa, budgets, config.spend_unsolvable, hypotheses)
+    return _closed_of_risks(separation, columns, k_fa, budgets, config)
+
+
+def _root_of_risks(
+    separation: Separation,
+    columns: Array,
+    k_fa: Array,
+    budgets: Array,
+    tolerate: bool,
+    hypotheses: Hypotheses | None,
+) -> Array:
+    """The root for every row of ``budgets`` (..., R, 2), hypotheses appended."""
+    if hypotheses is not None:
+        separation = _append(separation, hypotheses)
+        shape = np.broadcast_shapes(columns.shape[:-1], hypotheses.prior.shape[:-1])
+        parts = [np.broadcast_to(part, (*shape, part.shape[-1])) for part in (columns, hypotheses.prior)]
+        columns = np.concatenate(parts, -1)
+    levels = [
+        multi_hypothesis(separation, columns, k_fa, budgets[..., r, :], tolerate) for r in range(budgets.shape[-2])
+    ]
+    return np.stack(levels, -2)
+
+
+def _closed_of_risks(separation: Separation, columns: Array, k_fa: Array, budgets: Array, config: RiskConfig) -> Array:
+    """The closed form with exact factors for every row of ``budgets`` (..., R, 2)."""
+    shares = mode_shares(columns.shape[-1], config.fault_free_share)
+    lost = ~np.isfinite(separation.sigma_m[..., 0])
+    spent = (columns * lost)[..., 1:].sum(-1)[..., None, None]
+    left = budgets - spent * config.spend_unsolvable
+    k_md = missed_detection_factor(left[..., None, :], shares[:, None], columns[..., None, :, None])
+    leave_out = (lost & config.spend_unsolvable) | (columns == 0.0)
+    k_md = np.where(leave_out[..., None, :, None], -np.inf, k_md)
+    levels = np.stack([closed_form(separation, k_fa, k_md[..., r, :, :]) for r in range(budgets.shape[-2])], -2)
+    refused = (left <= 0.0) | ((spent > 0.0) & (not config.spend_unsolvable))
+    return np.where(refused, np.inf, levels)
+
+
+def _append(separation: Separation, hypotheses: Hypotheses) -> Separation:
+    """The separation with the hypotheses as further columns."""
+
+    def join(columns: Array, more: Array) -> Array:
+        shape = np.broadcast_shapes(columns.shape[:-2], more.shape[:-2])
+        parts = [np.broadcast_to(part, (*shape, *part.shape[-2:])) for part in (columns, more)]
+        return np.concatenate(parts, -2)
+
+    zero = np.zeros_like(hypotheses.sigma_m)
+    status = np.zeros(hypotheses.prior.shape, np.int64)
+    return Separation(
+        sigma_m=join(separation.sigma_m, hypotheses.sigma_m),
+        delta_m=join(separation.delta_m, zero),
+        bias_m=join(separation.bias_m, np.abs(hypotheses.bias_m)),
+        separation_m=join(separation.separation_m, zero),
+        status=join(separation.status[..., None], status[..., None])[..., 0],
+        gain_track=separation.gain_track,
+    )
+
+
+def protection_levels_batch(
+    los_enu: ArrayLike,
+    in_view: ArrayLike,
+    group: ArrayLike,
+    variance_m2: ArrayLike,
+    heading_rad: ArrayLike,
+    config: RiskConfig,
+    risks: ArrayLike | None = None,
+    *,
+    accuracy_m2: ArrayLike | None = None,
+    bias_m: ArrayLike = 0.0,
+    spent: ArrayLike = 0.0,
+    root: bool = True,
+    closed: bool = False,
+    parallel: bool | None = None,
+) -> BatchLevels:
+    """Protection levels of E epochs with one row for each satellite, by the kernels and exact biases.
+
+    Parameters
+    ----------
+    los_enu : (E, N, 3) unit vectors receiver to satellite; any value where not in view.
+    in_view : (E, N) or (N,) bool.
+    group : (E, N) or (N,) clock group of each satellite, 0 to 7.
+    variance_m2, accuracy_m2 : (E, N) or (N,) positive, for integrity and for the separations (default the same).
+    heading_rad : (E,) or scalar azimuth of motion.
+    bias_m : bounds of the nominal biases, >= 0, broadcast to (E, N).
+    spent : (E,) or scalar risk already spent [-].
+    root, closed : which levels to compute; the other is inf.
+    parallel : use threads; by default when the batch is large enough and threads are safe here.
+
+    Raises
+    ------
+    InputError
+        Wrong shapes, entries in view that are not finite, variances that are not positive, negative biases.
+    """
+    los = np.ascontiguousarray(los_enu, dtype=np.float64)
+    require_shape("los_enu", los, (None, None, 3))
+    shape = los.shape[:2]
+    mask = np.ascontiguousarray(np.broadcast_to(np.asarray(in_view, dtype=bool), shape))
+    if not np.isfinite(los[mask]).all():
+        raise InputError("los_enu must be finite where in_view: clear in_view for satellites without a direction")
+    clocks = np.ascontiguousarray(np.broadcast_to(np.asarray(group, dtype=np.int64), shape))
+    require_in_range("group", clocks, 0, MAX_GROUPS - 1)
+    variance = _full("variance_m2", variance_m2, shape, low_open=True)
+    accuracy = variance if accuracy_m2 is None else _full("accuracy_m2", accuracy_m2, shape, low_open=True)
+    bias = _full("bias_m", bias_m, shape)
+    heading = np.ascontiguousarray(np.broadcast_to(require_finite("heading_rad", heading_rad), shape[:1]))
+    outside = _full("spent", spent, shape[:1]) + config.unmonitored_risk
+    wanted = config.risks(risks)
+    out = BatchLevels(
+        np.full((shape[0], wanted.size, 2), np.inf),
+        np.full((shape[0], wanted.size, 2), np.inf),
+        np.zeros(shape[0], np.int64),
+    )
+    threads = use_parallel(shape[0]) if parallel is None else parallel
+    run = kernel.run_parallel if threads else kernel.run_serial
+    run(
+        los,
+        mask,
+        clocks,
+        variance,
+        accuracy,
+        bias,
+        heading,
+        outside,
+        *config.priors(),
+        config.false_alarm_factors(shape[1] + MAX_GROUPS),
+        wanted,
+        config.at_share,
+        config.fault_free_share,
+        config.monitors_constellations,
+        config.subtract_multiple,
+        config.spend_unsolvable,
+        root,
+        closed,
+        min(CHUNKS, max(shape[0], 1)) if threads else 1,
+        out.status,
+        out.root_m,
+        out.closed_m,
+    )
+    return out
+
+
+def _full(name: str, value: ArrayLike, shape: tuple[int, ...], low_open: bool = False) -> Array:
+    """``value`` checked (> 0 or >= 0) and broadcast to ``shape``, contiguous."""
+    checked = require_in_range(name, value, 0.0, np.finfo(np.float64).max, low_open=low_open)
+    return np.ascontiguousarray(np.broadcast_to(checked, shape))
