@@ -1,15 +1,40 @@
-"""The inertial sensor: increments of angle and velocity over an epoch."""
+"""The inertial sensor: increments of angle and velocity, drawn once an epoch with the statistics of 100 Hz sampling.
+
+White rate noise of density N adds up to ``N(0, N^2 dt)`` over an epoch, whatever the sampling. The two wandering biases
+are integrated exactly, each with the joint law of (bias at the end, integral over the epoch).
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-__all__ = ["ImuSample"]
+from lanebound.integrity.config import Config
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.sensors.effects import FaultEffects
+from lanebound.integrity.streams import Streams
+from lanebound.integrity.truth import Truth
+
+__all__ = [
+    "AxisNoise",
+    "ImuConfig",
+    "ImuSample",
+    "ImuState",
+    "gauss_markov_step",
+    "initial_imu",
+    "mems_exponential_error",
+    "random_walk_step",
+    "sample_imu",
+]
 
 Array = NDArray[np.float64]
+DEG = math.pi / 180.0
+MOVING_MPS = 0.1  # slower is standing still, for the bias that comes with motion
 
 
 @dataclass(frozen=True)
@@ -24,3 +49,161 @@ class ImuSample:
 
     delta_theta_rad: Array
     delta_v_mps: Array
+
+
+class AxisNoise(Config):
+    """Errors of one triad, in the unit u of its rate: rad/s for gyros, m/s^2 for accelerometers."""
+
+    density: float = Field(ge=0, description="white noise density N [u/sqrt(Hz)]")
+    instability: float = Field(0.0, ge=0, description="1-sigma of the wandering bias, first-order Gauss-Markov [u]")
+    instability_s: float = Field(100.0, gt=0, description="its correlation time [s]; gnss-ins-sim low accuracy")
+    random_walk: float = Field(0.0, ge=0, description="rate random walk K [u/sqrt(s)]")
+    turn_on: float = Field(0.0, ge=0, description="1-sigma of the bias drawn at switch-on [u]")
+    scale: float = Field(0.0, ge=0, description="1-sigma of the scale factor error drawn at switch-on [-]")
+
+
+class ImuConfig(Config):
+    """A grade of inertial sensor; the default is a consumer MEMS (BMI088)."""
+
+    grade: Literal["consumer", "automotive", "tactical", "s1_consumer"] = "consumer"
+    gyro: AxisNoise = Field(
+        AxisNoise(
+            density=0.014 * DEG, instability=6.0 * DEG / 3600, random_walk=2e-6, turn_on=0.1 * DEG, scale=3e-3
+        ),
+        description="gyros; BMI088 0.014 deg/s/sqrt(Hz), after a standstill calibration of the 1 deg/s offset",
+    )
+    accel: AxisNoise = Field(
+        AxisNoise(density=1.72e-3, instability=4e-4, random_walk=1e-5, turn_on=0.05, scale=5e-3),
+        description="accelerometers; BMI088 175 ug/sqrt(Hz), zero offset 20 mg before calibration to 5 mg",
+    )
+    moving_gyro_bias_degps: float = Field(
+        0.0,
+        ge=0,
+        description="largest heading-rate bias that appears with motion, uniform within +- it; S1 states 0.004 [deg/s]",
+    )
+    mems_exponential: bool = Field(False, description="add the S4 warm-up error to the accelerometers")
+    mems_c1_mps2: float = Field(-0.0043, description="C1 of S4 section III-A [m/s^2]")
+    mems_c2_mps2: float = Field(-0.007, description="C2 of S4 section III-A [m/s^2]")
+    mems_tau_s: float = Field(500.0, gt=0, description="tau of S4 section III-A [s]")
+
+
+@dataclass
+class ImuState:
+    """Errors that persist: biases and scale (B, 2, 3) with gyro first, the motion bias (B,) and the age in epochs."""
+
+    turn_on: Array
+    scale: Array
+    instability: Array
+    walk: Array
+    moving_bias_radps: Array
+    on_s: float
+
+    def copy(self) -> ImuState:
+        """An independent copy."""
+        arrays = (self.turn_on, self.scale, self.instability, self.walk, self.moving_bias_radps)
+        return ImuState(*(a.copy() for a in arrays), on_s=self.on_s)
+
+
+def gauss_markov_step(
+    bias: Array, sigma: Array | float, tau_s: float, dt_s: float, z: Array
+) -> tuple[Array, Array]:
+    """Advance a first-order Gauss-Markov bias and integrate it over the step, exactly.
+
+    With ``r = dt / tau`` and ``a = exp(-r)``: mean of (end, integral) is ``(a b, tau (1 - a) b)``; covariance
+    ``s^2 [[1 - a^2, tau (1 - a)^2], [., tau^2 (2 r - 3 + 4 a - a^2)]]`` (Ito integral of the Ornstein-Uhlenbeck law).
+
+    Parameters
+    ----------
+    bias : (...,) at the start [u];  sigma : stationary 1-sigma [u];  z : (..., 2) standard normal
+
+    Returns
+    -------
+    end, integral : (...,) [u] and [u s]
+    """
+    r = dt_s / tau_s
+    a, lost = math.exp(-r), -math.expm1(-r)
+    c11 = -math.expm1(-2.0 * r)
+    c12 = tau_s * lost * lost
+    # The closed form cancels to nothing for short steps; its series is exact to 1e-12 below r = 1e-2.
+    c22 = tau_s**2 * (2 * r - 3 + 4 * a - a * a if r > 1e-2 else r**3 * (2 / 3 - r / 2 + 7 * r * r / 30))
+    l11 = math.sqrt(c11)
+    l21 = c12 / l11
+    l22 = math.sqrt(max(c22 - l21 * l21, 0.0))
+    end = a * bias + sigma * l11 * z[..., 0]
+    integral = tau_s * lost * bias + sigma * (l21 * z[..., 0] + l22 * z[..., 1])
+    return end, integral
+
+
+def random_walk_step(bias: Array, density: Array | float, dt_s: float, z: Array) -> tuple[Array, Array]:
+    """Advance a random-walk bias and integrate it: covariance ``K^2 [[dt, dt^2/2], [., dt^3/3]]``.
+
+    bias (...,) [u], density [u/sqrt(s)], z (..., 2) standard normal -> end [u], integral [u s].
+    """
+    root = math.sqrt(dt_s)
+    end = bias + density * root * z[..., 0]
+    integral = bias * dt_s + density * dt_s * root * (0.5 * z[..., 0] + z[..., 1] / math.sqrt(12.0))
+    return end, integral
+
+
+def mems_exponential_error(time_s: float, c1_mps2: float = -0.0043, c2_mps2: float = -0.007, tau_s: float = 500.0) -> float:
+    """``e(t) = C1 (1 - exp(-t/tau)) + C2`` of S4 section III-A, seconds since switch-on -> [m/s^2]."""
+    return -c1_mps2 * math.expm1(-time_s / tau_s) + c2_mps2
+
+
+def _mems_increment(config: ImuConfig, start_s: float, dt_s: float) -> float:
+    """Integral of the exponential error over an epoch [m/s]."""
+    c1, c2, tau = config.mems_c1_mps2, config.mems_c2_mps2, config.mems_tau_s
+    return (c1 + c2) * dt_s + c1 * tau * math.exp(-start_s / tau) * math.expm1(-dt_s / tau)
+
+
+def _pair(config: ImuConfig, name: str) -> Array:
+    """A parameter of both triads as (2, 1), gyro first."""
+    return np.array([[getattr(config.gyro, name)], [getattr(config.accel, name)]])
+
+
+def initial_imu(config: ImuConfig, streams: Streams) -> ImuState:
+    """Draw what is fixed at switch-on for each of ``streams.batch`` vehicles, from stream ``imu``."""
+    z = streams.normal("imu", 3, 2, 3)
+    u = streams.uniform("imu", 1)[:, 0]
+    return ImuState(
+        turn_on=z[:, 0] * _pair(config, "turn_on"),
+        scale=z[:, 1] * _pair(config, "scale"),
+        instability=z[:, 2] * _pair(config, "instability"),
+        walk=np.zeros_like(z[:, 0]),
+        moving_bias_radps=(2.0 * u - 1.0) * config.moving_gyro_bias_degps * DEG,
+        on_s=0.0,
+    )
+
+
+def _advance(config: ImuConfig, state: ImuState, dt: float, z: Array) -> Array:
+    """Move the wandering errors on by an epoch; their integral plus white noise (B, 2, 3), in [u s]."""
+    total = state.turn_on * dt + _pair(config, "density") * math.sqrt(dt) * z[..., 0]
+    for i, triad in enumerate((config.gyro, config.accel)):
+        state.instability[:, i], wander = gauss_markov_step(
+            state.instability[:, i], triad.instability, triad.instability_s, dt, z[:, i, :, 1:3]
+        )
+        state.walk[:, i], walk = random_walk_step(state.walk[:, i], triad.random_walk, dt, z[:, i, :, 3:5])
+        total[:, i] += wander + walk
+    return total
+
+
+def sample_imu(config: ImuConfig, state: ImuState, truth: Truth, effects: FaultEffects, streams: Streams) -> ImuSample:
+    """Measure one epoch; ``state`` advances in place.
+
+    Raises
+    ------
+    InputError
+        When truth and streams serve different numbers of vehicles.
+    """
+    if truth.batch != streams.batch:
+        raise InputError(f"truth holds {truth.batch} vehicles, streams {streams.batch}: make both the same batch")
+    dt = truth.dt_s
+    error = _advance(config, state, dt, streams.normal("imu", 2, 3, 5))
+    theta = truth.delta_theta_rad * (1.0 + state.scale[:, 0]) + error[:, 0]
+    speed = np.abs(truth.distance_m) / dt
+    theta[:, 2] += (effects.gyro_bias_radps + np.where(speed > MOVING_MPS, state.moving_bias_radps, 0.0)) * dt
+    delta_v = truth.delta_v_mps * (1.0 + state.scale[:, 1]) + error[:, 1]
+    if config.mems_exponential:
+        delta_v += _mems_increment(config, state.on_s, dt)
+    state.on_s += dt
+    return ImuSample(theta, delta_v)

@@ -1,13 +1,21 @@
-"""The wheel odometer: distance and mean speed over an epoch."""
+"""The wheel odometer: pulses of a toothed wheel, with a wrong circumference, slip and speed noise."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-__all__ = ["OdometerSample"]
+from lanebound.integrity.config import Config
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.sensors.effects import FaultEffects
+from lanebound.integrity.streams import Streams
+from lanebound.integrity.truth import Truth
+
+__all__ = ["OdometerConfig", "OdometerSample", "OdometerState", "initial_odometer", "sample_odometer"]
 
 Array = NDArray[np.float64]
 
@@ -24,3 +32,95 @@ class OdometerSample:
 
     distance_m: Array
     speed_mps: Array
+
+
+class OdometerConfig(Config):
+    """A wheel-speed sensor after the calibration of its scale."""
+
+    scale_mean: float = Field(1.0, gt=0, description="mean of the scale [-]; uncalibrated cars show 0.987 to 0.990")
+    scale_sigma: float = Field(0.003, ge=0, description="1-sigma of the scale left after calibration [-]; tyre wear")
+    noise_mps: float = Field(0.05, ge=0, description="1-sigma of the speed [m/s]; S1 section 4, comma2k19 residual 0.05")
+    noise_tau_s: float = Field(0.0, ge=0, description="correlation time of that noise, 0 = white [s]")
+    pulses_per_revolution: int = Field(
+        2000,
+        ge=1,
+        description="pulses of a wheel [-]; optical encoder of a survey car, or 48 teeth whose edges are timed",
+    )
+    circumference_m: float = Field(1.95, gt=0, description="rolling circumference [m]; tyre 205/55 R16")
+    slip_s2_per_m: float = Field(
+        0.001, ge=0, description="longitudinal slip per acceleration [s^2/m]; 3 to 4 % at the 1 g limit, linear below half"
+    )
+    dropout_mps: float = Field(0.15, ge=0, description="slower than this no pulse is detected [m/s]; inductive sensors")
+
+
+@dataclass
+class OdometerState:
+    """Scale (B,), correlated noise (B,), distance not yet paid out in pulses (B,), last message and speed (B,)."""
+
+    scale: Array
+    noise_mps: Array
+    carry_m: Array
+    last_distance_m: Array
+    last_true_mps: Array
+
+    def copy(self) -> OdometerState:
+        """An independent copy."""
+        return OdometerState(*(getattr(self, f).copy() for f in self.__dataclass_fields__))
+
+
+def initial_odometer(config: OdometerConfig, streams: Streams) -> OdometerState:
+    """Draw the scale of each of ``streams.batch`` vehicles, from stream ``odometer``."""
+    z = streams.normal("odometer", 2)
+    still = np.zeros(streams.batch)
+    return OdometerState(
+        scale=config.scale_mean + config.scale_sigma * z[:, 0],
+        noise_mps=config.noise_mps * z[:, 1] if config.noise_tau_s > 0 else still.copy(),
+        carry_m=still.copy(),
+        last_distance_m=still.copy(),
+        last_true_mps=np.full(streams.batch, np.nan),
+    )
+
+
+def _noise(config: OdometerConfig, state: OdometerState, dt: float, z: Array) -> Array:
+    """Speed noise of this epoch (B,): white, or first-order Gauss-Markov."""
+    a = math.exp(-dt / config.noise_tau_s) if config.noise_tau_s > 0 else 0.0
+    state.noise_mps = a * state.noise_mps + config.noise_mps * math.sqrt(1.0 - a * a) * z
+    return state.noise_mps
+
+
+def _count(config: OdometerConfig, state: OdometerState, rolled_m: Array) -> Array:
+    """Whole pulses of a distance (B,) [m]; what is left over is carried to the next epoch."""
+    pulse = config.circumference_m / config.pulses_per_revolution
+    total = state.carry_m + rolled_m
+    counted = np.trunc(total / pulse) * pulse
+    state.carry_m = total - counted
+    return counted
+
+
+def sample_odometer(
+    config: OdometerConfig, state: OdometerState, truth: Truth, effects: FaultEffects, streams: Streams
+) -> OdometerSample:
+    """Measure one epoch; ``state`` advances in place.
+
+    ``d = trunc_pulse(carry + k f (1 + s a) d_true + n dt)`` with scale k, fault factor f, slip s per acceleration a and
+    noise n. Quantisation loses no distance, noise is silent below the dropout speed, a frozen odometer repeats itself.
+
+    Raises
+    ------
+    InputError
+        When truth and streams serve different numbers of vehicles.
+    """
+    if truth.batch != streams.batch:
+        raise InputError(f"truth holds {truth.batch} vehicles, streams {streams.batch}: make both the same batch")
+    dt = truth.dt_s
+    noise = _noise(config, state, dt, streams.normal("odometer", 1)[:, 0])
+    true_mps = truth.distance_m / dt
+    before = np.where(np.isnan(state.last_true_mps), true_mps, state.last_true_mps)
+    slip = config.slip_s2_per_m * (np.abs(true_mps) - np.abs(before)) / dt
+    state.last_true_mps = true_mps
+    rolled = state.scale * effects.odometer_scale * (1.0 + slip) * truth.distance_m + noise * dt
+    rolled = np.where(np.abs(true_mps) < config.dropout_mps, 0.0, rolled)
+    distance = _count(config, state, rolled)
+    distance = np.where(effects.odometer_frozen, state.last_distance_m, distance)
+    state.last_distance_m = distance
+    return OdometerSample(distance, distance / dt)
