@@ -1,0 +1,128 @@
+"""Cycle slips of one satellite between two epochs: detection by three kinds of test, repair by integer search.
+
+Letters: ``d1``, ``d2`` changes of phase on the two bands [m], ``lambda_1``, ``lambda_2`` wavelengths [m] (0: no
+second band), ``p`` predicted change of range [m], ``g`` predicted change of ``phase_1 - phase_2`` [m] (the
+ionosphere's rate times the interval), ``c1``, ``c2`` changes of code [m]. Standard deviations: ``s_phase`` of one
+phase at one epoch, ``s_p`` of p, ``s_iono`` of g, ``s_code`` of one code at one epoch [m]; infinite ones switch the
+tests that need them off. All changes are free of the receiver clock (:func:`remove_common`, or between satellites).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from lanebound.integrity.accel import jit
+from lanebound.integrity.positioning.lambda_kernel import OK, bootstrap_failure_rate, integer_least_squares
+
+NO_SLIP, GEOMETRY_FREE, PREDICTED, CODE_PHASE = 0, 1, 2, 4  # bits of what detect_slip returns
+REPAIRED, NOT_UNIQUE, HALF_CYCLE, INCONSISTENT = 0, 1, 2, 3  # values of cycle_slips.RepairStatus
+REPAIR_NODES = 10_000
+MIN_COMMON = 3  # a median of fewer satellites would take a slip for the clock
+
+
+@jit
+def remove_common(change, member, system, n_systems, out):  # type: ignore[no-untyped-def]
+    """Subtract the median change of each system's members: the receiver clock, whatever single satellites do.
+
+    ``change``, ``member``, ``system`` (S,) -> ``out`` (S,), NaN (which no test passes judgement on) for satellites that
+    are not members or whose system has fewer than 3 of them.
+    """
+    values = np.empty(change.shape[0])
+    for k in range(n_systems):
+        count = 0
+        for s in range(change.shape[0]):
+            if member[s] and system[s] == k:
+                values[count] = change[s]
+                count += 1
+        middle = np.median(values[:count]) if count >= MIN_COMMON else math.nan
+        for s in range(change.shape[0]):
+            if system[s] == k:
+                out[s] = change[s] - middle if member[s] else math.nan
+
+
+@jit
+def detect_slip(  # type: ignore[no-untyped-def]
+    d1, d2, lambda_1, lambda_2, p, g, c1, c2, s_phase, s_p, s_iono, s_code, k
+):
+    """Which tests find a slip: NO_SLIP or a sum of GEOMETRY_FREE, PREDICTED and CODE_PHASE.
+
+    A test rejects when its statistic exceeds k standard deviations:
+
+    - geometry-free ``d1 - d2 - g``, variance ``4 s_phase^2 + s_iono^2``; blind to slips with
+      ``lambda_1 N_1 = lambda_2 N_2``, nearly (9, 7) on L1 and L2;
+    - Doppler-predicted ``d - p`` of each band, variance ``2 s_phase^2 + s_p^2`` (plus s_iono^2 on the second);
+    - Melbourne-Wuebbena: wide-lane phase minus narrow-lane code, free of geometry and ionosphere, blind to N_1 = N_2.
+
+    NaN statistics, and those of a missing band, do not reject.
+    """
+    flags = NO_SLIP
+    phase_var = 2.0 * s_phase * s_phase
+    prediction_var = phase_var + s_p * s_p
+    if abs(d1 - p) > k * math.sqrt(prediction_var):
+        flags |= PREDICTED
+    if not lambda_2 > 0.0:
+        return flags
+    if abs(d2 + g - p) > k * math.sqrt(prediction_var + s_iono * s_iono):
+        flags |= PREDICTED
+    if abs(d1 - d2 - g) > k * math.sqrt(2.0 * phase_var + s_iono * s_iono):
+        flags |= GEOMETRY_FREE
+    wide, narrow = 1.0 / (1.0 / lambda_1 - 1.0 / lambda_2), 1.0 / (1.0 / lambda_1 + 1.0 / lambda_2)
+    spread = 1.0 / (lambda_1 * lambda_1) + 1.0 / (lambda_2 * lambda_2)
+    jump = wide * (d1 / lambda_1 - d2 / lambda_2) - narrow * (c1 / lambda_1 + c2 / lambda_2)
+    variance = spread * (wide * wide * phase_var + 2.0 * narrow * narrow * s_code * s_code)
+    if abs(jump) > k * math.sqrt(variance):
+        flags |= CODE_PHASE
+    return flags
+
+
+@jit
+def repair_slip(  # type: ignore[no-untyped-def]
+    d1, d2, lambda_1, lambda_2, p, g, s_phase, s_p, s_iono, failure_limit, fit_limit, slips
+):
+    """Find the slips (N_1, N_2) that explain both jumps, when only one pair can; returns a repair status.
+
+    ``(d1 - p, d2 + g - p) = (lambda_1 N_1, lambda_2 N_2) + e``, where e has the prediction's error in common, is solved
+    by integer least squares in half cycles. REPAIRED, with ``slips`` (2,) set, needs whole cycles, a bootstrapped
+    failure rate within ``failure_limit``, a best norm within ``fit_limit`` (a chi-square quantile of 2 degrees), and a
+    likelihood ratio to the runner-up of at least ``1 / failure_limit``. HALF_CYCLE: unique, but not whole; the others
+    are not unique or fit nothing. All but REPAIRED ask for a reset.
+    """
+    slips[0] = slips[1] = 0.0
+    if not lambda_2 > 0.0:
+        return NOT_UNIQUE
+    transform, work = np.empty((2, 8, 8)), np.empty((5, 8, 8))
+    a, Q, D = np.empty(8), np.empty((8, 8)), np.empty(8)
+    half_1, half_2 = 0.5 * lambda_1, 0.5 * lambda_2
+    variance = 2.0 * s_phase * s_phase + s_p * s_p
+    a[0], a[1] = (d1 - p) / half_1, (d2 + g - p) / half_2
+    Q[0, 0] = variance / (half_1 * half_1)
+    Q[1, 1] = (variance + s_iono * s_iono) / (half_2 * half_2)
+    Q[0, 1] = Q[1, 0] = s_p * s_p / (half_1 * half_2)
+    candidates, norms = np.empty((2, 8)), np.empty(2)
+    status = integer_least_squares(2, a, Q, 2, REPAIR_NODES, False, transform, candidates, norms, D, work)
+    if status != OK or bootstrap_failure_rate(0, 2, D) > failure_limit:
+        return NOT_UNIQUE
+    if norms[0] > fit_limit:
+        return INCONSISTENT
+    if norms[1] - norms[0] < -2.0 * math.log(failure_limit):
+        return NOT_UNIQUE
+    if candidates[0, 0] % 2.0 != 0.0 or candidates[0, 1] % 2.0 != 0.0:
+        return HALF_CYCLE
+    slips[0], slips[1] = 0.5 * candidates[0, 0], 0.5 * candidates[0, 1]
+    return REPAIRED
+
+
+@jit
+def detect_slips(  # type: ignore[no-untyped-def]
+    phase_change, code_change, p, g, lambdas, member, s_phase, s_p, s_iono, s_code, k, flags
+):
+    """:func:`detect_slip` for each satellite: changes and lambdas (S, 2), p, g, s_* and member (S,) -> flags (S,)."""
+    for s in range(flags.shape[0]):
+        flags[s] = NO_SLIP
+        if member[s]:
+            flags[s] = detect_slip(
+                phase_change[s, 0], phase_change[s, 1], lambdas[s, 0], lambdas[s, 1], p[s], g[s],
+                code_change[s, 0], code_change[s, 1], s_phase[s], s_p[s], s_iono[s], s_code[s], k,
+            )  # fmt: skip
