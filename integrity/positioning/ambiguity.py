@@ -7,6 +7,7 @@ slow and meant to be read; tests hold the two together. Letters as in
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -120,7 +121,7 @@ def _factor(Q: Array) -> tuple[Array, Array, Array] | None:
 
 def _round(x: float) -> float:
     """Nearest integer, halves upward as in the kernels."""
-    return float(np.floor(x + 0.5))
+    return float(math.floor(x + 0.5))
 
 
 def _exchange(j: int, d: float, U: Array, D: Array, Z: Array) -> None:
@@ -137,8 +138,9 @@ def _exchange(j: int, d: float, U: Array, D: Array, Z: Array) -> None:
 def _gauss(j: int, i: int, U: Array, Z: Array) -> None:
     """``z_j -= mu z_i`` with ``mu = round(U_ji)``."""
     mu = _round(U[j, i])
-    U[j] -= mu * U[i]
-    Z[:, j] -= mu * Z[:, i]
+    if mu:
+        U[j] -= mu * U[i]
+        Z[:, j] -= mu * Z[:, i]
 
 
 def decorrelate(Q: ArrayLike) -> Decorrelation | None:
@@ -186,7 +188,7 @@ def _search(z_float: Array, U: Array, D: Array, m: int, node_limit: int) -> tupl
     k, descend, complete = n - 1, True, False
     for _ in range(node_limit):
         if descend:
-            mean[k] = z_float[k] + U[k, k + 1 :] @ (z - mean)[k + 1 :]
+            mean[k] = z_float[k] + U[k, k + 1 :] @ (z[k + 1 :] - mean[k + 1 :])
             z[k] = _round(mean[k])
             step[k] = 1.0 if mean[k] > z[k] else -1.0
         norm = distance[k] + (mean[k] - z[k]) ** 2 / D[k]
@@ -204,7 +206,7 @@ def _search(z_float: Array, U: Array, D: Array, m: int, node_limit: int) -> tupl
         else:
             k += 1
         z[k] += step[k]
-        step[k] = -step[k] - np.copysign(1.0, step[k])
+        step[k] = -step[k] - math.copysign(1.0, step[k])
     candidates, norms = np.zeros((m, n)), np.full(m, np.inf)
     for slot, (norm, vector) in enumerate(found):
         candidates[slot], norms[slot] = vector, norm
