@@ -107,7 +107,7 @@ class CityDrive:
 
     def _pose(self, arc_m: Array) -> tuple[Array, Array]:
         lane = np.full(arc_m.shape, self.config.lane)
-        return self.road.pose_at(arc_m, self.road.lane_offset_m(lane))
+        return self.road.pose_at(arc_m, self.road.lane_lateral_m(lane))
 
     def step(self, state: DriveState, streams: Streams) -> Truth:
         """Advance ``state`` in place by one epoch and return its truth."""

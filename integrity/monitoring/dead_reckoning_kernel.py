@@ -3,7 +3,7 @@
 The state ``p`` (NP,) is flat. Covariance: position (E, N) and its correlations with the error processes that drive it: the
 Doppler velocity (Gauss-Markov), the odometer's speed (Gauss-Markov), heading and gyro bias (of the heading filter). Bias:
 signed accumulated vectors ``c_th += v dt b_theta [cos t, -sin t]`` and ``c_v += dt b_v [sin t, cos t]`` (S1 eq 18-19 made exact,
-equations.md 6), and bounds on E and N of the Doppler velocity's bias and of the position at the last reset.
+equations.md 6), bounds on E and N of the Doppler velocity's bias, and a bound of the horizontal shift at the last reset.
 Doppler and odometer carry over into each other; only RTK resets (the sawtooth of S1 section 3.2).
 """
 
@@ -15,17 +15,17 @@ from lanebound.integrity.accel import jit
 
 (
     C_EE, C_EN, C_NN, D_EE, D_EN, D_NE, D_NN, O_E, O_N, H_E, H_N, G_E, G_N,
-    TH_E, TH_N, V_E, V_N, DB_E, DB_N, B0_E, B0_N,
-) = range(21)  # fmt: skip
-NP = 21
+    TH_E, TH_N, V_E, V_N, DB_E, DB_N, B0,
+) = range(20)  # fmt: skip
+NP = 20
 
 
 @jit
-def reset(p, q_ee, q_en, q_nn, bias_e, bias_n):  # type: ignore[no-untyped-def]
-    """Start anew from an absolute position with covariance [m^2] and bias bounds on E and N [m]."""
+def reset(p, q_ee, q_en, q_nn, bias):  # type: ignore[no-untyped-def]
+    """Start anew from an absolute position with covariance [m^2] and a bound of its horizontal bias [m]."""
     p[:] = 0.0
     p[C_EE], p[C_EN], p[C_NN] = q_ee, q_en, q_nn
-    p[B0_E], p[B0_N] = bias_e, bias_n
+    p[B0] = bias
 
 
 @jit
@@ -114,13 +114,18 @@ def track_biases(p, s, c):  # type: ignore[no-untyped-def]
     """Exact bias bounds AT, CT [m]: ``abs(R c_th) + abs(R c_v)`` and the projected bounds of the rest."""
     at = abs(s * p[TH_E] + c * p[TH_N]) + abs(s * p[V_E] + c * p[V_N])
     ct = abs(c * p[TH_E] - s * p[TH_N]) + abs(c * p[V_E] - s * p[V_N])
-    east, north = p[DB_E] + p[B0_E], p[DB_N] + p[B0_N]
-    return at + abs(s) * east + abs(c) * north, ct + abs(c) * east + abs(s) * north
+    at += p[B0] + abs(s) * p[DB_E] + abs(c) * p[DB_N]
+    ct += p[B0] + abs(c) * p[DB_E] + abs(s) * p[DB_N]
+    return at, ct
 
 
 @jit
 def track_biases_published(p, s, c):  # type: ignore[no-untyped-def]
-    """Bias AT, CT as printed in S1 eq 18-19: ``sqrt((sin t B_E)^2 + (cos t B_N)^2)`` and sin and cos exchanged."""
-    east = p[TH_E] + p[V_E] + p[DB_E] + p[B0_E]
-    north = p[TH_N] + p[V_N] + p[DB_N] + p[B0_N]
+    """Bias AT, CT as printed in S1 eq 18-19: ``sqrt((sin t B_E)^2 + (cos t B_N)^2)`` and sin and cos exchanged.
+
+    The shift at the reset counts as equal components on E and N.
+    """
+    shift = p[B0] / math.sqrt(2.0)
+    east = abs(p[TH_E] + p[V_E]) + p[DB_E] + shift
+    north = abs(p[TH_N] + p[V_N]) + p[DB_N] + shift
     return math.sqrt((s * east) ** 2 + (c * north) ** 2), math.sqrt((c * east) ** 2 + (s * north) ** 2)

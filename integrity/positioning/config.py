@@ -57,7 +57,7 @@ class DopplerConfig(Config):
 class HeadingConfig(Config):
     """The heading filter and its calibration."""
 
-    initial_sigma_deg: float = Field(10.0, gt=0, description="heading error before the first calibration [deg]; S1 section 4")
+    initial_sigma_deg: float = Field(104.0, gt=0, description="heading error before the first calibration [deg]; uniform: 180 over root 3")
     angle_random_walk_rad: float = Field(2.5e-4, gt=0, description="angle random walk [rad/sqrt(s)]; BMI088 0.014 dps/rtHz")
     bias_initial_radps: float = Field(7e-3, gt=0, description="gyro bias at turn-on, 1 sigma [rad/s]; 0.4 deg/s MEMS")
     bias_walk_radps: float = Field(1e-6, gt=0, description="random walk of the gyro bias [rad/s/sqrt(s)]")

@@ -1,0 +1,382 @@
+"""The corridor: one epoch of a batch of vehicles through sky, sensors, positioning and monitoring, from truth to belief.
+
+>>> from lanebound.integrity.navigator import Navigator, NavigatorConfig
+>>> navigator = Navigator.nominal(NavigatorConfig(), seeds=[1, 2, 3], duration_s=60.0)   # three vehicles, open sky
+>>> solution = navigator.step(truth)                                                     # truth: what really happens
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from lanebound.integrity import navigator_kernel as nk
+from lanebound.integrity.accel import use_parallel
+from lanebound.integrity.config import Config
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.monitoring.alerts import AlertConfig, AlertState
+from lanebound.integrity.monitoring.dead_reckoning_kernel import C_EE, C_EN, C_NN
+from lanebound.integrity.monitoring.dead_reckoning_kernel import NP as N_DEAD_RECKONING
+from lanebound.integrity.monitoring.exclusion import FdeConfig
+from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor, upper_quantile
+from lanebound.integrity.positioning.config import PositioningConfig
+from lanebound.integrity.sensors import corrections as links
+from lanebound.integrity.sensors import gnss as receiver
+from lanebound.integrity.sensors.corrections import CorrectionsConfig, CorrectionsState
+from lanebound.integrity.sensors.effects import FaultEffects
+from lanebound.integrity.sensors.faults import FaultSchedule
+from lanebound.integrity.sensors.gnss import GnssConfig, GnssEpoch, GnssState
+from lanebound.integrity.sensors.imu import ImuConfig, ImuSample, ImuState, initial_imu, sample_imu
+from lanebound.integrity.sensors.odometer import (
+    OdometerConfig,
+    OdometerSample,
+    OdometerState,
+    initial_odometer,
+    sample_odometer,
+)
+from lanebound.integrity.sky.constellation import SkyConfig
+from lanebound.integrity.sky.systems import FIXABLE, WAVELENGTH_M
+from lanebound.integrity.sky.track import SkyTrack
+from lanebound.integrity.sky.view import SkyView
+from lanebound.integrity.sky.visibility import SkyMask
+from lanebound.integrity.solution import Solution
+from lanebound.integrity.streams import Streams
+from lanebound.integrity.truth import Truth
+
+__all__ = ["Form", "Measurements", "Navigator", "NavigatorConfig", "NavigatorState", "PlCase"]
+
+Array = NDArray[np.float64]
+
+
+class Form(Enum):
+    """How the RTK protection level is found."""
+
+    ROOT = "root"
+    CLOSED = "closed"
+
+
+class PlCase(Config):
+    """One protection level to report: a risk, a variant and a form."""
+
+    integrity_risk: float = Field(gt=0, lt=1, description="total horizontal risk [-]")
+    variant: Variant = Field(Variant.EXACT, description="exact or published factors and biases")
+    form: Form = Field(Form.ROOT, description="multi-hypothesis root (S2 eq 10-11) or closed form (S1 eq 17)")
+
+    @property
+    def row(self) -> int:
+        """Row of the kernel's table of risks: root, closed, published."""
+        if self.variant is Variant.PUBLISHED:
+            return 2
+        return 0 if self.form is Form.ROOT else 1
+
+
+class NavigatorConfig(Config):
+    """Instruments, declared errors and rules of one vehicle."""
+
+    dt_s: float = Field(0.1, gt=0, le=1, description="length of an epoch [s]; 10 Hz GNSS, S1 section 4")
+    sky: SkyConfig = SkyConfig()
+    gnss: GnssConfig = GnssConfig()
+    corrections: CorrectionsConfig = CorrectionsConfig()
+    imu: ImuConfig = ImuConfig()
+    odometer: OdometerConfig = OdometerConfig()
+    positioning: PositioningConfig = PositioningConfig()
+    fde: FdeConfig = FdeConfig()
+    risk: RiskConfig = RiskConfig()
+    form: Form = Field(Form.ROOT, description="form of the operative RTK protection level")
+    more_levels: tuple[PlCase, ...] = Field((), description="further protection levels to report beside the operative one")
+    alert: AlertConfig = AlertConfig()
+
+    @property
+    def cases(self) -> tuple[PlCase, ...]:
+        """All protection levels reported, the operative one first."""
+        first = PlCase(integrity_risk=self.risk.integrity_risk, variant=self.risk.variant, form=self.form)
+        return (first, *self.more_levels)
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """All that positioning may know of one epoch: the outputs of the instruments, and where the satellites are."""
+
+    time_s: float
+    sky: SkyView
+    gnss: GnssEpoch
+    imu: ImuSample
+    odometer: OdometerSample
+
+
+@dataclass
+class NavigatorState:
+    """Everything that lasts from epoch to epoch: the instruments' own state, and the belief's.
+
+    ``belief`` (B, NX) and ``growth`` (B, NP) are the flat columns of :mod:`.navigator_kernel` and
+    :mod:`.monitoring.dead_reckoning_kernel`; ``held`` (B, S), ``integers`` (B, S, 2), ``fix_id`` and ``fix_risk`` (B, S) are
+    the ambiguities held.
+    """
+
+    streams: Streams
+    gnss: GnssState
+    corrections: CorrectionsState
+    imu: ImuState
+    odometer: OdometerState
+    alert: AlertState
+    belief: Array
+    growth: Array
+    held: NDArray[np.bool_]
+    integers: Array
+    fix_id: NDArray[np.int64]
+    fix_risk: Array
+
+    def copy(self) -> NavigatorState:
+        """An independent copy."""
+        return copy.deepcopy(self)
+
+
+class Navigator:
+    """Sensing and belief of a batch of vehicles.
+
+    Parameters
+    ----------
+    config : NavigatorConfig
+    track : SkyTrack
+        Satellites over the place and time of the drive.
+    mask : SkyMask
+        What buildings leave of the sky along the street.
+    seeds : one seed for each vehicle, or one int with ``batch``
+    faults : FaultSchedule, optional
+
+    Raises
+    ------
+    InputError
+        When the seeds are negative or do not fit ``batch``.
+    """
+
+    def __init__(
+        self,
+        config: NavigatorConfig,
+        track: SkyTrack,
+        mask: SkyMask,
+        seeds: int | Sequence[int],
+        batch: int | None = None,
+        faults: FaultSchedule | None = None,
+    ) -> None:
+        self.config, self.track, self.mask = config, track, mask
+        self.faults = faults or FaultSchedule(())
+        self._tables = _Tables.of(config, track.system)
+        self.state = self._initial(Streams(seeds, batch))
+
+    @classmethod
+    def nominal(
+        cls, config: NavigatorConfig, seeds: int | Sequence[int], batch: int | None = None, duration_s: float = 600.0
+    ) -> Navigator:
+        """A navigator under the nominal constellations of the configuration and an open sky."""
+        return cls(config, SkyTrack.from_config(config.sky, duration_s), SkyMask.open(), seeds, batch)
+
+    def _initial(self, streams: Streams) -> NavigatorState:
+        c, batch, n_sat = self.config, streams.batch, len(self.track.system)
+        sky = self.track.at(self.track.start_s, np.zeros(batch, dtype=np.int64))
+        heading = c.positioning.heading
+        belief = np.zeros((batch, nk.NX))
+        belief[:, nk.P_HH] = np.deg2rad(heading.initial_sigma_deg) ** 2
+        belief[:, nk.P_BB] = heading.bias_initial_radps**2
+        belief[:, [nk.SINCE_RTK, nk.SINCE_CAL]] = np.inf
+        return NavigatorState(
+            streams=streams,
+            gnss=receiver.initial_state(c.gnss, sky, streams),
+            corrections=links.initial_state(batch),
+            imu=initial_imu(c.imu, streams),
+            odometer=initial_odometer(c.odometer, streams),
+            alert=AlertState.initial(batch),
+            belief=belief,
+            growth=np.zeros((batch, N_DEAD_RECKONING)),
+            held=np.zeros((batch, n_sat), dtype=np.bool_),
+            integers=np.zeros((batch, n_sat, 2)),
+            fix_id=np.zeros((batch, n_sat), dtype=np.int64),
+            fix_risk=np.zeros((batch, n_sat)),
+        )
+
+    @property
+    def batch(self) -> int:
+        """Number of vehicles."""
+        return self.state.streams.batch
+
+    def align(self, heading_rad: Array, sigma_rad: float) -> None:
+        """Give the vehicles a prior heading, (B,) azimuth and its 1-sigma, as from a compass or the last drive's end."""
+        self.state.belief[:, nk.HEADING] = heading_rad
+        self.state.belief[:, nk.P_HH] = sigma_rad**2
+
+    def snapshot(self) -> NavigatorState:
+        """An independent copy of everything that lasts."""
+        return self.state.copy()
+
+    def restore(self, state: NavigatorState) -> None:
+        """Continue from a snapshot, with the same draws."""
+        self.state = state.copy()
+
+    def step(self, truth: Truth) -> Solution:
+        """Measure the truth of one epoch and locate the vehicles.
+
+        Raises
+        ------
+        InputError
+            When the truth has another batch or epoch length, or lies outside the sky track.
+        """
+        return self.locate(self.measure(truth))
+
+    def measure(self, truth: Truth) -> Measurements:
+        """What the instruments say of this epoch: the only place where truth is read."""
+        if truth.batch != self.batch:
+            raise InputError(f"truth must have {self.batch} vehicles, got {truth.batch}: one row for each seed")
+        if abs(truth.dt_s - self.config.dt_s) > 1e-9:
+            raise InputError(f"truth.dt_s must be {self.config.dt_s}, got {truth.dt_s}: step at the navigator's rate")
+        c, s = self.config, self.state
+        sky = self.track.at(self.track.start_s + truth.time_s, np.zeros(self.batch, dtype=np.int64))
+        effects = self.faults.effects(truth.time_s, truth.dt_s, sky, self.batch)
+        age = links.step(c.corrections, s.corrections, truth.dt_s, effects.corrections_lost, s.streams)
+        reception = self.mask.look(truth.arc_m, truth.lane, sky)
+        return Measurements(
+            time_s=truth.time_s,
+            sky=sky,
+            gnss=receiver.observe(c.gnss, s.gnss, sky, reception, truth, age, effects, s.streams),
+            imu=sample_imu(c.imu, s.imu, truth, effects, s.streams),
+            odometer=sample_odometer(c.odometer, s.odometer, truth, effects, s.streams),
+        )
+
+    def locate(self, m: Measurements) -> Solution:
+        """The belief after the measurements of one epoch; reads nothing else."""
+        s, t, g = self.state, self._tables, m.gnss
+        out, levels = np.zeros((self.batch, nk.NO)), np.full((self.batch, t.k_dead.shape[0], 2), np.inf)
+        parallel = use_parallel(self.batch)
+        run, chunks = (nk.run_parallel, numba.get_num_threads()) if parallel else (nk.run_serial, 1)
+        run(
+            m.sky.los_enu, m.sky.system, m.sky.elevation_rad, m.sky.index, g.tracked, g.cn0_dbhz, g.code_m, g.phase_m,
+            g.range_rate_mps, g.lock_lost, g.corrections_age_s, m.imu.delta_theta_rad[:, 2], m.odometer.speed_mps,
+            t.par, t.mode_limits, t.heading_limits, t.wavelength, t.fixable, t.chi2, t.normal, t.fde, t.risks, t.shares,
+            t.spent, t.priors, t.k_fa, t.k_published, t.k_dead, t.published, t.operative_published, t.alert_limits,
+            t.drift_group, s.belief, s.growth, s.held, s.integers, s.fix_id, s.fix_risk, s.alert.alert, s.alert.reason,
+            s.alert.onset_s, s.alert.clear_s, chunks, out, levels,
+        )  # fmt: skip
+        return self._solution(m, out, levels)
+
+    def _solution(self, m: Measurements, out: Array, levels: Array) -> Solution:
+        s = self.state
+        cov = s.growth[:, [C_EE, C_EN, C_EN, C_NN]].reshape(-1, 2, 2)
+        return Solution(
+            time_s=m.time_s,
+            position_en_m=s.belief[:, [nk.EAST, nk.NORTH]],
+            heading_rad=s.belief[:, nk.HEADING].copy(),
+            velocity_en_mps=s.belief[:, [nk.VEL_E, nk.VEL_N]],
+            speed_mps=m.odometer.speed_mps,
+            covariance_en_m2=cov,
+            sigma_at_m=out[:, nk.O_SIGMA_AT],
+            sigma_ct_m=out[:, nk.O_SIGMA_CT],
+            pl_at_m=levels[:, 0, 0],
+            pl_ct_m=levels[:, 0, 1],
+            pl_cases_m=levels,
+            mode=out[:, nk.O_MODE].astype(np.int64),
+            rtk=out[:, nk.O_RTK].astype(np.int64),
+            alert=s.alert.alert.copy(),
+            available=out[:, nk.O_AVAILABLE] > 0.0,
+            reason=s.alert.reason.copy(),
+            hdop=out[:, nk.O_HDOP],
+            satellites=out[:, nk.O_SATELLITES].astype(np.int64),
+            satellites_doppler=out[:, nk.O_DOPPLER].astype(np.int64),
+            excluded=out[:, nk.O_EXCLUDED].astype(np.int64),
+            since_rtk_s=s.belief[:, nk.SINCE_RTK].copy(),
+            since_calibration_s=s.belief[:, nk.SINCE_CAL].copy(),
+            corrections_age_s=m.gnss.corrections_age_s,
+            wrong_fix_risk=out[:, nk.O_WRONG],
+            held=s.held.copy(),
+        )
+
+
+@dataclass(frozen=True)
+class _Tables:
+    """The configuration as the arrays that the kernel takes."""
+
+    par: Array
+    mode_limits: Array
+    heading_limits: Array
+    wavelength: Array
+    fixable: NDArray[np.bool_]
+    chi2: Array
+    normal: Array
+    fde: Array
+    risks: Array
+    shares: Array
+    spent: float
+    priors: Array
+    k_fa: Array
+    k_published: Array
+    k_dead: Array
+    published: NDArray[np.bool_]
+    operative_published: bool
+    alert_limits: Array
+    drift_group: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, c: NavigatorConfig, system: NDArray[np.int64]) -> _Tables:
+        n_sat, cases = len(system), c.cases
+        thresholds = c.fde.tables(n_sat)
+        modes = np.arange(n_sat + 10)
+        risks = np.zeros((3, len(cases)))
+        for r, case in enumerate(cases):
+            risks[case.row, r] = case.integrity_risk
+        published = np.array([case.variant is Variant.PUBLISHED for case in cases])
+        total = np.array([case.integrity_risk for case in cases])
+        budgets = c.risk.axis_budgets(total, c.risk.unmonitored_risk)
+        k_dead = np.where(published[:, None], upper_quantile(total)[:, None], upper_quantile(0.5 * budgets))
+        r = c.risk
+        return cls(
+            par=_declared(c),
+            mode_limits=c.positioning.mode_limits,
+            heading_limits=c.positioning.heading_limits,
+            wavelength=np.ascontiguousarray(WAVELENGTH_M[:, list(c.gnss.bands)]),
+            fixable=FIXABLE[system],
+            chi2=np.ascontiguousarray(thresholds.global_chi2),
+            normal=np.ascontiguousarray(thresholds.local_normal),
+            fde=np.array([float(c.fde.global_first), float(c.fde.max_excluded), float(c.fde.min_redundancy)]),
+            risks=risks,
+            shares=np.array(
+                [r.monitors_constellations, r.at_share, r.fault_free_share, r.subtract_multiple, r.spend_unsolvable], float
+            ),
+            spent=r.unmonitored_risk,
+            priors=np.stack(r.priors()),
+            k_fa=np.stack([false_alarm_factor(r.false_alarm, modes, v) for v in (Variant.EXACT, Variant.PUBLISHED)]),
+            k_published=upper_quantile(total),
+            k_dead=k_dead,
+            published=published,
+            operative_published=bool(published[0]),
+            alert_limits=c.alert.packed,
+            drift_group=np.zeros(n_sat, dtype=np.int64),
+        )
+
+
+def _declared(c: NavigatorConfig) -> Array:
+    """The declared figures in the columns of the kernel's ``par``."""
+    r, d, h, o = c.positioning.rtk, c.positioning.doppler, c.positioning.heading, c.positioning.dead_reckoning
+    smallest = min(case.integrity_risk for case in c.cases)
+    values: dict[int, Any] = {
+        nk.DT: c.dt_s, nk.BANDS: len(c.gnss.bands), nk.SIN_MASK: np.sin(np.deg2rad(r.elevation_mask_deg)),
+        nk.CN0_MIN: r.cn0_min_dbhz, nk.CN0_KNEE: r.cn0_knee_dbhz, nk.SIGMA_CODE: r.sigma_code_m,
+        nk.SIGMA_PHASE: r.sigma_phase_m, nk.PHASE_BIAS: r.phase_bias_m, nk.REFERENCE_BIAS: r.reference_bias_m,
+        nk.AGE_BIAS: r.age_bias_mps, nk.MAX_AGE: r.max_age_s, nk.FIX_LIMIT: r.ambiguity_risk_share * smallest,
+        nk.RATIO_MIN: r.ratio_min, nk.MAX_CANDIDATES: r.max_candidates, nk.MIN_SATELLITES: r.min_satellites,
+        nk.MIN_FURTHER: r.min_further, nk.HOLD_FAILURES: r.hold_failures,
+        nk.DOP_SIGMA: d.sigma_mps, nk.DOP_TAU: d.tau_s, nk.DOP_BIAS: d.bias_mps,
+        nk.DOP_SIN_MASK: np.sin(np.deg2rad(d.elevation_mask_deg)), nk.DOP_CN0_MIN: d.cn0_min_dbhz,
+        nk.ARW: h.angle_random_walk_rad, nk.BIAS_WALK: h.bias_walk_radps,
+        nk.ODO_SIGMA: o.odometer_sigma_mps, nk.ODO_TAU: o.odometer_tau_s, nk.ODO_BIAS: o.odometer_bias_mps,
+        nk.HEADING_BIAS: np.deg2rad(o.heading_bias_deg), nk.HEADING_DRIFT: np.deg2rad(o.heading_drift_degps),
+        nk.LEVER_FORWARD: c.positioning.antenna_forward_m, nk.LEVER_RIGHT: c.positioning.antenna_right_m,
+    }  # fmt: skip
+    par = np.zeros(nk.NP)
+    par[list(values)] = list(values.values())
+    return par

@@ -1,0 +1,465 @@
+"""One navigation epoch of one vehicle: the flow chart of S1 figure 1, stage by stage.
+
+``x`` (NX,) is the vehicle's state, ``out`` (NO,) its solution and ``par`` (NP,) the declared figures, all flat with the
+columns named below. Everything here is belief: the measurements are the only inputs.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from lanebound.integrity.accel import jit, prange
+from lanebound.integrity.monitoring.alerts_kernel import alert_step
+from lanebound.integrity.monitoring.dead_reckoning_kernel import (
+    D_EE,
+    D_NN,
+    O_E,
+    O_N,
+    correct_heading_error,
+    forget,
+    grow_doppler,
+    grow_odometer,
+    reset,
+    track_biases,
+    track_biases_published,
+    track_sigmas,
+    turn_heading_error,
+)
+from lanebound.integrity.monitoring.detection_kernel import EXCLUDED as FDE_EXCLUDED
+from lanebound.integrity.monitoring.detection_kernel import NO_REDUNDANCY as FDE_NO_REDUNDANCY
+from lanebound.integrity.monitoring.detection_kernel import detect_and_exclude
+from lanebound.integrity.monitoring.geometry_kernel import (
+    P_EE,
+    P_EN,
+    P_NN,
+    SIGMA0_AT,
+    SIGMA0_CT,
+    SOLVED,
+    X_E,
+    X_N,
+    X_U,
+    geometry,
+    scratch,
+    solve,
+)
+from lanebound.integrity.monitoring.protection_kernel import (
+    budgets_of,
+    closed_form,
+    closed_form_published,
+    pair_risk,
+    root,
+)
+from lanebound.integrity.monitoring.separation_kernel import modes, set_priors
+from lanebound.integrity.positioning.heading_kernel import (
+    correct,
+    doppler_heading_usable,
+    doppler_heading_variance,
+    predict_heading,
+    wrap,
+)
+from lanebound.integrity.positioning.mode_kernel import DOPPLER, IMU_ODOMETER, NONE, RTK, select_mode
+from lanebound.integrity.positioning.rtk_kernel import (
+    FAULT,
+    FIXED,
+    NO_CORRECTIONS,
+    NOT_CONVERGED,
+    TOO_FEW,
+    collapse_code,
+    collapse_phase,
+    drop_small_systems,
+    hdop_of,
+    held_risk,
+    resolve,
+)
+
+# state
+EAST, NORTH, UP, HEADING, GYRO_BIAS, P_HH, P_HB, P_BB = range(8)
+VEL_E, VEL_N, HAS_VEL, SINCE_RTK, SINCE_CAL, REJECTED, FIXES, REST_S, INITIALISED = range(8, 17)
+NX = 17
+
+# solution
+O_MODE, O_RTK, O_AVAILABLE, O_SIGMA_AT, O_SIGMA_CT, O_HDOP, O_SATELLITES, O_DOPPLER, O_EXCLUDED, O_WRONG = range(10)
+NO = 10
+INITIALISING_CAUSE = 7  # the code of AlertReason.INITIALISING
+
+# declared figures
+(
+    DT, BANDS, SIN_MASK, CN0_MIN, CN0_KNEE, SIGMA_CODE, SIGMA_PHASE, PHASE_BIAS, REFERENCE_BIAS, AGE_BIAS, MAX_AGE,
+    FIX_LIMIT, RATIO_MIN, MAX_CANDIDATES, MIN_SATELLITES, MIN_FURTHER, HOLD_FAILURES,
+    DOP_SIGMA, DOP_TAU, DOP_BIAS, DOP_SIN_MASK, DOP_CN0_MIN,
+    ARW, BIAS_WALK, ODO_SIGMA, ODO_TAU, ODO_BIAS, HEADING_BIAS, HEADING_DRIFT, LEVER_FORWARD, LEVER_RIGHT,
+) = range(31)
+NP = 31
+
+
+@jit
+def weigh(elevation, tracked, cn0, sin_mask, cn0_min, cn0_knee, factor, used):  # type: ignore[no-untyped-def]
+    """Variance factor ``(1 + 1/sin^2 el)/2 * (1 + 10^((knee - C/N0)/10))`` and who is used, for S satellites.
+
+    The elevation part is RTKLIB's ``a^2 + (a/sin el)^2`` scaled to 1 at the zenith; the C/N0 part doubles the variance at
+    the knee (sigma-epsilon model of Hartinger and Brunner 1999).
+    """
+    for s in range(elevation.shape[0]):
+        sine = math.sin(elevation[s])
+        used[s] = tracked[s] and sine > sin_mask and cn0[s] >= cn0_min
+        factor[s] = 1.0
+        if used[s]:
+            factor[s] = 0.5 * (1.0 + 1.0 / (sine * sine)) * (1.0 + 10.0 ** (0.1 * (cn0_knee - cn0[s])))
+
+
+@jit
+def attitude(x, par, delta_theta, v_ss):  # type: ignore[no-untyped-def]
+    """Advance the heading by the gyro; at rest hold it and learn the gyro bias instead (ZUPT, S1 figure 1).
+
+    Returns the mean heading over the epoch [rad].
+    """
+    dt = par[DT]
+    p = x[P_HH : P_BB + 1]
+    before = x[HEADING]
+    if x[REST_S] > 0.5:
+        _, x[GYRO_BIAS] = correct(before, x[GYRO_BIAS], p, delta_theta / dt - x[GYRO_BIAS], 0.0, 1.0, par[ARW] ** 2 / dt)
+        return before
+    x[HEADING] = predict_heading(before, x[GYRO_BIAS], p, delta_theta, dt, par[ARW], par[BIAS_WALK])
+    return wrap(before + 0.5 * wrap(x[HEADING] - before))
+
+
+@jit
+def calibrate(x, par, limits, v_e, v_n, q_ee, q_en, q_nn, v_ss, hdop):  # type: ignore[no-untyped-def]
+    """Calibrate heading and gyro bias by the Doppler course where S1 table 1 allows it; True when done.
+
+    The jump limit is widened to 3 sigma while the filter itself is less certain than the limit.
+    """
+    speed = math.hypot(v_e, v_n)
+    if not speed > 0.0:
+        return False
+    course = math.atan2(v_e, v_n) if v_ss >= 0.0 else math.atan2(-v_e, -v_n)
+    jump = wrap(course - x[HEADING])
+    allowed = limits.copy()
+    allowed[3] = max(limits[3], 3.0 * math.sqrt(x[P_HH]))
+    if not doppler_heading_usable(speed, v_ss, hdop, jump, allowed):
+        return False
+    variance = doppler_heading_variance(v_e, v_n, q_ee, q_en, q_nn) * max(1.0, 2.0 * par[DOP_TAU] / par[DT])
+    p = x[P_HH : P_BB + 1]
+    x[HEADING], x[GYRO_BIAS] = correct(x[HEADING], x[GYRO_BIAS], p, jump, 1.0, 0.0, variance)
+    return True
+
+
+@jit
+def keep_lock(tracked, phase, bands, lock_lost, held, phase_ok):  # type: ignore[no-untyped-def]
+    """Which carriers are locked on every band; a satellite that lost its lock loses its held integers."""
+    for s in range(tracked.shape[0]):
+        locked = tracked[s] and phase[s, 0] != 0.0 and (bands == 1 or phase[s, 1] != 0.0)
+        if not locked or lock_lost[s]:
+            held[s] = False
+        phase_ok[s] = locked
+
+
+@jit
+def velocity(e, elevation, tracked, cn0, range_rate, par, chi2, normal, fde, drift_group, used, variance, v, q):  # type: ignore[no-untyped-def]
+    """Velocity and clock drift by least squares of the range rates, with fault detection and exclusion (df = m - 4).
+
+    Fills v (3,) [m/s], q (3,3) and ``used``; returns the outcome code, satellites used, excluded, and HDOP.
+    """
+    weigh(elevation, tracked, cn0, par[DOP_SIN_MASK], par[DOP_CN0_MIN], par[CN0_KNEE], variance, used)
+    for s in range(used.shape[0]):
+        variance[s] *= par[DOP_SIGMA] ** 2
+    outcome, _, _, _, excluded = detect_and_exclude(
+        e, drift_group, variance, range_rate, used, chi2, normal, fde[0] > 0.0, int(fde[1]), int(fde[2]), v, q
+    )
+    n = 0
+    for s in range(used.shape[0]):
+        n += used[s]
+    return outcome, n, excluded, hdop_of(e, drift_group, used)
+
+
+@jit
+def rtk(  # type: ignore[no-untyped-def]
+    e, system, elevation, tracked, cn0, code, phase, lock_lost, age, sin_h, cos_h, par, wavelength, fixable,
+    chi2, normal, fde, held, integers, fix_id, fix_risk, x, geo, head, rows, rows_e, rows_group, rows_of,
+):
+    """One epoch of RTK: keep lock, resolve what is not held, solve with the held phases, test and exclude.
+
+    The fixed position takes the phases alone: the code's share of the weight is the inverse square of the code/phase ratio,
+    1/5000, and would only bring in its multipath. On success ``geo`` and ``head`` hold the fault-free solution of the
+    satellites in use, and ``rows`` (4, S) their variance, bias bound and measurement.
+
+    Returns the status, satellites in the solution, excluded, and HDOP.
+    """
+    n_sat, bands = e.shape[0], int(par[BANDS])
+    used, phase_ok = np.empty(n_sat, dtype=np.bool_), np.empty(n_sat, dtype=np.bool_)
+    factor = np.empty(n_sat)
+    keep_lock(tracked, phase, bands, lock_lost, held, phase_ok)
+    if not age <= par[MAX_AGE]:
+        return NO_CORRECTIONS, 0, 0, math.inf
+    weigh(elevation, tracked, cn0, par[SIN_MASK], par[CN0_MIN], par[CN0_KNEE], factor, used)
+    variance_phase = factor * par[SIGMA_PHASE] ** 2
+    candidate = used & phase_ok & fixable & ~held
+    status = FIXED
+    if _count(candidate) > 0:
+        status = _resolve_now(e, system, used, candidate, held, code, phase, factor, variance_phase, par, wavelength,
+                              chi2, normal, fde, integers, fix_id, fix_risk, x)  # fmt: skip
+    member = held & used
+    count, systems = drop_small_systems(member, system, int(par[MIN_FURTHER]))
+    if count < par[MIN_SATELLITES] + par[MIN_FURTHER] * (systems - 1) or systems == 0:
+        return (status if status != FIXED else TOO_FEW), count, 0, math.inf
+    y, x_fixed, q = np.empty(n_sat), np.empty(3), np.empty((3, 3))
+    collapse_phase(phase, integers, wavelength, system, bands, y)
+    variance = variance_phase / bands
+    outcome, _, _, _, excluded = detect_and_exclude(
+        e, system, variance, y, member, chi2, normal, fde[0] > 0.0, int(fde[1]), int(fde[2]), x_fixed, q
+    )
+    if outcome > FDE_EXCLUDED:
+        x[REJECTED] += 1.0
+        if x[REJECTED] >= par[HOLD_FAILURES]:
+            held[:] = False
+            x[REJECTED] = 0.0
+        return FAULT, count, excluded, math.inf
+    x[REJECTED] = 0.0
+    bias = par[PHASE_BIAS] + par[AGE_BIAS] * age
+    n = 0
+    for s in range(n_sat):
+        if held[s] and used[s] and not member[s] and excluded > 0:
+            held[s] = False
+        if member[s]:
+            rows_e[n] = e[s]
+            rows_group[n], rows_of[n] = system[s], s
+            rows[0, n], rows[1, n], rows[2, n] = variance[s], bias, y[s]
+            n += 1
+    if geometry(rows_e, rows_group, rows[0], rows[1], n, sin_h, cos_h, geo, head) != SOLVED:
+        return TOO_FEW, n, excluded, math.inf
+    solve(rows[2], rows_group, n, geo, head)
+    return FIXED, n, excluded, hdop_of(e, system, member)
+
+
+@jit
+def _count(mask):  # type: ignore[no-untyped-def]
+    n = 0
+    for s in range(mask.shape[0]):
+        n += mask[s]
+    return n
+
+
+@jit
+def _resolve_now(  # type: ignore[no-untyped-def]
+    e, system, used, candidate, held, code, phase, factor, variance_phase, par, wavelength,
+    chi2, normal, fde, integers, fix_id, fix_risk, x,
+):
+    """Check the code by its own residuals, then fix what the risk allows."""
+    n_sat, bands = e.shape[0], int(par[BANDS])
+    variance_code = factor * par[SIGMA_CODE] ** 2
+    y, position, q = np.empty(n_sat), np.empty(3), np.empty((3, 3))
+    collapse_code(code, bands, y)
+    sound = used.copy()
+    outcome, _, _, _, _ = detect_and_exclude(
+        e, system, variance_code / bands, y, sound, chi2, normal, fde[0] > 0.0, int(fde[1]), int(fde[2]), position, q
+    )
+    if outcome > FDE_EXCLUDED:
+        return NOT_CONVERGED
+    x[FIXES] += 1.0
+    return resolve(
+        e, system, sound, candidate, held, code, phase, variance_code, variance_phase, bands, wavelength,
+        integers, fix_id, fix_risk, int(x[FIXES]), par[FIX_LIMIT], par[RATIO_MIN], int(par[MAX_CANDIDATES]),
+        int(par[MIN_SATELLITES]), int(par[MIN_FURTHER]),
+    )
+
+
+@jit
+def standstill(x, dt, v_ss, solved, v_gnss):  # type: ignore[no-untyped-def]
+    """Count how long the vehicle has been at rest: no odometer pulse, and no Doppler speed that contradicts it."""
+    at_rest = abs(v_ss) < 0.02 and not (solved and v_gnss > 0.5)
+    x[REST_S] = x[REST_S] + dt if at_rest else 0.0
+    return x[REST_S] > 0.5
+
+
+@jit
+def levels_rtk(  # type: ignore[no-untyped-def]
+    n, rows, rows_group, sin_h, cos_h, risks, shares, spent, priors, k_fa, k_published, reference_bias, geo, head, mode, pl
+):
+    """Protection levels of the fixed position: cases of the root, of the closed form, and of the published form.
+
+    risks (3, R) holds the risk of each case in the row of its form, 0 elsewhere; ``reference_bias`` [m] bounds the common shift
+    of a wrong reference, which every mode shares. Published: ``b_E = b_N`` of that length, so ``B = b / sqrt 2``.
+    """
+    count_cases = risks.shape[1]
+    one, budget, found = np.empty(1), np.empty((1, 2)), np.empty((1, 2))
+    constellations, split, share0, multiple, tolerate = shares[0] > 0.0, shares[1], shares[2], shares[3] > 0.0, shares[4] > 0.0
+    variance, n_modes = rows[0], 0
+    for form in range(3):
+        filled = False
+        for r in range(count_cases):
+            if risks[form, r] <= 0.0:
+                continue
+            if not filled:
+                n_modes = modes(rows_group, variance, variance, n, sin_h, cos_h, constellations, form == 2, geo, head, mode)
+                set_priors(rows_group, n, n_modes, priors[0], priors[1], head, mode)
+                filled = True
+            if form == 2:
+                one[0] = k_published[r]
+                closed_form_published(n_modes, k_fa[1, n_modes - 1], one, mode, found)
+                shift = reference_bias / math.sqrt(2.0)
+            else:
+                one[0] = risks[form, r]
+                lost = spent + (pair_risk(n_modes, mode) if multiple else 0.0)
+                budgets_of(one, split, lost, budget)
+                if form == 0:
+                    root(n_modes, k_fa[0, n_modes - 1], budget, tolerate, mode, found)
+                else:
+                    closed_form(n_modes, k_fa[0, n_modes - 1], budget, share0, tolerate, mode, found)
+                shift = reference_bias
+            pl[r, 0], pl[r, 1] = found[0, 0] + shift, found[0, 1] + shift
+
+
+@jit
+def levels_dead_reckoning(p, sin_h, cos_h, k_dead, published, pl):  # type: ignore[no-untyped-def]
+    """``PL_q = K_md sigma_q + B_q`` (S1 eq 18-19) of every case: k_dead (R, 2), published (R,) bool."""
+    sigma_at, sigma_ct = track_sigmas(p, sin_h, cos_h)
+    b_at, b_ct = track_biases(p, sin_h, cos_h)
+    s_at, s_ct = track_biases_published(p, sin_h, cos_h)
+    for r in range(k_dead.shape[0]):
+        pl[r, 0] = k_dead[r, 0] * sigma_at + (s_at if published[r] else b_at)
+        pl[r, 1] = k_dead[r, 1] * sigma_ct + (s_ct if published[r] else b_ct)
+
+
+@jit
+def restart(dr, level, k_dead, shift, published, head, sin_h, cos_h):  # type: ignore[no-untyped-def]
+    """Start dead reckoning anew from the RTK position just found.
+
+    Its initial error must keep what the protection level promised, faults included: the standard deviation of each track axis
+    is the one that gives the operative ``level`` (2,) back, ``(PL - shift) / K``. The published form starts from the fault-free
+    covariance, as S1 does.
+    """
+    ee, en, nn = head[P_EE], head[P_EN], head[P_NN]
+    if not published and level[0] < math.inf and level[1] < math.inf:
+        a, b = ((level[0] - shift) / k_dead[0]) ** 2, ((level[1] - shift) / k_dead[1]) ** 2
+        ee = sin_h * sin_h * a + cos_h * cos_h * b
+        en = sin_h * cos_h * (a - b)
+        nn = cos_h * cos_h * a + sin_h * sin_h * b
+    reset(dr, ee, en, nn, shift)
+
+
+@jit
+def advance(x, dr, par, mode, v_e, v_n, q_ee, q_en, q_nn, v_ss, middle, resting):  # type: ignore[no-untyped-def]
+    """Carry the position and its error over the epoch by Doppler or by dead reckoning; at rest nothing moves."""
+    dt = par[DT]
+    if resting or mode == NONE or mode == RTK:
+        forget(dr, dt, par[DOP_TAU], par[ODO_TAU])
+        return
+    if mode == DOPPLER:
+        before_e, before_n = (x[VEL_E], x[VEL_N]) if x[HAS_VEL] > 0.0 else (v_e, v_n)
+        x[EAST] += 0.5 * dt * (before_e + v_e)
+        x[NORTH] += 0.5 * dt * (before_n + v_n)
+        phi = math.exp(-dt / par[ODO_TAU])
+        dr[O_E] *= phi
+        dr[O_N] *= phi
+        grow_doppler(dr, dt, q_ee, q_en, q_nn, par[DOP_TAU], par[DOP_BIAS])
+        return
+    s, c = math.sin(middle), math.cos(middle)
+    x[EAST] += dt * v_ss * s
+    x[NORTH] += dt * v_ss * c
+    phi = math.exp(-dt / par[DOP_TAU])
+    for k in range(D_EE, D_NN + 1):
+        dr[k] *= phi
+    b_theta = par[HEADING_BIAS] + par[HEADING_DRIFT] * x[SINCE_CAL]
+    grow_odometer(dr, dt, v_ss, s, c, par[ODO_SIGMA] ** 2, par[ODO_TAU], x[P_HH], x[P_HB], b_theta, par[ODO_BIAS])
+
+
+@jit
+def _epoch(  # type: ignore[no-untyped-def]
+    e, system, elevation, tracked, cn0, code, phase, range_rate, lock_lost, age, delta_theta, v_ss,
+    par, mode_limits, heading_limits, wavelength, fixable, chi2, normal, fde, risks, shares, spent, priors, k_fa,
+    k_published, k_dead, published, operative_published, alert_limits, drift_group,
+    x, dr, held, integers, fix_id, fix_risk, v, alert, reason, onset, clear, geo, head, columns, rows, rows_e, rows_group,
+    rows_of, out, pl,
+):  # fmt: skip
+    """The whole epoch of vehicle v; x, dr, held, integers, fix_id, fix_risk and the alert arrays are its state."""
+    dt, n_sat = par[DT], e.shape[0]
+    x[SINCE_RTK] += dt
+    x[SINCE_CAL] += dt
+
+    used, variance, velocity_enu, q_v = np.empty(n_sat, dtype=np.bool_), np.empty(n_sat), np.empty(3), np.empty((3, 3))
+    outcome, n_doppler, excluded_doppler, hdop_doppler = velocity(
+        e, elevation, tracked, cn0, range_rate, par, chi2, normal, fde, drift_group, used, variance, velocity_enu, q_v
+    )
+    solved = outcome <= FDE_EXCLUDED or outcome == FDE_NO_REDUNDANCY
+    turning, s_0, c_0 = delta_theta / dt - x[GYRO_BIAS], math.sin(x[HEADING]), math.cos(x[HEADING])
+    v_e = velocity_enu[0] - turning * (c_0 * par[LEVER_FORWARD] - s_0 * par[LEVER_RIGHT])  # antenna to reference point
+    v_n = velocity_enu[1] + turning * (s_0 * par[LEVER_FORWARD] + c_0 * par[LEVER_RIGHT])
+    v_gnss = math.hypot(v_e, v_n)
+    resting = standstill(x, dt, v_ss, solved, v_gnss)
+    middle = attitude(x, par, delta_theta, v_ss)
+    turn_heading_error(dr, dt)
+    if solved and not resting:
+        p_hh, p_hb = x[P_HH], x[P_HB]
+        if calibrate(x, par, heading_limits, v_e, v_n, q_v[0, 0], q_v[0, 1], q_v[1, 1], v_ss, hdop_doppler):
+            correct_heading_error(dr, 1.0 - x[P_HH] / p_hh, (p_hb - x[P_HB]) / p_hh)
+            x[SINCE_CAL] = 0.0
+    sin_h, cos_h = math.sin(x[HEADING]), math.cos(x[HEADING])
+
+    status, n_rtk, excluded_rtk, hdop_rtk = rtk(
+        e, system, elevation, tracked, cn0, code, phase, lock_lost, age, sin_h, cos_h, par, wavelength, fixable,
+        chi2, normal, fde, held, integers, fix_id, fix_risk, x, geo, head, rows, rows_e, rows_group, rows_of,
+    )  # fmt: skip
+    wrong = held_risk(held, fix_id, fix_risk)
+    mode = select_mode(
+        status == FIXED, hdop_rtk, solved, v_gnss, v_ss, hdop_doppler, x[SINCE_RTK], x[INITIALISED] > 0.0, mode_limits
+    )
+    advance(x, dr, par, mode, v_e, v_n, q_v[0, 0], q_v[0, 1], q_v[1, 1], v_ss, middle, resting)
+    if mode == RTK:
+        shift = par[REFERENCE_BIAS]
+        levels_rtk(n_rtk, rows, rows_group, sin_h, cos_h, risks, shares, spent + wrong, priors, k_fa, k_published,
+                   shift, geo, head, columns, pl)  # fmt: skip
+        forward, right = par[LEVER_FORWARD], par[LEVER_RIGHT]
+        x[EAST] = head[X_E] - sin_h * forward - cos_h * right
+        x[NORTH] = head[X_N] - cos_h * forward + sin_h * right
+        x[UP] = head[X_U]
+        x[SINCE_RTK], x[INITIALISED] = 0.0, 1.0
+        restart(dr, pl[0], k_dead[0], shift, operative_published, head, sin_h, cos_h)
+    elif mode != NONE:
+        levels_dead_reckoning(dr, sin_h, cos_h, k_dead, published, pl)
+    else:
+        pl[:] = math.inf
+    x[HAS_VEL] = 1.0 if solved else 0.0
+    x[VEL_E], x[VEL_N] = (v_e, v_n) if solved else (v_ss * sin_h, v_ss * cos_h)
+
+    sigma_at, sigma_ct = track_sigmas(dr, sin_h, cos_h) if mode != RTK else _fault_free(head)
+    cause = INITIALISING_CAUSE if mode == NONE else 0
+    available = alert_step(v, cause, pl[0, 0], pl[0, 1], sigma_at, sigma_ct, dt, alert_limits, alert, reason, onset, clear)
+    out[O_MODE], out[O_RTK], out[O_AVAILABLE] = mode, status, available
+    out[O_SIGMA_AT], out[O_SIGMA_CT] = sigma_at, sigma_ct
+    out[O_HDOP] = hdop_rtk if mode == RTK else hdop_doppler
+    out[O_SATELLITES], out[O_DOPPLER], out[O_EXCLUDED] = n_rtk, n_doppler, excluded_rtk + excluded_doppler
+    out[O_WRONG] = wrong
+
+
+@jit
+def _fault_free(head):  # type: ignore[no-untyped-def]
+    return head[SIGMA0_AT], head[SIGMA0_CT]
+
+
+def _run(  # type: ignore[no-untyped-def]
+    los, system, elevation, index, tracked, cn0, code, phase, range_rate, lock_lost, age, delta_theta, v_ss,
+    par, mode_limits, heading_limits, wavelength, fixable, chi2, normal, fde, risks, shares, spent, priors, k_fa,
+    k_published, k_dead, published, operative_published, alert_limits, drift_group,
+    x, dr, held, integers, fix_id, fix_risk, alert, reason, onset, clear, chunks, out, pl,
+):  # fmt: skip
+    """One epoch of B vehicles in ``chunks`` runs that share their scratch."""
+    batch, n_sat = index.shape[0], system.shape[0]
+    for chunk in prange(chunks):
+        geo, head, columns = scratch(n_sat)
+        rows, rows_e = np.zeros((3, geo.shape[1])), np.zeros((geo.shape[1], 3))
+        rows_group, rows_of = np.zeros(geo.shape[1], dtype=np.int64), np.zeros(geo.shape[1], dtype=np.int64)
+        for v in range(chunk * batch // chunks, (chunk + 1) * batch // chunks):
+            k = index[v]
+            _epoch(
+                los[k], system, elevation[k], tracked[v], cn0[v], code[v], phase[v], range_rate[v], lock_lost[v], age[v],
+                delta_theta[v], v_ss[v], par, mode_limits, heading_limits, wavelength, fixable, chi2, normal, fde, risks,
+                shares, spent, priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
+                x[v], dr[v], held[v], integers[v], fix_id[v], fix_risk[v], v, alert, reason, onset, clear,
+                geo, head, columns, rows, rows_e, rows_group, rows_of, out[v], pl[v],
+            )  # fmt: skip
+
+
+run_serial = jit(_run)
+run_parallel = jit(parallel=True)(_run)
