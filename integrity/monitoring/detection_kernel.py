@@ -1,0 +1,201 @@
+"""Detection and exclusion for the satellites of one vehicle, one row each, a clock for each group.
+
+The receiver clocks are eliminated analytically: centring each group's rows on their weighted mean leaves a 3x3 normal
+matrix A. Letters: ``z = e - mean(e)`` of the row's group, ``w`` weight, ``r`` residual,
+``M_ii = w - w^2 (1 / sum(w) + z'A^-1 z)``, ``w-statistic = w r / sqrt(M_ii)``. Removing row k from a group of weight V
+is the rank-one downdate ``A -= w V / (V - w) z z'``. For single-row modes the AT and CT separation tests and the
+direction test all equal the w-statistic, so the table chooses the test: ``threshold_tables(..., axes=1)`` or ``axes=2``.
+Reference: :func:`lanebound.integrity.monitoring.exclusion.detect_and_exclude`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.accel import jit, prange
+
+__all__ = ["detect_and_exclude", "detect_and_exclude_batch"]
+
+# Codes of FdeOutcome, repeated because Numba's cache does not see other files change (a test compares them).
+CLEAN, EXCLUDED, UNRESOLVED, NO_REDUNDANCY, SINGULAR = 0, 1, 2, 3, 4
+
+MAX_GROUPS = 16
+SINGULAR_TOLERANCE = 1e-10  # determinant of the correlation form of a normal matrix that has a solution
+RANK_TOLERANCE = 1e-9  # as in detection.py: a row with less redundancy cannot be checked
+
+
+@jit
+def centre_group(
+    g: int, los: NDArray[Any], group: NDArray[Any], variance: NDArray[Any], y: NDArray[Any], mask: NDArray[Any],
+    mean: NDArray[Any],
+) -> None:  # fmt: skip
+    """Weighted means of group ``g`` into ``mean[g]``: e (3), y, sum of weights; zeros without rows."""
+    for c in range(5):
+        mean[g, c] = 0.0
+    for i in range(y.size):
+        if mask[i] and group[i] == g:
+            w = 1.0 / variance[i]
+            for c in range(3):
+                mean[g, c] += w * los[i, c]
+            mean[g, 3] += w * y[i]
+            mean[g, 4] += w
+    if mean[g, 4] > 0.0:
+        for c in range(4):
+            mean[g, c] /= mean[g, 4]
+
+
+@jit
+def accumulate(
+    i: int, factor: float, los: NDArray[Any], y: NDArray[Any], centre: NDArray[Any], A: NDArray[Any], b: NDArray[Any]
+) -> None:
+    """Add ``factor z z'`` to A and ``-factor z (y - mean)`` to b for row ``i`` (a design row is ``[-e, 1]``)."""
+    for p in range(3):
+        zp = los[i, p] - centre[p]
+        b[p] -= factor * zp * (y[i] - centre[3])
+        for q in range(3):
+            A[p, q] += factor * zp * (los[i, q] - centre[q])
+
+
+@jit
+def invert(A: NDArray[Any], Q: NDArray[Any]) -> bool:
+    """Inverse of a symmetric positive 3x3 matrix by cofactors of its correlation form; False when singular."""
+    if not (A[0, 0] > 0.0 and A[1, 1] > 0.0 and A[2, 2] > 0.0):
+        return False
+    s0, s1, s2 = 1.0 / math.sqrt(A[0, 0]), 1.0 / math.sqrt(A[1, 1]), 1.0 / math.sqrt(A[2, 2])
+    a, b, c = A[0, 1] * s0 * s1, A[0, 2] * s0 * s2, A[1, 2] * s1 * s2
+    det = 1.0 + 2.0 * a * b * c - a * a - b * b - c * c
+    if not det > SINGULAR_TOLERANCE:
+        return False
+    k = 1.0 / det
+    Q[0, 0] = k * (1.0 - c * c) * s0 * s0
+    Q[1, 1] = k * (1.0 - b * b) * s1 * s1
+    Q[2, 2] = k * (1.0 - a * a) * s2 * s2
+    Q[0, 1] = Q[1, 0] = k * (b * c - a) * s0 * s1
+    Q[0, 2] = Q[2, 0] = k * (a * c - b) * s0 * s2
+    Q[1, 2] = Q[2, 1] = k * (a * b - c) * s1 * s2
+    return True
+
+
+@jit
+def worst_row(
+    los: NDArray[Any], group: NDArray[Any], variance: NDArray[Any], y: NDArray[Any], mask: NDArray[Any],
+    mean: NDArray[Any], Q: NDArray[Any], x: NDArray[Any],
+) -> tuple[float, float, int]:  # fmt: skip
+    """Global statistic, largest absolute w-statistic and its row (-1: none can be checked)."""
+    total, largest, at = 0.0, 0.0, -1
+    for i in range(y.size):
+        if not mask[i]:
+            continue
+        g, w = group[i], 1.0 / variance[i]
+        z0, z1, z2 = los[i, 0] - mean[g, 0], los[i, 1] - mean[g, 1], los[i, 2] - mean[g, 2]
+        r = y[i] - mean[g, 3] + z0 * x[0] + z1 * x[1] + z2 * x[2]
+        total += w * r * r
+        leverage = Q[0, 0] * z0 * z0 + Q[1, 1] * z1 * z1 + Q[2, 2] * z2 * z2
+        leverage += 2.0 * (Q[0, 1] * z0 * z1 + Q[0, 2] * z0 * z2 + Q[1, 2] * z1 * z2)
+        redundancy = 1.0 - w * (1.0 / mean[g, 4] + leverage)
+        if redundancy > RANK_TOLERANCE:
+            size = abs(r) * math.sqrt(w / redundancy)
+            if size > largest or at < 0:
+                largest, at = size, i
+    return total, largest, at
+
+
+@jit
+def detect_and_exclude(
+    los: NDArray[Any],
+    group: NDArray[Any],
+    variance: NDArray[Any],
+    y: NDArray[Any],
+    mask: NDArray[Any],
+    global_chi2: NDArray[Any],
+    local_normal: NDArray[Any],
+    global_first: bool,
+    max_excluded: int,
+    min_redundancy: int,
+    x: NDArray[Any],
+    Q: NDArray[Any],
+) -> tuple[int, float, float, int, int]:
+    """Test, exclude the row with the largest w-statistic above its threshold, test again.
+
+    Parameters
+    ----------
+    los (N, 3) unit vectors e; group (N,) clock of each row, 0..15; variance (N,); y (N,) with ``y = -e.x + clock``.
+    mask (N,) bool : rows in use; excluded rows are cleared in place.
+    global_chi2, local_normal : of ``threshold_tables``, with N at least the number of rows.
+    x (3,), Q (3, 3) : receive the solution and its covariance (East, North, Up).
+
+    Returns
+    -------
+    outcome code of FdeOutcome, global statistic, largest w-statistic, redundancy, number of rows excluded.
+    """
+    mean = np.empty((MAX_GROUPS, 5))
+    A, b = np.zeros((3, 3)), np.zeros(3)
+    rows, groups = 0, 0
+    x[:] = 0.0
+    Q[:] = 0.0
+    for g in range(MAX_GROUPS):
+        mean[g, 4] = -1.0
+    for i in range(y.size):
+        if not mask[i]:
+            continue
+        rows += 1
+        g = group[i]
+        if mean[g, 4] < 0.0:
+            centre_group(g, los, group, variance, y, mask, mean)
+            groups += 1
+        accumulate(i, 1.0 / variance[i], los, y, mean[g], A, b)
+    excluded = 0
+    while True:
+        df = rows - 3 - groups
+        if rows < 4 or not invert(A, Q):
+            return SINGULAR, 0.0, 0.0, 0, excluded
+        for p in range(3):
+            x[p] = Q[p, 0] * b[0] + Q[p, 1] * b[1] + Q[p, 2] * b[2]
+        total, largest, at = worst_row(los, group, variance, y, mask, mean, Q, x)
+        if df < 1:
+            return NO_REDUNDANCY, 0.0, 0.0, 0, excluded
+        limit = local_normal[df, rows]
+        detected = total >= global_chi2[df] or (not global_first and largest >= limit)
+        if not detected:
+            return (EXCLUDED if excluded > 0 else CLEAN), total, largest, df, excluded
+        if at < 0 or largest < limit or excluded >= max_excluded or df - 1 < min_redundancy:
+            return UNRESOLVED, total, largest, df, excluded
+        g, w = group[at], 1.0 / variance[at]
+        weight = mean[g, 4]
+        accumulate(at, -w * weight / (weight - w), los, y, mean[g], A, b)
+        mask[at] = False
+        centre_group(g, los, group, variance, y, mask, mean)
+        rows -= 1
+        excluded += 1
+
+
+@jit(parallel=True)  # type: ignore[untyped-decorator]
+def detect_and_exclude_batch(
+    los: NDArray[Any],
+    group: NDArray[Any],
+    variance: NDArray[Any],
+    y: NDArray[Any],
+    mask: NDArray[Any],
+    global_chi2: NDArray[Any],
+    local_normal: NDArray[Any],
+    global_first: bool,
+    max_excluded: int,
+    min_redundancy: int,
+    x: NDArray[Any],
+    Q: NDArray[Any],
+    outcome: NDArray[Any],
+    statistic: NDArray[Any],
+    worst: NDArray[Any],
+    df: NDArray[Any],
+    excluded: NDArray[Any],
+) -> None:
+    """The same for B vehicles: los (B, N, 3), group (N,), the rest (B, N); results (B,), x (B, 3), Q (B, 3, 3)."""
+    for v in prange(y.shape[0]):
+        outcome[v], statistic[v], worst[v], df[v], excluded[v] = detect_and_exclude(
+            los[v], group, variance[v], y[v], mask[v], global_chi2, local_normal, global_first, max_excluded,
+            min_redundancy, x[v], Q[v],
+        )  # fmt: skip

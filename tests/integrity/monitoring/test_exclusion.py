@@ -1,0 +1,159 @@
+"""The exclusion loop: it finds what was put in, stops where it should, and the kernel does the same."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import binom
+
+from lanebound.integrity.monitoring import detection_kernel
+from lanebound.integrity.monitoring.detection import diagonal_covariance
+from lanebound.integrity.monitoring.exclusion import FdeConfig, FdeOutcome, FdeResult, Search, detect_and_exclude
+from lanebound.integrity.monitoring.significance import Linking
+
+Array = NDArray[np.float64]
+
+
+def directions(rng: np.random.Generator, *shape: int) -> Array:
+    """Unit vectors to satellites above 10 degrees."""
+    azimuth, sin_el = rng.uniform(0, 2 * np.pi, shape), rng.uniform(np.sin(np.radians(10)), 1, shape)
+    cos_el = np.sqrt(1 - sin_el**2)
+    return np.stack([cos_el * np.sin(azimuth), cos_el * np.cos(azimuth), sin_el], -1)
+
+
+def design_of(los: Array, group: NDArray[np.int64]) -> Array:
+    clocks = np.broadcast_to(np.eye(int(group.max()) + 1)[group], (*los.shape[:-1], int(group.max()) + 1))
+    return np.concatenate([-los, clocks], -1)
+
+
+def run(config: FdeConfig, faults: dict[int, float], m: int = 12, trials: int = 1, **kwargs: Any) -> FdeResult:
+    rng = np.random.default_rng(11)
+    G = design_of(directions(rng, m), np.zeros(m, dtype=np.int64))
+    y = rng.normal(size=(trials, m))
+    for row, size in faults.items():
+        y[:, row] += size
+    return detect_and_exclude(config, G, np.eye(m), y, **kwargs)
+
+
+def outcome(result: FdeResult) -> str:
+    return FdeOutcome.from_code(int(result.outcome[0])).name
+
+
+@pytest.mark.parametrize("search", list(Search))
+@pytest.mark.parametrize("linking", list(Linking))
+@pytest.mark.parametrize("faults", [{3: 60.0}, {1: 50.0, 8: -80.0}])
+def test_finds_one_and_two_outliers(search: Search, linking: Linking, faults: dict[int, float]) -> None:
+    config = FdeConfig(alpha=0.001, search=search, linking=linking)
+    result = run(config, faults, heading_rad=0.7)
+    assert outcome(result) == "EXCLUDED"
+    assert np.flatnonzero(~result.used[0]).tolist() == sorted(faults)
+    assert not result.overall.failed.any()
+    assert result.worst[0] < 1.0
+
+
+def test_multi_row_mode_is_excluded_whole() -> None:
+    modes = np.repeat(np.eye(6), 2, axis=1).astype(bool)
+    result = run(FdeConfig(alpha=0.001, search=Search.DIRECTION), {4: 40.0}, modes=modes)
+    assert np.flatnonzero(~result.used[0]).tolist() == [4, 5]
+    assert result.excluded[0].tolist() == [False, False, True, False, False, False]
+
+
+def test_clean_data_false_alarms() -> None:
+    """Bonferroni over global and local tests: at most 2 alpha of clean epochs alarm."""
+    trials = 3000
+    result = run(FdeConfig(alpha=0.02, search=Search.W_TEST), {}, trials=trials)
+    alarmed = int((result.outcome != FdeOutcome.CLEAN.code).sum())
+    low, high = binom.ppf(5e-4, trials, 0.02), binom.ppf(1 - 5e-4, trials, 0.04)
+    assert low <= alarmed <= high
+
+
+def test_stops_at_the_limit_and_says_so() -> None:
+    result = run(FdeConfig(alpha=0.001, max_excluded=1), {1: 50.0, 8: -80.0})
+    assert outcome(result) == "UNRESOLVED"
+    assert result.n_excluded[0] == 1
+    assert outcome(run(FdeConfig(alpha=0.001, max_excluded=0), {1: 50.0})) == "UNRESOLVED"
+
+
+def test_one_redundant_row_detects_but_cannot_identify() -> None:
+    result = run(FdeConfig(alpha=0.001), {1: 500.0}, m=5)
+    assert outcome(result) == "UNRESOLVED"
+    assert result.n_excluded[0] == 0
+
+
+@pytest.mark.parametrize(("m", "name"), [(4, "NO_REDUNDANCY"), (3, "SINGULAR"), (1, "SINGULAR")])
+def test_too_few_rows(m: int, name: str) -> None:
+    assert outcome(run(FdeConfig(), {}, m=m)) == name
+
+
+def test_masked_rows_are_never_excluded_nor_counted() -> None:
+    used = np.arange(12) != 3
+    result = run(FdeConfig(alpha=0.001), {3: 1e6}, used=used)
+    assert outcome(result) == "CLEAN"
+    assert result.adjustment.df[0] == 7
+    assert result.n_excluded[0] == 0
+
+
+def test_kernel_codes_are_the_enums() -> None:
+    for member in FdeOutcome:
+        assert getattr(detection_kernel, member.name) == member.code
+
+
+def compare(
+    los: Array, group: NDArray[np.int64], variance: Array, y: Array, used: NDArray[np.bool_], config: FdeConfig
+) -> None:
+    """Kernel against reference, every output."""
+    B, n = y.shape
+    tables = config.tables(n)
+    mask, x, Q = used.copy(), np.empty((B, 3)), np.empty((B, 3, 3))
+    code, df, count = (np.empty(B, dtype=np.int64) for _ in range(3))
+    statistic, worst = np.empty(B), np.empty(B)
+    detection_kernel.detect_and_exclude_batch(
+        los, group, variance, y, mask, tables.global_chi2, tables.local_normal, config.global_first,
+        config.max_excluded, config.min_redundancy, x, Q, code, statistic, worst, df, count,
+    )  # fmt: skip
+    ref = detect_and_exclude(config, design_of(los, group), diagonal_covariance(variance), y, used)
+    assert np.array_equal(code, ref.outcome)
+    assert np.array_equal(mask, ref.used)
+    assert np.array_equal(count, ref.n_excluded)
+    assert np.allclose(x, ref.adjustment.x[:, :3], rtol=1e-9, atol=1e-9)
+    S = ref.adjustment.gain[:, :3]
+    assert np.allclose(
+        Q[code != 4], (S @ diagonal_covariance(variance) @ S.swapaxes(1, 2))[code != 4], rtol=1e-9, atol=1e-9
+    )
+    tested = code <= FdeOutcome.UNRESOLVED.code
+    assert np.allclose(statistic[tested], ref.overall.statistic[tested], rtol=1e-9)
+    assert np.array_equal(df[tested], ref.adjustment.df[tested])
+    limit = tables.local_normal[df, mask.sum(1)]
+    assert np.allclose((worst / limit)[tested] ** 2, ref.worst[tested], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("groups", [1, 3])
+@pytest.mark.parametrize("global_first", [True, False])
+@pytest.mark.parametrize("search", [Search.W_TEST, Search.SEPARATION])
+def test_kernel_equals_reference(groups: int, global_first: bool, search: Search) -> None:
+    rng = np.random.default_rng(12)
+    B, n = 60, 14
+    los, group = directions(rng, B, n), rng.integers(0, groups, n)
+    group[:groups] = np.arange(groups)
+    variance = rng.uniform(0.5, 3.0, (B, n))
+    y = rng.normal(size=(B, n)) * np.sqrt(variance) + (rng.random((B, n)) < 0.1) * rng.normal(size=(B, n)) * 30
+    used = rng.random((B, n)) < rng.uniform(0.2, 1.0, (B, 1))
+    compare(los, group, variance, y, used, FdeConfig(global_first=global_first, search=search))
+
+
+def test_kernel_when_a_constellation_has_one_satellite() -> None:
+    """A row alone with its clock has no redundancy: wild or not, it is neither tested nor excluded."""
+    rng = np.random.default_rng(13)
+    los, group = directions(rng, 4, 8), np.array([0, 0, 0, 0, 0, 0, 0, 1])
+    y = rng.normal(size=(4, 8))
+    y[:, 7] += 1e3
+    compare(los, group, np.ones((4, 8)), y, np.ones((4, 8), dtype=bool), FdeConfig())
+
+
+def test_outcome_carries_advice() -> None:
+    assert "may be used" in FdeOutcome.CLEAN.value
+    assert FdeOutcome.from_code(3) is FdeOutcome.NO_REDUNDANCY
+    assert FdeOutcome.count([0, 0, 2])["unresolved"] == 1
