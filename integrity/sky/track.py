@@ -94,14 +94,7 @@ class SkyTrack:
             )
         k = min(int(place), last)
         los, row, above = sky_at(
-            self.offset_enu_m[k],
-            self.offset_enu_m[k + 1],
-            self.rate_enu_mps[k],
-            self.rate_enu_mps[k + 1],
-            self.step_s,
-            place - k,
-            self.mask_rad,
+            self.offset_enu_m, self.rate_enu_mps, k, self.step_s, place - k, self.mask_rad
         )
-        return SkyView(
-            los[None], row[0:1], row[1:2], row[2:3], row[3:4], above[None], self.system, self.prn, np.atleast_1d(index)
-        )
+        which = np.atleast_1d(np.asarray(index, dtype=np.int64))
+        return SkyView(los, row[0], row[1], row[2], row[3], above, self.system, self.prn, which)

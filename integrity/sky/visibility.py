@@ -1,16 +1,29 @@
-"""What stands between a lane and the satellites: line of sight, foliage, a reflection, or nothing at all."""
+"""What stands between a lane and the satellites: line of sight, foliage, a reflection, or nothing at all.
+
+A street does not move, so what a vehicle can receive depends on where it is and on the direction alone. The mask holds
+that for stations along the road, lanes and cells of the sky; a look-up costs a few nanoseconds a satellite.
+"""
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from enum import IntEnum
+from pathlib import Path as FilePath
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lanebound.integrity.accel import use_parallel
+from lanebound.integrity.errors import InputError, require_finite, require_in_range, require_shape
+from lanebound.integrity.sky.raytrace import first_hits
+from lanebound.integrity.sky.raytrace_kernel import look_up, mask_parallel, mask_serial
+from lanebound.integrity.sky.road import Road
+from lanebound.integrity.sky.scene import City
 from lanebound.integrity.sky.view import SkyView
 
-__all__ = ["Path", "Reception", "SkyMask"]
+__all__ = ["Path", "Reception", "SkyMask", "line_of_sight"]
 
 Array = NDArray[np.float64]
 
@@ -39,16 +52,221 @@ class Reception:
     excess_m: Array
 
 
+@dataclass(frozen=True)
 class SkyMask:
-    """Precomputed reception by street position, lane and direction (filled in by the ray caster)."""
+    """Reception by station, lane and cell of the sky.
+
+    Attributes
+    ----------
+    path : (N, L, A E) uint8, values of :class:`Path`; cell ``a E + e`` for azimuth bin a and elevation bin e
+    excess_m : (N, L, A E) float32, shortest one-bounce excess, 0 for none
+    azimuths, elevations : numbers of bins A over 2 pi and E over pi / 2
+    spacing_m, length_m, closed : stations along the road
+    digest : names the inputs, see :meth:`digest_of`
+    """
+
+    path: NDArray[np.uint8]
+    excess_m: NDArray[np.float32]
+    azimuths: int
+    elevations: int
+    spacing_m: float
+    length_m: float
+    closed: bool
+    digest: str = ""
 
     @classmethod
     def open(cls) -> SkyMask:
-        """A sky without obstacles."""
-        return cls()
+        """A sky without obstacles, for any road."""
+        return cls(np.zeros((1, 1, 1), dtype=np.uint8), np.zeros((1, 1, 1), dtype=np.float32), 1, 1, 1.0, 1.0, True)
+
+    @classmethod
+    def build(
+        cls,
+        road: Road,
+        city: City,
+        station_spacing_m: float = 5.0,
+        lanes: int | None = None,
+        antenna_height_m: float = 1.5,
+        az_step_deg: float = 3.0,
+        el_step_deg: float = 3.0,
+    ) -> SkyMask:
+        """Cast rays to the centre of every cell from every station and lane (S2 section 3).
+
+        Reflections: mirror the direction d of a blocked ray at the first solid face, ``d' = d - 2 (d.n) n``; when d'
+        leaves freely, satellites in the cell of d' arrive with the excess ``t (1 - d.d')``, t the distance to the face.
+
+        Parameters
+        ----------
+        lanes : lanes from the right, all of the road's by default
+        antenna_height_m : above the road, which lies at height 0
+        az_step_deg, el_step_deg : size of a cell; whole numbers of them make 360 and 90 degrees
+
+        Raises
+        ------
+        InputError
+            A step that does not divide, a spacing or height out of range.
+        """
+        require_in_range("station_spacing_m", station_spacing_m, 0.0, 1e4, low_open=True)
+        require_in_range("antenna_height_m", antenna_height_m, 0.0, 50.0)
+        azimuths, elevations = _bins("az_step_deg", az_step_deg, 360.0), _bins("el_step_deg", el_step_deg, 90.0)
+        lane_count = road.lane_count if lanes is None else lanes
+        if not 1 <= lane_count <= road.lane_count:
+            raise InputError(f"lanes must lie in [1, {road.lane_count}], got {lanes}: the road has no more")
+        count = max(1, int(np.ceil(road.length_m / station_spacing_m)))
+        spacing = road.length_m / count
+        arc = spacing * np.arange(count if road.closed else count + 1)
+        antenna = _antennas(road, arc, lane_count, antenna_height_m)
+        cells = azimuths * elevations
+        path = np.empty((antenna.shape[0], cells), dtype=np.uint8)
+        excess = np.empty((antenna.shape[0], cells), dtype=np.float32)
+        run = mask_parallel if use_parallel(antenna.shape[0]) else mask_serial
+        run(city.grid, antenna, _cell_centres(azimuths, elevations), azimuths, elevations, path, excess)
+        shape = (arc.size, lane_count, cells)
+        digest = cls.digest_of(
+            road, city, station_spacing_m, lanes, antenna_height_m, az_step_deg, el_step_deg
+        )
+        return cls(
+            path.reshape(shape), excess.reshape(shape), azimuths, elevations, spacing, road.length_m, road.closed, digest
+        )
+
+    @staticmethod
+    def digest_of(
+        road: Road,
+        city: City,
+        station_spacing_m: float = 5.0,
+        lanes: int | None = None,
+        antenna_height_m: float = 1.5,
+        az_step_deg: float = 3.0,
+        el_step_deg: float = 3.0,
+    ) -> str:
+        """A name for the inputs of :meth:`build`: equal inputs, equal name. For file names of saved masks."""
+        h = hashlib.blake2b(digest_size=16)
+        for array in (road.vertices_en_m, road.tangent_rad, city.triangles_enu_m, city.surface):
+            h.update(np.ascontiguousarray(array).tobytes())
+        lane_count = road.lane_count if lanes is None else lanes
+        layout = (road.lane_count, road.lane_width_m, road.shift_m, road.closed, lane_count)
+        casting = (station_spacing_m, antenna_height_m, az_step_deg, el_step_deg)
+        h.update(repr((*map(float, layout), *map(float, casting))).encode())
+        return h.hexdigest()
 
     def look(self, arc_m: ArrayLike, lane: ArrayLike, sky: SkyView) -> Reception:
-        """Reception of vehicles at ``arc_m`` (B,), ``lane`` (B,)."""
-        elevation = sky.elevation_rad[sky.index]
-        path = np.where(elevation > 0.0, Path.LOS, Path.BLOCKED).astype(np.uint8)
-        return Reception(path, np.zeros(elevation.shape))
+        """Reception of vehicles at ``arc_m`` (B,) in ``lane`` (B,), for the B rows of ``sky.index``.
+
+        The nearest station answers; lanes that do not exist are clamped; a closed road wraps. Satellites below the
+        horizon are BLOCKED; the mask angle is left to the caller.
+
+        Raises
+        ------
+        InputError
+            An arc that is not finite, shapes that do not agree, or an index without a row.
+        """
+        arc = np.asarray(arc_m, dtype=np.float64)
+        if not np.isfinite(arc).all():
+            require_finite("arc_m", arc)
+        batch = sky.index.shape
+        try:
+            arc = np.ascontiguousarray(np.broadcast_to(arc, batch))
+            lanes = np.ascontiguousarray(np.broadcast_to(np.asarray(lane, dtype=np.int64), batch))
+        except ValueError:
+            raise InputError(f"arc_m and lane must have shape {batch}, got {arc.shape}, {np.shape(lane)}") from None
+        rows = sky.azimuth_rad.shape[0]
+        if batch[0] and not (sky.index.min() >= 0 and sky.index.max() < rows):
+            raise InputError(f"sky.index must lie in [0, {rows - 1}], got {sky.index.max()}: name existing rows")
+        path, excess = look_up(
+            self.path,
+            self.excess_m,
+            arc,
+            lanes,
+            sky.azimuth_rad,
+            sky.elevation_rad,
+            sky.index,
+            self.spacing_m,
+            self.length_m,
+            self.closed,
+            self.azimuths,
+            self.elevations,
+        )
+        return Reception(path, excess)
+
+    def predicted_visibility(self, arc_m: ArrayLike, lane: ArrayLike, sky: SkyView) -> NDArray[np.int64]:
+        """Satellites in line of sight above the mask angle at places along a route, for planners.  (B,) -> (B,)."""
+        seen = self.look(arc_m, lane, sky).path == Path.LOS
+        return np.asarray((seen & sky.above[sky.index]).sum(-1), dtype=np.int64)
+
+    def save(self, path: str | FilePath) -> None:
+        """Write the mask to an ``.npz`` file."""
+        np.savez(
+            path,
+            path=self.path,
+            excess_m=self.excess_m,
+            bins=np.array([self.azimuths, self.elevations, int(self.closed)]),
+            stations=np.array([self.spacing_m, self.length_m]),
+            digest=np.array(self.digest),
+        )
+
+    @classmethod
+    def load(cls, path: str | FilePath, digest: str | None = None) -> SkyMask:
+        """Read a mask; with ``digest`` only when it was built from those inputs.
+
+        Raises
+        ------
+        InputError
+            The file cannot be read, holds no mask, or one of other inputs.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                table, excess, found = data["path"], data["excess_m"], str(data["digest"])
+                azimuths, elevations, closed = (int(v) for v in data["bins"])
+                spacing, length = (float(v) for v in data["stations"])
+        except (OSError, EOFError, KeyError, ValueError, BadZipFile) as exc:
+            raise InputError(f"sky mask {path} must be an .npz file written by save, got: {exc}; build it again") from exc
+        if digest is not None and found != digest:
+            raise InputError(f"sky mask {path} must be of inputs {digest}, got {found}: build it again")
+        if table.ndim != 3 or table.shape != excess.shape or table.shape[2] != azimuths * elevations:
+            raise InputError(f"sky mask {path} must hold tables (N, L, {azimuths * elevations}), got {table.shape}")
+        return cls(table, excess, azimuths, elevations, spacing, length, bool(closed), found)
+
+
+def line_of_sight(city: City, antenna_enu_m: ArrayLike, los_enu: ArrayLike) -> NDArray[np.bool_]:
+    """Whether nothing solid stands between antennas and directions, triangle by triangle (S2 eq 1-2).
+
+    antenna_enu_m (P, 3) [m]; los_enu (S, 3) for all of them or (P, S, 3) -> (P, S). Directions below the horizon count
+    as blocked by the ground.
+
+    Raises
+    ------
+    InputError
+        Entries that are not finite, or wrong shapes.
+    """
+    antenna = np.atleast_2d(require_finite("antenna_enu_m", antenna_enu_m))
+    los = require_finite("los_enu", los_enu)
+    require_shape("antenna_enu_m", antenna, (3,))
+    require_shape("los_enu", los, (None, 3))
+    los = np.broadcast_to(los, (antenna.shape[0], *los.shape[-2:]))
+    clear = first_hits(city.grid, antenna[:, None], los).clear.reshape(los.shape[:2])
+    return np.asarray(clear & (los[..., 2] >= 0.0))
+
+
+def _bins(name: str, step_deg: float, whole_deg: float) -> int:
+    require_in_range(name, step_deg, 0.0, whole_deg, low_open=True)
+    count = round(whole_deg / step_deg)
+    if abs(count * step_deg - whole_deg) > 1e-9:
+        raise InputError(f"{name} must divide {whole_deg:g} deg, got {step_deg}: choose a divisor")
+    return count
+
+
+def _cell_centres(azimuths: int, elevations: int) -> Array:
+    """Unit vectors ENU to the cell centres, (A E, 3)."""
+    az = 2.0 * np.pi * (np.arange(azimuths) + 0.5) / azimuths
+    el = 0.5 * np.pi * (np.arange(elevations) + 0.5) / elevations
+    c, s = np.cos(el), np.sin(el)
+    out = np.empty((azimuths, elevations, 3))
+    out[..., 0], out[..., 1], out[..., 2] = np.sin(az)[:, None] * c, np.cos(az)[:, None] * c, s
+    return out.reshape(-1, 3)
+
+
+def _antennas(road: Road, arc_m: Array, lanes: int, height_m: float) -> Array:
+    """Antenna positions (N L, 3), lane by lane within a station."""
+    lateral = road.lane_lateral_m(np.arange(lanes))
+    en, _ = road.pose_at(arc_m[:, None], lateral[None, :])
+    return np.concatenate([en, np.full((*en.shape[:2], 1), height_m)], -1).reshape(-1, 3)

@@ -1,0 +1,284 @@
+"""Streets made up by rule: buildings, trees, overpasses and tunnels along any road.
+
+Heights are lognormal, as measured for Westminster (median 20.6 m, log sd 0.44) and Guildford (7.1 m, 0.27): C. Tzaras,
+B. G. Evans and S. R. Saunders, Electronics Letters 34(13), 1998.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.config import Config, Field
+from lanebound.integrity.sky.mesh import city_from_mesh
+from lanebound.integrity.sky.road import Road
+from lanebound.integrity.sky.scene import City, Surface, prisms
+
+__all__ = [
+    "City",
+    "CityConfig",
+    "SectionConfig",
+    "SectionKind",
+    "Stretch",
+    "StreetConfig",
+    "Surface",
+    "build_city",
+    "city_from_mesh",
+]
+
+Array = NDArray[np.float64]
+
+RIGHT, LEFT = 1.0, -1.0
+CLEARANCE_M = 1.0  # no building stands closer than this to any lane of the road
+WALL_M = 1.0
+PIECE_M = 8.0  # tunnels are made of straight pieces this long
+LEAST_FRONTAGE_M = 4.0
+
+
+class SectionKind(StrEnum):
+    """What lines a stretch of the road."""
+
+    OPEN = "open"
+    SUBURBAN = "suburban"
+    SEMI_URBAN = "semi_urban"
+    DENSE_CANYON = "dense_canyon"
+    OVERPASS = "overpass"
+    TUNNEL = "tunnel"
+    TREES = "trees"
+
+
+class StreetConfig(Config):
+    """What lines one side of a street. A median height of 0 means no buildings; a spacing of 0 none of that thing."""
+
+    height_median_m: float = Field(0.0, ge=0, le=500, description="median building height")
+    height_log_sd: float = Field(0.3, ge=0, le=2, description="standard deviation of log height [-]")
+    height_max_m: float = Field(150.0, gt=0, le=1000, description="heights are cut off here")
+    setback_m: float = Field(4.0, ge=CLEARANCE_M, le=200, description="from the edge of the lanes to the facades")
+    setback_spread_m: float = Field(0.0, ge=0, le=50, description="facades stand back up to this much more, uniformly")
+    frontage_m: float = Field(18.0, ge=LEAST_FRONTAGE_M, le=300, description="mean length of a facade")
+    depth_m: float = Field(15.0, gt=1, le=200, description="depth of a building")
+    gap_probability: float = Field(0.1, ge=0, le=1, description="probability of a gap after a building [-]")
+    gap_m: float = Field(5.0, ge=0, le=200, description="mean length of a gap")
+    block_m: float = Field(0.0, ge=0, description="distance between side streets, 0 for none")
+    cross_street_m: float = Field(10.0, ge=0, le=100, description="width of a side street between facades")
+    tree_spacing_m: float = Field(0.0, ge=0, le=200, description="distance between trees, 0 for none")
+    tree_base_m: float = Field(4.5, ge=0, le=30, description="under the crown; clearance of Japan's Road Structure Order")
+    tree_top_m: float = Field(9.0, gt=0, le=60, description="top of the crown")
+    tree_crown_m: float = Field(6.0, gt=0, le=30, description="width of the crown")
+    tree_offset_m: float = Field(1.5, ge=0, le=50, description="from the edge of the lanes to the trunks")
+    slab_spacing_m: float = Field(0.0, ge=0, le=5000, description="distance between overpasses, 0 for none")
+    slab_length_m: float = Field(14.0, gt=0, le=500, description="extent of an overpass along the road; four lanes")
+    clearance_m: float = Field(6.0, ge=3, le=50, description="under overpasses and tunnel roofs; above the legal 4.5 m")
+    enclosed: bool = Field(False, description="a tunnel")
+
+
+STREETS: dict[SectionKind, StreetConfig] = {
+    SectionKind.OPEN: StreetConfig(),
+    # Guildford's heights; detached houses behind front gardens
+    SectionKind.SUBURBAN: StreetConfig(
+        height_median_m=7.1, height_log_sd=0.27, setback_m=8.0, setback_spread_m=4.0, frontage_m=12.0, depth_m=10.0,
+        gap_probability=0.8, gap_m=5.0, block_m=120.0, cross_street_m=12.0,
+    ),
+    # three to five storeys of 3 m
+    SectionKind.SEMI_URBAN: StreetConfig(
+        height_median_m=12.0, height_log_sd=0.4, setback_m=5.0, setback_spread_m=2.0, frontage_m=18.0, depth_m=14.0,
+        gap_probability=0.3, gap_m=6.0, block_m=100.0, cross_street_m=12.0,
+    ),
+    # Westminster's spread of heights about eight to nine storeys of 3.3 m, as along an arterial road of central Tokyo
+    SectionKind.DENSE_CANYON: StreetConfig(
+        height_median_m=28.0, height_log_sd=0.44, setback_m=4.0, setback_spread_m=1.0, frontage_m=22.0, depth_m=20.0,
+        gap_probability=0.08, gap_m=3.0, block_m=90.0, cross_street_m=10.0,
+    ),
+    SectionKind.OVERPASS: StreetConfig(slab_spacing_m=120.0),
+    SectionKind.TUNNEL: StreetConfig(enclosed=True),
+    SectionKind.TREES: StreetConfig(
+        height_median_m=7.1, height_log_sd=0.27, setback_m=9.0, setback_spread_m=3.0, frontage_m=12.0, depth_m=10.0,
+        gap_probability=0.7, gap_m=6.0, tree_spacing_m=8.0,
+    ),
+}  # fmt: skip
+
+
+class SectionConfig(Config):
+    """A stretch of road with one kind of street, or with another kind on its left."""
+
+    kind: SectionKind = Field(SectionKind.OPEN, description="what lines the stretch")
+    length_m: float = Field(200.0, ge=10, description="length of the stretch")
+    left_kind: SectionKind | None = Field(None, description="what lines its left side; the same when not given")
+
+
+class CityConfig(Config):
+    """The streets along a road: sections in order, again and again until the road ends."""
+
+    sections: tuple[SectionConfig, ...] = Field(
+        (
+            SectionConfig(kind=SectionKind.SEMI_URBAN, length_m=400.0),
+            SectionConfig(kind=SectionKind.DENSE_CANYON, length_m=300.0),
+            SectionConfig(kind=SectionKind.TREES, length_m=150.0),
+            SectionConfig(kind=SectionKind.OVERPASS, length_m=50.0),
+            SectionConfig(kind=SectionKind.OPEN, length_m=200.0),
+        ),
+        min_length=1,
+        description="stretches in order; the semi-urban and urban Tokyo roads of S2 section 5",
+    )
+    streets: dict[SectionKind, StreetConfig] = Field({}, description="kinds of street that differ from the standard")
+
+    @classmethod
+    def uniform(cls, kind: SectionKind, **changes: float | bool) -> CityConfig:
+        """One kind of street all along, with ``changes`` to its :class:`StreetConfig`."""
+        streets = {kind: STREETS[kind].replace(**changes)} if changes else {}
+        return cls(sections=(SectionConfig(kind=kind),), streets=streets)
+
+    def street(self, kind: SectionKind) -> StreetConfig:
+        """The street of a kind: the one given here, or the standard one."""
+        return self.streets.get(kind, STREETS[kind])
+
+    def stretches(self, length_m: float) -> list[Stretch]:
+        """The stretches of a road of this length; neighbours of the same kinds are joined."""
+        out: list[Stretch] = []
+        at, k = 0.0, 0
+        while at < length_m:
+            section = self.sections[k % len(self.sections)]
+            end = min(at + section.length_m, length_m)
+            left = section.left_kind or section.kind
+            if out and (out[-1].kind, out[-1].left_kind) == (section.kind, left):
+                out[-1] = Stretch(out[-1].start_m, end, section.kind, left)
+            else:
+                out.append(Stretch(at, end, section.kind, left))
+            at, k = end, k + 1
+        return out
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A stretch of a road, from and to arc lengths, and the kinds on its right and left."""
+
+    start_m: float
+    end_m: float
+    kind: SectionKind
+    left_kind: SectionKind
+
+
+def build_city(road: Road, config: CityConfig, rng: np.random.Generator) -> City:
+    """Obstacles along a road; the same generator state gives the same city.
+
+    A building that would stand on the road elsewhere (inside a bend, at a crossing of the road with itself) is made
+    shallower or left out. The frame is the road's.
+    """
+    solid: list[Array] = []
+    leaves: list[Array] = []
+    for stretch in config.stretches(road.length_m):
+        whole = config.street(stretch.kind)
+        solid += [_slabs(road, stretch, whole), _tunnel(road, stretch, whole)]
+        cross = rng.uniform(0.8, 1.2, int((stretch.end_m - stretch.start_m) / max(whole.block_m, 10.0)) + 1)
+        for side, kind in ((RIGHT, stretch.kind), (LEFT, stretch.left_kind)):
+            street = config.street(kind)
+            solid.append(_buildings(road, _blocks(stretch, whole, cross), side, street, rng))
+            leaves.append(_trees(road, stretch, side, street, rng))
+    return City.of(np.concatenate(solid)) + City.of(np.concatenate(leaves), Surface.FOLIAGE)
+
+
+def _blocks(stretch: Stretch, street: StreetConfig, spread: Array) -> list[tuple[float, float]]:
+    """The arcs between side streets, which open on both sides at the same place."""
+    if street.block_m <= 0.0:
+        return [(stretch.start_m, stretch.end_m)]
+    blocks, at = [], stretch.start_m
+    for factor in spread:
+        end = min(at + factor * street.block_m, stretch.end_m)
+        if end - at >= LEAST_FRONTAGE_M:
+            blocks.append((at, end))
+        at = end + street.cross_street_m
+    return blocks
+
+
+def _buildings(
+    road: Road, blocks: list[tuple[float, float]], side: float, street: StreetConfig, rng: np.random.Generator
+) -> Array:
+    """Buildings wall to wall along the blocks of one side, with gaps here and there."""
+    if street.height_median_m <= 0.0:
+        return np.zeros((0, 3, 3))
+    spans: list[tuple[float, float]] = []
+    for start, end in blocks:
+        at = start
+        while end - at >= LEAST_FRONTAGE_M:
+            width = min(max(street.frontage_m * rng.uniform(0.5, 1.5), LEAST_FRONTAGE_M), end - at)
+            spans.append((at, at + width))
+            at += width + (rng.exponential(street.gap_m) if rng.random() < street.gap_probability else 0.0)
+    n = len(spans)
+    height = street.height_median_m * np.exp(street.height_log_sd * rng.standard_normal(n))
+    setback = street.setback_m + street.setback_spread_m * rng.random(n)
+    arcs = np.array(spans).reshape(n, 2)
+    foot, fits = _footprints(road, arcs, side, road.edge_m + setback, street.depth_m)
+    return prisms(foot[fits], 0.0, np.minimum(height, street.height_max_m)[fits])
+
+
+def _footprints(
+    road: Road, arcs: Array, side: float, offset: Array, depth_m: float
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Rectangles (n, 4, 2) beside the road, as deep as fits, and whether any depth does."""
+    n = arcs.shape[0]
+    foot, fits = np.zeros((n, 4, 2)), np.zeros(n, dtype=np.bool_)
+    grid = np.stack(np.meshgrid(np.linspace(0, 1, 5), np.linspace(0, 1, 3), indexing="ij"), -1).reshape(-1, 1, 2)
+    for share in (1.0, 0.5, 0.25):
+        left = np.flatnonzero(~fits)
+        if left.size == 0:
+            break
+        front = [road.pose_at(arcs[left, i], side * offset[left])[0] for i in (0, 1)]
+        along = front[1] - front[0]
+        length = np.hypot(along[:, 0], along[:, 1])[:, None]
+        outward = side * np.stack([along[:, 1], -along[:, 0]], -1) / np.where(length > 0.0, length, 1.0)
+        back = share * depth_m * outward
+        points = front[0] + grid[..., :1] * along + grid[..., 1:] * back
+        _, lateral = road.project(points)
+        good = (np.abs(lateral).min(0) >= road.edge_m + CLEARANCE_M - 1e-6) & (length[:, 0] >= LEAST_FRONTAGE_M / 2)
+        foot[left] = np.stack([front[0], front[1], front[1] + back, front[0] + back], 1)
+        fits[left] = good
+    return foot, fits
+
+
+def _trees(road: Road, stretch: Stretch, side: float, street: StreetConfig, rng: np.random.Generator) -> Array:
+    """Crowns as boxes in a row, their places and sizes a little irregular."""
+    if street.tree_spacing_m <= 0.0:
+        return np.zeros((0, 3, 3))
+    arc = np.arange(stretch.start_m + 0.5 * street.tree_spacing_m, stretch.end_m, street.tree_spacing_m)
+    arc = arc + 0.2 * street.tree_spacing_m * rng.uniform(-1.0, 1.0, arc.size)
+    size = rng.uniform(0.75, 1.25, arc.size)
+    half = 0.5 * street.tree_crown_m * size
+    foot = _across(road, arc - half, arc + half, side * (road.edge_m + street.tree_offset_m), half)
+    top = street.tree_base_m + (street.tree_top_m - street.tree_base_m) * size
+    return prisms(foot, street.tree_base_m, top, floor=True)
+
+
+def _slabs(road: Road, stretch: Stretch, street: StreetConfig) -> Array:
+    """Overpasses across the road, 1.5 m thick, evenly spaced."""
+    if street.slab_spacing_m <= 0.0:
+        return np.zeros((0, 3, 3))
+    length = stretch.end_m - stretch.start_m
+    count = max(1, round(length / street.slab_spacing_m))
+    middle = stretch.start_m + length * (np.arange(count) + 0.5) / count
+    half = 0.5 * min(street.slab_length_m, length / count)
+    foot = _across(road, middle - half, middle + half, 0.0, road.edge_m + 30.0)
+    return prisms(foot, street.clearance_m, street.clearance_m + 1.5, floor=True)
+
+
+def _tunnel(road: Road, stretch: Stretch, street: StreetConfig) -> Array:
+    """Two walls and a roof in short pieces that overlap."""
+    if not street.enclosed:
+        return np.zeros((0, 3, 3))
+    count = int(np.ceil((stretch.end_m - stretch.start_m) / PIECE_M))
+    cuts = np.linspace(stretch.start_m, stretch.end_m, count + 1)
+    start, end = np.maximum(cuts[:-1] - 0.5, stretch.start_m), np.minimum(cuts[1:] + 0.5, stretch.end_m)
+    wall = road.edge_m + CLEARANCE_M + 0.5 * WALL_M
+    top = street.clearance_m + WALL_M
+    parts = [prisms(_across(road, start, end, s * wall, 0.5 * WALL_M), 0.0, top) for s in (RIGHT, LEFT)]
+    parts.append(prisms(_across(road, start, end, 0.0, wall + WALL_M), street.clearance_m, top, floor=True))
+    return np.concatenate(parts)
+
+
+def _across(road: Road, start: Array, end: Array, lateral_m: float, half_m: float | Array) -> Array:
+    """Footprints (n, 4, 2) between two arcs, as wide as ``2 half_m`` about a lateral offset."""
+    near, far = lateral_m - np.asarray(half_m), lateral_m + np.asarray(half_m)
+    corners = ((start, near), (end, near), (end, far), (start, far))
+    return np.stack([road.pose_at(arc, lateral)[0] for arc, lateral in corners], 1)

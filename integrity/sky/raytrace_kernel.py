@@ -1,0 +1,235 @@
+"""Numba kernels: rays through a uniform grid of triangles, and the sky masks cast with them.
+
+Letters of Moeller & Trumbore (1997), S2 eq 1-2: origin ``o``, direction ``d``, triangle ``v0, v0 + e1, v0 + e2``, hit at
+``o + t d = v0 + u e1 + v e2``.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.accel import jit, prange
+
+__all__ = ["Grid", "look_up", "mask_parallel", "mask_serial", "trace", "trace_parallel", "trace_serial"]
+
+EDGE = 1e-12  # edges belong to the triangle, up to rounding
+GRAZING = 1e-12  # sine of the angle to the plane below which a ray counts as parallel
+LIFT_M = 1e-6  # a reflected ray starts this far off the wall
+TWO_PI = 2.0 * math.pi
+LOS, FOLIAGE, REFLECTED, BLOCKED = 0, 1, 2, 3  # the values of visibility.Path
+
+
+class Grid(NamedTuple):
+    """Triangles sorted into square cells of the horizontal plane.
+
+    v0, e1, e2 (T, 3) corner and edges; n (T, 3) normal ``e1 x e2`` of unit length; leaf (T,) foliage rather than solid;
+    low, high (3,) bounding box; cell [m]; nx, ny cells; first (nx ny + 1,), item: triangles of each cell (CSR);
+    floor, roof (nx ny,) heights between which the cell's triangles lie.
+    """
+
+    v0: NDArray[np.float64]
+    e1: NDArray[np.float64]
+    e2: NDArray[np.float64]
+    n: NDArray[np.float64]
+    leaf: NDArray[np.bool_]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    cell: float
+    nx: int
+    ny: int
+    first: NDArray[np.int64]
+    item: NDArray[np.int64]
+    floor: NDArray[np.float64]
+    roof: NDArray[np.float64]
+
+
+@jit
+def _hit(grid, k, ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-def]
+    """Ray parameter t of the hit on triangle k, inf for a miss."""
+    e1, e2 = grid.e1[k], grid.e2[k]
+    px, py, pz = dy * e2[2] - dz * e2[1], dz * e2[0] - dx * e2[2], dx * e2[1] - dy * e2[0]
+    det = e1[0] * px + e1[1] * py + e1[2] * pz
+    if det == 0.0:
+        return math.inf
+    v0 = grid.v0[k]
+    sx, sy, sz = ox - v0[0], oy - v0[1], oz - v0[2]
+    inverse = 1.0 / det
+    u = (sx * px + sy * py + sz * pz) * inverse
+    if not (-EDGE <= u <= 1.0 + EDGE):
+        return math.inf
+    qx, qy, qz = sy * e1[2] - sz * e1[1], sz * e1[0] - sx * e1[2], sx * e1[1] - sy * e1[0]
+    v = (dx * qx + dy * qy + dz * qz) * inverse
+    if v < -EDGE or u + v > 1.0 + EDGE:
+        return math.inf
+    n = grid.n[k]
+    if abs(dx * n[0] + dy * n[1] + dz * n[2]) < GRAZING * math.sqrt(dx * dx + dy * dy + dz * dz):
+        return math.inf
+    t = (e2[0] * qx + e2[1] * qy + e2[2] * qz) * inverse
+    return t if t > 0.0 else math.inf
+
+
+@jit
+def _span(o, d, low, high, start, end):  # type: ignore[no-untyped-def]
+    """The part of [start, end] in which ``o + t d`` lies in [low, high]; empty when start > end."""
+    if d == 0.0:
+        return (start, end) if low <= o <= high else (1.0, 0.0)
+    a, b = (low - o) / d, (high - o) / d
+    return max(start, min(a, b)), min(end, max(a, b))
+
+
+@jit
+def trace(grid, ox, oy, oz, dx, dy, dz, any_hit):  # type: ignore[no-untyped-def]
+    """Follow one ray from cell to cell: (t of the first solid hit, its triangle, t of the first foliage hit).
+
+    Misses are inf and -1. With ``any_hit`` the first hit found of either kind ends the search.
+    """
+    best, which, leaf = math.inf, -1, math.inf
+    start, end = _span(ox, dx, grid.low[0], grid.high[0], 0.0, math.inf)
+    start, end = _span(oy, dy, grid.low[1], grid.high[1], start, end)
+    start, end = _span(oz, dz, grid.low[2], grid.high[2], start, end)
+    if start > end or grid.item.size == 0:
+        return best, which, leaf
+    cell, nx, ny = grid.cell, grid.nx, grid.ny
+    i = min(max(int((ox + start * dx - grid.low[0]) / cell), 0), nx - 1)
+    j = min(max(int((oy + start * dy - grid.low[1]) / cell), 0), ny - 1)
+    step_i, step_j = (1 if dx > 0.0 else -1), (1 if dy > 0.0 else -1)
+    next_x = (grid.low[0] + (i + (dx > 0.0)) * cell - ox) / dx if dx != 0.0 else math.inf
+    next_y = (grid.low[1] + (j + (dy > 0.0)) * cell - oy) / dy if dy != 0.0 else math.inf
+    delta_x = abs(cell / dx) if dx != 0.0 else math.inf
+    delta_y = abs(cell / dy) if dy != 0.0 else math.inf
+    here = start
+    while True:
+        leave = min(next_x, next_y)
+        z0, z1 = oz + here * dz, oz + min(leave, end) * dz
+        c = i * ny + j
+        if min(z0, z1) <= grid.roof[c] and max(z0, z1) >= grid.floor[c]:
+            for m in range(grid.first[c], grid.first[c + 1]):
+                k = grid.item[m]
+                t = _hit(grid, k, ox, oy, oz, dx, dy, dz)
+                if grid.leaf[k]:
+                    leaf = min(leaf, t)
+                elif t < best:
+                    best, which = t, k
+            if any_hit and min(best, leaf) < math.inf:
+                return best, which, leaf
+        if best <= leave or leave >= end:
+            return best, which, leaf
+        here = leave
+        if next_x < next_y:
+            i += step_i
+            next_x += delta_x
+            if i < 0 or i >= nx:
+                return best, which, leaf
+        else:
+            j += step_j
+            next_y += delta_y
+            if j < 0 or j >= ny:
+                return best, which, leaf
+
+
+def _trace_batch(grid, origin, direction, t, which, leaf):  # type: ignore[no-untyped-def]
+    """Rays (N, 3), (N, 3) into t (N,), which (N,), leaf (N,)."""
+    for r in prange(origin.shape[0]):
+        o, d = origin[r], direction[r]
+        t[r], which[r], leaf[r] = trace(grid, o[0], o[1], o[2], d[0], d[1], d[2], False)
+
+
+trace_serial = jit(_trace_batch)
+trace_parallel = jit(parallel=True)(_trace_batch)
+
+
+@jit
+def bin_of(azimuth, elevation, n_az, n_el):  # type: ignore[no-untyped-def]
+    """The cell of a direction, -1 below the horizon; azimuth in any turn."""
+    if not elevation >= 0.0:
+        return -1
+    turn = azimuth / TWO_PI
+    a = min(int((turn - math.floor(turn)) * n_az), n_az - 1)
+    return a * n_el + min(int(elevation / (0.5 * math.pi) * n_el), n_el - 1)
+
+
+@jit
+def _mask_at(grid, ox, oy, oz, direction, n_az, n_el, path, excess):  # type: ignore[no-untyped-def]
+    """The mask of one antenna: path and excess, (cells,), for rays to the cell centres ``direction`` (cells, 3).
+
+    A blocked ray is mirrored at the first solid face, ``d' = d - 2 (d.n) n``; when d' leaves freely, a satellite in that
+    direction arrives by the reflection with the excess ``t (1 - d.d')`` (image method).
+    """
+    cells = direction.shape[0]
+    for c in range(cells):
+        excess[c] = math.inf
+    for c in range(cells):
+        dx, dy, dz = direction[c, 0], direction[c, 1], direction[c, 2]
+        t, k, leaf = trace(grid, ox, oy, oz, dx, dy, dz, False)
+        if k < 0:
+            path[c] = LOS if leaf == math.inf else FOLIAGE
+            continue
+        path[c] = BLOCKED
+        if leaf < t:
+            continue
+        n = grid.n[k]
+        along = dx * n[0] + dy * n[1] + dz * n[2]
+        rx, ry, rz = dx - 2.0 * along * n[0], dy - 2.0 * along * n[1], dz - 2.0 * along * n[2]
+        target = bin_of(math.atan2(rx, ry), math.asin(min(1.0, max(-1.0, rz))), n_az, n_el)
+        extra = 2.0 * t * along * along
+        if target < 0 or extra >= excess[target]:
+            continue
+        lift = -LIFT_M if along > 0.0 else LIFT_M
+        x, y, z = ox + t * dx + lift * n[0], oy + t * dy + lift * n[1], oz + t * dz + lift * n[2]
+        solid, _, leaves = trace(grid, x, y, z, rx, ry, rz, True)
+        if min(solid, leaves) == math.inf:
+            excess[target] = extra
+    for c in range(cells):
+        if excess[c] == math.inf:
+            excess[c] = 0.0
+        elif path[c] == BLOCKED:
+            path[c] = REFLECTED
+
+
+def _mask_batch(grid, antenna, direction, n_az, n_el, path, excess):  # type: ignore[no-untyped-def]
+    """Masks of antennas (P, 3) into path (P, cells) uint8 and excess (P, cells) float32 [m]."""
+    for p in prange(antenna.shape[0]):
+        o = antenna[p]
+        _mask_at(grid, o[0], o[1], o[2], direction, n_az, n_el, path[p], excess[p])
+
+
+mask_serial = jit(_mask_batch)
+mask_parallel = jit(parallel=True)(_mask_batch)
+
+
+@jit
+def look_up(table_path, table_excess, arc, lane, azimuth, elevation, index, spacing, length, closed, n_az, n_el):  # type: ignore[no-untyped-def]
+    """Reception of B vehicles from the tables (stations, lanes, cells): nearest station, lane clamped, cell of each S.
+
+    arc (B,) [m], lane (B,), azimuth and elevation (K, S) [rad], index (B,). Returns path (B, S), excess (B, S) [m].
+    """
+    b_count, s_count = arc.shape[0], azimuth.shape[1]
+    stations, lanes = table_path.shape[0], table_path.shape[1]
+    cell = np.empty(azimuth.shape, dtype=np.int64)
+    for k in range(azimuth.shape[0]):
+        for s in range(s_count):
+            cell[k, s] = bin_of(azimuth[k, s], elevation[k, s], n_az, n_el)
+    path = np.empty((b_count, s_count), dtype=np.uint8)
+    excess = np.empty((b_count, s_count))
+    for b in range(b_count):
+        place = arc[b] / spacing
+        if closed:
+            place -= math.floor(arc[b] / length) * (length / spacing)
+            n = int(place + 0.5) % stations
+        else:
+            n = int(min(max(place, 0.0), stations - 1.0) + 0.5)
+        row = min(max(lane[b], 0), lanes - 1)
+        k = index[b]
+        for s in range(s_count):
+            c = cell[k, s]
+            if c < 0:
+                path[b, s] = BLOCKED
+                excess[b, s] = 0.0
+            else:
+                path[b, s] = table_path[n, row, c]
+                excess[b, s] = table_excess[n, row, c]
+    return path, excess
