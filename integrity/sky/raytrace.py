@@ -89,8 +89,8 @@ def build_grid(triangles: ArrayLike, foliage: ArrayLike, cell_m: float = 10.0) -
     leaf = np.asarray(foliage, dtype=np.bool_)
     if tri.ndim != 3 or leaf.shape != tri.shape[:1]:
         raise InputError(f"foliage must have shape ({tri.shape[0]},), got {leaf.shape}: one flag for each triangle")
-    v0 = np.ascontiguousarray(tri[:, 0])
-    e1, e2 = np.ascontiguousarray(tri[:, 1] - v0), np.ascontiguousarray(tri[:, 2] - v0)
+    v0 = tri[:, 0]
+    e1, e2 = tri[:, 1] - v0, tri[:, 2] - v0
     normal = np.cross(e1, e2)
     size = np.linalg.norm(normal, axis=-1, keepdims=True)
     normal = normal / np.where(size > 0.0, size, 1.0)
@@ -107,7 +107,7 @@ def build_grid(triangles: ArrayLike, foliage: ArrayLike, cell_m: float = 10.0) -
     floor, roof = np.full(nx * ny, np.inf), np.full(nx * ny, -np.inf)
     np.minimum.at(floor, owner, low3[item, 2] - margin)
     np.maximum.at(roof, owner, high3[item, 2] + margin)
-    return Grid(v0, e1, e2, normal, leaf, low, high, cell, nx, ny, first, item, floor, roof)
+    return Grid(np.hstack([v0, e1, e2, normal, size]), leaf, low, high, cell, nx, ny, first, item, floor, roof)
 
 
 def _cells_of(

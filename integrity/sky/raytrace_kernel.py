@@ -26,15 +26,13 @@ LOS, FOLIAGE, REFLECTED, BLOCKED = 0, 1, 2, 3  # the values of visibility.Path
 class Grid(NamedTuple):
     """Triangles sorted into square cells of the horizontal plane.
 
-    v0, e1, e2 (T, 3) corner and edges; n (T, 3) normal ``e1 x e2`` of unit length; leaf (T,) foliage rather than solid;
+    tri (T, 13): corner v0, edges e1 and e2, unit normal n along ``e1 x e2`` (3 each), ``|e1 x e2|``; leaf (T,) foliage
+    rather than solid;
     low, high (3,) bounding box; cell [m]; nx, ny cells; first (nx ny + 1,), item: triangles of each cell (CSR);
     floor, roof (nx ny,) heights between which the cell's triangles lie.
     """
 
-    v0: NDArray[np.float64]
-    e1: NDArray[np.float64]
-    e2: NDArray[np.float64]
-    n: NDArray[np.float64]
+    tri: NDArray[np.float64]
     leaf: NDArray[np.bool_]
     low: NDArray[np.float64]
     high: NDArray[np.float64]
@@ -47,29 +45,27 @@ class Grid(NamedTuple):
     roof: NDArray[np.float64]
 
 
-@jit
-def _hit(grid, k, ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-def]
-    """Ray parameter t of the hit on triangle k, inf for a miss."""
-    e1, e2 = grid.e1[k], grid.e2[k]
-    px, py, pz = dy * e2[2] - dz * e2[1], dz * e2[0] - dx * e2[2], dx * e2[1] - dy * e2[0]
-    det = e1[0] * px + e1[1] * py + e1[2] * pz
-    if det == 0.0:
-        return math.inf
-    v0 = grid.v0[k]
-    sx, sy, sz = ox - v0[0], oy - v0[1], oz - v0[2]
-    inverse = 1.0 / det
-    u = (sx * px + sy * py + sz * pz) * inverse
-    if not (-EDGE <= u <= 1.0 + EDGE):
-        return math.inf
-    qx, qy, qz = sy * e1[2] - sz * e1[1], sz * e1[0] - sx * e1[2], sx * e1[1] - sy * e1[0]
-    v = (dx * qx + dy * qy + dz * qz) * inverse
-    if v < -EDGE or u + v > 1.0 + EDGE:
-        return math.inf
-    n = grid.n[k]
-    if abs(dx * n[0] + dy * n[1] + dz * n[2]) < GRAZING * math.sqrt(dx * dx + dy * dy + dz * dz):
-        return math.inf
-    t = (e2[0] * qx + e2[1] * qy + e2[2] * qz) * inverse
-    return t if t > 0.0 else math.inf
+@jit(inline=True)
+def _hit(tri, k, ox, oy, oz, dx, dy, dz, length):  # type: ignore[no-untyped-def]
+    """Ray parameter t of the hit on triangle k, inf for a miss; ``length`` is that of the direction."""
+    e1x, e1y, e1z = tri[k, 3], tri[k, 4], tri[k, 5]
+    e2x, e2y, e2z = tri[k, 6], tri[k, 7], tri[k, 8]
+    px, py, pz = dy * e2z - dz * e2y, dz * e2x - dx * e2z, dx * e2y - dy * e2x
+    det = e1x * px + e1y * py + e1z * pz
+    size = abs(det)
+    sign = 1.0 if det > 0.0 else -1.0
+    sx, sy, sz = ox - tri[k, 0], oy - tri[k, 1], oz - tri[k, 2]
+    u = sign * (sx * px + sy * py + sz * pz)
+    slack = EDGE * size
+    t = math.inf
+    if u >= -slack and u <= size + slack and size > GRAZING * length * tri[k, 12]:
+        qx, qy, qz = sy * e1z - sz * e1y, sz * e1x - sx * e1z, sx * e1y - sy * e1x
+        v = sign * (dx * qx + dy * qy + dz * qz)
+        if v >= -slack and u + v <= size + slack:
+            reach = sign * (e2x * qx + e2y * qy + e2z * qz)
+            if reach > 0.0:
+                t = reach / size
+    return t
 
 
 @jit
@@ -94,6 +90,8 @@ def trace(grid, ox, oy, oz, dx, dy, dz, any_hit):  # type: ignore[no-untyped-def
     if start > end or grid.item.size == 0:
         return best, which, leaf
     cell, nx, ny = grid.cell, grid.nx, grid.ny
+    tri, foliage, first, item, floor, roof = grid.tri, grid.leaf, grid.first, grid.item, grid.floor, grid.roof
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)
     i = min(max(int((ox + start * dx - grid.low[0]) / cell), 0), nx - 1)
     j = min(max(int((oy + start * dy - grid.low[1]) / cell), 0), ny - 1)
     step_i, step_j = (1 if dx > 0.0 else -1), (1 if dy > 0.0 else -1)
@@ -106,11 +104,11 @@ def trace(grid, ox, oy, oz, dx, dy, dz, any_hit):  # type: ignore[no-untyped-def
         leave = min(next_x, next_y)
         z0, z1 = oz + here * dz, oz + min(leave, end) * dz
         c = i * ny + j
-        if min(z0, z1) <= grid.roof[c] and max(z0, z1) >= grid.floor[c]:
-            for m in range(grid.first[c], grid.first[c + 1]):
-                k = grid.item[m]
-                t = _hit(grid, k, ox, oy, oz, dx, dy, dz)
-                if grid.leaf[k]:
+        if min(z0, z1) <= roof[c] and max(z0, z1) >= floor[c]:
+            for m in range(first[c], first[c + 1]):
+                k = item[m]
+                t = _hit(tri, k, ox, oy, oz, dx, dy, dz, length)
+                if foliage[k]:
                     leaf = min(leaf, t)
                 elif t < best:
                     best, which = t, k
@@ -171,15 +169,15 @@ def _mask_at(grid, ox, oy, oz, direction, n_az, n_el, path, excess):  # type: ig
         path[c] = BLOCKED
         if leaf < t:
             continue
-        n = grid.n[k]
-        along = dx * n[0] + dy * n[1] + dz * n[2]
-        rx, ry, rz = dx - 2.0 * along * n[0], dy - 2.0 * along * n[1], dz - 2.0 * along * n[2]
+        nx, ny, nz = grid.tri[k, 9], grid.tri[k, 10], grid.tri[k, 11]
+        along = dx * nx + dy * ny + dz * nz
+        rx, ry, rz = dx - 2.0 * along * nx, dy - 2.0 * along * ny, dz - 2.0 * along * nz
         target = bin_of(math.atan2(rx, ry), math.asin(min(1.0, max(-1.0, rz))), n_az, n_el)
         extra = 2.0 * t * along * along
         if target < 0 or extra >= excess[target]:
             continue
         lift = -LIFT_M if along > 0.0 else LIFT_M
-        x, y, z = ox + t * dx + lift * n[0], oy + t * dy + lift * n[1], oz + t * dz + lift * n[2]
+        x, y, z = ox + t * dx + lift * nx, oy + t * dy + lift * ny, oz + t * dz + lift * nz
         solid, _, leaves = trace(grid, x, y, z, rx, ry, rz, True)
         if min(solid, leaves) == math.inf:
             excess[target] = extra
