@@ -60,7 +60,8 @@ class Fault(Config):
     """One fault. Its magnitude is given in the unit of its kind; the others stay 0.
 
     It acts on the epochs that end in ``(start, start + duration]``. A step is there at once; a ramp grows linearly
-    during ``ramp_s`` and then stays. A cycle slip happens once, in the first of these epochs.
+    during ``ramp_s`` and then stays. A cycle slip happens once, in the first of these epochs. What drifts shows in the
+    Doppler too; a step does not, its jump is no rate.
     """
 
     kind: FaultKind = Field(description="what goes wrong")
@@ -78,7 +79,7 @@ class Fault(Config):
     magnitude_db: float = Field(0.0, ge=0, description="loss of C/N0 by jamming [dB]")
     magnitude_degps: float = Field(0.0, description="yaw gyro bias, positive clockwise [deg/s]")
     magnitude_ratio: float = Field(
-        0.0, gt=-1, description="wheel slip: distance counted is 1 + this; V2V: broadcast PL is 1 + this times the true [-]"
+        0.0, gt=-1, description="wheel slip: distance counted is 1 + this; V2V: the PL broadcast is 1 + this [-]"
     )
 
     @model_validator(mode="after")
@@ -163,6 +164,8 @@ def _apply(fault: Fault, effects: FaultEffects, time_s: float, dt_s: float, sky:
             effects.reference_enu_m[rows] += shift
         case K.SPOOFING:
             effects.spoof_enu_m[rows] += shift
+            feigned_mps = fault.magnitude_m * fault.growth_per_s(time_s) * fault.direction_enu
+            effects.range_rate_bias_mps[rows] -= (sky.los_enu @ feigned_mps)[sky.index[rows]]
         case K.JAMMING:
             effects.cn0_drop_db[rows] += fault.magnitude_db * level
         case K.CORRECTIONS_LOSS:

@@ -1,0 +1,221 @@
+"""Faults: whom they strike, when, and how large they are in between."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.sensors.effects import FaultEffects
+from lanebound.integrity.sensors.faults import SIZES, Fault, FaultKind, FaultSchedule
+from lanebound.integrity.sky.systems import System
+from lanebound.integrity.sky.view import SkyView
+
+DT = 0.1
+SYSTEM = np.array([System.GPS, System.GPS, System.GALILEO, System.GALILEO, System.BEIDOU], dtype=np.int64)
+PRN = np.array([3, 7, 3, 11, 20], dtype=np.int64)
+
+
+def _sky(batch: int = 3) -> SkyView:
+    azimuth, elevation = np.array([0.0, 1.3, 2.6, 3.9, 5.2]), np.array([0.4, 0.7, 1.1, 0.6, 1.4])
+    los = np.stack(
+        [np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth), np.sin(elevation)], axis=-1
+    )
+    flat = np.ones((1, 5))
+    return SkyView(
+        los_enu=los[None],
+        elevation_rad=elevation[None],
+        azimuth_rad=azimuth[None],
+        range_m=2.2e7 * flat,
+        range_rate_mps=0.0 * flat,
+        above=flat > 0,
+        system=SYSTEM,
+        prn=PRN,
+        index=np.zeros(batch, dtype=np.int64),
+    )
+
+
+SKY = _sky()
+K = FaultKind
+EXAMPLES: dict[FaultKind, dict[str, Any]] = {
+    K.SATELLITE_RANGE: {"system": System.GPS, "prn": 7, "magnitude_m": 5.0},
+    K.CONSTELLATION: {"system": System.GALILEO, "magnitude_m": 2.0, "azimuth_deg": 30.0},
+    K.CYCLE_SLIP: {"system": System.GPS, "magnitude_cycles": -3},
+    K.REFERENCE_COORDINATES: {"magnitude_m": 0.5, "azimuth_deg": 0.0},
+    K.SPOOFING: {"magnitude_m": 4.0},
+    K.JAMMING: {"magnitude_db": 15.0},
+    K.CORRECTIONS_LOSS: {},
+    K.GYRO_BIAS: {"magnitude_degps": 2.0},
+    K.WHEEL_SLIP: {"magnitude_ratio": 0.5},
+    K.ODOMETER_FROZEN: {},
+    K.V2V_LIE: {"magnitude_m": 3.0, "magnitude_ratio": -0.75},
+}
+CHANGES = {
+    K.SATELLITE_RANGE: {"code_bias_m", "phase_bias_m"},
+    K.CONSTELLATION: {"code_bias_m", "phase_bias_m"},
+    K.CYCLE_SLIP: {"slip_cycles"},
+    K.REFERENCE_COORDINATES: {"reference_enu_m"},
+    K.SPOOFING: {"spoof_enu_m"},
+    K.JAMMING: {"cn0_drop_db"},
+    K.CORRECTIONS_LOSS: {"corrections_lost"},
+    K.GYRO_BIAS: {"gyro_bias_radps"},
+    K.WHEEL_SLIP: {"odometer_scale"},
+    K.ODOMETER_FROZEN: {"odometer_frozen"},
+    K.V2V_LIE: {"v2v_offset_enu_m", "v2v_pl_scale"},
+}
+
+
+def _fault(kind: FaultKind, **changes: Any) -> Fault:
+    return Fault(kind=kind, **{"start_s": 1.0, "duration_s": 2.0, **EXAMPLES[kind], **changes})
+
+
+def _effects(*faults: Fault, time_s: float = 1.1) -> FaultEffects:
+    return FaultSchedule(faults).effects(time_s, DT, SKY, 3)
+
+
+def _changed(effects: FaultEffects) -> set[str]:
+    """Names of the effects that differ from none."""
+    none = FaultEffects.none(3, 5)
+    fields = [f.name for f in dataclasses.fields(effects)]
+    return {name for name in fields if not np.array_equal(getattr(effects, name), getattr(none, name))}
+
+
+@pytest.mark.parametrize("kind", FaultKind)
+def test_each_kind_changes_its_own_effects_while_it_lasts(kind: FaultKind) -> None:
+    assert _changed(_effects(_fault(kind), time_s=1.0)) == set()
+    assert _changed(_effects(_fault(kind), time_s=1.1)) == CHANGES[kind]
+    later = set() if kind is K.CYCLE_SLIP else CHANGES[kind]
+    assert _changed(_effects(_fault(kind), time_s=3.0)) == later
+    assert _changed(_effects(_fault(kind), time_s=3.1)) == set()
+
+
+@pytest.mark.parametrize("kind", FaultKind)
+def test_each_kind_strikes_only_the_vehicle_it_names(kind: FaultKind) -> None:
+    alone, everyone, none = _effects(_fault(kind, vehicle=1)), _effects(_fault(kind)), FaultEffects.none(3, 5)
+    for name in CHANGES[kind]:
+        struck = getattr(alone, name)
+        np.testing.assert_array_equal(struck[1], getattr(everyone, name)[1])
+        np.testing.assert_array_equal(struck[[0, 2]], getattr(none, name)[[0, 2]])
+
+
+def test_no_fault_gives_the_shared_zeros() -> None:
+    assert _effects() is FaultEffects.none(3, 5)
+    assert _effects(_fault(K.JAMMING), time_s=0.5) is FaultEffects.none(3, 5)
+
+
+def test_a_range_fault_strikes_code_and_phase_of_its_satellite() -> None:
+    effects = _effects(_fault(K.SATELLITE_RANGE))
+    np.testing.assert_array_equal(effects.code_bias_m, np.tile([0.0, 5.0, 0.0, 0.0, 0.0], (3, 1)))
+    np.testing.assert_array_equal(effects.phase_bias_m, effects.code_bias_m)
+
+
+@pytest.mark.parametrize(
+    ("target", "struck"),
+    [
+        ({"system": System.GPS, "prn": 3}, [[1, 1], [0, 0], [0, 0], [0, 0], [0, 0]]),
+        ({"system": System.GALILEO}, [[0, 0], [0, 0], [1, 1], [1, 1], [0, 0]]),
+        ({"system": System.GALILEO, "prn": 3, "band": 1}, [[0, 0], [0, 0], [0, 1], [0, 0], [0, 0]]),
+        ({"system": System.QZSS}, np.zeros((5, 2))),
+    ],
+)
+def test_slips_strike_the_satellites_and_bands_they_name(target: dict[str, Any], struck: Any) -> None:
+    slips = _effects(_fault(K.CYCLE_SLIP, **target)).slip_cycles
+    np.testing.assert_array_equal(slips, np.tile(-3 * np.asarray(struck), (3, 1, 1)))
+
+
+def test_a_constellation_fault_moves_the_position_of_that_system() -> None:
+    effects = _effects(_fault(K.CONSTELLATION))
+    ours = SYSTEM == System.GALILEO
+    shift = 2.0 * np.array([0.5, math.sqrt(0.75), 0.0])  # 2 m towards an azimuth of 30 deg
+    # code = -e . x: the biases are those of a receiver that stands elsewhere
+    np.testing.assert_allclose(effects.code_bias_m[:, ours], np.tile(-SKY.los_enu[0, ours] @ shift, (3, 1)))
+    assert not effects.code_bias_m[:, ~ours].any()
+
+
+def test_displacements_point_to_their_azimuth() -> None:
+    np.testing.assert_allclose(_effects(_fault(K.REFERENCE_COORDINATES)).reference_enu_m[0], [0.0, 0.5, 0.0])
+    np.testing.assert_allclose(_effects(_fault(K.SPOOFING)).spoof_enu_m[0], [4.0, 0.0, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", [K.SATELLITE_RANGE, K.CONSTELLATION])
+def test_the_doppler_bias_is_the_derivative_of_the_phase_bias(kind: FaultKind) -> None:
+    ramp = _fault(kind, profile="ramp", ramp_s=0.8)
+    for time_s in (1.2, 1.6, 2.4):
+        before, now, after = (_effects(ramp, time_s=time_s + h) for h in (-0.05, 0.0, 0.05))
+        slope = (after.phase_bias_m - before.phase_bias_m) / 0.1
+        np.testing.assert_allclose(now.range_rate_bias_mps, slope, atol=1e-9)
+
+
+def test_a_drag_off_shows_in_the_doppler_as_the_motion_it_feigns() -> None:
+    effects = _effects(_fault(K.SPOOFING, profile="ramp", ramp_s=2.0), time_s=2.0)
+    np.testing.assert_allclose(effects.spoof_enu_m, np.tile([2.0, 0.0, 0.0], (3, 1)), atol=1e-12)
+    np.testing.assert_allclose(effects.range_rate_bias_mps, np.tile(-2.0 * SKY.los_enu[0, :, 0], (3, 1)))
+
+
+@given(time_s=st.floats(1.01, 3.0), ramp_s=st.floats(0.1, 5.0))
+def test_a_ramp_grows_to_its_size_and_stays(time_s: float, ramp_s: float) -> None:
+    share = min((time_s - 1.0) / ramp_s, 1.0)
+    effects = _effects(_fault(K.GYRO_BIAS, profile="ramp", ramp_s=ramp_s), time_s=time_s)
+    np.testing.assert_allclose(effects.gyro_bias_radps, math.radians(2.0) * share, atol=1e-12)
+    factor = _effects(_fault(K.WHEEL_SLIP, profile="ramp", ramp_s=ramp_s), time_s=time_s).odometer_scale
+    np.testing.assert_allclose(factor, 1.0 + 0.5 * share)
+
+
+def test_faults_add_up_and_factors_multiply() -> None:
+    effects = _effects(
+        _fault(K.SATELLITE_RANGE),
+        _fault(K.SATELLITE_RANGE, magnitude_m=-2.0),
+        _fault(K.WHEEL_SLIP),
+        _fault(K.WHEEL_SLIP, magnitude_ratio=-0.5, vehicle=0),
+        _fault(K.ODOMETER_FROZEN, vehicle=2),
+    )
+    np.testing.assert_allclose(effects.code_bias_m[0], [0.0, 3.0, 0.0, 0.0, 0.0])
+    np.testing.assert_allclose(effects.odometer_scale, [0.75, 1.5, 1.5])
+    assert effects.odometer_frozen.tolist() == [False, False, True]
+
+
+@given(start=st.integers(0, 8000), dt=st.sampled_from([0.01, 0.05, 0.1, 0.7]))
+def test_a_slip_happens_in_exactly_one_epoch(start: int, dt: float) -> None:
+    schedule = FaultSchedule([_fault(K.CYCLE_SLIP, start_s=start / 1000.0, magnitude_cycles=1)])
+    slips = sum(schedule.effects(n * dt, dt, SKY, 3).slip_cycles[0, 0, 0] for n in range(1, math.ceil(10.0 / dt)))
+    assert slips == 1
+
+
+def test_epochs_summed_in_floating_point_meet_every_onset_and_end() -> None:
+    faults = [_fault(K.JAMMING, start_s=n / 10, duration_s=0.3) for n in range(50)]
+    schedule, time_s = FaultSchedule(faults), 0.0
+    for n in range(1, 60):
+        time_s += DT
+        onsets = [round(10 * f.start_s) for f in schedule.active(time_s)]
+        assert onsets == [k for k in (n - 3, n - 2, n - 1) if 0 <= k < 50]
+
+
+def test_faults_survive_json() -> None:
+    assert set(SIZES) == set(FaultKind)
+    for kind in FaultKind:
+        fault = _fault(kind)
+        assert Fault.from_json(fault.to_json()) == fault
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ({"kind": "jaming"}, "did you mean 'jamming'"),
+        ({"kind": "jamming"}, "jamming needs magnitude_db"),
+        ({"kind": "jamming", "magnitude_m": 3.0}, "jamming has no magnitude_m"),
+        ({"kind": "odometer_frozen", "magnitude_ratio": 2.0}, "odometer_frozen has no magnitude_ratio"),
+        ({"kind": "constellation", "magnitude_m": 1.0}, "constellation needs a system"),
+        ({"kind": "satellite_range", "magnitude_m": 1.0, "system": 0}, "satellite_range needs a prn"),
+        ({"kind": "jamming", "magnitude_db": -1.0}, "magnitude_db must be >= 0"),
+        ({"kind": "corrections_loss", "duration_s": 0.0}, "duration_s must be > 0"),
+    ],
+)
+def test_refuses_faults_that_make_no_sense(data: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        Fault.load(data)
