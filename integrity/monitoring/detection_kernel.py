@@ -4,7 +4,7 @@ The receiver clocks are eliminated analytically: centring each group's rows on t
 matrix A. Letters: ``z = e - mean(e)`` of the row's group, ``w`` weight, ``r`` residual,
 ``M_ii = w - w^2 (1 / sum(w) + z'A^-1 z)``, ``w-statistic = w r / sqrt(M_ii)``. Removing row k from a group of weight V
 is the rank-one downdate ``A -= w V / (V - w) z z'``. For single-row modes the AT and CT separation tests and the
-direction test all equal the w-statistic, so the table chooses the test: ``threshold_tables(..., axes=1)`` or ``axes=2``.
+direction test all equal the w-statistic, so the table chooses the test: ``threshold_tables(axes=1)`` or ``axes=2``.
 Reference: :func:`lanebound.integrity.monitoring.exclusion.detect_and_exclude`.
 """
 

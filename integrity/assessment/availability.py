@@ -1,0 +1,94 @@
+"""How often, and how long at a stretch, the position may be used: availability, continuity, outages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lanebound.integrity.assessment.record import AXES, Record
+from lanebound.integrity.errors import InputError, require_in_range
+
+__all__ = ["Outages", "availability_by_mode", "continuity", "find_outages", "integrity_available"]
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+def integrity_available(record: Record, al_at_m: float, al_ct_m: float) -> Bools:
+    """``PL <= AL`` on both axes (S3 II.B), shaped like the record."""
+    limits = (al_at_m, al_ct_m)
+    for axis, limit in zip(AXES, limits, strict=True):
+        require_in_range(f"al_{axis}_m", limit, 0.0, np.inf, low_open=True, high_open=True)
+    at, ct = (record.pl(axis) <= limit for axis, limit in zip(AXES, limits, strict=True))
+    return np.asarray(at & ct)
+
+
+def availability_by_mode(record: Record, al_at_m: float, al_ct_m: float) -> dict[str, float]:
+    """Share of available epochs in each mode that occurs, by key, and in ``all`` epochs (no solution included)."""
+    usable = integrity_available(record, al_at_m, al_ct_m)
+    shares = {mode.key: float(usable[record.mode == mode].mean()) for mode in record.modes_present()}
+    return {**shares, "all": float(usable.mean())}
+
+
+def continuity(available: ArrayLike, time_s: ArrayLike, window_s: float) -> float:
+    """Probability of staying available for ``window_s``, given availability at its start (S3 II.A).
+
+    available (T,) or (T, B), time_s (T,). Windows that run past the end of the record are not counted; 0 when the
+    position is never available at the start of a window.
+
+    Raises
+    ------
+    InputError
+        ``window_s`` is not positive or longer than the record.
+    """
+    usable, time = np.asarray(available, dtype=np.bool_), np.asarray(time_s, dtype=np.float64)
+    if not 0.0 < window_s <= time[-1] - time[0]:
+        raise InputError(f"window_s must lie in (0, {time[-1] - time[0]}], got {window_s}: choose a shorter window")
+    lost = np.cumsum(~usable, axis=0)
+    last = np.searchsorted(time, time + window_s + 1e-9, side="right") - 1
+    starts = time + window_s <= time[-1] + 1e-9
+    begun = usable & starts.reshape((-1,) + (1,) * (usable.ndim - 1))
+    kept = begun & (lost[last] == lost)
+    return float(kept.sum() / begun.sum()) if begun.any() else 0.0
+
+
+@dataclass(frozen=True)
+class Outages:
+    """Uninterrupted stretches without service: start [s] and length [s], both (R,), over all vehicles."""
+
+    start_s: Array
+    length_s: Array
+
+    def summary(self) -> dict[str, Any]:
+        """Number, and shortest, median, longest and total length [s], JSON-able; 0 when there is none."""
+        length = self.length_s if self.length_s.size else np.zeros(1)
+        return {
+            "count": int(self.length_s.size),
+            "min_s": float(length.min()),
+            "median_s": float(np.median(length)),
+            "max_s": float(length.max()),
+            "total_s": float(self.length_s.sum()),
+        }
+
+
+def find_outages(service: ArrayLike, time_s: ArrayLike) -> Outages:
+    """Stretches where ``service`` is False: epoch i stands for the time from epoch i to i + 1.
+
+    service (T,) or (T, B), time_s (T,). In an outage that lasts to the end, the last epoch counts one median interval.
+
+    >>> find_outages([True, False, False, True], [0.0, 0.5, 1.0, 1.5]).length_s
+    array([1.])
+    """
+    on, time = np.asarray(service, dtype=np.bool_), np.asarray(time_s, dtype=np.float64)
+    interval = float(np.median(np.diff(time))) if time.size > 1 else 0.0
+    edges = np.append(time, time[-1] + interval)
+    off = ~on.reshape(time.size, -1)
+    padded = np.zeros((time.size + 2, off.shape[1]), dtype=np.int8)
+    padded[1:-1] = off
+    change = np.diff(padded, axis=0)
+    _, first = np.nonzero(change.T == 1)
+    _, after = np.nonzero(change.T == -1)
+    return Outages(edges[first], edges[after] - edges[first])

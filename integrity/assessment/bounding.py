@@ -1,0 +1,98 @@
+"""Does the protection level bound the error? Exceedance rates with exact intervals, and how tight the bound is."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import betaincinv
+
+from lanebound.integrity.assessment.record import AXES, Axis, Record
+from lanebound.integrity.errors import InputError, require_probability
+
+__all__ = ["Bounding", "bounding_by_mode", "clopper_pearson", "measure_bounding"]
+
+RATIO_QUANTILES = (0.001, 0.01, 0.05, 0.5)
+
+
+def clopper_pearson(events: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Exact two-sided interval of a probability after ``events`` in ``trials`` (Clopper and Pearson 1934).
+
+    ``B(a/2; k, n - k + 1)`` and ``B(1 - a/2; k + 1, n - k)``, B the quantile of the beta distribution. It assumes
+    independent trials: epochs closer than the errors' correlation time carry less than they count.
+
+    Raises
+    ------
+    InputError
+        ``events`` outside [0, trials], no trials, or a confidence outside (0, 1).
+    """
+    require_probability("confidence", confidence)
+    if trials < 1 or not 0 <= events <= trials:
+        raise InputError(f"events must lie in [0, trials] with trials >= 1, got {events} of {trials}: recount them")
+    tail = 0.5 * (1.0 - confidence)
+    low = float(betaincinv(events, trials - events + 1, tail)) if events > 0 else 0.0
+    high = float(betaincinv(events + 1, trials - events, 1.0 - tail)) if events < trials else 1.0
+    return low, high
+
+
+@dataclass(frozen=True)
+class Bounding:
+    """How often ``|error| > PL``, its interval, and quantiles of ``PL / |error|`` (1 and more: bounded).
+
+    ``pl_median_m`` is None where less than half of the epochs have a protection level; ratios count a missing level as
+    infinite, and are None when they are.
+    """
+
+    epochs: int
+    exceeded: int
+    rate: float
+    rate_low: float
+    rate_high: float
+    pl_median_m: float | None
+    ratio_min: float | None
+    ratio_quantiles: dict[str, float | None]
+
+
+def measure_bounding(error_m: ArrayLike, pl_m: ArrayLike, confidence: float = 0.95) -> Bounding:
+    """Bounding of errors by protection levels, arrays of one shape [m].
+
+    Raises
+    ------
+    InputError
+        No epochs, or shapes that differ.
+    """
+    error, pl = np.abs(np.asarray(error_m, dtype=np.float64)), np.asarray(pl_m, dtype=np.float64)
+    if error.shape != pl.shape or error.size == 0:
+        raise InputError(
+            f"error_m and pl_m must have one non-empty shape, got {error.shape} and {pl.shape}: align them"
+        )
+    exceeded = int((error > pl).sum())
+    ratio = pl / np.maximum(error, np.finfo(np.float64).tiny)
+    ratio = np.where(np.isfinite(ratio), ratio, np.inf)
+    quantiles = np.quantile(ratio, RATIO_QUANTILES, method="lower")
+    return Bounding(
+        error.size,
+        exceeded,
+        exceeded / error.size,
+        *clopper_pearson(exceeded, error.size, confidence),
+        _finite(float(np.quantile(pl, 0.5, method="lower"))),
+        _finite(float(ratio.min())),
+        {f"{q:g}": _finite(float(v)) for q, v in zip(RATIO_QUANTILES, quantiles, strict=True)},
+    )
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def bounding_by_mode(record: Record, confidence: float = 0.95) -> dict[str, dict[Axis, dict[str, Any]]]:
+    """``{mode key: {"at": {...}, "ct": {...}}}`` for the modes that occur, JSON-able."""
+    return {
+        mode.key: {
+            axis: asdict(measure_bounding(record.error(axis)[keep], record.pl(axis)[keep], confidence)) for axis in AXES
+        }
+        for mode in record.modes_present()
+        for keep in [record.mode == mode]
+    }

@@ -1,0 +1,55 @@
+"""A drive assessed in one call: figures and one JSON file of everything counted."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lanebound.integrity.assessment.accuracy import accuracy_by_mode, mode_share
+from lanebound.integrity.assessment.availability import availability_by_mode, find_outages, integrity_available
+from lanebound.integrity.assessment.bounding import bounding_by_mode
+from lanebound.integrity.assessment.events import find_events
+from lanebound.integrity.assessment.plotting import save
+from lanebound.integrity.assessment.record import AXES, Record
+from lanebound.integrity.assessment.series import series_figure
+from lanebound.integrity.assessment.stanford import count_zones, stanford_figure
+from lanebound.integrity.positioning.modes import Mode
+
+__all__ = ["assess", "write_report"]
+
+
+def assess(record: Record, al_at_m: float, al_ct_m: float, time_to_alert_s: float = 1.0) -> dict[str, Any]:
+    """Everything countable about a record, JSON-able: shares, accuracy, bounding, availability, events, zones."""
+    limits = zip(AXES, (al_at_m, al_ct_m), strict=True)
+    return {
+        "epochs": record.epochs,
+        "alert_limit": {"at_m": al_at_m, "ct_m": al_ct_m},
+        "mode_share": mode_share(record),
+        "accuracy": accuracy_by_mode(record),
+        "bounding": bounding_by_mode(record),
+        "availability": availability_by_mode(record, al_at_m, al_ct_m),
+        "integrity_outages": find_outages(integrity_available(record, al_at_m, al_ct_m), record.time_s).summary(),
+        "rtk_outages": find_outages(record.mode == Mode.RTK, record.time_s).summary(),
+        "events": find_events(record, al_at_m, al_ct_m, time_to_alert_s).summary(),
+        "stanford": {axis: count_zones(record, axis, al).to_dict() for axis, al in limits},
+    }
+
+
+def write_report(
+    record: Record, folder: str | Path, al_at_m: float, al_ct_m: float, *, time_to_alert_s: float = 1.0,
+    risk: float | None = None,
+) -> list[Path]:  # fmt: skip
+    """Write ``assessment.json``, ``stanford.png`` and, for a single vehicle, ``series.png``; returns their paths."""
+    target = Path(folder)
+    target.mkdir(parents=True, exist_ok=True)
+    figures = assess(record, al_at_m, al_ct_m, time_to_alert_s)
+    summary = target / "assessment.json"
+    summary.write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    written = [summary, save(stanford_figure(record, al_at_m, al_ct_m), target / "stanford.png")]
+    if np.ndim(record.error_at_m) == 1:
+        figure = series_figure(record, risk=risk, al_at_m=al_at_m, al_ct_m=al_ct_m)
+        written.append(save(figure, target / "series.png"))
+    return written

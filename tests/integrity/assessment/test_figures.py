@@ -1,0 +1,99 @@
+"""Stanford counts by hand, what the figures show, and the report's files."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lanebound.integrity.assessment.events import Zone
+from lanebound.integrity.assessment.plotting import save
+from lanebound.integrity.assessment.record import Record
+from lanebound.integrity.assessment.report import assess, write_report
+from lanebound.integrity.assessment.series import map_figure, series_figure
+from lanebound.integrity.assessment.stanford import count_zones, stanford_figure
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.positioning.modes import Mode
+
+
+@pytest.fixture
+def drive() -> Record:
+    """Eight epochs with one or more in every zone across track."""
+    error = np.array([0.1, 0.2, 0.7, 1.5, 0.3, 3.0, 0.2, 0.2])
+    pl = np.array([0.3, 0.3, 0.5, 0.9, 1.8, 2.0, np.inf, 0.3])
+    mode = np.array([1, 1, 2, 2, 3, 3, 0, 1])
+    n = error.size
+    return Record(np.arange(n) * 0.1, mode, np.zeros(n), -error, np.full(n, 0.4), pl, pl > 1.0, pl <= 1.0)
+
+
+def test_zone_counts_by_hand(drive: Record) -> None:
+    zones = count_zones(drive, "ct", 1.0)
+    assert zones.counts == {
+        Zone.NOMINAL: 3,
+        Zone.MISLEADING: 1,
+        Zone.HAZARDOUS: 1,
+        Zone.UNAVAILABLE: 2,
+        Zone.UNAVAILABLE_MISLEADING: 1,
+    }
+    assert (zones.total, zones.rate(Zone.HAZARDOUS)) == (8, 0.125)
+    assert count_zones(drive, "at", 1.0).counts[Zone.UNAVAILABLE] == 1  # the epoch without a position
+    assert zones.to_dict()["misleading"] == {"count": 1, "rate": 0.125}
+
+
+def test_stanford_figure_labels_every_zone(drive: Record) -> None:
+    figure = stanford_figure(drive, 1.0, 1.0, title="drive")
+    labels = [text.get_text() for text in figure.axes[1].get_legend().get_texts()]  # type: ignore[union-attr]
+    assert len(labels) == len(Zone)
+    assert "1  (12.5 %)" in labels[Zone.HAZARDOUS]
+
+
+def test_series_figure_has_the_papers_panels(drive: Record) -> None:
+    figure = series_figure(drive, risk=1e-4, al_at_m=1.0, al_ct_m=1.0)
+    assert len(figure.axes) == 8
+    assert figure.axes[2].get_ylim() == (0.0, 0.5)
+    assert [axes.get_ylabel().split(",")[0] for axes in figure.axes[::2]] == [
+        "all modes",
+        "RTK",
+        "Doppler",
+        "IMU + odometer",
+    ]
+
+
+def test_series_figure_refuses_a_batch(drive: Record) -> None:
+    two = {name: (v if name == "time_s" else np.stack([v, v], -1)) for name, v in vars(drive).items()}
+    with pytest.raises(InputError, match="one vehicle"):
+        series_figure(Record(**two))
+
+
+def test_map_figure(tmp_path: Path) -> None:
+    position = np.stack([np.arange(5.0), np.zeros(5)], -1)
+    figure = map_figure(position, [1, 1, 2, 3, 0], obstacles=[np.eye(3)[:, :2]], alert=[False] * 4 + [True])
+    labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]  # type: ignore[union-attr]
+    assert labels[0] == "RTK (40.0 %)"
+    assert labels[-1] == "alert"
+    assert save(figure, tmp_path / "deep" / "map.png").stat().st_size > 1000
+    with pytest.raises(InputError, match="mode"):
+        map_figure(position, [1, 2])
+
+
+def test_report_writes_everything(drive: Record, tmp_path: Path) -> None:
+    paths = write_report(drive, tmp_path, 1.0, 1.0, risk=2e-5)
+    assert [path.name for path in paths] == ["assessment.json", "stanford.png", "series.png"]
+    summary = json.loads(paths[0].read_text())
+    assert summary == json.loads(json.dumps(assess(drive, 1.0, 1.0)))
+    assert summary["events"]["ct"]["counts"]["hmi"] == 1
+    assert summary["mode_share"]["none"] == 0.125
+
+
+def test_counting_needs_no_matplotlib() -> None:
+    code = "import sys, lanebound.integrity.assessment.report; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_modes_have_keys_and_labels() -> None:
+    assert [mode.key for mode in Mode] == ["none", "rtk", "doppler", "imu_odometer", "code"]
+    assert Mode.IMU_ODOMETER.label == "IMU + odometer"
