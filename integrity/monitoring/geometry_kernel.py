@@ -38,21 +38,24 @@ SINGULAR_BELOW = 1e-12  # of the determinant of the normal matrix scaled to a un
 # rows of geo
 GX, GY, GZ, W, HX, HY, HZ, S_AT, S_CT, FREE, RESIDUAL, CLOCK = range(12)
 V, B, BX, BY, BZ, SB_AT, SB_CT = range(12, 19)  # w^2 var_acc, b, w b g, S b
-GROUP_B = 19  # MAX_GROUPS rows: w b of the satellites of one group, 0 elsewhere
+C_AT, C_CT, TESTED = range(19, 22)  # c_qk, root of sum_j (delta_kj - h_kj)^2 var_acc_j
+GROUP_B = 22  # MAX_GROUPS rows: w b of the satellites of one group, 0 elsewhere
 GEO_ROWS = GROUP_B + MAX_GROUPS
 
 # entries of head
 P_EE, P_EN, P_EU, P_NN, P_NU, P_UU, SIGMA0_AT, SIGMA0_CT, B0_AT, B0_CT, GROUPS = range(11)
 X_E, X_N, X_U, CHI2, STATUS = range(11, 16)
-CLOCKS = 16  # MAX_GROUPS records of CLOCK_STEP entries
+LOST = 16  # total prior of the modes without a solution
+CLOCKS = 17  # MAX_GROUPS records of CLOCK_STEP entries
 C_INVERSE, C_E, C_N, C_U, C_COUNT, C_Y = range(6)  # 1/W, mean design row, satellites, mean measurement
 C_V, C_VE, C_VN, C_VU = range(6, 10)  # sums of w^2 var_acc, and of it times g
-CLOCK_STEP = 10
+C_PRIOR, C_LOG_PRIOR = range(10, 12)  # of one satellite
+CLOCK_STEP = 12
 HEAD_SIZE = CLOCKS + MAX_GROUPS * CLOCK_STEP
 
 # rows of mode
 SIGMA_AT, SIGMA_CT, DELTA_AT, DELTA_CT, BIAS_AT, BIAS_CT, D_AT, D_CT, PRIOR, LOG_PRIOR = range(10)
-OFFSET, RATE, WEIGHT, START = range(10, 14)  # one axis at a time, for the root
+WEIGHT, OFFSET, RATE, START = range(10, 14)  # PRIOR of the modes with a solution; the others of one axis at a time
 MODE_ROWS = 14
 
 
@@ -210,8 +213,9 @@ def _gains(n: int, sin_h: float, cos_h: float, geo: Array, head: Array) -> None:
 def solve(y: Array, group: Ints, n: int, geo: Array, head: Array) -> float:
     """Least squares of ``y`` (n,) [m] after a SOLVED :func:`geometry`.
 
-    Writes the position to head[X_E], head[X_N], head[X_U] and the residuals to geo[RESIDUAL]. Returns the sum of squared normalised residuals (also in head[CHI2]), chi-square with n - 3 - groups degrees of
-    freedom when fault-free (S1 eq 8 with ``Q_y^-1``).
+    Writes the position to head[X_E], head[X_N], head[X_U] and the residuals to geo[RESIDUAL]. Returns the sum of
+    squared normalised residuals (also in head[CHI2]), chi-square with n - 3 - groups degrees of freedom when
+    fault-free (S1 eq 8 with ``Q_y^-1``).
     """
     for i in range(n):
         q = CLOCKS + group[i] * CLOCK_STEP

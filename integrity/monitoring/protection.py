@@ -8,6 +8,7 @@ left after what is spent on events outside the modes. Columns and axes as in
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -92,7 +93,7 @@ def closed_form_published(separation: Separation, k_fa: ArrayLike, risk: float) 
 def tail_sum(level_m: ArrayLike, separation: Separation, priors: ArrayLike, k_fa: ArrayLike) -> Array:
     """``f(PL) = sum_i P_i Q((PL - K_fa sigma_di - b_i) / sigma_i)`` (S2 eq 10-11), P_0 = 2.
 
-    level_m (..., 2), priors (..., 1 + M), k_fa (...,) -> (..., 2). A mode without a solution counts with its whole prior.
+    level_m (..., 2), priors (..., 1 + M), k_fa (...,) -> (..., 2). A mode without a solution counts with its prior.
     """
     offset = np.asarray(k_fa, dtype=np.float64)[..., None, None] * separation.delta_m + separation.bias_m
     away = np.asarray(level_m, dtype=np.float64)[..., None, :] - offset
@@ -214,7 +215,7 @@ def _closed_of_risks(separation: Separation, columns: Array, k_fa: Array, budget
 def _append(separation: Separation, hypotheses: Hypotheses) -> Separation:
     """The separation with the hypotheses as further columns."""
 
-    def join(columns: Array, more: Array) -> Array:
+    def join(columns: NDArray[Any], more: NDArray[Any]) -> NDArray[Any]:
         shape = np.broadcast_shapes(columns.shape[:-2], more.shape[:-2])
         parts = [np.broadcast_to(part, (*shape, *part.shape[-2:])) for part in (columns, more)]
         return np.concatenate(parts, -2)

@@ -23,6 +23,7 @@ from lanebound.integrity.monitoring.geometry_kernel import (
     BIAS_AT,
     DELTA_AT,
     LOG_PRIOR,
+    LOST,
     OFFSET,
     PRIOR,
     RATE,
@@ -71,21 +72,20 @@ E4, E5, E6, E7 = 0.04166631157666266, 0.008330619011153981, 0.001377337286055595
 
 @jit
 def q_inverse(p: float) -> float:
-    """``Qinv(p)``, the upper-tail quantile of N(0, 1): -inf for p >= 1, inf for p <= 0, else to 1e-14 relative."""
+    """``Qinv(p)``, the upper-tail quantile of N(0, 1): -inf for p >= 1, inf for p <= 0, else to 1e-11."""
     if p >= 1.0:
         return -np.inf
     if p <= 0.0:
         return np.inf
     small = min(p, 1.0 - p)
     z = _rough_quantile(math.log(small))
-    for _ in range(2):
-        f = 0.5 * math.erfc(z * INV_SQRT2)
-        slope = -INV_SQRT2PI * math.exp(-0.5 * z * z) / f
-        z += _step(math.log(f / small), slope, slope * (-z - slope))
-    return z if p <= 0.5 else -z
+    f = 0.5 * math.erfc(z * INV_SQRT2)
+    slope = -INV_SQRT2PI * math.exp(-0.5 * z * z) / f
+    z += _step(math.log(f / small), slope, slope * (-z - slope))
+    return float(z if p <= 0.5 else -z)
 
 
-@jit(inline=True)
+@jit
 def _rough_quantile(log_p: float) -> float:
     """``Qinv(exp(log_p))`` for log_p <= log(1/2), to 4.5e-4 (Abramowitz and Stegun 26.2.23)."""
     t = math.sqrt(max(-2.0 * log_p, 0.0))
@@ -100,20 +100,14 @@ def _step(g: float, slope: float, curvature: float) -> float:
 
 
 @jit
-def load(axis: int, k_fa: float, count: int, mode: Array) -> float:
-    """Rows OFFSET, RATE, WEIGHT of one axis; returns the total prior of the columns without a solution."""
-    lost = 0.0
-    for k in range(count, padded(count)):
-        mode[OFFSET, k], mode[RATE, k], mode[WEIGHT, k], mode[START, k] = 0.0, 0.0, 0.0, -np.inf
+def load(axis: int, k_fa: float, count: int, mode: Array) -> None:
+    """Rows OFFSET and RATE of one axis, with zeros to the next multiple of LANES."""
     for k in range(count):
-        sigma = mode[SIGMA_AT + axis, k]
-        solved = sigma < np.inf
-        mode[RATE, k] = 1.0 / sigma
-        mode[WEIGHT, k] = mode[PRIOR, k] if solved else 0.0
-        lost += 0.0 if solved else mode[PRIOR, k]
+        mode[RATE, k] = 1.0 / mode[SIGMA_AT + axis, k]
     for k in range(count):
         mode[OFFSET, k] = k_fa * mode[DELTA_AT + axis, k] + mode[BIAS_AT + axis, k]
-    return lost
+    for k in range(count, padded(count)):
+        mode[OFFSET, k], mode[RATE, k], mode[WEIGHT, k] = 0.0, 0.0, 0.0
 
 
 @jit
@@ -186,7 +180,7 @@ def _root_of_axis(axis: int, budget: float, count: int, mode: Array) -> float:
         slope = -f1 / f
         d = _step(math.log(f) - log_budget, slope, f2 / f - slope * slope)
         if f <= budget and (-d <= 4.0 * NUDGE * x or high - low <= 4.0 * NUDGE * x):
-            return x
+            return float(x)
         x = (x + d) * (1.0 + NUDGE)
         if i == PATIENCE:
             high = min(high, _ceiling(axis, budget, count, mode))
@@ -198,7 +192,7 @@ def _root_of_axis(axis: int, budget: float, count: int, mode: Array) -> float:
 
 
 @jit
-def root(count: int, k_fa: float, budgets: Array, tolerate: bool, mode: Array, out: Array) -> None:
+def root(count: int, k_fa: float, budgets: Array, tolerate: bool, head: Array, mode: Array, out: Array) -> None:
     """Multi-hypothesis protection levels (S2 eq 10-11) of ``count`` columns with priors set.
 
     Parameters
@@ -208,8 +202,9 @@ def root(count: int, k_fa: float, budgets: Array, tolerate: bool, mode: Array, o
     tolerate : move the prior of modes without a solution into the unmonitored risk; otherwise they make PL inf.
     out : (R, 2) protection levels [m], never below the root and above it by at most 5e-10 relative; inf without one.
     """
+    lost = head[LOST]
     for axis in range(AXES):
-        lost = load(axis, k_fa, count, mode)
+        load(axis, k_fa, count, mode)
         for r in range(budgets.shape[0]):
             budget = budgets[r, axis] - (lost if tolerate else 0.0)
             hopeless = budget <= 0.0 or (lost > 0.0 and not tolerate) or not mode[SIGMA_AT + axis, 0] < np.inf
@@ -218,35 +213,33 @@ def root(count: int, k_fa: float, budgets: Array, tolerate: bool, mode: Array, o
 
 @jit
 def closed_form(
-    count: int, k_fa: float, budgets: Array, share0: float, tolerate: bool, mode: Array, out: Array
+    count: int, k_fa: float, budgets: Array, share0: float, tolerate: bool, head: Array, mode: Array, out: Array
 ) -> None:
     """``max_i K_fa sigma_di + K_md,i sigma_i + b_i``, ``K_md,i = Qinv(w_i budget / P_i)`` (S1 eq 17, exact factors).
 
     ``share0`` is the fault-free mode's share w_0 of the budget (the others share the rest equally), 0 for equal shares.
     Other parameters as :func:`root`; the result is never below the root's.
     """
+    lost = head[LOST]
+    first = 1.0 / count if share0 <= 0.0 or count == 1 else share0
+    other = (1.0 - first) / max(count - 1, 1)
     for axis in range(AXES):
-        lost = load(axis, k_fa, count, mode)
+        load(axis, k_fa, count, mode)
         for r in range(budgets.shape[0]):
             budget = budgets[r, axis] - (lost if tolerate else 0.0)
             hopeless = budget <= 0.0 or (lost > 0.0 and not tolerate) or not mode[SIGMA_AT + axis, 0] < np.inf
-            out[r, axis] = np.inf if hopeless else _closed_of_axis(axis, budget, share0, count, mode)
-
-
-@jit
-def _closed_of_axis(axis: int, budget: float, share0: float, count: int, mode: Array) -> float:
-    equal = 1.0 / count
-    first = equal if share0 <= 0.0 or count == 1 else share0
-    other = (1.0 - first) / max(count - 1, 1)
-    level = mode[OFFSET, 0] + q_inverse(first * budget / mode[PRIOR, 0]) * mode[SIGMA_AT + axis, 0]
-    prior, k_md = -1.0, 0.0
-    for k in range(1, count):
-        if mode[WEIGHT, k] > 0.0:
-            if mode[PRIOR, k] != prior:
-                prior = mode[PRIOR, k]
-                k_md = q_inverse(other * budget / prior)
-            level = max(level, mode[OFFSET, k] + k_md * mode[SIGMA_AT + axis, k])
-    return level
+            if hopeless:
+                out[r, axis] = np.inf
+                continue
+            level = mode[OFFSET, 0] + q_inverse(0.5 * first * budget) * mode[SIGMA_AT + axis, 0]
+            prior, k_md = -1.0, 0.0
+            for k in range(1, count):
+                if mode[WEIGHT, k] > 0.0:
+                    if mode[PRIOR, k] != prior:
+                        prior = mode[PRIOR, k]
+                        k_md = q_inverse(other * budget / prior)
+                    level = max(level, mode[OFFSET, k] + k_md * mode[SIGMA_AT + axis, k])
+            out[r, axis] = level
 
 
 @jit
@@ -328,9 +321,9 @@ def _run(
             spent = unmonitored[i] + (pair_risk(count, mode) if multiple else 0.0)
             budgets_of(risks, split_at, spent, budgets)
             if want_root:
-                root(count, k_fa[count - 1], budgets, tolerate, mode, level[i])
+                root(count, k_fa[count - 1], budgets, tolerate, head, mode, level[i])
             if want_closed:
-                closed_form(count, k_fa[count - 1], budgets, share0, tolerate, mode, closed[i])
+                closed_form(count, k_fa[count - 1], budgets, share0, tolerate, head, mode, closed[i])
 
 
 run_serial = jit(_run)

@@ -1,4 +1,4 @@
-"""The road vehicle's rules as data: integrity risk, its allocation, fault priors, false alarms, and the factors they give.
+"""The road vehicle's rules as data: integrity risk, its allocation, fault priors, false alarms, and their factors.
 
 S1 and S2 print factors that are smaller than their own tests and risks ask for; both variants are here. *Exact* factors
 hold what they promise: the separation test's own threshold (two sides, two axes, every mode), a two-sided fault-free
@@ -137,7 +137,7 @@ def false_alarm_factor(alpha: float, n_modes: ArrayLike, variant: Variant = Vari
 
 
 def direction_factor(alpha: float, n_modes: ArrayLike, rank: ArrayLike) -> Array:
-    """Threshold of the largest direction, ``sqrt(chi2_{1-a/n}(rank))`` (S2 eq 9).  (...,) -> (...,), 0 without modes."""
+    """Threshold of the largest direction, ``sqrt(chi2_{1-a/n}(rank))`` (S2 eq 9).  (...,) -> (...,), 0 for none."""
     n = np.asarray(n_modes, dtype=np.float64)
     return np.where(n > 0.0, np.sqrt(chi2.isf(alpha / np.maximum(n, 1.0), np.asarray(rank))), 0.0)
 
@@ -153,7 +153,7 @@ def mode_shares(n_columns: int, fault_free_share: float = 0.0) -> Array:
 def missed_detection_factor(budget: ArrayLike, share: ArrayLike, prior: ArrayLike) -> Array:
     """``K_md,i = Qinv(w_i P_HMI,q / P_i)``, fault-free with P_0 = 2 (equations.md 6).
 
-    budget (...,), share (...,), prior (...,) -> (...,); -inf where the prior alone is within its share, inf for no budget.
+    budget (...,), share (...,), prior (...,) -> (...,); -inf where the prior is within its share, inf without budget.
     """
     allowed = np.asarray(budget, dtype=np.float64) * np.asarray(share, dtype=np.float64)
     p = np.broadcast_to(np.asarray(prior, dtype=np.float64), np.broadcast_shapes(allowed.shape, np.shape(prior)))

@@ -28,8 +28,8 @@ class Separation:
     """Per mode and axis, (..., 1 + M, 2) [m].
 
     ``sigma_m`` of the solution (inf where it does not exist), ``delta_m`` of its separation from the fault-free one,
-    ``bias_m`` bound of its nominal bias, ``separation_m = x - x_i`` (0 without measurements). ``status`` (..., 1 + M) is a
-    ``Solvability`` code, ``gain_track`` (..., 1 + M, 2, m) the rows ``R S_i``.
+    ``bias_m`` bound of its nominal bias, ``separation_m = x - x_i`` (0 without measurements). ``status`` (..., 1 + M)
+    is a ``Solvability`` code, ``gain_track`` (..., 1 + M, 2, m) the rows ``R S_i``.
     """
 
     sigma_m: Array
@@ -150,4 +150,4 @@ def _rows_of_columns(removed: Bools, seen: Bools) -> Bools:
 def _deviation(rows: Array, covariance: Array) -> Array:
     """Root of the diagonal of ``rows Q rows'``.  (..., K, 2, m), (..., m, m) -> (..., K, 2)."""
     variance = ((rows @ covariance[..., None, :, :]) * rows).sum(-1)
-    return np.sqrt(np.maximum(variance, 0.0))
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))

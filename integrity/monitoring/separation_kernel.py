@@ -26,7 +26,11 @@ from lanebound.integrity.monitoring.geometry_kernel import (
     BX,
     BY,
     BZ,
+    C_AT,
     C_COUNT,
+    C_CT,
+    C_LOG_PRIOR,
+    C_PRIOR,
     C_V,
     C_VE,
     C_VN,
@@ -48,6 +52,7 @@ from lanebound.integrity.monitoring.geometry_kernel import (
     HY,
     HZ,
     LOG_PRIOR,
+    LOST,
     MAX_GROUPS,
     PRIOR,
     RESIDUAL,
@@ -59,6 +64,8 @@ from lanebound.integrity.monitoring.geometry_kernel import (
     SIGMA0_CT,
     SIGMA_AT,
     SIGMA_CT,
+    TESTED,
+    WEIGHT,
     B,
     V,
     W,
@@ -73,6 +80,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 UNSOLVABLE_BELOW = 1e-10  # of 1 - h_kk: the other satellites do not determine what this one did
+LOG_2 = math.log(2.0)
 CAREFUL_BELOW = 0.05  # of 1 - h_kk: sum the separation's variance term by term, without cancellation
 
 
@@ -105,33 +113,15 @@ def modes(
     D_AT, D_CT are 0 unless ``solve`` was called. Row PRIOR is left to :func:`set_priors`.
     """
     _prepare(group, accuracy, n, geo, head)
-    m_ee, m_en, m_eu, m_nn, m_nu, m_uu = normal(geo, n, V)
     mode[SIGMA_AT, 0], mode[SIGMA_CT, 0] = head[SIGMA0_AT], head[SIGMA0_CT]
     mode[BIAS_AT, 0], mode[BIAS_CT, 0] = head[B0_AT], head[B0_CT]
     mode[DELTA_AT, 0], mode[DELTA_CT, 0], mode[D_AT, 0], mode[D_CT, 0] = 0.0, 0.0, 0.0, 0.0
-    var0_at, var0_ct = head[SIGMA0_AT] ** 2, head[SIGMA0_CT] ** 2
-    for k in range(n):
-        q = CLOCKS + group[k] * CLOCK_STEP
-        free = geo[FREE, k]
-        alone = head[q + C_COUNT] == 1.0
-        if free < UNSOLVABLE_BELOW and not alone:
-            _unsolvable(k + 1, mode)
-            continue
-        x, y, z = geo[HX, k], geo[HY, k], geo[HZ, k]
-        inverse = 0.0 if alone else 1.0 / free
-        c_at, c_ct = geo[S_AT, k] * inverse, geo[S_CT, k] * inverse
-        if free < CAREFUL_BELOW:
-            tested = _tested_variance(k, group, accuracy, n, geo)
-        else:
-            spread = x * (m_ee * x + 2.0 * (m_en * y + m_eu * z)) + y * (m_nn * y + 2.0 * m_nu * z) + m_uu * z * z
-            cross = 2.0 * (x * head[q + C_VE] + y * head[q + C_VN] + z * head[q + C_VU]) + geo[CLOCK, k] * head[q + C_V]
-            tested = spread + geo[CLOCK, k] * cross + accuracy[k] * (2.0 * free - 1.0)
-        tested = math.sqrt(max(tested, 0.0))
-        mode[SIGMA_AT, k + 1] = math.sqrt(var0_at + c_at * c_at * free * variance[k])
-        mode[SIGMA_CT, k + 1] = math.sqrt(var0_ct + c_ct * c_ct * free * variance[k])
-        mode[DELTA_AT, k + 1], mode[DELTA_CT, k + 1] = abs(c_at) * tested, abs(c_ct) * tested
-        mode[D_AT, k + 1], mode[D_CT, k + 1] = c_at * geo[RESIDUAL, k], c_ct * geo[RESIDUAL, k]
+    _tested(group, accuracy, n, geo, head)
+    _satellites(variance, n, geo, head, mode)
     _biases(group, n, geo, head, mode)
+    for k in range(n):
+        if geo[FREE, k] < UNSOLVABLE_BELOW and head[CLOCKS + group[k] * CLOCK_STEP + C_COUNT] > 1.0:
+            _unsolvable(k + 1, mode)
     count = n + 1
     if constellations:
         for g in range(MAX_GROUPS):
@@ -175,15 +165,62 @@ def _prepare(group: Ints, accuracy: Array, n: int, geo: Array, head: Array) -> N
 
 
 @jit
+def _tested(group: Ints, accuracy: Array, n: int, geo: Array, head: Array) -> None:
+    """Rows C_AT, C_CT and TESTED, the root of ``sum_j (delta_kj - h_kj)^2 var_acc_j``, from moments.
+
+    A satellite alone with its clock moves nothing: its c is 0, and so is its separation.
+    """
+    ee, en, eu, nn, nu, uu = normal(geo, n, V)
+    for k in range(n):
+        q = CLOCKS + group[k] * CLOCK_STEP
+        clock = geo[CLOCK, k]
+        cross = geo[HX, k] * head[q + C_VE] + geo[HY, k] * head[q + C_VN] + geo[HZ, k] * head[q + C_VU]
+        geo[TESTED, k] = clock * (2.0 * cross + clock * head[q + C_V]) + accuracy[k] * (2.0 * geo[FREE, k] - 1.0)
+    for k in range(n):
+        x, y, z = geo[HX, k], geo[HY, k], geo[HZ, k]
+        geo[TESTED, k] += x * (ee * x + 2.0 * (en * y + eu * z)) + y * (nn * y + 2.0 * nu * z) + uu * z * z
+    for k in range(n):
+        geo[TESTED, k] = math.sqrt(max(geo[TESTED, k], 0.0))
+    for k in range(n):
+        inverse = 1.0 / geo[FREE, k]
+        geo[C_AT, k] = geo[S_AT, k] * inverse
+        geo[C_CT, k] = geo[S_CT, k] * inverse
+    for k in range(n):
+        if geo[FREE, k] < CAREFUL_BELOW:
+            if head[CLOCKS + group[k] * CLOCK_STEP + C_COUNT] == 1.0:
+                geo[C_AT, k], geo[C_CT, k], geo[TESTED, k] = 0.0, 0.0, 0.0
+            else:
+                geo[TESTED, k] = math.sqrt(_tested_variance(k, group, accuracy, n, geo))
+
+
+@jit
+def _satellites(variance: Array, n: int, geo: Array, head: Array, mode: Array) -> None:
+    """Standard deviations and separations of the single-satellite modes."""
+    var_at, var_ct = head[SIGMA0_AT] * head[SIGMA0_AT], head[SIGMA0_CT] * head[SIGMA0_CT]
+    for k in range(n):
+        mode[SIGMA_AT, k + 1] = math.sqrt(var_at + geo[C_AT, k] * geo[C_AT, k] * geo[FREE, k] * variance[k])
+    for k in range(n):
+        mode[SIGMA_CT, k + 1] = math.sqrt(var_ct + geo[C_CT, k] * geo[C_CT, k] * geo[FREE, k] * variance[k])
+    for k in range(n):
+        mode[DELTA_AT, k + 1] = abs(geo[C_AT, k]) * geo[TESTED, k]
+    for k in range(n):
+        mode[DELTA_CT, k + 1] = abs(geo[C_CT, k]) * geo[TESTED, k]
+    for k in range(n):
+        mode[D_AT, k + 1] = geo[C_AT, k] * geo[RESIDUAL, k]
+    for k in range(n):
+        mode[D_CT, k + 1] = geo[C_CT, k] * geo[RESIDUAL, k]
+
+
+@jit
 def _tested_variance(k: int, group: Ints, accuracy: Array, n: int, geo: Array) -> float:
     """``sum_j (delta_kj - h_kj)^2 var_acc_j``."""
-    total = geo[FREE, k] * geo[FREE, k] * accuracy[k]
+    total = float(geo[FREE, k] * geo[FREE, k] * accuracy[k])
     for j in range(n):
         if j != k:
             level = geo[HX, k] * geo[GX, j] + geo[HY, k] * geo[GY, j] + geo[HZ, k] * geo[GZ, j]
             if group[j] == group[k]:
                 level += geo[CLOCK, k]
-            total += geo[V, j] * level * level
+            total += float(geo[V, j] * level * level)
     return total
 
 
@@ -203,21 +240,15 @@ def _biases(group: Ints, n: int, geo: Array, head: Array, mode: Array) -> None:
     """
     m = padded(n)
     for k in range(n):
-        free = geo[FREE, k]
-        if head[CLOCKS + group[k] * CLOCK_STEP + C_COUNT] == 1.0:
-            mode[BIAS_AT, k + 1], mode[BIAS_CT, k + 1] = head[B0_AT], head[B0_CT]
-        elif free < UNSOLVABLE_BELOW:
-            mode[BIAS_AT, k + 1], mode[BIAS_CT, k + 1] = 0.0, 0.0
-        else:
-            c_at, c_ct = geo[S_AT, k] / free, geo[S_CT, k] / free
-            x, y, z, clock, own = geo[HX, k], geo[HY, k], geo[HZ, k], geo[CLOCK, k], GROUP_B + group[k]
-            at, ct = 0.0, 0.0
-            for j in range(m):
-                level = x * geo[BX, j] + y * geo[BY, j] + z * geo[BZ, j] + clock * geo[own, j]
-                at += abs(geo[SB_AT, j] + c_at * level)
-                ct += abs(geo[SB_CT, j] + c_ct * level)
-            mode[BIAS_AT, k + 1] = max(at - abs(c_at) * geo[B, k], 0.0)
-            mode[BIAS_CT, k + 1] = max(ct - abs(c_ct) * geo[B, k], 0.0)
+        c_at, c_ct = geo[C_AT, k], geo[C_CT, k]
+        x, y, z, clock, own = geo[HX, k], geo[HY, k], geo[HZ, k], geo[CLOCK, k], GROUP_B + group[k]
+        at, ct = 0.0, 0.0
+        for j in range(m):
+            level = x * geo[BX, j] + y * geo[BY, j] + z * geo[BZ, j] + clock * geo[own, j]
+            at += abs(geo[SB_AT, j] + c_at * level)
+            ct += abs(geo[SB_CT, j] + c_ct * level)
+        mode[BIAS_AT, k + 1] = max(at - abs(c_at) * geo[B, k], 0.0)
+        mode[BIAS_CT, k + 1] = max(ct - abs(c_ct) * geo[B, k], 0.0)
 
 
 @jit
@@ -238,7 +269,8 @@ def _without_group(
         d += w * y * y
         e += w * y * z
         f += w * z * z
-    return invert(a, b, c, d, e, f)
+    ok, ee, en, eu, nn, nu, uu = invert(a, b, c, d, e, f)
+    return ok, ee, en, eu, nn, nu, uu
 
 
 @jit
@@ -295,8 +327,8 @@ def _published_biases(
         for j in range(n):
             level += geo[HX, k] * geo[BX, j] + geo[HY, k] * geo[BY, j] + geo[HZ, k] * geo[BZ, j]
             level += geo[CLOCK, k] * geo[GROUP_B + group[k], j]
-        alone = head[CLOCKS + group[k] * CLOCK_STEP + C_COUNT] == 1.0
-        if alone or geo[FREE, k] >= UNSOLVABLE_BELOW:
+        if mode[SIGMA_AT, k + 1] < np.inf:
+            alone = head[CLOCKS + group[k] * CLOCK_STEP + C_COUNT] == 1.0
             drop = 0.0 if alone else geo[W, k] / geo[FREE, k] * (geo[B, k] - level)
             _write_published(k + 1, e - drop * geo[HX, k], north - drop * geo[HY, k], sin_h, cos_h, mode)
     g = -1
@@ -326,22 +358,33 @@ def _write_published(column: int, e: float, north: float, sin_h: float, cos_h: f
 def set_priors(
     group: Ints, n: int, count: int, satellite: Array, constellation: Array, head: Array, mode: Array
 ) -> None:
-    """Rows PRIOR and LOG_PRIOR from the priors of each group, ``satellite`` and ``constellation`` (MAX_GROUPS,).
+    """Rows PRIOR, LOG_PRIOR, WEIGHT from the priors of each group, ``satellite`` and ``constellation`` (MAX_GROUPS,).
 
-    The fault-free column gets 2: both sides of its error count (S2 eq 10).
+    The fault-free column gets 2: both sides of its error count (S2 eq 10). WEIGHT is 0 and head[LOST] collects the
+    prior where a mode has no solution.
     """
-    mode[PRIOR, 0], mode[LOG_PRIOR, 0] = 2.0, math.log(2.0)
-    last, logarithm = 2.0, math.log(2.0)
+    last, logarithm = 0.0, -np.inf
+    for g in range(MAX_GROUPS):
+        q = CLOCKS + g * CLOCK_STEP
+        if head[q + C_COUNT] > 0.0:
+            if satellite[g] != last:
+                last, logarithm = satellite[g], math.log(satellite[g])
+            head[q + C_PRIOR], head[q + C_LOG_PRIOR] = last, logarithm
+    mode[PRIOR, 0], mode[LOG_PRIOR, 0] = 2.0, LOG_2
     for k in range(n):
-        prior = satellite[group[k]]
-        if prior != last:
-            last, logarithm = prior, math.log(prior)
-        mode[PRIOR, k + 1], mode[LOG_PRIOR, k + 1] = prior, logarithm
+        q = CLOCKS + group[k] * CLOCK_STEP
+        mode[PRIOR, k + 1], mode[LOG_PRIOR, k + 1] = head[q + C_PRIOR], head[q + C_LOG_PRIOR]
     column = n + 1
     for g in range(MAX_GROUPS):
         if column < count and head[CLOCKS + g * CLOCK_STEP + C_COUNT] > 0.0:
             mode[PRIOR, column], mode[LOG_PRIOR, column] = constellation[g], math.log(constellation[g])
             column += 1
+    lost = 0.0
+    for k in range(count):
+        solved = mode[SIGMA_AT, k] < np.inf
+        mode[WEIGHT, k] = mode[PRIOR, k] if solved else 0.0
+        lost += 0.0 if solved else mode[PRIOR, k]
+    head[LOST] = lost
 
 
 @jit
@@ -352,5 +395,5 @@ def add_hypothesis(
     mode[SIGMA_AT, column], mode[SIGMA_CT, column] = sigma_at, sigma_ct
     mode[BIAS_AT, column], mode[BIAS_CT, column] = abs(bias_at), abs(bias_ct)
     mode[DELTA_AT, column], mode[DELTA_CT, column], mode[D_AT, column], mode[D_CT, column] = 0.0, 0.0, 0.0, 0.0
-    mode[PRIOR, column], mode[LOG_PRIOR, column] = prior, math.log(prior)
+    mode[PRIOR, column], mode[LOG_PRIOR, column], mode[WEIGHT, column] = prior, math.log(prior), prior
     return column + 1
