@@ -58,7 +58,7 @@ def count_zones(record: Record, axis: Axis, al_m: float) -> ZoneCounts:
 
 def stanford_figure(record: Record, al_at_m: float, al_ct_m: float, *, title: str = "", extent: float = 2.0) -> Figure:
     """Both axes side by side: epochs up to ``extent`` alert limits, zones coloured, counts and rates."""
-    figure = new_figure(11.0, 4.4)
+    figure = new_figure(12.0, 4.4)
     if title:
         figure.suptitle(title, fontsize=12, color=INK)
     for column, (axis, al) in enumerate(zip(AXES, (al_at_m, al_ct_m), strict=True)):
@@ -76,7 +76,7 @@ def _panel(axes: Axes, record: Record, axis: Axis, al: float, top: float) -> Non
     axes.set_title(f"{AXIS_NAMES[axis]}, alert limit {al:g} m\n{note}", fontsize=9, color=INK, loc="left")
     tidy(axes, xlabel="absolute position error (m)", ylabel="protection level (m)")
     axes.grid(False)
-    axes.set(xlim=(0, top), ylim=(0, top), aspect="equal")
+    axes.set(xlim=(0, top), ylim=(0, top), box_aspect=1.0)
     legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.4, handlelength=1.2, frameon=False)
 
 

@@ -29,23 +29,27 @@ RANK_TOLERANCE = 1e-9  # as in detection.py: a row with less redundancy cannot b
 
 
 @jit
-def centre_group(
-    g: int, los: NDArray[Any], group: NDArray[Any], variance: NDArray[Any], y: NDArray[Any], mask: NDArray[Any],
+def centre_groups(
+    los: NDArray[Any], group: NDArray[Any], variance: NDArray[Any], y: NDArray[Any], mask: NDArray[Any],
     mean: NDArray[Any],
-) -> None:  # fmt: skip
-    """Weighted means of group ``g`` into ``mean[g]``: e (3), y, sum of weights; zeros without rows."""
-    for c in range(5):
-        mean[g, c] = 0.0
+) -> tuple[int, int]:  # fmt: skip
+    """Weighted means of each group into ``mean``: e (3), y, sum of weights; returns the rows and groups in use."""
+    rows, groups = 0, 0
+    mean[:] = 0.0
     for i in range(y.size):
-        if mask[i] and group[i] == g:
-            w = 1.0 / variance[i]
+        if mask[i]:
+            g, w = group[i], 1.0 / variance[i]
             for c in range(3):
                 mean[g, c] += w * los[i, c]
             mean[g, 3] += w * y[i]
             mean[g, 4] += w
-    if mean[g, 4] > 0.0:
-        for c in range(4):
-            mean[g, c] /= mean[g, 4]
+            rows += 1
+    for g in range(mean.shape[0]):
+        if mean[g, 4] > 0.0:
+            groups += 1
+            for c in range(4):
+                mean[g, c] /= mean[g, 4]
+    return rows, groups
 
 
 @jit
@@ -134,20 +138,12 @@ def detect_and_exclude(
     """
     mean = np.empty((MAX_GROUPS, 5))
     A, b = np.zeros((3, 3)), np.zeros(3)
-    rows, groups = 0, 0
     x[:] = 0.0
     Q[:] = 0.0
-    for g in range(MAX_GROUPS):
-        mean[g, 4] = -1.0
+    rows, groups = centre_groups(los, group, variance, y, mask, mean)
     for i in range(y.size):
-        if not mask[i]:
-            continue
-        rows += 1
-        g = group[i]
-        if mean[g, 4] < 0.0:
-            centre_group(g, los, group, variance, y, mask, mean)
-            groups += 1
-        accumulate(i, 1.0 / variance[i], los, y, mean[g], A, b)
+        if mask[i]:
+            accumulate(i, 1.0 / variance[i], los, y, mean[group[i]], A, b)
     excluded = 0
     while True:
         df = rows - 3 - groups
@@ -164,12 +160,10 @@ def detect_and_exclude(
             return (EXCLUDED if excluded > 0 else CLEAN), total, largest, df, excluded
         if at < 0 or largest < limit or excluded >= max_excluded or df - 1 < min_redundancy:
             return UNRESOLVED, total, largest, df, excluded
-        g, w = group[at], 1.0 / variance[at]
-        weight = mean[g, 4]
-        accumulate(at, -w * weight / (weight - w), los, y, mean[g], A, b)
+        w, total_weight = 1.0 / variance[at], mean[group[at], 4]
+        accumulate(at, -w * total_weight / (total_weight - w), los, y, mean[group[at]], A, b)
         mask[at] = False
-        centre_group(g, los, group, variance, y, mask, mean)
-        rows -= 1
+        rows, groups = centre_groups(los, group, variance, y, mask, mean)
         excluded += 1
 
 
