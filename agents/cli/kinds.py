@@ -14,7 +14,12 @@ if TYPE_CHECKING:
 __all__ = ["KINDS", "resolve"]
 
 KINDS = {
+    "corrections": "lanebound.integrity.sensors.corrections:CorrectionsConfig",
+    "fault_priors": "lanebound.integrity.sensors.campaign:FaultPriors",
+    "imu": "lanebound.integrity.sensors.imu:ImuConfig",
+    "odometer": "lanebound.integrity.sensors.odometer:OdometerConfig",
     "positioning": "lanebound.integrity.positioning.config:PositioningConfig",
+    "v2v": "lanebound.integrity.sensors.v2v:V2vConfig",
 }
 
 
