@@ -86,7 +86,9 @@ def parse_yuma(text: str, near: date, *, healthy_only: bool = True, source: str 
             current = {}
         elif line.strip():
             if current is None:
-                raise InputError(f"{where}: a header '**** Week N almanac for PRN-NN ****' must come first, got {line!r}")
+                raise InputError(
+                    f"{where}: a header '**** Week N almanac for PRN-NN ****' must come first, got {line!r}"
+                )
             _read_field(line, current, where)
             if len(current) == len(FIELDS):
                 blocks.append(current)
@@ -95,7 +97,9 @@ def parse_yuma(text: str, near: date, *, healthy_only: bool = True, source: str 
         raise InputError(f"almanac {source} must hold at least one satellite, got none: is it a YUMA file?")
     keep = [i for i, b in enumerate(blocks) if b["health"] == 0 or not healthy_only]
     if not keep:
-        raise InputError(f"almanac {source} must hold a healthy satellite, got none of {len(blocks)}: use healthy_only=False")
+        raise InputError(
+            f"almanac {source} must hold a healthy satellite, got none of {len(blocks)}: use healthy_only=False"
+        )
     return _table([system[i] for i in keep], [blocks[i] for i in keep], near)
 
 
@@ -110,7 +114,9 @@ def _system_of(label: str, where: str) -> System:
 def _require_complete(block: dict[str, float] | None, where: str) -> None:
     if block is not None and len(block) < len(FIELDS):
         missing = next(label for key, (label, _, _) in FIELDS.items() if key not in block)
-        raise InputError(f"{where}: field {missing!r} is missing, got {len(block)} of {len(FIELDS)}: is the file cut short?")
+        raise InputError(
+            f"{where}: field {missing!r} is missing, got {len(block)} of {len(FIELDS)}: is the file cut short?"
+        )
 
 
 def _read_field(line: str, block: dict[str, float], where: str) -> None:

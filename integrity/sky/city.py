@@ -22,8 +22,8 @@ __all__ = [
     "CityConfig",
     "SectionConfig",
     "SectionKind",
-    "Stretch",
     "StreetConfig",
+    "Stretch",
     "Surface",
     "build_city",
     "city_from_mesh",
@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 RIGHT, LEFT = 1.0, -1.0
 CLEARANCE_M = 1.0  # no building stands closer than this to any lane of the road
 WALL_M = 1.0
-PIECE_M = 8.0  # tunnels are made of straight pieces this long
+PIECE_M = 4.0  # tunnels are made of straight pieces this long
 LEAST_FRONTAGE_M = 4.0
 
 
@@ -65,7 +65,9 @@ class StreetConfig(Config):
     block_m: float = Field(0.0, ge=0, description="distance between side streets, 0 for none")
     cross_street_m: float = Field(10.0, ge=0, le=100, description="width of a side street between facades")
     tree_spacing_m: float = Field(0.0, ge=0, le=200, description="distance between trees, 0 for none")
-    tree_base_m: float = Field(4.5, ge=0, le=30, description="under the crown; clearance of Japan's Road Structure Order")
+    tree_base_m: float = Field(
+        4.5, ge=0, le=30, description="under the crown; clearance of Japan's Road Structure Order"
+    )
     tree_top_m: float = Field(9.0, gt=0, le=60, description="top of the crown")
     tree_crown_m: float = Field(6.0, gt=0, le=30, description="width of the crown")
     tree_offset_m: float = Field(1.5, ge=0, le=50, description="from the edge of the lanes to the trunks")
@@ -214,9 +216,7 @@ def _buildings(
     return prisms(foot[fits], 0.0, np.minimum(height, street.height_max_m)[fits])
 
 
-def _footprints(
-    road: Road, arcs: Array, side: float, offset: Array, depth_m: float
-) -> tuple[Array, NDArray[np.bool_]]:
+def _footprints(road: Road, arcs: Array, side: float, offset: Array, depth_m: float) -> tuple[Array, NDArray[np.bool_]]:
     """Rectangles (n, 4, 2) beside the road, as deep as fits, and whether any depth does."""
     n = arcs.shape[0]
     foot, fits = np.zeros((n, 4, 2)), np.zeros(n, dtype=np.bool_)

@@ -49,7 +49,10 @@ GPS_EXPANDED_DEG = {("B", 0): (94.916, 66.356), ("D", 1): (282.676, 257.976), ("
 GPS_SPARES_DEG = (("A", 330.0), ("C", 290.0), ("D", 80.0), ("E", 130.0))  # in wide gaps of the planes; a free choice
 GPS_SEMI_MAJOR_M = 26_559_700.0  # the same table
 
-GALILEO_ANCHOR_DEG = (317.632 - 60.426, 225.153)  # slot A01 at 2016-11-21 00:00 (GSC reference constellation), less GMST
+GALILEO_ANCHOR_DEG = (
+    317.632 - 60.426,
+    225.153,
+)  # slot A01 at 2016-11-21 00:00 (GSC reference constellation), less GMST
 QZSS_CENTRE_DEG, QZSS_GEO_DEG = 135.0, 127.0  # IS-QZSS-PNT-005 3.1.1: centre of the ground track, GEO longitude
 GEOSYNCHRONOUS_M = (MU_M3PS2 / EARTH_RATE_RADPS**2) ** (1.0 / 3.0)
 
@@ -207,7 +210,7 @@ class SatelliteTable:
         offset, rate = self.relative_enu(gps_time_s, lat_rad, lon_rad, height_m)
         rows = offset.shape[0]
         which = np.arange(rows) if index is None else np.atleast_1d(np.asarray(index, dtype=np.int64))
-        if which.size and not (0 <= which.min() and which.max() < rows):
+        if which.size and not (which.min() >= 0 and which.max() < rows):
             raise InputError(f"index must lie in [0, {rows - 1}], got {which.min()}..{which.max()}: name existing rows")
         distance = np.linalg.norm(offset, axis=-1)
         los = offset / distance[..., None]
@@ -228,7 +231,8 @@ class SatelliteTable:
         self, gps_time_s: ArrayLike, lat_rad: float, lon_rad: float, height_m: float = 0.0, mask_rad: float = 0.0
     ) -> SatelliteTable:
         """Only the satellites above the mask at one of the epochs at least: what a street needs to carry along."""
-        return self.take(self.view(gps_time_s, lat_rad, lon_rad, height_m, mask_rad).above.any(0))
+        above = self.view(gps_time_s, lat_rad, lon_rad, height_m, mask_rad).above
+        return self.take(np.flatnonzero(above.any(0)))
 
 
 def nominal_satellites(counts: dict[System, int]) -> SatelliteTable:

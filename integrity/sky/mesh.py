@@ -61,7 +61,9 @@ def city_from_mesh(
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     sound = 0.5 * np.linalg.norm(cross, axis=-1) > LEAST_AREA_M2
     if not sound.any():
-        raise InputError(f"mesh {file} must hold a face of positive area, got {faces.shape[0]} flat ones: check its units")
+        raise InputError(
+            f"mesh {file} must hold a face of positive area, got {faces.shape[0]} flat ones: check its units"
+        )
     return City.of(triangles[sound], surface)
 
 

@@ -21,7 +21,14 @@ PARALLEL_FROM_RAYS = 4096
 
 @dataclass(frozen=True)
 class Hits:
-    """What N rays meet, each array (N,): parameter of the first solid hit (inf: none), its triangle (-1), first foliage."""
+    """What N rays meet, each array (N,).
+
+    Attributes
+    ----------
+    t : ray parameter of the first solid hit, inf for none
+    triangle : which triangle that is, -1 for none
+    foliage_t : ray parameter of the first leaf before it; beyond the solid hit the value has no meaning
+    """
 
     t: Array
     triangle: NDArray[np.int64]
@@ -60,9 +67,7 @@ def moller_trumbore(
         return skew & inside & (t > 0.0), t, u, v
 
 
-def first_hits_reference(
-    origin: ArrayLike, direction: ArrayLike, triangles: Array, foliage: NDArray[np.bool_]
-) -> Hits:
+def first_hits_reference(origin: ArrayLike, direction: ArrayLike, triangles: Array, foliage: NDArray[np.bool_]) -> Hits:
     """First hits of N rays by testing every triangle (T, 3, 3).  origin, direction (N, 3)."""
     o, d = np.asarray(origin, dtype=np.float64), np.asarray(direction, dtype=np.float64)
     hit, t, _, _ = moller_trumbore(o[:, None], d[:, None], triangles[None])

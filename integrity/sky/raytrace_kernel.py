@@ -1,7 +1,7 @@
 """Numba kernels: rays through a uniform grid of triangles, and the sky masks cast with them.
 
-Letters of Moeller & Trumbore (1997), S2 eq 1-2: origin ``o``, direction ``d``, triangle ``v0, v0 + e1, v0 + e2``, hit at
-``o + t d = v0 + u e1 + v e2``.
+Letters of Moeller & Trumbore (1997), S2 eq 1-2: origin ``o``, direction ``d``, triangle ``v0, v0 + e1, v0 + e2``, hit
+at ``o + t d = v0 + u e1 + v e2``.
 """
 
 from __future__ import annotations
@@ -154,8 +154,8 @@ def bin_of(azimuth, elevation, n_az, n_el):  # type: ignore[no-untyped-def]
 def _mask_at(grid, ox, oy, oz, direction, n_az, n_el, path, excess):  # type: ignore[no-untyped-def]
     """The mask of one antenna: path and excess, (cells,), for rays to the cell centres ``direction`` (cells, 3).
 
-    A blocked ray is mirrored at the first solid face, ``d' = d - 2 (d.n) n``; when d' leaves freely, a satellite in that
-    direction arrives by the reflection with the excess ``t (1 - d.d')`` (image method).
+    A blocked ray is mirrored at the first solid face, ``d' = d - 2 (d.n) n``; when d' leaves freely, a satellite in
+    that direction arrives by the reflection with the excess ``t (1 - d.d')`` (image method).
     """
     cells = direction.shape[0]
     for c in range(cells):

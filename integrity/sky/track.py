@@ -62,21 +62,21 @@ class SkyTrack:
         knots = start_s + step_s * np.arange(int(np.ceil(duration_s / step_s)) + 1)
         used = satellites.rising(knots, *place_rad, mask_rad)
         if len(used) == 0:
-            raise InputError(f"satellites must rise above {mask_rad} rad, got none of {len(satellites)}: lower the mask")
+            raise InputError(
+                f"satellites must rise above {mask_rad} rad, got none of {len(satellites)}: lower the mask"
+            )
         offset, rate = used.relative_enu(knots, *place_rad)
         return cls(float(start_s), float(step_s), offset, rate, float(mask_rad), used.system, used.prn)
 
     @classmethod
     def from_config(cls, config: SkyConfig, duration_s: float, step_s: float = 20.0) -> SkyTrack:
         """The nominal sky of a configuration, from its start for ``duration_s``."""
-        return cls.build(
-            config.satellites(), config.start_gps_s, duration_s, config.place_rad, config.mask_rad, step_s
-        )
+        return cls.build(config.satellites(), config.start_gps_s, duration_s, config.place_rad, config.mask_rad, step_s)
 
     @property
     def end_s(self) -> float:
         """GPS time of the last knot."""
-        return self.start_s + self.step_s * (self.offset_enu_m.shape[0] - 1)
+        return self.start_s + self.step_s * float(self.offset_enu_m.shape[0] - 1)
 
     def at(self, gps_time_s: float, index: ArrayLike = 0) -> SkyView:
         """The sky at one instant (K = 1); ``index`` is zeros (B,), one for each vehicle.
@@ -93,8 +93,6 @@ class SkyTrack:
                 f"gps_time_s must lie in [{self.start_s}, {self.end_s}], got {gps_time_s}: build a longer track"
             )
         k = min(int(place), last)
-        los, row, above = sky_at(
-            self.offset_enu_m, self.rate_enu_mps, k, self.step_s, place - k, self.mask_rad
-        )
+        los, row, above = sky_at(self.offset_enu_m, self.rate_enu_mps, k, self.step_s, place - k, self.mask_rad)
         which = np.atleast_1d(np.asarray(index, dtype=np.int64))
         return SkyView(los, row[0], row[1], row[2], row[3], above, self.system, self.prn, which)

@@ -114,7 +114,7 @@ class SkyMask:
             raise InputError(f"lanes must lie in [1, {road.lane_count}], got {lanes}: the road has no more")
         count = max(1, int(np.ceil(road.length_m / station_spacing_m)))
         spacing = road.length_m / count
-        arc = spacing * np.arange(count if road.closed else count + 1)
+        arc = spacing * np.arange(count if road.closed else count + 1, dtype=np.float64)
         antenna = _antennas(road, arc, lane_count, antenna_height_m)
         cells = azimuths * elevations
         path = np.empty((antenna.shape[0], cells), dtype=np.uint8)
@@ -122,11 +122,16 @@ class SkyMask:
         run = mask_parallel if use_parallel(antenna.shape[0]) else mask_serial
         run(city.grid, antenna, _cell_centres(azimuths, elevations), azimuths, elevations, path, excess)
         shape = (arc.size, lane_count, cells)
-        digest = cls.digest_of(
-            road, city, station_spacing_m, lanes, antenna_height_m, az_step_deg, el_step_deg
-        )
+        digest = cls.digest_of(road, city, station_spacing_m, lanes, antenna_height_m, az_step_deg, el_step_deg)
         return cls(
-            path.reshape(shape), excess.reshape(shape), azimuths, elevations, spacing, road.length_m, road.closed, digest
+            path.reshape(shape),
+            excess.reshape(shape),
+            azimuths,
+            elevations,
+            spacing,
+            road.length_m,
+            road.closed,
+            digest,
         )
 
     @staticmethod
@@ -214,12 +219,14 @@ class SkyMask:
             The file cannot be read, holds no mask, or one of other inputs.
         """
         try:
-            with np.load(path, allow_pickle=False) as data:
+            with FilePath(path).open("rb") as file, np.load(file, allow_pickle=False) as data:
                 table, excess, found = data["path"], data["excess_m"], str(data["digest"])
                 azimuths, elevations, closed = (int(v) for v in data["bins"])
                 spacing, length = (float(v) for v in data["stations"])
         except (OSError, EOFError, KeyError, ValueError, BadZipFile) as exc:
-            raise InputError(f"sky mask {path} must be an .npz file written by save, got: {exc}; build it again") from exc
+            raise InputError(
+                f"sky mask {path} must be an .npz file written by save, got: {exc}; build it again"
+            ) from exc
         if digest is not None and found != digest:
             raise InputError(f"sky mask {path} must be of inputs {digest}, got {found}: build it again")
         if table.ndim != 3 or table.shape != excess.shape or table.shape[2] != azimuths * elevations:
