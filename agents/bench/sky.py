@@ -45,11 +45,11 @@ def measure(rounds: int = 5) -> list[Row]:
 
     def numba_side() -> int:
         first_hits(city.grid, origin, direction)
-        return origin.shape[0]
+        return int(origin.shape[0])
 
     def numpy_side() -> int:
         first_hits_reference(origin[few], direction[few], city.triangles_enu_m, city.foliage)
-        return los.shape[0]
+        return int(los.shape[0])
 
     rates = alternate({"numba": numba_side, "numpy": numpy_side}, rounds)
     mask = SkyMask.build(road, city)
