@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import InputError
@@ -19,7 +19,7 @@ K = FaultKind
 
 
 class FaultPrior(Config):
-    """How one kind of fault comes: a Poisson process for each target, lognormal length, magnitude uniform with random sign."""
+    """How one kind of fault comes: Poisson onsets at each target, lognormal length, uniform size of random sign."""
 
     per_h: float = Field(0.0, ge=0, description="onsets of each target (satellite, system or vehicle) [1/h]")
     median_s: float = Field(30.0, gt=0, description="median length [s]")
@@ -27,6 +27,12 @@ class FaultPrior(Config):
     low: float = Field(0.0, ge=0, description="smallest magnitude, in the unit of the kind")
     high: float = Field(0.0, ge=0, description="largest magnitude, in the unit of the kind")
     ramp_share: float = Field(0.5, ge=0, le=1, description="share of ramps, the rest are steps [-]")
+
+    @model_validator(mode="after")
+    def _range_is_ordered(self) -> Self:
+        if self.low > self.high:
+            raise ValueError(f"low must be <= high, got {self.low} > {self.high}: exchange them")
+        return self
 
 
 class FaultPriors(Config):
@@ -53,25 +59,35 @@ class FaultPriors(Config):
         description="drag-off; rare outside of known regions",
     )
     jamming: FaultPrior = Field(
-        FaultPrior(per_h=0.01, median_s=10.0, low=5.0, high=40.0, ramp_share=1.0),
-        description="privacy jammers met on motorways; STRIKE3 saw one event in some days per site, seconds long",
+        FaultPrior(per_h=0.2, median_s=10.0, low=5.0, high=40.0, ramp_share=1.0),
+        description="privacy jammers; STRIKE3: 1,141 deliberate events at 8 airports in 30 days",
     )
     corrections_loss: FaultPrior = Field(
         FaultPrior(per_h=2.0, median_s=11.5), description="loss of the mobile network; outage length fits S1 section 5"
     )
     gyro_bias: FaultPrior = Field(
-        FaultPrior(per_h=1e-4, median_s=600.0, low=0.1, high=2.0), description="jump of a MEMS bias, shock or temperature"
+        FaultPrior(per_h=1e-4, median_s=600.0, low=0.1, high=2.0),
+        description="jump of a MEMS bias, shock or temperature",
     )
     wheel_slip: FaultPrior = Field(
         FaultPrior(per_h=0.1, median_s=1.0, low=0.05, high=0.5, ramp_share=0.0),
         description="slippery patches beyond the slip of normal driving",
     )
     odometer_frozen: FaultPrior = Field(
-        FaultPrior(per_h=1e-4, median_s=5.0), description="stuck bus message; ASIL B wheel-speed sensors aim at 1e-7 per hour"
+        FaultPrior(per_h=1e-4, median_s=5.0),
+        description="stuck bus message; ASIL B wheel-speed sensors aim at 1e-7 per hour",
     )
     v2v_lie: FaultPrior = Field(
         FaultPrior(per_h=1e-3, median_s=60.0, low=1.0, high=20.0), description="wrong or malicious broadcasts; argued"
     )
+
+    @model_validator(mode="after")
+    def _sizes_are_given(self) -> Self:
+        for kind, names in SIZES.items():
+            prior: FaultPrior = getattr(self, kind.value)
+            if names and prior.per_h > 0.0 and prior.high == 0.0:
+                raise ValueError(f"{kind.value}.high must be > 0 when per_h is, got 0: give low and high too")
+        return self
 
 
 def _targets(kind: FaultKind, sky: SkyView) -> list[dict[str, int | System]]:
@@ -97,7 +113,11 @@ def _magnitude(kind: FaultKind, prior: FaultPrior, generator: np.random.Generato
 
 
 def _draw(
-    kind: FaultKind, prior: FaultPrior, target: dict[str, int | System], duration_s: float, generator: np.random.Generator
+    kind: FaultKind,
+    prior: FaultPrior,
+    target: dict[str, int | System],
+    duration_s: float,
+    generator: np.random.Generator,
 ) -> Fault:
     length = prior.median_s * float(np.exp(prior.log_sd * generator.standard_normal()))
     profile: Literal["step", "ramp"] = "ramp" if generator.random() < prior.ramp_share else "step"
@@ -142,6 +162,8 @@ def random_campaign(
     for kind in FaultKind:
         prior: FaultPrior = getattr(priors_per_h, kind.value)
         targets = _targets(kind, sky)
-        for target, count in zip(targets, generator.poisson(prior.per_h * duration_s / 3600.0, len(targets)), strict=True):
+        for target, count in zip(
+            targets, generator.poisson(prior.per_h * duration_s / 3600.0, len(targets)), strict=True
+        ):
             faults.extend(_draw(kind, prior, target, duration_s, generator) for _ in range(count))
     return tuple(sorted(faults, key=lambda f: f.start_s))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +16,13 @@ from pydantic import Field
 
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import InputError
+from lanebound.integrity.sensors import corrections_kernel as kernel
 from lanebound.integrity.streams import Streams
 
 __all__ = ["CorrectionsConfig", "CorrectionsState", "initial_state", "step"]
 
 Array = NDArray[np.float64]
-ROUNDING = 1e-9  # share of an epoch or interval that floating-point division may be short of a whole number
+NO_DRAWS: Array = np.empty(0)
 
 
 class CorrectionsConfig(Config):
@@ -91,21 +93,18 @@ def step(
     batch = state.epoch.shape[0]
     if lost.shape != (batch,) or streams.batch != batch:
         raise InputError(f"lost and streams must serve {batch} vehicles, got {lost.shape} and {streams.batch}")
-    state.epoch += 1
-    due = np.floor((state.epoch * dt_s - config.latency_s) / config.interval_s + ROUNDING).astype(np.int64)
-    heard = (due > state.due) & ~lost & ~_in_outage(config, state, dt_s, streams)
-    state.due = np.maximum(due, state.due)
-    state.newest = np.where(heard, due, state.newest)
-    return np.where(state.newest < 0, np.inf, state.epoch * dt_s - state.newest * config.interval_s)
-
-
-def _in_outage(config: CorrectionsConfig, state: CorrectionsState, dt_s: float, streams: Streams) -> NDArray[np.bool_]:
-    """Whether the link is down in this epoch (B,); outages begin and run out."""
+    u = z = NO_DRAWS
     if config.outage_per_h > 0.0:
-        begins = streams.uniform("corrections") < -math.expm1(-config.outage_per_h * dt_s / 3600.0)
-        length_s = config.outage_median_s * np.exp(config.outage_log_sd * streams.normal("corrections"))
-        epochs = np.ceil(np.minimum(length_s, config.outage_max_s) / dt_s - ROUNDING).astype(np.int64)
-        state.outage_left = np.where(begins & (state.outage_left == 0), np.maximum(epochs, 1), state.outage_left)
-    down = state.outage_left > 0
-    state.outage_left = state.outage_left - down
-    return down
+        u, z = streams.uniform("corrections"), streams.normal("corrections")
+    age = np.empty(batch)
+    par = _parameters(config, dt_s)
+    kernel.advance(par, dt_s, u, z, lost, state.epoch, state.due, state.newest, state.outage_left, age)
+    return age
+
+
+@lru_cache(maxsize=64)
+def _parameters(config: CorrectionsConfig, dt_s: float) -> Array:
+    """The configuration in the kernel's columns."""
+    onset = -math.expm1(-config.outage_per_h * dt_s / 3600.0)
+    outage = (config.outage_median_s, config.outage_log_sd, config.outage_max_s)
+    return np.array([config.latency_s, config.interval_s, onset, *outage])

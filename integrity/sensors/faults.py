@@ -138,7 +138,7 @@ class FaultSchedule:
 
         A fault of a satellite or vehicle that is not there does nothing.
         """
-        acting = self.active(time_s)
+        acting = self.active(time_s) if self.faults else ()
         if not acting:
             return FaultEffects.none(batch, sky.satellites)
         effects = FaultEffects.blank(batch, sky.satellites)

@@ -6,8 +6,10 @@ are integrated exactly, each with the joint law of (bias at the end, integral ov
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -16,6 +18,7 @@ from pydantic import Field
 
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import InputError
+from lanebound.integrity.sensors import imu_kernel as kernel
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.streams import Streams
 from lanebound.integrity.truth import Truth
@@ -67,9 +70,7 @@ class ImuConfig(Config):
 
     grade: Literal["consumer", "automotive", "tactical", "s1_consumer"] = "consumer"
     gyro: AxisNoise = Field(
-        AxisNoise(
-            density=0.014 * DEG, instability=6.0 * DEG / 3600, random_walk=2e-6, turn_on=0.1 * DEG, scale=3e-3
-        ),
+        AxisNoise(density=0.014 * DEG, instability=6.0 * DEG / 3600, random_walk=2e-6, turn_on=0.1 * DEG, scale=3e-3),
         description="gyros; BMI088 0.014 deg/s/sqrt(Hz), after a standstill calibration of the 1 deg/s offset",
     )
     accel: AxisNoise = Field(
@@ -100,13 +101,10 @@ class ImuState:
 
     def copy(self) -> ImuState:
         """An independent copy."""
-        arrays = (self.turn_on, self.scale, self.instability, self.walk, self.moving_bias_radps)
-        return ImuState(*(a.copy() for a in arrays), on_s=self.on_s)
+        return copy.deepcopy(self)
 
 
-def gauss_markov_step(
-    bias: Array, sigma: Array | float, tau_s: float, dt_s: float, z: Array
-) -> tuple[Array, Array]:
+def gauss_markov_step(bias: Array, sigma: Array | float, tau_s: float, dt_s: float, z: Array) -> tuple[Array, Array]:
     """Advance a first-order Gauss-Markov bias and integrate it over the step, exactly.
 
     With ``r = dt / tau`` and ``a = exp(-r)``: mean of (end, integral) is ``(a b, tau (1 - a) b)``; covariance
@@ -124,7 +122,7 @@ def gauss_markov_step(
     a, lost = math.exp(-r), -math.expm1(-r)
     c11 = -math.expm1(-2.0 * r)
     c12 = tau_s * lost * lost
-    # The closed form cancels to nothing for short steps; its series is exact to 1e-12 below r = 1e-2.
+    # The closed form cancels to nothing for short steps; its series is exact to 2e-7 of itself below r = 1e-2.
     c22 = tau_s**2 * (2 * r - 3 + 4 * a - a * a if r > 1e-2 else r**3 * (2 / 3 - r / 2 + 7 * r * r / 30))
     l11 = math.sqrt(c11)
     l21 = c12 / l11
@@ -145,7 +143,9 @@ def random_walk_step(bias: Array, density: Array | float, dt_s: float, z: Array)
     return end, integral
 
 
-def mems_exponential_error(time_s: float, c1_mps2: float = -0.0043, c2_mps2: float = -0.007, tau_s: float = 500.0) -> float:
+def mems_exponential_error(
+    time_s: float, c1_mps2: float = -0.0043, c2_mps2: float = -0.007, tau_s: float = 500.0
+) -> float:
     """``e(t) = C1 (1 - exp(-t/tau)) + C2`` of S4 section III-A, seconds since switch-on -> [m/s^2]."""
     return -c1_mps2 * math.expm1(-time_s / tau_s) + c2_mps2
 
@@ -175,16 +175,20 @@ def initial_imu(config: ImuConfig, streams: Streams) -> ImuState:
     )
 
 
-def _advance(config: ImuConfig, state: ImuState, dt: float, z: Array) -> Array:
-    """Move the wandering errors on by an epoch; their integral plus white noise (B, 2, 3), in [u s]."""
-    total = state.turn_on * dt + _pair(config, "density") * math.sqrt(dt) * z[..., 0]
-    for i, triad in enumerate((config.gyro, config.accel)):
-        state.instability[:, i], wander = gauss_markov_step(
-            state.instability[:, i], triad.instability, triad.instability_s, dt, z[:, i, :, 1:3]
-        )
-        state.walk[:, i], walk = random_walk_step(state.walk[:, i], triad.random_walk, dt, z[:, i, :, 3:5])
-        total[:, i] += wander + walk
-    return total
+@lru_cache(maxsize=64)
+def _coefficients(config: ImuConfig, dt_s: float) -> Array:
+    """What the kernel multiplies states and draws with, (2, NC): the steps above, applied to unit vectors."""
+    coef = np.zeros((2, kernel.NC))
+    zero, unit = np.zeros(3), np.eye(3, 2, k=-1)  # one state and two draws, each 1 in its turn
+    state = np.array([1.0, 0.0, 0.0])
+    for row, triad in zip(coef, (config.gyro, config.accel), strict=True):
+        end, integral = gauss_markov_step(state, triad.instability, triad.instability_s, dt_s, unit)
+        walk_end, walk = random_walk_step(zero, triad.random_walk, dt_s, unit)
+        row[[kernel.TURN_ON, kernel.WHITE]] = dt_s, triad.density * math.sqrt(dt_s)
+        row[[kernel.DECAY, kernel.END_1]] = end[:2]
+        row[[kernel.INTEGRAL, kernel.INTEGRAL_1, kernel.INTEGRAL_2]] = integral
+        row[[kernel.WALK_END_1, kernel.WALK_1, kernel.WALK_2]] = walk_end[1], walk[1], walk[2]
+    return coef
 
 
 def sample_imu(config: ImuConfig, state: ImuState, truth: Truth, effects: FaultEffects, streams: Streams) -> ImuSample:
@@ -198,12 +202,13 @@ def sample_imu(config: ImuConfig, state: ImuState, truth: Truth, effects: FaultE
     if truth.batch != streams.batch:
         raise InputError(f"truth holds {truth.batch} vehicles, streams {streams.batch}: make both the same batch")
     dt = truth.dt_s
-    error = _advance(config, state, dt, streams.normal("imu", 2, 3, 5))
-    theta = truth.delta_theta_rad * (1.0 + state.scale[:, 0]) + error[:, 0]
-    speed = np.abs(truth.distance_m) / dt
-    theta[:, 2] += (effects.gyro_bias_radps + np.where(speed > MOVING_MPS, state.moving_bias_radps, 0.0)) * dt
-    delta_v = truth.delta_v_mps * (1.0 + state.scale[:, 1]) + error[:, 1]
-    if config.mems_exponential:
-        delta_v += _mems_increment(config, state.on_s, dt)
+    theta, delta_v = np.empty((2, truth.batch, 3))
+    kernel.measure(
+        _coefficients(config, dt), dt, MOVING_MPS * dt,
+        _mems_increment(config, state.on_s, dt) if config.mems_exponential else 0.0,
+        streams.normal("imu", 2, 3, 5), state.turn_on, state.scale, state.instability, state.walk,
+        state.moving_bias_radps, effects.gyro_bias_radps, truth.distance_m, truth.delta_theta_rad, truth.delta_v_mps,
+        theta, delta_v,
+    )  # fmt: skip
     state.on_s += dt
     return ImuSample(theta, delta_v)

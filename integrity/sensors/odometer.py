@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from pydantic import Field
 
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import InputError
+from lanebound.integrity.sensors import odometer_kernel as kernel
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.streams import Streams
 from lanebound.integrity.truth import Truth
@@ -39,7 +41,9 @@ class OdometerConfig(Config):
 
     scale_mean: float = Field(1.0, gt=0, description="mean of the scale [-]; uncalibrated cars show 0.987 to 0.990")
     scale_sigma: float = Field(0.003, ge=0, description="1-sigma of the scale left after calibration [-]; tyre wear")
-    noise_mps: float = Field(0.05, ge=0, description="1-sigma of the speed [m/s]; S1 section 4, comma2k19 residual 0.05")
+    noise_mps: float = Field(
+        0.05, ge=0, description="1-sigma of the speed [m/s]; S1 section 4, comma2k19 residual 0.05"
+    )
     noise_tau_s: float = Field(0.0, ge=0, description="correlation time of that noise, 0 = white [s]")
     pulses_per_revolution: int = Field(
         2000,
@@ -48,7 +52,9 @@ class OdometerConfig(Config):
     )
     circumference_m: float = Field(1.95, gt=0, description="rolling circumference [m]; tyre 205/55 R16")
     slip_s2_per_m: float = Field(
-        0.001, ge=0, description="longitudinal slip per acceleration [s^2/m]; 3 to 4 % at the 1 g limit, linear below half"
+        0.001,
+        ge=0,
+        description="longitudinal slip per acceleration [s^2/m]; 3 to 4 % at the 1 g limit, linear below half",
     )
     dropout_mps: float = Field(0.15, ge=0, description="slower than this no pulse is detected [m/s]; inductive sensors")
 
@@ -81,20 +87,13 @@ def initial_odometer(config: OdometerConfig, streams: Streams) -> OdometerState:
     )
 
 
-def _noise(config: OdometerConfig, state: OdometerState, dt: float, z: Array) -> Array:
-    """Speed noise of this epoch (B,): white, or first-order Gauss-Markov."""
-    a = math.exp(-dt / config.noise_tau_s) if config.noise_tau_s > 0 else 0.0
-    state.noise_mps = a * state.noise_mps + config.noise_mps * math.sqrt(1.0 - a * a) * z
-    return state.noise_mps
-
-
-def _count(config: OdometerConfig, state: OdometerState, rolled_m: Array) -> Array:
-    """Whole pulses of a distance (B,) [m]; what is left over is carried to the next epoch."""
+@lru_cache(maxsize=64)
+def _parameters(config: OdometerConfig, dt_s: float) -> Array:
+    """The configuration in the kernel's columns; noise is white, or first-order Gauss-Markov."""
+    a = math.exp(-dt_s / config.noise_tau_s) if config.noise_tau_s > 0 else 0.0
+    innovation = config.noise_mps * math.sqrt(1.0 - a * a)
     pulse = config.circumference_m / config.pulses_per_revolution
-    total = state.carry_m + rolled_m
-    counted = np.trunc(total / pulse) * pulse
-    state.carry_m = total - counted
-    return counted
+    return np.array([a, innovation, pulse, config.slip_s2_per_m, config.dropout_mps])
 
 
 def sample_odometer(
@@ -112,15 +111,10 @@ def sample_odometer(
     """
     if truth.batch != streams.batch:
         raise InputError(f"truth holds {truth.batch} vehicles, streams {streams.batch}: make both the same batch")
-    dt = truth.dt_s
-    noise = _noise(config, state, dt, streams.normal("odometer", 1)[:, 0])
-    true_mps = truth.distance_m / dt
-    before = np.where(np.isnan(state.last_true_mps), true_mps, state.last_true_mps)
-    slip = config.slip_s2_per_m * (np.abs(true_mps) - np.abs(before)) / dt
-    state.last_true_mps = true_mps
-    rolled = state.scale * effects.odometer_scale * (1.0 + slip) * truth.distance_m + noise * dt
-    rolled = np.where(np.abs(true_mps) < config.dropout_mps, 0.0, rolled)
-    distance = _count(config, state, rolled)
-    distance = np.where(effects.odometer_frozen, state.last_distance_m, distance)
-    state.last_distance_m = distance
-    return OdometerSample(distance, distance / dt)
+    distance, speed = np.empty((2, truth.batch))
+    kernel.measure(
+        _parameters(config, truth.dt_s), truth.dt_s, streams.normal("odometer"), state.scale, effects.odometer_scale,
+        effects.odometer_frozen, state.noise_mps, state.carry_m, state.last_distance_m, state.last_true_mps,
+        truth.distance_m, distance, speed,
+    )  # fmt: skip
+    return OdometerSample(distance, speed)

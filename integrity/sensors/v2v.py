@@ -26,8 +26,12 @@ N_FIELDS = 7
 class V2vConfig(Config):
     """The radio channel of one street."""
 
-    rate_hz: float = Field(10.0, gt=0, description="messages of a vehicle in a second; SAE J2735 BSM, ETSI CAM up to 10 Hz")
-    latency_s: float = Field(0.05, ge=0, description="shortest delay of a message [s]; 3GPP TS 22.185 asks for <= 100 ms")
+    rate_hz: float = Field(
+        10.0, gt=0, description="messages of a vehicle in a second; SAE J2735 BSM, ETSI CAM up to 10 Hz"
+    )
+    latency_s: float = Field(
+        0.05, ge=0, description="shortest delay of a message [s]; 3GPP TS 22.185 asks for <= 100 ms"
+    )
     jitter_s: float = Field(0.03, ge=0, description="mean of the exponential delay on top [s]; congestion")
     latency_max_s: float = Field(0.5, gt=0, description="later messages are dropped [s]")
     loss: float = Field(0.05, ge=0, le=1, description="share lost at close range [-]; C-V2X field tests: 90 % at 300 m")

@@ -29,7 +29,9 @@ def _truth(batch: int, speed_mps: float = 0.0, turn_rad: float = 0.0, dt_s: floa
     start = np.zeros((batch, 2))
     velocity = np.column_stack([np.zeros(batch), np.full(batch, speed_mps)])
     heading = np.zeros(batch)
-    return truth_between(dt_s, dt_s, (start, start + velocity * dt_s), (velocity, velocity), (heading, heading + turn_rad))
+    return truth_between(
+        dt_s, dt_s, (start, start + velocity * dt_s), (velocity, velocity), (heading, heading + turn_rad)
+    )
 
 
 def _sum(config: ImuConfig, truth: Truth, epochs: int, seed: int = 3) -> tuple[np.ndarray, np.ndarray]:
@@ -102,7 +104,9 @@ def test_gauss_markov_integral_tends_to_white_and_to_constant() -> None:
 
 
 def test_random_walk_step_covariance() -> None:
-    columns = np.array([[random_walk_step(np.zeros(()), 3.0, 2.0, np.eye(2)[i])[k] for i in range(2)] for k in range(2)])
+    columns = np.array(
+        [[random_walk_step(np.zeros(()), 3.0, 2.0, np.eye(2)[i])[k] for i in range(2)] for k in range(2)]
+    )
     np.testing.assert_allclose(columns @ columns.T, 9.0 * np.array([[2.0, 2.0], [2.0, 8.0 / 3.0]]))
 
 
@@ -146,6 +150,32 @@ def test_scale_and_turn_on_are_drawn_once() -> None:
     np.testing.assert_array_equal(still[0], still[1])
     turning, _ = _sum(config, _truth(3, turn_rad=0.1), 1)
     assert np.unique(turning[0, :, 2] - still[0, :, 2]).size == 3
+
+
+def test_increments_are_those_of_the_plain_steps() -> None:
+    """The compiled form against the two steps applied one by one, to 1e-12."""
+    config, batch, dt = ImuConfig(moving_gyro_bias_degps=0.1), 3, 0.1
+    streams, truth = Streams([1, 2, 3]), _truth(batch, speed_mps=5.0, turn_rad=0.01)
+    state = initial_imu(config, streams)
+    draws = streams.snapshot()
+    for _ in range(3):
+        plain = state.copy()
+        sample = sample_imu(config, state, truth, FaultEffects.none(batch, 0), streams)
+        z = draws.normal("imu", 2, 3, 5)
+        rows = ((config.gyro, truth.delta_theta_rad), (config.accel, truth.delta_v_mps))
+        expected = []
+        for i, (triad, true) in enumerate(rows):
+            end, wander = gauss_markov_step(
+                plain.instability[:, i], triad.instability, triad.instability_s, dt, z[:, i, :, 1:3]
+            )
+            walk_end, walk = random_walk_step(plain.walk[:, i], triad.random_walk, dt, z[:, i, :, 3:5])
+            np.testing.assert_allclose(state.instability[:, i], end, rtol=1e-12, atol=1e-18)
+            np.testing.assert_allclose(state.walk[:, i], walk_end, rtol=1e-12, atol=1e-18)
+            white = triad.density * np.sqrt(dt) * z[:, i, :, 0]
+            expected.append(true * (1 + plain.scale[:, i]) + plain.turn_on[:, i] * dt + white + wander + walk)
+        expected[0][:, 2] += state.moving_bias_radps * dt
+        np.testing.assert_allclose(sample.delta_theta_rad, expected[0], rtol=1e-12, atol=1e-15)
+        np.testing.assert_allclose(sample.delta_v_mps, expected[1], rtol=1e-12, atol=1e-15)
 
 
 def test_same_seed_same_bits_and_a_copy_goes_on_alike() -> None:

@@ -26,7 +26,8 @@ def _run(config: V2vConfig, epochs: int, batch: int = 3, gap_m: float = 10.0, se
     antenna = np.column_stack([gap_m * np.arange(batch), np.zeros(batch)])
     none = FaultEffects.none(batch, 0)
     return [
-        exchange(config, state, n * DT, DT, _message(batch, n * DT), antenna, none, streams) for n in range(1, epochs + 1)
+        exchange(config, state, n * DT, DT, _message(batch, n * DT), antenna, none, streams)
+        for n in range(1, epochs + 1)
     ]
 
 
