@@ -76,5 +76,5 @@ def test_bad_input_is_refused() -> None:
         FaultPrior(per_h=-1.0)
     with pytest.raises(ConfigError, match="low must be <= high"):
         FaultPrior(low=2.0, high=1.0)
-    with pytest.raises(ConfigError, match="jamming.high must be > 0"):
+    with pytest.raises(ConfigError, match=r"jamming\.high must be > 0"):
         _only(FaultKind.JAMMING, per_h=1.0, low=0.0, high=0.0)
