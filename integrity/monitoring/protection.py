@@ -267,39 +267,23 @@ def protection_levels_batch(
     InputError
         Wrong shapes, entries in view that are not finite, variances that are not positive, negative biases.
     """
-    los = np.ascontiguousarray(los_enu, dtype=np.float64)
+    los = np.require(los_enu, np.float64, ["C", "W"])
     require_shape("los_enu", los, (None, None, 3))
     shape = los.shape[:2]
-    mask = np.ascontiguousarray(np.broadcast_to(np.asarray(in_view, dtype=bool), shape))
-    if not np.isfinite(los[mask]).all():
-        raise InputError("los_enu must be finite where in_view: clear in_view for satellites without a direction")
-    clocks = np.ascontiguousarray(np.broadcast_to(np.asarray(group, dtype=np.int64), shape))
-    require_in_range("group", clocks, 0, MAX_GROUPS - 1)
-    variance = _full("variance_m2", variance_m2, shape, low_open=True)
-    accuracy = variance if accuracy_m2 is None else _full("accuracy_m2", accuracy_m2, shape, low_open=True)
-    bias = _full("bias_m", bias_m, shape)
-    heading = np.ascontiguousarray(np.broadcast_to(require_finite("heading_rad", heading_rad), shape[:1]))
-    outside = _full("spent", spent, shape[:1]) + config.unmonitored_risk
-    wanted = config.risks(risks)
-    out = BatchLevels(
-        np.full((shape[0], wanted.size, 2), np.inf),
-        np.full((shape[0], wanted.size, 2), np.inf),
-        np.zeros(shape[0], np.int64),
-    )
-    threads = use_parallel(shape[0]) if parallel is None else parallel
-    run = kernel.run_parallel if threads else kernel.run_serial
-    run(
+    columns = (
         los,
-        mask,
-        clocks,
-        variance,
-        accuracy,
-        bias,
-        heading,
-        outside,
+        _full(in_view, shape, np.bool_),
+        _full(group, shape, np.int64),
+        _full(variance_m2, shape),
+        _full(variance_m2 if accuracy_m2 is None else accuracy_m2, shape),
+        _full(bias_m, shape),
+        _full(require_finite("heading_rad", heading_rad), shape[:1]),
+        _full(require_in_range("spent", spent, 0.0, 1.0) + config.unmonitored_risk, shape[:1]),
+    )
+    rules = (
         *config.priors(),
         config.false_alarm_factors(shape[1] + MAX_GROUPS),
-        wanted,
+        np.ascontiguousarray(require_in_range("risks", config.risks(risks), 0.0, 1.0, low_open=True, high_open=True)),
         config.at_share,
         config.fault_free_share,
         config.monitors_constellations,
@@ -307,15 +291,31 @@ def protection_levels_batch(
         config.spend_unsolvable,
         root,
         closed,
-        min(CHUNKS, max(shape[0], 1)) if threads else 1,
-        out.status,
-        out.root_m,
-        out.closed_m,
     )
+    level = (shape[0], config.risks(risks).size, 2)
+    out = BatchLevels(np.full(level, np.inf), np.full(level, np.inf), np.zeros(shape[0], np.int64))
+    results = (out.status, out.root_m, out.closed_m)
+    if use_parallel(shape[0]) if parallel is None else parallel:
+        kernel.run_parallel(min(CHUNKS, max(shape[0], 1)), *columns, *rules, *results)
+    else:
+        kernel.run_chunk(0, shape[0], *columns, *rules, *results)
+    bad = np.flatnonzero(out.status == kernel.BAD_INPUT)
+    if bad.size:
+        _refuse(int(bad[0]), *columns[:6])
     return out
 
 
-def _full(name: str, value: ArrayLike, shape: tuple[int, ...], low_open: bool = False) -> Array:
-    """``value`` checked (> 0 or >= 0) and broadcast to ``shape``, contiguous."""
-    checked = require_in_range(name, value, 0.0, np.finfo(np.float64).max, low_open=low_open)
-    return np.ascontiguousarray(np.broadcast_to(checked, shape))
+def _full(value: ArrayLike, shape: tuple[int, ...], dtype: type = np.float64) -> NDArray[Any]:
+    """``value`` broadcast to ``shape``, contiguous and writable: one kind of array means one compiled kernel."""
+    return np.require(np.broadcast_to(np.asarray(value, dtype=dtype), shape), requirements=["C", "W"])
+
+
+def _refuse(epoch: int, los: Array, mask: NDArray[np.bool_], group: Ints, *positive: Array) -> None:
+    """Raise the InputError that names what cannot be used at ``epoch``."""
+    seen = mask[epoch]
+    require_in_range(f"group[{epoch}]", group[epoch, seen], 0, MAX_GROUPS - 1)
+    for name, value in zip(("variance_m2", "accuracy_m2"), positive, strict=False):
+        require_in_range(f"{name}[{epoch}]", value[epoch, seen], 0.0, np.inf, low_open=True)
+    require_in_range(f"bias_m[{epoch}]", positive[2][epoch, seen], 0.0, np.inf)
+    require_finite(f"los_enu[{epoch}]", los[epoch, seen])
+    raise InputError(f"los_enu[{epoch}] must hold unit vectors where in view: normalise them or clear in_view")

@@ -24,6 +24,7 @@ from lanebound.integrity.monitoring.geometry_kernel import (
     DELTA_AT,
     LOG_PRIOR,
     LOST,
+    MAX_GROUPS,
     OFFSET,
     PRIOR,
     RATE,
@@ -43,8 +44,8 @@ __all__ = [
     "closed_form_published",
     "q_inverse",
     "root",
+    "run_chunk",
     "run_parallel",
-    "run_serial",
     "tail",
 ]
 
@@ -59,6 +60,7 @@ PATIENCE = 6  # steps before bisection takes turns: a far, flat mode defeats the
 MAX_STEPS = 120
 NUDGE = 1e-10  # relative, upwards: the level aimed at lies this far above the root
 AXES = 2
+BAD_INPUT = -1
 
 # Q(z) exp(z^2/2) on 0 <= z <= 12 as a polynomial in (z - 5)/(z + 5), Chebyshev fit of relative error 3.5e-11
 R0, R1, R2 = 0.07691930497723773, -0.14345755525916926, 0.11606881138328852
@@ -272,7 +274,10 @@ def budgets_of(risks: Array, split_at: float, unmonitored: float, budgets: Array
         budgets[r, 0], budgets[r, 1] = left * split_at, left * (1.0 - split_at)
 
 
-def _run(
+@jit
+def run_chunk(
+    first: int,
+    last: int,
     los: Array,
     mask: Bools,
     group: Ints,
@@ -292,39 +297,100 @@ def _run(
     tolerate: bool,
     want_root: bool,
     want_closed: bool,
-    chunks: int,
     status: Ints,
     level: Array,
     closed: Array,
 ) -> None:
-    """Protection levels of E epochs in ``chunks`` runs that share scratch; see ``protection_levels_batch``."""
-    epochs, size = mask.shape
+    """Protection levels of epochs ``first`` to ``last`` - 1; arguments as ``protection_levels_batch`` makes them.
+
+    The status of an epoch with an entry in view that cannot be used is BAD_INPUT.
+    """
+    size = mask.shape[1]
+    geo, head, mode = scratch(size)
+    e, g = np.empty((size, 3)), np.empty(size, np.int64)
+    v, a, b = np.empty(size), np.empty(size), np.empty(size)
+    budgets = np.empty((risks.shape[0], AXES))
+    for i in range(first, last):
+        n, usable = 0, True
+        for j in range(size):
+            if mask[i, j]:
+                e[n, 0], e[n, 1], e[n, 2] = los[i, j, 0], los[i, j, 1], los[i, j, 2]
+                g[n], v[n], a[n], b[n] = group[i, j], variance[i, j], accuracy[i, j], bias[i, j]
+                usable &= abs(e[n, 0]) + abs(e[n, 1]) + abs(e[n, 2]) < 2.0
+                usable &= 0.0 < v[n] < np.inf and 0.0 < a[n] < np.inf and 0.0 <= b[n] < np.inf
+                usable &= 0 <= g[n] < MAX_GROUPS
+                n += 1
+        if not usable:
+            status[i] = BAD_INPUT
+            continue
+        sin_h, cos_h = math.sin(heading[i]), math.cos(heading[i])
+        status[i] = geometry(e, g, v, b, n, sin_h, cos_h, geo, head)
+        if status[i] != SOLVED:
+            continue
+        count = modes(g, v, a, n, sin_h, cos_h, constellations, False, geo, head, mode)
+        set_priors(g, n, count, satellite, constellation, head, mode)
+        spent = unmonitored[i] + (pair_risk(count, mode) if multiple else 0.0)
+        budgets_of(risks, split_at, spent, budgets)
+        if want_root:
+            root(count, k_fa[count - 1], budgets, tolerate, head, mode, level[i])
+        if want_closed:
+            closed_form(count, k_fa[count - 1], budgets, share0, tolerate, head, mode, closed[i])
+
+
+def _run_parallel(
+    chunks: int,
+    los: Array,
+    mask: Bools,
+    group: Ints,
+    variance: Array,
+    accuracy: Array,
+    bias: Array,
+    heading: Array,
+    unmonitored: Array,
+    satellite: Array,
+    constellation: Array,
+    k_fa: Array,
+    risks: Array,
+    split_at: float,
+    share0: float,
+    constellations: bool,
+    multiple: bool,
+    tolerate: bool,
+    want_root: bool,
+    want_closed: bool,
+    status: Ints,
+    level: Array,
+    closed: Array,
+) -> None:
+    """:func:`run_chunk` over all epochs, ``chunks`` runs shared among the threads."""
+    epochs = mask.shape[0]
     for chunk in prange(chunks):
-        geo, head, mode = scratch(size)
-        e, g = np.empty((size, 3)), np.empty(size, np.int64)
-        v, a, b = np.empty(size), np.empty(size), np.empty(size)
-        budgets = np.empty((risks.shape[0], AXES))
-        for i in range(chunk * epochs // chunks, (chunk + 1) * epochs // chunks):
-            n = 0
-            for j in range(size):
-                if mask[i, j]:
-                    e[n, 0], e[n, 1], e[n, 2] = los[i, j, 0], los[i, j, 1], los[i, j, 2]
-                    g[n], v[n], a[n], b[n] = group[i, j], variance[i, j], accuracy[i, j], bias[i, j]
-                    n += 1
-            sin_h, cos_h = math.sin(heading[i]), math.cos(heading[i])
-            status[i] = geometry(e, g, v, b, n, sin_h, cos_h, geo, head)
-            if status[i] != SOLVED:
-                level[i], closed[i] = np.inf, np.inf
-                continue
-            count = modes(g, v, a, n, sin_h, cos_h, constellations, False, geo, head, mode)
-            set_priors(g, n, count, satellite, constellation, head, mode)
-            spent = unmonitored[i] + (pair_risk(count, mode) if multiple else 0.0)
-            budgets_of(risks, split_at, spent, budgets)
-            if want_root:
-                root(count, k_fa[count - 1], budgets, tolerate, head, mode, level[i])
-            if want_closed:
-                closed_form(count, k_fa[count - 1], budgets, share0, tolerate, head, mode, closed[i])
+        run_chunk(
+            chunk * epochs // chunks,
+            (chunk + 1) * epochs // chunks,
+            los,
+            mask,
+            group,
+            variance,
+            accuracy,
+            bias,
+            heading,
+            unmonitored,
+            satellite,
+            constellation,
+            k_fa,
+            risks,
+            split_at,
+            share0,
+            constellations,
+            multiple,
+            tolerate,
+            want_root,
+            want_closed,
+            status,
+            level,
+            closed,
+        )
 
 
-run_serial = jit(_run)
-run_parallel = jit(parallel=True)(_run)
+run_parallel = jit(parallel=True)(_run_parallel)

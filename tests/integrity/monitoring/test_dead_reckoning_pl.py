@@ -1,0 +1,244 @@
+"""Growth of the error between fixes: closed forms, simulation, kernel against reference, and the levels."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import chi2, norm
+
+from lanebound.integrity.monitoring import dead_reckoning_pl_kernel as dk
+from lanebound.integrity.monitoring.dead_reckoning_pl import (
+    Growth,
+    accurate,
+    bias_track,
+    doppler_step,
+    gauss_markov_variance,
+    initial_growth,
+    missed_detection_factors,
+    odometer_step,
+    protection_levels,
+)
+from lanebound.integrity.monitoring.risk import RiskConfig, Variant
+
+DT = 0.1
+PHI_D, PHI_O = float(np.exp(-DT / 0.54)), float(np.exp(-DT / 1.0))
+FACTOR = np.array([[0.10, 0.0], [0.03, 0.08]])  # Cholesky factor of the Doppler velocity covariance [m/s]
+SIGMA_ODOMETER, WALK = 0.05, 2e-3  # m/s, rad per epoch
+
+
+def start() -> Growth:
+    return initial_growth(np.diag([1e-4, 2e-4]), [0.01, 0.02], 1e-4)
+
+
+def covariance_of(factor: np.ndarray) -> tuple[float, float, float]:
+    q = factor @ factor.T
+    return float(q[0, 0]), float(q[0, 1]), float(q[1, 1])
+
+
+def heading_at(epoch: int) -> float:
+    return 0.3 + 0.05 * epoch
+
+
+def speed_at(epoch: int) -> float:
+    return 10.0 + np.sin(0.2 * epoch)
+
+
+def drive(sources: str, variant: Variant = Variant.EXACT) -> tuple[Growth, np.ndarray]:
+    """One letter for each epoch, d or o, in the reference and in the kernel."""
+    growth, g = start(), np.zeros(dk.GROWTH_SIZE)
+    dk.reset(1e-4, 0.0, 2e-4, 0.01, 0.02, 1e-4, g)
+    published, before = variant is Variant.PUBLISHED, None
+    variance = 1e-4
+    for epoch, source in enumerate(sources):
+        carry = 0.8 if epoch % 7 == 6 else 1.0
+        variance = carry**2 * variance + WALK**2
+        common = {"phi_doppler": PHI_D, "phi_odometer": PHI_O, "heading_variance": variance, "carry": carry}
+        t, v = heading_at(epoch), speed_at(epoch)
+        if source == "d":
+            now = FACTOR * (1.0 + 0.1 * (epoch % 3))
+            growth = doppler_step(growth, DT, before, now, bias_mps=0.004, variant=variant, **common)
+            dk.step_doppler(DT, *covariance_of(now), 0.004, PHI_D, PHI_O, variance, carry, published, g)
+            before = now
+        else:
+            bias = 1e-3 + 1e-4 * epoch
+            growth = odometer_step(
+                growth, DT, v, t, sigma_mps=SIGMA_ODOMETER, bias_mps=0.01, heading_bias_rad=bias, variant=variant,
+                **common,
+            )  # fmt: skip
+            turn = np.sin(t), np.cos(t)
+            dk.step_odometer(
+                DT, v, *turn, SIGMA_ODOMETER, 0.01, bias, PHI_D, PHI_O, variance, carry, published, g
+            )  # fmt: skip
+            before = None
+    return growth, g
+
+
+def simulate(sources: str, draws: int) -> np.ndarray:
+    """Position errors after the same epochs, drawn from the error processes.  (draws, 2) [m]."""
+    rng = np.random.default_rng(7)
+    error = rng.normal(size=(draws, 2)) * np.sqrt([1e-4, 2e-4])
+    n, m, d = rng.normal(size=(draws, 2)), rng.normal(size=draws), rng.normal(size=draws) * 1e-2
+    before: np.ndarray | None = None
+    for epoch, source in enumerate(sources):
+        carry = 0.8 if epoch % 7 == 6 else 1.0
+        last_n, last_d = n, d
+        n = PHI_D * n + np.sqrt(1.0 - PHI_D**2) * rng.normal(size=(draws, 2))
+        m = PHI_O * m + np.sqrt(1.0 - PHI_O**2) * rng.normal(size=draws)
+        d = carry * d + WALK * rng.normal(size=draws)
+        if source == "d":
+            now = FACTOR * (1.0 + 0.1 * (epoch % 3))
+            error = error + (DT * n @ now.T if before is None else 0.5 * DT * (last_n @ before.T + n @ now.T))
+            before = now
+        else:
+            t, v = heading_at(epoch), speed_at(epoch)
+            along, across = np.array([np.sin(t), np.cos(t)]), np.array([np.cos(t), -np.sin(t)])
+            error = error + DT * SIGMA_ODOMETER * m[:, None] * along + v * DT * 0.5 * (last_d + d)[:, None] * across
+            before = None
+    return np.asarray(error)
+
+
+SOURCES = ["d" * 40, "o" * 40, "d" * 15 + "o" * 15 + "d" * 15, "od" * 12, "o" * 10 + "d" * 3 + "o" * 10]
+
+
+@pytest.mark.parametrize("variant", list(Variant))
+@pytest.mark.parametrize("sources", SOURCES)
+def test_kernel_equals_reference(sources: str, variant: Variant) -> None:
+    growth, g = drive(sources, variant)
+    c = growth.covariance
+    np.testing.assert_allclose(g[[dk.P_EE, dk.P_EN, dk.P_NN]], c[[0, 0, 1], [0, 1, 1]], rtol=1e-11, atol=1e-16)
+    np.testing.assert_allclose(g[dk.NE_E : dk.NN_N + 1], c[:2, 2:4].ravel(), rtol=1e-10, atol=1e-15)
+    np.testing.assert_allclose(g[[dk.OD_E, dk.OD_N]], c[:2, 4], rtol=1e-10, atol=1e-15)
+    np.testing.assert_allclose(g[[dk.TH_E, dk.TH_N, dk.VAR_TH]], c[[0, 1, 5], 5], rtol=1e-10, atol=1e-15)
+    sine, cosine = np.sin(1.1), np.cos(1.1)
+    found = np.array(dk.sigma_and_bias(sine, cosine, variant is Variant.PUBLISHED, g))
+    np.testing.assert_allclose(found[2:], bias_track(growth, 1.1, variant), rtol=1e-12)
+    config = RiskConfig(variant=variant)
+    k_md, out = missed_detection_factors(config, [1e-3, 1e-6]), np.empty((2, 2))
+    dk.levels(sine, cosine, k_md, variant is Variant.PUBLISHED, g, out)
+    np.testing.assert_allclose(out, protection_levels(growth, 1.1, config, [1e-3, 1e-6]), rtol=1e-11)
+
+
+@pytest.mark.parametrize("sources", SOURCES)
+def test_covariance_is_that_of_simulated_errors(sources: str) -> None:
+    """Variances of 40,000 whitened errors in both directions; fails by chance once in 1000 runs for each case."""
+    draws = 40_000
+    white = np.linalg.solve(np.linalg.cholesky(drive(sources)[0].position_covariance_m2), simulate(sources, draws).T)
+    low, high = chi2.ppf([2.5e-4, 1.0 - 2.5e-4], df=draws)
+    assert ((low < (white**2).sum(-1)) & ((white**2).sum(-1) < high)).all()
+    assert abs(np.corrcoef(white)[0, 1]) < norm.isf(2.5e-4) / np.sqrt(draws)
+
+
+def test_gauss_markov_growth_has_its_closed_form() -> None:
+    """Fine steps tend to 2 s^2 tau (T - tau (1 - exp(-T/tau))); trapezoids of 10 ms are within 0.1 %."""
+    growth, step, tau = initial_growth(np.zeros((2, 2)), [0.0, 0.0], 0.0), 0.01, 0.54
+    factor = 0.1 * np.eye(2)
+    for epoch in range(501):  # the first epoch only provides the first velocity
+        growth = doppler_step(
+            growth, step if epoch else 0.0, factor if epoch else None, factor, phi_doppler=float(np.exp(-step / tau))
+        )
+    expected = gauss_markov_variance(5.0, 0.1, tau)
+    np.testing.assert_allclose(np.diag(growth.position_covariance_m2), expected, rtol=1e-3)
+
+
+def test_limits_of_the_closed_form() -> None:
+    """A short time keeps the velocity error (s T)^2, a long one is a random walk of 2 s^2 tau T."""
+    assert gauss_markov_variance(1e-3, 0.1, 10.0) == pytest.approx((0.1 * 1e-3) ** 2, rel=1e-4)
+    assert gauss_markov_variance(1e5, 0.1, 0.5) == pytest.approx(2 * 0.01 * 0.5 * 1e5, rel=1e-4)
+
+
+def test_white_limit_and_the_published_half() -> None:
+    """White velocities: dt^2 s^2 for each inner sample; S1 eq 21 gives half of that."""
+    grown = {}
+    for variant in Variant:
+        growth = initial_growth(np.zeros((2, 2)), [0.0, 0.0], 0.0)
+        for epoch in range(201):
+            previous = 0.1 * np.eye(2) if epoch else None
+            growth = doppler_step(growth, DT if epoch else 0.0, previous, 0.1 * np.eye(2), variant=variant)
+        grown[variant] = growth.position_covariance_m2[0, 0]
+    assert grown[Variant.EXACT] == pytest.approx(DT**2 * 0.01 * 199.5, rel=1e-12)
+    assert grown[Variant.PUBLISHED] == pytest.approx(DT**2 * 0.01 * 100, rel=1e-12)
+
+
+def test_constant_heading_error_is_a_lever() -> None:
+    """Straight drive with a heading error of 1 degree: CT error is distance times the angle, AT none."""
+    growth = initial_growth(np.zeros((2, 2)), [0.0, 0.0], np.radians(1.0) ** 2)
+    for _ in range(40):
+        growth = odometer_step(growth, DT, 10.0, 0.8, sigma_mps=0.0, heading_variance=np.radians(1.0) ** 2)
+    levels = protection_levels(growth, 0.8, RiskConfig(integrity_risk=2e-3), None)[0]
+    assert levels[1] == pytest.approx(norm.isf(0.5e-3) * 40.0 * np.radians(1.0), rel=1e-9)
+    assert levels[0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_bias_of_a_closed_loop_cancels_only_where_it_must() -> None:
+    """Round a full circle a constant heading bias brings the position back; an accumulated magnitude would not."""
+    growth = initial_growth(np.zeros((2, 2)), [0.0, 0.0], 0.0)
+    steps = 400
+    for i in range(steps):
+        turn = 2.0 * np.pi * i / steps
+        growth = odometer_step(growth, DT, 10.0, turn, sigma_mps=0.0, bias_mps=0.02, heading_bias_rad=0.01)
+        if i == steps // 2 - 1:
+            diameter = 2.0 * 10.0 * DT * steps / (2.0 * np.pi)
+            assert np.hypot(*growth.by_heading_m) == pytest.approx(0.01 * diameter, rel=1e-3)
+    assert np.abs(bias_track(growth, 0.0)).max() < 1e-9
+
+
+def test_exact_bias_turns_with_the_vehicle_and_published_does_not() -> None:
+    exact, published = [], []
+    for turn in (0.0, np.pi / 4, 1.0):
+        growth = initial_growth(np.zeros((2, 2)), [0.0, 0.0], 0.0)
+        for _ in range(30):
+            growth = odometer_step(growth, DT, 8.0, turn, sigma_mps=0.0, bias_mps=0.02, heading_bias_rad=0.01)
+        exact.append(bias_track(growth, turn))
+        published.append(bias_track(growth, turn, Variant.PUBLISHED))
+    np.testing.assert_allclose(exact, [[0.06, 0.24]] * 3, rtol=1e-9)
+    assert np.ptp(published, axis=0).min() > 0.01
+
+
+def test_a_stop_freezes_the_error_and_a_fix_clears_it() -> None:
+    _, g = drive("d" * 10 + "o" * 10)
+    before = g.copy()
+    dk.step_still(PHI_D, PHI_O, before[dk.VAR_TH], 1.0, g)
+    np.testing.assert_array_equal(g[: dk.P_NN + 1], before[: dk.P_NN + 1])
+    assert abs(g[dk.NE_E]) < abs(before[dk.NE_E])
+    np.testing.assert_array_equal(g[dk.CTH_E :], before[dk.CTH_E :])
+    dk.reset(1e-4, 0.0, 2e-4, 0.01, 0.02, 1e-4, g)
+    fresh = np.zeros(dk.GROWTH_SIZE)
+    dk.reset(1e-4, 0.0, 2e-4, 0.01, 0.02, 1e-4, fresh)
+    np.testing.assert_array_equal(g, fresh)
+
+
+def test_published_levels_by_hand() -> None:
+    """S1 eq 18: K_md = Qinv(risk) unsplit, bias by the signed sum."""
+    growth = Growth(np.diag([0.04, 0.09, 1.0, 1.0, 1.0, 0.0]), np.zeros(2), np.array([0.3, 0.4]), np.zeros(2))
+    levels = protection_levels(growth, np.pi / 6, RiskConfig(variant=Variant.PUBLISHED), [1e-5])[0]
+    sine, cosine = 0.5, np.sqrt(0.75)
+    k = norm.isf(1e-5)
+    assert levels[0] == pytest.approx(k * np.hypot(0.2 * sine, 0.3 * cosine) + np.hypot(0.3 * sine, 0.4 * cosine))
+    assert levels[1] == pytest.approx(k * np.hypot(0.2 * cosine, 0.3 * sine) + np.hypot(0.3 * cosine, 0.4 * sine))
+
+
+def test_no_risk_left_gives_no_level() -> None:
+    assert np.isinf(protection_levels(start(), 0.0, RiskConfig(unmonitored_risk=1e-4), [1e-5])).all()
+
+
+def test_accuracy_test() -> None:
+    """1.96 sigma < T_acc (S1 eq 22)."""
+    assert accurate([0.1, 0.102, 0.0], 0.2).tolist() == [True, True, True]
+    assert not accurate(0.1021, 0.2)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    sources=st.text(alphabet="do", min_size=1, max_size=40),
+    heading=st.floats(-10.0, 10.0),
+    risk=st.floats(1e-9, 0.5),
+)
+def test_levels_are_finite_and_cover_the_bias(sources: str, heading: float, risk: float) -> None:
+    growth, g = drive(sources)
+    level = protection_levels(growth, heading, RiskConfig(), [risk])[0]
+    assert np.isfinite(level).all()
+    assert (level >= bias_track(growth, heading) - 1e-12).all()
+    assert np.linalg.eigvalsh(growth.covariance).min() > -1e-12
+    assert np.isfinite(g).all()
