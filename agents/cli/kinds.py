@@ -16,6 +16,7 @@ __all__ = ["KINDS", "resolve"]
 KINDS = {
     "corrections": "lanebound.integrity.sensors.corrections:CorrectionsConfig",
     "fault_priors": "lanebound.integrity.sensors.campaign:FaultPriors",
+    "gnss": "lanebound.integrity.sensors.gnss:GnssConfig",
     "imu": "lanebound.integrity.sensors.imu:ImuConfig",
     "odometer": "lanebound.integrity.sensors.odometer:OdometerConfig",
     "positioning": "lanebound.integrity.positioning.config:PositioningConfig",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -12,6 +13,7 @@ from pydantic import Field
 
 from lanebound.integrity.accel import use_parallel
 from lanebound.integrity.config import Config
+from lanebound.integrity.errors import InputError
 from lanebound.integrity.sensors import gnss_kernel as gk
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sky.systems import N_SYSTEMS, WAVELENGTH_M
@@ -56,13 +58,17 @@ class GnssEpoch:
 class GnssConfig(Config):
     """What the receiver and its signals really do (positioning declares its own bounds of these)."""
 
-    bands: tuple[Literal[0, 1, 2], ...] = Field((0, 1), min_length=1, max_length=2, description="bands tracked: L1, L2, L5")
+    bands: tuple[Literal[0, 1, 2], ...] = Field(
+        (0, 1), min_length=1, max_length=2, description="bands tracked: L1, L2, L5"
+    )
     cn0_zenith_dbhz: float = Field(48.0, description="C/N0 at the zenith in the open [dB-Hz]; patch antenna")
     cn0_horizon_dbhz: float = Field(38.0, description="C/N0 at the horizon in the open [dB-Hz]")
     cn0_sigma_db: float = Field(1.0, ge=0, description="slow fading, 1 sigma [dB]; doubled and more below trees")
     cn0_tau_s: float = Field(2.0, gt=0, description="correlation time of fading [s]; metres of driving")
     foliage_loss_db: float = Field(8.0, ge=0, description="mean loss of a tree [dB]; roadside fades of 6 to 10 dB")
-    reflection_loss_db: float = Field(12.4, ge=0, description="mean loss of a reflection [dB]; Berlin, 43.8 against 31.4")
+    reflection_loss_db: float = Field(
+        12.4, ge=0, description="mean loss of a reflection [dB]; Berlin, 43.8 against 31.4"
+    )
     track_min_dbhz: float = Field(22.0, ge=0, description="code tracking threshold [dB-Hz]")
     phase_min_dbhz: float = Field(32.0, ge=0, description="carrier tracking threshold [dB-Hz]")
     code_delay_s: float = Field(0.2, ge=0, description="time to reacquire the code [s]")
@@ -74,13 +80,35 @@ class GnssConfig(Config):
     code_multipath_m: float = Field(0.15, ge=0, description="code multipath in line of sight, zenith, 1 sigma [m]")
     phase_multipath_m: float = Field(0.002, ge=0, description="phase multipath, zenith, 1 sigma [m]")
     multipath_tau_s: float = Field(3.0, gt=0, description="correlation time of multipath [s]; metres of driving")
+    multipath_per_m: float = Field(
+        0.0,
+        ge=0,
+        description="faster decay in motion: adds this times the speed to 1/tau [1/m]; 0.1 = a facade's width of 10 m",
+    )
     nlos_scale: float = Field(
-        0.05, ge=0, description="share of a late signal's excess that reaches the code [-]; 1 = consumer single-frequency"
+        0.05,
+        ge=0,
+        description="share of a late signal's excess that reaches the code [-]; 1 = consumer single-frequency",
     )
     baseline_km: float = Field(3.0, ge=0, description="distance to the reference station [km]; S1: a few kilometres")
-    iono_ppm: float = Field(0.5, ge=0, description="differential ionosphere, 1 sigma [mm/km]; quiet days at mid-latitudes")
+    iono_ppm: float = Field(
+        0.5, ge=0, description="differential ionosphere, 1 sigma [mm/km]; quiet days at mid-latitudes"
+    )
     iono_tau_s: float = Field(600.0, gt=0, description="its correlation time [s]")
-    age_rate_mps: float = Field(0.0015, ge=0, description="growth of a satellite's error with the age [m/s]; 5e-12 s/s clocks")
+    tropo_ppm: float = Field(
+        0.4,
+        ge=0,
+        description="differential troposphere at the zenith after a model, 1 sigma [mm/km]; equal heights, up to 1 ppm",
+    )
+    tropo_tau_s: float = Field(
+        1800.0, gt=0, description="its correlation time [s]; 900-2700 s, Joerger and Pervan 2016"
+    )
+    orbit_ppm: float = Field(
+        0.05, ge=0, description="broadcast orbits, differenced [mm/km]; 1 m error over 20,000 km of range"
+    )
+    age_rate_mps: float = Field(
+        0.0015, ge=0, description="growth of a satellite's error with the age [m/s]; 5e-12 s/s clocks"
+    )
     age_tau_s: float = Field(300.0, gt=0, description="correlation time of that rate [s]")
     slips_per_h: float = Field(0.5, ge=0, description="slips of one satellite at 40 dB-Hz [1/h]")
     slip_decade_db: float = Field(5.0, gt=0, description="loss of C/N0 that makes slips ten times as frequent [dB]")
@@ -88,39 +116,67 @@ class GnssConfig(Config):
     half_share: float = Field(0.2, ge=0, le=1, description="share of half-cycle slips [-]")
     clock_m: float = Field(100.0, ge=0, description="receiver clocks of each system, band and observable, 1 sigma [m]")
     drift_mps: float = Field(1.0, ge=0, description="receiver clock drift, 1 sigma [m/s]")
+    reference_offset_m: float = Field(
+        0.0,
+        ge=0,
+        description="horizontal error of the reference coordinates, in a direction of chance [m]; datum, antenna",
+    )
 
     def packed(self, dt_s: float) -> Array:
         """The figures in the columns of the kernel's ``cfg``."""
         cfg = np.zeros(gk.NC)
         values = {
-            gk.DT: dt_s, gk.BANDS: len(self.bands), gk.CN0_ZENITH: self.cn0_zenith_dbhz, gk.CN0_HORIZON: self.cn0_horizon_dbhz,
-            gk.CN0_SIGMA: self.cn0_sigma_db, gk.CN0_TAU: self.cn0_tau_s, gk.FOLIAGE_LOSS: self.foliage_loss_db,
-            gk.REFLECTION_LOSS: self.reflection_loss_db, gk.TRACK_MIN: self.track_min_dbhz,
-            gk.PHASE_MIN: self.phase_min_dbhz, gk.CODE_DELAY: self.code_delay_s - 1e-9,
-            gk.PHASE_DELAY: self.phase_delay_s - 1e-9, gk.CODE_SIGMA: self.code_sigma_m, gk.PHASE_SIGMA: self.phase_sigma_m,
-            gk.RATE_SIGMA: self.range_rate_sigma_mps, gk.RATE_TAU: self.range_rate_tau_s,
-            gk.CODE_MULTIPATH: self.code_multipath_m, gk.PHASE_MULTIPATH: self.phase_multipath_m,
-            gk.MULTIPATH_TAU: self.multipath_tau_s, gk.NLOS_SCALE: self.nlos_scale,
-            gk.IONO_SIGMA: 1e-3 * self.iono_ppm * self.baseline_km, gk.IONO_TAU: self.iono_tau_s,
-            gk.AGE_RATE: self.age_rate_mps, gk.AGE_TAU: self.age_tau_s, gk.SLIP_RATE: self.slips_per_h / 3600.0,
+            gk.DT: dt_s, gk.BANDS: len(self.bands), gk.CN0_ZENITH: self.cn0_zenith_dbhz,
+            gk.CN0_HORIZON: self.cn0_horizon_dbhz, gk.CN0_SIGMA: self.cn0_sigma_db,
+            gk.FOLIAGE_LOSS: self.foliage_loss_db, gk.REFLECTION_LOSS: self.reflection_loss_db,
+            gk.TRACK_MIN: self.track_min_dbhz, gk.PHASE_MIN: self.phase_min_dbhz,
+            gk.CODE_DELAY: self.code_delay_s - 1e-9, gk.PHASE_DELAY: self.phase_delay_s - 1e-9,
+            gk.CODE_SIGMA: self.code_sigma_m, gk.PHASE_SIGMA: self.phase_sigma_m,
+            gk.RATE_SIGMA: self.range_rate_sigma_mps, gk.CODE_MULTIPATH: self.code_multipath_m,
+            gk.PHASE_MULTIPATH: self.phase_multipath_m, gk.MULTIPATH_DECAY: np.exp(-dt_s / self.multipath_tau_s),
+            gk.MULTIPATH_PER_M: self.multipath_per_m, gk.NLOS_SCALE: self.nlos_scale,
+            gk.IONO_SIGMA: 1e-3 * self.iono_ppm * self.baseline_km, gk.AGE_RATE: self.age_rate_mps,
+            gk.TROPO_SIGMA: 1e-3 * self.tropo_ppm * self.baseline_km,
+            gk.ORBIT_SIGMA: 1e-3 * self.orbit_ppm * self.baseline_km, gk.SLIP_RATE: self.slips_per_h / 3600.0,
             gk.SLIP_CN0: 40.0, gk.SLIP_DECADE: self.slip_decade_db, gk.UNANNOUNCED: self.unannounced,
             gk.HALF_SHARE: self.half_share,
         }  # fmt: skip
         cfg[list(values)] = list(values.values())
+        weakest_db = (cfg[gk.SLIP_CN0] - self.phase_min_dbhz) / self.slip_decade_db
+        cfg[gk.SLIP_MOST] = dt_s * cfg[gk.SLIP_RATE] * 10.0**weakest_db
+        slow_s = gk.N_SLOW * dt_s
+        for decay, gain, step_s, tau_s in (
+            (gk.CN0_DECAY, gk.CN0_GAIN, dt_s, self.cn0_tau_s),
+            (gk.RATE_DECAY, gk.RATE_GAIN, dt_s, self.range_rate_tau_s),
+            (gk.IONO_DECAY, gk.IONO_GAIN, slow_s, self.iono_tau_s),
+            (gk.AGE_DECAY, gk.AGE_GAIN, slow_s, self.age_tau_s),
+            (gk.TROPO_DECAY, gk.TROPO_GAIN, slow_s, self.tropo_tau_s),
+        ):
+            cfg[decay], cfg[gain] = np.exp(-step_s / tau_s), np.sqrt(-np.expm1(-2.0 * step_s / tau_s))
         return cfg
+
+
+@lru_cache(maxsize=64)
+def _tables(config: GnssConfig, dt_s: float) -> tuple[Array, Array, Array]:
+    """The kernel's figures, and wavelengths and ionospheric delays (first band = 1) of the bands tracked."""
+    wavelength = np.ascontiguousarray(WAVELENGTH_M[:, list(config.bands)])
+    return config.packed(dt_s), wavelength, (wavelength / wavelength[:, :1]) ** 2
 
 
 @dataclass
 class GnssState:
     """What lasts in the signals from epoch to epoch; never shown to positioning.
 
-    memory (B, S, NM) are the columns of :mod:`.gnss_kernel`, ambiguity (B, S, 2) counts half cycles, clock (B, systems, 5)
-    holds code and phase clocks of both bands [m] and, at [0, 4], the drift [m/s].
+    memory (B, S, NM) are the columns of :mod:`.gnss_kernel`, ambiguity (B, S, 2) counts half cycles, clock (B, systems,
+    5) holds code and phase clocks of both bands [m] and, at [0, 4], the drift [m/s]; reference_enu_m (B, 3) is the
+    error of the reference coordinates, epoch counts the epochs.
     """
 
     memory: Array
     ambiguity: Array
     clock: Array
+    reference_enu_m: Array
+    epoch: int = 0
 
     def copy(self) -> GnssState:
         """An independent copy."""
@@ -128,14 +184,16 @@ class GnssState:
 
 
 def initial_state(config: GnssConfig, sky: SkyView, streams: Streams) -> GnssState:
-    """Stationary error processes, random integers and clocks; carriers in lock since long."""
+    """Stationary error processes, random integers and clocks; the receiver has just been switched on."""
     n_sat = len(sky.system)
     z = streams.normal("gnss", n_sat, gk.NM + 2)
     memory = z[..., : gk.NM].copy()
     memory[..., [gk.M_CODE_S, gk.M_PHASE_S]] = 0.0
     clock = config.clock_m * streams.normal("gnss", N_SYSTEMS, 5)
     clock[:, 0, 4] *= config.drift_mps / max(config.clock_m, 1e-9)
-    return GnssState(memory=memory, ambiguity=2.0 * np.floor(1000.0 * z[..., gk.NM :]), clock=clock)
+    azimuth = 2.0 * np.pi * streams.uniform("gnss")
+    offset = config.reference_offset_m * np.stack([np.sin(azimuth), np.cos(azimuth), np.zeros_like(azimuth)], -1)
+    return GnssState(memory, 2.0 * np.floor(1000.0 * z[..., gk.NM :]), clock, offset)
 
 
 def observe(
@@ -157,17 +215,29 @@ def observe(
     age_s : (B,) age of the reference data
 
     Draws a fixed number of normals and uniforms from stream "gnss", whatever is in view.
+
+    Raises
+    ------
+    InputError
+        When truth, sky, reception and streams disagree on the number of vehicles or satellites.
     """
     batch, n_sat = truth.batch, len(sky.system)
+    if not streams.batch == sky.batch == batch or reception.path.shape != (batch, n_sat):
+        raise InputError(
+            f"truth holds {batch} vehicles, sky {sky.batch}, streams {streams.batch}, "
+            f"reception {reception.path.shape}: make all the same batch"
+        )
     z, u = streams.normal("gnss", n_sat, gk.N_NORMAL), streams.uniform("gnss", n_sat, gk.N_UNIFORM)
     tracked, lock_lost = np.zeros((2, batch, n_sat), dtype=np.bool_)
     code, phase = np.zeros((2, batch, n_sat, 2))
     range_rate, cn0 = np.zeros((2, batch, n_sat))
+    cfg, wavelength, dispersion = _tables(config, truth.dt_s)
+    state.epoch += 1
     run = gk.observe_parallel if use_parallel(batch) else gk.observe_serial
     run(
-        config.packed(truth.dt_s), np.ascontiguousarray(WAVELENGTH_M[:, list(config.bands)]), sky.los_enu, sky.elevation_rad,
-        sky.above, sky.system, sky.index, reception.path, reception.excess_m, truth.position_enu_m + effects.spoof_enu_m,
-        truth.velocity_enu_mps, effects.reference_enu_m, age_s, effects.code_bias_m, effects.phase_bias_m,
+        cfg, state.epoch % gk.N_SLOW, wavelength, dispersion, sky.los_enu, sky.above, sky.system, sky.index,
+        reception.path, reception.excess_m, truth.position_enu_m + effects.spoof_enu_m, truth.velocity_enu_mps,
+        state.reference_enu_m + effects.reference_enu_m, age_s, effects.code_bias_m, effects.phase_bias_m,
         effects.range_rate_bias_mps, effects.cn0_drop_db, effects.slip_cycles, state.clock, z, u, state.memory,
         state.ambiguity, tracked, code, phase, range_rate, cn0, lock_lost,
     )  # fmt: skip

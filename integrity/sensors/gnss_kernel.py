@@ -12,31 +12,34 @@ from lanebound.integrity.accel import jit, prange
 
 # figures
 (
-    DT, BANDS, CN0_ZENITH, CN0_HORIZON, CN0_SIGMA, CN0_TAU, FOLIAGE_LOSS, REFLECTION_LOSS,
-    TRACK_MIN, PHASE_MIN, CODE_DELAY, PHASE_DELAY, CODE_SIGMA, PHASE_SIGMA, RATE_SIGMA, RATE_TAU,
-    CODE_MULTIPATH, PHASE_MULTIPATH, MULTIPATH_TAU, NLOS_SCALE, IONO_SIGMA, IONO_TAU, AGE_RATE, AGE_TAU,
-    SLIP_RATE, SLIP_CN0, SLIP_DECADE, UNANNOUNCED, HALF_SHARE,
-) = range(29)  # fmt: skip
-NC = 29
+    DT, BANDS, CN0_ZENITH, CN0_HORIZON, CN0_SIGMA, CN0_DECAY, CN0_GAIN, FOLIAGE_LOSS, REFLECTION_LOSS,
+    TRACK_MIN, PHASE_MIN, CODE_DELAY, PHASE_DELAY, CODE_SIGMA, PHASE_SIGMA, RATE_SIGMA, RATE_DECAY, RATE_GAIN,
+    CODE_MULTIPATH, PHASE_MULTIPATH, MULTIPATH_DECAY, MULTIPATH_PER_M, NLOS_SCALE, IONO_SIGMA, AGE_RATE, TROPO_SIGMA,
+    ORBIT_SIGMA, SLIP_RATE, SLIP_CN0, SLIP_DECADE, SLIP_MOST, UNANNOUNCED, HALF_SHARE,
+    IONO_DECAY, AGE_DECAY, TROPO_DECAY, IONO_GAIN, AGE_GAIN, TROPO_GAIN,
+) = range(39)  # fmt: skip
+NC = 39
 
 # draws
 (
-    Z_CN0, Z_CODE0, Z_CODE1, Z_PHASE0, Z_PHASE1, Z_CODE_MP, Z_PHASE_MP0, Z_PHASE_MP1, Z_RATE, Z_IONO, Z_AGE, Z_SLIP,
-    Z_EXCESS,
-) = range(13)  # fmt: skip
-N_NORMAL = 13
+    Z_CN0, Z_CODE0, Z_CODE1, Z_PHASE0, Z_PHASE1, Z_CODE_MP, Z_PHASE_MP0, Z_PHASE_MP1, Z_RATE, Z_EXCESS, Z_SLOW,
+) = range(11)  # fmt: skip
+N_NORMAL = 11
 U_SLIP, U_KIND = range(2)
 N_UNIFORM = 2
 
 # memory: AR(1) states of unit variance, time with the code and with the carrier
-M_CN0, M_CODE_MP, M_PHASE_MP0, M_PHASE_MP1, M_RATE, M_IONO, M_AGE, M_EXCESS, M_CODE_S, M_PHASE_S = range(10)
-NM = 10
+M_CN0, M_CODE_MP, M_PHASE_MP0, M_PHASE_MP1, M_RATE, M_EXCESS, M_IONO, M_AGE, M_TROPO, M_CODE_S, M_PHASE_S = range(11)
+NM = 11
+N_SLOW = 3  # ionosphere, age and troposphere last for minutes: one of them advances in each epoch, by three epochs
+
+LN10 = math.log(10.0)
 
 LOS, FOLIAGE, REFLECTED, BLOCKED = 0, 1, 2, 3  # values of visibility.Path
 
 # Code error of a consumer receiver in a city given its C/N0: N(0, CORE^2) plus, with probability p, a Weibull excess.
-# Least-squares fit to medians, robust sigmas, quantiles and shares above 15 m of 15,780 pseudoranges of a single-frequency
-# u-blox receiver at Berlin, Potsdamer Platz (smartLoc data set, TU Chemnitz), in six C/N0 bins; d = C/N0 - 35 dB-Hz.
+# Fitted to medians, robust sigmas, quantiles and shares above 15 m of 15,780 pseudoranges of a single-frequency u-blox
+# at Berlin, Potsdamer Platz (smartLoc data set, TU Chemnitz), in six C/N0 bins; d = C/N0 - 35 dB-Hz.
 URBAN_CORE_M, URBAN_OFFSET_M = 3.161, -0.193
 URBAN_P_CENTRE, URBAN_P_SCALE = 40.51, 2.663
 URBAN_SIZE, URBAN_SIZE_SLOPE, URBAN_SIZE_CURVE = 3.6588, 0.07552, -0.0012285
@@ -52,6 +55,8 @@ def urban_share(cn0):  # type: ignore[no-untyped-def]
 @jit
 def urban_excess(cn0, z):  # type: ignore[no-untyped-def]
     """Excess delay [m] at ``cn0`` [dB-Hz] for a standard normal ``z`` (Gaussian copula): 0 or a Weibull quantile."""
+    if (z < 0.0 and cn0 > URBAN_P_CENTRE) or (z < 1.0 and cn0 > URBAN_P_CENTRE + 1.7 * URBAN_P_SCALE):
+        return 0.0  # the tail, above 0.5 or 0.158, exceeds the share: saves the special functions
     share = urban_share(cn0)
     tail = 0.5 * math.erfc(z / math.sqrt(2.0))  # probability above z
     if tail >= share:
@@ -70,11 +75,21 @@ def urban_code_error(cn0, z_core, z_excess):  # type: ignore[no-untyped-def]
 
 
 @jit
-def ar1(memory, s, m, tau, dt, z):  # type: ignore[no-untyped-def]
-    """Advance state m of satellite s, a Gauss-Markov process of unit variance, by ``dt``; returns it."""
-    rho = math.exp(-dt / tau)
-    memory[s, m] = rho * memory[s, m] + math.sqrt(1.0 - rho * rho) * z
-    return memory[s, m]
+def ar1(memory, s, m, decay, gain, z):  # type: ignore[no-untyped-def]
+    """Advance state m of satellite s, a Gauss-Markov process of unit variance: ``gain = sqrt(1 - decay^2)``."""
+    memory[s, m] = decay * memory[s, m] + gain * z
+
+
+@jit
+def advance(cfg, s, decay, gain, slow, z, memory):  # type: ignore[no-untyped-def]
+    """Advance what lasts in the signal of satellite s; ``decay`` and ``gain`` are those of multipath."""
+    ar1(memory, s, M_CN0, cfg[CN0_DECAY], cfg[CN0_GAIN], z[s, Z_CN0])
+    ar1(memory, s, M_RATE, cfg[RATE_DECAY], cfg[RATE_GAIN], z[s, Z_RATE])
+    ar1(memory, s, M_CODE_MP, decay, gain, z[s, Z_CODE_MP])
+    ar1(memory, s, M_PHASE_MP0, decay, gain, z[s, Z_PHASE_MP0])
+    ar1(memory, s, M_PHASE_MP1, decay, gain, z[s, Z_PHASE_MP1])
+    ar1(memory, s, M_EXCESS, decay, gain, z[s, Z_EXCESS])
+    ar1(memory, s, M_IONO + slow, cfg[IONO_DECAY + slow], cfg[IONO_GAIN + slow], z[s, Z_SLOW])
 
 
 @jit
@@ -89,95 +104,136 @@ def carrier_to_noise(cfg, sine, path, drop, fluctuation):  # type: ignore[no-unt
 
 
 @jit
-def observe_vehicle(  # type: ignore[no-untyped-def]
-    cfg, wavelength, e, elevation, above, system, path, excess, position, velocity, reference, age,
-    code_bias, phase_bias, rate_bias, cn0_drop, slips, clock, z, u, memory, ambiguity,
-    tracked, code, phase, range_rate, cn0, lock_lost,
-):  # fmt: skip
-    """Fill the outputs of one vehicle: tracked (S,), code, phase (S, 2), range_rate, cn0, lock_lost (S,).
-
-    position (3,) is what the signals describe, ``reference`` (3,) the error of the reference coordinates; clock (systems, 4)
-    holds the code and phase clocks of both bands, its last entry (row 0, column 4) the drift. ``ambiguity`` (S, 2) in half
-    cycles is advanced by slips in place. Untracked entries are 0.
-    """
-    dt = cfg[DT]
-    bands = int(cfg[BANDS])
-    used_age = age if age < 1e6 else 0.0
-    for s in range(e.shape[0]):
-        sine = math.sin(elevation[s])
-        fading = ar1(memory, s, M_CN0, cfg[CN0_TAU], dt, z[s, Z_CN0])
-        code_mp = ar1(memory, s, M_CODE_MP, cfg[MULTIPATH_TAU], dt, z[s, Z_CODE_MP])
-        ar1(memory, s, M_PHASE_MP0, cfg[MULTIPATH_TAU], dt, z[s, Z_PHASE_MP0])
-        ar1(memory, s, M_PHASE_MP1, cfg[MULTIPATH_TAU], dt, z[s, Z_PHASE_MP1])
-        rate = ar1(memory, s, M_RATE, cfg[RATE_TAU], dt, z[s, Z_RATE])
-        iono = ar1(memory, s, M_IONO, cfg[IONO_TAU], dt, z[s, Z_IONO]) * cfg[IONO_SIGMA]
-        drift = ar1(memory, s, M_AGE, cfg[AGE_TAU], dt, z[s, Z_AGE]) * cfg[AGE_RATE]
-        late = ar1(memory, s, M_EXCESS, cfg[MULTIPATH_TAU], dt, z[s, Z_EXCESS])
-        level = carrier_to_noise(cfg, sine, path[s], cn0_drop[s], fading)
-        received = above[s] and path[s] != BLOCKED and level >= cfg[TRACK_MIN]
-        had_phase = memory[s, M_PHASE_S] >= cfg[PHASE_DELAY]
-        memory[s, M_CODE_S] = memory[s, M_CODE_S] + dt if received else 0.0
-        locked = received and path[s] != REFLECTED and level >= cfg[PHASE_MIN]
-        memory[s, M_PHASE_S] = memory[s, M_PHASE_S] + dt if locked else 0.0
-        has_phase = memory[s, M_PHASE_S] >= cfg[PHASE_DELAY]
-        lock_lost[s] = has_phase and not had_phase
-        if lock_lost[s]:
-            for b in range(2):
-                ambiguity[s, b] += 2.0 * math.floor(1000.0 * z[s, Z_SLIP] * (b + 1.0))
-        tracked[s] = memory[s, M_CODE_S] >= cfg[CODE_DELAY]
-        for b in range(2):
-            ambiguity[s, b] += 2.0 * slips[s, b]
-            code[s, b], phase[s, b] = 0.0, 0.0
-        range_rate[s], cn0[s] = 0.0, 0.0
-        if not tracked[s]:
-            continue
-        if has_phase and u[s, U_SLIP] < dt * cfg[SLIP_RATE] * 10.0 ** ((cfg[SLIP_CN0] - level) / cfg[SLIP_DECADE]):
-            slip(cfg, z[s, Z_SLIP], u[s, U_KIND], s, ambiguity, lock_lost)
-        scale = math.sqrt(0.5 * (1.0 + 1.0 / (sine * sine)) * (1.0 + 10.0 ** (0.1 * (35.0 - level))))
-        geometric = 0.0
-        for k in range(3):
-            geometric -= e[s, k] * (position[k] + reference[k])
-        common = geometric + drift * used_age
-        multipath = excess[s] if path[s] == REFLECTED and excess[s] > 0.0 else urban_excess(level, late)
-        code_error = cfg[CODE_MULTIPATH] * scale * code_mp + cfg[NLOS_SCALE] * multipath
-        c = system[s]
-        cn0[s] = level
-        for b in range(bands):
-            dispersion = iono * (wavelength[c, b] / wavelength[c, 0]) ** 2
-            code[s, b] = common + clock[c, b] + dispersion + code_error + cfg[CODE_SIGMA] * scale * z[s, Z_CODE0 + b]
-            code[s, b] += code_bias[s]
-            if has_phase:
-                phase[s, b] = common + clock[c, 2 + b] - dispersion + phase_bias[s]
-                phase[s, b] += 0.5 * wavelength[c, b] * ambiguity[s, b]
-                phase[s, b] += scale * cfg[PHASE_SIGMA] * z[s, Z_PHASE0 + b]
-                phase[s, b] += scale * cfg[PHASE_MULTIPATH] * memory[s, M_PHASE_MP0 + b]
-        for k in range(3):
-            range_rate[s] -= e[s, k] * velocity[k]
-        range_rate[s] += clock[0, 4] + rate_bias[s] + cfg[RATE_SIGMA] * scale * rate
+def digits(u, place):  # type: ignore[no-untyped-def]
+    """A further uniform draw out of the lower digits of another one."""
+    return (u * place) % 1.0
 
 
 @jit
-def slip(cfg, z, kind, s, ambiguity, lock_lost):  # type: ignore[no-untyped-def]
-    """Let the carrier slip by whole or half cycles on one or both bands, announced or not."""
-    size = math.floor(abs(z) * 3.0) + 1.0
-    if z < 0.0:
-        size = -size
-    half = kind < cfg[HALF_SHARE]
-    ambiguity[s, 0] += 1.0 if half else 2.0 * size
-    if kind > 0.5:
-        ambiguity[s, 1] += 1.0 if half else 2.0 * size
-    lock_lost[s] = lock_lost[s] or (kind * 10.0) % 1.0 >= cfg[UNANNOUNCED]
+def slip(cfg, kind, s, ambiguity):  # type: ignore[no-untyped-def]
+    """Let the carrier slip by one half or by 1 to 4 whole cycles, on one or both bands; whether that is noticed."""
+    size = math.floor(8.0 * digits(kind, 1e6)) - 4.0
+    half_cycles = 1.0 if kind < cfg[HALF_SHARE] else 2.0 * (size if size < 0.0 else size + 1.0)
+    ambiguity[s, 0] += half_cycles
+    if digits(kind, 1e2) > 0.5:
+        ambiguity[s, 1] += half_cycles
+    return digits(kind, 1e4) >= cfg[UNANNOUNCED]
+
+
+@jit
+def weakness(cfg, level):  # type: ignore[no-untyped-def]
+    """Rate of slips at ``level`` [dB-Hz] against that at the reference C/N0."""
+    return math.exp(LN10 * (cfg[SLIP_CN0] - level) / cfg[SLIP_DECADE])
+
+
+@jit
+def follow(cfg, s, level, path, slips, u, memory, ambiguity, lock_lost):  # type: ignore[no-untyped-def]
+    """Advance the tracking of satellite s; whether its (code, carrier) are followed now.
+
+    A carrier that comes back brings new integers, and the receiver knows. A weak signal slips more often.
+    """
+    received = path != BLOCKED and level >= cfg[TRACK_MIN]
+    locked = received and path != REFLECTED and level >= cfg[PHASE_MIN]
+    had_phase = memory[s, M_PHASE_S] >= cfg[PHASE_DELAY]
+    memory[s, M_CODE_S] = memory[s, M_CODE_S] + cfg[DT] if received else 0.0
+    memory[s, M_PHASE_S] = memory[s, M_PHASE_S] + cfg[DT] if locked else 0.0
+    has_phase = memory[s, M_PHASE_S] >= cfg[PHASE_DELAY]
+    kind = u[s, U_KIND]
+    for b in range(2):
+        ambiguity[s, b] += 2.0 * slips[s, b]
+    if has_phase and not had_phase:
+        lock_lost[s] = True
+        ambiguity[s, 0] += 2.0 * math.floor(2000.0 * digits(kind, 1e6) - 1000.0)
+        ambiguity[s, 1] += 2.0 * math.floor(2000.0 * digits(kind, 1e3) - 1000.0)
+    elif has_phase:
+        chance = cfg[DT] * cfg[SLIP_RATE]
+        if u[s, U_SLIP] < cfg[SLIP_MOST] and u[s, U_SLIP] < chance * weakness(cfg, level):
+            lock_lost[s] = slip(cfg, kind, s, ambiguity)
+    return memory[s, M_CODE_S] >= cfg[CODE_DELAY], has_phase
+
+
+@jit
+def noise_scale(slant, level):  # type: ignore[no-untyped-def]
+    """Noise against that of a strong signal at the zenith, from slant (1 / sin elevation) and C/N0 [dB-Hz]."""
+    return math.sqrt(0.5 * (1.0 + slant * slant) * (1.0 + math.exp(LN10 * 0.1 * (35.0 - level))))
+
+
+@jit
+def shared_error(cfg, s, slant, age, memory):  # type: ignore[no-untyped-def]
+    """What delays code and carrier of all bands alike [m]: ageing corrections, troposphere and orbit."""
+    mapped = cfg[TROPO_SIGMA] * slant
+    delay = math.sqrt(mapped * mapped + cfg[ORBIT_SIGMA] * cfg[ORBIT_SIGMA])
+    return cfg[AGE_RATE] * age * memory[s, M_AGE] + delay * memory[s, M_TROPO]
+
+
+@jit
+def fill_bands(  # type: ignore[no-untyped-def]
+    cfg, wavelength, dispersion, s, c, common, scale, code_error, phase_error, has_phase, clock, z, memory, ambiguity,
+    code, phase,
+):  # fmt: skip
+    """Code and phase of satellite s of system c: what is common to all, and what each band adds."""
+    iono = cfg[IONO_SIGMA] * memory[s, M_IONO]
+    for b in range(int(cfg[BANDS])):
+        delay = iono * dispersion[c, b]
+        code[s, b] = common + clock[c, b] + delay + code_error + cfg[CODE_SIGMA] * scale * z[s, Z_CODE0 + b]
+        if has_phase:
+            noise = cfg[PHASE_SIGMA] * z[s, Z_PHASE0 + b] + cfg[PHASE_MULTIPATH] * memory[s, M_PHASE_MP0 + b]
+            whole = 0.5 * wavelength[c, b] * ambiguity[s, b]
+            phase[s, b] = common + clock[c, 2 + b] - delay + phase_error + whole + scale * noise
+
+
+@jit
+def observe_vehicle(  # type: ignore[no-untyped-def]
+    cfg, slow, wavelength, dispersion, e, above, system, path, excess, position, velocity, reference, age,
+    code_bias, phase_bias, rate_bias, cn0_drop, slips, clock, z, u, memory, ambiguity,
+    tracked, code, phase, range_rate, cn0, lock_lost,
+):  # fmt: skip
+    """Fill the outputs of one vehicle, zeros before: tracked (S,), code, phase (S, 2), range_rate, cn0, lock_lost (S,).
+
+    position (3,) is what the signals describe, ``reference`` (3,) the error of the reference coordinates, ``slow`` the
+    slow state that advances; clock (systems, 5) holds the code and phase clocks of both bands, its last entry (row 0,
+    column 4) the drift. ``ambiguity`` (S, 2) in half cycles is advanced by slips in place. Untracked entries stay 0.
+    """
+    used_age = age if age < 1e6 else 0.0
+    speed = math.sqrt(velocity[0] * velocity[0] + velocity[1] * velocity[1])
+    decay = cfg[MULTIPATH_DECAY] * math.exp(-cfg[DT] * speed * cfg[MULTIPATH_PER_M])
+    gain = math.sqrt(1.0 - decay * decay)
+    x, y, h = position[0] + reference[0], position[1] + reference[1], position[2] + reference[2]
+    for s in range(e.shape[0]):
+        if not above[s]:
+            memory[s, M_CODE_S], memory[s, M_PHASE_S] = 0.0, 0.0
+            continue
+        advance(cfg, s, decay, gain, slow, z, memory)
+        slant, drop = 1.0 / e[s, 2], cn0_drop[s]
+        level = carrier_to_noise(cfg, e[s, 2], path[s], drop, memory[s, M_CN0])
+        has_code, has_phase = follow(cfg, s, level, path[s], slips, u, memory, ambiguity, lock_lost)
+        if not has_code:
+            continue
+        tracked[s], cn0[s] = True, level
+        scale = noise_scale(slant, level)
+        # jamming weakens a signal but sends it on no detour
+        late = (
+            excess[s] if path[s] == REFLECTED and excess[s] > 0.0 else urban_excess(level + drop, memory[s, M_EXCESS])
+        )
+        code_error = cfg[CODE_MULTIPATH] * scale * memory[s, M_CODE_MP] + cfg[NLOS_SCALE] * late + code_bias[s]
+        common = shared_error(cfg, s, slant, used_age, memory) - (e[s, 0] * x + e[s, 1] * y + e[s, 2] * h)
+        fill_bands(
+            cfg, wavelength, dispersion, s, system[s], common, scale, code_error, phase_bias[s], has_phase, clock, z,
+            memory, ambiguity, code, phase,
+        )  # fmt: skip
+        motion = e[s, 0] * velocity[0] + e[s, 1] * velocity[1] + e[s, 2] * velocity[2]
+        range_rate[s] = clock[0, 4] - motion + rate_bias[s] + cfg[RATE_SIGMA] * scale * memory[s, M_RATE]
 
 
 def _observe(  # type: ignore[no-untyped-def]
-    cfg, wavelength, los, elevation, above, system, index, path, excess, position, velocity, reference, age,
+    cfg, slow, wavelength, dispersion, los, above, system, index, path, excess, position, velocity, reference, age,
     code_bias, phase_bias, rate_bias, cn0_drop, slips, clock, z, u, memory, ambiguity,
     tracked, code, phase, range_rate, cn0, lock_lost,
 ):  # fmt: skip
     for v in prange(index.shape[0]):
         k = index[v]
         observe_vehicle(
-            cfg, wavelength, los[k], elevation[k], above[k], system, path[v], excess[v], position[v], velocity[v],
+            cfg, slow, wavelength, dispersion, los[k], above[k], system, path[v], excess[v], position[v], velocity[v],
             reference[v], age[v], code_bias[v], phase_bias[v], rate_bias[v], cn0_drop[v], slips[v], clock[v],
             z[v], u[v], memory[v], ambiguity[v], tracked[v], code[v], phase[v], range_rate[v], cn0[v], lock_lost[v],
         )  # fmt: skip

@@ -12,6 +12,7 @@ from lanebound.integrity.presets import load_preset, preset_names
 from lanebound.integrity.sensors.campaign import FaultPriors
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
 from lanebound.integrity.sensors.faults import SIZES, FaultKind
+from lanebound.integrity.sensors.gnss import GnssConfig
 from lanebound.integrity.sensors.imu import ImuConfig
 from lanebound.integrity.sensors.odometer import OdometerConfig
 from lanebound.integrity.sensors.v2v import V2vConfig
@@ -19,6 +20,7 @@ from lanebound.integrity.sensors.v2v import V2vConfig
 MODELS: dict[str, type[Config]] = {
     "corrections": CorrectionsConfig,
     "fault_priors": FaultPriors,
+    "gnss": GnssConfig,
     "imu": ImuConfig,
     "odometer": OdometerConfig,
     "v2v": V2vConfig,
