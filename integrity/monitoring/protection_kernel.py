@@ -177,12 +177,12 @@ def _root_of_axis(axis: int, budget: float, count: int, mode: Array) -> float:
         f, f1, f2 = tail(x, count, mode)
         if f <= budget:
             high = x
+            if budget - f <= 4.0 * NUDGE * x * f1 or high - low <= 4.0 * NUDGE * x:
+                return float(x)
         else:
             low = x
         slope = -f1 / f
         d = _step(math.log(f) - log_budget, slope, f2 / f - slope * slope)
-        if f <= budget and (-d <= 4.0 * NUDGE * x or high - low <= 4.0 * NUDGE * x):
-            return float(x)
         x = (x + d) * (1.0 + NUDGE)
         if i == PATIENCE:
             high = min(high, _ceiling(axis, budget, count, mode))
@@ -275,6 +275,19 @@ def budgets_of(risks: Array, split_at: float, unmonitored: float, budgets: Array
 
 
 @jit
+def _usable(n: int, los: Array, group: Ints, variance: Array, accuracy: Array, bias: Array) -> bool:
+    """Whether n satellites have directions, groups, variances and biases that make sense; without branches."""
+    bad = 0
+    for j in range(n):
+        bad |= not (abs(los[j, 0]) + abs(los[j, 1]) + abs(los[j, 2]) < 2.0)
+    for j in range(n):
+        bad |= not ((variance[j] > 0.0) & (variance[j] < np.inf) & (accuracy[j] > 0.0) & (accuracy[j] < np.inf))
+    for j in range(n):
+        bad |= not ((bias[j] >= 0.0) & (bias[j] < np.inf) & (group[j] >= 0) & (group[j] < MAX_GROUPS))
+    return bad == 0
+
+
+@jit
 def run_chunk(
     first: int,
     last: int,
@@ -311,16 +324,13 @@ def run_chunk(
     v, a, b = np.empty(size), np.empty(size), np.empty(size)
     budgets = np.empty((risks.shape[0], AXES))
     for i in range(first, last):
-        n, usable = 0, True
+        n = 0
         for j in range(size):
             if mask[i, j]:
                 e[n, 0], e[n, 1], e[n, 2] = los[i, j, 0], los[i, j, 1], los[i, j, 2]
                 g[n], v[n], a[n], b[n] = group[i, j], variance[i, j], accuracy[i, j], bias[i, j]
-                usable &= abs(e[n, 0]) + abs(e[n, 1]) + abs(e[n, 2]) < 2.0
-                usable &= 0.0 < v[n] < np.inf and 0.0 < a[n] < np.inf and 0.0 <= b[n] < np.inf
-                usable &= 0 <= g[n] < MAX_GROUPS
                 n += 1
-        if not usable:
+        if not _usable(n, e, g, v, a, b):
             status[i] = BAD_INPUT
             continue
         sin_h, cos_h = math.sin(heading[i]), math.cos(heading[i])
