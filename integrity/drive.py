@@ -75,6 +75,7 @@ class CityDrive:
         self.road, self.config, self.dt_s = road, config, dt_s
         self._grid_m = np.arange(0.0, road.length_m, 2.0)
         self._limit_mps = self._curve_limits()
+        self._stretch = self._lane_stretch()
 
     def _curve_limits(self) -> Array:
         """Speed limit at each grid point: the legal one, or what the curve ahead allows with comfortable braking."""
@@ -88,6 +89,17 @@ class CityDrive:
                 ahead = limit[(i + 1) % len(limit)]
                 limit[i] = min(limit[i], np.sqrt(ahead**2 + 2.0 * self.config.braking_mps2 * step))
         return limit
+
+    def _lane_stretch(self) -> Array:
+        """Length of the lane for each metre of the reference line, at each grid point: above 1 outside a curve."""
+        if not self.road.closed:
+            return np.asarray(self._chord(np.clip(self._grid_m, 0.5, self.road.length_m - 0.5)))
+        return self._chord(self._grid_m)
+
+    def _chord(self, arc_m: Array) -> Array:
+        ahead, _ = self._pose(arc_m + 0.5)
+        behind, _ = self._pose(arc_m - 0.5)
+        return np.asarray(np.hypot(*(ahead - behind).T))
 
     def start(self, streams: Streams, spread_m: float = 0.0) -> DriveState:
         """Vehicles at rest, spread uniformly over the first ``spread_m`` of the road."""
@@ -117,7 +129,8 @@ class CityDrive:
         allowed = self._allowed_speed(state, to_light)
         speed = np.clip(allowed, state.speed_mps - 2.0 * c.braking_mps2 * dt, state.speed_mps + c.acceleration_mps2 * dt)
         speed = np.where(speed < 0.05, np.where(allowed < 0.05, 0.0, speed), speed)
-        arc = state.arc_m + 0.5 * (speed + state.speed_mps) * dt
+        stretch = np.interp(self.road.wrap_arc(state.arc_m), self._grid_m, self._stretch)
+        arc = state.arc_m + 0.5 * (speed + state.speed_mps) * dt / stretch
         if not self.road.closed:
             arc = np.minimum(arc, self.road.length_m)
         self._lights(state, to_light, speed, u)

@@ -375,6 +375,7 @@ def _declared(c: NavigatorConfig) -> Array:
         nk.ARW: h.angle_random_walk_rad, nk.BIAS_WALK: h.bias_walk_radps,
         nk.ODO_SIGMA: o.odometer_sigma_mps, nk.ODO_TAU: o.odometer_tau_s, nk.ODO_BIAS: o.odometer_bias_mps,
         nk.HEADING_BIAS: np.deg2rad(o.heading_bias_deg), nk.HEADING_DRIFT: np.deg2rad(o.heading_drift_degps),
+        nk.SIGMA_PHASE_PL: r.sigma_phase_integrity_m, nk.CONFIRM: r.confirm_s,
         nk.LEVER_FORWARD: c.positioning.antenna_forward_m, nk.LEVER_RIGHT: c.positioning.antenna_right_m,
     }  # fmt: skip
     par = np.zeros(nk.NP)

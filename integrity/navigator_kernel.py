@@ -59,7 +59,7 @@ from lanebound.integrity.positioning.heading_kernel import (
     predict_heading,
     wrap,
 )
-from lanebound.integrity.positioning.mode_kernel import DOPPLER, IMU_ODOMETER, NONE, RTK, select_mode
+from lanebound.integrity.positioning.mode_kernel import DOPPLER, NONE, RTK, doppler_usable, select_mode
 from lanebound.integrity.positioning.rtk_kernel import (
     FAULT,
     FIXED,
@@ -76,8 +76,8 @@ from lanebound.integrity.positioning.rtk_kernel import (
 
 # state
 EAST, NORTH, UP, HEADING, GYRO_BIAS, P_HH, P_HB, P_BB = range(8)
-VEL_E, VEL_N, HAS_VEL, SINCE_RTK, SINCE_CAL, REJECTED, FIXES, REST_S, INITIALISED = range(8, 17)
-NX = 17
+VEL_E, VEL_N, HAS_VEL, SINCE_RTK, SINCE_CAL, REJECTED, FIXES, REST_S, INITIALISED, FIXED_S = range(8, 18)
+NX = 18
 
 # solution
 O_MODE, O_RTK, O_AVAILABLE, O_SIGMA_AT, O_SIGMA_CT, O_HDOP, O_SATELLITES, O_DOPPLER, O_EXCLUDED, O_WRONG = range(10)
@@ -89,9 +89,9 @@ INITIALISING_CAUSE = 7  # the code of AlertReason.INITIALISING
     DT, BANDS, SIN_MASK, CN0_MIN, CN0_KNEE, SIGMA_CODE, SIGMA_PHASE, PHASE_BIAS, REFERENCE_BIAS, AGE_BIAS, MAX_AGE,
     FIX_LIMIT, RATIO_MIN, MAX_CANDIDATES, MIN_SATELLITES, MIN_FURTHER, HOLD_FAILURES,
     DOP_SIGMA, DOP_TAU, DOP_BIAS, DOP_SIN_MASK, DOP_CN0_MIN,
-    ARW, BIAS_WALK, ODO_SIGMA, ODO_TAU, ODO_BIAS, HEADING_BIAS, HEADING_DRIFT, LEVER_FORWARD, LEVER_RIGHT,
-) = range(31)
-NP = 31
+    ARW, BIAS_WALK, ODO_SIGMA, ODO_TAU, ODO_BIAS, HEADING_BIAS, HEADING_DRIFT, LEVER_FORWARD, LEVER_RIGHT, SIGMA_PHASE_PL, CONFIRM,
+) = range(33)
+NP = 33
 
 
 @jit
@@ -183,7 +183,8 @@ def rtk(  # type: ignore[no-untyped-def]
 
     The fixed position takes the phases alone: the code's share of the weight is the inverse square of the code/phase ratio,
     1/5000, and would only bring in its multipath. On success ``geo`` and ``head`` hold the fault-free solution of the
-    satellites in use, and ``rows`` (4, S) their variance, bias bound and measurement.
+    satellites in use, and ``rows`` (4, S) their variance for
+    integrity, bias bound, measurement and variance for accuracy. Both variances are proportional, so the position is the same.
 
     Returns the status, satellites in the solution, excluded, and HDOP.
     """
@@ -225,7 +226,8 @@ def rtk(  # type: ignore[no-untyped-def]
         if member[s]:
             rows_e[n] = e[s]
             rows_group[n], rows_of[n] = system[s], s
-            rows[0, n], rows[1, n], rows[2, n] = variance[s], bias, y[s]
+            rows[0, n], rows[1, n], rows[2, n] = factor[s] * par[SIGMA_PHASE_PL] ** 2, bias, y[s]
+            rows[3, n] = variance[s]
             n += 1
     if geometry(rows_e, rows_group, rows[0], rows[1], n, sin_h, cos_h, geo, head) != SOLVED:
         return TOO_FEW, n, excluded, math.inf
@@ -285,14 +287,14 @@ def levels_rtk(  # type: ignore[no-untyped-def]
     count_cases = risks.shape[1]
     one, budget, found = np.empty(1), np.empty((1, 2)), np.empty((1, 2))
     constellations, split, share0, multiple, tolerate = shares[0] > 0.0, shares[1], shares[2], shares[3] > 0.0, shares[4] > 0.0
-    variance, n_modes = rows[0], 0
+    n_modes = 0
     for form in range(3):
         filled = False
         for r in range(count_cases):
             if risks[form, r] <= 0.0:
                 continue
             if not filled:
-                n_modes = modes(rows_group, variance, variance, n, sin_h, cos_h, constellations, form == 2, geo, head, mode)
+                n_modes = modes(rows_group, rows[0], rows[3], n, sin_h, cos_h, constellations, form == 2, geo, head, mode)
                 set_priors(rows_group, n, n_modes, priors[0], priors[1], head, mode)
                 filled = True
             if form == 2:
@@ -304,9 +306,9 @@ def levels_rtk(  # type: ignore[no-untyped-def]
                 lost = spent + (pair_risk(n_modes, mode) if multiple else 0.0)
                 budgets_of(one, split, lost, budget)
                 if form == 0:
-                    root(n_modes, k_fa[0, n_modes - 1], budget, tolerate, mode, found)
+                    root(n_modes, k_fa[0, n_modes - 1], budget, tolerate, head, mode, found)
                 else:
-                    closed_form(n_modes, k_fa[0, n_modes - 1], budget, share0, tolerate, mode, found)
+                    closed_form(n_modes, k_fa[0, n_modes - 1], budget, share0, tolerate, head, mode, found)
                 shift = reference_bias
             pl[r, 0], pl[r, 1] = found[0, 0] + shift, found[0, 1] + shift
 
@@ -402,8 +404,10 @@ def _epoch(  # type: ignore[no-untyped-def]
         chi2, normal, fde, held, integers, fix_id, fix_risk, x, geo, head, rows, rows_e, rows_group, rows_of,
     )  # fmt: skip
     wrong = held_risk(held, fix_id, fix_risk)
+    x[FIXED_S] = x[FIXED_S] + dt if status == FIXED else 0.0
+    confirmed = status == FIXED and (x[SINCE_RTK] < 1.5 * dt or x[FIXED_S] > par[CONFIRM])
     mode = select_mode(
-        status == FIXED, hdop_rtk, solved, v_gnss, v_ss, hdop_doppler, x[SINCE_RTK], x[INITIALISED] > 0.0, mode_limits
+        confirmed, hdop_rtk, solved, v_gnss, v_ss, hdop_doppler, x[SINCE_RTK], x[INITIALISED] > 0.0, mode_limits
     )
     advance(x, dr, par, mode, v_e, v_n, q_v[0, 0], q_v[0, 1], q_v[1, 1], v_ss, middle, resting)
     if mode == RTK:
@@ -420,8 +424,9 @@ def _epoch(  # type: ignore[no-untyped-def]
         levels_dead_reckoning(dr, sin_h, cos_h, k_dead, published, pl)
     else:
         pl[:] = math.inf
-    x[HAS_VEL] = 1.0 if solved else 0.0
-    x[VEL_E], x[VEL_N] = (v_e, v_n) if solved else (v_ss * sin_h, v_ss * cos_h)
+    measured = doppler_usable(solved, v_gnss, v_ss, hdop_doppler, mode_limits)
+    x[HAS_VEL] = 1.0 if measured else 0.0
+    x[VEL_E], x[VEL_N] = (v_e, v_n) if measured else (v_ss * sin_h, v_ss * cos_h)
 
     sigma_at, sigma_ct = track_sigmas(dr, sin_h, cos_h) if mode != RTK else _fault_free(head)
     cause = INITIALISING_CAUSE if mode == NONE else 0
@@ -448,7 +453,7 @@ def _run(  # type: ignore[no-untyped-def]
     batch, n_sat = index.shape[0], system.shape[0]
     for chunk in prange(chunks):
         geo, head, columns = scratch(n_sat)
-        rows, rows_e = np.zeros((3, geo.shape[1])), np.zeros((geo.shape[1], 3))
+        rows, rows_e = np.zeros((4, geo.shape[1])), np.zeros((geo.shape[1], 3))
         rows_group, rows_of = np.zeros(geo.shape[1], dtype=np.int64), np.zeros(geo.shape[1], dtype=np.int64)
         for v in range(chunk * batch // chunks, (chunk + 1) * batch // chunks):
             k = index[v]

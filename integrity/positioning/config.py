@@ -21,6 +21,9 @@ class RtkConfig(Config):
     sigma_phase_m: float = Field(
         0.0042, gt=0, description="phase, zenith, one band [m]; RTKLIB 3 mm for each receiver, so sqrt(2) x 3 mm"
     )
+    sigma_phase_integrity_m: float = Field(
+        0.0042, gt=0, description="phase of both bands, zenith, for protection levels [m]; overbounds what tails there are"
+    )
     phase_bias_m: float = Field(0.005, ge=0, description="bound of a phase bias of one satellite [m]; residual multipath")
     reference_bias_m: float = Field(
         0.0, ge=0, description="bound of the horizontal error of the reference coordinates [m]; datum and antenna offset"
@@ -39,6 +42,9 @@ class RtkConfig(Config):
     max_candidates: int = Field(16, ge=4, le=40, description="satellites whose ambiguities are searched at once [-]")
     min_satellites: int = Field(5, ge=4, description="satellites of a fix with one system [-]; S1 section 2")
     min_further: int = Field(3, ge=2, description="satellites that a further system must bring [-]; S1 section 2")
+    confirm_s: float = Field(
+        1.0, ge=0, description="how long a regained fix must pass its tests before it is used [s]; S1: breaks of 1 s and more"
+    )
     hold_failures: int = Field(
         2, ge=1, description="rejected epochs in a row after which all held ambiguities are given up [-]"
     )

@@ -8,6 +8,12 @@ NONE, RTK, DOPPLER, IMU_ODOMETER = 0, 1, 2, 3  # the values of modes.Mode
 
 
 @jit
+def doppler_usable(solved, v_gnss, v_ss, hdop, limits):  # type: ignore[no-untyped-def]
+    """S1 table 1, second column: the Doppler velocity agrees with the odometer and its geometry is good."""
+    return solved and abs(v_gnss - abs(v_ss)) < limits[1] and hdop < limits[2]
+
+
+@jit
 def select_mode(  # type: ignore[no-untyped-def]
     rtk_fixed, hdop_rtk, doppler_solved, v_gnss, v_ss, hdop_doppler, outage_s, initialised, limits
 ):
@@ -19,7 +25,6 @@ def select_mode(  # type: ignore[no-untyped-def]
         return RTK
     if not initialised:
         return NONE
-    agrees = abs(v_gnss - abs(v_ss)) < limits[1]
-    if doppler_solved and agrees and hdop_doppler < limits[2] and outage_s <= limits[3]:
+    if doppler_usable(doppler_solved, v_gnss, v_ss, hdop_doppler, limits) and outage_s <= limits[3]:
         return DOPPLER
     return IMU_ODOMETER
