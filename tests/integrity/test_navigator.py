@@ -1,0 +1,343 @@
+"""The corridor from truth to belief: fixes, outages, modes, faults, reproducible bits, refusals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.monitoring.protection import protection_levels
+from lanebound.integrity.monitoring.separation import satellite_modes, separate
+from lanebound.integrity.navigator import Measurements, Navigator, NavigatorConfig
+from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.positioning.rtk_status import RtkStatus
+from lanebound.integrity.sensors.faults import Fault, FaultKind, FaultSchedule
+from lanebound.integrity.sky.constellation import SkyConfig
+from lanebound.integrity.sky.systems import System
+from lanebound.integrity.sky.track import SkyTrack
+from lanebound.integrity.sky.visibility import Path, SkyMask
+from lanebound.integrity.solution import Solution
+from lanebound.integrity.truth import Truth, truth_between
+
+Array = NDArray[np.float64]
+DT = 0.1
+NOMINAL = NavigatorConfig()
+# Without slips, atmosphere and ageing the declared errors bound the real ones: faults then come only from a schedule.
+CALM = NOMINAL.replace(gnss=NOMINAL.gnss.replace(slips_per_h=0.0, baseline_km=0.0, age_rate_mps=0.0))
+TRACK = SkyTrack.from_config(SkyConfig(), 300.0)
+QUADRANTS = np.array([0.4, 2.0, 3.9, 5.2])
+
+
+def _navigator(
+    config: NavigatorConfig = CALM,
+    seeds: int | list[int] | None = None,
+    batch: int | None = None,
+    mask: SkyMask | None = None,
+    faults: tuple[Fault, ...] = (),
+) -> Navigator:
+    return Navigator(config, TRACK, mask or SkyMask.open(), seeds or [1, 2, 3, 4], batch, FaultSchedule(faults))
+
+
+@dataclass
+class _Drive:
+    """What came out of a drive, epoch by epoch: (T,), (T, B) or (T, B, 2)."""
+
+    solutions: list[Solution]
+    truth_en_m: Array
+
+    def __getattr__(self, name: str) -> Array:
+        return np.array([getattr(s, name) for s in self.solutions])
+
+    @property
+    def error_m(self) -> Array:
+        return np.asarray(np.hypot(*np.moveaxis(self.position_en_m - self.truth_en_m, -1, 0)))
+
+
+class _Cars:
+    """Vehicles on straight lines from the origin, one azimuth each; arc and distance are the same."""
+
+    def __init__(self, navigator: Navigator, azimuth_rad: Array = QUADRANTS, ahead_m: float = 0.0) -> None:
+        self.navigator, self.azimuth_rad, self.ahead_m = navigator, azimuth_rad[: navigator.batch], ahead_m
+        self.time_s, self.arc_m = 0.0, 0.0
+
+    @property
+    def along(self) -> Array:
+        return np.column_stack([np.sin(self.azimuth_rad), np.cos(self.azimuth_rad)])
+
+    def truth(self, speed_mps: float) -> Truth:
+        """The next epoch; the position is that of a point ``ahead_m`` of the reference point."""
+        before, after = self.arc_m, self.arc_m + speed_mps * DT
+        self.time_s, self.arc_m = self.time_s + DT, after
+        position = (self.along * (before + self.ahead_m), self.along * (after + self.ahead_m))
+        velocity = self.along * speed_mps
+        return truth_between(
+            self.time_s, DT, position, (velocity, velocity), (self.azimuth_rad, self.azimuth_rad), arc_m=after
+        )
+
+    def drive(self, seconds: float, speed_mps: float = 10.0) -> _Drive:
+        solutions, places = [], []
+        for _ in range(round(seconds / DT)):
+            solutions.append(self.navigator.step(self.truth(speed_mps)))
+            places.append(self.along * self.arc_m)
+        return _Drive(solutions, np.array(places))
+
+
+def _assert_same(a: Solution, b: Solution, row: int | None = None) -> None:
+    """Every field has the same bits; with ``row`` vehicle ``row`` of a against the only vehicle of b."""
+    for field in fields(Solution):
+        one, two = getattr(a, field.name), getattr(b, field.name)
+        np.testing.assert_array_equal(one if row is None or field.name == "time_s" else one[[row]], two)
+
+
+def test_open_sky_gives_rtk_in_seconds_within_its_protection_levels() -> None:
+    run = _Cars(_navigator(NOMINAL)).drive(60.0)
+    first = np.argmax(run.mode == Mode.RTK, axis=0)
+    assert ((first > 0) & (first < 50)).all()
+    located = run.mode != Mode.NONE
+    bound = np.hypot(run.pl_at_m, run.pl_ct_m)
+    assert (run.error_m[located] < bound[located]).all()
+    assert run.error_m[run.mode == Mode.RTK].max() < 0.05
+    assert (bound[run.mode == Mode.RTK] < 0.2).all()
+    assert np.isfinite(run.pl_cases_m[100:]).all()
+    assert run.alert[0].all()
+    assert not run.alert[60:].any()
+    for field in fields(Solution):
+        assert not np.isnan(getattr(run, field.name)).any(), field.name
+
+
+def test_heading_and_velocity_follow_the_motion_in_every_quadrant() -> None:
+    run = _Cars(_navigator()).drive(20.0)
+    turn = np.angle(np.exp(1j * (run.heading_rad[50:] - QUADRANTS)))
+    assert np.abs(turn).max() < np.deg2rad(1.0)
+    along = np.column_stack([np.sin(QUADRANTS), np.cos(QUADRANTS)])
+    np.testing.assert_allclose(run.velocity_en_mps[50:].mean(0), 10.0 * along, atol=0.05)
+
+
+def test_nothing_is_believed_before_the_first_fix() -> None:
+    solution = _Cars(_navigator()).drive(DT).solutions[0]
+    assert (solution.mode == Mode.NONE).all()
+    assert np.isinf(solution.pl_cases_m).all()
+    assert solution.alert.all()
+    assert not solution.available.any()
+    assert np.isinf(solution.since_rtk_s).all()
+
+
+LOSS = Fault(kind=FaultKind.CORRECTIONS_LOSS, start_s=10.0, duration_s=50.0)
+
+
+def _tunnel(start_m: float, end_m: float) -> SkyMask:
+    """A straight road of 2 km with no sky between two places."""
+    path = np.zeros((201, 1, 1), dtype=np.uint8)
+    path[round(start_m / 10.0) : round(end_m / 10.0)] = Path.BLOCKED
+    return SkyMask(path, np.zeros(path.shape, dtype=np.float32), 1, 1, 10.0, 2000.0, False)
+
+
+def test_an_outage_runs_through_the_modes_and_the_levels_saw() -> None:
+    """Corrections end at 10 s and are too old at 40 s; a tunnel from 45 s to 50 s; corrections return at 60 s."""
+    run = _Cars(_navigator(mask=_tunnel(450.0, 500.0), faults=(LOSS,))).drive(70.0)
+    changes = [run.mode[:, v][np.flatnonzero(np.diff(run.mode[:, v], prepend=-1))] for v in range(4)]
+    for order in changes:
+        np.testing.assert_array_equal(
+            order, [Mode.NONE, Mode.RTK, Mode.DOPPLER, Mode.IMU_ODOMETER, Mode.DOPPLER, Mode.RTK]
+        )
+    outage = slice(415, 595)
+    assert (run.rtk[outage] == RtkStatus.NO_CORRECTIONS.code).all()
+    level = np.stack([run.pl_at_m, run.pl_ct_m], -1)
+    growth = np.diff(level[outage], axis=0)
+    assert growth.min() > -0.01  # the track axes turn a little with the estimated heading
+    assert (growth > 0.0).mean() > 0.98
+    assert (level[outage][-1] > 5.0 * level[395]).all()
+    assert (level[-1] < 0.1).all()
+    np.testing.assert_array_less(run.error_m[30:], np.hypot(*np.moveaxis(level[30:], -1, 0)))
+
+
+def test_doppler_positioning_ends_a_minute_after_the_last_fix() -> None:
+    loss = LOSS.replace(start_s=5.0, duration_s=200.0)
+    rtk = CALM.positioning.rtk.replace(max_age_s=3.0)
+    config = CALM.replace(positioning=CALM.positioning.replace(rtk=rtk))
+    run = _Cars(_navigator(config, faults=(loss,))).drive(75.0)
+    outage = run.since_rtk_s > 0.05
+    doppler = (run.mode == Mode.DOPPLER) & outage
+    assert doppler.any(axis=0).all()
+    assert run.since_rtk_s[doppler].max() == pytest.approx(60.0, abs=0.11)
+    assert (run.mode[-1] == Mode.IMU_ODOMETER).all()
+
+
+def test_at_rest_in_an_outage_nothing_moves_and_no_level_grows() -> None:
+    cars = _Cars(_navigator(faults=(LOSS,)))
+    cars.drive(45.0)
+    rest = cars.drive(10.0, speed_mps=0.0)
+    settled = slice(20, None)
+    assert (rest.mode[settled] != Mode.RTK).all()
+    assert np.ptp(rest.position_en_m[settled], axis=0).max() == 0.0
+    assert np.ptp(rest.pl_at_m[settled], axis=0).max() == 0.0
+    assert np.ptp(rest.pl_ct_m[settled], axis=0).max() == 0.0
+    assert np.ptp(rest.heading_rad[settled], axis=0).max() == 0.0
+
+
+def test_jamming_everything_leaves_the_odometer() -> None:
+    jam = Fault(kind=FaultKind.JAMMING, start_s=10.0, duration_s=10.0, magnitude_db=60.0)
+    run = _Cars(_navigator(faults=(jam,))).drive(30.0)
+    assert (run.mode[110:195] == Mode.IMU_ODOMETER).all()
+    assert (run.satellites_doppler[110:195] == 0).all()
+    assert (run.mode[-1] == Mode.RTK).all()
+
+
+def test_a_restored_snapshot_goes_on_with_the_same_bits() -> None:
+    cars = _Cars(_navigator(NOMINAL))
+    cars.drive(5.0)
+    kept, time_s, arc_m = cars.navigator.snapshot(), cars.time_s, cars.arc_m
+    one = cars.drive(5.0)
+    cars.navigator.restore(kept)
+    cars.time_s, cars.arc_m = time_s, arc_m
+    two = cars.drive(5.0)
+    for a, b in zip(one.solutions, two.solutions, strict=True):
+        _assert_same(a, b)
+
+
+def test_a_vehicle_is_the_same_alone_and_in_company() -> None:
+    together = _Cars(_navigator(NOMINAL)).drive(8.0)
+    alone = _Cars(_navigator(NOMINAL, [3]), QUADRANTS[2:]).drive(8.0)
+    for a, b in zip(together.solutions, alone.solutions, strict=True):
+        _assert_same(a, b, row=2)
+
+
+def test_one_seed_serves_a_batch_and_repeats() -> None:
+    one, two, other = (_Cars(_navigator(NOMINAL, seed, 4)).drive(6.0) for seed in (5, 5, 6))
+    _assert_same(one.solutions[-1], two.solutions[-1])
+    assert (one.mode[-1] == Mode.RTK).any()
+    assert len(np.unique(one.speed_mps[-1])) > 1
+    assert not np.array_equal(one.position_en_m[-1], other.position_en_m[-1])
+
+
+def _owned(truth: Truth) -> Truth:
+    """The same truth in arrays of its own, to be spoilt later."""
+    arrays = {f.name: np.array(v) for f in fields(Truth) if isinstance(v := getattr(truth, f.name), np.ndarray)}
+    return replace(truth, **arrays)
+
+
+def test_the_truth_does_not_reach_what_is_believed() -> None:
+    cars, twins = _Cars(_navigator(NOMINAL)), _Cars(_navigator(NOMINAL))
+    for _ in range(60):
+        truth = _owned(cars.truth(10.0))
+        measured = cars.navigator.measure(truth)
+        for field in fields(Truth):
+            value = getattr(truth, field.name)
+            if isinstance(value, np.ndarray):
+                value[:] = -1 if value.dtype == np.int64 else np.nan
+        _assert_same(cars.navigator.locate(measured), twins.navigator.step(twins.truth(10.0)))
+
+
+def test_wrong_reference_coordinates_move_the_fix_unseen() -> None:
+    wrong = Fault(kind=FaultKind.REFERENCE_COORDINATES, start_s=0.0, duration_s=99.0, magnitude_m=1.0, azimuth_deg=90.0)
+    moved, true = _Cars(_navigator(faults=(wrong,))).drive(8.0), _Cars(_navigator()).drive(8.0)
+    fixed = (moved.mode == Mode.RTK) & (true.mode == Mode.RTK)
+    assert fixed[-1].all()
+    shift = (moved.position_en_m - true.position_en_m)[fixed]
+    np.testing.assert_allclose(shift, np.broadcast_to([1.0, 0.0], shift.shape), atol=1e-6)
+    np.testing.assert_allclose(moved.pl_at_m[fixed], true.pl_at_m[fixed], rtol=1e-6)
+    assert moved.pl_at_m[fixed].max() < 0.1
+
+
+def test_a_declared_reference_error_adds_to_the_level() -> None:
+    rtk = CALM.positioning.rtk.replace(reference_bias_m=0.25)
+    declared = _Cars(_navigator(CALM.replace(positioning=CALM.positioning.replace(rtk=rtk)))).drive(6.0)
+    plain = _Cars(_navigator()).drive(6.0)
+    assert (plain.mode[-1] == Mode.RTK).all()
+    np.testing.assert_allclose(declared.pl_at_m[-1], plain.pl_at_m[-1] + 0.25, rtol=1e-9)
+    np.testing.assert_allclose(declared.pl_ct_m[-1], plain.pl_ct_m[-1] + 0.25, rtol=1e-9)
+
+
+def test_a_satellite_with_a_false_range_is_excluded() -> None:
+    navigator = _navigator()
+    cars = _Cars(navigator)
+    before = cars.drive(9.0).solutions[-1]
+    row = int(np.flatnonzero(before.held[0] & (TRACK.system == System.GPS))[0])
+    fault = Fault(
+        kind=FaultKind.SATELLITE_RANGE, start_s=10.0, duration_s=5.0, magnitude_m=5.0,
+        system=System.GPS, prn=int(TRACK.prn[row]),
+    )  # fmt: skip
+    navigator.faults = FaultSchedule((fault,))
+    run = _Cars(navigator)
+    run.time_s, run.arc_m = cars.time_s, cars.arc_m
+    driven = run.drive(5.0)
+    onset = 10
+    assert (driven.excluded[onset] >= 1).all()
+    assert not driven.held[onset, :, row].any()
+    assert (driven.mode[onset:] == Mode.RTK).all()
+    assert driven.error_m[onset:].max() < 0.05
+
+
+def test_the_reference_point_comes_back_from_a_forward_antenna() -> None:
+    config = CALM.replace(positioning=CALM.positioning.replace(antenna_forward_m=1.0))
+    run = _Cars(_navigator(config), ahead_m=1.0).drive(8.0)
+    assert (run.mode[-1] == Mode.RTK).all()
+    assert run.error_m[run.mode == Mode.RTK].max() < 0.06
+
+
+def test_without_a_sky_there_is_no_position_and_no_exception() -> None:
+    blocked = SkyMask(
+        np.full((1, 1, 1), Path.BLOCKED, dtype=np.uint8), np.zeros((1, 1, 1), np.float32), 1, 1, 1.0, 1.0, True
+    )
+    run = _Cars(_navigator(mask=blocked)).drive(5.0)
+    assert (run.mode == Mode.NONE).all()
+    assert np.isinf(run.pl_cases_m).all()
+    assert run.alert.all()
+    assert (run.satellites == 0).all()
+    for field in fields(Solution):
+        assert not np.isnan(getattr(run, field.name)).any(), field.name
+
+
+def _rtk_rows(m: Measurements, s: Solution, v: int) -> tuple[NDArray[np.int64], Array]:
+    """Satellites in the fixed solution and their variance factors, told from the measurements anew."""
+    rtk = CALM.positioning.rtk
+    sine = m.sky.los_enu[0, :, 2]
+    usable = s.held[v] & (sine > np.sin(np.deg2rad(rtk.elevation_mask_deg))) & (m.gnss.cn0_dbhz[v] >= rtk.cn0_min_dbhz)
+    system = m.sky.system
+    enough = np.array([np.count_nonzero(usable & (system == c)) >= rtk.min_further for c in system])
+    rows = np.flatnonzero(usable & enough)
+    weak = 1.0 + 10.0 ** (0.1 * (rtk.cn0_knee_dbhz - m.gnss.cn0_dbhz[v, rows]))
+    return rows, 0.5 * (1.0 + 1.0 / sine[rows] ** 2) * weak
+
+
+@pytest.mark.parametrize("v", [0, 1, 2, 3])
+def test_the_level_of_a_fix_is_that_of_the_plain_form(v: int) -> None:
+    """Separation and root of the NumPy reference, with the rows told anew from the measurements."""
+    cars = _Cars(_navigator())
+    cars.drive(8.0)
+    m = cars.navigator.measure(cars.truth(10.0))
+    s = cars.navigator.locate(m)
+    assert s.mode[v] == Mode.RTK
+    assert s.excluded[v] == 0
+    rows, factor = _rtk_rows(m, s, v)
+    assert len(rows) == s.satellites[v]
+    rtk, risk, system = CALM.positioning.rtk, CALM.risk, m.sky.system[rows]
+    design = np.column_stack([-m.sky.los_enu[0, rows], (system[:, None] == np.unique(system)).astype(float)])
+    separation = separate(
+        design,
+        np.diag(factor * rtk.sigma_phase_integrity_m**2),
+        satellite_modes(np.arange(len(rows))),
+        s.heading_rad[v],
+        accuracy=np.diag(factor * rtk.sigma_phase_m**2 / len(CALM.gnss.bands)),
+        bias=rtk.phase_bias_m + rtk.age_bias_mps * s.corrections_age_s[v],
+    )
+    priors = np.array(risk.satellite_prior)[system]
+    expected = protection_levels(separation, priors, risk, spent=s.wrong_fix_risk[v])[0]
+    np.testing.assert_allclose([s.pl_at_m[v], s.pl_ct_m[v]], expected, rtol=1e-9)
+    np.testing.assert_allclose([s.sigma_at_m[v], s.sigma_ct_m[v]], separation.sigma_m[0], rtol=1e-9)
+
+
+def test_unfit_truth_is_refused() -> None:
+    navigator = _navigator()
+    with pytest.raises(InputError, match="truth must have 4 vehicles"):
+        navigator.measure(_Cars(_navigator(seeds=[1])).truth(10.0))
+    fine = _Cars(navigator).truth(10.0)
+    with pytest.raises(InputError, match=r"truth\.dt_s must be 0\.1"):
+        navigator.measure(replace(fine, dt_s=0.2))
+    with pytest.raises(InputError, match="gps_time_s must lie in"):
+        navigator.measure(replace(fine, time_s=1e6))
+    with pytest.raises(InputError, match="non-negative"):
+        _navigator(seeds=[-1])
