@@ -23,8 +23,7 @@ from lanebound.integrity.accel import use_parallel
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.monitoring.alerts import AlertConfig, AlertState
-from lanebound.integrity.monitoring.dead_reckoning_kernel import C_EE, C_EN, C_NN
-from lanebound.integrity.monitoring.dead_reckoning_kernel import NP as N_DEAD_RECKONING
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import GROWTH_SIZE, P_EE, P_EN, P_NN
 from lanebound.integrity.monitoring.exclusion import FdeConfig
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor, upper_quantile
 from lanebound.integrity.positioning.config import PositioningConfig
@@ -117,7 +116,7 @@ class NavigatorState:
     """Everything that lasts from epoch to epoch: the instruments' own state, and the belief's.
 
     ``belief`` (B, NX) and ``growth`` (B, NP) are the flat columns of :mod:`.navigator_kernel` and
-    :mod:`.monitoring.dead_reckoning_kernel`; ``held`` (B, S), ``integers`` (B, S, 2), ``fix_id`` and ``fix_risk`` (B, S) are
+    :mod:`.monitoring.dead_reckoning_pl_kernel`; ``held`` (B, S), ``integers`` (B, S, 2), ``fix_id`` and ``fix_risk`` (B, S) are
     the ambiguities held.
     """
 
@@ -195,7 +194,7 @@ class Navigator:
             odometer=initial_odometer(c.odometer, streams),
             alert=AlertState.initial(batch),
             belief=belief,
-            growth=np.zeros((batch, N_DEAD_RECKONING)),
+            growth=np.zeros((batch, GROWTH_SIZE)),
             held=np.zeros((batch, n_sat), dtype=np.bool_),
             integers=np.zeros((batch, n_sat, 2)),
             fix_id=np.zeros((batch, n_sat), dtype=np.int64),
@@ -254,20 +253,20 @@ class Navigator:
         s, t, g = self.state, self._tables, m.gnss
         out, levels = np.zeros((self.batch, nk.NO)), np.full((self.batch, t.k_dead.shape[0], 2), np.inf)
         parallel = use_parallel(self.batch)
-        run, chunks = (nk.run_parallel, numba.get_num_threads()) if parallel else (nk.run_serial, 1)
+        run, first = (nk.run_parallel, numba.get_num_threads()) if parallel else (nk.run_some, 0)
         run(
-            m.sky.los_enu, m.sky.system, m.sky.elevation_rad, m.sky.index, g.tracked, g.cn0_dbhz, g.code_m, g.phase_m,
+            first, self.batch, m.sky.los_enu, m.sky.system, m.sky.elevation_rad, m.sky.index, g.tracked, g.cn0_dbhz, g.code_m, g.phase_m,
             g.range_rate_mps, g.lock_lost, g.corrections_age_s, m.imu.delta_theta_rad[:, 2], m.odometer.speed_mps,
             t.par, t.mode_limits, t.heading_limits, t.wavelength, t.fixable, t.chi2, t.normal, t.fde, t.risks, t.shares,
             t.spent, t.priors, t.k_fa, t.k_published, t.k_dead, t.published, t.operative_published, t.alert_limits,
             t.drift_group, s.belief, s.growth, s.held, s.integers, s.fix_id, s.fix_risk, s.alert.alert, s.alert.reason,
-            s.alert.onset_s, s.alert.clear_s, chunks, out, levels,
+            s.alert.onset_s, s.alert.clear_s, out, levels,
         )  # fmt: skip
         return self._solution(m, out, levels)
 
     def _solution(self, m: Measurements, out: Array, levels: Array) -> Solution:
         s = self.state
-        cov = s.growth[:, [C_EE, C_EN, C_EN, C_NN]].reshape(-1, 2, 2)
+        cov = s.growth[:, [P_EE, P_EN, P_EN, P_NN]].reshape(-1, 2, 2)
         return Solution(
             time_s=m.time_s,
             position_en_m=s.belief[:, [nk.EAST, nk.NORTH]],

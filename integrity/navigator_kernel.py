@@ -12,20 +12,14 @@ import numpy as np
 
 from lanebound.integrity.accel import jit, prange
 from lanebound.integrity.monitoring.alerts_kernel import alert_step
-from lanebound.integrity.monitoring.dead_reckoning_kernel import (
-    D_EE,
-    D_NN,
-    O_E,
-    O_N,
-    correct_heading_error,
-    forget,
-    grow_doppler,
-    grow_odometer,
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import (
+    levels,
+    remember_velocity,
     reset,
-    track_biases,
-    track_biases_published,
-    track_sigmas,
-    turn_heading_error,
+    sigma_and_bias,
+    step_doppler,
+    step_odometer,
+    step_still,
 )
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED as FDE_EXCLUDED
 from lanebound.integrity.monitoring.detection_kernel import NO_REDUNDANCY as FDE_NO_REDUNDANCY
@@ -314,18 +308,21 @@ def levels_rtk(  # type: ignore[no-untyped-def]
 
 
 @jit
-def levels_dead_reckoning(p, sin_h, cos_h, k_dead, published, pl):  # type: ignore[no-untyped-def]
-    """``PL_q = K_md sigma_q + B_q`` (S1 eq 18-19) of every case: k_dead (R, 2), published (R,) bool."""
-    sigma_at, sigma_ct = track_sigmas(p, sin_h, cos_h)
-    b_at, b_ct = track_biases(p, sin_h, cos_h)
-    s_at, s_ct = track_biases_published(p, sin_h, cos_h)
+def levels_dead_reckoning(growth, sin_h, cos_h, k_dead, published, shift, pl):  # type: ignore[no-untyped-def]
+    """``PL_q = K_md sigma_q + B_q`` (S1 eq 18-19) of every case: k_dead (R, 2), published (R,) bool.
+
+    ``shift`` bounds the horizontal length of the error that the reference gave to the last RTK position: exact, that much on each
+    axis; published, equal components on E and N.
+    """
     for r in range(k_dead.shape[0]):
-        pl[r, 0] = k_dead[r, 0] * sigma_at + (s_at if published[r] else b_at)
-        pl[r, 1] = k_dead[r, 1] * sigma_ct + (s_ct if published[r] else b_ct)
+        levels(sin_h, cos_h, k_dead[r : r + 1], published[r], growth, pl[r : r + 1])
+        bias = shift / math.sqrt(2.0) if published[r] else shift
+        pl[r, 0] += bias
+        pl[r, 1] += bias
 
 
 @jit
-def restart(dr, level, k_dead, shift, published, head, sin_h, cos_h):  # type: ignore[no-untyped-def]
+def restart(growth, level, k_dead, shift, published, heading_variance, head, sin_h, cos_h):  # type: ignore[no-untyped-def]
     """Start dead reckoning anew from the RTK position just found.
 
     Its initial error must keep what the protection level promised, faults included: the standard deviation of each track axis
@@ -338,33 +335,30 @@ def restart(dr, level, k_dead, shift, published, head, sin_h, cos_h):  # type: i
         ee = sin_h * sin_h * a + cos_h * cos_h * b
         en = sin_h * cos_h * (a - b)
         nn = cos_h * cos_h * a + sin_h * sin_h * b
-    reset(dr, ee, en, nn, shift)
+    reset(ee, en, nn, 0.0, 0.0, heading_variance, growth)
 
 
 @jit
-def advance(x, dr, par, mode, v_e, v_n, q_ee, q_en, q_nn, v_ss, middle, resting):  # type: ignore[no-untyped-def]
+def advance(x, growth, par, mode, v_e, v_n, q, v_ss, middle, carry, resting):  # type: ignore[no-untyped-def]
     """Carry the position and its error over the epoch by Doppler or by dead reckoning; at rest nothing moves."""
-    dt = par[DT]
+    dt, variance = par[DT], x[P_HH]
+    phi_d, phi_o = math.exp(-dt / par[DOP_TAU]), math.exp(-dt / par[ODO_TAU])
     if resting or mode == NONE or mode == RTK:
-        forget(dr, dt, par[DOP_TAU], par[ODO_TAU])
+        step_still(phi_d, phi_o, variance, carry, growth)
         return
     if mode == DOPPLER:
         before_e, before_n = (x[VEL_E], x[VEL_N]) if x[HAS_VEL] > 0.0 else (v_e, v_n)
         x[EAST] += 0.5 * dt * (before_e + v_e)
         x[NORTH] += 0.5 * dt * (before_n + v_n)
-        phi = math.exp(-dt / par[ODO_TAU])
-        dr[O_E] *= phi
-        dr[O_N] *= phi
-        grow_doppler(dr, dt, q_ee, q_en, q_nn, par[DOP_TAU], par[DOP_BIAS])
+        step_doppler(dt, q[0, 0], q[0, 1], q[1, 1], par[DOP_BIAS], phi_d, phi_o, variance, carry, False, growth)
         return
     s, c = math.sin(middle), math.cos(middle)
     x[EAST] += dt * v_ss * s
     x[NORTH] += dt * v_ss * c
-    phi = math.exp(-dt / par[DOP_TAU])
-    for k in range(D_EE, D_NN + 1):
-        dr[k] *= phi
     b_theta = par[HEADING_BIAS] + par[HEADING_DRIFT] * x[SINCE_CAL]
-    grow_odometer(dr, dt, v_ss, s, c, par[ODO_SIGMA] ** 2, par[ODO_TAU], x[P_HH], x[P_HB], b_theta, par[ODO_BIAS])
+    step_odometer(
+        dt, v_ss, s, c, par[ODO_SIGMA], par[ODO_BIAS], b_theta, phi_d, phi_o, variance, carry, False, growth
+    )  # fmt: skip
 
 
 @jit
@@ -372,10 +366,10 @@ def _epoch(  # type: ignore[no-untyped-def]
     e, system, elevation, tracked, cn0, code, phase, range_rate, lock_lost, age, delta_theta, v_ss,
     par, mode_limits, heading_limits, wavelength, fixable, chi2, normal, fde, risks, shares, spent, priors, k_fa,
     k_published, k_dead, published, operative_published, alert_limits, drift_group,
-    x, dr, held, integers, fix_id, fix_risk, v, alert, reason, onset, clear, geo, head, columns, rows, rows_e, rows_group,
+    x, growth, held, integers, fix_id, fix_risk, v, alert, reason, onset, clear, geo, head, columns, rows, rows_e, rows_group,
     rows_of, out, pl,
 ):  # fmt: skip
-    """The whole epoch of vehicle v; x, dr, held, integers, fix_id, fix_risk and the alert arrays are its state."""
+    """The whole epoch of vehicle v; x, growth, held, integers, fix_id, fix_risk and the alert arrays are its state."""
     dt, n_sat = par[DT], e.shape[0]
     x[SINCE_RTK] += dt
     x[SINCE_CAL] += dt
@@ -391,11 +385,10 @@ def _epoch(  # type: ignore[no-untyped-def]
     v_gnss = math.hypot(v_e, v_n)
     resting = standstill(x, dt, v_ss, solved, v_gnss)
     middle = attitude(x, par, delta_theta, v_ss)
-    turn_heading_error(dr, dt)
+    carry, p_hh = 1.0, x[P_HH]
     if solved and not resting:
-        p_hh, p_hb = x[P_HH], x[P_HB]
         if calibrate(x, par, heading_limits, v_e, v_n, q_v[0, 0], q_v[0, 1], q_v[1, 1], v_ss, hdop_doppler):
-            correct_heading_error(dr, 1.0 - x[P_HH] / p_hh, (p_hb - x[P_HB]) / p_hh)
+            carry = x[P_HH] / p_hh
             x[SINCE_CAL] = 0.0
     sin_h, cos_h = math.sin(x[HEADING]), math.cos(x[HEADING])
 
@@ -409,9 +402,9 @@ def _epoch(  # type: ignore[no-untyped-def]
     mode = select_mode(
         confirmed, hdop_rtk, solved, v_gnss, v_ss, hdop_doppler, x[SINCE_RTK], x[INITIALISED] > 0.0, mode_limits
     )
-    advance(x, dr, par, mode, v_e, v_n, q_v[0, 0], q_v[0, 1], q_v[1, 1], v_ss, middle, resting)
+    advance(x, growth, par, mode, v_e, v_n, q_v, v_ss, middle, carry, resting)
+    shift = par[REFERENCE_BIAS]
     if mode == RTK:
-        shift = par[REFERENCE_BIAS]
         levels_rtk(n_rtk, rows, rows_group, sin_h, cos_h, risks, shares, spent + wrong, priors, k_fa, k_published,
                    shift, geo, head, columns, pl)  # fmt: skip
         forward, right = par[LEVER_FORWARD], par[LEVER_RIGHT]
@@ -419,16 +412,20 @@ def _epoch(  # type: ignore[no-untyped-def]
         x[NORTH] = head[X_N] - cos_h * forward + sin_h * right
         x[UP] = head[X_U]
         x[SINCE_RTK], x[INITIALISED] = 0.0, 1.0
-        restart(dr, pl[0], k_dead[0], shift, operative_published, head, sin_h, cos_h)
+        restart(growth, pl[0], k_dead[0], shift, operative_published, x[P_HH], head, sin_h, cos_h)
     elif mode != NONE:
-        levels_dead_reckoning(dr, sin_h, cos_h, k_dead, published, pl)
+        levels_dead_reckoning(growth, sin_h, cos_h, k_dead, published, shift, pl)
     else:
         pl[:] = math.inf
     measured = doppler_usable(solved, v_gnss, v_ss, hdop_doppler, mode_limits)
     x[HAS_VEL] = 1.0 if measured else 0.0
+    if mode == RTK and measured:
+        remember_velocity(q_v[0, 0], q_v[0, 1], q_v[1, 1], growth)
     x[VEL_E], x[VEL_N] = (v_e, v_n) if measured else (v_ss * sin_h, v_ss * cos_h)
 
-    sigma_at, sigma_ct = track_sigmas(dr, sin_h, cos_h) if mode != RTK else _fault_free(head)
+    sigma_at, sigma_ct, _, _ = sigma_and_bias(sin_h, cos_h, False, growth)
+    if mode == RTK:
+        sigma_at, sigma_ct = head[SIGMA0_AT], head[SIGMA0_CT]
     cause = INITIALISING_CAUSE if mode == NONE else 0
     available = alert_step(v, cause, pl[0, 0], pl[0, 1], sigma_at, sigma_ct, dt, alert_limits, alert, reason, onset, clear)
     out[O_MODE], out[O_RTK], out[O_AVAILABLE] = mode, status, available
@@ -439,32 +436,39 @@ def _epoch(  # type: ignore[no-untyped-def]
 
 
 @jit
-def _fault_free(head):  # type: ignore[no-untyped-def]
-    return head[SIGMA0_AT], head[SIGMA0_CT]
-
-
-def _run(  # type: ignore[no-untyped-def]
-    los, system, elevation, index, tracked, cn0, code, phase, range_rate, lock_lost, age, delta_theta, v_ss,
+def run_some(  # type: ignore[no-untyped-def]
+    first, last, los, system, elevation, index, tracked, cn0, code, phase, range_rate, lock_lost, age, delta_theta, v_ss,
     par, mode_limits, heading_limits, wavelength, fixable, chi2, normal, fde, risks, shares, spent, priors, k_fa,
     k_published, k_dead, published, operative_published, alert_limits, drift_group,
-    x, dr, held, integers, fix_id, fix_risk, alert, reason, onset, clear, chunks, out, pl,
+    x, growth, held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl,
 ):  # fmt: skip
-    """One epoch of B vehicles in ``chunks`` runs that share their scratch."""
-    batch, n_sat = index.shape[0], system.shape[0]
+    """One epoch of the vehicles ``first`` to ``last - 1``, which share their scratch."""
+    geo, head, columns = scratch(system.shape[0])
+    rows, rows_e = np.zeros((4, geo.shape[1])), np.zeros((geo.shape[1], 3))
+    rows_group, rows_of = np.zeros(geo.shape[1], dtype=np.int64), np.zeros(geo.shape[1], dtype=np.int64)
+    for v in range(first, last):
+        k = index[v]
+        _epoch(
+            los[k], system, elevation[k], tracked[v], cn0[v], code[v], phase[v], range_rate[v], lock_lost[v], age[v],
+            delta_theta[v], v_ss[v], par, mode_limits, heading_limits, wavelength, fixable, chi2, normal, fde, risks,
+            shares, spent, priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
+            x[v], growth[v], held[v], integers[v], fix_id[v], fix_risk[v], v, alert, reason, onset, clear,
+            geo, head, columns, rows, rows_e, rows_group, rows_of, out[v], pl[v],
+        )  # fmt: skip
+
+
+@jit(parallel=True)
+def run_parallel(  # type: ignore[no-untyped-def]
+    chunks, last, los, system, elevation, index, tracked, cn0, code, phase, range_rate, lock_lost, age, delta_theta, v_ss,
+    par, mode_limits, heading_limits, wavelength, fixable, chi2, normal, fde, risks, shares, spent, priors, k_fa,
+    k_published, k_dead, published, operative_published, alert_limits, drift_group,
+    x, growth, held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl,
+):  # fmt: skip
+    """:func:`run_some` for all ``last`` vehicles, in ``chunks`` runs side by side."""
     for chunk in prange(chunks):
-        geo, head, columns = scratch(n_sat)
-        rows, rows_e = np.zeros((4, geo.shape[1])), np.zeros((geo.shape[1], 3))
-        rows_group, rows_of = np.zeros(geo.shape[1], dtype=np.int64), np.zeros(geo.shape[1], dtype=np.int64)
-        for v in range(chunk * batch // chunks, (chunk + 1) * batch // chunks):
-            k = index[v]
-            _epoch(
-                los[k], system, elevation[k], tracked[v], cn0[v], code[v], phase[v], range_rate[v], lock_lost[v], age[v],
-                delta_theta[v], v_ss[v], par, mode_limits, heading_limits, wavelength, fixable, chi2, normal, fde, risks,
-                shares, spent, priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
-                x[v], dr[v], held[v], integers[v], fix_id[v], fix_risk[v], v, alert, reason, onset, clear,
-                geo, head, columns, rows, rows_e, rows_group, rows_of, out[v], pl[v],
-            )  # fmt: skip
-
-
-run_serial = jit(_run)
-run_parallel = jit(parallel=True)(_run)
+        run_some(
+            chunk * last // chunks, (chunk + 1) * last // chunks, los, system, elevation, index, tracked, cn0, code, phase,
+            range_rate, lock_lost, age, delta_theta, v_ss, par, mode_limits, heading_limits, wavelength, fixable, chi2,
+            normal, fde, risks, shares, spent, priors, k_fa, k_published, k_dead, published, operative_published,
+            alert_limits, drift_group, x, growth, held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl,
+        )  # fmt: skip

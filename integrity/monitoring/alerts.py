@@ -17,7 +17,7 @@ from pydantic import model_validator
 
 from lanebound.integrity.config import Config, Field
 from lanebound.integrity.errors import ConfigError, InputError
-from lanebound.integrity.monitoring.advice import Advice
+from lanebound.integrity.advice import Advice
 
 __all__ = ["ALERT_LIMITS", "AlertConfig", "AlertLimits", "AlertReason", "AlertState", "AlertStatus", "step"]
 

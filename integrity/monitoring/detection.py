@@ -16,7 +16,7 @@ from scipy.special import chdtri, ndtri
 
 from lanebound.integrity.errors import InputError, require_finite, require_in_range, require_shape
 from lanebound.integrity.frames import track_from_enu_matrix
-from lanebound.integrity.monitoring.advice import Advice
+from lanebound.integrity.advice import Advice
 
 __all__ = [
     "Adjustment",

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.errors import InputError, require_finite, require_shape
-from lanebound.integrity.monitoring.advice import Advice
+from lanebound.integrity.advice import Advice
 
 __all__ = ["Dilution", "Gain", "Solution", "Solvability", "design_matrix", "dilution", "gain", "solve", "weights"]
 

@@ -225,12 +225,14 @@ def observe_vehicle(  # type: ignore[no-untyped-def]
         range_rate[s] = clock[0, 4] - motion + rate_bias[s] + cfg[RATE_SIGMA] * scale * memory[s, M_RATE]
 
 
-def _observe(  # type: ignore[no-untyped-def]
+@jit
+def observe_serial(  # type: ignore[no-untyped-def]
     cfg, slow, wavelength, dispersion, los, above, system, index, path, excess, position, velocity, reference, age,
     code_bias, phase_bias, rate_bias, cn0_drop, slips, clock, z, u, memory, ambiguity,
     tracked, code, phase, range_rate, cn0, lock_lost,
 ):  # fmt: skip
-    for v in prange(index.shape[0]):
+    """:func:`observe_vehicle` for B vehicles, one after another."""
+    for v in range(index.shape[0]):
         k = index[v]
         observe_vehicle(
             cfg, slow, wavelength, dispersion, los[k], above[k], system, path[v], excess[v], position[v], velocity[v],
@@ -239,5 +241,17 @@ def _observe(  # type: ignore[no-untyped-def]
         )  # fmt: skip
 
 
-observe_serial = jit(_observe)
-observe_parallel = jit(parallel=True)(_observe)
+@jit(parallel=True)
+def observe_parallel(  # type: ignore[no-untyped-def]
+    cfg, slow, wavelength, dispersion, los, above, system, index, path, excess, position, velocity, reference, age,
+    code_bias, phase_bias, rate_bias, cn0_drop, slips, clock, z, u, memory, ambiguity,
+    tracked, code, phase, range_rate, cn0, lock_lost,
+):  # fmt: skip
+    """:func:`observe_vehicle` for B vehicles, side by side."""
+    for v in prange(index.shape[0]):
+        k = index[v]
+        observe_vehicle(
+            cfg, slow, wavelength, dispersion, los[k], above[k], system, path[v], excess[v], position[v], velocity[v],
+            reference[v], age[v], code_bias[v], phase_bias[v], rate_bias[v], cn0_drop[v], slips[v], clock[v],
+            z[v], u[v], memory[v], ambiguity[v], tracked[v], code[v], phase[v], range_rate[v], cn0[v], lock_lost[v],
+        )  # fmt: skip
