@@ -314,6 +314,26 @@ def test_same_seed_same_bits_a_copy_goes_on_alike_and_other_streams_move_nothing
     assert not np.array_equal(twin.memory, two.state.memory)
 
 
+def test_a_copy_of_the_state_goes_on_with_the_same_bits() -> None:
+    receiver = _Receiver(GnssConfig(), 3, 9)
+    state, streams = receiver.state.copy(), receiver.streams.snapshot()
+    first = [receiver.step() for _ in range(4)]
+    receiver.state, receiver.streams = state, streams
+    for a, b in zip(first, [receiver.step() for _ in range(4)], strict=True):
+        for name in GnssEpoch.__dataclass_fields__:
+            np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+
+
+def test_the_reference_offset_lasts_has_its_length_and_any_direction() -> None:
+    receiver = _Receiver(PERFECT.replace(reference_offset_m=0.2), batch=8)
+    before, after = receiver.step(), receiver.step()
+    np.testing.assert_allclose(after.code_m, before.code_m, atol=1e-9)
+    shifts = np.linalg.lstsq(-receiver.sky.los_enu[0], after.code_m[..., 0].T, rcond=None)[0].T - [3.0, -4.0, 0.0]
+    np.testing.assert_allclose(np.hypot(shifts[:, 0], shifts[:, 1]), 0.2, atol=1e-9)
+    np.testing.assert_allclose(shifts[:, 2], 0.0, atol=1e-9)
+    assert np.ptp(np.arctan2(shifts[:, 0], shifts[:, 1])) > 1.0
+
+
 def test_what_is_in_view_does_not_move_the_draws() -> None:
     one, two = _Receiver(GnssConfig(), settle=30), _Receiver(GnssConfig(), settle=29)
     two.step(reception=_reception(path=Path.BLOCKED))
