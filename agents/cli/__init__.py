@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from lanebound.agents.cli import bench, config
+from lanebound.agents.cli import bench, config, reproduce
 from lanebound.agents.cli.advice import AdvisingGroup
 
 __all__ = ["app", "main"]
@@ -19,6 +19,8 @@ EXAMPLES = """
   lanebound config show NAME                   one of them, with units
 
   lanebound config show NAME --set key=value   the same with a change
+
+  lanebound reproduce urban-drive --out out    S1's tables beside ours
 
   lanebound bench --json                       speed against the gates
 
@@ -35,6 +37,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.add_typer(config.app, name="config")
+app.add_typer(reproduce.app, name="reproduce")
 app.command("bench")(bench.bench)
 
 

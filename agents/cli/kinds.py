@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 __all__ = ["KINDS", "resolve"]
 
 KINDS = {
+    "urban_drive": "lanebound.agents.reproduce.urban_drive:UrbanDriveConfig",
+    "navigator": "lanebound.integrity.navigator:NavigatorConfig",
     "corrections": "lanebound.integrity.sensors.corrections:CorrectionsConfig",
     "fault_priors": "lanebound.integrity.sensors.campaign:FaultPriors",
     "gnss": "lanebound.integrity.sensors.gnss:GnssConfig",

@@ -159,18 +159,18 @@ def _one_drive(drives: Drives, b: int, dt_s: float) -> dict[str, Any]:
             found["error"][name] = _accuracy(e)
             found["pl_median"][name], found["pl_exact_median"][name] = _medians(pl[:, :4]), _medians(pl[:, 4:])
             found["exceedance"][name] = {
-                kind: {risk_key(r): [float((e > pl[:, first + i]).any(-1).mean())] for i, r in enumerate(RISKS)}
+                kind: {risk_key(r): float((e > pl[:, first + i]).any(-1).mean()) for i, r in enumerate(RISKS)}
                 for kind, first in (("published", 0), ("exact", 4))
             }
     rtk = mode == Mode.RTK
     found["availability"] = {
-        "rtk_1m": float((level[rtk][:, 3] <= 1.0).all(-1).mean()) if rtk.any() else float("nan"),
-        "rtk_1m_exact": float((level[rtk][:, 7] <= 1.0).all(-1).mean()) if rtk.any() else float("nan"),
+        "rtk_1m": float((level[rtk][:, 3] <= 1.0).all(-1).mean()) if rtk.any() else 0.0,
+        "rtk_1m_exact": float((level[rtk][:, 7] <= 1.0).all(-1).mean()) if rtk.any() else 0.0,
         "all_1m": float((level[:, 3] <= 1.0).all(-1).mean()),
         "all_1m5": float((level[:, 2] <= 1.5).all(-1).mean()),
     }
     lengths = outage_lengths_s(rtk, dt_s)
-    found["outages"] = {"count": len(lengths), "shortest_s": float(lengths.min(initial=np.inf)),
+    found["outages"] = {"count": len(lengths), "shortest_s": float(lengths.min()) if len(lengths) else 0.0,
                         "longest_s": float(lengths.max(initial=0.0)), "median_s": float(np.median(lengths)) if len(lengths) else 0.0}  # fmt: skip
     return found
 

@@ -1,0 +1,171 @@
+"""Run the urban drive for all its seeds, keep each batch as soon as it is done, and write tables and figures.
+
+A run that is interrupted and started again in the same folder goes on with the batches that are missing, and ends as an
+unbroken one would.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lanebound.agents.reproduce.published import CELLS, Cell
+from lanebound.agents.reproduce.urban_drive import Drives, UrbanDriveConfig, drive, seed_statistics, street
+from lanebound.integrity.assessment.plotting import save
+from lanebound.integrity.assessment.record import Record
+from lanebound.integrity.assessment.series import map_figure, series_figure
+from lanebound.integrity.assessment.stanford import stanford_figure
+from lanebound.integrity.errors import InputError
+
+__all__ = ["lookup", "rows_against_paper", "run_study", "summarise"]
+
+ALERT_LIMIT_M = 1.0  # S1 section 5
+FIGURE_RISKS = {"1e-4": 1, "1e-6": 3}  # S1 figures 3 and 4
+
+
+def run_study(config: UrbanDriveConfig, out: Path, progress: Callable[[int, int], None] = lambda done, of: None) -> dict[str, Any]:
+    """Drive all seeds and write ``tables.json`` and the figures into ``out``; returns the tables.
+
+    Parameters
+    ----------
+    progress : called with the epochs done so far and the epochs in all
+
+    Raises
+    ------
+    InputError
+        ``out`` holds a study with another configuration.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    _claim(config, out)
+    road, mask = street(config, out / "parts")
+    dt = config.navigator.dt_s
+    per_drive = round(60.0 * config.minutes / dt)
+    statistics: list[dict[str, Any]] = []
+    for first, seeds in _batches(config):
+        part = out / "parts" / f"seeds-{seeds[0]}-{seeds[-1]}.json"
+        if not part.exists():
+            drives = drive(
+                config, road, mask, seeds, lambda k, n=first, b=len(seeds): progress(n * per_drive + k * b, config.seeds * per_drive)
+            )
+            if first == 0:
+                _figures(drives, out)
+            _write_whole(part, seed_statistics(drives, dt))
+        statistics += json.loads(part.read_text(encoding="utf-8"))
+        progress((first + len(seeds)) * per_drive, config.seeds * per_drive)
+    tables = {"seeds": config.seeds, "minutes": config.minutes, **summarise(statistics)}
+    _write_whole(out / "tables.json", tables)
+    return tables
+
+
+def _batches(config: UrbanDriveConfig) -> Iterator[tuple[int, list[int]]]:
+    for first in range(0, config.seeds, config.batch):
+        last = min(first + config.batch, config.seeds)
+        yield first, list(range(config.first_seed + first, config.first_seed + last))
+
+
+def _claim(config: UrbanDriveConfig, out: Path) -> None:
+    """Mark the folder with the configuration, or refuse one that holds another."""
+    text = config.to_json()
+    digest = hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
+    mark = out / "config.json"
+    if mark.exists() and json.loads(mark.read_text(encoding="utf-8"))["digest"] != digest:
+        raise InputError(f"out must be empty or hold the same study, got {out} with another configuration: choose a new folder")
+    _write_whole(mark, {"digest": digest, "config": json.loads(text)})
+
+
+def _write_whole(path: Path, data: Any) -> None:
+    """Write JSON so that the file is there whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_name(path.name + ".part")
+    draft.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+    os.replace(draft, path)
+
+
+def _leaves(tree: dict[str, Any], path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, (*path, key))
+        else:
+            yield (*path, key), value
+
+
+def lookup(tree: dict[str, Any], path: tuple[str, ...]) -> Any:
+    """The value at a path, or None."""
+    found: Any = tree
+    for key in path:
+        if not isinstance(found, dict) or key not in found:
+            return None
+        found = found[key]
+    return found
+
+
+def summarise(statistics: list[dict[str, Any]]) -> dict[str, Any]:
+    """Medians over the drives of every figure, under its own names, and the 5 % and 95 % quantiles under ``spread``."""
+    paths = sorted({path for drive_ in statistics for path, _ in _leaves(drive_)})
+    tables: dict[str, Any] = {"spread": {}}
+    for path in paths:
+        values = [v for s in statistics if (v := lookup(s, path)) is not None and np.isfinite(v)]
+        if not values:
+            continue
+        middle, low, high = (float(q) for q in np.quantile(values, [0.5, 0.05, 0.95]))
+        if path[0] == "exceedance":
+            middle = float(np.mean(values))
+        for target, leaf in ((tables, middle), (tables["spread"], [low, high])):
+            for key in path[:-1]:
+                target = target.setdefault(key, {})
+            target[path[-1]] = leaf
+    tables["pl_bounds_error"] = {
+        mode: {risk: rate == 0.0 for risk, rate in kinds["published"].items()}
+        for mode, kinds in tables.get("exceedance", {}).items()
+    }
+    return tables
+
+
+def rows_against_paper(tables: dict[str, Any]) -> list[dict[str, Any]]:
+    """Each printed figure of S1 beside ours: path, paper, ours, 5-95 % over the drives, the band aimed at, whether met."""
+    return [_row(cell, tables) for cell in CELLS]
+
+
+def _row(cell: Cell, tables: dict[str, Any]) -> dict[str, Any]:
+    ours, spread = lookup(tables, cell.path), lookup(tables["spread"], cell.path)
+    return {
+        "figure": ".".join(cell.path),
+        "paper": cell.published,
+        "ours": ours,
+        "low": spread[0] if spread else None,
+        "high": spread[1] if spread else None,
+        "band": [cell.low, cell.high],
+        "met": ours is not None and cell.low <= ours <= cell.high,
+        "remark": cell.remark,
+    }
+
+
+def _record(drives: Drives, b: int, level: int) -> Record:
+    start = int(np.argmax(drives.mode[:, b] > 0))
+    pl = drives.level_m[start:, b, level].astype(float)
+    over = (pl > ALERT_LIMIT_M).any(-1)
+    return Record(
+        time_s=drives.time_s[start:],
+        mode=drives.mode[start:, b],
+        error_at_m=drives.error_m[start:, b, 0].astype(float),
+        error_ct_m=drives.error_m[start:, b, 1].astype(float),
+        pl_at_m=pl[:, 0],
+        pl_ct_m=pl[:, 1],
+        alert=over,
+        available=~over,
+    )
+
+
+def _figures(drives: Drives, out: Path) -> None:
+    """The first drive: S1 figures 3 and 4, Stanford diagrams, and a map."""
+    for risk, level in FIGURE_RISKS.items():
+        record = _record(drives, 0, level)
+        save(series_figure(record, risk=float(risk), al_at_m=ALERT_LIMIT_M, al_ct_m=ALERT_LIMIT_M), out / f"series-{risk}.png")
+        save(stanford_figure(record, ALERT_LIMIT_M, ALERT_LIMIT_M), out / f"stanford-{risk}.png")
+    save(map_figure(drives.position_en_m[:, 0].astype(float), drives.mode[:, 0], title="First drive, by mode"), out / "map.png")
