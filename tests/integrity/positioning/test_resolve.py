@@ -1,0 +1,226 @@
+"""Which ambiguities are fixed and held: right integers, the promised risk, and nothing held after a refusal."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import poisson
+
+from lanebound.integrity.positioning.rtk_kernel import (
+    FIXED,
+    NOT_CONVERGED,
+    RATIO_FAILED,
+    TOO_FEW,
+    drop_small_systems,
+    held_risk,
+    resolve,
+)
+from lanebound.integrity.sky.systems import WAVELENGTH_M
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+WAVES = np.ascontiguousarray(WAVELENGTH_M[:, :2])
+SYSTEM = np.array([0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 3, 3, 3])
+N_SAT = len(SYSTEM)
+
+
+@dataclass
+class _Problem:
+    """Single differences of one epoch, what is held, and the true integers."""
+
+    los: Array
+    code: Array
+    phase: Array
+    variance_code: Array
+    variance_phase: Array
+    true: Array
+    held: Bools
+    integers: Array
+    fix_id: NDArray[np.int64]
+    fix_risk: Array
+    system: NDArray[np.int64]
+
+    def resolve(
+        self, *, candidate: Bools | None = None, bands: int = 2, limit: float = 1e-3, ratio: float = 1.0,
+        most: int = 16, least: int = 5, further: int = 3, fix: int = 7,
+    ) -> int:  # fmt: skip
+        """Run the kernel on everything that is not held; state is changed in place."""
+        wanted = ~self.held if candidate is None else candidate
+        return int(
+            resolve(
+                self.los, self.system, np.ones(len(self.system), dtype=np.bool_), wanted, self.held, self.code,
+                self.phase, self.variance_code, self.variance_phase, bands, WAVES, self.integers, self.fix_id,
+                self.fix_risk, fix, limit, ratio, most, least, further,
+            )
+        )  # fmt: skip
+
+    def wrong(self, bands: int = 2) -> bool:
+        """Whether held integers differ from the true ones by more than one offset for each system and band."""
+        off = (self.integers - self.true)[:, :bands]
+        return any(
+            np.ptp(off[self.held & (self.system == c)], axis=0).any()
+            for c in np.unique(self.system[self.held])
+        )  # fmt: skip
+
+    def hold_true(self, rows: list[int], risk: float, fix: int = 1) -> None:
+        """Hold satellites with their true integers, as an earlier fix would."""
+        self.held[rows], self.fix_id[rows], self.fix_risk[rows] = True, fix, risk
+        self.integers[rows] = self.true[rows]
+
+
+def _problem(seed: int, noise: float = 1.0, sigma_code: float = 0.3, system: NDArray[np.int64] = SYSTEM) -> _Problem:
+    rng, n = np.random.default_rng(seed), len(system)
+    azimuth, elevation = rng.uniform(0.0, 2.0 * math.pi, n), rng.uniform(0.25, 1.5, n)
+    c = np.cos(elevation)
+    los = np.column_stack([c * np.sin(azimuth), c * np.cos(azimuth), np.sin(elevation)])
+    factor = 0.5 * (1.0 + 1.0 / np.sin(elevation) ** 2)
+    variance_code, variance_phase = sigma_code**2 * factor, 0.0042**2 * factor
+    true = np.round(rng.uniform(-1e4, 1e4, (n, 2)))
+    clocks = 50.0 * rng.standard_normal((2, 5, 2))
+    geometric = -(los @ rng.uniform(-500.0, 500.0, 3))[:, None]
+    error = noise * rng.standard_normal((2, n, 2))
+    code = geometric + clocks[0, system] + error[0] * np.sqrt(variance_code)[:, None]
+    phase = geometric + clocks[1, system] + error[1] * np.sqrt(variance_phase)[:, None] + WAVES[system] * true
+    nothing = np.zeros(n, dtype=np.bool_)
+    ids = np.zeros(n, dtype=np.int64)
+    return _Problem(
+        los, code, phase, variance_code, variance_phase, true, nothing, np.zeros((n, 2)), ids, np.zeros(n), system
+    )
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("bands", [1, 2])
+def test_without_noise_all_integers_come_back(seed: int, bands: int) -> None:
+    p = _problem(seed, noise=0.0, sigma_code=0.05)
+    assert p.resolve(bands=bands, limit=0.1, ratio=2.0) == FIXED
+    assert p.held.sum() >= 5
+    assert not p.wrong(bands)
+    np.testing.assert_array_equal(p.fix_id[p.held], 7)
+    assert not p.integers[~p.held].any()
+
+
+def test_with_a_generous_limit_every_satellite_is_held_the_references_with_zero() -> None:
+    p = _problem(3, sigma_code=0.05)
+    assert p.resolve(limit=0.2) == FIXED
+    assert p.held.all()
+    for c in np.unique(SYSTEM):
+        members = np.flatnonzero(p.system == c)
+        first = members[np.argmin(p.variance_phase[members])]
+        np.testing.assert_array_equal(p.integers[first], 0.0)
+
+
+def test_wrong_fixes_stay_within_the_stated_risk() -> None:
+    """2000 fixes on one band, each with its stated risk: the wrong ones are Poisson at most (once in 1000 seeds)."""
+    stated, wrong, fixes = 0.0, 0, 0
+    for seed in range(2000):
+        p = _problem(10_000 + seed, sigma_code=0.6)
+        if p.resolve(limit=0.05, bands=1) == FIXED:
+            fixes, wrong = fixes + 1, wrong + p.wrong(bands=1)
+            rate = held_risk(p.held, p.fix_id, p.fix_risk)
+            assert 0.0 <= rate <= 0.05
+            stated += rate
+    assert fixes > 1000
+    assert wrong <= poisson.ppf(0.999, stated)
+    assert stated > 10.0  # many fixes were risky: otherwise the test would show nothing
+    assert wrong > 0
+
+
+def test_the_ratio_test_refuses_what_fits_no_integers_well() -> None:
+    p = _problem(2, sigma_code=0.05)
+    p.phase += 0.3 * np.random.default_rng(1).standard_normal(p.phase.shape)
+    assert p.resolve(limit=0.2, ratio=2.0) == RATIO_FAILED
+    _assert_nothing_held(p)
+
+
+def _assert_nothing_held(p: _Problem) -> None:
+    assert not p.held.any()
+    assert not p.integers.any()
+    assert not p.fix_id.any()
+    assert not p.fix_risk.any()
+
+
+def test_a_refusal_holds_nothing() -> None:
+    loose = _problem(5, sigma_code=30.0)
+    assert loose.resolve(limit=1e-9) == NOT_CONVERGED
+    few = _problem(5)
+    assert few.resolve(candidate=np.arange(N_SAT) < 3) in (TOO_FEW, NOT_CONVERGED)
+    none = _problem(5)
+    assert none.resolve(candidate=np.zeros(N_SAT, dtype=np.bool_)) == NOT_CONVERGED
+    for p in (loose, few, none):
+        _assert_nothing_held(p)
+
+
+def test_a_singular_geometry_is_too_few() -> None:
+    p = _problem(4, system=np.array([0, 0, 0]))
+    assert p.resolve() == TOO_FEW
+    _assert_nothing_held(p)
+
+
+def test_a_fix_smaller_than_a_position_needs_is_not_held() -> None:
+    p = _problem(6, noise=0.0, sigma_code=0.05)
+    four = np.isin(np.arange(N_SAT), [0, 1, 2, 3])
+    assert p.resolve(candidate=four, limit=0.5) == TOO_FEW
+    _assert_nothing_held(p)
+    assert p.resolve(candidate=four, limit=0.5, least=4) == FIXED
+    np.testing.assert_array_equal(np.flatnonzero(p.held), [0, 1, 2, 3])
+
+
+def test_systems_that_would_stay_small_are_not_held() -> None:
+    p = _problem(6, noise=0.0, sigma_code=0.05)
+    wanted = np.isin(np.arange(N_SAT), [0, 1, 2, 3, 4, 6, 7])
+    assert p.resolve(candidate=wanted, limit=0.5) == FIXED
+    np.testing.assert_array_equal(np.flatnonzero(p.held), [0, 1, 2, 3, 4])
+
+
+def test_newcomers_join_what_is_held_and_leave_it_untouched() -> None:
+    p = _problem(9)
+    old = [0, 1, 2, 3, 4, 6, 7, 8]
+    p.hold_true(old, risk=1e-7)
+    kept = p.integers[old].copy()
+    assert p.resolve(candidate=np.isin(np.arange(N_SAT), [5, 9]), limit=1e-3, fix=2) == FIXED
+    np.testing.assert_array_equal(np.flatnonzero(p.held), [*old[:5], 5, *old[5:], 9])
+    np.testing.assert_array_equal(p.integers[old], kept)
+    np.testing.assert_array_equal(p.integers[[5, 9]], p.true[[5, 9]])
+    np.testing.assert_array_equal(p.fix_id[[5, 9]], 2)
+    np.testing.assert_array_equal(p.fix_id[old], 1)
+
+
+def test_risk_that_is_spent_cannot_be_spent_again() -> None:
+    p = _problem(9)
+    p.hold_true([0, 1, 2, 3, 4], risk=2e-3)
+    before = p.integers.copy()
+    assert p.resolve(limit=1e-3, fix=2) == NOT_CONVERGED
+    np.testing.assert_array_equal(np.flatnonzero(p.held), [0, 1, 2, 3, 4])
+    np.testing.assert_array_equal(p.integers, before)
+
+
+def test_no_more_candidates_are_searched_than_allowed() -> None:
+    p = _problem(3, noise=0.0, sigma_code=0.05, system=np.zeros(N_SAT, dtype=np.int64))
+    assert p.resolve(limit=0.5, most=6) == FIXED
+    np.testing.assert_array_equal(np.flatnonzero(p.held), np.sort(np.argsort(p.variance_phase)[:6]))
+
+
+def test_a_single_band_leaves_the_second_integers_at_zero() -> None:
+    p = _problem(1, noise=0.0, sigma_code=0.02)
+    assert p.resolve(bands=1, limit=0.5) == FIXED
+    assert not p.integers[:, 1].any()
+    assert p.integers[:, 0].any()
+
+
+def test_the_risk_of_what_is_held_is_the_union_over_its_fixes() -> None:
+    fix, risk = np.array([1, 1, 2, 3]), np.array([1e-4, 1e-4, 2e-4, 5e-4])
+    everything = np.ones(4, dtype=np.bool_)
+    assert held_risk(everything, fix, risk) == pytest.approx(8e-4)
+    assert held_risk(np.array([False, True, True, False]), fix, risk) == pytest.approx(3e-4)
+    assert held_risk(~everything, fix, risk) == 0.0
+
+
+def test_small_systems_are_left_out_in_place() -> None:
+    member = np.ones(N_SAT, dtype=np.bool_)
+    assert drop_small_systems(member, SYSTEM, 4) == (10, 2)
+    np.testing.assert_array_equal(member, SYSTEM != 3)
+    assert drop_small_systems(member, SYSTEM, 7) == (0, 0)
