@@ -29,7 +29,9 @@ class DriveConfig(Config):
     """How the scripted drivers behave."""
 
     speed_limit_mps: float = Field(13.9, gt=0, description="speed limit [m/s]; 50 km/h, Tokyo city streets")
-    acceleration_mps2: float = Field(1.5, gt=0, description="comfortable acceleration [m/s^2]; ISO 15622 allows up to 2")
+    acceleration_mps2: float = Field(
+        1.5, gt=0, description="comfortable acceleration [m/s^2]; ISO 15622 allows up to 2"
+    )
     braking_mps2: float = Field(2.0, gt=0, description="comfortable braking [m/s^2]; ISO 15622 allows up to 3.5")
     lateral_mps2: float = Field(2.0, gt=0, description="lateral acceleration that limits the speed in curves [m/s^2]")
     light_spacing_m: float = Field(250.0, gt=20, description="distance between traffic lights [m]; city blocks")
@@ -80,8 +82,8 @@ class CityDrive:
     def _curve_limits(self) -> Array:
         """Speed limit at each grid point: the legal one, or what the curve ahead allows with comfortable braking."""
         step = 2.0
-        _, heading = self.road.pose_at(self._grid_m, np.zeros_like(self._grid_m))
-        curvature = np.abs(wrap_angle(np.roll(heading, -1) - heading)) / step
+        heading, further = (self.road.pose_at(self._grid_m + shift)[1] for shift in (0.0, step))
+        curvature = np.abs(wrap_angle(further - heading)) / step
         limit = np.minimum(self.config.speed_limit_mps, np.sqrt(self.config.lateral_mps2 / np.maximum(curvature, 1e-6)))
         limit = np.maximum(limit, 3.0)
         for _ in range(2):  # twice, so that a closed road's end sees its beginning
@@ -127,7 +129,9 @@ class CityDrive:
         u = streams.uniform("traffic", 2)
         to_light = state.light * c.light_spacing_m - state.arc_m
         allowed = self._allowed_speed(state, to_light)
-        speed = np.clip(allowed, state.speed_mps - 2.0 * c.braking_mps2 * dt, state.speed_mps + c.acceleration_mps2 * dt)
+        speed = np.clip(
+            allowed, state.speed_mps - 2.0 * c.braking_mps2 * dt, state.speed_mps + c.acceleration_mps2 * dt
+        )
         speed = np.where(speed < 0.05, np.where(allowed < 0.05, 0.0, speed), speed)
         stretch = np.interp(self.road.wrap_arc(state.arc_m), self._grid_m, self._stretch)
         arc = state.arc_m + 0.5 * (speed + state.speed_mps) * dt / stretch
@@ -151,8 +155,8 @@ class CityDrive:
         return truth
 
     def _allowed_speed(self, state: DriveState, to_light: Array) -> Array:
-        """Speed that still allows to stop for a red light, or for the end of an open road, within comfortable braking."""
-        cell = (state.arc_m / 2.0).astype(np.int64) % len(self._grid_m)
+        """Speed that still allows to stop for a red light, or at the end of an open road, with comfortable braking."""
+        cell = np.minimum(self.road.wrap_arc(state.arc_m) / 2.0, len(self._grid_m) - 1).astype(np.int64)
         gap = np.where(state.red, to_light - 1.0, np.inf)
         if not self.road.closed:
             gap = np.minimum(gap, self.road.length_m - 1.0 - state.arc_m)

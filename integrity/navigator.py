@@ -1,4 +1,4 @@
-"""The corridor: one epoch of a batch of vehicles through sky, sensors, positioning and monitoring, from truth to belief.
+"""The corridor: an epoch of a batch of vehicles through sky, sensors, positioning and monitoring, truth to belief.
 
 >>> from lanebound.integrity.navigator import Navigator, NavigatorConfig
 >>> navigator = Navigator.nominal(NavigatorConfig(), seeds=[1, 2, 3], duration_s=60.0)   # three vehicles, open sky
@@ -30,7 +30,6 @@ from lanebound.integrity.positioning.config import PositioningConfig
 from lanebound.integrity.sensors import corrections as links
 from lanebound.integrity.sensors import gnss as receiver
 from lanebound.integrity.sensors.corrections import CorrectionsConfig, CorrectionsState
-from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.faults import FaultSchedule
 from lanebound.integrity.sensors.gnss import GnssConfig, GnssEpoch, GnssState
 from lanebound.integrity.sensors.imu import ImuConfig, ImuSample, ImuState, initial_imu, sample_imu
@@ -90,7 +89,9 @@ class NavigatorConfig(Config):
     fde: FdeConfig = FdeConfig()
     risk: RiskConfig = RiskConfig()
     form: Form = Field(Form.ROOT, description="form of the operative RTK protection level")
-    more_levels: tuple[PlCase, ...] = Field((), description="further protection levels to report beside the operative one")
+    more_levels: tuple[PlCase, ...] = Field(
+        (), description="further protection levels to report beside the operative one"
+    )
     alert: AlertConfig = AlertConfig()
 
     @property
@@ -116,8 +117,8 @@ class NavigatorState:
     """Everything that lasts from epoch to epoch: the instruments' own state, and the belief's.
 
     ``belief`` (B, NX) and ``growth`` (B, NP) are the flat columns of :mod:`.navigator_kernel` and
-    :mod:`.monitoring.dead_reckoning_pl_kernel`; ``held`` (B, S), ``integers`` (B, S, 2), ``fix_id`` and ``fix_risk`` (B, S) are
-    the ambiguities held.
+    :mod:`.monitoring.dead_reckoning_pl_kernel`; ``held`` (B, S), ``integers`` (B, S, 2), ``fix_id`` and ``fix_risk``
+    (B, S) are the ambiguities held.
     """
 
     streams: Streams
@@ -207,7 +208,7 @@ class Navigator:
         return self.state.streams.batch
 
     def align(self, heading_rad: Array, sigma_rad: float) -> None:
-        """Give the vehicles a prior heading, (B,) azimuth and its 1-sigma, as from a compass or the last drive's end."""
+        """Give the vehicles a prior heading, (B,) azimuth and its 1-sigma, as from a compass or the last drive."""
         self.state.belief[:, nk.HEADING] = heading_rad
         self.state.belief[:, nk.P_HH] = sigma_rad**2
 
@@ -255,7 +256,8 @@ class Navigator:
         parallel = use_parallel(self.batch)
         run, first = (nk.run_parallel, numba.get_num_threads()) if parallel else (nk.run_some, 0)
         run(
-            first, self.batch, m.sky.los_enu, m.sky.system, m.sky.elevation_rad, m.sky.index, g.tracked, g.cn0_dbhz, g.code_m, g.phase_m,
+            first, self.batch, m.sky.los_enu, m.sky.system, m.sky.elevation_rad, m.sky.index, g.tracked, g.cn0_dbhz,
+            g.code_m, g.phase_m,
             g.range_rate_mps, g.lock_lost, g.corrections_age_s, m.imu.delta_theta_rad[:, 2], m.odometer.speed_mps,
             t.par, t.mode_limits, t.heading_limits, t.wavelength, t.fixable, t.chi2, t.normal, t.fde, t.risks, t.shares,
             t.spent, t.priors, t.k_fa, t.k_published, t.k_dead, t.published, t.operative_published, t.alert_limits,
@@ -326,8 +328,8 @@ class _Tables:
         thresholds = c.fde.tables(n_sat)
         modes = np.arange(n_sat + 10)
         risks = np.zeros((3, len(cases)))
-        for r, case in enumerate(cases):
-            risks[case.row, r] = case.integrity_risk
+        for i, case in enumerate(cases):
+            risks[case.row, i] = case.integrity_risk
         published = np.array([case.variant is Variant.PUBLISHED for case in cases])
         total = np.array([case.integrity_risk for case in cases])
         budgets = c.risk.axis_budgets(total, c.risk.unmonitored_risk)
@@ -344,7 +346,16 @@ class _Tables:
             fde=np.array([float(c.fde.global_first), float(c.fde.max_excluded), float(c.fde.min_redundancy)]),
             risks=risks,
             shares=np.array(
-                [r.monitors_constellations, r.at_share, r.fault_free_share, r.subtract_multiple, r.spend_unsolvable], float
+                [
+                    float(share)
+                    for share in (
+                        r.monitors_constellations,
+                        r.at_share,
+                        r.fault_free_share,
+                        r.subtract_multiple,
+                        r.spend_unsolvable,
+                    )
+                ]
             ),
             spent=r.unmonitored_risk,
             priors=np.stack(r.priors()),

@@ -80,10 +80,39 @@ INITIALISING_CAUSE = 7  # the code of AlertReason.INITIALISING
 
 # declared figures
 (
-    DT, BANDS, SIN_MASK, CN0_MIN, CN0_KNEE, SIGMA_CODE, SIGMA_PHASE, PHASE_BIAS, REFERENCE_BIAS, AGE_BIAS, MAX_AGE,
-    FIX_LIMIT, RATIO_MIN, MAX_CANDIDATES, MIN_SATELLITES, MIN_FURTHER, HOLD_FAILURES,
-    DOP_SIGMA, DOP_TAU, DOP_BIAS, DOP_SIN_MASK, DOP_CN0_MIN,
-    ARW, BIAS_WALK, ODO_SIGMA, ODO_TAU, ODO_BIAS, HEADING_BIAS, HEADING_DRIFT, LEVER_FORWARD, LEVER_RIGHT, SIGMA_PHASE_PL, CONFIRM,
+    DT,
+    BANDS,
+    SIN_MASK,
+    CN0_MIN,
+    CN0_KNEE,
+    SIGMA_CODE,
+    SIGMA_PHASE,
+    PHASE_BIAS,
+    REFERENCE_BIAS,
+    AGE_BIAS,
+    MAX_AGE,
+    FIX_LIMIT,
+    RATIO_MIN,
+    MAX_CANDIDATES,
+    MIN_SATELLITES,
+    MIN_FURTHER,
+    HOLD_FAILURES,
+    DOP_SIGMA,
+    DOP_TAU,
+    DOP_BIAS,
+    DOP_SIN_MASK,
+    DOP_CN0_MIN,
+    ARW,
+    BIAS_WALK,
+    ODO_SIGMA,
+    ODO_TAU,
+    ODO_BIAS,
+    HEADING_BIAS,
+    HEADING_DRIFT,
+    LEVER_FORWARD,
+    LEVER_RIGHT,
+    SIGMA_PHASE_PL,
+    CONFIRM,
 ) = range(33)
 NP = 33
 
@@ -92,8 +121,8 @@ NP = 33
 def weigh(elevation, tracked, cn0, sin_mask, cn0_min, cn0_knee, factor, used):  # type: ignore[no-untyped-def]
     """Variance factor ``(1 + 1/sin^2 el)/2 * (1 + 10^((knee - C/N0)/10))`` and who is used, for S satellites.
 
-    The elevation part is RTKLIB's ``a^2 + (a/sin el)^2`` scaled to 1 at the zenith; the C/N0 part doubles the variance at
-    the knee (sigma-epsilon model of Hartinger and Brunner 1999).
+    The elevation part is RTKLIB's ``a^2 + (a/sin el)^2`` scaled to 1 at the zenith; the C/N0 part doubles the
+    variance at the knee (sigma-epsilon model of Hartinger and Brunner 1999).
     """
     for s in range(elevation.shape[0]):
         sine = math.sin(elevation[s])
@@ -113,7 +142,9 @@ def attitude(x, par, delta_theta, v_ss):  # type: ignore[no-untyped-def]
     p = x[P_HH : P_BB + 1]
     before = x[HEADING]
     if x[REST_S] > 0.5:
-        _, x[GYRO_BIAS] = correct(before, x[GYRO_BIAS], p, delta_theta / dt - x[GYRO_BIAS], 0.0, 1.0, par[ARW] ** 2 / dt)
+        _, x[GYRO_BIAS] = correct(
+            before, x[GYRO_BIAS], p, delta_theta / dt - x[GYRO_BIAS], 0.0, 1.0, par[ARW] ** 2 / dt
+        )
         return before
     x[HEADING] = predict_heading(before, x[GYRO_BIAS], p, delta_theta, dt, par[ARW], par[BIAS_WALK])
     return wrap(before + 0.5 * wrap(x[HEADING] - before))
@@ -170,15 +201,43 @@ def velocity(e, elevation, tracked, cn0, range_rate, par, chi2, normal, fde, dri
 
 @jit
 def rtk(  # type: ignore[no-untyped-def]
-    e, system, elevation, tracked, cn0, code, phase, lock_lost, age, sin_h, cos_h, par, wavelength, fixable,
-    chi2, normal, fde, held, integers, fix_id, fix_risk, x, geo, head, rows, rows_e, rows_group, rows_of,
+    e,
+    system,
+    elevation,
+    tracked,
+    cn0,
+    code,
+    phase,
+    lock_lost,
+    age,
+    sin_h,
+    cos_h,
+    par,
+    wavelength,
+    fixable,
+    chi2,
+    normal,
+    fde,
+    held,
+    integers,
+    fix_id,
+    fix_risk,
+    x,
+    geo,
+    head,
+    rows,
+    rows_e,
+    rows_group,
+    rows_of,
 ):
     """One epoch of RTK: keep lock, resolve what is not held, solve with the held phases, test and exclude.
 
-    The fixed position takes the phases alone: the code's share of the weight is the inverse square of the code/phase ratio,
+    The fixed position takes the phases alone: the code's share of the weight is the inverse square of the code/phase
+    ratio,
     1/5000, and would only bring in its multipath. On success ``geo`` and ``head`` hold the fault-free solution of the
     satellites in use, and ``rows`` (4, S) their variance for
-    integrity, bias bound, measurement and variance for accuracy. Both variances are proportional, so the position is the same.
+    integrity, bias bound, measurement and variance for accuracy. Both variances are proportional, so the position is
+    the same.
 
     Returns the status, satellites in the solution, excluded, and HDOP.
     """
@@ -239,8 +298,24 @@ def _count(mask):  # type: ignore[no-untyped-def]
 
 @jit
 def _resolve_now(  # type: ignore[no-untyped-def]
-    e, system, used, candidate, held, code, phase, factor, variance_phase, par, wavelength,
-    chi2, normal, fde, integers, fix_id, fix_risk, x,
+    e,
+    system,
+    used,
+    candidate,
+    held,
+    code,
+    phase,
+    factor,
+    variance_phase,
+    par,
+    wavelength,
+    chi2,
+    normal,
+    fde,
+    integers,
+    fix_id,
+    fix_risk,
+    x,
 ):
     """Check the code by its own residuals, then fix what the risk allows."""
     n_sat, bands = e.shape[0], int(par[BANDS])
@@ -255,9 +330,26 @@ def _resolve_now(  # type: ignore[no-untyped-def]
         return NOT_CONVERGED
     x[FIXES] += 1.0
     return resolve(
-        e, system, sound, candidate, held, code, phase, variance_code, variance_phase, bands, wavelength,
-        integers, fix_id, fix_risk, int(x[FIXES]), par[FIX_LIMIT], par[RATIO_MIN], int(par[MAX_CANDIDATES]),
-        int(par[MIN_SATELLITES]), int(par[MIN_FURTHER]),
+        e,
+        system,
+        sound,
+        candidate,
+        held,
+        code,
+        phase,
+        variance_code,
+        variance_phase,
+        bands,
+        wavelength,
+        integers,
+        fix_id,
+        fix_risk,
+        int(x[FIXES]),
+        par[FIX_LIMIT],
+        par[RATIO_MIN],
+        int(par[MAX_CANDIDATES]),
+        int(par[MIN_SATELLITES]),
+        int(par[MIN_FURTHER]),
     )
 
 
@@ -271,16 +363,38 @@ def standstill(x, dt, v_ss, solved, v_gnss):  # type: ignore[no-untyped-def]
 
 @jit
 def levels_rtk(  # type: ignore[no-untyped-def]
-    n, rows, rows_group, sin_h, cos_h, risks, shares, spent, priors, k_fa, k_published, reference_bias, geo, head, mode, pl
+    n,
+    rows,
+    rows_group,
+    sin_h,
+    cos_h,
+    risks,
+    shares,
+    spent,
+    priors,
+    k_fa,
+    k_published,
+    reference_bias,
+    geo,
+    head,
+    mode,
+    pl,
 ):
     """Protection levels of the fixed position: cases of the root, of the closed form, and of the published form.
 
-    risks (3, R) holds the risk of each case in the row of its form, 0 elsewhere; ``reference_bias`` [m] bounds the common shift
+    risks (3, R) holds the risk of each case in the row of its form, 0 elsewhere; ``reference_bias`` [m] bounds the
+    common shift
     of a wrong reference, which every mode shares. Published: ``b_E = b_N`` of that length, so ``B = b / sqrt 2``.
     """
     count_cases = risks.shape[1]
     one, budget, found = np.empty(1), np.empty((1, 2)), np.empty((1, 2))
-    constellations, split, share0, multiple, tolerate = shares[0] > 0.0, shares[1], shares[2], shares[3] > 0.0, shares[4] > 0.0
+    constellations, split, share0, multiple, tolerate = (
+        shares[0] > 0.0,
+        shares[1],
+        shares[2],
+        shares[3] > 0.0,
+        shares[4] > 0.0,
+    )
     n_modes = 0
     for form in range(3):
         filled = False
@@ -288,7 +402,9 @@ def levels_rtk(  # type: ignore[no-untyped-def]
             if risks[form, r] <= 0.0:
                 continue
             if not filled:
-                n_modes = modes(rows_group, rows[0], rows[3], n, sin_h, cos_h, constellations, form == 2, geo, head, mode)
+                n_modes = modes(
+                    rows_group, rows[0], rows[3], n, sin_h, cos_h, constellations, form == 2, geo, head, mode
+                )
                 set_priors(rows_group, n, n_modes, priors[0], priors[1], head, mode)
                 filled = True
             if form == 2:
@@ -311,8 +427,8 @@ def levels_rtk(  # type: ignore[no-untyped-def]
 def levels_dead_reckoning(growth, sin_h, cos_h, k_dead, published, shift, pl):  # type: ignore[no-untyped-def]
     """``PL_q = K_md sigma_q + B_q`` (S1 eq 18-19) of every case: k_dead (R, 2), published (R,) bool.
 
-    ``shift`` bounds the horizontal length of the error that the reference gave to the last RTK position: exact, that much on each
-    axis; published, equal components on E and N.
+    ``shift`` bounds the horizontal length of the error that the reference gave to the last RTK position: exact, that
+    much on each axis; published, equal components on E and N.
     """
     for r in range(k_dead.shape[0]):
         levels(sin_h, cos_h, k_dead[r : r + 1], published[r], growth, pl[r : r + 1])
@@ -325,9 +441,10 @@ def levels_dead_reckoning(growth, sin_h, cos_h, k_dead, published, shift, pl):  
 def restart(growth, level, k_dead, shift, published, heading_variance, head, sin_h, cos_h):  # type: ignore[no-untyped-def]
     """Start dead reckoning anew from the RTK position just found.
 
-    Its initial error must keep what the protection level promised, faults included: the standard deviation of each track axis
-    is the one that gives the operative ``level`` (2,) back, ``(PL - shift) / K``. The published form starts from the fault-free
-    covariance, as S1 does.
+    Its initial error must keep what the protection level promised, faults included: the standard deviation of each
+    track axis
+    is the one that gives the operative ``level`` (2,) back, ``(PL - shift) / K``. The published form starts from the
+    fault-free covariance, as S1 does.
     """
     ee, en, nn = head[P_EE], head[P_EN], head[P_NN]
     if not published and level[0] < math.inf and level[1] < math.inf:
@@ -363,10 +480,12 @@ def advance(x, growth, par, mode, v_e, v_n, q, v_ss, middle, carry, resting):  #
 
 @jit
 def _epoch(  # type: ignore[no-untyped-def]
-    e, system, elevation, tracked, cn0, code, phase, range_rate, lock_lost, age, delta_theta, v_ss,
+    e, system, elevation, tracked, cn0, code, phase, range_rate, lock_lost, age,
+    delta_theta, v_ss,
     par, mode_limits, heading_limits, wavelength, fixable, chi2, normal, fde, risks, shares, spent, priors, k_fa,
     k_published, k_dead, published, operative_published, alert_limits, drift_group,
-    x, growth, held, integers, fix_id, fix_risk, v, alert, reason, onset, clear, geo, head, columns, rows, rows_e, rows_group,
+    x, growth, held, integers, fix_id, fix_risk, v, alert, reason, onset, clear, geo, head, columns, rows, rows_e,
+    rows_group,
     rows_of, out, pl,
 ):  # fmt: skip
     """The whole epoch of vehicle v; x, growth, held, integers, fix_id, fix_risk and the alert arrays are its state."""
@@ -427,7 +546,9 @@ def _epoch(  # type: ignore[no-untyped-def]
     if mode == RTK:
         sigma_at, sigma_ct = head[SIGMA0_AT], head[SIGMA0_CT]
     cause = INITIALISING_CAUSE if mode == NONE else 0
-    available = alert_step(v, cause, pl[0, 0], pl[0, 1], sigma_at, sigma_ct, dt, alert_limits, alert, reason, onset, clear)
+    available = alert_step(
+        v, cause, pl[0, 0], pl[0, 1], sigma_at, sigma_ct, dt, alert_limits, alert, reason, onset, clear
+    )
     out[O_MODE], out[O_RTK], out[O_AVAILABLE] = mode, status, available
     out[O_SIGMA_AT], out[O_SIGMA_CT] = sigma_at, sigma_ct
     out[O_HDOP] = hdop_rtk if mode == RTK else hdop_doppler
@@ -437,7 +558,8 @@ def _epoch(  # type: ignore[no-untyped-def]
 
 @jit
 def run_some(  # type: ignore[no-untyped-def]
-    first, last, los, system, elevation, index, tracked, cn0, code, phase, range_rate, lock_lost, age, delta_theta, v_ss,
+    first, last, los, system, elevation, index, tracked, cn0, code, phase, range_rate, lock_lost, age,
+    delta_theta, v_ss,
     par, mode_limits, heading_limits, wavelength, fixable, chi2, normal, fde, risks, shares, spent, priors, k_fa,
     k_published, k_dead, published, operative_published, alert_limits, drift_group,
     x, growth, held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl,
@@ -459,7 +581,8 @@ def run_some(  # type: ignore[no-untyped-def]
 
 @jit(parallel=True)
 def run_parallel(  # type: ignore[no-untyped-def]
-    chunks, last, los, system, elevation, index, tracked, cn0, code, phase, range_rate, lock_lost, age, delta_theta, v_ss,
+    chunks, last, los, system, elevation, index, tracked, cn0, code, phase, range_rate, lock_lost, age,
+    delta_theta, v_ss,
     par, mode_limits, heading_limits, wavelength, fixable, chi2, normal, fde, risks, shares, spent, priors, k_fa,
     k_published, k_dead, published, operative_published, alert_limits, drift_group,
     x, growth, held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl,
@@ -467,8 +590,10 @@ def run_parallel(  # type: ignore[no-untyped-def]
     """:func:`run_some` for all ``last`` vehicles, in ``chunks`` runs side by side."""
     for chunk in prange(chunks):
         run_some(
-            chunk * last // chunks, (chunk + 1) * last // chunks, los, system, elevation, index, tracked, cn0, code, phase,
-            range_rate, lock_lost, age, delta_theta, v_ss, par, mode_limits, heading_limits, wavelength, fixable, chi2,
+            chunk * last // chunks, (chunk + 1) * last // chunks, los, system, elevation, index, tracked, cn0,
+            code, phase, range_rate, lock_lost, age, delta_theta, v_ss, par, mode_limits, heading_limits, wavelength,
+            fixable, chi2,
             normal, fde, risks, shares, spent, priors, k_fa, k_published, k_dead, published, operative_published,
-            alert_limits, drift_group, x, growth, held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl,
+            alert_limits, drift_group, x, growth, held, integers, fix_id, fix_risk, alert, reason, onset, clear, out,
+            pl,
         )  # fmt: skip

@@ -19,11 +19,14 @@ def _reproduce() -> None:
 
 @app.command("urban-drive")
 def urban_drive(
-    out: Annotated[Path, typer.Option(help="Folder for tables.json and the figures; an interrupted run goes on there.")],
+    out: Annotated[
+        Path, typer.Option(help="Folder for tables.json and the figures; an interrupted run goes on there.")
+    ],
     seeds: Annotated[int | None, typer.Option(min=1, help="Number of drives; the study has 100.")] = None,
     minutes: Annotated[float | None, typer.Option(min=1.0, help="Length of a drive; the study has 26.")] = None,
     assignments: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a value of the study; may be repeated.")
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Change a value of the study; may be repeated."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
@@ -78,7 +81,11 @@ def _print(rows: list[dict[str, Any]], tables: dict[str, Any], out: Path) -> Non
     print_table(
         "Share of epochs whose error exceeds the protection level on either axis",
         ("mode", "form", "1e-3", "1e-4", "1e-5", "1e-6"),
-        ((mode, form, *(f"{rate:.1e}" for rate in by_risk.values())) for mode, forms in rates.items() for form, by_risk in forms.items()),
+        (
+            (mode, form, *(f"{rate:.1e}" for rate in by_risk.values()))
+            for mode, forms in rates.items()
+            for form, by_risk in forms.items()
+        ),
     )
     met = sum(row["met"] for row in rows)
     typer.echo(f"{met} of {len(rows)} printed figures inside the band aimed at; RTK within 1 m at 1e-6 for "

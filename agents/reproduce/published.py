@@ -54,7 +54,9 @@ def _cells() -> list[Cell]:
     for mode in MODES:
         tolerance = 0.6 if mode == "imu_odometer" else 0.3
         for key, value in ERROR_M[mode].items():
-            remark = "printed RMSE is below the printed median over sqrt 2" if ("error", mode, key) in IMPOSSIBLE else ""
+            remark = (
+                "printed RMSE is below the printed median over sqrt 2" if ("error", mode, key) in IMPOSSIBLE else ""
+            )
             cells.append(Cell(("error", mode, key), value, value * (1 - tolerance), value * (1 + tolerance), remark))
     for mode in MODES:
         tolerance = 0.4 if mode == "imu_odometer" else 0.25

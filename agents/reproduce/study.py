@@ -10,6 +10,7 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,9 @@ ALERT_LIMIT_M = 1.0  # S1 section 5
 FIGURE_RISKS = {"1e-4": 1, "1e-6": 3}  # S1 figures 3 and 4
 
 
-def run_study(config: UrbanDriveConfig, out: Path, progress: Callable[[int, int], None] = lambda done, of: None) -> dict[str, Any]:
+def run_study(
+    config: UrbanDriveConfig, out: Path, progress: Callable[[int, int], None] = lambda done, of: None
+) -> dict[str, Any]:
     """Drive all seeds and write ``tables.json`` and the figures into ``out``; returns the tables.
 
     Parameters
@@ -50,9 +53,8 @@ def run_study(config: UrbanDriveConfig, out: Path, progress: Callable[[int, int]
     for first, seeds in _batches(config):
         part = out / "parts" / f"seeds-{seeds[0]}-{seeds[-1]}.json"
         if not part.exists():
-            drives = drive(
-                config, road, mask, seeds, lambda k, n=first, b=len(seeds): progress(n * per_drive + k * b, config.seeds * per_drive)
-            )
+            told = partial(_tell, progress, first * per_drive, len(seeds), config.seeds * per_drive)
+            drives = drive(config, road, mask, seeds, told)
             if first == 0:
                 _figures(drives, out)
             _write_whole(part, seed_statistics(drives, dt))
@@ -61,6 +63,10 @@ def run_study(config: UrbanDriveConfig, out: Path, progress: Callable[[int, int]
     tables = {"seeds": config.seeds, "minutes": config.minutes, **summarise(statistics)}
     _write_whole(out / "tables.json", tables)
     return tables
+
+
+def _tell(progress: Callable[[int, int], None], before: int, batch: int, total: int, epochs: int) -> None:
+    progress(before + batch * epochs, total)
 
 
 def _batches(config: UrbanDriveConfig) -> Iterator[tuple[int, list[int]]]:
@@ -75,7 +81,9 @@ def _claim(config: UrbanDriveConfig, out: Path) -> None:
     digest = hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
     mark = out / "config.json"
     if mark.exists() and json.loads(mark.read_text(encoding="utf-8"))["digest"] != digest:
-        raise InputError(f"out must be empty or hold the same study, got {out} with another configuration: choose a new folder")
+        raise InputError(
+            f"out must be empty or hold the same study, got {out} with another configuration: choose a new folder"
+        )
     _write_whole(mark, {"digest": digest, "config": json.loads(text)})
 
 
@@ -128,7 +136,7 @@ def summarise(statistics: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def rows_against_paper(tables: dict[str, Any]) -> list[dict[str, Any]]:
-    """Each printed figure of S1 beside ours: path, paper, ours, 5-95 % over the drives, the band aimed at, whether met."""
+    """Each printed figure of S1 beside ours: paper, ours, 5 and 95 % of the drives, the band aimed at, whether met."""
     return [_row(cell, tables) for cell in CELLS]
 
 
@@ -149,7 +157,7 @@ def _row(cell: Cell, tables: dict[str, Any]) -> dict[str, Any]:
 def _record(drives: Drives, b: int, level: int) -> Record:
     start = int(np.argmax(drives.mode[:, b] > 0))
     pl = drives.level_m[start:, b, level].astype(float)
-    over = (pl > ALERT_LIMIT_M).any(-1)
+    over = np.asarray((pl > ALERT_LIMIT_M).any(-1), dtype=np.bool_)
     return Record(
         time_s=drives.time_s[start:],
         mode=drives.mode[start:, b],
@@ -166,6 +174,12 @@ def _figures(drives: Drives, out: Path) -> None:
     """The first drive: S1 figures 3 and 4, Stanford diagrams, and a map."""
     for risk, level in FIGURE_RISKS.items():
         record = _record(drives, 0, level)
-        save(series_figure(record, risk=float(risk), al_at_m=ALERT_LIMIT_M, al_ct_m=ALERT_LIMIT_M), out / f"series-{risk}.png")
+        save(
+            series_figure(record, risk=float(risk), al_at_m=ALERT_LIMIT_M, al_ct_m=ALERT_LIMIT_M),
+            out / f"series-{risk}.png",
+        )
         save(stanford_figure(record, ALERT_LIMIT_M, ALERT_LIMIT_M), out / f"stanford-{risk}.png")
-    save(map_figure(drives.position_en_m[:, 0].astype(float), drives.mode[:, 0], title="First drive, by mode"), out / "map.png")
+    save(
+        map_figure(drives.position_en_m[:, 0].astype(float), drives.mode[:, 0], title="First drive, by mode"),
+        out / "map.png",
+    )

@@ -1,6 +1,7 @@
 """A Tokyo-like urban drive, and the tables of S1 that come out of it (sections 4 and 5, tables 2, 4 and 5).
 
-Many seeds drive the same loop for the same time: each has its own traffic lights, signals, instruments and outages. Figures are
+Many seeds drive the same loop for the same time: each has its own traffic lights, signals, instruments and outages.
+Figures are
 medians over the seeds of the statistic of one drive, with their spread: one drive alone passes or fails by luck.
 """
 
@@ -46,7 +47,9 @@ class UrbanDriveConfig(Config):
     minutes: float = Field(26.0, gt=0, description="length of one drive [min]; S1 drove about 25")
     batch: int = Field(25, ge=1, description="drives run together, and lost together by an interruption [-]")
     city_seed: int = Field(7, ge=0, description="seed of the street's buildings [-]")
-    loop_m: tuple[tuple[float, float], ...] = Field(LOOP_M, min_length=3, description="corners of the loop, East, North [m]")
+    loop_m: tuple[tuple[float, float], ...] = Field(
+        LOOP_M, min_length=3, description="corners of the loop, East, North [m]"
+    )
     lane_width_m: float = Field(3.25, gt=0, description="lane width [m]; Road Structure Order of Japan, urban roads")
     lanes: int = Field(2, ge=1, description="lanes of the carriageway [-]; S2: 2 to 3 lanes on each side")
     city: CityConfig = CityConfig()
@@ -56,13 +59,19 @@ class UrbanDriveConfig(Config):
     def road(self) -> Road:
         """The loop."""
         return Road.through(
-            np.array(self.loop_m), corner_radius_m=25.0, closed=True, lane_count=self.lanes, lane_width_m=self.lane_width_m
+            np.array(self.loop_m),
+            corner_radius_m=25.0,
+            closed=True,
+            lane_count=self.lanes,
+            lane_width_m=self.lane_width_m,
         )
 
     def with_levels(self) -> NavigatorConfig:
         """The navigator with the eight reported levels behind its operative one: four published, then four exact."""
         cases = [
-            PlCase(integrity_risk=risk, variant=variant, form=Form.CLOSED if variant is Variant.PUBLISHED else Form.ROOT)
+            PlCase(
+                integrity_risk=risk, variant=variant, form=Form.CLOSED if variant is Variant.PUBLISHED else Form.ROOT
+            )
             for variant in (Variant.PUBLISHED, Variant.EXACT)
             for risk in RISKS
         ]
@@ -113,7 +122,7 @@ def drive(
     state = car.start(traffic, spread_m=road.length_m)
     batch = len(seeds)
     out = Drives(
-        time_s=dt * np.arange(1, epochs + 1),
+        time_s=np.asarray(dt * np.arange(1, epochs + 1), dtype=np.float64),
         mode=np.zeros((epochs, batch), dtype=np.int8),
         rtk=np.zeros((epochs, batch), dtype=np.int8),
         error_m=np.zeros((epochs, batch, 2), dtype=np.float32),
@@ -170,8 +179,12 @@ def _one_drive(drives: Drives, b: int, dt_s: float) -> dict[str, Any]:
         "all_1m5": float((level[:, 2] <= 1.5).all(-1).mean()),
     }
     lengths = outage_lengths_s(rtk, dt_s)
-    found["outages"] = {"count": len(lengths), "shortest_s": float(lengths.min()) if len(lengths) else 0.0,
-                        "longest_s": float(lengths.max(initial=0.0)), "median_s": float(np.median(lengths)) if len(lengths) else 0.0}  # fmt: skip
+    found["outages"] = {
+        "count": len(lengths),
+        "shortest_s": float(lengths.min()) if len(lengths) else 0.0,
+        "longest_s": float(lengths.max(initial=0.0)),
+        "median_s": float(np.median(lengths)) if len(lengths) else 0.0,
+    }
     return found
 
 

@@ -22,14 +22,22 @@ class RtkConfig(Config):
         0.0042, gt=0, description="phase, zenith, one band [m]; RTKLIB 3 mm for each receiver, so sqrt(2) x 3 mm"
     )
     sigma_phase_integrity_m: float = Field(
-        0.0042, gt=0, description="phase of both bands, zenith, for protection levels [m]; overbounds what tails there are"
+        0.0042,
+        gt=0,
+        description="phase of both bands, zenith, for protection levels [m]; overbounds what tails there are",
     )
-    phase_bias_m: float = Field(0.005, ge=0, description="bound of a phase bias of one satellite [m]; residual multipath")
+    phase_bias_m: float = Field(
+        0.005, ge=0, description="bound of a phase bias of one satellite [m]; residual multipath"
+    )
     reference_bias_m: float = Field(
-        0.0, ge=0, description="bound of the horizontal error of the reference coordinates [m]; datum and antenna offset"
+        0.0,
+        ge=0,
+        description="bound of the horizontal error of the reference coordinates [m]; datum and antenna offset",
     )
     age_bias_mps: float = Field(
-        0.0015, ge=0, description="growth of a satellite's bias bound with the age of corrections [m/s]; 5e-12 s/s clocks"
+        0.0015,
+        ge=0,
+        description="growth of a satellite's bias bound with the age of corrections [m/s]; 5e-12 s/s clocks",
     )
     max_age_s: float = Field(30.0, gt=0, description="oldest usable corrections [s]; RTKLIB default")
     elevation_mask_deg: float = Field(10.0, ge=0, lt=90, description="lowest elevation used [deg]")
@@ -38,12 +46,16 @@ class RtkConfig(Config):
     ambiguity_risk_share: float = Field(
         0.1, gt=0, le=1, description="largest failure rate of a fix as a share of the integrity risk [-]"
     )
-    ratio_min: float = Field(2.0, ge=1, description="smallest ratio of second to best norm [-]; guards the model itself")
+    ratio_min: float = Field(
+        2.0, ge=1, description="smallest ratio of second to best norm [-]; guards the model itself"
+    )
     max_candidates: int = Field(16, ge=4, le=40, description="satellites whose ambiguities are searched at once [-]")
     min_satellites: int = Field(5, ge=4, description="satellites of a fix with one system [-]; S1 section 2")
     min_further: int = Field(3, ge=2, description="satellites that a further system must bring [-]; S1 section 2")
     confirm_s: float = Field(
-        1.0, ge=0, description="how long a regained fix must pass its tests before it is used [s]; S1: breaks of 1 s and more"
+        1.0,
+        ge=0,
+        description="how long a regained fix must pass its tests before it is used [s]; S1: breaks of 1 s and more",
     )
     hold_failures: int = Field(
         2, ge=1, description="rejected epochs in a row after which all held ambiguities are given up [-]"
@@ -63,8 +75,12 @@ class DopplerConfig(Config):
 class HeadingConfig(Config):
     """The heading filter and its calibration."""
 
-    initial_sigma_deg: float = Field(104.0, gt=0, description="heading error before the first calibration [deg]; uniform: 180 over root 3")
-    angle_random_walk_rad: float = Field(2.5e-4, gt=0, description="angle random walk [rad/sqrt(s)]; BMI088 0.014 dps/rtHz")
+    initial_sigma_deg: float = Field(
+        104.0, gt=0, description="heading error before the first calibration [deg]; uniform: 180 over root 3"
+    )
+    angle_random_walk_rad: float = Field(
+        2.5e-4, gt=0, description="angle random walk [rad/sqrt(s)]; BMI088 0.014 dps/rtHz"
+    )
     bias_initial_radps: float = Field(7e-3, gt=0, description="gyro bias at turn-on, 1 sigma [rad/s]; 0.4 deg/s MEMS")
     bias_walk_radps: float = Field(1e-6, gt=0, description="random walk of the gyro bias [rad/s/sqrt(s)]")
     min_speed_mps: float = Field(0.5, gt=0, description="odometer speed for Doppler calibration [m/s]; S1 table 1")
@@ -78,9 +94,15 @@ class DeadReckoningConfig(Config):
 
     odometer_sigma_mps: float = Field(0.05, gt=0, description="odometer speed, 1 sigma [m/s]; S1 section 4")
     odometer_tau_s: float = Field(1.0, gt=0, description="correlation time of the odometer's error [s]")
-    odometer_bias_mps: float = Field(0.01, ge=0, description="bound of a constant odometer error [m/s]; b_v of S1 eq 19")
-    heading_bias_deg: float = Field(0.2, ge=0, description="bound of the heading's error after calibration [deg]; b_theta0 of S1")
-    heading_drift_degps: float = Field(0.004, ge=0, description="growth of that bound since calibration [deg/s]; S1 section 4")
+    odometer_bias_mps: float = Field(
+        0.01, ge=0, description="bound of a constant odometer error [m/s]; b_v of S1 eq 19"
+    )
+    heading_bias_deg: float = Field(
+        0.2, ge=0, description="bound of the heading's error after calibration [deg]; b_theta0 of S1"
+    )
+    heading_drift_degps: float = Field(
+        0.004, ge=0, description="growth of that bound since calibration [deg/s]; S1 section 4"
+    )
 
 
 class ModeConfig(Config):

@@ -1,7 +1,8 @@
 """RTK with one vehicle's single differences, epoch by epoch (S1 section 3: no dynamic model), fast form.
 
 Receiver clocks are eliminated by centring: within one system and observable type, weights ``w_s`` and lines of sight
-``e_s`` give the mean ``e- = sum w e / sum w``, and the clock-free normal matrix is ``sum w (e - e-)(e - e-)'``. Code and
+``e_s`` give the mean ``e- = sum w e / sum w``, and the clock-free normal matrix is ``sum w (e - e-)(e - e-)'``. Code
+and
 phase of both bands share one variance factor ``f_s`` (as RTKLIB's constant code/phase ratio), so the observables of one
 satellite collapse into one row of weight ``sum of weights`` without loss. :mod:`.rtk` holds the dense reference.
 """
@@ -116,13 +117,30 @@ def order_by_variance(candidate, variance, limit, order):  # type: ignore[no-unt
 
 @jit
 def float_ambiguities(  # type: ignore[no-untyped-def]
-    e, system, order, count, phase, variance, bands, wavelength, x, q_x, e_base, w_base, phase_base, ambiguity, q_a, owner
+    e,
+    system,
+    order,
+    count,
+    phase,
+    variance,
+    bands,
+    wavelength,
+    x,
+    q_x,
+    e_base,
+    w_base,
+    phase_base,
+    ambiguity,
+    q_a,
+    owner,
 ):
-    """Float ambiguities of ``count`` satellites and their covariance, given the position from all rows with known ambiguity.
+    """Float ambiguities of ``count`` satellites and their covariance, given the position from all other rows.
 
     ``N = (phase - clock + (e - e_base) x) / lambda`` where the clock of a system and band comes from the mean of its
-    held satellites (``w_base`` > 0, mean line of sight ``e_base`` (8,3), mean held phase ``phase_base`` (8,2)) or, where
-    none is held, from the first of its satellites in ``order``: that one is the reference and has no unknown of its own.
+    held satellites (``w_base`` > 0, mean line of sight ``e_base`` (8,3), mean held phase ``phase_base`` (8,2)) or,
+    where
+    none is held, from the first of its satellites in ``order``: that one is the reference and has no unknown of its
+    own.
     Covariance: ``((e_u - e-) Q_x (e_v - e-) + [same system and band] (1 / w_base + delta_uv var)) / (lambda lambda')``.
     Order of the unknowns: satellite by satellite, band by band.
 
@@ -215,7 +233,7 @@ def held_risk(held, fix_id, fix_risk):  # type: ignore[no-untyped-def]
 
 @jit
 def drop_small_systems(member, system, minimum):  # type: ignore[no-untyped-def]
-    """Leave out the systems with fewer than ``minimum`` members; returns the number of satellites and of systems left."""
+    """Leave out systems with fewer than ``minimum`` members; returns the number of satellites and of systems left."""
     count = np.zeros(MAX_SYSTEMS, dtype=np.int64)
     for s in range(member.shape[0]):
         if member[s]:
@@ -233,13 +251,32 @@ def drop_small_systems(member, system, minimum):  # type: ignore[no-untyped-def]
 
 @jit
 def resolve(  # type: ignore[no-untyped-def]
-    e, system, code_used, candidate, held, code, phase, variance_code, variance_phase, bands, wavelength,
-    integers, fix_id, fix_risk, next_id, limit, ratio_min, max_candidates, min_satellites, min_further
+    e,
+    system,
+    code_used,
+    candidate,
+    held,
+    code,
+    phase,
+    variance_code,
+    variance_phase,
+    bands,
+    wavelength,
+    integers,
+    fix_id,
+    fix_risk,
+    next_id,
+    limit,
+    ratio_min,
+    max_candidates,
+    min_satellites,
+    min_further,
 ):
     """Fix the ambiguities of as many candidate satellites as the risk allows, and hold them.
 
     The float solution takes the code of ``code_used`` and the phases already held; the most precise candidates whose
-    bootstrapped failure rate stays within what is left of ``limit`` are fixed together by integer least squares and accepted
+    bootstrapped failure rate stays within what is left of ``limit`` are fixed together by integer least squares and
+    accepted
     by the ratio test. A fix that would leave fewer than ``min_satellites`` (systems with fewer than ``min_further``
     not counted) is not held. variance_code, variance_phase (S,) are those of one band [m^2].
 
@@ -262,8 +299,22 @@ def resolve(  # type: ignore[no-untyped-def]
     c_max = max(bands * count, 8)
     a_hat, q_a, owner = np.empty(c_max), np.empty((c_max, c_max)), np.empty(c_max, dtype=np.int64)
     n = float_ambiguities(
-        e, system, order, count, phase, variance_phase, bands, wavelength, x, q_x, e_base, w_base, phase_base,
-        a_hat, q_a, owner,
+        e,
+        system,
+        order,
+        count,
+        phase,
+        variance_phase,
+        bands,
+        wavelength,
+        x,
+        q_x,
+        e_base,
+        w_base,
+        phase_base,
+        a_hat,
+        q_a,
+        owner,
     )
     transform, work, d = np.empty((2, c_max, c_max)), np.empty((5, c_max, c_max)), np.empty(c_max)
     left = limit - held_risk(held, fix_id, fix_risk)
