@@ -15,7 +15,6 @@ from pydantic import Field
 
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import InputError
-from lanebound.integrity.frames import wrap_angle
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.streams import Streams
 from lanebound.integrity.truth import Truth, truth_between
@@ -69,39 +68,55 @@ class CityDrive:
     config : DriveConfig
     dt_s : float
         Length of a navigation epoch.
+
+    Raises
+    ------
+    InputError
+        When ``dt_s`` is not positive, or the lane lies beyond the centre of a curve.
     """
 
     def __init__(self, road: Road, config: DriveConfig, dt_s: float = 0.1) -> None:
         if not dt_s > 0.0:
             raise InputError(f"dt_s must be positive, got {dt_s}: pass the length of an epoch in seconds")
         self.road, self.config, self.dt_s = road, config, dt_s
-        self._grid_m = np.arange(0.0, road.length_m, 2.0)
+        tangent = road.tangent_rad - road.tangent_rad[0]
+        lateral = float(road.lane_lateral_m(config.lane))
+        self._lane_at_m = road.arc_at_m - lateral * tangent  # exact: the tangent turns evenly between vertices
+        if not (np.diff(self._lane_at_m) > 0.0).all():
+            raise InputError(
+                f"road must bend less than lane {config.lane}, got a radius below {lateral} m: widen its curves"
+            )
         self._limit_mps = self._curve_limits()
-        self._stretch = self._lane_stretch()
 
     def _curve_limits(self) -> Array:
-        """Speed limit at each grid point: the legal one, or what the curve ahead allows with comfortable braking."""
-        step = 2.0
-        heading, further = (self.road.pose_at(self._grid_m + shift)[1] for shift in (0.0, step))
-        curvature = np.abs(wrap_angle(further - heading)) / step
-        limit = np.minimum(self.config.speed_limit_mps, np.sqrt(self.config.lateral_mps2 / np.maximum(curvature, 1e-6)))
-        limit = np.maximum(limit, 3.0)
+        """Speed limit at each vertex: the legal one, or what the curve ahead allows with comfortable braking."""
+        c, step = self.config, np.diff(self.road.arc_at_m)
+        bend = np.maximum(np.abs(np.diff(self.road.tangent_rad)), 1e-9)
+        in_curve = np.maximum(np.sqrt(c.lateral_mps2 * np.diff(self._lane_at_m) / bend), 3.0)
+        limit = np.full(step.size + 1, c.speed_limit_mps)
+        limit[:-1] = np.minimum(limit[:-1], in_curve)
+        limit[1:] = np.minimum(limit[1:], in_curve)
         for _ in range(2):  # twice, so that a closed road's end sees its beginning
-            for i in range(len(limit) - 1, -1, -1):
-                ahead = limit[(i + 1) % len(limit)]
-                limit[i] = min(limit[i], np.sqrt(ahead**2 + 2.0 * self.config.braking_mps2 * step))
+            if self.road.closed:
+                limit[-1] = min(limit[-1], limit[0])
+            for i in range(step.size - 1, -1, -1):
+                limit[i] = min(limit[i], np.sqrt(limit[i + 1] ** 2 + 2.0 * c.braking_mps2 * step[i]))
         return limit
 
-    def _lane_stretch(self) -> Array:
-        """Length of the lane for each metre of the reference line, at each grid point: above 1 outside a curve."""
-        if not self.road.closed:
-            return np.asarray(self._chord(np.clip(self._grid_m, 0.5, self.road.length_m - 0.5)))
-        return self._chord(self._grid_m)
+    def _along_lane(self, arc_m: Array) -> Array:
+        """Length of the lane from the road's beginning: ``s - lateral (heading(s) - heading(0))``."""
+        lap = np.floor(arc_m / self.road.length_m) if self.road.closed else np.zeros_like(arc_m)
+        within = self.road.wrap_arc(arc_m) if self.road.closed else np.minimum(arc_m, self.road.length_m)
+        lane = np.interp(within, self.road.arc_at_m, self._lane_at_m)
+        return np.asarray(lane + lap * self._lane_at_m[-1] + (arc_m - within - lap * self.road.length_m))
 
-    def _chord(self, arc_m: Array) -> Array:
-        ahead, _ = self._pose(arc_m + 0.5)
-        behind, _ = self._pose(arc_m - 0.5)
-        return np.asarray(np.hypot(*(ahead - behind).T))
+    def _advance_arc(self, arc_m: Array, distance_m: Array) -> Array:
+        """The arc after ``distance_m`` along the lane; exactly the same arc for a vehicle that stands."""
+        lane = self._along_lane(arc_m) + distance_m
+        lap = np.floor(lane / self._lane_at_m[-1]) if self.road.closed else np.zeros_like(lane)
+        arc = lap * self.road.length_m
+        arc += np.interp(lane - lap * self._lane_at_m[-1], self._lane_at_m, self.road.arc_at_m)
+        return np.asarray(np.where(distance_m > 0.0, arc, arc_m))
 
     def start(self, streams: Streams, spread_m: float = 0.0) -> DriveState:
         """Vehicles at rest, spread uniformly over the first ``spread_m`` of the road."""
@@ -133,10 +148,7 @@ class CityDrive:
             allowed, state.speed_mps - 2.0 * c.braking_mps2 * dt, state.speed_mps + c.acceleration_mps2 * dt
         )
         speed = np.where(speed < 0.05, np.where(allowed < 0.05, 0.0, speed), speed)
-        stretch = np.interp(self.road.wrap_arc(state.arc_m), self._grid_m, self._stretch)
-        arc = state.arc_m + 0.5 * (speed + state.speed_mps) * dt / stretch
-        if not self.road.closed:
-            arc = np.minimum(arc, self.road.length_m)
+        arc = self._advance_arc(state.arc_m, 0.5 * (speed + state.speed_mps) * dt)
         self._lights(state, to_light, speed, u)
         position, heading = self._pose(arc)
         v0 = state.speed_mps[:, None] * np.column_stack([np.sin(state.heading_rad), np.cos(state.heading_rad)])
@@ -156,12 +168,12 @@ class CityDrive:
 
     def _allowed_speed(self, state: DriveState, to_light: Array) -> Array:
         """Speed that still allows to stop for a red light, or at the end of an open road, with comfortable braking."""
-        cell = np.minimum(self.road.wrap_arc(state.arc_m) / 2.0, len(self._grid_m) - 1).astype(np.int64)
         gap = np.where(state.red, to_light - 1.0, np.inf)
         if not self.road.closed:
             gap = np.minimum(gap, self.road.length_m - 1.0 - state.arc_m)
         stopping = np.sqrt(2.0 * self.config.braking_mps2 * np.maximum(gap, 0.0))
-        return np.minimum(self._limit_mps[cell], np.where(gap < 0.3, 0.0, stopping))
+        limit = np.interp(self.road.wrap_arc(state.arc_m), self.road.arc_at_m, self._limit_mps)
+        return np.minimum(limit, np.where(gap < 0.3, 0.0, stopping))
 
     def _lights(self, state: DriveState, to_light: Array, speed: Array, u: Array) -> None:
         """Count down the wait at a red light; draw the next light when one is passed."""
