@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -215,7 +216,9 @@ def test_one_seed_serves_a_batch_and_repeats() -> None:
 
 def _owned(truth: Truth) -> Truth:
     """The same truth in arrays of its own, to be spoilt later."""
-    arrays = {f.name: np.array(v) for f in fields(Truth) if isinstance(v := getattr(truth, f.name), np.ndarray)}
+    arrays: dict[str, Any] = {
+        f.name: np.array(v) for f in fields(Truth) if isinstance(v := getattr(truth, f.name), np.ndarray)
+    }
     return replace(truth, **arrays)
 
 
