@@ -258,7 +258,8 @@ class Navigator:
         run(
             first, self.batch, m.sky.los_enu, m.sky.system, m.sky.elevation_rad, m.sky.index, g.tracked, g.cn0_dbhz,
             g.code_m, g.phase_m,
-            g.range_rate_mps, g.lock_lost, g.corrections_age_s, m.imu.delta_theta_rad[:, 2], m.odometer.speed_mps,
+            g.range_rate_mps, g.lock_lost, g.corrections_age_s, np.ascontiguousarray(m.imu.delta_theta_rad[:,
+            2]), m.odometer.speed_mps,
             t.par, t.mode_limits, t.heading_limits, t.wavelength, t.fixable, t.chi2, t.normal, t.fde, t.risks, t.shares,
             t.spent, t.priors, t.k_fa, t.k_published, t.k_dead, t.published, t.operative_published, t.alert_limits,
             t.drift_group, s.belief, s.growth, s.held, s.integers, s.fix_id, s.fix_risk, s.alert.alert, s.alert.reason,

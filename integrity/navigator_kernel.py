@@ -76,6 +76,7 @@ NX = 18
 # solution
 O_MODE, O_RTK, O_AVAILABLE, O_SIGMA_AT, O_SIGMA_CT, O_HDOP, O_SATELLITES, O_DOPPLER, O_EXCLUDED, O_WRONG = range(10)
 NO = 10
+UNUSED = 1e6  # variance factor of a satellite out of use: held perhaps, but without a say
 INITIALISING_CAUSE = 7  # the code of AlertReason.INITIALISING
 
 # declared figures
@@ -127,13 +128,13 @@ def weigh(elevation, tracked, cn0, sin_mask, cn0_min, cn0_knee, factor, used):  
     for s in range(elevation.shape[0]):
         sine = math.sin(elevation[s])
         used[s] = tracked[s] and sine > sin_mask and cn0[s] >= cn0_min
-        factor[s] = 1.0
+        factor[s] = UNUSED
         if used[s]:
             factor[s] = 0.5 * (1.0 + 1.0 / (sine * sine)) * (1.0 + 10.0 ** (0.1 * (cn0_knee - cn0[s])))
 
 
 @jit
-def attitude(x, par, delta_theta, v_ss):  # type: ignore[no-untyped-def]
+def attitude(x, par, delta_theta):  # type: ignore[no-untyped-def]
     """Advance the heading by the gyro; at rest hold it and learn the gyro bias instead (ZUPT, S1 figure 1).
 
     Returns the mean heading over the epoch [rad].
@@ -142,10 +143,9 @@ def attitude(x, par, delta_theta, v_ss):  # type: ignore[no-untyped-def]
     p = x[P_HH : P_BB + 1]
     before = x[HEADING]
     if x[REST_S] > 0.5:
-        _, x[GYRO_BIAS] = correct(
-            before, x[GYRO_BIAS], p, delta_theta / dt - x[GYRO_BIAS], 0.0, 1.0, par[ARW] ** 2 / dt
-        )
-        return before
+        rate = delta_theta / dt
+        x[HEADING], x[GYRO_BIAS] = correct(before, x[GYRO_BIAS], p, rate - x[GYRO_BIAS], 0.0, 1.0, par[ARW] ** 2 / dt)
+        return x[HEADING]
     x[HEADING] = predict_heading(before, x[GYRO_BIAS], p, delta_theta, dt, par[ARW], par[BIAS_WALK])
     return wrap(before + 0.5 * wrap(x[HEADING] - before))
 
@@ -258,7 +258,7 @@ def rtk(  # type: ignore[no-untyped-def]
     count, systems = drop_small_systems(member, system, int(par[MIN_FURTHER]))
     if count < par[MIN_SATELLITES] + par[MIN_FURTHER] * (systems - 1) or systems == 0:
         return (status if status != FIXED else TOO_FEW), count, 0, math.inf
-    y, x_fixed, q = np.empty(n_sat), np.empty(3), np.empty((3, 3))
+    y, x_fixed, q, tried = np.empty(n_sat), np.empty(3), np.empty((3, 3)), member.copy()
     collapse_phase(phase, integers, wavelength, system, bands, y)
     variance = variance_phase / bands
     outcome, _, _, _, excluded = detect_and_exclude(
@@ -274,7 +274,7 @@ def rtk(  # type: ignore[no-untyped-def]
     bias = par[PHASE_BIAS] + par[AGE_BIAS] * age
     n = 0
     for s in range(n_sat):
-        if held[s] and used[s] and not member[s] and excluded > 0:
+        if tried[s] and not member[s]:
             held[s] = False
         if member[s]:
             rows_e[n] = e[s]
@@ -503,11 +503,12 @@ def _epoch(  # type: ignore[no-untyped-def]
     v_n = velocity_enu[1] + turning * (s_0 * par[LEVER_FORWARD] + c_0 * par[LEVER_RIGHT])
     v_gnss = math.hypot(v_e, v_n)
     resting = standstill(x, dt, v_ss, solved, v_gnss)
-    middle = attitude(x, par, delta_theta, v_ss)
-    carry, p_hh = 1.0, x[P_HH]
+    p_before = x[P_HH]
+    middle = attitude(x, par, delta_theta)
+    carry, p_hh = math.sqrt(x[P_HH] / p_before), x[P_HH]  # growth as one error: the bound of its effect on the position
     if solved and not resting:
         if calibrate(x, par, heading_limits, v_e, v_n, q_v[0, 0], q_v[0, 1], q_v[1, 1], v_ss, hdop_doppler):
-            carry = x[P_HH] / p_hh
+            carry *= x[P_HH] / p_hh
             x[SINCE_CAL] = 0.0
     sin_h, cos_h = math.sin(x[HEADING]), math.cos(x[HEADING])
 

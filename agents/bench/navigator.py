@@ -1,4 +1,4 @@
-"""Cost of the whole navigator: sky, city, instruments, positioning, fault tests and protection levels of every epoch."""
+"""Cost of the whole navigator: sky, city, instruments, positioning, fault tests and protection levels."""
 
 from __future__ import annotations
 

@@ -19,12 +19,12 @@ class RtkConfig(Config):
 
     sigma_code_m: float = Field(0.30, gt=0, description="code, zenith, one band [m]; RTKLIB 0.3 m (ratio 100 to phase)")
     sigma_phase_m: float = Field(
-        0.0042, gt=0, description="phase, zenith, one band [m]; RTKLIB 3 mm for each receiver, so sqrt(2) x 3 mm"
+        0.006, gt=0, description="phase, zenith, one band [m]; root 2 x RTKLIB's 3 mm, and the atmosphere of 3 km"
     )
     sigma_phase_integrity_m: float = Field(
-        0.0042,
+        0.010,
         gt=0,
-        description="phase of both bands, zenith, for protection levels [m]; overbounds what tails there are",
+        description="phase of both bands, zenith, for protection levels [m]; overbounds multipath in the open",
     )
     phase_bias_m: float = Field(
         0.005, ge=0, description="bound of a phase bias of one satellite [m]; residual multipath"
