@@ -11,21 +11,22 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
+from typing import Any, Self
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from lanebound.integrity import navigator_kernel as nk
 from lanebound.integrity.accel import use_parallel
 from lanebound.integrity.config import Config
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.errors import ConfigError, InputError
 from lanebound.integrity.monitoring.alerts import AlertConfig, AlertState
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import GROWTH_SIZE, P_EE, P_EN, P_NN
-from lanebound.integrity.monitoring.exclusion import FdeConfig
+from lanebound.integrity.monitoring.exclusion import FdeConfig, Search
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor, upper_quantile
+from lanebound.integrity.monitoring.significance import Linking
 from lanebound.integrity.positioning.config import PositioningConfig
 from lanebound.integrity.sensors import corrections as links
 from lanebound.integrity.sensors import gnss as receiver
@@ -93,6 +94,28 @@ class NavigatorConfig(Config):
         (), description="further protection levels to report beside the operative one"
     )
     alert: AlertConfig = AlertConfig()
+
+    @model_validator(mode="after")
+    def _levels_fit_the_tests(self) -> Self:
+        if self.fde.alpha < self.risk.false_alarm:
+            raise ConfigError(
+                f"fde.alpha must be >= risk.false_alarm = {self.risk.false_alarm}, got {self.fde.alpha}: "
+                "the levels count on the thresholds of false_alarm"
+            )
+        if (
+            self.fde.global_first
+            or self.fde.linking is not Linking.BONFERRONI
+            or self.fde.search is not Search.SEPARATION
+        ):
+            raise ConfigError(
+                "fde must search by SEPARATION with BONFERRONI and without global_first: the levels count on that test"
+            )
+        if self.risk.direction_test or self.risk.monitors_constellations:
+            raise ConfigError(
+                "risk.direction_test and risk.constellation_prior must be off in a navigator, which tests satellites "
+                "along and across the track: use monitoring.separation and monitoring.protection for them"
+            )
+        return self
 
     @property
     def cases(self) -> tuple[PlCase, ...]:
@@ -211,6 +234,7 @@ class Navigator:
         """Give the vehicles a prior heading, (B,) azimuth and its 1-sigma, as from a compass or the last drive."""
         self.state.belief[:, nk.HEADING] = heading_rad
         self.state.belief[:, nk.P_HH] = sigma_rad**2
+        self.state.belief[:, nk.SINCE_CAL] = 0.0
 
     def snapshot(self) -> NavigatorState:
         """An independent copy of everything that lasts."""
@@ -333,7 +357,8 @@ class _Tables:
             risks[case.row, i] = case.integrity_risk
         published = np.array([case.variant is Variant.PUBLISHED for case in cases])
         total = np.array([case.integrity_risk for case in cases])
-        budgets = c.risk.axis_budgets(total, c.risk.unmonitored_risk)
+        wrong_fix = c.positioning.rtk.ambiguity_risk_share * total.min()
+        budgets = c.risk.axis_budgets(total, c.risk.unmonitored_risk + wrong_fix)
         k_dead = np.where(published[:, None], upper_quantile(total)[:, None], upper_quantile(0.5 * budgets))
         r = c.risk
         return cls(
@@ -378,7 +403,7 @@ def _declared(c: NavigatorConfig) -> Array:
         nk.DT: c.dt_s, nk.BANDS: len(c.gnss.bands), nk.SIN_MASK: np.sin(np.deg2rad(r.elevation_mask_deg)),
         nk.CN0_MIN: r.cn0_min_dbhz, nk.CN0_KNEE: r.cn0_knee_dbhz, nk.SIGMA_CODE: r.sigma_code_m,
         nk.SIGMA_PHASE: r.sigma_phase_m, nk.PHASE_BIAS: r.phase_bias_m, nk.REFERENCE_BIAS: r.reference_bias_m,
-        nk.AGE_BIAS: r.age_bias_mps, nk.MAX_AGE: r.max_age_s, nk.FIX_LIMIT: r.ambiguity_risk_share * smallest,
+        nk.AGE_SIGMA: r.age_sigma_mps, nk.MAX_AGE: r.max_age_s, nk.FIX_LIMIT: r.ambiguity_risk_share * smallest,
         nk.RATIO_MIN: r.ratio_min, nk.MAX_CANDIDATES: r.max_candidates, nk.MIN_SATELLITES: r.min_satellites,
         nk.MIN_FURTHER: r.min_further, nk.HOLD_FAILURES: r.hold_failures,
         nk.DOP_SIGMA: d.sigma_mps, nk.DOP_TAU: d.tau_s, nk.DOP_BIAS: d.bias_mps,
@@ -386,7 +411,9 @@ def _declared(c: NavigatorConfig) -> Array:
         nk.ARW: h.angle_random_walk_rad, nk.BIAS_WALK: h.bias_walk_radps,
         nk.ODO_SIGMA: o.odometer_sigma_mps, nk.ODO_TAU: o.odometer_tau_s, nk.ODO_BIAS: o.odometer_bias_mps,
         nk.HEADING_BIAS: np.deg2rad(o.heading_bias_deg), nk.HEADING_DRIFT: np.deg2rad(o.heading_drift_degps),
-        nk.SIGMA_PHASE_PL: r.sigma_phase_integrity_m, nk.CONFIRM: r.confirm_s,
+        nk.SIGMA_PHASE_PL: r.sigma_phase_integrity_m, nk.FIX_MAX_AGE: r.fix_max_age_s,
+        nk.BIAS_INITIAL: h.bias_initial_radps,
+        nk.ODO_SCALE: o.odometer_scale, nk.STILL_SPEED: o.standstill_speed_mps, nk.CONFIRM: r.confirm_s,
         nk.LEVER_FORWARD: c.positioning.antenna_forward_m, nk.LEVER_RIGHT: c.positioning.antenna_right_m,
     }  # fmt: skip
     par = np.zeros(nk.NP)

@@ -13,6 +13,8 @@ import numpy as np
 from lanebound.integrity.accel import jit, prange
 from lanebound.integrity.monitoring.alerts_kernel import alert_step
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import (
+    CV_E,
+    CV_N,
     levels,
     remember_velocity,
     reset,
@@ -23,6 +25,7 @@ from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import (
 )
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED as FDE_EXCLUDED
 from lanebound.integrity.monitoring.detection_kernel import NO_REDUNDANCY as FDE_NO_REDUNDANCY
+from lanebound.integrity.monitoring.detection_kernel import UNRESOLVED as FDE_UNRESOLVED
 from lanebound.integrity.monitoring.detection_kernel import detect_and_exclude
 from lanebound.integrity.monitoring.geometry_kernel import (
     P_EE,
@@ -71,13 +74,16 @@ from lanebound.integrity.positioning.rtk_kernel import (
 # state
 EAST, NORTH, UP, HEADING, GYRO_BIAS, P_HH, P_HB, P_BB = range(8)
 VEL_E, VEL_N, HAS_VEL, SINCE_RTK, SINCE_CAL, REJECTED, FIXES, REST_S, INITIALISED, FIXED_S = range(8, 18)
-NX = 18
+UNBOUNDED, CONFLICT_S, REFUSED_S = range(18, 21)
+NX = 21
 
 # solution
 O_MODE, O_RTK, O_AVAILABLE, O_SIGMA_AT, O_SIGMA_CT, O_HDOP, O_SATELLITES, O_DOPPLER, O_EXCLUDED, O_WRONG = range(10)
 NO = 10
+REACQUIRE_S = 1.0  # of Doppler courses refused for their jump, before the heading filter opens up
+CONFLICT_LIMIT_S = 0.5  # of contradiction between Doppler and odometer
 UNUSED = 1e6  # variance factor of a satellite out of use: held perhaps, but without a say
-INITIALISING_CAUSE = 7  # the code of AlertReason.INITIALISING
+TEST_FAILED_CAUSE, INITIALISING_CAUSE = 5, 7  # codes of AlertReason
 
 # declared figures
 (
@@ -90,7 +96,7 @@ INITIALISING_CAUSE = 7  # the code of AlertReason.INITIALISING
     SIGMA_PHASE,
     PHASE_BIAS,
     REFERENCE_BIAS,
-    AGE_BIAS,
+    AGE_SIGMA,
     MAX_AGE,
     FIX_LIMIT,
     RATIO_MIN,
@@ -114,8 +120,12 @@ INITIALISING_CAUSE = 7  # the code of AlertReason.INITIALISING
     LEVER_RIGHT,
     SIGMA_PHASE_PL,
     CONFIRM,
-) = range(33)
-NP = 33
+    FIX_MAX_AGE,
+    BIAS_INITIAL,
+    ODO_SCALE,
+    STILL_SPEED,
+) = range(37)
+NP = 37
 
 
 @jit
@@ -154,18 +164,25 @@ def attitude(x, par, delta_theta):  # type: ignore[no-untyped-def]
 def calibrate(x, par, limits, v_e, v_n, q_ee, q_en, q_nn, v_ss, hdop):  # type: ignore[no-untyped-def]
     """Calibrate heading and gyro bias by the Doppler course where S1 table 1 allows it; True when done.
 
-    The jump limit is widened to 3 sigma while the filter itself is less certain than the limit.
+    The jump limit is widened to 3 sigma while the filter itself is less certain than the limit. A course refused for
+    REACQUIRE_S for its jump alone means that the filter is wrong, not the course: it opens up to learn anew.
     """
     speed = math.hypot(v_e, v_n)
     if not speed > 0.0:
         return False
     course = math.atan2(v_e, v_n) if v_ss >= 0.0 else math.atan2(-v_e, -v_n)
     jump = wrap(course - x[HEADING])
-    allowed = limits.copy()
-    allowed[3] = max(limits[3], 3.0 * math.sqrt(x[P_HH]))
-    if not doppler_heading_usable(speed, v_ss, hdop, jump, allowed):
+    allowed = max(limits[3], 3.0 * math.sqrt(x[P_HH]))
+    if not doppler_heading_usable(speed, v_ss, hdop, 0.0, limits):
         return False
-    variance = doppler_heading_variance(v_e, v_n, q_ee, q_en, q_nn) * max(1.0, 2.0 * par[DOP_TAU] / par[DT])
+    variance = doppler_heading_variance(v_e, v_n, q_ee, q_en, q_nn)
+    if abs(jump) >= allowed:
+        x[REFUSED_S] = x[REFUSED_S] + par[DT] if abs(jump) > allowed + 3.0 * math.sqrt(variance) else 0.0
+        if x[REFUSED_S] > REACQUIRE_S:
+            x[P_HH], x[P_HB], x[P_BB] = max(x[P_HH], jump * jump), 0.0, par[BIAS_INITIAL] ** 2
+        return False
+    x[REFUSED_S] = 0.0
+    variance *= max(1.0, 2.0 * par[DOP_TAU] / par[DT])
     p = x[P_HH : P_BB + 1]
     x[HEADING], x[GYRO_BIAS] = correct(x[HEADING], x[GYRO_BIAS], p, jump, 1.0, 0.0, variance)
     return True
@@ -246,12 +263,14 @@ def rtk(  # type: ignore[no-untyped-def]
     factor = np.empty(n_sat)
     keep_lock(tracked, phase, bands, lock_lost, held, phase_ok)
     if not age <= par[MAX_AGE]:
+        x[REJECTED] = 0.0
         return NO_CORRECTIONS, 0, 0, math.inf
     weigh(elevation, tracked, cn0, par[SIN_MASK], par[CN0_MIN], par[CN0_KNEE], factor, used)
-    variance_phase = factor * par[SIGMA_PHASE] ** 2
+    aged = (par[AGE_SIGMA] * age) ** 2  # of the whole range, common to the bands
+    variance_phase = factor * par[SIGMA_PHASE] ** 2 + aged
     candidate = used & phase_ok & fixable & ~held
     status = FIXED
-    if _count(candidate) > 0:
+    if _count(candidate) > 0 and age <= par[FIX_MAX_AGE]:
         status = _resolve_now(e, system, used, candidate, held, code, phase, factor, variance_phase, par, wavelength,
                               chi2, normal, fde, integers, fix_id, fix_risk, x)  # fmt: skip
     member = held & used
@@ -260,18 +279,20 @@ def rtk(  # type: ignore[no-untyped-def]
         return (status if status != FIXED else TOO_FEW), count, 0, math.inf
     y, x_fixed, q, tried = np.empty(n_sat), np.empty(3), np.empty((3, 3)), member.copy()
     collapse_phase(phase, integers, wavelength, system, bands, y)
-    variance = variance_phase / bands
+    variance = factor * (par[SIGMA_PHASE] ** 2 / bands) + aged
     outcome, _, _, _, excluded = detect_and_exclude(
         e, system, variance, y, member, chi2, normal, fde[0] > 0.0, int(fde[1]), int(fde[2]), x_fixed, q
     )
-    if outcome > FDE_EXCLUDED:
+    if outcome == FDE_UNRESOLVED:
         x[REJECTED] += 1.0
         if x[REJECTED] >= par[HOLD_FAILURES]:
             held[:] = False
             x[REJECTED] = 0.0
         return FAULT, count, excluded, math.inf
     x[REJECTED] = 0.0
-    bias = par[PHASE_BIAS] + par[AGE_BIAS] * age
+    if outcome > FDE_EXCLUDED:
+        return TOO_FEW, count, excluded, math.inf
+    bias = par[PHASE_BIAS]
     n = 0
     for s in range(n_sat):
         if tried[s] and not member[s]:
@@ -279,7 +300,7 @@ def rtk(  # type: ignore[no-untyped-def]
         if member[s]:
             rows_e[n] = e[s]
             rows_group[n], rows_of[n] = system[s], s
-            rows[0, n], rows[1, n], rows[2, n] = factor[s] * par[SIGMA_PHASE_PL] ** 2, bias, y[s]
+            rows[0, n], rows[1, n], rows[2, n] = factor[s] * par[SIGMA_PHASE_PL] ** 2 + aged, bias, y[s]
             rows[3, n] = variance[s]
             n += 1
     if geometry(rows_e, rows_group, rows[0], rows[1], n, sin_h, cos_h, geo, head) != SOLVED:
@@ -354,9 +375,21 @@ def _resolve_now(  # type: ignore[no-untyped-def]
 
 
 @jit
-def standstill(x, dt, v_ss, solved, v_gnss):  # type: ignore[no-untyped-def]
-    """Count how long the vehicle has been at rest: no odometer pulse, and no Doppler speed that contradicts it."""
-    at_rest = abs(v_ss) < 0.02 and not (solved and v_gnss > 0.5)
+def watch_speeds(x, dt, solved, v_gnss, v_ss, hdop, limits):  # type: ignore[no-untyped-def]
+    """A tested Doppler speed that contradicts the odometer for CONFLICT_LIMIT_S: one of them lies, and no level holds.
+
+    The next RTK position sets things right again.
+    """
+    conflict = solved and hdop < limits[2] and abs(v_gnss - abs(v_ss)) > limits[1]
+    x[CONFLICT_S] = x[CONFLICT_S] + dt if conflict else 0.0
+    if x[CONFLICT_S] > CONFLICT_LIMIT_S:
+        x[UNBOUNDED] = 1.0
+
+
+@jit
+def standstill(x, dt, v_ss, solved, v_gnss, q):  # type: ignore[no-untyped-def]
+    """Count how long the vehicle has been at rest: no odometer pulse, and no Doppler speed beyond its noise."""
+    at_rest = abs(v_ss) < 0.02 and not (solved and v_gnss > max(0.1, 3.0 * math.sqrt(q[0, 0] + q[1, 1])))
     x[REST_S] = x[REST_S] + dt if at_rest else 0.0
     return x[REST_S] > 0.5
 
@@ -441,27 +474,30 @@ def levels_dead_reckoning(growth, sin_h, cos_h, k_dead, published, shift, pl):  
 def restart(growth, level, k_dead, shift, published, heading_variance, head, sin_h, cos_h):  # type: ignore[no-untyped-def]
     """Start dead reckoning anew from the RTK position just found.
 
-    Its initial error must keep what the protection level promised, faults included: the standard deviation of each
-    track axis
-    is the one that gives the operative ``level`` (2,) back, ``(PL - shift) / K``. The published form starts from the
-    fault-free covariance, as S1 does.
+    Its initial error must keep what the protection level promised, biases and faults included: what the operative
+    ``level`` (2,) holds beyond ``K sigma`` of the fault-free solution stays on as a bound on E and N. The published
+    form starts from the fault-free covariance alone, as S1 does.
     """
-    ee, en, nn = head[P_EE], head[P_EN], head[P_NN]
+    bias_e, bias_n = 0.0, 0.0
     if not published and level[0] < math.inf and level[1] < math.inf:
-        a, b = ((level[0] - shift) / k_dead[0]) ** 2, ((level[1] - shift) / k_dead[1]) ** 2
-        ee = sin_h * sin_h * a + cos_h * cos_h * b
-        en = sin_h * cos_h * (a - b)
-        nn = cos_h * cos_h * a + sin_h * sin_h * b
-    reset(ee, en, nn, 0.0, 0.0, heading_variance, growth)
+        at = max(level[0] - shift - k_dead[0] * head[SIGMA0_AT], 0.0)
+        ct = max(level[1] - shift - k_dead[1] * head[SIGMA0_CT], 0.0)
+        bias_e, bias_n = abs(sin_h) * at + abs(cos_h) * ct, abs(cos_h) * at + abs(sin_h) * ct
+    reset(head[P_EE], head[P_EN], head[P_NN], bias_e, bias_n, heading_variance, growth)
 
 
 @jit
 def advance(x, growth, par, mode, v_e, v_n, q, v_ss, middle, carry, resting):  # type: ignore[no-untyped-def]
-    """Carry the position and its error over the epoch by Doppler or by dead reckoning; at rest nothing moves."""
+    """Carry the position and its error over the epoch by Doppler or by dead reckoning.
+
+    At rest the position stays; the bound grows by what the odometer may not show.
+    """
     dt, variance = par[DT], x[P_HH]
     phi_d, phi_o = math.exp(-dt / par[DOP_TAU]), math.exp(-dt / par[ODO_TAU])
     if resting or mode == NONE or mode == RTK:
         step_still(phi_d, phi_o, variance, carry, growth)
+        growth[CV_E] += dt * par[STILL_SPEED] * math.sin(x[HEADING])
+        growth[CV_N] += dt * par[STILL_SPEED] * math.cos(x[HEADING])
         return
     if mode == DOPPLER:
         before_e, before_n = (x[VEL_E], x[VEL_N]) if x[HAS_VEL] > 0.0 else (v_e, v_n)
@@ -472,9 +508,10 @@ def advance(x, growth, par, mode, v_e, v_n, q, v_ss, middle, carry, resting):  #
     s, c = math.sin(middle), math.cos(middle)
     x[EAST] += dt * v_ss * s
     x[NORTH] += dt * v_ss * c
-    b_theta = par[HEADING_BIAS] + par[HEADING_DRIFT] * x[SINCE_CAL]
+    b_theta = min(par[HEADING_BIAS] + par[HEADING_DRIFT] * x[SINCE_CAL], math.pi)
+    bias = par[ODO_BIAS] + par[ODO_SCALE] * abs(v_ss)
     step_odometer(
-        dt, v_ss, s, c, par[ODO_SIGMA], par[ODO_BIAS], b_theta, phi_d, phi_o, variance, carry, False, growth
+        dt, v_ss, s, c, par[ODO_SIGMA], bias, b_theta, phi_d, phi_o, variance, carry, False, growth
     )  # fmt: skip
 
 
@@ -502,7 +539,7 @@ def _epoch(  # type: ignore[no-untyped-def]
     v_e = velocity_enu[0] - turning * (c_0 * par[LEVER_FORWARD] - s_0 * par[LEVER_RIGHT])  # antenna to reference point
     v_n = velocity_enu[1] + turning * (s_0 * par[LEVER_FORWARD] + c_0 * par[LEVER_RIGHT])
     v_gnss = math.hypot(v_e, v_n)
-    resting = standstill(x, dt, v_ss, solved, v_gnss)
+    resting = standstill(x, dt, v_ss, solved, v_gnss, q_v)
     p_before = x[P_HH]
     middle = attitude(x, par, delta_theta)
     carry, p_hh = math.sqrt(x[P_HH] / p_before), x[P_HH]  # growth as one error: the bound of its effect on the position
@@ -523,6 +560,7 @@ def _epoch(  # type: ignore[no-untyped-def]
         confirmed, hdop_rtk, solved, v_gnss, v_ss, hdop_doppler, x[SINCE_RTK], x[INITIALISED] > 0.0, mode_limits
     )
     advance(x, growth, par, mode, v_e, v_n, q_v, v_ss, middle, carry, resting)
+    watch_speeds(x, dt, solved, v_gnss, v_ss, hdop_doppler, heading_limits)
     shift = par[REFERENCE_BIAS]
     if mode == RTK:
         levels_rtk(n_rtk, rows, rows_group, sin_h, cos_h, risks, shares, spent + wrong, priors, k_fa, k_published,
@@ -532,8 +570,9 @@ def _epoch(  # type: ignore[no-untyped-def]
         x[NORTH] = head[X_N] - cos_h * forward + sin_h * right
         x[UP] = head[X_U]
         x[SINCE_RTK], x[INITIALISED] = 0.0, 1.0
+        x[UNBOUNDED] = 0.0 if pl[0, 0] < math.inf and pl[0, 1] < math.inf else 1.0
         restart(growth, pl[0], k_dead[0], shift, operative_published, x[P_HH], head, sin_h, cos_h)
-    elif mode != NONE:
+    elif mode != NONE and x[UNBOUNDED] == 0.0 and x[SINCE_CAL] < math.inf:
         levels_dead_reckoning(growth, sin_h, cos_h, k_dead, published, shift, pl)
     else:
         pl[:] = math.inf
@@ -547,6 +586,8 @@ def _epoch(  # type: ignore[no-untyped-def]
     if mode == RTK:
         sigma_at, sigma_ct = head[SIGMA0_AT], head[SIGMA0_CT]
     cause = INITIALISING_CAUSE if mode == NONE else 0
+    if x[CONFLICT_S] > CONFLICT_LIMIT_S and mode != RTK:
+        cause = TEST_FAILED_CAUSE
     available = alert_step(
         v, cause, pl[0, 0], pl[0, 1], sigma_at, sigma_ct, dt, alert_limits, alert, reason, onset, clear
     )

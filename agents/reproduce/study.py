@@ -11,6 +11,7 @@ import json
 import os
 from collections.abc import Callable, Iterator
 from functools import partial
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -77,14 +78,24 @@ def _batches(config: UrbanDriveConfig) -> Iterator[tuple[int, list[int]]]:
 
 def _claim(config: UrbanDriveConfig, out: Path) -> None:
     """Mark the folder with the configuration, or refuse one that holds another."""
-    text = config.to_json()
+    text = config.to_json() + source_digest()
     digest = hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
     mark = out / "config.json"
     if mark.exists() and json.loads(mark.read_text(encoding="utf-8"))["digest"] != digest:
         raise InputError(
-            f"out must be empty or hold the same study, got {out} with another configuration: choose a new folder"
+            f"out must be empty or hold the same study, got {out} of another configuration or version: "
+            "choose a new folder"
         )
-    _write_whole(mark, {"digest": digest, "config": json.loads(text)})
+    _write_whole(mark, {"digest": digest, "config": config.to_dict()})
+
+
+def source_digest() -> str:
+    """A name for the code that navigates: parts made by other code must not be mixed in."""
+    found = hashlib.blake2b(digest_size=8)
+    root = Path(str(resources.files("lanebound.integrity")))
+    for source in sorted(root.rglob("*.py")):
+        found.update(source.read_bytes())
+    return found.hexdigest()
 
 
 def _write_whole(path: Path, data: Any) -> None:
@@ -118,10 +129,8 @@ def summarise(statistics: list[dict[str, Any]]) -> dict[str, Any]:
     paths = sorted({path for drive_ in statistics for path, _ in _leaves(drive_)})
     tables: dict[str, Any] = {"spread": {}}
     for path in paths:
-        values = [v for s in statistics if (v := lookup(s, path)) is not None and np.isfinite(v)]
-        if not values:
-            continue
-        middle, low, high = (float(q) for q in np.quantile(values, [0.5, 0.05, 0.95]))
+        values = [v for s in statistics if (v := lookup(s, path)) is not None]
+        middle, low, high = (float(q) for q in np.quantile(values, [0.5, 0.05, 0.95], method="higher"))
         if path[0] == "exceedance":
             middle = float(np.mean(values))
         for target, leaf in ((tables, middle), (tables["spread"], [low, high])):

@@ -34,12 +34,13 @@ class RtkConfig(Config):
         ge=0,
         description="bound of the horizontal error of the reference coordinates [m]; datum and antenna offset",
     )
-    age_bias_mps: float = Field(
-        0.0015,
-        ge=0,
-        description="growth of a satellite's bias bound with the age of corrections [m/s]; 5e-12 s/s clocks",
+    age_sigma_mps: float = Field(
+        0.0015, ge=0, description="growth of a satellite's error with the age of corrections, 1 sigma [m/s]; 5e-12 s/s"
     )
     max_age_s: float = Field(30.0, gt=0, description="oldest usable corrections [s]; RTKLIB default")
+    fix_max_age_s: float = Field(
+        3.0, gt=0, description="oldest corrections for new fixes [s]; held ones go on to max_age_s"
+    )
     elevation_mask_deg: float = Field(10.0, ge=0, lt=90, description="lowest elevation used [deg]")
     cn0_min_dbhz: float = Field(30.0, ge=0, description="lowest C/N0 used in RTK [dB-Hz]; below it mostly reflections")
     cn0_knee_dbhz: float = Field(35.0, ge=0, description="C/N0 at which the variance doubles [dB-Hz]")
@@ -96,6 +97,12 @@ class DeadReckoningConfig(Config):
     odometer_tau_s: float = Field(1.0, gt=0, description="correlation time of the odometer's error [s]")
     odometer_bias_mps: float = Field(
         0.01, ge=0, description="bound of a constant odometer error [m/s]; b_v of S1 eq 19"
+    )
+    odometer_scale: float = Field(
+        0.0135, ge=0, description="bound of the odometer's scale error [-]; 4.5 sigma of 0.3 % tyre wear and pressure"
+    )
+    standstill_speed_mps: float = Field(
+        0.15, ge=0, description="speed that the odometer may show as rest [m/s]; dropout of its sensor"
     )
     heading_bias_deg: float = Field(
         0.2, ge=0, description="bound of the heading's error after calibration [deg]; b_theta0 of S1"
