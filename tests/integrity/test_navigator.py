@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.frames import wrap_angle
+from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.monitoring.protection import protection_levels
 from lanebound.integrity.monitoring.separation import satellite_modes, separate
 from lanebound.integrity.navigator import Measurements, Navigator, NavigatorConfig
@@ -167,16 +169,45 @@ def test_doppler_positioning_ends_a_minute_after_the_last_fix() -> None:
     assert (run.mode[-1] == Mode.IMU_ODOMETER).all()
 
 
-def test_at_rest_in_an_outage_nothing_moves_and_no_level_grows() -> None:
+def test_at_rest_in_an_outage_only_the_creep_that_the_odometer_may_hide_grows() -> None:
     cars = _Cars(_navigator(faults=(LOSS,)))
     cars.drive(45.0)
     rest = cars.drive(10.0, speed_mps=0.0)
     settled = slice(20, None)
     assert (rest.mode[settled] != Mode.RTK).all()
     assert np.ptp(rest.position_en_m[settled], axis=0).max() == 0.0
-    assert np.ptp(rest.pl_at_m[settled], axis=0).max() == 0.0
-    assert np.ptp(rest.pl_ct_m[settled], axis=0).max() == 0.0
-    assert np.ptp(rest.heading_rad[settled], axis=0).max() == 0.0
+    creep_m = CALM.positioning.dead_reckoning.standstill_speed_mps * 0.1 * (len(rest.mode) - 21)
+    np.testing.assert_allclose(np.ptp(rest.pl_at_m[settled], axis=0), creep_m, rtol=0.01)
+    assert np.ptp(rest.pl_ct_m[settled], axis=0).max() < 0.02
+    assert np.ptp(rest.heading_rad[settled], axis=0).max() < 0.01
+
+
+def test_an_odometer_that_doppler_contradicts_has_no_level() -> None:
+    lost = Fault(kind=FaultKind.CORRECTIONS_LOSS, start_s=3.0, duration_s=100.0)
+    frozen = Fault(kind=FaultKind.ODOMETER_FROZEN, start_s=40.0, duration_s=60.0)
+    cars = _Cars(_navigator(faults=(lost, frozen)))
+    cars.drive(40.0, speed_mps=10.0)
+    run = cars.drive(10.0, speed_mps=5.0)
+    late = slice(20, None)
+    assert (run.mode[late] == Mode.IMU_ODOMETER).all()
+    assert np.isinf(run.pl_at_m[late]).all()
+    assert run.alert[late].all()
+    assert (run.reason[late] == AlertReason.INTEGRITY_TEST_FAILED.code).all()
+
+
+def test_a_heading_knocked_off_by_the_gyro_is_found_again() -> None:
+    knock = Fault(kind=FaultKind.GYRO_BIAS, start_s=20.0, duration_s=3.0, magnitude_degps=5.0)
+    cars = _Cars(_navigator(faults=(knock,)))
+    run = cars.drive(60.0)
+    error = np.abs(wrap_angle(run.heading_rad[-1] - QUADRANTS))
+    assert np.rad2deg(error).max() < 2.0
+
+
+def test_levels_that_do_not_fit_the_tests_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"fde\.alpha"):
+        NOMINAL.replace(fde={"alpha": 1e-4})
+    with pytest.raises(ConfigError, match="constellation_prior"):
+        NOMINAL.replace(risk={"constellation_prior": [1e-4] * 5})
 
 
 def test_jamming_everything_leaves_the_odometer() -> None:
@@ -318,14 +349,15 @@ def test_the_level_of_a_fix_is_that_of_the_plain_form(v: int) -> None:
     rows, factor = _rtk_rows(m, s, v)
     assert len(rows) == s.satellites[v]
     rtk, risk, system = CALM.positioning.rtk, CALM.risk, m.sky.system[rows]
+    aged = (rtk.age_sigma_mps * s.corrections_age_s[v]) ** 2
     design = np.column_stack([-m.sky.los_enu[0, rows], (system[:, None] == np.unique(system)).astype(float)])
     separation = separate(
         design,
-        np.diag(factor * rtk.sigma_phase_integrity_m**2),
+        np.diag(factor * rtk.sigma_phase_integrity_m**2 + aged),
         satellite_modes(np.arange(len(rows))),
         s.heading_rad[v],
-        accuracy=np.diag(factor * rtk.sigma_phase_m**2 / len(CALM.gnss.bands)),
-        bias=rtk.phase_bias_m + rtk.age_bias_mps * s.corrections_age_s[v],
+        accuracy=np.diag(factor * rtk.sigma_phase_m**2 / len(CALM.gnss.bands) + aged),
+        bias=rtk.phase_bias_m,
     )
     priors = np.array(risk.satellite_prior)[system]
     expected = protection_levels(separation, priors, risk, spent=s.wrong_fix_risk[v])[0]
