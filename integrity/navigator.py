@@ -21,7 +21,7 @@ from pydantic import Field, model_validator
 from lanebound.integrity import navigator_kernel as nk
 from lanebound.integrity.accel import use_parallel
 from lanebound.integrity.config import Config
-from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.errors import ConfigError, InputError, require_finite
 from lanebound.integrity.monitoring.alerts import AlertConfig, AlertState
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import GROWTH_SIZE, P_EE, P_EN, P_NN
 from lanebound.integrity.monitoring.exclusion import FdeConfig, Search
@@ -260,6 +260,8 @@ class Navigator:
             raise InputError(f"truth must have {self.batch} vehicles, got {truth.batch}: one row for each seed")
         if abs(truth.dt_s - self.config.dt_s) > 1e-9:
             raise InputError(f"truth.dt_s must be {self.config.dt_s}, got {truth.dt_s}: step at the navigator's rate")
+        for name in ("position_enu_m", "velocity_enu_mps", "heading_rad"):
+            require_finite(f"truth.{name}", getattr(truth, name))
         c, s = self.config, self.state
         sky = self.track.at(self.track.start_s + truth.time_s, np.zeros(self.batch, dtype=np.int64))
         effects = self.faults.effects(truth.time_s, truth.dt_s, sky, self.batch)

@@ -73,13 +73,13 @@ def parse_yaml(text: str, source: str) -> Any:
 
 
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
-    """Nested overrides from texts such as ``"rtk.max_age_s=20"``; values are read as YAML."""
+    """Nested overrides from texts such as ``"navigator.dt_s=0.2"``; values are read as YAML."""
     overrides: dict[str, Any] = {}
     for text in assignments:
         path, equals, value = text.partition("=")
         keys = [key.strip() for key in path.split(".")]
         if not equals or not all(keys):
-            raise ConfigError(f"an override must read key=value, got '{text}': write for example rtk.max_age_s=20")
+            raise ConfigError(f"an override must read key=value, got '{text}': write for example navigator.dt_s=0.2")
         nested: Any = parse_yaml(value, f"the value of '{path}'")
         for key in reversed(keys):
             nested = {key: nested}

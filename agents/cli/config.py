@@ -42,7 +42,7 @@ def show(
 ) -> None:
     """Show the resolved values of a preset: what it says, what it extends, and the defaults below.
 
-    Example: lanebound config show NAME --set rtk.max_age_s=20 --json
+    Example: lanebound config show studies/urban_drive --set navigator.dt_s=0.2 --json
     """
     from lanebound.agents.cli.kinds import resolve
     from lanebound.agents.cli.output import print_json, print_table

@@ -45,7 +45,12 @@ def run_study(
     InputError
         ``out`` holds a study with another configuration.
     """
-    out.mkdir(parents=True, exist_ok=True)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"out must be a folder that can be written, got {out} ({error}): choose another one"
+        ) from error
     _claim(config, out)
     road, mask = street(config, out / "parts")
     dt = config.navigator.dt_s
@@ -130,7 +135,7 @@ def summarise(statistics: list[dict[str, Any]]) -> dict[str, Any]:
     tables: dict[str, Any] = {"spread": {}}
     for path in paths:
         values = [v for s in statistics if (v := lookup(s, path)) is not None]
-        middle, low, high = (float(q) for q in np.quantile(values, [0.5, 0.05, 0.95], method="higher"))
+        middle, low, high = _quantiles(values)
         if path[0] == "exceedance":
             middle = float(np.mean(values))
         for target, leaf in ((tables, middle), (tables["spread"], [low, high])):
@@ -142,6 +147,12 @@ def summarise(statistics: list[dict[str, Any]]) -> dict[str, Any]:
         for mode, kinds in tables.get("exceedance", {}).items()
     }
     return tables
+
+
+def _quantiles(values: list[float]) -> tuple[float, float, float]:
+    """Median, 5 % and 95 % quantile; no interpolation towards a level that is infinite."""
+    found = np.quantile(values, [0.5, 0.05, 0.95], method="linear" if np.isfinite(values).all() else "higher")
+    return float(found[0]), float(found[1]), float(found[2])
 
 
 def rows_against_paper(tables: dict[str, Any]) -> list[dict[str, Any]]:

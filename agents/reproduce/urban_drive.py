@@ -116,7 +116,10 @@ def drive(
     """Drive the loop with each seed; ``progress`` is told the number of epochs done."""
     navigation = config.with_levels()
     dt, epochs = navigation.dt_s, round(60.0 * config.minutes / navigation.dt_s)
-    track = SkyTrack.from_config(navigation.sky, 60.0 * config.minutes + 60.0)
+    horizon_s = 3600.0 * np.ceil(
+        (60.0 * config.minutes + 60.0) / 3600.0
+    )  # whole hours: short drives begin as long ones
+    track = SkyTrack.from_config(navigation.sky, horizon_s)
     navigator = Navigator(navigation, track, mask, seeds)
     car, traffic = CityDrive(road, config.drive, dt), Streams(seeds)
     state = car.start(traffic, spread_m=road.length_m)
