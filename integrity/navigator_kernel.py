@@ -62,6 +62,7 @@ from lanebound.integrity.positioning.rtk_kernel import (
     FIXED,
     NO_CORRECTIONS,
     NOT_CONVERGED,
+    RATIO_FAILED,
     TOO_FEW,
     collapse_code,
     collapse_phase,
@@ -74,8 +75,8 @@ from lanebound.integrity.positioning.rtk_kernel import (
 # state
 EAST, NORTH, UP, HEADING, GYRO_BIAS, P_HH, P_HB, P_BB = range(8)
 VEL_E, VEL_N, HAS_VEL, SINCE_RTK, SINCE_CAL, REJECTED, FIXES, REST_S, INITIALISED, FIXED_S = range(8, 18)
-UNBOUNDED, CONFLICT_S, REFUSED_S = range(18, 21)
-NX = 21
+UNBOUNDED, CONFLICT_S, REFUSED_S, RATIO_FAILS = range(18, 22)
+NX = 22
 
 # solution
 O_MODE, O_RTK, O_AVAILABLE, O_SIGMA_AT, O_SIGMA_CT, O_HDOP, O_SATELLITES, O_DOPPLER, O_EXCLUDED, O_WRONG = range(10)
@@ -350,7 +351,9 @@ def _resolve_now(  # type: ignore[no-untyped-def]
     if outcome > FDE_EXCLUDED:
         return NOT_CONVERGED
     x[FIXES] += 1.0
-    return resolve(
+    if x[RATIO_FAILS] > 0.0:
+        leave_out(candidate, int(x[RATIO_FAILS]) - 1)
+    status = resolve(
         e,
         system,
         sound,
@@ -372,6 +375,23 @@ def _resolve_now(  # type: ignore[no-untyped-def]
         int(par[MIN_SATELLITES]),
         int(par[MIN_FURTHER]),
     )
+    if status == FIXED:
+        x[RATIO_FAILS] = 0.0
+    elif status == RATIO_FAILED or x[RATIO_FAILS] > 0.0:
+        x[RATIO_FAILS] += 1.0
+    return status
+
+
+@jit
+def leave_out(candidate, turn):  # type: ignore[no-untyped-def]
+    """Clear one candidate, another at each turn: a carrier half a cycle off spoils every set that it is in."""
+    skip = turn % max(_count(candidate), 1)
+    for s in range(candidate.shape[0]):
+        if candidate[s]:
+            if skip == 0:
+                candidate[s] = False
+                return
+            skip -= 1
 
 
 @jit
