@@ -246,7 +246,6 @@ def rtk(  # type: ignore[no-untyped-def]
     rows,
     rows_e,
     rows_group,
-    rows_of,
 ):
     """One epoch of RTK: keep lock, resolve what is not held, solve with the held phases, test and exclude.
 
@@ -300,7 +299,7 @@ def rtk(  # type: ignore[no-untyped-def]
             held[s] = False
         if member[s]:
             rows_e[n] = e[s]
-            rows_group[n], rows_of[n] = system[s], s
+            rows_group[n] = system[s]
             rows[0, n], rows[1, n], rows[2, n] = factor[s] * par[SIGMA_PHASE_PL] ** 2 + aged, bias, y[s]
             rows[3, n] = variance[s]
             n += 1
@@ -543,7 +542,7 @@ def _epoch(  # type: ignore[no-untyped-def]
     k_published, k_dead, published, operative_published, alert_limits, drift_group,
     x, growth, held, integers, fix_id, fix_risk, v, alert, reason, onset, clear, geo, head, columns, rows, rows_e,
     rows_group,
-    rows_of, out, pl,
+    out, pl,
 ):  # fmt: skip
     """The whole epoch of vehicle v; x, growth, held, integers, fix_id, fix_risk and the alert arrays are its state."""
     dt, n_sat = par[DT], e.shape[0]
@@ -571,7 +570,7 @@ def _epoch(  # type: ignore[no-untyped-def]
 
     status, n_rtk, excluded_rtk, hdop_rtk = rtk(
         e, system, elevation, tracked, cn0, code, phase, lock_lost, age, sin_h, cos_h, par, wavelength, fixable,
-        chi2, normal, fde, held, integers, fix_id, fix_risk, x, geo, head, rows, rows_e, rows_group, rows_of,
+        chi2, normal, fde, held, integers, fix_id, fix_risk, x, geo, head, rows, rows_e, rows_group,
     )  # fmt: skip
     wrong = held_risk(held, fix_id, fix_risk)
     x[FIXED_S] = x[FIXED_S] + dt if status == FIXED else 0.0
@@ -629,7 +628,7 @@ def run_some(  # type: ignore[no-untyped-def]
     """One epoch of the vehicles ``first`` to ``last - 1``, which share their scratch."""
     geo, head, columns = scratch(system.shape[0])
     rows, rows_e = np.zeros((4, geo.shape[1])), np.zeros((geo.shape[1], 3))
-    rows_group, rows_of = np.zeros(geo.shape[1], dtype=np.int64), np.zeros(geo.shape[1], dtype=np.int64)
+    rows_group = np.zeros(geo.shape[1], dtype=np.int64)
     for v in range(first, last):
         k = index[v]
         _epoch(
@@ -637,7 +636,7 @@ def run_some(  # type: ignore[no-untyped-def]
             delta_theta[v], v_ss[v], par, mode_limits, heading_limits, wavelength, fixable, chi2, normal, fde, risks,
             shares, spent, priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
             x[v], growth[v], held[v], integers[v], fix_id[v], fix_risk[v], v, alert, reason, onset, clear,
-            geo, head, columns, rows, rows_e, rows_group, rows_of, out[v], pl[v],
+            geo, head, columns, rows, rows_e, rows_group, out[v], pl[v],
         )  # fmt: skip
 
 
