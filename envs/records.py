@@ -7,6 +7,7 @@ above. It is East-South: ``E = x``, ``N = -y``, azimuth = heading + pi / 2. Late
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ __all__ = ["EgoBelief", "LaneIndex", "Traffic", "azimuth_of", "enu_of", "heading
 
 Array = NDArray[np.float64]
 LaneIndex = tuple[str, str, int]
+Angle = TypeVar("Angle", float, NDArray[np.float64])
 
 
 def enu_of(xy: Array) -> Array:
@@ -27,12 +29,12 @@ def xy_of(en: Array) -> Array:
     return np.asarray(en, dtype=np.float64) * np.array([1.0, -1.0])
 
 
-def azimuth_of(heading_rad: float | Array) -> float | Array:
+def azimuth_of(heading_rad: Angle) -> Angle:
     """Azimuth clockwise from North of a heading in the plane [rad]."""
     return heading_rad + 0.5 * np.pi
 
 
-def heading_of(azimuth_rad: float | Array) -> float | Array:
+def heading_of(azimuth_rad: Angle) -> Angle:
     """Heading in the plane of an azimuth [rad], not wrapped."""
     return azimuth_rad - 0.5 * np.pi
 
@@ -100,6 +102,8 @@ class Traffic:
     pl_at_m, pl_ct_m : (N,) bounds of the position's error along and across *its* heading, age included; inf if missing
     age_s : (N,) since the measurement behind it
     length_m, width_m : (N,)
+    relative : (N,) bool, seen by the ego's own sensor: the levels bound the position *relative* to the ego, whose own
+        levels are not to be added
     """
 
     key: NDArray[np.int64]
@@ -111,6 +115,7 @@ class Traffic:
     age_s: Array
     length_m: Array
     width_m: Array
+    relative: NDArray[np.bool_]
 
     @property
     def count(self) -> int:
@@ -120,5 +125,6 @@ class Traffic:
     @classmethod
     def none(cls) -> Traffic:
         """Nobody."""
-        empty = np.zeros(0)
-        return cls(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), *(empty.copy() for _ in range(7)))
+        row = np.zeros(0)
+        key, relative = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
+        return cls(key, np.zeros((0, 2)), row, row, row, row, row, row, row, relative)
