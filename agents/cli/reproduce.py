@@ -7,9 +7,11 @@ from typing import Annotated, Any
 
 import typer
 
+from lanebound.agents.cli.advice import AdvisingGroup
+
 __all__ = ["app"]
 
-app = typer.Typer(help="Reproduce what the source papers show.", no_args_is_help=True)
+app = typer.Typer(cls=AdvisingGroup, help="Reproduce what the source papers show.", no_args_is_help=True)
 
 
 @app.callback()
