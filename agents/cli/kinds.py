@@ -22,6 +22,7 @@ KINDS = {
     "imu": "lanebound.integrity.sensors.imu:ImuConfig",
     "odometer": "lanebound.integrity.sensors.odometer:OdometerConfig",
     "positioning": "lanebound.integrity.positioning.config:PositioningConfig",
+    "sky_level": "lanebound.envs.sky.level:SkyLevel",
     "v2v": "lanebound.integrity.sensors.v2v:V2vConfig",
 }
 
