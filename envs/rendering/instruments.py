@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.envs.rendering.camera import quads_along
 from lanebound.envs.rendering.canvas import Canvas
 from lanebound.envs.rendering.frame import Frame, Satellites
 from lanebound.envs.rendering.map_view import NORTH_RAD, status_colour
@@ -70,22 +69,31 @@ def path_colour(path: int, theme: Theme) -> Colour:
 def draw_sky(canvas: Canvas, at: Place, satellites: Satellites | None, up_rad: float, theme: Theme) -> None:
     """Zenith in the middle and horizon at the ring, turned as the map is.
 
-    Discs are received (filled when used), crosses are blocked; letters are those of RINEX.
+    Discs are received (filled when used), crosses are blocked; letters are those of RINEX; a key is in the corners.
     """
     head = "sky" if satellites is None else f"sky: {int(satellites.used.sum())} of {len(satellites.used)} used"
     canvas.text(at.x, at.y + 4, head, 11, theme.muted)
     plot = at.below_head()
-    middle, radius = np.array([plot.x + 0.5 * plot.width, plot.middle]), 0.5 * plot.width - 2.0
+    middle, radius = np.array([plot.x + 0.5 * plot.width, plot.middle]), 0.5 * plot.width - 9.0
     canvas.circle(middle, radius, theme.plot)
     for share in (1.0, 2.0 / 3.0, 1.0 / 3.0):
         canvas.circle(middle, share * radius, theme.grid, 0.5)
     for k in range(4):
         spoke = radius * _toward(k * 0.5 * np.pi, up_rad)
         canvas.line([middle + 0.04 * spoke, middle + spoke], theme.grid, 0.5)
-    north = middle + (radius - 7.0) * _toward(0.0, up_rad)
+    north = middle + (radius + 6.0) * _toward(0.0, up_rad)
     canvas.text(north[0], north[1], "N", 10, theme.muted, anchor="centre", bold=True)
+    _draw_sky_key(canvas, plot, theme)
     if satellites is not None:
         _draw_satellites(canvas, middle, radius, satellites, up_rad, theme)
+
+
+def _draw_sky_key(canvas: Canvas, plot: Place, theme: Theme) -> None:
+    upper, lower = plot.y + 5, plot.bottom - 5
+    canvas.text(plot.x, upper, "LOS", 9, path_colour(Path.LOS, theme))
+    canvas.text(plot.right, upper, "leaves", 9, path_colour(Path.FOLIAGE, theme), anchor="right")
+    canvas.text(plot.x, lower, "NLOS", 9, path_colour(Path.REFLECTED, theme))
+    canvas.text(plot.right, lower, "× blocked", 9, path_colour(Path.BLOCKED, theme), anchor="right")
 
 
 def _toward(azimuth_rad: float, up_rad: float) -> Array:
@@ -115,7 +123,9 @@ def _draw_satellites(
 def draw_error_box(canvas: Canvas, at: Place, frame: Frame, theme: Theme) -> None:
     """The estimate in the middle with its levels and limits; the dot is the truth, ahead is up. Each axis has its
     own scale: the limits always form the same square."""
-    canvas.text(at.x, at.y + 4, "true position in PL", 11, theme.muted)
+    outside = frame.misleading
+    head, ink = ("truth is outside PL", theme.crashed) if outside else ("truth in PL", theme.muted)
+    canvas.text(at.x, at.y + 4, head if frame.belief.available else "truth", 11, ink, bold=outside)
     plot, b = at.below_head(), frame.belief
     canvas.box(plot.x, plot.y, plot.width, plot.height, theme.plot, round_px=4)
     middle, reach = np.array([plot.x + 0.5 * plot.width, plot.middle]), 0.5 * plot.width
@@ -130,8 +140,9 @@ def draw_error_box(canvas: Canvas, at: Place, frame: Frame, theme: Theme) -> Non
     canvas.text(middle[0] + limit - 3, middle[1] - limit - 6, "AL", 9, theme.limit, anchor="right")
     at_m, ct_m = frame.error_m
     offset = np.array([-ct_m / b.al_ct_m, at_m / b.al_at_m]) * limit
-    canvas.circle(middle + np.clip(offset, 5.0 - reach, reach - 5.0), 4.0, theme.ego)
-    canvas.circle(middle + np.clip(offset, 5.0 - reach, reach - 5.0), 4.0, theme.plot, 0.5)
+    dot = middle + np.clip(offset, 6.0 - reach, reach - 6.0)
+    canvas.circle(dot, 5.0, theme.crashed if outside else theme.plot)
+    canvas.circle(dot, 4.0 if not outside else 3.0, theme.ego)
 
 
 def _square(middle: Array, half_x: float, half_y: float) -> Array:
@@ -160,7 +171,8 @@ def draw_strip(
         _draw_scale(canvas, plot, top, theme)
         y_pl, y_error = (_height(plot, values, top) for values in (pl, np.abs(error)))
         upper, lower = np.stack([x, y_error], 1), np.stack([x, np.full_like(x, plot.bottom)], 1)
-        canvas.polygons(quads_along(upper, lower), mix(theme.plot, theme.ego, 0.6))
+        if len(x) > 1:
+            canvas.polygons(np.concatenate([upper, lower[::-1]])[None], mix(theme.plot, theme.ego, 0.6))
         canvas.dashes(np.stack([x, _height(plot, al, top)], 1), theme.limit, 1.0)
         canvas.line(np.stack([x, y_pl], 1), theme.caution, 1.75)
     key = at.right

@@ -14,7 +14,7 @@ from lanebound.envs.rendering.camera import Camera, oriented_box, quads_along
 from lanebound.envs.rendering.canvas import Canvas
 from lanebound.envs.rendering.config import Orientation, RenderingConfig
 from lanebound.envs.rendering.frame import Frame, Status
-from lanebound.envs.rendering.roads import LaneMap, corridor
+from lanebound.envs.rendering.roads import RoadDrawing, corridor
 from lanebound.envs.rendering.scenery import Scenery
 from lanebound.envs.rendering.theme import Colour, Theme, mix
 
@@ -29,6 +29,7 @@ SHADOW_M = 0.14  # per metre of height
 SHADOW_MAX_M = 4.0
 BEHIND_M, AHEAD_M = 12.0, 45.0
 SHOWN_LEVEL_M = 12.0  # a larger level is drawn as this one, in dashes
+ROUND = np.stack([np.cos(np.linspace(0.0, 2.0 * np.pi, 17)[:-1]), np.sin(np.linspace(0.0, 2.0 * np.pi, 17)[:-1])], -1)
 
 
 def camera_of(frame: Frame, config: RenderingConfig) -> Camera:
@@ -46,46 +47,58 @@ def status_colour(status: Status, theme: Theme) -> Colour:
 
 
 def draw_map(
-    canvas: Canvas, frame: Frame, camera: Camera, lanes: LaneMap, scenery: Scenery | None, theme: Theme
+    canvas: Canvas, frame: Frame, camera: Camera, roads: RoadDrawing, scenery: Scenery | None, theme: Theme
 ) -> None:
     """All layers, from the ground up."""
     with canvas.clip(0, 0, *camera.size_px):
         canvas.fill(theme.ground)
-        seen = camera.sees(scenery.middle_m, scenery.radius_m + SHADOW_MAX_M) if scenery is not None else None
-        if scenery is not None and seen is not None:
-            _draw_shadows(canvas, scenery, seen & ~scenery.overhead & ~scenery.tree, camera, theme)
-        canvas.polygons(lanes.kerb.seen_px(camera), theme.kerb)
-        canvas.polygons(lanes.asphalt.seen_px(camera), theme.road)
+        if scenery is not None:
+            _draw_shadows(canvas, scenery, camera, theme)
+        canvas.polygons(roads.kerb.seen_px(camera), theme.kerb)
+        canvas.polygons(roads.asphalt.seen_px(camera), theme.road)
         _draw_corridor(canvas, frame, camera, theme)
-        canvas.polygons(lanes.marking.seen_px(camera), theme.marking)
-        if scenery is not None and seen is not None:
-            _draw_roofs(canvas, scenery, seen & ~scenery.overhead & ~scenery.tree, camera, theme)
+        canvas.polygons(roads.marking.seen_px(camera), theme.marking)
+        if scenery is not None:
+            _draw_roofs(canvas, scenery, camera, theme)
+        _draw_level(canvas, frame, camera, theme)
         _draw_bodies(canvas, frame, camera, theme)
         _draw_traffic(canvas, frame, camera, theme)
         _draw_belief(canvas, frame, camera, theme)
-        if scenery is not None and seen is not None:
-            canvas.blend(camera.px(scenery.roof_m[seen & scenery.tree]), theme.tree, 0.55)
-            canvas.blend(camera.px(scenery.roof_m[seen & scenery.overhead]), theme.overhead, 0.45)
-            _draw_edges(canvas, scenery, seen & (scenery.overhead | scenery.tree), camera, theme)
+        if scenery is not None:
+            _draw_overhead(canvas, scenery, camera, theme)
 
 
-def _draw_shadows(canvas: Canvas, scenery: Scenery, which: NDArray[np.bool_], camera: Camera, theme: Theme) -> None:
+def _draw_shadows(canvas: Canvas, scenery: Scenery, camera: Camera, theme: Theme) -> None:
     """To the lower right of the picture, whatever points up."""
+    which = _standing(scenery, camera)
     cast = np.minimum(SHADOW_M * scenery.height_m[which], SHADOW_MAX_M) * camera.scale_px_per_m
     canvas.polygons(camera.px(scenery.roof_m[which]) + cast[:, None, None] * np.array([0.8, 0.6]), theme.shadow)
 
 
-def _draw_roofs(canvas: Canvas, scenery: Scenery, which: NDArray[np.bool_], camera: Camera, theme: Theme) -> None:
+def _draw_roofs(canvas: Canvas, scenery: Scenery, camera: Camera, theme: Theme) -> None:
+    """The higher the brighter."""
+    which = _standing(scenery, camera)
     for triangle, height in zip(camera.px(scenery.roof_m[which]), scenery.height_m[which], strict=True):
         canvas.polygons(triangle[None], mix(theme.building_low, theme.building_high, height / TALL_M))
-    _draw_edges(canvas, scenery, which, camera, theme)
+    for ends in camera.px(scenery.edge_m[which[scenery.edge_roof]]):
+        canvas.line(ends, theme.building_edge, 0.5)
 
 
-def _draw_edges(canvas: Canvas, scenery: Scenery, which: NDArray[np.bool_], camera: Camera, theme: Theme) -> None:
-    edges = which[scenery.edge_roof]
-    trees = scenery.tree[scenery.edge_roof[edges]]
-    for ends, tree in zip(camera.px(scenery.edge_m[edges]), trees, strict=True):
-        canvas.line(ends, theme.tree if tree else theme.building_edge, 0.5)
+def _standing(scenery: Scenery, camera: Camera) -> NDArray[np.bool_]:
+    """Roofs on the map, or whose shadows are, of what stands on the ground."""
+    seen = camera.sees(scenery.middle_m, scenery.radius_m + SHADOW_MAX_M)
+    return np.asarray(seen & ~scenery.leaves & ~scenery.overhead)
+
+
+def _draw_overhead(canvas: Canvas, scenery: Scenery, camera: Camera, theme: Theme) -> None:
+    """What the road may pass under lets it be seen."""
+    seen = camera.sees(scenery.middle_m, scenery.radius_m)
+    canvas.blend(camera.px(scenery.roof_m[seen & scenery.overhead]), theme.overhead, 0.4)
+    canvas.blend(camera.px(scenery.roof_m[seen & scenery.leaves]), theme.tree, 0.5)
+    near = camera.sees(scenery.crown_m, scenery.crown_radius_m)
+    crown, radius = scenery.crown_m[near], scenery.crown_radius_m[near, None, None]
+    canvas.blend(camera.px(crown[:, None] + radius * ROUND), theme.tree, 0.5)
+    canvas.blend(camera.px(crown[:, None] + 0.55 * radius * ROUND), theme.tree, 0.4)
 
 
 def _draw_corridor(canvas: Canvas, frame: Frame, camera: Camera, theme: Theme) -> None:
@@ -141,40 +154,50 @@ def _across(corners: Array, begin: float, end: float, inset: float) -> Array:
 
 
 def _draw_traffic(canvas: Canvas, frame: Frame, camera: Camera, theme: Theme) -> None:
-    """Perceived vehicles: an outline, and a box grown by its levels; dashes where a level is missing or very large."""
+    """Perceived vehicles: an outline and a box grown by its levels, or an outline in dashes when there are none."""
     t = frame.traffic
     half = 0.5 * t.length_m, 0.5 * t.width_m
     outline = camera.px(oriented_box(t.position_m, t.heading_rad, *half))
     grown = camera.px(
         oriented_box(t.position_m, t.heading_rad, half[0] + _shown(t.pl_at_m), half[1] + _shown(t.pl_ct_m))
     )
-    bounded = np.maximum(t.pl_at_m, t.pl_ct_m) <= SHOWN_LEVEL_M
+    bounded = np.isfinite(t.pl_at_m + t.pl_ct_m)
     for row in np.flatnonzero(camera.sees(t.position_m, t.length_m + SHOWN_LEVEL_M)):
-        canvas.line(outline[row], theme.other_belief, 1.5, closed=True)
         if bounded[row]:
+            canvas.line(outline[row], theme.other_belief, 1.5, closed=True)
             canvas.blend(grown[row][None], theme.other_belief, 0.12)
             canvas.line(grown[row], theme.other_belief, 0.5, closed=True)
         else:
-            canvas.dashes(grown[row], theme.other_belief, 0.5, on_px=3.0, closed=True)
+            canvas.dashes(outline[row], theme.other_belief, 1.5, on_px=3.0, closed=True)
+
+
+def _draw_level(canvas: Canvas, frame: Frame, camera: Camera, theme: Theme) -> None:
+    """The tinted ground of the ego's box; none when it has no levels."""
+    if np.isfinite([frame.belief.pl_at_m, frame.belief.pl_ct_m]).all():
+        canvas.blend(_ego_box(frame, camera)[None], status_colour(frame.status, theme), 0.3)
 
 
 def _draw_belief(canvas: Canvas, frame: Frame, camera: Camera, theme: Theme) -> None:
-    """The believed ego with its heading, and its box along and across the true track."""
-    b = frame.belief
-    half = 0.5 * float(frame.bodies.length_m[frame.ego]), 0.5 * float(frame.bodies.width_m[frame.ego])
-    pl = np.array([b.pl_at_m, b.pl_ct_m])
-    at, ct = _shown(pl)
-    colour = status_colour(frame.status, theme)
-    box = camera.px(oriented_box(b.position_m, frame.ego_heading_rad, half[0] + at, half[1] + ct))[0]
-    canvas.blend(box[None], colour, 0.22)
-    if pl.max() <= SHOWN_LEVEL_M:
+    """The believed ego with its heading, and the edge of its box: dashes where a level is missing or very large."""
+    b, colour = frame.belief, status_colour(frame.status, theme)
+    box = _ego_box(frame, camera)
+    if max(b.pl_at_m, b.pl_ct_m) <= SHOWN_LEVEL_M:
         canvas.line(box, colour, 1.5, closed=True)
     else:
         canvas.dashes(box, colour, 1.5, on_px=6.0, closed=True)
+    half = 0.5 * float(frame.bodies.length_m[frame.ego]), 0.5 * float(frame.bodies.width_m[frame.ego])
     ghost = camera.px(oriented_box(b.position_m, b.heading_rad, *half))[0]
     canvas.line(_cut(ghost), theme.ego_belief, 1.5, closed=True)
     nose = 0.5 * (ghost[0] + ghost[1])
     canvas.line([0.5 * (nose + 0.5 * (ghost[2] + ghost[3])), nose], theme.ego_belief, 1.0)
+
+
+def _ego_box(frame: Frame, camera: Camera) -> Array:
+    """The believed body grown by its levels, along and across the true track, (4, 2) px."""
+    b = frame.belief
+    at, ct = _shown(np.array([b.pl_at_m, b.pl_ct_m]))
+    half = 0.5 * float(frame.bodies.length_m[frame.ego]) + at, 0.5 * float(frame.bodies.width_m[frame.ego]) + ct
+    return np.asarray(camera.px(oriented_box(b.position_m, frame.ego_heading_rad, *half))[0])
 
 
 def _shown(level_m: Array) -> Array:

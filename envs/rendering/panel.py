@@ -67,16 +67,16 @@ def _draw_head(canvas: Canvas, at: Place, frame: Frame, theme: Theme) -> None:
 
 
 def _draw_badge(canvas: Canvas, at: Place, frame: Frame, theme: Theme) -> None:
-    """The light with its word and why; an error beyond its level is marked whatever the light."""
+    """The light with its word and why: what the ego itself knows."""
     status = frame.status
     colour = status_colour(status, theme)
     canvas.box(at.x, at.y, at.width, at.height, mix(theme.panel, colour, 0.28), round_px=6)
     canvas.box(at.x, at.y, 6, at.height, colour, round_px=3)
     width = canvas.text(at.x + 16, at.middle, status.value, 15, theme.text, bold=True)
     left = at.width - width - 40
-    why = "error exceeds PL" if frame.misleading else _why(frame)
+    why = _why(frame)
     size = 11 if canvas.width_of(why, 11) <= left else 10
-    canvas.text(at.right - 10, at.middle, why, size, theme.text, anchor="right", bold=frame.misleading)
+    canvas.text(at.right - 10, at.middle, why, size, theme.text, anchor="right")
 
 
 def _why(frame: Frame) -> str:
@@ -94,8 +94,8 @@ def _draw_figures(canvas: Canvas, at: Place, frame: Frame, theme: Theme) -> None
     b = frame.belief
     left = (
         ("speed", f"{3.6 * frame.speed_mps:.0f} km/h", theme.text),
-        ("PL along", _level(b.pl_at_m, b.al_at_m), _level_colour(b.pl_at_m, b.al_at_m, theme)),
-        ("PL across", _level(b.pl_ct_m, b.al_ct_m), _level_colour(b.pl_ct_m, b.al_ct_m, theme)),
+        ("PL AT", _level(b.pl_at_m, b.al_at_m), _level_colour(b.pl_at_m, b.al_at_m, theme)),
+        ("PL CT", _level(b.pl_ct_m, b.al_ct_m), _level_colour(b.pl_ct_m, b.al_ct_m, theme)),
         ("cost", "–" if frame.cost is None else f"{frame.cost:.2f}", theme.text),
     )
     right = (
@@ -105,8 +105,8 @@ def _draw_figures(canvas: Canvas, at: Place, frame: Frame, theme: Theme) -> None
         ("corrections", _age(b.corrections_age_s), theme.text),
     )
     row = at.height / 4.0
-    half = 0.5 * (at.width - MARGIN)
-    for x, column in ((at.x, left), (at.x + half + MARGIN, right)):
+    half = 0.5 * (at.width - 2 * MARGIN)
+    for x, column in ((at.x, left), (at.right - half, right)):
         for k, (name, value, colour) in enumerate(column):
             y = at.y + (k + 0.5) * row
             canvas.text(x, y, name, 11, theme.muted)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lanebound.envs.records import LaneIndex
 from lanebound.envs.rendering.camera import Camera, quads_along
 
-__all__ = ["LaneMap", "Quads", "corridor"]
+__all__ = ["Quads", "RoadDrawing", "corridor"]
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ class Quads:
 
 
 @dataclass(frozen=True)
-class LaneMap:
+class RoadDrawing:
     """The network that was traced, and what is drawn of it from below to above."""
 
     network: Any
@@ -53,7 +53,7 @@ class LaneMap:
     marking: Quads
 
     @classmethod
-    def of(cls, network: Any) -> LaneMap:
+    def of(cls, network: Any) -> RoadDrawing:
         """Trace every lane."""
         lanes = [lane for exits in network.graph.values() for edge in exits.values() for lane in edge]
         strips = [(lane, _stations(lane, 0.0, float(lane.length))) for lane in lanes]

@@ -18,20 +18,22 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 LEAST_AREA_M2 = 0.01  # a wall covers no ground
+CROWN_M2 = 200.0  # smaller leaves are one tree, drawn round; larger ones are a wood, drawn as it is
 OVERHEAD_M = 2.0  # a solid that begins above this can be driven under
 MILLIMETRES = 1000.0
 
 
 @dataclass(frozen=True)
 class Scenery:
-    """Roofs of one city as triangles in the plane, and their outlines.
+    """Roofs of one city as triangles in the plane, their outlines, and the crowns of its trees.
 
     Attributes
     ----------
     city : what was traced
     roof_m : (n, 3, 2); middle_m, radius_m : circles around them, (n, 2) and (n,)
-    height_m : (n,) of the whole body; tree, overhead : (n,) bool
+    height_m : (n,) of the whole body; leaves, overhead : (n,) bool
     edge_m : (e, 2, 2) outer edges of the roofs; edge_roof : (e,) the roof that each belongs to
+    crown_m : (k, 2) middles of trees; crown_radius_m : (k,) of the disc of the same area
     """
 
     city: City
@@ -39,10 +41,12 @@ class Scenery:
     middle_m: Array
     radius_m: Array
     height_m: Array
-    tree: Bools
+    leaves: Bools
     overhead: Bools
     edge_m: Array
     edge_roof: NDArray[np.int64]
+    crown_m: Array
+    crown_radius_m: Array
 
     @classmethod
     def of(cls, city: City) -> Scenery:
@@ -51,11 +55,13 @@ class Scenery:
         plan = np.asarray(xy_of(triangles[..., :2]), dtype=np.float64)
         corner, body = _bodies(triangles)
         top, bottom = _extent(triangles[..., 2], body)
-        u, v = plan[:, 1] - plan[:, 0], plan[:, 2] - plan[:, 0]
-        lies = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) > 2.0 * LEAST_AREA_M2
-        roof = lies & (triangles[..., 2].mean(1) >= 0.5 * (top + bottom))
+        area = _area(plan)
+        roof = (area > LEAST_AREA_M2) & (triangles[..., 2].mean(1) >= 0.5 * (top + bottom))
+        covered = np.bincount(body, np.where(roof, area, 0.0))[body]
+        tree = roof & city.foliage & (covered < CROWN_M2)
+        roof &= ~tree
         middle = plan[roof].mean(1)
-        edge, owner = _outline(plan[roof], corner[roof])
+        crown, crown_radius = _crowns(plan[tree].mean(1), area[tree], body[tree])
         return cls(
             city,
             plan[roof],
@@ -64,9 +70,24 @@ class Scenery:
             top[roof],
             city.foliage[roof],
             (bottom[roof] > OVERHEAD_M) & ~city.foliage[roof],
-            edge,
-            owner,
+            *_outline(plan[roof], corner[roof]),
+            crown,
+            crown_radius,
         )
+
+
+def _area(plan: Array) -> Array:
+    """Ground that triangles (t, 3, 2) cover, (t,) [m^2]."""
+    u, v = plan[:, 1] - plan[:, 0], plan[:, 2] - plan[:, 0]
+    return np.asarray(0.5 * np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]))
+
+
+def _crowns(middle: Array, area: Array, body: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Middle and radius of the disc as large as each body of triangles, (k, 2) and (k,)."""
+    _, label = np.unique(body, return_inverse=True)
+    total = np.bincount(label, area)
+    weighted = np.stack([np.bincount(label, area * middle[:, axis]) for axis in (0, 1)], -1)
+    return weighted / total[:, None], np.sqrt(total / np.pi)
 
 
 def _bodies(triangles: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

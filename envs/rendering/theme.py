@@ -60,7 +60,7 @@ THEMES = {
     ThemeName.LIGHT: Theme(
         ground=(238, 240, 236), kerb=(176, 180, 184), road=(206, 210, 214), marking=(255, 255, 255),
         building_low=(196, 190, 182), building_high=(150, 146, 142), building_edge=(126, 120, 114),
-        shadow=(216, 216, 210), tree=(112, 170, 112), overhead=(120, 124, 130), panel=(250, 250, 250),
+        shadow=(216, 216, 210), tree=(112, 170, 112), overhead=(120, 124, 130), panel=(240, 242, 244),
         plot=(255, 255, 255), grid=(218, 222, 226), text=(28, 32, 38), muted=(102, 110, 120), ego=(0, 114, 178),
         ego_belief=(10, 14, 20), other=(120, 128, 138), other_belief=(150, 92, 0), crashed=(170, 60, 120),
         glass=(40, 46, 54), limit=(70, 78, 88), ok=(0, 138, 100), caution=(214, 140, 0),

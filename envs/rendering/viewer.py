@@ -13,7 +13,7 @@ from lanebound.envs.rendering.config import RenderingConfig
 from lanebound.envs.rendering.frame import Frame
 from lanebound.envs.rendering.map_view import camera_of, draw_map
 from lanebound.envs.rendering.panel import draw_legend, draw_panel
-from lanebound.envs.rendering.roads import LaneMap
+from lanebound.envs.rendering.roads import RoadDrawing
 from lanebound.envs.rendering.scenery import Scenery
 from lanebound.envs.rendering.theme import THEMES
 from lanebound.envs.rendering.window import Window
@@ -47,7 +47,7 @@ class Viewer:
         self._theme = THEMES[self.config.theme]
         self._title, self._fps = title, fps
         self._window: Window | None = None
-        self._lanes: LaneMap | None = None
+        self._roads: RoadDrawing | None = None
         self._scenery: Scenery | None = None
 
     def render(self, frame: Frame) -> NDArray[np.uint8]:
@@ -79,16 +79,16 @@ class Viewer:
 
     def _draw(self, frame: Frame) -> pygame.Surface:
         camera = camera_of(frame, self.config)
-        draw_map(self._canvas, frame, camera, self._lanes_of(frame), self._scenery_of(frame), self._theme)
+        draw_map(self._canvas, frame, camera, self._roads_of(frame), self._scenery_of(frame), self._theme)
         if self.config.legend:
             draw_legend(self._canvas, self.config, self._theme)
         draw_panel(self._canvas, frame, self.config, self._theme)
         return self._canvas.finish()
 
-    def _lanes_of(self, frame: Frame) -> LaneMap:
-        if self._lanes is None or self._lanes.network is not frame.network:
-            self._lanes = LaneMap.of(frame.network)
-        return self._lanes
+    def _roads_of(self, frame: Frame) -> RoadDrawing:
+        if self._roads is None or self._roads.network is not frame.network:
+            self._roads = RoadDrawing.of(frame.network)
+        return self._roads
 
     def _scenery_of(self, frame: Frame) -> Scenery | None:
         if frame.city is None:
