@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from math import isnan
+from struct import pack
 from typing import Any
 
 import numpy as np
@@ -45,6 +47,7 @@ class Observer:
         self.satellites_m = np.array(self.config.satellites_m)
         self._slices = group_slices(self.config)
         self._factor = 1.0 / np.array([e.scale for e in self.index])
+        self._format = f"{len(self.index)}d"
         self._low = np.array([e.low for e in self.index])
         self._high = np.array([e.high for e in self.index])
         self.space: spaces.Space[Any] = self._make_space()
@@ -137,11 +140,10 @@ class Observer:
         return at - levels[0][1], ct - levels[0][2]
 
     def _bounded(self, values: list[float]) -> Vector:
-        scaled = np.array(values, dtype=np.float64)
-        scaled *= self._factor
+        scaled = np.frombuffer(pack(self._format, *values)) * self._factor  # half the time of np.array
         np.maximum(scaled, self._low, out=scaled)
         np.minimum(scaled, self._high, out=scaled)
-        if np.isnan(scaled.sum()):
+        if isnan(scaled.dot(scaled)):
             names = [e.column for e, bad in zip(self.index, np.isnan(scaled), strict=True) if bad]
             raise InputError(f"{', '.join(names)} must be a number, got nan: mend the belief, traffic or map behind it")
         return scaled.astype(np.float32)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import islice
 from math import cos, inf, sin
 
 import numpy as np
@@ -19,9 +20,15 @@ from lanebound.integrity.positioning.rtk_status import RtkStatus
 
 __all__ = ["ego_values", "integrity_values", "road_values", "traffic_values"]
 
-REASONS = [reason.code for reason in AlertReason]
-MODES = [int(mode) for mode in Mode]
-RTK_STATES = [status.code for status in RtkStatus]
+
+def _one_hot(codes: Sequence[int]) -> dict[int, tuple[float, ...]]:
+    """For each code the numbers that show it."""
+    return {code: tuple(float(code == other) for other in codes) for code in codes}
+
+
+REASONS = _one_hot([reason.code for reason in AlertReason])
+MODES = _one_hot([int(mode) for mode in Mode])
+RTK_STATES = _one_hot([status.code for status in RtkStatus])
 UNKNOWN = -inf  # a number of satellites that nobody predicts
 ABSENT = [0.0, inf, *[0.0] * 5, inf, *[0.0] * 6, inf, 0.0]  # a row of traffic without a vehicle
 ABSENT_LEVELS = [0.0, inf, inf]
@@ -71,9 +78,9 @@ def integrity_values(belief: EgoBelief, trends_m: tuple[float, float], oracle: b
         available,
         alert,
         age,
-        *[float(reason == code) for code in REASONS],
-        *[float(b.mode == code) for code in MODES],
-        *[float(b.rtk == code) for code in RTK_STATES],
+        *REASONS[reason],
+        *MODES[b.mode],
+        *RTK_STATES[b.rtk],
         b.since_rtk_s,
         b.since_calibration_s,
         b.corrections_age_s,
@@ -151,18 +158,18 @@ def _present(
     c, s = cos(heading), sin(heading)
     levels = _levels_of(config, belief)
     columns = zip(
-        traffic.position_m[:rows].tolist(),
-        traffic.heading_rad[:rows].tolist(),
-        traffic.speed_mps[:rows].tolist(),
-        traffic.length_m[:rows].tolist(),
-        traffic.width_m[:rows].tolist(),
-        traffic.age_s[:rows].tolist(),
-        traffic.relative[:rows].tolist(),
-        traffic.pl_at_m[:rows].tolist(),
-        traffic.pl_ct_m[:rows].tolist(),
+        traffic.position_m.tolist(),
+        traffic.heading_rad.tolist(),
+        traffic.speed_mps.tolist(),
+        traffic.length_m.tolist(),
+        traffic.width_m.tolist(),
+        traffic.age_s.tolist(),
+        traffic.relative.tolist(),
+        traffic.pl_at_m.tolist(),
+        traffic.pl_ct_m.tolist(),
         strict=True,
     )
-    for (x, y), direction, v, length, width, age, relative, at, ct in columns:
+    for (x, y), direction, v, length, width, age, relative, at, ct in islice(columns, rows):
         dx, dy = x - x0, y - y0
         ahead, right = dx * c + dy * s, dy * c - dx * s
         turn = direction - heading

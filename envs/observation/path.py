@@ -19,7 +19,7 @@ __all__ = ["Line", "Path", "PathPoint", "RoadMap", "line_of", "wrap"]
 
 STEP_M = 2.0  # between nodes of a sampled line: 1e-5 m of error on a radius of 15 m
 CONTINUES_M = 0.5  # lanes whose ends lie closer than this are one lane
-CONVERGED_M = 0.02
+NEAR_CURVED_M, NEAR_STRAIGHT_M = 0.1, 1.0  # last step of a projection: the offset is then wrong by step^2 / 2R
 MAX_LANES = 64  # of one path, against lanes of no length
 PROJECTIONS = 6
 
@@ -112,10 +112,11 @@ class _Sampled(Line):
         (xa, ya, ha), (xb, yb, hb) = self._node(k), self._node(k + 1)
         dx, dy, turn = xb - xa, yb - ya, wrap(hb - ha)
         chord = hypot(dx, dy)
-        ax, ay, bx, by = chord * cos(ha), chord * sin(ha), chord * cos(hb), chord * sin(hb)
+        arc = chord * 0.5 * turn / sin(0.5 * turn) if turn else chord
+        ax, ay, bx, by = arc * cos(ha), arc * sin(ha), arc * cos(hb), arc * sin(hb)
         cubic_x = (xa, ax, 3.0 * dx - 2.0 * ax - bx, ax + bx - 2.0 * dx)
         cubic_y = (ya, ay, 3.0 * dy - 2.0 * ay - by, ay + by - 2.0 * dy)
-        piece = self.pieces[k] = (*cubic_x, *cubic_y, ha, turn, turn / chord if chord > 0.0 else 0.0)
+        piece = self.pieces[k] = (*cubic_x, *cubic_y, ha, turn, turn / arc if arc > 0.0 else 0.0)
         return piece
 
     def at(self, s: float) -> PathPoint:
@@ -169,15 +170,19 @@ class Path:
         return _drawn_on(line.end, station_m - end)
 
     def project(self, x: float, y: float, guess_m: float) -> tuple[float, float] | None:
-        """Station and offset to the right of a point, found from a guess by Newton's steps; None when not beside it."""
+        """Station and offset to the right of a point, found from a guess by Newton's steps; None when not beside it.
+
+        A step ``along / (1 - curvature offset)`` leaves an error of second order, so the last one is taken unchecked.
+        """
         station = guess_m
         for _ in range(PROJECTIONS):
             px, py, heading, curvature = self.at(station)
             dx, dy, c, s = x - px, y - py, cos(heading), sin(heading)
             along, offset = dx * c + dy * s, dy * c - dx * s
-            if -CONVERGED_M < along < CONVERGED_M:
-                return station + along, offset
             station += along / max(1.0 - curvature * offset, 0.5)
+            near = NEAR_CURVED_M if curvature else NEAR_STRAIGHT_M
+            if -near < along < near:
+                return station, offset
         return None
 
 
