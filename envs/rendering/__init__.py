@@ -1,6 +1,6 @@
 """Pictures of an environment: the road from above, what the ego believes, and how far that can be trusted.
 
-Importing this package does not import pygame; making a :class:`Viewer` does.
+No display is opened before :meth:`Viewer.show`.
 """
 
 from lanebound.envs.rendering.config import Orientation, RenderingConfig, ThemeName
