@@ -17,12 +17,20 @@ SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 class AdvisingGroup(TyperGroup):
     """A group of commands whose errors, its own and those of typer, are printed as one line of advice each."""
 
-    def main(self, *args: Any, standalone_mode: bool = True, **options: Any) -> Any:
+    def main(
+        self,
+        args: Sequence[str] | None = None,
+        prog_name: str | None = None,
+        complete_var: str | None = None,
+        standalone_mode: bool = True,
+        windows_expand_args: bool = True,
+        **extra: Any,
+    ) -> Any:
         """Run the program and leave with its exit code; typer's complaints are put into this package's form."""
         if not standalone_mode:
-            return super().main(*args, standalone_mode=False, **options)
+            return super().main(args, prog_name, complete_var, False, windows_expand_args, **extra)
         try:
-            sys.exit(super().main(*args, standalone_mode=False, **options) or 0)
+            sys.exit(super().main(args, prog_name, complete_var, False, windows_expand_args, **extra) or 0)
         except typer.Abort:
             sys.exit(130)
         except Exception as error:
