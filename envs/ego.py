@@ -16,8 +16,6 @@ from highway_env.vehicle.dynamics import BicycleVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
-from lanebound.envs.records import LaneIndex
-
 __all__ = ["BelievedVehicle", "BicycleEgo", "Cockpit", "DirectEgo", "MetaEgo", "take_over"]
 
 Array = NDArray[np.float64]
@@ -109,21 +107,22 @@ class MetaEgo(MDPVehicle):  # type: ignore[misc]
             self.cockpit.moved()
 
 
-class DirectEgo(Vehicle):  # type: ignore[misc]
-    """The physical car under continuous actions: the policy commands its steering and acceleration."""
+class _Commanded:
+    """A physical car under continuous actions: the policy commands its steering and acceleration."""
 
     cockpit: Cockpit | None = None
+    action: dict[str, float]
 
     def act(self, action: dict[str, float] | None = None) -> None:
         """Apply the command to the real car."""
         if self.cockpit is not None:
             self.cockpit.look()
             action = self.cockpit.limit(dict(action or self.action))
-        super().act(action)
+        super().act(action)  # type: ignore[misc]
 
     def step(self, dt: float) -> None:
         """Move, and tell the cockpit."""
-        super().step(dt)
+        super().step(dt)  # type: ignore[misc]
         if self.cockpit is not None:
             self.cockpit.moved()
 
@@ -131,19 +130,18 @@ class DirectEgo(Vehicle):  # type: ignore[misc]
         """As every vehicle: others predict the real car, and no copy of it has a cockpit."""
         cockpit, self.cockpit = self.cockpit, None
         try:
-            found: tuple[list[Array], list[float]] = super().predict_trajectory_constant_speed(times)
+            found: tuple[list[Array], list[float]] = super().predict_trajectory_constant_speed(times)  # type: ignore[misc]
         finally:
             self.cockpit = cockpit
         return found
 
 
-class BicycleEgo(BicycleVehicle):  # type: ignore[misc]
-    """:class:`DirectEgo` with tyre slip."""
+class DirectEgo(_Commanded, Vehicle):  # type: ignore[misc]
+    """The physical car under continuous actions."""
 
-    cockpit: Cockpit | None = None
-    act = DirectEgo.act
-    step = DirectEgo.step
-    predict_trajectory_constant_speed = DirectEgo.predict_trajectory_constant_speed
+
+class BicycleEgo(_Commanded, BicycleVehicle):  # type: ignore[misc]
+    """The same with tyre slip."""
 
 
 EGOS: dict[type[Vehicle], type[Vehicle]] = {MDPVehicle: MetaEgo, Vehicle: DirectEgo, BicycleVehicle: BicycleEgo}
@@ -163,5 +161,3 @@ def take_over(vehicle: Vehicle, cockpit: Cockpit) -> None:
         raise TypeError(f"the ego must be one of {[k.__name__ for k in EGOS]}, got {type(vehicle).__name__}") from None
     vehicle.__class__ = kind
     vehicle.cockpit = cockpit
-
-

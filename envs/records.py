@@ -16,17 +16,18 @@ __all__ = ["EgoBelief", "LaneIndex", "Traffic", "azimuth_of", "enu_of", "heading
 
 Array = NDArray[np.float64]
 LaneIndex = tuple[str, str, int]
+FLIP = np.array([1.0, -1.0])
 Angle = TypeVar("Angle", float, NDArray[np.float64])
 
 
 def enu_of(xy: Array) -> Array:
     """East, North of a point or vector in the plane.  (..., 2) -> (..., 2)."""
-    return np.asarray(xy, dtype=np.float64) * np.array([1.0, -1.0])
+    return np.asarray(np.asarray(xy, dtype=np.float64) * FLIP)
 
 
 def xy_of(en: Array) -> Array:
     """The inverse of :func:`enu_of`, which is its own.  (..., 2) -> (..., 2)."""
-    return np.asarray(en, dtype=np.float64) * np.array([1.0, -1.0])
+    return np.asarray(np.asarray(en, dtype=np.float64) * FLIP)
 
 
 def azimuth_of(heading_rad: Angle) -> Angle:
