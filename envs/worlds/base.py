@@ -28,11 +28,19 @@ META: dict[str, Any] = {"type": "DiscreteMetaAction", "target_speeds": TARGET_SP
 class World(AbstractEnv):  # type: ignore[misc]
     """A scenario of highway-env on one of our roads: subclasses make the road and place who drives on it.
 
-    Configuration, besides highway-env's own keys (frequencies in Hz):
-
-    - ``lane_width`` [m]: 3.25 in towns, 4 is easy, 3 hard for cars 2 m wide
-    - ``duration`` [s]: when the episode is truncated
-    - ``progress_reward``, ``centring_reward``, ``collision_reward`` [-]: weights of the reward's terms
+    Action
+        highway-env's, by ``config["action"]``: ``ContinuousAction`` (acceleration within 6 m/s2, steering within
+        0.4 rad) at 5 Hz, or ``DiscreteMetaAction`` (speeds from 0 to 14 m/s in steps of 2) at 2 Hz.
+    Observation
+        highway-env's, by ``config["observation"]``.
+    Reward
+        Weighted sum of progress, centring and collision, brought to [0, 1]; see :meth:`_rewards`.
+    Episode end
+        Terminated by a collision, by the vehicle's middle leaving the road, or by driving against its direction;
+        truncated after ``duration``.
+    Configuration, besides highway-env's keys
+        ``simulation_frequency`` 20 Hz; ``lane_width`` [m]: 3.25 in towns, 4 is easy, 3 hard for cars 2 m wide;
+        ``duration`` [s]; ``progress_reward``, ``centring_reward``, ``collision_reward``: weights of the terms.
     """
 
     @classmethod

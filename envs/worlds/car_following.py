@@ -16,9 +16,15 @@ END_M = 40.0
 class CarFollowingWorld(World):
     """Follow a lead vehicle through stop-and-go traffic on one lane without hitting it or falling behind.
 
-    Configuration, besides that of :class:`World`: ``layout`` (0 to 3: which road), ``time_gap`` [s] (range of the gap
-    to the lead vehicle at the start, beyond ``standstill_gap`` [m]), ``lead`` (keys of :class:`SpeedProfileConfig` to
-    be changed).
+    Action, observation, reward
+        Those of :class:`World`.
+    Start
+        Behind the lead vehicle at its speed, with a gap of ``standstill_gap + T v`` between bumpers, T uniform.
+    Episode end
+        That of :class:`World`; truncated at the end of the road too.
+    Configuration
+        ``layout`` (0 to 3: which road), ``standstill_gap`` [m], ``time_gap`` [s] (range of T), ``lead`` (keys of
+        :class:`SpeedProfileConfig` to be changed).
     """
 
     @classmethod

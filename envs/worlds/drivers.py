@@ -25,7 +25,7 @@ class SpeedProfileConfig(Config):
     cruise_s: tuple[float, float] = Field((3.0, 15.0), description="length of a cruise [s]")
     stop_probability: float = Field(0.45, ge=0, le=1, description="that a cruise ends in a stop [-]")
     hard_probability: float = Field(0.35, ge=0, le=1, description="that a deceleration is hard braking [-]")
-    stand_s: tuple[float, float] = Field((2.0, 12.0), description="length of a standstill [s]")
+    stand_s: tuple[float, float] = Field((2.0, 18.0), description="length of a standstill [s]")
     accelerate_mps2: tuple[float, float] = Field(
         (0.8, 1.7), description="speeding up; up to that of the WLTC's low phase [m/s2]"
     )
@@ -106,17 +106,19 @@ class CityDriver(IDMVehicle):  # type: ignore[misc]
     COMFORT_ACC_MIN = -2.0
     LANE_CHANGE_DELAY = 2.0
     LANE_CHANGE_MIN_ACC_GAIN = 0.4
+    REACTION_S = 0.8
 
     def acceleration(
         self, ego_vehicle: Vehicle | None, front_vehicle: Vehicle | None = None, rear_vehicle: Vehicle | None = None
     ) -> float:
-        """IDM's, with the speed advised for the bends ahead in the place of the one wished where that is less."""
+        """IDM's, or less where that leads to the speed advised for where the driver will be after its reaction time."""
         free = float(super().acceleration(ego_vehicle, front_vehicle, rear_vehicle))
         advised_speed = getattr(self.lane, "advised_speed", None)
         if ego_vehicle is not self or advised_speed is None:
             return free
-        advised = advised_speed(self.lane.local_coordinates(self.position)[0])
-        return min(free, float(self.COMFORT_ACC_MAX * (1.0 - (max(self.speed, 0.0) / advised) ** self.DELTA)))
+        s = self.lane.local_coordinates(self.position)[0]
+        advised = advised_speed(s + max(self.speed, 0.0) * self.REACTION_S)
+        return min(free, float((advised - self.speed) / self.REACTION_S))
 
     def step(self, dt: float) -> None:
         """Move; braking ends at standstill, where IDM alone would reverse."""

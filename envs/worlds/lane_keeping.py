@@ -13,10 +13,17 @@ END_M = 40.0
 
 
 class LaneKeepingWorld(World):
-    """Keep the lane along 1.7 km of straights, bends of 40 to 160 m radius and S-bends, alone on the road.
+    """Keep the lane along 1.8 km of straights, bends of 40 to 160 m radius and S-bends, alone on the road.
 
-    Configuration, besides that of :class:`World`: ``layout`` (0 to 3: which road), ``lanes_count`` (1 or 2, in the same
-    direction), ``initial_speed`` [m/s].
+    Action, observation, reward
+        Those of :class:`World`.
+    Start
+        On a random lane, anywhere from where the episode's time at the limit of 50 km/h does not reach the end of the
+        road, at ``initial_speed`` or that which the bends ahead allow.
+    Episode end
+        That of :class:`World`; truncated at the end of the road too.
+    Configuration
+        ``layout`` (0 to 3: which road), ``lanes_count`` (in the same direction), ``initial_speed`` [m/s].
     """
 
     @classmethod

@@ -83,9 +83,10 @@ class CurveLane(AbstractLane):  # type: ignore[misc]
 
     def local_coordinates(self, position: Array) -> tuple[float, float]:
         """Distance along the lane and to the right of it [m]."""
-        cell, into, lateral = self.path.project(float(position[0]), float(position[1]))
-        turned = (self.path.kappa[cell] + 0.5 * self.path.slope[cell] * into) * into
-        return self._station[cell] + into - self.offset_m * turned, lateral - self.offset_m
+        path, offset = self.path, self.offset_m
+        cell, into, lateral = path.project(float(position[0]), float(position[1]))
+        turned = (path.kappa[cell] + 0.5 * path.slope[cell] * into) * into
+        return self._station[cell] + into - offset * turned, lateral - offset
 
     def heading_at(self, longitudinal: float) -> float:
         """Direction of the lane [rad], not wrapped."""
@@ -112,11 +113,14 @@ class CurveLane(AbstractLane):  # type: ignore[misc]
 
     def distance_with_heading(self, position: Array, heading: float | None, heading_weight: float = 1.0) -> float:
         """Distance beside the lane and beyond its ends, plus the weighted angle to it; the base class's rule."""
-        s, r = self.local_coordinates(position)
-        distance = abs(r) + max(s - self.length, 0.0) + max(-s, 0.0)
+        path, offset = self.path, self.offset_m
+        cell, into, lateral = path.project(float(position[0]), float(position[1]))
+        turned = (path.kappa[cell] + 0.5 * path.slope[cell] * into) * into
+        s = self._station[cell] + into - offset * turned
+        distance = abs(lateral - offset) + max(s - self.length, 0.0, -s)
         if heading is None:
             return distance
-        angle = (heading - self.heading_at(s) + pi) % (2.0 * pi) - pi
+        angle = (heading - path.pose[cell].heading - turned + pi) % (2.0 * pi) - pi
         return distance + heading_weight * abs(angle)
 
     def advised_speed(self, longitudinal: float) -> float:

@@ -10,7 +10,7 @@ from functools import lru_cache
 from math import inf
 
 import numpy as np
-from highway_env.road.lane import AbstractLane, LineType
+from highway_env.road.lane import LineType
 from highway_env.road.road import RoadNetwork
 from numpy.typing import NDArray
 
@@ -22,11 +22,12 @@ __all__ = ["CITY_SECTIONS", "LAYOUTS", "Section", "StreetNetwork", "advance", "c
 
 Array = NDArray[np.float64]
 Section = tuple[str, str, float, float, str]
+Box = tuple[str, str, list[CurveLane], tuple[float, float, float, float]]
 
 LAYOUTS = 4  # of each kind of road
 TURN_LIMIT_RAD = 1.2  # a road that never turns back does not meet itself
 
-# Corners x, y and radius [m] of a loop of 2.9 km, driven clockwise; the sides' middles are the nodes "a" to "j".
+# Corners x, y and radius [m] of a loop of 3 km, driven clockwise.
 CITY_CORNERS = (
     (0.0, 0.0, 28.0), (520.0, 0.0, 30.0), (540.0, -170.0, 26.0), (900.0, -170.0, 40.0), (960.0, 60.0, 120.0),
     (900.0, 310.0, 26.0), (430.0, 290.0, 30.0), (400.0, 460.0, 24.0), (0.0, 470.0, 26.0), (-70.0, 220.0, 90.0),
@@ -54,60 +55,69 @@ CITY_SECTIONS: tuple[Section, ...] = (
 
 
 class StreetNetwork(RoadNetwork):  # type: ignore[misc]
-    """A road network that finds the closest lane without asking those that are too far away.
+    """A road network of :class:`CurveLane` that finds the closest lane without asking those that are too far away.
 
-    The answer is that of ``RoadNetwork``, ties included: a lane is passed over only when the box about its path is
+    The answer is that of ``RoadNetwork``, ties included: a road is passed over only when the box about its lanes is
     farther than the best lane so far, and no distance to a lane is less than that to its box.
     """
 
     def __init__(self) -> None:
         super().__init__()
-        self._boxes: list[tuple[LaneIndex, CurveLane, float, float, float, float]] = []
+        self._boxes: list[Box] = []
 
-    def add_lane(self, _from: str, _to: str, lane: AbstractLane) -> None:
-        """Append a lane to the road between two nodes."""
+    def add_lane(self, _from: str, _to: str, lane: CurveLane) -> None:
+        """Append a lane, to the right of those that are there, to the road between two nodes."""
         super().add_lane(_from, _to, lane)
-        margin = abs(lane.offset_m) + 1.0
-        low, high = lane.path.low_m - margin, lane.path.high_m + margin
-        index = (_from, _to, len(self.graph[_from][_to]) - 1)
-        self._boxes.append((index, lane, *low.tolist(), *high.tolist()))
+        self._boxes = []
+
+    def add_road(self, edge: tuple[str, str], path: Path, lanes: int, width_m: float) -> None:
+        """Parallel lanes about a path, with broken lines between them and whole ones outside."""
+        for k in range(lanes):
+            left = LineType.CONTINUOUS_LINE if k == 0 else LineType.STRIPED
+            right = LineType.CONTINUOUS_LINE if k == lanes - 1 else LineType.NONE
+            self.add_lane(*edge, CurveLane(path, (k - 0.5 * (lanes - 1)) * width_m, width_m, (left, right)))
+
+    def _box_up(self) -> None:
+        """Boxes about the middles of each road's lanes; a metre covers what bulges out between a path's samples."""
+        for a, ends in self.graph.items():
+            for b, lanes in ends.items():
+                margin = np.array([[abs(lane.offset_m) + 1.0] for lane in lanes])
+                low = np.min([lane.path.low_m for lane in lanes] - margin, axis=0).tolist()
+                high = np.max([lane.path.high_m for lane in lanes] + margin, axis=0).tolist()
+                self._boxes.append((a, b, lanes, (low[0], low[1], high[0], high[1])))
 
     def get_closest_lane_index(self, position: Array, heading: float | None = None) -> LaneIndex:
-        """Index of the lane with the least distance, weighted angle included."""
+        """Index of the lane with the least distance, weighted angle included; roads whose box is nearest come first."""
+        if not self._boxes:
+            self._box_up()
         x, y = float(position[0]), float(position[1])
-        best, least = self._boxes[0][0], inf
-        for index, lane, x0, y0, x1, y1 in self._boxes:
-            if max(x0 - x, x - x1, y0 - y, y - y1) > least:
-                continue
-            distance = lane.distance_with_heading(position, heading)
-            if distance < least:
-                best, least = index, distance
-        return best
-
-
-def _add_road(network: StreetNetwork, edge: tuple[str, str], path: Path, lanes: int, width_m: float) -> None:
-    """Parallel lanes about a path, with broken lines between them and whole ones outside."""
-    for k in range(lanes):
-        left = LineType.CONTINUOUS_LINE if k == 0 else LineType.STRIPED
-        right = LineType.CONTINUOUS_LINE if k == lanes - 1 else LineType.NONE
-        network.add_lane(*edge, CurveLane(path, (k - 0.5 * (lanes - 1)) * width_m, width_m, (left, right)))
+        near = [
+            (max(x0 - x, x - x1, y0 - y, y - y1, 0.0), k) for k, (_, _, _, (x0, y0, x1, y1)) in enumerate(self._boxes)
+        ]
+        best, least = (0, 0), inf
+        for gap, k in sorted(near) if len(near) > 1 else near:
+            if gap > least:
+                break
+            for i, lane in enumerate(self._boxes[k][2]):
+                distance = lane.distance_with_heading(position, heading)
+                if distance < least or (distance == least and (k, i) < best):
+                    best, least = (k, i), distance
+        return (*self._boxes[best[0]][:2], best[1])
 
 
 def winding_road(layout: int, lanes: int, width_m: float) -> StreetNetwork:
-    """1.7 km through streets: straights, bends of 40 to 160 m radius, S-bends; edge ("start", "end")."""
+    """1.7 to 2.1 km through streets: straights, bends of 40 to 160 m radius, S-bends; edge ("start", "end")."""
     network = StreetNetwork()
-    _add_road(
-        network, ("start", "end"), _winding(layout, 1700.0, (40.0, 160.0), (0.3, 1.3), (30.0, 140.0)), lanes, width_m
-    )
+    path = _winding(layout, 1700.0, (40.0, 160.0), (0.4, 1.5), (30.0, 120.0))
+    network.add_road(("start", "end"), path, lanes, width_m)
     return network
 
 
 def long_road(layout: int, width_m: float) -> StreetNetwork:
-    """2.6 km of one lane with straights and gentle bends of 200 to 600 m radius; edge ("start", "end")."""
+    """2.6 to 3.1 km of one lane: straights and gentle bends of 200 to 600 m radius; edge ("start", "end")."""
     network = StreetNetwork()
-    _add_road(
-        network, ("start", "end"), _winding(layout, 2600.0, (200.0, 600.0), (0.1, 0.5), (80.0, 300.0)), 1, width_m
-    )
+    path = _winding(layout, 2600.0, (200.0, 600.0), (0.1, 0.5), (80.0, 300.0))
+    network.add_road(("start", "end"), path, 1, width_m)
     return network
 
 
@@ -120,7 +130,7 @@ def city_loop(width_m: float) -> StreetNetwork:
         last = CITY_JOINTS[k + 1] if k + 1 < len(CITY_JOINTS) else len(sides)
         pieces = [piece for _, side in sides[first:last] for piece in side]
         path = Path.of(sides[first][0], _joined(pieces))
-        _add_road(network, (node, CITY_NODES[(k + 1) % len(CITY_NODES)]), path, 2, width_m)
+        network.add_road((node, CITY_NODES[(k + 1) % len(CITY_NODES)]), path, 2, width_m)
     return network
 
 
@@ -145,14 +155,15 @@ def _winding(
 ) -> Path:
     """A road by rule: straights and bends in turn, one bend in three at once followed by its opposite.
 
-    The layout number seeds the rule; it is geometry, not an episode's chance. Bends turn back towards the x axis where
-    they would leave it by more than ``TURN_LIMIT_RAD``.
+    The layout number seeds the rule; it is geometry, not an episode's chance. Radii are log-uniform. Bends turn back
+    towards the x axis where they would leave it by more than ``TURN_LIMIT_RAD``.
     """
     rng = np.random.default_rng(layout)
     pieces, heading = straight(80.0), 0.0
     while sum(piece.length for piece in pieces) < length_m - 80.0:
         for _ in range(2 if rng.random() < 1.0 / 3.0 else 1):
-            radius, angle = rng.uniform(*radius_m), rng.uniform(*angle_rad)
+            radius = radius_m[0] * (radius_m[1] / radius_m[0]) ** rng.random()
+            angle = rng.uniform(*angle_rad)
             sign = -1.0 if heading > 0.0 else 1.0
             if abs(heading) < 0.2:
                 sign = 1.0 if rng.random() < 0.5 else -1.0

@@ -19,7 +19,7 @@ from lanebound.integrity.errors import InputError
 
 __all__ = ["Foot", "Path", "Piece", "Pose", "bend", "rounded_polygon", "straight"]
 
-CLOTHOID_CELL_M = 2.0  # 3-point Gauss over 2 m at a radius of 10 m is exact to 1e-13 m
+CLOTHOID_CELL_M = 1.0  # 3-point Gauss over it is exact to 1e-11 m in all of a corner
 SQUARE_M = 8.0
 MARGIN_M = 40.0
 SAMPLE_M = 2.0

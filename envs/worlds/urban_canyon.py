@@ -17,10 +17,17 @@ ROOM_M = 20.0  # from middle to middle of two vehicles at the start
 
 
 class UrbanCanyonWorld(World):
-    """Drive round a loop of 2.9 km with two lanes and corners of 24 m radius upwards, among city drivers.
+    """Drive round a loop of 3 km with two lanes and corners of 24 m radius upwards, among city drivers.
 
-    Configuration, besides that of :class:`World`: ``vehicles_count`` (other vehicles), ``spread`` [m] (range along the
-    road, from the ego, in which they start), ``initial_speed`` [m/s].
+    Action, observation, reward
+        Those of :class:`World`; meta-actions at 2 Hz by default.
+    Start
+        Anywhere on the loop, at ``initial_speed`` or that which the bends ahead allow; the others about the ego.
+    Episode end
+        That of :class:`World`; the loop has no end.
+    Configuration
+        ``vehicles_count`` (other vehicles at most; places already taken stay single), ``spread`` [m] (range along the
+        road, from the ego, in which they start), ``initial_speed`` [m/s].
     """
 
     @classmethod
