@@ -7,7 +7,7 @@ opened, so that no driver has to be chosen and a window of the user's own is lef
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from types import ModuleType
 from typing import TYPE_CHECKING, Literal
@@ -76,29 +76,28 @@ class Canvas:
     def polygons(self, corners_px: ArrayLike, colour: Colour) -> None:
         """Filled polygons (n, k, 2)."""
         draw = self._pg.draw.polygon
-        for polygon in self._scaled(corners_px):
+        for polygon in self._scaled(corners_px).tolist():
             draw(self._large, colour, polygon)
 
     def blend(self, corners_px: ArrayLike, colour: Colour, opacity: float) -> None:
         """Filled polygons (n, k, 2) that let through what is below; where they overlap they count once."""
         polygons = self._scaled(corners_px)
-        if not polygons:
+        if not polygons.size:
             return
-        points = np.concatenate(polygons)
-        clip = self._large.get_clip()
-        box = self._pg.Rect(*np.floor(points.min(0)).astype(int), *(np.ptp(points, axis=0).astype(int) + 2)).clip(clip)
+        low, high = np.floor(polygons.min((0, 1))), np.ceil(polygons.max((0, 1))) + 1.0
+        box = self._pg.Rect(*low.tolist(), *(high - low).tolist()).clip(self._large.get_clip())
         if box.width == 0 or box.height == 0:
             return
         layer = self._surface(box.width, box.height, alpha=True)
-        for polygon in polygons:
-            self._pg.draw.polygon(layer, (*colour, round(255 * opacity)), polygon - box.topleft)
+        for polygon in (polygons - box.topleft).tolist():
+            self._pg.draw.polygon(layer, (*colour, round(255 * opacity)), polygon)
         self._large.blit(layer, box)
 
     def line(self, points_px: ArrayLike, colour: Colour, width_px: float = 1.0, *, closed: bool = False) -> None:
         """A line through points (n, 2)."""
         points = np.asarray(points_px, dtype=np.float64) * self._k
         if len(points) > 1:
-            self._pg.draw.lines(self._large, colour, closed, points, max(round(width_px * self._k), 1))
+            self._pg.draw.lines(self._large, colour, closed, points.tolist(), max(round(width_px * self._k), 1))
 
     def dashes(
         self, points_px: ArrayLike, colour: Colour, width_px: float = 1.0, *, on_px: float = 4.0, closed: bool = False
@@ -113,14 +112,14 @@ class Canvas:
         begin = np.arange(0.0, run[-1], 2.0 * on_px)
         ends = np.stack([begin, np.minimum(begin + on_px, run[-1])], 1)
         pieces = np.stack([np.interp(ends, run, points[:, axis]) for axis in (0, 1)], -1) * self._k
-        for a, b in pieces:
+        for a, b in pieces.tolist():
             self._pg.draw.line(self._large, colour, a, b, max(round(width_px * self._k), 1))
 
-    def circle(self, middle_px: ArrayLike, radius_px: float, colour: Colour, width_px: float = 0.0) -> None:
+    def circle(self, middle_px: Iterable[float], radius_px: float, colour: Colour, width_px: float = 0.0) -> None:
         """A disc, or a ring of this width."""
-        x, y = np.asarray(middle_px, dtype=np.float64) * self._k
-        width = max(round(width_px * self._k), 1) if width_px else 0
-        self._pg.draw.circle(self._large, colour, (x, y), radius_px * self._k, width)
+        k, (x, y) = self._k, middle_px
+        width = max(round(width_px * k), 1) if width_px else 0
+        self._pg.draw.circle(self._large, colour, (float(x) * k, float(y) * k), radius_px * k, width)
 
     def box(self, x: float, y: float, width: float, height: float, colour: Colour, *, round_px: float = 0.0) -> None:
         """A filled upright rectangle with round corners."""
@@ -166,8 +165,8 @@ class Canvas:
             rgb[..., channel] = view[..., channel].T
         return rgb
 
-    def _scaled(self, corners_px: ArrayLike) -> list[Array]:
-        return list(np.asarray(corners_px, dtype=np.float64) * self._k)
+    def _scaled(self, corners_px: ArrayLike) -> Array:
+        return np.asarray(np.asarray(corners_px, dtype=np.float64) * self._k)
 
     def _font(self, size_px: int, bold: bool) -> pygame.font.Font:
         if (size_px, bold) not in self._fonts:

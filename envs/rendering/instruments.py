@@ -108,7 +108,7 @@ def _draw_satellites(
     s = satellites
     for row in np.flatnonzero(s.elevation_rad > 0.0):
         share = 1.0 - float(s.elevation_rad[row]) / (0.5 * np.pi)
-        x, y = middle + 0.95 * share * radius * _toward(float(s.azimuth_rad[row]), up_rad)
+        x, y = (middle + 0.95 * share * radius * _toward(float(s.azimuth_rad[row]), up_rad)).tolist()
         colour = path_colour(int(s.path[row]), theme)
         if s.path[row] == Path.BLOCKED:
             for sign in (-1.0, 1.0):

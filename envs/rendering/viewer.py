@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
@@ -68,6 +70,10 @@ class Viewer:
         if self._window is not None:
             self._window.close()
             self._window = None
+
+    def __reduce__(self) -> tuple[Callable[[], Self], tuple[()]]:
+        """A copied or pickled viewer is a new one of the same looks: surfaces and windows stay where they are."""
+        return partial(type(self), self.config, title=self._title, fps=self._fps), ()
 
     def __enter__(self) -> Self:
         return self

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import sys
 from dataclasses import replace
 
@@ -109,6 +111,13 @@ def test_equal_frames_give_equal_pictures(viewer, frame):
     viewer.render(replace(frame, time_s=8.0, city=None))
     assert (viewer.render(frame) == first).all()
     assert (Viewer().render(frame) == first).all()
+
+
+def test_a_copied_or_pickled_viewer_draws_the_same(viewer, frame):
+    first = viewer.render(frame)
+    for twin in (copy.deepcopy(viewer), pickle.loads(pickle.dumps(viewer))):
+        assert twin.config == viewer.config
+        assert (twin.render(frame) == first).all()
 
 
 def test_no_display_is_opened(viewer, frame):
