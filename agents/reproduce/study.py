@@ -10,7 +10,7 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator
-from functools import partial
+from functools import cache, partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -118,8 +118,9 @@ def _digest_in(mark: Path) -> Any:
         return None
 
 
+@cache
 def source_digest() -> str:
-    """A name for the code that navigates: parts made by other code must not be mixed in."""
+    """A name for the code that navigates, as it was first asked for: parts made by other code must not be mixed in."""
     found = hashlib.blake2b(digest_size=8)
     root = Path(str(resources.files("lanebound.integrity")))
     for source in sorted(root.rglob("*.py")):
