@@ -18,7 +18,8 @@ from lanebound.envs.records import LaneIndex
 __all__ = ["Line", "Path", "PathPoint", "RoadMap", "line_of", "wrap"]
 
 STEP_M = 2.0  # between nodes of a sampled line: 1e-5 m of error on a radius of 15 m
-CONTINUES_M = 0.5  # lanes whose ends lie closer than this are one lane
+CONTINUES_M = 2.5  # lanes that lie closer than this at a joint are one; a roundabout's entry of highway-env has 2.1
+OVERLAP_M = 10.0  # by which lanes may overlap, or miss each other, at a joint; highway-env's have up to 5
 NEAR_CURVED_M, NEAR_STRAIGHT_M = 0.1, 1.0  # last step of a projection: the offset is then wrong by step^2 / 2R
 MAX_LANES = 64  # of one path, against lanes of no length
 PROJECTIONS = 6
@@ -120,7 +121,9 @@ class _Sampled(Line):
         return piece
 
     def at(self, s: float) -> PathPoint:
-        k = min(max(int(s // self.step), 0), self.last)
+        if not 0.0 <= s <= self.length:
+            return _drawn_on(self.at(0.0), s) if s < 0.0 else _drawn_on(self.at(self.length), s - self.length)
+        k = min(int(s // self.step), self.last)
         x0, x1, x2, x3, y0, y1, y2, y3, heading, turn, curvature = self.pieces.get(k) or self._piece(k)
         u = s / self.step - k
         return x0 + u * (x1 + u * (x2 + u * x3)), y0 + u * (y1 + u * (y2 + u * y3)), heading + u * turn, curvature
@@ -133,40 +136,61 @@ def line_of(lane: Any) -> Line:
     return _Arc(lane) if type(lane) is CircularLane else _Sampled(lane)
 
 
+class Joint(NamedTuple):
+    """Where a lane ends in the coordinates of another: along and beside that one [m], and how far it turns [rad]."""
+
+    into_m: float
+    aside_m: float
+    turn_rad: float
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether a vehicle that follows one lane comes onto the other without changing lanes or turning back."""
+        return abs(self.aside_m) <= CONTINUES_M and self.leads_on
+
+    @property
+    def leads_on(self) -> bool:
+        """Whether a vehicle may follow the other lane, if need be by changing lanes."""
+        return abs(self.into_m) <= OVERLAP_M and abs(self.turn_rad) < 0.5 * pi
+
+
 class Path:
     """Centrelines in a row, stations counted from the start of the ego's lane.
 
     Attributes
     ----------
     lane : what the map says of the ego's lane
+    start_m, end_m : stations between which the map was followed
     junction_m : station where the ego's lane ends
     lane_end_m : station where no lane goes on from the last; inf when that lies beyond what was looked up
     following : lanes from the ego's on, in order
     """
 
-    __slots__ = ("_pieces", "end_m", "following", "junction_m", "lane", "lane_end_m")
+    __slots__ = ("_pieces", "end_m", "following", "junction_m", "lane", "lane_end_m", "start_m")
 
     def __init__(
         self,
-        before: Sequence[Line],
-        after: Sequence[Line],
+        before: Sequence[tuple[float, Line]],
+        after: Sequence[tuple[float, Line]],
         following: Sequence[LaneIndex],
         lane_end_m: float,
         lane: LaneFacts,
     ) -> None:
-        station = -sum(line.length for line in before)
-        self._pieces: list[tuple[float, float, Line]] = []
-        for line in (*before, *after):
-            self._pieces.append((station, station + line.length, line))
-            station += line.length
-        self.end_m, self.junction_m, self.lane_end_m = station, after[0].length, lane_end_m
-        self.following, self.lane = tuple(following), lane
+        rows = [*before, *after]
+        ends = [origin + line.length for origin, line in rows]
+        for i in range(len(before)):
+            ends[i] = min(ends[i], rows[i + 1][0])
+        self._pieces = [(end, origin, line) for end, (origin, line) in zip(ends, rows, strict=True)]
+        self.start_m, self.end_m, self.lane_end_m = rows[0][0], ends[-1], lane_end_m
+        self.following, self.junction_m, self.lane = tuple(following), after[0][1].length, lane
 
     def at(self, station_m: float) -> PathPoint:
         """The point at a station; drawn on straight before the first lane and beyond the last."""
-        for start, end, line in self._pieces:
+        if station_m < self.start_m:
+            return _drawn_on(self._pieces[0][2].at(0.0), station_m - self.start_m)
+        for end, origin, line in self._pieces:
             if station_m < end:
-                return line.at(station_m - start) if station_m >= start else _drawn_on(line.at(0.0), station_m - start)
+                return line.at(station_m - origin)
         return _drawn_on(line.end, station_m - end)
 
     def project(self, x: float, y: float, guess_m: float) -> tuple[float, float] | None:
@@ -224,9 +248,9 @@ class RoadMap:
         return line
 
     def _build(self, index: LaneIndex, route: tuple[Step, ...]) -> Path:
-        following, lane_end_m = self._follow(index, route)
-        after = [self._line(lane) for lane in following]
-        return Path(self._before(index), after, following, lane_end_m, self._facts(index))
+        after, lane_end_m = self._follow(index, route)
+        lines = [(origin, self._line(lane)) for origin, lane in after]
+        return Path(self._before(index), lines, [lane for _, lane in after], lane_end_m, self._facts(index))
 
     def _facts(self, index: LaneIndex) -> LaneFacts:
         lanes, place = self.network.graph[index[0]][index[1]], int(index[2])
@@ -236,20 +260,22 @@ class RoadMap:
         share = place / last if last else 0.0
         return LaneFacts(share, float(left), float(right), inf if limit is None else float(limit))
 
-    def _follow(self, index: LaneIndex, route: tuple[Step, ...]) -> tuple[list[LaneIndex], float]:
-        """The lanes from ``index`` on, and the station where the lane ends for good."""
-        following, lane_end = [index], inf
+    def _follow(self, index: LaneIndex, route: tuple[Step, ...]) -> tuple[list[tuple[float, LaneIndex]], float]:
+        """The lanes from ``index`` on, each with the station of its start, and the station where the lane ends."""
+        following, lane_end = [(0.0, index)], inf
         station = self._line(index).length
         reach = station + self.ahead_m
         while True:
             after, route = self._next(index, route)
-            if lane_end == inf and (after is None or self._gap(index, after) > CONTINUES_M):
+            joint = None if after is None else self._joint(index, after)
+            if lane_end == inf and (joint is None or not joint.goes_on):
                 lane_end = station
-            if after is None or station >= reach or len(following) == MAX_LANES:
+            far = station >= reach or len(following) == MAX_LANES
+            if far or after is None or joint is None or not joint.leads_on:
                 return following, lane_end
-            following.append(after)
+            following.append((station - joint.into_m, after))
             index = after
-            station += self._line(after).length
+            station += self._line(after).length - joint.into_m
 
     def _next(self, index: LaneIndex, route: tuple[Step, ...]) -> tuple[LaneIndex | None, tuple[Step, ...]]:
         """The lane after this one and what is left of the route there; where it says nothing, the nearest lane."""
@@ -271,25 +297,28 @@ class RoadMap:
         entered, distance = self.network.next_lane_given_next_road(*index, to, place, position)
         return int(entered), float(distance)
 
-    def _gap(self, index: LaneIndex, after: LaneIndex) -> float:
-        """Distance from the end of one lane to the start of another."""
-        end, start = self._line(index).end, self._line(after)
-        return hypot(start.x - end[0], start.y - end[1])
+    def _joint(self, index: LaneIndex, after: LaneIndex) -> Joint:
+        """Where the end of one lane lies on another."""
+        x, y, heading, _ = self._line(index).end
+        lane = self.network.get_lane(after)
+        into, aside = lane.local_coordinates(np.array([x, y]))
+        return Joint(float(into), float(aside), wrap(float(lane.heading_at(into)) - heading))
 
-    def _before(self, index: LaneIndex) -> list[Line]:
-        """The lanes that lead here without a step, the nearest last."""
-        out: list[Line] = []
-        length = 0.0
-        while length < self.behind_m and len(out) < MAX_LANES:
+    def _before(self, index: LaneIndex) -> list[tuple[float, Line]]:
+        """The lanes that lead here without a step, the nearest last, each with the station of its start."""
+        out: list[tuple[float, Line]] = []
+        start = 0.0
+        while start > -self.behind_m and len(out) < MAX_LANES:
             roads = [(node, index[0]) for node in self._into.get(index[0], ())]
             lanes = [(*road, i) for road in roads for i in range(len(self.network.graph[road[0]][road[1]]))]
-            gaps = {lane: self._gap(lane, index) for lane in lanes}
-            best = min(gaps, key=lambda lane: gaps[lane], default=None)
-            if best is None or gaps[best] > CONTINUES_M:
+            joints = {lane: self._joint(lane, index) for lane in lanes}
+            on = [lane for lane in lanes if joints[lane].goes_on]
+            if not on:
                 break
+            best = min(on, key=lambda lane: abs(joints[lane].aside_m) + abs(joints[lane].turn_rad))
+            start += joints[best].into_m - self._line(best).length
+            out.append((start, self._line(best)))
             index = best
-            out.append(self._line(best))
-            length += out[-1].length
         return out[::-1]
 
 

@@ -6,6 +6,9 @@ from math import inf, pi
 
 import numpy as np
 import pytest
+from highway_env.envs.merge_env import MergeEnv
+from highway_env.envs.racetrack_env import RacetrackEnv
+from highway_env.envs.roundabout_env import RoundaboutEnv
 from highway_env.road.lane import CircularLane, PolyLaneFixedWidth, SineLane, StraightLane
 from highway_env.road.road import RoadNetwork
 from hypothesis import given, settings
@@ -155,3 +158,35 @@ def test_a_vehicle_far_from_the_path_is_not_beside_it():
     path = RoadMap(ring(), 80.0, 80.0).path(("b", "c", 0))
     places = [path.project(100.0 + dx, dy, 10.0) for dx in (-0.3, 0.3) for dy in (-0.3, 0.3)]
     assert all(place is None or abs(place[1]) > 15.0 for place in places)
+
+
+def test_lanes_that_overlap_or_miss_each_other_are_joined_where_they_meet():
+    for shift in (-1.5, 0.0, 1.5):
+        network = RoadNetwork()
+        network.add_lane("a", "b", StraightLane([0.0, 0.0], [50.0, 0.0]))
+        network.add_lane("b", "c", StraightLane([50.0 - shift, 0.1], [150.0, 0.1]))
+        path = RoadMap(network, 50.0, 80.0).path(("a", "b", 0))
+        assert path.lane_end_m == pytest.approx(150.0)
+        assert path.at(60.0) == pytest.approx((60.0, 0.1, 0.0, 0.0))
+        path = RoadMap(network, 50.0, 80.0).path(("b", "c", 0))
+        assert path.at(-20.0 + shift)[:2] == pytest.approx((30.0, 0.0))
+
+
+def test_nobody_is_led_to_turn_back():
+    network = RoadNetwork()
+    network.add_lane("a", "b", StraightLane([0.0, 0.0], [50.0, 0.0]))
+    network.add_lane("b", "a", StraightLane([50.0, -4.0], [0.0, -4.0]))
+    path = RoadMap(network, 50.0, 80.0).path(("a", "b", 0))
+    assert path.following == (("a", "b", 0),)
+    assert path.lane_end_m == path.end_m == pytest.approx(50.0)
+
+
+@pytest.mark.parametrize("world", [RacetrackEnv, RoundaboutEnv, MergeEnv])
+def test_paths_over_the_networks_of_highway_env_have_no_steps(world):
+    network = world().road.network
+    roads = RoadMap(network, 150.0, 150.0)
+    for index in network.lanes_dict():
+        path = roads.path(index)
+        assert path.start_m <= 0.0 < path.junction_m <= path.end_m
+        points = np.array([path.at(s)[:2] for s in np.arange(path.start_m, min(path.end_m, path.lane_end_m), 1.0)])
+        assert np.hypot(*np.diff(points, axis=0).T).max() < 3.0
