@@ -23,7 +23,7 @@ from lanebound.envs.records import EgoBelief
 from lanebound.envs.rewards import rewards_of, total
 from lanebound.envs.scene import set_scene
 from lanebound.envs.truth import true_belief, true_traffic
-from lanebound.envs.world import Relay, check_command
+from lanebound.envs.world import check_command
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.sensors.faults import Fault
 
@@ -44,8 +44,8 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     render_mode : ``"rgb_array"``, ``"human"`` or None
 
     The 5-tuple of ``step`` is Gymnasium's. ``info`` has the same keys at every step and at reset: levels, limits,
-    errors and events for scoring (``err_*``, ``mi``, ``hmi``, ``truth`` come from the truth, which no agent is to be given),
-    ``cost`` and its causes, and the reward's terms.
+    errors and events for scoring (``err_*``, ``mi``, ``hmi`` and the like come from the truth, which no agent is to be
+    given), ``cost`` and its causes, and the reward's terms.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 20}  # noqa: RUF012 - as Gymnasium
@@ -87,8 +87,6 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         faults = _faults_in(options)
         episode_seed = int(self.np_random.integers(2**62))
         self.world.reset(seed=seed if seed is not None else int(self.np_random.integers(2**31)))
-        self._relay = Relay(self.world.action_type)
-        self.world.action_type = self._relay
         duration = float(self.world.config.get("duration", ENDLESS_S))
         around = set_scene(self.world, self.config, episode_seed, duration, faults)
         limits = self.config.limits_m(self.world.vehicle.WIDTH)
@@ -113,9 +111,8 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         """
         cockpit = self._cockpit()
         check_command(self.action_space, action)
-        array = isinstance(self.action_space, spaces.Box)
-        self._relay.command = action if array else None
-        _, base, terminated, truncated, _ = self.world.step(Relay.IDLE if array else int(action))
+        command = action if isinstance(self.action_space, spaces.Box) else int(action)
+        _, base, terminated, truncated, _ = self.world.step(command)
         cockpit.look()
         self._belief = cockpit.belief()
         self._corridor.update(self._belief)
@@ -146,7 +143,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         InputError
             Under continuous actions.
         """
-        inner = self._relay.inner
+        inner = self.world.action_type
         if not isinstance(inner, DiscreteMetaAction):
             raise InputError("action_masks needs meta-actions, got continuous ones: there is nothing to mask")
         inner.controlled_vehicle = self._cockpit().believed

@@ -107,22 +107,25 @@ class MetaEgo(MDPVehicle):  # type: ignore[misc]
             self.cockpit.moved()
 
 
-class _Commanded:
-    """A physical car under continuous actions: the policy commands its steering and acceleration."""
+class DirectEgo(Vehicle):  # type: ignore[misc]
+    """The physical car under continuous actions: the policy commands its steering and acceleration.
 
+    One base only: a class of several could not take over a car (CPython compares the layouts).
+    """
+
+    BASE: type[Vehicle] = Vehicle
     cockpit: Cockpit | None = None
-    action: dict[str, float]
 
     def act(self, action: dict[str, float] | None = None) -> None:
         """Apply the command to the real car."""
         if self.cockpit is not None:
             self.cockpit.look()
             action = self.cockpit.limit(dict(action or self.action))
-        super().act(action)  # type: ignore[misc]
+        self.BASE.act(self, action)
 
     def step(self, dt: float) -> None:
         """Move, and tell the cockpit."""
-        super().step(dt)  # type: ignore[misc]
+        self.BASE.step(self, dt)
         if self.cockpit is not None:
             self.cockpit.moved()
 
@@ -130,18 +133,20 @@ class _Commanded:
         """As every vehicle: others predict the real car, and no copy of it has a cockpit."""
         cockpit, self.cockpit = self.cockpit, None
         try:
-            found: tuple[list[Array], list[float]] = super().predict_trajectory_constant_speed(times)  # type: ignore[misc]
+            found: tuple[list[Array], list[float]] = self.BASE.predict_trajectory_constant_speed(self, times)
         finally:
             self.cockpit = cockpit
         return found
 
 
-class DirectEgo(_Commanded, Vehicle):  # type: ignore[misc]
-    """The physical car under continuous actions."""
-
-
-class BicycleEgo(_Commanded, BicycleVehicle):  # type: ignore[misc]
+class BicycleEgo(BicycleVehicle):  # type: ignore[misc]
     """The same with tyre slip."""
+
+    BASE: type[Vehicle] = BicycleVehicle
+    cockpit: Cockpit | None = None
+    act = DirectEgo.act
+    step = DirectEgo.step
+    predict_trajectory_constant_speed = DirectEgo.predict_trajectory_constant_speed
 
 
 EGOS: dict[type[Vehicle], type[Vehicle]] = {MDPVehicle: MetaEgo, Vehicle: DirectEgo, BicycleVehicle: BicycleEgo}

@@ -1,8 +1,8 @@
 """The true world: a highway-env environment, made to measure, that carries the ego and everyone else.
 
 Its dynamics, traffic, rewards and endings are highway-env's own, untouched. What is set here is the observation (none:
-ours is built elsewhere), the commands (passed beside ``step`` where highway-env's rewards choke on an array), and the
-drivers of intersections (a class of our own, as highway-env rewrites that class's constants).
+ours is built elsewhere), reward terms that choke on an array (merge, roundabout), and the drivers of intersections (a
+class of our own, as highway-env rewrites that class's constants).
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from difflib import get_close_matches
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -17,50 +18,31 @@ import numpy as np
 from gymnasium.envs.registration import load_env_creator
 from gymnasium.error import Error as GymnasiumError
 from highway_env.envs.common.abstract import AbstractEnv
-from highway_env.envs.common.action import ActionType
 from highway_env.envs.intersection_env import IntersectionEnv
 from highway_env.vehicle.behavior import IDMVehicle
 
 from lanebound.integrity.errors import ConfigError, InputError
 
-__all__ = ["IntersectionDriver", "Relay", "make_world", "world_defaults"]
+__all__ = ["IntersectionDriver", "check_command", "make_world", "world_defaults"]
 
 NOTHING = {"type": "AttributesObservation", "attributes": []}
 IDM_PATH = "highway_env.vehicle.behavior.IDMVehicle"
 RESERVED = ("observation", "action", "simulation_frequency", "policy_frequency", "manual_control")
 DIRECT = "ContinuousAction"
+IDLE = 1
 
 
 class IntersectionDriver(IDMVehicle):  # type: ignore[misc]
     """The other drivers of intersections: a class for highway-env to rewrite instead of everybody's ``IDMVehicle``."""
 
 
-class Relay(ActionType):  # type: ignore[misc]
-    """Hands the world's action type what the agent really asked for.
-
-    highway-env's merge and roundabout compare the action with integers and choke on arrays; they are given ``IDLE``
-    and the command comes this way.
-    """
-
-    IDLE = 1
-
-    def __init__(self, inner: ActionType) -> None:
-        super().__init__(inner.env)
-        self.inner, self.command = inner, None
-
-    def space(self) -> gymnasium.Space[Any]:
-        """The world's own action space."""
-        space: gymnasium.Space[Any] = self.inner.space()
-        return space
-
-    def act(self, action: Any) -> None:
-        """Carry out the command, or ``action`` when there is none."""
-        self.inner.act(action if self.command is None else self.command)
-
-    def get_available_actions(self) -> list[int]:
-        """Meta-actions that make sense from where the *true* car is; agents are given a mask from belief instead."""
-        found: list[int] = self.inner.get_available_actions()
-        return found
+def _guarded_rewards(world: AbstractEnv, action: Any) -> dict[str, float]:
+    """The world's own reward terms; where they compare an array with integers, those of an idle action."""
+    try:
+        terms: dict[str, float] = type(world)._rewards(world, action)
+    except ValueError:
+        terms = type(world)._rewards(world, IDLE)
+    return terms
 
 
 def _class_of(env_id: str) -> type[AbstractEnv]:
@@ -115,8 +97,10 @@ def make_world(
         raise ConfigError(f"action.type must be DiscreteMetaAction or {DIRECT}, got {config['action']['type']!r}")
     if issubclass(kind, IntersectionEnv) and config["other_vehicles_type"] == IDM_PATH:
         config["other_vehicles_type"] = f"{IntersectionDriver.__module__}.{IntersectionDriver.__qualname__}"
+    world: AbstractEnv = object.__new__(kind)
+    world._rewards = partial(_guarded_rewards, world)  # before __init__, which resets
     try:
-        world: AbstractEnv = kind(config=config)
+        kind.__init__(world, config=config)
     except AttributeError as error:  # highway-env's racetracks make the ego by a method that meta-actions lack
         kinds = {defaults["action"]["type"]}
         raise ConfigError(
@@ -141,18 +125,6 @@ def _merged(defaults: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[s
         both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
         merged[key] = _merged(merged[key], value) if both else copy.deepcopy(value)
     return merged
-
-
-def install_relay(world: AbstractEnv) -> Relay:
-    """Put a relay before the world's action type; a reset of the world removes it."""
-    relay = Relay(world.action_type)
-    world.action_type = relay
-    return relay
-
-
-def has_passed_command(world: AbstractEnv) -> bool:
-    """Whether commands of this world are arrays, which must go by the relay."""
-    return bool(np.issubdtype(world.action_space.dtype, np.floating))
 
 
 def check_command(space: gymnasium.Space[Any], action: Any) -> None:
