@@ -7,15 +7,16 @@ from typing import Any
 
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
-from highway_env.road.road import Road
 from highway_env.utils import lmap, wrap_to_pi
 
 from lanebound.envs.records import LaneIndex
 from lanebound.envs.worlds.networks import Section, StreetNetwork
+from lanebound.envs.worlds.roads import StreetRoad
 
 __all__ = ["TARGET_SPEEDS_MPS", "World"]
 
-TARGET_SPEEDS_MPS = [0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 14.0]  # of meta-actions; evenly spaced, as MDPVehicle asks
+# Of meta-actions; evenly spaced, as MDPVehicle asks. Steps of 2 m/s would not brake in time for a lead vehicle.
+TARGET_SPEEDS_MPS = [0.0, 2.8, 5.6, 8.4, 11.2, 14.0]
 CONTINUOUS: dict[str, Any] = {
     "type": "ContinuousAction",
     "acceleration_range": [-6.0, 6.0],  # [m/s2]
@@ -30,7 +31,7 @@ class World(AbstractEnv):  # type: ignore[misc]
 
     Action
         highway-env's, by ``config["action"]``: ``ContinuousAction`` (acceleration within 6 m/s2, steering within
-        0.4 rad) at 5 Hz, or ``DiscreteMetaAction`` (speeds from 0 to 14 m/s in steps of 2) at 2 Hz.
+        0.4 rad) at 5 Hz, or ``DiscreteMetaAction`` (speeds from 0 to 14 m/s in steps of 2.8) at 2 Hz.
     Observation
         highway-env's, by ``config["observation"]``.
     Reward
@@ -76,7 +77,7 @@ class World(AbstractEnv):  # type: ignore[misc]
         raise NotImplementedError
 
     def _reset(self) -> None:
-        self.road = Road(
+        self.road = StreetRoad(
             network=self._network(),
             np_random=self.np_random,
             record_history=self.config["show_trajectories"],

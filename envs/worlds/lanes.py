@@ -60,6 +60,9 @@ class CurveLane(AbstractLane):  # type: ignore[misc]
         ]
         self.length: float = self._station[-1]
         self._last = len(self._station) - 2
+        # about all that on_lane can hold with 1 m of margin, and 1 m for what bulges between samples of the path
+        reach = abs(offset_m) + 0.5 * width_m + self.VEHICLE_LENGTH + 2.0
+        self._low, self._high = (path.low_m - reach).tolist(), (path.high_m + reach).tolist()
 
     def _into(self, longitudinal: float) -> tuple[int, float]:
         """Cell and distance along the path into it, of a distance along the lane.
@@ -110,6 +113,10 @@ class CurveLane(AbstractLane):  # type: ignore[misc]
             longitudinal, lateral = self.local_coordinates(position)
         beside = abs(lateral) <= self.width / 2 + margin
         return beside and -self.VEHICLE_LENGTH <= longitudinal < self.length + self.VEHICLE_LENGTH
+
+    def may_hold(self, x: float, y: float) -> bool:
+        """Whether a point lies in a box about the lane: elsewhere :meth:`on_lane` with 1 m of margin is false."""
+        return bool(self._low[0] <= x <= self._high[0] and self._low[1] <= y <= self._high[1])
 
     def distance_with_heading(self, position: Array, heading: float | None, heading_weight: float = 1.0) -> float:
         """Distance beside the lane and beyond its ends, plus the weighted angle to it; the base class's rule."""

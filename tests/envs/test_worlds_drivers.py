@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from highway_env.road.road import Road
 from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.objects import Landmark
 
 from lanebound.envs.worlds.drivers import CityDriver, IntersectionDriver, LeadVehicle, SpeedProfileConfig, speed_profile
 from lanebound.envs.worlds.networks import city_loop, long_road
+from lanebound.envs.worlds.roads import StreetRoad
 from lanebound.integrity.errors import ConfigError
 
 DT_S = 0.05
@@ -111,6 +113,23 @@ def test_a_city_driver_stops_behind_a_standing_car_and_does_not_reverse() -> Non
     assert car.speed < 0.05
     assert 0.5 < car.lane_distance_to(wall) - 5.0 < 3.0
     assert not car.crashed
+
+
+@pytest.mark.parametrize("connected", [True, False])
+def test_neighbours_are_those_of_the_plain_road(connected: bool) -> None:
+    rng = np.random.default_rng(2)
+    network = city_loop(3.25)
+    road = StreetRoad(network, np_random=rng, neighbour_vehicles_connected_lanes=connected)
+    indices = list(network.lanes_dict())
+    for _ in range(40):
+        index = indices[rng.integers(len(indices))]
+        lane = network.get_lane(index)
+        place = lane.position(rng.uniform(-4.0, lane.length + 4.0), rng.uniform(-3.0, 3.0))
+        road.vehicles.append(IDMVehicle(road, place, lane.heading_at(10.0), 5.0))
+    road.objects.append(Landmark(road, road.vehicles[0].position + 1.0))
+    for vehicle in road.vehicles:
+        for index in (None, *indices):
+            assert road.neighbour_vehicles(vehicle, index) == Road.neighbour_vehicles(road, vehicle, index)
 
 
 def test_our_intersection_driver_is_a_class_of_its_own() -> None:
