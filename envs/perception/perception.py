@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from lanebound.envs.perception.config import PerceptionConfig
 from lanebound.envs.perception.sensor import Sensor
-from lanebound.envs.perception.tracks import AGE, HEADING, N_COLUMNS, PL_AT, PL_CT, SPEED, XY, direction
+from lanebound.envs.perception.tracks_kernel import AGE, HEADING, N_COLUMNS, PL_AT, PL_CT, SPEED, XY, bring_forward
 from lanebound.envs.perception.vehicles import Claims, Vehicles
 from lanebound.envs.records import EgoBelief, Traffic, azimuth_of, enu_of, heading_of, xy_of
 from lanebound.integrity.errors import InputError
@@ -19,7 +19,6 @@ __all__ = ["Perception"]
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
-ROUNDING_S = 1e-9
 
 
 class Perception:
@@ -60,7 +59,9 @@ class Perception:
         self._sensor = Sensor(config.sensor, capacity, dt_s, streams)
         self._slot = np.zeros(0, dtype=np.int64)
         self._key = np.full(capacity, -1, dtype=np.int64)
-        self._size_m = np.zeros((capacity, 2))
+        self._length_m = np.zeros(capacity)
+        self._width_m = np.zeros(capacity)
+        self._nothing = np.full((capacity, N_COLUMNS), np.inf)
 
     def step(
         self, time_s: float, ego: EgoBelief, ego_slot: int, vehicles: Vehicles, claims: Claims, effects: FaultEffects
@@ -88,33 +89,33 @@ class Perception:
             return Traffic.none()
         if source == "truth":
             return _truth(ego, me, vehicles)
-        if source == "v2v":
+        told, seen = self._nothing, self._nothing
+        if source != "sensor":
             told = self._listen(time_s, ego_slot, vehicles, claims, effects)
-            return self._traffic(ego, told, np.zeros(self.capacity, dtype=np.bool_))
-        seen = self._sensor.look(time_s, ego, me, vehicles)
-        if source == "sensor":
-            return self._traffic(ego, seen, np.ones(self.capacity, dtype=np.bool_))
-        told = self._listen(time_s, ego_slot, vehicles, claims, effects)
-        relative = seen[:, AGE] <= told[:, AGE]
-        return self._traffic(ego, np.where(relative[:, None], seen, told), relative)
+        if source != "v2v":
+            seen = self._sensor.look(ego, me, vehicles)
+        return self._traffic(ego, told, seen)
 
     def _admit(self, vehicles: Vehicles) -> None:
-        """Clear the slots that new vehicles take over, and note how large everybody is."""
+        """Clear slots that other vehicles take over and those they had before, and note how large everybody is."""
         slot = vehicles.slot
         if not np.array_equal(slot, self._slot):
             self._slot = _require_slots(slot, self.capacity)
         new = self._key[slot] != vehicles.key
         if new.any():
-            forget(self._channel, slot[new])
-            self._sensor.forget(slot[new])
+            moved = np.flatnonzero(np.isin(self._key, vehicles.key[new]))
+            gone = np.union1d(slot[new], moved)
+            forget(self._channel, gone)
+            self._sensor.forget(gone)
+            self._key[gone] = -1
             self._key[slot] = vehicles.key
-        self._size_m[slot, 0] = vehicles.length_m
-        self._size_m[slot, 1] = vehicles.width_m
+        self._length_m[slot] = vehicles.length_m
+        self._width_m[slot] = vehicles.width_m
 
     def _listen(self, time_s: float, ego_slot: int, vehicles: Vehicles, claims: Claims, effects: FaultEffects) -> Array:
         """The newest broadcast held of each slot, (C, 7); never heard: age inf."""
         antenna = np.zeros((self.capacity, 2))
-        antenna[vehicles.slot] = enu_of(vehicles.position_m)
+        antenna[vehicles.slot] = vehicles.position_m
         sending = np.zeros(self.capacity, dtype=np.bool_)
         sending[vehicles.slot] = claims.initialised[vehicles.slot]
         message = V2vMessage(
@@ -130,7 +131,7 @@ class Perception:
             time_s,
             self._dt_s,
             message,
-            antenna,
+            enu_of(antenna),
             effects,
             self._streams,
             receivers=[ego_slot],
@@ -138,17 +139,22 @@ class Perception:
         )
         return _table(inbox)
 
-    def _traffic(self, ego: EgoBelief, tracks: Array, relative: NDArray[np.bool_]) -> Traffic:
+    def _traffic(self, ego: EgoBelief, told: Array, seen: Array) -> Traffic:
         """The tracks young enough, brought forward to now, nearest first."""
-        slots = np.flatnonzero(tracks[:, AGE] <= self.config.drop_after_s + ROUNDING_S)
-        track = tracks[slots]
-        age = track[:, AGE]
-        growth = 0.5 * age**2
-        track[:, XY] += (track[:, SPEED] * age)[:, None] * direction(track[:, HEADING])
-        track[:, PL_AT] += self.config.acceleration_bound_mps2 * growth
-        track[:, PL_CT] += self.config.lateral_bound_mps2 * growth
-        order = _nearest_first(track[:, XY], ego)
-        slots, track = slots[order], track[order]
+        config, tracks = self.config, np.empty((self.capacity, N_COLUMNS))
+        slots, relative = np.empty(self.capacity, dtype=np.int64), np.empty(self.capacity, dtype=np.bool_)
+        count = bring_forward(
+            told,
+            seen,
+            config.drop_after_s,
+            config.acceleration_bound_mps2,
+            config.lateral_bound_mps2,
+            np.ascontiguousarray(ego.position_m),
+            tracks,
+            slots,
+            relative,
+        )
+        track, slots = tracks[:count], slots[:count]
         return Traffic(
             key=self._key[slots],
             position_m=track[:, XY],
@@ -157,15 +163,16 @@ class Perception:
             pl_at_m=track[:, PL_AT],
             pl_ct_m=track[:, PL_CT],
             age_s=track[:, AGE],
-            length_m=self._size_m[slots, 0],
-            width_m=self._size_m[slots, 1],
-            relative=relative[slots],
+            length_m=self._length_m[slots],
+            width_m=self._width_m[slots],
+            relative=relative[:count],
         )
 
 
 def _truth(ego: EgoBelief, me: int, vehicles: Vehicles) -> Traffic:
     """Everybody else as they are."""
-    order = _nearest_first(vehicles.position_m, ego)
+    gap = vehicles.position_m - ego.position_m
+    order = np.argsort(gap[:, 0] ** 2 + gap[:, 1] ** 2, kind="stable")
     order = order[order != me]
     zero = np.zeros(order.size)
     return Traffic(
@@ -192,12 +199,6 @@ def _table(inbox: V2vInbox) -> Array:
     table[:, PL_CT] = inbox.pl_ct_m[0]
     table[:, AGE] = inbox.age_s[0]
     return table
-
-
-def _nearest_first(position_m: Array, ego: EgoBelief) -> Rows:
-    """Order of distance from where the ego believes to be."""
-    gap = position_m - ego.position_m
-    return np.argsort(gap[:, 0] ** 2 + gap[:, 1] ** 2, kind="stable")
 
 
 def _require_slots(slot: Rows, capacity: int) -> Rows:

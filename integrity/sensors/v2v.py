@@ -87,7 +87,7 @@ class V2vState:
     broadcasts : (L, B, 7) what was broadcast in the last L epochs
     arriving : (L, R, B) int64, epoch of origin of the message that arrives in a coming epoch, -1 for none
     origin : (R, B) int64, epoch of origin of the message held, -1 for none
-    held : (R, B, 7) its content
+    held : (R, B, 7) its content; for none zeros, levels of inf and a time of -inf
     """
 
     epoch: int
@@ -122,27 +122,32 @@ def initial_v2v(config: V2vConfig, batch: int, dt_s: float, receivers: int | Non
         broadcasts=np.zeros((slots, batch, N_FIELDS)),
         arriving=np.full((slots, rows, batch), -1, dtype=np.int64),
         origin=np.full((rows, batch), -1, dtype=np.int64),
-        held=np.zeros((rows, batch, N_FIELDS)),
+        held=_unheard(rows, batch),
     )
+
+
+def _unheard(*shape: int) -> Array:
+    held = np.zeros((*shape, N_FIELDS))
+    held[..., PL_AT : PL_CT + 1] = np.inf
+    held[..., TIME] = -np.inf
+    return held
 
 
 def forget(state: V2vState, senders: NDArray[np.int64]) -> None:
     """Drop what is held of ``senders`` (rows) and what they have under way: other vehicles take their rows over."""
     state.arriving[:, :, senders] = -1
     state.origin[:, senders] = -1
-    state.held[:, senders] = 0.0
+    state.held[:, senders] = _unheard(state.origin.shape[0], senders.size)
 
 
-def _content(message: V2vMessage, effects: FaultEffects, time_s: float) -> Array:
-    """The messages as sent (B, 7): liars displace their position and scale their protection levels."""
-    content = np.empty((message.heading_rad.size, N_FIELDS))
+def _write(content: Array, message: V2vMessage, effects: FaultEffects, time_s: float) -> None:
+    """Fill in the messages as sent (B, 7): liars displace their position and scale their protection levels."""
     content[:, EAST : NORTH + 1] = message.position_en_m + effects.v2v_offset_enu_m[:, :2]
     content[:, HEADING] = message.heading_rad
     content[:, SPEED] = message.speed_mps
     content[:, PL_AT] = message.pl_at_m * effects.v2v_pl_scale
     content[:, PL_CT] = message.pl_ct_m * effects.v2v_pl_scale
     content[:, TIME] = time_s
-    return content
 
 
 def _reaches(
@@ -154,8 +159,9 @@ def _reaches(
     u: Array,
 ) -> NDArray[np.bool_]:
     """Whether a message gets through (receiver, sender): ``P = (1 - loss) (1 - (d / range)^4)`` within the range."""
-    gap = antenna_en_m[receivers, None] - antenna_en_m[None]
-    fade = np.minimum((gap[..., 0] ** 2 + gap[..., 1] ** 2) / config.range_m**2, 1.0)
+    gap = (antenna_en_m[receivers, None] - antenna_en_m) / config.range_m
+    gap *= gap
+    fade = np.minimum(gap[..., 0] + gap[..., 1], 1.0)
     heard = u < (1.0 - config.loss) * (1.0 - fade * fade)
     if street.ndim:
         heard &= street[receivers, None] == street
@@ -167,20 +173,21 @@ def _reaches(
 def _send(config: V2vConfig, state: V2vState, dt_s: float, through: NDArray[np.bool_], u: Array) -> None:
     """Put this epoch's messages under way; a message of a later epoch replaces one that would arrive with it."""
     delay_s = config.latency_s - config.jitter_s * np.log1p(-u)
-    receiver, sender = np.nonzero(through & (delay_s <= config.latency_max_s))
-    wait = np.ceil(delay_s[receiver, sender] / dt_s - ROUNDING).astype(np.int64)
+    through &= delay_s <= config.latency_max_s
+    receiver, sender = np.nonzero(through)
+    wait = np.ceil(delay_s[through] / dt_s - ROUNDING).astype(np.int64)
     state.arriving[(state.epoch + wait) % state.arriving.shape[0], receiver, sender] = state.epoch
 
 
 def _receive(state: V2vState) -> None:
     """Take what arrives now, unless something newer is held."""
     slot = state.epoch % state.arriving.shape[0]
-    newer = state.arriving[slot] > state.origin
-    receiver, sender = np.nonzero(newer)
-    origin = state.arriving[slot, receiver, sender]
-    state.origin[receiver, sender] = origin
-    state.held[receiver, sender] = state.broadcasts[origin % state.broadcasts.shape[0], sender]
-    state.arriving[slot] = -1
+    arriving = state.arriving[slot]
+    newer = arriving > state.origin
+    origin = arriving[newer]
+    state.origin[newer] = origin
+    state.held[newer] = state.broadcasts[origin % state.broadcasts.shape[0], np.nonzero(newer)[1]]
+    arriving[:] = -1
 
 
 def exchange(
@@ -228,7 +235,7 @@ def exchange(
         raise InputError(f"streams must serve {listening} receivers, got {streams.batch}: make both agree")
     u = streams.uniform("v2v", batch, 2)
     state.epoch += 1
-    state.broadcasts[state.epoch % state.broadcasts.shape[0]] = _content(message, effects, time_s)
+    _write(state.broadcasts[state.epoch % state.broadcasts.shape[0]], message, effects, time_s)
     slot = math.floor(state.epoch * dt_s * config.rate_hz + ROUNDING)
     if slot > state.sent:
         state.sent = slot
@@ -239,13 +246,13 @@ def exchange(
 
 
 def _inbox(state: V2vState, time_s: float) -> V2vInbox:
-    heard, held = state.origin >= 0, state.held
+    held = state.held.copy()
     return V2vInbox(
-        heard=heard,
-        age_s=np.where(heard, time_s - held[..., TIME], np.inf),
-        position_en_m=held[..., EAST : NORTH + 1].copy(),
-        heading_rad=held[..., HEADING].copy(),
-        speed_mps=held[..., SPEED].copy(),
-        pl_at_m=np.where(heard, held[..., PL_AT], np.inf),
-        pl_ct_m=np.where(heard, held[..., PL_CT], np.inf),
+        heard=state.origin >= 0,
+        age_s=time_s - held[..., TIME],
+        position_en_m=held[..., EAST : NORTH + 1],
+        heading_rad=held[..., HEADING],
+        speed_mps=held[..., SPEED],
+        pl_at_m=held[..., PL_AT],
+        pl_ct_m=held[..., PL_CT],
     )
