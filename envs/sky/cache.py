@@ -81,7 +81,7 @@ def load(key: str, lanes: LaneMap) -> Street | None:
     if place is None or not (place / f"{key}.npz").exists():
         return None
     try:
-        with np.load(place / f"{key}.npz", allow_pickle=False) as data:
+        with (place / f"{key}.npz").open("rb") as file, np.load(file, allow_pickle=False) as data:
             azimuths, elevations, closed = (int(v) for v in data["bins"])
             spacing, length = (float(v) for v in data["stations"])
             city = City(data["triangles"], data["surface"])

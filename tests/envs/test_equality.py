@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from lanebound.envs.catalogue import world_of
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
-from lanebound.envs.world import IDM_PATH, _guarded_rewards
+from lanebound.envs.world import IDM_PATH, guard
 
 PERFECT = {"sky": "open", "navigation": {"source": "perfect"}, "actuators": None, "perception": {"source": "none"}}
 FEW = {"vehicles_count": 6}
@@ -47,10 +46,7 @@ def _plain(config: EnvConfig) -> AbstractEnv:
     """highway-env's own environment with the same configuration; only array actions are guarded as ours are."""
     model = world_of(config)
     settings = {**model.config, "other_vehicles_type": IDM_PATH}
-    plain: AbstractEnv = object.__new__(type(model))
-    plain._rewards = partial(_guarded_rewards, plain)
-    type(model).__init__(plain, config=settings)
-    return plain
+    return guard(type(model), settings)
 
 
 def _poses(world: AbstractEnv) -> NDArray[np.float64]:
