@@ -287,7 +287,8 @@ def test_one_vehicle_more_moves_no_draw_of_the_others() -> None:
 def test_claims_of_navigators_are_turned_into_the_plane() -> None:
     solution: Any = SimpleNamespace(
         position_en_m=np.array([[3.0, 4.0], [0.0, 0.0]]),
-        heading_rad=np.array([0.5 * np.pi, 0.0]),
+        heading_rad=np.array([0.5 * np.pi - 0.1, 0.0]),
+        velocity_en_mps=np.array([[10.0, 0.0], [0.0, 0.0]]),
         speed_mps=np.array([10.0, 0.0]),
         pl_at_m=np.array([1.0, np.inf]),
         pl_ct_m=np.array([0.5, np.inf]),
@@ -295,7 +296,8 @@ def test_claims_of_navigators_are_turned_into_the_plane() -> None:
     )
     claims = Claims.of(solution)
     np.testing.assert_array_equal(claims.position_m[0], [3.0, -4.0])
-    assert claims.heading_rad[0] == 0.0
+    assert claims.heading_rad[0] == 0.0  # the course, not the heading
+    assert claims.heading_rad[1] == -0.5 * np.pi
     np.testing.assert_array_equal(claims.initialised, [True, False])
 
 
