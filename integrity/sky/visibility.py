@@ -200,9 +200,10 @@ class SkyMask:
         if not np.isfinite(arc).all():
             require_finite("arc_m", arc)
         batch = sky.index.shape
+        lanes = np.asarray(lane, dtype=np.int64)
         try:
-            arc = np.ascontiguousarray(np.broadcast_to(arc, batch))
-            lanes = np.ascontiguousarray(np.broadcast_to(np.asarray(lane, dtype=np.int64), batch))
+            arc, lanes = (a if a.shape == batch else np.broadcast_to(a, batch) for a in (arc, lanes))
+            arc, lanes = np.ascontiguousarray(arc), np.ascontiguousarray(lanes)
         except ValueError:
             raise InputError(f"arc_m and lane must have shape {batch}, got {arc.shape}, {np.shape(lane)}") from None
         rows = sky.azimuth_rad.shape[0]
