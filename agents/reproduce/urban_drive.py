@@ -1,12 +1,13 @@
 """A Tokyo-like urban drive, and the tables of S1 that come out of it (sections 4 and 5, tables 2, 4 and 5).
 
 Many seeds drive the same loop for the same time: each has its own traffic lights, signals, instruments and outages.
-Figures are
-medians over the seeds of the statistic of one drive, with their spread: one drive alone passes or fails by luck.
+Figures are medians over the seeds of the statistic of one drive, with their spread: one drive alone passes or fails by
+luck.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +23,7 @@ from lanebound.integrity.drive import CityDrive, DriveConfig
 from lanebound.integrity.monitoring.risk import Variant
 from lanebound.integrity.navigator import Form, Navigator, NavigatorConfig, PlCase
 from lanebound.integrity.positioning.modes import Mode
-from lanebound.integrity.sky.city import CityConfig, build_city
+from lanebound.integrity.sky.city import City, CityConfig, build_city
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import SkyMask
@@ -91,19 +92,21 @@ class Drives:
     satellites: NDArray[np.int16]
 
 
-def street(config: UrbanDriveConfig, cache: Path | None = None) -> tuple[Road, SkyMask]:
-    """The loop and its sky mask; the mask is kept under ``cache`` when a folder is given."""
+def street(config: UrbanDriveConfig, cache: Path | None = None) -> tuple[Road, City, SkyMask]:
+    """The loop, what stands along it, and its sky mask, which is kept under ``cache`` when a folder is given."""
     road = config.road()
     city = build_city(road, config.city, named_generator(config.city_seed, "city"))
     digest = SkyMask.digest_of(road, city)
     path = None if cache is None else cache / f"mask-{digest[:16]}.npz"
     if path is not None and path.exists():
-        return road, SkyMask.load(path, digest)
+        return road, city, SkyMask.load(path, digest)
     mask = SkyMask.build(road, city)
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        mask.save(path)
-    return road, mask
+        draft = path.with_name(f"draft-{path.name}")  # an interruption must not leave half a mask under the name
+        mask.save(draft)
+        os.replace(draft, path)
+    return road, city, mask
 
 
 def drive(
@@ -156,7 +159,8 @@ def outage_lengths_s(rtk: NDArray[np.bool_], dt_s: float) -> Array:
 def seed_statistics(drives: Drives, dt_s: float) -> list[dict[str, Any]]:
     """Statistics of each drive, from its first position on: the cells of S1's tables and what goes with them.
 
-    Exact levels are given for RTK alone: dead reckoning starts from the operative level, which is the published one.
+    Published and exact levels stand beside each other, each begun from its own level at the last fix;
+    ``pl_exact_median`` repeats those of RTK under the name of earlier tables.
     """
     return [_one_drive(drives, b, dt_s) for b in range(drives.mode.shape[1])]
 
@@ -165,7 +169,7 @@ def _one_drive(drives: Drives, b: int, dt_s: float) -> dict[str, Any]:
     start = int(np.argmax(drives.mode[:, b] != Mode.NONE))
     mode = drives.mode[start:, b]
     error, level = np.abs(drives.error_m[start:, b]), drives.level_m[start:, b]
-    kinds = ("mode_share", "epochs", "error", "pl_median", "pl_exact_median", "exceedance")
+    kinds = ("mode_share", "epochs", "error", "pl_median", "pl_median_exact", "pl_exact_median", "exceedance")
     found: dict[str, Any] = {kind: {} for kind in kinds}
     for name in MODES:
         here = mode == MODE_CODES[name]
@@ -174,11 +178,11 @@ def _one_drive(drives: Drives, b: int, dt_s: float) -> dict[str, Any]:
             e, pl = error[here], level[here]
             found["error"][name] = _accuracy(e)
             found["pl_median"][name] = _medians(pl[:, :4])
+            found["pl_median_exact"][name] = _medians(pl[:, 4:])
             found["epochs"][name] = int(here.sum())
             found["exceedance"][name] = {
                 kind: {risk_key(r): float((e > pl[:, first + i]).any(-1).mean()) for i, r in enumerate(RISKS)}
                 for kind, first in (("published", 0), ("exact", 4))
-                if kind == "published" or name == "rtk"
             }
     if "rtk" in found["error"]:
         found["pl_exact_median"]["rtk"] = _medians(level[mode == Mode.RTK][:, 4:])

@@ -116,12 +116,8 @@ class SkyMask:
         spacing = road.length_m / count
         arc = spacing * np.arange(count if road.closed else count + 1, dtype=np.float64)
         antenna = _antennas(road, arc, lane_count, antenna_height_m)
-        cells = azimuths * elevations
-        path = np.empty((antenna.shape[0], cells), dtype=np.uint8)
-        excess = np.empty((antenna.shape[0], cells), dtype=np.float32)
-        run = mask_parallel if use_parallel(antenna.shape[0]) else mask_serial
-        run(city.grid, antenna, _cell_centres(azimuths, elevations), azimuths, elevations, path, excess)
-        shape = (arc.size, lane_count, cells)
+        path, excess = _cast(city, antenna.reshape(-1, 3), azimuths, elevations)
+        shape = (arc.size, lane_count, azimuths * elevations)
         digest = cls.digest_of(road, city, station_spacing_m, lanes, antenna_height_m, az_step_deg, el_step_deg)
         return cls(
             path.reshape(shape),
@@ -133,6 +129,38 @@ class SkyMask:
             road.closed,
             digest,
         )
+
+    @classmethod
+    def of_stations(
+        cls,
+        antenna_enu_m: ArrayLike,
+        city: City,
+        spacing_m: float = 5.0,
+        az_step_deg: float = 3.0,
+        el_step_deg: float = 3.0,
+        digest: str = "",
+    ) -> SkyMask:
+        """The mask of any stations, antennas (N, L, 3) ENU [m] over L lanes each.
+
+        Station n answers for the arc ``n spacing_m``. Cells and reflections are those of :meth:`build`. Antennas given
+        twice are cast once: where a station has fewer lanes than L, repeat one.
+
+        Raises
+        ------
+        InputError
+            Antennas that are not finite or of another shape, a step that does not divide, a spacing out of range.
+        """
+        antenna = require_finite("antenna_enu_m", antenna_enu_m)
+        require_shape("antenna_enu_m", antenna, (None, None, 3))
+        if antenna.ndim != 3 or antenna.size == 0:
+            raise InputError(f"antenna_enu_m must be (N, L, 3) with N, L >= 1, got {antenna.shape}: add stations")
+        require_in_range("spacing_m", spacing_m, 0.0, 1e4, low_open=True)
+        azimuths, elevations = _bins("az_step_deg", az_step_deg, 360.0), _bins("el_step_deg", el_step_deg, 90.0)
+        each, which = np.unique(antenna.reshape(-1, 3), axis=0, return_inverse=True)
+        path, excess = _cast(city, each, azimuths, elevations)
+        rows = which.reshape(antenna.shape[:2])
+        length = spacing_m * antenna.shape[0]
+        return cls(path[rows], excess[rows], azimuths, elevations, spacing_m, length, False, digest)
 
     @staticmethod
     def digest_of(
@@ -272,8 +300,17 @@ def _cell_centres(azimuths: int, elevations: int) -> Array:
     return out.reshape(-1, 3)
 
 
+def _cast(city: City, antenna: Array, azimuths: int, elevations: int) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """Paths and excesses (P, A E) of antennas (P, 3)."""
+    path = np.empty((antenna.shape[0], azimuths * elevations), dtype=np.uint8)
+    excess = np.empty(path.shape, dtype=np.float32)
+    run = mask_parallel if use_parallel(antenna.shape[0]) else mask_serial
+    run(city.grid, antenna, _cell_centres(azimuths, elevations), azimuths, elevations, path, excess)
+    return path, excess
+
+
 def _antennas(road: Road, arc_m: Array, lanes: int, height_m: float) -> Array:
-    """Antenna positions (N L, 3), lane by lane within a station."""
+    """Antenna positions (N, L, 3)."""
     lateral = road.lane_lateral_m(np.arange(lanes))
     en, _ = road.pose_at(arc_m[:, None], lateral[None, :])
-    return np.concatenate([en, np.full((*en.shape[:2], 1), height_m)], -1).reshape(-1, 3)
+    return np.concatenate([en, np.full((*en.shape[:2], 1), height_m)], -1)
