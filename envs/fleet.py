@@ -14,6 +14,7 @@ from lanebound.envs.motion import Motion
 from lanebound.envs.navigation import NavigationConfig, place
 from lanebound.envs.perception import Claims, Vehicles
 from lanebound.envs.sky import Street
+from lanebound.integrity.accel import serial
 from lanebound.integrity.navigator import Navigator
 from lanebound.integrity.solution import Solution
 from lanebound.integrity.streams import Streams
@@ -90,7 +91,8 @@ class Fleet:
         for row, vehicle in zip(self.rows, self.vehicles, strict=True):
             longitudinal = vehicle.lane.local_coordinates(vehicle.position)[0]
             arc[row], lane[row] = self.street.where(vehicle.lane_index, longitudinal)
-        self.solution = self.navigator.step(self.motion.epoch(time_s, dt_s, arc, lane))
+        with serial():
+            self.solution = self.navigator.step(self.motion.epoch(time_s, dt_s, arc, lane))
 
     def claims(self) -> Claims:
         """What each slot would broadcast of itself, and a silent last row for the ego."""

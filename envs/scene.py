@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections import OrderedDict
 from functools import lru_cache
 
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.intersection_env import IntersectionEnv
-from highway_env.road.road import RoadNetwork
 
 from lanebound.envs.cockpit import Surroundings
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.fleet import Fleet
 from lanebound.envs.perception import Perception
-from lanebound.envs.sky import Section, SkyLevel, Street, build_street
+from lanebound.envs.sky import build_street
 from lanebound.integrity.monitoring.risk import upper_quantile
 from lanebound.integrity.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.sensors.campaign import random_campaign
@@ -29,7 +26,6 @@ __all__ = ["map_bound_m", "navigator_config", "set_scene"]
 HOURS = 24  # the constellations repeat after a day, nearly
 MARGIN_S = 60.0  # of sky beyond what an episode is expected to last
 NEWCOMERS = 12  # slots kept for vehicles that appear later, where the world makes some
-KEPT_STREETS = 16
 
 
 def map_bound_m(config: EnvConfig, navigator: NavigatorConfig) -> float:
@@ -64,7 +60,7 @@ def set_scene(
     streams = Streams([seed])
     scene = streams.generators("scene")[0]
     layout, hour, fleet_seed = (int(scene.integers(n)) for n in (config.layouts, HOURS, 2**62))
-    street = street_of(world.road.network, config.level, layout, getattr(world, "sections", ()), config.extent_m)
+    street = build_street(world.road.network, config.level, layout, getattr(world, "sections", ()), config.extent_m)
     settings = navigator_config(config, world.vehicle.WIDTH)
     others = sum(v is not world.vehicle for v in world.road.vehicles)
     capacity = min(config.slots, others + (NEWCOMERS if isinstance(world, IntersectionEnv) else 0))
@@ -98,34 +94,6 @@ def _faults(
         assert priors is not None
         given = random_campaign(priors, duration_s, streams.generators("faults")[0], sky)
     return FaultSchedule([fault.replace(start_s=fault.start_s + start_s) for fault in given])
-
-
-_streets: OrderedDict[tuple[bytes, str, int, float], Street] = OrderedDict()
-
-
-def street_of(
-    network: RoadNetwork, level: SkyLevel, layout: int, sections: tuple[Section, ...], extent_m: float
-) -> Street:
-    """The street of a network, kept for the next episode on the same one."""
-    key = (_name_of(network), level.to_json(), layout, extent_m)
-    if key not in _streets:
-        _streets[key] = build_street(network, level, layout, sections, extent_m)
-        if len(_streets) > KEPT_STREETS:
-            _streets.popitem(last=False)
-    _streets.move_to_end(key)
-    return _streets[key]
-
-
-def _name_of(network: RoadNetwork) -> bytes:
-    """A digest of the lanes' places."""
-    digest = hashlib.blake2b(digest_size=16)
-    for start, ends in network.graph.items():
-        for end, lanes in ends.items():
-            digest.update(f"{start}>{end}".encode())
-            for lane in lanes:
-                places = [lane.position(share * lane.length, 0.0) for share in (0.0, 0.3, 0.7, 1.0)]
-                digest.update(np.array([*places, (lane.length, lane.width_at(0.0))], dtype=np.float64).tobytes())
-    return digest.digest()
 
 
 @lru_cache(maxsize=64)

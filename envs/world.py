@@ -19,21 +19,17 @@ from gymnasium.envs.registration import load_env_creator
 from gymnasium.error import Error as GymnasiumError
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.intersection_env import IntersectionEnv
-from highway_env.vehicle.behavior import IDMVehicle
 
+from lanebound.envs.worlds.drivers import IntersectionDriver
 from lanebound.integrity.errors import ConfigError, InputError
 
-__all__ = ["IntersectionDriver", "check_command", "make_world", "world_defaults"]
+__all__ = ["check_command", "guard", "make_world", "world_defaults"]
 
 NOTHING = {"type": "AttributesObservation", "attributes": []}
 IDM_PATH = "highway_env.vehicle.behavior.IDMVehicle"
 RESERVED = ("observation", "action", "simulation_frequency", "policy_frequency", "manual_control")
 DIRECT = "ContinuousAction"
 IDLE = 1
-
-
-class IntersectionDriver(IDMVehicle):  # type: ignore[misc]
-    """The other drivers of intersections: a class for highway-env to rewrite instead of everybody's ``IDMVehicle``."""
 
 
 def _guarded_rewards(world: AbstractEnv, action: Any) -> dict[str, float]:
@@ -97,15 +93,18 @@ def make_world(
         raise ConfigError(f"action.type must be DiscreteMetaAction or {DIRECT}, got {config['action']['type']!r}")
     if issubclass(kind, IntersectionEnv) and config["other_vehicles_type"] == IDM_PATH:
         config["other_vehicles_type"] = f"{IntersectionDriver.__module__}.{IntersectionDriver.__qualname__}"
+    try:
+        return guard(kind, config)
+    except AttributeError as error:  # highway-env's racetracks make the ego by a method that meta-actions lack
+        taken = defaults["action"]["type"]
+        raise ConfigError(f"action must be a {taken} in {kind.__name__}, got {config['action']['type']}") from error
+
+
+def guard(kind: type[AbstractEnv], config: dict[str, Any]) -> AbstractEnv:
+    """highway-env's environment itself, except that its reward terms survive an action that is an array."""
     world: AbstractEnv = object.__new__(kind)
     world._rewards = partial(_guarded_rewards, world)  # before __init__, which resets
-    try:
-        kind.__init__(world, config=config)
-    except AttributeError as error:  # highway-env's racetracks make the ego by a method that meta-actions lack
-        kinds = {defaults["action"]["type"]}
-        raise ConfigError(
-            f"action must be of a kind that {kind.__name__} takes, {kinds}, got {config['action']}"
-        ) from error
+    kind.__init__(world, config=config)
     return world
 
 

@@ -51,7 +51,13 @@ class PerceptionConfig(Config):
         8.0, ge=0, description="another's acceleration, at most, since its measurement [m/s^2]; emergency braking, dry"
     )
     lateral_bound_mps2: float = Field(
-        4.0,
+        8.0,
         ge=0,
-        description="another's acceleration across, at most, since its measurement [m/s^2]; brisk turn, 0.4 g",
+        description="another's acceleration across, at most, since then [m/s^2]; the same tyres, friction circle",
+    )
+    course_bound_deg: float = Field(
+        5.0,
+        ge=0,
+        lt=90,
+        description="angle between another's course and the heading known of it, at most [deg]; our choice",
     )

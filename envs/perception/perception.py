@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,7 +27,8 @@ class Perception:
     """What the ego knows of the others, from broadcasts, from its own sensor, or from both.
 
     Everything is placed where it should be now: brought forward at constant velocity from its measurement, ``age``
-    ago, with protection levels grown by ``a age^2 / 2``, a being the bounds of acceleration along and across.
+    ago, with protection levels grown by ``a_at age^2 / 2`` and ``a_ct age^2 / 2 + v age sin(course)``, from the bounds
+    of acceleration along and across and of the angle between course and heading.
 
     A broadcast's levels are its sender's and bound its position on the globe. Those of the sensor are ``k sigma`` of
     the measurement and bound the position *relative* to the ego (``Traffic.relative``). With both sources the newer
@@ -61,6 +64,7 @@ class Perception:
         self._key = np.full(capacity, -1, dtype=np.int64)
         self._length_m = np.zeros(capacity)
         self._width_m = np.zeros(capacity)
+        self._course_sin = math.sin(math.radians(config.course_bound_deg))
         self._nothing = np.full((capacity, N_COLUMNS), np.inf)
 
     def step(
@@ -114,7 +118,7 @@ class Perception:
 
     def _listen(self, time_s: float, ego_slot: int, vehicles: Vehicles, claims: Claims, effects: FaultEffects) -> Array:
         """The newest broadcast held of each slot, (C, 7); never heard: age inf."""
-        antenna = np.zeros((self.capacity, 2))
+        antenna = np.zeros((self.capacity, 2))  # x, y do as well as East, North: only distances count
         antenna[vehicles.slot] = vehicles.position_m
         sending = np.zeros(self.capacity, dtype=np.bool_)
         sending[vehicles.slot] = claims.initialised[vehicles.slot]
@@ -131,7 +135,7 @@ class Perception:
             time_s,
             self._dt_s,
             message,
-            enu_of(antenna),
+            antenna,
             effects,
             self._streams,
             receivers=[ego_slot],
@@ -149,6 +153,7 @@ class Perception:
             config.drop_after_s,
             config.acceleration_bound_mps2,
             config.lateral_bound_mps2,
+            self._course_sin,
             np.ascontiguousarray(ego.position_m),
             tracks,
             slots,

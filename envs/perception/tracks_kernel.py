@@ -110,6 +110,7 @@ def bring_forward(
     drop_after_s: float,
     acceleration_mps2: float,
     lateral_mps2: float,
+    course_sin: float,
     ego_m: Array,
     tracks: Array,
     slots: NDArray[np.int64],
@@ -122,6 +123,7 @@ def bring_forward(
     told, seen : (C, 7) newest broadcasts and measurements, age inf for none
     drop_after_s : a track that is older is left out
     acceleration_mps2, lateral_mps2 : levels grow by half of these times the age squared, along and across
+    course_sin : and across by this share of the way made since
     ego_m : (2,) where the ego believes to be
     tracks, slots, relative : (C, 7), (C,), (C,) filled with the tracks, whose they are, and whether the sensor's
 
@@ -150,6 +152,6 @@ def bring_forward(
         tracks[at] = source
         tracks[at, 0], tracks[at, 1] = x, y
         tracks[at, PL_AT] += 0.5 * acceleration_mps2 * age * age
-        tracks[at, PL_CT] += 0.5 * lateral_mps2 * age * age
+        tracks[at, PL_CT] += (0.5 * lateral_mps2 * age + course_sin * abs(source[SPEED])) * age
         count += 1
     return count

@@ -14,6 +14,7 @@ from lanebound.integrity.solution import Solution
 __all__ = ["Claims", "Vehicles"]
 
 Array = NDArray[np.float64]
+COURSE_FROM_MPS = 2.0  # below, Doppler noise turns the course by degrees
 Rows = NDArray[np.int64]
 
 
@@ -58,12 +59,19 @@ class Claims:
 
     @classmethod
     def of(cls, solution: Solution) -> Claims:
-        """The claims of C navigators, in the plane."""
+        """The claims of C navigators, in the plane; the course is told as the heading: it is where the vehicle goes."""
         return cls(
             position_m=xy_of(solution.position_en_m),
-            heading_rad=heading_of(solution.heading_rad),
+            heading_rad=heading_of(_course_rad(solution)),
             speed_mps=solution.speed_mps,
             pl_at_m=solution.pl_at_m,
             pl_ct_m=solution.pl_ct_m,
             initialised=solution.mode != Mode.NONE.value,
         )
+
+
+def _course_rad(solution: Solution) -> Array:
+    """Azimuths of the estimated velocities, those of the headings where a vehicle is too slow or goes backwards."""
+    east, north = solution.velocity_en_mps.T
+    ahead = solution.speed_mps > COURSE_FROM_MPS
+    return np.where(ahead, np.arctan2(east, north), solution.heading_rad)

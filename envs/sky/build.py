@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 from highway_env.road.road import RoadNetwork
 
-from lanebound.envs.sky.corridors import Corridor, Edge, LaneGround, corridors
+from lanebound.envs.sky import cache
+from lanebound.envs.sky.corridors import Corridor, Edge, LaneGround, corridors, edges_of
 from lanebound.envs.sky.level import SkyLevel
 from lanebound.envs.sky.street import LaneMap, Street
 from lanebound.integrity.errors import InputError
@@ -31,6 +32,8 @@ def build_street(
     layout_seed: int,
     sections: Sequence[Section] | None = None,
     extent_m: float = 2500.0,
+    *,
+    reuse: bool = True,
 ) -> Street:
     """The street of a network at a level; the same inputs give the same bits.
 
@@ -41,6 +44,7 @@ def build_street(
     sections : stretches that a world names, ``(edge from, edge to, start [m], end [m], kind)``; heights and the rest of
         the edges are the level's
     extent_m : longer edges are lined up to here, and what lies beyond is as their last station
+    reuse : take a street that has been built before, from memory or from disk, and keep this one
 
     Raises
     ------
@@ -49,16 +53,37 @@ def build_street(
     """
     if not extent_m > 0.0:
         raise InputError(f"extent_m must be positive, got {extent_m}: pass how far edges are lined, in metres")
-    members = corridors(network, extent_m)
-    if not members:
+    if not any(edges_of(network)):
         raise InputError("network must have lanes, got none: pass env.unwrapped.road.network after reset")
+    sections = tuple(sections or ())
+    if not reuse:
+        return _build(network, level, layout_seed, sections, extent_m)
+    key = cache.key_of(network, level, layout_seed, sections, float(extent_m))
+    street = cache.remember(key)
+    if street is None:
+        street = cache.load(key, LaneMap.of(network, extent_m, SPACING_M))
+        if street is None:
+            street = _build(network, level, layout_seed, sections, extent_m, key)
+            cache.save(key, street)
+        cache.remember(key, street)
+    return street
+
+
+def _build(
+    network: RoadNetwork,
+    level: SkyLevel,
+    layout_seed: int,
+    sections: tuple[Section, ...],
+    extent_m: float,
+    digest: str = "",
+) -> Street:
+    members = corridors(network, extent_m)
     lanes = LaneMap.of(network, extent_m, SPACING_M)
-    city = _city(network, members, level, layout_seed, _named(members, sections or ()), extent_m)
+    city = _city(network, members, level, layout_seed, _named(members, sections), extent_m)
     if not len(city):
         return Street(SkyMask.open(), city, lanes)
-    mask = SkyMask.of_stations(
-        lanes.antennas(network, ANTENNA_HEIGHT_M), city, SPACING_M, AZIMUTH_STEP_DEG, ELEVATION_STEP_DEG
-    )
+    antennas = lanes.antennas(network, ANTENNA_HEIGHT_M)
+    mask = SkyMask.of_stations(antennas, city, SPACING_M, AZIMUTH_STEP_DEG, ELEVATION_STEP_DEG, digest)
     return Street(mask, city, lanes)
 
 
@@ -81,7 +106,8 @@ def _city(
         if level.follow_sections:
             stretches = _overlaid(stretches, named.get(corridor.edge, []))
         rng = named_generator([layout_seed, number], "city")
-        city = city + line_street(corridor.road, stretches, level.city, rng, ground.plot(corridor))
+        kinds = level.streets_along(2.0 * corridor.road.edge_m)
+        city = city + line_street(corridor.road, stretches, kinds, rng, ground.plot(corridor))
     return city
 
 

@@ -22,10 +22,26 @@ class SkyLevel(Config):
     city: CityConfig = Field(
         CityConfig(sections=(SectionConfig(kind=SectionKind.OPEN),)), description="what lines the streets, in order"
     )
+    street_width_m: float = Field(
+        24.0,
+        ge=0,
+        le=200,
+        description="facades stand at least so far apart, so that narrow roads are no darker; argued",
+    )
     corrections: CorrectionsConfig = Field(CorrectionsConfig(), description="the reference link and its outages")
+    max_age_s: float = Field(
+        2.0, gt=0, le=60, description="oldest usable corrections; a rover in town, whose link sends every second"
+    )
     follow_sections: bool = Field(
         True, description="use the stretches that a world names itself; the level's own elsewhere"
     )
+
+    def streets_along(self, road_width_m: float) -> CityConfig:
+        """The city along a road of this width: setbacks that are too small for ``street_width_m`` are widened."""
+        least = 0.5 * (self.street_width_m - road_width_m)
+        kinds = {kind: self.city.street(kind) for kind in SectionKind}
+        streets = {kind: street.replace(setback_m=max(street.setback_m, least)) for kind, street in kinds.items()}
+        return CityConfig(sections=self.city.sections, streets=streets)
 
     @classmethod
     def named(cls, name: str) -> SkyLevel:
@@ -33,5 +49,6 @@ class SkyLevel(Config):
         return cls.preset(f"skies/{name}" if name in SKY_LEVELS else name)
 
     def navigator(self, base: NavigatorConfig | None = None) -> NavigatorConfig:
-        """The navigator of ``base``, or of the defaults, with this level's corrections."""
-        return (base or NavigatorConfig()).replace(corrections=self.corrections.to_dict())
+        """The navigator of ``base``, or of the defaults, with this level's reference link."""
+        rtk = {"max_age_s": self.max_age_s}
+        return (base or NavigatorConfig()).replace(corrections=self.corrections.to_dict(), positioning={"rtk": rtk})

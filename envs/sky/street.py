@@ -191,6 +191,5 @@ class Street:
         return np.where(there, self._count(places, sky), NO_LANE).reshape(-1, 3)
 
     def _count(self, places: list[tuple[float, int]], sky: SkyView) -> NDArray[np.int64]:
-        rows = sky.for_vehicles(np.full(len(places), sky.index[0]))
         arc, lane = np.array([p[0] for p in places]), np.array([p[1] for p in places], dtype=np.int64)
-        return self.mask.predicted_visibility(arc, lane, rows)
+        return self.mask.predicted_by_one(arc, lane, sky)

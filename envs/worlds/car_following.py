@@ -50,7 +50,7 @@ class CarFollowingWorld(World):
             self.np_random,
             self.config["duration"],
             1.0 / self.config["simulation_frequency"],
-            SpeedProfileConfig(**self.config["lead"]),
+            SpeedProfileConfig.load(self.config["lead"], "lead"),
         )
         index = ("start", "end", 0)
         lane = self.road.network.get_lane(index)

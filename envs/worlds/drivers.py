@@ -7,6 +7,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import ControlledVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
+from pydantic import field_validator
 
 from lanebound.integrity.config import Config, Field
 
@@ -26,13 +27,19 @@ class SpeedProfileConfig(Config):
     stop_probability: float = Field(0.45, ge=0, le=1, description="that a cruise ends in a stop [-]")
     hard_probability: float = Field(0.35, ge=0, le=1, description="that a deceleration is hard braking [-]")
     stand_s: tuple[float, float] = Field((2.0, 18.0), description="length of a standstill [s]")
-    accelerate_mps2: tuple[float, float] = Field(
-        (0.8, 1.7), description="speeding up; up to that of the WLTC's low phase [m/s2]"
-    )
+    accelerate_mps2: tuple[float, float] = Field((0.8, 1.7), description="speeding up in town [m/s2]")
     brake_mps2: tuple[float, float] = Field((1.0, 2.5), description="braking in comfort [m/s2]")
     hard_brake_mps2: tuple[float, float] = Field((2.5, 6.0), description="hard braking [m/s2]")
     jerk_mps3: float = Field(2.5, gt=0, description="of changes of acceleration in comfort [m/s3]")
     hard_jerk_mps3: float = Field(12.0, gt=0, description="when hard braking begins [m/s3]")
+
+    @field_validator("cruise_mps", "cruise_s", "stand_s", "accelerate_mps2", "brake_mps2", "hard_brake_mps2")
+    @classmethod
+    def _ordered(cls, value: tuple[float, float]) -> tuple[float, float]:
+        low, high = value
+        if not 0.0 < low <= high:
+            raise ValueError(f"must be two numbers with 0 < low <= high, got {low} and {high}: correct the range")
+        return value
 
 
 def speed_profile(
@@ -96,12 +103,13 @@ class LeadVehicle(ControlledVehicle):  # type: ignore[misc]
 class CityDriver(IDMVehicle):  # type: ignore[misc]
     """An IDM driver at town distances who slows down for the bends ahead where the lane advises a speed.
 
-    Gap at rest 2 m and time gap 1.2 s, from middle to middle of cars of 5 m; acceleration 1.5 and comfortable
-    deceleration 2 m/s2: M. Treiber and A. Kesting, Traffic Flow Dynamics, 2013, table 11.2, for city traffic.
+    The time gap is that of M. Treiber and A. Kesting, Traffic Flow Dynamics, 2013, table 11.2, for city traffic, with
+    somewhat livelier accelerations. The distance is from middle to middle of cars 5 m long; braking to a stop they come
+    about 2 m nearer than it.
     """
 
-    DISTANCE_WANTED = 7.0
-    TIME_WANTED = 1.2
+    DISTANCE_WANTED = 8.0
+    TIME_WANTED = 1.0
     COMFORT_ACC_MAX = 1.5
     COMFORT_ACC_MIN = -2.0
     LANE_CHANGE_DELAY = 2.0

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from lanebound.envs.records import LaneIndex
 from lanebound.envs.worlds.lanes import CurveLane
 from lanebound.envs.worlds.paths import Path, Piece, Pose, bend, rounded_polygon, straight
+from lanebound.integrity.errors import InputError
 
 __all__ = ["CITY_SECTIONS", "LAYOUTS", "Section", "StreetNetwork", "advance", "city_loop", "long_road", "winding_road"]
 
@@ -72,6 +73,8 @@ class StreetNetwork(RoadNetwork):  # type: ignore[misc]
 
     def add_road(self, edge: tuple[str, str], path: Path, lanes: int, width_m: float) -> None:
         """Parallel lanes about a path, with broken lines between them and whole ones outside."""
+        if lanes < 1 or width_m <= 0.0:
+            raise InputError(f"a road needs lanes >= 1 and width_m > 0, got {lanes} and {width_m}")
         for k in range(lanes):
             left = LineType.CONTINUOUS_LINE if k == 0 else LineType.STRIPED
             right = LineType.CONTINUOUS_LINE if k == lanes - 1 else LineType.NONE

@@ -163,9 +163,9 @@ def _reaches(
     gap *= gap
     fade = np.minimum(gap[..., 0] + gap[..., 1], 1.0)
     heard = u < (1.0 - config.loss) * (1.0 - fade * fade)
+    heard &= sending
     if street.ndim:
         heard &= street[receivers, None] == street
-    heard &= sending
     heard[np.arange(receivers.size), receivers] = False
     return heard
 
@@ -227,7 +227,8 @@ def exchange(
     """
     listening, batch = state.origin.shape
     rows = np.arange(batch) if receivers is None else np.asarray(receivers, dtype=np.int64)
-    require_shape("receivers", rows, (listening,))
+    if rows.size != listening:
+        raise InputError(f"receivers must be {listening} rows, got {rows.size}: name as many as the state was made for")
     antenna = require_finite("antenna_en_m", antenna_en_m)
     require_shape("antenna_en_m", antenna, (batch, 2))
     require_shape("message.position_en_m", require_finite("message.position_en_m", message.position_en_m), (batch, 2))

@@ -37,6 +37,9 @@ class Path(IntEnum):
     BLOCKED = 3
 
 
+LOS = np.uint8(Path.LOS)
+
+
 @dataclass(frozen=True)
 class Reception:
     """How S signals reach B antennas.
@@ -197,34 +200,47 @@ class SkyMask:
         if not np.isfinite(arc).all():
             require_finite("arc_m", arc)
         batch = sky.index.shape
+        lanes = np.asarray(lane, dtype=np.int64)
         try:
-            arc = np.ascontiguousarray(np.broadcast_to(arc, batch))
-            lanes = np.ascontiguousarray(np.broadcast_to(np.asarray(lane, dtype=np.int64), batch))
+            arc, lanes = (a if a.shape == batch else np.broadcast_to(a, batch) for a in (arc, lanes))
+            arc, lanes = np.ascontiguousarray(arc), np.ascontiguousarray(lanes)
         except ValueError:
             raise InputError(f"arc_m and lane must have shape {batch}, got {arc.shape}, {np.shape(lane)}") from None
         rows = sky.azimuth_rad.shape[0]
         if batch[0] and not (sky.index.min() >= 0 and sky.index.max() < rows):
             raise InputError(f"sky.index must lie in [0, {rows - 1}], got {sky.index.max()}: name existing rows")
-        path, excess = look_up(
+        path, excess = self._look(arc, lanes, sky, sky.index)
+        return Reception(path, excess)
+
+    def _look(
+        self, arc_m: Array, lane: NDArray[np.int64], sky: SkyView, index: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], Array]:
+        found: tuple[NDArray[np.uint8], Array] = look_up(
             self.path,
             self.excess_m,
-            arc,
-            lanes,
+            arc_m,
+            lane,
             sky.azimuth_rad,
             sky.elevation_rad,
-            sky.index,
+            index,
             self.spacing_m,
             self.length_m,
             self.closed,
             self.azimuths,
             self.elevations,
         )
-        return Reception(path, excess)
+        return found
 
     def predicted_visibility(self, arc_m: ArrayLike, lane: ArrayLike, sky: SkyView) -> NDArray[np.int64]:
         """Satellites in line of sight above the mask angle at places along a route, for planners.  (B,) -> (B,)."""
-        seen = self.look(arc_m, lane, sky).path == Path.LOS
+        seen = self.look(arc_m, lane, sky).path == LOS
         return np.asarray((seen & sky.above[sky.index]).sum(-1), dtype=np.int64)
+
+    def predicted_by_one(self, arc_m: Array, lane: NDArray[np.int64], sky: SkyView) -> NDArray[np.int64]:
+        """The same at the places of one vehicle, the first of ``sky``.  (D,) float64 [m], (D,) int64 -> (D,)."""
+        row = sky.index[0]
+        path, _ = self._look(arc_m, lane, sky, np.full(arc_m.shape, row))
+        return np.asarray(np.count_nonzero((path == LOS) & sky.above[row], -1), dtype=np.int64)
 
     def save(self, path: str | FilePath) -> None:
         """Write the mask to an ``.npz`` file."""

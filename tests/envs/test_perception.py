@@ -134,18 +134,20 @@ def test_latency_shows_as_age_and_the_vehicle_is_brought_forward(heading_rad: fl
     np.testing.assert_allclose(traffic[5].age_s, 0.2)
     np.testing.assert_allclose(traffic[5].position_m[0], [30, 4] + 5 * step_m)
     np.testing.assert_allclose(traffic[5].pl_at_m, 1.0 + 0.5 * 8.0 * 0.2**2)
-    np.testing.assert_allclose(traffic[5].pl_ct_m, 0.5 + 0.5 * 4.0 * 0.2**2)
+    np.testing.assert_allclose(traffic[5].pl_ct_m, 0.5 + 0.5 * 8.0 * 0.2**2 + 12.0 * 0.2 * np.sin(np.radians(5.0)))
 
 
-@given(acceleration=st.floats(-8.0, 8.0), age=st.integers(1, 10))
-def test_grown_levels_bound_any_acceleration_within_the_bound(acceleration: float, age: int) -> None:
+@given(acceleration=st.floats(-8.0, 8.0), lateral=st.floats(-8.0, 8.0), age=st.integers(1, 10))
+def test_grown_levels_bound_any_acceleration_within_the_bound(acceleration: float, lateral: float, age: int) -> None:
     street = Street(v2v={**CLEAR, "rate_hz": 0.5})
     traffic = Traffic.none()
     for n in range(20 + age):  # the one message goes out in epoch 20
         t = (n - 19) * DT
         x, v = 50.0 + 15.0 * t + 0.5 * acceleration * t * t, 15.0 + acceleration * t
-        traffic = street.step(there([[0, 0], [x, 0]], v))
+        y = 0.5 * lateral * t * t + 15.0 * np.tan(np.radians(4.9)) * t
+        traffic = street.step(there([[0, 0], [x, y]], v))
     assert abs(traffic.position_m[0, 0] - x) <= traffic.pl_at_m[0] - 1.0 + 1e-9
+    assert abs(traffic.position_m[0, 1] - y) <= traffic.pl_ct_m[0] - 0.5 + 1e-9
 
 
 def test_share_of_fresh_messages_is_binomial_and_falls_with_the_distance() -> None:
@@ -285,7 +287,8 @@ def test_one_vehicle_more_moves_no_draw_of_the_others() -> None:
 def test_claims_of_navigators_are_turned_into_the_plane() -> None:
     solution: Any = SimpleNamespace(
         position_en_m=np.array([[3.0, 4.0], [0.0, 0.0]]),
-        heading_rad=np.array([0.5 * np.pi, 0.0]),
+        heading_rad=np.array([0.5 * np.pi - 0.1, 0.0]),
+        velocity_en_mps=np.array([[10.0, 0.0], [0.0, 0.0]]),
         speed_mps=np.array([10.0, 0.0]),
         pl_at_m=np.array([1.0, np.inf]),
         pl_ct_m=np.array([0.5, np.inf]),
@@ -293,7 +296,8 @@ def test_claims_of_navigators_are_turned_into_the_plane() -> None:
     )
     claims = Claims.of(solution)
     np.testing.assert_array_equal(claims.position_m[0], [3.0, -4.0])
-    assert claims.heading_rad[0] == 0.0
+    assert claims.heading_rad[0] == 0.0  # the course, not the heading
+    assert claims.heading_rad[1] == -0.5 * np.pi
     np.testing.assert_array_equal(claims.initialised, [True, False])
 
 

@@ -50,6 +50,8 @@ def test_a_profile_is_its_generators_alone() -> None:
     assert speed_profile(np.random.default_rng(3), 300.0, DT_S, config).min() > 0.0
     with pytest.raises(ConfigError, match="stop_probability"):
         SpeedProfileConfig(stop_probability=1.5)
+    with pytest.raises(ConfigError, match="0 < low <= high"):
+        SpeedProfileConfig(stand_s=(9.0, 3.0))
 
 
 def test_the_lead_vehicle_drives_its_profile() -> None:

@@ -174,3 +174,5 @@ def test_impossible_curves_are_refused() -> None:
         rounded_polygon([(0.0, 0.0, 30.0), (50.0, 0.0, 30.0), (50.0, 50.0, 30.0), (0.0, 50.0, 30.0)], 10.0)
     with pytest.raises(InputError, match="beyond the middle of a bend"):
         CurveLane(CORNER, 30.0, 3.25)
+    with pytest.raises(InputError, match="lanes >= 1"):
+        winding_road(0, 0, 3.25)
