@@ -10,16 +10,19 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import poisson
 
-from lanebound.integrity.positioning.rtk_kernel import (
+from lanebound.integrity.positioning.resolve_kernel import (
     FIXED,
     NOT_CONVERGED,
     RATIO_FAILED,
     TOO_FEW,
-    drop_small_systems,
-    held_risk,
+    Carriers,
+    Fixes,
+    Rules,
     resolve,
 )
+from lanebound.integrity.positioning.rtk_kernel import add_layer, collapse_code, drop_small_systems, held_risk
 from lanebound.integrity.sky.systems import WAVELENGTH_M
+from lanebound.integrity.small_matrix_kernel import MAX_GROUPS
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -50,13 +53,23 @@ class _Problem:
     ) -> int:  # fmt: skip
         """Run the kernel on everything that is not held; state is changed in place."""
         wanted = ~self.held if candidate is None else candidate
-        return int(
-            resolve(
-                self.los, self.system, np.ones(len(self.system), dtype=np.bool_), wanted, self.held, self.code,
-                self.phase, self.variance_code, self.variance_phase, bands, WAVES, self.integers, self.fix_id,
-                self.fix_risk, fix, limit, ratio, most, least, further,
-            )
-        )  # fmt: skip
+        x, q = self._code_position(bands)
+        rules = Rules(bands, WAVES, limit, ratio, most, least, further)
+        carriers = Carriers(self.los, self.system, self.phase, self.variance_phase)
+        fixes = Fixes(self.held, self.integers, self.fix_id, self.fix_risk)
+        return int(resolve(carriers, wanted, fixes, rules, x, q, fix))
+
+    def _code_position(self, bands: int) -> tuple[Array, Array]:
+        """Position and covariance from the code of all satellites."""
+        y, normal, rhs = np.empty(len(self.system)), np.zeros((3, 3)), np.zeros(3)
+        collapse_code(self.code, bands, y)
+        everything, mean = (
+            np.ones(len(self.system), dtype=np.bool_),
+            (np.empty((MAX_GROUPS, 3)), *np.empty((2, MAX_GROUPS))),
+        )
+        add_layer(self.los, self.system, everything, self.variance_code / bands, y, normal, rhs, *mean)
+        q = np.linalg.pinv(normal)
+        return q @ rhs, q
 
     def wrong(self, bands: int = 2) -> bool:
         """Whether held integers differ from the true ones by more than one offset for each system and band."""
@@ -154,10 +167,10 @@ def test_a_refusal_holds_nothing() -> None:
         _assert_nothing_held(p)
 
 
-def test_a_singular_geometry_is_too_few() -> None:
+def test_held_carriers_of_a_singular_position_are_too_few() -> None:
     p = _problem(4, system=np.array([0, 0, 0]))
+    p.hold_true([0], risk=0.0)
     assert p.resolve() == TOO_FEW
-    _assert_nothing_held(p)
 
 
 def test_a_fix_smaller_than_a_position_needs_is_not_held() -> None:
