@@ -289,7 +289,7 @@ class Navigator:
             g.code_m, g.phase_m,
             g.range_rate_mps, g.lock_lost, g.corrections_age_s, np.ascontiguousarray(m.imu.delta_theta_rad[:,
             2]), m.odometer.speed_mps,
-            t.par, t.rtk_par, t.mode_limits, t.heading_limits, t.wavelength, t.fixable, t.chi2, t.normal, t.fde,
+            t.par, t.rtk_par, t.mode_limits, t.heading_limits, t.wavelength, t.fixable, t.fit, t.chi2, t.normal, t.fde,
             t.risks, t.shares, t.spent, t.priors, t.k_fa, t.k_published, t.k_dead, t.published, t.operative_published,
             t.alert_limits, t.drift_group, s.belief, s.rtk, s.growth, s.held, s.integers, s.fix_id, s.fix_risk,
             s.alert.alert, s.alert.reason,
@@ -339,6 +339,7 @@ class _Tables:
     heading_limits: Array
     wavelength: Array
     fixable: NDArray[np.bool_]
+    fit: Array
     chi2: Array
     normal: Array
     fde: Array
@@ -375,6 +376,7 @@ class _Tables:
             heading_limits=c.positioning.heading_limits,
             wavelength=np.ascontiguousarray(WAVELENGTH_M[:, list(c.gnss.bands)]),
             fixable=FIXABLE[system],
+            fit=c.positioning.rtk.largest_misfits,
             chi2=np.ascontiguousarray(thresholds.global_chi2),
             normal=np.ascontiguousarray(thresholds.local_normal),
             fde=np.array([float(c.fde.global_first), float(c.fde.max_excluded), float(c.fde.min_redundancy)]),
@@ -432,7 +434,7 @@ def _declared_rtk(c: NavigatorConfig) -> Array:
         rk.AGE_SIGMA: r.age_sigma_mps, rk.MAX_AGE: r.max_age_s, rk.FIX_MAX_AGE: r.fix_max_age_s,
         rk.FIX_LIMIT: r.ambiguity_risk_share * smallest, rk.RATIO_MIN: r.ratio_min,
         rk.MAX_CANDIDATES: r.max_candidates, rk.MIN_SATELLITES: r.min_satellites, rk.MIN_FURTHER: r.min_further,
-        rk.HOLD_FAILURES: r.hold_failures,
+        rk.HOLD_FAILURES: r.hold_failures, rk.ATTEMPTS: r.attempts,
     }  # fmt: skip
     par = np.zeros(rk.NP)
     par[list(values)] = list(values.values())

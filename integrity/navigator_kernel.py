@@ -306,8 +306,8 @@ def advance(x, growth, par, mode, v_e, v_n, q, v_ss, middle, carry, resting):  #
 def _epoch(  # type: ignore[no-untyped-def]
     e, system, elevation, tracked, cn0, code, phase, range_rate, lock_lost, age,
     delta_theta, v_ss,
-    par, rtk_par, mode_limits, heading_limits, wavelength, fixable, chi2, normal, fde, risks, shares, spent, priors,
-    k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
+    par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent,
+    priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
     x, rtk_x, growth, held, integers, fix_id, fix_risk, v, alert, reason, onset, clear, geo, head, columns, rows,
     rows_e, rows_group, out, pl,
 ):  # fmt: skip
@@ -337,7 +337,7 @@ def _epoch(  # type: ignore[no-untyped-def]
 
     status, n_rtk, excluded_rtk, hdop_rtk = rtk(
         Signals(e, system, elevation, tracked, cn0, code, phase, lock_lost, age),
-        Tables(rtk_par, wavelength, fixable, chi2, normal, fde), Fixes(held, integers, fix_id, fix_risk), rtk_x,
+        Tables(rtk_par, wavelength, fixable, fit, chi2, normal, fde), Fixes(held, integers, fix_id, fix_risk), rtk_x,
         sin_h, cos_h, Fixed(geo, head, rows, rows_e, rows_group),
     )  # fmt: skip
     wrong = held_risk(held, fix_id, fix_risk)
@@ -389,8 +389,8 @@ def _epoch(  # type: ignore[no-untyped-def]
 def run_some(  # type: ignore[no-untyped-def]
     first, last, los, system, elevation, index, tracked, cn0, code, phase, range_rate, lock_lost, age,
     delta_theta, v_ss,
-    par, rtk_par, mode_limits, heading_limits, wavelength, fixable, chi2, normal, fde, risks, shares, spent, priors,
-    k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
+    par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent,
+    priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
     x, rtk_x, growth, held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl,
 ):  # fmt: skip
     """One epoch of the vehicles ``first`` to ``last - 1``, which share their scratch."""
@@ -401,8 +401,8 @@ def run_some(  # type: ignore[no-untyped-def]
         k = index[v]
         _epoch(
             los[k], system, elevation[k], tracked[v], cn0[v], code[v], phase[v], range_rate[v], lock_lost[v], age[v],
-            delta_theta[v], v_ss[v], par, rtk_par, mode_limits, heading_limits, wavelength, fixable, chi2, normal, fde,
-            risks, shares, spent, priors, k_fa, k_published, k_dead, published, operative_published, alert_limits,
+            delta_theta[v], v_ss[v], par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal,
+            fde, risks, shares, spent, priors, k_fa, k_published, k_dead, published, operative_published, alert_limits,
             drift_group,
             x[v], rtk_x[v], growth[v], held[v], integers[v], fix_id[v], fix_risk[v], v, alert, reason, onset, clear,
             geo, head, columns, rows, rows_e, rows_group, out[v], pl[v],
@@ -413,8 +413,8 @@ def run_some(  # type: ignore[no-untyped-def]
 def run_parallel(  # type: ignore[no-untyped-def]
     chunks, last, los, system, elevation, index, tracked, cn0, code, phase, range_rate, lock_lost, age,
     delta_theta, v_ss,
-    par, rtk_par, mode_limits, heading_limits, wavelength, fixable, chi2, normal, fde, risks, shares, spent, priors,
-    k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
+    par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent,
+    priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
     x, rtk_x, growth, held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl,
 ):  # fmt: skip
     """:func:`run_some` for all ``last`` vehicles, in ``chunks`` runs side by side."""
@@ -422,7 +422,7 @@ def run_parallel(  # type: ignore[no-untyped-def]
         run_some(
             chunk * last // chunks, (chunk + 1) * last // chunks, los, system, elevation, index, tracked, cn0,
             code, phase, range_rate, lock_lost, age, delta_theta, v_ss, par, rtk_par, mode_limits, heading_limits,
-            wavelength, fixable, chi2, normal, fde, risks, shares, spent, priors, k_fa, k_published, k_dead, published,
-            operative_published, alert_limits, drift_group, x, rtk_x, growth, held, integers, fix_id, fix_risk,
-            alert, reason, onset, clear, out, pl,
+            wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent, priors, k_fa, k_published, k_dead,
+            published, operative_published, alert_limits, drift_group, x, rtk_x, growth, held, integers, fix_id,
+            fix_risk, alert, reason, onset, clear, out, pl,
         )  # fmt: skip

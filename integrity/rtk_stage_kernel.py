@@ -20,18 +20,18 @@ from lanebound.integrity.positioning.rtk_kernel import collapse_code, collapse_p
 from lanebound.integrity.small_matrix_kernel import hdop_of
 
 UNUSED = 1e6  # variance factor of a satellite out of use: held perhaps, but without a say
-FIXED, NO_CORRECTIONS, TOO_FEW, NOT_CONVERGED, RATIO_FAILED, FAULT = 0, 1, 2, 3, 4, 5  # codes of RtkStatus
+FIXED, NO_CORRECTIONS, TOO_FEW, NOT_CONVERGED, FAULT = 0, 1, 2, 3, 5  # codes of RtkStatus
 
 # state
-REJECTED, FIXES, RATIO_FAILS = range(3)
-NX = 3
+REJECTED, FIXES = range(2)
+NX = 2
 
 # declared figures
 (
     BANDS, SIN_MASK, CN0_MIN, CN0_KNEE, SIGMA_CODE, SIGMA_PHASE, SIGMA_PHASE_PL, PHASE_BIAS, AGE_SIGMA, MAX_AGE,
-    FIX_MAX_AGE, FIX_LIMIT, RATIO_MIN, MAX_CANDIDATES, MIN_SATELLITES, MIN_FURTHER, HOLD_FAILURES,
-) = range(17)  # fmt: skip
-NP = 17
+    FIX_MAX_AGE, FIX_LIMIT, RATIO_MIN, MAX_CANDIDATES, MIN_SATELLITES, MIN_FURTHER, HOLD_FAILURES, ATTEMPTS,
+) = range(18)  # fmt: skip
+NP = 18
 
 
 class Signals(NamedTuple):
@@ -49,11 +49,12 @@ class Signals(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """par (NP,), wavelength (systems, 2), fixable (S,), chi2 and normal thresholds and fde (3,) of the fault test."""
+    """par (NP,), wavelength (systems, 2), fixable (S,), fit of Rules; chi2, normal and fde (3,) of the fault test."""
 
     par: Any
     wavelength: Any
     fixable: Any
+    fit: Any
     chi2: Any
     normal: Any
     fde: Any
@@ -148,31 +149,12 @@ def resolve_now(signals, tables, fixes, used, candidate, factor, aged, x):  # ty
     if outcome > FDE_EXCLUDED:
         return NOT_CONVERGED
     x[FIXES] += 1.0
-    if x[RATIO_FAILS] > 0.0:
-        leave_out(candidate, int(x[RATIO_FAILS]) - 1)
     rules = Rules(
-        bands, tables.wavelength, par[FIX_LIMIT], par[RATIO_MIN], int(par[MAX_CANDIDATES]), int(par[MIN_SATELLITES]),
-        int(par[MIN_FURTHER]),
+        bands, tables.wavelength, par[FIX_LIMIT], par[RATIO_MIN], tables.fit, int(par[ATTEMPTS]),
+        int(par[MAX_CANDIDATES]), int(par[MIN_SATELLITES]), int(par[MIN_FURTHER]),
     )  # fmt: skip
     carriers = Carriers(signals.e, signals.system, signals.phase, factor * par[SIGMA_PHASE] ** 2 + aged)
-    status = resolve(carriers, candidate, fixes, rules, position, q, int(x[FIXES]))
-    if status == FIXED:
-        x[RATIO_FAILS] = 0.0
-    elif status == RATIO_FAILED or x[RATIO_FAILS] > 0.0:
-        x[RATIO_FAILS] += 1.0
-    return status
-
-
-@jit
-def leave_out(candidate, turn):  # type: ignore[no-untyped-def]
-    """Clear one candidate, another at each turn: a carrier half a cycle off spoils every set that it is in."""
-    skip = turn % max(np.sum(candidate), 1)
-    for s in range(candidate.shape[0]):
-        if candidate[s]:
-            if skip == 0:
-                candidate[s] = False
-                return
-            skip -= 1
+    return resolve(carriers, candidate, fixes, rules, position, q, int(x[FIXES]))
 
 
 @jit
