@@ -142,7 +142,7 @@ class NavigatorState:
 
     ``belief`` (B, NX), ``rtk`` (B, NX) and ``growth`` (B, NP) are the flat columns of :mod:`.navigator_kernel`,
     :mod:`.rtk_stage_kernel` and :mod:`.monitoring.dead_reckoning_pl_kernel`; ``held`` (B, S), ``integers`` (B, S, 2),
-    ``fix_id`` and ``fix_risk`` (B, S) are the ambiguities held.
+    ``fix_id`` and ``fix_risk`` (B, S) are the ambiguities held; ``last_phase_m`` (B, S, 2) serves to find slips.
     """
 
     streams: Streams
@@ -153,6 +153,7 @@ class NavigatorState:
     alert: AlertState
     belief: Array
     rtk: Array
+    last_phase_m: Array
     growth: Array
     held: NDArray[np.bool_]
     integers: Array
@@ -221,6 +222,7 @@ class Navigator:
             alert=AlertState.initial(batch),
             belief=belief,
             rtk=np.zeros((batch, rk.NX)),
+            last_phase_m=np.zeros((batch, n_sat, 2)),
             growth=np.zeros((batch, GROWTH_SIZE)),
             held=np.zeros((batch, n_sat), dtype=np.bool_),
             integers=np.zeros((batch, n_sat, 2)),
@@ -291,8 +293,8 @@ class Navigator:
             2]), m.odometer.speed_mps,
             t.par, t.rtk_par, t.mode_limits, t.heading_limits, t.wavelength, t.fixable, t.fit, t.chi2, t.normal, t.fde,
             t.risks, t.shares, t.spent, t.priors, t.k_fa, t.k_published, t.k_dead, t.published, t.operative_published,
-            t.alert_limits, t.drift_group, s.belief, s.rtk, s.growth, s.held, s.integers, s.fix_id, s.fix_risk,
-            s.alert.alert, s.alert.reason,
+            t.alert_limits, t.drift_group, s.belief, s.rtk, s.last_phase_m, s.growth, s.held, s.integers, s.fix_id,
+            s.fix_risk, s.alert.alert, s.alert.reason,
             s.alert.onset_s, s.alert.clear_s, out, levels,
         )  # fmt: skip
         return self._solution(m, out, levels)
@@ -426,7 +428,7 @@ def _declared(c: NavigatorConfig) -> Array:
 
 def _declared_rtk(c: NavigatorConfig) -> Array:
     """The declared figures in the columns of the RTK stage's ``par``."""
-    r, smallest = c.positioning.rtk, min(case.integrity_risk for case in c.cases)
+    r, slips, smallest = c.positioning.rtk, c.positioning.slips, min(case.integrity_risk for case in c.cases)
     values: dict[int, Any] = {
         rk.BANDS: len(c.gnss.bands), rk.SIN_MASK: np.sin(np.deg2rad(r.elevation_mask_deg)),
         rk.CN0_MIN: r.cn0_min_dbhz, rk.CN0_KNEE: r.cn0_knee_dbhz, rk.SIGMA_CODE: r.sigma_code_m,
@@ -434,7 +436,9 @@ def _declared_rtk(c: NavigatorConfig) -> Array:
         rk.AGE_SIGMA: r.age_sigma_mps, rk.MAX_AGE: r.max_age_s, rk.FIX_MAX_AGE: r.fix_max_age_s,
         rk.FIX_LIMIT: r.ambiguity_risk_share * smallest, rk.RATIO_MIN: r.ratio_min,
         rk.MAX_CANDIDATES: r.max_candidates, rk.MIN_SATELLITES: r.min_satellites, rk.MIN_FURTHER: r.min_further,
-        rk.HOLD_FAILURES: r.hold_failures, rk.ATTEMPTS: r.attempts,
+        rk.HOLD_FAILURES: r.hold_failures, rk.ATTEMPTS: r.attempts, rk.SLIP_K: slips.threshold,
+        rk.SLIP_IONO: slips.ionosphere_rate_mps, rk.SLIP_FIT: slips.fit_limit,
+        rk.SLIP_FAILURE: slips.repair_failure_rate,
     }  # fmt: skip
     par = np.zeros(rk.NP)
     par[list(values)] = list(values.values())

@@ -55,6 +55,7 @@ from lanebound.integrity.positioning.heading_kernel import (
 from lanebound.integrity.positioning.mode_kernel import DOPPLER, NONE, RTK, doppler_usable, select_mode
 from lanebound.integrity.positioning.resolve_kernel import Fixes
 from lanebound.integrity.positioning.rtk_kernel import held_risk
+from lanebound.integrity.positioning.slip_watch_kernel import Motion
 from lanebound.integrity.rtk_stage_kernel import FIXED, Fixed, Signals, Tables, rtk, weigh
 from lanebound.integrity.small_matrix_kernel import hdop_of
 
@@ -308,8 +309,8 @@ def _epoch(  # type: ignore[no-untyped-def]
     delta_theta, v_ss,
     par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent,
     priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
-    x, rtk_x, growth, held, integers, fix_id, fix_risk, v, alert, reason, onset, clear, geo, head, columns, rows,
-    rows_e, rows_group, out, pl,
+    x, rtk_x, last_phase, growth, held, integers, fix_id, fix_risk, v, alert, reason, onset, clear, geo, head, columns,
+    rows, rows_e, rows_group, out, pl,
 ):  # fmt: skip
     """The whole epoch of vehicle v; x to fix_risk and the alert arrays are its state."""
     dt, n_sat = par[DT], e.shape[0]
@@ -338,6 +339,7 @@ def _epoch(  # type: ignore[no-untyped-def]
     status, n_rtk, excluded_rtk, hdop_rtk = rtk(
         Signals(e, system, elevation, tracked, cn0, code, phase, lock_lost, age),
         Tables(rtk_par, wavelength, fixable, fit, chi2, normal, fde), Fixes(held, integers, fix_id, fix_risk), rtk_x,
+        last_phase, Motion(dt, solved and x[INITIALISED] > 0.0, velocity_enu, q_v, x[EAST : UP + 1]),
         sin_h, cos_h, Fixed(geo, head, rows, rows_e, rows_group),
     )  # fmt: skip
     wrong = held_risk(held, fix_id, fix_risk)
@@ -391,7 +393,7 @@ def run_some(  # type: ignore[no-untyped-def]
     delta_theta, v_ss,
     par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent,
     priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
-    x, rtk_x, growth, held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl,
+    x, rtk_x, last_phase, growth, held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl,
 ):  # fmt: skip
     """One epoch of the vehicles ``first`` to ``last - 1``, which share their scratch."""
     geo, head, columns = scratch(system.shape[0])
@@ -404,8 +406,8 @@ def run_some(  # type: ignore[no-untyped-def]
             delta_theta[v], v_ss[v], par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal,
             fde, risks, shares, spent, priors, k_fa, k_published, k_dead, published, operative_published, alert_limits,
             drift_group,
-            x[v], rtk_x[v], growth[v], held[v], integers[v], fix_id[v], fix_risk[v], v, alert, reason, onset, clear,
-            geo, head, columns, rows, rows_e, rows_group, out[v], pl[v],
+            x[v], rtk_x[v], last_phase[v], growth[v], held[v], integers[v], fix_id[v], fix_risk[v], v, alert, reason,
+            onset, clear, geo, head, columns, rows, rows_e, rows_group, out[v], pl[v],
         )  # fmt: skip
 
 
@@ -415,7 +417,7 @@ def run_parallel(  # type: ignore[no-untyped-def]
     delta_theta, v_ss,
     par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent,
     priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
-    x, rtk_x, growth, held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl,
+    x, rtk_x, last_phase, growth, held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl,
 ):  # fmt: skip
     """:func:`run_some` for all ``last`` vehicles, in ``chunks`` runs side by side."""
     for chunk in prange(chunks):
@@ -423,6 +425,6 @@ def run_parallel(  # type: ignore[no-untyped-def]
             chunk * last // chunks, (chunk + 1) * last // chunks, los, system, elevation, index, tracked, cn0,
             code, phase, range_rate, lock_lost, age, delta_theta, v_ss, par, rtk_par, mode_limits, heading_limits,
             wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent, priors, k_fa, k_published, k_dead,
-            published, operative_published, alert_limits, drift_group, x, rtk_x, growth, held, integers, fix_id,
-            fix_risk, alert, reason, onset, clear, out, pl,
+            published, operative_published, alert_limits, drift_group, x, rtk_x, last_phase, growth, held, integers,
+            fix_id, fix_risk, alert, reason, onset, clear, out, pl,
         )  # fmt: skip

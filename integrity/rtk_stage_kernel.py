@@ -17,21 +17,23 @@ from lanebound.integrity.monitoring.detection_kernel import detect_and_exclude
 from lanebound.integrity.monitoring.geometry_kernel import SOLVED, geometry, solve
 from lanebound.integrity.positioning.resolve_kernel import Carriers, Rules, any_of, resolve
 from lanebound.integrity.positioning.rtk_kernel import collapse_code, collapse_phase, drop_small_systems
+from lanebound.integrity.positioning.slip_watch_kernel import NW, SlipRules, watch_slips
 from lanebound.integrity.small_matrix_kernel import hdop_of
 
 UNUSED = 1e6  # variance factor of a satellite out of use: held perhaps, but without a say
 FIXED, NO_CORRECTIONS, TOO_FEW, NOT_CONVERGED, FAULT = 0, 1, 2, 3, 5  # codes of RtkStatus
 
 # state
-REJECTED, FIXES = range(2)
-NX = 2
+REJECTED, FIXES, WATCH = range(3)  # WATCH: NW entries of slip_watch_kernel
+NX = WATCH + NW
 
 # declared figures
 (
     BANDS, SIN_MASK, CN0_MIN, CN0_KNEE, SIGMA_CODE, SIGMA_PHASE, SIGMA_PHASE_PL, PHASE_BIAS, AGE_SIGMA, MAX_AGE,
     FIX_MAX_AGE, FIX_LIMIT, RATIO_MIN, MAX_CANDIDATES, MIN_SATELLITES, MIN_FURTHER, HOLD_FAILURES, ATTEMPTS,
-) = range(18)  # fmt: skip
-NP = 18
+    SLIP_K, SLIP_IONO, SLIP_FIT, SLIP_FAILURE,
+) = range(22)  # fmt: skip
+NP = 22
 
 
 class Signals(NamedTuple):
@@ -107,24 +109,37 @@ def test(e, system, variance, y, member, tables, x, q):  # type: ignore[no-untyp
 
 
 @jit
-def rtk(signals, tables, fixes, x, sin_h, cos_h, fixed):  # type: ignore[no-untyped-def]
+def let_slips_go(signals, tables, fixes, x, last, motion, factor, phase_ok):  # type: ignore[no-untyped-def]
+    """Repair or let go what slipped unseen by the receiver since the last epoch, before it biases the position."""
+    par = tables.par
+    rules = SlipRules(
+        int(par[BANDS]), tables.wavelength, par[SLIP_K], par[SLIP_IONO], par[SLIP_FIT], par[SLIP_FAILURE],
+        par[FIX_LIMIT], par[AGE_SIGMA],
+    )  # fmt: skip
+    x[FIXES] += watch_slips(
+        signals.e, signals.system, signals.phase, par[SIGMA_PHASE] * np.sqrt(factor), phase_ok, signals.age, motion,
+        fixes, rules, x[WATCH:], last, int(x[FIXES]) + 1,
+    )  # fmt: skip
+
+
+@jit
+def rtk(signals, tables, fixes, x, last, motion, sin_h, cos_h, fixed):  # type: ignore[no-untyped-def]
     """One epoch of RTK: keep lock, resolve what is not held, solve with the held phases, test and exclude.
 
     The fixed position takes the phases alone: the code's share of the weight is the inverse square of the code/phase
-    ratio, 1/5000, and would only bring in its multipath. On success ``fixed`` holds the fault-free solution.
+    ratio, 1/5000, and would only bring in its multipath. On success ``fixed`` holds the fault-free solution. ``last``
+    (S, 2) and the end of ``x`` are what :mod:`.positioning.slip_watch_kernel` keeps.
 
     Returns the status, satellites in the solution, excluded, and HDOP.
     """
     par, held, n_sat = tables.par, fixes.held, signals.system.shape[0]
-    phase_ok = np.empty(n_sat, dtype=np.bool_)
+    phase_ok, used, factor = np.empty(n_sat, dtype=np.bool_), np.empty(n_sat, dtype=np.bool_), np.empty(n_sat)
     keep_lock(signals, int(par[BANDS]), held, phase_ok)
+    weigh(signals.elevation, signals.tracked, signals.cn0, par[SIN_MASK], par[CN0_MIN], par[CN0_KNEE], factor, used)
+    let_slips_go(signals, tables, fixes, x, last, motion, factor, phase_ok)
     if not signals.age <= par[MAX_AGE]:
         x[REJECTED] = 0.0
         return NO_CORRECTIONS, 0, 0, math.inf
-    used, factor = np.empty(n_sat, dtype=np.bool_), np.empty(n_sat)
-    weigh(
-        signals.elevation, signals.tracked, signals.cn0, par[SIN_MASK], par[CN0_MIN], par[CN0_KNEE], factor, used
-    )  # fmt: skip
     aged = (par[AGE_SIGMA] * signals.age) ** 2  # of the whole range, common to the bands
     candidate = used & phase_ok & tables.fixable & ~held
     status = FIXED

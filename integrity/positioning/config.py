@@ -12,6 +12,7 @@ from pydantic import Field
 from scipy.stats import chi2
 
 from lanebound.integrity.config import Config
+from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
 
 __all__ = ["DeadReckoningConfig", "DopplerConfig", "HeadingConfig", "ModeConfig", "PositioningConfig", "RtkConfig"]
 
@@ -142,6 +143,7 @@ class PositioningConfig(Config):
     """All of positioning."""
 
     rtk: RtkConfig = RtkConfig()
+    slips: CycleSlipConfig = CycleSlipConfig()
     doppler: DopplerConfig = DopplerConfig()
     heading: HeadingConfig = HeadingConfig()
     dead_reckoning: DeadReckoningConfig = DeadReckoningConfig()

@@ -376,3 +376,54 @@ def test_unfit_truth_is_refused() -> None:
         navigator.measure(replace(fine, time_s=1e6))
     with pytest.raises(InputError, match="non-negative"):
         _navigator(seeds=[-1])
+
+
+def _slip(row: int, cycles: float, start_s: float) -> Fault:
+    return Fault(
+        kind=FaultKind.CYCLE_SLIP, start_s=start_s, duration_s=DT, magnitude_cycles=cycles,
+        system=System(int(TRACK.system[row])), prn=int(TRACK.prn[row]),
+    )  # fmt: skip
+
+
+def test_an_unseen_slip_is_caught_at_its_epoch_before_the_fault_test_meets_it() -> None:
+    cars = _Cars(_navigator())
+    before = cars.drive(9.0).solutions[-1]
+    row = int(np.flatnonzero(before.held.all(0) & (TRACK.system == System.GPS))[0])
+    kept = cars.navigator.state.integers[:, row].copy()
+    cars.navigator.faults = FaultSchedule((_slip(row, 1, 9.5),))
+    run = cars.drive(1.0)
+    assert not run.excluded.any()
+    assert (run.mode == Mode.RTK).all()
+    assert run.error_m.max() < 0.05
+    moved = cars.navigator.state.integers[:, row] - kept
+    regained = run.held[-1, :, row]
+    assert regained.any()
+    np.testing.assert_array_equal(moved[regained], 1.0)
+    assert (cars.navigator.state.fix_id[:, row] > 1).all()
+
+
+def test_a_half_cycle_stops_rtk_no_longer_than_the_receiver_needs_to_correct_it() -> None:
+    """Half of the carriers come back half a cycle off after a tunnel, which no set of integers explains."""
+    cars = _Cars(_navigator(mask=_tunnel(80.0, 120.0)))
+    cars.drive(12.3)
+    held_s = CALM.gnss.half_cycle_resolve_s
+    run = cars.drive(0.6)
+    cars.navigator.state.gnss.ambiguity[:, ::2] += 1.0
+    cars.navigator.state.held[:] = False
+    stuck = cars.drive(held_s + 3.0)
+    assert run.mode.shape == (6, 4)
+    assert (stuck.mode[-1] == Mode.RTK).all()
+    assert stuck.error_m[-1].max() < 0.05
+
+
+def test_one_carrier_half_a_cycle_off_stops_nothing() -> None:
+    config = CALM.replace(gnss=CALM.gnss.replace(half_cycle_resolve_s=600.0))
+    cars = _Cars(_navigator(config))
+    before = cars.drive(6.0).solutions[-1]
+    row = int(np.flatnonzero(before.held.all(0) & (TRACK.system == System.GPS))[0])
+    cars.navigator.state.gnss.ambiguity[:, row] += 1.0
+    cars.navigator.state.held[:] = False
+    run = cars.drive(1.5)
+    assert (run.rtk[5:] == RtkStatus.FIXED.code).all()
+    assert not run.held[:, :, row].any()
+    assert run.error_m[run.mode == Mode.RTK].max() < 0.05
