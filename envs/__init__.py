@@ -1,1 +1,18 @@
-"""Gymnasium environments in which the ego vehicle drives on what its navigation believes."""
+"""Environments in which a car drives on what its navigation believes.
+
+Importing this package registers the ids with Gymnasium:
+
+>>> import gymnasium, lanebound.envs
+>>> env = gymnasium.make("lanebound/LaneKeeping-v0", config={"sky": "open"})
+>>> observation, info = env.reset(seed=1)
+>>> info["pl_ct_m"] < info["al_ct_m"]
+True
+"""
+
+from lanebound.envs.config import ActionKind, EnvConfig, FaultLevel
+from lanebound.envs.core import DrivingEnv
+from lanebound.envs.registration import IDS, make_config, register_all, wrap
+
+__all__ = ["IDS", "ActionKind", "DrivingEnv", "EnvConfig", "FaultLevel", "make_config", "wrap"]
+
+register_all()

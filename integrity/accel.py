@@ -10,7 +10,9 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,7 +20,7 @@ from typing import Any, TypeVar
 import numba
 from numba import prange
 
-__all__ = ["jit", "prange", "use_parallel"]
+__all__ = ["jit", "prange", "serial", "use_parallel"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 FASTMATH = {"contract", "nsz", "arcp", "reassoc"}
@@ -66,9 +68,22 @@ def jit(function: F | None = None, *, parallel: bool = False, inline: bool = Fal
     return wrap if function is None else wrap(function)
 
 
+_serial: ContextVar[bool] = ContextVar("serial", default=False)
+
+
+@contextmanager
+def serial() -> Iterator[None]:
+    """Inside this context nothing uses threads: for loops whose own work between kernels leaves threads to cool."""
+    token = _serial.set(True)
+    try:
+        yield
+    finally:
+        _serial.reset(token)
+
+
 def use_parallel(batch: int) -> bool:
     """Whether a batch is worth threads. Never in a daemonic worker process: a forked child would die in OpenMP."""
-    if batch < PARALLEL_FROM_BATCH or numba.get_num_threads() == 1:
+    if batch < PARALLEL_FROM_BATCH or _serial.get() or numba.get_num_threads() == 1:
         return False
     import multiprocessing
 

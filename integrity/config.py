@@ -57,6 +57,7 @@ UNITS = {
     "s": "s",
     "us": "us",
 }
+HASH = "_hash"  # beside the fields, as a cached property would be
 ROOTS = {f"sqrt_{name}": f"sqrt({unit})" for name, unit in UNITS.items()}
 
 
@@ -77,6 +78,19 @@ class Config(BaseModel):
 
     # Tells pydantic that nested models may be validated without a call of this __init__, so that paths stay whole.
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
+
+    def __hash__(self) -> int:
+        """Of type and values, found once: configurations are keys of caches in inner loops."""
+        found = self.__dict__.get(HASH)
+        if found is None:
+            found = hash((type(self), *(self.__dict__[name] for name in type(self).model_fields)))
+            self.__dict__[HASH] = found
+        return int(found)
+
+    def __getstate__(self) -> dict[Any, Any]:
+        """Without the hash: another process hashes text otherwise."""
+        state = super().__getstate__()
+        return {**state, "__dict__": {name: value for name, value in state["__dict__"].items() if name != HASH}}
 
     @field_validator("*", mode="wrap")
     @classmethod

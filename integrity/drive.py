@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from lanebound.integrity.config import Config
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.errors import InputError, require_finite, require_in_range
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.streams import Streams
 from lanebound.integrity.truth import Truth, truth_between
@@ -76,7 +76,7 @@ class CityDrive:
     """
 
     def __init__(self, road: Road, config: DriveConfig, dt_s: float = 0.1) -> None:
-        if not dt_s > 0.0:
+        if not float(require_finite("dt_s", dt_s)) > 0.0:
             raise InputError(f"dt_s must be positive, got {dt_s}: pass the length of an epoch in seconds")
         self.road, self.config, self.dt_s = road, config, dt_s
         tangent = road.tangent_rad - road.tangent_rad[0]
@@ -119,7 +119,15 @@ class CityDrive:
         return np.asarray(np.where(distance_m > 0.0, arc, arc_m))
 
     def start(self, streams: Streams, spread_m: float = 0.0) -> DriveState:
-        """Vehicles at rest, spread uniformly over the first ``spread_m`` of the road."""
+        """Vehicles at rest, spread uniformly over the first ``spread_m`` of the road.
+
+        Raises
+        ------
+        InputError
+            When ``streams`` is no :class:`Streams`, or ``spread_m`` is negative or beyond the end of an open road.
+        """
+        _require_streams(streams)
+        require_in_range("spread_m", spread_m, 0.0, np.inf if self.road.closed else self.road.length_m)
         u = streams.uniform("traffic", 2)
         arc = u[:, 0] * spread_m
         position, heading = self._pose(arc)
@@ -139,7 +147,14 @@ class CityDrive:
         return self.road.pose_at(arc_m, self.road.lane_lateral_m(lane))
 
     def step(self, state: DriveState, streams: Streams) -> Truth:
-        """Advance ``state`` in place by one epoch and return its truth."""
+        """Advance ``state`` in place by one epoch and return its truth.
+
+        Raises
+        ------
+        InputError
+            When ``streams`` is not for as many vehicles as ``state`` holds.
+        """
+        _require_streams(streams, state.arc_m.size)
         c, dt = self.config, self.dt_s
         u = streams.uniform("traffic", 2)
         to_light = state.light * c.light_spacing_m - state.arc_m
@@ -186,3 +201,14 @@ class CityDrive:
         passed = to_light <= 0.0
         state.light = state.light + passed
         state.red = np.where(passed, u[:, 1] < c.red_share, state.red)
+
+
+def _require_streams(streams: Streams, batch: int | None = None) -> None:
+    """Raise InputError unless ``streams`` are random streams, for ``batch`` vehicles when a number is given."""
+    if not isinstance(streams, Streams):
+        raise InputError(f"streams must be of class Streams, got {type(streams).__name__}: pass Streams(seeds)")
+    if batch not in (None, streams.batch):
+        raise InputError(
+            f"streams must be for the {batch} vehicles of state, got streams for {streams.batch}: "
+            "pass those that start() was given"
+        )

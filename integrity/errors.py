@@ -22,16 +22,29 @@ class ConfigError(InputError):
 
 
 def require_finite(name: str, value: ArrayLike) -> NDArray[np.float64]:
-    """Return ``value`` as float64, or raise InputError when an entry is NaN or infinite."""
+    """Return ``value`` as float64, or raise InputError when an entry is NaN, infinite, text or no number at all."""
     try:
-        array = np.asarray(value, dtype=np.float64)
+        raw = np.asarray(value)
+        if raw.dtype.kind not in "biufO" or (raw.dtype.kind == "O" and any(map(_is_text, raw.flat))):
+            raise TypeError("text, complex numbers and times are not read as real numbers")
+        array = raw.astype(np.float64, copy=False)
     except (TypeError, ValueError) as exc:
-        raise InputError(f"{name} must be numeric, got {type(value).__name__}: pass an array of numbers") from exc
+        raise InputError(f"{name} must be numeric, got {_shown(value)}: pass an array of numbers") from exc
     if not np.isfinite(array).all():
         bad = np.argwhere(~np.isfinite(array))[0]
         at = f"{name}[{', '.join(map(str, bad))}]" if array.ndim else name
         raise InputError(f"{name} must be finite, got {at} = {array[tuple(bad)]}: mask or drop that entry first")
     return array
+
+
+def _is_text(entry: object) -> bool:
+    return isinstance(entry, str | bytes)
+
+
+def _shown(value: object) -> str:
+    """The type, and a short text itself."""
+    kind = type(value).__name__
+    return f"{kind} {value!r}" if isinstance(value, str) and len(value) <= 40 else kind
 
 
 def require_shape(name: str, array: NDArray[Any], trailing: tuple[int | None, ...]) -> None:

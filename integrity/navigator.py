@@ -24,7 +24,7 @@ from lanebound.integrity.accel import use_parallel
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import ConfigError, InputError, require_finite
 from lanebound.integrity.monitoring.alerts import AlertConfig, AlertState
-from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import GROWTH_SIZE, P_EE, P_EN, P_NN
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import GROWTH_SIZE, P_EE, P_EN, P_NN, VAR_TH
 from lanebound.integrity.monitoring.exclusion import FdeConfig, Search
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor, upper_quantile
 from lanebound.integrity.monitoring.significance import Linking
@@ -240,6 +240,38 @@ class Navigator:
         self.state.belief[:, nk.HEADING] = heading_rad
         self.state.belief[:, nk.P_HH] = sigma_rad**2
         self.state.belief[:, nk.SINCE_CAL] = 0.0
+
+    def place(
+        self,
+        position_en_m: Array,
+        heading_rad: Array,
+        sigma_m: float,
+        sigma_heading_rad: float,
+        rows: NDArray[np.int64] | slice = slice(None),
+    ) -> None:
+        """Give the vehicles of ``rows`` (all by default) a prior position and heading, as from a drive before.
+
+        position_en_m (n, 2), heading_rad (n,) azimuths; 1-sigma on each horizontal axis and of the heading. They then
+        dead-reckon from there until RTK is found; a slot may so be handed to another vehicle.
+
+        Raises
+        ------
+        InputError
+            When an entry is not finite or a sigma is not positive.
+        """
+        if not (sigma_m > 0.0 and sigma_heading_rad > 0.0):
+            raise InputError(f"sigma_m and sigma_heading_rad must be > 0, got {sigma_m} and {sigma_heading_rad}")
+        belief, growth = self.state.belief, self.state.growth
+        belief[rows, nk.EAST : nk.NORTH + 1] = require_finite("position_en_m", position_en_m)
+        belief[rows, nk.HEADING] = require_finite("heading_rad", heading_rad)
+        belief[rows, nk.P_HH], belief[rows, nk.P_HB] = sigma_heading_rad**2, 0.0
+        belief[rows, nk.SINCE_RTK] = belief[rows, nk.SINCE_CAL] = 0.0
+        belief[rows, nk.HAS_VEL] = belief[rows, nk.FIXED_S] = belief[rows, nk.REST_S] = 0.0
+        belief[rows, nk.UNBOUNDED] = belief[rows, nk.CONFLICT_S] = belief[rows, nk.REFUSED_S] = 0.0
+        belief[rows, nk.INITIALISED] = 1.0
+        growth[rows] = 0.0
+        growth[rows, ..., [P_EE]] = growth[rows, ..., [P_NN]] = sigma_m**2
+        growth[rows, ..., [VAR_TH]] = sigma_heading_rad**2
 
     def snapshot(self) -> NavigatorState:
         """An independent copy of everything that lasts."""

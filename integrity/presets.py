@@ -21,7 +21,7 @@ YAML_FLOAT = re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")  # YAML 1.1 rea
 def nearest(word: str, known: Iterable[str]) -> str:
     """Advice that names the closest known word, or all of them when none is close."""
     names = sorted(known)
-    close = difflib.get_close_matches(word, names, n=1, cutoff=0.5)
+    close = difflib.get_close_matches(str(word), names, n=1, cutoff=0.5)
     if close:
         return f"did you mean '{close[0]}'?"
     return f"known are {', '.join(names)}" if names else "none are known"
@@ -76,6 +76,8 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
     """Nested overrides from texts such as ``"navigator.dt_s=0.2"``; values are read as YAML."""
     overrides: dict[str, Any] = {}
     for text in assignments:
+        if not isinstance(text, str):
+            raise ConfigError(f"an override must be text, got {text!r}: write for example 'navigator.dt_s=0.2'")
         path, equals, value = text.partition("=")
         keys = [key.strip() for key in path.split(".")]
         if not equals or not all(keys):
@@ -128,7 +130,10 @@ def _resolve(name: str, presets: Mapping[str, Traversable], seen: tuple[str, ...
         raise ConfigError(f"preset '{name}' must be a mapping, got {type(data).__name__}: write lines 'key: value'")
     own = dict(data)
     parents = own.pop("extends", [])
+    parents = [parents] if isinstance(parents, str) else parents
+    if not isinstance(parents, list) or not all(isinstance(parent, str) for parent in parents):
+        raise ConfigError(f"extends of preset '{name}' must be a name or a list of names, got {parents!r}: correct it")
     merged: dict[str, Any] = {}
-    for parent in [parents] if isinstance(parents, str) else parents:
+    for parent in parents:
         merged = deep_merge(merged, _resolve(parent, presets, (*seen, name)))
     return deep_merge(merged, own)

@@ -16,7 +16,7 @@ from lanebound.integrity.errors import InputError
 
 __all__ = ["STREAM_NAMES", "Streams", "named_generator"]
 
-STREAM_NAMES = ("traffic", "gnss", "corrections", "imu", "odometer", "v2v", "faults")
+STREAM_NAMES = ("traffic", "gnss", "corrections", "imu", "odometer", "v2v", "sensor", "faults", "start", "scene")
 
 
 def _name_key(name: str) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import os
 import pkgutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -10,10 +10,11 @@ from importlib import import_module
 from pathlib import Path
 
 from lanebound.agents.bench.rows import Row
+from lanebound.agents.plain import to_json_text
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.presets import nearest
 
-__all__ = ["Report", "benchmark_names", "run", "select", "write"]
+__all__ = ["Report", "benchmark_names", "claim", "run", "select", "write"]
 
 BENCH_PACKAGE = "lanebound.agents.bench"
 SUPPORT = {"rows", "runner"}
@@ -68,5 +69,21 @@ def run(names: Sequence[str], rounds: int = 5, progress: Callable[[str], None] |
 
 def write(rows: Sequence[Row], path: Path) -> None:
     """Write the rows as a JSON list, making the folder when needed."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps([row.to_json() for row in rows], indent=2) + "\n", encoding="utf-8")
+    claim(path)
+    path.write_text(to_json_text([row.to_json() for row in rows]) + "\n", encoding="utf-8")
+
+
+def claim(path: Path) -> None:
+    """Make sure that ``path`` can be written, before the time is spent on measuring.
+
+    Raises
+    ------
+    InputError
+        It is a folder, or lies where nothing can be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"out must be a file that can be written, got {path} ({error}): choose another one") from error
+    if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise InputError(f"out must be a file that can be written, got {path}: choose another one")

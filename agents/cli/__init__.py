@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from lanebound.agents.cli import bench, config, reproduce
+from lanebound.agents.cli import bench, config, drive, envs, play, reproduce
 from lanebound.agents.cli.advice import AdvisingGroup
 
 __all__ = ["app", "main"]
@@ -19,6 +19,12 @@ EXAMPLES = """
   lanebound config show NAME                   one of them, with units
 
   lanebound config show NAME --set key=value   the same with a change
+
+  lanebound envs                               which environments there are
+
+  lanebound drive LaneKeeping --video a.mp4    let an agent drive one, and film it
+
+  lanebound play UrbanCanyon                   drive one yourself
 
   lanebound reproduce urban-drive --out out    S1's tables beside ours
 
@@ -39,6 +45,9 @@ app = typer.Typer(
 app.add_typer(config.app, name="config")
 app.add_typer(reproduce.app, name="reproduce")
 app.command("bench")(bench.bench)
+app.command("envs")(envs.envs)
+app.command("drive")(drive.drive)
+app.command("play")(play.play)
 
 
 def _show_version(wanted: bool) -> None:

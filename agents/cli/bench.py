@@ -24,11 +24,13 @@ def bench(
     """
     from rich.console import Console
 
-    from lanebound.agents.bench.runner import run, select, write
+    from lanebound.agents.bench.runner import claim, run, select, write
     from lanebound.agents.cli.output import print_json, print_table
 
+    names = select(only or [])
+    claim(out)
     with Console(stderr=True).status("measuring") as status:
-        report = run(select(only or []), rounds, progress=lambda name: status.update(f"measuring {name}"))
+        report = run(names, rounds, progress=lambda name: status.update(f"measuring {name}"))
     write(report.rows, out)
     rows = [row.to_json() for row in report.rows]
     if as_json:

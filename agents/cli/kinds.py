@@ -22,6 +22,7 @@ KINDS = {
     "imu": "lanebound.integrity.sensors.imu:ImuConfig",
     "odometer": "lanebound.integrity.sensors.odometer:OdometerConfig",
     "positioning": "lanebound.integrity.positioning.config:PositioningConfig",
+    "sky_level": "lanebound.envs.sky.level:SkyLevel",
     "v2v": "lanebound.integrity.sensors.v2v:V2vConfig",
 }
 
@@ -40,7 +41,7 @@ def resolve(name: str, overrides: Mapping[str, Any] | None = None) -> tuple[str,
     kind = data.pop("kind", None)
     if kind is None:
         raise ConfigError(f"preset '{name}' names no kind: add a line such as 'kind: {min(KINDS)}'")
-    if kind not in KINDS:
+    if not isinstance(kind, str) or kind not in KINDS:
         raise ConfigError(f"kind '{kind}' of preset '{name}' is unknown: {nearest(str(kind), KINDS)}")
     module, _, attribute = KINDS[kind].partition(":")
     model: type[Config] = getattr(import_module(module), attribute)

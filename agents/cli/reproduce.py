@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lanebound.agents.cli.advice import AdvisingGroup
+
+if TYPE_CHECKING:
+    from lanebound.agents.reproduce.urban_drive import UrbanDriveConfig
+
 __all__ = ["app"]
 
-app = typer.Typer(help="Reproduce what the source papers show.", no_args_is_help=True)
+app = typer.Typer(cls=AdvisingGroup, help="Reproduce what the source papers show.", no_args_is_help=True)
 
 
 @app.callback()
@@ -34,63 +39,106 @@ def urban_drive(
 
     Example: lanebound reproduce urban-drive --out out/urban --seeds 10
     """
+    from lanebound.agents.cli.interrupt import stoppable
+
+    with stoppable(lambda: _kept(out)):
+        changes = {key: value for key, value in (("seeds", seeds), ("minutes", minutes)) if value is not None}
+        tables = _run_with_bar(_checked(assignments or [], changes, out), out)
+        _report(tables, out, as_json)
+
+
+def _kept(out: Path) -> str:
+    from lanebound.agents.reproduce.parts import drives_kept
+
+    kept = drives_kept(out)
+    found = f"{kept} finished drives are kept in {out}" if kept else "no drive was finished"
+    return f"{found}; the kernels compiled so far are kept too; run the same command again to go on"
+
+
+def _checked(assignments: list[str], changes: dict[str, Any], out: Path) -> UrbanDriveConfig:
+    """The configuration, with everything refused that can be refused before the work begins."""
     from lanebound.agents.cli.kinds import resolve
-    from lanebound.agents.cli.output import print_json
-    from lanebound.agents.reproduce.study import rows_against_paper
+    from lanebound.agents.reproduce.study import claim
     from lanebound.agents.reproduce.urban_drive import UrbanDriveConfig
     from lanebound.integrity.presets import parse_assignments
 
-    changes: dict[str, Any] = parse_assignments(assignments or [])
-    changes.update({key: value for key, value in (("seeds", seeds), ("minutes", minutes)) if value is not None})
-    _, config = resolve("studies/urban_drive", changes)
+    _, config = resolve("studies/urban_drive", parse_assignments(assignments) | changes)
     assert isinstance(config, UrbanDriveConfig)
-    tables = _run_with_bar(config, out)
-    rows = rows_against_paper(tables)
-    if as_json:
-        print_json({"tables": tables, "against_paper": rows})
-    else:
-        _print(rows, tables, out)
+    claim(config, out)
+    return config
 
 
-def _run_with_bar(config: Any, out: Path) -> dict[str, Any]:
+def _run_with_bar(config: UrbanDriveConfig, out: Path) -> dict[str, Any]:
     from rich.console import Console
     from rich.progress import Progress
 
+    from lanebound.agents.cli.interrupt import wait_for
     from lanebound.agents.reproduce.study import run_study
 
     with Progress(console=Console(stderr=True)) as bar:
         task = bar.add_task(f"{config.seeds} drives of {config.minutes:g} min (kernels compile first)", total=None)
-        return run_study(config, out, lambda done, of: bar.update(task, completed=done, total=of))
+        return wait_for(lambda: run_study(config, out, lambda done, of: bar.update(task, completed=done, total=of)))
 
 
-def _print(rows: list[dict[str, Any]], tables: dict[str, Any], out: Path) -> None:
+def _report(tables: dict[str, Any], out: Path, as_json: bool) -> None:
+    from lanebound.agents.cli.output import print_json
+    from lanebound.agents.reproduce.study import is_short, rows_against_paper
+
+    rows, short = rows_against_paper(tables), is_short(tables)
+    if as_json:
+        print_json({"tables": tables, "against_paper": rows, "short_run": short})
+        return
+    _print_figures(rows, tables, short)
+    _print_exceedance(tables)
+    typer.echo(f"RTK within 1 m at 1e-6 for {tables['availability']['rtk_1m']:.2%} of its epochs.")
+    typer.echo(f"Tables and figures: {out}")
+
+
+def _print_figures(rows: list[dict[str, Any]], tables: dict[str, Any], short: bool) -> None:
     from lanebound.agents.cli.output import print_table
+    from lanebound.agents.reproduce.study import verdict
 
     print_table(
-        f"S1 against ours: medians over {tables['seeds']} drives [m]",
-        ("figure", "paper", "ours", "5 %", "95 %", "band", "met"),
+        f"S1 against ours: medians over {tables['seeds']} drives of {tables['minutes']:g} min [m]",
+        ("figure", "paper", "ours", "5 %", "95 %", "band aimed at", "ours in band"),
         (
             (
                 r["figure"], *(_short(r[k]) for k in ("paper", "ours", "low", "high")),
-                f"{r['band'][0]:.3f} .. {r['band'][1]:.3f}", r["met"],
+                f"{r['band'][0]:.3f} .. {r['band'][1]:.3f}", verdict(r, short),
             )
             for r in rows
         ),
     )  # fmt: skip
-    rates = tables["exceedance"]
+    met = sum(row["met"] for row in rows)
+    typer.echo(f"{met} of {len(rows)} printed figures lie inside the band aimed at.")
+    if short:
+        typer.echo(
+            "The bands are meant for the whole study, 100 drives of 26 min: this run is shorter, and a figure outside "
+            "its band\nmay be chance. Leave out --seeds and --minutes for the full comparison."
+        )
+    typer.echo()
+
+
+def _print_exceedance(tables: dict[str, Any]) -> None:
+    from lanebound.agents.cli.output import print_table
+    from lanebound.agents.reproduce.published import MODES
+
     print_table(
         "Share of epochs whose error exceeds the protection level on either axis",
-        ("mode", "form", "1e-3", "1e-4", "1e-5", "1e-6"),
+        ("mode", "form", "epochs", "1e-3", "1e-4", "1e-5", "1e-6"),
         (
-            (mode, form, *(f"{rate:.1e}" for rate in by_risk.values()))
-            for mode, forms in rates.items()
-            for form, by_risk in forms.items()
+            (mode, form, f"{tables['epochs'][mode]:,}", *(_share(rate) for rate in by_risk.values()))
+            for mode in MODES
+            for form, by_risk in sorted(tables["exceedance"].get(mode, {}).items(), reverse=True)
         ),
     )
-    met = sum(row["met"] for row in rows)
-    typer.echo(f"{met} of {len(rows)} printed figures inside the band aimed at; RTK within 1 m at 1e-6 for "
-               f"{tables['availability']['rtk_1m']:.2%} of its epochs. Tables and figures: {out}")  # fmt: skip
+    total = sum(tables["epochs"].values())
+    typer.echo(f"Shares are of {total:,} epochs in all, ten a second and so strongly correlated.\n")
 
 
 def _short(value: float | None) -> str:
     return "-" if value is None else f"{value:.3f}"
+
+
+def _share(rate: float) -> str:
+    return "0" if rate == 0.0 else f"{rate:.1e}"

@@ -10,22 +10,27 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator
-from functools import partial
+from functools import cache, partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lanebound.agents.plain import finite_or_none
+from lanebound.agents.reproduce.parts import part_path
 from lanebound.agents.reproduce.published import CELLS, Cell
 from lanebound.agents.reproduce.urban_drive import Drives, UrbanDriveConfig, drive, seed_statistics, street
 from lanebound.integrity.assessment.plotting import save
 from lanebound.integrity.assessment.record import Record
 from lanebound.integrity.assessment.series import map_figure, series_figure
 from lanebound.integrity.assessment.stanford import stanford_figure
+from lanebound.integrity.drive import CityDrive
 from lanebound.integrity.errors import InputError
+from lanebound.integrity.sky.city import City
 
-__all__ = ["lookup", "rows_against_paper", "run_study", "summarise"]
+__all__ = ["claim", "is_short", "lookup", "rows_against_paper", "run_study", "summarise", "verdict"]
 
 ALERT_LIMIT_M = 1.0  # S1 section 5
 FIGURE_RISKS = {"1e-4": 1, "1e-6": 3}  # S1 figures 3 and 4
@@ -43,32 +48,27 @@ def run_study(
     Raises
     ------
     InputError
-        ``out`` holds a study with another configuration.
+        ``out`` holds a study with another configuration, or cannot hold one.
     """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"out must be a folder that can be written, got {out} ({error}): choose another one"
-        ) from error
-    _claim(config, out)
-    road, mask = street(config, out / "parts")
+    claim(config, out)
+    road, city, mask = street(config, out / "parts")
     dt = config.navigator.dt_s
     per_drive = round(60.0 * config.minutes / dt)
     statistics: list[dict[str, Any]] = []
     for first, seeds in _batches(config):
-        part = out / "parts" / f"seeds-{seeds[0]}-{seeds[-1]}.json"
+        part = part_path(out, seeds)
         if not part.exists():
             told = partial(_tell, progress, first * per_drive, len(seeds), config.seeds * per_drive)
             drives = drive(config, road, mask, seeds, told)
             if first == 0:
-                _figures(drives, out)
+                _figures(drives, city, out)
             _write_whole(part, seed_statistics(drives, dt))
         statistics += json.loads(part.read_text(encoding="utf-8"))
         progress((first + len(seeds)) * per_drive, config.seeds * per_drive)
     tables = {"seeds": config.seeds, "minutes": config.minutes, **summarise(statistics)}
+    tables = finite_or_none(tables)
     _write_whole(out / "tables.json", tables)
-    return tables
+    return dict(tables)
 
 
 def _tell(progress: Callable[[int, int], None], before: int, batch: int, total: int, epochs: int) -> None:
@@ -81,21 +81,46 @@ def _batches(config: UrbanDriveConfig) -> Iterator[tuple[int, list[int]]]:
         yield first, list(range(config.first_seed + first, config.first_seed + last))
 
 
-def _claim(config: UrbanDriveConfig, out: Path) -> None:
-    """Mark the folder with the configuration, or refuse one that holds another."""
+def claim(config: UrbanDriveConfig, out: Path) -> None:
+    """Refuse what cannot be driven, before any time is spent, and mark the folder with the configuration.
+
+    Raises
+    ------
+    InputError
+        The road cannot be driven, no satellite flies, or ``out`` holds another study or cannot be written.
+    """
+    CityDrive(config.road(), config.drive, config.navigator.dt_s)
+    config.navigator.sky.satellites()
     text = config.to_json() + source_digest()
     digest = hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
     mark = out / "config.json"
-    if mark.exists() and json.loads(mark.read_text(encoding="utf-8"))["digest"] != digest:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        found = _digest_in(mark) if mark.exists() else digest
+        if found == digest:
+            _write_whole(mark, {"digest": digest, "config": config.to_dict()})
+    except OSError as error:
+        raise InputError(
+            f"out must be a folder that can be written, got {out} ({error}): choose another one"
+        ) from error
+    if found != digest:
         raise InputError(
             f"out must be empty or hold the same study, got {out} of another configuration or version: "
             "choose a new folder"
         )
-    _write_whole(mark, {"digest": digest, "config": config.to_dict()})
 
 
+def _digest_in(mark: Path) -> Any:
+    """The digest that a folder is marked with; None where the mark is no mark of ours."""
+    try:
+        return json.loads(mark.read_text(encoding="utf-8")).get("digest")
+    except (ValueError, AttributeError):
+        return None
+
+
+@cache
 def source_digest() -> str:
-    """A name for the code that navigates: parts made by other code must not be mixed in."""
+    """A name for the code that navigates, as it was first asked for: parts made by other code must not be mixed in."""
     found = hashlib.blake2b(digest_size=8)
     root = Path(str(resources.files("lanebound.integrity")))
     for source in sorted(root.rglob("*.py")):
@@ -130,14 +155,19 @@ def lookup(tree: dict[str, Any], path: tuple[str, ...]) -> Any:
 
 
 def summarise(statistics: list[dict[str, Any]]) -> dict[str, Any]:
-    """Medians over the drives of every figure, under its own names, and the 5 % and 95 % quantiles under ``spread``."""
+    """Medians over the drives of every figure, under its own names, and the 5 % and 95 % quantiles under ``spread``.
+
+    ``epochs`` are sums over the drives, and ``exceedance`` the share of those epochs: medians hide rare events.
+    """
     paths = sorted({path for drive_ in statistics for path, _ in _leaves(drive_)})
     tables: dict[str, Any] = {"spread": {}}
     for path in paths:
         values = [v for s in statistics if (v := lookup(s, path)) is not None]
         middle, low, high = _quantiles(values)
         if path[0] == "exceedance":
-            middle = float(np.mean(values))
+            middle = _pooled(statistics, path)
+        elif path[0] == "epochs":
+            middle = sum(values)
         for target, leaf in ((tables, middle), (tables["spread"], [low, high])):
             for key in path[:-1]:
                 target = target.setdefault(key, {})
@@ -147,6 +177,12 @@ def summarise(statistics: list[dict[str, Any]]) -> dict[str, Any]:
         for mode, kinds in tables.get("exceedance", {}).items()
     }
     return tables
+
+
+def _pooled(statistics: list[dict[str, Any]], path: tuple[str, ...]) -> float:
+    """A share of the epochs of one mode, of all drives together."""
+    pairs = [(rate, lookup(one, ("epochs", path[1]))) for one in statistics if (rate := lookup(one, path)) is not None]
+    return float(sum(rate * epochs for rate, epochs in pairs) / sum(epochs for _, epochs in pairs))
 
 
 def _quantiles(values: list[float]) -> tuple[float, float, float]:
@@ -174,6 +210,21 @@ def _row(cell: Cell, tables: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def is_short(tables: dict[str, Any]) -> bool:
+    """Whether a run has fewer or shorter drives than the study, for which the bands are meant."""
+    full = UrbanDriveConfig()
+    return bool(tables["seeds"] < full.seeds or tables["minutes"] < full.minutes)
+
+
+def verdict(row: dict[str, Any], short: bool) -> str:
+    """Where our figure lies; a short run is told so rather than condemned."""
+    if row["ours"] is None:
+        return "none"
+    if row["met"]:
+        return "inside"
+    return "outside (short run)" if short else "outside"
+
+
 def _record(drives: Drives, b: int, level: int) -> Record:
     start = int(np.argmax(drives.mode[:, b] > 0))
     pl = drives.level_m[start:, b, level].astype(float)
@@ -190,7 +241,7 @@ def _record(drives: Drives, b: int, level: int) -> Record:
     )
 
 
-def _figures(drives: Drives, out: Path) -> None:
+def _figures(drives: Drives, city: City, out: Path) -> None:
     """The first drive: S1 figures 3 and 4, Stanford diagrams, and a map."""
     for risk, level in FIGURE_RISKS.items():
         record = _record(drives, 0, level)
@@ -198,8 +249,14 @@ def _figures(drives: Drives, out: Path) -> None:
             series_figure(record, risk=float(risk), al_at_m=ALERT_LIMIT_M, al_ct_m=ALERT_LIMIT_M),
             out / f"series-{risk}.png",
         )
-        save(stanford_figure(record, ALERT_LIMIT_M, ALERT_LIMIT_M), out / f"stanford-{risk}.png")
-    save(
-        map_figure(drives.position_en_m[:, 0].astype(float), drives.mode[:, 0], title="First drive, by mode"),
-        out / "map.png",
-    )
+        save(stanford_figure(record, ALERT_LIMIT_M, ALERT_LIMIT_M, risk=float(risk)), out / f"stanford-{risk}.png")
+    position, mode = drives.position_en_m[:, 0].astype(float), drives.mode[:, 0]
+    title = f"First drive, {drives.time_s[-1] / 60.0:.0f} min, by mode of positioning"
+    save(map_figure(position, mode, title=title, obstacles=_outlines(city)), out / "map.png")
+
+
+def _outlines(city: City) -> NDArray[np.float64]:
+    """Level triangles of all that is solid, as a map shows them: roofs and overpasses.  (n, 3, 2) [m]."""
+    triangles = city.triangles_enu_m[~city.foliage]
+    level = np.ptp(triangles[:, :, 2], axis=1) < 1e-6
+    return np.asarray(triangles[level, :, :2])

@@ -1,12 +1,13 @@
 """A Tokyo-like urban drive, and the tables of S1 that come out of it (sections 4 and 5, tables 2, 4 and 5).
 
 Many seeds drive the same loop for the same time: each has its own traffic lights, signals, instruments and outages.
-Figures are
-medians over the seeds of the statistic of one drive, with their spread: one drive alone passes or fails by luck.
+Figures are medians over the seeds of the statistic of one drive, with their spread: one drive alone passes or fails by
+luck.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +23,7 @@ from lanebound.integrity.drive import CityDrive, DriveConfig
 from lanebound.integrity.monitoring.risk import Variant
 from lanebound.integrity.navigator import Form, Navigator, NavigatorConfig, PlCase
 from lanebound.integrity.positioning.modes import Mode
-from lanebound.integrity.sky.city import CityConfig, build_city
+from lanebound.integrity.sky.city import City, CityConfig, build_city
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import SkyMask
@@ -91,19 +92,21 @@ class Drives:
     satellites: NDArray[np.int16]
 
 
-def street(config: UrbanDriveConfig, cache: Path | None = None) -> tuple[Road, SkyMask]:
-    """The loop and its sky mask; the mask is kept under ``cache`` when a folder is given."""
+def street(config: UrbanDriveConfig, cache: Path | None = None) -> tuple[Road, City, SkyMask]:
+    """The loop, what stands along it, and its sky mask, which is kept under ``cache`` when a folder is given."""
     road = config.road()
     city = build_city(road, config.city, named_generator(config.city_seed, "city"))
     digest = SkyMask.digest_of(road, city)
     path = None if cache is None else cache / f"mask-{digest[:16]}.npz"
     if path is not None and path.exists():
-        return road, SkyMask.load(path, digest)
+        return road, city, SkyMask.load(path, digest)
     mask = SkyMask.build(road, city)
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        mask.save(path)
-    return road, mask
+        draft = path.with_name(f"draft-{path.name}")  # an interruption must not leave half a mask under the name
+        mask.save(draft)
+        os.replace(draft, path)
+    return road, city, mask
 
 
 def drive(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,8 +12,9 @@ from lanebound.integrity.positioning.modes import Mode
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.legend import Legend
 
-__all__ = ["INK", "MODE_COLOURS", "PL_COLOUR", "new_figure", "save", "tidy"]
+__all__ = ["INK", "MODE_COLOURS", "PL_COLOUR", "legend", "mode_key", "new_figure", "risk_text", "save", "tidy"]
 
 # Okabe and Ito (2008), distinguishable with every common colour vision deficiency.
 MODE_COLOURS = {
@@ -52,9 +55,28 @@ def tidy(axes: Axes, **labels: str) -> None:
     axes.yaxis.label.set(size=9, color=INK)
 
 
-def legend(axes: Axes, **options: Any) -> None:
+def legend(axes: Axes, **options: Any) -> Legend:
     """A small legend with a light frame."""
-    axes.legend(**({"fontsize": 8, "framealpha": 0.9, "edgecolor": GRID, "fancybox": False} | options))
+    return axes.legend(**({"fontsize": 8, "framealpha": 0.9, "edgecolor": GRID, "fancybox": False} | options))
+
+
+def mode_key(figure: Figure, modes: Iterable[Mode], lead: str, loc: Any) -> None:
+    """A legend of the figure itself, in one line after ``lead``: which colour stands for which mode."""
+    from matplotlib.patches import Patch
+
+    handles = [Patch(facecolor="none", edgecolor="none", label=lead)]
+    handles += [Patch(facecolor=MODE_COLOURS[mode], label=mode.label) for mode in modes]
+    look: dict[str, Any] = {"fontsize": 9, "frameon": False, "handlelength": 1.6, "handleheight": 0.7}
+    figure.legend(handles=handles, loc=loc, ncols=len(handles), columnspacing=1.4, **look)
+
+
+def risk_text(risk: float | None) -> str:
+    """``", integrity risk 10^-6"`` as a title goes on; nothing for None."""
+    if risk is None:
+        return ""
+    exponent = round(math.log10(risk))
+    power = f"$10^{{{exponent}}}$" if math.isclose(risk, 10.0**exponent) else f"{risk:g}"
+    return f", integrity risk {power}"
 
 
 def save(figure: Figure, path: str | Path) -> Path:

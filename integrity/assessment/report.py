@@ -48,7 +48,7 @@ def write_report(
     figures = assess(record, al_at_m, al_ct_m, time_to_alert_s)
     summary = target / "assessment.json"
     summary.write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    written = [summary, save(stanford_figure(record, al_at_m, al_ct_m), target / "stanford.png")]
+    written = [summary, save(stanford_figure(record, al_at_m, al_ct_m, risk=risk), target / "stanford.png")]
     if np.ndim(record.error_at_m) == 1:
         figure = series_figure(record, risk=risk, al_at_m=al_at_m, al_ct_m=al_ct_m)
         written.append(save(figure, target / "series.png"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +14,9 @@ from lanebound.integrity.assessment.plotting import (
     MODE_COLOURS,
     PL_COLOUR,
     legend,
+    mode_key,
     new_figure,
+    risk_text,
     tidy,
 )
 from lanebound.integrity.assessment.record import AXES, Axis, Record
@@ -29,7 +31,10 @@ __all__ = ["map_figure", "series_figure"]
 
 Array = NDArray[np.float64]
 
+BUILDING = "#DAD6CF"
 RTK_SCALE_M = 0.5  # S1 section 5: the RTK panels have a smaller error scale
+AXIS_NAMES = {"at": "along track (AT)", "ct": "cross track (CT)"}
+SPARSE = 0.1  # a mode used less than this is drawn with dots: single epochs make no line
 PANELS = (Mode.RTK, Mode.DOPPLER, Mode.IMU_ODOMETER)
 
 
@@ -47,9 +52,14 @@ def series_figure(
         raise InputError(
             f"record must hold one vehicle, (T,), got {np.shape(record.error_at_m)}: select a column first"
         )
-    figure = new_figure(11.0, 9.0)
-    title = "Position error and protection level" + (f", integrity risk {_power_of_ten(risk)}" if risk else "")
-    figure.suptitle(title, fontsize=12, color=INK)
+    figure = new_figure(11.0, 9.4)
+    figure.suptitle("Position error and protection level (PL)" + risk_text(risk), fontsize=12, color=INK)
+    mode_key(
+        figure,
+        [mode for mode in Mode if (record.mode == mode).any()],
+        "mode, as in the strip above the first row:",
+        loc="outside lower center",
+    )
     grid = figure.subplots(1 + len(PANELS), 2, sharex=True, squeeze=False)
     for column, (axis, al) in enumerate(zip(AXES, (al_at_m, al_ct_m), strict=True)):
         top = _scale(record, axis, record.mode != Mode.NONE, al)
@@ -57,7 +67,7 @@ def series_figure(
         for row, mode in enumerate(PANELS, start=1):
             _one_mode(grid[row, column], record, axis, mode)
         grid[-1, column].set_xlabel("time (min)", fontsize=9)
-        grid[0, column].set_title(f"{'along' if axis == 'at' else 'cross'} track", fontsize=10, color=INK, loc="left")
+        grid[0, column].set_title(f"{AXIS_NAMES[axis]}", fontsize=11, color=INK, loc="left")
         grid[0, column].set_xlim(0.0, max(float(_minutes(record)[-1]), 1e-3))
     return figure
 
@@ -104,8 +114,7 @@ def _one_mode(axes: Axes, record: Record, axis: Axis, mode: Mode) -> None:
     tidy(axes, ylabel=f"{mode.label}, {axis.upper()} (m)", ylim=(0, top))  # type: ignore[arg-type]
     above = int((keep & ((record.error(axis) > top) | (record.pl(axis) > top))).sum())
     share = f"{100.0 * keep.mean():.1f} % of epochs" + (f", {above:,} above the scale" if above else "")
-    backdrop = {"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 1.5}
-    axes.text(0.01, 0.96, share, transform=axes.transAxes, fontsize=8, color=INK, va="top", zorder=5, bbox=backdrop)
+    axes.set_title(share, fontsize=8, color=INK, loc="left", pad=3)
     if not keep.any():
         axes.text(0.5, 0.5, "mode not used", transform=axes.transAxes, ha="center", fontsize=9, color="#777777")
 
@@ -116,13 +125,10 @@ def _draw(
     """Level as a line over the filled error; epochs of other modes leave gaps."""
     shown = np.where(keep, error, np.nan)
     axes.fill_between(minutes, 0.0, shown, color=colour, alpha=0.35, linewidth=0, step="mid")
-    axes.plot(minutes, shown, color=colour, linewidth=0.7, label=label)
-    axes.plot(minutes, np.where(keep & np.isfinite(pl), pl, np.nan), color=PL_COLOUR, linewidth=1.1, label="PL")
-
-
-def _power_of_ten(risk: float) -> str:
-    exponent = round(float(np.log10(risk)))
-    return f"$10^{{{exponent}}}$" if np.isclose(risk, 10.0**exponent) else f"{risk:g}"
+    dots = {"marker": ".", "markersize": 2.2} if keep.mean() < SPARSE else {}
+    axes.plot(minutes, shown, color=colour, linewidth=0.7, label=label, **dots)  # type: ignore[arg-type]
+    levels = np.where(keep & np.isfinite(pl), pl, np.nan)
+    axes.plot(minutes, levels, color=PL_COLOUR, linewidth=1.1, label="PL", **dots)  # type: ignore[arg-type]
 
 
 def map_figure(
@@ -133,7 +139,7 @@ def map_figure(
     obstacles: Iterable[ArrayLike] = (),
     alert: ArrayLike | None = None,
 ) -> Figure:
-    """Trajectory coloured by mode over building outlines.
+    """Trajectory coloured by mode over building outlines, its start and end marked.
 
     position_en_m (T, 2) East, North; mode (T,); obstacles are outlines (P, 2) [m]; alert (T,) marks epochs with a ring.
 
@@ -145,16 +151,15 @@ def map_figure(
     position, modes = require_finite("position_en_m", position_en_m), np.asarray(mode)
     require_shape("mode", modes, (position.shape[0],))
     require_shape("position_en_m", position, (modes.shape[0], 2))
-    figure = new_figure(*_map_size(position))
+    outlines = [np.asarray(outline, dtype=np.float64) for outline in obstacles]
+    figure = new_figure(*_map_size(np.concatenate([position, *outlines])))
     axes = figure.add_subplot()
-    for outline in obstacles:
-        axes.fill(*np.asarray(outline, dtype=np.float64).T, color="#E4E1DC", edgecolor="#C9C4BC", linewidth=0.4)
     axes.plot(*position.T, color="#BBBBBB", linewidth=0.8, zorder=2)
     for present in sorted({Mode(int(code)) for code in np.unique(modes)}, key=lambda m: -int((modes == m).sum())):
         at = modes == present
         label = f"{present.label} ({100.0 * at.mean():.1f} %)"
         axes.scatter(
-            position[at, 0], position[at, 1], s=9, color=MODE_COLOURS[present], linewidths=0, label=label, zorder=3
+            position[at, 0], position[at, 1], s=12, color=MODE_COLOURS[present], linewidths=0, label=label, zorder=3
         )
     if alert is not None and np.any(alert):
         on = np.asarray(alert, dtype=np.bool_)
@@ -167,11 +172,31 @@ def map_figure(
             linewidths=0.6,
             label="alert",
         )
+    _mark_ends(axes, position)
+    if outlines:
+        _draw_obstacles(axes, outlines)
     tidy(axes, xlabel="East (m)", ylabel="North (m)")
     axes.set_title(title, fontsize=11, color=INK, loc="left")
     axes.set_aspect("equal", adjustable="datalim")
-    legend(axes, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False, markerscale=2.0)
+    names = legend(axes, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False)
+    for handle in names.legend_handles[: np.unique(modes).size]:
+        handle.set_sizes([40.0])  # type: ignore[union-attr]  # the dots of the track are too small to tell colours
     return figure
+
+
+def _draw_obstacles(axes: Axes, outlines: list[Array]) -> None:
+    """Plain grey shapes under everything, the seams between them closed."""
+    from matplotlib.collections import PolyCollection
+
+    look = {"facecolor": BUILDING, "edgecolor": BUILDING, "linewidth": 0.4, "zorder": 0.5}
+    axes.add_collection(PolyCollection(outlines, label="buildings, overpasses", **look))  # type: ignore[arg-type]
+
+
+def _mark_ends(axes: Axes, position: Array) -> None:
+    """Where the drive begins and where it ends."""
+    for at, marker, label in ((position[0], "o", "start"), (position[-1], "s", "end")):
+        look: dict[str, Any] = {"s": 64, "facecolors": "white", "edgecolors": INK, "linewidths": 1.6, "zorder": 5}
+        axes.scatter(at[0], at[1], marker=marker, label=label, **look)
 
 
 def _map_size(position: Array) -> tuple[float, float]:

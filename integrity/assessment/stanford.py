@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.assessment.events import Zone, classify
-from lanebound.integrity.assessment.plotting import INK, legend, new_figure, tidy
+from lanebound.integrity.assessment.plotting import INK, legend, new_figure, risk_text, tidy
 from lanebound.integrity.assessment.record import AXES, Axis, Record
 from lanebound.integrity.positioning.modes import Mode
 
@@ -56,11 +56,13 @@ def count_zones(record: Record, axis: Axis, al_m: float) -> ZoneCounts:
     return ZoneCounts({z: int((zone == z).sum()) for z in Zone})
 
 
-def stanford_figure(record: Record, al_at_m: float, al_ct_m: float, *, title: str = "", extent: float = 2.0) -> Figure:
+def stanford_figure(
+    record: Record, al_at_m: float, al_ct_m: float, *, title: str = "Stanford diagram", risk: float | None = None,
+    extent: float = 2.0,
+) -> Figure:  # fmt: skip
     """Both axes side by side: epochs up to ``extent`` alert limits, zones coloured, counts and rates."""
-    figure = new_figure(12.0, 4.4)
-    if title:
-        figure.suptitle(title, fontsize=12, color=INK)
+    figure = new_figure(13.0, 4.9)
+    figure.suptitle(title + risk_text(risk), fontsize=12, color=INK)
     for column, (axis, al) in enumerate(zip(AXES, (al_at_m, al_ct_m), strict=True)):
         _panel(figure.add_subplot(1, 2, column + 1), record, axis, al, extent * al)
     return figure
@@ -72,7 +74,9 @@ def _panel(axes: Axes, record: Record, axis: Axis, al: float, top: float) -> Non
     error, pl = record.error(axis).ravel(), record.pl(axis).ravel()
     _density(axes, np.minimum(error, top), np.minimum(pl, top), top)
     beyond = int(((error > top) | (pl > top)).sum())
-    note = f"{zones.total:,} epochs, darker: more" + (f"; {beyond:,} drawn at the edge" if beyond else "")
+    note = f"{zones.total:,} epochs, darker where more" + (
+        f"; {beyond:,} beyond the scale at its edge" if beyond else ""
+    )
     axes.set_title(f"{AXIS_NAMES[axis]}, alert limit {al:g} m\n{note}", fontsize=9, color=INK, loc="left")
     tidy(axes, xlabel="absolute position error (m)", ylabel="protection level (m)")
     axes.grid(False)
@@ -111,6 +115,6 @@ def _density(axes: Axes, error: NDArray[np.float64], pl: NDArray[np.float64], to
 
 def _percent(rate: float) -> str:
     """A share as a percentage with enough digits to tell a rare event from none."""
-    if rate == 0.0 or rate == 1.0 or rate >= 0.001:
-        return f"{100.0 * rate:.3g} %"
-    return f"{100.0 * rate:.1e} %"
+    if rate == 0.0 or rate == 1.0:
+        return f"{100.0 * rate:.0f} %"
+    return f"{100.0 * rate:.1f} %" if 0.001 <= rate <= 0.999 else f"{100.0 * rate:.3g} %"

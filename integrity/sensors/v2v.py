@@ -15,7 +15,7 @@ from lanebound.integrity.errors import InputError, require_finite, require_shape
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.streams import Streams
 
-__all__ = ["V2vConfig", "V2vInbox", "V2vMessage", "V2vState", "exchange", "initial_v2v"]
+__all__ = ["V2vConfig", "V2vInbox", "V2vMessage", "V2vState", "exchange", "forget", "initial_v2v"]
 
 Array = NDArray[np.float64]
 ROUNDING = 1e-9
@@ -57,14 +57,14 @@ class V2vMessage:
 
 @dataclass(frozen=True)
 class V2vInbox:
-    """The newest message that each receiver (row) holds of each sender (column).
+    """The newest message that each of R receivers (row) holds of each of B senders (column).
 
     Attributes
     ----------
-    heard : (B, B) bool; entries never heard hold zeros, and age and protection levels inf
-    age_s : (B, B) time since the sender's state was valid
-    position_en_m : (B, B, 2)
-    heading_rad, speed_mps, pl_at_m, pl_ct_m : (B, B)
+    heard : (R, B) bool; entries never heard hold zeros, and age and protection levels inf
+    age_s : (R, B) time since the sender's state was valid
+    position_en_m : (R, B, 2)
+    heading_rad, speed_mps, pl_at_m, pl_ct_m : (R, B)
     """
 
     heard: NDArray[np.bool_]
@@ -78,16 +78,16 @@ class V2vInbox:
 
 @dataclass
 class V2vState:
-    """Messages under way and held.
+    """Messages under way to R receivers, and held by them.
 
     Attributes
     ----------
     epoch : epochs since the start
     sent : number of the newest transmission slot used
     broadcasts : (L, B, 7) what was broadcast in the last L epochs
-    arriving : (L, B, B) int64, epoch of origin of the message that arrives in a coming epoch, -1 for none
-    origin : (B, B) int64, epoch of origin of the message held, -1 for none
-    held : (B, B, 7) its content
+    arriving : (L, R, B) int64, epoch of origin of the message that arrives in a coming epoch, -1 for none
+    origin : (R, B) int64, epoch of origin of the message held, -1 for none
+    held : (R, B, 7) its content; for none zeros, levels of inf and a time of -inf
     """
 
     epoch: int
@@ -102,72 +102,92 @@ class V2vState:
         return copy.deepcopy(self)
 
 
-def initial_v2v(config: V2vConfig, batch: int, dt_s: float) -> V2vState:
-    """A silent channel between ``batch`` vehicles, for epochs of ``dt_s``.
+def initial_v2v(config: V2vConfig, batch: int, dt_s: float, receivers: int | None = None) -> V2vState:
+    """A silent channel from ``batch`` vehicles to ``receivers`` of them (None: to all), for epochs of ``dt_s``.
 
     Raises
     ------
     InputError
-        When ``batch`` or ``dt_s`` is not positive.
+        When ``batch`` or ``dt_s`` is not positive, or there are no receivers or more than vehicles.
     """
     if batch < 1 or not dt_s > 0.0:
         raise InputError(f"batch and dt_s must be positive, got {batch} and {dt_s}: pass vehicles and seconds")
+    rows = batch if receivers is None else receivers
+    if not 1 <= rows <= batch:
+        raise InputError(f"receivers must lie in [1, {batch}], got {rows}: pass how many of the vehicles listen")
     slots = math.ceil(config.latency_max_s / dt_s) + 2
     return V2vState(
         epoch=0,
         sent=-1,
         broadcasts=np.zeros((slots, batch, N_FIELDS)),
-        arriving=np.full((slots, batch, batch), -1, dtype=np.int64),
-        origin=np.full((batch, batch), -1, dtype=np.int64),
-        held=np.zeros((batch, batch, N_FIELDS)),
+        arriving=np.full((slots, rows, batch), -1, dtype=np.int64),
+        origin=np.full((rows, batch), -1, dtype=np.int64),
+        held=_unheard(rows, batch),
     )
 
 
-def _content(message: V2vMessage, effects: FaultEffects, time_s: float) -> Array:
-    """The messages as sent (B, 7): liars displace their position and scale their protection levels."""
-    return np.column_stack(
-        [
-            message.position_en_m + effects.v2v_offset_enu_m[:, :2],
-            message.heading_rad,
-            message.speed_mps,
-            message.pl_at_m * effects.v2v_pl_scale,
-            message.pl_ct_m * effects.v2v_pl_scale,
-            np.full(message.heading_rad.shape, time_s),
-        ]
-    )
+def _unheard(*shape: int) -> Array:
+    held = np.zeros((*shape, N_FIELDS))
+    held[..., PL_AT : PL_CT + 1] = np.inf
+    held[..., TIME] = -np.inf
+    return held
 
 
-def _reaches(config: V2vConfig, antenna_en_m: Array, street: NDArray[np.int64], u: Array) -> NDArray[np.bool_]:
+def forget(state: V2vState, senders: NDArray[np.int64]) -> None:
+    """Drop what is held of ``senders`` (rows) and what they have under way: other vehicles take their rows over."""
+    state.arriving[:, :, senders] = -1
+    state.origin[:, senders] = -1
+    state.held[:, senders] = _unheard(state.origin.shape[0], senders.size)
+
+
+def _write(content: Array, message: V2vMessage, effects: FaultEffects, time_s: float) -> None:
+    """Fill in the messages as sent (B, 7): liars displace their position and scale their protection levels."""
+    content[:, EAST : NORTH + 1] = message.position_en_m + effects.v2v_offset_enu_m[:, :2]
+    content[:, HEADING] = message.heading_rad
+    content[:, SPEED] = message.speed_mps
+    content[:, PL_AT] = message.pl_at_m * effects.v2v_pl_scale
+    content[:, PL_CT] = message.pl_ct_m * effects.v2v_pl_scale
+    content[:, TIME] = time_s
+
+
+def _reaches(
+    config: V2vConfig,
+    antenna_en_m: Array,
+    street: NDArray[np.int64],
+    sending: NDArray[np.bool_],
+    receivers: NDArray[np.int64],
+    u: Array,
+) -> NDArray[np.bool_]:
     """Whether a message gets through (receiver, sender): ``P = (1 - loss) (1 - (d / range)^4)`` within the range."""
-    gap = antenna_en_m[:, None] - antenna_en_m[None]
-    fade = np.clip(np.hypot(gap[..., 0], gap[..., 1]) / config.range_m, 0.0, 1.0) ** 4
-    heard = u < (1.0 - config.loss) * (1.0 - fade)
-    heard &= street[:, None] == street[None]
-    np.fill_diagonal(heard, False)
+    gap = (antenna_en_m[receivers, None] - antenna_en_m) / config.range_m
+    gap *= gap
+    fade = np.minimum(gap[..., 0] + gap[..., 1], 1.0)
+    heard = u < (1.0 - config.loss) * (1.0 - fade * fade)
+    heard &= sending
+    if street.ndim:
+        heard &= street[receivers, None] == street
+    heard[np.arange(receivers.size), receivers] = False
     return heard
 
 
-def _send(
-    config: V2vConfig, state: V2vState, dt_s: float, antenna_en_m: Array, street: NDArray[np.int64], u: Array
-) -> None:
+def _send(config: V2vConfig, state: V2vState, dt_s: float, through: NDArray[np.bool_], u: Array) -> None:
     """Put this epoch's messages under way; a message of a later epoch replaces one that would arrive with it."""
-    delay_s = config.latency_s - config.jitter_s * np.log1p(-u[..., 1])
-    through = _reaches(config, antenna_en_m, street, u[..., 0]) & (delay_s <= config.latency_max_s)
-    wait = np.ceil(delay_s / dt_s - ROUNDING).astype(np.int64)
+    delay_s = config.latency_s - config.jitter_s * np.log1p(-u)
+    through &= delay_s <= config.latency_max_s
     receiver, sender = np.nonzero(through)
-    slot = (state.epoch + wait[receiver, sender]) % state.arriving.shape[0]
-    state.arriving[slot, receiver, sender] = state.epoch
+    wait = np.ceil(delay_s[through] / dt_s - ROUNDING).astype(np.int64)
+    state.arriving[(state.epoch + wait) % state.arriving.shape[0], receiver, sender] = state.epoch
 
 
 def _receive(state: V2vState) -> None:
     """Take what arrives now, unless something newer is held."""
     slot = state.epoch % state.arriving.shape[0]
-    newer = state.arriving[slot] > state.origin
-    receiver, sender = np.nonzero(newer)
-    origin = state.arriving[slot, receiver, sender]
-    state.origin[receiver, sender] = origin
-    state.held[receiver, sender] = state.broadcasts[origin % state.broadcasts.shape[0], sender]
-    state.arriving[slot] = -1
+    arriving = state.arriving[slot]
+    newer = arriving > state.origin
+    origin = arriving[newer]
+    state.origin[newer] = origin
+    state.held[newer] = state.broadcasts[origin % state.broadcasts.shape[0], np.nonzero(newer)[1]]
+    arriving[:] = -1
 
 
 def exchange(
@@ -180,6 +200,8 @@ def exchange(
     effects: FaultEffects,
     streams: Streams,
     street: ArrayLike = 0,
+    receivers: ArrayLike | None = None,
+    sending: ArrayLike = True,
 ) -> V2vInbox:
     """One epoch of the channel: send, carry, receive; ``state`` advances in place.
 
@@ -188,43 +210,50 @@ def exchange(
     time_s, dt_s : end and length of the epoch
     message : what each vehicle says of itself
     antenna_en_m : (B, 2) where the antennas really are, for the radio range only
+    streams : one row for each receiver
     street : (B,) or scalar; vehicles on different streets do not hear each other
+    receivers : (R,) rows of the vehicles that listen; None for all
+    sending : (B,) bool or scalar; the others keep silent, and their rows of ``message`` need only be finite
 
     Returns
     -------
     V2vInbox
-        What everyone holds at ``time_s``. A message that takes longer than an epoch arrives in a later one.
+        What every receiver holds at ``time_s``. A message that takes longer than an epoch arrives in a later one.
 
     Raises
     ------
     InputError
         When shapes disagree or a position is not finite.
     """
-    batch = state.origin.shape[0]
+    listening, batch = state.origin.shape
+    rows = np.arange(batch) if receivers is None else np.asarray(receivers, dtype=np.int64)
+    if rows.size != listening:
+        raise InputError(f"receivers must be {listening} rows, got {rows.size}: name as many as the state was made for")
     antenna = require_finite("antenna_en_m", antenna_en_m)
     require_shape("antenna_en_m", antenna, (batch, 2))
     require_shape("message.position_en_m", require_finite("message.position_en_m", message.position_en_m), (batch, 2))
-    if streams.batch != batch:
-        raise InputError(f"streams must serve {batch} vehicles, got {streams.batch}: make both the same batch")
+    if streams.batch != listening:
+        raise InputError(f"streams must serve {listening} receivers, got {streams.batch}: make both agree")
     u = streams.uniform("v2v", batch, 2)
     state.epoch += 1
-    state.broadcasts[state.epoch % state.broadcasts.shape[0]] = _content(message, effects, time_s)
+    _write(state.broadcasts[state.epoch % state.broadcasts.shape[0]], message, effects, time_s)
     slot = math.floor(state.epoch * dt_s * config.rate_hz + ROUNDING)
     if slot > state.sent:
         state.sent = slot
-        _send(config, state, dt_s, antenna, np.broadcast_to(np.asarray(street, dtype=np.int64), (batch,)), u)
+        streets, sends = np.asarray(street, dtype=np.int64), np.asarray(sending, dtype=np.bool_)
+        _send(config, state, dt_s, _reaches(config, antenna, streets, sends, rows, u[..., 0]), u[..., 1])
     _receive(state)
     return _inbox(state, time_s)
 
 
 def _inbox(state: V2vState, time_s: float) -> V2vInbox:
-    heard, held = state.origin >= 0, state.held
+    held = state.held.copy()
     return V2vInbox(
-        heard=heard,
-        age_s=np.where(heard, time_s - held[..., TIME], np.inf),
-        position_en_m=held[..., EAST : NORTH + 1].copy(),
-        heading_rad=held[..., HEADING].copy(),
-        speed_mps=held[..., SPEED].copy(),
-        pl_at_m=np.where(heard, held[..., PL_AT], np.inf),
-        pl_ct_m=np.where(heard, held[..., PL_CT], np.inf),
+        heard=state.origin >= 0,
+        age_s=time_s - held[..., TIME],
+        position_en_m=held[..., EAST : NORTH + 1],
+        heading_rad=held[..., HEADING],
+        speed_mps=held[..., SPEED],
+        pl_at_m=held[..., PL_AT],
+        pl_ct_m=held[..., PL_CT],
     )

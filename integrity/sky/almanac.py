@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from datetime import date
+from datetime import date, datetime
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -73,8 +73,9 @@ def parse_yuma(text: str, near: date, *, healthy_only: bool = True, source: str 
     Raises
     ------
     InputError
-        Names the line, the field and how many satellites had been read.
+        Names the line, the field and how many satellites had been read; or ``near`` is no date.
     """
+    day = _day(near)
     system: list[int] = []
     blocks: list[dict[str, float]] = []
     current: dict[str, float] | None = None
@@ -100,7 +101,14 @@ def parse_yuma(text: str, near: date, *, healthy_only: bool = True, source: str 
         raise InputError(
             f"almanac {source} must hold a healthy satellite, got none of {len(blocks)}: use healthy_only=False"
         )
-    return _table([system[i] for i in keep], [blocks[i] for i in keep], near)
+    return _table([system[i] for i in keep], [blocks[i] for i in keep], day)
+
+
+def _day(near: date) -> date:
+    """The calendar day of ``near``, or InputError."""
+    if not isinstance(near, date):
+        raise InputError(f"near must be a datetime.date, got {near!r}: pass for instance date(2016, 6, 7)")
+    return near.date() if isinstance(near, datetime) else near
 
 
 def _system_of(label: str, where: str) -> System:

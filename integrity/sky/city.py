@@ -6,8 +6,10 @@ B. G. Evans and S. R. Saunders, Electronics Letters 34(13), 1998.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +22,7 @@ from lanebound.integrity.sky.scene import City, Surface, prisms
 __all__ = [
     "City",
     "CityConfig",
+    "Plot",
     "SectionConfig",
     "SectionKind",
     "StreetConfig",
@@ -27,6 +30,7 @@ __all__ = [
     "Surface",
     "build_city",
     "city_from_mesh",
+    "line_street",
 ]
 
 Array = NDArray[np.float64]
@@ -36,6 +40,20 @@ CLEARANCE_M = 1.0  # no building stands closer than this to any lane of the road
 WALL_M = 1.0
 PIECE_M = 4.0  # tunnels are made of straight pieces this long
 LEAST_FRONTAGE_M = 4.0
+TRUNK_M = 0.25  # half a trunk
+
+
+class Plot(Protocol):
+    """The ground beside a road that is one of many."""
+
+    def clear(self, foot: Array) -> NDArray[np.bool_]:
+        """Whether no road needs the ground of footprints (n, 4, 2)."""
+
+    def take(self, foot: Array, strip: Array) -> NDArray[np.bool_]:
+        """Whether buildings may stand on footprints, given the strips between the road and them; if so they do.
+
+        (n, 4, 2), (n, 4, 2) -> (n,).
+        """
 
 
 class SectionKind(StrEnum):
@@ -169,16 +187,26 @@ def build_city(road: Road, config: CityConfig, rng: np.random.Generator) -> City
     A building that would stand on the road elsewhere (inside a bend, at a crossing of the road with itself) is made
     shallower or left out. The frame is the road's.
     """
-    solid: list[Array] = []
-    leaves: list[Array] = []
-    for stretch in config.stretches(road.length_m):
+    return line_street(road, config.stretches(road.length_m), config, rng)
+
+
+def line_street(
+    road: Road, stretches: Sequence[Stretch], config: CityConfig, rng: np.random.Generator, plot: Plot | None = None
+) -> City:
+    """Obstacles along the given stretches of a road, as :func:`build_city` makes them along all of it.
+
+    ``plot`` tells which of the ground beside the road other roads leave free; by default there are none.
+    """
+    solid: list[Array] = [np.zeros((0, 3, 3))]
+    leaves: list[Array] = [np.zeros((0, 3, 3))]
+    for stretch in stretches:
         whole = config.street(stretch.kind)
-        solid += [_slabs(road, stretch, whole), _tunnel(road, stretch, whole)]
+        solid += [_slabs(road, stretch, whole, straight=plot is not None), _tunnel(road, stretch, whole, plot)]
         cross = rng.uniform(0.8, 1.2, int((stretch.end_m - stretch.start_m) / max(whole.block_m, 10.0)) + 1)
         for side, kind in ((RIGHT, stretch.kind), (LEFT, stretch.left_kind)):
             street = config.street(kind)
-            solid.append(_buildings(road, _blocks(stretch, whole, cross), side, street, rng))
-            leaves.append(_trees(road, stretch, side, street, rng))
+            solid.append(_buildings(road, _blocks(stretch, whole, cross), side, street, rng, plot))
+            leaves.append(_trees(road, stretch, side, street, rng, plot))
     return City.of(np.concatenate(solid)) + City.of(np.concatenate(leaves), Surface.FOLIAGE)
 
 
@@ -196,7 +224,12 @@ def _blocks(stretch: Stretch, street: StreetConfig, spread: Array) -> list[tuple
 
 
 def _buildings(
-    road: Road, blocks: list[tuple[float, float]], side: float, street: StreetConfig, rng: np.random.Generator
+    road: Road,
+    blocks: list[tuple[float, float]],
+    side: float,
+    street: StreetConfig,
+    rng: np.random.Generator,
+    plot: Plot | None,
 ) -> Array:
     """Buildings wall to wall along the blocks of one side, with gaps here and there."""
     if street.height_median_m <= 0.0:
@@ -212,11 +245,13 @@ def _buildings(
     height = street.height_median_m * np.exp(street.height_log_sd * rng.standard_normal(n))
     setback = street.setback_m + street.setback_spread_m * rng.random(n)
     arcs = np.array(spans).reshape(n, 2)
-    foot, fits = _footprints(road, arcs, side, road.edge_m + setback, street.depth_m)
+    foot, fits = _footprints(road, arcs, side, road.edge_m + setback, street.depth_m, plot)
     return prisms(foot[fits], 0.0, np.minimum(height, street.height_max_m)[fits])
 
 
-def _footprints(road: Road, arcs: Array, side: float, offset: Array, depth_m: float) -> tuple[Array, NDArray[np.bool_]]:
+def _footprints(
+    road: Road, arcs: Array, side: float, offset: Array, depth_m: float, plot: Plot | None
+) -> tuple[Array, NDArray[np.bool_]]:
     """Rectangles (n, 4, 2) beside the road, as deep as fits, and whether any depth does."""
     n = arcs.shape[0]
     foot, fits = np.zeros((n, 4, 2)), np.zeros(n, dtype=np.bool_)
@@ -234,11 +269,17 @@ def _footprints(road: Road, arcs: Array, side: float, offset: Array, depth_m: fl
         _, lateral = road.project(points)
         good = (np.abs(lateral).min(0) >= road.edge_m + CLEARANCE_M - 1e-6) & (length[:, 0] >= LEAST_FRONTAGE_M / 2)
         foot[left] = np.stack([front[0], front[1], front[1] + back, front[0] + back], 1)
+        if plot is not None:
+            kerb = (offset[left] - road.edge_m)[:, None] * outward
+            strip = np.stack([front[0], front[1], front[1] - kerb, front[0] - kerb], 1)
+            good[good] = plot.take(foot[left[good]], strip[good])
         fits[left] = good
     return foot, fits
 
 
-def _trees(road: Road, stretch: Stretch, side: float, street: StreetConfig, rng: np.random.Generator) -> Array:
+def _trees(
+    road: Road, stretch: Stretch, side: float, street: StreetConfig, rng: np.random.Generator, plot: Plot | None
+) -> Array:
     """Crowns as boxes in a row, their places and sizes a little irregular."""
     if street.tree_spacing_m <= 0.0:
         return np.zeros((0, 3, 3))
@@ -246,25 +287,33 @@ def _trees(road: Road, stretch: Stretch, side: float, street: StreetConfig, rng:
     arc = arc + 0.2 * street.tree_spacing_m * rng.uniform(-1.0, 1.0, arc.size)
     size = rng.uniform(0.75, 1.25, arc.size)
     half = 0.5 * street.tree_crown_m * size
-    foot = _across(road, arc - half, arc + half, side * (road.edge_m + street.tree_offset_m), half)
+    at = side * (road.edge_m + street.tree_offset_m)
+    foot = _across(road, arc - half, arc + half, at, half)
     top = street.tree_base_m + (street.tree_top_m - street.tree_base_m) * size
-    return prisms(foot, street.tree_base_m, top, floor=True)
+    stands = slice(None) if plot is None else plot.clear(_across(road, arc - TRUNK_M, arc + TRUNK_M, at, TRUNK_M))
+    return prisms(foot[stands], street.tree_base_m, top[stands], floor=True)
 
 
-def _slabs(road: Road, stretch: Stretch, street: StreetConfig) -> Array:
-    """Overpasses across the road, 1.5 m thick, evenly spaced."""
+def _slabs(road: Road, stretch: Stretch, street: StreetConfig, *, straight: bool) -> Array:
+    """Overpasses across the road, 1.5 m thick, evenly spaced; ``straight`` ones have parallel sides in a bend too."""
     if street.slab_spacing_m <= 0.0:
         return np.zeros((0, 3, 3))
     length = stretch.end_m - stretch.start_m
     count = max(1, round(length / street.slab_spacing_m))
     middle = stretch.start_m + length * (np.arange(count) + 0.5) / count
     half = 0.5 * min(street.slab_length_m, length / count)
-    foot = _across(road, middle - half, middle + half, 0.0, road.edge_m + 30.0)
+    wide = road.edge_m + 30.0
+    foot = _across(road, middle - half, middle + half, 0.0, wide)
+    if straight:
+        p, heading = road.pose_at(middle)
+        ahead = half * np.stack([np.sin(heading), np.cos(heading)], -1)
+        right = wide * np.stack([np.cos(heading), -np.sin(heading)], -1)
+        foot = np.stack([p - ahead - right, p + ahead - right, p + ahead + right, p - ahead + right], 1)
     return prisms(foot, street.clearance_m, street.clearance_m + 1.5, floor=True)
 
 
-def _tunnel(road: Road, stretch: Stretch, street: StreetConfig) -> Array:
-    """Two walls and a roof in short pieces that overlap."""
+def _tunnel(road: Road, stretch: Stretch, street: StreetConfig, plot: Plot | None) -> Array:
+    """Two walls and a roof in short pieces that overlap; no wall where another road leaves or joins."""
     if not street.enclosed:
         return np.zeros((0, 3, 3))
     count = int(np.ceil((stretch.end_m - stretch.start_m) / PIECE_M))
@@ -272,7 +321,8 @@ def _tunnel(road: Road, stretch: Stretch, street: StreetConfig) -> Array:
     start, end = np.maximum(cuts[:-1] - 0.5, stretch.start_m), np.minimum(cuts[1:] + 0.5, stretch.end_m)
     wall = road.edge_m + CLEARANCE_M + 0.5 * WALL_M
     top = street.clearance_m + WALL_M
-    parts = [prisms(_across(road, start, end, s * wall, 0.5 * WALL_M), 0.0, top) for s in (RIGHT, LEFT)]
+    walls = [_across(road, start, end, s * wall, 0.5 * WALL_M) for s in (RIGHT, LEFT)]
+    parts = [prisms(foot if plot is None else foot[plot.clear(foot)], 0.0, top) for foot in walls]
     parts.append(prisms(_across(road, start, end, 0.0, wall + WALL_M), street.clearance_m, top, floor=True))
     return np.concatenate(parts)
 

@@ -37,6 +37,9 @@ class Path(IntEnum):
     BLOCKED = 3
 
 
+LOS = np.uint8(Path.LOS)
+
+
 @dataclass(frozen=True)
 class Reception:
     """How S signals reach B antennas.
@@ -116,12 +119,8 @@ class SkyMask:
         spacing = road.length_m / count
         arc = spacing * np.arange(count if road.closed else count + 1, dtype=np.float64)
         antenna = _antennas(road, arc, lane_count, antenna_height_m)
-        cells = azimuths * elevations
-        path = np.empty((antenna.shape[0], cells), dtype=np.uint8)
-        excess = np.empty((antenna.shape[0], cells), dtype=np.float32)
-        run = mask_parallel if use_parallel(antenna.shape[0]) else mask_serial
-        run(city.grid, antenna, _cell_centres(azimuths, elevations), azimuths, elevations, path, excess)
-        shape = (arc.size, lane_count, cells)
+        path, excess = _cast(city, antenna.reshape(-1, 3), azimuths, elevations)
+        shape = (arc.size, lane_count, azimuths * elevations)
         digest = cls.digest_of(road, city, station_spacing_m, lanes, antenna_height_m, az_step_deg, el_step_deg)
         return cls(
             path.reshape(shape),
@@ -133,6 +132,38 @@ class SkyMask:
             road.closed,
             digest,
         )
+
+    @classmethod
+    def of_stations(
+        cls,
+        antenna_enu_m: ArrayLike,
+        city: City,
+        spacing_m: float = 5.0,
+        az_step_deg: float = 3.0,
+        el_step_deg: float = 3.0,
+        digest: str = "",
+    ) -> SkyMask:
+        """The mask of any stations, antennas (N, L, 3) ENU [m] over L lanes each.
+
+        Station n answers for the arc ``n spacing_m``. Cells and reflections are those of :meth:`build`. Antennas given
+        twice are cast once: where a station has fewer lanes than L, repeat one.
+
+        Raises
+        ------
+        InputError
+            Antennas that are not finite or of another shape, a step that does not divide, a spacing out of range.
+        """
+        antenna = require_finite("antenna_enu_m", antenna_enu_m)
+        require_shape("antenna_enu_m", antenna, (None, None, 3))
+        if antenna.ndim != 3 or antenna.size == 0:
+            raise InputError(f"antenna_enu_m must be (N, L, 3) with N, L >= 1, got {antenna.shape}: add stations")
+        require_in_range("spacing_m", spacing_m, 0.0, 1e4, low_open=True)
+        azimuths, elevations = _bins("az_step_deg", az_step_deg, 360.0), _bins("el_step_deg", el_step_deg, 90.0)
+        each, which = np.unique(antenna.reshape(-1, 3), axis=0, return_inverse=True)
+        path, excess = _cast(city, each, azimuths, elevations)
+        rows = which.reshape(antenna.shape[:2])
+        length = spacing_m * antenna.shape[0]
+        return cls(path[rows], excess[rows], azimuths, elevations, spacing_m, length, False, digest)
 
     @staticmethod
     def digest_of(
@@ -169,34 +200,47 @@ class SkyMask:
         if not np.isfinite(arc).all():
             require_finite("arc_m", arc)
         batch = sky.index.shape
+        lanes = np.asarray(lane, dtype=np.int64)
         try:
-            arc = np.ascontiguousarray(np.broadcast_to(arc, batch))
-            lanes = np.ascontiguousarray(np.broadcast_to(np.asarray(lane, dtype=np.int64), batch))
+            arc, lanes = (a if a.shape == batch else np.broadcast_to(a, batch) for a in (arc, lanes))
+            arc, lanes = np.ascontiguousarray(arc), np.ascontiguousarray(lanes)
         except ValueError:
             raise InputError(f"arc_m and lane must have shape {batch}, got {arc.shape}, {np.shape(lane)}") from None
         rows = sky.azimuth_rad.shape[0]
         if batch[0] and not (sky.index.min() >= 0 and sky.index.max() < rows):
             raise InputError(f"sky.index must lie in [0, {rows - 1}], got {sky.index.max()}: name existing rows")
-        path, excess = look_up(
+        path, excess = self._look(arc, lanes, sky, sky.index)
+        return Reception(path, excess)
+
+    def _look(
+        self, arc_m: Array, lane: NDArray[np.int64], sky: SkyView, index: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], Array]:
+        found: tuple[NDArray[np.uint8], Array] = look_up(
             self.path,
             self.excess_m,
-            arc,
-            lanes,
+            arc_m,
+            lane,
             sky.azimuth_rad,
             sky.elevation_rad,
-            sky.index,
+            index,
             self.spacing_m,
             self.length_m,
             self.closed,
             self.azimuths,
             self.elevations,
         )
-        return Reception(path, excess)
+        return found
 
     def predicted_visibility(self, arc_m: ArrayLike, lane: ArrayLike, sky: SkyView) -> NDArray[np.int64]:
         """Satellites in line of sight above the mask angle at places along a route, for planners.  (B,) -> (B,)."""
-        seen = self.look(arc_m, lane, sky).path == Path.LOS
+        seen = self.look(arc_m, lane, sky).path == LOS
         return np.asarray((seen & sky.above[sky.index]).sum(-1), dtype=np.int64)
+
+    def predicted_by_one(self, arc_m: Array, lane: NDArray[np.int64], sky: SkyView) -> NDArray[np.int64]:
+        """The same at the places of one vehicle, the first of ``sky``.  (D,) float64 [m], (D,) int64 -> (D,)."""
+        row = sky.index[0]
+        path, _ = self._look(arc_m, lane, sky, np.full(arc_m.shape, row))
+        return np.asarray(np.count_nonzero((path == LOS) & sky.above[row], -1), dtype=np.int64)
 
     def save(self, path: str | FilePath) -> None:
         """Write the mask to an ``.npz`` file."""
@@ -272,8 +316,17 @@ def _cell_centres(azimuths: int, elevations: int) -> Array:
     return out.reshape(-1, 3)
 
 
+def _cast(city: City, antenna: Array, azimuths: int, elevations: int) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """Paths and excesses (P, A E) of antennas (P, 3)."""
+    path = np.empty((antenna.shape[0], azimuths * elevations), dtype=np.uint8)
+    excess = np.empty(path.shape, dtype=np.float32)
+    run = mask_parallel if use_parallel(antenna.shape[0]) else mask_serial
+    run(city.grid, antenna, _cell_centres(azimuths, elevations), azimuths, elevations, path, excess)
+    return path, excess
+
+
 def _antennas(road: Road, arc_m: Array, lanes: int, height_m: float) -> Array:
-    """Antenna positions (N L, 3), lane by lane within a station."""
+    """Antenna positions (N, L, 3)."""
     lateral = road.lane_lateral_m(np.arange(lanes))
     en, _ = road.pose_at(arc_m[:, None], lateral[None, :])
-    return np.concatenate([en, np.full((*en.shape[:2], 1), height_m)], -1).reshape(-1, 3)
+    return np.concatenate([en, np.full((*en.shape[:2], 1), height_m)], -1)

@@ -7,6 +7,7 @@ import pytest
 
 from lanebound.agents.bench import rows
 from lanebound.agents.bench.rows import Row, alternate, median_ratio
+from lanebound.integrity.errors import InputError
 
 
 @pytest.mark.parametrize(
@@ -64,6 +65,24 @@ def test_every_side_works_at_least_once_in_each_round(monkeypatch):
     rates = alternate({"only": lambda: 3}, rounds=3, seconds=0.0)
     assert len(rates["only"]) == 3
     assert all(rate > 0.0 for rate in rates["only"])
+
+
+def test_a_figure_that_is_not_finite_is_null_in_json_and_still_judged():
+    row = Row("ratio", math.inf, "-", gate=2.0).to_json()
+    assert (row["value"], row["gate"], row["met"]) == (None, 2.0, True)
+    assert Row("ratio", math.nan, "-", gate=2.0).to_json()["met"] is False
+    assert "Infinity" not in json.dumps(row)
+
+
+def test_a_side_that_does_nothing_is_refused_rather_than_awaited():
+    with pytest.raises(InputError, match=r"side 'idle' must do at least one item in a turn, got 0: return the number"):
+        alternate({"busy": lambda: 1, "idle": lambda: 0}, rounds=1, seconds=0.01)
+
+
+def test_a_clock_that_stands_still_gives_a_finite_rate(monkeypatch):
+    monkeypatch.setattr(rows.time, "perf_counter", lambda: 7.0)
+    rates = alternate({"only": lambda: 2}, rounds=1, seconds=0.0)
+    assert math.isfinite(rates["only"][0])
 
 
 def test_the_ratio_is_the_median_of_the_rounds_not_the_ratio_of_medians():

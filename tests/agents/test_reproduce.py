@@ -9,8 +9,18 @@ import numpy as np
 import pytest
 
 from lanebound.agents.cli.kinds import resolve
+from lanebound.agents.reproduce import study
+from lanebound.agents.reproduce.parts import drives_kept, part_path
 from lanebound.agents.reproduce.published import CELLS, MODES, RISKS, risk_key
-from lanebound.agents.reproduce.study import lookup, rows_against_paper, run_study, summarise
+from lanebound.agents.reproduce.study import (
+    claim,
+    is_short,
+    lookup,
+    rows_against_paper,
+    run_study,
+    summarise,
+    verdict,
+)
 from lanebound.agents.reproduce.urban_drive import UrbanDriveConfig, outage_lengths_s
 from lanebound.integrity.errors import InputError
 
@@ -78,6 +88,61 @@ def test_a_folder_with_another_study_is_refused(whole: Path) -> None:
         run_study(small().replace(first_seed=7), whole)
 
 
+def test_what_cannot_be_driven_is_refused_before_the_folder_is_marked(tmp_path: Path) -> None:
+    none = dict.fromkeys(("gps", "galileo", "glonass", "beidou", "qzss"), 0)
+    for config in (
+        small().replace(navigator={"sky": none}),
+        small().replace(loop_m=[[0.0, 0.0], [0.0, 0.0], [0.0, 0.0]]),
+    ):
+        with pytest.raises(InputError):
+            claim(config, tmp_path / "new")
+        assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("mark", ["", "[]", '{"digest": 3}'])
+def test_a_mark_that_is_none_of_ours_is_refused(tmp_path: Path, mark: str) -> None:
+    (tmp_path / "config.json").write_text(mark)
+    with pytest.raises(InputError, match="out must be empty or hold the same study"):
+        claim(small(), tmp_path)
+    assert (tmp_path / "config.json").read_text() == mark
+
+
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for out in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(InputError, match="out must be a folder that can be written, got"):
+            claim(small(), out)
+
+
+def test_finished_drives_are_counted(whole: Path, tmp_path: Path) -> None:
+    assert drives_kept(whole) == 2
+    assert drives_kept(tmp_path) == 0
+    assert part_path(tmp_path, [5, 6, 7]) == tmp_path / "parts" / "seeds-5-7.json"
+
+
+def test_tables_are_json_although_levels_may_be_infinite(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def unbounded(drives: object, dt_s: float) -> list[dict[str, object]]:
+        return [{"mode_share": {"rtk": 1.0}, "pl_median": {"rtk": {"at_m": {"1e-3": float("inf")}}}}]
+
+    monkeypatch.setattr(study, "seed_statistics", unbounded)
+    monkeypatch.setattr(study, "drive", lambda *_: None)
+    monkeypatch.setattr(study, "_figures", lambda *_: None)
+    tables = run_study(small(), tmp_path)
+    assert lookup(tables, ("pl_median", "rtk", "at_m", "1e-3")) is None
+    assert "Infinity" not in (tmp_path / "tables.json").read_text()
+
+
+@pytest.mark.parametrize(
+    ("seeds", "minutes", "text"),
+    [(100, 26.0, "outside"), (8, 26.0, "outside (short run)"), (100, 6.0, "outside (short run)")],
+)
+def test_short_runs_are_marked_and_not_condemned(seeds: int, minutes: float, text: str) -> None:
+    short = is_short({"seeds": seeds, "minutes": minutes})
+    assert verdict({"ours": 1.0, "met": False}, short) == text
+    assert verdict({"ours": 1.0, "met": True}, short) == "inside"
+    assert verdict({"ours": None, "met": False}, short) == "none"
+
+
 def test_rows_hold_every_printed_figure(whole: Path) -> None:
     rows = rows_against_paper(json.loads((whole / "tables.json").read_text()))
     assert len(rows) == len(CELLS) == 3 + 4 * len(MODES) + 2 * 4 * len(MODES)
@@ -86,14 +151,14 @@ def test_rows_hold_every_printed_figure(whole: Path) -> None:
 
 def test_medians_over_the_drives() -> None:
     drives = [
-        {"error": {"rtk": {"a": v}}, "exceedance": {"rtk": {"published": {"1e-3": e}}}}
-        for v, e in ((1.0, 0.0), (2.0, 0.0), (9.0, 0.3))
+        {"error": {"rtk": {"a": v}}, "epochs": {"rtk": n}, "exceedance": {"rtk": {"published": {"1e-3": e}}}}
+        for v, n, e in ((1.0, 500, 0.0), (2.0, 400, 0.0), (9.0, 100, 0.3))
     ]
     tables = summarise(drives)
+    assert lookup(tables, ("epochs", "rtk")) == 1000
     assert lookup(tables, ("error", "rtk", "a")) == 2.0
-    assert lookup(tables, ("exceedance", "rtk", "published", "1e-3")) == pytest.approx(
-        0.1
-    )  # a mean: medians hide rare events
+    share = lookup(tables, ("exceedance", "rtk", "published", "1e-3"))
+    assert share == pytest.approx(0.03)  # 30 of 1000 epochs: medians hide rare events
     assert tables["pl_bounds_error"]["rtk"]["1e-3"] is False
     assert lookup(tables, ("error", "doppler", "a")) is None
 

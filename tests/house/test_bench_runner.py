@@ -72,3 +72,18 @@ def test_write_gives_the_published_keys(tmp_path):
         "stretch": 9.0,
         "met": True,
     }
+
+
+def test_a_figure_that_is_not_finite_is_written_as_null(tmp_path):
+    path = tmp_path / "bench.json"
+    runner.write([Row("speed", float("inf"), "x"), Row("time", float("nan"), "s")], path)
+    text = path.read_text(encoding="utf-8")
+    assert [row["value"] for row in json.loads(text)] == [None, None]
+    assert not {"NaN", "Infinity"} & set(text.replace(",", " ").split())
+
+
+def test_a_file_that_cannot_be_written_is_refused(tmp_path):
+    for path in (tmp_path, tmp_path / "file" / "bench.json"):
+        (tmp_path / "file").touch()
+        with pytest.raises(InputError, match=r"^out must be a file that can be written, got .*: choose another one$"):
+            runner.claim(path)

@@ -9,10 +9,12 @@ from importlib import metadata
 from pathlib import Path
 
 import pytest
+import typer
 from typer.testing import CliRunner
 
 from lanebound.agents.bench import runner
 from lanebound.agents.cli import app, kinds
+from lanebound.agents.cli.advice import explain
 from lanebound.agents.cli.output import format_value
 from lanebound.integrity import presets
 from lanebound.integrity.config import Config, Field
@@ -92,17 +94,56 @@ def test_config_show_prints_values_and_units():
         (["config", "show", "rush", "--set", "agee_s=1"], "error: agee_s is not a known key: did you mean 'age_s'?"),
         (["config", "show", "rush", "--set", "age_s=-1"], "error: age_s must be > 0, got -1: "),
         (["config", "show", "rush", "--set", "age_s"], "error: an override must read key=value"),
-        (["config", "shwo"], "Did you mean 'show'?"),
-        (["benhc"], "Did you mean 'bench'?"),
-        (["config", "list", "--jsno"], "--json"),
-        (["bench", "--rounds", "0"], "--rounds"),
+        (["config", "show"], "error: PRESET is required, got nothing: add it, see 'lanebound config show --help'"),
+        (["config", "shwo"], "error: command 'shwo' is unknown: did you mean 'show'?"),
+        (["config", "list", "extra"], "error: got unexpected extra argument"),
+        (["config", "list", "--jsno"], "error: option '--jsno' is unknown: did you mean '--json'?"),
+        (["--vesrion"], "error: option '--vesrion' is unknown: did you mean '--version'?"),
+        (["benhc"], "error: command 'benhc' is unknown: did you mean 'bench'?"),
+        (["bench", "--rounds"], "error: option '--rounds' requires an argument: see 'lanebound --help'"),
+        (["reproduce", "urban-drvie"], "error: command 'urban-drvie' is unknown: did you mean 'urban-drive'?"),
+        (["reproduce", "urban-drive"], "error: --out is required, got nothing: add it, see 'lanebound reproduce urb"),
+        (["bench", "--rounds", "0"], "error: --rounds must be >= 1, got 0: correct that value, see 'lanebound bench"),
+        (["bench", "--rounds", "two"], "error: --rounds must be a valid integer, got two: correct that value, see"),
     ],
 )
-def test_mistakes_are_answered_with_the_nearest_and_exit_code_2(arguments, message):
+def test_mistakes_are_answered_in_one_line_with_the_nearest_and_exit_code_2(arguments, message):
     result = run(*arguments)
     assert result.exit_code == 2
-    assert message in result.stderr
-    assert "Traceback" not in result.output
+    assert result.stderr.startswith(message)
+    assert result.stderr.count("\n") == 1
+    assert result.stdout == ""
+
+
+@pytest.mark.parametrize("group", [(), ("config",), ("reproduce",)])
+def test_a_group_alone_shows_its_help_and_no_error(group):
+    result = run(*group)
+    assert result.exit_code == 2
+    assert "Usage: " in result.output
+    assert "error:" not in result.output
+
+
+@pytest.mark.usefixtures("toy_presets")
+def test_a_pipe_gets_each_row_in_one_line(monkeypatch):
+    monkeypatch.setattr(Toy.model_fields["age_s"], "description", "word " * 60 + "last")
+    lines = run("config", "show", "calm").stdout.splitlines()
+    (row,) = [line for line in lines if "age_s" in line]
+    assert row.rstrip(" │").endswith("last")
+    assert lines[0] == "calm (toy)"
+
+
+def test_typer_complaints_of_older_versions_keep_their_own_words():
+    error = typer.BadParameter("0 is not in the range x>=1.", param_hint="'--rounds'")
+    assert explain(error) == "invalid value for '--rounds': 0 is not in the range x>=1: see 'lanebound --help'"
+
+
+def test_what_is_no_input_error_is_not_hidden(monkeypatch):
+    def broken(*_):
+        raise RuntimeError("a fault of our own")
+
+    monkeypatch.setattr(presets, "preset_names", broken)
+    result = run("config", "list")
+    assert isinstance(result.exception, RuntimeError)
 
 
 def test_every_packaged_preset_resolves():
@@ -160,6 +201,15 @@ def test_bench_of_one_name(toy_bench):
     assert "quick_ratio" in result.stdout
     assert "bare_ratio" not in result.stdout
     assert (toy_bench / "figures" / "one.json").exists()
+
+
+@pytest.mark.usefixtures("toy_bench")
+@pytest.mark.parametrize("arguments", [("--only", "quikc"), ("--out", ".")])
+def test_bench_refuses_before_it_measures(arguments, monkeypatch):
+    monkeypatch.setattr(runner, "run", None)
+    result = run("bench", *arguments)
+    assert result.exit_code == 2
+    assert result.stderr.startswith("error: ")
 
 
 @pytest.mark.usefixtures("toy_bench")

@@ -241,3 +241,13 @@ def test_describe_gives_path_value_unit_and_meaning():
 )
 def test_unit_of(name, unit):
     assert unit_of(name) == unit
+
+
+def test_equal_configurations_hash_alike_and_carry_no_hash_into_another_process():
+    one, other = Clock(), Clock()
+    assert hash(one) == hash(other)
+    assert one == other
+    again = pickle.loads(pickle.dumps(one))
+    assert again == one
+    assert "_hash" not in vars(again)
+    assert len({one, other, again}) == 1

@@ -23,6 +23,7 @@ FILES = {
     "circle_b.yaml": "extends: circle_a\n",
     "orphan.yaml": "extends: bse\n",
     "list.yaml": "- 1\n",
+    "number.yaml": "extends: 5\n",
     "twice.yaml": "a: 1\na: 2\n",
     "broken.yaml": "a: [1\n",
     "notes.txt": "not a preset",
@@ -59,6 +60,7 @@ def test_extends_merges_parents_below_the_preset_and_overrides_on_top():
         ("circle_a", r"extends itself, by way of circle_a -> circle_b -> circle_a: break the circle$"),
         ("list", r"^preset 'list' must be a mapping, got list: "),
         ("twice", r"^preset 'twice' is not valid YAML, got key 'a' twice in .* line 1"),
+        ("number", r"^extends of preset 'number' must be a name or a list of names, got 5: correct it$"),
         ("broken", r"^preset 'broken' is not valid YAML, got "),
         ("../base", r"^preset '\.\./base' is unknown"),
     ],
@@ -98,6 +100,15 @@ def test_assignments_nest_and_merge():
 def test_assignments_must_read_key_equals_value(text):
     with pytest.raises(ConfigError, match="an override must read key=value, got"):
         parse_assignments([text])
+
+
+def test_an_assignment_that_is_no_text_is_refused():
+    with pytest.raises(ConfigError, match="an override must be text, got 3: write"):
+        parse_assignments([3])
+
+
+def test_nearest_takes_any_key():
+    assert nearest(1, ["10", "a"]) == "did you mean '10'?"
 
 
 def test_nearest_falls_back_to_the_list():

@@ -141,3 +141,11 @@ def test_reassociation_changes_a_sum_only_by_rounding():
 
     x = np.linspace(-1.0, 3.0, 1001)
     assert total(x) == pytest.approx(math.fsum(x), rel=1e-13)
+
+
+def test_a_serial_context_uses_no_threads(monkeypatch):
+    monkeypatch.setattr(numba, "get_num_threads", lambda: 2)
+    assert accel.use_parallel(1000)
+    with accel.serial():
+        assert not accel.use_parallel(1000)
+    assert accel.use_parallel(1000)

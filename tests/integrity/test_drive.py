@@ -185,3 +185,27 @@ def test_bad_input_is_refused() -> None:
         CityDrive(sharp, FREE)
     with pytest.raises(ConfigError, match="red_share"):
         DriveConfig(red_share=1.5)
+
+
+def test_streams_of_another_batch_and_other_things_are_refused_before_anything_moves() -> None:
+    car, streams = CityDrive(BLOCK, FREE, DT), Streams(1, 3)
+    state = car.start(streams, 100.0)
+    before = state.copy()
+    with pytest.raises(InputError, match=r"streams must be for the 3 vehicles of state, got streams for 5: pass those"):
+        car.step(state, Streams(1, 5))
+    for call in (lambda: car.step(state, 7), lambda: car.start([1, 2])):  # type: ignore[arg-type]
+        with pytest.raises(InputError, match=r"streams must be of class Streams, got (int|list): pass "):
+            call()
+    np.testing.assert_array_equal(state.arc_m, before.arc_m)
+    assert state.time_s == before.time_s
+
+
+@pytest.mark.parametrize(("road", "spread_m"), [(BLOCK, -1.0), (BLOCK, "far"), (Road.straight(100.0, 0.0), 101.0)])
+def test_a_spread_off_the_road_is_refused(road: Road, spread_m: float) -> None:
+    with pytest.raises(InputError, match="spread_m must"):
+        CityDrive(road, FREE, DT).start(Streams(1, 2), spread_m)
+
+
+def test_an_epoch_given_as_text_is_refused() -> None:
+    with pytest.raises(InputError, match="dt_s must be numeric, got str"):
+        CityDrive(BLOCK, FREE, "0.1")  # type: ignore[arg-type]

@@ -1,3 +1,5 @@
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
@@ -46,6 +48,20 @@ def test_the_first_bad_entry_is_named(value, place):
 def test_what_is_not_numeric_is_refused_with_its_type(value):
     with pytest.raises(InputError, match=f"x_m must be numeric, got {type(value).__name__}"):
         require_finite("x_m", value)
+
+
+@pytest.mark.parametrize(
+    "value", ["1.5", b"2", ["1", "2"], [1.0, "2"], np.array(["3"]), np.array([1, "2"], dtype=object), 1j, [1 + 0j]]
+)
+def test_text_and_complex_numbers_are_not_read_as_numbers(value):
+    with pytest.raises(InputError, match=f"x_m must be numeric, got {type(value).__name__}.*: pass an array of num"):
+        require_finite("x_m", value)
+    with pytest.raises(InputError, match="x_m must be numeric"):
+        require_in_range("x_m", value, 0.0, 9.0)
+
+
+def test_objects_that_are_numbers_pass():
+    np.testing.assert_array_equal(require_finite("x_m", np.array([1, Fraction(1, 2)], dtype=object)), [1.0, 0.5])
 
 
 @pytest.mark.parametrize("trailing", [(), (3,), (2, 3), (None, 3), (2, None), (4, 2, 3)])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from lanebound.integrity import navigator_kernel as nk
 from lanebound.integrity.errors import ConfigError, InputError
 from lanebound.integrity.frames import wrap_angle
 from lanebound.integrity.monitoring.alerts import AlertReason
@@ -437,3 +438,19 @@ def test_one_carrier_half_a_cycle_off_stops_nothing() -> None:
     assert (run.rtk[5:] == RtkStatus.FIXED.code).all()
     assert not run.held[:, :, row].any()
     assert run.error_m[run.mode == Mode.RTK].max() < 0.05
+
+
+def test_a_placed_vehicle_starts_from_its_prior_and_leaves_the_others_alone() -> None:
+    navigator = Navigator.nominal(NavigatorConfig(), [1, 2, 3])
+    before = navigator.state.belief.copy()
+    navigator.place(np.array([[4.0, -2.0]]), np.array([0.3]), 0.05, 0.01, np.array([1]))
+    belief, growth = navigator.state.belief, navigator.state.growth
+    assert belief[1, [nk.EAST, nk.NORTH, nk.HEADING]].tolist() == [4.0, -2.0, 0.3]
+    np.testing.assert_array_equal(belief[[0, 2]], before[[0, 2]])
+    assert np.unique(growth[1]).tolist() == [0.0, 0.01**2, 0.05**2]
+
+
+def test_a_prior_without_spread_is_refused() -> None:
+    navigator = Navigator.nominal(NavigatorConfig(), [1])
+    with pytest.raises(InputError, match="sigma_m"):
+        navigator.place(np.zeros((1, 2)), np.zeros(1), 0.0, 0.01)

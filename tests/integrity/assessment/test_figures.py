@@ -63,6 +63,31 @@ def test_series_figure_has_the_papers_panels(drive: Record) -> None:
     ]
 
 
+def test_the_strip_of_modes_has_a_key_and_nothing_is_written_over_the_levels(drive: Record) -> None:
+    figure = series_figure(drive, risk=1e-4)
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels == ["mode, as in the strip above the first row:", *(m.label for m in Mode if m is not Mode.CODE)]
+    assert figure.axes[4].get_title(loc="left") == "25.0 % of epochs"
+    assert not any(text.get_text() for axes in figure.axes for text in axes.texts)
+
+
+def test_a_rare_mode_is_drawn_with_dots() -> None:
+    n = 40
+    mode = np.where(np.arange(n) == 7, 3, 1)
+    record = Record(np.arange(n) * 0.1, mode, np.zeros(n), np.zeros(n), np.ones(n), np.ones(n), mode > 5, mode < 5)
+    figure = series_figure(record)
+    assert {line.get_marker() for line in figure.axes[6].lines} == {"."}
+    assert {line.get_marker() for line in figure.axes[2].lines} == {"None"}
+
+
+@pytest.mark.parametrize(
+    ("risk", "text"), [(None, ""), (1e-6, ", integrity risk $10^{-6}$"), (2e-5, ", integrity risk 2e-05")]
+)
+def test_titles_name_the_risk(drive: Record, risk: float | None, text: str) -> None:
+    assert stanford_figure(drive, 1.0, 1.0, risk=risk).get_suptitle() == f"Stanford diagram{text}"
+    assert series_figure(drive, risk=risk).get_suptitle().endswith(f"(PL){text}")
+
+
 def test_series_figure_refuses_a_batch(drive: Record) -> None:
     two = {name: (v if name == "time_s" else np.stack([v, v], -1)) for name, v in vars(drive).items()}
     with pytest.raises(InputError, match="one vehicle"):
@@ -74,7 +99,10 @@ def test_map_figure(tmp_path: Path) -> None:
     figure = map_figure(position, [1, 1, 2, 3, 0], obstacles=[np.eye(3)[:, :2]], alert=[False] * 4 + [True])
     labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]  # type: ignore[union-attr]
     assert labels[0] == "RTK (40.0 %)"
-    assert labels[-1] == "alert"
+    assert labels[-4:] == ["alert", "start", "end", "buildings, overpasses"]
+    ends = [c for c in figure.axes[0].collections if c.get_label() in ("start", "end")]
+    start, end = (np.asarray(c.get_offsets()).tolist() for c in ends)
+    assert (start, end) == ([[0.0, 0.0]], [[4.0, 0.0]])
     assert save(figure, tmp_path / "deep" / "map.png").stat().st_size > 1000
     with pytest.raises(InputError, match="mode"):
         map_figure(position, [1, 2])

@@ -8,7 +8,7 @@ from scipy.stats import binom
 
 from lanebound.integrity.errors import ConfigError, InputError
 from lanebound.integrity.sensors.effects import FaultEffects
-from lanebound.integrity.sensors.v2v import V2vConfig, V2vInbox, V2vMessage, exchange, initial_v2v
+from lanebound.integrity.sensors.v2v import V2vConfig, V2vInbox, V2vMessage, exchange, forget, initial_v2v
 from lanebound.integrity.streams import Streams
 
 DT = 0.1
@@ -112,6 +112,33 @@ def test_same_seed_same_bits_and_a_copy_goes_on_alike() -> None:
         np.testing.assert_array_equal(one.age_s, two.age_s)
 
 
+def test_one_receiver_holds_what_it_would_hold_among_all() -> None:
+    config, none = V2vConfig(jitter_s=0.1, loss=0.3, range_m=100.0), FaultEffects.none(3, 0)
+    antenna = np.column_stack([30.0 * np.arange(3), np.zeros(3)])
+    state, streams = initial_v2v(config, 3, DT), Streams([7, 8, 9])
+    alone, own = initial_v2v(config, 3, DT, receivers=2), Streams([9, 7])
+    for n in range(1, 100):
+        box = exchange(config, state, n * DT, DT, _message(3, n * DT), antenna, none, streams)
+        two = exchange(config, alone, n * DT, DT, _message(3, n * DT), antenna, none, own, receivers=[2, 0])
+        np.testing.assert_array_equal(two.age_s, box.age_s[[2, 0]])
+        np.testing.assert_array_equal(two.position_en_m, box.position_en_m[[2, 0]])
+        np.testing.assert_array_equal(two.pl_at_m, box.pl_at_m[[2, 0]])
+
+
+def test_silent_vehicles_are_not_heard_and_forgotten_ones_no_more() -> None:
+    config, none = PERFECT.replace(latency_s=0.2), FaultEffects.none(3, 0)
+    state, streams, still = initial_v2v(config, 3, DT), Streams(1, 3), np.zeros((3, 2))
+    sending = np.array([True, True, False])
+    for n in range(1, 6):
+        box = exchange(config, state, n * DT, DT, _message(3), still, none, streams, sending=sending)
+    np.testing.assert_array_equal(box.heard[0], [False, True, False])
+    forget(state, np.array([1]))
+    box = exchange(config, state, 0.6, DT, _message(3), still, none, streams, sending=np.zeros(3, dtype=np.bool_))
+    assert not box.heard[0].any()
+    assert box.heard[1, 0]
+    np.testing.assert_array_equal([box.age_s[0, 1], box.pl_at_m[0, 1], box.speed_mps[0, 1]], [np.inf, np.inf, 0.0])
+
+
 def test_bad_input_is_refused() -> None:
     with pytest.raises(ConfigError, match="loss"):
         V2vConfig(loss=1.5)
@@ -122,5 +149,7 @@ def test_bad_input_is_refused() -> None:
         exchange(PERFECT, state, DT, DT, _message(2), np.zeros((3, 2)), none, Streams(1, 2))
     with pytest.raises(InputError, match="finite"):
         exchange(PERFECT, state, DT, DT, _message(2), np.full((2, 2), np.nan), none, Streams(1, 2))
+    with pytest.raises(InputError, match="receivers"):
+        initial_v2v(PERFECT, 2, DT, receivers=3)
     with pytest.raises(InputError, match="streams"):
         exchange(PERFECT, state, DT, DT, _message(2), np.zeros((2, 2)), none, Streams(1, 3))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import date
+from datetime import date, datetime
 from pathlib import Path
 
 import numpy as np
@@ -101,6 +101,17 @@ def test_unhealthy_satellites_are_left_out_on_request() -> None:
 def test_broken_almanacs_name_the_line_and_the_field(text: str, words: str) -> None:
     with pytest.raises(InputError, match=words):
         parse_yuma(text, NEAR)
+
+
+@pytest.mark.parametrize("near", ["garbage", "2020-01-03", None, 2020.0])
+def test_a_date_that_is_none_is_refused(near: object) -> None:
+    with pytest.raises(InputError, match=r"near must be a datetime\.date, got .*: pass for instance date\("):
+        parse_yuma(block(), near)  # type: ignore[arg-type]
+
+
+def test_an_instant_stands_for_its_day() -> None:
+    at_noon = parse_yuma(block(), datetime(2020, 1, 3, 12))
+    assert at_noon.elements.epoch_s[0] == parse_yuma(block(), NEAR).elements.epoch_s[0]
 
 
 def test_every_truncation_of_a_file_is_either_whole_blocks_or_refused() -> None:

@@ -224,3 +224,25 @@ def test_bad_input_is_refused(canyon: tuple[City, SkyMask]) -> None:
         line_of_sight(city, [0.0, 1.0], [[0, 0, 1]])
     with pytest.raises(InputError, match="los_enu"):
         line_of_sight(city, [0.0, 1.0, 2.0], [[0, np.inf, 1]])
+
+
+def test_stations_anywhere_are_cast_as_those_of_a_road_and_repeated_antennas_once() -> None:
+    city = build_city(STREET, CityConfig.uniform(SectionKind.SEMI_URBAN), np.random.default_rng(1))
+    built = SkyMask.build(STREET, city, 10.0)
+    en, _ = STREET.pose_at(10.0 * np.arange(11)[:, None], STREET.lane_lateral_m([0, 1, 2])[None])
+    antenna = np.concatenate([en, np.full((11, 3, 1), 1.5)], -1)
+    free = SkyMask.of_stations(antenna, city, 10.0)
+    np.testing.assert_array_equal(free.path, built.path)
+    np.testing.assert_array_equal(free.excess_m, built.excess_m)
+    twice = SkyMask.of_stations(antenna[:, [0, 2, 2]], city, 10.0)
+    np.testing.assert_array_equal(twice.path, built.path[:, [0, 2, 2]])
+    sky = sky_of(np.arange(0.0, 360.0, 20.0), np.full(18, 30.0))
+    arc, lane = np.array([0.0, 33.0, 80.0, 100.0]), np.array([0, 1, 2, 1])
+    expected = built.predicted_visibility(arc, lane, sky.for_vehicles(np.zeros(4)))
+    np.testing.assert_array_equal(free.predicted_by_one(arc, lane, sky), expected)
+
+
+@pytest.mark.parametrize("antenna", [np.zeros((2, 3)), np.zeros((0, 1, 3)), np.full((1, 1, 3), np.nan)])
+def test_stations_of_another_shape_are_refused(antenna: Array) -> None:
+    with pytest.raises(InputError, match="antenna_enu_m"):
+        SkyMask.of_stations(antenna, City.empty())

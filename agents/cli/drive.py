@@ -1,0 +1,167 @@
+"""``lanebound drive``: an agent drives, and what came of it is shown, logged and filmed."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from lanebound.agents.drivers.base import Driver
+    from lanebound.agents.episodes import EpisodeLog, Summary
+    from lanebound.envs.core import DrivingEnv
+
+__all__ = ["Sky", "drive", "overrides"]
+
+LOG, COLUMNS, DIAGRAM = "episodes.parquet", "columns.md", "stanford.png"
+Name = Annotated[str, typer.Argument(metavar="ID", help="An environment, as 'lanebound envs' lists them.")]
+Sky = Annotated[str | None, typer.Option(help="Level of the sky: open, suburban, urban or dense.")]
+Faults = Annotated[str | None, typer.Option(help="How often instruments fail: none, nominal or stress.")]
+Assignments = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a value of it; may be repeated.")
+]
+
+
+def drive(
+    name: Name,
+    agent: Annotated[str, typer.Option(help="Who drives: cruise or random.")] = "cruise",
+    sky: Sky = None,
+    faults: Faults = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first episode; each next one has the next.")] = 0,
+    episodes: Annotated[int, typer.Option(min=1, help="How many episodes.")] = 1,
+    video: Annotated[Path | None, typer.Option(metavar="FILE.mp4", help="Film all of it.")] = None,
+    fps: Annotated[int, typer.Option(min=1, help="Pictures of the film in a second of the drive.")] = 10,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help=f"Folder for {LOG}, {COLUMNS} and {DIAGRAM}.")] = None,
+    assignments: Assignments = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+) -> None:
+    """Let an agent drive, and print return, costs and how good its position was.
+
+    Example: lanebound drive LaneKeeping --sky dense --faults stress --seed 1 --video out/drive.mp4 --out out/drive
+    """
+    from lanebound.agents.cli.interrupt import stoppable, wait_for
+
+    finished: list[int] = []
+    with stoppable(lambda: _kept(len(finished), out)):
+        changes = overrides(sky, faults, assignments)
+        summaries = wait_for(lambda: _drive(name, agent, changes, (seed, episodes), (video, fps), out, finished))
+    _report(summaries, {"log": out and out / LOG, "diagram": out and out / DIAGRAM, "video": video}, as_json)
+
+
+def overrides(sky: str | None, faults: str | None, assignments: list[str] | None) -> dict[str, Any]:
+    """What the options change of an environment's configuration; the named ones win over ``--set``."""
+    from lanebound.integrity.presets import parse_assignments
+
+    named = {key: value for key, value in (("sky", sky), ("faults", faults)) if value is not None}
+    return parse_assignments(assignments or []) | named
+
+
+def _kept(finished: int, out: Path | None) -> str:
+    return f"{finished} finished episodes are kept in {out}" if out and finished else "nothing is kept"
+
+
+def _drive(
+    name: str,
+    agent: str,
+    changes: dict[str, Any],
+    seeds: tuple[int, int],
+    film: tuple[Path | None, int],
+    out: Path | None,
+    finished: list[int],
+) -> list[Summary]:
+    """Drive with a bar; everything that can be refused is refused before it shows."""
+    from lanebound.agents.drivers import make_agent
+    from lanebound.agents.episodes import EpisodeLog, open_env, summarise
+    from lanebound.agents.episodes.film import Film
+
+    env = open_env(name, changes, None if film[0] is None else "rgb_array")
+    driver, log = make_agent(agent, env), EpisodeLog()
+    if out is not None:
+        _claim(out)
+    watchers: list[Any] = [log]
+
+    def keep(episode: int) -> None:
+        if out is not None:
+            log.write(out / LOG)
+        finished.append(episode)
+
+    with ExitStack() as stack:
+        stack.callback(env.close)
+        if film[0] is not None:
+            watchers.append(stack.enter_context(Film(env, film[0], film[1])))
+        _with_bar(env, driver, range(seeds[0], seeds[0] + seeds[1]), watchers, keep)
+    if out is not None:
+        _draw(env, log, out, f"{name}, {agent}")
+    return [summarise(log.episode(i)) for i in range(seeds[1])]
+
+
+def _claim(out: Path) -> None:
+    from lanebound.agents.episodes.columns import describe_columns
+    from lanebound.integrity.errors import InputError
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / COLUMNS).write_text(describe_columns(), encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"--out must be a folder that can be written, got {out} ({error}): choose another") from error
+
+
+def _with_bar(env: DrivingEnv, driver: Driver, seeds: range, watchers: list[Any], keep: Callable[[int], None]) -> None:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from lanebound.agents.episodes import drive as drive_all
+
+    length_s = env.world.config.get("duration")
+    with Progress(console=Console(stderr=True)) as bar:
+        total = None if length_s is None else float(length_s) * len(seeds)
+        task = bar.add_task(f"{len(seeds)} episodes (kernels compile first)", total=total)
+
+        class Pace:
+            """Moves the bar; an episode that ends early fills its share."""
+
+            def note(self, moment: Any) -> None:
+                done = moment.episode + float(moment.terminated or moment.truncated)
+                if length_s is not None:
+                    driven = max(done * length_s, moment.episode * length_s + moment.belief.time_s)
+                    bar.update(task, completed=driven, description=f"episode {moment.episode + 1} of {len(seeds)}")
+
+        drive_all(env, driver, list(seeds), [*watchers, Pace()], keep)
+
+
+def _draw(env: DrivingEnv, log: EpisodeLog, out: Path, title: str) -> None:
+    from lanebound.integrity.assessment.plotting import save
+    from lanebound.integrity.assessment.stanford import stanford_figure
+
+    limits = env.config.limits_m(env.world.vehicle.WIDTH)
+    save(stanford_figure(log.to_record(env.dt_s), *limits, title=title), out / DIAGRAM)
+
+
+def _report(summaries: list[Summary], files: dict[str, Path | None], as_json: bool) -> None:
+    from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.episodes.summary import measures
+
+    written = {what: str(path) for what, path in files.items() if path is not None}
+    if as_json:
+        all_of_them = measures(summaries)
+        print_json({"episodes": [s.to_dict() for s in summaries], "all": all_of_them, "files": written})
+        return
+    columns = ("seed", "ended by", "time [s]", "return", "cost", "success", "available", "HMI steps")
+    print_table("Episodes", columns, map(_line, summaries))
+    title = "Measures" if len(summaries) == 1 else f"Measures, means over {len(summaries)} episodes"
+    print_table(title, ("measure", "value"), ((key, _three(value)) for key, value in measures(summaries).items()))
+    for what, path in written.items():
+        typer.echo(f"{what}: {path}")
+
+
+def _line(s: Summary) -> tuple[Any, ...]:
+    ended = (s.seed, s.ended, s.time_s, _three(s.total_return), _three(s.cost), s.success)
+    return (*ended, f"{s.availability:.1%}", s.hmi_steps)
+
+
+def _three(value: float) -> float:
+    return round(value, 3)

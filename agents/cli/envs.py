@@ -1,0 +1,131 @@
+"""``lanebound envs``: which environments there are, and what one of them shows, takes and charges."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from lanebound.envs.core import DrivingEnv
+
+__all__ = ["envs", "facts"]
+
+RATES = ("policy_hz", "navigation_hz", "simulation_hz")
+COLUMNS = ("id", "base", "action_space", "flat_size", *RATES, "sky", "cost_limit")
+
+
+def envs(
+    name: Annotated[
+        str | None,
+        typer.Argument(metavar="[ID]", help="Show this one: configuration, observation, info, costs."),
+    ] = None,
+    assignments: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a value of it; may be repeated.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+) -> None:
+    """List the environments, or show one: what it is made of, and every entry of its observation.
+
+    Example: lanebound envs LaneKeeping --set sky=dense --set observation.integrity=blind
+    """
+    from lanebound.agents.cli.output import print_json
+
+    if name is None:
+        if assignments:
+            from lanebound.integrity.errors import InputError
+
+            raise InputError("--set needs an environment, got none: name one, as in 'lanebound envs LaneKeeping'")
+        _list(as_json)
+        return
+    from lanebound.agents.episodes.opening import open_env
+    from lanebound.integrity.presets import parse_assignments
+
+    env = open_env(name, parse_assignments(assignments or []))
+    if as_json:
+        print_json(_details(env))
+    else:
+        _show(env)
+
+
+def _list(as_json: bool) -> None:
+    from lanebound.agents.cli.listing import LISTING
+    from lanebound.agents.cli.output import print_json, print_table
+
+    if as_json:
+        print_json(list(LISTING))
+        return
+    print_table("Environments", COLUMNS, ([row[column] for column in COLUMNS] for row in LISTING))
+    groups = ", ".join(f"{name} {size}" for name, size in LISTING[0]["observation"].items())
+    typer.echo(f"Observations are a Dict of {groups}, or flat; 'lanebound envs ID' shows every entry.")
+
+
+def facts(env: DrivingEnv) -> dict[str, Any]:
+    """What the list says of an environment."""
+    from lanebound.envs.observation import group_slices
+
+    c = env.config
+    groups = {group: part.stop - part.start for group, part in group_slices(c.observation).items()}
+    return {
+        "id": c.base if env.spec is None else env.spec.id,
+        "base": c.base,
+        "action": c.action.value,
+        "action_space": str(env.action_space),
+        "policy_hz": c.policy_hz,
+        "observation": groups,
+        "flat_size": sum(groups.values()),
+        "simulation_hz": c.simulation_hz,
+        "navigation_hz": c.navigation.rate_hz,
+        "sky": c.sky,
+        "cost_limit": c.cost_limit,
+    }
+
+
+def _details(env: DrivingEnv) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    from lanebound.agents.cli.listing import INFO
+
+    return {
+        **facts(env),
+        "config": env.config.to_dict(),
+        "index": [asdict(entry) | {"column": entry.column} for entry in env.observer.index],
+        "info": INFO,
+        "cost_weights": _weights(env),
+    }
+
+
+def _weights(env: DrivingEnv) -> dict[str, float]:
+    from lanebound.envs.costs import CAUSES
+
+    return {cause: getattr(env.config.cost, cause.removeprefix("cost_")) for cause in CAUSES}
+
+
+def _show(env: DrivingEnv) -> None:
+    from lanebound.agents.cli.listing import INFO
+    from lanebound.agents.cli.output import print_table
+    from lanebound.integrity.config import describe
+
+    about, weights = facts(env), _weights(env)
+    del about["observation"]
+    print_table(about["id"], ("what", "value"), about.items())
+    own = [entry for entry in describe(env.config) if "." not in entry.path]
+    print_table("Configuration, without its sections (see --json)", ("key", "value", "unit", "what it is"), _texts(own))
+    print_table("Observation", ("flat", "entry", "unit", "scale", "bounds", "meaning"), _index(env))
+    print_table("Info", ("key", "meaning"), INFO.items())
+    print_table(
+        f"Costs, limit {env.config.cost_limit:g} an episode",
+        ("cause", "weight", "unweighted"),
+        ((cause, weight, INFO[cause]) for cause, weight in weights.items()),
+    )
+
+
+def _texts(entries: list[Any]) -> list[tuple[Any, ...]]:
+    return [(e.path, getattr(e.value, "value", e.value), e.unit, e.description) for e in entries]
+
+
+def _index(env: DrivingEnv) -> list[tuple[Any, ...]]:
+    return [
+        (place, e.column, e.unit or "-", f"{e.scale:.4g}", f"[{e.low:g}, {e.high:g}]", e.meaning)
+        for place, e in enumerate(env.observer.index)
+    ]

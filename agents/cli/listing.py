@@ -1,0 +1,61 @@
+"""The environments in plain data, so that listing them needs none of their imports; a test compares it with them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+__all__ = ["INFO", "LISTING"]
+
+GROUPS = {"ego": 15, "integrity": 46, "road": 43, "traffic": 114}
+STEERED = {"action": "continuous", "action_space": "Box(-1.0, 1.0, (2,), float32)", "policy_hz": 5}
+CHOSEN = {"action": "meta", "action_space": "Discrete(5)", "policy_hz": 2}
+SHARED = {"observation": GROUPS, "flat_size": sum(GROUPS.values()), "simulation_hz": 20, "navigation_hz": 10.0}
+
+
+def _line(name: str, base: str, kind: dict[str, Any], sky: str = "urban", **other: Any) -> dict[str, Any]:
+    return {"id": f"lanebound/{name}", "base": base, **kind, **SHARED, "sky": sky, "cost_limit": 10.0, **other}
+
+
+LISTING: tuple[dict[str, Any], ...] = (
+    _line("LaneKeeping-v0", "LaneKeepingWorld", STEERED),
+    _line("CarFollowing-v0", "CarFollowingWorld", STEERED),
+    _line("Highway-v0", "highway-v0", CHOSEN, "suburban"),
+    _line("Merge-v0", "merge-v1", CHOSEN, "suburban"),
+    _line("Roundabout-v0", "roundabout-v1", CHOSEN),
+    _line("Intersection-v0", "intersection-v2", CHOSEN, action_space="Discrete(3)"),
+    _line("Racetrack-v0", "racetrack-v1", STEERED, action_space="Box(-1.0, 1.0, (1,), float32)"),
+    _line("UrbanCanyon-v0", "UrbanCanyonWorld", CHOSEN),
+)
+
+INFO: dict[str, str] = {
+    "cost": "weighted sum of the costs of this step",
+    "cost_collision": "1 in the step of a crash",
+    "cost_lane": "true body beyond its lane, times distance [m2]",
+    "cost_lane_integrity": "believed body and its protection level beyond the lane, times distance [m2]",
+    "cost_headway": "time with less than the safe distance ahead, weighted by how much [s]",
+    "cost_alert": "time driven too fast or changing lane while an alert is older than the time to alert [s]",
+    "cost_hmi": "time with hazardously misleading information [s]",
+    "pl_at_m": "protection level along the track; inf without one [m]",
+    "pl_ct_m": "protection level across the track; inf without one [m]",
+    "al_at_m": "alert limit along the track [m]",
+    "al_ct_m": "alert limit across the track [m]",
+    "margin_at_m": "AL - PL along the track, safe when >= 0 [m]",
+    "margin_ct_m": "AL - PL across the track, safe when >= 0 [m]",
+    "alert": "the alert is on",
+    "available": "no protection level exceeds its limit",
+    "mode": "code of the source of the position, see Mode",
+    "reason": "code of the alert's reason, see AlertReason",
+    "tta_s": "time left to react to an alert [s]",
+    "speed_mps": "true speed [m/s]",
+    "rewards": "terms of the reward by name, unweighted",
+    "err_at_m": "true error along the track, forward positive [m]",
+    "err_ct_m": "true error across the track, right positive [m]",
+    "mi": "misleading: available, an error above its level but within its limit",
+    "hmi": "hazardously misleading: available, an error above its limit",
+    "crashed": "the true car has crashed",
+    "crashed_now": "it did so in this step",
+    "off_road": "its middle is off the road",
+    "wrong_way": "it has driven against its lane for too long",
+    "is_success": "the episode ends well here",
+    "yaw_rate_radps": "true turn rate over the step [rad/s]",
+}

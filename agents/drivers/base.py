@@ -1,0 +1,93 @@
+"""What every driver has: the interface of stable-baselines3's policies, and a reader of observations by name."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.envs.observation import Entry, ObservationConfig, entries, group_slices
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.presets import nearest
+
+__all__ = ["Driver", "Reader"]
+
+Array = NDArray[np.float64]
+Observation = NDArray[np.float32] | Mapping[str, NDArray[np.float32]]
+PREVIEW = re.compile(r"preview_(.+)m_ahead")
+
+
+class Driver(Protocol):
+    """Decides by observations alone; stands wherever a policy of stable-baselines3 may stand."""
+
+    def predict(
+        self,
+        observation: Any,
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Any, tuple[NDArray[Any], ...] | None]:
+        """The action for an observation, or one for each of a batch, and the state to hand in next time."""
+
+
+class Reader:
+    """Looks quantities up in an observation by the names of the published index, in their own units.
+
+    Works on single observations and on batches (any leading axes), as dicts or flat, of which the newest counts when
+    several are stacked.
+
+    Parameters
+    ----------
+    config : of the observations
+    """
+
+    def __init__(self, config: ObservationConfig) -> None:
+        self.config = config
+        index, slices = entries(config), group_slices(config)
+        self._flat = config.form == "flat"
+        self._entries: dict[str, Entry] = {entry.column: entry for entry in index}
+        self._place: dict[str, int] = {}
+        for place, entry in enumerate(index):
+            group = slice(0, len(index)) if self._flat else slices[entry.group]
+            newest = (config.history - 1) * (group.stop - group.start)
+            self._place[entry.column] = newest + place - group.start
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Every name, such as ``ego.speed``."""
+        return tuple(self._entries)
+
+    @property
+    def previews_m(self) -> tuple[float, ...]:
+        """How far ahead the route is shown, nearest first."""
+        found = (PREVIEW.search(column) for column in self._entries)
+        return tuple(sorted(float(match[1]) for match in found if match))
+
+    def require(self, columns: Iterable[str]) -> None:
+        """Refuse an observation that does not show these.
+
+        Raises
+        ------
+        InputError
+            Naming the first that is missing and the nearest one there is.
+        """
+        for column in columns:
+            if column not in self._entries:
+                raise InputError(f"observation must show '{column}', got none: {nearest(column, self._entries)}")
+
+    def scale(self, column: str) -> float:
+        """The quantity at which an entry reads 1."""
+        return self._entries[column].scale
+
+    def value(self, observation: Observation, column: str) -> Array:
+        """A quantity in its unit, shaped as the leading axes of the observation."""
+        entry = self._entries[column]
+        vector = observation if isinstance(observation, np.ndarray) else observation[entry.group]
+        return np.asarray(vector[..., self._place[column]], dtype=np.float64) * entry.scale
+
+    def rows(self, observation: Observation, name: str) -> Array:
+        """A quantity of all K vehicles of the traffic, (..., K)."""
+        return np.stack([self.value(observation, f"traffic.v{k}_{name}") for k in range(self.config.vehicles)], axis=-1)

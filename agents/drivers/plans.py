@@ -1,0 +1,111 @@
+"""How fast and along which curve to drive, from what an observation shows; leading axes are a batch.
+
+Symbols: v speed [m/s], s gap bumper to bumper [m], kappa curvature [1/m], L length of the car [m], beta the angle of
+its velocity to its heading, delta the steering angle, (x, y) a point ahead and to the right of its middle [m].
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.agents.drivers.base import Observation, Reader
+from lanebound.integrity.config import Config, Field
+
+__all__ = ["CruiseConfig", "following_acceleration", "nearest_ahead", "pursuit_steering", "route_speed", "safe_speed"]
+
+Array = NDArray[np.float64]
+EGO_LENGTH_M = 5.0  # of highway-env's cars
+FREE_M = 1e6  # a gap to nobody
+
+
+class CruiseConfig(Config):
+    """Figures of a calm driver."""
+
+    speed_mps: float = Field(14.0, gt=0, description="where the map gives no limit [m/s]; 50 km/h")
+    lateral_mps2: float = Field(2.0, gt=0, description="acceleration across the track in bends; comfort, ISO 2631-1")
+    accelerate_mps2: float = Field(1.5, gt=0, description="acceleration on a free road; IDM, Treiber 2000, city")
+    brake_mps2: float = Field(2.0, gt=0, description="comfortable braking; IDM, Treiber 2000")
+    brake_max_mps2: float = Field(5.0, gt=0, description="hardest braking; dry road, argued")
+    lead_brake_mps2: float = Field(6.0, gt=0, description="hardest braking expected of a leader; RSS, dry road")
+    time_gap_s: float = Field(1.2, gt=0, description="time gap to the leader; IDM, 1 to 1.5 s")
+    response_s: float = Field(0.6, ge=0, description="until braking takes hold: a decision and the age of a broadcast")
+    standstill_m: float = Field(2.0, gt=0, description="gap at rest; IDM, Treiber 2000")
+    lookahead_s: float = Field(0.8, gt=0, description="of the point that is steered for; longer is calmer, argued")
+    lookahead_min_m: float = Field(5.0, gt=0, description="and at least this far; a car's length")
+
+
+def route_speed(reader: Reader, observation: Observation, c: CruiseConfig) -> Array:
+    """Speed that limit and bends ahead allow: ``v^2 <= a_lat / |kappa(d)| + 2 b d`` at every preview, and the end."""
+    limit = reader.value(observation, "road.speed_limit")
+    squared = np.where(limit < reader.scale("road.speed_limit"), limit, c.speed_mps) ** 2
+    for d in reader.previews_m:
+        kappa = np.abs(reader.value(observation, f"road.preview_{d:g}m_curvature"))
+        squared = np.minimum(squared, c.lateral_mps2 / np.maximum(kappa, 1e-6) + 2.0 * c.brake_mps2 * d)
+    return np.asarray(np.sqrt(squared))
+
+
+def nearest_ahead(reader: Reader, observation: Observation) -> tuple[Array, Array]:
+    """Gap bumper to bumper [m] to the next vehicle on the ego's route, and its speed [m/s]; far off without one."""
+    speed = reader.value(observation, "ego.speed")
+    if not reader.config.vehicles:
+        return np.full(speed.shape, FREE_M), speed
+    gap = reader.rows(observation, "lane_gap")
+    there = (reader.rows(observation, "present") > 0.5) & (reader.rows(observation, "own_lane") > 0.5) & (gap > 0.0)
+    free = np.where(there, gap - 0.5 * (reader.rows(observation, "length") + EGO_LENGTH_M), FREE_M)
+    best = np.argmin(free, axis=-1)[..., None]
+    closing = np.take_along_axis(reader.rows(observation, "velocity_ahead"), best, axis=-1)[..., 0]
+    s = np.take_along_axis(free, best, axis=-1)[..., 0]
+    return np.maximum(s, 0.0), np.where(s < FREE_M, np.maximum(speed + closing, 0.0), speed)
+
+
+def safe_speed(s: Array, lead_mps: Array, c: CruiseConfig) -> Array:
+    """Fastest speed from which a leader's hardest braking is answered in time (Krauss 1998, with two decelerations).
+
+    ``v tau + v^2 / 2b = s - s0 + v_lead^2 / 2b_lead``, solved for v.
+    """
+    room = np.maximum(s - c.standstill_m + 0.5 * lead_mps**2 / c.lead_brake_mps2, 0.0)
+    delay = c.brake_max_mps2 * c.response_s
+    return np.asarray(np.sqrt(delay * delay + 2.0 * c.brake_max_mps2 * room) - delay)
+
+
+def following_acceleration(v: Array, wanted_mps: Array, s: Array, lead_mps: Array, c: CruiseConfig) -> Array:
+    """The intelligent driver model (Treiber et al. 2000), braking harder where the gap is no longer safe.
+
+    ``a (1 - (v / v0)^4 - (s* / s)^2)``, ``s* = s0 + v T + v (v - v_lead) / (2 sqrt(a b))``; above the wanted speed it
+    brakes in proportion, as that model does not.
+    """
+    a, b = c.accelerate_mps2, c.brake_mps2
+    needed = c.standstill_m + np.maximum(v * c.time_gap_s + 0.5 * v * (v - lead_mps) / np.sqrt(a * b), 0.0)
+    free = np.where(v <= wanted_mps, a * (1.0 - (v / np.maximum(wanted_mps, 0.1)) ** 4), 2.0 * (wanted_mps - v))
+    follow = free - a * (needed / np.maximum(s, 0.1)) ** 2
+    urgent = (safe_speed(s, lead_mps, c) - v) / max(c.response_s, 0.1)
+    return np.clip(np.where(urgent < 0.0, np.minimum(follow, urgent), follow), -c.brake_max_mps2, a)
+
+
+def pursuit_steering(reader: Reader, observation: Observation, c: CruiseConfig) -> Array:
+    """Steering angle [rad] of a circle through the route's centreline ahead (pure pursuit, Coulter 1992).
+
+    The car's middle, half way between the axles, moves at beta to its heading on a circle of ``sin(beta) = kappa L/2``,
+    ``tan(beta) = tan(delta) / 2``: for a point at distance d and bearing alpha ``tan(beta) = sin(alpha) / (d / L +
+    cos(alpha))``. Between two previews the angle is interpolated.
+    """
+    v = np.maximum(reader.value(observation, "ego.speed"), 0.0)
+    reach = np.maximum(c.lookahead_s * v, c.lookahead_min_m)
+    distances = reader.previews_m
+    tangents = np.stack([_tan_beta(reader, observation, d) for d in distances], axis=-1)
+    beyond = np.clip(np.searchsorted(distances, reach), 1, max(len(distances) - 1, 1))
+    if len(distances) == 1:
+        return np.arctan(2.0 * tangents[..., 0])
+    low, high = np.array(distances)[beyond - 1], np.array(distances)[beyond]
+    share = np.clip((reach - low) / (high - low), 0.0, 1.0)
+    near = np.take_along_axis(tangents, np.asarray(beyond - 1)[..., None], axis=-1)[..., 0]
+    far = np.take_along_axis(tangents, np.asarray(beyond)[..., None], axis=-1)[..., 0]
+    return np.arctan(2.0 * ((1.0 - share) * near + share * far))
+
+
+def _tan_beta(reader: Reader, observation: Observation, preview_m: float) -> Array:
+    x = reader.value(observation, f"road.preview_{preview_m:g}m_ahead")
+    y = reader.value(observation, f"road.preview_{preview_m:g}m_right")
+    d = np.maximum(np.hypot(x, y), 0.1)
+    return np.asarray((y / d) / (d / EGO_LENGTH_M + np.maximum(x / d, 0.0)))

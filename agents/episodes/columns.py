@@ -1,0 +1,152 @@
+"""The log of an episode: which columns a row has, in which unit, and what they mean.
+
+Row 0 of an episode is its start, before any action; every other row is the state after a decision was carried out.
+Poses are in the plane of the world: x ahead along the first road, y to its right, headings clockwise from x.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from lanebound.envs.core import DrivingEnv
+from lanebound.envs.costs import CAUSES
+from lanebound.envs.records import EgoBelief
+from lanebound.envs.rewards import TERMS
+from lanebound.integrity.monitoring.alerts import AlertReason
+from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.positioning.rtk_status import RtkStatus
+
+__all__ = ["COLUMNS", "Column", "Moment", "describe_columns", "row_of"]
+
+Kind = Literal["int", "float", "bool", "text", "floats"]
+
+
+@dataclass(frozen=True)
+class Moment:
+    """All there is to log of one step; ``action`` is None in the first row of an episode."""
+
+    env: DrivingEnv
+    belief: EgoBelief
+    episode: int
+    seed: int
+    step: int
+    action: Any
+    reward: float
+    terminated: bool
+    truncated: bool
+    info: dict[str, Any]
+
+    @property
+    def numbers(self) -> list[float]:
+        """The action as numbers."""
+        return [] if self.action is None else np.atleast_1d(np.asarray(self.action, dtype=np.float64)).tolist()
+
+    @property
+    def word(self) -> str | None:
+        """The name of a meta-action."""
+        labels = getattr(self.env.world.action_type, "actions", None)
+        return None if self.action is None or labels is None else str(labels[int(self.action)])
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column: its name, type, unit and meaning, and how it is taken from a moment."""
+
+    name: str
+    kind: Kind
+    unit: str
+    meaning: str
+    take: Callable[[Moment], Any]
+
+
+def _lane(index: Any) -> str:
+    return f"{index[0]}>{index[1]}:{index[2]}"
+
+
+def _belief(name: str, kind: Kind, unit: str, meaning: str, field: str) -> Column:
+    return Column(name, kind, unit, meaning, lambda m: getattr(m.belief, field))
+
+
+def _info(name: str, kind: Kind, unit: str, meaning: str) -> Column:
+    return Column(name, kind, unit, meaning, lambda m: m.info[name])
+
+
+def _reward(term: str) -> Column:
+    return Column(f"reward_{term}", "float", "", f"term {term}, unweighted", lambda m: m.info["rewards"][term])
+
+
+WHEN = (
+    Column("episode", "int", "", "number of the episode, from 0", lambda m: m.episode),
+    Column("seed", "int", "", "seed that the episode was reset with", lambda m: m.seed),
+    Column("step", "int", "", "decisions carried out; 0 at the start", lambda m: m.step),
+    Column("time_s", "float", "s", "since the start of the episode", lambda m: m.belief.time_s),
+    Column("action", "floats", "", "code of the meta-action, or continuous command; empty at 0", lambda m: m.numbers),
+    Column("action_name", "text", "", "name of the meta-action; null for continuous ones and at 0", lambda m: m.word),
+)
+TRUTH = (
+    Column("true_x_m", "float", "m", "true middle of the car", lambda m: float(m.env.world.vehicle.position[0])),
+    Column("true_y_m", "float", "m", "true middle of the car", lambda m: float(m.env.world.vehicle.position[1])),
+    Column("true_heading_rad", "float", "rad", "true heading", lambda m: float(m.env.world.vehicle.heading)),
+    _info("speed_mps", "float", "m/s", "true speed"),
+    Column("true_lane", "text", "", "lane nearest to the truth", lambda m: _lane(m.env.world.vehicle.lane_index)),
+)
+BELIEF = (
+    Column("est_x_m", "float", "m", "believed middle of the car", lambda m: float(m.belief.position_m[0])),
+    Column("est_y_m", "float", "m", "believed middle of the car", lambda m: float(m.belief.position_m[1])),
+    _belief("est_heading_rad", "float", "rad", "believed heading", "heading_rad"),
+    _belief("est_speed_mps", "float", "m/s", "speed by the odometer", "speed_mps"),
+    Column("est_lane", "text", "", "lane nearest to the belief", lambda m: _lane(m.belief.lane_index)),
+    _belief("est_lateral_m", "float", "m", "believed offset from its centreline, positive right", "lateral_m"),
+    Column("perceived", "int", "", "vehicles perceived", lambda m: m.env.cockpit.traffic.count if m.env.cockpit else 0),
+)
+INTEGRITY = (
+    _info("err_at_m", "float", "m", "estimate less truth along the true heading"),
+    _info("err_ct_m", "float", "m", "estimate less truth across it, positive right"),
+    _info("pl_at_m", "float", "m", "protection level along the track; inf without one"),
+    _info("pl_ct_m", "float", "m", "protection level across the track; inf without one"),
+    _info("al_at_m", "float", "m", "alert limit along the track"),
+    _info("al_ct_m", "float", "m", "alert limit across the track"),
+    Column("mode", "text", "", "source of the position", lambda m: Mode(m.info["mode"]).key),
+    Column("rtk", "text", "", "why RTK holds or not", lambda m: RTK_NAMES[m.belief.rtk]),
+    _info("alert", "bool", "", "the alert is on"),
+    Column("reason", "text", "", "why", lambda m: REASON_NAMES[m.info["reason"]]),
+    _info("available", "bool", "", "no protection level exceeds its limit"),
+    _info("tta_s", "float", "s", "time left to react to the alert; all of it without one"),
+    _info("mi", "bool", "", "misleading information: available, an error above its level but within the limit"),
+    _info("hmi", "bool", "", "hazardously misleading information: available, an error above the limit"),
+    _belief("satellites", "int", "", "used by RTK", "satellites"),
+    _belief("hdop", "float", "", "horizontal dilution of precision; inf without satellites", "hdop"),
+    _belief("since_rtk_s", "float", "s", "time since the last RTK position; inf before the first", "since_rtk_s"),
+    _belief("corrections_age_s", "float", "s", "age of the reference data; inf without", "corrections_age_s"),
+)
+SCORE = (
+    _info("cost", "float", "", "weighted sum of the costs"),
+    *(_info(cause, "float", "", "by cause, unweighted, see CostConfig") for cause in CAUSES),
+    Column("reward", "float", "", "weighted sum of the terms", lambda m: m.reward),
+    *(_reward(term) for term in TERMS),
+    _info("crashed", "bool", "", "the true car has crashed"),
+    _info("off_road", "bool", "", "its middle is off the road"),
+    _info("wrong_way", "bool", "", "it has driven against its lane for too long"),
+    _info("is_success", "bool", "", "the episode ends well here"),
+    Column("terminated", "bool", "", "the episode ends here by what happened", lambda m: m.terminated),
+    Column("truncated", "bool", "", "the episode ends here because its time is up", lambda m: m.truncated),
+)
+RTK_NAMES = {status.code: status.name.lower() for status in RtkStatus}
+REASON_NAMES = {reason.code: reason.name.lower() for reason in AlertReason}
+COLUMNS: tuple[Column, ...] = (*WHEN, *TRUTH, *BELIEF, *INTEGRITY, *SCORE)
+
+
+def row_of(moment: Moment) -> dict[str, Any]:
+    """One row of the log."""
+    return {column.name: column.take(moment) for column in COLUMNS}
+
+
+def describe_columns() -> str:
+    """The columns as a table in Markdown."""
+    lines = ["| column | type | unit | meaning |", "|---|---|---|---|"]
+    lines += [f"| {c.name} | {c.kind} | {c.unit or '-'} | {c.meaning} |" for c in COLUMNS]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,59 @@
+"""The loop: an agent drives episodes of an environment while others watch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from lanebound.agents.drivers.base import Driver
+from lanebound.agents.episodes.columns import Moment
+from lanebound.envs.core import DrivingEnv
+
+__all__ = ["Watcher", "drive", "moment_of"]
+
+
+class Watcher(Protocol):
+    """Whoever is to be told of every step."""
+
+    def note(self, moment: Moment) -> None:
+        """A step has been taken, or an episode begun (step 0)."""
+
+
+def drive(
+    env: DrivingEnv,
+    agent: Driver,
+    seeds: Sequence[int],
+    watchers: Sequence[Watcher] = (),
+    ended: Callable[[int], None] = lambda episode: None,
+) -> None:
+    """Drive one episode for each seed; the agent is given observations, the watchers everything.
+
+    Parameters
+    ----------
+    ended : called with the number of each episode that is over
+    """
+    for episode, seed in enumerate(seeds):
+        for moment in _moments(env, agent, episode, seed):
+            for watcher in watchers:
+                watcher.note(moment)
+        ended(episode)
+
+
+def _moments(env: DrivingEnv, agent: Driver, episode: int, seed: int) -> Any:
+    """The moments of an episode, from its start to its end."""
+    observation, info = env.reset(seed=seed)
+    yield moment_of(env, episode, seed, 0, None, 0.0, False, False, info)
+    state, start, step, over = None, np.ones(1, dtype=np.bool_), 0, False
+    while not over:
+        action, state = agent.predict(observation, state=state, episode_start=start, deterministic=True)
+        observation, reward, terminated, truncated, info = env.step(action)
+        start, step, over = np.zeros(1, dtype=np.bool_), step + 1, terminated or truncated
+        yield moment_of(env, episode, seed, step, action, reward, terminated, truncated, info)
+
+
+def moment_of(env: DrivingEnv, *rest: Any) -> Moment:
+    """What there is to log now; ``rest`` are the fields of a Moment after its belief."""
+    assert env.cockpit is not None
+    return Moment(env, env.cockpit.belief(), *rest)

@@ -1,0 +1,100 @@
+"""A film of a drive, smoother than decisions are taken: pictures between them too."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lanebound.agents.episodes.columns import Moment
+from lanebound.envs.core import DrivingEnv
+from lanebound.integrity.errors import InputError
+
+__all__ = ["Film"]
+
+
+class Film:
+    """Writes an MP4 (H.264) of what an environment renders; a watcher of a drive, and a context manager.
+
+    The world's hook for pictures within a policy step is used. Looking at the belief then is what the next simulation
+    step would begin with, so that filming changes nothing of the drive.
+
+    Parameters
+    ----------
+    env : with render_mode ``rgb_array``
+    path : where the film goes; it appears there when it is whole
+    fps : pictures in a second of the drive; must divide ``simulation_hz``
+
+    Raises
+    ------
+    InputError
+        The name does not end in .mp4, or the rate does not divide.
+    """
+
+    def __init__(self, env: DrivingEnv, path: Path, fps: int = 10) -> None:
+        rate = env.config.simulation_hz
+        if path.suffix != ".mp4":
+            raise InputError(f"video must end in .mp4, got {path.name}: rename it")
+        if fps < 1 or rate % fps:
+            fits = ", ".join(str(n) for n in range(1, rate + 1) if rate % n == 0)
+            raise InputError(f"fps must divide simulation_hz = {rate}, got {fps}: choose one of {fits}")
+        self.env, self.path, self.fps = env, path, fps
+        self.frames = 0
+        self._part = path.with_name(f"{path.stem}.part.mp4")
+        self._every, self._count = rate // fps, 0
+        self._sink: Generator[None, Any, None] | None = None
+
+    def __enter__(self) -> Film:
+        self.env.world._automatic_rendering = self._between
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        del self.env.world._automatic_rendering
+        if self._sink is None:
+            return
+        self._sink.close()
+        if kind is None:
+            os.replace(self._part, self.path)
+        else:
+            self._part.unlink(missing_ok=True)
+
+    def note(self, moment: Moment) -> None:
+        """A decision has been carried out, or an episode begins."""
+        if moment.step == 0:
+            self._count = 0
+            self._shoot()
+        else:
+            self._tick()
+
+    def _between(self) -> None:
+        """The world has moved by a simulation step that is not the last before a decision."""
+        cockpit = self.env.cockpit
+        if cockpit is not None:
+            cockpit.look()
+        self._tick()
+
+    def _tick(self) -> None:
+        self._count += 1
+        if self._count % self._every == 0:
+            self._shoot()
+
+    def _shoot(self) -> None:
+        picture = self.env.render()
+        assert picture is not None
+        if self._sink is None:
+            self._sink = self._open(picture.shape[1], picture.shape[0])
+        self._sink.send(np.ascontiguousarray(picture))
+        self.frames += 1
+
+    def _open(self, width_px: int, height_px: int) -> Generator[None, Any, None]:
+        from imageio_ffmpeg import write_frames
+
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        sink: Generator[None, Any, None] = write_frames(
+            str(self._part), (width_px, height_px), fps=self.fps, quality=7, macro_block_size=2
+        )
+        sink.send(None)
+        return sink

@@ -1,0 +1,77 @@
+"""The log of all episodes of a drive: rows in memory, a Parquet file on disk."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lanebound.agents.episodes.columns import COLUMNS, Moment, row_of
+from lanebound.integrity.assessment.record import Record
+from lanebound.integrity.positioning.modes import Mode
+
+__all__ = ["EpisodeLog"]
+
+MODES = {mode.key: int(mode) for mode in Mode}
+
+
+class EpisodeLog:
+    """Rows as they come.
+
+    Attributes
+    ----------
+    rows : one dict for each step, with the keys of :data:`~lanebound.agents.episodes.columns.COLUMNS`
+    """
+
+    def __init__(self) -> None:
+        self.rows: list[dict[str, Any]] = []
+
+    def note(self, moment: Moment) -> None:
+        """Append the row of a step."""
+        self.rows.append(row_of(moment))
+
+    def episode(self, number: int) -> list[dict[str, Any]]:
+        """The rows of one episode, its start first."""
+        return [row for row in self.rows if row["episode"] == number]
+
+    def to_table(self) -> Any:
+        """A pyarrow Table; unit and meaning of a column are in the metadata of its field."""
+        import pyarrow as pa
+
+        types = {
+            "int": pa.int64(),
+            "float": pa.float64(),
+            "bool": pa.bool_(),
+            "text": pa.string(),
+            "floats": pa.list_(pa.float64()),
+        }
+        fields = [pa.field(c.name, types[c.kind], metadata={"unit": c.unit, "meaning": c.meaning}) for c in COLUMNS]
+        return pa.Table.from_pylist(self.rows, schema=pa.schema(fields))
+
+    def write(self, path: Path) -> None:
+        """Write the Parquet file; it is whole at any time."""
+        import pyarrow.parquet as pq
+
+        part = path.with_suffix(".part")
+        pq.write_table(self.to_table(), part)
+        os.replace(part, path)
+
+    def to_record(self, step_s: float) -> Record:
+        """Belief and truth after every decision, all episodes in one line, for assessment."""
+        rows = [row for row in self.rows if row["step"] > 0]
+
+        def column(name: str) -> Any:
+            return np.array([row[name] for row in rows])
+
+        return Record(
+            time_s=step_s * np.arange(1.0, len(rows) + 1.0),
+            mode=np.array([MODES[row["mode"]] for row in rows]),
+            error_at_m=column("err_at_m"),
+            error_ct_m=column("err_ct_m"),
+            pl_at_m=column("pl_at_m"),
+            pl_ct_m=column("pl_ct_m"),
+            alert=column("alert"),
+            available=column("available"),
+        )

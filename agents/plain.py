@@ -1,0 +1,26 @@
+"""Plain data for JSON, which has no infinity and no NaN."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+
+__all__ = ["finite_or_none", "to_json_text"]
+
+
+def finite_or_none(data: Any) -> Any:
+    """A copy of plain data, at any depth, in which None stands for every float that is infinite or NaN."""
+    if isinstance(data, float):
+        return data if math.isfinite(data) else None
+    if isinstance(data, Mapping):
+        return {key: finite_or_none(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [finite_or_none(value) for value in data]
+    return data
+
+
+def to_json_text(data: Any, indent: int = 2) -> str:
+    """JSON that every reader takes: ``null`` for what is infinite or NaN, letters as they are."""
+    return json.dumps(finite_or_none(data), indent=indent, ensure_ascii=False, allow_nan=False)

@@ -1,0 +1,47 @@
+"""The worlds that can be driven: our own by name, highway-env's by id, under either kind of action."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from highway_env.envs.common.abstract import AbstractEnv
+
+from lanebound.envs.config import ActionKind, EnvConfig
+from lanebound.envs.world import make_world, world_defaults
+from lanebound.envs.worlds import CarFollowingWorld, LaneKeepingWorld, UrbanCanyonWorld
+
+__all__ = ["OWN_WORLDS", "world_of"]
+
+OWN_WORLDS: dict[str, type[AbstractEnv]] = {
+    "LaneKeepingWorld": LaneKeepingWorld,
+    "CarFollowingWorld": CarFollowingWorld,
+    "UrbanCanyonWorld": UrbanCanyonWorld,
+}
+OTHER_FORM = {"intersection-v2": "intersection-v1"}  # highway-env keeps another id for continuous actions
+TYPES = {ActionKind.META: "DiscreteMetaAction", ActionKind.CONTINUOUS: "ContinuousAction"}
+META_OPTIONS = ("target_speeds", "longitudinal", "lateral")
+
+
+def world_of(config: EnvConfig) -> AbstractEnv:
+    """The true world of a configuration.
+
+    Raises
+    ------
+    ConfigError
+        See :func:`lanebound.envs.world.make_world`.
+    """
+    continuous = config.action is ActionKind.CONTINUOUS
+    name = OTHER_FORM.get(config.base, config.base) if continuous else config.base
+    base = OWN_WORLDS.get(name, name)
+    action = {**_action(world_defaults(base)["action"], config.action), **config.action_options}
+    return make_world(base, config.world, action, config.simulation_hz, config.policy_hz)
+
+
+def _action(native: dict[str, Any], kind: ActionKind) -> dict[str, Any]:
+    """The world's own action where it is of this kind; else the standard one, with its own choice of speeds."""
+    if native["type"] == TYPES[kind]:
+        return dict(native)
+    if kind is ActionKind.CONTINUOUS:
+        return {"type": TYPES[kind], "steering_range": [-np.pi / 4, np.pi / 4]}
+    return {"type": TYPES[kind], **{k: native[k] for k in META_OPTIONS if k == "target_speeds" and k in native}}

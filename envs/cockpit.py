@@ -1,0 +1,250 @@
+"""The cockpit: everything between the true world and what the ego believes of it.
+
+It is told when the car has moved, and brings the belief up to date before anything is decided: measures, navigates,
+perceives traffic, and places the believed vehicle. Truth enters through :meth:`Cockpit.look` alone, as measurements.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.road.road import Road
+from highway_env.vehicle.kinematics import Vehicle
+from numpy.typing import NDArray
+
+from lanebound.envs.actuators import ActuatorConfig, Actuators
+from lanebound.envs.ego import BelievedVehicle, MetaEgo, take_over
+from lanebound.envs.fleet import Fleet
+from lanebound.envs.motion import Motion
+from lanebound.envs.navigation import Fix, NavigationConfig, Source, fix_of, place
+from lanebound.envs.perception import Perception
+from lanebound.envs.records import EgoBelief, Traffic
+from lanebound.envs.sky import Street
+from lanebound.envs.tracker import Tracker
+from lanebound.integrity.navigator import Measurements, Navigator
+from lanebound.integrity.sensors.effects import FaultEffects
+from lanebound.integrity.streams import Streams
+
+__all__ = ["Cockpit", "Surroundings"]
+
+Array = NDArray[np.float64]
+ROW = np.zeros(1, dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What an episode takes place in: the street, the ego's navigator and how the ego perceives others.
+
+    ``navigator`` is None when the position is given, not sensed.
+    """
+
+    street: Street
+    navigator: Navigator | None
+    fleet: Fleet
+    perception: Perception
+    streams: Streams
+    map_bound_m: float
+
+
+class Cockpit:
+    """The ego's senses and belief during one episode.
+
+    Attributes
+    ----------
+    believed : the vehicle that steers, on its own perceived road over the shared network
+    tracker : pose by which it is placed
+    traffic : whom the ego perceives
+    time_s : since the start
+    """
+
+    def __init__(
+        self,
+        world: AbstractEnv,
+        config: NavigationConfig,
+        actuators: ActuatorConfig | None,
+        limits_m: tuple[float, float],
+        around: Surroundings,
+    ) -> None:
+        self.world, self.config, self.around, self.limits_m = world, config, around, limits_m
+        self.step_s = 1.0 / world.config["simulation_frequency"]
+        self.steps_per_epoch = round(1.0 / (config.rate_hz * self.step_s))
+        self.time_s, self._moved, self._seen = 0.0, 0, 0
+        self.alert_age_s = self.steering_rad = 0.0
+        self.measurements: Measurements | None = None
+        self.traffic = Traffic.none()
+        ego = world.vehicle
+        self._actuators = None if actuators is None else Actuators(actuators, self.step_s, ego.LENGTH)
+        rng = around.streams.generators("start")[0]
+        self._map_shift_m = config.map_sigma_m * rng.standard_normal(2) if around.navigator else np.zeros(2)
+        self.believed = BelievedVehicle.of(ego, self._perceived_road())
+        take_over(ego, self)
+        self._motion = Motion.still(1, self.step_s)
+        self.tracker = Tracker(config, self._map_shift_m, self._first_fix())
+        self._place()
+        self._perceive()
+
+    def _perceived_road(self) -> Road:
+        """A road over the same network, with a generator of its own and nobody on it but the believed vehicle."""
+        road = self.world.road
+        return Road(
+            network=road.network,
+            np_random=np.random.default_rng(0),  # next_lane takes one and draws nothing
+            neighbour_vehicles_connected_lanes=road.neighbour_vehicles_connected_lanes,
+        )
+
+    @property
+    def ego(self) -> Vehicle:
+        """The physical car, for those who score."""
+        return self.world.vehicle
+
+    # What the physical ego calls
+
+    def moved(self) -> None:
+        """The car has moved; the others are about to."""
+        self._moved += 1
+
+    def look(self) -> None:
+        """Bring the belief up to date with what has moved since."""
+        if self._moved == self._seen:
+            return
+        self._seen = self._moved
+        self.time_s = self._seen * self.step_s
+        epoch = self._seen % self.steps_per_epoch == 0
+        self._motion.advance(ROW, self.ego.position[None], np.array([self.ego.heading]))
+        self.around.fleet.follow()
+        if self.around.navigator is None:
+            self.tracker.take(self._given(), self.step_s, self.step_s)
+        elif epoch:
+            self.tracker.take(self._navigate(self.around.navigator), self.step_s, self.epoch_s)
+        else:
+            self.tracker.coast(self.step_s)
+        self._place()
+        if epoch:
+            self.around.fleet.navigate(self.time_s, self.epoch_s)
+            self._perceive()
+        self.alert_age_s = self.alert_age_s + self.step_s if self.tracker.fix.alert else 0.0
+
+    def limit(self, action: dict[str, float]) -> dict[str, float]:
+        """What the actuators make of a command."""
+        if self._actuators is not None:
+            action = self._actuators.limit(action, float(self.ego.speed))
+        self.steering_rad = float(action["steering"])
+        return action
+
+    # From truth to measurements
+
+    @property
+    def epoch_s(self) -> float:
+        """Length of a navigation epoch."""
+        return float(self.step_s * self.steps_per_epoch)
+
+    def _first_fix(self) -> Fix:
+        """Where the ego believes to be at the start, after driving straight up to it."""
+        ego, navigator = self.ego, self.around.navigator
+        if navigator is None:
+            self._motion.enter(0, ego.position, ego.heading, ego.speed)
+            return self._given()
+        epochs = max(1, round(self.config.warm_up_s / self.epoch_s))
+        ahead = ego.speed * np.array([math.cos(ego.heading), math.sin(ego.heading)])
+        begin = ego.position - epochs * self.epoch_s * ahead
+        self._motion.enter(0, begin, ego.heading, ego.speed)
+        noise = self.around.streams.generators("start")[0].standard_normal((1, 3))
+        place(navigator, self.config, begin[None], np.array([ego.heading]), noise)
+        for k in range(1, epochs * self.steps_per_epoch + 1):
+            position = ego.position if k == epochs * self.steps_per_epoch else begin + k * self.step_s * ahead
+            self._motion.advance(ROW, position[None], np.array([ego.heading]))
+            if k % self.steps_per_epoch == 0:
+                fix = self._navigate(navigator, (k // self.steps_per_epoch - epochs) * self.epoch_s)
+        return fix
+
+    def _navigate(self, navigator: Navigator, time_s: float | None = None) -> Fix:
+        """Measure the epoch that ends now, and locate the ego by the measurements alone."""
+        ego = self.ego
+        arc, lane = self.around.street.where(ego.lane_index, ego.lane.local_coordinates(ego.position)[0])
+        when = self.time_s if time_s is None else time_s
+        truth = self._motion.epoch(
+            self.config.warm_up_s + self.epoch_s + when, self.epoch_s, np.array([arc]), np.array([lane])
+        )
+        self.measurements = navigator.measure(truth)
+        return fix_of(navigator.locate(self.measurements), 0)
+
+    def _given(self) -> Fix:
+        """The truth, displaced by the constant offset."""
+        ego, c = self.ego, self.config
+        forward = np.array([math.cos(ego.heading), math.sin(ego.heading)])
+        right = np.array([-forward[1], forward[0]])
+        at, ct = (c.offset_at_m, c.offset_ct_m) if c.source is Source.OFFSET else (0.0, 0.0)
+        return Fix.known(
+            ego.position + at * forward + ct * right, float(ego.heading), float(ego.speed), abs(at), abs(ct)
+        )
+
+    # From measurements to belief
+
+    def _place(self) -> None:
+        if self.config.source is Source.PERFECT:
+            self.believed.copy_from(self.ego)
+        else:
+            t = self.tracker
+            self.believed.place(t.position_m, t.heading_rad, t.fix.speed_mps)
+
+    def _perceive(self) -> None:
+        fleet, perception = self.around.fleet, self.around.perception
+        effects = FaultEffects.none(fleet.ego_slot + 1, 0)
+        self.traffic = perception.step(
+            self.time_s, self.belief(), fleet.ego_slot, fleet.present(), fleet.claims(), effects
+        )
+
+    def belief(self) -> EgoBelief:
+        """All that the ego knows of itself now."""
+        b, fix = self.believed, self.tracker.fix
+        longitudinal, lateral = b.lane.local_coordinates(b.position)
+        pl_at, pl_ct = self.tracker.levels_m(self.around.map_bound_m)
+        given = self.around.navigator is None
+        return EgoBelief(
+            time_s=self.time_s,
+            position_m=b.position.copy(),
+            heading_rad=float(b.heading),
+            speed_mps=float(b.speed),
+            yaw_rate_radps=self.tracker.yaw_rate_radps,
+            acceleration_mps2=self.tracker.acceleration_mps2,
+            steering_rad=self.steering_rad,
+            lane_index=b.lane_index,
+            longitudinal_m=float(longitudinal),
+            lateral_m=float(lateral),
+            angle_rad=float(b.lane.local_angle(b.heading, longitudinal)),
+            lane_width_m=float(b.lane.width_at(longitudinal)),
+            target_lane_index=b.target_lane_index if self.meta else b.lane_index,
+            target_speed_mps=float(b.target_speed if self.meta else b.speed),
+            pl_at_m=fix.pl_at_m if given else pl_at,
+            pl_ct_m=fix.pl_ct_m if given else pl_ct,
+            al_at_m=self.limits_m[0],
+            al_ct_m=self.limits_m[1],
+            mode=fix.mode,
+            rtk=fix.rtk,
+            reason=fix.reason,
+            alert=fix.alert,
+            alert_age_s=self.alert_age_s,
+            available=fix.available,
+            hdop=fix.hdop,
+            satellites=fix.satellites,
+            satellites_doppler=fix.satellites_doppler,
+            excluded=fix.excluded,
+            since_rtk_s=fix.since_rtk_s,
+            since_calibration_s=fix.since_calibration_s,
+            corrections_age_s=fix.corrections_age_s,
+        )
+
+    @property
+    def route(self) -> list[Any] | None:
+        """The route intended, None for wherever the lane leads."""
+        route: list[Any] | None = self.believed.route
+        return route
+
+    @property
+    def meta(self) -> bool:
+        """Whether the ego is under meta-actions."""
+        return isinstance(self.ego, MetaEgo)

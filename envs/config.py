@@ -1,0 +1,119 @@
+"""The configuration of an environment: the world, its sky, what the ego knows of it, and how driving is judged."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from difflib import get_close_matches
+from enum import Enum
+from typing import Any, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from lanebound.envs.actuators import ActuatorConfig
+from lanebound.envs.costs import CostConfig
+from lanebound.envs.navigation import NavigationConfig
+from lanebound.envs.observation import ObservationConfig
+from lanebound.envs.perception import PerceptionConfig
+from lanebound.envs.rendering.config import RenderingConfig
+from lanebound.envs.rewards import RewardConfig
+from lanebound.envs.sky import SKY_LEVELS, SkyLevel
+from lanebound.integrity.config import Config
+from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.sensors.campaign import FaultPriors
+
+__all__ = ["ActionKind", "EnvConfig", "FaultLevel"]
+
+
+class ActionKind(Enum):
+    """What an agent commands."""
+
+    META = "meta"
+    CONTINUOUS = "continuous"
+
+
+class FaultLevel(Enum):
+    """How often instruments and satellites fail."""
+
+    NONE = "none"
+    NOMINAL = "nominal"
+    STRESS = "stress"
+
+    @property
+    def priors(self) -> FaultPriors | None:
+        """Rates by kind of fault; None without any."""
+        return None if self is FaultLevel.NONE else FaultPriors.preset(f"sensors/fault_priors_{self.value}")
+
+
+class EnvConfig(Config):
+    """Everything that makes an environment; what an id presets may be overridden key by key.
+
+    >>> EnvConfig.build({"base": "highway-v0"}, {"sky": "dense", "cost": {"hmi": 1.0}}).cost.hmi
+    1.0
+    """
+
+    base: str = Field(description="highway-env id, or one of our own worlds")
+    world: Mapping[str, Any] = Field({}, description="overrides of the world's own configuration, merged deeply")
+    action: ActionKind = Field(ActionKind.META, description="meta-actions, or steering and acceleration")
+    action_options: Mapping[str, Any] = Field({}, description="highway-env's options of that action type")
+    simulation_hz: int = Field(20, ge=1, le=200, description="steps of the dynamics in a second")
+    policy_hz: int = Field(2, ge=1, le=50, description="decisions in a second; must divide simulation_hz")
+    sky: str = Field("urban", description=f"level of the sky: {', '.join(SKY_LEVELS)}, or a preset's full name")
+    layouts: int = Field(4, ge=1, le=64, description="number of made-up cities, one of them drawn for each episode")
+    extent_m: float = Field(2500.0, gt=0, description="longer lanes are lined with houses up to here")
+    faults: FaultLevel = Field(FaultLevel.NONE, description="how often instruments and satellites fail")
+    navigation: NavigationConfig = Field(NavigationConfig(), description="how the ego knows its position")
+    navigator: Mapping[str, Any] = Field({}, description="overrides of the level's NavigatorConfig, merged deeply")
+    perception: PerceptionConfig = Field(PerceptionConfig(), description="how the ego knows the traffic")
+    slots: int = Field(64, ge=0, le=512, description="vehicles beside the ego that may broadcast, the rest is silent")
+    observation: ObservationConfig = Field(ObservationConfig(), description="what the agent sees of it")
+    actuators: ActuatorConfig | None = Field(
+        ActuatorConfig(), description="limits of steering; None for highway-env's own"
+    )
+    al_at_m: float = Field(1.5, gt=0, description="along-track alert limit; S2 section 6")
+    al_ct_m: float | None = Field(None, gt=0, description="cross-track alert limit; None: half of lane less car width")
+    lane_width_m: float = Field(4.0, gt=2, le=10, description="narrowest lane, for that limit; highway-env's own lanes")
+    keep_lane: bool = Field(True, description="whether the car must keep its lane, and not the road alone")
+    off_road_ends: bool = Field(True, description="end the episode when the car's middle leaves the road")
+    wrong_way_s: float = Field(1.0, gt=0, description="end it after driving against a lane for so long")
+    success_share: float = Field(
+        0.25,
+        ge=0,
+        le=1,
+        description="mean speed over the limit that an episode without arrival needs",
+    )
+    reward: RewardConfig = Field(RewardConfig(), description="weights of the reward's terms")
+    cost: CostConfig = Field(CostConfig(), description="weights and figures of the costs")
+    cost_limit: float = Field(10.0, ge=0, description="of an episode, for constrained learning; not enforced")
+    rendering: RenderingConfig = Field(RenderingConfig(), description="size and looks of pictures")
+
+    @field_validator("sky")
+    @classmethod
+    def _sky_exists(cls, name: str) -> str:
+        if name not in SKY_LEVELS and "/" not in name:
+            near = (get_close_matches(name, SKY_LEVELS, 1) or ["urban"])[0]
+            raise ConfigError(f"sky must be one of {', '.join(SKY_LEVELS)}, got {name!r}: did you mean {near!r}?")
+        return name
+
+    @model_validator(mode="after")
+    def _rates_divide(self) -> Self:
+        if self.simulation_hz % self.policy_hz:
+            raise ConfigError(
+                f"policy_hz must divide simulation_hz = {self.simulation_hz}, got {self.policy_hz}: choose a divisor"
+            )
+        ratio = self.simulation_hz / self.navigation.rate_hz
+        if self.navigation.source.senses and abs(ratio - round(ratio)) > 1e-9:
+            raise ConfigError(
+                f"navigation.rate_hz must divide simulation_hz = {self.simulation_hz}, "
+                f"got {self.navigation.rate_hz}: choose a divisor"
+            )
+        return self
+
+    @property
+    def level(self) -> SkyLevel:
+        """The level of the sky."""
+        return SkyLevel.named(self.sky)
+
+    def limits_m(self, car_width_m: float) -> tuple[float, float]:
+        """Alert limits along and across the track."""
+        geometric = 0.5 * (self.lane_width_m - car_width_m)
+        return self.al_at_m, geometric if self.al_ct_m is None else self.al_ct_m

@@ -1,0 +1,251 @@
+"""The environment: highway-env's world, driven on belief, observed and judged with its integrity."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from highway_env.envs.common.action import DiscreteMetaAction
+from numpy.typing import NDArray
+
+from lanebound.envs.catalogue import world_of
+from lanebound.envs.cockpit import Cockpit
+from lanebound.envs.config import EnvConfig
+from lanebound.envs.costs import Corridor, costs_of, lead_of, weighted
+from lanebound.envs.judge import Judge, Verdict
+from lanebound.envs.observation import Observer
+from lanebound.envs.pictures import Pictures
+from lanebound.envs.records import EgoBelief
+from lanebound.envs.rewards import rewards_of, total
+from lanebound.envs.scene import set_scene
+from lanebound.envs.truth import true_belief, true_traffic
+from lanebound.envs.world import check_command
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.sensors.faults import Fault
+
+__all__ = ["DrivingEnv"]
+
+Array = NDArray[np.float64]
+OPTIONS = ("faults",)
+ENDLESS_S = 300.0  # of sky for worlds that set no duration
+
+
+class DrivingEnv(gymnasium.Env[Any, Any]):
+    """Driving on belief: one environment class for every id.
+
+    Parameters
+    ----------
+    config : EnvConfig or mapping
+        Overrides are merged deeply over the id's own configuration by :func:`lanebound.envs.make_config`.
+    render_mode : ``"rgb_array"``, ``"human"`` or None
+
+    The 5-tuple of ``step`` is Gymnasium's. ``info`` has the same keys at every step and at reset: levels, limits,
+    errors and events for scoring (``err_*``, ``mi``, ``hmi`` and the like come from the truth, which no agent is to be
+    given), ``cost`` and its causes, and the reward's terms.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 20}  # noqa: RUF012 - as Gymnasium
+
+    def __init__(self, config: EnvConfig | Mapping[str, Any], render_mode: str | None = None) -> None:
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise InputError(f"render_mode must be one of {self.metadata['render_modes']}, got {render_mode!r}")
+        self.config = config if isinstance(config, EnvConfig) else EnvConfig.load(config)
+        self.render_mode = render_mode
+        self.metadata = {**type(self).metadata, "render_fps": self.config.policy_hz}
+        self.world = world_of(self.config)
+        self.observer = Observer(self.config.observation)
+        self.action_space = self.world.action_type.space()
+        self.observation_space = self.observer.space
+        self.cockpit: Cockpit | None = None
+        self._pictures: Pictures | None = None
+
+    @property
+    def dt_s(self) -> float:
+        """Length of a policy step."""
+        return 1.0 / self.config.policy_hz
+
+    # Gymnasium
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode.
+
+        Parameters
+        ----------
+        seed : seeds everything; without one the environment goes on from where its generators are
+        options : ``{"faults": [...]}`` with faults (or their plain data) that take the place of the random campaign
+
+        Raises
+        ------
+        InputError
+            Unknown options.
+        """
+        super().reset(seed=seed)
+        faults = _faults_in(options)
+        episode_seed = int(self.np_random.integers(2**62))
+        self.world.reset(seed=seed if seed is not None else int(self.np_random.integers(2**31)))
+        duration = float(self.world.config.get("duration", ENDLESS_S))
+        around = set_scene(self.world, self.config, episode_seed, duration, faults)
+        limits = self.config.limits_m(self.world.vehicle.WIDTH)
+        self.cockpit = Cockpit(self.world, self.config.navigation, self.config.actuators, limits, around)
+        self._belief = self.cockpit.belief()
+        self._corridor = Corridor(not self.config.keep_lane, self._belief.target_lane_index)
+        self._judge = Judge(self.config, self.world)
+        self._speed_before = float(self.world.vehicle.speed)
+        self.observer.reset()
+        verdict = self._judge.look(self._belief, self.dt_s, ended=False)
+        info = self._info(verdict, self._costs(verdict, start=True), self._rewards(verdict, 0.0, start=True))
+        self._show(info)
+        return self._observe(), info
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Carry out a command until the next decision.
+
+        Raises
+        ------
+        InputError
+            Before the first reset, or for a command outside the action space.
+        """
+        cockpit = self._cockpit()
+        check_command(self.action_space, action)
+        command = action if isinstance(self.action_space, spaces.Box) else int(action)
+        _, base, terminated, truncated, _ = self.world.step(command)
+        cockpit.look()
+        self._belief = cockpit.belief()
+        self._corridor.update(self._belief)
+        verdict = self._judge.look(self._belief, self.dt_s, ended=bool(terminated or truncated))
+        costs, rewards = self._costs(verdict), self._rewards(verdict, float(base))
+        info = self._info(verdict, costs, rewards)
+        self._show(info)
+        reward = total(self.config.reward, rewards)
+        return self._observe(), reward, bool(terminated) or verdict.failed, bool(truncated), info
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """The picture of now, (height, width, 3), under ``rgb_array``; ``human`` shows it as the drive goes."""
+        if self.render_mode == "rgb_array":
+            return self._picture().draw(self._cockpit(), self._title)
+        return None
+
+    def close(self) -> None:
+        """Close the window, if any; the environment can be used again."""
+        if self._pictures is not None:
+            self._pictures.close()
+        self._pictures = None
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Which meta-actions make sense from where the ego believes to be, (n,) bool (sb3-contrib's name).
+
+        Raises
+        ------
+        InputError
+            Under continuous actions.
+        """
+        inner = self.world.action_type
+        if not isinstance(inner, DiscreteMetaAction):
+            raise InputError("action_masks needs meta-actions, got continuous ones: there is nothing to mask")
+        inner.controlled_vehicle = self._cockpit().believed
+        try:
+            allowed = inner.get_available_actions()
+        finally:
+            inner.controlled_vehicle = None
+        mask = np.zeros(len(inner.actions), dtype=np.bool_)
+        mask[allowed] = True
+        return mask
+
+    # What the agent sees
+
+    def _observe(self) -> Any:
+        cockpit = self._cockpit()
+        belief, traffic = self._belief, cockpit.traffic
+        if self.config.observation.integrity == "oracle":
+            belief, traffic = true_belief(cockpit), true_traffic(cockpit)
+        network, route = self.world.road.network, cockpit.route
+        return self.observer.observe(belief, traffic, self._sky_ahead(belief), network, route)
+
+    def _sky_ahead(self, belief: EgoBelief) -> NDArray[np.int64] | None:
+        """Satellites that the map predicts ahead of the believed pose; None where nothing is sensed."""
+        cockpit = self._cockpit()
+        if cockpit.measurements is None or not self.observer.satellites_m.size:
+            return None
+        street, place = cockpit.around.street, belief.longitudinal_m
+        return street.predicted_beside(
+            belief.lane_index, place, self.observer.satellites_m, cockpit.measurements.sky, cockpit.route
+        )
+
+    # How it is judged
+
+    def _costs(self, verdict: Verdict, start: bool = False) -> dict[str, float]:
+        belief, traffic, car = self._belief, self._cockpit().traffic, self.world.vehicle
+        network, c = self.world.road.network, self.config.cost
+        lead = lead_of(network, belief, traffic, float(car.LENGTH))
+        dt_s = 0.0 if start else self.dt_s
+        return costs_of(c, network, self._corridor, car, belief, lead, verdict.crashed_now, verdict.hmi, dt_s)
+
+    def _rewards(self, verdict: Verdict, base: float, start: bool = False) -> dict[str, float]:
+        car, dt_s = self.world.vehicle, 0.0 if start else self.dt_s
+        speed = float(car.speed)
+        along, across = (speed - self._speed_before) / self.dt_s, speed * verdict.yaw_rate_radps
+        self._speed_before = speed
+        return rewards_of(car, along, across, verdict.crashed_now, base, dt_s)
+
+    def _info(self, verdict: Verdict, costs: dict[str, float], rewards: dict[str, float]) -> dict[str, Any]:
+        b, c = self._belief, self.config.cost
+        late_s = c.time_to_alert_s - b.alert_age_s
+        return {
+            "cost": weighted(c, costs),
+            **costs,
+            "pl_at_m": b.pl_at_m,
+            "pl_ct_m": b.pl_ct_m,
+            "al_at_m": b.al_at_m,
+            "al_ct_m": b.al_ct_m,
+            "margin_at_m": b.al_at_m - b.pl_at_m,
+            "margin_ct_m": b.al_ct_m - b.pl_ct_m,
+            "alert": b.alert,
+            "available": b.available,
+            "mode": b.mode,
+            "reason": b.reason,
+            "tta_s": max(late_s, 0.0) if b.alert else c.time_to_alert_s,
+            "speed_mps": float(self.world.vehicle.speed),
+            "rewards": rewards,
+            **asdict(verdict),
+        }
+
+    # Helpers
+
+    def _cockpit(self) -> Cockpit:
+        if self.cockpit is None:
+            raise InputError("reset must come before everything else, got no episode: call reset() first")
+        return self.cockpit
+
+    @property
+    def _title(self) -> str:
+        return self.config.base if self.spec is None else str(self.spec.id)
+
+    def _picture(self) -> Pictures:
+        if self._pictures is None:
+            self._pictures = Pictures(self.config.rendering, self._title, self.metadata["render_fps"])
+        return self._pictures
+
+    def _show(self, info: dict[str, Any]) -> None:
+        if self.render_mode is None:
+            return
+        self._picture().note(self._cockpit(), info)
+        if self.render_mode == "human":
+            self._picture().show(self._cockpit(), self._title)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything but the window, which cannot be copied."""
+        return {**self.__dict__, "_pictures": None}
+
+
+def _faults_in(options: dict[str, Any] | None) -> tuple[Fault, ...] | None:
+    """The faults that ``reset`` was given, None for the random campaign."""
+    unknown = [key for key in options or {} if key not in OPTIONS]
+    if unknown:
+        raise InputError(f"options must be among {', '.join(OPTIONS)}, got {unknown[0]!r}: correct the name")
+    if not options or "faults" not in options:
+        return None
+    return tuple(fault if isinstance(fault, Fault) else Fault.load(fault) for fault in options["faults"])

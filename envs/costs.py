@@ -1,0 +1,181 @@
+"""What driving costs, by cause: the constraints of an agent. All are for scoring; truth may enter here and only here.
+
+Symbols: v speed over ground [m/s], dt length of a policy step [s], W and L width and length of the car, w width of the
+lane, d lateral offset from the middle of the lane, psi heading less the lane's. Costs are >= 0 and 0 for a car at rest
+in its lane; each is an integral over time, so that halving the policy's rate leaves an episode's cost as it is.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from highway_env.road.road import RoadNetwork
+from highway_env.vehicle.kinematics import Vehicle
+from pydantic import Field
+
+from lanebound.envs.records import EgoBelief, LaneIndex, Traffic
+from lanebound.integrity.config import Config
+
+__all__ = ["CAUSES", "Corridor", "CostConfig", "Lead", "costs_of", "lead_of", "rss_distance_m", "weighted"]
+
+CAUSES = ("cost_collision", "cost_lane", "cost_lane_integrity", "cost_headway", "cost_alert", "cost_hmi")
+EXCESS_MAX_M = 2.0  # beyond a lane's width being further out is no worse; also what a missing level counts as
+
+
+class CostConfig(Config):
+    """Weights of the causes and the figures of their formulas."""
+
+    collision: float = Field(10.0, ge=0, description="weight of cost_collision [-]; a crash outweighs any departure")
+    lane: float = Field(1.0, ge=0, description="weight of cost_lane [1/m^2]")
+    lane_integrity: float = Field(0.1, ge=0, description="weight of cost_lane_integrity [1/m^2]; a risk, no harm yet")
+    headway: float = Field(0.5, ge=0, description="weight of cost_headway [1/s]")
+    alert: float = Field(0.5, ge=0, description="weight of cost_alert [1/s]")
+    hmi: float = Field(5.0, ge=0, description="weight of cost_hmi [1/s]; what integrity is there to prevent")
+    response_s: float = Field(0.5, gt=0, le=3, description="response time rho of the RSS distance; Shalev-Shwartz 2017")
+    accelerate_mps2: float = Field(2.0, ge=0, description="acceleration during the response; RSS, comfort")
+    brake_min_mps2: float = Field(4.0, gt=0, description="braking that the ego is sure to reach; RSS, IEEE 2846 survey")
+    brake_max_mps2: float = Field(6.0, gt=0, description="braking of the leader at most; our leads brake 2.5 to 6")
+    alert_speed_share: float = Field(
+        0.5, ge=0, le=1, description="share of the lane's speed limit permitted while an alert is on [-]; argued"
+    )
+    time_to_alert_s: float = Field(1.0, ge=0, description="TTA, allowed for a reaction to an alert; S3 II.B")
+
+
+@dataclass(frozen=True)
+class Lead:
+    """The nearest vehicle perceived ahead in the ego's lane: gap bumper to bumper, speed, bound of the gap's error."""
+
+    gap_m: float
+    speed_mps: float
+    bound_m: float
+
+
+def rss_distance_m(ego_mps: float, lead_mps: float, c: CostConfig) -> float:
+    """Longitudinal distance that is always safe (Shalev-Shwartz et al. 2017, definition 1), 0 at least.
+
+    ``v rho + a rho^2 / 2 + (v + a rho)^2 / (2 b_min) - v_lead^2 / (2 b_max)``; a car at rest stays so: 0.
+    """
+    v, lead = max(ego_mps, 0.0), max(lead_mps, 0.0)
+    if v < 0.1:
+        return 0.0
+    after = v + c.accelerate_mps2 * c.response_s
+    travel = v * c.response_s + 0.5 * c.accelerate_mps2 * c.response_s**2 + after * after / (2.0 * c.brake_min_mps2)
+    return max(travel - lead * lead / (2.0 * c.brake_max_mps2), 0.0)
+
+
+def lead_of(network: RoadNetwork, belief: EgoBelief, traffic: Traffic, length_m: float) -> Lead | None:
+    """Whom the ego believes to follow: the nearest perceived vehicle ahead within half a lane width of its lane.
+
+    The lane goes on straight past its end here, as highway-env's local coordinates do.
+    """
+    lane = network.get_lane(belief.lane_index)
+    own = 0.0 if not math.isfinite(belief.pl_at_m) else belief.pl_at_m
+    best: Lead | None = None
+    for i in range(traffic.count):
+        s, d = lane.local_coordinates(traffic.position_m[i])
+        ahead = float(s) - belief.longitudinal_m
+        if ahead <= 0.0 or abs(d) > 0.5 * belief.lane_width_m:
+            continue
+        gap = ahead - 0.5 * (length_m + float(traffic.length_m[i]))
+        if best is None or gap < best.gap_m:
+            bound = float(traffic.pl_at_m[i]) + (0.0 if traffic.relative[i] else own)
+            missing = not traffic.relative[i] and not math.isfinite(belief.pl_at_m)
+            best = Lead(gap, float(traffic.speed_mps[i]), math.inf if missing else bound)
+    return best
+
+
+@dataclass
+class Corridor:
+    """The lanes that the ego may be in: its own, and during a commanded change the one that it comes from.
+
+    ``whole_road`` allows every lane of the road, for continuous actions, which command no lane.
+    """
+
+    whole_road: bool
+    lane_index: LaneIndex
+    leaving: LaneIndex | None = None
+
+    def update(self, belief: EgoBelief) -> None:
+        """Follow what is commanded, by belief; a change is over when the car believes to be inside its new lane."""
+        target = belief.target_lane_index
+        if target != self.lane_index:
+            self.leaving = self.lane_index if target[:2] == self.lane_index[:2] else self.leaving
+            self.lane_index = target
+        arrived = belief.lane_index == self.lane_index and abs(belief.lateral_m) < 0.25 * belief.lane_width_m
+        if arrived or (self.leaving is not None and self.leaving[:2] != self.lane_index[:2]):
+            self.leaving = None
+
+    @property
+    def changing(self) -> bool:
+        """Whether a lane change is under way."""
+        return self.leaving is not None
+
+
+def overhang_m(network: RoadNetwork, corridor: Corridor, position: Any, heading_rad: float, vehicle: Vehicle) -> float:
+    """How far a car's body reaches beyond the outer edges of its corridor, 0 inside."""
+    start, end, _ = corridor.lane_index
+    lanes = network.graph[start][end]
+    own = corridor.lane_index[2] or 0
+    ids = range(len(lanes)) if corridor.whole_road else {own, corridor.leaving[2] if corridor.leaving else own}
+    low, high = lanes[min(ids)], lanes[max(ids)]
+    beyond = 0.0
+    for lane, side in ((low, -1.0), (high, 1.0)):
+        s, d = lane.local_coordinates(position)
+        angle = lane.local_angle(heading_rad, s)
+        half = 0.5 * (vehicle.WIDTH * abs(math.cos(angle)) + vehicle.LENGTH * abs(math.sin(angle)))
+        beyond = max(beyond, side * float(d) + half - 0.5 * float(lane.width_at(s)))
+    return beyond
+
+
+def costs_of(
+    c: CostConfig,
+    network: RoadNetwork,
+    corridor: Corridor,
+    ego: Vehicle,
+    belief: EgoBelief,
+    lead: Lead | None,
+    crashed_now: bool,
+    hmi: bool,
+    dt_s: float,
+) -> dict[str, float]:
+    """Costs of one policy step by cause, unweighted.
+
+    ``cost_collision``  1 in the step of a crash.
+    ``cost_lane``  ``max(0, |d| + half body - w / 2) v dt`` of the TRUE car beyond its corridor, at most 2 m.
+    ``cost_lane_integrity``  ``max(0, |d_est| + PL_CT + W / 2 - w / 2) v dt`` of the belief, at most 2 m, also without
+    PL_CT; 0 during a commanded change and under continuous actions, which command no lane.
+    ``cost_headway``  ``max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt``, at most dt; 0 with nobody perceived ahead.
+    ``cost_alert``  dt while an alert is older than the TTA and the car drives faster than permitted or changes lane.
+    ``cost_hmi``  dt while misleading information is hazardous on either axis.
+    """
+    v = abs(float(ego.speed))
+    out = min(max(overhang_m(network, corridor, ego.position, float(ego.heading), ego), 0.0), EXCESS_MAX_M)
+    doubt = abs(belief.lateral_m) + belief.pl_ct_m + 0.5 * float(ego.WIDTH) - 0.5 * belief.lane_width_m
+    doubt = 0.0 if corridor.changing or corridor.whole_road else min(max(doubt, 0.0), EXCESS_MAX_M)
+    late = belief.alert and belief.alert_age_s > c.time_to_alert_s
+    limit = float(network.get_lane(belief.lane_index).speed_limit or 0.0)
+    fast = limit > 0.0 and v > c.alert_speed_share * limit
+    return {
+        "cost_collision": float(crashed_now),
+        "cost_lane": out * v * dt_s,
+        "cost_lane_integrity": doubt * v * dt_s,
+        "cost_headway": _short_headway(c, belief, lead) * dt_s,
+        "cost_alert": float(late and (fast or corridor.changing)) * dt_s,
+        "cost_hmi": float(hmi) * dt_s,
+    }
+
+
+def _short_headway(c: CostConfig, belief: EgoBelief, lead: Lead | None) -> float:
+    if lead is None:
+        return 0.0
+    needed = rss_distance_m(belief.speed_mps, lead.speed_mps, c)
+    if needed <= 0.0:
+        return 0.0
+    return min(max(1.0 - (lead.gap_m - lead.bound_m) / needed, 0.0), 1.0)
+
+
+def weighted(c: CostConfig, costs: dict[str, float]) -> float:
+    """The sum of the costs by their weights: ``info["cost"]``."""
+    return float(sum(getattr(c, cause.removeprefix("cost_")) * costs[cause] for cause in CAUSES))

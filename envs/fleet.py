@@ -1,0 +1,130 @@
+"""The other vehicles that broadcast: their true motion, and what each one's own navigation makes of it.
+
+A vehicle keeps a slot for as long as it is in the world; the next vehicle in that slot inherits its instruments.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.vehicle.kinematics import Vehicle
+from numpy.typing import NDArray
+
+from lanebound.envs.motion import Motion
+from lanebound.envs.navigation import NavigationConfig, place
+from lanebound.envs.perception import Claims, Vehicles
+from lanebound.envs.sky import Street
+from lanebound.integrity.accel import serial
+from lanebound.integrity.navigator import Navigator
+from lanebound.integrity.solution import Solution
+from lanebound.integrity.streams import Streams
+
+__all__ = ["Fleet"]
+
+Array = NDArray[np.float64]
+
+
+class Fleet:
+    """Up to ``capacity`` vehicles other than the ego.
+
+    Attributes
+    ----------
+    vehicles : the vehicles present, in the order of the world
+    rows : (n,) their slots
+    navigator : of all slots, or None when nobody broadcasts
+    solution : what each slot's navigation said last, None before the first epoch
+    """
+
+    EGO_KEY = 0
+
+    def __init__(
+        self,
+        world: AbstractEnv,
+        street: Street,
+        navigator: Navigator | None,
+        config: NavigationConfig,
+        streams: Streams,
+        capacity: int,
+    ) -> None:
+        self.world, self.street, self.navigator, self.config, self.streams = world, street, navigator, config, streams
+        self.motion = Motion.still(capacity, 1.0 / world.config["simulation_frequency"])
+        self.vehicles: list[Vehicle] = []
+        self.rows = np.zeros(0, dtype=np.int64)
+        self.solution: Solution | None = None
+        self._slot: dict[Vehicle, int] = {}
+        self._name: dict[Vehicle, int] = {}
+        self._named = self.EGO_KEY + 1
+        self._free = list(range(capacity))[::-1]
+        self.follow()
+
+    def follow(self) -> None:
+        """Take the poses of all vehicles after a simulation step; give slots to new ones, free those of the gone."""
+        present = [v for v in self.world.road.vehicles if v is not self.world.vehicle]
+        if present != self.vehicles:
+            self._reseat(present)
+        if self.vehicles:
+            position = np.array([v.position for v in self.vehicles])
+            heading = np.array([v.heading for v in self.vehicles], dtype=np.float64)
+            self.motion.advance(self.rows, position, heading)
+
+    def _reseat(self, present: list[Vehicle]) -> None:
+        for vehicle in [v for v in self._slot if v not in present]:
+            self._free.append(self._slot.pop(vehicle))
+            del self._name[vehicle]
+        fresh = [v for v in present if v not in self._slot][: len(self._free)]
+        for vehicle in fresh:
+            self._slot[vehicle], self._name[vehicle] = self._free.pop(), self._named
+            self._named += 1
+            self.motion.enter(self._slot[vehicle], vehicle.position, vehicle.heading, vehicle.speed)
+        self.vehicles = [v for v in present if v in self._slot]
+        self.rows = np.array([self._slot[v] for v in self.vehicles], dtype=np.int64)
+        if fresh and self.navigator is not None:
+            rows = np.array([self._slot[v] for v in fresh], dtype=np.int64)
+            noise = self.streams.normal("start", 3)[rows]
+            place(self.navigator, self.config, self.motion.position_m[rows], self.motion.heading_rad[rows], noise, rows)
+
+    def navigate(self, time_s: float, dt_s: float) -> None:
+        """One navigation epoch of every slot."""
+        if self.navigator is None:
+            return
+        arc, lane = np.zeros(self.motion.heading_rad.size), np.zeros(self.motion.heading_rad.size, dtype=np.int64)
+        for row, vehicle in zip(self.rows, self.vehicles, strict=True):
+            longitudinal = vehicle.lane.local_coordinates(vehicle.position)[0]
+            arc[row], lane[row] = self.street.where(vehicle.lane_index, longitudinal)
+        with serial():
+            self.solution = self.navigator.step(self.motion.epoch(time_s, dt_s, arc, lane))
+
+    def claims(self) -> Claims:
+        """What each slot would broadcast of itself, and a silent last row for the ego."""
+        if self.solution is None:
+            return _silent(self.motion.heading_rad.size + 1)
+        return _with_silent_row(Claims.of(self.solution))
+
+    def present(self) -> Vehicles:
+        """Who is really there, the ego in the last slot."""
+        ego, everyone = self.world.vehicle, [*self.vehicles, self.world.vehicle]
+        size = np.array([(v.heading, v.speed, v.LENGTH, v.WIDTH) for v in everyone], dtype=np.float64)
+        return Vehicles(
+            slot=np.append(self.rows, self.ego_slot),
+            key=np.append([self._name[v] for v in self.vehicles], self.EGO_KEY).astype(np.int64),
+            position_m=np.array([*(v.position for v in self.vehicles), ego.position]),
+            heading_rad=size[:, 0],
+            speed_mps=size[:, 1],
+            length_m=size[:, 2],
+            width_m=size[:, 3],
+        )
+
+    @property
+    def ego_slot(self) -> int:
+        """The slot after all others."""
+        return int(self.motion.heading_rad.size)
+
+
+def _silent(slots: int) -> Claims:
+    zero = np.zeros(slots)
+    return Claims(np.zeros((slots, 2)), zero, zero, zero, zero, np.zeros(slots, dtype=np.bool_))
+
+
+def _with_silent_row(claims: Claims) -> Claims:
+    rows, silent = vars(claims), vars(_silent(1))
+    return Claims(**{name: np.concatenate([rows[name], silent[name]]) for name in rows})

@@ -1,0 +1,70 @@
+"""What an observation holds, at which scale, and in which form."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Literal, Self
+
+from pydantic import model_validator
+
+from lanebound.integrity.config import Config, Field
+from lanebound.integrity.errors import ConfigError
+
+__all__ = ["ObservationConfig"]
+
+
+class ObservationConfig(Config):
+    """Form, content and scales of an observation; every entry is its quantity over its scale, clipped to its bounds."""
+
+    form: Literal["dict", "flat"] = Field("dict", description="one vector for each group, or all groups in one vector")
+    history: int = Field(
+        1, ge=1, le=64, description="observations stacked along the last axis, the newest last [-]; 1 is none"
+    )
+    integrity: Literal["full", "blind", "oracle"] = Field(
+        "full",
+        description="full; blind: no group integrity and no levels in traffic; oracle: full with protection levels of "
+        "0, for a true state that the caller passes",
+    )
+    vehicles: int = Field(6, ge=0, le=64, description="rows of traffic, the nearest first [-]")
+    preview_m: tuple[float, ...] = Field(
+        (5.0, 10.0, 20.0, 40.0, 80.0), description="where the route's centreline is shown, ahead of the ego; argued"
+    )
+    satellites_m: tuple[float, ...] = Field(
+        (0.0, 20.0, 40.0, 80.0, 160.0), description="where the predicted sky is shown, ahead of the ego; argued"
+    )
+    speed_max_mps: float = Field(40.0, gt=0, description="scale of speeds; highway-env's fastest vehicle")
+    acceleration_max_mps2: float = Field(10.0, gt=0, description="scale of accelerations; dry road, argued")
+    yaw_rate_max_radps: float = Field(1.0, gt=0, description="scale of yaw rates; 10 m/s on 10 m radius, argued")
+    offset_max_m: float = Field(12.0, gt=0, description="scale of lateral offsets; three lanes of 4 m, argued")
+    lane_width_max_m: float = Field(6.0, gt=0, description="scale of lane widths; argued")
+    curvature_max_per_m: float = Field(0.1, gt=0, description="scale of curvatures; a turn of 10 m radius, argued")
+    range_m: float = Field(150.0, gt=0, description="scale of distances to vehicles and along the lane; argued")
+    pl_max_m: float = Field(
+        10.0,
+        gt=0,
+        description="protection levels are clipped here, missing ones are shown so; argued: over two lanes",
+    )
+    ratio_max: float = Field(3.0, gt=1, description="PL / AL is clipped here [-]; argued")
+    trend_window_s: float = Field(1.0, gt=0, description="over which the change of protection levels is shown; argued")
+    hdop_max: float = Field(10.0, gt=0, description="scale of HDOP [-]; argued")
+    satellites_max: int = Field(40, ge=1, description="scale of numbers of satellites [-]; five systems, argued")
+    excluded_max: int = Field(5, ge=1, description="scale of the number of excluded satellites [-]; argued")
+    elapsed_max_s: float = Field(
+        60.0, gt=0, description="times since an event are clipped here; argued: above the longest outage of 50 s"
+    )
+    age_max_s: float = Field(5.0, gt=0, description="scale of the age of perceived vehicles; argued")
+    length_max_m: float = Field(20.0, gt=0, description="scale of the length of vehicles; an articulated lorry")
+    width_max_m: float = Field(4.0, gt=0, description="scale of the width of vehicles; argued")
+
+    @model_validator(mode="after")
+    def _distances_ascend(self) -> Self:
+        for name, distances, bound in (("preview_m", self.preview_m, ">"), ("satellites_m", self.satellites_m, ">=")):
+            positive = all(d > 0.0 or (bound == ">=" and d == 0.0) for d in distances)
+            if not positive or any(a >= b for a, b in pairwise(distances)):
+                raise ConfigError(f"{name} must be {bound} 0 and ascend, got {list(distances)}: correct the distances")
+        return self
+
+    @property
+    def shows_levels(self) -> bool:
+        """Whether protection levels are shown at all."""
+        return self.integrity != "blind"

@@ -1,0 +1,131 @@
+"""What the rooms of an environment hand to each other: the belief an agent may see, and the traffic it perceives.
+
+Frame ``xy``: highway-env's plane, x ahead along the first road, y to its right, headings clockwise from x seen from
+above. It is East-South: ``E = x``, ``N = -y``, azimuth = heading + pi / 2. Lateral offsets are positive to the right.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["EgoBelief", "LaneIndex", "Traffic", "azimuth_of", "enu_of", "heading_of", "xy_of"]
+
+Array = NDArray[np.float64]
+LaneIndex = tuple[str, str, int]
+FLIP = np.array([1.0, -1.0])
+Angle = TypeVar("Angle", float, NDArray[np.float64])
+
+
+def enu_of(xy: Array) -> Array:
+    """East, North of a point or vector in the plane.  (..., 2) -> (..., 2)."""
+    return np.asarray(np.asarray(xy, dtype=np.float64) * FLIP)
+
+
+def xy_of(en: Array) -> Array:
+    """The inverse of :func:`enu_of`, which is its own.  (..., 2) -> (..., 2)."""
+    return np.asarray(np.asarray(en, dtype=np.float64) * FLIP)
+
+
+def azimuth_of(heading_rad: Angle) -> Angle:
+    """Azimuth clockwise from North of a heading in the plane [rad]."""
+    return heading_rad + 0.5 * np.pi
+
+
+def heading_of(azimuth_rad: Angle) -> Angle:
+    """Heading in the plane of an azimuth [rad], not wrapped."""
+    return azimuth_rad - 0.5 * np.pi
+
+
+@dataclass(frozen=True)
+class EgoBelief:
+    """All that the ego knows of itself at one instant: the estimate, where that is on its map, and how far to trust it.
+
+    Attributes
+    ----------
+    position_m : (2,) x, y of the vehicle's middle, smoothed after a jump of the solution
+    heading_rad, speed_mps, yaw_rate_radps, acceleration_mps2 : of the estimate; speed is the odometer's
+    steering_rad : the steering angle commanded last
+    lane_index, longitudinal_m, lateral_m, angle_rad, lane_width_m : the estimate on the ego's own map
+    target_lane_index, target_speed_mps : what meta-actions have set; the lane itself and the speed otherwise
+    pl_at_m, pl_ct_m : protection levels of ``position_m``, what smoothing has yet to take back included; inf if missing
+    al_at_m, al_ct_m : alert limits
+    mode, rtk, reason : codes of Mode, RtkStatus and AlertReason
+    alert, available : bool; alert_age_s : how long the alert has been on, 0 without
+    hdop, satellites, satellites_doppler, excluded : as in Solution
+    since_rtk_s, since_calibration_s, corrections_age_s : inf for never
+    """
+
+    time_s: float
+    position_m: Array
+    heading_rad: float
+    speed_mps: float
+    yaw_rate_radps: float
+    acceleration_mps2: float
+    steering_rad: float
+    lane_index: LaneIndex
+    longitudinal_m: float
+    lateral_m: float
+    angle_rad: float
+    lane_width_m: float
+    target_lane_index: LaneIndex
+    target_speed_mps: float
+    pl_at_m: float
+    pl_ct_m: float
+    al_at_m: float
+    al_ct_m: float
+    mode: int
+    rtk: int
+    reason: int
+    alert: bool
+    alert_age_s: float
+    available: bool
+    hdop: float
+    satellites: int
+    satellites_doppler: int
+    excluded: int
+    since_rtk_s: float
+    since_calibration_s: float
+    corrections_age_s: float
+
+
+@dataclass(frozen=True)
+class Traffic:
+    """The N vehicles that the ego perceives now, nearest first, each brought forward to now at its last known velocity.
+
+    Attributes
+    ----------
+    key : (N,) int64, names a vehicle for as long as it is perceived
+    position_m : (N, 2) x, y; heading_rad, speed_mps : (N,)
+    pl_at_m, pl_ct_m : (N,) bounds of the position's error along and across *its* heading, age included; inf if missing
+    age_s : (N,) since the measurement behind it
+    length_m, width_m : (N,)
+    relative : (N,) bool, seen by the ego's own sensor: the levels bound the position *relative* to the ego, whose own
+        levels are not to be added
+    """
+
+    key: NDArray[np.int64]
+    position_m: Array
+    heading_rad: Array
+    speed_mps: Array
+    pl_at_m: Array
+    pl_ct_m: Array
+    age_s: Array
+    length_m: Array
+    width_m: Array
+    relative: NDArray[np.bool_]
+
+    @property
+    def count(self) -> int:
+        """Number of vehicles perceived."""
+        return int(self.key.shape[0])
+
+    @classmethod
+    def none(cls) -> Traffic:
+        """Nobody."""
+        row = np.zeros(0)
+        key, relative = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
+        return cls(key, np.zeros((0, 2)), row, row, row, row, row, row, row, relative)

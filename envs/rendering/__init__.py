@@ -1,0 +1,22 @@
+"""Pictures of an environment: the road from above, what the ego believes, and how far that can be trusted.
+
+No display is opened before :meth:`Viewer.show`.
+"""
+
+from lanebound.envs.rendering.config import Orientation, RenderingConfig, ThemeName
+from lanebound.envs.rendering.frame import Bodies, Frame, Satellites, Status
+from lanebound.envs.rendering.trace import Tape, Trace
+from lanebound.envs.rendering.viewer import Viewer
+
+__all__ = [
+    "Bodies",
+    "Frame",
+    "Orientation",
+    "RenderingConfig",
+    "Satellites",
+    "Status",
+    "Tape",
+    "ThemeName",
+    "Trace",
+    "Viewer",
+]

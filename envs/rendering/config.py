@@ -1,0 +1,50 @@
+"""What a user may choose about the picture."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+from lanebound.integrity.config import Config, Field
+
+__all__ = ["Orientation", "RenderingConfig", "ThemeName"]
+
+
+class Orientation(StrEnum):
+    """What points up on the map."""
+
+    HEADING_UP = "heading_up"
+    NORTH_UP = "north_up"
+
+
+class ThemeName(StrEnum):
+    """The two sets of colours."""
+
+    DARK = "dark"
+    LIGHT = "light"
+
+
+class RenderingConfig(Config):
+    """Size, scale and looks of a rendered frame. The defaults fit a README and a video."""
+
+    width_px: int = Field(960, ge=320, le=7680, description="width of the picture [px]")
+    height_px: int = Field(540, ge=240, le=4320, description="height of the picture [px]")
+    scale_px_per_m: float = Field(8.0, gt=0.2, le=100, description="zoom of the map [px/m]; a car is then 40 px long")
+    orientation: Orientation = Field(Orientation.HEADING_UP, description="what points up on the map")
+    theme: ThemeName = Field(ThemeName.DARK, description="dark or light colours")
+    panel: bool = Field(True, description="instruments at the right: status, sky, error box and strip charts")
+    legend: bool = Field(True, description="the key to the colours, at the foot of the map")
+    supersampling: int = Field(2, ge=1, le=4, description="drawn this much larger, then averaged: smooth edges [-]")
+    window_s: float = Field(30.0, gt=1, le=600, description="time that the strip charts show")
+
+    @property
+    def map_width_px(self) -> int:
+        """Width left to the map beside the panel."""
+        return self.width_px - self.panel_width_px
+
+    @property
+    def panel_width_px(self) -> int:
+        """Width of the panel: none when it is switched off or would leave the map less than half."""
+        return PANEL_WIDTH_PX if self.panel and self.width_px >= 2 * PANEL_WIDTH_PX else 0
+
+
+PANEL_WIDTH_PX = 300

@@ -1,0 +1,152 @@
+"""All that one picture shows: truth as filled shapes, belief as outlines, and what lies between them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.envs.records import EgoBelief, LaneIndex, Traffic
+from lanebound.envs.rendering.trace import Trace
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.sky.scene import City
+
+__all__ = ["CAUTION_SHARE", "Bodies", "Frame", "Satellites", "Status"]
+
+Array = NDArray[np.float64]
+
+CAUTION_SHARE = 0.75  # of an alert limit: from here on a protection level is shown as close to it
+
+
+class Status(Enum):
+    """The three lights of the panel; the value is the word shown."""
+
+    NORMAL = "NORMAL"
+    CAUTION = "NEAR LIMIT"
+    ALERT = "ALERT"
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """True vehicles.
+
+    Attributes
+    ----------
+    position_m : (N, 2) x, y of the middle; heading_rad, length_m, width_m : (N,); crashed : (N,) bool
+    """
+
+    position_m: Array
+    heading_rad: Array
+    length_m: Array
+    width_m: Array
+    crashed: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        n = self.heading_rad.shape[0]
+        shapes = {self.length_m.shape, self.width_m.shape, self.crashed.shape}
+        if self.position_m.shape != (n, 2) or shapes != {(n,)}:
+            raise InputError(f"bodies must have one row each for all {n} headings, positions with 2 columns: reshape")
+
+    def __len__(self) -> int:
+        return int(self.heading_rad.shape[0])
+
+    @classmethod
+    def of(cls, vehicles: Iterable[Any]) -> Bodies:
+        """A copy of what highway-env's vehicles (or other objects of its road) are now."""
+        rows = list(vehicles)
+        return cls(
+            np.array([v.position for v in rows], dtype=np.float64).reshape(-1, 2),
+            np.array([v.heading for v in rows], dtype=np.float64),
+            np.array([v.LENGTH for v in rows], dtype=np.float64),
+            np.array([v.WIDTH for v in rows], dtype=np.float64),
+            np.array([v.crashed for v in rows], dtype=np.bool_),
+        )
+
+
+@dataclass(frozen=True)
+class Satellites:
+    """The sky as the receiver meets it.
+
+    Attributes
+    ----------
+    azimuth_rad : (S,) clockwise from North; elevation_rad : (S,)
+    path : (S,) values of :class:`lanebound.integrity.sky.visibility.Path`
+    used : (S,) bool, in the position solution
+    system : (S,) values of :class:`lanebound.integrity.sky.systems.System`
+    """
+
+    azimuth_rad: Array
+    elevation_rad: Array
+    path: NDArray[np.integer[Any]]
+    used: NDArray[np.bool_]
+    system: NDArray[np.integer[Any]]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One picture.
+
+    Attributes
+    ----------
+    network : highway-env's RoadNetwork; its lanes are traced once, as long as it is the same object
+    bodies : the true vehicles; ego : which of them is the ego
+    belief, traffic : what the ego knows of itself and perceives of others
+    route : lanes that the ego follows after its own, for the corridor of the alert limit; found on the map when empty
+    city : buildings, in East and North of the plane (E = x, N = -y); satellites : the sky now
+    trace : error, protection level and alert limit of the last seconds
+    title : the environment's id; time_s : since the reset; speed_mps : true; cost : of the last step, None to hide it
+    """
+
+    network: Any
+    bodies: Bodies
+    ego: int
+    belief: EgoBelief
+    time_s: float
+    speed_mps: float
+    traffic: Traffic = field(default_factory=Traffic.none)
+    route: Sequence[LaneIndex] = ()
+    city: City | None = None
+    satellites: Satellites | None = None
+    trace: Trace = field(default_factory=Trace.empty)
+    title: str = ""
+    cost: float | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.ego < len(self.bodies):
+            raise InputError(f"ego must be a row of the {len(self.bodies)} bodies, got {self.ego}: correct the index")
+
+    @property
+    def ego_position_m(self) -> Array:
+        """True middle of the ego, (2,)."""
+        return np.asarray(self.bodies.position_m[self.ego])
+
+    @property
+    def ego_heading_rad(self) -> float:
+        """True heading of the ego."""
+        return float(self.bodies.heading_rad[self.ego])
+
+    @property
+    def error_m(self) -> tuple[float, float]:
+        """Belief less truth along and across the true track (right positive)."""
+        east, south = self.belief.position_m - self.ego_position_m
+        c, s = np.cos(self.ego_heading_rad), np.sin(self.ego_heading_rad)
+        return float(c * east + s * south), float(c * south - s * east)
+
+    @property
+    def misleading(self) -> bool:
+        """Whether an error exceeds its protection level while the position is offered for use."""
+        at, ct = self.error_m
+        return self.belief.available and (abs(at) > self.belief.pl_at_m or abs(ct) > self.belief.pl_ct_m)
+
+    @property
+    def status(self) -> Status:
+        """The light: alert, a level close to its limit, or neither."""
+        b = self.belief
+        if b.alert or not b.available:
+            return Status.ALERT
+        near = max(b.pl_at_m / b.al_at_m, b.pl_ct_m / b.al_ct_m) > CAUTION_SHARE
+        return Status.CAUTION if near else Status.NORMAL

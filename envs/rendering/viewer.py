@@ -1,0 +1,104 @@
+"""The viewer: one frame in, one picture out, to an array or to a window."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.envs.rendering.canvas import Canvas
+from lanebound.envs.rendering.config import RenderingConfig
+from lanebound.envs.rendering.frame import Frame
+from lanebound.envs.rendering.map_view import camera_of, draw_map
+from lanebound.envs.rendering.panel import draw_legend, draw_panel
+from lanebound.envs.rendering.roads import RoadDrawing
+from lanebound.envs.rendering.scenery import Scenery
+from lanebound.envs.rendering.theme import THEMES
+from lanebound.envs.rendering.window import Window
+
+if TYPE_CHECKING:
+    import pygame
+
+__all__ = ["Viewer"]
+
+
+class Viewer:
+    """Draws frames; equal frames give equal pictures.
+
+    >>> viewer = Viewer(RenderingConfig(orientation="north_up"))  # doctest: +SKIP
+    >>> rgb = viewer.render(frame)  # doctest: +SKIP
+
+    Parameters
+    ----------
+    config : size, zoom and looks
+    title, fps : of the window that :meth:`show` opens
+
+    Raises
+    ------
+    gymnasium.error.DependencyNotInstalled
+        pygame is missing.
+    """
+
+    def __init__(self, config: RenderingConfig | None = None, *, title: str = "lanebound", fps: float = 20.0) -> None:
+        self.config = config if config is not None else RenderingConfig()
+        self._canvas = Canvas(self.config.width_px, self.config.height_px, self.config.supersampling)
+        self._theme = THEMES[self.config.theme]
+        self._title, self._fps = title, fps
+        self._window: Window | None = None
+        self._roads: RoadDrawing | None = None
+        self._scenery: Scenery | None = None
+
+    def render(self, frame: Frame) -> NDArray[np.uint8]:
+        """The picture as an array of its own, (height, width, 3)."""
+        self._draw(frame)
+        return self._canvas.pixels()
+
+    def show(self, frame: Frame) -> bool:
+        """Show the picture in a window, opened the first time; False once the user has closed it."""
+        if self._window is None:
+            self._window = Window(self.config.width_px, self.config.height_px, self._title, self._fps)
+        if self._window.is_open:
+            self._window.show(self._draw(frame))
+        return self._window.is_open
+
+    def close(self) -> None:
+        """Close the window; the viewer can be used again."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+
+    def __reduce__(self) -> tuple[Callable[[], Self], tuple[()]]:
+        """A copied or pickled viewer is a new one of the same looks: surfaces and windows stay where they are."""
+        return partial(type(self), self.config, title=self._title, fps=self._fps), ()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _draw(self, frame: Frame) -> pygame.Surface:
+        camera = camera_of(frame, self.config)
+        draw_map(self._canvas, frame, camera, self._roads_of(frame), self._scenery_of(frame), self._theme)
+        if self.config.legend:
+            draw_legend(self._canvas, self.config, self._theme)
+        draw_panel(self._canvas, frame, self.config, self._theme)
+        return self._canvas.finish()
+
+    def _roads_of(self, frame: Frame) -> RoadDrawing:
+        if self._roads is None or self._roads.network is not frame.network:
+            self._roads = RoadDrawing.of(frame.network)
+        return self._roads
+
+    def _scenery_of(self, frame: Frame) -> Scenery | None:
+        if frame.city is None:
+            return None
+        if self._scenery is None or self._scenery.city is not frame.city:
+            self._scenery = Scenery.of(frame.city)
+        return self._scenery

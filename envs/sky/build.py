@@ -1,0 +1,147 @@
+"""Streets made up along any lane network: houses, trees, overpasses and tunnels, and the sky they leave."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from highway_env.road.road import RoadNetwork
+
+from lanebound.envs.sky import cache
+from lanebound.envs.sky.corridors import Corridor, Edge, LaneGround, corridors, edges_of
+from lanebound.envs.sky.level import SkyLevel
+from lanebound.envs.sky.street import LaneMap, Street
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.sky.city import CityConfig, SectionKind, Stretch, line_street
+from lanebound.integrity.sky.scene import City
+from lanebound.integrity.sky.visibility import SkyMask
+from lanebound.integrity.streams import named_generator
+
+__all__ = ["Section", "build_street"]
+
+Section = tuple[str, str, float, float, str]  # edge from, edge to, start [m], end [m], SectionKind
+
+ANTENNA_HEIGHT_M = 1.5
+SPACING_M = 5.0
+LEAST_STRETCH_M = 6.0  # the rest of a stretch at the end of an edge is left open when it is shorter
+AZIMUTH_STEP_DEG, ELEVATION_STEP_DEG = 4.0, 3.0
+
+
+def build_street(
+    network: RoadNetwork,
+    level: SkyLevel,
+    layout_seed: int,
+    sections: Sequence[Section] | None = None,
+    extent_m: float = 2500.0,
+    *,
+    reuse: bool = True,
+) -> Street:
+    """The street of a network at a level; the same inputs give the same bits.
+
+    Parameters
+    ----------
+    network : any highway-env network
+    layout_seed : which of the made-up cities
+    sections : stretches that a world names, ``(edge from, edge to, start [m], end [m], kind)``; heights and the rest of
+        the edges are the level's
+    extent_m : longer edges are lined up to here, and what lies beyond is as their last station
+    reuse : take a street that has been built before, from memory or from disk, and keep this one
+
+    Raises
+    ------
+    InputError
+        No lanes, an unknown edge or kind in ``sections``, or an extent that is not positive.
+    """
+    if not extent_m > 0.0:
+        raise InputError(f"extent_m must be positive, got {extent_m}: pass how far edges are lined, in metres")
+    if not any(edges_of(network)):
+        raise InputError("network must have lanes, got none: pass env.unwrapped.road.network after reset")
+    sections = tuple(sections or ())
+    if not reuse:
+        return _build(network, level, layout_seed, sections, extent_m)
+    key = cache.key_of(network, level, layout_seed, sections, float(extent_m))
+    street = cache.remember(key)
+    if street is None:
+        street = cache.load(key, LaneMap.of(network, extent_m, SPACING_M))
+        if street is None:
+            street = _build(network, level, layout_seed, sections, extent_m, key)
+            cache.save(key, street)
+        cache.remember(key, street)
+    return street
+
+
+def _build(
+    network: RoadNetwork,
+    level: SkyLevel,
+    layout_seed: int,
+    sections: tuple[Section, ...],
+    extent_m: float,
+    digest: str = "",
+) -> Street:
+    members = corridors(network, extent_m)
+    lanes = LaneMap.of(network, extent_m, SPACING_M)
+    city = _city(network, members, level, layout_seed, _named(members, sections), extent_m)
+    if not len(city):
+        return Street(SkyMask.open(), city, lanes)
+    antennas = lanes.antennas(network, ANTENNA_HEIGHT_M)
+    mask = SkyMask.of_stations(antennas, city, SPACING_M, AZIMUTH_STEP_DEG, ELEVATION_STEP_DEG, digest)
+    return Street(mask, city, lanes)
+
+
+def _city(
+    network: RoadNetwork,
+    members: list[Corridor],
+    level: SkyLevel,
+    layout_seed: int,
+    named: dict[Edge, list[Stretch]],
+    extent_m: float,
+) -> City:
+    """Both sides of every edge lined by the level's kinds of street, or by those that are named."""
+    cycle = sum(section.length_m for section in level.city.sections)
+    phase = cycle * named_generator(layout_seed, "city").random(max(c.chain for c in members) + 1)
+    ground = LaneGround(network, members, extent_m)
+    city = City.empty()
+    for number, corridor in enumerate(members):
+        at = corridor.start_m + float(phase[corridor.chain])
+        stretches = _cut(level.city, at, corridor.road.length_m)
+        if level.follow_sections:
+            stretches = _overlaid(stretches, named.get(corridor.edge, []))
+        rng = named_generator([layout_seed, number], "city")
+        kinds = level.streets_along(2.0 * corridor.road.edge_m)
+        city = city + line_street(corridor.road, stretches, kinds, rng, ground.plot(corridor))
+    return city
+
+
+def _cut(config: CityConfig, at_m: float, length_m: float) -> list[Stretch]:
+    """The stretches between two arcs of an endless street, counted from the first."""
+    whole = config.stretches(at_m + length_m)
+    inside = [Stretch(max(s.start_m - at_m, 0.0), s.end_m - at_m, s.kind, s.left_kind) for s in whole]
+    return [s for s in inside if s.end_m - s.start_m >= LEAST_STRETCH_M]
+
+
+def _overlaid(below: list[Stretch], above: list[Stretch]) -> list[Stretch]:
+    """``above``, and what it leaves of ``below``."""
+    out = list(above)
+    for s in below:
+        at = s.start_m
+        for cover in [*sorted(above, key=lambda c: c.start_m), Stretch(s.end_m, s.end_m, s.kind, s.kind)]:
+            if cover.start_m > at:
+                out.append(Stretch(at, min(cover.start_m, s.end_m), s.kind, s.left_kind))
+            at = max(at, cover.end_m)
+            if at >= s.end_m:
+                break
+    return sorted(out, key=lambda s: s.start_m)
+
+
+def _named(members: list[Corridor], sections: Sequence[Section]) -> dict[Edge, list[Stretch]]:
+    """The stretches that a world names, by edge, within the edges' lengths."""
+    lengths = {corridor.edge: corridor.road.length_m for corridor in members}
+    out: dict[Edge, list[Stretch]] = {}
+    for start, end, low, high, name in sections:
+        if (start, end) not in lengths:
+            raise InputError(f"sections must name edges of the network, got ({start!r}, {end!r}): correct the section")
+        if name not in list(SectionKind):
+            raise InputError(f"sections must name kinds among {[k.value for k in SectionKind]}, got {name!r}")
+        kind, last = SectionKind(name), min(float(high), lengths[start, end])
+        if last > max(low, 0.0):
+            out.setdefault((start, end), []).append(Stretch(max(float(low), 0.0), last, kind, kind))
+    return out

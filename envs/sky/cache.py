@@ -1,0 +1,120 @@
+"""Streets that have been built before: a few in memory, more on disk beside the compiled kernels.
+
+A file's name is a digest of everything that the street follows from, the sources of both sky packages included. Without
+a place to write, or with a damaged file, streets are built anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections import OrderedDict
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from highway_env.road.road import RoadNetwork
+
+from lanebound.envs.sky.corridors import edges_of
+from lanebound.envs.sky.level import SkyLevel
+from lanebound.envs.sky.street import LaneMap, Street
+from lanebound.integrity import sky
+from lanebound.integrity.accel import cache_directory
+from lanebound.integrity.sky.scene import City
+from lanebound.integrity.sky.visibility import SkyMask
+
+__all__ = ["key_of", "load", "remember", "save"]
+
+IN_MEMORY = 8
+ON_DISK = 300
+SAMPLES = 12  # poses by which a lane is recognised
+
+_recent: OrderedDict[str, Street] = OrderedDict()
+
+
+def key_of(network: RoadNetwork, level: SkyLevel, *more: Any) -> str:
+    """A name for the inputs of a street: equal inputs, equal name."""
+    h = hashlib.blake2b(digest_size=16)
+    h.update(repr((_sources(), np.__version__, level.to_json(), more)).encode())
+    for edge, lanes in edges_of(network):
+        for lane in lanes:
+            length = float(lane.length)
+            poses = [(*lane.position(s, 0.0), lane.width_at(s)) for s in np.linspace(0.0, length, SAMPLES).tolist()]
+            h.update(repr((edge, length)).encode() + np.array(poses, dtype=np.float64).tobytes())
+    return h.hexdigest()
+
+
+@cache
+def _sources() -> str:
+    """A digest of the code that streets are made by."""
+    h = hashlib.blake2b(digest_size=8)
+    for module in (__file__, str(sky.__file__)):
+        for source in sorted(Path(module).parent.glob("*.py")):
+            h.update(source.read_bytes())
+    return h.hexdigest()
+
+
+def remember(key: str, street: Street | None = None) -> Street | None:
+    """The street of that name that is in memory, after ``street`` has been put there if one is given."""
+    if street is not None:
+        _recent[key] = street
+    if key in _recent:
+        _recent.move_to_end(key)
+    while len(_recent) > IN_MEMORY:
+        _recent.popitem(last=False)
+    return _recent.get(key)
+
+
+def folder() -> Path | None:
+    """Where streets are kept on disk, None without a place to write."""
+    kernels = cache_directory()
+    return None if kernels is None else Path(kernels).parent / "streets"
+
+
+def load(key: str, lanes: LaneMap) -> Street | None:
+    """The street of that name from disk, None when there is none that can be read."""
+    place = folder()
+    if place is None or not (place / f"{key}.npz").exists():
+        return None
+    try:
+        with (place / f"{key}.npz").open("rb") as file, np.load(file, allow_pickle=False) as data:
+            azimuths, elevations, closed = (int(v) for v in data["bins"])
+            spacing, length = (float(v) for v in data["stations"])
+            city = City(data["triangles"], data["surface"])
+            table, excess = data["path"], data["excess"]
+            mask = SkyMask(table, excess, azimuths, elevations, spacing, length, bool(closed), key)
+    except (OSError, EOFError, KeyError, ValueError, BadZipFile):
+        return None
+    return Street(mask, city, lanes)
+
+
+def save(key: str, street: Street) -> None:
+    """Keep a street on disk: whole or not at all; of 300 the newest stay."""
+    place, mask = folder(), street.mask
+    if place is None:
+        return
+    with suppress(OSError):
+        place.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=place, suffix=".part")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                np.savez_compressed(
+                    file,
+                    path=mask.path,
+                    excess=mask.excess_m,
+                    bins=np.array([mask.azimuths, mask.elevations, int(mask.closed)]),
+                    stations=np.array([mask.spacing_m, mask.length_m]),
+                    triangles=street.city.triangles_enu_m,
+                    surface=street.city.surface,
+                )
+            os.replace(name, place / f"{key}.npz")
+        except OSError:
+            Path(name).unlink(missing_ok=True)
+            return
+        kept = sorted(place.glob("*.npz"), key=lambda file: file.stat().st_mtime)
+        for old in kept[:-ON_DISK]:
+            old.unlink(missing_ok=True)

@@ -1,0 +1,54 @@
+"""How much of the sky a scenario leaves: kinds of street, and how well the corrections arrive."""
+
+from __future__ import annotations
+
+from lanebound.integrity.config import Config, Field
+from lanebound.integrity.navigator import NavigatorConfig
+from lanebound.integrity.sensors.corrections import CorrectionsConfig
+from lanebound.integrity.sky.city import CityConfig, SectionConfig, SectionKind
+
+__all__ = ["SKY_LEVELS", "SkyLevel"]
+
+SKY_LEVELS = ("open", "suburban", "urban", "dense")
+
+
+class SkyLevel(Config):
+    """A grade of difficulty for positioning, the same for any lane network.
+
+    >>> SkyLevel.named("urban").navigator().corrections.outage_per_h > 0.0
+    True
+    """
+
+    city: CityConfig = Field(
+        CityConfig(sections=(SectionConfig(kind=SectionKind.OPEN),)), description="what lines the streets, in order"
+    )
+    street_width_m: float = Field(
+        24.0,
+        ge=0,
+        le=200,
+        description="facades stand at least so far apart, so that narrow roads are no darker; argued",
+    )
+    corrections: CorrectionsConfig = Field(CorrectionsConfig(), description="the reference link and its outages")
+    max_age_s: float = Field(
+        2.0, gt=0, le=60, description="oldest usable corrections; a rover in town, whose link sends every second"
+    )
+    follow_sections: bool = Field(
+        True, description="use the stretches that a world names itself; the level's own elsewhere"
+    )
+
+    def streets_along(self, road_width_m: float) -> CityConfig:
+        """The city along a road of this width: setbacks that are too small for ``street_width_m`` are widened."""
+        least = 0.5 * (self.street_width_m - road_width_m)
+        kinds = {kind: self.city.street(kind) for kind in SectionKind}
+        streets = {kind: street.replace(setback_m=max(street.setback_m, least)) for kind, street in kinds.items()}
+        return CityConfig(sections=self.city.sections, streets=streets)
+
+    @classmethod
+    def named(cls, name: str) -> SkyLevel:
+        """A packaged level: ``open``, ``suburban``, ``urban`` or ``dense``; or the full name of another preset."""
+        return cls.preset(f"skies/{name}" if name in SKY_LEVELS else name)
+
+    def navigator(self, base: NavigatorConfig | None = None) -> NavigatorConfig:
+        """The navigator of ``base``, or of the defaults, with this level's reference link."""
+        rtk = {"max_age_s": self.max_age_s}
+        return (base or NavigatorConfig()).replace(corrections=self.corrections.to_dict(), positioning={"rtk": rtk})

@@ -1,0 +1,195 @@
+"""What can be received along the lanes of a network, and what a planner may know of it ahead."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from highway_env.road.road import RoadNetwork
+from numpy.typing import ArrayLike, NDArray
+
+from lanebound.envs.records import LaneIndex
+from lanebound.envs.sky.corridors import Edge, edges_of, lane_points
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.sky.scene import City
+from lanebound.integrity.sky.view import SkyView
+from lanebound.integrity.sky.visibility import SkyMask
+
+__all__ = ["NO_LANE", "LaneMap", "Street"]
+
+Array = NDArray[np.float64]
+Route = Sequence[tuple[str, str, int | None]]
+
+NO_LANE = -1  # number of satellites where there is no lane
+
+
+@dataclass(frozen=True)
+class LaneMap:
+    """Where the stations of a network's edges lie in one long row, and which lanes follow which.
+
+    Attributes
+    ----------
+    spacing_m : between stations along a lane
+    offset_m : arc of the beginning of each edge
+    length_m : length of each lane
+    reach_m : up to where a lane has stations
+    beside : left and right neighbours of each lane, None for none
+    following : for each lane, by the next edge's end: the lane taken there
+    """
+
+    spacing_m: float
+    offset_m: dict[Edge, float]
+    length_m: dict[LaneIndex, float]
+    reach_m: dict[LaneIndex, float]
+    beside: dict[LaneIndex, tuple[LaneIndex | None, LaneIndex | None]]
+    following: dict[LaneIndex, dict[str, LaneIndex]]
+
+    @classmethod
+    def of(cls, network: RoadNetwork, extent_m: float, spacing_m: float) -> LaneMap:
+        """The map of a network whose lanes have stations from their beginning up to ``extent_m``."""
+        offset: dict[Edge, float] = {}
+        length: dict[LaneIndex, float] = {}
+        beside: dict[LaneIndex, tuple[LaneIndex | None, LaneIndex | None]] = {}
+        at = 0.0
+        for edge, lanes in edges_of(network):
+            offset[edge] = at
+            ids: list[LaneIndex] = [(*edge, i) for i in range(len(lanes))]
+            for i, lane in enumerate(lanes):
+                length[ids[i]] = float(lane.length)
+                beside[ids[i]] = (ids[i - 1] if i > 0 else None, ids[i + 1] if i + 1 < len(ids) else None)
+            at += spacing_m * _stations(max(min(length[i], extent_m) for i in ids), spacing_m)
+        reach = {index: min(value, extent_m) for index, value in length.items()}
+        return cls(spacing_m, offset, length, reach, beside, _following(network))
+
+    def antennas(self, network: RoadNetwork, height_m: float) -> Array:
+        """Antenna positions ENU over the middle of each lane, (N, L, 3); lanes that an edge lacks repeat its last."""
+        rows = []
+        widest = max(len(lanes) for _, lanes in edges_of(network))
+        for edge, lanes in edges_of(network):
+            count = _stations(max(self.reach_m[(*edge, i)] for i in range(len(lanes))), self.spacing_m)
+            s = self.spacing_m * np.arange(count)
+            tracks = [lane_points(lane, np.minimum(s, lane.length)) for lane in lanes]
+            rows.append(np.stack(tracks + tracks[-1:] * (widest - len(tracks)), 1))
+        en = np.concatenate(rows)
+        return np.concatenate([en, np.full((*en.shape[:2], 1), height_m)], -1)
+
+
+def _stations(reach_m: float, spacing_m: float) -> int:
+    return int(np.ceil(reach_m / spacing_m)) + 1
+
+
+def _following(network: RoadNetwork) -> dict[LaneIndex, dict[str, LaneIndex]]:
+    """The same lane where the next edge has as many, else the one that begins nearest: highway-env's own rule."""
+    out: dict[LaneIndex, dict[str, LaneIndex]] = {}
+    for (start, end), lanes in edges_of(network):
+        for i, lane in enumerate(lanes):
+            last = lane.position(lane.length, 0.0)
+            out[start, end, i] = {}
+            for beyond, others in network.graph.get(end, {}).items():
+                away = [float(np.linalg.norm(other.position(0.0, 0.0) - last)) for other in others]
+                if away:
+                    out[start, end, i][beyond] = (
+                        end,
+                        beyond,
+                        i if len(others) == len(lanes) else int(np.argmin(away)),
+                    )
+    return out
+
+
+@dataclass(frozen=True)
+class Street:
+    """The sky over a network: what :class:`~lanebound.integrity.sky.visibility.SkyMask` answers, by highway-env lanes.
+
+    Attributes
+    ----------
+    mask : reception by station and lane
+    city : the obstacles behind it, for drawing
+    lanes : how lane indices map to stations
+    """
+
+    mask: SkyMask
+    city: City
+    lanes: LaneMap
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Street:
+        """The street itself: nothing in it changes, and it is large."""
+        return self
+
+    def where(self, lane_index: tuple[str, str, int | None], longitudinal_m: float) -> tuple[float, int]:
+        """Arc [m] and lane for ``SkyMask.look`` and ``Truth``, of a place on a highway-env lane.
+
+        Places before the beginning, past the end and beyond the stations are those of the nearest station.
+
+        Raises
+        ------
+        InputError
+            The network has no such lane.
+        """
+        start, end, lane = lane_index[0], lane_index[1], lane_index[2] or 0
+        try:
+            reach = self.lanes.reach_m[start, end, lane]
+        except KeyError:
+            raise InputError(
+                f"lane_index must be a lane of this street, got {lane_index}: build the street of that network"
+            ) from None
+        return self.lanes.offset_m[start, end] + min(max(longitudinal_m, 0.0), reach), lane
+
+    def ahead(
+        self, lane_index: LaneIndex, longitudinal_m: float, distance_m: float, route: Route | None = None
+    ) -> tuple[LaneIndex, float]:
+        """The lane and longitudinal position ``distance_m`` further along the route, or the first way on without one.
+
+        A route is highway-env's list of lane indices; where it says nothing or ends, the first edge onward is taken,
+        and at the end of the last lane its end.
+        """
+        place = longitudinal_m + distance_m
+        onward = {} if route is None else {step[0]: step for step in route}
+        while place > self.lanes.length_m[lane_index]:
+            options = self.lanes.following[lane_index]
+            if not options:
+                return lane_index, self.lanes.length_m[lane_index]
+            place -= self.lanes.length_m[lane_index]
+            step = onward.get(lane_index[1])
+            lane_index = (options.get(step[1]) if step else None) or next(iter(options.values()))
+        return lane_index, place
+
+    def predicted_satellites(
+        self,
+        lane_index: LaneIndex,
+        longitudinal_m: float,
+        distances_m: ArrayLike,
+        sky: SkyView,
+        route: Route | None = None,
+    ) -> NDArray[np.int64]:
+        """Satellites in line of sight above the mask angle at distances ahead along the route.  (D,) [m] -> (D,)."""
+        places = [self.where(*self.ahead(lane_index, longitudinal_m, float(d), route)) for d in np.asarray(distances_m)]
+        return self._count(places, sky)
+
+    def predicted_beside(
+        self,
+        lane_index: LaneIndex,
+        longitudinal_m: float,
+        distances_m: ArrayLike,
+        sky: SkyView,
+        route: Route | None = None,
+    ) -> NDArray[np.int64]:
+        """The same for the lane to the left, this one and the one to the right; -1 where there is no lane.  -> (D, 3).
+
+        The neighbours are those of the lane that the route takes at that distance, at the same share of its length.
+        """
+        places: list[tuple[float, int]] = []
+        there: list[bool] = []
+        for d in np.asarray(distances_m, dtype=np.float64):
+            own, place = self.ahead(lane_index, longitudinal_m, float(d), route)
+            left, right = self.lanes.beside[own]
+            share = place / self.lanes.length_m[own]
+            for lane in (left, own, right):
+                there.append(lane is not None)
+                places.append(self.where(lane or own, share * self.lanes.length_m[lane or own]))
+        return np.where(there, self._count(places, sky), NO_LANE).reshape(-1, 3)
+
+    def _count(self, places: list[tuple[float, int]], sky: SkyView) -> NDArray[np.int64]:
+        arc, lane = np.array([p[0] for p in places]), np.array([p[1] for p in places], dtype=np.int64)
+        return self.mask.predicted_by_one(arc, lane, sky)

@@ -1,0 +1,140 @@
+"""The true world: a highway-env environment, made to measure, that carries the ego and everyone else.
+
+Its dynamics, traffic, rewards and endings are highway-env's own, untouched. What is set here is the observation (none:
+ours is built elsewhere), reward terms that choke on an array (merge, roundabout), and the drivers of intersections (a
+class of our own, as highway-env rewrites that class's constants).
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from difflib import get_close_matches
+from functools import partial
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.envs.registration import load_env_creator
+from gymnasium.error import Error as GymnasiumError
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.envs.intersection_env import IntersectionEnv
+
+from lanebound.envs.worlds.drivers import IntersectionDriver
+from lanebound.integrity.errors import ConfigError, InputError
+
+__all__ = ["check_command", "guard", "make_world", "world_defaults"]
+
+NOTHING = {"type": "AttributesObservation", "attributes": []}
+IDM_PATH = "highway_env.vehicle.behavior.IDMVehicle"
+RESERVED = ("observation", "action", "simulation_frequency", "policy_frequency", "manual_control")
+DIRECT = "ContinuousAction"
+IDLE = 1
+
+
+def _guarded_rewards(world: AbstractEnv, action: Any) -> dict[str, float]:
+    """The world's own reward terms; where they compare an array with integers, those of an idle action."""
+    try:
+        terms: dict[str, float] = type(world)._rewards(world, action)
+    except ValueError:
+        terms = type(world)._rewards(world, IDLE)
+    return terms
+
+
+def _class_of(env_id: str) -> type[AbstractEnv]:
+    """The highway-env class behind a registered id."""
+    try:
+        spec = gymnasium.spec(env_id)
+    except GymnasiumError:
+        import highway_env  # noqa: F401  registers the ids
+
+        known = [name for name, s in gymnasium.registry.items() if "highway_env" in str(s.entry_point)]
+        near = get_close_matches(env_id, known, 1) or ["highway-v0"]
+        raise ConfigError(f"base must be a highway-env id, got {env_id!r}: did you mean {near[0]!r}?") from None
+    creator = load_env_creator(spec.entry_point) if isinstance(spec.entry_point, str) else spec.entry_point
+    if not (isinstance(creator, type) and issubclass(creator, AbstractEnv)):
+        raise ConfigError(f"base must be a highway-env environment, got {env_id!r}: wrap one of highway-env's ids")
+    return creator
+
+
+def world_defaults(base: str | type[AbstractEnv]) -> dict[str, Any]:
+    """highway-env's own configuration of a world, to be overridden key by key."""
+    kind = _class_of(base) if isinstance(base, str) else base
+    defaults: dict[str, Any] = kind.default_config()
+    return defaults
+
+
+def make_world(
+    base: str | type[AbstractEnv],
+    overrides: Mapping[str, Any],
+    action: Mapping[str, Any] | None,
+    simulation_hz: int,
+    policy_hz: int,
+) -> AbstractEnv:
+    """A highway-env environment with deep-merged overrides, no observation, and rates that divide.
+
+    Raises
+    ------
+    ConfigError
+        An unknown id or key, a key that is set elsewhere, an agent count other than one, or rates that do not divide.
+    """
+    kind = _class_of(base) if isinstance(base, str) else base
+    defaults = kind.default_config()
+    _check_keys(overrides, defaults, "world")
+    config = _merged(defaults, overrides)
+    if config.get("controlled_vehicles", 1) != 1:
+        raise ConfigError("world.controlled_vehicles must be 1: one ego drives on its belief, the others are traffic")
+    if simulation_hz % policy_hz:
+        raise ConfigError(f"policy_hz must divide simulation_hz = {simulation_hz}, got {policy_hz}: choose a divisor")
+    config.update(observation=dict(NOTHING), simulation_frequency=simulation_hz, policy_frequency=policy_hz)
+    if action is not None:
+        config["action"] = dict(action)
+    if config["action"]["type"] not in ("DiscreteMetaAction", "DiscreteAction", DIRECT):
+        raise ConfigError(f"action.type must be DiscreteMetaAction or {DIRECT}, got {config['action']['type']!r}")
+    if issubclass(kind, IntersectionEnv) and config["other_vehicles_type"] == IDM_PATH:
+        config["other_vehicles_type"] = f"{IntersectionDriver.__module__}.{IntersectionDriver.__qualname__}"
+    try:
+        return guard(kind, config)
+    except AttributeError as error:  # highway-env's racetracks make the ego by a method that meta-actions lack
+        taken = defaults["action"]["type"]
+        raise ConfigError(f"action must be a {taken} in {kind.__name__}, got {config['action']['type']}") from error
+
+
+def guard(kind: type[AbstractEnv], config: dict[str, Any]) -> AbstractEnv:
+    """highway-env's environment itself, except that its reward terms survive an action that is an array."""
+    world: AbstractEnv = object.__new__(kind)
+    world._rewards = partial(_guarded_rewards, world)  # before __init__, which resets
+    kind.__init__(world, config=config)
+    return world
+
+
+def _check_keys(given: Mapping[str, Any], known: Mapping[str, Any], path: str) -> None:
+    for key, value in given.items():
+        if key in RESERVED:
+            raise ConfigError(f"{path}.{key} must not be set: use the environment's own fields for actions and rates")
+        if key not in known:
+            near = get_close_matches(str(key), [str(k) for k in known], 1)
+            advice = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(map(str, known))}"
+            raise ConfigError(f"{path}.{key} must be a key of this world, got {value!r} for an unknown one: {advice}")
+
+
+def _merged(defaults: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    merged = copy.deepcopy(dict(defaults))
+    for key, value in overrides.items():
+        both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
+        merged[key] = _merged(merged[key], value) if both else copy.deepcopy(value)
+    return merged
+
+
+def check_command(space: gymnasium.Space[Any], action: Any) -> None:
+    """Refuse a command outside the action space.
+
+    Raises
+    ------
+    InputError
+        Naming the space, the command and what to do.
+    """
+    if isinstance(action, np.ndarray) and not np.isfinite(action).all():
+        raise InputError(f"action must be finite, got {action}: check the policy for NaN")
+    if not space.contains(action) and not (isinstance(action, int | np.integer) and space.contains(np.int64(action))):
+        raise InputError(f"action must lie in {space}, got {action!r}: clip or correct it")

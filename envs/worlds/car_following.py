@@ -1,0 +1,68 @@
+"""A long road and one vehicle ahead that speeds up, brakes and stands as in town traffic."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from lanebound.envs.worlds.base import World
+from lanebound.envs.worlds.drivers import LeadVehicle, SpeedProfileConfig, speed_profile
+from lanebound.envs.worlds.networks import StreetNetwork, long_road
+
+__all__ = ["CarFollowingWorld"]
+
+END_M = 40.0
+
+
+class CarFollowingWorld(World):
+    """Follow a lead vehicle through stop-and-go traffic on one lane without hitting it or falling behind.
+
+    Action, observation, reward
+        Those of :class:`World`.
+    Start
+        Behind the lead vehicle at its speed, with a gap of ``standstill_gap + T v`` between bumpers, T uniform.
+    Episode end
+        That of :class:`World`; truncated at the end of the road too.
+    Configuration
+        ``layout`` (0 to 3: which road), ``standstill_gap`` [m], ``time_gap`` [s] (range of T), ``lead`` (keys of
+        :class:`SpeedProfileConfig` to be changed).
+    """
+
+    @classmethod
+    def default_config(cls) -> dict[str, Any]:
+        """Defaults of all keys."""
+        own = {"duration": 120.0, "layout": 0, "standstill_gap": 2.0, "time_gap": [0.8, 1.0], "lead": {}}
+        return super().default_config() | own
+
+    @property
+    def lead(self) -> LeadVehicle:
+        """The vehicle ahead."""
+        return next(vehicle for vehicle in self.road.vehicles if isinstance(vehicle, LeadVehicle))
+
+    def gap_m(self) -> float:
+        """Free road between the ego's front and the lead vehicle's rear, along the lane [m]."""
+        return float(self.vehicle.lane_distance_to(self.lead) - 0.5 * (self.vehicle.LENGTH + self.lead.LENGTH))
+
+    def _network(self) -> StreetNetwork:
+        return long_road(self.config["layout"], self.config["lane_width"])
+
+    def _populate(self) -> None:
+        profile = speed_profile(
+            self.np_random,
+            self.config["duration"],
+            1.0 / self.config["simulation_frequency"],
+            SpeedProfileConfig.load(self.config["lead"], "lead"),
+        )
+        index = ("start", "end", 0)
+        lane = self.road.network.get_lane(index)
+        speed = float(profile[0])
+        gap = self.config["standstill_gap"] + float(self.np_random.uniform(*self.config["time_gap"])) * speed
+        latest = lane.length - END_M - lane.speed_limit * self.config["duration"]
+        start = float(self.np_random.uniform(10.0, max(latest, 20.0)))
+        self._place_ego(index, start, speed)
+        lead = LeadVehicle.make_on_lane(self.road, index, start + gap + LeadVehicle.LENGTH, speed)
+        lead.follow(profile)
+        self.road.vehicles.append(lead)
+
+    def _is_truncated(self) -> bool:
+        """Time is up, or the road is at its end."""
+        return super()._is_truncated() or self._along()[0] > self.vehicle.lane.length - END_M / 2

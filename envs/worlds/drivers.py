@@ -1,0 +1,139 @@
+"""Those who drive: a lead vehicle in stop-and-go traffic, city drivers, drivers at an intersection."""
+
+from __future__ import annotations
+
+import numpy as np
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.controller import ControlledVehicle
+from highway_env.vehicle.kinematics import Vehicle
+from numpy.typing import NDArray
+from pydantic import field_validator
+
+from lanebound.integrity.config import Config, Field
+
+__all__ = ["CityDriver", "IntersectionDriver", "LeadVehicle", "SpeedProfileConfig", "speed_profile"]
+
+Array = NDArray[np.float64]
+
+
+class SpeedProfileConfig(Config):
+    """How a lead vehicle drives in town: it speeds up, cruises, brakes and stands, in phases drawn one after another.
+
+    Ranges are those of the uniform laws that the phases are drawn from.
+    """
+
+    cruise_mps: tuple[float, float] = Field((5.0, 13.9), description="speed of a cruise; at most 50 km/h [m/s]")
+    cruise_s: tuple[float, float] = Field((3.0, 15.0), description="length of a cruise [s]")
+    stop_probability: float = Field(0.45, ge=0, le=1, description="that a cruise ends in a stop [-]")
+    hard_probability: float = Field(0.35, ge=0, le=1, description="that a deceleration is hard braking [-]")
+    stand_s: tuple[float, float] = Field((2.0, 18.0), description="length of a standstill [s]")
+    accelerate_mps2: tuple[float, float] = Field((0.8, 1.7), description="speeding up in town [m/s2]")
+    brake_mps2: tuple[float, float] = Field((1.0, 2.5), description="braking in comfort [m/s2]")
+    hard_brake_mps2: tuple[float, float] = Field((2.5, 6.0), description="hard braking [m/s2]")
+    jerk_mps3: float = Field(2.5, gt=0, description="of changes of acceleration in comfort [m/s3]")
+    hard_jerk_mps3: float = Field(12.0, gt=0, description="when hard braking begins [m/s3]")
+
+    @field_validator("cruise_mps", "cruise_s", "stand_s", "accelerate_mps2", "brake_mps2", "hard_brake_mps2")
+    @classmethod
+    def _ordered(cls, value: tuple[float, float]) -> tuple[float, float]:
+        low, high = value
+        if not 0.0 < low <= high:
+            raise ValueError(f"must be two numbers with 0 < low <= high, got {low} and {high}: correct the range")
+        return value
+
+
+def speed_profile(
+    rng: np.random.Generator, duration_s: float, dt_s: float, config: SpeedProfileConfig | None = None
+) -> Array:
+    """Speeds of a lead vehicle at 0, dt, 2 dt, ... until the duration has passed.  -> (n + 1,) [m/s].
+
+    The vehicle cruises first. The acceleration follows the phase's within the jerk, and is eased as the speed comes
+    near the phase's, so that speeds are reached without overshoot; standing is exactly 0.
+    """
+    c = config or SpeedProfileConfig()
+    count = int(np.ceil(duration_s / dt_s)) + 1
+    target = rng.uniform(*c.cruise_mps)
+    speeds, acceleration = [target] * (int(rng.uniform(*c.cruise_s) / dt_s) + 1), 0.0
+    while len(speeds) < count:
+        stop = bool(speeds[-1] > 0.0 and rng.random() < c.stop_probability)
+        target = 0.0 if stop else rng.uniform(*c.cruise_mps)
+        hard = bool(rng.random() < c.hard_probability) and target < speeds[-1]
+        rate = rng.uniform(*(c.hard_brake_mps2 if hard else c.brake_mps2 if target < speeds[-1] else c.accelerate_mps2))
+        jerk = c.hard_jerk_mps3 if hard else c.jerk_mps3
+        while speeds[-1] != target and len(speeds) < count:
+            speed, acceleration = _towards(speeds[-1], acceleration, target, rate, jerk, dt_s)
+            speeds.append(speed)
+        acceleration = 0.0
+        speeds += [target] * int(rng.uniform(*(c.stand_s if stop else c.cruise_s)) / dt_s)
+    return np.array(speeds[:count])
+
+
+def _towards(
+    speed: float, acceleration: float, target: float, rate: float, jerk: float, dt: float
+) -> tuple[float, float]:
+    """One step of speed and acceleration to a target: ``a^2 / (2 j)`` is what easing off still changes the speed by."""
+    sign = 1.0 if target > speed else -1.0
+    left = abs(target - speed)
+    pace = max(sign * acceleration, 0.0)
+    wished = min(rate, np.sqrt(2.0 * jerk * left))
+    pace = float(max(min(wished, pace + jerk * dt), jerk * dt))
+    if pace * dt >= left:
+        return target, sign * pace
+    return speed + sign * pace * dt, sign * pace
+
+
+class LeadVehicle(ControlledVehicle):  # type: ignore[misc]
+    """A vehicle that keeps its lane and drives a speed profile, whoever is behind it."""
+
+    def follow(self, speeds_mps: Array) -> None:
+        """Drive these speeds from now on, one a simulation step, and the last one ever after."""
+        self.profile_mps: Array = speeds_mps
+        self.steps_driven = 0
+        self.speed = float(speeds_mps[0])
+
+    def step(self, dt: float) -> None:
+        """Move, with the acceleration that leads to the profile's next speed; a wreck brakes as all wrecks do."""
+        profile = getattr(self, "profile_mps", None)
+        if profile is not None:
+            self.steps_driven = min(self.steps_driven + 1, len(profile) - 1)
+            self.action["acceleration"] = (float(profile[self.steps_driven]) - self.speed) / dt
+        super().step(dt)
+
+
+class CityDriver(IDMVehicle):  # type: ignore[misc]
+    """An IDM driver at town distances who slows down for the bends ahead where the lane advises a speed.
+
+    The time gap is that of M. Treiber and A. Kesting, Traffic Flow Dynamics, 2013, table 11.2, for city traffic, with
+    somewhat livelier accelerations. The distance is from middle to middle of cars 5 m long; braking to a stop they come
+    about 2 m nearer than it.
+    """
+
+    DISTANCE_WANTED = 8.0
+    TIME_WANTED = 1.0
+    COMFORT_ACC_MAX = 1.5
+    COMFORT_ACC_MIN = -2.0
+    LANE_CHANGE_DELAY = 2.0
+    LANE_CHANGE_MIN_ACC_GAIN = 0.4
+    REACTION_S = 0.8
+
+    def acceleration(
+        self, ego_vehicle: Vehicle | None, front_vehicle: Vehicle | None = None, rear_vehicle: Vehicle | None = None
+    ) -> float:
+        """IDM's, or less where that leads to the speed advised for where the driver will be after its reaction time."""
+        free = float(super().acceleration(ego_vehicle, front_vehicle, rear_vehicle))
+        advised_speed = getattr(self.lane, "advised_speed", None)
+        if ego_vehicle is not self or advised_speed is None:
+            return free
+        s = self.lane.local_coordinates(self.position)[0]
+        advised = advised_speed(s + max(self.speed, 0.0) * self.REACTION_S)
+        return min(free, float((advised - self.speed) / self.REACTION_S))
+
+    def step(self, dt: float) -> None:
+        """Move; braking ends at standstill, where IDM alone would reverse."""
+        if not self.crashed:
+            self.action["acceleration"] = max(self.action["acceleration"], -self.speed / dt)
+        super().step(dt)
+
+
+class IntersectionDriver(IDMVehicle):  # type: ignore[misc]
+    """An IDM driver of its own class: highway-env's intersection changes class constants of whoever drives there."""

@@ -1,0 +1,47 @@
+"""A curved road through streets, to be driven in the middle of the lane."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from lanebound.envs.worlds.base import World
+from lanebound.envs.worlds.networks import StreetNetwork, winding_road
+
+__all__ = ["LaneKeepingWorld"]
+
+END_M = 40.0
+
+
+class LaneKeepingWorld(World):
+    """Keep the lane along 1.8 km of straights, bends of 40 to 160 m radius and S-bends, alone on the road.
+
+    Action, observation, reward
+        Those of :class:`World`.
+    Start
+        On a random lane, anywhere from where the episode's time at the limit of 50 km/h does not reach the end of the
+        road, at ``initial_speed`` or that which the bends ahead allow.
+    Episode end
+        That of :class:`World`; truncated at the end of the road too.
+    Configuration
+        ``layout`` (0 to 3: which road), ``lanes_count`` (in the same direction), ``initial_speed`` [m/s].
+    """
+
+    @classmethod
+    def default_config(cls) -> dict[str, Any]:
+        """Defaults of all keys."""
+        return super().default_config() | {"layout": 0, "lanes_count": 1, "initial_speed": 10.0}
+
+    def _network(self) -> StreetNetwork:
+        return winding_road(self.config["layout"], self.config["lanes_count"], self.config["lane_width"])
+
+    def _populate(self) -> None:
+        """Start anywhere from where the episode's time does not reach the end of the road at the limit."""
+        index = ("start", "end", int(self.np_random.integers(self.config["lanes_count"])))
+        lane = self.road.network.get_lane(index)
+        latest = lane.length - END_M - lane.speed_limit * self.config["duration"]
+        start = float(self.np_random.uniform(10.0, max(latest, 20.0)))
+        self._place_ego(index, start, min(self.config["initial_speed"], lane.advised_speed(start)))
+
+    def _is_truncated(self) -> bool:
+        """Time is up, or the road is at its end."""
+        return super()._is_truncated() or self._along()[0] > self.vehicle.lane.length - END_M / 2

@@ -1,0 +1,204 @@
+"""Wrappers around any environment of lanebound: costs in the form that a learner wants, and an episode's statistics.
+
+What Gymnasium has already is not repeated here: ``TimeLimit``, ``RecordEpisodeStatistics``, ``RecordVideo``,
+``NormalizeReward`` and the like work as they are. To flatten or to stack, set ``observation.form`` to ``"flat"`` and
+``observation.history`` in the configuration: these keep the order of the published index. Gymnasium's
+``FlattenObservation`` puts the groups into alphabetical order instead.
+
+>>> import gymnasium, lanebound.envs
+>>> env = gymnasium.make("lanebound/LaneKeeping-v0", config={"sky": "open"})
+>>> env = SafetyGymnasium(EpisodeStatistics(env))
+>>> observation, info = env.reset(seed=1)
+>>> observation, reward, cost, terminated, truncated, info = env.step(env.action_space.sample())
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from typing import Any, SupportsFloat
+
+import gymnasium
+from gymnasium.utils import RecordConstructorArgs
+
+from lanebound.envs.costs import CAUSES
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.positioning.modes import Mode
+
+__all__ = ["CostIntoReward", "EpisodeStatistics", "SafetyGymnasium"]
+
+Env = gymnasium.Env[Any, Any]
+Wrapper = gymnasium.Wrapper[Any, Any, Any, Any]
+FiveTuple = tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]
+Started = tuple[Any, dict[str, Any]]
+EPISODE_KEY = "episode_integrity"
+
+
+class _OfLanebound(Wrapper):
+    """A wrapper that reads what our environments put into ``info``, and says so to any other."""
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Started:
+        """Begin an episode.
+
+        Raises
+        ------
+        InputError
+            The environment is none of lanebound's: its ``info`` has no costs.
+        """
+        observation, info = self.env.reset(seed=seed, options=options)
+        if "cost" not in info:
+            raise InputError(
+                f"env must put 'cost' into its info, got {self.env}: wrap an environment of lanebound, "
+                "such as gymnasium.make('lanebound/LaneKeeping-v0')"
+            )
+        return observation, info
+
+
+class SafetyGymnasium(_OfLanebound, RecordConstructorArgs):
+    """Six values of a step, as Safety-Gymnasium's: ``observation, reward, cost, terminated, truncated, info``.
+
+    ``cost`` is ``info["cost"]``, a float. Put it around all other wrappers: Gymnasium's own expect five values.
+    """
+
+    def __init__(self, env: Env) -> None:
+        RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+
+    def step(  # type: ignore[override]
+        self, action: Any
+    ) -> tuple[Any, SupportsFloat, float, bool, bool, dict[str, Any]]:
+        """Carry out a command until the next decision."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return observation, reward, float(info["cost"]), terminated, truncated, info
+
+
+class CostIntoReward(_OfLanebound, RecordConstructorArgs):
+    """A reward less the costs, for learners that know no constraints: ``r - sum_i w_i c_i``.
+
+    Parameters
+    ----------
+    env : an environment of lanebound
+    weight : one weight >= 0 of ``info["cost"]`` (which has the weights of the configuration in it already), or a weight
+        for each cause by its name in ``info``; causes that are left out count nothing
+
+    Raises
+    ------
+    InputError
+        A negative or infinite weight, or a cause that does not exist, with the nearest one.
+    """
+
+    def __init__(self, env: Env, weight: float | Mapping[str, float] = 1.0) -> None:
+        kept = _checked(weight)
+        RecordConstructorArgs.__init__(self, weight=kept)
+        super().__init__(env)
+        self.weights: dict[str, float] = kept if isinstance(kept, dict) else {"cost": kept}
+
+    def step(self, action: Any) -> FiveTuple:
+        """Carry out a command; costs in ``info`` stay as they are."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        penalty = sum(weight * info[cause] for cause, weight in self.weights.items())
+        return observation, float(reward) - penalty, terminated, truncated, info
+
+
+def _checked(weight: float | Mapping[str, float]) -> float | dict[str, float]:
+    """The weight or weights as plain floats."""
+    if not isinstance(weight, Mapping):
+        return _checked_one("weight", weight)
+    for cause in weight:
+        if cause not in CAUSES:
+            near = (get_close_matches(str(cause), CAUSES, 1, cutoff=0.3) or CAUSES)[0]
+            raise InputError(
+                f"weight must name causes among {', '.join(CAUSES)}, got {cause!r}: did you mean {near!r}?"
+            )
+    return {cause: _checked_one(f"weight of {cause}", value) for cause, value in weight.items()}
+
+
+def _checked_one(name: str, value: float) -> float:
+    if isinstance(value, bool | str) or not math.isfinite(value) or value < 0.0:
+        raise InputError(f"{name} must be a finite number >= 0, got {value!r}: costs are subtracted from the reward")
+    return float(value)
+
+
+@dataclass
+class _Tally:
+    """Sums over the steps of one episode."""
+
+    steps: int = 0
+    reward: float = 0.0
+    sums: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("cost", *CAUSES), 0.0))
+    counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(("available", "mi", "hmi", "alert"), 0))
+    alerts: int = 0
+    modes: dict[str, int] = field(default_factory=lambda: {mode.key: 0 for mode in Mode})
+    worst: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("at", "ct"), 0.0))
+    levels: dict[str, list[float]] = field(default_factory=lambda: {"at": [], "ct": []})
+    alerted: bool = False
+
+    def add(self, reward: float, info: dict[str, Any]) -> None:
+        """One step."""
+        self.steps += 1
+        self.reward += reward
+        for cause in self.sums:
+            self.sums[cause] += info[cause]
+        for event in self.counts:
+            self.counts[event] += info[event]
+        self.alerts += info["alert"] and not self.alerted
+        self.alerted = info["alert"]
+        self.modes[Mode(info["mode"]).key] += 1
+        for axis, levels in self.levels.items():
+            self.worst[axis] = max(self.worst[axis], abs(info[f"err_{axis}_m"]))
+            if math.isfinite(info[f"pl_{axis}_m"]):
+                levels.append(info[f"pl_{axis}_m"])
+
+    def report(self, info: dict[str, Any]) -> dict[str, Any]:
+        """What is told of the episode, the last step's ``info`` at hand."""
+        return {
+            "return": self.reward,
+            "length": self.steps,
+            "is_success": info["is_success"],
+            **self.sums,
+            "availability": self.counts["available"] / self.steps,
+            "mi_steps": self.counts["mi"],
+            "hmi_steps": self.counts["hmi"],
+            "alert_share": self.counts["alert"] / self.steps,
+            "alerts": self.alerts,
+            "mode_shares": {mode: count / self.steps for mode, count in self.modes.items()},
+            **{f"err_{axis}_max_m": worst for axis, worst in self.worst.items()},
+            **{f"pl_{axis}_mean_m": math.fsum(x) / len(x) if x else math.inf for axis, x in self.levels.items()},
+        }
+
+
+class EpisodeStatistics(_OfLanebound, RecordConstructorArgs):
+    """Puts ``info["episode_integrity"]`` into the last step of an episode, a dict of plain values over its steps.
+
+    ``return``, ``length``  sum of rewards, number of steps; ``is_success`` of the last step.
+    ``cost`` and each ``cost_*``  sums over the episode, to be compared with ``cost_limit``.
+    ``availability``  share of steps with the position available; ``mi_steps``, ``hmi_steps``  numbers of steps with
+    (hazardously) misleading information.
+    ``alert_share``, ``alerts``  share of steps with an alert on, and how often one began.
+    ``mode_shares``  share of steps by the name of each :class:`~lanebound.integrity.positioning.modes.Mode`.
+    ``err_at_max_m``, ``err_ct_max_m``  largest error without sign.
+    ``pl_at_mean_m``, ``pl_ct_mean_m``  mean level over the steps that had one; inf when none had.
+
+    The moment of the reset is not counted. The key is absent before the end, as Gymnasium's ``episode`` is.
+    """
+
+    def __init__(self, env: Env) -> None:
+        RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+        self._tally = _Tally()
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Started:
+        """Begin an episode, and its statistics."""
+        observation, info = super().reset(seed=seed, options=options)
+        self._tally = _Tally()
+        return observation, info
+
+    def step(self, action: Any) -> FiveTuple:
+        """Carry out a command; the last step of an episode brings the statistics."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        self._tally.add(float(reward), info)
+        if terminated or truncated:
+            info[EPISODE_KEY] = self._tally.report(info)
+        return observation, reward, terminated, truncated, info

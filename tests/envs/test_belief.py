@@ -1,0 +1,159 @@
+"""The car drives on belief: an error of navigation moves the real car, and nothing else of the truth does."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from lanebound.envs import DrivingEnv, wrap
+from lanebound.envs.cockpit import Cockpit
+from lanebound.envs.ego import MetaEgo
+
+IDLE = 1
+STRAIGHT: dict[str, Any] = {"world": {"vehicles_count": 0}, "sky": "open", "perception": {"source": "none"}}
+
+
+def _highway(**config: Any) -> DrivingEnv:
+    return wrap("highway-v0", {**STRAIGHT, **config})
+
+
+def _true_offsets(env: DrivingEnv, steps: int, seed: int = 3) -> NDArray[np.float64]:
+    """The true lateral offset from the lane after each step without commands."""
+    env.reset(seed=seed)
+    rows = []
+    for _ in range(steps):
+        env.step(IDLE)
+        car = env.world.vehicle
+        lane = env.world.road.network.get_lane(car.target_lane_index)
+        rows.append(float(lane.local_coordinates(car.position)[1]))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("bias_m", [1.0, -1.0])
+def test_a_bias_across_the_track_moves_the_real_car(bias_m: float) -> None:
+    moved = _true_offsets(_highway(navigation={"source": "offset", "offset_ct_m": bias_m}), 12)
+    straight = _true_offsets(_highway(navigation={"source": "perfect"}), 12)
+    assert abs(straight[-1]) < 1e-6
+    np.testing.assert_allclose(moved[10:], -bias_m, atol=0.02)  # from 5 s on
+
+
+def test_a_bias_moves_the_car_in_curves_too() -> None:
+    """Compared at equal arc length, on radii of 40 m and more; the low-level control cuts curves by itself."""
+
+    def path(navigation: dict[str, Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        env = DrivingEnv(
+            {
+                "base": "LaneKeepingWorld",
+                "sky": "open",
+                "actuators": None,
+                "navigation": navigation,
+                "off_road_ends": False,
+            }
+        )
+        env.reset(seed=5)
+        rows = []
+        for _ in range(60):
+            env.step(IDLE)
+            lane = env.world.road.network.get_lane(env.world.vehicle.target_lane_index)
+            rows.append(lane.local_coordinates(env.world.vehicle.position))
+        arc, offset = np.array(rows).T
+        return arc, offset
+
+    arc, offset = path({"source": "perfect"})
+    moved_arc, moved = path({"source": "offset", "offset_ct_m": 0.5})
+    common = moved_arc[(moved_arc > moved_arc[10]) & (moved_arc < arc[-1])]
+    difference = np.interp(common, moved_arc, moved) - np.interp(common, arc, offset)
+    np.testing.assert_allclose(difference, -0.5, atol=0.06)
+
+
+def test_the_spread_of_the_error_is_the_spread_of_the_drive() -> None:
+    """On a straight the real car mirrors the error of its navigation, low-passed by its own steering."""
+    env = _highway(sky="urban", actuators=None, navigation={"smoothing_s": 0.0, "jump_m": 50.0}, off_road_ends=False)
+    error, offset = [], []
+    for seed in range(4):
+        env.reset(seed=seed)
+        for k in range(50):
+            *_, info = env.step(IDLE)
+            car = env.world.vehicle
+            if k > 10:
+                error.append(info["err_ct_m"])
+                offset.append(
+                    float(env.world.road.network.get_lane(car.target_lane_index).local_coordinates(car.position)[1])
+                )
+    e, d = np.array(error), np.array(offset)
+    assert np.std(e) > 0.03
+    assert np.corrcoef(e, d)[0, 1] < -0.8
+    assert 0.6 < np.std(d) / np.std(e) < 1.2
+
+
+def _poisoned(car: Any) -> dict[str, Any]:
+    """Put nonsense in the place of the truth, and return what was there."""
+    kept = {name: getattr(car, name) for name in ("position", "heading", "speed", "lane_index", "lane")}
+    car.position, car.heading, car.speed = kept["position"] + 1e3, kept["heading"] + 2.0, kept["speed"] - 100.0
+    car.lane_index = car.lane = None
+    return kept
+
+
+def _restore(car: Any, kept: dict[str, Any]) -> None:
+    for name, value in kept.items():
+        setattr(car, name, value)
+
+
+def _drive(seed: int) -> list[tuple[float, ...]]:
+    env = wrap("merge-v1", {"sky": "urban", "actuators": None})
+    env.reset(seed=seed)
+    rng = np.random.default_rng(seed)
+    rows = []
+    for _ in range(12):
+        observation, _, terminated, truncated, _ = env.step(int(rng.integers(5)))
+        car = env.world.vehicle
+        rows.append((*car.position, car.heading, car.speed, *(float(part.sum()) for part in observation.values())))
+        if terminated or truncated:
+            break
+    return rows
+
+
+def test_poisoned_truth_changes_no_decision(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once measured, the truth may be anything: commands, masks and observations stay what they are, to the bit."""
+    expected = _drive(4)
+    act, observe = MetaEgo.act, DrivingEnv._observe
+    decisions = 0
+
+    def blind_act(self: Any, action: Any = None) -> None:
+        nonlocal decisions
+        self.cockpit.look()
+        kept = _poisoned(self)
+        try:
+            act(self, action)
+        finally:
+            _restore(self, kept)
+        decisions += 1
+
+    def blind_observe(self: Any) -> Any:
+        kept = _poisoned(self.world.vehicle)
+        try:
+            self.action_masks()
+            return observe(self)
+        finally:
+            _restore(self.world.vehicle, kept)
+
+    monkeypatch.setattr(MetaEgo, "act", blind_act)
+    monkeypatch.setattr(DrivingEnv, "_observe", blind_observe)
+    assert _drive(4) == expected
+    assert decisions > 50
+
+
+def test_belief_is_up_to_date_before_anything_is_decided(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[int] = []
+    look = Cockpit.look
+
+    def counted(self: Cockpit) -> None:
+        look(self)
+        seen.append(self._seen - self._moved)
+
+    monkeypatch.setattr(Cockpit, "look", counted)
+    _drive(1)
+    assert set(seen) == {0}

@@ -1,0 +1,255 @@
+"""Pictures: their form, that they are the same for the same frame, and that they show what they should."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import sys
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+import pygame
+import pytest
+from highway_env.road.road import RoadNetwork
+
+from lanebound.envs.records import EgoBelief, Traffic
+from lanebound.envs.rendering import Bodies, Frame, RenderingConfig, Satellites, Tape, Viewer
+from lanebound.envs.rendering.roads import RoadDrawing
+from lanebound.envs.rendering.theme import THEMES
+from lanebound.integrity.monitoring.alerts import AlertReason
+from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.sky.scene import City, Surface, prisms
+
+DARK = THEMES["dark"]
+EGO_PX = (330, 356)  # middle of the true ego in the default picture
+SQUARE = np.array([[-5.0, -5.0], [5.0, -5.0], [5.0, 5.0], [-5.0, 5.0]])
+
+
+def belief(**changes) -> EgoBelief:
+    known = dict.fromkeys(EgoBelief.__dataclass_fields__, 0.0) | {
+        "position_m": np.array([100.3, 4.2]),
+        "lane_index": ("0", "1", 1),
+        "target_lane_index": ("0", "1", 1),
+        "longitudinal_m": 100.3,
+        "lateral_m": 0.2,
+        "pl_at_m": 0.6,
+        "pl_ct_m": 0.4,
+        "al_at_m": 1.5,
+        "al_ct_m": 1.0,
+        "mode": 1,
+        "rtk": 0,
+        "reason": 0,
+        "alert": False,
+        "available": True,
+        "satellites": 12,
+    }
+    return EgoBelief(**(known | changes))
+
+
+def traffic(pl_m: float) -> Traffic:
+    one = np.ones(1)
+    place = np.array([[120.0, 8.3]])
+    key, relative = np.zeros(1, dtype=np.int64), np.zeros(1, dtype=bool)
+    return Traffic(key, place, 0 * one, 9 * one, pl_m * one, pl_m * one, 0 * one, 5 * one, 2 * one, relative)
+
+
+def sky() -> Satellites:
+    path = np.arange(8) % 4
+    azimuth, elevation = np.linspace(0.0, 6.0, 8), np.linspace(-0.1, 1.5, 8)
+    return Satellites(azimuth, elevation, path, path < 2, np.arange(8) % 5)
+
+
+def tape() -> Tape:
+    record = Tape()
+    for k in range(40):
+        pl = np.inf if k > 35 else 0.5
+        row = {"err_at_m": 0.2, "pl_at_m": pl, "al_at_m": 1.5, "err_ct_m": -0.1, "pl_ct_m": pl, "al_ct_m": 1.0}
+        record.add(0.1 * k, **row, alert=k > 35)
+    return record
+
+
+@pytest.fixture(scope="module")
+def city() -> City:
+    slab = prisms(SQUARE[None] + [120.0, 0.0], 6.0, 7.5, floor=True)
+    tree = City.of(prisms(0.4 * SQUARE[None] + [95.0, 12.0], 4.5, 9.0), Surface.FOLIAGE)
+    return City.of(np.concatenate([slab, prisms(SQUARE[None] + [105.0, -22.0], 0.0, 30.0)])) + tree
+
+
+@pytest.fixture(scope="module")
+def frame(city) -> Frame:
+    bodies = Bodies(
+        np.array([[100.0, 4.0], [120.0, 8.0]]), np.zeros(2), np.full(2, 5.0), np.full(2, 2.0), np.array([False, True])
+    )
+    network = RoadNetwork.straight_road_network(3, length=300)
+    return Frame(
+        network, bodies, 0, belief(), 3.9, 12.0, traffic(0.5), (), city, sky(), tape().trace, "lanebound/Test-v0", 0.5
+    )
+
+
+@pytest.fixture(scope="module")
+def viewer() -> Viewer:
+    return Viewer()
+
+
+def near(pixel, colour, within=12) -> bool:
+    return bool(np.abs(np.asarray(pixel, dtype=int) - colour).max() <= within)
+
+
+def test_a_picture_is_rgb_of_the_size_asked_for(viewer, frame):
+    picture = viewer.render(frame)
+    assert picture.shape == (540, 960, 3)
+    assert picture.dtype == np.uint8
+    assert picture.flags.writeable
+    kept = picture.copy()
+    viewer.render(replace(frame, belief=belief(alert=True, reason=2)))
+    assert (picture == kept).all()
+
+
+def test_equal_frames_give_equal_pictures(viewer, frame):
+    first = viewer.render(frame)
+    viewer.render(replace(frame, time_s=8.0, city=None))
+    assert (viewer.render(frame) == first).all()
+    assert (Viewer().render(frame) == first).all()
+
+
+def test_a_copied_or_pickled_viewer_draws_the_same(viewer, frame):
+    first = viewer.render(frame)
+    for twin in (copy.deepcopy(viewer), pickle.loads(pickle.dumps(viewer))):
+        assert twin.config == viewer.config
+        assert (twin.render(frame) == first).all()
+
+
+def test_no_display_is_opened(viewer, frame):
+    viewer.render(frame)
+    assert not pygame.display.get_init()
+
+
+@pytest.mark.parametrize("width", [320, 599, 600, 1280])
+@pytest.mark.parametrize("height", [240, 300, 720])
+def test_any_size_can_be_drawn(frame, width, height):
+    config = RenderingConfig(width_px=width, height_px=height, supersampling=1)
+    assert Viewer(config).render(frame).shape == (height, width, 3)
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+def test_every_mode_and_reason_can_be_shown(viewer, frame, mode):
+    pictures = {
+        viewer.render(replace(frame, belief=belief(mode=int(mode), alert=True, reason=reason.code))).tobytes()
+        for reason in AlertReason
+    }
+    assert len(pictures) == len(AlertReason)
+
+
+def test_the_true_ego_is_where_the_camera_looks(frame):
+    for theme in ("dark", "light"):
+        for orientation, at in (("heading_up", EGO_PX), ("north_up", (330, 270))):
+            config = RenderingConfig(theme=theme, orientation=orientation)
+            picture = Viewer(config).render(replace(frame, belief=belief(position_m=np.array([104.0, 4.0]))))
+            across, along = (5, 6) if orientation == "heading_up" else (6, 5)
+            assert near(picture[at[1] + along, at[0] - across], THEMES[theme].ego)
+
+
+def test_a_crash_shows(viewer, frame):
+    at = (EGO_PX[0] + 32, EGO_PX[1] - 160)
+    quiet = replace(frame, traffic=Traffic.none(), city=None)
+    assert near(viewer.render(quiet)[at[1], at[0]], DARK.crashed)
+    mended = replace(quiet, bodies=replace(quiet.bodies, crashed=np.zeros(2, dtype=bool)))
+    assert near(viewer.render(mended)[at[1], at[0]], DARK.other)
+
+
+def test_a_building_stands_to_the_north_where_its_east_and_north_say(frame):
+    config = RenderingConfig(orientation="north_up", legend=False)
+    south = City.of(prisms(SQUARE[None] + [105.0, -22.0], 0.0, 30.0))  # N = -22 is y = +22, 18 m below the ego's 4
+    with_city = Viewer(config).render(replace(frame, city=south))
+    without = Viewer(config).render(replace(frame, city=None))
+    changed = np.argwhere((with_city != without).any(-1))
+    top, left = changed.min(0)
+    assert left == pytest.approx(330 + 8 * 0, abs=2)
+    assert top == pytest.approx(270 + 8 * 13, abs=2)
+
+
+def test_the_box_is_drawn_as_large_as_its_levels(viewer, frame):
+    bare = replace(frame, traffic=Traffic.none(), city=None)
+    small = viewer.render(bare)[:, :660]
+    large = viewer.render(replace(bare, belief=belief(pl_at_m=1.4)))[:, :660]
+    changed = np.argwhere((small != large).any(-1))
+    middle = EGO_PX[1] - 8 * 0.3
+    assert changed[:, 0].min() == pytest.approx(middle - 8 * (2.5 + 1.4), abs=2)
+    assert changed[:, 0].max() == pytest.approx(middle + 8 * (2.5 + 1.4), abs=2)
+
+
+def test_missing_levels_can_be_drawn(viewer, frame):
+    lost = belief(pl_at_m=np.inf, pl_ct_m=np.inf, available=False, alert=True, reason=4, mode=0, since_rtk_s=np.inf)
+    blind = replace(frame, belief=lost, traffic=traffic(np.inf), satellites=None, city=None, cost=None)
+    assert (viewer.render(blind) != viewer.render(frame)).any()
+
+
+def test_the_light_is_coloured(viewer, frame):
+    colours = {
+        DARK.ok: belief(), DARK.caution: belief(pl_ct_m=0.9), DARK.alert: belief(alert=True, reason=2),
+    }  # fmt: skip
+    for colour, state in colours.items():
+        assert near(viewer.render(replace(frame, belief=state))[47, 672], colour)
+
+
+def test_a_network_is_traced_once(viewer, frame, monkeypatch):
+    traced = []
+    original = RoadDrawing.of.__func__
+
+    def counted(cls, network):
+        traced.append(network)
+        return original(cls, network)
+
+    monkeypatch.setattr(RoadDrawing, "of", classmethod(counted))
+    one = Viewer()
+    one.render(frame)
+    one.render(replace(frame, time_s=5.0))
+    assert len(traced) == 1
+    one.render(replace(frame, network=RoadNetwork.straight_road_network(2, length=300)))
+    assert len(traced) == 2
+
+
+def test_a_window_opens_shows_and_closes(frame, monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    with Viewer(fps=1000.0) as viewer:
+        assert viewer.show(frame)
+        assert pygame.display.get_init()
+        assert viewer.show(frame)
+    assert not pygame.display.get_init()
+    viewer.close()
+
+
+def test_the_user_can_close_the_window(frame, monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    with Viewer(fps=1000.0) as viewer:
+        viewer.show(frame)
+        window = viewer._window._window
+        pygame.event.post(pygame.event.Event(pygame.WINDOWCLOSE, window=window))
+        assert not viewer.show(frame)
+        assert not viewer.show(frame)
+    assert not pygame.display.get_init()
+
+
+def test_a_window_of_the_user_is_left_alone(frame, monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    pygame.display.init()
+    try:
+        own = pygame.display.set_mode((100, 80))
+        own.fill((1, 2, 3))
+        with Viewer(fps=1000.0) as viewer:
+            viewer.show(frame)
+            pygame.event.post(pygame.event.Event(pygame.WINDOWCLOSE, window=None))
+            assert viewer.show(frame)
+        assert pygame.display.get_init()
+        assert pygame.display.get_surface() is own
+        assert own.get_at((5, 5))[:3] == (1, 2, 3)
+        assert pygame.event.peek(pygame.WINDOWCLOSE)
+    finally:
+        pygame.display.quit()
+
+
+def test_a_missing_pygame_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(gymnasium.error.DependencyNotInstalled, match="pip install pygame-ce"):
+        Viewer()
