@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from lanebound.integrity import navigator_kernel as nk
+from lanebound.integrity import rtk_stage_kernel as rk
 from lanebound.integrity.accel import use_parallel
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import ConfigError, InputError, require_finite
@@ -140,11 +141,11 @@ class Measurements:
 class NavigatorState:
     """Everything that lasts from epoch to epoch: the instruments' own state, and the belief's.
 
-    ``belief`` (B, NX) and ``growth`` (B, NP) are the flat columns of :mod:`.navigator_kernel` and
-    :mod:`.monitoring.dead_reckoning_pl_kernel`, which all R protection levels share; ``start`` (B, R, 4) is what the
-    last RTK position left to each, ``apart`` (B, APART_ROWS, S) the separations of
+    ``belief`` (B, NX), ``rtk`` (B, NX) and ``growth`` (B, NP) are the flat columns of :mod:`.navigator_kernel`,
+    :mod:`.rtk_stage_kernel` and :mod:`.monitoring.dead_reckoning_pl_kernel`; all R protection levels share the growth,
+    ``start`` (B, R, 4) is what the last RTK position left to each, ``apart`` (B, APART_ROWS, S) the separations of
     :mod:`.monitoring.doppler_separation_kernel`. ``held`` (B, S), ``integers`` (B, S, 2), ``fix_id`` and ``fix_risk``
-    (B, S) are the ambiguities held.
+    (B, S) are the ambiguities held; ``last_phase_m`` (B, S, 2) serves to find slips.
     """
 
     streams: Streams
@@ -154,6 +155,8 @@ class NavigatorState:
     odometer: OdometerState
     alert: AlertState
     belief: Array
+    rtk: Array
+    last_phase_m: Array
     growth: Array
     start: Array
     apart: Array
@@ -223,6 +226,8 @@ class Navigator:
             odometer=initial_odometer(c.odometer, streams),
             alert=AlertState.initial(batch),
             belief=belief,
+            rtk=np.zeros((batch, rk.NX)),
+            last_phase_m=np.zeros((batch, n_sat, 2)),
             growth=np.zeros((batch, GROWTH_SIZE)),
             start=np.zeros((batch, len(c.cases), 4)),
             apart=np.zeros((batch, APART_ROWS, n_sat)),
@@ -273,6 +278,7 @@ class Navigator:
         belief[rows, nk.INITIALISED] = 1.0
         belief[rows, nk.APART :] = 0.0  # with the memory of the odometer's watch
         self.state.start[rows] = self.state.apart[rows] = 0.0
+        self.state.held[rows], self.state.last_phase_m[rows] = False, 0.0
         growth[rows] = 0.0
         growth[rows, ..., [P_EE]] = growth[rows, ..., [P_NN]] = sigma_m**2
         growth[rows, ..., [VAR_TH]] = sigma_heading_rad**2
@@ -327,10 +333,11 @@ class Navigator:
             first, self.batch, m.sky.los_enu, m.sky.system, m.sky.elevation_rad, m.sky.index, g.tracked, g.cn0_dbhz,
             g.code_m, g.phase_m,
             g.range_rate_mps, g.lock_lost, g.corrections_age_s, inertial, m.odometer.speed_mps,
-            t.par, t.mode_limits, t.heading_limits, t.wavelength, t.fixable, t.chi2, t.normal, t.fde, t.risks, t.shares,
-            t.spent, t.priors, t.k_fa, t.k_published, t.k_dead, t.published, t.operative_published, t.alert_limits,
-            t.drift_group, s.belief, s.growth, s.start, s.apart, s.held, s.integers, s.fix_id, s.fix_risk,
-            s.alert.alert, s.alert.reason, s.alert.onset_s, s.alert.clear_s, out, levels,
+            t.par, t.rtk_par, t.mode_limits, t.heading_limits, t.wavelength, t.fixable, t.fit, t.chi2, t.normal, t.fde,
+            t.risks, t.shares, t.spent, t.priors, t.k_fa, t.k_published, t.k_dead, t.published, t.operative_published,
+            t.alert_limits, t.drift_group, s.belief, s.rtk, s.last_phase_m, s.growth, s.start, s.apart, s.held,
+            s.integers, s.fix_id, s.fix_risk, s.alert.alert, s.alert.reason, s.alert.onset_s, s.alert.clear_s, out,
+            levels,
         )  # fmt: skip
         return self._solution(m, out, levels)
 
@@ -371,10 +378,12 @@ class _Tables:
     """The configuration as the arrays that the kernel takes."""
 
     par: Array
+    rtk_par: Array
     mode_limits: Array
     heading_limits: Array
     wavelength: Array
     fixable: NDArray[np.bool_]
+    fit: Array
     chi2: Array
     normal: Array
     fde: Array
@@ -406,10 +415,12 @@ class _Tables:
         r = c.risk
         return cls(
             par=_declared(c),
+            rtk_par=_declared_rtk(c),
             mode_limits=c.positioning.mode_limits,
             heading_limits=c.positioning.heading_limits,
             wavelength=np.ascontiguousarray(WAVELENGTH_M[:, list(c.gnss.bands)]),
             fixable=FIXABLE[system],
+            fit=c.positioning.rtk.largest_misfits,
             chi2=np.ascontiguousarray(thresholds.global_chi2),
             normal=np.ascontiguousarray(thresholds.local_normal),
             fde=np.array([float(c.fde.global_first), float(c.fde.max_excluded), float(c.fde.min_redundancy)]),
@@ -441,26 +452,38 @@ class _Tables:
 def _declared(c: NavigatorConfig) -> Array:
     """The declared figures in the columns of the kernel's ``par``."""
     r, d, h, o = c.positioning.rtk, c.positioning.doppler, c.positioning.heading, c.positioning.dead_reckoning
-    smallest = min(case.integrity_risk for case in c.cases)
     values: dict[int, Any] = {
-        nk.DT: c.dt_s, nk.BANDS: len(c.gnss.bands), nk.SIN_MASK: np.sin(np.deg2rad(r.elevation_mask_deg)),
-        nk.CN0_MIN: r.cn0_min_dbhz, nk.CN0_KNEE: r.cn0_knee_dbhz, nk.SIGMA_CODE: r.sigma_code_m,
-        nk.SIGMA_PHASE: r.sigma_phase_m, nk.PHASE_BIAS: r.phase_bias_m, nk.REFERENCE_BIAS: r.reference_bias_m,
-        nk.AGE_SIGMA: r.age_sigma_mps, nk.MAX_AGE: r.max_age_s, nk.FIX_LIMIT: r.ambiguity_risk_share * smallest,
-        nk.RATIO_MIN: r.ratio_min, nk.MAX_CANDIDATES: r.max_candidates, nk.MIN_SATELLITES: r.min_satellites,
-        nk.MIN_FURTHER: r.min_further, nk.HOLD_FAILURES: r.hold_failures,
+        nk.DT: c.dt_s, nk.CN0_KNEE: r.cn0_knee_dbhz, nk.REFERENCE_BIAS: r.reference_bias_m, nk.CONFIRM: r.confirm_s,
         nk.DOP_SIGMA: d.sigma_mps, nk.DOP_TAU: d.tau_s, nk.DOP_BIAS: d.bias_mps,
         nk.DOP_SIN_MASK: np.sin(np.deg2rad(d.elevation_mask_deg)), nk.DOP_CN0_MIN: d.cn0_min_dbhz,
         nk.ARW: h.angle_random_walk_rad, nk.BIAS_WALK: h.bias_walk_radps,
         nk.ODO_SIGMA: o.odometer_sigma_mps, nk.ODO_TAU: o.odometer_tau_s, nk.ODO_BIAS: o.odometer_bias_mps,
         nk.HEADING_BIAS: np.deg2rad(o.heading_bias_deg), nk.HEADING_DRIFT: np.deg2rad(o.heading_drift_degps),
-        nk.SIGMA_PHASE_PL: r.sigma_phase_integrity_m, nk.FIX_MAX_AGE: r.fix_max_age_s,
         nk.BIAS_INITIAL: h.bias_initial_radps,
-        nk.ODO_SCALE: o.odometer_scale, nk.STILL_SPEED: o.standstill_speed_mps, nk.CONFIRM: r.confirm_s,
+        nk.ODO_SCALE: o.odometer_scale, nk.STILL_SPEED: o.standstill_speed_mps,
         nk.FAULT_DURATION: c.risk.fault_duration_s,
         nk.LEVER_FORWARD: c.positioning.antenna_forward_m, nk.LEVER_RIGHT: c.positioning.antenna_right_m,
     }  # fmt: skip
     par = np.zeros(nk.NP)
     par[nk.WATCH_LIMITS :] = o.watch.packed(o)
+    par[list(values)] = list(values.values())
+    return par
+
+
+def _declared_rtk(c: NavigatorConfig) -> Array:
+    """The declared figures in the columns of the RTK stage's ``par``."""
+    r, slips, smallest = c.positioning.rtk, c.positioning.slips, min(case.integrity_risk for case in c.cases)
+    values: dict[int, Any] = {
+        rk.BANDS: len(c.gnss.bands), rk.SIN_MASK: np.sin(np.deg2rad(r.elevation_mask_deg)),
+        rk.CN0_MIN: r.cn0_min_dbhz, rk.CN0_KNEE: r.cn0_knee_dbhz, rk.SIGMA_CODE: r.sigma_code_m,
+        rk.SIGMA_PHASE: r.sigma_phase_m, rk.SIGMA_PHASE_PL: r.sigma_phase_integrity_m, rk.PHASE_BIAS: r.phase_bias_m,
+        rk.AGE_SIGMA: r.age_sigma_mps, rk.MAX_AGE: r.max_age_s, rk.FIX_MAX_AGE: r.fix_max_age_s,
+        rk.FIX_LIMIT: r.ambiguity_risk_share * smallest, rk.RATIO_MIN: r.ratio_min,
+        rk.MAX_CANDIDATES: r.max_candidates, rk.MIN_SATELLITES: r.min_satellites, rk.MIN_FURTHER: r.min_further,
+        rk.HOLD_FAILURES: r.hold_failures, rk.ATTEMPTS: r.attempts, rk.SLIP_K: slips.threshold,
+        rk.SLIP_IONO: slips.ionosphere_rate_mps, rk.SLIP_FIT: slips.fit_limit,
+        rk.SLIP_FAILURE: slips.repair_failure_rate,
+    }  # fmt: skip
+    par = np.zeros(rk.NP)
     par[list(values)] = list(values.values())
     return par

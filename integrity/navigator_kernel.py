@@ -25,7 +25,6 @@ from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import (
 )
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED as FDE_EXCLUDED
 from lanebound.integrity.monitoring.detection_kernel import NO_REDUNDANCY as FDE_NO_REDUNDANCY
-from lanebound.integrity.monitoring.detection_kernel import UNRESOLVED as FDE_UNRESOLVED
 from lanebound.integrity.monitoring.detection_kernel import detect_and_exclude
 from lanebound.integrity.monitoring.doppler_separation_kernel import (
     AFFORDABLE,
@@ -43,13 +42,10 @@ from lanebound.integrity.monitoring.geometry_kernel import (
     P_NN,
     SIGMA0_AT,
     SIGMA0_CT,
-    SOLVED,
     X_E,
     X_N,
     X_U,
-    geometry,
     scratch,
-    solve,
 )
 from lanebound.integrity.monitoring.protection_kernel import (
     budgets_of,
@@ -74,26 +70,17 @@ from lanebound.integrity.positioning.odometer_watch_kernel import (
     turning_at_rest,
     watch_odometer,
 )
-from lanebound.integrity.positioning.rtk_kernel import (
-    FAULT,
-    FIXED,
-    NO_CORRECTIONS,
-    NOT_CONVERGED,
-    RATIO_FAILED,
-    TOO_FEW,
-    collapse_code,
-    collapse_phase,
-    drop_small_systems,
-    hdop_of,
-    held_risk,
-    resolve,
-)
+from lanebound.integrity.positioning.resolve_kernel import Fixes
+from lanebound.integrity.positioning.rtk_kernel import held_risk
+from lanebound.integrity.positioning.slip_watch_kernel import Motion
+from lanebound.integrity.rtk_stage_kernel import FIXED, Fixed, Signals, Tables, rtk, weigh
+from lanebound.integrity.small_matrix_kernel import hdop_of
 
 # state
 EAST, NORTH, UP, HEADING, GYRO_BIAS, P_HH, P_HB, P_BB = range(8)
-VEL_E, VEL_N, HAS_VEL, SINCE_RTK, SINCE_CAL, REJECTED, FIXES, REST_S, INITIALISED, FIXED_S = range(8, 18)
-UNBOUNDED, CONFLICT_S, REFUSED_S, RATIO_FAILS, APART = range(18, 23)
-WATCH = 23  # first of WATCH_SIZE
+VEL_E, VEL_N, HAS_VEL, SINCE_RTK, SINCE_CAL, REST_S, INITIALISED, FIXED_S = range(8, 16)
+UNBOUNDED, CONFLICT_S, REFUSED_S, APART = range(16, 20)
+WATCH = 20  # first of WATCH_SIZE
 NX = WATCH + WATCH_SIZE
 
 # solution
@@ -101,28 +88,13 @@ O_MODE, O_RTK, O_AVAILABLE, O_SIGMA_AT, O_SIGMA_CT, O_HDOP, O_SATELLITES, O_DOPP
 NO = 10
 REACQUIRE_S = 1.0  # of Doppler courses refused for their jump, before the heading filter opens up
 CONFLICT_LIMIT_S = 0.5  # of contradiction between Doppler and odometer
-UNUSED = 1e6  # variance factor of a satellite out of use: held perhaps, but without a say
 TEST_FAILED_CAUSE, INITIALISING_CAUSE = 5, 7  # codes of AlertReason
 
 # declared figures
 (
     DT,
-    BANDS,
-    SIN_MASK,
-    CN0_MIN,
     CN0_KNEE,
-    SIGMA_CODE,
-    SIGMA_PHASE,
-    PHASE_BIAS,
     REFERENCE_BIAS,
-    AGE_SIGMA,
-    MAX_AGE,
-    FIX_LIMIT,
-    RATIO_MIN,
-    MAX_CANDIDATES,
-    MIN_SATELLITES,
-    MIN_FURTHER,
-    HOLD_FAILURES,
     DOP_SIGMA,
     DOP_TAU,
     DOP_BIAS,
@@ -137,36 +109,19 @@ TEST_FAILED_CAUSE, INITIALISING_CAUSE = 5, 7  # codes of AlertReason
     HEADING_DRIFT,
     LEVER_FORWARD,
     LEVER_RIGHT,
-    SIGMA_PHASE_PL,
     CONFIRM,
-    FIX_MAX_AGE,
     BIAS_INITIAL,
     ODO_SCALE,
     STILL_SPEED,
     FAULT_DURATION,
-) = range(38)
-WATCH_LIMITS = 38  # first of LIMITS
+) = range(22)
+WATCH_LIMITS = 22  # first of LIMITS
 NP = WATCH_LIMITS + LIMITS
 
 # columns of ``start``, what the last RTK position left to each case: a bound beside ``K sigma``, the whole level [m]
 START_E, START_N, WHOLE_E, WHOLE_N = range(4)
 # columns of ``k_dead``: factors, and the risk that they stand for
 K_AT, K_CT, RISK_AT, RISK_CT = range(4)
-
-
-@jit
-def weigh(elevation, tracked, cn0, sin_mask, cn0_min, cn0_knee, factor, used):  # type: ignore[no-untyped-def]
-    """Variance factor ``(1 + 1/sin^2 el)/2 * (1 + 10^((knee - C/N0)/10))`` and who is used, for S satellites.
-
-    The elevation part is RTKLIB's ``a^2 + (a/sin el)^2`` scaled to 1 at the zenith; the C/N0 part doubles the
-    variance at the knee (sigma-epsilon model of Hartinger and Brunner 1999).
-    """
-    for s in range(elevation.shape[0]):
-        sine = math.sin(elevation[s])
-        used[s] = tracked[s] and sine > sin_mask and cn0[s] >= cn0_min
-        factor[s] = UNUSED
-        if used[s]:
-            factor[s] = 0.5 * (1.0 + 1.0 / (sine * sine)) * (1.0 + 10.0 ** (0.1 * (cn0_knee - cn0[s])))
 
 
 @jit
@@ -215,16 +170,6 @@ def calibrate(x, par, limits, v_e, v_n, q_ee, q_en, q_nn, v_ss, hdop):  # type: 
 
 
 @jit
-def keep_lock(tracked, phase, bands, lock_lost, held, phase_ok):  # type: ignore[no-untyped-def]
-    """Which carriers are locked on every band; a satellite that lost its lock loses its held integers."""
-    for s in range(tracked.shape[0]):
-        locked = tracked[s] and phase[s, 0] != 0.0 and (bands == 1 or phase[s, 1] != 0.0)
-        if not locked or lock_lost[s]:
-            held[s] = False
-        phase_ok[s] = locked
-
-
-@jit
 def velocity(e, elevation, tracked, cn0, range_rate, par, chi2, normal, fde, drift_group, used, variance, v, q):  # type: ignore[no-untyped-def]
     """Velocity and clock drift by least squares of the range rates, with fault detection and exclusion (df = m - 4).
 
@@ -240,182 +185,6 @@ def velocity(e, elevation, tracked, cn0, range_rate, par, chi2, normal, fde, dri
     for s in range(used.shape[0]):
         n += used[s]
     return outcome, n, excluded, hdop_of(e, drift_group, used)
-
-
-@jit
-def rtk(  # type: ignore[no-untyped-def]
-    e,
-    system,
-    elevation,
-    tracked,
-    cn0,
-    code,
-    phase,
-    lock_lost,
-    age,
-    sin_h,
-    cos_h,
-    par,
-    wavelength,
-    fixable,
-    chi2,
-    normal,
-    fde,
-    held,
-    integers,
-    fix_id,
-    fix_risk,
-    x,
-    geo,
-    head,
-    rows,
-    rows_e,
-    rows_group,
-):
-    """One epoch of RTK: keep lock, resolve what is not held, solve with the held phases, test and exclude.
-
-    The fixed position takes the phases alone: the code's share of the weight is the inverse square of the code/phase
-    ratio,
-    1/5000, and would only bring in its multipath. On success ``geo`` and ``head`` hold the fault-free solution of the
-    satellites in use, and ``rows`` (4, S) their variance for
-    integrity, bias bound, measurement and variance for accuracy. Both variances are proportional, so the position is
-    the same.
-
-    Returns the status, satellites in the solution, excluded, and HDOP.
-    """
-    n_sat, bands = e.shape[0], int(par[BANDS])
-    used, phase_ok = np.empty(n_sat, dtype=np.bool_), np.empty(n_sat, dtype=np.bool_)
-    factor = np.empty(n_sat)
-    keep_lock(tracked, phase, bands, lock_lost, held, phase_ok)
-    if not age <= par[MAX_AGE]:
-        x[REJECTED] = 0.0
-        return NO_CORRECTIONS, 0, 0, math.inf
-    weigh(elevation, tracked, cn0, par[SIN_MASK], par[CN0_MIN], par[CN0_KNEE], factor, used)
-    aged = (par[AGE_SIGMA] * age) ** 2  # of the whole range, common to the bands
-    variance_phase = factor * par[SIGMA_PHASE] ** 2 + aged
-    candidate = used & phase_ok & fixable & ~held
-    status = FIXED
-    if _count(candidate) > 0 and age <= par[FIX_MAX_AGE]:
-        status = _resolve_now(e, system, used, candidate, held, code, phase, factor, variance_phase, par, wavelength,
-                              chi2, normal, fde, integers, fix_id, fix_risk, x)  # fmt: skip
-    member = held & used
-    count, systems = drop_small_systems(member, system, int(par[MIN_FURTHER]))
-    if count < par[MIN_SATELLITES] + par[MIN_FURTHER] * (systems - 1) or systems == 0:
-        return (status if status != FIXED else TOO_FEW), count, 0, math.inf
-    y, x_fixed, q, tried = np.empty(n_sat), np.empty(3), np.empty((3, 3)), member.copy()
-    collapse_phase(phase, integers, wavelength, system, bands, y)
-    variance = factor * (par[SIGMA_PHASE] ** 2 / bands) + aged
-    outcome, _, _, _, excluded = detect_and_exclude(
-        e, system, variance, y, member, chi2, normal, fde[0] > 0.0, int(fde[1]), int(fde[2]), x_fixed, q
-    )
-    if outcome == FDE_UNRESOLVED:
-        x[REJECTED] += 1.0
-        if x[REJECTED] >= par[HOLD_FAILURES]:
-            held[:] = False
-            x[REJECTED] = 0.0
-        return FAULT, count, excluded, math.inf
-    x[REJECTED] = 0.0
-    if outcome > FDE_EXCLUDED:
-        return TOO_FEW, count, excluded, math.inf
-    bias = par[PHASE_BIAS]
-    n = 0
-    for s in range(n_sat):
-        if tried[s] and not member[s]:
-            held[s] = False
-        if member[s]:
-            rows_e[n] = e[s]
-            rows_group[n] = system[s]
-            rows[0, n], rows[1, n], rows[2, n] = factor[s] * par[SIGMA_PHASE_PL] ** 2 + aged, bias, y[s]
-            rows[3, n] = variance[s]
-            n += 1
-    if geometry(rows_e, rows_group, rows[0], rows[1], n, sin_h, cos_h, geo, head) != SOLVED:
-        return TOO_FEW, n, excluded, math.inf
-    solve(rows[2], rows_group, n, geo, head)
-    return FIXED, n, excluded, hdop_of(e, system, member)
-
-
-@jit
-def _count(mask):  # type: ignore[no-untyped-def]
-    n = 0
-    for s in range(mask.shape[0]):
-        n += mask[s]
-    return n
-
-
-@jit
-def _resolve_now(  # type: ignore[no-untyped-def]
-    e,
-    system,
-    used,
-    candidate,
-    held,
-    code,
-    phase,
-    factor,
-    variance_phase,
-    par,
-    wavelength,
-    chi2,
-    normal,
-    fde,
-    integers,
-    fix_id,
-    fix_risk,
-    x,
-):
-    """Check the code by its own residuals, then fix what the risk allows."""
-    n_sat, bands = e.shape[0], int(par[BANDS])
-    variance_code = factor * par[SIGMA_CODE] ** 2
-    y, position, q = np.empty(n_sat), np.empty(3), np.empty((3, 3))
-    collapse_code(code, bands, y)
-    sound = used.copy()
-    outcome, _, _, _, _ = detect_and_exclude(
-        e, system, variance_code / bands, y, sound, chi2, normal, fde[0] > 0.0, int(fde[1]), int(fde[2]), position, q
-    )
-    if outcome > FDE_EXCLUDED:
-        return NOT_CONVERGED
-    x[FIXES] += 1.0
-    if x[RATIO_FAILS] > 0.0:
-        leave_out(candidate, int(x[RATIO_FAILS]) - 1)
-    status = resolve(
-        e,
-        system,
-        sound,
-        candidate,
-        held,
-        code,
-        phase,
-        variance_code,
-        variance_phase,
-        bands,
-        wavelength,
-        integers,
-        fix_id,
-        fix_risk,
-        int(x[FIXES]),
-        par[FIX_LIMIT],
-        par[RATIO_MIN],
-        int(par[MAX_CANDIDATES]),
-        int(par[MIN_SATELLITES]),
-        int(par[MIN_FURTHER]),
-    )
-    if status == FIXED:
-        x[RATIO_FAILS] = 0.0
-    elif status == RATIO_FAILED or x[RATIO_FAILS] > 0.0:
-        x[RATIO_FAILS] += 1.0
-    return status
-
-
-@jit
-def leave_out(candidate, turn):  # type: ignore[no-untyped-def]
-    """Clear one candidate, another at each turn: a carrier half a cycle off spoils every set that it is in."""
-    skip = turn % max(_count(candidate), 1)
-    for s in range(candidate.shape[0]):
-        if candidate[s]:
-            if skip == 0:
-                candidate[s] = False
-                return
-            skip -= 1
 
 
 @jit
@@ -609,12 +378,10 @@ def advance(x, growth, par, mode, v_e, v_n, q, v_ss, middle, carry, resting):  #
 def _epoch(  # type: ignore[no-untyped-def]
     e, system, elevation, tracked, cn0, code, phase, range_rate, lock_lost, age,
     inertial, v_ss,
-    par, mode_limits, heading_limits, wavelength, fixable, chi2, normal, fde, risks, shares, spent, priors, k_fa,
-    k_published, k_dead, published, operative_published, alert_limits, drift_group,
-    x, growth, start, apart, held, integers, fix_id, fix_risk, v, alert, reason, onset, clear, geo, head, columns, rows,
-    rows_e,
-    rows_group,
-    out, pl,
+    par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent,
+    priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
+    x, rtk_x, last_phase, growth, start, apart, held, integers, fix_id, fix_risk, v, alert, reason, onset, clear,
+    geo, head, columns, rows, rows_e, rows_group, out, pl,
 ):  # fmt: skip
     """The whole epoch of vehicle v; x to fix_risk and the alert arrays are its state."""
     dt, n_sat = par[DT], e.shape[0]
@@ -647,8 +414,10 @@ def _epoch(  # type: ignore[no-untyped-def]
     sin_h, cos_h = math.sin(x[HEADING]), math.cos(x[HEADING])
 
     status, n_rtk, excluded_rtk, hdop_rtk = rtk(
-        e, system, elevation, tracked, cn0, code, phase, lock_lost, age, sin_h, cos_h, par, wavelength, fixable,
-        chi2, normal, fde, held, integers, fix_id, fix_risk, x, geo, head, rows, rows_e, rows_group,
+        Signals(e, system, elevation, tracked, cn0, code, phase, lock_lost, age),
+        Tables(rtk_par, wavelength, fixable, fit, chi2, normal, fde), Fixes(held, integers, fix_id, fix_risk), rtk_x,
+        last_phase, Motion(dt, solved and x[INITIALISED] > 0.0, velocity_enu, q_v, x[EAST : UP + 1]),
+        sin_h, cos_h, Fixed(geo, head, rows, rows_e, rows_group),
     )  # fmt: skip
     wrong = held_risk(held, fix_id, fix_risk)
     x[FIXED_S] = x[FIXED_S] + dt if status == FIXED else 0.0
@@ -704,9 +473,10 @@ def _epoch(  # type: ignore[no-untyped-def]
 def run_some(  # type: ignore[no-untyped-def]
     first, last, los, system, elevation, index, tracked, cn0, code, phase, range_rate, lock_lost, age,
     inertial, v_ss,
-    par, mode_limits, heading_limits, wavelength, fixable, chi2, normal, fde, risks, shares, spent, priors, k_fa,
-    k_published, k_dead, published, operative_published, alert_limits, drift_group,
-    x, growth, start, apart, held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl,
+    par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent,
+    priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
+    x, rtk_x, last_phase, growth, start, apart, held, integers, fix_id, fix_risk, alert, reason, onset, clear,
+    out, pl,
 ):  # fmt: skip
     """One epoch of the vehicles ``first`` to ``last - 1``, which share their scratch."""
     geo, head, columns = scratch(system.shape[0])
@@ -716,9 +486,11 @@ def run_some(  # type: ignore[no-untyped-def]
         k = index[v]
         _epoch(
             los[k], system, elevation[k], tracked[v], cn0[v], code[v], phase[v], range_rate[v], lock_lost[v], age[v],
-            inertial[v], v_ss[v], par, mode_limits, heading_limits, wavelength, fixable, chi2, normal, fde, risks,
-            shares, spent, priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
-            x[v], growth[v], start[v], apart[v], held[v], integers[v], fix_id[v], fix_risk[v], v, alert, reason,
+            inertial[v], v_ss[v], par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal,
+            fde, risks, shares, spent, priors, k_fa, k_published, k_dead, published, operative_published, alert_limits,
+            drift_group,
+            x[v], rtk_x[v], last_phase[v], growth[v], start[v], apart[v], held[v], integers[v], fix_id[v], fix_risk[v],
+            v, alert, reason,
             onset, clear, geo, head, columns, rows, rows_e, rows_group, out[v], pl[v],
         )  # fmt: skip
 
@@ -727,17 +499,17 @@ def run_some(  # type: ignore[no-untyped-def]
 def run_parallel(  # type: ignore[no-untyped-def]
     chunks, last, los, system, elevation, index, tracked, cn0, code, phase, range_rate, lock_lost, age,
     inertial, v_ss,
-    par, mode_limits, heading_limits, wavelength, fixable, chi2, normal, fde, risks, shares, spent, priors, k_fa,
-    k_published, k_dead, published, operative_published, alert_limits, drift_group,
-    x, growth, start, apart, held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl,
+    par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent,
+    priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
+    x, rtk_x, last_phase, growth, start, apart, held, integers, fix_id, fix_risk, alert, reason, onset, clear,
+    out, pl,
 ):  # fmt: skip
     """:func:`run_some` for all ``last`` vehicles, in ``chunks`` runs side by side."""
     for chunk in prange(chunks):
         run_some(
             chunk * last // chunks, (chunk + 1) * last // chunks, los, system, elevation, index, tracked, cn0,
-            code, phase, range_rate, lock_lost, age, inertial, v_ss, par, mode_limits, heading_limits, wavelength,
-            fixable, chi2,
-            normal, fde, risks, shares, spent, priors, k_fa, k_published, k_dead, published, operative_published,
-            alert_limits, drift_group, x, growth, start, apart, held, integers, fix_id, fix_risk, alert, reason,
-            onset, clear, out, pl,
+            code, phase, range_rate, lock_lost, age, inertial, v_ss, par, rtk_par, mode_limits, heading_limits,
+            wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent, priors, k_fa, k_published, k_dead,
+            published, operative_published, alert_limits, drift_group, x, rtk_x, last_phase, growth, start,
+            apart, held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl,
         )  # fmt: skip

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.accel import jit, prange
+from lanebound.integrity.small_matrix_kernel import invert_3x3
 
 __all__ = ["detect_and_exclude", "detect_and_exclude_batch"]
 
@@ -24,7 +25,6 @@ __all__ = ["detect_and_exclude", "detect_and_exclude_batch"]
 CLEAN, EXCLUDED, UNRESOLVED, NO_REDUNDANCY, SINGULAR = 0, 1, 2, 3, 4
 
 MAX_GROUPS = 16
-SINGULAR_TOLERANCE = 1e-10  # determinant of the correlation form of a normal matrix that has a solution
 RANK_TOLERANCE = 1e-9  # as in detection.py: a row with less redundancy cannot be checked
 
 
@@ -62,26 +62,6 @@ def accumulate(
         b[p] -= factor * zp * (y[i] - centre[3])
         for q in range(3):
             A[p, q] += factor * zp * (los[i, q] - centre[q])
-
-
-@jit
-def invert(A: NDArray[Any], Q: NDArray[Any]) -> bool:
-    """Inverse of a symmetric positive 3x3 matrix by cofactors of its correlation form; False when singular."""
-    if not (A[0, 0] > 0.0 and A[1, 1] > 0.0 and A[2, 2] > 0.0):
-        return False
-    s0, s1, s2 = 1.0 / math.sqrt(A[0, 0]), 1.0 / math.sqrt(A[1, 1]), 1.0 / math.sqrt(A[2, 2])
-    a, b, c = A[0, 1] * s0 * s1, A[0, 2] * s0 * s2, A[1, 2] * s1 * s2
-    det = 1.0 + 2.0 * a * b * c - a * a - b * b - c * c
-    if not det > SINGULAR_TOLERANCE:
-        return False
-    k = 1.0 / det
-    Q[0, 0] = k * (1.0 - c * c) * s0 * s0
-    Q[1, 1] = k * (1.0 - b * b) * s1 * s1
-    Q[2, 2] = k * (1.0 - a * a) * s2 * s2
-    Q[0, 1] = Q[1, 0] = k * (b * c - a) * s0 * s1
-    Q[0, 2] = Q[2, 0] = k * (a * c - b) * s0 * s2
-    Q[1, 2] = Q[2, 1] = k * (a * b - c) * s1 * s2
-    return True
 
 
 @jit
@@ -147,7 +127,7 @@ def detect_and_exclude(
     excluded = 0
     while True:
         df = rows - 3 - groups
-        if rows < 4 or not invert(A, Q):
+        if rows < 4 or not invert_3x3(A, Q):
             return SINGULAR, 0.0, 0.0, 0, excluded
         for p in range(3):
             x[p] = Q[p, 0] * b[0] + Q[p, 1] * b[1] + Q[p, 2] * b[2]

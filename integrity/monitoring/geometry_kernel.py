@@ -24,16 +24,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.accel import jit
+from lanebound.integrity.small_matrix_kernel import MAX_GROUPS, invert_upper
 
-__all__ = ["HEAD_SIZE", "MAX_GROUPS", "capacity", "dilution", "geometry", "scratch", "solve"]
+__all__ = ["HEAD_SIZE", "MAX_GROUPS", "capacity", "geometry", "scratch", "solve"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-MAX_GROUPS = 8
 LANES = 8
 SOLVED, TOO_FEW, SINGULAR = 0, 1, 2  # the codes of positioning.least_squares.Solvability
-SINGULAR_BELOW = 1e-12  # of the determinant of the normal matrix scaled to a unit diagonal
 
 # rows of geo
 GX, GY, GZ, W, HX, HY, HZ, S_AT, S_CT, FREE, RESIDUAL, CLOCK = range(12)
@@ -112,19 +111,6 @@ def centre(los: Array, group: Ints, n: int, geo: Array, head: Array) -> int:
 
 
 @jit
-def invert(
-    a: float, b: float, c: float, d: float, e: float, f: float
-) -> tuple[bool, float, float, float, float, float, float]:
-    """Whether [[a, b, c], [b, d, e], [c, e, f]] is regular, and the upper triangle of its inverse."""
-    m, o, p = d * f - e * e, c * e - b * f, b * e - c * d
-    det = a * m + b * o + c * p
-    if not det > SINGULAR_BELOW * a * d * f:
-        return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    t = 1.0 / det
-    return True, m * t, o * t, p * t, (a * f - c * c) * t, (b * c - a * e) * t, (a * d - b * b) * t
-
-
-@jit
 def normal(geo: Array, n: int, row: int) -> tuple[float, float, float, float, float, float]:
     """Upper triangle of ``sum weight g g'`` with the weights in geo[row]."""
     a, b, c, d, e, f = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -174,7 +160,7 @@ def geometry(
     status = TOO_FEW
     if n >= 3 + groups:
         a, b, c, d, e, f = normal(geo, n, W)
-        ok, head[P_EE], head[P_EN], head[P_EU], head[P_NN], head[P_NU], head[P_UU] = invert(a, b, c, d, e, f)
+        ok, head[P_EE], head[P_EN], head[P_EU], head[P_NN], head[P_NU], head[P_UU] = invert_upper(a, b, c, d, e, f)
         status = SOLVED if ok else SINGULAR
     head[STATUS] = status
     if status == SOLVED:
@@ -239,19 +225,3 @@ def solve(y: Array, group: Ints, n: int, geo: Array, head: Array) -> float:
         total += geo[W, i] * geo[RESIDUAL, i] * geo[RESIDUAL, i]
     head[X_E], head[X_N], head[X_U], head[CHI2] = east, north, up, total
     return total
-
-
-@jit
-def dilution(los: Array, group: Ints, n: int) -> tuple[float, float]:
-    """HDOP and PDOP from ``(G'G)^-1`` in ENU with the same clock groups; (inf, inf) when not solvable.
-
-    Allocates a little: for the choice of the mode, not for inner loops.
-    """
-    geo, head = np.zeros((CLOCK + 1, padded(n))), np.empty(HEAD_SIZE)
-    geo[W, :n] = 1.0
-    groups = centre(los, group, n, geo, head)
-    if n < 3 + groups:
-        return np.inf, np.inf
-    a, b, c, d, e, f = normal(geo, n, W)
-    ok, ee, _, _, nn, _, uu = invert(a, b, c, d, e, f)
-    return (math.sqrt(ee + nn), math.sqrt(ee + nn + uu)) if ok else (np.inf, np.inf)

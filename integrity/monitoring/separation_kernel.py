@@ -53,7 +53,6 @@ from lanebound.integrity.monitoring.geometry_kernel import (
     HZ,
     LOG_PRIOR,
     LOST,
-    MAX_GROUPS,
     PRIOR,
     RESIDUAL,
     S_AT,
@@ -69,10 +68,10 @@ from lanebound.integrity.monitoring.geometry_kernel import (
     B,
     V,
     W,
-    invert,
     normal,
     padded,
 )
+from lanebound.integrity.small_matrix_kernel import MAX_GROUPS, invert_upper
 
 __all__ = ["add_hypothesis", "modes", "set_priors"]
 
@@ -269,7 +268,7 @@ def _without_group(
         d += w * y * y
         e += w * y * z
         f += w * z * z
-    ok, ee, en, eu, nn, nu, uu = invert(a, b, c, d, e, f)
+    ok, ee, en, eu, nn, nu, uu = invert_upper(a, b, c, d, e, f)
     return ok, ee, en, eu, nn, nu, uu
 
 

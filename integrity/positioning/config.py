@@ -7,9 +7,12 @@ configured in :mod:`lanebound.integrity.sensors`; a protection level is honest w
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
+from scipy.stats import chi2
 
 from lanebound.integrity.config import Config
+from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
 from lanebound.integrity.truth import GRAVITY_MPS2
 
 __all__ = [
@@ -57,7 +60,16 @@ class RtkConfig(Config):
         0.1, gt=0, le=1, description="largest failure rate of a fix as a share of the integrity risk [-]"
     )
     ratio_min: float = Field(
-        2.0, ge=1, description="smallest ratio of second to best norm [-]; guards the model itself"
+        2.0,
+        ge=1,
+        description="floor of the ratio of second to best norm, whose fixed-failure-rate threshold may be above [-]; "
+        "guards the model itself",
+    )
+    fit_false_rejection: float = Field(
+        0.01, gt=0, lt=1, description="P(right integers are refused for their misfit) [-]; alpha of S1's tests"
+    )
+    attempts: int = Field(
+        6, ge=0, description="sets without one suspected satellite to try when all together are refused [-]"
     )
     max_candidates: int = Field(16, ge=4, le=40, description="satellites whose ambiguities are searched at once [-]")
     min_satellites: int = Field(5, ge=4, description="satellites of a fix with one system [-]; S1 section 2")
@@ -70,6 +82,12 @@ class RtkConfig(Config):
     hold_failures: int = Field(
         2, ge=1, description="rejected epochs in a row after which all held ambiguities are given up [-]"
     )
+
+    @property
+    def largest_misfits(self) -> NDArray[np.float64]:
+        """Largest squared norm of an accepted fix by its number of ambiguities, up to that of all candidates."""
+        numbers = np.arange(2 * self.max_candidates + 1)
+        return np.asarray(chi2.isf(self.fit_false_rejection, np.maximum(numbers, 1)))
 
 
 class DopplerConfig(Config):
@@ -169,6 +187,7 @@ class PositioningConfig(Config):
     """All of positioning."""
 
     rtk: RtkConfig = RtkConfig()
+    slips: CycleSlipConfig = CycleSlipConfig()
     doppler: DopplerConfig = DopplerConfig()
     heading: HeadingConfig = HeadingConfig()
     dead_reckoning: DeadReckoningConfig = DeadReckoningConfig()

@@ -9,16 +9,10 @@ satellite collapse into one row of weight ``sum of weights`` without loss. :mod:
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from lanebound.integrity.accel import jit
-from lanebound.integrity.positioning.lambda_kernel import OK, integer_least_squares, largest_prefix
-
-MAX_SYSTEMS = 8
-NODE_LIMIT = 20_000
-FIXED, NO_CORRECTIONS, TOO_FEW, NOT_CONVERGED, RATIO_FAILED, FAULT, SEARCH_FAILED = 0, 1, 2, 3, 4, 5, 6  # rtk_status
+from lanebound.integrity.small_matrix_kernel import MAX_GROUPS
 
 
 @jit
@@ -52,32 +46,6 @@ def add_layer(e, system, member, variance, y, normal, rhs, e_mean, y_mean, w_sum
                 rhs[j] -= w * gj * dy
                 for k in range(3):
                     normal[j, k] += w * gj * (e[s, k] - e_mean[c, k])
-
-
-@jit
-def invert_3x3(a, out):  # type: ignore[no-untyped-def]
-    """Inverse of a symmetric positive definite 3x3 matrix; False (and ``out`` undefined) when it is not one."""
-    c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[1, 2]
-    c01 = a[0, 2] * a[1, 2] - a[0, 1] * a[2, 2]
-    c02 = a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1]
-    det = a[0, 0] * c00 + a[0, 1] * c01 + a[0, 2] * c02
-    least, most = min(a[0, 0], a[1, 1], a[2, 2]), max(a[0, 0], a[1, 1], a[2, 2])
-    if not (det > 1e-12 * a[0, 0] * a[1, 1] * a[2, 2] and least > 1e-12 * most):  # also False for NaN
-        return False
-    out[0, 0] = c00 / det
-    out[0, 1] = out[1, 0] = c01 / det
-    out[0, 2] = out[2, 0] = c02 / det
-    out[1, 1] = (a[0, 0] * a[2, 2] - a[0, 2] * a[0, 2]) / det
-    out[1, 2] = out[2, 1] = (a[0, 1] * a[0, 2] - a[0, 0] * a[1, 2]) / det
-    out[2, 2] = (a[0, 0] * a[1, 1] - a[0, 1] * a[0, 1]) / det
-    return out[0, 0] > 0.0 and out[1, 1] > 0.0 and out[2, 2] > 0.0
-
-
-@jit
-def multiply_3(a, b, out):  # type: ignore[no-untyped-def]
-    """``out = a b`` for a 3x3 matrix and a vector."""
-    for j in range(3):
-        out[j] = a[j, 0] * b[0] + a[j, 1] * b[1] + a[j, 2] * b[2]
 
 
 @jit
@@ -234,12 +202,12 @@ def held_risk(held, fix_id, fix_risk):  # type: ignore[no-untyped-def]
 @jit
 def drop_small_systems(member, system, minimum):  # type: ignore[no-untyped-def]
     """Leave out systems with fewer than ``minimum`` members; returns the number of satellites and of systems left."""
-    count = np.zeros(MAX_SYSTEMS, dtype=np.int64)
+    count = np.zeros(MAX_GROUPS, dtype=np.int64)
     for s in range(member.shape[0]):
         if member[s]:
             count[system[s]] += 1
     satellites, systems = 0, 0
-    for c in range(MAX_SYSTEMS):
+    for c in range(MAX_GROUPS):
         if count[c] >= minimum:
             satellites += count[c]
             systems += 1
@@ -247,128 +215,3 @@ def drop_small_systems(member, system, minimum):  # type: ignore[no-untyped-def]
         if member[s] and count[system[s]] < minimum:
             member[s] = False
     return satellites, systems
-
-
-@jit
-def resolve(  # type: ignore[no-untyped-def]
-    e,
-    system,
-    code_used,
-    candidate,
-    held,
-    code,
-    phase,
-    variance_code,
-    variance_phase,
-    bands,
-    wavelength,
-    integers,
-    fix_id,
-    fix_risk,
-    next_id,
-    limit,
-    ratio_min,
-    max_candidates,
-    min_satellites,
-    min_further,
-):
-    """Fix the ambiguities of as many candidate satellites as the risk allows, and hold them.
-
-    The float solution takes the code of ``code_used`` and the phases already held; the most precise candidates whose
-    bootstrapped failure rate stays within what is left of ``limit`` are fixed together by integer least squares and
-    accepted
-    by the ratio test. A fix that would leave fewer than ``min_satellites`` (systems with fewer than ``min_further``
-    not counted) is not held. variance_code, variance_phase (S,) are those of one band [m^2].
-
-    Returns a status of :class:`~lanebound.integrity.positioning.rtk_status.RtkStatus` (FIXED: something new is held).
-    """
-    n_sat = e.shape[0]
-    normal, q_x, rhs, x = np.zeros((3, 3)), np.empty((3, 3)), np.zeros(3), np.empty(3)
-    e_base, w_base, phase_base = np.empty((MAX_SYSTEMS, 3)), np.empty(MAX_SYSTEMS), np.empty((MAX_SYSTEMS, 2))
-    y = np.empty(n_sat)
-    collapse_code(code, bands, y)
-    add_layer(e, system, code_used, variance_code / bands, y, normal, rhs, e_base, np.empty(MAX_SYSTEMS), w_base)
-    collapse_phase(phase, integers, wavelength, system, bands, y)
-    add_layer(e, system, held, variance_phase / bands, y, normal, rhs, e_base, np.empty(MAX_SYSTEMS), w_base)
-    if not invert_3x3(normal, q_x):
-        return TOO_FEW
-    multiply_3(q_x, rhs, x)
-    held_base(phase, integers, held, system, variance_phase, bands, wavelength, e, e_base, w_base, phase_base)
-    order = np.empty(max_candidates, dtype=np.int64)
-    count = order_by_variance(candidate, variance_phase, max_candidates, order)
-    c_max = max(bands * count, 8)
-    a_hat, q_a, owner = np.empty(c_max), np.empty((c_max, c_max)), np.empty(c_max, dtype=np.int64)
-    n = float_ambiguities(
-        e,
-        system,
-        order,
-        count,
-        phase,
-        variance_phase,
-        bands,
-        wavelength,
-        x,
-        q_x,
-        e_base,
-        w_base,
-        phase_base,
-        a_hat,
-        q_a,
-        owner,
-    )
-    transform, work, d = np.empty((2, c_max, c_max)), np.empty((5, c_max, c_max)), np.empty(c_max)
-    left = limit - held_risk(held, fix_id, fix_risk)
-    groups, rate = largest_prefix(n // bands, bands, np.arange(c_max), q_a, left, transform, d, work)
-    if groups <= 0:
-        return NOT_CONVERGED
-    chosen = held.copy()
-    for i in range(groups):
-        chosen[owner[bands * i]] = True
-    for i in range(count):  # the reference of a system is fixed with the first of its satellites
-        if not chosen[order[i]] and _is_reference(order[i], owner, n):
-            for j in range(groups):
-                if system[owner[bands * j]] == system[order[i]]:
-                    chosen[order[i]] = True
-    satellites, systems = drop_small_systems(chosen, system, min_further)
-    if satellites < min_satellites + min_further * (systems - 1) or systems == 0:
-        return TOO_FEW
-    candidates, norms = np.empty((2, c_max)), np.empty(2)
-    status = integer_least_squares(
-        bands * groups, a_hat, q_a, 2, NODE_LIMIT, False, transform, candidates, norms, d, work
-    )
-    if status != OK:
-        return SEARCH_FAILED
-    if norms[1] < ratio_min * norms[0]:
-        return RATIO_FAILED
-    for s in range(n_sat):
-        if chosen[s] and not held[s]:
-            held[s] = True
-            fix_id[s] = next_id
-            fix_risk[s] = rate
-            integers[s, 0] = 0.0
-            integers[s, 1] = 0.0
-    for i in range(bands * groups):
-        if chosen[owner[i]]:
-            integers[owner[i], i % bands] = candidates[0, i]
-    return FIXED
-
-
-@jit
-def _is_reference(s, owner, n):  # type: ignore[no-untyped-def]
-    """Whether candidate s has no ambiguity of its own."""
-    for i in range(n):
-        if owner[i] == s:
-            return False
-    return True
-
-
-@jit
-def hdop_of(e, group, member):  # type: ignore[no-untyped-def]
-    """Unweighted HDOP of the members with one clock for each group; inf when the geometry is singular."""
-    n = e.shape[0]
-    normal, inverse = np.zeros((3, 3)), np.empty((3, 3))
-    e_mean, y_mean, w_sum = np.empty((MAX_SYSTEMS, 3)), np.empty(MAX_SYSTEMS), np.empty(MAX_SYSTEMS)
-    add_layer(e, group, member, np.ones(n), np.zeros(n), normal, np.zeros(3), e_mean, y_mean, w_sum)
-    if not invert_3x3(normal, inverse):
-        return math.inf
-    return math.sqrt(inverse[0, 0] + inverse[1, 1])

@@ -114,6 +114,11 @@ class GnssConfig(Config):
     slip_decade_db: float = Field(5.0, gt=0, description="loss of C/N0 that makes slips ten times as frequent [dB]")
     unannounced: float = Field(0.1, ge=0, le=1, description="share of slips that the receiver does not notice [-]")
     half_share: float = Field(0.2, ge=0, le=1, description="share of half-cycle slips [-]")
+    half_cycle_resolve_s: float = Field(
+        6.0,
+        ge=0,
+        description="time until a half cycle is corrected [s]; a subframe, whose preamble shows the sign, IS-GPS-200",
+    )
     clock_m: float = Field(100.0, ge=0, description="receiver clocks of each system, band and observable, 1 sigma [m]")
     drift_mps: float = Field(1.0, ge=0, description="receiver clock drift, 1 sigma [m/s]")
     reference_offset_m: float = Field(
@@ -139,7 +144,7 @@ class GnssConfig(Config):
             gk.TROPO_SIGMA: 1e-3 * self.tropo_ppm * self.baseline_km,
             gk.ORBIT_SIGMA: 1e-3 * self.orbit_ppm * self.baseline_km, gk.SLIP_RATE: self.slips_per_h / 3600.0,
             gk.SLIP_CN0: 40.0, gk.SLIP_DECADE: self.slip_decade_db, gk.UNANNOUNCED: self.unannounced,
-            gk.HALF_SHARE: self.half_share,
+            gk.HALF_SHARE: self.half_share, gk.HALF_RESOLVE: self.half_cycle_resolve_s + 1e-9,
         }  # fmt: skip
         cfg[list(values)] = list(values.values())
         weakest_db = (cfg[gk.SLIP_CN0] - self.phase_min_dbhz) / self.slip_decade_db
@@ -186,14 +191,15 @@ class GnssState:
 def initial_state(config: GnssConfig, sky: SkyView, streams: Streams) -> GnssState:
     """Stationary error processes, random integers and clocks; the receiver has just been switched on."""
     n_sat = len(sky.system)
-    z = streams.normal("gnss", n_sat, gk.NM + 2)
-    memory = z[..., : gk.NM].copy()
+    z = streams.normal("gnss", n_sat, gk.N_INITIAL + 2)
+    memory = np.zeros((*z.shape[:-1], gk.NM))
+    memory[..., : gk.N_INITIAL] = z[..., : gk.N_INITIAL]
     memory[..., [gk.M_CODE_S, gk.M_PHASE_S]] = 0.0
     clock = config.clock_m * streams.normal("gnss", N_SYSTEMS, 5)
     clock[:, 0, 4] *= config.drift_mps / max(config.clock_m, 1e-9)
     azimuth = 2.0 * np.pi * streams.uniform("gnss")
     offset = config.reference_offset_m * np.stack([np.sin(azimuth), np.cos(azimuth), np.zeros_like(azimuth)], -1)
-    return GnssState(memory, 2.0 * np.floor(1000.0 * z[..., gk.NM :]), clock, offset)
+    return GnssState(memory, 2.0 * np.floor(1000.0 * z[..., gk.N_INITIAL :]), clock, offset)
 
 
 def observe(

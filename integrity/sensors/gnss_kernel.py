@@ -16,9 +16,9 @@ from lanebound.integrity.accel import jit, prange
     TRACK_MIN, PHASE_MIN, CODE_DELAY, PHASE_DELAY, CODE_SIGMA, PHASE_SIGMA, RATE_SIGMA, RATE_DECAY, RATE_GAIN,
     CODE_MULTIPATH, PHASE_MULTIPATH, MULTIPATH_DECAY, MULTIPATH_PER_M, NLOS_SCALE, IONO_SIGMA, AGE_RATE, TROPO_SIGMA,
     ORBIT_SIGMA, SLIP_RATE, SLIP_CN0, SLIP_DECADE, SLIP_MOST, UNANNOUNCED, HALF_SHARE,
-    IONO_DECAY, AGE_DECAY, TROPO_DECAY, IONO_GAIN, AGE_GAIN, TROPO_GAIN,
-) = range(39)  # fmt: skip
-NC = 39
+    IONO_DECAY, AGE_DECAY, TROPO_DECAY, IONO_GAIN, AGE_GAIN, TROPO_GAIN, HALF_RESOLVE,
+) = range(40)  # fmt: skip
+NC = 40
 
 # draws
 (
@@ -28,9 +28,11 @@ N_NORMAL = 11
 U_SLIP, U_KIND = range(2)
 N_UNIFORM = 2
 
-# memory: AR(1) states of unit variance, time with the code and with the carrier
+# memory: AR(1) states of unit variance, time with the code, with the carrier and with a half cycle in doubt
 M_CN0, M_CODE_MP, M_PHASE_MP0, M_PHASE_MP1, M_RATE, M_EXCESS, M_IONO, M_AGE, M_TROPO, M_CODE_S, M_PHASE_S = range(11)
-NM = 11
+M_HALF_S = 11
+N_INITIAL = 11  # columns that start from a draw
+NM = 12
 N_SLOW = 3  # ionosphere, age and troposphere last for minutes: one of them advances in each epoch, by three epochs
 
 LN10 = math.log(10.0)
@@ -121,6 +123,27 @@ def slip(cfg, kind, s, ambiguity):  # type: ignore[no-untyped-def]
 
 
 @jit
+def whole(half_cycles):  # type: ignore[no-untyped-def]
+    """The next even number of half cycles at or below."""
+    return 2.0 * math.floor(0.5 * half_cycles)
+
+
+@jit
+def settle_half_cycle(cfg, s, memory, ambiguity):  # type: ignore[no-untyped-def]
+    """Count how long a half cycle is in doubt; once the data have shown their sign, correct it and return True."""
+    if whole(ambiguity[s, 0]) == ambiguity[s, 0] and whole(ambiguity[s, 1]) == ambiguity[s, 1]:
+        memory[s, M_HALF_S] = 0.0
+        return False
+    memory[s, M_HALF_S] += cfg[DT]
+    if memory[s, M_HALF_S] <= cfg[HALF_RESOLVE]:
+        return False
+    memory[s, M_HALF_S] = 0.0
+    for b in range(2):
+        ambiguity[s, b] = whole(ambiguity[s, b])
+    return True
+
+
+@jit
 def weakness(cfg, level):  # type: ignore[no-untyped-def]
     """Rate of slips at ``level`` [dB-Hz] against that at the reference C/N0."""
     return math.exp(LN10 * (cfg[SLIP_CN0] - level) / cfg[SLIP_DECADE])
@@ -130,7 +153,8 @@ def weakness(cfg, level):  # type: ignore[no-untyped-def]
 def follow(cfg, s, level, path, slips, u, memory, ambiguity, lock_lost):  # type: ignore[no-untyped-def]
     """Advance the tracking of satellite s; whether its (code, carrier) are followed now.
 
-    A carrier that comes back brings new integers, and the receiver knows. A weak signal slips more often.
+    A carrier that comes back brings new integers, and the receiver knows; so it does when it corrects a half cycle. A
+    weak signal slips more often.
     """
     received = path != BLOCKED and level >= cfg[TRACK_MIN]
     locked = received and path != REFLECTED and level >= cfg[PHASE_MIN]
@@ -143,12 +167,14 @@ def follow(cfg, s, level, path, slips, u, memory, ambiguity, lock_lost):  # type
         ambiguity[s, b] += 2.0 * slips[s, b]
     if has_phase and not had_phase:
         lock_lost[s] = True
-        ambiguity[s, 0] += 2.0 * math.floor(2000.0 * digits(kind, 1e6) - 1000.0)
-        ambiguity[s, 1] += 2.0 * math.floor(2000.0 * digits(kind, 1e3) - 1000.0)
+        ambiguity[s, 0] = whole(ambiguity[s, 0]) + 2.0 * math.floor(2000.0 * digits(kind, 1e6) - 1000.0)
+        ambiguity[s, 1] = whole(ambiguity[s, 1]) + 2.0 * math.floor(2000.0 * digits(kind, 1e3) - 1000.0)
     elif has_phase:
         chance = cfg[DT] * cfg[SLIP_RATE]
         if u[s, U_SLIP] < cfg[SLIP_MOST] and u[s, U_SLIP] < chance * weakness(cfg, level):
             lock_lost[s] = slip(cfg, kind, s, ambiguity)
+        if settle_half_cycle(cfg, s, memory, ambiguity):
+            lock_lost[s] = True
     return memory[s, M_CODE_S] >= cfg[CODE_DELAY], has_phase
 
 

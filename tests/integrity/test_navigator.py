@@ -297,24 +297,36 @@ def test_a_declared_reference_error_adds_to_the_level() -> None:
     np.testing.assert_allclose(declared.pl_ct_m[-1], plain.pl_ct_m[-1] + 0.25, rtol=1e-9)
 
 
-def test_a_satellite_with_a_false_range_is_excluded() -> None:
-    navigator = _navigator()
-    cars = _Cars(navigator)
+def _with_false_range(**fault: Any) -> tuple[int, _Drive]:
+    """A satellite that all hold, and a drive of 5 s on which its range goes wrong after 1 s."""
+    cars = _Cars(_navigator())
     before = cars.drive(9.0).solutions[-1]
-    row = int(np.flatnonzero(before.held[0] & (TRACK.system == System.GPS))[0])
-    fault = Fault(
-        kind=FaultKind.SATELLITE_RANGE, start_s=10.0, duration_s=5.0, magnitude_m=5.0,
-        system=System.GPS, prn=int(TRACK.prn[row]),
+    row = int(np.flatnonzero(before.held.all(0) & (TRACK.system == System.GPS))[0])
+    cars.navigator.faults = FaultSchedule(
+        (
+            Fault(
+                kind=FaultKind.SATELLITE_RANGE, start_s=10.0, duration_s=5.0,
+                system=System.GPS, prn=int(TRACK.prn[row]), **fault,
+            ),
+        )
     )  # fmt: skip
-    navigator.faults = FaultSchedule((fault,))
-    run = _Cars(navigator)
-    run.time_s, run.arc_m = cars.time_s, cars.arc_m
-    driven = run.drive(5.0)
-    onset = 10
-    assert (driven.excluded[onset] >= 1).all()
-    assert not driven.held[onset, :, row].any()
-    assert (driven.mode[onset:] == Mode.RTK).all()
-    assert driven.error_m[onset:].max() < 0.05
+    return row, cars.drive(5.0)
+
+
+def test_a_range_that_jumps_is_let_go_at_once() -> None:
+    row, run = _with_false_range(magnitude_m=5.0)
+    assert run.held[9, :, row].all()
+    assert not run.held[10, :, row].any()
+    assert (run.mode == Mode.RTK).all()
+    assert run.error_m.max() < 0.05
+
+
+def test_a_range_that_creeps_away_unseen_from_epoch_to_epoch_is_excluded() -> None:
+    row, run = _with_false_range(magnitude_m=1.0, profile="ramp", ramp_s=4.0)
+    assert (run.excluded >= 1).any(axis=0).all()
+    assert not run.held[10:, :, row].all(axis=0).any()
+    assert (run.mode == Mode.RTK).all()
+    assert run.error_m.max() < 0.1
 
 
 def test_the_reference_point_comes_back_from_a_forward_antenna() -> None:
@@ -493,6 +505,55 @@ def test_unfit_truth_is_refused() -> None:
         navigator.measure(replace(fine, time_s=1e6))
     with pytest.raises(InputError, match="non-negative"):
         _navigator(seeds=[-1])
+
+
+def _slip(row: int, cycles: float, start_s: float) -> Fault:
+    return Fault(
+        kind=FaultKind.CYCLE_SLIP, start_s=start_s, duration_s=DT, magnitude_cycles=cycles,
+        system=System(int(TRACK.system[row])), prn=int(TRACK.prn[row]),
+    )  # fmt: skip
+
+
+def test_an_unseen_slip_is_caught_at_its_epoch_before_the_fault_test_meets_it() -> None:
+    cars = _Cars(_navigator())
+    before = cars.drive(9.0).solutions[-1]
+    row = int(np.flatnonzero(before.held.all(0) & (TRACK.system == System.GPS))[0])
+    kept = cars.navigator.state.integers[:, row].copy()
+    cars.navigator.faults = FaultSchedule((_slip(row, 1, 9.5),))
+    run = cars.drive(1.0)
+    assert not run.excluded.any()
+    assert (run.mode == Mode.RTK).all()
+    assert run.error_m.max() < 0.05
+    moved = cars.navigator.state.integers[:, row] - kept
+    regained = run.held[-1, :, row]
+    assert regained.any()
+    np.testing.assert_array_equal(moved[regained], 1.0)
+    assert (cars.navigator.state.fix_id[:, row] > 1).all()
+
+
+def test_half_cycles_stop_rtk_no_longer_than_the_receiver_needs_to_correct_them() -> None:
+    """Every second carrier comes back half a cycle off, which no set of integers explains."""
+    cars = _Cars(_navigator())
+    cars.drive(6.0)
+    cars.navigator.state.gnss.ambiguity[:, ::2] += 1.0
+    cars.navigator.state.held[:] = False
+    run = cars.drive(CALM.gnss.half_cycle_resolve_s + 2.0)
+    assert (run.mode[:30] != Mode.RTK).any(axis=0).all()
+    assert (run.mode[-1] == Mode.RTK).all()
+    assert run.error_m[-1].max() < 0.05
+
+
+def test_one_carrier_half_a_cycle_off_stops_nothing() -> None:
+    config = CALM.replace(gnss=CALM.gnss.replace(half_cycle_resolve_s=600.0))
+    cars = _Cars(_navigator(config))
+    before = cars.drive(6.0).solutions[-1]
+    row = int(np.flatnonzero(before.held.all(0) & (TRACK.system == System.GPS))[0])
+    cars.navigator.state.gnss.ambiguity[:, row] += 1.0
+    cars.navigator.state.held[:] = False
+    run = cars.drive(1.5)
+    assert (run.rtk[5:] == RtkStatus.FIXED.code).all()
+    assert not run.held[:, :, row].any()
+    assert run.error_m[run.mode == Mode.RTK].max() < 0.05
 
 
 def test_a_placed_vehicle_starts_from_its_prior_and_leaves_the_others_alone() -> None:

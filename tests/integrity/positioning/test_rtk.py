@@ -8,19 +8,16 @@ from hypothesis import strategies as st
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.positioning.rtk import double_difference_matrix, solve_dense
 from lanebound.integrity.positioning.rtk_kernel import (
-    MAX_SYSTEMS,
     add_layer,
     collapse_code,
     collapse_phase,
     drop_small_systems,
     float_ambiguities,
-    hdop_of,
     held_base,
     held_risk,
-    invert_3x3,
-    multiply_3,
     order_by_variance,
 )
+from lanebound.integrity.small_matrix_kernel import MAX_GROUPS, hdop_of, invert_3x3, multiply_3
 
 SYSTEMS = 4
 C_MPS = 299792458.0
@@ -73,7 +70,7 @@ def _kernel_position(a, bands):
     """Position, its covariance and whether the geometry is regular, through the kernel's collapsed layers."""
     normal, q_x, rhs, x = np.zeros((3, 3)), np.empty((3, 3)), np.zeros(3), np.empty(3)
     y = np.empty(len(a["system"]))
-    scratch = np.empty((MAX_SYSTEMS, 3)), np.empty(MAX_SYSTEMS), np.empty(MAX_SYSTEMS)
+    scratch = np.empty((MAX_GROUPS, 3)), np.empty(MAX_GROUPS), np.empty(MAX_GROUPS)
     collapse_code(a["code_m"], bands, y)
     add_layer(a["los_enu"], a["system"], a["code_used"], a["variance_code_m2"] / bands, y, normal, rhs, *scratch)
     collapse_phase(a["phase_m"], a["integers"], a["wavelength_m"], a["system"], bands, y)
@@ -84,7 +81,7 @@ def _kernel_position(a, bands):
 
 
 def _kernel_ambiguities(a, bands, x, q_x):
-    e_base, w_base, phase_base = np.empty((MAX_SYSTEMS, 3)), np.empty(MAX_SYSTEMS), np.empty((MAX_SYSTEMS, 2))
+    e_base, w_base, phase_base = np.empty((MAX_GROUPS, 3)), np.empty(MAX_GROUPS), np.empty((MAX_GROUPS, 2))
     common = a["phase_m"], a["integers"], a["held"], a["system"], a["variance_phase_m2"], bands, a["wavelength_m"]
     held_base(*common, a["los_enu"], e_base, w_base, phase_base)
     size = bands * len(a["system"])

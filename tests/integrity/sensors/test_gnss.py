@@ -213,6 +213,31 @@ def test_slips_come_at_their_rate_in_half_and_whole_cycles_some_unannounced() ->
         assert low <= count <= high
 
 
+def test_a_half_cycle_is_corrected_after_a_while_and_the_receiver_knows() -> None:
+    receiver = _Receiver(PERFECT.replace(half_cycle_resolve_s=0.5))
+    before = receiver.step()
+    receiver.state.ambiguity[0, 2] += [1.0, 3.0]
+    epochs = [receiver.step() for _ in range(8)]
+    cycles = [(epoch.phase_m - before.phase_m)[0] / WAVELENGTH_M[SYSTEM, :2] for epoch in epochs]
+    for k in range(5):
+        np.testing.assert_allclose(cycles[k][2], [0.5, 1.5], atol=1e-6)
+        assert not epochs[k].lock_lost.any()
+    np.testing.assert_array_equal(np.flatnonzero(epochs[5].lock_lost[0]), [2])
+    for k in range(5, 8):
+        np.testing.assert_allclose(cycles[k][2], [0.0, 1.0], atol=1e-6)
+    assert not any(epoch.lock_lost.any() for epoch in epochs[6:])
+    others = np.arange(N_SAT) != 2
+    np.testing.assert_allclose(np.array(cycles)[:, others], 0.0, atol=1e-6)
+
+
+def test_no_half_cycle_outlasts_its_time() -> None:
+    config = PERFECT.replace(slips_per_h=360.0, slip_decade_db=1e6, half_share=1.0, half_cycle_resolve_s=0.5)
+    receiver = _Receiver(config, batch=50)
+    doubt = np.array([receiver.step() and receiver.state.ambiguity % 2.0 for _ in range(60)])
+    assert doubt.any()
+    assert not (np.lib.stride_tricks.sliding_window_view(doubt.any(-1), 7, axis=0).all(-1)).any()
+
+
 def test_weak_signals_slip_more_often() -> None:
     config = PERFECT.replace(slips_per_h=360.0, slip_decade_db=5.0)
     effects = FaultEffects.blank(400, N_SAT)
