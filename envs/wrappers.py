@@ -2,8 +2,8 @@
 
 What Gymnasium has already is not repeated here: ``TimeLimit``, ``RecordEpisodeStatistics``, ``RecordVideo``,
 ``NormalizeReward`` and the like work as they are. To flatten or to stack, set ``observation.form`` to ``"flat"`` and
-``observation.history`` in the configuration: these keep the order of the published index. Gymnasium's
-``FlattenObservation`` puts the groups into alphabetical order instead.
+``observation.history`` in the configuration, which cost no further copy; Gymnasium's ``FlattenObservation`` gives the
+same vector as the flat form, and with a history the same entries group by group instead of moment by moment.
 
 >>> import gymnasium, lanebound.envs
 >>> env = gymnasium.make("lanebound/LaneKeeping-v0", config={"sky": "open"})

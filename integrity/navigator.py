@@ -25,6 +25,7 @@ from lanebound.integrity.config import Config
 from lanebound.integrity.errors import ConfigError, InputError, require_finite
 from lanebound.integrity.monitoring.alerts import AlertConfig, AlertState
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import GROWTH_SIZE, P_EE, P_EN, P_NN, VAR_TH
+from lanebound.integrity.monitoring.doppler_separation_kernel import APART_ROWS
 from lanebound.integrity.monitoring.exclusion import FdeConfig, Search
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor, upper_quantile
 from lanebound.integrity.monitoring.significance import Linking
@@ -141,8 +142,10 @@ class NavigatorState:
     """Everything that lasts from epoch to epoch: the instruments' own state, and the belief's.
 
     ``belief`` (B, NX), ``rtk`` (B, NX) and ``growth`` (B, NP) are the flat columns of :mod:`.navigator_kernel`,
-    :mod:`.rtk_stage_kernel` and :mod:`.monitoring.dead_reckoning_pl_kernel`; ``held`` (B, S), ``integers`` (B, S, 2),
-    ``fix_id`` and ``fix_risk`` (B, S) are the ambiguities held; ``last_phase_m`` (B, S, 2) serves to find slips.
+    :mod:`.rtk_stage_kernel` and :mod:`.monitoring.dead_reckoning_pl_kernel`, which all R levels share;
+    ``start`` (B, R, 4) is what the last RTK position left to each, ``apart`` (B, APART_ROWS, S) the separations of
+    :mod:`.monitoring.doppler_separation_kernel`. ``held`` (B, S), ``integers`` (B, S, 2), ``fix_id`` and ``fix_risk``
+    (B, S) are the ambiguities held; ``last_phase_m`` (B, S, 2) serves to find slips.
     """
 
     streams: Streams
@@ -155,6 +158,8 @@ class NavigatorState:
     rtk: Array
     last_phase_m: Array
     growth: Array
+    start: Array
+    apart: Array
     held: NDArray[np.bool_]
     integers: Array
     fix_id: NDArray[np.int64]
@@ -224,6 +229,8 @@ class Navigator:
             rtk=np.zeros((batch, rk.NX)),
             last_phase_m=np.zeros((batch, n_sat, 2)),
             growth=np.zeros((batch, GROWTH_SIZE)),
+            start=np.zeros((batch, len(c.cases), 4)),
+            apart=np.zeros((batch, APART_ROWS, n_sat)),
             held=np.zeros((batch, n_sat), dtype=np.bool_),
             integers=np.zeros((batch, n_sat, 2)),
             fix_id=np.zeros((batch, n_sat), dtype=np.int64),
@@ -269,6 +276,8 @@ class Navigator:
         belief[rows, nk.HAS_VEL] = belief[rows, nk.FIXED_S] = belief[rows, nk.REST_S] = 0.0
         belief[rows, nk.UNBOUNDED] = belief[rows, nk.CONFLICT_S] = belief[rows, nk.REFUSED_S] = 0.0
         belief[rows, nk.INITIALISED] = 1.0
+        belief[rows, nk.APART :] = 0.0  # with the memory of the odometer's watch
+        self.state.start[rows] = self.state.apart[rows] = 0.0
         growth[rows] = 0.0
         growth[rows, ..., [P_EE]] = growth[rows, ..., [P_NN]] = sigma_m**2
         growth[rows, ..., [VAR_TH]] = sigma_heading_rad**2
@@ -317,17 +326,17 @@ class Navigator:
         s, t, g = self.state, self._tables, m.gnss
         out, levels = np.zeros((self.batch, nk.NO)), np.full((self.batch, t.k_dead.shape[0], 2), np.inf)
         parallel = use_parallel(self.batch)
+        inertial = np.column_stack([m.imu.delta_theta_rad[:, 2], m.imu.delta_v_mps[:, :2]])
         run, first = (nk.run_parallel, numba.get_num_threads()) if parallel else (nk.run_some, 0)
         run(
             first, self.batch, m.sky.los_enu, m.sky.system, m.sky.elevation_rad, m.sky.index, g.tracked, g.cn0_dbhz,
             g.code_m, g.phase_m,
-            g.range_rate_mps, g.lock_lost, g.corrections_age_s, np.ascontiguousarray(m.imu.delta_theta_rad[:,
-            2]), m.odometer.speed_mps,
+            g.range_rate_mps, g.lock_lost, g.corrections_age_s, inertial, m.odometer.speed_mps,
             t.par, t.rtk_par, t.mode_limits, t.heading_limits, t.wavelength, t.fixable, t.fit, t.chi2, t.normal, t.fde,
             t.risks, t.shares, t.spent, t.priors, t.k_fa, t.k_published, t.k_dead, t.published, t.operative_published,
-            t.alert_limits, t.drift_group, s.belief, s.rtk, s.last_phase_m, s.growth, s.held, s.integers, s.fix_id,
-            s.fix_risk, s.alert.alert, s.alert.reason,
-            s.alert.onset_s, s.alert.clear_s, out, levels,
+            t.alert_limits, t.drift_group, s.belief, s.rtk, s.last_phase_m, s.growth, s.start, s.apart, s.held,
+            s.integers, s.fix_id, s.fix_risk, s.alert.alert, s.alert.reason, s.alert.onset_s, s.alert.clear_s, out,
+            levels,
         )  # fmt: skip
         return self._solution(m, out, levels)
 
@@ -431,7 +440,7 @@ class _Tables:
             priors=np.stack(r.priors()),
             k_fa=np.stack([false_alarm_factor(r.false_alarm, modes, v) for v in (Variant.EXACT, Variant.PUBLISHED)]),
             k_published=upper_quantile(total),
-            k_dead=k_dead,
+            k_dead=np.hstack([k_dead, budgets]),
             published=published,
             operative_published=bool(published[0]),
             alert_limits=c.alert.packed,
@@ -451,9 +460,11 @@ def _declared(c: NavigatorConfig) -> Array:
         nk.HEADING_BIAS: np.deg2rad(o.heading_bias_deg), nk.HEADING_DRIFT: np.deg2rad(o.heading_drift_degps),
         nk.BIAS_INITIAL: h.bias_initial_radps,
         nk.ODO_SCALE: o.odometer_scale, nk.STILL_SPEED: o.standstill_speed_mps,
+        nk.FAULT_DURATION: c.risk.fault_duration_s,
         nk.LEVER_FORWARD: c.positioning.antenna_forward_m, nk.LEVER_RIGHT: c.positioning.antenna_right_m,
     }  # fmt: skip
     par = np.zeros(nk.NP)
+    par[nk.WATCH_LIMITS :] = o.watch.packed(o)
     par[list(values)] = list(values.values())
     return par
 

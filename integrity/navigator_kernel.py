@@ -26,6 +26,16 @@ from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import (
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED as FDE_EXCLUDED
 from lanebound.integrity.monitoring.detection_kernel import NO_REDUNDANCY as FDE_NO_REDUNDANCY
 from lanebound.integrity.monitoring.detection_kernel import detect_and_exclude
+from lanebound.integrity.monitoring.doppler_separation_kernel import (
+    AFFORDABLE,
+    STATE,
+    U_E,
+    advance_separations,
+    exposure,
+    factors,
+    separate_velocity,
+    worst,
+)
 from lanebound.integrity.monitoring.geometry_kernel import (
     P_EE,
     P_EN,
@@ -53,6 +63,13 @@ from lanebound.integrity.positioning.heading_kernel import (
     wrap,
 )
 from lanebound.integrity.positioning.mode_kernel import DOPPLER, NONE, RTK, doppler_usable, select_mode
+from lanebound.integrity.positioning.odometer_watch_kernel import (
+    DOUBT,
+    LIMITS,
+    WATCH_SIZE,
+    turning_at_rest,
+    watch_odometer,
+)
 from lanebound.integrity.positioning.resolve_kernel import Fixes
 from lanebound.integrity.positioning.rtk_kernel import held_risk
 from lanebound.integrity.positioning.slip_watch_kernel import Motion
@@ -62,8 +79,9 @@ from lanebound.integrity.small_matrix_kernel import hdop_of
 # state
 EAST, NORTH, UP, HEADING, GYRO_BIAS, P_HH, P_HB, P_BB = range(8)
 VEL_E, VEL_N, HAS_VEL, SINCE_RTK, SINCE_CAL, REST_S, INITIALISED, FIXED_S = range(8, 16)
-UNBOUNDED, CONFLICT_S, REFUSED_S = range(16, 19)
-NX = 19
+UNBOUNDED, CONFLICT_S, REFUSED_S, APART = range(16, 20)
+WATCH = 20  # first of WATCH_SIZE
+NX = WATCH + WATCH_SIZE
 
 # solution
 O_MODE, O_RTK, O_AVAILABLE, O_SIGMA_AT, O_SIGMA_CT, O_HDOP, O_SATELLITES, O_DOPPLER, O_EXCLUDED, O_WRONG = range(10)
@@ -95,8 +113,15 @@ TEST_FAILED_CAUSE, INITIALISING_CAUSE = 5, 7  # codes of AlertReason
     BIAS_INITIAL,
     ODO_SCALE,
     STILL_SPEED,
-) = range(21)
-NP = 21
+    FAULT_DURATION,
+) = range(22)
+WATCH_LIMITS = 22  # first of LIMITS
+NP = WATCH_LIMITS + LIMITS
+
+# columns of ``start``, what the last RTK position left to each case: a bound beside ``K sigma``, the whole level [m]
+START_E, START_N, WHOLE_E, WHOLE_N = range(4)
+# columns of ``k_dead``: factors, and the risk that they stand for
+K_AT, K_CT, RISK_AT, RISK_CT = range(4)
 
 
 @jit
@@ -163,21 +188,28 @@ def velocity(e, elevation, tracked, cn0, range_rate, par, chi2, normal, fde, dri
 
 
 @jit
-def watch_speeds(x, dt, solved, v_gnss, v_ss, hdop, limits):  # type: ignore[no-untyped-def]
-    """A tested Doppler speed that contradicts the odometer for CONFLICT_LIMIT_S: one of them lies, and no level holds.
+def watch_speeds(x, par, solved, v_gnss, v_ss, hdop, limits, agreement, inertial, rate):  # type: ignore[no-untyped-def]
+    """An odometer in doubt, or contradicted by a tested Doppler speed for CONFLICT_LIMIT_S: no level holds without RTK.
 
-    The next RTK position sets things right again.
+    Where Doppler contradicts, one of them lies. ``limits`` are those of the heading, ``agreement`` [m/s] that of the
+    Doppler mode, ``inertial`` (3,) the increments of yaw [rad] and of forward and lateral velocity [m/s].
     """
+    dt = par[DT]
     conflict = solved and hdop < limits[2] and abs(v_gnss - abs(v_ss)) > limits[1]
     x[CONFLICT_S] = x[CONFLICT_S] + dt if conflict else 0.0
-    if x[CONFLICT_S] > CONFLICT_LIMIT_S:
+    agrees = solved and hdop < limits[2] and abs(v_gnss - abs(v_ss)) < agreement
+    if watch_odometer(
+        x[WATCH:NX], par[WATCH_LIMITS:NP], dt, v_ss, inertial[1], inertial[2], rate,
+        x[CONFLICT_S] > CONFLICT_LIMIT_S, agrees,
+    ):  # fmt: skip
         x[UNBOUNDED] = 1.0
 
 
 @jit
-def standstill(x, dt, v_ss, solved, v_gnss, q):  # type: ignore[no-untyped-def]
-    """Count how long the vehicle has been at rest: no odometer pulse, and no Doppler speed beyond its noise."""
-    at_rest = abs(v_ss) < 0.02 and not (solved and v_gnss > max(0.1, 3.0 * math.sqrt(q[0, 0] + q[1, 1])))
+def standstill(x, dt, v_ss, turning, solved, v_gnss, q):  # type: ignore[no-untyped-def]
+    """Count how long the vehicle has been at rest: no pulse, no turn, and no Doppler speed beyond its noise."""
+    at_rest = abs(v_ss) < 0.02 and not turning and not x[WATCH + DOUBT] > 0.0
+    at_rest = at_rest and not (solved and v_gnss > max(0.1, 3.0 * math.sqrt(q[0, 0] + q[1, 1])))
     x[REST_S] = x[REST_S] + dt if at_rest else 0.0
     return x[REST_S] > 0.5
 
@@ -245,33 +277,72 @@ def levels_rtk(  # type: ignore[no-untyped-def]
 
 
 @jit
-def levels_dead_reckoning(growth, sin_h, cos_h, k_dead, published, shift, pl):  # type: ignore[no-untyped-def]
-    """``PL_q = K_md sigma_q + B_q`` (S1 eq 18-19) of every case: k_dead (R, 2), published (R,) bool.
+def levels_dead_reckoning(  # type: ignore[no-untyped-def]
+    growth, start, apart, system, sin_h, cos_h, k_dead, published, shift, prior, later, split, multiple, pl
+):
+    """``PL_q = K_md sigma_q + B_q`` (S1 eq 18-19) of every case: k_dead, start (R, 4), published (R,) bool.
 
+    Exact levels also bound each single satellite fault in the Doppler velocities since the fix, by the separation that
+    it has caused (:mod:`.doppler_separation_kernel`). ``later`` >= 1 raises the priors by the faults that began since.
     ``shift`` bounds the horizontal length of the error that the reference gave to the last RTK position: exact, that
     much on each axis; published, equal components on E and N.
     """
+    total, squares, lost = exposure(system, prior, apart)
+    total, squares, lost = later * total, later * later * squares, later * lost
+    pair = 0.5 * (total * total - squares) if multiple else 0.0
+    axis_sine, axis_cosine = (sin_h, cos_h), (cos_h, -sin_h)
+    sigma_bias = sigma_and_bias(sin_h, cos_h, False, growth)
     for r in range(k_dead.shape[0]):
-        levels(sin_h, cos_h, k_dead[r : r + 1], published[r], growth, pl[r : r + 1])
-        bias = shift / math.sqrt(2.0) if published[r] else shift
-        pl[r, 0] += bias
-        pl[r, 1] += bias
+        if not start[r, WHOLE_E] < math.inf:
+            pl[r] = math.inf
+            continue
+        if published[r]:
+            levels(sin_h, cos_h, k_dead[r : r + 1], True, growth, pl[r : r + 1])
+            pl[r] += shift / math.sqrt(2.0)
+            continue
+        for q in range(2):
+            sine, cosine, share = axis_sine[q], axis_cosine[q], split if q == 0 else 1.0 - split
+            k_0, k_f = k_dead[r, q], -math.inf
+            if total > 0.0:
+                k_0, k_f = factors(k_dead[r, RISK_AT + q], share, pair, total, lost)
+            level = k_0 * sigma_bias[q] + abs(sine) * start[r, START_E] + abs(cosine) * start[r, START_N]
+            if -math.inf < k_f < math.inf:
+                whole = abs(sine) * start[r, WHOLE_E] + abs(cosine) * start[r, WHOLE_N]
+                level = max(level, worst(sine, cosine, sigma_bias[q], k_f, apart) + whole)
+            pl[r, q] = level + sigma_bias[2 + q] + shift
 
 
 @jit
-def restart(growth, level, k_dead, shift, published, heading_variance, head, sin_h, cos_h):  # type: ignore[no-untyped-def]
-    """Start dead reckoning anew from the RTK position just found.
+def restart(  # type: ignore[no-untyped-def]
+    growth, start, apart, x, level, k_dead, shift, published, heading_variance, head, sin_h, cos_h
+):
+    """Start dead reckoning anew from the RTK position just found, for every case.
 
-    Its initial error must keep what the protection level promised, biases and faults included: what the operative
-    ``level`` (2,) holds beyond ``K sigma`` of the fault-free solution stays on as a bound on E and N. The published
+    Its initial error must keep what the protection level promised, biases and faults included: what the ``level``
+    (R, 2) of a case holds beyond ``K sigma`` of the fault-free solution stays on as a bound on E and N. The published
     form starts from the fault-free covariance alone, as S1 does.
     """
-    bias_e, bias_n = 0.0, 0.0
-    if not published and level[0] < math.inf and level[1] < math.inf:
-        at = max(level[0] - shift - k_dead[0] * head[SIGMA0_AT], 0.0)
-        ct = max(level[1] - shift - k_dead[1] * head[SIGMA0_CT], 0.0)
-        bias_e, bias_n = abs(sin_h) * at + abs(cos_h) * ct, abs(cos_h) * at + abs(sin_h) * ct
-    reset(head[P_EE], head[P_EN], head[P_NN], bias_e, bias_n, heading_variance, growth)
+    reset(head[P_EE], head[P_EN], head[P_NN], 0.0, 0.0, heading_variance, growth)
+    if x[APART] > 0.0:
+        apart[:U_E] = 0.0
+        apart[STATE] = 0.0
+        x[APART] = 0.0
+    for r in range(level.shape[0]):
+        start[r] = 0.0
+        if not (level[r, 0] < math.inf and level[r, 1] < math.inf):
+            start[r, WHOLE_E] = math.inf
+        elif not published[r]:
+            at, ct = max(level[r, 0] - shift, 0.0), max(level[r, 1] - shift, 0.0)
+            start[r, WHOLE_E], start[r, WHOLE_N] = _box(at, ct, sin_h, cos_h)
+            at = max(at - k_dead[r, K_AT] * head[SIGMA0_AT], 0.0)
+            ct = max(ct - k_dead[r, K_CT] * head[SIGMA0_CT], 0.0)
+            start[r, START_E], start[r, START_N] = _box(at, ct, sin_h, cos_h)
+
+
+@jit
+def _box(at, ct, sin_h, cos_h):  # type: ignore[no-untyped-def]
+    """Bounds on E and N of what is bounded along and across the track."""
+    return abs(sin_h) * at + abs(cos_h) * ct, abs(cos_h) * at + abs(sin_h) * ct
 
 
 @jit
@@ -306,11 +377,11 @@ def advance(x, growth, par, mode, v_e, v_n, q, v_ss, middle, carry, resting):  #
 @jit
 def _epoch(  # type: ignore[no-untyped-def]
     e, system, elevation, tracked, cn0, code, phase, range_rate, lock_lost, age,
-    delta_theta, v_ss,
+    inertial, v_ss,
     par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent,
     priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
-    x, rtk_x, last_phase, growth, held, integers, fix_id, fix_risk, v, alert, reason, onset, clear, geo, head, columns,
-    rows, rows_e, rows_group, out, pl,
+    x, rtk_x, last_phase, growth, start, apart, held, integers, fix_id, fix_risk, v, alert, reason, onset, clear,
+    geo, head, columns, rows, rows_e, rows_group, out, pl,
 ):  # fmt: skip
     """The whole epoch of vehicle v; x to fix_risk and the alert arrays are its state."""
     dt, n_sat = par[DT], e.shape[0]
@@ -322,13 +393,19 @@ def _epoch(  # type: ignore[no-untyped-def]
         e, elevation, tracked, cn0, range_rate, par, chi2, normal, fde, drift_group, used, variance, velocity_enu, q_v
     )
     solved = outcome <= FDE_EXCLUDED or outcome == FDE_NO_REDUNDANCY
-    turning, s_0, c_0 = delta_theta / dt - x[GYRO_BIAS], math.sin(x[HEADING]), math.cos(x[HEADING])
+    lost = separate_velocity(
+        e, used, variance, range_rate, velocity_enu, q_v, solved, system, priors[0], apart
+    )  # fmt: skip
+    later = 1.0 + x[SINCE_RTK] / par[FAULT_DURATION] if x[SINCE_RTK] < math.inf else 1.0
+    checked = solved and (operative_published or later * lost <= AFFORDABLE * (k_dead[0, RISK_AT] + k_dead[0, RISK_CT]))
+    turning, s_0, c_0 = inertial[0] / dt - x[GYRO_BIAS], math.sin(x[HEADING]), math.cos(x[HEADING])
     v_e = velocity_enu[0] - turning * (c_0 * par[LEVER_FORWARD] - s_0 * par[LEVER_RIGHT])  # antenna to reference point
     v_n = velocity_enu[1] + turning * (s_0 * par[LEVER_FORWARD] + c_0 * par[LEVER_RIGHT])
     v_gnss = math.hypot(v_e, v_n)
-    resting = standstill(x, dt, v_ss, solved, v_gnss, q_v)
+    spinning = turning_at_rest(x[WATCH:NX], par[WATCH_LIMITS:NP], dt, v_ss, turning)
+    resting = standstill(x, dt, v_ss, spinning, solved, v_gnss, q_v)
     p_before = x[P_HH]
-    middle = attitude(x, par, delta_theta)
+    middle = attitude(x, par, inertial[0])
     carry, p_hh = math.sqrt(x[P_HH] / p_before), x[P_HH]  # growth as one error: the bound of its effect on the position
     if solved and not resting:
         if calibrate(x, par, heading_limits, v_e, v_n, q_v[0, 0], q_v[0, 1], q_v[1, 1], v_ss, hdop_doppler):
@@ -346,10 +423,14 @@ def _epoch(  # type: ignore[no-untyped-def]
     x[FIXED_S] = x[FIXED_S] + dt if status == FIXED else 0.0
     confirmed = status == FIXED and (x[SINCE_RTK] < 1.5 * dt or x[FIXED_S] > par[CONFIRM])
     mode = select_mode(
-        confirmed, hdop_rtk, solved, v_gnss, v_ss, hdop_doppler, x[SINCE_RTK], x[INITIALISED] > 0.0, mode_limits
+        confirmed, hdop_rtk, checked, v_gnss, v_ss, hdop_doppler, x[SINCE_RTK], x[INITIALISED] > 0.0, mode_limits
     )
     advance(x, growth, par, mode, v_e, v_n, q_v, v_ss, middle, carry, resting)
-    watch_speeds(x, dt, solved, v_gnss, v_ss, hdop_doppler, heading_limits)
+    measured = doppler_usable(checked, v_gnss, v_ss, hdop_doppler, mode_limits)
+    integrates = mode == DOPPLER and not resting
+    advance_separations(dt, integrates, x[HAS_VEL] > 0.0, measured, math.exp(-dt / par[DOP_TAU]), apart)
+    x[APART] = 1.0 if integrates else x[APART]
+    watch_speeds(x, par, solved, v_gnss, v_ss, hdop_doppler, heading_limits, mode_limits[1], inertial, turning)
     shift = par[REFERENCE_BIAS]
     if mode == RTK:
         levels_rtk(n_rtk, rows, rows_group, sin_h, cos_h, risks, shares, spent + wrong, priors, k_fa, k_published,
@@ -358,14 +439,15 @@ def _epoch(  # type: ignore[no-untyped-def]
         x[EAST] = head[X_E] - sin_h * forward - cos_h * right
         x[NORTH] = head[X_N] - cos_h * forward + sin_h * right
         x[UP] = head[X_U]
-        x[SINCE_RTK], x[INITIALISED] = 0.0, 1.0
-        x[UNBOUNDED] = 0.0 if pl[0, 0] < math.inf and pl[0, 1] < math.inf else 1.0
-        restart(growth, pl[0], k_dead[0], shift, operative_published, x[P_HH], head, sin_h, cos_h)
+        x[SINCE_RTK], x[INITIALISED], x[UNBOUNDED] = 0.0, 1.0, 0.0
+        restart(growth, start, apart, x, pl, k_dead, shift, published, x[P_HH], head, sin_h, cos_h)
     elif mode != NONE and x[UNBOUNDED] == 0.0 and x[SINCE_CAL] < math.inf:
-        levels_dead_reckoning(growth, sin_h, cos_h, k_dead, published, shift, pl)
+        levels_dead_reckoning(
+            growth, start, apart, system, sin_h, cos_h, k_dead, published, shift, priors[0], later, shares[1],
+            shares[3] > 0.0, pl,
+        )  # fmt: skip
     else:
         pl[:] = math.inf
-    measured = doppler_usable(solved, v_gnss, v_ss, hdop_doppler, mode_limits)
     x[HAS_VEL] = 1.0 if measured else 0.0
     if mode == RTK and measured:
         remember_velocity(q_v[0, 0], q_v[0, 1], q_v[1, 1], growth)
@@ -375,7 +457,7 @@ def _epoch(  # type: ignore[no-untyped-def]
     if mode == RTK:
         sigma_at, sigma_ct = head[SIGMA0_AT], head[SIGMA0_CT]
     cause = INITIALISING_CAUSE if mode == NONE else 0
-    if x[CONFLICT_S] > CONFLICT_LIMIT_S and mode != RTK:
+    if x[UNBOUNDED] > 0.0 and mode != RTK and mode != NONE:
         cause = TEST_FAILED_CAUSE
     available = alert_step(
         v, cause, pl[0, 0], pl[0, 1], sigma_at, sigma_ct, dt, alert_limits, alert, reason, onset, clear
@@ -390,10 +472,11 @@ def _epoch(  # type: ignore[no-untyped-def]
 @jit
 def run_some(  # type: ignore[no-untyped-def]
     first, last, los, system, elevation, index, tracked, cn0, code, phase, range_rate, lock_lost, age,
-    delta_theta, v_ss,
+    inertial, v_ss,
     par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent,
     priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
-    x, rtk_x, last_phase, growth, held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl,
+    x, rtk_x, last_phase, growth, start, apart, held, integers, fix_id, fix_risk, alert, reason, onset, clear,
+    out, pl,
 ):  # fmt: skip
     """One epoch of the vehicles ``first`` to ``last - 1``, which share their scratch."""
     geo, head, columns = scratch(system.shape[0])
@@ -403,28 +486,29 @@ def run_some(  # type: ignore[no-untyped-def]
         k = index[v]
         _epoch(
             los[k], system, elevation[k], tracked[v], cn0[v], code[v], phase[v], range_rate[v], lock_lost[v], age[v],
-            delta_theta[v], v_ss[v], par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal,
+            inertial[v], v_ss[v], par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal,
             fde, risks, shares, spent, priors, k_fa, k_published, k_dead, published, operative_published, alert_limits,
             drift_group,
-            x[v], rtk_x[v], last_phase[v], growth[v], held[v], integers[v], fix_id[v], fix_risk[v], v, alert, reason,
-            onset, clear, geo, head, columns, rows, rows_e, rows_group, out[v], pl[v],
+            x[v], rtk_x[v], last_phase[v], growth[v], start[v], apart[v], held[v], integers[v], fix_id[v], fix_risk[v],
+            v, alert, reason, onset, clear, geo, head, columns, rows, rows_e, rows_group, out[v], pl[v],
         )  # fmt: skip
 
 
 @jit(parallel=True)
 def run_parallel(  # type: ignore[no-untyped-def]
     chunks, last, los, system, elevation, index, tracked, cn0, code, phase, range_rate, lock_lost, age,
-    delta_theta, v_ss,
+    inertial, v_ss,
     par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent,
     priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
-    x, rtk_x, last_phase, growth, held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl,
+    x, rtk_x, last_phase, growth, start, apart, held, integers, fix_id, fix_risk, alert, reason, onset, clear,
+    out, pl,
 ):  # fmt: skip
     """:func:`run_some` for all ``last`` vehicles, in ``chunks`` runs side by side."""
     for chunk in prange(chunks):
         run_some(
             chunk * last // chunks, (chunk + 1) * last // chunks, los, system, elevation, index, tracked, cn0,
-            code, phase, range_rate, lock_lost, age, delta_theta, v_ss, par, rtk_par, mode_limits, heading_limits,
+            code, phase, range_rate, lock_lost, age, inertial, v_ss, par, rtk_par, mode_limits, heading_limits,
             wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent, priors, k_fa, k_published, k_dead,
-            published, operative_published, alert_limits, drift_group, x, rtk_x, last_phase, growth, held, integers,
-            fix_id, fix_risk, alert, reason, onset, clear, out, pl,
+            published, operative_published, alert_limits, drift_group, x, rtk_x, last_phase, growth, start, apart,
+            held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl,
         )  # fmt: skip

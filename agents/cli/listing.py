@@ -6,7 +6,7 @@ from typing import Any
 
 __all__ = ["INFO", "LISTING"]
 
-GROUPS = {"ego": 15, "integrity": 46, "road": 43, "traffic": 114}
+GROUPS = {"ego": 15, "integrity": 44, "road": 43, "traffic": 114}
 STEERED = {"action": "continuous", "action_space": "Box(-1.0, 1.0, (2,), float32)", "policy_hz": 5}
 CHOSEN = {"action": "meta", "action_space": "Discrete(5)", "policy_hz": 2}
 SHARED = {"observation": GROUPS, "flat_size": sum(GROUPS.values()), "simulation_hz": 20, "navigation_hz": 10.0}

@@ -80,7 +80,7 @@ def following_acceleration(v: Array, wanted_mps: Array, s: Array, lead_mps: Arra
     free = np.where(v <= wanted_mps, a * (1.0 - (v / np.maximum(wanted_mps, 0.1)) ** 4), 2.0 * (wanted_mps - v))
     follow = free - a * (needed / np.maximum(s, 0.1)) ** 2
     urgent = (safe_speed(s, lead_mps, c) - v) / max(c.response_s, 0.1)
-    return np.clip(np.where(urgent < 0.0, np.minimum(follow, urgent), follow), -c.brake_max_mps2, a)
+    return np.asarray(np.clip(np.where(urgent < 0.0, np.minimum(follow, urgent), follow), -c.brake_max_mps2, a))
 
 
 def pursuit_steering(reader: Reader, observation: Observation, c: CruiseConfig) -> Array:
@@ -94,14 +94,14 @@ def pursuit_steering(reader: Reader, observation: Observation, c: CruiseConfig) 
     reach = np.maximum(c.lookahead_s * v, c.lookahead_min_m)
     distances = reader.previews_m
     tangents = np.stack([_tan_beta(reader, observation, d) for d in distances], axis=-1)
-    beyond = np.clip(np.searchsorted(distances, reach), 1, max(len(distances) - 1, 1))
     if len(distances) == 1:
-        return np.arctan(2.0 * tangents[..., 0])
+        return np.asarray(np.arctan(2.0 * tangents[..., 0]))
+    beyond = np.clip(np.searchsorted(distances, reach), 1, len(distances) - 1)
     low, high = np.array(distances)[beyond - 1], np.array(distances)[beyond]
     share = np.clip((reach - low) / (high - low), 0.0, 1.0)
     near = np.take_along_axis(tangents, np.asarray(beyond - 1)[..., None], axis=-1)[..., 0]
     far = np.take_along_axis(tangents, np.asarray(beyond)[..., None], axis=-1)[..., 0]
-    return np.arctan(2.0 * ((1.0 - share) * near + share * far))
+    return np.asarray(np.arctan(2.0 * ((1.0 - share) * near + share * far)))
 
 
 def _tan_beta(reader: Reader, observation: Observation, preview_m: float) -> Array:

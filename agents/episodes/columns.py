@@ -22,6 +22,8 @@ from lanebound.integrity.positioning.rtk_status import RtkStatus
 
 __all__ = ["COLUMNS", "Column", "Moment", "describe_columns", "row_of"]
 
+RTK_NAMES = {status.code: status.name.lower() for status in RtkStatus}
+REASON_NAMES = {reason.code: reason.name.lower() for reason in AlertReason}
 Kind = Literal["int", "float", "bool", "text", "floats"]
 
 
@@ -135,8 +137,6 @@ SCORE = (
     Column("terminated", "bool", "", "the episode ends here by what happened", lambda m: m.terminated),
     Column("truncated", "bool", "", "the episode ends here because its time is up", lambda m: m.truncated),
 )
-RTK_NAMES = {status.code: status.name.lower() for status in RtkStatus}
-REASON_NAMES = {reason.code: reason.name.lower() for reason in AlertReason}
 COLUMNS: tuple[Column, ...] = (*WHEN, *TRUTH, *BELIEF, *INTEGRITY, *SCORE)
 
 

@@ -36,13 +36,13 @@ def require_display() -> None:
         pygame.display.init()
         found = str(pygame.display.get_driver())
     except pygame.error as error:
-        found = f"none, {error}"
+        found = str(error)
     else:
         pygame.display.quit()
         if found not in BLIND_DRIVERS:
             return
     raise InputError(
-        f"play needs a display, got {found}: run it on a desktop, or use 'lanebound drive ID --video drive.mp4' here"
+        f"play needs a display, got none (SDL: {found}): run it on a desktop, or use 'lanebound drive ID --video a.mp4'"
     )
 
 

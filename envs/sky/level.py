@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from lanebound.integrity.config import Config, Field
+from collections.abc import Mapping
+from typing import Any
+
+from lanebound.integrity.config import Config, Field, deep_merge
 from lanebound.integrity.navigator import NavigatorConfig
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
 from lanebound.integrity.sky.city import CityConfig, SectionConfig, SectionKind
@@ -32,6 +35,9 @@ class SkyLevel(Config):
     max_age_s: float = Field(
         2.0, gt=0, le=60, description="oldest usable corrections; a rover in town, whose link sends every second"
     )
+    instruments: Mapping[str, Any] = Field(
+        {}, description="what NavigatorConfig differs by in such streets: instruments and what is declared of them"
+    )
     follow_sections: bool = Field(
         True, description="use the stretches that a world names itself; the level's own elsewhere"
     )
@@ -49,6 +55,6 @@ class SkyLevel(Config):
         return cls.preset(f"skies/{name}" if name in SKY_LEVELS else name)
 
     def navigator(self, base: NavigatorConfig | None = None) -> NavigatorConfig:
-        """The navigator of ``base``, or of the defaults, with this level's reference link."""
-        rtk = {"max_age_s": self.max_age_s}
-        return (base or NavigatorConfig()).replace(corrections=self.corrections.to_dict(), positioning={"rtk": rtk})
+        """The navigator of ``base``, or of the defaults, with this level's reference link and instruments."""
+        link = {"corrections": self.corrections.to_dict(), "positioning": {"rtk": {"max_age_s": self.max_age_s}}}
+        return (base or NavigatorConfig()).replace(**deep_merge(link, self.instruments))

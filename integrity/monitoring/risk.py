@@ -66,6 +66,11 @@ class RiskConfig(Config):
         max_length=8,
         description="fault probability of one satellite, by system [-]; WG-C ARAIM ADD v3.1 (1e-5), ICAO GLONASS 1e-4",
     )
+    fault_duration_s: float = Field(
+        3600.0,
+        gt=0,
+        description="mean time that a fault lasts: a prior P means P / this new faults [1/s]; WG-C ARAIM ADD v3.1",
+    )
     constellation_prior: tuple[float, ...] = Field(
         (0.0, 0.0, 0.0, 0.0, 0.0),
         min_length=5,

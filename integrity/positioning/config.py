@@ -13,8 +13,17 @@ from scipy.stats import chi2
 
 from lanebound.integrity.config import Config
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
+from lanebound.integrity.truth import GRAVITY_MPS2
 
-__all__ = ["DeadReckoningConfig", "DopplerConfig", "HeadingConfig", "ModeConfig", "PositioningConfig", "RtkConfig"]
+__all__ = [
+    "DeadReckoningConfig",
+    "DopplerConfig",
+    "HeadingConfig",
+    "ModeConfig",
+    "OdometerWatchConfig",
+    "PositioningConfig",
+    "RtkConfig",
+]
 
 
 class RtkConfig(Config):
@@ -108,6 +117,40 @@ class HeadingConfig(Config):
     max_jump_deg: float = Field(2.0, gt=0, description="largest heading jump against the IMU [deg]; S2 section 2.2")
 
 
+class OdometerWatchConfig(Config):
+    """What a healthy odometer may differ by from the inertial sensors (:mod:`.odometer_watch_kernel`)."""
+
+    accelerometer_bias_mps2: float = Field(
+        0.25, ge=0, description="bound of the accelerometer's bias [m/s^2]; 5 sigma of BMI088 after calibration, 5 mg"
+    )
+    grade: float = Field(0.08, ge=0, lt=1, description="steepest road [-]; Road Structure Order of Japan, 40 km/h: 7 %")
+    scale: float = Field(
+        0.10, ge=0, description="share of the accelerometer's increment that may be wrong [-]; pitch of 4 deg at 1 g"
+    )
+    misalignment_deg: float = Field(
+        2.0, ge=0, description="lateral force seen forward: mounting and side slip [deg]; argued"
+    )
+    lever_m: float = Field(2.0, ge=0, description="IMU from the rear axle, for the force in turns [m]; half a car")
+    sigmas: float = Field(5.5, gt=0, description="odometer noise tolerated, in its sigmas [-]; 4e-8 for each epoch")
+    stuck_s: float = Field(
+        2.0, gt=0, description="how long a moving odometer may repeat one value [s]; coarse pulses need longer"
+    )
+    still_rate_degps: float = Field(
+        3.5, gt=0, description="yaw rate of no vehicle at rest [deg/s]; 6 sigma of a gyro bias at turn-on, and noise"
+    )
+    still_s: float = Field(0.3, ge=0, description="how long that must last [s]")
+    agree_s: float = Field(2.0, ge=0, description="how long Doppler must agree until doubt ends [s]")
+
+    def packed(self, odometer: DeadReckoningConfig) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        """The figures in the columns of the kernel's ``limits``."""
+        jump = self.sigmas * np.sqrt(2.0) * odometer.odometer_sigma_mps + odometer.standstill_speed_mps
+        return np.array([
+            self.accelerometer_bias_mps2 + GRAVITY_MPS2 * self.grade, self.scale,
+            np.tan(np.deg2rad(self.misalignment_deg)), self.lever_m, jump, self.stuck_s,
+            np.deg2rad(self.still_rate_degps), self.still_s, self.agree_s,
+        ])  # fmt: skip
+
+
 class DeadReckoningConfig(Config):
     """Declared errors of dead reckoning with heading and odometer."""
 
@@ -128,6 +171,7 @@ class DeadReckoningConfig(Config):
     heading_drift_degps: float = Field(
         0.004, ge=0, description="growth of that bound since calibration [deg/s]; S1 section 4"
     )
+    watch: OdometerWatchConfig = OdometerWatchConfig()
 
 
 class ModeConfig(Config):

@@ -178,8 +178,8 @@ def watch_slips(e, system, phase, variance, phase_ok, age, motion, fixes, rules,
         for i in range(n):
             if flags[i] != NO_SLIP:
                 repair(
-                    rows[i], moved[0, i], moved[1, i], math.sqrt(variance[rows[i]]), s_p[i], rules.iono * motion.dt, system,
-                    fixes, rules, next_id + found,
+                    rows[i], moved[0, i], moved[1, i], math.sqrt(variance[rows[i]]), s_p[i], rules.iono * motion.dt,
+                    system, fixes, rules, next_id + found,
                 )  # fmt: skip
                 found += 1
     remember(e, phase, phase_ok, age, motion, watch, last)

@@ -202,7 +202,8 @@ class SkyMask:
         batch = sky.index.shape
         lanes = np.asarray(lane, dtype=np.int64)
         try:
-            arc, lanes = (a if a.shape == batch else np.broadcast_to(a, batch) for a in (arc, lanes))
+            if arc.shape != batch or lanes.shape != batch:  # broadcast_to costs microseconds
+                arc, lanes = np.broadcast_to(arc, batch), np.broadcast_to(lanes, batch)
             arc, lanes = np.ascontiguousarray(arc), np.ascontiguousarray(lanes)
         except ValueError:
             raise InputError(f"arc_m and lane must have shape {batch}, got {arc.shape}, {np.shape(lane)}") from None

@@ -41,14 +41,17 @@ def test_an_unknown_level_is_refused() -> None:
         SkyLevel.named("skies/lunar")
 
 
-def test_the_navigator_takes_the_levels_reference_link_and_nothing_else() -> None:
+def test_the_navigator_takes_the_levels_link_and_instruments_and_nothing_else() -> None:
     level, base = SkyLevel.named("dense"), NavigatorConfig(dt_s=0.2)
     got = level.navigator(base)
     assert got.corrections == level.corrections
     assert got.positioning.rtk.max_age_s == level.max_age_s
     assert got.dt_s == 0.2
     assert got.alert == base.alert
-    assert got.replace(corrections={"outage_per_h": 0.0}).gnss == base.gnss
+    assert got.imu == base.imu
+    assert got.gnss.replace(range_rate_sigma_mps=base.gnss.range_rate_sigma_mps) == base.gnss
+    assert got.positioning.doppler.sigma_mps > base.positioning.doppler.sigma_mps
+    assert SkyLevel.named("suburban").navigator(base).gnss == base.gnss
 
 
 def test_levels_grow_harder() -> None:

@@ -1,0 +1,165 @@
+"""``lanebound drive``: what it prints, logs and films, and that filming changes nothing."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from imageio_ffmpeg import count_frames_and_secs
+from typer.testing import CliRunner
+
+from lanebound.agents.cli import app
+from lanebound.agents.drivers import make_agent
+from lanebound.agents.episodes import COLUMNS, EpisodeLog, drive, open_env
+from lanebound.agents.episodes.film import Film
+from lanebound.agents.episodes.summary import measures, summarise
+from lanebound.integrity.errors import InputError
+
+GIVEN = ("--sky", "open", "--set", "navigation.source=perfect", "--set", "perception.source=truth")
+
+
+def run(*arguments: str) -> Any:
+    return CliRunner().invoke(app, ["drive", *arguments])
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """Two episodes of three seconds with all there is to write."""
+    out = tmp_path_factory.mktemp("drive")
+    result = run(
+        "LaneKeeping", *GIVEN, "--set", "world.duration=3", "--seed", "5", "--episodes", "2", "--out", str(out / "log"),
+        "--video", str(out / "film.mp4"), "--json",
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    return out, json.loads(result.stdout)
+
+
+def test_says_what_was_driven(driven):
+    _, shown = driven
+    assert [(e["seed"], e["steps"], e["ended"], e["success"]) for e in shown["episodes"]] == [
+        (5, 15, "time up", True),
+        (6, 15, "time up", True),
+    ]
+    assert shown["all"]["success rate"] == 1.0
+    assert shown["all"]["availability"] == 1.0
+    assert shown["episodes"][0]["mode_shares"] == {"rtk": 1.0}
+
+
+def test_the_log_has_a_row_for_each_step_and_says_what_its_columns_are(driven):
+    out, shown = driven
+    table = pq.read_table(out / "log" / "episodes.parquet")
+    assert table.column_names == [column.name for column in COLUMNS]
+    assert table.num_rows == sum(e["steps"] + 1 for e in shown["episodes"])
+    for field, column in zip(table.schema, COLUMNS, strict=True):
+        assert field.metadata == {b"unit": column.unit.encode(), b"meaning": column.meaning.encode()}
+    rows = table.to_pylist()
+    assert rows[0]["action"] == []
+    assert len(rows[1]["action"]) == 2
+    assert [row["time_s"] for row in rows[:3]] == pytest.approx([0.0, 0.2, 0.4])
+    assert sum(r["reward"] for r in rows if r["episode"] == 1) == pytest.approx(shown["episodes"][1]["total_return"])
+    assert all(row["err_ct_m"] == 0.0 and row["true_x_m"] == row["est_x_m"] for row in rows)
+    text = (out / "log" / "columns.md").read_text(encoding="utf-8")
+    assert all(f"| {column.name} |" in text for column in COLUMNS)
+
+
+def test_the_diagram_is_drawn(driven):
+    out, _ = driven
+    assert (out / "log" / "stanford.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_film_has_ten_pictures_a_second(driven):
+    out, _ = driven
+    frames, seconds = count_frames_and_secs(str(out / "film.mp4"))
+    assert frames == 2 * 31  # the start and three seconds, twice
+    assert seconds == pytest.approx(6.2, abs=0.2)
+    assert sorted(path.name for path in out.iterdir()) == ["film.mp4", "log"]
+
+
+def test_prints_tables():
+    shown = run("UrbanCanyon", *GIVEN, "--set", "world.duration=2", "--agent", "random").stdout
+    for word in ("success rate", "cost_hmi", "share of rtk", "HMI steps", "collision rate"):
+        assert word in shown
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["LaneKepeing"], "error: environment 'LaneKepeing' is unknown: did you mean"),
+        (["LaneKeeping", "--agent", "cruse"], "error: agent 'cruse' is unknown: did you mean 'cruise'?"),
+        (["LaneKeeping", "--sky", "dence"], "error: sky must be one of"),
+        (["LaneKeeping", "--faults", "stres"], "error: faults must be "),
+        (["LaneKeeping", "--video", "film.avi"], "error: video must end in .mp4, got film.avi"),
+        (["LaneKeeping", "--video", "film.mp4", "--fps", "3"], "error: fps must divide simulation_hz = 20, got 3"),
+        (["LaneKeeping", "--out", __file__], "error: --out must be a folder that can be written"),
+        (["LaneKeeping", "--episodes", "0"], "error: --episodes must be >= 1, got 0"),
+    ],
+)
+def test_mistakes_are_answered_in_one_line(arguments, message):
+    result = run(*arguments)
+    assert result.exit_code == 2
+    assert result.stderr.startswith(message)
+    assert result.stderr.count("\n") == 1
+    assert result.stdout == ""
+
+
+def rows_of_a_drive(tmp_path: Path, filmed: bool) -> list[dict[str, Any]]:
+    env = open_env("CarFollowing", {"sky": "urban", "world": {"duration": 4.0}}, "rgb_array" if filmed else None)
+    log, agent = EpisodeLog(), make_agent("cruise", env)
+    if filmed:
+        with Film(env, tmp_path / "film.mp4", 20) as film:
+            drive(env, agent, [7], [log, film])
+        assert film.frames == 81
+    else:
+        drive(env, agent, [7], [log])
+    return log.rows
+
+
+def test_filming_changes_nothing_of_the_drive(tmp_path):
+    assert rows_of_a_drive(tmp_path, True) == rows_of_a_drive(tmp_path, False)
+
+
+def test_an_unfinished_film_is_thrown_away(tmp_path):
+    env = open_env("LaneKeeping", {"sky": "open", "navigation": {"source": "perfect"}}, "rgb_array")
+
+    def fall(episode: int) -> None:
+        raise InputError("enough")
+
+    env.world.config["duration"] = 0.4
+    with pytest.raises(InputError, match="enough"), Film(env, tmp_path / "film.mp4") as film:
+        drive(env, make_agent("cruise", env), [1], [film], fall)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_summaries_weigh_episodes_by_steps_where_shares_are_of_steps():
+    end = {"crashed": True, "off_road": False, "wrong_way": False, "truncated": False, "terminated": True}
+    row = end | dict.fromkeys([c.name for c in COLUMNS if c.name.startswith("cost")], 1.0) | {
+        "seed": 1, "time_s": 1.0, "reward": 2.0, "is_success": False, "alert": True, "mi": False, "hmi": True,
+    }  # fmt: skip
+    short = summarise([row | {"step": k, "available": True, "mode": "rtk"} for k in range(2)])
+    long = summarise([row | {"step": k, "available": False, "mode": "doppler"} for k in range(4)])
+    found = measures([short, long])
+    assert (short.ended, short.steps, long.steps) == ("collision", 1, 3)
+    assert found["availability"] == found["share of rtk"] == pytest.approx(0.25)
+    assert found["HMI steps"] == 4.0
+    assert found["return"] == pytest.approx(6.0)
+    assert math.isclose(found["collision rate"], 1.0)
+
+
+def test_gymnasium_records_the_environments_too(tmp_path):
+    pytest.importorskip("moviepy")
+    config = {"sky": "open", "navigation": {"source": "perfect"}, "world": {"duration": 1.0}}
+    made = gymnasium.make("lanebound/LaneKeeping-v0", config=config, render_mode="rgb_array")
+    env = gymnasium.wrappers.RecordVideo(made, str(tmp_path), episode_trigger=lambda episode: True)
+    env.reset(seed=1)
+    over = False
+    while not over:
+        _, _, terminated, truncated, _ = env.step(np.zeros(2, dtype=np.float32))
+        over = terminated or truncated
+    env.close()
+    assert [path.suffix for path in tmp_path.iterdir()] == [".mp4"]

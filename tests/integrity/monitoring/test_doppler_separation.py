@@ -1,0 +1,141 @@
+"""Positions from velocities without one satellite: oracle by leaving out rows, statistics, factors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import chi2, norm
+
+from lanebound.integrity.monitoring import doppler_separation_kernel as dk
+
+Array = NDArray[np.float64]
+DT, PHI = 0.1, float(np.exp(-0.1 / 0.54))
+PRIOR = np.array([1e-5, 1e-5, 1e-4, 1e-5, 1e-5, 0.0, 0.0, 0.0])
+SYSTEM = np.array([0, 0, 0, 1, 1, 2, 2], dtype=np.int64)
+ALL = np.ones(7, dtype=np.bool_)
+
+
+def _sky(seed: int = 3) -> tuple[Array, Array]:
+    """Unit vectors (7, 3) and variances (7,) of range rates."""
+    rng = np.random.default_rng(seed)
+    azimuth, elevation = np.linspace(0.0, 5.4, 7), rng.uniform(0.3, 1.3, 7)
+    c = np.cos(elevation)
+    los = np.column_stack([np.sin(azimuth) * c, np.cos(azimuth) * c, np.sin(elevation)])
+    return los, rng.uniform(0.5, 2.0, 7) * 0.01
+
+
+def _velocity(los: Array, variance: Array, y: Array, used: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Weighted least squares with a clock drift: velocity (3,) and covariance (3, 3)."""
+    design = np.column_stack([-los, np.ones(len(los))])[used]
+    inverse = np.linalg.inv(design.T @ (design / variance[used, None]))
+    return (inverse @ design.T @ (y[used] / variance[used]))[:3], inverse[:3, :3]
+
+
+def _run(epochs: int, rng: np.random.Generator, fault: Array | None = None) -> tuple[Array, Array, Array]:
+    """Kernel state, and separations of the positions told by leaving each satellite out of every epoch, (7, 2)."""
+    los, variance = _sky()
+    a, error, apart = np.zeros((dk.APART_ROWS, 7)), rng.normal(size=7), np.zeros((7, 2))
+    last = np.zeros((7, 2))
+    for epoch in range(epochs):
+        error = PHI * error + np.sqrt(1.0 - PHI**2) * rng.normal(size=7)
+        y = np.sqrt(variance) * error - los @ np.array([3.0, 4.0, 0.0]) + 0.7 + (0.0 if fault is None else fault)
+        used = ALL.copy()
+        used[2] = epoch % 11 != 5
+        v, q = _velocity(los, variance, y, used)
+        dk.separate_velocity(los, used, variance, y, v, q, True, SYSTEM, PRIOR, a)
+        dk.advance_separations(DT, True, epoch > 0, True, PHI, a)
+        now = np.zeros((7, 2))
+        for k in np.flatnonzero(used):
+            now[k] = (v - _velocity(los, variance, y, used & (np.arange(7) != k))[0])[:2]
+        apart += 0.5 * DT * (last + now) if epoch else DT * now
+        last = now
+    return a, apart, variance
+
+
+def test_separation_is_that_of_positions_without_the_satellite() -> None:
+    a, apart, _ = _run(60, np.random.default_rng(1))
+    np.testing.assert_allclose(a[[dk.D_E, dk.D_N]].T, apart, rtol=1e-9, atol=1e-12)
+    assert (a[dk.STATE] == dk.MONITORED).all()
+
+
+def test_covariance_without_a_satellite_is_the_fault_free_one_and_that_of_the_separation() -> None:
+    los, variance = _sky()
+    a, y = np.zeros((dk.APART_ROWS, 7)), np.zeros(7)
+    v, q = _velocity(los, variance, y, ALL)
+    dk.separate_velocity(los, ALL, variance, y, v, q, True, SYSTEM, PRIOR, a)
+    for k in range(7):
+        u = a[[dk.NEW_E, dk.NEW_N], k]
+        without = _velocity(los, variance, y, np.arange(7) != k)[1]
+        np.testing.assert_allclose(q[:2, :2] + np.outer(u, u), without[:2, :2], rtol=1e-9)
+
+
+def test_covariance_is_that_of_simulated_separations() -> None:
+    """1500 drives of 40 epochs with Gauss-Markov errors; fails by chance once in 1000 runs."""
+    rng, drives = np.random.default_rng(2), 1500
+    los, variance = _sky()
+    error = rng.normal(size=(drives, 7))
+    states = np.zeros((drives, dk.APART_ROWS, 7))
+    for epoch in range(40):
+        error = PHI * error + np.sqrt(1.0 - PHI**2) * rng.normal(size=(drives, 7))
+        for a, y in zip(states, np.sqrt(variance) * error, strict=True):
+            v, q = _velocity(los, variance, y, ALL)
+            dk.separate_velocity(los, ALL, variance, y, v, q, True, SYSTEM, PRIOR, a)
+            dk.advance_separations(DT, True, epoch > 0, True, PHI, a)
+    low, high = chi2.ppf([0.5e-3 / 14, 1.0 - 0.5e-3 / 14], df=drives)
+    for row, var in ((dk.D_E, dk.S_EE), (dk.D_N, dk.S_NN)):
+        white = (states[:, row] ** 2).sum(0) / states[0, var]
+        assert ((low < white) & (white < high)).all()
+
+
+def test_a_drift_shows_in_the_separation_and_is_bounded_whatever_it_does() -> None:
+    """A drift of one satellite moves p by S f T; abs(D_k) holds it all but for noise, which ``K_f sigma_k`` bounds."""
+    los, variance = _sky()
+    fault = np.zeros(7)
+    fault[4] = 0.3
+    rng, exceeded, trials, k_f = np.random.default_rng(4), 0, 60, float(norm.isf(0.005))
+    for _ in range(trials):
+        a, _, _ = _run(100, rng, fault)
+        noise = np.sqrt(a[dk.S_EE, 4])
+        moved = 100 * DT * (_velocity(los, variance, fault, ALL)[0] - _velocity(los, variance, fault * 0.0, ALL)[0])[0]
+        exceeded += bool(abs(moved) > abs(a[dk.D_E, 4]) + k_f * noise)
+    assert exceeded <= 4  # expected 0.3 or less: a binomial of 60 with p = 0.01 exceeds 4 once in 2600 runs
+
+
+def test_a_satellite_that_the_velocity_needs_is_lost() -> None:
+    los, variance = _sky()
+    a, y, few = np.zeros((dk.APART_ROWS, 7)), np.zeros(7), ALL.copy()
+    few[[1, 3, 5]] = False
+    v, q = _velocity(los, variance, y, few)
+    lost = dk.separate_velocity(los, few, variance, y, v, q, True, SYSTEM, PRIOR, a)
+    assert lost == pytest.approx(1e-5 * 3 + 1e-4)
+    dk.advance_separations(DT, True, False, True, PHI, a)
+    assert dk.exposure(SYSTEM, PRIOR, a)[2] == pytest.approx(lost)
+    assert np.isfinite(a).all()
+
+
+def test_rest_keeps_the_separation_and_forgets_the_velocity() -> None:
+    a, _, _ = _run(20, np.random.default_rng(5))
+    before = a.copy()
+    a[dk.NEW_E : dk.NEW_W + 1], a[dk.NOW] = 0.0, dk.IDLE
+    dk.advance_separations(DT, False, True, False, PHI, a)
+    np.testing.assert_array_equal(a[: dk.C_E], before[: dk.C_E])
+    np.testing.assert_allclose(a[[dk.C_E, dk.C_N]], PHI * before[[dk.C_E, dk.C_N]], rtol=1e-12)
+    assert not a[[dk.U_E, dk.U_N, dk.W]].any()
+
+
+@pytest.mark.parametrize("budget", [5e-6, 5e-7, 4e-4])
+@pytest.mark.parametrize("lost", [0.0, 1e-7])
+def test_factors_spend_the_budget_and_no_more(budget: float, lost: float) -> None:
+    share, pair, total = 0.5, 1e-8, 1e-3
+    k_0, k_f = dk.factors(budget, share, pair, total, lost)
+    spent = 2.0 * norm.sf(k_0) + (total - lost) * 2.0 * norm.sf(k_f) + share * (pair + lost)
+    assert spent == pytest.approx(budget, rel=1e-6)
+
+
+def test_small_priors_are_spent_and_large_ones_leave_nothing() -> None:
+    k_0, k_f = dk.factors(1e-4, 0.5, 0.0, 1e-5, 0.0)
+    assert k_f == -np.inf
+    assert 2.0 * norm.sf(k_0) + 0.5e-5 == pytest.approx(1e-4)
+    assert dk.factors(5e-6, 0.5, 2e-5, 1e-3, 0.0) == (np.inf, np.inf)
+    assert dk.factors(5e-6, 0.5, 0.0, 1e-3, 1e-5) == (np.inf, np.inf)
