@@ -142,7 +142,7 @@ class NavigatorState:
     """Everything that lasts from epoch to epoch: the instruments' own state, and the belief's.
 
     ``belief`` (B, NX), ``rtk`` (B, NX) and ``growth`` (B, NP) are the flat columns of :mod:`.navigator_kernel`,
-    :mod:`.rtk_stage_kernel` and :mod:`.monitoring.dead_reckoning_pl_kernel`; all R protection levels share the growth,
+    :mod:`.rtk_stage_kernel` and :mod:`.monitoring.dead_reckoning_pl_kernel`, which all R levels share;
     ``start`` (B, R, 4) is what the last RTK position left to each, ``apart`` (B, APART_ROWS, S) the separations of
     :mod:`.monitoring.doppler_separation_kernel`. ``held`` (B, S), ``integers`` (B, S, 2), ``fix_id`` and ``fix_risk``
     (B, S) are the ambiguities held; ``last_phase_m`` (B, S, 2) serves to find slips.
@@ -278,7 +278,6 @@ class Navigator:
         belief[rows, nk.INITIALISED] = 1.0
         belief[rows, nk.APART :] = 0.0  # with the memory of the odometer's watch
         self.state.start[rows] = self.state.apart[rows] = 0.0
-        self.state.held[rows], self.state.last_phase_m[rows] = False, 0.0
         growth[rows] = 0.0
         growth[rows, ..., [P_EE]] = growth[rows, ..., [P_NN]] = sigma_m**2
         growth[rows, ..., [VAR_TH]] = sigma_heading_rad**2

@@ -490,8 +490,7 @@ def run_some(  # type: ignore[no-untyped-def]
             fde, risks, shares, spent, priors, k_fa, k_published, k_dead, published, operative_published, alert_limits,
             drift_group,
             x[v], rtk_x[v], last_phase[v], growth[v], start[v], apart[v], held[v], integers[v], fix_id[v], fix_risk[v],
-            v, alert, reason,
-            onset, clear, geo, head, columns, rows, rows_e, rows_group, out[v], pl[v],
+            v, alert, reason, onset, clear, geo, head, columns, rows, rows_e, rows_group, out[v], pl[v],
         )  # fmt: skip
 
 
@@ -510,6 +509,6 @@ def run_parallel(  # type: ignore[no-untyped-def]
             chunk * last // chunks, (chunk + 1) * last // chunks, los, system, elevation, index, tracked, cn0,
             code, phase, range_rate, lock_lost, age, inertial, v_ss, par, rtk_par, mode_limits, heading_limits,
             wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent, priors, k_fa, k_published, k_dead,
-            published, operative_published, alert_limits, drift_group, x, rtk_x, last_phase, growth, start,
-            apart, held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl,
+            published, operative_published, alert_limits, drift_group, x, rtk_x, last_phase, growth, start, apart,
+            held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl,
         )  # fmt: skip

@@ -117,7 +117,7 @@ def let_slips_go(signals, tables, fixes, x, last, motion, factor, phase_ok):  # 
         par[FIX_LIMIT], par[AGE_SIGMA],
     )  # fmt: skip
     x[FIXES] += watch_slips(
-        signals.e, signals.system, signals.phase, par[SIGMA_PHASE] * np.sqrt(factor), phase_ok, signals.age, motion,
+        signals.e, signals.system, signals.phase, factor * par[SIGMA_PHASE] ** 2, phase_ok, signals.age, motion,
         fixes, rules, x[WATCH:], last, int(x[FIXES]) + 1,
     )  # fmt: skip
 

@@ -23,6 +23,18 @@ MIN_COMMON = 3  # a median of fewer satellites would take a slip for the clock
 
 
 @jit
+def sorted_median(values, count):  # type: ignore[no-untyped-def]
+    """Median of the first ``count`` values, which are sorted in place: quicker than a partition for a dozen of them."""
+    for i in range(1, count):
+        value, k = values[i], i
+        while k > 0 and values[k - 1] > value:
+            values[k] = values[k - 1]
+            k -= 1
+        values[k] = value
+    return 0.5 * (values[(count - 1) // 2] + values[count // 2])
+
+
+@jit
 def remove_common(change, member, system, n_systems, out):  # type: ignore[no-untyped-def]
     """Subtract the median change of each system's members: the receiver clock, whatever single satellites do.
 
@@ -36,7 +48,7 @@ def remove_common(change, member, system, n_systems, out):  # type: ignore[no-un
             if member[s] and system[s] == k:
                 values[count] = change[s]
                 count += 1
-        middle = np.median(values[:count]) if count >= MIN_COMMON else math.nan
+        middle = sorted_median(values, count) if count >= MIN_COMMON else math.nan
         for s in range(change.shape[0]):
             if system[s] == k:
                 out[s] = change[s] - middle if member[s] else math.nan

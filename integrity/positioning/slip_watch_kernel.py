@@ -26,7 +26,6 @@ from lanebound.integrity.positioning.cycle_slips_kernel import (
     repair_slip,
 )
 from lanebound.integrity.positioning.rtk_kernel import held_risk
-from lanebound.integrity.small_matrix_kernel import MAX_GROUPS
 
 __all__ = ["NW", "Motion", "SlipRules", "watch_slips"]
 
@@ -91,8 +90,10 @@ def remember(e, phase, phase_ok, age, motion, watch, last):  # type: ignore[no-u
     watch[W_MOVING] = 1.0 if motion.solved else 0.0
     watch[W_AGE] = age
     for s in range(phase_ok.shape[0]):
-        for b in range(2):
-            last[s, b] = reduced(phase[s, b], e[s], motion.anchor) if phase_ok[s] and age < math.inf else 0.0
+        last[s, 0], last[s, 1] = 0.0, 0.0
+        if phase_ok[s] and age < math.inf:
+            along = reduced(0.0, e[s], motion.anchor)
+            last[s, 0], last[s, 1] = phase[s, 0] + along, phase[s, 1] + along
 
 
 @jit
@@ -129,7 +130,7 @@ def repair(s, d1, d2, s_phase, s_p, s_iono, system, fixes, rules, next_id):  # t
 
 
 @jit
-def judge(e, system, sigma_phase, rows, n, moved, known, drift, motion, rules, flags, s_p):  # type: ignore[no-untyped-def]
+def judge(e, system, variance, rows, n, moved, known, drift, motion, rules, flags, s_p):  # type: ignore[no-untyped-def]
     """Flags (n,) of :func:`~.cycle_slips_kernel.detect_slip` for the changes ``moved`` (2, n); fills ``s_p`` (n,) too.
 
     A prediction that most carriers contradict is itself wrong, and counts for nothing. The code is not asked: in a
@@ -144,7 +145,7 @@ def judge(e, system, sigma_phase, rows, n, moved, known, drift, motion, rules, f
                 wave_2 = rules.wavelength[c, 1]
             flags[i] = detect_slip(
                 moved[0, i], moved[1, i], rules.wavelength[c, 0], wave_2, 0.0, 0.0, 0.0, 0.0,
-                sigma_phase[s], s_p[i], rules.iono * motion.dt, math.inf, rules.k,
+                math.sqrt(variance[s]), s_p[i], rules.iono * motion.dt, math.inf, rules.k,
             )  # fmt: skip
             contradicted += flags[i] & ~GEOMETRY_FREE != 0
         if attempt == 1 or 2 * contradicted <= n:
@@ -153,8 +154,8 @@ def judge(e, system, sigma_phase, rows, n, moved, known, drift, motion, rules, f
 
 
 @jit
-def watch_slips(e, system, phase, sigma_phase, phase_ok, age, motion, fixes, rules, watch, last, next_id):  # type: ignore[no-untyped-def]
-    """Test all held carriers for slips since the last epoch, in place; ``sigma_phase`` (S,) is that of one band [m].
+def watch_slips(e, system, phase, variance, phase_ok, age, motion, fixes, rules, watch, last, next_id):  # type: ignore[no-untyped-def]
+    """Test all held carriers for slips since the last epoch, in place; ``variance`` (S,) is that of one band [m^2].
 
     Returns how many were found; ``next_id`` and the numbers after it name the repaired ones.
     """
@@ -170,15 +171,15 @@ def watch_slips(e, system, phase, sigma_phase, phase_ok, age, motion, fixes, rul
         for i in range(n):
             group[i] = system[rows[i]]
         for b in range(rules.bands):
-            remove_common(moved[b].copy(), everything, group, MAX_GROUPS, moved[b])
+            remove_common(moved[b].copy(), everything, group, rules.wavelength.shape[0], moved[b])
         flags, s_p = np.empty(n, dtype=np.int64), np.empty(n)
         drift = rules.aged * abs(age - watch[W_AGE])
-        judge(e, system, sigma_phase, rows, n, moved, known, drift, motion, rules, flags, s_p)
+        judge(e, system, variance, rows, n, moved, known, drift, motion, rules, flags, s_p)
         for i in range(n):
             if flags[i] != NO_SLIP:
                 repair(
-                    rows[i], moved[0, i], moved[1, i], sigma_phase[rows[i]], s_p[i], rules.iono * motion.dt, system,
-                    fixes, rules, next_id + found,
+                    rows[i], moved[0, i], moved[1, i], math.sqrt(variance[rows[i]]), s_p[i], rules.iono * motion.dt,
+                    system, fixes, rules, next_id + found,
                 )  # fmt: skip
                 found += 1
     remember(e, phase, phase_ok, age, motion, watch, last)

@@ -65,11 +65,11 @@ class _Watch:
             self.bands, WAVES, slips.threshold, slips.ionosphere_rate_mps, slips.fit_limit, slips.repair_failure_rate,
             self.limit, 0.0015,
         )  # fmt: skip
-        sigma = np.full(N_SAT, SIGMA_M)
+        variance = np.full(N_SAT, SIGMA_M**2)
         everything = np.ones(N_SAT, dtype=np.bool_)
         return int(
             watch_slips(
-                e, SYSTEM, phase, sigma, everything, self.age if age is None else age, motion, self.fixes, rules,
+                e, SYSTEM, phase, variance, everything, self.age if age is None else age, motion, self.fixes, rules,
                 self.watch, self.last, 50,
             )
         )  # fmt: skip
