@@ -46,7 +46,7 @@ def drive(
     from lanebound.agents.cli.interrupt import stoppable, wait_for
 
     finished: list[int] = []
-    with stoppable(lambda: _kept(len(finished), out)):
+    with stoppable(lambda: _kept(len(finished), out, video)):
         changes = overrides(sky, faults, assignments)
         summaries = wait_for(lambda: _drive(name, agent, changes, (seed, episodes), (video, fps), out, finished))
     _report(summaries, {"log": out and out / LOG, "diagram": out and out / DIAGRAM, "video": video}, as_json)
@@ -60,8 +60,12 @@ def overrides(sky: str | None, faults: str | None, assignments: list[str] | None
     return parse_assignments(assignments or []) | named
 
 
-def _kept(finished: int, out: Path | None) -> str:
-    return f"{finished} finished episodes are kept in {out}" if out and finished else "nothing is kept"
+def _kept(finished: int, out: Path | None, video: Path | None) -> str:
+    from lanebound.agents.episodes.film import part_of
+
+    kept = [f"{finished} finished episodes in {out / LOG}"] if out and finished else []
+    kept += [f"the film so far in {part_of(video)}"] if video and part_of(video).exists() else []
+    return f"kept are {' and '.join(kept)}" if kept else "nothing is kept"
 
 
 def _drive(

@@ -13,7 +13,12 @@ from lanebound.agents.episodes.columns import Moment
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.errors import InputError
 
-__all__ = ["Film"]
+__all__ = ["Film", "part_of"]
+
+
+def part_of(path: Path) -> Path:
+    """Where a film is kept until it is whole."""
+    return path.with_name(f"{path.stem}.part{path.suffix}")
 
 
 class Film:
@@ -43,7 +48,7 @@ class Film:
             raise InputError(f"fps must divide simulation_hz = {rate}, got {fps}: choose one of {fits}")
         self.env, self.path, self.fps = env, path, fps
         self.frames = 0
-        self._part = path.with_name(f"{path.stem}.part.mp4")
+        self._part = part_of(path)
         self._every, self._count = rate // fps, 0
         self._sink: Generator[None, Any, None] | None = None
 
@@ -94,7 +99,12 @@ class Film:
 
         self.path.parent.mkdir(parents=True, exist_ok=True)
         sink: Generator[None, Any, None] = write_frames(
-            str(self._part), (width_px, height_px), fps=self.fps, quality=7, macro_block_size=2
+            str(self._part),
+            (width_px, height_px),
+            fps=self.fps,
+            quality=7,
+            macro_block_size=2,
+            ffmpeg_log_level="fatal",
         )
         sink.send(None)
         return sink

@@ -175,3 +175,14 @@ def test_cruise_drives_well_when_it_knows_where_it_is(name, seconds):
     assert (summary.ended, summary.success) == ("time up", True)
     assert summary.costs["cost_lane"] == 0.0
     assert summary.cost < 0.2
+
+
+def test_stable_baselines3_takes_a_driver_for_a_policy():
+    from stable_baselines3.common.evaluation import evaluate_policy
+    from stable_baselines3.common.monitor import Monitor
+    from stable_baselines3.common.vec_env import DummyVecEnv
+
+    config = GIVEN | {"world": {"duration": 2.0}}
+    envs = DummyVecEnv([lambda: Monitor(open_env("LaneKeeping", config)) for _ in range(2)])
+    reward, _ = evaluate_policy(make_agent("cruise", open_env("LaneKeeping", config)), envs, n_eval_episodes=2)
+    assert reward > 1.0
