@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.envs.records import azimuth_of, enu_of
-from lanebound.integrity.truth import Truth, truth_between
+from lanebound.integrity.truth import Truth
 
 __all__ = ["Motion"]
 
@@ -70,7 +70,7 @@ class Motion:
         """Truth of the navigation epoch that ends now, of length ``dt_s``; the next one begins here."""
         (p0, v0, h0), v1 = self._start, self.velocity_mps
         p1, h1 = self.position_m, self.heading_rad
-        truth = truth_between(
+        truth = Truth.between(
             time_s,
             dt_s,
             (enu_of(p0), enu_of(p1)),

@@ -1,4 +1,4 @@
-"""Frames: geodetic, ECEF, local ENU, the vehicle's track frame, and highway-env's screen frame."""
+"""Frames: geodetic, ECEF, local ENU and the vehicle's track frame."""
 
 from __future__ import annotations
 
@@ -6,16 +6,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
+    "GRAVITY_MPS2",
     "WGS84_A_M",
     "WGS84_E2",
     "ecef_from_enu_matrix",
     "ecef_from_geodetic",
     "enu_from_ecef",
-    "enu_from_highway",
     "geodetic_from_ecef",
-    "heading_from_highway",
-    "highway_from_enu",
-    "highway_from_heading",
     "rotate_covariance",
     "track_from_enu_matrix",
     "wrap_angle",
@@ -23,6 +20,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
+GRAVITY_MPS2 = 9.80665  # ISO 80000-3, standard gravity
 WGS84_A_M = 6378137.0  # NIMA TR8350.2, table 3.1
 WGS84_F = 1.0 / 298.257223563  # NIMA TR8350.2, table 3.1
 WGS84_E2 = WGS84_F * (2.0 - WGS84_F)
@@ -47,25 +45,6 @@ def rotate_covariance(cov_en_m2: Array, heading_rad: ArrayLike) -> Array:
     """``Q_track = R Q_EN R'`` (S1 eq 16).  cov_en_m2 (..., 2, 2) -> (..., 2, 2) [m^2]."""
     r = track_from_enu_matrix(heading_rad)
     return np.asarray(r @ cov_en_m2 @ np.swapaxes(r, -1, -2))
-
-
-def enu_from_highway(position_m: Array) -> Array:
-    """highway-env (x forward/east, y right/south on screen) to (E, N).  (..., 2) -> (..., 2) [m]."""
-    p = np.asarray(position_m, dtype=np.float64)
-    return np.stack([p[..., 0], -p[..., 1]], -1)
-
-
-highway_from_enu = enu_from_highway  # the same reflection undoes itself
-
-
-def heading_from_highway(heading_hw_rad: ArrayLike) -> Array:
-    """highway-env heading h (from +x towards +y) to azimuth clockwise from North: ``theta = pi/2 + h``, wrapped."""
-    return wrap_angle(np.asarray(heading_hw_rad) + 0.5 * np.pi)
-
-
-def highway_from_heading(heading_rad: ArrayLike) -> Array:
-    """Azimuth clockwise from North to highway-env heading: ``h = theta - pi/2``, wrapped."""
-    return wrap_angle(np.asarray(heading_rad) - 0.5 * np.pi)
 
 
 def ecef_from_geodetic(lat_rad: ArrayLike, lon_rad: ArrayLike, height_m: ArrayLike) -> Array:

@@ -55,6 +55,8 @@ from lanebound.integrity.truth import Truth
 __all__ = ["Form", "Measurements", "Navigator", "NavigatorConfig", "NavigatorState", "PlCase"]
 
 Array = NDArray[np.float64]
+COVARIANCE = np.array([[P_EE, P_EN], [P_EN, P_NN]])
+WHOLE_NUMBERS = np.array([nk.O_MODE, nk.O_RTK, nk.O_SATELLITES, nk.O_DOPPLER, nk.O_EXCLUDED])
 
 
 class Form(Enum):
@@ -278,6 +280,7 @@ class Navigator:
         belief[rows, nk.INITIALISED] = 1.0
         belief[rows, nk.APART :] = 0.0  # with the memory of the odometer's watch
         self.state.start[rows] = self.state.apart[rows] = 0.0
+        self.state.held[rows], self.state.last_phase_m[rows] = False, 0.0
         growth[rows] = 0.0
         growth[rows, ..., [P_EE]] = growth[rows, ..., [P_NN]] = sigma_m**2
         growth[rows, ..., [VAR_TH]] = sigma_heading_rad**2
@@ -307,7 +310,8 @@ class Navigator:
         if abs(truth.dt_s - self.config.dt_s) > 1e-9:
             raise InputError(f"truth.dt_s must be {self.config.dt_s}, got {truth.dt_s}: step at the navigator's rate")
         for name in ("position_enu_m", "velocity_enu_mps", "heading_rad"):
-            require_finite(f"truth.{name}", getattr(truth, name))
+            if not np.isfinite(getattr(truth, name)).all():
+                require_finite(f"truth.{name}", getattr(truth, name))
         c, s = self.config, self.state
         sky = self.track.at(self.track.start_s + truth.time_s, np.zeros(self.batch, dtype=np.int64))
         effects = self.faults.effects(truth.time_s, truth.dt_s, sky, self.batch)
@@ -342,30 +346,30 @@ class Navigator:
 
     def _solution(self, m: Measurements, out: Array, levels: Array) -> Solution:
         s = self.state
-        cov = s.growth[:, [P_EE, P_EN, P_EN, P_NN]].reshape(-1, 2, 2)
+        belief, whole = s.belief.copy(), out[:, WHOLE_NUMBERS].astype(np.int64)
         return Solution(
             time_s=m.time_s,
-            position_en_m=s.belief[:, [nk.EAST, nk.NORTH]],
-            heading_rad=s.belief[:, nk.HEADING].copy(),
-            velocity_en_mps=s.belief[:, [nk.VEL_E, nk.VEL_N]],
+            position_en_m=belief[:, nk.EAST : nk.NORTH + 1],
+            heading_rad=belief[:, nk.HEADING],
+            velocity_en_mps=belief[:, nk.VEL_E : nk.VEL_N + 1],
             speed_mps=m.odometer.speed_mps,
-            covariance_en_m2=cov,
+            covariance_en_m2=s.growth[:, COVARIANCE],
             sigma_at_m=out[:, nk.O_SIGMA_AT],
             sigma_ct_m=out[:, nk.O_SIGMA_CT],
             pl_at_m=levels[:, 0, 0],
             pl_ct_m=levels[:, 0, 1],
             pl_cases_m=levels,
-            mode=out[:, nk.O_MODE].astype(np.int64),
-            rtk=out[:, nk.O_RTK].astype(np.int64),
+            mode=whole[:, 0],
+            rtk=whole[:, 1],
             alert=s.alert.alert.copy(),
             available=out[:, nk.O_AVAILABLE] > 0.0,
             reason=s.alert.reason.copy(),
             hdop=out[:, nk.O_HDOP],
-            satellites=out[:, nk.O_SATELLITES].astype(np.int64),
-            satellites_doppler=out[:, nk.O_DOPPLER].astype(np.int64),
-            excluded=out[:, nk.O_EXCLUDED].astype(np.int64),
-            since_rtk_s=s.belief[:, nk.SINCE_RTK].copy(),
-            since_calibration_s=s.belief[:, nk.SINCE_CAL].copy(),
+            satellites=whole[:, 2],
+            satellites_doppler=whole[:, 3],
+            excluded=whole[:, 4],
+            since_rtk_s=belief[:, nk.SINCE_RTK],
+            since_calibration_s=belief[:, nk.SINCE_CAL],
             corrections_age_s=m.gnss.corrections_age_s,
             wrong_fix_risk=out[:, nk.O_WRONG],
             held=s.held.copy(),

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.errors import InputError, require_finite, require_shape
-from lanebound.integrity.frames import wrap_angle
+from lanebound.integrity.frames import GRAVITY_MPS2
+from lanebound.integrity.truth_kernel import between
 
-__all__ = ["GRAVITY_MPS2", "Truth", "truth_between"]
+__all__ = ["Truth", "truth_between"]
 
-GRAVITY_MPS2 = 9.80665  # ISO 80000-3, standard gravity
 Array = NDArray[np.float64]
 
 
@@ -46,6 +47,27 @@ class Truth:
     def batch(self) -> int:
         """Number of vehicles."""
         return int(self.heading_rad.shape[0])
+
+    @classmethod
+    def between(
+        cls,
+        time_s: float,
+        dt_s: float,
+        position_m: tuple[Array, Array],
+        velocity_mps: tuple[Array, Array],
+        heading_rad: tuple[Array, Array],
+        arc_m: Array,
+        lane: NDArray[np.int64],
+    ) -> Self:
+        """:func:`truth_between` for arrays that are known to be finite float64 of the right shapes."""
+        batch = heading_rad[1].shape[0]
+        position, velocity, turn, delta_v = np.empty((4, batch, 3))
+        heading, distance = np.empty((2, batch))
+        between(
+            *position_m, *velocity_mps, *heading_rad, -GRAVITY_MPS2 * dt_s,
+            position, velocity, heading, turn, delta_v, distance,
+        )  # fmt: skip
+        return cls(time_s, dt_s, position, velocity, heading, turn, delta_v, distance, arc_m, lane)
 
 
 def _plane_vectors(name: str, value: ArrayLike, batch: int) -> Array:
@@ -83,23 +105,7 @@ def truth_between(
     require_shape("heading_rad", h0, (h1.size,))
     p0, p1 = (_plane_vectors("position_m", p, h1.size) for p in position_m)
     v0, v1 = (_plane_vectors("velocity_mps", v, h1.size) for v in velocity_mps)
-    turn = wrap_angle(h1 - h0)
-    middle = h0 + 0.5 * turn
-    s, c = np.sin(middle), np.cos(middle)
-    dv, dp = v1 - v0, p1 - p0
-    zero = np.zeros_like(h1)
-    forward = s * dp[:, 0] + c * dp[:, 1]
-    return Truth(
-        time_s=float(time_s),
-        dt_s=float(dt_s),
-        position_enu_m=np.column_stack([p1, zero]),
-        velocity_enu_mps=np.column_stack([v1, zero]),
-        heading_rad=wrap_angle(h1),
-        delta_theta_rad=np.column_stack([zero, zero, turn]),
-        delta_v_mps=np.column_stack(
-            [s * dv[:, 0] + c * dv[:, 1], c * dv[:, 0] - s * dv[:, 1], zero - GRAVITY_MPS2 * dt_s]
-        ),
-        distance_m=np.copysign(np.hypot(dp[:, 0], dp[:, 1]), forward),
-        arc_m=np.broadcast_to(require_finite("arc_m", arc_m), h1.shape),
-        lane=np.broadcast_to(np.asarray(lane, dtype=np.int64), h1.shape),
+    where = np.broadcast_to(require_finite("arc_m", arc_m), h1.shape)
+    return Truth.between(
+        float(time_s), float(dt_s), (p0, p1), (v0, v1), (h0, h1), where, np.broadcast_to(np.asarray(lane), h1.shape)
     )

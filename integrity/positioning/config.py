@@ -12,8 +12,8 @@ from pydantic import Field
 from scipy.stats import chi2
 
 from lanebound.integrity.config import Config
+from lanebound.integrity.frames import GRAVITY_MPS2
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
-from lanebound.integrity.truth import GRAVITY_MPS2
 
 __all__ = [
     "DeadReckoningConfig",

@@ -2,7 +2,6 @@ import math
 
 import numpy as np
 import pytest
-from highway_env.road.lane import StraightLane
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -10,11 +9,7 @@ from lanebound.integrity.frames import (
     ecef_from_enu_matrix,
     ecef_from_geodetic,
     enu_from_ecef,
-    enu_from_highway,
     geodetic_from_ecef,
-    heading_from_highway,
-    highway_from_enu,
-    highway_from_heading,
     rotate_covariance,
     track_from_enu_matrix,
     wrap_angle,
@@ -90,39 +85,6 @@ def test_wrapping_keeps_the_direction_and_the_range(angle):
 def test_wrapping_at_the_seam():
     np.testing.assert_allclose(wrap_angle([math.pi, -math.pi, 3.0 * math.pi, 0.0]), [-math.pi, -math.pi, -math.pi, 0.0])
     assert wrap_angle(np.zeros((2, 3))).shape == (2, 3)
-
-
-@pytest.mark.parametrize(
-    ("heading_deg", "azimuth_deg"),
-    [(0.0, 90.0), (90.0, -180.0), (-90.0, 0.0), (180.0, -90.0), (45.0, 135.0), (-45.0, 45.0), (-135.0, -45.0)],
-)
-def test_highway_heading_to_azimuth(heading_deg, azimuth_deg):
-    theta = heading_from_highway(math.radians(heading_deg))
-    assert theta == pytest.approx(math.radians(azimuth_deg), abs=1e-12)
-    assert math.cos(highway_from_heading(theta) - math.radians(heading_deg)) == pytest.approx(1.0)
-
-
-@few
-@given(x=COORDINATES, y=COORDINATES, h=ANGLES)
-def test_highway_mapping_is_undone_and_keeps_directions(x, y, h):
-    p = np.array([x, y])
-    e, n = enu_from_highway(p)
-    assert (e, n) == (x, -y)
-    np.testing.assert_array_equal(highway_from_enu(enu_from_highway(p)), p)
-    theta = heading_from_highway(h)
-    moved = enu_from_highway(p + np.array([math.cos(h), math.sin(h)])) - enu_from_highway(p)
-    np.testing.assert_allclose(moved, [math.sin(theta), math.cos(theta)], atol=1e-10)
-
-
-@few
-@given(h=ANGLES, x=COORDINATES, y=COORDINATES)
-def test_track_coordinates_equal_highway_lane_coordinates(h, x, y):
-    start = np.array([12.0, -7.0])
-    lane = StraightLane(start, start + 100.0 * np.array([math.cos(h), math.sin(h)]))
-    position = np.array([x, y])
-    offset = enu_from_highway(position) - enu_from_highway(start)
-    track = track_from_enu_matrix(heading_from_highway(lane.heading)) @ offset
-    np.testing.assert_allclose(track, lane.local_coordinates(position), atol=1e-8)
 
 
 def test_published_geocentric_coordinates():

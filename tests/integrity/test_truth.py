@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lanebound.integrity.errors import InputError
-from lanebound.integrity.truth import GRAVITY_MPS2, truth_between
+from lanebound.integrity.frames import GRAVITY_MPS2
+from lanebound.integrity.truth import truth_between
 
 RADIUS_M = 25.0
 

@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import chi2, kstest
 
 from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.frames import GRAVITY_MPS2
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.imu import (
     AxisNoise,
@@ -18,7 +19,7 @@ from lanebound.integrity.sensors.imu import (
     sample_imu,
 )
 from lanebound.integrity.streams import Streams
-from lanebound.integrity.truth import GRAVITY_MPS2, Truth, truth_between
+from lanebound.integrity.truth import Truth, truth_between
 
 DEG = np.pi / 180.0
 SILENT = AxisNoise(density=0.0)
