@@ -37,20 +37,21 @@ ENDLESS_S = 300.0  # of sky for worlds that set no duration
 class DrivingEnv(gymnasium.Env[Any, Any]):
     """
     ## Description
-    A car drives in a world of highway-env, whose dynamics, traffic and endings stay as they are. Its navigation measures
-    what really happens 10 times a second (satellites between buildings, reference link, gyros, wheel pulses) and works
-    out an estimate with protection levels. Everything that decides reads the estimate: the observation, the lane that
-    the car takes itself to be in, lane changes, steering and speed control of meta-actions, its route. So an error
-    across the track really moves the car in its lane, and one along it really shortens the gap. The other drivers see
-    the truth.
+    A car drives in a world of highway-env, whose dynamics, traffic and endings stay as they are. Its navigation
+    measures what really happens 10 times a second (satellites between buildings, reference link, gyros, wheel pulses)
+    and works out an estimate with protection levels. Everything that decides reads the estimate: the observation, the
+    lane that the car takes itself to be in, lane changes, steering and speed control of meta-actions, its route. So an
+    error across the track really moves the car in its lane, and one along it really shortens the gap. The other drivers
+    see the truth.
 
-    Lateral quantities are positive to the right, angles positive when turning right, as in highway-env. `AT` is along the
-    track, `CT` across it; PL is a protection level, AL the alert limit that it must not exceed.
+    Lateral quantities are positive to the right, angles positive when turning right, as in highway-env. `AT` is along
+    the track, `CT` across it; PL is a protection level, AL the alert limit that it must not exceed.
 
     ## Action Space
-    `action="meta"`: highway-env's meta-actions, carried out from the believed pose; `action_masks()` tells which of them
-    make sense. `action="continuous"`: acceleration and steering in [-1, 1], as shares of their ranges. Steering turns
-    at 0.7 rad/s at most and asks for no more than 4 m/s2 across the track. The acceleration is not limited further.
+    `action="meta"`: highway-env's meta-actions, carried out from the believed pose; `action_masks()` tells which of
+    them make sense. `action="continuous"`: acceleration and steering in [-1, 1], as shares of their ranges. Steering
+    turns at 0.7 rad/s at most and asks for no more than 4 m/s2 across the track. The acceleration is not limited
+    further.
 
     ## Observation Space
     A `Dict` of vectors, or one `Box` of all of them in this order (`observation.form="flat"`); float32, each entry
@@ -59,17 +60,15 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | group | tells |
     |---|---|
     | `ego` | speed, acceleration, yaw rate, steering, place in the lane, neighbouring lanes, commanded change |
-    | `integrity` | PL, AL, their ratio, margin and trend on both axes; alert, its age and reason; source of the position; \
-times since RTK and calibration; satellites, HDOP, age of the corrections |
-    | `road` | by the map, from the believed pose: limit, end of the lane, the route's centreline 5 to 80 m ahead, \
-satellites predicted 0 to 160 m ahead on the own and both neighbouring lanes |
-    | `traffic` | the 6 nearest vehicles perceived: place, speed, heading, lane, age, and the PL of both on each axis |
+    | `integrity` | PL, AL, ratio, margin, trend; alert, reason; source of the position; satellites, corrections |
+    | `road` | by the map: limit, route 5 to 80 m ahead, satellites predicted 0 to 160 m ahead on three lanes |
+    | `traffic` | the 6 nearest vehicles perceived: place, speed, heading, lane, age, PL of both on each axis |
 
     A missing level reads as the clipped maximum with its `exists` flag 0. `observation.integrity="blind"` leaves out
     `integrity` and the levels in `traffic`; `"oracle"` shows the true state with levels of 0.
 
     ## Rewards
-    The weighted sum of named terms of the true car, also in `info["rewards"]`, of about 1 a second at best. v is the
+    The weighted sum of named terms of the true car, 1.2 a second at best; the terms are in `info["rewards"]`. v is the
     speed, d the offset from the middle of the lane, psi the heading less the lane's, dt the length of a step, a the
     acceleration along and across.
 
@@ -82,37 +81,38 @@ satellites predicted 0 to 160 m ahead on the own and both neighbouring lanes |
     | `base` | 0 | the reward of the wrapped world |
 
     ## Costs
-    Never part of the reward: `info["cost"]` is the weighted sum of causes that stand beside it. Each is an integral over
-    time, 0 or more, and 0 for a car at rest in its lane. W is the width of the car, w that of the lane; `est` marks what
-    the car believes.
+    Never part of the reward: `info["cost"]` is the weighted sum of causes that stand beside it. Each is 0 or more and
+    adds up over time, so that a faster policy changes no episode's cost; at rest in its lane a car pays for `cost_hmi`
+    alone. v, d and dt are as above, W is the width of the car and w that of the lane; `est` marks what the car
+    believes.
 
     | cause | weight | is |
     |---|---|---|
     | `cost_collision` | 10 | 1 in the step of a crash |
-    | `cost_lane` | 1 | `out v dt` [m2], out: how far the true body reaches beyond its lane, 2 m at most; both lanes \
-during a change |
-    | `cost_lane_integrity` | 0.1 | `max(0, abs(d_est) + PL_CT + W/2 - w/2) v dt` [m2], the distance 2 m at most; 0 \
-during a change |
-    | `cost_headway` | 0.5 | `max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt` [s], dt at most |
-    | `cost_alert` | 0.5 | dt [s] while an alert is older than 1 s and the car changes lane or drives above half the limit |
-    | `cost_hmi` | 5 | dt [s] while the position is called available and an error exceeds its alert limit |
+    | `cost_lane` | 1 | `out v dt`, out how far the true body reaches beyond its lane, at most 2 m |
+    | `cost_lane_integrity` | 0.1 | `out v dt`, out = `max(0, abs(d_est) + PL_CT + W/2 - w/2)`, at most 2 m |
+    | `cost_headway` | 0.5 | `max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt`, at most dt |
+    | `cost_alert` | 0.5 | dt while an alert is older than 1 s and the car changes lane or exceeds half the limit |
+    | `cost_hmi` | 5 | dt while the position counts as available and an error exceeds its alert limit |
 
     `d_RSS = v rho + a rho^2 / 2 + (v + a rho)^2 / (2 b_min) - v_lead^2 / (2 b_max)`, 0 at least, with rho 0.5 s, a 2,
-    b_min 4 and b_max 6 m/s2. With `keep_lane=False` the whole road counts as the lane and `cost_lane_integrity` is 0.
-    `cost_limit` (10 an episode) is a bound for constrained learning and not enforced.
+    b_min 4 and b_max 6 m/s2. During a lane change both lanes count as the car's own, and `cost_lane_integrity` is 0;
+    with `keep_lane=False` the whole road counts so at all times. `cost_limit` (10 an episode) is a bound for
+    constrained learning and not enforced.
 
     ## Info
     The same keys at reset and at every step. What the car knows: `pl_at_m`, `pl_ct_m`, `al_at_m`, `al_ct_m`,
     `margin_at_m`, `margin_ct_m` (AL - PL), `alert`, `available`, `mode` and `reason` (codes of `Mode` and
     `AlertReason`), `tta_s` (time left to react to an alert). What no agent is to be given: `speed_mps`,
-    `yaw_rate_radps`, `err_at_m`, `err_ct_m` (estimate less truth), `mi` and `hmi` (available, and an error above its PL,
-    or above its AL), `crashed`, `crashed_now`, `off_road`, `wrong_way`, `is_success`. Of the step: `cost` and the causes
-    above, `rewards` (the terms above, unweighted).
+    `yaw_rate_radps`, `err_at_m`, `err_ct_m` (estimate less truth), `mi` and `hmi` (available, and an error above its
+    PL, or above its AL), `crashed`, `crashed_now`, `off_road`, `wrong_way`, `is_success`. Of the step: `cost` and the
+    causes above, `rewards` (the terms above, unweighted).
 
     ## Starting State
     `seed` draws everything: the traffic, one of 4 made-up cities along the roads, the hour of the constellations. The
-    navigation starts 3 s before the episode, on a straight approach, 0.05 m and 0.5 degrees (1 sigma) from the truth; the
-    map is 0.03 m (1 sigma) off on each axis. `reset(options={"faults": [...]})` sets faults in place of random ones.
+    navigation starts 3 s before the episode, on a straight approach, 0.05 m and 0.5 degrees (1 sigma) from the truth;
+    the map is 0.03 m (1 sigma) off on each axis. `reset(options={"faults": [...]})` sets faults in place of random
+    ones.
 
     ## Episode End
     Terminated when the true car has crashed, has its middle off the road, or has driven against its lane for 1 s; and
@@ -127,10 +127,11 @@ during a change |
     | `sky` | `open`, `suburban`, `urban` or `dense` |
     | `faults` | random faults: `none` (default), `nominal` or `stress` |
     | `action`, `policy_hz`, `simulation_hz` | kind of action; decisions and steps of the dynamics (20) a second |
-    | `navigation.source` | `navigator`, `perfect` (highway-env itself, bit for bit) or `offset` (a constant error) |
+    | `navigation.source` | `navigator`, `perfect` (the truth, bit for bit) or `offset` (a constant error) |
     | `perception.source` | `v2v` (default), `sensor`, `both`, `truth` or `none` |
     | `observation` | `form`, `history`, `integrity`, `vehicles` and so on |
     | `reward`, `cost`, `cost_limit` | weights, and the figures of the formulas |
+    | `actuators` | limits of steering; None for highway-env's own |
     | `world` | the wrapped world's own keys |
 
     `render_mode`: `"rgb_array"`, `"human"` or None.

@@ -5,10 +5,14 @@ from __future__ import annotations
 import doctest
 from pathlib import Path
 
-README = Path(__file__).parents[2] / "README.md"
+import pytest
+
+README = Path(__file__).resolve().parents[2] / "README.md"
 
 
-def test_readme_snippets() -> None:
+def test_readme_snippets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run where snippets may write files."""
+    monkeypatch.chdir(tmp_path)
     result = doctest.testfile(str(README), module_relative=False, optionflags=doctest.ELLIPSIS)
     assert result.attempted > 10
     assert result.failed == 0

@@ -1,0 +1,388 @@
+"""The environments, one class an id, each with its page in Gymnasium's order.
+
+What all of them share (frames, observation, rewards, costs, info, endings) is in :class:`DrivingEnv`; a page tells what
+is particular, with the default configuration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from lanebound.envs.config import EnvConfig
+from lanebound.envs.core import DrivingEnv
+
+__all__ = [
+    "CLASSES",
+    "CONTINUOUS",
+    "META",
+    "CarFollowing",
+    "Highway",
+    "Intersection",
+    "LaneKeeping",
+    "Merge",
+    "Preset",
+    "Racetrack",
+    "Roundabout",
+    "UrbanCanyon",
+    "id_of",
+]
+
+CONTINUOUS: dict[str, Any] = {"action": "continuous", "policy_hz": 5}
+META: dict[str, Any] = {"action": "meta", "policy_hz": 2}
+TOWN: dict[str, Any] = {"lane_width_m": 3.25}
+
+
+class Preset(DrivingEnv):
+    """An environment with a configuration of its own, over which a user's is merged deeply."""
+
+    PRESET: ClassVar[Mapping[str, Any]]
+
+    def __init__(self, config: Mapping[str, Any] | None = None, render_mode: str | None = None) -> None:
+        super().__init__(EnvConfig.build(self.PRESET, config), render_mode)
+
+
+class LaneKeeping(Preset):
+    """
+    ## Description
+    Keep the middle of the only lane of a winding road, 3.25 m wide, alone on it. It is 1.83 km long: straights, bends
+    of 42 to 160 m radius and S-bends between houses; the limit is 50 km/h (13.9 m/s), at which not every bend can be
+    taken in comfort (the tightest asks for 9.1 m/s). The alert limits are 1.5 m along and 0.625 m across the track.
+
+    What is hard: in an outage the estimate drifts sideways, and the car with it; 0.625 m is all there is on each side.
+
+    ## Action Space
+    `Box(-1.0, 1.0, (2,), float32)` at 5 Hz: acceleration within 6 m/s2, steering within 0.4 rad (positive to the
+    right). The speed stays between 0 and 20 m/s, to within a simulation step.
+
+    ## Observation Space
+    The common one. The road and the sky ahead say where to expect an outage; nobody is ever in `traffic`.
+
+    ## Rewards
+    The common ones, against the limit of 13.9 m/s.
+
+    ## Costs
+    `cost_lane` and `cost_lane_integrity` are about the one lane. `cost_headway` is 0. While an alert is on, 6.9 m/s are
+    permitted.
+
+    ## Starting State
+    In the middle of the lane, anywhere between 10 m and the place from which 60 s at the limit end before the road does
+    (956 m), at 10 m/s or what the bends ahead allow.
+
+    ## Episode End
+    Truncated after 60 s, or 20 m before the end of the road.
+
+    ## Arguments
+    `config={"world": {...}}`: `layout` (0 to 3, roads of 1.83 to 1.94 km), `lanes_count` (1), `lane_width` (3.25 m; set
+    `lane_width_m` to the same for the alert limit), `initial_speed` (10 m/s), `duration` (60 s).
+
+    ## Version History
+    * v0: first version.
+    """
+
+    PRESET: ClassVar[Mapping[str, Any]] = {"base": "LaneKeepingWorld", **CONTINUOUS, **TOWN}
+
+
+class CarFollowing(Preset):
+    """
+    ## Description
+    Follow one vehicle through stop-and-go traffic, without hitting it or falling behind. The road is 3.21 km long, one
+    lane of 3.25 m, with bends of 200 to 600 m radius; the limit is 50 km/h (13.9 m/s). The vehicle ahead cruises at 5
+    to 13.9 m/s for 3 to 15 s at a time, accelerates with 0.8 to 1.7 m/s2, brakes with 1 to 2.5 m/s2 or, 35 % of the
+    times, with 2.5 to 6 m/s2, and stands for 2 to 18 s. The alert limits are 1.5 m along and 0.625 m across the track.
+
+    What is hard: the gap is known only by what the vehicle ahead broadcasts of its own estimate, up to 10 times a
+    second. Both errors along the track are in it, and so are both protection levels in its bound.
+
+    ## Action Space
+    `Box(-1.0, 1.0, (2,), float32)` at 5 Hz: acceleration within 6 m/s2, steering within 0.4 rad (positive to the
+    right). The speed stays between 0 and 20 m/s, to within a simulation step.
+
+    ## Observation Space
+    The common one; the vehicle ahead is the only one in `traffic`, and gone 1 s after its last message.
+
+    ## Rewards
+    The common ones, against the limit of 13.9 m/s: standing behind a standing vehicle earns nothing, and costs nothing.
+
+    ## Costs
+    The common ones; `cost_headway` is the one to watch. While an alert is on, 6.9 m/s are permitted.
+
+    ## Starting State
+    In the middle of the lane between 10 m and 1505 m, at the speed of the vehicle ahead (5 to 13.9 m/s), with a gap of
+    2 m + T v between bumpers, T drawn from 0.8 to 1.0 s.
+
+    ## Episode End
+    Truncated after 120 s, or 20 m before the end of the road.
+
+    ## Arguments
+    `config={"world": {...}}`: `layout` (0 to 3, roads of 2.67 to 3.21 km), `lane_width` (3.25 m; set `lane_width_m` to
+    the same for the alert limit), `standstill_gap` (2 m), `time_gap` ([0.8, 1.0] s), `lead` (ranges of the profile
+    above, see `SpeedProfileConfig`), `duration` (120 s).
+
+    ## Version History
+    * v0: first version.
+    """
+
+    PRESET: ClassVar[Mapping[str, Any]] = {"base": "CarFollowingWorld", **CONTINUOUS, **TOWN}
+
+
+class Highway(Preset):
+    """
+    ## Description
+    Drive fast in dense traffic on a straight motorway (highway-env's `highway-v0`): 4 lanes of 4 m, a limit of 30 m/s,
+    50 other vehicles. The first 2.5 km are lined as the suburban sky says. The alert limits are 1.5 m along and 1 m
+    across the track.
+
+    What is hard: at these distances nothing collides for an error of position; what shows is a car beside its lane, and
+    lane changes into gaps that are not where they seem.
+
+    ## Action Space
+    `Discrete(5)` at 2 Hz: 0 lane left, 1 idle, 2 lane right, 3 faster, 4 slower, through the speeds 20, 25 and 30 m/s.
+
+    ## Observation Space
+    The common one; `traffic` shows the nearest 6 vehicles of those that broadcast.
+
+    ## Rewards
+    The common ones, against the limit of 30 m/s; highway-env's own reward is the term `base` of weight 0.
+
+    ## Costs
+    The common ones. While an alert is on, 15 m/s are permitted, which the three speeds do not include: give others for
+    agents that are to slow down, as in `{"action_options": {"target_speeds": [0, 5, 10, 15, 20, 25, 30]}}`.
+
+    ## Starting State
+    On a random lane about 180 m from its start, at 25 m/s; the others are ahead.
+
+    ## Episode End
+    Truncated after 40 s.
+
+    ## Arguments
+    `config={"world": {...}}` with highway-env's keys: `lanes_count` (4), `vehicles_count` (50), `vehicles_density` (1),
+    `initial_lane_id`, `duration` (40 s) and so on.
+
+    ## Version History
+    * v0: first version, on `highway-v0`.
+    """
+
+    PRESET: ClassVar[Mapping[str, Any]] = {"base": "highway-v0", **META, "sky": "suburban"}
+
+
+class Merge(Preset):
+    """
+    ## Description
+    Pass a slip road from which a vehicle joins (highway-env's `merge-v1`): 460 m of two lanes of 4 m, a third one from
+    230 to 310 m that ends at an obstacle, a limit of 20 m/s, three vehicles on the main road and one on the slip road.
+    The alert limits are 1.5 m along and 1 m across the track.
+
+    What is hard: making room takes slowing down or a lane change, which an alert soon forbids.
+
+    ## Action Space
+    `Discrete(5)` at 2 Hz: 0 lane left, 1 idle, 2 lane right, 3 faster, 4 slower, through the speeds 20, 25 and 30 m/s.
+
+    ## Observation Space
+    The common one.
+
+    ## Rewards
+    The common ones, against the limit of 20 m/s, which the slowest speed reaches; highway-env's own reward, with its
+    concern for who joins, is the term `base` of weight 0.
+
+    ## Costs
+    The common ones. While an alert is on, 10 m/s are permitted, which the three speeds do not include: give others for
+    agents that are to slow down, as in `{"action_options": {"target_speeds": [0, 5, 10, 15, 20, 25, 30]}}`.
+
+    ## Starting State
+    At 30 m on the right lane, at 30 m/s; the others from 0 to 110 m, about as fast or, on the slip road, at 20 m/s.
+
+    ## Episode End
+    Terminated beyond 370 m, where the task is done. There is no limit of time: put Gymnasium's `TimeLimit` around an
+    agent that may stand still.
+
+    ## Arguments
+    `config={"world": {...}}` with highway-env's keys, all of them weights of its own reward.
+
+    ## Version History
+    * v0: first version, on `merge-v1`.
+    """
+
+    PRESET: ClassVar[Mapping[str, Any]] = {"base": "merge-v1", **META, "sky": "suburban"}
+
+
+class Roundabout(Preset):
+    """
+    ## Description
+    Go straight on through a roundabout of two lanes (highway-env's `roundabout-v1`): from the south to the north exit,
+    circles of 20 and 24 m radius, lanes of 4 m, a limit of 20 m/s, four other vehicles at about 16 m/s. The alert
+    limits are 1.5 m along and 1 m across the track.
+
+    What is hard: the curve turns an error of heading into one across the track, and gaps are short.
+
+    ## Action Space
+    `Discrete(5)` at 2 Hz: 0 lane left, 1 idle, 2 lane right, 3 faster, 4 slower, through the speeds 0, 8 and 16 m/s.
+
+    ## Observation Space
+    The common one; the preview in `road` follows the planned route.
+
+    ## Rewards
+    The common ones, against the limit of 20 m/s; highway-env's own reward is the term `base` of weight 0.
+
+    ## Costs
+    The common ones. While an alert is on, 10 m/s are permitted.
+
+    ## Starting State
+    On the southern approach, 2.5 m before it bends towards the circle, at 8 m/s; one vehicle on the eastern approach,
+    the others before and in the circle.
+
+    ## Episode End
+    Truncated after 11 s.
+
+    ## Arguments
+    `config={"world": {...}}` with highway-env's keys: `incoming_vehicle_destination`, `duration` (11 s) and so on.
+
+    ## Version History
+    * v0: first version, on `roundabout-v1`.
+    """
+
+    PRESET: ClassVar[Mapping[str, Any]] = {"base": "roundabout-v1", **META}
+
+
+class Intersection(Preset):
+    """
+    ## Description
+    Turn left at a crossing without lights, giving way to all (highway-env's `intersection-v2`): from the south to the
+    west, lanes of 4 m, a limit of 10 m/s, and traffic that keeps coming from all sides. The alert limits are 1.5 m
+    along and 1 m across the track.
+
+    What is hard: when to go is a question of where the others are, and they are where their own receivers say.
+
+    ## Action Space
+    `Discrete(3)` at 2 Hz: 0 slower, 1 idle, 2 faster, through the speeds 0, 4.5 and 9 m/s. With `action="continuous"`
+    the world is `intersection-v1`, whose car slips on its tyres.
+
+    ## Observation Space
+    The common one; the preview in `road` follows the planned route.
+
+    ## Rewards
+    The common ones, against the limit of 10 m/s; highway-env's own reward is the term `base` of weight 0.
+
+    ## Costs
+    The common ones. While an alert is on, 5 m/s are permitted.
+
+    ## Starting State
+    About 65 m along the southern approach of 100 m, with a standard deviation of 5 m, at 10 m/s.
+
+    ## Episode End
+    Terminated on arrival, 25 m beyond the crossing; truncated after 13 s.
+
+    ## Arguments
+    `config={"world": {...}}` with highway-env's keys: `destination` ("o1", the west), `initial_vehicle_count` (10
+    tries), `spawn_probability` (0.6 at each decision), `duration` (13 s) and so on.
+
+    ## Version History
+    * v0: first version, on `intersection-v2`.
+    """
+
+    PRESET: ClassVar[Mapping[str, Any]] = {"base": "intersection-v2", **META}
+
+
+class Racetrack(Preset):
+    """
+    ## Description
+    Steer round a closed track at constant speed (highway-env's `racetrack-v1`): about 350 m, two lanes of 5 m, 10 m/s,
+    and one slower vehicle on it. The lanes may be chosen freely. The alert limits are 1.5 m along and 1.5 m across the
+    track.
+
+    What is hard: there is no slowing down, and the next bend comes before the next fix.
+
+    ## Action Space
+    `Box(-1.0, 1.0, (1,), float32)` at 5 Hz: steering within 0.785 rad, positive to the right. Meta-actions are refused.
+
+    ## Observation Space
+    The common one.
+
+    ## Rewards
+    The common ones, against the limit of 10 m/s; highway-env's own reward is the term `base` of weight 0.
+
+    ## Costs
+    `cost_lane` is about the edges of the road, and `cost_lane_integrity` is 0. An alert permits 5 m/s, which the car
+    cannot do: `cost_alert` runs for as long as one is older than 1 s.
+
+    ## Starting State
+    In the middle of either lane of the first straight, 20 to 50 m along it, at 10 m/s; the other vehicle in the first
+    bend, at 6 to 9 m/s.
+
+    ## Episode End
+    Truncated after 300 s.
+
+    ## Arguments
+    `config={"world": {...}}` with highway-env's keys: `other_vehicles` (1), `terminate_off_road` (true), `duration`
+    (300 s) and so on. `{"action_options": {"longitudinal": true}}` gives the throttle back, and the action `Box(-1.0,
+    1.0, (2,), float32)`.
+
+    ## Version History
+    * v0: first version, on `racetrack-v1`.
+    """
+
+    PRESET: ClassVar[Mapping[str, Any]] = {
+        "base": "racetrack-v1",
+        **CONTINUOUS,
+        "lane_width_m": 5.0,
+        "keep_lane": False,
+    }
+
+
+class UrbanCanyon(Preset):
+    """
+    ## Description
+    Drive round a city: a loop of 3.0 km with two lanes of 3.25 m, corners of 22 m radius upwards, a limit of 50 km/h
+    (13.9 m/s), and up to 10 other vehicles. On the way lie open road, canyons, rows of trees, two overpasses and a
+    tunnel of 120 m, whatever the level of the sky makes of them (`open` clears them away). The alert limits are 1.5 m
+    along and 0.625 m across the track.
+
+    What is hard: everything at once. Half of the outages can be foreseen from the map, and one lane may see more of the
+    sky than the other.
+
+    ## Action Space
+    `Discrete(5)` at 2 Hz: 0 lane left, 1 idle, 2 lane right, 3 faster, 4 slower, through the speeds 0, 2.8, 5.6, 8.4,
+    11.2 and 14 m/s.
+
+    ## Observation Space
+    The common one.
+
+    ## Rewards
+    The common ones, against the limit of 13.9 m/s.
+
+    ## Costs
+    The common ones. While an alert is on, 6.9 m/s are permitted: the speed 5.6 m/s, without changing lane.
+
+    ## Starting State
+    In the middle of either lane, anywhere on the loop, at 10 m/s or what the bends ahead allow; the others from 200 m
+    behind to 400 m ahead.
+
+    ## Episode End
+    Truncated after 120 s.
+
+    ## Arguments
+    `config={"world": {...}}`: `vehicles_count` (10 at most), `spread` ([-200, 400] m), `lane_width` (3.25 m; set
+    `lane_width_m` to the same for the alert limit), `initial_speed` (10 m/s), `duration` (120 s).
+
+    ## Version History
+    * v0: first version.
+    """
+
+    PRESET: ClassVar[Mapping[str, Any]] = {"base": "UrbanCanyonWorld", **META, **TOWN}
+
+
+CLASSES: tuple[type[Preset], ...] = (
+    LaneKeeping,
+    CarFollowing,
+    Highway,
+    Merge,
+    Roundabout,
+    Intersection,
+    Racetrack,
+    UrbanCanyon,
+)
+
+
+def id_of(kind: type[Preset]) -> str:
+    """The id of a class: ``lanebound/Name-v0``."""
+    return f"lanebound/{kind.__name__}-v0"
