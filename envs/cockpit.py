@@ -25,6 +25,7 @@ from lanebound.envs.perception import Perception
 from lanebound.envs.records import EgoBelief, Traffic
 from lanebound.envs.sky import Street
 from lanebound.envs.tracker import Tracker
+from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.navigator import Measurements, Navigator
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.streams import Streams
@@ -71,7 +72,7 @@ class Cockpit:
     ) -> None:
         self.world, self.config, self.around, self.limits_m = world, config, around, limits_m
         self.step_s = 1.0 / world.config["simulation_frequency"]
-        self.steps_per_epoch = round(1.0 / (config.rate_hz * self.step_s))
+        self.steps_per_epoch = config.steps_per_epoch(world.config["simulation_frequency"])
         self.time_s, self._moved, self._seen = 0.0, 0, 0
         self.alert_age_s = self.steering_rad = 0.0
         self.measurements: Measurements | None = None
@@ -85,6 +86,7 @@ class Cockpit:
         self._motion = Motion.still(1, self.step_s)
         self.tracker = Tracker(config, self._map_shift_m, self._first_fix())
         self._place()
+        self._trust()
         self._perceive()
 
     def _perceived_road(self) -> Road:
@@ -126,7 +128,8 @@ class Cockpit:
         if epoch:
             self.around.fleet.navigate(self.time_s, self.epoch_s)
             self._perceive()
-        self.alert_age_s = self.alert_age_s + self.step_s if self.tracker.fix.alert else 0.0
+        self._trust()
+        self.alert_age_s = self.alert_age_s + self.step_s if self._alert else 0.0
 
     def limit(self, action: dict[str, float]) -> dict[str, float]:
         """What the actuators make of a command."""
@@ -191,6 +194,19 @@ class Cockpit:
             t = self.tracker
             self.believed.place(t.position_m, t.heading_rad, t.fix.speed_mps)
 
+    def _trust(self) -> None:
+        """Levels and alert of the pose on the map: the solution's, and what a jump not yet taken over adds."""
+        fix, (al_at, al_ct) = self.tracker.fix, self.limits_m
+        given = self.around.navigator is None
+        self._levels_m = (fix.pl_at_m, fix.pl_ct_m) if given else self.tracker.levels_m(self.around.map_bound_m)
+        over_at, over_ct = self._levels_m[0] > al_at, self._levels_m[1] > al_ct
+        over = not given and (over_at or over_ct)
+        self._available, self._alert = fix.available and not over, fix.alert or over
+        self._reason = fix.reason
+        if over and not fix.alert:
+            reason = AlertReason.BOTH if over_at and over_ct else AlertReason.PL_AT if over_at else AlertReason.PL_CT
+            self._reason = reason.code
+
     def _perceive(self) -> None:
         fleet, perception = self.around.fleet, self.around.perception
         effects = FaultEffects.none(fleet.ego_slot + 1, 0)
@@ -202,8 +218,6 @@ class Cockpit:
         """All that the ego knows of itself now."""
         b, fix = self.believed, self.tracker.fix
         longitudinal, lateral = b.lane.local_coordinates(b.position)
-        pl_at, pl_ct = self.tracker.levels_m(self.around.map_bound_m)
-        given = self.around.navigator is None
         return EgoBelief(
             time_s=self.time_s,
             position_m=b.position.copy(),
@@ -219,16 +233,16 @@ class Cockpit:
             lane_width_m=float(b.lane.width_at(longitudinal)),
             target_lane_index=b.target_lane_index if self.meta else b.lane_index,
             target_speed_mps=float(b.target_speed if self.meta else b.speed),
-            pl_at_m=fix.pl_at_m if given else pl_at,
-            pl_ct_m=fix.pl_ct_m if given else pl_ct,
+            pl_at_m=self._levels_m[0],
+            pl_ct_m=self._levels_m[1],
             al_at_m=self.limits_m[0],
             al_ct_m=self.limits_m[1],
             mode=fix.mode,
             rtk=fix.rtk,
-            reason=fix.reason,
-            alert=fix.alert,
+            reason=self._reason,
+            alert=self._alert,
             alert_age_s=self.alert_age_s,
-            available=fix.available,
+            available=self._available,
             hdop=fix.hdop,
             satellites=fix.satellites,
             satellites_doppler=fix.satellites_doppler,

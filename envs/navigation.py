@@ -65,6 +65,10 @@ class NavigationConfig(Config):
         1.0, ge=0, le=30, description="time constant with which a smoothed jump is taken over, 0 takes it at once"
     )
 
+    def steps_per_epoch(self, simulation_hz: int) -> int:
+        """Simulation steps in a navigation epoch; the nearest number where the rates do not divide."""
+        return max(1, round(simulation_hz / self.rate_hz))
+
 
 @dataclass(frozen=True)
 class Fix:

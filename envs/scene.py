@@ -64,14 +64,13 @@ def set_scene(
     settings = navigator_config(config, world.vehicle.WIDTH)
     others = sum(v is not world.vehicle for v in world.road.vehicles)
     capacity = min(config.slots, others + (NEWCOMERS if isinstance(world, IntersectionEnv) else 0))
-    ego = fleet = None
-    if config.navigation.source.senses:
-        track = track_of(settings.sky, hour, config.navigation.warm_up_s + duration_s + MARGIN_S)
-        ego = Navigator(settings, track, street.mask, [seed])
+    broadcast = capacity > 0 and config.perception.source in ("v2v", "both")
+    track = track_of(settings.sky, hour, config.navigation.warm_up_s + duration_s + MARGIN_S)
+    ego = Navigator(settings, track, street.mask, [seed]) if config.navigation.source.senses else None
+    if ego is not None:
         ego.faults = _faults(ego, config, duration_s, streams, faults)
-        if capacity and config.perception.source in ("v2v", "both"):
-            fleet = Navigator(settings, track, street.mask, fleet_seed, capacity)
-    epoch_s = 1.0 / config.navigation.rate_hz
+    fleet = Navigator(settings, track, street.mask, fleet_seed, capacity) if broadcast else None
+    epoch_s = config.navigation.steps_per_epoch(config.simulation_hz) / config.simulation_hz
     return Surroundings(
         street=street,
         navigator=ego,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lanebound.envs import DrivingEnv, wrap
 from lanebound.envs.cockpit import Cockpit
 from lanebound.envs.ego import MetaEgo
+from lanebound.integrity.monitoring.alerts import AlertReason
 
 IDLE = 1
 STRAIGHT: dict[str, Any] = {"world": {"vehicles_count": 0}, "sky": "open", "perception": {"source": "none"}}
@@ -157,3 +158,28 @@ def test_belief_is_up_to_date_before_anything_is_decided(monkeypatch: pytest.Mon
     monkeypatch.setattr(Cockpit, "look", counted)
     _drive(1)
     assert set(seen) == {0}
+
+
+def test_a_pose_that_has_yet_to_take_a_jump_over_is_not_called_available() -> None:
+    """Smoothing keeps the car where it was; until that has faded the levels, the alert and the reason say so."""
+    env = _highway(sky="open")
+    env.reset(seed=1)
+    env.step(IDLE)
+    cockpit = env.cockpit
+    assert cockpit is not None
+    assert cockpit.belief().available
+    cockpit.tracker.residual_m = np.array([0.0, 3.0])
+    cockpit._place()
+    cockpit._trust()
+    belief = cockpit.belief()
+    assert belief.pl_ct_m > 3.0 > belief.al_ct_m
+    assert (belief.alert, belief.available, belief.reason) == (True, False, AlertReason.PL_CT.code)
+
+
+def test_an_ego_that_knows_its_position_still_hears_the_others() -> None:
+    env = DrivingEnv({"base": "CarFollowingWorld", "sky": "open", "navigation": {"source": "perfect"}})
+    env.reset(seed=1)
+    for _ in range(20):
+        env.step(IDLE)
+    assert env.cockpit is not None
+    assert env.cockpit.traffic.count == 1
