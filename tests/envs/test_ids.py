@@ -25,10 +25,16 @@ every_class = pytest.mark.parametrize("kind", CLASSES, ids=lambda kind: kind.__n
 
 
 @functools.cache
-def made(kind: type[Preset]) -> Preset:
+def _made(name: str) -> Preset:
+    (kind,) = [kind for kind in CLASSES if kind.__name__ == name]
     env = kind(LIGHT)
     env.reset(seed=1)
     return env
+
+
+def made(kind: type[Preset]) -> Preset:
+    """The environment of a class, shared by tests."""
+    return _made(kind.__name__)
 
 
 def page(kind: type[DrivingEnv]) -> str:
