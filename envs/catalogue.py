@@ -10,6 +10,7 @@ from highway_env.envs.common.abstract import AbstractEnv
 from lanebound.envs.config import ActionKind, EnvConfig
 from lanebound.envs.world import make_world, world_defaults
 from lanebound.envs.worlds import CarFollowingWorld, LaneKeepingWorld, UrbanCanyonWorld
+from lanebound.envs.worlds.base import META
 
 __all__ = ["OWN_WORLDS", "world_of"]
 
@@ -34,8 +35,12 @@ def world_of(config: EnvConfig) -> AbstractEnv:
     continuous = config.action is ActionKind.CONTINUOUS
     name = OTHER_FORM.get(config.base, config.base) if continuous else config.base
     base = OWN_WORLDS.get(name, name)
-    action = {**_action(world_defaults(base)["action"], config.action), **config.action_options}
-    return make_world(base, config.world, action, config.simulation_hz, config.policy_hz)
+    defaults = world_defaults(base)
+    own = dict(META) if name in OWN_WORLDS and not continuous else _action(defaults["action"], config.action)
+    world = dict(config.world)
+    if "offroad_terminal" in defaults:
+        world.setdefault("offroad_terminal", config.off_road_ends)
+    return make_world(base, world, {**own, **config.action_options}, config.simulation_hz, config.policy_hz)
 
 
 def _action(native: dict[str, Any], kind: ActionKind) -> dict[str, Any]:

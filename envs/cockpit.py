@@ -200,7 +200,7 @@ class Cockpit:
         given = self.around.navigator is None
         self._levels_m = (fix.pl_at_m, fix.pl_ct_m) if given else self.tracker.levels_m(self.around.map_bound_m)
         over_at, over_ct = self._levels_m[0] > al_at, self._levels_m[1] > al_ct
-        over = not given and (over_at or over_ct)
+        over = over_at or over_ct
         self._available, self._alert = fix.available and not over, fix.alert or over
         self._reason = fix.reason
         if over and not fix.alert:

@@ -73,13 +73,16 @@ class EnvConfig(Config):
     al_ct_m: float | None = Field(None, gt=0, description="cross-track alert limit; None: half of lane less car width")
     lane_width_m: float = Field(4.0, gt=2, le=10, description="narrowest lane, for that limit; highway-env's own lanes")
     keep_lane: bool = Field(True, description="whether the car must keep its lane, and not the road alone")
+    duration_s: float | None = Field(
+        None, gt=0, le=3600, description="when an episode is truncated; None: as the world says, or after 300 s"
+    )
     off_road_ends: bool = Field(True, description="end the episode when the car's middle leaves the road")
     wrong_way_s: float = Field(1.0, gt=0, description="end it after driving against a lane for so long")
     success_share: float = Field(
         0.25,
         ge=0,
         le=1,
-        description="mean speed over the limit that an episode without arrival needs",
+        description="mean speed over the limit that a success needs",
     )
     reward: RewardConfig = Field(RewardConfig(), description="weights of the reward's terms")
     cost: CostConfig = Field(CostConfig(), description="weights and figures of the costs")

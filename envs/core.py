@@ -50,8 +50,8 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     ## Action Space
     `action="meta"`: highway-env's meta-actions, carried out from the believed pose; `action_masks()` tells which of
     them make sense. `action="continuous"`: acceleration and steering in [-1, 1], as shares of their ranges. Steering
-    turns at 0.7 rad/s at most and asks for no more than 4 m/s2 across the track. The acceleration is not limited
-    further.
+    asks for no more than 4 m/s2 across the track, and in our own worlds turns at 0.7 rad/s at most; the racetrack has
+    neither limit. The acceleration is not limited further.
 
     ## Observation Space
     A `Dict` of vectors, or one `Box` of all of them in this order (`observation.form="flat"`); float32, each entry
@@ -179,8 +179,8 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         faults = _faults_in(options)
         episode_seed = int(self.np_random.integers(2**62))
         self.world.reset(seed=seed if seed is not None else int(self.np_random.integers(2**31)))
-        duration = float(self.world.config.get("duration", ENDLESS_S))
-        around = set_scene(self.world, self.config, episode_seed, duration, faults)
+        self._duration_s = float(self.config.duration_s or self.world.config.get("duration", ENDLESS_S))
+        around = set_scene(self.world, self.config, episode_seed, self._duration_s, faults)
         limits = self.config.limits_m(self.world.vehicle.WIDTH)
         self.cockpit = Cockpit(self.world, self.config.navigation, self.config.actuators, limits, around)
         self._belief = self.cockpit.belief()
@@ -206,6 +206,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         command = action if isinstance(self.action_space, spaces.Box) else int(action)
         _, base, terminated, truncated, _ = self.world.step(command)
         cockpit.look()
+        truncated = bool(truncated) or cockpit.time_s >= self._duration_s - 0.5 * self.dt_s
         self._belief = cockpit.belief()
         self._corridor.update(self._belief)
         verdict = self._judge.look(self._belief, self.dt_s, ended=bool(terminated or truncated))
@@ -213,7 +214,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         info = self._info(verdict, costs, rewards)
         self._show(info)
         reward = total(self.config.reward, rewards)
-        return self._observe(), reward, bool(terminated) or verdict.failed, bool(truncated), info
+        return self._observe(), reward, bool(terminated) or verdict.failed, truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """The picture of now, (height, width, 3), under ``rgb_array``; ``human`` shows it as the drive goes."""

@@ -1,8 +1,9 @@
 """What driving costs, by cause: the constraints of an agent. All are for scoring; truth may enter here and only here.
 
 Symbols: v speed over ground [m/s], dt length of a policy step [s], W and L width and length of the car, w width of the
-lane, d lateral offset from the middle of the lane, psi heading less the lane's. Costs are >= 0 and 0 for a car at rest
-in its lane; each is an integral over time, so that halving the policy's rate leaves an episode's cost as it is.
+lane, d lateral offset from the middle of the lane, psi heading less the lane's. Costs are >= 0, and but for misleading
+information 0 for a car at rest in its lane; each is an integral over time, so that halving the policy's rate leaves an
+episode's cost as it is.
 """
 
 from __future__ import annotations
@@ -145,7 +146,7 @@ def costs_of(
     ``cost_collision``  1 in the step of a crash.
     ``cost_lane``  ``max(0, |d| + half body - w / 2) v dt`` of the TRUE car beyond its corridor, at most 2 m.
     ``cost_lane_integrity``  ``max(0, |d_est| + PL_CT + W / 2 - w / 2) v dt`` of the belief, at most 2 m, also without
-    PL_CT; 0 during a commanded change and under continuous actions, which command no lane.
+    PL_CT; 0 during a commanded change and without a lane to keep (``keep_lane`` off).
     ``cost_headway``  ``max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt``, at most dt; 0 with nobody perceived ahead.
     ``cost_alert``  dt while an alert is older than the TTA and the car drives faster than permitted or changes lane.
     ``cost_hmi``  dt while misleading information is hazardous on either axis.

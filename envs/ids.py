@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
+from lanebound.integrity.errors import InputError
 
 __all__ = [
     "CLASSES",
@@ -31,6 +32,10 @@ __all__ = [
 CONTINUOUS: dict[str, Any] = {"action": "continuous", "policy_hz": 5}
 META: dict[str, Any] = {"action": "meta", "policy_hz": 2}
 TOWN: dict[str, Any] = {"lane_width_m": 3.25}
+INSTANT: dict[str, Any] = {"actuators": {"steering_rate_radps": None}}  # as highway-env's own control expects
+
+
+SPEEDS: dict[str, Any] = {"action_options": {"target_speeds": [0, 5, 10, 15, 20, 25, 30]}}  # slow enough in an alert
 
 
 class Preset(DrivingEnv):
@@ -39,6 +44,8 @@ class Preset(DrivingEnv):
     PRESET: ClassVar[Mapping[str, Any]]
 
     def __init__(self, config: Mapping[str, Any] | None = None, render_mode: str | None = None) -> None:
+        if config is not None and not isinstance(config, Mapping):
+            raise InputError(f"config must be a mapping of what to change, got {config!r}: pass a dict")
         super().__init__(EnvConfig.build(self.PRESET, config), render_mode)
 
 
@@ -137,7 +144,8 @@ class Highway(Preset):
     lane changes into gaps that are not where they seem.
 
     ## Action Space
-    `Discrete(5)` at 2 Hz: 0 lane left, 1 idle, 2 lane right, 3 faster, 4 slower, through the speeds 20, 25 and 30 m/s.
+    `Discrete(5)` at 2 Hz: 0 lane left, 1 idle, 2 lane right, 3 faster, 4 slower, through the speeds 0, 5, 10,
+    15, 20, 25 and 30 m/s (highway-env itself starts at 20, too fast in an alert).
 
     ## Observation Space
     The common one; `traffic` shows the nearest 6 vehicles of those that broadcast.
@@ -146,8 +154,7 @@ class Highway(Preset):
     The common ones, against the limit of 30 m/s; highway-env's own reward is the term `base` of weight 0.
 
     ## Costs
-    The common ones. While an alert is on, 15 m/s are permitted, which the three speeds do not include: give others for
-    agents that are to slow down, as in `{"action_options": {"target_speeds": [0, 5, 10, 15, 20, 25, 30]}}`.
+    The common ones. While an alert is on, 15 m/s are permitted.
 
     ## Starting State
     On a random lane about 180 m from its start, at 25 m/s; the others are ahead.
@@ -163,7 +170,7 @@ class Highway(Preset):
     * v0: first version, on `highway-v0`.
     """
 
-    PRESET: ClassVar[Mapping[str, Any]] = {"base": "highway-v0", **META, "sky": "suburban"}
+    PRESET: ClassVar[Mapping[str, Any]] = {"base": "highway-v0", **META, **INSTANT, "sky": "suburban", **SPEEDS}
 
 
 class Merge(Preset):
@@ -176,25 +183,24 @@ class Merge(Preset):
     What is hard: making room takes slowing down or a lane change, which an alert soon forbids.
 
     ## Action Space
-    `Discrete(5)` at 2 Hz: 0 lane left, 1 idle, 2 lane right, 3 faster, 4 slower, through the speeds 20, 25 and 30 m/s.
+    `Discrete(5)` at 2 Hz: 0 lane left, 1 idle, 2 lane right, 3 faster, 4 slower, through the speeds 0, 5, 10,
+    15, 20, 25 and 30 m/s (highway-env itself starts at 20, too fast in an alert).
 
     ## Observation Space
     The common one.
 
     ## Rewards
-    The common ones, against the limit of 20 m/s, which the slowest speed reaches; highway-env's own reward, with its
+    The common ones, against the limit of 20 m/s; highway-env's own reward, with its
     concern for who joins, is the term `base` of weight 0.
 
     ## Costs
-    The common ones. While an alert is on, 10 m/s are permitted, which the three speeds do not include: give others for
-    agents that are to slow down, as in `{"action_options": {"target_speeds": [0, 5, 10, 15, 20, 25, 30]}}`.
+    The common ones. While an alert is on, 10 m/s are permitted.
 
     ## Starting State
     At 30 m on the right lane, at 30 m/s; the others from 0 to 110 m, about as fast or, on the slip road, at 20 m/s.
 
     ## Episode End
-    Terminated beyond 370 m, where the task is done. There is no limit of time: put Gymnasium's `TimeLimit` around an
-    agent that may stand still.
+    Terminated beyond 370 m, where the task is done. Truncated after 60 s (`duration_s`).
 
     ## Arguments
     `config={"world": {...}}` with highway-env's keys, all of them weights of its own reward.
@@ -203,7 +209,14 @@ class Merge(Preset):
     * v0: first version, on `merge-v1`.
     """
 
-    PRESET: ClassVar[Mapping[str, Any]] = {"base": "merge-v1", **META, "sky": "suburban"}
+    PRESET: ClassVar[Mapping[str, Any]] = {
+        "base": "merge-v1",
+        **META,
+        **INSTANT,
+        "sky": "suburban",
+        **SPEEDS,
+        "duration_s": 60.0,
+    }
 
 
 class Roundabout(Preset):
@@ -241,7 +254,7 @@ class Roundabout(Preset):
     * v0: first version, on `roundabout-v1`.
     """
 
-    PRESET: ClassVar[Mapping[str, Any]] = {"base": "roundabout-v1", **META}
+    PRESET: ClassVar[Mapping[str, Any]] = {"base": "roundabout-v1", **META, **INSTANT}
 
 
 class Intersection(Preset):
@@ -280,7 +293,7 @@ class Intersection(Preset):
     * v0: first version, on `intersection-v2`.
     """
 
-    PRESET: ClassVar[Mapping[str, Any]] = {"base": "intersection-v2", **META}
+    PRESET: ClassVar[Mapping[str, Any]] = {"base": "intersection-v2", **META, **INSTANT}
 
 
 class Racetrack(Preset):
@@ -302,8 +315,8 @@ class Racetrack(Preset):
     The common ones, against the limit of 10 m/s; highway-env's own reward is the term `base` of weight 0.
 
     ## Costs
-    `cost_lane` is about the edges of the road, and `cost_lane_integrity` is 0. An alert permits 5 m/s, which the car
-    cannot do: `cost_alert` runs for as long as one is older than 1 s.
+    `cost_lane` is about the edges of the road, and `cost_lane_integrity` is 0. The car cannot slow down, so
+    an alert permits its 10 m/s (`cost.alert_speed_share` is 1).
 
     ## Starting State
     In the middle of either lane of the first straight, 20 to 50 m along it, at 10 m/s; the other vehicle in the first
@@ -326,6 +339,8 @@ class Racetrack(Preset):
         **CONTINUOUS,
         "lane_width_m": 5.0,
         "keep_lane": False,
+        "cost": {"alert_speed_share": 1.0},  # it cannot slow down
+        "actuators": None,  # 10 m/s on 15 m radius asks for 6.7 m/s2
     }
 
 

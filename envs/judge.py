@@ -68,7 +68,8 @@ class Judge:
         mi, hmi = _misleading(belief, err_at, err_ct)
         off_road = self.config.off_road_ends and not bool(car.on_road)
         wrong_way = self._against_s > self.config.wrong_way_s
-        good = ended and not (self._crashed or off_road or wrong_way)
+        against = abs(angle) > 0.5 * math.pi  # our own worlds end at once then
+        good = ended and bool(car.on_road) and not (self._crashed or against)
         return Verdict(
             err_at_m=err_at,
             err_ct_m=err_ct,

@@ -55,6 +55,7 @@ class World(AbstractEnv):  # type: ignore[misc]
             "neighbour_vehicles_connected_lanes": True,
             "lane_width": 3.25,
             "duration": 60.0,
+            "offroad_terminal": True,
             "progress_reward": 0.6,
             "centring_reward": 0.4,
             "collision_reward": -1.0,
@@ -125,7 +126,8 @@ class World(AbstractEnv):  # type: ignore[misc]
 
     def _is_terminated(self) -> bool:
         """A collision, the vehicle's middle off the road, or driving against its direction."""
-        return bool(self.vehicle.crashed or not self.vehicle.on_road or abs(self._along()[2]) > 0.5 * pi)
+        off_road = self.config["offroad_terminal"] and not self.vehicle.on_road
+        return bool(self.vehicle.crashed or off_road or abs(self._along()[2]) > 0.5 * pi)
 
     def _is_truncated(self) -> bool:
         """Time is up; half a step of it is left to rounding."""

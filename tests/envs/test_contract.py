@@ -163,7 +163,7 @@ def test_same_seed_same_bits_in_another_process_and_order() -> None:
     load += "import sys; m = u.module_from_spec(s); sys.modules['tests_contract'] = m; s.loader.exec_module(m)\n"
     environ = {**os.environ, "PYTHONHASHSEED": "7"}
     command = [sys.executable, "-W", "error", "-c", load + CHILD, *reversed(IDS)]
-    there = subprocess.run(command, capture_output=True, text=True, check=True, env=environ).stdout.split()
+    there = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, env=environ).stdout.split()
     here = {env_id: digest(env_id, 20) for env_id in IDS}
     assert dict(zip(there[::2], there[1::2], strict=True)) == here
 
