@@ -159,8 +159,7 @@ def outage_lengths_s(rtk: NDArray[np.bool_], dt_s: float) -> Array:
 def seed_statistics(drives: Drives, dt_s: float) -> list[dict[str, Any]]:
     """Statistics of each drive, from its first position on: the cells of S1's tables and what goes with them.
 
-    Published and exact levels stand beside each other, each begun from its own level at the last fix;
-    ``pl_exact_median`` repeats those of RTK under the name of earlier tables.
+    Published and exact levels stand beside each other, each begun from its own level at the last fix.
     """
     return [_one_drive(drives, b, dt_s) for b in range(drives.mode.shape[1])]
 
@@ -169,7 +168,7 @@ def _one_drive(drives: Drives, b: int, dt_s: float) -> dict[str, Any]:
     start = int(np.argmax(drives.mode[:, b] != Mode.NONE))
     mode = drives.mode[start:, b]
     error, level = np.abs(drives.error_m[start:, b]), drives.level_m[start:, b]
-    kinds = ("mode_share", "epochs", "error", "pl_median", "pl_median_exact", "pl_exact_median", "exceedance")
+    kinds = ("mode_share", "epochs", "error", "pl_median", "pl_median_exact", "exceedance")
     found: dict[str, Any] = {kind: {} for kind in kinds}
     for name in MODES:
         here = mode == MODE_CODES[name]
@@ -184,8 +183,6 @@ def _one_drive(drives: Drives, b: int, dt_s: float) -> dict[str, Any]:
                 kind: {risk_key(r): float((e > pl[:, first + i]).any(-1).mean()) for i, r in enumerate(RISKS)}
                 for kind, first in (("published", 0), ("exact", 4))
             }
-    if "rtk" in found["error"]:
-        found["pl_exact_median"]["rtk"] = _medians(level[mode == Mode.RTK][:, 4:])
     rtk = mode == Mode.RTK
     found["availability"] = {
         "rtk_1m": float((level[rtk][:, 3] <= 1.0).all(-1).mean()) if rtk.any() else 0.0,
