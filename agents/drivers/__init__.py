@@ -14,8 +14,17 @@ if TYPE_CHECKING:
 __all__ = ["AGENTS", "make_agent"]
 
 AGENTS = {
+    "cautious": "lanebound.agents.drivers.margins:make_cautious",
     "cruise": "lanebound.agents.drivers.cruise:make_cruise",
+    "idm": "lanebound.agents.drivers.cruise:make_idm",
+    "integrity_aware": "lanebound.agents.drivers.aware:make_integrity_aware",
+    "lqr": "lanebound.agents.drivers.cruise:make_lqr",
+    "nominal": "lanebound.agents.drivers.nominal:make_nominal",
+    "oracle": "lanebound.agents.drivers.nominal:make_oracle",
     "random": "lanebound.agents.drivers.random:RandomDriver",
+    "rss": "lanebound.agents.drivers.margins:make_rss",
+    "stanley": "lanebound.agents.drivers.cruise:make_stanley",
+    "stop_on_alert": "lanebound.agents.drivers.stop:make_stop_on_alert",
 }
 
 

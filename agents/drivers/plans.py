@@ -12,7 +12,17 @@ from numpy.typing import NDArray
 from lanebound.agents.drivers.base import Observation, Reader
 from lanebound.integrity.config import Config, Field
 
-__all__ = ["CruiseConfig", "following_acceleration", "nearest_ahead", "pursuit_steering", "route_speed", "safe_speed"]
+__all__ = [
+    "EGO_LENGTH_M",
+    "FREE_M",
+    "CruiseConfig",
+    "following_acceleration",
+    "idm_acceleration",
+    "nearest_ahead",
+    "pursuit_steering",
+    "route_speed",
+    "safe_speed",
+]
 
 Array = NDArray[np.float64]
 EGO_LENGTH_M = 5.0  # of highway-env's cars
@@ -45,14 +55,25 @@ def route_speed(reader: Reader, observation: Observation, c: CruiseConfig) -> Ar
     return np.asarray(np.sqrt(squared))
 
 
-def nearest_ahead(reader: Reader, observation: Observation) -> tuple[Array, Array]:
-    """Gap bumper to bumper [m] to the next vehicle on the ego's route, and its speed [m/s]; far off without one."""
+def nearest_ahead(
+    reader: Reader, observation: Observation, along_m: Array | float = 0.0, across_m: Array | float = 0.0
+) -> tuple[Array, Array]:
+    """Gap bumper to bumper [m] to the next vehicle on the ego's route, and its speed [m/s]; far off without one.
+
+    Parameters
+    ----------
+    along_m : (..., K) or number, taken off the gap to each vehicle
+    across_m : (..., K) or number, by which the ego's lane is widened on each side for each vehicle
+    """
     speed = reader.value(observation, "ego.speed")
     if not reader.config.vehicles:
         return np.full(speed.shape, FREE_M), speed
     gap = reader.rows(observation, "lane_gap")
-    there = (reader.rows(observation, "present") > 0.5) & (reader.rows(observation, "own_lane") > 0.5) & (gap > 0.0)
-    free = np.where(there, gap - 0.5 * (reader.rows(observation, "length") + EGO_LENGTH_M), FREE_M)
+    half = 0.5 * reader.value(observation, "ego.lane_width")[..., None]
+    near = np.abs(reader.rows(observation, "lane_offset")) <= half + across_m
+    own = (reader.rows(observation, "own_lane") > 0.5) | (near & (np.asarray(across_m) > 0.0))
+    there = (reader.rows(observation, "present") > 0.5) & own & (gap > 0.0)
+    free = np.where(there, gap - 0.5 * (reader.rows(observation, "length") + EGO_LENGTH_M) - along_m, FREE_M)
     best = np.argmin(free, axis=-1)[..., None]
     closing = np.take_along_axis(reader.rows(observation, "velocity_ahead"), best, axis=-1)[..., 0]
     s = np.take_along_axis(free, best, axis=-1)[..., 0]
@@ -69,8 +90,8 @@ def safe_speed(s: Array, lead_mps: Array, c: CruiseConfig) -> Array:
     return np.asarray(np.sqrt(delay * delay + 2.0 * c.brake_max_mps2 * room) - delay)
 
 
-def following_acceleration(v: Array, wanted_mps: Array, s: Array, lead_mps: Array, c: CruiseConfig) -> Array:
-    """The intelligent driver model (Treiber et al. 2000), braking harder where the gap is no longer safe.
+def idm_acceleration(v: Array, wanted_mps: Array, s: Array, lead_mps: Array, c: CruiseConfig) -> Array:
+    """The intelligent driver model (Treiber et al. 2000, equations 2 and 3), unbounded.
 
     ``a (1 - (v / v0)^4 - (s* / s)^2)``, ``s* = s0 + v T + v (v - v_lead) / (2 sqrt(a b))``; above the wanted speed it
     brakes in proportion, as that model does not.
@@ -78,9 +99,15 @@ def following_acceleration(v: Array, wanted_mps: Array, s: Array, lead_mps: Arra
     a, b = c.accelerate_mps2, c.brake_mps2
     needed = c.standstill_m + np.maximum(v * c.time_gap_s + 0.5 * v * (v - lead_mps) / np.sqrt(a * b), 0.0)
     free = np.where(v <= wanted_mps, a * (1.0 - (v / np.maximum(wanted_mps, 0.1)) ** 4), 2.0 * (wanted_mps - v))
-    follow = free - a * (needed / np.maximum(s, 0.1)) ** 2
+    return np.asarray(free - a * (needed / np.maximum(s, 0.1)) ** 2)
+
+
+def following_acceleration(v: Array, wanted_mps: Array, s: Array, lead_mps: Array, c: CruiseConfig) -> Array:
+    """The intelligent driver model, braking harder where the gap is no longer safe; bounded."""
+    follow = idm_acceleration(v, wanted_mps, s, lead_mps, c)
     urgent = (safe_speed(s, lead_mps, c) - v) / max(c.response_s, 0.1)
-    return np.asarray(np.clip(np.where(urgent < 0.0, np.minimum(follow, urgent), follow), -c.brake_max_mps2, a))
+    bounded = np.where(urgent < 0.0, np.minimum(follow, urgent), follow)
+    return np.asarray(np.clip(bounded, -c.brake_max_mps2, c.accelerate_mps2))
 
 
 def pursuit_steering(reader: Reader, observation: Observation, c: CruiseConfig) -> Array:

@@ -1,0 +1,130 @@
+"""The integrity-aware driver: as careful as its protection levels and the sky ahead ask for, and no more."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.agents.drivers.base import Observation
+from lanebound.agents.drivers.margins import Rss, RssConfig
+from lanebound.agents.drivers.plan import ContinuousDriver, MetaDriver, carry_out
+from lanebound.agents.drivers.plans import following_acceleration, nearest_ahead
+from lanebound.envs.core import DrivingEnv
+from lanebound.integrity.config import Field
+
+__all__ = ["AwareConfig", "IntegrityAware", "make_integrity_aware"]
+
+Array = NDArray[np.float64]
+
+
+class AwareConfig(RssConfig):
+    """When to slow down, how far, and when to stop."""
+
+    alert_share: float = Field(0.48, gt=0, le=1, description="of the limit while an alert is on; just below what costs")
+    ratio_calm: float = Field(0.6, ge=0, lt=1, description="PL / AL up to which the limit holds [-]; argued")
+    slow_mps2: float = Field(4.0, gt=0, description="braking for an alert at most; what RSS takes as sure")
+    satellites_needed: int = Field(17, ge=0, description="predicted, below which RTK is out in over 3 of 5 cases")
+    dead_reckoning_s: float = Field(30.0, gt=0, description="without RTK under an alert until the car stops; argued")
+    link_s: float = Field(1.0, gt=0, description="the same where the sky is open and the link is out; argued")
+    link_age_s: float = Field(2.0, gt=0, description="age of the reference data from which the link counts as out")
+    lane_extra_m: float = Field(1.0, ge=0, description="the own lane is widened by PL_CT, by this at most; half a car")
+    sky_bonus_mps2: float = Field(0.5, ge=0, description="gain of a lane that sees the sky where the own does not")
+
+
+class IntegrityAware(Rss):
+    """RSS with protection levels, which slows down with them and before known outages, and seeks the open sky.
+
+    Its speed falls from the limit at ``PL / AL = ratio_calm`` to a share of it at 1, the larger ratio counting. Before
+    a stretch where two points in a row of the predicted sky show too few satellites it brakes to that share,
+    ``v^2 <= v_alert^2 + 2 b d``. The minimal-risk manoeuvre on an alert: that share of the limit, no lane change, and a
+    stop once dead reckoning has lasted its time, which is short where only the link is out: there it need but wait.
+    """
+
+    NEEDED: ClassVar[Sequence[str]] = (
+        *Rss.NEEDED,
+        "integrity.alert",
+        "integrity.corrections_age",
+        "integrity.ratio_at",
+        "integrity.ratio_ct",
+        "integrity.since_rtk",
+    )
+    config: AwareConfig
+
+    def margins(self, observation: Observation) -> tuple[Array | float, Array | float]:
+        """The combined levels, across the track up to a bound."""
+        if not self.reader.config.vehicles:
+            return 0.0, 0.0
+        across = np.minimum(self.reader.rows(observation, "pl_ct"), self.config.lane_extra_m)
+        return self.reader.rows(observation, "pl_at"), across
+
+    def wanted_speed(self, observation: Observation) -> Array:
+        """What route, levels, predicted sky and alert allow."""
+        c, reader = self.config, self.reader
+        route = super().wanted_speed(observation)
+        limit = reader.value(observation, "road.speed_limit")
+        slow = c.alert_share * np.where(limit < reader.scale("road.speed_limit"), limit, c.speed_mps)
+        worst = np.maximum(
+            reader.value(observation, "integrity.ratio_at"), reader.value(observation, "integrity.ratio_ct")
+        )
+        share = np.clip((1.0 - worst) / (1.0 - c.ratio_calm), 0.0, 1.0)
+        wanted = np.minimum(route, slow + share * np.maximum(route - slow, 0.0))
+        wanted = np.minimum(wanted, np.sqrt(slow**2 + 2.0 * c.brake_mps2 * self._outage(observation)))
+        alert = reader.value(observation, "integrity.alert") > 0.5
+        over = reader.value(observation, "integrity.since_rtk") > self._patience(observation)
+        return np.where(alert & over, 0.0, np.where(alert, np.minimum(wanted, slow), wanted))
+
+    def _patience(self, observation: Observation) -> Array:
+        """How long to go on without RTK [s]."""
+        c = self.config
+        unlinked = self.reader.value(observation, "integrity.corrections_age") > c.link_age_s
+        enough = (self._sky(observation, "own")[..., :1] >= c.satellites_needed).any(axis=-1)
+        return np.where(unlinked & enough, c.link_s, c.dead_reckoning_s)
+
+    def acceleration(self, observation: Observation) -> Array:
+        """As hard as nominal brakes where nothing but the estimate counts; for anything else within a bound."""
+        c, v = self.config, self.reader.value(observation, "ego.speed")
+        careful = super().acceleration(observation)
+        bare = following_acceleration(v, super().wanted_speed(observation), *nearest_ahead(self.reader, observation), c)
+        return np.minimum(bare, np.maximum(careful, -c.slow_mps2))
+
+    def change(self, observation: Observation) -> NDArray[np.int64]:
+        """As nominal, with a bonus for the sky; none while an alert is on."""
+        alert = self.reader.value(observation, "integrity.alert") > 0.5
+        return np.where(alert, 0, super().change(observation))
+
+    def bonus(self, observation: Observation) -> tuple[Array | float, Array | float]:
+        """For each side the share of the points ahead where it sees enough and the own lane does not."""
+        own = self._dark(observation, "own")
+        sides = [own & ~self._dark(observation, s) & self._seen(observation, s) for s in ("left", "right")]
+        left, right = (self.config.sky_bonus_mps2 * side.sum(axis=-1) for side in sides)
+        return left, right
+
+    def _outage(self, observation: Observation) -> Array:
+        """Distance to the next known outage [m]; far without one."""
+        dark, points = self._dark(observation, "own"), self.reader.config.satellites_m
+        nearest = np.full(dark.shape[:-1], 1e6)
+        for i, (d, _) in reversed(list(enumerate(pairwise(points)))):
+            nearest = np.where(dark[..., i] & dark[..., i + 1], d, nearest)
+        return nearest
+
+    def _dark(self, observation: Observation, lane: str) -> NDArray[np.bool_]:
+        """Where fewer satellites are predicted than needed, (..., D); not where nothing is predicted."""
+        return self._seen(observation, lane) & (self._sky(observation, lane) < self.config.satellites_needed - 0.5)
+
+    def _seen(self, observation: Observation, lane: str) -> NDArray[np.bool_]:
+        return self._sky(observation, lane) >= 0.0
+
+    def _sky(self, observation: Observation, lane: str) -> Array:
+        points = self.reader.config.satellites_m
+        if not points:
+            return np.zeros((*self.reader.value(observation, "ego.speed").shape, 0))
+        return np.stack([self.reader.value(observation, f"road.sky_{d:g}m_{lane}") for d in points], axis=-1)
+
+
+def make_integrity_aware(env: DrivingEnv, config: AwareConfig | None = None) -> ContinuousDriver | MetaDriver:
+    """The integrity-aware driver."""
+    return carry_out(env, IntegrityAware(env, config or AwareConfig()))

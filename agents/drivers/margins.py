@@ -1,0 +1,97 @@
+"""Drivers that keep margins: as large as the protection levels are, or constant ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.agents.drivers.base import Observation
+from lanebound.agents.drivers.nominal import Nominal
+from lanebound.agents.drivers.plan import ContinuousDriver, MetaDriver, carry_out
+from lanebound.agents.drivers.plans import CruiseConfig, following_acceleration
+from lanebound.envs.core import DrivingEnv
+from lanebound.integrity.config import Field
+
+__all__ = ["Cautious", "CautiousConfig", "Rss", "RssConfig", "make_cautious", "make_rss", "rss_speed"]
+
+Array = NDArray[np.float64]
+
+
+class RssConfig(CruiseConfig):
+    """Figures of Responsibility-Sensitive Safety, as the environments judge by."""
+
+    rss_response_s: float = Field(0.5, gt=0, description="rho; Shalev-Shwartz 2017")
+    rss_accelerate_mps2: float = Field(2.0, ge=0, description="acceleration during the response; RSS, comfort")
+    rss_brake_min_mps2: float = Field(4.0, gt=0, description="braking that the ego is sure to reach; IEEE 2846 survey")
+    rss_brake_max_mps2: float = Field(6.0, gt=0, description="braking of the leader at most; dry road")
+
+
+class CautiousConfig(CruiseConfig):
+    """Constant margins, to be tuned on training seeds."""
+
+    gap_m: float = Field(3.0, ge=0, description="taken off every gap; PL_AT of two cars a few seconds into an outage")
+    speed_share: float = Field(0.8, gt=0, le=1, description="share of the speed that the route allows [-]; argued")
+    lane_m: float = Field(0.3, ge=0, description="the own lane counts as wider by this on each side; argued")
+
+
+def rss_speed(s: Array, lead_mps: Array, c: RssConfig) -> Array:
+    """Fastest speed at which a gap is the longitudinal distance of RSS (Shalev-Shwartz et al. 2017, definition 1).
+
+    ``s = v rho + a rho^2 / 2 + (v + a rho)^2 / (2 b_min) - v_lead^2 / (2 b_max)``, solved for v; 0 at least.
+    """
+    rho, a, b = c.rss_response_s, c.rss_accelerate_mps2, c.rss_brake_min_mps2
+    room = np.maximum(s + 0.5 * a * rho**2 + 0.5 * lead_mps**2 / c.rss_brake_max_mps2, 0.0)
+    return np.asarray(np.maximum(np.sqrt((b * rho) ** 2 + 2.0 * b * room) - b * rho - a * rho, 0.0))
+
+
+class Rss(Nominal):
+    """Nominal, with gaps less the protection levels of both vehicles, and never faster than RSS allows for the rest.
+
+    A missing level counts as the largest that observations show.
+    """
+
+    NEEDED: ClassVar[Sequence[str]] = (*Nominal.NEEDED, "integrity.pl_at")
+    config: RssConfig
+
+    def margins(self, observation: Observation) -> tuple[Array | float, Array | float]:
+        """The combined level along the track."""
+        return self.reader.rows(observation, "pl_at") if self.reader.config.vehicles else 0.0, 0.0
+
+    def acceleration(self, observation: Observation) -> Array:
+        """As nominal; above the safe speed it brakes so that the excess is gone within the response time."""
+        c, v = self.config, self.reader.value(observation, "ego.speed")
+        s, lead = self.lead(observation)
+        follow = following_acceleration(v, self.wanted_speed(observation), s, lead, c)
+        proper = (rss_speed(s, lead, c) - v) / c.rss_response_s
+        return np.asarray(np.maximum(np.minimum(follow, proper), -c.brake_max_mps2))
+
+    def top_speed(self, observation: Observation) -> Array:
+        """As nominal, and RSS."""
+        return np.minimum(super().top_speed(observation), rss_speed(*self.lead(observation), self.config))
+
+
+class Cautious(Nominal):
+    """Nominal, slower, further from others, and careful of vehicles at the edge of its lane; blind to integrity."""
+
+    config: CautiousConfig
+
+    def margins(self, observation: Observation) -> tuple[Array | float, Array | float]:
+        """The constant ones."""
+        return self.config.gap_m, self.config.lane_m
+
+    def wanted_speed(self, observation: Observation) -> Array:
+        """A share of the route's."""
+        return self.config.speed_share * super().wanted_speed(observation)
+
+
+def make_rss(env: DrivingEnv, config: RssConfig | None = None) -> ContinuousDriver | MetaDriver:
+    """The driver of RSS with protection levels."""
+    return carry_out(env, Rss(env, config or RssConfig()))
+
+
+def make_cautious(env: DrivingEnv, config: CautiousConfig | None = None) -> ContinuousDriver | MetaDriver:
+    """The driver with constant margins."""
+    return carry_out(env, Cautious(env, config or CautiousConfig()))

@@ -1,0 +1,61 @@
+"""The nominal driver: the best laws there are, blind to integrity; and the same with the truth to drive on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.agents.drivers.base import Observation
+from lanebound.agents.drivers.lateral import LqrSteering
+from lanebound.agents.drivers.mobil import MobilConfig, changes
+from lanebound.agents.drivers.plan import ContinuousDriver, MetaDriver, Plan, carry_out
+from lanebound.agents.drivers.plans import CruiseConfig
+from lanebound.envs.core import DrivingEnv
+from lanebound.integrity.errors import InputError
+
+__all__ = ["Nominal", "make_nominal", "make_oracle"]
+
+Array = NDArray[np.float64]
+
+
+class Nominal(Plan):
+    """A linear-quadratic regulator at the wheel, the intelligent driver model with a safe speed, and MOBIL."""
+
+    NEEDED: ClassVar[Sequence[str]] = (*Plan.NEEDED, "ego.lateral_offset", "road.lane_end", "road.junction")
+
+    def __init__(self, env: DrivingEnv, config: CruiseConfig, mobil: MobilConfig | None = None) -> None:
+        super().__init__(env, config)
+        self.mobil = MobilConfig() if mobil is None else mobil
+        self.steering = LqrSteering(env, self.reader) if self.reader.previews_m else self.steering
+
+    def bonus(self, observation: Observation) -> tuple[Array | float, Array | float]:
+        """What speaks for the lanes left and right beside speed [m/s2]."""
+        return 0.0, 0.0
+
+    def change(self, observation: Observation) -> NDArray[np.int64]:
+        """By MOBIL, with gaps less their margins."""
+        along, _ = self.margins(observation)
+        wanted, bonus = self.wanted_speed(observation), self.bonus(observation)
+        return changes(self.reader, observation, wanted, self.config, self.mobil, along, bonus)
+
+
+def make_nominal(env: DrivingEnv, config: CruiseConfig | None = None) -> ContinuousDriver | MetaDriver:
+    """The nominal driver."""
+    return carry_out(env, Nominal(env, config or CruiseConfig()))
+
+
+def make_oracle(env: DrivingEnv, config: CruiseConfig | None = None) -> ContinuousDriver | MetaDriver:
+    """The nominal driver where observations show the true state.
+
+    Raises
+    ------
+    InputError
+        They do not.
+    """
+    shown = env.config.observation.integrity
+    if shown != "oracle":
+        raise InputError(f"observation.integrity must be oracle for agent 'oracle', got {shown}: set it to oracle")
+    return make_nominal(env, config)

@@ -1,0 +1,154 @@
+"""A plan of driving, and the two ways of carrying it out: by steering and acceleration, or by meta-actions.
+
+A plan answers what a driver must know of an observation: how fast to go, how near to whom, along which line, on which
+lane. Other drivers differ from the plain one in single answers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from lanebound.agents.drivers.base import Observation, Reader
+from lanebound.agents.drivers.lateral import PursuitSteering, Steering
+from lanebound.agents.drivers.plans import (
+    CruiseConfig,
+    following_acceleration,
+    nearest_ahead,
+    route_speed,
+    safe_speed,
+)
+from lanebound.envs.core import DrivingEnv
+from lanebound.integrity.errors import InputError
+
+__all__ = ["ContinuousDriver", "MetaDriver", "Plan", "carry_out"]
+
+Array = NDArray[np.float64]
+States = tuple[NDArray[Any], ...] | None
+
+
+class Plan:
+    """Keeps to the route's middle, its speed and its distance.
+
+    Parameters
+    ----------
+    env : gives the index of its observations and the figures of its actions, nothing else
+    config : of the driver
+    steering : law of steering; None: pure pursuit
+
+    Raises
+    ------
+    InputError
+        The observation does not show what the plan needs.
+    """
+
+    NEEDED: ClassVar[Sequence[str]] = ("ego.speed", "road.speed_limit")
+
+    def __init__(self, env: DrivingEnv, config: CruiseConfig, steering: Steering | None = None) -> None:
+        self.config, self.reader = config, Reader(env.config.observation)
+        self.reader.require(self.NEEDED)
+        self.steering: Steering = PursuitSteering(env, self.reader, config) if steering is None else steering
+
+    def margins(self, observation: Observation) -> tuple[Array | float, Array | float]:
+        """What to take off the gap to each vehicle, and to widen the ego's lane by on each side for it [m]."""
+        return 0.0, 0.0
+
+    def wanted_speed(self, observation: Observation) -> Array:
+        """How fast to go with nobody ahead [m/s]."""
+        return route_speed(self.reader, observation, self.config)
+
+    def lead(self, observation: Observation) -> tuple[Array, Array]:
+        """Gap that counts to the next vehicle ahead [m], and its speed [m/s]."""
+        return nearest_ahead(self.reader, observation, *self.margins(observation))
+
+    def acceleration(self, observation: Observation) -> Array:
+        """Acceleration to command [m/s2]."""
+        v, wanted = self.reader.value(observation, "ego.speed"), self.wanted_speed(observation)
+        return following_acceleration(v, wanted, *self.lead(observation), self.config)
+
+    def top_speed(self, observation: Observation) -> Array:
+        """How fast to go at most, with whoever is ahead [m/s]; what meta-actions are chosen by."""
+        c = self.config
+        s, lead = self.lead(observation)
+        headway = np.maximum(s - c.standstill_m, 0.0) / c.time_gap_s
+        return np.minimum(self.wanted_speed(observation), np.minimum(safe_speed(s, lead, c), headway))
+
+    def change(self, observation: Observation) -> NDArray[np.int64]:
+        """Lane to change to: -1 left, 0 none, 1 right."""
+        return np.zeros(self.reader.value(observation, "ego.speed").shape, dtype=np.int64)
+
+
+def carry_out(env: DrivingEnv, plan: Plan) -> ContinuousDriver | MetaDriver:
+    """The driver of a plan for the actions of an environment."""
+    return ContinuousDriver(env, plan) if isinstance(env.action_space, spaces.Box) else MetaDriver(env, plan)
+
+
+class ContinuousDriver:
+    """Steers and accelerates; changes no lane.
+
+    Raises
+    ------
+    InputError
+        The observation shows no preview of the route.
+    """
+
+    def __init__(self, env: DrivingEnv, plan: Plan) -> None:
+        self.plan, self._actuators = plan, env.world.action_type
+        if not plan.reader.previews_m:
+            raise InputError("observation.preview_m must name a distance for this agent, got none: add one")
+
+    def predict(
+        self,
+        observation: Any,
+        state: States = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], States]:
+        """Acceleration and steering as shares of their ranges, whichever of them the environment takes."""
+        inner = self._actuators
+        parts = []
+        if inner.longitudinal:
+            parts.append(_share(self.plan.acceleration(observation), inner.acceleration_range))
+        if inner.lateral:
+            parts.append(_share(self.plan.steering(observation), inner.steering_range))
+        return np.stack(parts, axis=-1).astype(np.float32), state
+
+
+class MetaDriver:
+    """Changes lane, or else faster, slower or as it is."""
+
+    def __init__(self, env: DrivingEnv, plan: Plan) -> None:
+        self.plan = plan
+        plan.reader.require(["ego.target_speed"])
+        inner = env.world.action_type
+        self._codes = {label: code for code, label in inner.actions.items()}
+        self._levels = np.sort(np.asarray(inner.target_speeds, dtype=np.float64))
+
+    def predict(
+        self,
+        observation: Any,
+        state: States = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.int64], States]:
+        """The code of an action."""
+        plan, levels, codes = self.plan, self._levels, self._codes
+        wanted = plan.top_speed(observation)
+        now = np.argmin(np.abs(levels - plan.reader.value(observation, "ego.target_speed")[..., None]), axis=-1)
+        goal = np.maximum(np.searchsorted(levels, wanted + 1e-3 * levels[-1], side="right") - 1, 0)
+        slower = np.where(goal < now, codes["SLOWER"], np.full(now.shape, codes["IDLE"]))
+        action = np.where(goal > now, codes["FASTER"], slower)
+        if "LANE_LEFT" in codes:
+            side = np.where(goal < now, 0, plan.change(observation))  # braking comes first
+            action = np.where(side < 0, codes["LANE_LEFT"], np.where(side > 0, codes["LANE_RIGHT"], action))
+        return np.asarray(action), state
+
+
+def _share(value: Array, bounds: tuple[float, float]) -> Array:
+    """Where a value lies between its bounds, from -1 to 1."""
+    low, high = bounds
+    return np.clip(2.0 * (value - low) / (high - low) - 1.0, -1.0, 1.0)
