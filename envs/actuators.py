@@ -30,7 +30,7 @@ class Actuators:
         self.steering_rad = 0.0
 
     def limit(self, action: dict[str, float], speed_mps: float) -> dict[str, float]:
-        """The command as carried out at the car's own speed; both commands in radians and m/s2."""
+        """The command as carried out at the speed that the wheels show; steering in radians."""
         c, steering = self.config, float(action["steering"])
         if c.lateral_acceleration_mps2 is not None:
             steering = _clip(steering, self._grip_rad(c.lateral_acceleration_mps2, speed_mps))

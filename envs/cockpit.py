@@ -28,6 +28,7 @@ from lanebound.envs.tracker import Tracker
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.navigator import Measurements, Navigator
 from lanebound.integrity.sensors.effects import FaultEffects
+from lanebound.integrity.sensors.faults import FaultSchedule
 from lanebound.integrity.streams import Streams
 
 __all__ = ["Cockpit", "Surroundings"]
@@ -40,7 +41,7 @@ ROW = np.zeros(1, dtype=np.int64)
 class Surroundings:
     """What an episode takes place in: the street, the ego's navigator and how the ego perceives others.
 
-    ``navigator`` is None when the position is given, not sensed.
+    ``navigator`` is None when the position is given, not sensed; ``faults`` are those of the others.
     """
 
     street: Street
@@ -48,6 +49,7 @@ class Surroundings:
     fleet: Fleet
     perception: Perception
     streams: Streams
+    faults: FaultSchedule
     map_bound_m: float
 
 
@@ -126,7 +128,7 @@ class Cockpit:
             self.tracker.coast(self.step_s)
         self._place()
         if epoch:
-            self.around.fleet.navigate(self.time_s, self.epoch_s)
+            self.around.fleet.navigate(self._clock_s(self.time_s), self.epoch_s)
             self._perceive()
         self._trust()
         self.alert_age_s = self.alert_age_s + self.step_s if self._alert else 0.0
@@ -134,11 +136,15 @@ class Cockpit:
     def limit(self, action: dict[str, float]) -> dict[str, float]:
         """What the actuators make of a command."""
         if self._actuators is not None:
-            action = self._actuators.limit(action, float(self.ego.speed))
+            action = self._actuators.limit(action, float(self.believed.speed))
         self.steering_rad = float(action["steering"])
         return action
 
     # From truth to measurements
+
+    def _clock_s(self, time_s: float) -> float:
+        """The navigators' clock at a time of the episode."""
+        return self.config.clock_start_s + time_s
 
     @property
     def epoch_s(self) -> float:
@@ -169,9 +175,7 @@ class Cockpit:
         ego = self.ego
         arc, lane = self.around.street.where(ego.lane_index, ego.lane.local_coordinates(ego.position)[0])
         when = self.time_s if time_s is None else time_s
-        truth = self._motion.epoch(
-            self.config.warm_up_s + self.epoch_s + when, self.epoch_s, np.array([arc]), np.array([lane])
-        )
+        truth = self._motion.epoch(self._clock_s(when), self.epoch_s, np.array([arc]), np.array([lane]))
         self.measurements = navigator.measure(truth)
         return fix_of(navigator.locate(self.measurements), 0)
 
@@ -209,7 +213,11 @@ class Cockpit:
 
     def _perceive(self) -> None:
         fleet, perception = self.around.fleet, self.around.perception
-        effects = FaultEffects.none(fleet.ego_slot + 1, 0)
+        slots = fleet.ego_slot + 1
+        effects = FaultEffects.none(slots, 0)
+        if fleet.navigator is not None:
+            sky = fleet.navigator.track.at(fleet.navigator.track.start_s + self._clock_s(self.time_s), np.zeros(slots))
+            effects = self.around.faults.effects(self._clock_s(self.time_s), self.epoch_s, sky, slots)
         self.traffic = perception.step(
             self.time_s, self.belief(), fleet.ego_slot, fleet.present(), fleet.claims(), effects
         )

@@ -64,14 +64,15 @@ class EnvConfig(Config):
     navigation: NavigationConfig = Field(NavigationConfig(), description="how the ego knows its position")
     navigator: Mapping[str, Any] = Field({}, description="overrides of the level's NavigatorConfig, merged deeply")
     perception: PerceptionConfig = Field(PerceptionConfig(), description="how the ego knows the traffic")
-    slots: int = Field(64, ge=0, le=512, description="vehicles beside the ego that may broadcast, the rest is silent")
+    slots: int = Field(64, ge=0, le=512, description="vehicles beside the ego that can be perceived at a time")
     observation: ObservationConfig = Field(ObservationConfig(), description="what the agent sees of it")
     actuators: ActuatorConfig | None = Field(
         ActuatorConfig(), description="limits of steering; None for highway-env's own"
     )
     al_at_m: float = Field(1.5, gt=0, description="along-track alert limit; S2 section 6")
-    al_ct_m: float | None = Field(None, gt=0, description="cross-track alert limit; None: half of lane less car width")
-    lane_width_m: float = Field(4.0, gt=2, le=10, description="narrowest lane, for that limit; highway-env's own lanes")
+    al_ct_m: float | None = Field(
+        None, gt=0, description="cross-track alert limit; None: half of narrowest lane less car"
+    )
     keep_lane: bool = Field(True, description="whether the car must keep its lane, and not the road alone")
     duration_s: float | None = Field(
         None, gt=0, le=3600, description="when an episode is truncated; None: as the world says, or after 300 s"
@@ -110,6 +111,12 @@ class EnvConfig(Config):
                 f"navigation.rate_hz must divide simulation_hz = {self.simulation_hz}, "
                 f"got {self.navigation.rate_hz}: choose a divisor"
             )
+        ratio = self.navigation.rate_hz / self.policy_hz
+        if sensed and abs(ratio - round(ratio)) > 1e-9:
+            raise ConfigError(
+                f"policy_hz must divide navigation.rate_hz = {self.navigation.rate_hz:g}, got {self.policy_hz}: "
+                "what is observed is of a navigation epoch"
+            )
         return self
 
     @property
@@ -117,7 +124,7 @@ class EnvConfig(Config):
         """The level of the sky."""
         return SkyLevel.named(self.sky)
 
-    def limits_m(self, car_width_m: float) -> tuple[float, float]:
-        """Alert limits along and across the track."""
-        geometric = 0.5 * (self.lane_width_m - car_width_m)
+    def limits_m(self, lane_width_m: float, car_width_m: float) -> tuple[float, float]:
+        """Alert limits along and across the track, for the narrowest lane: ``AL_CT = (w - W) / 2``."""
+        geometric = max(0.5 * (lane_width_m - car_width_m), 0.05)
         return self.al_at_m, geometric if self.al_ct_m is None else self.al_ct_m

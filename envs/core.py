@@ -8,22 +8,21 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium import spaces
 from highway_env.envs.common.action import DiscreteMetaAction
 from numpy.typing import NDArray
 
 from lanebound.envs.catalogue import world_of
 from lanebound.envs.cockpit import Cockpit
-from lanebound.envs.config import EnvConfig
+from lanebound.envs.config import ActionKind, EnvConfig
 from lanebound.envs.costs import Corridor, costs_of, lead_of, weighted
 from lanebound.envs.judge import Judge, Verdict
 from lanebound.envs.observation import Observer
 from lanebound.envs.pictures import Pictures
 from lanebound.envs.records import EgoBelief
 from lanebound.envs.rewards import rewards_of, total
-from lanebound.envs.scene import set_scene
+from lanebound.envs.scene import alert_limits_m, navigator_config, set_scene
 from lanebound.envs.truth import true_belief, true_traffic
-from lanebound.envs.world import check_command
+from lanebound.envs.world import checked_command
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.sensors.faults import Fault
 
@@ -149,6 +148,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": self.config.policy_hz}
         self.world = world_of(self.config)
+        navigator_config(self.config, alert_limits_m(self.world, self.config))  # refuses its typos here, not at reset
         self.observer = Observer(self.config.observation)
         self.action_space = self.world.action_type.space()
         self.observation_space = self.observer.space
@@ -181,10 +181,11 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         self.world.reset(seed=seed if seed is not None else int(self.np_random.integers(2**31)))
         self._duration_s = float(self.config.duration_s or self.world.config.get("duration", ENDLESS_S))
         around = set_scene(self.world, self.config, episode_seed, self._duration_s, faults)
-        limits = self.config.limits_m(self.world.vehicle.WIDTH)
+        limits = alert_limits_m(self.world, self.config)
         self.cockpit = Cockpit(self.world, self.config.navigation, self.config.actuators, limits, around)
         self._belief = self.cockpit.belief()
-        self._corridor = Corridor(not self.config.keep_lane, self._belief.target_lane_index)
+        meta = self.config.action is ActionKind.META
+        self._corridor = Corridor(not self.config.keep_lane, meta, self._belief.target_lane_index)
         self._judge = Judge(self.config, self.world)
         self._speed_before = float(self.world.vehicle.speed)
         self.observer.reset()
@@ -202,13 +203,12 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
             Before the first reset, or for a command outside the action space.
         """
         cockpit = self._cockpit()
-        check_command(self.action_space, action)
-        command = action if isinstance(self.action_space, spaces.Box) else int(action)
+        command = checked_command(self.action_space, action)
         _, base, terminated, truncated, _ = self.world.step(command)
         cockpit.look()
         truncated = bool(truncated) or cockpit.time_s >= self._duration_s - 0.5 * self.dt_s
         self._belief = cockpit.belief()
-        self._corridor.update(self._belief)
+        self._corridor.update(self._belief, self.dt_s)
         verdict = self._judge.look(self._belief, self.dt_s, ended=bool(terminated or truncated))
         costs, rewards = self._costs(verdict), self._rewards(verdict, float(base))
         info = self._info(verdict, costs, rewards)

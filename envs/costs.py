@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from highway_env.road.lane import AbstractLane
 from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 from pydantic import Field
@@ -22,6 +23,7 @@ from lanebound.integrity.config import Config
 __all__ = ["CAUSES", "Corridor", "CostConfig", "Lead", "costs_of", "lead_of", "rss_distance_m", "weighted"]
 
 CAUSES = ("cost_collision", "cost_lane", "cost_lane_integrity", "cost_headway", "cost_alert", "cost_hmi")
+CHANGE_S = 8.0  # two lane changes in a row; one takes 3 to 5 s in traffic, about 3 s by highway-env's control
 EXCESS_MAX_M = 2.0  # beyond a lane's width being further out is no worse; also what a missing level counts as
 
 
@@ -91,21 +93,34 @@ def lead_of(network: RoadNetwork, belief: EgoBelief, traffic: Traffic, length_m:
 class Corridor:
     """The lanes that the ego may be in: its own, and during a commanded change the one that it comes from.
 
-    ``whole_road`` allows every lane of the road, for continuous actions, which command no lane.
+    Where a road ends, the lanes that lead to its lane and on from it count as well, and where several roads meet, all
+    of theirs: a junction has one pavement. ``whole_road`` allows every lane of the road; without ``commanded``
+    (continuous actions, which command no lane) the lane is the one it started in.
     """
 
     whole_road: bool
+    commanded: bool
     lane_index: LaneIndex
     leaving: LaneIndex | None = None
+    change_s: float = 0.0
 
-    def update(self, belief: EgoBelief) -> None:
-        """Follow what is commanded, by belief; a change is over when the car believes to be inside its new lane."""
+    def update(self, belief: EgoBelief, dt_s: float) -> None:
+        """Follow what is commanded, by belief.
+
+        A change is over when the car believes to be inside its new lane. The time spent changing may not exceed that
+        spent in a lane by more than CHANGE_S: commands withdrawn and repeated close the lane that is left.
+        """
         target = belief.target_lane_index
-        if target != self.lane_index:
-            self.leaving = self.lane_index if target[:2] == self.lane_index[:2] else self.leaving
-            self.lane_index = target
-        arrived = belief.lane_index == self.lane_index and abs(belief.lateral_m) < 0.25 * belief.lane_width_m
-        if arrived or (self.leaving is not None and self.leaving[:2] != self.lane_index[:2]):
+        if not self.commanded:
+            target = (*target[:2], self.lane_index[2])
+        if target[:2] != self.lane_index[:2]:
+            self.leaving = None
+        elif target != self.lane_index:
+            self.leaving = self.lane_index
+        self.lane_index = target
+        arrived = belief.lane_index == target and abs(belief.lateral_m) < 0.25 * belief.lane_width_m
+        self.change_s = max(self.change_s + (dt_s if self.changing and not arrived else -dt_s), 0.0)
+        if arrived or self.change_s > CHANGE_S:
             self.leaving = None
 
     @property
@@ -113,20 +128,51 @@ class Corridor:
         """Whether a lane change is under way."""
         return self.leaving is not None
 
+    def lanes(self, network: RoadNetwork) -> list[tuple[AbstractLane, AbstractLane]]:
+        """The outermost lanes, left and right, of each stretch that the car may be on."""
+        start, end, _ = self.lane_index
+        here = network.graph[start][end]
+        own = min(self.lane_index[2] or 0, len(here) - 1)
+        ids = range(len(here)) if self.whole_road else {own, self.leaving[2] if self.leaving else own}
+        stretches = [(here[min(ids)], here[max(ids)])]
+        leading, onward = [to[start] for to in network.graph.values() if start in to], network.graph.get(end, {})
+        for lanes, junction in [(lanes, len(leading) > 1) for lanes in leading] + [(v, False) for v in onward.values()]:
+            whole = self.whole_road or junction or len(lanes) != len(here)
+            stretches.append((lanes[0], lanes[-1]) if whole else (lanes[own], lanes[own]))
+        return stretches
+
 
 def overhang_m(network: RoadNetwork, corridor: Corridor, position: Any, heading_rad: float, vehicle: Vehicle) -> float:
-    """How far a car's body reaches beyond the outer edges of its corridor, 0 inside."""
+    """How far a car's body reaches beyond its corridor, 0 inside: the least of the stretches that it is on."""
+    found: list[float] = []
+    for low, high in corridor.lanes(network):
+        beyond, on = 0.0, False
+        for lane, side in ((low, -1.0), (high, 1.0)):
+            s, d = lane.local_coordinates(position)
+            on = on or -vehicle.LENGTH <= s <= lane.length + vehicle.LENGTH
+            angle = lane.local_angle(heading_rad, s)
+            half = 0.5 * (vehicle.WIDTH * abs(math.cos(angle)) + vehicle.LENGTH * abs(math.sin(angle)))
+            beyond = max(beyond, side * float(d) + half - 0.5 * float(lane.width_at(s)))
+        if on or not found:
+            found.append(beyond if on else math.inf)
+    return min(found)
+
+
+def doubt_m(network: RoadNetwork, corridor: Corridor, belief: EgoBelief, width_m: float) -> float:
+    """How far beyond its corridor the estimate and its level allow the car to be, negative inside."""
     start, end, _ = corridor.lane_index
     lanes = network.graph[start][end]
-    own = corridor.lane_index[2] or 0
-    ids = range(len(lanes)) if corridor.whole_road else {own, corridor.leaving[2] if corridor.leaving else own}
-    low, high = lanes[min(ids)], lanes[max(ids)]
-    beyond = 0.0
-    for lane, side in ((low, -1.0), (high, 1.0)):
-        s, d = lane.local_coordinates(position)
-        angle = lane.local_angle(heading_rad, s)
-        half = 0.5 * (vehicle.WIDTH * abs(math.cos(angle)) + vehicle.LENGTH * abs(math.sin(angle)))
-        beyond = max(beyond, side * float(d) + half - 0.5 * float(lane.width_at(s)))
+    if (
+        corridor.leaving is None
+        or corridor.leaving[:2] != corridor.lane_index[:2]
+        or belief.lane_index[:2] != (start, end)
+    ):
+        return abs(belief.lateral_m) + belief.pl_ct_m + 0.5 * width_m - 0.5 * belief.lane_width_m
+    beyond = -math.inf
+    for index, side in ((min, -1.0), (max, 1.0)):
+        lane = lanes[index(corridor.lane_index[2], corridor.leaving[2])]
+        s, d = lane.local_coordinates(belief.position_m)
+        beyond = max(beyond, side * float(d) + belief.pl_ct_m + 0.5 * width_m - 0.5 * float(lane.width_at(s)))
     return beyond
 
 
@@ -146,15 +192,15 @@ def costs_of(
     ``cost_collision``  1 in the step of a crash.
     ``cost_lane``  ``max(0, |d| + half body - w / 2) v dt`` of the TRUE car beyond its corridor, at most 2 m.
     ``cost_lane_integrity``  ``max(0, |d_est| + PL_CT + W / 2 - w / 2) v dt`` of the belief, at most 2 m, also without
-    PL_CT; 0 during a commanded change and without a lane to keep (``keep_lane`` off).
+    PL_CT; about the outer edges of both lanes during a change; 0 without a lane to keep (``keep_lane`` off).
     ``cost_headway``  ``max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt``, at most dt; 0 with nobody perceived ahead.
     ``cost_alert``  dt while an alert is older than the TTA and the car drives faster than permitted or changes lane.
     ``cost_hmi``  dt while misleading information is hazardous on either axis.
     """
     v = abs(float(ego.speed))
     out = min(max(overhang_m(network, corridor, ego.position, float(ego.heading), ego), 0.0), EXCESS_MAX_M)
-    doubt = abs(belief.lateral_m) + belief.pl_ct_m + 0.5 * float(ego.WIDTH) - 0.5 * belief.lane_width_m
-    doubt = 0.0 if corridor.changing or corridor.whole_road else min(max(doubt, 0.0), EXCESS_MAX_M)
+    doubt = 0.0 if corridor.whole_road else doubt_m(network, corridor, belief, float(ego.WIDTH))
+    doubt = min(max(doubt, 0.0), EXCESS_MAX_M)
     late = belief.alert and belief.alert_age_s > c.time_to_alert_s
     limit = float(network.get_lane(belief.lane_index).speed_limit or 0.0)
     fast = limit > 0.0 and v > c.alert_speed_share * limit

@@ -75,7 +75,9 @@ class Fleet:
         for vehicle in fresh:
             self._slot[vehicle], self._name[vehicle] = self._free.pop(), self._named
             self._named += 1
-            self.motion.enter(self._slot[vehicle], vehicle.position, vehicle.heading, vehicle.speed)
+            ahead = np.array([np.cos(vehicle.heading), np.sin(vehicle.heading)])
+            before = vehicle.position - self.motion.step_s * vehicle.speed * ahead  # advanced from there with the rest
+            self.motion.enter(self._slot[vehicle], before, vehicle.heading, vehicle.speed)
         self.vehicles = [v for v in present if v in self._slot]
         self.rows = np.array([self._slot[v] for v in self.vehicles], dtype=np.int64)
         if fresh and self.navigator is not None:

@@ -31,7 +31,6 @@ __all__ = [
 
 CONTINUOUS: dict[str, Any] = {"action": "continuous", "policy_hz": 5}
 META: dict[str, Any] = {"action": "meta", "policy_hz": 2}
-TOWN: dict[str, Any] = {"lane_width_m": 3.25}
 INSTANT: dict[str, Any] = {"actuators": {"steering_rate_radps": None}}  # as highway-env's own control expects
 
 
@@ -82,14 +81,14 @@ class LaneKeeping(Preset):
     Truncated after 60 s, or 20 m before the end of the road.
 
     ## Arguments
-    `config={"world": {...}}`: `layout` (0 to 3, roads of 1.83 to 1.94 km), `lanes_count` (1), `lane_width` (3.25 m; set
-    `lane_width_m` to the same for the alert limit), `initial_speed` (10 m/s), `duration` (60 s).
+    `config={"world": {...}}`: `layout` (0 to 3, roads of 1.83 to 1.94 km), `lanes_count` (1), `lane_width` (3.25 m),
+    `initial_speed` (10 m/s), `duration` (60 s).
 
     ## Version History
     * v0: first version.
     """
 
-    PRESET: ClassVar[Mapping[str, Any]] = {"base": "LaneKeepingWorld", **CONTINUOUS, **TOWN, "cost_limit": 15.0}
+    PRESET: ClassVar[Mapping[str, Any]] = {"base": "LaneKeepingWorld", **CONTINUOUS, "cost_limit": 15.0}
 
 
 class CarFollowing(Preset):
@@ -126,15 +125,15 @@ class CarFollowing(Preset):
     Truncated after 120 s, or 20 m before the end of the road.
 
     ## Arguments
-    `config={"world": {...}}`: `layout` (0 to 3, roads of 2.67 to 3.21 km), `lane_width` (3.25 m; set `lane_width_m` to
-    the same for the alert limit), `standstill_gap` (2 m), `time_gap` ([0.8, 1.0] s), `lead` (ranges of the profile
+    `config={"world": {...}}`: `layout` (0 to 3, roads of 2.67 to 3.21 km), `lane_width` (3.25 m),
+    `standstill_gap` (2 m), `time_gap` ([0.8, 1.0] s), `lead` (ranges of the profile
     above, see `SpeedProfileConfig`), `duration` (120 s).
 
     ## Version History
     * v0: first version.
     """
 
-    PRESET: ClassVar[Mapping[str, Any]] = {"base": "CarFollowingWorld", **CONTINUOUS, **TOWN, "cost_limit": 15.0}
+    PRESET: ClassVar[Mapping[str, Any]] = {"base": "CarFollowingWorld", **CONTINUOUS, "cost_limit": 15.0}
 
 
 class Highway(Preset):
@@ -341,7 +340,6 @@ class Racetrack(Preset):
     PRESET: ClassVar[Mapping[str, Any]] = {
         "base": "racetrack-v1",
         **CONTINUOUS,
-        "lane_width_m": 5.0,
         "keep_lane": False,
         "cost": {"alert_speed_share": 1.0},  # it cannot slow down
         "actuators": None,  # 10 m/s on 15 m radius asks for 6.7 m/s2
@@ -380,14 +378,14 @@ class UrbanCanyon(Preset):
     Truncated after 120 s.
 
     ## Arguments
-    `config={"world": {...}}`: `vehicles_count` (10 at most), `spread` ([-200, 400] m), `lane_width` (3.25 m; set
-    `lane_width_m` to the same for the alert limit), `initial_speed` (10 m/s), `duration` (120 s).
+    `config={"world": {...}}`: `vehicles_count` (10 at most), `spread` ([-200, 400] m), `lane_width` (3.25 m),
+    `initial_speed` (10 m/s), `duration` (120 s).
 
     ## Version History
     * v0: first version.
     """
 
-    PRESET: ClassVar[Mapping[str, Any]] = {"base": "UrbanCanyonWorld", **META, **TOWN, "cost_limit": 40.0}
+    PRESET: ClassVar[Mapping[str, Any]] = {"base": "UrbanCanyonWorld", **META, "cost_limit": 40.0}
 
 
 CLASSES: tuple[type[Preset], ...] = (

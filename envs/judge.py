@@ -12,6 +12,8 @@ from lanebound.envs.records import EgoBelief
 
 __all__ = ["Judge", "Verdict"]
 
+CREEP_MPS = 0.5  # backwards, that no one minds
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -61,7 +63,8 @@ class Judge:
             limit = float(car.lane.speed_limit or car.MAX_SPEED)
             self._progress_m += float(car.speed) * math.cos(angle) * dt_s
             self._allowed_m += limit * dt_s
-            self._against_s = self._against_s + dt_s if abs(angle) > 0.5 * math.pi else 0.0
+            backwards = float(car.speed) * math.cos(angle) < -CREEP_MPS or abs(angle) > 0.5 * math.pi
+            self._against_s = self._against_s + dt_s if backwards else 0.0
         self._begun = True
         crashed_now, self._crashed = bool(car.crashed) and not self._crashed, self._crashed or bool(car.crashed)
         err_at, err_ct = error_m(belief, car)

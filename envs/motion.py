@@ -36,6 +36,7 @@ class Motion:
     _chord: Array = field(init=False)
     _chord_before: Array = field(init=False)
     _start: tuple[Array, Array, Array] = field(init=False)
+    _steps: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
         self._chord = np.zeros_like(self.position_m)
@@ -48,15 +49,20 @@ class Motion:
         return cls(step_s, np.zeros((capacity, 2)), np.zeros(capacity))
 
     def enter(self, row: int, position_m: Array, heading_rad: float, speed_mps: float) -> None:
-        """A vehicle appears in a slot, going straight on at its speed until now."""
+        """A vehicle appears in a slot, after going straight on at its speed for as long as the epoch has lasted.
+
+        ``position_m`` is where it is now, before the next :meth:`advance`.
+        """
         self.position_m[row], self.heading_rad[row] = position_m, heading_rad
         chord = self.step_s * speed_mps * np.array([np.cos(heading_rad), np.sin(heading_rad)])
         self._chord[row] = self._chord_before[row] = chord
         position, velocity, heading = self._start
-        position[row], velocity[row], heading[row] = position_m, chord / self.step_s, heading_rad
+        position[row], velocity[row] = position_m - self._steps * chord, chord / self.step_s
+        heading[row] = heading_rad
 
     def advance(self, rows: NDArray[np.int64], position_m: Array, heading_rad: Array) -> None:
         """Take the poses after a simulation step; (n,), (n, 2), (n,). Slots not named stay where they are."""
+        self._steps += 1
         self._chord_before[rows] = self._chord[rows]
         self._chord[rows] = position_m - self.position_m[rows]
         self.position_m[rows], self.heading_rad[rows] = position_m, heading_rad
@@ -83,4 +89,5 @@ class Motion:
         return truth
 
     def _mark(self) -> None:
+        self._steps = 0
         self._start = (self.position_m.copy(), self.velocity_mps, self.heading_rad.copy())

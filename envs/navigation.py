@@ -65,6 +65,11 @@ class NavigationConfig(Config):
         1.0, ge=0, le=30, description="time constant with which a smoothed jump is taken over, 0 takes it at once"
     )
 
+    @property
+    def clock_start_s(self) -> float:
+        """What the navigators' clock shows at the start of an episode: the warm-up, and an epoch to spare."""
+        return self.warm_up_s + 1.0 / self.rate_hz
+
     def steps_per_epoch(self, simulation_hz: int) -> int:
         """Simulation steps in a navigation epoch; the nearest number where the rates do not divide."""
         return max(1, round(simulation_hz / self.rate_hz))

@@ -31,7 +31,7 @@ def rewards_of(
 ) -> dict[str, float]:
     """The terms of one policy step of the true car.
 
-    ``progress``  ``v cos(psi) / v_limit dt`` between 0 and dt: no credit for spinning, reversing or speeding.
+    ``progress``  ``v cos(psi) / v_limit dt`` between -dt and dt: reversing takes back, speeding earns nothing.
     ``lane_centre``  ``1 / (1 + (d / 0.5 m)^2) * progress``: none for standing in the middle.
     ``comfort``  ``-min(1, (|a| / 2 m/s2)^2) dt``, a the acceleration along and across.
     ``collision``  1 in the step of a crash. ``base``  the wrapped world's own reward.
@@ -39,11 +39,11 @@ def rewards_of(
     s, d = vehicle.lane.local_coordinates(vehicle.position)
     limit = float(vehicle.lane.speed_limit or vehicle.MAX_SPEED)
     along = float(vehicle.speed) * math.cos(vehicle.lane.local_angle(vehicle.heading, s)) / limit
-    progress = min(max(along, 0.0), 1.0) * dt_s
+    progress = min(max(along, -1.0), 1.0) * dt_s
     roughness = math.hypot(acceleration_mps2, lateral_mps2) / COMFORT_MPS2
     return {
         "progress": progress,
-        "lane_centre": progress / (1.0 + (float(d) / CENTRE_SCALE_M) ** 2),
+        "lane_centre": max(progress, 0.0) / (1.0 + (float(d) / CENTRE_SCALE_M) ** 2),
         "comfort": -min(roughness * roughness, 1.0) * dt_s,
         "collision": float(crashed_now),
         "base": base,

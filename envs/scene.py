@@ -21,11 +21,12 @@ from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.streams import Streams
 
-__all__ = ["map_bound_m", "navigator_config", "set_scene"]
+__all__ = ["alert_limits_m", "map_bound_m", "navigator_config", "set_scene"]
 
 HOURS = 24  # the constellations repeat after a day, nearly
 MARGIN_S = 60.0  # of sky beyond what an episode is expected to last
-NEWCOMERS = 12  # slots kept for vehicles that appear later, where the world makes some
+EGO = 0  # its row in faults; None strikes everybody
+NEWCOMERS = 24  # slots kept for vehicles that appear later, where the world makes some
 
 
 def map_bound_m(config: EnvConfig, navigator: NavigatorConfig) -> float:
@@ -33,20 +34,26 @@ def map_bound_m(config: EnvConfig, navigator: NavigatorConfig) -> float:
     return float(upper_quantile(np.array(0.25 * navigator.risk.integrity_risk))) * config.navigation.map_sigma_m
 
 
-def navigator_config(config: EnvConfig, car_width_m: float) -> NavigatorConfig:
+def alert_limits_m(world: AbstractEnv, config: EnvConfig) -> tuple[float, float]:
+    """Alert limits along and across the track, of the world's narrowest lane and its ego."""
+    narrowest = min(float(lane.width_at(0.0)) for lane in world.road.network.lanes_list())
+    return config.limits_m(narrowest, float(world.vehicle.WIDTH))
+
+
+def navigator_config(config: EnvConfig, limits_m: tuple[float, float]) -> NavigatorConfig:
     """The level's navigator with the environment's rate, alert limits and overrides.
 
     The limits are for the pose on the map, so the map's own bound is taken off them.
     """
-    return _navigator_config(config.to_json(), car_width_m)
+    return _navigator_config(config.to_json(), limits_m)
 
 
 @lru_cache(maxsize=32)
-def _navigator_config(text: str, car_width_m: float) -> NavigatorConfig:
+def _navigator_config(text: str, limits_m: tuple[float, float]) -> NavigatorConfig:
     config = EnvConfig.from_json(text)
     base = config.level.navigator().replace(dt_s=1.0 / config.navigation.rate_hz)
     given = base.replace(**config.navigator)
-    limits = [max(limit - map_bound_m(config, given), 0.01) for limit in config.limits_m(car_width_m)]
+    limits = [max(limit - map_bound_m(config, given), 0.01) for limit in limits_m]
     return given.replace(alert={"limits": {"al_at_m": limits[0], "al_ct_m": limits[1]}})
 
 
@@ -55,21 +62,27 @@ def set_scene(
 ) -> Surroundings:
     """What an episode of ``duration_s`` takes place in, all of it drawn from ``seed`` by named streams.
 
-    ``faults`` takes the place of the random campaign when given; their times count from the start of the episode.
+    ``faults`` takes the place of the random campaign when given; their times count from the start of the episode, and
+    vehicle 0 is the ego, 1 and up the slots of the others, None everybody.
     """
     streams = Streams([seed])
     scene = streams.generators("scene")[0]
     layout, hour, fleet_seed = (int(scene.integers(n)) for n in (config.layouts, HOURS, 2**62))
     street = build_street(world.road.network, config.level, layout, getattr(world, "sections", ()), config.extent_m)
-    settings = navigator_config(config, world.vehicle.WIDTH)
+    settings = navigator_config(config, alert_limits_m(world, config))
     others = sum(v is not world.vehicle for v in world.road.vehicles)
     capacity = min(config.slots, others + (NEWCOMERS if isinstance(world, IntersectionEnv) else 0))
     broadcast = capacity > 0 and config.perception.source in ("v2v", "both")
     track = track_of(settings.sky, hour, config.navigation.warm_up_s + duration_s + MARGIN_S)
     ego = Navigator(settings, track, street.mask, [seed]) if config.navigation.source.senses else None
-    if ego is not None:
-        ego.faults = _faults(ego, config, duration_s, streams, faults)
     fleet = Navigator(settings, track, street.mask, fleet_seed, capacity) if broadcast else None
+    campaign = _campaign(track, config, duration_s, capacity, streams) if faults is None else faults
+    clock = [fault.replace(start_s=fault.start_s + config.navigation.clock_start_s) for fault in campaign]
+    others_faults = FaultSchedule([_row(f, f.vehicle - 1) if f.vehicle else f for f in clock if f.vehicle != EGO])
+    if ego is not None:
+        ego.faults = FaultSchedule([_row(f, None) for f in clock if f.vehicle in (None, EGO)])
+    if fleet is not None:
+        fleet.faults = others_faults
     epoch_s = config.navigation.steps_per_epoch(config.simulation_hz) / config.simulation_hz
     return Surroundings(
         street=street,
@@ -77,22 +90,24 @@ def set_scene(
         fleet=Fleet(world, street, fleet, config.navigation, Streams(fleet_seed, max(capacity, 1)), capacity),
         perception=Perception(config.perception, capacity + 1, epoch_s, streams),
         streams=streams,
+        faults=others_faults,
         map_bound_m=map_bound_m(config, settings) if ego is not None else 0.0,
     )
 
 
-def _faults(
-    navigator: Navigator, config: EnvConfig, duration_s: float, streams: Streams, given: tuple[Fault, ...] | None
-) -> FaultSchedule:
-    """The campaign of an episode, on the navigator's clock, which starts with the warm-up."""
-    priors, start_s = config.faults.priors, config.navigation.warm_up_s
-    if given is None and priors is None:
-        return FaultSchedule()
-    if given is None:
-        sky = navigator.track.at(navigator.track.start_s, np.zeros(1, dtype=np.int64))
-        assert priors is not None
-        given = random_campaign(priors, duration_s, streams.generators("faults")[0], sky)
-    return FaultSchedule([fault.replace(start_s=fault.start_s + start_s) for fault in given])
+def _campaign(
+    track: SkyTrack, config: EnvConfig, duration_s: float, others: int, streams: Streams
+) -> tuple[Fault, ...]:
+    """The random faults of an episode: of what all share, of the ego (row 0) and of the other slots (1 and up)."""
+    priors = config.faults.priors
+    if priors is None:
+        return ()
+    sky = track.at(track.start_s, np.zeros(others + 1, dtype=np.int64))
+    return random_campaign(priors, duration_s, streams.generators("faults")[0], sky)
+
+
+def _row(fault: Fault, vehicle: int | None) -> Fault:
+    return fault.replace(vehicle=vehicle)
 
 
 @lru_cache(maxsize=64)

@@ -23,7 +23,7 @@ from highway_env.envs.intersection_env import IntersectionEnv
 from lanebound.envs.worlds.drivers import IntersectionDriver
 from lanebound.integrity.errors import ConfigError, InputError
 
-__all__ = ["check_command", "guard", "make_world", "world_defaults"]
+__all__ = ["checked_command", "guard", "make_world", "world_defaults"]
 
 NOTHING = {"type": "AttributesObservation", "attributes": []}
 IDM_PATH = "highway_env.vehicle.behavior.IDMVehicle"
@@ -91,6 +91,7 @@ def make_world(
         config["action"] = dict(action)
     if config["action"]["type"] not in ("DiscreteMetaAction", "DiscreteAction", DIRECT):
         raise ConfigError(f"action.type must be DiscreteMetaAction or {DIRECT}, got {config['action']['type']!r}")
+    _check_action(config["action"])
     if issubclass(kind, IntersectionEnv) and config["other_vehicles_type"] == IDM_PATH:
         config["other_vehicles_type"] = f"{IntersectionDriver.__module__}.{IntersectionDriver.__qualname__}"
     try:
@@ -108,6 +109,31 @@ def guard(kind: type[AbstractEnv], config: dict[str, Any]) -> AbstractEnv:
     return world
 
 
+OPTIONS: dict[str, tuple[str, ...]] = {
+    "DiscreteMetaAction": ("longitudinal", "lateral", "target_speeds"),
+    DIRECT: (
+        "acceleration_range", "steering_range", "speed_range", "longitudinal", "lateral", "dynamical", "clip",
+        "target_speeds",
+    ),
+}  # fmt: skip
+
+
+def _check_action(action: Mapping[str, Any]) -> None:
+    """Refuse options that highway-env's action type would swallow, and speeds that are none."""
+    known = OPTIONS.get(action["type"])
+    if known is None:
+        return
+    for key in action:
+        if key != "type" and key not in known:
+            near = (get_close_matches(str(key), known, 1) or ["target_speeds"])[0]
+            raise ConfigError(f"action_options.{key} must be an option of {action['type']}: did you mean {near!r}?")
+    speeds = action.get("target_speeds")
+    if speeds is not None:
+        row = list(speeds) if isinstance(speeds, list | tuple | np.ndarray) else []
+        if len(row) < 2 or not all(isinstance(v, int | float) and np.isfinite(v) for v in row):
+            raise ConfigError(f"action_options.target_speeds must be two or more speeds in m/s, got {speeds!r}")
+
+
 def _check_keys(given: Mapping[str, Any], known: Mapping[str, Any], path: str) -> None:
     for key, value in given.items():
         if key in RESERVED:
@@ -116,6 +142,18 @@ def _check_keys(given: Mapping[str, Any], known: Mapping[str, Any], path: str) -
             near = get_close_matches(str(key), [str(k) for k in known], 1)
             advice = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(map(str, known))}"
             raise ConfigError(f"{path}.{key} must be a key of this world, got {value!r} for an unknown one: {advice}")
+        _check_value(f"{path}.{key}", value, known[key])
+
+
+def _check_value(path: str, value: Any, default: Any) -> None:
+    """Refuse what highway-env would choke on: another kind than the default, or a negative count or duration."""
+    number = isinstance(default, int | float) and not isinstance(default, bool)
+    if number and (not isinstance(value, int | float) or isinstance(value, bool) or not np.isfinite(value)):
+        raise ConfigError(f"{path} must be a number, got {value!r}: the default is {default!r}")
+    if path.endswith(("count", "duration", "_gap", "speed", "layout")) and number and value < 0:
+        raise ConfigError(f"{path} must be >= 0, got {value!r}: the default is {default!r}")
+    if path.endswith("duration") and number and value == 0:
+        raise ConfigError(f"{path} must be > 0, got 0: the default is {default!r}")
 
 
 def _merged(defaults: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
@@ -126,15 +164,25 @@ def _merged(defaults: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[s
     return merged
 
 
-def check_command(space: gymnasium.Space[Any], action: Any) -> None:
-    """Refuse a command outside the action space.
+def checked_command(space: gymnasium.Space[Any], action: Any) -> Any:
+    """The command as the world takes it: an int, or an array of the space's type.
 
     Raises
     ------
     InputError
-        Naming the space, the command and what to do.
+        A command outside the action space: naming the space, the command and what to do.
     """
-    if isinstance(action, np.ndarray) and not np.isfinite(action).all():
-        raise InputError(f"action must be finite, got {action}: check the policy for NaN")
-    if not space.contains(action) and not (isinstance(action, int | np.integer) and space.contains(np.int64(action))):
-        raise InputError(f"action must lie in {space}, got {action!r}: clip or correct it")
+    if isinstance(space, gymnasium.spaces.Box):
+        command = np.asarray(action)
+        if command.dtype.kind not in "iuf" or command.shape != space.shape:
+            raise InputError(f"action must be numbers of shape {space.shape}, got {action!r}: reshape it")
+        command = command.astype(space.dtype)
+        if not np.isfinite(command).all():
+            raise InputError(f"action must be finite, got {action!r}: check the policy for NaN")
+        if not space.contains(command):
+            raise InputError(f"action must lie in {space}, got {action!r}: clip it")
+        return command
+    whole = np.asarray(action)
+    if whole.dtype.kind not in "iu" or whole.size != 1 or not space.contains(np.int64(whole.item())):
+        raise InputError(f"action must be one of {space}, got {action!r}: correct it")
+    return int(whole.item())

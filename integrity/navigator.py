@@ -281,6 +281,7 @@ class Navigator:
         belief[rows, nk.APART :] = 0.0  # with the memory of the odometer's watch
         self.state.start[rows] = self.state.apart[rows] = 0.0
         self.state.held[rows], self.state.last_phase_m[rows] = False, 0.0
+        self.state.odometer.last_true_mps[rows] = np.nan  # no acceleration, so no slip, in the first epoch
         growth[rows] = 0.0
         growth[rows, ..., [P_EE]] = growth[rows, ..., [P_NN]] = sigma_m**2
         growth[rows, ..., [VAR_TH]] = sigma_heading_rad**2

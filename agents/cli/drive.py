@@ -138,10 +138,11 @@ def _with_bar(env: DrivingEnv, driver: Driver, seeds: range, watchers: list[Any]
 
 
 def _draw(env: DrivingEnv, log: EpisodeLog, out: Path, title: str) -> None:
+    from lanebound.envs.scene import alert_limits_m
     from lanebound.integrity.assessment.plotting import save
     from lanebound.integrity.assessment.stanford import stanford_figure
 
-    limits = env.config.limits_m(env.world.vehicle.WIDTH)
+    limits = alert_limits_m(env.world, env.config)
     save(stanford_figure(log.to_record(env.dt_s), *limits, title=title), out / DIAGRAM)
 
 

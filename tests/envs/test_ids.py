@@ -16,6 +16,7 @@ from highway_env.road.road import RoadNetwork
 from lanebound.envs import IDS, DrivingEnv, make_config
 from lanebound.envs.ids import CLASSES, CarFollowing, Highway, LaneKeeping, Preset, UrbanCanyon, id_of
 from lanebound.envs.manual import SECTIONS, markdown
+from lanebound.envs.scene import alert_limits_m
 from lanebound.envs.worlds import networks
 from lanebound.integrity.errors import ConfigError
 
@@ -90,11 +91,11 @@ def test_figures_of_the_page_are_those_of_the_environment(kind: type[Preset]) ->
     env, text = made(kind), page(kind)
     config, world = env.config, env.world
     lanes = [lane for ends in world.road.network.graph.values() for road in ends.values() for lane in road]
-    along, across = config.limits_m(world.vehicle.WIDTH)
+    along, across = alert_limits_m(world, config)
     assert f"{along:g} m along and {across:g} m across the track" in text
     assert f"`{env.action_space}` at {config.policy_hz} Hz" in text
-    assert {lane.width_at(0.0) for lane in lanes} == {config.lane_width_m}
-    assert re.search(rf"{config.lane_width_m:.3g} m", text)
+    (width,) = {float(lane.width_at(0.0)) for lane in lanes}
+    assert re.search(rf"{width:.3g} m", text)
     (limit,) = {lane.speed_limit for lane in lanes}
     assert f"{limit:.3g} m/s" in section(kind, "Description")
     assert f"{config.cost.alert_speed_share * limit:.2g} m/s" in section(kind, "Costs")

@@ -1,0 +1,162 @@
+"""Costs, verdicts and motion: what a faultless drive costs, and what may not be dodged."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lanebound.envs import DrivingEnv, make_config, wrap
+from lanebound.envs.costs import CHANGE_S, CostConfig, rss_distance_m
+from lanebound.integrity.errors import ConfigError
+
+PERFECT: dict[str, Any] = {"sky": "open", "navigation": {"source": "perfect"}, "perception": {"source": "none"}}
+LEFT, IDLE, RIGHT = 0, 1, 2
+
+
+def _costs(env: DrivingEnv, commands: Any, steps: int, seed: int = 0) -> dict[str, float]:
+    """Sums of the costs over an episode's first steps, without crashes."""
+    env.reset(seed=seed)
+    total: dict[str, float] = {}
+    for k in range(steps):
+        _, _, terminated, truncated, info = env.step(commands(k))
+        for name in info:
+            if name.startswith("cost"):
+                total[name] = total.get(name, 0.0) + info[name]
+        if terminated or truncated:
+            break
+    return total
+
+
+@pytest.mark.parametrize(
+    ("base", "world"),
+    [
+        ("roundabout-v1", {}),
+        ("intersection-v2", {"initial_vehicle_count": 0, "spawn_probability": 0.0}),
+        ("merge-v1", {}),
+    ],
+)
+def test_a_faultless_car_pays_nothing_for_its_lane(base: str, world: dict[str, Any]) -> None:
+    """Also where roads join, and the lane of one is not yet that of the next."""
+    env = wrap(base, {**PERFECT, "world": world, "actuators": None})
+    env.reset(seed=0)
+    cost = 0.0
+    for _ in range(16):
+        env.world.road.vehicles = [env.world.vehicle]
+        *_, terminated, truncated, info = env.step(IDLE)
+        cost += info["cost_lane"]
+        if terminated or truncated:
+            break
+    assert cost < 1.0
+
+
+def test_beside_the_lane_is_paid_by_the_metre_and_the_second() -> None:
+    """1 m beside the middle of a 4 m lane the body just touches the line; 1.5 m beside it is out by half a metre."""
+    for bias, out in ((0.9, 0.0), (1.5, 0.5)):
+        navigation = {"source": "offset", "offset_ct_m": bias}
+        env = wrap(
+            "highway-v0", {**PERFECT, "navigation": navigation, "world": {"vehicles_count": 0, "initial_lane_id": 1}}
+        )
+        env.reset(seed=1)
+        for _ in range(12):
+            *_, info = env.step(IDLE)
+        assert info["cost_lane"] == pytest.approx(out * info["speed_mps"] * env.dt_s, abs=0.05 * info["speed_mps"])
+
+
+def test_a_lane_change_is_free_and_one_without_end_is_not() -> None:
+    env = wrap("highway-v0", {**PERFECT, "world": {"vehicles_count": 0, "initial_lane_id": 1}})
+    once = _costs(env, lambda k: RIGHT if k == 2 else IDLE, 20)
+    assert once["cost_lane"] == 0.0
+    env.reset(seed=0)
+    corridor = env._corridor
+    changing = 0
+    for k in range(79):  # withdrawn before the car arrives, again and again
+        env.step(RIGHT if k % 2 else LEFT)
+        changing += corridor.changing
+    assert changing * env.dt_s <= 0.5 * 79 * env.dt_s + CHANGE_S
+
+
+def test_continuous_actions_command_no_change_of_lane() -> None:
+    env = DrivingEnv({"base": "UrbanCanyonWorld", "action": "continuous", **PERFECT, "world": {"vehicles_count": 0}})
+    env.reset(seed=0)
+    corridor = env._corridor
+    lane = corridor.lane_index[2]
+    for _ in range(8):
+        _, _, over, _, _ = env.step(np.array([0.0, 0.15 if lane == 0 else -0.15], dtype=np.float32))
+        assert corridor.lane_index[2] == lane
+        assert not corridor.changing
+        if over:
+            break
+
+
+def test_rss_distance_by_hand() -> None:
+    c = CostConfig(response_s=1.0, accelerate_mps2=2.0, brake_min_mps2=4.0, brake_max_mps2=8.0)
+    assert rss_distance_m(10.0, 12.0, c) == pytest.approx(10.0 + 1.0 + 144.0 / 8.0 - 144.0 / 16.0)
+    assert rss_distance_m(0.0, 0.0, c) == 0.0
+    assert rss_distance_m(5.0, 40.0, c) == 0.0
+
+
+def test_reversing_is_the_wrong_way_and_earns_nothing() -> None:
+    settings = {**PERFECT, "action": "continuous", "world": {"vehicles_count": 0}, "policy_hz": 5}
+    env = wrap("highway-v0", settings)
+    env.reset(seed=1)
+    progress, info = 0.0, {}
+    for _ in range(100):
+        _, _, over, _, info = env.step(np.array([-1.0, 0.0], dtype=np.float32))
+        progress += info["rewards"]["progress"]
+        if over:
+            break
+    assert info["wrong_way"]
+    assert not info["is_success"]
+    assert progress < 3.0
+
+
+def test_a_newcomer_is_felt_as_it_drives() -> None:
+    """The first epoch of a vehicle that appears shows its speed, not a start from rest."""
+    env = wrap("intersection-v2", {"sky": "open", "world": {"spawn_probability": 1.0, "initial_vehicle_count": 2}})
+    env.reset(seed=3)
+    assert env.cockpit is not None
+    fleet = env.cockpit.around.fleet
+    assert fleet.navigator is not None
+    known, levels = set(fleet.vehicles), []
+    for _ in range(12):
+        *_, terminated, truncated, _ = env.step(IDLE)
+        assert fleet.solution is not None
+        for row, vehicle in zip(fleet.rows, fleet.vehicles, strict=True):
+            if vehicle not in known and not vehicle.crashed:
+                levels.append(float(fleet.solution.pl_at_m[row]))
+        if terminated or truncated:
+            break
+    assert len(levels) > 5
+    assert np.mean(np.isfinite(levels)) > 0.95
+
+
+def test_a_lie_moves_the_vehicle_that_is_perceived() -> None:
+    def lead(faults: list[dict[str, Any]]) -> float:
+        env = DrivingEnv(make_config("lanebound/CarFollowing-v0", {"sky": "open"}))
+        env.reset(seed=2, options={"faults": faults})
+        for _ in range(15):
+            env.step(np.zeros(2, dtype=np.float32))
+        assert env.cockpit is not None
+        return float(math.hypot(*(env.cockpit.traffic.position_m[0] - env.cockpit.ego.position)))
+
+    lie = {"kind": "v2v_lie", "magnitude_m": 20.0, "azimuth_deg": 90.0, "duration_s": 60.0}
+    assert abs(lead([lie]) - lead([])) > 5.0
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ({"action_options": {"target_speed": [0, 5]}}, "did you mean 'target_speeds'"),
+        ({"action_options": {"target_speeds": []}}, "two or more speeds"),
+        ({"world": {"duration": "x"}}, "world.duration must be a number"),
+        ({"world": {"vehicles_count": -1}}, "vehicles_count must be >= 0"),
+        ({"policy_hz": 20}, "policy_hz must divide navigation.rate_hz"),
+        ({"navigator": {"risk": {"integrty_risk": 1e-5}}}, "integrty_risk"),
+    ],
+)
+def test_mistakes_are_refused_when_the_environment_is_made(config: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        DrivingEnv(make_config("lanebound/Highway-v0", config))
