@@ -15,6 +15,7 @@ __all__ = ["AGENTS", "make_agent"]
 
 AGENTS = {
     "cautious": "lanebound.agents.drivers.margins:make_cautious",
+    "cbf": "lanebound.agents.drivers.barrier:make_cbf",
     "cruise": "lanebound.agents.drivers.cruise:make_cruise",
     "idm": "lanebound.agents.drivers.cruise:make_idm",
     "integrity_aware": "lanebound.agents.drivers.aware:make_integrity_aware",

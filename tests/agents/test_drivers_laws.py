@@ -167,9 +167,8 @@ def test_who_knows_where_it_is_stays_in_its_lane(agent, name):
 
 
 def test_nominal_passes_on_the_motorway_without_harm():
-    env = open_env("Highway", GIVEN | {"world": {"duration": 20.0}})
+    env = open_env("Highway", GIVEN | {"world": {"duration": 12.0, "vehicles_count": 15, "vehicles_density": 2.0}})
     log = EpisodeLog()
-    drive(env, make_agent("nominal", env), [1000, 1001], [log])
-    taken = [row["action_name"] for episode in range(2) for row in log.episode(episode)]
-    assert {"LANE_LEFT", "LANE_RIGHT"} & set(taken)
-    assert all(summarise(log.episode(episode)).success for episode in range(2))
+    drive(env, make_agent("nominal", env), [1], [log])
+    assert {"LANE_LEFT", "LANE_RIGHT"} & {row["action_name"] for row in log.episode(0)}
+    assert summarise(log.episode(0)).success

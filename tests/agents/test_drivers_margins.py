@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -90,8 +91,7 @@ def test_cautious_is_slower_and_further_away_but_reads_no_levels(env):
 @pytest.mark.parametrize("agent", ["cruise", "nominal", "cautious"])
 @pytest.mark.parametrize("name", ["CarFollowing", "UrbanCanyon"])
 def test_the_blind_do_the_same_without_levels(agent, name):
-    kinds = ("full", "blind")
-    envs = [open_env(name, {"sky": "open", "observation": {"integrity": kind}}) for kind in kinds]
+    envs = [real(name, kind) for kind in ("full", "blind")]
     actions = [make_agent(agent, env).predict(env.reset(seed=2)[0])[0] for env in envs]
     assert np.array_equal(*actions)
 
@@ -173,11 +173,23 @@ def test_the_open_lane_is_sought_but_not_under_an_alert():
     assert driver.change(seen(driver.reader, **both_dark)) == 0
 
 
+@cache
+def short(name: str, kind: str) -> Any:
+    """An environment of 12 s."""
+    return open_env(name, GIVEN | {"world": {"duration": 12.0}, "observation": {"integrity": kind}})
+
+
+@cache
+def real(name: str, kind: str) -> Any:
+    """An environment with its navigator, under an open sky."""
+    return open_env(name, {"sky": "open", "observation": {"integrity": kind}})
+
+
 @pytest.mark.parametrize("agent", ["rss", "cautious", "integrity_aware", "stop_on_alert", "oracle"])
 @pytest.mark.parametrize("name", ["LaneKeeping", "CarFollowing", "UrbanCanyon"])
 def test_a_short_drive_ends_well_and_the_same_each_time(agent, name):
     kind = "oracle" if agent == "oracle" else "full"
-    env = open_env(name, GIVEN | {"world": {"duration": 12.0}, "observation": {"integrity": kind}})
+    env = short(name, kind)
     ends = []
     for _ in range(2):
         log = EpisodeLog()
