@@ -35,6 +35,8 @@ __all__ = ["Cockpit", "Surroundings"]
 
 Array = NDArray[np.float64]
 ROW = np.zeros(1, dtype=np.int64)
+OTHERS_S = 3.0  # of warm-up for the others: RTK takes a second or two to be found and confirmed
+HEARD_S = 0.6  # of it with the radio on: the longest delay of a message
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,7 @@ class Cockpit:
         self.tracker = Tracker(config, self._map_shift_m, self._first_fix())
         self._place()
         self._trust()
+        self._warm_up_the_others()
         self._perceive()
 
     def _perceived_road(self) -> Road:
@@ -170,6 +173,22 @@ class Cockpit:
                 fix = self._navigate(navigator, (k // self.steps_per_epoch - epochs) * self.epoch_s)
         return fix
 
+    def _warm_up_the_others(self) -> None:
+        """Let the others drive straight up to their places, so that they know where they are and have said so."""
+        fleet, n = self.around.fleet, self.steps_per_epoch
+        if fleet.navigator is None or not fleet.vehicles:
+            return
+        epochs = max(1, round(min(self.config.warm_up_s, OTHERS_S) / self.epoch_s))
+        begin, chord = fleet.rewind(epochs * n)
+        heading = np.array([v.heading for v in fleet.vehicles], dtype=np.float64)
+        for k in range(1, epochs * n + 1):
+            fleet.motion.advance(fleet.rows, begin + k * chord, heading)
+            if k % n == 0:
+                time_s = (k // n - epochs) * self.epoch_s
+                fleet.navigate(self._clock_s(time_s), self.epoch_s)
+                if -HEARD_S <= time_s < -0.5 * self.epoch_s:
+                    self._perceive(time_s)
+
     def _navigate(self, navigator: Navigator, time_s: float | None = None) -> Fix:
         """Measure the epoch that ends now, and locate the ego by the measurements alone."""
         ego = self.ego
@@ -211,16 +230,15 @@ class Cockpit:
             reason = AlertReason.BOTH if over_at and over_ct else AlertReason.PL_AT if over_at else AlertReason.PL_CT
             self._reason = reason.code
 
-    def _perceive(self) -> None:
+    def _perceive(self, time_s: float | None = None) -> None:
+        when = self.time_s if time_s is None else time_s
         fleet, perception = self.around.fleet, self.around.perception
         slots = fleet.ego_slot + 1
         effects = FaultEffects.none(slots, 0)
         if fleet.navigator is not None:
-            sky = fleet.navigator.track.at(fleet.navigator.track.start_s + self._clock_s(self.time_s), np.zeros(slots))
-            effects = self.around.faults.effects(self._clock_s(self.time_s), self.epoch_s, sky, slots)
-        self.traffic = perception.step(
-            self.time_s, self.belief(), fleet.ego_slot, fleet.present(), fleet.claims(), effects
-        )
+            sky = fleet.navigator.track.at(fleet.navigator.track.start_s + self._clock_s(when), np.zeros(slots))
+            effects = self.around.faults.effects(self._clock_s(when), self.epoch_s, sky, slots)
+        self.traffic = perception.step(when, self.belief(), fleet.ego_slot, fleet.present(), fleet.claims(), effects)
 
     def belief(self) -> EgoBelief:
         """All that the ego knows of itself now."""

@@ -85,6 +85,24 @@ class Fleet:
             noise = self.streams.normal("start", 3)[rows]
             place(self.navigator, self.config, self.motion.position_m[rows], self.motion.heading_rad[rows], noise, rows)
 
+    def rewind(self, steps: int) -> tuple[Array, Array]:
+        """Put all vehicles ``steps`` simulation steps back, as if they had come straight on at their speed.
+
+        Returns where they are put and the step that leads back, (n, 2) each; their navigators start there.
+        """
+        now = np.array([v.position for v in self.vehicles], dtype=np.float64).reshape(-1, 2)
+        heading = np.array([v.heading for v in self.vehicles], dtype=np.float64)
+        speed = np.array([v.speed for v in self.vehicles], dtype=np.float64)
+        chord = self.motion.step_s * speed[:, None] * np.stack([np.cos(heading), np.sin(heading)], -1)
+        begin = now - steps * chord
+        for k, row in enumerate(self.rows):
+            self.motion.enter(int(row), begin[k], float(heading[k]), float(speed[k]))
+        self.motion.mark()
+        if self.navigator is not None and self.rows.size:
+            noise = self.streams.normal("start", 3)[self.rows]
+            place(self.navigator, self.config, begin, heading, noise, self.rows)
+        return begin, chord
+
     def navigate(self, time_s: float, dt_s: float) -> None:
         """One navigation epoch of every slot."""
         if self.navigator is None:

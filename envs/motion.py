@@ -41,7 +41,7 @@ class Motion:
     def __post_init__(self) -> None:
         self._chord = np.zeros_like(self.position_m)
         self._chord_before = np.zeros_like(self.position_m)
-        self._mark()
+        self.mark()
 
     @classmethod
     def still(cls, capacity: int, step_s: float) -> Motion:
@@ -85,9 +85,10 @@ class Motion:
             arc_m,
             lane,
         )
-        self._mark()
+        self.mark()
         return truth
 
-    def _mark(self) -> None:
+    def mark(self) -> None:
+        """The next epoch begins here."""
         self._steps = 0
         self._start = (self.position_m.copy(), self.velocity_mps, self.heading_rad.copy())

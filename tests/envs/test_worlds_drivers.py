@@ -8,6 +8,7 @@ from highway_env.road.road import Road
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.objects import Landmark
 
+from lanebound.envs import wrap
 from lanebound.envs.worlds.drivers import CityDriver, IntersectionDriver, LeadVehicle, SpeedProfileConfig, speed_profile
 from lanebound.envs.worlds.networks import city_loop, long_road
 from lanebound.envs.worlds.roads import StreetRoad
@@ -135,5 +136,7 @@ def test_neighbours_are_those_of_the_plain_road(connected: bool) -> None:
 
 
 def test_our_intersection_driver_is_a_class_of_its_own() -> None:
-    assert IntersectionDriver.DISTANCE_WANTED == IDMVehicle.DISTANCE_WANTED
-    assert "DISTANCE_WANTED" not in vars(IntersectionDriver)
+    """highway-env rewrites the class that drives at its crossings; everybody's own stays as it is."""
+    wrap("intersection-v2", {"sky": "open", "navigation": {"source": "perfect"}})
+    assert vars(IntersectionDriver)["DISTANCE_WANTED"] == 7
+    assert vars(IDMVehicle)["DISTANCE_WANTED"] == 10
