@@ -1,9 +1,10 @@
 """Wrappers around any environment of lanebound: costs in the form that a learner wants, and an episode's statistics.
 
-What Gymnasium has already is not repeated here: ``TimeLimit``, ``RecordEpisodeStatistics``, ``RecordVideo`` (it
-needs moviepy), ``NormalizeReward`` and the like work as they are. To flatten or to stack, set ``observation.form`` to ``"flat"`` and
-``observation.history`` in the configuration, which cost no further copy; Gymnasium's ``FlattenObservation`` gives the
-same vector as the flat form, and with a history the same entries group by group instead of moment by moment.
+What Gymnasium has already is not repeated here: ``TimeLimit``, ``RecordEpisodeStatistics``, ``RecordVideo`` (it needs
+moviepy), ``NormalizeReward`` and the like work as they are. To flatten or to stack, set ``observation.form`` to
+``"flat"`` and ``observation.history`` in the configuration, which cost no further copy; Gymnasium's
+``FlattenObservation`` gives the same vector as the flat form, and with a history the same entries group by group
+instead of moment by moment.
 
 >>> import gymnasium, lanebound.envs
 >>> env = gymnasium.make("lanebound/LaneKeeping-v0", config={"sky": "open"})
