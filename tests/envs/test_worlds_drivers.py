@@ -135,8 +135,11 @@ def test_neighbours_are_those_of_the_plain_road(connected: bool) -> None:
             assert road.neighbour_vehicles(vehicle, index) == Road.neighbour_vehicles(road, vehicle, index)
 
 
-def test_our_intersection_driver_is_a_class_of_its_own() -> None:
+def test_our_intersection_driver_is_a_class_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     """highway-env rewrites the class that drives at its crossings; everybody's own stays as it is."""
+    before = IDMVehicle.COMFORT_ACC_MAX
+    monkeypatch.setattr(IDMVehicle, "DISTANCE_WANTED", 10.0)
     wrap("intersection-v2", {"sky": "open", "navigation": {"source": "perfect"}})
     assert vars(IntersectionDriver)["DISTANCE_WANTED"] == 7
-    assert vars(IDMVehicle)["DISTANCE_WANTED"] == 10
+    assert IDMVehicle.DISTANCE_WANTED == 10.0
+    assert before == IDMVehicle.COMFORT_ACC_MAX
