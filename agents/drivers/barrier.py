@@ -44,6 +44,7 @@ class BarrierConfig(Config):
     response_s: float = Field(0.3, ge=0, description="tau, age of what is known of the leader at most; V2V at 10 Hz")
     speed_error_mps: float = Field(0.3, ge=0, description="error of the leader's speed; argued")
     growth_mps: float = Field(1.5, ge=0, description="growth of PL_AT of both together; two cars in an outage")
+    lane_extra_m: float = Field(1.0, ge=0, description="the lane is widened by PL_CT, by this at most; half a car")
     preview_s: float = Field(1.0, gt=0, description="over which the lane barrier looks ahead; argued")
     car_width_m: float = Field(2.0, gt=0, description="of highway-env's cars")
     slow_share: float = Field(0.48, gt=0, le=1, description="of the limit, when no steering is safe enough")
@@ -116,7 +117,7 @@ class BarrierFilter:
         if not reader.config.vehicles:
             return np.full(v.shape[:-1], np.inf), np.zeros(v.shape[:-1], dtype=np.bool_)
         gap = reader.rows(observation, "lane_gap")
-        there = (reader.rows(observation, "present") > 0.5) & (reader.rows(observation, "own_lane") > 0.5) & (gap > 0.0)
+        there = (reader.rows(observation, "present") > 0.5) & self._in_way(observation) & (gap > 0.0)
         s = gap - 0.5 * (reader.rows(observation, "length") + EGO_LENGTH_M) - reader.rows(observation, "pl_at")
         lead = np.maximum(v + reader.rows(observation, "velocity_ahead") - c.speed_error_mps, 0.0)
         room = s + 0.5 * lead**2 / c.lead_brake_mps2 - c.standstill_m
@@ -128,6 +129,14 @@ class BarrierFilter:
         stuck = bound < np.maximum(-c.brake_mps2, -v[..., 0] / dt) - EPS
         stuck |= (there & (rest < 0.0)).any(axis=-1) & (v[..., 0] > EPS)
         return np.where(stuck, -c.brake_mps2, bound), stuck
+
+    def _in_way(self, observation: Observation) -> Bools:
+        """Which vehicles may be in the ego's lane, by their levels across the track, (..., K)."""
+        reader, c = self.reader, self.config
+        half = 0.5 * reader.value(observation, "ego.lane_width")[..., None]
+        extra = np.minimum(reader.rows(observation, "pl_ct"), c.lane_extra_m)
+        near = np.abs(reader.rows(observation, "lane_offset")) <= half + extra
+        return near | (reader.rows(observation, "own_lane") > 0.5)
 
     def angle_bounds(self, observation: Observation) -> tuple[Array, Array, Bools]:
         """Bounds of the steering angle [rad] that keep the car in its lane, and where there are none.
