@@ -64,6 +64,15 @@ def test_the_bound_falls_as_the_gap_closes_and_with_the_levels(env):
     assert by_pl[0] > by_pl[-1] + 1.0
 
 
+def test_a_leader_that_may_be_in_the_lane_counts(env):
+    barrier = BarrierFilter(env, Constant(1.0))
+    aside = {"traffic__v0_own_lane": 0.0, "traffic__v0_lane_offset": -2.0}
+    free, _ = barrier.acceleration_bound(seen(barrier.reader, 10.0, 0.0, **aside))
+    bound, _ = barrier.acceleration_bound(seen(barrier.reader, 10.0, 0.0, traffic__v0_pl_ct=0.6, **aside))
+    assert free == np.inf
+    assert bound == -C.brake_mps2
+
+
 @pytest.mark.parametrize("v", [4.0, 9.0, 14.0])
 @pytest.mark.parametrize("lead_mps", [3.0, 10.0, 14.0])
 @pytest.mark.parametrize("error", [-1.0, 0.0, 1.0])
