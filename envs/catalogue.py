@@ -9,19 +9,13 @@ from highway_env.envs.common.abstract import AbstractEnv
 
 from lanebound.envs.config import ActionKind, EnvConfig
 from lanebound.envs.world import make_world, world_defaults
-from lanebound.envs.worlds import CarFollowingWorld, LaneKeepingWorld, UrbanCanyonWorld
+from lanebound.envs.worlds import OWN_WORLDS
 from lanebound.envs.worlds.base import META
 
-__all__ = ["OWN_WORLDS", "world_of"]
+__all__ = ["world_of"]
 
-OWN_WORLDS: dict[str, type[AbstractEnv]] = {
-    "LaneKeepingWorld": LaneKeepingWorld,
-    "CarFollowingWorld": CarFollowingWorld,
-    "UrbanCanyonWorld": UrbanCanyonWorld,
-}
 OTHER_FORM = {"intersection-v2": "intersection-v1"}  # highway-env keeps another id for continuous actions
 TYPES = {ActionKind.META: "DiscreteMetaAction", ActionKind.CONTINUOUS: "ContinuousAction"}
-META_OPTIONS = ("target_speeds", "longitudinal", "lateral")
 
 
 def world_of(config: EnvConfig) -> AbstractEnv:
@@ -34,13 +28,12 @@ def world_of(config: EnvConfig) -> AbstractEnv:
     """
     continuous = config.action is ActionKind.CONTINUOUS
     name = OTHER_FORM.get(config.base, config.base) if continuous else config.base
-    base = OWN_WORLDS.get(name, name)
-    defaults = world_defaults(base)
+    defaults = world_defaults(name)
     own = dict(META) if name in OWN_WORLDS and not continuous else _action(defaults["action"], config.action)
     world = dict(config.world)
     if "offroad_terminal" in defaults:
         world.setdefault("offroad_terminal", config.off_road_ends)
-    return make_world(base, world, {**own, **config.action_options}, config.simulation_hz, config.policy_hz)
+    return make_world(name, world, {**own, **config.action_options}, config.simulation_hz, config.policy_hz)
 
 
 def _action(native: dict[str, Any], kind: ActionKind) -> dict[str, Any]:
@@ -49,4 +42,5 @@ def _action(native: dict[str, Any], kind: ActionKind) -> dict[str, Any]:
         return dict(native)
     if kind is ActionKind.CONTINUOUS:
         return {"type": TYPES[kind], "steering_range": [-np.pi / 4, np.pi / 4]}
-    return {"type": TYPES[kind], **{k: native[k] for k in META_OPTIONS if k == "target_speeds" and k in native}}
+    speeds = {"target_speeds": native["target_speeds"]} if "target_speeds" in native else {}
+    return {"type": TYPES[kind], **speeds}

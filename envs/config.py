@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from difflib import get_close_matches
 from enum import Enum
 from typing import Any, Self
 
@@ -19,6 +18,7 @@ from lanebound.envs.rewards import RewardConfig
 from lanebound.envs.sky import SKY_LEVELS, SkyLevel
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.presets import nearest
 from lanebound.integrity.sensors.campaign import FaultPriors
 
 __all__ = ["ActionKind", "EnvConfig", "FaultLevel"]
@@ -94,8 +94,7 @@ class EnvConfig(Config):
     @classmethod
     def _sky_exists(cls, name: str) -> str:
         if name not in SKY_LEVELS and "/" not in name:
-            near = (get_close_matches(name, SKY_LEVELS, 1) or ["urban"])[0]
-            raise ConfigError(f"sky must be one of {', '.join(SKY_LEVELS)}, got {name!r}: did you mean {near!r}?")
+            raise ConfigError(f"sky must be one of {', '.join(SKY_LEVELS)}, got {name!r}: {nearest(name, SKY_LEVELS)}")
         return name
 
     @model_validator(mode="after")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from difflib import get_close_matches
 from typing import Any
 
 import gymnasium
@@ -13,6 +12,7 @@ from lanebound.envs.core import DrivingEnv
 from lanebound.envs.ids import CLASSES, CONTINUOUS, META, id_of
 from lanebound.envs.world import world_defaults
 from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.presets import nearest
 
 __all__ = ["IDS", "make_config", "register_all", "wrap"]
 
@@ -30,8 +30,7 @@ def make_config(env_id: str, overrides: Mapping[str, Any] | None = None) -> EnvC
         An unknown key or a value out of range, with its path.
     """
     if env_id not in IDS:
-        near = (get_close_matches(env_id, IDS, 1, cutoff=0.3) or list(IDS))[0]
-        raise InputError(f"env_id must be one of {', '.join(IDS)}, got {env_id!r}: did you mean {near!r}?")
+        raise InputError(f"env_id must be one of {', '.join(IDS)}, got {env_id!r}: {nearest(env_id, IDS)}")
     return EnvConfig.build(IDS[env_id], overrides)
 
 

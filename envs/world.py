@@ -7,9 +7,7 @@ class of our own, as highway-env rewrites that class's constants).
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping
-from difflib import get_close_matches
 from functools import partial
 from typing import Any
 
@@ -19,9 +17,12 @@ from gymnasium.envs.registration import load_env_creator
 from gymnasium.error import Error as GymnasiumError
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.intersection_env import IntersectionEnv
+from highway_env.envs.parking_env import ParkingEnv
 
+from lanebound.envs.worlds import OWN_WORLDS
 from lanebound.envs.worlds.drivers import IntersectionDriver
 from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.presets import deep_merge, nearest
 
 __all__ = ["checked_command", "guard", "make_world", "world_defaults"]
 
@@ -41,56 +42,59 @@ def _guarded_rewards(world: AbstractEnv, action: Any) -> dict[str, float]:
     return terms
 
 
-def _class_of(env_id: str) -> type[AbstractEnv]:
-    """The highway-env class behind a registered id."""
+def _class_of(base: str) -> type[AbstractEnv]:
+    """The class behind the name of one of our worlds, or behind a registered id of highway-env's."""
+    if base in OWN_WORLDS:
+        return OWN_WORLDS[base]
     try:
-        spec = gymnasium.spec(env_id)
+        spec = gymnasium.spec(base)
     except GymnasiumError:
-        import highway_env  # noqa: F401  registers the ids
-
         known = [name for name, s in gymnasium.registry.items() if "highway_env" in str(s.entry_point)]
-        near = get_close_matches(env_id, known, 1) or ["highway-v0"]
-        raise ConfigError(f"base must be a highway-env id, got {env_id!r}: did you mean {near[0]!r}?") from None
+        raise ConfigError(
+            f"base must be a highway-env id or one of {', '.join(OWN_WORLDS)}, got {base!r}: "
+            f"{nearest(base, [*OWN_WORLDS, *known])}"
+        ) from None
     creator = load_env_creator(spec.entry_point) if isinstance(spec.entry_point, str) else spec.entry_point
     if not (isinstance(creator, type) and issubclass(creator, AbstractEnv)):
-        raise ConfigError(f"base must be a highway-env environment, got {env_id!r}: wrap one of highway-env's ids")
+        raise ConfigError(f"base must be a highway-env environment, got {base!r}: wrap one of highway-env's ids")
+    if issubclass(creator, ParkingEnv):
+        raise ConfigError(
+            f"base must have lanes to drive along, got {base!r}, where the goal is a pose: choose another id"
+        )
     return creator
 
 
-def world_defaults(base: str | type[AbstractEnv]) -> dict[str, Any]:
-    """highway-env's own configuration of a world, to be overridden key by key."""
-    kind = _class_of(base) if isinstance(base, str) else base
-    defaults: dict[str, Any] = kind.default_config()
-    return defaults
-
-
-def make_world(
-    base: str | type[AbstractEnv],
-    overrides: Mapping[str, Any],
-    action: Mapping[str, Any] | None,
-    simulation_hz: int,
-    policy_hz: int,
-) -> AbstractEnv:
-    """A highway-env environment with deep-merged overrides, no observation, and rates that divide.
+def world_defaults(base: str) -> dict[str, Any]:
+    """A world's own configuration, to be overridden key by key.
 
     Raises
     ------
     ConfigError
-        An unknown id or key, a key that is set elsewhere, an agent count other than one, or rates that do not divide.
+        No such world, or one that cannot be driven along lanes.
     """
-    kind = _class_of(base) if isinstance(base, str) else base
+    defaults: dict[str, Any] = _class_of(base).default_config()
+    return defaults
+
+
+def make_world(
+    base: str, overrides: Mapping[str, Any], action: Mapping[str, Any], simulation_hz: int, policy_hz: int
+) -> AbstractEnv:
+    """A highway-env environment with deep-merged overrides and no observation; the rates divide (EnvConfig sees to it).
+
+    Raises
+    ------
+    ConfigError
+        An unknown id or key, a key that is set elsewhere, or an agent count other than one.
+    """
+    kind = _class_of(base)
     defaults = kind.default_config()
     _check_keys(overrides, defaults, "world")
-    config = _merged(defaults, overrides)
+    config = deep_merge(defaults, overrides)
     if config.get("controlled_vehicles", 1) != 1:
         raise ConfigError("world.controlled_vehicles must be 1: one ego drives on its belief, the others are traffic")
-    if simulation_hz % policy_hz:
-        raise ConfigError(f"policy_hz must divide simulation_hz = {simulation_hz}, got {policy_hz}: choose a divisor")
-    config.update(observation=dict(NOTHING), simulation_frequency=simulation_hz, policy_frequency=policy_hz)
-    if action is not None:
-        config["action"] = dict(action)
-    if config["action"]["type"] not in ("DiscreteMetaAction", "DiscreteAction", DIRECT):
-        raise ConfigError(f"action.type must be DiscreteMetaAction or {DIRECT}, got {config['action']['type']!r}")
+    config.update(
+        observation=dict(NOTHING), action=dict(action), simulation_frequency=simulation_hz, policy_frequency=policy_hz
+    )
     _check_action(config["action"])
     if issubclass(kind, IntersectionEnv) and config["other_vehicles_type"] == IDM_PATH:
         config["other_vehicles_type"] = f"{IntersectionDriver.__module__}.{IntersectionDriver.__qualname__}"
@@ -109,24 +113,22 @@ def guard(kind: type[AbstractEnv], config: dict[str, Any]) -> AbstractEnv:
     return world
 
 
+AXES = ("acceleration_range", "steering_range", "speed_range", "longitudinal", "lateral", "dynamical", "clip")
 OPTIONS: dict[str, tuple[str, ...]] = {
     "DiscreteMetaAction": ("longitudinal", "lateral", "target_speeds"),
-    DIRECT: (
-        "acceleration_range", "steering_range", "speed_range", "longitudinal", "lateral", "dynamical", "clip",
-        "target_speeds",
-    ),
-}  # fmt: skip
+    "DiscreteAction": (*AXES, "target_speeds", "actions_per_axis"),
+    DIRECT: (*AXES, "target_speeds"),
+}
 
 
 def _check_action(action: Mapping[str, Any]) -> None:
     """Refuse options that highway-env's action type would swallow, and speeds that are none."""
-    known = OPTIONS.get(action["type"])
-    if known is None:
-        return
+    kind = action["type"]
+    if kind not in OPTIONS:
+        raise ConfigError(f"action_options.type must be one of {', '.join(OPTIONS)}, got {kind!r}: leave it out")
     for key in action:
-        if key != "type" and key not in known:
-            near = (get_close_matches(str(key), known, 1) or ["target_speeds"])[0]
-            raise ConfigError(f"action_options.{key} must be an option of {action['type']}: did you mean {near!r}?")
+        if key != "type" and key not in OPTIONS[kind]:
+            raise ConfigError(f"action_options.{key} must be an option of {kind}: {nearest(key, OPTIONS[kind])}")
     speeds = action.get("target_speeds")
     if speeds is not None:
         row = list(speeds) if isinstance(speeds, list | tuple | np.ndarray) else []
@@ -139,8 +141,7 @@ def _check_keys(given: Mapping[str, Any], known: Mapping[str, Any], path: str) -
         if key in RESERVED:
             raise ConfigError(f"{path}.{key} must not be set: use the environment's own fields for actions and rates")
         if key not in known:
-            near = get_close_matches(str(key), [str(k) for k in known], 1)
-            advice = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(map(str, known))}"
+            advice = nearest(key, map(str, known))
             raise ConfigError(f"{path}.{key} must be a key of this world, got {value!r} for an unknown one: {advice}")
         _check_value(f"{path}.{key}", value, known[key])
 
@@ -154,14 +155,6 @@ def _check_value(path: str, value: Any, default: Any) -> None:
         raise ConfigError(f"{path} must be >= 0, got {value!r}: the default is {default!r}")
     if path.endswith("duration") and number and value == 0:
         raise ConfigError(f"{path} must be > 0, got 0: the default is {default!r}")
-
-
-def _merged(defaults: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    merged = copy.deepcopy(dict(defaults))
-    for key, value in overrides.items():
-        both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
-        merged[key] = _merged(merged[key], value) if both else copy.deepcopy(value)
-    return merged
 
 
 def checked_command(space: gymnasium.Space[Any], action: Any) -> Any:

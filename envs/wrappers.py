@@ -18,7 +18,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from typing import Any, SupportsFloat
 
 import gymnasium
@@ -27,6 +26,7 @@ from gymnasium.utils import RecordConstructorArgs
 from lanebound.envs.costs import CAUSES
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.presets import nearest
 
 __all__ = ["CostIntoReward", "EpisodeStatistics", "SafetyGymnasium"]
 
@@ -109,10 +109,8 @@ def _checked(weight: float | Mapping[str, float]) -> float | dict[str, float]:
         return _checked_one("weight", weight)
     for cause in weight:
         if cause not in CAUSES:
-            near = (get_close_matches(str(cause), CAUSES, 1, cutoff=0.3) or CAUSES)[0]
-            raise InputError(
-                f"weight must name causes among {', '.join(CAUSES)}, got {cause!r}: did you mean {near!r}?"
-            )
+            advice = nearest(cause, CAUSES)
+            raise InputError(f"weight must name causes among {', '.join(CAUSES)}, got {cause!r}: {advice}")
     return {cause: _checked_one(f"weight of {cause}", value) for cause, value in weight.items()}
 
 
