@@ -21,6 +21,7 @@ from lanebound.agents.drivers.base import Driver, Observation, Reader
 from lanebound.agents.drivers.lateral import errors
 from lanebound.agents.drivers.nominal import make_nominal
 from lanebound.agents.drivers.plans import EGO_LENGTH_M
+from lanebound.agents.drivers.shares import share_of, value_of
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.config import Config, Field
 from lanebound.integrity.errors import InputError
@@ -94,13 +95,13 @@ class BarrierFilter:
         """The filtered action, and the driver's own state."""
         action, after = self.driver.predict(observation, state, episode_start, deterministic)
         shares = np.array(action, dtype=np.float64)
-        low, high = self._inner.acceleration_range
-        wanted = low + 0.5 * (shares[..., 0] + 1.0) * (high - low)
+        bounds = self._inner.acceleration_range
+        wanted = value_of(shares[..., 0], bounds)
         top, stuck = self.acceleration_bound(observation)
         lane_top, lost = self._slowing(observation)
         self.counts["decisions"] += wanted.size
         self._count("following", top < wanted - EPS, stuck)
-        shares[..., 0] = _share(np.minimum(np.minimum(wanted, top), lane_top), low, high)
+        shares[..., 0] = share_of(np.minimum(np.minimum(wanted, top), lane_top), bounds)
         if self._inner.lateral:
             shares[..., 1] = self._steered(observation, shares[..., 1], lost)
         return shares.astype(np.float32), after
@@ -161,12 +162,12 @@ class BarrierFilter:
         return low, high, (m < 0.0) | (v < 1.0)
 
     def _steered(self, observation: Observation, share: Array, lost: Bools) -> Array:
-        low, high = self._inner.steering_range
-        wanted = low + 0.5 * (share + 1.0) * (high - low)
+        bounds = self._inner.steering_range
+        wanted = value_of(share, bounds)
         right, left, none = self.angle_bounds(observation)
         safe = np.where(none, wanted, np.clip(wanted, np.minimum(right, left), left))
         self._count("lane", np.abs(safe - wanted) > EPS, lost)
-        return np.where(safe == wanted, share, _share(safe, low, high))
+        return np.where(safe == wanted, share, share_of(safe, bounds))
 
     def _slowing(self, observation: Observation) -> tuple[Array, Bools]:
         """Acceleration at most when no steering is safe enough, and where that is."""
@@ -185,7 +186,3 @@ class BarrierFilter:
 def make_cbf(env: DrivingEnv, driver: Driver | None = None, config: BarrierConfig | None = None) -> BarrierFilter:
     """The filter over a driver, the nominal one when none is given."""
     return BarrierFilter(env, make_nominal(env) if driver is None else driver, config)
-
-
-def _share(value: Array, low: float, high: float) -> Array:
-    return np.clip(2.0 * (value - low) / (high - low) - 1.0, -1.0, 1.0)

@@ -22,6 +22,7 @@ from lanebound.agents.drivers.plans import (
     route_speed,
     safe_speed,
 )
+from lanebound.agents.drivers.shares import share_of
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.errors import InputError
 
@@ -112,9 +113,9 @@ class ContinuousDriver:
         inner = self._actuators
         parts = []
         if inner.longitudinal:
-            parts.append(_share(self.plan.acceleration(observation), inner.acceleration_range))
+            parts.append(share_of(self.plan.acceleration(observation), inner.acceleration_range))
         if inner.lateral:
-            parts.append(_share(self.plan.steering(observation), inner.steering_range))
+            parts.append(share_of(self.plan.steering(observation), inner.steering_range))
         return np.stack(parts, axis=-1).astype(np.float32), state
 
 
@@ -146,9 +147,3 @@ class MetaDriver:
             side = np.where(goal < now, 0, plan.change(observation))  # braking comes first
             action = np.where(side < 0, codes["LANE_LEFT"], np.where(side > 0, codes["LANE_RIGHT"], action))
         return np.asarray(action), state
-
-
-def _share(value: Array, bounds: tuple[float, float]) -> Array:
-    """Where a value lies between its bounds, from -1 to 1."""
-    low, high = bounds
-    return np.clip(2.0 * (value - low) / (high - low) - 1.0, -1.0, 1.0)

@@ -155,18 +155,6 @@ class Street:
             lane_index = (options.get(step[1]) if step else None) or next(iter(options.values()))
         return lane_index, place
 
-    def predicted_satellites(
-        self,
-        lane_index: LaneIndex,
-        longitudinal_m: float,
-        distances_m: ArrayLike,
-        sky: SkyView,
-        route: Route | None = None,
-    ) -> NDArray[np.int64]:
-        """Satellites in line of sight above the mask angle at distances ahead along the route.  (D,) [m] -> (D,)."""
-        places = [self.where(*self.ahead(lane_index, longitudinal_m, float(d), route)) for d in np.asarray(distances_m)]
-        return self._count(places, sky)
-
     def predicted_beside(
         self,
         lane_index: LaneIndex,
@@ -175,9 +163,10 @@ class Street:
         sky: SkyView,
         route: Route | None = None,
     ) -> NDArray[np.int64]:
-        """The same for the lane to the left, this one and the one to the right; -1 where there is no lane.  -> (D, 3).
+        """Satellites in line of sight above the mask angle at distances ahead along the route.  (D,) [m] -> (D, 3).
 
-        The neighbours are those of the lane that the route takes at that distance, at the same share of its length.
+        For the lane to the left, this one and the one to the right; -1 where there is no lane. The neighbours are those
+        of the lane that the route takes at that distance, at the same share of its length.
         """
         places: list[tuple[float, int]] = []
         there: list[bool] = []
@@ -188,8 +177,5 @@ class Street:
             for lane in (left, own, right):
                 there.append(lane is not None)
                 places.append(self.where(lane or own, share * self.lanes.length_m[lane or own]))
-        return np.where(there, self._count(places, sky), NO_LANE).reshape(-1, 3)
-
-    def _count(self, places: list[tuple[float, int]], sky: SkyView) -> NDArray[np.int64]:
         arc, lane = np.array([p[0] for p in places]), np.array([p[1] for p in places], dtype=np.int64)
-        return self.mask.predicted_by_one(arc, lane, sky)
+        return np.where(there, self.mask.predicted_by_one(arc, lane, sky), NO_LANE).reshape(-1, 3)

@@ -96,7 +96,7 @@ def test_a_ring_has_no_end() -> None:
 def test_predicted_satellites_are_what_is_seen_there() -> None:
     s, view = street(), sky()
     distances = np.array([0.0, 20.0, 60.0, 90.0])
-    found = s.predicted_satellites(("a", "b", 0), 30.0, distances, view)
+    found = s.predicted_beside(("a", "b", 0), 30.0, distances, view)[:, 1]
     for d, count in zip(distances, found, strict=True):
         place = s.where(*s.ahead(("a", "b", 0), 30.0, float(d)))
         assert count == s.mask.predicted_visibility([place[0]], [place[1]], view)[0]
@@ -109,7 +109,6 @@ def test_lanes_beside_are_left_own_and_right() -> None:
     distances = [5.0, 40.0, 90.0]
     left_lane = s.predicted_beside(("a", "b", 0), 20.0, distances, view)
     right_lane = s.predicted_beside(("a", "b", 1), 20.0, distances, view)
-    np.testing.assert_array_equal(left_lane[:, 1], s.predicted_satellites(("a", "b", 0), 20.0, distances, view))
     np.testing.assert_array_equal(left_lane[:2, 1:], right_lane[:2, :2])
     assert (left_lane[:, 0] == NO_LANE).all()
     assert (right_lane[:, 2] == NO_LANE).all()
@@ -118,7 +117,7 @@ def test_lanes_beside_are_left_own_and_right() -> None:
 
 def test_an_open_sky_predicts_all_that_is_above_the_mask() -> None:
     s = build_street(fork(), SkyLevel.named("open"), 0)
-    assert s.predicted_satellites(("a", "b", 0), 0.0, [0.0, 150.0], sky()).tolist() == 2 * [int(sky().above.sum())]
+    assert s.predicted_beside(("a", "b", 0), 0.0, [0.0, 150.0], sky())[:, 1].tolist() == 2 * [int(sky().above.sum())]
 
 
 def test_a_copy_shares_the_tables() -> None:
