@@ -14,6 +14,7 @@ from highway_env.road.road import RoadNetwork
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from beliefs import believe
 from lanebound.envs.observation import ObservationConfig, Observer, entries
 from lanebound.envs.records import EgoBelief, Traffic
 from lanebound.integrity.errors import InputError
@@ -43,7 +44,7 @@ def road(angle: float = 0.0) -> RoadNetwork:
 
 def belief(angle: float = 0.0, **changes: object) -> EgoBelief:
     """At 20 m on the middle lane, half a metre to its right, in RTK."""
-    plain = EgoBelief(
+    plain = believe(
         time_s=1.0,
         position_m=np.array(turned((20.0, WIDTH_M + 0.5), angle)),
         heading_rad=angle + 0.1,
@@ -56,23 +57,14 @@ def belief(angle: float = 0.0, **changes: object) -> EgoBelief:
         lateral_m=0.5,
         angle_rad=0.1,
         lane_width_m=WIDTH_M,
-        target_lane_index=("a", "b", 1),
         target_speed_mps=12.0,
         pl_at_m=0.8,
         pl_ct_m=0.5,
         al_at_m=1.0,
         al_ct_m=0.625,
-        mode=int(Mode.RTK),
-        rtk=RtkStatus.FIXED.code,
-        reason=AlertReason.NONE.code,
-        alert=False,
-        alert_age_s=0.0,
-        available=True,
         hdop=1.2,
         satellites=16,
-        satellites_doppler=12,
         excluded=1,
-        since_rtk_s=0.0,
         since_calibration_s=6.0,
         corrections_age_s=0.3,
     )

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom
 
+from beliefs import believe
 from lanebound.envs.perception import Claims, Perception, PerceptionConfig, Vehicles
 from lanebound.envs.records import EgoBelief, Traffic
 from lanebound.integrity.errors import ConfigError, InputError
@@ -27,40 +28,7 @@ EXACT = {"range_sigma_m": 0.0, "bearing_sigma_deg": 0.0, "speed_sigma_mps": 0.0,
 
 
 def believed(x: float = 0.0, y: float = 0.0, heading_rad: float = 0.0, speed_mps: float = 0.0) -> EgoBelief:
-    lane = ("a", "b", 0)
-    return EgoBelief(
-        time_s=0.0,
-        position_m=np.array([x, y]),
-        heading_rad=heading_rad,
-        speed_mps=speed_mps,
-        yaw_rate_radps=0.0,
-        acceleration_mps2=0.0,
-        steering_rad=0.0,
-        lane_index=lane,
-        longitudinal_m=0.0,
-        lateral_m=0.0,
-        angle_rad=0.0,
-        lane_width_m=4.0,
-        target_lane_index=lane,
-        target_speed_mps=speed_mps,
-        pl_at_m=1.0,
-        pl_ct_m=1.0,
-        al_at_m=5.0,
-        al_ct_m=1.0,
-        mode=1,
-        rtk=1,
-        reason=0,
-        alert=False,
-        alert_age_s=0.0,
-        available=True,
-        hdop=1.0,
-        satellites=9,
-        satellites_doppler=9,
-        excluded=0,
-        since_rtk_s=0.0,
-        since_calibration_s=0.0,
-        corrections_age_s=1.0,
-    )
+    return believe(position_m=np.array([x, y]), heading_rad=heading_rad, speed_mps=speed_mps, pl_at_m=1.0, pl_ct_m=1.0)
 
 
 def there(position_m: Any, speed_mps: float = 0.0, heading_rad: Any = 0.0, **rest: Any) -> Vehicles:

@@ -12,24 +12,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.stats import binom, chi2, norm
 
+from beliefs import believe
 from lanebound.envs.perception import SensorConfig, Vehicles
 from lanebound.envs.perception.sensor import Sensor
 from lanebound.envs.perception.tracks_kernel import AGE, HEADING, PL_AT, PL_CT, SPEED, XY, in_sight
-from lanebound.envs.records import EgoBelief
 from lanebound.integrity.streams import Streams
 
 DT = 0.1
 EXACT = SensorConfig(range_sigma_m=0.0, bearing_sigma_deg=0.0, speed_sigma_mps=0.0, heading_sigma_deg=0.0)
 Array = NDArray[np.float64]
-
-
-class Belief:
-    """As much of an EgoBelief as the sensor reads."""
-
-    def __init__(self, x: float = 0.0, y: float = 0.0, heading_rad: float = 0.0, speed_mps: float = 0.0) -> None:
-        self.position_m = np.array([x, y])
-        self.heading_rad = heading_rad
-        self.speed_mps = speed_mps
 
 
 def there(
@@ -50,7 +41,8 @@ def there(
 
 def look(vehicles: Vehicles, config: SensorConfig = EXACT, ego: Any = None, seed: int = 1) -> Array:
     sensor = Sensor(config, vehicles.slot.size, DT, Streams([seed]))
-    belief: EgoBelief = ego or Belief(*vehicles.position_m[0], vehicles.heading_rad[0], vehicles.speed_mps[0])
+    at, heading, speed = vehicles.position_m[0], vehicles.heading_rad[0], vehicles.speed_mps[0]
+    belief = ego or believe(position_m=at, heading_rad=heading, speed_mps=speed)
     return sensor.look(belief, 0, vehicles).copy()
 
 
@@ -105,7 +97,7 @@ def test_nothing_is_seen_beyond_range_or_view() -> None:
 @pytest.mark.parametrize("heading_rad", [0.0, 2.9, -2.9])
 def test_relative_geometry_is_right_on_a_wrong_belief(heading_rad: float) -> None:
     vehicles = there([[100, 50], [120, 58]], [heading_rad, heading_rad + 0.3], [10.0, 8.0])
-    ego = Belief(103.0, 49.0, heading_rad + 0.1, 10.5)
+    ego = believe(position_m=np.array([103.0, 49.0]), heading_rad=heading_rad + 0.1, speed_mps=10.5)
     track = look(vehicles, ego=ego)[1]
     cos, sin = np.cos(0.1), np.sin(0.1)
     np.testing.assert_allclose(track[XY] - ego.position_m, [20 * cos - 8 * sin, 20 * sin + 8 * cos])
@@ -124,8 +116,8 @@ def test_levels_are_k_sigma_along_and_across_the_others_heading() -> None:
 def _errors(config: SensorConfig, looks: int, psi: float) -> tuple[Array, Array, Array]:
     """Errors along and across the measured heading, and the levels, of a vehicle 40 m away turned by ``psi``."""
     vehicles = there([[0, 0], [40, 0]], [0.0, psi], [10.0, 8.0])
-    sensor, ego = Sensor(config, 2, DT, Streams([4])), Belief(speed_mps=10.0)
-    tracks = np.array([sensor.look(ego, 0, vehicles)[1].copy() for _ in range(looks)])  # type: ignore[arg-type]
+    sensor, ego = Sensor(config, 2, DT, Streams([4])), believe(speed_mps=10.0)
+    tracks = np.array([sensor.look(ego, 0, vehicles)[1].copy() for _ in range(looks)])
     error, cos, sin = tracks[:, XY] - [40, 0], np.cos(tracks[:, HEADING]), np.sin(tracks[:, HEADING])
     return error[:, 0] * cos + error[:, 1] * sin, error[:, 1] * cos - error[:, 0] * sin, tracks
 
@@ -146,10 +138,12 @@ def test_errors_have_the_stated_size_and_break_their_bounds_as_often_as_stated(p
 def test_a_track_out_of_sight_ages_and_moves_with_the_egos_odometry_not_with_its_jumps() -> None:
     sensor = Sensor(EXACT, 3, DT, Streams([1]))
     step: Any = sensor.look
-    step(Belief(0.0, 0.0, 0.0, 10.0), 0, there([[0, 0], [20, 4], [40, 0]], speed_mps=10.0))
+    step(believe(speed_mps=10.0), 0, there([[0, 0], [20, 4], [40, 0]], speed_mps=10.0))
     hidden = there([[1, 0], [21, 0], [41, 0]], speed_mps=10.0)
-    track = step(Belief(1.0 + 3.0, -1.0, 0.0, 10.0), 0, hidden)[2]  # the solution jumps by (3, -1)
+    track = step(believe(position_m=np.array([1.0 + 3.0, -1.0]), speed_mps=10.0), 0, hidden)[
+        2
+    ]  # the solution jumps by (3, -1)
     np.testing.assert_allclose(track[AGE], 0.1)
     np.testing.assert_allclose(track[XY], [40.0 + 3.0, -1.0])  # where it was, by the new reckoning
     sensor.forget(np.array([2]))
-    assert np.isinf(sensor.look(Belief(), 0, hidden)[2, AGE])  # type: ignore[arg-type]
+    assert np.isinf(sensor.look(believe(), 0, hidden)[2, AGE])

@@ -13,6 +13,7 @@ from highway_env.road.road import RoadNetwork
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from beliefs import believe
 from lanebound.envs.records import EgoBelief
 from lanebound.envs.rendering import Bodies, Frame, RenderingConfig, Status, Tape, Trace
 from lanebound.envs.rendering.camera import Camera, oriented_box
@@ -43,22 +44,9 @@ def bend() -> RoadNetwork:
 
 
 def belief(**changes) -> EgoBelief:
-    known = dict.fromkeys(EgoBelief.__dataclass_fields__, 0.0) | {
-        "position_m": np.array([20.0, 0.0]),
-        "lane_index": ("a", "b", 0),
-        "target_lane_index": ("a", "b", 0),
-        "longitudinal_m": 20.0,
-        "pl_at_m": 0.5,
-        "pl_ct_m": 0.3,
-        "al_at_m": 1.0,
-        "al_ct_m": 0.6,
-        "mode": 1,
-        "rtk": 0,
-        "reason": 0,
-        "alert": False,
-        "available": True,
-    }
-    return EgoBelief(**(known | changes))
+    """20 m along the straight."""
+    place = {"position_m": np.array([20.0, 0.0]), "longitudinal_m": 20.0, "al_at_m": 1.0, "al_ct_m": 0.6}
+    return believe(**(place | changes))
 
 
 def frame(heading=0.0, **changes) -> Frame:

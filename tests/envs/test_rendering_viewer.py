@@ -13,6 +13,7 @@ import pygame
 import pytest
 from highway_env.road.road import RoadNetwork
 
+from beliefs import believe
 from lanebound.envs.records import EgoBelief, Traffic
 from lanebound.envs.rendering import Bodies, Frame, RenderingConfig, Satellites, Tape, Viewer
 from lanebound.envs.rendering.roads import RoadDrawing
@@ -27,24 +28,9 @@ SQUARE = np.array([[-5.0, -5.0], [5.0, -5.0], [5.0, 5.0], [-5.0, 5.0]])
 
 
 def belief(**changes) -> EgoBelief:
-    known = dict.fromkeys(EgoBelief.__dataclass_fields__, 0.0) | {
-        "position_m": np.array([100.3, 4.2]),
-        "lane_index": ("0", "1", 1),
-        "target_lane_index": ("0", "1", 1),
-        "longitudinal_m": 100.3,
-        "lateral_m": 0.2,
-        "pl_at_m": 0.6,
-        "pl_ct_m": 0.4,
-        "al_at_m": 1.5,
-        "al_ct_m": 1.0,
-        "mode": 1,
-        "rtk": 0,
-        "reason": 0,
-        "alert": False,
-        "available": True,
-        "satellites": 12,
-    }
-    return EgoBelief(**(known | changes))
+    """A little ahead and to the right of where the car is, on the middle lane."""
+    place = {"position_m": np.array([100.3, 4.2]), "lane_index": ("0", "1", 1), "longitudinal_m": 100.3}
+    return believe(**(place | {"lateral_m": 0.2, "pl_at_m": 0.6, "pl_ct_m": 0.4} | changes))
 
 
 def traffic(pl_m: float) -> Traffic:
