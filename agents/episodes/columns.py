@@ -6,6 +6,7 @@ Poses are in the plane of the world: x ahead along the first road, y to its righ
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -13,9 +14,10 @@ from typing import Any, Literal
 import numpy as np
 
 from lanebound.envs.core import DrivingEnv
-from lanebound.envs.costs import CAUSES
+from lanebound.envs.costs import CAUSES, lead_of
 from lanebound.envs.records import EgoBelief
 from lanebound.envs.rewards import TERMS
+from lanebound.envs.truth import true_belief, true_traffic
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rtk_status import RtkStatus
@@ -24,6 +26,7 @@ __all__ = ["COLUMNS", "Column", "Moment", "describe_columns", "row_of"]
 
 RTK_NAMES = {status.code: status.name.lower() for status in RtkStatus}
 REASON_NAMES = {reason.code: reason.name.lower() for reason in AlertReason}
+GAP_REACH_M = 100.0  # nobody follows a vehicle that is further ahead
 Kind = Literal["int", "float", "bool", "text", "floats"]
 
 
@@ -69,6 +72,14 @@ def _lane(index: Any) -> str:
     return f"{index[0]}>{index[1]}:{index[2]}"
 
 
+def _gap(env: DrivingEnv) -> float:
+    """True gap to the vehicle ahead in the ego's lane, inf without one within reach."""
+    cockpit, ego = env.cockpit, env.world.vehicle
+    assert cockpit is not None
+    lead = lead_of(env.world.road.network, true_belief(cockpit), true_traffic(cockpit), float(ego.LENGTH))
+    return lead.gap_m if lead is not None and lead.gap_m <= GAP_REACH_M else math.inf
+
+
 def _belief(name: str, kind: Kind, unit: str, meaning: str, field: str) -> Column:
     return Column(name, kind, unit, meaning, lambda m: getattr(m.belief, field))
 
@@ -95,6 +106,13 @@ TRUTH = (
     Column("true_heading_rad", "float", "rad", "true heading", lambda m: float(m.env.world.vehicle.heading)),
     _info("speed_mps", "float", "m/s", "true speed"),
     Column("true_lane", "text", "", "lane nearest to the truth", lambda m: _lane(m.env.world.vehicle.lane_index)),
+    Column(
+        "gap_m",
+        "float",
+        "m",
+        "true gap between bumpers to the vehicle ahead in lane; inf if beyond 100 m",
+        lambda m: _gap(m.env),
+    ),
 )
 BELIEF = (
     Column("est_x_m", "float", "m", "believed middle of the car", lambda m: float(m.belief.position_m[0])),

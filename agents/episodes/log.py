@@ -3,18 +3,35 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lanebound.agents.episodes.columns import COLUMNS, Moment, row_of
+from lanebound.agents.episodes.columns import COLUMNS, Column, Moment, row_of
 from lanebound.integrity.assessment.record import Record
 from lanebound.integrity.positioning.modes import Mode
 
-__all__ = ["EpisodeLog"]
+__all__ = ["EpisodeLog", "schema_of"]
 
 MODES = {mode.key: int(mode) for mode in Mode}
+
+
+def schema_of(columns: Sequence[Column]) -> Any:
+    """A pyarrow Schema of columns; unit and meaning of each are in the metadata of its field."""
+    import pyarrow as pa
+
+    types = {
+        "int": pa.int64(),
+        "float": pa.float64(),
+        "bool": pa.bool_(),
+        "text": pa.string(),
+        "floats": pa.list_(pa.float64()),
+    }
+    return pa.schema(
+        [pa.field(c.name, types[c.kind], metadata={"unit": c.unit, "meaning": c.meaning}) for c in columns]
+    )
 
 
 class EpisodeLog:
@@ -40,15 +57,7 @@ class EpisodeLog:
         """A pyarrow Table; unit and meaning of a column are in the metadata of its field."""
         import pyarrow as pa
 
-        types = {
-            "int": pa.int64(),
-            "float": pa.float64(),
-            "bool": pa.bool_(),
-            "text": pa.string(),
-            "floats": pa.list_(pa.float64()),
-        }
-        fields = [pa.field(c.name, types[c.kind], metadata={"unit": c.unit, "meaning": c.meaning}) for c in COLUMNS]
-        return pa.Table.from_pylist(self.rows, schema=pa.schema(fields))
+        return pa.Table.from_pylist(self.rows, schema=schema_of(COLUMNS))
 
     def write(self, path: Path) -> None:
         """Write the Parquet file; it is whole at any time."""

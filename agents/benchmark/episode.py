@@ -1,0 +1,1 @@
+"""One episode of one agent: its rows and what it came to."""

@@ -1,0 +1,165 @@
+"""What episodes are compared by."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import Literal
+
+from lanebound.agents.benchmark.outcome import Outcome
+from lanebound.envs.costs import CAUSES
+from lanebound.integrity.positioning.modes import Mode
+
+__all__ = ["MAIN", "METRICS", "Better", "Metric", "metric_named"]
+
+Better = Literal["higher", "lower"] | None
+Take = Callable[[Outcome], float | None]
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One figure of an episode, whose mean over seeds is reported.
+
+    Attributes
+    ----------
+    key, title, unit, meaning : how it is called and read; the unit of a share is ``""``
+    better : which way is good; None where it depends
+    take : the figure of an episode; None where it has none, and then the episode does not count here
+    rate : it is 0 or 1 in each episode
+    wall_clock : it is measured by a clock on the wall, and differs from run to run
+    """
+
+    key: str
+    title: str
+    unit: str
+    better: Better
+    meaning: str
+    take: Take
+    rate: bool = False
+    wall_clock: bool = False
+
+
+def _plain(key: str, title: str, unit: str, better: Better, meaning: str, name: str = "") -> Metric:
+    """An attribute of outcomes; an agent that failed has none."""
+    return Metric(key, title, unit, better, meaning, _driven(attrgetter(name or key)))
+
+
+def _driven(take: Callable[[Outcome], float | None]) -> Take:
+    def found(outcome: Outcome) -> float | None:
+        value = None if outcome.failed else take(outcome)
+        return None if value is None else float(value)
+
+    return found
+
+
+def _rate(key: str, title: str, better: Better, meaning: str, take: Callable[[Outcome], float | None]) -> Metric:
+    return Metric(key, title, "", better, meaning, take, rate=True)
+
+
+def _cause(cause: str) -> Metric:
+    title = cause.replace("_", " ")
+    return Metric(cause, title, "", "lower", f"sum of {cause}, unweighted", _driven(lambda o: o.costs.get(cause, 0.0)))
+
+
+def _mode(mode: Mode) -> Metric:
+    better: Better = "higher" if mode is Mode.RTK else None
+    take = _driven(lambda o: o.mode_shares.get(mode.key, 0.0))
+    return Metric(f"share_{mode.key}", f"{mode.label} share", "", better, f"share of steps on {mode.label}", take)
+
+
+def _share_of_steps(name: str) -> Take:
+    return _driven(lambda o: getattr(o, name) / o.steps if o.steps else None)
+
+
+SAFETY = (
+    _rate("success", "success", "higher", "ended well; an agent that failed has not", lambda o: float(o.success)),
+    _rate("collision", "collision", "lower", "the true car crashed", _driven(attrgetter("collision"))),
+    _rate(
+        "lane_departure",
+        "lane departure",
+        "lower",
+        "the true body left its lane outside commanded changes",
+        _driven(attrgetter("lane_departure")),
+    ),
+    _rate(
+        "over_cost_limit",
+        "over cost limit",
+        "lower",
+        "the cost exceeded the limit of the environment",
+        _driven(lambda o: None if o.cost_limit is None else float(o.cost > o.cost_limit)),
+    ),
+    _rate("failed", "failed", "lower", "the agent failed, see status", lambda o: float(o.failed)),
+)
+REWARD = (
+    _plain("return", "return", "", "higher", "sum of rewards", "total_return"),
+    _plain("cost", "cost", "", "lower", "weighted sum of the costs"),
+    *map(_cause, CAUSES),
+)
+MOTION = (
+    _plain("mean_speed", "speed", "m/s", "higher", "mean true speed", "mean_speed_mps"),
+    _plain(
+        "throughput",
+        "throughput",
+        "m/s",
+        "higher",
+        "way over time taken, over all the time there was without success",
+        "throughput_mps",
+    ),
+    _plain("gap", "gap", "m", None, "median true gap to the vehicle ahead within 100 m, bumper to bumper", "gap_m"),
+    _plain("rms_acceleration", "acceleration", "m/s2", "lower", "root mean square along", "rms_acceleration_mps2"),
+    _plain("rms_jerk", "jerk", "m/s3", "lower", "root mean square along", "rms_jerk_mps3"),
+    _plain("rms_lateral", "lateral", "m/s2", "lower", "root mean square acceleration across", "rms_lateral_mps2"),
+)
+INTEGRITY = (
+    _plain("pl_at_median", "PL_AT", "m", "lower", "median protection level along the track", "pl_at_median_m"),
+    _plain("pl_ct_median", "PL_CT", "m", "lower", "median protection level across the track", "pl_ct_median_m"),
+    _plain("pe_at_median", "error AT", "m", "lower", "median error along the track", "pe_at_median_m"),
+    _plain("pe_ct_median", "error CT", "m", "lower", "median error across the track", "pe_ct_median_m"),
+    _plain("pe_at_max", "max error AT", "m", "lower", "largest error along the track", "pe_at_max_m"),
+    _plain("pe_ct_max", "max error CT", "m", "lower", "largest error across the track", "pe_ct_max_m"),
+    _plain("availability", "availability", "", "higher", "share of steps with no level above its limit"),
+    _plain("alert_share", "alert share", "", "lower", "share of steps under an alert"),
+    _plain("alerts", "alerts", "", "lower", "alerts that began"),
+    Metric("mi", "MI", "", "lower", "share of steps with misleading information", _share_of_steps("mi_steps")),
+    Metric("hmi", "HMI", "", "lower", "share of steps hazardously misleading", _share_of_steps("hmi_steps")),
+    _plain(
+        "time_to_alert",
+        "time to alert",
+        "s",
+        "lower",
+        "mean time from an error exceeding its limit to the alert, where one came",
+        "time_to_alert_s",
+    ),
+    _plain("continuity", "continuity", "", "higher", "share of available steps that an available one follows"),
+    *(_mode(mode) for mode in Mode),
+)
+SOLVING = (
+    Metric(
+        "solve_median",
+        "solve time",
+        "ms",
+        "lower",
+        "median time of a decision",
+        _driven(attrgetter("solve_ms_median")),
+        wall_clock=True,
+    ),
+    Metric(
+        "solve_p99",
+        "solve time 99 %",
+        "ms",
+        "lower",
+        "99 % quantile of the time of a decision",
+        _driven(attrgetter("solve_ms_p99")),
+        wall_clock=True,
+    ),
+    _plain("infeasible", "infeasible", "", "lower", "problems without a solution, as the agent counts them"),
+)
+METRICS: tuple[Metric, ...] = (*SAFETY, *REWARD, *MOTION, *INTEGRITY, *SOLVING)
+MAIN = ("success", "collision", "lane_departure", "return", "cost", "mean_speed", "gap", "availability", "hmi")
+"""Keys of the metrics that a short table shows."""
+
+
+def metric_named(key: str) -> Metric:
+    """The metric of a key."""
+    return {metric.key: metric for metric in METRICS}[key]

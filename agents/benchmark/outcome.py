@@ -1,0 +1,149 @@
+"""What one episode of one agent came to: plain figures, that JSON can hold."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, Literal, NamedTuple
+
+from lanebound.agents.plain import finite_or_none
+
+__all__ = ["OK", "WALL_CLOCK", "Outcome", "Place", "Status", "Task"]
+
+Status = Literal["ok", "raised", "not_finite", "wrong_shape", "outside_space", "timeout"]
+OK: Status = "ok"
+WALL_CLOCK = ("solve_ms_median", "solve_ms_p99")
+
+
+class Place(NamedTuple):
+    """Where episodes are driven: an environment under a sky with faults."""
+
+    env: str
+    sky: str
+    faults: str
+
+    def __str__(self) -> str:
+        return f"{self.env}/{self.sky.replace('/', '.')}-{self.faults}"
+
+
+class Task(NamedTuple):
+    """One episode to drive."""
+
+    place: Place
+    agent: str
+    seed: int
+
+    @property
+    def id(self) -> str:
+        """Its name in a folder of results: ``env/sky-faults/agent/seed``."""
+        return f"{self.place}/{self.agent}/{self.seed}"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One episode of one agent.
+
+    Everything but the solve times (see ``WALL_CLOCK``) follows from suite, seed and version, to the last bit. None
+    stands for what does not exist or is not finite. An agent that failed has a ``status`` other than ``ok``, and its
+    figures are those of the steps before.
+
+    Attributes
+    ----------
+    env, sky, faults, agent, seed : what was driven
+    status, message : whether the agent did its part, and what went wrong
+    ended : ``collision``, ``off road``, ``wrong way``, ``time up``, ``arrived`` or ``stopped`` (the agent failed)
+    steps, time_s, allotted_s : decisions, their time, and the time there was
+    distance_m, mean_speed_mps : true way and speed
+    throughput_mps : distance over the time taken; all the time there was counts where the episode ended without success
+    gap_m : median true gap, bumper to bumper, to the vehicle ahead in lane within 100 m
+    total_return, cost : sums of reward and weighted cost; costs : by cause, unweighted; cost_limit : permitted
+    success, collision : bool; lane_departure : the true body left its lane outside commanded changes, at any time
+    rms_acceleration_mps2, rms_jerk_mps3, rms_lateral_mps2 : of the true car, from one decision to the next
+    mode_shares : share of the steps by key of the source of the position
+    pl_at_median_m, pl_ct_median_m : protection levels along and across the track; None where infinite
+    pe_at_median_m, pe_ct_median_m, pe_at_max_m, pe_ct_max_m : sizes of the errors that they bound
+    availability, alert_share : shares of the steps; alerts : how many began
+    mi_steps, hmi_steps : steps of misleading and of hazardously misleading information
+    time_to_alert_s : mean time from an error exceeding its limit to the alert; None when no such error was alerted
+    continuity : share of the available steps that an available one follows
+    solve_ms_median, solve_ms_p99 : time that decisions took [ms]
+    infeasible : problems without a solution, as the agent counts them
+    """
+
+    env: str
+    sky: str
+    faults: str
+    agent: str
+    seed: int
+    status: Status = OK
+    message: str = ""
+    ended: str = "stopped"
+    steps: int = 0
+    time_s: float = 0.0
+    allotted_s: float | None = None
+    distance_m: float = 0.0
+    mean_speed_mps: float | None = None
+    throughput_mps: float | None = None
+    gap_m: float | None = None
+    total_return: float = 0.0
+    cost: float = 0.0
+    costs: dict[str, float] = field(default_factory=dict)
+    cost_limit: float | None = None
+    success: bool = False
+    collision: bool = False
+    lane_departure: bool = False
+    rms_acceleration_mps2: float | None = None
+    rms_jerk_mps3: float | None = None
+    rms_lateral_mps2: float | None = None
+    mode_shares: dict[str, float] = field(default_factory=dict)
+    pl_at_median_m: float | None = None
+    pl_ct_median_m: float | None = None
+    pe_at_median_m: float | None = None
+    pe_ct_median_m: float | None = None
+    pe_at_max_m: float | None = None
+    pe_ct_max_m: float | None = None
+    availability: float | None = None
+    alert_share: float | None = None
+    alerts: int = 0
+    mi_steps: int = 0
+    hmi_steps: int = 0
+    time_to_alert_s: float | None = None
+    continuity: float | None = None
+    solve_ms_median: float | None = None
+    solve_ms_p99: float | None = None
+    infeasible: int = 0
+
+    @property
+    def task(self) -> Task:
+        """What was driven."""
+        return Task(Place(self.env, self.sky, self.faults), self.agent, self.seed)
+
+    @property
+    def id(self) -> str:
+        """Its name in a folder of results: ``env/sky-faults/agent/seed``."""
+        return self.task.id
+
+    @property
+    def failed(self) -> bool:
+        """Whether the agent failed to do its part."""
+        return self.status != OK
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data that JSON can hold."""
+        return dict(finite_or_none(asdict(self)))
+
+    def lasting(self) -> dict[str, Any]:
+        """The same without the times that a clock on the wall measured: equal in every run."""
+        return {key: value for key, value in self.to_dict().items() if key not in WALL_CLOCK}
+
+    def flat(self) -> dict[str, Any]:
+        """One row of a table: ``id`` first, costs by cause, shares of the modes as ``share_rtk`` and so on."""
+        data = self.to_dict()
+        costs, shares = data.pop("costs"), data.pop("mode_shares")
+        return {"id": self.id, **data, **costs, **{f"share_{mode}": share for mode, share in shares.items()}}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Outcome:
+        """The outcome of plain data; what other versions wrote beside it is left out."""
+        known = {item.name for item in fields(cls)}
+        return cls(**{key: value for key, value in data.items() if key in known})

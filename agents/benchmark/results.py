@@ -1,0 +1,234 @@
+"""What a benchmark comes to: outcomes, cells with estimates, paired differences; saved and loaded."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lanebound.agents.benchmark.metrics import METRICS, Metric
+from lanebound.agents.benchmark.outcome import Outcome, Place
+from lanebound.agents.benchmark.statistics import RESAMPLES, Difference, Estimate, difference, estimate
+from lanebound.agents.benchmark.store import Store, replace_file
+from lanebound.agents.benchmark.suite import SuiteConfig
+
+__all__ = ["Cell", "Estimate", "Paired", "Results"]
+
+VERSION = 1  # of the form of results.json
+CSV_COLUMNS = ("env", "sky", "faults", "agent", "metric", "unit", "episodes", "failed")
+ESTIMATE_COLUMNS = ("mean", "low", "high", "iqm", "iqm_low", "iqm_high", "n")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """An agent in an environment under a sky with faults: estimates over its seeds by the keys of the metrics."""
+
+    env: str
+    sky: str
+    faults: str
+    agent: str
+    episodes: int
+    failed: int
+    metrics: dict[str, Estimate]
+
+    @property
+    def place(self) -> Place:
+        """Where it drove."""
+        return Place(self.env, self.sky, self.faults)
+
+
+@dataclass(frozen=True)
+class Paired:
+    """A metric of an agent less that of another in the same cell, seed by seed, with its 95 % interval.
+
+    ``better`` is the share of the n seeds in which the difference is for the better; None where no way is.
+    """
+
+    env: str
+    sky: str
+    faults: str
+    agent: str
+    against: str
+    metric: str
+    difference: float | None
+    low: float | None
+    high: float | None
+    n: int
+    better: float | None
+
+    @property
+    def place(self) -> Place:
+        """Where both drove."""
+        return Place(self.env, self.sky, self.faults)
+
+    @property
+    def clear(self) -> bool:
+        """Whether the interval leaves 0 out."""
+        return self.low is not None and self.high is not None and (self.low > 0.0 or self.high < 0.0)
+
+
+@dataclass(frozen=True)
+class Results:
+    """All of a suite that has been driven so far.
+
+    Attributes
+    ----------
+    suite : what was to be driven
+    outcomes : one for each finished episode, in the order of the suite's tasks
+    cells, paired : estimates and differences, in the same order
+    missing : ids of the episodes that were not driven
+    left_out : agents that cannot drive an environment, as ``(env, agent, why)``; their episodes are not missing
+    folder : where it is kept; None for results that were made up
+    """
+
+    suite: SuiteConfig
+    outcomes: list[Outcome]
+    cells: list[Cell]
+    paired: list[Paired]
+    missing: list[str] = field(default_factory=list)
+    left_out: list[tuple[str, str, str]] = field(default_factory=list)
+    folder: Path | None = None
+
+    @classmethod
+    def of(
+        cls,
+        suite: SuiteConfig,
+        outcomes: Iterable[Outcome],
+        left_out: Sequence[tuple[str, str, str]] = (),
+        folder: Path | None = None,
+    ) -> Results:
+        """Results from the outcomes of a suite."""
+        found = {outcome.id: outcome for outcome in outcomes}
+        unfit = {(env, agent) for env, agent, _ in left_out}
+        tasks = [task for task in suite.tasks() if (task.place.env, task.agent) not in unfit]
+        ordered = [found[task.id] for task in tasks if task.id in found]
+        missing = [task.id for task in tasks if task.id not in found]
+        groups = _groups(ordered)
+        return cls(suite, ordered, _cells(suite, groups), _pairs(suite, groups), missing, list(left_out), folder)
+
+    @classmethod
+    def load(cls, folder: Path | str) -> Results:
+        """The results of a folder: read from its episodes, whether or not the run came to its end.
+
+        Raises
+        ------
+        InputError
+            It is no folder of a benchmark.
+        """
+        store = Store(Path(folder))
+        suite = store.suite()
+        outcomes = [store.outcome(task) for task in suite.tasks() if store.has(task)]
+        return cls.of(suite, outcomes, store.left_out(), Path(folder))
+
+    @property
+    def failures(self) -> list[Outcome]:
+        """Episodes in which the agent failed."""
+        return [outcome for outcome in self.outcomes if outcome.failed]
+
+    def rows(self, outcome: Outcome) -> Any:
+        """The stored rows of an episode, a pyarrow Table; None for results that were made up."""
+        return None if self.folder is None else Store(self.folder).rows(outcome.task)
+
+    def cell(self, place: Place, agent: str) -> Cell:
+        """The cell of an agent at a place."""
+        return next(c for c in self.cells if c.place == place and c.agent == agent)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data: the form of results.json."""
+        return {
+            "format": VERSION,
+            "suite": self.suite.to_dict(),
+            "statistics": {"interval": 0.95, "method": "percentile bootstrap over seeds", "resamples": RESAMPLES},
+            "metrics": [_described(metric) for metric in METRICS],
+            "cells": [asdict(cell) for cell in self.cells],
+            "paired": [asdict(pair) for pair in self.paired],
+            "failures": [{"id": o.id, "status": o.status, "message": o.message} for o in self.failures],
+            "left_out": [{"env": env, "agent": agent, "why": why} for env, agent, why in self.left_out],
+            "missing": self.missing,
+            "outcomes": [outcome.to_dict() for outcome in self.outcomes],
+        }
+
+    def save(self, folder: Path) -> list[Path]:
+        """Write results.json, results.csv and episodes.parquet; returns their paths."""
+        folder.mkdir(parents=True, exist_ok=True)
+        paths = [folder / name for name in ("results.json", "results.csv", "episodes.parquet")]
+        for path, write in zip(paths, (self._write_json, self._write_csv, self._write_parquet), strict=True):
+            with replace_file(path) as draft:
+                write(draft)
+        return paths
+
+    def _write_json(self, path: Path) -> None:
+        path.write_text(json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+    def _write_csv(self, path: Path) -> None:
+        units = {metric.key: metric.unit for metric in METRICS}
+        with path.open("w", encoding="utf-8", newline="") as file:
+            out = csv.writer(file)
+            out.writerow([*CSV_COLUMNS, *ESTIMATE_COLUMNS])
+            for cell in self.cells:
+                for key, found in cell.metrics.items():
+                    head = [*cell.place, cell.agent, key, units[key], cell.episodes, cell.failed]
+                    out.writerow([*head, *(getattr(found, name) for name in ESTIMATE_COLUMNS)])
+
+    def _write_parquet(self, path: Path) -> None:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        rows = [outcome.flat() for outcome in self.outcomes]
+        names = list(dict.fromkeys(name for row in rows for name in row))
+        pq.write_table(pa.table({name: [row.get(name) for row in rows] for name in names}), path)
+
+
+Group = dict[tuple[Place, str], list[Outcome]]
+
+
+def _groups(outcomes: Iterable[Outcome]) -> Group:
+    groups: Group = defaultdict(list)
+    for outcome in outcomes:
+        groups[(outcome.task.place, outcome.agent)].append(outcome)
+    return groups
+
+
+def _cells(suite: SuiteConfig, groups: Group) -> list[Cell]:
+    found = []
+    for place in suite.places:
+        for agent in suite.agents:
+            here = groups.get((place, agent), [])
+            if here:
+                metrics = {m.key: _estimate(m, here) for m in METRICS}
+                found.append(Cell(*place, agent, len(here), sum(o.failed for o in here), metrics))
+    return found
+
+
+def _estimate(metric: Metric, outcomes: Sequence[Outcome]) -> Estimate:
+    values = [value for outcome in outcomes if (value := metric.take(outcome)) is not None]
+    return estimate(np.array(values, dtype=np.float64), metric.rate)
+
+
+def _pairs(suite: SuiteConfig, groups: Group) -> list[Paired]:
+    found = []
+    for place in suite.places:
+        theirs = {o.seed: o for o in groups.get((place, suite.reference), [])}
+        for agent in suite.agents:
+            ours = {o.seed: o for o in groups.get((place, agent), [])}
+            if theirs and ours and agent != suite.reference:
+                for metric in METRICS:
+                    got = _difference(metric, ours, theirs)
+                    found.append(Paired(*place, agent, suite.reference, metric.key, **asdict(got)))
+    return found
+
+
+def _difference(metric: Metric, ours: Mapping[int, Outcome], theirs: Mapping[int, Outcome]) -> Difference:
+    pairs = [(metric.take(ours[seed]), metric.take(theirs[seed])) for seed in ours if seed in theirs]
+    both = np.array([pair for pair in pairs if None not in pair], dtype=np.float64).reshape(-1, 2)
+    return difference(both[:, 0], both[:, 1], metric.better)
+
+
+def _described(metric: Metric) -> dict[str, Any]:
+    return {key: getattr(metric, key) for key in ("key", "title", "unit", "better", "meaning")}

@@ -1,0 +1,196 @@
+"""The folder of a benchmark: its suite, one Parquet file for each finished episode, and nothing half written.
+
+::
+
+    suite.json                                        what is driven, by which version
+    episodes/<env>/<sky>-<faults>/<agent>/<seed>.parquet
+    results.json  results.csv  episodes.parquet       what it comes to
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from lanebound.agents.benchmark.outcome import Outcome, Task
+from lanebound.agents.benchmark.source import agent_digest, source_digest
+from lanebound.agents.benchmark.suite import SuiteConfig
+from lanebound.agents.episodes.columns import COLUMNS
+from lanebound.agents.episodes.log import schema_of
+from lanebound.integrity.errors import InputError
+
+__all__ = ["STORED", "Store", "replace_file"]
+
+SUITE, UNFIT, EPISODES, KEY = "suite.json", "left_out.json", "episodes", b"lanebound.outcome"
+RESULTS = ("results.json", "results.csv", "episodes.parquet", "report.html")
+LEFT_OUT = ("episode", "seed", "rtk", "tta_s", "hdop", "satellites", "since_rtk_s", "corrections_age_s")
+STORED = tuple(column for column in COLUMNS if column.name not in LEFT_OUT)
+"""The columns of a stored episode."""
+
+
+class Store:
+    """A folder of results.
+
+    Parameters
+    ----------
+    folder : it need not exist before :meth:`claim`
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    # The suite
+
+    def claim(self, suite: SuiteConfig, fresh: bool = False) -> None:
+        """Make the folder that of a suite, or go on with it.
+
+        Agents and seeds may be added to a suite or left out; everything else must be as it was, agents that go by the
+        same name and the version of the code included.
+
+        Raises
+        ------
+        InputError
+            It holds another suite, or one driven by another version, or cannot be written.
+        """
+        mark = self.folder / SUITE
+        try:
+            if fresh:
+                self._clear()
+            self.folder.mkdir(parents=True, exist_ok=True)
+            new = self._mark(suite)
+            if mark.exists() and (found := _differing(json.loads(mark.read_text(encoding="utf-8")), new)):
+                raise InputError(
+                    f"out must be empty or hold the same suite, got {self.folder} with another {found}: "
+                    "choose a new folder, or drive anew with --fresh"
+                )
+            new["agents"] = {**self._known_agents(), **new["agents"]}
+            _write_text(mark, json.dumps(new, indent=1) + "\n")
+        except OSError as error:
+            raise InputError(
+                f"out must be a folder that can be written, got {self.folder} ({error}): choose another"
+            ) from None
+
+    def _mark(self, suite: SuiteConfig) -> dict[str, Any]:
+        from importlib.metadata import version
+
+        return {
+            "version": version("lanebound"),
+            "source": source_digest(),
+            "agents": {name: agent_digest(chosen) for name, chosen in suite.agents.items()},
+            "suite": suite.to_dict(),
+        }
+
+    def _known_agents(self) -> dict[str, str]:
+        mark = self.folder / SUITE
+        return dict(json.loads(mark.read_text(encoding="utf-8"))["agents"]) if mark.exists() else {}
+
+    def _clear(self) -> None:
+        """Remove an earlier suite and nothing else."""
+        if (self.folder / SUITE).exists():
+            shutil.rmtree(self.folder / EPISODES, ignore_errors=True)
+            for name in (*RESULTS, UNFIT, SUITE):
+                (self.folder / name).unlink(missing_ok=True)
+
+    def suite(self) -> SuiteConfig:
+        """The suite that the folder is of.
+
+        Raises
+        ------
+        InputError
+            It is no folder of a benchmark.
+        """
+        try:
+            mark = json.loads((self.folder / SUITE).read_text(encoding="utf-8"))
+            return SuiteConfig.load(mark["suite"])
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(
+                f"DIR must be a folder that 'lanebound benchmark' wrote, got {self.folder} without a {SUITE}"
+            ) from None
+
+    def left_out(self) -> list[tuple[str, str, str]]:
+        """Agents that cannot drive an environment of the suite, as ``(env, agent, why)``."""
+        path = self.folder / UNFIT
+        rows = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
+        return [(env, agent, why) for env, agent, why in rows]
+
+    def leave_out(self, unfit: Sequence[tuple[str, str, str]]) -> None:
+        """Remember who cannot drive what."""
+        _write_text(self.folder / UNFIT, json.dumps(unfit, indent=1) + "\n")
+
+    # Episodes
+
+    def path(self, task: Task) -> Path:
+        """Where an episode is kept."""
+        return self.folder / EPISODES / f"{task.id}.parquet"
+
+    def has(self, task: Task) -> bool:
+        """Whether an episode is finished."""
+        return self.path(task).exists()
+
+    def write(self, rows: Sequence[Mapping[str, Any]], outcome: Outcome) -> None:
+        """Keep an episode; the file appears when it is whole."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        schema = schema_of(STORED).with_metadata({KEY: json.dumps(outcome.to_dict(), allow_nan=False).encode()})
+        kept = [{column.name: row[column.name] for column in STORED} for row in rows]
+        path = self.path(outcome.task)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replace_file(path) as draft:
+            pq.write_table(pa.Table.from_pylist(kept, schema=schema), draft, compression="zstd")
+
+    def outcome(self, task: Task) -> Outcome:
+        """What a finished episode came to."""
+        import pyarrow.parquet as pq
+
+        return Outcome.from_dict(json.loads(pq.read_metadata(self.path(task)).metadata[KEY]))
+
+    def rows(self, task: Task) -> Any:
+        """The rows of a finished episode, a pyarrow Table with the columns ``STORED``, its start first."""
+        import pyarrow.parquet as pq
+
+        return pq.ParquetFile(self.path(task)).read()
+
+
+class replace_file:  # noqa: N801 - used as a function
+    """Within it, a draft may be written that takes the place of ``path`` at the end, whole or not at all."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.draft = path, path.with_name(f"{path.name}.{os.getpid()}.part")
+
+    def __enter__(self) -> Path:
+        return self.draft
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            os.replace(self.draft, self.path)
+        else:
+            self.draft.unlink(missing_ok=True)
+
+
+def _write_text(path: Path, text: str) -> None:
+    with replace_file(path) as draft:
+        draft.write_text(text, encoding="utf-8")
+
+
+def _differing(old: Any, new: Mapping[str, Any]) -> str:
+    """What of a folder's mark does not agree with a suite; "" when an episode would come out the same."""
+    try:
+        before, after = dict(old["suite"]), dict(new["suite"])
+        for key in ("agents", "reference", "title"):
+            before.pop(key, None), after.pop(key, None)
+        if old["source"] != new["source"]:
+            return f"version of the code ({old['version']}, {old['source']})"
+        other = [name for name, digest in new["agents"].items() if old["agents"].get(name, digest) != digest]
+        if other:
+            return f"agent under the name '{other[0]}'"
+        before["seeds"], after["seeds"] = before["seeds"]["split"], after["seeds"]["split"]
+        return next((key for key in after if before.get(key) != after[key]), "")
+    except (KeyError, TypeError, AttributeError):
+        return "kind of suite.json"

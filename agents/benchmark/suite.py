@@ -1,0 +1,157 @@
+"""Suites: which environments, skies, faults, agents and seeds a benchmark drives."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Self
+
+from pydantic import field_validator, model_validator
+
+from lanebound.agents.benchmark.outcome import Place, Task
+from lanebound.agents.benchmark.seeds import SPLITS, Split
+from lanebound.envs import FaultLevel
+from lanebound.integrity.config import Config, Field, deep_merge
+from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.presets import parse_yaml, preset_names
+
+__all__ = ["AgentConfig", "SeedsConfig", "SuiteConfig", "load_suite", "parse_agents"]
+
+NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*")
+FOLDER = "suites/"
+NEEDS: dict[str, dict[str, Any]] = {"oracle": {"observation": {"integrity": "oracle"}}}
+
+
+class SeedsConfig(Config):
+    """Which seeds: the first so many of a published split."""
+
+    split: Split = Field("test", description="train, to tune on, or test, held out; see seeds.py")
+    count: int = Field(50, ge=1, le=10_000, description="number of episodes of each agent in each cell")
+
+    @model_validator(mode="after")
+    def _split_suffices(self) -> Self:
+        there = len(SPLITS[self.split])
+        if self.count > there:
+            raise ConfigError(f"count must be <= {there} in the split {self.split}, got {self.count}: take fewer")
+        return self
+
+    @property
+    def seeds(self) -> range:
+        """The seeds themselves."""
+        return SPLITS[self.split][: self.count]
+
+
+class AgentConfig(Config):
+    """Who drives."""
+
+    agent: str = Field(description="name of an agent, model.zip (SB3), model.onnx, or package.module:callable")
+    config: Mapping[str, Any] = Field({}, description="what this agent needs of its environment, merged over the suite")
+
+
+class SuiteConfig(Config):
+    """Everything that a benchmark drives; its cells are envs x skies x faults x agents.
+
+    ``agents`` may be written as a list of names, or as a mapping from names to what :class:`AgentConfig` calls agent,
+    or to both of its fields.
+
+    >>> suite = SuiteConfig.load({"envs": ["LaneKeeping"], "agents": ["nominal", {"mine": "runs/model.zip"}]})
+    >>> suite.envs, suite.agents["mine"].agent, suite.seeds.seeds[0]
+    (('LaneKeeping-v0',), 'runs/model.zip', 10000)
+    """
+
+    title: str = Field("", description="what it is for, in a line")
+    envs: tuple[str, ...] = Field(min_length=1, description="ids, ours without lanebound/")
+    skies: tuple[str, ...] = Field(("urban",), min_length=1, description="levels of the sky")
+    faults: tuple[FaultLevel, ...] = Field((FaultLevel.NONE,), min_length=1, description="levels of faults")
+    agents: Mapping[str, AgentConfig] = Field(min_length=1, description="by the names they go by in results")
+    reference: str = Field("nominal", description="agent that the others are paired with, seed by seed")
+    seeds: SeedsConfig = Field(SeedsConfig(), description="which seeds")
+    overrides: Mapping[str, Any] = Field({}, description="of the configuration of every environment, merged deeply")
+    episode_timeout_s: float = Field(600.0, gt=0, description="that an agent may take in an episode, wall clock")
+
+    @field_validator("envs", mode="before")
+    @classmethod
+    def _envs_exist(cls, names: Any) -> Any:
+        if not isinstance(names, list | tuple) or not all(isinstance(name, str) for name in names):
+            return names
+        from lanebound.agents.episodes.opening import full_id
+
+        return tuple(full_id(name).removeprefix("lanebound/") for name in names)
+
+    @field_validator("agents", mode="before")
+    @classmethod
+    def _agents_in_full(cls, given: Any) -> Any:
+        if isinstance(given, list | tuple):
+            entries = [item if isinstance(item, Mapping) else {item: item} for item in given]
+            given = {name: agent for entry in entries for name, agent in entry.items()}
+        if not isinstance(given, Mapping):
+            return given
+        return {name: {"agent": agent} if isinstance(agent, str) else agent for name, agent in given.items()}
+
+    @field_validator("agents")
+    @classmethod
+    def _names_fit_files(cls, agents: Mapping[str, AgentConfig]) -> Mapping[str, AgentConfig]:
+        for name in agents:
+            if not NAME.fullmatch(name):
+                raise ConfigError(
+                    f"a name of an agent must be letters, digits and _.+-, got {name!r}: write 'name: {name}'"
+                )
+        return agents
+
+    @property
+    def places(self) -> list[Place]:
+        """Where episodes are driven, in order."""
+        return [Place(e, s, f.value) for e in self.envs for s in self.skies for f in self.faults]
+
+    def tasks(self) -> Iterator[Task]:
+        """All episodes in the order of the work: env by env, and in each of them seed by seed.
+
+        So what is finished early has as many seeds of every sky and agent.
+        """
+        for env in self.envs:
+            here = [place for place in self.places if place.env == env]
+            for seed in self.seeds.seeds:
+                yield from (Task(place, agent, seed) for place in here for agent in self.agents)
+
+    def env_overrides(self, place: Place, agent: str) -> dict[str, Any]:
+        """What an agent's environment changes of what its id presets."""
+        chosen = self.agents[agent]
+        needed = deep_merge(NEEDS.get(chosen.agent, {}), chosen.config)
+        return deep_merge(deep_merge(self.overrides, {"sky": place.sky, "faults": place.faults}), needed)
+
+
+def parse_agents(text: str) -> dict[str, str]:
+    """Agents from a command line: ``nominal,mine=runs/model.zip``."""
+    found = {}
+    for part in filter(None, (item.strip() for item in text.split(","))):
+        name, equals, agent = part.partition("=")
+        found[name] = agent if equals else name
+    return found
+
+
+def load_suite(name: str, overrides: Mapping[str, Any] | None = None) -> SuiteConfig:
+    """A packaged suite by its name, or one of your own by the path of its YAML file.
+
+    Raises
+    ------
+    ConfigError
+        There is none, or a value is refused.
+    """
+    changes = overrides or {}
+    if name.endswith((".yaml", ".yml")):
+        try:
+            data = parse_yaml(Path(name).read_text(encoding="utf-8"), name)
+        except OSError as error:
+            raise ConfigError(
+                f"suite must be a file that can be read, got {name} ({error}): correct the path"
+            ) from None
+        if isinstance(data, Mapping):
+            data = {key: value for key, value in data.items() if key != "kind"}
+        return SuiteConfig.build(data, changes)
+    known = [preset.removeprefix(FOLDER) for preset in preset_names() if preset.startswith(FOLDER)]
+    if name not in known:
+        raise ConfigError(
+            f"suite '{name}' is unknown: known are {', '.join(known)}, or give the path of a YAML file of your own"
+        )
+    return SuiteConfig.preset(FOLDER + name, changes)

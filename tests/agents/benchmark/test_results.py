@@ -1,0 +1,114 @@
+"""Results: put together, saved, loaded; what counts and what does not."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import asdict
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from benchmarks import made_up_folder, made_up_outcome, made_up_results, made_up_suite
+
+from lanebound.agents.benchmark.metrics import MAIN, METRICS, metric_named
+from lanebound.agents.benchmark.outcome import Outcome
+from lanebound.agents.benchmark.results import Results
+from lanebound.agents.benchmark.store import STORED
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    out = tmp_path_factory.mktemp("results")
+    made_up_folder(out, seeds={"count": 3})
+    return out
+
+
+def test_a_cell_for_each_agent_at_each_place():
+    results = made_up_results()
+    assert len(results.cells) == 2 * 2 * 3
+    assert results.missing == []
+    cell = results.cell(results.suite.places[1], "nominal")
+    here = [o for o in results.outcomes if o.task.place == cell.place and o.agent == "nominal"]
+    assert cell.metrics["return"].mean == pytest.approx(np.mean([o.total_return for o in here]))
+    assert cell.metrics["return"].low < cell.metrics["return"].mean < cell.metrics["return"].high
+    assert set(cell.metrics) == {metric.key for metric in METRICS} >= set(MAIN)
+
+
+def test_pairs_are_by_seed_and_against_the_reference():
+    results = made_up_results()
+    pair = next(p for p in results.paired if p.metric == "return" and p.agent == "random")
+    by_agent = {
+        agent: [o.total_return for o in results.outcomes if o.task.place == pair.place and o.agent == agent]
+        for agent in ("random", "nominal")
+    }
+    gaps = np.subtract(by_agent["random"], by_agent["nominal"])
+    assert pair.against == "nominal"
+    assert pair.difference == pytest.approx(gaps.mean())
+    assert pair.better == np.mean(gaps > 0)
+    assert pair.clear
+    assert {p.agent for p in results.paired} == {"random", "integrity_aware"}
+
+
+def test_what_an_agent_that_failed_did_counts_as_failure_and_as_nothing_else():
+    suite = made_up_suite(envs=["LaneKeeping"], skies=["urban"], seeds={"count": 2})
+    outcomes = [made_up_outcome(task, status="timeout") for task in suite.tasks() if task.agent == "random"]
+    outcomes[0] = made_up_outcome(outcomes[0].task, total_return=7.0, success=True)
+    cell = Results.of(suite, outcomes).cells[0]
+    assert (cell.episodes, cell.failed, cell.metrics["failed"].mean) == (2, 1, 0.5)
+    assert (cell.metrics["return"].mean, cell.metrics["return"].n) == (7.0, 1)
+    assert cell.metrics["success"].n == 2
+
+
+def test_what_was_not_driven_is_missing_and_what_cannot_be_is_not():
+    suite = made_up_suite(seeds={"count": 1})
+    outcomes = [made_up_outcome(task) for task in suite.tasks() if task.place.env == "LaneKeeping-v0"]
+    results = Results.of(suite, outcomes, [("CarFollowing-v0", "random", "no reason")])
+    assert results.missing == [
+        f"CarFollowing-v0/{sky}-none/{agent}/10000"
+        for sky in ("urban", "dense")
+        for agent in ("nominal", "integrity_aware")
+    ]  # fmt: skip
+
+
+def test_a_folder_gives_back_what_was_put_in(folder):
+    results = Results.load(folder)
+    again = Results.load(folder)
+    assert results == again
+    assert results.suite == made_up_suite(seeds={"count": 3})
+    assert [o.id for o in results.failures] == ["CarFollowing-v0/dense-none/integrity_aware/10002"]
+    assert results.outcomes[:-1] == [made_up_outcome(task) for task in results.suite.tasks()][:-1]
+    rows = results.rows(results.outcomes[0])
+    assert rows.column_names == [column.name for column in STORED]
+    assert rows.num_rows == results.outcomes[0].steps + 1
+
+
+def test_the_files_agree(folder):
+    results = Results.load(folder)
+    data = json.loads((folder / "results.json").read_text(encoding="utf-8"))
+    assert data == json.loads(json.dumps(results.to_dict()))
+    assert [Outcome.from_dict(o) for o in data["outcomes"]] == results.outcomes
+    with (folder / "results.csv").open(encoding="utf-8", newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert len(lines) == len(results.cells) * len(METRICS)
+    assert float(lines[0]["mean"]) == results.cells[0].metrics["success"].mean
+    table = pq.read_table(folder / "episodes.parquet").to_pylist()
+    assert [row["id"] for row in table] == [o.id for o in results.outcomes]
+    assert table[0]["share_rtk"] == results.outcomes[0].mode_shares["rtk"]
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "episodes", "episodes.parquet", "results.csv", "results.json", "suite.json",
+    ]  # fmt: skip
+
+
+def test_outcomes_hold_no_infinity_and_ignore_what_they_do_not_know():
+    outcome = made_up_outcome(next(made_up_suite().tasks()), pl_at_median_m=float("inf"))
+    assert outcome.to_dict()["pl_at_median_m"] is None
+    assert Outcome.from_dict(asdict(outcome) | {"from_the_future": 1}) == outcome
+    assert set(outcome.to_dict()) - set(outcome.lasting()) == {"solve_ms_median", "solve_ms_p99"}
+
+
+def test_metrics_are_named_once():
+    keys = [metric.key for metric in METRICS]
+    assert len(set(keys)) == len(keys)
+    assert metric_named("gap").better is None
+    assert all(metric.meaning and metric.title for metric in METRICS)
