@@ -1,0 +1,80 @@
+"""Short films of episodes, driven once more with pictures, small enough to lie inside a page."""
+
+from __future__ import annotations
+
+import base64
+import subprocess
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from lanebound.agents.benchmark.outcome import Outcome
+from lanebound.agents.benchmark.suite import SuiteConfig
+
+__all__ = ["Clip", "film_clip", "shrink"]
+
+LAST_S = 12.0  # of the episode: where it ends badly
+WIDTH_PX = 640
+FPS = 10
+QUALITY = (31, 36, 41)  # constant rate factors of x264, tried until a clip is small enough
+LARGEST_BYTES = 1_200_000
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A film of an episode's end.
+
+    Attributes
+    ----------
+    address : the film itself, as a ``data:`` address; "" when there is none
+    trouble : why there is none
+    """
+
+    outcome: Outcome
+    address: str = ""
+    trouble: str = ""
+
+
+def film_clip(suite: SuiteConfig, outcome: Outcome) -> Clip:
+    """Drive an episode again and keep its last seconds; trouble is told, not raised, as a report is due in any case."""
+    with tempfile.TemporaryDirectory() as folder:
+        whole, small = Path(folder) / "whole.mp4", Path(folder) / "small.mp4"
+        try:
+            film_episode(suite, outcome, whole)
+            return Clip(outcome, _address(shrink(whole, small, outcome.time_s)))
+        except Exception as error:  # agents are anybody's code
+            return Clip(outcome, trouble=f"{type(error).__name__}: {error}")
+
+
+def film_episode(suite: SuiteConfig, outcome: Outcome, path: Path) -> None:
+    """Drive an episode of a suite again, with a film of all of it."""
+    from lanebound.agents.drivers import make_agent
+    from lanebound.agents.episodes import drive, open_env
+    from lanebound.agents.episodes.film import Film
+
+    place = outcome.task.place
+    env = open_env(place.env, suite.env_overrides(place, outcome.agent), "rgb_array")
+    try:
+        with Film(env, path, FPS) as film:
+            drive(env, make_agent(suite.agents[outcome.agent].agent, env), [outcome.seed], [film])
+    finally:
+        env.close()
+
+
+def shrink(whole: Path, small: Path, length_s: float) -> bytes:
+    """The last seconds of a film, scaled down and compressed until they are small enough."""
+    from imageio_ffmpeg import get_ffmpeg_exe
+
+    start = max(0.0, length_s - LAST_S)
+    for quality in QUALITY:
+        command = [get_ffmpeg_exe(), "-v", "error", "-y", "-ss", f"{start:.2f}", "-i", str(whole), "-an"]
+        command += ["-vf", f"scale={WIDTH_PX}:-2:flags=area", "-c:v", "libx264", "-preset", "slow"]
+        command += ["-crf", str(quality), "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(small)]
+        subprocess.run(command, check=True, stdin=subprocess.DEVNULL, capture_output=True)
+        if small.stat().st_size <= LARGEST_BYTES:
+            break
+    return small.read_bytes()
+
+
+def _address(film: bytes) -> str:
+    return "data:video/mp4;base64," + base64.b64encode(film).decode("ascii")

@@ -1,0 +1,95 @@
+"""What the stored episodes of a benchmark show beyond their outcomes: records to assess, and which were the worst."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.agents.benchmark.outcome import Outcome
+from lanebound.agents.benchmark.results import Results
+from lanebound.agents.report.looks import Actor
+from lanebound.agents.report.trace import Trace
+from lanebound.integrity.assessment.record import AXES, Record
+from lanebound.integrity.positioning.modes import Mode
+
+__all__ = ["badness", "pooled", "trace_of", "what_happened", "worst_of"]
+
+CODES = {mode.key: int(mode) for mode in Mode}
+BAD_ENDS = ("collision", "off road", "wrong way")
+SECONDS = "time_s"
+TAKEN = ("time_s", "mode", "err_at_m", "err_ct_m", "pl_at_m", "pl_ct_m", "al_at_m", "al_ct_m", "alert", "available")
+Columns = dict[str, NDArray[Any]]
+
+
+def trace_of(results: Results, outcome: Outcome) -> Trace | None:
+    """Belief and truth of an episode after every decision; None where nothing is kept of it."""
+    columns = _columns(results, outcome)
+    return None if columns is None else _traced([columns])
+
+
+def pooled(results: Results, outcomes: Iterable[Outcome]) -> Trace | None:
+    """The same of many episodes, one after the other; their time counts decisions and means nothing."""
+    parts = [columns for outcome in outcomes if (columns := _columns(results, outcome)) is not None]
+    return _traced(parts) if parts else None
+
+
+def _columns(results: Results, outcome: Outcome) -> Columns | None:
+    """Columns of the decisions whose errors are finite."""
+    table = results.rows(outcome)
+    if table is None or table.num_rows < 2:
+        return None
+    found: Columns = {name: np.asarray(table[name].to_pylist()) for name in TAKEN}
+    keep = np.isfinite(found["err_at_m"].astype(float)) & np.isfinite(found["err_ct_m"].astype(float))
+    keep[0] = False
+    return {name: values[keep] for name, values in found.items()} if keep.any() else None
+
+
+def _traced(parts: Sequence[Columns]) -> Trace:
+    """One record; where alert limits change, errors and levels are scaled so that each keeps its ratio to its limit."""
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in TAKEN}
+    limits = {axis: joined[f"al_{axis}_m"].astype(float) for axis in AXES}
+    first = {axis: float(limit[0]) for axis, limit in limits.items()}
+    ratio = {axis: first[axis] / limit for axis, limit in limits.items()}
+    many = len(parts) > 1
+    record = Record(
+        time_s=np.arange(1.0, joined[SECONDS].size + 1.0) if many else joined[SECONDS].astype(float),
+        mode=np.array([CODES[key] for key in joined["mode"]]),
+        error_at_m=joined["err_at_m"].astype(float) * ratio["at"],
+        error_ct_m=joined["err_ct_m"].astype(float) * ratio["ct"],
+        pl_at_m=joined["pl_at_m"].astype(float) * ratio["at"],
+        pl_ct_m=joined["pl_ct_m"].astype(float) * ratio["ct"],
+        alert=joined["alert"].astype(bool),
+        available=joined["available"].astype(bool),
+    )
+    return Trace(record, first["at"], first["ct"])
+
+
+def what_happened(outcome: Outcome) -> str:
+    """Why an episode counts as a failure, in a few words; "" when it is none."""
+    if outcome.failed:
+        return f"{outcome.status.replace('_', ' ')}: {outcome.message}" if outcome.message else outcome.status
+    if outcome.ended in BAD_ENDS:
+        return outcome.ended
+    return "" if outcome.success else f"no success, {outcome.ended}"
+
+
+def badness(outcome: Outcome) -> tuple[int, float]:
+    """Order of the worst: those that ended badly first, then by cost."""
+    return int(outcome.ended in BAD_ENDS), outcome.cost
+
+
+def worst_of(outcomes: Iterable[Outcome], actors: Mapping[str, Actor], count: int) -> list[Outcome]:
+    """The worst episode of each agent, the worst first; agents that failed or act at random show nothing of interest.
+
+    Where nobody else drove, those that act at random are shown.
+    """
+    driven = [o for o in outcomes if not o.failed]
+    serious = [o for o in driven if not actors[o.agent].chance] or driven
+    worst: dict[str, Outcome] = {}
+    for outcome in serious:
+        if outcome.agent not in worst or badness(outcome) > badness(worst[outcome.agent]):
+            worst[outcome.agent] = outcome
+    return sorted(worst.values(), key=badness, reverse=True)[:count]

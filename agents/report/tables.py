@@ -1,0 +1,140 @@
+"""Tables of a report: agents by metrics with intervals, and places by agents."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from lanebound.agents.benchmark.metrics import MAIN, METRICS, Metric, metric_named
+from lanebound.agents.benchmark.outcome import Place
+from lanebound.agents.benchmark.results import Cell, Estimate
+from lanebound.agents.report.looks import Actor, clear_best, slug_of, title_of, unit_of
+from lanebound.agents.report.numbers import SHARE, plain
+
+__all__ = ["Entry", "Head", "Overview", "Table", "all_metrics", "head_of", "main_table", "overviews"]
+
+ARROWS = {"higher": "↑", "lower": "↓"}
+
+
+@dataclass(frozen=True)
+class Head:
+    """The head of a metric: its title, unit, the arrow to the good side, and what that says."""
+
+    key: str
+    title: str
+    unit: str
+    arrow: str
+    better: str
+    meaning: str
+
+    @property
+    def both(self) -> tuple[str, str]:
+        """Key and title."""
+        return self.key, self.title
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A mean and its interval as text; ``best`` where it is clear of all others."""
+
+    mean: str
+    interval: str = ""
+    best: bool = False
+    iqm: str = ""
+
+
+@dataclass(frozen=True)
+class Row:
+    """An agent, how many episodes it drove, and its entries."""
+
+    actor: Actor
+    episodes: int
+    failed: int
+    entries: list[Entry]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Agents by metrics."""
+
+    heads: list[Head]
+    rows: list[Row]
+
+
+@dataclass(frozen=True)
+class Overview:
+    """One metric: places by agents; each line is ``(title, slug, entries)``."""
+
+    head: Head
+    agents: list[Actor]
+    lines: list[tuple[str, str, list[Entry]]]
+
+
+def head_of(metric: Metric) -> Head:
+    """How a metric is headed."""
+    unit = unit_of(metric)
+    better = f"{metric.better} is better" if metric.better else ""
+    return Head(
+        metric.key, metric.title, "" if unit == SHARE else unit, ARROWS.get(metric.better or "", ""), better,
+        metric.meaning,
+    )  # fmt: skip
+
+
+def main_table(cells: Sequence[Cell], actors: Mapping[str, Actor]) -> Table:
+    """The main metrics of the agents at one place."""
+    return _table(cells, actors, [metric_named(key) for key in MAIN])
+
+
+def all_metrics(cells: Sequence[Cell], actors: Mapping[str, Actor]) -> Table:
+    """All metrics that anybody has a figure of."""
+    return _table(cells, actors, [m for m in METRICS if any(cell.metrics[m.key].n for cell in cells)])
+
+
+def _table(cells: Sequence[Cell], actors: Mapping[str, Actor], metrics: Sequence[Metric]) -> Table:
+    columns = [_entries(metric, cells, actors) for metric in metrics]
+    rows = [
+        Row(actors[cell.agent], cell.episodes, cell.failed, [column[i] for column in columns])
+        for i, cell in enumerate(cells)
+    ]
+    return Table([head_of(metric) for metric in metrics], rows)
+
+
+def _entries(metric: Metric, cells: Sequence[Cell], actors: Mapping[str, Actor]) -> list[Entry]:
+    """One metric of the agents at one place; those that see the truth do not compete."""
+    found = {cell.agent: cell.metrics[metric.key] for cell in cells}
+    rivals = [(name, e.low, e.high) for name, e in found.items() if not actors[name].bound]
+    best = clear_best(rivals, metric.better)
+    return [_entry(estimate, unit_of(metric), name == best) for name, estimate in found.items()]
+
+
+def _entry(estimate: Estimate, unit: str, best: bool) -> Entry:
+    iqm = _with_interval(estimate.iqm, estimate.iqm_low, estimate.iqm_high, unit)
+    return Entry(plain(estimate.mean, unit), _bare(estimate.low, estimate.high, unit), best, " ".join(iqm))
+
+
+def _with_interval(mean: float | None, low: float | None, high: float | None, unit: str) -> tuple[str, str]:
+    return plain(mean, unit), _bare(low, high, unit)
+
+
+def _bare(low: float | None, high: float | None, unit: str) -> str:
+    """An interval in brackets; the percent sign stands with the mean already."""
+    if low is None or high is None:
+        return ""
+    return f"[{plain(low, unit)}, {plain(high, unit)}]".replace(" %", "")
+
+
+def overviews(places: Mapping[Place, Sequence[Cell]], actors: Mapping[str, Actor]) -> list[Overview]:
+    """A table of all places for each main metric."""
+    driven = {cell.agent for cells in places.values() for cell in cells}
+    agents = [actor for name, actor in actors.items() if name in driven]
+    return [_overview(metric_named(key), places, agents, actors) for key in MAIN]
+
+
+def _overview(
+    metric: Metric, places: Mapping[Place, Sequence[Cell]], agents: Sequence[Actor], actors: Mapping[str, Actor]
+) -> Overview:
+    lines = []
+    for place, cells in places.items():
+        found = dict(zip((cell.agent for cell in cells), _entries(metric, cells, actors), strict=True))
+        lines.append((title_of(place), slug_of(place), [found.get(a.name, Entry("")) for a in agents]))
+    return Overview(head_of(metric), list(agents), lines)

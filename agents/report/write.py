@@ -1,0 +1,153 @@
+"""The report of a benchmark: one page that needs nothing beside it."""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
+
+from lanebound.agents.benchmark.metrics import METRICS
+from lanebound.agents.benchmark.outcome import Outcome, Place
+from lanebound.agents.benchmark.results import Cell, Results
+from lanebound.agents.benchmark.store import replace_file
+from lanebound.agents.report.clips import Clip, film_clip
+from lanebound.agents.report.commands import replay_command
+from lanebound.agents.report.episodes import badness, what_happened, worst_of
+from lanebound.agents.report.looks import Actor, actors_of, title_of
+from lanebound.agents.report.tables import head_of, overviews
+from lanebound.agents.report.trace import MODE_COLOURS
+from lanebound.agents.report.views import causes, view_of
+
+__all__ = ["NAME", "render", "write_report"]
+
+NAME = "report.html"
+PACKAGES = ("lanebound", "gymnasium", "highway-env", "numpy", "numba", "scipy", "stable-baselines3", "torch")
+LISTED = 20  # failures of an agent at a place that are shown with their commands; of the others the seeds alone
+OPEN_PLACES = 3  # with more, each place is folded up
+
+
+@dataclass(frozen=True)
+class Failures:
+    """Failures of an agent at a place."""
+
+    title: str
+    agent: str
+    driven: int
+    kinds: list[tuple[str, int]]
+    listed: list[tuple[Outcome, str, str]]
+    others: list[int]
+    count: int
+
+
+def write_report(results: Results, out: Path, clips: int = 3) -> Path:
+    """Write the page ``report.html`` into the folder ``out``; returns its path.
+
+    Parameters
+    ----------
+    results : of a suite, finished or not
+    out : a folder, made if need be
+    clips : how many of the worst episodes are driven again for a film, each at another place; 0 for none
+
+    Returns
+    -------
+    The page: style, script, pictures and films lie inside it, and it asks nothing of any network.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / NAME
+    with replace_file(path) as draft:
+        draft.write_text(render(results, clips), encoding="utf-8")
+    return path
+
+
+def render(results: Results, clips: int = 0) -> str:
+    """The page as text."""
+    actors = actors_of(results.suite)
+    places = _places(results)
+    page = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
+    return page.from_string(_part("page.html")).render(
+        style=Markup(_part("page.css")),
+        script=Markup(_part("page.js")),
+        suite=results.suite,
+        places=[view_of(results, place, cells, actors) for place, cells in places.items()],
+        folded=len(places) > OPEN_PLACES,
+        overviews=overviews(places, actors) if len(places) > 1 else [],
+        actors=list(actors.values()),
+        episodes=len(results.outcomes),
+        missing=len(results.missing),
+        left_out=results.left_out,
+        clips=_clips(results, places, actors, clips),
+        failures=_failures(results),
+        failed_agents=len(results.failures),
+        metrics=[head_of(metric) for metric in METRICS],
+        causes=causes(),
+        modes=[(mode.label, colour) for mode, colour in MODE_COLOURS.items()],
+        definition=json.dumps(results.suite.to_dict(), indent=2, ensure_ascii=False),
+        versions=_versions(results.folder),
+        title_of=title_of,
+        replay=lambda outcome: replay_command(results.folder, outcome),
+    )
+
+
+def _part(name: str) -> str:
+    """A file beside this one."""
+    return (files("lanebound.agents.report") / name).read_text(encoding="utf-8")
+
+
+def _places(results: Results) -> dict[Place, list[Cell]]:
+    """The places where somebody has driven, in the order of the suite."""
+    found: dict[Place, list[Cell]] = {}
+    for cell in results.cells:
+        found.setdefault(cell.place, []).append(cell)
+    return found
+
+
+def _clips(results: Results, places: Mapping[Place, Any], actors: Mapping[str, Actor], count: int) -> list[Clip]:
+    """Films of the worst episodes, the worst of all first, one at each place."""
+    if count < 1:
+        return []
+    worst: list[Outcome] = []
+    for place in places:
+        worst += worst_of((o for o in results.outcomes if o.task.place == place), actors, 1)
+    chosen = sorted(worst, key=badness, reverse=True)[:count]
+    return [film_clip(results.suite, outcome) for outcome in chosen]
+
+
+def _failures(results: Results) -> list[Failures]:
+    groups: dict[tuple[Place, str], list[Outcome]] = {}
+    for outcome in results.outcomes:
+        groups.setdefault((outcome.task.place, outcome.agent), []).append(outcome)
+    found = [_failures_of(results, place, agent, group) for (place, agent), group in groups.items()]
+    return [failures for failures in found if failures.count]
+
+
+def _failures_of(results: Results, place: Place, agent: str, group: Sequence[Outcome]) -> Failures:
+    bad = [outcome for outcome in group if what_happened(outcome)]
+    kinds = Counter(o.status.replace("_", " ") if o.failed else what_happened(o) for o in bad)
+    shown = [(o, what_happened(o), replay_command(results.folder, o)) for o in bad[:LISTED]]
+    others = [outcome.seed for outcome in bad[LISTED:]]
+    return Failures(title_of(place), agent, len(group), kinds.most_common(), shown, others, len(bad))
+
+
+def _versions(folder: Path | None) -> list[tuple[str, str]]:
+    """What drove, and what it stood on."""
+    found = []
+    mark = None if folder is None else folder / "suite.json"
+    if mark is not None and mark.exists():
+        kept = json.loads(mark.read_text(encoding="utf-8"))
+        found = [("driven by lanebound", str(kept.get("version", ""))), ("digest of its code", str(kept.get("source")))]
+    found.append(("Python", platform.python_version()))
+    for name in PACKAGES:
+        try:
+            found.append((name, version(name)))
+        except PackageNotFoundError:
+            continue
+    return found
