@@ -33,6 +33,7 @@ Bools = NDArray[np.bool_]
 States = tuple[NDArray[Any], ...] | None
 NEEDED = ("ego.speed", "ego.lateral_offset", "road.speed_limit", "integrity.pl_ct", "integrity.alert")
 EPS = 1e-6
+WALK_MPS = 1.0  # slower, steering moves nothing
 
 
 class BarrierConfig(Config):
@@ -42,13 +43,17 @@ class BarrierConfig(Config):
     brake_mps2: float = Field(5.0, gt=0, description="b, braking that the ego is sure to reach; dry road")
     lead_brake_mps2: float = Field(6.0, gt=0, description="B >= b, hardest braking of the leader; RSS, dry road")
     standstill_m: float = Field(1.0, ge=0, description="gap that is left when both stand; argued")
-    response_s: float = Field(0.3, ge=0, description="tau, age of what is known of the leader at most; V2V at 10 Hz")
-    speed_error_mps: float = Field(0.3, ge=0, description="error of the leader's speed; argued")
+    response_s: float = Field(0.1, ge=0, description="tau, to spare beyond the ages that are known; an epoch, argued")
+    speed_error_mps: float = Field(0.25, ge=0, description="odometer's error at most; 5 sigma of 0.05 m/s")
+    speed_share: float = Field(0.015, ge=0, description="and of its scale [-]; 5 sigma of 0.003, slip added by braking")
+    lag_s: float = Field(0.06, ge=0, description="half an epoch of 0.1 s, and slip of 1e-3 s2/m at 10 m/s")
+    creep_mps: float = Field(0.15, ge=0, description="slower than this odometers show nothing; as inductive ones")
     growth_mps: float = Field(1.5, ge=0, description="growth of PL_AT of both together; two cars in an outage")
-    lane_extra_m: float = Field(1.0, ge=0, description="the lane is widened by PL_CT, by this at most; half a car")
+    lane_extra_m: float = Field(20.0, ge=0, description="the lane is widened by PL_CT, by this at most; all that shows")
     preview_s: float = Field(1.0, gt=0, description="over which the lane barrier looks ahead; argued")
+    lane_floor_m: float = Field(0.15, gt=0, description="M at least, for the believed middle; a hand's breadth, argued")
     car_width_m: float = Field(2.0, gt=0, description="of highway-env's cars")
-    slow_share: float = Field(0.48, gt=0, le=1, description="of the limit, when no steering is safe enough")
+    slow_share: float = Field(0.48, gt=0, le=1, description="of the limit, while the lane is kept by slack")
     slow_mps2: float = Field(2.0, gt=0, description="braking down to that; comfortable")
     speed_mps: float = Field(14.0, gt=0, description="taken for the limit where the map gives none; 50 km/h")
 
@@ -56,8 +61,10 @@ class BarrierConfig(Config):
 class BarrierFilter:
     """Passes on what a driver commands, or the nearest command that is safe.
 
-    Where no command is safe it carries out a stated manoeuvre: full braking ``-b`` for the following distance; for the
-    lane, the driver's own steering and slowing to a share of the limit.
+    Following comes first. Where no acceleration is safe it brakes fully, ``-b``: then ``h`` of the true state grows, so
+    that it stays positive even so. The lane comes second: where the levels leave no room it is kept with slack, as near
+    to its middle as a floor says, and the car slows to a share of the limit; where the wheel cannot get to the safe
+    angles, as near to them as it can.
 
     Parameters
     ----------
@@ -66,7 +73,9 @@ class BarrierFilter:
 
     Attributes
     ----------
-    counts : decisions, and in how many ``following`` and ``lane`` changed the command or had none that is safe
+    commanded_mps2 : acceleration of the last decision, by which the speed has changed since the odometer's epoch
+    counts : decisions, in how many ``following`` and ``lane`` changed the command or had none that is safe, and in how
+        many the lane was kept with slack
 
     Raises
     ------
@@ -82,7 +91,9 @@ class BarrierFilter:
         self.reader.require(NEEDED)
         if not self.reader.previews_m:
             raise InputError("observation.preview_m must name a distance for this agent, got none: add one")
-        self._inner = env.world.action_type
+        self._inner, self._limits = env.world.action_type, env.config.actuators
+        self._tick_s = 1.0 / env.config.simulation_hz
+        self.commanded_mps2: Array | float = 0.0
         self.counts: Counter[str] = Counter()
 
     def predict(
@@ -94,42 +105,73 @@ class BarrierFilter:
     ) -> tuple[NDArray[np.float32], States]:
         """The filtered action, and the driver's own state."""
         action, after = self.driver.predict(observation, state, episode_start, deterministic)
+        if episode_start is not None:
+            self.commanded_mps2 = np.where(episode_start.reshape(np.shape(action)[:-1]), 0.0, self.commanded_mps2)
         shares = np.array(action, dtype=np.float64)
         bounds = self._inner.acceleration_range
         wanted = value_of(shares[..., 0], bounds)
         top, stuck = self.acceleration_bound(observation)
-        lane_top, lost = self._slowing(observation)
+        lane_top = self._slowing(observation) if self._inner.lateral else np.inf
         self.counts["decisions"] += wanted.size
         self._count("following", top < wanted - EPS, stuck)
-        shares[..., 0] = share_of(np.minimum(np.minimum(wanted, top), lane_top), bounds)
+        commanded = np.clip(np.minimum(np.minimum(wanted, top), lane_top), *bounds)
+        shares[..., 0], self.commanded_mps2 = share_of(commanded, bounds), commanded
         if self._inner.lateral:
-            shares[..., 1] = self._steered(observation, shares[..., 1], lost)
+            shares[..., 1] = self._steered(observation, shares[..., 1])
         return shares.astype(np.float32), after
+
+    def fastest(self, speed_mps: Any, acceleration_mps2: Any) -> Any:
+        """The ego's speed at most, by what its odometer shows: the mean of the last epoch [m/s]."""
+        c = self.config
+        return (
+            speed_mps
+            + c.speed_error_mps
+            + c.speed_share * abs(speed_mps)
+            + c.lag_s * np.maximum(acceleration_mps2, 0.0)
+        )
+
+    def slowest(self, speed_mps: Any, age_s: Any) -> Any:
+        """A leader's speed at least, having braked as hard as it can since it said so [m/s]."""
+        c = self.config
+        return np.maximum(speed_mps - self._speed_bound(speed_mps) - c.lead_brake_mps2 * age_s, 0.0)
+
+    def strayed(self, speed_mps: Any, age_s: Any) -> Any:
+        """How far a leader may be from where the speed that it told of puts it, beyond its level [m]."""
+        return self._speed_bound(speed_mps) * age_s
+
+    def _speed_bound(self, speed_mps: Any) -> Any:
+        c = self.config
+        return c.speed_error_mps + c.speed_share * abs(speed_mps) + c.lag_s * c.lead_brake_mps2
 
     def acceleration_bound(self, observation: Observation) -> tuple[Array, Bools]:
         """Largest safe acceleration [m/s2], and where even full braking does not keep the barrier.
 
-        ``h = s - PL + v_lead^2 / 2B - s0 - v tau - v^2 / 2b`` with a leader that brakes with B from now on (then ``s +
-        v_lead^2 / 2B`` shrinks by the ego's way alone) becomes in a step ``h(u) = s - PL - dPL + v_lead^2 / 2B - s0 -
-        (v + u) T / 2 - u tau - u^2 / 2b``; the largest u with ``h(u) >= (1 - gamma) h``, h counted as 0 at least.
+        ``h = s - PL + v_lead^2 / 2B - s0 - v tau - v^2 / 2b``, every quantity at the worst end of its bound, with a
+        leader that brakes with B from now on (then ``s + v_lead^2 / 2B`` shrinks by the ego's way alone), becomes in a
+        step of n dynamic steps dt ``h(u) = h - dPL - way - ...``: ``s - PL - dPL + v_lead^2 / 2B - s0 - v (T + dt) / 2
+        - u (T - dt) / 2 - u tau - u^2 / 2b``; the largest u with ``h(u) >= (1 - gamma) h``, h counted as 0 at least.
         """
         c, dt, reader = self.config, self._dt_s, self.reader
-        v = np.maximum(reader.value(observation, "ego.speed"), 0.0)[..., None]
+        shown = reader.value(observation, "ego.speed")[..., None]
+        v = np.maximum(self.fastest(shown, np.asarray(self.commanded_mps2)[..., None]), 0.0)
+        least = -(shown[..., 0] + c.speed_error_mps) / dt
         if not reader.config.vehicles:
             return np.full(v.shape[:-1], np.inf), np.zeros(v.shape[:-1], dtype=np.bool_)
-        gap = reader.rows(observation, "lane_gap")
+        gap, age = reader.rows(observation, "lane_gap"), reader.rows(observation, "age")
         there = (reader.rows(observation, "present") > 0.5) & self._in_way(observation) & (gap > 0.0)
+        told = shown + reader.rows(observation, "velocity_ahead")
+        lead = self.slowest(told, age)
         s = gap - 0.5 * (reader.rows(observation, "length") + EGO_LENGTH_M) - reader.rows(observation, "pl_at")
-        lead = np.maximum(v + reader.rows(observation, "velocity_ahead") - c.speed_error_mps, 0.0)
-        room = s + 0.5 * lead**2 / c.lead_brake_mps2 - c.standstill_m
+        room = s - self.strayed(told, age) + 0.5 * lead**2 / c.lead_brake_mps2 - c.standstill_m
         h = np.maximum(room - v * c.response_s - 0.5 * v * v / c.brake_mps2, 0.0)
-        rest = room - c.growth_mps * dt - 0.5 * v * dt - (1.0 - c.gamma) * h
-        p = c.brake_mps2 * (c.response_s + 0.5 * dt)
+        rest = room - c.growth_mps * dt - 0.5 * v * (dt + self._tick_s) - (1.0 - c.gamma) * h
+        p = c.brake_mps2 * (c.response_s + 0.5 * (dt - self._tick_s))
         u = np.sqrt(p * p + 2.0 * c.brake_mps2 * np.maximum(rest, 0.0)) - p
-        bound = np.where(there, (u - v) / dt, np.inf).min(axis=-1)
-        stuck = bound < np.maximum(-c.brake_mps2, -v[..., 0] / dt) - EPS
-        stuck |= (there & (rest < 0.0)).any(axis=-1) & (v[..., 0] > EPS)
-        return np.where(stuck, -c.brake_mps2, bound), stuck
+        unsafe = there & (rest < 0.0)
+        bound = np.where(unsafe, -np.inf, np.where(there, (u - v) / dt, np.inf)).min(axis=-1)
+        hardest = np.maximum(least, -c.brake_mps2)
+        stuck = (bound < hardest - EPS) & (shown[..., 0] > c.creep_mps)
+        return np.maximum(bound, hardest), stuck
 
     def _in_way(self, observation: Observation) -> Bools:
         """Which vehicles may be in the ego's lane, by their levels across the track, (..., K)."""
@@ -140,17 +182,20 @@ class BarrierFilter:
         return near | (reader.rows(observation, "own_lane") > 0.5)
 
     def angle_bounds(self, observation: Observation) -> tuple[Array, Array, Bools]:
-        """Bounds of the steering angle [rad] that keep the car in its lane, and where there are none.
+        """Bounds of the steering angle [rad] that keep the car in its lane, and where they rest on slack.
 
         ``q = e + v t psi``, where the car would be after the preview t, stays within ``M = (w - W) / 2 - PL_CT``:
         ``-gamma M + (1 - gamma) q <= q(next) <= gamma M + (1 - gamma) q``, ``q(next) = q + v T psi + G beta``,
-        ``G = v T + (v T)^2 / L + 2 T v^2 t / L``. None for M < 0, nor at walking pace, where steering moves nothing.
+        ``G = v T + (v T)^2 / L + 2 T v^2 t / L``. e follows q as a lag of first order, so that it stays there too, and
+        one steering angle answers for q. Where M is below a floor no steering keeps a car in the lane that may be out
+        of it already: there the floor counts, which keeps what may stick out smallest.
         """
         c, dt, reader = self.config, self._dt_s, self.reader
         v = np.maximum(reader.value(observation, "ego.speed"), 0.0)
         e, psi, beta, _ = errors(reader, observation)
         width = reader.value(observation, "ego.lane_width")
-        m = 0.5 * (width - c.car_width_m) - reader.value(observation, "integrity.pl_ct")
+        free = 0.5 * (width - c.car_width_m) - reader.value(observation, "integrity.pl_ct")
+        m = np.maximum(free, c.lane_floor_m)
         way = v * dt
         reach = way + way**2 / EGO_LENGTH_M + 2.0 * way * v * c.preview_s / EGO_LENGTH_M
         q = e + v * c.preview_s * psi
@@ -159,24 +204,48 @@ class BarrierFilter:
         low, high = (
             np.arctan(2.0 * np.tan(np.clip(beta + (middle + side * c.gamma * m) / per, -1.0, 1.0))) for side in (-1, 1)
         )
-        return low, high, (m < 0.0) | (v < 1.0)
+        return low, high, (free < c.lane_floor_m) & (v >= WALK_MPS)
 
-    def _steered(self, observation: Observation, share: Array, lost: Bools) -> Array:
+    def _reachable(self, observation: Observation) -> tuple[Array, Array]:
+        """Steering angles that grip and the wheel's rate allow within a decision [rad]."""
+        limits, (low, high) = self._limits, self._inner.steering_range
+        v = np.maximum(self.reader.value(observation, "ego.speed"), 0.0)
+        now = self.reader.value(observation, "ego.steering")
+        grip = np.full(v.shape, np.pi / 2)
+        if limits is not None and limits.lateral_acceleration_mps2 is not None:
+            sine = np.minimum(limits.lateral_acceleration_mps2 * 0.5 * EGO_LENGTH_M / np.maximum(v, 0.1) ** 2, 0.99)
+            grip = np.arctan(2.0 * np.tan(np.arcsin(sine)))
+        rate = np.inf if limits is None or limits.steering_rate_radps is None else limits.steering_rate_radps
+        turn = rate * self._dt_s
+        return (
+            np.clip(np.maximum(-grip, now - turn), low, high),
+            np.clip(np.minimum(grip, now + turn), low, high),
+        )
+
+    def _lane(self, observation: Observation) -> tuple[Array, Array, Bools, Bools]:
+        """Bounds of steering, free at walking pace where it moves nothing; where there is slack; where no way is."""
+        low, high, slack = self.angle_bounds(observation)
+        least, most = self._reachable(observation)
+        rolls = self.reader.value(observation, "ego.speed") >= WALK_MPS
+        none = rolls & ((low > most) | (high < least))
+        return np.where(rolls, low, -np.pi), np.where(rolls, high, np.pi), slack, none
+
+    def _steered(self, observation: Observation, share: Array) -> Array:
         bounds = self._inner.steering_range
         wanted = value_of(share, bounds)
-        right, left, none = self.angle_bounds(observation)
-        safe = np.where(none, wanted, np.clip(wanted, np.minimum(right, left), left))
-        self._count("lane", np.abs(safe - wanted) > EPS, lost)
+        low, high, slack, none = self._lane(observation)
+        safe = np.clip(wanted, low, high)
+        self._count("lane", np.abs(safe - wanted) > EPS, none)
+        self.counts["lane slack"] += int(np.sum(slack))
         return np.where(safe == wanted, share, share_of(safe, bounds))
 
-    def _slowing(self, observation: Observation) -> tuple[Array, Bools]:
-        """Acceleration at most when no steering is safe enough, and where that is."""
+    def _slowing(self, observation: Observation) -> Array:
+        """Acceleration at most where the lane is kept by slack, or not at all."""
         c, v = self.config, self.reader.value(observation, "ego.speed")
         limit = self.reader.value(observation, "road.speed_limit")
         slow = c.slow_share * np.where(limit < self.reader.scale("road.speed_limit"), limit, c.speed_mps)
-        _, _, none = self.angle_bounds(observation)
-        lost = none & (v >= 1.0)
-        return np.where(lost, np.maximum((slow - v) / self._dt_s, -c.slow_mps2), np.inf), lost
+        _, _, slack, none = self._lane(observation)
+        return np.where(slack | none, np.maximum((slow - v) / self._dt_s, -c.slow_mps2), np.inf)
 
     def _count(self, name: str, changed: Bools, none: Bools) -> None:
         self.counts[f"{name} changed"] += int(np.sum(changed))

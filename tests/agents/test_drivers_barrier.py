@@ -21,8 +21,8 @@ LIMIT_MPS = 50.0 / 3.6
 class Constant:
     """Commands the same share of acceleration and steering at all times."""
 
-    def __init__(self, acceleration: float, steering: float = 0.0) -> None:
-        self.action = np.array([acceleration, steering], dtype=np.float32)
+    def __init__(self, acceleration: Any, steering: Any = 0.0) -> None:
+        self.action = np.stack([acceleration, steering], axis=-1).astype(np.float32)
 
     def predict(self, observation: Any, state: Any = None, *_: Any) -> tuple[np.ndarray, Any]:
         return self.action, state
@@ -134,10 +134,85 @@ def test_no_safe_command_means_the_stated_manoeuvre_and_is_counted(env):
     near = barrier.predict(seen(barrier.reader, 3.0, 0.0, integrity__pl_ct=0.2))[0]
     assert near[0] == pytest.approx(2.0 * (-C.brake_mps2 - low) / (high - low) - 1.0, abs=1e-6)
     assert barrier.counts["following infeasible"] == 1
+    assert barrier.counts["lane slack"] == 0
+
+
+def test_levels_beyond_the_lane_leave_slack_which_keeps_to_its_middle_and_slows(env):
+    barrier = BarrierFilter(env, Constant(0.5, 0.1))
+    (low, high), steering = env.world.action_type.acceleration_range, env.world.action_type.steering_range
     lost = barrier.predict(seen(barrier.reader, None, v=13.0, integrity__pl_ct=2.0))[0]
     assert lost[0] == pytest.approx(2.0 * (-C.slow_mps2 - low) / (high - low) - 1.0, abs=1e-6)
-    assert lost[1] == pytest.approx(0.1)
+    _, most, slack = barrier.angle_bounds(seen(barrier.reader, None, v=13.0, integrity__pl_ct=2.0))
+    assert slack
+    assert lost[1] == pytest.approx(float(most) / steering[1], abs=1e-6)
+    assert barrier.counts["lane slack"] == 1
+    assert barrier.counts["lane infeasible"] == 0
+
+
+def test_a_wheel_that_cannot_turn_fast_enough_is_counted(env):
+    barrier = BarrierFilter(env, Constant(0.0, 0.0))
+    shown = seen(barrier.reader, None, v=13.0, integrity__pl_ct=0.2, ego__lateral_offset=1.5, ego__steering=0.3)
+    barrier.predict(shown)
     assert barrier.counts["lane infeasible"] == 1
+
+
+def test_old_news_of_a_leader_and_the_acceleration_since_count(env):
+    barrier = BarrierFilter(env, Constant(1.0))
+    by_age = [
+        float(barrier.acceleration_bound(seen(barrier.reader, 25.0, traffic__v0_age=a))[0]) for a in (0, 0.1, 0.3, 1)
+    ]
+    assert by_age == sorted(by_age, reverse=True)
+    assert by_age[0] > by_age[-1] + 1.0
+    before = float(barrier.acceleration_bound(seen(barrier.reader, 25.0))[0])
+    barrier.commanded_mps2 = 5.0
+    assert float(barrier.acceleration_bound(seen(barrier.reader, 25.0))[0]) < before
+
+
+def test_no_error_within_the_bounds_makes_the_barrier_negative(env):
+    """400 cars at once, each with errors drawn anew or at the ends of their bounds, dynamics as highway-env's."""
+    n, steps, ticks = 400, 150, 4
+    rng, barrier, dt = np.random.default_rng(0), BarrierFilter(env, Constant(1.0)), env.dt_s
+    c, tick = barrier.config, dt / ticks
+    v = rng.uniform(0.0, 14.0, n)
+    lead, pl = v.copy(), rng.uniform(0.1, 3.0, n)
+    gap = c.standstill_m + c.response_s * v + 0.5 * v**2 / c.brake_mps2 - 0.5 * lead**2 / c.lead_brake_mps2 + 0.01
+    extreme, sign = rng.random(n) < 0.5, rng.choice([-1.0, 1.0], n)
+    least, age, commanded, brake = np.inf, 0.1, np.zeros(n), np.zeros(n)
+    barrier.driver = Constant(np.ones(n), np.zeros(n))
+    told, moved = lead.copy(), lead * age  # what was true ``age`` ago, and the way made since
+    for step in range(steps):
+        part = np.where(extreme, sign, rng.uniform(-1.0, 1.0, n))
+        shown = seen(barrier.reader, 50.0)[None].repeat(n, 0)
+        speed = (v - part * c.speed_error_mps) / (1.0 + part * c.speed_share) - c.lag_s * np.maximum(commanded, 0.0)
+        speed = np.where(np.abs(v) < c.creep_mps, 0.0, speed)
+        place = gap - moved + told * age  # brought forward at the speed told of
+        values = {
+            "ego.speed": speed,
+            "traffic.v0_lane_gap": place + part * pl + 5.0,
+            "traffic.v0_velocity_ahead": told + part * (c.speed_error_mps + c.speed_share * told) - speed,
+            "traffic.v0_pl_at": pl + 0.5 * 8.0 * age**2,
+            "traffic.v0_age": np.full(n, age),
+        }
+        for name, value in values.items():
+            shown[:, barrier.reader.columns.index(name)] = value / barrier.reader.scale(name)
+        low, high = env.world.action_type.acceleration_range
+        commanded = low + 0.5 * (barrier.predict(shown)[0][:, 0].astype(float) + 1.0) * (high - low)
+        if step % 5 == 0:
+            brake = np.where(rng.random(n) < 0.3, -c.lead_brake_mps2, rng.uniform(-3.0, 2.0, n))
+        for k in range(ticks):
+            if k == ticks - round(age / tick):
+                told, moved = lead.copy(), np.zeros(n)
+            gap += (lead - v) * tick
+            moved += lead * tick
+            v = v + commanded * tick
+            lead = np.clip(lead + brake * tick, 0.0, 14.0)
+        h = gap + 0.5 * lead**2 / c.lead_brake_mps2 - c.standstill_m
+        h -= c.response_s * np.maximum(v, 0.0) + 0.5 * np.maximum(v, 0.0) ** 2 / c.brake_mps2
+        least = min(least, float(h.min()))
+    assert least > -1e-3
+    assert least < 1.0  # the bounds are used
+    assert v.min() > -1.0
+    assert gap.min() > 0.9 * c.standstill_m
 
 
 def test_what_it_cannot_filter_is_refused():
