@@ -10,6 +10,7 @@ import typer
 from lanebound.agents.cli.advice import AdvisingGroup
 
 if TYPE_CHECKING:
+    from lanebound.agents.reproduce.barrier_promise import BarrierPromiseConfig
     from lanebound.agents.reproduce.urban_drive import UrbanDriveConfig
 
 __all__ = ["app"]
@@ -45,6 +46,61 @@ def urban_drive(
         changes = {key: value for key, value in (("seeds", seeds), ("minutes", minutes)) if value is not None}
         tables = _run_with_bar(_checked(assignments or [], changes, out), out)
         _report(tables, out, as_json)
+
+
+@app.command("barrier-promise")
+def barrier_promise(
+    out: Annotated[Path, typer.Option(help="Folder for promise.json; an interrupted run goes on there.")],
+    episodes: Annotated[int | None, typer.Option(min=1, help="Of each group; the study has 1,000.")] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes that drive at a time.")] = 1,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+) -> None:
+    """The barrier filter under reckless drivers: is its barrier ever negative, without faults and with them?
+
+    Example: lanebound reproduce barrier-promise --out out/barrier --episodes 100 --jobs 2
+    """
+    from lanebound.agents.cli.interrupt import stoppable
+    from lanebound.agents.reproduce.barrier_promise import BarrierPromiseConfig
+
+    with stoppable(lambda: f"finished parts are kept in {out}; run the same command again to go on"):
+        config = BarrierPromiseConfig() if episodes is None else BarrierPromiseConfig(episodes=episodes)
+        _report_promise(_promise_with_bar(config, out, jobs), out, as_json)
+
+
+def _promise_with_bar(config: BarrierPromiseConfig, out: Path, jobs: int) -> dict[str, Any]:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from lanebound.agents.cli.interrupt import wait_for
+    from lanebound.agents.reproduce.barrier_promise import run_promise
+
+    with Progress(console=Console(stderr=True)) as bar:
+        task = bar.add_task("episodes (kernels compile first)", total=None)
+        return wait_for(
+            lambda: run_promise(config, out, jobs, lambda done, of: bar.update(task, completed=done, total=of))
+        )
+
+
+def _report_promise(result: dict[str, Any], out: Path, as_json: bool) -> None:
+    from lanebound.agents.cli.output import print_json, print_table
+
+    if as_json:
+        print_json(result)
+        return
+    groups = list(result)
+    rows = [("episodes", *(result[g]["episodes"] for g in groups))]
+    for key in ("decisions", "kept", "broken", "exceptional", "lost", "unsafe starts"):
+        rows.append((key, *(result[g]["counts"].get(key, 0) for g in groups)))
+    named = sorted({name for g in groups for name in result[g]["exceptions"]})
+    rows += [(f"exceptions: {n}", *(result[g]["exceptions"].get(n, 0) for g in groups)) for n in named]
+    for key in ("following infeasible", "lane slack", "lane infeasible"):
+        rows.append((key, *(result[g]["filter"].get(key, 0) for g in groups)))
+    for key in ("crashes", "integrity_risk", "level_exceeded_per_decision", "barrier_lost_per_decision"):
+        rows.append((key.replace("_", " "), *(result[g][key] for g in groups)))
+    rows.append(("least barrier [m]", *(_short(result[g]["least_barrier_m"]) for g in groups)))
+    print_table("The barrier's promise, by faults injected", ("", *groups), rows)
+    typer.echo("broken: the barrier went negative by a decision for which every assumption held; none may be.")
+    typer.echo(f"promise.json: {out}")
 
 
 def _kept(out: Path) -> str:

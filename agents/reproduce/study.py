@@ -30,7 +30,7 @@ from lanebound.integrity.drive import CityDrive
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.sky.city import City
 
-__all__ = ["claim", "is_short", "lookup", "rows_against_paper", "run_study", "summarise", "verdict"]
+__all__ = ["claim", "is_short", "lookup", "rows_against_paper", "run_study", "summarise", "verdict", "write_whole"]
 
 ALERT_LIMIT_M = 1.0  # S1 section 5
 FIGURE_RISKS = {"1e-4": 1, "1e-6": 3}  # S1 figures 3 and 4
@@ -62,12 +62,12 @@ def run_study(
             drives = drive(config, road, mask, seeds, told)
             if first == 0:
                 _figures(drives, city, out)
-            _write_whole(part, seed_statistics(drives, dt))
+            write_whole(part, seed_statistics(drives, dt))
         statistics += json.loads(part.read_text(encoding="utf-8"))
         progress((first + len(seeds)) * per_drive, config.seeds * per_drive)
     tables = {"seeds": config.seeds, "minutes": config.minutes, **summarise(statistics)}
     tables = finite_or_none(tables)
-    _write_whole(out / "tables.json", tables)
+    write_whole(out / "tables.json", tables)
     return dict(tables)
 
 
@@ -98,7 +98,7 @@ def claim(config: UrbanDriveConfig, out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
         found = _digest_in(mark) if mark.exists() else digest
         if found == digest:
-            _write_whole(mark, {"digest": digest, "config": config.to_dict()})
+            write_whole(mark, {"digest": digest, "config": config.to_dict()})
     except OSError as error:
         raise InputError(
             f"out must be a folder that can be written, got {out} ({error}): choose another one"
@@ -128,7 +128,7 @@ def source_digest() -> str:
     return found.hexdigest()
 
 
-def _write_whole(path: Path, data: Any) -> None:
+def write_whole(path: Path, data: Any) -> None:
     """Write JSON so that the file is there whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(path.name + ".part")

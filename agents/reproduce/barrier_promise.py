@@ -1,0 +1,232 @@
+"""The promise of the barrier filter over many random episodes, without faults and with injected ones.
+
+Reckless drivers follow a stop-and-go leader under every sky; the filter is all that is between them and a crash. Every
+decision is judged by the truth (see :mod:`.barrier_score`). With faults the error may leave its level: how often that
+happens, and how often a barrier is lost, is set beside the integrity risk.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lanebound.agents.drivers.barrier import BarrierConfig, BarrierFilter
+from lanebound.agents.drivers.nominal import make_nominal
+from lanebound.agents.episodes import drive, open_env
+from lanebound.agents.plain import finite_or_none
+from lanebound.agents.reproduce.barrier_score import PromiseWatch
+from lanebound.agents.reproduce.study import write_whole
+from lanebound.envs.core import DrivingEnv
+from lanebound.envs.scene import alert_limits_m, navigator_config
+from lanebound.integrity.config import Config, Field
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.sensors.faults import Fault, FaultKind
+
+__all__ = ["BarrierPromiseConfig", "Reckless", "one_fault", "run_promise", "summarise_promise"]
+
+GROUPS = ("none", "one fault")
+MANNERS = ("full throttle", "random", "moody")
+FAULTS = (
+    (FaultKind.SPOOFING, "magnitude_m", 2.0, 20.0),
+    (FaultKind.REFERENCE_COORDINATES, "magnitude_m", 0.2, 2.0),
+    (FaultKind.CORRECTIONS_LOSS, None, 0.0, 0.0),
+    (FaultKind.JAMMING, "magnitude_db", 10.0, 40.0),
+    (FaultKind.GYRO_BIAS, "magnitude_degps", 0.1, 2.0),
+    (FaultKind.WHEEL_SLIP, "magnitude_ratio", 0.05, 0.5),
+    (FaultKind.ODOMETER_FROZEN, None, 0.0, 0.0),
+    (FaultKind.V2V_LIE, "magnitude_m", 1.0, 20.0),
+)  # sizes as sensors/fault_priors_stress
+
+
+class BarrierPromiseConfig(Config):
+    """How many episodes, and which."""
+
+    episodes: int = Field(1000, ge=1, description="of each group: without faults, and with one fault each")
+    first_seed: int = Field(1000, ge=0, description="seed of the first; the training seeds are 1000 to 1999")
+    length_s: float = Field(25.0, gt=1, le=600, description="of an episode")
+    batch: int = Field(20, ge=1, description="episodes in a part, which is kept once it is done")
+    skies: tuple[str, ...] = Field(("open", "suburban", "urban", "dense"), description="taken in turn")
+    barrier: BarrierConfig = Field(BarrierConfig(), description="of the filter")
+
+
+class Reckless:
+    """Steers well and accelerates as it likes: full throttle, anything at any time, or by mood.
+
+    Parameters
+    ----------
+    env : to be driven in
+    """
+
+    def __init__(self, env: DrivingEnv) -> None:
+        self._steering = make_nominal(env)
+
+    def begin(self, seed: int) -> None:
+        """A new episode; its seed sets manner and mood."""
+        self._rng = np.random.default_rng([seed, 7])
+        self.manner, self._share = MANNERS[int(self._rng.integers(len(MANNERS)))], 1.0
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Any, Any]:
+        """Acceleration at will, steering of the nominal driver."""
+        action, after = self._steering.predict(observation, state)
+        draw, often = self._rng.uniform(-1.0, 1.0), self._rng.random()
+        if self.manner == "random" or (self.manner == "moody" and often < 0.1):
+            self._share = draw if self.manner == "random" else 0.3 + 0.7 * draw
+        return np.array([self._share, action[1]], dtype=np.float32), after
+
+
+def one_fault(seed: int, length_s: float) -> Fault:
+    """The fault of an episode: any kind, from some moment in its first half on."""
+    rng = np.random.default_rng([seed, 8])
+    kind, name, low, high = FAULTS[int(rng.integers(len(FAULTS)))]
+    size, start, azimuth = rng.uniform(low, high), rng.uniform(0.0, 0.5 * length_s), rng.uniform(0.0, 360.0)
+    profile = "ramp" if rng.random() < 0.5 else "step"
+    data: dict[str, Any] = {"kind": kind, "start_s": start, "duration_s": rng.uniform(1.0, 15.0), "profile": profile}
+    if name is not None:
+        data |= {name: size, "azimuth_deg": azimuth, "ramp_s": 5.0}
+    return Fault.load(data)
+
+
+class _Faulty:
+    """An environment whose every episode has its own fault; drives like the one within."""
+
+    def __init__(self, env: DrivingEnv, length_s: float) -> None:
+        self._env, self._length_s = env, length_s
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._env, name)
+
+    def reset(self, *, seed: int) -> Any:
+        """Begin an episode with the fault of its seed."""
+        return self._env.reset(seed=seed, options={"faults": [one_fault(seed, self._length_s)]})
+
+
+def drive_part(config: BarrierPromiseConfig, group: str, seeds: Sequence[int]) -> dict[str, Any]:
+    """Drive some seeds under the sky that each has; plain figures of all of them."""
+    total: dict[str, Any] = {"episodes": 0, "crashes": 0, "least_m": math.inf, "breaches": [], "crashed": []}
+    counts: dict[str, Counter[str]] = {"counts": Counter(), "exceptions": Counter(), "filter": Counter()}
+    for sky in dict.fromkeys(config.skies):
+        mine = [seed for seed in seeds if config.skies[seed % len(config.skies)] == sky]
+        if not mine:
+            continue
+        env = open_env("CarFollowing", {"sky": sky, "world": {"duration": config.length_s}})
+        world: Any = env if group == "none" else _Faulty(env, config.length_s)
+        reckless = Reckless(env)
+        barrier = BarrierFilter(env, reckless, config.barrier)
+        for seed in mine:
+            watch = PromiseWatch(barrier)
+            reckless.begin(seed)
+            drive(world, barrier, [seed], [watch])
+            total["episodes"] += 1
+            if env.world.vehicle.crashed:
+                total["crashes"] += 1
+                total["crashed"].append(seed)
+            counts["counts"].update(watch.counts)
+            counts["exceptions"].update(watch.exceptions)
+            counts["counts"]["episodes with exceptions"] += bool(watch.exceptions)
+            counts["counts"]["episodes with lost barrier"] += bool(watch.counts["lost"] or watch.counts["broken"])
+            total["breaches"] += watch.breaches
+            total["least_m"] = min(total["least_m"], watch.least_m)
+        counts["filter"].update(barrier.counts)
+        total["risk"] = navigator_config(env.config, alert_limits_m(env.world, env.config)).risk.integrity_risk
+    return total | {name: dict(sorted(counter.items())) for name, counter in counts.items()}
+
+
+def run_promise(
+    config: BarrierPromiseConfig, out: Path, jobs: int = 1, progress: Callable[[int, int], None] = lambda done, of: None
+) -> dict[str, Any]:
+    """Drive all episodes, each part kept once it is done, and write ``promise.json``; returns it.
+
+    Raises
+    ------
+    InputError
+        ``out`` holds another study or cannot be written.
+    """
+    _claim(config, out)
+    tasks = [(group, seeds) for group in GROUPS for seeds in _batches(config)]
+    missing = [(g, s) for g, s in tasks if not _part(out, g, s).exists()]
+    done = sum(len(s) for g, s in tasks) - sum(len(s) for _, s in missing)
+    of = len(GROUPS) * config.episodes
+    progress(done, of)
+    for group, seeds, found in _driven(config, missing, jobs):
+        write_whole(_part(out, group, seeds), finite_or_none(found))
+        done += len(seeds)
+        progress(done, of)
+    parts = {g: [json.loads(_part(out, g, s).read_text(encoding="utf-8")) for h, s in tasks if h == g] for g in GROUPS}
+    result = {group: summarise_promise(config, found) for group, found in parts.items()}
+    write_whole(out / "promise.json", result)
+    return result
+
+
+def _driven(
+    config: BarrierPromiseConfig, tasks: Sequence[tuple[str, list[int]]], jobs: int
+) -> Iterator[tuple[str, list[int], dict[str, Any]]]:
+    if jobs == 1 or len(tasks) < 2:
+        for group, seeds in tasks:
+            yield group, seeds, drive_part(config, group, seeds)
+        return
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        running = {pool.submit(drive_part, config, group, seeds): (group, seeds) for group, seeds in tasks}
+        for finished in as_completed(running):
+            yield (*running[finished], finished.result())
+
+
+def _batches(config: BarrierPromiseConfig) -> Iterator[list[int]]:
+    last = config.first_seed + config.episodes
+    for first in range(config.first_seed, last, config.batch):
+        yield list(range(first, min(first + config.batch, last)))
+
+
+def _part(out: Path, group: str, seeds: Sequence[int]) -> Path:
+    return out / "parts" / f"{group.replace(' ', '-')}-{seeds[0]}-{seeds[-1]}.json"
+
+
+def _claim(config: BarrierPromiseConfig, out: Path) -> None:
+    """Mark the folder with the configuration, or refuse one that is marked otherwise."""
+    digest = hashlib.blake2b(config.to_json().encode(), digest_size=8).hexdigest()
+    mark = out / "config.json"
+    try:
+        found = json.loads(mark.read_text(encoding="utf-8")).get("digest") if mark.exists() else digest
+        if found == digest:
+            write_whole(mark, {"digest": digest, "config": config.to_dict()})
+    except (OSError, ValueError, AttributeError) as error:
+        raise InputError(f"out must be a folder that can be written, got {out} ({error}): choose another") from error
+    if found != digest:
+        raise InputError(f"out must be empty or hold the same study, got {out} of another: choose a new folder")
+
+
+def summarise_promise(config: BarrierPromiseConfig, parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Sums over the parts of a group, and rates per decision and per hour of driving."""
+    counts, exceptions, filtered = (Counter[str]() for _ in range(3))
+    for part in parts:
+        counts.update(part["counts"])
+        exceptions.update(part["exceptions"])
+        filtered.update(part["filter"])
+    decisions = max(counts["decisions"], 1)
+    hours = decisions * 0.2 / 3600.0  # CarFollowing decides 5 times a second
+    lost = counts["lost"] + counts["broken"]
+    return {
+        "episodes": sum(part["episodes"] for part in parts),
+        "crashes": sum(part["crashes"] for part in parts),
+        "crashed_seeds": [seed for part in parts for seed in part["crashed"]],
+        "least_barrier_m": min((part["least_m"] for part in parts if part["least_m"] is not None), default=None),
+        "hours": hours,
+        "integrity_risk": parts[0]["risk"],
+        "level_exceeded_per_decision": exceptions["own level"] / decisions,
+        "barrier_lost_per_decision": lost / decisions,
+        "barrier_lost_per_hour": lost / hours,
+        "counts": dict(sorted(counts.items())),
+        "exceptions": dict(sorted(exceptions.items())),
+        "filter": dict(sorted(filtered.items())),
+        "breaches": [breach for part in parts for breach in part["breaches"]],
+    }

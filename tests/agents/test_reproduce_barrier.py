@@ -1,0 +1,115 @@
+"""The promise of the barrier filter: judged by the truth, resumed, and kept."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from lanebound.agents.cli import app
+from lanebound.agents.drivers.barrier import BarrierConfig
+from lanebound.agents.reproduce import barrier_promise
+from lanebound.agents.reproduce.barrier_promise import BarrierPromiseConfig, one_fault, run_promise
+from lanebound.agents.reproduce.barrier_score import ASSUMPTIONS, PromiseWatch, barrier_m, exceptions_of
+from lanebound.integrity.errors import InputError
+
+C = BarrierConfig()
+QUICK = BarrierPromiseConfig(episodes=5, length_s=6.0, batch=3)
+
+
+def test_the_barrier_is_the_gap_left_when_both_have_stopped():
+    v, lead = 10.0, 6.0
+    ego_m, lead_m = v * C.response_s + v * v / (2.0 * C.brake_mps2), lead * lead / (2.0 * C.lead_brake_mps2)
+    assert barrier_m(20.0, v, lead, C) == pytest.approx(20.0 + lead_m - ego_m - C.standstill_m)
+    assert barrier_m(C.standstill_m, -0.2, 0.0, C) == 0.0
+
+
+def test_five_episodes_keep_the_promise_and_a_broken_run_goes_on(tmp_path, monkeypatch):
+    whole = run_promise(QUICK, tmp_path / "whole")
+    for group in ("none", "one fault"):
+        found = whole[group]
+        counts = found["counts"]
+        assert found["episodes"] == 5
+        assert found["breaches"] == []
+        assert counts.get("broken", 0) == 0
+        assert counts["kept"] + counts.get("outside", 0) == counts["decisions"]
+        assert set(found["exceptions"]) <= set(ASSUMPTIONS)
+    assert whole["none"]["counts"]["kept"] > 0.9 * whole["none"]["counts"]["decisions"]
+    assert whole["none"]["crashes"] == 0
+
+    drive_part, driven = barrier_promise.drive_part, []
+
+    def stops(config: Any, group: str, seeds: Any) -> Any:
+        if len(driven) == 2:
+            raise KeyboardInterrupt
+        driven.append(group)
+        return drive_part(config, group, seeds)
+
+    monkeypatch.setattr(barrier_promise, "drive_part", stops)
+    with pytest.raises(KeyboardInterrupt):
+        run_promise(QUICK, tmp_path / "broken")
+    monkeypatch.setattr(barrier_promise, "drive_part", drive_part)
+    assert run_promise(QUICK, tmp_path / "broken") == whole
+    assert (tmp_path / "broken" / "promise.json").read_text() == (tmp_path / "whole" / "promise.json").read_text()
+    with pytest.raises(InputError, match="same study"):
+        run_promise(BarrierPromiseConfig(episodes=4), tmp_path / "whole")
+
+
+@pytest.mark.slow
+def test_a_hundred_episodes_keep_the_promise(tmp_path):
+    result = CliRunner().invoke(
+        app, ["reproduce", "barrier-promise", "--episodes", "100", "--jobs", "2", "--json", "--out", str(tmp_path)]
+    )
+    assert result.exit_code == 0, result.output
+    found = json.loads((tmp_path / "promise.json").read_text())
+    assert found["none"]["breaches"] == []
+    assert found["one fault"]["breaches"] == []
+    assert found["none"]["counts"]["exceptional"] < 0.01 * found["none"]["counts"]["decisions"]
+
+
+def test_every_fault_can_be_drawn_and_none_depends_on_anything_but_the_seed():
+    faults = [one_fault(seed, 25.0) for seed in range(200)]
+    assert {fault.kind for fault in faults} == {kind for kind, *_ in barrier_promise.FAULTS}
+    assert faults[:5] == [one_fault(seed, 25.0) for seed in range(5)]
+
+
+def test_exceptions_are_named_and_excuse_one_decision_alone():
+    """A stand-in for a world whose leader is nowhere near where it says."""
+    lead = SimpleNamespace(position=[20.0, 0.0], heading=0.0, speed=5.0)
+    traffic = SimpleNamespace(
+        count=1, position_m=_points(26.0), pl_at_m=[1.0], pl_ct_m=[1.0], speed_mps=[9.0], age_s=[0.1]
+    )
+    ego = SimpleNamespace(speed=5.0)
+    belief = SimpleNamespace(speed_mps=5.0)
+    cockpit = SimpleNamespace(ego=ego, traffic=traffic, belief=lambda: belief)
+    world = SimpleNamespace(lead=lead, vehicle=ego, gap_m=lambda: 15.0)
+    config = SimpleNamespace(observation=SimpleNamespace(pl_max_m=10.0))
+    env: Any = SimpleNamespace(cockpit=cockpit, world=world, config=config, dt_s=0.2)
+    info = {"err_at_m": 0.1, "err_ct_m": 0.1, "pl_at_m": 0.5, "pl_ct_m": 0.5}
+    barrier: Any = SimpleNamespace(
+        config=C,
+        commanded_mps2=0.0,
+        fastest=lambda v, a: v + 0.3,
+        slowest=lambda v, age: v - 1.0,
+        strayed=lambda v, age: 0.1,
+    )
+    assert exceptions_of(env, barrier, info) == {"leader's level", "leader's speed"}
+    assert exceptions_of(env, barrier, info | {"err_ct_m": -0.6}) == {"leader's level", "leader's speed", "own level"}
+    assert "no level" in exceptions_of(env, barrier, info | {"pl_at_m": 30.0})
+    watch = PromiseWatch(barrier)
+    for step, gap in enumerate((15.0, 15.0, -9.0)):
+        world.gap_m = lambda gap=gap: gap
+        watch.note(SimpleNamespace(env=env, info=info, step=step, seed=0))
+        traffic.position_m, traffic.speed_mps = _points(20.5), [5.5]
+    assert watch.counts["outside"] == 1
+    assert watch.counts["broken"] == 1
+    assert watch.breaches[0]["step"] == 2
+
+
+def _points(x: float) -> Any:
+    import numpy as np
+
+    return np.array([[x, 0.0]])
