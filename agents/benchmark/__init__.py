@@ -1,11 +1,19 @@
-"""The benchmark: agents compared in suites of environments, skies and faults, seed by seed."""
+"""The benchmark: agents compared in suites of environments, skies and faults, seed by seed.
+
+What stands here is loaded when it is asked for: the rest of the package is heavy.
+"""
 
 from __future__ import annotations
 
-from lanebound.agents.benchmark.metrics import MAIN, METRICS, Metric
-from lanebound.agents.benchmark.outcome import Outcome, Place, Task
-from lanebound.agents.benchmark.results import Cell, Estimate, Paired, Results
-from lanebound.agents.benchmark.suite import AgentConfig, SeedsConfig, SuiteConfig, load_suite
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from lanebound.agents.benchmark.metrics import MAIN, METRICS, Metric
+    from lanebound.agents.benchmark.outcome import Outcome, Place, Task
+    from lanebound.agents.benchmark.results import Cell, Estimate, Paired, Results
+    from lanebound.agents.benchmark.running import run
+    from lanebound.agents.benchmark.suite import AgentConfig, SeedsConfig, SuiteConfig, load_suite
 
 __all__ = [
     "MAIN",
@@ -22,4 +30,20 @@ __all__ = [
     "SuiteConfig",
     "Task",
     "load_suite",
+    "run",
 ]
+
+HOMES = {
+    "metrics": ("MAIN", "METRICS", "Metric"),
+    "outcome": ("Outcome", "Place", "Task"),
+    "results": ("Cell", "Estimate", "Paired", "Results"),
+    "running": ("run",),
+    "suite": ("AgentConfig", "SeedsConfig", "SuiteConfig", "load_suite"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    for home, names in HOMES.items():
+        if name in names:
+            return getattr(import_module(f"{__name__}.{home}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

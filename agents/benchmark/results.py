@@ -18,8 +18,9 @@ from lanebound.agents.benchmark.statistics import RESAMPLES, Difference, Estimat
 from lanebound.agents.benchmark.store import Store, replace_file
 from lanebound.agents.benchmark.suite import SuiteConfig
 
-__all__ = ["Cell", "Estimate", "Paired", "Results"]
+__all__ = ["FILES", "Cell", "Estimate", "Paired", "Results"]
 
+FILES = ("results.json", "results.csv", "episodes.parquet")
 VERSION = 1  # of the form of results.json
 CSV_COLUMNS = ("env", "sky", "faults", "agent", "metric", "unit", "episodes", "failed")
 ESTIMATE_COLUMNS = ("mean", "low", "high", "iqm", "iqm_low", "iqm_high", "n")
@@ -157,7 +158,7 @@ class Results:
     def save(self, folder: Path) -> list[Path]:
         """Write results.json, results.csv and episodes.parquet; returns their paths."""
         folder.mkdir(parents=True, exist_ok=True)
-        paths = [folder / name for name in ("results.json", "results.csv", "episodes.parquet")]
+        paths = [folder / name for name in FILES]
         for path, write in zip(paths, (self._write_json, self._write_csv, self._write_parquet), strict=True):
             with replace_file(path) as draft:
                 write(draft)

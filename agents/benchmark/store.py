@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from lanebound.agents.benchmark.outcome import Outcome, Task
+from lanebound.agents.benchmark.parts import EPISODES
 from lanebound.agents.benchmark.source import agent_digest, source_digest
 from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.episodes.columns import COLUMNS
@@ -25,7 +26,7 @@ from lanebound.integrity.errors import InputError
 
 __all__ = ["STORED", "Store", "replace_file"]
 
-SUITE, UNFIT, EPISODES, KEY = "suite.json", "left_out.json", "episodes", b"lanebound.outcome"
+SUITE, UNFIT, KEY = "suite.json", "left_out.json", b"lanebound.outcome"
 RESULTS = ("results.json", "results.csv", "episodes.parquet", "report.html")
 LEFT_OUT = ("episode", "seed", "rtk", "tta_s", "hdop", "satellites", "since_rtk_s", "corrections_age_s")
 STORED = tuple(column for column in COLUMNS if column.name not in LEFT_OUT)
@@ -112,6 +113,11 @@ class Store:
             raise InputError(
                 f"DIR must be a folder that 'lanebound benchmark' wrote, got {self.folder} without a {SUITE}"
             ) from None
+
+    def same_version(self) -> bool:
+        """Whether its episodes were driven by the code that is here now."""
+        mark = json.loads((self.folder / SUITE).read_text(encoding="utf-8"))
+        return bool(mark["source"] == source_digest())
 
     def left_out(self) -> list[tuple[str, str, str]]:
         """Agents that cannot drive an environment of the suite, as ``(env, agent, why)``."""

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from lanebound.agents.cli import bench, config, drive, envs, play, reproduce
+from lanebound.agents.cli import bench, benchmark, config, drive, envs, play, replay, reproduce
 from lanebound.agents.cli.advice import AdvisingGroup
 
 __all__ = ["app", "main"]
@@ -25,6 +25,8 @@ EXAMPLES = """
   lanebound drive LaneKeeping --video a.mp4    let an agent drive one, and film it
 
   lanebound play UrbanCanyon                   drive one yourself
+
+  lanebound benchmark quick --out out/demo     compare agents, seed by seed
 
   lanebound reproduce urban-drive --out out    S1's tables beside ours
 
@@ -45,6 +47,8 @@ app = typer.Typer(
 app.add_typer(config.app, name="config")
 app.add_typer(reproduce.app, name="reproduce")
 app.command("bench")(bench.bench)
+app.command("benchmark")(benchmark.benchmark)
+app.command("replay-episode")(replay.replay_episode)
 app.command("envs")(envs.envs)
 app.command("drive")(drive.drive)
 app.command("play")(play.play)

@@ -28,7 +28,9 @@ Assignments = Annotated[
 
 def drive(
     name: Name,
-    agent: Annotated[str, typer.Option(help="Who drives: cruise or random.")] = "cruise",
+    agent: Annotated[
+        str, typer.Option(help="Who drives: an agent, model.zip, model.onnx, or module:callable.")
+    ] = "cruise",
     sky: Sky = None,
     faults: Faults = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first episode; each next one has the next.")] = 0,

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 __all__ = ["KINDS", "resolve"]
 
 KINDS = {
+    "suite": "lanebound.agents.benchmark.suite:SuiteConfig",
     "urban_drive": "lanebound.agents.reproduce.urban_drive:UrbanDriveConfig",
     "navigator": "lanebound.integrity.navigator:NavigatorConfig",
     "corrections": "lanebound.integrity.sensors.corrections:CorrectionsConfig",

@@ -32,12 +32,18 @@ AGENTS = {
 def make_agent(name: str, env: DrivingEnv) -> Driver:
     """The agent of that name for an environment, made from its spaces and its published index alone.
 
+    The name may also be that of a file or a callable, see :func:`~lanebound.agents.drivers.foreign.open_foreign`.
+
     Raises
     ------
     InputError
         No agent has that name, or the environment does not show what it needs.
     """
     if name not in AGENTS:
+        from lanebound.agents.drivers.foreign import is_foreign, open_foreign
+
+        if is_foreign(name):
+            return open_foreign(name, env)
         from lanebound.integrity.presets import nearest
 
         raise InputError(f"agent '{name}' is unknown: {nearest(name, AGENTS)}")

@@ -25,6 +25,10 @@ class RandomDriver:
     def __init__(self, env: DrivingEnv, seed: int = 0) -> None:
         self.action_space = env.action_space
         self._reader = Reader(env.config.observation)
+        self.reseed(seed)
+
+    def reseed(self, seed: int) -> None:
+        """Begin anew under a seed."""
         self._rng = np.random.default_rng(seed)
 
     def predict(

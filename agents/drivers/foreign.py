@@ -1,0 +1,257 @@
+"""Agents from elsewhere: checkpoints of stable-baselines3, ONNX files, and what a Python module makes.
+
+Checkpoints and modules run code: open only those that you trust.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from functools import lru_cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile, ZipFile
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from lanebound.agents.drivers.base import Driver
+from lanebound.envs.core import DrivingEnv
+from lanebound.integrity.errors import InputError
+
+__all__ = ["FunctionDriver", "OnnxDriver", "is_foreign", "open_foreign", "require_foreign"]
+
+States = tuple[NDArray[Any], ...] | None
+ALGORITHMS = {
+    "clip_range": "stable_baselines3:PPO",
+    "policy_delay": "stable_baselines3:TD3",
+    "target_entropy": "stable_baselines3:SAC",
+    "exploration_fraction": "stable_baselines3:DQN",
+    "gae_lambda": "stable_baselines3:A2C",
+}
+"""What a checkpoint must hold to be of an algorithm, the first that fits; it does not name its own."""
+CONTRIB = {
+    "RecurrentActorCritic": "sb3_contrib:RecurrentPPO",
+    "MaskableActorCritic": "sb3_contrib:MaskablePPO",
+    "top_quantiles_to_drop_per_net": "sb3_contrib:TQC",
+    "n_quantiles": "sb3_contrib:QRDQN",
+    "cg_max_steps": "sb3_contrib:TRPO",
+}
+
+
+def is_foreign(name: str) -> bool:
+    """Whether a name is that of a file or of something in a module."""
+    return name.endswith((".zip", ".onnx")) or ":" in name
+
+
+def require_foreign(name: str) -> None:
+    """Refuse what is not there, before any time is spent; nothing is run.
+
+    Raises
+    ------
+    InputError
+        There is no such file or module, or what it takes is not installed.
+    """
+    if name.endswith((".zip", ".onnx")):
+        if not Path(name).is_file():
+            raise InputError(f"agent must be a file that exists, got {name}: correct the path")
+        if name.endswith(".onnx"):
+            _runtime()
+        return
+    from importlib.util import find_spec
+
+    _look_here()
+    module = name.partition(":")[0]
+    try:
+        found = find_spec(module)
+    except (ImportError, ValueError):
+        found = None
+    if found is None:
+        raise InputError(f"agent '{name}' must name a module that can be imported, got '{module}': correct the name")
+
+
+def open_foreign(name: str, env: DrivingEnv) -> Driver:
+    """The agent of a file or a module.
+
+    ``model.zip`` is a checkpoint of stable-baselines3 (or sb3-contrib), ``model.onnx`` a network, and
+    ``package.module:callable`` is called with the environment and returns an object with ``predict``, or a function
+    from observations to actions.
+
+    Raises
+    ------
+    InputError
+        It is not there, or is made for other observations or actions.
+    """
+    require_foreign(name)
+    if name.endswith(".zip"):
+        return _checkpoint(name, env)
+    if name.endswith(".onnx"):
+        return OnnxDriver(_session(name, _changed(name)), env)
+    return _called(name, env)
+
+
+# Checkpoints of stable-baselines3
+
+
+def _checkpoint(path: str, env: DrivingEnv) -> Driver:
+    model = _model(path, _changed(path))
+    for what, trained, here in (
+        ("observations", model.observation_space, env.observation_space),
+        ("actions", model.action_space, env.action_space),
+    ):
+        if not _alike(trained, here):
+            remedy = "set observation.form to flat" if what == "observations" else "choose another environment"
+            raise InputError(f"agent {path} must be trained on these {what}, got {_shape(trained)}: {remedy}")
+    driver: Driver = model
+    return driver
+
+
+@lru_cache(maxsize=4)
+def _model(path: str, changed: int) -> Any:
+    """A checkpoint, kept: its policies hold no state between decisions."""
+    try:
+        with ZipFile(path) as archive:
+            data = json.loads(archive.read("data"))
+    except (BadZipFile, KeyError, ValueError, OSError) as error:
+        raise InputError(
+            f"agent must be a checkpoint of stable-baselines3, got {path} ({error}): save it anew"
+        ) from None
+    module, _, name = _algorithm(path, data).partition(":")
+    try:
+        return getattr(import_module(module), name).load(path, device="cpu")
+    except ImportError:
+        raise InputError(f"agent {path} needs the package {module}, got none: install it") from None
+
+
+def _algorithm(path: str, data: dict[str, Any]) -> str:
+    policy = str(data.get("policy_class", {}))
+    for table, there in ((CONTRIB, "sb3_contrib" in policy), (ALGORITHMS, True)):
+        for mark, algorithm in table.items():
+            if there and (mark in data or mark in policy):
+                return algorithm
+    raise InputError(f"agent must be of a known algorithm, got {path}: write a module with a function that loads it")
+
+
+def _alike(trained: spaces.Space[Any], here: spaces.Space[Any]) -> bool:
+    if isinstance(trained, spaces.Dict) and isinstance(here, spaces.Dict):
+        return set(trained) == set(here) and all(trained[key].shape == here[key].shape for key in here)
+    if isinstance(trained, spaces.Discrete) and isinstance(here, spaces.Discrete):
+        return bool(trained.n == here.n)
+    return type(trained) is type(here) and trained.shape == here.shape
+
+
+def _shape(space: spaces.Space[Any]) -> str:
+    return str({key: part.shape for key, part in space.items()}) if isinstance(space, spaces.Dict) else str(space)
+
+
+# ONNX
+
+
+class OnnxDriver:
+    """A network in an ONNX file: inputs named like the groups of the observation, or one for flat observations.
+
+    Its first output is the action, or for discrete actions a value of each, of which the largest counts. Continuous
+    actions are clipped into their space.
+
+    Parameters
+    ----------
+    session : of onnxruntime
+
+    Raises
+    ------
+    InputError
+        It takes other inputs.
+    """
+
+    def __init__(self, session: Any, env: DrivingEnv) -> None:
+        self.session, self.space = session, env.action_space
+        self.inputs = [item.name for item in session.get_inputs()]
+        shown = env.observation_space
+        self._named = isinstance(shown, spaces.Dict)
+        if set(self.inputs) != set(shown) if isinstance(shown, spaces.Dict) else len(self.inputs) != 1:
+            wanted = ", ".join(shown) if isinstance(shown, spaces.Dict) else "one input"
+            raise InputError(
+                f"an ONNX agent must take {wanted}, got {', '.join(self.inputs)}: rename them, or set observation.form"
+            )
+
+    def predict(
+        self,
+        observation: Any,
+        state: States = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Any, States]:
+        """The action for one observation."""
+        parts = observation if self._named else {self.inputs[0]: observation}
+        given = {name: np.asarray(parts[name], dtype=np.float32)[None] for name in self.inputs}
+        found = np.asarray(self.session.run(None, given)[0])[0]
+        if isinstance(self.space, spaces.Discrete):
+            return np.asarray(found if found.dtype.kind in "iu" else np.argmax(found)), state
+        assert isinstance(self.space, spaces.Box)
+        return np.clip(found, self.space.low, self.space.high).astype(np.float32), state  # NaN stays NaN
+
+
+@lru_cache(maxsize=4)
+def _session(path: str, changed: int) -> Any:
+    runtime = _runtime()
+    options = runtime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    try:
+        return runtime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime has many kinds of them, without a common one of its own
+        raise InputError(f"agent must be an ONNX network, got {path} ({error}): export it anew") from None
+
+
+def _runtime() -> Any:
+    try:
+        return import_module("onnxruntime")
+    except ImportError:
+        raise InputError("an ONNX agent needs the package onnxruntime, got none: pip install onnxruntime") from None
+
+
+# Python
+
+
+class FunctionDriver:
+    """A function from observations to actions as a driver."""
+
+    def __init__(self, function: Callable[[Any], Any]) -> None:
+        self.function = function
+
+    def predict(
+        self,
+        observation: Any,
+        state: States = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Any, States]:
+        """What the function says."""
+        return self.function(observation), state
+
+
+def _called(name: str, env: DrivingEnv) -> Driver:
+    _look_here()
+    module, _, attribute = name.partition(":")
+    make = getattr(import_module(module), attribute, None)
+    if not callable(make):
+        raise InputError(f"agent '{name}' must name a callable of {module}, got {make!r}: correct the name")
+    agent = make(env)
+    if not hasattr(agent, "predict") and not callable(agent):
+        raise InputError(f"agent '{name}' must return an object with predict or a function, got {agent!r}: return one")
+    driver: Driver = agent if hasattr(agent, "predict") else FunctionDriver(agent)
+    return driver
+
+
+def _look_here() -> None:
+    """Modules in the present folder count too, as they do for Python itself."""
+    here = str(Path.cwd())
+    if here not in sys.path and "" not in sys.path:
+        sys.path.append(here)
+
+
+def _changed(path: str) -> int:
+    """When a file was changed last: another version of it is another model."""
+    return Path(path).stat().st_mtime_ns
