@@ -90,12 +90,13 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `cost_collision` | 10 | 1 in the step of a crash |
     | `cost_lane` | 1 | `out v dt`, out how far the true body reaches beyond its lane, at most 2 m |
     | `cost_lane_integrity` | 0.1 | `out v dt`, out = `max(0, abs(d_est) + PL_CT + W/2 - w/2)`, at most 2 m |
-    | `cost_headway` | 0.5 | `max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt`, at most dt |
+    | `cost_headway` | 0.5 | `max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt`, at most dt; dt for a leader unseen |
     | `cost_alert` | 0.5 | dt while an alert is older than 1 s and the car changes lane or exceeds half the limit |
     | `cost_hmi` | 5 | dt while the position counts as available and an error exceeds its alert limit |
 
     `d_RSS = v rho + a rho^2 / 2 + (v + a rho)^2 / (2 b_min) - v_lead^2 / (2 b_max)`, 0 at least, with rho 0.5 s, a 2,
-    b_min 4 and b_max 6 m/s2. During a lane change both lanes count as the car's own, and `cost_lane_integrity` is 0;
+    b_min 4 and b_max 6 m/s2. An unseen leader is one nearer than that in truth, while the ego perceives nobody ahead or
+    has no level for the gap. During a lane change both lanes count as the car's own, and `cost_lane_integrity` is 0;
     with `keep_lane=False` the whole road counts so at all times. `cost_limit` (10 an episode) is a bound for
     constrained learning and not enforced.
 
@@ -208,7 +209,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         cockpit.look()
         truncated = bool(truncated) or cockpit.time_s >= self._duration_s - 0.5 * self.dt_s
         self._belief = cockpit.belief()
-        self._corridor.update(self._belief, self.dt_s)
+        self._corridor.update(self._belief, self.world.vehicle, self.dt_s)
         verdict = self._judge.look(self._belief, self.dt_s, ended=bool(terminated or truncated))
         costs, rewards = self._costs(verdict), self._rewards(verdict, float(base))
         info = self._info(verdict, costs, rewards)
@@ -272,10 +273,10 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
 
     def _costs(self, verdict: Verdict, start: bool = False) -> dict[str, float]:
         belief, traffic, car = self._belief, self._cockpit().traffic, self.world.vehicle
-        network, c = self.world.road.network, self.config.cost
-        lead = lead_of(network, belief, traffic, float(car.LENGTH))
-        dt_s = 0.0 if start else self.dt_s
-        return costs_of(c, network, self._corridor, car, belief, lead, verdict.crashed_now, verdict.hmi, dt_s)
+        road, c = self.world.road, self.config.cost
+        lead = lead_of(road.network, belief, traffic, float(car.LENGTH))
+        crashed, hmi, dt_s = verdict.crashed_now, verdict.hmi, 0.0 if start else self.dt_s
+        return costs_of(c, road.network, self._corridor, car, belief, lead, road.vehicles, crashed, hmi, dt_s)
 
     def _rewards(self, verdict: Verdict, base: float, start: bool = False) -> dict[str, float]:
         car, dt_s = self.world.vehicle, 0.0 if start else self.dt_s

@@ -9,9 +9,11 @@ episode's cost as it is.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from highway_env.road.lane import AbstractLane
 from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
@@ -20,10 +22,11 @@ from pydantic import Field
 from lanebound.envs.records import EgoBelief, LaneIndex, Traffic
 from lanebound.integrity.config import Config
 
-__all__ = ["CAUSES", "Corridor", "CostConfig", "Lead", "costs_of", "lead_of", "rss_distance_m", "weighted"]
+__all__ = ["CAUSES", "Corridor", "CostConfig", "Lead", "costs_of", "lead_of", "rss_distance_m", "tailgates", "weighted"]
 
 CAUSES = ("cost_collision", "cost_lane", "cost_lane_integrity", "cost_headway", "cost_alert", "cost_hmi")
 CHANGE_S = 8.0  # two lane changes in a row; one takes 3 to 5 s in traffic, about 3 s by highway-env's control
+JOINT_M = 1.0  # lanes that follow each other do not meet exactly in every world of highway-env
 EXCESS_MAX_M = 2.0  # beyond a lane's width being further out is no worse; also what a missing level counts as
 
 
@@ -89,6 +92,21 @@ def lead_of(network: RoadNetwork, belief: EgoBelief, traffic: Traffic, length_m:
     return best
 
 
+def tailgates(ego: Vehicle, others: Iterable[Vehicle], c: CostConfig) -> bool:
+    """Whether in truth a vehicle is ahead in the ego's lane, within half a lane width, nearer than the RSS distance."""
+    lane = ego.lane
+    place, _ = lane.local_coordinates(ego.position)
+    half = 0.5 * float(lane.width_at(place))
+    for other in others:
+        s, d = lane.local_coordinates(other.position)
+        if other is ego or s <= place or abs(d) > half:
+            continue
+        gap = float(s - place) - 0.5 * float(ego.LENGTH + other.LENGTH)
+        if gap < rss_distance_m(float(ego.speed), float(other.speed), c):
+            return True
+    return False
+
+
 @dataclass
 class Corridor:
     """The lanes that the ego may be in: its own, and during a commanded change the one that it comes from.
@@ -104,21 +122,23 @@ class Corridor:
     leaving: LaneIndex | None = None
     change_s: float = 0.0
 
-    def update(self, belief: EgoBelief, dt_s: float) -> None:
-        """Follow what is commanded, by belief.
+    def update(self, belief: EgoBelief, vehicle: Vehicle, dt_s: float) -> None:
+        """Follow what is commanded, by belief; ``vehicle`` is asked for its size alone.
 
-        A change is over when the car believes to be inside its new lane. The time spent changing may not exceed that
+        A change is over when the car believes to be inside its new lane with its whole body; it goes on where the road
+        does with lanes of the same number. The time spent changing may not exceed that
         spent in a lane by more than CHANGE_S: commands withdrawn and repeated close the lane that is left.
         """
         target = belief.target_lane_index
         if not self.commanded:
             target = (*target[:2], self.lane_index[2])
         if target[:2] != self.lane_index[:2]:
-            self.leaving = None
+            self.leaving = None if self.leaving is None else (*target[:2], self.leaving[2])
         elif target != self.lane_index:
             self.leaving = self.lane_index
         self.lane_index = target
-        arrived = belief.lane_index == target and abs(belief.lateral_m) < 0.25 * belief.lane_width_m
+        reach = abs(belief.lateral_m) + half_width_m(vehicle, belief.angle_rad)
+        arrived = belief.lane_index == target and reach < 0.5 * belief.lane_width_m
         self.change_s = max(self.change_s + (dt_s if self.changing and not arrived else -dt_s), 0.0)
         if arrived or self.change_s > CHANGE_S:
             self.leaving = None
@@ -133,7 +153,8 @@ class Corridor:
         start, end, _ = self.lane_index
         here = network.graph[start][end]
         own = min(self.lane_index[2] or 0, len(here) - 1)
-        ids = range(len(here)) if self.whole_road else {own, self.leaving[2] if self.leaving else own}
+        left = min(self.leaving[2], len(here) - 1) if self.leaving else own
+        ids = range(len(here)) if self.whole_road else {own, left}
         stretches = [(here[min(ids)], here[max(ids)])]
         leading, onward = [to[start] for to in network.graph.values() if start in to], network.graph.get(end, {})
         for lanes, junction in [(lanes, len(leading) > 1) for lanes in leading] + [(v, False) for v in onward.values()]:
@@ -142,35 +163,48 @@ class Corridor:
         return stretches
 
 
+def half_width_m(vehicle: Vehicle, angle_rad: float) -> float:
+    """Half of what a body takes of a straight lane's width at an angle to it."""
+    return float(0.5 * (vehicle.WIDTH * abs(math.cos(angle_rad)) + vehicle.LENGTH * abs(math.sin(angle_rad))))
+
+
 def overhang_m(network: RoadNetwork, corridor: Corridor, position: Any, heading_rad: float, vehicle: Vehicle) -> float:
-    """How far a car's body reaches beyond its corridor, 0 inside: the least of the stretches that it is on."""
-    found: list[float] = []
-    for low, high in corridor.lanes(network):
-        beyond, on = 0.0, False
-        for lane, side in ((low, -1.0), (high, 1.0)):
-            s, d = lane.local_coordinates(position)
-            on = on or -vehicle.LENGTH <= s <= lane.length + vehicle.LENGTH
-            angle = lane.local_angle(heading_rad, s)
-            half = 0.5 * (vehicle.WIDTH * abs(math.cos(angle)) + vehicle.LENGTH * abs(math.sin(angle)))
-            beyond = max(beyond, side * float(d) + half - 0.5 * float(lane.width_at(s)))
-        if on or not found:
-            found.append(beyond if on else math.inf)
-    return min(found)
+    """How far the worst corner of a car's body is beyond its corridor, 0 inside.
+
+    A corner is as far out as it is from the stretch that it is nearest to: where stretches meet or fork the body may
+    stand on several of them. Beyond the ends of all it is that of the corridor's own lane.
+    """
+    c, s = math.cos(heading_rad), math.sin(heading_rad)
+    stretches = corridor.lanes(network)
+    worst = 0.0
+    for along, across in ((1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0)):
+        x, y = 0.5 * along * float(vehicle.LENGTH), 0.5 * across * float(vehicle.WIDTH)
+        corner = position + np.array([c * x - s * y, s * x + c * y])
+        found = [out for out in (_beyond_m(*lanes, corner) for lanes in stretches) if out is not None]
+        own = _beyond_m(*stretches[0], corner, endless=True) if not found else min(found)
+        worst = max(worst, own or 0.0)
+    return worst
+
+
+def _beyond_m(low: AbstractLane, high: AbstractLane, point: Any, endless: bool = False) -> float | None:
+    """How far a point is outside of the lanes from ``low`` to ``high``, negative inside; None beyond their ends."""
+    beyond, on = -math.inf, endless
+    for lane, side in ((low, -1.0), (high, 1.0)):
+        s, d = lane.local_coordinates(point)
+        on = on or -JOINT_M <= s <= lane.length + JOINT_M
+        beyond = max(beyond, side * float(d) - 0.5 * float(lane.width_at(s)))
+    return beyond if on else None
 
 
 def doubt_m(network: RoadNetwork, corridor: Corridor, belief: EgoBelief, width_m: float) -> float:
     """How far beyond its corridor the estimate and its level allow the car to be, negative inside."""
-    start, end, _ = corridor.lane_index
-    lanes = network.graph[start][end]
-    if (
-        corridor.leaving is None
-        or corridor.leaving[:2] != corridor.lane_index[:2]
-        or belief.lane_index[:2] != (start, end)
-    ):
+    if corridor.leaving is None:
         return abs(belief.lateral_m) + belief.pl_ct_m + 0.5 * width_m - 0.5 * belief.lane_width_m
+    start, end, _ = belief.lane_index
+    lanes = network.graph[start][end]
     beyond = -math.inf
     for index, side in ((min, -1.0), (max, 1.0)):
-        lane = lanes[index(corridor.lane_index[2], corridor.leaving[2])]
+        lane = lanes[min(index(corridor.lane_index[2], corridor.leaving[2]), len(lanes) - 1)]
         s, d = lane.local_coordinates(belief.position_m)
         beyond = max(beyond, side * float(d) + belief.pl_ct_m + 0.5 * width_m - 0.5 * float(lane.width_at(s)))
     return beyond
@@ -183,6 +217,7 @@ def costs_of(
     ego: Vehicle,
     belief: EgoBelief,
     lead: Lead | None,
+    others: Iterable[Vehicle],
     crashed_now: bool,
     hmi: bool,
     dt_s: float,
@@ -193,7 +228,9 @@ def costs_of(
     ``cost_lane``  ``max(0, |d| + half body - w / 2) v dt`` of the TRUE car beyond its corridor, at most 2 m.
     ``cost_lane_integrity``  ``max(0, |d_est| + PL_CT + W / 2 - w / 2) v dt`` of the belief, at most 2 m, also without
     PL_CT; about the outer edges of both lanes during a change; 0 without a lane to keep (``keep_lane`` off).
-    ``cost_headway``  ``max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt``, at most dt; 0 with nobody perceived ahead.
+    ``cost_headway``  ``max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt``, at most dt. With nobody perceived ahead, or
+    without a level of both, nothing bounds the gap: dt while somebody is nearer than d_RSS in TRUTH, else 0. To lose
+    sight of a leader saves nothing, and to be alone costs nothing.
     ``cost_alert``  dt while an alert is older than the TTA and the car drives faster than permitted or changes lane.
     ``cost_hmi``  dt while misleading information is hazardous on either axis.
     """
@@ -208,15 +245,17 @@ def costs_of(
         "cost_collision": float(crashed_now),
         "cost_lane": out * v * dt_s,
         "cost_lane_integrity": doubt * v * dt_s,
-        "cost_headway": _short_headway(c, belief, lead) * dt_s,
+        "cost_headway": _short_headway(c, belief, lead, ego, others) * dt_s,
         "cost_alert": float(late and (fast or corridor.changing)) * dt_s,
         "cost_hmi": float(hmi) * dt_s,
     }
 
 
-def _short_headway(c: CostConfig, belief: EgoBelief, lead: Lead | None) -> float:
-    if lead is None:
-        return 0.0
+def _short_headway(
+    c: CostConfig, belief: EgoBelief, lead: Lead | None, ego: Vehicle, others: Iterable[Vehicle]
+) -> float:
+    if lead is None or not math.isfinite(lead.bound_m):
+        return float(tailgates(ego, others, c))
     needed = rss_distance_m(belief.speed_mps, lead.speed_mps, c)
     if needed <= 0.0:
         return 0.0

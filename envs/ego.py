@@ -16,6 +16,9 @@ from highway_env.vehicle.dynamics import BicycleVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
+from lanebound.envs.actuators import HOLD
+from lanebound.envs.records import LaneIndex
+
 __all__ = ["BelievedVehicle", "BicycleEgo", "Cockpit", "DirectEgo", "MetaEgo", "take_over"]
 
 Array = NDArray[np.float64]
@@ -36,8 +39,29 @@ class Cockpit(Protocol):
         """What the actuators make of a command."""
 
 
+ROUTE_M = 2.0  # half a lane of highway-env's: by so much a lane of the route may be further off than another
+
+
 class BelievedVehicle(MDPVehicle):  # type: ignore[misc]
     """The car where its navigation says it is; never stepped, only placed."""
+
+    lane_index: LaneIndex
+
+    def on_state_update(self) -> None:
+        """Find the lane: highway-env's nearest, but that of a planned route where others cross or part from it."""
+        if not self.route:
+            super().on_state_update()
+            return
+        network = self.road.network
+        planned = {self.lane_index[:2], self.target_lane_index[:2], *(step[:2] for step in self.route)}
+        away: dict[LaneIndex, float] = {}
+        for start, ends in network.graph.items():
+            for end, lanes in ends.items():
+                extra = 0.0 if (start, end) in planned else ROUTE_M
+                for i, lane in enumerate(lanes):
+                    away[start, end, i] = lane.distance_with_heading(self.position, self.heading) + extra
+        self.lane_index = min(away, key=away.__getitem__)
+        self.lane = network.get_lane(self.lane_index)
 
     def place(self, position_m: Array, heading_rad: float, speed_mps: float) -> None:
         """Move to an estimate and find its lane."""
@@ -64,6 +88,16 @@ class BelievedVehicle(MDPVehicle):  # type: ignore[misc]
 
 
 INTENT = ("target_lane_index", "target_speed", "speed_index", "route")
+
+
+def stand(vehicle: Vehicle, dt_s: float) -> None:
+    """Where the actuators hold the brake, let it work against the wheels' true motion: highway-env's cars have none.
+
+    Without it a car whose odometer shows 0 would creep on for ever at the speed that is too small to be measured.
+    """
+    bound = vehicle.action.pop(HOLD, None)
+    if bound is not None:
+        vehicle.action["acceleration"] = min(max(-vehicle.speed / dt_s, -bound), bound)
 
 
 def _delegated(name: str) -> Any:
@@ -98,10 +132,12 @@ class MetaEgo(MDPVehicle):  # type: ignore[misc]
         self.cockpit.look()
         believed = self.cockpit.believed
         believed.act(action)
-        Vehicle.act(self, self.cockpit.limit(dict(believed.action)))
+        if action is None:  # a decision alone moves nothing: this is called again, without one, in each step
+            Vehicle.act(self, self.cockpit.limit(dict(believed.action)))
 
     def step(self, dt: float) -> None:
         """Move, and tell the cockpit."""
+        stand(self, dt)
         super().step(dt)
         if self.cockpit is not None:
             self.cockpit.moved()
@@ -115,16 +151,22 @@ class DirectEgo(Vehicle):  # type: ignore[misc]
 
     BASE: type[Vehicle] = Vehicle
     cockpit: Cockpit | None = None
+    command: dict[str, float] | None = None
 
     def act(self, action: dict[str, float] | None = None) -> None:
-        """Apply the command to the real car."""
-        if self.cockpit is not None:
-            self.cockpit.look()
-            action = self.cockpit.limit(dict(action or self.action))
-        self.BASE.act(self, action)
+        """Take a command, or apply the last one to the real car: the actuators follow it step by step."""
+        if self.cockpit is None:
+            self.BASE.act(self, action)
+            return
+        self.cockpit.look()
+        if action is not None:
+            self.command = dict(action)
+        else:
+            self.BASE.act(self, self.cockpit.limit(dict(self.command or self.action)))
 
     def step(self, dt: float) -> None:
         """Move, and tell the cockpit."""
+        stand(self, dt)
         self.BASE.step(self, dt)
         if self.cockpit is not None:
             self.cockpit.moved()
@@ -144,6 +186,7 @@ class BicycleEgo(BicycleVehicle):  # type: ignore[misc]
 
     BASE: type[Vehicle] = BicycleVehicle
     cockpit: Cockpit | None = None
+    command: dict[str, float] | None = None
     act = DirectEgo.act
     step = DirectEgo.step
     predict_trajectory_constant_speed = DirectEgo.predict_trajectory_constant_speed

@@ -21,17 +21,22 @@ from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.streams import Streams
 
-__all__ = ["alert_limits_m", "map_bound_m", "navigator_config", "set_scene"]
+__all__ = ["MAP_SHARE", "alert_limits_m", "map_bound_m", "navigator_config", "set_scene"]
 
 HOURS = 24  # the constellations repeat after a day, nearly
 MARGIN_S = 60.0  # of sky beyond what an episode is expected to last
 EGO = 0  # its row in faults; None strikes everybody
+MAP_SHARE = 0.1  # of the integrity risk, for the map: of both, its Gaussian level pays less for a small share
 NEWCOMERS = 24  # slots kept for vehicles that appear later, where the world makes some
 
 
 def map_bound_m(config: EnvConfig, navigator: NavigatorConfig) -> float:
-    """A bound of the map's shift on one axis, at half the navigator's risk."""
-    return float(upper_quantile(np.array(0.25 * navigator.risk.integrity_risk))) * config.navigation.map_sigma_m
+    """A bound of the map's shift on each axis: ``Qinv(risk MAP_SHARE / 4) sigma``, for two sides of two axes.
+
+    The navigator's levels are left the rest of the risk, so that the pose on the map keeps to the stated total.
+    """
+    tail = 0.25 * MAP_SHARE * navigator.risk.integrity_risk
+    return float(upper_quantile(np.array(tail))) * config.navigation.map_sigma_m
 
 
 def alert_limits_m(world: AbstractEnv, config: EnvConfig) -> tuple[float, float]:
@@ -43,7 +48,7 @@ def alert_limits_m(world: AbstractEnv, config: EnvConfig) -> tuple[float, float]
 def navigator_config(config: EnvConfig, limits_m: tuple[float, float]) -> NavigatorConfig:
     """The level's navigator with the environment's rate, alert limits and overrides.
 
-    The limits are for the pose on the map, so the map's own bound is taken off them.
+    The limits are for the pose on the map, so the map's own bound is taken off them, and its risk off the total.
     """
     return _navigator_config(config.to_json(), limits_m)
 
@@ -54,7 +59,11 @@ def _navigator_config(text: str, limits_m: tuple[float, float]) -> NavigatorConf
     base = config.level.navigator().replace(dt_s=1.0 / config.navigation.rate_hz)
     given = base.replace(**config.navigator)
     limits = [max(limit - map_bound_m(config, given), 0.01) for limit in limits_m]
-    return given.replace(alert={"limits": {"al_at_m": limits[0], "al_ct_m": limits[1]}})
+    spent = MAP_SHARE * given.risk.integrity_risk if config.navigation.map_sigma_m > 0.0 else 0.0
+    return given.replace(
+        alert={"limits": {"al_at_m": limits[0], "al_ct_m": limits[1]}},
+        risk={"unmonitored_risk": given.risk.unmonitored_risk + spent},
+    )
 
 
 def set_scene(

@@ -177,5 +177,5 @@ class Street:
             for lane in (left, own, right):
                 there.append(lane is not None)
                 places.append(self.where(lane or own, share * self.lanes.length_m[lane or own]))
-        arc, lane = np.array([p[0] for p in places]), np.array([p[1] for p in places], dtype=np.int64)
-        return np.where(there, self.mask.predicted_by_one(arc, lane, sky), NO_LANE).reshape(-1, 3)
+        arcs, ids = np.array([p[0] for p in places]), np.array([p[1] for p in places], dtype=np.int64)
+        return np.where(there, self.mask.predicted_by_one(arcs, ids, sky), NO_LANE).reshape(-1, 3)

@@ -6,11 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from highway_env.road.lane import CircularLane, StraightLane
+from highway_env.road.road import Road, RoadNetwork
 from numpy.typing import NDArray
+from scipy.stats import norm
 
-from lanebound.envs import DrivingEnv, wrap
+from lanebound.envs import DrivingEnv, make_config, wrap
 from lanebound.envs.cockpit import Cockpit
-from lanebound.envs.ego import MetaEgo
+from lanebound.envs.ego import BelievedVehicle, MetaEgo
+from lanebound.envs.scene import map_bound_m, navigator_config
 from lanebound.integrity.monitoring.alerts import AlertReason
 
 IDLE = 1
@@ -183,3 +187,32 @@ def test_an_ego_that_knows_its_position_still_hears_the_others() -> None:
         env.step(IDLE)
     assert env.cockpit is not None
     assert env.cockpit.traffic.count == 1
+
+
+def test_levels_on_the_map_keep_to_the_stated_risk() -> None:
+    """What the map is given is taken off the navigator's share, so that both together are the stated total."""
+    config = make_config("lanebound/LaneKeeping-v0", {"navigator": {"risk": {"integrity_risk": 1e-4}}})
+    navigator = navigator_config(config, (1.5, 0.625))
+    bound = map_bound_m(config, navigator)
+    by_the_map = 4.0 * norm.sf(bound / config.navigation.map_sigma_m)  # two sides of two axes
+    left = float(navigator.risk.axis_budgets(spent=navigator.risk.unmonitored_risk).sum())
+    assert by_the_map + left == pytest.approx(1e-4, rel=1e-6)
+    assert by_the_map > 0.0
+    certain = make_config("lanebound/LaneKeeping-v0", {"navigation": {"map_sigma_m": 0.0}})
+    assert navigator_config(certain, (1.5, 0.625)).risk.unmonitored_risk == 0.0
+    assert map_bound_m(certain, navigator) == 0.0
+
+
+@pytest.mark.parametrize(("x", "planned", "lane"), [(51.0, "s", "s"), (51.0, "t", "t"), (80.0, "t", "s")])
+def test_where_lanes_part_the_believed_one_is_that_of_the_route_unless_it_is_far(
+    x: float, planned: str, lane: str
+) -> None:
+    """1 m past a fork two lanes are equally near; 30 m past it the turn is 30 m away, whatever was planned."""
+    network = RoadNetwork()
+    network.add_lane("a", "b", StraightLane([0.0, 0.0], [50.0, 0.0]))
+    network.add_lane("b", "s", StraightLane([50.0, 0.0], [100.0, 0.0]))
+    network.add_lane("b", "t", CircularLane([50.0, 20.0], 20.0, -np.pi / 2, 0.0))
+    car = BelievedVehicle(Road(network, np_random=np.random.default_rng(0)), np.array([40.0, 0.0]), 0.0, 10.0)
+    car.route = [("b", planned, None)]
+    car.place(np.array([x, 0.3]), 0.02, 10.0)
+    assert car.lane_index == ("b", lane, 0)

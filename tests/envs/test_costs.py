@@ -7,9 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from highway_env.road.lane import StraightLane
+from highway_env.road.road import Road, RoadNetwork
+from highway_env.vehicle.kinematics import Vehicle
 
 from lanebound.envs import DrivingEnv, make_config, wrap
-from lanebound.envs.costs import CHANGE_S, CostConfig, rss_distance_m
+from lanebound.envs.costs import CHANGE_S, Corridor, CostConfig, overhang_m, rss_distance_m, tailgates
 from lanebound.integrity.errors import ConfigError
 
 PERFECT: dict[str, Any] = {"sky": "open", "navigation": {"source": "perfect"}, "perception": {"source": "none"}}
@@ -33,8 +36,8 @@ def _costs(env: DrivingEnv, commands: Any, steps: int, seed: int = 0) -> dict[st
 @pytest.mark.parametrize(
     ("base", "world", "most"),
     [
-        ("roundabout-v1", {}, 8.0),  # highway-env's control itself cuts the corner at the entry by a metre
-        ("intersection-v2", {"initial_vehicle_count": 0, "spawn_probability": 0.0}, 1.0),
+        ("roundabout-v1", {}, 4.0),  # highway-env's control itself swings wide at the entry, on no lane at all
+        ("intersection-v2", {"initial_vehicle_count": 0, "spawn_probability": 0.0}, 0.5),
         ("merge-v1", {}, 0.0),
     ],
 )
@@ -170,3 +173,77 @@ def test_the_others_have_been_heard_when_an_episode_begins() -> None:
     lead = next(v for v in env.world.road.vehicles if v is not env.world.vehicle)
     assert traffic.count == 1
     assert math.hypot(*(traffic.position_m[0] - lead.position)) < traffic.pl_at_m[0] < 1.0
+
+
+def _behind(gap_m: float, speed_mps: float, **perception: Any) -> DrivingEnv:
+    """Our car behind a standing one in an empty street."""
+    env = DrivingEnv(make_config("lanebound/CarFollowing-v0", {"sky": "open", "perception": perception}))
+    env.reset(seed=2)
+    ego = env.world.vehicle
+    lead = next(v for v in env.world.road.vehicles if v is not ego)
+    lead.position = ego.lane.position(ego.lane.local_coordinates(ego.position)[0] + gap_m + ego.LENGTH, 0.0)
+    lead.speed, ego.speed = 0.0, speed_mps
+    return env
+
+
+@pytest.mark.parametrize(
+    ("gap_m", "speed_mps", "tails"), [(10.0, 10.0, True), (40.0, 10.0, False), (1.0, 0.0, False), (-30.0, 10.0, False)]
+)
+def test_who_tailgates_is_a_question_of_the_true_gap(gap_m: float, speed_mps: float, tails: bool) -> None:
+    """From 10 m/s a standing vehicle asks for 5.25 + 11^2 / 8 = 20.4 m; at rest no gap is too short."""
+    env = _behind(gap_m, speed_mps, source="none")
+    assert tailgates(env.world.vehicle, env.world.road.vehicles, env.config.cost) is tails
+
+
+def test_a_leader_that_is_not_perceived_costs_in_full_until_the_car_stands() -> None:
+    """To lose the radio saves nothing: the gap is then bounded by nothing."""
+    env = _behind(12.0, 10.0, source="none")
+    *_, info = env.step(np.array([0.0, 0.0], dtype=np.float32))
+    assert info["cost_headway"] == pytest.approx(env.dt_s)
+    env.world.vehicle.speed = 0.0
+    *_, info = env.step(np.array([-1.0, 0.0], dtype=np.float32))
+    assert info["cost_headway"] == 0.0
+
+
+def test_a_lane_change_is_free_across_the_end_of_a_road() -> None:
+    """merge-v1's roads end at 230, 310 and 390 m; the change takes from one to the next, at any moment of it."""
+    env = wrap("merge-v1", {**PERFECT, "world": {}})
+    for start in range(8, 30, 3):
+        env.reset(seed=0)
+        cost, over, k = 0.0, False, 0
+        while not over:
+            env.world.road.vehicles = [env.world.vehicle]
+            *_, terminated, truncated, info = env.step(LEFT if k == start else IDLE)
+            cost, over, k = cost + info["cost_lane"], terminated or truncated, k + 1
+        assert cost == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_body_may_stand_on_two_lanes_that_meet() -> None:
+    """Half on the first lane, half on the next, which leaves it at an angle: each corner is inside of one of them."""
+    network = RoadNetwork()
+    network.add_lane("a", "b", StraightLane([0.0, 0.0], [50.0, 0.0]))
+    network.add_lane("b", "c", StraightLane([50.0, 0.0], [90.0, 30.0]))
+    car = Vehicle(Road(network, np_random=np.random.default_rng(0)), np.array([50.0, 0.0]), 0.32)
+    corridor = Corridor(False, True, ("a", "b", 0))
+    assert overhang_m(network, corridor, car.position, 0.32, car) == 0.0
+    assert overhang_m(network, corridor, np.array([20.0, 1.5]), 0.0, car) == pytest.approx(0.5)
+    assert overhang_m(network, corridor, np.array([-20.0, -1.5]), 0.0, car) == pytest.approx(0.5)
+
+
+def test_a_car_that_takes_itself_to_stand_does_so() -> None:
+    """Below what the wheel pulses show, highway-env's control would let it creep for ever: an alert in a canyon."""
+    env = DrivingEnv(make_config("lanebound/UrbanCanyon-v0", {"sky": "urban", "world": {"vehicles_count": 0}}))
+    env.reset(seed=1)
+    for _ in range(30):
+        env.step(4)
+    assert env.world.vehicle.speed == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_wheels_turn_at_the_stated_rate_towards_what_is_commanded() -> None:
+    """0.7 rad/s from step to step of the dynamics, however seldom decisions come."""
+    env = DrivingEnv(make_config("lanebound/LaneKeeping-v0", {"sky": "open"}))
+    env.reset(seed=0)
+    assert env.cockpit is not None
+    for command, angle in ((0.5, 0.14), (0.5, 0.2), (-0.5, 0.06)):
+        env.step(np.array([-0.5, command], dtype=np.float32))
+        assert env.cockpit.steering_rad == pytest.approx(angle, abs=1e-6)
