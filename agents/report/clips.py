@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lanebound.agents.benchmark.outcome import Outcome
-from lanebound.agents.benchmark.suite import SuiteConfig
+from lanebound.agents.benchmark.replay import replay
 
 __all__ = ["Clip", "film_clip", "shrink"]
 
@@ -35,30 +35,18 @@ class Clip:
     trouble: str = ""
 
 
-def film_clip(suite: SuiteConfig, outcome: Outcome) -> Clip:
-    """Drive an episode again and keep its last seconds; trouble is told, not raised, as a report is due in any case."""
-    with tempfile.TemporaryDirectory() as folder:
-        whole, small = Path(folder) / "whole.mp4", Path(folder) / "small.mp4"
+def film_clip(folder: Path, outcome: Outcome) -> Clip:
+    """Drive an episode of a folder of results again and keep its last seconds.
+
+    Trouble is told, not raised: the report is due in any case, and agents are anybody's code.
+    """
+    with tempfile.TemporaryDirectory() as place:
+        whole, small = Path(place) / "whole.mp4", Path(place) / "small.mp4"
         try:
-            film_episode(suite, outcome, whole)
+            replay(folder, outcome.id, whole, FPS)
             return Clip(outcome, _address(shrink(whole, small, outcome.time_s)))
-        except Exception as error:  # agents are anybody's code
+        except Exception as error:
             return Clip(outcome, trouble=f"{type(error).__name__}: {error}")
-
-
-def film_episode(suite: SuiteConfig, outcome: Outcome, path: Path) -> None:
-    """Drive an episode of a suite again, with a film of all of it."""
-    from lanebound.agents.drivers import make_agent
-    from lanebound.agents.episodes import drive, open_env
-    from lanebound.agents.episodes.film import Film
-
-    place = outcome.task.place
-    env = open_env(place.env, suite.env_overrides(place, outcome.agent), "rgb_array")
-    try:
-        with Film(env, path, FPS) as film:
-            drive(env, make_agent(suite.agents[outcome.agent].agent, env), [outcome.seed], [film])
-    finally:
-        env.close()
 
 
 def shrink(whole: Path, small: Path, length_s: float) -> bytes:

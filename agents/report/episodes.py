@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lanebound.agents.benchmark.outcome import Outcome
 from lanebound.agents.benchmark.results import Results
+from lanebound.agents.benchmark.store import Store
 from lanebound.agents.report.looks import Actor
 from lanebound.agents.report.trace import Trace
 from lanebound.integrity.assessment.record import AXES, Record
@@ -37,12 +38,16 @@ def pooled(results: Results, outcomes: Iterable[Outcome]) -> Trace | None:
 
 
 def _columns(results: Results, outcome: Outcome) -> Columns | None:
-    """Columns of the decisions whose errors are finite."""
-    table = results.rows(outcome)
-    if table is None or table.num_rows < 2:
+    """Columns of the decisions whose errors are finite; no others are read, as episodes are many."""
+    if results.folder is None:
         return None
-    found: Columns = {name: np.asarray(table[name].to_pylist()) for name in TAKEN}
-    keep = np.isfinite(found["err_at_m"].astype(float)) & np.isfinite(found["err_ct_m"].astype(float))
+    import pyarrow.parquet as pq
+
+    table = pq.ParquetFile(Store(results.folder).path(outcome.task)).read(columns=list(TAKEN))
+    if table.num_rows < 2:
+        return None
+    found: Columns = {name: table[name].to_numpy() for name in TAKEN}
+    keep = np.isfinite(found["err_at_m"]) & np.isfinite(found["err_ct_m"])
     keep[0] = False
     return {name: values[keep] for name, values in found.items()} if keep.any() else None
 
@@ -50,17 +55,17 @@ def _columns(results: Results, outcome: Outcome) -> Columns | None:
 def _traced(parts: Sequence[Columns]) -> Trace:
     """One record; where alert limits change, errors and levels are scaled so that each keeps its ratio to its limit."""
     joined = {name: np.concatenate([part[name] for part in parts]) for name in TAKEN}
-    limits = {axis: joined[f"al_{axis}_m"].astype(float) for axis in AXES}
+    limits = {axis: joined[f"al_{axis}_m"] for axis in AXES}
     first = {axis: float(limit[0]) for axis, limit in limits.items()}
     ratio = {axis: first[axis] / limit for axis, limit in limits.items()}
     many = len(parts) > 1
     record = Record(
-        time_s=np.arange(1.0, joined[SECONDS].size + 1.0) if many else joined[SECONDS].astype(float),
+        time_s=np.arange(1.0, joined[SECONDS].size + 1.0) if many else joined[SECONDS],
         mode=np.array([CODES[key] for key in joined["mode"]]),
-        error_at_m=joined["err_at_m"].astype(float) * ratio["at"],
-        error_ct_m=joined["err_ct_m"].astype(float) * ratio["ct"],
-        pl_at_m=joined["pl_at_m"].astype(float) * ratio["at"],
-        pl_ct_m=joined["pl_ct_m"].astype(float) * ratio["ct"],
+        error_at_m=joined["err_at_m"] * ratio["at"],
+        error_ct_m=joined["err_ct_m"] * ratio["ct"],
+        pl_at_m=joined["pl_at_m"] * ratio["at"],
+        pl_ct_m=joined["pl_ct_m"] * ratio["ct"],
         alert=joined["alert"].astype(bool),
         available=joined["available"].astype(bool),
     )
@@ -82,9 +87,9 @@ def badness(outcome: Outcome) -> tuple[int, float]:
 
 
 def worst_of(outcomes: Iterable[Outcome], actors: Mapping[str, Actor], count: int) -> list[Outcome]:
-    """The worst episode of each agent, the worst first; agents that failed or act at random show nothing of interest.
+    """The worst episode of each agent, the worst first, each drive once where agents did the same.
 
-    Where nobody else drove, those that act at random are shown.
+    Agents that failed or act at random show nothing of interest; the latter are shown where nobody else drove.
     """
     driven = [o for o in outcomes if not o.failed]
     serious = [o for o in driven if not actors[o.agent].chance] or driven
@@ -92,4 +97,5 @@ def worst_of(outcomes: Iterable[Outcome], actors: Mapping[str, Actor], count: in
     for outcome in serious:
         if outcome.agent not in worst or badness(outcome) > badness(worst[outcome.agent]):
             worst[outcome.agent] = outcome
-    return sorted(worst.values(), key=badness, reverse=True)[:count]
+    different = {(o.seed, o.cost, o.total_return): o for o in reversed(worst.values())}
+    return sorted(different.values(), key=badness, reverse=True)[:count]

@@ -13,10 +13,10 @@ from lanebound.integrity.assessment.stanford import ZoneCounts, count_zones
 
 __all__ = ["AXIS_NAMES", "share_text", "stanford"]
 
-WIDTH, HEIGHT = 220.0, 232.0
-FRAME = Frame(30.0, 24.0, 212.0, 196.0)
+WIDTH, HEIGHT = 176.0, 190.0
+FRAME = Frame(27.0, 22.0, 171.0, 157.0)
 EXTENT = 2.0  # how many alert limits are shown
-CELLS = 52  # of the density, along each axis
+CELLS = 48  # of the density, along each axis
 LEVELS = 5
 AXIS_NAMES: dict[Axis, str] = {"at": "along the track", "ct": "across the track"}
 
@@ -27,7 +27,7 @@ def stanford(agent: str, record: Record, axis: Axis, al_m: float) -> tuple[Marku
     top = EXTENT * al_m
     x, y = FRAME.across(0.0, top), FRAME.up(0.0, top)
     parts = [_polygon(zone, outline) for zone, outline in _outlines(x(al_m), y(al_m)).items()]
-    parts += axes(FRAME, x, y, "error (m)", f"PL {axis.upper()} (m)", (4, 4))
+    parts += axes(FRAME, x, y, "error (m)", f"PL {axis.upper()} (m)", (3, 4))
     parts += _density(np.minimum(record.error(axis), top), np.minimum(record.pl(axis), top), top)
     parts += [
         line(x(0.0), y(0.0), x(top), y(top), "rule"),
@@ -56,7 +56,10 @@ def _polygon(zone: Zone, outline: list[tuple[float, float]]) -> Markup:
 
 
 def _density(error_m: NDArray[np.float64], pl_m: NDArray[np.float64], top_m: float) -> list[Markup]:
-    """Cells by the logarithm of their epochs, one path for each level; a single epoch stays visible."""
+    """Cells by the logarithm of their epochs, one path for each level; a single epoch stays visible.
+
+    A path runs along the middles of its cells, and is as wide as they are: half as long as outlines would be.
+    """
     edges = np.linspace(0.0, top_m, CELLS + 1)
     counts, _, _ = np.histogram2d(pl_m.ravel(), error_m.ravel(), bins=[edges, edges])
     most = max(10.0, float(counts.max()))
@@ -65,17 +68,17 @@ def _density(error_m: NDArray[np.float64], pl_m: NDArray[np.float64], top_m: flo
     level = np.minimum(level, LEVELS - 1).astype(int)
     paths = [tag("path", d=_runs(level == k), class_=f"d{k}") for k in range(LEVELS) if (level == k).any()]
     width, height = (FRAME.right - FRAME.left) / CELLS, (FRAME.bottom - FRAME.top) / CELLS
-    place = f"translate({FRAME.left:g} {FRAME.bottom:g}) scale({width:.3f} {-height:.3f})"
+    place = f"translate({FRAME.left:g} {FRAME.bottom - height / 2:.3f}) scale({width:.3f} {-height:.3f})"
     return [tag("g", *paths, transform=place, class_="density")]
 
 
 def _runs(cells: NDArray[np.bool_]) -> str:
-    """A path over the cells (row, column), neighbours in a row in one rectangle."""
+    """A path over the cells (row, column), neighbours in a row in one stroke."""
     pieces = []
     for row in np.nonzero(cells.any(axis=1))[0]:
         change = np.diff(np.concatenate([[0], cells[row].astype(int), [0]]))
         for start, end in zip(np.nonzero(change == 1)[0], np.nonzero(change == -1)[0], strict=True):
-            pieces.append(f"M{start} {row}h{end - start}v1h{start - end}z")
+            pieces.append(f"M{start} {row}h{end - start}")
     return "".join(pieces)
 
 

@@ -11,8 +11,6 @@ from markupsafe import Markup, escape
 
 __all__ = ["Frame", "Scale", "axes", "line", "path_of", "picture", "round_step", "span", "spread_out", "tag", "text"]
 
-EMPTY = Markup("")
-
 
 def tag(name: str, *children: Any, **attributes: Any) -> Markup:
     """One element; ``class_`` is ``class``, ``stroke_width`` is ``stroke-width``, None leaves an attribute out.
@@ -21,8 +19,8 @@ def tag(name: str, *children: Any, **attributes: Any) -> Markup:
     Markup('<text x="1.2" class="small">a &lt; b</text>')
     """
     named = ((key.rstrip("_").replace("_", "-"), value) for key, value in attributes.items() if value is not None)
-    inside = EMPTY.join(Markup(' {}="{}"').format(key, _short(value)) for key, value in named)
-    return Markup("<{0}{1}>{2}</{0}>").format(name, inside, EMPTY.join(escape(child) for child in children))
+    inside = "".join(f' {key}="{escape(_short(value))}"' for key, value in named)
+    return Markup(f"<{name}{inside}>{''.join(escape(child) for child in children)}</{name}>")
 
 
 def _short(value: Any) -> Any:

@@ -16,8 +16,8 @@ from lanebound.integrity.positioning.modes import Mode
 
 __all__ = ["Trace", "trace"]
 
-WIDTH, PANEL, GAP = 440.0, 104.0, 34.0
-LEFT, TOP, RIGHT = 34.0, 34.0, 432.0
+WIDTH, PANEL, GAP = 340.0, 92.0, 42.0
+LEFT, TOP, RIGHT = 30.0, 30.0, 336.0
 STRIP_PX = 6.0
 LEVEL_QUANTILE = 0.98  # of the levels within the scale
 LIMITS_SHOWN = 3.0  # the scale goes no further than this many alert limits for levels alone
@@ -57,8 +57,7 @@ def _panel(episode: Trace, axis: Axis, frame: Frame, x_label: str) -> list[Marku
     return [
         *_spans(record.alert, time, x, lambda a, b: _box(a, frame.top, b - a, frame.bottom - frame.top, "alerted")),
         *axes(frame, x, y, x_label, f"{axis.upper()} (m)", (6, 3)),
-        tag("path", d=path_of([*outline, *ground]) + "z", class_="error-area"),
-        tag("path", d=path_of(outline), class_="error-line"),
+        tag("path", d=path_of([*outline, *ground]) + "z", class_="error"),
         tag("path", d=path_of(levels), class_="level"),
         line(frame.left, y.held(al), frame.right, y.held(al), "limit"),
         *_modes(record, time, x, frame.top - STRIP_PX),

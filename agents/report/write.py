@@ -24,8 +24,8 @@ from lanebound.agents.report.commands import replay_command
 from lanebound.agents.report.episodes import badness, what_happened, worst_of
 from lanebound.agents.report.looks import Actor, actors_of, title_of
 from lanebound.agents.report.tables import head_of, overviews
-from lanebound.agents.report.trace import MODE_COLOURS
 from lanebound.agents.report.views import causes, view_of
+from lanebound.integrity.assessment.plotting import MODE_COLOURS
 
 __all__ = ["NAME", "render", "write_report"]
 
@@ -93,6 +93,7 @@ def render(results: Results, clips: int = 0) -> str:
         definition=json.dumps(results.suite.to_dict(), indent=2, ensure_ascii=False),
         versions=_versions(results.folder),
         title_of=title_of,
+        breakable=Markup("_<wbr>"),  # long names may go on in a new line
         replay=lambda outcome: replay_command(results.folder, outcome),
     )
 
@@ -112,13 +113,13 @@ def _places(results: Results) -> dict[Place, list[Cell]]:
 
 def _clips(results: Results, places: Mapping[Place, Any], actors: Mapping[str, Actor], count: int) -> list[Clip]:
     """Films of the worst episodes, the worst of all first, one at each place."""
-    if count < 1:
+    if count < 1 or results.folder is None:
         return []
     worst: list[Outcome] = []
     for place in places:
         worst += worst_of((o for o in results.outcomes if o.task.place == place), actors, 1)
     chosen = sorted(worst, key=badness, reverse=True)[:count]
-    return [film_clip(results.suite, outcome) for outcome in chosen]
+    return [film_clip(results.folder, outcome) for outcome in chosen]
 
 
 def _failures(results: Results) -> list[Failures]:

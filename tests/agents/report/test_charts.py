@@ -1,0 +1,111 @@
+"""Pictures hold what they are given, and say it in words too."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+
+from lanebound.agents.report.bars import Stack, stacked
+from lanebound.agents.report.forest import Difference, forest
+from lanebound.agents.report.pareto import Place, Side, front, pareto
+from lanebound.agents.report.stanford import stanford
+from lanebound.agents.report.trace import Trace, trace
+from lanebound.integrity.assessment.events import Zone
+from lanebound.integrity.assessment.record import Record
+from lanebound.integrity.positioning.modes import Mode
+
+COST, RETURN = Side("cost", "", "lower"), Side("return", "", "higher")
+
+
+def spot(agent: str, x: float, y: float, look: int = 0, bound: bool = False) -> Place:
+    return Place(agent, look, (x, x - 1.0, x + 1.0), (y, y - 1.0, y + 1.0), bound)
+
+
+def record(error_m: list[float], pl_m: list[float], alert: list[bool] | None = None) -> Record:
+    error, pl = np.array(error_m), np.array(pl_m)
+    on = np.zeros(error.size, dtype=bool) if alert is None else np.array(alert)
+    mode = np.where(np.arange(error.size) % 2, int(Mode.RTK), int(Mode.DOPPLER))
+    return Record(np.arange(1.0, error.size + 1.0), mode, error, 0.5 * error, pl, pl, on, ~on)
+
+
+def classes(picture: str, name: str) -> list[str]:
+    return [e.attrib.get("class", "") for e in ET.fromstring(picture).iter(name)]
+
+
+def test_verdicts_follow_the_interval_and_the_better_side():
+    up, down, unclear = Difference("a", 1, 0.5, 2), Difference("a", -1, -2, -0.5), Difference("a", 1, -0.5, 2)
+    assert [d.verdict("higher") for d in (up, down, unclear)] == ["better", "worse", "unclear"]
+    assert [d.verdict("lower") for d in (up, down, unclear)] == ["worse", "better", "unclear"]
+    assert [d.verdict(None) for d in (up, unclear)] == ["differs", "unclear"]
+
+
+def test_a_forest_tells_clear_differences_by_shape_not_by_colour_alone():
+    rows = [Difference("mine", -0.2, -0.3, -0.1, 0.9), Difference("other", 0.1, -0.1, 0.3, 0.2)]
+    drawn = forest("collision", "share", "lower", "nominal", rows)
+    parsed = ET.fromstring(drawn)
+    assert classes(drawn, "g") == ["v-better", "v-unclear"]
+    assert [len(list(parsed.iter(shape))) for shape in ("path", "circle")] == [1, 1]
+    assert "mine −20.0 % [−30.0 %, −10.0 %], better; other +10.0 %" in parsed.attrib["aria-label"]
+    assert "better on 90 % of the seeds" in drawn
+    assert "← better" in drawn
+
+
+def test_the_front_is_whom_nobody_beats():
+    places = [spot("a", 1, 1), spot("b", 2, 3), spot("c", 3, 2), spot("d", 4, 4)]
+    assert [p.agent for p in front(places, COST, RETURN)] == ["a", "b", "d"]
+    assert [p.agent for p in front([spot("a", 1, 1), spot("b", 1, 1)], COST, RETURN)] == ["a", "b"]
+
+
+def test_who_sees_the_truth_is_not_on_the_front():
+    drawn = pareto([spot("a", 2, 1), spot("b", 3, 2, 1), spot("oracle", 0, 9, 2, bound=True)], COST, RETURN)
+    label = ET.fromstring(drawn).attrib["aria-label"]
+    assert label.startswith("return against cost. On the Pareto front: a, b. Means: ")
+    assert "oracle 0.000, 9.00" in label
+    assert "mark open" in classes(drawn, "path")
+
+
+def test_labels_of_agents_at_one_spot_stay_apart():
+    drawn = ET.fromstring(pareto([spot(f"agent{i}", 1, 1, i) for i in range(12)], COST, RETURN))
+    rows = sorted(float(e.attrib["y"]) for e in drawn.iter("text") if e.attrib.get("class") == "name")
+    assert min(np.diff(rows)) > 14.0
+    assert 0.0 < rows[0] < rows[-1] < 300.0
+
+
+def test_bars_end_at_their_totals():
+    drawn = ET.fromstring(stacked("Costs", [Stack("a", {"lane": 3.0, "alert": 1.0}), Stack("b", {"lane": 2.0})]))
+    widths = [float(e.attrib["width"]) for e in drawn.iter("rect")]
+    assert widths[0] == pytest.approx(3 * widths[1], abs=0.2)
+    assert widths[0] + widths[1] == pytest.approx(2 * widths[2], abs=0.2)
+    assert "a 4.00 (lane 3.00, alert 1.00)" in drawn.attrib["aria-label"]
+    assert stacked("Costs", [Stack("a", {"lane": 0.0})])
+
+
+def test_a_stanford_diagram_counts_its_zones():
+    drawn, zones = stanford("mine", record([0.1, 0.5, 2.0, 0.1, 2.0], [0.3, 0.3, 0.9, np.inf, 1.5]), "at", 1.0)
+    assert zones.counts == dict.fromkeys(Zone, 1)
+    assert "alert limit 1 m: nominal operation 20.0 %" in drawn
+    parsed = ET.fromstring(drawn)
+    assert len(list(parsed.iter("polygon"))) == len(Zone)
+    dots = sum(e.attrib["d"].count("M") for e in parsed.iter("path") if e.attrib.get("class", "").startswith("d"))
+    assert dots == 5
+
+
+def test_neighbours_share_a_stroke():
+    drawn, _ = stanford("mine", record([0.1, 0.13, 0.9], [0.3, 0.3, 0.9]), "at", 1.0)
+    assert "h2" in drawn
+
+
+def test_a_trace_shows_alerts_modes_and_levels_that_are_infinite():
+    driven = record([0.1, 0.2, 0.9, 0.1], [0.3, 0.4, np.inf, 0.3], [False, False, True, False])
+    drawn = trace(Trace(driven, 0.6, 0.6), "mine, seed 3")
+    parsed = ET.fromstring(drawn)
+    assert classes(drawn, "path").count("level") == 2
+    assert classes(drawn, "rect").count("alerted") == 2
+    assert len([e for e in parsed.iter("rect") if "fill" in e.attrib]) == 8
+    label = parsed.attrib["aria-label"]
+    assert "AT: error up to 0.90 m, beyond the alert limit of 0.6 m 25 % of the time" in label
+    assert "alert on 25 % of the time" in label
+    assert "inf" not in drawn
+    assert "nan" not in drawn
