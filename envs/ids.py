@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.errors import InputError
+from lanebound.integrity.presets import nearest
 
 __all__ = [
     "CLASSES",
@@ -42,7 +43,13 @@ class Preset(DrivingEnv):
 
     PRESET: ClassVar[Mapping[str, Any]]
 
-    def __init__(self, config: Mapping[str, Any] | None = None, render_mode: str | None = None) -> None:
+    def __init__(
+        self, config: Mapping[str, Any] | None = None, render_mode: str | None = None, **misplaced: Any
+    ) -> None:
+        for key, value in misplaced.items():
+            fields = EnvConfig.model_fields
+            advice = f"pass config={{{key!r}: {value!r}}}" if key in fields else nearest(key, ["config", *fields])
+            raise InputError(f"arguments must be config and render_mode, got {key}={value!r}: {advice}")
         if config is not None and not isinstance(config, Mapping):
             raise InputError(f"config must be a mapping of what to change, got {config!r}: pass a dict")
         super().__init__(EnvConfig.build(self.PRESET, config), render_mode)
