@@ -110,7 +110,7 @@ def test_what_cannot_be_replayed_is_refused(unbroken, ident, film, message):
 
 
 def test_a_folder_of_another_suite_is_refused(unbroken):
-    with pytest.raises(InputError, match=r"got .* with another skies: choose a new folder"):
+    with pytest.raises(InputError, match=r"got .* with another value of skies: choose a new folder"):
         Plan.of(SuiteConfig.load({**SUITE, "skies": ["dense"]}), unbroken.folder)
     with pytest.raises(InputError, match="with another agent under the name 'random'"):
         Plan.of(SuiteConfig.load({**SUITE, "agents": {"random": "cruise"}}), unbroken.folder)
