@@ -134,10 +134,11 @@ def _report(results: Results, out: Path, budget: float | None, as_json: bool) ->
 
 def _next(results: Results, out: Path) -> str:
     """What to try next."""
-    chosen = results.failures or [o for o in results.outcomes if o.collision or o.lane_departure] or results.outcomes
+    planned = [o for o in results.outcomes if results.suite.agents[o.agent].agent != "random"]
+    worst = max(results.failures or planned or results.outcomes, key=lambda o: o.cost, default=None)
     lines = ["What to try next"]
-    if chosen:
-        lines.append(f"  lanebound replay-episode {out} {chosen[-1].id} --video out/replay.mp4")
+    if worst is not None:
+        lines.append(f"  lanebound replay-episode {out} {worst.id} --video out/replay.mp4")
     lines += [
         "  lanebound benchmark quick --out out/mine --agents nominal,mine=my_agent:make   # your own, see the README",
         "  lanebound benchmark standard --out out/standard --budget 1                     # every environment and sky",
