@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from lanebound.agents.cli import bench, benchmark, config, drive, envs, play, replay, reproduce
+from lanebound.agents.cli import bench, benchmark, config, drive, envs, play, replay, reproduce, tune
 from lanebound.agents.cli.advice import AdvisingGroup
 
 __all__ = ["app", "main"]
@@ -46,6 +46,7 @@ app = typer.Typer(
 )
 app.add_typer(config.app, name="config")
 app.add_typer(reproduce.app, name="reproduce")
+app.add_typer(tune.app, name="tune")
 app.command("bench")(bench.bench)
 app.command("benchmark")(benchmark.benchmark)
 app.command("replay-episode")(replay.replay_episode)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.agents.drivers.base import Observation
+from lanebound.agents.drivers.crossing import YieldConfig, yield_speed
 from lanebound.agents.drivers.lateral import LqrSteering
 from lanebound.agents.drivers.mobil import MobilConfig, changes
 from lanebound.agents.drivers.plan import ContinuousDriver, MetaDriver, Plan, carry_out
@@ -22,14 +23,20 @@ Array = NDArray[np.float64]
 
 
 class Nominal(Plan):
-    """A linear-quadratic regulator at the wheel, the intelligent driver model with a safe speed, and MOBIL."""
+    """A linear-quadratic regulator at the wheel, the intelligent driver model, a safe speed, MOBIL, and giving way."""
 
     NEEDED: ClassVar[Sequence[str]] = (*Plan.NEEDED, "ego.lateral_offset", "road.lane_end", "road.junction")
 
     def __init__(self, env: DrivingEnv, config: CruiseConfig, mobil: MobilConfig | None = None) -> None:
         super().__init__(env, config)
         self.mobil = MobilConfig() if mobil is None else mobil
+        self.giving_way = YieldConfig()
         self.steering = LqrSteering(env, self.reader) if self.reader.previews_m else self.steering
+
+    def wanted_speed(self, observation: Observation) -> Array:
+        """What the route allows, and giving way to whoever crosses it."""
+        free = super().wanted_speed(observation)
+        return np.minimum(free, yield_speed(self.reader, observation, self.giving_way))
 
     def bonus(self, observation: Observation) -> tuple[Array | float, Array | float]:
         """What speaks for the lanes left and right beside speed [m/s2]."""

@@ -13,6 +13,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from importlib import resources
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -153,7 +154,7 @@ def run_promise(
         ``out`` holds another study or cannot be written.
     """
     _claim(config, out)
-    tasks = [(group, seeds) for group in GROUPS for seeds in _batches(config)]
+    tasks = [(group, seeds) for seeds in _batches(config) for group in GROUPS]
     missing = [(g, s) for g, s in tasks if not _part(out, g, s).exists()]
     done = sum(len(s) for g, s in tasks) - sum(len(s) for _, s in missing)
     of = len(GROUPS) * config.episodes
@@ -193,7 +194,7 @@ def _part(out: Path, group: str, seeds: Sequence[int]) -> Path:
 
 def _claim(config: BarrierPromiseConfig, out: Path) -> None:
     """Mark the folder with the configuration, or refuse one that is marked otherwise."""
-    digest = hashlib.blake2b(config.to_json().encode(), digest_size=8).hexdigest()
+    digest = hashlib.blake2b((config.to_json() + _source_digest()).encode(), digest_size=8).hexdigest()
     mark = out / "config.json"
     try:
         found = json.loads(mark.read_text(encoding="utf-8")).get("digest") if mark.exists() else digest
@@ -202,7 +203,19 @@ def _claim(config: BarrierPromiseConfig, out: Path) -> None:
     except (OSError, ValueError, AttributeError) as error:
         raise InputError(f"out must be a folder that can be written, got {out} ({error}): choose another") from error
     if found != digest:
-        raise InputError(f"out must be empty or hold the same study, got {out} of another: choose a new folder")
+        raise InputError(
+            f"out must be empty or hold the same study, got {out} of another configuration or version: "
+            "choose a new folder"
+        )
+
+
+def _source_digest() -> str:
+    """A name for the code that drives: parts made by other code must not be mixed in."""
+    found = hashlib.blake2b(digest_size=8)
+    for package in ("lanebound.integrity", "lanebound.envs", "lanebound.agents.drivers"):
+        for source in sorted(Path(str(resources.files(package))).rglob("*.py")):
+            found.update(source.read_bytes())
+    return found.hexdigest()
 
 
 def summarise_promise(config: BarrierPromiseConfig, parts: Sequence[dict[str, Any]]) -> dict[str, Any]:

@@ -146,6 +146,18 @@ def test_levels_near_their_limit_slow(env):
     assert speeds == pytest.approx([LIMIT_MPS, LIMIT_MPS, 0.5 * (slow + LIMIT_MPS), slow, slow], rel=1e-5)
 
 
+def test_beyond_its_time_it_goes_on_where_that_leads_out_into_the_open(env):
+    driver = IntegrityAware(env, AwareConfig())
+    c, reader = driver.config, driver.reader
+    dark = {f"road__sky_{d:g}m_own": 4.0 for d in reader.config.satellites_m}
+    late = {"integrity__alert": 1.0, "integrity__since_rtk": c.dead_reckoning_s + 1.0, **dark}
+    near = late | {"road__sky_20m_own": 30.0, "road__sky_40m_own": 30.0}
+    assert driver.wanted_speed(seen(reader, **late)) == 0.0
+    assert driver.wanted_speed(seen(reader, **near)) == pytest.approx(c.alert_share * LIMIT_MPS, rel=1e-5)
+    over = near | {"integrity__since_rtk": c.dead_reckoning_s + c.grace_s + 1.0}
+    assert driver.wanted_speed(seen(reader, **over)) == 0.0
+
+
 def test_known_outages_slow_in_time(env):
     driver = IntegrityAware(env, AwareConfig())
     reader, c = driver.reader, driver.config

@@ -1,0 +1,74 @@
+"""Giving way: to whoever crosses the route in time, to nobody else."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lanebound.agents.drivers.base import Reader
+from lanebound.agents.drivers.crossing import YieldConfig, yield_speed
+from lanebound.envs.observation import ObservationConfig
+
+C = YieldConfig()
+
+
+@pytest.fixture
+def reader() -> Reader:
+    return Reader(ObservationConfig(form="flat"))
+
+
+def seen(reader: Reader, v: float, ahead: float, right: float, speed: float, heading_deg: float) -> Any:
+    """The ego on a straight road and one other, whose heading is relative to the ego's."""
+    psi = math.radians(heading_deg)
+    shown = {f"road.preview_{d:g}m_ahead": d for d in reader.previews_m} | {
+        "ego.speed": v,
+        "traffic.v0_present": 1.0,
+        "traffic.v0_ahead": ahead,
+        "traffic.v0_right": right,
+        "traffic.v0_velocity_ahead": speed * math.cos(psi) - v,
+        "traffic.v0_velocity_right": speed * math.sin(psi),
+        "traffic.v0_heading_sin": math.sin(psi),
+        "traffic.v0_heading_cos": math.cos(psi),
+    }
+    out = np.zeros(len(reader.columns), dtype=np.float32)
+    for name, value in shown.items():
+        out[reader.columns.index(name)] = value / reader.scale(name)
+    return out
+
+
+def test_whoever_crosses_when_the_ego_would_be_there_is_given_way(reader):
+    """Paths cross 30 m ahead, where both would be after 3 s: it stops a length and half the width short."""
+    speed = float(yield_speed(reader, seen(reader, 10.0, 30.0, 24.0, 8.0, -90.0), C))
+    stop = speed**2 / (2.0 * C.brake_mps2)
+    assert 30.0 - C.width_m - C.length_m - 2.0 <= stop <= 30.0 - C.length_m
+
+
+@pytest.mark.parametrize(
+    ("ahead", "right", "speed", "heading_deg"),
+    [
+        (30.0, -30.0, 8.0, -90.0),  # has crossed and drives away
+        (30.0, 24.0, 0.5, -90.0),  # waits
+        (30.0, 45.0, 4.0, -90.0),  # comes long after the ego has gone
+        (30.0, 0.0, 5.0, 0.0),  # leads
+        (40.0, -4.0, 10.0, 180.0),  # comes towards it on the other lane
+        (-20.0, 10.0, 8.0, -90.0),  # crosses behind
+    ],
+)
+def test_nobody_else_is(reader, ahead, right, speed, heading_deg):
+    assert float(yield_speed(reader, seen(reader, 10.0, ahead, right, speed, heading_deg), C)) == np.inf
+
+
+def test_within_the_crossing_the_ego_goes_on(reader):
+    assert float(yield_speed(reader, seen(reader, 5.0, 3.0, 8.0, 8.0, -90.0), C)) == np.inf
+
+
+def test_a_batch_and_nobody_to_see():
+    reader = Reader(ObservationConfig(form="flat"))
+    rows = [seen(reader, 10.0, 30.0, right, 8.0, -90.0) for right in (24.0, -30.0)]
+    together = yield_speed(reader, np.stack(rows), C)
+    assert together.tolist() == [float(yield_speed(reader, row, C)) for row in rows]
+    blind = Reader(ObservationConfig(form="flat", vehicles=0))
+    assert float(yield_speed(blind, np.zeros(len(blind.columns), dtype=np.float32), C)) == np.inf
