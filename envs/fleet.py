@@ -1,5 +1,7 @@
 """The other vehicles that broadcast: their true motion, and what each one's own navigation makes of it.
 
+Each has a navigator's instruments of its own, and shares with the ego what is common to all vehicles of an area
+(:mod:`lanebound.integrity.sensors.area`): positions by RTK err alike, and outages of the network strike all at once.
 A vehicle keeps a slot for as long as it is in the world; the next vehicle in that slot inherits its instruments.
 """
 

@@ -32,6 +32,7 @@ from lanebound.integrity.monitoring.significance import Linking
 from lanebound.integrity.positioning.config import PositioningConfig
 from lanebound.integrity.sensors import corrections as links
 from lanebound.integrity.sensors import gnss as receiver
+from lanebound.integrity.sensors.area import AreaState, advance_area, initial_area
 from lanebound.integrity.sensors.corrections import CorrectionsConfig, CorrectionsState
 from lanebound.integrity.sensors.faults import FaultSchedule
 from lanebound.integrity.sensors.gnss import GnssConfig, GnssEpoch, GnssState
@@ -151,6 +152,7 @@ class NavigatorState:
     """
 
     streams: Streams
+    area: AreaState
     gnss: GnssState
     corrections: CorrectionsState
     imu: ImuState
@@ -184,6 +186,9 @@ class Navigator:
         What buildings leave of the sky along the street.
     seeds : one seed for each vehicle, or one int with ``batch``
     faults : FaultSchedule, optional
+    area_seed : int, optional
+        One area for all vehicles of this and of any navigator with the same seed, clock and sky: the same atmosphere,
+        reference station and outages of its network (:mod:`.sensors.area`). Without it each vehicle has its own.
 
     Raises
     ------
@@ -199,11 +204,13 @@ class Navigator:
         seeds: int | Sequence[int],
         batch: int | None = None,
         faults: FaultSchedule | None = None,
+        area_seed: int | None = None,
     ) -> None:
         self.config, self.track, self.mask = config, track, mask
         self.faults = faults or FaultSchedule(())
         self._tables = _Tables.of(config, track.system)
-        self.state = self._initial(Streams(seeds, batch))
+        area = Streams(seeds, batch) if area_seed is None else Streams([area_seed])
+        self.state = self._initial(Streams(seeds, batch), area)
 
     @classmethod
     def nominal(
@@ -212,8 +219,9 @@ class Navigator:
         """A navigator under the nominal constellations of the configuration and an open sky."""
         return cls(config, SkyTrack.from_config(config.sky, duration_s), SkyMask.open(), seeds, batch)
 
-    def _initial(self, streams: Streams) -> NavigatorState:
+    def _initial(self, streams: Streams, area_streams: Streams) -> NavigatorState:
         c, batch, n_sat = self.config, streams.batch, len(self.track.system)
+        area = initial_area(c.gnss, c.corrections, n_sat, c.dt_s, area_streams)
         sky = self.track.at(self.track.start_s, np.zeros(batch, dtype=np.int64))
         heading = c.positioning.heading
         belief = np.zeros((batch, nk.NX))
@@ -222,8 +230,9 @@ class Navigator:
         belief[:, [nk.SINCE_RTK, nk.SINCE_CAL]] = np.inf
         return NavigatorState(
             streams=streams,
+            area=area,
             gnss=receiver.initial_state(c.gnss, sky, streams),
-            corrections=links.initial_state(batch),
+            corrections=links.initial_state(c.corrections, area.network, c.dt_s, streams),
             imu=initial_imu(c.imu, streams),
             odometer=initial_odometer(c.odometer, streams),
             alert=AlertState.initial(batch),
@@ -316,12 +325,14 @@ class Navigator:
         c, s = self.config, self.state
         sky = self.track.at(self.track.start_s + truth.time_s, np.zeros(self.batch, dtype=np.int64))
         effects = self.faults.effects(truth.time_s, truth.dt_s, sky, self.batch)
-        age = links.step(c.corrections, s.corrections, truth.dt_s, effects.corrections_lost, s.streams)
+        advance_area(c.gnss, c.corrections, s.area, truth.time_s, truth.dt_s)
+        lost = effects.corrections_lost
+        age = links.step(c.corrections, s.corrections, s.area.network, truth.dt_s, lost, s.streams)
         reception = self.mask.look(truth.arc_m, truth.lane, sky)
         return Measurements(
             time_s=truth.time_s,
             sky=sky,
-            gnss=receiver.observe(c.gnss, s.gnss, sky, reception, truth, age, effects, s.streams),
+            gnss=receiver.observe(c.gnss, s.gnss, sky, reception, truth, age, effects, s.streams, s.area.signals),
             imu=sample_imu(c.imu, s.imu, truth, effects, s.streams),
             odometer=sample_odometer(c.odometer, s.odometer, truth, effects, s.streams),
         )

@@ -16,7 +16,11 @@ from lanebound.integrity.errors import InputError
 
 __all__ = ["STREAM_NAMES", "Streams", "named_generator"]
 
-STREAM_NAMES = ("traffic", "gnss", "corrections", "imu", "odometer", "v2v", "sensor", "faults", "start", "scene")
+STREAM_NAMES = (
+    "traffic", "gnss", "clock", "corrections", "imu", "odometer", "v2v", "sensor", "faults", "start", "scene",
+    "atmosphere", "station", "network",
+)  # fmt: skip
+"""All streams; the last three are what the vehicles of an area have in common."""
 
 
 def _name_key(name: str) -> int:
