@@ -14,6 +14,7 @@ Columns of ``mode``: :mod:`lanebound.integrity.monitoring.separation_kernel`.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,11 +31,24 @@ from lanebound.integrity.monitoring.geometry_kernel import (
     RATE,
     SIGMA_AT,
     SOLVED,
-    START,
     WEIGHT,
     geometry,
-    padded,
     scratch,
+)
+from lanebound.integrity.lanes_kernel import (
+    WIDTH,
+    absolute,
+    fma,
+    largest,
+    load,
+    maximum,
+    minimum,
+    padded,
+    root_of,
+    spread,
+    store,
+    total,
+    where_less,
 )
 from lanebound.integrity.monitoring.separation_kernel import modes, set_priors
 
@@ -62,14 +76,18 @@ NUDGE = 1e-10  # relative, upwards: the level aimed at lies this far above the r
 AXES = 2
 BAD_INPUT = -1
 
+# coefficients from the highest power down
 # Q(z) exp(z^2/2) on 0 <= z <= 12 as a polynomial in (z - 5)/(z + 5), Chebyshev fit of relative error 3.5e-11
-R0, R1, R2 = 0.07691930497723773, -0.14345755525916926, 0.11606881138328852
-R3, R4, R5 = -0.08088387731987831, 0.04785537003641929, -0.02341389447592925
-R6, R7, R8 = 0.008991144664521507, -0.0023790368541615225, 0.00022074669355228056
-R9, R10, R11, R12 = 0.00013601856512301277, -6.235428010679837e-05, -4.022118382931004e-06, 4.609079919907381e-06
+MILLS = (
+    4.609079919907381e-06, -4.022118382931004e-06, -6.235428010679837e-05, 0.00013601856512301277,
+    0.00022074669355228056, -0.0023790368541615225, 0.008991144664521507, -0.02341389447592925,
+    0.04785537003641929, -0.08088387731987831, 0.11606881138328852, -0.14345755525916926, 0.07691930497723773,
+)  # fmt: skip
 # exp(v) on -72/256 <= v <= 0, Chebyshev fit; its 256th power has relative error 9e-12
-E0, E1, E2, E3 = 0.9999999999999745, 0.99999999998819, 0.499999999114677, 0.16666664138016088
-E4, E5, E6, E7 = 0.04166631157666266, 0.008330619011153981, 0.0013773372860555956, 0.0001724923140051712
+EXP = (
+    0.0001724923140051712, 0.0013773372860555956, 0.008330619011153981, 0.04166631157666266,
+    0.16666664138016088, 0.499999999114677, 0.99999999998819, 0.9999999999999745,
+)  # fmt: skip
 
 
 @jit
@@ -102,64 +120,65 @@ def _step(g: float, slope: float, curvature: float) -> float:
 
 
 @jit
-def load(axis: int, k_fa: float, count: int, mode: Array) -> None:
-    """Rows OFFSET and RATE of one axis, with zeros to the next multiple of LANES."""
-    for k in range(count):
-        mode[RATE, k] = 1.0 / mode[SIGMA_AT + axis, k]
-    for k in range(count):
-        mode[OFFSET, k] = k_fa * mode[DELTA_AT + axis, k] + mode[BIAS_AT + axis, k]
+def load_axis(axis: int, k_fa: float, count: int, mode: Array) -> None:
+    """Rows OFFSET and RATE of one axis; columns without effect to the next multiple of WIDTH."""
+    for k in range(0, count, WIDTH):
+        store(1.0 / load(mode, SIGMA_AT + axis, k), mode, RATE, k)
+        store(fma(load(mode, DELTA_AT + axis, k), k_fa, load(mode, BIAS_AT + axis, k)), mode, OFFSET, k)
     for k in range(count, padded(count)):
-        mode[OFFSET, k], mode[RATE, k], mode[WEIGHT, k] = 0.0, 0.0, 0.0
+        mode[OFFSET, k], mode[RATE, k], mode[WEIGHT, k], mode[LOG_PRIOR, k] = 0.0, 0.0, 0.0, -np.inf
+
+
+@jit
+def _polynomial(s: Any, coefficients: Any) -> Any:
+    """Horner's rule in all lanes."""
+    p = spread(coefficients[0])
+    for i in range(1, len(coefficients)):
+        p = fma(p, s, coefficients[i])
+    return p
 
 
 @jit
 def tail(x: float, count: int, mode: Array) -> tuple[float, float, float]:
     """``f``, ``-f'`` and ``f''`` of the loaded axis at x."""
-    f, f1, f2 = 0.0, 0.0, 0.0
-    for k in range(padded(count)):
-        rate = mode[RATE, k]
-        z = (x - mode[OFFSET, k]) * rate
-        a = min(abs(z), Z_MAX)
-        v = a * a * (-1.0 / 512.0)
-        e = E0 + v * (E1 + v * (E2 + v * (E3 + v * (E4 + v * (E5 + v * (E6 + v * E7))))))
-        e *= e
-        e *= e
-        e *= e
-        e *= e
-        e *= e
-        e *= e
-        e *= e
-        e *= e
-        s = (a - 5.0) / (a + 5.0)
-        low = R6 + s * (R7 + s * (R8 + s * (R9 + s * (R10 + s * (R11 + s * R12)))))
-        upper = e * (R0 + s * (R1 + s * (R2 + s * (R3 + s * (R4 + s * (R5 + s * low))))))
-        f += mode[WEIGHT, k] * (upper if z >= 0.0 else 1.0 - upper)
-        density = mode[WEIGHT, k] * rate * e
+    f, f1, f2 = spread(0.0), spread(0.0), spread(0.0)
+    for k in range(0, count, WIDTH):
+        rate, weight = load(mode, RATE, k), load(mode, WEIGHT, k)
+        z = (x - load(mode, OFFSET, k)) * rate
+        a = minimum(absolute(z), Z_MAX)
+        e = _polynomial(a * a * (-1.0 / 512.0), EXP)
+        for _ in range(8):
+            e *= e
+        upper = e * _polynomial((a - 5.0) / (a + 5.0), MILLS)
+        f = fma(weight, where_less(z, 0.0, 1.0 - upper, upper), f)
+        density = weight * rate * e
         f1 += density
-        f2 += density * rate * z
-    return f, f1 * INV_SQRT2PI, f2 * INV_SQRT2PI
+        f2 = fma(density, rate * z, f2)
+    return total(f), total(f1) * INV_SQRT2PI, total(f2) * INV_SQRT2PI
 
 
 @jit
 def _start(axis: int, log_budget: float, count: int, mode: Array) -> float:
     """The largest level that one column alone asks for: just below the root."""
-    for k in range(count):
-        log_p = log_budget - mode[LOG_PRIOR, k]
-        level = mode[OFFSET, k] + _rough_quantile(min(log_p, -0.7)) * mode[SIGMA_AT + axis, k]
-        mode[START, k] = level if log_p < -0.7 and mode[WEIGHT, k] > 0.0 else -np.inf
-    x = 0.0
-    for k in range(count):
-        x = max(x, mode[START, k])
-    return x
+    x = spread(0.0)
+    for k in range(0, count, WIDTH):
+        log_p = log_budget - load(mode, LOG_PRIOR, k)
+        t = root_of(minimum(log_p, -0.7) * -2.0)  # as _rough_quantile
+        z = t - fma(t, fma(t, 0.010328, 0.802853), 2.515517) / fma(
+            t, fma(t, fma(t, 0.001308, 0.189269), 1.432788), 1.0
+        )
+        level = fma(z, load(mode, SIGMA_AT + axis, k), load(mode, OFFSET, k))
+        x = maximum(x, where_less(log_p, -0.7, level, 0.0))
+    return largest(x)
 
 
 @jit
 def _ceiling(axis: int, budget: float, count: int, mode: Array) -> float:
     """A level above the root: every column then uses at most its prior's share of the budget."""
-    total = 0.0
+    priors = 0.0
     for k in range(count):
-        total += mode[WEIGHT, k]
-    z = max(q_inverse(budget / total), 0.0)
+        priors += mode[WEIGHT, k]
+    z = max(q_inverse(budget / priors), 0.0)
     x = 0.0
     for k in range(count):
         if mode[WEIGHT, k] > 0.0:
@@ -206,7 +225,7 @@ def root(count: int, k_fa: float, budgets: Array, tolerate: bool, head: Array, m
     """
     lost = head[LOST]
     for axis in range(AXES):
-        load(axis, k_fa, count, mode)
+        load_axis(axis, k_fa, count, mode)
         for r in range(budgets.shape[0]):
             budget = budgets[r, axis] - (lost if tolerate else 0.0)
             hopeless = budget <= 0.0 or (lost > 0.0 and not tolerate) or not mode[SIGMA_AT + axis, 0] < np.inf
@@ -226,7 +245,7 @@ def closed_form(
     first = 1.0 / count if share0 <= 0.0 or count == 1 else share0
     other = (1.0 - first) / max(count - 1, 1)
     for axis in range(AXES):
-        load(axis, k_fa, count, mode)
+        load_axis(axis, k_fa, count, mode)
         for r in range(budgets.shape[0]):
             budget = budgets[r, axis] - (lost if tolerate else 0.0)
             hopeless = budget <= 0.0 or (lost > 0.0 and not tolerate) or not mode[SIGMA_AT + axis, 0] < np.inf
@@ -248,7 +267,7 @@ def closed_form(
 def closed_form_published(count: int, k_fa: float, k_md: Array, mode: Array, out: Array) -> None:
     """S1 eq 17 as printed, one unsplit ``k_md`` (R,) for each risk and every mode; out (R, 2) [m]."""
     for axis in range(AXES):
-        load(axis, k_fa, count, mode)
+        load_axis(axis, k_fa, count, mode)
         for r in range(k_md.shape[0]):
             level = 0.0
             for k in range(count):
@@ -259,11 +278,15 @@ def closed_form_published(count: int, k_fa: float, k_md: Array, mode: Array, out
 @jit
 def pair_risk(count: int, mode: Array) -> float:
     """Bound of the probability of two or more faults at once, ``sum_{i<j} P_i P_j`` over columns 1 to count - 1."""
-    total, squares = 0.0, 0.0
-    for k in range(1, count):
-        total += mode[PRIOR, k]
-        squares += mode[PRIOR, k] * mode[PRIOR, k]
-    return 0.5 * (total * total - squares)
+    p, p2, k = spread(0.0), spread(0.0), 1
+    while k + WIDTH <= count:
+        prior = load(mode, PRIOR, k)
+        p, p2, k = p + prior, fma(prior, prior, p2), k + WIDTH
+    once, squares = total(p), total(p2)
+    for i in range(k, count):
+        once += mode[PRIOR, i]
+        squares += mode[PRIOR, i] * mode[PRIOR, i]
+    return 0.5 * (once * once - squares)
 
 
 @jit
