@@ -9,6 +9,8 @@ Inside kernels only. Rows are read and written ``WIDTH`` columns at a time, with
 C-contiguous, and wide enough for whole vectors (:func:`padded`).
 """
 
+# mypy: allow-untyped-calls, allow-untyped-decorators
+
 from __future__ import annotations
 
 import operator
@@ -17,7 +19,7 @@ from typing import Any
 from llvmlite import ir
 from numba.core import types
 from numba.core.cgutils import get_or_insert_function
-from numba.core.typeconv import Conversion
+from numba.core.typeconv.castgraph import Conversion
 from numba.core.typing.templates import AbstractTemplate, Signature, infer_global
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
 
@@ -43,7 +45,7 @@ WIDTH = 8
 VECTOR, NUMBER, INDEX = ir.VectorType(ir.DoubleType(), WIDTH), ir.DoubleType(), ir.IntType(64)
 
 
-class LanesType(types.Type):  # type: ignore[misc]
+class LanesType(types.Type):
     """Numba's type of ``Lanes``; a plain number becomes one by filling all lanes."""
 
     def __init__(self) -> None:
@@ -57,7 +59,7 @@ lanes = LanesType()
 
 
 @register_model(LanesType)
-class LanesModel(models.PrimitiveModel):  # type: ignore[misc]
+class LanesModel(models.PrimitiveModel):
     """Lanes live in a vector register."""
 
     def __init__(self, manager: Any, fe_type: Any) -> None:
@@ -82,7 +84,7 @@ def _operator(function: Any, instruction: str) -> None:
     """Teach Numba ``function`` of two ``Lanes``, or of ``Lanes`` and a number."""
 
     @infer_global(function)
-    class Template(AbstractTemplate):  # type: ignore[misc]
+    class Template(AbstractTemplate):
         def generic(self, args: Any, kws: Any) -> Signature | None:
             return Signature(lanes, (lanes, lanes), None) if len(args) == 2 and _takes_lanes(args) else None
 
@@ -91,9 +93,14 @@ def _operator(function: Any, instruction: str) -> None:
         return getattr(builder, instruction)(*args)
 
 
-for _name, _instruction in {"add": "fadd", "sub": "fsub", "mul": "fmul", "truediv": "fdiv"}.items():
+for _name, _llvm_name in {"add": "fadd", "sub": "fsub", "mul": "fmul", "truediv": "fdiv"}.items():
     for _function in (_name, f"i{_name}"):
-        _operator(getattr(operator, _function), _instruction)
+        _operator(getattr(operator, _function), _llvm_name)
+
+
+def _instruction(function: Any) -> Any:
+    """A function of kernels that stands for the LLVM code which ``function`` emits."""
+    return intrinsic(function)
 
 
 def _llvm(builder: Any, name: str, *args: Any) -> Any:
@@ -104,26 +111,26 @@ def _llvm(builder: Any, name: str, *args: Any) -> Any:
     return builder.call(get_or_insert_function(builder.module, signature, f"llvm.{name}.{suffix}"), args)
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_instruction
 def fma(typingctx: Any, a: Any, b: Any, c: Any) -> Any:
     """``a b + c`` rounded once, of lanes or numbers."""
     kind = lanes if lanes in (a, b, c) else types.float64
     return kind(kind, kind, kind), lambda context, builder, signature, args: _llvm(builder, "fma", *args)
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_instruction
 def absolute(typingctx: Any, a: Any) -> Any:
     """``abs(a)`` of each lane."""
     return lanes(lanes), lambda context, builder, signature, args: _llvm(builder, "fabs", *args)
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_instruction
 def root_of(typingctx: Any, a: Any) -> Any:
     """Square root of each lane."""
     return lanes(lanes), lambda context, builder, signature, args: _llvm(builder, "sqrt", *args)
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_instruction
 def where_less(typingctx: Any, a: Any, b: Any, then: Any, otherwise: Any) -> Any:
     """``then if a < b else otherwise`` in each lane; NaN is not less."""
 
@@ -133,7 +140,7 @@ def where_less(typingctx: Any, a: Any, b: Any, then: Any, otherwise: Any) -> Any
     return lanes(lanes, lanes, lanes, lanes), emit
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_instruction
 def spread(typingctx: Any, number: Any) -> Any:
     """``number`` in all lanes."""
     return lanes(lanes), lambda context, builder, signature, args: args[0]
@@ -147,7 +154,7 @@ def _address(context: Any, builder: Any, signature: Any, args: Any, at: int) -> 
     return builder.bitcast(builder.gep(array.data, [offset]), VECTOR.as_pointer())
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_instruction
 def load(typingctx: Any, array: Any, row: Any, column: Any) -> Any:
     """Columns ``column`` to ``column + WIDTH - 1`` of a row of ``array``."""
 
@@ -157,7 +164,7 @@ def load(typingctx: Any, array: Any, row: Any, column: Any) -> Any:
     return lanes(array, types.int64, types.int64), emit
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_instruction
 def store(typingctx: Any, value: Any, array: Any, row: Any, column: Any) -> Any:
     """Write the lanes to columns ``column`` to ``column + WIDTH - 1`` of a row of ``array``."""
 
@@ -179,7 +186,7 @@ def _folded(builder: Any, vector: Any, combine: Any) -> Any:
     return builder.extract_element(vector, ir.IntType(32)(0))
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_instruction
 def total(typingctx: Any, a: Any) -> Any:
     """Sum of the lanes, by pairs in a fixed order."""
 
@@ -189,7 +196,7 @@ def total(typingctx: Any, a: Any) -> Any:
     return types.float64(lanes), emit
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_instruction
 def largest(typingctx: Any, a: Any) -> Any:
     """Largest of the lanes, none of them NaN."""
 

@@ -37,8 +37,9 @@ SOLVED, TOO_FEW, SINGULAR = 0, 1, 2  # the codes of positioning.least_squares.So
 # rows of geo
 GX, GY, GZ, W, HX, HY, HZ, S_AT, S_CT, FREE, RESIDUAL, CLOCK = range(12)
 V, B, WB, BX, BY, BZ, SB_AT, SB_CT = range(12, 20)  # w^2 var_acc, b, w b, w b g, S b
-C_AT, C_CT, TESTED, VARIANCE = range(20, 24)  # c_qk, root of sum_j (delta_kj - h_kj)^2 var_acc_j, var
-GROUP_CLOCK = 24  # MAX_GROUPS rows: CLOCK of the satellites of one group, 0 elsewhere
+C_AT, C_CT, TESTED = range(20, 23)  # c_qk, root of sum_j (delta_kj - h_kj)^2 var_acc_j
+VARIANCE, ACCURACY = range(23, 25)  # var, var_acc
+GROUP_CLOCK = 25  # MAX_GROUPS rows: CLOCK of the satellites of one group, 0 elsewhere
 GEO_ROWS = GROUP_CLOCK + MAX_GROUPS
 
 # entries of head
@@ -47,21 +48,22 @@ X_E, X_N, X_U, CHI2, STATUS = range(11, 16)
 LOST = 16  # total prior of the modes without a solution
 CLOCKS = 17  # MAX_GROUPS records of CLOCK_STEP entries
 C_INVERSE, C_E, C_N, C_U, C_COUNT, C_Y = range(6)  # 1/W, mean design row, satellites, mean measurement
-C_V, C_VE, C_VN, C_VU = range(6, 10)  # sums of w^2 var_acc, and of it times g
+C_V, C_VE, C_VN, C_VU = range(6, 10)  # sums of w^2 var_acc, and twice those of it times g
 C_PRIOR, C_LOG_PRIOR = range(10, 12)  # of one satellite
 CLOCK_STEP = 12
 HEAD_SIZE = CLOCKS + MAX_GROUPS * CLOCK_STEP
 
 # rows of mode
 SIGMA_AT, SIGMA_CT, DELTA_AT, DELTA_CT, BIAS_AT, BIAS_CT, D_AT, D_CT, PRIOR, LOG_PRIOR = range(10)
-WEIGHT, OFFSET, RATE, START = range(10, 14)  # PRIOR of the modes with a solution; the others of one axis at a time
-MODE_ROWS = 14
+WEIGHT = 10  # PRIOR of the modes with a solution
+OFFSET_AT, OFFSET_CT, RATE_AT, RATE_CT = range(11, 15)  # K_fa sigma_d + b, 1 / sigma
+MODE_ROWS = 15
 
 
 @jit
 def capacity(n: int, hypotheses: int = 0) -> int:
     """Columns that ``geo`` and ``mode`` need for n satellites, all constellation modes and ``hypotheses`` more."""
-    return padded(n + 1 + MAX_GROUPS + hypotheses)
+    return int(padded(n + 1 + MAX_GROUPS + hypotheses))
 
 
 @jit
@@ -76,32 +78,63 @@ def centre(los: Array, group: Ints, n: int, geo: Array, head: Array) -> int:
     """Centre the design rows in each group with the weights geo[W]; returns the number of groups present."""
     for i in range(CLOCKS, HEAD_SIZE):
         head[i] = 0.0
+    present = 0
     for i in range(n):
-        q = CLOCKS + group[i] * CLOCK_STEP
-        w = geo[W, i]
-        head[q + C_INVERSE] += w
-        head[q + C_E] -= w * los[i, 0]
-        head[q + C_N] -= w * los[i, 1]
-        head[q + C_U] -= w * los[i, 2]
-        head[q + C_COUNT] += 1.0
-    groups = 0
+        present |= 1 << group[i]
+    for g in range(MAX_GROUPS):
+        if present >> g & 1:
+            for i in range(0, n, WIDTH):
+                store(spread(0.0), geo, GROUP_CLOCK + g, i)
+    for i in range(n):
+        geo[GX, i], geo[GY, i], geo[GZ, i] = -los[i, 0], -los[i, 1], -los[i, 2]
+        geo[GROUP_CLOCK + group[i], i] = 1.0
+    groups, lonely = 0, False
     for g in range(MAX_GROUPS):
         q = CLOCKS + g * CLOCK_STEP
-        if head[q + C_COUNT] > 0.0:
+        if present >> g & 1:
             groups += 1
-            inverse = 1.0 / head[q + C_INVERSE]
-            head[q + C_INVERSE] = inverse
-            head[q + C_E] *= inverse
-            head[q + C_N] *= inverse
-            head[q + C_U] *= inverse
-    for i in range(n):
-        q = CLOCKS + group[i] * CLOCK_STEP
-        keep = 1.0 if head[q + C_COUNT] > 1.0 else 0.0  # a satellite alone with its clock says nothing of the position
-        geo[CLOCK, i] = head[q + C_INVERSE]
-        geo[GX, i] = keep * (-los[i, 0] - head[q + C_E])
-        geo[GY, i] = keep * (-los[i, 1] - head[q + C_N])
-        geo[GZ, i] = keep * (-los[i, 2] - head[q + C_U])
+            _mean_of_group(g, n, geo, head)
+            lonely |= head[q + C_COUNT] == 1.0
+    for i in range(0, n, WIDTH):
+        x, y, z, clock = load(geo, GX, i), load(geo, GY, i), load(geo, GZ, i), spread(0.0)
+        for g in range(MAX_GROUPS):
+            q = CLOCKS + g * CLOCK_STEP
+            if head[q + C_COUNT] > 0.0:
+                member = load(geo, GROUP_CLOCK + g, i)
+                x, y, z = fma(member, -head[q + C_E], x), fma(member, -head[q + C_N], y), fma(member, -head[q + C_U], z)
+                member *= head[q + C_INVERSE]
+                clock += member
+                store(member, geo, GROUP_CLOCK + g, i)
+        store(x, geo, GX, i)
+        store(y, geo, GY, i)
+        store(z, geo, GZ, i)
+        store(clock, geo, CLOCK, i)
+    if lonely:
+        _without_lonely(group, n, geo, head)
     return groups
+
+
+@jit
+def _mean_of_group(g: int, n: int, geo: Array, head: Array) -> None:
+    """Count, clock's variance and mean design row of group g, whose members have 1 in row GROUP_CLOCK + g."""
+    count, w, e, north, up = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    for i in range(0, n, WIDTH):
+        member = load(geo, GROUP_CLOCK + g, i)
+        weight = member * load(geo, W, i)
+        count, w = count + member, w + weight
+        e, north = fma(weight, load(geo, GX, i), e), fma(weight, load(geo, GY, i), north)
+        up = fma(weight, load(geo, GZ, i), up)
+    q, inverse = CLOCKS + g * CLOCK_STEP, 1.0 / total(w)
+    head[q + C_COUNT], head[q + C_INVERSE] = total(count), inverse
+    head[q + C_E], head[q + C_N], head[q + C_U] = total(e) * inverse, total(north) * inverse, total(up) * inverse
+
+
+@jit
+def _without_lonely(group: Ints, n: int, geo: Array, head: Array) -> None:
+    """A satellite alone with its clock says nothing of the position: its design row is exactly 0."""
+    for i in range(n):
+        if head[CLOCKS + group[i] * CLOCK_STEP + C_COUNT] == 1.0:
+            geo[GX, i], geo[GY, i], geo[GZ, i] = 0.0, 0.0, 0.0
 
 
 @jit
@@ -130,20 +163,22 @@ def geometry(
     variance : (>= n,) positive variance for integrity [m^2].
     bias : (>= n,) bound of the nominal bias, >= 0 [m].
     sin_h, cos_h : sine and cosine of the azimuth of motion.
-    geo, head : scratch; rows GX to CLOCK and B of ``geo`` (less RESIDUAL) and P, SIGMA0, B0, GROUPS of ``head`` are
-        filled. Gains on E, N, U are ``geo[W] * geo[HX]``, ``geo[W] * geo[HY]``, ``geo[W] * geo[HZ]``.
+    geo, head : scratch; rows GX to CLOCK (less RESIDUAL), B, VARIANCE and GROUP_CLOCK of ``geo`` and P, SIGMA0, B0,
+        GROUPS of ``head`` are filled. Gains on E, N and U are ``geo[W]`` times ``geo[HX]``, ``geo[HY]``, ``geo[HZ]``.
 
     Returns
     -------
     SOLVED, TOO_FEW or SINGULAR (also in head[STATUS]). Unless SOLVED, SIGMA0 is inf, P and B0 are zero.
     """
     for i in range(n):
-        geo[W, i] = 1.0 / variance[i]
-        geo[B, i] = bias[i]
-        geo[RESIDUAL, i] = 0.0
+        geo[VARIANCE, i], geo[B, i] = variance[i], bias[i]
     for i in range(n, padded(n)):
-        geo[GX, i], geo[GY, i], geo[GZ, i], geo[W, i], geo[CLOCK, i] = 0.0, 0.0, 0.0, 0.0, 0.0
-        geo[B, i], geo[RESIDUAL, i] = 0.0, 0.0
+        geo[VARIANCE, i], geo[B, i], geo[GX, i], geo[GY, i], geo[GZ, i] = np.inf, 0.0, 0.0, 0.0, 0.0
+    for i in range(0, n, WIDTH):
+        store(1.0 / load(geo, VARIANCE, i), geo, W, i)
+        store(spread(0.0), geo, RESIDUAL, i)
+    for i in range(n, padded(n)):
+        geo[VARIANCE, i] = 0.0
     groups = centre(los, group, n, geo, head)
     for i in range(SIGMA0_AT):
         head[i] = 0.0
@@ -203,7 +238,8 @@ def solve(y: Array, group: Ints, n: int, geo: Array, head: Array) -> float:
     x, y, z = spread(0.0), spread(0.0), spread(0.0)
     for i in range(0, n, WIDTH):
         weighted = load(geo, W, i) * load(geo, RESIDUAL, i)
-        x, y, z = fma(weighted, load(geo, HX, i), x), fma(weighted, load(geo, HY, i), y), fma(weighted, load(geo, HZ, i), z)
+        x, y = fma(weighted, load(geo, HX, i), x), fma(weighted, load(geo, HY, i), y)
+        z = fma(weighted, load(geo, HZ, i), z)
     east, north, up = total(x), total(y), total(z)
     squares = spread(0.0)
     for i in range(0, n, WIDTH):
@@ -211,6 +247,6 @@ def solve(y: Array, group: Ints, n: int, geo: Array, head: Array) -> float:
         r = load(geo, RESIDUAL, i) - said
         store(r, geo, RESIDUAL, i)
         squares = fma(load(geo, W, i) * r, r, squares)
-    chi2 = total(squares)
+    chi2 = float(total(squares))
     head[X_E], head[X_N], head[X_U], head[CHI2] = east, north, up, chi2
     return chi2

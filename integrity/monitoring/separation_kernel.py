@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.accel import jit
+from lanebound.integrity.lanes_kernel import WIDTH, absolute, fma, load, maximum, padded, root_of, spread, store, total
 from lanebound.integrity.monitoring.geometry_kernel import (
+    ACCURACY,
     B0_AT,
     B0_CT,
     BIAS_AT,
@@ -29,6 +31,7 @@ from lanebound.integrity.monitoring.geometry_kernel import (
     C_AT,
     C_COUNT,
     C_CT,
+    C_INVERSE,
     C_LOG_PRIOR,
     C_PRIOR,
     C_V,
@@ -72,7 +75,6 @@ from lanebound.integrity.monitoring.geometry_kernel import (
     W,
     normal,
 )
-from lanebound.integrity.lanes_kernel import WIDTH, absolute, fma, load, maximum, padded, root_of, spread, store
 from lanebound.integrity.small_matrix_kernel import MAX_GROUPS, invert_upper
 
 __all__ = ["add_hypothesis", "modes", "set_priors"]
@@ -113,7 +115,7 @@ def modes(
     Columns filled, the fault-free one included. A mode that cannot be solved has SIGMA inf and the rest 0. Rows
     D_AT, D_CT are 0 unless ``solve`` was called. Row PRIOR is left to :func:`set_priors`.
     """
-    _prepare(group, variance, accuracy, n, geo, head)
+    _prepare(accuracy, n, geo, head)
     mode[SIGMA_AT, 0], mode[SIGMA_CT, 0] = head[SIGMA0_AT], head[SIGMA0_CT]
     mode[BIAS_AT, 0], mode[BIAS_CT, 0] = head[B0_AT], head[B0_CT]
     mode[DELTA_AT, 0], mode[DELTA_CT, 0], mode[D_AT, 0], mode[D_CT, 0] = 0.0, 0.0, 0.0, 0.0
@@ -135,34 +137,35 @@ def modes(
 
 
 @jit
-def _prepare(group: Ints, variance: Array, accuracy: Array, n: int, geo: Array, head: Array) -> None:
+def _prepare(accuracy: Array, n: int, geo: Array, head: Array) -> None:
     """Rows and moments that make each mode cheap: ``w b g``, ``S b``, ``w^2 var_acc``."""
-    for g in range(MAX_GROUPS):
-        if head[CLOCKS + g * CLOCK_STEP + C_COUNT] > 0.0:
-            for i in range(0, n, WIDTH):
-                store(spread(0.0), geo, GROUP_CLOCK + g, i)
-            for i in range(C_V, C_VU + 1):
-                head[CLOCKS + g * CLOCK_STEP + i] = 0.0
     for i in range(n):
-        q = CLOCKS + group[i] * CLOCK_STEP
-        v = geo[W, i] * geo[W, i] * accuracy[i]
-        geo[V, i], geo[VARIANCE, i] = v, variance[i]
-        geo[GROUP_CLOCK + group[i], i] = geo[CLOCK, i]
-        head[q + C_V] += v
-        head[q + C_VE] += v * geo[GX, i]
-        head[q + C_VN] += v * geo[GY, i]
-        head[q + C_VU] += v * geo[GZ, i]
+        geo[ACCURACY, i] = accuracy[i]
     for i in range(n, padded(n)):
-        geo[V, i], geo[VARIANCE, i], geo[TESTED, i] = 0.0, 0.0, 0.0
+        geo[ACCURACY, i] = 0.0
     for i in range(0, n, WIDTH):
-        b = load(geo, B, i)
-        wb = load(geo, W, i) * b
+        b, w = load(geo, B, i), load(geo, W, i)
+        wb = w * b
+        store(w * w * load(geo, ACCURACY, i), geo, V, i)
         store(wb, geo, WB, i)
         store(wb * load(geo, GX, i), geo, BX, i)
         store(wb * load(geo, GY, i), geo, BY, i)
         store(wb * load(geo, GZ, i), geo, BZ, i)
         store(load(geo, S_AT, i) * b, geo, SB_AT, i)
         store(load(geo, S_CT, i) * b, geo, SB_CT, i)
+    for g in range(MAX_GROUPS):
+        q = CLOCKS + g * CLOCK_STEP
+        if head[q + C_COUNT] > 0.0:
+            v, ve, vn, vu = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+            for i in range(0, n, WIDTH):
+                share = load(geo, GROUP_CLOCK + g, i) * load(geo, V, i)
+                v += share
+                ve, vn = fma(share, load(geo, GX, i), ve), fma(share, load(geo, GY, i), vn)
+                vu = fma(share, load(geo, GZ, i), vu)
+            weight = 1.0 / head[q + C_INVERSE]
+            head[q + C_V] = weight * total(v)
+            head[q + C_VE], head[q + C_VN] = 2.0 * weight * total(ve), 2.0 * weight * total(vn)
+            head[q + C_VU] = 2.0 * weight * total(vu)
 
 
 @jit
@@ -172,17 +175,18 @@ def _tested(group: Ints, accuracy: Array, n: int, geo: Array, head: Array) -> No
     A satellite alone with its clock moves nothing: its c is 0, and so is its separation.
     """
     ee, en, eu, nn, nu, uu = normal(geo, n, V)
-    for k in range(n):
-        q = CLOCKS + group[k] * CLOCK_STEP
-        clock = geo[CLOCK, k]
-        cross = geo[HX, k] * head[q + C_VE] + geo[HY, k] * head[q + C_VN] + geo[HZ, k] * head[q + C_VU]
-        geo[TESTED, k] = clock * (2.0 * cross + clock * head[q + C_V]) + accuracy[k] * (2.0 * geo[FREE, k] - 1.0)
     for k in range(0, n, WIDTH):
-        x, y, z = load(geo, HX, k), load(geo, HY, k), load(geo, HZ, k)
+        x, y, z, free = load(geo, HX, k), load(geo, HY, k), load(geo, HZ, k), load(geo, FREE, k)
         vx, vy, vz = fma(x, ee, y * (2.0 * en)), fma(y, nn, z * (2.0 * nu)), fma(z, uu, x * (2.0 * eu))
-        square = load(geo, TESTED, k) + fma(x, vx, fma(y, vy, z * vz))
+        square = fma(load(geo, ACCURACY, k), fma(free, 2.0, -1.0), fma(x, vx, fma(y, vy, z * vz)))
+        for g in range(MAX_GROUPS):
+            q = CLOCKS + g * CLOCK_STEP
+            if head[q + C_COUNT] > 0.0:
+                clock = load(geo, GROUP_CLOCK + g, k)
+                cross = fma(x, head[q + C_VE], fma(y, head[q + C_VN], fma(z, head[q + C_VU], clock * head[q + C_V])))
+                square = fma(clock, cross, square)
+        inverse = 1.0 / free
         store(root_of(maximum(square, 0.0)), geo, TESTED, k)
-        inverse = 1.0 / load(geo, FREE, k)
         store(load(geo, S_AT, k) * inverse, geo, C_AT, k)
         store(load(geo, S_CT, k) * inverse, geo, C_CT, k)
     for k in range(n):
@@ -198,8 +202,8 @@ def _satellites(n: int, geo: Array, head: Array, mode: Array) -> None:
     """Standard deviations and separations of the single-satellite modes."""
     var_at, var_ct = head[SIGMA0_AT] * head[SIGMA0_AT], head[SIGMA0_CT] * head[SIGMA0_CT]
     for k in range(0, n, WIDTH):
-        c_at, c_ct, tested, residual = load(geo, C_AT, k), load(geo, C_CT, k), load(geo, TESTED, k), load(geo, RESIDUAL, k)
-        free = load(geo, FREE, k) * load(geo, VARIANCE, k)
+        c_at, c_ct, residual = load(geo, C_AT, k), load(geo, C_CT, k), load(geo, RESIDUAL, k)
+        free, tested = load(geo, FREE, k) * load(geo, VARIANCE, k), load(geo, TESTED, k)
         store(root_of(fma(c_at * c_at, free, var_at)), mode, SIGMA_AT, k + 1)
         store(root_of(fma(c_ct * c_ct, free, var_ct)), mode, SIGMA_CT, k + 1)
         store(absolute(c_at) * tested, mode, DELTA_AT, k + 1)
