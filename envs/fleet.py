@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.road.lane import AbstractLane, SineLane, StraightLane
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
@@ -50,6 +51,8 @@ class Fleet:
         self.motion = Motion.still(capacity, 1.0 / world.config["simulation_frequency"])
         self.vehicles: list[Vehicle] = []
         self.rows = np.zeros(0, dtype=np.int64)
+        self._position_m, self._heading_rad = np.zeros((0, 2)), np.zeros(0)
+        self._keys, self._size_m = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
         self.solution: Solution | None = None
         self._slot: dict[Vehicle, int] = {}
         self._name: dict[Vehicle, int] = {}
@@ -62,10 +65,10 @@ class Fleet:
         present = [v for v in self.world.road.vehicles if v is not self.world.vehicle]
         if present != self.vehicles:
             self._reseat(present)
+        self._position_m = np.array([v.position for v in self.vehicles], dtype=np.float64).reshape(-1, 2)
+        self._heading_rad = np.array([v.heading for v in self.vehicles], dtype=np.float64)
         if self.vehicles:
-            position = np.array([v.position for v in self.vehicles])
-            heading = np.array([v.heading for v in self.vehicles], dtype=np.float64)
-            self.motion.advance(self.rows, position, heading)
+            self.motion.advance(self.rows, self._position_m, self._heading_rad)
 
     def _reseat(self, present: list[Vehicle]) -> None:
         for vehicle in [v for v in self._slot if v not in present]:
@@ -80,6 +83,8 @@ class Fleet:
             self.motion.enter(self._slot[vehicle], before, vehicle.heading, vehicle.speed)
         self.vehicles = [v for v in present if v in self._slot]
         self.rows = np.array([self._slot[v] for v in self.vehicles], dtype=np.int64)
+        self._keys = np.array([self._name[v] for v in self.vehicles], dtype=np.int64)
+        self._size_m = np.array([(v.LENGTH, v.WIDTH) for v in self.vehicles], dtype=np.float64).reshape(-1, 2)
         if fresh and self.navigator is not None:
             rows = np.array([self._slot[v] for v in fresh], dtype=np.int64)
             noise = self.streams.normal("start", 3)[rows]
@@ -108,9 +113,9 @@ class Fleet:
         if self.navigator is None:
             return
         arc, lane = np.zeros(self.motion.heading_rad.size), np.zeros(self.motion.heading_rad.size, dtype=np.int64)
-        for row, vehicle in zip(self.rows, self.vehicles, strict=True):
-            longitudinal = vehicle.lane.local_coordinates(vehicle.position)[0]
-            arc[row], lane[row] = self.street.where(vehicle.lane_index, longitudinal)
+        if self.vehicles:
+            places = [self.street.where(v.lane_index, along(v.lane, v.position)) for v in self.vehicles]
+            arc[self.rows], lane[self.rows] = zip(*places, strict=True)
         with serial():
             self.solution = self.navigator.step(self.motion.epoch(time_s, dt_s, arc, lane))
 
@@ -121,23 +126,30 @@ class Fleet:
         return _with_silent_row(Claims.of(self.solution))
 
     def present(self) -> Vehicles:
-        """Who is really there, the ego in the last slot."""
-        ego, everyone = self.world.vehicle, [*self.vehicles, self.world.vehicle]
-        size = np.array([(v.heading, v.speed, v.LENGTH, v.WIDTH) for v in everyone], dtype=np.float64)
+        """Who is really there, as :meth:`follow` saw them last, and the ego in the last slot."""
+        ego = self.world.vehicle
         return Vehicles(
             slot=np.append(self.rows, self.ego_slot),
-            key=np.append([self._name[v] for v in self.vehicles], self.EGO_KEY).astype(np.int64),
-            position_m=np.array([*(v.position for v in self.vehicles), ego.position]),
-            heading_rad=size[:, 0],
-            speed_mps=size[:, 1],
-            length_m=size[:, 2],
-            width_m=size[:, 3],
+            key=np.append(self._keys, self.EGO_KEY),
+            position_m=np.concatenate([self._position_m, ego.position[None]]),
+            heading_rad=np.append(self._heading_rad, ego.heading),
+            speed_mps=np.array([*(v.speed for v in self.vehicles), ego.speed], dtype=np.float64),
+            length_m=np.append(self._size_m[:, 0], ego.LENGTH),
+            width_m=np.append(self._size_m[:, 1], ego.WIDTH),
         )
 
     @property
     def ego_slot(self) -> int:
         """The slot after all others."""
         return int(self.motion.heading_rad.size)
+
+
+def along(lane: AbstractLane, position_m: Array) -> float:
+    """Longitudinal coordinate of a point on a lane, without numpy where the lane's axis is straight."""
+    if type(lane) is StraightLane or type(lane) is SineLane:
+        (x, y), (x0, y0), (ux, uy) = position_m.tolist(), lane.start.tolist(), lane.direction.tolist()
+        return float((x - x0) * ux + (y - y0) * uy)
+    return float(lane.local_coordinates(position_m)[0])
 
 
 def _silent(slots: int) -> Claims:

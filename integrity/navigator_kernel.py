@@ -12,6 +12,9 @@ import numpy as np
 
 from lanebound.integrity.accel import jit, prange
 from lanebound.integrity.monitoring.alerts_kernel import alert_step
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import P_EE as G_EE
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import P_EN as G_EN
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import P_NN as G_NN
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import (
     CV_E,
     CV_N,
@@ -84,8 +87,9 @@ WATCH = 20  # first of WATCH_SIZE
 NX = WATCH + WATCH_SIZE
 
 # solution
-O_MODE, O_RTK, O_AVAILABLE, O_SIGMA_AT, O_SIGMA_CT, O_HDOP, O_SATELLITES, O_DOPPLER, O_EXCLUDED, O_WRONG = range(10)
+O_MODE, O_RTK, O_SATELLITES, O_DOPPLER, O_EXCLUDED, O_AVAILABLE, O_SIGMA_AT, O_SIGMA_CT, O_HDOP, O_WRONG = range(10)
 NO = 10
+N_WHOLE = 5  # of which are whole numbers
 REACQUIRE_S = 1.0  # of Doppler courses refused for their jump, before the heading filter opens up
 CONFLICT_LIMIT_S = 0.5  # of contradiction between Doppler and odometer
 TEST_FAILED_CAUSE, INITIALISING_CAUSE = 5, 7  # codes of AlertReason
@@ -381,10 +385,11 @@ def _epoch(  # type: ignore[no-untyped-def]
     par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent,
     priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
     x, rtk_x, last_phase, growth, start, apart, held, integers, fix_id, fix_risk, v, alert, reason, onset, clear,
-    geo, head, columns, rows, rows_e, rows_group, out, pl,
+    geo, head, columns, rows, rows_e, rows_group, out, pl, covariance,
 ):  # fmt: skip
     """The whole epoch of vehicle v; x to fix_risk and the alert arrays are its state."""
     dt, n_sat = par[DT], e.shape[0]
+    pl[:] = math.inf
     x[SINCE_RTK] += dt
     x[SINCE_CAL] += dt
 
@@ -446,8 +451,6 @@ def _epoch(  # type: ignore[no-untyped-def]
             growth, start, apart, system, sin_h, cos_h, k_dead, published, shift, priors[0], later, shares[1],
             shares[3] > 0.0, pl,
         )  # fmt: skip
-    else:
-        pl[:] = math.inf
     x[HAS_VEL] = 1.0 if measured else 0.0
     if mode == RTK and measured:
         remember_velocity(q_v[0, 0], q_v[0, 1], q_v[1, 1], growth)
@@ -467,6 +470,8 @@ def _epoch(  # type: ignore[no-untyped-def]
     out[O_HDOP] = hdop_rtk if mode == RTK else hdop_doppler
     out[O_SATELLITES], out[O_DOPPLER], out[O_EXCLUDED] = n_rtk, n_doppler, excluded_rtk + excluded_doppler
     out[O_WRONG] = wrong
+    covariance[0, 0], covariance[1, 1] = growth[G_EE], growth[G_NN]
+    covariance[0, 1] = covariance[1, 0] = growth[G_EN]
 
 
 @jit
@@ -476,7 +481,7 @@ def run_some(  # type: ignore[no-untyped-def]
     par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent,
     priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
     x, rtk_x, last_phase, growth, start, apart, held, integers, fix_id, fix_risk, alert, reason, onset, clear,
-    out, pl,
+    out, pl, covariance,
 ):  # fmt: skip
     """One epoch of the vehicles ``first`` to ``last - 1``, which share their scratch."""
     geo, head, columns = scratch(system.shape[0])
@@ -491,6 +496,7 @@ def run_some(  # type: ignore[no-untyped-def]
             drift_group,
             x[v], rtk_x[v], last_phase[v], growth[v], start[v], apart[v], held[v], integers[v], fix_id[v], fix_risk[v],
             v, alert, reason, onset, clear, geo, head, columns, rows, rows_e, rows_group, out[v], pl[v],
+            covariance[v],
         )  # fmt: skip
 
 
@@ -501,7 +507,7 @@ def run_parallel(  # type: ignore[no-untyped-def]
     par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent,
     priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
     x, rtk_x, last_phase, growth, start, apart, held, integers, fix_id, fix_risk, alert, reason, onset, clear,
-    out, pl,
+    out, pl, covariance,
 ):  # fmt: skip
     """:func:`run_some` for all ``last`` vehicles, in ``chunks`` runs side by side."""
     for chunk in prange(chunks):
@@ -510,5 +516,5 @@ def run_parallel(  # type: ignore[no-untyped-def]
             code, phase, range_rate, lock_lost, age, inertial, v_ss, par, rtk_par, mode_limits, heading_limits,
             wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent, priors, k_fa, k_published, k_dead,
             published, operative_published, alert_limits, drift_group, x, rtk_x, last_phase, growth, start, apart,
-            held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl,
+            held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl, covariance,
         )  # fmt: skip

@@ -97,13 +97,13 @@ def step(
     if config.outage_per_h > 0.0:
         u, z = streams.uniform("corrections"), streams.normal("corrections")
     age = np.empty(batch)
-    par = _parameters(config, dt_s)
+    par = parameters(config, dt_s)
     kernel.advance(par, dt_s, u, z, lost, state.epoch, state.due, state.newest, state.outage_left, age)
     return age
 
 
 @lru_cache(maxsize=64)
-def _parameters(config: CorrectionsConfig, dt_s: float) -> Array:
+def parameters(config: CorrectionsConfig, dt_s: float) -> Array:
     """The configuration in the kernel's columns."""
     onset = -math.expm1(-config.outage_per_h * dt_s / 3600.0)
     outage = (config.outage_median_s, config.outage_log_sd, config.outage_max_s)
