@@ -28,16 +28,17 @@ class SwiftNetwork(RoadNetwork):  # type: ignore[misc]
     def __init__(self, network: RoadNetwork) -> None:
         super().__init__()
         self.graph = network.graph
-        lanes = [(a, b, i) for a, roads in self.graph.items() for b, row in roads.items() for i in range(len(row))]
+        edges = [(a, b, row) for a, roads in self.graph.items() for b, row in roads.items()]
+        lanes: list[LaneIndex] = [(a, b, i) for a, b, row in edges for i in range(len(row))]
         rows = [_row(self.graph[a][b][i]) for a, b, i in lanes]
-        self._lanes: list[LaneIndex] = lanes
+        self._lanes = lanes
         self._table = None if None in rows else np.array(rows, dtype=np.float64).reshape(-1, kernel.COLUMNS)
 
     def get_closest_lane_index(self, position: Array, heading: float | None = None) -> LaneIndex:
         """Index of the lane closest to a position (2,) and a heading, as highway-env defines it."""
         if self._table is not None and heading is not None:
             x, y = position.tolist()
-            row = kernel.nearest(self._table, x, y, float(heading))
+            row = int(kernel.nearest(self._table, x, y, float(heading)))
             if row >= 0:
                 return self._lanes[row]
         found: LaneIndex = super().get_closest_lane_index(position, heading)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
 from typing import Any, Self
@@ -31,6 +31,7 @@ from lanebound.integrity.monitoring.exclusion import FdeConfig, Search
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor, upper_quantile
 from lanebound.integrity.monitoring.significance import Linking
 from lanebound.integrity.positioning.config import PositioningConfig
+from lanebound.integrity.sensing import Instruments, InstrumentState, Measurements
 from lanebound.integrity.sensors import corrections as links
 from lanebound.integrity.sensors import gnss as receiver
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
@@ -39,7 +40,6 @@ from lanebound.integrity.sensors.faults import FaultSchedule
 from lanebound.integrity.sensors.gnss import GnssConfig
 from lanebound.integrity.sensors.imu import ImuConfig, initial_imu
 from lanebound.integrity.sensors.odometer import OdometerConfig, initial_odometer
-from lanebound.integrity.sensing import Instruments, InstrumentState, Measurements
 from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.systems import FIXABLE, WAVELENGTH_M
 from lanebound.integrity.sky.track import SkyTrack
@@ -286,7 +286,7 @@ class Navigator:
 
     def measure(self, truth: Truth) -> Measurements:
         """What the instruments say of this epoch: the only place where truth is read."""
-        truth = self._checked(truth)
+        self._require_fitting(truth)
         sky = self.track.at(self.track.start_s + truth.time_s, np.zeros(self.batch, dtype=np.int64))
         if self.faults.faults and self.faults.active(truth.time_s):
             effects = self.faults.effects(truth.time_s, truth.dt_s, sky, self.batch)
@@ -294,30 +294,26 @@ class Navigator:
             effects = _no_effects(self.batch, sky.satellites)
         return self._instruments.sense(self.state, sky, self.mask, truth, effects)
 
-    def _checked(self, truth: Truth) -> Truth:
-        """The truth with arrays as the kernels want them, or InputError."""
+    def _require_fitting(self, truth: Truth) -> None:
+        """Raise InputError unless the truth is finite, of this batch and of an epoch's length."""
         if truth.batch != self.batch:
             raise InputError(f"truth must have {self.batch} vehicles, got {truth.batch}: one row for each seed")
         if abs(truth.dt_s - self.config.dt_s) > 1e-9:
             raise InputError(f"truth.dt_s must be {self.config.dt_s}, got {truth.dt_s}: step at the navigator's rate")
-        if not (truth.arc_m.flags.c_contiguous and truth.arc_m.flags.writeable and truth.lane.flags.c_contiguous):
-            truth = replace(truth, arc_m=np.array(truth.arc_m, dtype=np.float64), lane=np.array(truth.lane))
         if not all_finite(truth.position_enu_m, truth.velocity_enu_mps, truth.heading_rad, truth.arc_m):
             for name in ("position_enu_m", "velocity_enu_mps", "heading_rad", "arc_m"):
                 require_finite(f"truth.{name}", getattr(truth, name))
-        return truth
 
     def locate(self, m: Measurements) -> Solution:
         """The belief after the measurements of one epoch; reads nothing else."""
         s, t, g, batch = self.state, self._tables, m.gnss, self.batch
         out, levels = np.empty((batch, nk.NO)), np.empty((batch, t.k_dead.shape[0], 2))
-        covariance, inertial = np.empty((batch, 2, 2)), np.empty((batch, 3))
-        inertial[:, 0], inertial[:, 1:] = m.imu.delta_theta_rad[:, 2], m.imu.delta_v_mps[:, :2]
+        covariance = np.empty((batch, 2, 2))
         run, first = (nk.run_parallel, numba.get_num_threads()) if use_parallel(batch) else (nk.run_some, 0)
         run(
             first, batch, m.sky.los_enu, m.sky.system, m.sky.elevation_rad, m.sky.index, g.tracked, g.cn0_dbhz,
-            g.code_m, g.phase_m,
-            g.range_rate_mps, g.lock_lost, g.corrections_age_s, inertial, m.odometer.speed_mps,
+            g.code_m, g.phase_m, g.range_rate_mps, g.lock_lost, g.corrections_age_s, m.imu.delta_theta_rad,
+            m.imu.delta_v_mps, m.odometer.speed_mps,
             t.par, t.rtk_par, t.mode_limits, t.heading_limits, t.wavelength, t.fixable, t.fit, t.chi2, t.normal, t.fde,
             t.risks, t.shares, t.spent, t.priors, t.k_fa, t.k_published, t.k_dead, t.published, t.operative_published,
             t.alert_limits, t.drift_group, s.belief, s.rtk, s.last_phase_m, s.growth, s.start, s.apart, s.held,
