@@ -237,7 +237,12 @@ def step(
         u, z = streams.uniform("corrections"), streams.normal("corrections")
     age = np.empty(batch)
     kernel.advance(
-        _law(config, dt_s).par, network.epoch * dt_s, dt_s, network.message, network.fresh, u, z, lost, network.up,
+        parameters(config, dt_s), network.epoch * dt_s, dt_s, network.message, network.fresh, u, z, lost, network.up,
         network.until, state.newest, state.outage_left, state.up, age,
     )  # fmt: skip
     return age
+
+
+def parameters(config: CorrectionsConfig, dt_s: float) -> Array:
+    """The configuration in the kernel's columns."""
+    return _law(config, dt_s).par

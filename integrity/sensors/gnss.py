@@ -212,7 +212,7 @@ class GnssConfig(Config):
 
 
 @lru_cache(maxsize=64)
-def _tables(config: GnssConfig, dt_s: float) -> tuple[Array, Array, Array]:
+def tables(config: GnssConfig, dt_s: float) -> tuple[Array, Array, Array]:
     """The kernel's figures, and wavelengths and ionospheric delays (first band = 1) of the bands tracked."""
     wavelength = np.ascontiguousarray(WAVELENGTH_M[:, list(config.bands)])
     return config.packed(dt_s), wavelength, (wavelength / wavelength[:, :1]) ** 2
@@ -288,7 +288,7 @@ def observe(
     tracked, lock_lost = np.zeros((2, batch, n_sat), dtype=np.bool_)
     code, phase = np.zeros((2, batch, n_sat, 2))
     range_rate, cn0 = np.zeros((2, batch, n_sat))
-    cfg, wavelength, dispersion = _tables(config, truth.dt_s)
+    cfg, wavelength, dispersion = tables(config, truth.dt_s)
     run = gk.observe_parallel if use_parallel(batch) else gk.observe_serial
     run(
         cfg, wavelength, dispersion, sky.los_enu, sky.above, sky.system, sky.index,
