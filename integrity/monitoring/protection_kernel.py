@@ -77,6 +77,7 @@ Z_MAX = 12.0  # Q(12) = 2e-33: nothing of a budget
 PATIENCE = 6  # steps before bisection takes turns: a far, flat mode defeats the parabola
 MAX_STEPS = 120
 NUDGE = 1e-10  # relative, upwards: the level aimed at lies this far above the root
+STEEP = 1e4  # change of log f over the level beyond which no step counts as shorter: f is then a clamped tail
 AXES = 2
 BAD_INPUT = -1
 LONGEST = 1.1  # of the components of a unit vector, with room for rounding
@@ -237,7 +238,7 @@ def _next_level(
     twist = -f3 / f - slope * (3.0 * bend - 2.0 * slope * slope)
     g = math.log(f / budget)
     d = _third_order(g, slope, bend - slope * slope, twist)
-    if max(abs(g), abs(d * slope)) ** 4 <= -NUDGE * slope * x:
+    if max(abs(g), abs(d * slope)) ** 4 <= NUDGE * min(-slope * x, STEEP):
         return True, (x + d) * (1.0 + 2.0 * NUDGE), low, high
     x = (x + d) * (1.0 + NUDGE)
     if i == PATIENCE:
