@@ -26,8 +26,8 @@ $(STAMP): pyproject.toml constraints.txt
 
 dev: $(STAMP) ## Install the package, editable, with its tools into .venv/
 
-demo: $(STAMP) ## Drive through a city and compare with the paper; figures go to out/demo
-	$(BIN)/lanebound reproduce urban-drive --out out/demo --seeds 8 --minutes 6
+demo: $(STAMP) ## Compare six drivers where the sky is bad; tables here, a page in out/demo/report.html
+	$(BIN)/lanebound benchmark quick --out out/demo --fresh
 
 test: $(STAMP) ## Run the tests, less the slow ones
 	$(BIN)/pytest -q -n $(WORKERS) --dist loadfile $(ARGS)

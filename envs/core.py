@@ -50,7 +50,8 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     `action="meta"`: highway-env's meta-actions, carried out from the believed pose; `action_masks()` tells which of
     them make sense. `action="continuous"`: acceleration and steering in [-1, 1], as shares of their ranges. Steering
     asks for no more than 4 m/s2 across the track, and in our own worlds turns at 0.7 rad/s at most; the racetrack has
-    neither limit. The acceleration is not limited further.
+    neither limit. The acceleration is not limited further; a car whose wheels show standstill and that asks for none
+    holds its brake.
 
     ## Observation Space
     A `Dict` of vectors, or one `Box` of all of them in this order (`observation.form="flat"`); float32, each entry
@@ -97,8 +98,9 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     `d_RSS = v rho + a rho^2 / 2 + (v + a rho)^2 / (2 b_min) - v_lead^2 / (2 b_max)`, 0 at least, with rho 0.5 s, a 2,
     b_min 4 and b_max 6 m/s2. An unseen leader is one nearer than that in truth, while the ego perceives nobody ahead or
     has no level for the gap. During a lane change both lanes count as the car's own, and `cost_lane_integrity` is 0;
-    with `keep_lane=False` the whole road counts so at all times. `cost_limit` (10 an episode) is a bound for
-    constrained learning and not enforced.
+    with `keep_lane=False` the whole road counts so at all times. Where lanes meet the body may stand on several of
+    them. `cost_limit` is a bound of an episode's cost for constrained learning and not enforced; each page says what it
+    lies between.
 
     ## Info
     The same keys at reset and at every step. What the car knows: `pl_at_m`, `pl_ct_m`, `al_at_m`, `al_ct_m`,
@@ -111,15 +113,17 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     ## Starting State
     `seed` draws everything: the traffic, one of 4 made-up cities along the roads, the hour of the constellations. The
     navigation starts 3 s before the episode, on a straight approach, 0.05 m and 0.5 degrees (1 sigma) from the truth;
-    the map is 0.03 m (1 sigma) off on each axis. The link to the reference station is as it is found at any time, up or
-    in an outage. All vehicles of an episode share atmosphere, station and the network's half of the outages; receivers,
-    their surroundings and the other half are each one's own. `reset(options={"faults": [...]})` sets faults in place of
-    random ones.
+    the map is 0.03 m (1 sigma) off on each axis, for which the levels take a tenth of the integrity risk. The link to the
+    reference station is as it is found at any time, up or in an outage. All vehicles of an episode share atmosphere,
+    station and the network's half of the outages; receivers, their surroundings and the other half are each one's own.
+    `reset(options={"faults": [...]})` sets faults in place of random ones.
 
     ## Episode End
     Terminated when the true car has crashed, has its middle off the road, or has driven against its lane for 1 s; and
     where the world says so. Truncated by the world's time. `info["is_success"]` marks an end without harm, at a mean
-    speed along the lane of a quarter of the limit or more.
+    speed along the lane of a quarter of the limit or more: the task is done. It takes no notice of costs, as in
+    Safety-Gymnasium, where task and cost are reported side by side: a drive is good when it is a success *and* its cost
+    is within `cost_limit`.
 
     ## Arguments
     `config`, a mapping that is merged deeply over what the id presets; `lanebound envs ID` lists every key.

@@ -100,8 +100,10 @@ class Config(BaseModel):
         return value
 
     @classmethod
-    def load(cls, data: Mapping[str, Any], path: str = "") -> Self:
+    def load(cls, data: Mapping[str, Any], path: str = "", unchanged: Mapping[str, Any] | None = None) -> Self:
         """The configuration from plain data; ``path`` goes in front of every key in messages.
+
+        ``unchanged`` is what the data were before a user changed them, for messages to name its values.
 
         Raises
         ------
@@ -113,13 +115,13 @@ class Config(BaseModel):
         try:
             return cls.model_validate(dict(data))
         except ValidationError as error:
-            raise ConfigError(explain(cls, error, path)) from None
+            raise ConfigError(explain(cls, error, path, unchanged)) from None
 
     @classmethod
     def build(cls, data: Mapping[str, Any] | Self | None = None, overrides: Mapping[str, Any] | None = None) -> Self:
         """The configuration from plain data (or another configuration, or nothing) with ``overrides`` merged deeply."""
         base = data.model_dump() if isinstance(data, Config) else data or {}
-        return cls.load(deep_merge(base, overrides or {}))
+        return cls.load(deep_merge(base, overrides or {}), unchanged=base)
 
     @classmethod
     def preset(cls, name: str, overrides: Mapping[str, Any] | None = None) -> Self:

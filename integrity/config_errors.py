@@ -20,12 +20,17 @@ SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 NUMBERS = {"float_type", "float_parsing", "int_type", "int_parsing"}
 
 
-def explain(model: type[BaseModel], error: ValidationError, path: str = "") -> str:
-    """One line for each problem that ``error`` found in ``model``, with ``path`` in front of each key."""
-    return "\n".join(_line(model, problem, path) for problem in error.errors())
+def explain(
+    model: type[BaseModel], error: ValidationError, path: str = "", unchanged: Mapping[str, Any] | None = None
+) -> str:
+    """One line for each problem that ``error`` found in ``model``, with ``path`` in front of each key.
+
+    ``unchanged`` is what a user's changes were merged over: its values are named in place of a field's default.
+    """
+    return "\n".join(_line(model, problem, path, unchanged or {}) for problem in error.errors())
 
 
-def _line(model: type[BaseModel], problem: Mapping[str, Any], path: str) -> str:
+def _line(model: type[BaseModel], problem: Mapping[str, Any], path: str, unchanged: Mapping[str, Any]) -> str:
     loc, kind = problem["loc"], problem["type"]
     owner, field = _find(model, loc)
     dotted = ".".join(filter(None, (path, *map(str, loc)))) or model.__name__
@@ -36,7 +41,8 @@ def _line(model: type[BaseModel], problem: Mapping[str, Any], path: str) -> str:
     if kind in ("value_error", "assertion_error"):
         text = str(problem["ctx"]["error"])
         return text if text.startswith(dotted) else f"{dotted}: {text}"
-    return f"{dotted} must {_demand(problem, field)}, got {_found(problem['input'])}: {_remedy(problem, field)}"
+    remedy = _remedy(problem, field, _before(unchanged, loc))
+    return f"{dotted} must {_demand(problem, field)}, got {_found(problem['input'])}: {remedy}"
 
 
 def _demand(problem: Mapping[str, Any], field: FieldInfo | None) -> str:
@@ -81,16 +87,29 @@ def _found(value: Any) -> str:
     return shown if len(shown) <= 60 else f"{shown[:57]}..."
 
 
-def _remedy(problem: Mapping[str, Any], field: FieldInfo | None) -> str:
+def _before(unchanged: Any, loc: Sequence[int | str]) -> Any:
+    """The value at a path of plain data, None where there is none."""
+    for key in loc:
+        unchanged = unchanged.get(key) if isinstance(unchanged, Mapping) else None
+    return unchanged
+
+
+def _remedy(problem: Mapping[str, Any], field: FieldInfo | None, before: Any) -> str:
     kind, value = problem["type"], problem["input"]
     if kind in NUMBERS:
         return "write the number without quotes" if isinstance(value, str) else "give a number"
     if kind in ("enum", "literal_error"):
         return nearest(str(value), str(problem["ctx"]["expected"]).replace(" or ", ", ").replace("'", "").split(", "))
     default = field.get_default() if field is not None and not field.is_required() else None
-    if isinstance(default, int | float | str) and not isinstance(default, Enum):
+    if _plain(before) and before not in (default, problem["input"]):
+        return f"correct that value (unchanged it is {before})"
+    if _plain(default):
         return f"correct that value (the default is {default})"
     return "correct that value"
+
+
+def _plain(value: Any) -> bool:
+    return isinstance(value, int | float | str) and not isinstance(value, Enum)
 
 
 def _find(model: type[BaseModel], loc: Sequence[int | str]) -> tuple[type[BaseModel] | None, FieldInfo | None]:

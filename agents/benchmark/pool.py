@@ -101,7 +101,7 @@ class _Worker:
     def __init__(self, work: Work) -> None:
         self.work = work
         self.task: Task | None = None
-        self._start()
+        self.alive = False
 
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
@@ -112,10 +112,13 @@ class _Worker:
         with _one_thread():
             self.process.start()
         theirs.close()
+        self.alive = True
         self.pipe.send(self.work)
 
     def give(self, task: Task) -> None:
         """Have an episode driven."""
+        if not self.alive:
+            self._start()
         self.task = task
         self.clock.clear()
         self.pipe.send(task)
@@ -142,14 +145,15 @@ class _Worker:
 
     def _replaced(self, task: Task, status: Status, message: str) -> Outcome:
         self.kill()
-        self._start()
         return self.work.keep_failure(task, status, message)
 
     def kill(self) -> None:
         """End the process at once; files are whole at any time."""
-        self.process.kill()
-        self.process.join()
-        self.pipe.close()
+        if self.alive:
+            self.process.kill()
+            self.process.join()
+            self.pipe.close()
+        self.alive = False
 
 
 @contextmanager

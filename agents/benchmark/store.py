@@ -63,12 +63,13 @@ class Store:
                 self._clear()
             self.folder.mkdir(parents=True, exist_ok=True)
             new = self._mark(suite)
-            if mark.exists() and (found := _differing(json.loads(mark.read_text(encoding="utf-8")), new)):
+            old = self._read_mark()
+            if mark.exists() and (found := _differing(old, new)):
                 raise InputError(
                     f"out must be empty or hold the same suite, got {self.folder} with another {found}: "
                     "choose a new folder, or drive anew with --fresh"
                 )
-            new["agents"] = {**self._known_agents(), **new["agents"]}
+            new["agents"] = {**old.get("agents", {}), **new["agents"]}
             _write_text(mark, json.dumps(new, indent=1) + "\n")
         except OSError as error:
             raise InputError(
@@ -85,9 +86,13 @@ class Store:
             "suite": suite.to_dict(),
         }
 
-    def _known_agents(self) -> dict[str, str]:
-        mark = self.folder / SUITE
-        return dict(json.loads(mark.read_text(encoding="utf-8"))["agents"]) if mark.exists() else {}
+    def _read_mark(self) -> dict[str, Any]:
+        """What the folder is marked with; nothing where the mark is none of ours."""
+        try:
+            found = json.loads((self.folder / SUITE).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return {}
+        return found if isinstance(found, dict) else {}
 
     def _clear(self) -> None:
         """Remove an earlier suite and nothing else."""
@@ -104,20 +109,16 @@ class Store:
         InputError
             It is no folder of a benchmark.
         """
-        try:
-            mark = json.loads((self.folder / SUITE).read_text(encoding="utf-8"))
-            return SuiteConfig.load(mark["suite"])
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            if isinstance(error, InputError):
-                raise
+        found = self._read_mark()
+        if "suite" not in found:
             raise InputError(
-                f"DIR must be a folder that 'lanebound benchmark' wrote, got {self.folder} without a {SUITE}"
-            ) from None
+                f"DIR must be a folder that 'lanebound benchmark' wrote, got {self.folder} without its {SUITE}"
+            )
+        return SuiteConfig.load(found["suite"])
 
     def same_version(self) -> bool:
         """Whether its episodes were driven by the code that is here now."""
-        mark = json.loads((self.folder / SUITE).read_text(encoding="utf-8"))
-        return bool(mark["source"] == source_digest())
+        return self._read_mark().get("source") == source_digest()
 
     def left_out(self) -> list[tuple[str, str, str]]:
         """Agents that cannot drive an environment of the suite, as ``(env, agent, why)``."""
@@ -197,6 +198,6 @@ def _differing(old: Any, new: Mapping[str, Any]) -> str:
         if other:
             return f"agent under the name '{other[0]}'"
         before["seeds"], after["seeds"] = before["seeds"]["split"], after["seeds"]["split"]
-        return next((key for key in after if before.get(key) != after[key]), "")
+        return next((f"value of {key}" for key in after if before.get(key) != after[key]), "")
     except (KeyError, TypeError, AttributeError):
         return "kind of suite.json"

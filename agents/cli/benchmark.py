@@ -70,14 +70,14 @@ def _announce(plan: Plan, jobs: int | None, budget: float | None) -> None:
 
     count = cores() if jobs is None else jobs
     there = f", {plan.stored} are there already" if plan.stored else ""
-    line = f"{len(plan.tasks)} episodes to drive with {count} processes{there}: about {_hours(plan.hours(count))} h"
+    line = f"{len(plan.tasks)} episodes to drive with {count} processes{there}: about {_length(plan.hours(count))}"
     typer.echo(f"{line}{'' if budget is None else f', of which {budget:g} h may be used'}.", err=True)
     for env, agent, why in plan.left_out:
         typer.echo(f"left out: {agent} in {env} ({why})", err=True)
 
 
-def _hours(hours: float) -> str:
-    return f"{hours:.2g}" if hours >= 0.01 else "0.01"
+def _length(hours: float) -> str:
+    return f"{hours:.2g} h" if hours >= 1.0 else f"{max(1, round(60.0 * hours))} min"
 
 
 def _kept(out: Path) -> str:
@@ -134,10 +134,11 @@ def _report(results: Results, out: Path, budget: float | None, as_json: bool) ->
 
 def _next(results: Results, out: Path) -> str:
     """What to try next."""
-    chosen = results.failures or [o for o in results.outcomes if o.collision or o.lane_departure] or results.outcomes
+    planned = [o for o in results.outcomes if results.suite.agents[o.agent].agent != "random"]
+    worst = max(results.failures or planned or results.outcomes, key=lambda o: o.cost, default=None)
     lines = ["What to try next"]
-    if chosen:
-        lines.append(f"  lanebound replay-episode {out} {chosen[-1].id} --video out/replay.mp4")
+    if worst is not None:
+        lines.append(f"  lanebound replay-episode {out} {worst.id} --video out/replay.mp4")
     lines += [
         "  lanebound benchmark quick --out out/mine --agents nominal,mine=my_agent:make   # your own, see the README",
         "  lanebound benchmark standard --out out/standard --budget 1                     # every environment and sky",

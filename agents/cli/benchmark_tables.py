@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from lanebound.agents.benchmark.metrics import MAIN, Metric, metric_named
 from lanebound.agents.benchmark.outcome import Place
-from lanebound.agents.benchmark.results import Paired, Results
+from lanebound.agents.benchmark.results import Cell, Paired, Results
 from lanebound.agents.cli.output import WIDTH_OF_A_FILE
 
 __all__ = ["number", "print_results", "with_interval"]
@@ -22,7 +24,10 @@ FAILURES = 10  # that are listed
 
 
 def print_results(results: Results) -> None:
-    """Print means with intervals, paired differences and failures; in a file each row is one line."""
+    """Print means with intervals, paired differences and failures.
+
+    In a terminal tables that are too wide stand below each other; in a file each row is one line, however long.
+    """
     console = Console()
     if not console.is_terminal:
         console.width = WIDTH_OF_A_FILE
@@ -30,62 +35,89 @@ def print_results(results: Results) -> None:
         if any(cell.place == place for cell in results.cells):
             _print_place(console, results, place)
     console.print(
-        Text("Brackets: 95 % bootstrap intervals over seeds. Green and red: better, worse than the reference.")
+        Text("With 95 % bootstrap intervals over seeds; green and red: clearly better and worse than the reference.")
     )
     _print_failures(console, results)
 
 
 def _print_place(console: Console, results: Results, place: Place) -> None:
-    metrics = [metric_named(key) for key in MAIN]
     cells = [cell for cell in results.cells if cell.place == place]
-    shown = [m for m in metrics if any(cell.metrics[m.key].n for cell in cells)]
     faults = "" if place.faults == "none" else f", {place.faults} faults"
-    title = f"{place.env}, {place.sky} sky{faults}: mean of {max(c.episodes for c in cells)} seeds"
-    table = _table(shown, "agent")
-    for cell in cells:
-        found = [cell.metrics[m.key] for m in shown]
-        table.add_row(
-            cell.agent, *(_cell(console, m, e.mean, e.low, e.high) for m, e in zip(shown, found, strict=True))
-        )
+    title = f"{place.env}, {place.sky} sky{faults}: means of {max(c.episodes for c in cells)} seeds"
+    pairs = {(p.agent, p.metric): p for p in results.paired if p.place == place}
+    shown = [metric_named(key) for key in MAIN if any(cell.metrics[key].n for cell in cells)]
+    columns = [_column(metric, cells, pairs) for metric in shown]
+    names = Column("agent", [Text(name) for name in _names(cells, results.suite.reference, pairs)])
     console.print(Text(title, style="bold"))
-    console.print(table)
-    pairs = [p for p in results.paired if p.place == place and p.metric in MAIN]
-    if pairs:
-        _print_pairs(console, shown, pairs)
-    console.print()
+    for group in _groups(columns, console.width - names.width(console) - 2):
+        console.print(_table(console, [names, *group], len(cells)))
 
 
-def _print_pairs(console: Console, shown: Sequence[Metric], pairs: Sequence[Paired]) -> None:
-    table = _table(shown, f"less {pairs[0].against}")
-    by_key = {(p.agent, p.metric): p for p in pairs}
-    for agent in dict.fromkeys(p.agent for p in pairs):
-        row = []
-        for metric in shown:
-            pair = by_key[(agent, metric.key)]
-            text = _cell(console, metric, pair.difference, pair.low, pair.high, signed=True)
+def _names(cells: Sequence[Cell], reference: str, pairs: Mapping[tuple[str, str], Paired]) -> list[str]:
+    """The first column: agents, and those that are less the reference."""
+    compared = {agent for agent, _ in pairs}
+    return [cell.agent for cell in cells] + [f"{c.agent} - {reference}" for c in cells if c.agent in compared]
+
+
+def _column(metric: Metric, cells: Sequence[Cell], pairs: Mapping[tuple[str, str], Paired]) -> Column:
+    """Means of a metric with intervals, and below them the differences from the reference."""
+    found = []
+    for cell in cells:
+        e = cell.metrics[metric.key]
+        found.append(_text(*with_interval(metric, e.mean, e.low, e.high)))
+    for cell in cells:
+        pair = pairs.get((cell.agent, metric.key))
+        if pair is not None:
+            text = _text(*with_interval(metric, pair.difference, pair.low, pair.high, signed=True))
             if pair.clear and metric.better is not None and pair.difference is not None:
                 text.stylize(COLOURS[(pair.difference > 0.0) == (metric.better == "higher")])
-            row.append(text)
-        table.add_row(agent, *row)
-    console.print(table)
+            found.append(text)
+    unit = "%" if _in_percent(metric) else metric.unit
+    return Column("\n".join([*metric.title.split(), f"[{unit}]" if unit else ""]), found)
 
 
-def _table(metrics: Sequence[Metric], first: str) -> Table:
-    table = Table(header_style="bold", padding=(0, 1), show_lines=False)
-    table.add_column(first, overflow="fold")
-    for metric in metrics:
-        unit = "%" if _in_percent(metric) else metric.unit
-        table.add_column(f"{metric.title} [{unit}]".replace("[", r"\[") if unit else metric.title, justify="right")
+def _text(mean: str, interval: str) -> Text:
+    return Text.assemble(mean, "\n", (interval, "dim"))
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table: in a terminal each entry has a second line, in a file it is in one."""
+
+    head: str
+    entries: list[Text]
+
+    def width(self, console: Console) -> int:
+        """Characters that it takes, with what is around it."""
+        lines = [line for text in self.entries for line in self.fitted(console, text).plain.splitlines()]
+        head = self.head.split("\n") if console.is_terminal else [self.head]
+        return max(map(len, [*head, *lines])) + 2
+
+    def fitted(self, console: Console, text: Text) -> Text:
+        """An entry as it is shown."""
+        return text if console.is_terminal else Text(" ".join(text.plain.split("\n")).rstrip())
+
+
+def _groups(columns: Sequence[Column], room: int) -> list[list[Column]]:
+    """Columns that fit beside each other, one at least: none is cut."""
+    console = Console()
+    groups: list[list[Column]] = [[]]
+    for column in columns:
+        if groups[-1] and sum(c.width(console) for c in [*groups[-1], column]) > room:
+            groups.append([])
+        groups[-1].append(column)
+    return groups
+
+
+def _table(console: Console, columns: Sequence[Column], agents: int) -> Table:
+    table = Table(box=SIMPLE_HEAD, header_style="bold", padding=(0, 1, 0, 1), collapse_padding=True, pad_edge=False)
+    for column in columns:
+        head = Text(column.head) if console.is_terminal else Text(" ".join(column.head.split()))
+        justify: Literal["left", "right"] = "left" if column is columns[0] else "right"
+        table.add_column(head, justify=justify, no_wrap=True, min_width=column.width(console) - 2, vertical="top")
+    for k in range(len(columns[0].entries)):
+        table.add_row(*(column.fitted(console, column.entries[k]) for column in columns), end_section=k == agents - 1)
     return table
-
-
-def _cell(
-    console: Console, metric: Metric, mean: float | None, low: float | None, high: float | None, signed: bool = False
-) -> Text:
-    mean_text, interval = with_interval(metric, mean, low, high, signed)
-    if not interval:
-        return Text(mean_text)
-    return Text.assemble(mean_text, "\n" if console.is_terminal else " ", (interval, "dim"))
 
 
 def with_interval(
@@ -96,7 +128,7 @@ def with_interval(
         return "-", ""
     if low is None or high is None:
         return number(metric, mean, signed), ""
-    return number(metric, mean, signed), f"[{number(metric, low, signed)}, {number(metric, high, signed)}]"
+    return number(metric, mean, signed), f"{number(metric, low, signed)}..{number(metric, high, signed)}"
 
 
 def number(metric: Metric, value: float, signed: bool = False) -> str:
@@ -123,4 +155,4 @@ def _print_failures(console: Console, results: Results) -> None:
         table.add_row(*map(Text, (outcome.id, outcome.status, outcome.message)))
     console.print(table)
     if len(failures) > FAILURES:
-        console.print(f"... and {len(failures) - FAILURES} more, in results.json")
+        console.print(Text(f"... and {len(failures) - FAILURES} more, in results.json"))

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lanebound.agents.cli.listing import AGENTS
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Sky", "drive", "overrides"]
 
+WEIGHTED = "cost (weighted)"
 LOG, COLUMNS, DIAGRAM = "episodes.parquet", "columns.md", "stanford.png"
 Name = Annotated[str, typer.Argument(metavar="ID", help="An environment, as 'lanebound envs' lists them.")]
 Sky = Annotated[str | None, typer.Option(help="Level of the sky: open, suburban, urban or dense.")]
@@ -29,7 +32,7 @@ Assignments = Annotated[
 def drive(
     name: Name,
     agent: Annotated[
-        str, typer.Option(help="Who drives: an agent, model.zip, model.onnx, or module:callable.")
+        str, typer.Option(help=f"Who drives: {', '.join(AGENTS)}; model.zip, model.onnx, or module:callable.")
     ] = "cruise",
     sky: Sky = None,
     faults: Faults = None,
@@ -157,12 +160,20 @@ def _report(summaries: list[Summary], files: dict[str, Path | None], as_json: bo
         all_of_them = measures(summaries)
         print_json({"episodes": [s.to_dict() for s in summaries], "all": all_of_them, "files": written})
         return
-    columns = ("seed", "ended by", "time [s]", "return", "cost", "success", "available", "HMI steps")
+    columns = ("seed", "ended by", "time [s]", "return", WEIGHTED, "success", "available", "HMI steps")
     print_table("Episodes", columns, map(_line, summaries))
     title = "Measures" if len(summaries) == 1 else f"Measures, means over {len(summaries)} episodes"
-    print_table(title, ("measure", "value"), ((key, _three(value)) for key, value in measures(summaries).items()))
+    lines = ((_label(key), _three(value)) for key, value in measures(summaries).items())
+    print_table(title, ("measure", "value"), lines)
     for what, path in written.items():
         typer.echo(f"{what}: {path}")
+
+
+def _label(measure: str) -> str:
+    """A measure as the table calls it: the cost is a weighted sum, its causes stand beside it without their weights."""
+    if measure == "cost":
+        return WEIGHTED
+    return f"{measure}, unweighted" if measure.startswith("cost_") else measure
 
 
 def _line(s: Summary) -> tuple[Any, ...]:

@@ -11,8 +11,7 @@ if TYPE_CHECKING:
 
 __all__ = ["envs", "facts"]
 
-RATES = ("policy_hz", "navigation_hz", "simulation_hz")
-COLUMNS = ("id", "base", "action_space", "flat_size", *RATES, "sky", "cost_limit")
+COLUMNS = ("id", "action_space", "policy_hz", "sky", "cost_limit")  # fit into a terminal of 80 characters
 
 
 def envs(
@@ -55,9 +54,18 @@ def _list(as_json: bool) -> None:
     if as_json:
         print_json(list(LISTING))
         return
-    print_table("Environments", COLUMNS, ([row[column] for column in COLUMNS] for row in LISTING))
-    groups = ", ".join(f"{name} {size}" for name, size in LISTING[0]["observation"].items())
-    typer.echo(f"Observations are a Dict of {groups}, or flat; 'lanebound envs ID' shows every entry.")
+    print_table("Environments", COLUMNS, (_short(row) for row in LISTING))
+    first = LISTING[0]
+    groups = ", ".join(f"{name} {size}" for name, size in first["observation"].items())
+    typer.echo(f"Observations: {groups}; flat {first['flat_size']}.")
+    typer.echo(f"Navigation at {first['navigation_hz']:g} Hz, dynamics at {first['simulation_hz']} Hz.")
+    typer.echo("'lanebound envs ID' shows one whole, with every entry.")
+
+
+def _short(row: dict[str, Any]) -> list[Any]:
+    """A row of the table; of a box its shape says enough, as all go from -1 to 1."""
+    space = str(row["action_space"]).replace("-1.0, 1.0, (", "").replace("), float32", "")
+    return [space if column == "action_space" else row[column] for column in COLUMNS]
 
 
 def facts(env: DrivingEnv) -> dict[str, Any]:

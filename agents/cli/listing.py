@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-__all__ = ["INFO", "LISTING"]
+__all__ = ["AGENTS", "INFO", "LISTING"]
+
+AGENTS = (
+    "cautious", "cbf", "cruise", "idm", "integrity_aware", "lqr", "mpc", "nominal", "oracle", "random", "rss",
+    "stanley", "stop_on_alert",
+)  # fmt: skip
 
 GROUPS = {"ego": 15, "integrity": 44, "road": 43, "traffic": 114}
 STEERED = {"action": "continuous", "action_space": "Box(-1.0, 1.0, (2,), float32)", "policy_hz": 5}
@@ -20,9 +25,9 @@ LISTING: tuple[dict[str, Any], ...] = (
     _line("LaneKeeping-v0", "LaneKeepingWorld", STEERED, cost_limit=15.0),
     _line("CarFollowing-v0", "CarFollowingWorld", STEERED, cost_limit=15.0),
     _line("Highway-v0", "highway-v0", CHOSEN, "suburban"),
-    _line("Merge-v0", "merge-v1", CHOSEN, "suburban"),
-    _line("Roundabout-v0", "roundabout-v1", CHOSEN),
-    _line("Intersection-v0", "intersection-v2", CHOSEN, action_space="Discrete(3)"),
+    _line("Merge-v0", "merge-v1", CHOSEN, "suburban", cost_limit=0.7),
+    _line("Roundabout-v0", "roundabout-v1", CHOSEN, cost_limit=6.0),
+    _line("Intersection-v0", "intersection-v2", CHOSEN, action_space="Discrete(3)", cost_limit=8.0),
     _line("Racetrack-v0", "racetrack-v1", STEERED, action_space="Box(-1.0, 1.0, (1,), float32)"),
     _line("UrbanCanyon-v0", "UrbanCanyonWorld", CHOSEN, cost_limit=40.0),
 )

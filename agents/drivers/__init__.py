@@ -20,6 +20,7 @@ AGENTS = {
     "idm": "lanebound.agents.drivers.cruise:make_idm",
     "integrity_aware": "lanebound.agents.drivers.aware:make_integrity_aware",
     "lqr": "lanebound.agents.drivers.cruise:make_lqr",
+    "mpc": "lanebound.agents.drivers.mpc:make_mpc",
     "nominal": "lanebound.agents.drivers.nominal:make_nominal",
     "oracle": "lanebound.agents.drivers.nominal:make_oracle",
     "random": "lanebound.agents.drivers.random:RandomDriver",

@@ -206,7 +206,7 @@ class BarrierFilter:
         )
         return low, high, (free < c.lane_floor_m) & (v >= WALK_MPS)
 
-    def _reachable(self, observation: Observation) -> tuple[Array, Array]:
+    def reachable(self, observation: Observation) -> tuple[Array, Array]:
         """Steering angles that grip and the wheel's rate allow within a decision [rad]."""
         limits, (low, high) = self._limits, self._inner.steering_range
         v = np.maximum(self.reader.value(observation, "ego.speed"), 0.0)
@@ -225,7 +225,7 @@ class BarrierFilter:
     def _lane(self, observation: Observation) -> tuple[Array, Array, Bools, Bools]:
         """Bounds of steering, free at walking pace where it moves nothing; where there is slack; where no way is."""
         low, high, slack = self.angle_bounds(observation)
-        least, most = self._reachable(observation)
+        least, most = self.reachable(observation)
         rolls = self.reader.value(observation, "ego.speed") >= WALK_MPS
         none = rolls & ((low > most) | (high < least))
         return np.where(rolls, low, -np.pi), np.where(rolls, high, np.pi), slack, none

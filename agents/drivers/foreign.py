@@ -144,7 +144,10 @@ def _alike(trained: spaces.Space[Any], here: spaces.Space[Any]) -> bool:
 
 
 def _shape(space: spaces.Space[Any]) -> str:
-    return str({key: part.shape for key, part in space.items()}) if isinstance(space, spaces.Dict) else str(space)
+    """What matters of a space, in a few words."""
+    if isinstance(space, spaces.Dict):
+        return ", ".join(f"{key} {part.shape}" for key, part in space.items())
+    return str(space) if isinstance(space, spaces.Discrete) else f"{type(space).__name__} {space.shape}"
 
 
 # ONNX

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lanebound.agents.benchmark.outcome import Outcome
-from lanebound.agents.benchmark.replay import replay
+from lanebound.agents.benchmark.replay import differences, replay
 
 __all__ = ["Clip", "film_clip", "shrink"]
 
 LAST_S = 12.0  # of the episode: where it ends badly
-WIDTH_PX = 640
+WIDTH_PX = 960
 FPS = 10
-QUALITY = (31, 36, 41)  # constant rate factors of x264, tried until a clip is small enough
+QUALITY = (30, 36, 42)  # constant rate factors of x264, tried until a clip is small enough
 LARGEST_BYTES = 1_200_000
 
 
@@ -27,7 +27,7 @@ class Clip:
     Attributes
     ----------
     address : the film itself, as a ``data:`` address; "" when there is none
-    trouble : why there is none
+    trouble : why there is none, or what does not agree with the episode as it was
     """
 
     outcome: Outcome
@@ -43,10 +43,11 @@ def film_clip(folder: Path, outcome: Outcome) -> Clip:
     with tempfile.TemporaryDirectory() as place:
         whole, small = Path(place) / "whole.mp4", Path(place) / "small.mp4"
         try:
-            replay(folder, outcome.id, whole, FPS)
-            return Clip(outcome, _address(shrink(whole, small, outcome.time_s)))
+            other = differences(*replay(folder, outcome.id, whole, FPS))
+            trouble = f"Driven again it did not come out as it had: {', '.join(other)} differ." if other else ""
+            return Clip(outcome, _address(shrink(whole, small, outcome.time_s)), trouble)
         except Exception as error:
-            return Clip(outcome, trouble=f"{type(error).__name__}: {error}")
+            return Clip(outcome, trouble=f"No clip: {type(error).__name__}: {error}")
 
 
 def shrink(whole: Path, small: Path, length_s: float) -> bytes:
@@ -56,7 +57,7 @@ def shrink(whole: Path, small: Path, length_s: float) -> bytes:
     start = max(0.0, length_s - LAST_S)
     for quality in QUALITY:
         command = [get_ffmpeg_exe(), "-v", "error", "-y", "-ss", f"{start:.2f}", "-i", str(whole), "-an"]
-        command += ["-vf", f"scale={WIDTH_PX}:-2:flags=area", "-c:v", "libx264", "-preset", "slow"]
+        command += ["-vf", rf"scale=min({WIDTH_PX}\,iw):-2:flags=area", "-c:v", "libx264", "-preset", "slow"]
         command += ["-crf", str(quality), "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(small)]
         subprocess.run(command, check=True, stdin=subprocess.DEVNULL, capture_output=True)
         if small.stat().st_size <= LARGEST_BYTES:

@@ -78,7 +78,7 @@ def what_happened(outcome: Outcome) -> str:
         return f"{outcome.status.replace('_', ' ')}: {outcome.message}" if outcome.message else outcome.status
     if outcome.ended in BAD_ENDS:
         return outcome.ended
-    return "" if outcome.success else f"no success, {outcome.ended}"
+    return "" if outcome.success else f"no success ({outcome.ended})"
 
 
 def badness(outcome: Outcome) -> tuple[int, float]:

@@ -104,16 +104,14 @@ def _entries(metric: Metric, cells: Sequence[Cell], actors: Mapping[str, Actor])
     found = {cell.agent: cell.metrics[metric.key] for cell in cells}
     rivals = [(name, e.low, e.high) for name, e in found.items() if not actors[name].bound]
     best = clear_best(rivals, metric.better)
-    return [_entry(estimate, unit_of(metric), name == best) for name, estimate in found.items()]
+    return [_entry(estimate, metric, name == best) for name, estimate in found.items()]
 
 
-def _entry(estimate: Estimate, unit: str, best: bool) -> Entry:
-    iqm = _with_interval(estimate.iqm, estimate.iqm_low, estimate.iqm_high, unit)
-    return Entry(plain(estimate.mean, unit), _bare(estimate.low, estimate.high, unit), best, " ".join(iqm))
-
-
-def _with_interval(mean: float | None, low: float | None, high: float | None, unit: str) -> tuple[str, str]:
-    return plain(mean, unit), _bare(low, high, unit)
+def _entry(estimate: Estimate, metric: Metric, best: bool) -> Entry:
+    """One estimate; of what is 0 or 1 in each episode an interquartile mean says nothing."""
+    e, unit = estimate, unit_of(metric)
+    iqm = "" if metric.rate else f"{plain(e.iqm, unit)} {_bare(e.iqm_low, e.iqm_high, unit)}"
+    return Entry(plain(e.mean, unit), _bare(e.low, e.high, unit), best, iqm)
 
 
 def _bare(low: float | None, high: float | None, unit: str) -> str:

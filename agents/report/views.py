@@ -30,7 +30,8 @@ from lanebound.integrity.assessment.stanford import ZoneCounts
 __all__ = ["Choice", "Diagram", "PlaceView", "TraceView", "causes", "view_of"]
 
 GAINS = ("return", "success", "throughput", "mean_speed")
-WORST = 3  # episodes whose traces a place shows
+WORST, WORST_OF_MANY = 3, 1  # episodes whose traces a place shows, and where there are many places
+MANY_PLACES = 12
 
 
 @dataclass(frozen=True)
@@ -192,7 +193,8 @@ def _zone_lines(at: ZoneCounts, ct: ZoneCounts) -> list[tuple[str, int, str, str
 
 def _traces(results: Results, here: Sequence[Outcome], actors: Mapping[str, Actor]) -> list[TraceView]:
     found = []
-    for outcome in worst_of(here, actors, WORST):
+    count = WORST if len(results.suite.places) <= MANY_PLACES else WORST_OF_MANY
+    for outcome in worst_of(here, actors, count):
         driven = trace_of(results, outcome)
         if driven is not None:
             title = f"{outcome.agent}, seed {outcome.seed}"

@@ -56,10 +56,11 @@ def draw_map(
             _draw_shadows(canvas, scenery, camera, theme)
         canvas.polygons(roads.kerb.seen_px(camera), theme.kerb)
         canvas.polygons(roads.asphalt.seen_px(camera), theme.road)
-        _draw_corridor(canvas, frame, camera, theme)
         canvas.polygons(roads.marking.seen_px(camera), theme.marking)
         if scenery is not None:
             _draw_roofs(canvas, scenery, camera, theme)
+            _draw_trees(canvas, scenery, camera, theme)
+        _draw_corridor(canvas, frame, camera, theme)
         _draw_level(canvas, frame, camera, theme)
         _draw_bodies(canvas, frame, camera, theme)
         _draw_traffic(canvas, frame, camera, theme)
@@ -91,9 +92,14 @@ def _standing(scenery: Scenery, camera: Camera) -> NDArray[np.bool_]:
 
 
 def _draw_overhead(canvas: Canvas, scenery: Scenery, camera: Camera, theme: Theme) -> None:
-    """What the road may pass under lets it be seen."""
+    """What the road passes under lets it be seen."""
     seen = camera.sees(scenery.middle_m, scenery.radius_m)
-    canvas.blend(camera.px(scenery.roof_m[seen & scenery.overhead]), theme.overhead, 0.4)
+    canvas.blend(camera.px(scenery.roof_m[seen & scenery.overhead]), theme.overhead, 0.3)
+
+
+def _draw_trees(canvas: Canvas, scenery: Scenery, camera: Camera, theme: Theme) -> None:
+    """Crowns reach over the road and let it be seen; whoever drives there is drawn on top."""
+    seen = camera.sees(scenery.middle_m, scenery.radius_m)
     canvas.blend(camera.px(scenery.roof_m[seen & scenery.leaves]), theme.tree, 0.5)
     near = camera.sees(scenery.crown_m, scenery.crown_radius_m)
     crown, radius = scenery.crown_m[near], scenery.crown_radius_m[near, None, None]
@@ -111,7 +117,8 @@ def _draw_corridor(canvas: Canvas, frame: Frame, camera: Camera, theme: Theme) -
     if len(left) > 1:
         canvas.blend(quads_along(left, right), theme.limit, 0.10)
         for side in (left, right):
-            canvas.dashes(side, theme.limit, 1.0, on_px=5.0)
+            canvas.line(side, theme.road, 2.5)  # where the limit is the lane's own edge, its marking gives way
+            canvas.dashes(side, theme.limit, 2.0, on_px=6.0)
 
 
 def _draw_bodies(canvas: Canvas, frame: Frame, camera: Camera, theme: Theme) -> None:

@@ -134,17 +134,18 @@ def _age(age_s: float) -> str:
     return "none" if math.isinf(age_s) else f"{age_s:.1f} s old"
 
 
-def draw_legend(canvas: Canvas, config: RenderingConfig, theme: Theme) -> None:
-    """One line at the foot of the map."""
+def draw_legend(canvas: Canvas, status: Status, config: RenderingConfig, theme: Theme) -> None:
+    """One line at the foot of the map, in the colours of this very picture."""
     entries = (
         ("ego", "body", theme.ego),
         ("believed", "outline", theme.ego_belief),
-        ("its PL", "blend", theme.ok),
+        ("its PL", "blend", status_colour(status, theme)),
         ("alert limit", "dashes", theme.limit),
         ("traffic", "body", theme.other),
-        ("perceived + PL", "outline", theme.other_belief),
+        ("perceived + PL", "levels", theme.other_belief),
+        ("crashed", "body", theme.crashed),
     )
-    widths = [canvas.width_of(name, 11) + 38 for name, _, _ in entries]
+    widths = [canvas.width_of(name, 11) + 34 for name, _, _ in entries]
     total = sum(widths) + 6
     if total > config.map_width_px - 16:
         return
@@ -152,19 +153,29 @@ def draw_legend(canvas: Canvas, config: RenderingConfig, theme: Theme) -> None:
     canvas.box(x, y - 11, total, 22, theme.panel, round_px=5)
     x += 10
     for (name, kind, colour), width in zip(entries, widths, strict=True):
-        _draw_key(canvas, Place(x, y - 4.5, 16, 9), kind, colour)
+        _draw_key(canvas, Place(x, y - 4.5, 16, 9), kind, colour, theme)
         canvas.text(x + 21, y, name, 11, theme.text)
         x += width
 
 
-def _draw_key(canvas: Canvas, at: Place, kind: str, colour: Colour) -> None:
+def _draw_key(canvas: Canvas, at: Place, kind: str, colour: Colour, theme: Theme) -> None:
+    """As the map draws it, on the colour of the road."""
+    if kind != "body":
+        canvas.box(at.x - 2, at.y - 2, at.width + 4, at.height + 4, theme.road)
     if kind == "body":
         canvas.box(at.x, at.y, at.width, at.height, colour, round_px=2)
     elif kind == "outline":
         canvas.line(at.corners, colour, 1.5, closed=True)
     elif kind == "blend":
         canvas.blend(at.corners[None], colour, 0.3)
-        canvas.line(at.corners, colour, 1.0, closed=True)
+        canvas.line(at.corners, colour, 1.5, closed=True)
+    elif kind == "levels":
+        canvas.box(at.x + 3, at.y + 2, at.width - 6, at.height - 4, theme.other)
+        canvas.blend(at.corners[None], colour, 0.12)
+        canvas.line(at.corners, colour, 0.5, closed=True)
+        inner = Place(at.x + 3, at.y + 2, at.width - 6, at.height - 4)
+        canvas.line(inner.corners, colour, 1.5, closed=True)
     else:
-        canvas.dashes([[at.x, at.y], [at.right, at.y]], colour, 1.0, on_px=3.5)
-        canvas.dashes([[at.x, at.bottom], [at.right, at.bottom]], colour, 1.0, on_px=3.5)
+        canvas.blend(at.corners[None], colour, 0.10)
+        for y in (at.y, at.bottom):
+            canvas.dashes([[at.x, y], [at.right, y]], colour, 2.0, on_px=3.5)

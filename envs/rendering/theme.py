@@ -54,7 +54,7 @@ THEMES = {
         building_high=(104, 114, 130), building_edge=(122, 132, 148), shadow=(17, 20, 25), tree=(70, 134, 88),
         overhead=(120, 128, 140), panel=(19, 23, 28), plot=(30, 36, 43), grid=(60, 68, 78), text=(232, 236, 240),
         muted=(150, 159, 169), ego=SKY_BLUE, ego_belief=(255, 255, 255), other=(146, 154, 166),
-        other_belief=(240, 228, 66), crashed=PURPLE, glass=(24, 30, 38), limit=(205, 212, 220),
+        other_belief=(240, 228, 66), crashed=PURPLE, glass=(24, 30, 38), limit=(190, 164, 255),
         ok=(22, 178, 132), caution=(236, 170, 20), alert=(228, 96, 20),
     ),
     ThemeName.LIGHT: Theme(
@@ -63,7 +63,7 @@ THEMES = {
         shadow=(216, 216, 210), tree=(112, 170, 112), overhead=(120, 124, 130), panel=(240, 242, 244),
         plot=(255, 255, 255), grid=(218, 222, 226), text=(28, 32, 38), muted=(102, 110, 120), ego=(0, 114, 178),
         ego_belief=(10, 14, 20), other=(120, 128, 138), other_belief=(150, 92, 0), crashed=(170, 60, 120),
-        glass=(40, 46, 54), limit=(70, 78, 88), ok=(0, 138, 100), caution=(214, 140, 0),
+        glass=(40, 46, 54), limit=(104, 66, 190), ok=(0, 138, 100), caution=(214, 140, 0),
     ),
 }  # fmt: skip
 

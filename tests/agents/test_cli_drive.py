@@ -15,7 +15,7 @@ from imageio_ffmpeg import count_frames_and_secs
 from typer.testing import CliRunner
 
 from lanebound.agents.cli import app
-from lanebound.agents.drivers import make_agent
+from lanebound.agents.drivers import AGENTS, make_agent
 from lanebound.agents.episodes import COLUMNS, EpisodeLog, drive, open_env
 from lanebound.agents.episodes.film import Film
 from lanebound.agents.episodes.summary import measures, summarise
@@ -83,6 +83,8 @@ def test_the_film_has_ten_pictures_a_second(driven):
 
 def test_prints_tables():
     shown = run("UrbanCanyon", *GIVEN, "--set", "world.duration=2", "--agent", "random").stdout
+    assert "cost (weighted)" in shown
+    assert "cost_lane, unweighted" in shown
     for word in ("success rate", "cost_hmi", "share of rtk", "HMI steps", "collision rate"):
         assert word in shown
 
@@ -163,3 +165,8 @@ def test_gymnasium_records_the_environments_too(tmp_path):
         over = terminated or truncated
     env.close()
     assert [path.suffix for path in tmp_path.iterdir()] == [".mp4"]
+
+
+def test_help_names_every_agent():
+    shown = "".join(run("--help").stdout.split()).replace("│", "")
+    assert [agent for agent in AGENTS if agent not in shown] == []

@@ -12,7 +12,8 @@ from typer.testing import CliRunner
 
 from lanebound.agents.cli import app
 from lanebound.agents.cli.envs import facts
-from lanebound.agents.cli.listing import INFO, LISTING
+from lanebound.agents.cli.listing import AGENTS, INFO, LISTING
+from lanebound.agents.drivers import AGENTS as DRIVERS
 from lanebound.agents.episodes import full_id, open_env
 from lanebound.envs import IDS
 
@@ -52,6 +53,16 @@ def test_listing_needs_none_of_the_heavy_imports():
 def test_list_as_table_and_as_json():
     assert all(env_id in run().stdout for env_id in IDS)
     assert json.loads(run("--json").stdout) == list(LISTING)
+
+
+def test_the_list_fits_into_a_narrow_terminal():
+    shown = run().stdout
+    assert max(map(len, shown.splitlines())) <= 80
+    assert "Box(2,)" in shown
+
+
+def test_the_list_of_agents_names_all_of_them():
+    assert set(DRIVERS) <= set(AGENTS)
 
 
 def test_one_environment_as_tables():

@@ -379,6 +379,26 @@ def test_an_unknown_id_is_refused_with_the_nearest() -> None:
         gym.make("lanebound/Higway-v0")
     with pytest.raises(ConfigError, match=r"'higway-v0': did you mean 'highway-v0'"):
         wrap("higway-v0")
+    with pytest.raises(ConfigError, match=r"'LaneKeepngWorld': did you mean 'LaneKeepingWorld'"):
+        DrivingEnv({"base": "LaneKeepngWorld"})
+
+
+@pytest.mark.parametrize("env_id", ["parking-v0", "parking-ActionRepeat-v0", "parking-parked-v0"])
+def test_worlds_without_lanes_to_follow_are_refused(env_id: str) -> None:
+    with pytest.raises(ConfigError, match="must have lanes to drive along"):
+        wrap(env_id)
+
+
+def test_what_belongs_into_the_configuration_is_told_where_it_goes() -> None:
+    with pytest.raises(InputError, match=r"got sky='dense': pass config=\{'sky': 'dense'\}"):
+        gym.make(LANE_KEEPING, sky="dense")
+    with pytest.raises(InputError, match="got skyy='dense': did you mean 'sky'"):
+        gym.make(LANE_KEEPING, skyy="dense")
+
+
+def test_a_refusal_names_the_value_that_the_id_presets() -> None:
+    with pytest.raises(ConfigError, match=r"cost_limit must be >= 0, got -1: .*\(unchanged it is [0-9.]+\)"):
+        make_config(LANE_KEEPING, {"cost_limit": -1})
 
 
 def test_unknown_options_and_commands_before_the_start_are_refused() -> None:

@@ -155,7 +155,8 @@ def test_a_building_stands_to_the_north_where_its_east_and_north_say(frame):
     assert top == pytest.approx(270 + 8 * 13, abs=2)
 
 
-def test_the_box_is_drawn_as_large_as_its_levels(viewer, frame):
+def test_the_box_is_drawn_as_large_as_its_levels(frame):
+    viewer = Viewer(RenderingConfig(legend=False))  # its key to the levels takes the colour of the status
     bare = replace(frame, traffic=Traffic.none(), city=None)
     small = viewer.render(bare)[:, :660]
     large = viewer.render(replace(bare, belief=belief(pl_at_m=1.4)))[:, :660]
@@ -169,6 +170,20 @@ def test_missing_levels_can_be_drawn(viewer, frame):
     lost = belief(pl_at_m=np.inf, pl_ct_m=np.inf, available=False, alert=True, reason=4, mode=0, since_rtk_s=np.inf)
     blind = replace(frame, belief=lost, traffic=traffic(np.inf), satellites=None, city=None, cost=None)
     assert (viewer.render(blind) != viewer.render(frame)).any()
+
+
+def test_the_legend_shows_the_colours_of_the_picture(viewer, frame):
+    """The key to the levels: 16 px wide at the foot of the map, its edge in the colour of the status."""
+    for colour, state in ((DARK.ok, belief()), (DARK.alert, belief(alert=True, reason=2))):
+        foot = viewer.render(replace(frame, belief=state, city=None, traffic=Traffic.none()))[505:, :570]
+        assert (np.abs(foot.astype(int) - colour).max(-1) <= 12).sum() > 20
+        assert (np.abs(foot.astype(int) - DARK.crashed).max(-1) <= 12).sum() > 80
+
+
+def test_who_drives_under_a_tree_is_drawn_on_top_of_it(viewer, frame):
+    tree = City.of(prisms(0.6 * SQUARE[None] + [100.0, -4.0], 4.5, 9.0), Surface.FOLIAGE)
+    picture = viewer.render(replace(frame, city=tree))
+    assert near(picture[EGO_PX[1] + 6, EGO_PX[0] - 6], viewer.render(replace(frame, city=None))[362, 324])
 
 
 def test_the_light_is_coloured(viewer, frame):

@@ -14,7 +14,8 @@ from benchmarks import made_up_folder, made_up_outcome, made_up_results, made_up
 from lanebound.agents.benchmark.metrics import MAIN, METRICS, metric_named
 from lanebound.agents.benchmark.outcome import Outcome
 from lanebound.agents.benchmark.results import Results
-from lanebound.agents.benchmark.store import STORED
+from lanebound.agents.benchmark.store import STORED, Store
+from lanebound.integrity.errors import InputError
 
 
 @pytest.fixture(scope="module")
@@ -98,6 +99,26 @@ def test_the_files_agree(folder):
     assert sorted(path.name for path in folder.iterdir()) == [
         "episodes", "episodes.parquet", "results.csv", "results.json", "suite.json",
     ]  # fmt: skip
+
+
+def test_a_folder_with_a_damaged_mark_is_not_overwritten(tmp_path):
+    store, suite = Store(tmp_path), made_up_suite()
+    with pytest.raises(InputError, match="DIR must be a folder that 'lanebound benchmark' wrote"):
+        store.suite()
+    (tmp_path / "suite.json").write_text("{", encoding="utf-8")
+    with pytest.raises(InputError, match=r"with another kind of suite\.json: choose a new folder, or drive anew"):
+        store.claim(suite)
+    store.claim(suite, fresh=True)
+    assert store.suite() == suite
+    assert store.same_version()
+
+
+def test_what_is_fresh_holds_no_earlier_episodes_and_keeps_what_is_not_of_a_benchmark(tmp_path):
+    made_up_folder(tmp_path, seeds={"count": 1})
+    (tmp_path / "notes.txt").touch()
+    store = Store(tmp_path)
+    store.claim(made_up_suite(skies=["open"]), fresh=True)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["notes.txt", "suite.json"]
 
 
 def test_outcomes_hold_no_infinity_and_ignore_what_they_do_not_know():

@@ -1,0 +1,200 @@
+"""The manual of the benchmark, put together from what it is made of.
+
+``python -m lanebound.agents.benchmark.manual > docs/benchmark.md`` writes it.
+"""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from collections.abc import Sequence
+from dataclasses import fields
+
+from lanebound.agents.benchmark.metrics import METRICS, Metric
+from lanebound.agents.benchmark.outcome import Outcome
+from lanebound.agents.benchmark.results import CSV_COLUMNS, ESTIMATE_COLUMNS
+from lanebound.agents.benchmark.seeds import TEST, TRAIN
+from lanebound.agents.benchmark.statistics import RESAMPLES
+from lanebound.agents.benchmark.store import STORED
+from lanebound.agents.benchmark.suite import SuiteConfig, load_suite
+from lanebound.integrity.config import describe
+
+__all__ = ["SUITES", "markdown"]
+
+SUITES = ("quick", "standard", "faults")
+
+HEAD = f"""# The benchmark
+
+Made by `python -m lanebound.agents.benchmark.manual > docs/benchmark.md`.
+
+`lanebound benchmark SUITE --out DIR` drives environments under skies and faults with several agents, seed by
+seed, and compares them. A run that is interrupted goes on when the same command is given again, and ends
+bit-equal to an unbroken one, whatever the number of processes; times on the wall (`solve_ms_median`,
+`solve_ms_p99`) are the one exception. A folder may be gone on with as long as the same episode would come out
+the same: agents and seeds may be added, nothing else changed.
+
+Seeds to train and tune on are {TRAIN[0]} to {TRAIN[-1]}, those held out to test on {TEST[0]} to {TEST[-1]}; a
+suite takes the first ones of its split. Every episode has an agent made for it, and an environment that is
+reset with the seed."""
+
+KINDS = (
+    ("path/model.zip", "a checkpoint of Stable-Baselines3 or sb3-contrib (PPO, A2C, SAC, TD3, DQN, ...)"),
+    (
+        "path/model.onnx",
+        "a network, with `onnxruntime` installed: inputs `ego`, `integrity`, `road`, `traffic`, or one for flat "
+        "observations; the first output is the action, or a value for each discrete action",
+    ),
+    (
+        "package.module:callable",
+        "called with the environment; returns an object with `predict` as in Stable-Baselines3, or a function from "
+        "observations to actions",
+    ),
+)
+KEPT = (
+    ("suite.json", "the suite in full, the version, digests of the code and of the agents"),
+    (
+        "episodes/<env>/<sky>-<faults>/<agent>/<seed>.parquet",
+        "one episode: a row for each decision, and its outcome as JSON in the metadata under `lanebound.outcome`",
+    ),
+    ("left_out.json", "agents that cannot drive an environment, and why"),
+    (
+        "results.json",
+        "`suite`, `statistics`, `metrics`, `cells`, `paired`, `failures`, `left_out`, `missing`, `outcomes`",
+    ),
+    (
+        "results.csv",
+        "a row for each cell and metric: " + ", ".join(f"`{c}`" for c in (*CSV_COLUMNS, *ESTIMATE_COLUMNS)),
+    ),
+    ("episodes.parquet", "a row for each episode: its outcome, costs and shares in columns of their own"),
+    ("report.html", "all of it in one page"),
+)
+
+AGENTS = """## Agents
+
+An agent of a suite is a name of ours, or `name: agent` with
+
+{kinds}
+
+and, where it needs another environment than the suite's, `name: {agent: ..., config: {observation: {form:
+flat}}}`. An agent is to decide by observations alone; what it may read of the environment are its spaces and
+its configuration. Checkpoints and modules run code: open only those that you trust.
+
+An agent that fails is reported with its seed, and the rest of the run is kept. Its episodes count in `failed`
+and `success`, and in nothing else.
+
+| status | means |
+|---|---|
+| `ok` | the agent did its part |
+| `raised` | it raised, left, or its process died |
+| `not_finite` | an action with NaN or infinity |
+| `wrong_shape` | an action of another shape, or no numbers |
+| `outside_space` | an action outside the action space |
+| `timeout` | its decisions took longer than `episode_timeout_s` together; its process was ended |"""
+
+STATISTICS = f"""## Statistics
+
+The mean over seeds, and the interquartile mean (a quarter of the seeds cut off at each end), each with a 95 %
+interval: percentile bootstrap over seeds, {RESAMPLES:,} resamples from a stream named by the number of seeds.
+Where all seeds say the same of a rate the interval is that of Clopper and Pearson: with no collision in n seeds
+it ends at about 3.7 / n. Differences are paired: the same seeds under both agents, the mean of the differences,
+its interval, and the share of the seeds in which they are for the better. Intervals are of one metric each;
+among many comparisons some leave 0 out by chance."""
+
+FILES = """## Files
+
+{files}
+
+JSON holds no infinity: what is infinite or does not exist is `null`. From Python:
+
+```python
+from lanebound.agents.benchmark import Results
+
+results = Results.load("out/demo")
+for cell in results.cells:
+    print(cell.place, cell.agent, cell.metrics["return"].mean)
+rows = results.rows(results.outcomes[0])  # a pyarrow Table
+```
+
+`lanebound replay-episode DIR ID --video FILE.mp4` drives an episode again by its id
+(`env/sky-faults/agent/seed`), checks that it ends as it did, and films it."""
+
+
+def markdown() -> str:
+    """The whole manual in Markdown."""
+    parts = [
+        HEAD,
+        "## Suites",
+        _suites(),
+        "A suite of your own is a YAML file with these keys:",
+        _keys(),
+        AGENTS.replace("{kinds}", _pairs("agent", KINDS)),
+        "## Metrics",
+        "Arrows: which way is better. Shares are from 0 to 1.",
+        _metrics(),
+        STATISTICS,
+        FILES.replace("{files}", _pairs("file", KEPT)),
+        "## An outcome",
+        _outcome(),
+        "## A row of an episode",
+        _columns(),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _pairs(head: str, rows: Sequence[tuple[str, str]]) -> str:
+    return "\n".join([f"| {head} | is |", "|---|---|", *(f"| `{name}` | {text} |" for name, text in rows)])
+
+
+def _suites() -> str:
+    lines = ["| suite | for | environments | skies | faults | agents | seeds |", "|---|---|---|---|---|---|---|"]
+    for name in SUITES:
+        s = load_suite(name)
+        faults = ", ".join(fault.value for fault in s.faults)
+        envs = ", ".join(env.removesuffix("-v0") for env in s.envs)
+        agents = ", ".join(f"`{agent}`" for agent in s.agents)
+        lines.append(
+            f"| `{name}` | {s.title} | {envs} | {', '.join(s.skies)} | {faults} | {agents} | {s.seeds.count} |"
+        )
+    return "\n".join(lines)
+
+
+def _keys() -> str:
+    suite = SuiteConfig.load({"envs": ["LaneKeeping"], "agents": ["nominal"]})
+    told = [(e.path, _value(e.value), e.description) for e in describe(suite) if not e.path.startswith("agents")]
+    told.insert(4, ("agents", "", str(SuiteConfig.model_fields["agents"].description)))
+    needed = [name for name, field in SuiteConfig.model_fields.items() if field.is_required()]
+    lines = [f"| `{key}` | {'needed' if key in needed else default} | {text} |" for key, default, text in told]
+    return "\n".join(["| key | default | is |", "|---|---|---|", *lines])
+
+
+def _value(value: object) -> str:
+    if isinstance(value, tuple):
+        return ", ".join(f"`{getattr(item, 'value', item)}`" for item in value)
+    return "" if value in ("", {}) else f"`{value}`"
+
+
+def _metrics() -> str:
+    lines = ["| key | unit | | is |", "|---|---|---|---|"]
+    return "\n".join([*lines, *map(_line, METRICS)])
+
+
+def _line(metric: Metric) -> str:
+    arrow = {"higher": "↑", "lower": "↓", None: ""}[metric.better]
+    return f"| `{metric.key}` | {metric.unit} | {arrow} | {metric.meaning} |"
+
+
+def _outcome() -> str:
+    """The attributes' part of its docstring, a list."""
+    text = (inspect.getdoc(Outcome) or "").partition("Attributes\n----------\n")[2].replace("``", "`")
+    names = ", ".join(f"`{item.name}`" for item in fields(Outcome))
+    items = "\n".join(f"- {line}" if line[:1] != " " else line for line in text.splitlines())
+    return f"Its fields in their order: {names}.\n\n{items}"
+
+
+def _columns() -> str:
+    lines = ["| column | type | unit | is |", "|---|---|---|---|"]
+    return "\n".join([*lines, *(f"| `{c.name}` | {c.kind} | {c.unit} | {c.meaning} |" for c in STORED)])
+
+
+if __name__ == "__main__":
+    sys.stdout.write(markdown())

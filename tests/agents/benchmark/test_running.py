@@ -1,0 +1,158 @@
+"""Whole runs: broken off and gone on with, in one process or two, with agents that fail, within a budget; replayed."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+import yaml
+
+from lanebound.agents.benchmark.parts import episodes_kept
+from lanebound.agents.benchmark.replay import differences, replay
+from lanebound.agents.benchmark.results import Results
+from lanebound.agents.benchmark.running import Plan, Progress, run
+from lanebound.agents.benchmark.suite import SuiteConfig
+from lanebound.integrity.errors import InputError
+
+SUITE = {
+    "envs": ["LaneKeeping", "CarFollowing"],
+    "skies": ["urban", "open"],
+    "agents": ["random", "nominal"],
+    "seeds": {"count": 2},
+    "overrides": {"duration_s": 2.0},
+}
+GIVEN = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "duration_s": 2.0}
+
+
+@pytest.fixture(scope="module")
+def unbroken(tmp_path_factory) -> Results:
+    """All of the suite, in one process."""
+    told: list[Progress] = []
+    results = run(SuiteConfig.load(SUITE), tmp_path_factory.mktemp("unbroken"), jobs=1, told=told.append)
+    assert told[-1].done == told[-1].of == 16
+    assert told[-1].left_s == 0.0
+    return results
+
+
+def children_of(pid: int) -> list[int]:
+    found = (path.read_text(encoding="utf-8").split() for path in Path(f"/proc/{pid}/task").glob("*/children"))
+    return [int(child) for of_thread in found for child in of_thread]
+
+
+def wait_until(condition) -> None:
+    """Give up after a minute."""
+    until = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes as Linux shows them")
+def test_a_run_broken_off_and_gone_on_with_ends_as_an_unbroken_one(unbroken, tmp_path):
+    suite, out = tmp_path / "suite.yaml", tmp_path / "out"
+    suite.write_text(yaml.safe_dump(SUITE), encoding="utf-8")
+    command = [Path(sys.executable).parent / "lanebound", "benchmark", suite, "--out", out, "--jobs", "1"]
+    broken = subprocess.Popen(list(map(str, command)), stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    wait_until(lambda: episodes_kept(out) >= 3)
+    workers = [pid for pid in children_of(broken.pid) if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    broken.send_signal(signal.SIGINT)
+    _, told = broken.communicate(timeout=30)
+    kept = episodes_kept(out)
+    assert broken.returncode == 130
+    assert f"interrupted: {kept} finished episodes are kept in {out}" in told
+    assert len(workers) == 1
+    wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers))
+    assert kept < 16
+
+    results = run(SuiteConfig.load(SUITE), out, jobs=2)
+    assert results.missing == []
+    assert [o.lasting() for o in results.outcomes] == [o.lasting() for o in unbroken.outcomes]
+    for ours, theirs in zip(results.outcomes, unbroken.outcomes, strict=True):
+        assert results.rows(ours).equals(unbroken.rows(theirs))
+
+
+def test_the_files_of_a_run(unbroken):
+    names = {path.name for path in unbroken.folder.iterdir()}
+    assert names == {
+        "episodes", "episodes.parquet", "left_out.json", "results.csv", "results.json", "suite.json",
+    }  # fmt: skip
+    assert pq.read_table(unbroken.folder / "episodes.parquet").num_rows == 16
+    assert Results.load(unbroken.folder) == unbroken
+    assert not list(unbroken.folder.rglob("*.part"))
+
+
+def test_an_episode_ends_again_as_it_did_and_can_be_filmed(unbroken, tmp_path):
+    stored, now = replay(unbroken.folder, "CarFollowing/urban-none/random/10001", tmp_path / "film.mp4")
+    assert differences(stored, now) == []
+    assert stored.id == "CarFollowing-v0/urban-none/random/10001"
+    assert (tmp_path / "film.mp4").stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("ident", "film", "message"),
+    [
+        (
+            "LaneKeeping/urban-none/random/9",
+            None,
+            "episode 'LaneKeeping/urban-none/random/9' is not in .*: did you mean",
+        ),
+        ("LaneKeeping/urban-none/random/10000", Path("a.avi"), r"video must end in \.mp4, got a\.avi"),
+    ],
+)
+def test_what_cannot_be_replayed_is_refused(unbroken, ident, film, message):
+    with pytest.raises(InputError, match=message):
+        replay(unbroken.folder, ident, film)
+
+
+def test_a_folder_of_another_suite_is_refused(unbroken):
+    with pytest.raises(InputError, match=r"got .* with another value of skies: choose a new folder"):
+        Plan.of(SuiteConfig.load({**SUITE, "skies": ["dense"]}), unbroken.folder)
+    with pytest.raises(InputError, match="with another agent under the name 'random'"):
+        Plan.of(SuiteConfig.load({**SUITE, "agents": {"random": "cruise"}}), unbroken.folder)
+    assert Plan.of(SuiteConfig.load({**SUITE, "seeds": {"count": 3}}), unbroken.folder).stored == 16
+    assert len(Plan.of(SuiteConfig.load(SUITE), unbroken.folder).tasks) == 0
+
+
+def test_nothing_is_begun_beyond_the_budget(tmp_path):
+    results = run(SuiteConfig.load(SUITE), tmp_path, jobs=1, budget_h=0.0)
+    assert len(results.missing) == 16
+    assert results.cells == []
+
+
+def test_agents_that_fail_are_reported_and_the_rest_is_kept(tmp_path):
+    bad = {name: f"bad_agents:{name}" for name in ("raises", "dies", "hangs", "not_a_number", "draws")}
+    suite = SuiteConfig.load(
+        {**SUITE, "envs": ["LaneKeeping"], "skies": ["open"], "agents": {**bad, "nominal": "nominal"},
+         "seeds": {"count": 1}, "overrides": GIVEN, "episode_timeout_s": 1.5},
+    )  # fmt: skip
+    results = run(suite, tmp_path, jobs=1)
+    by_agent = {outcome.agent: outcome for outcome in results.outcomes}
+    assert {agent: outcome.status for agent, outcome in by_agent.items()} == {
+        "raises": "raised", "dies": "raised", "hangs": "timeout", "not_a_number": "not_finite",
+        "draws": "ok", "nominal": "ok",
+    }  # fmt: skip
+    assert results.missing == []
+    assert [o.seed for o in results.failures if o.agent == "hangs"] == [10_000]
+    assert by_agent["dies"].message == "its process died with exit code 7"
+    assert "1.5 s" in by_agent["hangs"].message
+    assert results.cell(suite.places[0], "hangs").metrics["failed"].mean == 1.0
+    assert results.rows(by_agent["hangs"]).num_rows == 0
+
+
+def test_agents_that_cannot_drive_an_environment_are_left_out(tmp_path):
+    suite = SuiteConfig.load({**SUITE, "envs": ["Merge"], "skies": ["open"], "agents": ["nominal", "cbf"]})
+    plan = Plan.of(suite, tmp_path)
+    ((env, agent, why),) = plan.left_out
+    assert (env, agent) == ("Merge-v0", "cbf")
+    assert why.startswith("action must be continuous")
+    assert {task.agent for task in plan.tasks} == {"nominal"}
+    assert plan.hours(1) > 0.0
+    with pytest.raises(InputError, match="agent 'nominl' is unknown"):
+        Plan.of(SuiteConfig.load({**SUITE, "agents": ["nominl"]}), tmp_path)
+    with pytest.raises(InputError, match=r"agent must be a file that exists, got no\.zip"):
+        Plan.of(SuiteConfig.load({**SUITE, "agents": {"mine": "no.zip"}}), tmp_path)

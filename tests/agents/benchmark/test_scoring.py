@@ -1,0 +1,82 @@
+"""From rows to figures: closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from benchmarks import made_up_outcome, made_up_rows, made_up_suite
+
+from lanebound.agents.benchmark.scoring import figures
+
+DT_S = 0.2
+
+
+def rows(steps: int, **columns: list[float] | list[bool] | list[str] | float | bool) -> list[dict]:
+    """Plain rows with some columns given, for all steps or one by one, the start first."""
+    base = made_up_rows(made_up_outcome(next(made_up_suite().tasks()), steps=steps))
+    plain = {"err_at_m": 0.0, "err_ct_m": 0.0, "alert": False, "available": True, "pl_at_m": 0.3, "pl_ct_m": 0.2,
+             "crashed": False, "terminated": False}  # fmt: skip
+    made = [row | plain | {"seed": 1, "truncated": k == steps, "is_success": k == steps} for k, row in enumerate(base)]
+    for name, values in columns.items():
+        for k, row in enumerate(made):
+            row[name] = values[k] if isinstance(values, list) else values
+    return made
+
+
+def test_motion_by_closed_forms():
+    t = DT_S * np.arange(51)
+    accelerating = figures(rows(50, speed_mps=(10.0 + 1.5 * t).tolist()), 10.0)
+    assert accelerating["rms_acceleration_mps2"] == pytest.approx(1.5)
+    assert accelerating["rms_jerk_mps3"] == pytest.approx(0.0, abs=1e-9)
+    turning = figures(rows(50, speed_mps=10.0, true_heading_rad=np.angle(np.exp(1j * (3.0 + 0.1 * t))).tolist()), 10.0)
+    assert turning["rms_lateral_mps2"] == pytest.approx(1.0)  # across the jump from pi to -pi too
+    circle = figures(rows(50, true_x_m=(3 * t).tolist(), true_y_m=(4 * t).tolist()), 10.0)
+    assert circle["distance_m"] == pytest.approx(50.0)
+    assert circle["throughput_mps"] == pytest.approx(5.0)
+
+
+def test_an_episode_cut_short_has_less_throughput():
+    fell = rows(50, speed_mps=10.0, true_y_m=0.0, is_success=False)
+    assert figures(fell, 40.0)["throughput_mps"] == pytest.approx(100.0 / 40.0)
+    arrived = rows(50, speed_mps=10.0, true_y_m=0.0)
+    assert figures(arrived, 40.0)["throughput_mps"] == pytest.approx(10.0)
+
+
+def test_gaps_count_where_somebody_is_ahead():
+    assert figures(rows(4, gap_m=[math.inf, 10.0, 12.0, 20.0, math.inf]), 1.0)["gap_m"] == 12.0
+    assert figures(rows(4, gap_m=math.inf), 1.0)["gap_m"] is None
+
+
+def test_a_level_that_is_missing_half_of_the_time_has_no_median():
+    found = figures(rows(4, pl_at_m=[0.0, 1.0, math.inf, math.inf, 2.0], err_at_m=[9.0, -1.0, 2.0, -3.0, 4.0]), 1.0)
+    assert found["pl_at_median_m"] == math.inf
+    assert (found["pe_at_median_m"], found["pe_at_max_m"]) == (2.5, 4.0)
+
+
+def test_alerts_and_continuity():
+    on = [False, True, False, True, True]
+    found = figures(rows(4, alert=on, available=[not x for x in on]), 1.0)
+    assert found["alerts"] == 2
+    assert found["alert_share"] == 0.75
+    assert found["continuity"] == 0.0  # the one available step is followed by one that is not
+    assert figures(rows(4, available=False), 1.0)["continuity"] is None
+
+
+def test_time_to_alert_is_of_errors_that_were_alerted():
+    late = figures(rows(6, err_ct_m=[0, 0, 1, 1, 1, 1, 0], alert=[False] * 4 + [True] * 3), 2.0)
+    assert late["time_to_alert_s"] == pytest.approx(2 * DT_S)
+    never = figures(rows(6, err_ct_m=[0, 0, 1, 0, 0, 0, 0], alert=[False] * 4 + [True] * 3), 2.0)
+    assert never["time_to_alert_s"] is None
+    assert figures(rows(6), 2.0)["time_to_alert_s"] is None
+
+
+def test_departures_are_those_of_the_true_body():
+    assert figures(rows(3, cost_lane=[0.0, 0.0, 1e-3, 0.0]), 1.0)["lane_departure"]
+    assert not figures(rows(3), 1.0)["lane_departure"]
+
+
+def test_an_agent_that_fails_at_once_has_no_shares():
+    found = figures(rows(4)[:1], 40.0)
+    assert (found["steps"], found["availability"], found["mode_shares"]) == (0, None, {})

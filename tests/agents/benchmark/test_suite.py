@@ -1,0 +1,93 @@
+"""Suites: what they drive and in which order, what they refuse, and that the packaged ones are sound."""
+
+from __future__ import annotations
+
+import pytest
+
+from lanebound.agents.benchmark.seeds import TEST, TRAIN
+from lanebound.agents.benchmark.suite import SuiteConfig, load_suite, parse_agents
+from lanebound.agents.drivers import AGENTS
+from lanebound.envs import IDS
+from lanebound.integrity.errors import ConfigError, InputError
+
+SMALL = {"envs": ["lanekeeping", "Merge-v0"], "skies": ["urban", "open"], "agents": ["cruise", "oracle"]}
+
+
+def test_seeds_of_training_and_test_share_none():
+    assert set(TRAIN).isdisjoint(TEST)
+    assert (TRAIN[0], TRAIN[-1], TEST[0], TEST[-1]) == (1000, 1999, 10_000, 19_999)
+
+
+def test_tasks_go_env_by_env_and_seed_by_seed():
+    suite = SuiteConfig.load({**SMALL, "seeds": {"split": "train", "count": 2}})
+    tasks = list(suite.tasks())
+    assert [task.id for task in tasks[:5]] == [
+        "LaneKeeping-v0/urban-none/cruise/1000",
+        "LaneKeeping-v0/urban-none/oracle/1000",
+        "LaneKeeping-v0/open-none/cruise/1000",
+        "LaneKeeping-v0/open-none/oracle/1000",
+        "LaneKeeping-v0/urban-none/cruise/1001",
+    ]
+    assert len(set(tasks)) == len(tasks) == 2 * 2 * 2 * 2
+    assert [task.place.env for task in tasks] == ["LaneKeeping-v0"] * 8 + ["Merge-v0"] * 8
+
+
+def test_agents_may_be_written_in_three_ways():
+    flat = {"agent": "m.zip", "config": {"observation": {"form": "flat"}}}
+    listed = SuiteConfig.load({**SMALL, "agents": ["cruise", {"mine": "m.zip"}, {"other": flat}]})
+    mapped = SuiteConfig.load({**SMALL, "agents": {"cruise": "cruise", "mine": {"agent": "m.zip"}, "other": flat}})
+    assert listed == mapped
+    assert SuiteConfig.from_json(listed.to_json()) == listed
+    assert parse_agents("cruise, mine=a/b.zip,") == {"cruise": "cruise", "mine": "a/b.zip"}
+
+
+def test_an_environment_is_changed_by_suite_place_and_agent():
+    suite = SuiteConfig.load({**SMALL, "overrides": {"duration_s": 5.0, "observation": {"history": 2}}})
+    place = suite.places[1]
+    assert suite.env_overrides(place, "cruise") == {
+        "duration_s": 5.0, "observation": {"history": 2}, "sky": "open", "faults": "none",
+    }  # fmt: skip
+    assert suite.env_overrides(place, "oracle")["observation"] == {"history": 2, "integrity": "oracle"}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"envs": ["LaneKepeing"]}, "environment 'LaneKepeing' is unknown: did you mean"),
+        ({"envs": []}, "envs must"),
+        ({"seeds": {"split": "train", "count": 1001}}, "count must be <= 1000 in the split train, got 1001"),
+        ({"faults": ["stres"]}, "faults.0 must be one of"),
+        ({"agents": ["runs/model.zip"]}, "a name of an agent must be letters"),
+        ({"agents": {"a": {"agnet": "cruise"}}}, "agents.a.agent is required"),
+        ({"episode_timeout_s": 0}, "episode_timeout_s must be > 0"),
+    ],
+)
+def test_refusals(change, message):
+    with pytest.raises(InputError, match=message):
+        SuiteConfig.load({**SMALL, **change})
+
+
+def test_suites_come_from_names_and_files(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("envs: [Merge]\nagents: [cruise]\n", encoding="utf-8")
+    assert load_suite(str(path), {"seeds": {"count": 3}}).seeds.count == 3
+    with pytest.raises(ConfigError, match="suite 'quik' is unknown: known are faults, quick, standard"):
+        load_suite("quik")
+    with pytest.raises(ConfigError, match="suite must be a file that can be read"):
+        load_suite("nowhere.yaml")
+
+
+@pytest.mark.parametrize("name", ["quick", "standard", "faults"])
+def test_packaged_suites_hold_the_reference_and_agents_that_exist(name):
+    suite = load_suite(name)
+    assert suite.reference in suite.agents
+    assert {chosen.agent for chosen in suite.agents.values()} <= set(AGENTS)
+    assert suite.seeds.split == "test"
+    assert suite.title
+
+
+def test_the_standard_suite_is_of_all_environments_and_skies():
+    suite = load_suite("standard")
+    assert {f"lanebound/{env}" for env in suite.envs} == set(IDS)
+    assert suite.skies == ("open", "suburban", "urban", "dense")
+    assert suite.seeds.count == 50

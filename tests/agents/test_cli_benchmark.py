@@ -1,0 +1,151 @@
+"""``lanebound benchmark`` and ``lanebound replay-episode``: what they print and what they refuse."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+
+import pytest
+from benchmarks import made_up_folder
+from typer.testing import CliRunner
+
+from lanebound.agents import report
+from lanebound.agents.benchmark import Results, running
+from lanebound.agents.benchmark.metrics import metric_named
+from lanebound.agents.cli import app
+from lanebound.agents.cli import benchmark as command
+from lanebound.agents.cli.benchmark_tables import number, print_results, with_interval
+from lanebound.integrity.errors import InputError
+
+
+def run(*arguments: str) -> Any:
+    return CliRunner().invoke(app, list(arguments))
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory) -> Results:
+    return made_up_folder(tmp_path_factory.mktemp("made-up"), seeds={"count": 3})
+
+
+@pytest.fixture
+def driven(monkeypatch, results):
+    """Nothing is driven: the plan is real, and its results were made up."""
+    plans = []
+
+    def made_up(plan, jobs, budget_h, told):
+        plans.append((plan, jobs, budget_h))
+        told(running.Progress(of=2, done=1, left_s=3700.0))
+        return results
+
+    monkeypatch.setattr(running, "run_plan", made_up)
+    monkeypatch.setattr(report, "write_report", lambda results, out: out / "report.html")
+    return plans
+
+
+@pytest.mark.parametrize("name", ["benchmark", "replay-episode"])
+def test_help_teaches_with_an_example(name):
+    told = " ".join(run(name, "--help").stdout.split())
+    assert f"Example: lanebound {name} " in told
+
+
+def test_options_choose_agents_seeds_and_budget(driven, tmp_path):
+    told = run(
+        "benchmark", "quick", "--out", str(tmp_path), "--agents", "nominal,mine=bad_agents:draws", "--seeds", "2",
+        "--jobs", "3", "--budget", "1.5", "--set", "skies=[open]",
+    )  # fmt: skip
+    assert told.exit_code == 0, told.output
+    ((plan, jobs, budget_h),) = driven
+    assert (jobs, budget_h) == (3, 1.5)
+    assert {name: chosen.agent for name, chosen in plan.suite.agents.items()} == {
+        "nominal": "nominal",
+        "mine": "bad_agents:draws",
+    }
+    assert (plan.suite.seeds.count, plan.suite.skies) == (2, ("open",))
+    assert "8 episodes to drive with 3 processes: about" in told.stderr
+    assert "of which 1.5 h may be used" in told.stderr
+
+
+def test_prints_tables_and_what_to_try_next(driven, tmp_path):
+    told = run("benchmark", "quick", "--out", str(tmp_path)).stdout
+    for text in (
+        "LaneKeeping-v0, dense sky: means of 3 seeds", "integrity_aware - nominal", "success [%]", "speed [m/s]",
+        "1 episodes in which the agent failed", "ValueError: no idea", "report: ", "results.csv", "What to try next",
+        f"lanebound replay-episode {tmp_path} CarFollowing-v0/dense-none/integrity_aware/10002 --video",
+    ):  # fmt: skip
+        assert text in told
+
+
+def test_json_is_that_of_the_file(driven, results, tmp_path):
+    told = run("benchmark", "quick", "--out", str(tmp_path), "--json")
+    assert json.loads(told.stdout) == json.loads((results.folder / "results.json").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["benchmark", "quik", "--out", "x"], "error: suite 'quik' is unknown: known are faults, quick, standard"),
+        (["benchmark", "quick"], "error: --out is required, got nothing: add it"),
+        (["benchmark", "quick", "--out", __file__], "error: out must be a folder that can be written"),
+        (["benchmark", "quick", "--out", "x", "--agents", "nominl"], "error: agent 'nominl' is unknown: did you mean"),
+        (["benchmark", "quick", "--out", "x", "--set", "skies=[dence]"], "error: sky must be one of open"),
+        (["replay-episode", "nowhere", "a/b/c/1"], "error: DIR must be a folder that 'lanebound benchmark' wrote"),
+    ],
+)
+def test_mistakes_are_answered_in_one_line(tmp_path, monkeypatch, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    told = run(*arguments)
+    assert told.exit_code == 2
+    assert told.stderr.startswith(message)
+    assert told.stderr.count("\n") == 1
+
+
+def test_a_replay_says_whether_it_ended_as_before(monkeypatch, results):
+    from dataclasses import replace
+
+    from lanebound.agents.benchmark import replay
+
+    stored = results.outcomes[0]
+    for now, code, message in (
+        (stored, 0, "It ended as it did, to the last bit."),
+        (replace(stored, cost=1.0, solve_ms_median=9.0), 1, "differing: cost"),
+    ):
+        monkeypatch.setattr(replay, "replay", lambda *arguments, now=now: (stored, now))
+        told = run("replay-episode", str(results.folder), stored.id)
+        assert (told.exit_code, message in told.stdout) == (code, True)
+    assert "did not end as it was stored" in told.stderr
+    shown = run("replay-episode", str(results.folder), stored.id, "--json").stdout
+    assert json.loads(shown)["differing"] == ["cost"]
+
+
+def test_what_is_kept_is_said_without_heavy_imports(results):
+    assert command._kept(results.folder).startswith(f"36 finished episodes are kept in {results.folder}; run the same")
+
+
+def test_figures_have_as_many_digits_as_can_be_read():
+    collision, speed, cost = map(metric_named, ("collision", "mean_speed", "cost"))
+    assert number(collision, 0.125) == "12.5"
+    assert number(cost, 1234.5) == "1234"
+    assert number(speed, -0.001) == "0.0"
+    assert with_interval(speed, 0.5, 0.25, 1.0, signed=True) == ("+0.5", "+0.2..+1.0")
+    assert with_interval(speed, None, None, None) == ("-", "")
+
+
+def test_a_terminal_has_intervals_below_the_means(results, capsys, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "100")
+    print_results(results)
+    told = capsys.readouterr().out
+    assert "\x1b[32m" in told
+    plain = re.sub(r"\x1b\[[0-9;]*m", "", told)
+    assert max(map(len, plain.splitlines())) <= 100
+    assert "…" not in plain
+    assert plain.count("integrity_aware - nominal") == 4 * 2
+
+
+def test_unknown_episodes_are_answered_with_the_nearest(results):
+    from lanebound.agents.benchmark.replay import find_task
+    from lanebound.agents.benchmark.store import Store
+
+    with pytest.raises(InputError, match=r"is not in .*: did you mean 'LaneKeeping-v0/urban-none/random/10000'"):
+        find_task(Store(results.folder), "LaneKeeping-v0/urban-none/randm/10000")

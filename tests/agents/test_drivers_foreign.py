@@ -1,0 +1,155 @@
+"""Agents from elsewhere: checkpoints, networks, callables; and what is said where they do not fit."""
+
+from __future__ import annotations
+
+import sys
+from types import ModuleType
+from typing import Any
+
+import bad_agents
+import numpy as np
+import pytest
+import torch
+from gymnasium import spaces
+from stable_baselines3 import A2C, DQN, PPO, SAC
+from typer.testing import CliRunner
+
+from lanebound.agents.cli import app
+from lanebound.agents.drivers import make_agent
+from lanebound.agents.episodes import open_env
+from lanebound.envs.core import DrivingEnv
+from lanebound.integrity.errors import InputError
+
+GIVEN = {"sky": "open", "navigation": {"source": "perfect"}, "perception": {"source": "truth"}}
+FLAT = {"observation": {"form": "flat"}}
+
+
+@pytest.fixture(scope="module")
+def steered() -> DrivingEnv:
+    return open_env("LaneKeeping", GIVEN)
+
+
+@pytest.fixture(scope="module")
+def meta() -> DrivingEnv:
+    return open_env("UrbanCanyon", GIVEN | FLAT)
+
+
+@pytest.mark.parametrize(
+    ("kind", "policy"), [(PPO, "MultiInputPolicy"), (A2C, "MultiInputPolicy"), (SAC, "MultiInputPolicy")]
+)
+def test_checkpoints_of_stable_baselines_drive(steered, tmp_path, kind, policy):
+    torch.manual_seed(1)
+    small: dict[str, Any] = {"policy_kwargs": {"net_arch": [8]}, "device": "cpu"}
+    model = kind(policy, steered, **small | ({"buffer_size": 10} if kind is SAC else {}))
+    model.save(tmp_path / "model.zip")
+    agent = make_agent(str(tmp_path / "model.zip"), steered)
+    observation = steered.observation_space.sample()
+    assert type(agent) is kind
+    np.testing.assert_array_equal(
+        agent.predict(observation, deterministic=True)[0], model.predict(observation, deterministic=True)[0]
+    )
+
+
+def test_a_checkpoint_for_meta_actions_and_flat_observations(meta, steered, tmp_path):
+    path = str(tmp_path / "model.zip")
+    DQN("MlpPolicy", meta, policy_kwargs={"net_arch": [8]}, buffer_size=10, device="cpu").save(path)
+    assert make_agent(path, meta).predict(meta.observation_space.sample())[0] in range(5)
+    with pytest.raises(
+        InputError, match=r"must be trained on these observations, got Box.*: set observation\.form to flat"
+    ):
+        make_agent(path, steered)
+    with pytest.raises(InputError, match=r"must be trained on these actions, got Discrete\(5\): choose another"):
+        make_agent(path, open_env("LaneKeeping", GIVEN | FLAT))
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("nowhere.zip", "agent must be a file that exists, got nowhere.zip: correct the path"),
+        ("broken.zip", "agent must be a checkpoint of stable-baselines3, got broken.zip"),
+        ("net.onnx", "an ONNX agent needs the package onnxruntime, got none: pip install onnxruntime"),
+        ("nowhere_at_all:make", "agent 'nowhere_at_all:make' must name a module that can be imported"),
+        ("bad_agents:nobody", "agent 'bad_agents:nobody' must name a callable of bad_agents, got None"),
+        ("bad_agents:not_callable", "must name a callable of bad_agents, got 5"),
+        ("bad_agents:nothing", "must return an object with predict or a function, got 5"),
+    ],
+)
+def test_what_cannot_drive_is_refused(steered, tmp_path, monkeypatch, name, message):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    (tmp_path / "broken.zip").write_bytes(b"no archive")
+    (tmp_path / "net.onnx").touch()
+    with pytest.raises(InputError) as refusal:
+        make_agent(name, steered)
+    assert message in str(refusal.value)
+
+
+class Session:
+    """Stands for a network: onnxruntime is not among what the tests install."""
+
+    def __init__(self, inputs: list[str], answer: Any) -> None:
+        self.inputs, self.answer = inputs, answer
+        self.given: dict[str, Any] = {}
+
+    def get_inputs(self) -> list[Any]:
+        return [type("Input", (), {"name": name}) for name in self.inputs]
+
+    def run(self, outputs: Any, given: dict[str, Any]) -> list[Any]:
+        self.given = given
+        return [self.answer]
+
+
+def onnx(monkeypatch, tmp_path, env: DrivingEnv, session: Session) -> Any:
+    """The agent of a network in a file."""
+    runtime: Any = ModuleType("onnxruntime")
+    runtime.SessionOptions = lambda: type("Options", (), {})()
+    runtime.InferenceSession = lambda path, options, providers: session
+    monkeypatch.setitem(sys.modules, "onnxruntime", runtime)
+    path = tmp_path / "net.onnx"
+    path.touch()
+    return make_agent(str(path), env)
+
+
+def test_networks_take_the_groups_and_their_actions_are_clipped(monkeypatch, tmp_path, steered):
+    assert isinstance(steered.observation_space, spaces.Dict)
+    session = Session(list(steered.observation_space), np.array([[0.5, 7.0]], np.float32))
+    agent = onnx(monkeypatch, tmp_path, steered, session)
+    observation = steered.observation_space.sample()
+    np.testing.assert_array_equal(agent.predict(observation)[0], np.array([0.5, 1.0], np.float32))
+    assert all(session.given[name].shape == (1, *observation[name].shape) for name in observation)
+
+
+def test_of_the_values_of_actions_the_largest_counts(monkeypatch, tmp_path, meta):
+    agent = onnx(monkeypatch, tmp_path, meta, Session(["obs"], np.array([[0.0, 1.0, 3.0, 2.0, 1.0]], np.float32)))
+    assert agent.predict(meta.observation_space.sample())[0] == 2
+
+
+def test_a_code_of_an_action_counts_as_it_is(monkeypatch, tmp_path, meta):
+    agent = onnx(monkeypatch, tmp_path, meta, Session(["obs"], np.array([3])))
+    assert agent.predict(meta.observation_space.sample())[0] == 3
+
+
+def test_networks_with_other_inputs_are_refused(monkeypatch, tmp_path, steered):
+    with pytest.raises(InputError, match=r"an ONNX agent must take ego, .*, got obs: rename them"):
+        onnx(monkeypatch, tmp_path, steered, Session(["obs"], None))
+
+
+def test_functions_and_objects_from_modules(steered):
+    assert isinstance(make_agent("bad_agents:raises", steered), bad_agents.Bad)
+    action, state = make_agent("bad_agents:draws", steered).predict(None, state=None)
+    assert action.shape == (2,)
+    assert state is None
+
+
+def test_modules_of_the_present_folder_can_be_driven_from_the_command_line(tmp_path, monkeypatch):
+    (tmp_path / "my_agent.py").write_text(
+        "import numpy as np\ndef make(env):\n    return lambda observation: np.zeros(2, np.float32)\n", encoding="utf-8"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    told = CliRunner().invoke(
+        app,
+        ["drive", "LaneKeeping", "--sky", "open", "--set", "navigation.source=perfect", "--set", "duration_s=1",
+         "--agent", "my_agent:make", "--json"],
+    )  # fmt: skip
+    assert told.exit_code == 0, told.output
