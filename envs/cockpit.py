@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from lanebound.envs.actuators import ActuatorConfig, Actuators
 from lanebound.envs.ego import BelievedVehicle, MetaEgo, take_over
 from lanebound.envs.fleet import Fleet, along
-from lanebound.envs.lane_search import SwiftNetwork
+from lanebound.envs.lane_search import swift
 from lanebound.envs.motion import Motion
 from lanebound.envs.navigation import Fix, NavigationConfig, Source, fix_of, place
 from lanebound.envs.perception import Perception
@@ -76,6 +76,7 @@ class Cockpit:
         around: Surroundings,
     ) -> None:
         self.world, self.config, self.around, self.limits_m = world, config, around, limits_m
+        world.road.network = swift(world.road.network)  # the same lanes and answers, found sooner
         self.step_s = 1.0 / world.config["simulation_frequency"]
         self.steps_per_epoch = config.steps_per_epoch(world.config["simulation_frequency"])
         self.time_s, self._moved, self._seen = 0.0, 0, 0
@@ -99,7 +100,7 @@ class Cockpit:
         """A road over the same network, with a generator of its own and nobody on it but the believed vehicle."""
         road = self.world.road
         return Road(
-            network=SwiftNetwork(road.network),
+            network=road.network,
             np_random=np.random.default_rng(0),  # next_lane takes one and draws nothing
             neighbour_vehicles_connected_lanes=road.neighbour_vehicles_connected_lanes,
         )

@@ -63,7 +63,8 @@ class Claims:
 
         The course is told as the heading: it is where the vehicle goes.
         """
-        claims, n = cls.silent(solution.batch + silent), solution.batch
+        n = solution.mode.shape[0]
+        claims = cls.silent(n + silent)
         claims.position_m[:n] = xy_of(solution.position_en_m)
         claims.heading_rad[:n] = heading_of(_course_rad(solution))
         claims.speed_mps[:n], claims.initialised[:n] = solution.speed_mps, solution.mode != Mode.NONE.value

@@ -12,7 +12,7 @@ from highway_env.road.road import RoadNetwork
 from lanebound.envs import lane_search_kernel as kernel
 from lanebound.envs.catalogue import world_of
 from lanebound.envs.config import EnvConfig
-from lanebound.envs.lane_search import SwiftNetwork
+from lanebound.envs.lane_search import SwiftNetwork, swift
 
 BASES = ("highway-v0", "merge-v1", "roundabout-v1", "intersection-v2", "racetrack-v1", "exit-v1", "u-turn-v1")
 
@@ -96,3 +96,12 @@ def test_without_a_heading_and_with_lanes_of_other_kinds_highway_env_answers() -
     _assert_same(network, [5.0, 3.0], 0.1)
     straight = _of(StraightLane([0.0, 0.0], [10.0, 0.0]), StraightLane([0.0, 4.0], [10.0, 4.0]))
     assert SwiftNetwork(straight).get_closest_lane_index(np.array([5.0, 3.0])) == ("a", "b", 1)
+
+
+def test_a_network_with_a_search_of_its_own_keeps_it() -> None:
+    class Own(RoadNetwork):  # type: ignore[misc]
+        pass
+
+    own = Own()
+    assert swift(own) is own
+    assert type(swift(_of(StraightLane([0.0, 0.0], [10.0, 0.0])))) is SwiftNetwork
