@@ -11,6 +11,7 @@ import pytest
 
 from lanebound.integrity.navigator import Measurements, Navigator, NavigatorConfig
 from lanebound.integrity.sensors import corrections as links
+from lanebound.integrity.sensors.area import advance_area
 from lanebound.integrity.sensors.faults import Fault, FaultKind, FaultSchedule
 from lanebound.integrity.sensors.gnss import observe
 from lanebound.integrity.sensors.imu import sample_imu
@@ -44,7 +45,8 @@ def _mask() -> SkyMask:
 
 
 def _navigator(seeds: int | list[int], batch: int | None = None, faults: tuple[Fault, ...] = ()) -> Navigator:
-    return Navigator(CONFIG, TRACK, _mask(), seeds, batch, FaultSchedule(faults))
+    area = 7 if faults else None  # one for all, or one for each
+    return Navigator(CONFIG, TRACK, _mask(), seeds, batch, FaultSchedule(faults), area)
 
 
 def _one_by_one(navigator: Navigator, truth: Truth) -> Measurements:
@@ -52,9 +54,10 @@ def _one_by_one(navigator: Navigator, truth: Truth) -> Measurements:
     c, s, batch = navigator.config, navigator.state, navigator.batch
     sky = navigator.track.at(navigator.track.start_s + truth.time_s, np.zeros(batch, dtype=np.int64))
     effects = navigator.faults.effects(truth.time_s, truth.dt_s, sky, batch)
-    age = links.step(c.corrections, s.corrections, truth.dt_s, effects.corrections_lost, s.streams)
+    advance_area(c.gnss, c.corrections, s.area, truth.time_s, truth.dt_s)
+    age = links.step(c.corrections, s.corrections, s.area.network, truth.dt_s, effects.corrections_lost, s.streams)
     reception = navigator.mask.look(truth.arc_m, truth.lane, sky)
-    gnss = observe(c.gnss, s.gnss, sky, reception, truth, age, effects, s.streams)
+    gnss = observe(c.gnss, s.gnss, sky, reception, truth, age, effects, s.streams, s.area.signals)
     imu = sample_imu(c.imu, s.imu, truth, effects, s.streams)
     return Measurements(
         truth.time_s, sky, gnss, imu, sample_odometer(c.odometer, s.odometer, truth, effects, s.streams)
