@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from lanebound.envs.actuators import ActuatorConfig, Actuators
 from lanebound.envs.ego import BelievedVehicle, MetaEgo, take_over
-from lanebound.envs.fleet import Fleet
+from lanebound.envs.fleet import Fleet, along
+from lanebound.envs.lane_search import swift
 from lanebound.envs.motion import Motion
 from lanebound.envs.navigation import Fix, NavigationConfig, Source, fix_of, place
 from lanebound.envs.perception import Perception
@@ -75,6 +76,7 @@ class Cockpit:
         around: Surroundings,
     ) -> None:
         self.world, self.config, self.around, self.limits_m = world, config, around, limits_m
+        world.road.network = swift(world.road.network)  # the same lanes and answers, found sooner
         self.step_s = 1.0 / world.config["simulation_frequency"]
         self.steps_per_epoch = config.steps_per_epoch(world.config["simulation_frequency"])
         self.time_s, self._moved, self._seen = 0.0, 0, 0
@@ -121,7 +123,7 @@ class Cockpit:
         self._seen = self._moved
         self.time_s = self._seen * self.step_s
         epoch = self._seen % self.steps_per_epoch == 0
-        self._motion.advance(ROW, self.ego.position[None], np.array([self.ego.heading]))
+        self._motion.advance(ROW, self.ego.position[None], np.array([self.ego.heading], dtype=np.float64))
         self.around.fleet.follow()
         if self.around.navigator is None:
             self.tracker.take(self._given(), self.step_s, self.step_s)
@@ -168,7 +170,7 @@ class Cockpit:
         place(navigator, self.config, begin[None], np.array([ego.heading]), noise)
         for k in range(1, epochs * self.steps_per_epoch + 1):
             position = ego.position if k == epochs * self.steps_per_epoch else begin + k * self.step_s * ahead
-            self._motion.advance(ROW, position[None], np.array([ego.heading]))
+            self._motion.advance(ROW, position[None], np.array([ego.heading], dtype=np.float64))
             if k % self.steps_per_epoch == 0:
                 fix = self._navigate(navigator, (k // self.steps_per_epoch - epochs) * self.epoch_s)
         return fix
@@ -192,7 +194,7 @@ class Cockpit:
     def _navigate(self, navigator: Navigator, time_s: float | None = None) -> Fix:
         """Measure the epoch that ends now, and locate the ego by the measurements alone."""
         ego = self.ego
-        arc, lane = self.around.street.where(ego.lane_index, ego.lane.local_coordinates(ego.position)[0])
+        arc, lane = self.around.street.where(ego.lane_index, along(ego.lane, ego.position))
         when = self.time_s if time_s is None else time_s
         truth = self._motion.epoch(self._clock_s(when), self.epoch_s, np.array([arc]), np.array([lane]))
         self.measurements = navigator.measure(truth)
@@ -233,12 +235,16 @@ class Cockpit:
     def _perceive(self, time_s: float | None = None) -> None:
         when = self.time_s if time_s is None else time_s
         fleet, perception = self.around.fleet, self.around.perception
-        slots = fleet.ego_slot + 1
-        effects = FaultEffects.none(slots, 0)
-        if fleet.navigator is not None:
-            sky = fleet.navigator.track.at(fleet.navigator.track.start_s + self._clock_s(when), np.zeros(slots))
-            effects = self.around.faults.effects(self._clock_s(when), self.epoch_s, sky, slots)
+        effects = self._effects_on_the_others(self._clock_s(when), fleet.ego_slot + 1)
         self.traffic = perception.step(when, self.belief(), fleet.ego_slot, fleet.present(), fleet.claims(), effects)
+
+    def _effects_on_the_others(self, clock_s: float, slots: int) -> FaultEffects:
+        """What faults do to what the others say."""
+        navigator, faults = self.around.fleet.navigator, self.around.faults
+        if navigator is None or not (faults.faults and faults.active(clock_s)):
+            return FaultEffects.none(slots, 0)
+        sky = navigator.track.at(navigator.track.start_s + clock_s, np.zeros(slots))
+        return faults.effects(clock_s, self.epoch_s, sky, slots)
 
     def belief(self) -> EgoBelief:
         """All that the ego knows of itself now."""

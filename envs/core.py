@@ -113,8 +113,10 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     ## Starting State
     `seed` draws everything: the traffic, one of 4 made-up cities along the roads, the hour of the constellations. The
     navigation starts 3 s before the episode, on a straight approach, 0.05 m and 0.5 degrees (1 sigma) from the truth;
-    the map is 0.03 m (1 sigma) off on each axis, for which the levels take a tenth of the integrity risk.
-    `reset(options={"faults": [...]})` sets faults in place of random ones.
+    the map is 0.03 m (1 sigma) off on each axis, for which the levels take a tenth of the integrity risk. The link to
+    the reference station is as it is found at any time, up or in an outage. All vehicles of an episode share
+    atmosphere, station and the network's half of the outages; receivers, their surroundings and the other half are each
+    one's own. `reset(options={"faults": [...]})` sets faults in place of random ones.
 
     ## Episode End
     Terminated when the true car has crashed, has its middle off the road, or has driven against its lane for 1 s; and

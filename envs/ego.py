@@ -49,19 +49,21 @@ class BelievedVehicle(MDPVehicle):  # type: ignore[misc]
 
     def on_state_update(self) -> None:
         """Find the lane: highway-env's nearest, but that of a planned route where others cross or part from it."""
-        if not self.route:
-            super().on_state_update()
-            return
-        network = self.road.network
-        planned = {self.lane_index[:2], self.target_lane_index[:2], *(step[:2] for step in self.route)}
+        planned = {self.lane_index[:2], self.target_lane_index[:2], *(step[:2] for step in self.route or ())}
+        super().on_state_update()
+        if self.route and self.lane_index[:2] not in planned:
+            self.lane_index = self._lane_beside(planned)
+            self.lane = self.road.network.get_lane(self.lane_index)
+
+    def _lane_beside(self, planned: set[tuple[str, str]]) -> LaneIndex:
+        """The nearest lane, where one that is not planned counts as ``ROUTE_M`` further off."""
         away: dict[LaneIndex, float] = {}
-        for start, ends in network.graph.items():
+        for start, ends in self.road.network.graph.items():
             for end, lanes in ends.items():
                 extra = 0.0 if (start, end) in planned else ROUTE_M
                 for i, lane in enumerate(lanes):
                     away[start, end, i] = lane.distance_with_heading(self.position, self.heading) + extra
-        self.lane_index = min(away, key=away.__getitem__)
-        self.lane = network.get_lane(self.lane_index)
+        return min(away, key=away.__getitem__)
 
     def place(self, position_m: Array, heading_rad: float, speed_mps: float) -> None:
         """Move to an estimate and find its lane."""

@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.envs.records import azimuth_of, enu_of
+from lanebound.envs import motion_kernel as kernel
+from lanebound.integrity.frames import GRAVITY_MPS2
 from lanebound.integrity.truth import Truth
 
 __all__ = ["Motion"]
@@ -63,9 +64,9 @@ class Motion:
     def advance(self, rows: NDArray[np.int64], position_m: Array, heading_rad: Array) -> None:
         """Take the poses after a simulation step; (n,), (n, 2), (n,). Slots not named stay where they are."""
         self._steps += 1
-        self._chord_before[rows] = self._chord[rows]
-        self._chord[rows] = position_m - self.position_m[rows]
-        self.position_m[rows], self.heading_rad[rows] = position_m, heading_rad
+        kernel.advance(
+            rows, position_m, heading_rad, self.position_m, self.heading_rad, self._chord, self._chord_before
+        )
 
     @property
     def velocity_mps(self) -> Array:
@@ -74,19 +75,15 @@ class Motion:
 
     def epoch(self, time_s: float, dt_s: float, arc_m: Array, lane: NDArray[np.int64]) -> Truth:
         """Truth of the navigation epoch that ends now, of length ``dt_s``; the next one begins here."""
-        (p0, v0, h0), v1 = self._start, self.velocity_mps
-        p1, h1 = self.position_m, self.heading_rad
-        truth = Truth.between(
-            time_s,
-            dt_s,
-            (enu_of(p0), enu_of(p1)),
-            (enu_of(v0), enu_of(v1)),
-            (azimuth_of(h0), azimuth_of(h1)),
-            arc_m,
-            lane,
-        )
-        self.mark()
-        return truth
+        batch = self.heading_rad.shape[0]
+        position, velocity, turn, delta_v = np.empty((4, batch, 3))
+        heading, distance = np.empty((2, batch))
+        kernel.epoch(
+            self.step_s, -GRAVITY_MPS2 * dt_s, self.position_m, self.heading_rad, self._chord, self._chord_before,
+            *self._start, position, velocity, heading, turn, delta_v, distance,
+        )  # fmt: skip
+        self._steps = 0
+        return Truth(time_s, dt_s, position, velocity, heading, turn, delta_v, distance, arc_m, lane)
 
     def mark(self) -> None:
         """The next epoch begins here."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 from typing import Self
@@ -10,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from lanebound.envs.records import azimuth_of, enu_of, heading_of, xy_of
+from lanebound.envs.records import azimuth_of, enu_of, heading_of
 from lanebound.integrity.config import Config
-from lanebound.integrity.frames import wrap_angle
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.navigator import Navigator
 from lanebound.integrity.positioning.modes import Mode
@@ -108,9 +108,11 @@ class Fix:
 
 def fix_of(solution: Solution, row: int) -> Fix:
     """One vehicle of a batch of solutions."""
+    east, north = solution.position_en_m[row].tolist()
+    heading = heading_of(float(solution.heading_rad[row]))
     return Fix(
-        position_m=xy_of(solution.position_en_m[row]),
-        heading_rad=float(wrap_angle(heading_of(solution.heading_rad[row]))),
+        position_m=np.array([east, -north]),
+        heading_rad=(heading + math.pi) % (2.0 * math.pi) - math.pi,
         speed_mps=float(solution.speed_mps[row]),
         pl_at_m=float(solution.pl_at_m[row]),
         pl_ct_m=float(solution.pl_ct_m[row]),

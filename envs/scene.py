@@ -83,8 +83,9 @@ def set_scene(
     capacity = min(config.slots, others + (NEWCOMERS if isinstance(world, IntersectionEnv) else 0))
     broadcast = capacity > 0 and config.perception.source in ("v2v", "both")
     track = track_of(settings.sky, hour, config.navigation.warm_up_s + duration_s + MARGIN_S)
-    ego = Navigator(settings, track, street.mask, [seed]) if config.navigation.source.senses else None
-    fleet = Navigator(settings, track, street.mask, fleet_seed, capacity) if broadcast else None
+    # one street: the same atmosphere, reference station and network for all
+    ego = Navigator(settings, track, street.mask, [seed], area_seed=seed) if config.navigation.source.senses else None
+    fleet = Navigator(settings, track, street.mask, fleet_seed, capacity, area_seed=seed) if broadcast else None
     campaign = _campaign(track, config, duration_s, capacity, streams) if faults is None else faults
     clock = [fault.replace(start_s=fault.start_s + config.navigation.clock_start_s) for fault in campaign]
     others_faults = FaultSchedule([_row(f, f.vehicle - 1) if f.vehicle else f for f in clock if f.vehicle != EGO])

@@ -1,17 +1,21 @@
 """Numba, set up once: a versioned on-disk cache, and a parallel form only where it pays.
 
 Numba's cache hashes the file of a kernel but not the files of its callees, so the cache directory is versioned by a
-digest of every kernel file (``*_kernel.py``) of this package. Without a writable cache the kernels are compiled anew
-in each process.
+digest of every kernel file (``*_kernel.py``) of this package. What lies in it is loaded as machine code, so below the
+temporary directory, which all users share, only a directory that is ours alone is used. Without a writable cache the
+kernels are compiled anew in each process.
 """
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import os
+import shutil
+import stat
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
@@ -33,17 +37,60 @@ def cache_directory() -> str | None:
     digest = hashlib.blake2b(repr(sorted(FASTMATH)).encode(), digest_size=8)
     for source in sorted(Path(__file__).parent.rglob("*_kernel.py")):
         digest.update(source.read_bytes())
+    name = f"kernels-{digest.hexdigest()}"
     base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    places: tuple[Callable[[], Path | str], ...] = (Path(base).expanduser, tempfile.gettempdir)
+    places: tuple[Callable[[], Path], ...] = (lambda: Path(base).expanduser() / "lanebound", _shared, _fresh)
     for place in places:
         try:
-            path = Path(place()) / "lanebound" / f"kernels-{digest.hexdigest()}"
+            path = place() / name
             path.mkdir(parents=True, exist_ok=True)
-        except (OSError, RuntimeError):  # not writable, no temporary directory, or a user without a home
+        except (OSError, RuntimeError):  # not writable, not ours, no temporary directory, or a user without a home
             continue
         if os.access(path, os.W_OK):
             return str(path)
     return None
+
+
+def _shared() -> Path:
+    """This user's directory below the temporary directory, made when missing.
+
+    Raises
+    ------
+    OSError
+        It cannot be made, or another user could have put something into it.
+    """
+    path = Path(tempfile.gettempdir()) / f"lanebound-{_user()}"
+    with suppress(FileExistsError):
+        path.mkdir(mode=0o700)
+    if not _is_private(path):
+        raise PermissionError(f"{path} must be a directory of this user alone")
+    return path
+
+
+def _user() -> int:
+    """Number of the user, 0 where users have none (Windows, whose temporary directory is not shared)."""
+    return os.getuid() if hasattr(os, "getuid") else 0
+
+
+def _is_private(path: Path) -> bool:
+    """Whether path is itself a directory, no link to one, that belongs to this user with mode 0700."""
+    found = path.lstat()
+    if not stat.S_ISDIR(found.st_mode):
+        return False
+    return os.name == "nt" or (found.st_uid == _user() and stat.S_IMODE(found.st_mode) == 0o700)
+
+
+def _fresh() -> Path:
+    """A new private directory of this process, removed when it ends."""
+    path = tempfile.mkdtemp(prefix="lanebound-")
+    owner = os.getpid()
+
+    def remove() -> None:
+        if os.getpid() == owner:  # not in a forked child
+            shutil.rmtree(path, ignore_errors=True)
+
+    atexit.register(remove)
+    return Path(path)
 
 
 def jit(function: F | None = None, *, parallel: bool = False, inline: bool = False) -> Any:

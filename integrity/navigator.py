@@ -11,6 +11,7 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import lru_cache
 from typing import Any, Self
 
 import numba
@@ -24,39 +25,34 @@ from lanebound.integrity.accel import use_parallel
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import ConfigError, InputError, require_finite
 from lanebound.integrity.monitoring.alerts import AlertConfig, AlertState
-from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import GROWTH_SIZE, P_EE, P_EN, P_NN, VAR_TH
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import GROWTH_SIZE, P_EE, P_NN, VAR_TH
 from lanebound.integrity.monitoring.doppler_separation_kernel import APART_ROWS
 from lanebound.integrity.monitoring.exclusion import FdeConfig, Search
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor, upper_quantile
 from lanebound.integrity.monitoring.significance import Linking
 from lanebound.integrity.positioning.config import PositioningConfig
+from lanebound.integrity.sensing import Instruments, InstrumentState, Measurements
 from lanebound.integrity.sensors import corrections as links
 from lanebound.integrity.sensors import gnss as receiver
-from lanebound.integrity.sensors.corrections import CorrectionsConfig, CorrectionsState
+from lanebound.integrity.sensors.area import initial_area
+from lanebound.integrity.sensors.corrections import CorrectionsConfig
+from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.faults import FaultSchedule
-from lanebound.integrity.sensors.gnss import GnssConfig, GnssEpoch, GnssState
-from lanebound.integrity.sensors.imu import ImuConfig, ImuSample, ImuState, initial_imu, sample_imu
-from lanebound.integrity.sensors.odometer import (
-    OdometerConfig,
-    OdometerSample,
-    OdometerState,
-    initial_odometer,
-    sample_odometer,
-)
+from lanebound.integrity.sensors.gnss import GnssConfig
+from lanebound.integrity.sensors.imu import ImuConfig, initial_imu
+from lanebound.integrity.sensors.odometer import OdometerConfig, initial_odometer
 from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.systems import FIXABLE, WAVELENGTH_M
 from lanebound.integrity.sky.track import SkyTrack
-from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.sky.visibility import SkyMask
 from lanebound.integrity.solution import Solution
 from lanebound.integrity.streams import Streams
 from lanebound.integrity.truth import Truth
+from lanebound.integrity.truth_kernel import all_finite
 
 __all__ = ["Form", "Measurements", "Navigator", "NavigatorConfig", "NavigatorState", "PlCase"]
 
 Array = NDArray[np.float64]
-COVARIANCE = np.array([[P_EE, P_EN], [P_EN, P_NN]])
-WHOLE_NUMBERS = np.array([nk.O_MODE, nk.O_RTK, nk.O_SATELLITES, nk.O_DOPPLER, nk.O_EXCLUDED])
 
 
 class Form(Enum):
@@ -128,19 +124,8 @@ class NavigatorConfig(Config):
         return (first, *self.more_levels)
 
 
-@dataclass(frozen=True)
-class Measurements:
-    """All that positioning may know of one epoch: the outputs of the instruments, and where the satellites are."""
-
-    time_s: float
-    sky: SkyView
-    gnss: GnssEpoch
-    imu: ImuSample
-    odometer: OdometerSample
-
-
 @dataclass
-class NavigatorState:
+class NavigatorState(InstrumentState):
     """Everything that lasts from epoch to epoch: the instruments' own state, and the belief's.
 
     ``belief`` (B, NX), ``rtk`` (B, NX) and ``growth`` (B, NP) are the flat columns of :mod:`.navigator_kernel`,
@@ -150,11 +135,6 @@ class NavigatorState:
     (B, S) are the ambiguities held; ``last_phase_m`` (B, S, 2) serves to find slips.
     """
 
-    streams: Streams
-    gnss: GnssState
-    corrections: CorrectionsState
-    imu: ImuState
-    odometer: OdometerState
     alert: AlertState
     belief: Array
     rtk: Array
@@ -184,6 +164,9 @@ class Navigator:
         What buildings leave of the sky along the street.
     seeds : one seed for each vehicle, or one int with ``batch``
     faults : FaultSchedule, optional
+    area_seed : int, optional
+        One area for all vehicles of this and of any navigator with the same seed, clock and sky: the same atmosphere,
+        reference station and outages of its network (:mod:`.sensors.area`). Without it each vehicle has its own.
 
     Raises
     ------
@@ -199,11 +182,14 @@ class Navigator:
         seeds: int | Sequence[int],
         batch: int | None = None,
         faults: FaultSchedule | None = None,
+        area_seed: int | None = None,
     ) -> None:
         self.config, self.track, self.mask = config, track, mask
         self.faults = faults or FaultSchedule(())
         self._tables = _Tables.of(config, track.system)
-        self.state = self._initial(Streams(seeds, batch))
+        self._instruments = Instruments.of(config.gnss, config.corrections, config.imu, config.odometer, config.dt_s)
+        area = Streams(seeds, batch) if area_seed is None else Streams([area_seed])
+        self.state = self._initial(Streams(seeds, batch), area)
 
     @classmethod
     def nominal(
@@ -212,8 +198,9 @@ class Navigator:
         """A navigator under the nominal constellations of the configuration and an open sky."""
         return cls(config, SkyTrack.from_config(config.sky, duration_s), SkyMask.open(), seeds, batch)
 
-    def _initial(self, streams: Streams) -> NavigatorState:
+    def _initial(self, streams: Streams, area_streams: Streams) -> NavigatorState:
         c, batch, n_sat = self.config, streams.batch, len(self.track.system)
+        area = initial_area(c.gnss, c.corrections, n_sat, c.dt_s, area_streams)
         sky = self.track.at(self.track.start_s, np.zeros(batch, dtype=np.int64))
         heading = c.positioning.heading
         belief = np.zeros((batch, nk.NX))
@@ -222,8 +209,9 @@ class Navigator:
         belief[:, [nk.SINCE_RTK, nk.SINCE_CAL]] = np.inf
         return NavigatorState(
             streams=streams,
+            area=area,
             gnss=receiver.initial_state(c.gnss, sky, streams),
-            corrections=links.initial_state(batch),
+            corrections=links.initial_state(c.corrections, area.network, c.dt_s, streams),
             imu=initial_imu(c.imu, streams),
             odometer=initial_odometer(c.odometer, streams),
             alert=AlertState.initial(batch),
@@ -306,75 +294,78 @@ class Navigator:
 
     def measure(self, truth: Truth) -> Measurements:
         """What the instruments say of this epoch: the only place where truth is read."""
+        self._require_fitting(truth)
+        sky = self.track.at(self.track.start_s + truth.time_s, np.zeros(self.batch, dtype=np.int64))
+        if self.faults.faults and self.faults.active(truth.time_s):
+            effects = self.faults.effects(truth.time_s, truth.dt_s, sky, self.batch)
+        else:
+            effects = _no_effects(self.batch, sky.satellites)
+        return self._instruments.sense(self.state, sky, self.mask, truth, effects)
+
+    def _require_fitting(self, truth: Truth) -> None:
+        """Raise InputError unless the truth is finite, of this batch and of an epoch's length."""
         if truth.batch != self.batch:
             raise InputError(f"truth must have {self.batch} vehicles, got {truth.batch}: one row for each seed")
         if abs(truth.dt_s - self.config.dt_s) > 1e-9:
             raise InputError(f"truth.dt_s must be {self.config.dt_s}, got {truth.dt_s}: step at the navigator's rate")
-        for name in ("position_enu_m", "velocity_enu_mps", "heading_rad"):
-            if not np.isfinite(getattr(truth, name)).all():
+        if not all_finite(truth.position_enu_m, truth.velocity_enu_mps, truth.heading_rad, truth.arc_m):
+            for name in ("position_enu_m", "velocity_enu_mps", "heading_rad", "arc_m"):
                 require_finite(f"truth.{name}", getattr(truth, name))
-        c, s = self.config, self.state
-        sky = self.track.at(self.track.start_s + truth.time_s, np.zeros(self.batch, dtype=np.int64))
-        effects = self.faults.effects(truth.time_s, truth.dt_s, sky, self.batch)
-        age = links.step(c.corrections, s.corrections, truth.dt_s, effects.corrections_lost, s.streams)
-        reception = self.mask.look(truth.arc_m, truth.lane, sky)
-        return Measurements(
-            time_s=truth.time_s,
-            sky=sky,
-            gnss=receiver.observe(c.gnss, s.gnss, sky, reception, truth, age, effects, s.streams),
-            imu=sample_imu(c.imu, s.imu, truth, effects, s.streams),
-            odometer=sample_odometer(c.odometer, s.odometer, truth, effects, s.streams),
-        )
 
     def locate(self, m: Measurements) -> Solution:
         """The belief after the measurements of one epoch; reads nothing else."""
-        s, t, g = self.state, self._tables, m.gnss
-        out, levels = np.zeros((self.batch, nk.NO)), np.full((self.batch, t.k_dead.shape[0], 2), np.inf)
-        parallel = use_parallel(self.batch)
-        inertial = np.column_stack([m.imu.delta_theta_rad[:, 2], m.imu.delta_v_mps[:, :2]])
-        run, first = (nk.run_parallel, numba.get_num_threads()) if parallel else (nk.run_some, 0)
+        s, t, g, batch = self.state, self._tables, m.gnss, self.batch
+        out, levels = np.empty((batch, nk.NO)), np.empty((batch, t.k_dead.shape[0], 2))
+        covariance = np.empty((batch, 2, 2))
+        run, first = (nk.run_parallel, numba.get_num_threads()) if use_parallel(batch) else (nk.run_some, 0)
         run(
-            first, self.batch, m.sky.los_enu, m.sky.system, m.sky.elevation_rad, m.sky.index, g.tracked, g.cn0_dbhz,
-            g.code_m, g.phase_m,
-            g.range_rate_mps, g.lock_lost, g.corrections_age_s, inertial, m.odometer.speed_mps,
+            first, batch, m.sky.los_enu, m.sky.system, m.sky.elevation_rad, m.sky.index, g.tracked, g.cn0_dbhz,
+            g.code_m, g.phase_m, g.range_rate_mps, g.lock_lost, g.corrections_age_s, m.imu.delta_theta_rad,
+            m.imu.delta_v_mps, m.odometer.speed_mps,
             t.par, t.rtk_par, t.mode_limits, t.heading_limits, t.wavelength, t.fixable, t.fit, t.chi2, t.normal, t.fde,
             t.risks, t.shares, t.spent, t.priors, t.k_fa, t.k_published, t.k_dead, t.published, t.operative_published,
             t.alert_limits, t.drift_group, s.belief, s.rtk, s.last_phase_m, s.growth, s.start, s.apart, s.held,
             s.integers, s.fix_id, s.fix_risk, s.alert.alert, s.alert.reason, s.alert.onset_s, s.alert.clear_s, out,
-            levels,
+            levels, covariance,
         )  # fmt: skip
-        return self._solution(m, out, levels)
+        return self._solution(m, out, levels, covariance)
 
-    def _solution(self, m: Measurements, out: Array, levels: Array) -> Solution:
+    def _solution(self, m: Measurements, out: Array, levels: Array, covariance: Array) -> Solution:
         s = self.state
-        belief, whole = s.belief.copy(), out[:, WHOLE_NUMBERS].astype(np.int64)
+        belief, whole = s.belief.copy(), out[:, : nk.N_WHOLE].astype(np.int64)
         return Solution(
             time_s=m.time_s,
             position_en_m=belief[:, nk.EAST : nk.NORTH + 1],
             heading_rad=belief[:, nk.HEADING],
             velocity_en_mps=belief[:, nk.VEL_E : nk.VEL_N + 1],
             speed_mps=m.odometer.speed_mps,
-            covariance_en_m2=s.growth[:, COVARIANCE],
+            covariance_en_m2=covariance,
             sigma_at_m=out[:, nk.O_SIGMA_AT],
             sigma_ct_m=out[:, nk.O_SIGMA_CT],
             pl_at_m=levels[:, 0, 0],
             pl_ct_m=levels[:, 0, 1],
             pl_cases_m=levels,
-            mode=whole[:, 0],
-            rtk=whole[:, 1],
+            mode=whole[:, nk.O_MODE],
+            rtk=whole[:, nk.O_RTK],
             alert=s.alert.alert.copy(),
             available=out[:, nk.O_AVAILABLE] > 0.0,
             reason=s.alert.reason.copy(),
             hdop=out[:, nk.O_HDOP],
-            satellites=whole[:, 2],
-            satellites_doppler=whole[:, 3],
-            excluded=whole[:, 4],
+            satellites=whole[:, nk.O_SATELLITES],
+            satellites_doppler=whole[:, nk.O_DOPPLER],
+            excluded=whole[:, nk.O_EXCLUDED],
             since_rtk_s=belief[:, nk.SINCE_RTK],
             since_calibration_s=belief[:, nk.SINCE_CAL],
             corrections_age_s=m.gnss.corrections_age_s,
             wrong_fix_risk=out[:, nk.O_WRONG],
             held=s.held.copy(),
         )
+
+
+@lru_cache(maxsize=8)
+def _no_effects(batch: int, satellites: int) -> FaultEffects:
+    """No fault at all, in arrays that are never written but not marked so: kernels would be compiled twice."""
+    return FaultEffects.blank(batch, satellites)
 
 
 @dataclass(frozen=True)

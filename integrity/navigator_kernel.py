@@ -23,6 +23,9 @@ from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import (
     step_odometer,
     step_still,
 )
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import P_EE as G_EE
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import P_EN as G_EN
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import P_NN as G_NN
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED as FDE_EXCLUDED
 from lanebound.integrity.monitoring.detection_kernel import NO_REDUNDANCY as FDE_NO_REDUNDANCY
 from lanebound.integrity.monitoring.detection_kernel import detect_and_exclude
@@ -84,8 +87,9 @@ WATCH = 20  # first of WATCH_SIZE
 NX = WATCH + WATCH_SIZE
 
 # solution
-O_MODE, O_RTK, O_AVAILABLE, O_SIGMA_AT, O_SIGMA_CT, O_HDOP, O_SATELLITES, O_DOPPLER, O_EXCLUDED, O_WRONG = range(10)
+O_MODE, O_RTK, O_SATELLITES, O_DOPPLER, O_EXCLUDED, O_AVAILABLE, O_SIGMA_AT, O_SIGMA_CT, O_HDOP, O_WRONG = range(10)
 NO = 10
+N_WHOLE = 5  # of which are whole numbers
 REACQUIRE_S = 1.0  # of Doppler courses refused for their jump, before the heading filter opens up
 CONFLICT_LIMIT_S = 0.5  # of contradiction between Doppler and odometer
 TEST_FAILED_CAUSE, INITIALISING_CAUSE = 5, 7  # codes of AlertReason
@@ -188,18 +192,18 @@ def velocity(e, elevation, tracked, cn0, range_rate, par, chi2, normal, fde, dri
 
 
 @jit
-def watch_speeds(x, par, solved, v_gnss, v_ss, hdop, limits, agreement, inertial, rate):  # type: ignore[no-untyped-def]
+def watch_speeds(x, par, solved, v_gnss, v_ss, hdop, limits, agreement, delta_v, rate):  # type: ignore[no-untyped-def]
     """An odometer in doubt, or contradicted by a tested Doppler speed for CONFLICT_LIMIT_S: no level holds without RTK.
 
     Where Doppler contradicts, one of them lies. ``limits`` are those of the heading, ``agreement`` [m/s] that of the
-    Doppler mode, ``inertial`` (3,) the increments of yaw [rad] and of forward and lateral velocity [m/s].
+    Doppler mode, ``delta_v`` (3,) the increments of velocity forward and to the right [m/s].
     """
     dt = par[DT]
     conflict = solved and hdop < limits[2] and abs(v_gnss - abs(v_ss)) > limits[1]
     x[CONFLICT_S] = x[CONFLICT_S] + dt if conflict else 0.0
     agrees = solved and hdop < limits[2] and abs(v_gnss - abs(v_ss)) < agreement
     if watch_odometer(
-        x[WATCH:NX], par[WATCH_LIMITS:NP], dt, v_ss, inertial[1], inertial[2], rate,
+        x[WATCH:NX], par[WATCH_LIMITS:NP], dt, v_ss, delta_v[0], delta_v[1], rate,
         x[CONFLICT_S] > CONFLICT_LIMIT_S, agrees,
     ):  # fmt: skip
         x[UNBOUNDED] = 1.0
@@ -377,14 +381,15 @@ def advance(x, growth, par, mode, v_e, v_n, q, v_ss, middle, carry, resting):  #
 @jit
 def _epoch(  # type: ignore[no-untyped-def]
     e, system, elevation, tracked, cn0, code, phase, range_rate, lock_lost, age,
-    inertial, v_ss,
+    delta_theta, delta_v, v_ss,
     par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent,
     priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
     x, rtk_x, last_phase, growth, start, apart, held, integers, fix_id, fix_risk, v, alert, reason, onset, clear,
-    geo, head, columns, rows, rows_e, rows_group, out, pl,
+    geo, head, columns, rows, rows_e, rows_group, out, pl, covariance,
 ):  # fmt: skip
     """The whole epoch of vehicle v; x to fix_risk and the alert arrays are its state."""
     dt, n_sat = par[DT], e.shape[0]
+    pl[:] = math.inf
     x[SINCE_RTK] += dt
     x[SINCE_CAL] += dt
 
@@ -398,14 +403,14 @@ def _epoch(  # type: ignore[no-untyped-def]
     )  # fmt: skip
     later = 1.0 + x[SINCE_RTK] / par[FAULT_DURATION] if x[SINCE_RTK] < math.inf else 1.0
     checked = solved and (operative_published or later * lost <= AFFORDABLE * (k_dead[0, RISK_AT] + k_dead[0, RISK_CT]))
-    turning, s_0, c_0 = inertial[0] / dt - x[GYRO_BIAS], math.sin(x[HEADING]), math.cos(x[HEADING])
+    turning, s_0, c_0 = delta_theta[2] / dt - x[GYRO_BIAS], math.sin(x[HEADING]), math.cos(x[HEADING])
     v_e = velocity_enu[0] - turning * (c_0 * par[LEVER_FORWARD] - s_0 * par[LEVER_RIGHT])  # antenna to reference point
     v_n = velocity_enu[1] + turning * (s_0 * par[LEVER_FORWARD] + c_0 * par[LEVER_RIGHT])
     v_gnss = math.hypot(v_e, v_n)
     spinning = turning_at_rest(x[WATCH:NX], par[WATCH_LIMITS:NP], dt, v_ss, turning)
     resting = standstill(x, dt, v_ss, spinning, solved, v_gnss, q_v)
     p_before = x[P_HH]
-    middle = attitude(x, par, inertial[0])
+    middle = attitude(x, par, delta_theta[2])
     carry, p_hh = math.sqrt(x[P_HH] / p_before), x[P_HH]  # growth as one error: the bound of its effect on the position
     if solved and not resting:
         if calibrate(x, par, heading_limits, v_e, v_n, q_v[0, 0], q_v[0, 1], q_v[1, 1], v_ss, hdop_doppler):
@@ -430,7 +435,7 @@ def _epoch(  # type: ignore[no-untyped-def]
     integrates = mode == DOPPLER and not resting
     advance_separations(dt, integrates, x[HAS_VEL] > 0.0, measured, math.exp(-dt / par[DOP_TAU]), apart)
     x[APART] = 1.0 if integrates else x[APART]
-    watch_speeds(x, par, solved, v_gnss, v_ss, hdop_doppler, heading_limits, mode_limits[1], inertial, turning)
+    watch_speeds(x, par, solved, v_gnss, v_ss, hdop_doppler, heading_limits, mode_limits[1], delta_v, turning)
     shift = par[REFERENCE_BIAS]
     if mode == RTK:
         levels_rtk(n_rtk, rows, rows_group, sin_h, cos_h, risks, shares, spent + wrong, priors, k_fa, k_published,
@@ -446,8 +451,6 @@ def _epoch(  # type: ignore[no-untyped-def]
             growth, start, apart, system, sin_h, cos_h, k_dead, published, shift, priors[0], later, shares[1],
             shares[3] > 0.0, pl,
         )  # fmt: skip
-    else:
-        pl[:] = math.inf
     x[HAS_VEL] = 1.0 if measured else 0.0
     if mode == RTK and measured:
         remember_velocity(q_v[0, 0], q_v[0, 1], q_v[1, 1], growth)
@@ -467,16 +470,18 @@ def _epoch(  # type: ignore[no-untyped-def]
     out[O_HDOP] = hdop_rtk if mode == RTK else hdop_doppler
     out[O_SATELLITES], out[O_DOPPLER], out[O_EXCLUDED] = n_rtk, n_doppler, excluded_rtk + excluded_doppler
     out[O_WRONG] = wrong
+    covariance[0, 0], covariance[1, 1] = growth[G_EE], growth[G_NN]
+    covariance[0, 1] = covariance[1, 0] = growth[G_EN]
 
 
 @jit
 def run_some(  # type: ignore[no-untyped-def]
     first, last, los, system, elevation, index, tracked, cn0, code, phase, range_rate, lock_lost, age,
-    inertial, v_ss,
+    delta_theta, delta_v, v_ss,
     par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent,
     priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
     x, rtk_x, last_phase, growth, start, apart, held, integers, fix_id, fix_risk, alert, reason, onset, clear,
-    out, pl,
+    out, pl, covariance,
 ):  # fmt: skip
     """One epoch of the vehicles ``first`` to ``last - 1``, which share their scratch."""
     geo, head, columns = scratch(system.shape[0])
@@ -486,29 +491,30 @@ def run_some(  # type: ignore[no-untyped-def]
         k = index[v]
         _epoch(
             los[k], system, elevation[k], tracked[v], cn0[v], code[v], phase[v], range_rate[v], lock_lost[v], age[v],
-            inertial[v], v_ss[v], par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal,
-            fde, risks, shares, spent, priors, k_fa, k_published, k_dead, published, operative_published, alert_limits,
-            drift_group,
+            delta_theta[v], delta_v[v], v_ss[v], par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit,
+            chi2, normal, fde, risks, shares, spent, priors, k_fa, k_published, k_dead, published, operative_published,
+            alert_limits, drift_group,
             x[v], rtk_x[v], last_phase[v], growth[v], start[v], apart[v], held[v], integers[v], fix_id[v], fix_risk[v],
             v, alert, reason, onset, clear, geo, head, columns, rows, rows_e, rows_group, out[v], pl[v],
+            covariance[v],
         )  # fmt: skip
 
 
 @jit(parallel=True)
 def run_parallel(  # type: ignore[no-untyped-def]
     chunks, last, los, system, elevation, index, tracked, cn0, code, phase, range_rate, lock_lost, age,
-    inertial, v_ss,
+    delta_theta, delta_v, v_ss,
     par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent,
     priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
     x, rtk_x, last_phase, growth, start, apart, held, integers, fix_id, fix_risk, alert, reason, onset, clear,
-    out, pl,
+    out, pl, covariance,
 ):  # fmt: skip
     """:func:`run_some` for all ``last`` vehicles, in ``chunks`` runs side by side."""
     for chunk in prange(chunks):
         run_some(
             chunk * last // chunks, (chunk + 1) * last // chunks, los, system, elevation, index, tracked, cn0,
-            code, phase, range_rate, lock_lost, age, inertial, v_ss, par, rtk_par, mode_limits, heading_limits,
-            wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent, priors, k_fa, k_published, k_dead,
-            published, operative_published, alert_limits, drift_group, x, rtk_x, last_phase, growth, start, apart,
-            held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl,
+            code, phase, range_rate, lock_lost, age, delta_theta, delta_v, v_ss, par, rtk_par, mode_limits,
+            heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent, priors, k_fa,
+            k_published, k_dead, published, operative_published, alert_limits, drift_group, x, rtk_x, last_phase,
+            growth, start, apart, held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl, covariance,
         )  # fmt: skip

@@ -16,7 +16,11 @@ from lanebound.integrity.errors import InputError
 
 __all__ = ["STREAM_NAMES", "Streams", "named_generator"]
 
-STREAM_NAMES = ("traffic", "gnss", "corrections", "imu", "odometer", "v2v", "sensor", "faults", "start", "scene")
+STREAM_NAMES = (
+    "traffic", "gnss", "clock", "corrections", "imu", "odometer", "v2v", "sensor", "faults", "start", "scene",
+    "atmosphere", "station", "network",
+)  # fmt: skip
+"""All streams; the last three are what the vehicles of an area have in common."""
 
 
 def _name_key(name: str) -> int:
@@ -70,15 +74,16 @@ class Streams:
 
     def generators(self, name: str) -> list[np.random.Generator]:
         """The generators of one stream: one for each vehicle, or a single joint one."""
-        if name not in self._generators:
-            self._generators[name] = [named_generator(s, name) for s in self._seeds]
-        return self._generators[name]
+        found = self._generators.get(name)
+        if found is None:
+            found = self._generators[name] = [named_generator(s, name) for s in self._seeds]
+        return found
 
     def normal(self, name: str, *shape: int) -> NDArray[np.float64]:
         """Standard normal draws ``(B, *shape)`` from stream ``name``."""
         out = np.empty((self.batch, *shape))
         generators = self.generators(name)
-        if self._joint:
+        if len(generators) == 1:
             generators[0].standard_normal(out=out)
         else:
             for row, generator in zip(out.reshape(self.batch, -1), generators, strict=True):
@@ -89,7 +94,7 @@ class Streams:
         """Uniform draws in [0, 1) of shape ``(B, *shape)`` from stream ``name``."""
         out = np.empty((self.batch, *shape))
         generators = self.generators(name)
-        if self._joint:
+        if len(generators) == 1:
             generators[0].random(out=out)
         else:
             for row, generator in zip(out.reshape(self.batch, -1), generators, strict=True):

@@ -105,7 +105,6 @@ def truth_between(
     require_shape("heading_rad", h0, (h1.size,))
     p0, p1 = (_plane_vectors("position_m", p, h1.size) for p in position_m)
     v0, v1 = (_plane_vectors("velocity_mps", v, h1.size) for v in velocity_mps)
-    where = np.broadcast_to(require_finite("arc_m", arc_m), h1.shape)
-    return Truth.between(
-        float(time_s), float(dt_s), (p0, p1), (v0, v1), (h0, h1), where, np.broadcast_to(np.asarray(lane), h1.shape)
-    )
+    where = np.array(np.broadcast_to(require_finite("arc_m", arc_m), h1.shape))
+    row = np.array(np.broadcast_to(np.asarray(lane, dtype=np.int64), h1.shape))
+    return Truth.between(float(time_s), float(dt_s), (p0, p1), (v0, v1), (h0, h1), where, row)

@@ -31,3 +31,15 @@ def between(p0, p1, v0, v1, h0, h1, down, position, velocity, heading, turn, del
         turn[b, 2] = turned
         delta_v[b, 0], delta_v[b, 1], delta_v[b, 2] = s * we + c * wn, c * we - s * wn, down
         distance[b] = math.copysign(math.hypot(de, dn), s * de + c * dn)
+
+
+@jit
+def all_finite(position, velocity, heading, arc):  # type: ignore[no-untyped-def]
+    """Whether all entries of (B, 3), (B, 3), (B,) and (B,) are finite."""
+    for b in range(heading.shape[0]):
+        total = heading[b] + arc[b]
+        for k in range(3):
+            total += position[b, k] + velocity[b, k]
+        if not math.isfinite(total):  # an infinity or a NaN stays in a sum
+            return False
+    return True

@@ -9,6 +9,8 @@ import numpy as np
 
 from lanebound.agents.bench.rows import Row, alternate
 from lanebound.integrity.sensors import gnss_kernel, imu, odometer
+from lanebound.integrity.sensors.area import initial_area
+from lanebound.integrity.sensors.corrections import CorrectionsConfig
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.gnss import GnssConfig, initial_state, observe
 from lanebound.integrity.sky.view import SkyView
@@ -41,10 +43,11 @@ def _truth(batch: int) -> Truth:
 def _gnss(batch: int) -> Callable[[], int]:
     config, sky, truth, streams = GnssConfig(), _sky(batch), _truth(batch), Streams(1, batch)
     state, none, age = initial_state(config, sky, streams), FaultEffects.none(batch, SATELLITES), np.zeros(batch)
+    area = initial_area(config, CorrectionsConfig(), SATELLITES, DT_S, Streams(2, batch)).signals
     reception = Reception(np.zeros((batch, SATELLITES), dtype=np.uint8), np.zeros((batch, SATELLITES)))
 
     def work() -> int:
-        observe(config, state, sky, reception, truth, age, none, streams)
+        observe(config, state, sky, reception, truth, age, none, streams, area)
         return batch
 
     return work

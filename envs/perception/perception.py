@@ -103,7 +103,7 @@ class Perception:
     def _admit(self, vehicles: Vehicles) -> None:
         """Clear slots that other vehicles take over and those they had before, and note how large everybody is."""
         slot = vehicles.slot
-        if not np.array_equal(slot, self._slot):
+        if slot.shape != self._slot.shape or (slot != self._slot).any():
             self._slot = _require_slots(slot, self.capacity)
         new = self._key[slot] != vehicles.key
         if new.any():

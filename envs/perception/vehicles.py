@@ -58,16 +58,24 @@ class Claims:
     initialised: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, solution: Solution) -> Claims:
-        """The claims of C navigators, in the plane; the course is told as the heading: it is where the vehicle goes."""
-        return cls(
-            position_m=xy_of(solution.position_en_m),
-            heading_rad=heading_of(_course_rad(solution)),
-            speed_mps=solution.speed_mps,
-            pl_at_m=solution.pl_at_m,
-            pl_ct_m=solution.pl_ct_m,
-            initialised=solution.mode != Mode.NONE.value,
-        )
+    def of(cls, solution: Solution, silent: int = 0) -> Claims:
+        """The claims of navigators, in the plane, and of ``silent`` rows more that claim nothing.
+
+        The course is told as the heading: it is where the vehicle goes.
+        """
+        n = solution.mode.shape[0]
+        claims = cls.silent(n + silent)
+        claims.position_m[:n] = xy_of(solution.position_en_m)
+        claims.heading_rad[:n] = heading_of(_course_rad(solution))
+        claims.speed_mps[:n], claims.initialised[:n] = solution.speed_mps, solution.mode != Mode.NONE.value
+        claims.pl_at_m[:n], claims.pl_ct_m[:n] = solution.pl_at_m, solution.pl_ct_m
+        return claims
+
+    @classmethod
+    def silent(cls, slots: int) -> Claims:
+        """Nobody says anything."""
+        heading, speed, pl_at, pl_ct = np.zeros((4, slots))
+        return cls(np.zeros((slots, 2)), heading, speed, pl_at, pl_ct, np.zeros(slots, dtype=np.bool_))
 
 
 def _course_rad(solution: Solution) -> Array:

@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.accel import jit
+from lanebound.integrity.lanes_kernel import WIDTH, absolute, fma, load, maximum, padded, root_of, spread, store, total
 from lanebound.integrity.monitoring.geometry_kernel import (
+    ACCURACY,
     B0_AT,
     B0_CT,
     BIAS_AT,
@@ -29,6 +31,7 @@ from lanebound.integrity.monitoring.geometry_kernel import (
     C_AT,
     C_COUNT,
     C_CT,
+    C_INVERSE,
     C_LOG_PRIOR,
     C_PRIOR,
     C_V,
@@ -43,7 +46,7 @@ from lanebound.integrity.monitoring.geometry_kernel import (
     DELTA_AT,
     DELTA_CT,
     FREE,
-    GROUP_B,
+    GROUP_CLOCK,
     GROUPS,
     GX,
     GY,
@@ -64,12 +67,13 @@ from lanebound.integrity.monitoring.geometry_kernel import (
     SIGMA_AT,
     SIGMA_CT,
     TESTED,
+    VARIANCE,
+    WB,
     WEIGHT,
     B,
     V,
     W,
     normal,
-    padded,
 )
 from lanebound.integrity.small_matrix_kernel import MAX_GROUPS, invert_upper
 
@@ -111,13 +115,13 @@ def modes(
     Columns filled, the fault-free one included. A mode that cannot be solved has SIGMA inf and the rest 0. Rows
     D_AT, D_CT are 0 unless ``solve`` was called. Row PRIOR is left to :func:`set_priors`.
     """
-    _prepare(group, accuracy, n, geo, head)
+    _prepare(accuracy, n, geo, head)
     mode[SIGMA_AT, 0], mode[SIGMA_CT, 0] = head[SIGMA0_AT], head[SIGMA0_CT]
     mode[BIAS_AT, 0], mode[BIAS_CT, 0] = head[B0_AT], head[B0_CT]
     mode[DELTA_AT, 0], mode[DELTA_CT, 0], mode[D_AT, 0], mode[D_CT, 0] = 0.0, 0.0, 0.0, 0.0
     _tested(group, accuracy, n, geo, head)
-    _satellites(variance, n, geo, head, mode)
-    _biases(group, n, geo, head, mode)
+    _satellites(n, geo, head, mode)
+    _biases(group, n, geo, mode)
     for k in range(n):
         if geo[FREE, k] < UNSOLVABLE_BELOW and head[CLOCKS + group[k] * CLOCK_STEP + C_COUNT] > 1.0:
             _unsolvable(k + 1, mode)
@@ -133,34 +137,35 @@ def modes(
 
 
 @jit
-def _prepare(group: Ints, accuracy: Array, n: int, geo: Array, head: Array) -> None:
+def _prepare(accuracy: Array, n: int, geo: Array, head: Array) -> None:
     """Rows and moments that make each mode cheap: ``w b g``, ``S b``, ``w^2 var_acc``."""
-    m = padded(n)
-    for g in range(MAX_GROUPS):
-        if head[CLOCKS + g * CLOCK_STEP + C_COUNT] > 0.0:
-            for i in range(m):
-                geo[GROUP_B + g, i] = 0.0
-            for i in range(C_V, C_VU + 1):
-                head[CLOCKS + g * CLOCK_STEP + i] = 0.0
     for i in range(n):
-        q = CLOCKS + group[i] * CLOCK_STEP
-        v = geo[W, i] * geo[W, i] * accuracy[i]
-        geo[V, i] = v
-        geo[GROUP_B + group[i], i] = geo[W, i] * geo[B, i]
-        head[q + C_V] += v
-        head[q + C_VE] += v * geo[GX, i]
-        head[q + C_VN] += v * geo[GY, i]
-        head[q + C_VU] += v * geo[GZ, i]
-    for i in range(m):
-        geo[BX, i] = geo[W, i] * geo[B, i] * geo[GX, i]
-    for i in range(m):
-        geo[BY, i] = geo[W, i] * geo[B, i] * geo[GY, i]
-    for i in range(m):
-        geo[BZ, i] = geo[W, i] * geo[B, i] * geo[GZ, i]
-    for i in range(m):
-        geo[SB_AT, i] = geo[S_AT, i] * geo[B, i]
-    for i in range(m):
-        geo[SB_CT, i] = geo[S_CT, i] * geo[B, i]
+        geo[ACCURACY, i] = accuracy[i]
+    for i in range(n, padded(n)):
+        geo[ACCURACY, i] = 0.0
+    for i in range(0, n, WIDTH):
+        b, w = load(geo, B, i), load(geo, W, i)
+        wb = w * b
+        store(w * w * load(geo, ACCURACY, i), geo, V, i)
+        store(wb, geo, WB, i)
+        store(wb * load(geo, GX, i), geo, BX, i)
+        store(wb * load(geo, GY, i), geo, BY, i)
+        store(wb * load(geo, GZ, i), geo, BZ, i)
+        store(load(geo, S_AT, i) * b, geo, SB_AT, i)
+        store(load(geo, S_CT, i) * b, geo, SB_CT, i)
+    for g in range(MAX_GROUPS):
+        q = CLOCKS + g * CLOCK_STEP
+        if head[q + C_COUNT] > 0.0:
+            v, ve, vn, vu = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+            for i in range(0, n, WIDTH):
+                share = load(geo, GROUP_CLOCK + g, i) * load(geo, V, i)
+                v += share
+                ve, vn = fma(share, load(geo, GX, i), ve), fma(share, load(geo, GY, i), vn)
+                vu = fma(share, load(geo, GZ, i), vu)
+            weight = 1.0 / head[q + C_INVERSE]
+            head[q + C_V] = weight * total(v)
+            head[q + C_VE], head[q + C_VN] = 2.0 * weight * total(ve), 2.0 * weight * total(vn)
+            head[q + C_VU] = 2.0 * weight * total(vu)
 
 
 @jit
@@ -170,20 +175,20 @@ def _tested(group: Ints, accuracy: Array, n: int, geo: Array, head: Array) -> No
     A satellite alone with its clock moves nothing: its c is 0, and so is its separation.
     """
     ee, en, eu, nn, nu, uu = normal(geo, n, V)
-    for k in range(n):
-        q = CLOCKS + group[k] * CLOCK_STEP
-        clock = geo[CLOCK, k]
-        cross = geo[HX, k] * head[q + C_VE] + geo[HY, k] * head[q + C_VN] + geo[HZ, k] * head[q + C_VU]
-        geo[TESTED, k] = clock * (2.0 * cross + clock * head[q + C_V]) + accuracy[k] * (2.0 * geo[FREE, k] - 1.0)
-    for k in range(n):
-        x, y, z = geo[HX, k], geo[HY, k], geo[HZ, k]
-        geo[TESTED, k] += x * (ee * x + 2.0 * (en * y + eu * z)) + y * (nn * y + 2.0 * nu * z) + uu * z * z
-    for k in range(n):
-        geo[TESTED, k] = math.sqrt(max(geo[TESTED, k], 0.0))
-    for k in range(n):
-        inverse = 1.0 / geo[FREE, k]
-        geo[C_AT, k] = geo[S_AT, k] * inverse
-        geo[C_CT, k] = geo[S_CT, k] * inverse
+    for k in range(0, n, WIDTH):
+        x, y, z, free = load(geo, HX, k), load(geo, HY, k), load(geo, HZ, k), load(geo, FREE, k)
+        vx, vy, vz = fma(x, ee, y * (2.0 * en)), fma(y, nn, z * (2.0 * nu)), fma(z, uu, x * (2.0 * eu))
+        square = fma(load(geo, ACCURACY, k), fma(free, 2.0, -1.0), fma(x, vx, fma(y, vy, z * vz)))
+        for g in range(MAX_GROUPS):
+            q = CLOCKS + g * CLOCK_STEP
+            if head[q + C_COUNT] > 0.0:
+                clock = load(geo, GROUP_CLOCK + g, k)
+                cross = fma(x, head[q + C_VE], fma(y, head[q + C_VN], fma(z, head[q + C_VU], clock * head[q + C_V])))
+                square = fma(clock, cross, square)
+        inverse = 1.0 / free
+        store(root_of(maximum(square, 0.0)), geo, TESTED, k)
+        store(load(geo, S_AT, k) * inverse, geo, C_AT, k)
+        store(load(geo, S_CT, k) * inverse, geo, C_CT, k)
     for k in range(n):
         if geo[FREE, k] < CAREFUL_BELOW:
             if head[CLOCKS + group[k] * CLOCK_STEP + C_COUNT] == 1.0:
@@ -193,21 +198,18 @@ def _tested(group: Ints, accuracy: Array, n: int, geo: Array, head: Array) -> No
 
 
 @jit
-def _satellites(variance: Array, n: int, geo: Array, head: Array, mode: Array) -> None:
+def _satellites(n: int, geo: Array, head: Array, mode: Array) -> None:
     """Standard deviations and separations of the single-satellite modes."""
     var_at, var_ct = head[SIGMA0_AT] * head[SIGMA0_AT], head[SIGMA0_CT] * head[SIGMA0_CT]
-    for k in range(n):
-        mode[SIGMA_AT, k + 1] = math.sqrt(var_at + geo[C_AT, k] * geo[C_AT, k] * geo[FREE, k] * variance[k])
-    for k in range(n):
-        mode[SIGMA_CT, k + 1] = math.sqrt(var_ct + geo[C_CT, k] * geo[C_CT, k] * geo[FREE, k] * variance[k])
-    for k in range(n):
-        mode[DELTA_AT, k + 1] = abs(geo[C_AT, k]) * geo[TESTED, k]
-    for k in range(n):
-        mode[DELTA_CT, k + 1] = abs(geo[C_CT, k]) * geo[TESTED, k]
-    for k in range(n):
-        mode[D_AT, k + 1] = geo[C_AT, k] * geo[RESIDUAL, k]
-    for k in range(n):
-        mode[D_CT, k + 1] = geo[C_CT, k] * geo[RESIDUAL, k]
+    for k in range(0, n, WIDTH):
+        c_at, c_ct, residual = load(geo, C_AT, k), load(geo, C_CT, k), load(geo, RESIDUAL, k)
+        free, tested = load(geo, FREE, k) * load(geo, VARIANCE, k), load(geo, TESTED, k)
+        store(root_of(fma(c_at * c_at, free, var_at)), mode, SIGMA_AT, k + 1)
+        store(root_of(fma(c_ct * c_ct, free, var_ct)), mode, SIGMA_CT, k + 1)
+        store(absolute(c_at) * tested, mode, DELTA_AT, k + 1)
+        store(absolute(c_ct) * tested, mode, DELTA_CT, k + 1)
+        store(c_at * residual, mode, D_AT, k + 1)
+        store(c_ct * residual, mode, D_CT, k + 1)
 
 
 @jit
@@ -232,22 +234,22 @@ def _unsolvable(column: int, mode: Array) -> None:
 
 
 @jit
-def _biases(group: Ints, n: int, geo: Array, head: Array, mode: Array) -> None:
-    """``sum_j abs([R S_k]_qj) b_j`` of every single-satellite mode: the inner loop of the room.
+def _biases(group: Ints, n: int, geo: Array, mode: Array) -> None:
+    """``sum_j abs([R S_k]_qj) b_j`` of every single-satellite mode: the inner loop of the room, one mode in each lane.
 
     The sum runs over all satellites and the removed one's own term, ``abs(c_qk) b_k``, is taken off again.
     """
-    m = padded(n)
-    for k in range(n):
-        c_at, c_ct = geo[C_AT, k], geo[C_CT, k]
-        x, y, z, clock, own = geo[HX, k], geo[HY, k], geo[HZ, k], geo[CLOCK, k], GROUP_B + group[k]
-        at, ct = 0.0, 0.0
-        for j in range(m):
-            level = x * geo[BX, j] + y * geo[BY, j] + z * geo[BZ, j] + clock * geo[own, j]
-            at += abs(geo[SB_AT, j] + c_at * level)
-            ct += abs(geo[SB_CT, j] + c_ct * level)
-        mode[BIAS_AT, k + 1] = max(at - abs(c_at) * geo[B, k], 0.0)
-        mode[BIAS_CT, k + 1] = max(ct - abs(c_ct) * geo[B, k], 0.0)
+    for k in range(0, n, WIDTH):
+        c_at, c_ct, b = load(geo, C_AT, k), load(geo, C_CT, k), load(geo, B, k)
+        x, y, z = load(geo, HX, k), load(geo, HY, k), load(geo, HZ, k)
+        at, ct = spread(0.0), spread(0.0)
+        for j in range(n):
+            level = load(geo, GROUP_CLOCK + group[j], k) * geo[WB, j]
+            level = fma(x, geo[BX, j], fma(y, geo[BY, j], fma(z, geo[BZ, j], level)))
+            at += absolute(fma(c_at, level, geo[SB_AT, j]))
+            ct += absolute(fma(c_ct, level, geo[SB_CT, j]))
+        store(maximum(at - absolute(c_at) * b, 0.0), mode, BIAS_AT, k + 1)
+        store(maximum(ct - absolute(c_ct) * b, 0.0), mode, BIAS_CT, k + 1)
 
 
 @jit
@@ -325,7 +327,7 @@ def _published_biases(
         level = 0.0
         for j in range(n):
             level += geo[HX, k] * geo[BX, j] + geo[HY, k] * geo[BY, j] + geo[HZ, k] * geo[BZ, j]
-            level += geo[CLOCK, k] * geo[GROUP_B + group[k], j]
+            level += geo[GROUP_CLOCK + group[j], k] * geo[WB, j]
         if mode[SIGMA_AT, k + 1] < np.inf:
             alone = head[CLOCKS + group[k] * CLOCK_STEP + C_COUNT] == 1.0
             drop = 0.0 if alone else geo[W, k] / geo[FREE, k] * (geo[B, k] - level)
@@ -359,8 +361,8 @@ def set_priors(
 ) -> None:
     """Rows PRIOR, LOG_PRIOR, WEIGHT from the priors of each group, ``satellite`` and ``constellation`` (MAX_GROUPS,).
 
-    The fault-free column gets 2: both sides of its error count (S2 eq 10). WEIGHT is 0 and head[LOST] collects the
-    prior where a mode has no solution.
+    The fault-free column gets 2: both sides of its error count (S2 eq 10). Where a mode has no solution WEIGHT is 0,
+    LOG_PRIOR -inf, and head[LOST] collects the prior.
     """
     last, logarithm = 0.0, -np.inf
     for g in range(MAX_GROUPS):
@@ -380,9 +382,10 @@ def set_priors(
             column += 1
     lost = 0.0
     for k in range(count):
-        solved = mode[SIGMA_AT, k] < np.inf
-        mode[WEIGHT, k] = mode[PRIOR, k] if solved else 0.0
-        lost += 0.0 if solved else mode[PRIOR, k]
+        mode[WEIGHT, k] = mode[PRIOR, k]
+        if not mode[SIGMA_AT, k] < np.inf:
+            lost += mode[PRIOR, k]
+            mode[WEIGHT, k], mode[LOG_PRIOR, k] = 0.0, -np.inf
     head[LOST] = lost
 
 

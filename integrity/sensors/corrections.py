@@ -2,10 +2,21 @@
 
 The reference measures every ``interval_s``; each message arrives ``latency_s`` later unless the link is in an outage.
 What the rover holds then ages, and the rover itself decides how old is too old.
+
+Outages are of the network, which all vehicles of an area suffer at once, or of a vehicle's own reception. Together they
+keep one law: the link is down for ``lambda m / (1 + lambda m)`` of the time, lambda the rate of outages while it is up
+and m their mean length. With a share of the rate lambda_1 = share lambda in the network, receptions fail at
+
+    lambda_2 = (lambda - lambda_1) / ((1 + lambda_1 m) kappa),   kappa = E[D exp(-lambda_1 D)] / m
+
+of which the share kappa takes place, the rest would overlap an outage of the network. A link begins as it is found at
+any time: in an outage with the probability above, of which a residual life is left (lengths drawn in proportion to
+themselves, the place in them uniform). The rover has just been switched on: it holds nothing until the first message.
 """
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,16 +24,26 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from scipy.special import ndtri
 
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.sensors import corrections_kernel as kernel
 from lanebound.integrity.streams import Streams
 
-__all__ = ["CorrectionsConfig", "CorrectionsState", "initial_state", "step"]
+__all__ = [
+    "CorrectionsConfig",
+    "CorrectionsState",
+    "NetworkState",
+    "advance_network",
+    "initial_network",
+    "initial_state",
+    "step",
+]
 
 Array = NDArray[np.float64]
 NO_DRAWS: Array = np.empty(0)
+QUANTILES = 1024  # of the length of an outage, for what is found at the start
 
 
 class CorrectionsConfig(Config):
@@ -34,48 +55,165 @@ class CorrectionsConfig(Config):
     outage_median_s: float = Field(11.5, gt=0, description="median length of an outage [s]; fits S1 section 5")
     outage_log_sd: float = Field(0.8, ge=0, description="1-sigma of the length's logarithm [-]; fits S1 section 5")
     outage_max_s: float = Field(49.2, gt=0, description="longest outage [s]; S1 section 5, longer draws are cut off")
+    network_share: float = Field(
+        0.5, ge=0, le=1, description="share of outages that strike all vehicles of an area [-]; argued: server or radio"
+    )
+
+
+@dataclass
+class NetworkState:
+    """The networks of A areas, counted in whole epochs of a common clock so that nothing drifts.
+
+    Attributes
+    ----------
+    epoch : epochs since the clock's zero
+    message : number of the newest reference epoch whose message has been due, -1 before the first
+    fresh : that message was due in the last epoch
+    up : (A,) bool, the network carried messages in the last epoch
+    outage_left : (A,) int64, epochs for which the present outage still lasts
+    until : (A,) int64, epochs until the next outage
+    """
+
+    epoch: int
+    message: int
+    fresh: bool
+    up: NDArray[np.bool_]
+    outage_left: NDArray[np.int64]
+    until: NDArray[np.int64]
+
+    def copy(self) -> NetworkState:
+        """An independent copy."""
+        return copy.deepcopy(self)
 
 
 @dataclass
 class CorrectionsState:
-    """The link of B vehicles, counted in whole epochs so that nothing drifts.
+    """The reception of B vehicles.
 
     Attributes
     ----------
-    epoch : (B,) int64, epochs since the start
-    due : (B,) int64, number of the newest reference epoch whose message has been due, -1 before the first
     newest : (B,) int64, number of the newest reference epoch received, -1 before the first
-    outage_left : (B,) int64, epochs for which the present outage still lasts
+    outage_left : (B,) int64, epochs for which the present outage of one's own still lasts
+    up : (B,) bool, the link carried messages in the last epoch
     """
 
-    epoch: NDArray[np.int64]
-    due: NDArray[np.int64]
     newest: NDArray[np.int64]
     outage_left: NDArray[np.int64]
+    up: NDArray[np.bool_]
 
     def copy(self) -> CorrectionsState:
         """An independent copy."""
-        return CorrectionsState(self.epoch.copy(), self.due.copy(), self.newest.copy(), self.outage_left.copy())
+        return copy.deepcopy(self)
 
 
-def initial_state(batch: int) -> CorrectionsState:
-    """The links of ``batch`` vehicles that have just been switched on, at a reference epoch."""
-    if batch < 1:
-        raise InputError(f"batch must be >= 1, got {batch}: pass the number of vehicles")
-    zero = np.zeros(batch, dtype=np.int64)
-    return CorrectionsState(epoch=zero, due=zero - 1, newest=zero - 1, outage_left=zero.copy())
+@dataclass(frozen=True)
+class _Law:
+    """Outages in epochs: the kernel's columns, lengths by quantile, and how likely one is found at the start."""
+
+    par: Array
+    length: NDArray[np.int64]
+    network_down: float
+    own_down: float
+
+
+@lru_cache(maxsize=64)
+def _law(config: CorrectionsConfig, dt_s: float) -> _Law:
+    normal = ndtri((np.arange(QUANTILES) + 0.5) / QUANTILES)
+    length_s = np.minimum(config.outage_median_s * np.exp(config.outage_log_sd * normal), config.outage_max_s)
+    length = np.maximum(np.ceil(length_s / dt_s - kernel.ROUNDING), 1.0)
+    rate = config.outage_per_h / 3600.0
+    network, mean = config.network_share * rate, dt_s * float(length.mean())
+    fits = np.exp(-network * dt_s * length)
+    kappa = max(float((length * fits).mean() / length.mean()), 0.1)
+    own = (rate - network) / ((1.0 + network * mean) * kappa)
+    odds = own * mean * kappa
+    lasts = float((-np.expm1(-network * dt_s * length)).mean()) / (network * mean) if network > 0.0 else 1.0
+    outage = (config.outage_median_s, config.outage_log_sd, config.outage_max_s)
+    return _Law(
+        par=np.array([config.latency_s, config.interval_s, -math.expm1(-own * dt_s), network, *outage]),
+        length=length.astype(np.int64),
+        network_down=network * mean / (1.0 + network * mean),
+        own_down=odds / (1.0 + odds) / lasts,
+    )
+
+
+def _residual(law: _Law, u: Array) -> NDArray[np.int64]:
+    """Epochs left of an outage that is under way, from two uniforms: u (..., 2) -> (...,)."""
+    share = np.cumsum(law.length) / law.length.sum()
+    length = law.length[np.minimum(np.searchsorted(share, u[..., 0], side="right"), QUANTILES - 1)]
+    return np.asarray(1 + np.floor(u[..., 1] * length), dtype=np.int64)
+
+
+def initial_network(config: CorrectionsConfig, dt_s: float, streams: Streams) -> NetworkState:
+    """The networks of ``streams.batch`` areas at zero of the clock, as they are found at any time.
+
+    Raises
+    ------
+    InputError
+        When ``dt_s`` is not positive.
+    """
+    if not dt_s > 0.0:
+        raise InputError(f"dt_s must be positive, got {dt_s}: pass the length of the epoch in seconds")
+    law, u, z = _law(config, dt_s), streams.uniform("network", 3), streams.normal("network")
+    down = u[:, 0] < law.network_down
+    return NetworkState(
+        epoch=0,
+        message=-1,
+        fresh=False,
+        up=~down,
+        outage_left=np.where(down, _residual(law, u[:, 1:]), 0),
+        until=np.array([0 if d else 1 + kernel.quiet_epochs(law.par, dt_s, q) for d, q in zip(down, z, strict=True)]),
+    )
+
+
+def advance_network(config: CorrectionsConfig, network: NetworkState, dt_s: float, streams: Streams) -> None:
+    """Advance the networks by one epoch, in place; ``streams`` are those of the areas."""
+    law = _law(config, dt_s)
+    network.epoch += 1
+    arrived = math.floor((network.epoch * dt_s - config.latency_s) / config.interval_s + kernel.ROUNDING)
+    network.fresh = arrived > network.message
+    network.message = max(arrived, network.message)
+    if config.outage_per_h > 0.0:
+        z = streams.normal("network", 2)
+        kernel.advance_network(law.par, dt_s, z, network.outage_left, network.until, network.up)
+
+
+def initial_state(config: CorrectionsConfig, network: NetworkState, dt_s: float, streams: Streams) -> CorrectionsState:
+    """The reception of ``streams.batch`` vehicles that are switched on in these networks.
+
+    Raises
+    ------
+    InputError
+        When there are neither one network nor as many as vehicles.
+    """
+    batch = streams.batch
+    if network.up.shape[0] not in (1, batch):
+        raise InputError(f"network must be of 1 or {batch} areas, got {network.up.shape[0]}: make both agree")
+    law, u = _law(config, dt_s), streams.uniform("corrections", 3)
+    left = _residual(law, u[:, 1:])
+    down = (u[:, 0] < law.own_down) & network.up & (left <= network.until)
+    return CorrectionsState(
+        newest=np.full(batch, -1, dtype=np.int64), outage_left=np.where(down, left, 0), up=network.up & ~down
+    )
 
 
 def step(
-    config: CorrectionsConfig, state: CorrectionsState, dt_s: float, lost: NDArray[np.bool_], streams: Streams
+    config: CorrectionsConfig,
+    state: CorrectionsState,
+    network: NetworkState,
+    dt_s: float,
+    lost: NDArray[np.bool_],
+    streams: Streams,
 ) -> Array:
     """Age of the newest reference data at the end of an epoch; ``state`` advances in place.
 
-    Outages begin as a Poisson process while the link is up and last ``min(median exp(sd z), max)``. With no outage the
-    age runs from ``latency`` to ``latency + interval - dt``, again and again.
+    Outages last ``min(median exp(sd z), max)``. With no outage the age runs from ``latency`` to
+    ``latency + interval - dt``, again and again.
 
     Parameters
     ----------
+    network : NetworkState
+        Of one area or one for each vehicle, advanced to this epoch.
     dt_s : float, length of an epoch, the same in every call
     lost : (B,) bool, the link is cut by a fault
 
@@ -86,25 +224,25 @@ def step(
     Raises
     ------
     InputError
-        When ``dt_s`` is not positive, or ``lost`` or the streams serve another number of vehicles than ``state``.
+        When ``lost``, the streams or the networks serve another number of vehicles than ``state``.
     """
-    if not dt_s > 0.0:
-        raise InputError(f"dt_s must be positive, got {dt_s}: pass the length of the epoch in seconds")
-    batch = state.epoch.shape[0]
-    if lost.shape != (batch,) or streams.batch != batch:
-        raise InputError(f"lost and streams must serve {batch} vehicles, got {lost.shape} and {streams.batch}")
+    batch = state.newest.shape[0]
+    if lost.shape != (batch,) or streams.batch != batch or network.up.shape[0] not in (1, batch):
+        raise InputError(
+            f"lost, streams and network must serve {batch} vehicles, got {lost.shape}, {streams.batch} and "
+            f"{network.up.shape[0]} areas"
+        )
     u = z = NO_DRAWS
     if config.outage_per_h > 0.0:
         u, z = streams.uniform("corrections"), streams.normal("corrections")
     age = np.empty(batch)
-    par = _parameters(config, dt_s)
-    kernel.advance(par, dt_s, u, z, lost, state.epoch, state.due, state.newest, state.outage_left, age)
+    kernel.advance(
+        parameters(config, dt_s), network.epoch * dt_s, dt_s, network.message, network.fresh, u, z, lost, network.up,
+        network.until, state.newest, state.outage_left, state.up, age,
+    )  # fmt: skip
     return age
 
 
-@lru_cache(maxsize=64)
-def _parameters(config: CorrectionsConfig, dt_s: float) -> Array:
+def parameters(config: CorrectionsConfig, dt_s: float) -> Array:
     """The configuration in the kernel's columns."""
-    onset = -math.expm1(-config.outage_per_h * dt_s / 3600.0)
-    outage = (config.outage_median_s, config.outage_log_sd, config.outage_max_s)
-    return np.array([config.latency_s, config.interval_s, onset, *outage])
+    return _law(config, dt_s).par

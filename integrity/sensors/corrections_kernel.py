@@ -1,4 +1,4 @@
-"""The reference link of one vehicle over one epoch."""
+"""The reference link over one epoch: the network that all vehicles of an area share, and each one's own reception."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ import math
 from lanebound.integrity.accel import jit
 
 # columns of ``par``
-LATENCY_S, INTERVAL_S, ONSET_PROBABILITY, MEDIAN_S, LOG_SD, MAX_S = range(6)
+LATENCY_S, INTERVAL_S, ONSET_PROBABILITY, NETWORK_RATE, MEDIAN_S, LOG_SD, MAX_S = range(7)
 ROUNDING = 1e-9  # share of an epoch or interval that floating-point division may be short of a whole number
+FOREVER = 2**60  # epochs
 
 
 @jit
@@ -19,18 +20,47 @@ def outage_epochs(par, dt, z):  # type: ignore[no-untyped-def]
 
 
 @jit
-def advance(par, dt, u, z, lost, epoch, due, newest, outage_left, age):  # type: ignore[no-untyped-def]
-    """All vehicles, (B,) each: the state advances in place, ``age`` is filled; empty ``u``, ``z`` mean no outages."""
-    for v in range(epoch.shape[0]):
-        epoch[v] += 1
-        if u.shape[0] > 0 and outage_left[v] == 0 and u[v] < par[ONSET_PROBABILITY]:
-            outage_left[v] = outage_epochs(par, dt, z[v])
-        up = outage_left[v] == 0
-        if not up:
+def quiet_epochs(par, dt, z):  # type: ignore[no-untyped-def]
+    """Whole epochs until the network fails again, exponential at its rate, from a standard normal."""
+    if not par[NETWORK_RATE] > 0.0:
+        return FOREVER
+    tail = max(0.5 * math.erfc(z / math.sqrt(2.0)), 1e-300)
+    return math.floor(-math.log(tail) / (par[NETWORK_RATE] * dt))
+
+
+@jit
+def advance_network(par, dt, z, outage_left, until, up):  # type: ignore[no-untyped-def]
+    """The networks of A areas, (A,) each, z (A, 2): outages alternate with quiet; ``up`` is filled."""
+    for a in range(up.shape[0]):
+        if outage_left[a] == 0 and until[a] == 0:
+            outage_left[a] = outage_epochs(par, dt, z[a, 1])
+        up[a] = outage_left[a] == 0
+        if up[a]:
+            until[a] -= 1
+            continue
+        outage_left[a] -= 1
+        if outage_left[a] == 0:
+            until[a] = quiet_epochs(par, dt, z[a, 0])
+
+
+@jit
+def advance(  # type: ignore[no-untyped-def]
+    par, now, dt, message, fresh, u, z, lost, network_up, until, newest, outage_left, up, age
+):  # fmt: skip
+    """All vehicles, (B,) each, at time ``now``: state advances in place, ``age`` is filled; empty ``u``: no outages.
+
+    An outage of one's own that would run into one of the network does not take place: lengths keep their law.
+    """
+    areas = network_up.shape[0]
+    for v in range(up.shape[0]):
+        a = v % areas
+        if u.shape[0] > 0 and outage_left[v] == 0 and network_up[a] and u[v] < par[ONSET_PROBABILITY]:
+            length = outage_epochs(par, dt, z[v])
+            if length <= until[a]:
+                outage_left[v] = length
+        up[v] = network_up[a] and outage_left[v] == 0
+        if outage_left[v] > 0:
             outage_left[v] -= 1
-        arrived = math.floor((epoch[v] * dt - par[LATENCY_S]) / par[INTERVAL_S] + ROUNDING)
-        if arrived > due[v]:
-            due[v] = arrived
-            if up and not lost[v]:
-                newest[v] = arrived
-        age[v] = epoch[v] * dt - newest[v] * par[INTERVAL_S] if newest[v] >= 0 else math.inf
+        if fresh and up[v] and not lost[v]:
+            newest[v] = message
+        age[v] = now - newest[v] * par[INTERVAL_S] if newest[v] >= 0 else math.inf

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
@@ -15,6 +16,7 @@ from lanebound.integrity.accel import use_parallel
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.sensors import gnss_kernel as gk
+from lanebound.integrity.sensors.clock import OCXO_H0, OCXO_HM2, TCXO_H0, TCXO_HM2, clock_gains
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sky.systems import N_SYSTEMS, WAVELENGTH_M
 from lanebound.integrity.sky.view import SkyView
@@ -22,7 +24,7 @@ from lanebound.integrity.sky.visibility import Reception
 from lanebound.integrity.streams import Streams
 from lanebound.integrity.truth import Truth
 
-__all__ = ["GnssConfig", "GnssEpoch", "GnssState", "initial_state", "observe"]
+__all__ = ["AreaSignals", "GnssConfig", "GnssEpoch", "GnssState", "initial_state", "observe"]
 
 Array = NDArray[np.float64]
 
@@ -55,8 +57,27 @@ class GnssEpoch:
     corrections_age_s: Array
 
 
+@dataclass
+class AreaSignals:
+    """What reaches all receivers of an area alike; A is 1, or the number of vehicles when each has an area of its own.
+
+    memory (A, S, NA) are the columns ``A_*`` of :mod:`.gnss_kernel`, clock (A, 2) the station's clock [m], [m/s],
+    reference_enu_m (A, 3) the error of its coordinates.
+    """
+
+    memory: Array
+    clock: Array
+    reference_enu_m: Array
+
+
 class GnssConfig(Config):
-    """What the receiver and its signals really do (positioning declares its own bounds of these)."""
+    """What the receiver and its signals really do (positioning declares its own bounds of these).
+
+    Figures called differenced are of rover minus station. Of their variance the station brings its own share, the
+    ``station_`` figures, or half where that is less: the share of two equal receivers, as RTKLIB takes them (``varerr``
+    in rtkpos.c doubles the variance of one). It depends on the elevation alone, for the station stands in the open;
+    the rover has the rest, so that the whole is as stated.
+    """
 
     bands: tuple[Literal[0, 1, 2], ...] = Field(
         (0, 1), min_length=1, max_length=2, description="bands tracked: L1, L2, L5"
@@ -90,6 +111,19 @@ class GnssConfig(Config):
         ge=0,
         description="share of a late signal's excess that reaches the code [-]; 1 = consumer single-frequency",
     )
+    station_code_m: float = Field(
+        0.1, ge=0, description="the station's part of code_sigma_m [m]; argued: a survey receiver"
+    )
+    station_phase_m: float = Field(0.002, ge=0, description="the station's part of phase_sigma_m [m]; argued likewise")
+    station_code_multipath_m: float = Field(
+        0.1, ge=0, description="the station's part of code_multipath_m [m]; argued: survey antenna on a roof"
+    )
+    station_phase_multipath_m: float = Field(
+        0.001, ge=0, description="the station's part of phase_multipath_m [m]; argued likewise"
+    )
+    station_multipath_tau_s: float = Field(
+        120.0, gt=0, description="its correlation time [s]; argued: minutes, nothing moves but the satellites"
+    )
     baseline_km: float = Field(3.0, ge=0, description="distance to the reference station [km]; S1: a few kilometres")
     iono_ppm: float = Field(
         0.5, ge=0, description="differential ionosphere, 1 sigma [mm/km]; quiet days at mid-latitudes"
@@ -119,13 +153,32 @@ class GnssConfig(Config):
         ge=0,
         description="time until a half cycle is corrected [s]; a subframe, whose preamble shows the sign, IS-GPS-200",
     )
-    clock_m: float = Field(100.0, ge=0, description="receiver clocks of each system, band and observable, 1 sigma [m]")
-    drift_mps: float = Field(1.0, ge=0, description="receiver clock drift, 1 sigma [m/s]")
+    clock_m: float = Field(100.0, ge=0, description="delays of each system, band and observable, 1 sigma [m]")
+    drift_mps: float = Field(
+        100.0,
+        ge=0,
+        description="receiver clock drift at the start, 1 sigma [m/s]; 0.3 ppm, a TCXO keeps within 0.5 to 2",
+    )
+    clock_h0: float = Field(TCXO_H0, ge=0, description="white frequency noise of the receiver's clock [s]; TCXO")
+    clock_hm2: float = Field(TCXO_HM2, ge=0, description="its random walk of frequency, h-2 [Hz]; TCXO")
+    station_clock_h0: float = Field(OCXO_H0, ge=0, description="white frequency noise of the station's clock [s]; OCXO")
+    station_clock_hm2: float = Field(OCXO_HM2, ge=0, description="its random walk of frequency, h-2 [Hz]; OCXO")
     reference_offset_m: float = Field(
         0.0,
         ge=0,
         description="horizontal error of the reference coordinates, in a direction of chance [m]; datum, antenna",
     )
+
+    @property
+    def station_parts(self) -> dict[int, float]:
+        """1-sigma of the station's part of code, phase and their multipath [m], by column of the kernel's ``cfg``."""
+        half = math.sqrt(0.5)
+        return {
+            gk.STATION_CODE: min(self.station_code_m, half * self.code_sigma_m),
+            gk.STATION_PHASE: min(self.station_phase_m, half * self.phase_sigma_m),
+            gk.STATION_CODE_MP: min(self.station_code_multipath_m, half * self.code_multipath_m),
+            gk.STATION_PHASE_MP: min(self.station_phase_multipath_m, half * self.phase_multipath_m),
+        }
 
     def packed(self, dt_s: float) -> Array:
         """The figures in the columns of the kernel's ``cfg``."""
@@ -144,25 +197,22 @@ class GnssConfig(Config):
             gk.TROPO_SIGMA: 1e-3 * self.tropo_ppm * self.baseline_km,
             gk.ORBIT_SIGMA: 1e-3 * self.orbit_ppm * self.baseline_km, gk.SLIP_RATE: self.slips_per_h / 3600.0,
             gk.SLIP_CN0: 40.0, gk.SLIP_DECADE: self.slip_decade_db, gk.UNANNOUNCED: self.unannounced,
-            gk.HALF_SHARE: self.half_share, gk.HALF_RESOLVE: self.half_cycle_resolve_s + 1e-9,
+            gk.HALF_SHARE: self.half_share, gk.HALF_RESOLVE: self.half_cycle_resolve_s + 1e-9, **self.station_parts,
         }  # fmt: skip
         cfg[list(values)] = list(values.values())
         weakest_db = (cfg[gk.SLIP_CN0] - self.phase_min_dbhz) / self.slip_decade_db
         cfg[gk.SLIP_MOST] = dt_s * cfg[gk.SLIP_RATE] * 10.0**weakest_db
-        slow_s = gk.N_SLOW * dt_s
-        for decay, gain, step_s, tau_s in (
-            (gk.CN0_DECAY, gk.CN0_GAIN, dt_s, self.cn0_tau_s),
-            (gk.RATE_DECAY, gk.RATE_GAIN, dt_s, self.range_rate_tau_s),
-            (gk.IONO_DECAY, gk.IONO_GAIN, slow_s, self.iono_tau_s),
-            (gk.AGE_DECAY, gk.AGE_GAIN, slow_s, self.age_tau_s),
-            (gk.TROPO_DECAY, gk.TROPO_GAIN, slow_s, self.tropo_tau_s),
+        cfg[[gk.CLOCK_11, gk.CLOCK_21, gk.CLOCK_22]] = clock_gains(self.clock_h0, self.clock_hm2, dt_s)
+        for decay, gain, tau_s in (
+            (gk.CN0_DECAY, gk.CN0_GAIN, self.cn0_tau_s),
+            (gk.RATE_DECAY, gk.RATE_GAIN, self.range_rate_tau_s),
         ):
-            cfg[decay], cfg[gain] = np.exp(-step_s / tau_s), np.sqrt(-np.expm1(-2.0 * step_s / tau_s))
+            cfg[decay], cfg[gain] = np.exp(-dt_s / tau_s), np.sqrt(-np.expm1(-2.0 * dt_s / tau_s))
         return cfg
 
 
 @lru_cache(maxsize=64)
-def _tables(config: GnssConfig, dt_s: float) -> tuple[Array, Array, Array]:
+def tables(config: GnssConfig, dt_s: float) -> tuple[Array, Array, Array]:
     """The kernel's figures, and wavelengths and ionospheric delays (first band = 1) of the bands tracked."""
     wavelength = np.ascontiguousarray(WAVELENGTH_M[:, list(config.bands)])
     return config.packed(dt_s), wavelength, (wavelength / wavelength[:, :1]) ** 2
@@ -173,15 +223,13 @@ class GnssState:
     """What lasts in the signals from epoch to epoch; never shown to positioning.
 
     memory (B, S, NM) are the columns of :mod:`.gnss_kernel`, ambiguity (B, S, 2) counts half cycles, clock (B, systems,
-    5) holds code and phase clocks of both bands [m] and, at [0, 4], the drift [m/s]; reference_enu_m (B, 3) is the
-    error of the reference coordinates, epoch counts the epochs.
+    4) holds the delays of code and phase of both bands [m], oscillator (B, 2) offset [m] and drift [m/s].
     """
 
     memory: Array
     ambiguity: Array
     clock: Array
-    reference_enu_m: Array
-    epoch: int = 0
+    oscillator: Array
 
     def copy(self) -> GnssState:
         """An independent copy."""
@@ -190,16 +238,13 @@ class GnssState:
 
 def initial_state(config: GnssConfig, sky: SkyView, streams: Streams) -> GnssState:
     """Stationary error processes, random integers and clocks; the receiver has just been switched on."""
-    n_sat = len(sky.system)
-    z = streams.normal("gnss", n_sat, gk.N_INITIAL + 2)
+    z = streams.normal("gnss", len(sky.system), gk.N_INITIAL + 2)
     memory = np.zeros((*z.shape[:-1], gk.NM))
     memory[..., : gk.N_INITIAL] = z[..., : gk.N_INITIAL]
-    memory[..., [gk.M_CODE_S, gk.M_PHASE_S]] = 0.0
-    clock = config.clock_m * streams.normal("gnss", N_SYSTEMS, 5)
-    clock[:, 0, 4] *= config.drift_mps / max(config.clock_m, 1e-9)
-    azimuth = 2.0 * np.pi * streams.uniform("gnss")
-    offset = config.reference_offset_m * np.stack([np.sin(azimuth), np.cos(azimuth), np.zeros_like(azimuth)], -1)
-    return GnssState(memory, 2.0 * np.floor(1000.0 * z[..., gk.N_INITIAL :]), clock, offset)
+    clock = streams.normal("clock", N_SYSTEMS * 4 + 1)
+    oscillator = np.column_stack([np.zeros(streams.batch), config.drift_mps * clock[:, -1]])
+    delays = config.clock_m * clock[:, :-1].reshape(-1, N_SYSTEMS, 4)
+    return GnssState(memory, 2.0 * np.floor(1000.0 * z[..., gk.N_INITIAL :]), delays, oscillator)
 
 
 def observe(
@@ -211,6 +256,7 @@ def observe(
     age_s: Array,
     effects: FaultEffects,
     streams: Streams,
+    area: AreaSignals,
 ) -> GnssEpoch:
     """The receiver's output at the end of the epoch; advances ``state`` in place.
 
@@ -219,13 +265,14 @@ def observe(
     reception : how each signal arrives, (B, S)
     truth : position and velocity of the antenna
     age_s : (B,) age of the reference data
+    area : what this epoch brings to all receivers of an area
 
-    Draws a fixed number of normals and uniforms from stream "gnss", whatever is in view.
+    Draws a fixed number of normals and uniforms from streams "gnss" and "clock", whatever is in view.
 
     Raises
     ------
     InputError
-        When truth, sky, reception and streams disagree on the number of vehicles or satellites.
+        When truth, sky, reception, streams and area disagree on the number of vehicles or satellites.
     """
     batch, n_sat = truth.batch, len(sky.system)
     if not streams.batch == sky.batch == batch or reception.path.shape != (batch, n_sat):
@@ -233,18 +280,22 @@ def observe(
             f"truth holds {batch} vehicles, sky {sky.batch}, streams {streams.batch}, "
             f"reception {reception.path.shape}: make all the same batch"
         )
+    if area.memory.shape[0] not in (1, batch) or area.memory.shape[1] != n_sat:
+        raise InputError(
+            f"area must hold 1 or {batch} areas and {n_sat} satellites, got {area.memory.shape}: make both agree"
+        )
     z, u = streams.normal("gnss", n_sat, gk.N_NORMAL), streams.uniform("gnss", n_sat, gk.N_UNIFORM)
     tracked, lock_lost = np.zeros((2, batch, n_sat), dtype=np.bool_)
     code, phase = np.zeros((2, batch, n_sat, 2))
     range_rate, cn0 = np.zeros((2, batch, n_sat))
-    cfg, wavelength, dispersion = _tables(config, truth.dt_s)
-    state.epoch += 1
+    cfg, wavelength, dispersion = tables(config, truth.dt_s)
     run = gk.observe_parallel if use_parallel(batch) else gk.observe_serial
     run(
-        cfg, state.epoch % gk.N_SLOW, wavelength, dispersion, sky.los_enu, sky.above, sky.system, sky.index,
+        cfg, wavelength, dispersion, sky.los_enu, sky.above, sky.system, sky.index,
         reception.path, reception.excess_m, truth.position_enu_m + effects.spoof_enu_m, truth.velocity_enu_mps,
-        state.reference_enu_m + effects.reference_enu_m, age_s, effects.code_bias_m, effects.phase_bias_m,
-        effects.range_rate_bias_mps, effects.cn0_drop_db, effects.slip_cycles, state.clock, z, u, state.memory,
-        state.ambiguity, tracked, code, phase, range_rate, cn0, lock_lost,
+        area.reference_enu_m + effects.reference_enu_m, age_s, effects.code_bias_m, effects.phase_bias_m,
+        effects.range_rate_bias_mps, effects.cn0_drop_db, effects.slip_cycles, state.clock,
+        streams.normal("clock", 2), area.clock, z, u, area.memory, state.oscillator, state.memory, state.ambiguity,
+        tracked, code, phase, range_rate, cn0, lock_lost,
     )  # fmt: skip
     return GnssEpoch(tracked, code, phase, range_rate, cn0, lock_lost, age_s)

@@ -1,7 +1,8 @@
 """Signals of one receiver at one epoch: who is tracked, how strongly, and with which errors.
 
 ``cfg`` (NC,) holds the figures of :class:`~lanebound.integrity.sensors.gnss.GnssConfig`; ``z`` (S, N_NORMAL) standard
-normal and ``u`` (S, N_UNIFORM) uniform draws of this epoch; ``memory`` (S, NM) what lasts from epoch to epoch.
+normal and ``u`` (S, N_UNIFORM) uniform draws of this epoch; ``memory`` (S, NM) what lasts from epoch to epoch;
+``area`` (S, NA) what all receivers of an area have in common, of unit variance (:mod:`.area` advances it).
 """
 
 from __future__ import annotations
@@ -15,25 +16,26 @@ from lanebound.integrity.accel import jit, prange
     DT, BANDS, CN0_ZENITH, CN0_HORIZON, CN0_SIGMA, CN0_DECAY, CN0_GAIN, FOLIAGE_LOSS, REFLECTION_LOSS,
     TRACK_MIN, PHASE_MIN, CODE_DELAY, PHASE_DELAY, CODE_SIGMA, PHASE_SIGMA, RATE_SIGMA, RATE_DECAY, RATE_GAIN,
     CODE_MULTIPATH, PHASE_MULTIPATH, MULTIPATH_DECAY, MULTIPATH_PER_M, NLOS_SCALE, IONO_SIGMA, AGE_RATE, TROPO_SIGMA,
-    ORBIT_SIGMA, SLIP_RATE, SLIP_CN0, SLIP_DECADE, SLIP_MOST, UNANNOUNCED, HALF_SHARE,
-    IONO_DECAY, AGE_DECAY, TROPO_DECAY, IONO_GAIN, AGE_GAIN, TROPO_GAIN, HALF_RESOLVE,
-) = range(40)  # fmt: skip
-NC = 40
+    ORBIT_SIGMA, SLIP_RATE, SLIP_CN0, SLIP_DECADE, SLIP_MOST, UNANNOUNCED, HALF_SHARE, HALF_RESOLVE,
+    STATION_CODE, STATION_PHASE, STATION_CODE_MP, STATION_PHASE_MP, CLOCK_11, CLOCK_21, CLOCK_22,
+) = range(41)  # fmt: skip
+NC = 41
 
 # draws
-(
-    Z_CN0, Z_CODE0, Z_CODE1, Z_PHASE0, Z_PHASE1, Z_CODE_MP, Z_PHASE_MP0, Z_PHASE_MP1, Z_RATE, Z_EXCESS, Z_SLOW,
-) = range(11)  # fmt: skip
-N_NORMAL = 11
+Z_CN0, Z_CODE0, Z_CODE1, Z_PHASE0, Z_PHASE1, Z_CODE_MP, Z_PHASE_MP0, Z_PHASE_MP1, Z_RATE, Z_EXCESS = range(10)
+N_NORMAL = 10
 U_SLIP, U_KIND = range(2)
 N_UNIFORM = 2
 
 # memory: AR(1) states of unit variance, time with the code, with the carrier and with a half cycle in doubt
-M_CN0, M_CODE_MP, M_PHASE_MP0, M_PHASE_MP1, M_RATE, M_EXCESS, M_IONO, M_AGE, M_TROPO, M_CODE_S, M_PHASE_S = range(11)
-M_HALF_S = 11
-N_INITIAL = 11  # columns that start from a draw
-NM = 12
-N_SLOW = 3  # ionosphere, age and troposphere last for minutes: one of them advances in each epoch, by three epochs
+M_CN0, M_CODE_MP, M_PHASE_MP0, M_PHASE_MP1, M_RATE, M_EXCESS, M_CODE_S, M_PHASE_S, M_HALF_S = range(9)
+N_INITIAL = 6  # columns that start from a draw
+NM = 9
+
+# area: AR(1) states, of the atmosphere, the satellite's clock and the station's multipath, and the station's noise
+A_IONO, A_AGE, A_TROPO, A_CODE_MP, A_PHASE_MP0, A_PHASE_MP1, A_CODE0, A_CODE1, A_PHASE0, A_PHASE1 = range(10)
+N_SLOW = 6  # columns that last for minutes
+NA = 10
 
 LN10 = math.log(10.0)
 
@@ -83,7 +85,7 @@ def ar1(memory, s, m, decay, gain, z):  # type: ignore[no-untyped-def]
 
 
 @jit
-def advance(cfg, s, decay, gain, slow, z, memory):  # type: ignore[no-untyped-def]
+def advance(cfg, s, decay, gain, z, memory):  # type: ignore[no-untyped-def]
     """Advance what lasts in the signal of satellite s; ``decay`` and ``gain`` are those of multipath."""
     ar1(memory, s, M_CN0, cfg[CN0_DECAY], cfg[CN0_GAIN], z[s, Z_CN0])
     ar1(memory, s, M_RATE, cfg[RATE_DECAY], cfg[RATE_GAIN], z[s, Z_RATE])
@@ -91,7 +93,6 @@ def advance(cfg, s, decay, gain, slow, z, memory):  # type: ignore[no-untyped-de
     ar1(memory, s, M_PHASE_MP0, decay, gain, z[s, Z_PHASE_MP0])
     ar1(memory, s, M_PHASE_MP1, decay, gain, z[s, Z_PHASE_MP1])
     ar1(memory, s, M_EXCESS, decay, gain, z[s, Z_EXCESS])
-    ar1(memory, s, M_IONO + slow, cfg[IONO_DECAY + slow], cfg[IONO_GAIN + slow], z[s, Z_SLOW])
 
 
 @jit
@@ -179,105 +180,136 @@ def follow(cfg, s, level, path, slips, u, memory, ambiguity, lock_lost):  # type
 
 
 @jit
-def noise_scale(slant, level):  # type: ignore[no-untyped-def]
-    """Noise against that of a strong signal at the zenith, from slant (1 / sin elevation) and C/N0 [dB-Hz]."""
-    return math.sqrt(0.5 * (1.0 + slant * slant) * (1.0 + math.exp(LN10 * 0.1 * (35.0 - level))))
+def advance_clock(cfg, z, oscillator):  # type: ignore[no-untyped-def]
+    """Advance a clock of two states, offset [m] and drift [m/s], by an epoch with two standard normals."""
+    oscillator[0] += cfg[DT] * oscillator[1] + cfg[CLOCK_11] * z[0]
+    oscillator[1] += cfg[CLOCK_21] * z[0] + cfg[CLOCK_22] * z[1]
 
 
 @jit
-def shared_error(cfg, s, slant, age, memory):  # type: ignore[no-untyped-def]
+def noise_power(slant, level):  # type: ignore[no-untyped-def]
+    """Noise variance against that of a strong signal at the zenith, and what elevation alone makes of it.
+
+    ``slant`` is 1 / sin elevation, ``level`` the C/N0 [dB-Hz].
+    """
+    clear = 0.5 * (1.0 + slant * slant)
+    return clear * (1.0 + math.exp(LN10 * 0.1 * (35.0 - level))), clear
+
+
+@jit
+def own_part(sigma, station, power, clear):  # type: ignore[no-untyped-def]
+    """The receiver's part of a single difference of ``sigma``, whose other part is the station's, in the clear."""
+    return math.sqrt(sigma * sigma * power - station * station * clear)
+
+
+@jit
+def common_delay(cfg, s, slant, age, area):  # type: ignore[no-untyped-def]
     """What delays code and carrier of all bands alike [m]: ageing corrections, troposphere and orbit."""
     mapped = cfg[TROPO_SIGMA] * slant
     delay = math.sqrt(mapped * mapped + cfg[ORBIT_SIGMA] * cfg[ORBIT_SIGMA])
-    return cfg[AGE_RATE] * age * memory[s, M_AGE] + delay * memory[s, M_TROPO]
+    return cfg[AGE_RATE] * age * area[s, A_AGE] + delay * area[s, A_TROPO]
 
 
 @jit
 def fill_bands(  # type: ignore[no-untyped-def]
-    cfg, wavelength, dispersion, s, c, common, scale, code_error, phase_error, has_phase, clock, z, memory, ambiguity,
-    code, phase,
+    cfg, wavelength, dispersion, s, c, common, power, clear, code_error, phase_error, has_phase, clock, z, area, memory,
+    ambiguity, code, phase,
 ):  # fmt: skip
     """Code and phase of satellite s of system c: what is common to all, and what each band adds."""
-    iono = cfg[IONO_SIGMA] * memory[s, M_IONO]
+    iono, root = cfg[IONO_SIGMA] * area[s, A_IONO], math.sqrt(clear)
+    code_error -= cfg[STATION_CODE_MP] * root * area[s, A_CODE_MP]
+    own_code = own_part(cfg[CODE_SIGMA], cfg[STATION_CODE], power, clear)
+    own_phase = own_part(cfg[PHASE_SIGMA], cfg[STATION_PHASE], power, clear)
+    own_multipath = own_part(cfg[PHASE_MULTIPATH], cfg[STATION_PHASE_MP], power, clear)
     for b in range(int(cfg[BANDS])):
         delay = iono * dispersion[c, b]
-        code[s, b] = common + clock[c, b] + delay + code_error + cfg[CODE_SIGMA] * scale * z[s, Z_CODE0 + b]
+        noise = own_code * z[s, Z_CODE0 + b] - cfg[STATION_CODE] * root * area[s, A_CODE0 + b]
+        code[s, b] = common + clock[c, b] + delay + code_error + noise
         if has_phase:
-            noise = cfg[PHASE_SIGMA] * z[s, Z_PHASE0 + b] + cfg[PHASE_MULTIPATH] * memory[s, M_PHASE_MP0 + b]
+            noise = own_phase * z[s, Z_PHASE0 + b] + own_multipath * memory[s, M_PHASE_MP0 + b]
+            station = cfg[STATION_PHASE] * area[s, A_PHASE0 + b] + cfg[STATION_PHASE_MP] * area[s, A_PHASE_MP0 + b]
             whole = 0.5 * wavelength[c, b] * ambiguity[s, b]
-            phase[s, b] = common + clock[c, 2 + b] - delay + phase_error + whole + scale * noise
+            phase[s, b] = common + clock[c, 2 + b] - delay + phase_error + whole + noise - root * station
 
 
 @jit
 def observe_vehicle(  # type: ignore[no-untyped-def]
-    cfg, slow, wavelength, dispersion, e, above, system, path, excess, position, velocity, reference, age,
-    code_bias, phase_bias, rate_bias, cn0_drop, slips, clock, z, u, memory, ambiguity,
-    tracked, code, phase, range_rate, cn0, lock_lost,
+    cfg, wavelength, dispersion, e, above, system, path, excess, position, velocity, reference, age,
+    code_bias, phase_bias, rate_bias, cn0_drop, slips, clock, z_clock, station_clock, z, u, area, oscillator, memory,
+    ambiguity, tracked, code, phase, range_rate, cn0, lock_lost,
 ):  # fmt: skip
     """Fill the outputs of one vehicle, zeros before: tracked (S,), code, phase (S, 2), range_rate, cn0, lock_lost (S,).
 
-    position (3,) is what the signals describe, ``reference`` (3,) the error of the reference coordinates, ``slow`` the
-    slow state that advances; clock (systems, 5) holds the code and phase clocks of both bands, its last entry (row 0,
-    column 4) the drift. ``ambiguity`` (S, 2) in half cycles is advanced by slips in place. Untracked entries stay 0.
+    position (3,) is what the signals describe, ``reference`` (3,) the error of the reference coordinates; clock
+    (systems, 4) holds the delays of code and phase of both bands, ``oscillator`` (2,) and ``station_clock`` (2,) offset
+    and drift of the two clocks. ``ambiguity`` (S, 2) in half cycles is advanced by slips in place. Untracked entries
+    stay 0.
     """
     used_age = age if age < 1e6 else 0.0
     speed = math.sqrt(velocity[0] * velocity[0] + velocity[1] * velocity[1])
     decay = cfg[MULTIPATH_DECAY] * math.exp(-cfg[DT] * speed * cfg[MULTIPATH_PER_M])
     gain = math.sqrt(1.0 - decay * decay)
+    advance_clock(cfg, z_clock, oscillator)
+    offset = oscillator[0] - station_clock[0]
     x, y, h = position[0] + reference[0], position[1] + reference[1], position[2] + reference[2]
     for s in range(e.shape[0]):
         if not above[s]:
             memory[s, M_CODE_S], memory[s, M_PHASE_S] = 0.0, 0.0
             continue
-        advance(cfg, s, decay, gain, slow, z, memory)
+        advance(cfg, s, decay, gain, z, memory)
         slant, drop = 1.0 / e[s, 2], cn0_drop[s]
         level = carrier_to_noise(cfg, e[s, 2], path[s], drop, memory[s, M_CN0])
         has_code, has_phase = follow(cfg, s, level, path[s], slips, u, memory, ambiguity, lock_lost)
         if not has_code:
             continue
         tracked[s], cn0[s] = True, level
-        scale = noise_scale(slant, level)
+        power, clear = noise_power(slant, level)
         # jamming weakens a signal but sends it on no detour
         late = (
             excess[s] if path[s] == REFLECTED and excess[s] > 0.0 else urban_excess(level + drop, memory[s, M_EXCESS])
         )
-        code_error = cfg[CODE_MULTIPATH] * scale * memory[s, M_CODE_MP] + cfg[NLOS_SCALE] * late + code_bias[s]
-        common = shared_error(cfg, s, slant, used_age, memory) - (e[s, 0] * x + e[s, 1] * y + e[s, 2] * h)
+        multipath = own_part(cfg[CODE_MULTIPATH], cfg[STATION_CODE_MP], power, clear) * memory[s, M_CODE_MP]
+        code_error = multipath + cfg[NLOS_SCALE] * late + code_bias[s]
+        common = common_delay(cfg, s, slant, used_age, area) - (e[s, 0] * x + e[s, 1] * y + e[s, 2] * h) + offset
         fill_bands(
-            cfg, wavelength, dispersion, s, system[s], common, scale, code_error, phase_bias[s], has_phase, clock, z,
-            memory, ambiguity, code, phase,
+            cfg, wavelength, dispersion, s, system[s], common, power, clear, code_error, phase_bias[s], has_phase,
+            clock, z, area, memory, ambiguity, code, phase,
         )  # fmt: skip
         motion = e[s, 0] * velocity[0] + e[s, 1] * velocity[1] + e[s, 2] * velocity[2]
-        range_rate[s] = clock[0, 4] - motion + rate_bias[s] + cfg[RATE_SIGMA] * scale * memory[s, M_RATE]
+        range_rate[s] = oscillator[1] - motion + rate_bias[s] + cfg[RATE_SIGMA] * math.sqrt(power) * memory[s, M_RATE]
 
 
 @jit
 def observe_serial(  # type: ignore[no-untyped-def]
-    cfg, slow, wavelength, dispersion, los, above, system, index, path, excess, position, velocity, reference, age,
-    code_bias, phase_bias, rate_bias, cn0_drop, slips, clock, z, u, memory, ambiguity,
-    tracked, code, phase, range_rate, cn0, lock_lost,
+    cfg, wavelength, dispersion, los, above, system, index, path, excess, position, velocity, reference, age,
+    code_bias, phase_bias, rate_bias, cn0_drop, slips, clock, z_clock, station_clock, z, u, area, oscillator, memory,
+    ambiguity, tracked, code, phase, range_rate, cn0, lock_lost,
 ):  # fmt: skip
-    """:func:`observe_vehicle` for B vehicles, one after another."""
+    """:func:`observe_vehicle` for B vehicles, one after another, in one area or each in its own."""
+    areas = area.shape[0]
     for v in range(index.shape[0]):
-        k = index[v]
+        k, a = index[v], v % areas
         observe_vehicle(
-            cfg, slow, wavelength, dispersion, los[k], above[k], system, path[v], excess[v], position[v], velocity[v],
+            cfg, wavelength, dispersion, los[k], above[k], system, path[v], excess[v], position[v], velocity[v],
             reference[v], age[v], code_bias[v], phase_bias[v], rate_bias[v], cn0_drop[v], slips[v], clock[v],
-            z[v], u[v], memory[v], ambiguity[v], tracked[v], code[v], phase[v], range_rate[v], cn0[v], lock_lost[v],
+            z_clock[v], station_clock[a], z[v], u[v], area[a], oscillator[v], memory[v], ambiguity[v], tracked[v],
+            code[v], phase[v], range_rate[v], cn0[v], lock_lost[v],
         )  # fmt: skip
 
 
 @jit(parallel=True)
 def observe_parallel(  # type: ignore[no-untyped-def]
-    cfg, slow, wavelength, dispersion, los, above, system, index, path, excess, position, velocity, reference, age,
-    code_bias, phase_bias, rate_bias, cn0_drop, slips, clock, z, u, memory, ambiguity,
-    tracked, code, phase, range_rate, cn0, lock_lost,
+    cfg, wavelength, dispersion, los, above, system, index, path, excess, position, velocity, reference, age,
+    code_bias, phase_bias, rate_bias, cn0_drop, slips, clock, z_clock, station_clock, z, u, area, oscillator, memory,
+    ambiguity, tracked, code, phase, range_rate, cn0, lock_lost,
 ):  # fmt: skip
-    """:func:`observe_vehicle` for B vehicles, side by side."""
+    """:func:`observe_vehicle` for B vehicles, side by side, in one area or each in its own."""
+    areas = area.shape[0]
     for v in prange(index.shape[0]):
-        k = index[v]
+        k, a = index[v], v % areas
         observe_vehicle(
-            cfg, slow, wavelength, dispersion, los[k], above[k], system, path[v], excess[v], position[v], velocity[v],
+            cfg, wavelength, dispersion, los[k], above[k], system, path[v], excess[v], position[v], velocity[v],
             reference[v], age[v], code_bias[v], phase_bias[v], rate_bias[v], cn0_drop[v], slips[v], clock[v],
-            z[v], u[v], memory[v], ambiguity[v], tracked[v], code[v], phase[v], range_rate[v], cn0[v], lock_lost[v],
+            z_clock[v], station_clock[a], z[v], u[v], area[a], oscillator[v], memory[v], ambiguity[v], tracked[v],
+            code[v], phase[v], range_rate[v], cn0[v], lock_lost[v],
         )  # fmt: skip

@@ -150,7 +150,7 @@ def mems_exponential_error(
     return -c1_mps2 * math.expm1(-time_s / tau_s) + c2_mps2
 
 
-def _mems_increment(config: ImuConfig, start_s: float, dt_s: float) -> float:
+def mems_increment(config: ImuConfig, start_s: float, dt_s: float) -> float:
     """Integral of the exponential error over an epoch [m/s]."""
     c1, c2, tau = config.mems_c1_mps2, config.mems_c2_mps2, config.mems_tau_s
     return (c1 + c2) * dt_s + c1 * tau * math.exp(-start_s / tau) * math.expm1(-dt_s / tau)
@@ -176,7 +176,7 @@ def initial_imu(config: ImuConfig, streams: Streams) -> ImuState:
 
 
 @lru_cache(maxsize=64)
-def _coefficients(config: ImuConfig, dt_s: float) -> Array:
+def coefficients(config: ImuConfig, dt_s: float) -> Array:
     """What the kernel multiplies states and draws with, (2, NC): the steps above, applied to unit vectors."""
     coef = np.zeros((2, kernel.NC))
     zero, unit = np.zeros(3), np.eye(3, 2, k=-1)  # one state and two draws, each 1 in its turn
@@ -204,8 +204,8 @@ def sample_imu(config: ImuConfig, state: ImuState, truth: Truth, effects: FaultE
     dt = truth.dt_s
     theta, delta_v = np.empty((2, truth.batch, 3))
     kernel.measure(
-        _coefficients(config, dt), dt, MOVING_MPS * dt,
-        _mems_increment(config, state.on_s, dt) if config.mems_exponential else 0.0,
+        coefficients(config, dt), dt, MOVING_MPS * dt,
+        mems_increment(config, state.on_s, dt) if config.mems_exponential else 0.0,
         streams.normal("imu", 2, 3, 5), state.turn_on, state.scale, state.instability, state.walk,
         state.moving_bias_radps, effects.gyro_bias_radps, truth.distance_m, truth.delta_theta_rad, truth.delta_v_mps,
         theta, delta_v,

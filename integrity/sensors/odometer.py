@@ -88,7 +88,7 @@ def initial_odometer(config: OdometerConfig, streams: Streams) -> OdometerState:
 
 
 @lru_cache(maxsize=64)
-def _parameters(config: OdometerConfig, dt_s: float) -> Array:
+def parameters(config: OdometerConfig, dt_s: float) -> Array:
     """The configuration in the kernel's columns; noise is white, or first-order Gauss-Markov."""
     a = math.exp(-dt_s / config.noise_tau_s) if config.noise_tau_s > 0 else 0.0
     innovation = config.noise_mps * math.sqrt(1.0 - a * a)
@@ -113,7 +113,7 @@ def sample_odometer(
         raise InputError(f"truth holds {truth.batch} vehicles, streams {streams.batch}: make both the same batch")
     distance, speed = np.empty((2, truth.batch))
     kernel.measure(
-        _parameters(config, truth.dt_s), truth.dt_s, streams.normal("odometer"), state.scale, effects.odometer_scale,
+        parameters(config, truth.dt_s), truth.dt_s, streams.normal("odometer"), state.scale, effects.odometer_scale,
         effects.odometer_frozen, state.noise_mps, state.carry_m, state.last_distance_m, state.last_true_mps,
         truth.distance_m, distance, speed,
     )  # fmt: skip

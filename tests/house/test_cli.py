@@ -52,7 +52,7 @@ def test_version():
     assert (result.exit_code, result.stdout) == (0, f"lanebound {metadata.version('lanebound')}\n")
 
 
-@pytest.mark.parametrize("path", [(), ("config",), ("config", "list"), ("config", "show"), ("bench",)])
+@pytest.mark.parametrize("path", [(), ("config",), ("config", "list"), ("config", "show"), ("bench",), ("benchmark",)])
 def test_help_teaches_with_examples(path):
     result = run(*path, "--help")
     assert result.exit_code == 0
@@ -151,12 +151,15 @@ def test_every_packaged_preset_resolves():
         assert run("config", "show", name, "--json").exit_code == 0, name
 
 
+NEEDED = {"suite": "envs: [Merge]\nagents: [cruise]\n"}  # all other kinds have a default for everything
+
+
 @pytest.mark.parametrize("kind", sorted(kinds.KINDS))
 def test_every_kind_names_a_configuration(kind, tmp_path, monkeypatch):
     package = tmp_path / f"kind_presets_{kind}"
     package.mkdir()
     (package / "__init__.py").touch()
-    (package / "plain.yaml").write_text(f"kind: {kind}\n", encoding="utf-8")
+    (package / "plain.yaml").write_text(f"kind: {kind}\n{NEEDED.get(kind, '')}", encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(presets, "PRESET_PACKAGE", package.name)
     found, config = kinds.resolve("plain")

@@ -1,7 +1,9 @@
 import math
 import os
+import stat
 import subprocess
 import sys
+from pathlib import Path
 
 import numba
 import numpy as np
@@ -39,8 +41,75 @@ def test_an_unwritable_cache_falls_back_to_the_temporary_directory(unwritable, t
     directory = _run_kernel(
         "", HOME=nowhere, NUMBA_CACHE_DIR=nowhere, XDG_CACHE_HOME=nowhere, TMPDIR=str(tmp_path / "tmp")
     )
-    assert directory.startswith(str(tmp_path / "tmp" / "lanebound" / "kernels-"))
+    assert directory.startswith(str(tmp_path / "tmp" / f"lanebound-{os.getuid()}" / "kernels-"))
     assert list((tmp_path / "tmp").rglob("*.nbi")), "the kernel was not cached in the fallback"
+
+
+@pytest.fixture
+def only_temporary(monkeypatch, unwritable, tmp_path):
+    """A temporary directory, and no other place for the cache; returns this user's directory in it."""
+    shared = tmp_path / "tmp"
+    shared.mkdir()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(unwritable))
+    monkeypatch.setattr(accel.tempfile, "tempdir", str(shared))
+    monkeypatch.setattr(accel.atexit, "register", lambda function: function)
+    return shared / f"lanebound-{os.getuid()}"
+
+
+def test_the_shared_fallback_is_private_and_used_again(only_temporary):
+    first = accel.cache_directory.__wrapped__()
+    assert Path(first).parent == only_temporary
+    assert stat.S_IMODE(only_temporary.lstat().st_mode) == 0o700
+    assert accel.cache_directory.__wrapped__() == first
+
+
+def _open_to_others(path, elsewhere):
+    path.mkdir()
+    path.chmod(0o770)
+
+
+def _readable_by_others(path, elsewhere):
+    path.mkdir()
+    path.chmod(0o755)
+
+
+def _a_link(path, elsewhere):
+    elsewhere.mkdir(mode=0o700)
+    path.symlink_to(elsewhere)
+
+
+def _a_file(path, elsewhere):
+    path.write_text("")
+
+
+@pytest.mark.parametrize("trap", [_open_to_others, _readable_by_others, _a_link, _a_file])
+def test_a_directory_that_others_could_fill_is_not_used(trap, only_temporary, tmp_path):
+    elsewhere = tmp_path / "elsewhere"
+    trap(only_temporary, elsewhere)
+    chosen = Path(accel.cache_directory.__wrapped__())
+    assert chosen.parent != only_temporary
+    assert chosen.parent.parent == only_temporary.parent
+    assert stat.S_IMODE(chosen.parent.lstat().st_mode) == 0o700
+    assert not elsewhere.exists() or not any(elsewhere.iterdir())
+    assert accel.cache_directory.__wrapped__() != str(chosen), "each process has a directory of its own"
+
+
+def test_a_directory_of_another_user_is_not_used(only_temporary, monkeypatch):
+    only_temporary.mkdir(mode=0o700)
+    me = os.getuid()
+    monkeypatch.setattr(accel, "_user", lambda: me + 1)
+    only_temporary.rename(only_temporary.with_name(f"lanebound-{me + 1}"))
+    assert Path(accel.cache_directory.__wrapped__()).parent.name != f"lanebound-{me + 1}"
+
+
+def test_the_fresh_directory_goes_with_its_process(unwritable, tmp_path):
+    shared = tmp_path / "tmp"
+    shared.mkdir()
+    (shared / f"lanebound-{os.getuid()}").write_text("")
+    nowhere = str(unwritable)
+    directory = _run_kernel("", HOME=nowhere, NUMBA_CACHE_DIR=nowhere, TMPDIR=str(shared))
+    assert Path(directory).parent.parent == shared
+    assert not Path(directory).parent.exists()
 
 
 def test_without_any_writable_directory_kernels_still_run(unwritable):

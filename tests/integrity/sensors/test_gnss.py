@@ -10,6 +10,8 @@ from scipy.stats import binom, chi2
 
 from lanebound.integrity.errors import ConfigError, InputError
 from lanebound.integrity.sensors import signals
+from lanebound.integrity.sensors.area import advance_area, initial_area
+from lanebound.integrity.sensors.corrections import CorrectionsConfig
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.gnss import GnssConfig, GnssEpoch, initial_state, observe
 from lanebound.integrity.sky.systems import WAVELENGTH_M
@@ -22,10 +24,12 @@ DT = 0.1
 SYSTEM = np.array([0, 0, 1, 2, 3, 0, 1, 3])
 ELEVATION_DEG = np.array([80.0, 60.0, 50.0, 45.0, 40.0, 35.0, 30.0, 70.0])
 N_SAT = len(SYSTEM)
+LINK = CorrectionsConfig()
 PERFECT = GnssConfig(
     cn0_sigma_db=0.0, code_sigma_m=0.0, phase_sigma_m=0.0, range_rate_sigma_mps=0.0, code_multipath_m=0.0,
     phase_multipath_m=0.0, nlos_scale=0.0, iono_ppm=0.0, tropo_ppm=0.0, orbit_ppm=0.0, age_rate_mps=0.0,
-    slips_per_h=0.0, clock_m=0.0, drift_mps=0.0,
+    slips_per_h=0.0, clock_m=0.0, drift_mps=0.0, clock_h0=0.0, clock_hm2=0.0, station_clock_h0=0.0,
+    station_clock_hm2=0.0,
 )  # fmt: skip
 
 
@@ -65,11 +69,16 @@ class _Receiver:
     def __init__(self, config: GnssConfig, batch: int = 1, seeds: int | list[int] = 1, settle: int = 15) -> None:
         self.config, self.batch, self.sky = config, batch, _sky(batch)
         self.streams = Streams(seeds, batch if isinstance(seeds, int) else None)
+        own = Streams(seeds, batch if isinstance(seeds, int) else None)
         self.state = initial_state(config, self.sky, self.streams)
+        self.area = initial_area(config, LINK, N_SAT, DT, own)
+        self.time_s = 0.0
         for _ in range(settle):
             self.step()
 
     def step(self, **given: Any) -> GnssEpoch:
+        self.time_s += DT
+        advance_area(self.config, LINK, self.area, self.time_s, DT)
         return observe(
             self.config,
             self.state,
@@ -79,6 +88,7 @@ class _Receiver:
             given.get("age_s", np.zeros(self.batch)),
             given.get("effects", FaultEffects.none(self.batch, N_SAT)),
             self.streams,
+            self.area.signals,
         )
 
 
@@ -341,9 +351,14 @@ def test_same_seed_same_bits_a_copy_goes_on_alike_and_other_streams_move_nothing
 
 def test_a_copy_of_the_state_goes_on_with_the_same_bits() -> None:
     receiver = _Receiver(GnssConfig(), 3, 9)
-    state, streams = receiver.state.copy(), receiver.streams.snapshot()
+    state, streams, area, time_s = (
+        receiver.state.copy(),
+        receiver.streams.snapshot(),
+        receiver.area.copy(),
+        receiver.time_s,
+    )
     first = [receiver.step() for _ in range(4)]
-    receiver.state, receiver.streams = state, streams
+    receiver.state, receiver.streams, receiver.area, receiver.time_s = state, streams, area, time_s
     for a, b in zip(first, [receiver.step() for _ in range(4)], strict=True):
         for name in GnssEpoch.__dataclass_fields__:
             np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
@@ -357,6 +372,32 @@ def test_the_reference_offset_lasts_has_its_length_and_any_direction() -> None:
     np.testing.assert_allclose(np.hypot(shifts[:, 0], shifts[:, 1]), 0.2, atol=1e-9)
     np.testing.assert_allclose(shifts[:, 2], 0.0, atol=1e-9)
     assert np.ptp(np.arctan2(shifts[:, 0], shifts[:, 1])) > 1.0
+
+
+@pytest.mark.parametrize("code_sigma_m", [0.05, 0.15, 1.0])
+def test_code_noise_has_its_size_whatever_part_of_it_is_the_stations(code_sigma_m: float) -> None:
+    n = 400
+    config = PERFECT.replace(code_sigma_m=code_sigma_m, code_multipath_m=2.0 * code_sigma_m, foliage_loss_db=4.0)
+    receiver, twin = _Receiver(config, n), _Receiver(PERFECT.replace(foliage_loss_db=4.0), n)
+    noisy, plain = (r.step(reception=_reception(n, Path.FOLIAGE)) for r in (receiver, twin))
+    scale = signals.elevation_scale(np.deg2rad(ELEVATION_DEG), plain.cn0_dbhz)
+    z = (noisy.code_m - plain.code_m)[..., 0] / (np.sqrt(5.0) * code_sigma_m * scale)
+    low, high = chi2.ppf([5e-4, 1 - 5e-4], z.size)  # fails by chance once in 1000 seeds
+    assert low < (z**2).sum() < high
+
+
+def test_the_receivers_clock_moves_codes_phases_and_rates_alike() -> None:
+    clocks = {"drift_mps": 100.0, "clock_h0": 2e-19, "clock_hm2": 2e-20}
+    receiver, still = _Receiver(PERFECT.replace(**clocks)), _Receiver(PERFECT)
+    epochs, plain = [receiver.step() for _ in range(50)], still.step()
+    offset = np.array([e.code_m[0] - plain.code_m[0] for e in epochs])
+    assert np.ptp(offset, axis=(1, 2)).max() < 1e-9
+    phase = np.array([e.phase_m[0] for e in epochs])
+    np.testing.assert_allclose(np.diff(phase, axis=0), np.diff(offset, axis=0), atol=1e-6)
+    drift = np.array([e.range_rate_mps[0, 0] for e in epochs])
+    # between epochs the offset grows by the drift at the start, and by 3 cm of white frequency noise
+    np.testing.assert_allclose(np.diff(offset[:, 0, 0]), DT * drift[:-1], atol=0.2)
+    assert 0.1 < np.std(np.diff(drift) / np.sqrt(DT)) < 0.3
 
 
 def test_what_is_in_view_does_not_move_the_draws() -> None:
@@ -378,7 +419,9 @@ BERLIN = [
 def test_a_consumer_receiver_shows_the_measured_city_errors() -> None:
     """Half the signals are reflections of unknown detour, as in Berlin; each bin of C/N0 within 25 % or 1 m (1.5 %)."""
     batch = 3000
-    config = GnssConfig.preset("sensors/gnss_consumer").replace(clock_m=0.0, drift_mps=0.0)
+    config = GnssConfig.preset("sensors/gnss_consumer").replace(
+        clock_m=0.0, drift_mps=0.0, clock_h0=0.0, clock_hm2=0.0, station_clock_h0=0.0, station_clock_hm2=0.0
+    )
     receiver = _Receiver(config, batch, settle=0)
     receiver.sky = _sky(batch, np.linspace(15.0, 80.0, N_SAT))
     path = np.where(np.random.default_rng(1).random((batch, N_SAT)) < 0.48, Path.REFLECTED, Path.LOS).astype(np.uint8)
@@ -409,6 +452,10 @@ def test_bad_input_is_refused() -> None:
         _Receiver(PERFECT, 2).step(truth=_truth(3))
     with pytest.raises(InputError, match="same batch"):
         _Receiver(PERFECT, 2).step(reception=_reception(3))
+    lonely = _Receiver(PERFECT, 3)
+    lonely.area = initial_area(PERFECT, LINK, N_SAT, DT, Streams([1, 2]))
+    with pytest.raises(InputError, match="area must hold 1 or 3 areas"):
+        lonely.step()
     with pytest.raises(ConfigError, match="bands"):
         GnssConfig(bands=(0, 1, 2))
     with pytest.raises(ConfigError, match="unannounced"):

@@ -1,0 +1,99 @@
+"""What the vehicles of an area have in common: atmosphere, satellites' clocks, the reference station and its network.
+
+An area is a street or a quarter: vehicles so close to each other, against the kilometres to their station, that its
+errors and the differential atmosphere are the same for all. That the rays to two vehicles 1 km apart differ by 1 km in
+the air is left out; a decorrelation of ``iono_ppm`` of it is half a millimetre.
+
+Each navigator keeps its area itself. Two of them agree bit for bit when their areas have the same seed, figures and
+satellites, for an area advances with the clock, epoch by epoch from zero, whoever asks and from when on.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.sensors import gnss_kernel as gk
+from lanebound.integrity.sensors.clock import clock_gains
+from lanebound.integrity.sensors.corrections import CorrectionsConfig, NetworkState, advance_network, initial_network
+from lanebound.integrity.sensors.gnss import AreaSignals, GnssConfig
+from lanebound.integrity.streams import Streams
+
+__all__ = ["AreaState", "advance_area", "initial_area"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class AreaState:
+    """One area for all vehicles, or one for each.
+
+    Attributes
+    ----------
+    streams : of the areas, of which "atmosphere", "station" and "network" are drawn from
+    signals : what the receivers get
+    network : what carries the messages of the station; its epochs are the area's
+    """
+
+    streams: Streams
+    signals: AreaSignals
+    network: NetworkState
+
+    def copy(self) -> AreaState:
+        """An independent copy."""
+        return copy.deepcopy(self)
+
+
+def initial_area(
+    config: GnssConfig, link: CorrectionsConfig, satellites: int, dt_s: float, streams: Streams
+) -> AreaState:
+    """``streams.batch`` areas at zero of the clock: stationary errors, the network as it is found at any time."""
+    azimuth = 2.0 * np.pi * streams.uniform("station")
+    signals = AreaSignals(
+        memory=np.concatenate(
+            [streams.normal("atmosphere", satellites, gk.N_SLOW), streams.normal("station", satellites, 4)], -1
+        ),
+        clock=np.zeros((streams.batch, 2)),
+        reference_enu_m=config.reference_offset_m
+        * np.stack([np.sin(azimuth), np.cos(azimuth), np.zeros_like(azimuth)], -1),
+    )
+    return AreaState(streams, signals, initial_network(link, dt_s, streams))
+
+
+def advance_area(config: GnssConfig, link: CorrectionsConfig, state: AreaState, time_s: float, dt_s: float) -> None:
+    """Bring the areas to the epoch that ends at ``time_s`` of the clock, in place; never back.
+
+    Ionosphere, satellites' clocks, troposphere and the station's multipath last for minutes: one of them advances in
+    each epoch, by as many epochs as there are of them. The station's noise is new with each of its messages.
+    """
+    epoch = round(time_s / dt_s)
+    while state.network.epoch < epoch:
+        _advance(config, link, state, dt_s)
+
+
+def _advance(config: GnssConfig, link: CorrectionsConfig, state: AreaState, dt_s: float) -> None:
+    advance_network(link, state.network, dt_s, state.streams)
+    memory, clock, satellites = state.signals.memory, state.signals.clock, state.signals.memory.shape[1]
+    decays, gains, (l11, l21, l22) = _figures(config, dt_s)
+    slow = state.network.epoch % gk.N_SLOW
+    memory[..., slow] *= decays[slow]
+    memory[..., slow] += gains[slow] * state.streams.normal("atmosphere", satellites)
+    if state.network.fresh:
+        memory[..., gk.N_SLOW :] = state.streams.normal("station", satellites, 4)
+    z = state.streams.normal("station", 2)
+    clock[:, 0] += dt_s * clock[:, 1] + l11 * z[:, 0]
+    clock[:, 1] += l21 * z[:, 0] + l22 * z[:, 1]
+
+
+@lru_cache(maxsize=64)
+def _figures(config: GnssConfig, dt_s: float) -> tuple[Array, Array, tuple[float, float, float]]:
+    """Decay and gain of each slow state over N_SLOW epochs, and the gains of the station's clock."""
+    tau_s = np.full(gk.N_SLOW, config.station_multipath_tau_s)
+    tau_s[[gk.A_IONO, gk.A_AGE, gk.A_TROPO]] = config.iono_tau_s, config.age_tau_s, config.tropo_tau_s
+    steps = gk.N_SLOW * dt_s / tau_s
+    clock = clock_gains(config.station_clock_h0, config.station_clock_hm2, dt_s)
+    return np.exp(-steps), np.sqrt(-np.expm1(-2.0 * steps)), clock

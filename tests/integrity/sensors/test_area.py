@@ -1,0 +1,75 @@
+"""What vehicles of an area share: bits by clock and seed, whoever asks; sizes and times of the station's part."""
+
+import numpy as np
+import pytest
+
+from lanebound.integrity.sensors import gnss_kernel as gk
+from lanebound.integrity.sensors.area import advance_area, initial_area
+from lanebound.integrity.sensors.corrections import CorrectionsConfig
+from lanebound.integrity.sensors.gnss import GnssConfig
+from lanebound.integrity.streams import Streams
+
+GNSS, LINK, DT, N_SAT = GnssConfig(), CorrectionsConfig(outage_per_h=120.0), 0.1, 7
+
+
+def _area(seeds=(5,), gnss=GNSS, link=LINK, satellites=N_SAT):
+    return initial_area(gnss, link, satellites, DT, Streams(list(seeds)))
+
+
+def _bits(state):
+    s, n = state.signals, state.network
+    return [s.memory, s.clock, s.reference_enu_m, n.epoch, n.message, n.fresh, n.up, n.outage_left, n.until]
+
+
+def _assert_same(one, two):
+    for a, b in zip(_bits(one), _bits(two), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_areas_agree_at_the_same_clock_whenever_they_were_asked_first():
+    early, late = _area(), _area()
+    for k in range(1, 101):
+        advance_area(GNSS, LINK, early, k * DT, DT)
+    advance_area(GNSS, LINK, late, 10.0, DT)
+    _assert_same(early, late)
+    kept = early.copy()
+    advance_area(GNSS, LINK, early, 10.0, DT)
+    _assert_same(early, kept)
+
+
+def test_an_area_is_the_same_among_others():
+    alone, among = _area([6]), _area([5, 6])
+    advance_area(GNSS, LINK, alone, 5.0, DT)
+    advance_area(GNSS, LINK, among, 5.0, DT)
+    np.testing.assert_array_equal(alone.signals.memory[0], among.signals.memory[1])
+    np.testing.assert_array_equal(alone.network.until[0], among.network.until[1])
+
+
+def test_the_stations_noise_is_new_with_each_message_and_the_rest_lasts():
+    area, noise, slow = _area(), [], []
+    for k in range(1, 41):
+        advance_area(GNSS, LINK, area, k * DT, DT)
+        noise.append(area.signals.memory[0, 0, gk.A_CODE0])
+        slow.append(area.signals.memory[0, 0, gk.A_CODE_MP])
+    changes = np.flatnonzero(np.diff(noise))
+    np.testing.assert_array_equal(changes, [1, 11, 21, 31])  # messages of 0, 1, 2, 3 s, 0.3 s later
+    assert np.abs(np.diff(slow)).max() < 0.6
+
+
+def test_what_lasts_keeps_unit_variance_and_its_correlation():
+    """2000 values of each of six states: of chi-square 4.5 sigma, and 4.5 sigma of a correlation, once in 10,000."""
+    area = _area(satellites=2000)
+    before = area.signals.memory[..., : gk.N_SLOW].copy()
+    advance_area(GNSS, LINK, area, 60.0, DT)
+    after = area.signals.memory[..., : gk.N_SLOW]
+    assert np.abs((after**2).mean((0, 1)) - 1.0).max() < 4.5 * np.sqrt(2.0 / 2000)
+    tau_s = np.full(6, GNSS.station_multipath_tau_s)
+    tau_s[[gk.A_IONO, gk.A_AGE, gk.A_TROPO]] = GNSS.iono_tau_s, GNSS.age_tau_s, GNSS.tropo_tau_s
+    np.testing.assert_allclose((before * after).mean((0, 1)), np.exp(-60.0 / tau_s), atol=4.5 / np.sqrt(2000))
+
+
+@pytest.mark.parametrize("sigma_m", [0.0, 0.05, 0.15, 2.0])
+def test_a_station_never_brings_more_than_half_the_variance(sigma_m):
+    parts = GNSS.replace(code_sigma_m=sigma_m, code_multipath_m=sigma_m).station_parts
+    for column in (gk.STATION_CODE, gk.STATION_CODE_MP):
+        assert parts[column] == pytest.approx(min(0.1, np.sqrt(0.5) * sigma_m))
