@@ -24,7 +24,7 @@ from lanebound.envs.observation import ObservationConfig, entries
 from lanebound.integrity.errors import InputError
 
 CALM = CruiseConfig()
-STEERERS = ("cbf", "lqr", "stanley")
+STEERERS = ("cbf", "lqr", "mpc", "stanley")
 GIVEN: dict[str, Any] = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "sky": "open"}
 LENGTH_M = 5.0
 

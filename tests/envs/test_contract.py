@@ -303,7 +303,7 @@ def test_draws_of_the_ego_instruments_move_neither_world_nor_others(midway: Driv
     np.testing.assert_array_equal(fleets[0].position_en_m, fleets[1].position_en_m)  # type: ignore[union-attr]
     moved = not data_equivalence(before, after, exact=True)
     assert moved or name not in ("gnss", "imu", "odometer")
-    assert not moved or name in ("gnss", "imu", "odometer", "corrections")
+    assert not moved or name in ("clock", "gnss", "imu", "odometer", "corrections")
 
 
 def test_draws_of_the_channel_leave_the_ego_as_it_is(midway: DrivingEnv) -> None:
