@@ -23,12 +23,12 @@ Array = NDArray[np.float64]
 class GrowthConfig(Config):
     """How protection levels grow without RTK, and where RTK is expected to hold."""
 
-    satellites_needed: int = Field(17, ge=0, description="predicted, below which RTK is out in over 3 of 5 cases")
-    growth_at_mps: float = Field(0.08, ge=0, description="PL_AT without RTK; median of training seeds, dense sky")
-    growth_ct_mps: float = Field(0.15, ge=0, description="PL_CT without RTK at 8 m/s; median of training seeds, dense")
-    reset_at_m: float = Field(0.35, ge=0, description="PL_AT once RTK holds again; median of training seeds")
-    reset_ct_m: float = Field(0.3, ge=0, description="PL_CT once RTK holds again; median of training seeds")
-    refix_s: float = Field(2.0, ge=0, description="under an open sky until RTK holds again; median of training seeds")
+    satellites_needed: int = Field(17, ge=0, description="predicted, below which RTK is out in 3 of 5 cases")
+    growth_at_mps: float = Field(0.25, ge=0, description="PL_AT without RTK at 4 to 8 m/s; training seeds, dense")
+    growth_ct_mps: float = Field(0.33, ge=0, description="PL_CT without RTK, likewise")
+    reset_at_m: float = Field(0.2, ge=0, description="PL_AT on RTK, likewise")
+    reset_ct_m: float = Field(0.21, ge=0, description="PL_CT on RTK, likewise")
+    refix_s: float = Field(2.0, ge=0, description="under an open sky until RTK holds again; argued")
     rtk_s: float = Field(0.5, ge=0, description="RTK counts as held when it was last so lately; epochs lost in passing")
 
 
