@@ -17,6 +17,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from lanebound.integrity.sensors import area_kernel as kernel
 from lanebound.integrity.sensors import gnss_kernel as gk
 from lanebound.integrity.sensors.clock import clock_gains
 from lanebound.integrity.sensors.corrections import CorrectionsConfig, NetworkState, advance_network, initial_network
@@ -26,6 +27,7 @@ from lanebound.integrity.streams import Streams
 __all__ = ["AreaState", "advance_area", "initial_area"]
 
 Array = NDArray[np.float64]
+NO_NOISE = np.empty((0, 0, 4))  # of the station, between two messages
 
 
 @dataclass
@@ -77,16 +79,14 @@ def advance_area(config: GnssConfig, link: CorrectionsConfig, state: AreaState, 
 
 def _advance(config: GnssConfig, link: CorrectionsConfig, state: AreaState, dt_s: float) -> None:
     advance_network(link, state.network, dt_s, state.streams)
-    memory, clock, satellites = state.signals.memory, state.signals.clock, state.signals.memory.shape[1]
-    decays, gains, (l11, l21, l22) = _figures(config, dt_s)
-    slow = state.network.epoch % gk.N_SLOW
-    memory[..., slow] *= decays[slow]
-    memory[..., slow] += gains[slow] * state.streams.normal("atmosphere", satellites)
-    if state.network.fresh:
-        memory[..., gk.N_SLOW :] = state.streams.normal("station", satellites, 4)
-    z = state.streams.normal("station", 2)
-    clock[:, 0] += dt_s * clock[:, 1] + l11 * z[:, 0]
-    clock[:, 1] += l21 * z[:, 0] + l22 * z[:, 1]
+    signals, satellites, column = state.signals, state.signals.memory.shape[1], state.network.epoch % gk.N_SLOW
+    decays, gains, clock = _figures(config, dt_s)
+    kernel.advance(
+        signals.memory, signals.clock, dt_s, column, decays[column], gains[column],
+        state.streams.normal("atmosphere", satellites), state.network.fresh,
+        state.streams.normal("station", satellites, 4) if state.network.fresh else NO_NOISE, *clock,
+        state.streams.normal("station", 2),
+    )  # fmt: skip
 
 
 @lru_cache(maxsize=64)
