@@ -7,6 +7,7 @@ perceives traffic, and places the believed vehicle. Truth enters through :meth:`
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -65,6 +66,7 @@ class Cockpit:
     tracker : pose by which it is placed
     traffic : whom the ego perceives
     time_s : since the start
+    watch : told each navigation epoch's position, levels, limits and availability, for those who score
     """
 
     def __init__(
@@ -83,6 +85,7 @@ class Cockpit:
         self.alert_age_s = self.steering_rad = 0.0
         self.measurements: Measurements | None = None
         self.traffic = Traffic.none()
+        self.watch: Callable[[Array, tuple[float, float], tuple[float, float], bool], None] | None = None
         ego = world.vehicle
         self._actuators = None if actuators is None else Actuators(actuators, self.step_s, ego.LENGTH)
         rng = around.streams.generators("start")[0]
@@ -136,6 +139,8 @@ class Cockpit:
             self.around.fleet.navigate(self._clock_s(self.time_s), self.epoch_s)
             self._perceive()
         self._trust()
+        if epoch and self.watch is not None:
+            self.watch(self.believed.position, self._levels_m, self.limits_m, self._available)
         self.alert_age_s = self.alert_age_s + self.step_s if self._alert else 0.0
 
     def limit(self, action: dict[str, float]) -> dict[str, float]:

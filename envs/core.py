@@ -88,27 +88,30 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
 
     | cause | weight | is |
     |---|---|---|
-    | `cost_collision` | 10 | 1 in the step of a crash |
+    | `cost_collision` | 50 | 1 in the step of a crash |
+    | `cost_off_road` | 50 | 1 in the step that ends the episode off the road, or against the traffic |
     | `cost_lane` | 1 | `out v dt`, out how far the true body reaches beyond its lane, at most 2 m |
     | `cost_lane_integrity` | 0.1 | `out v dt`, out = `max(0, abs(d_est) + PL_CT + W/2 - w/2)`, at most 2 m |
-    | `cost_headway` | 0.5 | `max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt`, at most dt; dt for a leader unseen |
+    | `cost_headway` | 0.5 | `max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt`, at most dt; by the true gap if worse |
     | `cost_alert` | 0.5 | dt while an alert is older than 1 s and the car changes lane or exceeds half the limit |
-    | `cost_hmi` | 5 | dt while the position counts as available and an error exceeds its alert limit |
+    | `cost_hmi` | 5 | dt while the position counts as available and an error exceeds its alert limit, by epochs |
 
     `d_RSS = v rho + a rho^2 / 2 + (v + a rho)^2 / (2 b_min) - v_lead^2 / (2 b_max)`, 0 at least, with rho 0.5 s, a 2,
-    b_min 4 and b_max 6 m/s2. An unseen leader is one nearer than that in truth, while the ego perceives nobody ahead or
-    has no level for the gap. During a lane change both lanes count as the car's own, and `cost_lane_integrity` is 0;
-    with `keep_lane=False` the whole road counts so at all times. Where lanes meet the body may stand on several of
-    them. `cost_limit` is a bound of an episode's cost for constrained learning and not enforced; each page says what it
-    lies between.
+    b_min 4 and b_max 6 m/s2. A missing level counts as 2 m across the track and as 40 m of a gap; a leader whom the car
+    does not perceive at all, nearer than d_RSS in truth, costs dt. A crash or leaving the road costs more than any
+    `cost_limit`, so that ending an episode early is no way to keep it. During a lane change both lanes count as the
+    car's own, for the body and for the estimate with its level; with `keep_lane=False` the whole road counts so at all
+    times. Where lanes meet the body may stand on several of them. `cost_limit` is a bound of an episode's cost for
+    constrained learning and not enforced; each page says what it lies between.
 
     ## Info
     The same keys at reset and at every step. What the car knows: `pl_at_m`, `pl_ct_m`, `al_at_m`, `al_ct_m`,
     `margin_at_m`, `margin_ct_m` (AL - PL), `alert`, `available`, `mode` and `reason` (codes of `Mode` and
     `AlertReason`), `tta_s` (time left to react to an alert). What no agent is to be given: `speed_mps`,
-    `yaw_rate_radps`, `err_at_m`, `err_ct_m` (estimate less truth), `mi` and `hmi` (available, and an error above its
-    PL, or above its AL), `crashed`, `crashed_now`, `off_road`, `wrong_way`, `is_success`. Of the step: `cost` and the
-    causes above, `rewards` (the terms above, unweighted).
+    `yaw_rate_radps`, `err_at_m`, `err_ct_m` (estimate less truth), `mi` and `hmi` (at any navigation epoch of the step
+    available, and an error above its PL but within its AL, or above its AL), `hmi_share` (of the epochs), `crashed`,
+    `crashed_now`, `off_road`, `wrong_way`, `astray_now` (either of these two, and new), `is_success`. Of the step:
+    `cost` and the causes above, `rewards` (the terms above, unweighted).
 
     ## Starting State
     `seed` draws everything: the traffic, one of 4 made-up cities along the roads, the hour of the constellations. The
@@ -194,6 +197,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         meta = self.config.action is ActionKind.META
         self._corridor = Corridor(not self.config.keep_lane, meta, self._belief.target_lane_index)
         self._judge = Judge(self.config, self.world)
+        self.cockpit.watch = self._judge.glance
         self._speed_before = float(self.world.vehicle.speed)
         self.observer.reset()
         verdict = self._judge.look(self._belief, self.dt_s, ended=False)
@@ -281,8 +285,11 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         belief, traffic, car = self._belief, self._cockpit().traffic, self.world.vehicle
         road, c = self.world.road, self.config.cost
         lead = lead_of(road.network, belief, traffic, float(car.LENGTH))
-        crashed, hmi, dt_s = verdict.crashed_now, verdict.hmi, 0.0 if start else self.dt_s
-        return costs_of(c, road.network, self._corridor, car, belief, lead, road.vehicles, crashed, hmi, dt_s)
+        v, dt_s = verdict, 0.0 if start else self.dt_s
+        return costs_of(
+            c, road.network, self._corridor, car, belief, lead, road.vehicles, v.crashed_now, v.astray_now, v.hmi_share,
+            dt_s,
+        )  # fmt: skip
 
     def _rewards(self, verdict: Verdict, base: float, start: bool = False) -> dict[str, float]:
         car, dt_s = self.world.vehicle, 0.0 if start else self.dt_s

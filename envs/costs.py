@@ -2,8 +2,8 @@
 
 Symbols: v speed over ground [m/s], dt length of a policy step [s], W and L width and length of the car, w width of the
 lane, d lateral offset from the middle of the lane, psi heading less the lane's. Costs are >= 0, and but for misleading
-information 0 for a car at rest in its lane; each is an integral over time, so that halving the policy's rate leaves an
-episode's cost as it is.
+information 0 for a car at rest in its lane; each is an integral over time, or 1 once, so that halving the policy's rate
+leaves an episode's cost as it is.
 """
 
 from __future__ import annotations
@@ -22,18 +22,30 @@ from pydantic import Field
 from lanebound.envs.records import EgoBelief, LaneIndex, Traffic
 from lanebound.integrity.config import Config
 
-__all__ = ["CAUSES", "Corridor", "CostConfig", "Lead", "costs_of", "lead_of", "rss_distance_m", "tailgates", "weighted"]
+__all__ = ["CAUSES", "Corridor", "CostConfig", "Lead", "costs_of", "lead_of", "rss_distance_m", "shortfall", "weighted"]
 
-CAUSES = ("cost_collision", "cost_lane", "cost_lane_integrity", "cost_headway", "cost_alert", "cost_hmi")
+CAUSES = (
+    "cost_collision",
+    "cost_off_road",
+    "cost_lane",
+    "cost_lane_integrity",
+    "cost_headway",
+    "cost_alert",
+    "cost_hmi",
+)
 CHANGE_S = 8.0  # two lane changes in a row; one takes 3 to 5 s in traffic, about 3 s by highway-env's control
 JOINT_M = 1.0  # lanes that follow each other do not meet exactly in every world of highway-env
+UNKNOWN_GAP_M = 40.0  # what a missing level of the gap counts as; as far as observations show levels
 EXCESS_MAX_M = 2.0  # beyond a lane's width being further out is no worse; also what a missing level counts as
 
 
 class CostConfig(Config):
     """Weights of the causes and the figures of their formulas."""
 
-    collision: float = Field(10.0, ge=0, description="weight of cost_collision [-]; a crash outweighs any departure")
+    collision: float = Field(
+        50.0, ge=0, description="weight of cost_collision [-]; above every cost_limit: an end is no way to save costs"
+    )
+    off_road: float = Field(50.0, ge=0, description="weight of cost_off_road [-]; as a crash")
     lane: float = Field(1.0, ge=0, description="weight of cost_lane [1/m^2]")
     lane_integrity: float = Field(0.1, ge=0, description="weight of cost_lane_integrity [1/m^2]; a risk, no harm yet")
     headway: float = Field(0.5, ge=0, description="weight of cost_headway [1/s]")
@@ -92,9 +104,9 @@ def lead_of(network: RoadNetwork, belief: EgoBelief, traffic: Traffic, length_m:
     return best
 
 
-def tailgates(ego: Vehicle, others: Iterable[Vehicle], c: CostConfig) -> bool:
-    """Whether in truth a vehicle is ahead in the ego's lane, within half a lane width, nearer than the RSS distance."""
-    lane = ego.lane
+def shortfall(ego: Vehicle, others: Iterable[Vehicle], c: CostConfig) -> float:
+    """Share of the RSS distance that in truth lacks to a vehicle ahead, within half the lane's width; 0 to 1."""
+    lane, worst = ego.lane, 0.0
     place, _ = lane.local_coordinates(ego.position)
     half = 0.5 * float(lane.width_at(place))
     for other in others:
@@ -102,9 +114,12 @@ def tailgates(ego: Vehicle, others: Iterable[Vehicle], c: CostConfig) -> bool:
         if other is ego or s <= place or abs(d) > half:
             continue
         gap = float(s - place) - 0.5 * float(ego.LENGTH + other.LENGTH)
-        if gap < rss_distance_m(float(ego.speed), float(other.speed), c):
-            return True
-    return False
+        worst = max(worst, _lacking(gap, rss_distance_m(float(ego.speed), float(other.speed), c)))
+    return worst
+
+
+def _lacking(gap_m: float, needed_m: float) -> float:
+    return min(max(1.0 - gap_m / needed_m, 0.0), 1.0) if needed_m > 0.0 else 0.0
 
 
 @dataclass
@@ -219,20 +234,22 @@ def costs_of(
     lead: Lead | None,
     others: Iterable[Vehicle],
     crashed_now: bool,
-    hmi: bool,
+    astray_now: bool,
+    hmi_share: float,
     dt_s: float,
 ) -> dict[str, float]:
     """Costs of one policy step by cause, unweighted.
 
     ``cost_collision``  1 in the step of a crash.
+    ``cost_off_road``  1 in the step in which the car has left the road, or driven against its lane for too long.
     ``cost_lane``  ``max(0, |d| + half body - w / 2) v dt`` of the TRUE car beyond its corridor, at most 2 m.
     ``cost_lane_integrity``  ``max(0, |d_est| + PL_CT + W / 2 - w / 2) v dt`` of the belief, at most 2 m, also without
     PL_CT; about the outer edges of both lanes during a change; 0 without a lane to keep (``keep_lane`` off).
-    ``cost_headway``  ``max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt``, at most dt. With nobody perceived ahead, or
-    without a level of both, nothing bounds the gap: dt while somebody is nearer than d_RSS in TRUTH, else 0. To lose
-    sight of a leader saves nothing, and to be alone costs nothing.
+    ``cost_headway``  ``max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt``, at most dt; a missing level counts as 40 m.
+    No less than ``max(0, 1 - gap / d_RSS) dt`` in TRUTH, and dt while somebody is that near and nobody perceived ahead.
+    To lose sight of a leader, or its level, saves nothing, and to be alone costs nothing.
     ``cost_alert``  dt while an alert is older than the TTA and the car drives faster than permitted or changes lane.
-    ``cost_hmi``  dt while misleading information is hazardous on either axis.
+    ``cost_hmi``  dt times the share of the step's epochs whose information is hazardously misleading on either axis.
     """
     v = abs(float(ego.speed))
     out = min(max(overhang_m(network, corridor, ego.position, float(ego.heading), ego), 0.0), EXCESS_MAX_M)
@@ -243,23 +260,23 @@ def costs_of(
     fast = limit > 0.0 and v > c.alert_speed_share * limit
     return {
         "cost_collision": float(crashed_now),
+        "cost_off_road": float(astray_now),
         "cost_lane": out * v * dt_s,
         "cost_lane_integrity": doubt * v * dt_s,
         "cost_headway": _short_headway(c, belief, lead, ego, others) * dt_s,
         "cost_alert": float(late and (fast or corridor.changing)) * dt_s,
-        "cost_hmi": float(hmi) * dt_s,
+        "cost_hmi": hmi_share * dt_s,
     }
 
 
 def _short_headway(
     c: CostConfig, belief: EgoBelief, lead: Lead | None, ego: Vehicle, others: Iterable[Vehicle]
 ) -> float:
-    if lead is None or not math.isfinite(lead.bound_m):
-        return float(tailgates(ego, others, c))
-    needed = rss_distance_m(belief.speed_mps, lead.speed_mps, c)
-    if needed <= 0.0:
-        return 0.0
-    return min(max(1.0 - (lead.gap_m - lead.bound_m) / needed, 0.0), 1.0)
+    truly = shortfall(ego, others, c)
+    if lead is None:
+        return float(truly > 0.0)
+    gap_m = lead.gap_m - min(lead.bound_m, UNKNOWN_GAP_M)
+    return max(truly, _lacking(gap_m, rss_distance_m(belief.speed_mps, lead.speed_mps, c)))
 
 
 def weighted(c: CostConfig, costs: dict[str, float]) -> float:

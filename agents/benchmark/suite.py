@@ -47,13 +47,14 @@ class AgentConfig(Config):
 
     agent: str = Field(description="name of an agent, model.zip (SB3), model.onnx, or package.module:callable")
     config: Mapping[str, Any] = Field({}, description="what this agent needs of its environment, merged over the suite")
+    figures: Mapping[str, Any] = Field({}, description="of an agent of ours, such as {speed_share: 0.5} of cautious")
 
 
 class SuiteConfig(Config):
     """Everything that a benchmark drives; its cells are envs x skies x faults x agents.
 
     ``agents`` may be written as a list of names, or as a mapping from names to what :class:`AgentConfig` calls agent,
-    or to both of its fields.
+    or to all of its fields.
 
     >>> suite = SuiteConfig.load({"envs": ["LaneKeeping"], "agents": ["nominal", {"mine": "runs/model.zip"}]})
     >>> suite.envs, suite.agents["mine"].agent, suite.seeds.seeds[0]

@@ -68,7 +68,8 @@ class Work:
         return outcome
 
     def _make(self, task: Task) -> Callable[[DrivingEnv], Any]:
-        return lambda env: make_agent(self.suite.agents[task.agent].agent, env)
+        chosen = self.suite.agents[task.agent]
+        return lambda env: make_agent(chosen.agent, env, chosen.figures)
 
     def _environment(self, task: Task) -> DrivingEnv:
         """The environment of a task; those of an id are kept while the work is at that id."""
@@ -137,7 +138,7 @@ def unfit(suite: SuiteConfig) -> list[tuple[str, str, str]]:
             env = open_env(place.env, suite.env_overrides(place, name))
             try:
                 if not is_foreign(chosen.agent):
-                    make_agent(chosen.agent, env)
+                    make_agent(chosen.agent, env, chosen.figures)
             except InputError as error:
                 found.append((place.env, name, str(error)))
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -21,32 +22,33 @@ def _tune() -> None:
 @app.command("cautious")
 def cautious(
     name: Annotated[str, typer.Argument(metavar="ID", help="An environment, as 'lanebound envs' lists them.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the episodes; a run goes on where one stopped.")],
     sky: Annotated[str, typer.Option(help="Level of the sky.")] = "dense",
-    first_seed: Annotated[int, typer.Option(min=0, help="The first; training seeds are 1000 to 1999.")] = 1000,
-    seeds: Annotated[int, typer.Option(min=1, help="How many.")] = 20,
-    halvings: Annotated[int, typer.Option(min=1, max=8, help="How often the range of caution is halved.")] = 4,
+    seeds: Annotated[int, typer.Option(min=1, help="How many, from the first training seed on.")] = 40,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Processes; one for each core by default.")] = None,
 ) -> None:
     """Constant margins that do as much harm as the integrity-aware driver; prints JSON.
 
-    Example: lanebound tune cautious CarFollowing --sky dense --seeds 20
+    Example: lanebound tune cautious CarFollowing --sky dense --out out/tune
     """
     from lanebound.agents.cli.interrupt import stoppable, wait_for
     from lanebound.agents.cli.output import print_json
 
-    with stoppable(lambda: "nothing is kept"):
-        print_json(wait_for(lambda: _tuned(name, sky, range(first_seed, first_seed + seeds), halvings)))
+    with stoppable(lambda: f"finished episodes are kept in {out}: the same command goes on"):
+        print_json(wait_for(lambda: _tuned(name, sky, seeds, out, jobs)))
 
 
-def _tuned(name: str, sky: str, seeds: range, halvings: int) -> dict[str, Any]:
+def _tuned(name: str, sky: str, seeds: int, out: Path, jobs: int | None) -> dict[str, Any]:
     from rich.console import Console
     from rich.progress import Progress
 
-    from lanebound.agents.drivers.tuning import tune_cautious
+    from lanebound.agents.benchmark.running import Progress as Run
+    from lanebound.agents.benchmark.tuning import tune_cautious
 
     with Progress(console=Console(stderr=True)) as bar:
-        task = bar.add_task("integrity_aware", total=len(seeds) * (halvings + 1))
+        task = bar.add_task("driving", total=None)
 
-        def tell(what: str, done: int, of: int) -> None:
-            bar.update(task, advance=1, description=what)
+        def told(progress: Run) -> None:
+            bar.update(task, completed=progress.done, total=progress.of)
 
-        return tune_cautious(name, sky, seeds, halvings, tell)
+        return tune_cautious(name, sky, seeds, out, jobs, told)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib import import_module
-from typing import TYPE_CHECKING
+from types import NoneType
+from typing import TYPE_CHECKING, Any, cast, get_args, get_type_hints
 
 from lanebound.integrity.errors import InputError
 
 if TYPE_CHECKING:
     from lanebound.agents.drivers.base import Driver
     from lanebound.envs.core import DrivingEnv
+    from lanebound.integrity.config import Config
 
 __all__ = ["AGENTS", "make_agent"]
 
@@ -30,24 +33,37 @@ AGENTS = {
 }
 
 
-def make_agent(name: str, env: DrivingEnv) -> Driver:
+def make_agent(name: str, env: DrivingEnv, figures: Mapping[str, Any] | None = None) -> Driver:
     """The agent of that name for an environment, made from its spaces and its published index alone.
 
     The name may also be that of a file or a callable, see :func:`~lanebound.agents.drivers.foreign.open_foreign`.
+    ``figures`` change the agent's own configuration, such as ``{"speed_share": 0.5}`` that of ``cautious``.
 
     Raises
     ------
     InputError
-        No agent has that name, or the environment does not show what it needs.
+        No agent has that name, it has no such figures, or the environment does not show what it needs.
     """
-    if name not in AGENTS:
-        from lanebound.agents.drivers.foreign import is_foreign, open_foreign
+    if name in AGENTS:
+        module, _, maker = AGENTS[name].partition(":")
+        make = getattr(import_module(module), maker)
+        driver: Driver = make(env, _config_class(name, make).load(dict(figures))) if figures else make(env)
+        return driver
+    from lanebound.agents.drivers.foreign import is_foreign, open_foreign
 
-        if is_foreign(name):
-            return open_foreign(name, env)
+    if not is_foreign(name):
         from lanebound.integrity.presets import nearest
 
         raise InputError(f"agent '{name}' is unknown: {nearest(name, AGENTS)}")
-    module, _, maker = AGENTS[name].partition(":")
-    driver: Driver = getattr(import_module(module), maker)(env)
-    return driver
+    if figures:
+        raise InputError(f"figures must be empty for '{name}', got {sorted(figures)}: only agents of ours have figures")
+    return open_foreign(name, env)
+
+
+def _config_class(name: str, make: Any) -> type[Config]:
+    """The class of an agent's figures, as its maker declares it."""
+    if not isinstance(make, type):
+        for kind in get_args(get_type_hints(make).get("config")):
+            if kind is not NoneType:
+                return cast("type[Config]", kind)
+    raise InputError(f"figures must be empty for '{name}', got some: this agent has none")

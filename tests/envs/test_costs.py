@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,18 @@ from highway_env.road.lane import StraightLane
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 
-from lanebound.envs import DrivingEnv, make_config, wrap
-from lanebound.envs.costs import CHANGE_S, Corridor, CostConfig, overhang_m, rss_distance_m, tailgates
+from lanebound.envs import IDS, DrivingEnv, make_config, wrap
+from lanebound.envs.costs import (
+    CHANGE_S,
+    Corridor,
+    CostConfig,
+    Lead,
+    _short_headway,
+    overhang_m,
+    rss_distance_m,
+    shortfall,
+)
+from lanebound.envs.judge import _misleading
 from lanebound.integrity.errors import ConfigError
 
 PERFECT: dict[str, Any] = {"sky": "open", "navigation": {"source": "perfect"}, "perception": {"source": "none"}}
@@ -187,12 +198,88 @@ def _behind(gap_m: float, speed_mps: float, **perception: Any) -> DrivingEnv:
 
 
 @pytest.mark.parametrize(
-    ("gap_m", "speed_mps", "tails"), [(10.0, 10.0, True), (40.0, 10.0, False), (1.0, 0.0, False), (-30.0, 10.0, False)]
+    ("gap_m", "speed_mps", "lacks"),
+    [(10.2, 10.0, 0.5), (40.0, 10.0, 0.0), (1.0, 0.0, 0.0), (-30.0, 10.0, 0.0)],
 )
-def test_who_tailgates_is_a_question_of_the_true_gap(gap_m: float, speed_mps: float, tails: bool) -> None:
+def test_what_lacks_of_the_distance_is_a_question_of_the_true_gap(gap_m: float, speed_mps: float, lacks: float) -> None:
     """From 10 m/s a standing vehicle asks for 5.25 + 11^2 / 8 = 20.4 m; at rest no gap is too short."""
     env = _behind(gap_m, speed_mps, source="none")
-    assert tailgates(env.world.vehicle, env.world.road.vehicles, env.config.cost) is tails
+    found = shortfall(env.world.vehicle, env.world.road.vehicles, env.config.cost)
+    assert found == pytest.approx(lacks, abs=0.01)
+
+
+@pytest.mark.parametrize(("bound_m", "share"), [(0.0, 0.02), (5.0, 0.27), (20.0, 1.0), (math.inf, 1.0)])
+def test_a_missing_level_of_the_gap_costs_as_the_largest(bound_m: float, share: float) -> None:
+    """20 m of 20.4 m: a gap just too short, less what bounds its error."""
+    env = _behind(20.0, 10.0, source="none")
+    assert env.cockpit is not None
+    belief = replace(env.cockpit.belief(), speed_mps=10.0)
+    found = _short_headway(CostConfig(), belief, Lead(20.0, 0.0, bound_m), env.world.vehicle, env.world.road.vehicles)
+    assert found == pytest.approx(share, abs=0.02)
+
+
+def test_a_nearer_leader_unseen_costs_by_the_true_gap() -> None:
+    env = _behind(10.2, 10.0, source="none")
+    assert env.cockpit is not None
+    far = Lead(90.0, 0.0, 0.5)
+    ego, others = env.world.vehicle, env.world.road.vehicles
+    assert _short_headway(CostConfig(), env.cockpit.belief(), far, ego, others) == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_to_end_an_episode_badly_costs_more_than_any_limit(env_id: str) -> None:
+    config = make_config(env_id)
+    assert min(config.cost.collision, config.cost.off_road) > config.cost_limit
+
+
+def test_leaving_the_road_costs_once() -> None:
+    env = DrivingEnv(make_config("lanebound/LaneKeeping-v0", {"sky": "open"}))
+    env.reset(seed=0)
+    total, over = 0.0, False
+    while not over:
+        *_, terminated, truncated, info = env.step(np.array([0.0, 1.0], dtype=np.float32))
+        total, over = total + info["cost_off_road"], terminated or truncated
+    assert info["off_road"]
+    assert total == 1.0
+    assert info["cost"] >= env.config.cost.off_road
+
+
+def test_every_epoch_of_a_step_is_judged() -> None:
+    """At 2 decisions a second a step has five epochs; three of them hazardous are three fifths of its time."""
+    env = DrivingEnv(make_config("lanebound/UrbanCanyon-v0", {"sky": "open", "world": {"vehicles_count": 0}}))
+    env.reset(seed=0)
+    assert env.cockpit is not None
+    judge, seen = env._judge, []
+
+    def watch(position_m: Any, levels_m: Any, limits_m: Any, available: bool) -> None:
+        seen.append(available)
+        beside = np.array([0.0, 5.0 if len(seen) in (1, 3, 4) else 0.0])
+        judge.glance(env.world.vehicle.position + beside, (0.1, 0.1), limits_m, True)
+
+    env.cockpit.watch = watch
+    *_, info = env.step(IDLE)
+    assert len(seen) == 5
+    assert (info["hmi"], info["mi"], info["hmi_share"]) == (True, False, 0.6)
+    assert info["cost_hmi"] == pytest.approx(0.6 * env.dt_s)
+
+
+@pytest.mark.parametrize(
+    ("error_ct_m", "level_m", "available", "said"),
+    [
+        (0.2, 0.3, True, (False, False)),
+        (0.4, 0.3, True, (True, False)),
+        (0.9, 0.3, True, (False, True)),
+        (0.9, 0.7, True, (False, False)),
+        (0.9, 0.3, False, (False, False)),
+    ],
+)
+def test_misleading_and_hazardous_exclude_each_other(
+    error_ct_m: float, level_m: float, available: bool, said: tuple[bool, bool]
+) -> None:
+    """With an error along the track that misleads whenever the position is available and the other axis does not."""
+    assert _misleading((0.0, error_ct_m), (0.3, level_m), (1.5, 0.6), available) == said
+    hazardous = _misleading((0.5, error_ct_m), (0.3, level_m), (1.5, 0.6), available)
+    assert hazardous == (False, True) if said[1] else hazardous == (available, False)
 
 
 def test_a_leader_that_is_not_perceived_costs_in_full_until_the_car_stands() -> None:

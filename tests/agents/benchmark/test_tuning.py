@@ -1,0 +1,66 @@
+"""The cautious driver's margins are as much care as it takes to do no more harm, found on training seeds alone."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from lanebound.agents.benchmark.seeds import TRAIN
+from lanebound.agents.benchmark.tuning import GOAL, LADDER, Measured, cautious_at, choose, tuning_suite
+from lanebound.agents.cli import app
+from lanebound.agents.drivers import make_agent
+from lanebound.agents.episodes import open_env
+from lanebound.integrity.errors import ConfigError, InputError
+
+
+def _measured(harm: float, speed_mps: float) -> Measured:
+    return Measured(harm, 0.0, 0.0, harm, speed_mps, 1)
+
+
+def test_caution_slows_and_widens_from_the_nominal_driver_on():
+    nominal, most = cautious_at(0.0), cautious_at(1.0)
+    assert (nominal.speed_share, nominal.gap_m, nominal.lane_m) == (1.0, 0.0, 0.0)
+    assert (most.speed_share, most.gap_m, most.lane_m) == (pytest.approx(0.3), 10.0, 1.0)
+
+
+def test_the_ladder_is_driven_on_training_seeds_with_its_margins():
+    suite = tuning_suite("CarFollowing", "dense", 5)
+    assert set(suite.seeds.seeds) <= set(TRAIN)
+    assert len(suite.agents) == 1 + len(LADDER)
+    env = open_env("CarFollowing", {"sky": "dense"})
+    chosen = suite.agents["caution_0.5"]
+    driver = make_agent(chosen.agent, env, chosen.figures)
+    assert driver.plan.config.speed_share == pytest.approx(cautious_at(0.5).speed_share)
+
+
+def test_the_least_caution_without_more_harm_is_chosen_though_harm_is_not_monotone():
+    ladder = {0.0: _measured(9.0, 10.0), 0.25: _measured(5.0, 8.0), 0.5: _measured(6.0, 6.0), 1.0: _measured(1.0, 3.0)}
+    assert choose(_measured(5.5, 9.0), ladder) == (0.25, "harm")
+    assert choose(_measured(2.0, 9.0), ladder) == (1.0, "harm")
+    assert choose(_measured(0.5, 7.0), ladder) == (0.375, "speed")
+    assert choose(_measured(0.5, 20.0), ladder) == (0.0, "speed")
+
+
+def test_figures_that_an_agent_does_not_have_are_refused():
+    env = open_env("CarFollowing", {"sky": "open"})
+    with pytest.raises(ConfigError, match="speed_shar is not a known key"):
+        make_agent("cautious", env, {"speed_shar": 0.5})
+    with pytest.raises(InputError, match="figures must be empty for 'random'"):
+        make_agent("random", env, {"x": 1})
+    with pytest.raises(InputError, match="only agents of ours have figures"):
+        make_agent("json:loads", env, {"x": 1})
+
+
+def test_the_command_drives_and_says_what_it_chose(tmp_path, monkeypatch):
+    monkeypatch.setattr("lanebound.agents.benchmark.tuning.LADDER", (0.0, 1.0))
+    monkeypatch.setattr("lanebound.agents.benchmark.tuning.EPISODE", {"duration_s": 2.0})
+    args = ["tune", "cautious", "CarFollowing", "--sky", "open", "--seeds", "1", "--jobs", "1", "--out", str(tmp_path)]
+    result = CliRunner().invoke(app, args)
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert set(found["ladder"]) == {"0.0", "1.0"}
+    assert found[GOAL]["episodes"] == 1
+    assert found["matched"] in ("harm", "speed")
+    assert found["figures"]["speed_share"] == pytest.approx(1.0 - 0.7 * found["caution"], abs=1e-3)
