@@ -13,8 +13,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import field_validator
-from scipy.special import ndtri
-from scipy.stats import chi2
+from scipy.special import chdtri, ndtri
 
 from lanebound.integrity.config import Config, Field
 from lanebound.integrity.errors import require_in_range
@@ -144,7 +143,7 @@ def false_alarm_factor(alpha: float, n_modes: ArrayLike, variant: Variant = Vari
 def direction_factor(alpha: float, n_modes: ArrayLike, rank: ArrayLike) -> Array:
     """Threshold of the largest direction, ``sqrt(chi2_{1-a/n}(rank))`` (S2 eq 9).  (...,) -> (...,), 0 for none."""
     n = np.asarray(n_modes, dtype=np.float64)
-    return np.where(n > 0.0, np.sqrt(chi2.isf(alpha / np.maximum(n, 1.0), np.asarray(rank))), 0.0)
+    return np.where(n > 0.0, np.sqrt(chdtri(np.asarray(rank), alpha / np.maximum(n, 1.0))), 0.0)
 
 
 def mode_shares(n_columns: int, fault_free_share: float = 0.0) -> Array:

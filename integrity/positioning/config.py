@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from lanebound.integrity.config import Config
 from lanebound.integrity.frames import GRAVITY_MPS2
@@ -87,7 +87,7 @@ class RtkConfig(Config):
     def largest_misfits(self) -> NDArray[np.float64]:
         """Largest squared norm of an accepted fix by its number of ambiguities, up to that of all candidates."""
         numbers = np.arange(2 * self.max_candidates + 1)
-        return np.asarray(chi2.isf(self.fit_false_rejection, np.maximum(numbers, 1)))
+        return np.asarray(chdtri(np.maximum(numbers, 1), self.fit_false_rejection))
 
 
 class DopplerConfig(Config):

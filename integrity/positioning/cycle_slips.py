@@ -15,7 +15,7 @@ from enum import IntEnum, IntFlag
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
-from scipy.stats import chi2, norm
+from scipy.special import chdtri, ndtri
 
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import InputError
@@ -86,12 +86,12 @@ class CycleSlipConfig(Config):
     @property
     def threshold(self) -> float:
         """Standard deviations at which one test rejects: ``Qinv(P_FA / (2 * 4))``, Bonferroni over the tests."""
-        return float(norm.isf(self.false_alarm_rate / (2 * TESTS_PER_SATELLITE)))
+        return -float(ndtri(self.false_alarm_rate / (2 * TESTS_PER_SATELLITE)))
 
     @property
     def fit_limit(self) -> float:
         """Largest squared norm of an accepted repair: the chi-square quantile with 2 degrees of freedom."""
-        return float(chi2.isf(self.repair_false_rejection, 2))
+        return float(chdtri(2, self.repair_false_rejection))
 
 
 def remove_common(change: ArrayLike, member: ArrayLike, system: ArrayLike) -> Array:
