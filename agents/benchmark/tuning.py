@@ -120,12 +120,14 @@ def tune_cautious(
     """
     suite = tuning_suite(name, sky, seeds)
     results = run(suite, folder, jobs, told=told)
-    cost = open_env(name).config.cost
+    config = open_env(name, {"sky": sky}).config
+    cost = config.cost
     goal = _measured(results, GOAL, cost)
     ladder = {caution: _measured(results, _rung(caution), cost) for caution in LADDER}
     caution, matched = choose(goal, ladder)
     return {
         "environment": suite.envs[0],
+        "base": config.base,
         "sky": sky,
         "seeds": [suite.seeds.seeds[0], suite.seeds.seeds[-1]],
         GOAL: asdict(goal),

@@ -15,6 +15,7 @@ __all__ = ["KINDS", "resolve"]
 
 KINDS = {
     "suite": "lanebound.agents.benchmark.suite:SuiteConfig",
+    "tuned_caution": "lanebound.agents.drivers.margins:TunedCaution",
     "urban_drive": "lanebound.agents.reproduce.urban_drive:UrbanDriveConfig",
     "navigator": "lanebound.integrity.navigator:NavigatorConfig",
     "corrections": "lanebound.integrity.sensors.corrections:CorrectionsConfig",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -12,10 +12,11 @@ from lanebound.agents.drivers.base import Observation
 from lanebound.agents.drivers.nominal import Nominal
 from lanebound.agents.drivers.plan import ContinuousDriver, MetaDriver, carry_out
 from lanebound.agents.drivers.plans import CruiseConfig, following_acceleration
+from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
-from lanebound.integrity.config import Field
+from lanebound.integrity.config import Config, Field
 
-__all__ = ["Cautious", "CautiousConfig", "Rss", "RssConfig", "make_cautious", "make_rss", "rss_speed"]
+__all__ = ["Cautious", "CautiousConfig", "Rss", "RssConfig", "TunedCaution", "make_cautious", "make_rss", "rss_speed"]
 
 Array = NDArray[np.float64]
 
@@ -30,11 +31,21 @@ class RssConfig(CruiseConfig):
 
 
 class CautiousConfig(CruiseConfig):
-    """Constant margins, to be tuned on training seeds."""
+    """Constant margins; see :class:`TunedCaution` for those that were found on training seeds."""
 
     gap_m: float = Field(3.0, ge=0, description="taken off every gap; PL_AT of two cars a few seconds into an outage")
     speed_share: float = Field(0.8, gt=0, le=1, description="share of the speed that the route allows [-]; argued")
     lane_m: float = Field(0.3, ge=0, description="the own lane counts as wider by this on each side; argued")
+
+
+class TunedCaution(Config):
+    """The margins that were found for worlds and skies by ``lanebound tune cautious``."""
+
+    at: Mapping[str, Mapping[str, CautiousConfig]] = Field({}, description="by base of the world and sky")
+
+    def of(self, world: EnvConfig) -> CautiousConfig:
+        """The margins for an environment: those found there, or the defaults."""
+        return self.at.get(world.base, {}).get(world.sky, CautiousConfig())
 
 
 def rss_speed(s: Array, lead_mps: Array, c: RssConfig) -> Array:
@@ -93,5 +104,5 @@ def make_rss(env: DrivingEnv, config: RssConfig | None = None) -> ContinuousDriv
 
 
 def make_cautious(env: DrivingEnv, config: CautiousConfig | None = None) -> ContinuousDriver | MetaDriver:
-    """The driver with constant margins."""
-    return carry_out(env, Cautious(env, config or CautiousConfig()))
+    """The driver with constant margins: without a configuration those tuned for this world and sky, if any."""
+    return carry_out(env, Cautious(env, config or TunedCaution.preset("drivers/cautious").of(env.config)))

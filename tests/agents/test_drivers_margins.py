@@ -11,13 +11,15 @@ import pytest
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.aware import AwareConfig, IntegrityAware
 from lanebound.agents.drivers.base import Reader
-from lanebound.agents.drivers.margins import Cautious, CautiousConfig, Rss, RssConfig, rss_speed
+from lanebound.agents.drivers.margins import Cautious, CautiousConfig, Rss, RssConfig, TunedCaution, rss_speed
 from lanebound.agents.drivers.nominal import Nominal
 from lanebound.agents.drivers.plan import Plan
 from lanebound.agents.drivers.plans import CruiseConfig
 from lanebound.agents.drivers.stop import StopConfig, StopOnAlert
 from lanebound.agents.episodes import EpisodeLog, drive, open_env, summarise
+from lanebound.envs import IDS, make_config
 from lanebound.envs.costs import CostConfig, rss_distance_m
+from lanebound.envs.sky import SKY_LEVELS
 from lanebound.integrity.errors import InputError
 
 GIVEN: dict[str, Any] = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "sky": "open"}
@@ -86,6 +88,20 @@ def test_cautious_is_slower_and_further_away_but_reads_no_levels(env):
     assert careful.lead(shown)[0] == pytest.approx(25.0 - careful.config.gap_m, rel=1e-5)
     aside = seen(calm.reader, 25.0, traffic__v0_own_lane=0.0, traffic__v0_lane_offset=1.8)
     assert careful.lead(aside)[0] < 30.0 < calm.lead(aside)[0]
+
+
+def test_tuned_margins_are_taken_where_they_were_found():
+    street = make_config("lanebound/CarFollowing-v0", {"sky": "urban"})
+    tuned = TunedCaution.load({"at": {street.base: {"urban": {"speed_share": 0.5, "gap_m": 7.0}}}})
+    assert tuned.of(street).speed_share == 0.5
+    assert tuned.of(street.replace(sky="open")) == CautiousConfig()
+    assert tuned.of(make_config("lanebound/Merge-v0", {"sky": "urban"})) == CautiousConfig()
+
+
+def test_tuned_margins_name_worlds_and_skies_that_there_are():
+    at = TunedCaution.preset("drivers/cautious").at
+    assert set(at) <= {make_config(env_id).base for env_id in IDS}
+    assert {sky for skies in at.values() for sky in skies} <= set(SKY_LEVELS)
 
 
 @pytest.mark.parametrize("agent", ["cruise", "nominal", "cautious"])
