@@ -85,7 +85,7 @@ class TubeMpc(Nominal):
     """
 
     NEEDED = (*Nominal.NEEDED, *(f"integrity.{name}" for name in (
-        "pl_at", "pl_ct", "al_at", "al_ct", "trend_at", "trend_ct", "since_rtk", "corrections_age", "alert"
+        "pl_at", "pl_ct", "al_at", "al_ct", "since_rtk", "corrections_age", "alert"
     )))  # fmt: skip
     config: MpcConfig
 

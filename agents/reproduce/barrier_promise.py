@@ -134,7 +134,7 @@ def drive_part(config: BarrierPromiseConfig, group: str, seeds: Sequence[int]) -
                 total["crashed"].append(seed)
             counts["counts"].update(watch.counts)
             counts["exceptions"].update(watch.exceptions)
-            counts["counts"]["episodes with exceptions"] += bool(watch.exceptions)
+            counts["counts"]["episodes with exceptions"] += bool(watch.counts["exceptional"])
             counts["counts"]["episodes with lost barrier"] += bool(watch.counts["lost"] or watch.counts["broken"])
             total["breaches"] += watch.breaches
             total["least_m"] = min(total["least_m"], watch.least_m)

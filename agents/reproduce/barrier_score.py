@@ -3,6 +3,9 @@
 The promise is an induction: from a state with ``h >= 0`` a decision made while all assumptions hold leads to a state
 with ``h >= 0``. Each decision is judged for itself, so that one exception does not excuse the rest of an episode.
 
+That levels grow as stated is not among what the promise rests on: it foretells whether the next decision has a safe
+acceleration too, short of which the filter brakes fully. It is counted beside the rest, and excuses nothing.
+
 Symbols: s gap between bumpers [m], v and v_l speeds of ego and leader [m/s], s0, tau, b, B as in BarrierConfig.
 """
 
@@ -30,6 +33,7 @@ ASSUMPTIONS = {
     "own speed": "the error of the ego's speed lies within the stated bound",
     "leader's speed": "so does that of the leader's",
     "leader's braking": "the leader brakes no harder than stated",
+    "levels' growth": "levels of both together grow no faster than stated; of foresight, and no excuse",
 }
 
 
@@ -38,6 +42,13 @@ def barrier_m(gap_m: float, ego_mps: float, lead_mps: float, c: BarrierConfig) -
     v, lead = max(ego_mps, 0.0), max(lead_mps, 0.0)
     stops = 0.5 * lead * lead / c.lead_brake_mps2 - 0.5 * v * v / c.brake_mps2
     return gap_m + stops - c.standstill_m - c.response_s * v
+
+
+def levels_m(env: DrivingEnv, info: Mapping[str, Any]) -> float:
+    """Protection levels along the track of ego and leader together; inf when one is missing, or unseen [m]."""
+    assert env.cockpit is not None
+    traffic = env.cockpit.traffic
+    return float(info["pl_at_m"]) + float(traffic.pl_at_m[0]) if traffic.count else math.inf
 
 
 def exceptions_of(env: DrivingEnv, barrier: BarrierFilter, info: Mapping[str, Any]) -> set[str]:
@@ -68,13 +79,25 @@ def exceptions_of(env: DrivingEnv, barrier: BarrierFilter, info: Mapping[str, An
 
 
 @dataclass
+class _Seen:
+    """What a moment showed: decisions so far without a safe acceleration, levels, and what came of the step to it."""
+
+    infeasible: int = 0
+    levels_m: float = math.inf
+    stuck: bool = False
+    grown: bool = False
+
+
+@dataclass
 class PromiseWatch:
     """Judges every decision of the episodes that it watches.
 
     Attributes
     ----------
     counts : decisions, those ``kept`` and ``broken`` while all assumptions held, ``outside`` those judged by no promise
-        (an assumption did not hold, or h was negative before), ``negative`` states with h < 0
+        (an assumption did not hold, or h was negative before), ``negative`` states with h < 0; ``stuck`` those without
+        a safe acceleration, ``newly stuck`` those of them after one that had one, ``foreseeable`` those of these before
+        which levels grew as stated
     exceptions : number of decisions by assumption that did not hold
     breaches : seed, step, h before and after of each broken decision
     least_m : least h after a decision to which the promise applies
@@ -86,6 +109,7 @@ class PromiseWatch:
     breaches: list[dict[str, float]] = field(default_factory=list)
     least_m: float = math.inf
     _before: tuple[float, set[str], float] = (math.nan, set(), 0.0)
+    _seen: _Seen = field(default_factory=lambda: _Seen())
 
     def note(self, moment: Moment) -> None:
         """Judge the decision that led here, and look at what the next one will be made on."""
@@ -96,6 +120,23 @@ class PromiseWatch:
         elif h < 0.0:
             self.counts["unsafe starts"] += 1
         self._before = h, exceptions_of(moment.env, self.barrier, moment.info), float(world.lead.speed)
+        self._foresee(moment)
+
+    def _foresee(self, moment: Moment) -> None:
+        """Count levels that grew faster than stated, and decisions without a safe acceleration, with and without that.
+
+        The last decision was made at the moment before, whose levels had ``grown`` or not.
+        """
+        before, now = self._seen, _Seen(self.barrier.counts["following infeasible"], levels_m(moment.env, moment.info))
+        if moment.step > 0:
+            now.stuck = now.infeasible > before.infeasible
+            now.grown = now.levels_m - before.levels_m > self.barrier.config.growth_mps * moment.env.dt_s + ROUNDING_M
+            fresh = now.stuck and not before.stuck
+            self.exceptions["levels' growth"] += now.grown
+            self.counts["stuck"] += now.stuck
+            self.counts["newly stuck"] += fresh
+            self.counts["foreseeable"] += fresh and not before.grown
+        self._seen = now
 
     def _judge(self, moment: Moment, h: float) -> None:
         before, found, lead_mps = self._before

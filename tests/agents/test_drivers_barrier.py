@@ -183,13 +183,15 @@ def test_no_error_within_the_bounds_makes_the_barrier_negative(env):
     for step in range(steps):
         part = np.where(extreme, sign, rng.uniform(-1.0, 1.0, n))
         shown = seen(barrier.reader, 50.0)[None].repeat(n, 0)
-        speed = (v - part * c.speed_error_mps) / (1.0 + part * c.speed_share) - c.lag_s * np.maximum(commanded, 0.0)
+        speed = (v - part * c.speed_error_mps) / (1.0 + part * barrier.speed_share) - c.lag_s * np.maximum(
+            commanded, 0.0
+        )
         speed = np.where(np.abs(v) < c.creep_mps, 0.0, speed)
         place = gap - moved + told * age  # brought forward at the speed told of
         values = {
             "ego.speed": speed,
             "traffic.v0_lane_gap": place + part * pl + 5.0,
-            "traffic.v0_velocity_ahead": told + part * (c.speed_error_mps + c.speed_share * told) - speed,
+            "traffic.v0_velocity_ahead": told + part * (c.speed_error_mps + barrier.speed_share * told) - speed,
             "traffic.v0_pl_at": pl + 0.5 * 8.0 * age**2,
             "traffic.v0_age": np.full(n, age),
         }
@@ -213,6 +215,19 @@ def test_no_error_within_the_bounds_makes_the_barrier_negative(env):
     assert least < 1.0  # the bounds are used
     assert v.min() > -1.0
     assert gap.min() > 0.9 * c.standstill_m
+
+
+@pytest.mark.parametrize("sky", ["open", "suburban", "urban", "dense"])
+def test_speeds_are_bounded_by_the_scale_that_the_sky_declares(sky):
+    """4.5 sigma of the odometer that drives there, at least; a share that is configured counts instead."""
+    made = open_env("CarFollowing", GIVEN | {"sky": sky})
+    bounded, fixed = (BarrierFilter(made, Constant(0.0), c) for c in (None, BarrierConfig(speed_share=0.1)))
+    assert bounded.speed_share >= 4.5 * made.config.level.navigator().odometer.scale_sigma - 1e-12
+    assert bounded.fastest(10.0, 0.0) == pytest.approx(10.0 * (1.0 + bounded.speed_share) + C.speed_error_mps)
+    assert fixed.speed_share == 0.1
+    overridden = {"positioning": {"dead_reckoning": {"odometer_scale": 0.05}}}
+    own = open_env("CarFollowing", GIVEN | {"sky": sky, "navigator": overridden})
+    assert BarrierFilter(own, Constant(0.0)).speed_share == 0.05
 
 
 def test_what_it_cannot_filter_is_refused():

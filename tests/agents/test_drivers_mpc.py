@@ -11,14 +11,12 @@ from scipy.linalg import solve_discrete_are
 
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.base import Reader
-from lanebound.agents.drivers.horizon import GrowthConfig, condense, predicted_levels
+from lanebound.agents.drivers.horizon import condense
 from lanebound.agents.drivers.mpc import MpcConfig, TubeMpc, make_mpc, solve
 from lanebound.agents.episodes import EpisodeLog, drive, open_env
-from lanebound.envs.observation import ObservationConfig
 from lanebound.integrity.errors import InputError
 
 GIVEN: dict[str, Any] = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "sky": "open"}
-G = GrowthConfig()
 LIMIT_MPS = 50.0 / 3.6
 
 
@@ -129,22 +127,6 @@ def test_free_road_is_driven_at_the_limit_and_an_outage_ahead_of_its_limit_is_no
     slow = float(plan.acceleration(seen(plan.reader, v=8.0, integrity__pl_ct=0.6, integrity__trend_ct=0.3, **dark)))
     assert fast > 0.2
     assert slow < fast - 0.2
-
-
-def test_levels_are_a_sawtooth():
-    reader = Reader(ObservationConfig(form="flat"))
-    way = np.arange(1.0, 31.0) * 4.0  # 20 m/s, 0.2 s
-    steady = predicted_levels(reader, seen(reader), way, 0.2, G)
-    assert all(np.allclose(level, 0.2, atol=1e-6) for level in steady)
-    tunnel = {"road__sky_40m_own": 3.0, "road__sky_20m_own": 3.0}
-    at, ct = predicted_levels(reader, seen(reader, **tunnel), way, 0.2, G)
-    inside = (way >= 20.0) & (way < 40.0)
-    assert np.all(np.diff(ct[inside]) == pytest.approx(0.2 * G.growth_ct_mps))
-    assert np.all(ct[way < 20.0] == pytest.approx(0.2))
-    assert ct.max() > ct[-1]
-    assert at[-1] <= G.reset_at_m
-    out = predicted_levels(reader, seen(reader, integrity__since_rtk=5.0, integrity__corrections_age=60.0), way, 0.2, G)
-    assert np.all(np.diff(out[0]) > 0.0)
 
 
 def test_a_batch_is_as_one_after_the_other(plan):

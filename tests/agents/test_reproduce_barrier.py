@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -91,6 +93,7 @@ def test_exceptions_are_named_and_excuse_one_decision_alone():
     info = {"err_at_m": 0.1, "err_ct_m": 0.1, "pl_at_m": 0.5, "pl_ct_m": 0.5}
     barrier: Any = SimpleNamespace(
         config=C,
+        counts=Counter(),
         commanded_mps2=0.0,
         fastest=lambda v, a: v + 0.3,
         slowest=lambda v, age: v - 1.0,
@@ -109,7 +112,33 @@ def test_exceptions_are_named_and_excuse_one_decision_alone():
     assert watch.breaches[0]["step"] == 2
 
 
-def _points(x: float) -> Any:
-    import numpy as np
+def test_faster_growth_is_counted_and_excuses_nothing():
+    """A stand-in whose leader's level leaps before the third decision, which then finds no safe acceleration."""
+    lead = SimpleNamespace(position=[20.0, 0.0], heading=0.0, speed=5.0)
+    traffic = SimpleNamespace(
+        count=1, position_m=_points(20.0), pl_at_m=[1.0], pl_ct_m=[1.0], speed_mps=[5.0], age_s=[0.1]
+    )
+    ego = SimpleNamespace(speed=5.0)
+    cockpit = SimpleNamespace(ego=ego, traffic=traffic, belief=lambda: SimpleNamespace(speed_mps=5.0))
+    world = SimpleNamespace(lead=lead, vehicle=ego, gap_m=lambda: 15.0)
+    config = SimpleNamespace(observation=SimpleNamespace(pl_max_m=10.0))
+    env: Any = SimpleNamespace(cockpit=cockpit, world=world, config=config, dt_s=0.2)
+    info = {"err_at_m": 0.0, "err_ct_m": 0.0, "pl_at_m": 0.5, "pl_ct_m": 0.5}
+    barrier: Any = SimpleNamespace(
+        config=C, counts=Counter(), commanded_mps2=0.0,
+        fastest=lambda v, a: v, slowest=lambda v, age: v, strayed=lambda v, age: 0.0,
+    )  # fmt: skip
+    watch, bound = PromiseWatch(barrier), C.growth_mps * env.dt_s
+    levels, stuck = np.cumsum([1.0, 0.9 * bound, 1.1 * bound, 0.0, 0.0]), (0, 0, 0, 1, 1)
+    for step, (level, none) in enumerate(zip(levels, stuck, strict=True)):
+        traffic.pl_at_m, barrier.counts["following infeasible"] = [level], barrier.counts["following infeasible"] + none
+        watch.note(SimpleNamespace(env=env, info=info, step=step, seed=0))
+    assert watch.exceptions["levels' growth"] == 1
+    assert watch.counts["stuck"] == 2
+    assert watch.counts["newly stuck"] == 1
+    assert watch.counts["foreseeable"] == 0
+    assert watch.counts["kept"] == watch.counts["decisions"] == 4
 
+
+def _points(x: float) -> Any:
     return np.array([[x, 0.0]])
