@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Literal
 
-from lanebound.agents.benchmark.outcome import Outcome
+from lanebound.agents.benchmark.outcome import LEVEL_MAX_M, Outcome
 from lanebound.envs.costs import CAUSES
 from lanebound.integrity.positioning.modes import Mode
 
-__all__ = ["MAIN", "METRICS", "Better", "Metric", "metric_named"]
+__all__ = ["ANYTHING", "MAIN", "METRICS", "SHARE", "Better", "Bounds", "Metric", "metric_named"]
 
 Better = Literal["higher", "lower"] | None
+Bounds = tuple[float, float]
+ANYTHING: Bounds = (-math.inf, math.inf)
+NOT_NEGATIVE: Bounds = (0.0, math.inf)
+SHARE: Bounds = (0.0, 1.0)
 Take = Callable[[Outcome], float | None]
 
 
@@ -27,6 +32,7 @@ class Metric:
     better : which way is good; None where it depends
     take : the figure of an episode; None where it has none, and then the episode does not count here
     rate : it is 0 or 1 in each episode
+    bounds : between which it lies
     wall_clock : it is measured by a clock on the wall, and differs from run to run
     """
 
@@ -37,12 +43,18 @@ class Metric:
     meaning: str
     take: Take
     rate: bool = False
+    bounds: Bounds = NOT_NEGATIVE
     wall_clock: bool = False
 
 
 def _plain(key: str, title: str, unit: str, better: Better, meaning: str, name: str = "") -> Metric:
     """An attribute of outcomes; an agent that failed has none."""
     return Metric(key, title, unit, better, meaning, _driven(attrgetter(name or key)))
+
+
+def _share(key: str, title: str, better: Better, meaning: str, take: Take | None = None) -> Metric:
+    """A share of the steps."""
+    return Metric(key, title, "", better, meaning, _driven(take or attrgetter(key)), bounds=SHARE)
 
 
 def _driven(take: Callable[[Outcome], float | None]) -> Take:
@@ -54,7 +66,7 @@ def _driven(take: Callable[[Outcome], float | None]) -> Take:
 
 
 def _rate(key: str, title: str, better: Better, meaning: str, take: Callable[[Outcome], float | None]) -> Metric:
-    return Metric(key, title, "", better, meaning, take, rate=True)
+    return Metric(key, title, "", better, meaning, take, rate=True, bounds=SHARE)
 
 
 def _cause(cause: str) -> Metric:
@@ -64,12 +76,19 @@ def _cause(cause: str) -> Metric:
 
 def _mode(mode: Mode) -> Metric:
     better: Better = "higher" if mode is Mode.RTK else None
-    take = _driven(lambda o: o.mode_shares.get(mode.key, 0.0))
-    return Metric(f"share_{mode.key}", f"{mode.label} share", "", better, f"share of steps on {mode.label}", take)
+    meaning = f"share of steps on {mode.label}"
+    return _share(
+        f"share_{mode.key}", f"{mode.label} share", better, meaning, lambda o: o.mode_shares.get(mode.key, 0.0)
+    )
 
 
 def _share_of_steps(name: str) -> Take:
-    return _driven(lambda o: getattr(o, name) / o.steps if o.steps else None)
+    return lambda o: getattr(o, name) / o.steps if o.steps else None
+
+
+def _any(key: str, title: str, meaning: str, name: str) -> Metric:
+    """Whether an episode has any of what an attribute counts."""
+    return _rate(key, title, "lower", meaning, _driven(lambda o: float(getattr(o, name) > 0) if o.steps else None))
 
 
 SAFETY = (
@@ -83,6 +102,13 @@ SAFETY = (
         _driven(attrgetter("lane_departure")),
     ),
     _rate(
+        "off_road",
+        "off road",
+        "lower",
+        "the episode ended off the road or against the traffic",
+        _driven(lambda o: float(o.costs.get("cost_off_road", 0.0) > 0.0)),
+    ),
+    _rate(
         "over_cost_limit",
         "over cost limit",
         "lower",
@@ -92,12 +118,20 @@ SAFETY = (
     _rate("failed", "failed", "lower", "the agent failed, see status", lambda o: float(o.failed)),
 )
 REWARD = (
-    _plain("return", "return", "", "higher", "sum of rewards", "total_return"),
+    Metric("return", "return", "", "higher", "sum of rewards", _driven(attrgetter("total_return")), bounds=ANYTHING),
     _plain("cost", "cost", "", "lower", "weighted sum of the costs"),
     *map(_cause, CAUSES),
 )
 MOTION = (
-    _plain("mean_speed", "speed", "m/s", "higher", "mean true speed", "mean_speed_mps"),
+    Metric(
+        "mean_speed",
+        "speed",
+        "m/s",
+        "higher",
+        "mean true speed",
+        _driven(attrgetter("mean_speed_mps")),
+        bounds=ANYTHING,
+    ),
     _plain(
         "throughput",
         "throughput",
@@ -112,26 +146,52 @@ MOTION = (
     _plain("rms_lateral", "lateral", "m/s2", "lower", "root mean square acceleration across", "rms_lateral_mps2"),
 )
 INTEGRITY = (
-    _plain("pl_at_median", "PL_AT", "m", "lower", "median protection level along the track", "pl_at_median_m"),
-    _plain("pl_ct_median", "PL_CT", "m", "lower", "median protection level across the track", "pl_ct_median_m"),
+    *(
+        _plain(
+            f"pl_{axis}_median",
+            f"PL_{axis.upper()}",
+            "m",
+            "lower",
+            f"median protection level {along} the track; steps above {LEVEL_MAX_M:g} m or without one count as that",
+            f"pl_{axis}_median_m",
+        )
+        for axis, along in (("at", "along"), ("ct", "across"))
+    ),
+    _share("no_level", "no level", "lower", "share of steps without a protection level on either axis"),
     _plain("pe_at_median", "error AT", "m", "lower", "median error along the track", "pe_at_median_m"),
     _plain("pe_ct_median", "error CT", "m", "lower", "median error across the track", "pe_ct_median_m"),
     _plain("pe_at_max", "max error AT", "m", "lower", "largest error along the track", "pe_at_max_m"),
     _plain("pe_ct_max", "max error CT", "m", "lower", "largest error across the track", "pe_ct_max_m"),
-    _plain("availability", "availability", "", "higher", "share of steps with no level above its limit"),
-    _plain("alert_share", "alert share", "", "lower", "share of steps under an alert"),
+    _share("availability", "availability", "higher", "share of steps with no level above its limit"),
+    _share("alert_share", "alert share", "lower", "share of steps under an alert"),
     _plain("alerts", "alerts", "", "lower", "alerts that began"),
-    Metric("mi", "MI", "", "lower", "share of steps with misleading information", _share_of_steps("mi_steps")),
-    Metric("hmi", "HMI", "", "lower", "share of steps hazardously misleading", _share_of_steps("hmi_steps")),
+    _share(
+        "mi",
+        "MI",
+        "lower",
+        "share of steps with misleading, but not hazardous, information",
+        _share_of_steps("mi_steps"),
+    ),
+    _share(
+        "hmi", "HMI", "lower", "share of steps with hazardously misleading information", _share_of_steps("hmi_steps")
+    ),
+    _any("any_mi", "any MI", "any step had misleading, but not hazardous, information", "mi_steps"),
+    _any("any_hmi", "any HMI", "any step had hazardously misleading information", "hmi_steps"),
     _plain(
         "time_to_alert",
         "time to alert",
         "s",
         "lower",
-        "mean time from an error exceeding its limit to the alert, where one came",
+        "mean time from an error exceeding its limit to the alert; all that it lasted where none came",
         "time_to_alert_s",
     ),
-    _plain("continuity", "continuity", "", "higher", "share of available steps that an available one follows"),
+    _plain("missed_alerts", "missed alerts", "", "lower", "times that an error exceeded its limit without an alert"),
+    _any(
+        "any_missed", "any missed alert", "an error exceeded its limit, and no alert came while it did", "missed_alerts"
+    ),
+    _share(
+        "continuity", "continuity", "higher", "share of available steps that an available one follows; 0 without any"
+    ),
     *(_mode(mode) for mode in Mode),
 )
 SOLVING = (
@@ -156,7 +216,9 @@ SOLVING = (
     _plain("infeasible", "infeasible", "", "lower", "problems without a solution, as the agent counts them"),
 )
 METRICS: tuple[Metric, ...] = (*SAFETY, *REWARD, *MOTION, *INTEGRITY, *SOLVING)
-MAIN = ("success", "collision", "lane_departure", "return", "cost", "mean_speed", "gap", "availability", "hmi")
+MAIN = (
+    "success", "collision", "lane_departure", "return", "cost", "mean_speed", "gap", "availability", "hmi", "any_hmi",
+)  # fmt: skip
 """Keys of the metrics that a short table shows."""
 
 

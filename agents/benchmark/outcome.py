@@ -8,10 +8,12 @@ from typing import Any, Literal, NamedTuple
 
 from lanebound.agents.plain import finite_or_none
 
-__all__ = ["OK", "WALL_CLOCK", "Outcome", "Place", "Status", "Task"]
+__all__ = ["LEVEL_MAX_M", "OK", "WALL_CLOCK", "Outcome", "Place", "Status", "Task"]
 
 Status = Literal["ok", "raised", "not_finite", "wrong_shape", "outside_space", "timeout"]
 OK: Status = "ok"
+LEVEL_MAX_M = 10.0
+"""Protection levels above it, and missing ones, count as this, as observations show them by default."""
 WALL_CLOCK = ("solve_ms_median", "solve_ms_p99")
 
 
@@ -60,12 +62,15 @@ class Outcome:
     success, collision : bool; lane_departure : the true body left its lane outside commanded changes, at any time
     rms_acceleration_mps2, rms_jerk_mps3, rms_lateral_mps2 : of the true car, from one decision to the next
     mode_shares : share of the steps by key of the source of the position
-    pl_at_median_m, pl_ct_median_m : protection levels along and across the track; None where infinite
+    pl_at_median_m, pl_ct_median_m : protection levels along and across the track, those above 10 m or missing as 10 m
+    no_level : share of the steps without a level on either axis
     pe_at_median_m, pe_ct_median_m, pe_at_max_m, pe_ct_max_m : sizes of the errors that they bound
     availability, alert_share : shares of the steps; alerts : how many began
-    mi_steps, hmi_steps : steps of misleading and of hazardously misleading information
-    time_to_alert_s : mean time from an error exceeding its limit to the alert; None when no such error was alerted
-    continuity : share of the available steps that an available one follows
+    mi_steps, hmi_steps : steps of misleading but not hazardous, and of hazardously misleading information
+    time_to_alert_s : mean time from an error exceeding its limit to the alert, or to its end where none came before;
+        None when no error exceeded its limit
+    missed_alerts : how many errors exceeded their limits without an alert while they did
+    continuity : share of the available steps that an available one follows; 0 where none does
     solve_ms_median, solve_ms_p99 : time that decisions took [ms]
     infeasible : problems without a solution, as the agent counts them
     """
@@ -98,6 +103,7 @@ class Outcome:
     mode_shares: dict[str, float] = field(default_factory=dict)
     pl_at_median_m: float | None = None
     pl_ct_median_m: float | None = None
+    no_level: float | None = None
     pe_at_median_m: float | None = None
     pe_ct_median_m: float | None = None
     pe_at_max_m: float | None = None
@@ -108,6 +114,7 @@ class Outcome:
     mi_steps: int = 0
     hmi_steps: int = 0
     time_to_alert_s: float | None = None
+    missed_alerts: int = 0
     continuity: float | None = None
     solve_ms_median: float | None = None
     solve_ms_p99: float | None = None

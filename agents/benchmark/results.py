@@ -14,7 +14,16 @@ import numpy as np
 
 from lanebound.agents.benchmark.metrics import METRICS, Metric
 from lanebound.agents.benchmark.outcome import Outcome, Place
-from lanebound.agents.benchmark.statistics import RESAMPLES, Difference, Estimate, difference, estimate
+from lanebound.agents.benchmark.statistics import (
+    METHOD,
+    RESAMPLES,
+    VERDICT_SEEDS,
+    Difference,
+    Estimate,
+    difference,
+    estimate,
+    is_clear,
+)
 from lanebound.agents.benchmark.store import Store, replace_file
 from lanebound.agents.benchmark.suite import SuiteConfig
 
@@ -70,8 +79,8 @@ class Paired:
 
     @property
     def clear(self) -> bool:
-        """Whether the interval leaves 0 out."""
-        return self.low is not None and self.high is not None and (self.low > 0.0 or self.high < 0.0)
+        """Whether the interval leaves 0 out, with seeds enough to rely on that."""
+        return is_clear(self.low, self.high, self.n)
 
 
 @dataclass(frozen=True)
@@ -145,7 +154,12 @@ class Results:
         return {
             "format": VERSION,
             "suite": self.suite.to_dict(),
-            "statistics": {"interval": 0.95, "method": "percentile bootstrap over seeds", "resamples": RESAMPLES},
+            "statistics": {
+                "interval": 0.95,
+                "method": METHOD,
+                "resamples": RESAMPLES,
+                "seeds_for_a_verdict": VERDICT_SEEDS,
+            },
             "metrics": [_described(metric) for metric in METRICS],
             "cells": [asdict(cell) for cell in self.cells],
             "paired": [asdict(pair) for pair in self.paired],
@@ -209,7 +223,7 @@ def _cells(suite: SuiteConfig, groups: Group) -> list[Cell]:
 
 def _estimate(metric: Metric, outcomes: Sequence[Outcome]) -> Estimate:
     values = [value for outcome in outcomes if (value := metric.take(outcome)) is not None]
-    return estimate(np.array(values, dtype=np.float64), metric.rate)
+    return estimate(np.array(values, dtype=np.float64), metric.rate, metric.bounds)
 
 
 def _pairs(suite: SuiteConfig, groups: Group) -> list[Paired]:
@@ -228,7 +242,7 @@ def _pairs(suite: SuiteConfig, groups: Group) -> list[Paired]:
 def _difference(metric: Metric, ours: Mapping[int, Outcome], theirs: Mapping[int, Outcome]) -> Difference:
     pairs = [(metric.take(ours[seed]), metric.take(theirs[seed])) for seed in ours if seed in theirs]
     both = np.array([pair for pair in pairs if None not in pair], dtype=np.float64).reshape(-1, 2)
-    return difference(both[:, 0], both[:, 1], metric.better)
+    return difference(both[:, 0], both[:, 1], metric.better, metric.rate)
 
 
 def _described(metric: Metric) -> dict[str, Any]:

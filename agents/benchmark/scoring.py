@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lanebound.agents.benchmark.outcome import LEVEL_MAX_M
 from lanebound.agents.episodes.summary import summarise
 from lanebound.integrity.assessment.events import alert_delays
 
@@ -42,6 +43,7 @@ def figures(rows: Sequence[Row], allotted_s: float) -> dict[str, Any]:
         "lane_departure": bool((_column(rows, "cost_lane") > 0.0).any()),
         **_comfort(rows),
         **_integrity(rows[1:]),
+        **_alerts(rows),
     }
 
 
@@ -83,32 +85,47 @@ def _rms(values: Array) -> float | None:
 def _integrity(rows: Sequence[Row]) -> dict[str, Any]:
     """Levels, errors, alerts and availability; the start, before any decision, does not count."""
     found: dict[str, Any] = {}
+    missing = np.zeros(len(rows), dtype=np.bool_)
     for axis in ("at", "ct"):
         level, error = _column(rows, f"pl_{axis}_m"), np.abs(_column(rows, f"err_{axis}_m"))
+        missing |= ~np.isfinite(level)
         found |= {
-            f"pl_{axis}_median_m": float(np.quantile(level, 0.5, method="higher")),  # no middle between 1 and inf
+            f"pl_{axis}_median_m": float(np.quantile(np.minimum(level, LEVEL_MAX_M), 0.5, method="higher")),
             f"pe_{axis}_median_m": float(np.median(error)),
             f"pe_{axis}_max_m": float(error.max()),
         }
-    alert, available = _flags(rows, "alert"), _flags(rows, "available")
+    available = _flags(rows, "available")
     pairs = available[:-1]
     return {
         **found,
-        "alerts": int(alert[0]) + int((alert[1:] & ~alert[:-1]).sum()),
-        "time_to_alert_s": _time_to_alert_s(rows, alert),
-        "continuity": float(available[1:][pairs].mean()) if pairs.any() else None,
+        "no_level": float(missing.mean()),
+        "continuity": float(available[1:][pairs].mean()) if pairs.any() else 0.0,
     }
 
 
-def _time_to_alert_s(rows: Sequence[Row], alert: Bools) -> float | None:
-    """Mean time from an error exceeding its limit to the alert, over those that were alerted while they lasted."""
-    time_s = _column(rows, "time_s")
+def _alerts(rows: Sequence[Row]) -> dict[str, Any]:
+    """Alerts, and the errors above their limits that had none, or waited for it."""
+    time_s, alert = _column(rows, "time_s"), _flags(rows, "alert")[1:]
+    onset_s, last_s, over_s = _failures(rows[1:], time_s)
+    delay_s = alert_delays(time_s[1:], alert, onset_s, last_s)
+    missed = np.isinf(delay_s)
+    delay_s[missed] = (over_s - onset_s)[missed]
+    return {
+        "alerts": int(alert[0]) + int((alert[1:] & ~alert[:-1]).sum()),
+        "time_to_alert_s": float(delay_s.mean()) if delay_s.size else None,
+        "missed_alerts": int(missed.sum()),
+    }
+
+
+def _failures(rows: Sequence[Row], time_s: Array) -> tuple[Array, Array, Array]:
+    """When an error on either axis came to exceed its limit, did so for the last time, and was over.
+
+    An error that is there at the end is over one step later; so what has no alert waits longer than what has one.
+    """
     over = np.zeros(len(rows), dtype=np.bool_)
     for axis in ("at", "ct"):
         over |= np.abs(_column(rows, f"err_{axis}_m")) > _column(rows, f"al_{axis}_m")
     edges = np.diff(over.astype(np.int8), prepend=0, append=0)
-    if not over.any():
-        return None
-    delays = alert_delays(time_s, alert, time_s[edges[:-1] == 1], time_s[edges[1:] == -1])
-    alerted = delays[np.isfinite(delays)]
-    return float(alerted.mean()) if alerted.size else None
+    times = np.append(time_s[1:], 2.0 * time_s[-1] - time_s[-2])
+    last = np.flatnonzero(edges == -1)
+    return times[edges == 1], times[last - 1], times[last]

@@ -1,27 +1,48 @@
-"""Means over seeds with intervals: percentile bootstrap, interquartile means, paired differences.
+"""Means over seeds with 95 % intervals that hold the truth about as often as they say, with few seeds too.
 
-The resamples are drawn from a stream named by the number of seeds, so that the same figures give the same intervals in
-any order and any process, and metrics of as many seeds share their resamples.
+Means and paired differences have at each end the wider of Student's interval and that of the studentised bootstrap:
+Student's alone is too short where figures are skewed or mostly zero, the bootstrap's where they have heavy tails.
+Interquartile means have the percentile interval expanded for the number of seeds. Rates have the interval of Clopper
+and Pearson, their paired differences that of Agresti and Min. The resamples are drawn from a stream named by the number
+of seeds, so that the same figures give the same intervals in any order and any process, and metrics share them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import betaincinv, ndtr, stdtrit
 
-from lanebound.agents.benchmark.metrics import Better
+from lanebound.agents.benchmark.metrics import ANYTHING, Better, Bounds
 from lanebound.integrity.streams import named_generator
 
-__all__ = ["RESAMPLES", "Difference", "Estimate", "difference", "estimate", "interquartile_mean"]
+__all__ = [
+    "METHOD", "RESAMPLES", "SPREAD_SEEDS", "VERDICT_SEEDS", "Difference", "Estimate", "difference", "estimate",
+    "interquartile_mean", "is_clear",
+]  # fmt: skip
 
 Array = NDArray[np.float64]
+Ends = tuple[float, float] | tuple[None, None]
 RESAMPLES = 2000
+SPREAD_SEEDS = 4
+"""With fewer no mean has an interval."""
+VERDICT_SEEDS = 8
+"""With fewer seeds nobody is called better: they do not show how figures are spread."""
+METHOD = {
+    "means": "at each end the wider of Student's t and the studentised bootstrap, over seeds",
+    "interquartile_means": f"expanded percentile bootstrap, from {VERDICT_SEEDS} seeds on",
+    "rates": "Clopper-Pearson",
+    "paired": "as means, of the differences seed by seed; of rates Agresti-Min with Student's quantile",
+}
 TAIL = 0.025
 CHUNK = 2_000_000  # entries of a resampled array at a time
+ROUNDING = 1e-12  # of the largest value: less is no spread
+NONE: Ends = (None, None)
 
 
 @dataclass(frozen=True)
@@ -59,49 +80,107 @@ def interquartile_mean(values: Array) -> Array:
     return np.asarray(np.sort(values, axis=-1)[..., cut : n - cut].mean(axis=-1))
 
 
-def estimate(values: Array, rate: bool = False) -> Estimate:
-    """Mean and interquartile mean with 95 % percentile bootstrap intervals.  values (n,).
+def estimate(values: Array, rate: bool = False, bounds: Bounds = ANYTHING) -> Estimate:
+    """Mean and interquartile mean with 95 % intervals, None where the seeds say too little of their spread.  (n,).
 
-    Where all seeds say the same of a ``rate`` resampling knows no doubt: then the interval is that of Clopper and
-    Pearson, which for 0 of n ends at ``1 - 0.025^(1/n)``, about 3.7 / n.
+    That is for the mean where they are fewer than four, all the same, or all but about three the same: then so many
+    resamples have no spread that an end is infinite. It is for the interquartile mean where they are fewer than eight,
+    or its resamples are all the same.
+
+    Parameters
+    ----------
+    values : one of each seed
+    rate : they are 0 or 1; the interval of 0 of n ends at ``1 - 0.025^(1/n)``, about 3.7 / n. Their interquartile
+        mean says nothing, and has none
+    bounds : between which values lie; no interval reaches beyond them
     """
     n = values.size
     if n == 0:
         return Estimate(None, None, None, None, None, None, 0)
     mean, iqm = float(values.mean()), float(interquartile_mean(values))
-    if n == 1:
-        return Estimate(mean, None, None, iqm, None, None, 1)
-    means, iqms = _resampled(values)
-    low, high = _interval(means)
-    if rate and mean in (0.0, 1.0):
-        reach = 1.0 - TAIL ** (1.0 / n)
-        low, high = (0.0, reach) if mean == 0.0 else (1.0 - reach, 1.0)
-    return Estimate(mean, low, high, iqm, *_interval(iqms), n)
+    if rate:
+        low, high = _clopper_pearson(values) if n > 1 else NONE
+        return Estimate(mean, low, high, iqm, None, None, n)
+    low, high = _within(_mean_ends(values), bounds)
+    iqm_low, iqm_high = _within(_middle_ends(values), bounds)
+    return Estimate(mean, low, high, iqm, iqm_low, iqm_high, n)
 
 
-def difference(ours: Array, theirs: Array, better: Better) -> Difference:
-    """Mean of ``ours - theirs``, paired entry by entry, with its 95 % percentile bootstrap interval.  (n,), (n,)."""
+def difference(ours: Array, theirs: Array, better: Better, rate: bool = False) -> Difference:
+    """Mean of ``ours - theirs``, entry by entry, with its 95 % interval; of a ``rate`` all are 0 or 1.  (n,)."""
     gap = ours - theirs
     n = gap.size
     if n == 0:
         return Difference(None, None, None, 0, None)
     share = None if better is None else float((gap > 0.0 if better == "higher" else gap < 0.0).mean())
-    if n == 1:
-        return Difference(float(gap[0]), None, None, 1, share)
-    low, high = _interval(_resampled(gap)[0])
+    low, high = NONE if n == 1 else _agresti_min(gap) if rate else _mean_ends(gap)
     return Difference(float(gap.mean()), low, high, n, share)
 
 
-def _interval(resampled: Array) -> tuple[float, float]:
-    low, high = np.quantile(resampled, [TAIL, 1.0 - TAIL])
-    return float(low), float(high)
+def is_clear(low: float | None, high: float | None, n: int) -> bool:
+    """Whether an interval of a difference over n seeds says which is better: it leaves 0 out, and n suffices."""
+    return n >= VERDICT_SEEDS and low is not None and high is not None and (low > 0.0 or high < 0.0)
 
 
-def _resampled(values: Array) -> tuple[Array, Array]:
-    """Means and interquartile means of all resamples.  (n,) -> (RESAMPLES,), (RESAMPLES,)."""
+def _within(ends: Ends, bounds: Bounds) -> Ends:
+    low, high = ends
+    return NONE if low is None or high is None else (max(low, bounds[0]), min(high, bounds[1]))
+
+
+def _clopper_pearson(values: Array) -> Ends:
+    """Exact interval of a binomial rate; Clopper and Pearson 1934."""
+    n, k = values.size, int(values.sum())
+    low = float(betaincinv(k, n - k + 1, TAIL)) if k else 0.0
+    return low, float(betaincinv(k + 1, n - k, 1.0 - TAIL)) if k < n else 1.0
+
+
+def _agresti_min(gap: Array) -> Ends:
+    """Interval of a difference of paired rates: half a pair more of each of the four kinds; Agresti and Min 2005."""
+    n, differing, net = gap.size + 2, float(np.abs(gap).sum()) + 1.0, float(gap.sum())
+    reach = float(stdtrit(n - 1, 1.0 - TAIL) * np.sqrt(differing - net**2 / n) / n)
+    return max(net / n - reach, -1.0), min(net / n + reach, 1.0)
+
+
+def _mean_ends(values: Array) -> Ends:
+    """Of Student's interval and the studentised bootstrap's the wider at each end; none where that is infinite."""
+    n = values.size
+    mean, error = float(values.mean()), float(_error(values))
+    nothing = ROUNDING * float(np.abs(values).max())
+    if n < SPREAD_SEEDS or error <= nothing:
+        return NONE
+    away, errors = _resampled(values, lambda some: some.mean(axis=-1) - mean), _resampled(values, _error)
+    away[np.abs(away) <= nothing] = 0.0
+    spread = errors > nothing
+    studentised = np.where(spread, away / np.where(spread, errors, 1.0), np.copysign(np.inf, away))
+    studentised[away == 0.0] = 0.0
+    least = float(np.quantile(studentised, TAIL, method="lower"))
+    most = float(np.quantile(studentised, 1.0 - TAIL, method="higher"))
+    reach = float(stdtrit(n - 1, 1.0 - TAIL))
+    low, high = mean - error * max(most, reach), mean - error * min(least, -reach)
+    return (low, high) if np.isfinite([low, high]).all() else NONE
+
+
+def _error(values: Array) -> Any:
+    """Standard error of the mean.  (..., n) -> (...); of one value none."""
+    n = values.shape[-1]
+    return values.std(axis=-1, ddof=1) / np.sqrt(n) if n > 1 else 0.0
+
+
+def _middle_ends(values: Array) -> Ends:
+    """Percentile interval of the interquartile mean, as much wider as Student's is; Hesterberg 2015, 5.2."""
+    n = values.size
+    if n < VERDICT_SEEDS:
+        return NONE
+    tail = float(ndtr(np.sqrt(n / (n - 1)) * stdtrit(n - 1, TAIL)))
+    low, high = map(float, np.quantile(_resampled(values, interquartile_mean), [tail, 1.0 - tail]))
+    return (low, high) if high - low > ROUNDING * float(np.abs(values).max()) else NONE
+
+
+def _resampled(values: Array, figure: Callable[[Array], Array]) -> Array:
+    """A figure of all resamples.  (n,) -> (RESAMPLES,)."""
     rows = max(1, CHUNK // values.size)
-    parts = [values[block] for block in np.split(_choices(values.size), range(rows, RESAMPLES, rows))]
-    return np.concatenate([p.mean(axis=-1) for p in parts]), np.concatenate([interquartile_mean(p) for p in parts])
+    blocks = np.split(_choices(values.size), range(rows, RESAMPLES, rows))
+    return np.concatenate([figure(values[block]) for block in blocks])
 
 
 @lru_cache(maxsize=4)

@@ -14,6 +14,7 @@ from rich.text import Text
 from lanebound.agents.benchmark.metrics import MAIN, Metric, metric_named
 from lanebound.agents.benchmark.outcome import Place
 from lanebound.agents.benchmark.results import Cell, Paired, Results
+from lanebound.agents.benchmark.statistics import VERDICT_SEEDS
 from lanebound.agents.cli.output import WIDTH_OF_A_FILE
 
 __all__ = ["number", "print_results", "with_interval"]
@@ -35,7 +36,10 @@ def print_results(results: Results) -> None:
         if any(cell.place == place for cell in results.cells):
             _print_place(console, results, place)
     console.print(
-        Text("With 95 % bootstrap intervals over seeds; green and red: clearly better and worse than the reference.")
+        Text(
+            "With 95 % intervals over seeds, where these differ enough; green and red: clearly better and worse than "
+            f"the reference, from {VERDICT_SEEDS} seeds on."
+        )
     )
     _print_failures(console, results)
 

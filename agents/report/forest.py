@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
+from lanebound.agents.benchmark.statistics import VERDICT_SEEDS, is_clear
 from lanebound.agents.report.numbers import interval, shorten, signed
 from lanebound.agents.report.svg import Frame, Scale, line, picture, span, tag, text
 
@@ -18,26 +19,35 @@ NAME_LETTERS = 17
 
 @dataclass(frozen=True)
 class Difference:
-    """How much more an agent has than the one it is compared with, and the interval of that.
+    """How much more an agent has than the one it is compared with, and the interval of that over so many seeds.
 
     Attributes
     ----------
+    low, high : None where the seeds give no interval
     share_better : share of the seeds on which it does better, None where nothing is better
     """
 
     agent: str
     mean: float
-    low: float
-    high: float
+    low: float | None
+    high: float | None
+    seeds: int
     share_better: float | None = None
 
     @property
     def clear(self) -> bool:
-        """The interval leaves out zero."""
-        return self.low > 0.0 or self.high < 0.0
+        """The interval leaves out zero, and the seeds suffice."""
+        return is_clear(self.low, self.high, self.seeds)
+
+    @property
+    def few(self) -> bool:
+        """There are too few seeds for a verdict."""
+        return self.seeds < VERDICT_SEEDS
 
     def verdict(self, better: str | None) -> str:
-        """``better``, ``worse``, ``differs`` (where neither is better) or ``unclear``."""
+        """``better``, ``worse``, ``differs`` (where neither is better), ``unclear`` or ``too few seeds``."""
+        if self.few:
+            return "too few seeds"
         if not self.clear:
             return "unclear"
         if better is None:
@@ -49,11 +59,11 @@ def forest(title: str, unit: str, better: str | None, against: str, rows: Sequen
     """A row for each agent: a filled diamond where the interval is clear of zero, an empty circle where it is not."""
     height = TOP + ROW_PX * len(rows) + FOOT
     frame = Frame(LABEL_END + 8.0, TOP, WIDTH - 10.0, height - FOOT)
-    x = frame.across(*span([0.0, *(v for row in rows for v in (row.low, row.high, row.mean))]))
+    x = frame.across(*span([0.0, *(v for row in rows for v in (row.low, row.high, row.mean) if v is not None)]))
     parts = _ground(frame, x, unit, better)
     for i, row in enumerate(rows):
         parts.append(_row(row, x, TOP + ROW_PX * (i + 0.5), unit, better))
-    said = "; ".join(f"{r.agent} {interval(r.mean, r.low, r.high, unit, signed)}, {r.verdict(better)}" for r in rows)
+    said = "; ".join(f"{r.agent} {_words(r, unit)}, {r.verdict(better)}" for r in rows)
     return picture(WIDTH, height, f"{title}, difference against {against}, 95 % intervals: {said}", *parts)
 
 
@@ -72,11 +82,14 @@ def _ground(frame: Frame, x: Scale, unit: str, better: str | None) -> list[Marku
 
 
 def _row(row: Difference, x: Scale, y: float, unit: str, better: str | None) -> Markup:
-    verdict = row.verdict(better)
-    note = f"{row.agent}: {interval(row.mean, row.low, row.high, unit, signed)}"
+    verdict = "unclear" if row.few else row.verdict(better)
+    note = f"{row.agent}: {_words(row, unit)}"
     if row.share_better is not None:
         note += f", better on {100.0 * row.share_better:.0f} % of the seeds"
     middle = x(row.mean)
+    whisker = Markup()
+    if row.low is not None and row.high is not None:
+        whisker = line(x(row.low), y, x(row.high), y, "whisker")
     mark = (
         tag("path", d=f"M{middle - 5:.1f} {y:.1f}l5 -5l5 5l-5 5z", class_="mark")
         if row.clear
@@ -86,7 +99,14 @@ def _row(row: Difference, x: Scale, y: float, unit: str, better: str | None) -> 
         "g",
         tag("title", note),
         text(LABEL_END, y + 4, shorten(row.agent, NAME_LETTERS), "name", "end"),
-        line(x(row.low), y, x(row.high), y, "whisker"),
+        whisker,
         mark,
         class_=f"v-{verdict}",
     )
+
+
+def _words(row: Difference, unit: str) -> str:
+    """A difference and its interval."""
+    if row.low is None or row.high is None:
+        return f"{signed(row.mean, unit)}, no interval"
+    return interval(row.mean, row.low, row.high, unit, signed)

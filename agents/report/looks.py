@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from lanebound.agents.benchmark.metrics import SHARE as SHARE_BOUNDS
 from lanebound.agents.benchmark.metrics import Metric
 from lanebound.agents.benchmark.outcome import Place
 from lanebound.agents.benchmark.suite import NEEDS, SuiteConfig
 from lanebound.agents.report.numbers import SHARE
 
 __all__ = ["Actor", "actors_of", "clear_best", "slug_of", "title_of", "unit_of"]
-
-SHARES = ("availability", "alert_share", "mi", "hmi", "continuity")
 
 
 @dataclass(frozen=True)
@@ -53,8 +52,7 @@ def actors_of(suite: SuiteConfig) -> dict[str, Actor]:
 
 def unit_of(metric: Metric) -> str:
     """Its unit, ``share`` for what is shown as a percentage."""
-    shared = metric.rate or metric.key in SHARES or metric.key.startswith("share_")
-    return SHARE if shared else metric.unit.replace("m/s2", "m/s²").replace("m/s3", "m/s³")
+    return SHARE if metric.bounds == SHARE_BOUNDS else metric.unit.replace("m/s2", "m/s²").replace("m/s3", "m/s³")
 
 
 def title_of(place: Place) -> str:

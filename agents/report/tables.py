@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from lanebound.agents.benchmark.metrics import MAIN, METRICS, Metric, metric_named
 from lanebound.agents.benchmark.outcome import Place
 from lanebound.agents.benchmark.results import Cell, Estimate
+from lanebound.agents.benchmark.statistics import SPREAD_SEEDS, VERDICT_SEEDS
 from lanebound.agents.report.looks import Actor, clear_best, slug_of, title_of, unit_of
 from lanebound.agents.report.numbers import SHARE, plain
 
@@ -35,10 +36,11 @@ class Head:
 
 @dataclass(frozen=True)
 class Entry:
-    """A mean and its interval as text; ``best`` where it is clear of all others."""
+    """A mean and its interval as text, or why it has none; ``best`` where it is clear of all others."""
 
     mean: str
     interval: str = ""
+    lacks: str = ""
     best: bool = False
     iqm: str = ""
 
@@ -102,8 +104,13 @@ def _table(cells: Sequence[Cell], actors: Mapping[str, Actor], metrics: Sequence
 def _entries(metric: Metric, cells: Sequence[Cell], actors: Mapping[str, Actor]) -> list[Entry]:
     """One metric of the agents at one place; those that see the truth do not compete."""
     found = {cell.agent: cell.metrics[metric.key] for cell in cells}
-    rivals = [(name, e.low, e.high) for name, e in found.items() if not actors[name].bound]
-    best = clear_best(rivals, metric.better)
+    rivals = [
+        (name, *((e.low, e.high) if e.n >= VERDICT_SEEDS else (None, None)))
+        for name, e in found.items()
+        if e.n and not actors[name].bound
+    ]
+    known = all(low is not None for _, low, _ in rivals)  # else who has no interval may be better still
+    best = clear_best(rivals, metric.better) if known else None
     return [_entry(estimate, metric, name == best) for name, estimate in found.items()]
 
 
@@ -111,7 +118,17 @@ def _entry(estimate: Estimate, metric: Metric, best: bool) -> Entry:
     """One estimate; of what is 0 or 1 in each episode an interquartile mean says nothing."""
     e, unit = estimate, unit_of(metric)
     iqm = "" if metric.rate else f"{plain(e.iqm, unit)} {_bare(e.iqm_low, e.iqm_high, unit)}"
-    return Entry(plain(e.mean, unit), _bare(e.low, e.high, unit), best, iqm)
+    return Entry(plain(e.mean, unit), _bare(e.low, e.high, unit), _lacking(e, metric), best, iqm)
+
+
+def _lacking(e: Estimate, metric: Metric) -> str:
+    """Why an estimate has no interval; nothing where it has one, or is none itself."""
+    if e.mean is None or e.low is not None:
+        return ""
+    if e.n < SPREAD_SEEDS:
+        return f"no interval: {e.n} seed{'s' if e.n > 1 else ''}"
+    never = e.mean == 0.0 and metric.bounds[0] == 0.0
+    return f"no interval: never seen in {e.n}" if never else f"no interval: all {e.n} too alike"
 
 
 def _bare(low: float | None, high: float | None, unit: str) -> str:

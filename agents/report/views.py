@@ -104,16 +104,16 @@ def view_of(results: Results, place: Place, cells: Sequence[Cell], actors: Mappi
 
 
 def _forests(results: Results, place: Place) -> list[Choice]:
-    """Paired differences in the main metrics that two seeds or more have."""
+    """Paired differences in the main metrics that have intervals."""
     found = []
     for metric in (metric_named(key) for key in MAIN):
         rows = [
-            Difference(pair.agent, pair.difference, pair.low, pair.high, pair.better)
+            Difference(pair.agent, pair.difference, pair.low, pair.high, pair.n, pair.better)
             for pair in results.paired
             if pair.place == place and pair.metric == metric.key
-            if pair.difference is not None and pair.low is not None and pair.high is not None
+            if pair.difference is not None
         ]
-        if any(row.low != 0.0 or row.high != 0.0 for row in rows):
+        if any(row.low is not None for row in rows):
             picture = forest(metric.title, unit_of(metric), metric.better, results.suite.reference, rows)
             found.append(Choice(metric.key, metric.title, picture))
     return found

@@ -18,6 +18,7 @@ from markupsafe import Markup
 from lanebound.agents.benchmark.metrics import METRICS
 from lanebound.agents.benchmark.outcome import Outcome, Place
 from lanebound.agents.benchmark.results import Cell, Results
+from lanebound.agents.benchmark.statistics import VERDICT_SEEDS
 from lanebound.agents.benchmark.store import replace_file
 from lanebound.agents.report.clips import Clip, film_clip
 from lanebound.agents.report.commands import replay_command
@@ -81,6 +82,9 @@ def render(results: Results, clips: int = 0) -> str:
         folded=len(places) > OPEN_PLACES,
         overviews=overviews(places, actors) if len(places) > 1 else [],
         actors=list(actors.values()),
+        bounds=[actor.name for actor in actors.values() if actor.bound],
+        few=max((cell.episodes for cell in results.cells), default=VERDICT_SEEDS) < VERDICT_SEEDS,
+        verdict_seeds=VERDICT_SEEDS,
         episodes=len(results.outcomes),
         missing=len(results.missing),
         left_out=results.left_out,

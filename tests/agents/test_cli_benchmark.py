@@ -7,7 +7,7 @@ import re
 from typing import Any
 
 import pytest
-from benchmarks import made_up_folder
+from benchmarks import made_up_folder, made_up_results
 from typer.testing import CliRunner
 
 from lanebound.agents import report
@@ -131,10 +131,12 @@ def test_figures_have_as_many_digits_as_can_be_read():
     assert with_interval(speed, None, None, None) == ("-", "")
 
 
-def test_a_terminal_has_intervals_below_the_means(results, capsys, monkeypatch):
+def test_a_terminal_has_intervals_below_the_means(capsys, monkeypatch):
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "100")
-    print_results(results)
+    print_results(made_up_results(seeds={"count": 7}))
+    assert "\x1b[32m" not in capsys.readouterr().out  # too few seeds for a verdict
+    print_results(made_up_results(seeds={"count": 8}))
     told = capsys.readouterr().out
     assert "\x1b[32m" in told
     plain = re.sub(r"\x1b\[[0-9;]*m", "", told)

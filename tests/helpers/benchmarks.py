@@ -59,6 +59,7 @@ def made_up_outcome(task: Task, **changes: Any) -> Outcome:
         "mode_shares": {"rtk": share, "doppler": 1.0 - share},
         "pl_at_median_m": 0.4,
         "pl_ct_median_m": 0.3,
+        "no_level": 0.03,
         "pe_at_median_m": 0.06,
         "pe_ct_median_m": 0.05,
         "pe_at_max_m": 0.9,

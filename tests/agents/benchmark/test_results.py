@@ -37,7 +37,7 @@ def test_a_cell_for_each_agent_at_each_place():
 
 
 def test_pairs_are_by_seed_and_against_the_reference():
-    results = made_up_results()
+    results = made_up_results(seeds={"count": 8})
     pair = next(p for p in results.paired if p.metric == "return" and p.agent == "random")
     by_agent = {
         agent: [o.total_return for o in results.outcomes if o.task.place == pair.place and o.agent == agent]
@@ -48,6 +48,7 @@ def test_pairs_are_by_seed_and_against_the_reference():
     assert pair.difference == pytest.approx(gaps.mean())
     assert pair.better == np.mean(gaps > 0)
     assert pair.clear
+    assert not any(p.clear for p in made_up_results(seeds={"count": 7}).paired)
     assert {p.agent for p in results.paired} == {"random", "integrity_aware"}
 
 

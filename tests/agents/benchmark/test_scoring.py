@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from benchmarks import made_up_outcome, made_up_rows, made_up_suite
 
+from lanebound.agents.benchmark.outcome import LEVEL_MAX_M
 from lanebound.agents.benchmark.scoring import figures
+from lanebound.envs.observation.config import ObservationConfig
 
 DT_S = 0.2
 
@@ -49,10 +51,15 @@ def test_gaps_count_where_somebody_is_ahead():
     assert figures(rows(4, gap_m=math.inf), 1.0)["gap_m"] is None
 
 
-def test_a_level_that_is_missing_half_of_the_time_has_no_median():
-    found = figures(rows(4, pl_at_m=[0.0, 1.0, math.inf, math.inf, 2.0], err_at_m=[9.0, -1.0, 2.0, -3.0, 4.0]), 1.0)
-    assert found["pl_at_median_m"] == math.inf
+def test_a_level_that_is_missing_counts_as_the_largest():
+    levels = [0.0, 1.0, math.inf, math.inf, 2.0]
+    found = figures(rows(4, pl_at_m=levels, err_at_m=[9.0, -1.0, 2.0, -3.0, 4.0]), 1.0)
+    assert found["pl_at_median_m"] == LEVEL_MAX_M == ObservationConfig().pl_max_m
+    assert found["no_level"] == 0.5
     assert (found["pe_at_median_m"], found["pe_at_max_m"]) == (2.5, 4.0)
+    never, wide = figures(rows(4, pl_at_m=math.inf), 1.0), figures(rows(4, pl_at_m=20.0), 1.0)
+    assert never["pl_at_median_m"] == wide["pl_at_median_m"] == LEVEL_MAX_M
+    assert (never["no_level"], wide["no_level"]) == (1.0, 0.0)
 
 
 def test_alerts_and_continuity():
@@ -61,15 +68,22 @@ def test_alerts_and_continuity():
     assert found["alerts"] == 2
     assert found["alert_share"] == 0.75
     assert found["continuity"] == 0.0  # the one available step is followed by one that is not
-    assert figures(rows(4, available=False), 1.0)["continuity"] is None
+    assert figures(rows(4, available=False), 1.0)["continuity"] == 0.0
 
 
-def test_time_to_alert_is_of_errors_that_were_alerted():
-    late = figures(rows(6, err_ct_m=[0, 0, 1, 1, 1, 1, 0], alert=[False] * 4 + [True] * 3), 2.0)
-    assert late["time_to_alert_s"] == pytest.approx(2 * DT_S)
-    never = figures(rows(6, err_ct_m=[0, 0, 1, 0, 0, 0, 0], alert=[False] * 4 + [True] * 3), 2.0)
-    assert never["time_to_alert_s"] is None
-    assert figures(rows(6), 2.0)["time_to_alert_s"] is None
+def test_an_alert_that_never_comes_is_later_than_any_that_comes():
+    over = [0, 0, 1, 1, 1, 1, 0]
+    late = figures(rows(6, err_ct_m=over, alert=[False] * 5 + [True] * 2), 2.0)
+    assert late["time_to_alert_s"] == pytest.approx(3 * DT_S)
+    never = figures(rows(6, err_ct_m=over, alert=False), 2.0)
+    assert never["time_to_alert_s"] == pytest.approx(4 * DT_S)  # as long as it lasted
+    assert (late["missed_alerts"], never["missed_alerts"]) == (0, 1)
+    lasting = figures(rows(6, err_ct_m=[0, 0, 0, 0, 0, 1, 1], alert=False), 2.0)
+    assert (lasting["time_to_alert_s"], lasting["missed_alerts"]) == (pytest.approx(2 * DT_S), 1)
+    after = figures(rows(6, err_ct_m=[0, 0, 1, 0, 0, 0, 0], alert=[False] * 4 + [True] * 3), 2.0)
+    assert (after["time_to_alert_s"], after["missed_alerts"]) == (pytest.approx(DT_S), 1)
+    nothing = figures(rows(6), 2.0)
+    assert (nothing["time_to_alert_s"], nothing["missed_alerts"]) == (None, 0)
 
 
 def test_departures_are_those_of_the_true_body():

@@ -35,14 +35,23 @@ def classes(picture: str, name: str) -> list[str]:
 
 
 def test_verdicts_follow_the_interval_and_the_better_side():
-    up, down, unclear = Difference("a", 1, 0.5, 2), Difference("a", -1, -2, -0.5), Difference("a", 1, -0.5, 2)
+    up, down, unclear = (Difference("a", *d, 50) for d in ((1, 0.5, 2), (-1, -2, -0.5), (1, -0.5, 2)))
     assert [d.verdict("higher") for d in (up, down, unclear)] == ["better", "worse", "unclear"]
     assert [d.verdict("lower") for d in (up, down, unclear)] == ["worse", "better", "unclear"]
     assert [d.verdict(None) for d in (up, unclear)] == ["differs", "unclear"]
 
 
+def test_few_seeds_or_none_that_differ_give_no_verdict():
+    few, alike = Difference("a", 1, 0.5, 2, 7), Difference("b", 0.5, None, None, 50)
+    assert [d.verdict("higher") for d in (few, alike)] == ["too few seeds", "unclear"]
+    drawn = forest("return", "", "higher", "nominal", [few, alike])
+    assert classes(drawn, "g") == ["v-unclear", "v-unclear"]
+    assert classes(drawn, "line").count("whisker") == 1
+    assert "b +0.500, no interval, unclear" in ET.fromstring(drawn).attrib["aria-label"]
+
+
 def test_a_forest_tells_clear_differences_by_shape_not_by_colour_alone():
-    rows = [Difference("mine", -0.2, -0.3, -0.1, 0.9), Difference("other", 0.1, -0.1, 0.3, 0.2)]
+    rows = [Difference("mine", -0.2, -0.3, -0.1, 50, 0.9), Difference("other", 0.1, -0.1, 0.3, 50, 0.2)]
     drawn = forest("collision", "share", "lower", "nominal", rows)
     parsed = ET.fromstring(drawn)
     assert classes(drawn, "g") == ["v-better", "v-unclear"]

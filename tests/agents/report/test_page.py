@@ -93,14 +93,33 @@ def test_the_table_holds_the_estimates(results, html):
 
 
 def test_the_best_is_marked_only_where_it_is_clear():
-    suite = made_up_suite(agents=["nominal", "random"], envs=["LaneKeeping"], skies=["urban"])
-    given = {"nominal": {"total_return": 90.0, "success": True}, "random": {"total_return": 10.0, "success": True}}
-    html = render(Results.of(suite, [made_up_outcome(t, cost=float(t.seed), **given[t.agent]) for t in suite.tasks()]))
+    suite = made_up_suite(agents=["nominal", "random"], envs=["LaneKeeping"], skies=["urban"], seeds={"count": 9})
+    gain = {"nominal": 90.0, "random": 10.0}
+    outcomes = [
+        made_up_outcome(t, cost=float(t.seed), success=True, total_return=gain[t.agent] + t.seed - 10_004)
+        for t in suite.tasks()
+    ]
+    html = render(Results.of(suite, outcomes))
     main = html.split("Main metrics, LaneKeeping, urban sky</span></caption>")[1].split("</table>")[0]
     marked = [line for line in main.split("<td") if line.startswith(' class="best"')]
     assert any("<b>90.0</b>" in line for line in marked)
     assert not any("<b>10.0</b>" in line or "<b>100 %</b>" in line for line in marked)  # worse, and equal
-    assert sum("10,002" in line for line in marked) == 0  # equal costs
+    assert sum("10,004" in line for line in marked) == 0  # equal costs
+
+
+def test_what_was_never_seen_has_no_interval_and_leaves_nobody_the_best():
+    suite = made_up_suite(agents=["nominal", "random"], envs=["LaneKeeping"], skies=["urban"], seeds={"count": 9})
+    outcomes = [made_up_outcome(t, cost=0.0 if t.agent == "random" else float(t.seed)) for t in suite.tasks()]
+    html = render(Results.of(suite, outcomes))
+    assert '<b>0.000</b><small class="lacks">no interval: never seen in 9</small>' in html
+    main = html.split("Main metrics, LaneKeeping, urban sky</span></caption>")[1].split("</table>")[0]
+    assert not any("10,004" in line for line in main.split("<td") if line.startswith(' class="best"'))
+
+
+def test_few_seeds_are_told(html):
+    assert "Too few seeds for a verdict" in html
+    assert "clearly better" not in html
+    assert "Too few seeds" not in render(made_up_results(seeds={"count": 8}))
 
 
 def test_failures_come_with_the_command_that_drives_them_again(results, page):
@@ -183,6 +202,7 @@ def test_who_sees_the_truth_is_told_and_never_best():
     skill = {"nominal": 10.0, "oracle": 90.0}
     html = render(Results.of(suite, [made_up_outcome(t, total_return=skill[t.agent] + t.seed) for t in suite.tasks()]))
     assert "sees the truth" in html
+    assert "their cost is none, for it includes terms that judge their navigator's belief" in html.replace("&#39;", "'")
     assert 'class="best"' not in html
 
 
