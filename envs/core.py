@@ -65,7 +65,9 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `traffic` | the 6 nearest vehicles perceived: place, speed, heading, lane, age, PL of both on each axis |
 
     A missing level reads as the clipped maximum with its `exists` flag 0. `observation.integrity="blind"` leaves out
-    `integrity` and the levels in `traffic`; `"oracle"` shows the true state with levels of 0.
+    `integrity` and the levels in `traffic`; `"oracle"` shows the true state with levels of 0. The predicted satellites
+    are always those of a map without trees, whose buildings are 2.5 m off in height and 0.7 m in place (1 sigma):
+    between houses they are 1 to 3 off on average, as in practice.
 
     ## Rewards
     The weighted sum of named terms of the true car, 1.2 a second at best; the terms are in `info["rewards"]`. v is the

@@ -211,7 +211,7 @@ class Navigator:
             streams=streams,
             area=area,
             gnss=receiver.initial_state(c.gnss, sky, streams),
-            corrections=links.initial_state(c.corrections, area.network, c.dt_s, streams),
+            corrections=links.initial_state(c.corrections, area.network, n_sat, c.dt_s, streams),
             imu=initial_imu(c.imu, streams),
             odometer=initial_odometer(c.odometer, streams),
             alert=AlertState.initial(batch),

@@ -15,7 +15,7 @@ def sense_some(  # type: ignore[no-untyped-def]
     a, b, dt, los, elevation, azimuth, above, system, index,
     table_path, table_excess, spacing, length, closed, azimuths, elevations,
     position, velocity, turn, delta_v, distance, arc, lane,
-    link, now, message, fresh, link_u, link_z, lost, network_up, until, newest, outage_left, up,
+    link, now, message, fresh, link_u, link_z, lost, network_up, until, newest, outage_left, up, sent, held,
     receiver, wavelength, dispersion, spoof, reference, reference_fault, code_bias, phase_bias, rate_bias,
     cn0_drop, slips, clock, z_clock, station_clock, z, u, area, oscillator, memory, ambiguity,
     imu, moving_m, warm_up_mps, imu_z, turn_on, scale, instability, walk, moving_bias, gyro_fault,
@@ -34,14 +34,14 @@ def sense_some(  # type: ignore[no-untyped-def]
     first, last = (0, 1) if area.shape[0] == 1 else (a, b)  # one area for all, or one for each
     links.advance(
         link, now, dt, message, fresh, link_u[a:b], link_z[a:b], lost[a:b], network_up[first:last], until[first:last],
-        newest[a:b], outage_left[a:b], up[a:b], age[a:b],
+        newest[a:b], outage_left[a:b], up[a:b], sent[first:last], held[a:b], age[a:b],
     )  # fmt: skip
     observe_serial(
         receiver, wavelength, dispersion, los, above, system, index[a:b], path, excess,
         position[a:b] + spoof[a:b], velocity[a:b], reference[first:last] + reference_fault[a:b], age[a:b],
         code_bias[a:b], phase_bias[a:b], rate_bias[a:b], cn0_drop[a:b], slips[a:b], clock[a:b], z_clock[a:b],
-        station_clock[first:last], z[a:b], u[a:b], area[first:last], oscillator[a:b], memory[a:b], ambiguity[a:b],
-        tracked[a:b], code[a:b], phase[a:b], range_rate[a:b], cn0[a:b], lock_lost[a:b],
+        station_clock[first:last], z[a:b], u[a:b], area[first:last], held[a:b], oscillator[a:b], memory[a:b],
+        ambiguity[a:b], tracked[a:b], code[a:b], phase[a:b], range_rate[a:b], cn0[a:b], lock_lost[a:b],
     )  # fmt: skip
     inertial.measure(
         imu, dt, moving_m, warm_up_mps, imu_z[a:b], turn_on[a:b], scale[a:b], instability[a:b], walk[a:b],
@@ -58,7 +58,7 @@ def sense_parallel(  # type: ignore[no-untyped-def]
     chunks, count, dt, los, elevation, azimuth, above, system, index,
     table_path, table_excess, spacing, length, closed, azimuths, elevations,
     position, velocity, turn, delta_v, distance, arc, lane,
-    link, now, message, fresh, link_u, link_z, lost, network_up, until, newest, outage_left, up,
+    link, now, message, fresh, link_u, link_z, lost, network_up, until, newest, outage_left, up, sent, held,
     receiver, wavelength, dispersion, spoof, reference, reference_fault, code_bias, phase_bias, rate_bias,
     cn0_drop, slips, clock, z_clock, station_clock, z, u, area, oscillator, memory, ambiguity,
     imu, moving_m, warm_up_mps, imu_z, turn_on, scale, instability, walk, moving_bias, gyro_fault,
@@ -71,7 +71,7 @@ def sense_parallel(  # type: ignore[no-untyped-def]
             chunk * count // chunks, (chunk + 1) * count // chunks, dt, los, elevation, azimuth, above, system, index,
             table_path, table_excess, spacing, length, closed, azimuths, elevations,
             position, velocity, turn, delta_v, distance, arc, lane,
-            link, now, message, fresh, link_u, link_z, lost, network_up, until, newest, outage_left, up,
+            link, now, message, fresh, link_u, link_z, lost, network_up, until, newest, outage_left, up, sent, held,
             receiver, wavelength, dispersion, spoof, reference, reference_fault, code_bias, phase_bias, rate_bias,
             cn0_drop, slips, clock, z_clock, station_clock, z, u, area, oscillator, memory, ambiguity,
             imu, moving_m, warm_up_mps, imu_z, turn_on, scale, instability, walk, moving_bias, gyro_fault,

@@ -47,7 +47,7 @@ def _gnss(batch: int) -> Callable[[], int]:
     reception = Reception(np.zeros((batch, SATELLITES), dtype=np.uint8), np.zeros((batch, SATELLITES)))
 
     def work() -> int:
-        observe(config, state, sky, reception, truth, age, none, streams, area)
+        observe(config, state, sky, reception, truth, age, area.message, none, streams, area)
         return batch
 
     return work

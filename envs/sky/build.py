@@ -12,7 +12,9 @@ from lanebound.envs.sky.level import SkyLevel
 from lanebound.envs.sky.street import LaneMap, Street
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.sky.city import CityConfig, SectionKind, Stretch, line_street
+from lanebound.integrity.sky.forecast import SkyForecast
 from lanebound.integrity.sky.scene import City
+from lanebound.integrity.sky.survey import as_mapped
 from lanebound.integrity.sky.visibility import SkyMask
 from lanebound.integrity.streams import named_generator
 
@@ -81,10 +83,11 @@ def _build(
     lanes = LaneMap.of(network, extent_m, SPACING_M)
     city = _city(network, members, level, layout_seed, _named(members, sections), extent_m)
     if not len(city):
-        return Street(SkyMask.open(), city, lanes)
-    antennas = lanes.antennas(network, ANTENNA_HEIGHT_M)
-    mask = SkyMask.of_stations(antennas, city, SPACING_M, AZIMUTH_STEP_DEG, ELEVATION_STEP_DEG, digest)
-    return Street(mask, city, lanes)
+        return Street(SkyMask.open(), SkyForecast.open(), city, lanes)
+    antennas, cells = lanes.antennas(network, ANTENNA_HEIGHT_M), (AZIMUTH_STEP_DEG, ELEVATION_STEP_DEG)
+    mask = SkyMask.of_stations(antennas, city, SPACING_M, *cells, digest)
+    mapped = as_mapped(city, level.map, named_generator(layout_seed, "map"))
+    return Street(mask, SkyForecast.of_stations(antennas, mapped, SPACING_M, *cells), city, lanes)
 
 
 def _city(

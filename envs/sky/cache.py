@@ -24,6 +24,7 @@ from lanebound.envs.sky.level import SkyLevel
 from lanebound.envs.sky.street import LaneMap, Street
 from lanebound.integrity import sky
 from lanebound.integrity.accel import cache_directory
+from lanebound.integrity.sky.forecast import SkyForecast
 from lanebound.integrity.sky.scene import City
 from lanebound.integrity.sky.visibility import SkyMask
 
@@ -87,9 +88,10 @@ def load(key: str, lanes: LaneMap) -> Street | None:
             city = City(data["triangles"], data["surface"])
             table, excess = data["path"], data["excess"]
             mask = SkyMask(table, excess, azimuths, elevations, spacing, length, bool(closed), key)
+            forecast = SkyForecast(data["free"], azimuths, elevations, spacing)
     except (OSError, EOFError, KeyError, ValueError, BadZipFile):
         return None
-    return Street(mask, city, lanes)
+    return Street(mask, forecast, city, lanes)
 
 
 def save(key: str, street: Street) -> None:
@@ -106,6 +108,7 @@ def save(key: str, street: Street) -> None:
                     file,
                     path=mask.path,
                     excess=mask.excess_m,
+                    free=street.forecast.free,
                     bins=np.array([mask.azimuths, mask.elevations, int(mask.closed)]),
                     stations=np.array([mask.spacing_m, mask.length_m]),
                     triangles=street.city.triangles_enu_m,

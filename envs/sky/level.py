@@ -9,6 +9,7 @@ from lanebound.integrity.config import Config, Field, deep_merge
 from lanebound.integrity.navigator import NavigatorConfig
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
 from lanebound.integrity.sky.city import CityConfig, SectionConfig, SectionKind
+from lanebound.integrity.sky.survey import MapConfig
 
 __all__ = ["SKY_LEVELS", "SkyLevel"]
 
@@ -31,6 +32,7 @@ class SkyLevel(Config):
         le=200,
         description="facades stand at least so far apart, so that narrow roads are no darker; argued",
     )
+    map: MapConfig = Field(MapConfig(), description="the city as mapped, by which satellites are predicted")
     corrections: CorrectionsConfig = Field(CorrectionsConfig(), description="the reference link and its outages")
     max_age_s: float = Field(
         2.0, gt=0, le=60, description="oldest usable corrections; a rover in town, whose link sends every second"

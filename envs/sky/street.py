@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from lanebound.envs.records import LaneIndex
 from lanebound.envs.sky.corridors import Edge, edges_of, lane_points
 from lanebound.integrity.errors import InputError
+from lanebound.integrity.sky.forecast import SkyForecast
 from lanebound.integrity.sky.scene import City
 from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.sky.visibility import SkyMask
@@ -104,12 +105,14 @@ class Street:
 
     Attributes
     ----------
-    mask : reception by station and lane
-    city : the obstacles behind it, for drawing
+    mask : reception by station and lane, as it is: for instruments and pictures
+    forecast : what a map of the city says of it: for all that plans
+    city : the obstacles behind the mask, for drawing
     lanes : how lane indices map to stations
     """
 
     mask: SkyMask
+    forecast: SkyForecast
     city: City
     lanes: LaneMap
 
@@ -163,7 +166,7 @@ class Street:
         sky: SkyView,
         route: Route | None = None,
     ) -> NDArray[np.int64]:
-        """Satellites in line of sight above the mask angle at distances ahead along the route.  (D,) [m] -> (D, 3).
+        """Satellites that the map has in line of sight at distances ahead along the route.  (D,) [m] -> (D, 3).
 
         For the lane to the left, this one and the one to the right; -1 where there is no lane. The neighbours are those
         of the lane that the route takes at that distance, at the same share of its length.
@@ -178,4 +181,4 @@ class Street:
                 there.append(lane is not None)
                 places.append(self.where(lane or own, share * self.lanes.length_m[lane or own]))
         arcs, ids = np.array([p[0] for p in places]), np.array([p[1] for p in places], dtype=np.int64)
-        return np.where(there, self.mask.predicted_by_one(arcs, ids, sky), NO_LANE).reshape(-1, 3)
+        return np.where(there, self.forecast.count(arcs, ids, sky), NO_LANE).reshape(-1, 3)

@@ -27,7 +27,7 @@ from lanebound.integrity.streams import Streams
 __all__ = ["AreaState", "advance_area", "initial_area"]
 
 Array = NDArray[np.float64]
-NO_NOISE = np.empty((0, 0, 4))  # of the station, between two messages
+NO_NOISE = np.empty((0, 0, gk.N_NOISE))  # of the station, between two messages
 
 
 @dataclass
@@ -55,10 +55,13 @@ def initial_area(
 ) -> AreaState:
     """``streams.batch`` areas at zero of the clock: stationary errors, the network as it is found at any time."""
     azimuth = 2.0 * np.pi * streams.uniform("station")
+    memory, noise = (
+        streams.normal("atmosphere", satellites, gk.N_SLOW),
+        streams.normal("station", satellites, gk.N_NOISE),
+    )
     signals = AreaSignals(
-        memory=np.concatenate(
-            [streams.normal("atmosphere", satellites, gk.N_SLOW), streams.normal("station", satellites, 4)], -1
-        ),
+        memory=memory,
+        message=np.concatenate([memory[..., gk.A_CODE_MP :], noise], -1),
         clock=np.zeros((streams.batch, 2)),
         reference_enu_m=config.reference_offset_m
         * np.stack([np.sin(azimuth), np.cos(azimuth), np.zeros_like(azimuth)], -1),
@@ -70,7 +73,8 @@ def advance_area(config: GnssConfig, link: CorrectionsConfig, state: AreaState, 
     """Bring the areas to the epoch that ends at ``time_s`` of the clock, in place; never back.
 
     Ionosphere, satellites' clocks, troposphere and the station's multipath last for minutes: one of them advances in
-    each epoch, by as many epochs as there are of them. The station's noise is new with each of its messages.
+    each epoch, by as many epochs as there are of them. The station's noise is new with each of its messages, which a
+    receiver keeps until it receives another (:mod:`.corrections`).
     """
     epoch = round(time_s / dt_s)
     while state.network.epoch < epoch:
@@ -82,9 +86,9 @@ def _advance(config: GnssConfig, link: CorrectionsConfig, state: AreaState, dt_s
     signals, satellites, column = state.signals, state.signals.memory.shape[1], state.network.epoch % gk.N_SLOW
     decays, gains, clock = _figures(config, dt_s)
     kernel.advance(
-        signals.memory, signals.clock, dt_s, column, decays[column], gains[column],
+        signals.memory, signals.message, signals.clock, dt_s, column, decays[column], gains[column],
         state.streams.normal("atmosphere", satellites), state.network.fresh,
-        state.streams.normal("station", satellites, 4) if state.network.fresh else NO_NOISE, *clock,
+        state.streams.normal("station", satellites, gk.N_NOISE) if state.network.fresh else NO_NOISE, *clock,
         state.streams.normal("station", 2),
     )  # fmt: skip
 

@@ -6,13 +6,20 @@ from lanebound.integrity.accel import jit
 
 
 @jit
-def advance(memory, clock, dt, column, decay, gain, z_slow, fresh, z_noise, l11, l21, l22, z_clock):  # type: ignore[no-untyped-def]
-    """In place: memory (A, S, M), one ``column`` of it a Gauss-Markov step, the last ones white; clock (A, 2)."""
-    slow = memory.shape[2] - z_noise.shape[2]
+def advance(  # type: ignore[no-untyped-def]
+    memory, message, clock, dt, column, decay, gain, z_slow, fresh, z_noise, l11, l21, l22, z_clock
+):  # fmt: skip
+    """In place: memory (A, S, M), one ``column`` of it a Gauss-Markov step; message (A, S, K); clock (A, 2).
+
+    A ``fresh`` message holds the last columns of the memory as they now are, the station's multipath, and white noise.
+    """
+    taken = message.shape[2] - z_noise.shape[2]
+    first = memory.shape[2] - taken
     for a in range(memory.shape[0]):
         for s in range(memory.shape[1]):
             memory[a, s, column] = decay * memory[a, s, column] + gain * z_slow[a, s]
         if fresh:
-            memory[a, :, slow:] = z_noise[a]
+            message[a, :, :taken] = memory[a, :, first:]
+            message[a, :, taken:] = z_noise[a]
         clock[a, 0] += dt * clock[a, 1] + l11 * z_clock[a, 0]
         clock[a, 1] += l21 * z_clock[a, 0] + l22 * z_clock[a, 1]

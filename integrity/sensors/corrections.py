@@ -29,6 +29,7 @@ from scipy.special import ndtri
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.sensors import corrections_kernel as kernel
+from lanebound.integrity.sensors.gnss_kernel import N_STATION
 from lanebound.integrity.streams import Streams
 
 __all__ = [
@@ -95,11 +96,13 @@ class CorrectionsState:
     newest : (B,) int64, number of the newest reference epoch received, -1 before the first
     outage_left : (B,) int64, epochs for which the present outage of one's own still lasts
     up : (B,) bool, the link carried messages in the last epoch
+    held : (B, S, N_STATION) the station's own errors in that message, columns ``S_*`` of :mod:`.gnss_kernel`
     """
 
     newest: NDArray[np.int64]
     outage_left: NDArray[np.int64]
     up: NDArray[np.bool_]
+    held: Array
 
     def copy(self) -> CorrectionsState:
         """An independent copy."""
@@ -178,7 +181,9 @@ def advance_network(config: CorrectionsConfig, network: NetworkState, dt_s: floa
         kernel.advance_network(law.par, dt_s, z, network.outage_left, network.until, network.up)
 
 
-def initial_state(config: CorrectionsConfig, network: NetworkState, dt_s: float, streams: Streams) -> CorrectionsState:
+def initial_state(
+    config: CorrectionsConfig, network: NetworkState, satellites: int, dt_s: float, streams: Streams
+) -> CorrectionsState:
     """The reception of ``streams.batch`` vehicles that are switched on in these networks.
 
     Raises
@@ -193,7 +198,10 @@ def initial_state(config: CorrectionsConfig, network: NetworkState, dt_s: float,
     left = _residual(law, u[:, 1:])
     down = (u[:, 0] < law.own_down) & network.up & (left <= network.until)
     return CorrectionsState(
-        newest=np.full(batch, -1, dtype=np.int64), outage_left=np.where(down, left, 0), up=network.up & ~down
+        newest=np.full(batch, -1, dtype=np.int64),
+        outage_left=np.where(down, left, 0),
+        up=network.up & ~down,
+        held=np.zeros((batch, satellites, N_STATION)),
     )
 
 
@@ -201,6 +209,7 @@ def step(
     config: CorrectionsConfig,
     state: CorrectionsState,
     network: NetworkState,
+    sent: Array,
     dt_s: float,
     lost: NDArray[np.bool_],
     streams: Streams,
@@ -214,6 +223,7 @@ def step(
     ----------
     network : NetworkState
         Of one area or one for each vehicle, advanced to this epoch.
+    sent : (A, S, N_STATION), what the newest message of each area says; who receives it keeps it in ``state.held``
     dt_s : float, length of an epoch, the same in every call
     lost : (B,) bool, the link is cut by a fault
 
@@ -224,7 +234,7 @@ def step(
     Raises
     ------
     InputError
-        When ``lost``, the streams or the networks serve another number of vehicles than ``state``.
+        When ``lost``, the streams, the networks or messages serve another number of vehicles than ``state``.
     """
     batch = state.newest.shape[0]
     if lost.shape != (batch,) or streams.batch != batch or network.up.shape[0] not in (1, batch):
@@ -232,13 +242,15 @@ def step(
             f"lost, streams and network must serve {batch} vehicles, got {lost.shape}, {streams.batch} and "
             f"{network.up.shape[0]} areas"
         )
+    if sent.shape != (network.up.shape[0], *state.held.shape[1:]):
+        raise InputError(f"sent must be of {network.up.shape[0]} areas with {state.held.shape[1:]}, got {sent.shape}")
     u = z = NO_DRAWS
     if config.outage_per_h > 0.0:
         u, z = streams.uniform("corrections"), streams.normal("corrections")
     age = np.empty(batch)
     kernel.advance(
         parameters(config, dt_s), network.epoch * dt_s, dt_s, network.message, network.fresh, u, z, lost, network.up,
-        network.until, state.newest, state.outage_left, state.up, age,
+        network.until, state.newest, state.outage_left, state.up, sent, state.held, age,
     )  # fmt: skip
     return age
 

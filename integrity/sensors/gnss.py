@@ -61,11 +61,13 @@ class GnssEpoch:
 class AreaSignals:
     """What reaches all receivers of an area alike; A is 1, or the number of vehicles when each has an area of its own.
 
-    memory (A, S, NA) are the columns ``A_*`` of :mod:`.gnss_kernel`, clock (A, 2) the station's clock [m], [m/s],
-    reference_enu_m (A, 3) the error of its coordinates.
+    memory (A, S, N_SLOW) are the columns ``A_*`` of :mod:`.gnss_kernel`, message (A, S, N_STATION) those ``S_*`` of the
+    station's newest message, clock (A, 2) the station's clock [m], [m/s], reference_enu_m (A, 3) the error of its
+    coordinates.
     """
 
     memory: Array
+    message: Array
     clock: Array
     reference_enu_m: Array
 
@@ -254,6 +256,7 @@ def observe(
     reception: Reception,
     truth: Truth,
     age_s: Array,
+    message: Array,
     effects: FaultEffects,
     streams: Streams,
     area: AreaSignals,
@@ -265,6 +268,7 @@ def observe(
     reception : how each signal arrives, (B, S)
     truth : position and velocity of the antenna
     age_s : (B,) age of the reference data
+    message : (B, S, N_STATION) the station's own errors in these data, columns ``S_*`` of :mod:`.gnss_kernel`
     area : what this epoch brings to all receivers of an area
 
     Draws a fixed number of normals and uniforms from streams "gnss" and "clock", whatever is in view.
@@ -284,6 +288,10 @@ def observe(
         raise InputError(
             f"area must hold 1 or {batch} areas and {n_sat} satellites, got {area.memory.shape}: make both agree"
         )
+    if message.shape != (batch, n_sat, gk.N_STATION):
+        raise InputError(
+            f"message must have shape {(batch, n_sat, gk.N_STATION)}, got {message.shape}: one for each vehicle"
+        )
     z, u = streams.normal("gnss", n_sat, gk.N_NORMAL), streams.uniform("gnss", n_sat, gk.N_UNIFORM)
     tracked, lock_lost = np.zeros((2, batch, n_sat), dtype=np.bool_)
     code, phase = np.zeros((2, batch, n_sat, 2))
@@ -295,7 +303,7 @@ def observe(
         reception.path, reception.excess_m, truth.position_enu_m + effects.spoof_enu_m, truth.velocity_enu_mps,
         area.reference_enu_m + effects.reference_enu_m, age_s, effects.code_bias_m, effects.phase_bias_m,
         effects.range_rate_bias_mps, effects.cn0_drop_db, effects.slip_cycles, state.clock,
-        streams.normal("clock", 2), area.clock, z, u, area.memory, state.oscillator, state.memory, state.ambiguity,
-        tracked, code, phase, range_rate, cn0, lock_lost,
+        streams.normal("clock", 2), area.clock, z, u, area.memory, message, state.oscillator, state.memory,
+        state.ambiguity, tracked, code, phase, range_rate, cn0, lock_lost,
     )  # fmt: skip
     return GnssEpoch(tracked, code, phase, range_rate, cn0, lock_lost, age_s)

@@ -2,7 +2,8 @@
 
 ``cfg`` (NC,) holds the figures of :class:`~lanebound.integrity.sensors.gnss.GnssConfig`; ``z`` (S, N_NORMAL) standard
 normal and ``u`` (S, N_UNIFORM) uniform draws of this epoch; ``memory`` (S, NM) what lasts from epoch to epoch;
-``area`` (S, NA) what all receivers of an area have in common, of unit variance (:mod:`.area` advances it).
+``area`` (S, N_SLOW) what all receivers of an area have in common, and ``station`` (S, N_STATION) what the station's
+message that the receiver holds brings of the station's own errors, both of unit variance (:mod:`.area` makes them).
 """
 
 from __future__ import annotations
@@ -32,10 +33,14 @@ M_CN0, M_CODE_MP, M_PHASE_MP0, M_PHASE_MP1, M_RATE, M_EXCESS, M_CODE_S, M_PHASE_
 N_INITIAL = 6  # columns that start from a draw
 NM = 9
 
-# area: AR(1) states, of the atmosphere, the satellite's clock and the station's multipath, and the station's noise
-A_IONO, A_AGE, A_TROPO, A_CODE_MP, A_PHASE_MP0, A_PHASE_MP1, A_CODE0, A_CODE1, A_PHASE0, A_PHASE1 = range(10)
-N_SLOW = 6  # columns that last for minutes
-NA = 10
+# area: AR(1) states that last for minutes, of the atmosphere, the satellite's clock and the station's multipath
+A_IONO, A_AGE, A_TROPO, A_CODE_MP, A_PHASE_MP0, A_PHASE_MP1 = range(6)
+N_SLOW = 6
+
+# station: its multipath when it measured, in the area's order, and its noise
+S_CODE_MP, S_PHASE_MP0, S_PHASE_MP1, S_CODE0, S_CODE1, S_PHASE0, S_PHASE1 = range(7)
+N_NOISE = 4  # columns that are new with each message
+N_STATION = 7
 
 LN10 = math.log(10.0)
 
@@ -212,31 +217,31 @@ def common_delay(cfg, s, slant, age, area):  # type: ignore[no-untyped-def]
 
 @jit
 def fill_bands(  # type: ignore[no-untyped-def]
-    cfg, wavelength, dispersion, s, c, common, power, clear, code_error, phase_error, has_phase, clock, z, area, memory,
-    ambiguity, code, phase,
+    cfg, wavelength, dispersion, s, c, common, power, clear, code_error, phase_error, has_phase, clock, z, area,
+    station, memory, ambiguity, code, phase,
 ):  # fmt: skip
     """Code and phase of satellite s of system c: what is common to all, and what each band adds."""
     iono, root = cfg[IONO_SIGMA] * area[s, A_IONO], math.sqrt(clear)
-    code_error -= cfg[STATION_CODE_MP] * root * area[s, A_CODE_MP]
+    code_error -= cfg[STATION_CODE_MP] * root * station[s, S_CODE_MP]
     own_code = own_part(cfg[CODE_SIGMA], cfg[STATION_CODE], power, clear)
     own_phase = own_part(cfg[PHASE_SIGMA], cfg[STATION_PHASE], power, clear)
     own_multipath = own_part(cfg[PHASE_MULTIPATH], cfg[STATION_PHASE_MP], power, clear)
     for b in range(int(cfg[BANDS])):
         delay = iono * dispersion[c, b]
-        noise = own_code * z[s, Z_CODE0 + b] - cfg[STATION_CODE] * root * area[s, A_CODE0 + b]
+        noise = own_code * z[s, Z_CODE0 + b] - cfg[STATION_CODE] * root * station[s, S_CODE0 + b]
         code[s, b] = common + clock[c, b] + delay + code_error + noise
         if has_phase:
             noise = own_phase * z[s, Z_PHASE0 + b] + own_multipath * memory[s, M_PHASE_MP0 + b]
-            station = cfg[STATION_PHASE] * area[s, A_PHASE0 + b] + cfg[STATION_PHASE_MP] * area[s, A_PHASE_MP0 + b]
+            theirs = cfg[STATION_PHASE] * station[s, S_PHASE0 + b] + cfg[STATION_PHASE_MP] * station[s, S_PHASE_MP0 + b]
             whole = 0.5 * wavelength[c, b] * ambiguity[s, b]
-            phase[s, b] = common + clock[c, 2 + b] - delay + phase_error + whole + noise - root * station
+            phase[s, b] = common + clock[c, 2 + b] - delay + phase_error + whole + noise - root * theirs
 
 
 @jit
 def observe_vehicle(  # type: ignore[no-untyped-def]
     cfg, wavelength, dispersion, e, above, system, path, excess, position, velocity, reference, age,
-    code_bias, phase_bias, rate_bias, cn0_drop, slips, clock, z_clock, station_clock, z, u, area, oscillator, memory,
-    ambiguity, tracked, code, phase, range_rate, cn0, lock_lost,
+    code_bias, phase_bias, rate_bias, cn0_drop, slips, clock, z_clock, station_clock, z, u, area, station, oscillator,
+    memory, ambiguity, tracked, code, phase, range_rate, cn0, lock_lost,
 ):  # fmt: skip
     """Fill the outputs of one vehicle, zeros before: tracked (S,), code, phase (S, 2), range_rate, cn0, lock_lost (S,).
 
@@ -273,7 +278,7 @@ def observe_vehicle(  # type: ignore[no-untyped-def]
         common = common_delay(cfg, s, slant, used_age, area) - (e[s, 0] * x + e[s, 1] * y + e[s, 2] * h) + offset
         fill_bands(
             cfg, wavelength, dispersion, s, system[s], common, power, clear, code_error, phase_bias[s], has_phase,
-            clock, z, area, memory, ambiguity, code, phase,
+            clock, z, area, station, memory, ambiguity, code, phase,
         )  # fmt: skip
         motion = e[s, 0] * velocity[0] + e[s, 1] * velocity[1] + e[s, 2] * velocity[2]
         range_rate[s] = oscillator[1] - motion + rate_bias[s] + cfg[RATE_SIGMA] * math.sqrt(power) * memory[s, M_RATE]
@@ -282,8 +287,8 @@ def observe_vehicle(  # type: ignore[no-untyped-def]
 @jit
 def observe_serial(  # type: ignore[no-untyped-def]
     cfg, wavelength, dispersion, los, above, system, index, path, excess, position, velocity, reference, age,
-    code_bias, phase_bias, rate_bias, cn0_drop, slips, clock, z_clock, station_clock, z, u, area, oscillator, memory,
-    ambiguity, tracked, code, phase, range_rate, cn0, lock_lost,
+    code_bias, phase_bias, rate_bias, cn0_drop, slips, clock, z_clock, station_clock, z, u, area, station, oscillator,
+    memory, ambiguity, tracked, code, phase, range_rate, cn0, lock_lost,
 ):  # fmt: skip
     """:func:`observe_vehicle` for B vehicles, one after another, in one area or each in its own."""
     areas = area.shape[0]
@@ -292,16 +297,16 @@ def observe_serial(  # type: ignore[no-untyped-def]
         observe_vehicle(
             cfg, wavelength, dispersion, los[k], above[k], system, path[v], excess[v], position[v], velocity[v],
             reference[v], age[v], code_bias[v], phase_bias[v], rate_bias[v], cn0_drop[v], slips[v], clock[v],
-            z_clock[v], station_clock[a], z[v], u[v], area[a], oscillator[v], memory[v], ambiguity[v], tracked[v],
-            code[v], phase[v], range_rate[v], cn0[v], lock_lost[v],
+            z_clock[v], station_clock[a], z[v], u[v], area[a], station[v], oscillator[v], memory[v], ambiguity[v],
+            tracked[v], code[v], phase[v], range_rate[v], cn0[v], lock_lost[v],
         )  # fmt: skip
 
 
 @jit(parallel=True)
 def observe_parallel(  # type: ignore[no-untyped-def]
     cfg, wavelength, dispersion, los, above, system, index, path, excess, position, velocity, reference, age,
-    code_bias, phase_bias, rate_bias, cn0_drop, slips, clock, z_clock, station_clock, z, u, area, oscillator, memory,
-    ambiguity, tracked, code, phase, range_rate, cn0, lock_lost,
+    code_bias, phase_bias, rate_bias, cn0_drop, slips, clock, z_clock, station_clock, z, u, area, station, oscillator,
+    memory, ambiguity, tracked, code, phase, range_rate, cn0, lock_lost,
 ):  # fmt: skip
     """:func:`observe_vehicle` for B vehicles, side by side, in one area or each in its own."""
     areas = area.shape[0]
@@ -310,6 +315,6 @@ def observe_parallel(  # type: ignore[no-untyped-def]
         observe_vehicle(
             cfg, wavelength, dispersion, los[k], above[k], system, path[v], excess[v], position[v], velocity[v],
             reference[v], age[v], code_bias[v], phase_bias[v], rate_bias[v], cn0_drop[v], slips[v], clock[v],
-            z_clock[v], station_clock[a], z[v], u[v], area[a], oscillator[v], memory[v], ambiguity[v], tracked[v],
-            code[v], phase[v], range_rate[v], cn0[v], lock_lost[v],
+            z_clock[v], station_clock[a], z[v], u[v], area[a], station[v], oscillator[v], memory[v], ambiguity[v],
+            tracked[v], code[v], phase[v], range_rate[v], cn0[v], lock_lost[v],
         )  # fmt: skip

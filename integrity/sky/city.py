@@ -199,15 +199,20 @@ def line_street(
     """
     solid: list[Array] = [np.zeros((0, 3, 3))]
     leaves: list[Array] = [np.zeros((0, 3, 3))]
+    feet: list[Array] = [np.zeros((0, 4, 2))]
+    heights: list[Array] = [np.zeros(0)]
     for stretch in stretches:
         whole = config.street(stretch.kind)
         solid += [_slabs(road, stretch, whole, straight=plot is not None), _tunnel(road, stretch, whole, plot)]
         cross = rng.uniform(0.8, 1.2, int((stretch.end_m - stretch.start_m) / max(whole.block_m, 10.0)) + 1)
         for side, kind in ((RIGHT, stretch.kind), (LEFT, stretch.left_kind)):
             street = config.street(kind)
-            solid.append(_buildings(road, _blocks(stretch, whole, cross), side, street, rng, plot))
+            foot, height = _buildings(road, _blocks(stretch, whole, cross), side, street, rng, plot)
+            feet.append(foot)
+            heights.append(height)
             leaves.append(_trees(road, stretch, side, street, rng, plot))
-    return City.of(np.concatenate(solid)) + City.of(np.concatenate(leaves), Surface.FOLIAGE)
+    houses = City.of_buildings(np.concatenate(feet), np.concatenate(heights))
+    return City.of(np.concatenate(solid)) + houses + City.of(np.concatenate(leaves), Surface.FOLIAGE)
 
 
 def _blocks(stretch: Stretch, street: StreetConfig, spread: Array) -> list[tuple[float, float]]:
@@ -230,10 +235,10 @@ def _buildings(
     street: StreetConfig,
     rng: np.random.Generator,
     plot: Plot | None,
-) -> Array:
-    """Buildings wall to wall along the blocks of one side, with gaps here and there."""
+) -> tuple[Array, Array]:
+    """Footprints (n, 4, 2) and heights (n,) of buildings wall to wall along one side, with gaps here and there."""
     if street.height_median_m <= 0.0:
-        return np.zeros((0, 3, 3))
+        return np.zeros((0, 4, 2)), np.zeros(0)
     spans: list[tuple[float, float]] = []
     for start, end in blocks:
         at = start
@@ -246,7 +251,7 @@ def _buildings(
     setback = street.setback_m + street.setback_spread_m * rng.random(n)
     arcs = np.array(spans).reshape(n, 2)
     foot, fits = _footprints(road, arcs, side, road.edge_m + setback, street.depth_m, plot)
-    return prisms(foot[fits], 0.0, np.minimum(height, street.height_max_m)[fits])
+    return foot[fits], np.minimum(height, street.height_max_m)[fits]
 
 
 def _footprints(

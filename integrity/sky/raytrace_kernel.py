@@ -14,7 +14,18 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.accel import jit, prange
 
-__all__ = ["Grid", "look_up", "mask_parallel", "mask_serial", "trace", "trace_parallel", "trace_serial"]
+__all__ = [
+    "Grid",
+    "count_free",
+    "free_parallel",
+    "free_serial",
+    "look_up",
+    "mask_parallel",
+    "mask_serial",
+    "trace",
+    "trace_parallel",
+    "trace_serial",
+]
 
 EDGE = 1e-12  # edges belong to the triangle, up to rounding
 GRAZING = 1e-12  # sine of the angle to the plane below which a ray counts as parallel
@@ -197,6 +208,36 @@ def _mask_batch(grid, antenna, direction, n_az, n_el, path, excess):  # type: ig
 
 mask_serial = jit(_mask_batch)
 mask_parallel = jit(parallel=True)(_mask_batch)
+
+
+def _free_batch(grid, antenna, direction, free):  # type: ignore[no-untyped-def]
+    """Which rays from antennas (P, 3) along ``direction`` (cells, 3) meet nothing, into free (P, cells) bool."""
+    for p in prange(antenna.shape[0]):
+        o = antenna[p]
+        for c in range(direction.shape[0]):
+            d = direction[c]
+            solid, _, leaf = trace(grid, o[0], o[1], o[2], d[0], d[1], d[2], True)
+            free[p, c] = min(solid, leaf) == math.inf
+
+
+free_serial = jit(_free_batch)
+free_parallel = jit(parallel=True)(_free_batch)
+
+
+@jit
+def count_free(free, arc, lane, azimuth, elevation, above, spacing, n_az, n_el):  # type: ignore[no-untyped-def]
+    """How many of S satellites ``above`` lie in free cells at D places; nearest station, lane clamped.  -> (D,)."""
+    stations, lanes = free.shape[0], free.shape[1]
+    count = np.zeros(arc.shape[0], dtype=np.int64)
+    for s in range(azimuth.shape[0]):
+        c = bin_of(azimuth[s], elevation[s], n_az, n_el) if above[s] else -1
+        if c < 0:
+            continue
+        for i in range(arc.shape[0]):
+            n = int(min(max(arc[i] / spacing, 0.0), stations - 1.0) + 0.5)
+            if free[n, min(max(lane[i], 0), lanes - 1), c]:
+                count[i] += 1
+    return count
 
 
 @jit

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
 
@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 # Corners 0-3 are the footprint in order, 4-7 the same corners at the top.
 _SIDES = ((0, 1, 5), (0, 5, 4), (1, 2, 6), (1, 6, 5), (2, 3, 7), (2, 7, 6), (3, 0, 4), (3, 4, 7))
 _ENDS = ((4, 5, 6), (4, 6, 7), (0, 2, 1), (0, 3, 2))
+_UNNAMED: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
 
 
 class Surface(IntEnum):
@@ -37,18 +38,23 @@ class City:
     ----------
     triangles_enu_m : (T, 3, 3), vertices by row
     surface : (T,) uint8, values of :class:`Surface`
+    building : (T,) int64, which building on the ground a triangle belongs to, -1 for none (the default)
     """
 
     triangles_enu_m: Array
     surface: NDArray[np.uint8]
+    building: NDArray[np.int64] = field(default_factory=lambda: _UNNAMED)
 
     def __post_init__(self) -> None:
         triangles = require_finite("triangles_enu_m", self.triangles_enu_m)
         require_shape("triangles_enu_m", triangles, (3, 3))
-        if triangles.ndim != 3 or self.surface.shape != triangles.shape[:1]:
-            raise InputError(
-                f"surface must have shape ({triangles.shape[0]},), got {self.surface.shape}: one for each triangle"
-            )
+        if self.building is _UNNAMED:
+            object.__setattr__(self, "building", np.full(triangles.shape[0], -1))
+        for name, array in (("surface", self.surface), ("building", self.building)):
+            if triangles.ndim != 3 or array.shape != triangles.shape[:1]:
+                raise InputError(
+                    f"{name} must have shape ({triangles.shape[0]},), got {array.shape}: one for each triangle"
+                )
 
     def __len__(self) -> int:
         return int(self.surface.shape[0])
@@ -64,12 +70,26 @@ class City:
         triangles = np.asarray(triangles_enu_m, dtype=np.float64)
         return cls(triangles, np.full(triangles.shape[0], int(surface), dtype=np.uint8))
 
+    @classmethod
+    def of_buildings(cls, footprint_en_m: ArrayLike, height_m: ArrayLike) -> City:
+        """Upright buildings on four-cornered footprints (n, 4, 2), heights (n,), told apart."""
+        walls = prisms(footprint_en_m, 0.0, height_m)
+        each = len(_SIDES) + len(_ENDS[:2])
+        return cls(walls, np.zeros(len(walls), dtype=np.uint8), np.arange(len(walls)) // each)
+
     def __add__(self, other: City) -> City:
-        """The obstacles of both."""
+        """The obstacles of both; the other's buildings are counted on."""
+        theirs = np.where(other.building < 0, -1, other.building + self.buildings)
         return City(
             np.concatenate([self.triangles_enu_m, other.triangles_enu_m]),
             np.concatenate([self.surface, other.surface]),
+            np.concatenate([self.building, theirs]),
         )
+
+    @property
+    def buildings(self) -> int:
+        """How many buildings are told apart."""
+        return int(self.building.max(initial=-1)) + 1
 
     @property
     def foliage(self) -> NDArray[np.bool_]:

@@ -23,7 +23,7 @@ from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.scene import City
 from lanebound.integrity.sky.view import SkyView
 
-__all__ = ["Path", "Reception", "SkyMask", "line_of_sight"]
+__all__ = ["Path", "Reception", "SkyMask", "cell_centres", "cells_of", "distinct_antennas", "line_of_sight"]
 
 Array = NDArray[np.float64]
 
@@ -35,9 +35,6 @@ class Path(IntEnum):
     FOLIAGE = 1
     REFLECTED = 2
     BLOCKED = 3
-
-
-LOS = np.uint8(Path.LOS)
 
 
 @dataclass(frozen=True)
@@ -111,7 +108,7 @@ class SkyMask:
         """
         require_in_range("station_spacing_m", station_spacing_m, 0.0, 1e4, low_open=True)
         require_in_range("antenna_height_m", antenna_height_m, 0.0, 50.0)
-        azimuths, elevations = _bins("az_step_deg", az_step_deg, 360.0), _bins("el_step_deg", el_step_deg, 90.0)
+        azimuths, elevations = cells_of(az_step_deg, el_step_deg)
         lane_count = road.lane_count if lanes is None else lanes
         if not 1 <= lane_count <= road.lane_count:
             raise InputError(f"lanes must lie in [1, {road.lane_count}], got {lanes}: the road has no more")
@@ -153,16 +150,11 @@ class SkyMask:
         InputError
             Antennas that are not finite or of another shape, a step that does not divide, a spacing out of range.
         """
-        antenna = require_finite("antenna_enu_m", antenna_enu_m)
-        require_shape("antenna_enu_m", antenna, (None, None, 3))
-        if antenna.ndim != 3 or antenna.size == 0:
-            raise InputError(f"antenna_enu_m must be (N, L, 3) with N, L >= 1, got {antenna.shape}: add stations")
+        each, rows = distinct_antennas(antenna_enu_m)
         require_in_range("spacing_m", spacing_m, 0.0, 1e4, low_open=True)
-        azimuths, elevations = _bins("az_step_deg", az_step_deg, 360.0), _bins("el_step_deg", el_step_deg, 90.0)
-        each, which = np.unique(antenna.reshape(-1, 3), axis=0, return_inverse=True)
+        azimuths, elevations = cells_of(az_step_deg, el_step_deg)
         path, excess = _cast(city, each, azimuths, elevations)
-        rows = which.reshape(antenna.shape[:2])
-        length = spacing_m * antenna.shape[0]
+        length = spacing_m * rows.shape[0]
         return cls(path[rows], excess[rows], azimuths, elevations, spacing_m, length, False, digest)
 
     @staticmethod
@@ -210,38 +202,21 @@ class SkyMask:
         rows = sky.azimuth_rad.shape[0]
         if batch[0] and not (sky.index.min() >= 0 and sky.index.max() < rows):
             raise InputError(f"sky.index must lie in [0, {rows - 1}], got {sky.index.max()}: name existing rows")
-        path, excess = self._look(arc, lanes, sky, sky.index)
-        return Reception(path, excess)
-
-    def _look(
-        self, arc_m: Array, lane: NDArray[np.int64], sky: SkyView, index: NDArray[np.int64]
-    ) -> tuple[NDArray[np.uint8], Array]:
-        found: tuple[NDArray[np.uint8], Array] = look_up(
+        path, excess = look_up(
             self.path,
             self.excess_m,
-            arc_m,
-            lane,
+            arc,
+            lanes,
             sky.azimuth_rad,
             sky.elevation_rad,
-            index,
+            sky.index,
             self.spacing_m,
             self.length_m,
             self.closed,
             self.azimuths,
             self.elevations,
         )
-        return found
-
-    def predicted_visibility(self, arc_m: ArrayLike, lane: ArrayLike, sky: SkyView) -> NDArray[np.int64]:
-        """Satellites in line of sight above the mask angle at places along a route, for planners.  (B,) -> (B,)."""
-        seen = self.look(arc_m, lane, sky).path == LOS
-        return np.asarray((seen & sky.above[sky.index]).sum(-1), dtype=np.int64)
-
-    def predicted_by_one(self, arc_m: Array, lane: NDArray[np.int64], sky: SkyView) -> NDArray[np.int64]:
-        """The same at the places of one vehicle, the first of ``sky``.  (D,) float64 [m], (D,) int64 -> (D,)."""
-        row = sky.index[0]
-        path, _ = self._look(arc_m, lane, sky, np.full(arc_m.shape, row))
-        return np.asarray(np.count_nonzero((path == LOS) & sky.above[row], -1), dtype=np.int64)
+        return Reception(path, excess)
 
     def save(self, path: str | FilePath) -> None:
         """Write the mask to an ``.npz`` file."""
@@ -299,6 +274,33 @@ def line_of_sight(city: City, antenna_enu_m: ArrayLike, los_enu: ArrayLike) -> N
     return np.asarray(clear & (los[..., 2] >= 0.0))
 
 
+def distinct_antennas(antenna_enu_m: ArrayLike) -> tuple[Array, NDArray[np.int64]]:
+    """Antennas without repetition (P, 3), and which of them stands where (N, L), from all of them (N, L, 3) [m].
+
+    Raises
+    ------
+    InputError
+        Entries that are not finite, another shape, or none at all.
+    """
+    antenna = require_finite("antenna_enu_m", antenna_enu_m)
+    require_shape("antenna_enu_m", antenna, (None, None, 3))
+    if antenna.ndim != 3 or antenna.size == 0:
+        raise InputError(f"antenna_enu_m must be (N, L, 3) with N, L >= 1, got {antenna.shape}: add stations")
+    each, which = np.unique(antenna.reshape(-1, 3), axis=0, return_inverse=True)
+    return each, which.reshape(antenna.shape[:2])
+
+
+def cells_of(az_step_deg: float, el_step_deg: float) -> tuple[int, int]:
+    """Numbers of cells of these sizes over 360 and 90 degrees.
+
+    Raises
+    ------
+    InputError
+        A step that does not divide.
+    """
+    return _bins("az_step_deg", az_step_deg, 360.0), _bins("el_step_deg", el_step_deg, 90.0)
+
+
 def _bins(name: str, step_deg: float, whole_deg: float) -> int:
     require_in_range(name, step_deg, 0.0, whole_deg, low_open=True)
     count = round(whole_deg / step_deg)
@@ -307,7 +309,7 @@ def _bins(name: str, step_deg: float, whole_deg: float) -> int:
     return count
 
 
-def _cell_centres(azimuths: int, elevations: int) -> Array:
+def cell_centres(azimuths: int, elevations: int) -> Array:
     """Unit vectors ENU to the cell centres, (A E, 3)."""
     az = 2.0 * np.pi * (np.arange(azimuths) + 0.5) / azimuths
     el = 0.5 * np.pi * (np.arange(elevations) + 0.5) / elevations
@@ -322,7 +324,7 @@ def _cast(city: City, antenna: Array, azimuths: int, elevations: int) -> tuple[N
     path = np.empty((antenna.shape[0], azimuths * elevations), dtype=np.uint8)
     excess = np.empty(path.shape, dtype=np.float32)
     run = mask_parallel if use_parallel(antenna.shape[0]) else mask_serial
-    run(city.grid, antenna, _cell_centres(azimuths, elevations), azimuths, elevations, path, excess)
+    run(city.grid, antenna, cell_centres(azimuths, elevations), azimuths, elevations, path, excess)
     return path, excess
 
 

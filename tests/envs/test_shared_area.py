@@ -28,7 +28,7 @@ def test_the_navigators_of_ego_and_others_have_the_same_area(warm_up_s: float) -
     ego, others = env.cockpit.around.navigator, env.cockpit.around.fleet.navigator
     assert ego is not None
     assert others is not None
-    for name in ("memory", "clock", "reference_enu_m"):
+    for name in ("memory", "message", "clock", "reference_enu_m"):
         one, two = (getattr(n.state.area.signals, name) for n in (ego, others))
         np.testing.assert_array_equal(one, two)
     one, two = ego.state.area.network, others.state.area.network

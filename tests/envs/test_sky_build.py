@@ -15,6 +15,7 @@ from lanebound.envs.sky.corridors import CLEARANCE_M, corridors, edges_of
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.sky import visibility
 from lanebound.integrity.sky.city import CityConfig, SectionConfig, SectionKind
+from lanebound.integrity.sky.forecast import SkyForecast
 from lanebound.integrity.sky.raytrace import first_hits
 from lanebound.integrity.sky.visibility import Path, SkyMask
 
@@ -49,6 +50,7 @@ def roofs(street: Street, en: NDArray[np.float64]) -> NDArray[np.bool_]:
 @pytest.fixture
 def city_only(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SkyMask, "of_stations", lambda *args: SkyMask.open())
+    monkeypatch.setattr(SkyForecast, "of_stations", lambda *args: SkyForecast.open())
 
 
 @pytest.mark.usefixtures("city_only")
@@ -88,6 +90,7 @@ def test_equal_inputs_equal_bits_with_and_without_threads(monkeypatch: pytest.Mo
         np.testing.assert_array_equal(first.city.triangles_enu_m, again.city.triangles_enu_m)
         np.testing.assert_array_equal(first.mask.path, again.mask.path)
         np.testing.assert_array_equal(first.mask.excess_m, again.mask.excess_m)
+        np.testing.assert_array_equal(first.forecast.free, again.forecast.free)
     other = build_street(straight(), canyon(), 4, reuse=False)
     assert other.city.triangles_enu_m.shape != first.city.triangles_enu_m.shape or not np.array_equal(
         other.city.triangles_enu_m, first.city.triangles_enu_m

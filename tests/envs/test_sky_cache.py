@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,8 @@ def test_a_street_comes_from_memory_then_from_disk_bit_for_bit(place: Path, monk
     np.testing.assert_array_equal(again.mask.path, first.mask.path)
     np.testing.assert_array_equal(again.mask.excess_m, first.mask.excess_m)
     np.testing.assert_array_equal(again.city.triangles_enu_m, first.city.triangles_enu_m)
+    np.testing.assert_array_equal(again.forecast.free, first.forecast.free)
+    assert replace(again.forecast, free=first.forecast.free) == first.forecast
     assert again.mask.path.dtype == np.uint8
     assert again.mask.excess_m.dtype == np.float32
     assert again.lanes == first.lanes
@@ -54,6 +57,7 @@ def test_whatever_a_street_follows_from_names_it() -> None:
         cache.key_of(road(), LEVEL, 0, ()),
         cache.key_of(road(61.0), LEVEL, 0, ()),
         cache.key_of(road(), LEVEL.replace(street_width_m=30.0), 0, ()),
+        cache.key_of(road(), LEVEL.replace(map={"height_sigma_m": 1.0}), 0, ()),
         cache.key_of(road(), LEVEL, 1, ()),
         cache.key_of(road(), LEVEL, 0, (("0", "1", 0.0, 5.0, "open"),)),
     ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -17,6 +18,7 @@ from lanebound.integrity.sky.city import CityConfig, SectionKind
 from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.view import SkyView
+from lanebound.integrity.sky.visibility import SkyMask
 
 CANYON = SkyLevel(city=CityConfig.uniform(SectionKind.DENSE_CANYON))
 
@@ -93,15 +95,22 @@ def test_a_ring_has_no_end() -> None:
     assert 0.0 <= place <= ring.lanes.length_m[index]
 
 
-def test_predicted_satellites_are_what_is_seen_there() -> None:
+def test_predicted_satellites_are_what_the_map_has_there() -> None:
     s, view = street(), sky()
     distances = np.array([0.0, 20.0, 60.0, 90.0])
     found = s.predicted_beside(("a", "b", 0), 30.0, distances, view)[:, 1]
     for d, count in zip(distances, found, strict=True):
-        place = s.where(*s.ahead(("a", "b", 0), 30.0, float(d)))
-        assert count == s.mask.predicted_visibility([place[0]], [place[1]], view)[0]
+        arc, lane = s.where(*s.ahead(("a", "b", 0), 30.0, float(d)))
+        assert count == s.forecast.count(np.array([arc]), np.array([lane]), view)[0]
     assert (found < view.above[0].sum()).all()
     assert len(set(found)) > 1
+
+
+def test_what_is_predicted_does_not_follow_from_what_is_received() -> None:
+    s, view = street(), sky()
+    blind = replace(s, mask=SkyMask.open())
+    where = (("a", "b", 0), 30.0, [0.0, 20.0, 60.0], view)
+    np.testing.assert_array_equal(s.predicted_beside(*where), blind.predicted_beside(*where))
 
 
 def test_lanes_beside_are_left_own_and_right() -> None:

@@ -55,9 +55,12 @@ def _one_by_one(navigator: Navigator, truth: Truth) -> Measurements:
     sky = navigator.track.at(navigator.track.start_s + truth.time_s, np.zeros(batch, dtype=np.int64))
     effects = navigator.faults.effects(truth.time_s, truth.dt_s, sky, batch)
     advance_area(c.gnss, c.corrections, s.area, truth.time_s, truth.dt_s)
-    age = links.step(c.corrections, s.corrections, s.area.network, truth.dt_s, effects.corrections_lost, s.streams)
+    age = links.step(
+        c.corrections, s.corrections, s.area.network, s.area.signals.message, truth.dt_s, effects.corrections_lost,
+        s.streams,
+    )  # fmt: skip
     reception = navigator.mask.look(truth.arc_m, truth.lane, sky)
-    gnss = observe(c.gnss, s.gnss, sky, reception, truth, age, effects, s.streams, s.area.signals)
+    gnss = observe(c.gnss, s.gnss, sky, reception, truth, age, s.corrections.held, effects, s.streams, s.area.signals)
     imu = sample_imu(c.imu, s.imu, truth, effects, s.streams)
     return Measurements(
         truth.time_s, sky, gnss, imu, sample_odometer(c.odometer, s.odometer, truth, effects, s.streams)
@@ -95,6 +98,28 @@ def test_side_by_side_equals_one_after_another() -> None:
     many, apart = _navigator(3, 40), _navigator(3, 40)
     for k in range(1, 15):
         _assert_same(many.measure(_truth(k, 40)), _one_by_one(apart, _truth(k, 40)))
+
+
+def test_a_rover_holds_what_the_station_said_in_the_last_message_it_received() -> None:
+    """Three vehicles of an area, of which the second hears nothing from 2 to 6 s: its part of the station stands still.
+
+    Whoever holds the same message has the same, and those with another one have another.
+    """
+    lost = Fault.model_validate({"kind": FaultKind.CORRECTIONS_LOSS, "start_s": 2.0, "duration_s": 4.0, "vehicle": 1})
+    config = CONFIG.replace(corrections={"outage_per_h": 0.0})
+    navigator = Navigator(config, TRACK, _mask(), [4, 5, 6], None, FaultSchedule((lost,)), 7)
+    newest, held = [], []
+    for k in range(1, 81):
+        navigator.measure(_truth(k, 3))
+        newest.append(navigator.state.corrections.newest.copy())
+        held.append(navigator.state.corrections.held.copy())
+    assert [n[1] for n in newest[20:60]] == 40 * [1]
+    for station in held[20:60]:
+        np.testing.assert_array_equal(station[1], held[20][1])
+    for message, station in zip(newest, held, strict=True):
+        np.testing.assert_array_equal(station[0], station[2])
+        assert np.array_equal(station[0], station[1]) == (message[0] == message[1])
+    assert len({station[0].tobytes() for station in held[2:]}) == len({n[0] for n in newest[2:]}) == 8
 
 
 def test_a_refused_truth_leaves_the_instruments_as_they_were() -> None:

@@ -18,7 +18,7 @@ def _area(seeds=(5,), gnss=GNSS, link=LINK, satellites=N_SAT):
 
 def _bits(state):
     s, n = state.signals, state.network
-    return [s.memory, s.clock, s.reference_enu_m, n.epoch, n.message, n.fresh, n.up, n.outage_left, n.until]
+    return [s.memory, s.message, s.clock, s.reference_enu_m, n.epoch, n.message, n.fresh, n.up, n.outage_left, n.until]
 
 
 def _assert_same(one, two):
@@ -49,11 +49,22 @@ def test_the_stations_noise_is_new_with_each_message_and_the_rest_lasts():
     area, noise, slow = _area(), [], []
     for k in range(1, 41):
         advance_area(GNSS, LINK, area, k * DT, DT)
-        noise.append(area.signals.memory[0, 0, gk.A_CODE0])
+        noise.append(area.signals.message[0, 0, gk.S_CODE0])
         slow.append(area.signals.memory[0, 0, gk.A_CODE_MP])
     changes = np.flatnonzero(np.diff(noise))
     np.testing.assert_array_equal(changes, [1, 11, 21, 31])  # messages of 0, 1, 2, 3 s, 0.3 s later
     assert np.abs(np.diff(slow)).max() < 0.6
+
+
+def test_a_message_has_the_multipath_of_its_time_beside_its_noise():
+    area = _area()
+    for k in range(1, 41):
+        advance_area(GNSS, LINK, area, k * DT, DT)
+        if area.network.fresh:
+            sent = area.signals.memory[..., gk.A_CODE_MP :].copy()
+        if area.network.message >= 0:
+            np.testing.assert_array_equal(area.signals.message[..., : gk.S_CODE0], sent)
+    assert area.signals.message.shape == (1, N_SAT, gk.N_STATION)
 
 
 def test_what_lasts_keeps_unit_variance_and_its_correlation():

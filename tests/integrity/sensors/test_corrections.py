@@ -6,6 +6,7 @@ from scipy.stats import kstest, norm, poisson
 
 from lanebound.integrity.errors import ConfigError, InputError
 from lanebound.integrity.sensors import corrections
+from lanebound.integrity.sensors import gnss_kernel as gk
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
 from lanebound.integrity.streams import Streams
 
@@ -18,12 +19,14 @@ class _Link:
         self.streams, own = (Streams(seeds, None if isinstance(seeds, list) else batch) for _ in range(2))
         self.area_streams = own if area is None else Streams([area])
         self.network = corrections.initial_network(config, dt, self.area_streams)
-        self.state = corrections.initial_state(config, self.network, dt, self.streams)
+        self.state = corrections.initial_state(config, self.network, 2, dt, self.streams)
+        self.sent = np.zeros((self.area_streams.batch, 2, gk.N_STATION))
 
     def step(self, lost=False):
         corrections.advance_network(self.config, self.network, self.dt, self.area_streams)
+        self.sent[:] = self.network.message  # every message says its number
         lost = np.broadcast_to(lost, self.batch).copy()
-        return corrections.step(self.config, self.state, self.network, self.dt, lost, self.streams)
+        return corrections.step(self.config, self.state, self.network, self.sent, self.dt, lost, self.streams)
 
     def up(self, epochs):
         """(epochs, B) bool, whether the link carries messages."""
@@ -78,6 +81,16 @@ def test_faults_cut_only_the_vehicles_they_name():
         age = link.step(np.array([False, True, False]))
     assert np.isfinite(age[[0, 2]]).all()
     assert np.isinf(age[1])
+
+
+def test_what_is_held_is_the_newest_message_received():
+    link = _Link(CorrectionsConfig(outage_per_h=200.0), 3, area=1)
+    for n in range(1, 600):
+        link.step(np.array([n % 70 < 40, False, n < 100]))
+        received = link.state.newest >= 0
+        expected = np.where(received, link.state.newest, 0)[:, None, None]
+        np.testing.assert_array_equal(link.state.held, np.broadcast_to(expected, link.state.held.shape))
+    assert len(set(link.state.newest)) > 1
 
 
 def _runs(down):
@@ -209,8 +222,14 @@ def test_refuses_what_cannot_be():
     with pytest.raises(InputError, match="dt_s must be positive"):
         _Link(CorrectionsConfig(), dt=0.0)
     with pytest.raises(InputError, match="must serve 2 vehicles"):
-        corrections.step(CorrectionsConfig(), link.state, link.network, 0.1, np.zeros(3, dtype=bool), link.streams)
+        corrections.step(
+            CorrectionsConfig(), link.state, link.network, link.sent, 0.1, np.zeros(3, dtype=bool), link.streams
+        )
+    with pytest.raises(InputError, match="sent must be of 2 areas"):
+        corrections.step(
+            CorrectionsConfig(), link.state, link.network, link.sent[:1], 0.1, np.zeros(2, dtype=bool), link.streams
+        )
     with pytest.raises(InputError, match="of 1 or 3 areas"):
-        corrections.initial_state(CorrectionsConfig(), link.network, 0.1, Streams(1, 3))
+        corrections.initial_state(CorrectionsConfig(), link.network, 2, 0.1, Streams(1, 3))
     with pytest.raises(ConfigError, match="outage_per_h must be >= 0"):
         CorrectionsConfig(outage_per_h=-1.0)

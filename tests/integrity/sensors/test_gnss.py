@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import binom, chi2
 
 from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.sensors import gnss_kernel as gk
 from lanebound.integrity.sensors import signals
 from lanebound.integrity.sensors.area import advance_area, initial_area
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
@@ -86,10 +87,23 @@ class _Receiver:
             given.get("reception", _reception(self.batch)),
             given.get("truth", _truth(self.batch)),
             given.get("age_s", np.zeros(self.batch)),
+            given.get("message", self.area.signals.message),
             given.get("effects", FaultEffects.none(self.batch, N_SAT)),
             self.streams,
             self.area.signals,
         )
+
+
+class _Same(Streams):
+    """Every vehicle draws what the first one does."""
+
+    def __init__(self, streams: Streams) -> None:
+        super().__init__([1] * streams.batch)
+
+
+def _twice(state: Any) -> Any:
+    """The state of the first vehicle for all of them."""
+    return type(state)(*(np.repeat(getattr(state, f)[:1], 2, axis=0) for f in type(state).__dataclass_fields__))
 
 
 def _position(epoch: GnssEpoch, sky: SkyView) -> np.ndarray:
@@ -384,6 +398,26 @@ def test_code_noise_has_its_size_whatever_part_of_it_is_the_stations(code_sigma_
     z = (noisy.code_m - plain.code_m)[..., 0] / (np.sqrt(5.0) * code_sigma_m * scale)
     low, high = chi2.ppf([5e-4, 1 - 5e-4], z.size)  # fails by chance once in 1000 seeds
     assert low < (z**2).sum() < high
+
+
+@pytest.mark.parametrize("column", range(gk.N_STATION))
+def test_the_stations_errors_are_those_of_the_message_held(column: int) -> None:
+    """Nothing but that message is noisy: by its sizes, over the elevation, in the band or both of the observable."""
+    config = PERFECT.replace(code_sigma_m=0.15, code_multipath_m=0.15, phase_sigma_m=0.003, phase_multipath_m=0.002)
+    receiver = _Receiver(config, 2)
+    message = np.zeros((2, N_SAT, gk.N_STATION))
+    message[1, :, column] = 1.0
+    receiver.state = _twice(receiver.state)
+    receiver.streams, receiver.area = _Same(receiver.streams), initial_area(config, LINK, N_SAT, DT, Streams([1]))
+    epoch = receiver.step(message=message)
+    root = np.sqrt(0.5 * (1.0 + 1.0 / np.sin(np.deg2rad(ELEVATION_DEG)) ** 2))
+    sizes = {gk.S_CODE_MP: 0.1, gk.S_PHASE_MP0: 0.001, gk.S_PHASE_MP1: 0.001, gk.S_CODE0: 0.1, gk.S_CODE1: 0.1}
+    expected = np.zeros((2, N_SAT, 2))  # code, phase
+    bands = {gk.S_CODE_MP: [0, 1]}.get(column, [(column - 1) % 2])
+    kind = 0 if column in (gk.S_CODE_MP, gk.S_CODE0, gk.S_CODE1) else 1
+    expected[kind][:, bands] = -sizes.get(column, 0.002) * root[:, None]
+    np.testing.assert_allclose(epoch.code_m[1] - epoch.code_m[0], expected[0], atol=1e-9)
+    np.testing.assert_allclose(epoch.phase_m[1] - epoch.phase_m[0], expected[1], atol=1e-9)
 
 
 def test_the_receivers_clock_moves_codes_phases_and_rates_alike() -> None:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.sky.city import CityConfig, SectionKind, build_city
-from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.scene import City, Surface, prisms
 from lanebound.integrity.sky.view import SkyView
@@ -161,19 +160,6 @@ def test_open_sky_and_satellites_below_the_horizon() -> None:
     np.testing.assert_array_equal(SkyMask.open().look(0.0, 0, negative).path, got.path)
 
 
-def test_predicted_visibility_counts_satellites_in_sight_above_the_mask() -> None:
-    config = SkyConfig()
-    index = np.array([0, 1, 1])
-    sky = config.satellites().view(
-        config.start_gps_s + np.array([0.0, 900.0]), *config.place_rad, config.mask_rad, index
-    )
-    counts = SkyMask.open().predicted_visibility([0.0, 50.0, 70.0], 0, sky)
-    np.testing.assert_array_equal(counts, sky.above.sum(1)[index])
-    road = Road.straight(60.0, lane_count=1)
-    tunnel = SkyMask.build(road, build_city(road, CityConfig.uniform(SectionKind.TUNNEL), np.random.default_rng(0)))
-    assert tunnel.predicted_visibility([30.0] * 3, 0, sky).max() == 0
-
-
 def test_threads_and_one_core_build_the_same_mask(monkeypatch: pytest.MonkeyPatch) -> None:
     road = Road.straight(150.0, lane_count=1)
     city = build_city(road, CityConfig.uniform(SectionKind.DENSE_CANYON), np.random.default_rng(4))
@@ -236,10 +222,6 @@ def test_stations_anywhere_are_cast_as_those_of_a_road_and_repeated_antennas_onc
     np.testing.assert_array_equal(free.excess_m, built.excess_m)
     twice = SkyMask.of_stations(antenna[:, [0, 2, 2]], city, 10.0)
     np.testing.assert_array_equal(twice.path, built.path[:, [0, 2, 2]])
-    sky = sky_of(np.arange(0.0, 360.0, 20.0), np.full(18, 30.0))
-    arc, lane = np.array([0.0, 33.0, 80.0, 100.0]), np.array([0, 1, 2, 1])
-    expected = built.predicted_visibility(arc, lane, sky.for_vehicles(np.zeros(4)))
-    np.testing.assert_array_equal(free.predicted_by_one(arc, lane, sky), expected)
 
 
 @pytest.mark.parametrize("antenna", [np.zeros((2, 3)), np.zeros((0, 1, 3)), np.full((1, 1, 3), np.nan)])

@@ -1,0 +1,87 @@
+"""How many satellites a map of the city promises at places along a street: what a planner may know of the sky ahead.
+
+Built from the city as mapped (:mod:`.survey`), apart from the mask that decides what is received.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lanebound.integrity.accel import use_parallel
+from lanebound.integrity.errors import require_in_range
+from lanebound.integrity.sky.raytrace_kernel import count_free, free_parallel, free_serial
+from lanebound.integrity.sky.scene import City
+from lanebound.integrity.sky.view import SkyView
+from lanebound.integrity.sky.visibility import cell_centres, cells_of, distinct_antennas
+
+__all__ = ["SkyForecast"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SkyForecast:
+    """Which cells of the sky nothing stands in front of, by station and lane.
+
+    Attributes
+    ----------
+    free : (N, L, A E) bool; cells as those of :class:`~lanebound.integrity.sky.visibility.SkyMask`
+    azimuths, elevations : numbers of bins A over 2 pi and E over pi / 2
+    spacing_m : station n answers for the arc ``n spacing_m``
+    """
+
+    free: NDArray[np.bool_]
+    azimuths: int
+    elevations: int
+    spacing_m: float
+
+    @classmethod
+    def open(cls) -> SkyForecast:
+        """A sky without obstacles, for any street."""
+        return cls(np.ones((1, 1, 1), dtype=np.bool_), 1, 1, 1.0)
+
+    @classmethod
+    def of_stations(
+        cls,
+        antenna_enu_m: ArrayLike,
+        city: City,
+        spacing_m: float = 5.0,
+        az_step_deg: float = 3.0,
+        el_step_deg: float = 3.0,
+    ) -> SkyForecast:
+        """Cast rays to the centre of every cell from antennas (N, L, 3) ENU [m] over L lanes each (S2 eq 1-2).
+
+        Raises
+        ------
+        InputError
+            Antennas that are not finite or of another shape, a step that does not divide, a spacing out of range.
+        """
+        each, rows = distinct_antennas(antenna_enu_m)
+        require_in_range("spacing_m", spacing_m, 0.0, 1e4, low_open=True)
+        azimuths, elevations = cells_of(az_step_deg, el_step_deg)
+        free = np.empty((each.shape[0], azimuths * elevations), dtype=np.bool_)
+        run = free_parallel if use_parallel(each.shape[0]) else free_serial
+        run(city.grid, each, cell_centres(azimuths, elevations), free)
+        return cls(free[rows], azimuths, elevations, spacing_m)
+
+    def count(self, arc_m: Array, lane: NDArray[np.int64], sky: SkyView) -> NDArray[np.int64]:
+        """Satellites in line of sight above the mask angle at D places, by the first row of ``sky``'s index.
+
+        arc_m (D,) [m], lane (D,) -> (D,). The nearest station answers; lanes that do not exist are clamped.
+        """
+        row = int(sky.index[0])
+        found: NDArray[np.int64] = count_free(
+            self.free,
+            arc_m,
+            lane,
+            sky.azimuth_rad[row],
+            sky.elevation_rad[row],
+            sky.above[row],
+            self.spacing_m,
+            self.azimuths,
+            self.elevations,
+        )
+        return found
