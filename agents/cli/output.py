@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import Any
+import os
+from collections.abc import Collection, Iterable, Sequence
+from typing import TYPE_CHECKING, Any, Literal
 
-__all__ = ["format_value", "print_json", "print_table"]
+if TYPE_CHECKING:
+    from rich.console import Console
 
-WIDTH_OF_A_FILE = 100_000  # characters; tables take no more than they need
+__all__ = ["counted", "format_value", "open_console", "print_json", "print_table"]
+
+WIDTH_OF_A_FILE = 100  # characters, where COLUMNS gives no other
+LONG_WORD = 24  # characters; longer ones may be broken
 
 
 def format_value(value: Any) -> str:
@@ -23,27 +28,58 @@ def format_value(value: Any) -> str:
     return str(value)
 
 
-def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Print rows under a title; columns whose values are numbers are set flush right.
+def counted(count: int, what: str) -> str:
+    """A number of things, in the singular where there is one.
 
-    In a terminal the table fits its width. A file or a pipe has none: each row is one line, however long.
+    >>> counted(1, "process"), counted(2, "process"), counted(0, "episode")
+    ('1 process', '2 processes', '0 episodes')
     """
+    plural = f"{what}es" if what.endswith("s") else f"{what}s"
+    return f"{count} {what if count == 1 else plural}"
+
+
+def open_console() -> Console:
+    """Standard output; a file or a pipe is as wide as COLUMNS says, or as is easily read."""
     from rich.console import Console
+
+    console = Console()
+    if not console.is_terminal and not os.environ.get("COLUMNS", "").isdigit():
+        console.width = WIDTH_OF_A_FILE
+    return console
+
+
+def print_table(
+    title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]], numbers: Collection[str] = ()
+) -> None:
+    """Print rows under a title; columns whose values are numbers, or which are named so, are set flush right.
+
+    The table fits the width of the terminal. Longer text goes on in further lines, but the first column, by which rows
+    are named, and heads are never broken.
+    """
     from rich.table import Table
     from rich.text import Text
 
     data = [list(row) for row in rows]
+    texts = [[format_value(value) for value in row] for row in data]
     table = Table(header_style="bold")
     for i, column in enumerate(columns):
-        numeric = any(isinstance(row[i], int | float) and not isinstance(row[i], bool) for row in data)
-        table.add_column(column, justify="right" if numeric else "left", overflow="fold")
-    for row in data:
-        table.add_row(*(Text(format_value(value)) for value in row))
-    console = Console()
-    if not console.is_terminal:
-        console.width = WIDTH_OF_A_FILE
+        numeric = column in numbers or any(
+            isinstance(row[i], int | float) and not isinstance(row[i], bool) for row in data
+        )
+        justify: Literal["left", "right"] = "right" if numeric else "left"
+        width = _least_width(column, (row[i] for row in texts))
+        table.add_column(Text(column), justify=justify, overflow="fold", no_wrap=i == 0, min_width=width)
+    for row in texts:
+        table.add_row(*map(Text, row))
+    console = open_console()
     console.print(Text(title, style="italic"))
     console.print(table)
+
+
+def _least_width(head: str, texts: Iterable[str]) -> int:
+    """Characters of a column in which its head and its words stand whole, very long words apart."""
+    words = (len(word) for text in texts for word in text.split())
+    return max([*map(len, head.split("\n")), *(length for length in words if length <= LONG_WORD)])
 
 
 def print_json(data: Any) -> None:
