@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 __all__ = ["counted", "format_value", "open_console", "print_json", "print_table"]
 
 WIDTH_OF_A_FILE = 100  # characters, where COLUMNS gives no other
+NARROW = 12  # characters of a column, at which text can still be read
 LONG_WORD = 24  # characters; longer ones may be broken
 
 
@@ -54,32 +55,53 @@ def print_table(
     """Print rows under a title; columns whose values are numbers, or which are named so, are set flush right.
 
     The table fits the width of the terminal. Longer text goes on in further lines, but the first column, by which rows
-    are named, and heads are never broken.
+    are named, and heads are never broken: where they leave no room the table is wider.
     """
     from rich.table import Table
     from rich.text import Text
 
     data = [list(row) for row in rows]
     texts = [[format_value(value) for value in row] for row in data]
-    table = Table(header_style="bold")
-    for i, column in enumerate(columns):
+    table, console = Table(header_style="bold"), open_console()
+    least = [_least_width(c, (row[i] for row in texts), i == 0) for i, c in enumerate(columns)]
+    most = [_least_width(c, (row[i] for row in texts), True) for i, c in enumerate(columns)]
+    widths = _fitted(least, most, columns, console.width)
+    for i, (column, width) in enumerate(zip(columns, widths, strict=True)):
         numeric = column in numbers or any(
             isinstance(row[i], int | float) and not isinstance(row[i], bool) for row in data
         )
         justify: Literal["left", "right"] = "right" if numeric else "left"
-        width = _least_width(column, (row[i] for row in texts))
-        table.add_column(Text(column), justify=justify, overflow="fold", no_wrap=i == 0, min_width=width)
+        table.add_column(Text(column), justify=justify, overflow="fold", no_wrap=i == 0, width=width)
     for row in texts:
         table.add_row(*map(Text, row))
-    console = open_console()
+    console.width = max(console.width, sum(widths) + 3 * len(widths) + 1)
     console.print(Text(title, style="italic"))
     console.print(table)
 
 
-def _least_width(head: str, texts: Iterable[str]) -> int:
-    """Characters of a column in which its head and its words stand whole, very long words apart."""
-    words = (len(word) for text in texts for word in text.split())
-    return max([*map(len, head.split("\n")), *(length for length in words if length <= LONG_WORD)])
+def _least_width(head: str, texts: Iterable[str], whole: bool = False) -> int:
+    """Characters of a column in which its head and its words, very long ones apart, or ``whole`` texts are unbroken."""
+    words = (len(word) for text in texts for word in ((text,) if whole else text.split()))
+    return max([*map(len, head.split("\n")), *(length for length in words if whole or length <= LONG_WORD)])
+
+
+def _fitted(least: Sequence[int], most: Sequence[int], columns: Sequence[str], room: int) -> list[int]:
+    """Widths of columns that fit.
+
+    Where the least ones do not, the widest but the first give way, as long as they can be read. What is left over goes to
+    those that have least of what they could use.
+    """
+    fitted, spare = list(least), room - sum(least) - 3 * len(least) - 1
+    for i in sorted(range(1, len(fitted)), key=lambda i: -fitted[i]):
+        given = max(0, min(-spare, fitted[i] - max(_least_width(columns[i], ()), NARROW)))
+        fitted[i] -= given
+        spare += given
+    for _ in range(spare):
+        short = [i for i, width in enumerate(fitted) if width < most[i]]
+        if not short:
+            break
+        fitted[min(short, key=lambda i: fitted[i] / most[i])] += 1
+    return fitted
 
 
 def print_json(data: Any) -> None:

@@ -137,12 +137,14 @@ def test_a_pipe_is_as_wide_as_columns_says_and_never_breaks_a_key(monkeypatch, c
     assert [line.split()[1] for line in lines if "_" in line] == ["age_s", "gyro_radps"]
 
 
-@pytest.mark.parametrize("name", ["skies/urban", "studies/urban_drive"])
-def test_keys_and_heads_stand_whole_in_eighty_characters(monkeypatch, name):
+@pytest.mark.parametrize(("name", "width"), [("skies/urban", 80), ("studies/urban_drive", 100)])
+def test_keys_and_heads_stand_whole_in_eighty_characters_or_as_few_more_as_they_need(monkeypatch, name, width):
     monkeypatch.setenv("COLUMNS", "80")
     shown = run("config", "show", name).stdout
     keys = {row["path"] for row in json.loads(run("config", "show", name, "--json").stdout)["values"]}
     assert keys <= set(shown.split())
+    assert {len(line) for line in shown.splitlines()[1:]} == {width}  # nothing is cut off, the frame is whole
+    assert shown.rstrip().endswith("┘")
 
 
 @pytest.mark.parametrize(
