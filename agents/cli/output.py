@@ -88,8 +88,8 @@ def _least_width(head: str, texts: Iterable[str], whole: bool = False) -> int:
 def _fitted(least: Sequence[int], most: Sequence[int], columns: Sequence[str], room: int) -> list[int]:
     """Widths of columns that fit.
 
-    Where the least ones do not, the widest but the first give way, as long as they can be read. What is left over goes to
-    those that have least of what they could use.
+    Where the least ones do not, the widest but the first give way, as long as they can be read. What is left over goes
+    to those that have least of what they could use.
     """
     fitted, spare = list(least), room - sum(least) - 3 * len(least) - 1
     for i in sorted(range(1, len(fitted)), key=lambda i: -fitted[i]):
