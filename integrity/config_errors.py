@@ -17,6 +17,8 @@ __all__ = ["explain"]
 
 BOUNDS = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
 SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+LISTS = {"tuple_type", "list_type"}
+MAPPINGS = {"model_type", "model_attributes_type", "dict_type", "mapping_type"}
 NUMBERS = {"float_type", "float_parsing", "int_type", "int_parsing"}
 
 
@@ -58,7 +60,9 @@ def _demand(problem: Mapping[str, Any], field: FieldInfo | None) -> str:
         return "be an integer"
     if kind in ("enum", "literal_error"):
         return f"be one of {context['expected']}"
-    if kind in ("model_type", "model_attributes_type", "dict_type"):
+    if kind in LISTS:
+        return "be a list"
+    if kind in MAPPINGS:
         return "be a mapping"
     text = str(problem["msg"])
     text = text.removeprefix("Input should be ")
@@ -97,7 +101,9 @@ def _before(unchanged: Any, loc: Sequence[int | str]) -> Any:
 def _remedy(problem: Mapping[str, Any], field: FieldInfo | None, before: Any) -> str:
     kind, value = problem["type"], problem["input"]
     if kind in NUMBERS:
-        return "write the number without quotes" if isinstance(value, str) else "give a number"
+        return "write the number without quotes" if _is_number(value) else "give a number"
+    if kind in LISTS and isinstance(value, int | float | str):
+        return f"write [{value}]"
     if kind in ("enum", "literal_error"):
         return nearest(str(value), str(problem["ctx"]["expected"]).replace(" or ", ", ").replace("'", "").split(", "))
     default = field.get_default() if field is not None and not field.is_required() else None
@@ -106,6 +112,14 @@ def _remedy(problem: Mapping[str, Any], field: FieldInfo | None, before: Any) ->
     if _plain(default):
         return f"correct that value (the default is {default})"
     return "correct that value"
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a value is the text of a number."""
+    try:
+        return isinstance(value, str) and bool(float(value) or True)
+    except ValueError:
+        return False
 
 
 def _plain(value: Any) -> bool:

@@ -15,6 +15,7 @@ from lanebound.integrity.errors import ConfigError
 __all__ = ["deep_merge", "load_preset", "nearest", "parse_assignments", "parse_yaml", "preset_names"]
 
 PRESET_PACKAGE = "lanebound.configs"
+FEW = 8  # presets, that a message may name
 YAML_FLOAT = re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")  # YAML 1.1 reads 1e-7 as text
 
 
@@ -119,12 +120,22 @@ def load_preset(name: str, overrides: Mapping[str, Any] | None = None) -> dict[s
     return deep_merge(_resolve(name, _presets(), ()), overrides or {})
 
 
+def _nearest_preset(name: str, presets: Iterable[str]) -> str:
+    """Advice that names one preset, of which a part may be meant, or says where the many are listed."""
+    names = list(presets)
+    by_last = {preset.rpartition("/")[2]: preset for preset in names}
+    close = difflib.get_close_matches(name, [*names, *by_last], n=1, cutoff=0.6)
+    if close:
+        return f"did you mean '{by_last.get(close[0], close[0])}'?"
+    return nearest(name, names) if len(names) <= FEW else "'lanebound config list' names all of them"
+
+
 def _resolve(name: str, presets: Mapping[str, Traversable], seen: tuple[str, ...]) -> dict[str, Any]:
     if name in seen:
         raise ConfigError(f"preset '{name}' extends itself, by way of {' -> '.join((*seen, name))}: break the circle")
     if name not in presets:
         where = f" (extended by '{seen[-1]}')" if seen else ""
-        raise ConfigError(f"preset '{name}'{where} is unknown: {nearest(name, presets)}")
+        raise ConfigError(f"preset '{name}'{where} is unknown: {_nearest_preset(name, presets)}")
     data = parse_yaml(presets[name].read_text(encoding="utf-8"), f"preset '{name}'")
     if not isinstance(data, Mapping):
         raise ConfigError(f"preset '{name}' must be a mapping, got {type(data).__name__}: write lines 'key: value'")

@@ -17,6 +17,7 @@ from lanebound.agents.benchmark.seeds import TEST, TRAIN
 from lanebound.agents.benchmark.statistics import RESAMPLES, VERDICT_SEEDS
 from lanebound.agents.benchmark.store import STORED
 from lanebound.agents.benchmark.suite import SuiteConfig, load_suite
+from lanebound.agents.drivers import ABOUT
 from lanebound.integrity.config import describe
 
 __all__ = ["SUITES", "markdown"]
@@ -152,6 +153,7 @@ def markdown() -> str:
         "A suite of your own is a YAML file with these keys:",
         _keys(),
         AGENTS.replace("{kinds}", _pairs("agent", KINDS)),
+        _drivers(),
         "## Metrics",
         "Arrows: which way is better. Shares are from 0 to 1.",
         _metrics(),
@@ -167,6 +169,14 @@ def markdown() -> str:
 
 def _pairs(head: str, rows: Sequence[tuple[str, str]]) -> str:
     return "\n".join([f"| {head} | is |", "|---|---|", *(f"| `{name}` | {text} |" for name, text in rows)])
+
+
+def _drivers() -> str:
+    """The agents of ours, as ``lanebound agents`` lists them."""
+    head = "Ours; levels are protection levels, actions the spaces that it can command:"
+    lines = ["| agent | does | reads | on an alert | actions |", "|---|---|---|---|---|"]
+    lines += [f"| `{name}` | {' | '.join(about)} |" for name, about in ABOUT.items()]
+    return "\n".join([head, "", *lines])
 
 
 def _suites() -> str:

@@ -12,12 +12,14 @@ import signal
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from ctypes import c_double
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from threading import Thread
 from typing import Any
 
+from lanebound.agents.benchmark.compiling import CompileClock
 from lanebound.agents.benchmark.outcome import Outcome, Status, Task
 from lanebound.agents.benchmark.work import Work
 
@@ -60,17 +62,29 @@ class Pool:
     ----------
     work : what an episode is driven by
     jobs : number of processes
+
+    Attributes
+    ----------
+    driven_s : time that finished episodes took their processes, without starting these and compiling kernels
+    compiling : how many processes compile kernels now
     """
 
     def __init__(self, work: Work, jobs: int) -> None:
         self.work, self.jobs = work, jobs
+        self.driven_s, self.compiling = 0.0, 0
 
-    def run(self, tasks: Iterable[Task], may_start: Callable[[], bool] = lambda: True) -> Iterator[Outcome]:
+    def run(
+        self,
+        tasks: Iterable[Task],
+        may_start: Callable[[], bool] = lambda: True,
+        looked: Callable[[], None] = lambda: None,
+    ) -> Iterator[Outcome]:
         """Drive episodes and give the outcome of each as it is finished and stored, in whatever order.
 
         Parameters
         ----------
         may_start : asked before every episode; after a no, those under way are finished and no other is begun
+        looked : called a few times a second
         """
         waiting = deque(tasks)
         workers = [_Worker(self.work) for _ in range(min(self.jobs, len(waiting)))]
@@ -82,8 +96,13 @@ class Pool:
                 busy = [worker for worker in workers if worker.task is not None]
                 if not busy:
                     return
-                for worker in _ready(busy):
-                    yield worker.outcome()
+                ready = _ready(busy)
+                self.compiling = sum(worker.compiles.at_work for worker in busy)
+                looked()
+                for worker in ready:
+                    found = worker.outcome()
+                    self.driven_s += worker.driven_s
+                    yield found
         finally:
             for worker in workers:
                 worker.kill()
@@ -102,14 +121,15 @@ class _Worker:
         self.work = work
         self.task: Task | None = None
         self.alive = False
+        self.driven_s = 0.0
 
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
-        shared = context.RawArray(c_double, 2)
-        self.clock = SharedClock(shared)
+        agents, compilers = context.RawArray(c_double, 2), context.RawArray(c_double, 2)
+        self.clock, self.compiles = SharedClock(agents), CompileClock(compilers)
         self.pipe, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs, shared), daemon=True)
-        with _one_thread():
+        self.process = context.Process(target=_serve, args=(theirs, agents, compilers), daemon=True)
+        with _one_thread(), _deaf_to_interrupts():
             self.process.start()
         theirs.close()
         self.alive = True
@@ -132,9 +152,11 @@ class _Worker:
         """What came of its episode; a process that cannot tell any more is replaced."""
         task, self.task = self.task, None
         assert task is not None
+        self.driven_s = self.clock.spent_s
         try:
             if self.pipe.poll():
-                found: Outcome = self.pipe.recv()
+                found: Outcome
+                found, self.driven_s = self.pipe.recv()
                 return found
         except (EOFError, OSError):
             self.process.join()
@@ -171,21 +193,40 @@ def _one_thread() -> Iterator[None]:
                 os.environ[name] = value
 
 
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Processes that are started within never hear Ctrl-C, not even while they import; the parent answers it.
+
+    The signal is blocked for this thread, which those processes inherit. Handlers can be set in the main thread alone.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    resource_tracker.ensure_running()  # when it starts it lets the signal through again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 # From here on: the worker's side
 
 
-def _serve(pipe: Connection[Any, Any], shared: Any) -> None:
+def _serve(pipe: Connection[Any, Any], agents: Any, compilers: Any) -> None:
     """Drive what comes through the pipe until it is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent answers Ctrl-C
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # where it cannot be blocked
     Thread(target=_end_with_parent, daemon=True).start()
     os.dup2(2, 1)  # what agents print must not get into what the command prints
-    clock = SharedClock(shared)
-    try:
+    clock, compiles = SharedClock(agents), CompileClock(compilers)
+    compiles.watch()
+    with suppress(EOFError, ConnectionError):  # the parent has gone
         work: Work = pipe.recv()
         while True:
-            pipe.send(work.drive(pipe.recv(), clock))
-    except EOFError:
-        return
+            task = pipe.recv()
+            begun, compiled_s = time.monotonic(), compiles.spent_s
+            outcome = work.drive(task, clock)
+            pipe.send((outcome, time.monotonic() - begun - (compiles.spent_s - compiled_s)))
 
 
 def _end_with_parent() -> None:

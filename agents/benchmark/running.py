@@ -72,14 +72,16 @@ class Progress:
     ----------
     done, of : episodes of this run
     failures : those in which an agent failed
-    left_s : about how long the rest takes
+    left_s : about how long the rest takes, kernels that are still to be compiled apart; None while nothing is finished
+    compiling : how many processes compile kernels now
     out_of_time : whether the budget is used up
     """
 
     of: int
     done: int = 0
     failures: list[Outcome] = field(default_factory=list)
-    left_s: float = 0.0
+    left_s: float | None = None
+    compiling: int = 0
     out_of_time: bool = False
 
 
@@ -98,7 +100,7 @@ def run(
     jobs : processes, one for each core when None
     budget_h : no episode is begun after that
     fresh : what the folder holds of an earlier run is thrown away
-    told : called after every episode
+    told : called a few times a second
 
     Raises
     ------
@@ -124,13 +126,18 @@ def run_plan(
         progress.out_of_time = budget_h is not None and time.monotonic() - begun > 3600.0 * budget_h
         return not progress.out_of_time
 
+    def looked() -> None:
+        progress.compiling = pool.compiling
+        told(progress)
+
     whole_s = _sum_s(left, plan.expected_s)
-    for outcome in pool.run(plan.tasks, in_time):
+    for outcome in pool.run(plan.tasks, in_time, looked):
         left[outcome.env] -= 1
         progress.done += 1
         progress.failures += [outcome] if outcome.failed else []
         rest_s = _sum_s(left, plan.expected_s)
-        progress.left_s = (time.monotonic() - begun) * rest_s / (whole_s - rest_s)
+        at_a_time = max(1, min(jobs, progress.of - progress.done))
+        progress.left_s = pool.driven_s / (whole_s - rest_s) * rest_s / at_a_time
         told(progress)
     results = Results.load(plan.folder)
     results.save(plan.folder)

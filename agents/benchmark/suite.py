@@ -14,7 +14,7 @@ from lanebound.agents.benchmark.seeds import SPLITS, Split
 from lanebound.envs import FaultLevel
 from lanebound.integrity.config import Config, Field, deep_merge
 from lanebound.integrity.errors import ConfigError
-from lanebound.integrity.presets import parse_yaml, preset_names
+from lanebound.integrity.presets import nearest, parse_yaml, preset_names
 
 __all__ = ["AgentConfig", "SeedsConfig", "SuiteConfig", "load_suite", "parse_agents"]
 
@@ -87,7 +87,8 @@ class SuiteConfig(Config):
             entries = [item if isinstance(item, Mapping) else {item: item} for item in given]
             given = {name: agent for entry in entries for name, agent in entry.items()}
         if not isinstance(given, Mapping):
-            return given
+            example = given if isinstance(given, str) else "nominal"
+            raise ConfigError(f"agents must be a list or a mapping, got {given!r}: write [{example}]")
         return {name: {"agent": agent} if isinstance(agent, str) else agent for name, agent in given.items()}
 
     @field_validator("agents")
@@ -152,7 +153,5 @@ def load_suite(name: str, overrides: Mapping[str, Any] | None = None) -> SuiteCo
         return SuiteConfig.build(data, changes)
     known = [preset.removeprefix(FOLDER) for preset in preset_names() if preset.startswith(FOLDER)]
     if name not in known:
-        raise ConfigError(
-            f"suite '{name}' is unknown: known are {', '.join(known)}, or give the path of a YAML file of your own"
-        )
+        raise ConfigError(f"suite '{name}' is unknown: {nearest(name, known)} (or the path of a YAML file of your own)")
     return SuiteConfig.preset(FOLDER + name, changes)

@@ -10,13 +10,12 @@ from lanebound.agents.benchmark.episode import Clock, allotted_s, run_episode
 from lanebound.agents.benchmark.outcome import Outcome, Status, Task
 from lanebound.agents.benchmark.store import Store
 from lanebound.agents.benchmark.suite import SuiteConfig
-from lanebound.agents.drivers import AGENTS, make_agent
+from lanebound.agents.drivers import AGENTS, make_agent, unknown_agent
 from lanebound.agents.drivers.foreign import is_foreign, require_foreign
 from lanebound.agents.episodes import open_env
 from lanebound.agents.episodes.film import Film
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.errors import InputError
-from lanebound.integrity.presets import nearest
 
 __all__ = ["FilmedWork", "Work", "expected_s", "unfit"]
 
@@ -129,7 +128,7 @@ def unfit(suite: SuiteConfig) -> list[tuple[str, str, str]]:
         if is_foreign(chosen.agent):
             require_foreign(chosen.agent)
         elif chosen.agent not in AGENTS:
-            raise InputError(f"agent '{chosen.agent}' is unknown: {nearest(chosen.agent, AGENTS)}")
+            raise unknown_agent(chosen.agent)
     for place in suite.places:
         open_env(place.env, suite.env_overrides(place, next(iter(suite.agents))))
     found = []

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from lanebound.agents.cli import bench, benchmark, config, drive, envs, play, replay, reproduce, tune
+from lanebound.agents.cli import agents, bench, benchmark, config, drive, envs, play, replay, reproduce, tune
 from lanebound.agents.cli.advice import AdvisingGroup
 
 __all__ = ["app", "main"]
@@ -21,6 +21,8 @@ EXAMPLES = """
   lanebound config show NAME --set key=value   the same with a change
 
   lanebound envs                               which environments there are
+
+  lanebound agents                             who can drive, and by what
 
   lanebound drive LaneKeeping --video a.mp4    let an agent drive one, and film it
 
@@ -51,6 +53,7 @@ app.command("bench")(bench.bench)
 app.command("benchmark")(benchmark.benchmark)
 app.command("replay-episode")(replay.replay_episode)
 app.command("envs")(envs.envs)
+app.command("agents")(agents.agents)
 app.command("drive")(drive.drive)
 app.command("play")(play.play)
 

@@ -32,6 +32,7 @@ class AdvisingGroup(TyperGroup):
         try:
             sys.exit(super().main(args, prog_name, complete_var, False, windows_expand_args, **extra) or 0)
         except typer.Abort:
+            typer.echo("interrupted: nothing is kept", err=True)
             sys.exit(130)
         except Exception as error:
             if not hasattr(error, "format_message"):  # not typer's; its classes cannot be named in every version

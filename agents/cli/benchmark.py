@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
+
+from lanebound.agents.cli.output import counted
 
 if TYPE_CHECKING:
     from lanebound.agents.benchmark import Results, SuiteConfig
@@ -13,9 +16,15 @@ if TYPE_CHECKING:
 
 __all__ = ["benchmark"]
 
+T = TypeVar("T")
+PAGE = "report.html"
+
 Agents = Annotated[
     str | None,
-    typer.Option(metavar="A,B", help="Drive these alone: names, or name=model.zip, .onnx or package.module:callable."),
+    typer.Option(
+        metavar="A,B",
+        help="Drive these alone: names ('lanebound agents'), or name=model.zip, .onnx or package.module:callable.",
+    ),
 ]
 
 
@@ -32,20 +41,55 @@ def benchmark(
     assignments: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a value of it; may be repeated.")
     ] = None,
+    full: Annotated[
+        bool, typer.Option("--full", help="Print the tables of every cell, not the overview alone.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> None:
     """Drive a suite of environments, skies and faults with several agents, and compare them seed by seed.
 
+    'lanebound agents' says what ours do.
+
     Example: lanebound benchmark standard --out out/mine --agents nominal,mine=runs/model.zip --seeds 20 --budget 2
     """
-    from lanebound.agents.benchmark.running import Plan, run_plan
-    from lanebound.agents.cli.interrupt import stoppable, wait_for
+    from lanebound.agents.cli.interrupt import stoppable
 
     with stoppable(lambda: _kept(out)):
-        plan = wait_for(lambda: Plan.of(_suite(suite, agents, seeds, assignments or []), out, fresh))
-        _announce(plan, jobs, budget)
-        results = _with_bar(plan, lambda told: run_plan(plan, jobs, budget, told))
-        _report(results, out, budget, as_json)
+        plan, cold = _while(
+            "opening the environments", lambda: _plan(suite, agents, seeds, assignments or [], out, fresh)
+        )
+        _announce(plan, jobs, budget, cold)
+        results = _with_bar(plan, jobs, budget)
+        _print(results, budget, full, as_json)
+        page = _while(f"writing {out / PAGE}: the worst episodes are driven again for it", lambda: _write(results, out))
+        if not as_json:
+            _point_to(results, out, page)
+
+
+def _while(doing: str, work: Callable[[], T]) -> T:
+    """What ``work`` comes to; a line says for how long it has been at it."""
+    from rich.console import Console
+    from rich.progress import Progress as Bar
+    from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    from lanebound.agents.cli.interrupt import wait_for
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    console = Console(stderr=True)
+    with Bar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        bar.add_task(doing, total=None)
+        return wait_for(work)
+
+
+def _plan(
+    name: str, agents: str | None, seeds: int | None, assignments: list[str], out: Path, fresh: bool
+) -> tuple[Plan, bool]:
+    """What is to be driven, and whether kernels are to be compiled for it."""
+    from lanebound.agents.benchmark.compiling import kernels_are_cached
+    from lanebound.agents.benchmark.running import Plan
+
+    cold = not kernels_are_cached()
+    return Plan.of(_suite(name, agents, seeds, assignments), out, fresh), cold
 
 
 def _suite(name: str, agents: str | None, seeds: int | None, assignments: list[str]) -> SuiteConfig:
@@ -64,16 +108,21 @@ def _suite(name: str, agents: str | None, seeds: int | None, assignments: list[s
     return type(found).load({**found.to_dict(), "agents": wanted})
 
 
-def _announce(plan: Plan, jobs: int | None, budget: float | None) -> None:
+def _announce(plan: Plan, jobs: int | None, budget: float | None, cold: bool) -> None:
     """What is to be driven and about how long it takes."""
     from lanebound.agents.benchmark.running import cores
 
-    count = cores() if jobs is None else jobs
-    there = f", {plan.stored} are there already" if plan.stored else ""
-    line = f"{len(plan.tasks)} episodes to drive with {count} processes{there}: about {_length(plan.hours(count))}"
-    typer.echo(f"{line}{'' if budget is None else f', of which {budget:g} h may be used'}.", err=True)
     for env, agent, why in plan.left_out:
-        typer.echo(f"left out: {agent} in {env} ({why})", err=True)
+        typer.echo(f"left out: {agent} in {env} ({why.partition(': ')[0]})", err=True)
+    if not plan.tasks:
+        typer.echo(f"{counted(plan.stored, 'episode')}, all there already: nothing to drive.", err=True)
+        return
+    count = min(cores() if jobs is None else jobs, len(plan.tasks))
+    there = f", {plan.stored} more {'is' if plan.stored == 1 else 'are'} there already" if plan.stored else ""
+    line = f"{counted(len(plan.tasks), 'episode')} to drive with {counted(count, 'process')}{there}"
+    line += f": about {_length(plan.hours(count))}"
+    line += ", and some minutes more to compile kernels, once" if cold else ""
+    typer.echo(f"{line}{'' if budget is None else f', of which {budget:g} h may be used'}.", err=True)
 
 
 def _length(hours: float) -> str:
@@ -84,29 +133,37 @@ def _kept(out: Path) -> str:
     from lanebound.agents.benchmark.parts import episodes_kept
 
     kept = episodes_kept(out)
-    found = f"{kept} finished episodes are kept in {out}" if kept else "no episode was finished"
-    return f"{found}; run the same command again (without --fresh) to go on"
+    found = f"{counted(kept, 'finished episode')} {'is' if kept == 1 else 'are'} kept in {out}"
+    return f"{found if kept else 'no episode was finished'}; run the same command again (without --fresh) to go on"
 
 
-def _with_bar(plan: Plan, drive: Any) -> Results:
+def _with_bar(plan: Plan, jobs: int | None, budget: float | None) -> Results:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
     from rich.progress import Progress as Bar
 
+    from lanebound.agents.benchmark.running import run_plan
     from lanebound.agents.cli.interrupt import wait_for
 
+    if not plan.tasks:
+        return wait_for(lambda: run_plan(plan, jobs, budget))
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rest]}"))
     with Bar(*columns, console=Console(stderr=True)) as bar:
-        rest = "kernels compile first"
-        task = bar.add_task("episodes", total=plan.stored + len(plan.tasks), completed=plan.stored, rest=rest)
+        total = plan.stored + len(plan.tasks)
+        task = bar.add_task("episodes", total=total, completed=plan.stored, rest="starting")
 
         def told(progress: Progress) -> None:
-            failed = f", {len(progress.failures)} failed" if progress.failures else ""
-            rest = f"{_clock(progress.left_s)} left{failed}"
-            bar.update(task, completed=plan.stored + progress.done, rest=rest)
+            bar.update(task, completed=plan.stored + progress.done, rest=_rest(progress))
 
-        results: Results = wait_for(lambda: drive(told))
-    return results
+        return wait_for(lambda: run_plan(plan, jobs, budget, told))
+
+
+def _rest(progress: Progress) -> str:
+    """What stands beside the bar: no time before one is known."""
+    told = ["starting" if progress.left_s is None else f"{_clock(progress.left_s)} left"]
+    if progress.compiling:
+        told = [*(told if progress.done else []), "compiling kernels, once"]
+    return ", ".join([*told, *([f"{len(progress.failures)} failed"] if progress.failures else [])])
 
 
 def _clock(seconds: float) -> str:
@@ -114,21 +171,31 @@ def _clock(seconds: float) -> str:
     return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
 
 
-def _report(results: Results, out: Path, budget: float | None, as_json: bool) -> None:
-    from lanebound.agents.benchmark.results import FILES
+def _print(results: Results, budget: float | None, full: bool, as_json: bool) -> None:
     from lanebound.agents.cli.benchmark_tables import print_results
     from lanebound.agents.cli.output import print_json
-    from lanebound.agents.report import write_report
+    from lanebound.agents.cli.overview import print_overview
 
-    page = write_report(results, out)
     if as_json:
         print_json(results.to_dict())
         return
-    print_results(results)
+    (print_results if full else print_overview)(results)
     if results.missing:
         why = "" if budget is None else f": the budget of {budget:g} h is used up"
-        typer.echo(f"{len(results.missing)} episodes are missing{why}. Run the same command again to go on.\n")
-    typer.echo(f"report: {page}\ndata:   {', '.join(str(out / name) for name in FILES)}\n")
+        missing = f"{counted(len(results.missing), 'episode')} {'is' if len(results.missing) == 1 else 'are'} missing"
+        typer.echo(f"{missing}{why}. Run the same command again to go on.\n")
+
+
+def _write(results: Results, out: Path) -> Path:
+    from lanebound.agents.report import write_report
+
+    return write_report(results, out)
+
+
+def _point_to(results: Results, out: Path, page: Path) -> None:
+    from lanebound.agents.benchmark.results import FILES
+
+    typer.echo(f"report: {page}\ndata:   {', '.join(str(out / name) for name in FILES)}")
     typer.echo(_next(results, out))
 
 

@@ -15,9 +15,9 @@ from lanebound.agents.benchmark.metrics import MAIN, Metric, metric_named
 from lanebound.agents.benchmark.outcome import Place
 from lanebound.agents.benchmark.results import Cell, Paired, Results
 from lanebound.agents.benchmark.statistics import VERDICT_SEEDS
-from lanebound.agents.cli.output import WIDTH_OF_A_FILE
+from lanebound.agents.cli.output import counted, open_console
 
-__all__ = ["number", "print_results", "with_interval"]
+__all__ = ["number", "print_failures", "print_results", "with_interval"]
 
 SHARES = ("availability", "hmi")
 COLOURS = {True: "green", False: "red"}
@@ -27,11 +27,9 @@ FAILURES = 10  # that are listed
 def print_results(results: Results) -> None:
     """Print means with intervals, paired differences and failures.
 
-    In a terminal tables that are too wide stand below each other; in a file each row is one line, however long.
+    Tables that are too wide stand below each other.
     """
-    console = Console()
-    if not console.is_terminal:
-        console.width = WIDTH_OF_A_FILE
+    console = open_console()
     for place in results.suite.places:
         if any(cell.place == place for cell in results.cells):
             _print_place(console, results, place)
@@ -41,7 +39,7 @@ def print_results(results: Results) -> None:
             f"the reference, from {VERDICT_SEEDS} seeds on."
         )
     )
-    _print_failures(console, results)
+    print_failures(console, results)
 
 
 def _print_place(console: Console, results: Results, place: Place) -> None:
@@ -147,14 +145,15 @@ def _in_percent(metric: Metric) -> bool:
     return metric.rate or metric.key in SHARES
 
 
-def _print_failures(console: Console, results: Results) -> None:
+def print_failures(console: Console, results: Results) -> None:
+    """The episodes in which an agent failed, the first of them with what was wrong."""
     failures = results.failures
     if not failures:
         return
-    console.print(Text(f"\n{len(failures)} episodes in which the agent failed", style="bold red"))
+    console.print(Text(f"\n{counted(len(failures), 'episode')} in which the agent failed", style="bold red"))
     table: Any = Table(header_style="bold")
     for column in ("episode", "status", "message"):
-        table.add_column(column, overflow="fold")
+        table.add_column(column, overflow="fold", no_wrap=column != "message")
     for outcome in failures[:FAILURES]:
         table.add_row(*map(Text, (outcome.id, outcome.status, outcome.message)))
     console.print(table)

@@ -45,7 +45,7 @@ def show(
     Example: lanebound config show studies/urban_drive --set navigator.dt_s=0.2 --json
     """
     from lanebound.agents.cli.kinds import resolve
-    from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.cli.output import format_value, print_json, print_table
     from lanebound.integrity.config import describe
     from lanebound.integrity.presets import parse_assignments
 
@@ -55,7 +55,8 @@ def show(
         values: list[dict[str, Any]] = [{**entry._asdict(), "value": _plain(entry.value)} for entry in entries]
         print_json({"preset": preset, "kind": kind, "values": values})
     else:
-        print_table(f"{preset} ({kind})", ("key", "value", "unit", "what it is"), entries)
+        rows = ((e.path, f"{format_value(e.value)} {e.unit}".rstrip(), e.description) for e in entries)
+        print_table(f"{preset} ({kind})", ("key", "value", "what it is"), rows, numbers=("value",))
 
 
 def _plain(value: Any) -> Any:

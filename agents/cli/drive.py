@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lanebound.agents.cli.listing import AGENTS
+from lanebound.agents.cli.output import counted
+from lanebound.agents.drivers import AGENTS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Sky", "drive", "overrides"]
 
-WEIGHTED = "cost (weighted)"
+WEIGHTED = "cost, weighted"
 LOG, COLUMNS, DIAGRAM = "episodes.parquet", "columns.md", "stanford.png"
 Name = Annotated[str, typer.Argument(metavar="ID", help="An environment, as 'lanebound envs' lists them.")]
 Sky = Annotated[str | None, typer.Option(help="Level of the sky: open, suburban, urban or dense.")]
@@ -32,7 +33,10 @@ Assignments = Annotated[
 def drive(
     name: Name,
     agent: Annotated[
-        str, typer.Option(help=f"Who drives: {', '.join(AGENTS)}; model.zip, model.onnx, or module:callable.")
+        str,
+        typer.Option(
+            help=f"Who drives: {', '.join(AGENTS)} (see 'lanebound agents'); model.zip, model.onnx, or module:callable."
+        ),
     ] = "cruise",
     sky: Sky = None,
     faults: Faults = None,
@@ -53,8 +57,9 @@ def drive(
     finished: list[int] = []
     with stoppable(lambda: _kept(len(finished), out, video)):
         changes = overrides(sky, faults, assignments)
-        summaries = wait_for(lambda: _drive(name, agent, changes, (seed, episodes), (video, fps), out, finished))
-    _report(summaries, {"log": out and out / LOG, "diagram": out and out / DIAGRAM, "video": video}, as_json)
+        drove = wait_for(lambda: _drive(name, agent, changes, (seed, episodes), (video, fps), out, finished))
+    files = {"log": out and out / LOG, "diagram": out and out / DIAGRAM, "video": video}
+    _report(f"{agent} in {name}", *drove, files, as_json)
 
 
 def overrides(sky: str | None, faults: str | None, assignments: list[str] | None) -> dict[str, Any]:
@@ -68,9 +73,9 @@ def overrides(sky: str | None, faults: str | None, assignments: list[str] | None
 def _kept(finished: int, out: Path | None, video: Path | None) -> str:
     from lanebound.agents.episodes.film import part_of
 
-    kept = [f"{finished} finished episodes in {out / LOG}"] if out and finished else []
+    kept = [f"{counted(finished, 'finished episode')} in {out / LOG}"] if out and finished else []
     kept += [f"the film so far in {part_of(video)}"] if video and part_of(video).exists() else []
-    return f"kept are {' and '.join(kept)}" if kept else "nothing is kept"
+    return f"kept: {' and '.join(kept)}" if kept else "nothing is kept"
 
 
 def _drive(
@@ -81,8 +86,8 @@ def _drive(
     film: tuple[Path | None, int],
     out: Path | None,
     finished: list[int],
-) -> list[Summary]:
-    """Drive with a bar; everything that can be refused is refused before it shows."""
+) -> tuple[list[Summary], float | None]:
+    """Drive with a bar, and the limit of the cost; everything that can be refused is refused before it shows."""
     from lanebound.agents.drivers import make_agent
     from lanebound.agents.episodes import EpisodeLog, open_env, summarise
     from lanebound.agents.episodes.film import Film
@@ -105,7 +110,7 @@ def _drive(
         _with_bar(env, driver, range(seeds[0], seeds[0] + seeds[1]), watchers, keep)
     if out is not None:
         _draw(env, log, out, f"{name}, {agent}")
-    return [summarise(log.episode(i)) for i in range(seeds[1])]
+    return [summarise(log.episode(i)) for i in range(seeds[1])], env.config.cost_limit
 
 
 def _claim(out: Path) -> None:
@@ -128,7 +133,7 @@ def _with_bar(env: DrivingEnv, driver: Driver, seeds: range, watchers: list[Any]
     length_s = env.world.config.get("duration")
     with Progress(console=Console(stderr=True)) as bar:
         total = None if length_s is None else float(length_s) * len(seeds)
-        task = bar.add_task(f"{len(seeds)} episodes (kernels compile first)", total=total)
+        task = bar.add_task(f"{counted(len(seeds), 'episode')} (kernels compile first)", total=total)
 
         class Pace:
             """Moves the bar; an episode that ends early fills its share."""
@@ -151,33 +156,62 @@ def _draw(env: DrivingEnv, log: EpisodeLog, out: Path, title: str) -> None:
     save(stanford_figure(log.to_record(env.dt_s), *limits, title=title), out / DIAGRAM)
 
 
-def _report(summaries: list[Summary], files: dict[str, Path | None], as_json: bool) -> None:
+def _report(
+    who: str, summaries: list[Summary], limit: float | None, files: dict[str, Path | None], as_json: bool
+) -> None:
     from lanebound.agents.cli.output import print_json, print_table
     from lanebound.agents.episodes.summary import measures
 
     written = {what: str(path) for what, path in files.items() if path is not None}
     if as_json:
         all_of_them = measures(summaries)
-        print_json({"episodes": [s.to_dict() for s in summaries], "all": all_of_them, "files": written})
+        found = {"episodes": [s.to_dict() for s in summaries], "all": all_of_them, "cost_limit": limit}
+        print_json({**found, "files": written})
         return
-    columns = ("seed", "ended by", "time [s]", "return", WEIGHTED, "success", "available", "HMI steps")
-    print_table("Episodes", columns, map(_line, summaries))
-    title = "Measures" if len(summaries) == 1 else f"Measures, means over {len(summaries)} episodes"
-    lines = ((_label(key), _three(value)) for key, value in measures(summaries).items())
-    print_table(title, ("measure", "value"), lines)
+    columns = ("seed", "ended by", "time [s]", "return", "cost", "success", "available", "HMI")
+    print_table(f"{who}: {counted(len(summaries), 'episode')}", columns, map(_line, summaries))
+    over = "" if len(summaries) == 1 else f", means over {len(summaries)} episodes"
+    lines = ((*_label(key), _value(key, value, limit)) for key, value in measures(summaries).items())
+    print_table(f"Measures{over}", ("measure", "unit", "value"), lines)
     for what, path in written.items():
         typer.echo(f"{what}: {path}")
 
 
-def _label(measure: str) -> str:
-    """A measure as the table calls it: the cost is a weighted sum, its causes stand beside it without their weights."""
+def _label(measure: str) -> tuple[str, str]:
+    """A measure and its unit as the table has them: the cost is a weighted sum, its causes stand without weights."""
+    from lanebound.agents.cli.listing import INFO
+
     if measure == "cost":
-        return WEIGHTED
-    return f"{measure}, unweighted" if measure.startswith("cost_") else measure
+        return WEIGHTED, ""
+    if measure.startswith("cost_"):
+        _, bracket, unit = INFO[measure].rpartition("[")
+        return f"{measure}, unweighted", unit.rstrip("]") if bracket else ""
+    return measure, "steps" if measure.endswith("steps") else ""
+
+
+def _value(measure: str, value: float, limit: float | None) -> str:
+    """A value with as many digits as count; the cost beside what is permitted."""
+    text = f"{_three(value):g}"
+    return f"{text}, {_against(value, limit)}" if measure == "cost" and limit else text
+
+
+def _against(cost: float, limit: float) -> str:
+    """A cost in terms of its limit.
+
+    >>> _against(196.9, 15.0), _against(18.0, 15.0), _against(3.0, 15.0)
+    ('13 x the limit 15', '1.2 x the limit 15', 'within the limit 15')
+    """
+    if cost <= limit:
+        return f"within the limit {limit:g}"
+    return (
+        f"{cost / limit:.2g} x the limit {limit:g}"
+        if cost < 100.0 * limit
+        else f"{cost / limit:.0f} x the limit {limit:g}"
+    )
 
 
 def _line(s: Summary) -> tuple[Any, ...]:
-    ended = (s.seed, s.ended, s.time_s, _three(s.total_return), _three(s.cost), s.success)
+    ended = (s.seed, s.ended, round(s.time_s, 1), round(s.total_return, 1), round(s.cost, 1), s.success)
     return (*ended, f"{s.availability:.1%}", s.hmi_steps)
 
 

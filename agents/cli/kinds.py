@@ -39,6 +39,7 @@ def resolve(name: str, overrides: Mapping[str, Any] | None = None) -> tuple[str,
     """
     from lanebound.integrity.presets import load_preset, nearest
 
+    _require_no_environment(name)
     data = load_preset(name, overrides)
     kind = data.pop("kind", None)
     if kind is None:
@@ -48,3 +49,14 @@ def resolve(name: str, overrides: Mapping[str, Any] | None = None) -> tuple[str,
     module, _, attribute = KINDS[kind].partition(":")
     model: type[Config] = getattr(import_module(module), attribute)
     return kind, model.load(data)
+
+
+def _require_no_environment(name: str) -> None:
+    """Point to where environments are shown: they are no presets."""
+    from lanebound.agents.cli.listing import LISTING
+
+    short = name.removeprefix("lanebound/").removesuffix("-v0").lower()
+    for row in LISTING:
+        there = row["id"].removeprefix("lanebound/").removesuffix("-v0")
+        if short == there.lower():
+            raise ConfigError(f"preset '{name}' is unknown: it is an environment, see 'lanebound envs {there}'")

@@ -4,12 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-__all__ = ["AGENTS", "INFO", "LISTING"]
-
-AGENTS = (
-    "cautious", "cbf", "cruise", "idm", "integrity_aware", "lqr", "mpc", "nominal", "oracle", "random", "rss",
-    "stanley", "stop_on_alert",
-)  # fmt: skip
+__all__ = ["INFO", "LISTING"]
 
 GROUPS = {"ego": 15, "integrity": 44, "road": 43, "traffic": 114}
 STEERED = {"action": "continuous", "action_space": "Box(-1.0, 1.0, (2,), float32)", "policy_hz": 5}

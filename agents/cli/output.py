@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import Any
+import os
+from collections.abc import Collection, Iterable, Sequence
+from typing import TYPE_CHECKING, Any, Literal
 
-__all__ = ["format_value", "print_json", "print_table"]
+if TYPE_CHECKING:
+    from rich.console import Console
 
-WIDTH_OF_A_FILE = 100_000  # characters; tables take no more than they need
+__all__ = ["counted", "format_value", "open_console", "print_json", "print_table"]
+
+WIDTH_OF_A_FILE = 100  # characters, where COLUMNS gives no other
+NARROW = 12  # characters of a column, at which text can still be read
+LONG_WORD = 24  # characters; longer ones may be broken
 
 
 def format_value(value: Any) -> str:
@@ -23,27 +29,79 @@ def format_value(value: Any) -> str:
     return str(value)
 
 
-def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Print rows under a title; columns whose values are numbers are set flush right.
+def counted(count: int, what: str) -> str:
+    """A number of things, in the singular where there is one.
 
-    In a terminal the table fits its width. A file or a pipe has none: each row is one line, however long.
+    >>> counted(1, "process"), counted(2, "process"), counted(0, "episode")
+    ('1 process', '2 processes', '0 episodes')
     """
+    plural = f"{what}es" if what.endswith("s") else f"{what}s"
+    return f"{count} {what if count == 1 else plural}"
+
+
+def open_console() -> Console:
+    """Standard output; a file or a pipe is as wide as COLUMNS says, or as is easily read."""
     from rich.console import Console
+
+    console = Console()
+    if not console.is_terminal and not os.environ.get("COLUMNS", "").isdigit():
+        console.width = WIDTH_OF_A_FILE
+    return console
+
+
+def print_table(
+    title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]], numbers: Collection[str] = ()
+) -> None:
+    """Print rows under a title; columns whose values are numbers, or which are named so, are set flush right.
+
+    The table fits the width of the terminal. Longer text goes on in further lines, but the first column, by which rows
+    are named, and heads are never broken: where they leave no room the table is wider.
+    """
     from rich.table import Table
     from rich.text import Text
 
     data = [list(row) for row in rows]
-    table = Table(header_style="bold")
-    for i, column in enumerate(columns):
-        numeric = any(isinstance(row[i], int | float) and not isinstance(row[i], bool) for row in data)
-        table.add_column(column, justify="right" if numeric else "left", overflow="fold")
-    for row in data:
-        table.add_row(*(Text(format_value(value)) for value in row))
-    console = Console()
-    if not console.is_terminal:
-        console.width = WIDTH_OF_A_FILE
+    texts = [[format_value(value) for value in row] for row in data]
+    table, console = Table(header_style="bold"), open_console()
+    least = [_least_width(c, (row[i] for row in texts), i == 0) for i, c in enumerate(columns)]
+    most = [_least_width(c, (row[i] for row in texts), True) for i, c in enumerate(columns)]
+    widths = _fitted(least, most, columns, console.width)
+    for i, (column, width) in enumerate(zip(columns, widths, strict=True)):
+        numeric = column in numbers or any(
+            isinstance(row[i], int | float) and not isinstance(row[i], bool) for row in data
+        )
+        justify: Literal["left", "right"] = "right" if numeric else "left"
+        table.add_column(Text(column), justify=justify, overflow="fold", no_wrap=i == 0, width=width)
+    for row in texts:
+        table.add_row(*map(Text, row))
+    console.width = max(console.width, sum(widths) + 3 * len(widths) + 1)
     console.print(Text(title, style="italic"))
     console.print(table)
+
+
+def _least_width(head: str, texts: Iterable[str], whole: bool = False) -> int:
+    """Characters of a column in which its head and its words, very long ones apart, or ``whole`` texts are unbroken."""
+    words = (len(word) for text in texts for word in ((text,) if whole else text.split()))
+    return max([*map(len, head.split("\n")), *(length for length in words if whole or length <= LONG_WORD)])
+
+
+def _fitted(least: Sequence[int], most: Sequence[int], columns: Sequence[str], room: int) -> list[int]:
+    """Widths of columns that fit.
+
+    Where the least ones do not, the widest but the first give way, as long as they can be read. What is left over goes
+    to those that have least of what they could use.
+    """
+    fitted, spare = list(least), room - sum(least) - 3 * len(least) - 1
+    for i in sorted(range(1, len(fitted)), key=lambda i: -fitted[i]):
+        given = max(0, min(-spare, fitted[i] - max(_least_width(columns[i], ()), NARROW)))
+        fitted[i] -= given
+        spare += given
+    for _ in range(spare):
+        short = [i for i, width in enumerate(fitted) if width < most[i]]
+        if not short:
+            break
+        fitted[min(short, key=lambda i: fitted[i] / most[i])] += 1
+    return fitted
 
 
 def print_json(data: Any) -> None:

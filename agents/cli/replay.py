@@ -24,13 +24,11 @@ def replay_episode(
 
     Example: lanebound replay-episode out/demo LaneKeeping/dense-none/nominal/10000 --video out/replay.mp4
     """
-    from lanebound.agents.benchmark.replay import differences, replay
     from lanebound.agents.cli.interrupt import stoppable, wait_for
     from lanebound.agents.cli.output import print_json
 
     with stoppable(lambda: "nothing is kept"):
-        stored, now = wait_for(lambda: replay(folder, ident, video, fps))
-        differing = differences(stored, now)
+        stored, now, differing = wait_for(lambda: _replayed(folder, ident, video, fps))
     film = None if video is None or not video.exists() else str(video)
     if as_json:
         print_json({"stored": stored.to_dict(), "now": now.to_dict(), "differing": differing, "video": film})
@@ -39,6 +37,13 @@ def replay_episode(
     if differing:
         _explain(folder)
         raise typer.Exit(1)
+
+
+def _replayed(folder: Path, ident: str, video: Path | None, fps: int) -> tuple[Outcome, Outcome, list[str]]:
+    from lanebound.agents.benchmark.replay import differences, replay
+
+    stored, now = replay(folder, ident, video, fps)
+    return stored, now, differences(stored, now)
 
 
 def _print(stored: Outcome, now: Outcome, differing: list[str], film: str | None) -> None:

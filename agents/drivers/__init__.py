@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from importlib import import_module
 from types import NoneType
-from typing import TYPE_CHECKING, Any, cast, get_args, get_type_hints
-
-from lanebound.integrity.errors import InputError
+from typing import TYPE_CHECKING, Any, NamedTuple, cast, get_args, get_type_hints
 
 if TYPE_CHECKING:
     from lanebound.agents.drivers.base import Driver
     from lanebound.envs.core import DrivingEnv
     from lanebound.integrity.config import Config
+    from lanebound.integrity.errors import InputError
 
-__all__ = ["AGENTS", "make_agent"]
+__all__ = ["ABOUT", "AGENTS", "About", "make_agent", "unknown_agent"]
 
 AGENTS = {
     "cautious": "lanebound.agents.drivers.margins:make_cautious",
@@ -31,6 +30,44 @@ AGENTS = {
     "stanley": "lanebound.agents.drivers.cruise:make_stanley",
     "stop_on_alert": "lanebound.agents.drivers.stop:make_stop_on_alert",
 }
+ANY, STEERED, FULL = "any", "Box", "Box(2,)"
+
+
+class About(NamedTuple):
+    """An agent in a few words.
+
+    Attributes
+    ----------
+    does : how it drives; reads : what of an observation; on_alert : what it does while an alert is on
+    actions : spaces of actions that it can command, as ``lanebound envs`` shows them: any, steering with or without
+        acceleration, or steering with acceleration
+    """
+
+    does: str
+    reads: str
+    on_alert: str
+    actions: str
+
+
+LEVELS = "position, levels"
+ABOUT = {
+    "cautious": About("nominal, slower, constant margins", "position", "nothing", ANY),
+    "cbf": About("nominal behind a barrier filter", f"{LEVELS}, alert", "slows where levels fill the lane", FULL),
+    "cruise": About("keeps lane, speed and distance", "position", "nothing", ANY),
+    "idm": About("cruise, follows by IDM alone", "position", "nothing", ANY),
+    "integrity_aware": About(
+        "rss, slower by levels and ahead of outages", f"{LEVELS}, alert, sky ahead", "slows, stops if it lasts", ANY
+    ),
+    "lqr": About("cruise, steers by an LQR", "position", "nothing", STEERED),
+    "mpc": About("plans ahead within levels (tube MPC)", f"{LEVELS}, alert", "slows as levels grow", FULL),
+    "nominal": About("best laws, blind to integrity; the reference", "position", "nothing", ANY),
+    "oracle": About("nominal on the truth: a bound", "the truth", "nothing", ANY),
+    "random": About("any action, equally likely", "nothing", "nothing", ANY),
+    "rss": About("nominal, gaps less levels, RSS speeds", LEVELS, "nothing", ANY),
+    "stanley": About("cruise, steers by Stanley's law", "position", "nothing", STEERED),
+    "stop_on_alert": About("cruise, stops while an alert is on", "position, alert", "stops", ANY),
+}
+"""Every name of ``AGENTS`` in words: what ``lanebound agents`` shows."""
 
 
 def make_agent(name: str, env: DrivingEnv, figures: Mapping[str, Any] | None = None) -> Driver:
@@ -47,17 +84,41 @@ def make_agent(name: str, env: DrivingEnv, figures: Mapping[str, Any] | None = N
     if name in AGENTS:
         module, _, maker = AGENTS[name].partition(":")
         make = getattr(import_module(module), maker)
+        _require_actions(name, env)
         driver: Driver = make(env, _config_class(name, make).load(dict(figures))) if figures else make(env)
         return driver
     from lanebound.agents.drivers.foreign import is_foreign, open_foreign
 
     if not is_foreign(name):
-        from lanebound.integrity.presets import nearest
-
-        raise InputError(f"agent '{name}' is unknown: {nearest(name, AGENTS)}")
+        raise unknown_agent(name)
     if figures:
+        from lanebound.integrity.errors import InputError
+
         raise InputError(f"figures must be empty for '{name}', got {sorted(figures)}: only agents of ours have figures")
     return open_foreign(name, env)
+
+
+def unknown_agent(name: str) -> InputError:
+    """What to say of a name that no agent has."""
+    from lanebound.integrity.errors import InputError
+    from lanebound.integrity.presets import nearest
+
+    return InputError(f"agent '{name}' is unknown: {nearest(name, AGENTS)} (see 'lanebound agents')")
+
+
+def _require_actions(name: str, env: DrivingEnv) -> None:
+    """Refuse an agent that cannot command the actions of an environment, and name those that can."""
+    actions = env.world.action_type
+    steered = not hasattr(env.action_space, "n")
+    there = {ANY, *((STEERED,) if steered else ()), *((FULL,) if steered and actions.longitudinal else ())}
+    if ABOUT[name].actions in there:
+        return
+    from lanebound.integrity.errors import InputError
+
+    fitting = ", ".join(other for other, about in ABOUT.items() if about.actions in there)
+    wanted = "continuous with acceleration" if ABOUT[name].actions == FULL else "continuous"
+    found = "steering alone" if steered else "meta-actions"
+    raise InputError(f"action must be {wanted} for agent '{name}', got {found}: choose one of {fitting}")
 
 
 def _config_class(name: str, make: Any) -> type[Config]:
@@ -66,4 +127,6 @@ def _config_class(name: str, make: Any) -> type[Config]:
         for kind in get_args(get_type_hints(make).get("config")):
             if kind is not NoneType:
                 return cast("type[Config]", kind)
+    from lanebound.integrity.errors import InputError
+
     raise InputError(f"figures must be empty for '{name}', got some: this agent has none")

@@ -36,7 +36,7 @@ class Film:
     Raises
     ------
     InputError
-        The name does not end in .mp4, or the rate does not divide.
+        The name does not end in .mp4, the rate does not divide, or nothing can be written there.
     """
 
     def __init__(self, env: DrivingEnv, path: Path, fps: int = 10) -> None:
@@ -46,6 +46,7 @@ class Film:
         if fps < 1 or rate % fps:
             fits = ", ".join(str(n) for n in range(1, rate + 1) if rate % n == 0)
             raise InputError(f"fps must divide simulation_hz = {rate}, got {fps}: choose one of {fits}")
+        _require_writable(path)
         self.env, self.path, self.fps = env, path, fps
         self.frames = 0
         self._part = part_of(path)
@@ -97,7 +98,6 @@ class Film:
     def _open(self, width_px: int, height_px: int) -> Generator[None, Any, None]:
         from imageio_ffmpeg import write_frames
 
-        self.path.parent.mkdir(parents=True, exist_ok=True)
         sink: Generator[None, Any, None] = write_frames(
             str(self._part),
             (width_px, height_px),
@@ -108,3 +108,18 @@ class Film:
         )
         sink.send(None)
         return sink
+
+
+def _require_writable(path: Path) -> None:
+    """Refuse now what could not be written when the first picture comes."""
+    part = part_of(path)
+    try:
+        if path.is_dir():
+            raise IsADirectoryError(f"{path} is a folder")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        there = part.exists()
+        part.open("ab").close()
+        if not there:
+            part.unlink()
+    except OSError as error:
+        raise InputError(f"video must be a file that can be written, got {path} ({error}): choose another") from error

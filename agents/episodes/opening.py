@@ -8,7 +8,8 @@ from typing import Any, cast
 import gymnasium
 
 from lanebound.envs import IDS, DrivingEnv, make_config, wrap
-from lanebound.integrity.errors import InputError
+from lanebound.envs.navigation import NavigationConfig
+from lanebound.integrity.errors import ConfigError, InputError
 from lanebound.integrity.presets import nearest
 
 __all__ = ["full_id", "open_env"]
@@ -51,5 +52,23 @@ def open_env(name: str, overrides: Mapping[str, Any] | None = None, render_mode:
     if env_id not in IDS:
         return wrap(env_id, overrides, render_mode)
     make_config(env_id, overrides)  # refused here in our own words, not Gymnasium's
-    made = gymnasium.make(env_id, config=dict(overrides or {}), render_mode=render_mode, disable_env_checker=True)
+    try:
+        made = gymnasium.make(env_id, config=dict(overrides or {}), render_mode=render_mode, disable_env_checker=True)
+    except ConfigError as error:
+        raise ConfigError(_in_full(str(error), (overrides or {}).get("navigator", {}))) from None
     return cast(DrivingEnv, made.unwrapped)
+
+
+def _in_full(message: str, given: Mapping[str, Any]) -> str:
+    """What a navigator refuses of the overrides ``given`` for it, with their whole path.
+
+    >>> _in_full("rate_hz is not a known key: known are dt_s, risk", {"rate_hz": -5})
+    "navigator.rate_hz is not a known key: did you mean 'navigation.rate_hz'?"
+    """
+    lines = []
+    for line in message.splitlines():
+        key = line.split()[0]
+        if key in given and key in NavigationConfig.model_fields and "is not a known key" in line:
+            line = f"{key} is not a known key: did you mean 'navigation.{key}'?"
+        lines.append(f"navigator.{line}" if key.partition(".")[0] in given else line)
+    return "\n".join(lines)

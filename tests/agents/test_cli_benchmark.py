@@ -33,7 +33,7 @@ def driven(monkeypatch, results):
     """Nothing is driven: the plan is real, and its results were made up."""
     plans = []
 
-    def made_up(plan, jobs, budget_h, told):
+    def made_up(plan, jobs, budget_h, told=lambda progress: None):
         plans.append((plan, jobs, budget_h))
         told(running.Progress(of=2, done=1, left_s=3700.0))
         return results
@@ -67,13 +67,52 @@ def test_options_choose_agents_seeds_and_budget(driven, tmp_path):
 
 
 def test_prints_tables_and_what_to_try_next(driven, tmp_path):
-    told = run("benchmark", "quick", "--out", str(tmp_path)).stdout
+    told = run("benchmark", "quick", "--out", str(tmp_path), "--full").stdout
     for text in (
         "LaneKeeping-v0, dense sky: means of 3 seeds", "integrity_aware - nominal", "success [%]", "speed [m/s]",
-        "1 episodes in which the agent failed", "ValueError: no idea", "report: ", "results.csv", "What to try next",
+        "1 episode in which the agent failed", "ValueError: no idea", "report: ", "results.csv", "What to try next",
         f"lanebound replay-episode {tmp_path} CarFollowing-v0/dense-none/integrity_aware/10002 --video",
     ):  # fmt: skip
         assert text in told
+
+
+def test_an_overview_comes_first_and_is_short(driven, tmp_path):
+    told = run("benchmark", "quick", "--out", str(tmp_path)).stdout
+    assert told.startswith("Means over 4 cells")
+    assert "Each cell with its intervals: the same command with --full." in told
+    assert "1 episode in which the agent failed" in told
+    assert told.count("\n") < 40
+
+
+def test_tables_stand_there_before_the_page_is_written(driven, tmp_path, monkeypatch, capsys):
+    def broken(results, out):
+        raise InputError("no page")
+
+    monkeypatch.setattr(report, "write_report", broken)
+    told = run("benchmark", "quick", "--out", str(tmp_path))
+    assert (told.exit_code, told.stderr.splitlines()[-1]) == (2, "error: no page")
+    assert told.stdout.startswith("Means over 4 cells")
+
+
+def test_nothing_is_announced_where_nothing_is_to_be_driven(driven, results, tmp_path, monkeypatch):
+    plan = running.Plan(results.suite, tmp_path, [], [], 36, {})
+    monkeypatch.setattr(running.Plan, "of", lambda *arguments: plan)
+    told = run("benchmark", "quick", "--out", str(tmp_path))
+    assert told.exit_code == 0
+    assert told.stderr == "36 episodes, all there already: nothing to drive.\n"
+
+
+@pytest.mark.parametrize(
+    ("progress", "told"),
+    [
+        (running.Progress(of=9), "starting"),
+        (running.Progress(of=9, compiling=2), "compiling kernels, once"),
+        (running.Progress(of=9, done=1, left_s=3700.0, compiling=1), "1:01:40 left, compiling kernels, once"),
+        (running.Progress(of=9, done=2, left_s=5.0), "0:00:05 left"),
+    ],
+)
+def test_no_time_is_told_before_one_is_known(progress, told):
+    assert command._rest(progress) == told
 
 
 def test_json_is_that_of_the_file(driven, results, tmp_path):
@@ -84,11 +123,20 @@ def test_json_is_that_of_the_file(driven, results, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["benchmark", "quik", "--out", "x"], "error: suite 'quik' is unknown: known are faults, quick, standard"),
+        (["benchmark", "quik", "--out", "x"], "error: suite 'quik' is unknown: did you mean 'quick'? (or the path"),
         (["benchmark", "quick"], "error: --out is required, got nothing: add it"),
         (["benchmark", "quick", "--out", __file__], "error: out must be a folder that can be written"),
         (["benchmark", "quick", "--out", "x", "--agents", "nominl"], "error: agent 'nominl' is unknown: did you mean"),
         (["benchmark", "quick", "--out", "x", "--set", "skies=[dence]"], "error: sky must be one of open"),
+        (
+            ["benchmark", "quick", "--out", "x", "--set", "envs=LaneKeeping"],
+            "error: envs must be a list, got 'LaneKeep",
+        ),
+        (["benchmark", "quick", "--out", "x", "--set", "agents=3"], "error: agents must be a list or a mapping, got 3"),
+        (
+            ["benchmark", "quick", "--out", "x", "--set", "seeds.count=two"],
+            "error: seeds.count must be an integer, got",
+        ),
         (["replay-episode", "nowhere", "a/b/c/1"], "error: DIR must be a folder that 'lanebound benchmark' wrote"),
     ],
 )

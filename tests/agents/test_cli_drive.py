@@ -15,6 +15,7 @@ from imageio_ffmpeg import count_frames_and_secs
 from typer.testing import CliRunner
 
 from lanebound.agents.cli import app
+from lanebound.agents.cli import drive as command
 from lanebound.agents.drivers import AGENTS, make_agent
 from lanebound.agents.episodes import COLUMNS, EpisodeLog, drive, open_env
 from lanebound.agents.episodes.film import Film
@@ -83,8 +84,11 @@ def test_the_film_has_ten_pictures_a_second(driven):
 
 def test_prints_tables():
     shown = run("UrbanCanyon", *GIVEN, "--set", "world.duration=2", "--agent", "random").stdout
-    assert "cost (weighted)" in shown
-    assert "cost_lane, unweighted" in shown
+    assert "random in UrbanCanyon: 1 episode" in shown
+    assert "cost, weighted" in shown
+    assert "within the limit 40" in shown
+    assert "cost_lane, unweighted           │ m2 " in shown
+    assert "time [s]" in shown
     for word in ("success rate", "cost_hmi", "share of rtk", "HMI steps", "collision rate"):
         assert word in shown
 
@@ -98,6 +102,10 @@ def test_prints_tables():
         (["LaneKeeping", "--faults", "stres"], "error: faults must be "),
         (["LaneKeeping", "--video", "film.avi"], "error: video must end in .mp4, got film.avi"),
         (["LaneKeeping", "--video", "film.mp4", "--fps", "3"], "error: fps must divide simulation_hz = 20, got 3"),
+        (["LaneKeeping", "--video", f"{__file__}/a.mp4"], "error: video must be a file that can be written, got"),
+        (["Merge", "--agent", "lqr"], "error: action must be continuous for agent 'lqr', got meta-actions: choose one"),
+        (["LaneKeeping", "--set", "navigator.rate_hz=5"], "error: navigator.rate_hz is not a known key: did you mean"),
+        (["LaneKeeping", "--set", "navigator.dt_s=-5"], "error: navigator.dt_s must lie in (0, 1], got -5"),
         (["LaneKeeping", "--out", __file__], "error: --out must be a folder that can be written"),
         (["LaneKeeping", "--episodes", "0"], "error: --episodes must be >= 1, got 0"),
     ],
@@ -108,6 +116,21 @@ def test_mistakes_are_answered_in_one_line(arguments, message):
     assert result.stderr.startswith(message)
     assert result.stderr.count("\n") == 1
     assert result.stdout == ""
+
+
+def test_the_table_of_episodes_fits_into_eighty_characters(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    row = dict.fromkeys([column.name for column in COLUMNS], 0.0) | {"seed": 10_000, "mode": "rtk", "step": 900}
+    summary = summarise([row | {"time_s": 180.0, "cost": 1196.9, "reward": -123.4, "off_road": True}])
+    command._report("integrity_aware in LaneKeeping", [summary], 15.0, {}, False)
+    shown = capsys.readouterr().out
+    assert max(map(len, shown.splitlines())) <= 80
+    assert "80 x the limit 15" in shown
+
+
+def test_a_cost_is_told_in_terms_of_its_limit():
+    assert command._against(196.9, 15.0) == "13 x the limit 15"
+    assert command._against(3.0, 15.0) == "within the limit 15"
 
 
 def rows_of_a_drive(tmp_path: Path, filmed: bool) -> list[dict[str, Any]]:

@@ -12,8 +12,7 @@ from typer.testing import CliRunner
 
 from lanebound.agents.cli import app
 from lanebound.agents.cli.envs import facts
-from lanebound.agents.cli.listing import AGENTS, INFO, LISTING
-from lanebound.agents.drivers import AGENTS as DRIVERS
+from lanebound.agents.cli.listing import INFO, LISTING
 from lanebound.agents.episodes import full_id, open_env
 from lanebound.envs import IDS
 
@@ -59,10 +58,6 @@ def test_the_list_fits_into_a_narrow_terminal():
     shown = run().stdout
     assert max(map(len, shown.splitlines())) <= 80
     assert "Box(2,)" in shown
-
-
-def test_the_list_of_agents_names_all_of_them():
-    assert set(DRIVERS) <= set(AGENTS)
 
 
 def test_one_environment_as_tables():

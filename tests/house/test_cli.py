@@ -124,12 +124,40 @@ def test_a_group_alone_shows_its_help_and_no_error(group):
 
 
 @pytest.mark.usefixtures("toy_presets")
-def test_a_pipe_gets_each_row_in_one_line(monkeypatch):
+@pytest.mark.parametrize(("columns", "width"), [("80", 80), (None, 100)])
+def test_a_pipe_is_as_wide_as_columns_says_and_never_breaks_a_key(monkeypatch, columns, width):
     monkeypatch.setattr(Toy.model_fields["age_s"], "description", "word " * 60 + "last")
+    if columns is None:
+        monkeypatch.delenv("COLUMNS")
+    else:
+        monkeypatch.setenv("COLUMNS", columns)
     lines = run("config", "show", "calm").stdout.splitlines()
-    (row,) = [line for line in lines if "age_s" in line]
-    assert row.rstrip(" │").endswith("last")
     assert lines[0] == "calm (toy)"
+    assert max(map(len, lines)) == width
+    assert [line.split()[1] for line in lines if "_" in line] == ["age_s", "gyro_radps"]
+
+
+@pytest.mark.parametrize(("name", "width"), [("skies/urban", 80), ("studies/urban_drive", 100)])
+def test_keys_and_heads_stand_whole_in_eighty_characters_or_as_few_more_as_they_need(monkeypatch, name, width):
+    monkeypatch.setenv("COLUMNS", "80")
+    shown = run("config", "show", name).stdout
+    keys = {row["path"] for row in json.loads(run("config", "show", name, "--json").stdout)["values"]}
+    assert keys <= set(shown.split())
+    assert {len(line) for line in shown.splitlines()[1:]} == {width}  # nothing is cut off, the frame is whole
+    assert shown.rstrip().endswith("┘")
+
+
+@pytest.mark.parametrize(
+    ("name", "advice"),
+    [
+        ("LaneKeeping", "it is an environment, see 'lanebound envs LaneKeeping'"),
+        ("lanebound/Merge-v0", "it is an environment, see 'lanebound envs Merge'"),
+        ("urban", "did you mean 'skies/urban'?"),
+        ("zzz", "'lanebound config list' names all of them"),
+    ],
+)
+def test_unknown_presets_are_answered_with_where_to_look(name, advice):
+    assert run("config", "show", name).stderr == f"error: preset '{name}' is unknown: {advice}\n"
 
 
 def test_typer_complaints_of_older_versions_keep_their_own_words():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -74,6 +75,36 @@ def test_a_run_broken_off_and_gone_on_with_ends_as_an_unbroken_one(unbroken, tmp
     assert [o.lasting() for o in results.outcomes] == [o.lasting() for o in unbroken.outcomes]
     for ours, theirs in zip(results.outcomes, unbroken.outcomes, strict=True):
         assert results.rows(ours).equals(unbroken.rows(theirs))
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes as Linux shows them")
+@pytest.mark.parametrize("moment", ["at once", "first worker", "workers import"])
+def test_an_interrupt_of_all_processes_is_answered_in_one_line(tmp_path, moment):
+    suite, out = tmp_path / "suite.yaml", tmp_path / "out"
+    suite.write_text(yaml.safe_dump(SUITE), encoding="utf-8")
+    command = [sys.executable, "-c", "from lanebound.agents.cli import main; print('on', flush=True); main()"]
+    command += ["benchmark", str(suite), "--out", str(out), "--jobs", "2"]
+    begun = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True)
+    assert begun.stdout is not None
+    assert begun.stdout.readline() == "on\n"
+    if moment != "at once":
+        wait_until(lambda: any(b"spawn_main" in cmdline_of(pid) for pid in children_of(begun.pid)))
+    time.sleep({"at once": 0.8, "first worker": 0.05, "workers import": 1.0}[moment])
+    os.killpg(begun.pid, signal.SIGINT)
+    _, told = begun.communicate(timeout=30)
+    assert begun.returncode == 130, told
+    assert "Traceback" not in told
+    assert told.count("interrupted: ") == 1
+    last = told.strip().splitlines()[-1]
+    assert last.startswith("interrupted: ")
+    assert "kept" in last or "no episode was finished" in last
+
+
+def cmdline_of(pid: int) -> bytes:
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return b""
 
 
 def test_the_files_of_a_run(unbroken):

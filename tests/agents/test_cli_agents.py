@@ -1,0 +1,61 @@
+"""``lanebound agents``: every agent is described, and cannot be taken where its actions do not fit."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from lanebound.agents.cli import app
+from lanebound.agents.drivers import ABOUT, AGENTS, make_agent
+from lanebound.agents.episodes import open_env
+from lanebound.integrity.errors import InputError
+
+QUICK = """
+import sys
+from lanebound.agents.cli import app
+app(["agents"], standalone_mode=False)
+heavy = {"gymnasium", "highway_env", "numba", "numpy", "torch"} & set(sys.modules)
+assert not heavy, heavy
+"""
+
+
+def run(*arguments: str) -> Any:
+    return CliRunner().invoke(app, ["agents", *arguments])
+
+
+def test_every_agent_is_described():
+    assert list(ABOUT) == list(AGENTS)
+
+
+def test_as_table_and_as_json(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    table = run().stdout
+    assert all(name in table for name in AGENTS)
+    assert max(map(len, table.partition("└")[0].splitlines())) <= 80
+    rows = json.loads(run("--json").stdout)
+    assert [row["agent"] for row in rows] == list(AGENTS)
+    assert set(rows[0]) == {"agent", "does", "reads", "on_alert", "actions"}
+
+
+def test_listing_needs_none_of_the_heavy_imports():
+    done = subprocess.run([sys.executable, "-c", QUICK], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("name", ["Merge", "Racetrack", "LaneKeeping"])
+def test_refusals_name_exactly_those_that_can_drive(name):
+    env = open_env(name, {"observation": {"integrity": "oracle"}})
+    can, told = set(), set()
+    for agent in AGENTS:
+        try:
+            make_agent(agent, env)
+            can.add(agent)
+        except InputError as error:
+            told.add(str(error).partition("choose one of ")[2])
+    assert all(set(names.split(", ")) == can for names in told)
+    assert (name == "LaneKeeping") == (can == set(AGENTS))
