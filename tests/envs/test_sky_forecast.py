@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from highway_env.envs import IntersectionEnv
+from highway_env.envs import RoundaboutEnv
 from highway_env.road.road import RoadNetwork
 from numpy.typing import NDArray
 
@@ -19,7 +19,7 @@ HOURS = (0.0, 1.0, 2.0, 3.0)
 def network(world: str) -> RoadNetwork:
     if world == "straight":
         return RoadNetwork.straight_road_network(2, length=1200.0)
-    env = IntersectionEnv()
+    env = RoundaboutEnv()
     env.reset(seed=0)
     return env.road.network
 
@@ -37,7 +37,7 @@ def differences(street: Street) -> NDArray[np.int64]:
     return np.array(out)
 
 
-@pytest.mark.parametrize("world", ["straight", "intersection"])
+@pytest.mark.parametrize("world", ["straight", "roundabout"])
 @pytest.mark.parametrize("name", ["urban", "dense"])
 def test_predictions_are_off_as_much_as_published(world: str, name: str) -> None:
     """S2 section 5: two satellites on average, within five; over two layouts of each."""
@@ -56,11 +56,11 @@ def test_an_open_sky_is_predicted_as_it_is() -> None:
 def test_an_exact_map_predicts_what_is_in_sight() -> None:
     exact = {"height_sigma_m": 0.0, "position_sigma_m": 0.0, "trees": True}
     level = SkyLevel.named("dense").replace(map=exact)
-    assert not differences(build_street(network("intersection"), level, 0)).any()
+    assert not differences(build_street(network("roundabout"), level, 0)).any()
 
 
 def test_the_map_moves_nothing_that_is_received() -> None:
-    level, roads = SkyLevel.named("urban"), network("intersection")
+    level, roads = SkyLevel.named("urban"), network("roundabout")
     one, two = (build_street(roads, level.replace(map={"height_sigma_m": h}), 0, reuse=False) for h in (1.0, 3.0))
     np.testing.assert_array_equal(one.mask.path, two.mask.path)
     np.testing.assert_array_equal(one.mask.excess_m, two.mask.excess_m)
