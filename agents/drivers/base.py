@@ -42,6 +42,10 @@ class Reader:
     Parameters
     ----------
     config : of the observations
+
+    Attributes
+    ----------
+    previews_m : how far ahead the route is shown, nearest first
     """
 
     def __init__(self, config: ObservationConfig) -> None:
@@ -54,17 +58,13 @@ class Reader:
             group = slice(0, len(index)) if self._flat else slices[entry.group]
             newest = (config.history - 1) * (group.stop - group.start)
             self._place[entry.column] = newest + place - group.start
+        found = (PREVIEW.search(column) for column in self._entries)
+        self.previews_m: tuple[float, ...] = tuple(sorted(float(match[1]) for match in found if match))
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Every name, such as ``ego.speed``."""
         return tuple(self._entries)
-
-    @property
-    def previews_m(self) -> tuple[float, ...]:
-        """How far ahead the route is shown, nearest first."""
-        found = (PREVIEW.search(column) for column in self._entries)
-        return tuple(sorted(float(match[1]) for match in found if match))
 
     def require(self, columns: Iterable[str]) -> None:
         """Refuse an observation that does not show these.
