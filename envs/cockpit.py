@@ -91,6 +91,7 @@ class Cockpit:
         rng = around.streams.generators("start")[0]
         self._map_shift_m = config.map_sigma_m * rng.standard_normal(2) if around.navigator else np.zeros(2)
         self.believed = BelievedVehicle.of(ego, self._perceived_road())
+        self.believed.pursues = actuators is not None and actuators.steering_rate_radps is not None
         take_over(ego, self)
         self._motion = Motion.still(1, self.step_s)
         self.tracker = Tracker(config, self._map_shift_m, self._first_fix())

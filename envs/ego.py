@@ -17,6 +17,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
 from lanebound.envs.actuators import HOLD
+from lanebound.envs.pursuit import pursuit_rad
 from lanebound.envs.records import LaneIndex
 
 __all__ = ["BelievedVehicle", "BicycleEgo", "Cockpit", "DirectEgo", "MetaEgo", "take_over"]
@@ -43,9 +44,21 @@ ROUTE_M = 2.0  # half a lane of highway-env's: by so much a lane of the route ma
 
 
 class BelievedVehicle(MDPVehicle):  # type: ignore[misc]
-    """The car where its navigation says it is; never stepped, only placed."""
+    """The car where its navigation says it is; never stepped, only placed.
+
+    Attributes
+    ----------
+    pursues : whether it steers as wheels of a limited rate allow, not by highway-env's own law
+    """
 
     lane_index: LaneIndex
+    pursues: bool = False
+
+    def steering_control(self, target_lane_index: LaneIndex) -> float:
+        """Steering angle that leads to the middle of a lane."""
+        if self.pursues:
+            return pursuit_rad(self.road.network, target_lane_index, self.route, self)
+        return float(super().steering_control(target_lane_index))
 
     def on_state_update(self) -> None:
         """Find the lane: highway-env's nearest, but that of a planned route where others cross or part from it."""
