@@ -21,7 +21,7 @@ LISTING: tuple[dict[str, Any], ...] = (
     _line("CarFollowing-v0", "CarFollowingWorld", STEERED, cost_limit=15.0),
     _line("Highway-v0", "highway-v0", CHOSEN, "suburban"),
     _line("Merge-v0", "merge-v1", CHOSEN, "suburban", cost_limit=0.7),
-    _line("Roundabout-v0", "roundabout-v1", CHOSEN, cost_limit=6.0),
+    _line("Roundabout-v0", "roundabout-v1", CHOSEN, cost_limit=3.0),
     _line("Intersection-v0", "intersection-v2", CHOSEN, action_space="Discrete(3)", cost_limit=8.0),
     _line("Racetrack-v0", "racetrack-v1", STEERED, action_space="Box(-1.0, 1.0, (1,), float32)"),
     _line("UrbanCanyon-v0", "UrbanCanyonWorld", CHOSEN, cost_limit=40.0),
