@@ -253,8 +253,8 @@ class Roundabout(Preset):
     ## Costs
     The common ones. While an alert is on, 10 m/s are permitted.
     The limit of an episode, `cost_limit`, is 3: ignoring alerts costs 3.6 and a crash in 24 drives (2.1), stopping on
-    them 1.1 and one in 8 (6.2), and `integrity_aware` 1.4 (means of 24 training seeds). With perfect navigation `cost_lane` still comes to about 1.5: highway-env's own control
-    swings wide where the approach meets the circle.
+    them 1.1 and one in 8 (6.2), and `integrity_aware` 1.4 (means of 24 training seeds). With perfect navigation
+    `cost_lane` still comes to about 1.5: highway-env's own control swings wide where the approach meets the circle.
 
     ## Starting State
     On the southern approach, 2.5 m before it bends towards the circle, at 8 m/s; one vehicle on the eastern approach,
