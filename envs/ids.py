@@ -377,7 +377,7 @@ class UrbanCanyon(Preset):
 
     ## Action Space
     `Discrete(5)` at 2 Hz: 0 lane left, 1 idle, 2 lane right, 3 faster, 4 slower, through the speeds 0, 2.8, 5.6, 8.4,
-    11.2 and 14 m/s.
+    11.2 and 14 m/s. The wheels turn at a limited rate, and pursue the lane 6 m ahead or more.
 
     ## Observation Space
     The common one.
@@ -387,7 +387,8 @@ class UrbanCanyon(Preset):
 
     ## Costs
     The common ones. While an alert is on, 6.9 m/s are permitted: the speed 5.6 m/s, without changing lane.
-    The limit of an episode, `cost_limit`, is 40: stopping on alerts costs 3.5 (6 seeds), ignoring them 146 (12 seeds).
+    The limit of an episode, `cost_limit`, is 40: stopping on alerts costs 14, mostly by getting nowhere, ignoring them
+    190, and `integrity_aware` 71 (means of 10 training seeds).
 
     ## Starting State
     In the middle of either lane, anywhere on the loop, at 10 m/s or what the bends ahead allow; the others from 200 m
