@@ -22,7 +22,7 @@ from lanebound.integrity.config import describe
 
 __all__ = ["SUITES", "markdown"]
 
-SUITES = ("quick", "standard", "faults")
+SUITES = ("quick", "standard", "claim", "faults")
 
 HEAD = f"""# The benchmark
 
