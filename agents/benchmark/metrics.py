@@ -217,7 +217,7 @@ SOLVING = (
 )
 METRICS: tuple[Metric, ...] = (*SAFETY, *REWARD, *MOTION, *INTEGRITY, *SOLVING)
 MAIN = (
-    "success", "collision", "lane_departure", "return", "cost", "mean_speed", "gap", "availability", "hmi", "any_hmi",
+    "success", "collision", "lane_departure", "return", "cost", "mean_speed", "gap", "availability", "any_hmi",
 )  # fmt: skip
 """Keys of the metrics that a short table shows."""
 
