@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import platform
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
@@ -49,7 +49,9 @@ class Failures:
     count: int
 
 
-def write_report(results: Results, out: Path, clips: int = 3) -> Path:
+def write_report(
+    results: Results, out: Path, clips: int = 3, told: Callable[[int, int], None] = lambda done, of: None
+) -> Path:
     """Write the page ``report.html`` into the folder ``out``; returns its path.
 
     Parameters
@@ -57,6 +59,7 @@ def write_report(results: Results, out: Path, clips: int = 3) -> Path:
     results : of a suite, finished or not
     out : a folder, made if need be
     clips : how many of the worst episodes are driven again for a film, each at another place; 0 for none
+    told : called with how many clips are done, and of how many, before each and at the end
 
     Returns
     -------
@@ -65,11 +68,11 @@ def write_report(results: Results, out: Path, clips: int = 3) -> Path:
     out.mkdir(parents=True, exist_ok=True)
     path = out / NAME
     with replace_file(path) as draft:
-        draft.write_text(render(results, clips), encoding="utf-8")
+        draft.write_text(render(results, clips, told), encoding="utf-8")
     return path
 
 
-def render(results: Results, clips: int = 0) -> str:
+def render(results: Results, clips: int = 0, told: Callable[[int, int], None] = lambda done, of: None) -> str:
     """The page as text."""
     actors = actors_of(results.suite)
     places = _places(results)
@@ -88,7 +91,7 @@ def render(results: Results, clips: int = 0) -> str:
         episodes=len(results.outcomes),
         missing=len(results.missing),
         left_out=results.left_out,
-        clips=_clips(results, places, actors, clips),
+        clips=_clips(results, places, actors, clips, told),
         failures=_failures(results),
         failed_agents=len(results.failures),
         metrics=[head_of(metric) for metric in METRICS],
@@ -115,7 +118,13 @@ def _places(results: Results) -> dict[Place, list[Cell]]:
     return found
 
 
-def _clips(results: Results, places: Mapping[Place, Any], actors: Mapping[str, Actor], count: int) -> list[Clip]:
+def _clips(
+    results: Results,
+    places: Mapping[Place, Any],
+    actors: Mapping[str, Actor],
+    count: int,
+    told: Callable[[int, int], None],
+) -> list[Clip]:
     """Films of the worst episodes, the worst of all first, one at each place."""
     if count < 1 or results.folder is None:
         return []
@@ -123,7 +132,12 @@ def _clips(results: Results, places: Mapping[Place, Any], actors: Mapping[str, A
     for place in places:
         worst += worst_of((o for o in results.outcomes if o.task.place == place), actors, 1)
     chosen = sorted(worst, key=badness, reverse=True)[:count]
-    return [film_clip(results.folder, outcome) for outcome in chosen]
+    clips = []
+    for done, outcome in enumerate(chosen):
+        told(done, len(chosen))
+        clips.append(film_clip(results.folder, outcome))
+    told(len(chosen), len(chosen))
+    return clips
 
 
 def _failures(results: Results) -> list[Failures]:

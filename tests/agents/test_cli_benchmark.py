@@ -39,7 +39,7 @@ def driven(monkeypatch, results):
         return results
 
     monkeypatch.setattr(running, "run_plan", made_up)
-    monkeypatch.setattr(report, "write_report", lambda results, out: out / "report.html")
+    monkeypatch.setattr(report, "write_report", lambda results, out, told: out / "report.html")
     return plans
 
 
@@ -85,7 +85,7 @@ def test_an_overview_comes_first_and_is_short(driven, tmp_path):
 
 
 def test_tables_stand_there_before_the_page_is_written(driven, tmp_path, monkeypatch, capsys):
-    def broken(results, out):
+    def broken(results, out, told):
         raise InputError("no page")
 
     monkeypatch.setattr(report, "write_report", broken)
