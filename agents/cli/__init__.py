@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from lanebound.agents.cli import agents, bench, benchmark, config, drive, envs, play, replay, reproduce, tune
+from lanebound.agents.cli import agents, bench, benchmark, config, drive, envs, play, replay, reproduce, train, tune
 from lanebound.agents.cli.advice import AdvisingGroup
 
 __all__ = ["app", "main"]
@@ -30,6 +30,8 @@ EXAMPLES = """
 
   lanebound benchmark quick --out out/demo     compare agents, seed by seed
 
+  lanebound train lane_keeping_ppo --out out   a policy, learnt
+
   lanebound reproduce urban-drive --out out    S1's tables beside ours
 
   lanebound bench --json                       speed against the gates
@@ -51,6 +53,8 @@ app.add_typer(reproduce.app, name="reproduce")
 app.add_typer(tune.app, name="tune")
 app.command("bench")(bench.bench)
 app.command("benchmark")(benchmark.benchmark)
+app.command("train")(train.train)
+app.command("evaluate")(train.evaluate)
 app.command("replay-episode")(replay.replay_episode)
 app.command("envs")(envs.envs)
 app.command("agents")(agents.agents)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from lanebound.agents.benchmark.seeds import SPLITS
-from lanebound.agents.learning.experiment import ExperimentConfig, Shield
+from lanebound.agents.benchmark.suite import SuiteConfig, parse_agents
+from lanebound.agents.learning.experiment import FLAT, ExperimentConfig, Shield
 from lanebound.agents.learning.shield import Shielded
+from lanebound.integrity.errors import InputError
 
-__all__ = ["evaluate"]
+__all__ = ["evaluate", "evaluation_suite"]
 
 
 def evaluate(experiment: ExperimentConfig, model: BaseAlgorithm) -> dict[str, float]:
@@ -49,3 +53,33 @@ def _drive(env: Any, model: BaseAlgorithm, seed: int) -> dict[str, float]:
         "speed_mps": speed / steps,
         "length": float(steps),
     }
+
+
+def evaluation_suite(folder: Path, agents: str, seeds: int) -> SuiteConfig:
+    """The best checkpoint of a training beside other agents, on test seeds, where it was trained.
+
+    Raises
+    ------
+    InputError
+        ``folder`` is none of a training, or has no checkpoint yet; ConfigError for an agent that is unknown.
+    """
+    mark, best = folder / "experiment.json", folder / "best.zip"
+    if not (mark.is_file() and best.is_file()):
+        raise InputError(f"folder must be one of a training with best.zip, got {folder}: train first")
+    experiment = ExperimentConfig.load(json.loads(mark.read_text(encoding="utf-8")))
+    learnt: dict[str, Any] = {"agent": str(best), "config": FLAT}
+    if experiment.shield is Shield.CBF:
+        learnt |= {"agent": "cbf", "figures": {"over": str(best)}}
+    others = parse_agents(agents)
+    reference = next(iter(others), "learnt")
+    return SuiteConfig.load(
+        {
+            "title": f"{experiment.algorithm} in {experiment.env}",
+            "envs": [experiment.env],
+            "skies": [experiment.sky],
+            "agents": {"learnt": learnt, **others},
+            "reference": reference,
+            "seeds": {"split": "test", "count": seeds},
+            "overrides": dict(experiment.overrides),
+        }
+    )

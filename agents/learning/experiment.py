@@ -14,7 +14,7 @@ from lanebound.agents.named import load_named
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.config import Config, Field, deep_merge
 
-__all__ = ["Algorithm", "ExperimentConfig", "Shield", "load_experiment"]
+__all__ = ["FLAT", "Algorithm", "ExperimentConfig", "Shield", "load_experiment"]
 
 FOLDER = "experiments/"
 FLAT: dict[str, Any] = {"observation": {"form": "flat"}}
@@ -26,11 +26,12 @@ class Algorithm(StrEnum):
     PPO = "ppo"
     SAC = "sac"
     PPO_LAGRANGIAN = "ppo_lagrangian"
+    SAC_LAGRANGIAN = "sac_lagrangian"
 
     @property
     def constrained(self) -> bool:
         """Whether it heeds the limit of cost."""
-        return self is Algorithm.PPO_LAGRANGIAN
+        return self in (Algorithm.PPO_LAGRANGIAN, Algorithm.SAC_LAGRANGIAN)
 
 
 class Shield(StrEnum):

@@ -40,6 +40,7 @@ CLASSES = {
     Algorithm.PPO: "stable_baselines3:PPO",
     Algorithm.SAC: "stable_baselines3:SAC",
     Algorithm.PPO_LAGRANGIAN: "lanebound.agents.learning.ppo_lagrangian:PPOLagrangian",
+    Algorithm.SAC_LAGRANGIAN: "lanebound.agents.learning.sac_lagrangian:SACLagrangian",
 }
 REPLAY = "last-replay.pkl"
 

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lanebound.agents.benchmark import run
+from lanebound.agents.learning.evaluation import evaluation_suite
 from lanebound.agents.learning.experiment import ExperimentConfig, load_experiment
 from lanebound.agents.learning.shield import Shielded
 from lanebound.agents.learning.training import Checkpoint, _is_best, load_model, train
@@ -57,6 +59,17 @@ def test_a_stop_loses_no_checkpoint_and_the_same_call_goes_on(tmp_path: Path) ->
     assert [checkpoint.steps for checkpoint in told] == [128]
     assert train(experiment(), tmp_path) == rows
     assert [row["steps"] for row in train(experiment(steps=192), tmp_path)] == [64, 128, 192]
+
+
+def test_the_best_is_measured_on_test_seeds_beside_others(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"with best\.zip, got .*: train first"):
+        evaluation_suite(tmp_path, "nominal", 1)
+    train(experiment(steps=64, algorithm="ppo_lagrangian"), tmp_path / "learnt")
+    suite = evaluation_suite(tmp_path / "learnt", "nominal", 2)
+    results = run(suite, tmp_path / "out", jobs=1)
+    assert [(o.agent, o.seed, o.failed) for o in results.outcomes] == [
+        (agent, seed, False) for seed in (10000, 10001) for agent in ("learnt", "nominal")
+    ]
 
 
 def test_another_experiment_is_refused_with_what_differs(tmp_path: Path) -> None:
