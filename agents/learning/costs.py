@@ -63,7 +63,8 @@ class CostCritic(nn.Module):
 
     def forward(self, given: torch.Tensor) -> torch.Tensor:
         """(..., size) to (...)."""
-        return self.net(given)[..., 0]
+        found: torch.Tensor = self.net(given)
+        return found[..., 0]
 
     def of(self, given: Array) -> Array:
         """The same on arrays, without gradients."""

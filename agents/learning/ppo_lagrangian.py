@@ -108,7 +108,9 @@ class PPOLagrangian(PPO):
         goal = torch.as_tensor(returns, dtype=torch.float32, device=self.device)
         losses = []
         for _ in range(self.n_epochs):
-            for batch in torch.randperm(len(given), device=self.device).split(self.batch_size):
+            order = torch.randperm(len(given), device=self.device)
+            for start in range(0, len(given), self.batch_size):
+                batch = order[start : start + self.batch_size]
                 loss = functional.smooth_l1_loss(self.cost_critic(given[batch]), goal[batch])
                 self.cost_optimizer.zero_grad()
                 loss.backward()  # type: ignore[no-untyped-call]
