@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 
 from lanebound.agents.drivers.base import Driver, Observation, Reader
 from lanebound.agents.drivers.lateral import errors
-from lanebound.agents.drivers.nominal import make_nominal
+from lanebound.agents.drivers.leaders import counted, expected_m, in_way
 from lanebound.agents.drivers.plans import EGO_LENGTH_M
 from lanebound.agents.drivers.shares import share_of, value_of
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.config import Config, Field
 from lanebound.integrity.errors import InputError
 
-__all__ = ["BarrierConfig", "BarrierFilter", "make_cbf"]
+__all__ = ["BarrierConfig", "BarrierFilter", "CbfConfig", "make_cbf"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -65,6 +65,12 @@ class BarrierConfig(Config):
     speed_mps: float = Field(14.0, gt=0, description="taken for the limit where the map gives none; 50 km/h")
 
 
+class CbfConfig(BarrierConfig):
+    """The filter, and whom it filters."""
+
+    over: str = Field("nominal", min_length=1, description="agent whose commands are filtered, any but cbf itself")
+
+
 class BarrierFilter:
     """Passes on what a driver commands, or the nearest command that is safe.
 
@@ -83,8 +89,9 @@ class BarrierFilter:
     ----------
     speed_share : bound of the error of the odometers' scale [-], as configured or as the navigation declares it
     commanded_mps2 : acceleration of the last decision, by which the speed has changed since the odometer's epoch
-    counts : decisions, in how many ``following`` and ``lane`` changed the command or had none that is safe, and in how
-        many the lane was kept with slack
+    followed : whether any vehicle counted as one to stop behind in the last decision
+    counts : ``decisions``; in how many ``following`` and ``lane`` changed the command or had none that is safe, and in
+        how many the lane was kept with slack; ``infeasible`` and ``relaxed``, decisions with any of either
 
     Raises
     ------
@@ -105,6 +112,8 @@ class BarrierFilter:
         self._inner, self._limits = env.world.action_type, env.config.actuators
         self._tick_s = 1.0 / env.config.simulation_hz
         self.commanded_mps2: Array | float = 0.0
+        self.followed: Bools = np.zeros((), dtype=np.bool_)
+        self._expected_m: Array | float = np.nan
         self.counts: Counter[str] = Counter()
 
     def predict(
@@ -117,19 +126,48 @@ class BarrierFilter:
         """The filtered action, and the driver's own state."""
         action, after = self.driver.predict(observation, state, episode_start, deterministic)
         if episode_start is not None:
-            self.commanded_mps2 = np.where(episode_start.reshape(np.shape(action)[:-1]), 0.0, self.commanded_mps2)
+            self.begin(episode_start.reshape(np.shape(action)[:-1]))
         shares = np.array(action, dtype=np.float64)
         bounds = self._inner.acceleration_range
         wanted = value_of(shares[..., 0], bounds)
         top, stuck = self.acceleration_bound(observation)
+        self.remember(observation)
         lane_top = self._slowing(observation) if self._inner.lateral else np.inf
         self.counts["decisions"] += wanted.size
         self._count("following", top < wanted - EPS, stuck)
         commanded = np.clip(np.minimum(np.minimum(wanted, top), lane_top), *bounds)
         shares[..., 0], self.commanded_mps2 = share_of(commanded, bounds), commanded
+        none, slack = stuck, np.zeros_like(stuck)
         if self._inner.lateral:
-            shares[..., 1] = self._steered(observation, shares[..., 1])
+            shares[..., 1], slack, lost = self._steered(observation, shares[..., 1])
+            none = stuck | lost
+        self.counts.update({"infeasible": int(np.sum(none)), "relaxed": int(np.sum(slack))})
         return shares.astype(np.float32), after
+
+    def begin(self, starts: Bools) -> None:
+        """Forget what was, where an episode starts.  (...)."""
+        if np.all(starts):  # there may be another number of them
+            self.commanded_mps2, self._expected_m = 0.0, np.nan
+            return
+        self.commanded_mps2 = np.where(starts, 0.0, self.commanded_mps2)
+        self._expected_m = np.where(starts, np.nan, self._expected_m)
+
+    def reseed(self, seed: int) -> None:
+        """Hand an episode's seed to a driver that draws."""
+        if hasattr(self.driver, "reseed"):
+            self.driver.reseed(seed)
+
+    def remember(self, observation: Observation) -> None:
+        """Keep where the leader of this decision will be at the next, by which one is known that is believed behind."""
+        if self.reader.config.vehicles:
+            ahead = self.ahead(observation)
+            self.followed = ahead.any(axis=-1)
+            self._expected_m = expected_m(self.reader, observation, ahead, self._dt_s)
+
+    def ahead(self, observation: Observation) -> Bools:
+        """Which vehicles count as ones to stop behind, (..., K)."""
+        way = in_way(self.reader, observation, self.config.lane_extra_m)
+        return counted(self.reader, observation, way, self._expected_m)
 
     def fastest(self, speed_mps: Any, acceleration_mps2: Any) -> Any:
         """The ego's speed at most, by what its odometer shows: the mean of the last epoch [m/s]."""
@@ -145,6 +183,10 @@ class BarrierFilter:
         """A leader's speed at least, having braked as hard as it can since it said so [m/s]."""
         c = self.config
         return np.maximum(speed_mps - self._speed_bound(speed_mps) - c.lead_brake_mps2 * age_s, 0.0)
+
+    def least_mps(self, speed_mps: Any) -> Any:
+        """A leader's speed at least by what it tells, when it said so [m/s]."""
+        return np.maximum(speed_mps - self._speed_bound(speed_mps), 0.0)
 
     def strayed(self, speed_mps: Any, age_s: Any) -> Any:
         """How far a leader may be from where the speed that it told of puts it, beyond its level [m]."""
@@ -169,7 +211,7 @@ class BarrierFilter:
         if not reader.config.vehicles:
             return np.full(v.shape[:-1], np.inf), np.zeros(v.shape[:-1], dtype=np.bool_)
         gap, age = reader.rows(observation, "lane_gap"), reader.rows(observation, "age")
-        there = (reader.rows(observation, "present") > 0.5) & self._in_way(observation) & (gap > 0.0)
+        there = self.ahead(observation)
         told = shown + reader.rows(observation, "velocity_ahead")
         lead = self.slowest(told, age)
         s = gap - 0.5 * (reader.rows(observation, "length") + EGO_LENGTH_M) - reader.rows(observation, "pl_at")
@@ -183,14 +225,6 @@ class BarrierFilter:
         hardest = np.maximum(least, -c.brake_mps2)
         stuck = (bound < hardest - EPS) & (shown[..., 0] > c.creep_mps)
         return np.maximum(bound, hardest), stuck
-
-    def _in_way(self, observation: Observation) -> Bools:
-        """Which vehicles may be in the ego's lane, by their levels across the track, (..., K)."""
-        reader, c = self.reader, self.config
-        half = 0.5 * reader.value(observation, "ego.lane_width")[..., None]
-        extra = np.minimum(reader.rows(observation, "pl_ct"), c.lane_extra_m)
-        near = np.abs(reader.rows(observation, "lane_offset")) <= half + extra
-        return near | (reader.rows(observation, "own_lane") > 0.5)
 
     def angle_bounds(self, observation: Observation) -> tuple[Array, Array, Bools]:
         """Bounds of the steering angle [rad] that keep the car in its lane, and where they rest on slack.
@@ -241,14 +275,15 @@ class BarrierFilter:
         none = rolls & ((low > most) | (high < least))
         return np.where(rolls, low, -np.pi), np.where(rolls, high, np.pi), slack, none
 
-    def _steered(self, observation: Observation, share: Array) -> Array:
+    def _steered(self, observation: Observation, share: Array) -> tuple[Array, Bools, Bools]:
+        """The share of steering, where the lane is kept with slack, and where no angle is safe."""
         bounds = self._inner.steering_range
         wanted = value_of(share, bounds)
         low, high, slack, none = self._lane(observation)
         safe = np.clip(wanted, low, high)
         self._count("lane", np.abs(safe - wanted) > EPS, none)
         self.counts["lane slack"] += int(np.sum(slack))
-        return np.where(safe == wanted, share, share_of(safe, bounds))
+        return np.where(safe == wanted, share, share_of(safe, bounds)), slack, none
 
     def _slowing(self, observation: Observation) -> Array:
         """Acceleration at most where the lane is kept by slack, or not at all."""
@@ -269,6 +304,17 @@ def _declared_scale(env: DrivingEnv) -> float:
     return float(navigator.positioning.dead_reckoning.odometer_scale)
 
 
-def make_cbf(env: DrivingEnv, driver: Driver | None = None, config: BarrierConfig | None = None) -> BarrierFilter:
-    """The filter over a driver, the nominal one when none is given."""
-    return BarrierFilter(env, make_nominal(env) if driver is None else driver, config)
+def make_cbf(env: DrivingEnv, config: CbfConfig | None = None) -> BarrierFilter:
+    """The filter over the driver that its figures name, the nominal one by default.
+
+    Raises
+    ------
+    InputError
+        It is to filter itself, or one of the two cannot drive this environment.
+    """
+    from lanebound.agents.drivers import make_agent  # which makes this one
+
+    chosen = config or CbfConfig()
+    if chosen.over == "cbf":
+        raise InputError("over must be another agent than cbf, got cbf: choose nominal or integrity_aware, say")
+    return BarrierFilter(env, make_agent(chosen.over, env), chosen)

@@ -12,7 +12,8 @@ from scipy.linalg import solve_discrete_are
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.base import Reader
 from lanebound.agents.drivers.horizon import condense
-from lanebound.agents.drivers.mpc import MpcConfig, TubeMpc, make_mpc, solve
+from lanebound.agents.drivers.mpc import LevelMpc, make_mpc
+from lanebound.agents.drivers.programmes import MpcConfig, solve
 from lanebound.agents.episodes import EpisodeLog, drive, open_env
 from lanebound.integrity.errors import InputError
 
@@ -26,9 +27,9 @@ def env() -> Any:
 
 
 @pytest.fixture
-def plan(env) -> TubeMpc:
+def plan(env) -> LevelMpc:
     found = make_mpc(env).plan
-    assert isinstance(found, TubeMpc)
+    assert isinstance(found, LevelMpc)
     return found
 
 
@@ -98,7 +99,7 @@ def test_larger_levels_leave_less_of_the_lane(plan):
 def test_larger_levels_leave_less_of_the_gap(plan):
     def commanded(pl: float) -> float:
         values = {"traffic__v0_pl_at": pl, "traffic__v0_pl_ct": 0.3}
-        plan.barrier.commanded_mps2 = 0.0
+        plan.barrier.begin(np.array(True))
         return float(plan.acceleration(seen(plan.reader, 16.0, 10.0, 10.0, **values)))
 
     found = [commanded(pl) for pl in (0.0, 1.0, 2.0, 4.0)]
@@ -133,7 +134,7 @@ def test_a_batch_is_as_one_after_the_other(plan):
     rows = [seen(plan.reader, s, 8.0, 10.0, traffic__v0_pl_at=1.0) for s in (12.0, 20.0, 60.0)]
     together, alone = plan.acceleration(np.stack(rows)), []
     for row in rows:
-        plan.barrier.commanded_mps2 = 0.0
+        plan.barrier.begin(np.array(True))
         alone.append(float(plan.acceleration(row)))
     assert together == pytest.approx(alone)
 
