@@ -116,6 +116,61 @@ def test_what_cannot_be_kept_is_full_braking_and_counted(plan):
     assert plan.solve_s[0] > 0.0
 
 
+def test_full_braking_that_does_not_keep_the_barrier_is_counted(plan):
+    """A gap of 18 m at 12 m/s behind 10 m/s: the programme has a solution, the barrier has none."""
+    shown = seen(plan.reader, 18.0, 10.0, 12.0, traffic__v0_pl_at=6.0)
+    bound, stuck = plan.barrier.acceleration_bound(shown)
+    assert stuck
+    assert float(plan.acceleration(shown)) == pytest.approx(float(bound)) == -plan.config.barrier.brake_mps2
+    assert plan.counts["following infeasible"] == plan.counts["infeasible"] == 1
+
+
+@pytest.mark.parametrize("gap_m", [1.0, 3.0, 20.0])
+def test_standing_where_levels_fill_the_gap_is_no_failure(plan, gap_m):
+    a = float(plan.acceleration(seen(plan.reader, gap_m, 0.0, 0.0, traffic__v0_pl_at=15.0)))
+    assert -5.0 * plan.config.barrier.creep_mps - 1e-6 <= a <= 1e-9
+    assert plan.counts["decisions"] == 1
+    assert plan.counts["infeasible"] == 0
+
+
+def test_a_decision_counts_once_however_much_of_it_fails(plan):
+    shown = seen(plan.reader, 3.0, 0.0, 14.0, ego__steering=0.5, integrity__pl_ct=2.0)
+    plan.acceleration(shown)
+    plan.steering(shown)
+    assert plan.counts["following infeasible"] == plan.counts["lane infeasible"] == 1
+    assert plan.counts["infeasible"] == plan.counts["relaxed"] == 1
+    plan.steering(seen(plan.reader, v=5.0, integrity__pl_ct=2.0))
+    assert plan.counts["relaxed"] == plan.counts["lane slack"] == 2
+
+
+def test_the_leaders_level_and_speed_error_grow_too(plan):
+    """The same sum of levels now; a leader without RTK leaves less room ahead, and the more the further ahead."""
+    ahead = np.array([True, *[False] * (plan.reader.config.vehicles - 1)])
+
+    def road(own: float, told: float) -> Any:
+        shown = seen(plan.reader, 60.0, integrity__pl_at=own, traffic__v0_pl_at=own + told)
+        return plan._road(shown, 10.0, ahead)
+
+    sure, unsure = road(2.0, 0.2), road(0.2, 2.0)
+    lost = sure.free_m - unsure.free_m
+    assert lost[-1] > 1.0
+    assert np.all(np.diff(lost) > 0.0)
+    assert unsure.stop_m - unsure.free_m[-1] == pytest.approx(sure.stop_m - sure.free_m[-1])
+    slow = np.diff(sure.free_m) / plan.dt_s
+    assert np.all(slow < 10.0 - plan.barrier.speed_share * 10.0)
+
+
+def test_an_episode_begins_without_a_memory(env):
+    agent = make_agent("mpc", env)
+    reader = agent.plan.reader
+    agent.predict(seen(reader, 5.0, 5.0, 5.0, traffic__v0_pl_at=15.0))
+    hidden = seen(reader, -5.5, 5.0, 5.0, traffic__v0_pl_at=15.0)
+    assert agent.plan.barrier.ahead(hidden).any()
+    agent.predict(hidden, episode_start=np.ones(1, dtype=np.bool_))
+    assert not agent.plan.barrier.ahead(hidden).any()
+    assert agent.counts["decisions"] == 2
+
+
 def test_a_wheel_that_cannot_turn_back_within_the_grip_is_left_to_the_regulator(plan):
     shown = seen(plan.reader, v=14.0, ego__steering=0.5)
     assert float(plan.steering(shown)) == pytest.approx(float(plan.lqr(shown)))
