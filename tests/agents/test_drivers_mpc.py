@@ -117,15 +117,15 @@ def test_what_cannot_be_kept_is_full_braking_and_counted(plan):
 
 
 def test_full_braking_that_does_not_keep_the_barrier_is_counted(plan):
-    """A gap of 18 m at 12 m/s behind 10 m/s: the programme has a solution, the barrier has none."""
-    shown = seen(plan.reader, 18.0, 10.0, 12.0, traffic__v0_pl_at=6.0)
+    """A gap of 12 m at 12 m/s behind 10 m/s: the programme has a solution, the barrier has none."""
+    shown = seen(plan.reader, 12.0, 10.0, 12.0, traffic__v0_pl_at=2.0)
     bound, stuck = plan.barrier.acceleration_bound(shown)
     assert stuck
     assert float(plan.acceleration(shown)) == pytest.approx(float(bound)) == -plan.config.barrier.brake_mps2
     assert plan.counts["following infeasible"] == plan.counts["infeasible"] == 1
 
 
-@pytest.mark.parametrize("gap_m", [1.0, 3.0, 20.0])
+@pytest.mark.parametrize("gap_m", [1.0, 3.0, 10.0])
 def test_standing_where_levels_fill_the_gap_is_no_failure(plan, gap_m):
     a = float(plan.acceleration(seen(plan.reader, gap_m, 0.0, 0.0, traffic__v0_pl_at=15.0)))
     assert -5.0 * plan.config.barrier.creep_mps - 1e-6 <= a <= 1e-9
