@@ -86,6 +86,11 @@ def _share_of_steps(name: str) -> Take:
     return lambda o: getattr(o, name) / o.steps if o.steps else None
 
 
+def _share_of_decisions(name: str) -> Take:
+    """Of what an agent counts of its decisions, one for each step; none where it counts nothing."""
+    return lambda o: None if getattr(o, name) is None or not o.steps else getattr(o, name) / o.steps
+
+
 def _any(key: str, title: str, meaning: str, name: str) -> Metric:
     """Whether an episode has any of what an attribute counts."""
     return _rate(key, title, "lower", meaning, _driven(lambda o: float(getattr(o, name) > 0) if o.steps else None))
@@ -213,7 +218,20 @@ SOLVING = (
         _driven(attrgetter("solve_ms_p99")),
         wall_clock=True,
     ),
-    _plain("infeasible", "infeasible", "", "lower", "problems without a solution, as the agent counts them"),
+    _share(
+        "infeasible",
+        "infeasible",
+        "lower",
+        "share of decisions for which no command met the agent's constraints, as it counts them",
+        _share_of_decisions("infeasible"),
+    ),
+    _share(
+        "relaxed",
+        "relaxed",
+        "lower",
+        "share of decisions for which the agent weakened a constraint, as it counts them",
+        _share_of_decisions("relaxed"),
+    ),
 )
 METRICS: tuple[Metric, ...] = (*SAFETY, *REWARD, *MOTION, *INTEGRITY, *SOLVING)
 MAIN = (

@@ -25,5 +25,6 @@ def agents(
     rows = ((name, *about) for name, about in ABOUT.items())
     print_table("Agents", ("agent", "does", "reads", "on an alert", "actions"), rows)
     typer.echo("Levels: protection levels. Actions: spaces that it can command, see 'lanebound envs'.")
+    typer.echo("Figures: in a suite, such as 'careful: {agent: cbf, figures: {over: integrity_aware}}'.")
     typer.echo("Your own: model.zip (Stable-Baselines3), model.onnx, or package.module:callable; they may be given")
     typer.echo("wherever a name may: 'lanebound drive ID --agent NAME', 'lanebound benchmark SUITE --agents A,B'.")
