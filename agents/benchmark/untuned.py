@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import TYPE_CHECKING
 
-from lanebound.agents.benchmark.outcome import Place
-from lanebound.agents.benchmark.suite import AgentConfig
 from lanebound.integrity.presets import load_preset
+
+if TYPE_CHECKING:
+    from lanebound.agents.benchmark.outcome import Place
+    from lanebound.agents.benchmark.suite import AgentConfig
 
 __all__ = ["is_untuned", "tuned_places"]
 

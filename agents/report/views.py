@@ -101,7 +101,9 @@ def view_of(results: Results, place: Place, cells: Sequence[Cell], actors: Mappi
         env=place.env,
         main=main_table(cells, actors),
         full=all_metrics(cells, actors),
-        forests=[found for against in results.suite.references if (found := _forests(results, cells, against)).pictures],
+        forests=[
+            found for against in results.suite.references if (found := _forests(results, cells, against)).pictures
+        ],
         fronts=_fronts(cells, actors),
         costs=_costs(results, place, here, [cell.agent for cell in cells]),
         diagrams=_diagrams(results, here, [actors[cell.agent] for cell in cells]),

@@ -169,7 +169,7 @@ def _versions(folder: Path | None) -> list[tuple[str, str]]:
     found += recorded.items()
     found += [] if "Python" in recorded else [("Python", platform.python_version())]
     for name in PACKAGES:
-        if name in recorded or found and name == "lanebound":
+        if name in recorded:
             continue
         try:
             found.append((name, version(name)))
