@@ -112,7 +112,7 @@ class SuiteConfig(Config):
     @field_validator("reference")
     @classmethod
     def _references_differ(cls, given: str | tuple[str, ...]) -> str | tuple[str, ...]:
-        if not given or len(set(given)) < len(given) and not isinstance(given, str):
+        if not given or (len(set(given)) < len(given) and not isinstance(given, str)):
             raise ConfigError(f"reference must name an agent, or several once each, got {given!r}: write [nominal]")
         return given
 

@@ -22,8 +22,8 @@ MARGIN = 0.05
 LEVEL = 0.05  # of the family of all comparisons, by Holm's method
 RULE = (
     f"Safer: clearly fewer crashes, ends off the road or departures, or less harm ({HARM_OF_AN_END:g} for such an end, "
-    f"and m2 beyond the lane), by Holm's method over all comparisons; none of these clearly worse, and crashes and ends "
-    f"off the road up by no more than {100.0 * MARGIN:g} points (95 % intervals)."
+    f"and m2 beyond the lane), by Holm's method over all comparisons; none of these clearly worse, and crashes and "
+    f"ends off the road up by no more than {100.0 * MARGIN:g} points (95 % intervals)."
 )
 
 Key = tuple[Place, str, str]

@@ -81,6 +81,6 @@ def _failing(results: Results) -> list[str]:
     driven = Counter(outcome.agent for outcome in results.outcomes)
     failed = Counter(outcome.agent for outcome in results.failures)
     return [
-        f"{agent} failed in {count} of {counted(driven[agent], 'episode')}: its figures, success apart, leave these out."
+        f"{agent} failed in {count} of {counted(driven[agent], 'episode')}: its figures but success leave these out."
         for agent, count in failed.items()
     ]

@@ -54,7 +54,7 @@ def test_failures_are_told_beside_the_figures_that_leave_them_out(capsys):
     failing = [replace(o, status="raised") if o.agent == "nominal" and o.seed < 10_003 else o for o in made.outcomes]
     print_overview(Results.of(made.suite, failing))
     told = capsys.readouterr().out
-    assert "nominal failed in 12 of 48 episodes: its figures, success apart, leave these out." in told
+    assert "nominal failed in 12 of 48 episodes: its figures but success leave these out." in told
     assert "No verdict on integrity_aware against nominal in 4 cells: an agent failed there." in told
 
 

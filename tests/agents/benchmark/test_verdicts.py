@@ -160,7 +160,7 @@ def test_harm_in_another_cell_is_told_with_the_praise():
 
 
 def test_chance_is_not_taken_for_safety_over_many_comparisons():
-    """8 families of 24 comparisons of equals: by their own intervals some are clear, by Holm's method none; P(any) < 0.3."""
+    """8 families of 24 comparisons of equals: some intervals are clear, by Holm's method no figure is; P(any) < 0.3."""
     clear, wrong = 0, 0
     for family in range(8):
         rng = np.random.default_rng(family)
