@@ -43,7 +43,7 @@ reset with the seed."""
 
 
 def _tuned() -> str:
-    return ", ".join(f"`{base}` under {sky} skies" for base, sky in tuned_places()) or "no place"
+    return "\n".join(f"- `{base}`, {sky} sky" for base, sky in tuned_places())
 
 
 KINDS = (
@@ -77,8 +77,8 @@ KEPT = (
         "results.csv",
         "a row for each cell and metric: "
         + ", ".join(f"`{c}`" for c in (*CSV_COLUMNS, *ESTIMATE_COLUMNS, *PAIRED_COLUMNS))
-        + "; behind these a row for each paired difference, with the agent that it is `against`, the difference as `mean`, "
-        "its interval, the number of pairs as `n` and the episodes in which either agent failed as `failed`",
+        + "; then one for each paired difference: the agent that it is `against`, the difference as `mean`, "
+        "its interval, the pairs as `n`, the episodes in which either failed as `failed`",
     ),
     ("episodes.parquet", "a row for each episode: its outcome, costs and shares in columns of their own"),
     ("report.html", "all of it in one page"),
@@ -98,9 +98,12 @@ its configuration. Checkpoints and modules run code: open only those that you tr
 none, for it includes terms that judge its navigator's belief: `cost_lane_integrity`, and the protection level in
 `cost_headway`.
 
-`cautious` keeps constant margins. They were tuned for {_tuned()}, without faults; everywhere else it drives with
-defaults that nobody fitted to the place, and tables call it untuned there: no fair opponent. Tuning takes the least of
-nine rungs of caution, on one line of margins, that does no more harm than `integrity_aware`, or else the caution of the
+`cautious` keeps constant margins, tuned without faults for:
+
+{_tuned()}
+
+Everywhere else they are not fitted to the place, and tables call it untuned: no fair opponent. Tuning takes the least
+of nine rungs of caution, on one line of margins, that does no more harm than `integrity_aware`, or else the caution of the
 same throughput, by means over training seeds; other constant margins may do better.
 
 An agent that fails is reported with its seed, and the rest of the run is kept. Its episodes count in `failed`
@@ -138,14 +141,19 @@ another where the interval of their difference leaves 0 out, and never with fewe
 few do not show how figures are spread. Among many comparisons some intervals leave 0 out by chance; colours and stars
 are of each figure by itself.
 
-The lines that call an agent safer take more. One of `collision`, `off_road`, `lane_departure` and `harm` must be clearly
-lower, also by its p-value adjusted by Holm's method over all agents, references, cells and these four (Student's t,
-never less than the signs of the differences can give, `2^(1 - k)` with k seeds that differ; of rates McNemar's exact
-test); none of the four may be clearly higher; and the upper ends of the intervals of the differences in `collision` and
-`off_road` must not exceed {100.0 * MARGIN:g} percentage points, which takes {seeds_to_exclude(MARGIN)} seeds even where nothing happens to
-either. `cost` is no part of it: some of its causes judge protection levels and alerts, which some agents obey. `harm` is
-{HARM_OF_AN_END:g} for an episode that ends in a crash or off the road, and the `cost_lane` (m2 of the true body beyond the lane).
-Differences in throughput are told over all cells where neither agent failed, not over those of the praise.
+The lines that call an agent safer in a cell take more:
+
+- one of `collision`, `off_road`, `lane_departure` and `harm` is clearly lower, also by its p-value adjusted by Holm's
+  method over all agents, references, cells and these four. P-values are of Student's t, never less than the signs of
+  the differences can give (`2^(1 - k)` with k seeds that differ), and of rates those of McNemar's exact test;
+- none of the four is clearly higher;
+- the upper ends of the intervals of the differences in `collision` and `off_road` are at most
+  {100.0 * MARGIN:g} percentage points, which takes {seeds_to_exclude(MARGIN)} seeds even where nothing happens to either;
+- the agent ended an episode well, and neither of the two failed.
+
+`cost` is no part of it: some of its causes judge protection levels and alerts, which some agents obey. `harm` is
+{HARM_OF_AN_END:g} for an episode that ends in a crash or off the road, and the sum of `cost_lane`. Differences in
+throughput are told over all cells where neither agent failed, not over those of the praise.
 
 How often intervals leave out the truth, nominally 5 %
 (2,000 trials; "zeros" is 0 in four of five seeds, exponential in the others):

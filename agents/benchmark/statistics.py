@@ -147,7 +147,7 @@ def seeds_to_exclude(rise: float) -> int:
 
 
 def _p_value(gap: Array, rate: bool) -> float:
-    """Of no difference.  With k differing seeds, turning their signs gives no less than ``2^(1 - k)``: nor does this."""
+    """Of no difference.  With k differing seeds, turning signs gives no less than ``2^(1 - k)``: nor does this."""
     differing = int(np.count_nonzero(gap))
     if rate:
         fewer = int(min((gap > 0.0).sum(), (gap < 0.0).sum()))
