@@ -103,8 +103,8 @@ none, for it includes terms that judge its navigator's belief: `cost_lane_integr
 {_tuned()}
 
 Everywhere else they are not fitted to the place, and tables call it untuned: no fair opponent. Tuning takes the least
-of nine rungs of caution, on one line of margins, that does no more harm than `integrity_aware`, or else the caution of the
-same throughput, by means over training seeds; other constant margins may do better.
+of nine rungs of caution, on one line of margins, that does no more harm than `integrity_aware`, or else the caution of
+the same throughput, by means over training seeds; other constant margins may do better.
 
 An agent that fails is reported with its seed, and the rest of the run is kept. Its episodes count in `failed`
 and `success`, and in nothing else; so its other figures leave out what may be the hard seeds. Where an agent failed in
@@ -148,7 +148,7 @@ The lines that call an agent safer in a cell take more:
   the differences can give (`2^(1 - k)` with k seeds that differ), and of rates those of McNemar's exact test;
 - none of the four is clearly higher;
 - the upper ends of the intervals of the differences in `collision` and `off_road` are at most
-  {100.0 * MARGIN:g} percentage points, which takes {seeds_to_exclude(MARGIN)} seeds even where nothing happens to either;
+  {100.0 * MARGIN:g} percentage points, which takes {seeds_to_exclude(MARGIN)} seeds even where nothing happens;
 - the agent ended an episode well, and neither of the two failed.
 
 `cost` is no part of it: some of its causes judge protection levels and alerts, which some agents obey. `harm` is

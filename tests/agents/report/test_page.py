@@ -134,7 +134,8 @@ def test_who_failed_is_never_the_best_and_figures_of_fewer_seeds_say_so():
     assert "v-better" not in render(Results.of(suite, failing)).split("<main")[1].replace('key v-better"', "")
 
 
-def test_each_reference_has_its_pictures_and_untuned_caution_is_named():
+def test_each_reference_has_its_pictures_and_untuned_caution_is_named(monkeypatch):
+    monkeypatch.setattr("lanebound.agents.benchmark.untuned.tuned_places", lambda: (("CarFollowingWorld", "dense"),))
     agents = ["nominal", "cautious", "integrity_aware"]
     html = render(made_up_results(agents=agents, reference=["nominal", "cautious"], envs=["CarFollowing"]))
     headings = re.findall(r"<h3>Differences against ([^<]*)</h3>", html)
