@@ -1,11 +1,13 @@
-"""Where the margins of ``cautious`` were tuned, and where it drives with defaults that nobody fitted to the place."""
+"""Where the margins of ``cautious`` were tuned, and where it drives with some that nobody fitted to the place.
+
+The preset is read as it stands: to list the agents must not take what validates it.
+"""
 
 from __future__ import annotations
 
 from functools import cache
+from importlib.resources import files
 from typing import TYPE_CHECKING
-
-from lanebound.integrity.presets import load_preset
 
 if TYPE_CHECKING:
     from lanebound.agents.benchmark.outcome import Place
@@ -13,14 +15,17 @@ if TYPE_CHECKING:
 
 __all__ = ["is_untuned", "tuned_places"]
 
-TUNED_AGENT, PRESET = "cautious", "drivers/cautious"
+TUNED_AGENT, PRESET = "cautious", "drivers/cautious.yaml"
 NO_FAULTS = "none"
 
 
 @cache
 def tuned_places() -> tuple[tuple[str, str], ...]:
     """Base of the world and sky of all places that margins were found for; faults were none there."""
-    return tuple((base, sky) for base, skies in load_preset(PRESET).get("at", {}).items() for sky in skies)
+    import yaml
+
+    found = yaml.safe_load(files("lanebound.configs").joinpath(PRESET).read_text(encoding="utf-8"))
+    return tuple((base, sky) for base, skies in found["at"].items() for sky in skies)
 
 
 def is_untuned(chosen: AgentConfig, place: Place) -> bool:

@@ -37,4 +37,4 @@ def _tuned() -> str:
 
     names = {line["base"]: line["id"].removeprefix("lanebound/").removesuffix("-v0") for line in LISTING}
     fitted = ", ".join(f"{names.get(base, base)} under {sky} skies" for base, sky in tuned_places())
-    return f"The margins of cautious were tuned for {fitted or 'no place'}; elsewhere it drives with defaults, untuned."
+    return f"The margins of cautious were tuned for {fitted or 'no place'}; elsewhere they are untuned."

@@ -39,7 +39,7 @@ def test_as_table_and_as_json(monkeypatch):
     assert all(name in table for name in AGENTS)
     assert max(map(len, table.partition("└")[0].splitlines())) <= 80
     told = " ".join(table.split())
-    assert "The margins of cautious were tuned for CarFollowing under dense skies; elsewhere it drives with" in told
+    assert "The margins of cautious were tuned for CarFollowing under dense skies; elsewhere they are untuned." in told
     rows = json.loads(run("--json").stdout)
     assert [row["agent"] for row in rows] == list(AGENTS)
     assert set(rows[0]) == {"agent", "does", "reads", "on_alert", "actions"}

@@ -1,4 +1,4 @@
-"""Constant margins are tuned at the places of their preset alone, and with figures of one's own they are what one says."""
+"""Constant margins are tuned at the places of their preset alone; with figures of its own an agent is what they say."""
 
 from __future__ import annotations
 
