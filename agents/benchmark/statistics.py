@@ -170,7 +170,7 @@ def _clopper_pearson(values: Array) -> Ends:
     return low, float(betaincinv(k + 1, n - k, 1.0 - TAIL)) if k < n else 1.0
 
 
-def _agresti_min(gap: Array) -> Ends:
+def _agresti_min(gap: Array) -> tuple[float, float]:
     """Interval of a difference of paired rates: half a pair more of each of the four kinds; Agresti and Min 2005."""
     n, differing, net = gap.size + 2, float(np.abs(gap).sum()) + 1.0, float(gap.sum())
     reach = float(stdtrit(n - 1, 1.0 - TAIL) * np.sqrt(differing - net**2 / n) / n)
