@@ -151,6 +151,7 @@ def run_episode(
     log, status, message = EpisodeLog(), "ok", ""
     guarded: Guarded | None = None
     seed_everything(task.seed)
+    env.action_space.seed(task.seed)
     try:
         guarded = Guarded(_made(make, env, task.seed, clock), env.action_space, clock)
         drive(env, guarded, [task.seed], [log, *watchers])

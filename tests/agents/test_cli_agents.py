@@ -35,10 +35,13 @@ def test_every_agent_is_described():
 
 def test_as_table_and_as_json(monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setattr("lanebound.agents.benchmark.untuned.tuned_places", lambda: (("CarFollowingWorld", "dense"),))
     table = run().stdout
     assert all(name in table for name in AGENTS)
     assert "{agent: cbf, figures: {over: integrity_aware}}" in table
     assert max(map(len, table.partition("└")[0].splitlines())) <= 80
+    told = " ".join(table.split())
+    assert "The margins of cautious were tuned for CarFollowing under dense skies; elsewhere they are untuned." in told
     rows = json.loads(run("--json").stdout)
     assert [row["agent"] for row in rows] == list(AGENTS)
     assert set(rows[0]) == {"agent", "does", "reads", "on_alert", "actions"}

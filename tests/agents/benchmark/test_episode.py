@@ -17,6 +17,7 @@ from lanebound.agents.episodes import open_env
 from lanebound.integrity.errors import InputError
 
 GIVEN = {"sky": "open", "navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "duration_s": 2.0}
+DRAWING = ("random", "bad_agents:draws", "bad_agents:samples")
 TASK = Task(Place("LaneKeeping-v0", "open", "none"), "it", 10_000)
 
 
@@ -75,7 +76,8 @@ def test_agents_that_draw_depend_on_the_seed_alone(env):
     def driven(maker, seed):
         return run_episode(env, maker, TASK._replace(seed=seed))[1].total_return
 
-    for maker in (lambda e: make_agent("random", e), lambda e: make_agent("bad_agents:draws", e)):
+    random, draws, samples = (lambda e, name=name: make_agent(name, e) for name in DRAWING)
+    for maker in (random, draws, samples):
         first = driven(maker, 10_000)
         assert driven(maker, 10_001) != first
         assert driven(maker, 10_000) == first
