@@ -49,6 +49,12 @@ class AgentConfig(Config):
     config: Mapping[str, Any] = Field({}, description="what this agent needs of its environment, merged over the suite")
     figures: Mapping[str, Any] = Field({}, description="of an agent of ours, such as {speed_share: 0.5} of cautious")
 
+    @property
+    def sees_truth(self) -> bool:
+        """Whether it drives on the truth: it shows what is possible, and does not compete."""
+        seeing = NEEDS["oracle"]["observation"]["integrity"]
+        return self.agent == "oracle" or self.config.get("observation", {}).get("integrity") == seeing
+
 
 class SuiteConfig(Config):
     """Everything that a benchmark drives; its cells are envs x skies x faults x agents.
@@ -66,7 +72,9 @@ class SuiteConfig(Config):
     skies: tuple[str, ...] = Field(("urban",), min_length=1, description="levels of the sky")
     faults: tuple[FaultLevel, ...] = Field((FaultLevel.NONE,), min_length=1, description="levels of faults")
     agents: Mapping[str, AgentConfig] = Field(min_length=1, description="by the names they go by in results")
-    reference: str = Field("nominal", description="agent that the others are paired with, seed by seed")
+    reference: str | tuple[str, ...] = Field(
+        "nominal", description="agent, or list of agents, that the others are paired with, seed by seed"
+    )
     seeds: SeedsConfig = Field(SeedsConfig(), description="which seeds")
     overrides: Mapping[str, Any] = Field({}, description="of the configuration of every environment, merged deeply")
     episode_timeout_s: float = Field(600.0, gt=0, description="that an agent may take in an episode, wall clock")
@@ -100,6 +108,18 @@ class SuiteConfig(Config):
                     f"a name of an agent must be letters, digits and _.+-, got {name!r}: write 'name: {name}'"
                 )
         return agents
+
+    @field_validator("reference")
+    @classmethod
+    def _references_differ(cls, given: str | tuple[str, ...]) -> str | tuple[str, ...]:
+        if not given or (len(set(given)) < len(given) and not isinstance(given, str)):
+            raise ConfigError(f"reference must name an agent, or several once each, got {given!r}: write [nominal]")
+        return given
+
+    @property
+    def references(self) -> tuple[str, ...]:
+        """The agents that the others are paired with."""
+        return (self.reference,) if isinstance(self.reference, str) else self.reference
 
     @property
     def places(self) -> list[Place]:

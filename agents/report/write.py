@@ -19,7 +19,8 @@ from lanebound.agents.benchmark.metrics import METRICS
 from lanebound.agents.benchmark.outcome import Outcome, Place
 from lanebound.agents.benchmark.results import Cell, Results
 from lanebound.agents.benchmark.statistics import VERDICT_SEEDS
-from lanebound.agents.benchmark.store import replace_file
+from lanebound.agents.benchmark.store import Store, replace_file
+from lanebound.agents.benchmark.verdicts import conclusions
 from lanebound.agents.report.clips import Clip, film_clip
 from lanebound.agents.report.commands import replay_command
 from lanebound.agents.report.episodes import badness, what_happened, worst_of
@@ -86,6 +87,7 @@ def render(results: Results, clips: int = 0, told: Callable[[int, int], None] = 
         overviews=overviews(places, actors) if len(places) > 1 else [],
         actors=list(actors.values()),
         bounds=[actor.name for actor in actors.values() if actor.bound],
+        verdicts=conclusions(results) if results.cells else [],
         few=max((cell.episodes for cell in results.cells), default=VERDICT_SEEDS) < VERDICT_SEEDS,
         verdict_seeds=VERDICT_SEEDS,
         episodes=len(results.outcomes),
@@ -157,14 +159,18 @@ def _failures_of(results: Results, place: Place, agent: str, group: Sequence[Out
 
 
 def _versions(folder: Path | None) -> list[tuple[str, str]]:
-    """What drove, and what it stood on."""
-    found = []
+    """What drove, and what it stood on: as it was recorded, and else as it is now."""
+    found: list[tuple[str, str]] = []
+    recorded = {} if folder is None else Store(folder).packages()
     mark = None if folder is None else folder / "suite.json"
     if mark is not None and mark.exists():
         kept = json.loads(mark.read_text(encoding="utf-8"))
         found = [("driven by lanebound", str(kept.get("version", ""))), ("digest of its code", str(kept.get("source")))]
-    found.append(("Python", platform.python_version()))
+    found += recorded.items()
+    found += [] if "Python" in recorded else [("Python", platform.python_version())]
     for name in PACKAGES:
+        if name in recorded:
+            continue
         try:
             found.append((name, version(name)))
         except PackageNotFoundError:
