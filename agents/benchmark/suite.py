@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any, Self
 
 from pydantic import field_validator, model_validator
 
 from lanebound.agents.benchmark.outcome import Place, Task
 from lanebound.agents.benchmark.seeds import SPLITS, Split
+from lanebound.agents.named import load_named
 from lanebound.envs import FaultLevel
 from lanebound.integrity.config import Config, Field, deep_merge
 from lanebound.integrity.errors import ConfigError
-from lanebound.integrity.presets import nearest, parse_yaml, preset_names
 
 __all__ = ["AgentConfig", "SeedsConfig", "SuiteConfig", "load_suite", "parse_agents"]
 
@@ -160,18 +159,4 @@ def load_suite(name: str, overrides: Mapping[str, Any] | None = None) -> SuiteCo
     ConfigError
         There is none, or a value is refused.
     """
-    changes = overrides or {}
-    if name.endswith((".yaml", ".yml")):
-        try:
-            data = parse_yaml(Path(name).read_text(encoding="utf-8"), name)
-        except OSError as error:
-            raise ConfigError(
-                f"suite must be a file that can be read, got {name} ({error}): correct the path"
-            ) from None
-        if isinstance(data, Mapping):
-            data = {key: value for key, value in data.items() if key != "kind"}
-        return SuiteConfig.build(data, changes)
-    known = [preset.removeprefix(FOLDER) for preset in preset_names() if preset.startswith(FOLDER)]
-    if name not in known:
-        raise ConfigError(f"suite '{name}' is unknown: {nearest(name, known)} (or the path of a YAML file of your own)")
-    return SuiteConfig.preset(FOLDER + name, changes)
+    return load_named(SuiteConfig, "suite", FOLDER, name, overrides)

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lanebound.agents.cli.output import counted
+
 if TYPE_CHECKING:
     from lanebound.agents.learning.training import Checkpoint
 
@@ -44,7 +46,7 @@ def train(
                     experiment, out, jobs, _say, lambda steps: bar.update(task, completed=min(steps, experiment.steps))
                 )
             )
-    typer.echo(f"{len(rows)} checkpoints; the best is {out / 'best.zip'}, described in {out / 'best.md'}")
+    typer.echo(f"{counted(len(rows), 'checkpoint')}; the best is {out / 'best.zip'}, described in {out / 'best.md'}")
     typer.echo(f"What to try next\n  lanebound evaluate {out} --out {out}-evaluation")
 
 

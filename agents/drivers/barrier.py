@@ -171,7 +171,7 @@ class BarrierFilter:
         """Keep where the leader of this decision will be at the next, by which one is known that is believed behind."""
         if self.reader.config.vehicles:
             ahead = self.ahead(observation)
-            self.followed = ahead.any(axis=-1)
+            self.followed = np.asarray(ahead.any(axis=-1))
             self._expected_m = expected_m(self.reader, observation, ahead, self._dt_s)
 
     def ahead(self, observation: Observation) -> Bools:

@@ -63,7 +63,7 @@ def counted(reader: Reader, observation: Observation, way: Bools, expected: Arra
     lost = ~(ahead & alike).any(axis=-1, keepdims=True)
     maybe = way & (gap <= 0.0) & (gap + level > 0.0) & alike & lost
     nearest = off <= np.where(maybe, off, np.inf).min(axis=-1, keepdims=True)
-    return ahead | (maybe & nearest)
+    return np.asarray(ahead | (maybe & nearest), dtype=np.bool_)
 
 
 def expected_m(reader: Reader, observation: Observation, ahead: Bools, dt_s: float) -> Array:
