@@ -84,5 +84,6 @@ class Ephemerides:
 
     def take(self, rows: NDArray[np.bool_] | Ints) -> Ephemerides:
         """Some of the messages, by mask or by index."""
-        columns: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
-        return replace(self, **{k: v[rows] for k, v in columns.items() if isinstance(v, np.ndarray)})
+        columns = ((f.name, getattr(self, f.name)) for f in fields(self))
+        chosen: dict[str, Any] = {name: column[rows] for name, column in columns if isinstance(column, np.ndarray)}
+        return replace(self, **chosen)
