@@ -16,8 +16,6 @@ __all__ = ["app"]
 
 app = typer.Typer(cls=AdvisingGroup, help="Measure whether what the layer promises is true.", no_args_is_help=True)
 
-KEPT = "finished parts are kept in {}; run the same command again to go on"
-
 
 @app.callback()
 def _assess() -> None:
@@ -50,10 +48,45 @@ def bounding(
     from lanebound.agents.cli.interrupt import stoppable
 
     given = {"risks": risk, "epochs": epochs, "rare_risk": rare_risk}
-    with stoppable(lambda: KEPT.format(out)):
+    with stoppable(lambda: _kept(out)):
         config = _bounding_config(assignments or [], {key: value for key, value in given.items() if value})
         result = _with_bar("parts drawn (kernels compile first)", lambda told: assess_bounding(config, out, jobs, told))
         _report_bounding(result, out, as_json)
+
+
+@app.command("faults")
+def faults(
+    out: Annotated[Path, typer.Option(help="Folder for results.json and faults.svg; an interrupted run goes on.")],
+    vehicles: Annotated[
+        int | None, typer.Option(min=1, help="Vehicles that meet each fault; the study has 16.")
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes that drive at a time.")] = 1,
+    assignments: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Change a value of the study; may be repeated."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+) -> None:
+    """Every fault in several sizes and lengths: is it noticed, how soon, and does it mislead?
+
+    Example: lanebound assess faults --out out/faults --vehicles 4 --set kinds=spoofing,jamming
+    """
+    from lanebound.agents.assess.faults import FaultsConfig, assess_faults
+    from lanebound.agents.cli.interrupt import stoppable
+    from lanebound.integrity.presets import parse_assignments
+
+    with stoppable(lambda: _kept(out)):
+        given = {} if vehicles is None else {"vehicles": vehicles}
+        config = FaultsConfig.load(parse_assignments(assignments or []) | given)
+        result = _with_bar("faults driven (kernels compile first)", lambda told: assess_faults(config, out, jobs, told))
+        _report_faults(result, out, as_json)
+
+
+def _kept(out: Path) -> str:
+    from lanebound.agents.assess.folder import parts_kept
+    from lanebound.agents.cli.output import counted
+
+    return f"{counted(parts_kept(out), 'finished part')} kept in {out}; run the same command again to go on"
 
 
 def _bounding_config(assignments: list[str], given: dict[str, Any]) -> BoundingConfig:
@@ -94,3 +127,17 @@ def _report_bounding(result: dict[str, Any], out: Path, as_json: bool) -> None:
     if "drift" in result:
         print_table("Between fixes: error beyond the level at the end of an outage, either axis", *drift_rows(result))
     typer.echo(f"A rate over the risk above 1 breaks the promise.\nresults.json: {out}")
+
+
+def _report_faults(result: dict[str, Any], out: Path, as_json: bool) -> None:
+    from lanebound.agents.assess.faults_tables import consistency_rows, control_lines, fault_rows
+    from lanebound.agents.cli.output import print_json, print_table
+
+    if as_json:
+        print_json(result)
+        return
+    print_table("Faults: vehicles that noticed, excluded, alerted; epochs from the onset on", *fault_rows(result))
+    print_table("Without faults: consistency of the position by mode", *consistency_rows(result))
+    for line in control_lines(result):
+        typer.echo(line)
+    typer.echo(f"results.json, faults.svg: {out}")

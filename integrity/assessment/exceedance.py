@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from lanebound.integrity.assessment.measurement_model import Form, Prepared
+from lanebound.integrity.monitoring.risk import multiple_fault_risk
 
 __all__ = ["STRATA", "Tally", "expected_fault_free", "importance_rates", "mean_and_deviation", "tally"]
 
@@ -62,10 +63,9 @@ def tally(prepared: Prepared, epochs: int, wrong_fix: float, generator: np.rando
 
 def _numbers_of_strata(prepared: Prepared, epochs: int, wrong_fix: float, generator: np.random.Generator) -> Ints:
     """How many of the epochs have no fault, one, two, or a wrong fix."""
-    once = prepared.prior.sum()
-    twice = 0.5 * (once**2 - (prepared.prior**2).sum())
-    share = np.array([1.0 - once - twice - wrong_fix, once, twice, wrong_fix])
-    return np.asarray(generator.multinomial(epochs, share))
+    none, more = float(np.prod(1.0 - prepared.prior)), float(multiple_fault_risk(prepared.prior))
+    faults = np.array([none, max(1.0 - none - more, 0.0), more])
+    return np.asarray(generator.multinomial(epochs, [*(1.0 - wrong_fix) * faults, wrong_fix]))
 
 
 def _count_block(prepared: Prepared, stratum: int, count: int, generator: np.random.Generator, into: Tally) -> None:

@@ -22,7 +22,7 @@ from lanebound.integrity.monitoring.protection import protection_levels_batch
 from lanebound.integrity.monitoring.risk import RiskConfig
 from lanebound.integrity.monitoring.separation import Separation, separate
 
-__all__ = ["AraimConfig", "AraimLevels", "araim"]
+__all__ = ["AraimConfig", "AraimLevels", "araim", "enu_levels", "vertical_separation"]
 
 Array = NDArray[np.float64]
 
@@ -127,35 +127,49 @@ def araim(
             unmonitored_below=rules.unmonitored_below,
             at_once=rules.at_once,
         )
-    levels = [
-        protection_levels_batch(
-            los[..., UP_FIRST] if vertical else los,
-            True,
-            owner,
-            variance_m2,
-            EAST_RAD,
-            rules.axis_rules(vertical),
-            accuracy_m2=accuracy_m2,
-            bias_m=bias_m,
-            spent=modes.unmonitored * (1.0 if vertical else rules.horizontal_risk / rules.risk),
-            subsets=modes.take(modes.several),
-        ).root_m[:, 0]
-        for vertical in (True, False)
-    ]
+    vertical, horizontal = enu_levels(los, owner, variance_m2, accuracy_m2, bias_m, rules, modes)
     factors = [float(rules.axis_rules(v).false_alarm_factors(len(modes))[-1]) for v in (True, False)]
     up = vertical_separation(los, owner, variance_m2, accuracy_m2, bias_m, modes)
     spread = np.broadcast_to(np.asarray(accuracy_m2, dtype=np.float64), los.shape[:2])
     counts = np.concatenate([[False], modes.prior >= rules.effective_from])
     return AraimLevels(
-        vpl_m=levels[0][:, 0],
-        hpl_m=np.hypot(levels[1][:, 0], levels[1][:, 1]),
-        hpl_en_m=levels[1],
+        vpl_m=vertical,
+        hpl_m=np.hypot(horizontal[:, 0], horizontal[:, 1]),
+        hpl_en_m=horizontal,
         emt_m=factors[0] * np.where(counts, up.delta_m[..., 0], 0.0).max(-1),
         sigma_v_acc_m=np.sqrt((up.gain_track[:, 0, 0] ** 2 * spread).sum(-1)),
         modes=modes,
         k_fa_vertical=factors[0],
         k_fa_horizontal=factors[1],
     )
+
+
+def enu_levels(
+    los_enu: Array,
+    group: ArrayLike,
+    variance_m2: ArrayLike,
+    accuracy_m2: ArrayLike,
+    bias_m: ArrayLike,
+    config: AraimConfig,
+    modes: FaultModes,
+) -> tuple[Array, Array]:
+    """Protection levels of Up (E,) and of East and North (E, 2) by two runs of the kernel.  Shapes as araim."""
+    levels = [
+        protection_levels_batch(
+            los_enu[..., UP_FIRST] if vertical else los_enu,
+            True,
+            group,
+            variance_m2,
+            EAST_RAD,
+            config.axis_rules(vertical),
+            accuracy_m2=accuracy_m2,
+            bias_m=bias_m,
+            spent=modes.unmonitored * (1.0 if vertical else config.horizontal_risk / config.risk),
+            subsets=modes.take(modes.several),
+        ).root_m[:, 0]
+        for vertical in (True, False)
+    ]
+    return levels[0][:, 0], levels[1]
 
 
 def vertical_separation(
