@@ -17,9 +17,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from lanebound.agents.assess.bounding_summary import rate_of
+from lanebound.agents.assess.fault_response import Response, Run, drive_run, measure_response
 from lanebound.agents.assess.folder import Progress, claim, run_parts
 from lanebound.agents.reproduce.study import write_whole
-from lanebound.integrity.assessment.fault_response import Response, Run, drive_run, measure_response
 from lanebound.integrity.config import Config, Field
 from lanebound.integrity.navigator import NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode

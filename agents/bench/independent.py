@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 SATELLITES, SYSTEMS, EPOCHS = 30, 3, 512
 AGREE_M = 0.06  # sidereon solves the horizontal level to 0.05 m
-RULES = AraimConfig()
+RULES = AraimConfig(constellation_prior=1e-6)  # with 1e-4 pairs of three systems alone would use up the risk
 
 
 def measure(rounds: int = 5) -> list[Row]:
@@ -40,7 +40,7 @@ def _levels(rounds: int) -> list[Row]:
     group = np.arange(SATELLITES) % SYSTEMS
     variance, accuracy = 0.5 + 0.3 / np.sin(elevation) ** 2, 0.3 + 0.2 / np.sin(elevation) ** 2
     bias = np.full((EPOCHS, SATELLITES), 0.5)
-    theirs = [Araim(los[e], group, variance[e], accuracy[e], bias[e]) for e in range(16)]
+    theirs = [Araim(los[e], group, variance[e], accuracy[e], bias[e], 1e-5, 1e-6) for e in range(16)]
     modes = enumerate_faults(group, RULES.satellite_prior, RULES.constellation_prior, at_once=1)
 
     def ours() -> tuple[Array, Array]:

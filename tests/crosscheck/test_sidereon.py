@@ -29,9 +29,12 @@ def test_araim_levels(seed: int, n: int, systems: int) -> None:
     group, bias = np.arange(n) % systems, rng.uniform(0.2, 0.8, n)
     variance = rng.uniform(0.5, 3.0, n)
     accuracy = 0.7 * variance
-    theirs = Araim(los, group, variance, accuracy, bias).solve()
-    # beyond single faults it monitors nothing either: one event at once
-    ours = araim(los[None], group, variance, accuracy, bias, AraimConfig(at_once=1))
+    # with 1e-4 the pairs of three constellations alone would use up the risk
+    constellation = 1e-4 if systems < 3 else 1e-6
+    theirs = Araim(los, group, variance, accuracy, bias, constellation_prior=constellation).solve()
+    # both monitor one event at a time
+    rules = AraimConfig(at_once=1, constellation_prior=constellation)
+    ours = araim(los[None], group, variance, accuracy, bias, rules)
     assert ours.vpl_m[0] == pytest.approx(theirs.vpl_m, abs=5e-3)
     assert -1e-3 < theirs.hpl_m - ours.hpl_m[0] < 0.08
     assert ours.emt_m[0] == pytest.approx(theirs.emt_m, rel=1e-6)

@@ -89,8 +89,9 @@ def drive_run(
     car, traffic = CityDrive(road, DriveConfig(), config.dt_s), Streams(list(seeds))
     state = car.start(traffic, spread_m=road.length_m)
     epochs, batch = round(duration_s / config.dt_s), len(seeds)
+    time = np.linspace(config.dt_s, config.dt_s * epochs, epochs)
     run = Run(
-        np.linspace(config.dt_s, config.dt_s * epochs, epochs), np.zeros((epochs, batch, 2)), np.zeros((epochs, batch, 2)),
+        time, np.zeros((epochs, batch, 2)), np.zeros((epochs, batch, 2)),
         np.zeros((epochs, batch)), np.zeros((epochs, batch), np.int64), np.zeros((epochs, batch), np.int64),
         np.zeros((epochs, batch), np.bool_), np.zeros((epochs, batch), np.bool_),
     )  # fmt: skip
