@@ -17,7 +17,13 @@ from lanebound.agents.assess.bounding_summary import summarise
 from lanebound.agents.assess.folder import Progress, claim, run_parts
 from lanebound.agents.reproduce.study import write_whole
 from lanebound.integrity.assessment.drift_model import DriftConfig, Outage, drift_exceedance
-from lanebound.integrity.assessment.exceedance import Tally, expected_fault_free, importance_rates, tally
+from lanebound.integrity.assessment.exceedance import (
+    Tally,
+    expected_fault_free,
+    importance_rates,
+    least_fault_free,
+    tally,
+)
 from lanebound.integrity.assessment.measurement_model import Case, Form, draw_case, prepare
 from lanebound.integrity.config import Config, Field
 from lanebound.integrity.monitoring.risk import RiskConfig, pair_risk
@@ -111,6 +117,7 @@ def _case(config: BoundingConfig, index: int, stream: str) -> tuple[Case, np.ran
 
 def _cases(config: BoundingConfig, indices: range) -> dict[str, Any]:
     wrong_fix = config.wrong_fix_share * min(config.risks)
+    budgets = config.risk.axis_budgets(config.risks)
     drawn = [_case(config, i, "gnss") for i in indices]
     prepared = prepare([case for case, _ in drawn], config.risk, config.risks, wrong_fix)
     rows = []
@@ -126,6 +133,7 @@ def _cases(config: BoundingConfig, indices: range) -> dict[str, Any]:
                 "misleading": {form.name: counted.misleading[form].tolist() for form in Form},
                 "available": {form.name: counted.available[form].tolist() for form in Form},
                 "level_m": {form.name: one.levels_m[form].tolist() for form in Form},
+                "least_m": least_fault_free(one, budgets).tolist(),
                 "fault_free": {form.name: expected_fault_free(one, form).tolist() for form in (Form.ROOT, Form.CLOSED)},
             }
         )

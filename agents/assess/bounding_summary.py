@@ -74,7 +74,7 @@ def summarise(config: Mapping[str, Any], parts: Mapping[str, Row]) -> dict[str, 
             kind: {place: _rates(group, risks) for place, group in _grouped(cases, name_of).items()}
             for kind, name_of in PLACES.items()
         }
-        result["level_over_root"] = _tightness(cases, risks)
+        result["level_over"] = _tightness(cases, risks)
     if rare:
         result["rare"] = _rare(rare, config)
     if outages:
@@ -104,19 +104,25 @@ def _rates(cases: Sequence[Row], risks: Sequence[float]) -> dict[str, Any]:
 
 
 def _tightness(cases: Sequence[Row], risks: Sequence[float]) -> dict[str, Any]:
-    """Median and smallest ratio of each form's level to the exact root's, and of the root's to what would have held."""
-    levels = {form: np.array([row["level_m"][form.name] for row in cases], dtype=np.float64) for form in Form}
-    root = levels[Form.ROOT]
+    """Ratios of each form's level to the exact root's, and to the least that would have held without faults."""
+    root = np.array([row["level_m"][Form.ROOT.name] for row in cases], dtype=np.float64)
+    least = np.array([row["least_m"] for row in cases], dtype=np.float64)
     out: dict[str, Any] = {}
     for form in Form:
-        ratio = levels[form] / root
-        out[form.value] = {}
-        for r, risk in enumerate(risks):
-            known = ratio[:, r][np.isfinite(ratio[:, r])]
-            out[form.value][f"{risk:g}"] = (
-                {"median": float(np.median(known)), "least": float(known.min())} if known.size else None
-            )
+        level = np.array([row["level_m"][form.name] for row in cases], dtype=np.float64)
+        out[form.value] = {
+            f"{risk:g}": {"root": _spread(level[:, r] / root[:, r]), "least": _spread(level[:, r] / least[:, r])}
+            for r, risk in enumerate(risks)
+        }
     return out
+
+
+def _spread(ratio: Array) -> dict[str, float] | None:
+    """Smallest, median and largest of the finite ones."""
+    known = ratio[np.isfinite(ratio)]
+    if not known.size:
+        return None
+    return {"smallest": float(known.min()), "median": float(np.median(known)), "largest": float(known.max())}
 
 
 def _rare(rare: Sequence[Row], config: Mapping[str, Any]) -> dict[str, Any]:

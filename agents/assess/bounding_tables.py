@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["Table", "drift_rows", "form_rows", "place_rows", "rare_rows"]
+__all__ = ["Table", "drift_rows", "form_rows", "place_rows", "rare_rows", "tightness_rows"]
 
 Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
@@ -37,6 +37,17 @@ def place_rows(result: Mapping[str, Any]) -> Table:
 
     rows = [(place, *(ratio(kind, place, form) for form in forms)) for kind, place in places]
     return ("place", *forms), rows
+
+
+def tightness_rows(result: Mapping[str, Any]) -> Table:
+    """Median level of each form over the least one that would have held without faults."""
+    risks = list(next(iter(result["level_over"].values())))
+
+    def ratio(found: Mapping[str, Any] | None) -> str:
+        return "-" if found is None else f"{found['median']:.2f} ({found['smallest']:.2f} .. {found['largest']:.2f})"
+
+    rows = [(form, *(ratio(found[risk]["least"]) for risk in risks)) for form, found in result["level_over"].items()]
+    return ("form", *risks), rows
 
 
 def rare_rows(result: Mapping[str, Any]) -> Table:

@@ -110,7 +110,7 @@ def _with_bar(what: str, study: Any) -> dict[str, Any]:
 
 
 def _report_bounding(result: dict[str, Any], out: Path, as_json: bool) -> None:
-    from lanebound.agents.assess.bounding_tables import drift_rows, form_rows, place_rows, rare_rows
+    from lanebound.agents.assess.bounding_tables import drift_rows, form_rows, place_rows, rare_rows, tightness_rows
     from lanebound.agents.cli.output import print_json, print_table
 
     if as_json:
@@ -122,6 +122,7 @@ def _report_bounding(result: dict[str, Any], out: Path, as_json: bool) -> None:
             *form_rows(result),
         )
         print_table("The same by place, at the least risk counted: rate over the risk", *place_rows(result))
+        print_table("Levels over the least that would have held without faults, median", *tightness_rows(result))
     if "rare" in result:
         print_table("By importance sampling: rate of one axis", *rare_rows(result))
     if "drift" in result:

@@ -23,7 +23,7 @@ from lanebound.integrity.monitoring.dead_reckoning_pl import (
 )
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant
 
-__all__ = ["DriftConfig", "Outage", "drift_exceedance"]
+__all__ = ["DriftConfig", "Outage", "draw_drift", "drift_exceedance"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -56,10 +56,11 @@ class Outage:
     turn_radps: float
 
 
-def drift_exceedance(
-    outage: Outage, config: DriftConfig, risks: ArrayLike, vehicles: int, generator: np.random.Generator
-) -> dict[Variant, Ints]:
-    """How many of ``vehicles`` exceed the level at the end, along, across and either, by variant: (R, 3)."""
+def draw_drift(
+    outage: Outage, config: DriftConfig, vehicles: int, generator: np.random.Generator
+) -> tuple[Array, dict[Variant, Growth], float]:
+    """Errors of the vehicles at the end of an outage (V, 2) East and North [m], how the layer sees them, and the
+    heading then [rad]."""
     steps = max(round(outage.length_s / config.dt_s), 1)
     heading = outage.heading_rad + outage.turn_radps * config.dt_s * np.arange(1, steps + 1)
     error = _Errors(config, vehicles, generator, heading[-1])
@@ -70,10 +71,18 @@ def drift_exceedance(
         for variant in Variant:
             growths[variant] = error.grow(growths[variant], outage, t, variant)
         error.step(outage, t)
-    track = np.abs(error.position @ track_from_enu_matrix(heading[-1]).T)
+    return error.position, growths, float(heading[-1])
+
+
+def drift_exceedance(
+    outage: Outage, config: DriftConfig, risks: ArrayLike, vehicles: int, generator: np.random.Generator
+) -> dict[Variant, Ints]:
+    """How many of ``vehicles`` exceed the level at the end, along, across and either, by variant: (R, 3)."""
+    error, growths, heading = draw_drift(outage, config, vehicles, generator)
+    track = np.abs(error @ track_from_enu_matrix(heading).T)
     out = {}
     for variant, growth in growths.items():
-        level = protection_levels(growth, heading[-1], RiskConfig(variant=variant), risks)
+        level = protection_levels(growth, heading, RiskConfig(variant=variant), risks)
         beyond = track > level[:, None, :]
         out[variant] = np.concatenate([beyond.sum(1), beyond.any(-1).sum(1)[:, None]], -1).astype(np.int64)
     return out

@@ -10,13 +10,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
 from lanebound.integrity.assessment.measurement_model import Form, Prepared
-from lanebound.integrity.monitoring.risk import multiple_fault_risk
+from lanebound.integrity.monitoring.risk import multiple_fault_risk, upper_quantile
 
-__all__ = ["STRATA", "Tally", "expected_fault_free", "importance_rates", "mean_and_deviation", "tally"]
+__all__ = [
+    "STRATA",
+    "Tally",
+    "expected_fault_free",
+    "importance_rates",
+    "least_fault_free",
+    "mean_and_deviation",
+    "tally",
+]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -107,6 +115,21 @@ def expected_fault_free(prepared: Prepared, form: Form) -> Array:
     sigma = np.linalg.norm(prepared.error_rows, axis=-1)
     level = prepared.levels_m[form]
     return np.asarray(ndtr((prepared.shift - level) / sigma) + ndtr((-prepared.shift - level) / sigma))
+
+
+def least_fault_free(prepared: Prepared, budgets: ArrayLike) -> Array:
+    """The smallest levels that fault-free errors exceed no more often than ``budgets`` (R, 2).  -> (R, 2) [m].
+
+    Whatever a level is above it guards against faults, or is caution.
+    """
+    sigma, shift = np.linalg.norm(prepared.error_rows, axis=-1), np.abs(prepared.shift)
+    wanted = np.asarray(budgets, dtype=np.float64)
+    low, high = np.zeros_like(wanted), shift + sigma * upper_quantile(0.5 * wanted)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        above = ndtr((shift - middle) / sigma) + ndtr((-shift - middle) / sigma) > wanted
+        low, high = np.where(above, middle, low), np.where(above, high, middle)
+    return high
 
 
 def importance_rates(

@@ -67,6 +67,14 @@ def test_importance_sampling_agrees_with_the_closed_form(short: tuple[Path, dict
             assert found[axis]["draws"] < 0.3 * found[axis]["rate"]
 
 
+def test_levels_are_above_the_least_that_would_have_held(short: tuple[Path, dict[str, Any]]) -> None:
+    for risk, found in short[1]["level_over"]["exact root"].items():
+        assert found["root"]["smallest"] == found["root"]["largest"] == 1.0, risk
+        assert found["least"]["smallest"] >= 1.0
+        assert 1.0 < found["least"]["median"] < 3.0
+    assert short[1]["level_over"]["published bias"]["0.001"]["least"]["smallest"] < 1.0
+
+
 def test_an_interrupted_run_ends_as_an_unbroken_one(
     short: tuple[Path, dict[str, Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import binom, chi2
+from scipy.stats import binom, chi2, norm
 
 from lanebound.integrity.assessment.exceedance import (
     STRATA,
     Tally,
     expected_fault_free,
     importance_rates,
+    least_fault_free,
     mean_and_deviation,
     tally,
 )
@@ -37,6 +38,15 @@ def test_counts_without_faults_and_without_a_test_are_binomial() -> None:
         low, high = binom.ppf(5e-5, 60_000, chance), binom.isf(5e-5, 60_000, chance)
         assert ((found >= low) & (found <= high)).all(), form
         assert (counted.misleading[form][:, 2, 0] >= found.max(-1)).all()
+
+
+def test_the_least_level_uses_its_budget() -> None:
+    case = one_case(RiskConfig())
+    budgets = np.array([[0.1, 0.01], [1e-6, 1e-7]])
+    levels = least_fault_free(case, budgets)
+    sigma = np.linalg.norm(case.error_rows, axis=-1)
+    found = norm.sf((levels - case.shift) / sigma) + norm.sf((levels + case.shift) / sigma)
+    np.testing.assert_allclose(found, budgets, rtol=1e-9)
 
 
 def test_strata_come_as_often_as_nature_has_them() -> None:
