@@ -29,8 +29,9 @@ def _octant(row: Row) -> str:
 
 
 def _size(row: Row) -> str:
-    low = 5 + (int(row["satellites"]) - 5) // 10 * 10
-    return f"{low} to {min(low + 9, 35)} satellites"
+    """Which third of the usual numbers of satellites."""
+    n = int(row["satellites"])
+    return "up to 15 satellites" if n <= 15 else "16 to 25 satellites" if n <= 25 else "26 satellites and more"
 
 
 PLACES: dict[str, Callable[[Row], str]] = {

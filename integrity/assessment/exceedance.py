@@ -129,7 +129,7 @@ def least_fault_free(prepared: Prepared, budgets: ArrayLike) -> Array:
         middle = 0.5 * (low + high)
         above = ndtr((shift - middle) / sigma) + ndtr((-shift - middle) / sigma) > wanted
         low, high = np.where(above, middle, low), np.where(above, high, middle)
-    return high
+    return np.asarray(high)
 
 
 def importance_rates(
