@@ -42,6 +42,7 @@ class Run:
     squared: Array
     mode: Ints
     excluded: Ints
+    held: Ints
     alert: Bools
     available: Bools
 
@@ -52,8 +53,10 @@ class Response:
 
     Attributes
     ----------
-    noticed_s : from onset until anything but the position differs: an exclusion, another mode, an alert; inf if never
+    noticed_s : from onset until a satellite is excluded or its ambiguity given up as slipped, the mode changes or an
+        alert is raised, other than without the fault; inf if never
     excluded : a satellite was excluded that the vehicle without the fault used
+    given_up : ambiguities were given up that the vehicle without the fault held
     alerted : an alert was raised that the vehicle without the fault did not raise
     failed : the error exceeded the alert limit on an axis
     late_s : longest time that it did so before an alert stood, 0 if it never did
@@ -65,6 +68,7 @@ class Response:
 
     noticed_s: Array
     excluded: Bools
+    given_up: Bools
     alerted: Bools
     failed: Bools
     late_s: Array
@@ -93,7 +97,7 @@ def drive_run(
     run = Run(
         time, np.zeros((epochs, batch, 2)), np.zeros((epochs, batch, 2)),
         np.zeros((epochs, batch)), np.zeros((epochs, batch), np.int64), np.zeros((epochs, batch), np.int64),
-        np.zeros((epochs, batch), np.bool_), np.zeros((epochs, batch), np.bool_),
+        np.zeros((epochs, batch), np.int64), np.zeros((epochs, batch), np.bool_), np.zeros((epochs, batch), np.bool_),
     )  # fmt: skip
     for k in range(epochs):
         truth = car.step(state, traffic)
@@ -103,6 +107,7 @@ def drive_run(
         run.level_m[k, :, 0], run.level_m[k, :, 1] = s.pl_at_m, s.pl_ct_m
         run.squared[k] = _normalised(away, s.covariance_en_m2)
         run.mode[k], run.excluded[k], run.alert[k], run.available[k] = s.mode, s.excluded, s.alert, s.available
+        run.held[k] = s.held.sum(-1)
     return run
 
 
@@ -126,13 +131,15 @@ def measure_response(faulty: Run, sound: Run, onset_s: Array, limits_m: tuple[fl
     after = time > onset_s + 1e-6
     fresh = (faulty.alert & ~sound.alert) & after
     excluded = (faulty.excluded > sound.excluded) & after
-    noticed = fresh | excluded | ((faulty.mode != sound.mode) & after)
+    given_up = (faulty.held < sound.held) & after
+    noticed = fresh | excluded | given_up | ((faulty.mode != sound.mode) & after)
     size = np.abs(faulty.error_m)
     beyond = (size > np.array(limits_m)).any(-1) & after
     usable = faulty.available & ~faulty.alert & after
     return Response(
         noticed_s=_first(noticed, time - onset_s),
         excluded=np.asarray(excluded.any(0)),
+        given_up=np.asarray(given_up.any(0)),
         alerted=np.asarray(fresh.any(0)),
         failed=np.asarray(beyond.any(0)),
         late_s=_longest(beyond & ~faulty.alert) * float(faulty.time_s[1] - faulty.time_s[0]),

@@ -195,6 +195,7 @@ def _summed(found: Response, time_to_alert_s: float) -> dict[str, Any]:
         "noticed": rate_of(int(noticed.sum()), len(noticed)),
         "noticed_median_s": float(np.median(found.noticed_s[noticed])) if noticed.any() else None,
         "excluded": int(found.excluded.sum()),
+        "given_up": int(found.given_up.sum()),
         "alerted": int(found.alerted.sum()),
         "failed": int(found.failed.sum()),
         "failed_without_timely_alert": int((found.late_s > time_to_alert_s).sum()),

@@ -18,7 +18,7 @@ UNITS = {
 def fault_rows(result: Mapping[str, Any]) -> Table:
     """One row for each fault."""
     columns = (
-        "fault", "noticed", "after [s]", "excluded", "alerted", "error > AL", "late alerts", "HMI rate",
+        "fault", "noticed", "after [s]", "excluded", "slipped", "alerted", "error > AL", "late alerts", "HMI rate",
         "error > PL", "largest [m]",
     )  # fmt: skip
     return columns, [_fault_row(cell) for cell in result["faults"]]
@@ -33,6 +33,7 @@ def _fault_row(cell: Mapping[str, Any]) -> tuple[str, ...]:
         f"{cell['noticed']['events']}/{of}",
         "-" if after is None else f"{after:.1f}",
         f"{cell['excluded']}/{of}",
+        f"{cell['given_up']}/{of}",
         f"{cell['alerted']}/{of}",
         f"{cell['failed']}/{of}",
         f"{cell['failed_without_timely_alert']}/{of}",

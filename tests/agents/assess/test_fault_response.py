@@ -22,6 +22,7 @@ def quiet() -> Run:
         squared=np.zeros(shape),
         mode=np.full(shape, Mode.RTK, dtype=np.int64),
         excluded=np.zeros(shape, np.int64),
+        held=np.full(shape, 12, dtype=np.int64),
         alert=np.zeros(shape, np.bool_),
         available=np.ones(shape, np.bool_),
     )
@@ -46,9 +47,11 @@ def test_each_thing_is_told_of_its_vehicle() -> None:
     faulty.error_m[30:40, 1, 1] = 2.0
     faulty.alert[36:, 1] = True  # six epochs late
     faulty.error_m[45:, 2, 0] = -0.5
+    faulty.held[40, 2] = 11  # at 4.1 s
     found = measure_response(faulty, quiet(), ONSET, (1.0, 1.0))
-    np.testing.assert_allclose(found.noticed_s, [0.5, 1.6, np.inf])
+    np.testing.assert_allclose(found.noticed_s, [0.5, 1.6, 2.1])
     assert found.excluded.tolist() == [True, False, False]
+    assert found.given_up.tolist() == [False, False, True]
     assert found.alerted.tolist() == [False, True, False]
     assert found.failed.tolist() == [False, True, False]
     np.testing.assert_allclose(found.late_s, [0.0, 0.6, 0.0])
