@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from lanebound.agents.cli import agents, bench, benchmark, config, drive, envs, play, replay, reproduce, tune
+from lanebound.agents.cli import agents, assess, bench, benchmark, config, drive, envs, play, replay, reproduce, tune
 from lanebound.agents.cli.advice import AdvisingGroup
 
 __all__ = ["app", "main"]
@@ -32,6 +32,8 @@ EXAMPLES = """
 
   lanebound reproduce urban-drive --out out    S1's tables beside ours
 
+  lanebound assess bounding --out out/bounds   is an error above its level as rare as promised?
+
   lanebound bench --json                       speed against the gates
 
 Every command explains itself: [bold]lanebound COMMAND --help[/bold]
@@ -48,6 +50,7 @@ app = typer.Typer(
 )
 app.add_typer(config.app, name="config")
 app.add_typer(reproduce.app, name="reproduce")
+app.add_typer(assess.app, name="assess")
 app.add_typer(tune.app, name="tune")
 app.command("bench")(bench.bench)
 app.command("benchmark")(benchmark.benchmark)
