@@ -1,9 +1,9 @@
 """comma2k19 segments: a minute of highway with wheel speeds, inertial sensors, receiver fixes and a reference pose.
 
 Source of the layout: Schafer et al. 2018, "A Commute in Data: The comma2k19 Dataset" (arXiv 1812.05752). A segment is a
-folder of NumPy arrays, in the original without the ending ``.npy``. Reference poses come from a smoothed multi-frequency
-GNSS and vision solution, in ECEF; orientations are quaternions that turn the frame of the phone (x forward, y right, z
-down) into ECEF.
+folder of NumPy arrays, in the original without the ending ``.npy``. Reference poses come from a smoothed solution of
+raw GNSS and vision, in ECEF; orientations are quaternions that turn the frame of the phone (x forward, y right, z down)
+into ECEF.
 """
 
 from __future__ import annotations

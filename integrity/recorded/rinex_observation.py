@@ -1,7 +1,8 @@
 """RINEX 3 and 4 observation files: code, phase, Doppler and strength of every signal, epoch by epoch.
 
 IGS/RTCM RINEX Version 3.04, table A3: an epoch line ``> year month day hour minute second flag number [clock]``, then
-one line for each satellite with 16 characters for each observation code: F14.3, loss-of-lock indicator, strength. Times are those of the file's own time system; GLONASS and UTC files are refused, for their leap seconds.
+one line for each satellite with 16 characters for each observation code: F14.3, loss-of-lock indicator, strength. Times
+are those of the file's own time system; GLONASS and UTC files are refused, for their leap seconds.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 FIELD = 16
+LOST, HALF = 1, 2  # bits of the loss-of-lock indicator, RINEX 3.04 section 6.7
 WEEK_S = 604_800
 ORIGIN = date(1980, 1, 6)
 GOOD, POWER_FAILURE, CYCLE_SLIPS, MAX_FLAG = 0, 1, 6, 6
@@ -35,13 +37,14 @@ SAME_TIME = ("GPS", "GAL", "QZS", "IRN", "BDT")
 @dataclass(frozen=True)
 class SystemRows:
     """Satellite epochs (N,) of one system: index of the epoch, number of the satellite, values (N, codes), 0.0 where
-    there is none (phases in cycles), and whether the receiver tells of lost lock (N, codes)."""
+    there is none (phases in cycles), and what the receiver tells of its lock (N, codes): lost, half a cycle in doubt."""
 
     codes: tuple[str, ...]
     epoch: Ints
     satellite: Ints
     value: Array
     lost: NDArray[np.bool_]
+    half: NDArray[np.bool_]
 
     def column(self, code: str) -> Array:
         """Values of a code, zeros when the file does not have it.  (N,)."""
@@ -50,6 +53,10 @@ class SystemRows:
     def lost_lock(self, code: str) -> NDArray[np.bool_]:
         """Whether lock of a code was lost since the last epoch.  (N,)."""
         return self.lost[:, self.codes.index(code)] if code in self.codes else np.zeros(len(self.epoch), np.bool_)
+
+    def half_cycle(self, code: str) -> NDArray[np.bool_]:
+        """Whether a phase may be off by half a cycle.  (N,)."""
+        return self.half[:, self.codes.index(code)] if code in self.codes else np.zeros(len(self.epoch), np.bool_)
 
 
 @dataclass(frozen=True)
@@ -117,9 +124,9 @@ class _Rows:
         keep = epoch < epochs
         shape = (len(epoch), len(self.codes))
         value = np.frombuffer(self.value, np.float64).reshape(shape)[keep] if len(epoch) else np.zeros(shape)
-        lost = np.frombuffer(self.lost, np.int8).reshape(shape)[keep] if len(epoch) else np.zeros(shape)
+        flags = np.frombuffer(self.lost, np.int8).reshape(shape)[keep] if len(epoch) else np.zeros(shape, np.int8)
         satellite = np.array(self.satellite, dtype=np.int64)[keep]
-        return SystemRows(self.codes, epoch[keep], satellite, value, np.asarray(lost != 0))
+        return SystemRows(self.codes, epoch[keep], satellite, value, (flags & LOST) != 0, (flags & HALF) != 0)
 
 
 class _Parser:
@@ -246,5 +253,5 @@ def _fields(text: str, codes: tuple[str, ...]) -> tuple[list[float], list[int]]:
         indicator = cell[14:15].strip()
         if indicator and not indicator.isdigit():
             raise ValueError(f"loss of lock of {code} of {text[:3]} must be a digit, got {indicator!r}")
-        lost.append(int(indicator) & 1 if indicator else 0)
+        lost.append(int(indicator) & (LOST | HALF) if indicator else 0)
     return values, lost
