@@ -31,6 +31,7 @@ from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm
 from lanebound.integrity.monitoring.significance import Linking
 from lanebound.integrity.positioning.config import PositioningConfig
 from lanebound.integrity.rtk_declared import declared_rtk
+from lanebound.integrity.rtk_stage_kernel import NX as RTK_STATE_SIZE
 from lanebound.integrity.sensing import Instruments, InstrumentState, Measurements
 from lanebound.integrity.sensors import corrections as links
 from lanebound.integrity.sensors import gnss as receiver
@@ -216,7 +217,7 @@ class Navigator:
             odometer=initial_odometer(c.odometer, streams),
             alert=AlertState.initial(batch),
             belief=belief,
-            rtk=np.zeros((batch, rk.NX)),
+            rtk=np.zeros((batch, RTK_STATE_SIZE)),
             last_phase_m=np.zeros((batch, n_sat, 2)),
             growth=np.zeros((batch, GROWTH_SIZE)),
             start=np.zeros((batch, len(c.cases), 4)),

@@ -6,7 +6,20 @@ from typing import Annotated
 
 import typer
 
-from lanebound.agents.cli import agents, assess, bench, benchmark, config, drive, envs, play, replay, reproduce, tune
+from lanebound.agents.cli import (
+    agents,
+    assess,
+    bench,
+    benchmark,
+    config,
+    drive,
+    envs,
+    play,
+    recorded,
+    replay,
+    reproduce,
+    tune,
+)
 from lanebound.agents.cli.advice import AdvisingGroup
 
 __all__ = ["app", "main"]
@@ -34,6 +47,8 @@ EXAMPLES = """
 
   lanebound assess bounding --out out/bounds   is an error above its level as rare as promised?
 
+  lanebound replay data/berlin --out out/b     a recorded drive through the same rooms
+
   lanebound bench --json                       speed against the gates
 
 Every command explains itself: [bold]lanebound COMMAND --help[/bold]
@@ -55,6 +70,8 @@ app.add_typer(tune.app, name="tune")
 app.command("bench")(bench.bench)
 app.command("benchmark")(benchmark.benchmark)
 app.command("replay-episode")(replay.replay_episode)
+app.command("replay")(recorded.replay)
+app.command("rtk")(recorded.rtk)
 app.command("envs")(envs.envs)
 app.command("agents")(agents.agents)
 app.command("drive")(drive.drive)

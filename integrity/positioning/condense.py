@@ -1,7 +1,7 @@
 """Many correlated rows of one satellite as few independent ones, without loss for the unknowns.
 
-With ``Q = L L'``, ``A = L^-1 G = U D V'`` and ``b = L^-1 y``, the rows ``D V' x = U'b`` of unit variance have the normal
-equations of ``G x = y`` with covariance Q. A window of a hundred epochs thus becomes a handful of rows for each
+With ``Q = L L'``, ``A = L^-1 G = U D V'`` and ``b = L^-1 y``, the rows ``D V' x = U'b`` of unit variance have the
+normal equations of ``G x = y`` with covariance Q. A window of a hundred epochs thus becomes a handful of rows for each
 satellite, which least squares, fault detection and protection levels take as they are.
 """
 

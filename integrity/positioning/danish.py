@@ -28,5 +28,5 @@ class DanishConfig(Config):
 
 def variance_factor(normalised: ArrayLike, config: DanishConfig) -> Array:
     """``min(exp((v/c)^2 - 1), largest)`` beyond c, else 1: what a variance is multiplied by.  (...,) -> (...,)."""
-    ratio = np.minimum(np.abs(np.asarray(normalised, dtype=np.float64)) / config.threshold, 30.0)
+    ratio = np.minimum(np.abs(np.asarray(normalised, dtype=np.float64)) / config.threshold, 20.0)
     return np.where(ratio > 1.0, np.minimum(np.exp(ratio**2 - 1.0), config.largest_factor), 1.0)

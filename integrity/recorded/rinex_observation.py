@@ -37,7 +37,7 @@ SAME_TIME = ("GPS", "GAL", "QZS", "IRN", "BDT")
 @dataclass(frozen=True)
 class SystemRows:
     """Satellite epochs (N,) of one system: index of the epoch, number of the satellite, values (N, codes), 0.0 where
-    there is none (phases in cycles), and what the receiver tells of its lock (N, codes): lost, half a cycle in doubt."""
+    there is none (phases in cycles), and what is told of the lock (N, codes): lost, half a cycle in doubt."""
 
     codes: tuple[str, ...]
     epoch: Ints

@@ -100,11 +100,15 @@ def solve_baseline(
     config = config or BaselineConfig()
     place = base.header.position_ecef_m if base_ecef_m is None else base_ecef_m
     if place is None:
-        raise InputError("base_ecef_m must be given, the base's header has no APPROX POSITION XYZ: pass its coordinates")
+        raise InputError(
+            "base_ecef_m must be given, the base's header has no APPROX POSITION XYZ: pass its coordinates"
+        )
     place = require_finite("base_ecef_m", place)
     require_shape("base_ecef_m", place, (3,))
     if not 6.0e6 < float(np.linalg.norm(place)) < 7.0e6:
-        raise InputError(f"base_ecef_m must lie near the Earth's surface, got {place.tolist()} m: is it ECEF in metres?")
+        raise InputError(
+            f"base_ecef_m must lie near the Earth's surface, got {place.tolist()} m: is it ECEF in metres?"
+        )
     choice = choose_signals(rover, base, config.bands)
     epochs, partners, age = matched(rover, base, config.rtk.max_age_s)
     if not epochs.size:
@@ -113,8 +117,17 @@ def solve_baseline(
             "session"
         )
     if not len(table):
-        raise InputError("table must hold messages of GPS, Galileo, BeiDou or QZSS, has none: pass the day's navigation")
-    run = _Run(arc_of(rover, choice.rover, choice, table), arc_of(base, choice.base, choice, table), table, place, choice, config)
+        raise InputError(
+            "table must hold messages of GPS, Galileo, BeiDou or QZSS, has none: pass the day's navigation"
+        )
+    run = _Run(
+        arc_of(rover, choice.rover, choice, table),
+        arc_of(base, choice.base, choice, table),
+        table,
+        place,
+        choice,
+        config,
+    )
     return run.solve(rover, epochs, partners, age)
 
 
@@ -142,7 +155,7 @@ class _Run:
             self.par, np.ascontiguousarray(choice.wavelength_m), np.asarray(FIXABLE[self.system] & chosen),
             config.rtk.largest_misfits, np.ascontiguousarray(thresholds.global_chi2),
             np.ascontiguousarray(thresholds.local_normal),
-            np.array([float(config.fde.global_first), float(config.fde.max_excluded), float(config.fde.min_redundancy)]),
+            np.array([float(v) for v in (config.fde.global_first, config.fde.max_excluded, config.fde.min_redundancy)]),
         )  # fmt: skip
         self.fixes = Fixes(np.zeros(n, np.bool_), np.zeros((n, 2)), np.zeros(n, np.int64), np.zeros(n))
         self.x, self.last = np.zeros(NX), np.zeros((n, 2))
@@ -174,7 +187,7 @@ class _Run:
         found = self._code_position(i, j)
         if found is None:
             self.fixes.held[:] = False
-            out.status[k] = RtkStatus.TOO_FEW.code if hasattr(RtkStatus.TOO_FEW, "code") else 2
+            out.status[k] = RtkStatus.TOO_FEW.code
             return
         signals, reduced, near, code_levels = found
         self._turn(near)
@@ -186,7 +199,7 @@ class _Run:
         )
         out.status[k], out.excluded[k], out.heading_rad[k] = status, excluded, self.heading
         wrong = float(held_risk(self.fixes.held, self.fixes.fix_id, self.fixes.fix_risk))
-        if status == 0:
+        if status == RtkStatus.FIXED.code:
             levels = self._levels(count, sine, cosine, wrong)
             out.mode[k], out.satellites[k], out.wrong_fix_risk[k] = int(Mode.RTK), count, wrong
             out.enu_m[k] = self.head[[X_E, X_N, X_U]]
@@ -204,9 +217,8 @@ class _Run:
         self.before = near
 
     def _code_position(self, i: int, j: int) -> tuple[Signals, Reduced, Array, tuple[Array, Array] | None] | None:
-        """Signals about the code position, that position (3,), and its levels where its test passes; None without one."""
+        """Signals about the code position, that position (3,), and its levels where its test passes; or None."""
         near = self.before if self.before is not None else np.zeros(3)
-        start = near
         for _ in range(POSITION_ROUNDS):
             reduced = reduce_epoch(
                 self.rover, self.base, i, j, self.place + self.axes @ near, self.place, self.choice.bands
@@ -218,7 +230,6 @@ class _Run:
             moved, near = float(np.linalg.norm(solved[0] - near)), solved[0]
             if moved < 1e-3:
                 break
-        del start
         return signals, reduced, near, solved[1]
 
     def _signals(self, reduced: Reduced) -> Signals:

@@ -27,7 +27,9 @@ class BridgeConfig(Config):
 
     speed_sigma_mps: float = Field(0.05, gt=0, description="wheel speed, 1 sigma [m/s]; S1 section 4")
     speed_tau_s: float = Field(1.0, gt=0, description="correlation time of its error [s]")
-    speed_bias_mps: float = Field(0.01, ge=0, description="bound of a constant error of the speed [m/s]; b_v of S1 eq 19")
+    speed_bias_mps: float = Field(
+        0.01, ge=0, description="bound of a constant error of the speed [m/s]; b_v of S1 eq 19"
+    )
     speed_scale: float = Field(0.02, ge=0, description="bound of the error of the wheels' scale [-]")
     heading_sigma_deg: float = Field(2.0, ge=0, description="heading at the last solution, 1 sigma [deg]")
     heading_bias_deg: float = Field(0.2, ge=0, description="bound of its constant error [deg]; b_theta0 of S1")

@@ -3,6 +3,9 @@
 Each epoch solves the window of the last seconds (:mod:`.window`), detects and excludes satellites, and bounds the error
 by solution separation with every satellite a fault mode. Where that fails, wheel speed and yaw rate carry on from the
 last solution, with the protection level growing as :mod:`lanebound.integrity.monitoring.dead_reckoning_pl` says.
+
+Danish re-weighting can be switched on. It chooses its weights by the data, which no level knows of, and may settle on
+the wrong signals: it is off where levels are to be trusted.
 """
 
 from __future__ import annotations
@@ -50,7 +53,7 @@ class CityConfig(Config):
     path_error: float = Field(0.02, ge=0.0, description="error of the reckoned path by its length [-]; 1 sigma")
     minimum_satellites: int = Field(5, ge=5, description="satellites now, fewer are bridged [-]")
     satellite_prior: float = Field(1e-3, gt=0.0, lt=1.0, description="P(a satellite's errors exceed their bound) [-]")
-    danish: DanishConfig = DanishConfig()
+    danish: DanishConfig = DanishConfig(iterations=0)
     fde: FdeConfig = FdeConfig()
     risk: RiskConfig = RiskConfig(integrity_risk=1e-3)
     bridge: BridgeConfig = BridgeConfig()
@@ -58,8 +61,8 @@ class CityConfig(Config):
 
 @dataclass(frozen=True)
 class CityDrive:
-    """Epochs (T,): time [s], position (T, 3) in ``frame`` [m], heading [rad], mode, levels and sigmas (T, 2) AT, CT [m],
-    satellites now, satellites excluded, share of rows without full weight."""
+    """Epochs (T,): time [s], position (T, 3) in ``frame`` [m], heading [rad], mode, levels and sigmas (T, 2) on AT and
+    CT [m], satellites now, satellites excluded, share of rows without full weight."""
 
     frame: Frame
     time_s: Array
@@ -175,8 +178,8 @@ class _Run:
         chosen = np.arange(0, self.time.size, every)
         n = chosen.size
         out = CityDrive(
-            self.frame, self.time[chosen], np.zeros((n, 3)), np.zeros(n), np.full(n, int(Mode.NONE)), np.full((n, 2), np.inf),
-            np.full((n, 2), np.inf), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n),
+            self.frame, self.time[chosen], np.zeros((n, 3)), np.zeros(n), np.full(n, int(Mode.NONE)),
+            np.full((n, 2), np.inf), np.full((n, 2), np.inf), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n),
         )  # fmt: skip
         before = 0
         for i, k in enumerate(map(int, chosen)):

@@ -1,4 +1,4 @@
-"""A drive by code replayed and written down: trained on its first part, measured on the rest, beside the plain model."""
+"""A drive by code written down: trained on its first part, measured on the rest, beside the plain model."""
 
 from __future__ import annotations
 
@@ -43,7 +43,8 @@ class CityReplay(Config):
 
 @dataclass(frozen=True)
 class CityResult:
-    """The drive with trained bounds, and with the receiver's own variances as Gaussian noise: window and one epoch."""
+    """The drive with trained bounds, the same re-weighted, and with the receiver's own variances as Gaussian noise:
+    ``overbound``, ``danish``, ``gaussian`` and, without the window, ``gaussian_epoch``."""
 
     config: CityReplay
     drive: SmartLoc
@@ -109,9 +110,11 @@ def replay_city(drive: SmartLoc, config: CityReplay | None = None) -> CityResult
     time = drive.ranges.time_s
     until = float(time[0] + config.training_share * (time[-1] - time[0]))
     errors = train(drive, until)
-    plain = config.solution.replace(danish=DanishConfig(iterations=0).to_dict())
+    plain = config.solution.replace(danish={"iterations": 0})
+    again = config.solution.replace(danish={"iterations": DanishConfig().iterations})
     solutions = {
         "overbound": drive_city(drive, errors, config.solution, every=config.every),
+        "danish": drive_city(drive, errors, again, every=config.every),
         "gaussian": drive_city(drive, None, plain, every=config.every),
         "gaussian_epoch": drive_city(drive, None, plain.replace(window_s=0.0), every=config.every),
     }
@@ -157,7 +160,9 @@ def _figures(result: CityResult, out: Path) -> list[Path]:
             written.append(save(figure, out / f"stanford_{name}.png"))
     best = result.solutions["overbound"]
     whole = best.record(result.drive, result.config.alerts)
-    written.append(save(series_figure(whole, risk=risk, al_at_m=limits.al_at_m, al_ct_m=limits.al_ct_m), out / "series.png"))
+    written.append(
+        save(series_figure(whole, risk=risk, al_at_m=limits.al_at_m, al_ct_m=limits.al_ct_m), out / "series.png")
+    )
     alert, _ = best.alerts(result.config.alerts)
     figure = map_figure(best.position_enu_m[:, :2], best.mode, title="believed positions", alert=alert)
     return [*written, save(figure, out / "map.png")]

@@ -95,7 +95,7 @@ def _at_transmission(observations: Observations, range_m: Array, table: Ephemeri
 
 
 def matched(rover: Observations, base: Observations, oldest_s: float) -> tuple[Ints, Ints, Array]:
-    """Epochs of the rover, the newest epoch of the base not after each (half a millisecond allowed), and the age [s]."""
+    """Epochs of the rover, the newest of the base not after each (half a millisecond allowed), and the age [s]."""
     week = int(min(rover.week[0], base.week[0]))
     ours, theirs = rover.since(week), base.since(week)
     last = np.searchsorted(theirs, ours + 5e-4, side="right") - 1
@@ -119,11 +119,11 @@ def reduce_epoch(
     both = rover.known[i] & base.known[j]
     whole = [(a.code_m[k] != 0.0) & (a.phase_m[k] != 0.0) for a, k in ((rover, i), (base, j))]
     tracked = both & np.logical_and.reduce([w[:, :bands].all(-1) for w in whole])
-    keep = tracked[:, None]
+    keep, sure = tracked[:, None], ~(rover.half[i] | base.half[j])[:, None]
     return Reduced(
         np.where(keep, e, [0.0, 0.0, 1.0]), elevation,
         np.where(keep, rover.code_m[i] - base.code_m[j] - model[:, None], 0.0),
-        np.where(keep & ~(rover.half[i] | base.half[j])[:, None], rover.phase_m[i] - base.phase_m[j] - model[:, None], 0.0),
+        np.where(keep & sure, rover.phase_m[i] - base.phase_m[j] - model[:, None], 0.0),
         np.minimum(rover.cn0_dbhz[i], base.cn0_dbhz[j]), tracked, rover.lost[i] | base.lost[j],
     )  # fmt: skip
 
@@ -146,4 +146,6 @@ def troposphere_m(place_ecef_m: Array, elevation_rad: Array) -> Array:
     vapour = 0.5 * 6.108 * np.exp((17.15 * kelvin - 4684.0) / (kelvin - 38.45))
     zenith = np.pi / 2.0 - np.maximum(elevation_rad, LOWEST_RAD)
     tangent = np.tan(zenith) ** 2
-    return np.asarray(0.002277 / np.cos(zenith) * (pressure + (1255.0 / kelvin + 0.05) * vapour - np.minimum(tangent, 1e3)))
+    return np.asarray(
+        0.002277 / np.cos(zenith) * (pressure + (1255.0 / kelvin + 0.05) * vapour - np.minimum(tangent, 1e3))
+    )

@@ -1,9 +1,8 @@
 """Dead reckoning through artificial outages of a recorded drive: drift and protection level against the reference.
 
-Before each outage the solution is given as an RTK fix would leave it: position and heading of the reference with errors
-of declared size. During it speed and gyro carry on (:func:`.reckoning.reckon`), and the level grows from that of the
-fix as :mod:`lanebound.integrity.monitoring.dead_reckoning_pl` says. Heading error: the reference's track at the start of
-the outage plus ``heading_error_deg``, in both signs.
+Before each outage the solution is that of the reference: its position, and its track turned by ``heading_error_deg`` in
+both signs. During it speed and gyro carry on (:func:`.reckoning.reckon`), and the level grows from that of a fix as
+:mod:`lanebound.integrity.monitoring.dead_reckoning_pl` says.
 """
 
 from __future__ import annotations
@@ -61,8 +60,8 @@ class Motion:
 
 @dataclass(frozen=True)
 class Outages:
-    """N outages of M ages (M,) [s]: signed error (N, M, 2) along and across the track [m], level (N, M, 2), speed at the
-    start (N,) [m/s] and given heading error (N,) [rad]."""
+    """N outages of M ages (M,) [s]: signed error (N, M, 2) along and across the track [m], level (N, M, 2), speed at
+    the start (N,) [m/s] and given heading error (N,) [rad]."""
 
     age_s: Array
     error_m: Array
@@ -135,9 +134,9 @@ def calibrate(motion: Motion, seconds: float) -> tuple[Motion, dict[str, float]]
 
 def run_outages(motion: Motion, config: OutageConfig) -> Outages:
     """All outages that begin after the calibration and end before the drive does."""
-    n = int(round(config.longest_s * config.rate_hz))
-    first = int(math.ceil(config.calibration_s * config.rate_hz))
-    step = max(int(round(config.every_s * config.rate_hz)), 1)
+    n = round(config.longest_s * config.rate_hz)
+    first = math.ceil(config.calibration_s * config.rate_hz)
+    step = max(round(config.every_s * config.rate_hz), 1)
     starts = np.arange(first, motion.time_s.size - n, step)
     given = math.radians(config.heading_error_deg)
     signs = (1.0, -1.0) if given > 0.0 else (0.0,)
@@ -178,9 +177,9 @@ def sawtooth(motion: Motion, config: OutageConfig, fixed_s: float = 5.0) -> dict
 
     While there is a fix its error counts as 0: the reference stands for it.
     """
-    n = int(round(config.longest_s * config.rate_hz))
-    gap = max(int(round(fixed_s * config.rate_hz)), 1)
-    at, parts = int(math.ceil(config.calibration_s * config.rate_hz)), []
+    n = round(config.longest_s * config.rate_hz)
+    gap = max(round(fixed_s * config.rate_hz), 1)
+    at, parts = math.ceil(config.calibration_s * config.rate_hz), []
     fix = np.tile(missed_detection_factors(config.risk)[0] * config.fix_sigma_m, (gap, 1))
     while at + n < motion.time_s.size:
         fixed = np.arange(at - gap, at)
@@ -188,4 +187,6 @@ def sawtooth(motion: Motion, config: OutageConfig, fixed_s: float = 5.0) -> dict
         error, level = _driven(motion, np.array([at]), np.radians([config.heading_error_deg]), n, config)
         parts.append((motion.time_s[at + 1 : at + n + 1], error[0], level[0], np.zeros(n, np.bool_)))
         at += n + gap
-    return {name: np.concatenate([p[i] for p in parts]) for i, name in enumerate(("time_s", "error_m", "pl_m", "fixed"))}
+    return {
+        name: np.concatenate([p[i] for p in parts]) for i, name in enumerate(("time_s", "error_m", "pl_m", "fixed"))
+    }

@@ -98,7 +98,9 @@ def write_outages(folder: Path, out: Path, config: OutageConfig | None = None) -
 def _drift_figure(outages: Outages, config: OutageConfig) -> Figure:
     """Every outage's error against its age, and the levels."""
     figure = new_figure(11.0, 4.4)
-    figure.suptitle("Dead reckoning in artificial outages" + risk_text(config.risk.integrity_risk), fontsize=12, color=INK)
+    figure.suptitle(
+        "Dead reckoning in artificial outages" + risk_text(config.risk.integrity_risk), fontsize=12, color=INK
+    )
     for q, name in enumerate(("along track", "cross track")):
         axes = figure.add_subplot(1, 2, q + 1)
         axes.plot(outages.age_s, np.abs(outages.error_m[..., q]).T, color=INK, alpha=0.25, linewidth=0.6)

@@ -12,6 +12,7 @@ taken from the measurement: what remains is as likely early as late.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,7 +34,7 @@ MOST_PAIRED = 1000  # errors of one satellite, for memory
 
 @dataclass(frozen=True)
 class CodeErrors:
-    """Bounds of the code errors: centre and sigma (K,) [m] at C/N0 knots (K,) [dB-Hz], and for how long they last [s]."""
+    """Bounds of the code errors: centre and sigma (K,) [m] at C/N0 knots (K,) [dB-Hz], and how long they last [s]."""
 
     cn0_dbhz: Array
     centre_m: Array
@@ -100,12 +101,14 @@ def fit_overbound(
         No class has enough errors.
     """
     knots = []
-    for low, high in zip(EDGES_DBHZ[:-1], EDGES_DBHZ[1:], strict=True):
+    for low, high in pairwise(EDGES_DBHZ):
         inside = (cn0_dbhz >= low) & (cn0_dbhz < high)
         if int(inside.sum()) >= FEWEST:
             knots.append((float(np.median(cn0_dbhz[inside])), *gaussian_bound(error_m[inside], outside)))
     if not knots:
-        raise InputError(f"error_m must have {FEWEST} errors of one C/N0 class, got {error_m.size} in all: train longer")
+        raise InputError(
+            f"error_m must have {FEWEST} errors of one C/N0 class, got {error_m.size} in all: train longer"
+        )
     cn0, centre, sigma = np.array(knots).T
     sigma = np.maximum.accumulate(sigma[::-1])[::-1]
     bounds = CodeErrors(cn0, centre, sigma, 0.0)

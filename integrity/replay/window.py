@@ -1,8 +1,9 @@
 """The last seconds of pseudoranges as one adjustment, tied together by wheel speed and yaw rate.
 
-Unknowns: position now (E, N, U), clock now, its rate and its curvature, the turn psi of the reckoned path against North,
-its scale kappa, and one offset for each further system. A pseudorange of age ``a <= 0`` was measured where the path says,
-``p = p_now + (1 + kappa) R(psi) (X - X_now)``, and reads ``|s - p| + c + c' a + c'' a^2 / 2 + offset + mu(C/N0)``.
+Unknowns: position now (E, N, U), clock now, its rate and its curvature, the turn psi of the reckoned path against
+North, its scale kappa, and one offset for each further system. A pseudorange of age ``a <= 0`` was measured where the
+path says, ``p = p_now + (1 + kappa) R(psi) (X - X_now)``, and reads
+``|s - p| + c + c' a + c'' a^2 / 2 + offset + mu(C/N0)``.
 
 Errors of one satellite last (Gauss-Markov), those of different satellites are independent. Rows that do not fit lose
 weight (Danish); each satellite is then condensed to a few independent rows: a fault mode is a satellite's rows.
@@ -50,7 +51,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Rows:
-    """Pseudoranges of a window, (m,): age <= 0 [s], range less its expected error [m], sigma [m], satellite (m, 3) ECEF,
+    """Pseudoranges of a window, (m,): age <= 0 [s], range less its expected error and sigma [m], satellite (m, 3) ECEF,
     index of the satellite, of its system (0 has no offset), and the reckoned way to now (m, 2) with its length [m]."""
 
     age_s: Array
@@ -95,7 +96,7 @@ def build(rows: Rows, frame: Frame, x: Array) -> tuple[Array, Array]:
         -e, np.ones(len(way)), rows.age_s, 0.5 * rows.age_s**2,
         -(e[:, :2] * across).sum(1), -(e[:, :2] * way).sum(1), offset,
     ])  # fmt: skip
-    clock = design[:, CLOCK : PSI] @ x[CLOCK:PSI] + offset @ x[FIXED_UNKNOWNS:]
+    clock = design[:, CLOCK:PSI] @ x[CLOCK:PSI] + offset @ x[FIXED_UNKNOWNS:]
     return design, rows.range_m - distance - clock
 
 
