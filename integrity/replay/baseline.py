@@ -161,7 +161,8 @@ class _Run:
         self.x, self.last = np.zeros(NX), np.zeros((n, 2))
         geo, head, mode = scratch(n)
         self.geo, self.head, self.columns = geo, head, mode
-        self.fixed = Fixed(geo, head, np.zeros((4, n)), np.zeros((n, 3)), np.zeros(n, np.int64))
+        wide = geo.shape[1]  # whole vectors of the kernels
+        self.fixed = Fixed(geo, head, np.zeros((4, wide)), np.zeros((wide, 3)), np.zeros(wide, np.int64))
         modes = np.arange(n + 10)
         self.k_fa = np.stack([false_alarm_factor(r.false_alarm, modes, v) for v in (Variant.EXACT, Variant.PUBLISHED)])
         self.heading = 0.0

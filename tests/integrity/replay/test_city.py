@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from recordings import real
+from typer.testing import CliRunner
 
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.frames import ecef_from_enu_matrix, ecef_from_geodetic
@@ -124,9 +126,55 @@ def test_what_cannot_be_driven_is_named() -> None:
         drive_city(thin, BOUNDS, QUICK)
     with pytest.raises(InputError, match="must have a ground truth"):
         replay_city(replace(drive, truth=None))
+    none = Odometry(*[np.zeros(0)] * 5)
     with pytest.raises(InputError, match="must have odometry"):
-        none = np.zeros(0)
-        drive_city(replace(drive, odometry=Odometry(none, none, none, none, none)), BOUNDS, QUICK)
+        drive_city(replace(drive, odometry=none), BOUNDS, QUICK)
+
+
+def as_files(drive: SmartLoc, folder: Path) -> None:
+    """The drive in the form of the data set."""
+    r, o, truth = drive.ranges, drive.odometry, drive.truth
+    assert truth is not None
+    lines = [
+        f"pseudorange3 {t} {p:.4f} {v} {x:.4f} {y:.4f} {z:.4f} {s} {1 if letter == 'G' else 4} {np.degrees(e)} {c}"
+        for t, p, v, (x, y, z), s, letter, e, c in zip(
+            r.time_s,
+            r.range_m,
+            r.variance_m2,
+            r.satellite_ecef_m,
+            r.satellite,
+            r.system,
+            r.elevation_rad,
+            r.cn0_dbhz,
+            strict=True,
+        )
+    ]
+    lines += [
+        f"odom3 {t} {v} 0 0 0 0 {w} 0.0025 0.0009 0.0009 4e-06 4e-06 4e-06"
+        for t, v, w in zip(o.time_s, o.speed_mps, o.yaw_rate_left_radps, strict=True)
+    ]
+    (folder / "Town_Input.txt").write_text("\n".join(lines) + "\n")
+    points = [
+        f"point3 {t} {x:.4f} {y:.4f} {z:.4f}" for t, (x, y, z) in zip(truth.time_s, truth.position_ecef_m, strict=True)
+    ]
+    (folder / "Town_GT.txt").write_text("\n".join(points) + "\n")
+
+
+def test_the_command_replays_a_folder(tmp_path: Path) -> None:
+    from lanebound.agents.cli import app
+
+    as_files(simulated(), tmp_path)
+    arguments = ["replay", str(tmp_path), "--out", str(tmp_path / "out"), "--set", "every=20", "--json"]
+    done = CliRunner().invoke(app, [*arguments, "--set", "solution.window_s=6.0"])
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert set(found["solutions"]) == {"overbound", "danish", "gaussian", "gaussian_epoch"}
+    counted = found["solutions"]["overbound"]["after_training"]["all_modes"]["at"]
+    assert counted["epochs"] >= 3
+    assert counted["exceeded"] == 0
+    assert (tmp_path / "out" / "stanford_overbound.png").stat().st_size > 10_000
+    refused = CliRunner().invoke(app, [*arguments, "--set", "every=0"])
+    assert refused.exit_code == 2
 
 
 def test_a_folder_without_a_drive_is_refused(tmp_path: Path) -> None:
