@@ -167,6 +167,7 @@ class _Run:
         self.k_fa = np.stack([false_alarm_factor(r.false_alarm, modes, v) for v in (Variant.EXACT, Variant.PUBLISHED)])
         self.heading = 0.0
         self.before: Array | None = None
+        self.passed: Array | None = None
 
     def solve(self, rover: Observations, epochs: Ints, partners: Ints, age: Array) -> Baseline:
         """All matched epochs."""
@@ -191,7 +192,7 @@ class _Run:
             out.status[k] = RtkStatus.TOO_FEW.code
             return
         signals, reduced, near, code_levels = found
-        self._turn(near)
+        self.before = near
         sine, cosine = float(np.sin(self.heading)), float(np.cos(self.heading))
         stage = signals._replace(age=age)
         motion = Motion(dt, False, np.zeros(3), np.zeros((3, 3)), near)
@@ -204,18 +205,20 @@ class _Run:
             levels = self._levels(count, sine, cosine, wrong)
             out.mode[k], out.satellites[k], out.wrong_fix_risk[k] = int(Mode.RTK), count, wrong
             out.enu_m[k] = self.head[[X_E, X_N, X_U]]
+            self._turn(out.enu_m[k])
             out.pl_m[k], out.sigma_m[k] = levels, self.head[[SIGMA0_AT, SIGMA0_CT]]
         elif code_levels is not None:
             out.mode[k], out.satellites[k] = int(Mode.CODE), int(reduced.tracked.sum())
             out.enu_m[k], out.pl_m[k], out.sigma_m[k] = near, code_levels[0], code_levels[1]
 
-    def _turn(self, near: Array) -> None:
-        """The heading follows the positions once they are far enough apart."""
-        if self.before is not None:
-            step = near[:2] - self.before[:2]
-            if float(np.hypot(*step)) >= MIN_MOVE_M and self.fixes.held.any():
-                self.heading = float(np.arctan2(step[0], step[1]))
-        self.before = near
+    def _turn(self, fixed_m: Array) -> None:
+        """The heading of the next epoch follows the fixed positions once they are far enough apart."""
+        if self.passed is not None:
+            step = fixed_m[:2] - self.passed[:2]
+            if float(np.hypot(*step)) < MIN_MOVE_M:
+                return
+            self.heading = float(np.arctan2(step[0], step[1]))
+        self.passed = fixed_m.copy()
 
     def _code_position(self, i: int, j: int) -> tuple[Signals, Reduced, Array, tuple[Array, Array] | None] | None:
         """Signals about the code position, that position (3,), and its levels where its test passes; or None."""
