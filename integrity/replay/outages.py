@@ -182,7 +182,7 @@ def sawtooth(motion: Motion, config: OutageConfig, fixed_s: float = 5.0) -> dict
     at, parts = math.ceil(config.calibration_s * config.rate_hz), []
     fix = np.tile(missed_detection_factors(config.risk)[0] * config.fix_sigma_m, (gap, 1))
     while at + n < motion.time_s.size:
-        fixed = np.arange(at - gap, at)
+        fixed = np.arange(at - gap + 1, at + 1)
         parts.append((motion.time_s[fixed], np.zeros((gap, 2)), fix, np.ones(gap, np.bool_)))
         error, level = _driven(motion, np.array([at]), np.radians([config.heading_error_deg]), n, config)
         parts.append((motion.time_s[at + 1 : at + n + 1], error[0], level[0], np.zeros(n, np.bool_)))

@@ -83,8 +83,9 @@ def lasting_s(time_s: Array, owner: NDArray[np.int64], normalised: Array, longes
         inside = lag <= bins[-1]
         total += np.bincount(lag[inside], (v[:, None] * v[None, :])[inside], minlength=bins.size)
         number += np.bincount(lag[inside], minlength=bins.size)
-    share = total / np.maximum(number, 1.0)
-    below = np.flatnonzero(share < share[0] * np.exp(-1.0))
+    there = np.flatnonzero(number)
+    share = total[there] / number[there]
+    below = there[share < share[0] * np.exp(-1.0)]
     return float(below[0]) if below.size else longest_s
 
 
