@@ -21,7 +21,7 @@ GZIP_MAGIC = b"\x1f\x8b"
 
 @dataclass(frozen=True)
 class Stop:
-    """Where reading ended before the end of the file: line (1 is the first) and reason."""
+    """Where reading ended before the end of the file: line, or row of an array (1 is the first), and reason."""
 
     line: int
     reason: str
