@@ -24,6 +24,7 @@ __all__ = ["S1_AGE_S", "S1_DRIFT_M", "S1_HEADING_DEG", "S1_SPEED_MPS", "by_age",
 Array = NDArray[np.float64]
 
 AGES_S = (1.0, 2.0, 4.0, 8.0, 12.0, 16.0, 20.0)
+TOOTH_S, FIXED_S = 8.0, 3.0  # outages and fixes of the drawn sawtooth
 S1_DRIFT_M, S1_AGE_S = 0.53, 4.0  # S1 section 5, largest error of IMU and odometer after 4 s
 S1_SPEED_MPS = 10.0  # of an urban drive; S1 does not tell its speed
 S1_HEADING_DEG = math.degrees(math.asin(S1_DRIFT_M / (S1_SPEED_MPS * S1_AGE_S)))  # what explains it, 0.76 deg
@@ -112,7 +113,7 @@ def _drift_figure(outages: Outages, config: OutageConfig) -> Figure:
 
 def _sawtooth_figure(motion: Motion, config: OutageConfig) -> Figure:
     """Fixes and outages in turn: the level rises and falls."""
-    found = sawtooth(motion, config)
+    found = sawtooth(motion, config.replace(longest_s=min(TOOTH_S, config.longest_s)), FIXED_S)
     figure = new_figure(11.0, 4.4)
     figure.suptitle("Fixes and outages in turn" + risk_text(config.risk.integrity_risk), fontsize=12, color=INK)
     for q, name in enumerate(("along track", "cross track")):
