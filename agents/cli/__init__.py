@@ -18,6 +18,9 @@ from lanebound.agents.cli import (
     replay,
     reproduce,
     train,
+    recorded,
+    replay,
+    reproduce,
     tune,
 )
 from lanebound.agents.cli.advice import AdvisingGroup
@@ -49,6 +52,8 @@ EXAMPLES = """
 
   lanebound assess bounding --out out/bounds   is an error above its level as rare as promised?
 
+  lanebound replay data/berlin --out out/b     a recorded drive through the same rooms
+
   lanebound bench --json                       speed against the gates
 
 Every command explains itself: [bold]lanebound COMMAND --help[/bold]
@@ -72,6 +77,8 @@ app.command("benchmark")(benchmark.benchmark)
 app.command("train")(train.train)
 app.command("evaluate")(train.evaluate)
 app.command("replay-episode")(replay.replay_episode)
+app.command("replay")(recorded.replay)
+app.command("rtk")(recorded.rtk)
 app.command("envs")(envs.envs)
 app.command("agents")(agents.agents)
 app.command("drive")(drive.drive)
