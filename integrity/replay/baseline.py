@@ -234,6 +234,7 @@ class _Run:
             moved, near = float(np.linalg.norm(solved[0] - near)), solved[0]
             if moved < 1e-3:
                 break
+        assert solved is not None  # there was at least a round
         return signals, reduced, near, solved[1]
 
     def _signals(self, reduced: Reduced) -> Signals:
@@ -282,4 +283,4 @@ class _Run:
             r.unmonitored_risk + wrong, np.stack(r.priors()), self.k_fa, np.zeros(1), self.config.rtk.reference_bias_m,
             self.geo, self.head, self.columns, pl,
         )  # fmt: skip
-        return pl[0]
+        return np.asarray(pl[0])

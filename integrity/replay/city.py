@@ -103,7 +103,7 @@ class CityDrive:
     def alerts(self, config: AlertConfig) -> tuple[Bools, Bools]:
         """Whether the alert was on, and whether the limits were met, at every epoch.  (T,) each."""
         state, steps = AlertState.initial(1), np.diff(self.time_s, prepend=2.0 * self.time_s[0] - self.time_s[1])
-        found = [step(config, state, *self.pl_m[[i]].T, float(dt)) for i, dt in enumerate(steps)]
+        found = [step(config, state, pl[:1], pl[1:], float(dt)) for pl, dt in zip(self.pl_m, steps, strict=True)]
         return np.array([s.alert[0] for s in found]), np.array([s.available[0] for s in found])
 
 

@@ -141,9 +141,9 @@ def run_outages(motion: Motion, config: OutageConfig) -> Outages:
     given = math.radians(config.heading_error_deg)
     signs = (1.0, -1.0) if given > 0.0 else (0.0,)
     cases = [(int(s), sign * given) for s in starts for sign in signs]
-    starts, errors = np.array([s for s, _ in cases]), np.array([e for _, e in cases])
+    starts, errors = np.array([s for s, _ in cases]), np.array([e for _, e in cases], dtype=np.float64)
     off, levels = _driven(motion, starts, errors, n, config)
-    age = (np.arange(n) + 1.0) / config.rate_hz
+    age = np.asarray((np.arange(n) + 1.0) / config.rate_hz, dtype=np.float64)
     return Outages(age, off, levels, motion.true_speed_mps[starts], errors, motion.time_s[starts])
 
 
