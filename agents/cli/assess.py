@@ -69,7 +69,7 @@ def faults(
 ) -> None:
     """Every fault in several sizes and lengths: is it noticed, how soon, and does it mislead?
 
-    Example: lanebound assess faults --out out/faults --vehicles 4 --set kinds=spoofing,jamming
+    Example: lanebound assess faults --out out/faults --vehicles 4 --set 'kinds=[spoofing,jamming]'
     """
     from lanebound.agents.assess.faults import FaultsConfig, assess_faults
     from lanebound.agents.cli.interrupt import stoppable
