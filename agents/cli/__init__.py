@@ -15,12 +15,10 @@ from lanebound.agents.cli import (
     drive,
     envs,
     play,
-    replay,
-    reproduce,
-    train,
     recorded,
     replay,
     reproduce,
+    train,
     tune,
 )
 from lanebound.agents.cli.advice import AdvisingGroup
