@@ -296,7 +296,7 @@ class Intersection(Preset):
     The common ones. While an alert is on, 5 m/s are permitted.
     The limit of an episode, `cost_limit`, is 8: without the crashes ignoring alerts costs 6, stopping on them 0.8, and
     `integrity_aware` 3 (means of 24 training seeds); but all of them crash in a quarter of their drives or more, which
-    adds 12 and more. To keep the limit takes fewer than one in ten.
+    adds 50 and more. To keep the limit takes fewer than one in forty.
 
     ## Starting State
     About 65 m along the southern approach of 100 m, with a standard deviation of 5 m, at 10 m/s.
@@ -335,9 +335,9 @@ class Racetrack(Preset):
 
     ## Costs
     `cost_lane` is about the edges of the road, and `cost_lane_integrity` is 0. The car cannot slow down, so
-    an alert permits its 10 m/s (`cost.alert_speed_share` is 1). The limit of an episode, `cost_limit`, is 10,
-    which a drive without a crash keeps by half; none of the drivers here finds a way past the other vehicle, and all
-    crash into it (24 training seeds).
+    an alert permits its 10 m/s (`cost.alert_speed_share` is 1). The limit of an episode, `cost_limit`, is 10:
+    a third of an episode (100 s) costs `nominal` 10, all for the lane, and `oracle` 0.1; both pass the slower vehicle,
+    into which `stop_on_alert` crashes (12 training seeds).
 
     ## Starting State
     In the middle of either lane of the first straight, 20 to 50 m along it, at 10 m/s; the other vehicle in the first
