@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.agents.assess.bounding_summary import summarise
-from lanebound.agents.assess.folder import Progress, claim, run_parts
-from lanebound.agents.reproduce.study import write_whole
+from lanebound.agents.kept import Progress, claim, run_parts, write_whole
 from lanebound.integrity.assessment.drift_model import DriftConfig, Outage, drift_exceedance
 from lanebound.integrity.assessment.exceedance import (
     Tally,
@@ -33,6 +32,7 @@ __all__ = ["BoundingConfig", "assess_bounding", "part_names", "work_part"]
 
 Array = NDArray[np.float64]
 
+PACKAGES = ("lanebound.integrity", "lanebound.agents.assess")
 CASES_IN_PART = 10
 OUTAGES_IN_PART = 4
 
@@ -76,7 +76,7 @@ def assess_bounding(
     InputError
         ``out`` holds another study, or cannot be written.
     """
-    claim("bounding", config, out)
+    claim(out, "bounding", config, PACKAGES)
     names = part_names(config)
     parts = run_parts(out, names, partial(work_part, config), jobs, progress)
     result = summarise(config.to_dict(), dict(zip(names, parts, strict=True)))

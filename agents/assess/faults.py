@@ -18,8 +18,7 @@ from scipy.stats import chi2
 
 from lanebound.agents.assess.bounding_summary import rate_of
 from lanebound.agents.assess.fault_response import Response, Run, drive_run, measure_response
-from lanebound.agents.assess.folder import Progress, claim, run_parts
-from lanebound.agents.reproduce.study import write_whole
+from lanebound.agents.kept import Progress, claim, run_parts, write_whole
 from lanebound.integrity.config import Config, Field
 from lanebound.integrity.navigator import NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
@@ -29,6 +28,7 @@ from lanebound.integrity.sky.track import SkyTrack
 
 __all__ = ["Cell", "FaultsConfig", "assess_faults", "cells_of", "work_cell"]
 
+PACKAGES = ("lanebound.integrity", "lanebound.agents.assess")
 K = FaultKind
 Profile = Literal["step", "ramp"]
 
@@ -105,7 +105,7 @@ def assess_faults(
     from lanebound.agents.assess.faults_figure import faults_figure
     from lanebound.integrity.assessment.plotting import save
 
-    claim("faults", config, out)
+    claim(out, "faults", config, PACKAGES)
     cells = {cell.name: cell for cell in cells_of(config)}
     parts = run_parts(out, ["control", *cells], partial(work_part, config), jobs, progress)
     result = {"config": config.to_dict(), "control": parts[0], "faults": parts[1:]}

@@ -21,8 +21,6 @@ FOLDERS = (
     "lanebound.agents.drivers",
     "lanebound.agents.episodes",
 )
-
-
 FILES = ("episode.py", "outcome.py", "scoring.py", "suite.py", "work.py")
 """Those beside this one from which an episode's rows and figures follow; metrics are taken when results are loaded."""
 PACKAGES = ("numpy", "numba", "scipy", "gymnasium", "highway-env")

@@ -83,8 +83,8 @@ def faults(
 
 
 def _kept(out: Path) -> str:
-    from lanebound.agents.assess.folder import parts_kept
     from lanebound.agents.cli.output import counted
+    from lanebound.agents.kept import parts_kept
 
     return f"{counted(parts_kept(out), 'finished part')} kept in {out}; run the same command again to go on"
 

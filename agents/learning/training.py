@@ -25,12 +25,12 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
+from lanebound.agents.kept import write_whole
 from lanebound.agents.learning.card import write_card
 from lanebound.agents.learning.evaluation import evaluate
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig, Shield
 from lanebound.agents.learning.shield import Shielded
 from lanebound.agents.plain import finite_or_none
-from lanebound.agents.reproduce.study import write_whole
 from lanebound.envs.costs import CAUSES
 from lanebound.integrity.errors import InputError
 

@@ -29,6 +29,18 @@ class Toll(gymnasium.Env[Any, Any]):
         self.time += 1
         return self._seen(), share, False, self.time >= self.LENGTH, {"cost": share**2}
 
+    @classmethod
+    def driven_by(cls, model: Any) -> tuple[float, float]:
+        """Return and cost of an episode of a policy's mean."""
+        env = cls()
+        observation, _ = env.reset()
+        total, cost, ended = 0.0, 0.0, False
+        while not ended:
+            action, _ = model.predict(observation, deterministic=True)
+            observation, reward, terminated, truncated, info = env.step(action)
+            total, cost, ended = total + reward, cost + info["cost"], terminated or truncated
+        return total, cost
+
     def _seen(self) -> Any:
         return np.array([self.time / self.LENGTH, 1.0], dtype=np.float32)
 

@@ -33,24 +33,12 @@ def learner(toll: type, **settings: Any) -> PPOLagrangian:
     return PPOLagrangian("MlpPolicy", make_vec_env(toll, 4, seed=1), **{**SETTINGS, "cost_limit": 2.5, **settings})
 
 
-def drive(model: PPO, toll: type) -> tuple[float, float]:
-    """Return and cost of an episode of the policy's mean."""
-    env = toll()
-    observation, _ = env.reset()
-    total, cost, ended = 0.0, 0.0, False
-    while not ended:
-        action, _ = model.predict(observation, deterministic=True)
-        observation, reward, terminated, truncated, info = env.step(action)
-        total, cost, ended = total + reward, cost + info["cost"], terminated or truncated
-    return total, cost
-
-
-def test_it_comes_to_the_limit_where_plain_ppo_takes_all_there_is(toll: type) -> None:
+def test_it_comes_to_the_limit_where_plain_ppo_takes_all_there_is(toll: Any) -> None:
     torch.set_num_threads(1)
     plain = PPO("MlpPolicy", make_vec_env(toll, 4, seed=1), **SETTINGS).learn(12_000)
-    assert drive(plain, toll)[1] > 8.0
+    assert toll.driven_by(plain)[1] > 8.0
     bound = learner(toll).learn(30_000)
-    total, cost = drive(bound, toll)
+    total, cost = toll.driven_by(bound)
     assert 1.5 < cost < 3.5
     assert 3.8 < total < 6.0
     assert bound.multiplier.value > 0.1
