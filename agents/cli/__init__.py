@@ -18,6 +18,7 @@ from lanebound.agents.cli import (
     recorded,
     replay,
     reproduce,
+    study,
     train,
     tune,
 )
@@ -75,6 +76,7 @@ app.command("benchmark")(benchmark.benchmark)
 app.command("train")(train.train)
 app.command("evaluate")(train.evaluate)
 app.command("export")(train.export)
+app.command("study")(study.study)
 app.command("replay-episode")(replay.replay_episode)
 app.command("replay")(recorded.replay)
 app.command("rtk")(recorded.rtk)
