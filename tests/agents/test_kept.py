@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from work import squared
 
 from lanebound.agents import kept
 from lanebound.agents.kept import claim, code_digest, one_thread, parts_kept, run_parts, write_whole
@@ -20,10 +21,6 @@ class Small(Config):
     """Something to be studied."""
 
     size: int = Field(1, ge=1, description="of it")
-
-
-def squared(name: str) -> dict[str, Any]:
-    return {"squared": int(name) ** 2, "threads": os.environ.get("OMP_NUM_THREADS"), "bad": float("nan")}
 
 
 def test_a_run_that_breaks_goes_on_with_what_is_missing(tmp_path: Path) -> None:
