@@ -1,0 +1,146 @@
+"""The batched core: N environments of one configuration as arrays, equal to as many single ones."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+from gymnasium.utils import seeding
+from numpy.typing import NDArray
+
+from lanebound.envs.core import DrivingEnv
+from lanebound.envs.vector import columns_kernel as k
+from lanebound.envs.vector.rules import direct_ranges, meta_codes, rules_of, trail_length
+from lanebound.envs.vector.start import profile_steps, starter_of
+from lanebound.envs.vector.step_kernel import DECIDE, FINISH, START, World, run_parallel, run_some
+from lanebound.envs.vector.support import require_supported
+from lanebound.integrity.accel import use_parallel
+from lanebound.integrity.monitoring.alerts import AlertReason
+from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.positioning.rtk_status import RtkStatus
+
+__all__ = ["Engine"]
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+WORLD_SEEDS, EPISODE_SEEDS = 2**31, 2**62  # as DrivingEnv.reset draws them
+
+
+class Engine:
+    """N environments that step together.
+
+    Parameters
+    ----------
+    single : one environment of the configuration, asked for spaces, roads and figures; it is not driven
+    count : number N of environments
+
+    Attributes
+    ----------
+    world : everything that changes, see :class:`~lanebound.envs.vector.step_kernel.World`
+    rules : what all environments share
+
+    Raises
+    ------
+    ConfigError
+        A configuration that the engine cannot do as a single environment does.
+    """
+
+    def __init__(self, single: DrivingEnv, count: int) -> None:
+        require_supported(single)
+        self.single, self.count = single, count
+        self.rules = rules_of(single)
+        self.frames = single.config.simulation_hz // single.config.policy_hz
+        self._everyone = np.arange(count)
+        self._codes = meta_codes(single.world)
+        self._ranges = direct_ranges(single.world)
+        self._start = starter_of(single.world, self.rules.lanes)
+        self._generators: list[np.random.Generator | None] = [None] * count
+        self.world = self._empty()
+
+    def _empty(self) -> World:
+        """Arrays for N environments, before any start."""
+        n, config, world = self.count, self.single.config, self.single.world
+        vehicles, entries = len(world.road.vehicles), len(self.single.observer.index)
+        others = max(vehicles - 1, 1)
+        return World(
+            cars=np.zeros((n, k.CAR, vehicles)),
+            whole=np.zeros((n, k.WHOLE, vehicles), dtype=np.int64),
+            belief=np.zeros((n, k.BELIEF)),
+            score=np.zeros((n, k.SCORE)),
+            out=np.zeros((n, k.OUT)),
+            traffic=np.zeros((n, others, k.SEEN)),
+            seen=np.zeros(n, dtype=np.int64),
+            profile=np.zeros((n, profile_steps(world))),
+            trail=np.zeros((n, trail_length(config), 2)),
+            observed=np.zeros(n, dtype=np.int64),
+            sky=np.full((n, 3 * len(config.observation.satellites_m)), -1.0),
+            frame=np.zeros((n, entries), dtype=np.float32),
+        )
+
+    @property
+    def bytes_per_environment(self) -> int:
+        """Memory that grows with N, per environment."""
+        return sum(array.nbytes for array in self.world) // self.count
+
+    # An episode
+
+    def reset(self, rows: Rows, seeds: list[int | None]) -> None:
+        """Begin an episode in the environments ``rows``, each with its seed or from where its generator is."""
+        for e, seed in zip(rows.tolist(), seeds, strict=True):
+            self._begin(e, seed)
+        self._know_all(rows)
+        self._run(rows, 0, FINISH | START)
+
+    def step(self, actions: NDArray[Any], rows: Rows | None = None) -> None:
+        """Carry out commands (N,) or (N, A) until the next decision, in all environments or in ``rows`` of them."""
+        where = self._everyone if rows is None else rows
+        codes = self._everyone
+        if self._codes.size:
+            codes = self._codes[actions]
+        else:
+            self._take_up(actions)
+        self._run(where, self.frames, DECIDE | FINISH, codes)
+
+    def _run(self, rows: Rows, frames: int, parts: int, actions: Rows | None = None) -> None:
+        chosen = self._everyone if actions is None else actions
+        run, first = (run_parallel, numba.get_num_threads()) if use_parallel(rows.size) else (run_some, 0)
+        run(first, rows.size, rows, frames, parts, chosen, self.world, self.rules)
+
+    def _take_up(self, actions: NDArray[Any]) -> None:
+        """Continuous commands in physical units, in the precision of the action as highway-env maps it."""
+        column = 0
+        for target, between in zip((k.B_THROTTLE, k.B_TURN), self._ranges, strict=True):
+            if between is not None:
+                share = np.clip(actions[:, column], -1, 1)
+                self.world.belief[:, target] = between[0] + (share - -1) * (between[1] - between[0]) / (1 - -1)
+                column += 1
+
+    # Starts
+
+    def _begin(self, e: int, seed: int | None) -> None:
+        """Draw as :meth:`DrivingEnv.reset` does: the episode's seed, the world's, then who drives where."""
+        generator = self._generators[e]
+        if seed is not None or generator is None:
+            generator = self._generators[e] = seeding.np_random(seed)[0]
+        generator.integers(EPISODE_SEEDS)
+        world_seed = seed if seed is not None else int(generator.integers(WORLD_SEEDS))
+        w = self.world
+        self._start(seeding.np_random(world_seed)[0], w.cars[e], w.whole[e], w.profile[e])
+
+    def _know_all(self, rows: Rows) -> None:
+        """Beliefs and scores at the start, from the true poses."""
+        w, c = self.world, self.world.cars
+        w.score[rows] = 0.0
+        w.belief[rows] = 0.0
+        poses = {k.B_X: k.X, k.B_Y: k.Y, k.B_HEADING: k.HEADING, k.B_SPEED: k.SPEED}
+        for belief, car in poses.items():
+            w.belief[rows, belief] = c[rows, car, 0]
+        w.belief[rows, k.B_LANE] = w.belief[rows, k.B_TARGET_LANE] = w.whole[rows, k.LANE, 0]
+        speeds = self.rules.speeds
+        share = (c[rows, k.SPEED, 0] - speeds[0]) / (speeds[-1] - speeds[0])
+        nearest = np.clip(np.round(share * (speeds.size - 1)), 0, speeds.size - 1).astype(np.int64)
+        w.belief[rows, k.B_TARGET_SPEED] = speeds[nearest]
+        w.belief[rows, k.B_AVAILABLE] = 1.0
+        w.belief[rows, k.B_MODE], w.belief[rows, k.B_RTK] = int(Mode.RTK), RtkStatus.FIXED.code
+        w.belief[rows, k.B_REASON] = AlertReason.NONE.code
