@@ -1,4 +1,4 @@
-"""The map of an environment as the arrays of :mod:`.chart_kernel`, asked of the map that the environments themselves use."""
+"""The map of an environment as the arrays of :mod:`.chart_kernel`, asked of the map that single environments use."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def chart_of(network: RoadNetwork, config: ObservationConfig) -> Chart:
     table, nodes = _lines(lines)
     widest = max(len(path.following) for path in paths)
     following = np.full((len(rows), widest), -1, dtype=np.int64)
-    for l, path in enumerate(paths):
-        following[l, : len(path.following)] = [rows.index(index) for index in path.following]
+    for lane, path in enumerate(paths):
+        following[lane, : len(path.following)] = [rows.index(index) for index in path.following]
     return Chart(
         facts=np.array([_facts(path) for path in paths]),
         following=following,

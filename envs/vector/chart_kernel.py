@@ -43,7 +43,7 @@ class Chart(NamedTuple):
 
 @jit
 def _on_line(chart, n, s):  # type: ignore[no-untyped-def]
-    """Point, direction and curvature at a station of one lane's line; drawn on straight past the ends of a curved one."""
+    """Point, direction and curvature at a station of a lane's line; drawn on straight past the ends of a curved one."""
     x, y, heading = chart.lines[n, L_X], chart.lines[n, L_Y], chart.lines[n, L_HEADING]
     step, length = chart.lines[n, L_STEP], chart.lines[n, L_LENGTH]
     if step == 0.0:
@@ -60,10 +60,10 @@ def _on_line(chart, n, s):  # type: ignore[no-untyped-def]
 
 
 @jit
-def path_at(chart, l, station):  # type: ignore[no-untyped-def]
-    """Point, direction and curvature at a station of the path from lane l on: (x, y, heading, curvature)."""
-    first, last = chart.piece_first[l], chart.piece_first[l + 1] - 1
-    start = chart.facts[l, START_M]
+def path_at(chart, lane, station):  # type: ignore[no-untyped-def]
+    """Point, direction and curvature at a station of the path from a lane on: (x, y, heading, curvature)."""
+    first, last = chart.piece_first[lane], chart.piece_first[lane + 1] - 1
+    start = chart.facts[lane, START_M]
     if station < start:
         x, y, heading, _ = _on_line(chart, chart.piece_line[first], 0.0)
         return x + (station - start) * math.cos(heading), y + (station - start) * math.sin(heading), heading, 0.0
@@ -76,11 +76,11 @@ def path_at(chart, l, station):  # type: ignore[no-untyped-def]
 
 
 @jit
-def project(chart, l, x, y, guess):  # type: ignore[no-untyped-def]
-    """Station and offset of a point from the path of lane l, and whether it is beside it: (s, r, found)."""
+def project(chart, lane, x, y, guess):  # type: ignore[no-untyped-def]
+    """Station and offset of a point from the path of a lane, and whether it is beside it: (s, r, found)."""
     station = guess
     for _ in range(PROJECTIONS):
-        px, py, heading, curvature = path_at(chart, l, station)
+        px, py, heading, curvature = path_at(chart, lane, station)
         dx, dy, cosine, sine = x - px, y - py, math.cos(heading), math.sin(heading)
         along, offset = dx * cosine + dy * sine, dy * cosine - dx * sine
         station += along / max(1.0 - curvature * offset, 0.5)
@@ -88,4 +88,3 @@ def project(chart, l, x, y, guess):  # type: ignore[no-untyped-def]
         if -near < along < near:
             return station, offset, True
     return 0.0, 0.0, False
-

@@ -92,10 +92,10 @@ def _beyond(lanes, low, high, x, y):  # type: ignore[no-untyped-def]
     """How far a point is outside of the lanes from ``low`` to ``high``, negative inside; whether it is beside them."""
     beyond, on = -math.inf, False
     for end in range(2):
-        l = low if end == 0 else high
-        s, r, _ = local(lanes, l, x, y)
-        on = on or -JOINT_M <= s <= lanes.length[l] + JOINT_M
-        beyond = max(beyond, (-r if end == 0 else r) - 0.5 * lanes.width[l])
+        lane = low if end == 0 else high
+        s, r, _ = local(lanes, lane, x, y)
+        on = on or -JOINT_M <= s <= lanes.length[lane] + JOINT_M
+        beyond = max(beyond, (-r if end == 0 else r) - 0.5 * lanes.width[lane])
     return beyond, on
 
 
@@ -126,8 +126,8 @@ def _overhang(c, sc, lanes, keep):  # type: ignore[no-untyped-def]
         for k in range(lanes.joined_first[road], lanes.joined_first[road + 1]):
             other = lanes.joined[k]
             if keep and not lanes.joined_whole[k]:
-                l = _of_side(lanes, other, own)
-                beyond, on = _beyond(lanes, l, l, x, y)
+                lane = _of_side(lanes, other, own)
+                beyond, on = _beyond(lanes, lane, lane, x, y)
             else:
                 last = lanes.first[other] + lanes.count[other] - 1
                 beyond, on = _beyond(lanes, lanes.first[other], last, x, y)
@@ -169,11 +169,11 @@ def _lacking(gap, needed):  # type: ignore[no-untyped-def]
 @jit
 def _shortfall(c, w, lanes, figures):  # type: ignore[no-untyped-def]
     """Share of the safe distance that in truth lacks to a vehicle ahead in the lane."""
-    l, worst = w[LANE, 0], 0.0
-    place, _, _ = local(lanes, l, c[X, 0], c[Y, 0])
+    lane, worst = w[LANE, 0], 0.0
+    place, _, _ = local(lanes, lane, c[X, 0], c[Y, 0])
     for i in range(1, c.shape[1]):
-        s, r, _ = local(lanes, l, c[X, i], c[Y, i])
-        if s > place and abs(r) <= 0.5 * lanes.width[l]:
+        s, r, _ = local(lanes, lane, c[X, i], c[Y, i])
+        if s > place and abs(r) <= 0.5 * lanes.width[lane]:
             needed = safe_distance(c[SPEED, 0], c[SPEED, i], figures)
             worst = max(worst, _lacking(s - place - LENGTH_M, needed))
     return worst
@@ -183,9 +183,9 @@ def _shortfall(c, w, lanes, figures):  # type: ignore[no-untyped-def]
 def _headway(b, c, w, t, count, lanes, figures):  # type: ignore[no-untyped-def]
     """Share of the safe distance that lacks: by what is believed of the nearest ahead, or in truth if that is worse."""
     truly = _shortfall(c, w, lanes, figures)
-    l, gap, lead = int(b[B_LANE]), math.inf, -1
+    lane, gap, lead = int(b[B_LANE]), math.inf, -1
     for i in range(count):
-        s, r, _ = local(lanes, l, t[i, T_X], t[i, T_Y])
+        s, r, _ = local(lanes, lane, t[i, T_X], t[i, T_Y])
         ahead = s - b[B_ALONG]
         distance = ahead - 0.5 * (LENGTH_M + t[i, T_LENGTH])
         if ahead > 0.0 and abs(r) <= 0.5 * b[B_WIDTH] and distance < gap:

@@ -43,7 +43,20 @@ from lanebound.envs.vector.lanes_kernel import VEHICLE_LENGTH_M, heading_at, loc
 from lanebound.envs.vector.motorway_kernel import KP_HEADING, KP_LATERAL, not_zero, settle
 from lanebound.integrity.accel import jit
 
-__all__ = ["FASTER", "IDLE", "LEFT", "RIGHT", "SLOWER", "command", "decide", "know", "move", "rates", "show_intent", "steering_to"]
+__all__ = [
+    "FASTER",
+    "IDLE",
+    "LEFT",
+    "RIGHT",
+    "SLOWER",
+    "command",
+    "decide",
+    "know",
+    "move",
+    "rates",
+    "show_intent",
+    "steering_to",
+]
 
 LEFT, IDLE, RIGHT, FASTER, SLOWER = range(5)
 STEERING_MOST_RAD = math.pi / 3.0  # ControlledVehicle.MAX_STEERING_ANGLE of highway-env
@@ -86,10 +99,10 @@ def follow(b, lanes):  # type: ignore[no-untyped-def]
 
 
 @jit
-def steering_to(lanes, l, x, y, heading, speed):  # type: ignore[no-untyped-def]
+def steering_to(lanes, lane, x, y, heading, speed):  # type: ignore[no-untyped-def]
     """highway-env's steering angle of a car at a pose, to the middle of a lane."""
-    s, r, _ = local(lanes, l, x, y)
-    ahead = heading_at(lanes, l, s + speed * PURSUIT_S)
+    s, r, _ = local(lanes, lane, x, y)
+    ahead = heading_at(lanes, lane, s + speed * PURSUIT_S)
     course = math.asin(min(max(-KP_LATERAL * r / not_zero(speed), -1.0), 1.0))
     wanted = ahead + min(max(course, -0.25 * math.pi), 0.25 * math.pi)
     rate = KP_HEADING * wrap(wanted - heading)
@@ -100,14 +113,14 @@ def steering_to(lanes, l, x, y, heading, speed):  # type: ignore[no-untyped-def]
 @jit
 def pursuit(b, lanes):  # type: ignore[no-untyped-def]
     """Pure pursuit of the target lane, :func:`~lanebound.envs.pursuit.pursuit_rad`."""
-    l, x, y = int(b[B_TARGET_LANE]), b[B_X], b[B_Y]
-    s, aside, _ = local(lanes, l, x, y)
+    lane, x, y = int(b[B_TARGET_LANE]), b[B_X], b[B_Y]
+    s, aside, _ = local(lanes, lane, x, y)
     look = max(LOOK_M, LOOK_S * abs(b[B_SPEED]))
     along, beside = s + look, aside - min(max(aside, -SLOPE * look), SLOPE * look)
-    if along > lanes.length[l] and lanes.onward[l] >= 0:
-        along -= lanes.length[l]
-        l = lanes.onward[l]
-    goal_x, goal_y = place(lanes, l, along, beside)
+    if along > lanes.length[lane] and lanes.onward[lane] >= 0:
+        along -= lanes.length[lane]
+        lane = lanes.onward[lane]
+    goal_x, goal_y = place(lanes, lane, along, beside)
     dx, dy = goal_x - x, goal_y - y
     alpha = math.atan2(dy, dx) - b[B_HEADING]
     alpha -= 2.0 * math.pi * round(alpha / (2.0 * math.pi))
@@ -190,7 +203,7 @@ def show_intent(b, c, w, figures):  # type: ignore[no-untyped-def]
 
 @jit
 def rates(b, heading_before, speed_before, dt):  # type: ignore[no-untyped-def]
-    """Turn rate and smoothed acceleration of the belief since the last fix, as :class:`~lanebound.envs.tracker.Tracker`."""
+    """Turn rate and smoothed acceleration of the belief since the last fix, as ``Tracker`` has them."""
     turn = b[B_HEADING] - heading_before
     turn -= 2.0 * math.pi * round(turn / (2.0 * math.pi))
     b[B_YAW_RATE] = turn / dt if abs(b[B_SPEED]) > STANDING_MPS else 0.0

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.vector import columns_kernel as k
+from lanebound.envs.vector.chart import chart_of
+from lanebound.envs.vector.lanes import lanes_of
 from lanebound.envs.vector.rules import direct_ranges, meta_codes, rules_of, trail_length
 from lanebound.envs.vector.start import profile_steps, starter_of
 from lanebound.envs.vector.step_kernel import DECIDE, FINISH, START, World, run_parallel, run_some
@@ -38,7 +40,7 @@ class Engine:
     Attributes
     ----------
     world : everything that changes, see :class:`~lanebound.envs.vector.step_kernel.World`
-    rules : what all environments share
+    lanes, chart, rules : what all environments share
 
     Raises
     ------
@@ -49,12 +51,14 @@ class Engine:
     def __init__(self, single: DrivingEnv, count: int) -> None:
         require_supported(single)
         self.single, self.count = single, count
+        network = single.world.road.network
+        self.lanes, self.chart = lanes_of(network), chart_of(network, single.config.observation)
         self.rules = rules_of(single)
         self.frames = single.config.simulation_hz // single.config.policy_hz
         self._everyone = np.arange(count)
         self._codes = meta_codes(single.world)
         self._ranges = direct_ranges(single.world)
-        self._start = starter_of(single.world, self.rules.lanes)
+        self._start = starter_of(single.world, self.lanes)
         self._generators: list[np.random.Generator | None] = [None] * count
         self.world = self._empty()
 
@@ -105,7 +109,7 @@ class Engine:
     def _run(self, rows: Rows, frames: int, parts: int, actions: Rows | None = None) -> None:
         chosen = self._everyone if actions is None else actions
         run, first = (run_parallel, numba.get_num_threads()) if use_parallel(rows.size) else (run_some, 0)
-        run(first, rows.size, rows, frames, parts, chosen, self.world, self.rules)
+        run(first, rows.size, rows, frames, parts, chosen, self.world, self.lanes, self.chart, self.rules)
 
     def _take_up(self, actions: NDArray[Any]) -> None:
         """Continuous commands in physical units, in the precision of the action as highway-env maps it."""

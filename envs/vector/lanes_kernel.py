@@ -119,8 +119,8 @@ def _project(lanes, p, x, y):  # type: ignore[no-untyped-def]
     """Cell, distance into it and offset of the nearest point of a path: a walk from the cell that the grid names."""
     low, last = lanes.cell_first[p], lanes.cell_first[p + 1] - 1
     columns, rows = lanes.shape[p, 0], lanes.shape[p, 1]
-    column = min(max(int(math.floor((x - lanes.low[p, 0]) / lanes.square)), 0), columns - 1)
-    row = min(max(int(math.floor((y - lanes.low[p, 1]) / lanes.square)), 0), rows - 1)
+    column = min(max(math.floor((x - lanes.low[p, 0]) / lanes.square), 0), columns - 1)
+    row = min(max(math.floor((y - lanes.low[p, 1]) / lanes.square), 0), rows - 1)
     c, way = low + lanes.near[lanes.shape[p, 2] + column * rows + row], 0
     while True:
         into, lateral = _foot(lanes.cells, c, x, y)
@@ -145,52 +145,52 @@ def _aside(cells, c, x, y):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _station(lanes, l, c):  # type: ignore[no-untyped-def]
+def _station(lanes, lane, c):  # type: ignore[no-untyped-def]
     """Distance along a lane of the beginning of a cell of its path."""
-    cells, begin = lanes.cells, lanes.cell_first[lanes.path[l]]
-    return cells[c, C_STATION] - lanes.offset[l] * (cells[c, C_HEADING] - cells[begin, C_HEADING])
+    cells, begin = lanes.cells, lanes.cell_first[lanes.path[lane]]
+    return cells[c, C_STATION] - lanes.offset[lane] * (cells[c, C_HEADING] - cells[begin, C_HEADING])
 
 
 @jit
-def local(lanes, l, x, y):  # type: ignore[no-untyped-def]
+def local(lanes, lane, x, y):  # type: ignore[no-untyped-def]
     """Distance along a lane, offset to its right, and the lane's direction there: (s, r, heading)."""
     cells = lanes.cells
-    c, into, lateral = _project(lanes, lanes.path[l], x, y)
+    c, into, lateral = _project(lanes, lanes.path[lane], x, y)
     turned = (cells[c, C_KAPPA] + 0.5 * cells[c, C_SLOPE] * into) * into
-    s = _station(lanes, l, c) + into - lanes.offset[l] * turned
-    return s, lateral - lanes.offset[l], cells[c, C_HEADING] + turned
+    s = _station(lanes, lane, c) + into - lanes.offset[lane] * turned
+    return s, lateral - lanes.offset[lane], cells[c, C_HEADING] + turned
 
 
 @jit
-def _into(lanes, l, s):  # type: ignore[no-untyped-def]
+def _into(lanes, lane, s):  # type: ignore[no-untyped-def]
     """Cell and distance along the path into it, of a distance along a lane."""
-    cells, p, offset = lanes.cells, lanes.path[l], lanes.offset[l]
+    cells, p, offset = lanes.cells, lanes.path[lane], lanes.offset[lane]
     low, high = lanes.cell_first[p], lanes.cell_first[p + 1]
     while high - low > 1:
         middle = (low + high) // 2
-        if _station(lanes, l, middle) <= s:
+        if _station(lanes, lane, middle) <= s:
             low = middle
         else:
             high = middle
-    rest = s - _station(lanes, l, low)
+    rest = s - _station(lanes, lane, low)
     factor = 1.0 - offset * cells[low, C_KAPPA]
     under = factor * factor - 2.0 * offset * cells[low, C_SLOPE] * rest
     return low, 2.0 * rest / (factor + math.sqrt(max(under, 0.0)))
 
 
 @jit
-def place(lanes, l, s, r):  # type: ignore[no-untyped-def]
+def place(lanes, lane, s, r):  # type: ignore[no-untyped-def]
     """The point at a distance along a lane and to the right of it: (x, y)."""
-    c, into = _into(lanes, l, s)
+    c, into = _into(lanes, lane, s)
     x, y, heading = _advance(lanes.cells, c, into)
-    aside = r + lanes.offset[l]
+    aside = r + lanes.offset[lane]
     return x - aside * math.sin(heading), y + aside * math.cos(heading)
 
 
 @jit
-def heading_at(lanes, l, s):  # type: ignore[no-untyped-def]
+def heading_at(lanes, lane, s):  # type: ignore[no-untyped-def]
     """Direction of a lane, not wrapped."""
-    c, into = _into(lanes, l, s)
+    c, into = _into(lanes, lane, s)
     return lanes.cells[c, C_HEADING] + (lanes.cells[c, C_KAPPA] + 0.5 * lanes.cells[c, C_SLOPE] * into) * into
 
 
@@ -198,22 +198,22 @@ def heading_at(lanes, l, s):  # type: ignore[no-untyped-def]
 def nearest(lanes, x, y, heading):  # type: ignore[no-untyped-def]
     """The lane with the least ``|r| + beyond its ends + |angle|``; the first of equals."""
     best, least = 0, math.inf
-    for l in range(lanes.path.shape[0]):
-        s, r, direction = local(lanes, l, x, y)
-        distance = abs(r) + max(s - lanes.length[l], 0.0, -s) + abs(wrap(heading - direction))
+    for lane in range(lanes.path.shape[0]):
+        s, r, direction = local(lanes, lane, x, y)
+        distance = abs(r) + max(s - lanes.length[lane], 0.0, -s) + abs(wrap(heading - direction))
         if distance < least:
-            best, least = l, distance
+            best, least = lane, distance
     return best
 
 
 @jit
-def on_lane(lanes, l, s, r):  # type: ignore[no-untyped-def]
+def on_lane(lanes, lane, s, r):  # type: ignore[no-untyped-def]
     """Whether a point at (s, r) is on a lane."""
-    beside = abs(r) <= 0.5 * lanes.width[l]
-    return beside and -VEHICLE_LENGTH_M <= s < lanes.length[l] + VEHICLE_LENGTH_M
+    beside = abs(r) <= 0.5 * lanes.width[lane]
+    return beside and -VEHICLE_LENGTH_M <= s < lanes.length[lane] + VEHICLE_LENGTH_M
 
 
 @jit
-def reachable(lanes, l, s, r):  # type: ignore[no-untyped-def]
+def reachable(lanes, lane, s, r):  # type: ignore[no-untyped-def]
     """Whether a lane may be changed to from (s, r) on it."""
-    return abs(r) <= 2.0 * lanes.width[l] and 0.0 <= s < lanes.length[l] + VEHICLE_LENGTH_M
+    return abs(r) <= 2.0 * lanes.width[lane] and 0.0 <= s < lanes.length[lane] + VEHICLE_LENGTH_M

@@ -1,7 +1,7 @@
 """Traffic of a straight motorway along x: highway-env's IDM drivers with MOBIL lane changes, sorted once a step.
 
 An environment's vehicles are kept in order along x, so that neighbours are found by a short walk. Headings and slip
-enter by their sines and cosines: steering asks for ``sin(beta)``, and ``tan(beta) = tan(steering) / 2`` makes arctangent
+enter by their sines and cosines: steering asks for ``sin(beta)``, and by ``tan(beta) = tan(steering) / 2`` arctangent
 and tangent cancel. Vehicle 0 is the ego, whom others see as it truly is.
 """
 
@@ -79,27 +79,27 @@ def _braking(c, i, j):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _stands_on(c, k, lanes, l):  # type: ignore[no-untyped-def]
-    beside = abs(c[Y, k] - lanes.offset[l]) <= 0.5 * lanes.width[l] + MARGIN_M
-    return beside and -BEYOND_M <= c[X, k] < lanes.length[l] + BEYOND_M
+def _stands_on(c, k, lanes, lane):  # type: ignore[no-untyped-def]
+    beside = abs(c[Y, k] - lanes.offset[lane]) <= 0.5 * lanes.width[lane] + MARGIN_M
+    return beside and -BEYOND_M <= c[X, k] < lanes.length[lane] + BEYOND_M
 
 
 @jit
-def _ahead(c, w, i, lanes, l):  # type: ignore[no-untyped-def]
-    """The vehicle ahead of i on lane l, -1 for none."""
+def _ahead(c, w, i, lanes, lane):  # type: ignore[no-untyped-def]
+    """The vehicle ahead of i on a lane, -1 for none."""
     for at in range(w[RANK, i] + 1, c.shape[1]):
         k = w[ORDER, at]
-        if _stands_on(c, k, lanes, l):
+        if _stands_on(c, k, lanes, lane):
             return k
     return -1
 
 
 @jit
-def _behind(c, w, i, lanes, l):  # type: ignore[no-untyped-def]
-    """The vehicle behind i on lane l, -1 for none."""
+def _behind(c, w, i, lanes, lane):  # type: ignore[no-untyped-def]
+    """The vehicle behind i on a lane, -1 for none."""
     for at in range(w[RANK, i] - 1, -1, -1):
         k = w[ORDER, at]
-        if _stands_on(c, k, lanes, l):
+        if _stands_on(c, k, lanes, lane):
             return k
     return -1
 
@@ -130,9 +130,9 @@ def survey(c, w, lanes, newest):  # type: ignore[no-untyped-def]
     for at in range(c.shape[1] - 1, -1, -1):
         k = w[ORDER, at]
         w[RANK, k] = at
-        l = w[LANE, k]
-        w[FRONT, k] = newest[l]
-        for m in range(max(l - 1, 0), min(l + 1, last) + 1):
+        lane = w[LANE, k]
+        w[FRONT, k] = newest[lane]
+        for m in range(max(lane - 1, 0), min(lane + 1, last) + 1):
             if _stands_on(c, k, lanes, m):
                 newest[m] = k
 
@@ -169,22 +169,22 @@ def _consider(c, w, i, lanes):  # type: ignore[no-untyped-def]
         return
     own, delta = w[LANE, i], c[DELTA, i]
     for side in (-1, 1):
-        l = own + side
-        if not 0 <= l < lanes.path.shape[0]:
+        lane = own + side
+        if not 0 <= lane < lanes.path.shape[0]:
             continue
-        aside = abs(c[Y, i] - lanes.offset[l])
-        if not (aside <= 2.0 * lanes.width[l] and 0.0 <= c[X, i] < lanes.length[l] + BEYOND_M):
+        aside = abs(c[Y, i] - lanes.offset[lane])
+        if not (aside <= 2.0 * lanes.width[lane] and 0.0 <= c[X, i] < lanes.length[lane] + BEYOND_M):
             continue
-        follower = _behind(c, w, i, lanes, l)
+        follower = _behind(c, w, i, lanes, lane)
         if follower >= 0:
             limit = lanes.limit[w[LANE, follower]]
             if _free(c, follower, limit, delta) - _braking(c, follower, i) < -BRAKING_IMPOSED:
                 continue
-        free, there, here = _free(c, i, lanes.limit[own], delta), _ahead(c, w, i, lanes, l), w[FRONT, i]
+        free, there, here = _free(c, i, lanes.limit[own], delta), _ahead(c, w, i, lanes, lane), w[FRONT, i]
         gain = free - (_braking(c, i, there) if there >= 0 else 0.0)
         gain -= free - (_braking(c, i, here) if here >= 0 else 0.0)
         if not gain < GAIN_MIN:
-            w[TARGET, i] = l
+            w[TARGET, i] = lane
 
 
 @jit
@@ -250,7 +250,7 @@ def drive_others(c, w, lanes, dt):  # type: ignore[no-untyped-def]
         dy = speed * (c[SIN, i] * cosine + c[COS, i] * sine) * dt
         settle(c, w, i, dx, dy, c[HEADING, i] + speed * sine / (0.5 * LENGTH_M) * dt, speed + a * dt)
         place = (c[Y, i] - lowest) / width
-        nearest = int(math.floor(place + 0.5))
+        nearest = math.floor(place + 0.5)
         if place + 0.5 == nearest:  # half way between two: highway-env takes the first
             nearest -= 1
         w[LANE, i] = min(max(nearest, 0), last)

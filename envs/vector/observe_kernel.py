@@ -8,13 +8,13 @@ import numpy as np
 
 from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.chart_kernel import (
+    END_M,
     JUNCTION_M,
     LANE_END_M,
     LEFT_EXISTS,
     LIMIT,
     RIGHT_EXISTS,
     SHARE,
-    END_M,
     path_at,
     project,
 )
@@ -22,7 +22,7 @@ from lanebound.envs.vector.columns_kernel import flag
 from lanebound.envs.vector.lanes_kernel import local, wrap
 from lanebound.integrity.accel import jit
 
-__all__ = ["FULL", "BLIND", "ORACLE", "observe", "true_view"]
+__all__ = ["BLIND", "FULL", "ORACLE", "observe", "true_view"]
 
 FULL, BLIND, ORACLE = range(3)  # what is shown of integrity
 UNKNOWN = -math.inf  # a number of satellites that nobody predicts
@@ -32,33 +32,33 @@ UNKNOWN = -math.inf  # a number of satellites that nobody predicts
 def true_view(b, c, w, lanes, meta, view):  # type: ignore[no-untyped-def]
     """Fill ``view`` with the belief of an ego that knows everything: its true pose, no level needed."""
     view[:] = b
-    l = w[k.LANE, 0]
-    s, r, direction = local(lanes, l, c[k.X, 0], c[k.Y, 0])
+    lane = w[k.LANE, 0]
+    s, r, direction = local(lanes, lane, c[k.X, 0], c[k.Y, 0])
     view[k.B_X], view[k.B_Y], view[k.B_HEADING], view[k.B_SPEED] = (
         c[k.X, 0], c[k.Y, 0], c[k.HEADING, 0], c[k.SPEED, 0],
     )  # fmt: skip
-    view[k.B_LANE], view[k.B_ALONG], view[k.B_LATERAL] = l, s, r
-    view[k.B_ANGLE], view[k.B_WIDTH] = wrap(c[k.HEADING, 0] - direction), lanes.width[l]
+    view[k.B_LANE], view[k.B_ALONG], view[k.B_LATERAL] = lane, s, r
+    view[k.B_ANGLE], view[k.B_WIDTH] = wrap(c[k.HEADING, 0] - direction), lanes.width[lane]
     view[k.B_PL_AT] = view[k.B_PL_CT] = 0.0
     if not meta > 0.0:
-        view[k.B_TARGET_LANE], view[k.B_TARGET_SPEED] = l, c[k.SPEED, 0]
+        view[k.B_TARGET_LANE], view[k.B_TARGET_SPEED] = lane, c[k.SPEED, 0]
 
 
 @jit
 def _ego(b, chart, lanes, out):  # type: ignore[no-untyped-def]
     """Group ``ego``; returns where the next group begins."""
-    l = int(b[k.B_LANE])
+    lane = int(b[k.B_LANE])
     out[0], out[1], out[2], out[3] = b[k.B_SPEED], b[k.B_TARGET_SPEED], b[k.B_ACCELERATION], b[k.B_YAW_RATE]
     out[4], out[5], out[6] = b[k.B_STEERING], math.sin(b[k.B_ANGLE]), math.cos(b[k.B_ANGLE])
     out[7], out[8], out[9] = b[k.B_LATERAL], b[k.B_LATERAL] / (0.5 * b[k.B_WIDTH]), b[k.B_WIDTH]
-    out[10], out[11] = chart.facts[l, SHARE], chart.facts[l, LEFT_EXISTS]
-    out[12] = chart.facts[l, RIGHT_EXISTS]
+    out[10], out[11] = chart.facts[lane, SHARE], chart.facts[lane, LEFT_EXISTS]
+    out[12] = chart.facts[lane, RIGHT_EXISTS]
     change, target = 0, int(b[k.B_TARGET_LANE])
-    if target != l:
+    if target != lane:
         for n in range(chart.following.shape[1]):
-            lane = chart.following[l, n]
-            if lane >= 0 and lanes.road[lane] == lanes.road[target]:
-                change = lanes.side[target] - lanes.side[lane]
+            other = chart.following[lane, n]
+            if other >= 0 and lanes.road[other] == lanes.road[target]:
+                change = lanes.side[target] - lanes.side[other]
                 break
     out[13], out[14] = flag(change < 0), flag(change > 0)
     return 15
@@ -101,22 +101,22 @@ def _integrity(b, figures, oracle, trend_at, trend_ct, reasons, modes, rtks, out
 @jit
 def _road(b, chart, preview, sky, out, at):  # type: ignore[no-untyped-def]
     """Group ``road``; ``sky`` (3 D,) satellites predicted on the lanes left, own and right, negative for unknown."""
-    l, here, heading = int(b[k.B_LANE]), b[k.B_ALONG], b[k.B_HEADING]
+    lane, here, heading = int(b[k.B_LANE]), b[k.B_ALONG], b[k.B_HEADING]
     cosine, sine = math.cos(heading), math.sin(heading)
-    out[at], out[at + 1] = chart.facts[l, LIMIT], chart.facts[l, JUNCTION_M] - here
-    out[at + 2] = chart.facts[l, LANE_END_M] - here
+    out[at], out[at + 1] = chart.facts[lane, LIMIT], chart.facts[lane, JUNCTION_M] - here
+    out[at + 2] = chart.facts[lane, LANE_END_M] - here
     at += 3
     for n in range(preview.shape[0]):
         station = here + preview[n]
-        x, y, direction, curvature = path_at(chart, l, station)
+        x, y, direction, curvature = path_at(chart, lane, station)
         dx, dy = x - b[k.B_X], y - b[k.B_Y]
-        out[at] = flag(station <= chart.facts[l, END_M])
+        out[at] = flag(station <= chart.facts[lane, END_M])
         out[at + 1], out[at + 2] = dx * cosine + dy * sine, dy * cosine - dx * sine
         out[at + 3], out[at + 4] = wrap(direction - heading), curvature
         at += 5
     for n in range(sky.shape[0]):
-        missing = (n % 3 == 0 and chart.facts[l, LEFT_EXISTS] == 0.0) or (
-            n % 3 == 2 and chart.facts[l, RIGHT_EXISTS] == 0.0
+        missing = (n % 3 == 0 and chart.facts[lane, LEFT_EXISTS] == 0.0) or (
+            n % 3 == 2 and chart.facts[lane, RIGHT_EXISTS] == 0.0
         )
         out[at + n] = UNKNOWN if missing or sky[n] < 0.0 else sky[n]
     return at + sky.shape[0]

@@ -17,9 +17,7 @@ from lanebound.envs.navigation import Source
 from lanebound.envs.rewards import TERMS
 from lanebound.envs.scene import alert_limits_m
 from lanebound.envs.vector import columns_kernel as k
-from lanebound.envs.vector.chart import chart_of
 from lanebound.envs.vector.ego_kernel import FASTER, IDLE, LEFT, RIGHT, SLOWER
-from lanebound.envs.vector.lanes import lanes_of
 from lanebound.envs.vector.observe_kernel import BLIND, FULL, ORACLE
 from lanebound.envs.vector.step_kernel import COURSE, MOTORWAY, Rules
 from lanebound.envs.worlds.base import World as OwnWorld
@@ -27,7 +25,7 @@ from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rtk_status import RtkStatus
 
-__all__ = ["duration_s", "meta_codes", "rules_of", "trail_length"]
+__all__ = ["direct_ranges", "duration_s", "meta_codes", "rules_of", "trail_length"]
 
 Array = NDArray[np.float64]
 SHOWN = {"full": FULL, "blind": BLIND, "oracle": ORACLE}
@@ -37,18 +35,10 @@ END_M = 20.0  # before the end of a road of our own, where an episode is over
 
 
 def rules_of(single: DrivingEnv) -> Rules:
-    """What all environments of a batch share with a single one of the same configuration.
-
-    Raises
-    ------
-    ConfigError
-        Roads that the engine has no arrays for.
-    """
+    """What all environments of a batch share with a single one of the same configuration, but for the roads."""
     config, world = single.config, single.world
     index = single.observer.index
     return Rules(
-        lanes=lanes_of(world.road.network),
-        chart=chart_of(world.road.network, config.observation),
         figures=_figures(config, world),
         speeds=_target_speeds(world),
         scale=np.array([[1.0 / e.scale for e in index], [e.low for e in index], [e.high for e in index]]),

@@ -1,4 +1,4 @@
-"""How episodes start: the same draws from the same generator as the environments' own worlds, into the engine's arrays."""
+"""How episodes start: the draws of the environments' own worlds, in their order, into the engine's arrays."""
 
 from __future__ import annotations
 

@@ -34,15 +34,15 @@ def line_up(rng, c, w, offset, limit, ego_lane, ego_spacing, spacing):  # type: 
     c[:, :] = 0.0
     w[:, :] = 0
     for i in range(c.shape[1]):
-        l = ego_lane if i == 0 and ego_lane >= 0 else rng.integers(0, lanes)
-        speed = EGO_MPS if i == 0 else rng.uniform(0.7 * limit[l], 0.8 * limit[l])
+        lane = ego_lane if i == 0 and ego_lane >= 0 else rng.integers(0, lanes)
+        speed = EGO_MPS if i == 0 else rng.uniform(0.7 * limit[lane], 0.8 * limit[lane])
         gap = (ego_spacing if i == 0 else spacing) * (PLACE_M + speed) * packed
         x = 3.0 * gap if i == 0 else c[X, i - 1]
         x += gap * rng.uniform(0.9, 1.1)
-        c[X, i], c[Y, i], c[SPEED, i], c[TARGET_SPEED, i] = x, offset[l], speed, speed
+        c[X, i], c[Y, i], c[SPEED, i], c[TARGET_SPEED, i] = x, offset[lane], speed, speed
         c[HEADING, i], c[SIN, i], c[COS, i] = 0.0, 0.0, 1.0
-        c[TIMER, i] = (x + offset[l]) * math.pi % 1.0
+        c[TIMER, i] = (x + offset[lane]) * math.pi % 1.0
         if i > 0:
             c[DELTA, i] = rng.uniform(DELTA_LOW, DELTA_HIGH)
-        w[LANE, i] = w[TARGET, i] = l
+        w[LANE, i] = w[TARGET, i] = lane
         w[ORDER, i] = i

@@ -1,4 +1,4 @@
-"""One policy step of an environment after another: traffic and ego move, the ego perceives, truth scores, the agent sees.
+"""One policy step of each environment: traffic and ego move, the ego perceives, truth scores, the agent sees.
 
 What changes is in :class:`World`, what does not in :class:`Rules`; every array of a World has a row for each
 environment.
@@ -12,11 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.envs.vector import columns_kernel as k
-from lanebound.envs.vector.chart_kernel import Chart
 from lanebound.envs.vector.collisions_kernel import collide_all
 from lanebound.envs.vector.course_kernel import drive_leads
 from lanebound.envs.vector.ego_kernel import command, decide, know, move, show_intent
-from lanebound.envs.vector.lanes_kernel import Lanes
 from lanebound.envs.vector.motorway_kernel import accelerate, change_lanes, drive_others, sort_along, survey
 from lanebound.envs.vector.observe_kernel import ORACLE, observe, true_view
 from lanebound.envs.vector.perceive_kernel import see_truth
@@ -52,15 +50,13 @@ class World(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """What all environments share.
+    """What all environments share beside their lanes and chart.
 
     figures (FIGURES,); speeds: target speeds of meta-actions; scale (3, E): factor, low and high of every entry;
-    preview (D,) [m]; reasons, modes, rtks: codes; numbers (5,): drivers of the others, what is shown of integrity, rows
-    of traffic, whether the truth is perceived; most [m]: largest level shown.
+    preview (D,) [m]; reasons, modes, rtks: codes; drivers of the others, what is shown of integrity, rows of traffic,
+    whether the truth is perceived; most [m]: largest level shown.
     """
 
-    lanes: Lanes
-    chart: Chart
     figures: NDArray[np.float64]
     speeds: NDArray[np.float64]
     scale: NDArray[np.float64]
@@ -76,9 +72,9 @@ class Rules(NamedTuple):
 
 
 @jit
-def _frame(c, w, b, sc, profile, rules, newest, pairs):  # type: ignore[no-untyped-def]
+def _frame(c, w, b, sc, profile, lanes, rules, newest, pairs):  # type: ignore[no-untyped-def]
     """One simulation step of an environment: all decide by where everybody is, then all move, then they may crash."""
-    figures, lanes, dt = rules.figures, rules.lanes, rules.figures[k.F_STEP_S]
+    figures, dt = rules.figures, rules.figures[k.F_STEP_S]
     motorway = rules.drivers == MOTORWAY
     if motorway:
         show_intent(b, c, w, figures)
@@ -99,23 +95,23 @@ def _frame(c, w, b, sc, profile, rules, newest, pairs):  # type: ignore[no-untyp
 
 
 @jit
-def _finish(e, world, rules, start, view, order, square, values):  # type: ignore[no-untyped-def]
+def _finish(e, world, lanes, chart, rules, start, view, order, square, values):  # type: ignore[no-untyped-def]
     """Perceive, judge and observe an environment at the end of a policy step, or at its start."""
     c, w, b, sc = world.cars[e], world.whole[e], world.belief[e], world.score[e]
-    locate(b, rules.lanes, rules.figures[k.F_META])
+    locate(b, lanes, rules.figures[k.F_META])
     if rules.sees_truth:
         world.seen[e] = see_truth(c, b[k.B_X], b[k.B_Y], order, square, world.traffic[e])
-    score(b, sc, c, w, world.traffic[e], world.seen[e], rules.lanes, rules.figures, start, world.out[e])
+    score(b, sc, c, w, world.traffic[e], world.seen[e], lanes, rules.figures, start, world.out[e])
     shown, traffic, count = b, world.traffic[e], world.seen[e]
     if rules.shown == ORACLE:
-        true_view(b, c, w, rules.lanes, rules.figures[k.F_META], view)
+        true_view(b, c, w, lanes, rules.figures[k.F_META], view)
         shown = view
         traffic = np.empty((c.shape[1] - 1, k.SEEN))
         count = see_truth(c, c[k.X, 0], c[k.Y, 0], order, square, traffic)
     if start:
         world.observed[e] = 0
     observe(
-        shown, traffic, count, rules.lanes, rules.chart, rules.figures, rules.shown, rules.rows, rules.preview,
+        shown, traffic, count, lanes, chart, rules.figures, rules.shown, rules.rows, rules.preview,
         (rules.reasons, rules.modes, rules.rtks), world.trail[e], world.observed[e], rules.most, world.sky[e],
         rules.scale, values, world.frame[e],
     )  # fmt: skip
@@ -123,29 +119,40 @@ def _finish(e, world, rules, start, view, order, square, values):  # type: ignor
 
 
 @jit
-def run_some(first, last, rows, frames, parts, actions, world, rules):  # type: ignore[no-untyped-def]
+def run_some(first, last, rows, frames, parts, actions, world, lanes, chart, rules):  # type: ignore[no-untyped-def]
     """Simulate ``frames`` steps of the environments ``rows[first:last]``.
 
     ``parts`` adds up DECIDE (take up ``actions`` (N,), codes of meta-actions, first), FINISH (score and observe after)
     and START (with FINISH: no time has passed).
     """
     count = world.cars.shape[2]
-    newest, pairs = np.empty(rules.lanes.path.shape[0], np.int64), np.empty(count * count // 2 + 1, np.int64)
+    newest, pairs = np.empty(lanes.path.shape[0], np.int64), np.empty(count * count // 2 + 1, np.int64)
     order, square = np.empty(count, np.int64), np.empty(count)
     view, values = np.empty(k.BELIEF), np.empty(rules.scale.shape[1])
     for n in range(first, last):
         e = rows[n]
         c, w, b, sc = world.cars[e], world.whole[e], world.belief[e], world.score[e]
         if parts & DECIDE and rules.figures[k.F_META] > 0.0:
-            decide(b, actions[e], rules.lanes, rules.speeds)
+            decide(b, actions[e], lanes, rules.speeds)
         for _ in range(frames):
-            _frame(c, w, b, sc, world.profile[e], rules, newest, pairs)
+            _frame(c, w, b, sc, world.profile[e], lanes, rules, newest, pairs)
         if parts & FINISH:
-            _finish(e, world, rules, parts & START != 0, view, order, square, values)
+            _finish(e, world, lanes, chart, rules, parts & START != 0, view, order, square, values)
 
 
 @jit(parallel=True)
-def run_parallel(chunks, last, rows, frames, parts, actions, world, rules):  # type: ignore[no-untyped-def]
+def run_parallel(chunks, last, rows, frames, parts, actions, world, lanes, chart, rules):  # type: ignore[no-untyped-def]
     """:func:`run_some` for all ``last`` rows, in ``chunks`` runs side by side."""
     for chunk in prange(chunks):
-        run_some(chunk * last // chunks, (chunk + 1) * last // chunks, rows, frames, parts, actions, world, rules)
+        run_some(
+            chunk * last // chunks,
+            (chunk + 1) * last // chunks,
+            rows,
+            frames,
+            parts,
+            actions,
+            world,
+            lanes,
+            chart,
+            rules,
+        )

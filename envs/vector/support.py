@@ -41,7 +41,9 @@ def _require_sources(config: EnvConfig) -> None:
         raise _refusal("perception.source", "'truth' or 'none'", config.perception.source)
     per_policy, per_epoch = config.simulation_hz // config.policy_hz, config.simulation_hz / config.navigation.rate_hz
     if per_policy % max(1, round(per_epoch)):
-        raise _refusal("policy_hz", f"a divisor of navigation.rate_hz = {config.navigation.rate_hz:g}", config.policy_hz)
+        raise _refusal(
+            "policy_hz", f"a divisor of navigation.rate_hz = {config.navigation.rate_hz:g}", config.policy_hz
+        )
 
 
 def _refusal(name: str, allowed: str, value: object) -> ConfigError:
