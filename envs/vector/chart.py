@@ -24,25 +24,23 @@ def chart_of(network: RoadNetwork, config: ObservationConfig) -> Chart:
     place = {id(line): n for n, line in enumerate(lines)}
     pieces = [(end, origin, place[id(line)]) for path in paths for end, origin, line in path.pieces]
     table, nodes = _lines(lines)
+    ends = np.cumsum([len(path.pieces) for path in paths])
     widest = max(len(path.following) for path in paths)
     following = np.full((len(rows), widest), -1, dtype=np.int64)
     for lane, path in enumerate(paths):
         following[lane, : len(path.following)] = [rows.index(index) for index in path.following]
     return Chart(
-        facts=np.array([_facts(path) for path in paths]),
+        facts=np.array([_facts(path, int(end)) for path, end in zip(paths, ends, strict=True)]),
         following=following,
-        piece_first=np.cumsum([0, *(len(path.pieces) for path in paths)]).astype(np.int64),
-        piece_end=np.array([p[0] for p in pieces]),
-        piece_origin=np.array([p[1] for p in pieces]),
-        piece_line=np.array([p[2] for p in pieces], dtype=np.int64),
+        pieces=np.array(pieces, dtype=np.float64),
         lines=table,
         nodes=nodes,
     )
 
 
-def _facts(path: Path) -> tuple[float, ...]:
-    """In the order of the kernel's columns."""
-    return (*path.lane, path.junction_m, path.lane_end_m, path.start_m, path.end_m)
+def _facts(path: Path, end: int) -> tuple[float, ...]:
+    """In the order of the kernel's columns; the path's pieces are those before row ``end``."""
+    return (*path.lane, path.junction_m, path.lane_end_m, path.start_m, path.end_m, end - len(path.pieces), end - 1)
 
 
 def _lines(lines: list[Line]) -> tuple[Any, Any]:

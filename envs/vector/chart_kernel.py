@@ -18,25 +18,22 @@ LINE_COLUMNS = 7
 # columns of a piece: coefficients of both cubics, heading at the start, its change, curvature
 NODE_COLUMNS = 11
 # columns of the facts of a lane
-SHARE, LEFT_EXISTS, RIGHT_EXISTS, LIMIT, JUNCTION_M, LANE_END_M, START_M, END_M = range(8)
-FACTS = 8
+SHARE, LEFT_EXISTS, RIGHT_EXISTS, LIMIT, JUNCTION_M, LANE_END_M, START_M, END_M, FIRST, LAST = range(10)
+FACTS = 10
 PROJECTIONS, NEAR_CURVED_M, NEAR_STRAIGHT_M = 6, 0.1, 1.0  # of observation/path.py
 
 
 class Chart(NamedTuple):
     """The paths from L lanes on.
 
-    facts (L, FACTS); following (L, F): rows of the lanes that a path follows, -1 for none; piece_first (L + 1,),
-    piece_end, piece_origin (Q,): stations where the pieces of a path end and where their lines begin; piece_line (Q,);
-    lines (L, LINE_COLUMNS), nodes (M, NODE_COLUMNS).
+    facts (L, FACTS); following (L, F): rows of the lanes that a path follows, -1 for none; pieces (Q, 3): stations
+    where a piece of a path ends and where its line begins, and its line; lines (L, LINE_COLUMNS);
+    nodes (M, NODE_COLUMNS).
     """
 
     facts: NDArray[np.float64]
     following: NDArray[np.int64]
-    piece_first: NDArray[np.int64]
-    piece_end: NDArray[np.float64]
-    piece_origin: NDArray[np.float64]
-    piece_line: NDArray[np.int64]
+    pieces: NDArray[np.float64]
     lines: NDArray[np.float64]
     nodes: NDArray[np.float64]
 
@@ -62,15 +59,15 @@ def _on_line(chart, n, s):  # type: ignore[no-untyped-def]
 @jit
 def path_at(chart, lane, station):  # type: ignore[no-untyped-def]
     """Point, direction and curvature at a station of the path from a lane on: (x, y, heading, curvature)."""
-    first, last = chart.piece_first[lane], chart.piece_first[lane + 1] - 1
+    first, last = int(chart.facts[lane, FIRST]), int(chart.facts[lane, LAST])
     start = chart.facts[lane, START_M]
     if station < start:
-        x, y, heading, _ = _on_line(chart, chart.piece_line[first], 0.0)
+        x, y, heading, _ = _on_line(chart, int(chart.pieces[first, 2]), 0.0)
         return x + (station - start) * math.cos(heading), y + (station - start) * math.sin(heading), heading, 0.0
     for k in range(first, last + 1):
-        if station < chart.piece_end[k]:
-            return _on_line(chart, chart.piece_line[k], station - chart.piece_origin[k])
-    n, end = chart.piece_line[last], chart.piece_end[last]
+        if station < chart.pieces[k, 0]:
+            return _on_line(chart, int(chart.pieces[k, 2]), station - chart.pieces[k, 1])
+    n, end = int(chart.pieces[last, 2]), chart.pieces[last, 0]
     x, y, heading, _ = _on_line(chart, n, chart.lines[n, L_LENGTH])
     return x + (station - end) * math.cos(heading), y + (station - end) * math.sin(heading), heading, 0.0
 

@@ -29,13 +29,13 @@ DIAGONAL_M = math.sqrt(LENGTH_M**2 + WIDTH_M**2)
 SPEED_MOST_MPS = 60.0  # no vehicle is faster: they are held at 40 m/s, which a step of full throttle can exceed
 
 
-@jit
+@jit(inline=True)
 def _apart(low_a, high_a, low_b, high_b):  # type: ignore[no-untyped-def]
     """Distance between two intervals, negative when they overlap: from the end of the lower one to the other."""
     return low_b - high_a if low_a < low_b else low_a - high_b
 
 
-@jit
+@jit(inline=True)
 def _reach(nx, ny, cosine, sine):  # type: ignore[no-untyped-def]
     """Half the shadow of a body on a unit normal."""
     return 0.5 * LENGTH_M * abs(nx * cosine + ny * sine) + 0.5 * WIDTH_M * abs(ny * cosine - nx * sine)
@@ -80,7 +80,7 @@ def collide(c, w, i, j, dt):  # type: ignore[no-untyped-def]
         w[CRASHED, i] = w[CRASHED, j] = 1
 
 
-@jit
+@jit(inline=True)
 def near(c, i, j, dt):  # type: ignore[no-untyped-def]
     """Whether a pair is looked at: middles nearer than the diagonals and the way of the first vehicle in a step."""
     dx, dy, reach = c[X, j] - c[X, i], c[Y, j] - c[Y, i], DIAGONAL_M + c[SPEED, i] * dt

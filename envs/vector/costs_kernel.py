@@ -54,7 +54,18 @@ from lanebound.envs.vector.columns_kernel import (
     X,
     Y,
 )
-from lanebound.envs.vector.lanes_kernel import local
+from lanebound.envs.vector.lanes_kernel import (
+    COUNT,
+    JOINED_FIRST,
+    JOINED_LAST,
+    LENGTH,
+    LIMIT,
+    ROAD,
+    SIDE,
+    WIDTH,
+    local,
+    of_side,
+)
 from lanebound.integrity.accel import jit
 
 __all__ = ["follow_corridor", "price"]
@@ -67,11 +78,11 @@ STANDING_MPS = 0.1
 def follow_corridor(sc, b, lanes, figures, dt):  # type: ignore[no-untyped-def]
     """The lanes that the car may be in: its own, and during a commanded change the one that it comes from."""
     here = int(sc[S_CORRIDOR])
-    target = int(b[B_TARGET_LANE])
+    table, target = lanes.table, int(b[B_TARGET_LANE])
     if not figures[F_META] > 0.0:
-        target = _of_side(lanes, lanes.road[target], lanes.side[here])
-    if target != here and lanes.road[target] == lanes.road[here]:
-        sc[S_LEAVING] = lanes.side[here]
+        target = of_side(table, int(table[target, ROAD]), int(table[here, SIDE]))
+    if target != here and table[target, ROAD] == table[here, ROAD]:
+        sc[S_LEAVING] = table[here, SIDE]
     sc[S_CORRIDOR] = target
     half = 0.5 * (WIDTH_M * abs(math.cos(b[B_ANGLE])) + LENGTH_M * abs(math.sin(b[B_ANGLE])))
     arrived = int(b[B_LANE]) == target and abs(b[B_LATERAL]) + half < 0.5 * b[B_WIDTH]
@@ -82,39 +93,33 @@ def follow_corridor(sc, b, lanes, figures, dt):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _of_side(lanes, road, side):  # type: ignore[no-untyped-def]
-    """The lane of a number on a road, its last one if there are fewer."""
-    return lanes.first[road] + min(side, lanes.count[road] - 1)
-
-
-@jit
 def _beyond(lanes, low, high, x, y):  # type: ignore[no-untyped-def]
     """How far a point is outside of the lanes from ``low`` to ``high``, negative inside; whether it is beside them."""
-    beyond, on = -math.inf, False
+    table, beyond, on = lanes.table, -math.inf, False
     for end in range(2):
         lane = low if end == 0 else high
         s, r, _ = local(lanes, lane, x, y)
-        on = on or -JOINT_M <= s <= lanes.length[lane] + JOINT_M
-        beyond = max(beyond, (-r if end == 0 else r) - 0.5 * lanes.width[lane])
+        on = on or -JOINT_M <= s <= table[lane, LENGTH] + JOINT_M
+        beyond = max(beyond, (-r if end == 0 else r) - 0.5 * table[lane, WIDTH])
     return beyond, on
 
 
 @jit
-def _span(lanes, sc, road, whole):  # type: ignore[no-untyped-def]
+def _span(table, sc, road, whole):  # type: ignore[no-untyped-def]
     """The outermost lanes of a road that the corridor holds."""
-    own = lanes.side[int(sc[S_CORRIDOR])]
+    own = int(table[int(sc[S_CORRIDOR]), SIDE])
     left = int(sc[S_LEAVING]) if sc[S_LEAVING] >= 0.0 else own
     if whole:
-        return lanes.first[road], lanes.first[road] + lanes.count[road] - 1
-    return _of_side(lanes, road, min(own, left)), _of_side(lanes, road, max(own, left))
+        return road, road + int(table[road, COUNT]) - 1
+    return of_side(table, road, min(own, left)), of_side(table, road, max(own, left))
 
 
 @jit
 def _overhang(c, sc, lanes, keep):  # type: ignore[no-untyped-def]
     """How far the worst corner of the true body is beyond the corridor, 0 inside."""
-    road = lanes.road[int(sc[S_CORRIDOR])]
-    own = lanes.side[int(sc[S_CORRIDOR])]
-    low, high = _span(lanes, sc, road, not keep)
+    table = lanes.table
+    road, own = int(table[int(sc[S_CORRIDOR]), ROAD]), int(table[int(sc[S_CORRIDOR]), SIDE])
+    low, high = _span(table, sc, road, not keep)
     worst = 0.0
     for corner in range(4):
         along = 0.5 * LENGTH_M * (1.0 if corner < 2 else -1.0)
@@ -123,14 +128,14 @@ def _overhang(c, sc, lanes, keep):  # type: ignore[no-untyped-def]
         y = c[Y, 0] + c[SIN, 0] * along + c[COS, 0] * across
         endless, on = _beyond(lanes, low, high, x, y)
         out = endless if on else math.inf
-        for k in range(lanes.joined_first[road], lanes.joined_first[road + 1]):
-            other = lanes.joined[k]
-            if keep and not lanes.joined_whole[k]:
-                lane = _of_side(lanes, other, own)
+        for k in range(int(table[road, JOINED_FIRST]), int(table[road, JOINED_LAST])):
+            other = lanes.joined[k, 0]
+            if keep and lanes.joined[k, 1] == 0:
+                lane = of_side(table, other, own)
                 beyond, on = _beyond(lanes, lane, lane, x, y)
             else:
-                last = lanes.first[other] + lanes.count[other] - 1
-                beyond, on = _beyond(lanes, lanes.first[other], last, x, y)
+                last = other + int(table[other, COUNT]) - 1
+                beyond, on = _beyond(lanes, other, last, x, y)
             if on:
                 out = min(out, beyond)
         worst = max(worst, out if out < math.inf else endless)
@@ -142,11 +147,12 @@ def _doubt(b, sc, lanes):  # type: ignore[no-untyped-def]
     """How far beyond the corridor the estimate and its level allow the car to be, negative inside."""
     if not sc[S_LEAVING] >= 0.0:
         return abs(b[B_LATERAL]) + b[B_PL_CT] + 0.5 * WIDTH_M - 0.5 * b[B_WIDTH]
-    low, high = _span(lanes, sc, lanes.road[int(b[B_LANE])], False)
+    table = lanes.table
+    low, high = _span(table, sc, int(table[int(b[B_LANE]), ROAD]), False)
     _, left, _ = local(lanes, low, b[B_X], b[B_Y])
     _, right, _ = local(lanes, high, b[B_X], b[B_Y])
-    beyond = -left + b[B_PL_CT] + 0.5 * WIDTH_M - 0.5 * lanes.width[low]
-    return max(beyond, right + b[B_PL_CT] + 0.5 * WIDTH_M - 0.5 * lanes.width[high])
+    beyond = -left + b[B_PL_CT] + 0.5 * WIDTH_M - 0.5 * table[low, WIDTH]
+    return max(beyond, right + b[B_PL_CT] + 0.5 * WIDTH_M - 0.5 * table[high, WIDTH])
 
 
 @jit
@@ -173,7 +179,7 @@ def _shortfall(c, w, lanes, figures):  # type: ignore[no-untyped-def]
     place, _, _ = local(lanes, lane, c[X, 0], c[Y, 0])
     for i in range(1, c.shape[1]):
         s, r, _ = local(lanes, lane, c[X, i], c[Y, i])
-        if s > place and abs(r) <= 0.5 * lanes.width[lane]:
+        if s > place and abs(r) <= 0.5 * lanes.table[lane, WIDTH]:
             needed = safe_distance(c[SPEED, 0], c[SPEED, i], figures)
             worst = max(worst, _lacking(s - place - LENGTH_M, needed))
     return worst
@@ -204,7 +210,7 @@ def price(b, sc, c, w, t, count, lanes, figures, dt, out):  # type: ignore[no-un
     beyond = min(max(_overhang(c, sc, lanes, keep), 0.0), EXCESS_MAX_M)
     doubt = min(max(_doubt(b, sc, lanes), 0.0), EXCESS_MAX_M) if keep else 0.0
     late = b[B_ALERT] > 0.0 and b[B_ALERT_AGE] > figures[F_TTA_S]
-    limit = lanes.limit[int(b[B_LANE])]
+    limit = lanes.table[int(b[B_LANE]), LIMIT]
     fast = limit > 0.0 and speed > figures[F_ALERT_SHARE] * limit
     out[O_CAUSES] = out[O_CRASHED_NOW]
     out[O_CAUSES + 1] = out[O_ASTRAY_NOW]

@@ -39,7 +39,20 @@ from lanebound.envs.vector.columns_kernel import (
     X,
     Y,
 )
-from lanebound.envs.vector.lanes_kernel import VEHICLE_LENGTH_M, heading_at, local, nearest, place, reachable, wrap
+from lanebound.envs.vector.lanes_kernel import (
+    LENGTH,
+    ONWARD,
+    ROAD,
+    SIDE,
+    VEHICLE_LENGTH_M,
+    heading_at,
+    local,
+    nearest,
+    of_side,
+    place,
+    reachable,
+    wrap,
+)
 from lanebound.envs.vector.motorway_kernel import KP_HEADING, KP_LATERAL, not_zero, settle
 from lanebound.integrity.accel import jit
 
@@ -80,11 +93,10 @@ def decide(b, action, lanes, speeds):  # type: ignore[no-untyped-def]
     follow(b, lanes)
     if action == LEFT or action == RIGHT:
         target = int(b[B_TARGET_LANE])
-        road = lanes.road[target]
-        side = lanes.side[target] + (1 if action == RIGHT else -1)
-        goal = lanes.first[road] + min(max(side, 0), lanes.count[road] - 1)
+        side = max(int(lanes.table[target, SIDE]) + (1 if action == RIGHT else -1), 0)
+        goal = of_side(lanes.table, int(lanes.table[target, ROAD]), side)
         s, r, _ = local(lanes, goal, b[B_X], b[B_Y])
-        if reachable(lanes, goal, s, r):
+        if reachable(lanes.table, goal, s, r):
             b[B_TARGET_LANE] = goal
 
 
@@ -92,10 +104,11 @@ def decide(b, action, lanes, speeds):  # type: ignore[no-untyped-def]
 def follow(b, lanes):  # type: ignore[no-untyped-def]
     """At the end of the target lane, go on to the one after it."""
     target = int(b[B_TARGET_LANE])
-    if lanes.onward[target] >= 0:
+    table = lanes.table
+    if table[target, ONWARD] >= 0:
         s, _, _ = local(lanes, target, b[B_X], b[B_Y])
-        if s > lanes.length[target] - 0.5 * VEHICLE_LENGTH_M:
-            b[B_TARGET_LANE] = lanes.onward[target]
+        if s > table[target, LENGTH] - 0.5 * VEHICLE_LENGTH_M:
+            b[B_TARGET_LANE] = table[target, ONWARD]
 
 
 @jit
@@ -117,9 +130,9 @@ def pursuit(b, lanes):  # type: ignore[no-untyped-def]
     s, aside, _ = local(lanes, lane, x, y)
     look = max(LOOK_M, LOOK_S * abs(b[B_SPEED]))
     along, beside = s + look, aside - min(max(aside, -SLOPE * look), SLOPE * look)
-    if along > lanes.length[lane] and lanes.onward[lane] >= 0:
-        along -= lanes.length[lane]
-        lane = lanes.onward[lane]
+    if along > lanes.table[lane, LENGTH] and lanes.table[lane, ONWARD] >= 0.0:
+        along -= lanes.table[lane, LENGTH]
+        lane = int(lanes.table[lane, ONWARD])
     goal_x, goal_y = place(lanes, lane, along, beside)
     dx, dy = goal_x - x, goal_y - y
     alpha = math.atan2(dy, dx) - b[B_HEADING]

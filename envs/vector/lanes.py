@@ -9,9 +9,9 @@ from highway_env.road.lane import StraightLane
 from highway_env.road.road import RoadNetwork
 
 from lanebound.envs.records import LaneIndex
+from lanebound.envs.vector import lanes_kernel as lk
 from lanebound.envs.vector.lanes_kernel import CELL_COLUMNS, Lanes
 from lanebound.envs.worlds.lanes import CurveLane
-from lanebound.envs.worlds.paths import SQUARE_M
 from lanebound.integrity.errors import ConfigError
 
 __all__ = ["lane_rows", "lanes_of"]
@@ -33,30 +33,30 @@ def lanes_of(network: RoadNetwork) -> Lanes:
         Lanes of other kinds: the engine has no arrays for them.
     """
     edges = [(a, b, row) for a, ends in network.graph.items() for b, row in ends.items()]
-    roads = [row for _, _, row in edges]
-    flat = [lane for row in roads for lane in row]
-    paths = [_path_of(row) for row in roads]
-    joined, whole, first = _joined(edges)
+    first = np.cumsum([0, *(len(row) for _, _, row in edges)])
+    paths = [_path_of(row) for _, _, row in edges]
+    joined = [_joined(edges, first, k) for k in range(len(edges))]
+    begin = [np.cumsum([0, *sizes]) for sizes in zip(*((len(p[0]), p[2].size) for p in paths), strict=True)]
+    ends = np.cumsum([0, *(len(rows) for rows in joined)])
+    onward = iter(_onward(network))
+    table = np.zeros((int(first[-1]), lk.LANE_COLUMNS))
+    for k, (_, _, row) in enumerate(edges):
+        _, low, grid = paths[k]
+        for i, lane in enumerate(row):
+            values = {
+                lk.OFFSET: _offset_m(lane), lk.WIDTH: lane.width_at(0.0), lk.LENGTH: lane.length,
+                lk.LIMIT: lane.speed_limit or 0.0, lk.SIDE: i, lk.ROAD: first[k], lk.COUNT: len(row),
+                lk.ONWARD: next(onward), lk.JOINED_FIRST: ends[k], lk.JOINED_LAST: ends[k + 1],
+                lk.CELL_FIRST: begin[0][k], lk.CELL_LAST: begin[0][k + 1], lk.LOW_X: low[0], lk.LOW_Y: low[1],
+                lk.COLUMNS: grid.shape[0], lk.ROWS: grid.shape[1], lk.NEAR_FIRST: begin[1][k],
+                lk.STRAIGHT: type(lane) is StraightLane,
+            }  # fmt: skip
+            table[first[k] + i, list(values)] = [float(value) for value in values.values()]
     return Lanes(
-        path=np.array([r for r, row in enumerate(roads) for _ in row], dtype=np.int64),
-        road=np.array([r for r, row in enumerate(roads) for _ in row], dtype=np.int64),
-        offset=np.array([_offset_m(lane) for lane in flat], dtype=np.float64),
-        width=np.array([float(lane.width_at(0.0)) for lane in flat]),
-        length=np.array([float(lane.length) for lane in flat]),
-        limit=np.array([float(lane.speed_limit) for lane in flat]),
-        side=np.array([i for row in roads for i in range(len(row))], dtype=np.int64),
-        first=np.cumsum([0, *(len(row) for row in roads)])[:-1].astype(np.int64),
-        count=np.array([len(row) for row in roads], dtype=np.int64),
-        joined_first=first,
-        joined=joined,
-        joined_whole=whole,
-        onward=_onward(network),
+        table=table,
         cells=np.concatenate([p[0] for p in paths]),
-        cell_first=np.cumsum([0, *(len(p[0]) for p in paths)]).astype(np.int64),
-        low=np.array([p[1] for p in paths], dtype=np.float64),
-        shape=_shapes([p[2] for p in paths]),
         near=np.concatenate([p[2].ravel() for p in paths]).astype(np.int64),
-        square=SQUARE_M,
+        joined=np.array([pair for rows in joined for pair in rows], dtype=np.int64).reshape(-1, 2),
     )
 
 
@@ -69,9 +69,8 @@ def _path_of(row: list[Any]) -> tuple[Any, tuple[float, float], Any]:
         return cells, path.grid_m, np.array(path.near, dtype=np.int64)
     if all(type(lane) is StraightLane and abs(lane.heading) < AT_REST for lane in row):
         cells = np.zeros((1, CELL_COLUMNS))
-        cells[0, :2] = row[0].start[0], 0.0
-        cells[0, 5] = row[0].length
-        return cells, (0.0, 0.0), np.zeros((1, 1), dtype=np.int64)
+        cells[0, [lk.C_X, lk.C_SPAN]] = row[0].start[0], row[0].length
+        return cells, (float(row[0].start[0]), 0.0), np.zeros((1, 1), dtype=np.int64)
     kinds = ", ".join(sorted({type(lane).__name__ for lane in row}))
     raise ConfigError(f"base must have curved lanes beside one path or straight ones along x, got {kinds}")
 
@@ -80,27 +79,16 @@ def _offset_m(lane: Any) -> float:
     return float(lane.offset_m if type(lane) is CurveLane else lane.start[1])
 
 
-def _shapes(grids: list[Any]) -> Any:
-    starts = np.cumsum([0, *(grid.size for grid in grids)])[:-1]
-    return np.array([(*grid.shape, start) for grid, start in zip(grids, starts, strict=True)], dtype=np.int64)
+def _joined(edges: list[Any], first: Any, k: int) -> list[tuple[int, bool]]:
+    """The roads that lead to a road and go on from it, and whether all their lanes count (junctions do)."""
+    start, end, row = edges[k]
+    leading = [n for n, (_, b, _) in enumerate(edges) if b == start]
+    onward = [n for n, (a, _, _) in enumerate(edges) if a == end]
+    both = [(n, len(leading) > 1) for n in leading] + [(n, False) for n in onward]
+    return [(int(first[n]), junction or len(edges[n][2]) != len(row)) for n, junction in both]
 
 
-def _joined(edges: list[Any]) -> tuple[Any, Any, Any]:
-    """For each road those that lead to it and go on from it, and whether all their lanes count (junctions do)."""
-    joined: list[int] = []
-    whole: list[bool] = []
-    first = [0]
-    for start, end, row in edges:
-        leading = [k for k, (_, b, _) in enumerate(edges) if b == start]
-        onward = [k for k, (a, _, _) in enumerate(edges) if a == end]
-        for k, junction in [(k, len(leading) > 1) for k in leading] + [(k, False) for k in onward]:
-            joined.append(k)
-            whole.append(junction or len(edges[k][2]) != len(row))
-        first.append(len(joined))
-    return np.array(joined, dtype=np.int64), np.array(whole, dtype=np.bool_), np.array(first, dtype=np.int64)
-
-
-def _onward(network: RoadNetwork) -> Any:
+def _onward(network: RoadNetwork) -> list[int]:
     """The lane of the same number on the only road that goes on, -1 where a road ends.
 
     Raises
@@ -115,4 +103,4 @@ def _onward(network: RoadNetwork) -> Any:
         if len(ends) > 1 or any(i >= len(row) for row in ends.values()):
             raise ConfigError("base must have roads that go on in one way with as many lanes: choose another id")
         out.append(rows.index((end, next(iter(ends)), i)) if ends else -1)
-    return np.array(out, dtype=np.int64)
+    return out

@@ -14,7 +14,19 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.accel import jit
 
-__all__ = ["CELL_COLUMNS", "Lanes", "heading_at", "local", "nearest", "on_lane", "place", "reachable", "wrap"]
+__all__ = [
+    "CELL_COLUMNS",
+    "LANE_COLUMNS",
+    "Lanes",
+    "heading_at",
+    "local",
+    "nearest",
+    "of_side",
+    "on_lane",
+    "place",
+    "reachable",
+    "wrap",
+]
 
 C_X, C_Y, C_HEADING, C_KAPPA, C_SLOPE, C_SPAN, C_STATION = range(7)
 CELL_COLUMNS = 7
@@ -25,35 +37,46 @@ NEAR = 1e-12
 GAUSS_1, GAUSS_2, GAUSS_3 = 0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15)
 
 
-class Lanes(NamedTuple):
-    """L lanes of R roads beside P paths of C cells.
+# columns of the table of lanes: a road is named by the row of its leftmost lane
+(
+    OFFSET,
+    WIDTH,
+    LENGTH,
+    LIMIT,
+    SIDE,
+    ROAD,
+    COUNT,
+    ONWARD,
+    JOINED_FIRST,
+    JOINED_LAST,
+    CELL_FIRST,
+    CELL_LAST,
+    LOW_X,
+    LOW_Y,
+    COLUMNS,
+    ROWS,
+    NEAR_FIRST,
+    STRAIGHT,
+) = range(18)
+LANE_COLUMNS = 18
+SQUARE_M = 8.0  # of worlds/paths.py
 
-    path, road (L,); offset, width, length, limit (L,) [m], [m/s]; side (L,) number in the road, first and count (R,) of
-    its lanes; joined_first (R + 1,), joined (J,), joined_whole (J,): the roads that meet a road's ends, and whether all
-    their lanes count as joined; onward (L,): the lane that follows, -1 for none.
-    cells (C, CELL_COLUMNS), cell_first (P + 1,); low (P, 2), shape (P, 3): corner of a grid of squares, columns, rows
-    and first entry in ``near`` (G,), the cell to begin a search at; square [m].
+
+class Lanes(NamedTuple):
+    """L lanes beside paths of C cells.
+
+    table (L, LANE_COLUMNS): offset from the path, width, length [m], speed limit [m/s]; number in the road, the road
+    and how many lanes it has; the lane that follows, -1 for none; first and past the last row in ``joined``; the same
+    in ``cells``; corner of a grid of squares [m], its columns, rows and first entry in ``near``; whether the path is a
+    straight along x.
+    cells (C, CELL_COLUMNS); near (G,): the cell of its path to begin a search at, by square; joined (J, 2): the roads
+    that meet the ends of a road, and whether all their lanes count as joined.
     """
 
-    path: NDArray[np.int64]
-    road: NDArray[np.int64]
-    offset: NDArray[np.float64]
-    width: NDArray[np.float64]
-    length: NDArray[np.float64]
-    limit: NDArray[np.float64]
-    side: NDArray[np.int64]
-    first: NDArray[np.int64]
-    count: NDArray[np.int64]
-    joined_first: NDArray[np.int64]
-    joined: NDArray[np.int64]
-    joined_whole: NDArray[np.bool_]
-    onward: NDArray[np.int64]
+    table: NDArray[np.float64]
     cells: NDArray[np.float64]
-    cell_first: NDArray[np.int64]
-    low: NDArray[np.float64]
-    shape: NDArray[np.int64]
     near: NDArray[np.int64]
-    square: float
+    joined: NDArray[np.int64]
 
 
 @jit
@@ -115,23 +138,23 @@ def _foot_clothoid(cells, c, x, y, into):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _project(lanes, p, x, y):  # type: ignore[no-untyped-def]
+def _project(table, cells, near, lane, x, y):  # type: ignore[no-untyped-def]
     """Cell, distance into it and offset of the nearest point of a path: a walk from the cell that the grid names."""
-    low, last = lanes.cell_first[p], lanes.cell_first[p + 1] - 1
-    columns, rows = lanes.shape[p, 0], lanes.shape[p, 1]
-    column = min(max(math.floor((x - lanes.low[p, 0]) / lanes.square), 0), columns - 1)
-    row = min(max(math.floor((y - lanes.low[p, 1]) / lanes.square), 0), rows - 1)
-    c, way = low + lanes.near[lanes.shape[p, 2] + column * rows + row], 0
+    low, last = int(table[lane, CELL_FIRST]), int(table[lane, CELL_LAST]) - 1
+    columns, rows = int(table[lane, COLUMNS]), int(table[lane, ROWS])
+    column = min(max(math.floor((x - table[lane, LOW_X]) / SQUARE_M), 0), columns - 1)
+    row = min(max(math.floor((y - table[lane, LOW_Y]) / SQUARE_M), 0), rows - 1)
+    c, way = low + near[int(table[lane, NEAR_FIRST]) + column * rows + row], 0
     while True:
-        into, lateral = _foot(lanes.cells, c, x, y)
+        into, lateral = _foot(cells, c, x, y)
         if into < 0.0 and c > low:
             if way > 0:
-                return c, 0.0, _aside(lanes.cells, c, x, y)
+                return c, 0.0, _aside(cells, c, x, y)
             c, way = c - 1, -1
-        elif into > lanes.cells[c, C_SPAN] and c < last:
+        elif into > cells[c, C_SPAN] and c < last:
             c += 1
             if way < 0:
-                return c, 0.0, _aside(lanes.cells, c, x, y)
+                return c, 0.0, _aside(cells, c, x, y)
             way = 1
         else:
             return c, into, lateral
@@ -145,34 +168,35 @@ def _aside(cells, c, x, y):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _station(lanes, lane, c):  # type: ignore[no-untyped-def]
+def _station(table, cells, lane, c):  # type: ignore[no-untyped-def]
     """Distance along a lane of the beginning of a cell of its path."""
-    cells, begin = lanes.cells, lanes.cell_first[lanes.path[lane]]
-    return cells[c, C_STATION] - lanes.offset[lane] * (cells[c, C_HEADING] - cells[begin, C_HEADING])
+    begin = int(table[lane, CELL_FIRST])
+    return cells[c, C_STATION] - table[lane, OFFSET] * (cells[c, C_HEADING] - cells[begin, C_HEADING])
 
 
 @jit
 def local(lanes, lane, x, y):  # type: ignore[no-untyped-def]
     """Distance along a lane, offset to its right, and the lane's direction there: (s, r, heading)."""
-    cells = lanes.cells
-    c, into, lateral = _project(lanes, lanes.path[lane], x, y)
+    table, cells = lanes.table, lanes.cells
+    if table[lane, STRAIGHT] > 0.0:
+        return x - table[lane, LOW_X], y - table[lane, LOW_Y] - table[lane, OFFSET], 0.0
+    c, into, lateral = _project(table, cells, lanes.near, lane, x, y)
     turned = (cells[c, C_KAPPA] + 0.5 * cells[c, C_SLOPE] * into) * into
-    s = _station(lanes, lane, c) + into - lanes.offset[lane] * turned
-    return s, lateral - lanes.offset[lane], cells[c, C_HEADING] + turned
+    s = _station(table, cells, lane, c) + into - table[lane, OFFSET] * turned
+    return s, lateral - table[lane, OFFSET], cells[c, C_HEADING] + turned
 
 
 @jit
-def _into(lanes, lane, s):  # type: ignore[no-untyped-def]
+def _into(table, cells, lane, s):  # type: ignore[no-untyped-def]
     """Cell and distance along the path into it, of a distance along a lane."""
-    cells, p, offset = lanes.cells, lanes.path[lane], lanes.offset[lane]
-    low, high = lanes.cell_first[p], lanes.cell_first[p + 1]
+    offset, low, high = table[lane, OFFSET], int(table[lane, CELL_FIRST]), int(table[lane, CELL_LAST])
     while high - low > 1:
         middle = (low + high) // 2
-        if _station(lanes, lane, middle) <= s:
+        if _station(table, cells, lane, middle) <= s:
             low = middle
         else:
             high = middle
-    rest = s - _station(lanes, lane, low)
+    rest = s - _station(table, cells, lane, low)
     factor = 1.0 - offset * cells[low, C_KAPPA]
     under = factor * factor - 2.0 * offset * cells[low, C_SLOPE] * rest
     return low, 2.0 * rest / (factor + math.sqrt(max(under, 0.0)))
@@ -181,39 +205,48 @@ def _into(lanes, lane, s):  # type: ignore[no-untyped-def]
 @jit
 def place(lanes, lane, s, r):  # type: ignore[no-untyped-def]
     """The point at a distance along a lane and to the right of it: (x, y)."""
-    c, into = _into(lanes, lane, s)
+    c, into = _into(lanes.table, lanes.cells, lane, s)
     x, y, heading = _advance(lanes.cells, c, into)
-    aside = r + lanes.offset[lane]
+    aside = r + lanes.table[lane, OFFSET]
     return x - aside * math.sin(heading), y + aside * math.cos(heading)
 
 
 @jit
 def heading_at(lanes, lane, s):  # type: ignore[no-untyped-def]
     """Direction of a lane, not wrapped."""
-    c, into = _into(lanes, lane, s)
-    return lanes.cells[c, C_HEADING] + (lanes.cells[c, C_KAPPA] + 0.5 * lanes.cells[c, C_SLOPE] * into) * into
+    cells = lanes.cells
+    if lanes.table[lane, STRAIGHT] > 0.0:
+        return 0.0
+    c, into = _into(lanes.table, cells, lane, s)
+    return cells[c, C_HEADING] + (cells[c, C_KAPPA] + 0.5 * cells[c, C_SLOPE] * into) * into
 
 
 @jit
 def nearest(lanes, x, y, heading):  # type: ignore[no-untyped-def]
     """The lane with the least ``|r| + beyond its ends + |angle|``; the first of equals."""
     best, least = 0, math.inf
-    for lane in range(lanes.path.shape[0]):
+    for lane in range(lanes.table.shape[0]):
         s, r, direction = local(lanes, lane, x, y)
-        distance = abs(r) + max(s - lanes.length[lane], 0.0, -s) + abs(wrap(heading - direction))
+        distance = abs(r) + max(s - lanes.table[lane, LENGTH], 0.0, -s) + abs(wrap(heading - direction))
         if distance < least:
             best, least = lane, distance
     return best
 
 
 @jit
-def on_lane(lanes, lane, s, r):  # type: ignore[no-untyped-def]
+def on_lane(table, lane, s, r):  # type: ignore[no-untyped-def]
     """Whether a point at (s, r) is on a lane."""
-    beside = abs(r) <= 0.5 * lanes.width[lane]
-    return beside and -VEHICLE_LENGTH_M <= s < lanes.length[lane] + VEHICLE_LENGTH_M
+    beside = abs(r) <= 0.5 * table[lane, WIDTH]
+    return beside and -VEHICLE_LENGTH_M <= s < table[lane, LENGTH] + VEHICLE_LENGTH_M
 
 
 @jit
-def reachable(lanes, lane, s, r):  # type: ignore[no-untyped-def]
+def reachable(table, lane, s, r):  # type: ignore[no-untyped-def]
     """Whether a lane may be changed to from (s, r) on it."""
-    return abs(r) <= 2.0 * lanes.width[lane] and 0.0 <= s < lanes.length[lane] + VEHICLE_LENGTH_M
+    return abs(r) <= 2.0 * table[lane, WIDTH] and 0.0 <= s < table[lane, LENGTH] + VEHICLE_LENGTH_M
+
+
+@jit
+def of_side(table, road, side):  # type: ignore[no-untyped-def]
+    """The lane of a number on a road, its last one if there are fewer."""
+    return road + min(side, int(table[road, COUNT]) - 1)

@@ -31,6 +31,7 @@ from lanebound.envs.vector.columns_kernel import (
     X,
     Y,
 )
+from lanebound.envs.vector.lanes_kernel import LENGTH, LIMIT, OFFSET, WIDTH
 from lanebound.integrity.accel import jit
 
 __all__ = ["SIN_SLIP_MOST", "accelerate", "change_lanes", "drive_others", "not_zero", "settle", "sort_along", "survey"]
@@ -47,7 +48,7 @@ TAN_SLIP_MOST = 0.5 * math.tan(math.pi / 3.0)
 SIN_SLIP_MOST = math.sin(math.atan(TAN_SLIP_MOST))
 
 
-@jit
+@jit(inline=True)
 def not_zero(x):  # type: ignore[no-untyped-def]
     """x, or 0.01 with its sign when it is smaller."""
     if abs(x) > 1e-2:
@@ -55,7 +56,7 @@ def not_zero(x):  # type: ignore[no-untyped-def]
     return 1e-2 if x >= 0.0 else -1e-2
 
 
-@jit
+@jit(inline=True)
 def _gap_wanted(c, i, j):  # type: ignore[no-untyped-def]
     """IDM's distance wanted of vehicle i behind j."""
     closing_x = c[SPEED, i] * c[COS, i] - c[SPEED, j] * c[COS, j]
@@ -64,42 +65,42 @@ def _gap_wanted(c, i, j):  # type: ignore[no-untyped-def]
     return GAP_M + c[SPEED, i] * HEADWAY_S + c[SPEED, i] * closing / BRAKING
 
 
-@jit
+@jit(inline=True)
 def _free(c, i, limit, delta):  # type: ignore[no-untyped-def]
     """IDM's acceleration of vehicle i on an empty road."""
     wanted = min(max(c[TARGET_SPEED, i], 0.0), limit)
     return COMFORT * (1.0 - math.pow(max(c[SPEED, i], 0.0) / abs(not_zero(wanted)), delta))
 
 
-@jit
+@jit(inline=True)
 def _braking(c, i, j):  # type: ignore[no-untyped-def]
     """What vehicle j ahead takes off IDM's acceleration of vehicle i."""
     share = _gap_wanted(c, i, j) / not_zero(c[X, j] - c[X, i])
     return COMFORT * share * share
 
 
-@jit
-def _stands_on(c, k, lanes, lane):  # type: ignore[no-untyped-def]
-    beside = abs(c[Y, k] - lanes.offset[lane]) <= 0.5 * lanes.width[lane] + MARGIN_M
-    return beside and -BEYOND_M <= c[X, k] < lanes.length[lane] + BEYOND_M
+@jit(inline=True)
+def _stands_on(c, k, table, lane):  # type: ignore[no-untyped-def]
+    beside = abs(c[Y, k] - table[lane, OFFSET]) <= 0.5 * table[lane, WIDTH] + MARGIN_M
+    return beside and -BEYOND_M <= c[X, k] < table[lane, LENGTH] + BEYOND_M
 
 
 @jit
-def _ahead(c, w, i, lanes, lane):  # type: ignore[no-untyped-def]
+def _ahead(c, w, i, table, lane):  # type: ignore[no-untyped-def]
     """The vehicle ahead of i on a lane, -1 for none."""
     for at in range(w[RANK, i] + 1, c.shape[1]):
         k = w[ORDER, at]
-        if _stands_on(c, k, lanes, lane):
+        if _stands_on(c, k, table, lane):
             return k
     return -1
 
 
 @jit
-def _behind(c, w, i, lanes, lane):  # type: ignore[no-untyped-def]
+def _behind(c, w, i, table, lane):  # type: ignore[no-untyped-def]
     """The vehicle behind i on a lane, -1 for none."""
     for at in range(w[RANK, i] - 1, -1, -1):
         k = w[ORDER, at]
-        if _stands_on(c, k, lanes, lane):
+        if _stands_on(c, k, table, lane):
             return k
     return -1
 
@@ -120,25 +121,25 @@ def sort_along(c, w):  # type: ignore[no-untyped-def]
 
 
 @jit
-def survey(c, w, lanes, newest):  # type: ignore[no-untyped-def]
+def survey(c, w, table, newest):  # type: ignore[no-untyped-def]
     """Ranks along the road, and the vehicle in front of each in its lane; ``newest`` (L,) is scratch.
 
     One sweep against the traffic: the last vehicle met on a lane is in front of all that follow.
     """
     newest[:] = -1
-    last = lanes.path.shape[0] - 1
+    last = table.shape[0] - 1
     for at in range(c.shape[1] - 1, -1, -1):
         k = w[ORDER, at]
         w[RANK, k] = at
         lane = w[LANE, k]
         w[FRONT, k] = newest[lane]
         for m in range(max(lane - 1, 0), min(lane + 1, last) + 1):
-            if _stands_on(c, k, lanes, m):
+            if _stands_on(c, k, table, m):
                 newest[m] = k
 
 
 @jit
-def change_lanes(c, w, lanes, ego_has_target):  # type: ignore[no-untyped-def]
+def change_lanes(c, w, table, ego_has_target):  # type: ignore[no-untyped-def]
     """Every driver's decision, one after the other: later ones see the new targets of those before."""
     for i in range(1, c.shape[1]):
         if w[CRASHED, i] != 0:
@@ -147,7 +148,7 @@ def change_lanes(c, w, lanes, ego_has_target):  # type: ignore[no-untyped-def]
             _give_up(c, w, i, 0 if ego_has_target else 1)
         elif c[TIMER, i] > DELAY_S:
             c[TIMER, i] = 0.0
-            _consider(c, w, i, lanes)
+            _consider(c, w, i, table)
 
 
 @jit
@@ -163,24 +164,24 @@ def _give_up(c, w, i, first):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _consider(c, w, i, lanes):  # type: ignore[no-untyped-def]
+def _consider(c, w, i, table):  # type: ignore[no-untyped-def]
     """MOBIL without politeness, left before right: the last lane that is worth it is taken."""
     if abs(c[SPEED, i]) < 1.0:
         return
     own, delta = w[LANE, i], c[DELTA, i]
     for side in (-1, 1):
         lane = own + side
-        if not 0 <= lane < lanes.path.shape[0]:
+        if not 0 <= lane < table.shape[0]:
             continue
-        aside = abs(c[Y, i] - lanes.offset[lane])
-        if not (aside <= 2.0 * lanes.width[lane] and 0.0 <= c[X, i] < lanes.length[lane] + BEYOND_M):
+        aside = abs(c[Y, i] - table[lane, OFFSET])
+        if not (aside <= 2.0 * table[lane, WIDTH] and 0.0 <= c[X, i] < table[lane, LENGTH] + BEYOND_M):
             continue
-        follower = _behind(c, w, i, lanes, lane)
+        follower = _behind(c, w, i, table, lane)
         if follower >= 0:
-            limit = lanes.limit[w[LANE, follower]]
+            limit = table[w[LANE, follower], LIMIT]
             if _free(c, follower, limit, delta) - _braking(c, follower, i) < -BRAKING_IMPOSED:
                 continue
-        free, there, here = _free(c, i, lanes.limit[own], delta), _ahead(c, w, i, lanes, lane), w[FRONT, i]
+        free, there, here = _free(c, i, table[own, LIMIT], delta), _ahead(c, w, i, table, lane), w[FRONT, i]
         gain = free - (_braking(c, i, there) if there >= 0 else 0.0)
         gain -= free - (_braking(c, i, here) if here >= 0 else 0.0)
         if not gain < GAIN_MIN:
@@ -188,7 +189,7 @@ def _consider(c, w, i, lanes):  # type: ignore[no-untyped-def]
 
 
 @jit
-def accelerate(c, w, lanes):  # type: ignore[no-untyped-def]
+def accelerate(c, w, table):  # type: ignore[no-untyped-def]
     """IDM's acceleration of every driver, from the places at the beginning of the step; wrecks do not care."""
     for i in range(1, c.shape[1]):
         if w[CRASHED, i] != 0:
@@ -196,18 +197,18 @@ def accelerate(c, w, lanes):  # type: ignore[no-untyped-def]
         front = w[FRONT, i]
         braking = _braking(c, i, front) if front >= 0 else 0.0
         if w[LANE, i] != w[TARGET, i]:
-            front = _ahead(c, w, i, lanes, w[TARGET, i])
+            front = _ahead(c, w, i, table, w[TARGET, i])
             if front >= 0:
                 braking = max(braking, _braking(c, i, front))
-        a = _free(c, i, lanes.limit[w[LANE, i]], c[DELTA, i]) - braking
+        a = _free(c, i, table[w[LANE, i], LIMIT], c[DELTA, i]) - braking
         c[ACCELERATION, i] = min(max(a, -ACC_MAX), ACC_MAX)
 
 
-@jit
-def _sine_of_slip(c, w, i, lanes):  # type: ignore[no-untyped-def]
+@jit(inline=True)
+def _sine_of_slip(c, w, i, table):  # type: ignore[no-untyped-def]
     """Slip angle by which a driver heads for the middle of its lane."""
     inverse = 1.0 / not_zero(c[SPEED, i])
-    course = -KP_LATERAL * (c[Y, i] - lanes.offset[w[TARGET, i]]) * inverse
+    course = -KP_LATERAL * (c[Y, i] - table[w[TARGET, i], OFFSET]) * inverse
     wanted = 0.0
     if course != 0.0:
         wanted = math.asin(min(max(course, -SIN_COURSE_MOST), SIN_COURSE_MOST))
@@ -231,15 +232,15 @@ def settle(c, w, i, dx, dy, heading, speed):  # type: ignore[no-untyped-def]
 
 
 @jit
-def drive_others(c, w, lanes, dt):  # type: ignore[no-untyped-def]
+def drive_others(c, w, table, dt):  # type: ignore[no-untyped-def]
     """One step of all others: the modified bicycle model of highway-env, wrecks braking to rest."""
-    lowest, width, last = lanes.offset[0], lanes.width[0], lanes.path.shape[0] - 1
+    lowest, width, last = table[0, OFFSET], table[0, WIDTH], table.shape[0] - 1
     for i in range(1, c.shape[1]):
         speed, a = c[SPEED, i], c[ACCELERATION, i]
         if w[CRASHED, i] != 0:
             sine, a = 0.0, -speed
         else:
-            sine = _sine_of_slip(c, w, i, lanes)
+            sine = _sine_of_slip(c, w, i, table)
         cosine = math.sqrt(1.0 - sine * sine)
         if speed > SPEED_MOST_MPS:
             a = min(a, SPEED_MOST_MPS - speed)

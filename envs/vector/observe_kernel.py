@@ -19,7 +19,7 @@ from lanebound.envs.vector.chart_kernel import (
     project,
 )
 from lanebound.envs.vector.columns_kernel import flag
-from lanebound.envs.vector.lanes_kernel import local, wrap
+from lanebound.envs.vector.lanes_kernel import ROAD, SIDE, WIDTH, local, wrap
 from lanebound.integrity.accel import jit
 
 __all__ = ["BLIND", "FULL", "ORACLE", "observe", "true_view"]
@@ -38,14 +38,14 @@ def true_view(b, c, w, lanes, meta, view):  # type: ignore[no-untyped-def]
         c[k.X, 0], c[k.Y, 0], c[k.HEADING, 0], c[k.SPEED, 0],
     )  # fmt: skip
     view[k.B_LANE], view[k.B_ALONG], view[k.B_LATERAL] = lane, s, r
-    view[k.B_ANGLE], view[k.B_WIDTH] = wrap(c[k.HEADING, 0] - direction), lanes.width[lane]
+    view[k.B_ANGLE], view[k.B_WIDTH] = wrap(c[k.HEADING, 0] - direction), lanes.table[lane, WIDTH]
     view[k.B_PL_AT] = view[k.B_PL_CT] = 0.0
     if not meta > 0.0:
         view[k.B_TARGET_LANE], view[k.B_TARGET_SPEED] = lane, c[k.SPEED, 0]
 
 
 @jit
-def _ego(b, chart, lanes, out):  # type: ignore[no-untyped-def]
+def _ego(b, chart, table, out):  # type: ignore[no-untyped-def]
     """Group ``ego``; returns where the next group begins."""
     lane = int(b[k.B_LANE])
     out[0], out[1], out[2], out[3] = b[k.B_SPEED], b[k.B_TARGET_SPEED], b[k.B_ACCELERATION], b[k.B_YAW_RATE]
@@ -57,8 +57,8 @@ def _ego(b, chart, lanes, out):  # type: ignore[no-untyped-def]
     if target != lane:
         for n in range(chart.following.shape[1]):
             other = chart.following[lane, n]
-            if other >= 0 and lanes.road[other] == lanes.road[target]:
-                change = lanes.side[target] - lanes.side[other]
+            if other >= 0 and table[other, ROAD] == table[target, ROAD]:
+                change = int(table[target, SIDE]) - int(table[other, SIDE])
                 break
     out[13], out[14] = flag(change < 0), flag(change > 0)
     return 15
@@ -188,7 +188,7 @@ def observe(  # type: ignore[no-untyped-def]
     trail, observed : levels of the last steps, and how many observations the episode has had
     sky : (3 D,) see :func:`_road`; values (E,) is scratch
     """
-    at = _ego(b, chart, lanes, values)
+    at = _ego(b, chart, lanes.table, values)
     if shown != BLIND:
         trend_at = trend_ct = 0.0
         if shown == FULL:

@@ -7,7 +7,7 @@ import math
 from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.columns_kernel import flag
 from lanebound.envs.vector.costs_kernel import follow_corridor, price
-from lanebound.envs.vector.lanes_kernel import local, on_lane, wrap
+from lanebound.envs.vector.lanes_kernel import COUNT, LENGTH, LIMIT, SIDE, WIDTH, local, on_lane, wrap
 from lanebound.integrity.accel import jit
 
 __all__ = ["glance", "locate", "score"]
@@ -22,7 +22,7 @@ def locate(b, lanes, meta):  # type: ignore[no-untyped-def]
     lane = int(b[k.B_LANE])
     s, r, direction = local(lanes, lane, b[k.B_X], b[k.B_Y])
     b[k.B_ALONG], b[k.B_LATERAL] = s, r
-    b[k.B_ANGLE], b[k.B_WIDTH] = wrap(b[k.B_HEADING] - direction), lanes.width[lane]
+    b[k.B_ANGLE], b[k.B_WIDTH] = wrap(b[k.B_HEADING] - direction), lanes.table[lane, WIDTH]
     if not meta > 0.0:
         b[k.B_TARGET_LANE], b[k.B_TARGET_SPEED] = lane, b[k.B_SPEED]
 
@@ -53,17 +53,17 @@ def _errors(b, c):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _own_reward(b, c, w, lanes, figures, lateral, angle, on_road):  # type: ignore[no-untyped-def]
+def _own_reward(b, c, w, table, figures, lateral, angle, on_road):  # type: ignore[no-untyped-def]
     """The wrapped world's own reward: the motorway's, or that of the roads of our own."""
     f, lane = figures[k.F_BASE : k.F_BASE + 8], w[k.LANE, 0]
     crashed = flag(w[k.CRASHED, 0] != 0)
     if f[0] > 0.0:
-        progress = min(max(c[k.SPEED, 0] * math.cos(angle) / lanes.limit[lane], 0.0), 1.0)
-        nearness = max(1.0 - (2.0 * lateral / lanes.width[lane]) ** 2, 0.0)
+        progress = min(max(c[k.SPEED, 0] * math.cos(angle) / table[lane, LIMIT], 0.0), 1.0)
+        nearness = max(1.0 - (2.0 * lateral / table[lane, WIDTH]) ** 2, 0.0)
         total = f[2] * progress + f[3] * (nearness * min(4.0 * progress, 1.0)) + f[1] * crashed
         return min(max((total - f[1]) / (f[2] + f[3] - f[1]), 0.0), 1.0)
     target = int(b[k.B_TARGET_LANE]) if figures[k.F_META] > 0.0 else lane
-    right = lanes.side[target] / max(lanes.count[lanes.road[lane]] - 1, 1)
+    right = table[target, SIDE] / max(table[lane, COUNT] - 1.0, 1.0)
     fast = min(max((c[k.SPEED, 0] * c[k.COS, 0] - f[4]) / (f[5] - f[4]), 0.0), 1.0)
     total = f[1] * crashed + f[2] * right + f[3] * fast
     if f[6] > 0.0:
@@ -76,9 +76,10 @@ def score(b, sc, c, w, t, count, lanes, figures, start, out):  # type: ignore[no
     """The whole verdict on a step, or at a start (no time has passed): fills ``out`` and remembers in ``sc``."""
     policy = figures[k.F_POLICY_S]
     dt = 0.0 if start else policy
-    lane = w[k.LANE, 0]
+    table, lane = lanes.table, w[k.LANE, 0]
+    limit = table[lane, LIMIT] if table[lane, LIMIT] > 0.0 else figures[k.F_MAX_SPEED]
     s, r, direction = local(lanes, lane, c[k.X, 0], c[k.Y, 0])
-    angle, on_road, speed = wrap(c[k.HEADING, 0] - direction), on_lane(lanes, lane, s, r), c[k.SPEED, 0]
+    angle, on_road, speed = wrap(c[k.HEADING, 0] - direction), on_lane(lanes.table, lane, s, r), c[k.SPEED, 0]
     crashed, along = w[k.CRASHED, 0] != 0, speed * math.cos(angle)
     against = abs(angle) > 0.5 * math.pi
     if start:
@@ -91,10 +92,10 @@ def score(b, sc, c, w, t, count, lanes, figures, start, out):  # type: ignore[no
         terminated = crashed or (figures[k.F_WORLD_OFF_ROAD] > 0.0 and not on_road)
         terminated = terminated or (figures[k.F_AGAINST_ENDS] > 0.0 and against)
         truncated = sc[k.S_TIME] >= figures[k.F_WORLD_DURATION_S] - figures[k.F_WORLD_TOLERANCE_S]
-        truncated = truncated or (figures[k.F_END_M] > 0.0 and s > lanes.length[lane] - figures[k.F_END_M])
+        truncated = truncated or (figures[k.F_END_M] > 0.0 and s > table[lane, LENGTH] - figures[k.F_END_M])
         truncated = truncated or sc[k.S_STEPS] * figures[k.F_STEP_S] >= figures[k.F_DURATION_S] - 0.5 * policy
         sc[k.S_PROGRESS] += along * policy
-        sc[k.S_ALLOWED] += (lanes.limit[lane] if lanes.limit[lane] > 0.0 else figures[k.F_MAX_SPEED]) * policy
+        sc[k.S_ALLOWED] += limit * policy
         backwards = along < -CREEP_MPS or against
         sc[k.S_AGAINST] = sc[k.S_AGAINST] + policy if backwards else 0.0
     turn = c[k.HEADING, 0] - sc[k.S_HEADING]
@@ -105,9 +106,9 @@ def score(b, sc, c, w, t, count, lanes, figures, start, out):  # type: ignore[no
     ended = terminated or out[k.O_IS_CRASHED] + out[k.O_OFF_ROAD] + out[k.O_WRONG_WAY] > 0.0
     out[k.O_TERMINATED], out[k.O_TRUNCATED] = flag(ended), flag(truncated)
     price(b, sc, c, w, t, count, lanes, figures, dt, out)
-    base = 0.0 if start else _own_reward(b, c, w, lanes, figures, r, angle, on_road)
+    base = 0.0 if start else _own_reward(b, c, w, table, figures, r, angle, on_road)
     across = speed * out[k.O_TURN_RATE]
-    _reward(out, figures, along / (lanes.limit[lane] if lanes.limit[lane] > 0.0 else figures[k.F_MAX_SPEED]), r,
+    _reward(out, figures, along / limit, r,
             math.hypot((speed - sc[k.S_SPEED]) / policy, across), base, dt)  # fmt: skip
     sc[k.S_SPEED] = speed
 

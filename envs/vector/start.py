@@ -47,7 +47,7 @@ class _Motorway:
         self._spacings = float(config["ego_spacing"]), 1.0 / config["vehicles_density"]
 
     def __call__(self, rng: np.random.Generator, cars: Array, whole: NDArray[np.int64], profile: Array) -> None:
-        line_up(rng, cars, whole, self._lanes.offset, self._lanes.limit, self._ego_lane, *self._spacings)
+        line_up(rng, cars, whole, self._lanes.table, self._ego_lane, *self._spacings)
 
 
 class _Following:

@@ -18,6 +18,7 @@ from lanebound.envs.vector.columns_kernel import (
     X,
     Y,
 )
+from lanebound.envs.vector.lanes_kernel import LIMIT, OFFSET
 from lanebound.integrity.accel import jit
 
 __all__ = ["line_up"]
@@ -27,21 +28,21 @@ DELTA_LOW, DELTA_HIGH = 3.5, 4.5  # IDMVehicle.DELTA_RANGE
 
 
 @jit
-def line_up(rng, c, w, offset, limit, ego_lane, ego_spacing, spacing):  # type: ignore[no-untyped-def]
+def line_up(rng, c, w, table, ego_lane, ego_spacing, spacing):  # type: ignore[no-untyped-def]
     """Vehicles of one environment, each ahead of those before; ``ego_lane`` -1 draws the ego's lane as well."""
-    lanes = offset.shape[0]
+    lanes = table.shape[0]
     packed = math.exp(-5.0 / 40.0 * lanes)
     c[:, :] = 0.0
     w[:, :] = 0
     for i in range(c.shape[1]):
         lane = ego_lane if i == 0 and ego_lane >= 0 else rng.integers(0, lanes)
-        speed = EGO_MPS if i == 0 else rng.uniform(0.7 * limit[lane], 0.8 * limit[lane])
+        speed = EGO_MPS if i == 0 else rng.uniform(0.7 * table[lane, LIMIT], 0.8 * table[lane, LIMIT])
         gap = (ego_spacing if i == 0 else spacing) * (PLACE_M + speed) * packed
         x = 3.0 * gap if i == 0 else c[X, i - 1]
         x += gap * rng.uniform(0.9, 1.1)
-        c[X, i], c[Y, i], c[SPEED, i], c[TARGET_SPEED, i] = x, offset[lane], speed, speed
+        c[X, i], c[Y, i], c[SPEED, i], c[TARGET_SPEED, i] = x, table[lane, OFFSET], speed, speed
         c[HEADING, i], c[SIN, i], c[COS, i] = 0.0, 0.0, 1.0
-        c[TIMER, i] = (x + offset[lane]) * math.pi % 1.0
+        c[TIMER, i] = (x + table[lane, OFFSET]) * math.pi % 1.0
         if i > 0:
             c[DELTA, i] = rng.uniform(DELTA_LOW, DELTA_HIGH)
         w[LANE, i] = w[TARGET, i] = lane

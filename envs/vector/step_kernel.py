@@ -78,13 +78,13 @@ def _frame(c, w, b, sc, profile, lanes, rules, newest, pairs):  # type: ignore[n
     motorway = rules.drivers == MOTORWAY
     if motorway:
         show_intent(b, c, w, figures)
-        survey(c, w, lanes, newest)
-        change_lanes(c, w, lanes, figures[k.F_META] > 0.0)
-        accelerate(c, w, lanes)
+        survey(c, w, lanes.table, newest)
+        change_lanes(c, w, lanes.table, figures[k.F_META] > 0.0)
+        accelerate(c, w, lanes.table)
     steering, acceleration, hold = command(b, lanes, figures)
     move(c, w, steering, acceleration, hold, lanes, figures)
     if motorway:
-        drive_others(c, w, lanes, dt)
+        drive_others(c, w, lanes.table, dt)
         sort_along(c, w)
     else:
         drive_leads(c, w, lanes, profile, int(sc[k.S_STEPS]) + 1, dt)
@@ -126,7 +126,7 @@ def run_some(first, last, rows, frames, parts, actions, world, lanes, chart, rul
     and START (with FINISH: no time has passed).
     """
     count = world.cars.shape[2]
-    newest, pairs = np.empty(lanes.path.shape[0], np.int64), np.empty(count * count // 2 + 1, np.int64)
+    newest, pairs = np.empty(lanes.table.shape[0], np.int64), np.empty(count * count // 2 + 1, np.int64)
     order, square = np.empty(count, np.int64), np.empty(count)
     view, values = np.empty(k.BELIEF), np.empty(rules.scale.shape[1])
     for n in range(first, last):
