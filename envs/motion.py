@@ -85,6 +85,15 @@ class Motion:
         self._steps = 0
         return Truth(time_s, dt_s, position, velocity, heading, turn, delta_v, distance, arc_m, lane)
 
+    def adopt(self, rows: NDArray[np.int64], other: Motion) -> None:
+        """Take over the slots of another motion as ``rows``; both are at the end of an epoch."""
+        for mine, theirs in zip(self._arrays, other._arrays, strict=True):
+            mine[rows] = theirs
+
+    @property
+    def _arrays(self) -> tuple[Array, ...]:
+        return self.position_m, self.heading_rad, self._chord, self._chord_before, *self._start
+
     def mark(self) -> None:
         """The next epoch begins here."""
         self._steps = 0

@@ -107,8 +107,6 @@ SEEN = 10
     F_POLICY_S,
     F_META,
     F_PERFECT,
-    F_LENGTH,
-    F_BODY_WIDTH,
     F_SPEED_MIN,
     F_SPEED_MAX,
     F_PURSUES,
@@ -134,10 +132,9 @@ SEEN = 10
     F_BRAKE_MAX,
     F_ALERT_SHARE,
     F_TTA_S,
-    F_MAP_BOUND,
     F_MAX_SPEED,
-) = range(33)
-F_REWARD_WEIGHTS = 33  # first of TERMS
+) = range(30)
+F_REWARD_WEIGHTS = 30  # first of TERMS
 F_COST_WEIGHTS = F_REWARD_WEIGHTS + TERMS  # first of CAUSES
 F_BASE = F_COST_WEIGHTS + CAUSES  # first of the eight figures of the world's own reward
 FIGURES = F_BASE + 8

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.vector import columns_kernel as k
+from lanebound.envs.vector import lanes_kernel as lk
 from lanebound.envs.vector.chart import chart_of
 from lanebound.envs.vector.lanes import lanes_of
-from lanebound.envs.vector.rules import direct_ranges, meta_codes, rules_of, trail_length
+from lanebound.envs.vector.rules import direct_ranges, duration_s, meta_codes, rules_of, trail_length
+from lanebound.envs.vector.senses import Senses
 from lanebound.envs.vector.start import profile_steps, starter_of
 from lanebound.envs.vector.step_kernel import DECIDE, FINISH, START, World, run_parallel, run_some
 from lanebound.envs.vector.support import require_supported
@@ -36,11 +38,14 @@ class Engine:
     ----------
     single : one environment of the configuration, asked for spaces, roads and figures; it is not driven
     count : number N of environments
+    alone : draw each environment's sensor errors from generators of its own, as single environments do (slower); all
+        environments that are then reset at once are equal to single ones
 
     Attributes
     ----------
     world : everything that changes, see :class:`~lanebound.envs.vector.step_kernel.World`
     lanes, chart, rules : what all environments share
+    codes : (A,) code of each meta-action of the action space, none under continuous actions
 
     Raises
     ------
@@ -48,7 +53,7 @@ class Engine:
         A configuration that the engine cannot do as a single environment does.
     """
 
-    def __init__(self, single: DrivingEnv, count: int) -> None:
+    def __init__(self, single: DrivingEnv, count: int, alone: bool = False) -> None:
         require_supported(single)
         self.single, self.count = single, count
         network = single.world.road.network
@@ -56,11 +61,15 @@ class Engine:
         self.rules = rules_of(single)
         self.frames = single.config.simulation_hz // single.config.policy_hz
         self._everyone = np.arange(count)
-        self._codes = meta_codes(single.world)
+        self.codes = meta_codes(single.world)
         self._ranges = direct_ranges(single.world)
         self._start = starter_of(single.world, self.lanes)
         self._generators: list[np.random.Generator | None] = [None] * count
         self.world = self._empty()
+        self.senses: Senses | None = None
+        if single.config.navigation.source.senses:
+            length = duration_s(single.config, single.world)
+            self.senses = Senses(single, count, self.lanes, self.rules.figures, length, alone)
 
     def _empty(self) -> World:
         """Arrays for N environments, before any start."""
@@ -91,20 +100,30 @@ class Engine:
 
     def reset(self, rows: Rows, seeds: list[int | None]) -> None:
         """Begin an episode in the environments ``rows``, each with its seed or from where its generator is."""
-        for e, seed in zip(rows.tolist(), seeds, strict=True):
-            self._begin(e, seed)
+        episodes = [self._begin(e, seed) for e, seed in zip(rows.tolist(), seeds, strict=True)]
         self._know_all(rows)
+        if self.senses is not None:
+            self.senses.begin(rows, episodes, self.world)
         self._run(rows, 0, FINISH | START)
 
     def step(self, actions: NDArray[Any], rows: Rows | None = None) -> None:
         """Carry out commands (N,) or (N, A) until the next decision, in all environments or in ``rows`` of them."""
         where = self._everyone if rows is None else rows
         codes = self._everyone
-        if self._codes.size:
-            codes = self._codes[actions]
+        if self.codes.size:
+            codes = self.codes[actions]
         else:
             self._take_up(actions)
-        self._run(where, self.frames, DECIDE | FINISH, codes)
+        if self.senses is None:
+            self._run(where, self.frames, DECIDE | FINISH, codes)
+            return
+        self._run(where, 0, DECIDE, codes)
+        for frame in range(1, self.frames + 1):
+            self._run(where, 1, 0)
+            follow = self.senses.coast if frame % self.senses.steps else self.senses.navigate
+            follow(where, self.world)
+        self.senses.foresee(where, self.world)
+        self._run(where, 0, FINISH)
 
     def _run(self, rows: Rows, frames: int, parts: int, actions: Rows | None = None) -> None:
         chosen = self._everyone if actions is None else actions
@@ -120,17 +139,31 @@ class Engine:
                 self.world.belief[:, target] = between[0] + (share - -1) * (between[1] - between[0]) / (1 - -1)
                 column += 1
 
+    def sensible(self) -> NDArray[np.bool_]:
+        """Which of left, idle, right, faster and slower make sense for each ego by its belief, (N, 5)."""
+        b, table, wanted = self.world.belief, self.lanes.table, self.rules.speeds
+        own = table[b[:, k.B_LANE].astype(np.int64)]
+        s, beside = b[:, k.B_ALONG], 2.0 * own[:, lk.WIDTH]
+        there = (s >= 0.0) & (s < own[:, lk.LENGTH] + lk.VEHICLE_LENGTH_M)
+        left = (own[:, lk.SIDE] > 0) & (np.abs(b[:, k.B_LATERAL] + own[:, lk.WIDTH]) <= beside)
+        right = own[:, lk.SIDE] < own[:, lk.COUNT] - 1
+        right &= np.abs(b[:, k.B_LATERAL] - own[:, lk.WIDTH]) <= beside
+        speed = b[:, k.B_TARGET_SPEED]
+        every = np.ones_like(there)
+        return np.stack([left & there, every, right & there, speed < wanted[-1], speed > wanted[0]], -1)
+
     # Starts
 
-    def _begin(self, e: int, seed: int | None) -> None:
+    def _begin(self, e: int, seed: int | None) -> int:
         """Draw as :meth:`DrivingEnv.reset` does: the episode's seed, the world's, then who drives where."""
         generator = self._generators[e]
         if seed is not None or generator is None:
             generator = self._generators[e] = seeding.np_random(seed)[0]
-        generator.integers(EPISODE_SEEDS)
+        episode = int(generator.integers(EPISODE_SEEDS))
         world_seed = seed if seed is not None else int(generator.integers(WORLD_SEEDS))
         w = self.world
         self._start(seeding.np_random(world_seed)[0], w.cars[e], w.whole[e], w.profile[e])
+        return episode
 
     def _know_all(self, rows: Rows) -> None:
         """Beliefs and scores at the start, from the true poses."""

@@ -136,6 +136,19 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
             self._restart(ended, [None] * ended.size)
         return self._observations(), rewards, terminated, truncated, final | infos_of(self.engine.world, self._limits_m)
 
+    def action_masks(self) -> Flags:
+        """Which meta-actions make sense from where each ego believes to be, (N, A) bool (sb3-contrib's name).
+
+        Raises
+        ------
+        InputError
+            Before the first reset, or under continuous actions.
+        """
+        self._require_begun()
+        if not self.engine.codes.size:
+            raise InputError("action_masks needs meta-actions, got continuous ones: there is nothing to mask")
+        return self.engine.sensible()[:, self.engine.codes]
+
     # Episodes
 
     def _restart(self, rows: Rows, seeds: list[int | None]) -> None:
@@ -172,10 +185,13 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
             return stack.reshape(count, -1).copy()
         return {group: stack[:, :, part].reshape(count, -1).copy() for group, part in self._slices.items()}
 
-    def _checked(self, actions: Any) -> NDArray[Any]:
-        """Commands in the type of the action space."""
+    def _require_begun(self) -> None:
         if not self._begun.all():
             raise InputError("reset must come before everything else, got no episode: call reset() first")
+
+    def _checked(self, actions: Any) -> NDArray[Any]:
+        """Commands in the type of the action space."""
+        self._require_begun()
         given, space = np.asarray(actions), self.action_space
         kinds = "iuf" if isinstance(space, Box) else "iu"
         if given.dtype.kind not in kinds or given.shape != space.shape:

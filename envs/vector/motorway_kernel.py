@@ -216,7 +216,7 @@ def _sine_of_slip(c, w, i, table):  # type: ignore[no-untyped-def]
     return min(max(0.5 * LENGTH_M * inverse * KP_HEADING * turn, -SIN_SLIP_MOST), SIN_SLIP_MOST)
 
 
-@jit
+@jit(inline=True)
 def settle(c, w, i, dx, dy, heading, speed):  # type: ignore[no-untyped-def]
     """Take over a vehicle's new pose; one that was struck is thrown as well, and has crashed."""
     c[X, i] += dx

@@ -85,7 +85,6 @@ def _figures(config: EnvConfig, world: AbstractEnv) -> Array:
     values: dict[int, Any] = {
         k.F_STEP_S: 1.0 / config.simulation_hz, k.F_POLICY_S: policy_s,
         k.F_META: config.action is ActionKind.META, k.F_PERFECT: config.navigation.source is Source.PERFECT,
-        k.F_LENGTH: Vehicle.LENGTH, k.F_BODY_WIDTH: Vehicle.WIDTH,
         k.F_SPEED_MIN: speeds[0], k.F_SPEED_MAX: speeds[1],
         k.F_ACTUATED: a is not None, k.F_PURSUES: a is not None and a.steering_rate_radps is not None,
         k.F_LATERAL_MPS2: _or_none(a and a.lateral_acceleration_mps2),

@@ -144,15 +144,5 @@ def run_some(first, last, rows, frames, parts, actions, world, lanes, chart, rul
 def run_parallel(chunks, last, rows, frames, parts, actions, world, lanes, chart, rules):  # type: ignore[no-untyped-def]
     """:func:`run_some` for all ``last`` rows, in ``chunks`` runs side by side."""
     for chunk in prange(chunks):
-        run_some(
-            chunk * last // chunks,
-            (chunk + 1) * last // chunks,
-            rows,
-            frames,
-            parts,
-            actions,
-            world,
-            lanes,
-            chart,
-            rules,
-        )
+        first, end = chunk * last // chunks, (chunk + 1) * last // chunks
+        run_some(first, end, rows, frames, parts, actions, world, lanes, chart, rules)

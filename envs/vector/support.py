@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from highway_env.envs.highway_env import HighwayEnv
 
-from lanebound.envs.config import ActionKind, EnvConfig
+from lanebound.envs.config import ActionKind, EnvConfig, FaultLevel
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.navigation import Source
 from lanebound.envs.world import IDM_PATH
@@ -24,7 +24,7 @@ def require_supported(single: DrivingEnv) -> None:
     if type(world) not in WORLDS:
         raise ConfigError(f"base must have an engine, as {', '.join(WORLDS.values())} do, got {config.base!r}: "
                           f"choose one of these, {INSTEAD}")  # fmt: skip
-    _require_sources(config)
+    _require_sources(config, alone=len(world.road.vehicles) == 1)
     if isinstance(world, HighwayEnv):
         if world.config["other_vehicles_type"] != IDM_PATH:
             raise _refusal("world.other_vehicles_type", IDM_PATH, world.config["other_vehicles_type"])
@@ -34,10 +34,12 @@ def require_supported(single: DrivingEnv) -> None:
         raise _refusal("action_options.dynamical", "False", True)
 
 
-def _require_sources(config: EnvConfig) -> None:
-    if config.navigation.source is not Source.PERFECT:
-        raise _refusal("navigation.source", "'perfect'", config.navigation.source.value)
-    if config.perception.source not in ("truth", "none"):
+def _require_sources(config: EnvConfig, alone: bool) -> None:
+    if config.navigation.source is Source.OFFSET:
+        raise _refusal("navigation.source", "'navigator' or 'perfect'", config.navigation.source.value)
+    if config.faults is not FaultLevel.NONE:
+        raise _refusal("faults", "'none'", config.faults.value)
+    if config.perception.source not in ("truth", "none") and not alone:  # nobody to be heard or seen
         raise _refusal("perception.source", "'truth' or 'none'", config.perception.source)
     per_policy, per_epoch = config.simulation_hz // config.policy_hz, config.simulation_hz / config.navigation.rate_hz
     if per_policy % max(1, round(per_epoch)):

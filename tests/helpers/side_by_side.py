@@ -54,10 +54,11 @@ def command(single: DrivingEnv, observation: Any, rng: np.random.Generator) -> A
     index = {entry.column: n for n, entry in enumerate(single.observer.index)}
     seen = flat(single, observation)
     bend = seen[index["road.preview_10m_right"]] + 0.3 * rng.standard_normal() * (rng.random() < 0.3)
-    return np.clip([0.4 * rng.standard_normal() + 0.1, 1.2 * bend], -1.0, 1.0).astype(np.float32)
+    both = np.clip([0.4 * rng.standard_normal() + 0.1, 1.2 * bend], -1.0, 1.0)
+    return both[: single.action_space.shape[0]].astype(np.float32)
 
 
-def _same(tally: Tally, where: str, engine: Engine, row: int, single: DrivingEnv, seen: Any, step: Any) -> None:
+def same(tally: Tally, where: str, engine: Engine, row: int, single: DrivingEnv, seen: Any, step: Any) -> None:
     reward, terminated, truncated, info = step
     cars, whole, out = engine.world.cars[row], engine.world.whole[row], engine.world.out[row]
     vehicles = single.world.road.vehicles
@@ -100,14 +101,14 @@ def drive(
     engine.reset(rows, [seed])
     targets = [v.target_lane_index for v in single.world.road.vehicles[1:] if hasattr(v, "timer")]
     assert (engine.world.cars[row, :4] == poses(single)).all(), "an episode must start from the same bits"
-    _same(tally, f"seed {seed} start", engine, row, single, seen, (0.0, False, False, info))
+    same(tally, f"seed {seed} start", engine, row, single, seen, (0.0, False, False, info))
     actions = np.zeros((engine.count, *single.action_space.shape), dtype=single.action_space.dtype)
     for n in range(steps):
         actions[row] = command(single, seen, rng)
         chosen = int(actions[row]) if actions[row].ndim == 0 else actions[row]
         seen, reward, terminated, truncated, info = single.step(chosen)
         engine.step(actions, rows)
-        _same(tally, f"seed {seed} step {n}", engine, row, single, seen, (reward, terminated, truncated, info))
+        same(tally, f"seed {seed} step {n}", engine, row, single, seen, (reward, terminated, truncated, info))
         now = [v.target_lane_index for v in single.world.road.vehicles[1:] if hasattr(v, "timer")]
         tally.lane_changes += sum(a != b for a, b in zip(targets, now, strict=True))
         tally.steps, targets = tally.steps + 1, now
