@@ -50,6 +50,9 @@ class Senses:
         config = single.config
         limits = alert_limits_m(single.world, config)
         settings = navigator_config(config, limits)
+        if settings.imu.mems_exponential:
+            raise ConfigError("navigator.imu.mems_exponential must be False in the vector engine, whose instruments "
+                              "are never cold: make the same environments with vectorization_mode='sync'")  # fmt: skip
         self._config, self._layouts = config.navigation, config.layouts
         self._lanes, self._figures, self._alone = lanes, figures, alone
         self.skies = Skies.of(single, settings, duration_s)
@@ -58,9 +61,6 @@ class Senses:
         self.epoch_s = self.step_s * self.steps
         self._warm_up = max(1, round(config.navigation.warm_up_s / self.epoch_s))
         self._navigator = Navigator(settings, self.skies.track, self.skies.mask, 0, count)
-        if settings.imu.mems_exponential:
-            raise ConfigError("navigator.imu.mems_exponential must be False in the vector engine, whose instruments "
-                              "are never cold: make the same environments with vectorization_mode='sync'")  # fmt: skip
         self.trackers = Trackers(config.navigation, count, map_bound_m(config, settings), limits)
         self._motion = Motion.still(count, self.step_s)
         self._hour, self._started = np.zeros((2, count), dtype=np.int64)
@@ -170,7 +170,7 @@ class Senses:
 
     def _view(self) -> SkyView:
         """The skies over all egos now."""
-        clock = self._config.clock_start_s + (self._epoch - self._started) * self.epoch_s
+        clock = self._config.clock_start_s + (self._epoch - self._started) * self.steps * self.step_s
         return self.skies.view(self._hour, clock)
 
     def _moved(self, world: World) -> None:

@@ -16,11 +16,11 @@ from lanebound.integrity.errors import ConfigError
 from side_by_side import Tally, command, require_equal, same
 
 TRUTH: dict[str, Any] = {"perception": {"source": "truth"}}
-FEW: dict[str, Any] = {**TRUTH, "world": {"vehicles_count": 4}, "sky": "urban", "extent_m": 500.0}
+FEW: dict[str, Any] = {**TRUTH, "world": {"vehicles_count": 4}, "sky": "urban", "extent_m": 300.0, "layouts": 2}
 CASES: list[tuple[str, dict[str, Any], int]] = [
-    ("LaneKeeping", {"sky": "dense"}, 25),
-    ("LaneKeeping", {"action": "meta", "observation": {"history": 2, "satellites_m": []}}, 8),
-    ("CarFollowing", TRUTH, 15),
+    ("LaneKeeping", {"sky": "dense", "layouts": 2}, 25),
+    ("LaneKeeping", {"sky": "open", "action": "meta", "observation": {"history": 2, "satellites_m": []}}, 8),
+    ("CarFollowing", {**TRUTH, "sky": "open"}, 15),
     ("Highway", FEW, 10),
     ("Highway", {**FEW, "sky": "open", "observation": {"integrity": "oracle"}}, 5),
 ]
@@ -76,7 +76,7 @@ def test_with_the_same_draws_for_long(name: str, config: dict[str, Any], steps: 
 
 
 def test_environments_start_anew_beside_others() -> None:
-    engine = VectorLaneKeeping(4, {"duration_s": 1.0}, autoreset_mode="SameStep")
+    engine = VectorLaneKeeping(4, {"sky": "open", "duration_s": 1.0}, autoreset_mode="SameStep")
     engine.reset(seed=3)
     engine.reset(seed=[None, 7, None, None], options={"reset_mask": np.array([False, True, False, False])})
     ends = np.zeros(4, dtype=np.int64)
