@@ -1,7 +1,7 @@
 """The vector engine for Stable-Baselines3, which has a kind of vector environment of its own.
 
 >>> from stable_baselines3 import PPO
->>> config = {"perception": {"source": "truth"}, "observation": {"form": "flat"}}
+>>> config = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "observation": {"form": "flat"}}
 >>> PPO("MlpPolicy", EngineVecEnv("lanebound/Highway-v0", 64, config)).learn(100_000)        # doctest: +SKIP
 """
 

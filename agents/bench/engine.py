@@ -19,8 +19,7 @@ from lanebound.envs.vector import VectorHighway
 __all__ = ["measure"]
 
 PERFECT: dict[str, Any] = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}}
-SENSED: dict[str, Any] = {"perception": {"source": "truth"}}
-MANY, SENSING, SEED, TURNS = 512, 256, 1, 64
+MANY, SEED, TURNS = 512, 1, 64
 
 
 def _bare_side() -> Callable[[], int]:
@@ -53,12 +52,10 @@ def measure(rounds: int = 5) -> list[Row]:
     """Ratios of policy steps a second, resets included on both sides, and the memory of an environment."""
     many, env = _engine_side(MANY, PERFECT)
     sides = {"bare": _bare_side(), "many": many, "one": _engine_side(1, PERFECT)[0]}
-    sides["sensed"] = _engine_side(SENSING, SENSED)[0]
     rates = alternate(sides, rounds, seconds=1.0)
-    ratio = {name: median_ratio(rates, name, "bare") for name in ("many", "one", "sensed")}
+    ratio = {name: median_ratio(rates, name, "bare") for name in ("many", "one")}
     return [
         Row("engine_dynamics_vs_highway_2core", ratio["many"], "x", 5000.0, 12000.0),
         Row("engine_dynamics_vs_highway_1env", ratio["one"], "x", 2500.0, 5000.0),
-        Row("engine_full_vs_highway_2core", ratio["sensed"], "x", 1000.0, 3000.0),
         Row("engine_memory_per_environment", env.engine.bytes_per_environment / 1024.0, "KiB", higher_is_better=False),
     ]

@@ -16,6 +16,7 @@ from lanebound.envs.ids import CarFollowing, Highway, LaneKeeping, Preset, id_of
 from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.engine import Engine
 from lanebound.envs.vector.infos import infos_of
+from lanebound.envs.vector.support import require_perfect
 from lanebound.integrity.errors import InputError
 
 __all__ = ["ENGINES", "VectorCarFollowing", "VectorDrivingEnv", "VectorHighway", "VectorLaneKeeping"]
@@ -70,6 +71,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         if render_mode is not None:
             raise InputError(f"render_mode must be None, got {render_mode!r}: draw pictures of a single environment")
         single = self.KIND(config)
+        require_perfect(single.config)
         self.num_envs, self.config, self.render_mode = int(num_envs), single.config, None
         self.mode = _mode_of(autoreset_mode)
         self.metadata = {"render_modes": [], "render_fps": single.config.policy_hz, "autoreset_mode": self.mode}

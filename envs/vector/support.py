@@ -12,7 +12,7 @@ from lanebound.envs.worlds.car_following import CarFollowingWorld
 from lanebound.envs.worlds.lane_keeping import LaneKeepingWorld
 from lanebound.integrity.errors import ConfigError
 
-__all__ = ["WORLDS", "require_supported"]
+__all__ = ["WORLDS", "require_perfect", "require_supported"]
 
 WORLDS = {HighwayEnv: "highway-v0", LaneKeepingWorld: "LaneKeepingWorld", CarFollowingWorld: "CarFollowingWorld"}
 INSTEAD = "or make the same environments with vectorization_mode='sync' or 'async'"
@@ -32,6 +32,12 @@ def require_supported(single: DrivingEnv) -> None:
             raise _refusal("world.vehicles_count", f"at most slots = {config.slots}", world.config["vehicles_count"])
     if config.action is ActionKind.CONTINUOUS and world.action_type.dynamical:
         raise _refusal("action_options.dynamical", "False", True)
+
+
+def require_perfect(config: EnvConfig) -> None:
+    """Raise ConfigError unless positions are given: the engine's own navigation has not been shown to be the same."""
+    if config.navigation.source is not Source.PERFECT:
+        raise _refusal("navigation.source", "'perfect'", config.navigation.source.value)
 
 
 def _require_sources(config: EnvConfig, alone: bool) -> None:

@@ -11,7 +11,6 @@ from lanebound.envs.core import DrivingEnv
 from lanebound.envs.registration import make_config
 from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.engine import Engine
-from lanebound.envs.vector.env import VectorHighway, VectorLaneKeeping
 from lanebound.integrity.errors import ConfigError
 from side_by_side import Tally, command, require_equal, same
 
@@ -76,24 +75,30 @@ def test_with_the_same_draws_for_long(name: str, config: dict[str, Any], steps: 
 
 
 def test_environments_start_anew_beside_others() -> None:
-    engine = VectorLaneKeeping(4, {"sky": "open", "duration_s": 1.0}, autoreset_mode="SameStep")
-    engine.reset(seed=3)
-    engine.reset(seed=[None, 7, None, None], options={"reset_mask": np.array([False, True, False, False])})
+    made = make_config("lanebound/LaneKeeping-v0", {"sky": "open", "duration_s": 1.0})
+    engine = Engine(DrivingEnv(made), 4)
+    engine.reset(np.arange(4), [3, 4, 5, 6])
+    engine.reset(np.array([1]), [7])
     ends = np.zeros(4, dtype=np.int64)
     for _ in range(12):
-        _, _, terminated, truncated, info = engine.step(np.zeros((4, 2), dtype=np.float32))
-        ends += terminated | truncated
-        assert (np.abs(info["err_at_m"]) < 1.0).all()  # an ego under another's solution would be far off
-        assert (np.abs(info["err_ct_m"]) < 1.0).all()
+        engine.step(np.zeros((4, 2), dtype=np.float32))
+        out = engine.world.out
+        over = (out[:, k.O_TERMINATED] > 0.0) | (out[:, k.O_TRUNCATED] > 0.0)
+        ends += over
+        assert (np.abs(out[:, [k.O_ERR_AT, k.O_ERR_CT]]) < 1.0).all()  # another's solution would be far off
+        if over.any():
+            engine.reset(np.flatnonzero(over), [None] * int(over.sum()))
     assert (ends >= 2).all()
 
 
 def test_the_same_seed_gives_the_same_drive_again() -> None:
-    engine = VectorHighway(3, FEW)
+    engine = Engine(DrivingEnv(make_config("lanebound/Highway-v0", FEW)), 3)
     drives = []
     for _ in range(2):
-        engine.reset(seed=11)
-        drives.append([engine.step(np.full(3, n % 5))[0]["integrity"] for n in range(4)])
+        engine.reset(np.arange(3), [11, 12, 13])
+        for n in range(4):
+            engine.step(np.full(3, n % 5))
+        drives.append(engine.world.frame.copy())
     np.testing.assert_array_equal(drives[0], drives[1])
 
 
@@ -121,4 +126,4 @@ def test_levels_and_errors_are_those_of_navigation() -> None:
 )
 def test_what_navigation_cannot_do_is_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        VectorHighway(2, {**FEW, **change})
+        Engine(DrivingEnv(make_config("lanebound/Highway-v0", {**FEW, **change})), 2)
