@@ -1,7 +1,8 @@
 """Crashes between the vehicles of one environment, by highway-env's rule: boxes that meet, or will within a step.
 
 Pairs are taken in the order of the vehicles, for the last one decides where a vehicle is thrown. Two boxes of equal
-size are apart when their shadows on the normal of a side are; of each pair of opposite sides one serves.
+size are apart when their shadows on the normal of a side are. All sides are looked at: where one shadow holds the
+other, opposite sides give different ways out.
 """
 
 from __future__ import annotations
@@ -48,11 +49,11 @@ def collide(c, w, i, j, dt):  # type: ignore[no-untyped-def]
     swept_x = (c[SPEED, i] * c[COS, i] - c[SPEED, j] * c[COS, j]) * dt
     swept_y = (c[SPEED, i] * c[SIN, i] - c[SPEED, j] * c[SIN, j]) * dt
     now, soon, least, axis_x, axis_y = True, True, math.inf, 0.0, 0.0
-    for side in range(4):
-        k = i if side < 2 else j
+    for side in range(8):
+        k, flip = i if side < 4 else j, -1.0 if side % 4 >= 2 else 1.0
         across = side % 2 == 1
-        nx = -c[SIN, k] if across else -c[COS, k]
-        ny = c[COS, k] if across else -c[SIN, k]
+        nx = flip * (-c[SIN, k] if across else -c[COS, k])
+        ny = flip * (c[COS, k] if across else -c[SIN, k])
         half_i, half_j = _reach(nx, ny, c[COS, i], c[SIN, i]), _reach(nx, ny, c[COS, j], c[SIN, j])
         centre = nx * dx + ny * dy
         low, high = centre - half_i, centre + half_i
