@@ -1,4 +1,4 @@
-"""Plain data for JSON, which has no infinity and no NaN."""
+"""Plain data for JSON, which has no infinity and no NaN, and numbers of things in words."""
 
 from __future__ import annotations
 
@@ -7,7 +7,17 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["finite_or_none", "to_json_text"]
+__all__ = ["counted", "finite_or_none", "to_json_text"]
+
+
+def counted(count: int, what: str) -> str:
+    """A number of things, in the singular where there is one.
+
+    >>> counted(1, "process"), counted(2, "process"), counted(0, "episode")
+    ('1 process', '2 processes', '0 episodes')
+    """
+    plural = f"{what}es" if what.endswith("s") else f"{what}s"
+    return f"{count} {what if count == 1 else plural}"
 
 
 def finite_or_none(data: Any) -> Any:

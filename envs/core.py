@@ -90,8 +90,8 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
 
     | cause | weight | is |
     |---|---|---|
-    | `cost_collision` | 50 | 1 in the step of a crash |
-    | `cost_off_road` | 50 | 1 in the step that ends the episode off the road, or against the traffic |
+    | `cost_collision` | 200 | 1 in the step of a crash |
+    | `cost_off_road` | 200 | 1 in the step that ends the episode off the road, or against the traffic |
     | `cost_lane` | 1 | `out v dt`, out how far the true body reaches beyond its lane, at most 2 m |
     | `cost_lane_integrity` | 0.1 | `out v dt`, out = `max(0, abs(d_est) + PL_CT + W/2 - w/2)`, at most 2 m |
     | `cost_headway` | 0.5 | `max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt`, at most dt; by the true gap if worse |
@@ -101,10 +101,11 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     `d_RSS = v rho + a rho^2 / 2 + (v + a rho)^2 / (2 b_min) - v_lead^2 / (2 b_max)`, 0 at least, with rho 0.5 s, a 2,
     b_min 4 and b_max 6 m/s2. A missing level counts as 2 m across the track and as 40 m of a gap; a leader whom the car
     does not perceive at all, nearer than d_RSS in truth, costs dt. A crash or leaving the road costs more than any
-    `cost_limit`, so that ending an episode early is no way to keep it. During a lane change both lanes count as the
-    car's own, for the body and for the estimate with its level; with `keep_lane=False` the whole road counts so at all
-    times. Where lanes meet the body may stand on several of them. `cost_limit` is a bound of an episode's cost for
-    constrained learning and not enforced; each page says what it lies between.
+    `cost_limit`, and more than the whole drive of a driver that is blind to integrity (190 at most, in `UrbanCanyon`),
+    so that an early end is no way to save costs. During a lane change both lanes count as the car's own, for the body
+    and for the estimate with its level; with `keep_lane=False` the whole road counts so at all times. Where lanes meet
+    the body may stand on several of them. `cost_limit` is a bound of an episode's cost for constrained learning and not
+    enforced; each page says what it lies between.
 
     ## Info
     The same keys at reset and at every step. What the car knows: `pl_at_m`, `pl_ct_m`, `al_at_m`, `al_ct_m`,

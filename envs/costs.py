@@ -43,9 +43,9 @@ class CostConfig(Config):
     """Weights of the causes and the figures of their formulas."""
 
     collision: float = Field(
-        50.0, ge=0, description="weight of cost_collision [-]; above every cost_limit: an end is no way to save costs"
+        200.0, ge=0, description="weight of cost_collision [-]; more than careless drives cost that go on to their end"
     )
-    off_road: float = Field(50.0, ge=0, description="weight of cost_off_road [-]; as a crash")
+    off_road: float = Field(200.0, ge=0, description="weight of cost_off_road [-]; as a crash")
     lane: float = Field(1.0, ge=0, description="weight of cost_lane [1/m^2]")
     lane_integrity: float = Field(0.1, ge=0, description="weight of cost_lane_integrity [1/m^2]; a risk, no harm yet")
     headway: float = Field(0.5, ge=0, description="weight of cost_headway [1/s]")

@@ -122,7 +122,7 @@ class CarFollowing(Preset):
     ## Costs
     The common ones; `cost_headway` is the one to watch. While an alert is on, 6.9 m/s are permitted.
     The limit of an episode, `cost_limit`, is 15: stopping on alerts costs 3, ignoring them 52, and `integrity_aware`
-    17, of which 2 for one end off the road (means of 24 training seeds, `urban`).
+    23, of which 8 for one end off the road (means of 24 training seeds, `urban`).
 
     ## Starting State
     In the middle of the lane between 10 m and 1505 m, at the speed of the vehicle ahead (5 to 13.9 m/s), with a gap of
@@ -252,8 +252,8 @@ class Roundabout(Preset):
 
     ## Costs
     The common ones. While an alert is on, 10 m/s are permitted.
-    The limit of an episode, `cost_limit`, is 3: ignoring alerts costs 3.6 and a crash in 24 drives (2.1), stopping on
-    them 1.1 and one in 8 (6.2), and `integrity_aware` 1.4 (means of 24 training seeds). With perfect navigation
+    The limit of an episode, `cost_limit`, is 3: ignoring alerts costs 3.6 and a crash in 24 drives (8.3), stopping on
+    them 1.1 and one in 8 (25), and `integrity_aware` 1.4 (means of 24 training seeds). With perfect navigation
     `cost_lane` still comes to about 1.5: highway-env's own control swings wide where the approach meets the circle.
 
     ## Starting State
@@ -296,7 +296,7 @@ class Intersection(Preset):
     The common ones. While an alert is on, 5 m/s are permitted.
     The limit of an episode, `cost_limit`, is 8: without the crashes ignoring alerts costs 6, stopping on them 0.8, and
     `integrity_aware` 3 (means of 24 training seeds); but all of them crash in a quarter of their drives or more, which
-    adds 12 and more. To keep the limit takes fewer than one in ten.
+    adds 50 and more. To keep the limit takes fewer than one in forty.
 
     ## Starting State
     About 65 m along the southern approach of 100 m, with a standard deviation of 5 m, at 10 m/s.
@@ -335,9 +335,9 @@ class Racetrack(Preset):
 
     ## Costs
     `cost_lane` is about the edges of the road, and `cost_lane_integrity` is 0. The car cannot slow down, so
-    an alert permits its 10 m/s (`cost.alert_speed_share` is 1). The limit of an episode, `cost_limit`, is 10,
-    which a drive without a crash keeps by half; none of the drivers here finds a way past the other vehicle, and all
-    crash into it (24 training seeds).
+    an alert permits its 10 m/s (`cost.alert_speed_share` is 1). The limit of an episode, `cost_limit`, is 10:
+    a third of an episode (100 s) costs `nominal` 10, all for the lane, and `oracle` 0.1; both pass the slower vehicle,
+    into which `stop_on_alert` crashes (12 training seeds).
 
     ## Starting State
     In the middle of either lane of the first straight, 20 to 50 m along it, at 10 m/s; the other vehicle in the first
@@ -388,7 +388,7 @@ class UrbanCanyon(Preset):
     ## Costs
     The common ones. While an alert is on, 6.9 m/s are permitted: the speed 5.6 m/s, without changing lane.
     The limit of an episode, `cost_limit`, is 40: stopping on alerts costs 14, mostly by getting nowhere, ignoring them
-    190, and `integrity_aware` 71 (means of 10 training seeds).
+    190, and `integrity_aware` 86, of which 20 for one end off the road (means of 10 training seeds).
 
     ## Starting State
     In the middle of either lane, anywhere on the loop, at 10 m/s or what the bends ahead allow; the others from 200 m

@@ -155,7 +155,7 @@ class Config(BaseModel):
 
         try:
             data = json.loads(text)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise ConfigError(f"{cls.__name__} must be given as JSON, got {error}: correct the text") from error
         return cls.load(data)
 

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from lanebound.integrity import navigator_kernel as nk
-from lanebound.integrity import rtk_stage_kernel as rk
 from lanebound.integrity.accel import use_parallel
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import ConfigError, InputError, require_finite
@@ -31,6 +30,8 @@ from lanebound.integrity.monitoring.exclusion import FdeConfig, Search
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor, upper_quantile
 from lanebound.integrity.monitoring.significance import Linking
 from lanebound.integrity.positioning.config import PositioningConfig
+from lanebound.integrity.rtk_declared import declared_rtk
+from lanebound.integrity.rtk_stage_kernel import NX as RTK_STATE_SIZE
 from lanebound.integrity.sensing import Instruments, InstrumentState, Measurements
 from lanebound.integrity.sensors import corrections as links
 from lanebound.integrity.sensors import gnss as receiver
@@ -217,7 +218,7 @@ class Navigator:
             odometer=initial_odometer(c.odometer, streams),
             alert=AlertState.initial(batch),
             belief=belief,
-            rtk=np.zeros((batch, rk.NX)),
+            rtk=np.zeros((batch, RTK_STATE_SIZE)),
             last_phase_m=np.zeros((batch, n_sat, 2)),
             growth=np.zeros((batch, GROWTH_SIZE)),
             start=np.zeros((batch, len(c.cases), 4)),
@@ -448,7 +449,9 @@ class _Tables:
         r = c.risk
         return cls(
             par=_declared(c),
-            rtk_par=_declared_rtk(c),
+            rtk_par=declared_rtk(
+                c.positioning.rtk, c.positioning.slips, len(c.gnss.bands), min(case.integrity_risk for case in c.cases)
+            ),
             mode_limits=c.positioning.mode_limits,
             heading_limits=c.positioning.heading_limits,
             wavelength=np.ascontiguousarray(WAVELENGTH_M[:, list(c.gnss.bands)]),
@@ -499,24 +502,5 @@ def _declared(c: NavigatorConfig) -> Array:
     }  # fmt: skip
     par = np.zeros(nk.NP)
     par[nk.WATCH_LIMITS :] = o.watch.packed(o)
-    par[list(values)] = list(values.values())
-    return par
-
-
-def _declared_rtk(c: NavigatorConfig) -> Array:
-    """The declared figures in the columns of the RTK stage's ``par``."""
-    r, slips, smallest = c.positioning.rtk, c.positioning.slips, min(case.integrity_risk for case in c.cases)
-    values: dict[int, Any] = {
-        rk.BANDS: len(c.gnss.bands), rk.SIN_MASK: np.sin(np.deg2rad(r.elevation_mask_deg)),
-        rk.CN0_MIN: r.cn0_min_dbhz, rk.CN0_KNEE: r.cn0_knee_dbhz, rk.SIGMA_CODE: r.sigma_code_m,
-        rk.SIGMA_PHASE: r.sigma_phase_m, rk.SIGMA_PHASE_PL: r.sigma_phase_integrity_m, rk.PHASE_BIAS: r.phase_bias_m,
-        rk.AGE_SIGMA: r.age_sigma_mps, rk.MAX_AGE: r.max_age_s, rk.FIX_MAX_AGE: r.fix_max_age_s,
-        rk.FIX_LIMIT: r.ambiguity_risk_share * smallest, rk.RATIO_MIN: r.ratio_min,
-        rk.MAX_CANDIDATES: r.max_candidates, rk.MIN_SATELLITES: r.min_satellites, rk.MIN_FURTHER: r.min_further,
-        rk.HOLD_FAILURES: r.hold_failures, rk.ATTEMPTS: r.attempts, rk.SLIP_K: slips.threshold,
-        rk.SLIP_IONO: slips.ionosphere_rate_mps, rk.SLIP_FIT: slips.fit_limit,
-        rk.SLIP_FAILURE: slips.repair_failure_rate,
-    }  # fmt: skip
-    par = np.zeros(rk.NP)
     par[list(values)] = list(values.values())
     return par

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Hashable, Iterable, Mapping
 from functools import cache
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -40,6 +40,10 @@ def deep_merge(base: Mapping[str, Any], override: Mapping[str, Any]) -> dict[str
     return merged
 
 
+DEEPEST = 50
+MOST_VALUES = 20_000
+
+
 @cache
 def _yaml_loader() -> Any:
     """PyYAML's safe loader, which also reads 1e-7 as a number and refuses a key given twice."""
@@ -47,10 +51,13 @@ def _yaml_loader() -> Any:
 
     class Loader(yaml.SafeLoader):
         def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-            keys = [self.construct_object(key, deep=True) for key, _ in node.value]
-            twice = [key for i, key in enumerate(keys) if key in keys[:i]]
-            if twice:
-                raise yaml.constructor.ConstructorError(None, None, f"key '{twice[0]}' twice", node.start_mark)
+            seen = set()
+            for key in (self.construct_object(key, deep=True) for key, _ in node.value):
+                if not isinstance(key, Hashable):
+                    continue  # refused by the safe loader itself
+                if key in seen:
+                    raise yaml.constructor.ConstructorError(None, None, f"key '{key}' twice", node.start_mark)
+                seen.add(key)
             return super().construct_mapping(node, deep=deep)
 
     Loader.add_implicit_resolver("tag:yaml.org,2002:float", YAML_FLOAT, list("-+.0123456789"))
@@ -63,14 +70,41 @@ def parse_yaml(text: str, source: str) -> Any:
     Raises
     ------
     ConfigError
-        The text is not YAML.
+        The text is not YAML, is nested too deeply, or holds too much once its aliases are written out.
     """
     import yaml
 
     try:
-        return yaml.load(text, Loader=_yaml_loader())  # a SafeLoader
+        data = yaml.load(text, Loader=_yaml_loader())  # a SafeLoader
     except yaml.YAMLError as exc:
         raise ConfigError(f"{source} is not valid YAML, got {' '.join(str(exc).split())}: correct that line") from exc
+    except RecursionError as exc:
+        raise ConfigError(f"{source} must be nested at most {DEEPEST} levels, got more: flatten it") from exc
+    _require_moderate(data, source)
+    return data
+
+
+def _require_moderate(data: Any, source: str) -> None:
+    """Refuse data so deep or so large that a check would not end: a few aliases can stand for a billion values."""
+    count, level = 0, [data]
+    for _ in range(DEEPEST):
+        below: list[Any] = []
+        for inside in map(_inside, level):
+            count += len(inside)
+            if count > MOST_VALUES:
+                raise ConfigError(f"{source} must hold at most {MOST_VALUES} values, got more: use fewer aliases")
+            below.extend(inside)
+        if not below:
+            return
+        level = below
+    raise ConfigError(f"{source} must be nested at most {DEEPEST} levels, got more: flatten it")
+
+
+def _inside(part: Any) -> Collection[Any]:
+    """The values in a mapping, a list or a set; nothing in others."""
+    if isinstance(part, Mapping):
+        return part.values()
+    return part if isinstance(part, list | set | tuple) else ()
 
 
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Protocol
@@ -151,6 +151,7 @@ def run_episode(
     log, status, message = EpisodeLog(), "ok", ""
     guarded: Guarded | None = None
     seed_everything(task.seed)
+    env.action_space.seed(task.seed)
     try:
         guarded = Guarded(_made(make, env, task.seed, clock), env.action_space, clock)
         drive(env, guarded, [task.seed], [log, *watchers])
@@ -192,10 +193,17 @@ def _outcome(
     if guarded is not None and guarded.solve_ms:
         data["solve_ms_median"] = float(np.median(guarded.solve_ms))
         data["solve_ms_p99"] = float(np.quantile(guarded.solve_ms, 0.99))
-    counts = getattr(guarded and guarded.agent, "counts", {})
-    infeasible = sum(int(count) for name, count in dict(counts).items() if "infeasible" in str(name))
-    made = Outcome(*task.place, task.agent, task.seed, status=status, message=message, infeasible=infeasible, **data)  # type: ignore[arg-type]
+    data |= _counted(guarded)
+    made = Outcome(*task.place, task.agent, task.seed, status=status, message=message, **data)  # type: ignore[arg-type]
     return Outcome.from_dict(made.to_dict())
+
+
+def _counted(guarded: Guarded | None) -> dict[str, int]:
+    """What an agent counts of its decisions, if it does: those that were ``infeasible``, and ``relaxed``."""
+    counts = getattr(guarded and guarded.agent, "counts", None)
+    if not isinstance(counts, Mapping) or "decisions" not in counts:
+        return {}
+    return {name: int(counts.get(name, 0)) for name in ("infeasible", "relaxed")}
 
 
 def _told(error: BaseException) -> str:

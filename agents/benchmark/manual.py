@@ -10,13 +10,15 @@ import sys
 from collections.abc import Sequence
 from dataclasses import fields
 
-from lanebound.agents.benchmark.metrics import METRICS, Metric
+from lanebound.agents.benchmark.metrics import HARM_OF_AN_END, METRICS, Metric
 from lanebound.agents.benchmark.outcome import Outcome
-from lanebound.agents.benchmark.results import CSV_COLUMNS, ESTIMATE_COLUMNS
+from lanebound.agents.benchmark.results import CSV_COLUMNS, ESTIMATE_COLUMNS, PAIRED_COLUMNS
 from lanebound.agents.benchmark.seeds import TEST, TRAIN
-from lanebound.agents.benchmark.statistics import RESAMPLES, VERDICT_SEEDS
+from lanebound.agents.benchmark.statistics import RESAMPLES, VERDICT_SEEDS, seeds_to_exclude
 from lanebound.agents.benchmark.store import STORED
 from lanebound.agents.benchmark.suite import SuiteConfig, load_suite
+from lanebound.agents.benchmark.untuned import tuned_places
+from lanebound.agents.benchmark.verdicts import MARGIN
 from lanebound.agents.drivers import ABOUT
 from lanebound.integrity.config import describe
 
@@ -32,11 +34,17 @@ Made by `python -m lanebound.agents.benchmark.manual > docs/benchmark.md`.
 seed, and compares them. A run that is interrupted goes on when the same command is given again, and ends
 bit-equal to an unbroken one, whatever the number of processes; times on the wall (`solve_ms_median`,
 `solve_ms_p99`) are the one exception. A folder may be gone on with as long as the same episode would come out
-the same: agents and seeds may be added, nothing else changed.
+the same: agents and seeds may be added, nothing else changed, the code and the versions of Python and of the numerical
+packages included.
 
 Seeds to train and tune on are {TRAIN[0]} to {TRAIN[-1]}, those held out to test on {TEST[0]} to {TEST[-1]}; a
 suite takes the first ones of its split. Every episode has an agent made for it, and an environment that is
 reset with the seed."""
+
+
+def _tuned() -> str:
+    return "\n".join(f"- `{base}`, {sky} sky" for base, sky in tuned_places())
+
 
 KINDS = (
     ("path/model.zip", "a checkpoint of Stable-Baselines3 or sb3-contrib (PPO, A2C, SAC, TD3, DQN, ...)"),
@@ -52,7 +60,10 @@ KINDS = (
     ),
 )
 KEPT = (
-    ("suite.json", "the suite in full, the version, digests of the code and of the agents"),
+    (
+        "suite.json",
+        "the suite in full, the version, those of numerical packages, digests of the code and of the agents",
+    ),
     (
         "episodes/<env>/<sky>-<faults>/<agent>/<seed>.parquet",
         "one episode: a row for each decision, and its outcome as JSON in the metadata under `lanebound.outcome`",
@@ -64,28 +75,41 @@ KEPT = (
     ),
     (
         "results.csv",
-        "a row for each cell and metric: " + ", ".join(f"`{c}`" for c in (*CSV_COLUMNS, *ESTIMATE_COLUMNS)),
+        "a row for each cell and metric: "
+        + ", ".join(f"`{c}`" for c in (*CSV_COLUMNS, *ESTIMATE_COLUMNS, *PAIRED_COLUMNS))
+        + "; then one for each paired difference: the agent that it is `against`, the difference as `mean`, "
+        "its interval, the pairs as `n`, the episodes in which either failed as `failed`",
     ),
     ("episodes.parquet", "a row for each episode: its outcome, costs and shares in columns of their own"),
     ("report.html", "all of it in one page"),
 )
 
-AGENTS = """## Agents
+AGENTS = f"""## Agents
 
 An agent of a suite is a name of ours, or `name: agent` with
 
-{kinds}
+{{kinds}}
 
-and, where it needs another environment than the suite's, `name: {agent: ..., config: {observation: {form:
-flat}}}`. An agent is to decide by observations alone; what it may read of the environment are its spaces and
+and, where it needs another environment than the suite's, `name: {{agent: ..., config: {{observation: {{form:
+flat}}}}}}`. An agent is to decide by observations alone; what it may read of the environment are its spaces and
 its configuration. Checkpoints and modules run code: open only those that you trust.
 
 `oracle` sees the truth, to show what is possible. Its collisions and lane departures are a bound; its cost is
 none, for it includes terms that judge its navigator's belief: `cost_lane_integrity`, and the protection level in
 `cost_headway`.
 
+`cautious` keeps constant margins, tuned without faults for:
+
+{_tuned()}
+
+Everywhere else they are not fitted to the place, and tables call it untuned: no fair opponent. Tuning takes the least
+of nine rungs of caution, on one line of margins, that does no more harm than `integrity_aware`, or else the caution of
+the same throughput, by means over training seeds; other constant margins may do better.
+
 An agent that fails is reported with its seed, and the rest of the run is kept. Its episodes count in `failed`
-and `success`, and in nothing else.
+and `success`, and in nothing else; so its other figures leave out what may be the hard seeds. Where an agent failed in
+a cell it gets neither colour nor star nor verdict there, and figures of fewer seeds than were driven say of how many
+they are.
 
 | status | means |
 |---|---|
@@ -114,16 +138,31 @@ by whether it happened at all: `any_hmi`, `any_mi` and `any_missed` are rates, a
 
 A difference comes with the share of the seeds in which it is for the better. One agent is called better than
 another where the interval of their difference leaves 0 out, and never with fewer than {VERDICT_SEEDS} seeds: so
-few do not show how figures are spread. How often intervals leave out the truth, nominally 5 %
+few do not show how figures are spread. Among many comparisons some intervals leave 0 out by chance; colours and stars
+are of each figure by itself.
+
+The lines that call an agent safer in a cell take more:
+
+- one of `collision`, `off_road`, `lane_departure` and `harm` is clearly lower, also by its p-value adjusted by Holm's
+  method over all agents, references, cells and these four. P-values are of Student's t, never less than the signs of
+  the differences can give (`2^(1 - k)` with k seeds that differ), and of rates those of McNemar's exact test;
+- none of the four is clearly higher;
+- the upper ends of the intervals of the differences in `collision` and `off_road` are at most
+  {100.0 * MARGIN:g} percentage points, which takes {seeds_to_exclude(MARGIN)} seeds even where nothing happens;
+- the agent ended an episode well, and neither of the two failed.
+
+`cost` is no part of it: some of its causes judge protection levels and alerts, which some agents obey. `harm` is
+{HARM_OF_AN_END:g} for an episode that ends in a crash or off the road, and the sum of `cost_lane`. Differences in
+throughput are told over all cells where neither agent failed, not over those of the praise.
+
+How often intervals leave out the truth, nominally 5 %
 (2,000 trials; "zeros" is 0 in four of five seeds, exponential in the others):
 
 | seeds | normal | exponential | zeros, of those with an interval | percentile bootstrap, for comparison |
 |---|---|---|---|---|
 | 4 | 2.0 % | 5.3 % | 0 %; 97 % have none | 21 %, 27 %, 53 % |
 | 10 | 3.9 % | 4.6 % | 0.6 %; 83 % have none | 9.4 %, 14 %, 32 % |
-| 50 | 5.4 % | 4.3 % | 1.9 %; 0.6 % have none | 6.5 %, 7.1 %, 13 % |
-
-Intervals are of one metric each; among many comparisons some leave 0 out by chance."""
+| 50 | 5.4 % | 4.3 % | 1.9 %; 0.6 % have none | 6.5 %, 7.1 %, 13 % |"""
 
 FILES = """## Files
 

@@ -12,7 +12,10 @@ from lanebound.agents.benchmark.outcome import LEVEL_MAX_M, Outcome
 from lanebound.envs.costs import CAUSES
 from lanebound.integrity.positioning.modes import Mode
 
-__all__ = ["ANYTHING", "MAIN", "METRICS", "SHARE", "Better", "Bounds", "Metric", "metric_named"]
+__all__ = [
+    "ANYTHING", "HARM_OF_AN_END", "MAIN", "METRICS", "SHARE", "Better", "Bounds", "Metric", "harm_of", "metric_named",
+    "went_off_road",
+]  # fmt: skip
 
 Better = Literal["higher", "lower"] | None
 Bounds = tuple[float, float]
@@ -20,6 +23,8 @@ ANYTHING: Bounds = (-math.inf, math.inf)
 NOT_NEGATIVE: Bounds = (0.0, math.inf)
 SHARE: Bounds = (0.0, 1.0)
 Take = Callable[[Outcome], float | None]
+HARM_OF_AN_END = 50.0
+"""Harm of a crash or an end off the road, in square metres beyond the lane; argued, and no weight of a cost."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +50,21 @@ class Metric:
     rate: bool = False
     bounds: Bounds = NOT_NEGATIVE
     wall_clock: bool = False
+
+
+def went_off_road(outcome: Outcome) -> bool:
+    """Whether an episode ended off the road or against the traffic."""
+    return outcome.costs.get("cost_off_road", 0.0) > 0.0
+
+
+def harm_of(outcome: Outcome) -> float:
+    """What the true car did, whatever it believed: 50 for a crash or an end off the road, and ``cost_lane`` [m^2].
+
+    Nothing in it judges protection levels or alerts, so that who obeys them gains nothing by that alone. Its figures
+    are its own: weights of the environments' costs may change, and this stays as it is.
+    """
+    end = outcome.collision or went_off_road(outcome)
+    return HARM_OF_AN_END * float(end) + outcome.costs.get("cost_lane", 0.0)
 
 
 def _plain(key: str, title: str, unit: str, better: Better, meaning: str, name: str = "") -> Metric:
@@ -86,6 +106,11 @@ def _share_of_steps(name: str) -> Take:
     return lambda o: getattr(o, name) / o.steps if o.steps else None
 
 
+def _share_of_decisions(name: str) -> Take:
+    """Of what an agent counts of its decisions, one for each step; none where it counts nothing."""
+    return lambda o: None if getattr(o, name) is None or not o.steps else getattr(o, name) / o.steps
+
+
 def _any(key: str, title: str, meaning: str, name: str) -> Metric:
     """Whether an episode has any of what an attribute counts."""
     return _rate(key, title, "lower", meaning, _driven(lambda o: float(getattr(o, name) > 0) if o.steps else None))
@@ -106,7 +131,15 @@ SAFETY = (
         "off road",
         "lower",
         "the episode ended off the road or against the traffic",
-        _driven(lambda o: float(o.costs.get("cost_off_road", 0.0) > 0.0)),
+        _driven(went_off_road),
+    ),
+    Metric(
+        "harm",
+        "harm",
+        "",
+        "lower",
+        f"{HARM_OF_AN_END:g} for a crash or an end off the road, and the sum of cost_lane (m2 beyond the lane)",
+        _driven(harm_of),
     ),
     _rate(
         "over_cost_limit",
@@ -213,11 +246,25 @@ SOLVING = (
         _driven(attrgetter("solve_ms_p99")),
         wall_clock=True,
     ),
-    _plain("infeasible", "infeasible", "", "lower", "problems without a solution, as the agent counts them"),
+    _share(
+        "infeasible",
+        "infeasible",
+        "lower",
+        "share of decisions for which no command met the agent's constraints, as it counts them",
+        _share_of_decisions("infeasible"),
+    ),
+    _share(
+        "relaxed",
+        "relaxed",
+        "lower",
+        "share of decisions for which the agent weakened a constraint, as it counts them",
+        _share_of_decisions("relaxed"),
+    ),
 )
 METRICS: tuple[Metric, ...] = (*SAFETY, *REWARD, *MOTION, *INTEGRITY, *SOLVING)
 MAIN = (
-    "success", "collision", "lane_departure", "return", "cost", "mean_speed", "gap", "availability", "any_hmi",
+    "success", "collision", "off_road", "lane_departure", "harm", "return", "cost", "throughput", "availability",
+    "any_hmi",
 )  # fmt: skip
 """Keys of the metrics that a short table shows."""
 

@@ -72,7 +72,8 @@ class Outcome:
     missed_alerts : how many errors exceeded their limits without an alert while they did
     continuity : share of the available steps that an available one follows; 0 where none does
     solve_ms_median, solve_ms_p99 : time that decisions took [ms]
-    infeasible : problems without a solution, as the agent counts them
+    infeasible, relaxed : decisions for which no command met the agent's constraints, and those for which it weakened
+        one; None where the agent does not count them in its ``counts``, which has ``decisions`` then
     """
 
     env: str
@@ -118,7 +119,8 @@ class Outcome:
     continuity: float | None = None
     solve_ms_median: float | None = None
     solve_ms_p99: float | None = None
-    infeasible: int = 0
+    infeasible: int | None = None
+    relaxed: int | None = None
 
     @property
     def task(self) -> Task:

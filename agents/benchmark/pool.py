@@ -22,11 +22,11 @@ from typing import Any
 from lanebound.agents.benchmark.compiling import CompileClock
 from lanebound.agents.benchmark.outcome import Outcome, Status, Task
 from lanebound.agents.benchmark.work import Work
+from lanebound.agents.kept import one_thread
 
 __all__ = ["Pool"]
 
 LOOK_S = 0.2  # between looks at the clocks
-THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class SharedClock:
@@ -129,7 +129,7 @@ class _Worker:
         self.clock, self.compiles = SharedClock(agents), CompileClock(compilers)
         self.pipe, theirs = context.Pipe()
         self.process = context.Process(target=_serve, args=(theirs, agents, compilers), daemon=True)
-        with _one_thread(), _deaf_to_interrupts():
+        with one_thread(), _deaf_to_interrupts():
             self.process.start()
         theirs.close()
         self.alive = True
@@ -176,21 +176,6 @@ class _Worker:
             self.process.join()
             self.pipe.close()
         self.alive = False
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Processes that are started within compute on one thread: libraries ask once, when they are loaded."""
-    before = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 @contextmanager

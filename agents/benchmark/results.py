@@ -26,6 +26,7 @@ from lanebound.agents.benchmark.statistics import (
 )
 from lanebound.agents.benchmark.store import Store, replace_file
 from lanebound.agents.benchmark.suite import SuiteConfig
+from lanebound.agents.benchmark.untuned import is_untuned
 
 __all__ = ["FILES", "Cell", "Estimate", "Paired", "Results"]
 
@@ -33,11 +34,15 @@ FILES = ("results.json", "results.csv", "episodes.parquet")
 VERSION = 1  # of the form of results.json
 CSV_COLUMNS = ("env", "sky", "faults", "agent", "metric", "unit", "episodes", "failed")
 ESTIMATE_COLUMNS = ("mean", "low", "high", "iqm", "iqm_low", "iqm_high", "n")
+PAIRED_COLUMNS = ("against", "p")  # empty where a row is of an agent alone
 
 
 @dataclass(frozen=True)
 class Cell:
-    """An agent in an environment under a sky with faults: estimates over its seeds by the keys of the metrics."""
+    """An agent in an environment under a sky with faults: estimates over its seeds by the keys of the metrics.
+
+    ``untuned`` where it is to be tuned, and was not for this place.
+    """
 
     env: str
     sky: str
@@ -46,6 +51,7 @@ class Cell:
     episodes: int
     failed: int
     metrics: dict[str, Estimate]
+    untuned: bool = False
 
     @property
     def place(self) -> Place:
@@ -57,7 +63,9 @@ class Cell:
 class Paired:
     """A metric of an agent less that of another in the same cell, seed by seed, with its 95 % interval.
 
-    ``better`` is the share of the n seeds in which the difference is for the better; None where no way is.
+    ``better`` is the share of the n seeds in which the difference is for the better; None where no way is. ``p`` is the
+    p-value of no difference, for this metric alone. ``failed`` counts the episodes here in which either agent failed:
+    their seeds are not among the n, and as they may well be the hard ones, nothing is clear then.
     """
 
     env: str
@@ -71,6 +79,8 @@ class Paired:
     high: float | None
     n: int
     better: float | None
+    p: float | None = None
+    failed: int = 0
 
     @property
     def place(self) -> Place:
@@ -79,8 +89,8 @@ class Paired:
 
     @property
     def clear(self) -> bool:
-        """Whether the interval leaves 0 out, with seeds enough to rely on that."""
-        return is_clear(self.low, self.high, self.n)
+        """Whether the interval leaves 0 out, with seeds enough to rely on that, and no agent failed."""
+        return not self.failed and is_clear(self.low, self.high, self.n)
 
 
 @dataclass(frozen=True)
@@ -185,11 +195,14 @@ class Results:
         units = {metric.key: metric.unit for metric in METRICS}
         with path.open("w", encoding="utf-8", newline="") as file:
             out = csv.writer(file)
-            out.writerow([*CSV_COLUMNS, *ESTIMATE_COLUMNS])
+            out.writerow([*CSV_COLUMNS, *ESTIMATE_COLUMNS, *PAIRED_COLUMNS])
             for cell in self.cells:
                 for key, found in cell.metrics.items():
                     head = [*cell.place, cell.agent, key, units[key], cell.episodes, cell.failed]
-                    out.writerow([*head, *(getattr(found, name) for name in ESTIMATE_COLUMNS)])
+                    out.writerow([*head, *(getattr(found, name) for name in ESTIMATE_COLUMNS), None, None])
+            for p in self.paired:
+                head = [*p.place, p.agent, p.metric, units[p.metric], self.cell(p.place, p.agent).episodes, p.failed]
+                out.writerow([*head, p.difference, p.low, p.high, None, None, None, p.n, p.against, p.p])
 
     def _write_parquet(self, path: Path) -> None:
         import pyarrow as pa
@@ -217,7 +230,8 @@ def _cells(suite: SuiteConfig, groups: Group) -> list[Cell]:
             here = groups.get((place, agent), [])
             if here:
                 metrics = {m.key: _estimate(m, here) for m in METRICS}
-                found.append(Cell(*place, agent, len(here), sum(o.failed for o in here), metrics))
+                untuned = is_untuned(suite.agents[agent], place)
+                found.append(Cell(*place, agent, len(here), _failed(here), metrics, untuned))
     return found
 
 
@@ -226,17 +240,28 @@ def _estimate(metric: Metric, outcomes: Sequence[Outcome]) -> Estimate:
     return estimate(np.array(values, dtype=np.float64), metric.rate, metric.bounds)
 
 
+def _failed(outcomes: Iterable[Outcome]) -> int:
+    return sum(outcome.failed for outcome in outcomes)
+
+
 def _pairs(suite: SuiteConfig, groups: Group) -> list[Paired]:
     found = []
     for place in suite.places:
-        theirs = {o.seed: o for o in groups.get((place, suite.reference), [])}
-        for agent in suite.agents:
-            ours = {o.seed: o for o in groups.get((place, agent), [])}
-            if theirs and ours and agent != suite.reference:
-                for metric in METRICS:
-                    got = _difference(metric, ours, theirs)
-                    found.append(Paired(*place, agent, suite.reference, metric.key, **asdict(got)))
+        by_seed = {agent: {o.seed: o for o in groups.get((place, agent), [])} for agent in suite.agents}
+        for reference in suite.references:
+            theirs = by_seed.get(reference, {})
+            for agent, ours in by_seed.items():
+                if theirs and ours and agent != reference:
+                    found += _paired(place, agent, reference, ours, theirs)
     return found
+
+
+def _paired(
+    place: Place, agent: str, reference: str, ours: Mapping[int, Outcome], theirs: Mapping[int, Outcome]
+) -> list[Paired]:
+    failed = _failed(ours.values()) + _failed(theirs.values())
+    differences = {metric.key: _difference(metric, ours, theirs) for metric in METRICS}
+    return [Paired(*place, agent, reference, key, **asdict(d), failed=failed) for key, d in differences.items()]
 
 
 def _difference(metric: Metric, ours: Mapping[int, Outcome], theirs: Mapping[int, Outcome]) -> Difference:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import hashlib
+import platform
 from functools import cache
 from importlib import resources
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
 from lanebound.agents.benchmark.suite import AgentConfig
 
-__all__ = ["agent_digest", "source_digest"]
+__all__ = ["agent_digest", "package_versions", "source_digest"]
 
 FOLDERS = (
     "lanebound.integrity",
@@ -19,6 +21,9 @@ FOLDERS = (
     "lanebound.agents.drivers",
     "lanebound.agents.episodes",
 )
+FILES = ("episode.py", "outcome.py", "scoring.py", "suite.py", "work.py")
+"""Those beside this one from which an episode's rows and figures follow; metrics are taken when results are loaded."""
+PACKAGES = ("numpy", "numba", "scipy", "gymnasium", "highway-env")
 
 
 @cache
@@ -30,9 +35,14 @@ def source_digest() -> str:
         for source in sorted(p for p in root.rglob("*") if p.suffix in (".py", ".yaml")):
             if "suites" not in source.parts:
                 found.update(source.read_bytes())
-    for name in ("episode.py", "outcome.py"):
+    for name in FILES:
         found.update((Path(__file__).parent / name).read_bytes())
     return found.hexdigest()
+
+
+def package_versions() -> dict[str, str]:
+    """Versions of Python and of the packages whose arithmetic an episode follows from."""
+    return {"Python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
 
 
 def agent_digest(chosen: AgentConfig) -> str:

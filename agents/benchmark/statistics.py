@@ -3,27 +3,28 @@
 Means and paired differences have at each end the wider of Student's interval and that of the studentised bootstrap:
 Student's alone is too short where figures are skewed or mostly zero, the bootstrap's where they have heavy tails.
 Interquartile means have the percentile interval expanded for the number of seeds. Rates have the interval of Clopper
-and Pearson, their paired differences that of Agresti and Min. The resamples are drawn from a stream named by the number
+and Pearson, their paired differences that of Agresti and Min. A paired difference also has a p-value, for Holm's method
+among many: of Student's t test, of rates McNemar's exact one. The resamples are drawn from a stream named by the number
 of seeds, so that the same figures give the same intervals in any order and any process, and metrics share them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import betaincinv, ndtr, stdtrit
+from scipy.special import bdtr, betaincinv, ndtr, stdtr, stdtrit
 
 from lanebound.agents.benchmark.metrics import ANYTHING, Better, Bounds
 from lanebound.integrity.streams import named_generator
 
 __all__ = [
-    "METHOD", "RESAMPLES", "SPREAD_SEEDS", "VERDICT_SEEDS", "Difference", "Estimate", "difference", "estimate",
-    "interquartile_mean", "is_clear",
+    "METHOD", "RESAMPLES", "SPREAD_SEEDS", "VERDICT_SEEDS", "Difference", "Estimate", "difference", "estimate", "holm",
+    "interquartile_mean", "is_clear", "seeds_to_exclude",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -38,6 +39,7 @@ METHOD = {
     "interquartile_means": f"expanded percentile bootstrap, from {VERDICT_SEEDS} seeds on",
     "rates": "Clopper-Pearson",
     "paired": "as means, of the differences seed by seed; of rates Agresti-Min with Student's quantile",
+    "p": "two-sided: Student's t, no less than signs can give; of rates McNemar's exact test",
 }
 TAIL = 0.025
 CHUNK = 2_000_000  # entries of a resampled array at a time
@@ -64,13 +66,17 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Difference:
-    """A mean difference over n seeds, its 95 % interval, and the share of the seeds in which it is for the better."""
+    """A mean difference over n seeds, its 95 % interval, and the share of the seeds in which it is for the better.
+
+    ``p`` is the two-sided p-value of no difference; None with fewer than two seeds.
+    """
 
     difference: float | None
     low: float | None
     high: float | None
     n: int
     better: float | None
+    p: float | None = None
 
 
 def interquartile_mean(values: Array) -> Array:
@@ -114,12 +120,42 @@ def difference(ours: Array, theirs: Array, better: Better, rate: bool = False) -
         return Difference(None, None, None, 0, None)
     share = None if better is None else float((gap > 0.0 if better == "higher" else gap < 0.0).mean())
     low, high = NONE if n == 1 else _agresti_min(gap) if rate else _mean_ends(gap)
-    return Difference(float(gap.mean()), low, high, n, share)
+    return Difference(float(gap.mean()), low, high, n, share, _p_value(gap, rate) if n > 1 else None)
 
 
 def is_clear(low: float | None, high: float | None, n: int) -> bool:
     """Whether an interval of a difference over n seeds says which is better: it leaves 0 out, and n suffices."""
     return n >= VERDICT_SEEDS and low is not None and high is not None and (low > 0.0 or high < 0.0)
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """P-values adjusted for being so many: those of at most 0.05 are wrong in 5 % of families, if any is; Holm 1979.
+
+    >>> holm([0.04, 0.01, 0.03])
+    [0.06, 0.03, 0.06]
+    """
+    found, least = [0.0] * len(p_values), 0.0
+    for done, i in enumerate(sorted(range(len(p_values)), key=lambda i: p_values[i])):
+        least = max(least, min(1.0, (len(p_values) - done) * p_values[i]))
+        found[i] = least
+    return found
+
+
+def seeds_to_exclude(rise: float) -> int:
+    """Seeds from which on a rate's rise by more than ``rise`` is excluded where no seed differs."""
+    return next(n for n in range(2, 1_000_000) if _agresti_min(np.zeros(n))[1] <= rise)
+
+
+def _p_value(gap: Array, rate: bool) -> float:
+    """Of no difference.  With k differing seeds, turning signs gives no less than ``2^(1 - k)``: nor does this."""
+    differing = int(np.count_nonzero(gap))
+    if rate:
+        fewer = int(min((gap > 0.0).sum(), (gap < 0.0).sum()))
+        return min(1.0, 2.0 * float(bdtr(fewer, differing, 0.5))) if differing else 1.0
+    least, error = min(1.0, 2.0 ** (1 - differing)), float(_error(gap))
+    if error <= ROUNDING * float(np.abs(gap).max()):
+        return least
+    return max(least, 2.0 * float(stdtr(gap.size - 1, -abs(float(gap.mean())) / error)))
 
 
 def _within(ends: Ends, bounds: Bounds) -> Ends:
@@ -134,7 +170,7 @@ def _clopper_pearson(values: Array) -> Ends:
     return low, float(betaincinv(k + 1, n - k, 1.0 - TAIL)) if k < n else 1.0
 
 
-def _agresti_min(gap: Array) -> Ends:
+def _agresti_min(gap: Array) -> tuple[float, float]:
     """Interval of a difference of paired rates: half a pair more of each of the four kinds; Agresti and Min 2005."""
     n, differing, net = gap.size + 2, float(np.abs(gap).sum()) + 1.0, float(gap.sum())
     reach = float(stdtrit(n - 1, 1.0 - TAIL) * np.sqrt(differing - net**2 / n) / n)

@@ -18,7 +18,7 @@ from typing import Any
 
 from lanebound.agents.benchmark.outcome import Outcome, Task
 from lanebound.agents.benchmark.parts import EPISODES
-from lanebound.agents.benchmark.source import agent_digest, source_digest
+from lanebound.agents.benchmark.source import agent_digest, package_versions, source_digest
 from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.episodes.columns import COLUMNS
 from lanebound.agents.episodes.log import schema_of
@@ -50,7 +50,7 @@ class Store:
         """Make the folder that of a suite, or go on with it.
 
         Agents and seeds may be added to a suite or left out; everything else must be as it was, agents that go by the
-        same name and the version of the code included.
+        same name, the version of the code and those of numerical packages included.
 
         Raises
         ------
@@ -82,6 +82,7 @@ class Store:
         return {
             "version": version("lanebound"),
             "source": source_digest(),
+            "packages": package_versions(),
             "agents": {name: agent_digest(chosen) for name, chosen in suite.agents.items()},
             "suite": suite.to_dict(),
         }
@@ -117,8 +118,14 @@ class Store:
         return SuiteConfig.load(found["suite"])
 
     def same_version(self) -> bool:
-        """Whether its episodes were driven by the code that is here now."""
-        return self._read_mark().get("source") == source_digest()
+        """Whether its episodes were driven by the code and the packages that are here now."""
+        mark = self._read_mark()
+        return (mark.get("source"), mark.get("packages")) == (source_digest(), package_versions())
+
+    def packages(self) -> dict[str, str]:
+        """Versions of the packages that its episodes were driven with; none where they were not recorded."""
+        found = self._read_mark().get("packages")
+        return dict(found) if isinstance(found, dict) else {}
 
     def left_out(self) -> list[tuple[str, str, str]]:
         """Agents that cannot drive an environment of the suite, as ``(env, agent, why)``."""
@@ -194,6 +201,9 @@ def _differing(old: Any, new: Mapping[str, Any]) -> str:
             before.pop(key, None), after.pop(key, None)
         if old["source"] != new["source"]:
             return f"version of the code ({old['version']}, {old['source']})"
+        moved = [name for name, now in new["packages"].items() if old.get("packages", {}).get(name) != now]
+        if moved:
+            return f"version of {moved[0]} ({old.get('packages', {}).get(moved[0], 'not recorded')})"
         other = [name for name, digest in new["agents"].items() if old["agents"].get(name, digest) != digest]
         if other:
             return f"agent under the name '{other[0]}'"

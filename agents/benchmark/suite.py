@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any, Self
 
 from pydantic import field_validator, model_validator
 
 from lanebound.agents.benchmark.outcome import Place, Task
 from lanebound.agents.benchmark.seeds import SPLITS, Split
+from lanebound.agents.named import load_named
 from lanebound.envs import FaultLevel
 from lanebound.integrity.config import Config, Field, deep_merge
 from lanebound.integrity.errors import ConfigError
-from lanebound.integrity.presets import nearest, parse_yaml, preset_names
 
 __all__ = ["AgentConfig", "SeedsConfig", "SuiteConfig", "load_suite", "parse_agents"]
 
@@ -49,6 +48,12 @@ class AgentConfig(Config):
     config: Mapping[str, Any] = Field({}, description="what this agent needs of its environment, merged over the suite")
     figures: Mapping[str, Any] = Field({}, description="of an agent of ours, such as {speed_share: 0.5} of cautious")
 
+    @property
+    def sees_truth(self) -> bool:
+        """Whether it drives on the truth: it shows what is possible, and does not compete."""
+        seeing = NEEDS["oracle"]["observation"]["integrity"]
+        return self.agent == "oracle" or self.config.get("observation", {}).get("integrity") == seeing
+
 
 class SuiteConfig(Config):
     """Everything that a benchmark drives; its cells are envs x skies x faults x agents.
@@ -66,7 +71,9 @@ class SuiteConfig(Config):
     skies: tuple[str, ...] = Field(("urban",), min_length=1, description="levels of the sky")
     faults: tuple[FaultLevel, ...] = Field((FaultLevel.NONE,), min_length=1, description="levels of faults")
     agents: Mapping[str, AgentConfig] = Field(min_length=1, description="by the names they go by in results")
-    reference: str = Field("nominal", description="agent that the others are paired with, seed by seed")
+    reference: str | tuple[str, ...] = Field(
+        "nominal", description="agent, or list of agents, that the others are paired with, seed by seed"
+    )
     seeds: SeedsConfig = Field(SeedsConfig(), description="which seeds")
     overrides: Mapping[str, Any] = Field({}, description="of the configuration of every environment, merged deeply")
     episode_timeout_s: float = Field(600.0, gt=0, description="that an agent may take in an episode, wall clock")
@@ -100,6 +107,18 @@ class SuiteConfig(Config):
                     f"a name of an agent must be letters, digits and _.+-, got {name!r}: write 'name: {name}'"
                 )
         return agents
+
+    @field_validator("reference")
+    @classmethod
+    def _references_differ(cls, given: str | tuple[str, ...]) -> str | tuple[str, ...]:
+        if not given or (len(set(given)) < len(given) and not isinstance(given, str)):
+            raise ConfigError(f"reference must name an agent, or several once each, got {given!r}: write [nominal]")
+        return given
+
+    @property
+    def references(self) -> tuple[str, ...]:
+        """The agents that the others are paired with."""
+        return (self.reference,) if isinstance(self.reference, str) else self.reference
 
     @property
     def places(self) -> list[Place]:
@@ -140,18 +159,4 @@ def load_suite(name: str, overrides: Mapping[str, Any] | None = None) -> SuiteCo
     ConfigError
         There is none, or a value is refused.
     """
-    changes = overrides or {}
-    if name.endswith((".yaml", ".yml")):
-        try:
-            data = parse_yaml(Path(name).read_text(encoding="utf-8"), name)
-        except OSError as error:
-            raise ConfigError(
-                f"suite must be a file that can be read, got {name} ({error}): correct the path"
-            ) from None
-        if isinstance(data, Mapping):
-            data = {key: value for key, value in data.items() if key != "kind"}
-        return SuiteConfig.build(data, changes)
-    known = [preset.removeprefix(FOLDER) for preset in preset_names() if preset.startswith(FOLDER)]
-    if name not in known:
-        raise ConfigError(f"suite '{name}' is unknown: {nearest(name, known)} (or the path of a YAML file of your own)")
-    return SuiteConfig.preset(FOLDER + name, changes)
+    return load_named(SuiteConfig, "suite", FOLDER, name, overrides)

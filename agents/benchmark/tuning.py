@@ -2,26 +2,28 @@
 
 A benchmark on training seeds: the integrity-aware driver beside a ladder of cautious ones. One number, caution, moves
 speed, gap and lane together from the nominal driver's (0) to a third of the speed, 10 m and half a car (1). The least
-caution that does no more harm than the integrity-aware driver is taken; where none does as little, that of the same
-mean speed. So what is left between the two drivers is what integrity tells, not care as such.
+rung that does no more harm than the integrity-aware driver is taken; where none does as little, the caution of the same
+throughput, which unlike mean speed an early end does not raise. It is one line through the margins that there could be,
+judged by means over few seeds: other constant margins may do better than the one that is found.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
-import numpy as np
-
+from lanebound.agents.benchmark.metrics import harm_of, went_off_road
 from lanebound.agents.benchmark.outcome import Outcome
 from lanebound.agents.benchmark.results import Results
 from lanebound.agents.benchmark.running import Progress, run
 from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.drivers.margins import CautiousConfig
 from lanebound.agents.episodes import open_env
-from lanebound.envs.costs import CostConfig
+from lanebound.integrity.errors import InputError
 
 __all__ = ["LADDER", "Measured", "cautious_at", "choose", "tune_cautious", "tuning_suite"]
 
@@ -33,28 +35,40 @@ EPISODE: dict[str, Any] = {}  # of the environments' configuration, changed for 
 
 @dataclass(frozen=True)
 class Measured:
-    """Means over episodes: harm (weighted crashes, ends off the road and true departures), its parts, speed [m/s]."""
+    """Means over episodes: harm as the metric of that name, what is in it, throughput and speed [m/s]."""
 
     harm: float
     collision_rate: float
+    off_road_rate: float
     departure_rate: float
     cost_lane: float
+    throughput_mps: float
     speed_mps: float
     episodes: int
 
     @classmethod
-    def of(cls, outcomes: list[Outcome], cost: CostConfig) -> Measured:
-        """Of the episodes of one driver."""
-        lane = float(np.mean([o.costs.get("cost_lane", 0.0) for o in outcomes]))
-        ends = [
-            sum(getattr(cost, k) * o.costs.get(f"cost_{k}", 0.0) for k in ("collision", "off_road")) for o in outcomes
-        ]
+    def of(cls, outcomes: list[Outcome]) -> Measured:
+        """Of the episodes of one driver.
+
+        Raises
+        ------
+        InputError
+            It failed in one: the others may be the easy ones.
+        """
+        failed = [o for o in outcomes if o.failed]
+        if failed:
+            raise InputError(
+                f"episodes must all be driven to tune on them, got {len(failed)} of {len(outcomes)} that failed, "
+                f"{failed[0].id} among them ({failed[0].message}): mend the driver"
+            )
         return cls(
-            harm=float(np.mean(ends)) + cost.lane * lane,
-            collision_rate=float(np.mean([o.collision for o in outcomes])),
-            departure_rate=float(np.mean([o.lane_departure for o in outcomes])),
-            cost_lane=lane,
-            speed_mps=float(np.mean([o.mean_speed_mps for o in outcomes])),
+            harm=fmean(map(harm_of, outcomes)),
+            collision_rate=fmean(o.collision for o in outcomes),
+            off_road_rate=fmean(map(went_off_road, outcomes)),
+            departure_rate=fmean(o.lane_departure for o in outcomes),
+            cost_lane=fmean(o.costs.get("cost_lane", 0.0) for o in outcomes),
+            throughput_mps=fmean(o.throughput_mps or 0.0 for o in outcomes),
+            speed_mps=fmean(o.mean_speed_mps or 0.0 for o in outcomes),
             episodes=len(outcomes),
         )
 
@@ -87,20 +101,37 @@ def tuning_suite(name: str, sky: str, seeds: int) -> SuiteConfig:
 
 
 def choose(goal: Measured, ladder: dict[float, Measured]) -> tuple[float, str]:
-    """Caution, and by what it is matched: ``harm`` or, where no rung does as little, ``speed``.
+    """Caution, and by what it is matched: ``harm`` or, where no rung does as little, ``throughput``.
 
-    >>> fast, slow = Measured(9.0, 0.0, 1.0, 9.0, 10.0, 1), Measured(4.0, 0.0, 1.0, 4.0, 6.0, 1)
-    >>> choose(Measured(5.0, 0.0, 1.0, 5.0, 9.0, 1), {0.0: fast, 1.0: slow})
-    (1.0, 'harm')
-    >>> choose(Measured(3.0, 0.0, 1.0, 3.0, 9.0, 1), {0.0: fast, 1.0: slow})
-    (0.25, 'speed')
+    Between rungs throughput and harm are taken as linear. Throughput need not fall with caution, for crashes lower it:
+    of several cautions of the same throughput that of least harm is taken, and without any the rung of the nearest.
     """
     harmless = [caution for caution, found in ladder.items() if found.harm <= goal.harm]
     if harmless:
         return min(harmless), "harm"
-    by_speed = sorted((found.speed_mps, caution) for caution, found in ladder.items())
-    speeds, cautions = zip(*by_speed, strict=True)
-    return float(np.interp(goal.speed_mps, speeds, cautions)), "speed"
+    rungs = sorted(ladder.items())
+    matching = [match for pair in pairwise(rungs) if (match := _between(goal.throughput_mps, *pair)) is not None]
+    if matching:
+        return min(matching)[1], "throughput"
+    away = [(abs(found.throughput_mps - goal.throughput_mps), found.harm, caution) for caution, found in rungs]
+    return min(away)[2], "throughput"
+
+
+Rung = tuple[float, Measured]
+
+
+def _between(throughput_mps: float, one: Rung, other: Rung) -> tuple[float, float] | None:
+    """Harm and caution between two rungs where throughput is as given; None where it is nowhere between them."""
+    (caution, low), (more, high) = one, other
+    if (
+        not min(low.throughput_mps, high.throughput_mps)
+        <= throughput_mps
+        <= max(low.throughput_mps, high.throughput_mps)
+    ):
+        return None
+    span = high.throughput_mps - low.throughput_mps
+    share = (throughput_mps - low.throughput_mps) / span if span else float(high.harm < low.harm)
+    return low.harm + share * (high.harm - low.harm), caution + share * (more - caution)
 
 
 def tune_cautious(
@@ -116,14 +147,14 @@ def tune_cautious(
     Raises
     ------
     InputError
-        As :func:`~lanebound.agents.benchmark.running.run`; ConfigError where there are not so many training seeds.
+        As :func:`~lanebound.agents.benchmark.running.run`, and a driver failed; ConfigError where there are not so many
+        training seeds.
     """
     suite = tuning_suite(name, sky, seeds)
     results = run(suite, folder, jobs, told=told)
     config = open_env(name, {"sky": sky}).config
-    cost = config.cost
-    goal = _measured(results, GOAL, cost)
-    ladder = {caution: _measured(results, _rung(caution), cost) for caution in LADDER}
+    goal = _measured(results, GOAL)
+    ladder = {caution: _measured(results, _rung(caution)) for caution in LADDER}
     caution, matched = choose(goal, ladder)
     return {
         "environment": suite.envs[0],
@@ -147,5 +178,5 @@ def _margins(caution: float) -> dict[str, float]:
     return {name: round(getattr(config, name), 4) for name in ("speed_share", "gap_m", "lane_m")}
 
 
-def _measured(results: Results, agent: str, cost: CostConfig) -> Measured:
-    return Measured.of([o for o in results.outcomes if o.agent == agent and not o.failed], cost)
+def _measured(results: Results, agent: str) -> Measured:
+    return Measured.of([o for o in results.outcomes if o.agent == agent])

@@ -6,7 +6,21 @@ from typing import Annotated
 
 import typer
 
-from lanebound.agents.cli import agents, bench, benchmark, config, drive, envs, play, replay, reproduce, tune
+from lanebound.agents.cli import (
+    agents,
+    assess,
+    bench,
+    benchmark,
+    config,
+    drive,
+    envs,
+    play,
+    recorded,
+    replay,
+    reproduce,
+    train,
+    tune,
+)
 from lanebound.agents.cli.advice import AdvisingGroup
 
 __all__ = ["app", "main"]
@@ -30,7 +44,13 @@ EXAMPLES = """
 
   lanebound benchmark quick --out out/demo     compare agents, seed by seed
 
+  lanebound train lane_keeping_ppo --out out   a policy, learnt
+
   lanebound reproduce urban-drive --out out    S1's tables beside ours
+
+  lanebound assess bounding --out out/bounds   is an error above its level as rare as promised?
+
+  lanebound replay data/berlin --out out/b     a recorded drive through the same rooms
 
   lanebound bench --json                       speed against the gates
 
@@ -48,10 +68,15 @@ app = typer.Typer(
 )
 app.add_typer(config.app, name="config")
 app.add_typer(reproduce.app, name="reproduce")
+app.add_typer(assess.app, name="assess")
 app.add_typer(tune.app, name="tune")
 app.command("bench")(bench.bench)
 app.command("benchmark")(benchmark.benchmark)
+app.command("train")(train.train)
+app.command("evaluate")(train.evaluate)
 app.command("replay-episode")(replay.replay_episode)
+app.command("replay")(recorded.replay)
+app.command("rtk")(recorded.rtk)
 app.command("envs")(envs.envs)
 app.command("agents")(agents.agents)
 app.command("drive")(drive.drive)

@@ -25,5 +25,17 @@ def agents(
     rows = ((name, *about) for name, about in ABOUT.items())
     print_table("Agents", ("agent", "does", "reads", "on an alert", "actions"), rows)
     typer.echo("Levels: protection levels. Actions: spaces that it can command, see 'lanebound envs'.")
+    typer.echo("Figures: in a suite, such as 'careful: {agent: cbf, figures: {over: integrity_aware}}'.")
+    typer.echo(_tuned())
     typer.echo("Your own: model.zip (Stable-Baselines3), model.onnx, or package.module:callable; they may be given")
     typer.echo("wherever a name may: 'lanebound drive ID --agent NAME', 'lanebound benchmark SUITE --agents A,B'.")
+
+
+def _tuned() -> str:
+    """Where the constant margins were fitted to the place, and that elsewhere they were not."""
+    from lanebound.agents.benchmark.untuned import tuned_places
+    from lanebound.agents.cli.listing import LISTING
+
+    names = {line["base"]: line["id"].removeprefix("lanebound/").removesuffix("-v0") for line in LISTING}
+    fitted = ", ".join(f"{names.get(base, base)} under {sky} skies" for base, sky in tuned_places())
+    return f"The margins of cautious were tuned for {fitted or 'no place'}; elsewhere they are untuned."

@@ -56,18 +56,18 @@ def benchmark(
 
     with stoppable(lambda: _kept(out)):
         plan, cold = _while(
-            "opening the environments", lambda: _plan(suite, agents, seeds, assignments or [], out, fresh)
+            "opening the environments", lambda say: _plan(suite, agents, seeds, assignments or [], out, fresh)
         )
         _announce(plan, jobs, budget, cold)
         results = _with_bar(plan, jobs, budget)
         _print(results, budget, full, as_json)
-        page = _while(f"writing {out / PAGE}: the worst episodes are driven again for it", lambda: _write(results, out))
+        page = _while(f"writing {out / PAGE}", lambda say: _write(results, out, say))
         if not as_json:
             _point_to(results, out, page)
 
 
-def _while(doing: str, work: Callable[[], T]) -> T:
-    """What ``work`` comes to; a line says for how long it has been at it."""
+def _while(doing: str, work: Callable[[Callable[[str], None]], T]) -> T:
+    """What ``work`` comes to; a line says for how long it has been at it, and what ``work`` says of it."""
     from rich.console import Console
     from rich.progress import Progress as Bar
     from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -77,8 +77,8 @@ def _while(doing: str, work: Callable[[], T]) -> T:
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     console = Console(stderr=True)
     with Bar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        bar.add_task(doing, total=None)
-        return wait_for(work)
+        task = bar.add_task(doing, total=None)
+        return wait_for(lambda: work(lambda more: bar.update(task, description=f"{doing}: {more}")))
 
 
 def _plan(
@@ -186,10 +186,13 @@ def _print(results: Results, budget: float | None, full: bool, as_json: bool) ->
         typer.echo(f"{missing}{why}. Run the same command again to go on.\n")
 
 
-def _write(results: Results, out: Path) -> Path:
+def _write(results: Results, out: Path, say: Callable[[str], None]) -> Path:
     from lanebound.agents.report import write_report
 
-    return write_report(results, out)
+    def told(done: int, of: int) -> None:
+        say(f"the worst episodes are driven again for it, {done} of {of} done")
+
+    return write_report(results, out, told=told)
 
 
 def _point_to(results: Results, out: Path, page: Path) -> None:

@@ -1,8 +1,8 @@
-"""How results of a benchmark look in a terminal: a table for each place, and the differences from the reference."""
+"""How results of a benchmark look in a terminal: a table for each place, and the differences from the references."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -36,7 +36,8 @@ def print_results(results: Results) -> None:
     console.print(
         Text(
             "With 95 % intervals over seeds, where these differ enough; green and red: clearly better and worse than "
-            f"the reference, from {VERDICT_SEEDS} seeds on."
+            f"the reference, each figure by its own interval, from {VERDICT_SEEDS} seeds on and where neither agent "
+            "failed. n: seeds that a figure is of, where they are fewer. Untuned: margins that were not fitted there."
         )
     )
     print_failures(console, results)
@@ -45,41 +46,45 @@ def print_results(results: Results) -> None:
 def _print_place(console: Console, results: Results, place: Place) -> None:
     cells = [cell for cell in results.cells if cell.place == place]
     faults = "" if place.faults == "none" else f", {place.faults} faults"
-    title = f"{place.env}, {place.sky} sky{faults}: means of {max(c.episodes for c in cells)} seeds"
-    pairs = {(p.agent, p.metric): p for p in results.paired if p.place == place}
+    seeds = max(c.episodes for c in cells)
+    title = f"{place.env}, {place.sky} sky{faults}: means of {seeds} seeds"
+    pairs = {(p.agent, p.against, p.metric): p for p in results.paired if p.place == place}
     shown = [metric_named(key) for key in MAIN if any(cell.metrics[key].n for cell in cells)]
-    columns = [_column(metric, cells, pairs) for metric in shown]
-    names = Column("agent", [Text(name) for name in _names(cells, results.suite.reference, pairs)])
+    rows = list(dict.fromkeys((agent, against) for agent, against, _ in pairs))
+    columns = [_column(metric, cells, [pairs[(*row, metric.key)] for row in rows], seeds) for metric in shown]
+    names = Column("agent", [*map(Text, map(_name, cells)), *(Text(f"{agent} - {against}") for agent, against in rows)])
     console.print(Text(title, style="bold"))
     for group in _groups(columns, console.width - names.width(console) - 2):
         console.print(_table(console, [names, *group], len(cells)))
 
 
-def _names(cells: Sequence[Cell], reference: str, pairs: Mapping[tuple[str, str], Paired]) -> list[str]:
-    """The first column: agents, and those that are less the reference."""
-    compared = {agent for agent, _ in pairs}
-    return [cell.agent for cell in cells] + [f"{c.agent} - {reference}" for c in cells if c.agent in compared]
+def _name(cell: Cell) -> str:
+    return f"{cell.agent} (untuned)" if cell.untuned else cell.agent
 
 
-def _column(metric: Metric, cells: Sequence[Cell], pairs: Mapping[tuple[str, str], Paired]) -> Column:
-    """Means of a metric with intervals, and below them the differences from the reference."""
+def _column(metric: Metric, cells: Sequence[Cell], pairs: Sequence[Paired], seeds: int) -> Column:
+    """Means of a metric with intervals, and below them the differences from the references."""
     found = []
     for cell in cells:
         e = cell.metrics[metric.key]
-        found.append(_text(*with_interval(metric, e.mean, e.low, e.high)))
-    for cell in cells:
-        pair = pairs.get((cell.agent, metric.key))
-        if pair is not None:
-            text = _text(*with_interval(metric, pair.difference, pair.low, pair.high, signed=True))
-            if pair.clear and metric.better is not None and pair.difference is not None:
-                text.stylize(COLOURS[(pair.difference > 0.0) == (metric.better == "higher")])
-            found.append(text)
+        found.append(_text(*with_interval(metric, e.mean, e.low, e.high), _fewer(e.n, seeds)))
+    for pair in pairs:
+        shown = with_interval(metric, pair.difference, pair.low, pair.high, signed=True)
+        text = _text(*shown, _fewer(pair.n, seeds))
+        if pair.clear and metric.better is not None and pair.difference is not None:
+            text.stylize(COLOURS[(pair.difference > 0.0) == (metric.better == "higher")])
+        found.append(text)
     unit = "%" if _in_percent(metric) else metric.unit
     return Column("\n".join([*metric.title.split(), f"[{unit}]" if unit else ""]), found)
 
 
-def _text(mean: str, interval: str) -> Text:
-    return Text.assemble(mean, "\n", (interval, "dim"))
+def _fewer(n: int, seeds: int) -> str:
+    """How many seeds a figure is of, where they are fewer than there are."""
+    return f"n={n}" if 0 < n < seeds else ""
+
+
+def _text(mean: str, interval: str, fewer: str) -> Text:
+    return Text.assemble(mean, "\n", (" ".join(filter(None, (interval, fewer))), "dim"))
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 __all__ = ["KINDS", "resolve"]
 
 KINDS = {
+    "experiment": "lanebound.agents.learning.experiment:ExperimentConfig",
     "suite": "lanebound.agents.benchmark.suite:SuiteConfig",
     "tuned_caution": "lanebound.agents.drivers.margins:TunedCaution",
     "urban_drive": "lanebound.agents.reproduce.urban_drive:UrbanDriveConfig",

@@ -6,6 +6,8 @@ import os
 from collections.abc import Collection, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
+from lanebound.agents.plain import counted
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -27,16 +29,6 @@ def format_value(value: Any) -> str:
     if isinstance(value, list | tuple):
         return ", ".join(map(format_value, value))
     return str(value)
-
-
-def counted(count: int, what: str) -> str:
-    """A number of things, in the singular where there is one.
-
-    >>> counted(1, "process"), counted(2, "process"), counted(0, "episode")
-    ('1 process', '2 processes', '0 episodes')
-    """
-    plural = f"{what}es" if what.endswith("s") else f"{what}s"
-    return f"{count} {what if count == 1 else plural}"
 
 
 def open_console() -> Console:

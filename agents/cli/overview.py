@@ -1,4 +1,4 @@
-"""A benchmark in one table and two lines: agents over all cells, and who is clearly safer than the reference."""
+"""A benchmark in one table and a few lines: agents over all cells, and who is clearly safer than the references."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from statistics import fmean
 import typer
 
 from lanebound.agents.benchmark.metrics import metric_named
-from lanebound.agents.benchmark.outcome import Place
-from lanebound.agents.benchmark.results import Cell, Paired, Results
+from lanebound.agents.benchmark.results import Cell, Results
+from lanebound.agents.benchmark.verdicts import conclusions
 from lanebound.agents.cli.benchmark_tables import number, print_failures
 from lanebound.agents.cli.output import counted, open_console, print_table
 
-__all__ = ["SHOWN", "conclusions", "overview_rows", "print_overview"]
+__all__ = ["SHOWN", "overview_rows", "print_overview"]
 
 SHOWN = {
-    "success": "success\n[%]",
-    "collision": "collision\n[%]",
-    "lane_departure": "departure\n[%]",
+    "success": "ended\nwell\n[%]",
+    "collision": "crash\n[%]",
+    "off_road": "off\nroad\n[%]",
+    "lane_departure": "left\nlane\n[%]",
+    "harm": "harm",
     "cost": "cost",
     "return": "return",
-    "mean_speed": "speed\n[m/s]",
+    "throughput": "thru-\nput\n[m/s]",
 }
-HARM = ("collision", "lane_departure", "cost")
-BOUND = "oracle"  # drives on the truth: no opponent, and not to be praised
 
 
 def print_overview(results: Results) -> None:
@@ -38,9 +38,7 @@ def print_overview(results: Results) -> None:
     whole = f"{counted(len(places), 'cell')} (environments x skies x faults)"
     title = f"Means over {whole}, {counted(seeds, 'seed')} each"
     print_table(title, ("agent", *SHOWN.values()), overview_rows(results), numbers=SHOWN.values())
-    for line in _partial(results, len(places)):
-        typer.echo(line)
-    for line in conclusions(results):
+    for line in (*_partial(results, len(places)), *_untuned(results), *_failing(results), *conclusions(results)):
         typer.echo(line)
     typer.echo("Each cell with its intervals: the same command with --full.\n")
     print_failures(open_console(), results)
@@ -68,50 +66,21 @@ def _mean(cells: Iterable[Cell], key: str) -> str:
     return number(metric_named(key), fmean(means)) if means else "-"
 
 
-def conclusions(results: Results) -> list[str]:
-    """At most two lines: who is clearly safer than the reference and in how many cells, and what that costs in speed.
-
-    Clearly safer: one of collisions, departures and cost clearly lower, and none of them clearly higher. A cell counts
-    only where the agent succeeded in an episode: whoever never gets there does no harm either.
-    """
-    reference = results.suite.reference
-    places = {
-        agent: [place for place in results.suite.places if _compared(results, place, agent)]
-        for agent, chosen in results.suite.agents.items()
-        if agent != reference and chosen.agent != BOUND
-    }
-    places = {agent: there for agent, there in places.items() if there}
-    if not places:
-        return []
-    safer = {agent: [p for p in there if _safer(results, p, agent)] for agent, there in places.items()}
-    ranked = sorted((agent for agent in safer if safer[agent]), key=lambda agent: -len(safer[agent]))
-    if not ranked:
-        seeds = counted(max(cell.episodes for cell in results.cells), "seed")
-        return [f"With {seeds} no agent is clearly safer than {reference} in any cell; --seeds takes more."]
-    named = ", ".join(f"{agent} in {len(safer[agent])} of {len(places[agent])}" for agent in ranked)
-    lines = [f"Clearly safer than {reference} (collisions, departures or cost): {named} cells."]
-    paid = [(agent, _speed_lost(results, agent, safer[agent])) for agent in ranked]
-    slower = [f"{agent} {lost:+.1f} m/s" for agent, lost in paid if lost is not None]
-    return [*lines, f"Mean speed in these cells against {reference}: {', '.join(slower)}."] if slower else lines
+def _untuned(results: Results) -> list[str]:
+    """Who drove with defaults where it is to be tuned."""
+    driven = Counter(cell.agent for cell in results.cells)
+    untuned = Counter(cell.agent for cell in results.cells if cell.untuned)
+    return [
+        f"{agent} is untuned in {count} of its {counted(driven[agent], 'cell')}: its margins were not fitted there."
+        for agent, count in untuned.items()
+    ]
 
 
-def _pairs(results: Results, place: Place, agent: str) -> dict[str, Paired]:
-    return {pair.metric: pair for pair in results.paired if pair.place == place and pair.agent == agent}
-
-
-def _compared(results: Results, place: Place, agent: str) -> bool:
-    return bool(_pairs(results, place, agent))
-
-
-def _safer(results: Results, place: Place, agent: str) -> bool:
-    if not results.cell(place, agent).metrics["success"].mean:
-        return False
-    pairs = _pairs(results, place, agent)
-    signs = [pairs[key].difference or 0.0 for key in HARM if pairs[key].clear]
-    return bool(signs) and max(signs) < 0.0
-
-
-def _speed_lost(results: Results, agent: str, places: Iterable[Place]) -> float | None:
-    found = [_pairs(results, place, agent)["mean_speed"].difference for place in places]
-    known = [difference for difference in found if difference is not None]
-    return fmean(known) if known else None
+def _failing(results: Results) -> list[str]:
+    """Whose figures leave out the episodes in which they failed: perhaps the hard ones."""
+    driven = Counter(outcome.agent for outcome in results.outcomes)
+    failed = Counter(outcome.agent for outcome in results.failures)
+    return [
+        f"{agent} failed in {count} of {counted(driven[agent], 'episode')}: its figures but success leave these out."
+        for agent, count in failed.items()
+    ]

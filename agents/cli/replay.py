@@ -65,6 +65,8 @@ def _explain(folder: Path) -> None:
 
     same = Store(folder).same_version()
     why = (
-        "the agent may draw from a generator of its own, or look at the clock" if same else "the code has changed since"
+        "the agent may draw from a generator of its own, or look at the clock"
+        if same
+        else "the code or a package has changed"
     )
     typer.echo(f"error: the episode did not end as it was stored: {why}", err=True)

@@ -114,13 +114,13 @@ def _kept(out: Path) -> str:
 def _checked(assignments: list[str], changes: dict[str, Any], out: Path) -> UrbanDriveConfig:
     """The configuration, with everything refused that can be refused before the work begins."""
     from lanebound.agents.cli.kinds import resolve
-    from lanebound.agents.reproduce.study import claim
+    from lanebound.agents.reproduce.study import check
     from lanebound.agents.reproduce.urban_drive import UrbanDriveConfig
     from lanebound.integrity.presets import parse_assignments
 
     _, config = resolve("studies/urban_drive", parse_assignments(assignments) | changes)
     assert isinstance(config, UrbanDriveConfig)
-    claim(config, out)
+    check(config, out)
     return config
 
 

@@ -27,7 +27,9 @@ def cautious(
     seeds: Annotated[int, typer.Option(min=1, help="How many, from the first training seed on.")] = 40,
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes; one for each core by default.")] = None,
 ) -> None:
-    """Constant margins that do as much harm as the integrity-aware driver; prints JSON.
+    """Constant margins to compare the integrity-aware driver with; prints JSON.
+
+    Of a ladder of nine, the least caution that does no more harm; where none does as little, that of its throughput.
 
     Example: lanebound tune cautious CarFollowing --sky dense --out out/tune
     """

@@ -52,14 +52,16 @@ class About(NamedTuple):
 LEVELS = "position, levels"
 ABOUT = {
     "cautious": About("nominal, slower, constant margins", "position", "nothing", ANY),
-    "cbf": About("nominal behind a barrier filter", f"{LEVELS}, alert", "slows where levels fill the lane", FULL),
+    "cbf": About(
+        "`over: AGENT` (nominal), barrier-filtered", f"{LEVELS}, alert", "slows where levels fill the lane", FULL
+    ),
     "cruise": About("keeps lane, speed and distance", "position", "nothing", ANY),
     "idm": About("cruise, follows by IDM alone", "position", "nothing", ANY),
     "integrity_aware": About(
         "rss, slower by levels and ahead of outages", f"{LEVELS}, alert, sky ahead", "slows, stops if it lasts", ANY
     ),
     "lqr": About("cruise, steers by an LQR", "position", "nothing", STEERED),
-    "mpc": About("plans ahead within levels (tube MPC)", f"{LEVELS}, alert", "slows as levels grow", FULL),
+    "mpc": About("plans ahead within growing levels (MPC)", f"{LEVELS}, alert", "slows as levels grow", FULL),
     "nominal": About("best laws, blind to integrity; the reference", "position", "nothing", ANY),
     "oracle": About("nominal on the truth: a bound", "the truth", "nothing", ANY),
     "random": About("any action, equally likely", "nothing", "nothing", ANY),
@@ -74,7 +76,8 @@ def make_agent(name: str, env: DrivingEnv, figures: Mapping[str, Any] | None = N
     """The agent of that name for an environment, made from its spaces and its published index alone.
 
     The name may also be that of a file or a callable, see :func:`~lanebound.agents.drivers.foreign.open_foreign`.
-    ``figures`` change the agent's own configuration, such as ``{"speed_share": 0.5}`` that of ``cautious``.
+    ``figures`` change the agent's own configuration, such as ``{"speed_share": 0.5}`` that of ``cautious``, or whom
+    ``cbf`` filters, ``{"over": "integrity_aware"}``.
 
     Raises
     ------
@@ -85,7 +88,7 @@ def make_agent(name: str, env: DrivingEnv, figures: Mapping[str, Any] | None = N
         module, _, maker = AGENTS[name].partition(":")
         make = getattr(import_module(module), maker)
         _require_actions(name, env)
-        driver: Driver = make(env, _config_class(name, make).load(dict(figures))) if figures else make(env)
+        driver: Driver = make(env, config=_config_class(name, make).load(dict(figures))) if figures else make(env)
         return driver
     from lanebound.agents.drivers.foreign import is_foreign, open_foreign
 

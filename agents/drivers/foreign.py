@@ -26,6 +26,8 @@ __all__ = ["FunctionDriver", "OnnxDriver", "is_foreign", "open_foreign", "requir
 
 States = tuple[NDArray[Any], ...] | None
 ALGORITHMS = {
+    "cost_gae_lambda": "lanebound.agents.learning.ppo_lagrangian:PPOLagrangian",
+    "cost_gamma": "lanebound.agents.learning.sac_lagrangian:SACLagrangian",
     "clip_range": "stable_baselines3:PPO",
     "policy_delay": "stable_baselines3:TD3",
     "target_entropy": "stable_baselines3:SAC",

@@ -15,7 +15,15 @@ from scipy.linalg import solve_discrete_are
 from lanebound.agents.drivers.base import Observation, Reader
 from lanebound.integrity.config import Config, Field
 
-__all__ = ["Condensed", "GrowthConfig", "condense", "predicted_levels", "sky_ahead"]
+__all__ = [
+    "Condensed",
+    "GrowthConfig",
+    "condense",
+    "predicted_levels",
+    "sky_ahead",
+    "upper_levels",
+    "upper_told",
+]
 
 Array = NDArray[np.float64]
 
@@ -41,6 +49,15 @@ class GrowthConfig(Config):
     link_age_s: float = Field(
         1.5, gt=0, description="age of reference data from which the link counts as out; 1.1 s at most while it holds"
     )
+
+    upper_at_m: float = Field(
+        1.3, ge=0, description="upper gain of PL_AT in 1 s without RTK; 9 of 10 keep to it, seeds 1004-1007 likewise"
+    )
+    upper_ct_m: float = Field(1.25, ge=0, description="that of PL_CT likewise")
+    upper_told_m: float = Field(1.3, ge=0, description="that of the level that a leader tells likewise")
+    spare_m: float = Field(0.03, ge=0, description="by which levels on RTK vary, 9 of 10; likewise")
+    told_spare_m: float = Field(0.15, ge=0, description="by which a leader's vary, told in steps; likewise")
+    told_rtk_m: float = Field(0.35, ge=0, description="level up to which a leader is taken to have RTK; likewise")
 
     def gained_m(self, since_s: float, for_s: float) -> tuple[float, float]:
         """Growth along and across, ``g (t + T)^p - g t^p``, within T from ``since_s`` without RTK on."""
@@ -130,3 +147,61 @@ def predicted_levels(
             rtk, since_s = False, since_s + dt_s
         at[k], ct[k] = level
     return at, ct
+
+
+def upper_levels(
+    reader: Reader, observation: Observation, way_m: Array, dt_s: float, c: GrowthConfig
+) -> tuple[Array, Array]:
+    """Protection levels along and across at the steps ahead that nine of ten keep to, at each step by itself.
+
+    From now on they grow wherever RTK may be lost within the horizon: it is out already, the link is, or any point of
+    the predicted sky on the way is dark, for RTK is lost before or behind such a point as well. That RTK may come back
+    is not counted on.
+
+    Parameters
+    ----------
+    observation : a single one
+    way_m : (N,) made until each step, ascending
+    """
+    since_s = float(reader.value(observation, "integrity.since_rtk"))
+    held = since_s <= c.rtk_s
+    lost = not held or _may_be_lost(reader, observation, way_m, c)
+    rise = _rise(0.0 if held else since_s, way_m.size, dt_s, c) if lost else np.zeros(way_m.size)
+    at, ct = (float(reader.value(observation, f"integrity.pl_{axis}")) + c.spare_m for axis in ("at", "ct"))
+    return at + c.upper_at_m * rise, ct + c.upper_ct_m * rise
+
+
+def upper_told(
+    reader: Reader, observation: Observation, told_m: float, way_m: Array, dt_s: float, c: GrowthConfig
+) -> Array:
+    """The same of the level of a leader, (N,): for how long RTK has been out for it is told by its level alone.
+
+    Its sky is that of the ego's lane where it will be, and its link the ego's.
+
+    Parameters
+    ----------
+    told_m : its level as told
+    way_m : (N,) where it is at each step, from the ego
+    """
+    told = told_m + c.told_spare_m
+    if told_m > c.told_rtk_m:
+        since_s = ((told_m - c.reset_at_m) / max(c.growth_at_m, 1e-3)) ** (1.0 / c.growth_power)
+        return told + c.upper_told_m * _rise(max(since_s, 0.0), way_m.size, dt_s, c)
+    lost = _may_be_lost(reader, observation, way_m, c)
+    return told + c.upper_told_m * (_rise(0.0, way_m.size, dt_s, c) if lost else np.zeros(way_m.size))
+
+
+def _may_be_lost(reader: Reader, observation: Observation, way_m: Array, c: GrowthConfig) -> bool:
+    """Whether the link is out, or too few satellites are predicted at any point between which the way lies."""
+    if float(reader.value(observation, "integrity.corrections_age")) >= c.link_age_s:
+        return True
+    points = np.asarray(reader.config.satellites_m)
+    first, last = np.searchsorted(points, [way_m[0], way_m[-1]], side="right")
+    seen = [float(reader.value(observation, f"road.sky_{d:g}m_own")) for d in points[max(first - 1, 0) : last + 1]]
+    return any(0.0 <= count < c.satellites_needed - 0.5 for count in seen)
+
+
+def _rise(since_s: float, steps: int, dt_s: float, c: GrowthConfig) -> Array:
+    """Growth at each step ahead of what grows by 1 in the first second, from ``since_s`` without RTK on, (N,)."""
+    out_s = since_s + dt_s * np.arange(1.0, steps + 1.0)
+    return np.asarray(out_s**c.growth_power - since_s**c.growth_power)

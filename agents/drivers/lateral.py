@@ -38,6 +38,7 @@ class LqrConfig(Config):
     offset_m: float = Field(0.3, gt=0, description="offset; half of what a lane of 3.25 m leaves, argued")
     heading_rad: float = Field(0.1, gt=0, description="heading; argued")
     steering_rad: float = Field(0.05, gt=0, description="steering beyond that of the bend; 2 m/s2 at 14 m/s, argued")
+    aside_m: float = Field(1.5, gt=0, description="offset that counts at most on the way to another line; argued")
 
 
 def errors(reader: Reader, observation: Observation) -> tuple[Array, Array, Array, Array]:
@@ -104,9 +105,10 @@ class LqrSteering:
         p = solve_discrete_are(a, b, q, r)
         return np.asarray(np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)[0])
 
-    def __call__(self, observation: Observation) -> Array:
-        """Steering angle [rad], positive right."""
-        v = self.reader.value(observation, "ego.speed")
+    def __call__(self, observation: Observation, aside_m: Array | float = 0.0) -> Array:
+        """Steering angle [rad], positive right, to a line that runs ``aside_m`` to the right of the centreline."""
+        c, v = self.config, self.reader.value(observation, "ego.speed")
         e, psi, _, bend = errors(self.reader, observation)
+        e = np.where(np.asarray(aside_m) == 0.0, e, np.clip(e - aside_m, -c.aside_m, c.aside_m))
         by_e, by_psi = (np.interp(v, SPEEDS_MPS, self.gains[:, i]) for i in range(2))
         return np.asarray(bend - by_e * e - by_psi * psi)

@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lanebound.agents.drivers.base import Observation
 from lanebound.agents.drivers.crossing import YieldConfig, yield_speed
 from lanebound.agents.drivers.lateral import LqrSteering
 from lanebound.agents.drivers.mobil import MobilConfig, changes
+from lanebound.agents.drivers.passing import PassingSteering
 from lanebound.agents.drivers.plan import ContinuousDriver, MetaDriver, Plan, carry_out
 from lanebound.agents.drivers.plans import CruiseConfig
 from lanebound.envs.core import DrivingEnv
@@ -31,7 +33,9 @@ class Nominal(Plan):
         super().__init__(env, config)
         self.mobil = MobilConfig() if mobil is None else mobil
         self.giving_way = YieldConfig()
-        self.steering = LqrSteering(env, self.reader) if self.reader.previews_m else self.steering
+        if self.reader.previews_m:
+            law = LqrSteering(env, self.reader)
+            self.steering = PassingSteering(law, self.reader, config) if _cannot_slow(env) else law
 
     def wanted_speed(self, observation: Observation) -> Array:
         """What the route allows, and giving way to whoever crosses it."""
@@ -47,6 +51,12 @@ class Nominal(Plan):
         along, _ = self.margins(observation)
         wanted, bonus = self.wanted_speed(observation), self.bonus(observation)
         return changes(self.reader, observation, wanted, self.config, self.mobil, along, bonus)
+
+
+def _cannot_slow(env: DrivingEnv) -> bool:
+    """Whether steering is all there is to command, on a road whose lanes may be chosen freely."""
+    inner = env.world.action_type
+    return isinstance(env.action_space, spaces.Box) and not inner.longitudinal and not env.config.keep_lane
 
 
 def make_nominal(env: DrivingEnv, config: CruiseConfig | None = None) -> ContinuousDriver | MetaDriver:

@@ -25,6 +25,7 @@ class Difference:
     ----------
     low, high : None where the seeds give no interval
     share_better : share of the seeds on which it does better, None where nothing is better
+    failed : episodes in which one of the two failed: what is left may be the easy ones, and nothing is clear
     """
 
     agent: str
@@ -33,11 +34,12 @@ class Difference:
     high: float | None
     seeds: int
     share_better: float | None = None
+    failed: int = 0
 
     @property
     def clear(self) -> bool:
-        """The interval leaves out zero, and the seeds suffice."""
-        return is_clear(self.low, self.high, self.seeds)
+        """The interval leaves out zero, the seeds suffice, and nobody failed."""
+        return not self.failed and is_clear(self.low, self.high, self.seeds)
 
     @property
     def few(self) -> bool:
@@ -45,7 +47,9 @@ class Difference:
         return self.seeds < VERDICT_SEEDS
 
     def verdict(self, better: str | None) -> str:
-        """``better``, ``worse``, ``differs`` (where neither is better), ``unclear`` or ``too few seeds``."""
+        """``better``, ``worse``, ``differs`` (neither is better), ``unclear``, or why there is no verdict."""
+        if self.failed:
+            return f"no verdict, {self.failed} failed"
         if self.few:
             return "too few seeds"
         if not self.clear:
@@ -82,8 +86,10 @@ def _ground(frame: Frame, x: Scale, unit: str, better: str | None) -> list[Marku
 
 
 def _row(row: Difference, x: Scale, y: float, unit: str, better: str | None) -> Markup:
-    verdict = "unclear" if row.few else row.verdict(better)
-    note = f"{row.agent}: {_words(row, unit)}"
+    verdict = row.verdict(better) if row.clear else "unclear"
+    note = f"{row.agent}: {_words(row, unit)}, {row.seeds} seeds"
+    if row.failed:
+        note += f", {row.verdict(better)}"
     if row.share_better is not None:
         note += f", better on {100.0 * row.share_better:.0f} % of the seeds"
     middle = x(row.mean)

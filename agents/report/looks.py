@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from lanebound.agents.benchmark.metrics import SHARE as SHARE_BOUNDS
 from lanebound.agents.benchmark.metrics import Metric
 from lanebound.agents.benchmark.outcome import Place
-from lanebound.agents.benchmark.suite import NEEDS, SuiteConfig
+from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.report.numbers import SHARE
 
 __all__ = ["Actor", "actors_of", "clear_best", "slug_of", "title_of", "unit_of"]
@@ -22,7 +22,7 @@ class Actor:
     ----------
     name : what it goes by in the results
     look : number of its colour and shape, the same everywhere
-    reference : the others are compared with it
+    reference : the others are compared with it, and it with other references
     bound : it sees the truth, and shows what is possible rather than competes
     chance : it acts at random
     """
@@ -41,12 +41,10 @@ class Actor:
 
 def actors_of(suite: SuiteConfig) -> dict[str, Actor]:
     """The agents of a suite by name, in its order."""
-    seeing = NEEDS["oracle"]["observation"]["integrity"]
     found = {}
     for look, (name, chosen) in enumerate(suite.agents.items()):
-        observation = chosen.config.get("observation", {})
-        bound = chosen.agent == "oracle" or observation.get("integrity") == seeing
-        found[name] = Actor(name, look, name == suite.reference, bound, chosen.agent == "random")
+        reference = name in suite.references
+        found[name] = Actor(name, look, reference, chosen.sees_truth, chosen.agent == "random")
     return found
 
 

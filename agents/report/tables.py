@@ -36,23 +36,28 @@ class Head:
 
 @dataclass(frozen=True)
 class Entry:
-    """A mean and its interval as text, or why it has none; ``best`` where it is clear of all others."""
+    """A mean and its interval as text, or why it has none; ``best`` where it is clear of all others.
+
+    ``seeds`` says how many it is of, where they are fewer than those that were driven.
+    """
 
     mean: str
     interval: str = ""
     lacks: str = ""
     best: bool = False
     iqm: str = ""
+    seeds: str = ""
 
 
 @dataclass(frozen=True)
 class Row:
-    """An agent, how many episodes it drove, and its entries."""
+    """An agent, how many episodes it drove, its entries, and whether it is untuned here."""
 
     actor: Actor
     episodes: int
     failed: int
     entries: list[Entry]
+    untuned: bool = False
 
 
 @dataclass(frozen=True)
@@ -95,15 +100,16 @@ def all_metrics(cells: Sequence[Cell], actors: Mapping[str, Actor]) -> Table:
 def _table(cells: Sequence[Cell], actors: Mapping[str, Actor], metrics: Sequence[Metric]) -> Table:
     columns = [_entries(metric, cells, actors) for metric in metrics]
     rows = [
-        Row(actors[cell.agent], cell.episodes, cell.failed, [column[i] for column in columns])
+        Row(actors[cell.agent], cell.episodes, cell.failed, [column[i] for column in columns], cell.untuned)
         for i, cell in enumerate(cells)
     ]
     return Table([head_of(metric) for metric in metrics], rows)
 
 
 def _entries(metric: Metric, cells: Sequence[Cell], actors: Mapping[str, Actor]) -> list[Entry]:
-    """One metric of the agents at one place; those that see the truth do not compete."""
+    """One metric of the agents at one place; those that see the truth do not compete, and who failed is not best."""
     found = {cell.agent: cell.metrics[metric.key] for cell in cells}
+    failed, seeds = {cell.agent for cell in cells if cell.failed}, max(cell.episodes for cell in cells)
     rivals = [
         (name, *((e.low, e.high) if e.n >= VERDICT_SEEDS else (None, None)))
         for name, e in found.items()
@@ -111,14 +117,15 @@ def _entries(metric: Metric, cells: Sequence[Cell], actors: Mapping[str, Actor])
     ]
     known = all(low is not None for _, low, _ in rivals)  # else who has no interval may be better still
     best = clear_best(rivals, metric.better) if known else None
-    return [_entry(estimate, metric, name == best) for name, estimate in found.items()]
+    return [_entry(e, metric, name == best and name not in failed, seeds) for name, e in found.items()]
 
 
-def _entry(estimate: Estimate, metric: Metric, best: bool) -> Entry:
+def _entry(estimate: Estimate, metric: Metric, best: bool, seeds: int) -> Entry:
     """One estimate; of what is 0 or 1 in each episode an interquartile mean says nothing."""
     e, unit = estimate, unit_of(metric)
     iqm = "" if metric.rate else f"{plain(e.iqm, unit)} {_bare(e.iqm_low, e.iqm_high, unit)}"
-    return Entry(plain(e.mean, unit), _bare(e.low, e.high, unit), _lacking(e, metric), best, iqm)
+    fewer = f"n = {e.n}" if 0 < e.n < seeds else ""
+    return Entry(plain(e.mean, unit), _bare(e.low, e.high, unit), _lacking(e, metric), best, iqm, fewer)
 
 
 def _lacking(e: Estimate, metric: Metric) -> str:

@@ -49,6 +49,14 @@ class Choice:
 
 
 @dataclass(frozen=True)
+class Forests:
+    """Differences against a reference: a picture for each metric."""
+
+    against: str
+    pictures: list[Choice]
+
+
+@dataclass(frozen=True)
 class Diagram:
     """The Stanford diagrams of an agent; each line of its table is ``(zone, number, share along, share across)``."""
 
@@ -77,8 +85,7 @@ class PlaceView:
     env: str
     main: Table
     full: Table
-    against: str
-    forests: list[Choice]
+    forests: list[Forests]
     fronts: list[Choice]
     costs: Markup | None
     diagrams: list[Diagram]
@@ -94,8 +101,9 @@ def view_of(results: Results, place: Place, cells: Sequence[Cell], actors: Mappi
         env=place.env,
         main=main_table(cells, actors),
         full=all_metrics(cells, actors),
-        against=results.suite.reference,
-        forests=_forests(results, place),
+        forests=[
+            found for against in results.suite.references if (found := _forests(results, cells, against)).pictures
+        ],
         fronts=_fronts(cells, actors),
         costs=_costs(results, place, here, [cell.agent for cell in cells]),
         diagrams=_diagrams(results, here, [actors[cell.agent] for cell in cells]),
@@ -103,20 +111,21 @@ def view_of(results: Results, place: Place, cells: Sequence[Cell], actors: Mappi
     )
 
 
-def _forests(results: Results, place: Place) -> list[Choice]:
-    """Paired differences in the main metrics that have intervals."""
+def _forests(results: Results, cells: Sequence[Cell], against: str) -> Forests:
+    """Paired differences from a reference in the main metrics that have intervals."""
     found = []
+    names = {cell.agent: f"{cell.agent}, untuned" if cell.untuned else cell.agent for cell in cells}
     for metric in (metric_named(key) for key in MAIN):
         rows = [
-            Difference(pair.agent, pair.difference, pair.low, pair.high, pair.n, pair.better)
+            Difference(names[pair.agent], pair.difference, pair.low, pair.high, pair.n, pair.better, pair.failed)
             for pair in results.paired
-            if pair.place == place and pair.metric == metric.key
+            if (pair.place, pair.against, pair.metric) == (cells[0].place, against, metric.key)
             if pair.difference is not None
         ]
         if any(row.low is not None for row in rows):
-            picture = forest(metric.title, unit_of(metric), metric.better, results.suite.reference, rows)
+            picture = forest(metric.title, unit_of(metric), metric.better, names[against], rows)
             found.append(Choice(metric.key, metric.title, picture))
-    return found
+    return Forests(names.get(against, against), found)
 
 
 def _fronts(cells: Sequence[Cell], actors: Mapping[str, Actor]) -> list[Choice]:

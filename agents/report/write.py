@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import platform
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
@@ -19,7 +19,8 @@ from lanebound.agents.benchmark.metrics import METRICS
 from lanebound.agents.benchmark.outcome import Outcome, Place
 from lanebound.agents.benchmark.results import Cell, Results
 from lanebound.agents.benchmark.statistics import VERDICT_SEEDS
-from lanebound.agents.benchmark.store import replace_file
+from lanebound.agents.benchmark.store import Store, replace_file
+from lanebound.agents.benchmark.verdicts import conclusions
 from lanebound.agents.report.clips import Clip, film_clip
 from lanebound.agents.report.commands import replay_command
 from lanebound.agents.report.episodes import badness, what_happened, worst_of
@@ -49,7 +50,9 @@ class Failures:
     count: int
 
 
-def write_report(results: Results, out: Path, clips: int = 3) -> Path:
+def write_report(
+    results: Results, out: Path, clips: int = 3, told: Callable[[int, int], None] = lambda done, of: None
+) -> Path:
     """Write the page ``report.html`` into the folder ``out``; returns its path.
 
     Parameters
@@ -57,6 +60,7 @@ def write_report(results: Results, out: Path, clips: int = 3) -> Path:
     results : of a suite, finished or not
     out : a folder, made if need be
     clips : how many of the worst episodes are driven again for a film, each at another place; 0 for none
+    told : called with how many clips are done, and of how many, before each and at the end
 
     Returns
     -------
@@ -65,11 +69,11 @@ def write_report(results: Results, out: Path, clips: int = 3) -> Path:
     out.mkdir(parents=True, exist_ok=True)
     path = out / NAME
     with replace_file(path) as draft:
-        draft.write_text(render(results, clips), encoding="utf-8")
+        draft.write_text(render(results, clips, told), encoding="utf-8")
     return path
 
 
-def render(results: Results, clips: int = 0) -> str:
+def render(results: Results, clips: int = 0, told: Callable[[int, int], None] = lambda done, of: None) -> str:
     """The page as text."""
     actors = actors_of(results.suite)
     places = _places(results)
@@ -83,12 +87,13 @@ def render(results: Results, clips: int = 0) -> str:
         overviews=overviews(places, actors) if len(places) > 1 else [],
         actors=list(actors.values()),
         bounds=[actor.name for actor in actors.values() if actor.bound],
+        verdicts=conclusions(results) if results.cells else [],
         few=max((cell.episodes for cell in results.cells), default=VERDICT_SEEDS) < VERDICT_SEEDS,
         verdict_seeds=VERDICT_SEEDS,
         episodes=len(results.outcomes),
         missing=len(results.missing),
         left_out=results.left_out,
-        clips=_clips(results, places, actors, clips),
+        clips=_clips(results, places, actors, clips, told),
         failures=_failures(results),
         failed_agents=len(results.failures),
         metrics=[head_of(metric) for metric in METRICS],
@@ -115,7 +120,13 @@ def _places(results: Results) -> dict[Place, list[Cell]]:
     return found
 
 
-def _clips(results: Results, places: Mapping[Place, Any], actors: Mapping[str, Actor], count: int) -> list[Clip]:
+def _clips(
+    results: Results,
+    places: Mapping[Place, Any],
+    actors: Mapping[str, Actor],
+    count: int,
+    told: Callable[[int, int], None],
+) -> list[Clip]:
     """Films of the worst episodes, the worst of all first, one at each place."""
     if count < 1 or results.folder is None:
         return []
@@ -123,7 +134,12 @@ def _clips(results: Results, places: Mapping[Place, Any], actors: Mapping[str, A
     for place in places:
         worst += worst_of((o for o in results.outcomes if o.task.place == place), actors, 1)
     chosen = sorted(worst, key=badness, reverse=True)[:count]
-    return [film_clip(results.folder, outcome) for outcome in chosen]
+    clips = []
+    for done, outcome in enumerate(chosen):
+        told(done, len(chosen))
+        clips.append(film_clip(results.folder, outcome))
+    told(len(chosen), len(chosen))
+    return clips
 
 
 def _failures(results: Results) -> list[Failures]:
@@ -143,14 +159,18 @@ def _failures_of(results: Results, place: Place, agent: str, group: Sequence[Out
 
 
 def _versions(folder: Path | None) -> list[tuple[str, str]]:
-    """What drove, and what it stood on."""
-    found = []
+    """What drove, and what it stood on: as it was recorded, and else as it is now."""
+    found: list[tuple[str, str]] = []
+    recorded = {} if folder is None else Store(folder).packages()
     mark = None if folder is None else folder / "suite.json"
     if mark is not None and mark.exists():
         kept = json.loads(mark.read_text(encoding="utf-8"))
         found = [("driven by lanebound", str(kept.get("version", ""))), ("digest of its code", str(kept.get("source")))]
-    found.append(("Python", platform.python_version()))
+    found += recorded.items()
+    found += [] if "Python" in recorded else [("Python", platform.python_version())]
     for name in PACKAGES:
+        if name in recorded:
+            continue
         try:
             found.append((name, version(name)))
         except PackageNotFoundError:

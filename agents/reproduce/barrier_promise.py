@@ -7,14 +7,10 @@ happens, and how often a barrier is lost, is set beside the integrity risk.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from importlib import resources
-from multiprocessing import get_context
+from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,17 +19,16 @@ import numpy as np
 from lanebound.agents.drivers.barrier import BarrierConfig, BarrierFilter
 from lanebound.agents.drivers.nominal import make_nominal
 from lanebound.agents.episodes import drive, open_env
-from lanebound.agents.plain import finite_or_none
+from lanebound.agents.kept import Progress, claim, run_parts, write_whole
 from lanebound.agents.reproduce.barrier_score import PromiseWatch
-from lanebound.agents.reproduce.study import write_whole
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.scene import alert_limits_m, navigator_config
 from lanebound.integrity.config import Config, Field
-from lanebound.integrity.errors import InputError
 from lanebound.integrity.sensors.faults import Fault, FaultKind
 
 __all__ = ["BarrierPromiseConfig", "Reckless", "one_fault", "run_promise", "summarise_promise"]
 
+PACKAGES = ("lanebound.integrity", "lanebound.envs", "lanebound.agents.drivers", "lanebound.agents.reproduce")
 GROUPS = ("none", "one fault")
 MANNERS = ("full throttle", "random", "moody")
 FAULTS = (
@@ -144,7 +139,7 @@ def drive_part(config: BarrierPromiseConfig, group: str, seeds: Sequence[int]) -
 
 
 def run_promise(
-    config: BarrierPromiseConfig, out: Path, jobs: int = 1, progress: Callable[[int, int], None] = lambda done, of: None
+    config: BarrierPromiseConfig, out: Path, jobs: int = 1, progress: Progress = lambda done, of: None
 ) -> dict[str, Any]:
     """Drive all episodes, each part kept once it is done, and write ``promise.json``; returns it.
 
@@ -153,69 +148,37 @@ def run_promise(
     InputError
         ``out`` holds another study or cannot be written.
     """
-    _claim(config, out)
-    tasks = [(group, seeds) for seeds in _batches(config) for group in GROUPS]
-    missing = [(g, s) for g, s in tasks if not _part(out, g, s).exists()]
-    done = sum(len(s) for g, s in tasks) - sum(len(s) for _, s in missing)
-    of = len(GROUPS) * config.episodes
-    progress(done, of)
-    for group, seeds, found in _driven(config, missing, jobs):
-        write_whole(_part(out, group, seeds), finite_or_none(found))
-        done += len(seeds)
-        progress(done, of)
-    parts = {g: [json.loads(_part(out, g, s).read_text(encoding="utf-8")) for h, s in tasks if h == g] for g in GROUPS}
-    result = {group: summarise_promise(config, found) for group, found in parts.items()}
+    claim(out, "barrier promise", config, PACKAGES)
+    names = {group: [_name(group, seeds) for seeds in _batches(config)] for group in GROUPS}
+    ordered = [name for batch in zip(*names.values(), strict=True) for name in batch]
+    parts = run_parts(out, ordered, partial(drive_named, config), jobs, progress, lambda name: len(_seeds(name)))
+    found = dict(zip(ordered, parts, strict=True))
+    result = {group: summarise_promise(config, [found[name] for name in names[group]]) for group in GROUPS}
     write_whole(out / "promise.json", result)
     return result
 
 
-def _driven(
-    config: BarrierPromiseConfig, tasks: Sequence[tuple[str, list[int]]], jobs: int
-) -> Iterator[tuple[str, list[int], dict[str, Any]]]:
-    if jobs == 1 or len(tasks) < 2:
-        for group, seeds in tasks:
-            yield group, seeds, drive_part(config, group, seeds)
-        return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        running = {pool.submit(drive_part, config, group, seeds): (group, seeds) for group, seeds in tasks}
-        for finished in as_completed(running):
-            yield (*running[finished], finished.result())
-
-
-def _batches(config: BarrierPromiseConfig) -> Iterator[list[int]]:
+def _batches(config: BarrierPromiseConfig) -> Iterator[range]:
     last = config.first_seed + config.episodes
     for first in range(config.first_seed, last, config.batch):
-        yield list(range(first, min(first + config.batch, last)))
+        yield range(first, min(first + config.batch, last))
 
 
-def _part(out: Path, group: str, seeds: Sequence[int]) -> Path:
-    return out / "parts" / f"{group.replace(' ', '-')}-{seeds[0]}-{seeds[-1]}.json"
+def _name(group: str, seeds: range) -> str:
+    """Name of a part."""
+    return f"{group.replace(' ', '-')}-{seeds[0]}-{seeds[-1]}"
 
 
-def _claim(config: BarrierPromiseConfig, out: Path) -> None:
-    """Mark the folder with the configuration, or refuse one that is marked otherwise."""
-    digest = hashlib.blake2b((config.to_json() + _source_digest()).encode(), digest_size=8).hexdigest()
-    mark = out / "config.json"
-    try:
-        found = json.loads(mark.read_text(encoding="utf-8")).get("digest") if mark.exists() else digest
-        if found == digest:
-            write_whole(mark, {"digest": digest, "config": config.to_dict()})
-    except (OSError, ValueError, AttributeError) as error:
-        raise InputError(f"out must be a folder that can be written, got {out} ({error}): choose another") from error
-    if found != digest:
-        raise InputError(
-            f"out must be empty or hold the same study, got {out} of another configuration or version: "
-            "choose a new folder"
-        )
+def _seeds(name: str) -> range:
+    """Seeds of a part."""
+    _, first, last = name.rsplit("-", 2)
+    return range(int(first), int(last) + 1)
 
 
-def _source_digest() -> str:
-    """A name for the code that drives: parts made by other code must not be mixed in."""
-    found = hashlib.blake2b(digest_size=8)
-    for package in ("lanebound.integrity", "lanebound.envs", "lanebound.agents.drivers"):
-        for source in sorted(Path(str(resources.files(package))).rglob("*.py")):
-            found.update(source.read_bytes())
-    return found.hexdigest()
+def drive_named(config: BarrierPromiseConfig, name: str) -> dict[str, Any]:
+    """Drive the part of a name."""
+    group = next(group for group in GROUPS if name.startswith(group.replace(" ", "-")))
+    return drive_part(config, group, _seeds(name))
 
 
 def summarise_promise(config: BarrierPromiseConfig, parts: Sequence[dict[str, Any]]) -> dict[str, Any]:

@@ -27,6 +27,7 @@ ROUNDING_M = 1e-3  # observations are float32 of quantities up to 150 m
 ROUNDING_MPS2 = 1e-6
 ASSUMPTIONS = {
     "unseen": "the leader is perceived",
+    "behind": "the leader is believed ahead, or was a decision ago and its level still reaches over the ego",
     "no level": "protection levels exist, below what observations can show",
     "own level": "the ego's errors lie within its protection levels",
     "leader's level": "the error of the leader's place lies within its levels, age included",
@@ -75,7 +76,16 @@ def exceptions_of(env: DrivingEnv, barrier: BarrierFilter, info: Mapping[str, An
         found.add("leader's level")
     if float(lead.speed) < float(barrier.slowest(float(traffic.speed_mps[0]), float(traffic.age_s[0]))):
         found.add("leader's speed")
-    return found
+    return found | _behind(env)
+
+
+def _behind(env: DrivingEnv) -> set[str]:
+    """Whether the leader is believed level with the ego or behind it, by their middles along the ego's heading."""
+    cockpit = env.cockpit
+    assert cockpit is not None
+    belief = cockpit.belief()
+    dx, dy = (cockpit.traffic.position_m[0] - belief.position_m).tolist()
+    return {"behind"} if math.cos(belief.heading_rad) * dx + math.sin(belief.heading_rad) * dy <= 0.0 else set()
 
 
 @dataclass
@@ -140,6 +150,8 @@ class PromiseWatch:
 
     def _judge(self, moment: Moment, h: float) -> None:
         before, found, lead_mps = self._before
+        if self.barrier.followed.all():  # it was taken for one ahead nonetheless
+            found = found - {"behind"}
         braking = (lead_mps - float(moment.env.world.lead.speed)) / moment.env.dt_s
         if braking > self.barrier.config.lead_brake_mps2 + ROUNDING_MPS2:
             found = found | {"leader's braking"}

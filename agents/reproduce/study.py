@@ -6,18 +6,16 @@ unbroken one would.
 
 from __future__ import annotations
 
-import hashlib
 import json
-import os
 from collections.abc import Callable, Iterator
-from functools import cache, partial
-from importlib import resources
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lanebound.agents.kept import claim, write_whole
 from lanebound.agents.plain import finite_or_none
 from lanebound.agents.reproduce.parts import part_path
 from lanebound.agents.reproduce.published import CELLS, Cell
@@ -27,11 +25,11 @@ from lanebound.integrity.assessment.record import Record
 from lanebound.integrity.assessment.series import map_figure, series_figure
 from lanebound.integrity.assessment.stanford import stanford_figure
 from lanebound.integrity.drive import CityDrive
-from lanebound.integrity.errors import InputError
 from lanebound.integrity.sky.city import City
 
-__all__ = ["claim", "is_short", "lookup", "rows_against_paper", "run_study", "summarise", "verdict", "write_whole"]
+__all__ = ["check", "is_short", "lookup", "rows_against_paper", "run_study", "summarise", "verdict"]
 
+PACKAGES = ("lanebound.integrity", "lanebound.agents.reproduce")
 ALERT_LIMIT_M = 1.0  # S1 section 5
 FIGURE_RISKS = {"1e-4": 1, "1e-6": 3}  # S1 figures 3 and 4
 
@@ -50,7 +48,7 @@ def run_study(
     InputError
         ``out`` holds a study with another configuration, or cannot hold one.
     """
-    claim(config, out)
+    check(config, out)
     road, city, mask = street(config, out / "parts")
     dt = config.navigator.dt_s
     per_drive = round(60.0 * config.minutes / dt)
@@ -81,8 +79,8 @@ def _batches(config: UrbanDriveConfig) -> Iterator[tuple[int, list[int]]]:
         yield first, list(range(config.first_seed + first, config.first_seed + last))
 
 
-def claim(config: UrbanDriveConfig, out: Path) -> None:
-    """Refuse what cannot be driven, before any time is spent, and mark the folder with the configuration.
+def check(config: UrbanDriveConfig, out: Path) -> None:
+    """Refuse what cannot be driven, before any time is spent, and mark the folder with the study.
 
     Raises
     ------
@@ -91,49 +89,7 @@ def claim(config: UrbanDriveConfig, out: Path) -> None:
     """
     CityDrive(config.road(), config.drive, config.navigator.dt_s)
     config.navigator.sky.satellites()
-    text = config.to_json() + source_digest()
-    digest = hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
-    mark = out / "config.json"
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        found = _digest_in(mark) if mark.exists() else digest
-        if found == digest:
-            write_whole(mark, {"digest": digest, "config": config.to_dict()})
-    except OSError as error:
-        raise InputError(
-            f"out must be a folder that can be written, got {out} ({error}): choose another one"
-        ) from error
-    if found != digest:
-        raise InputError(
-            f"out must be empty or hold the same study, got {out} of another configuration or version: "
-            "choose a new folder"
-        )
-
-
-def _digest_in(mark: Path) -> Any:
-    """The digest that a folder is marked with; None where the mark is no mark of ours."""
-    try:
-        return json.loads(mark.read_text(encoding="utf-8")).get("digest")
-    except (ValueError, AttributeError):
-        return None
-
-
-@cache
-def source_digest() -> str:
-    """A name for the code that navigates, as it was first asked for: parts made by other code must not be mixed in."""
-    found = hashlib.blake2b(digest_size=8)
-    root = Path(str(resources.files("lanebound.integrity")))
-    for source in sorted(root.rglob("*.py")):
-        found.update(source.read_bytes())
-    return found.hexdigest()
-
-
-def write_whole(path: Path, data: Any) -> None:
-    """Write JSON so that the file is there whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_name(path.name + ".part")
-    draft.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
-    os.replace(draft, path)
+    claim(out, "urban drive", config, PACKAGES)
 
 
 def _leaves(tree: dict[str, Any], path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:

@@ -124,7 +124,7 @@ def odometer_step(
     heading_rad: ArrayLike,
     *,
     sigma_mps: float,
-    bias_mps: float = 0.0,
+    bias_mps: ArrayLike = 0.0,
     heading_bias_rad: ArrayLike = 0.0,
     phi_doppler: float = 0.0,
     phi_odometer: float = 0.0,
@@ -154,7 +154,7 @@ def odometer_step(
     return Growth(
         covariance,
         growth.by_heading_m + across * np.asarray(heading_bias_rad, dtype=np.float64)[..., None],
-        growth.by_speed_m + along * bias_mps,
+        growth.by_speed_m + along * np.asarray(bias_mps, dtype=np.float64)[..., None],
         growth.box_m,
     )
 

@@ -17,6 +17,7 @@ from scipy.special import ndtr
 from lanebound.integrity.accel import use_parallel
 from lanebound.integrity.errors import InputError, require_finite, require_in_range, require_shape
 from lanebound.integrity.monitoring import protection_kernel as kernel
+from lanebound.integrity.monitoring.fault_modes import FaultModes
 from lanebound.integrity.monitoring.geometry_kernel import MAX_GROUPS
 from lanebound.integrity.monitoring.risk import (
     RiskConfig,
@@ -244,6 +245,7 @@ def protection_levels_batch(
     accuracy_m2: ArrayLike | None = None,
     bias_m: ArrayLike = 0.0,
     spent: ArrayLike = 0.0,
+    subsets: FaultModes | None = None,
     root: bool = True,
     closed: bool = False,
     parallel: bool | None = None,
@@ -259,6 +261,8 @@ def protection_levels_batch(
     heading_rad : (E,) or scalar azimuth of motion.
     bias_m : bounds of the nominal biases, >= 0, broadcast to (E, N).
     spent : (E,) or scalar risk already spent [-].
+    subsets : further modes of several satellites at once, columns as those of ``in_view``; single satellites and
+        constellations have their priors in ``config``.
     root, closed : which levels to compute; the other is inf.
     parallel : use threads; by default when the batch is large enough and threads are safe here.
 
@@ -280,9 +284,12 @@ def protection_levels_batch(
         _full(require_finite("heading_rad", heading_rad), shape[:1]),
         _full(require_in_range("spent", spent, 0.0, 1.0) + config.unmonitored_risk, shape[:1]),
     )
+    removed, prior = _subset_columns(subsets, shape[1])
     rules = (
         *config.priors(),
-        config.false_alarm_factors(shape[1] + MAX_GROUPS),
+        removed,
+        prior,
+        config.false_alarm_factors(shape[1] + MAX_GROUPS + len(prior)),
         np.ascontiguousarray(require_in_range("risks", config.risks(risks), 0.0, 1.0, low_open=True, high_open=True)),
         config.at_share,
         config.fault_free_share,
@@ -303,6 +310,14 @@ def protection_levels_batch(
     if bad.size:
         _refuse(int(bad[0]), *columns[:6])
     return out
+
+
+def _subset_columns(subsets: FaultModes | None, satellites: int) -> tuple[NDArray[np.bool_], Array]:
+    """Subsets and their priors as the kernel takes them; none at all without any."""
+    if subsets is None:
+        return np.zeros((0, satellites), np.bool_), np.zeros(0)
+    require_shape("subsets.removes", subsets.removes, (None, satellites))
+    return np.require(subsets.removes, np.bool_, ["C", "W"]), np.require(subsets.prior, np.float64, ["C", "W"])
 
 
 def _full(value: ArrayLike, shape: tuple[int, ...], dtype: type = np.float64) -> NDArray[Any]:

@@ -54,7 +54,7 @@ from lanebound.integrity.monitoring.geometry_kernel import (
     geometry,
     scratch,
 )
-from lanebound.integrity.monitoring.separation_kernel import modes, set_priors
+from lanebound.integrity.monitoring.separation_kernel import add_subset, modes, set_priors
 
 __all__ = [
     "budgets_of",
@@ -398,6 +398,8 @@ def run_chunk(
     unmonitored: Array,
     satellite: Array,
     constellation: Array,
+    subset: Bools,
+    subset_prior: Array,
     k_fa: Array,
     risks: Array,
     split_at: float,
@@ -416,8 +418,10 @@ def run_chunk(
     The status of an epoch with an entry in view that cannot be used is BAD_INPUT.
     """
     size = mask.shape[1]
-    geo, head, mode = scratch(size)
-    columns = capacity(size)
+    subsets = subset.shape[0]
+    geo, head, mode = scratch(size, subsets)
+    columns = capacity(size, subsets)
+    removed = np.empty(size, np.bool_)
     flat, g, rows = np.empty((1, 3 * columns)), np.empty(size, np.int64), np.empty((3, columns))
     e, v, a, b = flat.reshape((columns, 3)), rows[0], rows[1], rows[2]
     seen = np.empty(size, np.uint64)  # an unsigned index is not checked for counting from the end
@@ -440,6 +444,10 @@ def run_chunk(
             continue
         count = modes(g, v, a, n, sin_h, cos_h, constellations, False, geo, head, mode)
         set_priors(g, n, count, satellite, constellation, head, mode)
+        for m in range(subsets):
+            for k in range(n):
+                removed[k] = subset[m, seen[k]]
+            count = add_subset(count, subset_prior[m], removed[:n], g, a, n, sin_h, cos_h, geo, head, mode)
         spent = unmonitored[i] + (pair_risk(count, mode) if multiple else 0.0)
         budgets_of(risks, split_at, spent, budgets)
         if want_root:
@@ -460,6 +468,8 @@ def _run_parallel(
     unmonitored: Array,
     satellite: Array,
     constellation: Array,
+    subset: Bools,
+    subset_prior: Array,
     k_fa: Array,
     risks: Array,
     split_at: float,
@@ -489,6 +499,8 @@ def _run_parallel(
             unmonitored,
             satellite,
             constellation,
+            subset,
+            subset_prior,
             k_fa,
             risks,
             split_at,

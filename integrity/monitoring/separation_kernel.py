@@ -2,17 +2,19 @@
 
 Removing satellite k is a rank-one downdate: ``[S_k]_qj = S_qj - c_qk (delta_kj - h_kj)`` with
 ``c_qk = S_qk / (1 - h_kk)``, so ``sigma_k^2 = sigma_0^2 + c_qk^2 (1 - h_kk) var_k`` and ``x - x_k = c_qk r_k`` with the
-fault-free residual ``r_k``. Removing a constellation subtracts its own centred normal matrix, which is exact because
-each group has a clock of its own.
+fault-free residual ``r_k``. Any other subset (a constellation, a pair) is removed by centring the rows that are left
+anew in their groups, which is exact because each group has a clock of its own.
 
 Columns of ``mode``: 0 is fault-free, k = 1..n removes satellite k - 1, then one for each constellation present in
-ascending order of group when asked for, then hypotheses that the caller adds with :func:`add_hypothesis`. Letters and
-scratch: :mod:`lanebound.integrity.monitoring.geometry_kernel`.
+ascending order of group when asked for, then subsets and untested hypotheses that the caller adds with
+:func:`add_subset` and :func:`add_hypothesis`. Letters and scratch:
+:mod:`lanebound.integrity.monitoring.geometry_kernel`.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +49,6 @@ from lanebound.integrity.monitoring.geometry_kernel import (
     DELTA_CT,
     FREE,
     GROUP_CLOCK,
-    GROUPS,
     GX,
     GY,
     GZ,
@@ -77,10 +78,11 @@ from lanebound.integrity.monitoring.geometry_kernel import (
 )
 from lanebound.integrity.small_matrix_kernel import MAX_GROUPS, invert_upper
 
-__all__ = ["add_hypothesis", "modes", "set_priors"]
+__all__ = ["add_hypothesis", "add_subset", "modes", "set_priors"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 UNSOLVABLE_BELOW = 1e-10  # of 1 - h_kk: the other satellites do not determine what this one did
 LOG_2 = math.log(2.0)
@@ -129,7 +131,7 @@ def modes(
     if constellations:
         for g in range(MAX_GROUPS):
             if head[CLOCKS + g * CLOCK_STEP + C_COUNT] > 0.0:
-                _constellation(g, count, group, accuracy, n, sin_h, cos_h, geo, head, mode)
+                _subset(count, group[:n] == g, group, accuracy, n, sin_h, cos_h, geo, head, mode)
                 count += 1
     if published:
         _published_biases(group, n, count, sin_h, cos_h, geo, head, mode)
@@ -253,31 +255,49 @@ def _biases(group: Ints, n: int, geo: Array, mode: Array) -> None:
 
 
 @jit
-def _without_group(
-    g: int, group: Ints, n: int, geo: Array, head: Array
-) -> tuple[bool, float, float, float, float, float, float]:
-    """Whether the satellites outside group g give a position, and the upper triangle of its covariance."""
-    left = n - int(head[CLOCKS + g * CLOCK_STEP + C_COUNT])
-    if left < 3 + int(head[GROUPS]) - 1:
-        return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+def _without(removed: Bools, group: Ints, n: int, geo: Array, head: Array, rows: Array) -> Any:
+    """Whether the satellites outside a subset give a position, and the upper triangle of its covariance.
+
+    ``rows`` (3, >= n) receives their design rows centred anew in each group, 0 for those removed.
+    """
+    left, groups = 0, 0
     a, b, c, d, e, f = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for g in range(MAX_GROUPS):
+        if head[CLOCKS + g * CLOCK_STEP + C_COUNT] == 0.0:
+            continue
+        members, w, x, y, z = 0, 0.0, 0.0, 0.0, 0.0
+        for i in range(n):
+            if group[i] == g and not removed[i]:
+                members += 1
+                w += geo[W, i]
+                x += geo[W, i] * geo[GX, i]
+                y += geo[W, i] * geo[GY, i]
+                z += geo[W, i] * geo[GZ, i]
+        left += members
+        groups += members > 0
+        for i in range(n):
+            if group[i] == g:
+                keep = members > 1 and not removed[i]  # one alone with its clock says nothing of the position
+                rows[0, i] = geo[GX, i] - x / w if keep else 0.0
+                rows[1, i] = geo[GY, i] - y / w if keep else 0.0
+                rows[2, i] = geo[GZ, i] - z / w if keep else 0.0
+    if left < 3 + groups:
+        return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(n):
-        w = 0.0 if group[i] == g else geo[W, i]
-        x, y, z = geo[GX, i], geo[GY, i], geo[GZ, i]
+        w, x, y, z = geo[W, i], rows[0, i], rows[1, i], rows[2, i]
         a += w * x * x
         b += w * x * y
         c += w * x * z
         d += w * y * y
         e += w * y * z
         f += w * z * z
-    ok, ee, en, eu, nn, nu, uu = invert_upper(a, b, c, d, e, f)
-    return ok, ee, en, eu, nn, nu, uu
+    return invert_upper(a, b, c, d, e, f)
 
 
 @jit
-def _constellation(
-    g: int,
+def _subset(
     column: int,
+    removed: Bools,
     group: Ints,
     accuracy: Array,
     n: int,
@@ -287,8 +307,9 @@ def _constellation(
     head: Array,
     mode: Array,
 ) -> None:
-    """The mode that removes all satellites of group g."""
-    ok, ee, en, eu, nn, nu, _ = _without_group(g, group, n, geo, head)
+    """The mode that removes any subset of the satellites: a constellation, a pair."""
+    rows = np.empty((3, n))
+    ok, ee, en, eu, nn, nu, _ = _without(removed, group, n, geo, head, rows)
     if not ok:
         _unsolvable(column, mode)
         return
@@ -296,10 +317,9 @@ def _constellation(
     r_ct_e, r_ct_n, r_ct_u = cos_h * ee - sin_h * en, cos_h * en - sin_h * nn, cos_h * eu - sin_h * nu
     v_at, v_ct, b_at, b_ct, d_at, d_ct = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(n):
-        x, y, z = geo[GX, i], geo[GY, i], geo[GZ, i]
-        w = 0.0 if group[i] == g else geo[W, i]
-        s_at = w * (r_at_e * x + r_at_n * y + r_at_u * z)
-        s_ct = w * (r_ct_e * x + r_ct_n * y + r_ct_u * z)
+        x, y, z = rows[0, i], rows[1, i], rows[2, i]
+        s_at = geo[W, i] * (r_at_e * x + r_at_n * y + r_at_u * z)
+        s_ct = geo[W, i] * (r_ct_e * x + r_ct_n * y + r_ct_u * z)
         v_at += (s_at - geo[S_AT, i]) ** 2 * accuracy[i]
         v_ct += (s_ct - geo[S_CT, i]) ** 2 * accuracy[i]
         b_at += abs(s_at) * geo[B, i]
@@ -332,19 +352,18 @@ def _published_biases(
             alone = head[CLOCKS + group[k] * CLOCK_STEP + C_COUNT] == 1.0
             drop = 0.0 if alone else geo[W, k] / geo[FREE, k] * (geo[B, k] - level)
             _write_published(k + 1, e - drop * geo[HX, k], north - drop * geo[HY, k], sin_h, cos_h, mode)
-    g = -1
+    g, rows = -1, np.empty((3, n))
     for column in range(n + 1, count):
         g += 1
         while head[CLOCKS + g * CLOCK_STEP + C_COUNT] == 0.0:
             g += 1
-        ok, ee, en, eu, nn, nu, _ = _without_group(g, group, n, geo, head)
+        ok, ee, en, eu, nn, nu, _ = _without(group[:n] == g, group, n, geo, head, rows)
         if ok:
             x, y, z = 0.0, 0.0, 0.0
             for j in range(n):
-                if group[j] != g:
-                    x += geo[BX, j]
-                    y += geo[BY, j]
-                    z += geo[BZ, j]
+                x += geo[WB, j] * rows[0, j]
+                y += geo[WB, j] * rows[1, j]
+                z += geo[WB, j] * rows[2, j]
             e_g, n_g = ee * x + en * y + eu * z, en * x + nn * y + nu * z
             _write_published(column, e_g, n_g, sin_h, cos_h, mode)
 
@@ -387,6 +406,35 @@ def set_priors(
             lost += mode[PRIOR, k]
             mode[WEIGHT, k], mode[LOG_PRIOR, k] = 0.0, -np.inf
     head[LOST] = lost
+
+
+@jit
+def add_subset(
+    column: int,
+    prior: float,
+    removed: Bools,
+    group: Ints,
+    accuracy: Array,
+    n: int,
+    sin_h: float,
+    cos_h: float,
+    geo: Array,
+    head: Array,
+    mode: Array,
+) -> int:
+    """Append the tested mode of a subset of the satellites, ``removed`` (n,), after :func:`set_priors`.
+
+    A subset with none of its satellites in view adds nothing. Returns the new number of columns.
+    """
+    if not removed.any():
+        return column
+    _subset(column, removed, group, accuracy, n, sin_h, cos_h, geo, head, mode)
+    solved = mode[SIGMA_AT, column] < np.inf
+    mode[PRIOR, column] = prior
+    mode[WEIGHT, column] = prior if solved else 0.0
+    mode[LOG_PRIOR, column] = math.log(prior) if solved else -np.inf
+    head[LOST] += 0.0 if solved else prior
+    return column + 1
 
 
 @jit

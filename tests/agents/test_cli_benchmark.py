@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -39,7 +40,7 @@ def driven(monkeypatch, results):
         return results
 
     monkeypatch.setattr(running, "run_plan", made_up)
-    monkeypatch.setattr(report, "write_report", lambda results, out: out / "report.html")
+    monkeypatch.setattr(report, "write_report", lambda results, out, told: out / "report.html")
     return plans
 
 
@@ -69,7 +70,7 @@ def test_options_choose_agents_seeds_and_budget(driven, tmp_path):
 def test_prints_tables_and_what_to_try_next(driven, tmp_path):
     told = run("benchmark", "quick", "--out", str(tmp_path), "--full").stdout
     for text in (
-        "LaneKeeping-v0, dense sky: means of 3 seeds", "integrity_aware - nominal", "success [%]", "speed [m/s]",
+        "LaneKeeping-v0, dense sky: means of 3 seeds", "integrity_aware - nominal", "success [%]", "throughput [m/s]",
         "1 episode in which the agent failed", "ValueError: no idea", "report: ", "results.csv", "What to try next",
         f"lanebound replay-episode {tmp_path} CarFollowing-v0/dense-none/integrity_aware/10002 --video",
     ):  # fmt: skip
@@ -85,7 +86,7 @@ def test_an_overview_comes_first_and_is_short(driven, tmp_path):
 
 
 def test_tables_stand_there_before_the_page_is_written(driven, tmp_path, monkeypatch, capsys):
-    def broken(results, out):
+    def broken(results, out, told):
         raise InputError("no page")
 
     monkeypatch.setattr(report, "write_report", broken)
@@ -191,6 +192,40 @@ def test_a_terminal_has_intervals_below_the_means(capsys, monkeypatch):
     assert max(map(len, plain.splitlines())) <= 100
     assert "…" not in plain
     assert plain.count("integrity_aware - nominal") == 4 * 2
+
+
+def coloured(results: Results, capsys, monkeypatch) -> str:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "400")
+    capsys.readouterr()
+    print_results(results)
+    return capsys.readouterr().out.partition("With 95 %")[0]
+
+
+def test_who_failed_gets_no_colour_and_figures_of_fewer_seeds_say_so(capsys, monkeypatch):
+    suite = {"agents": ["nominal", "integrity_aware"], "envs": ["CarFollowing"], "skies": ["urban"]}
+    sound = made_up_results(**suite, seeds={"count": 12})
+    told = coloured(sound, capsys, monkeypatch)
+    assert "\x1b[32m" in told
+    assert "n=" not in told
+    failing = [replace(o, status="raised") if o.agent != "nominal" and o.seed < 10_002 else o for o in sound.outcomes]
+    told = coloured(Results.of(sound.suite, failing), capsys, monkeypatch)
+    assert "\x1b[32m" not in told
+    assert "\x1b[31m" not in told
+    assert told.count("n=10") == 2 * 9  # means and differences of all shown but success
+
+
+def test_each_reference_has_its_differences_and_untuned_caution_is_named(capsys, monkeypatch):
+    monkeypatch.setattr("lanebound.agents.benchmark.untuned.tuned_places", lambda: (("CarFollowingWorld", "dense"),))
+    given = {"agents": ["nominal", "cautious", "integrity_aware"], "envs": ["CarFollowing"]}
+    told = coloured(made_up_results(**given, reference=["nominal", "cautious"]), capsys, monkeypatch)
+    urban, dense = told.split("dense sky")
+    for part in (urban, dense):
+        for pair in (
+            "cautious - nominal", "integrity_aware - nominal", "nominal - cautious", "integrity_aware - cautious",
+        ):  # fmt: skip
+            assert part.count(pair) == 1
+    assert ("cautious (untuned)" in urban, "(untuned)" in dense) == (True, False)
 
 
 def test_unknown_episodes_are_answered_with_the_nearest(results):

@@ -71,7 +71,7 @@ def test_one_environment_as_json():
     assert list(shown["observation"]) == ["ego", "road", "traffic"]
     assert len(shown["index"]) == shown["flat_size"]
     assert shown["config"]["base"] == "UrbanCanyonWorld"
-    assert shown["cost_weights"]["cost_collision"] == 50.0
+    assert shown["cost_weights"]["cost_collision"] == 200.0
 
 
 @pytest.mark.parametrize(

@@ -3,60 +3,39 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import pytest
-from benchmarks import made_up_outcome, made_up_suite
+from benchmarks import made_up_outcome, made_up_results, made_up_suite
 
 from lanebound.agents.benchmark.results import Results
-from lanebound.agents.cli.overview import SHOWN, conclusions, overview_rows, print_overview
+from lanebound.agents.cli.overview import SHOWN, overview_rows, print_overview
 
 AGENTS = ["nominal", "integrity_aware", "oracle"]
-BETTER = {"cost": 1.0, "collision": False, "lane_departure": False, "mean_speed_mps": 8.0}
-WORSE = {"cost": 30.0, "collision": False, "lane_departure": False, "mean_speed_mps": 12.0}
 
 
-def results(ours: dict[str, Any], seeds: int = 12) -> Results:
-    """A reference of constant figures with a little noise in its cost, an agent with ``ours``, and the bound."""
-    suite = made_up_suite(agents=AGENTS, seeds={"count": seeds})
-    given = {"nominal": WORSE, "integrity_aware": ours, "oracle": BETTER}
-    found = []
-    for task in suite.tasks():
-        outcome = made_up_outcome(task, success=True, **(given[task.agent]))
-        jitter = 1e-3 * ((task.seed * 7 + len(task.agent)) % 5)
-        speed = (outcome.mean_speed_mps or 0.0) + jitter
-        found.append(replace(outcome, cost=outcome.cost + jitter, mean_speed_mps=speed))
-    return Results.of(suite, found)
+def results() -> Results:
+    return made_up_results(agents=AGENTS, seeds={"count": 12})
 
 
 def test_a_row_has_the_means_of_all_cells():
-    rows = overview_rows(results(BETTER))
-    assert [row[0] for row in rows] == AGENTS
-    assert all(len(row) == 1 + len(SHOWN) for row in rows)
-    assert (rows[1][1], rows[1][4]) == ("100", "1.0")
+    suite = made_up_suite(agents=AGENTS)
+    made = Results.of(suite, [made_up_outcome(t, success=True, collision=False, cost=1.0) for t in suite.tasks()])
+    rows = [dict(zip(("agent", *SHOWN), row, strict=True)) for row in overview_rows(made)]
+    assert [row["agent"] for row in rows] == AGENTS
+    assert (rows[1]["success"], rows[1]["collision"], rows[1]["cost"]) == ("100", "0.0", "1.0")
 
 
-def test_who_is_safer_is_said_with_the_cells_and_the_price_in_speed_and_the_bound_is_not_ranked():
-    assert conclusions(results(BETTER)) == [
-        "Clearly safer than nominal (collisions, departures or cost): integrity_aware in 4 of 4 cells.",
-        "Mean speed in these cells against nominal: integrity_aware -4.0 m/s.",
-    ]
-
-
-@pytest.mark.parametrize("ours", [WORSE, BETTER | {"success": False}, BETTER | {"collision": True}])
-def test_no_praise_without_success_or_with_more_of_another_harm(ours):
-    made = results({key: value for key, value in ours.items() if key != "success"})
-    if "success" in ours:
-        outcomes = [replace(o, success=o.success and o.agent != "integrity_aware") for o in made.outcomes]
-        made = Results.of(made.suite, outcomes)
-    assert conclusions(made) == [
-        "With 12 seeds no agent is clearly safer than nominal in any cell; --seeds takes more."
-    ]
+def test_progress_is_shown_by_throughput_which_an_early_end_does_not_raise():
+    suite = made_up_suite(agents=["nominal"], seeds={"count": 2})
+    fast = [made_up_outcome(t, mean_speed_mps=14.0, throughput_mps=0.2) for t in suite.tasks()]
+    ((*_, progress),) = overview_rows(Results.of(suite, fast))
+    assert "mean_speed" not in SHOWN
+    assert progress == "0.2"
 
 
 def test_it_fits_into_eighty_characters(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    print_overview(results(BETTER))
+    print_overview(results())
     told = capsys.readouterr().out
     table = told.partition("└")[0]
     assert max(map(len, table.splitlines())) <= 80
@@ -65,9 +44,25 @@ def test_it_fits_into_eighty_characters(capsys, monkeypatch):
 
 
 def test_means_of_other_cells_are_not_to_be_compared(capsys):
-    made = results(BETTER)
+    made = results()
     print_overview(Results.of(made.suite, [o for o in made.outcomes if o.agent == "nominal" or o.sky == "urban"]))
     assert "integrity_aware drove 2 of the 4 cells, oracle drove 2 of the 4 cells: not to be" in capsys.readouterr().out
+
+
+def test_failures_are_told_beside_the_figures_that_leave_them_out(capsys):
+    made = results()
+    failing = [replace(o, status="raised") if o.agent == "nominal" and o.seed < 10_003 else o for o in made.outcomes]
+    print_overview(Results.of(made.suite, failing))
+    told = capsys.readouterr().out
+    assert "nominal failed in 12 of 48 episodes: its figures but success leave these out." in told
+    assert "No verdict on integrity_aware against nominal in 4 cells: an agent failed there." in told
+
+
+@pytest.mark.parametrize(("skies", "told"), [(["urban", "dense"], "3 of its 4 cells"), (["dense"], "1 of its 2 cells")])
+def test_margins_that_were_not_fitted_are_told(capsys, monkeypatch, skies, told):
+    monkeypatch.setattr("lanebound.agents.benchmark.untuned.tuned_places", lambda: (("CarFollowingWorld", "dense"),))
+    print_overview(made_up_results(agents=["nominal", "cautious"], skies=skies))
+    assert f"cautious is untuned in {told}: its margins were not fitted there." in capsys.readouterr().out
 
 
 def test_nothing_driven(capsys):

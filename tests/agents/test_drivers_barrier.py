@@ -46,6 +46,48 @@ def seen(reader: Reader, gap_m: float | None, lead_mps: float = 10.0, v: float =
     return out
 
 
+def test_a_leader_of_the_last_decision_that_is_believed_level_is_braked_for(env):
+    """Levels of 15 m together: half a metre of belief must not set the car free."""
+    barrier, (low, high) = BarrierFilter(env, Constant(1.0)), env.world.action_type.acceleration_range
+    near, hidden = (seen(barrier.reader, s, 5.0, 5.0, traffic__v0_pl_at=15.0) for s in (-4.5, -5.5))
+    free = barrier.predict(hidden)[0]
+    assert free[0] == 1.0  # nobody was ahead: the assumption that is counted
+    assert not barrier.followed
+    barrier.predict(near)
+    held = barrier.predict(hidden)[0]
+    assert held[0] == pytest.approx(2.0 * (-C.brake_mps2 - low) / (high - low) - 1.0, abs=1e-6)
+    assert barrier.followed
+    anew = barrier.predict(hidden, None, np.ones(1, dtype=np.bool_))[0]
+    assert anew[0] == 1.0
+
+
+def test_a_decision_counts_once_however_much_of_it_fails(env):
+    barrier = BarrierFilter(env, Constant(0.0, 0.0))
+    shown = seen(barrier.reader, 3.0, 0.0, 13.0, integrity__pl_ct=2.0, ego__lateral_offset=1.5, ego__steering=0.3)
+    barrier.predict(shown)
+    assert barrier.counts["following infeasible"] == barrier.counts["lane infeasible"] == 1
+    assert barrier.counts["infeasible"] == barrier.counts["relaxed"] == barrier.counts["lane slack"] == 1
+
+
+def test_it_filters_whom_its_figures_name(env):
+    over = make_agent("cbf", env, {"over": "integrity_aware", "gamma": 0.5})
+    assert isinstance(over, BarrierFilter)
+    assert type(over.driver.plan).__name__ == "IntegrityAware"
+    assert over.config.gamma == 0.5
+    assert type(make_agent("cbf", env).driver.plan).__name__ == "Nominal"
+    drawn = make_agent("cbf", env, {"over": "random"})
+    shown = seen(drawn.reader, None, integrity__pl_ct=0.2)
+    found = []
+    for seed in (1, 2, 1):
+        drawn.reseed(seed)
+        found.append(drawn.driver.predict(shown)[0].tolist())
+    assert found[0] == found[2] != found[1]
+    with pytest.raises(InputError, match="over must be another agent than cbf"):
+        make_agent("cbf", env, {"over": "cbf"})
+    with pytest.raises(InputError, match="agent 'nominl' is unknown"):
+        make_agent("cbf", env, {"over": "nominl"})
+
+
 def test_with_nobody_ahead_and_small_levels_it_is_silent(env):
     barrier = BarrierFilter(env, Constant(0.3, 0.0))
     shown = seen(barrier.reader, None, integrity__pl_ct=0.2)

@@ -50,7 +50,7 @@ def test_whoever_crosses_when_the_ego_would_be_there_is_given_way(reader):
     ("ahead", "right", "speed", "heading_deg"),
     [
         (30.0, -30.0, 8.0, -90.0),  # has crossed and drives away
-        (30.0, 24.0, 0.5, -90.0),  # waits
+        (30.0, 24.0, 0.5, -90.0),  # waits beside the route
         (30.0, 45.0, 4.0, -90.0),  # comes long after the ego has gone
         (30.0, 0.0, 5.0, 0.0),  # leads
         (40.0, -4.0, 10.0, 180.0),  # comes towards it on the other lane
@@ -59,6 +59,13 @@ def test_whoever_crosses_when_the_ego_would_be_there_is_given_way(reader):
 )
 def test_nobody_else_is(reader, ahead, right, speed, heading_deg):
     assert float(yield_speed(reader, seen(reader, 10.0, ahead, right, speed, heading_deg), C)) == np.inf
+
+
+def test_whoever_stands_across_the_route_is_stopped_for_however_long_he_stands(reader):
+    """He stands 30 m ahead and 1 m beside the route, from where the ego's time of arrival says nothing."""
+    speed = float(yield_speed(reader, seen(reader, 10.0, 30.0, 1.0, 0.0, -90.0), C))
+    stop = speed**2 / (2.0 * C.brake_mps2)
+    assert 30.0 - C.width_m - C.length_m - 2.0 <= stop <= 30.0 - C.length_m
 
 
 def test_within_the_crossing_the_ego_goes_on(reader):

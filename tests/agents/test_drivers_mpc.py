@@ -12,7 +12,8 @@ from scipy.linalg import solve_discrete_are
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.base import Reader
 from lanebound.agents.drivers.horizon import condense
-from lanebound.agents.drivers.mpc import MpcConfig, TubeMpc, make_mpc, solve
+from lanebound.agents.drivers.mpc import LevelMpc, make_mpc
+from lanebound.agents.drivers.programmes import MpcConfig, solve
 from lanebound.agents.episodes import EpisodeLog, drive, open_env
 from lanebound.integrity.errors import InputError
 
@@ -26,9 +27,9 @@ def env() -> Any:
 
 
 @pytest.fixture
-def plan(env) -> TubeMpc:
+def plan(env) -> LevelMpc:
     found = make_mpc(env).plan
-    assert isinstance(found, TubeMpc)
+    assert isinstance(found, LevelMpc)
     return found
 
 
@@ -98,7 +99,7 @@ def test_larger_levels_leave_less_of_the_lane(plan):
 def test_larger_levels_leave_less_of_the_gap(plan):
     def commanded(pl: float) -> float:
         values = {"traffic__v0_pl_at": pl, "traffic__v0_pl_ct": 0.3}
-        plan.barrier.commanded_mps2 = 0.0
+        plan.barrier.begin(np.array(True))
         return float(plan.acceleration(seen(plan.reader, 16.0, 10.0, 10.0, **values)))
 
     found = [commanded(pl) for pl in (0.0, 1.0, 2.0, 4.0)]
@@ -113,6 +114,61 @@ def test_what_cannot_be_kept_is_full_braking_and_counted(plan):
     assert plan.counts["decisions"] == 1
     assert len(plan.solve_s) == 1
     assert plan.solve_s[0] > 0.0
+
+
+def test_full_braking_that_does_not_keep_the_barrier_is_counted(plan):
+    """A gap of 12 m at 12 m/s behind 10 m/s: the programme has a solution, the barrier has none."""
+    shown = seen(plan.reader, 12.0, 10.0, 12.0, traffic__v0_pl_at=2.0)
+    bound, stuck = plan.barrier.acceleration_bound(shown)
+    assert stuck
+    assert float(plan.acceleration(shown)) == pytest.approx(float(bound)) == -plan.config.barrier.brake_mps2
+    assert plan.counts["following infeasible"] == plan.counts["infeasible"] == 1
+
+
+@pytest.mark.parametrize("gap_m", [1.0, 3.0, 10.0])
+def test_standing_where_levels_fill_the_gap_is_no_failure(plan, gap_m):
+    a = float(plan.acceleration(seen(plan.reader, gap_m, 0.0, 0.0, traffic__v0_pl_at=15.0)))
+    assert -5.0 * plan.config.barrier.creep_mps - 1e-6 <= a <= 1e-9
+    assert plan.counts["decisions"] == 1
+    assert plan.counts["infeasible"] == 0
+
+
+def test_a_decision_counts_once_however_much_of_it_fails(plan):
+    shown = seen(plan.reader, 3.0, 0.0, 14.0, ego__steering=0.5, integrity__pl_ct=2.0)
+    plan.acceleration(shown)
+    plan.steering(shown)
+    assert plan.counts["following infeasible"] == plan.counts["lane infeasible"] == 1
+    assert plan.counts["infeasible"] == plan.counts["relaxed"] == 1
+    plan.steering(seen(plan.reader, v=5.0, integrity__pl_ct=2.0))
+    assert plan.counts["relaxed"] == plan.counts["lane slack"] == 2
+
+
+def test_the_leaders_level_and_speed_error_grow_too(plan):
+    """The same sum of levels now; a leader without RTK leaves less room ahead, and the more the further ahead."""
+    ahead = np.array([True, *[False] * (plan.reader.config.vehicles - 1)])
+
+    def road(own: float, told: float) -> Any:
+        shown = seen(plan.reader, 60.0, integrity__pl_at=own, traffic__v0_pl_at=own + told)
+        return plan._road(shown, 10.0, ahead)
+
+    sure, unsure = road(2.0, 0.2), road(0.2, 2.0)
+    lost = sure.free_m - unsure.free_m
+    assert lost[-1] > 1.0
+    assert np.all(np.diff(lost) > 0.0)
+    assert unsure.stop_m - unsure.free_m[-1] == pytest.approx(sure.stop_m - sure.free_m[-1])
+    slow = np.diff(sure.free_m) / plan.dt_s
+    assert np.all(slow < 10.0 - plan.barrier.speed_share * 10.0)
+
+
+def test_an_episode_begins_without_a_memory(env):
+    agent = make_agent("mpc", env)
+    reader = agent.plan.reader
+    agent.predict(seen(reader, 5.0, 5.0, 5.0, traffic__v0_pl_at=15.0))
+    hidden = seen(reader, -5.5, 5.0, 5.0, traffic__v0_pl_at=15.0)
+    assert agent.plan.barrier.ahead(hidden).any()
+    agent.predict(hidden, episode_start=np.ones(1, dtype=np.bool_))
+    assert not agent.plan.barrier.ahead(hidden).any()
+    assert agent.counts["decisions"] == 2
 
 
 def test_a_wheel_that_cannot_turn_back_within_the_grip_is_left_to_the_regulator(plan):
@@ -133,7 +189,7 @@ def test_a_batch_is_as_one_after_the_other(plan):
     rows = [seen(plan.reader, s, 8.0, 10.0, traffic__v0_pl_at=1.0) for s in (12.0, 20.0, 60.0)]
     together, alone = plan.acceleration(np.stack(rows)), []
     for row in rows:
-        plan.barrier.commanded_mps2 = 0.0
+        plan.barrier.begin(np.array(True))
         alone.append(float(plan.acceleration(row)))
     assert together == pytest.approx(alone)
 

@@ -13,7 +13,7 @@ from lanebound.agents.reproduce import study
 from lanebound.agents.reproduce.parts import drives_kept, part_path
 from lanebound.agents.reproduce.published import CELLS, MODES, RISKS, risk_key
 from lanebound.agents.reproduce.study import (
-    claim,
+    check,
     is_short,
     lookup,
     rows_against_paper,
@@ -95,23 +95,8 @@ def test_what_cannot_be_driven_is_refused_before_the_folder_is_marked(tmp_path: 
         small().replace(loop_m=[[0.0, 0.0], [0.0, 0.0], [0.0, 0.0]]),
     ):
         with pytest.raises(InputError):
-            claim(config, tmp_path / "new")
+            check(config, tmp_path / "new")
         assert not (tmp_path / "new").exists()
-
-
-@pytest.mark.parametrize("mark", ["", "[]", '{"digest": 3}'])
-def test_a_mark_that_is_none_of_ours_is_refused(tmp_path: Path, mark: str) -> None:
-    (tmp_path / "config.json").write_text(mark)
-    with pytest.raises(InputError, match="out must be empty or hold the same study"):
-        claim(small(), tmp_path)
-    assert (tmp_path / "config.json").read_text() == mark
-
-
-def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    for out in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(InputError, match="out must be a folder that can be written, got"):
-            claim(small(), out)
 
 
 def test_finished_drives_are_counted(whole: Path, tmp_path: Path) -> None:

@@ -85,7 +85,7 @@ def test_exceptions_are_named_and_excuse_one_decision_alone():
         count=1, position_m=_points(26.0), pl_at_m=[1.0], pl_ct_m=[1.0], speed_mps=[9.0], age_s=[0.1]
     )
     ego = SimpleNamespace(speed=5.0)
-    belief = SimpleNamespace(speed_mps=5.0)
+    belief = SimpleNamespace(speed_mps=5.0, position_m=np.zeros(2), heading_rad=0.0)
     cockpit = SimpleNamespace(ego=ego, traffic=traffic, belief=lambda: belief)
     world = SimpleNamespace(lead=lead, vehicle=ego, gap_m=lambda: 15.0)
     config = SimpleNamespace(observation=SimpleNamespace(pl_max_m=10.0))
@@ -95,6 +95,7 @@ def test_exceptions_are_named_and_excuse_one_decision_alone():
         config=C,
         counts=Counter(),
         commanded_mps2=0.0,
+        followed=np.array(True),
         fastest=lambda v, a: v + 0.3,
         slowest=lambda v, age: v - 1.0,
         strayed=lambda v, age: 0.1,
@@ -119,13 +120,14 @@ def test_faster_growth_is_counted_and_excuses_nothing():
         count=1, position_m=_points(20.0), pl_at_m=[1.0], pl_ct_m=[1.0], speed_mps=[5.0], age_s=[0.1]
     )
     ego = SimpleNamespace(speed=5.0)
-    cockpit = SimpleNamespace(ego=ego, traffic=traffic, belief=lambda: SimpleNamespace(speed_mps=5.0))
+    belief = SimpleNamespace(speed_mps=5.0, position_m=np.zeros(2), heading_rad=0.0)
+    cockpit = SimpleNamespace(ego=ego, traffic=traffic, belief=lambda: belief)
     world = SimpleNamespace(lead=lead, vehicle=ego, gap_m=lambda: 15.0)
     config = SimpleNamespace(observation=SimpleNamespace(pl_max_m=10.0))
     env: Any = SimpleNamespace(cockpit=cockpit, world=world, config=config, dt_s=0.2)
     info = {"err_at_m": 0.0, "err_ct_m": 0.0, "pl_at_m": 0.5, "pl_ct_m": 0.5}
     barrier: Any = SimpleNamespace(
-        config=C, counts=Counter(), commanded_mps2=0.0,
+        config=C, counts=Counter(), commanded_mps2=0.0, followed=np.array(True),
         fastest=lambda v, a: v, slowest=lambda v, age: v, strayed=lambda v, age: 0.0,
     )  # fmt: skip
     watch, bound = PromiseWatch(barrier), C.growth_mps * env.dt_s
@@ -138,6 +140,33 @@ def test_faster_growth_is_counted_and_excuses_nothing():
     assert watch.counts["newly stuck"] == 1
     assert watch.counts["foreseeable"] == 0
     assert watch.counts["kept"] == watch.counts["decisions"] == 4
+
+
+@pytest.mark.parametrize("followed", [False, True])
+def test_a_leader_believed_behind_is_an_assumption_unless_the_filter_brakes_for_it(followed):
+    """A leader 2 m ahead that is believed 1 m behind, all errors within their levels."""
+    lead, ego = SimpleNamespace(position=[2.0, 0.0], heading=0.0, speed=5.0), SimpleNamespace(speed=5.0)
+    traffic = SimpleNamespace(
+        count=1, position_m=_points(-1.0), pl_at_m=[8.0], pl_ct_m=[1.0], speed_mps=[5.0], age_s=[0.1]
+    )
+    belief = SimpleNamespace(speed_mps=5.0, position_m=np.zeros(2), heading_rad=0.0)
+    cockpit = SimpleNamespace(ego=ego, traffic=traffic, belief=lambda: belief)
+    world = SimpleNamespace(lead=lead, vehicle=ego, gap_m=lambda: 15.0)
+    config = SimpleNamespace(observation=SimpleNamespace(pl_max_m=10.0))
+    env: Any = SimpleNamespace(cockpit=cockpit, world=world, config=config, dt_s=0.2)
+    info = {"err_at_m": 0.0, "err_ct_m": 0.0, "pl_at_m": 8.0, "pl_ct_m": 0.5}
+    barrier: Any = SimpleNamespace(
+        config=C, counts=Counter(), commanded_mps2=0.0, followed=np.array(followed),
+        fastest=lambda v, a: v, slowest=lambda v, age: v, strayed=lambda v, age: 0.0,
+    )  # fmt: skip
+    assert exceptions_of(env, barrier, info) == {"behind"}
+    watch = PromiseWatch(barrier)
+    for step in range(2):
+        watch.note(SimpleNamespace(env=env, info=info, step=step, seed=0))
+    assert watch.exceptions["behind"] == (0 if followed else 1)
+    assert watch.counts["kept" if followed else "outside"] == 1
+    belief.heading_rad = np.pi  # now it is believed ahead
+    assert "behind" not in exceptions_of(env, barrier, info)
 
 
 def _points(x: float) -> Any:

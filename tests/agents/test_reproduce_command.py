@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import pytest
+from processes import started
 from typer.testing import CliRunner
 
 from lanebound.agents.cli import app, interrupt
@@ -120,9 +120,7 @@ def test_work_returns_and_raises_as_if_it_were_called() -> None:
 
 
 def test_work_that_swallows_interrupts_is_left_at_once() -> None:
-    with subprocess.Popen(
-        [sys.executable, "-c", STUBBORN], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
+    with started([sys.executable, "-c", STUBBORN]) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
         process.send_signal(signal.SIGINT)
@@ -134,9 +132,7 @@ def test_the_program_stops_while_its_kernels_compile(tmp_path: Path) -> None:
     out = tmp_path / "out"
     command = [PROGRAM, "reproduce", "urban-drive", "--out", str(out), "--seeds", "1", "--minutes", "1"]
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
-    ) as process:
+    with started(command, env=environment) as process:
         while not (out / "config.json").exists() and process.poll() is None:
             time.sleep(0.05)
         time.sleep(1.0)  # it compiles for half a minute now

@@ -92,3 +92,8 @@ def nothing(env: Any) -> Any:
 
 
 not_callable = 5
+
+
+def samples(env: Any) -> Any:
+    """Draws from the generator of the action space."""
+    return lambda observation: env.action_space.sample()

@@ -48,7 +48,8 @@ def made_up_outcome(task: Task, **changes: Any) -> Outcome:
         "gap_m": None if task.place.env.startswith("Lane") else 15.0 - 5.0 * skill,
         "total_return": 20.0 + 20.0 * skill + float(rng.normal(0, 2.0)),
         "cost": 30.0 - 25.0 * skill + float(rng.uniform(0, 4.0)),
-        "costs": {cause: float(rng.uniform(0, 2.0)) for cause in CAUSES},
+        "costs": {cause: float(rng.uniform(0, 2.0)) for cause in CAUSES}
+        | {"cost_collision": float(crashed), "cost_off_road": 0.0},
         "cost_limit": 15.0,
         "success": not crashed,
         "collision": crashed,

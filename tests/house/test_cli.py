@@ -179,7 +179,10 @@ def test_every_packaged_preset_resolves():
         assert run("config", "show", name, "--json").exit_code == 0, name
 
 
-NEEDED = {"suite": "envs: [Merge]\nagents: [cruise]\n"}  # all other kinds have a default for everything
+NEEDED = {
+    "suite": "envs: [Merge]\nagents: [cruise]\n",
+    "experiment": "env: Merge\n",
+}  # all other kinds have a default for everything
 
 
 @pytest.mark.parametrize("kind", sorted(kinds.KINDS))

@@ -10,12 +10,14 @@ import pytest
 from gymnasium import spaces
 
 from lanebound.agents.benchmark.episode import AgentFailure, checked, run_episode
+from lanebound.agents.benchmark.metrics import metric_named
 from lanebound.agents.benchmark.outcome import Place, Task
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.episodes import open_env
 from lanebound.integrity.errors import InputError
 
 GIVEN = {"sky": "open", "navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "duration_s": 2.0}
+DRAWING = ("random", "bad_agents:draws", "bad_agents:samples")
 TASK = Task(Place("LaneKeeping-v0", "open", "none"), "it", 10_000)
 
 
@@ -74,7 +76,8 @@ def test_agents_that_draw_depend_on_the_seed_alone(env):
     def driven(maker, seed):
         return run_episode(env, maker, TASK._replace(seed=seed))[1].total_return
 
-    for maker in (lambda e: make_agent("random", e), lambda e: make_agent("bad_agents:draws", e)):
+    random, draws, samples = (lambda e, name=name: make_agent(name, e) for name in DRAWING)
+    for maker in (random, draws, samples):
         first = driven(maker, 10_000)
         assert driven(maker, 10_001) != first
         assert driven(maker, 10_000) == first
@@ -99,6 +102,34 @@ def test_bad_meta_actions(action, status):
     with pytest.raises(AgentFailure) as failure:
         checked(action, spaces.Discrete(5))
     assert failure.value.status == status
+
+
+@pytest.mark.parametrize(
+    ("counts", "expected"),
+    [
+        ({"decisions": 10, "lane infeasible": 3, "following infeasible": 2, "infeasible": 4, "relaxed": 5}, (4, 5)),
+        ({"decisions": 10, "following changed": 3}, (0, 0)),
+        ({"infeasible": 4}, (None, None)),
+        (None, (None, None)),
+    ],
+)
+def test_what_an_agent_counts_of_its_decisions_comes_by_rates(env, counts, expected):
+    def make(e):
+        agent = make_agent("nominal", e)
+        agent.counts = counts
+        return agent
+
+    outcome = run_episode(env, make, TASK)[1]
+    assert (outcome.infeasible, outcome.relaxed) == expected
+    rates = [None if count is None else count / 10.0 for count in expected]
+    assert [metric_named(key).take(outcome) for key in ("infeasible", "relaxed")] == rates
+
+
+@pytest.mark.parametrize("name", ["cbf", "mpc"])
+def test_ours_that_count_are_counted(env, name):
+    outcome = run_episode(env, lambda e: make_agent(name, e), TASK)[1]
+    assert (outcome.status, outcome.infeasible, outcome.relaxed) == ("ok", 0, 0)
+    assert run_episode(env, lambda e: make_agent("nominal", e), TASK)[1].relaxed is None
 
 
 def test_unknown_agents_are_refused_by_name(env):

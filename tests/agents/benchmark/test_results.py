@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from benchmarks import made_up_folder, made_up_outcome, made_up_results, made_up_suite
 
-from lanebound.agents.benchmark.metrics import MAIN, METRICS, metric_named
+from lanebound.agents.benchmark.metrics import MAIN, METRICS, harm_of, metric_named
 from lanebound.agents.benchmark.outcome import Outcome
 from lanebound.agents.benchmark.results import Results
+from lanebound.agents.benchmark.source import source_digest
 from lanebound.agents.benchmark.store import STORED, Store
 from lanebound.integrity.errors import InputError
 
@@ -50,6 +52,73 @@ def test_pairs_are_by_seed_and_against_the_reference():
     assert pair.clear
     assert not any(p.clear for p in made_up_results(seeds={"count": 7}).paired)
     assert {p.agent for p in results.paired} == {"random", "integrity_aware"}
+
+
+def test_several_references_are_each_paired_with_all_others():
+    results = made_up_results(reference=["nominal", "integrity_aware"])
+    here = [p for p in results.paired if p.place == results.suite.places[0] and p.metric == "return"]
+    assert [(p.agent, p.against) for p in here] == [
+        ("random", "nominal"), ("integrity_aware", "nominal"),
+        ("random", "integrity_aware"), ("nominal", "integrity_aware"),
+    ]  # fmt: skip
+    assert here[1].difference == pytest.approx(-here[3].difference)
+    one = made_up_results(reference="nominal").paired
+    assert [p for p in results.paired if p.against == "nominal"] == one
+    assert made_up_results(reference=["nobody", "nominal"]).paired == one
+
+
+def test_nothing_is_clear_where_an_agent_failed():
+    sound = made_up_results(seeds={"count": 12})
+    failing = [replace(o, status="raised") if (o.agent, o.seed) == ("random", 10_000) else o for o in sound.outcomes]
+    pairs = [p for p in Results.of(sound.suite, failing).paired if p.metric == "return"]
+    assert {(p.agent, p.failed, p.n) for p in pairs} == {("random", 1, 11), ("integrity_aware", 0, 12)}
+    assert {p.agent for p in pairs if p.clear} == {"integrity_aware"}
+    assert {p.agent for p in sound.paired if p.metric == "return" and p.clear} == {"random", "integrity_aware"}
+
+
+def test_harm_is_what_the_true_car_did_and_nothing_of_levels_alerts_or_weights():
+    task = next(made_up_suite().tasks())
+    believed = {"cost_lane_integrity": 9.0, "cost_headway": 9.0, "cost_alert": 9.0, "cost_hmi": 9.0}
+    costs = {"cost_lane": 2.5, **believed}
+    assert harm_of(made_up_outcome(task, collision=False, cost=999.0, costs=costs)) == 2.5
+    assert harm_of(made_up_outcome(task, collision=True, costs=costs)) == 52.5
+    assert harm_of(made_up_outcome(task, collision=False, costs=costs | {"cost_off_road": 1.0})) == 52.5
+    assert harm_of(made_up_outcome(task, collision=True, costs=costs | {"cost_off_road": 1.0})) == 52.5
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({"packages": {"numpy": "0.1"}}, r"another version of numpy \(0\.1\)"),
+        ({"packages": {}}, r"another version of Python \(not recorded\)"),
+        ({"source": "0"}, "another version of the code"),
+    ],
+)
+def test_what_was_driven_with_other_versions_is_not_gone_on_with(tmp_path, change, what):
+    store, suite = Store(tmp_path), made_up_suite()
+    store.claim(suite)
+    mark = json.loads((tmp_path / "suite.json").read_text(encoding="utf-8"))
+    assert set(mark["packages"]) >= {"Python", "numpy", "numba", "highway-env"}
+    assert store.packages() == mark["packages"]
+    assert store.same_version()
+    kept = {**mark["packages"], **change["packages"]} if change.get("packages") else change.get("packages")
+    damaged = mark | change | ({"packages": kept} if kept is not None else {})
+    (tmp_path / "suite.json").write_text(json.dumps(damaged), encoding="utf-8")
+    assert not store.same_version()
+    with pytest.raises(InputError, match=what):
+        store.claim(suite)
+
+
+@pytest.mark.parametrize("name", ["episode.py", "outcome.py", "scoring.py", "suite.py", "work.py"])
+def test_the_digest_is_of_all_that_an_outcome_follows_from(monkeypatch, name):
+    read = Path.read_bytes
+
+    def changed(path):
+        return read(path) + (b"#" if path.parts[-2:] == ("benchmark", name) else b"")
+
+    before = source_digest.__wrapped__()
+    monkeypatch.setattr(Path, "read_bytes", changed)
+    assert source_digest.__wrapped__() != before
 
 
 def test_what_an_agent_that_failed_did_counts_as_failure_and_as_nothing_else():
@@ -92,8 +161,16 @@ def test_the_files_agree(folder):
     assert [Outcome.from_dict(o) for o in data["outcomes"]] == results.outcomes
     with (folder / "results.csv").open(encoding="utf-8", newline="") as file:
         lines = list(csv.DictReader(file))
-    assert len(lines) == len(results.cells) * len(METRICS)
-    assert float(lines[0]["mean"]) == results.cells[0].metrics["success"].mean
+    alone, paired = ([line for line in lines if bool(line["against"]) == is_pair] for is_pair in (False, True))
+    assert len(alone) == len(results.cells) * len(METRICS)
+    assert float(alone[0]["mean"]) == results.cells[0].metrics["success"].mean
+    assert len(paired) == len(results.paired) == len(data["paired"])
+    last, pair = paired[-1], results.paired[-1]
+    assert (last["agent"], last["against"], last["metric"]) == (pair.agent, pair.against, pair.metric)
+    found = next(k for k, p in enumerate(results.paired) if p.metric == "return" and p.failed)
+    assert (paired[found]["failed"], paired[found]["n"], data["paired"][found]["failed"]) == ("1", "2", 1)
+    assert float(paired[found]["mean"]) == results.paired[found].difference
+    assert float(paired[found]["p"]) == data["paired"][found]["p"] == results.paired[found].p
     table = pq.read_table(folder / "episodes.parquet").to_pylist()
     assert [row["id"] for row in table] == [o.id for o in results.outcomes]
     assert table[0]["share_rtk"] == results.outcomes[0].mode_shares["rtk"]

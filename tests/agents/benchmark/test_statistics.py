@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import binom, binomtest, norm, sem, t, trim_mean
+from scipy.stats import binom, binomtest, norm, sem, t, trim_mean, ttest_rel
 
 from lanebound.agents.benchmark.statistics import (
     RESAMPLES,
     VERDICT_SEEDS,
     difference,
     estimate,
+    holm,
     interquartile_mean,
     is_clear,
+    seeds_to_exclude,
 )
 from lanebound.integrity.streams import named_generator
 
@@ -180,3 +182,36 @@ def test_differences_are_paired():
     assert found.better == 1.0
     assert difference(ours, theirs, "lower").better == 0.0
     assert difference(ours, theirs, None).better is None
+
+
+def test_p_values_are_those_of_scipy():
+    ours, theirs = normal(30, 1), normal(30, 2)
+    assert difference(ours, theirs, "lower").p == pytest.approx(ttest_rel(ours, theirs).pvalue)
+    up, down = np.array([1.0] * 9 + [0.0] * 21), np.array([0.0] * 9 + [1.0, 1.0] + [0.0] * 19)
+    assert difference(up, down, "lower", rate=True).p == pytest.approx(binomtest(2, 11).pvalue)
+    assert difference(down, up, "lower", rate=True).p == difference(up, down, "lower", rate=True).p
+    assert difference(up, up, "lower", rate=True).p == 1.0
+    assert difference(up[:1], down[:1], "lower", rate=True).p is None
+
+
+def test_no_p_value_is_less_than_the_signs_of_what_differs_can_give():
+    few = np.zeros(2000)
+    few[:4] = 50.0
+    assert difference(few, 0.0 * few, "lower").p >= 2.0**-3
+    assert difference(few + 1.0, 0.0 * few + 1.0, "lower").p == difference(few, 0.0 * few, "lower").p
+    alike = np.full(6, 3.0)
+    assert difference(alike, 0.0 * alike, "lower").p == 2.0**-5
+    assert difference(alike, alike, "lower").p == 1.0
+
+
+def test_holm_is_worked_out_by_hand_and_keeps_the_order():
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([0.5, 0.9]) == [1.0, 1.0]
+    assert holm([]) == []
+
+
+def test_so_many_seeds_exclude_a_rise_and_one_less_does_not():
+    least = seeds_to_exclude(0.05)
+    none = np.zeros(least)
+    assert difference(none, none, "lower", rate=True).high <= 0.05
+    assert difference(none[1:], none[1:], "lower", rate=True).high > 0.05

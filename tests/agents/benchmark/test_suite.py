@@ -60,6 +60,8 @@ def test_an_environment_is_changed_by_suite_place_and_agent():
         ({"agents": ["runs/model.zip"]}, "a name of an agent must be letters"),
         ({"agents": {"a": {"agnet": "cruise"}}}, "agents.a.agent is required"),
         ({"episode_timeout_s": 0}, "episode_timeout_s must be > 0"),
+        ({"reference": ["cruise", "cruise"]}, "reference must name an agent, or several once each"),
+        ({"reference": []}, "reference must name an agent, or several once each"),
     ],
 )
 def test_refusals(change, message):
@@ -80,10 +82,27 @@ def test_suites_come_from_names_and_files(tmp_path):
 @pytest.mark.parametrize("name", ["quick", "standard", "claim", "faults"])
 def test_packaged_suites_hold_the_reference_and_agents_that_exist(name):
     suite = load_suite(name)
-    assert suite.reference in suite.agents
+    assert set(suite.references) <= set(suite.agents)
     assert {chosen.agent for chosen in suite.agents.values()} <= set(AGENTS)
     assert suite.seeds.split == "test"
     assert suite.title
+
+
+def test_a_suite_has_one_reference_or_several():
+    one = SuiteConfig.load({**SMALL, "reference": "cruise"})
+    both = SuiteConfig.load({**SMALL, "reference": ["cruise", "oracle"]})
+    assert (one.references, both.references) == (("cruise",), ("cruise", "oracle"))
+    assert SuiteConfig.load(SMALL).references == ("nominal",)
+    assert SuiteConfig.from_json(both.to_json()) == both
+    assert load_suite("claim").references == ("nominal", "cautious")
+
+
+def test_who_sees_the_truth_is_known_by_name_and_by_what_it_needs():
+    seeing = {"agent": "cruise", "config": {"observation": {"integrity": "oracle"}}}
+    agents = SuiteConfig.load({**SMALL, "agents": {"cruise": "cruise", "oracle": "oracle", "mine": seeing}}).agents
+    assert {name: chosen.sees_truth for name, chosen in agents.items()} == {
+        "cruise": False, "oracle": True, "mine": True,
+    }  # fmt: skip
 
 
 def test_the_standard_suite_is_of_all_environments_and_skies():

@@ -50,6 +50,15 @@ def test_few_seeds_or_none_that_differ_give_no_verdict():
     assert "b +0.500, no interval, unclear" in ET.fromstring(drawn).attrib["aria-label"]
 
 
+def test_a_forest_has_no_verdict_on_who_failed():
+    sound, failed = (Difference("a", -1, -2, -0.5, 50, failed=count) for count in (0, 3))
+    assert (sound.verdict("lower"), failed.verdict("lower")) == ("better", "no verdict, 3 failed")
+    drawn = forest("return", "", "lower", "nominal", [failed])
+    assert 'class="v-unclear"' in drawn
+    assert "M-5" not in drawn
+    assert "mark open" in drawn
+
+
 def test_a_forest_tells_clear_differences_by_shape_not_by_colour_alone():
     rows = [Difference("mine", -0.2, -0.3, -0.1, 50, 0.9), Difference("other", 0.1, -0.1, 0.3, 50, 0.2)]
     drawn = forest("collision", "share", "lower", "nominal", rows)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
+from dataclasses import replace
 from html.parser import HTMLParser
 from itertools import pairwise
 
@@ -114,6 +115,34 @@ def test_what_was_never_seen_has_no_interval_and_leaves_nobody_the_best():
     assert '<b>0.000</b><small class="lacks">no interval: never seen in 9</small>' in html
     main = html.split("Main metrics, LaneKeeping, urban sky</span></caption>")[1].split("</table>")[0]
     assert not any("10,004" in line for line in main.split("<td") if line.startswith(' class="best"'))
+
+
+def test_who_failed_is_never_the_best_and_figures_of_fewer_seeds_say_so():
+    suite = made_up_suite(agents=["nominal", "random"], envs=["LaneKeeping"], skies=["urban"], seeds={"count": 12})
+    gain = {"nominal": 90.0, "random": 10.0}
+    sound = [made_up_outcome(t, total_return=gain[t.agent] + t.seed - 10_004) for t in suite.tasks()]
+    failing = [replace(o, status="raised") if (o.agent, o.seed) == ("nominal", 10_000) else o for o in sound]
+
+    def main(outcomes) -> str:
+        html = render(Results.of(suite, outcomes))
+        return html.split("Main metrics, LaneKeeping, urban sky</span></caption>")[1].split("</table>")[0]
+
+    assert ' class="best"' in main(sound)
+    assert "n = " not in main(sound)
+    assert ' class="best"' not in main(failing)
+    assert main(failing).count('<small class="n">n = 11</small>') == len(MAIN) - 1
+    assert "v-better" not in render(Results.of(suite, failing)).split("<main")[1].replace('key v-better"', "")
+
+
+def test_each_reference_has_its_pictures_and_untuned_caution_is_named(monkeypatch):
+    monkeypatch.setattr("lanebound.agents.benchmark.untuned.tuned_places", lambda: (("CarFollowingWorld", "dense"),))
+    agents = ["nominal", "cautious", "integrity_aware"]
+    html = render(made_up_results(agents=agents, reference=["nominal", "cautious"], envs=["CarFollowing"]))
+    headings = re.findall(r"<h3>Differences against ([^<]*)</h3>", html)
+    assert headings == ["nominal", "cautious, untuned", "nominal", "cautious"]  # under urban and dense skies
+    assert "against <b>nominal</b> and <b>cautious</b>" in html
+    assert html.count("untuned here") == 2  # in both tables of the one place
+    assert "With 6 seeds no agent can be called safer than cautious" in html
 
 
 def test_few_seeds_are_told(html):
@@ -226,4 +255,5 @@ def test_a_clip_lies_inside(results, monkeypatch):
 def test_the_suite_and_its_version_are_told(results, html):
     mark = json.loads((results.folder / "suite.json").read_text(encoding="utf-8"))
     assert mark["source"] in html
+    assert f"<td>{mark['packages']['highway-env']}</td>" in html
     assert "test seeds 10000 to 10003" in html

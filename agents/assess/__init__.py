@@ -1,0 +1,1 @@
+"""Studies of what the layer promises: how often errors exceed their levels, and what becomes of faults."""

@@ -1,0 +1,175 @@
+"""Parts of the bounding study, summed up: rates with exact intervals, where the papers' forms fail, rare risks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.assessment.bounding import clopper_pearson
+from lanebound.integrity.assessment.exceedance import STRATA, mean_and_deviation
+from lanebound.integrity.assessment.measurement_model import Form
+
+__all__ = ["PLACES", "rate_of", "summarise"]
+
+Array = NDArray[np.float64]
+Row = Mapping[str, Any]
+
+CONFIDENCE = 0.95
+AXES = ("along", "across", "either")
+SIGMAS = 3.0  # of an importance estimate, beyond which it disagrees
+
+
+def _octant(row: Row) -> str:
+    """How the heading stands to East and North: along one of them, or between them."""
+    away = abs((float(row["heading_deg"]) + 45.0) % 90.0 - 45.0)
+    return "heading within 22.5 deg of an axis" if away < 22.5 else "heading between the axes"
+
+
+def _size(row: Row) -> str:
+    """Which third of the usual numbers of satellites."""
+    n = int(row["satellites"])
+    return "up to 15 satellites" if n <= 15 else "16 to 25 satellites" if n <= 25 else "26 satellites and more"
+
+
+PLACES: dict[str, Callable[[Row], str]] = {
+    "all": lambda row: "all",
+    "bias": lambda row: f"biases up to {row['bias_share']:g} sigma",
+    "size": _size,
+    "heading": _octant,
+    "worst": lambda row: f"biases worst {row['worst']}",
+}
+"""How cases are grouped, each by a name of the group that a case is in."""
+
+
+def rate_of(events: int, trials: int) -> dict[str, Any]:
+    """A rate with its exact interval; None without trials."""
+    if trials == 0:
+        return {"events": events, "trials": 0, "rate": None, "low": None, "high": None}
+    low, high = clopper_pearson(events, trials, CONFIDENCE)
+    return {"events": events, "trials": trials, "rate": events / trials, "low": low, "high": high}
+
+
+def summarise(config: Mapping[str, Any], parts: Mapping[str, Row]) -> dict[str, Any]:
+    """All of it, as plain data."""
+
+    def rows(kind: str, key: str) -> list[Row]:
+        return [row for name, part in parts.items() if name.startswith(kind) for row in part[key]]
+
+    cases, rare, outages = rows("cases-", "cases"), rows("rare-", "cases"), rows("drift-", "outages")
+    risks = list(config["risks"])
+    result: dict[str, Any] = {"config": dict(config), "confidence": CONFIDENCE, "strata": list(STRATA)}
+    if cases:
+        epochs = np.sum([row["epochs"] for row in cases], 0)
+        alarms = np.sum([row["alarms"] for row in cases], 0)
+        result["epochs"] = {name: int(n) for name, n in zip(STRATA, epochs, strict=True)}
+        result["alarms"] = {name: rate_of(int(a), int(n)) for name, a, n in zip(STRATA, alarms, epochs, strict=True)}
+        result["alarms_by_bias"] = {
+            place: rate_of(sum(r["alarms"][0] for r in group), sum(r["epochs"][0] for r in group))
+            for place, group in _grouped(cases, PLACES["bias"]).items()
+        }
+        result["axis_epochs"] = 2 * int(epochs.sum())
+        result["rates"] = {
+            kind: {place: _rates(group, risks) for place, group in _grouped(cases, name_of).items()}
+            for kind, name_of in PLACES.items()
+        }
+        result["level_over"] = _tightness(cases, risks)
+    if rare:
+        result["rare"] = _rare(rare, config)
+    if outages:
+        result["drift"] = _drift(outages, risks)
+    return result
+
+
+def _grouped(rows: Iterable[Row], name_of: Callable[[Row], str]) -> dict[str, list[Row]]:
+    out: dict[str, list[Row]] = {}
+    for row in rows:
+        out.setdefault(name_of(row), []).append(row)
+    return dict(sorted(out.items()))
+
+
+def _rates(cases: Sequence[Row], risks: Sequence[float]) -> dict[str, Any]:
+    """By form and risk: rates along, across and of either, and which strata they are of."""
+    out: dict[str, Any] = {}
+    for form in Form:
+        count = np.sum([row["misleading"][form.name] for row in cases], 0)
+        trials = np.sum([row["available"][form.name] for row in cases], 0)
+        out[form.value] = {
+            f"{risk:g}": {axis: rate_of(int(count[r, a].sum()), int(trials[r])) for a, axis in enumerate(AXES)}
+            | {"by_stratum": {name: int(n) for name, n in zip(STRATA, count[r, 2], strict=True)}}
+            for r, risk in enumerate(risks)
+        }
+    return out
+
+
+def _tightness(cases: Sequence[Row], risks: Sequence[float]) -> dict[str, Any]:
+    """Ratios of each form's level to the exact root's, and to the least that would have held without faults."""
+    root = np.array([row["level_m"][Form.ROOT.name] for row in cases], dtype=np.float64)
+    least = np.array([row["least_m"] for row in cases], dtype=np.float64)
+    out: dict[str, Any] = {}
+    for form in Form:
+        level = np.array([row["level_m"][form.name] for row in cases], dtype=np.float64)
+        out[form.value] = {
+            f"{risk:g}": {"root": _spread(level[:, r] / root[:, r]), "least": _spread(level[:, r] / least[:, r])}
+            for r, risk in enumerate(risks)
+        }
+    return out
+
+
+def _spread(ratio: Array) -> dict[str, float] | None:
+    """Smallest, median and largest of the finite ones."""
+    known = ratio[np.isfinite(ratio)]
+    if not known.size:
+        return None
+    return {"smallest": float(known.min()), "median": float(np.median(known)), "largest": float(known.max())}
+
+
+def _rare(rare: Sequence[Row], config: Mapping[str, Any]) -> dict[str, Any]:
+    """Importance estimates at the rare risk and at the least counted one, with their standard deviations.
+
+    ``spread`` is the standard deviation of the mean from the spread between geometries, ``draws`` that of the draws
+    alone; ``fault_free_exact`` the same stratum without the test in closed form, which bounds it. Two faults at once
+    and wrong fixes are not drawn: ``spent`` is their probability, which they cannot exceed.
+    """
+    out: dict[str, Any] = {"spent": float(np.mean([case["spent"] for case in rare]))}
+    for row, risk in enumerate((config["rare_risk"], min(config["risks"]))):
+        out[f"{risk:g}"] = {}
+        for form in (Form.ROOT, Form.CLOSED, Form.PUBLISHED):
+            found = [case["rates"][form.name][row] for case in rare if len(case["rates"][form.name]) > row]
+            if not found:
+                continue
+            mean, spread, draws = mean_and_deviation(
+                [np.array(rate) for rate, _ in found], [np.array(variance) for _, variance in found]
+            )
+            out[f"{risk:g}"][form.value] = {
+                "geometries": len(found),
+                **{
+                    axis: {"rate": float(mean[a]), "spread": float(spread[a]), "draws": float(draws[a])}
+                    for a, axis in enumerate(AXES[:2])
+                },
+                "upper": float((mean + SIGMAS * spread).max()),
+            }
+            if form.name in rare[0]["fault_free"]:
+                exact = np.array([case["fault_free"][form.name][row] for case in rare], dtype=np.float64)
+                out[f"{risk:g}"][form.value]["fault_free_exact"] = exact.mean(0).tolist()
+    return out
+
+
+def _drift(outages: Sequence[Row], risks: Sequence[float]) -> dict[str, Any]:
+    """By source and variant: how often the level at the end of an outage is exceeded, and the worst outage."""
+    out: dict[str, Any] = {}
+    for source, group in _grouped(outages, lambda row: str(row["source"])).items():
+        trials = sum(row["vehicles"] for row in group)
+        out[source] = {
+            variant: {
+                f"{risk:g}": {
+                    axis: rate_of(int(sum(row["exceeded"][variant][r][a] for row in group)), trials)
+                    for a, axis in enumerate(AXES)
+                }
+                for r, risk in enumerate(risks)
+            }
+            for variant in group[0]["exceeded"]
+        }
+    return out

@@ -1,0 +1,164 @@
+"""What a navigator does about one fault: vehicles with it beside the same vehicles without it, epoch by epoch.
+
+Both runs draw the same noise, so that whatever differs is the fault's doing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.drive import CityDrive, DriveConfig
+from lanebound.integrity.frames import track_from_enu_matrix
+from lanebound.integrity.navigator import Navigator, NavigatorConfig
+from lanebound.integrity.sensors.faults import Fault, FaultSchedule
+from lanebound.integrity.sky.road import Road
+from lanebound.integrity.sky.track import SkyTrack
+from lanebound.integrity.sky.visibility import SkyMask
+from lanebound.integrity.streams import Streams
+
+__all__ = ["Response", "Run", "drive_run", "measure_response"]
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+LOOP_M = ((0.0, 0.0), (600.0, 100.0), (900.0, 700.0), (200.0, 800.0), (-200.0, 400.0))
+
+
+@dataclass(frozen=True)
+class Run:
+    """Belief and truth of B vehicles: error_m and level_m (T, B, 2) along and across, the rest (T, B).
+
+    ``squared`` is the normalised estimation error squared ``d' Q^-1 d`` of the position in the plane.
+    """
+
+    time_s: Array
+    error_m: Array
+    level_m: Array
+    squared: Array
+    mode: Ints
+    excluded: Ints
+    held: Ints
+    alert: Bools
+    available: Bools
+
+
+@dataclass(frozen=True)
+class Response:
+    """What became of a fault in each vehicle, (B,) each.
+
+    Attributes
+    ----------
+    noticed_s : from onset until a satellite is excluded or its ambiguity given up as slipped, the mode changes or an
+        alert is raised, other than without the fault; inf if never
+    excluded : a satellite was excluded that the vehicle without the fault used
+    given_up : ambiguities were given up that the vehicle without the fault held
+    alerted : an alert was raised that the vehicle without the fault did not raise
+    failed : the error exceeded the alert limit on an axis
+    late_s : longest time that it did so before an alert stood, 0 if it never did
+    hazardous : epochs in which the error exceeds the limit and the position is declared usable
+    misleading : epochs in which the error exceeds its level and the position is declared usable
+    epochs : counted, from the onset to the end
+    worst_m : largest error on an axis while the position is declared usable
+    """
+
+    noticed_s: Array
+    excluded: Bools
+    given_up: Bools
+    alerted: Bools
+    failed: Bools
+    late_s: Array
+    hazardous: Ints
+    misleading: Ints
+    epochs: int
+    worst_m: Array
+
+
+def drive_run(
+    config: NavigatorConfig,
+    seeds: Sequence[int],
+    duration_s: float,
+    faults: Sequence[Fault] | Callable[[SkyTrack], Sequence[Fault]] = (),
+    mask: SkyMask | None = None,
+) -> Run:
+    """Drive a loop of city streets, one vehicle for each seed; ``faults`` may be made from the sky."""
+    track = SkyTrack.from_config(config.sky, duration_s + 60.0)
+    schedule = FaultSchedule(faults(track) if callable(faults) else faults)
+    navigator = Navigator(config, track, mask or SkyMask.open(), list(seeds), faults=schedule)
+    road = Road.through(np.array(LOOP_M), corner_radius_m=25.0, closed=True, lane_count=2, lane_width_m=3.25)
+    car, traffic = CityDrive(road, DriveConfig(), config.dt_s), Streams(list(seeds))
+    state = car.start(traffic, spread_m=road.length_m)
+    epochs, batch = round(duration_s / config.dt_s), len(seeds)
+    time = np.linspace(config.dt_s, config.dt_s * epochs, epochs)
+    run = Run(
+        time, np.zeros((epochs, batch, 2)), np.zeros((epochs, batch, 2)),
+        np.zeros((epochs, batch)), np.zeros((epochs, batch), np.int64), np.zeros((epochs, batch), np.int64),
+        np.zeros((epochs, batch), np.int64), np.zeros((epochs, batch), np.bool_), np.zeros((epochs, batch), np.bool_),
+    )  # fmt: skip
+    for k in range(epochs):
+        truth = car.step(state, traffic)
+        s = navigator.step(truth)
+        away = s.position_en_m - truth.position_enu_m[:, :2]
+        run.error_m[k] = (track_from_enu_matrix(truth.heading_rad) @ away[..., None])[..., 0]
+        run.level_m[k, :, 0], run.level_m[k, :, 1] = s.pl_at_m, s.pl_ct_m
+        run.squared[k] = _normalised(away, s.covariance_en_m2)
+        run.mode[k], run.excluded[k], run.alert[k], run.available[k] = s.mode, s.excluded, s.alert, s.available
+        run.held[k] = s.held.sum(-1)
+    return run
+
+
+def _normalised(away: Array, covariance: Array) -> Array:
+    """``d' Q^-1 d``, 0 where there is no covariance yet.  (B, 2), (B, 2, 2) -> (B,)."""
+    a, b, c = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+    determinant = a * c - b * b
+    known = np.isfinite(determinant) & (determinant > 0.0)
+    e, n = away[:, 0], away[:, 1]
+    with np.errstate(invalid="ignore", over="ignore"):
+        square = c * e * e - 2.0 * b * e * n + a * n * n
+    return np.where(known, square / np.where(known, determinant, 1.0), 0.0)
+
+
+def measure_response(faulty: Run, sound: Run, onset_s: Array, limits_m: tuple[float, float]) -> Response:
+    """Compare a run with faults from ``onset_s`` (B,) on with the same run without them.
+
+    limits_m : alert limits along and across the track.
+    """
+    time = faulty.time_s[:, None]
+    after = time > onset_s + 1e-6
+    fresh = (faulty.alert & ~sound.alert) & after
+    excluded = (faulty.excluded > sound.excluded) & after
+    given_up = (faulty.held < sound.held) & after
+    noticed = fresh | excluded | given_up | ((faulty.mode != sound.mode) & after)
+    size = np.abs(faulty.error_m)
+    beyond = (size > np.array(limits_m)).any(-1) & after
+    usable = faulty.available & ~faulty.alert & after
+    return Response(
+        noticed_s=_first(noticed, time - onset_s),
+        excluded=np.asarray(excluded.any(0)),
+        given_up=np.asarray(given_up.any(0)),
+        alerted=np.asarray(fresh.any(0)),
+        failed=np.asarray(beyond.any(0)),
+        late_s=_longest(beyond & ~faulty.alert) * float(faulty.time_s[1] - faulty.time_s[0]),
+        hazardous=(beyond & usable).sum(0),
+        misleading=((size > faulty.level_m).any(-1) & usable).sum(0),
+        epochs=int(after.sum()),
+        worst_m=np.where(usable[..., None], size, 0.0).max((0, 2)),
+    )
+
+
+def _first(flag: Bools, since_s: Array) -> Array:
+    """Time of the first flag in each column, inf without any."""
+    return np.asarray(np.where(flag, since_s, np.inf).min(0))
+
+
+def _longest(flag: Bools) -> Array:
+    """Length in epochs of the longest run of flags in each column."""
+    length = best = np.zeros(flag.shape[1])
+    for row in flag:
+        length = (length + 1.0) * row
+        best = np.maximum(best, length)
+    return best

@@ -1,0 +1,239 @@
+"""The fault campaign: every fault of the instruments, in several sizes and lengths, and what the navigator does then.
+
+Vehicles drive a loop of city streets under an open sky. From some moment on each has the fault, at a satellite of its
+own where the fault is a satellite's; beside it the same vehicle drives without. Faults of gyro and wheels are set into
+a blackout of all signals, where nothing else knows the way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from scipy.stats import chi2
+
+from lanebound.agents.assess.bounding_summary import rate_of
+from lanebound.agents.assess.fault_response import Response, Run, drive_run, measure_response
+from lanebound.agents.kept import Progress, claim, run_parts, write_whole
+from lanebound.integrity.config import Config, Field
+from lanebound.integrity.navigator import NavigatorConfig
+from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.sensors.faults import SIZES, Fault, FaultKind
+from lanebound.integrity.sky.systems import System
+from lanebound.integrity.sky.track import SkyTrack
+
+__all__ = ["Cell", "FaultsConfig", "assess_faults", "cells_of", "work_cell"]
+
+PACKAGES = ("lanebound.integrity", "lanebound.agents.assess")
+K = FaultKind
+Profile = Literal["step", "ramp"]
+
+SIZES_TRIED: dict[FaultKind, tuple[float, ...]] = {
+    K.SATELLITE_RANGE: (0.02, 0.1, 0.5, 5.0, 50.0),
+    K.CONSTELLATION: (0.1, 0.5, 2.0, 10.0),
+    K.CYCLE_SLIP: (1, 3, 10),
+    K.REFERENCE_COORDINATES: (0.05, 0.5, 2.0),
+    K.SPOOFING: (0.5, 2.0, 10.0, 50.0),
+    K.JAMMING: (10.0, 20.0, 40.0),
+    K.CORRECTIONS_LOSS: (0.0,),
+    K.GYRO_BIAS: (0.1, 0.5, 2.0),
+    K.WHEEL_SLIP: (0.02, 0.1, 0.5),
+    K.ODOMETER_FROZEN: (0.0,),
+}
+"""Sizes by kind, in the unit of the kind; lies of other vehicles are no fault of this one's position."""
+BOTH_PROFILES = (K.SATELLITE_RANGE, K.CONSTELLATION, K.SPOOFING)
+IN_BLACKOUT = (K.GYRO_BIAS, K.WHEEL_SLIP, K.ODOMETER_FROZEN)
+BLACKOUT_DB = 60.0
+BLACKOUT_BEFORE_S = 1.0
+LOWEST_RAD = np.deg2rad(25.0)  # a satellite that is tracked for sure
+SPREAD_S = 5.0
+
+
+class FaultsConfig(Config):
+    """How many vehicles meet each fault, and for how long."""
+
+    vehicles: int = Field(16, ge=1, description="vehicles, and seeds, that meet each fault")
+    first_seed: int = Field(1, ge=0, description="seed of the first")
+    warm_up_s: float = Field(40.0, ge=10, description="before the fault; positions are fixed by then")
+    after_s: float = Field(15.0, gt=0, description="after the fault")
+    durations_s: tuple[float, ...] = Field((2.0, 20.0), min_length=1, description="lengths of faults")
+    kinds: tuple[FaultKind, ...] = Field(tuple(SIZES_TRIED), min_length=1, description="kinds of faults")
+    control_s: float = Field(600.0, gt=60, description="length of the drive without faults")
+    navigator: NavigatorConfig = NavigatorConfig()
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One fault of the campaign."""
+
+    kind: FaultKind
+    size: float
+    duration_s: float
+    profile: Profile
+
+    @property
+    def name(self) -> str:
+        """Name of its part."""
+        return f"{self.kind.value}-{self.size:g}-{self.duration_s:g}s-{self.profile}"
+
+
+def cells_of(config: FaultsConfig) -> list[Cell]:
+    """Every kind x size x length x profile."""
+    return [
+        Cell(kind, size, duration, profile)
+        for kind in config.kinds
+        for size in SIZES_TRIED.get(kind, ())
+        for duration in config.durations_s
+        for profile in (("step", "ramp") if kind in BOTH_PROFILES else ("step",))
+    ]
+
+
+def assess_faults(
+    config: FaultsConfig, out: Path, jobs: int = 1, progress: Progress = lambda done, of: None
+) -> dict[str, Any]:
+    """Drive all that is not yet in ``out``, and write ``results.json`` and the figure; returns the results.
+
+    Raises
+    ------
+    InputError
+        ``out`` holds another study, or cannot be written.
+    """
+    from lanebound.agents.assess.faults_figure import faults_figure
+    from lanebound.integrity.assessment.plotting import save
+
+    claim(out, "faults", config, PACKAGES)
+    cells = {cell.name: cell for cell in cells_of(config)}
+    parts = run_parts(out, ["control", *cells], partial(work_part, config), jobs, progress)
+    result = {"config": config.to_dict(), "control": parts[0], "faults": parts[1:]}
+    write_whole(out / "results.json", result)
+    save(faults_figure(parts[1:]), out / "faults.svg")
+    return result
+
+
+def work_part(config: FaultsConfig, name: str) -> dict[str, Any]:
+    """One cell, or the drive without faults."""
+    if name == "control":
+        return control(config)
+    return work_cell(config, next(cell for cell in cells_of(config) if cell.name == name))
+
+
+def _seeds(config: FaultsConfig) -> list[int]:
+    return list(range(config.first_seed, config.first_seed + config.vehicles))
+
+
+def _onsets(config: FaultsConfig) -> np.ndarray:
+    """Onsets spread over some seconds, on epochs.  (B,) [s]."""
+    steps = np.round(np.linspace(0.0, SPREAD_S, config.vehicles) / config.navigator.dt_s)
+    return np.asarray(config.warm_up_s + steps * config.navigator.dt_s)
+
+
+def work_cell(config: FaultsConfig, cell: Cell) -> dict[str, Any]:
+    """Drive with and without the fault and sum up what became of it."""
+    onset = _onsets(config)
+    duration = config.warm_up_s + SPREAD_S + cell.duration_s + config.after_s
+    drive = partial(drive_run, config.navigator, _seeds(config), duration)
+    dark = _blackouts(onset, cell.duration_s) if cell.kind in IN_BLACKOUT else []
+    faulty, sound = drive(_maker(cell, onset, dark)), drive(dark)
+    limits = config.navigator.alert.limits
+    found = measure_response(faulty, sound, onset, (limits.al_at_m, limits.al_ct_m))
+    place = asdict(cell) | {"kind": cell.kind.value, "in_blackout": bool(dark)}
+    return place | _summed(found, config.navigator.alert.time_to_alert_s)
+
+
+def _maker(cell: Cell, onset: np.ndarray, dark: Sequence[Fault]) -> Callable[[SkyTrack], list[Fault]]:
+    """The faults of all vehicles, once the sky is known."""
+
+    def faults(track: SkyTrack) -> list[Fault]:
+        sky = track.at(track.start_s + float(onset[0]), np.zeros(len(onset), dtype=np.int64))
+        high = np.flatnonzero(sky.elevation_rad[0] > LOWEST_RAD)
+        return [*dark, *(_fault(cell, row, float(t), sky, high) for row, t in enumerate(onset))]
+
+    return faults
+
+
+def _fault(cell: Cell, row: int, onset_s: float, sky: Any, high: np.ndarray) -> Fault:
+    """The fault of one vehicle: at the next of the high satellites, in a direction of its own."""
+    data: dict[str, Any] = {
+        "kind": cell.kind, "start_s": onset_s, "duration_s": cell.duration_s, "profile": cell.profile,
+        "ramp_s": 0.5 * cell.duration_s, "vehicle": row, "azimuth_deg": 67.0 * row % 360.0,
+    }  # fmt: skip
+    if SIZES[cell.kind]:
+        data[SIZES[cell.kind][0]] = int(cell.size) if cell.kind is K.CYCLE_SLIP else cell.size
+    if cell.kind in (K.SATELLITE_RANGE, K.CYCLE_SLIP):
+        satellite = high[row % len(high)]
+        data |= {"system": System(int(sky.system[satellite])), "prn": int(sky.prn[satellite])}
+    if cell.kind is K.CONSTELLATION:
+        data["system"] = (System.GPS, System.GALILEO)[row % 2]
+    return Fault.load(data)
+
+
+def _blackouts(onset: np.ndarray, duration_s: float) -> list[Fault]:
+    """No signals at all from just before the fault until its end."""
+    return [
+        Fault.load(
+            {
+                "kind": K.JAMMING,
+                "start_s": float(t) - BLACKOUT_BEFORE_S,
+                "vehicle": row,
+                "duration_s": duration_s + BLACKOUT_BEFORE_S,
+                "magnitude_db": BLACKOUT_DB,
+            }
+        )
+        for row, t in enumerate(onset)
+    ]
+
+
+def _summed(found: Response, time_to_alert_s: float) -> dict[str, Any]:
+    """Plain figures of a cell."""
+    noticed = np.isfinite(found.noticed_s)
+    return {
+        "vehicles": len(noticed),
+        "noticed": rate_of(int(noticed.sum()), len(noticed)),
+        "noticed_median_s": float(np.median(found.noticed_s[noticed])) if noticed.any() else None,
+        "excluded": int(found.excluded.sum()),
+        "given_up": int(found.given_up.sum()),
+        "alerted": int(found.alerted.sum()),
+        "failed": int(found.failed.sum()),
+        "failed_without_timely_alert": int((found.late_s > time_to_alert_s).sum()),
+        "longest_late_s": float(found.late_s.max()),
+        "epochs": found.epochs,
+        "hazardous": rate_of(int(found.hazardous.sum()), found.epochs),
+        "misleading": rate_of(int(found.misleading.sum()), found.epochs),
+        "misled_vehicles": int((found.misleading > 0).sum()),
+        "worst_m": float(found.worst_m.max()),
+    }
+
+
+def control(config: FaultsConfig) -> dict[str, Any]:
+    """The drive without faults: false alarms, bounding, consistency and how tight the levels are."""
+    run = drive_run(config.navigator, _seeds(config), config.warm_up_s + config.control_s)
+    begun = run.time_s > config.warm_up_s
+    return {
+        "allocated_false_alarm": config.navigator.fde.alpha,
+        "excluded": rate_of(int((run.excluded[begun] > 0).sum()), int(run.excluded[begun].size)),
+        "alerts": rate_of(int(run.alert[begun].sum()), int(run.alert[begun].size)),
+        "misleading": rate_of(
+            int(((np.abs(run.error_m) > run.level_m).any(-1) & run.available)[begun].sum()),
+            int(run.available[begun].size),
+        ),
+        "modes": {mode.key: _consistency(run, (run.mode == mode) & begun[:, None]) for mode in Mode},
+    }
+
+
+def _consistency(run: Run, here: np.ndarray) -> dict[str, Any] | None:
+    """Normalised squared errors (two degrees of freedom) and level over the smallest bound that would have held."""
+    if not here.any():
+        return None
+    squared, size, level = run.squared[here], np.abs(run.error_m)[here], run.level_m[here]
+    return {
+        "epochs": int(here.sum()),
+        "mean_nees": float(squared.mean()),
+        "beyond_95": float((squared > chi2.isf(0.05, 2)).mean()),
+        "level_over_least_bound": {
+            axis: float(np.median(level[:, a]) / size[:, a].max()) for a, axis in enumerate(("along", "across"))
+        },
+    }

@@ -1,0 +1,157 @@
+"""Who is clearly safer than whom: what may be said in a line of so many comparisons, and what not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from statistics import fmean
+
+from lanebound.agents.benchmark.metrics import HARM_OF_AN_END
+from lanebound.agents.benchmark.outcome import Place
+from lanebound.agents.benchmark.results import Paired, Results
+from lanebound.agents.benchmark.statistics import holm, seeds_to_exclude
+from lanebound.agents.plain import counted
+
+__all__ = ["ENDS", "HARM", "LEVEL", "MARGIN", "RULE", "Verdict", "conclusions", "verdicts"]
+
+HARM = ("collision", "off_road", "lane_departure", "harm")
+"""What the true car did; costs also judge levels and alerts, which some agents obey, and are no part of it."""
+ENDS = ("collision", "off_road")
+MARGIN = 0.05
+"""By more than this share of the episodes ENDS must not have risen, by the upper ends of their intervals."""
+LEVEL = 0.05  # of the family of all comparisons, by Holm's method
+RULE = (
+    f"Safer: clearly fewer crashes, ends off the road or departures, or less harm ({HARM_OF_AN_END:g} for such an end, "
+    f"and m2 beyond the lane), by Holm's method over all comparisons; none of these clearly worse, and crashes and "
+    f"ends off the road up by no more than {100.0 * MARGIN:g} points (95 % intervals)."
+)
+
+Key = tuple[Place, str, str]
+Pairs = dict[str, Paired]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is to be said of an agent against another.
+
+    Attributes
+    ----------
+    agent, against : who, and with whom it is compared
+    places : where both drove and neither failed; of others nothing is said
+    safer, worse : in which of them it is clearly safer, and in which it does clearly more of any harm
+    failed : number of places where one of the two failed
+    throughput_mps, cost : mean differences over all ``places``; None without any
+    """
+
+    agent: str
+    against: str
+    places: list[Place]
+    safer: list[Place]
+    worse: list[Place]
+    failed: int
+    throughput_mps: float | None
+    cost: float | None
+
+
+def verdicts(results: Results) -> list[Verdict]:
+    """Of every agent against every reference, those that decide by the truth apart, those safer in most cells first.
+
+    Safer takes one of HARM clearly lower, by its 95 % interval and by its p-value adjusted by Holm's method over all
+    agents, references, cells and these metrics; none of them clearly higher, by its interval; the upper ends of the
+    differences in ENDS at most MARGIN; and a success: whoever never gets there does no harm either.
+    """
+    pairs = _compared(results)
+    adjusted = _adjusted(pairs)
+    found = []
+    for agent, against in dict.fromkeys((agent, against) for _, agent, against in pairs):
+        here = {key[0]: those for key, those in pairs.items() if key[1:] == (agent, against)}
+        whole = {place: those for place, those in here.items() if not those["harm"].failed}
+        safer = [
+            place
+            for place, those in whole.items()
+            if results.cell(place, agent).metrics["success"].mean and _is_safer(those, adjusted[place, agent, against])
+        ]
+        worse = [place for place, those in whole.items() if _clearly(those, HARM, 1.0)]
+        means = (_mean(those[key].difference for those in whole.values()) for key in ("throughput", "cost"))
+        found.append(Verdict(agent, against, list(whole), safer, worse, len(here) - len(whole), *means))
+    return sorted(found, key=lambda v: (results.suite.references.index(v.against), -len(v.safer)))
+
+
+def _compared(results: Results) -> dict[Key, Pairs]:
+    seeing = {name for name, chosen in results.suite.agents.items() if chosen.sees_truth}  # no opponents
+    found: dict[Key, Pairs] = {}
+    for pair in results.paired:
+        if pair.agent not in seeing:
+            found.setdefault((pair.place, pair.agent, pair.against), {})[pair.metric] = pair
+    return found
+
+
+def _adjusted(pairs: dict[Key, Pairs]) -> dict[Key, dict[str, float]]:
+    """P-values of HARM, adjusted over all of them; what has none shows nothing, and counts as one more comparison."""
+    asked = [(key, metric) for key in pairs for metric in HARM]
+    known = [pairs[key][metric].p for key, metric in asked]
+    found: dict[Key, dict[str, float]] = {key: {} for key in pairs}
+    for (key, metric), p in zip(asked, holm([1.0 if p is None else p for p in known]), strict=True):
+        found[key][metric] = p
+    return found
+
+
+def _is_safer(pairs: Pairs, adjusted: dict[str, float]) -> bool:
+    shown = [key for key in HARM if adjusted[key] <= LEVEL]
+    kept = all((high := pairs[key].high) is not None and high <= MARGIN for key in ENDS)
+    return bool(_clearly(pairs, shown, -1.0)) and kept and not _clearly(pairs, HARM, 1.0)
+
+
+def _clearly(pairs: Pairs, keys: Iterable[str], sign: float) -> list[str]:
+    """Those that are clearly higher (sign 1) or lower (-1)."""
+    return [key for key in keys if pairs[key].clear and sign * (pairs[key].difference or 0.0) > 0.0]
+
+
+def _mean(values: Iterable[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return fmean(known) if known else None
+
+
+def conclusions(results: Results) -> list[str]:
+    """Lines that say who is clearly safer than the references, in how many cells, and what that costs, in all cells."""
+    found = verdicts(results)
+    lines = [line for against in results.suite.references for line in _told(results, against, found)]
+    return [*lines, RULE] if any(verdict.safer for verdict in found) else lines
+
+
+def _told(results: Results, against: str, found: Sequence[Verdict]) -> list[str]:
+    """What is said of all that are compared with one reference."""
+    here = [verdict for verdict in found if verdict.against == against]
+    whole = [verdict for verdict in here if verdict.places]
+    lines = [
+        f"No verdict on {v.agent} against {against} in {counted(v.failed, 'cell')}: an agent failed there."
+        for v in here
+        if v.failed
+    ]
+    if not whole:
+        return lines
+    safer = [verdict for verdict in whole if verdict.safer]
+    if not safer:
+        return [_nobody(results, against), *lines]
+    price = [f"{v.agent} {v.throughput_mps:+.1f} m/s" for v in safer if v.throughput_mps is not None]
+    named = ", ".join(_counted(verdict) for verdict in safer)
+    cells = "cells without a failure" if any(verdict.failed for verdict in safer) else "cells"
+    paid = [f"Throughput against {against}, over all {cells}: {', '.join(price)}."] if price else []
+    return [f"Clearly safer than {against}: {named}.", *paid, *lines]
+
+
+def _counted(verdict: Verdict) -> str:
+    worse = f" (clearly worse in {len(verdict.worse)})" if verdict.worse else ""
+    return f"{verdict.agent} in {len(verdict.safer)} of {counted(len(verdict.places), 'cell')}{worse}"
+
+
+def _nobody(results: Results, against: str) -> str:
+    """Nobody is safer; with too few seeds nobody can be."""
+    count, least = max(cell.episodes for cell in results.cells), seeds_to_exclude(MARGIN)
+    seeds = counted(count, "seed")
+    if count >= least:
+        return f"With {seeds} no agent is clearly safer than {against} in any cell; --seeds takes more."
+    return (
+        f"With {seeds} no agent can be called safer than {against}: that crashes do not rise by more than "
+        f"{100.0 * MARGIN:g} points takes {least} at least; --seeds takes more."
+    )

@@ -1,0 +1,147 @@
+"""``lanebound assess``: is what the layer promises true?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lanebound.agents.cli.advice import AdvisingGroup
+
+if TYPE_CHECKING:
+    from lanebound.agents.assess.bounding import BoundingConfig
+
+__all__ = ["app"]
+
+app = typer.Typer(cls=AdvisingGroup, help="Measure whether what the layer promises is true.", no_args_is_help=True)
+
+
+@app.callback()
+def _assess() -> None:
+    """Measure whether what the layer promises is true."""
+
+
+@app.command("bounding")
+def bounding(
+    out: Annotated[Path, typer.Option(help="Folder for results.json; an interrupted run goes on there.")],
+    risk: Annotated[
+        list[float] | None,
+        typer.Option("--risk", help="Horizontal risk to count at; may be repeated. The study has 1e-3, 1e-4, 1e-5."),
+    ] = None,
+    epochs: Annotated[
+        int | None, typer.Option(min=1, help="Epochs to draw, two axes each; the study has 50 million.")
+    ] = None,
+    rare_risk: Annotated[float | None, typer.Option(help="Risk for importance sampling; the study has 1e-7.")] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes that draw at a time.")] = 1,
+    assignments: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Change a value of the study; may be repeated."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+) -> None:
+    """How often errors exceed their protection levels, exact and as the papers print them, with exact intervals.
+
+    Example: lanebound assess bounding --out out/bounds --epochs 1000000 --jobs 2
+    """
+    from lanebound.agents.assess.bounding import assess_bounding
+    from lanebound.agents.cli.interrupt import stoppable
+
+    given = {"risks": risk, "epochs": epochs, "rare_risk": rare_risk}
+    with stoppable(lambda: _kept(out)):
+        config = _bounding_config(assignments or [], {key: value for key, value in given.items() if value})
+        result = _with_bar("parts drawn (kernels compile first)", lambda told: assess_bounding(config, out, jobs, told))
+        _report_bounding(result, out, as_json)
+
+
+@app.command("faults")
+def faults(
+    out: Annotated[Path, typer.Option(help="Folder for results.json and faults.svg; an interrupted run goes on.")],
+    vehicles: Annotated[
+        int | None, typer.Option(min=1, help="Vehicles that meet each fault; the study has 16.")
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes that drive at a time.")] = 1,
+    assignments: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Change a value of the study; may be repeated."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+) -> None:
+    """Every fault in several sizes and lengths: is it noticed, how soon, and does it mislead?
+
+    Example: lanebound assess faults --out out/faults --vehicles 4 --set 'kinds=[spoofing,jamming]'
+    """
+    from lanebound.agents.assess.faults import FaultsConfig, assess_faults
+    from lanebound.agents.cli.interrupt import stoppable
+    from lanebound.integrity.presets import parse_assignments
+
+    with stoppable(lambda: _kept(out)):
+        given = {} if vehicles is None else {"vehicles": vehicles}
+        config = FaultsConfig.load(parse_assignments(assignments or []) | given)
+        result = _with_bar("faults driven (kernels compile first)", lambda told: assess_faults(config, out, jobs, told))
+        _report_faults(result, out, as_json)
+
+
+def _kept(out: Path) -> str:
+    from lanebound.agents.cli.output import counted
+    from lanebound.agents.kept import parts_kept
+
+    return f"{counted(parts_kept(out), 'finished part')} kept in {out}; run the same command again to go on"
+
+
+def _bounding_config(assignments: list[str], given: dict[str, Any]) -> BoundingConfig:
+    from lanebound.agents.assess.bounding import BoundingConfig
+    from lanebound.integrity.presets import parse_assignments
+
+    return BoundingConfig.load(parse_assignments(assignments) | given)
+
+
+def _with_bar(what: str, study: Any) -> dict[str, Any]:
+    """Run a study in a thread of its own with a bar of its parts."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from lanebound.agents.cli.interrupt import wait_for
+
+    with Progress(console=Console(stderr=True)) as bar:
+        task = bar.add_task(what, total=None)
+        found: dict[str, Any] = wait_for(lambda: study(lambda done, of: bar.update(task, completed=done, total=of)))
+        return found
+
+
+def _report_bounding(result: dict[str, Any], out: Path, as_json: bool) -> None:
+    from lanebound.agents.assess.bounding_tables import drift_rows, form_rows, place_rows, rare_rows, tightness_rows
+    from lanebound.agents.cli.output import print_json, print_table
+
+    if as_json:
+        print_json(result)
+        return
+    if "rates" in result:
+        print_table(
+            f"Misleading epochs, of {result['axis_epochs']:,} axis epochs: rate of either axis over the risk, 95 %",
+            *form_rows(result),
+        )
+        print_table("The same by place, at the least risk counted: rate over the risk", *place_rows(result))
+        print_table("Levels over the least that would have held without faults, median", *tightness_rows(result))
+    if "rare" in result:
+        print_table("By importance sampling: rate of one axis", *rare_rows(result))
+    if "drift" in result:
+        print_table("Between fixes: error beyond the level at the end of an outage, either axis", *drift_rows(result))
+    typer.echo(f"A rate over the risk above 1 breaks the promise.\nresults.json: {out}")
+
+
+def _report_faults(result: dict[str, Any], out: Path, as_json: bool) -> None:
+    from lanebound.agents.assess.faults_tables import consistency_rows, control_lines, fault_rows
+    from lanebound.agents.cli.output import print_json, print_table
+
+    if as_json:
+        print_json(result)
+        return
+    print_table(
+        "Faults: vehicles that noticed, excluded a satellite, gave up ambiguities, alerted; epochs from the onset on",
+        *fault_rows(result),
+    )
+    print_table("Without faults: consistency of the position by mode", *consistency_rows(result))
+    for line in control_lines(result):
+        typer.echo(line)
+    typer.echo(f"results.json, faults.svg: {out}")

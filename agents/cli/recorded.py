@@ -1,0 +1,145 @@
+"""``lanebound replay`` and ``lanebound rtk``: what others recorded, through the rooms of simulated drives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+__all__ = ["replay", "rtk"]
+
+Changes = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a value; may be repeated.")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
+
+
+def replay(
+    dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder: smartLoc, comma2k19, or a RINEX pair.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the figures and for replay.json or rtk.json.")],
+    assignments: Changes = None,
+    as_json: AsJson = False,
+) -> None:
+    """Replay a recorded drive: positions, protection levels, exclusions and alerts against the truth.
+
+    smartLoc: a city by code, wheel speed and yaw rate. comma2k19: dead reckoning in artificial outages. A RINEX pair
+    (rover.obs, base.obs, base.nav): RTK.
+
+    Example: lanebound replay data/smartloc_berlin_potsdamer --out out/berlin
+    """
+    from lanebound.agents.cli.interrupt import stoppable, wait_for
+    from lanebound.agents.cli.output import print_json
+    from lanebound.integrity.presets import parse_assignments
+    from lanebound.integrity.replay.datasets import replay_folder
+
+    changes = parse_assignments(assignments or [])
+    with stoppable(lambda: "nothing is kept"):
+        found, written = wait_for(lambda: replay_folder(dataset, out, changes))
+    if as_json:
+        print_json(found)
+        return
+    _PRINTERS[found["dataset"]](found)
+    _tell(found.get("stopped"), written)
+
+
+def rtk(
+    rover: Annotated[Path, typer.Option(metavar="FILE.obs", help="RINEX 3 observations of the rover.")],
+    base: Annotated[Path, typer.Option(metavar="FILE.obs", help="RINEX 3 observations of the base.")],
+    nav: Annotated[Path, typer.Option(metavar="FILE.nav", help="RINEX 3 navigation messages.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for solution.csv and rtk.json.")],
+    base_position: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,Z", help="Of the base [m], or LAT,LON,H [deg, m]; its header's by default."),
+    ] = None,
+    rover_position: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z", help="True position of a rover that stands, to count errors.")
+    ] = None,
+    assignments: Changes = None,
+    as_json: AsJson = False,
+) -> None:
+    """RTK of any two receivers, static or moving: fixed positions with protection levels, epoch by epoch.
+
+    Example: lanebound rtk --rover rover.obs --base base.obs --nav base.nav --out out/rtk
+    """
+    from lanebound.agents.cli.interrupt import stoppable, wait_for
+    from lanebound.agents.cli.output import print_json
+    from lanebound.integrity.presets import parse_assignments
+    from lanebound.integrity.replay.baseline import BaselineConfig
+    from lanebound.integrity.replay.baseline_report import read_coordinates, run_baseline
+
+    config = BaselineConfig.build(None, parse_assignments(assignments or []))
+    places = {
+        name: None if text is None else read_coordinates(text)
+        for name, text in (("base_ecef_m", base_position), ("rover_ecef_m", rover_position))
+    }
+    with stoppable(lambda: "nothing is kept"):
+        found, written = wait_for(lambda: run_baseline(rover, base, nav, out, config=config, **places))
+    if as_json:
+        print_json(found)
+        return
+    _print_rtk(found)
+    _tell(found["stopped"], written)
+
+
+def _tell(stopped: Any, written: list[Path]) -> None:
+    """Where files ended early, and what was written."""
+    for told in stopped.items() if isinstance(stopped, dict) else ([("file", stopped)] if stopped else []):
+        typer.echo(f"note: {told[0]} {told[1]}", err=True)
+    for path in written:
+        typer.echo(str(path))
+
+
+def _print_rtk(found: dict[str, Any]) -> None:
+    from lanebound.agents.cli.output import print_table
+
+    keys = ("epochs", "fixed", "satellites_median", "excluded", "wrong_fix_risk_max")
+    print_table("RTK", ("", "value"), ((key, found[key]) for key in keys))
+    errors = found.get("errors", {})
+    if errors:
+        head = ("epochs", "axis", "n", "largest error m", "above PL", "exact 95 % interval", "median PL m")
+        print_table("Errors", head, [row for name in errors for row in _bounding_rows(name, errors[name])])
+
+
+def _bounding_rows(name: str, found: dict[str, Any]) -> list[list[Any]]:
+    return [
+        [
+            name, axis, found[axis]["epochs"], found.get("horizontal_max_m"), found[axis]["exceeded"],
+            f"{found[axis]['rate_low']:.2g} to {found[axis]['rate_high']:.2g}", found[axis]["pl_median_m"],
+        ]
+        for axis in ("at", "ct")
+    ]  # fmt: skip
+
+
+def _print_city(found: dict[str, Any]) -> None:
+    from lanebound.agents.cli.output import print_table
+
+    rows = []
+    for name, solution in found["solutions"].items():
+        for part in ("training", "after_training", "unshared"):
+            for axis in ("at", "ct") if part in solution else ():
+                counted = solution[part]["all_modes"][axis]
+                rows.append([
+                    name, part, axis, counted["epochs"], solution[part]["accuracy"]["all"][axis]["rmse_m"],
+                    counted["pl_median_m"], counted["exceeded"],
+                    f"{counted['rate_low']:.2g} to {counted['rate_high']:.2g}",
+                ])  # fmt: skip
+    head = ("solution", "part", "axis", "epochs", "RMSE m", "median PL m", "above PL", "exact 95 % interval")
+    print_table(f"Errors above protection levels at risk {found['risk']:g}", head, rows)
+    typer.echo(found["caution"])
+
+
+def _print_outages(found: dict[str, Any]) -> None:
+    from lanebound.agents.cli.output import print_table
+
+    head = ("age s", "axis", "outages", "median error m", "largest m", "median PL m", "above PL")
+    rows = [
+        [row["age_s"], axis, row["outages"], row[axis]["median_m"], row[axis]["max_m"], row[axis]["pl_median_m"],
+         row[axis]["exceeded"]]
+        for row in found["by_age"] for axis in ("at", "ct")
+    ]  # fmt: skip
+    print_table("Dead reckoning in artificial outages", head, rows)
+    typer.echo(found["caution"])
+
+
+_PRINTERS = {"smartloc": _print_city, "comma2k19": _print_outages, "rinex": _print_rtk}

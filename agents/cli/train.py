@@ -1,0 +1,80 @@
+"""``lanebound train`` and ``lanebound evaluate``: policies that are learnt, and what they come to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lanebound.agents.cli.output import counted
+
+if TYPE_CHECKING:
+    from lanebound.agents.learning.training import Checkpoint
+
+__all__ = ["evaluate", "train"]
+
+
+def train(
+    name: Annotated[str, typer.Argument(metavar="EXPERIMENT", help="One of ours, or a YAML file.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the checkpoints; a run goes on from the last.")],
+    jobs: Annotated[int, typer.Option(min=1, help="1: environments in this process; more: each in its own.")] = 1,
+    assignments: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a value of it; may be repeated.")
+    ] = None,
+) -> None:
+    """Learn a policy, or go on with it; the best within the limit of cost is kept as best.zip, with a card.
+
+    Example: lanebound train lane_keeping_ppo_lagrangian --out out/learnt --set steps=100000
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from lanebound.agents.cli.interrupt import stoppable, wait_for
+    from lanebound.agents.learning.experiment import load_experiment
+    from lanebound.integrity.presets import parse_assignments
+
+    experiment = load_experiment(name, parse_assignments(assignments or []))
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with stoppable(lambda: f"checkpoints are kept in {out}: the same command goes on"):
+        from lanebound.agents.learning.training import train as carry_out
+
+        with Progress(*columns, console=Console(stderr=True)) as bar:
+            task = bar.add_task("decisions", total=experiment.steps)
+            rows = wait_for(
+                lambda: carry_out(
+                    experiment, out, jobs, _say, lambda steps: bar.update(task, completed=min(steps, experiment.steps))
+                )
+            )
+    typer.echo(f"{counted(len(rows), 'checkpoint')}; the best is {out / 'best.zip'}, described in {out / 'best.md'}")
+    typer.echo(f"What to try next\n  lanebound evaluate {out} --out {out}-evaluation")
+
+
+def _say(checkpoint: Checkpoint) -> None:
+    found = checkpoint.evaluation
+    shown = ", ".join(f"{name} {found[name]:.3g}" for name in ("return", "cost", "success", "speed_mps"))
+    typer.echo(f"{checkpoint.steps:>9} decisions: {shown}{'  best' if checkpoint.best else ''}", err=True)
+
+
+def evaluate(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a training.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results; a run goes on where one stopped.")],
+    agents: Annotated[str, typer.Option(metavar="A,B", help="Drive these beside it.")] = "nominal,integrity_aware",
+    seeds: Annotated[int, typer.Option(min=1, help="Episodes of each, on test seeds.")] = 50,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Processes; one for each core by default.")] = None,
+) -> None:
+    """Drive the best checkpoint of a training on the test seeds, beside other agents.
+
+    Example: lanebound evaluate out/learnt --out out/learnt-evaluation --seeds 20
+    """
+    from lanebound.agents.benchmark.running import run
+    from lanebound.agents.cli.interrupt import stoppable, wait_for
+    from lanebound.agents.cli.overview import print_overview
+    from lanebound.agents.learning.evaluation import evaluation_suite
+    from lanebound.agents.report import write_report
+
+    suite = evaluation_suite(folder, agents, seeds)
+    with stoppable(lambda: f"finished episodes are kept in {out}: the same command goes on"):
+        results = wait_for(lambda: run(suite, out, jobs))
+        print_overview(results)
+        typer.echo(f"report: {wait_for(lambda: write_report(results, out))}")

@@ -1,0 +1,154 @@
+"""Folders of long work: its parts are kept as they are done, so that an interrupted run goes on where it was.
+
+::
+
+    config.json   which study, of which configuration, by which version of the code
+    parts/        one file for each finished part
+
+What ends in such a folder is what an unbroken run would have ended in.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from functools import cache
+from importlib import resources
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from lanebound.agents.plain import finite_or_none
+from lanebound.integrity.config import Config
+from lanebound.integrity.errors import InputError
+
+__all__ = ["Progress", "claim", "code_digest", "one_thread", "parts_kept", "run_parts", "write_whole"]
+
+Progress = Callable[[int, int], None]
+THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def claim(out: Path, study: str, config: Config, packages: Sequence[str]) -> None:
+    """Mark a folder with a study, its configuration and its code, or refuse one that is marked otherwise.
+
+    Parameters
+    ----------
+    packages : those that its parts follow from, as ``lanebound.integrity``
+
+    Raises
+    ------
+    InputError
+        ``out`` holds another study, or cannot be written.
+    """
+    text = study + config.to_json() + code_digest(*packages)
+    digest = hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
+    mark = out / "config.json"
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        found = _digest_in(mark) if mark.exists() else digest
+        if found == digest:
+            write_whole(mark, {"digest": digest, "study": study, "config": config.to_dict()})
+    except OSError as error:
+        raise InputError(
+            f"out must be a folder that can be written, got {out} ({error}): choose another one"
+        ) from error
+    if found != digest:
+        raise InputError(
+            f"out must be empty or hold the same study, got {out} of another configuration or version: "
+            "choose a new folder"
+        )
+
+
+def _digest_in(mark: Path) -> Any:
+    """The digest that a folder is marked with; None where the mark is no mark of ours."""
+    try:
+        return json.loads(mark.read_text(encoding="utf-8")).get("digest")
+    except (ValueError, AttributeError):
+        return None
+
+
+@cache
+def code_digest(*packages: str) -> str:
+    """A name for the code of packages, as it was first asked for: parts made by other code must not be mixed in."""
+    found = hashlib.blake2b(digest_size=8)
+    for package in packages:
+        for source in sorted(Path(str(resources.files(package))).rglob("*.py")):
+            found.update(source.read_bytes())
+    return found.hexdigest()
+
+
+def write_whole(path: Path, data: Any) -> None:
+    """Write JSON so that the file is there whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_name(path.name + ".part")
+    draft.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+    os.replace(draft, path)
+
+
+def parts_kept(out: Path) -> int:
+    """Number of finished parts in a folder."""
+    return len(list((out / "parts").glob("*.json")))
+
+
+def run_parts(
+    out: Path,
+    names: Sequence[str],
+    work: Callable[[str], dict[str, Any]],
+    jobs: int = 1,
+    progress: Progress = lambda done, of: None,
+    size: Callable[[str], int] = lambda name: 1,
+) -> list[dict[str, Any]]:
+    """Results of all parts in order: those in the folder, and ``work(name)`` of the others, each kept when it is done.
+
+    With more than one job ``work`` must be something that can be pickled; each process computes on one thread.
+
+    Parameters
+    ----------
+    progress : called with how much is done and how much there is, in the unit of ``size``
+    size : how much a part is
+    """
+    missing = [name for name in names if not _path(out, name).exists()]
+    of = sum(map(size, names))
+    done = of - sum(map(size, missing))
+    progress(done, of)
+    for name, found in _worked(missing, work, jobs):
+        write_whole(_path(out, name), finite_or_none(found))
+        done += size(name)
+        progress(done, of)
+    return [json.loads(_path(out, name).read_text(encoding="utf-8")) for name in names]
+
+
+def _path(out: Path, name: str) -> Path:
+    return out / "parts" / f"{name}.json"
+
+
+def _worked(
+    names: Sequence[str], work: Callable[[str], dict[str, Any]], jobs: int
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    if jobs == 1 or len(names) < 2:
+        for name in names:
+            yield name, work(name)
+        return
+    with one_thread(), ProcessPoolExecutor(min(jobs, len(names)), mp_context=get_context("spawn")) as pool:
+        running = {pool.submit(work, name): name for name in names}
+        for finished in as_completed(running):
+            yield running[finished], finished.result()
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Processes that are started within compute on one thread: libraries ask once, when they are loaded."""
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

@@ -1,0 +1,120 @@
+"""What the algorithms under a cost limit share: costs out of ``info``, a critic of them, and their advantages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from numpy.typing import NDArray
+from torch import nn
+
+from lanebound.integrity.errors import InputError
+
+__all__ = ["CostCritic", "EpisodeCosts", "advantages", "costs_in", "require_flat"]
+
+Array = NDArray[np.float32]
+
+
+def costs_in(infos: Sequence[Mapping[str, Any]]) -> Array:
+    """The cost of the step in each environment, (N,).
+
+    Raises
+    ------
+    InputError
+        An ``info`` without "cost".
+    """
+    if any("cost" not in info for info in infos):
+        raise InputError("info must hold 'cost' at every step, got none: use an environment of lanebound")
+    return np.array([info["cost"] for info in infos], dtype=np.float32)
+
+
+def require_flat(space: spaces.Space[Any]) -> int:
+    """Length of a flat observation.
+
+    Raises
+    ------
+    InputError
+        Observations are not one vector.
+    """
+    if not isinstance(space, spaces.Box) or len(space.shape) != 1:
+        raise InputError(f"observations must be one vector, got {space}: set observation.form to flat")
+    return int(space.shape[0])
+
+
+class CostCritic(nn.Module):
+    """Cost to come from an observation, or from an observation and an action, as a small network.
+
+    Parameters
+    ----------
+    size : of its input
+    widths : of the hidden layers
+    """
+
+    def __init__(self, size: int, widths: Sequence[int] = (64, 64)) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        for width in widths:
+            layers += [nn.Linear(size, width), nn.Tanh()]
+            size = width
+        self.net = nn.Sequential(*layers, nn.Linear(size, 1))
+
+    def forward(self, given: torch.Tensor) -> torch.Tensor:
+        """(..., size) to (...)."""
+        found: torch.Tensor = self.net(given)
+        return found[..., 0]
+
+    def of(self, given: Array) -> Array:
+        """The same on arrays, without gradients."""
+        with torch.no_grad():
+            device = next(self.parameters()).device
+            return np.asarray(self(torch.as_tensor(given, dtype=torch.float32, device=device)).cpu().numpy())
+
+
+class EpisodeCosts:
+    """Sums of costs over episodes, in N environments side by side."""
+
+    def __init__(self, count: int) -> None:
+        self._running = np.zeros(count)
+        self._ended: list[float] = []
+
+    def add(self, costs: Array, dones: NDArray[np.bool_]) -> None:
+        """A step of all environments."""
+        self._running += costs
+        self._ended += self._running[dones].tolist()
+        self._running[dones] = 0.0
+
+    def take(self) -> list[float]:
+        """The episodes that have ended since the last call."""
+        ended, self._ended = self._ended, []
+        return ended
+
+
+def advantages(
+    costs: Array, values: Array, last: Array, dones: NDArray[np.bool_], gamma: float, gae_lambda: float
+) -> tuple[Array, Array]:
+    """Generalised advantage estimates of costs and the returns they go with (Schulman 2016, equation 16).
+
+    ``delta_t = c_t + gamma V_(t+1) (1 - done_t) - V_t``, ``A_t = delta_t + gamma lambda (1 - done_t) A_(t+1)``
+
+    Parameters
+    ----------
+    costs : (T, N), of a step; where an episode was cut off, with the discounted value of its end
+    values : (T, N), of the observations before each step
+    last : (N,), value of those after the last
+    dones : (T, N), whether the episode ended with the step
+
+    Returns
+    -------
+    advantages and returns, (T, N) each
+    """
+    found = np.zeros_like(values)
+    after, ahead = last, np.zeros_like(last)
+    for t in range(len(costs) - 1, -1, -1):
+        goes_on = 1.0 - dones[t].astype(np.float32)
+        delta = costs[t] + gamma * after * goes_on - values[t]
+        ahead = delta + gamma * gae_lambda * goes_on * ahead
+        found[t], after = ahead, values[t]
+    return found, found + values

@@ -1,0 +1,85 @@
+"""What an experiment is: an environment, an algorithm with its settings, a limit of cost, and how long."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import StrEnum
+from typing import Any
+
+from pydantic import field_validator
+
+from lanebound.agents.episodes.opening import full_id, open_env
+from lanebound.agents.learning.multiplier import MultiplierConfig
+from lanebound.agents.named import load_named
+from lanebound.envs.core import DrivingEnv
+from lanebound.integrity.config import Config, Field, deep_merge
+
+__all__ = ["FLAT", "Algorithm", "ExperimentConfig", "Shield", "load_experiment"]
+
+FOLDER = "experiments/"
+FLAT: dict[str, Any] = {"observation": {"form": "flat"}}
+
+
+class Algorithm(StrEnum):
+    """How a policy is learnt."""
+
+    PPO = "ppo"
+    SAC = "sac"
+    PPO_LAGRANGIAN = "ppo_lagrangian"
+    SAC_LAGRANGIAN = "sac_lagrangian"
+
+    @property
+    def constrained(self) -> bool:
+        """Whether it heeds the limit of cost."""
+        return self in (Algorithm.PPO_LAGRANGIAN, Algorithm.SAC_LAGRANGIAN)
+
+
+class Shield(StrEnum):
+    """What stands between a policy and the car."""
+
+    NONE = "none"
+    CBF = "cbf"
+
+
+class ExperimentConfig(Config):
+    """Everything that training depends on."""
+
+    title: str = Field("", description="what it is for, in a line")
+    env: str = Field(description="id, ours without lanebound/")
+    sky: str = Field("urban", description="level of the sky")
+    overrides: Mapping[str, Any] = Field({}, description="of the environment's configuration, merged deeply")
+    algorithm: Algorithm = Field(Algorithm.PPO, description="how the policy is learnt")
+    settings: Mapping[str, Any] = Field({}, description="of the algorithm, by stable-baselines3's names")
+    cost_limit: float | None = Field(None, gt=0, description="of an episode's cost; None: the environment's own")
+    multiplier: MultiplierConfig = Field(MultiplierConfig(), description="of algorithms under the limit")
+    shield: Shield = Field(Shield.NONE, description="filter that every action passes, in training and after")
+    steps: int = Field(200_000, ge=1, description="decisions, of all environments together")
+    count: int = Field(4, ge=1, le=256, description="environments side by side")
+    seed: int = Field(0, ge=0, description="of networks, draws and environments")
+    checkpoint_steps: int = Field(20_000, ge=1, description="decisions between checkpoints; what a stop may lose")
+    evaluation_episodes: int = Field(8, ge=1, le=100, description="at each checkpoint, on the last training seeds")
+
+    @field_validator("env")
+    @classmethod
+    def _env_exists(cls, name: str) -> str:
+        return full_id(name).removeprefix("lanebound/")
+
+    @property
+    def env_overrides(self) -> dict[str, Any]:
+        """What the environment changes of what its id presets; observations are flat."""
+        return deep_merge(deep_merge({"sky": self.sky}, self.overrides), FLAT)
+
+    def open(self) -> DrivingEnv:
+        """The environment, without the shield."""
+        return open_env(self.env, self.env_overrides)
+
+
+def load_experiment(name: str, overrides: Mapping[str, Any] | None = None) -> ExperimentConfig:
+    """A packaged experiment by its name, or one of your own by the path of its YAML file.
+
+    Raises
+    ------
+    ConfigError
+        There is none, or a value is refused.
+    """
+    return load_named(ExperimentConfig, "experiment", FOLDER, name, overrides)

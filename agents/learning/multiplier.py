@@ -1,0 +1,73 @@
+"""The Lagrange multiplier of a cost limit, under PID control (Stooke, Achiam and Abbeel 2020, algorithm 2).
+
+Symbols: J_C mean cost of an episode, d its limit, Delta = (J_C - d) / d the excess, I its integral, lambda multiplier.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from lanebound.integrity.config import Config, Field
+from lanebound.integrity.errors import InputError
+
+__all__ = ["Multiplier", "MultiplierConfig"]
+
+
+class MultiplierConfig(Config):
+    """Gains of the controller, on the relative excess over the limit."""
+
+    proportional: float = Field(0.25, ge=0, description="K_P [-]")
+    integral: float = Field(0.05, ge=0, description="K_I, by update [-]")
+    derivative: float = Field(0.1, ge=0, description="K_D, of growing costs alone [-]; Stooke 2020")
+    smoothing: float = Field(0.8, ge=0, lt=1, description="share of the old in what the P and D terms see [-]")
+    start: float = Field(0.1, ge=0, description="multiplier before the first update [-]")
+    largest: float = Field(20.0, gt=0, description="multiplier at most [-]; the integral stops there too")
+
+
+@dataclass
+class Multiplier:
+    """How much a unit of cost weighs against a unit of reward, 0 at least.
+
+    Parameters
+    ----------
+    limit : of an episode's cost, positive
+
+    Attributes
+    ----------
+    value : lambda now
+
+    Raises
+    ------
+    InputError
+        A limit that is not positive.
+    """
+
+    limit: float
+    config: MultiplierConfig
+    value: float = 0.0
+    integral: float = 0.0
+    _seen: float | None = None  # smoothed excess
+    _slow: float | None = None  # smoothed cost, of the derivative
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.limit < math.inf:
+            raise InputError(
+                f"cost_limit must be > 0 and finite, got {self.limit}: an excess is told by its share of the limit"
+            )
+        self.value = self.config.start
+        self.integral = self.config.start / self.config.integral if self.config.integral > 0.0 else 0.0
+
+    def update(self, cost: float) -> float:
+        """Take the mean cost of the latest episodes; returns the new multiplier."""
+        c = self.config
+        excess = (cost - self.limit) / self.limit
+        ceiling = c.largest / c.integral if c.integral > 0.0 else math.inf
+        self.integral = min(max(self.integral + excess, 0.0), ceiling)
+        self._seen = excess if self._seen is None else c.smoothing * self._seen + (1.0 - c.smoothing) * excess
+        before = excess if self._slow is None else self._slow
+        self._slow = c.smoothing * before + (1.0 - c.smoothing) * excess
+        growth = max(0.0, self._slow - before)
+        wanted = c.proportional * self._seen + c.integral * self.integral + c.derivative * growth
+        self.value = min(max(wanted, 0.0), c.largest)
+        return self.value

@@ -1,0 +1,234 @@
+"""Training that goes on where it stopped: chunks between checkpoints, each kept whole or not at all.
+
+::
+
+    experiment.json                what is learnt
+    last.zip  last-replay.pkl      the newest checkpoint; transitions of algorithms that keep them
+    best.zip  best.md              the best so far, by return within the limit of cost, and a card about it
+    progress.json                  an evaluation at each checkpoint
+    logs/                          TensorBoard's, where it is installed
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
+
+from lanebound.agents.kept import write_whole
+from lanebound.agents.learning.card import write_card
+from lanebound.agents.learning.evaluation import evaluate
+from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig, Shield
+from lanebound.agents.learning.shield import Shielded
+from lanebound.agents.plain import finite_or_none
+from lanebound.envs.costs import CAUSES
+from lanebound.integrity.errors import InputError
+
+__all__ = ["Checkpoint", "load_model", "train"]
+
+CLASSES = {
+    Algorithm.PPO: "stable_baselines3:PPO",
+    Algorithm.SAC: "stable_baselines3:SAC",
+    Algorithm.PPO_LAGRANGIAN: "lanebound.agents.learning.ppo_lagrangian:PPOLagrangian",
+    Algorithm.SAC_LAGRANGIAN: "lanebound.agents.learning.sac_lagrangian:SACLagrangian",
+}
+REPLAY = "last-replay.pkl"
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """How far training is, and what the policy of then came to.
+
+    Attributes
+    ----------
+    steps : decisions so far; of : planned
+    evaluation : means over episodes on seeds kept for it
+    best : whether it is the best so far
+    """
+
+    steps: int
+    of: int
+    evaluation: Mapping[str, float]
+    best: bool
+
+
+def train(
+    experiment: ExperimentConfig,
+    out: Path,
+    processes: int = 1,
+    told: Callable[[Checkpoint], None] = lambda checkpoint: None,
+    stepped: Callable[[int], None] = lambda steps: None,
+) -> list[dict[str, Any]]:
+    """Carry out an experiment, or what is left of it in ``out``; returns the evaluations.
+
+    Parameters
+    ----------
+    processes : of the environments, spawned; with 1 they run in this one
+    told : called after each checkpoint; stepped : with the decisions so far, at every step
+
+    Raises
+    ------
+    InputError
+        ``out`` holds another experiment, or the environment does not suit the algorithm.
+    """
+    progress = _claim(experiment, out)
+    env = _environments(experiment, processes)
+    try:
+        model = _model(experiment, env, out)
+        watch = _Watch(stepped)
+        while model.num_timesteps < experiment.steps:
+            chunk = min(experiment.checkpoint_steps, experiment.steps - model.num_timesteps)
+            model.learn(chunk, callback=watch, reset_num_timesteps=model.num_timesteps == 0, tb_log_name="run")
+            found = evaluate(experiment, model)
+            progress.append({"steps": model.num_timesteps, **found})
+            best = _is_best(progress, _limit(experiment))
+            _keep(model, out, best)
+            if best:
+                write_card(experiment, progress[-1], out / "best.md")
+            write_whole(out / "progress.json", finite_or_none(progress))
+            told(Checkpoint(model.num_timesteps, experiment.steps, found, best))
+    finally:
+        env.close()
+    return progress
+
+
+def load_model(path: Path, algorithm: Algorithm, env: VecEnv | None = None) -> BaseAlgorithm:
+    """A checkpoint, on the processor.
+
+    Raises
+    ------
+    InputError
+        It cannot be read.
+    """
+    try:
+        found: BaseAlgorithm = _class(algorithm).load(path, env=env, device="cpu")
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"checkpoint must be one of {algorithm}, got {path} ({error}): train it anew") from None
+    return found
+
+
+def _class(algorithm: Algorithm) -> Any:
+    module, _, name = CLASSES[algorithm].partition(":")
+    return getattr(import_module(module), name)
+
+
+def _limit(experiment: ExperimentConfig) -> float:
+    return experiment.open().config.cost_limit if experiment.cost_limit is None else experiment.cost_limit
+
+
+def _environments(experiment: ExperimentConfig, processes: int) -> VecEnv:
+    makers = [_Maker(experiment) for _ in range(experiment.count)]
+    env = DummyVecEnv(list(makers)) if processes == 1 else SubprocVecEnv(list(makers), start_method="spawn")
+    env.seed(experiment.seed)
+    return env
+
+
+@dataclass(frozen=True)
+class _Maker:
+    """Makes an environment, in whichever process."""
+
+    experiment: ExperimentConfig
+
+    def __call__(self) -> Any:
+        env = self.experiment.open()
+        return Monitor(Shielded(env) if self.experiment.shield is Shield.CBF else env)
+
+
+def _model(experiment: ExperimentConfig, env: VecEnv, out: Path) -> BaseAlgorithm:
+    logs = str(out / "logs") if find_spec("tensorboard") else None
+    if (out / "last.zip").exists():
+        model = load_model(out / "last.zip", experiment.algorithm, env)
+        model.tensorboard_log = logs
+        if (out / REPLAY).exists():
+            model.load_replay_buffer(out / REPLAY)  # type: ignore[attr-defined]
+        return model
+    settings: dict[str, Any] = {"seed": experiment.seed, "device": "cpu", "tensorboard_log": logs}
+    if experiment.algorithm.constrained:
+        settings |= {"cost_limit": _limit(experiment), "multiplier": experiment.multiplier}
+    try:
+        made: BaseAlgorithm = _class(experiment.algorithm)("MlpPolicy", env, **{**settings, **experiment.settings})
+    except (TypeError, AssertionError) as error:
+        raise InputError(
+            f"settings must suit {experiment.algorithm} and {experiment.env}, got {dict(experiment.settings)} "
+            f"({error}): see stable-baselines3"
+        ) from None
+    return made
+
+
+def _claim(experiment: ExperimentConfig, out: Path) -> list[dict[str, Any]]:
+    """Mark a folder with an experiment, or go on with it; the evaluations so far.
+
+    More steps may be asked for; everything else must be as it was.
+    """
+    mark, wanted = out / "experiment.json", experiment.to_dict()
+    try:
+        if mark.exists():
+            found = json.loads(mark.read_text(encoding="utf-8"))
+            changed = sorted(key for key in wanted | found if key != "steps" and wanted.get(key) != found.get(key))
+            if changed:
+                raise InputError(
+                    f"out must be empty or hold the same experiment, got {out}, which differs in {', '.join(changed)}: "
+                    "choose a new folder"
+                )
+        write_whole(mark, wanted)
+        progress = out / "progress.json"
+        return json.loads(progress.read_text(encoding="utf-8")) if progress.exists() else []
+    except (OSError, ValueError) as error:
+        raise InputError(f"out must be a folder that can be written, got {out} ({error}): choose another") from error
+
+
+def _keep(model: BaseAlgorithm, out: Path, best: bool) -> None:
+    """Save a checkpoint; the one before stays until the new one is whole."""
+    if getattr(model, "replay_buffer", None) is not None:
+        _whole(out / REPLAY, model.save_replay_buffer)  # type: ignore[attr-defined]
+    _whole(out / "last.zip", model.save)
+    if best:
+        _whole(out / "best.zip", model.save)
+
+
+def _whole(path: Path, save: Callable[[Path], None]) -> None:
+    draft = path.with_name("draft-" + path.name)
+    save(draft)
+    os.replace(draft, path)
+
+
+def _is_best(progress: list[dict[str, Any]], limit: float) -> bool:
+    """Whether the last evaluation is: the largest return within the limit of cost, else the least cost."""
+
+    def worth(row: Mapping[str, float]) -> tuple[float, float]:
+        return (1.0, row["return"]) if row["cost"] <= limit else (0.0, -row["cost"])
+
+    return all(worth(progress[-1]) >= worth(row) for row in progress[:-1])
+
+
+class _Watch(BaseCallback):
+    """Tells how far training is, and logs the costs of finished episodes by cause."""
+
+    def __init__(self, stepped: Callable[[int], None]) -> None:
+        super().__init__()
+        self._told = stepped
+        self._sums: list[dict[str, float]] = []
+
+    def _on_step(self) -> bool:
+        infos, dones = self.locals["infos"], self.locals["dones"]
+        if len(self._sums) != len(infos):
+            self._sums = [dict.fromkeys(CAUSES, 0.0) for _ in infos]
+        for sums, info, done in zip(self._sums, infos, dones, strict=True):
+            for cause in CAUSES:
+                sums[cause] += info[cause]
+            if done:
+                for cause in CAUSES:
+                    self.logger.record_mean(f"cost/{cause.removeprefix('cost_')}", sums[cause])
+                    sums[cause] = 0.0
+        self._told(self.num_timesteps)
+        return True

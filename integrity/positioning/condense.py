@@ -1,0 +1,70 @@
+"""Many correlated rows of one satellite as few independent ones, without loss for the unknowns.
+
+With ``Q = L L'``, ``A = L^-1 G = U D V'`` and ``b = L^-1 y``, the rows ``D V' x = U'b`` of unit variance have the
+normal equations of ``G x = y`` with covariance Q. A window of a hundred epochs thus becomes a handful of rows for each
+satellite, which least squares, fault detection and protection levels take as they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.errors import InputError, require_finite, require_shape
+
+__all__ = ["Condensed", "condense", "condense_white", "gauss_markov_covariance"]
+
+Array = NDArray[np.float64]
+
+NEGLIGIBLE = 1e-6  # of the largest singular value
+
+
+@dataclass(frozen=True)
+class Condensed:
+    """Rows (r, n) and right-hand sides (r,) of unit variance; what no x can explain: ``misfit`` and its ``freedom``."""
+
+    design: Array
+    y: Array
+    misfit: float
+    freedom: int
+
+
+def condense(design: Array, covariance: Array, y: Array) -> Condensed:
+    """At most n rows in place of m: design (m, n), covariance (m, m), y (m,).
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit, entries that are not finite, or a covariance that is not positive definite.
+    """
+    g, q, right = (require_finite(*pair) for pair in (("design", design), ("covariance", covariance), ("y", y)))
+    require_shape("covariance", q, (g.shape[0], g.shape[0]))
+    require_shape("y", right, (g.shape[0],))
+    try:
+        root = np.linalg.cholesky(q)
+    except np.linalg.LinAlgError:
+        raise InputError("covariance must be positive definite, it is not: give every row noise of its own") from None
+    return condense_white(np.linalg.solve(root, np.column_stack([g, right])))
+
+
+def condense_white(white: Array) -> Condensed:
+    """:func:`condense` of rows that already have unit variance: (m, n + 1), the right-hand side last."""
+    left, size, across = np.linalg.svd(white[:, :-1], full_matrices=False)
+    keep = size > NEGLIGIBLE * max(float(size.max(initial=0.0)), np.finfo(np.float64).tiny)
+    told = left[:, keep].T @ white[:, -1]
+    misfit = max(float(white[:, -1] @ white[:, -1] - told @ told), 0.0)
+    return Condensed(size[keep, None] * across[keep], told, misfit, white.shape[0] - int(keep.sum()))
+
+
+def gauss_markov_covariance(time_s: Array, sigma: Array, tau_s: float, white_share: float = 0.05) -> Array:
+    """``sigma_i sigma_j ((1 - w) exp(-|t_i - t_j| / tau) + w [i = j])``: an error that lasts, and noise.
+
+    time_s, sigma (m,), tau_s 0 for noise alone, ``white_share`` w of the variance -> (m, m).
+    """
+    if tau_s <= 0.0:
+        return np.diag(sigma**2)
+    apart = np.abs(time_s[:, None] - time_s[None, :])
+    lasting = (1.0 - white_share) * np.exp(-apart / tau_s) + white_share * np.eye(len(time_s))
+    return np.asarray(sigma[:, None] * sigma[None, :] * lasting)

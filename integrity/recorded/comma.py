@@ -1,0 +1,144 @@
+"""comma2k19 segments: a minute of highway with wheel speeds, inertial sensors, receiver fixes and a reference pose.
+
+Source of the layout: Schafer et al. 2018, "A Commute in Data: The comma2k19 Dataset" (arXiv 1812.05752). A segment is a
+folder of NumPy arrays, in the original without the ending ``.npy``. Reference poses come from a smoothed solution of
+raw GNSS and vision, in ECEF; orientations are quaternions that turn the frame of the phone (x forward, y right, z down)
+into ECEF.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.recorded.numpy_file import read_rows
+from lanebound.integrity.recorded.source import Stop
+
+__all__ = ["Comma", "Fixes", "Reference", "Series", "read_comma"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Series:
+    """Times (N,) [s], strictly increasing, and values (N,) or (N, k)."""
+
+    time_s: Array
+    value: Array
+
+    def at(self, time_s: Array) -> Array:
+        """Values (T,) or (T, k) at times (T,), linear between samples and constant beyond."""
+        if self.value.ndim == 1:
+            return np.interp(time_s, self.time_s, self.value)
+        return np.stack([np.interp(time_s, self.time_s, column) for column in self.value.T], -1)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Reference pose: time (N,) [s], position and velocity (N, 3) ECEF [m, m/s], quaternion (N, 4) w x y z."""
+
+    time_s: Array
+    position_ecef_m: Array
+    velocity_ecef_mps: Array
+    quaternion: Array
+
+
+@dataclass(frozen=True)
+class Fixes:
+    """Fixes of the u-blox: time (N,) [s], latitude and longitude [deg], speed [m/s], course [deg]."""
+
+    time_s: Array
+    latitude_deg: Array
+    longitude_deg: Array
+    speed_mps: Array
+    course_deg: Array
+
+
+@dataclass(frozen=True)
+class Comma:
+    """A segment: reference, speed of the car [m/s], of its four wheels [m/s], acceleration [m/s^2] and rotation rate
+    [rad/s] (forward, right, down), fixes or None; ``stopped`` names the first array that is cut."""
+
+    reference: Reference
+    speed: Series
+    wheel_speed: Series
+    acceleration: Series
+    rotation_rate: Series
+    fixes: Fixes | None
+    stopped: Stop | None
+
+
+def read_comma(folder: str | Path) -> Comma:
+    """A segment from its folder (``global_pose``, ``CAN``, ``IMU`` and, when there, ``GNSS/live_gnss_ublox``).
+
+    Raises
+    ------
+    InputError
+        A needed array is missing or malformed, names the file; or times do not increase.
+    """
+    reader = _Reader(Path(folder))
+    pose = Path("global_pose")
+    time = reader.rows(pose / "frame_times")
+    position = reader.rows(pose / "frame_positions", 3)
+    velocity = reader.rows(pose / "frame_velocities", 3)
+    turn = reader.rows(pose / "frame_orientations", 4)
+    n = min(map(len, (time, position, velocity, turn)))
+    reference = Reference(*(rows[:n] for rows in (time, position, velocity, turn)))
+    reader.check("global_pose/frame_times", reference.time_s)
+    speed, wheels = reader.series("CAN/speed"), reader.series("CAN/wheel_speed", 4)
+    acceleration, rate = reader.series("IMU/accelerometer", 3), reader.series("IMU/gyro", 3)
+    fixes = _fixes(reader)
+    return Comma(reference, speed, wheels, acceleration, rate, fixes, reader.stopped)
+
+
+def _fixes(reader: _Reader) -> Fixes | None:
+    """Columns of live_gnss: latitude, longitude, speed, time stamp, altitude, course."""
+    if reader.path(Path("GNSS/live_gnss_ublox/t")) is None:
+        return None
+    found = reader.series("GNSS/live_gnss_ublox", 6)
+    latitude, longitude, speed, _, _, course = found.value.T
+    return Fixes(found.time_s, latitude, longitude, speed, course)
+
+
+class _Reader:
+    """Arrays of one folder; remembers the first that is cut."""
+
+    def __init__(self, folder: Path) -> None:
+        if not folder.is_dir():
+            raise InputError(f"{folder} must be a folder of a comma2k19 segment: give the one that holds global_pose")
+        self.folder = folder
+        self.stopped: Stop | None = None
+
+    def path(self, name: Path) -> Path | None:
+        """The file of an array, with or without its ending; None where there is none."""
+        plain = self.folder / name
+        return next((p for p in (plain.with_name(f"{plain.name}.npy"), plain) if p.is_file()), None)
+
+    def rows(self, name: Path, columns: int | None = None) -> Array:
+        """Rows of an array that must be there."""
+        path = self.path(name)
+        if path is None:
+            raise InputError(f"{self.folder / name}(.npy) must be there, is not: is {self.folder} a comma2k19 segment?")
+        found, lacking = read_rows(path, columns)
+        if lacking and self.stopped is None:
+            self.stopped = Stop(len(found), f"{path} is cut, {lacking} rows are missing")
+        if not len(found):
+            raise InputError(f"{path} must hold at least one row, got none: fetch it again")
+        return found
+
+    def series(self, name: str, columns: int | None = None) -> Series:
+        """``NAME/t`` and ``NAME/value``, as long as both are."""
+        time, value = self.rows(Path(name) / "t"), self.rows(Path(name) / "value", columns)
+        n = min(len(time), len(value))
+        later = np.concatenate([[True], np.diff(np.maximum.accumulate(time[:n])) > 0.0])
+        return Series(time[:n][later], value[:n][later])
+
+    def check(self, name: str, time: Array) -> None:
+        """Refuse times that do not increase."""
+        if (np.diff(time) <= 0.0).any():
+            row = int(np.argmax(np.diff(time) <= 0.0)) + 1
+            raise InputError(f"{self.folder / name} must increase, row {row} does not: sort the rows by time")

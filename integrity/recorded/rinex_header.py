@@ -1,0 +1,181 @@
+"""The header of a RINEX 3 observation file (IGS/RTCM RINEX Version 3.04, tables A1-A2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from lanebound.integrity.recorded.source import finite_number, whole_number
+
+__all__ = ["Header", "HeaderBuilder"]
+
+LABEL_AT = 60
+CODES_PER_LINE = 13
+MAX_CODES = 999
+SYSTEMS = "GRESCJI"
+TIME_SYSTEMS = ("GPS", "GLO", "GAL", "QZS", "BDT", "IRN", "UTC")
+KINDS = "CLDSXI"  # code, phase, Doppler, strength, channel number, ionospheric delay
+
+
+@dataclass(frozen=True)
+class Header:
+    """What later lines need, and what a user wants to know.
+
+    ``codes`` are the observation codes of each system letter in the order of their columns; ``scale`` divides the
+    stored values of (system, code); ``channel`` is the frequency number of a GLONASS satellite; position [m] or None.
+    """
+
+    version: float
+    marker: str
+    receiver: str
+    antenna: str
+    position_ecef_m: tuple[float, float, float] | None
+    antenna_une_m: tuple[float, float, float]
+    codes: dict[str, tuple[str, ...]]
+    scale: dict[tuple[str, str], float]
+    channel: dict[int, int]
+    interval_s: float | None
+    time_system: str
+    leap_s: int | None
+
+
+@dataclass
+class HeaderBuilder:
+    """Takes header lines one by one; ``build`` when END OF HEADER was seen. All errors are ValueErrors."""
+
+    version: float | None = None
+    marker: str = ""
+    receiver: str = ""
+    antenna: str = ""
+    position: tuple[float, float, float] | None = None
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    codes: dict[str, list[str]] = field(default_factory=dict)
+    counts: dict[str, int] = field(default_factory=dict)
+    scale: dict[tuple[str, str], float] = field(default_factory=dict)
+    channel: dict[int, int] = field(default_factory=dict)
+    interval: float | None = None
+    time_system: str = ""
+    leap: int | None = None
+    kind: str = ""
+    ended: bool = False
+    system: str = ""
+    scaled: tuple[str, float, int] = ("", 1.0, 0)
+
+    def take(self, line: str) -> None:
+        """One line of the header, also of one in the middle of a file."""
+        label, text = line[LABEL_AT:].strip(), line[:LABEL_AT]
+        if self.version is None and label != "RINEX VERSION / TYPE":
+            raise ValueError(f"the first line must be 'RINEX VERSION / TYPE', got {line[:80]!r}: is it a RINEX file?")
+        reader = READERS.get(label)
+        if reader is not None:
+            reader(self, text)
+
+    def build(self) -> Header:
+        """The whole header."""
+        assert self.version is not None
+        for system, count in self.counts.items():
+            if len(self.codes[system]) != count:
+                raise ValueError(
+                    f"SYS / # / OBS TYPES of {system} must list {count} codes, got {len(self.codes[system])}"
+                )
+        if not self.codes:
+            raise ValueError("the header must have SYS / # / OBS TYPES, got none: is it a RINEX 3 observation file?")
+        return Header(
+            self.version, self.marker, self.receiver, self.antenna, self.position, self.offset,
+            {s: tuple(c) for s, c in self.codes.items()}, dict(self.scale), dict(self.channel), self.interval,
+            self.time_system or "GPS", self.leap,
+        )  # fmt: skip
+
+    def _version(self, text: str) -> None:
+        self.version = finite_number(text[:9], 0.0, 99.0)
+        kind = text[20:21].upper()
+        if not 3.0 <= self.version < 5.0:
+            raise ValueError(
+                f"RINEX version must be 3 or 4, got {self.version:g}: convert the file (for instance gfzrnx)"
+            )
+        if kind != "O":
+            raise ValueError(f"the file must hold observations ('O'), got {text[20:40].strip()!r}")
+
+    def _position(self, text: str) -> None:
+        x, y, z = (finite_number(text[14 * i : 14 * i + 14], -1e8, 1e8) for i in range(3))
+        self.position = (x, y, z) if any((x, y, z)) else None
+
+    def _offset(self, text: str) -> None:
+        up, east, north = (finite_number(text[14 * i : 14 * i + 14], -1e4, 1e4) for i in range(3))
+        self.offset = (up, north, east)
+
+    def _codes(self, text: str) -> None:
+        if text[0] != " ":
+            self.system = text[0]
+            if self.system not in SYSTEMS:
+                raise ValueError(f"SYS / # / OBS TYPES: the system must be one of {SYSTEMS}, got {text[0]!r}")
+            self.counts[self.system] = whole_number(text[3:6], 1, MAX_CODES)
+            self.codes[self.system] = []
+        elif not self.system:
+            raise ValueError("SYS / # / OBS TYPES: a continuation must follow a line with a system")
+        for code in text[6:].split():
+            if len(code) not in (2, 3) or code[0] not in KINDS:
+                raise ValueError(f"SYS / # / OBS TYPES: a code is like C1C or L2W, got {code[:20]!r}")
+            self.codes[self.system].append(code)
+        if len(self.codes[self.system]) > self.counts[self.system]:
+            raise ValueError(
+                f"SYS / # / OBS TYPES of {self.system}: more codes than the {self.counts[self.system]} told"
+            )
+
+    def _scale(self, text: str) -> None:
+        if text[0] != " ":
+            count = whole_number(text[8:10], 0, MAX_CODES) if text[8:10].strip() else 0
+            self.scaled = (text[0], float(whole_number(text[2:6], 1, 10_000)), count)
+        system, factor, count = self.scaled
+        for code in text[10:].split() if count else self.codes.get(system, ()):
+            self.scale[system, code] = factor
+
+    def _channels(self, text: str) -> None:
+        for i in range(8):
+            entry = text[4 + 7 * i : 11 + 7 * i]
+            if entry.strip():
+                if entry[0] != "R":
+                    raise ValueError(f"GLONASS SLOT / FRQ #: an entry is like 'R01  1', got {entry!r}")
+                self.channel[whole_number(entry[1:3], 0, 99)] = whole_number(entry[4:6], -12, 24)
+
+    def _first(self, text: str) -> None:
+        named = text[48:51].strip().upper()
+        if named and named not in TIME_SYSTEMS:
+            raise ValueError(
+                f"TIME OF FIRST OBS: the time system must be one of {', '.join(TIME_SYSTEMS)}, got {named!r}"
+            )
+        self.time_system = named
+
+    def _set_interval(self, text: str) -> None:
+        self.interval = finite_number(text[:10], 0.0, 1e6) or None
+
+    def _leap(self, text: str) -> None:
+        self.leap = whole_number(text[:6], -1000, 1000)
+
+    def _marker(self, text: str) -> None:
+        self.marker = text.strip()
+
+    def _receiver(self, text: str) -> None:
+        self.receiver = text[20:].strip()
+
+    def _antenna(self, text: str) -> None:
+        self.antenna = text[20:40].strip()
+
+    def _end(self, _text: str) -> None:
+        self.ended = True
+
+
+READERS = {
+    "RINEX VERSION / TYPE": HeaderBuilder._version,
+    "MARKER NAME": HeaderBuilder._marker,
+    "REC # / TYPE / VERS": HeaderBuilder._receiver,
+    "ANT # / TYPE": HeaderBuilder._antenna,
+    "APPROX POSITION XYZ": HeaderBuilder._position,
+    "ANTENNA: DELTA H/E/N": HeaderBuilder._offset,
+    "SYS / # / OBS TYPES": HeaderBuilder._codes,
+    "SYS / SCALE FACTOR": HeaderBuilder._scale,
+    "GLONASS SLOT / FRQ #": HeaderBuilder._channels,
+    "TIME OF FIRST OBS": HeaderBuilder._first,
+    "INTERVAL": HeaderBuilder._set_interval,
+    "LEAP SECONDS": HeaderBuilder._leap,
+    "END OF HEADER": HeaderBuilder._end,
+}

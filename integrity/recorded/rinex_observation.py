@@ -1,0 +1,257 @@
+"""RINEX 3 and 4 observation files: code, phase, Doppler and strength of every signal, epoch by epoch.
+
+IGS/RTCM RINEX Version 3.04, table A3: an epoch line ``> year month day hour minute second flag number [clock]``, then
+one line for each satellite with 16 characters for each observation code: F14.3, loss-of-lock indicator, strength. Times
+are those of the file's own time system; GLONASS and UTC files are refused, for their leap seconds.
+"""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.recorded.rinex_header import Header, HeaderBuilder
+from lanebound.integrity.recorded.source import MAX_BYTES, Lines, Stop, finite_number, whole_number
+
+__all__ = ["Observations", "SystemRows", "read_observations"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+FIELD = 16
+LOST, HALF = 1, 2  # bits of the loss-of-lock indicator, RINEX 3.04 section 6.7
+WEEK_S = 604_800
+ORIGIN = date(1980, 1, 6)
+GOOD, POWER_FAILURE, CYCLE_SLIPS, MAX_FLAG = 0, 1, 6, 6
+MAX_SATELLITES = 999
+BDT_BEHIND_GPS_S = 14.0  # BeiDou time counts from 2006-01-01 and lacks the leap seconds up to then
+SAME_TIME = ("GPS", "GAL", "QZS", "IRN", "BDT")
+
+
+@dataclass(frozen=True)
+class SystemRows:
+    """Satellite epochs (N,) of one system: index of the epoch, number of the satellite, values (N, codes), 0.0 where
+    there is none (phases in cycles), and what is told of the lock (N, codes): lost, half a cycle in doubt."""
+
+    codes: tuple[str, ...]
+    epoch: Ints
+    satellite: Ints
+    value: Array
+    lost: NDArray[np.bool_]
+    half: NDArray[np.bool_]
+
+    def column(self, code: str) -> Array:
+        """Values of a code, zeros when the file does not have it.  (N,)."""
+        return self.value[:, self.codes.index(code)] if code in self.codes else np.zeros(len(self.epoch))
+
+    def lost_lock(self, code: str) -> NDArray[np.bool_]:
+        """Whether lock of a code was lost since the last epoch.  (N,)."""
+        return self.lost[:, self.codes.index(code)] if code in self.codes else np.zeros(len(self.epoch), np.bool_)
+
+    def half_cycle(self, code: str) -> NDArray[np.bool_]:
+        """Whether a phase may be off by half a cycle.  (N,)."""
+        return self.half[:, self.codes.index(code)] if code in self.codes else np.zeros(len(self.epoch), np.bool_)
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Header, GPS week (T,) and time of week (T,) [s], whether power failed before an epoch, rows by system letter."""
+
+    header: Header
+    week: Ints
+    tow_s: Array
+    power_failed: NDArray[np.bool_]
+    rows: dict[str, SystemRows]
+    stopped: Stop | None
+
+    @property
+    def epochs(self) -> int:
+        """Number of epochs."""
+        return len(self.tow_s)
+
+    def since(self, week: int) -> Array:
+        """Time of the epochs since the start of a GPS week.  (T,) [s]."""
+        return np.asarray((self.week - week) * float(WEEK_S) + self.tow_s)
+
+
+def read_observations(path: str | Path, max_bytes: int = MAX_BYTES) -> Observations:
+    """Observations of a RINEX 3 or 4 file, plain or gzip.
+
+    An epoch that is not whole at the end of the file is left out and told in ``stopped``.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is no RINEX 3 or 4 observation file, is malformed before its last epoch, or has no
+        epoch.
+    """
+    lines = Lines(path, max_bytes)
+    parser = _Parser()
+    doubt: Stop | None = None
+    for text in lines:
+        if doubt is not None and text.strip():
+            raise InputError(f"{path}, line {doubt.line}: {doubt.reason}")
+        if doubt is None and text.strip():
+            try:
+                parser.take(text)
+            except ValueError as error:
+                doubt = Stop(lines.number, str(error))
+    if doubt is None and lines.stop is None and parser.unfinished():
+        doubt = Stop(lines.number, parser.unfinished())
+    stopped = lines.stop or doubt
+    if parser.header is None:
+        raise InputError(f"{path} must have a whole RINEX header, {stopped or 'it has none'}: is it a RINEX 3 file?")
+    return parser.result(path, stopped)
+
+
+class _Rows:
+    """Growing rows of one system."""
+
+    def __init__(self, codes: tuple[str, ...], scales: list[float]) -> None:
+        self.codes, self.scales = codes, scales
+        self.epoch, self.satellite = array("i"), array("h")
+        self.value, self.lost = array("d"), array("b")
+
+    def finished(self, epochs: int) -> SystemRows:
+        """Arrays of the rows of whole epochs."""
+        epoch = np.array(self.epoch, dtype=np.int64)
+        keep = epoch < epochs
+        shape = (len(epoch), len(self.codes))
+        value = np.frombuffer(self.value, np.float64).reshape(shape)[keep] if len(epoch) else np.zeros(shape)
+        flags = np.frombuffer(self.lost, np.int8).reshape(shape)[keep] if len(epoch) else np.zeros(shape, np.int8)
+        satellite = np.array(self.satellite, dtype=np.int64)[keep]
+        return SystemRows(self.codes, epoch[keep], satellite, value, (flags & LOST) != 0, (flags & HALF) != 0)
+
+
+class _Parser:
+    """State of reading: header, then epochs; ``left`` satellite (or event) lines of the present epoch to come."""
+
+    def __init__(self) -> None:
+        self.builder = HeaderBuilder()
+        self.header: Header | None = None
+        self.rows: dict[str, _Rows] = {}
+        self.week, self.tow, self.power = array("q"), array("d"), array("b")
+        self.left, self.flag, self.done = 0, GOOD, 0
+
+    def unfinished(self) -> str:
+        """What is missing at the end of the file, or nothing."""
+        if self.header is None:
+            return "END OF HEADER is missing"
+        return f"the last epoch lacks {self.left} of its lines" if self.left else ""
+
+    def take(self, text: str) -> None:
+        """One line, not blank."""
+        if self.header is None:
+            self.builder.take(text)
+            if self.builder.ended:
+                self._start(self.builder.build())
+        elif self.left == 0:
+            self._epoch(text)
+        else:
+            self._below(text)
+            self.left -= 1
+            if self.left == 0:
+                self.done = len(self.tow)
+
+    def _start(self, header: Header) -> None:
+        if header.time_system not in SAME_TIME:
+            raise ValueError(
+                f"TIME OF FIRST OBS: epochs must be in GPS, Galileo, QZSS or BeiDou time, got {header.time_system}: "
+                "convert the file"
+            )
+        self.header = header
+        for system, codes in header.codes.items():
+            self.rows[system] = _Rows(codes, [header.scale.get((system, code), 1.0) for code in codes])
+
+    def _epoch(self, text: str) -> None:
+        if not text.startswith(">"):
+            raise ValueError(f"an epoch must start with '>', got {text[:40]!r}")
+        self.flag = whole_number(text[29:32] or "0", 0, MAX_FLAG) if text[29:32].strip() else GOOD
+        self.left = whole_number(text[32:35], 0, MAX_SATELLITES)
+        if self.flag in (GOOD, POWER_FAILURE):
+            assert self.header is not None
+            week, tow = _gps_time(text[1:29], BDT_BEHIND_GPS_S if self.header.time_system == "BDT" else 0.0)
+            if self.tow and (week, tow) <= (self.week[-1], self.tow[-1]):
+                raise ValueError(f"epochs must follow each other in time, got {text[1:29].strip()}")
+            self.week.append(week)
+            self.tow.append(tow)
+            self.power.append(self.flag == POWER_FAILURE)
+            if self.left == 0:
+                self.done = len(self.tow)
+
+    def _below(self, text: str) -> None:
+        if self.flag == CYCLE_SLIPS:
+            return
+        if self.flag not in (GOOD, POWER_FAILURE):
+            self._event_header(text)
+            return
+        rows = self.rows.get(text[0])
+        if rows is None:
+            raise ValueError(
+                f"satellite {text[:3]!r} must be of a system in SYS / # / OBS TYPES ({''.join(self.rows)})"
+            )
+        satellite = whole_number(text[1:3], 0, 99)
+        values, lost = _fields(text, rows.codes)
+        rows.value.extend(value / scale for value, scale in zip(values, rows.scales, strict=True))
+        rows.lost.extend(lost)
+        rows.satellite.append(satellite)
+        rows.epoch.append(len(self.tow) - 1)
+
+    def _event_header(self, text: str) -> None:
+        """Header lines inside the file may not change the columns."""
+        if text[60:].strip() in ("SYS / # / OBS TYPES", "SYS / SCALE FACTOR"):
+            raise ValueError("observation codes must not change inside the file: split it there")
+
+    def result(self, path: str | Path, stopped: Stop | None) -> Observations:
+        """Arrays of all whole epochs."""
+        assert self.header is not None
+        n = self.done
+        if n == 0:
+            raise InputError(f"{path} must hold at least one whole epoch, got none ({stopped or 'the file ends'})")
+        week, tow = np.array(self.week[:n], dtype=np.int64), np.array(self.tow[:n])
+        power = np.array(self.power[:n], dtype=np.bool_)
+        rows = {system: r.finished(n) for system, r in self.rows.items()}
+        return Observations(self.header, week, tow, power, rows, stopped)
+
+
+def _gps_time(text: str, ahead_s: float) -> tuple[int, float]:
+    """Week and time of week [s] of an epoch line's date; ``ahead_s`` is added."""
+    words = text.split()
+    if len(words) != 6:
+        raise ValueError(f"an epoch must have year, month, day, hour, minute and second, got {text.strip()[:40]!r}")
+    year, month, day, hour, minute = (
+        whole_number(word, low, high)
+        for word, low, high in zip(words[:5], (1980, 1, 1, 0, 0), (2200, 12, 31, 23, 59), strict=True)
+    )
+    second = finite_number(words[5], 0.0, 61.0)
+    days = (date(year, month, day) - ORIGIN).days
+    if days < 0:
+        raise ValueError(f"an epoch must lie after 1980-01-06, got {text.strip()[:40]!r}")
+    tow = (days % 7) * 86_400 + hour * 3600 + minute * 60 + second + ahead_s
+    over = tow >= WEEK_S
+    return days // 7 + over, tow - WEEK_S * over
+
+
+def _fields(text: str, codes: tuple[str, ...]) -> tuple[list[float], list[int]]:
+    """Values and loss-of-lock bits of one satellite line; blank is 0."""
+    if len(text) > 3 + FIELD * len(codes):
+        raise ValueError(f"satellite {text[:3]} must have at most {len(codes)} observations, the line is longer")
+    values, lost = [], []
+    for i, code in enumerate(codes):
+        cell = text[3 + FIELD * i : 3 + FIELD * (i + 1)]
+        number = cell[:14].strip()
+        try:
+            values.append(finite_number(number, -1e12, 1e12) if number else 0.0)
+        except ValueError as error:
+            raise ValueError(f"{code} of {text[:3]} {error}") from None
+        indicator = cell[14:15].strip()
+        if indicator and not indicator.isdigit():
+            raise ValueError(f"loss of lock of {code} of {text[:3]} must be a digit, got {indicator!r}")
+        lost.append(int(indicator) & (LOST | HALF) if indicator else 0)
+    return values, lost

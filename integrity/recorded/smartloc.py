@@ -1,0 +1,181 @@
+"""smartLoc drives: pseudoranges, odometry and ground truth of a car in a city (Reisdorf et al. 2016).
+
+Two published forms: the preprocessed one of TUC-ProAut/libRSF (:func:`read_smartloc`, lines ``pseudorange3``, ``odom3``
+and ``point3``; atmosphere and satellite clocks already removed, Earth rotation not) and the receiver's raw table with a
+label for reflected signals (:func:`.smartloc_raw.read_smartloc_raw`).
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.recorded.source import Lines, Stop, finite_number
+
+__all__ = ["SYSTEM_LETTERS", "Odometry", "Pseudoranges", "SmartLoc", "Truth", "read_smartloc"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+SYSTEM_LETTERS = {1: "G", 2: "S", 4: "R", 8: "E", 16: "J", 32: "C"}  # readme of the data set
+TIME = (0.0, 1e10)
+ANY = (-1e10, 1e10)
+VARIANCE = (0.0, 1e12)
+# (name, low, high) of the columns after the keyword
+COLUMNS = {
+    "pseudorange3": (
+        ("time", *TIME), ("pseudorange", 1e5, 1e9), ("covariance", *VARIANCE), ("satellite x", *ANY),
+        ("satellite y", *ANY), ("satellite z", *ANY), ("satellite id", 0, 100_000), ("satellite system", 1, 32),
+        ("elevation", -90.0, 90.0), ("C/N0", 0.0, 100.0),
+    ),
+    "odom3": (
+        ("time", *TIME), ("velocity x", -200.0, 200.0), ("velocity y", -200.0, 200.0), ("velocity z", -200.0, 200.0),
+        ("turn rate x", -50.0, 50.0), ("turn rate y", -50.0, 50.0), ("turn rate z", -50.0, 50.0),
+        *((f"covariance {i}", *VARIANCE) for i in range(1, 7)),
+    ),
+    "point3": (("time", *TIME), ("position x", *ANY), ("position y", *ANY), ("position z", *ANY)),
+}  # fmt: skip
+NEARER_S = 0.02  # a truth this near to an epoch is of that epoch; the rate is 5 Hz
+
+
+@dataclass(frozen=True)
+class Pseudoranges:
+    """Rows (N,): time [s], range and its variance as the receiver gives it [m, m^2], satellite (N, 3) ECEF [m] at the
+    time of transmission, id, system letter, elevation [rad], C/N0 [dB-Hz]."""
+
+    time_s: Array
+    range_m: Array
+    variance_m2: Array
+    satellite_ecef_m: Array
+    satellite: Ints
+    system: NDArray[np.str_]
+    elevation_rad: Array
+    cn0_dbhz: Array
+
+
+@dataclass(frozen=True)
+class Odometry:
+    """Wheel speed [m/s] and yaw rate, positive to the LEFT as recorded [rad/s], with their variances, (M,) each."""
+
+    time_s: Array
+    speed_mps: Array
+    yaw_rate_left_radps: Array
+    speed_variance_m2ps2: Array
+    yaw_rate_variance_rad2ps2: Array
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Ground truth: time (K,) [s] and position (K, 3) ECEF [m]."""
+
+    time_s: Array
+    position_ecef_m: Array
+
+    def at(self, time_s: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Position (T, 3) at times (T,) by linear interpolation, and whether a true one is within 0.3 s."""
+        inside = (time_s >= self.time_s[0] - NEARER_S) & (time_s <= self.time_s[-1] + NEARER_S)
+        after = np.clip(np.searchsorted(self.time_s, time_s), 0, self.time_s.size - 1)
+        before = np.maximum(after - 1, 0)
+        close = np.minimum(np.abs(self.time_s[after] - time_s), np.abs(self.time_s[before] - time_s)) < 0.3
+        columns = [np.interp(time_s, self.time_s, self.position_ecef_m[:, k]) for k in range(3)]
+        return np.stack(columns, -1), np.asarray(inside & close)
+
+
+@dataclass(frozen=True)
+class SmartLoc:
+    """A drive; ``truth`` is None when no file of it was given, ``stopped`` says where a cut file ends."""
+
+    ranges: Pseudoranges
+    odometry: Odometry
+    truth: Truth | None
+    stopped: Stop | None
+
+
+def read_smartloc(path: str | Path, truth: str | Path | None = None) -> SmartLoc:
+    """A drive from its ``*_Input`` file, plain or gzip, and its ``*_GT`` file.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, a line before the last is malformed, or there is no pseudorange.
+    """
+    rows, stopped = _read(path, ("pseudorange3", "odom3", "point3"))
+    if truth is not None:
+        true_rows, true_stop = _read(truth, ("point3",))
+        rows["point3"], stopped = true_rows["point3"], stopped or true_stop
+    ranges = _sorted(rows["pseudorange3"])
+    if not ranges.shape[0]:
+        raise InputError(f"{path} must hold lines 'pseudorange3', got none: is it the *_Input file of smartLoc?")
+    return SmartLoc(_pseudoranges(ranges), _odometry(_sorted(rows["odom3"])), _truth(rows["point3"], truth), stopped)
+
+
+def _read(path: str | Path, wanted: tuple[str, ...]) -> tuple[dict[str, Array], Stop | None]:
+    """Numbers of each kind of line (n, columns), and where reading stopped."""
+    found = {name: array("d") for name in wanted}
+    lines, doubt = Lines(path), None
+    for text in lines:
+        if doubt is not None:
+            raise InputError(doubt)
+        words = text.split()
+        if not words:
+            continue
+        if words[0] not in found:
+            doubt = f"{lines.where()}: the first word must be one of {', '.join(wanted)}, got {words[0][:40]!r}"
+            stop = Stop(lines.number, f"unknown word {words[0][:40]!r}")
+            continue
+        try:
+            found[words[0]].extend(_numbers(words))
+        except ValueError as error:
+            doubt, stop = f"{lines.where()}, {error}", Stop(lines.number, str(error))
+    tables = {name: np.array(v).reshape(-1, len(COLUMNS[name])) for name, v in found.items()}
+    return tables, stop if doubt is not None else lines.stop
+
+
+def _numbers(words: list[str]) -> list[float]:
+    """All columns of a line within their bounds, or ValueError naming the column."""
+    columns = COLUMNS[words[0]]
+    if len(words) <= len(columns):
+        raise ValueError(f"{words[0]} must have {len(columns)} columns, got {len(words) - 1}: the line is cut")
+    values = []
+    for (name, low, high), text in zip(columns, words[1:], strict=False):
+        try:
+            values.append(finite_number(text, low, high))
+        except ValueError as error:
+            raise ValueError(f"{name} {error}") from None
+    return values
+
+
+def _sorted(rows: Array) -> Array:
+    """In order of time; rows of one time stay as they come."""
+    return np.asarray(rows[np.argsort(rows[:, 0], kind="stable")])
+
+
+def _pseudoranges(rows: Array) -> Pseudoranges:
+    letters = np.array([SYSTEM_LETTERS.get(int(code), "?") for code in rows[:, 7]], dtype="U1")
+    return Pseudoranges(
+        rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3:6], rows[:, 6].astype(np.int64), letters,
+        np.radians(rows[:, 8]), rows[:, 9],
+    )  # fmt: skip
+
+
+def _odometry(rows: Array) -> Odometry:
+    rows = rows[np.concatenate([[True], np.diff(rows[:, 0]) > 0.0])] if rows.shape[0] else rows
+    return Odometry(rows[:, 0], rows[:, 1], rows[:, 6], rows[:, 7], rows[:, 12])
+
+
+def _truth(rows: Array, path: str | Path | None) -> Truth | None:
+    if not rows.shape[0]:
+        if path is not None:
+            raise InputError(f"{path} must hold lines 'point3', got none: is it the *_GT file of smartLoc?")
+        return None
+    rows = _sorted(rows)
+    rows = rows[np.concatenate([[True], np.diff(rows[:, 0]) > 0.0])]
+    if math.isclose(float(np.abs(rows[:, 1:]).max()), 0.0):
+        raise InputError(f"{path} must hold positions, got zeros only: is it the *_GT file of smartLoc?")
+    return Truth(rows[:, 0], rows[:, 1:])

@@ -1,0 +1,112 @@
+"""Lines of a text file that may be compressed, cut short, enormous or no text at all: bounded in time and memory."""
+
+from __future__ import annotations
+
+import gzip
+import math
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, cast
+
+from lanebound.integrity.errors import InputError
+
+__all__ = ["MAX_BYTES", "Lines", "Stop", "finite_number", "whole_number"]
+
+MAX_BYTES = 256 * 2**20  # of text, uncompressed: arrays made of it and the lists on the way stay below 1 GiB
+MAX_LINE = 65_536  # bytes; the longest line of any of the formats is some thousands
+GZIP_MAGIC = b"\x1f\x8b"
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Where reading ended before the end of the file: line, or row of an array (1 is the first), and reason."""
+
+    line: int
+    reason: str
+
+    def __str__(self) -> str:
+        return f"stopped at line {self.line}: {self.reason}"
+
+
+class Lines:
+    """Numbered lines of a file, plain or gzip (told by its first bytes), as Latin-1 text without line ends.
+
+    ``stop`` is set when the file ends where it should not: a broken compressed stream, an endless line, or a last line
+    without a line end. That one is not given out: who can tell whether its last number has lost digits?
+
+    Raises
+    ------
+    InputError
+        The file cannot be opened, or holds more than ``max_bytes``.
+    """
+
+    def __init__(self, path: str | Path, max_bytes: int = MAX_BYTES) -> None:
+        self.path = Path(path)
+        self.max_bytes = max_bytes
+        self.number = 0
+        self.stop: Stop | None = None
+
+    def __iter__(self) -> Iterator[str]:
+        """The lines, in order; ``number`` is that of the last one given."""
+        read = 0
+        try:
+            with self._open() as stream:
+                while raw := stream.readline(MAX_LINE):
+                    self.number += 1
+                    read += len(raw)
+                    if read > self.max_bytes:
+                        raise InputError(
+                            f"{self.path} must hold at most {self.max_bytes} bytes of text, has more: split it"
+                        )
+                    if not raw.endswith(b"\n"):
+                        endless = len(raw) == MAX_LINE
+                        reason = f"it is longer than {MAX_LINE} bytes" if endless else "it has no end and may be cut"
+                        self.stop = Stop(self.number, reason)
+                        return
+                    yield raw.decode("latin-1").rstrip("\r\n")
+        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+            self.stop = Stop(self.number + 1, f"the compressed stream breaks off ({error})")
+        except OSError as error:
+            raise InputError(f"{self.path} must be a readable file, got: {error}") from error
+
+    def _open(self) -> IO[bytes]:
+        with self.path.open("rb") as plain:
+            magic = plain.read(2)
+        return cast(IO[bytes], gzip.open(self.path, "rb") if magic == GZIP_MAGIC else self.path.open("rb"))
+
+    def where(self) -> str:
+        """File and line, as messages begin."""
+        return f"{self.path}, line {self.number}"
+
+
+def finite_number(text: str, low: float = -math.inf, high: float = math.inf) -> float:
+    """A finite number within bounds.
+
+    Raises
+    ------
+    ValueError
+        Says what was expected; readers put file, line and field in front.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        raise ValueError(f"must be a number, got {text[:40]!r}") from None
+    if not math.isfinite(value) or not low <= value <= high:
+        raise ValueError(f"must lie in [{low:g}, {high:g}], got {text[:40].strip()!r}")
+    return value
+
+
+def whole_number(text: str, low: int, high: int) -> int:
+    """A whole number within bounds, in decimal digits.
+
+    Raises
+    ------
+    ValueError
+        As :func:`finite_number`.
+    """
+    value = finite_number(text, low, high)
+    if value != int(value):
+        raise ValueError(f"must be a whole number, got {text[:40].strip()!r}")
+    return int(value)

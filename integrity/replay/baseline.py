@@ -1,0 +1,286 @@
+"""RTK of recorded receivers: any rover, base and navigation file through the RTK stage of the navigator.
+
+Epoch by epoch: single differences, a code position, then the stage that keeps lock, resolves integers (LAMBDA, ratio of
+a fixed failure rate), detects and excludes, and bounds. Where no fix is held the position is that of the code, with
+levels of its own. There is no model of motion: static and moving rovers are solved alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.config import Config, Field
+from lanebound.integrity.errors import InputError, require_finite, require_shape
+from lanebound.integrity.frames import ecef_from_enu_matrix, geodetic_from_ecef
+from lanebound.integrity.monitoring.exclusion import FdeConfig, FdeOutcome, detect_and_exclude
+from lanebound.integrity.monitoring.geometry_kernel import SIGMA0_AT, SIGMA0_CT, X_E, X_N, X_U, scratch
+from lanebound.integrity.monitoring.protection import protection_levels_batch
+from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor
+from lanebound.integrity.navigator_kernel import levels_rtk
+from lanebound.integrity.positioning.config import RtkConfig
+from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
+from lanebound.integrity.positioning.least_squares import design_matrix, gain, weights
+from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.positioning.resolve_kernel import Fixes
+from lanebound.integrity.positioning.rtk_kernel import held_risk
+from lanebound.integrity.positioning.rtk_status import RtkStatus
+from lanebound.integrity.positioning.slip_watch_kernel import Motion
+from lanebound.integrity.recorded.rinex_observation import Observations
+from lanebound.integrity.replay.differences import Arc, Reduced, arc_of, matched, reduce_epoch
+from lanebound.integrity.replay.signal_choice import Choice, choose_signals
+from lanebound.integrity.rtk_declared import declared_rtk
+from lanebound.integrity.rtk_stage_kernel import NX, Fixed, Signals, Tables, rtk, weigh
+from lanebound.integrity.sky.broadcast import Ephemerides
+from lanebound.integrity.sky.systems import FIXABLE
+
+__all__ = ["Baseline", "BaselineConfig", "solve_baseline"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+MIN_MOVE_M = 0.3  # between epochs, for a heading
+POSITION_ROUNDS = 6  # of the code position, from the base
+
+
+class BaselineConfig(Config):
+    """How recorded baselines are solved and bounded."""
+
+    bands: int | None = Field(None, ge=1, le=2, description="bands; None takes two where both receivers have them [-]")
+    rtk: RtkConfig = RtkConfig()
+    slips: CycleSlipConfig = CycleSlipConfig()
+    fde: FdeConfig = FdeConfig()
+    risk: RiskConfig = RiskConfig()
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """Epochs (T,) of the rover: GPS week, time of week [s], mode, status codes of RtkStatus, position from the base in
+    E, N, U (T, 3) and in ECEF [m], heading [rad], levels and sigmas (T, 2) on AT, CT [m], satellites, excluded, risk of
+    wrong integers, age of the base's epoch [s]; ``choice`` of signals."""
+
+    week: Ints
+    tow_s: Array
+    mode: Ints
+    status: Ints
+    enu_m: Array
+    ecef_m: Array
+    heading_rad: Array
+    pl_m: Array
+    sigma_m: Array
+    satellites: Ints
+    excluded: Ints
+    wrong_fix_risk: Array
+    age_s: Array
+    choice: Choice
+
+    @property
+    def fixed(self) -> NDArray[np.bool_]:
+        """Epochs with a fixed position.  (T,)."""
+        return np.asarray(self.mode == Mode.RTK)
+
+
+def solve_baseline(
+    rover: Observations, base: Observations, table: Ephemerides, base_ecef_m: Array | None = None,
+    config: BaselineConfig | None = None,
+) -> Baseline:  # fmt: skip
+    """Solve all epochs of the rover for which the base has one that is not too old.
+
+    Parameters
+    ----------
+    base_ecef_m : (3,) position of the base's antenna [m]; by default that of its header, whose error is the rover's.
+
+    Raises
+    ------
+    InputError
+        No position of the base, no common epochs, signals or satellites.
+    """
+    config = config or BaselineConfig()
+    place = base.header.position_ecef_m if base_ecef_m is None else base_ecef_m
+    if place is None:
+        raise InputError(
+            "base_ecef_m must be given, the base's header has no APPROX POSITION XYZ: pass its coordinates"
+        )
+    place = require_finite("base_ecef_m", place)
+    require_shape("base_ecef_m", place, (3,))
+    if not 6.0e6 < float(np.linalg.norm(place)) < 7.0e6:
+        raise InputError(
+            f"base_ecef_m must lie near the Earth's surface, got {place.tolist()} m: is it ECEF in metres?"
+        )
+    choice = choose_signals(rover, base, config.bands)
+    epochs, partners, age = matched(rover, base, config.rtk.max_age_s)
+    if not epochs.size:
+        raise InputError(
+            f"rover and base must share time, the rover has {_span(rover)}, the base {_span(base)}: pass files of one "
+            "session"
+        )
+    if not len(table):
+        raise InputError(
+            "table must hold messages of GPS, Galileo, BeiDou or QZSS, has none: pass the day's navigation"
+        )
+    run = _Run(
+        arc_of(rover, choice.rover, choice, table),
+        arc_of(base, choice.base, choice, table),
+        table,
+        place,
+        choice,
+        config,
+    )
+    return run.solve(rover, epochs, partners, age)
+
+
+def _span(observations: Observations) -> str:
+    first, last = (f"week {observations.week[k]} {observations.tow_s[k]:.1f} s" for k in (0, -1))
+    return f"{first} to {last}"
+
+
+class _Run:
+    """Tables and state of one session."""
+
+    def __init__(
+        self, rover: Arc, base: Arc, table: Ephemerides, place: Array, choice: Choice, config: BaselineConfig
+    ) -> None:
+        n = len(table.satellites)
+        self.rover, self.base, self.place, self.choice, self.config = rover, base, place, choice, config
+        self.system = np.ascontiguousarray(table.satellites[:, 0])
+        chosen = np.isin(self.system, np.flatnonzero((choice.wavelength_m != 1.0).any(-1)))
+        self.chosen = chosen
+        latitude, longitude, _ = geodetic_from_ecef(place)
+        self.axes = ecef_from_enu_matrix(latitude, longitude)
+        r, thresholds = config.risk, config.fde.tables(n)
+        self.par = declared_rtk(config.rtk, config.slips, choice.bands, r.integrity_risk)
+        self.tables = Tables(
+            self.par, np.ascontiguousarray(choice.wavelength_m), np.asarray(FIXABLE[self.system] & chosen),
+            config.rtk.largest_misfits, np.ascontiguousarray(thresholds.global_chi2),
+            np.ascontiguousarray(thresholds.local_normal),
+            np.array([float(v) for v in (config.fde.global_first, config.fde.max_excluded, config.fde.min_redundancy)]),
+        )  # fmt: skip
+        self.fixes = Fixes(np.zeros(n, np.bool_), np.zeros((n, 2)), np.zeros(n, np.int64), np.zeros(n))
+        self.x, self.last = np.zeros(NX), np.zeros((n, 2))
+        geo, head, mode = scratch(n)
+        self.geo, self.head, self.columns = geo, head, mode
+        wide = geo.shape[1]  # whole vectors of the kernels
+        self.fixed = Fixed(geo, head, np.zeros((4, wide)), np.zeros((wide, 3)), np.zeros(wide, np.int64))
+        modes = np.arange(n + 10)
+        self.k_fa = np.stack([false_alarm_factor(r.false_alarm, modes, v) for v in (Variant.EXACT, Variant.PUBLISHED)])
+        self.heading = 0.0
+        self.before: Array | None = None
+        self.passed: Array | None = None
+
+    def solve(self, rover: Observations, epochs: Ints, partners: Ints, age: Array) -> Baseline:
+        """All matched epochs."""
+        n = epochs.size
+        out = Baseline(
+            rover.week[epochs], rover.tow_s[epochs], np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros((n, 3)),
+            np.zeros((n, 3)), np.zeros(n), np.full((n, 2), np.inf), np.full((n, 2), np.inf), np.zeros(n, np.int64),
+            np.zeros(n, np.int64), np.zeros(n), age, self.choice,
+        )  # fmt: skip
+        time = rover.since(int(rover.week[0]))[epochs]
+        for k in range(n):
+            dt = float(time[k] - time[k - 1]) if k else 1.0
+            self._epoch(k, int(epochs[k]), int(partners[k]), float(age[k]), dt, out)
+        out.ecef_m[:] = np.where((out.mode != Mode.NONE)[:, None], self.place + out.enu_m @ self.axes.T, 0.0)
+        return out
+
+    def _epoch(self, k: int, i: int, j: int, age: float, dt: float, out: Baseline) -> None:
+        """Code position, RTK stage, levels."""
+        found = self._code_position(i, j)
+        if found is None:
+            self.fixes.held[:] = False
+            out.status[k] = RtkStatus.TOO_FEW.code
+            return
+        signals, reduced, near, code_levels = found
+        self.before = near
+        sine, cosine = float(np.sin(self.heading)), float(np.cos(self.heading))
+        stage = signals._replace(age=age)
+        motion = Motion(dt, False, np.zeros(3), np.zeros((3, 3)), near)
+        status, count, excluded, _ = rtk(
+            stage, self.tables, self.fixes, self.x, self.last, motion, sine, cosine, self.fixed
+        )
+        out.status[k], out.excluded[k], out.heading_rad[k] = status, excluded, self.heading
+        wrong = float(held_risk(self.fixes.held, self.fixes.fix_id, self.fixes.fix_risk))
+        if status == RtkStatus.FIXED.code:
+            levels = self._levels(count, sine, cosine, wrong)
+            out.mode[k], out.satellites[k], out.wrong_fix_risk[k] = int(Mode.RTK), count, wrong
+            out.enu_m[k] = self.head[[X_E, X_N, X_U]]
+            self._turn(out.enu_m[k])
+            out.pl_m[k], out.sigma_m[k] = levels, self.head[[SIGMA0_AT, SIGMA0_CT]]
+        elif code_levels is not None:
+            out.mode[k], out.satellites[k] = int(Mode.CODE), int(reduced.tracked.sum())
+            out.enu_m[k], out.pl_m[k], out.sigma_m[k] = near, code_levels[0], code_levels[1]
+
+    def _turn(self, fixed_m: Array) -> None:
+        """The heading of the next epoch follows the fixed positions once they are far enough apart."""
+        if self.passed is not None:
+            step = fixed_m[:2] - self.passed[:2]
+            if float(np.hypot(*step)) < MIN_MOVE_M:
+                return
+            self.heading = float(np.arctan2(step[0], step[1]))
+        self.passed = fixed_m.copy()
+
+    def _code_position(self, i: int, j: int) -> tuple[Signals, Reduced, Array, tuple[Array, Array] | None] | None:
+        """Signals about the code position, that position (3,), and its levels where its test passes; or None."""
+        near = self.before if self.before is not None else np.zeros(3)
+        for _ in range(POSITION_ROUNDS):
+            reduced = reduce_epoch(
+                self.rover, self.base, i, j, self.place + self.axes @ near, self.place, self.choice.bands
+            )
+            signals = self._signals(reduced)
+            solved = self._code_solution(signals)
+            if solved is None:
+                return None
+            moved, near = float(np.linalg.norm(solved[0] - near)), solved[0]
+            if moved < 1e-3:
+                break
+        assert solved is not None  # there was at least a round
+        return signals, reduced, near, solved[1]
+
+    def _signals(self, reduced: Reduced) -> Signals:
+        tracked = reduced.tracked & self.chosen
+        return Signals(
+            np.ascontiguousarray(reduced.sight_enu), self.system, reduced.elevation_rad, tracked, reduced.cn0_dbhz,
+            np.ascontiguousarray(reduced.code_m), np.ascontiguousarray(reduced.phase_m), reduced.lost, 0.0,
+        )  # fmt: skip
+
+    def _code_solution(self, signals: Signals) -> tuple[Array, tuple[Array, Array] | None] | None:
+        """Position (3,) from the differenced code, with levels and sigmas (2,) on AT, CT; None where it is singular."""
+        r, bands = self.config.rtk, self.choice.bands
+        factor, used = np.empty(len(self.system)), np.empty(len(self.system), np.bool_)
+        weigh(
+            signals.elevation, signals.tracked, signals.cn0, float(np.sin(np.deg2rad(r.elevation_mask_deg))),
+            r.cn0_min_dbhz, r.cn0_knee_dbhz, factor, used,
+        )  # fmt: skip
+        rows = np.flatnonzero(used)
+        if rows.size < 4:
+            return None
+        variance = factor[rows] * r.sigma_code_m**2 / bands
+        y = signals.code[rows, :bands].mean(-1)
+        present, group = np.unique(self.system[rows], return_inverse=True)
+        design = design_matrix(signals.e[rows], group, len(present))
+        covariance = np.diag(variance)
+        if not gain(design, weights(covariance)).solved:
+            return None
+        fde = detect_and_exclude(self.config.fde, design, covariance, y, heading_rad=self.heading)
+        if int(fde.outcome) not in (FdeOutcome.CLEAN.code, FdeOutcome.EXCLUDED.code):
+            return np.asarray(fde.adjustment.x[:3]), None
+        levels = protection_levels_batch(
+            signals.e[rows][None], fde.used[None], group, variance, self.heading, self.config.risk, parallel=False
+        )
+        turn = np.array([[np.sin(self.heading), np.cos(self.heading)], [np.cos(self.heading), -np.sin(self.heading)]])
+        spread = turn @ fde.adjustment.gain[:2]
+        sigma = np.sqrt((spread**2 * variance).sum(-1))
+        return np.asarray(fde.adjustment.x[:3]), (levels.root_m[0, 0], sigma)
+
+    def _levels(self, count: int, sine: float, cosine: float, wrong: float) -> Array:
+        """Protection levels (2,) of the fixed position; the risk of wrong integers is spent first."""
+        r, pl = self.config.risk, np.full((1, 2), np.inf)
+        shares = [r.monitors_constellations, r.at_share, r.fault_free_share, r.subtract_multiple, r.spend_unsolvable]
+        risks = np.array([[r.integrity_risk], [0.0], [0.0]])
+        levels_rtk(
+            count, self.fixed.rows, self.fixed.group, sine, cosine, risks, np.array([float(s) for s in shares]),
+            r.unmonitored_risk + wrong, np.stack(r.priors()), self.k_fa, np.zeros(1), self.config.rtk.reference_bias_m,
+            self.geo, self.head, self.columns, pl,
+        )  # fmt: skip
+        return np.asarray(pl[0])

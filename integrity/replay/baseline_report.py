@@ -1,0 +1,170 @@
+"""RTK of recorded files written down: positions and levels, what is counted, and, with a truth, the errors."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.assessment.bounding import measure_bounding
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.frames import (
+    ecef_from_enu_matrix,
+    ecef_from_geodetic,
+    geodetic_from_ecef,
+    track_from_enu_matrix,
+)
+from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.positioning.rtk_status import RtkStatus
+from lanebound.integrity.recorded.rinex_observation import read_observations
+from lanebound.integrity.recorded.source import Lines, finite_number
+from lanebound.integrity.replay.baseline import Baseline, BaselineConfig, solve_baseline
+from lanebound.integrity.sky.broadcast import read_navigation
+
+__all__ = ["read_coordinates", "read_solution", "run_baseline", "summarise"]
+
+Array = NDArray[np.float64]
+
+HEAD = (
+    "week", "tow_s", "mode", "status", "x_m", "y_m", "z_m", "east_m", "north_m", "up_m", "heading_rad", "pl_at_m",
+    "pl_ct_m", "sigma_at_m", "sigma_ct_m", "satellites", "excluded", "wrong_fix_risk", "age_s",
+)  # fmt: skip
+
+
+def run_baseline(
+    rover: Path, base: Path, navigation: Path, out: Path, *, base_ecef_m: Array | None = None,
+    rover_ecef_m: Array | None = None, config: BaselineConfig | None = None,
+) -> tuple[dict[str, Any], list[Path]]:  # fmt: skip
+    """Solve a rover, base and navigation triple of RINEX files; write ``solution.csv`` and ``rtk.json`` into ``out``.
+
+    ``rover_ecef_m`` (3,) is the true position of a rover that stands, when it is known: errors are then counted.
+
+    Raises
+    ------
+    InputError
+        A file is refused, or the three do not belong together.
+    """
+    ours, theirs, table = read_observations(rover), read_observations(base), read_navigation(navigation)
+    solved = solve_baseline(ours, theirs, table, base_ecef_m, config)
+    place = theirs.header.position_ecef_m if base_ecef_m is None else base_ecef_m
+    stops = {"rover": ours.stopped, "base": theirs.stopped, "navigation": table.stopped or None}
+    summary = {
+        "stopped": {name: str(stop) for name, stop in stops.items() if stop is not None},
+        "signals": {"rover": solved.choice.rover, "base": solved.choice.base},
+        **summarise(solved, place, rover_ecef_m),
+    }
+    out.mkdir(parents=True, exist_ok=True)
+    written = [out / "rtk.json", out / "solution.csv"]
+    written[0].write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    with written[1].open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(HEAD)
+        writer.writerows(_rows(solved))
+    return summary, written
+
+
+def _rows(solved: Baseline) -> Iterator[list[Any]]:
+    """One row for each epoch; empty cells where there is no position or level."""
+    for k in range(len(solved.tow_s)):
+        there = solved.mode[k] != Mode.NONE
+        place = [*solved.ecef_m[k], *solved.enu_m[k]]
+        levels = [*solved.pl_m[k], *solved.sigma_m[k]]
+        yield [
+            int(solved.week[k]), f"{solved.tow_s[k]:.4f}", Mode(int(solved.mode[k])).key,
+            RtkStatus.from_code(int(solved.status[k])).name.lower(), *(f"{v:.4f}" if there else "" for v in place),
+            f"{solved.heading_rad[k]:.6f}", *(f"{v:.4f}" if np.isfinite(v) else "" for v in levels),
+            int(solved.satellites[k]), int(solved.excluded[k]), f"{solved.wrong_fix_risk[k]:.3e}",
+            f"{solved.age_s[k]:.3f}",
+        ]  # fmt: skip
+
+
+def summarise(solved: Baseline, base_ecef_m: Any, rover_ecef_m: Array | None = None) -> dict[str, Any]:
+    """Everything counted about a solution, JSON-able."""
+    fixed, modes = solved.fixed, np.bincount(solved.mode, minlength=len(Mode))
+    found: dict[str, Any] = {
+        "epochs": len(solved.tow_s), "fixed": int(fixed.sum()), "modes": {m.key: int(modes[m]) for m in Mode},
+        "status": RtkStatus.count(solved.status), "satellites_median": float(np.median(solved.satellites)),
+        "excluded": int(solved.excluded.sum()), "wrong_fix_risk_max": float(solved.wrong_fix_risk.max(initial=0.0)),
+    }  # fmt: skip
+    if fixed.any():
+        finite = solved.pl_m[fixed]
+        found["pl_fixed_median_m"] = {
+            axis: float(np.median(finite[:, q])) if np.isfinite(finite[:, q]).all() else None
+            for q, axis in enumerate(("at", "ct"))
+        }
+    if rover_ecef_m is not None:
+        found["errors"] = _errors(solved, np.asarray(base_ecef_m, dtype=np.float64), rover_ecef_m)
+    return found
+
+
+def _errors(solved: Baseline, base_ecef_m: Array, rover_ecef_m: Array) -> dict[str, Any]:
+    """Errors against the true position, for fixed epochs and all with a position."""
+    latitude, longitude, _ = geodetic_from_ecef(base_ecef_m)
+    true = (rover_ecef_m - base_ecef_m) @ ecef_from_enu_matrix(latitude, longitude)
+    out: dict[str, Any] = {}
+    for name, keep in (("fixed", solved.fixed), ("all", solved.mode != Mode.NONE)):
+        if not keep.any():
+            continue
+        off = solved.enu_m[keep] - true
+        track = (track_from_enu_matrix(solved.heading_rad[keep]) @ off[:, :2, None])[..., 0]
+        out[name] = {
+            "horizontal_max_m": float(np.hypot(*off[:, :2].T).max()),
+            "spatial_max_m": float(np.linalg.norm(off, axis=1).max()),
+            "mean_enu_m": off.mean(0).tolist(),
+            **{a: asdict(measure_bounding(track[:, q], solved.pl_m[keep, q])) for q, a in enumerate(("at", "ct"))},
+        }  # fmt: skip
+    return out
+
+
+def read_coordinates(text: str) -> Array:
+    """ECEF (3,) [m] of ``x,y,z`` in metres or ``latitude,longitude,height`` [deg, m], or of a file of them.
+
+    Raises
+    ------
+    InputError
+        There are not three numbers, or they are neither.
+    """
+    words = text.replace(",", " ").split()
+    if len(words) != 3 and Path(text).is_file():
+        words = Path(text).read_text(encoding="utf-8", errors="replace")[:1000].replace(",", " ").split()
+    try:
+        values = [finite_number(word, -1e8, 1e8) for word in words]
+    except ValueError as error:
+        raise InputError(f"coordinates '{text[:60]}': {error}; write x,y,z or latitude,longitude,height") from None
+    if len(values) != 3:
+        raise InputError(f"coordinates must be three numbers or a file of them, got '{text[:60]}': write x,y,z [m]")
+    if abs(values[0]) <= 90.0 and abs(values[1]) <= 360.0:
+        return ecef_from_geodetic(np.radians(values[0]), np.radians(values[1]), values[2])
+    return np.array(values)
+
+
+def read_solution(path: str | Path) -> tuple[Array, Array, NDArray[np.int64]]:
+    """RTKLIB's solution in ECEF (``out-solformat=xyz``): time of day (T,) [s], position (T, 3) [m], quality (T,).
+
+    Raises
+    ------
+    InputError
+        The file is no such solution.
+    """
+    time, place, quality = [], [], []
+    lines = Lines(path)
+    for text in lines:
+        if text.startswith("%") or not text.strip():
+            continue
+        words = text.split()
+        try:
+            hour, minute, second = (finite_number(w, 0.0, 61.0) for w in words[1].split(":"))
+            time.append(3600.0 * hour + 60.0 * minute + second)
+            place.append([finite_number(w, -1e8, 1e8) for w in words[2:5]])
+            quality.append(int(finite_number(words[5], 0, 9)))
+        except (ValueError, IndexError) as error:
+            raise InputError(f"{lines.where()} must be a line of an RTKLIB solution in x, y, z, got: {error}") from None
+    if not time:
+        raise InputError(f"{path} must hold solutions, got none: is it a .pos file of RTKLIB?")
+    return np.array(time), np.array(place), np.array(quality, dtype=np.int64)

@@ -1,0 +1,70 @@
+"""Protection levels while only wheel speed and yaw rate go on: the sawtooth between solutions."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lanebound.integrity.config import Config, Field
+from lanebound.integrity.frames import rotate_covariance, track_from_enu_matrix
+from lanebound.integrity.monitoring.dead_reckoning_pl import (
+    initial_growth,
+    missed_detection_factors,
+    odometer_step,
+    protection_levels,
+)
+from lanebound.integrity.monitoring.risk import RiskConfig
+
+__all__ = ["Bridge", "BridgeConfig"]
+
+Array = NDArray[np.float64]
+
+
+class BridgeConfig(Config):
+    """Declared errors of wheel speed and yaw rate between solutions."""
+
+    speed_sigma_mps: float = Field(0.05, gt=0, description="wheel speed, 1 sigma [m/s]; S1 section 4")
+    speed_tau_s: float = Field(1.0, gt=0, description="correlation time of its error [s]")
+    speed_bias_mps: float = Field(
+        0.01, ge=0, description="bound of a constant error of the speed [m/s]; b_v of S1 eq 19"
+    )
+    speed_scale: float = Field(0.02, ge=0, description="bound of the error of the wheels' scale [-]")
+    heading_sigma_deg: float = Field(2.0, ge=0, description="heading at the last solution, 1 sigma [deg]")
+    heading_bias_deg: float = Field(0.2, ge=0, description="bound of its constant error [deg]; b_theta0 of S1")
+    heading_drift_degps: float = Field(0.05, ge=0, description="growth of that bound [deg/s]; bias of a MEMS gyro")
+    heading_walk_deg_per_sqrt_s: float = Field(0.05, ge=0, description="random walk of the heading [deg/sqrt(s)]")
+
+
+class Bridge:
+    """Growth of the protection levels from those of a solution.
+
+    The solution's own levels stay below: a bound of either sign makes up for what ``K sigma`` of the fault-free
+    covariance (..., 2, 2) in E, N [m^2] lacks of ``levels_m`` (..., 2) on AT, CT.
+    """
+
+    def __init__(
+        self, config: BridgeConfig, risk: RiskConfig, covariance_m2: Array, levels_m: Array, sigma_m: Array,
+        heading_rad: ArrayLike,
+    ) -> None:  # fmt: skip
+        self.config, self.risk, self.elapsed_s = config, risk, 0.0
+        lack = np.maximum(levels_m - missed_detection_factors(risk)[0] * sigma_m, 0.0)
+        box = (np.abs(track_from_enu_matrix(heading_rad)) @ lack[..., None])[..., 0]
+        self.heading_variance = math.radians(config.heading_sigma_deg) ** 2
+        self.growth = initial_growth(covariance_m2, box, self.heading_variance)
+
+    def step(self, dt_s: float, speed_mps: ArrayLike, heading_rad: ArrayLike) -> tuple[Array, Array]:
+        """Levels and sigmas (..., 2) on AT, CT [m] after ``dt_s`` more at these means (...,)."""
+        c = self.config
+        self.elapsed_s += dt_s
+        self.heading_variance += math.radians(c.heading_walk_deg_per_sqrt_s) ** 2 * dt_s
+        drift = math.radians(c.heading_bias_deg + c.heading_drift_degps * self.elapsed_s)
+        self.growth = odometer_step(
+            self.growth, dt_s, speed_mps, heading_rad, sigma_mps=c.speed_sigma_mps,
+            bias_mps=c.speed_bias_mps + c.speed_scale * np.abs(speed_mps), heading_bias_rad=drift,
+            phi_odometer=math.exp(-dt_s / c.speed_tau_s), heading_variance=self.heading_variance,
+        )  # fmt: skip
+        levels = protection_levels(self.growth, heading_rad, self.risk)[..., 0, :]
+        variance = np.diagonal(rotate_covariance(self.growth.position_covariance_m2, heading_rad), axis1=-2, axis2=-1)
+        return levels, np.sqrt(np.maximum(variance, 0.0))

@@ -1,0 +1,291 @@
+"""A drive through a city by code alone: position, protection levels, exclusions and alerts from recorded signals.
+
+Each epoch solves the window of the last seconds (:mod:`.window`), detects and excludes satellites, and bounds the error
+by solution separation with every satellite a fault mode. Where that fails, wheel speed and yaw rate carry on from the
+last solution, with the protection level growing as :mod:`lanebound.integrity.monitoring.dead_reckoning_pl` says.
+
+Danish re-weighting can be switched on. It chooses its weights by the data, which no level knows of, and may settle on
+the wrong signals: it is off where levels are to be trusted.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.assessment.record import Record
+from lanebound.integrity.config import Config, Field
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.frames import ecef_from_enu_matrix, geodetic_from_ecef, track_from_enu_matrix
+from lanebound.integrity.monitoring.alerts import AlertConfig, AlertState, step
+from lanebound.integrity.monitoring.exclusion import FdeConfig, FdeOutcome, FdeResult, detect_and_exclude
+from lanebound.integrity.monitoring.protection import protection_levels
+from lanebound.integrity.monitoring.risk import RiskConfig
+from lanebound.integrity.monitoring.separation import separate
+from lanebound.integrity.positioning.danish import DanishConfig
+from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.recorded.smartloc import SmartLoc
+from lanebound.integrity.replay.bridge import Bridge, BridgeConfig
+from lanebound.integrity.replay.overbound import CodeErrors
+from lanebound.integrity.replay.reckoning import Path, reckon, turned
+from lanebound.integrity.replay.sagnac import ranges_and_sights
+from lanebound.integrity.replay.window import FIXED_UNKNOWNS, PSI, Frame, Rows, System, settle
+
+__all__ = ["CityConfig", "CityDrive", "drive_city"]
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+GOOD_ENOUGH = (FdeOutcome.CLEAN.code, FdeOutcome.EXCLUDED.code)
+TURNS = 8  # first guesses of the heading
+
+
+class CityConfig(Config):
+    """How a drive by code is solved and bounded."""
+
+    window_s: float = Field(40.0, ge=0.0, le=300.0, description="length of a window [s]; 200 m at 5 m/s")
+    spacing_s: float = Field(1.0, ge=0.0, description="time between the epochs of a window [s]; errors last longer")
+    cn0_min_dbhz: float = Field(20.0, ge=0.0, description="lowest C/N0 used [dB-Hz]")
+    path_error: float = Field(0.02, ge=0.0, description="error of the reckoned path by its length [-]; 1 sigma")
+    minimum_satellites: int = Field(5, ge=5, description="satellites now, fewer are bridged [-]")
+    satellite_prior: float = Field(1e-3, gt=0.0, lt=1.0, description="P(a satellite's errors exceed their bound) [-]")
+    danish: DanishConfig = DanishConfig(iterations=0)
+    fde: FdeConfig = FdeConfig()
+    risk: RiskConfig = RiskConfig(integrity_risk=1e-3)
+    bridge: BridgeConfig = BridgeConfig()
+
+
+@dataclass(frozen=True)
+class CityDrive:
+    """Epochs (T,): time [s], position (T, 3) in ``frame`` [m], heading [rad], mode, levels and sigmas (T, 2) on AT and
+    CT [m], satellites now, satellites excluded, share of rows without full weight."""
+
+    frame: Frame
+    time_s: Array
+    position_enu_m: Array
+    heading_rad: Array
+    mode: Ints
+    pl_m: Array
+    sigma_m: Array
+    satellites: Ints
+    excluded: Ints
+    reweighted: Array
+
+    def record(
+        self, drive: SmartLoc, alerts: AlertConfig, after_s: float = -math.inf, before_s: float = math.inf
+    ) -> Record:
+        """Belief against truth for epochs in [after, before) that have a position; errors in the believed track frame.
+
+        Raises
+        ------
+        InputError
+            There is no truth, or no such epoch.
+        """
+        if drive.truth is None:
+            raise InputError("drive must have a ground truth to be assessed, has none: give its *_GT file")
+        true, known = drive.truth.at(self.time_s)
+        keep = known & (self.mode != Mode.NONE) & (self.time_s >= after_s) & (self.time_s < before_s)
+        if not keep.any():
+            raise InputError(f"[{after_s}, {before_s}) must hold epochs with position and truth, has none: widen it")
+        off = (self.position_enu_m - self.frame.local(true))[keep, :2]
+        track = (track_from_enu_matrix(self.heading_rad[keep]) @ off[:, :, None])[..., 0]
+        pl = self.pl_m[keep]
+        alert, available = self.alerts(alerts)
+        return Record(
+            self.time_s[keep], self.mode[keep], track[:, 0], track[:, 1], pl[:, 0], pl[:, 1], alert[keep],
+            available[keep],
+        )  # fmt: skip
+
+    def alerts(self, config: AlertConfig) -> tuple[Bools, Bools]:
+        """Whether the alert was on, and whether the limits were met, at every epoch.  (T,) each."""
+        state, steps = AlertState.initial(1), np.diff(self.time_s, prepend=2.0 * self.time_s[0] - self.time_s[1])
+        found = [step(config, state, pl[:1], pl[1:], float(dt)) for pl, dt in zip(self.pl_m, steps, strict=True)]
+        return np.array([s.alert[0] for s in found]), np.array([s.available[0] for s in found])
+
+
+def drive_city(
+    drive: SmartLoc, errors: CodeErrors | None, config: CityConfig,
+    outages_s: tuple[tuple[float, float], ...] = (), every: int = 1,
+) -> CityDrive:  # fmt: skip
+    """Solve a drive epoch by epoch.
+
+    ``errors`` are trained bounds; None takes the receiver's own variances as independent Gaussian noise around 0.
+    ``outages_s`` are (start, end) in which no signal is used; only each ``every``-th epoch is solved.
+
+    Raises
+    ------
+    InputError
+        No odometry, or no epoch with enough satellites for a first fix.
+    """
+    return _Run(drive, errors, config, outages_s).drive(every)
+
+
+class _Run:
+    """State of one drive: last unknowns, bridge, and what is put out."""
+
+    def __init__(
+        self, drive: SmartLoc, errors: CodeErrors | None, config: CityConfig, outages: tuple[tuple[float, float], ...]
+    ) -> None:
+        o, r = drive.odometry, drive.ranges
+        if o.time_s.size < 2:
+            raise InputError(f"drive must have odometry, got {o.time_s.size} lines 'odom3': give the whole file")
+        self.config, self.ranges = config, r
+        self.path = reckon(o.time_s, o.speed_mps, -o.yaw_rate_left_radps)
+        self.time = np.unique(r.time_s)
+        self.on_path = _path_at(self.path, r.time_s)
+        self.now_path = _path_at(self.path, self.time)
+        self.speed = np.interp(self.time, o.time_s, o.speed_mps)
+        if errors is None:
+            self.centre, self.sigma, self.tau = np.zeros(r.time_s.size), np.sqrt(r.variance_m2), 0.0
+        else:
+            self.centre, self.sigma = errors.at(r.cn0_dbhz)
+            self.tau = errors.tau_s
+        self.usable = (r.cn0_dbhz >= config.cn0_min_dbhz) & (self.sigma > 0.0)
+        for start, end in outages:
+            self.usable &= ~((r.time_s >= start) & (r.time_s < end))
+        self.systems = np.unique(r.system[self.usable])
+        self.epoch = np.searchsorted(self.time, r.time_s)
+        self.frame = self._first_frame()
+        self.x: Array | None = None
+        self.bridge: Bridge | None = None
+
+    def _first_frame(self) -> Frame:
+        """Axes at the fix of the first epoch with enough signals, found from the centre of the Earth."""
+        count = np.bincount(self.epoch[self.usable], minlength=self.time.size)
+        enough = np.flatnonzero(count >= self.config.minimum_satellites)
+        if not enough.size:
+            raise InputError(
+                f"drive must have an epoch of {self.config.minimum_satellites} satellites, the best has "
+                f"{count.max(initial=0)}: lower cn0_min_dbhz"
+            )
+        own = self.usable & (self.epoch == enough[0])
+        r = self.ranges
+        x = np.zeros(4)
+        for _ in range(12):
+            distance, sight = ranges_and_sights(r.satellite_ecef_m[own], x[:3])
+            design = np.column_stack([-sight, np.ones(len(sight))])
+            x += np.linalg.lstsq(design, r.range_m[own] - self.centre[own] - distance - x[3], rcond=None)[0]
+        latitude, longitude, _ = geodetic_from_ecef(x[:3])
+        self.first_clock = float(x[3])
+        return Frame(x[:3], ecef_from_enu_matrix(latitude, longitude))
+
+    def drive(self, every: int) -> CityDrive:
+        """Each ``every``-th epoch."""
+        chosen = np.arange(0, self.time.size, every)
+        n = chosen.size
+        out = CityDrive(
+            self.frame, self.time[chosen], np.zeros((n, 3)), np.zeros(n), np.full(n, int(Mode.NONE)),
+            np.full((n, 2), np.inf), np.full((n, 2), np.inf), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n),
+        )  # fmt: skip
+        before = 0
+        for i, k in enumerate(map(int, chosen)):
+            if not self._solve(k, i, out):
+                self._carry(before, k, i, out)
+            before = k
+        return out
+
+    def _solve(self, k: int, i: int, out: CityDrive) -> bool:
+        """One epoch from its window; False where there is no solution to be used."""
+        now = self.usable & (self.epoch == k)
+        out.satellites[i] = int(now.sum())
+        if out.satellites[i] < self.config.minimum_satellites:
+            return False
+        rows = self._rows(k)
+        system = self._settled(rows)
+        fde = self._tested(system, system.x[PSI] + self.now_path[k, 2])
+        out.excluded[i], out.reweighted[i] = int(fde.excluded.sum()), float((system.factor > 1.0).mean())
+        if int(fde.outcome) not in GOOD_ENOUGH:
+            return False
+        x = system.x + fde.adjustment.x
+        heading = float(x[PSI] + self.now_path[k, 2])
+        levels, sigma, covariance = self._levels(system, fde, heading)
+        if not np.isfinite(levels).all():
+            return False
+        self.x = x
+        self.bridge = Bridge(self.config.bridge, self.config.risk, covariance, levels, sigma, heading)
+        out.position_enu_m[i], out.heading_rad[i], out.mode[i] = x[:3], heading, int(Mode.CODE)
+        out.pl_m[i], out.sigma_m[i] = levels, sigma
+        return True
+
+    def _rows(self, k: int) -> Rows:
+        """Pseudoranges of the window that ends at epoch k."""
+        r, age = self.ranges, self.time - self.time[k]
+        wanted = np.zeros(self.time.size, np.bool_)
+        last = math.inf
+        for j in range(k, -1, -1):
+            if age[j] < -self.config.window_s:
+                break
+            if last - age[j] >= self.config.spacing_s - 0.05:
+                wanted[j], last = True, age[j]
+        own = np.flatnonzero(self.usable & wanted[self.epoch])
+        _, satellite = np.unique(r.satellite[own], return_inverse=True)
+        way = self.on_path[own, :2] - self.now_path[k, :2]
+        length = self.now_path[k, 3] - self.on_path[own, 3]
+        sigma = np.hypot(self.sigma[own], self.config.path_error * length)
+        return Rows(
+            age[self.epoch[own]], r.range_m[own] - self.centre[own], sigma, r.satellite_ecef_m[own],
+            satellite.astype(np.int64), np.searchsorted(self.systems, r.system[own]), way, length,
+        )  # fmt: skip
+
+    def _settled(self, rows: Rows) -> System:
+        """The settled window: from the last solution, or from several headings where none is known."""
+        size = FIXED_UNKNOWNS + max(self.systems.size - 1, 0)
+        if self.x is not None:
+            return settle(rows, self.frame, self.x.copy(), self.tau, self.config.danish)
+        best: System | None = None
+        for turn in range(TURNS):
+            start = np.zeros(size)
+            start[3], start[PSI] = self.first_clock, 2.0 * np.pi * turn / TURNS
+            found = settle(rows, self.frame, start, self.tau, self.config.danish)
+            if best is None or _cost(found) < _cost(best):
+                best = found
+        assert best is not None
+        return best
+
+    def _tested(self, system: System, heading: float) -> FdeResult:
+        """Detection and exclusion with each satellite a mode."""
+        rows = len(system.y)
+        modes = system.owner == np.arange(int(system.owner.max()) + 1)[:, None]
+        return detect_and_exclude(
+            self.config.fde, system.design, np.eye(rows), system.y, modes=modes, heading_rad=heading
+        )
+
+    def _levels(self, system: System, fde: FdeResult, heading: float) -> tuple[Array, Array, Array]:
+        """Protection levels and sigmas (2,) on AT, CT and the covariance (2, 2) in E, N."""
+        used = fde.used
+        present = np.unique(system.owner[used])
+        modes = system.owner == present[present >= 0][:, None]
+        parts = separate(system.design, np.eye(len(system.y)), modes, heading, rows=used)
+        priors = np.full(modes.shape[0], self.config.satellite_prior)
+        levels = protection_levels(parts, priors, self.config.risk)[0]
+        gain = fde.adjustment.gain[:2]
+        return levels, parts.sigma_m[0], gain @ gain.T
+
+    def _carry(self, before: int, k: int, i: int, out: CityDrive) -> None:
+        """Wheel speed and yaw rate from the last epoch on."""
+        if self.bridge is None or self.x is None:
+            return
+        heading = float(self.x[PSI] + self.now_path[k, 2])
+        dt = float(self.time[k] - self.time[before])
+        way = turned(self.now_path[k, :2] - self.now_path[before, :2], float(self.x[PSI]))
+        self.x[:2] += way
+        self.x[3] += self.x[4] * dt
+        levels, sigma = self.bridge.step(dt, float(np.linalg.norm(way)) / dt, heading)
+        out.position_enu_m[i], out.heading_rad[i], out.mode[i] = self.x[:3], heading, int(Mode.IMU_ODOMETER)
+        out.pl_m[i], out.sigma_m[i] = levels, sigma
+
+
+def _cost(system: System) -> float:
+    """Sum of squared residuals of the whole window at its end."""
+    x = np.linalg.lstsq(system.design, system.y, rcond=None)[0]
+    return float(((system.y - system.design @ x) ** 2).sum() + system.misfit.sum() + 2.0 * np.log(system.factor).sum())
+
+
+def _path_at(path: Path, time_s: Array) -> Array:
+    """East, North, heading and distance of the path at times (T,): (T, 4)."""
+    columns = (path.position_m[:, 0], path.position_m[:, 1], path.heading_rad, path.distance_m)
+    return np.stack([np.interp(time_s, path.time_s, column) for column in columns], -1)

@@ -1,0 +1,168 @@
+"""A drive by code written down: trained on its first part, measured on the rest, beside the plain model."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lanebound.integrity.assessment.bounding import measure_bounding
+from lanebound.integrity.assessment.plotting import save
+from lanebound.integrity.assessment.record import AXES, Record
+from lanebound.integrity.assessment.report import assess
+from lanebound.integrity.assessment.series import map_figure, series_figure
+from lanebound.integrity.assessment.stanford import stanford_figure
+from lanebound.integrity.config import Config, Field
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.monitoring.alerts import AlertConfig, AlertLimits
+from lanebound.integrity.positioning.danish import DanishConfig
+from lanebound.integrity.recorded.smartloc import SmartLoc, read_smartloc
+from lanebound.integrity.replay.city import CityConfig, CityDrive, drive_city
+from lanebound.integrity.replay.overbound import CodeErrors
+from lanebound.integrity.replay.training import train
+
+__all__ = ["CityReplay", "CityResult", "find_smartloc", "replay_city", "write_city"]
+
+CAUTION = (
+    "epochs of one drive are not independent: neighbouring ones share most of their signals, so that the exact "
+    "intervals are narrower than the truth"
+)
+
+
+class CityReplay(Config):
+    """What to train on, how to solve, and when to alert."""
+
+    training_share: float = Field(0.4, gt=0, lt=1, description="first part of the drive, for fitting the bounds [-]")
+    every: int = Field(1, ge=1, description="solve each so many-th epoch [-]")
+    solution: CityConfig = CityConfig()
+    alerts: AlertConfig = AlertConfig(limits=AlertLimits(al_at_m=25.0, al_ct_m=25.0))
+
+
+@dataclass(frozen=True)
+class CityResult:
+    """The drive with trained bounds, the same re-weighted, and with the receiver's own variances as Gaussian noise:
+    ``overbound``, ``danish``, ``gaussian`` and, without the window, ``gaussian_epoch``."""
+
+    config: CityReplay
+    drive: SmartLoc
+    until_s: float
+    errors: CodeErrors
+    solutions: dict[str, CityDrive]
+
+    def parts(self) -> dict[str, tuple[float, float]]:
+        """[from, to) [s] of training, of what comes after, and of windows that lie wholly after."""
+        clear = self.until_s + self.config.solution.window_s
+        return {
+            "training": (-np.inf, self.until_s), "after_training": (self.until_s, np.inf), "unshared": (clear, np.inf)
+        }  # fmt: skip
+
+    def record(self, name: str, part: str) -> Record | None:
+        """Belief against truth of a solution in a part; None where it has no epoch."""
+        after, before = self.parts()[part]
+        try:
+            return self.solutions[name].record(self.drive, self.config.alerts, after, before)
+        except InputError:
+            return None
+
+    def summary(self) -> dict[str, Any]:
+        """Everything counted, JSON-able."""
+        limits = self.config.alerts.limits
+        parts = {}
+        for name, solution in self.solutions.items():
+            parts[name] = {
+                "fde": {
+                    "epochs_with_exclusion": int((solution.excluded > 0).sum()),
+                    "satellites_excluded": int(solution.excluded.sum()),
+                    "most_at_once": int(solution.excluded.max(initial=0)),
+                    "rows_reweighted": float(solution.reweighted.mean()),
+                },
+                "alert_share": float(solution.alerts(self.config.alerts)[0].mean()),
+            }
+            for part in self.parts():
+                record = self.record(name, part)
+                if record is not None:
+                    figures = assess(record, limits.al_at_m, limits.al_ct_m)
+                    parts[name][part] = {**_bounds(record), **figures}
+        return {
+            "risk": self.config.solution.risk.integrity_risk, "trained_until_s": self.until_s, "caution": CAUTION,
+            "bounds": {key: np.round(value, 3).tolist() for key, value in asdict(self.errors).items()},
+            "solutions": parts,
+        }  # fmt: skip
+
+
+def _bounds(record: Record) -> dict[str, Any]:
+    """Errors above their level on each axis, whatever the mode."""
+    return {"all_modes": {a: asdict(measure_bounding(record.error(a), record.pl(a))) for a in AXES}}
+
+
+def replay_city(drive: SmartLoc, config: CityReplay | None = None) -> CityResult:
+    """Train on the first part of a drive, then solve all of it with the trained bounds and with the plain model.
+
+    Raises
+    ------
+    InputError
+        The drive has no truth, or too few signals.
+    """
+    config = config or CityReplay()
+    time = drive.ranges.time_s
+    until = float(time[0] + config.training_share * (time[-1] - time[0]))
+    errors = train(drive, until)
+    plain = config.solution.replace(danish={"iterations": 0})
+    again = config.solution.replace(danish={"iterations": DanishConfig().iterations})
+    solutions = {
+        "overbound": drive_city(drive, errors, config.solution, every=config.every),
+        "danish": drive_city(drive, errors, again, every=config.every),
+        "gaussian": drive_city(drive, None, plain, every=config.every),
+        "gaussian_epoch": drive_city(drive, None, plain.replace(window_s=0.0), every=config.every),
+    }
+    return CityResult(config, drive, until, errors, solutions)
+
+
+def find_smartloc(folder: Path) -> tuple[Path, Path | None] | None:
+    """The input and the truth file of a smartLoc folder, None when it is none."""
+    inputs = sorted(folder.glob("*_Input.txt*"))
+    truths = sorted(folder.glob("*_GT.txt*"))
+    return (inputs[0], truths[0] if truths else None) if inputs else None
+
+
+def write_city(folder: Path, out: Path, config: CityReplay | None = None) -> tuple[dict[str, Any], list[Path]]:
+    """Replay a smartLoc folder and write ``replay.json``, Stanford diagrams, series and map into ``out``.
+
+    Raises
+    ------
+    InputError
+        The folder holds no smartLoc drive with its truth.
+    """
+    found = find_smartloc(folder)
+    if found is None or found[1] is None:
+        raise InputError(f"{folder} must hold *_Input.txt(.gz) and *_GT.txt of smartLoc, does not: give another folder")
+    drive = read_smartloc(*found)
+    result = replay_city(drive, config)
+    summary = {"dataset": "smartloc", "stopped": drive.stopped and str(drive.stopped), **result.summary()}
+    out.mkdir(parents=True, exist_ok=True)
+    written = [out / "replay.json"]
+    written[0].write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    return summary, [*written, *_figures(result, out)]
+
+
+def _figures(result: CityResult, out: Path) -> list[Path]:
+    """A Stanford diagram of each solution after training, series and map of the trained one."""
+    limits, risk = result.config.alerts.limits, result.config.solution.risk.integrity_risk
+    written = []
+    for name in result.solutions:
+        record = result.record(name, "after_training")
+        if record is not None:
+            title = f"{name.replace('_', ', ')}: after training"
+            figure = stanford_figure(record, limits.al_at_m, limits.al_ct_m, title=title, risk=risk)
+            written.append(save(figure, out / f"stanford_{name}.png"))
+    best = result.solutions["overbound"]
+    whole = best.record(result.drive, result.config.alerts)
+    written.append(
+        save(series_figure(whole, risk=risk, al_at_m=limits.al_at_m, al_ct_m=limits.al_ct_m), out / "series.png")
+    )
+    alert, _ = best.alerts(result.config.alerts)
+    figure = map_figure(best.position_enu_m[:, :2], best.mode, title="believed positions", alert=alert)
+    return [*written, save(figure, out / "map.png")]

@@ -1,0 +1,151 @@
+"""Single differences of two receivers, reduced to what the position and the clocks leave.
+
+For each receiver and satellite ``u = P - |s - x| + c dt_s - T`` with the satellite s at transmission by its broadcast
+message, turned by the Earth's rotation, and T the troposphere; the difference of rover and base, about a nominal
+position ``x_0`` of the rover and brought to the base as origin, is ``y = -e.x + clock (+ lambda N)``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.frames import ecef_from_enu_matrix, geodetic_from_ecef
+from lanebound.integrity.recorded.rinex_observation import WEEK_S, Observations
+from lanebound.integrity.replay.sagnac import ranges_and_sights
+from lanebound.integrity.replay.signal_choice import LETTERS, Choice
+from lanebound.integrity.sky.broadcast import Ephemerides, positions
+from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS
+
+__all__ = ["Arc", "Reduced", "arc_of", "matched", "reduce_epoch", "troposphere_m"]
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+LOWEST_RAD = np.deg2rad(3.0)  # below it the simple troposphere has no meaning
+USUAL_CN0_DBHZ = 45.0  # of a receiver that does not tell
+
+
+@dataclass(frozen=True)
+class Arc:
+    """What one receiver saw of the satellites of a navigation file, epochs T, satellites S, bands 2.
+
+    ``code`` [m], ``phase`` [m] (T, S, 2), 0 for none; ``lost`` and ``half`` (T, S); C/N0 (T, S); satellite at
+    transmission (T, S, 3) ECEF [m], its clock [m] and whether there is a message (T, S).
+    """
+
+    code_m: Array
+    phase_m: Array
+    lost: Bools
+    half: Bools
+    cn0_dbhz: Array
+    satellite_ecef_m: Array
+    clock_m: Array
+    known: Bools
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """One epoch, satellites S: sights (S, 3) in E, N, U from the rover, elevation at the base [rad], code and phase
+    (S, 2) [m] as ``-e.x + clock`` with x from the base, C/N0, tracked on every band, and lock lost (S,)."""
+
+    sight_enu: Array
+    elevation_rad: Array
+    code_m: Array
+    phase_m: Array
+    cn0_dbhz: Array
+    tracked: Bools
+    lost: Bools
+
+
+def arc_of(observations: Observations, codes: dict[str, tuple[str, ...]], choice: Choice, table: Ephemerides) -> Arc:
+    """Observations on the grid of epochs and satellites, with the satellites' positions at transmission."""
+    satellites = table.satellites
+    shape = (observations.epochs, len(satellites))
+    code, phase = np.zeros((*shape, 2)), np.zeros((*shape, 2))
+    lost, half, cn0 = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_), np.full(shape, USUAL_CN0_DBHZ)
+    for letter, names in codes.items():
+        rows, system = observations.rows[letter], LETTERS[letter]
+        where = {int(prn): i for i, (s, prn) in enumerate(satellites) if s == system}
+        column = np.array([where.get(int(prn), -1) for prn in rows.satellite], dtype=np.int64)
+        keep = column >= 0
+        at = rows.epoch[keep], column[keep]
+        for band, name in enumerate(names):
+            code[(*at, band)] = rows.column(f"C{name}")[keep]
+            phase[(*at, band)] = rows.column(f"L{name}")[keep] * choice.wavelength_m[system, band]
+            lost[at] |= rows.lost_lock(f"L{name}")[keep]
+            half[at] |= rows.half_cycle(f"L{name}")[keep]
+            strength = rows.column(f"S{name}")[keep]
+            cn0[at] = np.where(strength > 0.0, np.minimum(cn0[at] if band else np.inf, strength), cn0[at])
+    lost |= observations.power_failed[:, None]
+    return Arc(code, phase, lost, half, cn0, *_at_transmission(observations, code[..., 0], table))
+
+
+def _at_transmission(observations: Observations, range_m: Array, table: Ephemerides) -> tuple[Array, Array, Bools]:
+    """Position (T, S, 3), clock [m] and whether they are known: ``t = t_receiver - P/c - dt_s``."""
+    time = (observations.week * WEEK_S + observations.tow_s)[:, None] * np.ones((1, range_m.shape[1]))
+    travel = range_m / SPEED_OF_LIGHT_MPS
+    first = positions(table, time, travel)
+    states = positions(table, time, travel + first.clock_s)
+    known = states.usable & (range_m > 0.0)
+    return states.position_ecef_m, SPEED_OF_LIGHT_MPS * states.clock_s, known
+
+
+def matched(rover: Observations, base: Observations, oldest_s: float) -> tuple[Ints, Ints, Array]:
+    """Epochs of the rover, the newest of the base not after each (half a millisecond allowed), and the age [s]."""
+    week = int(min(rover.week[0], base.week[0]))
+    ours, theirs = rover.since(week), base.since(week)
+    last = np.searchsorted(theirs, ours + 5e-4, side="right") - 1
+    age = np.where(last >= 0, ours - theirs[np.maximum(last, 0)], np.inf)
+    keep = np.flatnonzero(age <= oldest_s)
+    return keep, last[keep], np.maximum(age[keep], 0.0)
+
+
+def reduce_epoch(
+    rover: Arc, base: Arc, i: int, j: int, nominal_ecef_m: Array, base_ecef_m: Array, bands: int
+) -> Reduced:
+    """Differences of rover epoch i and base epoch j about a nominal position of the rover."""
+    latitude, longitude, _ = geodetic_from_ecef(base_ecef_m)
+    axes = ecef_from_enu_matrix(latitude, longitude)
+    far, sight = ranges_and_sights(rover.satellite_ecef_m[i], nominal_ecef_m)
+    near, seen = ranges_and_sights(base.satellite_ecef_m[j], base_ecef_m)
+    e, elevation = sight @ axes, np.arcsin(np.clip((seen @ axes)[:, 2], -1.0, 1.0))
+    air = troposphere_m(nominal_ecef_m, _own_elevation(sight, nominal_ecef_m)) - troposphere_m(base_ecef_m, elevation)
+    model = (far - rover.clock_m[i]) - (near - base.clock_m[j]) + air
+    model = model + e @ ((nominal_ecef_m - base_ecef_m) @ axes)
+    both = rover.known[i] & base.known[j]
+    whole = [(a.code_m[k] != 0.0) & (a.phase_m[k] != 0.0) for a, k in ((rover, i), (base, j))]
+    tracked = both & np.logical_and.reduce([w[:, :bands].all(-1) for w in whole])
+    keep, sure = tracked[:, None], ~(rover.half[i] | base.half[j])[:, None]
+    return Reduced(
+        np.where(keep, e, [0.0, 0.0, 1.0]), elevation,
+        np.where(keep, rover.code_m[i] - base.code_m[j] - model[:, None], 0.0),
+        np.where(keep & sure, rover.phase_m[i] - base.phase_m[j] - model[:, None], 0.0),
+        np.minimum(rover.cn0_dbhz[i], base.cn0_dbhz[j]), tracked, rover.lost[i] | base.lost[j],
+    )  # fmt: skip
+
+
+def _own_elevation(sight_ecef: Array, place_ecef_m: Array) -> Array:
+    """Elevation of sights (S, 3) at a place (3,)."""
+    latitude, longitude, _ = geodetic_from_ecef(place_ecef_m)
+    return np.asarray(np.arcsin(np.clip((sight_ecef @ ecef_from_enu_matrix(latitude, longitude))[:, 2], -1.0, 1.0)))
+
+
+def troposphere_m(place_ecef_m: Array, elevation_rad: Array) -> Array:
+    """Slant delay of Saastamoinen's model in the standard atmosphere, humidity 50 %.  (S,) [m].
+
+    Saastamoinen 1973 (Bulletin Geodesique 107): ``0.002277 / cos z (p + (1255 / T + 0.05) e - tan^2 z)``.
+    """
+    _, _, height = geodetic_from_ecef(place_ecef_m)
+    h = float(np.clip(height, -500.0, 9000.0))
+    kelvin = 288.15 - 6.5e-3 * h
+    pressure = 1013.25 * (1.0 - 2.2557e-5 * h) ** 5.2568
+    vapour = 0.5 * 6.108 * np.exp((17.15 * kelvin - 4684.0) / (kelvin - 38.45))
+    zenith = np.pi / 2.0 - np.maximum(elevation_rad, LOWEST_RAD)
+    tangent = np.tan(zenith) ** 2
+    return np.asarray(
+        0.002277 / np.cos(zenith) * (pressure + (1255.0 / kelvin + 0.05) * vapour - np.minimum(tangent, 1e3))
+    )

@@ -1,0 +1,192 @@
+"""Dead reckoning through artificial outages of a recorded drive: drift and protection level against the reference.
+
+Before each outage the solution is that of the reference: its position, and its track turned by ``heading_error_deg`` in
+both signs. During it speed and gyro carry on (:func:`.reckoning.reckon`), and the level grows from that of a fix as
+:mod:`lanebound.integrity.monitoring.dead_reckoning_pl` says.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.config import Config, Field
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.frames import ecef_from_enu_matrix, geodetic_from_ecef, track_from_enu_matrix
+from lanebound.integrity.monitoring.dead_reckoning_pl import missed_detection_factors
+from lanebound.integrity.monitoring.risk import RiskConfig
+from lanebound.integrity.recorded.comma import Comma
+from lanebound.integrity.replay.bridge import Bridge, BridgeConfig
+from lanebound.integrity.replay.reckoning import reckon, turned
+
+__all__ = ["Motion", "OutageConfig", "Outages", "calibrate", "motion_of", "run_outages", "sawtooth"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+AXES_OF_GYRO = 2  # z, down: positive to the right
+
+
+class OutageConfig(Config):
+    """Which outages, and what is declared of the sensors."""
+
+    rate_hz: float = Field(10.0, gt=0.0, le=100.0, description="epochs in a second [Hz]")
+    longest_s: float = Field(20.0, gt=0.0, description="length of an outage [s]; S1 section 5, IMU and odometer")
+    every_s: float = Field(0.5, gt=0.0, description="time between the starts of outages [s]")
+    calibration_s: float = Field(15.0, gt=0.0, description="first part, for wheel scale and gyro bias only [s]")
+    heading_error_deg: float = Field(0.0, ge=0.0, description="error given to the heading, in both signs [deg]")
+    fix_sigma_m: float = Field(0.02, gt=0.0, description="position of the fix, 1 sigma on each axis [m]")
+    risk: RiskConfig = RiskConfig(integrity_risk=1e-3)
+    bridge: BridgeConfig = BridgeConfig(
+        speed_scale=0.005, heading_sigma_deg=0.5, heading_bias_deg=0.2, heading_drift_degps=0.05
+    )
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Epochs (T,): time from the start [s], reference position (T, 2) E, N [m] and track [rad], its speed [m/s];
+    measured speed [m/s] and yaw rate to the right [rad/s], calibrated."""
+
+    time_s: Array
+    position_m: Array
+    track_rad: Array
+    true_speed_mps: Array
+    speed_mps: Array
+    yaw_rate_radps: Array
+
+
+@dataclass(frozen=True)
+class Outages:
+    """N outages of M ages (M,) [s]: signed error (N, M, 2) along and across the track [m], level (N, M, 2), speed at
+    the start (N,) [m/s] and given heading error (N,) [rad]."""
+
+    age_s: Array
+    error_m: Array
+    pl_m: Array
+    speed_mps: Array
+    heading_error_rad: Array
+    start_s: Array
+
+
+def motion_of(segment: Comma, config: OutageConfig) -> tuple[Motion, dict[str, float]]:
+    """Reference and sensors on one clock, and the calibration, from the first ``calibration_s`` alone.
+
+    Raises
+    ------
+    InputError
+        The segment is too short, or stands still while it is calibrated.
+    """
+    r = segment.reference
+    start = max(float(s[0]) for s in (r.time_s, segment.speed.time_s, segment.rotation_rate.time_s))
+    end = min(float(s[-1]) for s in (r.time_s, segment.speed.time_s, segment.rotation_rate.time_s))
+    if end - start < config.calibration_s + config.longest_s:
+        raise InputError(
+            f"segment must last {config.calibration_s + config.longest_s:g} s, lasts {end - start:.1f} s: lower "
+            "calibration_s or longest_s"
+        )
+    time = np.arange(0.0, end - start, 1.0 / config.rate_hz)
+    latitude, longitude, _ = geodetic_from_ecef(r.position_ecef_m[0])
+    axes = ecef_from_enu_matrix(latitude, longitude)
+    enu, velocity = (r.position_ecef_m - r.position_ecef_m[0]) @ axes, r.velocity_ecef_mps @ axes
+    at = start + time
+    place = np.stack([np.interp(at, r.time_s, enu[:, k]) for k in range(2)], -1)
+    moving = np.stack([np.interp(at, r.time_s, velocity[:, k]) for k in range(2)], -1)
+    rate = _averaged(segment.rotation_rate.time_s, segment.rotation_rate.value[:, AXES_OF_GYRO], at, config.rate_hz)
+    motion = Motion(
+        time, place, np.unwrap(np.arctan2(moving[:, 0], moving[:, 1])), np.hypot(*moving.T), segment.speed.at(at), rate
+    )
+    return calibrate(motion, config.calibration_s)
+
+
+def _averaged(time_s: Array, value: Array, at_s: Array, rate_hz: float) -> Array:
+    """Mean of a signal over an interval around each time: the slope of its integral."""
+    total = np.concatenate([[0.0], np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(time_s))])
+    half = 0.5 / rate_hz
+    low, high = np.maximum(at_s - half, time_s[0]), np.minimum(at_s + half, time_s[-1])
+    return np.asarray((np.interp(high, time_s, total) - np.interp(low, time_s, total)) / np.maximum(high - low, 1e-6))
+
+
+def calibrate(motion: Motion, seconds: float) -> tuple[Motion, dict[str, float]]:
+    """Wheel scale and gyro bias from the first seconds, as RTK would calibrate them, applied to all.
+
+    Raises
+    ------
+    InputError
+        The vehicle does not move there.
+    """
+    first = motion.time_s < seconds
+    travelled = float((motion.speed_mps[first] ** 2).sum())
+    if travelled < 1.0:
+        raise InputError(f"the segment must move in its first {seconds:g} s, it stands: choose another segment")
+    scale = float((motion.speed_mps[first] * motion.true_speed_mps[first]).sum()) / travelled
+    turned = float(motion.track_rad[first][-1] - motion.track_rad[first][0])
+    span = float(motion.time_s[first][-1] - motion.time_s[first][0])
+    bias = float(np.trapezoid(motion.yaw_rate_radps[first], motion.time_s[first]) - turned) / span
+    calibrated = Motion(
+        motion.time_s, motion.position_m, motion.track_rad, motion.true_speed_mps, scale * motion.speed_mps,
+        motion.yaw_rate_radps - bias,
+    )  # fmt: skip
+    return calibrated, {"speed_scale": scale, "gyro_bias_degps": math.degrees(bias)}
+
+
+def run_outages(motion: Motion, config: OutageConfig) -> Outages:
+    """All outages that begin after the calibration and end before the drive does."""
+    n = round(config.longest_s * config.rate_hz)
+    first = math.ceil(config.calibration_s * config.rate_hz)
+    step = max(round(config.every_s * config.rate_hz), 1)
+    starts = np.arange(first, motion.time_s.size - n, step)
+    given = math.radians(config.heading_error_deg)
+    signs = (1.0, -1.0) if given > 0.0 else (0.0,)
+    cases = [(int(s), sign * given) for s in starts for sign in signs]
+    starts, errors = np.array([s for s, _ in cases]), np.array([e for _, e in cases], dtype=np.float64)
+    off, levels = _driven(motion, starts, errors, n, config)
+    age = np.asarray((np.arange(n) + 1.0) / config.rate_hz, dtype=np.float64)
+    return Outages(age, off, levels, motion.true_speed_mps[starts], errors, motion.time_s[starts])
+
+
+def _driven(motion: Motion, starts: Ints, heading_error: Array, n: int, config: OutageConfig) -> tuple[Array, Array]:
+    """Errors and levels (N, n, 2) of outages that begin at epochs ``starts`` (N,)."""
+    believed, heading = np.zeros((starts.size, n, 2)), np.zeros((starts.size, n))
+    for i, s in enumerate(starts):
+        part = slice(s, s + n + 1)
+        path = reckon(motion.time_s[part], motion.speed_mps[part], motion.yaw_rate_radps[part])
+        initial = float(motion.track_rad[s] + heading_error[i])
+        believed[i] = motion.position_m[s] + turned(path.position_m[1:], initial)
+        heading[i] = initial + path.heading_rad[1:]
+    epochs = starts[:, None] + np.arange(1, n + 1)
+    off = believed - motion.position_m[epochs]
+    error = (track_from_enu_matrix(heading) @ off[..., None])[..., 0]
+    return error, _levels(motion.speed_mps[epochs], heading, config)
+
+
+def _levels(speed_mps: Array, heading_rad: Array, config: OutageConfig) -> Array:
+    """The growing levels (N, n, 2) of outages with speeds and headings (N, n)."""
+    fix = np.broadcast_to(np.eye(2) * config.fix_sigma_m**2, (len(speed_mps), 2, 2))
+    sigma = np.full((len(speed_mps), 2), config.fix_sigma_m)
+    bridge = Bridge(config.bridge, config.risk, fix, np.zeros_like(sigma), sigma, heading_rad[:, 0])
+    dt = 1.0 / config.rate_hz
+    steps = zip(speed_mps.T, heading_rad.T, strict=True)
+    return np.stack([bridge.step(dt, speed, heading)[0] for speed, heading in steps], 1)
+
+
+def sawtooth(motion: Motion, config: OutageConfig, fixed_s: float = 5.0) -> dict[str, Array]:
+    """One drive of fixes and outages in turn: time (K,), error and level (K, 2), and whether there is a fix (K,).
+
+    While there is a fix its error counts as 0: the reference stands for it.
+    """
+    n = round(config.longest_s * config.rate_hz)
+    gap = max(round(fixed_s * config.rate_hz), 1)
+    at, parts = math.ceil(config.calibration_s * config.rate_hz), []
+    fix = np.tile(missed_detection_factors(config.risk)[0] * config.fix_sigma_m, (gap, 1))
+    while at + n < motion.time_s.size:
+        fixed = np.arange(at - gap + 1, at + 1)
+        parts.append((motion.time_s[fixed], np.zeros((gap, 2)), fix, np.ones(gap, np.bool_)))
+        error, level = _driven(motion, np.array([at]), np.radians([config.heading_error_deg]), n, config)
+        parts.append((motion.time_s[at + 1 : at + n + 1], error[0], level[0], np.zeros(n, np.bool_)))
+        at += n + gap
+    return {
+        name: np.concatenate([p[i] for p in parts]) for i, name in enumerate(("time_s", "error_m", "pl_m", "fixed"))
+    }

@@ -1,0 +1,117 @@
+"""Gaussian bounds of one-sided code errors, fitted to recorded errors: by C/N0, with a centre of their own.
+
+A reflected signal is late, never early, so that its errors lie between a few metres below zero and a hundred above. In
+each class of C/N0 the bound is the normal law ``N(mu, s^2)`` of least s with every empirical tail inside it,
+
+``F_emp(mu - s z) <= Q(z)`` and ``1 - F_emp(mu + s z) <= Q(z)`` for all z with ``Q(z) <= tail``
+
+(two-sided overbounding of the distribution function as DeCleene 2000, ION GPS, with the centre free). Its centre is
+taken from the measurement: what remains is as likely early as late.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize_scalar
+from scipy.special import ndtri
+
+from lanebound.integrity.errors import InputError, require_finite
+
+__all__ = ["CodeErrors", "fit_overbound", "gaussian_bound", "lasting_s"]
+
+Array = NDArray[np.float64]
+
+EDGES_DBHZ = (0.0, 25.0, 30.0, 35.0, 40.0, 43.0, 46.0, 49.0, 60.0)
+TAIL = 0.25  # the bound holds for tails up to this; the core may be of any shape
+FEWEST = 25  # errors of a class
+FLOOR_M = 1.0
+MOST_PAIRED = 1000  # errors of one satellite, for memory
+
+
+@dataclass(frozen=True)
+class CodeErrors:
+    """Bounds of the code errors: centre and sigma (K,) [m] at C/N0 knots (K,) [dB-Hz], and how long they last [s]."""
+
+    cn0_dbhz: Array
+    centre_m: Array
+    sigma_m: Array
+    tau_s: float
+
+    def at(self, cn0_dbhz: ArrayLike) -> tuple[Array, Array]:
+        """Centre and sigma, linear between the knots and constant beyond.  (...,) -> (...,), (...,)."""
+        c = np.asarray(cn0_dbhz, dtype=np.float64)
+        return np.interp(c, self.cn0_dbhz, self.centre_m), np.interp(c, self.cn0_dbhz, self.sigma_m)
+
+
+def gaussian_bound(error_m: ArrayLike, outside: float = 0.0) -> tuple[float, float]:
+    """Centre and least sigma of a normal law that holds both empirical tails of errors (n,) [m].
+
+    The k-th largest of n errors stands for the tail ``k / (n + 1)``; of each tail the share ``outside`` is left out.
+    """
+    error = np.sort(require_finite("error_m", error_m).ravel())
+    n = error.size
+    if n < 2:
+        raise InputError(f"error_m must have at least 2 entries, got {n}: use wider classes")
+    first = int(outside * (n + 1))
+    rank = np.arange(first, max(int(TAIL * (n + 1)), first + 1))
+    z = -ndtri((rank + 1) / (n + 1.0))
+    low, high = error[rank], error[::-1][rank]
+
+    def least(centre: float) -> float:
+        return float(max(((centre - low) / z).max(), ((high - centre) / z).max()))
+
+    found = minimize_scalar(least, bounds=(float(error[0]), float(error[-1])), method="bounded")
+    return float(found.x), max(float(found.fun), FLOOR_M)
+
+
+def lasting_s(time_s: Array, owner: NDArray[np.int64], normalised: Array, longest_s: float = 60.0) -> float:
+    """Time after which errors of one satellite agree by 1/e, from products of its normalised errors at all lags (n,).
+
+    The autocorrelation is estimated in lags of a second without taking off each satellite's mean, so that what stays
+    for the whole recording counts as lasting; without a crossing it is ``longest_s``.
+    """
+    bins = np.arange(int(longest_s) + 1)
+    total, number = np.zeros(bins.size), np.zeros(bins.size)
+    for s in np.unique(owner):
+        thin = -(-int((owner == s).sum()) // MOST_PAIRED)
+        t, v = time_s[owner == s][::thin], normalised[owner == s][::thin]
+        lag = np.rint(np.abs(t[:, None] - t[None, :])).astype(np.int64)
+        inside = lag <= bins[-1]
+        total += np.bincount(lag[inside], (v[:, None] * v[None, :])[inside], minlength=bins.size)
+        number += np.bincount(lag[inside], minlength=bins.size)
+    there = np.flatnonzero(number)
+    share = total[there] / number[there]
+    below = there[share < share[0] * np.exp(-1.0)]
+    return float(below[0]) if below.size else longest_s
+
+
+def fit_overbound(
+    error_m: Array, cn0_dbhz: Array, time_s: Array, owner: NDArray[np.int64], outside: float = 0.0
+) -> CodeErrors:
+    """Bounds of errors (n,) by their C/N0; classes with few errors are left out, sigma never falls with less C/N0.
+
+    ``outside`` is the share of each tail that re-weighting has to meet, and not the bound.
+
+    Raises
+    ------
+    InputError
+        No class has enough errors.
+    """
+    knots = []
+    for low, high in pairwise(EDGES_DBHZ):
+        inside = (cn0_dbhz >= low) & (cn0_dbhz < high)
+        if int(inside.sum()) >= FEWEST:
+            knots.append((float(np.median(cn0_dbhz[inside])), *gaussian_bound(error_m[inside], outside)))
+    if not knots:
+        raise InputError(
+            f"error_m must have {FEWEST} errors of one C/N0 class, got {error_m.size} in all: train longer"
+        )
+    cn0, centre, sigma = np.array(knots).T
+    sigma = np.maximum.accumulate(sigma[::-1])[::-1]
+    bounds = CodeErrors(cn0, centre, sigma, 0.0)
+    mean, spread = bounds.at(cn0_dbhz)
+    return CodeErrors(cn0, centre, sigma, lasting_s(time_s, owner, (error_m - mean) / spread))

@@ -1,0 +1,44 @@
+"""The path that wheel speed and yaw rate draw, in a frame of its own: start at the origin, heading 0 is its North."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Path", "reckon", "turned"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Path:
+    """Times (T,) [s], heading clockwise from the start's (T,) [rad], position (T, 2) [m], distance (T,) [m]."""
+
+    time_s: Array
+    heading_rad: Array
+    position_m: Array
+    distance_m: Array
+
+
+def reckon(time_s: Array, speed_mps: Array, yaw_rate_radps: Array) -> Path:
+    """``dp = V dt [sin t, cos t]`` with the means of speed and heading over each interval (inverse of S1 eq 4).
+
+    All (T,); the yaw rate is positive to the right (clockwise).
+    """
+    dt = np.diff(time_s)
+    turn = 0.5 * (yaw_rate_radps[1:] + yaw_rate_radps[:-1]) * dt
+    heading = np.concatenate([[0.0], np.cumsum(turn)])
+    run = 0.5 * (speed_mps[1:] + speed_mps[:-1]) * dt
+    middle = 0.5 * (heading[1:] + heading[:-1])
+    steps = run[:, None] * np.stack([np.sin(middle), np.cos(middle)], -1)
+    position = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    return Path(time_s, heading, position, np.concatenate([[0.0], np.cumsum(np.abs(run))]))
+
+
+def turned(offset_m: Array, angle_rad: float) -> Array:
+    """Offsets (..., 2) turned clockwise by an angle: a path drawn with that much more heading."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    east, north = offset_m[..., 0], offset_m[..., 1]
+    return np.stack([c * east + s * north, c * north - s * east], -1)

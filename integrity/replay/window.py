@@ -1,0 +1,168 @@
+"""The last seconds of pseudoranges as one adjustment, tied together by wheel speed and yaw rate.
+
+Unknowns: position now (E, N, U), clock now, its rate and its curvature, the turn psi of the reckoned path against
+North, its scale kappa, and one offset for each further system. A pseudorange of age ``a <= 0`` was measured where the
+path says, ``p = p_now + (1 + kappa) R(psi) (X - X_now)``, and reads
+``|s - p| + c + c' a + c'' a^2 / 2 + offset + mu(C/N0)``.
+
+Errors of one satellite last (Gauss-Markov), those of different satellites are independent. Rows that do not fit lose
+weight (Danish); each satellite is then condensed to a few independent rows: a fault mode is a satellite's rows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.positioning.condense import condense_white, gauss_markov_covariance
+from lanebound.integrity.positioning.danish import DanishConfig, variance_factor
+from lanebound.integrity.replay.reckoning import turned
+from lanebound.integrity.replay.sagnac import ranges_and_sights
+
+__all__ = ["FIXED_UNKNOWNS", "PSI", "Frame", "Rows", "System", "build", "settle"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+CLOCK, RATE, CURVATURE, PSI, KAPPA = 3, 4, 5, 6, 7
+FIXED_UNKNOWNS = 8
+PRIOR_SIGMA = {CURVATURE: 0.05, PSI: 1.8, KAPPA: 0.01}  # [m/s^2] of a cheap oscillator, [rad] any, [-] of wheels
+PRIOR_RATE_MPS = 3e3  # 10 ppm
+STEPS = 3  # Gauss-Newton at first; each Danish round adds one
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The local frame: origin (3,) ECEF [m] and the matrix whose columns are E, N, U."""
+
+    origin_ecef_m: Array
+    axes: Array
+
+    def ecef(self, enu_m: Array) -> Array:
+        """Local (..., 3) to ECEF."""
+        return np.asarray(self.origin_ecef_m + enu_m @ self.axes.T)
+
+    def local(self, ecef_m: Array) -> Array:
+        """ECEF (..., 3) to local."""
+        return np.asarray((ecef_m - self.origin_ecef_m) @ self.axes)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Pseudoranges of a window, (m,): age <= 0 [s], range less its expected error and sigma [m], satellite (m, 3) ECEF,
+    index of the satellite, of its system (0 has no offset), and the reckoned way to now (m, 2) with its length [m]."""
+
+    age_s: Array
+    range_m: Array
+    sigma_m: Array
+    satellite_ecef_m: Array
+    satellite: Ints
+    system: Ints
+    way_m: Array
+    length_m: Array
+
+
+@dataclass(frozen=True)
+class System:
+    """Independent rows of unit variance: design (r, n), y (r,) against ``x``, owner (r,): satellite or -1 for priors.
+
+    ``misfit`` and ``freedom`` (satellites,) are what the rows of one satellite say against each other.
+    """
+
+    design: Array
+    y: Array
+    owner: Ints
+    x: Array
+    factor: Array
+    misfit: Array
+    freedom: Ints
+
+
+def build(rows: Rows, frame: Frame, x: Array) -> tuple[Array, Array]:
+    """Design (m, n) at x (n,) and observed minus computed (m,)."""
+    way = turned(rows.way_m, x[PSI])
+    place = np.zeros((len(way), 3))
+    place[:, :2] = x[:2] + (1.0 + x[KAPPA]) * way
+    place[:, 2] = x[2]
+    distance, sight = ranges_and_sights(rows.satellite_ecef_m, frame.ecef(place))
+    e = sight @ frame.axes
+    offset = np.zeros((len(way), x.size - FIXED_UNKNOWNS))
+    later = rows.system > 0
+    offset[np.flatnonzero(later), rows.system[later] - 1] = 1.0
+    across = np.stack([way[:, 1], -way[:, 0]], -1) * (1.0 + x[KAPPA])
+    design = np.column_stack([
+        -e, np.ones(len(way)), rows.age_s, 0.5 * rows.age_s**2,
+        -(e[:, :2] * across).sum(1), -(e[:, :2] * way).sum(1), offset,
+    ])  # fmt: skip
+    clock = design[:, CLOCK:PSI] @ x[CLOCK:PSI] + offset @ x[FIXED_UNKNOWNS:]
+    return design, rows.range_m - distance - clock
+
+
+def settle(rows: Rows, frame: Frame, start: Array, tau_s: float, danish: DanishConfig) -> System:
+    """Gauss-Newton with Danish re-weighting from ``start``; the system at its end."""
+    whitener = _whitener(rows, tau_s)
+    x, factor = start.copy(), np.ones(len(rows.age_s))
+    for _ in range(STEPS):
+        x = x + _step(rows, frame, x, factor, whitener)
+    for _ in range(danish.iterations):
+        _, left = build(rows, frame, x)
+        fresh = variance_factor(left / rows.sigma_m, danish)
+        settled = bool((np.abs(fresh - factor) <= danish.settled * factor).all())
+        factor = fresh
+        x = x + _step(rows, frame, x, factor, whitener)
+        if settled:
+            break
+    return _condensed(rows, frame, x, factor, whitener)
+
+
+def _whitener(rows: Rows, tau_s: float) -> Array:
+    """``L^-1`` of the correlation matrix ``L L'`` of all rows: satellites are independent.  (m, m)."""
+    out = np.zeros((len(rows.age_s), len(rows.age_s)))
+    for s in range(int(rows.satellite.max()) + 1):
+        own = np.flatnonzero(rows.satellite == s)
+        correlation = gauss_markov_covariance(rows.age_s[own], np.ones(own.size), tau_s)
+        out[np.ix_(own, own)] = np.linalg.inv(np.linalg.cholesky(correlation))
+    return out
+
+
+def _white(rows: Rows, frame: Frame, x: Array, factor: Array, whitener: Array) -> Array:
+    """Rows of unit variance (m, n + 1), the right-hand side last."""
+    design, left = build(rows, frame, x)
+    sigma = rows.sigma_m * np.sqrt(factor)
+    return np.asarray(whitener @ (np.column_stack([design, left]) / sigma[:, None]))
+
+
+def _step(rows: Rows, frame: Frame, x: Array, factor: Array, whitener: Array) -> Array:
+    """The Gauss-Newton step (n,)."""
+    prior, told = _priors(x)
+    white = np.concatenate([_white(rows, frame, x, factor, whitener), np.column_stack([prior, told])])
+    return np.asarray(np.linalg.lstsq(white[:, :-1], white[:, -1], rcond=None)[0])
+
+
+def _condensed(rows: Rows, frame: Frame, x: Array, factor: Array, whitener: Array) -> System:
+    """Rows of each satellite, condensed, and those of the priors."""
+    white = _white(rows, frame, x, factor, whitener)
+    parts, owner, misfit, freedom = [], [], [], []
+    for s in range(int(rows.satellite.max()) + 1):
+        part = condense_white(white[rows.satellite == s])
+        parts.append((part.design, part.y))
+        owner += [s] * len(part.y)
+        misfit.append(part.misfit)
+        freedom.append(part.freedom)
+    prior, told = _priors(x)
+    return System(
+        np.concatenate([p[0] for p in parts] + [prior]), np.concatenate([p[1] for p in parts] + [told]),
+        np.array(owner + [-1] * len(told)), x, factor, np.array(misfit), np.array(freedom),
+    )  # fmt: skip
+
+
+def _priors(x: Array) -> tuple[Array, Array]:
+    """Rows that keep curvature and scale near 0, psi within the circle and the clock's rate near that of a clock."""
+    sigma = {**PRIOR_SIGMA, RATE: PRIOR_RATE_MPS}
+    rows, told = np.zeros((len(sigma), x.size)), np.zeros(len(sigma))
+    for i, (column, spread) in enumerate(sigma.items()):
+        rows[i, column] = 1.0 / spread
+        told[i] = 0.0 if column == PSI else -x[column] / spread
+    return rows, told

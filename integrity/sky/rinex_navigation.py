@@ -1,0 +1,237 @@
+"""RINEX 3 navigation files: GPS, Galileo, BeiDou and QZSS messages as :class:`Ephemerides`.
+
+Messages of other systems (GLONASS, SBAS, NavIC) are passed over and counted. A file cut short gives the messages before
+the cut, and where that was; text that is no RINEX is refused.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path as FilePath
+
+import numpy as np
+
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.sky.ephemeris import Ephemerides
+from lanebound.integrity.sky.systems import System
+
+__all__ = ["parse_navigation", "read_navigation"]
+
+SYSTEMS = {"G": System.GPS, "E": System.GALILEO, "C": System.BEIDOU, "J": System.QZSS}
+OTHERS = {"R": "GLONASS", "S": "SBAS", "I": "NavIC"}
+LARGEST_BYTES = 256 * 2**20  # a day of all receivers of the IGS is below 20 MiB
+GPS_START = datetime(1980, 1, 6)
+SECONDS_PER_WEEK = 604_800.0
+BEIDOU_BEHIND_S = 14.0  # BDT was UTC at 2006-01-01, 14 leap seconds after GPS time's start; BDS-SIS-ICD-2.1 3.3
+QZSS_PRN_BEFORE = 192  # J01 is PRN 193, RINEX 3.04 table 5
+LINES = 8
+WIDTH = 19
+
+# Where a column stands: line of the message, field on the line, and the range that it must lie in.
+FIELDS: dict[str, tuple[int, int, float, float]] = {
+    "issue": (1, 0, 0.0, 4095.0),
+    "crs_m": (1, 1, -1e5, 1e5),
+    "motion_correction_radps": (1, 2, -1e-6, 1e-6),
+    "mean_anomaly_rad": (1, 3, -100.0, 100.0),
+    "cuc_rad": (2, 0, -1e-2, 1e-2),
+    "eccentricity": (2, 1, 0.0, 0.9),
+    "cus_rad": (2, 2, -1e-2, 1e-2),
+    "root_a": (2, 3, 2500.0, 8000.0),
+    "toe_of_week_s": (3, 0, 0.0, SECONDS_PER_WEEK),
+    "cic_rad": (3, 1, -1e-2, 1e-2),
+    "node_rad": (3, 2, -100.0, 100.0),
+    "cis_rad": (3, 3, -1e-2, 1e-2),
+    "inclination_rad": (4, 0, -math.pi, math.pi),
+    "crc_m": (4, 1, -1e5, 1e5),
+    "perigee_rad": (4, 2, -100.0, 100.0),
+    "node_rate_radps": (4, 3, -1e-5, 1e-5),
+    "inclination_rate_radps": (5, 0, -1e-5, 1e-5),
+    "health": (6, 1, 0.0, 1e6),
+}
+SPARE = {  # fields that may be blank
+    "source": (5, 1, 0.0, 1e6),
+    "delay": (6, 2, -1e-3, 1e-3),
+    "delay_2": (6, 3, -1e-3, 1e-3),
+}
+WHOLE = ("health", "source", "issue", "prn", "system")
+
+
+@dataclass(frozen=True)
+class _Message:
+    """The lines of one message and the number of its first."""
+
+    number: int
+    lines: list[str]
+
+
+def read_navigation(path: str | FilePath) -> Ephemerides:
+    """Messages of a RINEX 3 navigation file; see :func:`parse_navigation`.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is too large, is no RINEX 3 navigation file or has a malformed line.
+    """
+    file = FilePath(path)
+    try:
+        if file.stat().st_size > LARGEST_BYTES:
+            raise InputError(f"navigation file {path} must have at most {LARGEST_BYTES} bytes: cut it into days")
+        text = file.read_text(encoding="ascii", errors="strict")
+    except (OSError, UnicodeDecodeError, ValueError) as exc:
+        if isinstance(exc, InputError):
+            raise
+        raise InputError(f"navigation file {path} must be a readable ASCII text file, got: {exc}") from exc
+    return parse_navigation(text, source=str(path))
+
+
+def parse_navigation(text: str, source: str = "text") -> Ephemerides:
+    """Messages of GPS, Galileo, BeiDou and QZSS in RINEX 3 (RINEX 3.04, tables A6 to A14), in the order of the text.
+
+    Times are turned into GPS time (BeiDou's runs 14 s behind). The week of the orbit's reference time is the one that
+    brings it closest to the clock's, so that week numbers of any rollover serve.
+
+    Raises
+    ------
+    InputError
+        Names the line and the field, and how many messages had been read.
+    """
+    lines = text.splitlines()
+    body = _after_header(lines, source)
+    rows: list[dict[str, float]] = []
+    left_out: list[str] = []
+    others: Counter[str] = Counter()
+    stopped = ""
+    messages = list(_messages(lines, body, source))
+    for message in messages:
+        where = f"navigation file {source}, line {message.number} ({len(rows)} messages read)"
+        letter = message.lines[0][0]
+        if letter in OTHERS:
+            others[letter] += 1
+        elif letter not in SYSTEMS:
+            raise InputError(f"{where}: a message must start with one of G E C J R S I, got {message.lines[0][:20]!r}")
+        elif message is messages[-1] and _is_cut(message):
+            stopped = f"{where}: the text ends in the middle of a message of {message.lines[0][:3]!r}"
+        else:
+            row, reason = _row(message, where)
+            if reason:
+                left_out.append(reason)
+            else:
+                rows.append(row)
+    left_out += [f"{count} messages of {OTHERS[k]}: this reader does not use them" for k, count in others.items()]
+    return _table(rows, stopped, tuple(left_out))
+
+
+def _after_header(lines: list[str], source: str) -> int:
+    """Index of the first line after the header of a RINEX 3 navigation file."""
+    where = f"navigation file {source}, line 1"
+    first = lines[0] if lines else ""
+    if first[60:80].strip() != "RINEX VERSION / TYPE":
+        raise InputError(f"{where}: the label 'RINEX VERSION / TYPE' must stand in column 61, got {first[:80]!r}")
+    version, kind = first[:9].strip(), first[20:21].upper()
+    if not version.startswith("3.") or kind != "N":
+        raise InputError(
+            f"{where}: version 3 and type N (navigation) are needed, got {version!r} and {kind!r}: convert the file"
+        )
+    for i, line in enumerate(lines):
+        if line[60:80].strip() == "END OF HEADER":
+            return i + 1
+    raise InputError(f"navigation file {source}: 'END OF HEADER' is missing in {len(lines)} lines: is it cut short?")
+
+
+def _messages(lines: list[str], body: int, source: str) -> Iterator[_Message]:
+    """The messages: a line that starts in column 1, and the indented ones after it."""
+    current: _Message | None = None
+    for number, line in enumerate(lines[body:], start=body + 1):
+        if not line.strip():
+            continue
+        if not line[0].isspace():
+            if current is not None:
+                yield current
+            current = _Message(number, [line])
+        elif current is None:
+            raise InputError(f"navigation file {source}, line {number}: a message must start in column 1, got {line!r}")
+        else:
+            current.lines.append(line)
+    if current is not None:
+        yield current
+
+
+def _is_cut(message: _Message) -> bool:
+    """Whether the text ended before its last message did: too few lines, or a line that breaks off within a field."""
+    last = message.lines[-1].rstrip()
+    return len(message.lines) < LINES or len(last) < 4 + WIDTH or (len(last) - 4) % WIDTH != 0
+
+
+def _row(message: _Message, where: str) -> tuple[dict[str, float], str]:
+    """Columns of a message, or the reason to leave it out."""
+    lines = message.lines
+    if len(lines) != LINES:
+        raise InputError(f"{where}: a message must have {LINES} lines, got {len(lines)}: is one missing?")
+    system = SYSTEMS[lines[0][0]]
+    prn, toc = _heading(lines[0], where)
+    row = {"system": float(system), "prn": prn + (QZSS_PRN_BEFORE if system is System.QZSS else 0)}
+    for k in range(3):
+        row[f"clock_{k}"] = _number(lines[0], 23 + k * WIDTH, f"clock term {k}", where)
+    bounds = {name: place for part in (FIELDS, SPARE) for name, place in part.items()}
+    for name, (line, field, _, _) in bounds.items():
+        at = 4 + field * WIDTH
+        blank = name in SPARE and not lines[line][at : at + WIDTH].strip()
+        row[name] = 0.0 if blank else _number(lines[line], at, name, f"{where}, {line} lines on")
+    if system in (System.GPS, System.QZSS):
+        row["delay_2"] = 0.0  # there the field is the issue of the clock's data
+    for name, (_, _, low, high) in bounds.items():
+        if not low <= row[name] <= high:
+            return row, f"{where}: {name} must lie in [{low:g}, {high:g}], got {row[name]:g}"
+    row["toc_s"] = toc + (BEIDOU_BEHIND_S if system is System.BEIDOU else 0.0)
+    row["toe_s"] = toc + math.remainder(row["toe_of_week_s"] - toc, SECONDS_PER_WEEK) + row["toc_s"] - toc
+    return row, ""
+
+
+def _heading(line: str, where: str) -> tuple[int, float]:
+    """Number of the satellite, and the clock's reference time in the system's own scale [s since 1980-01-06]."""
+    try:
+        prn = int(line[1:3])
+        year, month, day, hour, minute, second = (int(word) for word in line[3:23].split())
+        time = (datetime(year, month, day, hour, minute, second) - GPS_START).total_seconds()
+    except ValueError as exc:
+        raise InputError(f"{where}: satellite and date must read 'G05 2024 06 24 10 00 00', got {line[:23]!r}") from exc
+    if prn < 1 or time < 0.0:
+        raise InputError(f"{where}: the number must be at least 1 and the date after 1980-01-06, got {line[:23]!r}")
+    return prn, time
+
+
+def _number(line: str, at: int, name: str, where: str) -> float:
+    """The Fortran number of 19 columns at ``at``."""
+    word = line[at : at + WIDTH].strip().replace("D", "E").replace("d", "e")
+    try:
+        value = float(word)
+    except ValueError:
+        raise InputError(
+            f"{where}: {name} must be a number in columns {at + 1} to {at + WIDTH}, got {word!r}"
+        ) from None
+    if not math.isfinite(value):
+        raise InputError(f"{where}: {name} must be finite, got {word!r}")
+    return value
+
+
+def _table(rows: list[dict[str, float]], stopped: str, left_out: tuple[str, ...]) -> Ephemerides:
+    """The rows as columns."""
+
+    def column(name: str) -> np.ndarray:
+        return np.array([row[name] for row in rows], dtype=np.int64 if name in WHOLE else np.float64)
+
+    def columns(names: Iterable[str]) -> np.ndarray:
+        return np.stack([column(name) for name in names], -1)
+
+    plain = {name: column(name) for name in (*FIELDS, "source", "system", "prn", "toe_s", "toc_s")}
+    return Ephemerides(
+        clock=columns(["clock_0", "clock_1", "clock_2"]),
+        group_delay_s=columns(["delay", "delay_2"]),
+        stopped=stopped,
+        left_out=left_out,
+        **plain,
+    )

@@ -1,0 +1,130 @@
+"""The bounding study: the promise holds, the printed forms break it where they must, and a run goes on where it was."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from lanebound.agents.assess import bounding
+from lanebound.agents.assess.bounding import BoundingConfig, assess_bounding, part_names, work_part
+from lanebound.agents.assess.bounding_summary import rate_of, summarise
+from lanebound.agents.cli import app
+from lanebound.integrity.errors import InputError
+
+SHORT = BoundingConfig(
+    epochs=300_000, epochs_per_case=10_000, rare_cases=12, rare_draws=256, outages=4, vehicles=2000, seed=3
+)
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    out = tmp_path_factory.mktemp("bounding")
+    return out, assess_bounding(SHORT, out)
+
+
+def test_the_exact_forms_keep_their_promise(short: tuple[Path, dict[str, Any]]) -> None:
+    """A 95 % interval above the risk would be a breach; by chance once in 40 where a rate equals it."""
+    rates = short[1]["rates"]["all"]["all"]
+    for form in ("exact root", "exact closed form"):
+        for risk, found in rates[form].items():
+            assert found["either"]["low"] <= float(risk), (form, risk)
+            assert found["either"]["trials"] == SHORT.epochs
+    assert rates["exact root"]["0.001"]["either"]["events"] > 20  # and is no empty one
+
+
+def test_the_printed_bias_breaks_it_by_far_where_biases_are_large(short: tuple[Path, dict[str, Any]]) -> None:
+    by_bias = short[1]["rates"]["bias"]
+    for form in ("published", "published bias"):
+        assert by_bias["biases up to 5 sigma"][form]["1e-05"]["either"]["low"] > 100.0 * 1e-5
+        assert by_bias["biases up to 0 sigma"][form]["0.001"]["either"]["low"] < 1e-3
+    assert by_bias["biases up to 5 sigma"]["exact root"]["0.001"]["either"]["low"] <= 1e-3
+
+
+def test_drift_is_bounded_but_not_by_the_printed_growth(short: tuple[Path, dict[str, Any]]) -> None:
+    for source in ("doppler", "odometer"):
+        found = short[1]["drift"][source]
+        assert found["exact"]["0.001"]["either"]["low"] <= 1e-3
+        assert found["published"]["1e-05"]["either"]["low"] > 0.01
+
+
+def test_false_alarms_keep_their_allocation_without_biases(short: tuple[Path, dict[str, Any]]) -> None:
+    found = short[1]["alarms_by_bias"]["biases up to 0 sigma"]
+    assert found["low"] <= SHORT.risk.false_alarm
+    assert found["rate"] > 0.25 * SHORT.risk.false_alarm
+
+
+def test_importance_sampling_agrees_with_the_closed_form(short: tuple[Path, dict[str, Any]]) -> None:
+    """Faults add to the fault-free rate and the test takes away a little; five standard deviations of the draws."""
+    for risk in ("1e-07", "1e-05"):
+        found = short[1]["rare"][risk]["exact root"]
+        for axis, exact in zip(("along", "across"), found["fault_free_exact"], strict=True):
+            assert found[axis]["rate"] == pytest.approx(exact, rel=0.5)
+            assert found[axis]["rate"] < 0.5 * float(risk)
+            assert found[axis]["draws"] < 0.3 * found[axis]["rate"]
+
+
+def test_levels_are_above_the_least_that_would_have_held(short: tuple[Path, dict[str, Any]]) -> None:
+    for risk, found in short[1]["level_over"]["exact root"].items():
+        assert found["root"]["smallest"] == found["root"]["largest"] == 1.0, risk
+        assert found["least"]["smallest"] >= 1.0
+        assert 1.0 < found["least"]["median"] < 3.0
+    assert short[1]["level_over"]["published bias"]["0.001"]["least"]["smallest"] < 1.0
+
+
+def test_an_interrupted_run_ends_as_an_unbroken_one(
+    short: tuple[Path, dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, result = short
+    names = part_names(SHORT)
+    for name in names[::2]:
+        (out / "parts" / f"{name}.json").unlink()
+    drawn: list[str] = []
+
+    def watched(config: BoundingConfig, name: str) -> dict[str, Any]:
+        drawn.append(name)
+        return work_part(config, name)
+
+    monkeypatch.setattr(bounding, "work_part", watched)
+    again = assess_bounding(SHORT, out)
+    assert drawn == names[::2]
+    assert again == result
+    assert json.loads((out / "results.json").read_text(encoding="utf-8"))["rates"] == result["rates"]
+    with pytest.raises(InputError, match="same study"):
+        assess_bounding(SHORT.replace(seed=4), out)
+
+
+def test_the_command_prints_tables(tmp_path: Path) -> None:
+    arguments = ["assess", "bounding", "--out", str(tmp_path / "a"), "--epochs", "20000", "--risk", "1e-3"]
+    small = ["epochs_per_case=5000", "rare_cases=4", "rare_draws=64", "outages=2", "vehicles=200"]
+    found = CliRunner().invoke(app, [*arguments, *(word for s in small for word in ("--set", s))])
+    assert found.exit_code == 0, found.output
+    for words in ("40,000 axis epochs", "exact root", "biases up to 5 sigma", "doppler, published", "results.json"):
+        assert words in found.stdout
+    refused = CliRunner().invoke(app, ["assess", "bounding", "--out", str(tmp_path / "b"), "--risk", "2"])
+    assert refused.exit_code != 0
+
+
+def test_rates_without_trials_are_none() -> None:
+    assert rate_of(0, 0)["rate"] is None
+    assert summarise(SHORT.to_dict(), {})["confidence"] == 0.95
+
+
+@pytest.mark.slow
+def test_the_promise_at_length(tmp_path: Path) -> None:
+    """Ten million axis epochs: every exact form at every risk and place.
+
+    The interval of each rate is at 95 %, so that of many only those that exceed the risk by a fifth are breaches.
+    """
+    config = BoundingConfig(epochs=5_000_000, rare_cases=200, outages=20, seed=5)
+    result = assess_bounding(config, tmp_path, jobs=2)
+    assert result["axis_epochs"] == 10_000_000
+    for places in result["rates"].values():
+        for found in places.values():
+            for form in ("exact root", "exact closed form"):
+                for risk, rates in found[form].items():
+                    assert rates["either"]["low"] <= 1.2 * float(risk)
+    assert result["rare"]["1e-07"]["exact root"]["upper"] < 0.5e-7

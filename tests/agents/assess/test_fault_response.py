@@ -1,0 +1,78 @@
+"""What a response says of two runs made by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lanebound.agents.assess.fault_response import Run, measure_response
+from lanebound.integrity.positioning.modes import Mode
+
+EPOCHS, VEHICLES = 50, 3
+
+
+def quiet() -> Run:
+    shape = (EPOCHS, VEHICLES)
+    return Run(
+        time_s=0.1 * np.arange(1, EPOCHS + 1),
+        error_m=np.full((*shape, 2), 0.01),
+        level_m=np.full((*shape, 2), 0.1),
+        squared=np.zeros(shape),
+        mode=np.full(shape, Mode.RTK, dtype=np.int64),
+        excluded=np.zeros(shape, np.int64),
+        held=np.full(shape, 12, dtype=np.int64),
+        alert=np.zeros(shape, np.bool_),
+        available=np.ones(shape, np.bool_),
+    )
+
+
+ONSET = np.array([1.0, 1.0, 2.0])
+
+
+def test_nothing_differs() -> None:
+    found = measure_response(quiet(), quiet(), ONSET, (1.0, 1.0))
+    assert np.isinf(found.noticed_s).all()
+    assert not (found.excluded | found.alerted | found.failed).any()
+    assert found.hazardous.sum() == found.misleading.sum() == 0
+    assert found.epochs == 40 + 40 + 30
+    np.testing.assert_allclose(found.worst_m, 0.01)
+
+
+def test_each_thing_is_told_of_its_vehicle() -> None:
+    faulty = quiet()
+    faulty.excluded[14:16, 0] = 1  # at 1.5 s
+    faulty.mode[25:, 1] = Mode.DOPPLER
+    faulty.error_m[30:40, 1, 1] = 2.0
+    faulty.alert[36:, 1] = True  # six epochs late
+    faulty.error_m[45:, 2, 0] = -0.5
+    faulty.held[40, 2] = 11  # at 4.1 s
+    found = measure_response(faulty, quiet(), ONSET, (1.0, 1.0))
+    np.testing.assert_allclose(found.noticed_s, [0.5, 1.6, 2.1])
+    assert found.excluded.tolist() == [True, False, False]
+    assert found.given_up.tolist() == [False, False, True]
+    assert found.alerted.tolist() == [False, True, False]
+    assert found.failed.tolist() == [False, True, False]
+    np.testing.assert_allclose(found.late_s, [0.0, 0.6, 0.0])
+    assert found.hazardous.tolist() == [0, 6, 0]
+    assert found.misleading.tolist() == [0, 6, 5]
+    np.testing.assert_allclose(found.worst_m, [0.01, 2.0, 0.5])
+
+
+def test_what_the_sound_vehicle_does_too_is_no_response() -> None:
+    faulty, sound = quiet(), quiet()
+    for run in (faulty, sound):
+        run.excluded[20, :] = 1
+        run.alert[30:, :] = True
+    found = measure_response(faulty, sound, ONSET, (1.0, 1.0))
+    assert np.isinf(found.noticed_s).all()
+    assert not found.alerted.any()
+
+
+@pytest.mark.parametrize("before", [True, False])
+def test_before_the_onset_nothing_counts(before: bool) -> None:
+    faulty = replace(quiet())
+    faulty.error_m[5 if before else 15, 0, 0] = 3.0
+    found = measure_response(faulty, quiet(), ONSET, (1.0, 1.0))
+    assert found.failed[0] != before

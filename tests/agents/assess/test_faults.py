@@ -1,0 +1,86 @@
+"""The fault campaign in a short form: what must be noticed is, what cannot be is not, and nothing is invented."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from lanebound.agents.assess.faults import SIZES_TRIED, FaultsConfig, assess_faults, cells_of
+from lanebound.agents.cli import app
+from lanebound.integrity.sensors.faults import FaultKind
+
+KINDS = [
+    FaultKind.SATELLITE_RANGE, FaultKind.REFERENCE_COORDINATES, FaultKind.CORRECTIONS_LOSS, FaultKind.ODOMETER_FROZEN
+]  # fmt: skip
+SHORT = FaultsConfig(vehicles=4, durations_s=(3.0,), kinds=tuple(KINDS), control_s=90.0, after_s=5.0)
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    out = tmp_path_factory.mktemp("faults")
+    return out, assess_faults(SHORT, out)
+
+
+def cell(result: dict[str, Any], kind: FaultKind, size: float = 0.0, profile: str = "step") -> dict[str, Any]:
+    return next(c for c in result["faults"] if (c["kind"], c["size"], c["profile"]) == (kind.value, size, profile))
+
+
+def test_every_fault_of_the_position_is_in_the_campaign() -> None:
+    assert set(SIZES_TRIED) == set(FaultKind) - {FaultKind.V2V_LIE}
+    cells = cells_of(FaultsConfig())
+    assert len({c.name for c in cells}) == len(cells)
+
+
+def test_large_range_errors_are_excluded_and_small_ones_do_no_harm(short: tuple[Path, dict[str, Any]]) -> None:
+    large = cell(short[1], FaultKind.SATELLITE_RANGE, 50.0)
+    assert large["noticed"]["events"] == 4
+    assert large["noticed_median_s"] <= 0.2
+    for size in SIZES_TRIED[FaultKind.SATELLITE_RANGE]:
+        found = cell(short[1], FaultKind.SATELLITE_RANGE, size)
+        assert found["hazardous"]["events"] == 0
+        assert found["failed"] == 0
+
+
+def test_corrections_lost_for_seconds_never_mislead(short: tuple[Path, dict[str, Any]]) -> None:
+    found = cell(short[1], FaultKind.CORRECTIONS_LOSS)
+    assert found["hazardous"]["events"] == 0
+    assert found["misleading"]["events"] == 0
+
+
+def test_wrong_reference_coordinates_mislead_unseen(short: tuple[Path, dict[str, Any]]) -> None:
+    """No test of the rover can see them: the position moves by as much."""
+    found = cell(short[1], FaultKind.REFERENCE_COORDINATES, 2.0)
+    assert found["worst_m"] > 1.0
+    assert found["hazardous"]["events"] > 0
+
+
+def test_the_control_drive_is_bounded(short: tuple[Path, dict[str, Any]]) -> None:
+    control = short[1]["control"]
+    assert control["misleading"]["events"] == 0
+    assert control["excluded"]["rate"] < 2.0 * SHORT.navigator.fde.alpha
+    assert control["modes"]["rtk"]["mean_nees"] < 2.0  # declared errors bound the real ones
+    assert control["modes"]["rtk"]["level_over_least_bound"]["along"] > 1.0
+
+
+def test_files_are_written_and_a_second_run_drives_nothing(short: tuple[Path, dict[str, Any]]) -> None:
+    out, result = short
+    assert (out / "faults.svg").stat().st_size > 1000
+    told: list[tuple[int, int]] = []
+    again = assess_faults(SHORT, out, progress=lambda done, of: told.append((done, of)))
+    assert told == [(len(cells_of(SHORT)) + 1,) * 2]
+    assert again["faults"] == json.loads((out / "results.json").read_text(encoding="utf-8"))["faults"]
+    assert again["control"] == result["control"]
+
+
+def test_the_command_prints_tables(tmp_path: Path) -> None:
+    small = ["kinds=[odometer_frozen]", "durations_s=[2]", "control_s=61", "after_s=1"]
+    found = CliRunner().invoke(
+        app, ["assess", "faults", "--out", str(tmp_path), "--vehicles", "1", *(w for s in small for w in ("--set", s))]
+    )
+    assert found.exit_code == 0, found.output
+    for words in ("odometer frozen, step, 2 s", "mean NEES", "allocated 0.01 a test", "faults.svg"):
+        assert words in found.stdout

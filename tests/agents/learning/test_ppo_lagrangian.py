@@ -1,0 +1,123 @@
+"""PPO under a cost limit: it comes to the limit where plain PPO does not, and a checkpoint goes on as it was."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium import spaces
+from stable_baselines3 import PPO
+from stable_baselines3.common.env_util import make_vec_env
+
+from lanebound.agents.learning.costs import EpisodeCosts, advantages, costs_in
+from lanebound.agents.learning.multiplier import MultiplierConfig
+from lanebound.agents.learning.ppo_lagrangian import PPOLagrangian
+from lanebound.integrity.errors import InputError
+
+SETTINGS: dict[str, Any] = {
+    "n_steps": 100,
+    "batch_size": 100,
+    "n_epochs": 5,
+    "learning_rate": 3e-3,
+    "gamma": 0.95,
+    "seed": 1,
+    "device": "cpu",
+}
+
+
+def learner(toll: type, **settings: Any) -> PPOLagrangian:
+    return PPOLagrangian("MlpPolicy", make_vec_env(toll, 4, seed=1), **{**SETTINGS, "cost_limit": 2.5, **settings})
+
+
+def test_it_comes_to_the_limit_where_plain_ppo_takes_all_there_is(toll: Any) -> None:
+    torch.set_num_threads(1)
+    plain = PPO("MlpPolicy", make_vec_env(toll, 4, seed=1), **SETTINGS).learn(12_000)
+    assert toll.driven_by(plain)[1] > 8.0
+    bound = learner(toll).learn(30_000)
+    total, cost = toll.driven_by(bound)
+    assert 1.5 < cost < 3.5
+    assert 3.8 < total < 6.0
+    assert bound.multiplier.value > 0.1
+
+
+def test_where_the_limit_is_out_of_reach_the_multiplier_dies_out(toll: type) -> None:
+    model = learner(toll, cost_limit=50.0).learn(6_000)
+    assert model.multiplier.value == 0.0
+
+
+def test_advantages_are_those_of_the_sum_written_out() -> None:
+    rng = np.random.default_rng(1)
+    costs, values = rng.normal(size=(2, 7, 3)).astype(np.float32)
+    last, dones = rng.normal(size=3).astype(np.float32), rng.random((7, 3)) < 0.3
+    found, returns = advantages(costs, values, last, dones, 0.9, 0.8)
+    after = np.concatenate([values[1:], last[None]])
+    delta = costs + 0.9 * after * ~dones - values
+    for n in range(3):
+        for t in range(7):
+            total, weight = 0.0, 1.0
+            for k in range(t, 7):
+                total += weight * delta[k, n]
+                if dones[k, n]:
+                    break
+                weight *= 0.9 * 0.8
+            assert found[t, n] == pytest.approx(total, abs=1e-5)
+    assert np.allclose(returns, found + values)
+
+
+def test_costs_of_episodes_are_summed_in_each_environment() -> None:
+    episodes = EpisodeCosts(2)
+    episodes.add(np.array([1.0, 10.0], np.float32), np.array([False, False]))
+    episodes.add(np.array([2.0, 20.0], np.float32), np.array([True, False]))
+    episodes.add(np.array([4.0, 40.0], np.float32), np.array([False, True]))
+    assert episodes.take() == [3.0, 70.0]
+    assert episodes.take() == []
+
+
+def test_a_cut_off_episode_is_worth_what_its_end_is(toll: type) -> None:
+    """The toll road is cut off after ten steps: the value of its last observation counts on, discounted."""
+    model = learner(toll)
+    model._setup_learn(400)
+    model.cost_critic.net[-1].weight.data.zero_()
+    model.cost_critic.net[-1].bias.data.fill_(7.0)  # a critic that says 7 everywhere
+    end = {"cost": 0.5, "TimeLimit.truncated": True, "terminal_observation": np.zeros(2, np.float32)}
+    going = {"cost": 0.5}
+    model._update_info_buffer([end, going, {"cost": 0.5}, going], np.array([True, False, True, False]))
+    assert model._costs[-1].tolist() == pytest.approx([0.5 + 0.99 * 7.0, 0.5, 0.5, 0.5])
+
+
+def test_a_checkpoint_holds_critic_optimiser_and_multiplier(toll: type, tmp_path: Path) -> None:
+    model = learner(toll, multiplier=MultiplierConfig(start=0.7)).learn(800)
+    model.save(tmp_path / "model.zip")
+    again = PPOLagrangian.load(tmp_path / "model.zip", env=make_vec_env(toll, 4, seed=1), device="cpu")
+    assert again.multiplier == model.multiplier
+    for old, new in zip(model.cost_critic.parameters(), again.cost_critic.parameters(), strict=True):
+        assert torch.equal(old, new)
+    assert again.cost_optimizer.state_dict()["state"].keys() == model.cost_optimizer.state_dict()["state"].keys()
+    again.learn(400, reset_num_timesteps=False)
+    assert again.num_timesteps == 1200
+
+
+def test_the_same_seed_learns_the_same(toll: type) -> None:
+    one, other = (learner(toll).learn(800) for _ in range(2))
+    assert torch.equal(one.policy.mlp_extractor.policy_net[0].weight, other.policy.mlp_extractor.policy_net[0].weight)
+    assert one.multiplier == other.multiplier
+
+
+def test_what_it_cannot_learn_from_is_refused(toll: type) -> None:
+    with pytest.raises(InputError, match="info must hold 'cost'"):
+        costs_in([{"cost": 1.0}, {}])
+    free = gymnasium.make("CartPole-v1")
+    with pytest.raises(InputError, match="info must hold 'cost'"):
+        PPOLagrangian("MlpPolicy", free, device="cpu", n_steps=16, batch_size=16).learn(16)
+
+    class Groups(toll):  # type: ignore[misc,valid-type]
+        def __init__(self) -> None:
+            super().__init__()
+            self.observation_space = spaces.Dict({"ego": self.observation_space})
+
+    with pytest.raises(InputError, match=r"observation\.form to flat"):
+        PPOLagrangian("MultiInputPolicy", Groups(), device="cpu")

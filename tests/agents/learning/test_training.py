@@ -1,0 +1,122 @@
+"""Training keeps checkpoints, goes on from the last, refuses another experiment, and chooses by cost before return."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lanebound.agents.benchmark import run
+from lanebound.agents.learning.evaluation import evaluation_suite
+from lanebound.agents.learning.experiment import ExperimentConfig, load_experiment
+from lanebound.agents.learning.shield import Shielded
+from lanebound.agents.learning.training import Checkpoint, _is_best, load_model, train
+from lanebound.integrity.errors import ConfigError, InputError
+
+SHORT: dict[str, Any] = {
+    "env": "LaneKeeping",
+    "sky": "open",
+    "overrides": {"navigation": {"source": "perfect"}, "duration_s": 4.0},
+    "steps": 128,
+    "count": 2,
+    "checkpoint_steps": 64,
+    "evaluation_episodes": 1,
+    "settings": {"n_steps": 32, "batch_size": 32, "n_epochs": 1},
+}
+
+
+def experiment(**changes: Any) -> ExperimentConfig:
+    return ExperimentConfig.load({**SHORT, **changes})
+
+
+class StoppedError(Exception):
+    pass
+
+
+def test_an_experiment_leaves_checkpoints_a_card_and_its_progress(tmp_path: Path) -> None:
+    told: list[Checkpoint] = []
+    rows = train(experiment(algorithm="ppo_lagrangian"), tmp_path, told=told.append)
+    assert [row["steps"] for row in rows] == [64, 128] == [checkpoint.steps for checkpoint in told]
+    assert json.loads((tmp_path / "progress.json").read_text()) == rows
+    assert told[0].best
+    card = (tmp_path / "best.md").read_text()
+    assert "ppo_lagrangian in LaneKeeping-v0" in card
+    assert load_model(tmp_path / "last.zip", experiment(algorithm="ppo_lagrangian").algorithm).num_timesteps == 128
+
+
+def test_a_stop_loses_no_checkpoint_and_the_same_call_goes_on(tmp_path: Path) -> None:
+    def stop(checkpoint: Checkpoint) -> None:
+        raise StoppedError
+
+    with pytest.raises(StoppedError):
+        train(experiment(), tmp_path, told=stop)
+    told: list[Checkpoint] = []
+    rows = train(experiment(), tmp_path, told=told.append)
+    assert [row["steps"] for row in rows] == [64, 128]
+    assert [checkpoint.steps for checkpoint in told] == [128]
+    assert train(experiment(), tmp_path) == rows
+    assert [row["steps"] for row in train(experiment(steps=192), tmp_path)] == [64, 128, 192]
+
+
+def test_the_best_is_measured_on_test_seeds_beside_others(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"with best\.zip, got .*: train first"):
+        evaluation_suite(tmp_path, "nominal", 1)
+    train(experiment(steps=64, algorithm="ppo_lagrangian"), tmp_path / "learnt")
+    suite = evaluation_suite(tmp_path / "learnt", "nominal", 2)
+    results = run(suite, tmp_path / "out", jobs=1)
+    assert [(o.agent, o.seed, o.failed) for o in results.outcomes] == [
+        (agent, seed, False) for seed in (10000, 10001) for agent in ("learnt", "nominal")
+    ]
+
+
+def test_another_experiment_is_refused_with_what_differs(tmp_path: Path) -> None:
+    train(experiment(steps=64), tmp_path)
+    with pytest.raises(InputError, match="which differs in seed, sky: choose a new folder"):
+        train(experiment(seed=3, sky="urban"), tmp_path)
+
+
+def test_sac_keeps_its_transitions(tmp_path: Path) -> None:
+    settings = {"learning_starts": 20, "buffer_size": 500, "batch_size": 16, "train_freq": 16}
+    train(experiment(algorithm="sac", settings=settings), tmp_path)
+    assert (tmp_path / "last-replay.pkl").exists()
+    assert len(train(experiment(algorithm="sac", settings=settings, steps=192), tmp_path)) == 3
+
+
+def test_the_best_is_by_return_within_the_limit_and_by_cost_outside() -> None:
+    def best(*rows: tuple[float, float]) -> bool:
+        return _is_best([{"return": value, "cost": cost} for value, cost in rows], 10.0)
+
+    assert best((5.0, 50.0))
+    assert best((5.0, 50.0), (4.0, 40.0))
+    assert not best((5.0, 50.0), (9.0, 60.0))
+    assert best((9.0, 60.0), (1.0, 9.0))
+    assert best((1.0, 9.0), (2.0, 10.0))
+    assert not best((1.0, 1.0), (9.0, 11.0))
+
+
+@pytest.mark.parametrize("name", ["lane_keeping_ppo", "lane_keeping_ppo_lagrangian"])
+def test_the_packaged_experiments_can_be_opened(name: str) -> None:
+    found = load_experiment(name)
+    assert found.open().observation_space.shape is not None
+    assert found.algorithm == name.removeprefix("lane_keeping_")
+
+
+def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="did you mean 'lane_keeping_ppo'"):
+        load_experiment("lane_keepin_ppo")
+    with pytest.raises(ConfigError, match="steps must be >= 1"):
+        experiment(steps=0)
+    with pytest.raises(InputError, match="settings must suit ppo and LaneKeeping-v0"):
+        train(experiment(settings={"n_stepz": 3}), tmp_path)
+
+
+def test_a_shielded_car_carries_out_the_safe_action_and_says_so() -> None:
+    env = Shielded(experiment(env="CarFollowing", overrides={"duration_s": 4.0}).open())
+    _, info = env.reset(seed=1000)
+    assert info["shielded"] is False
+    changed = [env.step(np.array([1.0, 1.0], np.float32))[4]["shielded"] for _ in range(5)]
+    assert changed[0] is True
+    assert not env.unwrapped.world.vehicle.crashed

@@ -1,0 +1,102 @@
+"""Folders of long work: parts are kept, a run that breaks goes on, and other work in the same folder is refused."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lanebound.agents import kept
+from lanebound.agents.kept import claim, code_digest, one_thread, parts_kept, run_parts, write_whole
+from lanebound.integrity.config import Config, Field
+from lanebound.integrity.errors import InputError
+
+PACKAGES = ("lanebound.agents.assess",)
+
+
+class Small(Config):
+    """Something to be studied."""
+
+    size: int = Field(1, ge=1, description="of it")
+
+
+def squared(name: str) -> dict[str, Any]:
+    return {"squared": int(name) ** 2, "threads": os.environ.get("OMP_NUM_THREADS"), "bad": float("nan")}
+
+
+def test_a_run_that_breaks_goes_on_with_what_is_missing(tmp_path: Path) -> None:
+    worked: list[str] = []
+
+    def work(name: str) -> dict[str, Any]:
+        if len(worked) == 2:
+            raise KeyboardInterrupt
+        worked.append(name)
+        return squared(name)
+
+    with pytest.raises(KeyboardInterrupt):
+        run_parts(tmp_path, ["3", "1", "2"], work)
+    assert worked == ["3", "1"]
+    assert parts_kept(tmp_path) == 2
+    told: list[tuple[int, int]] = []
+    found = run_parts(tmp_path, ["3", "1", "2"], squared, progress=lambda done, of: told.append((done, of)), size=int)
+    assert [one["squared"] for one in found] == [9, 1, 4]
+    assert [one["bad"] for one in found] == [None] * 3
+    assert told == [(4, 6), (6, 6)]
+
+
+def test_several_processes_come_to_the_same_each_on_one_thread(tmp_path: Path) -> None:
+    names = ["5", "4", "6"]
+    found = run_parts(tmp_path, names, squared, jobs=2)
+    assert found == [{"squared": int(name) ** 2, "threads": "1", "bad": None} for name in names]
+
+
+def test_the_environment_is_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    with one_thread():
+        assert (os.environ["OMP_NUM_THREADS"], os.environ["MKL_NUM_THREADS"]) == ("1", "1")
+    assert os.environ["OMP_NUM_THREADS"] == "7"
+    assert "MKL_NUM_THREADS" not in os.environ
+
+
+@pytest.mark.parametrize(("study", "config"), [("other", Small()), ("same", Small(size=2))])
+def test_other_work_in_the_same_folder_is_refused(tmp_path: Path, study: str, config: Config) -> None:
+    claim(tmp_path, "same", Small(), PACKAGES)
+    claim(tmp_path, "same", Small(), PACKAGES)
+    with pytest.raises(InputError, match="hold the same study"):
+        claim(tmp_path, study, config, PACKAGES)
+
+
+def test_work_of_other_code_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    claim(tmp_path, "same", Small(), PACKAGES)
+    monkeypatch.setattr(kept, "code_digest", lambda *packages: "other")
+    with pytest.raises(InputError, match="hold the same study"):
+        claim(tmp_path, "same", Small(), PACKAGES)
+
+
+def test_the_code_of_every_package_counts() -> None:
+    assert code_digest(*PACKAGES) != code_digest(*PACKAGES, "lanebound.agents.learning")
+
+
+@pytest.mark.parametrize("mark", ["", "[]", '{"digest": 3}'])
+def test_a_mark_that_is_none_of_ours_is_refused(tmp_path: Path, mark: str) -> None:
+    (tmp_path / "config.json").write_text(mark)
+    with pytest.raises(InputError, match="out must be empty or hold the same study"):
+        claim(tmp_path, "same", Small(), PACKAGES)
+    assert (tmp_path / "config.json").read_text() == mark
+
+
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for out in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(InputError, match="out must be a folder that can be written, got"):
+            claim(out, "same", Small(), PACKAGES)
+
+
+def test_a_file_is_whole_or_not_there(tmp_path: Path) -> None:
+    write_whole(tmp_path / "deep" / "file.json", {"a": 1})
+    with pytest.raises(TypeError):
+        write_whole(tmp_path / "deep" / "other.json", {"a": object()})
+    assert [path.name for path in (tmp_path / "deep").iterdir()] == ["file.json"]

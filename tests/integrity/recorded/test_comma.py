@@ -1,0 +1,99 @@
+"""comma2k19 segments, whole, cut and damaged."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from recordings import comma_folder, real, survives
+
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.recorded.comma import read_comma
+from lanebound.integrity.recorded.numpy_file import read_rows
+
+
+def test_a_small_segment(tmp_path: Path) -> None:
+    segment = read_comma(comma_folder(tmp_path))
+    assert segment.stopped is None
+    assert segment.fixes is None
+    assert segment.reference.position_ecef_m.shape == (8, 3)
+    assert segment.speed.at(np.array([0.02]))[0] == 8.0
+    assert segment.wheel_speed.at(np.array([0.0, 0.1])).shape == (2, 4)
+    expected = np.random.default_rng(1).normal(size=(8, 3))  # stored column by column
+    np.testing.assert_array_equal(segment.acceleration.value, expected)
+
+
+def test_files_without_ending_as_published(tmp_path: Path) -> None:
+    for path in comma_folder(tmp_path).rglob("*.npy"):
+        path.rename(path.with_suffix(""))
+    assert read_comma(tmp_path).reference.time_s.size == 8
+
+
+def test_a_cut_array_gives_the_rows_it_has(tmp_path: Path) -> None:
+    path = comma_folder(tmp_path) / "global_pose/frame_positions.npy"
+    path.write_bytes(path.read_bytes()[:-30])
+    segment = read_comma(tmp_path)
+    assert segment.reference.time_s.size == 6
+    assert "2 rows are missing" in str(segment.stopped)
+
+
+@pytest.mark.parametrize(
+    ("array", "message"),
+    [
+        (np.zeros((8, 4)), "must have shape"),
+        (np.array([[np.nan] * 3]), "must be finite"),
+        (np.zeros((8, 3), complex), "must be a NumPy array file .* real numbers"),
+        (np.zeros((0, 3)), "must hold at least one row"),
+    ],
+)
+def test_wrong_arrays_are_named(tmp_path: Path, array: np.ndarray, message: str) -> None:
+    np.save(comma_folder(tmp_path) / "global_pose/frame_positions.npy", array)
+    with pytest.raises(InputError, match=rf"frame_positions\S* .*{message}"):
+        read_comma(tmp_path)
+
+
+def test_pickles_are_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.array([{}], dtype=object), allow_pickle=True)
+    with pytest.raises(InputError, match="real numbers"):
+        read_rows(tmp_path / "a.npy", None)
+
+
+def test_missing_parts_and_disorder_are_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="frame_times"):
+        read_comma(tmp_path)
+    np.save(comma_folder(tmp_path) / "global_pose/frame_times.npy", np.zeros(8))
+    with pytest.raises(InputError, match="row 1 does not"):
+        read_comma(tmp_path)
+
+
+def test_a_header_that_promises_too_much_costs_nothing(tmp_path: Path) -> None:
+    head = np.lib.format.magic(1, 0)
+    text = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }".ljust(117) + "\n"
+    (tmp_path / "a.npy").write_bytes(head + len(text).to_bytes(2, "little") + text.encode() + b"\0" * 24)
+    rows, lacking = read_rows(tmp_path / "a.npy", None)
+    assert (rows.size, lacking) == (3, 10**12 - 3)
+
+
+@settings(max_examples=400, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_no_damage_hangs_or_crashes(tmp_path: Path, data: st.DataObject) -> None:
+    path = tmp_path / "a.npy"
+    np.save(path, np.arange(30.0).reshape(10, 3))
+    raw = bytearray(path.read_bytes())
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(raw)))
+        raw[at : at + data.draw(st.integers(0, 30))] = data.draw(st.binary(max_size=30))
+    path.write_bytes(bytes(raw))
+    survives(lambda: read_rows(path, 3))
+
+
+def test_the_highway_segment() -> None:
+    segment = read_comma(real("comma2k19_segment40"))
+    assert segment.stopped is None
+    assert segment.reference.time_s.size == 1200
+    assert segment.speed.time_s.size == 4974
+    assert segment.fixes is not None
+    assert segment.fixes.time_s.size == 579

@@ -1,0 +1,123 @@
+"""RINEX observation files, whole, cut and damaged."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from recordings import RINEX, real, rinex_epoch, rinex_header, rinex_line, rinex_satellite, survives
+
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.recorded.rinex_observation import read_observations
+
+FUZZ = settings(max_examples=400, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+
+
+def written(folder: Path, text: str | bytes) -> Path:
+    path = folder / "rover.obs"
+    path.write_bytes(text.encode("latin-1") if isinstance(text, str) else text)
+    return path
+
+
+def test_a_small_file(tmp_path: Path) -> None:
+    found = read_observations(written(tmp_path, RINEX))
+    assert found.stopped is None
+    assert found.epochs == 2
+    # 24 June 2024 is a Monday, the second day of GPS week 2320
+    assert found.week.tolist() == [2320, 2320]
+    assert found.tow_s.tolist() == [86_400 + 8 * 3600 + 20 * 60, 86_400 + 8 * 3600 + 20 * 60 + 1]
+    rows = found.rows["G"]
+    assert rows.satellite.tolist() == [5, 7, 5]
+    assert rows.epoch.tolist() == [0, 0, 1]
+    assert rows.column("L2W").tolist() == [8e7, 0.0, 8e7]
+    assert rows.column("L5Q").tolist() == [0.0, 0.0, 0.0]
+    assert rows.lost_lock("L1C").tolist() == [False, False, True]
+    assert found.header.position_ecef_m == (-3817680.9841, 3562840.0688, 3650158.4543)
+
+
+def test_scale_factors_divide(tmp_path: Path) -> None:
+    scaled = rinex_header(**{"SYS / SCALE FACTOR": "G  100  1 L1C", "END OF HEADER": ""})
+    scaled = scaled.replace(rinex_line("", "END OF HEADER"), "") + rinex_line("", "END OF HEADER")
+    found = read_observations(written(tmp_path, scaled + rinex_epoch(0.0, rinex_satellite("G05", 2e7, 1e8))))
+    assert found.rows["G"].value[0].tolist() == [2e7, 1e6, 0.0, 0.0]
+
+
+def test_beidou_time_is_14_s_behind(tmp_path: Path) -> None:
+    head = rinex_header(**{"TIME OF FIRST OBS": "  2024     6    24     8    20    0.0000000     BDT"})
+    found = read_observations(written(tmp_path, head + rinex_epoch(0.0, rinex_satellite("G05", 2e7))))
+    assert found.tow_s[0] == 86_400 + 8 * 3600 + 20 * 60 + 14
+
+
+def test_events_are_passed_over_and_power_failures_kept(tmp_path: Path) -> None:
+    event = rinex_epoch(1.5, rinex_line("moved", "COMMENT"), flag=4)
+    after = rinex_epoch(2.0, rinex_satellite("G05", 2e7), flag=1)
+    slips = rinex_epoch(3.0, rinex_satellite("G05", 2e7), flag=6)
+    found = read_observations(written(tmp_path, RINEX + event + after + slips))
+    assert found.epochs == 3
+    assert found.power_failed.tolist() == [False, False, True]
+
+
+def test_a_cut_file_gives_whole_epochs(tmp_path: Path) -> None:
+    for cut in (3, 40, 70, 100):
+        found = read_observations(written(tmp_path, RINEX[:-cut]))
+        assert found.epochs == 1
+        assert found.rows["G"].satellite.tolist() == [5, 7]
+        assert found.stopped is not None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("     3.04", "     2.11", "version must be 3 or 4"),
+        ("OBSERVATION DATA", "NAVIGATION DATA ", "must hold observations"),
+        ("     GPS ", "     GLO ", "must be in GPS"),
+        ("G    4", "G    5", "must list 5 codes, got 4"),
+        ("2024 06 24 08 20  0", "2024 13 24 08 20  0", "must lie in"),
+        ("20000000.000", "2000000x.000", "C1C of G05 must be a number"),
+        ("G05", "X05", "must be of a system"),
+        ("20  1.0", "20  0.0", "must follow each other"),
+    ],
+)
+def test_damage_is_named(tmp_path: Path, old: str, new: str, message: str) -> None:
+    text = RINEX.replace(old, new, 1) + rinex_epoch(5.0, rinex_satellite("G05", 2e7))
+    with pytest.raises(InputError, match=message):
+        read_observations(written(tmp_path, text))
+
+
+def test_nothing_useful_is_refused(tmp_path: Path) -> None:
+    for text in ("", "hello\n", rinex_header(), RINEX[:200]):
+        with pytest.raises(InputError, match="must"):
+            read_observations(written(tmp_path, text))
+
+
+@FUZZ
+@given(st.data())
+def test_no_damage_hangs_or_crashes(tmp_path: Path, data: st.DataObject) -> None:
+    text = bytearray(RINEX.encode())
+    for _ in range(data.draw(st.integers(1, 6))):
+        at = data.draw(st.integers(0, len(text)))
+        text[at : at + data.draw(st.integers(0, 40))] = data.draw(
+            st.one_of(st.binary(max_size=40), st.sampled_from([b"999", b"-", b"\n", b">", b"G", b"1e308", b" " * 30]))
+        )
+    found = survives(lambda: read_observations(written(tmp_path, bytes(text))))
+    if found is not None:
+        assert all(np.isfinite(rows.value).all() for rows in found.rows.values())
+
+
+@FUZZ
+@given(st.binary(max_size=400))
+def test_no_noise_hangs_or_crashes(tmp_path: Path, noise: bytes) -> None:
+    survives(lambda: read_observations(written(tmp_path, noise)))
+
+
+def test_the_static_pair() -> None:
+    folder = real("rtk_matrtklib_1m_static_30s")
+    for name, satellites in (("rover", 1767), ("base", 1767 + 2)):
+        found = read_observations(folder / f"{name}.obs")
+        assert found.stopped is None
+        assert found.epochs == 31
+        assert abs(sum(len(rows.epoch) for rows in found.rows.values()) - satellites) < 5
+        assert np.diff(found.tow_s).tolist() == [1.0] * 30

@@ -1,0 +1,164 @@
+"""RTK of two recorded receivers: simulated ones that stand and move, and the recorded pair."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from baselines import AXES, PLACE, receiver, sky
+from recordings import real
+from typer.testing import CliRunner
+
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.frames import track_from_enu_matrix
+from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.recorded.rinex_observation import Observations, SystemRows
+from lanebound.integrity.replay.baseline import Baseline, BaselineConfig, solve_baseline
+from lanebound.integrity.replay.baseline_report import read_coordinates, read_solution, run_baseline, summarise
+from lanebound.integrity.replay.datasets import kind_of, replay_folder
+
+TABLE = sky()
+
+
+def moving(time_s: np.ndarray) -> np.ndarray:
+    """A rover that drives a curve at 10 m/s, (T, 3) E, N, U from the base."""
+    heading = 0.3 + 0.05 * time_s
+    return np.stack([300.0 - 200.0 * np.cos(heading), 100.0 + 200.0 * np.sin(heading), 5.0 + 0.02 * time_s], -1)
+
+
+def base_at(time_s: np.ndarray, **options: Any) -> Observations:
+    return receiver(TABLE, time_s, np.tile(PLACE, (time_s.size, 1)), clock_s=-3e-4, seed=2, **options)
+
+
+def off(solved: Baseline, true_enu: np.ndarray) -> np.ndarray:
+    error = solved.enu_m[:, :2] - true_enu[:, :2]
+    return (track_from_enu_matrix(solved.heading_rad) @ error[..., None])[..., 0]
+
+
+def test_a_moving_rover_at_five_times_the_rate_of_its_base() -> None:
+    time = np.arange(0.0, 6.0, 0.2)
+    rover = receiver(TABLE, time, PLACE + moving(time) @ AXES.T, clock_s=5e-4, seed=1)
+    solved = solve_baseline(rover, base_at(np.arange(0.0, 6.0)), TABLE, PLACE)
+    assert solved.fixed[1:].all()
+    keep = solved.fixed
+    error = np.abs(off(solved, moving(time))[keep])
+    assert error.max() < 0.03
+    assert (error < solved.pl_m[keep]).all()
+    np.testing.assert_allclose(solved.age_s, np.tile(np.arange(5) * 0.2, 6), atol=1e-9)
+    assert solved.wrong_fix_risk.max() <= 1e-6
+
+
+def test_one_band_and_one_system_fix_too_or_fall_back_to_the_code() -> None:
+    time = np.arange(0.0, 3.0)
+    place = np.tile(PLACE + AXES @ np.array([50.0, 20.0, 0.0]), (3, 1))
+    rover, base = receiver(TABLE, time, place, clock_s=1e-4, seed=1), base_at(time)
+    thin = [replace(o, rows={"G": o.rows["G"]}) for o in (rover, base)]
+    solved = solve_baseline(*thin, TABLE, PLACE, BaselineConfig(bands=1))
+    assert solved.choice.bands == 1
+    assert (solved.mode != Mode.NONE).all()
+    error = np.abs(off(solved, np.tile([50.0, 20.0, 0.0], (3, 1))))
+    assert (error < solved.pl_m).all()
+
+
+def test_a_slip_that_the_receiver_tells_of_does_no_harm() -> None:
+    time = np.arange(0.0, 6.0)
+    offset = np.tile([10.0, 5.0, 1.0], (6, 1))
+    rover = receiver(TABLE, time, PLACE + offset @ AXES.T, clock_s=1e-4, seed=1, slips={(2, 3): 5.0, (9, 3): -2.0})
+    solved = solve_baseline(rover, base_at(time), TABLE, PLACE)
+    assert solved.fixed.all()
+    assert np.abs(off(solved, offset)).max() < 0.03
+
+
+def test_a_gap_of_the_base_ages_and_then_ends_the_corrections() -> None:
+    time = np.arange(0.0, 3.0)
+    rover = receiver(TABLE, time + 20.0, np.tile(PLACE, (3, 1)), clock_s=1e-4, seed=1)
+    with pytest.raises(InputError, match="must share time"):
+        solve_baseline(replace(rover, tow_s=rover.tow_s + 100.0), base_at(time), TABLE, PLACE)
+    with pytest.raises(InputError, match="must share time"):
+        solve_baseline(rover, replace(base_at(time), week=base_at(time).week + 1), TABLE, PLACE)
+
+
+def test_what_does_not_belong_together_is_refused() -> None:
+    time = np.arange(0.0, 2.0)
+    rover, base = (base_at(time) for _ in range(2))
+    with pytest.raises(InputError, match="near the Earth's surface"):
+        solve_baseline(rover, base, TABLE, np.array([35.0, 137.0, 100.0]))
+    with pytest.raises(InputError, match="must hold messages"):
+        solve_baseline(rover, base, TABLE.take(np.zeros(0, np.int64)), PLACE)
+    with pytest.raises(InputError, match="no APPROX POSITION"):
+        solve_baseline(rover, replace(base, header=replace(base.header, position_ecef_m=None)), TABLE)
+
+
+def test_epochs_without_satellites_have_no_position() -> None:
+    time = np.arange(0.0, 3.0)
+    rover, base = receiver(TABLE, time, np.tile(PLACE, (3, 1)), clock_s=1e-4, seed=1), base_at(time)
+    blind = {}
+    for letter, rows in rover.rows.items():
+        keep = rows.epoch != 1
+        blind[letter] = SystemRows(
+            rows.codes, rows.epoch[keep], rows.satellite[keep], rows.value[keep], rows.lost[keep], rows.half[keep]
+        )
+    solved = solve_baseline(replace(rover, rows=blind), base, TABLE, PLACE)
+    assert solved.mode.tolist() == [Mode.RTK, Mode.NONE, Mode.RTK]
+    assert np.isinf(solved.pl_m[1]).all()
+    assert summarise(solved, PLACE, PLACE)["fixed"] == 2
+
+
+def test_coordinates_in_both_forms_and_from_a_file(tmp_path: Path) -> None:
+    x, y, z = PLACE
+    np.testing.assert_allclose(read_coordinates(f"{x},{y},{z}"), PLACE)
+    (tmp_path / "here.txt").write_text("35.13 136.97 100.0")
+    np.testing.assert_allclose(read_coordinates(str(tmp_path / "here.txt")), PLACE, atol=1e-6)
+    for wrong in ("1,2", "a,b,c", "nowhere.txt"):
+        with pytest.raises(InputError, match="coordinates"):
+            read_coordinates(wrong)
+
+
+def test_a_folder_of_nothing_known_is_told_what_there_could_be(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"smartloc.*comma2k19.*rinex"):
+        kind_of(tmp_path)
+    (tmp_path / "rover.obs").touch()
+    (tmp_path / "base.obs").touch()
+    with pytest.raises(InputError, match=r"base\.nav or rover\.nav"):
+        replay_folder(tmp_path, tmp_path / "out")
+
+
+def test_the_static_pair(tmp_path: Path) -> None:
+    folder = real("rtk_matrtklib_1m_static_30s")
+    found, written = replay_folder(folder, tmp_path)
+    assert all(path.exists() for path in written)
+    assert found["stopped"] == {}
+    assert (found["epochs"], found["fixed"]) == (31, 31)
+    assert found["errors"]["fixed"]["horizontal_max_m"] < 0.02
+    assert found["errors"]["fixed"]["spatial_max_m"] < 0.02
+    assert [found["errors"]["fixed"][axis]["exceeded"] for axis in ("at", "ct")] == [0, 0]
+    _, oracle, quality = read_solution(folder / "rtklib_oracle.pos")
+    assert (quality == 1).all()
+    ours = np.genfromtxt(tmp_path / "solution.csv", delimiter=",", skip_header=1, usecols=(4, 5, 6))
+    assert np.linalg.norm(ours - oracle, axis=1).max() < 0.02
+
+
+def test_the_command(tmp_path: Path) -> None:
+    from lanebound.agents.cli import app
+
+    folder = real("rtk_matrtklib_1m_static_30s")
+    files = {
+        name: str(folder / file) for name, file in (("rover", "rover.obs"), ("base", "base.obs"), ("nav", "base.nav"))
+    }
+    options = [part for name, file in files.items() for part in (f"--{name}", file)]
+    done = CliRunner().invoke(app, ["rtk", *options, "--out", str(tmp_path), "--json"])
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["fixed"] == 31
+    refused = CliRunner().invoke(app, ["rtk", *options[:-1], str(folder / "base.obs"), "--out", str(tmp_path)])
+    assert refused.exit_code == 2
+
+
+def test_run_needs_no_truth(tmp_path: Path) -> None:
+    folder = real("rtk_matrtklib_1m_static_30s")
+    found, _ = run_baseline(folder / "rover.obs", folder / "base.obs", folder / "base.nav", tmp_path)
+    assert "errors" not in found
+    assert found["fixed"] == 31
