@@ -23,7 +23,7 @@ from lanebound.integrity.presets import nearest
 __all__ = ["EngineVecEnv"]
 
 
-class EngineVecEnv(VecEnv):  # type: ignore[misc]
+class EngineVecEnv(VecEnv):
     """N environments of an id in the vector engine; they start anew at once when their episode is over.
 
     ``infos[i]`` holds the entries of ``keys`` at every step, for dictionaries cost time. At the end of an episode it

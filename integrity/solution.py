@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,8 +69,9 @@ class Solution:
 
     def rows(self, rows: NDArray[np.int64]) -> Solution:
         """The solutions of some vehicles."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
-        return Solution(**{name: v[rows] if isinstance(v, np.ndarray) else v for name, v in values.items()})
+        values: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
+        chosen: dict[str, Any] = {name: v[rows] if isinstance(v, np.ndarray) else v for name, v in values.items()}
+        return Solution(**chosen)
 
     @property
     def batch(self) -> int:

@@ -170,7 +170,8 @@ class Senses:
 
     def _view(self) -> SkyView:
         """The skies over all egos now."""
-        clock = self._config.clock_start_s + (self._epoch - self._started) * self.steps * self.step_s
+        since_s = (self._epoch - self._started) * self.steps * self.step_s
+        clock = np.asarray(self._config.clock_start_s + since_s, dtype=np.float64)
         return self.skies.view(self._hour, clock)
 
     def _moved(self, world: World) -> None:

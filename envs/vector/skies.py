@@ -63,7 +63,7 @@ class Skies:
         """
         sky = settings.sky
         table, place, mask_rad = sky.satellites(), sky.place_rad, sky.mask_rad
-        start = sky.start_gps_s + 3600.0 * np.arange(HOURS)
+        start = np.asarray(sky.start_gps_s + 3600.0 * np.arange(HOURS), dtype=np.float64)
         knots = STEP_S * np.arange(
             int(np.ceil((single.config.navigation.warm_up_s + duration_s + MARGIN_S) / STEP_S)) + 1
         )
@@ -71,7 +71,7 @@ class Skies:
         union = np.flatnonzero(above.any(0))
         some = table.take(union)
         vectors = [some.relative_enu(begin + knots, *place) for begin in start]
-        offset, rate = (np.ascontiguousarray(np.stack(parts)) for parts in zip(*vectors, strict=True))
+        offset, rate = (np.ascontiguousarray(np.stack(parts), dtype=np.float64) for parts in zip(*vectors, strict=True))
         track = SkyTrack(float(start[0]), STEP_S, offset[0], rate[0], float(mask_rad), some.system, some.prn)
         return cls(start, offset, rate, above[:, union], track, *_cities(single))
 
