@@ -1,8 +1,8 @@
 """The vector engine for Stable-Baselines3, which has a kind of vector environment of its own.
 
 >>> from stable_baselines3 import PPO
->>> config = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "observation": {"form": "flat"}}
->>> PPO("MlpPolicy", EngineVecEnv("lanebound/Highway-v0", 64, config)).learn(100_000)        # doctest: +SKIP
+>>> config = {"observation": {"form": "flat"}}
+>>> PPO("MlpPolicy", EngineVecEnv("lanebound/LaneKeeping-v0", 64, config)).learn(100_000)    # doctest: +SKIP
 """
 
 from __future__ import annotations

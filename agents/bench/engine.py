@@ -19,7 +19,9 @@ from lanebound.envs.vector import VectorHighway
 __all__ = ["measure"]
 
 PERFECT: dict[str, Any] = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}}
-MANY, SEED, TURNS = 512, 1, 64
+FULL: dict[str, Any] = {"perception": {"source": "truth"}}
+V2V: dict[str, Any] = {}  # as the id presets it
+MANY, SENSING, HEARING, SEED, TURNS = 512, 128, 8, 1, 64
 
 
 def _bare_side() -> Callable[[], int]:
@@ -50,12 +52,17 @@ def _engine_side(count: int, config: dict[str, Any]) -> tuple[Callable[[], int],
 
 def measure(rounds: int = 5) -> list[Row]:
     """Ratios of policy steps a second, resets included on both sides, and the memory of an environment."""
-    many, env = _engine_side(MANY, PERFECT)
-    sides = {"bare": _bare_side(), "many": many, "one": _engine_side(1, PERFECT)[0]}
-    rates = alternate(sides, rounds, seconds=1.0)
-    ratio = {name: median_ratio(rates, name, "bare") for name in ("many", "one")}
+    cases = {"many": (MANY, PERFECT), "one": (1, PERFECT), "full": (SENSING, FULL), "v2v": (HEARING, V2V)}
+    engines = {name: _engine_side(count, config) for name, (count, config) in cases.items()}
+    rates = alternate({"bare": _bare_side(), **{name: step for name, (step, _) in engines.items()}}, rounds, 1.0)
+    ratio = {name: median_ratio(rates, name, "bare") for name in cases}
+    size = {name: env.engine.bytes_per_environment / 1024.0 for name, (_, env) in engines.items()}
     return [
         Row("engine_dynamics_vs_highway_2core", ratio["many"], "x", 5000.0, 12000.0),
         Row("engine_dynamics_vs_highway_1env", ratio["one"], "x", 2500.0, 5000.0),
-        Row("engine_memory_per_environment", env.engine.bytes_per_environment / 1024.0, "KiB", higher_is_better=False),
+        Row("engine_full_vs_highway_2core", ratio["full"], "x", 1000.0, 3000.0),
+        Row("engine_v2v_vs_highway_2core", ratio["v2v"], "x", 200.0, 600.0),
+        Row("engine_memory_per_environment", size["many"], "KiB", higher_is_better=False),
+        Row("engine_full_memory_per_environment", size["full"], "KiB", higher_is_better=False),
+        Row("engine_v2v_memory_per_environment", size["v2v"], "KiB", higher_is_better=False),
     ]

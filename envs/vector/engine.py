@@ -15,7 +15,7 @@ from lanebound.envs.vector import lanes_kernel as lk
 from lanebound.envs.vector.chart import chart_of
 from lanebound.envs.vector.lanes import lanes_of
 from lanebound.envs.vector.rules import direct_ranges, duration_s, meta_codes, rules_of, trail_length
-from lanebound.envs.vector.senses import Senses
+from lanebound.envs.vector.senses import Senses, sensing
 from lanebound.envs.vector.start import profile_steps, starter_of
 from lanebound.envs.vector.step_kernel import DECIDE, FINISH, START, World, run_parallel, run_some
 from lanebound.envs.vector.support import require_supported
@@ -38,8 +38,6 @@ class Engine:
     ----------
     single : one environment of the configuration, asked for spaces, roads and figures; it is not driven
     count : number N of environments
-    alone : draw each environment's sensor errors from generators of its own, as single environments do (slower); all
-        environments that are then reset at once are equal to single ones
 
     Attributes
     ----------
@@ -53,7 +51,7 @@ class Engine:
         A configuration that the engine cannot do as a single environment does.
     """
 
-    def __init__(self, single: DrivingEnv, count: int, alone: bool = False) -> None:
+    def __init__(self, single: DrivingEnv, count: int) -> None:
         require_supported(single)
         self.single, self.count = single, count
         network = single.world.road.network
@@ -67,9 +65,9 @@ class Engine:
         self._generators: list[np.random.Generator | None] = [None] * count
         self.world = self._empty()
         self.senses: Senses | None = None
-        if single.config.navigation.source.senses:
+        if sensing(single):
             length = duration_s(single.config, single.world)
-            self.senses = Senses(single, count, self.lanes, self.rules.figures, length, alone)
+            self.senses = Senses(single, count, self.lanes, self.rules.figures, length)
 
     def _empty(self) -> World:
         """Arrays for N environments, before any start."""
@@ -93,8 +91,9 @@ class Engine:
 
     @property
     def bytes_per_environment(self) -> int:
-        """Memory that grows with N, per environment."""
-        return sum(array.nbytes for array in self.world) // self.count
+        """Memory of the arrays that grow with N, per environment."""
+        senses = 0 if self.senses is None else self.senses.nbytes
+        return (senses + sum(array.nbytes for array in self.world)) // self.count
 
     # An episode
 

@@ -16,7 +16,6 @@ from lanebound.envs.ids import CarFollowing, Highway, LaneKeeping, Preset, id_of
 from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.engine import Engine
 from lanebound.envs.vector.infos import infos_of
-from lanebound.envs.vector.support import require_perfect
 from lanebound.integrity.errors import InputError
 
 __all__ = ["ENGINES", "VectorCarFollowing", "VectorDrivingEnv", "VectorHighway", "VectorLaneKeeping"]
@@ -31,13 +30,14 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
     """N environments of an id that step together in compiled code: spaces, rewards, costs and infos of single ones.
 
     >>> import gymnasium, lanebound.envs
-    >>> config = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}}
-    >>> envs = gymnasium.make_vec("lanebound/Highway-v0", 4, vectorization_mode="vector_entry_point", config=config)
+    >>> envs = gymnasium.make_vec("lanebound/LaneKeeping-v0", 4)
     >>> observations, infos = envs.reset(seed=1)
     >>> infos["cost"].shape
     (4,)
 
-    Environment i under seed s drives as a single one under seed s + i does, and so do its later episodes.
+    Environment i under seed s drives as a single one under seed s + i does, whatever N. Its later episodes start as
+    those of the single one, and are they where nothing is sensed; where something is, all environments share a clock,
+    so that messages of reference stations reach these episodes at another tenth of a second.
 
     Parameters
     ----------
@@ -71,7 +71,6 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         if render_mode is not None:
             raise InputError(f"render_mode must be None, got {render_mode!r}: draw pictures of a single environment")
         single = self.KIND(config)
-        require_perfect(single.config)
         self.num_envs, self.config, self.render_mode = int(num_envs), single.config, None
         self.mode = _mode_of(autoreset_mode)
         self.metadata = {"render_modes": [], "render_fps": single.config.policy_hz, "autoreset_mode": self.mode}

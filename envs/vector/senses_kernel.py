@@ -12,7 +12,7 @@ from lanebound.envs.vector.score_kernel import glance
 from lanebound.integrity.accel import jit
 from lanebound.integrity.sky.raytrace_kernel import bin_of
 
-__all__ = ["foresee", "glance_all", "place_all", "skies_at", "whereabouts"]
+__all__ = ["foresee", "glance_all", "place_all", "skies_at", "spread", "whereabouts"]
 
 TWO_PI = 2.0 * math.pi
 BELOW = -0.5 * math.pi  # elevation of satellites below the horizon, whose directions nobody asks for
@@ -49,18 +49,32 @@ def skies_at(offset, rate, hour, knot, share, step, mask, los, elevation, azimut
 
 
 @jit
-def whereabouts(lanes, rows, cars, whole, begin, reach, city, arc, side):  # type: ignore[no-untyped-def]
-    """Where the true egos of ``rows`` (n,) are along the stations of all cities: arc (n,) [m], lane of its road (n,).
+def spread(packed, used, out):  # type: ignore[no-untyped-def]
+    """Put numbers packed (N, ...) into the places that are used (N, S): out (N, M, S, W), in their order."""
+    for e in range(out.shape[0]):
+        n = 0
+        for m in range(out.shape[1]):
+            for s in range(out.shape[2]):
+                if used[e, s]:
+                    for w in range(out.shape[3]):
+                        out[e, m, s, w] = packed[e, n]
+                        n += 1
 
-    begin, reach (L,): arc of the beginning of each lane, and up to where it has stations; city (N,): arc of each
-    environment's city.
+
+@jit
+def whereabouts(lanes, rows, cars, whole, begin, reach, city, arc, side):  # type: ignore[no-untyped-def]
+    """Where the first M vehicles of ``rows`` (n,) truly are along the stations of all cities.
+
+    Fills arc [m] and side, the lane of its road, both (n, M). begin, reach (L,): arc of the beginning of each lane, and
+    up to where it has stations; city (N,): arc of each environment's city.
     """
     for n in range(rows.shape[0]):
         e = rows[n]
-        lane = whole[e, LANE, 0]
-        s, _, _ = local(lanes, lane, cars[e, X, 0], cars[e, Y, 0])
-        arc[n] = city[e] + begin[lane] + min(max(s, 0.0), reach[lane])
-        side[n] = int(lanes.table[lane, SIDE])
+        for i in range(arc.shape[1]):
+            lane = whole[e, LANE, i]
+            s, _, _ = local(lanes, lane, cars[e, X, i], cars[e, Y, i])
+            arc[n, i] = city[e] + begin[lane] + min(max(s, 0.0), reach[lane])
+            side[n, i] = int(lanes.table[lane, SIDE])
 
 
 @jit

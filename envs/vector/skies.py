@@ -25,18 +25,22 @@ __all__ = ["Skies"]
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 STEP_S = 20.0  # between knots, as SkyTrack's
+FAR_M = 2e7  # below the horizon, where a place is empty
+NO_RANGE = np.zeros((0, 0))  # ranges are not asked for: measurements are differences to a station
 
 
 @dataclass(frozen=True)
 class Skies:
-    """H hours over the same S satellites, and the cities of a road one after another in one mask.
+    """H hours over S places for satellites, and the cities of a road one after another in one mask.
+
+    A place belongs to a system, and holds another satellite of it in each hour: so S is little more than rise in one.
 
     Attributes
     ----------
     start_s : (H,) GPS time at which each hour's sky begins
     offset_m, rate_mps : (H, K, S, 3) vectors to the satellites and their rates at knots
-    used : (H, S) bool, satellites that rise in that hour: those that a single environment's track holds
-    track : of one hour, for what does not depend on the time
+    used : (H, S) bool, places taken in that hour, by the satellites of a single environment's track in their order
+    track : of the first hour, for what does not depend on the time
     mask, forecast : of all cities; city_m (layouts,): arc at which each begins
     begin_m, reach_m : (L,) arc of the beginning of each lane in a city, and up to where it has stations
     """
@@ -67,21 +71,29 @@ class Skies:
         knots = STEP_S * np.arange(
             int(np.ceil((single.config.navigation.warm_up_s + duration_s + MARGIN_S) / STEP_S)) + 1
         )
-        above = np.stack([table.view(begin + knots, *place, mask_rad).above.any(0) for begin in start])
-        union = np.flatnonzero(above.any(0))
-        some = table.take(union)
-        vectors = [some.relative_enu(begin + knots, *place) for begin in start]
-        offset, rate = (np.ascontiguousarray(np.stack(parts), dtype=np.float64) for parts in zip(*vectors, strict=True))
+        rising = np.stack([table.view(begin + knots, *place, mask_rad).above.any(0) for begin in start])
+        held = _places(table.system, rising)
+        used = held >= 0
+        offset = np.zeros((HOURS, knots.size, held.shape[1], 3))
+        rate = np.zeros_like(offset)
+        offset[..., 2] = -FAR_M
+        for hour, begin in enumerate(start):
+            satellites = table.take(held[hour, used[hour]])
+            offset[hour][:, used[hour]], rate[hour][:, used[hour]] = satellites.relative_enu(begin + knots, *place)
+        some = table.take(held.max(0))
         track = SkyTrack(float(start[0]), STEP_S, offset[0], rate[0], float(mask_rad), some.system, some.prn)
-        return cls(start, offset, rate, above[:, union], track, *_cities(single))
+        return cls(start, offset, rate, used, track, *_cities(single))
 
     @property
     def hours(self) -> int:
         """Number of hours H."""
         return int(self.start_s.shape[0])
 
-    def view(self, hour: Rows, clock_s: Array) -> SkyView:
-        """The skies of N environments: a row each for its hour (N,), ``clock_s`` (N,) after that hour's beginning."""
+    def view(self, hour: Rows, clock_s: Array, vehicles: int = 1) -> SkyView:
+        """The skies of N environments, each of a number of vehicles: a row for each environment.
+
+        hour (N,), and ``clock_s`` (N,) after that hour's beginning.
+        """
         begin = self.start_s[hour]
         place = (begin + clock_s - begin) / STEP_S  # rounded as by SkyTrack.at
         knot = np.clip(place.astype(np.int64), 0, self.offset_m.shape[1] - 2)
@@ -92,12 +104,23 @@ class Skies:
             self.offset_m, self.rate_mps, hour, knot, place - knot, STEP_S, self.track.mask_rad, los, elevation,
             azimuth, above,
         )  # fmt: skip
-        return SkyView(
-            los, elevation, azimuth, NO_RANGE, NO_RANGE, above, self.track.system, self.track.prn, np.arange(count)
-        )
+        index = np.repeat(np.arange(count), vehicles)
+        return SkyView(los, elevation, azimuth, NO_RANGE, NO_RANGE, above, self.track.system, self.track.prn, index)
 
 
-NO_RANGE = np.zeros((0, 0))  # ranges are not asked for: measurements are differences to a station
+def _places(system: NDArray[np.int64], rising: NDArray[np.bool_]) -> Rows:
+    """The satellite in each place at each hour, (H, S), -1 for none: as many places of a system as rise at once.
+
+    system (n,) of all satellites; rising (H, n).
+    """
+    blocks = []
+    for one in dict.fromkeys(system.tolist()):
+        rows = np.flatnonzero(system == one)
+        block = np.full((rising.shape[0], int(rising[:, rows].sum(1).max())), -1)
+        for hour, up in enumerate(rising[:, rows]):
+            block[hour, : int(up.sum())] = rows[up]
+        blocks.append(block)
+    return np.concatenate(blocks, 1).astype(np.int64)
 
 
 def _cities(single: DrivingEnv) -> tuple[Any, ...]:

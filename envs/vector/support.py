@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from highway_env.envs.highway_env import HighwayEnv
 
+from lanebound.envs.cockpit import OTHERS_S
 from lanebound.envs.config import ActionKind, EnvConfig, FaultLevel
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.navigation import Source
@@ -12,7 +13,7 @@ from lanebound.envs.worlds.car_following import CarFollowingWorld
 from lanebound.envs.worlds.lane_keeping import LaneKeepingWorld
 from lanebound.integrity.errors import ConfigError
 
-__all__ = ["WORLDS", "require_perfect", "require_supported"]
+__all__ = ["WORLDS", "require_supported"]
 
 WORLDS = {HighwayEnv: "highway-v0", LaneKeepingWorld: "LaneKeepingWorld", CarFollowingWorld: "CarFollowingWorld"}
 INSTEAD = "or make the same environments with vectorization_mode='sync' or 'async'"
@@ -24,7 +25,7 @@ def require_supported(single: DrivingEnv) -> None:
     if type(world) not in WORLDS:
         raise ConfigError(f"base must have an engine, as {', '.join(WORLDS.values())} do, got {config.base!r}: "
                           f"choose one of these, {INSTEAD}")  # fmt: skip
-    _require_sources(config, alone=len(world.road.vehicles) == 1)
+    _require_sources(config)
     if isinstance(world, HighwayEnv):
         if world.config["other_vehicles_type"] != IDM_PATH:
             raise _refusal("world.other_vehicles_type", IDM_PATH, world.config["other_vehicles_type"])
@@ -34,19 +35,14 @@ def require_supported(single: DrivingEnv) -> None:
         raise _refusal("action_options.dynamical", "False", True)
 
 
-def require_perfect(config: EnvConfig) -> None:
-    """Raise ConfigError unless positions are given: the engine's own navigation has not been shown to be the same."""
-    if config.navigation.source is not Source.PERFECT:
-        raise _refusal("navigation.source", "'perfect'", config.navigation.source.value)
-
-
-def _require_sources(config: EnvConfig, alone: bool) -> None:
-    if config.navigation.source is Source.OFFSET:
-        raise _refusal("navigation.source", "'navigator' or 'perfect'", config.navigation.source.value)
+def _require_sources(config: EnvConfig) -> None:
+    navigation = config.navigation
+    if navigation.source is Source.OFFSET:
+        raise _refusal("navigation.source", "'navigator' or 'perfect'", navigation.source.value)
     if config.faults is not FaultLevel.NONE:
         raise _refusal("faults", "'none'", config.faults.value)
-    if config.perception.source not in ("truth", "none") and not alone:  # nobody to be heard or seen
-        raise _refusal("perception.source", "'truth' or 'none'", config.perception.source)
+    if config.perception.source in ("v2v", "both") and navigation.warm_up_s > OTHERS_S:
+        raise _refusal("navigation.warm_up_s", f"at most {OTHERS_S:g} where others broadcast", navigation.warm_up_s)
     per_policy, per_epoch = config.simulation_hz // config.policy_hz, config.simulation_hz / config.navigation.rate_hz
     if per_policy % max(1, round(per_epoch)):
         raise _refusal(

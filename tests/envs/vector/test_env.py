@@ -138,6 +138,21 @@ def test_what_it_cannot_do_is_refused(change: dict[str, Any], message: str) -> N
         VectorHighway(2, config)
 
 
+@pytest.mark.parametrize("name", ["LaneKeeping", "CarFollowing"])
+def test_the_default_configuration_has_an_engine(name: str) -> None:
+    engine = gymnasium.make_vec(f"lanebound/{name}-v0", 2, config={"sky": "open", "duration_s": 0.6})
+    assert engine.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    engine.reset(seed=3)
+    ends = 0
+    for _ in range(8):
+        seen, rewards, _, truncated, infos = engine.step(np.zeros((2, 2), dtype=np.float32))
+        assert engine.observation_space.contains(seen)
+        assert np.isfinite(rewards).all()
+        assert (infos["pl_ct_m"] > 0.0).all()
+        ends += int(truncated.sum())
+    assert ends == 4, "an episode is three steps and one to start the next"
+
+
 def test_an_id_without_an_engine_says_so() -> None:
     with pytest.raises(gymnasium.error.Error, match="vector entry point"):
         gymnasium.make_vec("lanebound/Merge-v0", 2, vectorization_mode="vector_entry_point")

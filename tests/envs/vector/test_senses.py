@@ -14,41 +14,59 @@ from lanebound.envs.vector.engine import Engine
 from lanebound.integrity.errors import ConfigError
 from side_by_side import Tally, command, require_equal, same
 
-TRUTH: dict[str, Any] = {"perception": {"source": "truth"}}
-FEW: dict[str, Any] = {**TRUTH, "world": {"vehicles_count": 4}, "sky": "urban", "extent_m": 300.0, "layouts": 2}
+FEW: dict[str, Any] = {"world": {"vehicles_count": 4}, "sky": "urban", "extent_m": 300.0, "layouts": 2}
+TRUTH, SENSOR, BOTH = ({"perception": {"source": source}} for source in ("truth", "sensor", "both"))
+PERFECT: dict[str, Any] = {"navigation": {"source": "perfect"}}
 CASES: list[tuple[str, dict[str, Any], int]] = [
     ("LaneKeeping", {"sky": "dense", "layouts": 2}, 25),
     ("LaneKeeping", {"sky": "open", "action": "meta", "observation": {"history": 2, "satellites_m": []}}, 8),
-    ("CarFollowing", {**TRUTH, "sky": "open"}, 15),
+    ("CarFollowing", {"sky": "open"}, 15),
+    ("CarFollowing", {"sky": "open", **BOTH}, 10),
+    ("CarFollowing", {"sky": "open", **PERFECT, **SENSOR}, 6),
     ("Highway", FEW, 10),
-    ("Highway", {**FEW, "sky": "open", "observation": {"integrity": "oracle"}}, 5),
+    ("Highway", {**FEW, **TRUTH, "sky": "open", "observation": {"integrity": "oracle"}}, 5),
+    ("Highway", {**FEW, **PERFECT, "sky": "open"}, 5),
 ]
 
 
-def _side_by_side(name: str, config: dict[str, Any], count: int, steps: int, seed: int, tally: Tally) -> Engine:
-    """Single environments and an engine with their draws, all started at once, until the first of them ends."""
-    made = make_config(f"lanebound/{name}-v0", config)
-    singles, rng = [DrivingEnv(made) for _ in range(count)], np.random.default_rng(seed)
-    engine = Engine(DrivingEnv(made), count, alone=True)
-    seeds: list[int | None] = [seed + row for row in range(count)]
-    started = [single.reset(seed=s) for single, s in zip(singles, seeds, strict=True)]
-    engine.reset(np.arange(count), seeds)
-    for row, (single, (seen, info)) in enumerate(zip(singles, started, strict=True)):
-        same(tally, f"{row} start", engine, row, single, _newest(single, seen), (0.0, False, False, info))
-    views = [seen for seen, _ in started]
-    for step in range(steps):
-        actions = [command(single, _newest(single, seen), rng) for single, seen in zip(singles, views, strict=True)]
-        engine.step(np.array(actions))
-        over = False
-        for row, single in enumerate(singles):
-            views[row], reward, terminated, truncated, info = single.step(actions[row])
-            told = (reward, terminated, truncated, info)
-            same(tally, f"{row} step {step}", engine, row, single, _newest(single, views[row]), told)
-            over = over or terminated or truncated
-        tally.steps += count
-        if over:
-            break
-    return engine
+class Pairs:
+    """Single environments and an engine, started at once and driven by the same commands."""
+
+    def __init__(self, name: str, config: dict[str, Any], count: int, seed: int) -> None:
+        made = make_config(f"lanebound/{name}-v0", config)
+        self.singles, self.engine = [DrivingEnv(made) for _ in range(count)], Engine(DrivingEnv(made), count)
+        self.tally, self._rng = Tally(), np.random.default_rng(seed)
+        self._views: list[Any] = [None] * count
+        self.reset(np.arange(count), seed)
+
+    def reset(self, rows: Any, seed: int) -> None:
+        """Start some of them anew, under this seed and those after it."""
+        seeds: list[int | None] = [seed + n for n in range(rows.size)]
+        self.engine.reset(rows, seeds)
+        for row, own in zip(rows.tolist(), seeds, strict=True):
+            self._views[row], info = self.singles[row].reset(seed=own)
+            self._compare(f"{row} start", row, (0.0, False, False, info))
+
+    def step(self, count: int) -> None:
+        """Drive on by so many steps, or until the first episode is over."""
+        for n in range(count):
+            actions = [
+                command(single, _newest(single, seen), self._rng)
+                for single, seen in zip(self.singles, self._views, strict=True)
+            ]
+            self.engine.step(np.array(actions))
+            over = False
+            for row, single in enumerate(self.singles):
+                self._views[row], reward, terminated, truncated, info = single.step(actions[row])
+                self._compare(f"{row} step {n}", row, (reward, terminated, truncated, info))
+                over = over or terminated or truncated
+                self.tally.steps += 1
+            if over:
+                return
+
+    def _compare(self, where: str, row: int, told: Any) -> None:
+        single = self.singles[row]
+        same(self.tally, where, self.engine, row, single, _newest(single, self._views[row]), told)
 
 
 def _newest(single: DrivingEnv, seen: Any) -> Any:
@@ -59,19 +77,28 @@ def _newest(single: DrivingEnv, seen: Any) -> Any:
 
 @pytest.mark.parametrize(("name", "config", "steps"), CASES)
 def test_with_the_same_draws_it_is_the_single_environment(name: str, config: dict[str, Any], steps: int) -> None:
-    tally = Tally()
-    _side_by_side(name, config, 2, steps, 5, tally)
-    require_equal(tally)
-    assert tally.steps >= 8
+    pairs = Pairs(name, config, 2, 5)
+    pairs.step(steps)
+    require_equal(pairs.tally)
+    assert pairs.tally.steps >= 8
+
+
+def test_an_episode_that_starts_while_others_drive_is_the_single_one() -> None:
+    pairs = Pairs("CarFollowing", {"sky": "open", "layouts": 1}, 2, 5)
+    pairs.step(15)  # 3 s: the shared clock stands as at a start to messages and to what the area draws by turns
+    pairs.reset(np.array([1]), 40)
+    pairs.step(6)
+    require_equal(pairs.tally)
+    assert pairs.tally.steps == 42
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "config", "steps"), CASES)
 def test_with_the_same_draws_for_long(name: str, config: dict[str, Any], steps: int) -> None:
-    tally = Tally()
     for seed in range(0, 60, 3):
-        _side_by_side(name, config, 3, 30 * steps, 100 + seed, tally)
-    require_equal(tally)
+        pairs = Pairs(name, config, 3, 100 + seed)
+        pairs.step(30 * steps)
+        require_equal(pairs.tally)
 
 
 def test_environments_start_anew_beside_others() -> None:
@@ -91,15 +118,17 @@ def test_environments_start_anew_beside_others() -> None:
     assert (ends >= 2).all()
 
 
-def test_the_same_seed_gives_the_same_drive_again() -> None:
-    engine = Engine(DrivingEnv(make_config("lanebound/Highway-v0", FEW)), 3)
+def test_the_same_seed_gives_the_same_bits_however_many_there_are() -> None:
+    made = make_config("lanebound/Highway-v0", {**FEW, "sky": "open"})
+    three, one = Engine(DrivingEnv(made), 3), Engine(DrivingEnv(made), 1)
     drives = []
-    for _ in range(2):
-        engine.reset(np.arange(3), [11, 12, 13])
+    for engine, seeds in ((three, [11, 12, 13]), (three, [11, 12, 13]), (one, [12])):
+        engine.reset(np.arange(engine.count), list(seeds))
         for n in range(4):
-            engine.step(np.full(3, n % 5))
+            engine.step(np.full(engine.count, n % 5))
         drives.append(engine.world.frame.copy())
     np.testing.assert_array_equal(drives[0], drives[1])
+    np.testing.assert_array_equal(drives[0][1], drives[2][0])
 
 
 def test_levels_and_errors_are_those_of_navigation() -> None:
@@ -119,7 +148,7 @@ def test_levels_and_errors_are_those_of_navigation() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"perception": {"source": "v2v"}}, "perception.source"),
+        ({"navigation": {"warm_up_s": 5.0}}, "warm_up_s"),
         ({"faults": "nominal"}, "faults"),
         ({"navigator": {"imu": {"mems_exponential": True}}}, "mems_exponential"),
     ],

@@ -1,4 +1,4 @@
-"""Many trackers at once are as many single ones; streams side by side are as many single ones."""
+"""Many trackers at once are as many single ones."""
 
 from __future__ import annotations
 
@@ -10,10 +10,8 @@ import numpy as np
 from lanebound.envs.navigation import NavigationConfig, fix_of
 from lanebound.envs.tracker import Tracker
 from lanebound.envs.vector import columns_kernel as k
-from lanebound.envs.vector.streams import StackedStreams
 from lanebound.envs.vector.trackers import Trackers
 from lanebound.integrity.solution import Solution
-from lanebound.integrity.streams import Streams
 
 COUNT, BOUND_M, LIMITS_M = 4, 0.1, (1.5, 0.6)
 
@@ -58,25 +56,3 @@ def test_poses_and_levels_are_those_of_single_trackers() -> None:
             assert bool(belief[n, k.B_AVAILABLE]) == (tracker.fix.available and not over)
         reasons |= set(belief[:, k.B_REASON].tolist())
     assert len(reasons) >= 4, "none, along, across and both must occur"
-
-
-def test_streams_side_by_side_draw_as_single_ones() -> None:
-    used = np.array([[True, True, False, True], [False, True, True, False]])
-    stacked, single = StackedStreams([3, 9], used), [Streams([3]), Streams([9])]
-    for name, shape in (("gnss", (4, 2)), ("imu", (2, 3)), ("odometer", ()), ("atmosphere", (4,))):
-        for law in ("normal", "uniform"):
-            drawn = getattr(stacked, law)(name, *shape)
-            assert drawn.shape == (2, *shape)
-            for row, alone in enumerate(single):
-                by_satellite = shape[:1] == (4,)
-                own = getattr(alone, law)(name, *((int(used[row].sum()), *shape[1:]) if by_satellite else shape))[0]
-                np.testing.assert_array_equal(drawn[row][used[row]] if by_satellite else drawn[row], own)
-                assert not by_satellite or not drawn[row][~used[row]].any()
-
-
-def test_streams_go_on_with_those_of_others() -> None:
-    used = np.ones((3, 2), dtype=np.bool_)
-    stacked, other = StackedStreams([1, 2, 3], used.copy()), StackedStreams([8], used[:1])
-    stacked.normal("imu")
-    stacked.adopt(np.array([1]), other)
-    np.testing.assert_array_equal(stacked.normal("imu")[1], StackedStreams([8], used[:1]).normal("imu")[0])
