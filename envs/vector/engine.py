@@ -102,7 +102,8 @@ class Engine:
         episodes = [self._begin(e, seed) for e, seed in zip(rows.tolist(), seeds, strict=True)]
         self._know_all(rows)
         if self.senses is not None:
-            self.senses.begin(rows, episodes, self.world)
+            anew = rows.size == self.count and None not in seeds
+            self.senses.begin(rows, episodes, self.world, anew)
         self._run(rows, 0, FINISH | START)
 
     def step(self, actions: NDArray[Any], rows: Rows | None = None) -> None:

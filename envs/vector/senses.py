@@ -46,8 +46,9 @@ GIVEN = ("truth", "none")
 class Senses:
     """What the egos know of themselves and of others.
 
-    All instruments run on one clock, in epochs, that goes on while single environments start anew; so a message of a
-    reference station may find an episode at any tenth of a second. When all start at once it starts with them.
+    All instruments run on one clock, in epochs, that goes on while episodes start anew; so a message of a reference
+    station may find an episode at any tenth of a second. When all are started at once by seeds it starts with them:
+    then they are as single ones.
 
     Parameters
     ----------
@@ -74,7 +75,9 @@ class Senses:
         sees = others > 0 and config.perception.source not in GIVEN
         self.perceptions = Perceptions(config.perception, count, others, self.epoch_s) if sees else None
         self._vehicles = 1 + others if self.perceptions is not None and self.perceptions.hears else 1
-        self._navigator = Navigator(settings, self.skies.track, self.skies.mask, 0, count * self._vehicles)
+        self._streams = CrewStreams([0] * count, [0] * count, self._vehicles, self.skies.used[[0] * count])
+        one = Navigator(settings, self.skies.track, self.skies.mask, 0, 1)
+        self._navigator = one.another(self._streams, self._epochs_at_start)
         self.trackers = Trackers(config.navigation, count, map_bound_m(config, settings), limits)
         self._motion = Motion.still(count * self._vehicles, self.step_s)
         self._hour, self._started = np.zeros((2, count), dtype=np.int64)
@@ -90,23 +93,26 @@ class Senses:
 
     # Starts
 
-    def begin(self, rows: Rows, seeds: list[int], world: World) -> None:
+    def begin(self, rows: Rows, seeds: list[int], world: World, anew: bool) -> None:
         """Start the navigation of ``rows`` some seconds before their episodes, on a straight approach.
 
-        ``seeds`` are the episodes': they draw all that a single environment draws from them.
+        ``seeds`` are the episodes': they draw all that a single environment draws from them. ``anew``: these are all
+        environments, and the clock starts again.
         """
-        everyone = np.array_equal(rows, self._everyone)
-        origin = self._epochs_at_start if everyone else self._epoch
+        origin = self._epochs_at_start if anew else self._epoch
         scenes = draw_scenes(seeds, self._layouts, self.skies.hours, self._vehicles, self._config.source.senses)
         self._hour[rows], self._city_m[rows] = scenes.hour, self.skies.city_m[scenes.layout]
         used = self.skies.used[scenes.hour]
         streams = CrewStreams(seeds, scenes.fleet_seed.tolist(), self._vehicles, used)
         starter = self._navigator.another(streams, origin - self._epochs_at_start)
         solution, motion, told = self._approach(rows, starter, world, scenes, origin)
-        if everyone:
-            self._navigator, self._motion, self._epoch = starter, motion, origin
+        if anew:
+            self._navigator, self._motion, self._streams, self._epoch = starter, motion, streams, origin
         else:
-            self._take_over(rows, starter, motion)
+            every = self._rows_of(rows)
+            self._navigator.adopt(every, starter)
+            self._motion.adopt(every, motion)
+            self._streams.adopt(rows, streams)
         self._started[rows], self._sky = origin, None
         world.belief[rows, k.B_ALERT_AGE] = 0.0
         if self._config.source.senses:
@@ -129,15 +135,6 @@ class Senses:
         """The rows of all navigating vehicles of environments."""
         every: Rows = (rows[:, None] * self._vehicles + np.arange(self._vehicles)).ravel()
         return every
-
-    def _take_over(self, rows: Rows, starter: Navigator, motion: Motion) -> None:
-        """Let vehicles that have just started take the places of those before them."""
-        every = self._rows_of(rows)
-        self._navigator.adopt(every, starter)
-        self._motion.adopt(every, motion)
-        mine, theirs = self._navigator.state.streams, starter.state.streams
-        if isinstance(mine, CrewStreams) and isinstance(theirs, CrewStreams):
-            mine.adopt(rows, theirs)
 
     def _approach(
         self, rows: Rows, navigator: Navigator, world: World, scenes: Scenes, origin: int

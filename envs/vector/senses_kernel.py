@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from lanebound.envs.vector.columns_kernel import B_ALONG, B_HEADING, B_LANE, B_X, B_Y, LANE, X, Y
+from lanebound.envs.vector.columns_kernel import B_HEADING, B_LANE, B_X, B_Y, LANE, X, Y
 from lanebound.envs.vector.lanes_kernel import COUNT, LENGTH, ONWARD, SIDE, local, nearest
 from lanebound.envs.vector.score_kernel import glance
 from lanebound.integrity.accel import jit
@@ -103,8 +103,9 @@ def foresee(  # type: ignore[no-untyped-def]
     places = 3 * distances.shape[0]
     station, lane_of = np.empty(places, np.int64), np.empty(places, np.int64)
     for e in rows:
+        here, _, _ = local(lanes, int(belief[e, B_LANE]), belief[e, B_X], belief[e, B_Y])
         for d in range(distances.shape[0]):
-            own, place = int(belief[e, B_LANE]), belief[e, B_ALONG] + distances[d]
+            own, place = int(belief[e, B_LANE]), here + distances[d]
             while place > table[own, LENGTH]:
                 if table[own, ONWARD] < 0.0:
                     place = table[own, LENGTH]
