@@ -41,15 +41,14 @@ def draw_scenes(seeds: Sequence[int], layouts: int, hours: int, vehicles: int, s
 
     ``sensed``: the egos' own places are, and so their maps have a shift.
     """
-    drawn, shift, noise = [], np.zeros((len(seeds), 2)), np.zeros((len(seeds), vehicles, 3))
+    drawn = np.zeros((3, len(seeds)), dtype=np.int64)
+    shift, noise = np.zeros((len(seeds), 2)), np.zeros((len(seeds), vehicles, 3))
     for n, seed in enumerate(seeds):
         scene, start = named_generator(seed, "scene"), named_generator(seed, "start")
-        layout, hour, fleet = (int(scene.integers(below)) for below in (layouts, hours, FLEET_SEEDS))
-        drawn.append((layout, hour, fleet))
+        drawn[:, n] = [scene.integers(below) for below in (layouts, hours, FLEET_SEEDS)]
         if sensed:
             shift[n], noise[n, 0] = start.standard_normal(2), start.standard_normal(3)
         if vehicles > 1:
-            others = named_generator(fleet, "start").standard_normal((STARTS, vehicles - 1, 3))
+            others = named_generator(int(drawn[2, n]), "start").standard_normal((STARTS, vehicles - 1, 3))
             noise[n, 1:] = others[STARTS - 1]
-    layout, hour, fleet_seed = np.array(drawn, dtype=np.int64).T
-    return Scenes(layout, hour, fleet_seed, shift, noise.reshape(-1, 3))
+    return Scenes(*drawn, shift, noise.reshape(-1, 3))
