@@ -51,4 +51,4 @@ def draw_scenes(seeds: Sequence[int], layouts: int, hours: int, vehicles: int, s
         if vehicles > 1:
             others = named_generator(int(drawn[2, n]), "start").standard_normal((STARTS, vehicles - 1, 3))
             noise[n, 1:] = others[STARTS - 1]
-    return Scenes(*drawn, shift, noise.reshape(-1, 3))
+    return Scenes(drawn[0], drawn[1], drawn[2], shift, noise.reshape(-1, 3))

@@ -6,6 +6,8 @@ whom they perceive (:mod:`.perceptions`), which takes the navigation of the othe
 
 from __future__ import annotations
 
+from dataclasses import is_dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -89,7 +91,8 @@ class Senses:
     @property
     def nbytes(self) -> int:
         """Memory of the arrays that have a row for each environment or vehicle."""
-        return sum(_size_of(part) for part in (self._navigator.state, self._motion, self.trackers, self.perceptions))
+        parts = self._navigator.state, self._motion, self.trackers, self.perceptions
+        return sum(_size_of(part) for part in parts if part is not None)
 
     # Starts
 
@@ -186,7 +189,7 @@ class Senses:
             self._settle(rows, world, self.step_s)
             glance_all(rows, world.belief, world.score, world.cars, self._figures)
         if self.perceptions is not None:
-            time_s = (self._epoch - self._started[rows]) * self.epoch_s
+            time_s = np.asarray((self._epoch - self._started[rows]) * self.epoch_s, dtype=np.float64)
             self.perceptions.step(rows, time_s, claims_of(solution, self._vehicles)[rows], world)
 
     def foresee(self, rows: Rows, world: World) -> None:
@@ -247,6 +250,6 @@ class Senses:
 
 def _size_of(state: object) -> int:
     """Bytes of the arrays of a state, and of the states in it."""
-    if isinstance(state, np.ndarray):
-        return state.nbytes
-    return sum(_size_of(part) for part in vars(state).values()) if hasattr(state, "__dict__") else 0
+    parts = vars(state).values()
+    return sum(part.nbytes if isinstance(part, np.ndarray) else _size_of(part) if is_dataclass(part) else 0
+               for part in parts)  # fmt: skip
