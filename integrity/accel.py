@@ -100,7 +100,7 @@ def _fresh() -> Path:
 
 def _layer_of(function: Callable[..., Any]) -> str:
     """The layer of lanebound that a kernel belongs to."""
-    package, _, rest = function.__module__.partition(".")
+    package, _, rest = (function.__module__ or "").partition(".")
     return rest.partition(".")[0] if package == "lanebound" else "integrity"
 
 
