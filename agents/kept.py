@@ -13,8 +13,9 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from functools import cache
 from importlib import resources
@@ -101,8 +102,9 @@ def run_parts(
     jobs: int = 1,
     progress: Progress = lambda done, of: None,
     size: Callable[[str], int] = lambda name: 1,
-) -> list[dict[str, Any]]:
-    """Results of all parts in order: those in the folder, and ``work(name)`` of the others, each kept when it is done.
+    may_start: Callable[[], bool] = lambda: True,
+) -> dict[str, dict[str, Any]]:
+    """Results of the parts by name, in order: those in the folder, and ``work(name)`` of the others, kept when done.
 
     With more than one job ``work`` must be something that can be pickled; each process computes on one thread.
 
@@ -110,16 +112,18 @@ def run_parts(
     ----------
     progress : called with how much is done and how much there is, in the unit of ``size``
     size : how much a part is
+    may_start : asked before every part; after a no those under way are finished, and the rest is missing
     """
     missing = [name for name in names if not _path(out, name).exists()]
     of = sum(map(size, names))
     done = of - sum(map(size, missing))
     progress(done, of)
-    for name, found in _worked(missing, work, jobs):
+    for name, found in _worked(missing, work, jobs, may_start):
         write_whole(_path(out, name), finite_or_none(found))
         done += size(name)
         progress(done, of)
-    return [json.loads(_path(out, name).read_text(encoding="utf-8")) for name in names]
+    there = [name for name in names if _path(out, name).exists()]
+    return {name: json.loads(_path(out, name).read_text(encoding="utf-8")) for name in there}
 
 
 def _path(out: Path, name: str) -> Path:
@@ -127,16 +131,25 @@ def _path(out: Path, name: str) -> Path:
 
 
 def _worked(
-    names: Sequence[str], work: Callable[[str], dict[str, Any]], jobs: int
+    names: Sequence[str], work: Callable[[str], dict[str, Any]], jobs: int, may_start: Callable[[], bool]
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     if jobs == 1 or len(names) < 2:
         for name in names:
+            if not may_start():
+                return
             yield name, work(name)
         return
+    waiting = deque(names)
     with one_thread(), ProcessPoolExecutor(min(jobs, len(names)), mp_context=get_context("spawn")) as pool:
-        running = {pool.submit(work, name): name for name in names}
-        for finished in as_completed(running):
-            yield running[finished], finished.result()
+        running: dict[Future[dict[str, Any]], str] = {}
+        while True:
+            while waiting and len(running) < jobs and may_start():
+                name = waiting.popleft()
+                running[pool.submit(work, name)] = name
+            if not running:
+                return
+            for finished in wait(running, return_when=FIRST_COMPLETED).done:
+                yield running.pop(finished), finished.result()
 
 
 @contextmanager

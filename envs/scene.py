@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.intersection_env import IntersectionEnv
+from highway_env.vehicle.kinematics import Vehicle
 
 from lanebound.envs.cockpit import Surroundings
 from lanebound.envs.config import EnvConfig
@@ -56,7 +57,9 @@ def navigator_config(config: EnvConfig, limits_m: tuple[float, float]) -> Naviga
 @lru_cache(maxsize=32)
 def _navigator_config(text: str, limits_m: tuple[float, float]) -> NavigatorConfig:
     config = EnvConfig.from_json(text)
-    base = config.level.navigator().replace(dt_s=1.0 / config.navigation.rate_hz)
+    base = config.level.navigator().replace(
+        dt_s=1.0 / config.navigation.rate_hz, positioning={"axle_m": 0.5 * Vehicle.LENGTH}
+    )
     given = base.replace(**config.navigator)
     limits = [max(limit - map_bound_m(config, given), 0.01) for limit in limits_m]
     spent = MAP_SHARE * given.risk.integrity_risk if config.navigation.map_sigma_m > 0.0 else 0.0

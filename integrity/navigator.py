@@ -499,6 +499,7 @@ def _declared(c: NavigatorConfig) -> Array:
         nk.ODO_SCALE: o.odometer_scale, nk.STILL_SPEED: o.standstill_speed_mps,
         nk.FAULT_DURATION: c.risk.fault_duration_s,
         nk.LEVER_FORWARD: c.positioning.antenna_forward_m, nk.LEVER_RIGHT: c.positioning.antenna_right_m,
+        nk.AXLE: c.positioning.axle_m,
     }  # fmt: skip
     par = np.zeros(nk.NP)
     par[nk.WATCH_LIMITS :] = o.watch.packed(o)

@@ -90,6 +90,7 @@ NX = WATCH + WATCH_SIZE
 O_MODE, O_RTK, O_SATELLITES, O_DOPPLER, O_EXCLUDED, O_AVAILABLE, O_SIGMA_AT, O_SIGMA_CT, O_HDOP, O_WRONG = range(10)
 NO = 10
 N_WHOLE = 5  # of which are whole numbers
+MOVING_MPS = 0.5  # slower, nothing is told of side slip
 REACQUIRE_S = 1.0  # of Doppler courses refused for their jump, before the heading filter opens up
 CONFLICT_LIMIT_S = 0.5  # of contradiction between Doppler and odometer
 TEST_FAILED_CAUSE, INITIALISING_CAUSE = 5, 7  # codes of AlertReason
@@ -118,8 +119,9 @@ TEST_FAILED_CAUSE, INITIALISING_CAUSE = 5, 7  # codes of AlertReason
     ODO_SCALE,
     STILL_SPEED,
     FAULT_DURATION,
-) = range(22)
-WATCH_LIMITS = 22  # first of LIMITS
+    AXLE,
+) = range(23)
+WATCH_LIMITS = 23  # first of LIMITS
 NP = WATCH_LIMITS + LIMITS
 
 # columns of ``start``, what the last RTK position left to each case: a bound beside ``K sigma``, the whole level [m]
@@ -146,9 +148,20 @@ def attitude(x, par, delta_theta):  # type: ignore[no-untyped-def]
 
 
 @jit
-def calibrate(x, par, limits, v_e, v_n, q_ee, q_en, q_nn, v_ss, hdop):  # type: ignore[no-untyped-def]
+def side_slip(axle, turning, v_ss):  # type: ignore[no-untyped-def]
+    """Angle from the heading to the way of the reference point, ``axle`` [m] ahead of the rear axle, in a turn [rad].
+
+    The rear axle goes where the car points, so that the point moves sideways at ``axle`` times the yaw rate.
+    """
+    sine = axle * turning / v_ss if abs(v_ss) > MOVING_MPS else 0.0
+    return math.asin(min(max(sine, -1.0), 1.0))
+
+
+@jit
+def calibrate(x, par, limits, v_e, v_n, q_ee, q_en, q_nn, v_ss, slip, hdop):  # type: ignore[no-untyped-def]
     """Calibrate heading and gyro bias by the Doppler course where S1 table 1 allows it; True when done.
 
+    ``slip`` is by how much the course differs from the heading in a turn, see :func:`side_slip`.
     The jump limit is widened to 3 sigma while the filter itself is less certain than the limit. A course refused for
     REACQUIRE_S for its jump alone means that the filter is wrong, not the course: it opens up to learn anew.
     """
@@ -156,7 +169,7 @@ def calibrate(x, par, limits, v_e, v_n, q_ee, q_en, q_nn, v_ss, hdop):  # type: 
     if not speed > 0.0:
         return False
     course = math.atan2(v_e, v_n) if v_ss >= 0.0 else math.atan2(-v_e, -v_n)
-    jump = wrap(course - x[HEADING])
+    jump = wrap(course - slip - x[HEADING])
     allowed = max(limits[3], 3.0 * math.sqrt(x[P_HH]))
     if not doppler_heading_usable(speed, v_ss, hdop, 0.0, limits):
         return False
@@ -410,10 +423,11 @@ def _epoch(  # type: ignore[no-untyped-def]
     spinning = turning_at_rest(x[WATCH:NX], par[WATCH_LIMITS:NP], dt, v_ss, turning)
     resting = standstill(x, dt, v_ss, spinning, solved, v_gnss, q_v)
     p_before = x[P_HH]
-    middle = attitude(x, par, delta_theta[2])
+    slip = side_slip(par[AXLE], turning, v_ss)
+    middle = wrap(attitude(x, par, delta_theta[2]) + slip)  # the way that the reference point takes
     carry, p_hh = math.sqrt(x[P_HH] / p_before), x[P_HH]  # growth as one error: the bound of its effect on the position
     if solved and not resting:
-        if calibrate(x, par, heading_limits, v_e, v_n, q_v[0, 0], q_v[0, 1], q_v[1, 1], v_ss, hdop_doppler):
+        if calibrate(x, par, heading_limits, v_e, v_n, q_v[0, 0], q_v[0, 1], q_v[1, 1], v_ss, slip, hdop_doppler):
             carry *= x[P_HH] / p_hh
             x[SINCE_CAL] = 0.0
     sin_h, cos_h = math.sin(x[HEADING]), math.cos(x[HEADING])
@@ -454,7 +468,9 @@ def _epoch(  # type: ignore[no-untyped-def]
     x[HAS_VEL] = 1.0 if measured else 0.0
     if mode == RTK and measured:
         remember_velocity(q_v[0, 0], q_v[0, 1], q_v[1, 1], growth)
-    x[VEL_E], x[VEL_N] = (v_e, v_n) if measured else (v_ss * sin_h, v_ss * cos_h)
+    x[VEL_E], x[VEL_N] = v_e, v_n
+    if not measured:
+        x[VEL_E], x[VEL_N] = v_ss * math.sin(x[HEADING] + slip), v_ss * math.cos(x[HEADING] + slip)
 
     sigma_at, sigma_ct, _, _ = sigma_and_bias(sin_h, cos_h, False, growth)
     if mode == RTK:

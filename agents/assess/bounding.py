@@ -79,7 +79,7 @@ def assess_bounding(
     claim(out, "bounding", config, PACKAGES)
     names = part_names(config)
     parts = run_parts(out, names, partial(work_part, config), jobs, progress)
-    result = summarise(config.to_dict(), dict(zip(names, parts, strict=True)))
+    result = summarise(config.to_dict(), parts)
     write_whole(out / "results.json", result)
     return result
 

@@ -108,9 +108,10 @@ def assess_faults(
     claim(out, "faults", config, PACKAGES)
     cells = {cell.name: cell for cell in cells_of(config)}
     parts = run_parts(out, ["control", *cells], partial(work_part, config), jobs, progress)
-    result = {"config": config.to_dict(), "control": parts[0], "faults": parts[1:]}
+    faults = [parts[name] for name in cells]
+    result = {"config": config.to_dict(), "control": parts["control"], "faults": faults}
     write_whole(out / "results.json", result)
-    save(faults_figure(parts[1:]), out / "faults.svg")
+    save(faults_figure(faults), out / "faults.svg")
     return result
 
 

@@ -24,7 +24,7 @@ from lanebound.integrity.config import describe
 
 __all__ = ["SUITES", "markdown"]
 
-SUITES = ("quick", "standard", "claim", "faults")
+SUITES = ("quick", "standard", "claim", "faults", "look_ahead")
 
 HEAD = f"""# The benchmark
 

@@ -18,6 +18,7 @@ from lanebound.agents.cli import (
     recorded,
     replay,
     reproduce,
+    study,
     train,
     tune,
 )
@@ -74,6 +75,8 @@ app.command("bench")(bench.bench)
 app.command("benchmark")(benchmark.benchmark)
 app.command("train")(train.train)
 app.command("evaluate")(train.evaluate)
+app.command("export")(train.export)
+app.command("study")(study.study)
 app.command("replay-episode")(replay.replay_episode)
 app.command("replay")(recorded.replay)
 app.command("rtk")(recorded.rtk)

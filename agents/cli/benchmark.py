@@ -29,7 +29,9 @@ Agents = Annotated[
 
 
 def benchmark(
-    suite: Annotated[str, typer.Argument(metavar="SUITE", help="quick, standard, claim, faults, or a YAML file.")],
+    suite: Annotated[
+        str, typer.Argument(metavar="SUITE", help="quick, standard, claim, faults, look_ahead, or a YAML file.")
+    ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results; a run goes on where one stopped.")],
     agents: Agents = None,
     seeds: Annotated[int | None, typer.Option(min=1, help="Episodes of each agent in each cell.")] = None,

@@ -15,6 +15,7 @@ __all__ = ["KINDS", "resolve"]
 
 KINDS = {
     "experiment": "lanebound.agents.learning.experiment:ExperimentConfig",
+    "learning_study": "lanebound.agents.learning.study:LearningStudyConfig",
     "suite": "lanebound.agents.benchmark.suite:SuiteConfig",
     "tuned_caution": "lanebound.agents.drivers.margins:TunedCaution",
     "urban_drive": "lanebound.agents.reproduce.urban_drive:UrbanDriveConfig",

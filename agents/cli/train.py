@@ -1,4 +1,4 @@
-"""``lanebound train`` and ``lanebound evaluate``: policies that are learnt, and what they come to."""
+"""``lanebound train``, ``evaluate`` and ``export``: policies that are learnt, what they come to, and as networks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lanebound.agents.cli.output import counted
 if TYPE_CHECKING:
     from lanebound.agents.learning.training import Checkpoint
 
-__all__ = ["evaluate", "train"]
+__all__ = ["evaluate", "export", "train"]
 
 
 def train(
@@ -78,3 +78,21 @@ def evaluate(
         results = wait_for(lambda: run(suite, out, jobs))
         print_overview(results)
         typer.echo(f"report: {wait_for(lambda: write_report(results, out))}")
+
+
+def export(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a training.")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE.onnx", help="The network; best.onnx in that folder by default.")
+    ] = None,
+) -> None:
+    """Write the best checkpoint of a training as an ONNX network, from flat observations to actions.
+
+    Example: lanebound export out/learnt --out out/learnt.onnx
+    """
+    from lanebound.agents.cli.interrupt import stoppable, wait_for
+    from lanebound.agents.learning.export import export_onnx
+
+    with stoppable(lambda: "nothing was written"):
+        path = wait_for(lambda: export_onnx(folder, folder / "best.onnx" if out is None else out))
+    typer.echo(f"{path}: observation -> action, {path.stat().st_size / 1e3:.0f} kB")

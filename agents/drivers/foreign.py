@@ -214,7 +214,9 @@ def _runtime() -> Any:
     try:
         return import_module("onnxruntime")
     except ImportError:
-        raise InputError("an ONNX agent needs the package onnxruntime, got none: pip install onnxruntime") from None
+        raise InputError(
+            "an ONNX agent needs the package onnxruntime, got none: pip install 'lanebound[learning]'"
+        ) from None
 
 
 # Python

@@ -54,8 +54,10 @@ class LevelMpc(Nominal):
     ``-b <= a <= a_max``, ``jerk <= j_max``, ``p(k) <= s + v_lead k T - s0 - PL_AT(k)`` with v_lead as slow as its
     error allows and PL_AT of both, ``p(N) + tau v(N) + v(N)^2 / 2b <= s + v_lead N T + v_lead^2 / 2B - s0 - PL_AT(N)``,
     and for the first step the barrier of :class:`BarrierFilter`, for a leader that brakes at once. ``v_ref`` is what
-    the route allows, and a share of the limit where a level is expected above its limit. Across: the linear-quadratic
-    regulator's cost within ``|e(k)| <= (w - W) / 2 - PL_CT(k)``, a floor at least, with slack.
+    the route allows, a share of the limit where a level is expected above its limit, and 0 once RTK has been missed
+    under an alert for as long as dead reckoning may last: errors grow with time, and a lane that levels fill is none to
+    plan in. Across: the linear-quadratic regulator's cost within ``|e(k)| <= (w - W) / 2 - PL_CT(k)``, a floor at
+    least, with slack.
 
     Where nothing satisfies the bounds along, it brakes fully; across, it steers as the regulator does. Standing still
     is no failure of the programme: a gap that levels fill is not counted then.
@@ -129,8 +131,11 @@ class LevelMpc(Nominal):
         return Road(free, float(free[-1]) + 0.5 * slow**2 / c.barrier.lead_brake_mps2)
 
     def _reference(self, observation: Observation, at: Array, ct: Array) -> Array:
-        """What the route allows, and a share of the limit where levels are predicted above theirs.  (N,) [m/s]."""
+        """What the route allows, a share of the limit where levels are foreseen above theirs, or 0.  (N,) [m/s]."""
         c, reader = self.config, self.reader
+        since = float(reader.value(observation, "integrity.since_rtk"))
+        if float(reader.value(observation, "integrity.alert")) > 0.5 and since > c.dead_reckoning_s:
+            return np.zeros(at.size)
         route, limit = float(self.wanted_speed(observation)), float(reader.value(observation, "road.speed_limit"))
         slow = c.alert_share * (limit if limit < reader.scale("road.speed_limit") else c.speed_mps)
         over = (at > float(reader.value(observation, "integrity.al_at"))) | (

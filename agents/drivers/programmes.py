@@ -41,6 +41,9 @@ class MpcConfig(CruiseConfig):
     lane_floor_m: float = Field(0.15, gt=0, description="room for the believed middle at least; a hand's breadth")
     car_width_m: float = Field(2.0, gt=0, description="of highway-env's cars")
     alert_share: float = Field(0.48, gt=0, le=1, description="of the limit where a level is predicted above its limit")
+    dead_reckoning_s: float = Field(
+        30.0, gt=0, description="without RTK under an alert until it stops; as integrity_aware"
+    )
     growth: GrowthConfig = Field(GrowthConfig(), description="of protection levels ahead")
     barrier: BarrierConfig = Field(BarrierConfig(), description="of the first step, from which a stop stays possible")
     lqr: LqrConfig = Field(LqrConfig(), description="weights of the lane")

@@ -13,9 +13,10 @@ from lanebound.agents.benchmark.seeds import SPLITS
 from lanebound.agents.benchmark.suite import SuiteConfig, parse_agents
 from lanebound.agents.learning.experiment import FLAT, ExperimentConfig, Shield
 from lanebound.agents.learning.shield import Shielded
+from lanebound.integrity.config import deep_merge
 from lanebound.integrity.errors import InputError
 
-__all__ = ["evaluate", "evaluation_suite"]
+__all__ = ["evaluate", "evaluation_suite", "learnt_agent"]
 
 
 def evaluate(experiment: ExperimentConfig, model: BaseAlgorithm) -> dict[str, float]:
@@ -55,6 +56,14 @@ def _drive(env: Any, model: BaseAlgorithm, seed: int) -> dict[str, float]:
     }
 
 
+def learnt_agent(experiment: ExperimentConfig, checkpoint: Path) -> dict[str, Any]:
+    """A checkpoint as an agent of a suite, under the filter that it was trained with, and seeing what it saw then."""
+    config = deep_merge(experiment.overrides, FLAT)
+    if experiment.shield is Shield.CBF:
+        return {"agent": "cbf", "figures": {"over": str(checkpoint)}, "config": config}
+    return {"agent": str(checkpoint), "config": config}
+
+
 def evaluation_suite(folder: Path, agents: str, seeds: int) -> SuiteConfig:
     """The best checkpoint of a training beside other agents, on test seeds, where it was trained.
 
@@ -67,9 +76,6 @@ def evaluation_suite(folder: Path, agents: str, seeds: int) -> SuiteConfig:
     if not (mark.is_file() and best.is_file()):
         raise InputError(f"folder must be one of a training with best.zip, got {folder}: train first")
     experiment = ExperimentConfig.load(json.loads(mark.read_text(encoding="utf-8")))
-    learnt: dict[str, Any] = {"agent": str(best), "config": FLAT}
-    if experiment.shield is Shield.CBF:
-        learnt |= {"agent": "cbf", "figures": {"over": str(best)}}
     others = parse_agents(agents)
     reference = next(iter(others), "learnt")
     return SuiteConfig.load(
@@ -77,7 +83,7 @@ def evaluation_suite(folder: Path, agents: str, seeds: int) -> SuiteConfig:
             "title": f"{experiment.algorithm} in {experiment.env}",
             "envs": [experiment.env],
             "skies": [experiment.sky],
-            "agents": {"learnt": learnt, **others},
+            "agents": {"learnt": learnt_agent(experiment, best), **others},
             "reference": reference,
             "seeds": {"split": "test", "count": seeds},
             "overrides": dict(experiment.overrides),

@@ -25,6 +25,7 @@ class Algorithm(StrEnum):
 
     PPO = "ppo"
     SAC = "sac"
+    RECURRENT_PPO = "recurrent_ppo"
     PPO_LAGRANGIAN = "ppo_lagrangian"
     SAC_LAGRANGIAN = "sac_lagrangian"
 
@@ -32,6 +33,11 @@ class Algorithm(StrEnum):
     def constrained(self) -> bool:
         """Whether it heeds the limit of cost."""
         return self in (Algorithm.PPO_LAGRANGIAN, Algorithm.SAC_LAGRANGIAN)
+
+    @property
+    def off_policy(self) -> bool:
+        """Whether it learns from transitions that it keeps."""
+        return self in (Algorithm.SAC, Algorithm.SAC_LAGRANGIAN)
 
 
 class Shield(StrEnum):

@@ -6,14 +6,15 @@
     last.zip  last-replay.pkl      the newest checkpoint; transitions of algorithms that keep them
     best.zip  best.md              the best so far, by return within the limit of cost, and a card about it
     progress.json                  an evaluation at each checkpoint
-    logs/                          TensorBoard's, where it is installed
+    logs/                          for TensorBoard, where it is installed: costs by cause, levels, alerts, modes
 """
 
 from __future__ import annotations
 
 import json
+import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
@@ -32,6 +33,7 @@ from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig, Sh
 from lanebound.agents.learning.shield import Shielded
 from lanebound.agents.plain import finite_or_none
 from lanebound.envs.costs import CAUSES
+from lanebound.envs.wrappers import EpisodeStatistics
 from lanebound.integrity.errors import InputError
 
 __all__ = ["Checkpoint", "load_model", "train"]
@@ -39,10 +41,12 @@ __all__ = ["Checkpoint", "load_model", "train"]
 CLASSES = {
     Algorithm.PPO: "stable_baselines3:PPO",
     Algorithm.SAC: "stable_baselines3:SAC",
+    Algorithm.RECURRENT_PPO: "sb3_contrib:RecurrentPPO",
     Algorithm.PPO_LAGRANGIAN: "lanebound.agents.learning.ppo_lagrangian:PPOLagrangian",
     Algorithm.SAC_LAGRANGIAN: "lanebound.agents.learning.sac_lagrangian:SACLagrangian",
 }
 REPLAY = "last-replay.pkl"
+INTEGRITY = ("availability", "alert_share", "alerts", "mi_steps", "hmi_steps", "pl_at_mean_m", "pl_ct_mean_m")
 
 
 @dataclass(frozen=True)
@@ -119,7 +123,12 @@ def load_model(path: Path, algorithm: Algorithm, env: VecEnv | None = None) -> B
 
 def _class(algorithm: Algorithm) -> Any:
     module, _, name = CLASSES[algorithm].partition(":")
-    return getattr(import_module(module), name)
+    try:
+        return getattr(import_module(module), name)
+    except ImportError:
+        raise InputError(
+            f"algorithm {algorithm} needs the package {module}, got none: pip install 'lanebound[learning]'"
+        ) from None
 
 
 def _limit(experiment: ExperimentConfig) -> float:
@@ -141,7 +150,7 @@ class _Maker:
 
     def __call__(self) -> Any:
         env = self.experiment.open()
-        return Monitor(Shielded(env) if self.experiment.shield is Shield.CBF else env)
+        return Monitor(EpisodeStatistics(Shielded(env) if self.experiment.shield is Shield.CBF else env))
 
 
 def _model(experiment: ExperimentConfig, env: VecEnv, out: Path) -> BaseAlgorithm:
@@ -155,8 +164,9 @@ def _model(experiment: ExperimentConfig, env: VecEnv, out: Path) -> BaseAlgorith
     settings: dict[str, Any] = {"seed": experiment.seed, "device": "cpu", "tensorboard_log": logs}
     if experiment.algorithm.constrained:
         settings |= {"cost_limit": _limit(experiment), "multiplier": experiment.multiplier}
+    policy = "MlpLstmPolicy" if experiment.algorithm is Algorithm.RECURRENT_PPO else "MlpPolicy"
     try:
-        made: BaseAlgorithm = _class(experiment.algorithm)("MlpPolicy", env, **{**settings, **experiment.settings})
+        made: BaseAlgorithm = _class(experiment.algorithm)(policy, env, **{**settings, **experiment.settings})
     except (TypeError, AssertionError) as error:
         raise InputError(
             f"settings must suit {experiment.algorithm} and {experiment.env}, got {dict(experiment.settings)} "
@@ -212,23 +222,27 @@ def _is_best(progress: list[dict[str, Any]], limit: float) -> bool:
 
 
 class _Watch(BaseCallback):
-    """Tells how far training is, and logs the costs of finished episodes by cause."""
+    """Tells how far training is, and logs of finished episodes what they cost by cause, and how far to be trusted."""
 
     def __init__(self, stepped: Callable[[int], None]) -> None:
         super().__init__()
         self._told = stepped
-        self._sums: list[dict[str, float]] = []
 
     def _on_step(self) -> bool:
-        infos, dones = self.locals["infos"], self.locals["dones"]
-        if len(self._sums) != len(infos):
-            self._sums = [dict.fromkeys(CAUSES, 0.0) for _ in infos]
-        for sums, info, done in zip(self._sums, infos, dones, strict=True):
-            for cause in CAUSES:
-                sums[cause] += info[cause]
-            if done:
-                for cause in CAUSES:
-                    self.logger.record_mean(f"cost/{cause.removeprefix('cost_')}", sums[cause])
-                    sums[cause] = 0.0
+        for info in self.locals["infos"]:
+            if "episode_integrity" in info:
+                for name, value in _logged(info["episode_integrity"]):
+                    self.logger.record_mean(name, value)
         self._told(self.num_timesteps)
         return True
+
+
+def _logged(episode: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
+    """What is logged of an episode's statistics: names and values, without levels that are infinite."""
+    for cause in CAUSES:
+        yield f"cost/{cause.removeprefix('cost_')}", episode[cause]
+    for name in INTEGRITY:
+        if math.isfinite(episode[name]):
+            yield f"integrity/{name}", episode[name]
+    for mode, share in episode["mode_shares"].items():
+        yield f"integrity/share_{mode}", share

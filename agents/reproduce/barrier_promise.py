@@ -151,8 +151,7 @@ def run_promise(
     claim(out, "barrier promise", config, PACKAGES)
     names = {group: [_name(group, seeds) for seeds in _batches(config)] for group in GROUPS}
     ordered = [name for batch in zip(*names.values(), strict=True) for name in batch]
-    parts = run_parts(out, ordered, partial(drive_named, config), jobs, progress, lambda name: len(_seeds(name)))
-    found = dict(zip(ordered, parts, strict=True))
+    found = run_parts(out, ordered, partial(drive_named, config), jobs, progress, lambda name: len(_seeds(name)))
     result = {group: summarise_promise(config, [found[name] for name in names[group]]) for group in GROUPS}
     write_whole(out / "promise.json", result)
     return result

@@ -194,6 +194,9 @@ class PositioningConfig(Config):
     mode: ModeConfig = ModeConfig()
     antenna_forward_m: float = Field(0.0, description="antenna ahead of the vehicle's reference point [m]")
     antenna_right_m: float = Field(0.0, description="antenna to the right of the vehicle's reference point [m]")
+    axle_m: float = Field(
+        0.0, ge=0, le=20, description="reference point ahead of the rear axle, which does not slip sideways [m]"
+    )
 
     @property
     def lever_arm_m(self) -> tuple[float, float]:

@@ -67,7 +67,7 @@ def test_a_checkpoint_for_meta_actions_and_flat_observations(meta, steered, tmp_
     [
         ("nowhere.zip", "agent must be a file that exists, got nowhere.zip: correct the path"),
         ("broken.zip", "agent must be a checkpoint of stable-baselines3, got broken.zip"),
-        ("net.onnx", "an ONNX agent needs the package onnxruntime, got none: pip install onnxruntime"),
+        ("net.onnx", "an ONNX agent needs the package onnxruntime, got none: pip install 'lanebound[learning]'"),
         ("nowhere_at_all:make", "agent 'nowhere_at_all:make' must name a module that can be imported"),
         ("bad_agents:nobody", "agent 'bad_agents:nobody' must name a callable of bad_agents, got None"),
         ("bad_agents:not_callable", "must name a callable of bad_agents, got 5"),
@@ -85,7 +85,7 @@ def test_what_cannot_drive_is_refused(steered, tmp_path, monkeypatch, name, mess
 
 
 class Session:
-    """Stands for a network: onnxruntime is not among what the tests install."""
+    """Stands for a network."""
 
     def __init__(self, inputs: list[str], answer: Any) -> None:
         self.inputs, self.answer = inputs, answer

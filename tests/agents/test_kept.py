@@ -41,15 +41,23 @@ def test_a_run_that_breaks_goes_on_with_what_is_missing(tmp_path: Path) -> None:
     assert parts_kept(tmp_path) == 2
     told: list[tuple[int, int]] = []
     found = run_parts(tmp_path, ["3", "1", "2"], squared, progress=lambda done, of: told.append((done, of)), size=int)
-    assert [one["squared"] for one in found] == [9, 1, 4]
-    assert [one["bad"] for one in found] == [None] * 3
+    assert {name: one["squared"] for name, one in found.items()} == {"3": 9, "1": 1, "2": 4}
+    assert [one["bad"] for one in found.values()] == [None] * 3
     assert told == [(4, 6), (6, 6)]
 
 
 def test_several_processes_come_to_the_same_each_on_one_thread(tmp_path: Path) -> None:
     names = ["5", "4", "6"]
     found = run_parts(tmp_path, names, squared, jobs=2)
-    assert found == [{"squared": int(name) ** 2, "threads": "1", "bad": None} for name in names]
+    assert list(found.items()) == [(name, {"squared": int(name) ** 2, "threads": "1", "bad": None}) for name in names]
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_no_part_is_begun_once_it_may_not(tmp_path: Path, jobs: int) -> None:
+    answers = iter([True, True, False, False, False, False])
+    found = run_parts(tmp_path, ["1", "2", "3", "4"], squared, jobs, may_start=lambda: next(answers))
+    assert list(found) == ["1", "2"]
+    assert list(run_parts(tmp_path, ["1", "2", "3", "4"], squared)) == ["1", "2", "3", "4"]
 
 
 def test_the_environment_is_given_back(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -228,6 +229,71 @@ def test_jamming_everything_leaves_the_odometer() -> None:
     assert (run.mode[110:195] == Mode.IMU_ODOMETER).all()
     assert (run.satellites_doppler[110:195] == 0).all()
     assert (run.mode[-1] == Mode.RTK).all()
+
+
+AXLE_M = 2.5
+
+
+def _bend(
+    navigator: Navigator, yaw_rate_radps: Callable[[float], float], seconds: float
+) -> tuple[Array, Array, _Drive]:
+    """Drive at 10 m/s with a reference point ``AXLE_M`` ahead of a rear axle that goes where the car points.
+
+    Errors along and across the heading (T, B, 2), those of the heading (T, B), and the drive.
+    """
+    heading, rear, rate = QUADRANTS.copy(), np.zeros((4, 2)), 0.0
+    solutions, places, errors, off = [], [], [], []
+    for k in range(round(seconds / DT)):
+        before = _pose(heading, rear, rate)
+        rate = yaw_rate_radps(k * DT)
+        middle, old = heading + 0.5 * rate * DT, heading
+        chord = 10.0 * DT * np.sinc(0.5 * rate * DT / np.pi)
+        rear = rear + chord * np.column_stack([np.sin(middle), np.cos(middle)])
+        heading = heading + rate * DT
+        after = _pose(heading, rear, rate)
+        pairs = [(a, b) for a, b in zip(before, after, strict=True)]
+        truth = truth_between((k + 1) * DT, DT, pairs[0], pairs[1], (wrap_angle(old), wrap_angle(heading)))
+        solutions.append(navigator.step(truth))
+        places.append(after[0])
+        gap = solutions[-1].position_en_m - after[0]
+        s, c = np.sin(heading), np.cos(heading)
+        errors.append(np.column_stack([s * gap[:, 0] + c * gap[:, 1], c * gap[:, 0] - s * gap[:, 1]]))
+        off.append(wrap_angle(solutions[-1].heading_rad - heading))
+    return np.array(errors), np.array(off), _Drive(solutions, np.array(places))
+
+
+def _pose(heading: Array, rear: Array, rate: float) -> tuple[Array, Array]:
+    """Position and velocity of the reference point."""
+    along, right = (
+        np.column_stack([np.sin(heading), np.cos(heading)]),
+        np.column_stack([np.cos(heading), -np.sin(heading)]),
+    )
+    return rear + AXLE_M * along, 10.0 * along + AXLE_M * rate * right
+
+
+def test_in_a_bend_the_reference_point_moves_sideways() -> None:
+    jam = Fault(kind=FaultKind.JAMMING, start_s=25.0, duration_s=10.0, magnitude_db=60.0)
+    quarter = 0.5 * np.pi / 6.0
+    ends = {}
+    for axle_m in (AXLE_M, 0.0):
+        navigator = _navigator(CALM.replace(positioning={"axle_m": axle_m}), faults=(jam,))
+        errors, _, run = _bend(navigator, lambda t: quarter if 26.0 <= t < 32.0 else 0.0, 33.0)
+        levels = np.stack([run.pl_at_m, run.pl_ct_m], -1)
+        assert (run.mode[255:] == Mode.IMU_ODOMETER).all()
+        ends[axle_m] = np.hypot(*np.moveaxis(errors[-1], -1, 0))
+        assert (np.abs(errors[100:]) < levels[100:]).all() == (axle_m > 0.0)
+    assert ends[AXLE_M].max() < 0.6
+    np.testing.assert_allclose(ends[0.0], AXLE_M * np.sqrt(2.0), atol=0.6)
+
+
+def test_bends_do_not_turn_the_heading_that_doppler_calibrates() -> None:
+    offs = {}
+    for axle_m in (AXLE_M, 0.0):
+        navigator = _navigator(CALM.replace(positioning={"axle_m": axle_m}))
+        _, off, _ = _bend(navigator, lambda t: 0.2 if t > 10.0 else 0.0, 40.0)
+        offs[axle_m] = np.abs(off[-50:]).max()
+    assert offs[AXLE_M] < np.deg2rad(0.5)
+    assert offs[0.0] > np.deg2rad(1.0)
 
 
 def test_a_restored_snapshot_goes_on_with_the_same_bits() -> None:

@@ -79,12 +79,12 @@ def test_suites_come_from_names_and_files(tmp_path):
         load_suite("nowhere.yaml")
 
 
-@pytest.mark.parametrize("name", ["quick", "standard", "claim", "faults"])
+@pytest.mark.parametrize("name", ["quick", "standard", "claim", "faults", "look_ahead"])
 def test_packaged_suites_hold_the_reference_and_agents_that_exist(name):
     suite = load_suite(name)
     assert set(suite.references) <= set(suite.agents)
     assert {chosen.agent for chosen in suite.agents.values()} <= set(AGENTS)
-    assert suite.seeds.split == "test"
+    assert suite.seeds.split == ("train" if name == "look_ahead" else "test")
     assert suite.title
 
 

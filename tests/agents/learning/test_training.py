@@ -4,32 +4,19 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from experiments import experiment
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from lanebound.agents.benchmark import run
 from lanebound.agents.learning.evaluation import evaluation_suite
-from lanebound.agents.learning.experiment import ExperimentConfig, load_experiment
+from lanebound.agents.learning.experiment import load_experiment
 from lanebound.agents.learning.shield import Shielded
 from lanebound.agents.learning.training import Checkpoint, _is_best, load_model, train
+from lanebound.envs.costs import CAUSES
 from lanebound.integrity.errors import ConfigError, InputError
-
-SHORT: dict[str, Any] = {
-    "env": "LaneKeeping",
-    "sky": "open",
-    "overrides": {"navigation": {"source": "perfect"}, "duration_s": 4.0},
-    "steps": 128,
-    "count": 2,
-    "checkpoint_steps": 64,
-    "evaluation_episodes": 1,
-    "settings": {"n_steps": 32, "batch_size": 32, "n_epochs": 1},
-}
-
-
-def experiment(**changes: Any) -> ExperimentConfig:
-    return ExperimentConfig.load({**SHORT, **changes})
 
 
 class StoppedError(Exception):
@@ -83,6 +70,26 @@ def test_sac_keeps_its_transitions(tmp_path: Path) -> None:
     train(experiment(algorithm="sac", settings=settings), tmp_path)
     assert (tmp_path / "last-replay.pkl").exists()
     assert len(train(experiment(algorithm="sac", settings=settings, steps=192), tmp_path)) == 3
+
+
+def test_a_policy_with_a_memory_goes_on_and_drives(tmp_path: Path) -> None:
+    planned = experiment(algorithm="recurrent_ppo", settings={"n_steps": 32, "batch_size": 32, "n_epochs": 1})
+    rows = train(planned.replace(steps=64), tmp_path)
+    again = train(planned, tmp_path)
+    assert again[: len(rows)] == rows
+    assert [row["steps"] for row in again] == [64, 128]
+    results = run(evaluation_suite(tmp_path, "nominal", 1), tmp_path / "out", jobs=1)
+    assert [(o.agent, o.failed) for o in results.outcomes] == [("learnt", False), ("nominal", False)]
+
+
+def test_the_logs_hold_costs_by_cause_and_what_integrity_came_to(tmp_path: Path) -> None:
+    train(experiment(sky="urban", overrides={"duration_s": 4.0}), tmp_path)
+    logs = EventAccumulator(str(next((tmp_path / "logs").iterdir())))
+    logs.Reload()
+    tags = set(logs.Tags()["scalars"])
+    assert {f"cost/{cause.removeprefix('cost_')}" for cause in CAUSES} <= tags
+    assert {"integrity/availability", "integrity/alert_share", "integrity/pl_ct_mean_m", "integrity/share_rtk"} <= tags
+    assert all(0.0 <= event.value <= 1.0 for event in logs.Scalars("integrity/availability"))
 
 
 def test_the_best_is_by_return_within_the_limit_and_by_cost_outside() -> None:

@@ -1,0 +1,103 @@
+"""``lanebound study``: arms that differ in what they see and heed, learnt with several seeds and compared."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lanebound.agents.cli.output import counted
+
+if TYPE_CHECKING:
+    from lanebound.agents.learning.study import Course, LearningStudyConfig
+
+__all__ = ["study"]
+
+
+def study(
+    name: Annotated[str, typer.Argument(metavar="STUDY", help="One of ours (value_of_integrity), or a YAML file.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the trainings and results; a run goes on there.")],
+    jobs: Annotated[int, typer.Option(min=1, help="Trainings at a time, a process each.")] = 1,
+    budget: Annotated[float | None, typer.Option(min=0.0, metavar="HOURS", help="Begin nothing after that.")] = None,
+    assignments: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a value of it; may be repeated.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+) -> None:
+    """Learn every arm of a study in every place with several seeds, and compare them on held-out seeds.
+
+    Example: lanebound study value_of_integrity --out out/study --jobs 2 --budget 8
+    """
+    from lanebound.agents.cli.interrupt import stoppable
+    from lanebound.agents.learning.study import load_study, plan
+    from lanebound.integrity.presets import parse_assignments
+
+    with stoppable(lambda: f"trainings and checkpoints are kept in {out}: the same command goes on"):
+        chosen = load_study(name, parse_assignments(assignments or []))
+        course = plan(chosen)
+        _announce(chosen, course, jobs, budget)
+        found = _with_bar(chosen, course, out, jobs, budget)
+        _report(found, out, as_json)
+
+
+def _announce(chosen: LearningStudyConfig, course: Course, jobs: int, budget: float | None) -> None:
+    for env, arm in course.left_out:
+        typer.echo(f"left out: {arm} in {env} (its filter needs actions that steer and accelerate)", err=True)
+    for hypothesis in chosen.hypotheses:
+        typer.echo(f"expected: {hypothesis}", err=True)
+    may = "" if budget is None else f", of which {budget:g} h may be used"
+    typer.echo(
+        f"{counted(len(course.trainings), 'training')}, {jobs} at a time, and their policies on "
+        f"{chosen.test_seeds} held-out seeds each: about {course.hours / jobs:.2g} h from nothing{may}.",
+        err=True,
+    )
+
+
+def _with_bar(
+    chosen: LearningStudyConfig, course: Course, out: Path, jobs: int, budget: float | None
+) -> dict[str, Any]:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from lanebound.agents.cli.interrupt import wait_for
+    from lanebound.agents.learning.study import run_learning_study
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("trainings", total=len(course.trainings))
+
+        def told(done: int, of: int) -> None:
+            bar.update(task, completed=done, total=of)
+
+        return wait_for(lambda: run_learning_study(chosen, out, jobs, budget, told))
+
+
+def _report(found: dict[str, Any], out: Path, as_json: bool) -> None:
+    from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.learning.study_tables import SHOWN
+
+    if as_json:
+        print_json(found)
+        return
+    for place in found["places"]:
+        rows = [
+            (arm, str(len(of["seeds"])), *(_spread(of["means"][key]) for key in SHOWN))
+            for arm, of in place["arms"].items()
+        ]
+        rows += [(agent, "", *(_short(means.get(key)) for key in SHOWN)) for agent, means in place["beside"].items()]
+        headings = ("arm", "trained", *(key.replace("_", " ") for key in SHOWN))
+        print_table(f"{place['env']}, {place['sky']}: means over trainings, 95 %", headings, rows)
+    trainings = found["trainings"]
+    if trainings["done"] < trainings["planned"]:
+        typer.echo(f"{trainings['done']} of {trainings['planned']} trainings are done: the same command goes on")
+    typer.echo(f"results.json, curves.svg: {out}")
+
+
+def _short(value: float | None) -> str:
+    return "" if value is None else f"{value:.3g}"
+
+
+def _spread(estimate: dict[str, Any]) -> str:
+    low, high = estimate["low"], estimate["high"]
+    return _short(estimate["mean"]) + ("" if low is None else f" [{low:.3g}, {high:.3g}]")

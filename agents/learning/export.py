@@ -1,0 +1,125 @@
+"""A learnt policy as an ONNX network: from flat observations to actions, without exploration.
+
+Observations leave the environment scaled already, so that the network holds all there is between the two.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import torch
+from gymnasium import spaces
+from torch import nn
+
+from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig, Shield
+from lanebound.agents.learning.training import load_model
+from lanebound.integrity.errors import InputError
+
+__all__ = ["export_onnx"]
+
+
+def export_onnx(folder: Path, path: Path) -> Path:
+    """Write the best checkpoint of a training as a network with one input and one output; returns its path.
+
+    The input ``observation`` (B, n) is the flat observation, the output ``action`` (B, m) the action within [-1, 1], or
+    for discrete actions a value of each, of which the largest counts.
+
+    Parameters
+    ----------
+    folder : of the training
+
+    Raises
+    ------
+    InputError
+        ``folder`` has no checkpoint, the policy has a memory or a filter after it, a package is missing, or ``path``
+        cannot be written.
+    """
+    mark, best = folder / "experiment.json", folder / "best.zip"
+    if not (mark.is_file() and best.is_file()):
+        raise InputError(f"folder must be one of a training with best.zip, got {folder}: train first")
+    experiment = ExperimentConfig.load(json.loads(mark.read_text(encoding="utf-8")))
+    _require_plain(experiment)
+    model = load_model(best, experiment.algorithm)
+    policy: Any = model.policy
+    network = (_Squashed(policy.actor) if experiment.algorithm.off_policy else _Unsquashed(policy)).eval()
+    shape = model.observation_space.shape or ()
+    draft = path.with_name("draft-" + path.name)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with _quiet():
+            torch.onnx.export(
+                network,
+                (torch.zeros(2, *shape),),
+                draft,
+                input_names=["observation"],
+                output_names=["action"],
+                dynamic_shapes=({0: torch.export.Dim("batch")},),
+                dynamo=True,
+                verbose=False,
+                external_data=False,
+            )
+        os.replace(draft, path)
+    except OSError as error:
+        raise InputError(f"out must be a file that can be written, got {path} ({error}): choose another") from None
+    return path
+
+
+def _require_plain(experiment: ExperimentConfig) -> None:
+    if experiment.algorithm is Algorithm.RECURRENT_PPO:
+        raise InputError("a policy to export must have no memory, got recurrent_ppo: drive with its best.zip instead")
+    if experiment.shield is not Shield.NONE:
+        raise InputError(
+            f"a policy to export must stand alone, got one under the filter {experiment.shield}: "
+            "drive with its best.zip and that filter instead"
+        )
+    for package in ("onnx", "onnxscript"):
+        if find_spec(package) is None:
+            raise InputError(f"an export needs the package {package}, got none: pip install 'lanebound[learning]'")
+
+
+class _Unsquashed(nn.Module):
+    """The mean of PPO's policy, or the values of its discrete actions."""
+
+    def __init__(self, policy: Any) -> None:
+        super().__init__()
+        self.policy, self.discrete = policy, isinstance(policy.action_space, spaces.Discrete)
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        policy = self.policy
+        features = policy.extract_features(observation, policy.pi_features_extractor)
+        found: torch.Tensor = policy.action_net(policy.mlp_extractor.forward_actor(features))
+        return found if self.discrete else found.clamp(-1.0, 1.0)
+
+
+class _Squashed(nn.Module):
+    """The mean of SAC's policy."""
+
+    def __init__(self, actor: Any) -> None:
+        super().__init__()
+        self.actor = actor
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        features = self.actor.extract_features(observation, self.actor.features_extractor)
+        return torch.tanh(self.actor.mu(self.actor.latent_pi(features)))
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without what torch says of itself: deprecations within it, and packages that it could take but need not."""
+    logger = logging.getLogger("torch.onnx")
+    before = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.setLevel(before)

@@ -1,0 +1,269 @@
+"""A study of learning: arms that differ in what they see and heed, learnt everywhere with several seeds, then compared.
+
+::
+
+    config.json               what is studied
+    trainings/NAME/           a training each, which goes on where it was stopped
+    parts/NAME.json           what came of each finished training
+    evaluation/ENV-SKY/       a benchmark of all policies of a place on held-out seeds
+    results.json  curves.svg  what it comes to
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+from gymnasium import spaces
+from pydantic import field_validator, model_validator
+
+from lanebound.agents.benchmark.results import Results
+from lanebound.agents.benchmark.running import run
+from lanebound.agents.benchmark.suite import SuiteConfig
+from lanebound.agents.benchmark.work import expected_s
+from lanebound.agents.episodes.opening import full_id
+from lanebound.agents.kept import claim, run_parts, write_whole
+from lanebound.agents.learning.evaluation import learnt_agent
+from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig, Shield
+from lanebound.agents.learning.study_tables import summarise
+from lanebound.agents.learning.training import train
+from lanebound.agents.named import load_named
+from lanebound.agents.plain import finite_or_none
+from lanebound.integrity.config import Config, Field, deep_merge
+from lanebound.integrity.errors import ConfigError
+
+__all__ = ["ArmConfig", "Course", "LearningStudyConfig", "Training", "load_study", "plan", "run_learning_study"]
+
+FOLDER = "studies/"
+PACKAGES = ("lanebound.integrity", "lanebound.envs", "lanebound.agents.drivers", "lanebound.agents.learning")
+BESIDE = ("nominal", "integrity_aware")
+LEARNING_SHARE = 0.6  # time that learning takes, of what its environments take; measured with PPO
+
+
+class ArmConfig(Config):
+    """What distinguishes the policies of an arm."""
+
+    title: str = Field("", description="what it is, in a line")
+    overrides: Mapping[str, Any] = Field({}, description="of the environment's configuration, merged deeply")
+    algorithm: Algorithm = Field(Algorithm.PPO, description="how its policies are learnt")
+    shield: Shield = Field(Shield.NONE, description="filter between policy and car")
+
+
+class LearningStudyConfig(Config):
+    """Everything that the study depends on."""
+
+    title: str = Field("", description="what it asks, in a line")
+    hypotheses: tuple[str, ...] = Field((), description="what is expected, written before anything is learnt")
+    arms: Mapping[str, ArmConfig] = Field(min_length=1, description="by the names they go by in results")
+    reference: str = Field(description="arm that the others are compared with")
+    envs: tuple[str, ...] = Field(min_length=1, description="ids, ours without lanebound/")
+    skies: tuple[str, ...] = Field(min_length=1, description="levels of the sky")
+    seeds: int = Field(5, ge=1, le=100, description="trainings of each arm in each place")
+    test_seeds: int = Field(50, ge=1, le=1000, description="held-out episodes of each policy")
+    experiment: Mapping[str, Any] = Field({}, description="what all trainings share: steps, settings ...")
+
+    @field_validator("envs")
+    @classmethod
+    def _envs_exist(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(full_id(name).removeprefix("lanebound/") for name in names)
+
+    @model_validator(mode="after")
+    def _reference_is_an_arm(self) -> Self:
+        if self.reference not in self.arms:
+            raise ConfigError(f"reference must be one of {', '.join(self.arms)}, got {self.reference}: name an arm")
+        return self
+
+    @property
+    def places(self) -> Iterator[tuple[str, str]]:
+        """Environments and skies."""
+        return ((env, sky) for env in self.envs for sky in self.skies)
+
+
+class Training(NamedTuple):
+    """A policy to be learnt."""
+
+    env: str
+    sky: str
+    arm: str
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Of its folder and part."""
+        return f"{self.env}-{self.sky}-{self.arm}-{self.seed}"
+
+    @property
+    def agent(self) -> str:
+        """Name of its policy in the benchmark of its place."""
+        return f"{self.arm}-{self.seed}"
+
+    def experiment(self, study: LearningStudyConfig) -> ExperimentConfig:
+        """What is learnt, and how."""
+        arm = study.arms[self.arm]
+        own = {"env": self.env, "sky": self.sky, "algorithm": arm.algorithm, "shield": arm.shield, "seed": self.seed}
+        return ExperimentConfig.load(deep_merge(study.experiment, {"overrides": arm.overrides}) | own)
+
+
+class Course(NamedTuple):
+    """All trainings in the order of the work, and arms that an environment has no actions for."""
+
+    trainings: tuple[Training, ...]
+    left_out: tuple[tuple[str, str], ...]
+    hours: float
+
+
+def load_study(name: str, overrides: Mapping[str, Any] | None = None) -> LearningStudyConfig:
+    """A packaged study by its name, or one of your own by the path of its YAML file.
+
+    Raises
+    ------
+    ConfigError
+        There is none, or a value is refused.
+    """
+    return load_named(LearningStudyConfig, "study", FOLDER, name, overrides)
+
+
+def plan(study: LearningStudyConfig) -> Course:
+    """What is to be learnt: every place and arm with the first seed, then with the next; and hours of a core it takes.
+
+    Raises
+    ------
+    ConfigError, InputError
+        An experiment or environment is refused.
+    """
+    steered = {env: _has_acceleration(study, env) for env in study.envs}
+    left_out = tuple(
+        (env, name)
+        for env in study.envs
+        for name, arm in study.arms.items()
+        if arm.shield is Shield.CBF and not steered[env]
+    )
+    trainings = tuple(
+        Training(env, sky, arm, seed)
+        for seed in range(study.seeds)
+        for env, sky in study.places
+        for arm in study.arms
+        if (env, arm) not in left_out
+    )
+    return Course(trainings, left_out, _hours(study, trainings))
+
+
+def _has_acceleration(study: LearningStudyConfig, env: str) -> bool:
+    """Whether actions steer and accelerate, as the filter needs them; sees to it that the environment opens."""
+    world = Training(env, study.skies[0], study.reference, 0).experiment(study).open()
+    space = world.action_space
+    world.close()
+    return isinstance(space, spaces.Box) and space.shape == (2,)
+
+
+def _hours(study: LearningStudyConfig, trainings: tuple[Training, ...]) -> float:
+    """Time of a core: steps with learning, evaluations at checkpoints, and held-out episodes [h]."""
+    total_s, decision_s = 0.0, {}
+    suite = SuiteConfig.load({"envs": study.envs, "skies": study.skies, "agents": ["nominal"]})
+    episode_s = expected_s(suite, study.envs)
+    for env in study.envs:
+        world = Training(env, study.skies[0], study.reference, 0).experiment(study).open()
+        decision_s[env] = episode_s[env] * world.dt_s / float(world.config.duration_s or world.world.config["duration"])
+        world.close()
+    for one in trainings:
+        planned = one.experiment(study)
+        checkpoints = -(-planned.steps // planned.checkpoint_steps)
+        total_s += planned.steps * decision_s[one.env] * (1.0 + LEARNING_SHARE)
+        total_s += (checkpoints * planned.evaluation_episodes + study.test_seeds) * episode_s[one.env]
+    return total_s / 3600.0
+
+
+def run_learning_study(
+    study: LearningStudyConfig,
+    out: Path,
+    jobs: int = 1,
+    budget_h: float | None = None,
+    progress: Callable[[int, int], None] = lambda done, of: None,
+) -> dict[str, Any]:
+    """Learn what is not yet learnt, drive the policies of finished places, and write ``results.json``; returns it.
+
+    Parameters
+    ----------
+    jobs : trainings at a time, a process each
+    budget_h : no training or episode is begun after that
+    progress : called with the trainings done and their number
+
+    Raises
+    ------
+    InputError
+        ``out`` holds another study or cannot be written, or an experiment is refused.
+    """
+    begun = time.monotonic()
+    course = plan(study)
+    claim(out, "learning", study, PACKAGES)
+    by_name = {one.name: one for one in course.trainings}
+
+    def left_h() -> float | None:
+        return None if budget_h is None else max(budget_h - (time.monotonic() - begun) / 3600.0, 0.0)
+
+    done = run_parts(out, list(by_name), partial(_learn, study, out), jobs, progress, may_start=lambda: left_h() != 0.0)
+    learnt = [by_name[name] for name in done]
+    driven = {}
+    for env, sky in study.places:
+        here = [one for one in learnt if (one.env, one.sky) == (env, sky)]
+        if here:
+            suite = place_suite(study, out, here)
+            driven[env, sky] = run(suite, out / "evaluation" / f"{env}-{sky}", jobs, left_h())
+    return _written(study, course, done, driven, out)
+
+
+def _learn(study: LearningStudyConfig, out: Path, name: str) -> dict[str, Any]:
+    """One training, or what is left of it; its evaluations."""
+    one = next(one for one in plan(study).trainings if one.name == name)
+    begun = time.monotonic()
+    rows = train(one.experiment(study), out / "trainings" / name)
+    return {**one._asdict(), "checkpoints": rows, "hours": (time.monotonic() - begun) / 3600.0}
+
+
+def place_suite(study: LearningStudyConfig, out: Path, learnt: list[Training]) -> SuiteConfig:
+    """The policies of a place, on held-out seeds beside drivers of ours."""
+    env, sky = learnt[0].env, learnt[0].sky
+    agents: dict[str, Any] = {name: name for name in BESIDE}
+    for one in learnt:
+        planned = one.experiment(study)
+        agents[one.agent] = learnt_agent(planned, out / "trainings" / one.name / "best.zip")
+    return SuiteConfig.load(
+        {
+            "title": study.title,
+            "envs": [env],
+            "skies": [sky],
+            "agents": agents,
+            "reference": BESIDE[0],
+            "seeds": {"split": "test", "count": study.test_seeds},
+        }
+    )
+
+
+def _written(
+    study: LearningStudyConfig,
+    course: Course,
+    done: Mapping[str, Mapping[str, Any]],
+    driven: Mapping[tuple[str, str], Results],
+    out: Path,
+) -> dict[str, Any]:
+    from lanebound.agents.learning.study_figure import curves_figure
+    from lanebound.integrity.assessment.plotting import save
+
+    found = {
+        "study": study.to_dict(),
+        "trainings": {"planned": len(course.trainings), "done": len(done)},
+        "left_out": [list(pair) for pair in course.left_out],
+        "hours": sum(part["hours"] for part in done.values()),
+        "places": [
+            {"env": env, "sky": sky, **summarise(results, list(study.arms), study.reference, BESIDE)}
+            for (env, sky), results in driven.items()
+        ],
+    }
+    found = finite_or_none(found)
+    write_whole(out / "results.json", found)
+    if done:
+        save(curves_figure(list(done.values()), list(study.arms)), out / "curves.svg")
+    return dict(found)

@@ -1,0 +1,70 @@
+"""Networks that are exported answer as the policies do, in a car too; what cannot stand alone is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from experiments import experiment
+from gymnasium import spaces
+from typer.testing import CliRunner
+
+from lanebound.agents.cli import app
+from lanebound.agents.drivers import make_agent
+from lanebound.agents.learning.experiment import Algorithm
+from lanebound.agents.learning.export import export_onnx
+from lanebound.agents.learning.training import load_model, train
+from lanebound.integrity.errors import InputError
+
+STILL = {"navigation": {"source": "perfect"}, "duration_s": 4.0}
+SETTINGS: dict[str, dict[str, Any]] = {
+    "ppo_lagrangian": {"n_steps": 32, "batch_size": 32, "n_epochs": 1, "policy_kwargs": {"log_std_init": 1.0}},
+    "sac": {"learning_starts": 20, "buffer_size": 100, "batch_size": 16, "train_freq": 16},
+}
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "env"), [("ppo_lagrangian", "LaneKeeping"), ("sac", "LaneKeeping"), ("ppo", "UrbanCanyon")]
+)
+def test_a_network_answers_as_its_policy_does(tmp_path: Path, algorithm: str, env: str) -> None:
+    settings = SETTINGS.get(algorithm, SETTINGS["ppo_lagrangian"] | {"policy_kwargs": {}})
+    planned = experiment(algorithm=algorithm, env=env, steps=64, settings=settings, overrides=STILL)
+    train(planned, tmp_path)
+    path = export_onnx(tmp_path, tmp_path / "deep" / "net.onnx")
+    assert [p.name for p in path.parent.iterdir()] == ["net.onnx"]
+    world = planned.open()
+    network, policy = make_agent(str(path), world), load_model(tmp_path / "best.zip", Algorithm(algorithm))
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        seen = rng.uniform(-2.0, 2.0, world.observation_space.shape).astype(np.float32)
+        wanted, _ = policy.predict(seen, deterministic=True)
+        found, _ = network.predict(seen)
+        if isinstance(world.action_space, spaces.Discrete):
+            assert int(found) == int(wanted)
+        else:
+            np.testing.assert_allclose(found, wanted, atol=2e-5)
+
+
+def test_policies_that_cannot_stand_alone_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match=r"with best\.zip, got .*: train first"):
+        export_onnx(tmp_path, tmp_path / "net.onnx")
+    (tmp_path / "best.zip").touch()
+    for changes, message in (
+        ({"algorithm": "recurrent_ppo"}, "must have no memory, got recurrent_ppo"),
+        ({"env": "CarFollowing", "shield": "cbf"}, "must stand alone, got one under the filter cbf"),
+    ):
+        (tmp_path / "experiment.json").write_text(experiment(**changes).to_json())
+        with pytest.raises(InputError, match=message):
+            export_onnx(tmp_path, tmp_path / "net.onnx")
+    (tmp_path / "experiment.json").write_text(experiment().to_json())
+    monkeypatch.setattr("lanebound.agents.learning.export.find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"needs the package onnx, got none: pip install 'lanebound\[learning\]'"):
+        export_onnx(tmp_path, tmp_path / "net.onnx")
+
+
+def test_the_command_says_what_is_missing(tmp_path: Path) -> None:
+    told = CliRunner().invoke(app, ["export", str(tmp_path)])
+    assert told.exit_code == 2
+    assert "train first" in told.stderr

@@ -1,0 +1,149 @@
+"""Studies of learning: what is planned, what goes on where it was stopped, and what trainings come to."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from benchmarks import made_up_outcome, made_up_suite
+from typer.testing import CliRunner
+
+from lanebound.agents.benchmark.results import Results
+from lanebound.agents.cli import app
+from lanebound.agents.learning import study as room
+from lanebound.agents.learning.study import LearningStudyConfig, load_study, plan, run_learning_study
+from lanebound.agents.learning.study_figure import curves_figure
+from lanebound.agents.learning.study_tables import summarise
+from lanebound.integrity.errors import ConfigError, InputError
+
+STILL = {"navigation": {"source": "perfect"}, "duration_s": 3.0}
+SMALL: dict[str, Any] = {
+    "arms": {
+        "blind": {"overrides": {"observation": {"integrity": "blind"}}},
+        "filtered": {"algorithm": "ppo_lagrangian", "shield": "cbf"},
+    },
+    "reference": "blind",
+    "envs": ["CarFollowing"],
+    "skies": ["open"],
+    "seeds": 1,
+    "test_seeds": 1,
+    "experiment": {
+        "overrides": STILL,
+        "steps": 64,
+        "count": 2,
+        "checkpoint_steps": 32,
+        "evaluation_episodes": 1,
+        "settings": {"n_steps": 16, "batch_size": 16, "n_epochs": 1},
+    },
+}
+
+
+def small(**changes: Any) -> LearningStudyConfig:
+    return LearningStudyConfig.load({**SMALL, **changes})
+
+
+def test_a_study_that_is_stopped_goes_on_and_drives_its_policies(tmp_path: Path, monkeypatch: Any) -> None:
+    told: list[tuple[int, int]] = []
+    nothing = run_learning_study(small(), tmp_path, budget_h=0.0)
+    assert (nothing["trainings"], nothing["places"]) == ({"planned": 2, "done": 0}, [])
+
+    train, begun = room.train, []
+
+    def stops(*arguments: Any) -> Any:
+        begun.append(arguments[0].seed)
+        if len(begun) == 2:
+            raise KeyboardInterrupt
+        return train(*arguments)
+
+    monkeypatch.setattr(room, "train", stops)
+    with pytest.raises(KeyboardInterrupt):
+        run_learning_study(small(), tmp_path)
+    monkeypatch.setattr(room, "train", train)
+    found = run_learning_study(small(), tmp_path, progress=lambda done, of: told.append((done, of)))
+    assert told == [(1, 2), (2, 2)]
+    assert found["trainings"] == {"planned": 2, "done": 2}
+    [place] = found["places"]
+    assert {arm: of["seeds"] for arm, of in place["arms"].items()} == {"blind": [0], "filtered": [0]}
+    assert set(place["beside"]) == {"nominal", "integrity_aware"}
+    assert place["arms"]["filtered"]["less_reference"]["cost"]["n"] == 1
+    assert json.loads((tmp_path / "results.json").read_text()) == json.loads(json.dumps(found))
+    assert (tmp_path / "curves.svg").stat().st_size > 1000
+    with pytest.raises(InputError, match="hold the same study"):
+        run_learning_study(small(seeds=2), tmp_path)
+
+
+def test_every_place_has_its_first_training_before_any_has_its_second() -> None:
+    course = plan(small(envs=["CarFollowing", "LaneKeeping"], skies=["open", "urban"], seeds=2))
+    assert [one.seed for one in course.trainings] == [0] * 8 + [1] * 8
+    assert course.trainings[1].name == "CarFollowing-v0-open-filtered-0"
+    assert course.trainings[1].experiment(small()).overrides == STILL
+    assert course.trainings[0].experiment(small()).overrides == {**STILL, "observation": {"integrity": "blind"}}
+    assert course.hours > 0.0
+
+
+def test_the_filter_is_left_out_where_actions_do_not_accelerate() -> None:
+    course = plan(small(envs=["UrbanCanyon", "CarFollowing"]))
+    assert course.left_out == (("UrbanCanyon-v0", "filtered"),)
+    assert {(one.env, one.arm) for one in course.trainings} == {
+        ("UrbanCanyon-v0", "blind"), ("CarFollowing-v0", "blind"), ("CarFollowing-v0", "filtered"),
+    }  # fmt: skip
+
+
+def test_the_packaged_study_takes_ten_hours_of_two_cores_at_most() -> None:
+    study = load_study("value_of_integrity")
+    course = plan(study)
+    assert len(course.trainings) == 100
+    assert course.hours / 2.0 <= 10.0
+    assert course.left_out == ()
+    assert study.hypotheses
+
+
+def test_a_training_is_one_draw_however_many_episodes_its_policy_drives() -> None:
+    agents = [f"{arm}-{seed}" for arm in ("blind", "seeing") for seed in range(5)]
+    suite = made_up_suite(agents=["nominal", *agents], envs=["LaneKeeping"], skies=["urban"], seeds={"count": 3})
+    cost = {"blind": 10.0, "seeing": 4.0}
+    outcomes = []
+    for task in suite.tasks():
+        arm, _, seed = task.agent.partition("-")
+        value = cost.get(arm, 20.0) + float(seed or 0) + 0.5 * (task.seed % 3 - 1)
+        outcomes.append(made_up_outcome(task, cost=value))
+    found = summarise(Results.of(suite, outcomes), ["blind", "seeing", "unlearnt"], "blind", ["nominal", "absent"])
+    assert list(found["arms"]) == ["blind", "seeing"]
+    mean = found["arms"]["seeing"]["means"]["cost"]
+    assert mean["n"] == 5
+    assert mean["mean"] == pytest.approx(np.mean([4.0, 5.0, 6.0, 7.0, 8.0]), abs=0.51)
+    less = found["arms"]["seeing"]["less_reference"]["cost"]
+    assert (less["n"], less["difference"]) == (5, pytest.approx(-6.0))
+    assert list(found["beside"]) == ["nominal"]
+
+
+def test_curves_take_trainings_of_different_lengths() -> None:
+    def training(seed: int, length: int) -> dict[str, Any]:
+        rows = [{"steps": 10 * i, "return": i + seed, "cost": 1.0} for i in range(1, length)]
+        return {"env": "LaneKeeping-v0", "sky": "urban", "arm": "blind", "checkpoints": rows}
+
+    figure = curves_figure([training(0, 5), training(1, 3)], ["blind", "seeing"])
+    line = figure.axes[0].lines[0]
+    assert line.get_xdata().tolist() == [10, 20]
+    assert line.get_ydata().tolist() == [1.5, 2.5]
+
+
+def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="reference must be one of blind, filtered, got seeing"):
+        small(reference="seeing")
+    with pytest.raises(ConfigError, match="did you mean 'value_of_integrity'"):
+        load_study("value_of_integrit")
+    told = CliRunner().invoke(app, ["study", "value_of_integrity", "--out", str(tmp_path), "--set", "seeds=0"])
+    assert told.exit_code == 2
+    assert "seeds must lie in [1, 100], got 0" in told.stderr
+
+
+def test_the_command_prints_a_table_for_each_place(tmp_path: Path) -> None:
+    (tmp_path / "mine.yaml").write_text(json.dumps({"kind": "learning_study", **SMALL}))
+    told = CliRunner().invoke(app, ["study", str(tmp_path / "mine.yaml"), "--out", str(tmp_path / "out")])
+    assert told.exit_code == 0, told.output
+    assert "2 trainings, 1 at a time" in told.stderr
+    assert "CarFollowing-v0, open: means over trainings" in told.stdout
