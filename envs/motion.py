@@ -61,6 +61,13 @@ class Motion:
         position[row], velocity[row] = position_m - self._steps * chord, chord / self.step_s
         heading[row] = heading_rad
 
+    def enter_all(self, position_m: Array, heading_rad: Array, speed_mps: Array) -> None:
+        """All slots are taken at once, by vehicles that go straight on: (B, 2), (B,), (B,)."""
+        self.position_m[:], self.heading_rad[:] = position_m, heading_rad
+        ahead = np.stack([np.cos(heading_rad), np.sin(heading_rad)], -1)
+        self._chord[:] = self._chord_before[:] = self.step_s * speed_mps[:, None] * ahead
+        self.mark()
+
     def advance(self, rows: NDArray[np.int64], position_m: Array, heading_rad: Array) -> None:
         """Take the poses after a simulation step; (n,), (n, 2), (n,). Slots not named stay where they are."""
         self._steps += 1
@@ -84,6 +91,15 @@ class Motion:
         )  # fmt: skip
         self._steps = 0
         return Truth(time_s, dt_s, position, velocity, heading, turn, delta_v, distance, arc_m, lane)
+
+    def adopt(self, rows: NDArray[np.int64], other: Motion) -> None:
+        """Take over the slots of another motion as ``rows``; both are at the end of an epoch."""
+        for mine, theirs in zip(self._arrays, other._arrays, strict=True):
+            mine[rows] = theirs
+
+    @property
+    def _arrays(self) -> tuple[Array, ...]:
+        return self.position_m, self.heading_rad, self._chord, self._chord_before, *self._start
 
     def mark(self) -> None:
         """The next epoch begins here."""

@@ -16,6 +16,9 @@ from lanebound.integrity.presets import nearest
 
 __all__ = ["IDS", "make_config", "register_all", "wrap"]
 
+ENGINES = ("LaneKeeping", "CarFollowing", "Highway")
+"""Classes of ids that :mod:`lanebound.envs.vector` has a batched engine for."""
+
 IDS: dict[str, dict[str, Any]] = {id_of(kind): dict(kind.PRESET) for kind in CLASSES}
 
 
@@ -56,4 +59,8 @@ def register_all() -> None:
     """Register every id with Gymnasium; doing so twice changes nothing."""
     for kind in CLASSES:
         if id_of(kind) not in gymnasium.registry:
-            gymnasium.register(id_of(kind), f"{kind.__module__}:{kind.__qualname__}", kwargs={"config": {}})
+            name = kind.__qualname__
+            engine = f"lanebound.envs.vector.env:Vector{name}" if name in ENGINES else None
+            gymnasium.register(
+                id_of(kind), f"{kind.__module__}:{name}", vector_entry_point=engine, kwargs={"config": {}}
+            )

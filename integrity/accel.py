@@ -1,9 +1,9 @@
 """Numba, set up once: a versioned on-disk cache, and a parallel form only where it pays.
 
-Numba's cache hashes the file of a kernel but not the files of its callees, so the cache directory is versioned by a
-digest of every kernel file (``*_kernel.py``) of this package. What lies in it is loaded as machine code, so below the
-temporary directory, which all users share, only a directory that is ours alone is used. Without a writable cache the
-kernels are compiled anew in each process.
+Numba's cache hashes the file of a kernel but not the files of its callees, so the cache directory of a layer is
+versioned by a digest of every kernel file (``*_kernel.py``) of this package and of that layer. What lies in it is
+loaded as machine code, so below the temporary directory, which all users share, only a directory that is ours alone is
+used. Without a writable cache the kernels are compiled anew in each process.
 """
 
 from __future__ import annotations
@@ -32,11 +32,16 @@ PARALLEL_FROM_BATCH = 16
 
 
 @cache
-def cache_directory() -> str | None:
-    """A writable directory for this version of the kernel sources (``*_kernel.py``), or None."""
+def cache_directory(layer: str = "integrity") -> str | None:
+    """A writable directory for this version of a layer's kernel sources (``*_kernel.py``), or None.
+
+    Kernels of another layer call those of this one, so both count there.
+    """
     digest = hashlib.blake2b(repr(sorted(FASTMATH)).encode(), digest_size=8)
-    for source in sorted(Path(__file__).parent.rglob("*_kernel.py")):
-        digest.update(source.read_bytes())
+    here = Path(__file__).parent
+    for folder in dict.fromkeys((here, here.parent / layer)):
+        for source in sorted(folder.rglob("*_kernel.py")):
+            digest.update(source.read_bytes())
     name = f"kernels-{digest.hexdigest()}"
     base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     places: tuple[Callable[[], Path], ...] = (lambda: Path(base).expanduser() / "lanebound", _shared, _fresh)
@@ -93,6 +98,12 @@ def _fresh() -> Path:
     return Path(path)
 
 
+def _layer_of(function: Callable[..., Any]) -> str:
+    """The layer of lanebound that a kernel belongs to."""
+    package, _, rest = (function.__module__ or "").partition(".")
+    return rest.partition(".")[0] if package == "lanebound" else "integrity"
+
+
 def jit(function: F | None = None, *, parallel: bool = False, inline: bool = False) -> Any:
     """``numba.njit`` with this package's options: cached, C division, no loss of NaN or inf, sums in their order."""
 
@@ -100,7 +111,7 @@ def jit(function: F | None = None, *, parallel: bool = False, inline: bool = Fal
         options: dict[str, Any] = {"error_model": "numpy", "fastmath": FASTMATH, "parallel": parallel}
         if inline:
             options["inline"] = "always"
-        directory = cache_directory()
+        directory = cache_directory(_layer_of(f))
         if directory is None:
             return numba.njit(**options)(f)
         before = numba.config.CACHE_DIR  # type: ignore[attr-defined]

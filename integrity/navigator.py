@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from enum import Enum
 from functools import lru_cache
 from typing import Any, Self
@@ -45,6 +45,7 @@ from lanebound.integrity.sensors.odometer import OdometerConfig, initial_odomete
 from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.systems import FIXABLE, WAVELENGTH_M
 from lanebound.integrity.sky.track import SkyTrack
+from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.sky.visibility import SkyMask
 from lanebound.integrity.solution import Solution
 from lanebound.integrity.streams import Streams
@@ -233,6 +234,29 @@ class Navigator:
         """Number of vehicles."""
         return self.state.streams.batch
 
+    def another(self, streams: Streams, epoch: int = 0) -> Navigator:
+        """A navigator of the same configuration for other vehicles, each in an area of its own, just switched on.
+
+        ``epoch`` is what its clock shows, in epochs: with that of this navigator, :meth:`adopt` can take its vehicles.
+        """
+        other = copy.copy(self)
+        other.state = other._initial(streams, streams)
+        links.wind(self.config.corrections, other.state.area.network, epoch, self.config.dt_s)
+        return other
+
+    def adopt(self, rows: NDArray[np.int64], other: Navigator) -> None:
+        """Take over the vehicles of another navigator (n) as ``rows`` (n,), in place of those that were there.
+
+        Raises
+        ------
+        InputError
+            The clocks of both differ, or areas are shared.
+        """
+        mine, theirs = self.state.area.network, other.state.area.network
+        if mine.epoch != theirs.epoch or not mine.up.shape[0] == self.batch:
+            raise InputError(f"other must be at epoch {mine.epoch} with an area for each, got {theirs.epoch}: wind it")
+        _hand_over(self.state, other.state, rows)
+
     def align(self, heading_rad: Array, sigma_rad: float) -> None:
         """Give the vehicles a prior heading, (B,) azimuth and its 1-sigma, as from a compass or the last drive."""
         self.state.belief[:, nk.HEADING] = heading_rad
@@ -293,10 +317,15 @@ class Navigator:
         """
         return self.locate(self.measure(truth))
 
-    def measure(self, truth: Truth) -> Measurements:
-        """What the instruments say of this epoch: the only place where truth is read."""
+    def measure(self, truth: Truth, sky: SkyView | None = None) -> Measurements:
+        """What the instruments say of this epoch: the only place where truth is read.
+
+        ``sky`` holds the satellites of the track as the vehicles see them, when that is not by the truth's clock: each
+        may be at an hour of its own.
+        """
         self._require_fitting(truth)
-        sky = self.track.at(self.track.start_s + truth.time_s, np.zeros(self.batch, dtype=np.int64))
+        if sky is None:
+            sky = self.track.at(self.track.start_s + truth.time_s, np.zeros(self.batch, dtype=np.int64))
         if self.faults.faults and self.faults.active(truth.time_s):
             effects = self.faults.effects(truth.time_s, truth.dt_s, sky, self.batch)
         else:
@@ -361,6 +390,15 @@ class Navigator:
             wrong_fix_risk=out[:, nk.O_WRONG],
             held=s.held.copy(),
         )
+
+
+def _hand_over(mine: Any, theirs: Any, rows: NDArray[np.int64]) -> None:
+    """Copy the rows of every array of a state, and of the states in it; clocks and streams stay."""
+    for name, value in vars(theirs).items():
+        if isinstance(value, np.ndarray):
+            getattr(mine, name)[rows] = value
+        elif is_dataclass(value):
+            _hand_over(getattr(mine, name), value, rows)
 
 
 @lru_cache(maxsize=8)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +66,12 @@ class Solution:
     corrections_age_s: Array
     wrong_fix_risk: Array
     held: NDArray[np.bool_]
+
+    def rows(self, rows: NDArray[np.int64]) -> Solution:
+        """The solutions of some vehicles."""
+        values: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
+        chosen: dict[str, Any] = {name: v[rows] if isinstance(v, np.ndarray) else v for name, v in values.items()}
+        return Solution(**chosen)
 
     @property
     def batch(self) -> int:

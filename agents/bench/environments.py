@@ -17,7 +17,7 @@ from lanebound.envs import DrivingEnv, make_config
 from lanebound.envs.world import guard
 from lanebound.integrity.navigator import Navigator
 
-__all__ = ["measure"]
+__all__ = ["bare_of", "measure"]
 
 GATES = {"Highway": (1.0, 1.0, 0.1), "Merge": (1.0, 5.0, 1.5)}
 IDS = ("Highway", "Merge", "Roundabout", "Intersection", "Racetrack")
@@ -28,7 +28,7 @@ def _wrapped(name: str, source: str) -> DrivingEnv:
     return DrivingEnv(make_config(f"lanebound/{name}-v0", {"perception": {"source": source}}))
 
 
-def _bare(env: DrivingEnv) -> AbstractEnv:
+def bare_of(env: DrivingEnv) -> AbstractEnv:
     """highway-env's own environment of the same configuration, with a Kinematics observation."""
     kind = type(env.world)
     return guard(kind, {**env.world.config, "observation": {"type": "Kinematics"}})
@@ -73,7 +73,7 @@ class _Clock:
 def _shares(name: str, source: str, rounds: int) -> tuple[float, float]:
     """Layer time over the bare step's time [%], and bare over wrapped time, medians over the rounds."""
     env = _wrapped(name, source)
-    bare = _bare(env)
+    bare = bare_of(env)
     command = 1 if hasattr(env.action_space, "n") else env.action_space.sample() * 0.0
     _run(env, command), _run(bare, command)
     shares, ratios = [], []

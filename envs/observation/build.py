@@ -55,6 +55,11 @@ class Observer:
         self._frames: deque[Vector] = deque(maxlen=self.config.history)
         self._levels: deque[tuple[float, float, float]] = deque()
 
+    @property
+    def slices(self) -> dict[str, slice]:
+        """Where each group lies in the flat form."""
+        return self._slices
+
     def _make_space(self) -> spaces.Space[Any]:
         if self.config.form == "flat":
             return self._box(slice(None))

@@ -12,10 +12,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from highway_env.road.lane import CircularLane, StraightLane
+from numpy.typing import NDArray
 
 from lanebound.envs.records import LaneIndex
 
-__all__ = ["Line", "Path", "PathPoint", "RoadMap", "line_of", "wrap"]
+__all__ = ["Line", "Path", "PathPoint", "RoadMap", "SampledLine", "line_of", "wrap"]
 
 STEP_M = 2.0  # between nodes of a sampled line: 1e-5 m of error on a radius of 15 m
 CONTINUES_M = 2.5  # lanes that lie closer than this at a joint are one; a roundabout's entry of highway-env has 2.1
@@ -87,7 +88,7 @@ class _Arc(Line):
         return x, self.cy - cos(heading) / self.curvature, heading, self.curvature
 
 
-class _Sampled(Line):
+class SampledLine(Line):
     """Centreline of any other lane: cubic Hermite between nodes that are asked of the lane when first needed."""
 
     __slots__ = ("lane", "last", "nodes", "pieces", "step")
@@ -120,6 +121,10 @@ class _Sampled(Line):
         piece = self.pieces[k] = (*cubic_x, *cubic_y, ha, turn, turn / arc if arc > 0.0 else 0.0)
         return piece
 
+    def all_pieces(self) -> NDArray[np.float64]:
+        """Every piece in a row: the coefficients of x and of y, heading at the start, its change, curvature."""
+        return np.array([self.pieces.get(k) or self._piece(k) for k in range(self.last + 1)])
+
     def at(self, s: float) -> PathPoint:
         if not 0.0 <= s <= self.length:
             return _drawn_on(self.at(0.0), s) if s < 0.0 else _drawn_on(self.at(self.length), s - self.length)
@@ -133,7 +138,7 @@ def line_of(lane: Any) -> Line:
     """The centreline of a lane of highway-env: exact for straight and circular ones, sampled for any other."""
     if type(lane) is StraightLane:
         return Line(lane)
-    return _Arc(lane) if type(lane) is CircularLane else _Sampled(lane)
+    return _Arc(lane) if type(lane) is CircularLane else SampledLine(lane)
 
 
 class Joint(NamedTuple):
@@ -183,6 +188,11 @@ class Path:
         self._pieces = [(end, origin, line) for end, (origin, line) in zip(ends, rows, strict=True)]
         self.start_m, self.end_m, self.lane_end_m = rows[0][0], ends[-1], lane_end_m
         self.following, self.junction_m, self.lane = tuple(following), after[0][1].length, lane
+
+    @property
+    def pieces(self) -> list[tuple[float, float, Line]]:
+        """The lines in order, each with the stations where its part of the path ends and where the line begins."""
+        return self._pieces
 
     def at(self, station_m: float) -> PathPoint:
         """The point at a station; drawn on straight before the first lane and beyond the last."""
@@ -241,7 +251,8 @@ class RoadMap:
             found = self._paths[key] = self._build(lane_index, key[1])
         return found
 
-    def _line(self, index: LaneIndex) -> Line:
+    def line(self, index: LaneIndex) -> Line:
+        """The centreline of a lane."""
         line = self._lines.get(index)
         if line is None:
             line = self._lines[index] = line_of(self.network.get_lane(index))
@@ -249,7 +260,7 @@ class RoadMap:
 
     def _build(self, index: LaneIndex, route: tuple[Step, ...]) -> Path:
         after, lane_end_m = self._follow(index, route)
-        lines = [(origin, self._line(lane)) for origin, lane in after]
+        lines = [(origin, self.line(lane)) for origin, lane in after]
         return Path(self._before(index), lines, [lane for _, lane in after], lane_end_m, self._facts(index))
 
     def _facts(self, index: LaneIndex) -> LaneFacts:
@@ -263,7 +274,7 @@ class RoadMap:
     def _follow(self, index: LaneIndex, route: tuple[Step, ...]) -> tuple[list[tuple[float, LaneIndex]], float]:
         """The lanes from ``index`` on, each with the station of its start, and the station where the lane ends."""
         following, lane_end = [(0.0, index)], inf
-        station = self._line(index).length
+        station = self.line(index).length
         reach = station + self.ahead_m
         while True:
             after, route = self._next(index, route)
@@ -275,7 +286,7 @@ class RoadMap:
                 return following, lane_end
             following.append((station - joint.into_m, after))
             index = after
-            station += self._line(after).length - joint.into_m
+            station += self.line(after).length - joint.into_m
 
     def _next(self, index: LaneIndex, route: tuple[Step, ...]) -> tuple[LaneIndex | None, tuple[Step, ...]]:
         """The lane after this one and what is left of the route there; where it says nothing, the nearest lane."""
@@ -293,13 +304,13 @@ class RoadMap:
 
     def _enter(self, index: LaneIndex, to: str, place: int | None) -> tuple[int, float]:
         """Which lane of the road to node ``to`` a vehicle enters from the end of its lane, and how far it lies off."""
-        position = np.array(self._line(index).end[:2])
+        position = np.array(self.line(index).end[:2])
         entered, distance = self.network.next_lane_given_next_road(*index, to, place, position)
         return int(entered), float(distance)
 
     def _joint(self, index: LaneIndex, after: LaneIndex) -> Joint:
         """Where the end of one lane lies on another."""
-        x, y, heading, _ = self._line(index).end
+        x, y, heading, _ = self.line(index).end
         lane = self.network.get_lane(after)
         into, aside = lane.local_coordinates(np.array([x, y]))
         return Joint(float(into), float(aside), wrap(float(lane.heading_at(into)) - heading))
@@ -316,8 +327,8 @@ class RoadMap:
             if not on:
                 break
             best = min(on, key=lambda lane: abs(joints[lane].aside_m) + abs(joints[lane].turn_rad))
-            start += joints[best].into_m - self._line(best).length
-            out.append((start, self._line(best)))
+            start += joints[best].into_m - self.line(best).length
+            out.append((start, self.line(best)))
             index = best
         return out[::-1]
 

@@ -204,6 +204,16 @@ class Path:
         self._near: list[list[int]] = cell[cKDTree(points).query(middle)[1]].tolist()
         self._columns, self._rows = columns - 1, rows - 1
 
+    @property
+    def grid_m(self) -> tuple[float, float]:
+        """Corner x, y of the squares of :attr:`near` [m], each ``SQUARE_M`` wide."""
+        return self._x0, self._y0
+
+    @property
+    def near(self) -> list[list[int]]:
+        """The cell to begin a search at, by column and row of squares."""
+        return self._near
+
     def cell_of(self, station_m: float) -> int:
         """The cell of an arc length; the first and the last hold what lies before and after."""
         return min(max(bisect_right(self.station, station_m) - 1, 0), self._last)

@@ -173,12 +173,23 @@ def advance_network(config: CorrectionsConfig, network: NetworkState, dt_s: floa
     """Advance the networks by one epoch, in place; ``streams`` are those of the areas."""
     law = _law(config, dt_s)
     network.epoch += 1
-    arrived = math.floor((network.epoch * dt_s - config.latency_s) / config.interval_s + kernel.ROUNDING)
+    arrived = _arrived(config, network.epoch, dt_s)
     network.fresh = arrived > network.message
     network.message = max(arrived, network.message)
     if config.outage_per_h > 0.0:
         z = streams.normal("network", 2)
         kernel.advance_network(law.par, dt_s, z, network.outage_left, network.until, network.up)
+
+
+def wind(config: CorrectionsConfig, network: NetworkState, epoch: int, dt_s: float) -> None:
+    """Set the clock of fresh networks to an epoch: the next message is the one due after it."""
+    network.epoch = epoch
+    network.message = max(_arrived(config, epoch, dt_s), -1)
+
+
+def _arrived(config: CorrectionsConfig, epoch: int, dt_s: float) -> int:
+    """Number of the newest reference epoch whose message has been due."""
+    return math.floor((epoch * dt_s - config.latency_s) / config.interval_s + kernel.ROUNDING)
 
 
 def initial_state(

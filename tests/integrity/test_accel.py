@@ -220,3 +220,19 @@ def test_a_serial_context_uses_no_threads(monkeypatch):
     with accel.serial():
         assert not accel.use_parallel(1000)
     assert accel.use_parallel(1000)
+
+
+def test_kernels_of_another_layer_have_a_directory_of_their_own(monkeypatch, tmp_path):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    for layer in ("integrity", "envs"):
+        (tmp_path / layer).mkdir()
+        (tmp_path / layer / "one_kernel.py").write_text("a = 1")
+    monkeypatch.setattr(accel, "__file__", str(tmp_path / "integrity" / "accel.py"))
+    find = accel.cache_directory.__wrapped__
+    own, other = find(), find("envs")
+    assert own != other
+    (tmp_path / "envs" / "one_kernel.py").write_text("a = 2")
+    assert find() == own, "kernels of integrity call none of other layers"
+    assert find("envs") not in (own, other)
+    (tmp_path / "integrity" / "one_kernel.py").write_text("a = 2")
+    assert find() != own

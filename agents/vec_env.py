@@ -1,0 +1,119 @@
+"""The vector engine for Stable-Baselines3, which has a kind of vector environment of its own.
+
+>>> from stable_baselines3 import PPO
+>>> config = {"observation": {"form": "flat"}}
+>>> PPO("MlpPolicy", EngineVecEnv("lanebound/LaneKeeping-v0", 64, config)).learn(100_000)    # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env.base_vec_env import VecEnv
+
+from lanebound.envs.vector.env import ENGINES
+from lanebound.envs.vector.infos import single_info
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.presets import nearest
+
+__all__ = ["EngineVecEnv"]
+
+
+class EngineVecEnv(VecEnv):
+    """N environments of an id in the vector engine; they start anew at once when their episode is over.
+
+    ``infos[i]`` holds the entries of ``keys`` at every step, for dictionaries cost time. At the end of an episode it
+    holds all that a single environment says, ``terminal_observation`` and ``TimeLimit.truncated``. ``arrays`` is the
+    whole info of the last step as arrays (N,).
+
+    Parameters
+    ----------
+    env_id, num_envs, config : as for ``gymnasium.make_vec``
+    keys : entries of ``info`` wanted at every step
+
+    Raises
+    ------
+    InputError
+        An id without an engine, or a key that info does not have.
+    ConfigError
+        What the engine does not do.
+    """
+
+    def __init__(
+        self, env_id: str, num_envs: int, config: Mapping[str, Any] | None = None, keys: Sequence[str] = ("cost",)
+    ) -> None:
+        if env_id not in ENGINES:
+            raise InputError(
+                f"env_id must have an engine, as {', '.join(ENGINES)} do, got {env_id!r}: {nearest(env_id, ENGINES)}, "
+                "or use DummyVecEnv or SubprocVecEnv"
+            )
+        self.envs = ENGINES[env_id](num_envs, config, AutoresetMode.SAME_STEP)
+        super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
+        self.arrays: dict[str, Any] = {}
+        self._keys = tuple(keys)
+        self._actions: NDArray[Any] | None = None
+
+    def reset(self) -> Any:
+        """Begin an episode in every environment, under the seeds given by ``seed``."""
+        observations, infos = self.envs.reset(seed=self._seeds)
+        for key in self._keys:
+            if key not in infos:
+                raise InputError(f"keys must be entries of info, got {key!r}: {nearest(key, infos)}")
+        self.arrays = infos
+        self.reset_infos = [single_info(infos, row) for row in range(self.num_envs)]
+        self._reset_seeds()
+        self._reset_options()
+        return observations
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Take commands for the next step."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Carry them out."""
+        if self._actions is None:
+            raise InputError("step_wait must follow step_async, got no actions: call step(actions)")
+        observations, rewards, terminated, truncated, infos = self.envs.step(self._actions)
+        self._actions, self.arrays = None, infos
+        over = terminated | truncated
+        columns = [infos[key].tolist() for key in self._keys]
+        told = [dict(zip(self._keys, row, strict=True)) for row in zip(*columns, strict=True)]
+        told = told or [{} for _ in range(self.num_envs)]
+        for row in np.flatnonzero(over).tolist():
+            told[row] = single_info(infos["final_info"], row)
+            told[row]["terminal_observation"] = infos["final_obs"][row]
+            told[row]["TimeLimit.truncated"] = bool(truncated[row] and not terminated[row])
+        return observations, rewards.astype(np.float32), over, told
+
+    def close(self) -> None:
+        """Close the engine."""
+        self.envs.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute that all environments share, once for each index."""
+        if attr_name == "render_mode":
+            return [None] * self._count(indices)
+        return [getattr(self.envs, attr_name)] * self._count(indices)
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refused: the environments of an engine share their attributes."""
+        raise InputError(f"{attr_name} must be set by the configuration in the vector engine, got {value!r}")
+
+    def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
+        """``action_masks``, one for each index; no other method belongs to a single environment here."""
+        if method_name != "action_masks":
+            raise InputError(f"method must be action_masks in the vector engine, got {method_name!r}")
+        masks = self.envs.action_masks()
+        return [masks[row] for row in self._get_indices(indices)]
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        """No environment of the engine is wrapped."""
+        return [False] * self._count(indices)
+
+    def _count(self, indices: Any) -> int:
+        rows: Iterable[int] = self._get_indices(indices)
+        return len(list(rows))

@@ -1,0 +1,183 @@
+"""The batched core: N environments of one configuration as arrays, equal to as many single ones."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+from gymnasium.utils import seeding
+from numpy.typing import NDArray
+
+from lanebound.envs.core import DrivingEnv
+from lanebound.envs.vector import columns_kernel as k
+from lanebound.envs.vector import lanes_kernel as lk
+from lanebound.envs.vector.chart import chart_of
+from lanebound.envs.vector.lanes import lanes_of
+from lanebound.envs.vector.rules import direct_ranges, duration_s, meta_codes, rules_of, trail_length
+from lanebound.envs.vector.senses import Senses, sensing
+from lanebound.envs.vector.start import profile_steps, starter_of
+from lanebound.envs.vector.step_kernel import DECIDE, FINISH, START, World, run_parallel, run_some
+from lanebound.envs.vector.support import require_supported
+from lanebound.integrity.accel import use_parallel
+from lanebound.integrity.monitoring.alerts import AlertReason
+from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.positioning.rtk_status import RtkStatus
+
+__all__ = ["Engine"]
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+WORLD_SEEDS, EPISODE_SEEDS = 2**31, 2**62  # as DrivingEnv.reset draws them
+
+
+class Engine:
+    """N environments that step together.
+
+    Parameters
+    ----------
+    single : one environment of the configuration, asked for spaces, roads and figures; it is not driven
+    count : number N of environments
+
+    Attributes
+    ----------
+    world : everything that changes, see :class:`~lanebound.envs.vector.step_kernel.World`
+    lanes, chart, rules : what all environments share
+    codes : (A,) code of each meta-action of the action space, none under continuous actions
+
+    Raises
+    ------
+    ConfigError
+        A configuration that the engine cannot do as a single environment does.
+    """
+
+    def __init__(self, single: DrivingEnv, count: int) -> None:
+        require_supported(single)
+        self.single, self.count = single, count
+        network = single.world.road.network
+        self.lanes, self.chart = lanes_of(network), chart_of(network, single.config.observation)
+        self.rules = rules_of(single)
+        self.frames = single.config.simulation_hz // single.config.policy_hz
+        self._everyone = np.arange(count)
+        self.codes = meta_codes(single.world)
+        self._ranges = direct_ranges(single.world)
+        self._start = starter_of(single.world, self.lanes)
+        self._generators: list[np.random.Generator | None] = [None] * count
+        self.world = self._empty()
+        self.senses: Senses | None = None
+        if sensing(single):
+            length = duration_s(single.config, single.world)
+            self.senses = Senses(single, count, self.lanes, self.rules.figures, length)
+
+    def _empty(self) -> World:
+        """Arrays for N environments, before any start."""
+        n, config, world = self.count, self.single.config, self.single.world
+        vehicles, entries = len(world.road.vehicles), len(self.single.observer.index)
+        others = max(vehicles - 1, 1)
+        return World(
+            cars=np.zeros((n, k.CAR, vehicles)),
+            whole=np.zeros((n, k.WHOLE, vehicles), dtype=np.int64),
+            belief=np.zeros((n, k.BELIEF)),
+            score=np.zeros((n, k.SCORE)),
+            out=np.zeros((n, k.OUT)),
+            traffic=np.zeros((n, others, k.SEEN)),
+            seen=np.zeros(n, dtype=np.int64),
+            profile=np.zeros((n, profile_steps(world))),
+            trail=np.zeros((n, trail_length(config), 2)),
+            observed=np.zeros(n, dtype=np.int64),
+            sky=np.full((n, 3 * len(config.observation.satellites_m)), -1.0),
+            frame=np.zeros((n, entries), dtype=np.float32),
+        )
+
+    @property
+    def bytes_per_environment(self) -> int:
+        """Memory of the arrays that grow with N, per environment."""
+        senses = 0 if self.senses is None else self.senses.nbytes
+        return (senses + sum(array.nbytes for array in self.world)) // self.count
+
+    # An episode
+
+    def reset(self, rows: Rows, seeds: list[int | None]) -> None:
+        """Begin an episode in the environments ``rows``, each with its seed or from where its generator is."""
+        episodes = [self._begin(e, seed) for e, seed in zip(rows.tolist(), seeds, strict=True)]
+        self._know_all(rows)
+        if self.senses is not None:
+            anew = rows.size == self.count and None not in seeds
+            self.senses.begin(rows, episodes, self.world, anew)
+        self._run(rows, 0, FINISH | START)
+
+    def step(self, actions: NDArray[Any], rows: Rows | None = None) -> None:
+        """Carry out commands (N,) or (N, A) until the next decision, in all environments or in ``rows`` of them."""
+        where = self._everyone if rows is None else rows
+        codes = self._everyone
+        if self.codes.size:
+            codes = self.codes[actions]
+        else:
+            self._take_up(actions)
+        if self.senses is None:
+            self._run(where, self.frames, DECIDE | FINISH, codes)
+            return
+        self._run(where, 0, DECIDE, codes)
+        for frame in range(1, self.frames + 1):
+            self._run(where, 1, 0)
+            follow = self.senses.coast if frame % self.senses.steps else self.senses.navigate
+            follow(where, self.world)
+        self.senses.foresee(where, self.world)
+        self._run(where, 0, FINISH)
+
+    def _run(self, rows: Rows, frames: int, parts: int, actions: Rows | None = None) -> None:
+        chosen = self._everyone if actions is None else actions
+        run, first = (run_parallel, numba.get_num_threads()) if use_parallel(rows.size) else (run_some, 0)
+        run(first, rows.size, rows, frames, parts, chosen, self.world, self.lanes, self.chart, self.rules)
+
+    def _take_up(self, actions: NDArray[Any]) -> None:
+        """Continuous commands in physical units, in the precision of the action as highway-env maps it."""
+        column = 0
+        for target, between in zip((k.B_THROTTLE, k.B_TURN), self._ranges, strict=True):
+            if between is not None:
+                share = np.clip(actions[:, column], -1, 1)
+                self.world.belief[:, target] = between[0] + (share - -1) * (between[1] - between[0]) / (1 - -1)
+                column += 1
+
+    def sensible(self) -> NDArray[np.bool_]:
+        """Which of left, idle, right, faster and slower make sense for each ego by its belief, (N, 5)."""
+        b, table, wanted = self.world.belief, self.lanes.table, self.rules.speeds
+        own = table[b[:, k.B_LANE].astype(np.int64)]
+        s, beside = b[:, k.B_ALONG], 2.0 * own[:, lk.WIDTH]
+        there = (s >= 0.0) & (s < own[:, lk.LENGTH] + lk.VEHICLE_LENGTH_M)
+        left = (own[:, lk.SIDE] > 0) & (np.abs(b[:, k.B_LATERAL] + own[:, lk.WIDTH]) <= beside)
+        right = own[:, lk.SIDE] < own[:, lk.COUNT] - 1
+        right &= np.abs(b[:, k.B_LATERAL] - own[:, lk.WIDTH]) <= beside
+        speed = b[:, k.B_TARGET_SPEED]
+        every = np.ones_like(there)
+        return np.stack([left & there, every, right & there, speed < wanted[-1], speed > wanted[0]], -1)
+
+    # Starts
+
+    def _begin(self, e: int, seed: int | None) -> int:
+        """Draw as :meth:`DrivingEnv.reset` does: the episode's seed, the world's, then who drives where."""
+        generator = self._generators[e]
+        if seed is not None or generator is None:
+            generator = self._generators[e] = seeding.np_random(seed)[0]
+        episode = int(generator.integers(EPISODE_SEEDS))
+        world_seed = seed if seed is not None else int(generator.integers(WORLD_SEEDS))
+        w = self.world
+        self._start(seeding.np_random(world_seed)[0], w.cars[e], w.whole[e], w.profile[e])
+        return episode
+
+    def _know_all(self, rows: Rows) -> None:
+        """Beliefs and scores at the start, from the true poses."""
+        w, c = self.world, self.world.cars
+        w.score[rows] = 0.0
+        w.belief[rows] = 0.0
+        poses = {k.B_X: k.X, k.B_Y: k.Y, k.B_HEADING: k.HEADING, k.B_SPEED: k.SPEED}
+        for belief, car in poses.items():
+            w.belief[rows, belief] = c[rows, car, 0]
+        w.belief[rows, k.B_LANE] = w.belief[rows, k.B_TARGET_LANE] = w.whole[rows, k.LANE, 0]
+        speeds = self.rules.speeds
+        share = (c[rows, k.SPEED, 0] - speeds[0]) / (speeds[-1] - speeds[0])
+        nearest = np.clip(np.round(share * (speeds.size - 1)), 0, speeds.size - 1).astype(np.int64)
+        w.belief[rows, k.B_TARGET_SPEED] = speeds[nearest]
+        w.belief[rows, k.B_AVAILABLE] = 1.0
+        w.belief[rows, k.B_MODE], w.belief[rows, k.B_RTK] = int(Mode.RTK), RtkStatus.FIXED.code
+        w.belief[rows, k.B_REASON] = AlertReason.NONE.code

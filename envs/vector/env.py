@@ -1,0 +1,276 @@
+"""The engine as a vector environment of Gymnasium."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium.spaces import Box, MultiDiscrete, Space
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from lanebound.envs.core import DrivingEnv
+from lanebound.envs.ids import CarFollowing, Highway, LaneKeeping, Preset, id_of
+from lanebound.envs.vector import columns_kernel as k
+from lanebound.envs.vector.engine import Engine
+from lanebound.envs.vector.infos import infos_of
+from lanebound.integrity.errors import InputError
+
+__all__ = ["ENGINES", "VectorCarFollowing", "VectorDrivingEnv", "VectorHighway", "VectorLaneKeeping"]
+
+Rows = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+Batch = Any  # observations: an array (N, E), or a dict of them
+MASK = "reset_mask"
+
+
+class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
+    """N environments of an id that step together in compiled code: spaces, rewards, costs and infos of single ones.
+
+    >>> import gymnasium, lanebound.envs
+    >>> envs = gymnasium.make_vec("lanebound/LaneKeeping-v0", 4)
+    >>> observations, infos = envs.reset(seed=1)
+    >>> infos["cost"].shape
+    (4,)
+
+    Environment i under seed s drives as a single one under seed s + i does, whatever N. Its later episodes start as
+    those of the single one, and are they where nothing is sensed; where something is, all environments share a clock,
+    so that messages of reference stations reach these episodes at another tenth of a second.
+
+    Parameters
+    ----------
+    num_envs : N
+    config : merged deeply over what the id presets, as for a single environment
+    autoreset_mode : what becomes of an environment whose episode is over. ``NextStep`` (Gymnasium's own choice): the
+        next step resets it, whatever its action. ``SameStep``: it is reset at once; ``infos["final_obs"]`` and
+        ``infos["final_info"]`` hold how the episode ended. ``Disabled``: reset it by
+        ``reset(options={"reset_mask": mask})``.
+    render_mode : None; use a single environment for pictures
+
+    Raises
+    ------
+    ConfigError
+        What the engine does not do; the message names the alternative.
+    InputError
+        A number of environments, mode of reset or render mode that does not exist.
+    """
+
+    KIND: ClassVar[type[Preset]]
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        config: Mapping[str, Any] | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+    ) -> None:
+        if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer) or num_envs < 1:
+            raise InputError(f"num_envs must be a positive int, got {num_envs!r}")
+        if render_mode is not None:
+            raise InputError(f"render_mode must be None, got {render_mode!r}: draw pictures of a single environment")
+        single = self.KIND(config)
+        self.num_envs, self.config, self.render_mode = int(num_envs), single.config, None
+        self.mode = _mode_of(autoreset_mode)
+        self.metadata = {"render_modes": [], "render_fps": single.config.policy_hz, "autoreset_mode": self.mode}
+        self.engine = Engine(single, self.num_envs)
+        self.single_action_space, self.single_observation_space = single.action_space, single.observation_space
+        self.action_space = batch_space(single.action_space, self.num_envs)
+        self.observation_space = batch_space(single.observation_space, self.num_envs)
+        self._bounds = _bounds_of(self.action_space)
+        self._slices = _slices_of(single)
+        self._history = np.zeros((self.num_envs, single.config.observation.history, len(single.observer.index)), "f4")
+        figures = self.engine.rules.figures
+        self._limits_m = float(figures[k.F_AL_AT]), float(figures[k.F_AL_CT])
+        self._over = np.zeros(self.num_envs, dtype=np.bool_)
+        self._begun = np.zeros(self.num_envs, dtype=np.bool_)
+
+    # Gymnasium
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Batch, dict[str, Any]]:
+        """Begin episodes, in all environments or in those of ``options["reset_mask"]`` (N,) bool.
+
+        Parameters
+        ----------
+        seed : of the first environment, the others have the following ones; or one for each, None to go on
+
+        Raises
+        ------
+        InputError
+            Seeds or options of the wrong kind.
+        """
+        seeds = _seeds_of(seed, self.num_envs)
+        mask = _mask_of(options, self.num_envs)
+        rows = np.flatnonzero(mask)
+        self._restart(rows, [seeds[e] for e in rows])
+        whole = None if rows.size == self.num_envs else rows
+        return self._observations(), infos_of(self.engine.world, self._limits_m, whole)
+
+    def step(self, actions: Any) -> tuple[Batch, NDArray[np.float64], Flags, Flags, dict[str, Any]]:
+        """Carry out a command in each environment until the next decision.
+
+        Raises
+        ------
+        InputError
+            Before the first reset; for commands outside the action space; with resets ``Disabled``, for an episode that
+            is over.
+        """
+        commands = self._checked(actions)
+        again = np.flatnonzero(self._over)
+        if again.size and self.mode is AutoresetMode.DISABLED:
+            raise InputError(f"environments {again} must be reset, their episodes are over: pass options.{MASK}")
+        driving = None if not again.size else np.flatnonzero(~self._over)
+        self.engine.step(commands, driving)
+        self._remember(driving)
+        out = self.engine.world.out
+        rewards, terminated, truncated = out[:, k.O_REWARD].copy(), out[:, 1] > 0.0, out[:, 2] > 0.0
+        if again.size:
+            rewards[again], terminated[again], truncated[again] = 0.0, False, False
+            self._restart(again, [None] * again.size)
+        self._over = terminated | truncated
+        ended = np.flatnonzero(self._over)
+        final: dict[str, Any] = {}
+        if ended.size and self.mode is AutoresetMode.SAME_STEP:
+            final = self._final(ended)
+            self._restart(ended, [None] * ended.size)
+        return self._observations(), rewards, terminated, truncated, final | infos_of(self.engine.world, self._limits_m)
+
+    def action_masks(self) -> Flags:
+        """Which meta-actions make sense from where each ego believes to be, (N, A) bool (sb3-contrib's name).
+
+        Raises
+        ------
+        InputError
+            Before the first reset, or under continuous actions.
+        """
+        self._require_begun()
+        if not self.engine.codes.size:
+            raise InputError("action_masks needs meta-actions, got continuous ones: there is nothing to mask")
+        return self.engine.sensible()[:, self.engine.codes]
+
+    # Episodes
+
+    def _restart(self, rows: Rows, seeds: list[int | None]) -> None:
+        self.engine.reset(rows, seeds)
+        self._history[rows] = self.engine.world.frame[rows, None]
+        self._over[rows], self._begun[rows] = False, True
+
+    def _remember(self, rows: Rows | None) -> None:
+        """Put the newest observations at the end of the stack."""
+        if self._history.shape[1] == 1:
+            self._history[:, 0] = self.engine.world.frame
+            return
+        where: Any = slice(None) if rows is None else rows
+        self._history[where, :-1] = self._history[where, 1:]
+        self._history[where, -1] = self.engine.world.frame[where]
+
+    def _final(self, ended: Rows) -> dict[str, Any]:
+        """How episodes have ended, in Gymnasium's form."""
+        mask = np.zeros(self.num_envs, dtype=np.bool_)
+        mask[ended] = True
+        observations = np.full(self.num_envs, None, dtype=object)
+        last = self._observations()
+        for e in ended:
+            observations[e] = {g: part[e] for g, part in last.items()} if isinstance(last, dict) else last[e]
+        info = infos_of(self.engine.world, self._limits_m, ended)
+        return {"final_obs": observations, "_final_obs": mask, "final_info": info, "_final_info": mask}
+
+    # Forms
+
+    def _observations(self) -> Batch:
+        """Of all environments, a copy."""
+        stack, count = self._history, self.num_envs
+        if self._slices is None:
+            return stack.reshape(count, -1).copy()
+        return {group: stack[:, :, part].reshape(count, -1).copy() for group, part in self._slices.items()}
+
+    def _require_begun(self) -> None:
+        if not self._begun.all():
+            raise InputError("reset must come before everything else, got no episode: call reset() first")
+
+    def _checked(self, actions: Any) -> NDArray[Any]:
+        """Commands in the type of the action space."""
+        self._require_begun()
+        given, space = np.asarray(actions), self.action_space
+        kinds = "iuf" if isinstance(space, Box) else "iu"
+        if given.dtype.kind not in kinds or given.shape != space.shape:
+            raise InputError(f"actions must be numbers of shape {space.shape}, got {given.dtype} {given.shape}")
+        commands = given.astype(space.dtype)
+        low, high = self._bounds
+        if not ((commands >= low).all() and (commands <= high).all()):
+            raise InputError(f"actions must lie in {self.single_action_space} each, got others: clip or mend them")
+        return commands
+
+
+class VectorHighway(VectorDrivingEnv):
+    """``lanebound/Highway-v0``, N times."""
+
+    KIND = Highway
+
+
+class VectorCarFollowing(VectorDrivingEnv):
+    """``lanebound/CarFollowing-v0``, N times."""
+
+    KIND = CarFollowing
+
+
+class VectorLaneKeeping(VectorDrivingEnv):
+    """``lanebound/LaneKeeping-v0``, N times."""
+
+    KIND = LaneKeeping
+
+
+ENGINES = {id_of(kind.KIND): kind for kind in (VectorHighway, VectorCarFollowing, VectorLaneKeeping)}
+
+
+def _bounds_of(space: Space[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Lowest and highest commands: what ``contains`` looks at, sooner."""
+    if isinstance(space, Box):
+        return space.low, space.high
+    if isinstance(space, MultiDiscrete):
+        return space.start, space.start + space.nvec - 1
+    raise InputError(f"action_space must be a Box or MultiDiscrete, got {space}: choose an action of the environment")
+
+
+def _slices_of(single: DrivingEnv) -> dict[str, slice] | None:
+    """Where each group of the dict form lies; None for the flat form."""
+    return None if single.config.observation.form == "flat" else single.observer.slices
+
+
+def _mode_of(mode: AutoresetMode | str) -> AutoresetMode:
+    if isinstance(mode, AutoresetMode):
+        return mode
+    try:
+        return AutoresetMode(mode)
+    except ValueError:
+        names = ", ".join(repr(m.value) for m in AutoresetMode)
+        raise InputError(f"autoreset_mode must be one of {names}, got {mode!r}") from None
+
+
+def _seeds_of(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
+    """One seed for each environment."""
+    if seed is None:
+        return [None] * count
+    if isinstance(seed, int | np.integer):
+        return [int(seed) + i for i in range(count)]
+    seeds = [None if s is None else int(s) for s in seed]
+    if len(seeds) != count:
+        raise InputError(f"seed must be an int or one for each of {count} environments, got {len(seeds)} of them")
+    return seeds
+
+
+def _mask_of(options: dict[str, Any] | None, count: int) -> Flags:
+    """Who is to be reset."""
+    unknown = [key for key in options or {} if key != MASK]
+    if unknown:
+        raise InputError(f"options must hold {MASK} alone in the vector engine, got {unknown[0]!r}: "
+                         "set it in a single environment")  # fmt: skip
+    if not options:
+        return np.ones(count, dtype=np.bool_)
+    mask = np.asarray(options[MASK])
+    if mask.shape != (count,) or mask.dtype != np.bool_ or not mask.any():
+        raise InputError(f"options.{MASK} must be ({count},) bool with one True at least, got {mask!r}")
+    return mask

@@ -1,0 +1,257 @@
+"""Traffic of a straight motorway along x: highway-env's IDM drivers with MOBIL lane changes, sorted once a step.
+
+An environment's vehicles are kept in order along x, so that neighbours are found by a short walk. Headings and slip
+enter by their sines and cosines: steering asks for ``sin(beta)``, and by ``tan(beta) = tan(steering) / 2`` arctangent
+and tangent cancel. Vehicle 0 is the ego, whom others see as it truly is.
+"""
+
+from __future__ import annotations
+
+import math
+
+from lanebound.envs.vector.collisions_kernel import LENGTH_M
+from lanebound.envs.vector.columns_kernel import (
+    ACCELERATION,
+    COS,
+    CRASHED,
+    DELTA,
+    FRONT,
+    HEADING,
+    IMPACT_X,
+    IMPACT_Y,
+    LANE,
+    ORDER,
+    RANK,
+    SIN,
+    SPEED,
+    STRUCK,
+    TARGET,
+    TARGET_SPEED,
+    TIMER,
+    X,
+    Y,
+)
+from lanebound.envs.vector.lanes_kernel import LENGTH, LIMIT, OFFSET, WIDTH
+from lanebound.integrity.accel import jit
+
+__all__ = ["SIN_SLIP_MOST", "accelerate", "change_lanes", "drive_others", "not_zero", "settle", "sort_along", "survey"]
+
+# highway-env's figures of IDMVehicle, ControlledVehicle and Vehicle
+ACC_MAX, COMFORT, GAP_M, HEADWAY_S = 6.0, 3.0, 10.0, 1.5
+BRAKING = 2.0 * math.sqrt(15.0)  # 2 sqrt(a b), a = 3 and b = 5 m/s2
+DELAY_S, GAIN_MIN, BRAKING_IMPOSED = 1.0, 0.2, 2.0
+KP_HEADING, KP_LATERAL = 1.0 / 0.2, 1.0 / 0.6
+SPEED_MOST_MPS = 40.0
+MARGIN_M, BEYOND_M = 1.0, 5.0  # beside and past the ends of a lane, to be on it
+SIN_COURSE_MOST = math.sin(0.25 * math.pi)
+TAN_SLIP_MOST = 0.5 * math.tan(math.pi / 3.0)
+SIN_SLIP_MOST = math.sin(math.atan(TAN_SLIP_MOST))
+
+
+@jit(inline=True)
+def not_zero(x):  # type: ignore[no-untyped-def]
+    """x, or 0.01 with its sign when it is smaller."""
+    if abs(x) > 1e-2:
+        return x
+    return 1e-2 if x >= 0.0 else -1e-2
+
+
+@jit(inline=True)
+def _gap_wanted(c, i, j):  # type: ignore[no-untyped-def]
+    """IDM's distance wanted of vehicle i behind j."""
+    closing_x = c[SPEED, i] * c[COS, i] - c[SPEED, j] * c[COS, j]
+    closing_y = c[SPEED, i] * c[SIN, i] - c[SPEED, j] * c[SIN, j]
+    closing = closing_x * c[COS, i] + closing_y * c[SIN, i]
+    return GAP_M + c[SPEED, i] * HEADWAY_S + c[SPEED, i] * closing / BRAKING
+
+
+@jit(inline=True)
+def _free(c, i, limit, delta):  # type: ignore[no-untyped-def]
+    """IDM's acceleration of vehicle i on an empty road."""
+    wanted = min(max(c[TARGET_SPEED, i], 0.0), limit)
+    return COMFORT * (1.0 - math.pow(max(c[SPEED, i], 0.0) / abs(not_zero(wanted)), delta))
+
+
+@jit(inline=True)
+def _braking(c, i, j):  # type: ignore[no-untyped-def]
+    """What vehicle j ahead takes off IDM's acceleration of vehicle i."""
+    share = _gap_wanted(c, i, j) / not_zero(c[X, j] - c[X, i])
+    return COMFORT * share * share
+
+
+@jit(inline=True)
+def _stands_on(c, k, table, lane):  # type: ignore[no-untyped-def]
+    beside = abs(c[Y, k] - table[lane, OFFSET]) <= 0.5 * table[lane, WIDTH] + MARGIN_M
+    return beside and -BEYOND_M <= c[X, k] < table[lane, LENGTH] + BEYOND_M
+
+
+@jit
+def _ahead(c, w, i, table, lane):  # type: ignore[no-untyped-def]
+    """The vehicle ahead of i on a lane, -1 for none."""
+    for at in range(w[RANK, i] + 1, c.shape[1]):
+        k = w[ORDER, at]
+        if _stands_on(c, k, table, lane):
+            return k
+    return -1
+
+
+@jit
+def _behind(c, w, i, table, lane):  # type: ignore[no-untyped-def]
+    """The vehicle behind i on a lane, -1 for none."""
+    for at in range(w[RANK, i] - 1, -1, -1):
+        k = w[ORDER, at]
+        if _stands_on(c, k, table, lane):
+            return k
+    return -1
+
+
+@jit
+def sort_along(c, w):  # type: ignore[no-untyped-def]
+    """Bring ``ORDER`` up to date: nearly sorted, so by insertion."""
+    for a in range(1, c.shape[1]):
+        k = w[ORDER, a]
+        x = c[X, k]
+        if c[X, w[ORDER, a - 1]] <= x:
+            continue
+        at = a - 1
+        while at >= 0 and c[X, w[ORDER, at]] > x:
+            w[ORDER, at + 1] = w[ORDER, at]
+            at -= 1
+        w[ORDER, at + 1] = k
+
+
+@jit
+def survey(c, w, table, newest):  # type: ignore[no-untyped-def]
+    """Ranks along the road, and the vehicle in front of each in its lane; ``newest`` (L,) is scratch.
+
+    One sweep against the traffic: the last vehicle met on a lane is in front of all that follow.
+    """
+    newest[:] = -1
+    last = table.shape[0] - 1
+    for at in range(c.shape[1] - 1, -1, -1):
+        k = w[ORDER, at]
+        w[RANK, k] = at
+        lane = w[LANE, k]
+        w[FRONT, k] = newest[lane]
+        for m in range(max(lane - 1, 0), min(lane + 1, last) + 1):
+            if _stands_on(c, k, table, m):
+                newest[m] = k
+
+
+@jit
+def change_lanes(c, w, table, ego_has_target):  # type: ignore[no-untyped-def]
+    """Every driver's decision, one after the other: later ones see the new targets of those before."""
+    for i in range(1, c.shape[1]):
+        if w[CRASHED, i] != 0:
+            continue
+        if w[LANE, i] != w[TARGET, i]:
+            _give_up(c, w, i, 0 if ego_has_target else 1)
+        elif c[TIMER, i] > DELAY_S:
+            c[TIMER, i] = 0.0
+            _consider(c, w, i, table)
+
+
+@jit
+def _give_up(c, w, i, first):  # type: ignore[no-untyped-def]
+    """Go back to the own lane when somebody close ahead is changing into the same one."""
+    goal = w[TARGET, i]
+    for k in range(first, c.shape[1]):
+        if w[TARGET, k] == goal and w[LANE, k] != goal and k != i:
+            distance = c[X, k] - c[X, i]
+            if 0.0 < distance < _gap_wanted(c, i, k):
+                w[TARGET, i] = w[LANE, i]
+                return
+
+
+@jit
+def _consider(c, w, i, table):  # type: ignore[no-untyped-def]
+    """MOBIL without politeness, left before right: the last lane that is worth it is taken."""
+    if abs(c[SPEED, i]) < 1.0:
+        return
+    own, delta = w[LANE, i], c[DELTA, i]
+    for side in (-1, 1):
+        lane = own + side
+        if not 0 <= lane < table.shape[0]:
+            continue
+        aside = abs(c[Y, i] - table[lane, OFFSET])
+        if not (aside <= 2.0 * table[lane, WIDTH] and 0.0 <= c[X, i] < table[lane, LENGTH] + BEYOND_M):
+            continue
+        follower = _behind(c, w, i, table, lane)
+        if follower >= 0:
+            limit = table[w[LANE, follower], LIMIT]
+            if _free(c, follower, limit, delta) - _braking(c, follower, i) < -BRAKING_IMPOSED:
+                continue
+        free, there, here = _free(c, i, table[own, LIMIT], delta), _ahead(c, w, i, table, lane), w[FRONT, i]
+        gain = free - (_braking(c, i, there) if there >= 0 else 0.0)
+        gain -= free - (_braking(c, i, here) if here >= 0 else 0.0)
+        if not gain < GAIN_MIN:
+            w[TARGET, i] = lane
+
+
+@jit
+def accelerate(c, w, table):  # type: ignore[no-untyped-def]
+    """IDM's acceleration of every driver, from the places at the beginning of the step; wrecks do not care."""
+    for i in range(1, c.shape[1]):
+        if w[CRASHED, i] != 0:
+            continue
+        front = w[FRONT, i]
+        braking = _braking(c, i, front) if front >= 0 else 0.0
+        if w[LANE, i] != w[TARGET, i]:
+            front = _ahead(c, w, i, table, w[TARGET, i])
+            if front >= 0:
+                braking = max(braking, _braking(c, i, front))
+        a = _free(c, i, table[w[LANE, i], LIMIT], c[DELTA, i]) - braking
+        c[ACCELERATION, i] = min(max(a, -ACC_MAX), ACC_MAX)
+
+
+@jit(inline=True)
+def _sine_of_slip(c, w, i, table):  # type: ignore[no-untyped-def]
+    """Slip angle by which a driver heads for the middle of its lane."""
+    inverse = 1.0 / not_zero(c[SPEED, i])
+    course = -KP_LATERAL * (c[Y, i] - table[w[TARGET, i], OFFSET]) * inverse
+    wanted = 0.0
+    if course != 0.0:
+        wanted = math.asin(min(max(course, -SIN_COURSE_MOST), SIN_COURSE_MOST))
+    turn = (wanted - c[HEADING, i] + math.pi) % (2.0 * math.pi) - math.pi
+    return min(max(0.5 * LENGTH_M * inverse * KP_HEADING * turn, -SIN_SLIP_MOST), SIN_SLIP_MOST)
+
+
+@jit(inline=True)
+def settle(c, w, i, dx, dy, heading, speed):  # type: ignore[no-untyped-def]
+    """Take over a vehicle's new pose; one that was struck is thrown as well, and has crashed."""
+    c[X, i] += dx
+    c[Y, i] += dy
+    if w[STRUCK, i] != 0:
+        c[X, i] += c[IMPACT_X, i]
+        c[Y, i] += c[IMPACT_Y, i]
+        w[CRASHED, i], w[STRUCK, i] = 1, 0
+    c[SPEED, i] = speed
+    if heading != c[HEADING, i]:
+        c[HEADING, i] = heading
+        c[COS, i], c[SIN, i] = math.cos(heading), math.sin(heading)
+
+
+@jit
+def drive_others(c, w, table, dt):  # type: ignore[no-untyped-def]
+    """One step of all others: the modified bicycle model of highway-env, wrecks braking to rest."""
+    lowest, width, last = table[0, OFFSET], table[0, WIDTH], table.shape[0] - 1
+    for i in range(1, c.shape[1]):
+        speed, a = c[SPEED, i], c[ACCELERATION, i]
+        if w[CRASHED, i] != 0:
+            sine, a = 0.0, -speed
+        else:
+            sine = _sine_of_slip(c, w, i, table)
+        cosine = math.sqrt(1.0 - sine * sine)
+        if speed > SPEED_MOST_MPS:
+            a = min(a, SPEED_MOST_MPS - speed)
+        elif speed < -SPEED_MOST_MPS:
+            a = max(a, -SPEED_MOST_MPS - speed)
+        c[TIMER, i] += dt
+        dx = speed * (c[COS, i] * cosine - c[SIN, i] * sine) * dt
+        dy = speed * (c[SIN, i] * cosine + c[COS, i] * sine) * dt
+        settle(c, w, i, dx, dy, c[HEADING, i] + speed * sine / (0.5 * LENGTH_M) * dt, speed + a * dt)
+        place = (c[Y, i] - lowest) / width
+        nearest = math.floor(place + 0.5)
+        if place + 0.5 == nearest:  # half way between two: highway-env takes the first
+            nearest -= 1
+        w[LANE, i] = min(max(nearest, 0), last)

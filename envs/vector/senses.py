@@ -1,0 +1,255 @@
+"""What N egos sense: one navigator locates all vehicles that navigate, each in its own city at its own hour.
+
+At the end of an epoch :meth:`Senses.navigate` brings up to date where the egos believe to be (:mod:`.trackers`) and
+whom they perceive (:mod:`.perceptions`), which takes the navigation of the others where they broadcast it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import is_dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.envs.cockpit import HEARD_S
+from lanebound.envs.core import DrivingEnv
+from lanebound.envs.motion import Motion
+from lanebound.envs.navigation import place
+from lanebound.envs.scene import alert_limits_m, map_bound_m, navigator_config
+from lanebound.envs.vector import columns_kernel as k
+from lanebound.envs.vector.lanes_kernel import Lanes
+from lanebound.envs.vector.perceptions import Perceptions, claims_of
+from lanebound.envs.vector.scenes import Scenes, draw_scenes
+from lanebound.envs.vector.senses_kernel import foresee, glance_all, place_all, whereabouts
+from lanebound.envs.vector.skies import Skies
+from lanebound.envs.vector.step_kernel import World
+from lanebound.envs.vector.streams import CrewStreams
+from lanebound.envs.vector.trackers import Trackers
+from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.navigator import Navigator
+from lanebound.integrity.sky.view import SkyView
+from lanebound.integrity.solution import Solution
+
+__all__ = ["Senses", "sensing"]
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+
+def sensing(single: DrivingEnv) -> bool:
+    """Whether anything is sensed in a configuration: the ego's own place, or other vehicles."""
+    others = len(single.world.road.vehicles) > 1
+    return single.config.navigation.source.senses or (others and single.config.perception.source not in GIVEN)
+
+
+GIVEN = ("truth", "none")
+
+
+class Senses:
+    """What the egos know of themselves and of others.
+
+    All instruments run on one clock, in epochs, that goes on while episodes start anew; so a message of a reference
+    station may find an episode at any tenth of a second. When all are started at once by seeds it starts with them:
+    then they are as single ones.
+
+    Parameters
+    ----------
+    single : an environment of the configuration
+    count : number N
+    lanes, figures : its lanes and figures
+    duration_s : when episodes are truncated
+    """
+
+    def __init__(self, single: DrivingEnv, count: int, lanes: Lanes, figures: Array, duration_s: float) -> None:
+        config, others = single.config, len(single.world.road.vehicles) - 1
+        limits = alert_limits_m(single.world, config)
+        settings = navigator_config(config, limits)
+        if settings.imu.mems_exponential:
+            raise ConfigError("navigator.imu.mems_exponential must be False in the vector engine, whose instruments "
+                              "are never cold: make the same environments with vectorization_mode='sync'")  # fmt: skip
+        self._config, self._layouts = config.navigation, config.layouts
+        self._lanes, self._figures, self._everyone = lanes, figures, np.arange(count)
+        self.skies = Skies.of(single, settings, duration_s)
+        self.step_s = 1.0 / config.simulation_hz
+        self.steps = config.navigation.steps_per_epoch(config.simulation_hz)
+        self.epoch_s = self.step_s * self.steps
+        self._warm_up = max(1, round(config.navigation.warm_up_s / self.epoch_s))
+        sees = others > 0 and config.perception.source not in GIVEN
+        self.perceptions = Perceptions(config.perception, count, others, self.epoch_s) if sees else None
+        self._vehicles = 1 + others if self.perceptions is not None and self.perceptions.hears else 1
+        self._streams = CrewStreams([0] * count, [0] * count, self._vehicles, self.skies.used[[0] * count])
+        one = Navigator(settings, self.skies.track, self.skies.mask, 0, 1)
+        self._navigator = one.another(self._streams, self._epochs_at_start)
+        self.trackers = Trackers(config.navigation, count, map_bound_m(config, settings), limits)
+        self._motion = Motion.still(count * self._vehicles, self.step_s)
+        self._hour, self._started = np.zeros((2, count), dtype=np.int64)
+        self._city_m = np.zeros(count)
+        self._epoch = self._epochs_at_start
+        self._sky: SkyView | None = None
+        self._distances = np.array(config.observation.satellites_m, dtype=np.float64)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the arrays that have a row for each environment or vehicle."""
+        parts = self._navigator.state, self._motion, self.trackers, self.perceptions
+        return sum(_size_of(part) for part in parts if part is not None)
+
+    # Starts
+
+    def begin(self, rows: Rows, seeds: list[int], world: World, anew: bool) -> None:
+        """Start the navigation of ``rows`` some seconds before their episodes, on a straight approach.
+
+        ``seeds`` are the episodes': they draw all that a single environment draws from them. ``anew``: these are all
+        environments, and the clock starts again.
+        """
+        origin = self._epochs_at_start if anew else self._epoch
+        scenes = draw_scenes(seeds, self._layouts, self.skies.hours, self._vehicles, self._config.source.senses)
+        self._hour[rows], self._city_m[rows] = scenes.hour, self.skies.city_m[scenes.layout]
+        used = self.skies.used[scenes.hour]
+        streams = CrewStreams(seeds, scenes.fleet_seed.tolist(), self._vehicles, used)
+        starter = self._navigator.another(streams, origin - self._epochs_at_start)
+        solution, motion, told = self._approach(rows, starter, world, scenes, origin)
+        if anew:
+            self._navigator, self._motion, self._streams, self._epoch = starter, motion, streams, origin
+        else:
+            every = self._rows_of(rows)
+            self._navigator.adopt(every, starter)
+            self._motion.adopt(every, motion)
+            self._streams.adopt(rows, streams)
+        self._started[rows], self._sky = origin, None
+        world.belief[rows, k.B_ALERT_AGE] = 0.0
+        if self._config.source.senses:
+            egos = solution.rows(np.arange(rows.size) * self._vehicles)
+            self.trackers.begin(rows, egos, self._config.map_sigma_m * scenes.map_shift)
+            self._write(rows, egos, world)
+            self._settle(rows, world, 0.0)
+        if self.perceptions is not None:
+            self.perceptions.begin(rows, seeds)
+            for time_s, claims in told:
+                self.perceptions.step(rows, np.full(rows.size, time_s), claims, world)
+        self.foresee(rows, world)
+
+    @property
+    def _epochs_at_start(self) -> int:
+        """What the clock shows at the start of a single environment's episode."""
+        return round(self._config.clock_start_s / self.epoch_s)
+
+    def _rows_of(self, rows: Rows) -> Rows:
+        """The rows of all navigating vehicles of environments."""
+        every: Rows = (rows[:, None] * self._vehicles + np.arange(self._vehicles)).ravel()
+        return every
+
+    def _approach(
+        self, rows: Rows, navigator: Navigator, world: World, scenes: Scenes, origin: int
+    ) -> tuple[Solution, Motion, list[tuple[float, Array]]]:
+        """Drive straight up to the start, an epoch after another; the last of what the others tell of themselves."""
+        end, heading, speed = self._poses(rows, world)
+        ahead = speed[:, None] * np.stack([np.cos(heading), np.sin(heading)], -1)
+        begin = end - self._warm_up * self.epoch_s * ahead
+        motion, every = Motion.still(heading.size, self.step_s), np.arange(heading.size)
+        motion.enter_all(begin, heading, speed)
+        place(navigator, self._config, begin, heading, scenes.noise)
+        arc, side = self._whereabouts(rows, world)
+        told: list[tuple[float, Array]] = []
+        for step in range(1, self._warm_up * self.steps + 1):
+            last = step == self._warm_up * self.steps
+            motion.advance(every, end if last else begin + step * self.step_s * ahead, heading)
+            if step % self.steps == 0:
+                ago = step // self.steps - self._warm_up
+                time_s = ago * self.epoch_s
+                truth = motion.epoch((origin + ago) * self.epoch_s, self.epoch_s, arc, side)
+                clock = np.full(rows.size, self._config.clock_start_s + time_s)
+                sky = self.skies.view(self._hour[rows], clock, self._vehicles)
+                solution = navigator.locate(navigator.measure(truth, sky))
+                if last or (self._vehicles > 1 and -HEARD_S <= time_s < -0.5 * self.epoch_s):
+                    told.append((time_s, claims_of(solution, self._vehicles)))
+        return solution, motion, told
+
+    # Steps
+
+    def coast(self, rows: Rows, world: World) -> None:
+        """A simulation step has passed that ends no navigation epoch."""
+        self._moved(world)
+        if self._config.source.senses:
+            self.trackers.coast(rows, self.step_s)
+            self._settle(rows, world, self.step_s)
+
+    def navigate(self, rows: Rows, world: World) -> None:
+        """A simulation step has passed that ends an epoch: measure, locate, perceive, and bring beliefs up to date."""
+        self._moved(world)
+        self._epoch += 1
+        arc, side = self._whereabouts(self._everyone, world)
+        truth = self._motion.epoch(self._epoch * self.epoch_s, self.epoch_s, arc, side)
+        self._sky = self._view()
+        solution = self._navigator.locate(self._navigator.measure(truth, self._sky))
+        if self._config.source.senses:
+            egos = solution.rows(rows * self._vehicles)
+            self.trackers.take(rows, egos, self.step_s, self.epoch_s)
+            self._write(rows, egos, world)
+            self._settle(rows, world, self.step_s)
+            glance_all(rows, world.belief, world.score, world.cars, self._figures)
+        if self.perceptions is not None:
+            time_s = np.asarray((self._epoch - self._started[rows]) * self.epoch_s, dtype=np.float64)
+            self.perceptions.step(rows, time_s, claims_of(solution, self._vehicles)[rows], world)
+
+    def foresee(self, rows: Rows, world: World) -> None:
+        """Satellites that the map promises ahead of the beliefs, for what is observed next."""
+        if not (self._distances.size and self._config.source.senses):
+            return
+        s, f = self.skies, self.skies.forecast
+        sky = self._view() if self._sky is None else self._sky
+        foresee(
+            self._lanes, rows, world.belief, self._distances, s.begin_m, s.reach_m, self._city_m, f.free, f.spacing_m,
+            f.azimuths, f.elevations, sky.azimuth_rad, sky.elevation_rad, sky.above, world.sky,
+        )  # fmt: skip
+
+    def _view(self) -> SkyView:
+        """The skies over all egos now."""
+        since_s = (self._epoch - self._started) * self.epoch_s
+        clock = np.asarray(self._config.clock_start_s + since_s, dtype=np.float64)
+        return self.skies.view(self._hour, clock, self._vehicles)
+
+    def _poses(self, rows: Rows, world: World) -> tuple[Array, Array, Array]:
+        """True positions (n M, 2), headings and speeds of all navigating vehicles."""
+        cars = world.cars[rows, :, : self._vehicles]
+        position = np.stack([cars[:, k.X], cars[:, k.Y]], -1).reshape(-1, 2)
+        return position, cars[:, k.HEADING].ravel(), cars[:, k.SPEED].ravel()
+
+    def _moved(self, world: World) -> None:
+        """Note where everybody is after a simulation step."""
+        position, heading, _ = self._poses(self._everyone, world)
+        self._motion.advance(self._rows_of(self._everyone), position, heading)
+
+    def _whereabouts(self, rows: Rows, world: World) -> tuple[Array, Rows]:
+        """Where all navigating vehicles truly are in their cities."""
+        arc = np.empty((rows.size, self._vehicles))
+        side, s = np.empty(arc.shape, dtype=np.int64), self.skies
+        whereabouts(self._lanes, rows, world.cars, world.whole, s.begin_m, s.reach_m, self._city_m, arc, side)
+        return arc.ravel(), side.ravel()
+
+    def _settle(self, rows: Rows, world: World, passed_s: float) -> None:
+        """Place beliefs on the map, trust them as far as they go, and count how long alerts have been on."""
+        belief = world.belief
+        self.trackers.place(rows, belief)
+        place_all(self._lanes, rows, belief)
+        self.trackers.trust(rows, belief)
+        on = belief[rows, k.B_ALERT] > 0.0
+        belief[rows, k.B_ALERT_AGE] = np.where(on, belief[rows, k.B_ALERT_AGE] + passed_s, 0.0)
+
+    def _write(self, rows: Rows, solution: Solution, world: World) -> None:
+        """What the newest solutions say of themselves, in the columns of the belief."""
+        values = {
+            k.B_MODE: solution.mode, k.B_RTK: solution.rtk, k.B_HDOP: solution.hdop,
+            k.B_SATELLITES: solution.satellites, k.B_DOPPLER: solution.satellites_doppler,
+            k.B_EXCLUDED: solution.excluded, k.B_SINCE_RTK: solution.since_rtk_s,
+            k.B_SINCE_CALIBRATION: solution.since_calibration_s, k.B_CORRECTIONS_AGE: solution.corrections_age_s,
+        }  # fmt: skip
+        for column, value in values.items():
+            world.belief[rows, column] = value
+
+
+def _size_of(state: object) -> int:
+    """Bytes of the arrays of a state, and of the states in it."""
+    parts = vars(state).values()
+    return sum(part.nbytes if isinstance(part, np.ndarray) else _size_of(part) if is_dataclass(part) else 0
+               for part in parts)  # fmt: skip

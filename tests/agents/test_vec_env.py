@@ -1,0 +1,76 @@
+"""The engine under Stable-Baselines3's contract for vector environments."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
+
+from lanebound.agents.vec_env import EngineVecEnv
+from lanebound.integrity.errors import InputError
+
+CONFIG: dict[str, Any] = {
+    "navigation": {"source": "perfect"},
+    "perception": {"source": "truth"},
+    "world": {"vehicles_count": 4},
+    "duration_s": 2.0,
+}
+
+
+def test_it_does_what_a_dummy_of_single_environments_does() -> None:
+    engine = EngineVecEnv("lanebound/Highway-v0", 3, CONFIG, keys=("cost", "crashed"))
+    single = DummyVecEnv([lambda: gymnasium.make("lanebound/Highway-v0", config=CONFIG) for _ in range(3)])
+    for env in (engine, single):
+        env.seed(4)
+    first, wanted = engine.reset(), single.reset()
+    for group in wanted:
+        np.testing.assert_allclose(first[group], wanted[group], atol=1e-6)
+    rng, ends = np.random.default_rng(1), 0
+    for _ in range(10):
+        actions = rng.integers(5, size=3)
+        seen, rewards, over, infos = engine.step(actions)
+        seen_too, rewards_too, over_too, infos_too = single.step(actions)
+        for group in seen_too:
+            np.testing.assert_allclose(seen[group], seen_too[group], atol=1e-6)
+        np.testing.assert_allclose(rewards, rewards_too, atol=1e-6)
+        np.testing.assert_array_equal(over, over_too)
+        for info, info_too in zip(infos, infos_too, strict=True):
+            assert info["cost"] == pytest.approx(info_too["cost"], abs=1e-9)
+            if "terminal_observation" in info_too:
+                ends += 1
+                assert info["TimeLimit.truncated"] == info_too["TimeLimit.truncated"]
+                assert set(info) == set(info_too)
+                for group, last in info_too["terminal_observation"].items():
+                    np.testing.assert_allclose(info["terminal_observation"][group], last, atol=1e-6)
+            else:
+                assert set(info) == {"cost", "crashed"}
+    assert ends >= 3
+    assert rewards.dtype == np.float32
+    assert engine.get_attr("render_mode") == [None] * 3
+    assert engine.env_is_wrapped(VecMonitor) == [False] * 3
+    for masks, env in zip(engine.env_method("action_masks"), single.envs, strict=True):
+        np.testing.assert_array_equal(masks, env.unwrapped.action_masks())
+
+
+def test_ppo_learns_on_it() -> None:
+    config = {**CONFIG, "observation": {"form": "flat"}}
+    env = VecMonitor(EngineVecEnv("lanebound/Highway-v0", 4, config))
+    model = PPO("MlpPolicy", env, n_steps=8, batch_size=32, n_epochs=1, seed=1).learn(64)
+    assert model.num_timesteps == 64
+    assert env.episode_count > 0
+
+
+def test_what_it_cannot_do_is_refused() -> None:
+    with pytest.raises(InputError, match="SubprocVecEnv"):
+        EngineVecEnv("lanebound/Merge-v0", 2)
+    env = EngineVecEnv("lanebound/Highway-v0", 2, CONFIG, keys=("costs",))
+    with pytest.raises(InputError, match="cost"):
+        env.reset()
+    with pytest.raises(InputError, match="configuration"):
+        env.set_attr("config", None)
+    with pytest.raises(InputError, match="action_masks"):
+        env.env_method("render")

@@ -1,0 +1,83 @@
+"""With perfect navigation the engine is the single environment: poses to 1e-9, no other decision, end or number."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from side_by_side import PERFECT, Tally, drive, pair, require_equal
+
+DENSE: dict[str, Any] = {"world": {"vehicles_count": 16, "vehicles_density": 1.8}, **PERFECT}
+CASES: list[tuple[str, dict[str, Any], int]] = [
+    ("Highway", DENSE, 12),
+    ("Highway", {**DENSE, "action": "continuous"}, 6),
+    ("CarFollowing", PERFECT, 30),
+    ("CarFollowing", {**PERFECT, "action": "meta"}, 12),
+    ("LaneKeeping", {**PERFECT, "world": {"lanes_count": 2}}, 30),
+    ("LaneKeeping", {**PERFECT, "action": "meta", "world": {"lanes_count": 2}}, 12),
+]
+OTHERS: list[tuple[str, dict[str, Any]]] = [
+    ("Highway", {"observation": {"integrity": "oracle"}}),
+    ("Highway", {"observation": {"integrity": "blind"}, "keep_lane": False, "perception": {"source": "none"}}),
+    ("Highway", {"action_options": {"lateral": False}, "cost": {"response_s": 1.0}, "reward": {"base": 0.5}}),
+    ("Highway", {"action": "continuous", "action_options": {"lateral": False}, "actuators": None}),
+    ("Highway", {"simulation_hz": 15, "policy_hz": 1, "navigation": {"rate_hz": 5.0}, "duration_s": 6.0}),
+    ("LaneKeeping", {"off_road_ends": False, "wrong_way_s": 0.5, "actuators": {"steering_rate_radps": None}}),
+]
+SLOW: list[tuple[str, dict[str, Any], int]] = [
+    ("Highway", {**DENSE, "duration_s": 20.0}, 240),
+    ("Highway", {**PERFECT, "duration_s": 20.0}, 20),
+    ("Highway", {**DENSE, "action": "continuous", "duration_s": 20.0}, 60),
+    ("CarFollowing", {**PERFECT, "duration_s": 60.0}, 60),
+    ("CarFollowing", {**PERFECT, "duration_s": 60.0, "action": "meta"}, 40),
+    ("LaneKeeping", PERFECT, 60),
+    ("LaneKeeping", {**PERFECT, "action": "meta", "world": {"lanes_count": 3}}, 40),
+]
+
+
+def _named(value: Any) -> str:
+    return value if isinstance(value, str) else value.get("action", "") if isinstance(value, dict) else ""
+
+
+@pytest.mark.parametrize(("name", "config", "steps"), CASES, ids=_named)
+def test_it_drives_as_the_single_environment(name: str, config: dict[str, Any], steps: int) -> None:
+    single, engine = pair(name, config)
+    tally = Tally()
+    for seed in range(3):
+        drive(single, engine, seed, tally, steps)
+    require_equal(tally)
+    assert tally.steps >= 12
+
+
+@pytest.mark.parametrize(("name", "config"), OTHERS, ids=_named)
+def test_other_configurations_are_the_same_as_well(name: str, config: dict[str, Any]) -> None:
+    few = {"vehicles_count": 8} if name == "Highway" else {}
+    navigation = {**PERFECT["navigation"], **config.get("navigation", {})}
+    single, engine = pair(name, {**PERFECT, "world": few, **config, "navigation": navigation})
+    tally = Tally()
+    for seed in (3, None):  # the second episode goes on from where the generators are
+        drive(single, engine, seed, tally, 12)
+    require_equal(tally)
+    assert tally.steps >= 8
+
+
+def test_crashes_and_ends_are_the_same() -> None:
+    single, engine = pair("Highway", {**DENSE, "world": {"vehicles_count": 20, "vehicles_density": 3.0}}, count=2)
+    tally = Tally()
+    for seed in range(8):
+        drive(single, engine, seed, tally, 25, row=seed % 2)
+    require_equal(tally)
+    assert tally.crashes >= 1
+    assert tally.lane_changes >= 10
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "config", "episodes"), SLOW, ids=_named)
+def test_500_episodes(name: str, config: dict[str, Any], episodes: int) -> None:
+    single, engine = pair(name, config)
+    tally = Tally()
+    for seed in range(episodes):
+        drive(single, engine, 1000 + seed, tally)
+    require_equal(tally)
+    assert tally.episodes == episodes

@@ -1,0 +1,160 @@
+"""Navigation in a batch: with the same draws it is the single environment's, and by its own draws it is as good."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lanebound.envs.core import DrivingEnv
+from lanebound.envs.registration import make_config
+from lanebound.envs.vector import columns_kernel as k
+from lanebound.envs.vector.engine import Engine
+from lanebound.integrity.errors import ConfigError
+from side_by_side import Tally, command, require_equal, same
+
+FEW: dict[str, Any] = {"world": {"vehicles_count": 4}, "sky": "urban", "extent_m": 300.0, "layouts": 2}
+TRUTH, SENSOR, BOTH = ({"perception": {"source": source}} for source in ("truth", "sensor", "both"))
+PERFECT: dict[str, Any] = {"navigation": {"source": "perfect"}}
+CASES: list[tuple[str, dict[str, Any], int]] = [
+    ("LaneKeeping", {"sky": "dense", "layouts": 2}, 25),
+    ("LaneKeeping", {"sky": "open", "action": "meta", "observation": {"history": 2, "satellites_m": []}}, 8),
+    ("CarFollowing", {"sky": "open"}, 15),
+    ("Highway", {**FEW, **BOTH, "sky": "open"}, 6),
+    ("CarFollowing", {"sky": "open", **PERFECT, **SENSOR}, 6),
+    ("Highway", FEW, 10),
+    ("Highway", {**FEW, **TRUTH, "sky": "open", "observation": {"integrity": "oracle"}}, 5),
+    ("Highway", {**FEW, **PERFECT, "sky": "open"}, 5),
+]
+
+
+class Pairs:
+    """Single environments and an engine, started at once and driven by the same commands."""
+
+    def __init__(self, name: str, config: dict[str, Any], count: int, seed: int) -> None:
+        made = make_config(f"lanebound/{name}-v0", config)
+        self.singles, self.engine = [DrivingEnv(made) for _ in range(count)], Engine(DrivingEnv(made), count)
+        self.tally, self._rng = Tally(), np.random.default_rng(seed)
+        self._views: list[Any] = [None] * count
+        self.reset(np.arange(count), seed)
+
+    def reset(self, rows: Any, seed: int) -> None:
+        """Start some of them anew, under this seed and those after it."""
+        seeds: list[int | None] = [seed + n for n in range(rows.size)]
+        self.engine.reset(rows, seeds)
+        for row, own in zip(rows.tolist(), seeds, strict=True):
+            self._views[row], info = self.singles[row].reset(seed=own)
+            self._compare(f"{row} start", row, (0.0, False, False, info))
+
+    def step(self, count: int) -> None:
+        """Drive on by so many steps, or until the first episode is over."""
+        for n in range(count):
+            actions = [
+                command(single, _newest(single, seen), self._rng)
+                for single, seen in zip(self.singles, self._views, strict=True)
+            ]
+            self.engine.step(np.array(actions))
+            over = False
+            for row, single in enumerate(self.singles):
+                self._views[row], reward, terminated, truncated, info = single.step(actions[row])
+                self._compare(f"{row} step {n}", row, (reward, terminated, truncated, info))
+                over = over or terminated or truncated
+                self.tally.steps += 1
+            if over:
+                return
+
+    def _compare(self, where: str, row: int, told: Any) -> None:
+        single = self.singles[row]
+        same(self.tally, where, self.engine, row, single, _newest(single, self._views[row]), told)
+
+
+def _newest(single: DrivingEnv, seen: Any) -> Any:
+    """The last observation of a stack, by group."""
+    return {group: part[-(s.stop - s.start) :] for (group, s), part in zip(
+        single.observer.slices.items(), seen.values(), strict=True)}  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "config", "steps"), CASES)
+def test_with_the_same_draws_it_is_the_single_environment(name: str, config: dict[str, Any], steps: int) -> None:
+    pairs = Pairs(name, config, 2, 5)
+    pairs.step(steps)
+    require_equal(pairs.tally)
+    assert pairs.tally.steps >= 8
+
+
+def test_an_episode_that_starts_while_others_drive_is_the_single_one() -> None:
+    pairs = Pairs("CarFollowing", {"sky": "open", "layouts": 1}, 2, 5)
+    pairs.step(15)  # 3 s: the shared clock stands as at a start to messages and to what the area draws by turns
+    pairs.reset(np.array([1]), 40)
+    pairs.step(6)
+    require_equal(pairs.tally)
+    assert pairs.tally.steps == 42
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "config", "steps"), CASES)
+def test_with_the_same_draws_for_long(name: str, config: dict[str, Any], steps: int) -> None:
+    for seed in range(0, 60, 3):
+        pairs = Pairs(name, config, 3, 100 + seed)
+        pairs.step(30 * steps)
+        require_equal(pairs.tally)
+
+
+def test_environments_start_anew_beside_others() -> None:
+    made = make_config("lanebound/LaneKeeping-v0", {"sky": "open", "duration_s": 1.0})
+    engine = Engine(DrivingEnv(made), 4)
+    engine.reset(np.arange(4), [3, 4, 5, 6])
+    engine.reset(np.array([1]), [7])
+    ends = np.zeros(4, dtype=np.int64)
+    for _ in range(12):
+        engine.step(np.zeros((4, 2), dtype=np.float32))
+        out = engine.world.out
+        over = (out[:, k.O_TERMINATED] > 0.0) | (out[:, k.O_TRUNCATED] > 0.0)
+        ends += over
+        assert (np.abs(out[:, [k.O_ERR_AT, k.O_ERR_CT]]) < 1.0).all()  # another's solution would be far off
+        if over.any():
+            engine.reset(np.flatnonzero(over), [None] * int(over.sum()))
+    assert (ends >= 2).all()
+
+
+def test_the_same_seed_gives_the_same_bits_however_many_there_are() -> None:
+    made = make_config("lanebound/Highway-v0", {**FEW, "sky": "open"})
+    three, one = Engine(DrivingEnv(made), 3), Engine(DrivingEnv(made), 1)
+    drives = []
+    for engine, seeds in ((three, [11, 12, 13]), (three, [11, 12, 13]), (one, [12])):
+        engine.reset(np.arange(engine.count), list(seeds))
+        for n in range(3):
+            engine.step(np.full(engine.count, n % 5))
+        engine.reset(np.array([engine.count // 2]), [None])
+        engine.step(np.full(engine.count, 3))
+        drives.append(engine.world.frame.copy())
+    np.testing.assert_array_equal(drives[0], drives[1])
+    np.testing.assert_array_equal(drives[0][1], drives[2][0])
+
+
+def test_levels_and_errors_are_those_of_navigation() -> None:
+    made = make_config("lanebound/LaneKeeping-v0", {"sky": "open", "duration_s": 30.0})
+    engine = Engine(DrivingEnv(made), 24)
+    engine.reset(np.arange(24), list(range(24)))
+    for _ in range(25):
+        engine.step(np.zeros((24, 2), dtype=np.float32))
+    belief, out = engine.world.belief, engine.world.out
+    error = np.abs(out[:, [k.O_ERR_AT, k.O_ERR_CT]])
+    assert (error < belief[:, [k.B_PL_AT, k.B_PL_CT]]).mean() > 0.95
+    assert 0.005 < np.median(error) < 0.2
+    assert (engine.world.sky.max(1) > 10).all()
+    assert len(np.unique(engine.world.sky[:, 1])) > 3, "the hours must differ"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"navigation": {"warm_up_s": 5.0}}, "warm_up_s"),
+        ({"faults": "nominal"}, "faults"),
+        ({"navigator": {"imu": {"mems_exponential": True}}}, "mems_exponential"),
+    ],
+)
+def test_what_navigation_cannot_do_is_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        Engine(DrivingEnv(make_config("lanebound/Highway-v0", {**FEW, **change})), 2)
