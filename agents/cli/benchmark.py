@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
@@ -63,9 +64,14 @@ def benchmark(
         _announce(plan, jobs, budget, cold)
         results = _with_bar(plan, jobs, budget)
         _print(results, budget, full, as_json)
+        if plan.tasks and not sys.stderr.isatty():
+            typer.echo("writing the report: the worst episodes are driven again and filmed", err=True)
         page = _while(f"writing {out / PAGE}", lambda say: _write(results, out, say))
         if not as_json:
             _point_to(results, out, page)
+        if results.outcomes and len(results.failures) == len(results.outcomes):
+            typer.echo("every episode failed: see the messages above", err=True)
+            raise typer.Exit(1)
 
 
 def _while(doing: str, work: Callable[[Callable[[str], None]], T]) -> T:
@@ -154,10 +160,30 @@ def _with_bar(plan: Plan, jobs: int | None, budget: float | None) -> Results:
         total = plan.stored + len(plan.tasks)
         task = bar.add_task("episodes", total=total, completed=plan.stored, rest="starting")
 
+        lines = None if bar.console.is_terminal else _lines()
+
         def told(progress: Progress) -> None:
+            if lines is not None:
+                lines(progress)
             bar.update(task, completed=plan.stored + progress.done, rest=_rest(progress))
 
         return wait_for(lambda: run_plan(plan, jobs, budget, told))
+
+
+def _lines() -> Callable[[Progress], None]:
+    """Tells of the progress where no bar moves: a line when kernels are compiled, and one for each tenth."""
+    compiling, tenths = False, 0
+
+    def told(progress: Progress) -> None:
+        nonlocal compiling, tenths
+        if progress.compiling and not compiling:
+            compiling = True
+            typer.echo("compiling kernels, once: this takes some minutes", err=True)
+        if 10 * progress.done // progress.of > tenths:
+            tenths = 10 * progress.done // progress.of
+            typer.echo(f"{progress.done} of {counted(progress.of, 'episode')}, {_rest(progress)}", err=True)
+
+    return told
 
 
 def _rest(progress: Progress) -> str:

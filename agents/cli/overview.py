@@ -28,6 +28,12 @@ SHOWN = {
 }
 
 
+MEANT = (
+    "Ended well: no crash, still on the road, and on average at least a quarter of the limit; who waits is late. "
+    "Harm: 50 for a crash or an end off the road, and m2 of the true body beyond its lane."
+)
+
+
 def print_overview(results: Results) -> None:
     """Print one row for each agent, what follows from the paired differences, and failures."""
     places = list(dict.fromkeys(cell.place for cell in results.cells))
@@ -38,6 +44,7 @@ def print_overview(results: Results) -> None:
     whole = f"{counted(len(places), 'cell')} (environments x skies x faults)"
     title = f"Means over {whole}, {counted(seeds, 'seed')} each"
     print_table(title, ("agent", *SHOWN.values()), overview_rows(results), numbers=SHOWN.values())
+    typer.echo(MEANT)
     for line in (*_partial(results, len(places)), *_untuned(results), *_failing(results), *conclusions(results)):
         typer.echo(line)
     typer.echo("Each cell with its intervals: the same command with --full.\n")

@@ -5,6 +5,7 @@ Checkpoints and modules run code: open only those that you trust.
 
 from __future__ import annotations
 
+import ast
 import json
 import sys
 from collections.abc import Callable
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from lanebound.agents.drivers.base import Driver
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.errors import InputError
+from lanebound.integrity.presets import nearest
 
 __all__ = ["FunctionDriver", "OnnxDriver", "is_foreign", "open_foreign", "require_foreign"]
 
@@ -66,13 +68,40 @@ def require_foreign(name: str) -> None:
     from importlib.util import find_spec
 
     _look_here()
-    module = name.partition(":")[0]
+    module, _, attribute = name.partition(":")
     try:
         found = find_spec(module)
     except (ImportError, ValueError):
         found = None
     if found is None:
         raise InputError(f"agent '{name}' must name a module that can be imported, got '{module}': correct the name")
+    there = _names_in(found.origin)
+    if there is not None and attribute not in there:
+        raise InputError(
+            f"agent '{name}' must name a callable of {module}, got '{attribute}', which is not there: "
+            f"{nearest(attribute, sorted(there))}"
+        )
+
+
+def _names_in(source: str | None) -> set[str] | None:
+    """Names that a module's source binds at its top level; None where only running it would tell."""
+    if source is None or not source.endswith(".py"):
+        return None
+    try:
+        body = ast.parse(Path(source).read_text(encoding="utf-8")).body
+    except (OSError, SyntaxError, ValueError):
+        return None
+    found: set[str] = set()
+    for node in body:
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            found.add(node.name)
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            found |= {(alias.asname or alias.name).partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            found |= {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
+        elif not isinstance(node, ast.Expr):
+            return None  # names may be bound within it
+    return None if found & {"*", "__getattr__"} else found
 
 
 def open_foreign(name: str, env: DrivingEnv) -> Driver:

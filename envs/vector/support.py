@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from highway_env.envs.highway_env import HighwayEnv
+from highway_env.vehicle.behavior import IDMVehicle
 
 from lanebound.envs.cockpit import OTHERS_S
 from lanebound.envs.config import ActionKind, EnvConfig, FaultLevel
@@ -16,6 +17,8 @@ from lanebound.integrity.errors import ConfigError
 __all__ = ["WORLDS", "require_supported"]
 
 WORLDS = {HighwayEnv: "highway-v0", LaneKeepingWorld: "LaneKeepingWorld", CarFollowingWorld: "CarFollowingWorld"}
+DRIVERS = {"DISTANCE_WANTED": 10.0, "COMFORT_ACC_MAX": 3.0, "COMFORT_ACC_MIN": -5.0, "TIME_WANTED": 1.5}
+"""highway-env's figures of IDMVehicle, which are compiled in (see :mod:`.motorway_kernel`)."""
 INSTEAD = "or make the same environments with vectorization_mode='sync' or 'async'"
 
 
@@ -31,6 +34,7 @@ def require_supported(single: DrivingEnv) -> None:
             raise _refusal("world.other_vehicles_type", IDM_PATH, world.config["other_vehicles_type"])
         if world.config["vehicles_count"] > config.slots:
             raise _refusal("world.vehicles_count", f"at most slots = {config.slots}", world.config["vehicles_count"])
+        _require_drivers()
     if config.action is ActionKind.CONTINUOUS and world.action_type.dynamical:
         raise _refusal("action_options.dynamical", "False", True)
 
@@ -48,6 +52,16 @@ def _require_sources(config: EnvConfig) -> None:
         raise _refusal(
             "policy_hz", f"a divisor of navigation.rate_hz = {config.navigation.rate_hz:g}", config.policy_hz
         )
+
+
+def _require_drivers() -> None:
+    """Other drivers must be highway-env's: its plain intersection rewrites their figures for the whole process."""
+    for name, figure in DRIVERS.items():
+        if (found := getattr(IDMVehicle, name)) != figure:
+            raise ConfigError(
+                f"IDMVehicle.{name} must be {figure:g} in the vector engine, got {found:g}: make the engine in "
+                f"a process without highway-env's own intersection, which rewrites it, {INSTEAD}"
+            )
 
 
 def _refusal(name: str, allowed: str, value: object) -> ConfigError:

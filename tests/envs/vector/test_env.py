@@ -9,6 +9,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from highway_env.vehicle.behavior import IDMVehicle
 
 import lanebound.envs  # noqa: F401 - registers the ids
 from lanebound.envs.vector.env import VectorCarFollowing, VectorHighway, VectorLaneKeeping
@@ -116,6 +117,12 @@ def test_many_run_as_few() -> None:
         a = many.step(np.full(40, step % 5))[0]
         b = few.step(np.full(3, step % 5))[0]
     _same({group: part[:3] for group, part in a.items()}, b)
+
+
+def test_drivers_that_something_has_rewritten_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(IDMVehicle, "COMFORT_ACC_MAX", 6)
+    with pytest.raises(ConfigError, match="COMFORT_ACC_MAX must be 3 in the vector engine, got 6: make the engine in"):
+        VectorHighway(1, {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}})
 
 
 @pytest.mark.parametrize(
