@@ -21,15 +21,18 @@ from functools import cache
 from importlib import resources
 from multiprocessing import get_context
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 from lanebound.agents.plain import finite_or_none
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import InputError
 
-__all__ = ["Progress", "claim", "code_digest", "one_thread", "parts_kept", "run_parts", "write_whole"]
+__all__ = ["STARTING", "Progress", "claim", "code_digest", "one_thread", "parts_kept", "run_parts", "write_whole"]
 
 Progress = Callable[[int, int], None]
+STARTING = Lock()
+"""Held while a process is started: who ends this one at once waits for it, so that none is left half begun."""
 THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 

@@ -22,7 +22,7 @@ from typing import Any
 from lanebound.agents.benchmark.compiling import CompileClock
 from lanebound.agents.benchmark.outcome import Outcome, Status, Task
 from lanebound.agents.benchmark.work import Work
-from lanebound.agents.kept import one_thread
+from lanebound.agents.kept import STARTING, one_thread
 
 __all__ = ["Pool"]
 
@@ -129,7 +129,7 @@ class _Worker:
         self.clock, self.compiles = SharedClock(agents), CompileClock(compilers)
         self.pipe, theirs = context.Pipe()
         self.process = context.Process(target=_serve, args=(theirs, agents, compilers), daemon=True)
-        with one_thread(), _deaf_to_interrupts():
+        with STARTING, one_thread(), _deaf_to_interrupts():
             self.process.start()
         theirs.close()
         self.alive = True

@@ -16,6 +16,7 @@ __all__ = ["EXIT_INTERRUPTED", "stoppable", "wait_for"]
 
 T = TypeVar("T")
 EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells count
+MOST_S = 5.0  # that a process may take to be started
 
 
 def wait_for(work: Callable[[], T]) -> T:
@@ -46,7 +47,10 @@ def stoppable(kept: Callable[[], str]) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
+        from lanebound.agents.kept import STARTING
+
         typer.echo(f"interrupted: {kept()}", err=True)
         sys.stdout.flush()
         sys.stderr.flush()
+        STARTING.acquire(timeout=MOST_S)
         os._exit(EXIT_INTERRUPTED)
