@@ -16,7 +16,7 @@ from lanebound.agents.learning.shield import Shielded
 from lanebound.integrity.config import deep_merge
 from lanebound.integrity.errors import InputError
 
-__all__ = ["evaluate", "evaluation_suite", "learnt_agent"]
+__all__ = ["evaluate", "evaluation_suite", "learnt_agent", "trained"]
 
 
 def evaluate(experiment: ExperimentConfig, model: BaseAlgorithm) -> dict[str, float]:
@@ -56,6 +56,20 @@ def _drive(env: Any, model: BaseAlgorithm, seed: int) -> dict[str, float]:
     }
 
 
+def trained(folder: Path) -> tuple[ExperimentConfig, Path]:
+    """The experiment of a folder of a training, and its best checkpoint.
+
+    Raises
+    ------
+    InputError
+        ``folder`` is none of a training, or has no checkpoint yet.
+    """
+    mark, best = folder / "experiment.json", folder / "best.zip"
+    if not (mark.is_file() and best.is_file()):
+        raise InputError(f"folder must be one of a training with best.zip, got {folder}: train first")
+    return ExperimentConfig.load(json.loads(mark.read_text(encoding="utf-8"))), best
+
+
 def learnt_agent(experiment: ExperimentConfig, checkpoint: Path) -> dict[str, Any]:
     """A checkpoint as an agent of a suite, under the filter that it was trained with, and seeing what it saw then."""
     config = deep_merge(experiment.overrides, FLAT)
@@ -72,10 +86,7 @@ def evaluation_suite(folder: Path, agents: str, seeds: int) -> SuiteConfig:
     InputError
         ``folder`` is none of a training, or has no checkpoint yet; ConfigError for an agent that is unknown.
     """
-    mark, best = folder / "experiment.json", folder / "best.zip"
-    if not (mark.is_file() and best.is_file()):
-        raise InputError(f"folder must be one of a training with best.zip, got {folder}: train first")
-    experiment = ExperimentConfig.load(json.loads(mark.read_text(encoding="utf-8")))
+    experiment, best = trained(folder)
     others = parse_agents(agents)
     reference = next(iter(others), "learnt")
     return SuiteConfig.load(

@@ -5,7 +5,6 @@ Observations leave the environment scaled already, so that the network holds all
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import warnings
@@ -19,6 +18,7 @@ import torch
 from gymnasium import spaces
 from torch import nn
 
+from lanebound.agents.learning.evaluation import trained
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig, Shield
 from lanebound.agents.learning.training import load_model
 from lanebound.integrity.errors import InputError
@@ -42,10 +42,7 @@ def export_onnx(folder: Path, path: Path) -> Path:
         ``folder`` has no checkpoint, the policy has a memory or a filter after it, a package is missing, or ``path``
         cannot be written.
     """
-    mark, best = folder / "experiment.json", folder / "best.zip"
-    if not (mark.is_file() and best.is_file()):
-        raise InputError(f"folder must be one of a training with best.zip, got {folder}: train first")
-    experiment = ExperimentConfig.load(json.loads(mark.read_text(encoding="utf-8")))
+    experiment, best = trained(folder)
     _require_plain(experiment)
     model = load_model(best, experiment.algorithm)
     policy: Any = model.policy

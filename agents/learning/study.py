@@ -20,6 +20,7 @@ from typing import Any, NamedTuple, Self
 from gymnasium import spaces
 from pydantic import field_validator, model_validator
 
+from lanebound.agents.benchmark.episode import allotted_s
 from lanebound.agents.benchmark.results import Results
 from lanebound.agents.benchmark.running import run
 from lanebound.agents.benchmark.suite import SuiteConfig
@@ -40,7 +41,7 @@ __all__ = ["ArmConfig", "Course", "LearningStudyConfig", "Training", "load_study
 FOLDER = "studies/"
 PACKAGES = ("lanebound.integrity", "lanebound.envs", "lanebound.agents.drivers", "lanebound.agents.learning")
 BESIDE = ("nominal", "integrity_aware")
-LEARNING_SHARE = 0.6  # time that learning takes, of what its environments take; measured with PPO
+LEARNING_SHARE = 0.6  # time that learning takes, of what its environments take; argued, not measured
 
 
 class ArmConfig(Config):
@@ -134,12 +135,12 @@ def plan(study: LearningStudyConfig) -> Course:
     ConfigError, InputError
         An experiment or environment is refused.
     """
-    steered = {env: _has_acceleration(study, env) for env in study.envs}
+    places = {env: _place(study, env) for env in study.envs}
     left_out = tuple(
         (env, name)
         for env in study.envs
         for name, arm in study.arms.items()
-        if arm.shield is Shield.CBF and not steered[env]
+        if arm.shield is Shield.CBF and not places[env].accelerates
     )
     trainings = tuple(
         Training(env, sky, arm, seed)
@@ -148,31 +149,34 @@ def plan(study: LearningStudyConfig) -> Course:
         for arm in study.arms
         if (env, arm) not in left_out
     )
-    return Course(trainings, left_out, _hours(study, trainings))
+    return Course(trainings, left_out, _hours(study, trainings, places))
 
 
-def _has_acceleration(study: LearningStudyConfig, env: str) -> bool:
-    """Whether actions steer and accelerate, as the filter needs them; sees to it that the environment opens."""
+class _Place(NamedTuple):
+    """Of an environment whether its actions steer and accelerate, as the filter needs them, and how long it takes."""
+
+    accelerates: bool
+    episode_s: float
+    decision_s: float
+
+
+def _place(study: LearningStudyConfig, env: str) -> _Place:
+    """What is to be known of an environment, which is opened for it; times are those of a core [s]."""
     world = Training(env, study.skies[0], study.reference, 0).experiment(study).open()
-    space = world.action_space
+    space, decisions = world.action_space, allotted_s(world) / world.dt_s
     world.close()
-    return isinstance(space, spaces.Box) and space.shape == (2,)
+    episode_s = expected_s(SuiteConfig.load({"envs": [env], "agents": ["nominal"]}), [env])[env]
+    return _Place(isinstance(space, spaces.Box) and space.shape == (2,), episode_s, episode_s / decisions)
 
 
-def _hours(study: LearningStudyConfig, trainings: tuple[Training, ...]) -> float:
+def _hours(study: LearningStudyConfig, trainings: tuple[Training, ...], places: Mapping[str, _Place]) -> float:
     """Time of a core: steps with learning, evaluations at checkpoints, and held-out episodes [h]."""
-    total_s, decision_s = 0.0, {}
-    suite = SuiteConfig.load({"envs": study.envs, "skies": study.skies, "agents": ["nominal"]})
-    episode_s = expected_s(suite, study.envs)
-    for env in study.envs:
-        world = Training(env, study.skies[0], study.reference, 0).experiment(study).open()
-        decision_s[env] = episode_s[env] * world.dt_s / float(world.config.duration_s or world.world.config["duration"])
-        world.close()
+    total_s = 0.0
     for one in trainings:
-        planned = one.experiment(study)
+        planned, place = one.experiment(study), places[one.env]
         checkpoints = -(-planned.steps // planned.checkpoint_steps)
-        total_s += planned.steps * decision_s[one.env] * (1.0 + LEARNING_SHARE)
-        total_s += (checkpoints * planned.evaluation_episodes + study.test_seeds) * episode_s[one.env]
+        total_s += planned.steps * place.decision_s * (1.0 + LEARNING_SHARE)
+        total_s += (checkpoints * planned.evaluation_episodes + study.test_seeds) * place.episode_s
     return total_s / 3600.0
 
 
@@ -204,7 +208,9 @@ def run_learning_study(
     def left_h() -> float | None:
         return None if budget_h is None else max(budget_h - (time.monotonic() - begun) / 3600.0, 0.0)
 
-    done = run_parts(out, list(by_name), partial(_learn, study, out), jobs, progress, may_start=lambda: left_h() != 0.0)
+    done = run_parts(
+        out, list(by_name), partial(_learn, study, out, by_name), jobs, progress, may_start=lambda: left_h() != 0.0
+    )
     learnt = [by_name[name] for name in done]
     driven = {}
     for env, sky in study.places:
@@ -215,9 +221,9 @@ def run_learning_study(
     return _written(study, course, done, driven, out)
 
 
-def _learn(study: LearningStudyConfig, out: Path, name: str) -> dict[str, Any]:
+def _learn(study: LearningStudyConfig, out: Path, by_name: Mapping[str, Training], name: str) -> dict[str, Any]:
     """One training, or what is left of it; its evaluations."""
-    one = next(one for one in plan(study).trainings if one.name == name)
+    one = by_name[name]
     begun = time.monotonic()
     rows = train(one.experiment(study), out / "trainings" / name)
     return {**one._asdict(), "checkpoints": rows, "hours": (time.monotonic() - begun) / 3600.0}
