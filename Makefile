@@ -33,7 +33,7 @@ test: $(STAMP) ## Run the tests, less the slow ones
 	$(BIN)/pytest -q -n $(WORKERS) --dist loadfile $(ARGS)
 
 test-slow: $(STAMP) ## Run the slow tests
-	$(BIN)/pytest -q -n $(WORKERS) --dist loadfile -m slow $(ARGS) || [ $$? -eq 5 ] # 5: no test is marked slow
+	$(BIN)/pytest -q -n $(WORKERS) --dist loadfile -m slow -o faulthandler_timeout=7200 $(ARGS) || [ $$? -eq 5 ] # 5: no test is marked slow
 
 check: $(STAMP) ## Style, types and the order of the layers
 	$(BIN)/ruff check
