@@ -13,14 +13,15 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env.base_vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvWrapper
 
+from lanebound.envs.tally import EPISODE_KEY, Tally
 from lanebound.envs.vector.env import ENGINES
 from lanebound.envs.vector.infos import single_info
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.presets import nearest
 
-__all__ = ["EngineVecEnv"]
+__all__ = ["EngineVecEnv", "VecEpisodeStatistics"]
 
 
 class EngineVecEnv(VecEnv):
@@ -28,7 +29,7 @@ class EngineVecEnv(VecEnv):
 
     ``infos[i]`` holds the entries of ``keys`` at every step, for dictionaries cost time. At the end of an episode it
     holds all that a single environment says, ``terminal_observation`` and ``TimeLimit.truncated``. ``arrays`` is the
-    whole info of the last step as arrays (N,).
+    whole info of the last step as arrays (N,), of the end of an episode where one ended.
 
     Parameters
     ----------
@@ -78,8 +79,8 @@ class EngineVecEnv(VecEnv):
         if self._actions is None:
             raise InputError("step_wait must follow step_async, got no actions: call step(actions)")
         observations, rewards, terminated, truncated, infos = self.envs.step(self._actions)
-        self._actions, self.arrays = None, infos
         over = terminated | truncated
+        self._actions, self.arrays = None, _as_ended(infos, over)
         columns = [infos[key].tolist() for key in self._keys]
         told = [dict(zip(self._keys, row, strict=True)) for row in zip(*columns, strict=True)]
         told = told or [{} for _ in range(self.num_envs)]
@@ -117,3 +118,45 @@ class EngineVecEnv(VecEnv):
     def _count(self, indices: Any) -> int:
         rows: Iterable[int] = self._get_indices(indices)
         return len(list(rows))
+
+
+class VecEpisodeStatistics(VecEnvWrapper):
+    """Puts ``episode_integrity`` into the infos of an episode's end, as ``EpisodeStatistics`` does for single ones.
+
+    Parameters
+    ----------
+    venv : the engine
+    """
+
+    venv: EngineVecEnv
+
+    def __init__(self, venv: EngineVecEnv) -> None:
+        super().__init__(venv)
+        self._tally = Tally(venv.num_envs)
+
+    def reset(self) -> Any:
+        """Begin an episode in every environment, and its statistics."""
+        self._tally.clear()
+        return self.venv.reset()
+
+    def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Carry out commands; what ends brings its statistics."""
+        observations, rewards, over, infos = self.venv.step_wait()
+        self._tally.add(rewards, self.venv.arrays)
+        ended = np.flatnonzero(over)
+        for row in ended.tolist():
+            infos[row][EPISODE_KEY] = self._tally.report(row, infos[row]["is_success"])
+        self._tally.clear(ended)
+        return observations, rewards, over, infos
+
+
+def _as_ended(infos: dict[str, Any], over: NDArray[np.bool_]) -> dict[str, Any]:
+    """Arrays of a step, those of the end in place of those of the new start where an episode ended."""
+    return _mixed(infos["final_info"], infos, over) if over.any() else infos
+
+
+def _mixed(ended: dict[str, Any], going_on: dict[str, Any], over: NDArray[np.bool_]) -> dict[str, Any]:
+    return {
+        name: _mixed(last, going_on[name], over) if isinstance(last, dict) else np.where(over, last, going_on[name])
+        for name, last in ended.items()
+    }

@@ -164,7 +164,8 @@ class Highway(Preset):
     The common ones, against the limit of 30 m/s; highway-env's own reward is the term `base` of weight 0.
 
     ## Costs
-    The common ones. While an alert is on, 15 m/s are permitted.
+    The common ones. While an alert is on, 15 m/s are permitted. The limit of an episode, `cost_limit`, is 10, the
+    default, not fitted to these drives.
 
     ## Starting State
     On a random lane about 180 m from its start, at 25 m/s; the others are ahead.

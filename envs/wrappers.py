@@ -17,15 +17,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any, SupportsFloat
 
 import gymnasium
 from gymnasium.utils import RecordConstructorArgs
 
 from lanebound.envs.costs import CAUSES
+from lanebound.envs.tally import EPISODE_KEY, Tally
 from lanebound.integrity.errors import InputError
-from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.presets import nearest
 
 __all__ = ["CostIntoReward", "EpisodeStatistics", "SafetyGymnasium"]
@@ -34,7 +33,6 @@ Env = gymnasium.Env[Any, Any]
 Wrapper = gymnasium.Wrapper[Any, Any, Any, Any]
 FiveTuple = tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]
 Started = tuple[Any, dict[str, Any]]
-EPISODE_KEY = "episode_integrity"
 
 
 class _OfLanebound(Wrapper):
@@ -120,58 +118,11 @@ def _checked_one(name: str, value: float) -> float:
     return float(value)
 
 
-@dataclass
-class _Tally:
-    """Sums over the steps of one episode."""
-
-    steps: int = 0
-    reward: float = 0.0
-    sums: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("cost", *CAUSES), 0.0))
-    counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(("available", "mi", "hmi", "alert"), 0))
-    alerts: int = 0
-    modes: dict[str, int] = field(default_factory=lambda: {mode.key: 0 for mode in Mode})
-    worst: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("at", "ct"), 0.0))
-    levels: dict[str, list[float]] = field(default_factory=lambda: {"at": [], "ct": []})
-    alerted: bool = False
-
-    def add(self, reward: float, info: dict[str, Any]) -> None:
-        """One step."""
-        self.steps += 1
-        self.reward += reward
-        for cause in self.sums:
-            self.sums[cause] += info[cause]
-        for event in self.counts:
-            self.counts[event] += info[event]
-        self.alerts += info["alert"] and not self.alerted
-        self.alerted = info["alert"]
-        self.modes[Mode(info["mode"]).key] += 1
-        for axis, levels in self.levels.items():
-            self.worst[axis] = max(self.worst[axis], abs(info[f"err_{axis}_m"]))
-            if math.isfinite(info[f"pl_{axis}_m"]):
-                levels.append(info[f"pl_{axis}_m"])
-
-    def report(self, info: dict[str, Any]) -> dict[str, Any]:
-        """What is told of the episode, the last step's ``info`` at hand."""
-        return {
-            "return": self.reward,
-            "length": self.steps,
-            "is_success": info["is_success"],
-            **self.sums,
-            "availability": self.counts["available"] / self.steps,
-            "mi_steps": self.counts["mi"],
-            "hmi_steps": self.counts["hmi"],
-            "alert_share": self.counts["alert"] / self.steps,
-            "alerts": self.alerts,
-            "mode_shares": {mode: count / self.steps for mode, count in self.modes.items()},
-            **{f"err_{axis}_max_m": worst for axis, worst in self.worst.items()},
-            **{f"pl_{axis}_mean_m": math.fsum(x) / len(x) if x else math.inf for axis, x in self.levels.items()},
-        }
-
-
 class EpisodeStatistics(_OfLanebound, RecordConstructorArgs):
     """Puts ``info["episode_integrity"]`` into the last step of an episode, a dict of plain values over its steps.
 
-    ``return``, ``length``  sum of rewards, number of steps; ``is_success`` of the last step.
+    ``return``, ``length``  sum of rewards, number of steps; ``is_success`` of the last step;
+    ``speed_mean_mps``  mean true speed.
     ``cost`` and each ``cost_*``  sums over the episode, to be compared with ``cost_limit``.
     ``availability``  share of steps with the position available; ``mi_steps``, ``hmi_steps``  numbers of steps with
     (hazardously) misleading information.
@@ -186,12 +137,12 @@ class EpisodeStatistics(_OfLanebound, RecordConstructorArgs):
     def __init__(self, env: Env) -> None:
         RecordConstructorArgs.__init__(self)
         super().__init__(env)
-        self._tally = _Tally()
+        self._tally = Tally(1)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Started:
         """Begin an episode, and its statistics."""
         observation, info = super().reset(seed=seed, options=options)
-        self._tally = _Tally()
+        self._tally.clear()
         return observation, info
 
     def step(self, action: Any) -> FiveTuple:
@@ -199,5 +150,5 @@ class EpisodeStatistics(_OfLanebound, RecordConstructorArgs):
         observation, reward, terminated, truncated, info = self.env.step(action)
         self._tally.add(float(reward), info)
         if terminated or truncated:
-            info[EPISODE_KEY] = self._tally.report(info)
+            info[EPISODE_KEY] = self._tally.report(0, info["is_success"])
         return observation, reward, terminated, truncated, info

@@ -43,7 +43,7 @@ reset with the seed."""
 
 
 def _tuned() -> str:
-    return "\n".join(f"- `{base}`, {sky} sky" for base, sky in tuned_places())
+    return "\n".join(f"- `{base.removesuffix('World')}`, {sky} sky" for base, sky in tuned_places())
 
 
 KINDS = (
@@ -133,8 +133,8 @@ interval over seeds. Bootstraps take {RESAMPLES:,} resamples from a stream named
 | differences | paired by seed: that of means; of rates Agresti and Min 2005 with Student's quantile |
 
 Seeds that are all the same say nothing of how others may differ: then there is no interval (`null`), and neither
-is there where all but about three of the seeds are the same, or where there are fewer than four. What is rare is judged
-by whether it happened at all: `any_hmi`, `any_mi` and `any_missed` are rates, and have an interval always.
+is there where all but about three of the seeds are (nearly) the same, or where there are fewer than four. What is
+rare is judged by whether it happened at all: `any_hmi`, `any_mi` and `any_missed` are rates, and always have one.
 
 A difference comes with the share of the seeds in which it is for the better. One agent is called better than
 another where the interval of their difference leaves 0 out, and never with fewer than {VERDICT_SEEDS} seeds: so

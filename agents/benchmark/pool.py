@@ -163,7 +163,8 @@ class _Worker:
             code = self.process.exitcode
             return self._replaced(task, "raised", f"its process died with exit code {code}")
         limit = self.work.suite.episode_timeout_s
-        return self._replaced(task, "timeout", f"it took longer than {limit:g} s in all: no answer was waited for")
+        message = f"it took longer than episode_timeout_s = {limit:g} in all: no answer was waited for"
+        return self._replaced(task, "timeout", message)
 
     def _replaced(self, task: Task, status: Status, message: str) -> Outcome:
         self.kill()

@@ -43,6 +43,7 @@ METHOD = {
 }
 TAIL = 0.025
 CHUNK = 2_000_000  # entries of a resampled array at a time
+WIDEST = float(stdtrit(1, 1.0 - TAIL))  # standard errors, of an interval from two values
 ROUNDING = 1e-12  # of the largest value: less is no spread
 NONE: Ends = (None, None)
 
@@ -89,9 +90,9 @@ def interquartile_mean(values: Array) -> Array:
 def estimate(values: Array, rate: bool = False, bounds: Bounds = ANYTHING) -> Estimate:
     """Mean and interquartile mean with 95 % intervals, None where the seeds say too little of their spread.  (n,).
 
-    That is for the mean where they are fewer than four, all the same, or all but about three the same: then so many
-    resamples have no spread that an end is infinite. It is for the interquartile mean where they are fewer than eight,
-    or its resamples are all the same.
+    That is for the mean where they are fewer than four, all the same, or all but about three nearly the same: then so
+    many resamples have no spread that an end is further off than two seeds would leave it. It is for the interquartile
+    mean where they are fewer than eight, or its resamples are all the same.
 
     Parameters
     ----------
@@ -178,7 +179,7 @@ def _agresti_min(gap: Array) -> tuple[float, float]:
 
 
 def _mean_ends(values: Array) -> Ends:
-    """Of Student's interval and the studentised bootstrap's the wider at each end; none where that is infinite."""
+    """Of Student's interval and the studentised bootstrap's the wider at each end; none beyond that of two values."""
     n = values.size
     mean, error = float(values.mean()), float(_error(values))
     nothing = ROUNDING * float(np.abs(values).max())
@@ -192,8 +193,9 @@ def _mean_ends(values: Array) -> Ends:
     least = float(np.quantile(studentised, TAIL, method="lower"))
     most = float(np.quantile(studentised, 1.0 - TAIL, method="higher"))
     reach = float(stdtrit(n - 1, 1.0 - TAIL))
-    low, high = mean - error * max(most, reach), mean - error * min(least, -reach)
-    return (low, high) if np.isfinite([low, high]).all() else NONE
+    if max(most, -least) > WIDEST:
+        return NONE
+    return mean - error * max(most, reach), mean - error * min(least, -reach)
 
 
 def _error(values: Array) -> Any:

@@ -13,7 +13,7 @@ from lanebound.agents.benchmark.seeds import SPLITS, Split
 from lanebound.agents.named import load_named
 from lanebound.envs import FaultLevel
 from lanebound.integrity.config import Config, Field, deep_merge
-from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.errors import ConfigError, InputError
 
 __all__ = ["AgentConfig", "SeedsConfig", "SuiteConfig", "load_suite", "parse_agents"]
 
@@ -143,10 +143,18 @@ class SuiteConfig(Config):
 
 
 def parse_agents(text: str) -> dict[str, str]:
-    """Agents from a command line: ``nominal,mine=runs/model.zip``."""
-    found = {}
+    """Agents from a command line: ``nominal,mine=runs/model.zip``.
+
+    Raises
+    ------
+    InputError
+        Two of the same name.
+    """
+    found: dict[str, str] = {}
     for part in filter(None, (item.strip() for item in text.split(","))):
         name, equals, agent = part.partition("=")
+        if name in found:
+            raise InputError(f"agents must have names of their own, got {name} twice: call one NAME={agent or name}")
         found[name] = agent if equals else name
     return found
 

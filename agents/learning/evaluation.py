@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.vec_env import VecEnv
 
 from lanebound.agents.benchmark.seeds import SPLITS
 from lanebound.agents.benchmark.suite import SuiteConfig, parse_agents
 from lanebound.agents.learning.experiment import FLAT, ExperimentConfig, Shield
-from lanebound.agents.learning.shield import Shielded
+from lanebound.agents.learning.opening import for_judging
+from lanebound.envs.tally import EPISODE_KEY
 from lanebound.integrity.config import deep_merge
 from lanebound.integrity.errors import InputError
 
@@ -25,34 +28,41 @@ def evaluate(experiment: ExperimentConfig, model: BaseAlgorithm) -> dict[str, fl
     The seeds are the last of the training seeds: those of the benchmarks stay unseen, and none is drawn in training,
     where environments go on from a seed of their own.
     """
-    env: Any = experiment.open()
-    if experiment.shield is Shield.CBF:
-        env = Shielded(env)
     seeds = SPLITS["train"][-experiment.evaluation_episodes :]
-    rows = [_drive(env, model, seed) for seed in seeds]
-    env.close()
+    env = for_judging(experiment, len(seeds))
+    try:
+        rows = [row for seed in seeds[:: env.num_envs] for row in _drive(env, model, seed)]
+    finally:
+        env.close()
     return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
 
 
-def _drive(env: Any, model: BaseAlgorithm, seed: int) -> dict[str, float]:
-    observation, info = env.reset(seed=seed)
-    total, cost, speed, steps, ended = 0.0, 0.0, 0.0, 0, False
+def _drive(env: VecEnv, model: BaseAlgorithm, seed: int) -> list[dict[str, float]]:
+    """An episode in each environment under the seeds from ``seed`` on; those that end sooner drive on, unnoted."""
+    env.seed(seed)
+    observations: Any = env.reset()
+    rows: dict[int, dict[str, float]] = {}
     state: Any = None
-    start = np.ones(1, dtype=np.bool_)
-    while not ended:
-        action, state = model.predict(observation, state, start, deterministic=True)
-        observation, reward, terminated, truncated, info = env.step(action)
-        start = np.zeros(1, dtype=np.bool_)
-        total, cost, speed, steps = total + reward, cost + info["cost"], speed + info["speed_mps"], steps + 1
-        ended = terminated or truncated
+    over = np.ones(env.num_envs, dtype=np.bool_)
+    while len(rows) < env.num_envs:
+        actions, state = model.predict(observations, state, over, deterministic=True)
+        observations, _, over, infos = env.step(actions)
+        for e in np.flatnonzero(over).tolist():
+            rows.setdefault(e, _row(infos[e]))
+    return [rows[e] for e in range(env.num_envs)]
+
+
+def _row(info: Mapping[str, Any]) -> dict[str, float]:
+    """What is noted of an episode, from what its end says."""
+    episode = info[EPISODE_KEY]
     return {
-        "return": total,
-        "cost": cost,
+        "return": episode["return"],
+        "cost": episode["cost"],
         "success": float(info["is_success"]),
         "collision": float(info["crashed"]),
         "off_road": float(info["off_road"]),
-        "speed_mps": speed / steps,
-        "length": float(steps),
+        "speed_mps": episode["speed_mean_mps"],
+        "length": float(episode["length"]),
     }
 
 

@@ -23,17 +23,16 @@ from typing import Any
 
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
+from stable_baselines3.common.vec_env import VecEnv
 
 from lanebound.agents.kept import write_whole
 from lanebound.agents.learning.card import write_card
 from lanebound.agents.learning.evaluation import evaluate
-from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig, Shield
-from lanebound.agents.learning.shield import Shielded
+from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig
+from lanebound.agents.learning.opening import for_learning
 from lanebound.agents.plain import finite_or_none
 from lanebound.envs.costs import CAUSES
-from lanebound.envs.wrappers import EpisodeStatistics
+from lanebound.envs.tally import EPISODE_KEY
 from lanebound.integrity.errors import InputError
 
 __all__ = ["Checkpoint", "load_model", "train"]
@@ -77,7 +76,7 @@ def train(
 
     Parameters
     ----------
-    processes : of the environments, spawned; with 1 they run in this one
+    processes : of single environments, spawned; with 1, or in the vector engine, they run in this one
     told : called after each checkpoint; stepped : with the decisions so far, at every step
 
     Raises
@@ -86,7 +85,7 @@ def train(
         ``out`` holds another experiment, or the environment does not suit the algorithm.
     """
     progress = _claim(experiment, out)
-    env = _environments(experiment, processes)
+    env = for_learning(experiment, processes)
     try:
         model = _model(experiment, env, out)
         watch = _Watch(stepped)
@@ -133,24 +132,6 @@ def _class(algorithm: Algorithm) -> Any:
 
 def _limit(experiment: ExperimentConfig) -> float:
     return experiment.open().config.cost_limit if experiment.cost_limit is None else experiment.cost_limit
-
-
-def _environments(experiment: ExperimentConfig, processes: int) -> VecEnv:
-    makers = [_Maker(experiment) for _ in range(experiment.count)]
-    env = DummyVecEnv(list(makers)) if processes == 1 else SubprocVecEnv(list(makers), start_method="spawn")
-    env.seed(experiment.seed)
-    return env
-
-
-@dataclass(frozen=True)
-class _Maker:
-    """Makes an environment, in whichever process."""
-
-    experiment: ExperimentConfig
-
-    def __call__(self) -> Any:
-        env = self.experiment.open()
-        return Monitor(EpisodeStatistics(Shielded(env) if self.experiment.shield is Shield.CBF else env))
 
 
 def _model(experiment: ExperimentConfig, env: VecEnv, out: Path) -> BaseAlgorithm:
@@ -230,8 +211,8 @@ class _Watch(BaseCallback):
 
     def _on_step(self) -> bool:
         for info in self.locals["infos"]:
-            if "episode_integrity" in info:
-                for name, value in _logged(info["episode_integrity"]):
+            if EPISODE_KEY in info:
+                for name, value in _logged(info[EPISODE_KEY]):
                     self.logger.record_mean(name, value)
         self._told(self.num_timesteps)
         return True

@@ -10,7 +10,9 @@ import pytest
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
-from lanebound.agents.vec_env import EngineVecEnv
+from lanebound.agents.vec_env import EngineVecEnv, VecEpisodeStatistics
+from lanebound.envs.tally import EPISODE_KEY
+from lanebound.envs.wrappers import EpisodeStatistics
 from lanebound.integrity.errors import InputError
 
 CONFIG: dict[str, Any] = {
@@ -54,6 +56,31 @@ def test_it_does_what_a_dummy_of_single_environments_does() -> None:
     assert engine.env_is_wrapped(VecMonitor) == [False] * 3
     for masks, env in zip(engine.env_method("action_masks"), single.envs, strict=True):
         np.testing.assert_array_equal(masks, env.unwrapped.action_masks())
+
+
+def test_statistics_of_episodes_are_those_of_single_environments() -> None:
+    config = {"sky": "urban", "duration_s": 2.0}
+
+    def single() -> EpisodeStatistics:
+        return EpisodeStatistics(gymnasium.make("lanebound/LaneKeeping-v0", config=config))
+
+    engine = VecEpisodeStatistics(EngineVecEnv("lanebound/LaneKeeping-v0", 2, config))
+    found: dict[Any, Any] = {}
+    wanted: dict[Any, Any] = {}
+    for env, told in ((engine, found), (DummyVecEnv([single] * 2), wanted)):
+        env.seed(3)
+        env.reset()
+        for step in range(22):
+            _, _, _, infos = env.step(np.full((2, 2), 0.01, dtype=np.float32))
+            told |= {(step, row): info[EPISODE_KEY] for row, info in enumerate(infos) if EPISODE_KEY in info}
+    first = {key: wanted[key] for key in list(wanted)[:2]}
+    assert len(found) >= 4
+    assert set(found) == set(wanted)
+    for key, episode in first.items():
+        told = found[key]
+        assert told["mode_shares"] == episode["mode_shares"]
+        plain = [name for name in episode if name != "mode_shares"]
+        np.testing.assert_allclose([told[n] for n in plain], [episode[n] for n in plain], atol=1e-5, err_msg=str(plain))
 
 
 def test_ppo_learns_on_it() -> None:

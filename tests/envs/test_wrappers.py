@@ -27,6 +27,7 @@ TELLS: dict[str, Any] = {
     **dict.fromkeys(("pl_at_m", "pl_ct_m"), 0.5),
     **dict.fromkeys(("mi", "hmi", "alert", "is_success"), False),
     "available": True,
+    "speed_mps": 8.0,
     "mode": int(Mode.RTK),
 }
 
@@ -171,6 +172,7 @@ def test_statistics_of_a_real_drive_agree_with_its_steps() -> None:
     assert found["cost_lane"] == pytest.approx(sum(info["cost_lane"] for info in infos))
     assert found["err_ct_max_m"] == max(abs(info["err_ct_m"]) for info in infos)
     assert found["pl_ct_mean_m"] == pytest.approx(np.mean([info["pl_ct_m"] for info in infos]))
+    assert found["speed_mean_mps"] == pytest.approx(np.mean([info["speed_mps"] for info in infos]))
     assert sum(found["mode_shares"].values()) == pytest.approx(1.0)
     values = [*found.values(), *found["mode_shares"].values()]
     assert {type(value) for value in values} <= {bool, int, float, dict}

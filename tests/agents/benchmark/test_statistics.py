@@ -154,6 +154,8 @@ def test_seeds_that_are_alike_have_no_interval():
     for values in (np.zeros(50), np.full(50, 0.1), np.repeat([1.0, 0.0], [3, 47])):
         assert estimate(values).low is None
         assert difference(values, np.zeros(50), "lower").low is None
+    nearly = np.append(np.linspace(4.0, 4.1, 7), 140.0)  # most resamples without the last know no spread to speak of
+    assert estimate(nearly).low is None
     assert estimate(np.zeros(50)).iqm_low is None
     assert estimate(np.repeat([1.0, 0.0], [10, 40])).low is not None
 

@@ -39,6 +39,8 @@ def test_agents_may_be_written_in_three_ways():
     assert listed == mapped
     assert SuiteConfig.from_json(listed.to_json()) == listed
     assert parse_agents("cruise, mine=a/b.zip,") == {"cruise": "cruise", "mine": "a/b.zip"}
+    with pytest.raises(InputError, match="got cruise twice: call one NAME=cruise"):
+        parse_agents("cruise,cruise")
 
 
 def test_an_environment_is_changed_by_suite_place_and_agent():

@@ -11,8 +11,9 @@ from experiments import experiment
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from lanebound.agents.benchmark import run
-from lanebound.agents.learning.evaluation import evaluation_suite
+from lanebound.agents.learning.evaluation import evaluate, evaluation_suite
 from lanebound.agents.learning.experiment import load_experiment
+from lanebound.agents.learning.opening import for_judging
 from lanebound.agents.learning.shield import Shielded
 from lanebound.agents.learning.training import Checkpoint, _is_best, load_model, train
 from lanebound.envs.costs import CAUSES
@@ -57,6 +58,19 @@ def test_the_best_is_measured_on_test_seeds_beside_others(tmp_path: Path) -> Non
     assert [(o.agent, o.seed, o.failed) for o in results.outcomes] == [
         (agent, seed, False) for seed in (10000, 10001) for agent in ("learnt", "nominal")
     ]
+
+
+def test_the_engine_and_single_environments_judge_alike(tmp_path: Path) -> None:
+    overrides = {"duration_s": 4.0}
+    engine = experiment(sky="urban", overrides=overrides, steps=64, evaluation_episodes=3)
+    train(engine, tmp_path)
+    model = load_model(tmp_path / "last.zip", engine.algorithm)
+    assert for_judging(engine, 3).num_envs == 3
+    assert for_judging(engine.replace(engine=False), 3).num_envs == 1
+    assert for_judging(engine.replace(env="Merge-v0"), 3).num_envs == 1
+    assert evaluate(engine, model) == pytest.approx(evaluate(engine.replace(engine=False), model), rel=1e-5)
+    with pytest.raises(ConfigError, match="engine must be left out here, got true: shield"):
+        for_judging(engine.replace(engine=True, shield="cbf"), 3)
 
 
 def test_another_experiment_is_refused_with_what_differs(tmp_path: Path) -> None:
