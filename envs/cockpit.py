@@ -88,7 +88,7 @@ class Cockpit:
         self.watch: Callable[[Array, tuple[float, float], tuple[float, float], bool], None] | None = None
         ego = world.vehicle
         self._actuators = None if actuators is None else Actuators(actuators, self.step_s, ego.LENGTH)
-        rng = around.streams.generators("start")[0]
+        rng = around.streams.generator("start")
         self._map_shift_m = config.map_sigma_m * rng.standard_normal(2) if around.navigator else np.zeros(2)
         self.believed = BelievedVehicle.of(ego, self._perceived_road())
         self.believed.pursues = actuators is not None and actuators.steering_rate_radps is not None
@@ -172,7 +172,7 @@ class Cockpit:
         ahead = ego.speed * np.array([math.cos(ego.heading), math.sin(ego.heading)])
         begin = ego.position - epochs * self.epoch_s * ahead
         self._motion.enter(0, begin, ego.heading, ego.speed)
-        noise = self.around.streams.generators("start")[0].standard_normal((1, 3))
+        noise = self.around.streams.generator("start").standard_normal((1, 3))
         place(navigator, self.config, begin[None], np.array([ego.heading]), noise)
         for k in range(1, epochs * self.steps_per_epoch + 1):
             position = ego.position if k == epochs * self.steps_per_epoch else begin + k * self.step_s * ahead

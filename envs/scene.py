@@ -78,7 +78,7 @@ def set_scene(
     vehicle 0 is the ego, 1 and up the slots of the others, None everybody.
     """
     streams = Streams([seed])
-    scene = streams.generators("scene")[0]
+    scene = streams.generator("scene")
     layout, hour, fleet_seed = (int(scene.integers(n)) for n in (config.layouts, HOURS, 2**62))
     street = build_street(world.road.network, config.level, layout, getattr(world, "sections", ()), config.extent_m)
     settings = navigator_config(config, alert_limits_m(world, config))
@@ -116,7 +116,7 @@ def _campaign(
     if priors is None:
         return ()
     sky = track.at(track.start_s, np.zeros(others + 1, dtype=np.int64))
-    return random_campaign(priors, duration_s, streams.generators("faults")[0], sky)
+    return random_campaign(priors, duration_s, streams.generator("faults"), sky)
 
 
 def _row(fault: Fault, vehicle: int | None) -> Fault:

@@ -7,20 +7,26 @@ from __future__ import annotations
 
 import copy
 import hashlib
+import math
 from collections.abc import Sequence
+from importlib import resources
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lanebound.integrity import streams_kernel as sk
 from lanebound.integrity.errors import InputError
 
-__all__ = ["STREAM_NAMES", "Streams", "named_generator"]
+__all__ = ["STREAM_NAMES", "ZIGGURAT", "Streams", "named_generator", "named_states"]
 
 STREAM_NAMES = (
     "traffic", "gnss", "clock", "corrections", "imu", "odometer", "v2v", "sensor", "faults", "start", "scene",
     "atmosphere", "station", "network",
 )  # fmt: skip
 """All streams; the last three are what the vehicles of an area have in common."""
+ZIGGURAT: NDArray[np.float64] = np.load(str(resources.files("lanebound.integrity") / "ziggurat.npy"))
+"""(3, 256) tables of normal draws (see :func:`~lanebound.integrity.streams_kernel.normal`), rounded as NumPy's are."""
 
 
 def _name_key(name: str) -> int:
@@ -36,9 +42,21 @@ def _entropy(seed: int | Sequence[int]) -> list[int]:
     return entropy
 
 
+def _sequence(seed: int | Sequence[int], name: str) -> np.random.SeedSequence:
+    return np.random.SeedSequence([*_entropy(seed), _name_key(name)])
+
+
 def named_generator(seed: int | Sequence[int], name: str) -> np.random.Generator:
     """The generator of stream ``name`` under ``seed`` (a non-negative int, or a sequence of them)."""
-    return np.random.Generator(np.random.SFC64(np.random.SeedSequence([*_entropy(seed), _name_key(name)])))
+    return np.random.Generator(np.random.SFC64(_sequence(seed, name)))
+
+
+def named_states(seeds: Sequence[int], name: str) -> NDArray[np.uint64]:
+    """The states (n, 4) of those generators, for compiled draws of the same bits."""
+    words = np.stack([_sequence(seed, name).generate_state(3, np.uint64) for seed in seeds])
+    states = np.empty((len(seeds), 4), dtype=np.uint64)
+    sk.begin(words, states)
+    return states
 
 
 class Streams:
@@ -70,35 +88,42 @@ class Streams:
             raise InputError(
                 f"seeds must hold one seed for each vehicle, got {self.batch} for batch {batch}: make them agree"
             )
-        self._generators: dict[str, list[np.random.Generator]] = {}
+        self._rows = np.arange(len(self._seeds))
+        self._states: dict[str, NDArray[np.uint64]] = {}
+        self._generators: dict[str, np.random.Generator] = {}
 
-    def generators(self, name: str) -> list[np.random.Generator]:
-        """The generators of one stream: one for each vehicle, or a single joint one."""
+    def states(self, name: str) -> NDArray[np.uint64]:
+        """The states (n, 4) of the generators of one stream, n vehicles or a single joint one; draws change them."""
+        found = self._states.get(name)
+        if found is None:
+            self._require_undrawn(name, self._generators)
+            found = self._states[name] = named_states(self._seeds, name)
+        return found
+
+    def generator(self, name: str) -> np.random.Generator:
+        """The first vehicle's generator of a stream, or the joint one, for laws that are not drawn in batches.
+
+        Raises
+        ------
+        InputError
+            The stream is drawn from in batches: the same numbers would be drawn twice.
+        """
         found = self._generators.get(name)
         if found is None:
-            found = self._generators[name] = [named_generator(s, name) for s in self._seeds]
+            self._require_undrawn(name, self._states)
+            found = self._generators[name] = named_generator(self._seeds[0], name)
         return found
 
     def normal(self, name: str, *shape: int) -> NDArray[np.float64]:
         """Standard normal draws ``(B, *shape)`` from stream ``name``."""
         out = np.empty((self.batch, *shape))
-        generators = self.generators(name)
-        if len(generators) == 1:
-            generators[0].standard_normal(out=out)
-        else:
-            for row, generator in zip(out.reshape(self.batch, -1), generators, strict=True):
-                generator.standard_normal(out=row)
+        sk.normals(self.states(name), self._rows, ZIGGURAT, self._by_generator(out))
         return out
 
     def uniform(self, name: str, *shape: int) -> NDArray[np.float64]:
         """Uniform draws in [0, 1) of shape ``(B, *shape)`` from stream ``name``."""
         out = np.empty((self.batch, *shape))
-        generators = self.generators(name)
-        if len(generators) == 1:
-            generators[0].random(out=out)
-        else:
-            for row, generator in zip(out.reshape(self.batch, -1), generators, strict=True):
-                generator.random(out=row)
+        sk.uniforms(self.states(name), self._rows, self._by_generator(out))
         return out
 
     def reseed(self, index: int, seed: int) -> None:
@@ -106,9 +131,20 @@ class Streams:
         if self._joint:
             raise InputError("streams seeded jointly cannot reseed one vehicle: give one seed for each vehicle")
         self._seeds[index] = _entropy(seed)[0]
-        for name, generators in self._generators.items():
-            generators[index] = named_generator(seed, name)
+        for name, states in self._states.items():
+            states[index] = named_states([seed], name)[0]
+        if index == 0:
+            self._generators.clear()
 
     def snapshot(self) -> Streams:
         """An independent copy that will produce the same draws."""
         return copy.deepcopy(self)
+
+    def _by_generator(self, out: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The same array with a row for each generator."""
+        return out.reshape(len(self._seeds), math.prod(out.shape) // len(self._seeds))
+
+    @staticmethod
+    def _require_undrawn(name: str, other: dict[str, Any]) -> None:
+        if name in other:
+            raise InputError(f"stream {name!r} must be drawn from in one way, got two: name another stream")

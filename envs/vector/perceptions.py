@@ -12,8 +12,9 @@ from lanebound.envs.perception import Claims, PerceptionConfig
 from lanebound.envs.perception.tracks_kernel import AGE, N_COLUMNS, PL_AT, PL_CT
 from lanebound.envs.vector.perceive_kernel import SENDS, hear_all, look_all, sum_up
 from lanebound.envs.vector.step_kernel import World
+from lanebound.integrity import streams_kernel as sk
 from lanebound.integrity.solution import Solution
-from lanebound.integrity.streams import Streams
+from lanebound.integrity.streams import ZIGGURAT, Streams
 
 __all__ = ["Perceptions", "claims_of"]
 
@@ -84,21 +85,18 @@ class Perceptions:
 
         ``time_s`` (n,) of each episode; who is perceived is written into ``world.traffic`` and ``world.seen``.
         """
+        vehicles = self._told.shape[1]
         if self.hears:
+            luck = np.empty((rows.size, vehicles * 2))
+            sk.uniforms(self._streams.states("v2v"), rows, luck)
             hear_all(
                 rows, self._radio, self._epoch, self._sent, time_s, np.ascontiguousarray(claims), world.cars,
-                self._drawn("v2v", "random", rows, 2), self._broadcasts, self._arriving, self._origin, self._held,
+                luck.reshape(rows.size, vehicles, 2), self._broadcasts, self._arriving, self._origin, self._held,
                 self._told,
             )  # fmt: skip
         if self.looks:
-            noise = self._drawn("sensor", "standard_normal", rows, 4)
+            noise = np.empty((rows.size, vehicles * 4))
+            sk.normals(self._streams.states("sensor"), rows, ZIGGURAT, noise)
+            noise = noise.reshape(rows.size, vehicles, 4)
             look_all(rows, self._sensor, world.belief, world.cars, noise, self._epoch_s, self._last_m, self._seen)
         sum_up(rows, self._figures, self._told, self._seen, world.belief, world.traffic, world.seen)
-
-    def _drawn(self, name: str, law: str, rows: Rows, columns: int) -> Array:
-        """Draws (n, C + 1, columns) for some egos, from the generators of each."""
-        generators = self._streams.generators(name)
-        out = np.empty((rows.size, self._told.shape[1], columns))
-        for row, part in zip(rows.tolist(), out, strict=True):
-            getattr(generators[row], law)(out=part)
-        return out

@@ -12,7 +12,7 @@ from lanebound.envs.vector.score_kernel import glance
 from lanebound.integrity.accel import jit
 from lanebound.integrity.sky.raytrace_kernel import bin_of
 
-__all__ = ["foresee", "glance_all", "place_all", "skies_at", "spread", "whereabouts"]
+__all__ = ["foresee", "glance_all", "place_all", "skies_at", "whereabouts"]
 
 TWO_PI = 2.0 * math.pi
 BELOW = -0.5 * math.pi  # elevation of satellites below the horizon, whose directions nobody asks for
@@ -46,19 +46,6 @@ def skies_at(offset, rate, hour, knot, share, step, mask, los, elevation, azimut
                 turn = math.atan2(los[e, s, 0], los[e, s, 1])
                 azimuth[e, s] = turn if turn >= 0.0 else turn + TWO_PI
                 above[e, s] = elevation[e, s] > mask
-
-
-@jit
-def spread(packed, used, out):  # type: ignore[no-untyped-def]
-    """Put numbers packed (N, ...) into the places that are used (N, S): out (N, M, S, W), in their order."""
-    for e in range(out.shape[0]):
-        n = 0
-        for m in range(out.shape[1]):
-            for s in range(out.shape[2]):
-                if used[e, s]:
-                    for w in range(out.shape[3]):
-                        out[e, m, s, w] = packed[e, n]
-                        n += 1
 
 
 @jit

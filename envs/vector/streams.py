@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.envs.vector.senses_kernel import spread
-from lanebound.integrity.streams import Streams
+from lanebound.integrity import streams_kernel as sk
+from lanebound.integrity.streams import ZIGGURAT, Streams
 
 __all__ = ["CrewStreams"]
 
@@ -40,53 +39,49 @@ class CrewStreams(Streams):
         super().__init__(list(seeds))
         self.batch = len(seeds) * vehicles
         self._others, self._vehicles = Streams(list(fleet_seeds)), vehicles
-        self._used, self._counts = used.copy(), used.sum(1).tolist()
+        self._used = used.copy()
 
     def normal(self, name: str, *shape: int) -> Array:
         """Standard normal draws (N M, *shape)."""
-        return self._draw(name, shape, "standard_normal")
+        return self._draw(name, shape, normal=True)
 
     def uniform(self, name: str, *shape: int) -> Array:
         """Uniform draws in [0, 1), likewise."""
-        return self._draw(name, shape, "random")
+        return self._draw(name, shape, normal=False)
 
     def adopt(self, rows: Rows, other: CrewStreams) -> None:
         """Go on with the generators of the environments of other streams (n) in ``rows`` (n,)."""
         self._used[rows] = other._used
-        self._counts = self._used.sum(1).tolist()
         for mine, theirs in ((self, other), (self._others, other._others)):
-            _follow(mine._seeds, theirs._seeds, rows)
-            for name in {*mine._generators, *theirs._generators}:
-                _follow(mine.generators(name), theirs.generators(name), rows)
+            for row, seed in zip(rows.tolist(), theirs._seeds, strict=True):
+                mine._seeds[row] = seed
+            for name in {*mine._states, *theirs._states}:
+                mine.states(name)[rows] = theirs.states(name)
 
-    def _draw(self, name: str, shape: tuple[int, ...], law: str) -> Array:
-        one = self._drawn(self, 1, name, shape, law)
+    def _draw(self, name: str, shape: tuple[int, ...], normal: bool) -> Array:
+        one = self._drawn(self, 1, name, shape, normal)
         if self._vehicles > 1:
             if name in COMMON:
                 one = np.repeat(one, self._vehicles, 1)
             else:
-                others = self._drawn(self._others, self._vehicles - 1, name, shape, law)
+                others = self._drawn(self._others, self._vehicles - 1, name, shape, normal)
                 one = np.concatenate([one, others], 1)
         return one.reshape(self.batch, *shape)
 
-    def _drawn(self, streams: Streams, vehicles: int, name: str, shape: tuple[int, ...], law: str) -> Array:
+    def _drawn(self, streams: Streams, vehicles: int, name: str, shape: tuple[int, ...], normal: bool) -> Array:
         """Draws (N, vehicles, *shape), those for satellites in the places taken."""
         count, places = self._used.shape
-        generators, width = streams.generators(name), math.prod(shape)
-        out = np.empty((count, vehicles * width))
-        sparse = name in BY_SATELLITE and len(shape) > (name == "station") and shape[0] == places
-        sizes = self._counts if sparse else [places] * count
-        each = vehicles * width // places if sparse else 0
-        for row, generator, size in zip(out, generators, sizes, strict=True):
-            getattr(generator, law)(out=row[: size * each] if sparse else row)
-        if not sparse:
-            return out.reshape(count, vehicles, *shape)
-        whole = np.zeros((count, vehicles, places, width // places))
-        spread(out, self._used, whole)
-        return whole.reshape(count, vehicles, *shape)
-
-
-def _follow(mine: list[Any], theirs: list[Any], rows: Rows) -> None:
-    """Put the entries of another list in place of some of one's own."""
-    for row, new in zip(rows.tolist(), theirs, strict=True):
-        mine[row] = new
+        states = streams.states(name)
+        if name in BY_SATELLITE and len(shape) > (name == "station") and shape[0] == places:
+            out = np.zeros((count, vehicles, places, math.prod(shape) // places))
+            if normal:
+                sk.normals_at(states, self._used, ZIGGURAT, out)
+            else:
+                sk.uniforms_at(states, self._used, out)
+        else:
+            out = np.empty((count, vehicles * math.prod(shape)))
+            if normal:
+                sk.normals(states, self._rows, ZIGGURAT, out)
+            else:
+                sk.uniforms(states, self._rows, out)
+        return out.reshape(count, vehicles, *shape)

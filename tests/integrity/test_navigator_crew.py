@@ -26,7 +26,7 @@ def _share(navigator: Navigator, row: int, other: Navigator) -> None:
     """The other's generators for a row, to be drawn from by both alike."""
     for streams in (navigator.state.streams, navigator.state.area.streams):
         for name in STREAM_NAMES:
-            streams.generators(name)[row] = copy.deepcopy(other.state.streams.generators(name)[0])
+            streams.states(name)[row] = other.state.streams.states(name)[0]
 
 
 def test_a_vehicle_taken_over_goes_on_as_it_would_have() -> None:

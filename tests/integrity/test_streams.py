@@ -53,6 +53,24 @@ def test_a_stream_is_sfc64_seeded_by_seed_and_hashed_name():
     np.testing.assert_array_equal(named_generator(np.int64(11), "imu").bit_generator.random_raw(4), expected)
 
 
+def test_compiled_draws_are_those_of_numpy_bit_by_bit():
+    """A million draws reach all layers of the ziggurat, and its tail 260 times."""
+    generator, streams = named_generator(11, "imu"), Streams([11])
+    for _ in range(4):
+        np.testing.assert_array_equal(streams.normal("imu", 250_000)[0], generator.standard_normal(250_000))
+        np.testing.assert_array_equal(streams.uniform("imu", 7)[0], generator.random(7))
+
+
+def test_a_stream_is_drawn_from_in_one_way():
+    streams = Streams([11, 12])
+    assert streams.generator("scene").random() == named_generator(11, "scene").random()
+    with pytest.raises(InputError, match="stream 'scene' must be drawn from in one way"):
+        streams.normal("scene")
+    streams.normal("imu")
+    with pytest.raises(InputError, match="name another stream"):
+        streams.generator("imu")
+
+
 def test_every_pair_of_seed_and_name_gives_other_bits():
     seeds = [0, 1, 2, 2**32, 2**64 + 1, (1, 2), (2, 1)]
     first = {int(named_generator(s, name).bit_generator.random_raw()) for s in seeds for name in STREAM_NAMES}
