@@ -83,16 +83,19 @@ def evaluate(
 def export(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a training.")],
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE.onnx", help="The network; best.onnx in that folder by default.")
+        Path | None,
+        typer.Option(metavar="FILE", help="FILE.onnx, best.onnx in that folder by default; or FILE.npz, as 'ppo' is."),
     ] = None,
 ) -> None:
-    """Write the best checkpoint of a training as an ONNX network, from flat observations to actions.
+    """Write the best checkpoint of a training as a network alone, from flat observations to actions.
 
     Example: lanebound export out/learnt --out out/learnt.onnx
     """
     from lanebound.agents.cli.interrupt import stoppable, wait_for
-    from lanebound.agents.learning.export import export_onnx
+    from lanebound.agents.learning.export import export_arrays, export_onnx
 
+    wanted = folder / "best.onnx" if out is None else out
+    write = export_arrays if wanted.suffix == ".npz" else export_onnx
     with stoppable(lambda: "nothing was written"):
-        path = wait_for(lambda: export_onnx(folder, folder / "best.onnx" if out is None else out))
+        path = wait_for(lambda: write(folder, wanted))
     typer.echo(f"{path}: observation -> action, {path.stat().st_size / 1e3:.0f} kB")

@@ -1,4 +1,6 @@
-"""A learnt policy as an ONNX network: from flat observations to actions, without exploration.
+"""A learnt policy without what learning needs: an ONNX network, or the arrays that our own driver takes.
+
+Both go from flat observations to actions, without exploration.
 
 Observations leave the environment scaled already, so that the network holds all there is between the two.
 """
@@ -14,16 +16,18 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from gymnasium import spaces
 from torch import nn
 
+from lanebound.agents.drivers.base import Reader
 from lanebound.agents.learning.evaluation import trained
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig, Shield
 from lanebound.agents.learning.training import load_model
 from lanebound.integrity.errors import InputError
 
-__all__ = ["export_onnx"]
+__all__ = ["export_arrays", "export_onnx"]
 
 
 def export_onnx(folder: Path, path: Path) -> Path:
@@ -65,11 +69,43 @@ def export_onnx(folder: Path, path: Path) -> Path:
             )
         os.replace(draft, path)
     except OSError as error:
-        raise InputError(f"out must be a file that can be written, got {path} ({error}): choose another") from None
+        raise _unwritable(path, error) from None
     return path
 
 
-def _require_plain(experiment: ExperimentConfig) -> None:
+def export_arrays(folder: Path, path: Path) -> Path:
+    """Write the best checkpoint of a training as ``ppo`` reads it (see :mod:`.drivers.learnt`); returns its path.
+
+    Raises
+    ------
+    InputError
+        As :func:`export_onnx`, or the network is other than PPO's usual one: layers with tanh between them.
+    """
+    experiment, best = trained(folder)
+    _require_plain(experiment, ())
+    policy: Any = load_model(best, experiment.algorithm).policy
+    if experiment.algorithm.off_policy or policy.activation_fn is not nn.Tanh:
+        raise InputError(f"a policy to export as arrays must be PPO's with tanh, got {experiment.algorithm}: use .onnx")
+    layers = [layer for layer in policy.mlp_extractor.policy_net if isinstance(layer, nn.Linear)]
+    arrays: dict[str, Any] = {"columns": np.array(Reader(experiment.open().config.observation).columns)}
+    for n, layer in enumerate([*layers, policy.action_net]):
+        arrays[f"weight_{n}"] = layer.weight.detach().numpy()
+        arrays[f"bias_{n}"] = layer.bias.detach().numpy()
+    draft = path.with_name("draft-" + path.name)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.savez_compressed(draft, **arrays)
+        os.replace(draft, path)
+    except OSError as error:
+        raise _unwritable(path, error) from None
+    return path
+
+
+def _unwritable(path: Path, error: OSError) -> InputError:
+    return InputError(f"out must be a file that can be written, got {path} ({error}): choose another")
+
+
+def _require_plain(experiment: ExperimentConfig, packages: tuple[str, ...] = ("onnx", "onnxscript")) -> None:
     if experiment.algorithm is Algorithm.RECURRENT_PPO:
         raise InputError("a policy to export must have no memory, got recurrent_ppo: drive with its best.zip instead")
     if experiment.shield is not Shield.NONE:
@@ -77,7 +113,7 @@ def _require_plain(experiment: ExperimentConfig) -> None:
             f"a policy to export must stand alone, got one under the filter {experiment.shield}: "
             "drive with its best.zip and that filter instead"
         )
-    for package in ("onnx", "onnxscript"):
+    for package in packages:
         if find_spec(package) is None:
             raise InputError(f"an export needs the package {package}, got none: pip install 'lanebound[learning]'")
 

@@ -1,6 +1,8 @@
 """The Lagrange multiplier of a cost limit, under PID control (Stooke, Achiam and Abbeel 2020, algorithm 2).
 
 Symbols: J_C mean cost of an episode, d its limit, Delta = (J_C - d) / d the excess, I its integral, lambda multiplier.
+The integral takes no more of an excess than it may give back below the limit: a beginner's crashes cost 14 times the
+limit, and a policy taught by what they left in the integral stands still for good.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ class MultiplierConfig(Config):
     integral: float = Field(0.05, ge=0, description="K_I, by update [-]")
     derivative: float = Field(0.1, ge=0, description="K_D, of growing costs alone [-]; Stooke 2020")
     smoothing: float = Field(0.8, ge=0, lt=1, description="share of the old in what the P and D terms see [-]")
+    most: float = Field(1.0, gt=0, description="excess that the integral takes at most; none falls below -1 [-]")
     start: float = Field(0.1, ge=0, description="multiplier before the first update [-]")
     largest: float = Field(20.0, gt=0, description="multiplier at most [-]; the integral stops there too")
 
@@ -63,7 +66,7 @@ class Multiplier:
         c = self.config
         excess = (cost - self.limit) / self.limit
         ceiling = c.largest / c.integral if c.integral > 0.0 else math.inf
-        self.integral = min(max(self.integral + excess, 0.0), ceiling)
+        self.integral = min(max(self.integral + min(excess, c.most), 0.0), ceiling)
         self._seen = excess if self._seen is None else c.smoothing * self._seen + (1.0 - c.smoothing) * excess
         before = excess if self._slow is None else self._slow
         self._slow = c.smoothing * before + (1.0 - c.smoothing) * excess

@@ -12,10 +12,11 @@ from lanebound.agents.episodes.opening import full_id
 from lanebound.agents.learning.experiment import ExperimentConfig, Shield
 from lanebound.agents.learning.shield import Shielded
 from lanebound.agents.vec_env import EngineVecEnv, VecEpisodeStatistics
+from lanebound.envs.vector.env import ENGINES
 from lanebound.envs.wrappers import EpisodeStatistics
 from lanebound.integrity.errors import ConfigError, InputError
 
-__all__ = ["for_judging", "for_learning"]
+__all__ = ["for_judging", "for_learning", "may_use_engine"]
 
 
 def for_learning(experiment: ExperimentConfig, processes: int) -> VecEnv:
@@ -41,6 +42,12 @@ def for_learning(experiment: ExperimentConfig, processes: int) -> VecEnv:
 def for_judging(experiment: ExperimentConfig, episodes: int) -> VecEnv:
     """Environments for so many episodes: one for each in the engine, a single one for one after another elsewhere."""
     return _in_engine(experiment, episodes) or DummyVecEnv([_Maker(experiment)])
+
+
+def may_use_engine(experiment: ExperimentConfig) -> bool:
+    """Whether the engine would drive an experiment, as far as that is known without opening its environment."""
+    known = full_id(experiment.env) in ENGINES and experiment.shield is Shield.NONE
+    return known and experiment.engine is not False
 
 
 def _in_engine(experiment: ExperimentConfig, count: int) -> VecEnv | None:

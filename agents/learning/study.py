@@ -29,6 +29,7 @@ from lanebound.agents.episodes.opening import full_id
 from lanebound.agents.kept import claim, run_parts, write_whole
 from lanebound.agents.learning.evaluation import learnt_agent
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig, Shield
+from lanebound.agents.learning.opening import may_use_engine
 from lanebound.agents.learning.study_tables import summarise
 from lanebound.agents.learning.training import train
 from lanebound.agents.named import load_named
@@ -42,6 +43,7 @@ FOLDER = "studies/"
 PACKAGES = ("lanebound.integrity", "lanebound.envs", "lanebound.agents.drivers", "lanebound.agents.learning")
 BESIDE = ("nominal", "integrity_aware")
 LEARNING_SHARE = 0.6  # time that learning takes, of what its environments take; argued, not measured
+ENGINE_SHARE = 0.25  # of a single environment's time, that a decision with its learning takes in the engine
 
 
 class ArmConfig(Config):
@@ -174,9 +176,13 @@ def _hours(study: LearningStudyConfig, trainings: tuple[Training, ...], places: 
     total_s = 0.0
     for one in trainings:
         planned, place = one.experiment(study), places[one.env]
-        checkpoints = -(-planned.steps // planned.checkpoint_steps)
-        total_s += planned.steps * place.decision_s * (1.0 + LEARNING_SHARE)
-        total_s += (checkpoints * planned.evaluation_episodes + study.test_seeds) * place.episode_s
+        episodes = -(-planned.steps // planned.checkpoint_steps) * planned.evaluation_episodes
+        alone_s = planned.steps * place.decision_s, episodes * place.episode_s
+        if may_use_engine(planned):
+            total_s += ENGINE_SHARE * sum(alone_s)
+        else:
+            total_s += alone_s[0] * (1.0 + LEARNING_SHARE) + alone_s[1]
+        total_s += study.test_seeds * place.episode_s
     return total_s / 3600.0
 
 

@@ -15,12 +15,14 @@ import json
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
@@ -33,6 +35,7 @@ from lanebound.agents.learning.opening import for_learning
 from lanebound.agents.plain import finite_or_none
 from lanebound.envs.costs import CAUSES
 from lanebound.envs.tally import EPISODE_KEY
+from lanebound.integrity.accel import serial
 from lanebound.integrity.errors import InputError
 
 __all__ = ["Checkpoint", "load_model", "train"]
@@ -86,7 +89,9 @@ def train(
     """
     progress = _claim(experiment, out)
     env = for_learning(experiment, processes)
-    try:
+    with ExitStack() as stack:
+        stack.callback(env.close)
+        stack.enter_context(_one_thread())
         model = _model(experiment, env, out)
         watch = _Watch(stepped)
         while model.num_timesteps < experiment.steps:
@@ -100,9 +105,22 @@ def train(
                 write_card(experiment, progress[-1], out / "best.md")
             write_whole(out / "progress.json", finite_or_none(progress))
             told(Checkpoint(model.num_timesteps, experiment.steps, found, best))
-    finally:
-        env.close()
     return progress
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Within it networks and the engine compute on one thread: both are so small that threads wait more than they do.
+
+    Two trainings side by side are slowed fifteenfold by each other's threads.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with serial():
+            yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def load_model(path: Path, algorithm: Algorithm, env: VecEnv | None = None) -> BaseAlgorithm:

@@ -174,7 +174,7 @@ def test_agents_that_fail_are_reported_and_the_rest_is_kept(tmp_path):
     assert results.missing == []
     assert [o.seed for o in results.failures if o.agent == "hangs"] == [10_000]
     assert by_agent["dies"].message == "its process died with exit code 7"
-    assert "1.5 s" in by_agent["hangs"].message
+    assert "episode_timeout_s = 1.5" in by_agent["hangs"].message
     assert results.cell(suite.places[0], "hangs").metrics["failed"].mean == 1.0
     assert results.rows(by_agent["hangs"]).num_rows == 0
 

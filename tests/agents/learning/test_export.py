@@ -12,9 +12,10 @@ from gymnasium import spaces
 from typer.testing import CliRunner
 
 from lanebound.agents.cli import app
-from lanebound.agents.drivers import make_agent
+from lanebound.agents.drivers import learnt, make_agent
+from lanebound.agents.episodes import open_env
 from lanebound.agents.learning.experiment import Algorithm
-from lanebound.agents.learning.export import export_onnx
+from lanebound.agents.learning.export import export_arrays, export_onnx
 from lanebound.agents.learning.training import load_model, train
 from lanebound.integrity.errors import InputError
 
@@ -45,6 +46,28 @@ def test_a_network_answers_as_its_policy_does(tmp_path: Path, algorithm: str, en
             assert int(found) == int(wanted)
         else:
             np.testing.assert_allclose(found, wanted, atol=2e-5)
+
+
+def test_arrays_answer_as_the_policy_does_for_one_and_for_many(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    train(experiment(algorithm="ppo_lagrangian", steps=64, overrides=STILL), tmp_path)
+    path = export_arrays(tmp_path, tmp_path / "LaneKeepingWorld.npz")
+    monkeypatch.setattr(learnt, "policies", lambda: {"LaneKeepingWorld": path})
+    flat, split = (open_env("LaneKeeping", {"observation": {"form": form}}) for form in ("flat", "dict"))
+    network, policy = make_agent("ppo", flat), load_model(tmp_path / "best.zip", Algorithm.PPO_LAGRANGIAN)
+    seen, same = flat.reset(seed=1)[0], split.reset(seed=1)[0]
+    wanted, _ = policy.predict(seen, deterministic=True)
+    np.testing.assert_allclose(network.predict(seen)[0], wanted, atol=2e-6)
+    np.testing.assert_array_equal(make_agent("ppo", split).predict(same)[0], network.predict(seen)[0])
+    many = np.stack([seen, 0.5 * seen])
+    np.testing.assert_array_equal(network.predict(many)[0][1], network.predict(0.5 * seen)[0])
+    with pytest.raises(InputError, match="was learnt in LaneKeepingWorld, got CarFollowingWorld"):
+        make_agent("ppo", open_env("CarFollowing"))
+    for other in ({"integrity": "blind"}, {"history": 2}):
+        with pytest.raises(InputError, match="leave 'observation' as it is there"):
+            make_agent("ppo", open_env("LaneKeeping", {"observation": other}))
+    result = CliRunner().invoke(app, ["export", str(tmp_path), "--out", str(tmp_path / "again.npz")])
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "again.npz").stat().st_size < 200_000
 
 
 def test_policies_that_cannot_stand_alone_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

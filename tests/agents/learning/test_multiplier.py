@@ -39,6 +39,15 @@ def test_it_is_bounded_and_comes_down_at_once_when_the_cost_does() -> None:
     assert falling[-1] == 0.0
 
 
+def test_what_a_beginners_crashes_leave_is_given_back_as_fast() -> None:
+    multiplier = Multiplier(15.0, MultiplierConfig())
+    before = multiplier.integral
+    for cost in [217.0] * 20 + [0.0] * 20:
+        multiplier.update(cost)
+    assert multiplier.integral == pytest.approx(before)
+    assert multiplier.value < 0.2
+
+
 def test_growing_costs_are_answered_before_they_exceed_and_falling_ones_are_not_rewarded() -> None:
     def last(costs: list[float], derivative: float) -> float:
         multiplier = Multiplier(1.0, MultiplierConfig(derivative=derivative, integral=0.0, proportional=0.5))
