@@ -23,7 +23,6 @@ __all__ = ["LearntDriver", "make_ppo", "policies"]
 
 Array = NDArray[np.float32]
 States = tuple[NDArray[Any], ...] | None
-ALONE = "was learnt in"
 
 
 class LearntDriver:
@@ -82,7 +81,7 @@ def make_ppo(env: DrivingEnv) -> LearntDriver:
     base = env.config.base
     if base not in there:
         raise InputError(
-            f"'ppo' {ALONE} {', '.join(sorted(there))}, got {base}: learn a policy there, by 'lanebound train'"
+            f"'ppo' was learnt in {', '.join(sorted(there))}, got {base}: learn a policy there, by 'lanebound train'"
         )
     with np.load(BytesIO(there[base].read_bytes())) as data:
         columns = tuple(data["columns"].tolist())
@@ -91,11 +90,11 @@ def make_ppo(env: DrivingEnv) -> LearntDriver:
     config = env.config.observation
     if Reader(config).columns != columns or config.history != 1:
         raise InputError(
-            f"'ppo' {ALONE} {base} with the observation of its own ({len(columns)} entries, no history), "
+            f"'ppo' was learnt in {base} with the observation of its own ({len(columns)} entries, no history), "
             "got another: leave 'observation' as it is there"
         )
     if env.action_space.shape != layers[-1][1].shape:
         raise InputError(
-            f"'ppo' {ALONE} {base} with actions of its own, got {env.action_space}: leave 'action' as it is"
+            f"'ppo' was learnt in {base} with actions of its own, got {env.action_space}: leave 'action' as it is"
         )
     return LearntDriver(layers)
