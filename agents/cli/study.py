@@ -31,17 +31,18 @@ def study(
     """
     from lanebound.agents.cli.interrupt import stoppable
     from lanebound.agents.learning.study import load_study, plan
+    from lanebound.agents.learning.study_time import study_hours
     from lanebound.integrity.presets import parse_assignments
 
     with stoppable(lambda: f"trainings and checkpoints are kept in {out}: the same command goes on"):
         chosen = load_study(name, parse_assignments(assignments or []))
         course = plan(chosen)
-        _announce(chosen, course, jobs, budget)
+        _announce(chosen, course, study_hours(chosen, course) / jobs, jobs, budget)
         found = _with_bar(chosen, course, out, jobs, budget)
         _report(found, out, as_json)
 
 
-def _announce(chosen: LearningStudyConfig, course: Course, jobs: int, budget: float | None) -> None:
+def _announce(chosen: LearningStudyConfig, course: Course, hours: float, jobs: int, budget: float | None) -> None:
     for env, arm in course.left_out:
         typer.echo(f"left out: {arm} in {env} (its filter needs actions that steer and accelerate)", err=True)
     for hypothesis in chosen.hypotheses:
@@ -49,7 +50,7 @@ def _announce(chosen: LearningStudyConfig, course: Course, jobs: int, budget: fl
     may = "" if budget is None else f", of which {budget:g} h may be used"
     typer.echo(
         f"{counted(len(course.trainings), 'training')}, {jobs} at a time, and their policies on "
-        f"{chosen.test_seeds} held-out seeds each: about {course.hours / jobs:.2g} h from nothing{may}.",
+        f"{chosen.test_seeds} held-out seeds each: about {hours:.2g} h from nothing{may}.",
         err=True,
     )
 

@@ -2,7 +2,7 @@
 
 ``lanebound train`` learns one, ``lanebound export DIR --out FILE.npz`` writes it in this form: for each layer n the
 arrays ``weight_n`` (outputs, inputs) and ``bias_n``, tanh between layers, and ``columns``, the names of the entries of
-the observation in their order.
+the observation in their order. Outputs are a continuous action, or a value of each discrete one.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from io import BytesIO
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lanebound.agents.drivers.base import Observation, Reader
@@ -26,15 +27,16 @@ States = tuple[NDArray[Any], ...] | None
 
 
 class LearntDriver:
-    """Does what the network says, within [-1, 1] and without noise; the same for one observation and for a batch.
+    """Does what the network says, without noise; the same for one observation and for a batch.
 
     Parameters
     ----------
     layers : weights (outputs, inputs) and biases (outputs,) from the first layer on
+    discrete : whether the output of the largest value is the action; else they are the action within [-1, 1]
     """
 
-    def __init__(self, layers: list[tuple[Array, Array]]) -> None:
-        self._layers = layers
+    def __init__(self, layers: list[tuple[Array, Array]], discrete: bool = False) -> None:
+        self._layers, self._discrete = layers, discrete
 
     def predict(
         self,
@@ -42,18 +44,21 @@ class LearntDriver:
         state: States = None,
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], States]:
-        """The action (..., A) for an observation (..., n), or a dict of its groups."""
+    ) -> tuple[NDArray[Any], States]:
+        """The action (..., A), or (...) of discrete ones, for an observation (..., n) or a dict of its groups."""
         whole = _in_a_row(observation)
-        rows = [self._action(row) for row in whole.reshape(-1, whole.shape[-1])]
-        return np.stack(rows).reshape(*whole.shape[:-1], -1), state
+        found = np.stack([self._outputs(row) for row in whole.reshape(-1, whole.shape[-1])])
+        found = found.reshape(*whole.shape[:-1], -1)
+        if self._discrete:
+            return found.argmax(axis=-1), state
+        return np.clip(found, np.float32(-1.0), np.float32(1.0)), state
 
-    def _action(self, row: Array) -> Array:
+    def _outputs(self, row: Array) -> Array:
         for weight, bias in self._layers[:-1]:
             row = np.tanh(weight @ row + bias)
         weight, bias = self._layers[-1]
-        action: Array = np.clip(weight @ row + bias, np.float32(-1.0), np.float32(1.0))
-        return action
+        outputs: Array = weight @ row + bias
+        return outputs
 
 
 def _in_a_row(observation: Observation) -> Array:
@@ -93,8 +98,9 @@ def make_ppo(env: DrivingEnv) -> LearntDriver:
             f"'ppo' was learnt in {base} with the observation of its own ({len(columns)} entries, no history), "
             "got another: leave 'observation' as it is there"
         )
-    if env.action_space.shape != layers[-1][1].shape:
+    discrete = isinstance(env.action_space, spaces.Discrete)
+    if (spaces.flatdim(env.action_space),) != layers[-1][1].shape:
         raise InputError(
             f"'ppo' was learnt in {base} with actions of its own, got {env.action_space}: leave 'action' as it is"
         )
-    return LearntDriver(layers)
+    return LearntDriver(layers, discrete)

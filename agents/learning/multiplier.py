@@ -1,8 +1,8 @@
 """The Lagrange multiplier of a cost limit, under PID control (Stooke, Achiam and Abbeel 2020, algorithm 2).
 
 Symbols: J_C mean cost of an episode, d its limit, Delta = (J_C - d) / d the excess, I its integral, lambda multiplier.
-The integral takes no more of an excess than it may give back below the limit: a beginner's crashes cost 14 times the
-limit, and a policy taught by what they left in the integral stands still for good.
+No term takes more of an excess than the integral may give back below the limit: a beginner's crashes cost 14 times the
+limit, and a policy taught by what they make of the multiplier stands still for long.
 """
 
 from __future__ import annotations
@@ -19,12 +19,13 @@ __all__ = ["Multiplier", "MultiplierConfig"]
 class MultiplierConfig(Config):
     """Gains of the controller, on the relative excess over the limit."""
 
-    proportional: float = Field(0.25, ge=0, description="K_P [-]")
-    integral: float = Field(0.05, ge=0, description="K_I, by update [-]")
-    derivative: float = Field(0.1, ge=0, description="K_D, of growing costs alone [-]; Stooke 2020")
+    proportional: float = Field(0.05, ge=0, description="K_P [-]")
+    integral: float = Field(0.02, ge=0, description="K_I, by update [-]; small: at 0.05 policies came to stand still")
+    derivative: float = Field(0.0, ge=0, description="K_D, of growing costs alone [-]; Stooke 2020")
     smoothing: float = Field(0.8, ge=0, lt=1, description="share of the old in what the P and D terms see [-]")
-    most: float = Field(1.0, gt=0, description="excess that the integral takes at most; none falls below -1 [-]")
+    most: float = Field(1.0, gt=0, description="excess that counts at most; none falls below -1 [-]")
     start: float = Field(0.1, ge=0, description="multiplier before the first update [-]")
+    after_steps: int = Field(0, ge=0, description="decisions of learning without a limit, before it counts")
     largest: float = Field(20.0, gt=0, description="multiplier at most [-]; the integral stops there too")
 
 
@@ -38,7 +39,7 @@ class Multiplier:
 
     Attributes
     ----------
-    value : lambda now
+    value : lambda now, 0 until the limit counts
 
     Raises
     ------
@@ -58,15 +59,17 @@ class Multiplier:
             raise InputError(
                 f"cost_limit must be > 0 and finite, got {self.limit}: an excess is told by its share of the limit"
             )
-        self.value = self.config.start
+        self.value = 0.0 if self.config.after_steps else self.config.start
         self.integral = self.config.start / self.config.integral if self.config.integral > 0.0 else 0.0
 
-    def update(self, cost: float) -> float:
-        """Take the mean cost of the latest episodes; returns the new multiplier."""
+    def update(self, cost: float, steps: float = math.inf) -> float:
+        """Take the mean cost of the latest episodes, after ``steps`` decisions of learning; returns the new value."""
         c = self.config
-        excess = (cost - self.limit) / self.limit
+        if steps < c.after_steps:
+            return self.value
+        excess = min((cost - self.limit) / self.limit, c.most)
         ceiling = c.largest / c.integral if c.integral > 0.0 else math.inf
-        self.integral = min(max(self.integral + min(excess, c.most), 0.0), ceiling)
+        self.integral = min(max(self.integral + excess, 0.0), ceiling)
         self._seen = excess if self._seen is None else c.smoothing * self._seen + (1.0 - c.smoothing) * excess
         before = excess if self._slow is None else self._slow
         self._slow = c.smoothing * before + (1.0 - c.smoothing) * excess

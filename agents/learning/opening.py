@@ -10,13 +10,12 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv,
 
 from lanebound.agents.episodes.opening import full_id
 from lanebound.agents.learning.experiment import ExperimentConfig, Shield
-from lanebound.agents.learning.shield import Shielded
+from lanebound.agents.learning.shield import VecShielded
 from lanebound.agents.vec_env import EngineVecEnv, VecEpisodeStatistics
-from lanebound.envs.vector.env import ENGINES
 from lanebound.envs.wrappers import EpisodeStatistics
 from lanebound.integrity.errors import ConfigError, InputError
 
-__all__ = ["for_judging", "for_learning", "may_use_engine"]
+__all__ = ["for_judging", "for_learning"]
 
 
 def for_learning(experiment: ExperimentConfig, processes: int) -> VecEnv:
@@ -35,19 +34,14 @@ def for_learning(experiment: ExperimentConfig, processes: int) -> VecEnv:
     if env is None:
         makers: list[Any] = [_Maker(experiment)] * experiment.count
         env = DummyVecEnv(makers) if processes == 1 else SubprocVecEnv(makers, start_method="spawn")
+    env = _shielded(experiment, env)
     env.seed(experiment.seed)
     return env
 
 
 def for_judging(experiment: ExperimentConfig, episodes: int) -> VecEnv:
     """Environments for so many episodes: one for each in the engine, a single one for one after another elsewhere."""
-    return _in_engine(experiment, episodes) or DummyVecEnv([_Maker(experiment)])
-
-
-def may_use_engine(experiment: ExperimentConfig) -> bool:
-    """Whether the engine would drive an experiment, as far as that is known without opening its environment."""
-    known = full_id(experiment.env) in ENGINES and experiment.shield is Shield.NONE
-    return known and experiment.engine is not False
+    return _shielded(experiment, _in_engine(experiment, episodes) or DummyVecEnv([_Maker(experiment)]))
 
 
 def _in_engine(experiment: ExperimentConfig, count: int) -> VecEnv | None:
@@ -55,17 +49,16 @@ def _in_engine(experiment: ExperimentConfig, count: int) -> VecEnv | None:
     if experiment.engine is False:
         return None
     try:
-        return VecMonitor(VecEpisodeStatistics(_engine(experiment, count)))
+        engine = EngineVecEnv(full_id(experiment.env), count, experiment.env_overrides)
     except (ConfigError, InputError) as error:
         if experiment.engine:
             raise ConfigError(f"engine must be left out here, got true: {error}") from None
         return None
+    return VecMonitor(VecEpisodeStatistics(engine))
 
 
-def _engine(experiment: ExperimentConfig, count: int) -> EngineVecEnv:
-    if experiment.shield is not Shield.NONE:
-        raise ConfigError(f"shield must be none in the vector engine, got {experiment.shield}")
-    return EngineVecEnv(full_id(experiment.env), count, experiment.env_overrides)
+def _shielded(experiment: ExperimentConfig, env: VecEnv) -> VecEnv:
+    return VecShielded(env, experiment.open()) if experiment.shield is Shield.CBF else env
 
 
 @dataclass(frozen=True)
@@ -75,5 +68,4 @@ class _Maker:
     experiment: ExperimentConfig
 
     def __call__(self) -> Any:
-        env = self.experiment.open()
-        return Monitor(EpisodeStatistics(Shielded(env) if self.experiment.shield is Shield.CBF else env))
+        return Monitor(EpisodeStatistics(self.experiment.open()))

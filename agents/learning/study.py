@@ -20,16 +20,13 @@ from typing import Any, NamedTuple, Self
 from gymnasium import spaces
 from pydantic import field_validator, model_validator
 
-from lanebound.agents.benchmark.episode import allotted_s
 from lanebound.agents.benchmark.results import Results
 from lanebound.agents.benchmark.running import run
 from lanebound.agents.benchmark.suite import SuiteConfig
-from lanebound.agents.benchmark.work import expected_s
 from lanebound.agents.episodes.opening import full_id
 from lanebound.agents.kept import claim, run_parts, write_whole
 from lanebound.agents.learning.evaluation import learnt_agent
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig, Shield
-from lanebound.agents.learning.opening import may_use_engine
 from lanebound.agents.learning.study_tables import summarise
 from lanebound.agents.learning.training import train
 from lanebound.agents.named import load_named
@@ -42,8 +39,6 @@ __all__ = ["ArmConfig", "Course", "LearningStudyConfig", "Training", "load_study
 FOLDER = "studies/"
 PACKAGES = ("lanebound.integrity", "lanebound.envs", "lanebound.agents.drivers", "lanebound.agents.learning")
 BESIDE = ("nominal", "integrity_aware")
-LEARNING_SHARE = 0.6  # time that learning takes, of what its environments take; argued, not measured
-ENGINE_SHARE = 0.25  # of a single environment's time, that a decision with its learning takes in the engine
 
 
 class ArmConfig(Config):
@@ -67,17 +62,27 @@ class LearningStudyConfig(Config):
     seeds: int = Field(5, ge=1, le=100, description="trainings of each arm in each place")
     test_seeds: int = Field(50, ge=1, le=1000, description="held-out episodes of each policy")
     experiment: Mapping[str, Any] = Field({}, description="what all trainings share: steps, settings ...")
+    by_env: Mapping[str, Mapping[str, Any]] = Field({}, description="what those of an id have of their own, over that")
 
     @field_validator("envs")
     @classmethod
     def _envs_exist(cls, names: tuple[str, ...]) -> tuple[str, ...]:
         return tuple(full_id(name).removeprefix("lanebound/") for name in names)
 
+    @field_validator("by_env")
+    @classmethod
+    def _own_is_of_ids(cls, own: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
+        return {full_id(name).removeprefix("lanebound/"): value for name, value in own.items()}
+
     @model_validator(mode="after")
     def _reference_is_an_arm(self) -> Self:
         if self.reference not in self.arms:
             raise ConfigError(f"reference must be one of {', '.join(self.arms)}, got {self.reference}: name an arm")
         return self
+
+    def shared(self, env: str) -> dict[str, Any]:
+        """What all trainings in an environment share."""
+        return deep_merge(self.experiment, self.by_env.get(env, {}))
 
     @property
     def places(self) -> Iterator[tuple[str, str]]:
@@ -107,7 +112,7 @@ class Training(NamedTuple):
         """What is learnt, and how."""
         arm = study.arms[self.arm]
         own = {"env": self.env, "sky": self.sky, "algorithm": arm.algorithm, "shield": arm.shield, "seed": self.seed}
-        return ExperimentConfig.load(deep_merge(study.experiment, {"overrides": arm.overrides}) | own)
+        return ExperimentConfig.load(deep_merge(study.shared(self.env), {"overrides": arm.overrides}) | own)
 
 
 class Course(NamedTuple):
@@ -115,7 +120,6 @@ class Course(NamedTuple):
 
     trainings: tuple[Training, ...]
     left_out: tuple[tuple[str, str], ...]
-    hours: float
 
 
 def load_study(name: str, overrides: Mapping[str, Any] | None = None) -> LearningStudyConfig:
@@ -130,19 +134,19 @@ def load_study(name: str, overrides: Mapping[str, Any] | None = None) -> Learnin
 
 
 def plan(study: LearningStudyConfig) -> Course:
-    """What is to be learnt: every place and arm with the first seed, then with the next; and hours of a core it takes.
+    """What is to be learnt: every place and arm with the first seed, then with the next.
 
     Raises
     ------
     ConfigError, InputError
         An experiment or environment is refused.
     """
-    places = {env: _place(study, env) for env in study.envs}
+    steered = {env: _accelerates(study, env) for env in study.envs}
     left_out = tuple(
         (env, name)
         for env in study.envs
         for name, arm in study.arms.items()
-        if arm.shield is Shield.CBF and not places[env].accelerates
+        if arm.shield is Shield.CBF and not steered[env]
     )
     trainings = tuple(
         Training(env, sky, arm, seed)
@@ -151,39 +155,15 @@ def plan(study: LearningStudyConfig) -> Course:
         for arm in study.arms
         if (env, arm) not in left_out
     )
-    return Course(trainings, left_out, _hours(study, trainings, places))
+    return Course(trainings, left_out)
 
 
-class _Place(NamedTuple):
-    """Of an environment whether its actions steer and accelerate, as the filter needs them, and how long it takes."""
-
-    accelerates: bool
-    episode_s: float
-    decision_s: float
-
-
-def _place(study: LearningStudyConfig, env: str) -> _Place:
-    """What is to be known of an environment, which is opened for it; times are those of a core [s]."""
+def _accelerates(study: LearningStudyConfig, env: str) -> bool:
+    """Whether actions steer and accelerate, as the filter needs them."""
     world = Training(env, study.skies[0], study.reference, 0).experiment(study).open()
-    space, decisions = world.action_space, allotted_s(world) / world.dt_s
+    space = world.action_space
     world.close()
-    episode_s = expected_s(SuiteConfig.load({"envs": [env], "agents": ["nominal"]}), [env])[env]
-    return _Place(isinstance(space, spaces.Box) and space.shape == (2,), episode_s, episode_s / decisions)
-
-
-def _hours(study: LearningStudyConfig, trainings: tuple[Training, ...], places: Mapping[str, _Place]) -> float:
-    """Time of a core: steps with learning, evaluations at checkpoints, and held-out episodes [h]."""
-    total_s = 0.0
-    for one in trainings:
-        planned, place = one.experiment(study), places[one.env]
-        episodes = -(-planned.steps // planned.checkpoint_steps) * planned.evaluation_episodes
-        alone_s = planned.steps * place.decision_s, episodes * place.episode_s
-        if may_use_engine(planned):
-            total_s += ENGINE_SHARE * sum(alone_s)
-        else:
-            total_s += alone_s[0] * (1.0 + LEARNING_SHARE) + alone_s[1]
-        total_s += study.test_seeds * place.episode_s
-    return total_s / 3600.0
+    return isinstance(space, spaces.Box) and space.shape == (2,)
 
 
 def run_learning_study(
@@ -250,6 +230,7 @@ def place_suite(study: LearningStudyConfig, out: Path, learnt: list[Training]) -
             "agents": agents,
             "reference": BESIDE[0],
             "seeds": {"split": "test", "count": study.test_seeds},
+            "overrides": study.shared(env).get("overrides", {}),
         }
     )
 

@@ -38,7 +38,7 @@ from lanebound.envs.tally import EPISODE_KEY
 from lanebound.integrity.accel import serial
 from lanebound.integrity.errors import InputError
 
-__all__ = ["Checkpoint", "load_model", "train"]
+__all__ = ["Checkpoint", "load_model", "one_thread", "train"]
 
 CLASSES = {
     Algorithm.PPO: "stable_baselines3:PPO",
@@ -91,7 +91,7 @@ def train(
     env = for_learning(experiment, processes)
     with ExitStack() as stack:
         stack.callback(env.close)
-        stack.enter_context(_one_thread())
+        stack.enter_context(one_thread())
         model = _model(experiment, env, out)
         watch = _Watch(stepped)
         while model.num_timesteps < experiment.steps:
@@ -109,7 +109,7 @@ def train(
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
+def one_thread() -> Iterator[None]:
     """Within it networks and the engine compute on one thread: both are so small that threads wait more than they do.
 
     Two trainings side by side are slowed fifteenfold by each other's threads.

@@ -35,7 +35,7 @@ def test_it_is_bounded_and_comes_down_at_once_when_the_cost_does() -> None:
     for _ in range(500):
         multiplier.update(50.0)
     assert multiplier.value == 2.0
-    falling = [multiplier.update(0.0) for _ in range(60)]
+    falling = [multiplier.update(0.0) for _ in range(100)]
     assert falling[-1] == 0.0
 
 
@@ -46,6 +46,14 @@ def test_what_a_beginners_crashes_leave_is_given_back_as_fast() -> None:
         multiplier.update(cost)
     assert multiplier.integral == pytest.approx(before)
     assert multiplier.value < 0.2
+
+
+def test_the_limit_counts_after_as_many_decisions_as_it_is_told_to_wait() -> None:
+    config = MultiplierConfig(after_steps=1000, start=0.3)
+    multiplier = Multiplier(15.0, config)
+    assert multiplier.value == 0.0
+    assert [multiplier.update(200.0, steps) for steps in (0, 500, 999)] == [0.0, 0.0, 0.0]
+    assert multiplier.update(20.0, 1000) == Multiplier(15.0, config.replace(after_steps=0)).update(20.0)
 
 
 def test_growing_costs_are_answered_before_they_exceed_and_falling_ones_are_not_rewarded() -> None:
@@ -61,7 +69,7 @@ def test_growing_costs_are_answered_before_they_exceed_and_falling_ones_are_not_
 def test_a_plant_that_yields_to_it_comes_to_its_limit() -> None:
     multiplier = Multiplier(15.0, MultiplierConfig())
     cost = 0.0
-    for _ in range(400):
+    for _ in range(1000):
         cost = 50.0 / (1.0 + multiplier.value)  # a policy that heeds the multiplier at once
         multiplier.update(cost)
     assert cost == pytest.approx(15.0, rel=1e-2)

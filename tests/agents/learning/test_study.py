@@ -14,9 +14,11 @@ from typer.testing import CliRunner
 from lanebound.agents.benchmark.results import Results
 from lanebound.agents.cli import app
 from lanebound.agents.learning import study as room
-from lanebound.agents.learning.study import LearningStudyConfig, load_study, plan, run_learning_study
+from lanebound.agents.learning import study_time as times
+from lanebound.agents.learning.study import LearningStudyConfig, load_study, place_suite, plan, run_learning_study
 from lanebound.agents.learning.study_figure import curves_figure
 from lanebound.agents.learning.study_tables import summarise
+from lanebound.agents.learning.study_time import Pace, measured, study_hours
 from lanebound.integrity.errors import ConfigError, InputError
 
 STILL = {"navigation": {"source": "perfect"}, "duration_s": 3.0}
@@ -81,7 +83,29 @@ def test_every_place_has_its_first_training_before_any_has_its_second() -> None:
     assert course.trainings[1].name == "CarFollowing-v0-open-filtered-0"
     assert course.trainings[1].experiment(small()).overrides == STILL
     assert course.trainings[0].experiment(small()).overrides == {**STILL, "observation": {"integrity": "blind"}}
-    assert course.hours > 0.0
+
+
+def test_the_time_of_a_study_is_that_of_its_decisions(monkeypatch: pytest.MonkeyPatch) -> None:
+    study = small(test_seeds=3, experiment=SMALL["experiment"] | {"count": 1})
+    found = measured(plan(study).trainings[0].experiment(study))
+    assert 0.0 < found.learning_s < 1.0
+    assert found.decisions == 15.0
+    monkeypatch.setattr(times, "measured", lambda planned: Pace(0.5, 2.0, 15.0))
+    of_one = 64 * 0.5 + 2 * 1 * 15 * 0.5 + 3 * 15 * 2.0
+    assert study_hours(study, plan(study)) == pytest.approx(2 * of_one / 3600.0)
+
+
+def test_an_environment_may_have_trainings_of_its_own_kind() -> None:
+    seen = {"perception": {"source": "sensor"}}
+    study = small(envs=["CarFollowing", "UrbanCanyon"], by_env={"UrbanCanyon": {"steps": 32, "overrides": seen}})
+    here, there = (one.experiment(study) for one in plan(study).trainings[::2])
+    assert (here.steps, there.steps) == (64, 32)
+    assert there.overrides == {**STILL, **seen, "observation": {"integrity": "blind"}}
+    assert here.overrides == {**STILL, "observation": {"integrity": "blind"}}
+    suite = place_suite(study, Path("out"), [plan(study).trainings[2]])
+    assert suite.overrides == {**STILL, **seen}
+    with pytest.raises(ConfigError, match="did you mean 'UrbanCanyon-v0'"):
+        small(by_env={"UrbanCanyn": {}})
 
 
 def test_the_filter_is_left_out_where_actions_do_not_accelerate() -> None:
@@ -92,12 +116,13 @@ def test_the_filter_is_left_out_where_actions_do_not_accelerate() -> None:
     }  # fmt: skip
 
 
-def test_the_packaged_study_takes_ten_hours_of_two_cores_at_most() -> None:
+def test_the_packaged_study_has_every_arm_in_every_place() -> None:
     study = load_study("value_of_integrity")
     course = plan(study)
-    assert len(course.trainings) == 100
-    assert course.hours / 2.0 <= 10.0
-    assert course.left_out == ()
+    places = len(study.envs) * len(study.skies)
+    left_out = len(course.left_out) * len(study.skies)
+    assert len(course.trainings) == study.seeds * (len(study.arms) * places - left_out)
+    assert {arm for _, arm in course.left_out} <= {"filtered"}
     assert study.hypotheses
 
 

@@ -13,8 +13,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from lanebound.agents.benchmark import run
 from lanebound.agents.learning.evaluation import evaluate, evaluation_suite
 from lanebound.agents.learning.experiment import load_experiment
-from lanebound.agents.learning.opening import for_judging
-from lanebound.agents.learning.shield import Shielded
+from lanebound.agents.learning.opening import for_judging, for_learning
 from lanebound.agents.learning.training import Checkpoint, _is_best, load_model, train
 from lanebound.envs.costs import CAUSES
 from lanebound.integrity.errors import ConfigError, InputError
@@ -69,8 +68,8 @@ def test_the_engine_and_single_environments_judge_alike(tmp_path: Path) -> None:
     assert for_judging(engine.replace(engine=False), 3).num_envs == 1
     assert for_judging(engine.replace(env="Merge-v0"), 3).num_envs == 1
     assert evaluate(engine, model) == pytest.approx(evaluate(engine.replace(engine=False), model), rel=1e-5)
-    with pytest.raises(ConfigError, match="engine must be left out here, got true: shield"):
-        for_judging(engine.replace(engine=True, shield="cbf"), 3)
+    with pytest.raises(ConfigError, match="engine must be left out here, got true: env_id must have an engine"):
+        for_judging(engine.replace(env="Racetrack", engine=True), 3)
 
 
 def test_another_experiment_is_refused_with_what_differs(tmp_path: Path) -> None:
@@ -134,10 +133,11 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
         train(experiment(settings={"n_stepz": 3}), tmp_path)
 
 
-def test_a_shielded_car_carries_out_the_safe_action_and_says_so() -> None:
-    env = Shielded(experiment(env="CarFollowing", overrides={"duration_s": 4.0}).open())
-    _, info = env.reset(seed=1000)
-    assert info["shielded"] is False
-    changed = [env.step(np.array([1.0, 1.0], np.float32))[4]["shielded"] for _ in range(5)]
-    assert changed[0] is True
-    assert not env.unwrapped.world.vehicle.crashed
+@pytest.mark.parametrize("engine", [True, False])
+def test_shielded_cars_carry_out_the_safe_action_and_say_so(engine: bool) -> None:
+    env = for_learning(experiment(env="CarFollowing", shield="cbf", engine=engine, overrides={"duration_s": 4.0}), 1)
+    env.reset()
+    told = [env.step(np.ones((env.num_envs, 2), np.float32))[3] for _ in range(5)]
+    assert all(info["shielded"] is True for info in told[0])
+    assert not any(info.get("crashed", False) for infos in told for info in infos)
+    env.close()

@@ -1,0 +1,77 @@
+"""How long a study takes on this machine: its environments are driven for a moment, as they will be."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lanebound.agents.benchmark.episode import allotted_s
+from lanebound.agents.learning.experiment import ExperimentConfig
+from lanebound.agents.learning.opening import for_learning
+from lanebound.agents.learning.study import Course, LearningStudyConfig
+from lanebound.agents.learning.training import one_thread
+
+__all__ = ["Pace", "measured", "study_hours"]
+
+LEARNING_S = 2e-4  # of the networks of PPO, a decision; measured
+MOMENT_S = 2.0
+
+
+class Pace(NamedTuple):
+    """What a decision takes in training and alone [s], and how many make an episode that lasts to its end."""
+
+    learning_s: float
+    alone_s: float
+    decisions: float
+
+
+def study_hours(study: LearningStudyConfig, course: Course) -> float:
+    """Time of a core for a whole study [h]: trainings, evaluations at their checkpoints, and held-out episodes.
+
+    Raises
+    ------
+    ConfigError, InputError
+        An environment is refused.
+    """
+    paces = {env: measured(next(one for one in course.trainings if one.env == env).experiment(study))
+             for env in study.envs}  # fmt: skip
+    return sum(_seconds(one.experiment(study), paces[one.env], study.test_seeds) for one in course.trainings) / 3600.0
+
+
+def _seconds(planned: ExperimentConfig, pace: Pace, test_seeds: int) -> float:
+    judged = -(-planned.steps // planned.checkpoint_steps) * planned.evaluation_episodes * pace.decisions
+    return (planned.steps + judged) * pace.learning_s + test_seeds * pace.decisions * pace.alone_s
+
+
+def measured(planned: ExperimentConfig) -> Pace:
+    """How fast an experiment's environments are driven here and now, by actions at random."""
+    with one_thread():
+        many = for_learning(planned, 1)
+        many.reset()
+        learning_s = _each(lambda: many.step(np.stack([many.action_space.sample() for _ in range(many.num_envs)])))
+        many.close()
+        single = planned.open()
+        single.reset(seed=planned.seed)
+
+        def step() -> None:
+            *_, terminated, truncated, _ = single.step(single.action_space.sample())
+            if terminated or truncated:
+                single.reset()
+
+        alone_s = _each(step)
+        decisions = allotted_s(single) / single.dt_s
+        single.close()
+    return Pace(learning_s / planned.count + LEARNING_S, alone_s, decisions)
+
+
+def _each(step: Callable[[], Any]) -> float:
+    """Time of a step [s], after a first one, in which all is made that is made once."""
+    step()
+    begun, count = time.perf_counter(), 0
+    while (passed := time.perf_counter() - begun) < MOMENT_S:
+        step()
+        count += 1
+    return passed / count
