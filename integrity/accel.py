@@ -29,6 +29,7 @@ __all__ = ["jit", "prange", "serial", "use_parallel"]
 F = TypeVar("F", bound=Callable[..., Any])
 FASTMATH = {"nsz"}  # more would let a kernel compiled now and one loaded from the cache differ in the last bit
 PARALLEL_FROM_BATCH = 16
+OWNER = os.getpid()
 
 
 @cache
@@ -140,8 +141,8 @@ def serial() -> Iterator[None]:
 
 
 def use_parallel(batch: int) -> bool:
-    """Whether a batch is worth threads. Never in a daemonic worker process: a forked child would die in OpenMP."""
-    if batch < PARALLEL_FROM_BATCH or _serial.get() or numba.get_num_threads() == 1:
+    """Whether a batch is worth threads. Never in a worker process: a forked child would die in OpenMP."""
+    if batch < PARALLEL_FROM_BATCH or _serial.get() or numba.get_num_threads() == 1 or os.getpid() != OWNER:
         return False
     import multiprocessing
 
