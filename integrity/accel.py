@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 import numba
 from numba import prange
 
-__all__ = ["jit", "prange", "serial", "use_parallel"]
+__all__ = ["is_compiled", "jit", "prange", "serial", "use_parallel"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 FASTMATH = {"nsz"}  # more would let a kernel compiled now and one loaded from the cache differ in the last bit
@@ -125,6 +125,12 @@ def jit(function: F | None = None, *, parallel: bool = False, inline: bool = Fal
             numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
 
     return wrap if function is None else wrap(function)
+
+
+def is_compiled(kernel: Any) -> bool:
+    """Whether a kernel, as :func:`jit` returns it, lies in the cache; its callees do then as well."""
+    directory, source = cache_directory(_layer_of(kernel)), Path(kernel.__code__.co_filename)
+    return directory is not None and any(Path(directory).glob(f"*/{source.stem}.{kernel.__name__}-*.nbi"))
 
 
 _serial: ContextVar[bool] = ContextVar("serial", default=False)

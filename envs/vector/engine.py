@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
 import numba
@@ -19,7 +20,7 @@ from lanebound.envs.vector.senses import Senses, sensing
 from lanebound.envs.vector.start import profile_steps, starter_of
 from lanebound.envs.vector.step_kernel import DECIDE, FINISH, START, World, run_parallel, run_some
 from lanebound.envs.vector.support import require_supported
-from lanebound.integrity.accel import use_parallel
+from lanebound.integrity.accel import is_compiled, use_parallel
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rtk_status import RtkStatus
@@ -28,6 +29,7 @@ __all__ = ["Engine"]
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
+LOG = logging.getLogger(__name__)
 WORLD_SEEDS, EPISODE_SEEDS = 2**31, 2**62  # as DrivingEnv.reset draws them
 
 
@@ -53,6 +55,8 @@ class Engine:
 
     def __init__(self, single: DrivingEnv, count: int) -> None:
         require_supported(single)
+        if not (is_compiled(run_some) or is_compiled(run_parallel)):
+            LOG.warning("compiling the vector engine for this machine: some minutes, once")
         self.single, self.count = single, count
         network = single.world.road.network
         self.lanes, self.chart = lanes_of(network), chart_of(network, single.config.observation)
