@@ -26,7 +26,7 @@ STREAM_NAMES = (
 )  # fmt: skip
 """All streams; the last three are what the vehicles of an area have in common."""
 ZIGGURAT: NDArray[np.float64] = np.load(str(resources.files("lanebound.integrity") / "ziggurat.npy"))
-"""(3, 256) tables of normal draws (see :func:`~lanebound.integrity.streams_kernel.normal`), rounded as NumPy's are."""
+"""(3, 256) tables of normal draws (see :func:`~lanebound.integrity.streams_kernel.fill`), rounded as NumPy's are."""
 
 
 def _name_key(name: str) -> int:

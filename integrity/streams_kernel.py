@@ -20,13 +20,17 @@ EDGE, OF_EDGE = 3.6541528853610088, 0.27366123732975828  # where the ziggurat en
 
 
 @jit(inline=True)
+def advance(a, b, c, counter):  # type: ignore[no-untyped-def]
+    """The next word of a generator, and its four words then."""
+    word = a + b + counter
+    turned = ((c << np.uint64(24)) | (c >> np.uint64(40))) + word
+    return word, b ^ (b >> np.uint64(11)), c + (c << np.uint64(3)), turned, counter + ONE
+
+
+@jit(inline=True)
 def raw(g):  # type: ignore[no-untyped-def]
     """The next word of a generator (4,)."""
-    word = g[0] + g[1] + g[3]
-    g[3] += ONE
-    g[0] = g[1] ^ (g[1] >> np.uint64(11))
-    g[1] = g[2] + (g[2] << np.uint64(3))
-    g[2] = ((g[2] << np.uint64(24)) | (g[2] >> np.uint64(40))) + word
+    word, g[0], g[1], g[2], g[3] = advance(g[0], g[1], g[2], g[3])
     return word
 
 
@@ -37,26 +41,36 @@ def uniform(g):  # type: ignore[no-untyped-def]
 
 
 @jit
-def normal(g, table):  # type: ignore[no-untyped-def]
-    """Standard normal, by the ziggurat of 256 layers of Marsaglia and Tsang 2000.
+def fill(g, table, out):  # type: ignore[no-untyped-def]
+    """Standard normals (W,) of a generator (4,), by the ziggurat of 256 layers of Marsaglia and Tsang 2000.
 
     table (3, 256): of each layer the share of words that lie within the one above, in 2^52nds; its width over 2^52; the
-    density at its edge.
+    density at its edge. The generator's words stay in registers but for the one draw in a hundred that lies outside.
     """
-    while True:
-        word = raw(g)
-        layer = np.int64(word & np.uint64(255))
-        negative = (word >> np.uint64(8)) & ONE
-        place = float((word >> np.uint64(9)) & np.uint64(0x000FFFFFFFFFFFFF))
-        x = place * table[1, layer]
-        if negative:
-            x = -x
-        if place < table[0, layer]:
-            return x
-        if layer == 0:
-            return tail(g, place)
-        if (table[2, layer - 1] - table[2, layer]) * uniform(g) + table[2, layer] < math.exp(-0.5 * x * x):
-            return x
+    a, b, c, counter = g[0], g[1], g[2], g[3]
+    for w in range(out.shape[0]):
+        within = False
+        while not within:
+            word, a, b, c, counter = advance(a, b, c, counter)
+            layer = np.int64(word & np.uint64(255))
+            place = float(np.int64((word >> np.uint64(9)) & np.uint64(0x000FFFFFFFFFFFFF)))
+            x = place * table[1, layer] * (1.0 - 2.0 * float(np.int64((word >> np.uint64(8)) & ONE)))
+            within = place < table[0, layer]
+            if not within:
+                g[0], g[1], g[2], g[3] = a, b, c, counter
+                within, x = outside(g, table, layer, place, x)
+                a, b, c, counter = g[0], g[1], g[2], g[3]
+        out[w] = x
+    g[0], g[1], g[2], g[3] = a, b, c, counter
+
+
+@jit
+def outside(g, table, layer, place, x):  # type: ignore[no-untyped-def]
+    """Whether a draw beside the layer above counts, and what it is then; below all layers it is of the tail."""
+    if layer == 0:
+        return True, tail(g, place)
+    density = (table[2, layer - 1] - table[2, layer]) * uniform(g) + table[2, layer]
+    return density < math.exp(-0.5 * x * x), x
 
 
 @jit
@@ -90,8 +104,7 @@ def uniforms(states, rows, out):  # type: ignore[no-untyped-def]
 def normals(states, rows, table, out):  # type: ignore[no-untyped-def]
     """The same of standard normals."""
     for i in range(rows.shape[0]):
-        for w in range(out.shape[1]):
-            out[i, w] = normal(states[rows[i]], table)
+        fill(states[rows[i]], table, out[i])
 
 
 @jit
@@ -108,9 +121,13 @@ def uniforms_at(states, used, out):  # type: ignore[no-untyped-def]
 @jit
 def normals_at(states, used, table, out):  # type: ignore[no-untyped-def]
     """The same of standard normals."""
+    drawn = np.empty(out.shape[1] * out.shape[2] * out.shape[3])
     for e in range(out.shape[0]):
+        count = out.shape[1] * used[e].sum() * out.shape[3]
+        fill(states[e], table, drawn[:count])
+        n = 0
         for m in range(out.shape[1]):
             for s in range(out.shape[2]):
                 if used[e, s]:
-                    for w in range(out.shape[3]):
-                        out[e, m, s, w] = normal(states[e], table)
+                    out[e, m, s] = drawn[n : n + out.shape[3]]
+                    n += out.shape[3]

@@ -65,7 +65,7 @@ ABOUT = {
     "mpc": About("plans ahead within growing levels (MPC)", f"{LEVELS}, alert", "slows as levels grow", FULL),
     "nominal": About("best laws, blind to integrity; the reference", "position", "nothing", ANY),
     "oracle": About("nominal on the truth: a bound", "the truth", "nothing", ANY),
-    "ppo": About("learnt under the limit of cost, in LaneKeeping", "everything", "as it learnt", FULL),
+    "ppo": About("learnt under the limit of cost", "everything", "as it learnt", ANY),
     "random": About("any action, equally likely", "nothing", "nothing", ANY),
     "rss": About("nominal, gaps less levels, RSS speeds", LEVELS, "nothing", ANY),
     "stanley": About("cruise, steers by Stanley's law", "position", "nothing", STEERED),

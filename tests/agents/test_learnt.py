@@ -1,0 +1,57 @@
+"""Policies that come along drive the ids that they were learnt in, by themselves and in batches."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+from lanebound.agents.drivers import make_agent
+from lanebound.agents.drivers.learnt import LearntDriver, policies
+from lanebound.agents.episodes.opening import open_env
+from lanebound.envs.registration import IDS
+from lanebound.integrity.errors import InputError
+
+LAYERS = [
+    (np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], np.float32), np.zeros(3, np.float32)),
+    (np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 2.0]], np.float32), np.array([0.0, 0.5], np.float32)),
+]
+
+
+def _id_of(base: str) -> str:
+    return next(name for name in IDS if open_env(name).config.base == base)
+
+
+@pytest.mark.parametrize("base", sorted(policies()))
+def test_each_drives_the_id_that_it_was_learnt_in(base: str) -> None:
+    name = _id_of(base)
+    file = policies()[base]
+    assert len(file.read_bytes()) < 1_000_000
+    card = file.with_name(f"{base}.md").read_text(encoding="utf-8")
+    assert f"It takes flat observations of `{name}`" in card
+    env = open_env(name, {"duration_s": 2.0})
+    driver = make_agent("ppo", env)
+    observation, _ = env.reset(seed=1000)
+    over = False
+    while not over:
+        action, _ = driver.predict(observation)
+        assert env.action_space.contains(action if isinstance(env.action_space, spaces.Box) else int(action))
+        observation, _, terminated, truncated, _ = env.step(action)
+        over = terminated or truncated
+    env.close()
+
+
+def test_the_largest_value_is_the_discrete_action() -> None:
+    driver = LearntDriver(LAYERS, discrete=True)
+    seen = np.array([[3.0, -3.0], [-1.0, 2.0]], np.float32)
+    hidden = np.tanh(np.stack([seen[:, 0], seen[:, 1], seen.sum(1)], -1))
+    values = np.stack([hidden[:, 0], hidden[:, 1] + 2.0 * hidden[:, 2] + 0.5], -1)
+    assert driver.predict(seen)[0].tolist() == values.argmax(-1).tolist() == [0, 1]
+    assert driver.predict(seen[0])[0] == 0
+    np.testing.assert_allclose(LearntDriver(LAYERS).predict(seen)[0], values.clip(-1.0, 1.0), rtol=1e-6)
+
+
+def test_other_actions_than_it_learnt_with_are_refused() -> None:
+    base = "LaneKeepingWorld"
+    with pytest.raises(InputError, match="leave 'action' as it is"):
+        make_agent("ppo", open_env(_id_of(base), {"action": "meta"}))
