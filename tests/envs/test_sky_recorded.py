@@ -19,8 +19,9 @@ from lanebound.integrity.recorded.sky_recording import SkyRecording
 from lanebound.integrity.replay.sky_record import record_sky
 from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.sky.visibility import Path
+from lanebound.integrity.streams import named_generator
 
-LENGTH_M = 400.0
+LENGTH_M, TURN = 400.0, 2.0 * np.pi
 
 
 def wall_on_the_left() -> SkyRecording:
@@ -124,6 +125,28 @@ def test_its_link_and_instruments_are_those_of_a_level_in_town(file: FilePath) -
     recorded, urban = SkyLevel.named(str(file)), SkyLevel.named("urban")
     assert recorded.navigator() == urban.navigator()
     assert recorded.recording == str(file)
+
+
+def test_what_was_recorded_is_received_where_it_was(file: FilePath) -> None:
+    recording = record_sky(walled(simulated(50.0), 15.0, 35.0))
+    recording.save(file)
+    network = RoadNetwork.straight_road_network(1, length=recording.length_m + 1.0)
+    for layout in range(3):
+        street = build_street(network, SkyLevel.named(str(file)), layout, reuse=False)
+        phase = recording.length_m * named_generator(layout, "city").random(1)[0]
+        place = np.mod(recording.arc_m - phase, recording.length_m)
+        n, one = recording.arc_m.size, np.zeros((recording.arc_m.size, 1))
+        azimuth = np.mod(recording.azimuth_rad + 0.5 * np.pi, TURN)  # the road runs East
+        view = SkyView(
+            np.zeros((n, 1, 3)), recording.elevation_rad[:, None], azimuth[:, None], one, one, one == 0.0,
+            np.zeros(1, np.int64), np.ones(1, np.int64), np.arange(n),
+        )  # fmt: skip
+        found = street.mask.look(place, np.zeros(n, np.int64), view)
+        same = found.path[:, 0] == recording.path
+        assert same.mean() > 0.95  # stations do not fall on the middles of stretches
+        late = same & (recording.path == Path.REFLECTED)
+        assert late.sum() > 10
+        np.testing.assert_allclose(found.excess_m[late, 0], recording.excess_m[late], atol=8.0)  # of a neighbour
 
 
 def test_an_environment_plays_a_recorded_drive(file: FilePath) -> None:

@@ -24,14 +24,20 @@ def heading_at(time_s: np.ndarray) -> np.ndarray:
     return np.asarray(0.6 + 0.05 * time_s)
 
 
-def simulated(seconds: float = 24.0, late: tuple[int, ...] = (), late_m: float = 0.0, seed: int = 1) -> SmartLoc:
-    """A drive at 5 Hz with ten satellites in two systems, a drifting clock and, for some satellites, late signals."""
+def simulated(
+    seconds: float = 24.0, late: tuple[int, ...] = (), late_m: float = 0.0, seed: int = 1, axle_m: float = 0.0
+) -> SmartLoc:
+    """A drive at 5 Hz with ten satellites in two systems, a drifting clock and, for some satellites, late signals.
+
+    The antenna is ``axle_m`` ahead of the rear axle.
+    """
     rng, t = np.random.default_rng(seed), np.arange(0.0, seconds, 0.2)
     origin, axes = ecef_from_geodetic(LAT, LON, 80.0), ecef_from_enu_matrix(LAT, LON)
     heading = heading_at(t)
     path = np.zeros((t.size, 3))
     path[1:, 0] = np.cumsum(SPEED_MPS * 0.2 * np.sin(0.5 * (heading[1:] + heading[:-1])))
     path[1:, 1] = np.cumsum(SPEED_MPS * 0.2 * np.cos(0.5 * (heading[1:] + heading[:-1])))
+    path += axle_m * np.stack([np.sin(heading), np.cos(heading), 0.0 * heading], -1)
     place = origin + path @ axes.T
     azimuth, elevation = np.arange(10) * 2.0 * np.pi / 10.0, np.radians(ELEVATION_DEG)
     up = np.stack([np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth), np.sin(elevation)], -1)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from city_drives import SIGMA_M, as_files, simulated
+from city_drives import SIGMA_M, SPEED_MPS, as_files, heading_at, simulated
 from recordings import real
 from typer.testing import CliRunner
 
@@ -70,6 +70,17 @@ def test_an_outage_is_bridged_and_the_level_grows_until_it_ends() -> None:
     assert (record.error("ct") < record.pl("ct")).all()
     after = found.time_s >= 19.0
     assert (found.mode[after] == Mode.CODE).all()
+
+
+def test_an_antenna_ahead_of_the_rear_axle_does_not_go_where_the_car_points() -> None:
+    """In a steady bend the window takes up the swing of an antenna that it is not told of, and turns the car by it."""
+    drive, ahead = simulated(axle_m=10.0), 10.0
+    slip = np.arcsin(ahead * 0.05 / SPEED_MPS)
+    for axle_m, expected in ((ahead, 0.0), (0.0, slip)):
+        found = drive_city(drive, BOUNDS, QUICK.replace(axle_m=axle_m), every=5)
+        late = found.time_s > 10.0
+        off = np.remainder(found.heading_rad - heading_at(found.time_s) + np.pi, 2.0 * np.pi) - np.pi
+        assert np.median(off[late]) == pytest.approx(expected, abs=0.01)
 
 
 def test_the_clock_is_told_from_late_signals() -> None:
