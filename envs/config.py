@@ -15,7 +15,7 @@ from lanebound.envs.observation import ObservationConfig
 from lanebound.envs.perception import PerceptionConfig
 from lanebound.envs.rendering.config import RenderingConfig
 from lanebound.envs.rewards import RewardConfig
-from lanebound.envs.sky import SKY_LEVELS, SkyLevel
+from lanebound.envs.sky import RECORDING, SKY_LEVELS, SkyLevel
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import ConfigError
 from lanebound.integrity.presets import nearest
@@ -57,7 +57,10 @@ class EnvConfig(Config):
     action_options: Mapping[str, Any] = Field({}, description="highway-env's options of that action type")
     simulation_hz: int = Field(20, ge=1, le=200, description="steps of the dynamics in a second")
     policy_hz: int = Field(2, ge=1, le=50, description="decisions in a second; must divide simulation_hz")
-    sky: str = Field("urban", description=f"level of the sky: {', '.join(SKY_LEVELS)}, or a preset's full name")
+    sky: str = Field(
+        "urban",
+        description=f"level of the sky: {', '.join(SKY_LEVELS)}, a preset's full name, or the .csv file of a recording",
+    )
     layouts: int = Field(4, ge=1, le=64, description="number of made-up cities, one of them drawn for each episode")
     extent_m: float = Field(2500.0, gt=0, description="longer lanes are lined with houses up to here")
     faults: FaultLevel = Field(FaultLevel.NONE, description="how often instruments and satellites fail")
@@ -93,7 +96,9 @@ class EnvConfig(Config):
     @field_validator("sky")
     @classmethod
     def _sky_exists(cls, name: str) -> str:
-        if name not in SKY_LEVELS and "/" not in name:
+        if name.endswith(RECORDING):
+            SkyLevel.named(name)
+        elif name not in SKY_LEVELS and "/" not in name:
             raise ConfigError(f"sky must be one of {', '.join(SKY_LEVELS)}, got {name!r}: {nearest(name, SKY_LEVELS)}")
         return name
 

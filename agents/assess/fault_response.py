@@ -6,7 +6,7 @@ Both runs draw the same noise, so that whatever differs is the fault's doing.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import SkyMask
 from lanebound.integrity.streams import Streams
 
-__all__ = ["Response", "Run", "drive_run", "measure_response"]
+__all__ = ["Response", "Run", "as_broadcast", "drive_run", "measure_response"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -33,10 +33,12 @@ LOOP_M = ((0.0, 0.0), (600.0, 100.0), (900.0, 700.0), (200.0, 800.0), (-200.0, 4
 class Run:
     """Belief and truth of B vehicles: error_m and level_m (T, B, 2) along and across, the rest (T, B).
 
+    ``heading_rad`` is the true one, by which errors are taken along and across.
     ``squared`` is the normalised estimation error squared ``d' Q^-1 d`` of the position in the plane.
     """
 
     time_s: Array
+    heading_rad: Array
     error_m: Array
     level_m: Array
     squared: Array
@@ -95,7 +97,7 @@ def drive_run(
     epochs, batch = round(duration_s / config.dt_s), len(seeds)
     time = np.linspace(config.dt_s, config.dt_s * epochs, epochs)
     run = Run(
-        time, np.zeros((epochs, batch, 2)), np.zeros((epochs, batch, 2)),
+        time, np.zeros((epochs, batch)), np.zeros((epochs, batch, 2)), np.zeros((epochs, batch, 2)),
         np.zeros((epochs, batch)), np.zeros((epochs, batch), np.int64), np.zeros((epochs, batch), np.int64),
         np.zeros((epochs, batch), np.int64), np.zeros((epochs, batch), np.bool_), np.zeros((epochs, batch), np.bool_),
     )  # fmt: skip
@@ -103,12 +105,30 @@ def drive_run(
         truth = car.step(state, traffic)
         s = navigator.step(truth)
         away = s.position_en_m - truth.position_enu_m[:, :2]
+        run.heading_rad[k] = truth.heading_rad
         run.error_m[k] = (track_from_enu_matrix(truth.heading_rad) @ away[..., None])[..., 0]
         run.level_m[k, :, 0], run.level_m[k, :, 1] = s.pl_at_m, s.pl_ct_m
         run.squared[k] = _normalised(away, s.covariance_en_m2)
         run.mode[k], run.excluded[k], run.alert[k], run.available[k] = s.mode, s.excluded, s.alert, s.available
         run.held[k] = s.held.sum(-1)
     return run
+
+
+def as_broadcast(run: Run, config: NavigatorConfig, faults: Sequence[Fault]) -> Run:
+    """What others are told by vehicles that broadcast their belief, with the lies among ``faults`` in it.
+
+    Receivers have nothing to test it by, so that whether it is declared usable stays the sender's own word.
+    """
+    schedule, batch = FaultSchedule(faults), run.error_m.shape[1]
+    track = SkyTrack.from_config(config.sky, config.dt_s)
+    sky = track.at(track.start_s, np.zeros(batch, dtype=np.int64))
+    error, level = run.error_m.copy(), run.level_m.copy()
+    for k, time in enumerate(run.time_s):
+        effects = schedule.effects(float(time), config.dt_s, sky, batch)
+        shift = effects.v2v_offset_enu_m[:, :2, None]
+        error[k] += (track_from_enu_matrix(run.heading_rad[k]) @ shift)[..., 0]
+        level[k] *= effects.v2v_pl_scale[:, None]
+    return replace(run, error_m=error, level_m=level)
 
 
 def _normalised(away: Array, covariance: Array) -> Array:

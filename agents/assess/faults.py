@@ -2,14 +2,16 @@
 
 Vehicles drive a loop of city streets under an open sky. From some moment on each has the fault, at a satellite of its
 own where the fault is a satellite's; beside it the same vehicle drives without. Faults of gyro and wheels are set into
-a blackout of all signals, where nothing else knows the way.
+a blackout of all signals, where nothing else knows the way. Lies are told to others: what counts is what these believe.
+
+Beside it stands what theory says: the power of detection and exclusion by the size of a bias (:mod:`.detectability`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,7 +19,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from lanebound.agents.assess.bounding_summary import rate_of
-from lanebound.agents.assess.fault_response import Response, Run, drive_run, measure_response
+from lanebound.agents.assess.detectability import detectability
+from lanebound.agents.assess.fault_response import Response, Run, as_broadcast, drive_run, measure_response
 from lanebound.agents.kept import Progress, claim, run_parts, write_whole
 from lanebound.integrity.config import Config, Field
 from lanebound.integrity.navigator import NavigatorConfig
@@ -43,9 +46,11 @@ SIZES_TRIED: dict[FaultKind, tuple[float, ...]] = {
     K.GYRO_BIAS: (0.1, 0.5, 2.0),
     K.WHEEL_SLIP: (0.02, 0.1, 0.5),
     K.ODOMETER_FROZEN: (0.0,),
+    K.V2V_LIE: (0.5, 2.0, 10.0),
 }
-"""Sizes by kind, in the unit of the kind; lies of other vehicles are no fault of this one's position."""
+"""Sizes by kind, in the unit of the kind."""
 BOTH_PROFILES = (K.SATELLITE_RANGE, K.CONSTELLATION, K.SPOOFING)
+THEORY = "theory-"  # begins the names of parts that compare with theory
 IN_BLACKOUT = (K.GYRO_BIAS, K.WHEEL_SLIP, K.ODOMETER_FROZEN)
 BLACKOUT_DB = 60.0
 BLACKOUT_BEFORE_S = 1.0
@@ -63,6 +68,8 @@ class FaultsConfig(Config):
     durations_s: tuple[float, ...] = Field((2.0, 20.0), min_length=1, description="lengths of faults")
     kinds: tuple[FaultKind, ...] = Field(tuple(SIZES_TRIED), min_length=1, description="kinds of faults")
     control_s: float = Field(600.0, gt=60, description="length of the drive without faults")
+    theory_satellites: tuple[int, ...] = Field((7, 12), description="sizes of geometries that are put beside theory")
+    theory_draws: int = Field(4000, ge=40, description="of each size and each bias, four times as many without one")
     navigator: NavigatorConfig = NavigatorConfig()
 
 
@@ -102,23 +109,29 @@ def assess_faults(
     InputError
         ``out`` holds another study, or cannot be written.
     """
-    from lanebound.agents.assess.faults_figure import faults_figure
+    from lanebound.agents.assess.faults_figure import detectability_figure, faults_figure
     from lanebound.integrity.assessment.plotting import save
 
     claim(out, "faults", config, PACKAGES)
     cells = {cell.name: cell for cell in cells_of(config)}
-    parts = run_parts(out, ["control", *cells], partial(work_part, config), jobs, progress)
-    faults = [parts[name] for name in cells]
-    result = {"config": config.to_dict(), "control": parts["control"], "faults": faults}
+    theory = [f"{THEORY}{satellites}" for satellites in config.theory_satellites]
+    parts = run_parts(out, [*cells, "control", *theory], partial(work_part, config), jobs, progress)
+    faults, powers = [parts[name] for name in cells], [parts[name] for name in theory]
+    result = {"config": config.to_dict(), "control": parts["control"], "theory": powers, "faults": faults}
     write_whole(out / "results.json", result)
     save(faults_figure(faults), out / "faults.svg")
+    if powers:
+        save(detectability_figure(powers), out / "detectability.svg")
     return result
 
 
 def work_part(config: FaultsConfig, name: str) -> dict[str, Any]:
-    """One cell, or the drive without faults."""
+    """One cell, the drive without faults, or a comparison with theory."""
     if name == "control":
         return control(config)
+    if name.startswith(THEORY):
+        satellites = int(name.removeprefix(THEORY))
+        return detectability(config.navigator.fde, satellites, config.theory_draws, config.first_seed)
     return work_cell(config, next(cell for cell in cells_of(config) if cell.name == name))
 
 
@@ -136,13 +149,25 @@ def work_cell(config: FaultsConfig, cell: Cell) -> dict[str, Any]:
     """Drive with and without the fault and sum up what became of it."""
     onset = _onsets(config)
     duration = config.warm_up_s + SPREAD_S + cell.duration_s + config.after_s
-    drive = partial(drive_run, config.navigator, _seeds(config), duration)
     dark = _blackouts(onset, cell.duration_s) if cell.kind in IN_BLACKOUT else []
-    faulty, sound = drive(_maker(cell, onset, dark)), drive(dark)
+    sound, faults = _sound(config.to_json(), duration, cell.duration_s if dark else None), _maker(cell, onset, dark)
+    if cell.kind is K.V2V_LIE:
+        track = SkyTrack.from_config(config.navigator.sky, duration)
+        faulty = as_broadcast(sound, config.navigator, faults(track))
+    else:
+        faulty = drive_run(config.navigator, _seeds(config), duration, faults)
     limits = config.navigator.alert.limits
     found = measure_response(faulty, sound, onset, (limits.al_at_m, limits.al_ct_m))
     place = asdict(cell) | {"kind": cell.kind.value, "in_blackout": bool(dark)}
     return place | _summed(found, config.navigator.alert.time_to_alert_s)
+
+
+@lru_cache(maxsize=4)
+def _sound(text: str, duration_s: float, dark_s: float | None) -> Run:
+    """The drive without the fault, in a blackout of ``dark_s`` or in none: the same for many faults."""
+    config = FaultsConfig.from_json(text)
+    dark = [] if dark_s is None else _blackouts(_onsets(config), dark_s)
+    return drive_run(config.navigator, _seeds(config), duration_s, dark)
 
 
 def _maker(cell: Cell, onset: np.ndarray, dark: Sequence[Fault]) -> Callable[[SkyTrack], list[Fault]]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-__all__ = ["faults_figure"]
+__all__ = ["detectability_figure", "faults_figure"]
 
 COLUMNS = 4
 
@@ -31,6 +31,27 @@ def faults_figure(cells: Sequence[Mapping[str, Any]]) -> Figure:
         axis.set_axis_off()
     axes[0].set_ylabel("share of vehicles")
     axes[0].legend(fontsize=8)
+    return figure
+
+
+def detectability_figure(powers: Sequence[Mapping[str, Any]]) -> Figure:
+    """Theory and what detection and exclusion do, by the size of a bias; a panel for each number of satellites."""
+    figure = Figure(figsize=(4.2 * len(powers), 3.4), layout="constrained")
+    for axis, found in zip(np.atleast_1d(figure.subplots(1, len(powers), squeeze=False).ravel()), powers, strict=True):
+        rows = found["by_factor"]
+        factor = [row["factor"] for row in rows]
+        axis.plot(factor, [row["theory"] for row in rows], "k-", label="its own test, theory")
+        for key, mark, label in (
+            ("own", "k+", "its own test"),
+            ("noticed", "g^-", "noticed"),
+            ("right", "bv-", "excluded"),
+        ):
+            axis.plot(factor, [row[key]["rate"] for row in rows], mark, label=label)
+        axis.set_title(f"{found['satellites']} satellites, redundancy {found['redundancy']}", fontsize=9)
+        axis.set_xlabel("bias over the minimal detectable one")
+        axis.set_ylim(-0.05, 1.05)
+        axis.set_ylabel("share of epochs")
+        axis.legend(fontsize=8)
     return figure
 
 

@@ -7,11 +7,11 @@ from typing import Any
 
 from lanebound.agents.assess.bounding_tables import Table
 
-__all__ = ["consistency_rows", "control_lines", "fault_rows"]
+__all__ = ["consistency_rows", "control_lines", "fault_rows", "theory_rows"]
 
 UNITS = {
     "satellite_range": "m", "constellation": "m", "cycle_slip": "cycles", "reference_coordinates": "m", "spoofing": "m",
-    "jamming": "dB", "gyro_bias": "deg/s", "wheel_slip": "of speed",
+    "jamming": "dB", "gyro_bias": "deg/s", "wheel_slip": "of speed", "v2v_lie": "m",
 }  # fmt: skip
 
 
@@ -54,6 +54,18 @@ def consistency_rows(result: Mapping[str, Any]) -> Table:
                 (mode, f"{found['epochs']:,}", f"{found['mean_nees']:.2f}", f"{found['beyond_95']:.3f}", *shown)
             )
     return ("mode", "epochs", "mean NEES", "beyond 95 %", "PL/least AT", "PL/least CT"), rows
+
+
+def theory_rows(result: Mapping[str, Any]) -> Table:
+    """The power of detection by the size of a bias, in minimal detectable ones, beside theory."""
+    columns = ("satellites", "bias/MDB", "theory", "own test", "noticed", "excluded rightly", "epochs")
+    rows = []
+    for found in result["theory"]:
+        for row in found["by_factor"]:
+            shares = (f"{row[key]['rate']:.4f}" for key in ("own", "noticed", "right"))
+            epochs = f"{row['noticed']['trials']:,}"
+            rows.append((str(found["satellites"]), f"{row['factor']:g}", f"{row['theory']:.4f}", *shares, epochs))
+    return columns, rows
 
 
 def control_lines(result: Mapping[str, Any]) -> list[str]:

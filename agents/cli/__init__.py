@@ -53,6 +53,8 @@ EXAMPLES = """
 
   lanebound replay data/berlin --out out/b     a recorded drive through the same rooms
 
+  lanebound record-sky data/berlin --out b.csv   its sky, for drive --sky b.csv
+
   lanebound bench --json                       speed against the gates
 
 Every command explains itself: [bold]lanebound COMMAND --help[/bold]
@@ -80,6 +82,7 @@ app.command("study")(study.study)
 app.command("replay-episode")(replay.replay_episode)
 app.command("replay")(recorded.replay)
 app.command("rtk")(recorded.rtk)
+app.command("record-sky")(recorded.record_sky)
 app.command("envs")(envs.envs)
 app.command("agents")(agents.agents)
 app.command("drive")(drive.drive)

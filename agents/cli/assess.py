@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from lanebound.agents.cli.advice import AdvisingGroup
+from lanebound.agents.cli.estimate import Estimate
 
 if TYPE_CHECKING:
     from lanebound.agents.assess.bounding import BoundingConfig
@@ -56,7 +58,7 @@ def bounding(
 
 @app.command("faults")
 def faults(
-    out: Annotated[Path, typer.Option(help="Folder for results.json and faults.svg; an interrupted run goes on.")],
+    out: Annotated[Path, typer.Option(help="Folder for results.json and figures; an interrupted run goes on.")],
     vehicles: Annotated[
         int | None, typer.Option(min=1, help="Vehicles that meet each fault; the study has 16.")
     ] = None,
@@ -103,9 +105,18 @@ def _with_bar(what: str, study: Any) -> dict[str, Any]:
 
     from lanebound.agents.cli.interrupt import wait_for
 
-    with Progress(console=Console(stderr=True)) as bar:
+    console = Console(stderr=True)
+    estimate = Estimate(time.monotonic)
+    with Progress(console=console) as bar:
         task = bar.add_task(what, total=None)
-        found: dict[str, Any] = wait_for(lambda: study(lambda done, of: bar.update(task, completed=done, total=of)))
+
+        def told(done: int, of: int) -> None:
+            bar.update(task, completed=done, total=of)
+            line = estimate.line(done, of)
+            if line and not console.is_terminal:  # a terminal has the bar's own
+                console.print(line)
+
+        found: dict[str, Any] = wait_for(lambda: study(told))
         return found
 
 
@@ -131,7 +142,7 @@ def _report_bounding(result: dict[str, Any], out: Path, as_json: bool) -> None:
 
 
 def _report_faults(result: dict[str, Any], out: Path, as_json: bool) -> None:
-    from lanebound.agents.assess.faults_tables import consistency_rows, control_lines, fault_rows
+    from lanebound.agents.assess.faults_tables import consistency_rows, control_lines, fault_rows, theory_rows
     from lanebound.agents.cli.output import print_json, print_table
 
     if as_json:
@@ -142,6 +153,10 @@ def _report_faults(result: dict[str, Any], out: Path, as_json: bool) -> None:
         *fault_rows(result),
     )
     print_table("Without faults: consistency of the position by mode", *consistency_rows(result))
+    if result["theory"]:
+        print_table(
+            "A bias of one satellite against theory; without one what is noticed is false", *theory_rows(result)
+        )
     for line in control_lines(result):
         typer.echo(line)
-    typer.echo(f"results.json, faults.svg: {out}")
+    typer.echo(f"results.json, faults.svg, detectability.svg: {out}")

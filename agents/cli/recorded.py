@@ -1,4 +1,4 @@
-"""``lanebound replay`` and ``lanebound rtk``: what others recorded, through the rooms of simulated drives."""
+"""``lanebound replay``, ``rtk`` and ``record-sky``: what others recorded, through the rooms of simulated drives."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-__all__ = ["replay", "rtk"]
+__all__ = ["record_sky", "replay", "rtk"]
 
 Changes = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a value; may be repeated.")
@@ -80,6 +80,54 @@ def rtk(
         return
     _print_rtk(found)
     _tell(found["stopped"], written)
+
+
+def record_sky(
+    dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of a smartLoc drive with its truth.")],
+    out: Annotated[
+        Path, typer.Option(metavar="FILE.csv", help="The recorded sky, to be named as an environment's sky.")
+    ],
+    assignments: Changes = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write down the sky along a recorded drive: who was received where, and how late. Environments can play it.
+
+    Example: lanebound record-sky data/smartloc_berlin_potsdamer --out berlin.csv
+    """
+    from lanebound.agents.cli.interrupt import stoppable, wait_for
+    from lanebound.agents.cli.output import print_json
+    from lanebound.integrity.errors import ConfigError
+    from lanebound.integrity.presets import parse_assignments
+    from lanebound.integrity.replay.city_report import read_city
+    from lanebound.integrity.replay.sky_record import SkyRecordConfig, summary
+    from lanebound.integrity.replay.sky_record import record_sky as make
+
+    if out.suffix != ".csv":
+        raise ConfigError(f"--out must end in .csv, by which a recorded sky is known, got {out}: name it so")
+    config = SkyRecordConfig.build(None, parse_assignments(assignments or []))
+    with stoppable(lambda: "nothing is kept"):
+        drive = wait_for(lambda: read_city(dataset))
+        recording = make(drive, config)
+        recording.save(out)
+    found = summary(recording)
+    if as_json:
+        print_json(found)
+        return
+    _print_sky(found)
+    _tell(drive.stopped, [out])
+
+
+def _print_sky(found: dict[str, Any]) -> None:
+    from lanebound.agents.cli.output import print_table
+
+    rows = [("length m", found["length_m"]), ("satellites", found["satellites"]), ("rows", found["rows"])]
+    rows += [(f"{kind}, share of rows", share) for kind, share in found["shares"].items()]
+    rows += [("late signals, median m", found["late_median_m"]), ("late signals, 95 % m", found["late_95_m"])]
+    rows += [
+        ("a satellite left out: rows foretold", found["foretold"]),
+        ("the same, guessed blindly", found["guessed"]),
+    ]
+    print_table("Recorded sky", ("", "value"), rows)
 
 
 def _tell(stopped: Any, written: list[Path]) -> None:

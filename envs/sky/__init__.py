@@ -1,7 +1,7 @@
 """From a lane network to what can be received on it: levels of difficulty, and the streets built by them."""
 
 from lanebound.envs.sky.build import Section, build_street
-from lanebound.envs.sky.level import SKY_LEVELS, SkyLevel
+from lanebound.envs.sky.level import RECORDING, SKY_LEVELS, SkyLevel
 from lanebound.envs.sky.street import NO_LANE, LaneMap, Street
 
-__all__ = ["NO_LANE", "SKY_LEVELS", "LaneMap", "Section", "SkyLevel", "Street", "build_street"]
+__all__ = ["NO_LANE", "RECORDING", "SKY_LEVELS", "LaneMap", "Section", "SkyLevel", "Street", "build_street"]

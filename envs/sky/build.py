@@ -9,6 +9,7 @@ from highway_env.road.road import RoadNetwork
 from lanebound.envs.sky import cache
 from lanebound.envs.sky.corridors import Corridor, Edge, LaneGround, corridors, edges_of
 from lanebound.envs.sky.level import SkyLevel
+from lanebound.envs.sky.recorded import recorded_street, recording_of
 from lanebound.envs.sky.street import LaneMap, Street
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.sky.city import CityConfig, SectionKind, Stretch, line_street
@@ -51,7 +52,8 @@ def build_street(
     Raises
     ------
     InputError
-        No lanes, an unknown edge or kind in ``sections``, or an extent that is not positive.
+        No lanes, an unknown edge or kind in ``sections``, an extent that is not positive, or a recorded sky that cannot
+        be read whole.
     """
     if not extent_m > 0.0:
         raise InputError(f"extent_m must be positive, got {extent_m}: pass how far edges are lined, in metres")
@@ -60,7 +62,8 @@ def build_street(
     sections = tuple(sections or ())
     if not reuse:
         return _build(network, level, layout_seed, sections, extent_m)
-    key = cache.key_of(network, level, layout_seed, sections, float(extent_m))
+    recorded = () if level.recording is None else (recording_of(level.recording).digest,)
+    key = cache.key_of(network, level, layout_seed, sections, float(extent_m), *recorded)
     street = cache.remember(key)
     if street is None:
         street = cache.load(key, LaneMap.of(network, extent_m, SPACING_M))
@@ -81,6 +84,8 @@ def _build(
 ) -> Street:
     members = corridors(network, extent_m)
     lanes = LaneMap.of(network, extent_m, SPACING_M)
+    if level.recording is not None:
+        return recorded_street(network, members, lanes, recording_of(level.recording), layout_seed)
     city = _city(network, members, level, layout_seed, _named(members, sections), extent_m)
     if not len(city):
         return Street(SkyMask.open(), SkyForecast.open(), city, lanes)

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from lanebound.integrity.config import Config, Field, deep_merge
+from lanebound.integrity.errors import ConfigError
 from lanebound.integrity.navigator import NavigatorConfig
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
 from lanebound.integrity.sky.city import CityConfig, SectionConfig, SectionKind
 from lanebound.integrity.sky.survey import MapConfig
 
-__all__ = ["SKY_LEVELS", "SkyLevel"]
+__all__ = ["RECORDING", "SKY_LEVELS", "SkyLevel"]
 
 SKY_LEVELS = ("open", "suburban", "urban", "dense")
+RECORDING = (".csv", ".csv.gz")  # how names of recorded skies end
+AS_RECORDED = "urban"  # the level whose link and instruments go with a recorded sky
 
 
 class SkyLevel(Config):
@@ -44,6 +48,10 @@ class SkyLevel(Config):
         True, description="use the stretches that a world names itself; the level's own elsewhere"
     )
 
+    recording: str | None = Field(
+        None, description="a recorded sky to be played in place of a made-up city; a file of lanebound record-sky"
+    )
+
     def streets_along(self, road_width_m: float) -> CityConfig:
         """The city along a road of this width: setbacks that are too small for ``street_width_m`` are widened."""
         least = 0.5 * (self.street_width_m - road_width_m)
@@ -53,7 +61,21 @@ class SkyLevel(Config):
 
     @classmethod
     def named(cls, name: str) -> SkyLevel:
-        """A packaged level: ``open``, ``suburban``, ``urban`` or ``dense``; or the full name of another preset."""
+        """A packaged level: ``open``, ``suburban``, ``urban`` or ``dense``; or the full name of another preset.
+
+        The name of a recorded sky, a ``.csv`` file, is that sky with the link and the instruments of ``urban``.
+
+        Raises
+        ------
+        ConfigError
+            There is no such preset, or no such file.
+        """
+        if name.endswith(RECORDING):
+            if not Path(name).is_file():
+                raise ConfigError(
+                    f"sky must name a file, got {name!r}, which is none: make it by 'lanebound record-sky'"
+                )
+            return cls.named(AS_RECORDED).replace(recording=name)
         return cls.preset(f"skies/{name}" if name in SKY_LEVELS else name)
 
     def navigator(self, base: NavigatorConfig | None = None) -> NavigatorConfig:

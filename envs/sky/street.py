@@ -64,13 +64,16 @@ class LaneMap:
         reach = {index: min(value, extent_m) for index, value in length.items()}
         return cls(spacing_m, offset, length, reach, beside, _following(network))
 
+    def stations(self, edge: Edge, lanes: int) -> int:
+        """Number of stations along an edge of so many lanes."""
+        return _stations(max(self.reach_m[(*edge, i)] for i in range(lanes)), self.spacing_m)
+
     def antennas(self, network: RoadNetwork, height_m: float) -> Array:
         """Antenna positions ENU over the middle of each lane, (N, L, 3); lanes that an edge lacks repeat its last."""
         rows = []
         widest = max(len(lanes) for _, lanes in edges_of(network))
         for edge, lanes in edges_of(network):
-            count = _stations(max(self.reach_m[(*edge, i)] for i in range(len(lanes))), self.spacing_m)
-            s = self.spacing_m * np.arange(count)
+            s = self.spacing_m * np.arange(self.stations(edge, len(lanes)))
             tracks = [lane_points(lane, np.minimum(s, lane.length)) for lane in lanes]
             rows.append(np.stack(tracks + tracks[-1:] * (widest - len(tracks)), 1))
         en = np.concatenate(rows)

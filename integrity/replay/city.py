@@ -51,6 +51,7 @@ class CityConfig(Config):
     spacing_s: float = Field(1.0, ge=0.0, description="time between the epochs of a window [s]; errors last longer")
     cn0_min_dbhz: float = Field(20.0, ge=0.0, description="lowest C/N0 used [dB-Hz]")
     path_error: float = Field(0.02, ge=0.0, description="error of the reckoned path by its length [-]; 1 sigma")
+    axle_m: float = Field(0.0, ge=0.0, le=20.0, description="antenna ahead of the rear axle [m]; not told by smartLoc")
     minimum_satellites: int = Field(5, ge=5, description="satellites now, fewer are bridged [-]")
     satellite_prior: float = Field(1e-3, gt=0.0, lt=1.0, description="P(a satellite's errors exceed their bound) [-]")
     danish: DanishConfig = DanishConfig(iterations=0)
@@ -134,7 +135,7 @@ class _Run:
         if o.time_s.size < 2:
             raise InputError(f"drive must have odometry, got {o.time_s.size} lines 'odom3': give the whole file")
         self.config, self.ranges = config, r
-        self.path = reckon(o.time_s, o.speed_mps, -o.yaw_rate_left_radps)
+        self.path = reckon(o.time_s, o.speed_mps, -o.yaw_rate_left_radps, config.axle_m)
         self.time = np.unique(r.time_s)
         self.on_path = _path_at(self.path, r.time_s)
         self.now_path = _path_at(self.path, self.time)

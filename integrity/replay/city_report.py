@@ -24,7 +24,7 @@ from lanebound.integrity.replay.city import CityConfig, CityDrive, drive_city
 from lanebound.integrity.replay.overbound import CodeErrors
 from lanebound.integrity.replay.training import train
 
-__all__ = ["CityReplay", "CityResult", "find_smartloc", "replay_city", "write_city"]
+__all__ = ["CityReplay", "CityResult", "find_smartloc", "read_city", "replay_city", "write_city"]
 
 CAUTION = (
     "epochs of one drive are not independent: neighbouring ones share most of their signals, so that the exact "
@@ -128,6 +128,20 @@ def find_smartloc(folder: Path) -> tuple[Path, Path | None] | None:
     return (inputs[0], truths[0] if truths else None) if inputs else None
 
 
+def read_city(folder: Path) -> SmartLoc:
+    """The smartLoc drive of a folder, with its truth.
+
+    Raises
+    ------
+    InputError
+        The folder holds none.
+    """
+    found = find_smartloc(folder)
+    if found is None or found[1] is None:
+        raise InputError(f"{folder} must hold *_Input.txt(.gz) and *_GT.txt of smartLoc, does not: give another folder")
+    return read_smartloc(*found)
+
+
 def write_city(folder: Path, out: Path, config: CityReplay | None = None) -> tuple[dict[str, Any], list[Path]]:
     """Replay a smartLoc folder and write ``replay.json``, Stanford diagrams, series and map into ``out``.
 
@@ -136,10 +150,7 @@ def write_city(folder: Path, out: Path, config: CityReplay | None = None) -> tup
     InputError
         The folder holds no smartLoc drive with its truth.
     """
-    found = find_smartloc(folder)
-    if found is None or found[1] is None:
-        raise InputError(f"{folder} must hold *_Input.txt(.gz) and *_GT.txt of smartLoc, does not: give another folder")
-    drive = read_smartloc(*found)
+    drive = read_city(folder)
     result = replay_city(drive, config)
     summary = {"dataset": "smartloc", "stopped": drive.stopped and str(drive.stopped), **result.summary()}
     out.mkdir(parents=True, exist_ok=True)

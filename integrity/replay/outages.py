@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 AXES_OF_GYRO = 2  # z, down: positive to the right
+SLOWEST_MPS = 0.5  # below which a velocity has no direction
 
 
 class OutageConfig(Config):
@@ -38,6 +39,9 @@ class OutageConfig(Config):
     every_s: float = Field(0.5, gt=0.0, description="time between the starts of outages [s]")
     calibration_s: float = Field(15.0, gt=0.0, description="first part, for wheel scale and gyro bias only [s]")
     heading_error_deg: float = Field(0.0, ge=0.0, description="error given to the heading, in both signs [deg]")
+    axle_m: float = Field(
+        0.0, ge=0.0, le=20.0, description="reference point ahead of the rear axle [m]; not told by comma2k19"
+    )
     fix_sigma_m: float = Field(0.02, gt=0.0, description="position of the fix, 1 sigma on each axis [m]")
     risk: RiskConfig = RiskConfig(integrity_risk=1e-3)
     bridge: BridgeConfig = BridgeConfig(
@@ -47,8 +51,8 @@ class OutageConfig(Config):
 
 @dataclass(frozen=True)
 class Motion:
-    """Epochs (T,): time from the start [s], reference position (T, 2) E, N [m] and track [rad], its speed [m/s];
-    measured speed [m/s] and yaw rate to the right [rad/s], calibrated."""
+    """Epochs (T,): time from the start [s], reference position (T, 2) E, N [m], the rear axle's track [rad] and true
+    speed [m/s]; measured speed [m/s] and yaw rate to the right [rad/s], calibrated."""
 
     time_s: Array
     position_m: Array
@@ -95,9 +99,11 @@ def motion_of(segment: Comma, config: OutageConfig) -> tuple[Motion, dict[str, f
     place = np.stack([np.interp(at, r.time_s, enu[:, k]) for k in range(2)], -1)
     moving = np.stack([np.interp(at, r.time_s, velocity[:, k]) for k in range(2)], -1)
     rate = _averaged(segment.rotation_rate.time_s, segment.rotation_rate.value[:, AXES_OF_GYRO], at, config.rate_hz)
-    motion = Motion(
-        time, place, np.unwrap(np.arctan2(moving[:, 0], moving[:, 1])), np.hypot(*moving.T), segment.speed.at(at), rate
-    )
+    speed = np.hypot(*moving.T)
+    # the rear axle goes where the car points, the reference point at an angle to it
+    slip = np.arcsin(np.clip(config.axle_m * rate / np.maximum(speed, SLOWEST_MPS), -1.0, 1.0))
+    track = np.unwrap(np.arctan2(moving[:, 0], moving[:, 1])) - slip
+    motion = Motion(time, place, track, speed, segment.speed.at(at), rate)
     return calibrate(motion, config.calibration_s)
 
 
@@ -152,7 +158,7 @@ def _driven(motion: Motion, starts: Ints, heading_error: Array, n: int, config: 
     believed, heading = np.zeros((starts.size, n, 2)), np.zeros((starts.size, n))
     for i, s in enumerate(starts):
         part = slice(s, s + n + 1)
-        path = reckon(motion.time_s[part], motion.speed_mps[part], motion.yaw_rate_radps[part])
+        path = reckon(motion.time_s[part], motion.speed_mps[part], motion.yaw_rate_radps[part], config.axle_m)
         initial = float(motion.track_rad[s] + heading_error[i])
         believed[i] = motion.position_m[s] + turned(path.position_m[1:], initial)
         heading[i] = initial + path.heading_rad[1:]

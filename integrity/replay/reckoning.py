@@ -22,10 +22,11 @@ class Path:
     distance_m: Array
 
 
-def reckon(time_s: Array, speed_mps: Array, yaw_rate_radps: Array) -> Path:
+def reckon(time_s: Array, speed_mps: Array, yaw_rate_radps: Array, axle_m: float = 0.0) -> Path:
     """``dp = V dt [sin t, cos t]`` with the means of speed and heading over each interval (inverse of S1 eq 4).
 
-    All (T,); the yaw rate is positive to the right (clockwise).
+    All (T,); the yaw rate is positive to the right (clockwise). The rear axle goes where the car points; the path is
+    that of a point ``axle_m`` ahead of it, which swings sideways in a bend.
     """
     dt = np.diff(time_s)
     turn = 0.5 * (yaw_rate_radps[1:] + yaw_rate_radps[:-1]) * dt
@@ -33,7 +34,8 @@ def reckon(time_s: Array, speed_mps: Array, yaw_rate_radps: Array) -> Path:
     run = 0.5 * (speed_mps[1:] + speed_mps[:-1]) * dt
     middle = 0.5 * (heading[1:] + heading[:-1])
     steps = run[:, None] * np.stack([np.sin(middle), np.cos(middle)], -1)
-    position = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    ahead = axle_m * np.stack([np.sin(heading), np.cos(heading) - 1.0], -1)
+    position = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)]) + ahead
     return Path(time_s, heading, position, np.concatenate([[0.0], np.cumsum(np.abs(run))]))
 
 

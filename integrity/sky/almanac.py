@@ -1,8 +1,12 @@
-"""YUMA almanacs: the text form in which GPS, and by custom other systems, publish their orbits."""
+"""YUMA almanacs: the text form in which GPS, and by custom other systems, publish their orbits.
+
+A file cut short gives the satellites before the cut, and where that was; text that is no almanac is refused.
+"""
 
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from datetime import date, datetime
 from pathlib import Path as FilePath
 
@@ -40,6 +44,8 @@ LABELS = {
     System.QZSS: ("QZS", "QZ", "J"),
 }
 HEADER = re.compile(r"almanac for\s+([A-Za-z]+)", re.IGNORECASE)
+WEEK_OF_HEADER = re.compile(r"week\s+(\d+)\s+almanac", re.IGNORECASE)
+LARGEST_BYTES = 8 * 2**20  # an almanac of all systems is below 100 kB
 WEEKS_OF_ROLLOVER = 1024
 
 
@@ -49,9 +55,11 @@ def read_yuma(path: str | FilePath, near: date, *, healthy_only: bool = True) ->
     Raises
     ------
     InputError
-        The file cannot be read, is no text, is cut short or malformed.
+        The file cannot be read, is too large, is no text, or malformed.
     """
     try:
+        if (size := FilePath(path).stat().st_size) > LARGEST_BYTES:
+            raise InputError(f"almanac {path} must have at most {LARGEST_BYTES} bytes, has {size}: is it a YUMA file?")
         text = FilePath(path).read_text(encoding="ascii", errors="strict")
     except (OSError, UnicodeDecodeError) as exc:
         raise InputError(f"almanac {path} must be a readable ASCII text file, got: {exc}") from exc
@@ -73,13 +81,15 @@ def parse_yuma(text: str, near: date, *, healthy_only: bool = True, source: str 
     Raises
     ------
     InputError
-        Names the line, the field and how many satellites had been read; or ``near`` is no date.
+        Names the line, the field and how many satellites had been read; or ``near`` is no date. The last satellite
+        of a text cut short is none: it is left out and ``stopped`` says so, unless it is the only one.
     """
     day = _day(near)
     system: list[int] = []
     blocks: list[dict[str, float]] = []
     current: dict[str, float] | None = None
-    for number, line in enumerate(text.splitlines(), start=1):
+    lines, cut = _whole_lines(text)
+    for number, line in enumerate(lines, start=1):
         where = f"almanac {source}, line {number} ({len(blocks)} satellites read)"
         if header := HEADER.search(line):
             _require_complete(current, where)
@@ -93,7 +103,13 @@ def parse_yuma(text: str, near: date, *, healthy_only: bool = True, source: str 
             _read_field(line, current, where)
             if len(current) == len(FIELDS):
                 blocks.append(current)
-    _require_complete(current, f"almanac {source}, end of text ({len(blocks)} satellites read)")
+    end, stopped = f"almanac {source}, end of text ({len(blocks)} satellites read)", ""
+    if not blocks:
+        _require_complete(current, end)
+    elif current is not None and len(current) < len(FIELDS):
+        stopped = f"{end}: it ends in the middle of a satellite, whose {_missing(current)!r} is missing"
+    elif cut:
+        stopped = f"{end}: the last line has no end and may be cut"
     if not blocks:
         raise InputError(f"almanac {source} must hold at least one satellite, got none: is it a YUMA file?")
     keep = [i for i, b in enumerate(blocks) if b["health"] == 0 or not healthy_only]
@@ -101,7 +117,7 @@ def parse_yuma(text: str, near: date, *, healthy_only: bool = True, source: str 
         raise InputError(
             f"almanac {source} must hold a healthy satellite, got none of {len(blocks)}: use healthy_only=False"
         )
-    return _table([system[i] for i in keep], [blocks[i] for i in keep], day)
+    return replace(_table([system[i] for i in keep], [blocks[i] for i in keep], day), stopped=stopped)
 
 
 def _day(near: date) -> date:
@@ -119,11 +135,30 @@ def _system_of(label: str, where: str) -> System:
     raise InputError(f"{where}: the system must be one of {known}, got {label!r}: correct the header")
 
 
+def _whole_lines(text: str) -> tuple[list[str], bool]:
+    """The lines, and whether a last one was left out because it has no end: it may have lost digits, or more.
+
+    One without an end stays when it is the line of the week, and says the week that the last header says.
+    """
+    lines = text.splitlines()
+    if not lines or text.endswith(("\n", "\r")):
+        return lines, False
+    name, _, value = lines[-1].partition(":")
+    said = WEEK_OF_HEADER.findall(text)
+    if name.strip().lower() == FIELDS["week"][0] and said and value.strip().lstrip("0") == said[-1].lstrip("0"):
+        return lines, False
+    return lines[:-1], True
+
+
+def _missing(block: dict[str, float]) -> str:
+    """The label of the first field that a satellite lacks."""
+    return next(label for key, (label, _, _) in FIELDS.items() if key not in block)
+
+
 def _require_complete(block: dict[str, float] | None, where: str) -> None:
     if block is not None and len(block) < len(FIELDS):
-        missing = next(label for key, (label, _, _) in FIELDS.items() if key not in block)
         raise InputError(
-            f"{where}: field {missing!r} is missing, got {len(block)} of {len(FIELDS)}: is the file cut short?"
+            f"{where}: field {_missing(block)!r} is missing, got {len(block)} of {len(FIELDS)}: is the file cut short?"
         )
 
 

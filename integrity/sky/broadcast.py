@@ -123,7 +123,7 @@ def _nearest(ephemerides: Ephemerides, satellite: Ints, time: Array, healthy_onl
     out = np.full(time.shape, -1, np.int64)
     for s, (system, prn) in enumerate(satellite):
         of = (ephemerides.system == system) & (ephemerides.prn == prn)
-        rows = np.flatnonzero(of & (ephemerides.health == 0) if healthy_only else of)
+        rows = np.flatnonzero(of & ephemerides.healthy if healthy_only else of)
         if not rows.size:
             continue
         away = np.abs(time[:, s, None] - ephemerides.toe_s[rows])

@@ -141,11 +141,13 @@ class SatelliteTable:
     ----------
     system, prn : (S,)
     elements : of S satellites
+    stopped : where reading a file cut short ended, empty for a whole one
     """
 
     system: NDArray[np.int64]
     prn: NDArray[np.int64]
     elements: OrbitElements
+    stopped: str = ""
 
     def __len__(self) -> int:
         return len(self.elements)
@@ -160,7 +162,7 @@ class SatelliteTable:
 
     def take(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> SatelliteTable:
         """Some of the satellites, by mask or by index."""
-        return SatelliteTable(self.system[rows], self.prn[rows], self.elements.take(rows))
+        return SatelliteTable(self.system[rows], self.prn[rows], self.elements.take(rows), self.stopped)
 
     @staticmethod
     def join(tables: list[SatelliteTable]) -> SatelliteTable:
@@ -169,6 +171,7 @@ class SatelliteTable:
             np.concatenate([t.system for t in tables]),
             np.concatenate([t.prn for t in tables]),
             OrbitElements.join([t.elements for t in tables]),
+            "; ".join(t.stopped for t in tables if t.stopped),
         )
 
     def relative_enu(

@@ -32,7 +32,7 @@ class Ephemerides:
     cuc_rad, cus_rad, cic_rad, cis_rad, crc_m, crs_m : harmonic corrections of latitude, inclination and radius
     clock : (N, 3) offset [s], drift [s/s] and its rate [s/s^2]
     group_delay_s : (N, 2) as sent: TGD and 0 (GPS, QZSS), E5a/E1 and E5b/E1 (Galileo), TGD1 and TGD2 (BeiDou)
-    health : health word, 0 where healthy
+    health : health word, see :attr:`healthy`
     source : word on the message's type, for Galileo bit 0 or 2 I/NAV and bit 1 F/NAV
     issue : issue of data
     stopped : where reading a file cut short ended, empty for a whole one
@@ -76,6 +76,15 @@ class Ephemerides:
         if not len(self):
             return np.zeros((0, 2), np.int64)
         return np.unique(np.stack([self.system, self.prn], -1), axis=0)
+
+    @property
+    def healthy(self) -> NDArray[np.bool_]:
+        """Whether the satellites say that they are well.  (N,).
+
+        The last bit of QZSS's word is of one signal alone, which is set while L1 C/A is sent in its place: LEX in
+        IS-QZSS 1.x, L1 C/B since IS-QZSS-PNT-004.
+        """
+        return np.asarray(np.where(self.system == System.QZSS, self.health & ~1, self.health) == 0)
 
     @property
     def geostationary(self) -> NDArray[np.bool_]:

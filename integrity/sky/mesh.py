@@ -15,6 +15,7 @@ __all__ = ["MESH_SUFFIXES", "city_from_mesh"]
 
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".stl")
 LEAST_AREA_M2 = 1e-10
+LARGEST_BYTES = 48 * 2**20  # read in 0.9 GiB, which is some 2.5 million triangles of a binary file
 
 
 def city_from_mesh(
@@ -38,7 +39,8 @@ def city_from_mesh(
     Raises
     ------
     InputError
-        The file is missing, of another kind, cut short, empty, or without a face of positive area.
+        The file is missing, of another kind, too large, cut short, empty, or without a face of positive area. What a
+        cut file still holds is not taken: the sky of half a city would look too free.
     """
     file = FilePath(path)
     offset = require_finite("origin_enu_m", origin_enu_m)
@@ -47,6 +49,8 @@ def city_from_mesh(
         raise InputError(f"mesh {file} must end in one of {MESH_SUFFIXES}, got {file.suffix!r}: convert it")
     if not file.is_file():
         raise InputError(f"mesh {file} must be a file, got none there: check the path")
+    if (size := file.stat().st_size) > LARGEST_BYTES:
+        raise InputError(f"mesh {file} must have at most {LARGEST_BYTES} bytes, has {size}: cut the city into parts")
     vertices, faces = _load(file)
     if faces.size == 0:
         raise InputError(f"mesh {file} must hold triangles, got none: is the file empty or cut short?")

@@ -23,7 +23,7 @@ __all__ = ["parse_navigation", "read_navigation"]
 
 SYSTEMS = {"G": System.GPS, "E": System.GALILEO, "C": System.BEIDOU, "J": System.QZSS}
 OTHERS = {"R": "GLONASS", "S": "SBAS", "I": "NavIC"}
-LARGEST_BYTES = 256 * 2**20  # a day of all receivers of the IGS is below 20 MiB
+LARGEST_BYTES = 96 * 2**20  # read in 0.7 GiB; a day of all receivers of the IGS is below 20 MiB
 GPS_START = datetime(1980, 1, 6)
 SECONDS_PER_WEEK = 604_800.0
 BEIDOU_BEHIND_S = 14.0  # BDT was UTC at 2006-01-01, 14 leap seconds after GPS time's start; BDS-SIS-ICD-2.1 3.3

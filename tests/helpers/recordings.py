@@ -68,6 +68,15 @@ RINEX = (
     + rinex_epoch(1.0, rinex_satellite("G05", 2e7, 1e8, 2e7, 8e7, lost=1))
 )
 
+SKY = (
+    "# length_m=20.00\n"
+    "satellite,arc_m,azimuth_deg,elevation_deg,path,excess_m,cn0_dbhz\n"
+    "G01,2.50,270.00,40.00,blocked,0.00,0.0\n"
+    "G01,12.50,270.00,40.00,los,0.00,46.0\n"
+    "G02,2.50,90.00,40.00,reflected,35.25,31.0\n"
+    "G02,12.50,90.00,40.00,foliage,0.00,36.5\n"
+)
+
 
 def comma_folder(folder: Path, n: int = 8) -> Path:
     """A segment that goes straight North at 10 m/s."""

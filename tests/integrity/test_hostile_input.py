@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import resource
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from datetime import date
 from pathlib import Path
 
@@ -22,9 +22,12 @@ from lanebound.integrity.errors import ConfigError, InputError
 from lanebound.integrity.monitoring.risk import RiskConfig
 from lanebound.integrity.navigator import NavigatorConfig
 from lanebound.integrity.presets import parse_assignments, parse_yaml
-from lanebound.integrity.sky.almanac import parse_yuma
+from lanebound.integrity.sky import almanac as almanac_room
+from lanebound.integrity.sky import mesh as mesh_room
+from lanebound.integrity.sky import rinex_navigation
+from lanebound.integrity.sky.almanac import parse_yuma, read_yuma
 from lanebound.integrity.sky.mesh import city_from_mesh
-from lanebound.integrity.sky.rinex_navigation import parse_navigation
+from lanebound.integrity.sky.rinex_navigation import parse_navigation, read_navigation
 
 ALMANAC = """\
 ******** Week 38 almanac for PRN-01 ********
@@ -199,9 +202,48 @@ def memory_bytes() -> int:
     return peak if sys.platform == "darwin" else peak * 1024
 
 
+@pytest.mark.parametrize(
+    ("name", "most", "read"),
+    [
+        ("city.ply", mesh_room.LARGEST_BYTES, city_from_mesh),
+        ("base.nav", rinex_navigation.LARGEST_BYTES, read_navigation),
+        ("yuma.txt", almanac_room.LARGEST_BYTES, lambda path: read_yuma(path, date(2020, 1, 3))),
+    ],
+)
+def test_files_that_would_fill_the_memory_are_refused(
+    tmp_path: Path, name: str, most: int, read: Callable[[Path], object]
+) -> None:
+    file, before = tmp_path / name, memory_bytes()
+    with file.open("wb") as stream:
+        stream.truncate(most + 1)
+    with pytest.raises(InputError, match=f"at most {most} bytes"):
+        read(file)
+    assert memory_bytes() - before < GIBIBYTE // 16
+
+
+@pytest.mark.parametrize("suffix", ["ply", "glb", "stl"])
+def test_meshes_cut_short_are_refused_wherever_the_cut_is(tmp_path: Path, suffix: str) -> None:
+    """OBJ has no counts: there a cut between two lines cannot be told."""
+    whole = mesh_bytes(suffix)
+    for length in range(1, len(whole) - 1, 7):
+        file = tmp_path / f"house.{suffix}"
+        file.write_bytes(whole[:length])
+        with pytest.raises(InputError, match="mesh"):
+            city_from_mesh(file)
+
+
+@pytest.fixture
+def within_a_gibibyte() -> Iterator[None]:
+    """The test takes no more memory at any moment than was taken before it, and 1 GiB."""
+    before = memory_bytes()
+    yield
+    assert memory_bytes() - before < GIBIBYTE
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("within_a_gibibyte")
 class TestAtLength:
-    """A hundred thousand damaged inputs of all kinds."""
+    """A hundred thousand damaged inputs of all kinds; each has 4 s."""
 
     @LONG
     @given(damaged(ALMANAC + ALMANAC.replace("01", "02")))
@@ -227,6 +269,8 @@ class TestAtLength:
     @settings(LONG, max_examples=5000)
     @given(data=st.data())
     def test_meshes(self, tmp_path: Path, suffix: str, data: st.DataObject) -> None:
-        before = memory_bytes()
         mesh(tmp_path, suffix, data.draw(damaged_bytes(mesh_bytes(suffix))))
-        assert memory_bytes() - before < GIBIBYTE
+
+    def test_the_largest_navigation_file(self) -> None:
+        text = HEADER + GPS_RECORD * ((rinex_navigation.LARGEST_BYTES - len(HEADER)) // len(GPS_RECORD))
+        assert len(parse_navigation(text)) > 100_000

@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lanebound.agents.assess.fault_response import Run, measure_response
+from lanebound.agents.assess.fault_response import Run, as_broadcast, measure_response
+from lanebound.integrity.navigator import NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.sensors.faults import Fault, FaultKind
 
 EPOCHS, VEHICLES = 50, 3
 
@@ -17,6 +19,7 @@ def quiet() -> Run:
     shape = (EPOCHS, VEHICLES)
     return Run(
         time_s=0.1 * np.arange(1, EPOCHS + 1),
+        heading_rad=np.tile([0.0, 0.5 * np.pi, np.pi], (EPOCHS, 1)),
         error_m=np.full((*shape, 2), 0.01),
         level_m=np.full((*shape, 2), 0.1),
         squared=np.zeros(shape),
@@ -76,3 +79,18 @@ def test_before_the_onset_nothing_counts(before: bool) -> None:
     faulty.error_m[5 if before else 15, 0, 0] = 3.0
     found = measure_response(faulty, quiet(), ONSET, (1.0, 1.0))
     assert found.failed[0] != before
+
+
+def test_a_lie_moves_what_is_heard_and_shrinks_its_level() -> None:
+    common = {"kind": FaultKind.V2V_LIE, "start_s": 2.0, "duration_s": 1.0, "magnitude_m": 3.0, "azimuth_deg": 90.0}
+    lies = [Fault.load(common | {"vehicle": v, "magnitude_ratio": -0.5}) for v in (0, 1)]
+    heard, said = as_broadcast(quiet(), NavigatorConfig(), lies), quiet()
+    lying = (said.time_s > 2.05) & (said.time_s < 3.05)
+    np.testing.assert_allclose(heard.error_m[lying, 0], [[0.01, 3.01]] * 10)  # eastward is across a drive to the North
+    np.testing.assert_allclose(heard.error_m[lying, 1], [[3.01, 0.01]] * 10)
+    np.testing.assert_array_equal(heard.error_m[:, 2], said.error_m[:, 2])
+    np.testing.assert_array_equal(heard.error_m[~lying], said.error_m[~lying])
+    np.testing.assert_allclose(heard.level_m[lying, :2], 0.05)
+    found = measure_response(heard, said, np.array([2.0, 2.0, 2.0]), (1.0, 1.0))
+    assert found.hazardous.tolist() == found.misleading.tolist() == [10, 10, 0]
+    assert np.isinf(found.noticed_s).all()

@@ -14,9 +14,18 @@ from lanebound.agents.cli import app
 from lanebound.integrity.sensors.faults import FaultKind
 
 KINDS = [
-    FaultKind.SATELLITE_RANGE, FaultKind.REFERENCE_COORDINATES, FaultKind.CORRECTIONS_LOSS, FaultKind.ODOMETER_FROZEN
+    FaultKind.SATELLITE_RANGE, FaultKind.REFERENCE_COORDINATES, FaultKind.CORRECTIONS_LOSS, FaultKind.ODOMETER_FROZEN,
+    FaultKind.GYRO_BIAS, FaultKind.WHEEL_SLIP, FaultKind.V2V_LIE,
 ]  # fmt: skip
-SHORT = FaultsConfig(vehicles=4, durations_s=(3.0,), kinds=tuple(KINDS), control_s=90.0, after_s=5.0)
+SHORT = FaultsConfig(
+    vehicles=4,
+    durations_s=(3.0,),
+    kinds=tuple(KINDS),
+    control_s=90.0,
+    after_s=5.0,
+    theory_satellites=(7,),
+    theory_draws=1000,
+)
 
 
 @pytest.fixture(scope="module")
@@ -29,8 +38,8 @@ def cell(result: dict[str, Any], kind: FaultKind, size: float = 0.0, profile: st
     return next(c for c in result["faults"] if (c["kind"], c["size"], c["profile"]) == (kind.value, size, profile))
 
 
-def test_every_fault_of_the_position_is_in_the_campaign() -> None:
-    assert set(SIZES_TRIED) == set(FaultKind) - {FaultKind.V2V_LIE}
+def test_every_fault_is_in_the_campaign() -> None:
+    assert set(SIZES_TRIED) == set(FaultKind)
     cells = cells_of(FaultsConfig())
     assert len({c.name for c in cells}) == len(cells)
 
@@ -58,6 +67,37 @@ def test_wrong_reference_coordinates_mislead_unseen(short: tuple[Path, dict[str,
     assert found["hazardous"]["events"] > 0
 
 
+def test_a_lie_misleads_who_hears_it_and_nobody_notices(short: tuple[Path, dict[str, Any]]) -> None:
+    found = cell(short[1], FaultKind.V2V_LIE, 10.0)
+    assert found["noticed"]["events"] == 0
+    assert found["hazardous"]["events"] == found["misleading"]["events"] > 4 * 25  # all epochs of 3 s, nearly
+    assert found["worst_m"] > 5.0
+    assert cell(short[1], FaultKind.V2V_LIE, 0.5)["hazardous"]["events"] == 0
+
+
+def test_a_gyro_or_wheels_gone_wrong_in_a_blackout_for_seconds_do_no_harm(short: tuple[Path, dict[str, Any]]) -> None:
+    for kind, size in ((FaultKind.GYRO_BIAS, 0.1), (FaultKind.WHEEL_SLIP, 0.02)):
+        assert cell(short[1], kind, size)["in_blackout"]
+        assert cell(short[1], kind, size)["hazardous"]["events"] == 0
+    half = cell(short[1], FaultKind.WHEEL_SLIP, 0.5)
+    assert half["noticed"]["events"] > 0  # the others had an alert without the slip too
+    assert half["misleading"]["events"] == 0
+
+
+def test_detection_has_the_power_that_theory_says(short: tuple[Path, dict[str, Any]]) -> None:
+    """A fixed seed; a binomial share lies within 4.5 sigma but for one case in 100,000."""
+    (found,) = short[1]["theory"]
+    assert (found["satellites"], found["redundancy"]) == (7, 2)
+    for row in found["by_factor"]:
+        trials, theory = row["own"]["trials"], row["theory"]
+        assert abs(row["own"]["rate"] - theory) < 4.5 * (theory * (1.0 - theory) / trials) ** 0.5 + 2.0 / trials
+        assert row["noticed"]["rate"] >= row["right"]["rate"]
+    free, at_one, twice = (next(r for r in found["by_factor"] if r["factor"] == f) for f in (0.0, 1.0, 2.0))
+    assert at_one["theory"] == pytest.approx(SHORT.navigator.fde.power)
+    assert free["noticed"]["low"] < 2.0 * found["alpha"]  # the global test and the local ones have alpha each
+    assert twice["noticed"]["rate"] > 0.99
+
+
 def test_the_control_drive_is_bounded(short: tuple[Path, dict[str, Any]]) -> None:
     control = short[1]["control"]
     assert control["misleading"]["events"] == 0
@@ -71,13 +111,14 @@ def test_files_are_written_and_a_second_run_drives_nothing(short: tuple[Path, di
     assert (out / "faults.svg").stat().st_size > 1000
     told: list[tuple[int, int]] = []
     again = assess_faults(SHORT, out, progress=lambda done, of: told.append((done, of)))
-    assert told == [(len(cells_of(SHORT)) + 1,) * 2]
+    assert told == [(len(cells_of(SHORT)) + 2,) * 2]
+    assert (out / "detectability.svg").stat().st_size > 1000
     assert again["faults"] == json.loads((out / "results.json").read_text(encoding="utf-8"))["faults"]
     assert again["control"] == result["control"]
 
 
 def test_the_command_prints_tables(tmp_path: Path) -> None:
-    small = ["kinds=[odometer_frozen]", "durations_s=[2]", "control_s=61", "after_s=1"]
+    small = ["kinds=[odometer_frozen]", "durations_s=[2]", "control_s=61", "after_s=1", "theory_satellites=[]"]
     found = CliRunner().invoke(
         app, ["assess", "faults", "--out", str(tmp_path), "--vehicles", "1", *(w for s in small for w in ("--set", s))]
     )

@@ -1,4 +1,4 @@
-"""A hundred thousand damaged files, 20,000 of each form: never a hang, a crash without message, or much memory."""
+"""Damaged files, 20,000 of each form: never a hang, a crash without message, or much memory."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recordings import RAW, RINEX, SMARTLOC, SMARTLOC_TRUTH, survives
+from recordings import RAW, RINEX, SKY, SMARTLOC, SMARTLOC_TRUTH, survives
 
 from lanebound.integrity.recorded.numpy_file import read_rows
 from lanebound.integrity.recorded.rinex_observation import read_observations
+from lanebound.integrity.recorded.sky_recording import read_sky_recording
 from lanebound.integrity.recorded.smartloc import read_smartloc
 from lanebound.integrity.recorded.smartloc_raw import read_smartloc_raw
 
@@ -44,6 +45,7 @@ FORMS: dict[str, tuple[Callable[[Path], bytes], Callable[[Path], Any]]] = {
     "truth": (lambda _: (SMARTLOC + SMARTLOC_TRUTH).encode(), lambda path: read_smartloc(path, path)),
     "raw": (lambda _: RAW.encode(), read_smartloc_raw),
     "rinex": (lambda _: RINEX.encode(), read_observations),
+    "sky": (lambda _: SKY.encode(), read_sky_recording),
     "array": (array_file, lambda path: read_rows(path, 3)),
 }
 

@@ -8,49 +8,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from city_drives import SIGMA_M, SPEED_MPS, as_files, heading_at, simulated
 from recordings import real
 from typer.testing import CliRunner
 
 from lanebound.integrity.errors import InputError
-from lanebound.integrity.frames import ecef_from_enu_matrix, ecef_from_geodetic
 from lanebound.integrity.monitoring.alerts import AlertConfig
 from lanebound.integrity.positioning.modes import Mode
-from lanebound.integrity.recorded.smartloc import Odometry, Pseudoranges, SmartLoc, Truth
+from lanebound.integrity.recorded.smartloc import Odometry, Pseudoranges, SmartLoc
 from lanebound.integrity.replay.city import CityConfig, drive_city
 from lanebound.integrity.replay.city_report import CityReplay, replay_city, write_city
 from lanebound.integrity.replay.overbound import CodeErrors
-from lanebound.integrity.replay.sagnac import ranges_and_sights
 from lanebound.integrity.replay.training import code_errors
 
-LAT, LON = np.radians(52.5), np.radians(13.4)
-SIGMA_M = 3.0
 BOUNDS = CodeErrors(np.array([30.0, 50.0]), np.zeros(2), np.full(2, SIGMA_M), 0.0)
 QUICK = CityConfig(window_s=10.0)
-
-
-def simulated(seconds: float = 24.0, late: tuple[int, ...] = (), late_m: float = 0.0, seed: int = 1) -> SmartLoc:
-    """A drive at 5 Hz with ten satellites in two systems, a drifting clock and, for some satellites, late signals."""
-    rng, t = np.random.default_rng(seed), np.arange(0.0, seconds, 0.2)
-    origin, axes = ecef_from_geodetic(LAT, LON, 80.0), ecef_from_enu_matrix(LAT, LON)
-    heading = 0.6 + 0.05 * t
-    path = np.zeros((t.size, 3))
-    path[1:, 0] = np.cumsum(8.0 * 0.2 * np.sin(0.5 * (heading[1:] + heading[:-1])))
-    path[1:, 1] = np.cumsum(8.0 * 0.2 * np.cos(0.5 * (heading[1:] + heading[:-1])))
-    place = origin + path @ axes.T
-    azimuth, elevation = np.arange(10) * 2.0 * np.pi / 10.0, np.radians(20.0 + 6.0 * np.arange(10))
-    up = np.stack([np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth), np.sin(elevation)], -1)
-    satellite = origin + 2.2e7 * up @ axes.T
-    k, s = (v.ravel() for v in np.meshgrid(np.arange(t.size), np.arange(10), indexing="ij"))
-    distance, _ = ranges_and_sights(satellite[s], place[k])
-    system = np.where(s < 6, "G", "R")
-    clock = 1000.0 - 40.0 * t[k] + np.where(s < 6, 0.0, 25.0)
-    noise = rng.normal(0.0, SIGMA_M, k.size) + np.where(np.isin(s, late), late_m, 0.0)
-    ranges = Pseudoranges(
-        t[k], distance + clock + noise, np.full(k.size, SIGMA_M**2), satellite[s], s + 1, system, elevation[s],
-        np.full(k.size, 45.0),
-    )  # fmt: skip
-    odometry = Odometry(t, np.full(t.size, 8.0), np.full(t.size, -0.05), np.full(t.size, 0.01), np.full(t.size, 1e-6))
-    return SmartLoc(ranges, odometry, Truth(t, place), None)
 
 
 def errors_and_levels(drive: SmartLoc, config: CityConfig, **options: object) -> tuple[np.ndarray, np.ndarray]:
@@ -100,6 +72,17 @@ def test_an_outage_is_bridged_and_the_level_grows_until_it_ends() -> None:
     assert (found.mode[after] == Mode.CODE).all()
 
 
+def test_an_antenna_ahead_of_the_rear_axle_does_not_go_where_the_car_points() -> None:
+    """In a steady bend the window takes up the swing of an antenna that it is not told of, and turns the car by it."""
+    drive, ahead = simulated(axle_m=10.0), 10.0
+    slip = np.arcsin(ahead * 0.05 / SPEED_MPS)
+    for axle_m, expected in ((ahead, 0.0), (0.0, slip)):
+        found = drive_city(drive, BOUNDS, QUICK.replace(axle_m=axle_m), every=5)
+        late = found.time_s > 10.0
+        off = np.remainder(found.heading_rad - heading_at(found.time_s) + np.pi, 2.0 * np.pi) - np.pi
+        assert np.median(off[late]) == pytest.approx(expected, abs=0.01)
+
+
 def test_the_clock_is_told_from_late_signals() -> None:
     drive = simulated(late=(0,), late_m=50.0)
     keep, error = code_errors(drive, 20.0)
@@ -129,35 +112,6 @@ def test_what_cannot_be_driven_is_named() -> None:
     none = Odometry(*[np.zeros(0)] * 5)
     with pytest.raises(InputError, match="must have odometry"):
         drive_city(replace(drive, odometry=none), BOUNDS, QUICK)
-
-
-def as_files(drive: SmartLoc, folder: Path) -> None:
-    """The drive in the form of the data set."""
-    r, o, truth = drive.ranges, drive.odometry, drive.truth
-    assert truth is not None
-    lines = [
-        f"pseudorange3 {t} {p:.4f} {v} {x:.4f} {y:.4f} {z:.4f} {s} {1 if letter == 'G' else 4} {np.degrees(e)} {c}"
-        for t, p, v, (x, y, z), s, letter, e, c in zip(
-            r.time_s,
-            r.range_m,
-            r.variance_m2,
-            r.satellite_ecef_m,
-            r.satellite,
-            r.system,
-            r.elevation_rad,
-            r.cn0_dbhz,
-            strict=True,
-        )
-    ]
-    lines += [
-        f"odom3 {t} {v} 0 0 0 0 {w} 0.0025 0.0009 0.0009 4e-06 4e-06 4e-06"
-        for t, v, w in zip(o.time_s, o.speed_mps, o.yaw_rate_left_radps, strict=True)
-    ]
-    (folder / "Town_Input.txt").write_text("\n".join(lines) + "\n")
-    points = [
-        f"point3 {t} {x:.4f} {y:.4f} {z:.4f}" for t, (x, y, z) in zip(truth.time_s, truth.position_ecef_m, strict=True)
-    ]
-    (folder / "Town_GT.txt").write_text("\n".join(points) + "\n")
 
 
 def test_the_command_replays_a_folder(tmp_path: Path) -> None:

@@ -29,6 +29,18 @@ def test_a_heading_error_costs_its_sine_of_the_way() -> None:
     assert (found.error_m[0, -1, 1] > 0.0) != (found.error_m[1, -1, 1] > 0.0)
 
 
+def test_a_reference_ahead_of_the_rear_axle_in_a_bend() -> None:
+    t = np.arange(0.0, 45.0, 0.1)
+    rate, v, ahead = 0.1, 8.0, 2.5
+    way = np.stack([np.sin(rate * t), np.cos(rate * t)], -1)
+    axle = v / rate * np.stack([1.0 - way[:, 1], way[:, 0]], -1)
+    motion = Motion(t, axle + ahead * way, rate * t, *(np.full(t.size, value) for value in (v, v, rate)))
+    told, untold = (run_outages(motion, OutageConfig(longest_s=10.0, axle_m=a)) for a in (ahead, 0.0))
+    assert np.abs(told.error_m).max() < 0.02  # chords for arcs
+    away = np.linalg.norm(untold.error_m[:, -1], axis=-1)
+    np.testing.assert_allclose(away, 2.0 * ahead * np.sin(0.5), atol=0.02)  # the lever turns by a radian
+
+
 def test_levels_grow_with_the_outage_and_with_the_speed() -> None:
     config = OutageConfig(longest_s=10.0)
     slow, fast = run_outages(straight(6.0), config), run_outages(straight(12.0), config)

@@ -19,6 +19,15 @@ def test_a_circle_to_the_right() -> None:
     assert abs(path.heading_rad[-1] - 2.0) < 1e-9
 
 
+def test_a_point_ahead_of_the_axle_swings_out() -> None:
+    t = np.linspace(0.0, 20.0, 2001)
+    axle, front = (reckon(t, np.full(t.size, 5.0), np.full(t.size, 0.1), ahead) for ahead in (0.0, 3.0))
+    lever = 3.0 * np.stack([np.sin(0.1 * t), np.cos(0.1 * t)], -1)
+    np.testing.assert_allclose(front.position_m - axle.position_m, lever - lever[0], atol=1e-9)
+    np.testing.assert_array_equal(front.distance_m, axle.distance_m)
+    np.testing.assert_array_equal(front.position_m[0], [0.0, 0.0])
+
+
 def test_more_heading_turns_a_path_clockwise() -> None:
     t = np.linspace(0.0, 4.0, 41)
     path = reckon(t, np.full(t.size, 3.0), np.full(t.size, 0.2))

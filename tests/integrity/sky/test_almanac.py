@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from lanebound.integrity.errors import InputError
+from lanebound.integrity.sky import almanac
 from lanebound.integrity.sky.almanac import parse_yuma, read_yuma
+from lanebound.integrity.sky.constellation import SatelliteTable
 from lanebound.integrity.sky.orbit import EARTH_RATE_RADPS, MU_M3PS2
 from lanebound.integrity.sky.systems import System
 
@@ -83,10 +85,7 @@ def test_unhealthy_satellites_are_left_out_on_request() -> None:
     [
         ("", "none: is it a YUMA file"),
         ("hello: 3\n", "line 1 .*header"),
-        (
-            block() + block("PRN-02").rsplit("Mean Anom", 1)[0],
-            r"end of text \(1 satellites read\).*'mean anom'.*cut short",
-        ),
+        (block("PRN-02").rsplit("Mean Anom", 1)[0], r"end of text \(0 satellites read\).*'mean anom'.*cut short"),
         (block().rsplit("week", 1)[0] + block("PRN-02"), r"line 14 \(0 satellites read\).*'week' is missing"),
         (block(ID="x"), "line 2 .*'id' must be a number, got 'x'"),
         (block(Eccentricity="1.5"), r"line 4 .*'eccentricity' must lie in \[0, 0.9\], got 1.5"),
@@ -114,20 +113,34 @@ def test_an_instant_stands_for_its_day() -> None:
     assert at_noon.elements.epoch_s[0] == parse_yuma(block(), NEAR).elements.epoch_s[0]
 
 
-def test_every_truncation_of_a_file_is_either_whole_blocks_or_refused() -> None:
-    lines = (block() + block("PRN-02", ID=2)).splitlines(keepends=True)
-    for n in range(len(lines)):
-        if n % 14 == 0 and n:
-            assert len(parse_yuma("".join(lines[:n]), NEAR)) == n // 14
-        else:
-            with pytest.raises(InputError):
-                parse_yuma("".join(lines[:n]), NEAR)
+def test_every_truncation_of_a_file_gives_the_satellites_before_it_and_says_where_it_stopped() -> None:
+    one, two = block(), block("PRN-02", ID=2)
+    for n in range(1, len(two) + 1):
+        table = parse_yuma(one + two[:n], NEAR)
+        whole = n >= len(two) - 1  # without the line end alone the week is whole still, as the header says
+        assert table.prn.tolist() == ([1, 2] if whole else [1]), two[:n]
+        # of a header that breaks off nobody can tell whose it is
+        assert bool(table.stopped) != whole, two[:n]
+        assert whole or "1 satellites read" in table.stopped
+    for n in range(len(one) - 1):
+        with pytest.raises(InputError):
+            parse_yuma(one[:n], NEAR)
+
+
+def test_where_a_file_stopped_stays_with_its_satellites() -> None:
+    table = parse_yuma(block() + block("PRN-02", ID=2)[:200], NEAR)
+    assert "end of text (1 satellites read): it ends in the middle of a satellite" in table.stopped
+    assert table.take(np.array([0])).stopped == table.stopped
+    assert SatelliteTable.join([table, parse_yuma(block(), NEAR)]).stopped == table.stopped
 
 
 def test_files(tmp_path: Path) -> None:
     file = tmp_path / "yuma.txt"
     file.write_text(block())
     assert len(read_yuma(file, NEAR)) == 1
+    file.write_text(" " * (almanac.LARGEST_BYTES + 1))
+    with pytest.raises(InputError, match="at most 8388608 bytes, has 8388609"):
+        read_yuma(file, NEAR)
     file.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="readable ASCII"):
         read_yuma(file, NEAR)

@@ -97,6 +97,17 @@ def test_unhealthy_satellites_are_left_out_unless_asked_for() -> None:
     assert positions(table, at, healthy_only=False).usable.all()
 
 
+@pytest.mark.parametrize(("word", "well"), [(0, True), (1, True), (2, False), (33, False), (63, False)])
+def test_the_last_bit_of_a_qzss_word_is_of_a_signal_that_nobody_uses(word: int, well: bool) -> None:
+    """All QZSS satellites send 1 while L1 C/A goes in the place of L1 C/B."""
+    for name, expected in (("J02", well), ("G01", word == 0)):
+        lines = message("G01").replace("G01", name).splitlines()
+        lines[6] = f"{lines[6][:23]}{word:19.12E}{lines[6][42:]}"
+        table = parse_navigation(HEADER + "\n".join(lines) + "\n")
+        assert table.healthy.tolist() == [expected]
+        assert positions(table, table.toe_s).usable.all() == expected
+
+
 def test_each_satellite_may_have_its_own_time() -> None:
     table = parse_navigation(HEADER + message("G01") + message("E01"))
     at = np.array([[WEEK_START["G"] + 350_500.0]])

@@ -1,0 +1,95 @@
+"""A recorded sky played along a lane network: what stood beside the recorded car stands beside the lanes.
+
+The recorded drive goes round and round, from a place that the layout's number draws: distance along the road for
+distance driven, azimuths from the direction of the lane for azimuths from that of travel. Each cell of the sky is
+answered by the recorded signal that is nearest in place and direction. All lanes of an edge see the same.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path as FilePath
+
+import numpy as np
+from highway_env.road.lane import AbstractLane
+from highway_env.road.road import RoadNetwork
+from numpy.typing import NDArray
+
+from lanebound.envs.sky.corridors import Corridor, edges_of
+from lanebound.envs.sky.street import LaneMap, Street
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.recorded.sky_recording import SkyRecording, read_sky_recording
+from lanebound.integrity.sky.forecast import SkyForecast
+from lanebound.integrity.sky.scene import City
+from lanebound.integrity.sky.visibility import Path, SkyMask
+from lanebound.integrity.streams import named_generator
+
+__all__ = ["recorded_street", "recording_of"]
+
+Array = NDArray[np.float64]
+
+AZIMUTHS, ELEVATIONS = 60, 18  # cells of 6 by 5 degrees: a recording of some 20 satellites has nothing finer
+
+
+def recording_of(path: str) -> SkyRecording:
+    """The recording in a file, read again only when the file has changed.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or ends early.
+    """
+    try:
+        state = FilePath(path).stat()
+    except OSError as error:
+        raise InputError(f"sky must name a recorded sky, got {path}, which cannot be read: {error}") from error
+    return _read(path, state.st_mtime_ns, state.st_size)
+
+
+@lru_cache(maxsize=4)
+def _read(path: str, changed_ns: int, size: int) -> SkyRecording:
+    recording = read_sky_recording(path)
+    if recording.stopped is not None:
+        raise InputError(f"sky must be a whole recording, got {path}, {recording.stopped}: write it again")
+    return recording
+
+
+def recorded_street(
+    network: RoadNetwork, members: list[Corridor], lanes: LaneMap, recording: SkyRecording, layout_seed: int
+) -> Street:
+    """The street over a network whose sky is that of a recording.
+
+    What a planner may know of it is the recording itself: an earlier drive serves as the map.
+    """
+    chains = max(corridor.chain for corridor in members) + 1
+    phase_m = recording.length_m * named_generator(layout_seed, "city").random(chains)
+    begin_m = {c.edge: float(phase_m[c.chain]) + c.start_m for c in members}
+    arc, heading = [], []
+    for edge, group in edges_of(network):
+        s = lanes.spacing_m * np.arange(lanes.stations(edge, len(group)), dtype=np.float64)
+        arc.append(begin_m[edge] + s)
+        heading.append(_headings(group[0], s))
+    path, excess = _tables(recording, np.concatenate(arc), np.concatenate(heading))
+    widest = max(len(group) for _, group in edges_of(network))
+    path, excess = np.repeat(path[:, None], widest, 1), np.repeat(excess[:, None], widest, 1)
+    length = lanes.spacing_m * len(path)
+    mask = SkyMask(path, excess, AZIMUTHS, ELEVATIONS, lanes.spacing_m, length, False, recording.digest)
+    free = (path == Path.LOS) | (path == Path.FOLIAGE)
+    return Street(mask, SkyForecast(free, AZIMUTHS, ELEVATIONS, lanes.spacing_m), City.empty(), lanes)
+
+
+def _headings(lane: AbstractLane, longitudinal_m: Array) -> Array:
+    """Direction of a lane from North, clockwise [rad].  (n,) -> (n,). ``E = x``, ``N = -y`` of highway-env."""
+    reach = np.minimum(longitudinal_m, float(lane.length))
+    return 0.5 * np.pi + np.array([float(lane.heading_at(float(s))) for s in reach])
+
+
+def _tables(recording: SkyRecording, arc_m: Array, heading_rad: Array) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """Paths and excesses (N, A E) at N stations."""
+    azimuth = np.repeat(2.0 * np.pi * (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS, ELEVATIONS)
+    elevation = np.tile(0.5 * np.pi * (np.arange(ELEVATIONS) + 0.5) / ELEVATIONS, AZIMUTHS)
+    row = np.stack([
+        recording.nearest(np.full(azimuth.size, arc), azimuth - heading, elevation)
+        for arc, heading in zip(arc_m, heading_rad, strict=True)
+    ])  # fmt: skip
+    return recording.path[row], recording.excess_m[row].astype(np.float32)

@@ -1,0 +1,189 @@
+"""From a drive through a city to the sky along it: who was received where, and how late.
+
+Satellites that are received now and then are known to be up: while they are missing something stands in front of them.
+Their directions then follow from a parabola through the positions that were recorded. A satellite that was never
+received is not known of: where low ones are lost all the way, the recording is kinder than the street was.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.config import Config, Field
+from lanebound.integrity.errors import InputError
+from lanebound.integrity.frames import ecef_from_enu_matrix, geodetic_from_ecef
+from lanebound.integrity.recorded.sky_recording import SkyRecording
+from lanebound.integrity.recorded.smartloc import Pseudoranges, SmartLoc, Truth
+from lanebound.integrity.replay.training import code_errors
+from lanebound.integrity.sky.visibility import Path
+
+__all__ = ["SkyRecordConfig", "agreement", "record_sky", "summary"]
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+TANGENT_M = 2.0  # ahead and behind, between which the direction of travel is taken
+PARABOLA_S = 20.0  # a shorter record of a satellite is taken for straight
+
+
+class SkyRecordConfig(Config):
+    """What counts as what."""
+
+    spacing_m: float = Field(5.0, gt=0.0, le=100.0, description="stretches of the drive [m]; stations of streets")
+    late_m: float = Field(
+        10.0, gt=0.0, description="a code error above this is a reflection [m]; 3 sigma of the receiver's code, 3.2 m"
+    )
+    weak_db: float = Field(
+        4.0, gt=0.0, description="C/N0 below that of the open by this is foliage [dB]; half the loss of a tree, 8 dB"
+    )
+    cn0_zenith_dbhz: float = Field(48.0, description="C/N0 at the zenith in the open [dB-Hz]; the receiver's")
+    cn0_horizon_dbhz: float = Field(38.0, description="C/N0 at the horizon in the open [dB-Hz]; the receiver's")
+    lowest_deg: float = Field(5.0, ge=0.0, lt=90.0, description="lower satellites are left out [deg]")
+    expected_s: float = Field(
+        300.0, ge=0.0, description="a satellite is up for so long before and after it is received [s]; 2 deg of its way"
+    )
+
+
+def record_sky(drive: SmartLoc, config: SkyRecordConfig | None = None) -> SkyRecording:
+    """The sky along a drive whose truth is known.
+
+    A satellite's row of a stretch is what most of the stretch's epochs say: blocked when fewer than half of them have
+    the signal; else by the median of its code errors, which are those of :func:`.training.code_errors`.
+
+    Raises
+    ------
+    InputError
+        There is no truth, too few strong signals for the receiver's clock, or the car does not move.
+    """
+    config = config or SkyRecordConfig()
+    known, error = code_errors(drive, np.inf)
+    assert drive.truth is not None  # code_errors has refused that
+    r = _taken(drive.ranges, known)
+    time = np.unique(r.time_s)
+    place, arc, heading = _way(drive.truth, time)
+    stretch = np.floor(arc / config.spacing_m).astype(np.int64)
+    columns: list[tuple[Any, ...]] = []
+    for number in np.unique(r.satellite):
+        own = np.flatnonzero(r.satellite == number)
+        name = f"{r.system[own[0]]}{number}"
+        azimuth, elevation = _directions(r.time_s[own], r.satellite_ecef_m[own], time, place, heading)
+        received = np.full(time.size, -1)
+        received[np.searchsorted(time, r.time_s[own])] = own
+        gap = np.clip(np.maximum(r.time_s[own[0]] - time, time - r.time_s[own[-1]]), 0.0, None)
+        up = (elevation >= np.deg2rad(config.lowest_deg)) & (gap <= config.expected_s)
+        columns += _rows(name, config, arc, stretch, azimuth, elevation, received, up, error, r.cn0_dbhz)
+    if not columns:
+        raise InputError(f"drive must have satellites above {config.lowest_deg:g} deg, has none: lower lowest_deg")
+    names, *numbers = zip(*columns, strict=True)
+    table = np.array(numbers, dtype=np.float64)
+    return SkyRecording(
+        np.array(names), table[0], table[1], table[2], table[3].astype(np.uint8), table[4], table[5], float(arc[-1])
+    )
+
+
+def _taken(r: Pseudoranges, keep: Bools) -> Pseudoranges:
+    return Pseudoranges(**{name: column[keep] for name, column in vars(r).items()})
+
+
+def _way(truth: Truth, time_s: Array) -> tuple[Array, Array, Array]:
+    """Position ECEF (T, 3), distance driven (T,) [m] and direction of travel from North (T,) [rad] at times (T,)."""
+    path = truth.position_ecef_m
+    axes = ecef_from_enu_matrix(*geodetic_from_ecef(path[0])[:2])
+    step = np.linalg.norm(np.diff(path, axis=0) @ axes[:, :2], axis=-1)
+    driven = np.concatenate([[0.0], np.cumsum(step)])
+    if driven[-1] < 10.0 * TANGENT_M:
+        raise InputError(f"drive must be at least {10.0 * TANGENT_M:g} m long, got {driven[-1]:.1f}: give a moving car")
+    moved = np.concatenate([[True], step > 0.0])
+    local = (path - path[0]) @ axes
+    arc = np.interp(time_s, truth.time_s, driven)
+
+    def at(place: Array) -> Array:
+        return np.stack([np.interp(place, driven[moved], local[moved, k]) for k in range(2)], -1)
+
+    ahead = at(arc + TANGENT_M) - at(arc - TANGENT_M)
+    return truth.at(time_s)[0], arc - arc[0], np.arctan2(ahead[:, 0], ahead[:, 1])
+
+
+def _directions(seen_s: Array, ecef_m: Array, time_s: Array, place: Array, heading: Array) -> tuple[Array, Array]:
+    """Azimuth from the direction of travel and elevation (T,) of a satellite seen at some times (n,)."""
+    middle, degree = seen_s.mean(), 2 if np.ptp(seen_s) >= PARABOLA_S else min(1, np.unique(seen_s).size - 1)
+    terms = np.polynomial.polynomial.polyvander(seen_s - middle, degree)
+    law = np.linalg.lstsq(terms, ecef_m, rcond=None)[0]
+    there = np.polynomial.polynomial.polyvander(time_s - middle, degree) @ law
+    axes = ecef_from_enu_matrix(*geodetic_from_ecef(place[0])[:2])  # a drive is so short that its axes are one
+    sight = (there - place) @ axes
+    sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
+    azimuth = np.arctan2(sight[:, 0], sight[:, 1]) - heading
+    return np.mod(azimuth, 2.0 * np.pi), np.arcsin(sight[:, 2])
+
+
+def _rows(
+    name: str, config: SkyRecordConfig, arc: Array, stretch: Ints, azimuth: Array, elevation: Array, received: Ints,
+    up: Bools, error: Array, cn0: Array,
+) -> list[tuple[Any, ...]]:  # fmt: skip
+    """A row for each stretch in which a satellite is up."""
+    found: list[tuple[Any, ...]] = []
+    for k in np.unique(stretch[up]):
+        epochs = np.flatnonzero(up & (stretch == k))
+        got = received[epochs]
+        got = got[got >= 0]
+        middle = epochs[len(epochs) // 2]
+        where = (name, arc[epochs].mean(), azimuth[middle], elevation[middle])
+        if 2 * got.size < epochs.size:
+            found.append((*where, Path.BLOCKED, 0.0, 0.0))
+            continue
+        level, late = float(np.median(cn0[got])), float(np.median(error[got]))
+        path = _kind_of(config, late, level, float(elevation[middle]))
+        found.append((*where, path, late if path == Path.REFLECTED else 0.0, level))
+    return found
+
+
+def _kind_of(config: SkyRecordConfig, error_m: float, cn0_dbhz: float, elevation_rad: float) -> Path:
+    """What a received signal with this error and C/N0 came by."""
+    if error_m > config.late_m:
+        return Path.REFLECTED
+    rise = config.cn0_zenith_dbhz - config.cn0_horizon_dbhz
+    open_dbhz = config.cn0_horizon_dbhz + rise * np.sin(elevation_rad)
+    return Path.FOLIAGE if cn0_dbhz < open_dbhz - config.weak_db else Path.LOS
+
+
+def agreement(recording: SkyRecording) -> tuple[float, float]:
+    """How well a recording foretells a satellite that is taken out of it, from the others.
+
+    Returns the share of rows whose clear line of sight, or lack of it, is right, and that of the best guess without
+    looking (the more frequent of the two).
+    """
+    right = 0
+    for name in np.unique(recording.satellite):
+        own = recording.satellite == name
+        if own.all():
+            continue
+        rest, asked = recording.rows(~own), recording.rows(own)
+        row = rest.nearest(asked.arc_m, asked.azimuth_rad, asked.elevation_rad)
+        right += int((_clear(rest.path[row]) == _clear(asked.path)).sum())
+    blind = float(_clear(recording.path).mean())
+    return right / recording.path.size, max(blind, 1.0 - blind)
+
+
+def _clear(path: NDArray[np.uint8]) -> Bools:
+    return np.asarray((path == Path.LOS) | (path == Path.FOLIAGE))
+
+
+def summary(recording: SkyRecording) -> dict[str, Any]:
+    """Plain figures of a recording."""
+    late = recording.excess_m[recording.path == Path.REFLECTED]
+    right, blind = agreement(recording)
+    return {
+        "length_m": recording.length_m,
+        "satellites": int(np.unique(recording.satellite).size),
+        "rows": int(recording.path.size),
+        "shares": {kind.name.lower(): float((recording.path == kind).mean()) for kind in Path},
+        "late_median_m": float(np.median(late)) if late.size else None,
+        "late_95_m": float(np.quantile(late, 0.95)) if late.size else None,
+        "foretold": right,
+        "guessed": blind,
+    }
