@@ -22,6 +22,7 @@ from lanebound.envs.vector.perceptions import Perceptions, claims_of
 from lanebound.envs.vector.scenes import Scenes, draw_scenes
 from lanebound.envs.vector.senses_kernel import foresee, glance_all, place_all, whereabouts
 from lanebound.envs.vector.skies import Skies
+from lanebound.envs.vector.start import most_vehicles
 from lanebound.envs.vector.step_kernel import World
 from lanebound.envs.vector.streams import CrewStreams
 from lanebound.envs.vector.trackers import Trackers
@@ -38,7 +39,7 @@ Rows = NDArray[np.int64]
 
 def sensing(single: DrivingEnv) -> bool:
     """Whether anything is sensed in a configuration: the ego's own place, or other vehicles."""
-    others = len(single.world.road.vehicles) > 1
+    others = most_vehicles(single.world) > 1
     return single.config.navigation.source.senses or (others and single.config.perception.source not in GIVEN)
 
 
@@ -61,7 +62,7 @@ class Senses:
     """
 
     def __init__(self, single: DrivingEnv, count: int, lanes: Lanes, figures: Array, duration_s: float) -> None:
-        config, others = single.config, len(single.world.road.vehicles) - 1
+        config, others = single.config, most_vehicles(single.world) - 1
         limits = alert_limits_m(single.world, config)
         settings = navigator_config(config, limits)
         if settings.imu.mems_exponential:
@@ -77,7 +78,8 @@ class Senses:
         sees = others > 0 and config.perception.source not in GIVEN
         self.perceptions = Perceptions(config.perception, count, others, self.epoch_s) if sees else None
         self._vehicles = 1 + others if self.perceptions is not None and self.perceptions.hears else 1
-        self._streams = CrewStreams([0] * count, [0] * count, self._vehicles, self.skies.used[[0] * count])
+        crew = np.ones((count, self._vehicles - 1), dtype=np.bool_)
+        self._streams = CrewStreams([0] * count, [0] * count, crew, self.skies.used[[0] * count])
         one = Navigator(settings, self.skies.track, self.skies.mask, 0, 1)
         self._navigator = one.another(self._streams, self._epochs_at_start)
         self.trackers = Trackers(config.navigation, count, map_bound_m(config, settings), limits)
@@ -103,10 +105,12 @@ class Senses:
         environments, and the clock starts again.
         """
         origin = self._epochs_at_start if anew else self._epoch
-        scenes = draw_scenes(seeds, self._layouts, self.skies.hours, self._vehicles, self._config.source.senses)
+        there = world.whole[rows, k.PRESENT, 1:] > 0
+        crew = there[:, : self._vehicles - 1]
+        scenes = draw_scenes(seeds, self._layouts, self.skies.hours, crew, self._config.source.senses)
         self._hour[rows], self._city_m[rows] = scenes.hour, self.skies.city_m[scenes.layout]
         used = self.skies.used[scenes.hour]
-        streams = CrewStreams(seeds, scenes.fleet_seed.tolist(), self._vehicles, used)
+        streams = CrewStreams(seeds, scenes.fleet_seed.tolist(), crew, used)
         starter = self._navigator.another(streams, origin - self._epochs_at_start)
         solution, motion, told = self._approach(rows, starter, world, scenes, origin)
         if anew:
@@ -124,7 +128,7 @@ class Senses:
             self._write(rows, egos, world)
             self._settle(rows, world, 0.0)
         if self.perceptions is not None:
-            self.perceptions.begin(rows, seeds)
+            self.perceptions.begin(rows, seeds, there)
             for time_s, claims in told:
                 self.perceptions.step(rows, np.full(rows.size, time_s), claims, world)
         self.foresee(rows, world)
