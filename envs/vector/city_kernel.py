@@ -2,9 +2,12 @@
 
 A road ends where another goes on, so that whoever is ahead or behind may be on the next one or the one before, and a
 driver that comes to an end takes the lane of the same number there. Everybody is placed once a step on all lanes that
-hold it. Vehicle 0 is the ego, whom others see as it truly is. Where a sum decides between two lanes, or whether a
-change is worth it, highway-env's differs in its last bits: of exact ties, which nobody has drawn yet, one may be
-broken the other way.
+hold it. Vehicle 0 is the ego, whom others see as it truly is.
+
+Two things are highway-env's but for rounding, and rounding is all that they need to differ. Of exact ties one may be
+broken the other way: between two lanes as near, or where a change is worth exactly what is asked for. And the steering
+of ControlledVehicle swings out below ``L dt / (4 tau_heading tau_lateral)``, at 20 Hz 0.52 m/s: drivers that crawl sway
+by up to some centimetres, and how is a matter of the last bits.
 """
 
 from __future__ import annotations
@@ -67,16 +70,18 @@ def place_everybody(c, w, lanes, places):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _along(c, lanes, lane, i):  # type: ignore[no-untyped-def]
-    """How far along a lane a vehicle is, beyond its ends too."""
-    s, _, _ = local(lanes, lane, c[X, i], c[Y, i])
+def _along(c, lanes, places, lane, i):  # type: ignore[no-untyped-def]
+    """How far along a lane a vehicle is, where the lane does not hold it too."""
+    s = places[i, lane]
+    if s == NOWHERE:
+        s, _, _ = local(lanes, lane, c[X, i], c[Y, i])
     return s
 
 
 @jit
-def _gap(c, w, lanes, i, j):  # type: ignore[no-untyped-def]
+def _gap(c, w, lanes, places, i, j):  # type: ignore[no-untyped-def]
     """How far vehicle j is ahead of i, along the lane of i."""
-    return _along(c, lanes, w[LANE, i], j) - _along(c, lanes, w[LANE, i], i)
+    return _along(c, lanes, places, w[LANE, i], j) - _along(c, lanes, places, w[LANE, i], i)
 
 
 @jit
@@ -93,7 +98,7 @@ def _place(table, places, lane, j):  # type: ignore[no-untyped-def]
 @jit
 def _neighbours(c, w, lanes, places, lane, i):  # type: ignore[no-untyped-def]
     """Who is next ahead of vehicle i and behind it on a lane and those that it joins, -1 for nobody."""
-    s, front, rear, front_m, rear_m = _along(c, lanes, lane, i), -1, -1, math.inf, NOWHERE
+    s, front, rear, front_m, rear_m = _along(c, lanes, places, lane, i), -1, -1, math.inf, NOWHERE
     for j in range(population(w)):
         if j == i:
             continue
@@ -106,19 +111,19 @@ def _neighbours(c, w, lanes, places, lane, i):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _follow(c, w, lanes, i, front, delta):  # type: ignore[no-untyped-def]
+def _follow(c, w, lanes, places, i, front, delta):  # type: ignore[no-untyped-def]
     """IDM's acceleration of vehicle i behind another one, -1 for nobody."""
     a = free(c, i, lanes.table[w[LANE, i], LIMIT], delta, CALM)
     if front >= 0:
-        a -= braking(c, i, front, _gap(c, w, lanes, i, front), CALM)
+        a -= braking(c, i, front, _gap(c, w, lanes, places, i, front), CALM)
     return a
 
 
 @jit
-def _bend(c, w, lanes, i):  # type: ignore[no-untyped-def]
+def _bend(c, w, lanes, places, i):  # type: ignore[no-untyped-def]
     """The acceleration that leads to the speed advised for where the driver will be after its reaction time."""
     speed = c[SPEED, i]
-    s = _along(c, lanes, w[LANE, i], i) + max(speed, 0.0) * REACTION_S
+    s = _along(c, lanes, places, w[LANE, i], i) + max(speed, 0.0) * REACTION_S
     return (advised(lanes, w[LANE, i], s) - speed) / REACTION_S
 
 
@@ -130,7 +135,7 @@ def decide_all(c, w, lanes, places, ego_has_target):  # type: ignore[no-untyped-
             continue
         w[TARGET, i] = following(lanes, w[TARGET, i], c[X, i], c[Y, i])
         if w[LANE, i] != w[TARGET, i]:
-            _give_up(c, w, lanes, i, 0 if ego_has_target else 1)
+            _give_up(c, w, lanes, places, i, 0 if ego_has_target else 1)
         elif c[TIMER, i] > CALM.delay_s:
             c[TIMER, i] = 0.0
             _consider(c, w, lanes, places, i)
@@ -138,14 +143,14 @@ def decide_all(c, w, lanes, places, ego_has_target):  # type: ignore[no-untyped-
 
 
 @jit
-def _give_up(c, w, lanes, i, first):  # type: ignore[no-untyped-def]
+def _give_up(c, w, lanes, places, i, first):  # type: ignore[no-untyped-def]
     """Go back to the own lane when somebody close ahead is changing into the same one."""
     goal = w[TARGET, i]
     if lanes.table[goal, ROAD] != lanes.table[w[LANE, i], ROAD]:
         return
     for j in range(first, population(w)):
         if j != i and w[TARGET, j] == goal and w[LANE, j] != goal:
-            if 0.0 < _gap(c, w, lanes, i, j) < gap_wanted(c, i, j, CALM):
+            if 0.0 < _gap(c, w, lanes, places, i, j) < gap_wanted(c, i, j, CALM):
                 w[TARGET, i] = w[LANE, i]
                 return
 
@@ -164,11 +169,13 @@ def _consider(c, w, lanes, places, i):  # type: ignore[no-untyped-def]
         if not reachable(table, lane, s, r):
             continue
         there, follower = _neighbours(c, w, lanes, places, lane, i)
-        if follower >= 0 and _follow(c, w, lanes, follower, i, delta) < -BRAKING_IMPOSED:
+        if follower >= 0 and _follow(c, w, lanes, places, follower, i, delta) < -BRAKING_IMPOSED:
             continue
         here, _ = _neighbours(c, w, lanes, places, own, i)
-        bend = _bend(c, w, lanes, i)
-        gain = min(_follow(c, w, lanes, i, there, delta), bend) - min(_follow(c, w, lanes, i, here, delta), bend)
+        bend = _bend(c, w, lanes, places, i)
+        gain = min(_follow(c, w, lanes, places, i, there, delta), bend) - min(
+            _follow(c, w, lanes, places, i, here, delta), bend
+        )
         if not gain < CALM.gain:
             w[TARGET, i] = lane
 
@@ -177,10 +184,10 @@ def _consider(c, w, lanes, places, i):  # type: ignore[no-untyped-def]
 def _accelerate(c, w, lanes, places, i):  # type: ignore[no-untyped-def]
     """A driver's acceleration, by whoever is ahead in its lane and in the one that it changes to."""
     front, _ = _neighbours(c, w, lanes, places, w[LANE, i], i)
-    a = min(_follow(c, w, lanes, i, front, c[DELTA, i]), _bend(c, w, lanes, i))
+    a = min(_follow(c, w, lanes, places, i, front, c[DELTA, i]), _bend(c, w, lanes, places, i))
     if w[LANE, i] != w[TARGET, i]:
         front, _ = _neighbours(c, w, lanes, places, w[TARGET, i], i)
-        a = min(a, _follow(c, w, lanes, i, front, c[DELTA, i]))
+        a = min(a, _follow(c, w, lanes, places, i, front, c[DELTA, i]))
     c[ACCELERATION, i] = min(max(a, -ACC_MAX), ACC_MAX)
 
 

@@ -15,6 +15,7 @@ from lanebound.integrity.errors import ConfigError
 from side_by_side import Tally, command, require_equal, same
 
 FEW: dict[str, Any] = {"world": {"vehicles_count": 4}, "sky": "urban", "extent_m": 300.0, "layouts": 2}
+CITY: dict[str, Any] = {"world": {"vehicles_count": 5}, "sky": "urban", "extent_m": 300.0, "layouts": 2}
 TRUTH, SENSOR, BOTH = ({"perception": {"source": source}} for source in ("truth", "sensor", "both"))
 PERFECT: dict[str, Any] = {"navigation": {"source": "perfect"}}
 CASES: list[tuple[str, dict[str, Any], int]] = [
@@ -26,6 +27,8 @@ CASES: list[tuple[str, dict[str, Any], int]] = [
     ("Highway", FEW, 10),
     ("Highway", {**FEW, **TRUTH, "sky": "open", "observation": {"integrity": "oracle"}}, 5),
     ("Highway", {**FEW, **PERFECT, "sky": "open"}, 5),
+    ("UrbanCanyon", {**CITY, "sky": "open"}, 8),
+    ("UrbanCanyon", {**CITY, **BOTH}, 6),
 ]
 
 
