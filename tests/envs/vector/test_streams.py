@@ -28,6 +28,20 @@ def test_they_draw_as_single_ones() -> None:
                 assert not by_satellite or not mine[:, ~USED[row]].any()
 
 
+def test_empty_places_of_vehicles_take_no_draws() -> None:
+    there = np.array([[True, False, False], [True, True, False]])
+    crew = CrewStreams(SEEDS, FLEETS, there, USED)
+    fleets = [Streams(seed, int(own.sum())) for seed, own in zip(FLEETS, there, strict=True)]
+    for name, shape in (("gnss", (4, 2)), ("imu", (2, 3)), ("odometer", ()), ("gnss", (4, 1))):
+        for law in ("normal", "uniform"):
+            drawn = getattr(crew, law)(name, *shape).reshape(2, 4, *shape)[:, 1:]
+            for row, fleet in enumerate(fleets):
+                own = (int(USED[row].sum()), *shape[1:]) if name == "gnss" else shape
+                mine = drawn[row][:, USED[row]] if name == "gnss" else drawn[row]
+                np.testing.assert_array_equal(mine[there[row]], getattr(fleet, law)(name, *own))
+                assert not drawn[row][~there[row]].any()
+
+
 def test_vehicles_of_an_environment_share_their_area() -> None:
     crew = CrewStreams(SEEDS, FLEETS, THERE, USED)
     areas = [Streams([seed]) for seed in SEEDS]
