@@ -78,8 +78,8 @@ class Senses:
         sees = others > 0 and config.perception.source not in GIVEN
         self.perceptions = Perceptions(config.perception, count, others, self.epoch_s) if sees else None
         self._vehicles = 1 + others if self.perceptions is not None and self.perceptions.hears else 1
-        crew = np.ones((count, self._vehicles - 1), dtype=np.bool_)
-        self._streams = CrewStreams([0] * count, [0] * count, crew, self.skies.used[[0] * count])
+        self._there = np.ones((count, self._vehicles), dtype=np.bool_)
+        self._streams = CrewStreams([0] * count, [0] * count, self._there[:, 1:], self.skies.used[[0] * count])
         one = Navigator(settings, self.skies.track, self.skies.mask, 0, 1)
         self._navigator = one.another(self._streams, self._epochs_at_start)
         self.trackers = Trackers(config.navigation, count, map_bound_m(config, settings), limits)
@@ -105,8 +105,9 @@ class Senses:
         environments, and the clock starts again.
         """
         origin = self._epochs_at_start if anew else self._epoch
-        there = world.whole[rows, k.PRESENT, 1:] > 0
-        crew = there[:, : self._vehicles - 1]
+        others = world.whole[rows, k.PRESENT, 1:] > 0
+        crew = others[:, : self._vehicles - 1]
+        self._there[rows, 1:] = crew
         scenes = draw_scenes(seeds, self._layouts, self.skies.hours, crew, self._config.source.senses)
         self._hour[rows], self._city_m[rows] = scenes.hour, self.skies.city_m[scenes.layout]
         used = self.skies.used[scenes.hour]
@@ -128,7 +129,7 @@ class Senses:
             self._write(rows, egos, world)
             self._settle(rows, world, 0.0)
         if self.perceptions is not None:
-            self.perceptions.begin(rows, seeds, there)
+            self.perceptions.begin(rows, seeds, others)
             for time_s, claims in told:
                 self.perceptions.step(rows, np.full(rows.size, time_s), claims, world)
         self.foresee(rows, world)
@@ -163,7 +164,7 @@ class Senses:
                 time_s = ago * self.epoch_s
                 truth = motion.epoch((origin + ago) * self.epoch_s, self.epoch_s, arc, side)
                 clock = np.full(rows.size, self._config.clock_start_s + time_s)
-                sky = self.skies.view(self._hour[rows], clock, self._vehicles)
+                sky = self.skies.view(self._hour[rows], clock, self._there[rows])
                 solution = navigator.locate(navigator.measure(truth, sky))
                 if last or (self._vehicles > 1 and -HEARD_S <= time_s < -0.5 * self.epoch_s):
                     told.append((time_s, claims_of(solution, self._vehicles)))
@@ -211,7 +212,7 @@ class Senses:
         """The skies over all egos now."""
         since_s = (self._epoch - self._started) * self.epoch_s
         clock = np.asarray(self._config.clock_start_s + since_s, dtype=np.float64)
-        return self.skies.view(self._hour, clock, self._vehicles)
+        return self.skies.view(self._hour, clock, self._there)
 
     def _poses(self, rows: Rows, world: World) -> tuple[Array, Array, Array]:
         """True positions (n M, 2), headings and speeds of all navigating vehicles."""
