@@ -1,29 +1,19 @@
-"""Which experiments the vector engine drives is known without opening an environment."""
+"""Experiments are driven by the vector engine where their environment has one."""
 
 from __future__ import annotations
 
 import pytest
 from experiments import experiment
 
-from lanebound.agents.learning.opening import for_judging, may_use_engine
+from lanebound.agents.learning.opening import for_judging
 
 GIVEN = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "duration_s": 2.0}
 
 
 @pytest.mark.parametrize(
-    ("changes", "may"),
-    [
-        ({"env": "UrbanCanyon"}, True),
-        ({"env": "UrbanCanyon", "engine": False}, False),
-        ({"env": "UrbanCanyon", "shield": "cbf"}, False),
-        ({"env": "Merge"}, False),
-    ],
+    ("changes", "count"), [({"env": "UrbanCanyon", "engine": True}, 3), ({"env": "UrbanCanyon", "engine": False}, 1)]
 )
-def test_ids_with_an_engine_may_use_it(changes: dict[str, object], may: bool) -> None:
-    assert may_use_engine(experiment(**changes)) is may
-
-
-def test_an_experiment_in_the_city_is_driven_by_the_engine() -> None:
-    env = for_judging(experiment(env="UrbanCanyon", overrides=GIVEN, engine=True), 3)
-    assert env.num_envs == 3
+def test_an_experiment_in_the_city_is_driven_by_the_engine(changes: dict[str, object], count: int) -> None:
+    env = for_judging(experiment(overrides=GIVEN, **changes), 3)
+    assert env.num_envs == count
     env.close()
