@@ -16,7 +16,7 @@ from lanebound.integrity.presets import nearest
 
 __all__ = ["IDS", "make_config", "register_all", "wrap"]
 
-ENGINES = ("LaneKeeping", "CarFollowing", "Highway")
+ENGINES = ("LaneKeeping", "CarFollowing", "Highway", "UrbanCanyon")
 """Classes of ids that :mod:`lanebound.envs.vector` has a batched engine for."""
 
 IDS: dict[str, dict[str, Any]] = {id_of(kind): dict(kind.PRESET) for kind in CLASSES}

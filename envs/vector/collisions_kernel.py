@@ -20,6 +20,7 @@ from lanebound.envs.vector.columns_kernel import (
     STRUCK,
     X,
     Y,
+    population,
 )
 from lanebound.integrity.accel import jit
 
@@ -94,7 +95,7 @@ def collide_all(c, w, sorted_by_x, dt, pairs):  # type: ignore[no-untyped-def]
 
     Along x the search for partners ends where nobody can be near any more.
     """
-    count = c.shape[1]
+    count = population(w)
     if not sorted_by_x or count * count > 2 * pairs.shape[0]:
         for i in range(count - 1):
             for j in range(i + 1, count):

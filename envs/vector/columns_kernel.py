@@ -12,9 +12,10 @@ from lanebound.integrity.accel import jit
 # cars: true pose (x, y, heading, speed), cosine and sine of the heading, what the driver wants, what a crash displaces
 X, Y, HEADING, SPEED, COS, SIN, TARGET_SPEED, TIMER, DELTA, IMPACT_X, IMPACT_Y, ACCELERATION = range(12)
 CAR = 12
-# whole: rows of the lanes that a vehicle is in and wants; flags; order along the road, its inverse, vehicle in front
-LANE, TARGET, CRASHED, STRUCK, ORDER, RANK, FRONT = range(7)
-WHOLE = 7
+# whole: rows of the lanes that a vehicle is in and wants; flags; order along the road, its inverse, vehicle in front;
+# whether there is a vehicle at all: those of an episode come first, the places after them are empty
+LANE, TARGET, CRASHED, STRUCK, ORDER, RANK, FRONT, PRESENT = range(8)
+WHOLE = 8
 
 # belief
 (
@@ -139,6 +140,15 @@ F_COST_WEIGHTS = F_REWARD_WEIGHTS + TERMS  # first of CAUSES
 F_BASE = F_COST_WEIGHTS + CAUSES  # first of the eight figures of the world's own reward
 FIGURES = F_BASE + 8
 NONE = -1.0  # no lane is left; no limit
+
+
+@jit(inline=True)
+def population(w):  # type: ignore[no-untyped-def]
+    """How many vehicles an environment has, the ego included, by its ``whole`` (WHOLE, V)."""
+    count = w.shape[1]
+    while count > 1 and w[PRESENT, count - 1] == 0:
+        count -= 1
+    return count
 
 
 @jit

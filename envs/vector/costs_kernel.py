@@ -53,6 +53,7 @@ from lanebound.envs.vector.columns_kernel import (
     T_Y,
     X,
     Y,
+    population,
 )
 from lanebound.envs.vector.lanes_kernel import (
     COUNT,
@@ -177,7 +178,7 @@ def _shortfall(c, w, lanes, figures):  # type: ignore[no-untyped-def]
     """Share of the safe distance that in truth lacks to a vehicle ahead in the lane."""
     lane, worst = w[LANE, 0], 0.0
     place, _, _ = local(lanes, lane, c[X, 0], c[Y, 0])
-    for i in range(1, c.shape[1]):
+    for i in range(1, population(w)):
         s, r, _ = local(lanes, lane, c[X, i], c[Y, i])
         if s > place and abs(r) <= 0.5 * lanes.table[lane, WIDTH]:
             needed = safe_distance(c[SPEED, 0], c[SPEED, i], figures)

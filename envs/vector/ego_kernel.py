@@ -39,12 +39,13 @@ from lanebound.envs.vector.columns_kernel import (
     X,
     Y,
 )
+from lanebound.envs.vector.idm_kernel import not_zero
 from lanebound.envs.vector.lanes_kernel import (
     LENGTH,
     ONWARD,
     ROAD,
     SIDE,
-    VEHICLE_LENGTH_M,
+    following,
     heading_at,
     local,
     nearest,
@@ -53,7 +54,7 @@ from lanebound.envs.vector.lanes_kernel import (
     reachable,
     wrap,
 )
-from lanebound.envs.vector.motorway_kernel import KP_HEADING, KP_LATERAL, not_zero, settle
+from lanebound.envs.vector.motorway_kernel import KP_HEADING, KP_LATERAL, settle
 from lanebound.integrity.accel import jit
 
 __all__ = [
@@ -67,6 +68,7 @@ __all__ = [
     "know",
     "move",
     "rates",
+    "roll",
     "show_intent",
     "steering_to",
 ]
@@ -103,12 +105,7 @@ def decide(b, action, lanes, speeds):  # type: ignore[no-untyped-def]
 @jit
 def follow(b, lanes):  # type: ignore[no-untyped-def]
     """At the end of the target lane, go on to the one after it."""
-    target = int(b[B_TARGET_LANE])
-    table = lanes.table
-    if table[target, ONWARD] >= 0:
-        s, _, _ = local(lanes, target, b[B_X], b[B_Y])
-        if s > table[target, LENGTH] - 0.5 * VEHICLE_LENGTH_M:
-            b[B_TARGET_LANE] = table[target, ONWARD]
+    b[B_TARGET_LANE] = following(lanes, int(b[B_TARGET_LANE]), b[B_X], b[B_Y])
 
 
 @jit
@@ -182,22 +179,29 @@ def command(b, lanes, figures):  # type: ignore[no-untyped-def]
 
 @jit
 def move(c, w, steering, acceleration, hold, lanes, figures):  # type: ignore[no-untyped-def]
-    """One step of the physical car, the bicycle model of highway-env; its lane is the nearest."""
+    """One step of the physical car."""
     speed, dt = c[SPEED, 0], figures[F_STEP_S]
     if hold > 0.0:
         acceleration = min(max(-speed / dt, -hold), hold)
-    if w[CRASHED, 0] != 0:
+    roll(c, w, 0, steering, acceleration, figures[F_SPEED_MIN], figures[F_SPEED_MAX], lanes, dt)
+
+
+@jit
+def roll(c, w, i, steering, acceleration, slowest, fastest, lanes, dt):  # type: ignore[no-untyped-def]
+    """One step of a car by highway-env's bicycle model, held between two speeds; a wreck brakes."""
+    speed = c[SPEED, i]
+    if w[CRASHED, i] != 0:
         steering, acceleration = 0.0, -speed
-    if speed > figures[F_SPEED_MAX]:
-        acceleration = min(acceleration, figures[F_SPEED_MAX] - speed)
-    elif speed < figures[F_SPEED_MIN]:
-        acceleration = max(acceleration, figures[F_SPEED_MIN] - speed)
+    if speed > fastest:
+        acceleration = min(acceleration, fastest - speed)
+    elif speed < slowest:
+        acceleration = max(acceleration, slowest - speed)
     slip = math.atan(0.5 * math.tan(steering))
     cosine, sine = math.cos(slip), math.sin(slip)
-    dx = speed * (c[COS, 0] * cosine - c[SIN, 0] * sine) * dt
-    dy = speed * (c[SIN, 0] * cosine + c[COS, 0] * sine) * dt
-    settle(c, w, 0, dx, dy, c[HEADING, 0] + speed * sine / (0.5 * LENGTH_M) * dt, speed + acceleration * dt)
-    w[LANE, 0] = nearest(lanes, c[X, 0], c[Y, 0], c[HEADING, 0])
+    dx = speed * (c[COS, i] * cosine - c[SIN, i] * sine) * dt
+    dy = speed * (c[SIN, i] * cosine + c[COS, i] * sine) * dt
+    settle(c, w, i, dx, dy, c[HEADING, i] + speed * sine / (0.5 * LENGTH_M) * dt, speed + acceleration * dt)
+    w[LANE, i] = nearest(lanes, c[X, i], c[Y, i], c[HEADING, i])
 
 
 @jit

@@ -17,7 +17,7 @@ from lanebound.envs.vector.chart import chart_of
 from lanebound.envs.vector.lanes import lanes_of
 from lanebound.envs.vector.rules import direct_ranges, duration_s, meta_codes, rules_of, trail_length
 from lanebound.envs.vector.senses import Senses, sensing
-from lanebound.envs.vector.start import profile_steps, starter_of
+from lanebound.envs.vector.start import most_vehicles, profile_steps, starter_of
 from lanebound.envs.vector.step_kernel import DECIDE, FINISH, START, World, run_parallel, run_some
 from lanebound.envs.vector.support import require_supported
 from lanebound.integrity.accel import is_compiled, use_parallel
@@ -76,7 +76,7 @@ class Engine:
     def _empty(self) -> World:
         """Arrays for N environments, before any start."""
         n, config, world = self.count, self.single.config, self.single.world
-        vehicles, entries = len(world.road.vehicles), len(self.single.observer.index)
+        vehicles, entries = most_vehicles(world), len(self.single.observer.index)
         others = max(vehicles - 1, 1)
         return World(
             cars=np.zeros((n, k.CAR, vehicles)),

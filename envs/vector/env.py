@@ -12,13 +12,20 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from lanebound.envs.core import DrivingEnv
-from lanebound.envs.ids import CarFollowing, Highway, LaneKeeping, Preset, id_of
+from lanebound.envs.ids import CarFollowing, Highway, LaneKeeping, Preset, UrbanCanyon, id_of
 from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.engine import Engine
 from lanebound.envs.vector.infos import infos_of
 from lanebound.integrity.errors import InputError
 
-__all__ = ["ENGINES", "VectorCarFollowing", "VectorDrivingEnv", "VectorHighway", "VectorLaneKeeping"]
+__all__ = [
+    "ENGINES",
+    "VectorCarFollowing",
+    "VectorDrivingEnv",
+    "VectorHighway",
+    "VectorLaneKeeping",
+    "VectorUrbanCanyon",
+]
 
 Rows = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -223,7 +230,14 @@ class VectorLaneKeeping(VectorDrivingEnv):
     KIND = LaneKeeping
 
 
-ENGINES = {id_of(kind.KIND): kind for kind in (VectorHighway, VectorCarFollowing, VectorLaneKeeping)}
+class VectorUrbanCanyon(VectorDrivingEnv):
+    """``lanebound/UrbanCanyon-v0``, N times."""
+
+    KIND = UrbanCanyon
+
+
+KINDS = (VectorHighway, VectorCarFollowing, VectorLaneKeeping, VectorUrbanCanyon)
+ENGINES = {id_of(kind.KIND): kind for kind in KINDS}
 
 
 def _bounds_of(space: Space[Any]) -> tuple[NDArray[Any], NDArray[Any]]:

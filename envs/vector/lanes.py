@@ -11,7 +11,7 @@ from highway_env.road.road import RoadNetwork
 from lanebound.envs.records import LaneIndex
 from lanebound.envs.vector import lanes_kernel as lk
 from lanebound.envs.vector.lanes_kernel import CELL_COLUMNS, Lanes
-from lanebound.envs.worlds.lanes import CurveLane
+from lanebound.envs.worlds.lanes import ADVICE_STEP_M, CurveLane
 from lanebound.integrity.errors import ConfigError
 
 __all__ = ["lane_rows", "lanes_of"]
@@ -38,25 +38,30 @@ def lanes_of(network: RoadNetwork) -> Lanes:
     joined = [_joined(edges, first, k) for k in range(len(edges))]
     begin = [np.cumsum([0, *sizes]) for sizes in zip(*((len(p[0]), p[2].size) for p in paths), strict=True)]
     ends = np.cumsum([0, *(len(rows) for rows in joined)])
-    onward = iter(_onward(network))
+    onward = _onward(network)
+    advice = [_advice(lane) for _, _, row in edges for lane in row]
+    heard = np.cumsum([0, *(len(speeds) for speeds in advice)])
     table = np.zeros((int(first[-1]), lk.LANE_COLUMNS))
     for k, (_, _, row) in enumerate(edges):
         _, low, grid = paths[k]
         for i, lane in enumerate(row):
+            n = int(first[k]) + i
             values = {
                 lk.OFFSET: _offset_m(lane), lk.WIDTH: lane.width_at(0.0), lk.LENGTH: lane.length,
                 lk.LIMIT: lane.speed_limit or 0.0, lk.SIDE: i, lk.ROAD: first[k], lk.COUNT: len(row),
-                lk.ONWARD: next(onward), lk.JOINED_FIRST: ends[k], lk.JOINED_LAST: ends[k + 1],
+                lk.ONWARD: onward[n], lk.BEFORE: _index(onward, n),
+                lk.JOINED_FIRST: ends[k], lk.JOINED_LAST: ends[k + 1],
                 lk.CELL_FIRST: begin[0][k], lk.CELL_LAST: begin[0][k + 1], lk.LOW_X: low[0], lk.LOW_Y: low[1],
                 lk.COLUMNS: grid.shape[0], lk.ROWS: grid.shape[1], lk.NEAR_FIRST: begin[1][k],
-                lk.STRAIGHT: type(lane) is StraightLane,
+                lk.STRAIGHT: type(lane) is StraightLane, lk.ADVICE_FIRST: heard[n], lk.ADVICE_LAST: heard[n + 1],
             }  # fmt: skip
-            table[first[k] + i, list(values)] = [float(value) for value in values.values()]
+            table[n, list(values)] = [float(value) for value in values.values()]
     return Lanes(
         table=table,
         cells=np.concatenate([p[0] for p in paths]),
         near=np.concatenate([p[2].ravel() for p in paths]).astype(np.int64),
         joined=np.array([pair for rows in joined for pair in rows], dtype=np.int64).reshape(-1, 2),
+        advice=np.array([speed for speeds in advice for speed in speeds], dtype=np.float64),
     )
 
 
@@ -77,6 +82,18 @@ def _path_of(row: list[Any]) -> tuple[Any, tuple[float, float], Any]:
 
 def _offset_m(lane: Any) -> float:
     return float(lane.offset_m if type(lane) is CurveLane else lane.start[1])
+
+
+def _advice(lane: Any) -> list[float]:
+    """Speeds that a lane advises at every step, none on a straight one."""
+    if type(lane) is not CurveLane:
+        return []
+    return [lane.advised_speed(k * ADVICE_STEP_M) for k in range(int(lane.length / ADVICE_STEP_M) + 2)]
+
+
+def _index(values: list[int], value: int) -> int:
+    """Where a value is in a list, -1 for nowhere."""
+    return values.index(value) if value in values else -1
 
 
 def _joined(edges: list[Any], first: Any, k: int) -> list[tuple[int, bool]]:

@@ -17,7 +17,10 @@ from lanebound.integrity.accel import jit
 __all__ = [
     "CELL_COLUMNS",
     "LANE_COLUMNS",
+    "NOWHERE",
     "Lanes",
+    "advised",
+    "following",
     "heading_at",
     "local",
     "nearest",
@@ -25,6 +28,7 @@ __all__ = [
     "on_lane",
     "place",
     "reachable",
+    "stations",
     "wrap",
 ]
 
@@ -57,9 +61,14 @@ GAUSS_1, GAUSS_2, GAUSS_3 = 0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15)
     ROWS,
     NEAR_FIRST,
     STRAIGHT,
-) = range(18)
-LANE_COLUMNS = 18
+    BEFORE,
+    ADVICE_FIRST,
+    ADVICE_LAST,
+) = range(21)
+LANE_COLUMNS = 21
 SQUARE_M = 8.0  # of worlds/paths.py
+ADVICE_STEP_M = 2.0  # of worlds/lanes.py
+NOWHERE = -math.inf  # a distance along a lane that does not hold a point
 
 
 class Lanes(NamedTuple):
@@ -68,15 +77,17 @@ class Lanes(NamedTuple):
     table (L, LANE_COLUMNS): offset from the path, width, length [m], speed limit [m/s]; number in the road, the road
     and how many lanes it has; the lane that follows, -1 for none; first and past the last row in ``joined``; the same
     in ``cells``; corner of a grid of squares [m], its columns, rows and first entry in ``near``; whether the path is a
-    straight along x.
+    straight along x; the lane before, -1 for none; first and past the last entry in ``advice``, none on straights.
     cells (C, CELL_COLUMNS); near (G,): the cell of its path to begin a search at, by square; joined (J, 2): the roads
-    that meet the ends of a road, and whether all their lanes count as joined.
+    that meet the ends of a road, and whether all their lanes count as joined; advice (A,): speed that the bends ahead
+    allow [m/s], every 2 m of a lane.
     """
 
     table: NDArray[np.float64]
     cells: NDArray[np.float64]
     near: NDArray[np.int64]
     joined: NDArray[np.int64]
+    advice: NDArray[np.float64]
 
 
 @jit
@@ -177,10 +188,25 @@ def _station(table, cells, lane, c):  # type: ignore[no-untyped-def]
 @jit
 def local(lanes, lane, x, y):  # type: ignore[no-untyped-def]
     """Distance along a lane, offset to its right, and the lane's direction there: (s, r, heading)."""
+    foot, into, lateral = _foot_on(lanes, lane, x, y)
+    return _local_at(lanes, lane, foot, into, lateral)
+
+
+@jit
+def _foot_on(lanes, lane, x, y):  # type: ignore[no-untyped-def]
+    """Cell, distance into it and offset of the nearest point of the path that all lanes of a road share."""
+    table = lanes.table
+    if table[lane, STRAIGHT] > 0.0:
+        return int(table[lane, CELL_FIRST]), x - table[lane, LOW_X], y - table[lane, LOW_Y]
+    return _project(table, lanes.cells, lanes.near, lane, x, y)
+
+
+@jit
+def _local_at(lanes, lane, c, into, lateral):  # type: ignore[no-untyped-def]
+    """What :func:`local` says of a point with a given foot on the path of the lane's road."""
     table, cells = lanes.table, lanes.cells
     if table[lane, STRAIGHT] > 0.0:
-        return x - table[lane, LOW_X], y - table[lane, LOW_Y] - table[lane, OFFSET], 0.0
-    c, into, lateral = _project(table, cells, lanes.near, lane, x, y)
+        return into, lateral - table[lane, OFFSET], 0.0
     turned = (cells[c, C_KAPPA] + 0.5 * cells[c, C_SLOPE] * into) * into
     s = _station(table, cells, lane, c) + into - table[lane, OFFSET] * turned
     return s, lateral - table[lane, OFFSET], cells[c, C_HEADING] + turned
@@ -223,20 +249,72 @@ def heading_at(lanes, lane, s):  # type: ignore[no-untyped-def]
 
 @jit
 def nearest(lanes, x, y, heading):  # type: ignore[no-untyped-def]
-    """The lane with the least ``|r| + beyond its ends + |angle|``; the first of equals."""
-    best, least = 0, math.inf
-    for lane in range(lanes.table.shape[0]):
-        s, r, direction = local(lanes, lane, x, y)
-        distance = abs(r) + max(s - lanes.table[lane, LENGTH], 0.0, -s) + abs(wrap(heading - direction))
-        if distance < least:
-            best, least = lane, distance
+    """The lane with the least ``|r| + beyond its ends + |angle|``; the first of equals.
+
+    A road that is farther away than the best lane so far is passed over.
+    """
+    best, least, road, table = 0, math.inf, 0, lanes.table
+    while road < table.shape[0]:
+        end = road + int(table[road, COUNT])
+        if _away(table, road, x, y) <= least:
+            foot, into, lateral = _foot_on(lanes, road, x, y)
+            for lane in range(road, end):
+                s, r, direction = _local_at(lanes, lane, foot, into, lateral)
+                distance = abs(r) + max(s - table[lane, LENGTH], 0.0, -s) + abs(wrap(heading - direction))
+                if distance < least:
+                    best, least = lane, distance
+        road = end
     return best
 
 
 @jit
-def on_lane(table, lane, s, r):  # type: ignore[no-untyped-def]
-    """Whether a point at (s, r) is on a lane."""
-    beside = abs(r) <= 0.5 * table[lane, WIDTH]
+def _away(table, road, x, y):  # type: ignore[no-untyped-def]
+    """A distance that no lane of a road is nearer than, and from which on it holds no point: to its path's squares."""
+    if table[road, STRAIGHT] > 0.0:
+        return 0.0
+    low_x, low_y = table[road, LOW_X], table[road, LOW_Y]
+    beyond_x, beyond_y = x - low_x - SQUARE_M * table[road, COLUMNS], y - low_y - SQUARE_M * table[road, ROWS]
+    return max(low_x - x, beyond_x, low_y - y, beyond_y, 0.0)
+
+
+@jit
+def stations(lanes, x, y, margin, out):  # type: ignore[no-untyped-def]
+    """Fill ``out`` (L,): how far along each lane a point is, ``NOWHERE`` on lanes that do not hold it by a margin."""
+    road, table = 0, lanes.table
+    while road < table.shape[0]:
+        end = road + int(table[road, COUNT])
+        out[road:end] = NOWHERE
+        if not _away(table, road, x, y) > 0.0:
+            foot, into, lateral = _foot_on(lanes, road, x, y)
+            for lane in range(road, end):
+                s, r, _ = _local_at(lanes, lane, foot, into, lateral)
+                if on_lane(table, lane, s, r, margin):
+                    out[lane] = s
+        road = end
+
+
+@jit
+def advised(lanes, lane, s):  # type: ignore[no-untyped-def]
+    """Speed that the bends ahead on a lane allow, as ``CurveLane.advised_speed``."""
+    first, last = int(lanes.table[lane, ADVICE_FIRST]), int(lanes.table[lane, ADVICE_LAST]) - 1
+    return lanes.advice[min(first + max(int(s / ADVICE_STEP_M), 0), last)]
+
+
+@jit
+def following(lanes, lane, x, y):  # type: ignore[no-untyped-def]
+    """The lane to follow from a point on: near its end the one after it, if there is one."""
+    onward = int(lanes.table[lane, ONWARD])
+    if onward >= 0:
+        s, _, _ = local(lanes, lane, x, y)
+        if s > lanes.table[lane, LENGTH] - 0.5 * VEHICLE_LENGTH_M:
+            return onward
+    return lane
+
+
+@jit
+def on_lane(table, lane, s, r, margin=0.0):  # type: ignore[no-untyped-def]
+    """Whether a point at (s, r) is on a lane, or beside it by no more than a margin."""
+    beside = abs(r) <= 0.5 * table[lane, WIDTH] + margin
     return beside and -VEHICLE_LENGTH_M <= s < table[lane, LENGTH] + VEHICLE_LENGTH_M
 
 

@@ -26,22 +26,27 @@ from lanebound.envs.vector.columns_kernel import (
     SPEED,
     STRUCK,
     TARGET,
-    TARGET_SPEED,
     TIMER,
     X,
     Y,
 )
+from lanebound.envs.vector.idm_kernel import (
+    ACC_MAX,
+    BRAKING_IMPOSED,
+    SPEED_MOST_MPS,
+    Manners,
+    braking,
+    free,
+    gap_wanted,
+    not_zero,
+)
 from lanebound.envs.vector.lanes_kernel import LENGTH, LIMIT, OFFSET, WIDTH
 from lanebound.integrity.accel import jit
 
-__all__ = ["SIN_SLIP_MOST", "accelerate", "change_lanes", "drive_others", "not_zero", "settle", "sort_along", "survey"]
+__all__ = ["BRISK", "SIN_SLIP_MOST", "accelerate", "change_lanes", "drive_others", "settle", "sort_along", "survey"]
 
-# highway-env's figures of IDMVehicle, ControlledVehicle and Vehicle
-ACC_MAX, COMFORT, GAP_M, HEADWAY_S = 6.0, 3.0, 10.0, 1.5
-BRAKING = 2.0 * math.sqrt(15.0)  # 2 sqrt(a b), a = 3 and b = 5 m/s2
-DELAY_S, GAIN_MIN, BRAKING_IMPOSED = 1.0, 0.2, 2.0
-KP_HEADING, KP_LATERAL = 1.0 / 0.2, 1.0 / 0.6
-SPEED_MOST_MPS = 40.0
+BRISK = Manners(10.0, 1.5, 3.0, 2.0 * math.sqrt(15.0), 1.0, 0.2)  # of highway-env's IDMVehicle
+KP_HEADING, KP_LATERAL = 1.0 / 0.2, 1.0 / 0.6  # of ControlledVehicle
 MARGIN_M, BEYOND_M = 1.0, 5.0  # beside and past the ends of a lane, to be on it
 SIN_COURSE_MOST = math.sin(0.25 * math.pi)
 TAN_SLIP_MOST = 0.5 * math.tan(math.pi / 3.0)
@@ -49,34 +54,9 @@ SIN_SLIP_MOST = math.sin(math.atan(TAN_SLIP_MOST))
 
 
 @jit(inline=True)
-def not_zero(x):  # type: ignore[no-untyped-def]
-    """x, or 0.01 with its sign when it is smaller."""
-    if abs(x) > 1e-2:
-        return x
-    return 1e-2 if x >= 0.0 else -1e-2
-
-
-@jit(inline=True)
-def _gap_wanted(c, i, j):  # type: ignore[no-untyped-def]
-    """IDM's distance wanted of vehicle i behind j."""
-    closing_x = c[SPEED, i] * c[COS, i] - c[SPEED, j] * c[COS, j]
-    closing_y = c[SPEED, i] * c[SIN, i] - c[SPEED, j] * c[SIN, j]
-    closing = closing_x * c[COS, i] + closing_y * c[SIN, i]
-    return GAP_M + c[SPEED, i] * HEADWAY_S + c[SPEED, i] * closing / BRAKING
-
-
-@jit(inline=True)
-def _free(c, i, limit, delta):  # type: ignore[no-untyped-def]
-    """IDM's acceleration of vehicle i on an empty road."""
-    wanted = min(max(c[TARGET_SPEED, i], 0.0), limit)
-    return COMFORT * (1.0 - math.pow(max(c[SPEED, i], 0.0) / abs(not_zero(wanted)), delta))
-
-
-@jit(inline=True)
 def _braking(c, i, j):  # type: ignore[no-untyped-def]
     """What vehicle j ahead takes off IDM's acceleration of vehicle i."""
-    share = _gap_wanted(c, i, j) / not_zero(c[X, j] - c[X, i])
-    return COMFORT * share * share
+    return braking(c, i, j, c[X, j] - c[X, i], BRISK)
 
 
 @jit(inline=True)
@@ -146,7 +126,7 @@ def change_lanes(c, w, table, ego_has_target):  # type: ignore[no-untyped-def]
             continue
         if w[LANE, i] != w[TARGET, i]:
             _give_up(c, w, i, 0 if ego_has_target else 1)
-        elif c[TIMER, i] > DELAY_S:
+        elif c[TIMER, i] > BRISK.delay_s:
             c[TIMER, i] = 0.0
             _consider(c, w, i, table)
 
@@ -158,7 +138,7 @@ def _give_up(c, w, i, first):  # type: ignore[no-untyped-def]
     for k in range(first, c.shape[1]):
         if w[TARGET, k] == goal and w[LANE, k] != goal and k != i:
             distance = c[X, k] - c[X, i]
-            if 0.0 < distance < _gap_wanted(c, i, k):
+            if 0.0 < distance < gap_wanted(c, i, k, BRISK):
                 w[TARGET, i] = w[LANE, i]
                 return
 
@@ -179,12 +159,12 @@ def _consider(c, w, i, table):  # type: ignore[no-untyped-def]
         follower = _behind(c, w, i, table, lane)
         if follower >= 0:
             limit = table[w[LANE, follower], LIMIT]
-            if _free(c, follower, limit, delta) - _braking(c, follower, i) < -BRAKING_IMPOSED:
+            if free(c, follower, limit, delta, BRISK) - _braking(c, follower, i) < -BRAKING_IMPOSED:
                 continue
-        free, there, here = _free(c, i, table[own, LIMIT], delta), _ahead(c, w, i, table, lane), w[FRONT, i]
-        gain = free - (_braking(c, i, there) if there >= 0 else 0.0)
-        gain -= free - (_braking(c, i, here) if here >= 0 else 0.0)
-        if not gain < GAIN_MIN:
+        alone, there, here = free(c, i, table[own, LIMIT], delta, BRISK), _ahead(c, w, i, table, lane), w[FRONT, i]
+        gain = alone - (_braking(c, i, there) if there >= 0 else 0.0)
+        gain -= alone - (_braking(c, i, here) if here >= 0 else 0.0)
+        if not gain < BRISK.gain:
             w[TARGET, i] = lane
 
 
@@ -195,12 +175,12 @@ def accelerate(c, w, table):  # type: ignore[no-untyped-def]
         if w[CRASHED, i] != 0:
             continue
         front = w[FRONT, i]
-        braking = _braking(c, i, front) if front >= 0 else 0.0
+        less = _braking(c, i, front) if front >= 0 else 0.0
         if w[LANE, i] != w[TARGET, i]:
             front = _ahead(c, w, i, table, w[TARGET, i])
             if front >= 0:
-                braking = max(braking, _braking(c, i, front))
-        a = _free(c, i, table[w[LANE, i], LIMIT], c[DELTA, i]) - braking
+                less = max(less, _braking(c, i, front))
+        a = free(c, i, table[w[LANE, i], LIMIT], c[DELTA, i], BRISK) - less
         c[ACCELERATION, i] = min(max(a, -ACC_MAX), ACC_MAX)
 
 

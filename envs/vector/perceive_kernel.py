@@ -24,12 +24,12 @@ ROUNDING = 1e-9
 
 
 @jit
-def see_truth(c, x, y, order, square, t):  # type: ignore[no-untyped-def]
+def see_truth(c, w, x, y, order, square, t):  # type: ignore[no-untyped-def]
     """Fill ``t`` (V - 1, SEEN) with all others, nearest to (x, y) first; ``order`` and ``square`` (V,) are scratch.
 
     Of two at one distance the first in the world comes first.
     """
-    count = c.shape[1] - 1
+    count = k.population(w) - 1
     for i in range(1, count + 1):
         dx, dy = c[k.X, i] - x, c[k.Y, i] - y
         distance, at = dx * dx + dy * dy, i - 1
@@ -96,9 +96,10 @@ def hear_all(  # type: ignore[no-untyped-def]
 
 
 @jit
-def _look(figures, b, c, noise, dt, last, tracks):  # type: ignore[no-untyped-def]
+def _look(figures, b, c, w, noise, dt, last, held):  # type: ignore[no-untyped-def]
     """The sensor of one ego, as :class:`~lanebound.envs.perception.sensor.Sensor`; ``last`` (2,) is where it was."""
-    count = tracks.shape[0]
+    count = k.population(w)
+    tracks = held[:count]
     slot, place = np.arange(count), np.empty((count, 2))
     heading, speed = np.empty(count), np.empty(count)
     length, width = np.full(count, LENGTH_M), np.full(count, WIDTH_M)
@@ -117,11 +118,11 @@ def _look(figures, b, c, noise, dt, last, tracks):  # type: ignore[no-untyped-de
 
 
 @jit
-def look_all(rows, figures, belief, cars, noise, dt, last, seen):  # type: ignore[no-untyped-def]
+def look_all(rows, figures, belief, cars, whole, noise, dt, last, seen):  # type: ignore[no-untyped-def]
     """Let the egos of ``rows`` (n,) look: noise (n, C + 1, 4); last (N, 2), seen (N, C + 1, 7) advance in place."""
     for n in range(rows.shape[0]):
         e = rows[n]
-        _look(figures, belief[e], cars[e], noise[n], dt, last[e], seen[e])
+        _look(figures, belief[e], cars[e], whole[e], noise[n], dt, last[e], seen[e])
 
 
 @jit

@@ -67,9 +67,14 @@ class Perceptions:
         self._held = np.zeros((count, heard, N_COLUMNS))
         self._told, self._seen = np.full((2, count, others + 1, N_COLUMNS), np.inf)
         self._last_m = np.zeros((count, 2))
+        self._there = np.ones((count, others + 1), dtype=np.bool_)
 
-    def begin(self, rows: Rows, seeds: Sequence[int]) -> None:
-        """Start with silent radios and sensors that have seen nobody, under the episodes' seeds."""
+    def begin(self, rows: Rows, seeds: Sequence[int], there: NDArray[np.bool_]) -> None:
+        """Start with silent radios and sensors that have seen nobody, under the episodes' seeds.
+
+        there (n, C): whether the others' places are taken.
+        """
+        self._there[rows, 1:] = there
         for row, seed in zip(rows.tolist(), seeds, strict=True):
             self._streams.reseed(row, seed)
         self._epoch[rows], self._sent[rows] = 0, -1
@@ -85,18 +90,32 @@ class Perceptions:
 
         ``time_s`` (n,) of each episode; who is perceived is written into ``world.traffic`` and ``world.seen``.
         """
-        vehicles = self._told.shape[1]
         if self.hears:
-            luck = np.empty((rows.size, vehicles * 2))
-            sk.uniforms(self._streams.states("v2v"), rows, luck)
+            spoken = claims.copy()
+            spoken[..., SENDS] *= self._there[rows, 1:]
             hear_all(
-                rows, self._radio, self._epoch, self._sent, time_s, np.ascontiguousarray(claims), world.cars,
-                luck.reshape(rows.size, vehicles, 2), self._broadcasts, self._arriving, self._origin, self._held,
+                rows, self._radio, self._epoch, self._sent, time_s, spoken, world.cars,
+                self._draw("v2v", rows, 2), self._broadcasts, self._arriving, self._origin, self._held,
                 self._told,
             )  # fmt: skip
         if self.looks:
-            noise = np.empty((rows.size, vehicles * 4))
-            sk.normals(self._streams.states("sensor"), rows, ZIGGURAT, noise)
-            noise = noise.reshape(rows.size, vehicles, 4)
-            look_all(rows, self._sensor, world.belief, world.cars, noise, self._epoch_s, self._last_m, self._seen)
+            noise = self._draw("sensor", rows, 4)
+            look_all(
+                rows, self._sensor, world.belief, world.cars, world.whole, noise, self._epoch_s, self._last_m,
+                self._seen,
+            )  # fmt: skip
         sum_up(rows, self._figures, self._told, self._seen, world.belief, world.traffic, world.seen)
+
+    def _draw(self, name: str, rows: Rows, width: int) -> Array:
+        """Draws (n, C + 1, width) for the vehicles there are, one after another, with zeros in empty places.
+
+        The radio's are uniform, the sensor's normal.
+        """
+        states, there = self._streams.states(name), self._there[rows]
+        own, out = states[rows], np.zeros((rows.size, 1, there.shape[1], width))
+        if name == "sensor":
+            sk.normals_at(own, there, ZIGGURAT, out)
+        else:
+            sk.uniforms_at(own, there, out)
+        states[rows] = own
+        return out[:, 0]

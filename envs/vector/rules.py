@@ -19,8 +19,9 @@ from lanebound.envs.scene import alert_limits_m
 from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.ego_kernel import FASTER, IDLE, LEFT, RIGHT, SLOWER
 from lanebound.envs.vector.observe_kernel import BLIND, FULL, ORACLE
-from lanebound.envs.vector.step_kernel import COURSE, MOTORWAY, Rules
+from lanebound.envs.vector.step_kernel import CITY, COURSE, MOTORWAY, Rules
 from lanebound.envs.worlds.base import World as OwnWorld
+from lanebound.envs.worlds.urban_canyon import UrbanCanyonWorld
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rtk_status import RtkStatus
@@ -46,12 +47,19 @@ def rules_of(single: DrivingEnv) -> Rules:
         reasons=np.array([reason.code for reason in AlertReason], dtype=np.int64),
         modes=np.array([int(mode) for mode in Mode], dtype=np.int64),
         rtks=np.array([status.code for status in RtkStatus], dtype=np.int64),
-        drivers=COURSE if isinstance(world, OwnWorld) else MOTORWAY,
+        drivers=_drivers(world),
         shown=SHOWN[config.observation.integrity],
         rows=config.observation.vehicles,
         sees_truth=config.perception.source == "truth",
         most=config.observation.pl_max_m,
     )
+
+
+def _drivers(world: AbstractEnv) -> int:
+    """Whose drivers the others are."""
+    if isinstance(world, UrbanCanyonWorld):
+        return CITY
+    return COURSE if isinstance(world, OwnWorld) else MOTORWAY
 
 
 def duration_s(config: EnvConfig, world: AbstractEnv) -> float:
@@ -79,7 +87,7 @@ def _target_speeds(world: AbstractEnv) -> Array:
 def _figures(config: EnvConfig, world: AbstractEnv) -> Array:
     """The figures in their columns."""
     limits, c, a = alert_limits_m(world, config), config.cost, config.actuators
-    own = isinstance(world, OwnWorld)
+    own, endless = isinstance(world, OwnWorld), isinstance(world, UrbanCanyonWorld)
     speeds = getattr(world.action_type, "speed_range", None) or (Vehicle.MIN_SPEED, Vehicle.MAX_SPEED)
     policy_s = 1.0 / config.policy_hz
     values: dict[int, Any] = {
@@ -93,7 +101,7 @@ def _figures(config: EnvConfig, world: AbstractEnv) -> Array:
         k.F_OFF_ROAD_ENDS: config.off_road_ends, k.F_WRONG_WAY_S: config.wrong_way_s,
         k.F_SUCCESS_SHARE: config.success_share, k.F_DURATION_S: duration_s(config, world),
         k.F_WORLD_DURATION_S: world.config["duration"], k.F_WORLD_TOLERANCE_S: 0.5 * policy_s if own else 0.0,
-        k.F_WORLD_OFF_ROAD: world.config["offroad_terminal"], k.F_END_M: END_M if own else k.NONE,
+        k.F_WORLD_OFF_ROAD: world.config["offroad_terminal"], k.F_END_M: END_M if own and not endless else k.NONE,
         k.F_AGAINST_ENDS: own, k.F_KEEP_LANE: config.keep_lane, k.F_RESPONSE_S: c.response_s,
         k.F_ACCELERATE: c.accelerate_mps2, k.F_BRAKE_MIN: c.brake_min_mps2, k.F_BRAKE_MAX: c.brake_max_mps2,
         k.F_ALERT_SHARE: c.alert_speed_share, k.F_TTA_S: c.time_to_alert_s, k.F_MAX_SPEED: Vehicle.MAX_SPEED,

@@ -36,19 +36,20 @@ class Scenes:
     noise: Array
 
 
-def draw_scenes(seeds: Sequence[int], layouts: int, hours: int, vehicles: int, sensed: bool) -> Scenes:
+def draw_scenes(seeds: Sequence[int], layouts: int, hours: int, crew: NDArray[np.bool_], sensed: bool) -> Scenes:
     """Draw as ``set_scene``, ``Cockpit`` and ``Fleet`` do, in their order, by the seeds of the episodes.
 
-    ``sensed``: the egos' own places are, and so their maps have a shift.
+    crew (n, M - 1): places of the others that a vehicle has taken; zeros are drawn for the rest. ``sensed``: the egos'
+    own places are, and so their maps have a shift.
     """
     drawn = np.zeros((3, len(seeds)), dtype=np.int64)
-    shift, noise = np.zeros((len(seeds), 2)), np.zeros((len(seeds), vehicles, 3))
+    shift, noise = np.zeros((len(seeds), 2)), np.zeros((len(seeds), 1 + crew.shape[1], 3))
     for n, seed in enumerate(seeds):
         scene, start = named_generator(seed, "scene"), named_generator(seed, "start")
         drawn[:, n] = [scene.integers(below) for below in (layouts, hours, FLEET_SEEDS)]
         if sensed:
             shift[n], noise[n, 0] = start.standard_normal(2), start.standard_normal(3)
-        if vehicles > 1:
-            others = named_generator(int(drawn[2, n]), "start").standard_normal((STARTS, vehicles - 1, 3))
-            noise[n, 1:] = others[STARTS - 1]
+        if others := int(crew[n].sum()):
+            drawn_noise = named_generator(int(drawn[2, n]), "start").standard_normal((STARTS, others, 3))
+            noise[n, 1 : 1 + others] = drawn_noise[STARTS - 1]
     return Scenes(drawn[0], drawn[1], drawn[2], shift, noise.reshape(-1, 3))

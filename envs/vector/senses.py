@@ -22,6 +22,7 @@ from lanebound.envs.vector.perceptions import Perceptions, claims_of
 from lanebound.envs.vector.scenes import Scenes, draw_scenes
 from lanebound.envs.vector.senses_kernel import foresee, glance_all, place_all, whereabouts
 from lanebound.envs.vector.skies import Skies
+from lanebound.envs.vector.start import most_vehicles
 from lanebound.envs.vector.step_kernel import World
 from lanebound.envs.vector.streams import CrewStreams
 from lanebound.envs.vector.trackers import Trackers
@@ -38,7 +39,7 @@ Rows = NDArray[np.int64]
 
 def sensing(single: DrivingEnv) -> bool:
     """Whether anything is sensed in a configuration: the ego's own place, or other vehicles."""
-    others = len(single.world.road.vehicles) > 1
+    others = most_vehicles(single.world) > 1
     return single.config.navigation.source.senses or (others and single.config.perception.source not in GIVEN)
 
 
@@ -61,7 +62,7 @@ class Senses:
     """
 
     def __init__(self, single: DrivingEnv, count: int, lanes: Lanes, figures: Array, duration_s: float) -> None:
-        config, others = single.config, len(single.world.road.vehicles) - 1
+        config, others = single.config, most_vehicles(single.world) - 1
         limits = alert_limits_m(single.world, config)
         settings = navigator_config(config, limits)
         if settings.imu.mems_exponential:
@@ -77,7 +78,8 @@ class Senses:
         sees = others > 0 and config.perception.source not in GIVEN
         self.perceptions = Perceptions(config.perception, count, others, self.epoch_s) if sees else None
         self._vehicles = 1 + others if self.perceptions is not None and self.perceptions.hears else 1
-        self._streams = CrewStreams([0] * count, [0] * count, self._vehicles, self.skies.used[[0] * count])
+        self._there = np.ones((count, self._vehicles), dtype=np.bool_)
+        self._streams = CrewStreams([0] * count, [0] * count, self._there[:, 1:], self.skies.used[[0] * count])
         one = Navigator(settings, self.skies.track, self.skies.mask, 0, 1)
         self._navigator = one.another(self._streams, self._epochs_at_start)
         self.trackers = Trackers(config.navigation, count, map_bound_m(config, settings), limits)
@@ -103,10 +105,13 @@ class Senses:
         environments, and the clock starts again.
         """
         origin = self._epochs_at_start if anew else self._epoch
-        scenes = draw_scenes(seeds, self._layouts, self.skies.hours, self._vehicles, self._config.source.senses)
+        others = world.whole[rows, k.PRESENT, 1:] > 0
+        crew = others[:, : self._vehicles - 1]
+        self._there[rows, 1:] = crew
+        scenes = draw_scenes(seeds, self._layouts, self.skies.hours, crew, self._config.source.senses)
         self._hour[rows], self._city_m[rows] = scenes.hour, self.skies.city_m[scenes.layout]
         used = self.skies.used[scenes.hour]
-        streams = CrewStreams(seeds, scenes.fleet_seed.tolist(), self._vehicles, used)
+        streams = CrewStreams(seeds, scenes.fleet_seed.tolist(), crew, used)
         starter = self._navigator.another(streams, origin - self._epochs_at_start)
         solution, motion, told = self._approach(rows, starter, world, scenes, origin)
         if anew:
@@ -124,7 +129,7 @@ class Senses:
             self._write(rows, egos, world)
             self._settle(rows, world, 0.0)
         if self.perceptions is not None:
-            self.perceptions.begin(rows, seeds)
+            self.perceptions.begin(rows, seeds, others)
             for time_s, claims in told:
                 self.perceptions.step(rows, np.full(rows.size, time_s), claims, world)
         self.foresee(rows, world)
@@ -159,7 +164,7 @@ class Senses:
                 time_s = ago * self.epoch_s
                 truth = motion.epoch((origin + ago) * self.epoch_s, self.epoch_s, arc, side)
                 clock = np.full(rows.size, self._config.clock_start_s + time_s)
-                sky = self.skies.view(self._hour[rows], clock, self._vehicles)
+                sky = self.skies.view(self._hour[rows], clock, self._there[rows])
                 solution = navigator.locate(navigator.measure(truth, sky))
                 if last or (self._vehicles > 1 and -HEARD_S <= time_s < -0.5 * self.epoch_s):
                     told.append((time_s, claims_of(solution, self._vehicles)))
@@ -207,7 +212,7 @@ class Senses:
         """The skies over all egos now."""
         since_s = (self._epoch - self._started) * self.epoch_s
         clock = np.asarray(self._config.clock_start_s + since_s, dtype=np.float64)
-        return self.skies.view(self._hour, clock, self._vehicles)
+        return self.skies.view(self._hour, clock, self._there)
 
     def _poses(self, rows: Rows, world: World) -> tuple[Array, Array, Array]:
         """True positions (n M, 2), headings and speeds of all navigating vehicles."""

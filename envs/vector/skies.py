@@ -89,22 +89,23 @@ class Skies:
         """Number of hours H."""
         return int(self.start_s.shape[0])
 
-    def view(self, hour: Rows, clock_s: Array, vehicles: int = 1) -> SkyView:
-        """The skies of N environments, each of a number of vehicles: a row for each environment.
+    def view(self, hour: Rows, clock_s: Array, there: NDArray[np.bool_]) -> SkyView:
+        """The skies of N environments of M vehicles: a row for each environment, and one without any satellite.
 
-        hour (N,), and ``clock_s`` (N,) after that hour's beginning.
+        hour (N,), and ``clock_s`` (N,) after that hour's beginning; there (N, M): whether there is a vehicle. Where
+        there is none nothing is received, which is soon navigated.
         """
         begin = self.start_s[hour]
         place = (begin + clock_s - begin) / STEP_S  # rounded as by SkyTrack.at
         knot = np.clip(place.astype(np.int64), 0, self.offset_m.shape[1] - 2)
         count, satellites = hour.shape[0], self.offset_m.shape[2]
-        los, elevation, azimuth = np.empty((count, satellites, 3)), *np.empty((2, count, satellites))
-        above = np.empty((count, satellites), dtype=np.bool_)
+        los, elevation, azimuth = np.zeros((count + 1, satellites, 3)), *np.zeros((2, count + 1, satellites))
+        above = np.zeros((count + 1, satellites), dtype=np.bool_)
         skies_at(
             self.offset_m, self.rate_mps, hour, knot, place - knot, STEP_S, self.track.mask_rad, los, elevation,
             azimuth, above,
         )  # fmt: skip
-        index = np.repeat(np.arange(count), vehicles)
+        index = np.where(there, np.arange(count)[:, None], count).ravel()
         return SkyView(los, elevation, azimuth, NO_RANGE, NO_RANGE, above, self.track.system, self.track.prn, index)
 
 

@@ -10,12 +10,14 @@ from highway_env.envs.common.abstract import AbstractEnv
 from numpy.typing import NDArray
 
 from lanebound.envs.vector import columns_kernel as k
+from lanebound.envs.vector.lanes import lane_rows
 from lanebound.envs.vector.lanes_kernel import Lanes
 from lanebound.envs.vector.start_kernel import line_up
 from lanebound.envs.worlds.car_following import END_M, CarFollowingWorld
-from lanebound.envs.worlds.drivers import LeadVehicle, SpeedProfileConfig, speed_profile
+from lanebound.envs.worlds.drivers import CityDriver, LeadVehicle, SpeedProfileConfig, speed_profile
+from lanebound.envs.worlds.urban_canyon import UrbanCanyonWorld, draw_seats
 
-__all__ = ["Starter", "profile_steps", "starter_of"]
+__all__ = ["Starter", "most_vehicles", "profile_steps", "starter_of"]
 
 Array = NDArray[np.float64]
 Starter = Callable[[np.random.Generator, Array, NDArray[np.int64], Array], None]
@@ -29,10 +31,19 @@ def profile_steps(world: AbstractEnv) -> int:
     return int(np.ceil(world.config["duration"] / (1.0 / world.config["simulation_frequency"]))) + 1
 
 
+def most_vehicles(world: AbstractEnv) -> int:
+    """How many vehicles an episode may have, the ego included."""
+    if isinstance(world, UrbanCanyonWorld):
+        return 1 + int(world.config["vehicles_count"])
+    return len(world.road.vehicles)
+
+
 def starter_of(world: AbstractEnv, lanes: Lanes) -> Starter:
     """The start of a world's episodes; ``world`` is asked for its configuration and its lanes alone."""
     if isinstance(world, CarFollowingWorld):
         return _Following(world)
+    if isinstance(world, UrbanCanyonWorld):
+        return _City(world)
     if "vehicles_density" in world.config:
         return _Motorway(world.config, lanes)
     return _Alone(world)
@@ -83,6 +94,25 @@ class _Alone:
         _put(cars, whole, 0, lane, row, start, min(self._config["initial_speed"], lane.advised_speed(start)))
 
 
+class _City:
+    """:class:`~lanebound.envs.worlds.urban_canyon.UrbanCanyonWorld`."""
+
+    def __init__(self, world: UrbanCanyonWorld) -> None:
+        self._config, self._network = world.config, world.road.network
+        self._rows = lane_rows(self._network)
+
+    def __call__(self, rng: np.random.Generator, cars: Array, whole: NDArray[np.int64], profile: Array) -> None:
+        cars[:], whole[:] = 0.0, 0
+        cars[k.COS] = 1.0
+        for i, seat in enumerate(draw_seats(rng, self._network, self._config)):
+            lane = self._network.get_lane(seat.lane_index)
+            position = lane.position(seat.along_m, 0.0)
+            nearest = self._network.get_closest_lane_index(position, lane.heading_at(seat.along_m))
+            _put(cars, whole, i, lane, self._rows.index(nearest), seat.along_m, seat.speed_mps)
+            cars[k.TARGET_SPEED, i], cars[k.DELTA, i] = seat.target_mps, seat.exponent
+            cars[k.TIMER, i] = (np.sum(position) * np.pi) % CityDriver.LANE_CHANGE_DELAY
+
+
 def _put(cars: Array, whole: NDArray[np.int64], i: int, lane: Any, row: int, s: float, speed: float) -> None:
     """A vehicle in the middle of a lane, at its direction."""
     cars[:, i], whole[:, i] = 0.0, 0
@@ -90,4 +120,4 @@ def _put(cars: Array, whole: NDArray[np.int64], i: int, lane: Any, row: int, s: 
     heading = float(lane.heading_at(s))
     cars[[k.X, k.Y, k.HEADING, k.SPEED, k.TARGET_SPEED], i] = x, y, heading, speed, speed
     cars[[k.COS, k.SIN], i] = np.cos(heading), np.sin(heading)
-    whole[[k.LANE, k.TARGET], i], whole[k.ORDER, i] = row, i
+    whole[[k.LANE, k.TARGET], i], whole[k.ORDER, i], whole[k.PRESENT, i] = row, i, 1

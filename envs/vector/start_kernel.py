@@ -10,6 +10,7 @@ from lanebound.envs.vector.columns_kernel import (
     HEADING,
     LANE,
     ORDER,
+    PRESENT,
     SIN,
     SPEED,
     TARGET,
@@ -46,4 +47,4 @@ def line_up(rng, c, w, table, ego_lane, ego_spacing, spacing):  # type: ignore[n
         if i > 0:
             c[DELTA, i] = rng.uniform(DELTA_LOW, DELTA_HIGH)
         w[LANE, i] = w[TARGET, i] = lane
-        w[ORDER, i] = i
+        w[ORDER, i], w[PRESENT, i] = i, 1

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.envs.vector import columns_kernel as k
+from lanebound.envs.vector.city_kernel import decide_all, drive_city, place_everybody
 from lanebound.envs.vector.collisions_kernel import collide_all
 from lanebound.envs.vector.course_kernel import drive_leads
 from lanebound.envs.vector.ego_kernel import command, decide, know, move, show_intent
@@ -21,14 +22,14 @@ from lanebound.envs.vector.perceive_kernel import see_truth
 from lanebound.envs.vector.score_kernel import locate, score
 from lanebound.integrity.accel import jit, prange
 
-__all__ = ["COURSE", "MOTORWAY", "Rules", "World", "run_parallel", "run_some"]
+__all__ = ["CITY", "COURSE", "MOTORWAY", "Rules", "World", "run_parallel", "run_some"]
 
-MOTORWAY, COURSE = range(2)  # whose drivers the others are
+MOTORWAY, COURSE, CITY = range(3)  # whose drivers the others are
 DECIDE, FINISH, START = 1, 2, 4  # parts of a run: new commands first; score and observe last, as at a start
 
 
 class World(NamedTuple):
-    """N environments of V vehicles, the ego first: columns as in :mod:`.columns_kernel`.
+    """N environments of up to V vehicles, the ego first: columns as in :mod:`.columns_kernel`.
 
     cars (N, CAR, V), whole (N, WHOLE, V), belief (N, BELIEF), score (N, SCORE), out (N, OUT); traffic (N, C, SEEN) and
     seen (N,): whom the egos perceive, and how many; profile (N, S): speeds of the leads; trail (N, n + 1, 2) and
@@ -72,20 +73,26 @@ class Rules(NamedTuple):
 
 
 @jit
-def _frame(c, w, b, sc, profile, lanes, rules, newest, pairs):  # type: ignore[no-untyped-def]
+def _frame(c, w, b, sc, profile, lanes, rules, newest, places, pairs):  # type: ignore[no-untyped-def]
     """One simulation step of an environment: all decide by where everybody is, then all move, then they may crash."""
     figures, dt = rules.figures, rules.figures[k.F_STEP_S]
-    motorway = rules.drivers == MOTORWAY
-    if motorway:
+    motorway, city = rules.drivers == MOTORWAY, rules.drivers == CITY
+    steering, acceleration, hold = command(b, lanes, figures)
+    if motorway or city:
         show_intent(b, c, w, figures)
+    if motorway:
         survey(c, w, lanes.table, newest)
         change_lanes(c, w, lanes.table, figures[k.F_META] > 0.0)
         accelerate(c, w, lanes.table)
-    steering, acceleration, hold = command(b, lanes, figures)
+    elif city:
+        place_everybody(c, w, lanes, places)
+        decide_all(c, w, lanes, places, figures[k.F_META] > 0.0)
     move(c, w, steering, acceleration, hold, lanes, figures)
     if motorway:
         drive_others(c, w, lanes.table, dt)
         sort_along(c, w)
+    elif city:
+        drive_city(c, w, lanes, dt)
     else:
         drive_leads(c, w, lanes, profile, int(sc[k.S_STEPS]) + 1, dt)
     collide_all(c, w, motorway, dt, pairs)
@@ -100,14 +107,14 @@ def _finish(e, world, lanes, chart, rules, start, view, order, square, values): 
     c, w, b, sc = world.cars[e], world.whole[e], world.belief[e], world.score[e]
     locate(b, lanes, rules.figures[k.F_META])
     if rules.sees_truth:
-        world.seen[e] = see_truth(c, b[k.B_X], b[k.B_Y], order, square, world.traffic[e])
+        world.seen[e] = see_truth(c, w, b[k.B_X], b[k.B_Y], order, square, world.traffic[e])
     score(b, sc, c, w, world.traffic[e], world.seen[e], lanes, rules.figures, start, world.out[e])
     shown, traffic, count = b, world.traffic[e], world.seen[e]
     if rules.shown == ORACLE:
         true_view(b, c, w, lanes, rules.figures[k.F_META], view)
         shown = view
         traffic = np.empty((c.shape[1] - 1, k.SEEN))
-        count = see_truth(c, c[k.X, 0], c[k.Y, 0], order, square, traffic)
+        count = see_truth(c, w, c[k.X, 0], c[k.Y, 0], order, square, traffic)
     if start:
         world.observed[e] = 0
     observe(
@@ -127,7 +134,7 @@ def run_some(first, last, rows, frames, parts, actions, world, lanes, chart, rul
     """
     count = world.cars.shape[2]
     newest, pairs = np.empty(lanes.table.shape[0], np.int64), np.empty(count * count // 2 + 1, np.int64)
-    order, square = np.empty(count, np.int64), np.empty(count)
+    order, square, places = np.empty(count, np.int64), np.empty(count), np.empty((count, lanes.table.shape[0]))
     view, values = np.empty(k.BELIEF), np.empty(rules.scale.shape[1])
     for n in range(first, last):
         e = rows[n]
@@ -135,7 +142,7 @@ def run_some(first, last, rows, frames, parts, actions, world, lanes, chart, rul
         if parts & DECIDE and rules.figures[k.F_META] > 0.0:
             decide(b, actions[e], lanes, rules.speeds)
         for _ in range(frames):
-            _frame(c, w, b, sc, world.profile[e], lanes, rules, newest, pairs)
+            _frame(c, w, b, sc, world.profile[e], lanes, rules, newest, places, pairs)
         if parts & FINISH:
             _finish(e, world, lanes, chart, rules, parts & START != 0, view, order, square, values)
 

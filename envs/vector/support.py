@@ -9,16 +9,24 @@ from lanebound.envs.cockpit import OTHERS_S
 from lanebound.envs.config import ActionKind, EnvConfig, FaultLevel
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.navigation import Source
+from lanebound.envs.vector.city_kernel import CALM
+from lanebound.envs.vector.idm_kernel import Manners
+from lanebound.envs.vector.motorway_kernel import BRISK
 from lanebound.envs.world import IDM_PATH
 from lanebound.envs.worlds.car_following import CarFollowingWorld
+from lanebound.envs.worlds.drivers import CityDriver
 from lanebound.envs.worlds.lane_keeping import LaneKeepingWorld
+from lanebound.envs.worlds.urban_canyon import UrbanCanyonWorld
 from lanebound.integrity.errors import ConfigError
 
 __all__ = ["WORLDS", "require_supported"]
 
-WORLDS = {HighwayEnv: "highway-v0", LaneKeepingWorld: "LaneKeepingWorld", CarFollowingWorld: "CarFollowingWorld"}
-DRIVERS = {"DISTANCE_WANTED": 10.0, "COMFORT_ACC_MAX": 3.0, "COMFORT_ACC_MIN": -5.0, "TIME_WANTED": 1.5}
-"""highway-env's figures of IDMVehicle, which are compiled in (see :mod:`.motorway_kernel`)."""
+WORLDS = {
+    HighwayEnv: "highway-v0",
+    LaneKeepingWorld: "LaneKeepingWorld",
+    CarFollowingWorld: "CarFollowingWorld",
+    UrbanCanyonWorld: "UrbanCanyonWorld",
+}
 INSTEAD = "or make the same environments with vectorization_mode='sync' or 'async'"
 
 
@@ -32,9 +40,13 @@ def require_supported(single: DrivingEnv) -> None:
     if isinstance(world, HighwayEnv):
         if world.config["other_vehicles_type"] != IDM_PATH:
             raise _refusal("world.other_vehicles_type", IDM_PATH, world.config["other_vehicles_type"])
-        if world.config["vehicles_count"] > config.slots:
-            raise _refusal("world.vehicles_count", f"at most slots = {config.slots}", world.config["vehicles_count"])
-        _require_drivers()
+        _require_drivers(IDMVehicle, BRISK)
+    if isinstance(world, UrbanCanyonWorld):
+        if not world.config["neighbour_vehicles_connected_lanes"]:
+            raise _refusal("world.neighbour_vehicles_connected_lanes", "True", False)
+        _require_drivers(CityDriver, CALM)
+    if world.config.get("vehicles_count", 0) > config.slots:
+        raise _refusal("world.vehicles_count", f"at most slots = {config.slots}", world.config["vehicles_count"])
     if config.action is ActionKind.CONTINUOUS and world.action_type.dynamical:
         raise _refusal("action_options.dynamical", "False", True)
 
@@ -54,12 +66,18 @@ def _require_sources(config: EnvConfig) -> None:
         )
 
 
-def _require_drivers() -> None:
-    """Other drivers must be highway-env's: its plain intersection rewrites their figures for the whole process."""
-    for name, figure in DRIVERS.items():
-        if (found := getattr(IDMVehicle, name)) != figure:
+def _require_drivers(kind: type[IDMVehicle], manners: Manners) -> None:
+    """Drivers must have the figures that are compiled in: highway-env's plain intersection rewrites them for all."""
+    slowing = -0.25 * manners.twice_root**2 / manners.comfort
+    figures = {
+        "DISTANCE_WANTED": manners.gap_m, "COMFORT_ACC_MAX": manners.comfort, "COMFORT_ACC_MIN": round(slowing, 9),
+        "TIME_WANTED": manners.headway_s, "LANE_CHANGE_DELAY": manners.delay_s,
+        "LANE_CHANGE_MIN_ACC_GAIN": manners.gain,
+    }  # fmt: skip
+    for name, figure in figures.items():
+        if (found := getattr(kind, name)) != figure:
             raise ConfigError(
-                f"IDMVehicle.{name} must be {figure:g} in the vector engine, got {found:g}: make the engine in "
+                f"{kind.__name__}.{name} must be {figure:g} in the vector engine, got {found:g}: make the engine in "
                 f"a process without highway-env's own intersection, which rewrites it, {INSTEAD}"
             )
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,9 +12,24 @@ from lanebound.envs.worlds.base import META, World
 from lanebound.envs.worlds.drivers import CityDriver
 from lanebound.envs.worlds.networks import CITY_SECTIONS, Section, StreetNetwork, advance, city_loop
 
-__all__ = ["UrbanCanyonWorld"]
+__all__ = ["Seat", "UrbanCanyonWorld", "draw_seats"]
 
 ROOM_M = 20.0  # from middle to middle of two vehicles at the start
+
+
+class Seat(NamedTuple):
+    """How a vehicle starts: its lane, how far along it, its speed, and what its driver wants.
+
+    Attributes
+    ----------
+    target_mps, exponent : speed on a free road, and by which power of it the acceleration falls off
+    """
+
+    lane_index: LaneIndex
+    along_m: float
+    speed_mps: float
+    target_mps: float
+    exponent: float
 
 
 class UrbanCanyonWorld(World):
@@ -52,25 +68,32 @@ class UrbanCanyonWorld(World):
         return city_loop(self.config["lane_width"])
 
     def _populate(self) -> None:
-        index: LaneIndex = self.road.network.random_lane_index(self.np_random)
-        index = (str(index[0]), str(index[1]), int(index[2]))
-        lane = self.road.network.get_lane(index)
-        start = float(self.np_random.uniform(0.0, lane.length))
-        self._place_ego(index, start, min(self.config["initial_speed"], lane.advised_speed(start)))
-        for _ in range(self.config["vehicles_count"]):
-            self._place_other(index, start)
+        ego, *others = draw_seats(self.np_random, self.road.network, self.config)
+        self._place_ego(ego.lane_index, ego.along_m, ego.speed_mps)
+        for seat in others:
+            driver = CityDriver.make_on_lane(self.road, seat.lane_index, seat.along_m, seat.speed_mps)
+            driver.target_speed, driver.DELTA = seat.target_mps, seat.exponent
+            self.road.vehicles.append(driver)
 
-    def _place_other(self, index: LaneIndex, start_m: float) -> None:
-        """A city driver somewhere about the ego, unless someone is there already."""
-        away, side = self.np_random.uniform(*self.config["spread"]), int(self.np_random.integers(2))
-        share = float(self.np_random.uniform(0.8, 1.0))
-        there, s = advance(self.road.network, (index[0], index[1], side), start_m, float(away))
-        lane = self.road.network.get_lane(there)
+
+def draw_seats(rng: np.random.Generator, network: StreetNetwork, config: Mapping[str, Any]) -> list[Seat]:
+    """Where the vehicles of an episode start, the ego first; others who would start too near to one are left out."""
+    start, end, side = network.random_lane_index(rng)
+    index = (str(start), str(end), int(side))
+    lane = network.get_lane(index)
+    along = float(rng.uniform(0.0, lane.length))
+    speed = min(config["initial_speed"], lane.advised_speed(along))
+    seats, taken = [Seat(index, along, speed, speed, CityDriver.DELTA)], [lane.position(along, 0.0)]
+    for _ in range(config["vehicles_count"]):
+        away, side = float(rng.uniform(*config["spread"])), int(rng.integers(2))
+        share = float(rng.uniform(0.8, 1.0))
+        there, s = advance(network, (*index[:2], side), along, away)
+        lane = network.get_lane(there)
         place = lane.position(s, 0.0)
-        if min(np.hypot(*(other.position - place)) for other in self.road.vehicles) < ROOM_M:
-            return
-        speed = min(share * lane.speed_limit, lane.advised_speed(s))
-        driver = CityDriver.make_on_lane(self.road, there, s, speed)
-        driver.target_speed = share * lane.speed_limit
-        driver.randomize_behavior()
-        self.road.vehicles.append(driver)
+        if min(np.hypot(*(other - place)) for other in taken) < ROOM_M:
+            continue
+        wanted = share * lane.speed_limit
+        speed, exponent = min(wanted, lane.advised_speed(s)), float(rng.uniform(*CityDriver.DELTA_RANGE))
+        seats.append(Seat(there, s, speed, wanted, exponent))
+        taken.append(place)
+    return seats

@@ -32,7 +32,7 @@ def test_who_crashes_and_where_to_is_the_same(in_order: bool) -> None:
         for i, v in enumerate(road.vehicles):
             cars[[k.X, k.Y, k.HEADING, k.SPEED], i] = *v.position, v.heading, v.speed
         cars[k.COS], cars[k.SIN] = np.cos(cars[k.HEADING]), np.sin(cars[k.HEADING])
-        whole[k.ORDER] = np.argsort(cars[k.X])
+        whole[k.ORDER], whole[k.PRESENT] = np.argsort(cars[k.X]), 1
         collide_all(cars, whole, in_order, DT_S, np.empty(60, dtype=np.int64))
         for i, vehicle in enumerate(road.vehicles):
             for other in road.vehicles[i + 1 :]:

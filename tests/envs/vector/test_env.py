@@ -12,7 +12,14 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from highway_env.vehicle.behavior import IDMVehicle
 
 import lanebound.envs  # noqa: F401 - registers the ids
-from lanebound.envs.vector.env import VectorCarFollowing, VectorHighway, VectorLaneKeeping
+from lanebound.envs.vector.env import (
+    VectorCarFollowing,
+    VectorDrivingEnv,
+    VectorHighway,
+    VectorLaneKeeping,
+    VectorUrbanCanyon,
+)
+from lanebound.envs.worlds.drivers import CityDriver
 from lanebound.integrity.errors import ConfigError, InputError
 from side_by_side import PERFECT
 
@@ -20,16 +27,18 @@ SHORT: dict[str, Any] = {**PERFECT, "world": {"vehicles_count": 5}, "duration_s"
 MODES = [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP, AutoresetMode.DISABLED]
 
 
-def _both(count: int, config: dict[str, Any], mode: AutoresetMode) -> tuple[VectorHighway, SyncVectorEnv]:
+def _both(
+    count: int, config: dict[str, Any], mode: AutoresetMode, name: str = "Highway"
+) -> tuple[VectorDrivingEnv, SyncVectorEnv]:
     engine = gymnasium.make_vec(
-        "lanebound/Highway-v0",
+        f"lanebound/{name}-v0",
         count,
         vectorization_mode="vector_entry_point",
         config=config,
         autoreset_mode=mode,
     )
-    assert isinstance(engine, VectorHighway)
-    single = [lambda: gymnasium.make("lanebound/Highway-v0", config=config) for _ in range(count)]
+    assert isinstance(engine, VectorDrivingEnv)
+    single = [lambda: gymnasium.make(f"lanebound/{name}-v0", config=config) for _ in range(count)]
     return engine, SyncVectorEnv(single, autoreset_mode=mode)
 
 
@@ -78,6 +87,23 @@ def test_it_does_what_a_vector_of_single_ones_does(mode: AutoresetMode, form: st
             _same(ours, theirs, f"step {step} {n}")
         assert engine.observation_space.contains(got[0])
         over = got[2] | got[3]
+    single.close()
+
+
+def test_the_city_does_what_a_vector_of_single_ones_does() -> None:
+    config = {**PERFECT, "duration_s": 2.5, "world": {"vehicles_count": 6, "spread": [-60.0, 90.0]}}
+    engine, single = _both(3, config, AutoresetMode.NEXT_STEP, "UrbanCanyon")
+    assert isinstance(engine, VectorUrbanCanyon)
+    for ours, theirs in zip(engine.reset(seed=5), single.reset(seed=5), strict=True):
+        _same(ours, theirs)
+    rng, ends = np.random.default_rng(1), 0
+    for step in range(10):
+        actions = rng.integers(5, size=3)
+        got, wanted = engine.step(actions), single.step(actions)
+        for n, (ours, theirs) in enumerate(zip(got, wanted, strict=True)):
+            _same(ours, theirs, f"step {step} {n}")
+        ends += int((got[2] | got[3]).sum())
+    assert ends >= 3, "others start anew"
     single.close()
 
 
@@ -135,7 +161,11 @@ def test_it_says_that_compiling_takes_a_while_when_it_is_to_come(
 def test_drivers_that_something_has_rewritten_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(IDMVehicle, "COMFORT_ACC_MAX", 6)
     with pytest.raises(ConfigError, match="COMFORT_ACC_MAX must be 3 in the vector engine, got 6: make the engine in"):
-        VectorHighway(1, {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}})
+        VectorHighway(1, PERFECT)
+    VectorUrbanCanyon(1, PERFECT)  # whose drivers have figures of their own
+    monkeypatch.setattr(CityDriver, "TIME_WANTED", 1.2)
+    with pytest.raises(ConfigError, match=r"CityDriver.TIME_WANTED must be 1 in the vector engine, got 1\.2"):
+        VectorUrbanCanyon(1, PERFECT)
 
 
 @pytest.mark.parametrize(
@@ -158,14 +188,33 @@ def test_what_it_cannot_do_is_refused(change: dict[str, Any], message: str) -> N
         VectorHighway(2, config)
 
 
-@pytest.mark.parametrize("name", ["LaneKeeping", "CarFollowing"])
-def test_the_default_configuration_has_an_engine(name: str) -> None:
-    engine = gymnasium.make_vec(f"lanebound/{name}-v0", 2, config={"sky": "open", "duration_s": 0.6})
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"world": {"neighbour_vehicles_connected_lanes": False}},
+            "world.neighbour_vehicles_connected_lanes must be True",
+        ),
+        (
+            {"slots": 3},
+            "world.vehicles_count must be at most slots = 3 in the vector engine, got 10: change it, or make",
+        ),
+        ({"faults": "stress"}, "faults"),
+    ],
+)
+def test_what_the_city_cannot_do_is_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        VectorUrbanCanyon(2, {**PERFECT, **change})
+
+
+@pytest.mark.parametrize(("name", "seconds"), [("LaneKeeping", 0.6), ("CarFollowing", 0.6), ("UrbanCanyon", 1.5)])
+def test_the_default_configuration_has_an_engine(name: str, seconds: float) -> None:
+    engine = gymnasium.make_vec(f"lanebound/{name}-v0", 2, config={"sky": "open", "duration_s": seconds})
     assert engine.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
     engine.reset(seed=3)
     ends = 0
     for _ in range(8):
-        seen, rewards, _, truncated, infos = engine.step(np.zeros((2, 2), dtype=np.float32))
+        seen, rewards, _, truncated, infos = engine.step(np.zeros_like(engine.action_space.sample()))
         assert engine.observation_space.contains(seen)
         assert np.isfinite(rewards).all()
         assert (infos["pl_ct_m"] > 0.0).all()

@@ -9,6 +9,7 @@ import pytest
 from side_by_side import PERFECT, Tally, drive, pair, require_equal
 
 DENSE: dict[str, Any] = {"world": {"vehicles_count": 16, "vehicles_density": 1.8}, **PERFECT}
+CROWDED: dict[str, Any] = {"world": {"vehicles_count": 24, "spread": [-80.0, 160.0]}, **PERFECT}
 CASES: list[tuple[str, dict[str, Any], int]] = [
     ("Highway", DENSE, 12),
     ("Highway", {**DENSE, "action": "continuous"}, 6),
@@ -16,6 +17,8 @@ CASES: list[tuple[str, dict[str, Any], int]] = [
     ("CarFollowing", {**PERFECT, "action": "meta"}, 12),
     ("LaneKeeping", {**PERFECT, "world": {"lanes_count": 2}}, 30),
     ("LaneKeeping", {**PERFECT, "action": "meta", "world": {"lanes_count": 2}}, 12),
+    ("UrbanCanyon", PERFECT, 30),
+    ("UrbanCanyon", {**PERFECT, "action": "continuous", "world": {"vehicles_count": 5}}, 15),
 ]
 OTHERS: list[tuple[str, dict[str, Any]]] = [
     ("Highway", {"observation": {"integrity": "oracle"}}),
@@ -33,6 +36,9 @@ SLOW: list[tuple[str, dict[str, Any], int]] = [
     ("CarFollowing", {**PERFECT, "duration_s": 60.0, "action": "meta"}, 40),
     ("LaneKeeping", PERFECT, 60),
     ("LaneKeeping", {**PERFECT, "action": "meta", "world": {"lanes_count": 3}}, 40),
+    ("UrbanCanyon", PERFECT, 100),
+    ("UrbanCanyon", CROWDED, 60),
+    ("UrbanCanyon", {**CROWDED, "action": "continuous"}, 60),
 ]
 
 
@@ -62,11 +68,20 @@ def test_other_configurations_are_the_same_as_well(name: str, config: dict[str, 
     assert tally.steps >= 8
 
 
-def test_crashes_and_ends_are_the_same() -> None:
-    single, engine = pair("Highway", {**DENSE, "world": {"vehicles_count": 20, "vehicles_density": 3.0}}, count=2)
+@pytest.mark.parametrize(
+    ("name", "config"),
+    [
+        ("Highway", {**DENSE, "world": {"vehicles_count": 20, "vehicles_density": 3.0}}),
+        ("UrbanCanyon", CROWDED),
+        ("UrbanCanyon", {**CROWDED, "action": "continuous"}),
+    ],
+    ids=_named,
+)
+def test_crashes_and_ends_are_the_same(name: str, config: dict[str, Any]) -> None:
+    single, engine = pair(name, config, count=2)
     tally = Tally()
     for seed in range(8):
-        drive(single, engine, seed, tally, 25, row=seed % 2)
+        drive(single, engine, seed, tally, 40, row=seed % 2)
     require_equal(tally)
     assert tally.crashes >= 1
     assert tally.lane_changes >= 10

@@ -15,6 +15,12 @@ from lanebound.integrity.errors import ConfigError
 from side_by_side import Tally, command, require_equal, same
 
 FEW: dict[str, Any] = {"world": {"vehicles_count": 4}, "sky": "urban", "extent_m": 300.0, "layouts": 2}
+CITY: dict[str, Any] = {
+    "world": {"vehicles_count": 6, "spread": [-60.0, 90.0]},
+    "sky": "urban",
+    "extent_m": 300.0,
+    "layouts": 2,
+}
 TRUTH, SENSOR, BOTH = ({"perception": {"source": source}} for source in ("truth", "sensor", "both"))
 PERFECT: dict[str, Any] = {"navigation": {"source": "perfect"}}
 CASES: list[tuple[str, dict[str, Any], int]] = [
@@ -26,6 +32,8 @@ CASES: list[tuple[str, dict[str, Any], int]] = [
     ("Highway", FEW, 10),
     ("Highway", {**FEW, **TRUTH, "sky": "open", "observation": {"integrity": "oracle"}}, 5),
     ("Highway", {**FEW, **PERFECT, "sky": "open"}, 5),
+    ("UrbanCanyon", {**CITY, "sky": "open"}, 8),
+    ("UrbanCanyon", {**CITY, **BOTH}, 6),
 ]
 
 
@@ -81,6 +89,8 @@ def test_with_the_same_draws_it_is_the_single_environment(name: str, config: dic
     pairs.step(steps)
     require_equal(pairs.tally)
     assert pairs.tally.steps >= 8
+    crews = pairs.engine.world.whole[:, k.PRESENT].sum(1)
+    assert name != "UrbanCanyon" or crews[0] != crews[1], "one has an empty place that the other has not"
 
 
 def test_an_episode_that_starts_while_others_drive_is_the_single_one() -> None:

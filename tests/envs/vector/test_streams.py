@@ -7,12 +7,13 @@ import numpy as np
 from lanebound.envs.vector.streams import CrewStreams
 from lanebound.integrity.streams import Streams
 
+THERE = np.ones((2, 2), dtype=np.bool_)
 USED = np.array([[True, True, False, True], [False, True, True, False]])
 SEEDS, FLEETS, VEHICLES = [3, 9], [14, 15], 3
 
 
 def test_they_draw_as_single_ones() -> None:
-    crew = CrewStreams(SEEDS, FLEETS, VEHICLES, USED)
+    crew = CrewStreams(SEEDS, FLEETS, THERE, USED)
     egos, fleets = [Streams([seed]) for seed in SEEDS], [Streams(seed, VEHICLES - 1) for seed in FLEETS]
     for name, shape in (("gnss", (4, 2)), ("imu", (2, 3)), ("odometer", ()), ("clock", (4,)), ("gnss", (4, 1))):
         for law in ("normal", "uniform"):
@@ -27,8 +28,22 @@ def test_they_draw_as_single_ones() -> None:
                 assert not by_satellite or not mine[:, ~USED[row]].any()
 
 
+def test_empty_places_of_vehicles_take_no_draws() -> None:
+    there = np.array([[True, False, False], [True, True, False]])
+    crew = CrewStreams(SEEDS, FLEETS, there, USED)
+    fleets = [Streams(seed, int(own.sum())) for seed, own in zip(FLEETS, there, strict=True)]
+    for name, shape in (("gnss", (4, 2)), ("imu", (2, 3)), ("odometer", ()), ("gnss", (4, 1))):
+        for law in ("normal", "uniform"):
+            drawn = getattr(crew, law)(name, *shape).reshape(2, 4, *shape)[:, 1:]
+            for row, fleet in enumerate(fleets):
+                own = (int(USED[row].sum()), *shape[1:]) if name == "gnss" else shape
+                mine = drawn[row][:, USED[row]] if name == "gnss" else drawn[row]
+                np.testing.assert_array_equal(mine[there[row]], getattr(fleet, law)(name, *own))
+                assert not drawn[row][~there[row]].any()
+
+
 def test_vehicles_of_an_environment_share_their_area() -> None:
-    crew = CrewStreams(SEEDS, FLEETS, VEHICLES, USED)
+    crew = CrewStreams(SEEDS, FLEETS, THERE, USED)
     areas = [Streams([seed]) for seed in SEEDS]
     for name, shape in (("atmosphere", (4,)), ("station", (2,)), ("station", (4, 5)), ("network", (3,))):
         drawn = crew.normal(name, *shape).reshape(2, VEHICLES, *shape)
@@ -40,10 +55,10 @@ def test_vehicles_of_an_environment_share_their_area() -> None:
 
 
 def test_they_go_on_with_those_of_others() -> None:
-    crew = CrewStreams([1, 2, 3], [4, 5, 6], 2, np.ones((3, 2), dtype=np.bool_))
-    other = CrewStreams([8], [9], 2, USED[:1, 1:3])
+    crew = CrewStreams([1, 2, 3], [4, 5, 6], np.ones((3, 1), dtype=np.bool_), np.ones((3, 2), dtype=np.bool_))
+    other = CrewStreams([8], [9], THERE[:1, :1], USED[:1, 1:3])
     crew.normal("imu")
     crew.adopt(np.array([1]), other)
-    same = CrewStreams([8], [9], 2, USED[:1, 1:3])
+    same = CrewStreams([8], [9], THERE[:1, :1], USED[:1, 1:3])
     np.testing.assert_array_equal(crew.normal("imu")[2:4], same.normal("imu"))
     np.testing.assert_array_equal(crew.normal("gnss", 2, 3)[2:4], same.normal("gnss", 2, 3))
