@@ -136,7 +136,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
 
     | key | chooses |
     |---|---|
-    | `sky` | `open`, `suburban`, `urban` or `dense` |
+    | `sky` | `open`, `suburban`, `urban` or `dense`, or the file of a recorded sky |
     | `faults` | random faults: `none` (default), `nominal` or `stress` |
     | `action`, `policy_hz`, `simulation_hz` | kind of action; decisions and steps of the dynamics (20) a second |
     | `navigation.source` | `navigator`, `perfect` (the truth, bit for bit) or `offset` (a constant error) |

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from lanebound.agents.assess.faults_tables import UNITS
+
 __all__ = ["detectability_figure", "faults_figure"]
 
 COLUMNS = 4
@@ -21,10 +23,11 @@ def faults_figure(cells: Sequence[Mapping[str, Any]]) -> Figure:
     axes = np.atleast_1d(figure.subplots(rows, COLUMNS, squeeze=False).ravel())
     for axis, kind in zip(axes, kinds, strict=False):
         sizes = sorted({cell["size"] for cell in cells if cell["kind"] == kind})
-        for name, of, colour in (("noticed", _noticed, "tab:green"), ("misled", _misled, "tab:red")):
+        for name, of, colour in (("noticed", _noticed, "tab:green"), ("error above its level", _misled, "tab:red")):
             shares = [np.mean([of(c) for c in cells if c["kind"] == kind and c["size"] == size]) for size in sizes]
             axis.plot(range(len(sizes)), shares, "o-", color=colour, label=name)
-        axis.set_title(kind.replace("_", " "), fontsize=9)
+        unit = f" [{UNITS[kind]}]" if UNITS.get(kind) else ""
+        axis.set_title(kind.replace("_", " ") + unit, fontsize=9)
         axis.set_xticks(range(len(sizes)), [f"{size:g}" for size in sizes])
         axis.set_ylim(-0.05, 1.05)
     for axis in axes[len(kinds) :]:

@@ -24,7 +24,7 @@ from lanebound.integrity.config import describe
 
 __all__ = ["SUITES", "markdown"]
 
-SUITES = ("quick", "standard", "claim", "faults", "look_ahead")
+SUITES = ("quick", "standard", "claim", "faults", "look_ahead", "learnt")
 
 HEAD = f"""# The benchmark
 

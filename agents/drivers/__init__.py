@@ -65,7 +65,7 @@ ABOUT = {
     "mpc": About("plans ahead within growing levels (MPC)", f"{LEVELS}, alert", "slows as levels grow", FULL),
     "nominal": About("best laws, blind to integrity; the reference", "position", "nothing", ANY),
     "oracle": About("nominal on the truth: a bound", "the truth", "nothing", ANY),
-    "ppo": About("learnt under the limit of cost", "everything", "as it learnt", ANY),
+    "ppo": About("learnt under the limit of cost, where a policy comes along", "everything", "as it learnt", ANY),
     "random": About("any action, equally likely", "nothing", "nothing", ANY),
     "rss": About("nominal, gaps less levels, RSS speeds", LEVELS, "nothing", ANY),
     "stanley": About("cruise, steers by Stanley's law", "position", "nothing", STEERED),
@@ -120,10 +120,17 @@ def _require_actions(name: str, env: DrivingEnv) -> None:
         return
     from lanebound.integrity.errors import InputError
 
-    fitting = ", ".join(other for other, about in ABOUT.items() if about.actions in there)
+    fitting = ", ".join(other for other, about in ABOUT.items() if about.actions in there and _is_there(other, env))
     wanted = "continuous with acceleration" if ABOUT[name].actions == FULL else "continuous"
     found = "steering alone" if steered else "meta-actions"
     raise InputError(f"action must be {wanted} for agent '{name}', got {found}: choose one of {fitting}")
+
+
+def _is_there(name: str, env: DrivingEnv) -> bool:
+    """Whether an agent has what it needs for an environment: the learnt one a policy of that world."""
+    from lanebound.agents.drivers.learnt import policies
+
+    return name != "ppo" or env.config.base in policies()
 
 
 def _config_class(name: str, make: Any) -> type[Config]:

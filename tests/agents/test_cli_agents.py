@@ -81,6 +81,7 @@ def test_refusals_name_exactly_those_that_can_drive(name):
             make_agent(agent, env)
             can.add(agent)
         except InputError as error:
-            told.add(str(error).partition("choose one of ")[2])
+            if "learn a policy there" not in str(error):
+                told.add(str(error).partition("choose one of ")[2])
     assert all(set(names.split(", ")) == can for names in told)
     assert (name == "LaneKeeping") == (can == set(AGENTS))

@@ -81,7 +81,7 @@ def test_suites_come_from_names_and_files(tmp_path):
         load_suite("nowhere.yaml")
 
 
-@pytest.mark.parametrize("name", ["quick", "standard", "claim", "faults", "look_ahead"])
+@pytest.mark.parametrize("name", ["quick", "standard", "claim", "faults", "look_ahead", "learnt"])
 def test_packaged_suites_hold_the_reference_and_agents_that_exist(name):
     suite = load_suite(name)
     assert set(suite.references) <= set(suite.agents)
