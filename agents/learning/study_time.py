@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import closing
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,12 +49,9 @@ def _seconds(planned: ExperimentConfig, pace: Pace, test_seeds: int) -> float:
 
 def measured(planned: ExperimentConfig) -> Pace:
     """How fast an experiment's environments are driven here and now, by actions at random."""
-    with one_thread():
-        many = for_learning(planned, 1)
+    with one_thread(), closing(for_learning(planned, 1)) as many, closing(planned.open()) as single:
         many.reset()
         learning_s = _each(lambda: many.step(np.stack([many.action_space.sample() for _ in range(many.num_envs)])))
-        many.close()
-        single = planned.open()
         single.reset(seed=planned.seed)
 
         def step() -> None:
@@ -63,7 +61,6 @@ def measured(planned: ExperimentConfig) -> Pace:
 
         alone_s = _each(step)
         decisions = allotted_s(single) / single.dt_s
-        single.close()
     return Pace(learning_s / planned.count + LEARNING_S, alone_s, decisions)
 
 

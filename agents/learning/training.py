@@ -15,7 +15,7 @@ import json
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
@@ -88,10 +88,7 @@ def train(
         ``out`` holds another experiment, or the environment does not suit the algorithm.
     """
     progress = _claim(experiment, out)
-    env = for_learning(experiment, processes)
-    with ExitStack() as stack:
-        stack.callback(env.close)
-        stack.enter_context(one_thread())
+    with closing(for_learning(experiment, processes)) as env, one_thread():
         model = _model(experiment, env, out)
         watch = _Watch(stepped)
         while model.num_timesteps < experiment.steps:

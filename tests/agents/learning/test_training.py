@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from lanebound.agents.learning.opening import for_judging, for_learning
 from lanebound.agents.learning.training import Checkpoint, _is_best, load_model, train
 from lanebound.envs.costs import CAUSES
 from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.presets import preset_names
 
 
 class StoppedError(Exception):
@@ -117,11 +119,14 @@ def test_the_best_is_by_return_within_the_limit_and_by_cost_outside() -> None:
     assert not best((1.0, 1.0), (9.0, 11.0))
 
 
-@pytest.mark.parametrize("name", ["lane_keeping_ppo", "lane_keeping_ppo_lagrangian"])
+@pytest.mark.parametrize("name", [n.partition("/")[2] for n in preset_names() if n.startswith("experiments/")])
 def test_the_packaged_experiments_can_be_opened(name: str) -> None:
     found = load_experiment(name)
-    assert found.open().observation_space.shape is not None
-    assert found.algorithm == name.removeprefix("lane_keeping_")
+    env = found.open()
+    assert env.observation_space.shape is not None
+    assert name == f"{re.sub('(?<=[a-z])(?=[A-Z])', '_', found.env.removesuffix('-v0')).lower()}_{found.algorithm}"
+    assert 0 <= found.multiplier.after_steps < found.steps
+    env.close()
 
 
 def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
