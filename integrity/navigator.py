@@ -27,6 +27,7 @@ from lanebound.integrity.monitoring.alerts import AlertConfig, AlertState
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import GROWTH_SIZE, P_EE, P_NN, VAR_TH
 from lanebound.integrity.monitoring.doppler_separation_kernel import APART_ROWS
 from lanebound.integrity.monitoring.exclusion import FdeConfig, Search
+from lanebound.integrity.monitoring.jump_kernel import D_E, D_N
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor, upper_quantile
 from lanebound.integrity.monitoring.significance import Linking
 from lanebound.integrity.positioning.config import PositioningConfig
@@ -389,6 +390,7 @@ class Navigator:
             corrections_age_s=m.gnss.corrections_age_s,
             wrong_fix_risk=out[:, nk.O_WRONG],
             held=s.held.copy(),
+            doubt_en_m=belief[:, nk.DOUBT + D_E : nk.DOUBT + D_N + 1],
         )
 
 

@@ -50,6 +50,7 @@ from lanebound.integrity.monitoring.geometry_kernel import (
     X_U,
     scratch,
 )
+from lanebound.integrity.monitoring.jump_kernel import D_E, D_N, DOUBT_SIZE, add_doubt, judge_jump
 from lanebound.integrity.monitoring.protection_kernel import (
     budgets_of,
     closed_form,
@@ -65,9 +66,16 @@ from lanebound.integrity.positioning.heading_kernel import (
     predict_heading,
     wrap,
 )
-from lanebound.integrity.positioning.mode_kernel import DOPPLER, NONE, RTK, doppler_usable, select_mode
+from lanebound.integrity.positioning.mode_kernel import (
+    DOPPLER,
+    NONE,
+    RTK,
+    doppler_usable,
+    rtk_usable,
+    select_mode,
+)
+from lanebound.integrity.positioning.odometer_watch_kernel import DOUBT as WATCH_DOUBT
 from lanebound.integrity.positioning.odometer_watch_kernel import (
-    DOUBT,
     LIMITS,
     WATCH_SIZE,
     turning_at_rest,
@@ -76,14 +84,15 @@ from lanebound.integrity.positioning.odometer_watch_kernel import (
 from lanebound.integrity.positioning.resolve_kernel import Fixes
 from lanebound.integrity.positioning.rtk_kernel import held_risk
 from lanebound.integrity.positioning.slip_watch_kernel import Motion
-from lanebound.integrity.rtk_stage_kernel import FIXED, Fixed, Signals, Tables, rtk, weigh
+from lanebound.integrity.rtk_stage_kernel import FAULT, FIXED, Fixed, Signals, Tables, rtk, weigh
 from lanebound.integrity.small_matrix_kernel import hdop_of
 
 # state
 EAST, NORTH, UP, HEADING, GYRO_BIAS, P_HH, P_HB, P_BB = range(8)
 VEL_E, VEL_N, HAS_VEL, SINCE_RTK, SINCE_CAL, REST_S, INITIALISED, FIXED_S = range(8, 16)
 UNBOUNDED, CONFLICT_S, REFUSED_S, APART = range(16, 20)
-WATCH = 20  # first of WATCH_SIZE
+DOUBT = 20  # first of DOUBT_SIZE
+WATCH = DOUBT + DOUBT_SIZE  # first of WATCH_SIZE
 NX = WATCH + WATCH_SIZE
 
 # solution
@@ -225,7 +234,7 @@ def watch_speeds(x, par, solved, v_gnss, v_ss, hdop, limits, agreement, delta_v,
 @jit
 def standstill(x, dt, v_ss, turning, solved, v_gnss, q):  # type: ignore[no-untyped-def]
     """Count how long the vehicle has been at rest: no pulse, no turn, and no Doppler speed beyond its noise."""
-    at_rest = abs(v_ss) < 0.02 and not turning and not x[WATCH + DOUBT] > 0.0
+    at_rest = abs(v_ss) < 0.02 and not turning and not x[WATCH + WATCH_DOUBT] > 0.0
     at_rest = at_rest and not (solved and v_gnss > max(0.1, 3.0 * math.sqrt(q[0, 0] + q[1, 1])))
     x[REST_S] = x[REST_S] + dt if at_rest else 0.0
     return x[REST_S] > 0.5
@@ -370,7 +379,7 @@ def advance(x, growth, par, mode, v_e, v_n, q, v_ss, middle, carry, resting):  #
     """
     dt, variance = par[DT], x[P_HH]
     phi_d, phi_o = math.exp(-dt / par[DOP_TAU]), math.exp(-dt / par[ODO_TAU])
-    if resting or mode == NONE or mode == RTK:
+    if resting or mode == NONE:
         step_still(phi_d, phi_o, variance, carry, growth)
         growth[CV_E] += dt * par[STILL_SPEED] * math.sin(x[HEADING])
         growth[CV_N] += dt * par[STILL_SPEED] * math.cos(x[HEADING])
@@ -398,7 +407,7 @@ def _epoch(  # type: ignore[no-untyped-def]
     par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent,
     priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
     x, rtk_x, last_phase, growth, start, apart, held, integers, fix_id, fix_risk, v, alert, reason, onset, clear,
-    geo, head, columns, rows, rows_e, rows_group, out, pl, covariance,
+    geo, head, columns, rows, rows_e, rows_group, found, out, pl, covariance,
 ):  # fmt: skip
     """The whole epoch of vehicle v; x to fix_risk and the alert arrays are its state."""
     dt, n_sat = par[DT], e.shape[0]
@@ -441,9 +450,10 @@ def _epoch(  # type: ignore[no-untyped-def]
     wrong = held_risk(held, fix_id, fix_risk)
     x[FIXED_S] = x[FIXED_S] + dt if status == FIXED else 0.0
     confirmed = status == FIXED and (x[SINCE_RTK] < 1.5 * dt or x[FIXED_S] > par[CONFIRM])
+    initialised = x[INITIALISED] > 0.0
     mode = select_mode(
-        confirmed, hdop_rtk, checked, v_gnss, v_ss, hdop_doppler, x[SINCE_RTK], x[INITIALISED] > 0.0, mode_limits
-    )
+        False, hdop_rtk, checked, v_gnss, v_ss, hdop_doppler, x[SINCE_RTK], initialised, mode_limits
+    )  # what holds without RTK
     advance(x, growth, par, mode, v_e, v_n, q_v, v_ss, middle, carry, resting)
     measured = doppler_usable(checked, v_gnss, v_ss, hdop_doppler, mode_limits)
     integrates = mode == DOPPLER and not resting
@@ -451,20 +461,29 @@ def _epoch(  # type: ignore[no-untyped-def]
     x[APART] = 1.0 if integrates else x[APART]
     watch_speeds(x, par, solved, v_gnss, v_ss, hdop_doppler, heading_limits, mode_limits[1], delta_v, turning)
     shift = par[REFERENCE_BIAS]
-    if mode == RTK:
-        levels_rtk(n_rtk, rows, rows_group, sin_h, cos_h, risks, shares, spent + wrong, priors, k_fa, k_published,
-                   shift, geo, head, columns, pl)  # fmt: skip
-        forward, right = par[LEVER_FORWARD], par[LEVER_RIGHT]
-        x[EAST] = head[X_E] - sin_h * forward - cos_h * right
-        x[NORTH] = head[X_N] - cos_h * forward + sin_h * right
-        x[UP] = head[X_U]
-        x[SINCE_RTK], x[INITIALISED], x[UNBOUNDED] = 0.0, 1.0, 0.0
-        restart(growth, start, apart, x, pl, k_dead, shift, published, x[P_HH], head, sin_h, cos_h)
-    elif mode != NONE and x[UNBOUNDED] == 0.0 and x[SINCE_CAL] < math.inf:
+    if initialised and x[UNBOUNDED] == 0.0 and x[SINCE_CAL] < math.inf:
         levels_dead_reckoning(
             growth, start, apart, system, sin_h, cos_h, k_dead, published, shift, priors[0], later, shares[1],
             shares[3] > 0.0, pl,
         )  # fmt: skip
+    if confirmed and rtk_usable(hdop_rtk, mode_limits):
+        found[:] = math.inf
+        levels_rtk(n_rtk, rows, rows_group, sin_h, cos_h, risks, shares, spent + wrong, priors, k_fa, k_published,
+                   shift, geo, head, columns, found)  # fmt: skip
+        forward, right, doubt = par[LEVER_FORWARD], par[LEVER_RIGHT], x[DOUBT:WATCH]
+        east = head[X_E] - sin_h * forward - cos_h * right - doubt[D_E]
+        north = head[X_N] - cos_h * forward + sin_h * right - doubt[D_N]
+        jump_e, jump_n = east - x[EAST], north - x[NORTH]
+        before_e, before_n = doubt[D_E], doubt[D_N]
+        if not initialised or judge_jump(jump_e, jump_n, sin_h, cos_h, pl[0], found[0], doubt):
+            mode, pl[:] = RTK, found
+            x[EAST], x[NORTH] = east + before_e - doubt[D_E], north + before_n - doubt[D_N]
+            x[UP] = head[X_U]
+            x[SINCE_RTK], x[INITIALISED], x[UNBOUNDED] = 0.0, 1.0, 0.0
+            restart(growth, start, apart, x, pl, k_dead, shift, published, x[P_HH], head, sin_h, cos_h)
+        else:
+            status, x[FIXED_S], held[:] = FAULT, 0.0, False
+    add_doubt(sin_h, cos_h, x[DOUBT:WATCH], pl)
     x[HAS_VEL] = 1.0 if measured else 0.0
     if mode == RTK and measured:
         remember_velocity(q_v[0, 0], q_v[0, 1], q_v[1, 1], growth)
@@ -501,7 +520,7 @@ def run_some(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """One epoch of the vehicles ``first`` to ``last - 1``, which share their scratch."""
     geo, head, columns = scratch(system.shape[0])
-    rows, rows_e = np.zeros((4, geo.shape[1])), np.zeros((geo.shape[1], 3))
+    rows, rows_e, found = np.zeros((4, geo.shape[1])), np.zeros((geo.shape[1], 3)), np.zeros((pl.shape[1], 2))
     rows_group = np.zeros(geo.shape[1], dtype=np.int64)
     for v in range(first, last):
         k = index[v]
@@ -511,7 +530,7 @@ def run_some(  # type: ignore[no-untyped-def]
             chi2, normal, fde, risks, shares, spent, priors, k_fa, k_published, k_dead, published, operative_published,
             alert_limits, drift_group,
             x[v], rtk_x[v], last_phase[v], growth[v], start[v], apart[v], held[v], integers[v], fix_id[v], fix_risk[v],
-            v, alert, reason, onset, clear, geo, head, columns, rows, rows_e, rows_group, out[v], pl[v],
+            v, alert, reason, onset, clear, geo, head, columns, rows, rows_e, rows_group, found, out[v], pl[v],
             covariance[v],
         )  # fmt: skip
 

@@ -26,7 +26,7 @@ def declared_rtk(rtk: RtkConfig, slips: CycleSlipConfig, bands: int, smallest_ri
         rk.MAX_CANDIDATES: r.max_candidates, rk.MIN_SATELLITES: r.min_satellites, rk.MIN_FURTHER: r.min_further,
         rk.HOLD_FAILURES: r.hold_failures, rk.ATTEMPTS: r.attempts, rk.SLIP_K: slips.threshold,
         rk.SLIP_IONO: slips.ionosphere_rate_mps, rk.SLIP_FIT: slips.fit_limit,
-        rk.SLIP_FAILURE: slips.repair_failure_rate,
+        rk.SLIP_FAILURE: slips.repair_failure_rate, rk.RETRY: r.retry_s,
     }  # fmt: skip
     par = np.zeros(rk.NP)
     par[list(values)] = list(values.values())

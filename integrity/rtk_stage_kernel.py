@@ -24,16 +24,16 @@ UNUSED = 1e6  # variance factor of a satellite out of use: held perhaps, but wit
 FIXED, NO_CORRECTIONS, TOO_FEW, NOT_CONVERGED, FAULT = 0, 1, 2, 3, 5  # codes of RtkStatus
 
 # state
-REJECTED, FIXES, WATCH = range(3)  # WATCH: NW entries of slip_watch_kernel
+REJECTED, FIXES, REFUSED_S, WATCH = range(4)  # WATCH: NW entries of slip_watch_kernel
 NX = WATCH + NW
 
 # declared figures
 (
     BANDS, SIN_MASK, CN0_MIN, CN0_KNEE, SIGMA_CODE, SIGMA_PHASE, SIGMA_PHASE_PL, PHASE_BIAS, AGE_SIGMA, MAX_AGE,
     FIX_MAX_AGE, FIX_LIMIT, RATIO_MIN, MAX_CANDIDATES, MIN_SATELLITES, MIN_FURTHER, HOLD_FAILURES, ATTEMPTS,
-    SLIP_K, SLIP_IONO, SLIP_FIT, SLIP_FAILURE,
-) = range(22)  # fmt: skip
-NP = 22
+    SLIP_K, SLIP_IONO, SLIP_FIT, SLIP_FAILURE, RETRY,
+) = range(23)  # fmt: skip
+NP = 23
 
 
 class Signals(NamedTuple):
@@ -123,6 +123,20 @@ def let_slips_go(signals, tables, fixes, x, last, motion, factor, phase_ok):  # 
 
 
 @jit
+def enough(member, system, par):  # type: ignore[no-untyped-def]
+    """Leave out systems that bring too few members; returns how many are left, and whether they make a position."""
+    count, systems = drop_small_systems(member, system, int(par[MIN_FURTHER]))
+    return count, systems > 0 and count >= par[MIN_SATELLITES] + par[MIN_FURTHER] * (systems - 1)
+
+
+@jit
+def is_due(x, dt, positioned):  # type: ignore[no-untyped-def]
+    """Whether to resolve now: always without a position, else when RETRY has passed since a refusal."""
+    x[REFUSED_S] = max(x[REFUSED_S] - dt, 0.0)
+    return not positioned or not x[REFUSED_S] > 0.5 * dt
+
+
+@jit
 def rtk(signals, tables, fixes, x, last, motion, sin_h, cos_h, fixed):  # type: ignore[no-untyped-def]
     """One epoch of RTK: keep lock, resolve what is not held, solve with the held phases, test and exclude.
 
@@ -141,13 +155,15 @@ def rtk(signals, tables, fixes, x, last, motion, sin_h, cos_h, fixed):  # type: 
         x[REJECTED] = 0.0
         return NO_CORRECTIONS, 0, 0, math.inf
     aged = (par[AGE_SIGMA] * signals.age) ** 2  # of the whole range, common to the bands
-    candidate = used & phase_ok & tables.fixable & ~held
-    status = FIXED
-    if any_of(candidate) and signals.age <= par[FIX_MAX_AGE]:
+    candidate, status = used & phase_ok & tables.fixable & ~held, FIXED
+    _, positioned = enough(held & used, signals.system, par)
+    due = is_due(x, motion.dt, positioned)
+    if due and any_of(candidate) and signals.age <= par[FIX_MAX_AGE]:
         status = resolve_now(signals, tables, fixes, used, candidate, factor, aged, x)
+        x[REFUSED_S] = par[RETRY] if status != FIXED else 0.0
     member = held & used
-    count, systems = drop_small_systems(member, signals.system, int(par[MIN_FURTHER]))
-    if count < par[MIN_SATELLITES] + par[MIN_FURTHER] * (systems - 1) or systems == 0:
+    count, positioned = enough(member, signals.system, par)
+    if not positioned:
         return (status if status != FIXED else TOO_FEW), count, 0, math.inf
     return solve_fixed(signals, tables, fixes, member, count, factor, aged, x, sin_h, cos_h, fixed)
 

@@ -39,6 +39,8 @@ class Solution:
     corrections_age_s : (B,) age of the reference data (inf when the link is out)
     wrong_fix_risk : (B,) probability that the held ambiguities are wrong
     held : (B, S) bool, satellites whose ambiguities are fixed and held
+    doubt_en_m : (B, 2) jump of RTK that the levels do not allow and that RTK has not taken back; the position does not
+        follow it, and the levels cover both (:mod:`~lanebound.integrity.monitoring.jump_kernel`)
     """
 
     time_s: float
@@ -66,6 +68,7 @@ class Solution:
     corrections_age_s: Array
     wrong_fix_risk: Array
     held: NDArray[np.bool_]
+    doubt_en_m: Array
 
     def rows(self, rows: NDArray[np.int64]) -> Solution:
         """The solutions of some vehicles."""

@@ -71,6 +71,12 @@ class RtkConfig(Config):
     attempts: int = Field(
         6, ge=0, description="sets without one suspected satellite to try when all together are refused [-]"
     )
+    retry_s: float = Field(
+        0.5,
+        ge=0,
+        description="after a refusal, how long a position goes on with what is held before more is tried [s]; "
+        "0: every epoch",
+    )
     max_candidates: int = Field(16, ge=4, le=40, description="satellites whose ambiguities are searched at once [-]")
     min_satellites: int = Field(5, ge=4, description="satellites of a fix with one system [-]; S1 section 2")
     min_further: int = Field(3, ge=2, description="satellites that a further system must bring [-]; S1 section 2")

@@ -14,6 +14,12 @@ def doppler_usable(solved, v_gnss, v_ss, hdop, limits):  # type: ignore[no-untyp
 
 
 @jit
+def rtk_usable(hdop, limits):  # type: ignore[no-untyped-def]
+    """S1 table 1, first column: the geometry of the fixed position is good."""
+    return hdop < limits[0]
+
+
+@jit
 def select_mode(  # type: ignore[no-untyped-def]
     rtk_fixed, hdop_rtk, doppler_solved, v_gnss, v_ss, hdop_doppler, outage_s, initialised, limits
 ):
@@ -21,7 +27,7 @@ def select_mode(  # type: ignore[no-untyped-def]
 
     limits: RTK HDOP, Doppler speed agreement [m/s], Doppler HDOP, longest Doppler positioning without RTK [s].
     """
-    if rtk_fixed and hdop_rtk < limits[0]:
+    if rtk_fixed and rtk_usable(hdop_rtk, limits):
         return RTK
     if not initialised:
         return NONE
