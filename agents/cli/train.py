@@ -52,7 +52,7 @@ def train(
 
 def _say(checkpoint: Checkpoint) -> None:
     found = checkpoint.evaluation
-    shown = ", ".join(f"{name} {found[name]:.3g}" for name in ("return", "cost", "success", "speed_mps"))
+    shown = ", ".join(f"{name} {found[name]:.3g}" for name in ("return", "cost", "success", "mean_speed"))
     typer.echo(f"{checkpoint.steps:>9} decisions: {shown}{'  best' if checkpoint.best else ''}", err=True)
 
 

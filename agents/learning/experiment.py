@@ -64,7 +64,7 @@ class ExperimentConfig(Config):
     count: int = Field(4, ge=1, le=4096, description="environments side by side")
     seed: int = Field(0, ge=0, description="of networks, draws and environments")
     checkpoint_steps: int = Field(20_000, ge=1, description="decisions between checkpoints; what a stop may lose")
-    evaluation_episodes: int = Field(8, ge=1, le=100, description="at each checkpoint, on the last training seeds")
+    evaluation_episodes: int = Field(16, ge=1, le=100, description="at each checkpoint, on the last training seeds")
 
     @field_validator("env")
     @classmethod

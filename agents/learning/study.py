@@ -4,8 +4,8 @@
 
     config.json               what is studied
     trainings/NAME/           a training each, which goes on where it was stopped
-    parts/NAME.json           what came of each finished training
-    evaluation/ENV-SKY/       a benchmark of all policies of a place on held-out seeds
+    parts/NAME.json           what came of each finished training: its checkpoints, its policy's held-out episodes
+    beside/ENV-SKY/           a benchmark of drivers of ours on the same seeds
     results.json  curves.svg  what it comes to
 """
 
@@ -22,19 +22,23 @@ from pydantic import field_validator, model_validator
 
 from lanebound.agents.benchmark.results import Results
 from lanebound.agents.benchmark.running import run
+from lanebound.agents.benchmark.seeds import SPLITS
 from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.episodes.opening import full_id
 from lanebound.agents.kept import claim, run_parts, write_whole
-from lanebound.agents.learning.evaluation import learnt_agent
+from lanebound.agents.learning.evaluation import drive_all
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig, Shield
-from lanebound.agents.learning.study_tables import summarise
-from lanebound.agents.learning.training import train
+from lanebound.agents.learning.study_tables import means_of, summarise
+from lanebound.agents.learning.training import load_model, one_thread, train
 from lanebound.agents.named import load_named
 from lanebound.agents.plain import finite_or_none
 from lanebound.integrity.config import Config, Field, deep_merge
 from lanebound.integrity.errors import ConfigError
 
-__all__ = ["ArmConfig", "Course", "LearningStudyConfig", "Training", "load_study", "plan", "run_learning_study"]
+__all__ = [
+    "BESIDE", "ArmConfig", "Course", "LearningStudyConfig", "Training", "beside_suite", "load_study", "plan",
+    "run_learning_study",
+]  # fmt: skip
 
 FOLDER = "studies/"
 PACKAGES = ("lanebound.integrity", "lanebound.envs", "lanebound.agents.drivers", "lanebound.agents.learning")
@@ -197,37 +201,35 @@ def run_learning_study(
     done = run_parts(
         out, list(by_name), partial(_learn, study, out, by_name), jobs, progress, may_start=lambda: left_h() != 0.0
     )
-    learnt = [by_name[name] for name in done]
-    driven = {}
-    for env, sky in study.places:
-        here = [one for one in learnt if (one.env, one.sky) == (env, sky)]
-        if here:
-            suite = place_suite(study, out, here)
-            driven[env, sky] = run(suite, out / "evaluation" / f"{env}-{sky}", jobs, left_h())
-    return _written(study, course, done, driven, out)
+    there = {(part["env"], part["sky"]) for part in done.values()}
+    beside = {
+        (env, sky): run(beside_suite(study, env, sky), out / "beside" / f"{env}-{sky}", jobs, left_h())
+        for env, sky in study.places
+        if (env, sky) in there
+    }
+    return _written(study, course, done, beside, out)
 
 
 def _learn(study: LearningStudyConfig, out: Path, by_name: Mapping[str, Training], name: str) -> dict[str, Any]:
-    """One training, or what is left of it; its evaluations."""
-    one = by_name[name]
-    begun = time.monotonic()
-    rows = train(one.experiment(study), out / "trainings" / name)
-    return {**one._asdict(), "checkpoints": rows, "hours": (time.monotonic() - begun) / 3600.0}
+    """One training, or what is left of it; its evaluations, and its policy's episodes on held-out seeds."""
+    one, folder = by_name[name], out / "trainings" / name
+    begun, planned = time.monotonic(), one.experiment(study)
+    rows = train(planned, folder)
+    with one_thread():
+        model = load_model(folder / "best.zip", planned.algorithm)
+        episodes = drive_all(planned, model, SPLITS["test"][: study.test_seeds])
+    hours = (time.monotonic() - begun) / 3600.0
+    return {**one._asdict(), "checkpoints": rows, "episodes": episodes, "hours": hours}
 
 
-def place_suite(study: LearningStudyConfig, out: Path, learnt: list[Training]) -> SuiteConfig:
-    """The policies of a place, on held-out seeds beside drivers of ours."""
-    env, sky = learnt[0].env, learnt[0].sky
-    agents: dict[str, Any] = {name: name for name in BESIDE}
-    for one in learnt:
-        planned = one.experiment(study)
-        agents[one.agent] = learnt_agent(planned, out / "trainings" / one.name / "best.zip")
+def beside_suite(study: LearningStudyConfig, env: str, sky: str) -> SuiteConfig:
+    """Drivers of ours on the held-out seeds of a place."""
     return SuiteConfig.load(
         {
             "title": study.title,
             "envs": [env],
             "skies": [sky],
-            "agents": agents,
+            "agents": {name: name for name in BESIDE},
             "reference": BESIDE[0],
             "seeds": {"split": "test", "count": study.test_seeds},
             "overrides": study.shared(env).get("overrides", {}),
@@ -239,7 +241,7 @@ def _written(
     study: LearningStudyConfig,
     course: Course,
     done: Mapping[str, Mapping[str, Any]],
-    driven: Mapping[tuple[str, str], Results],
+    beside: Mapping[tuple[str, str], Results],
     out: Path,
 ) -> dict[str, Any]:
     from lanebound.agents.learning.study_figure import curves_figure
@@ -251,8 +253,17 @@ def _written(
         "left_out": [list(pair) for pair in course.left_out],
         "hours": sum(part["hours"] for part in done.values()),
         "places": [
-            {"env": env, "sky": sky, **summarise(results, list(study.arms), study.reference, BESIDE)}
-            for (env, sky), results in driven.items()
+            {
+                "env": env,
+                "sky": sky,
+                **summarise(
+                    [part for part in done.values() if (part["env"], part["sky"]) == (env, sky)],
+                    list(study.arms),
+                    study.reference,
+                ),
+                "beside": means_of(results),
+            }
+            for (env, sky), results in beside.items()
         ],
     }
     found = finite_or_none(found)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,42 +12,45 @@ from lanebound.agents.benchmark.metrics import METRICS
 from lanebound.agents.benchmark.results import Results
 from lanebound.agents.benchmark.statistics import difference, estimate
 
-__all__ = ["SHOWN", "summarise"]
+__all__ = ["SHOWN", "means_of", "summarise"]
 
 SHOWN = ("return", "cost", "over_cost_limit", "harm", "collision", "off_road", "lane_departure", "throughput")
-"""Metrics of the benchmark that are summed up."""
+"""Metrics that are summed up, by their names in the benchmark."""
 
 Array = NDArray[np.float64]
 
 
-def summarise(results: Results, arms: Sequence[str], reference: str, beside: Sequence[str]) -> dict[str, Any]:
+def summarise(parts: Sequence[Mapping[str, Any]], arms: Sequence[str], reference: str) -> dict[str, Any]:
     """Of each arm the mean over its trainings with a 95 % interval, and its paired difference from the reference.
 
-    Trainings with the same seed are paired. The drivers beside them have no trainings: theirs are means over episodes.
+    Trainings with the same seed are paired. ``parts`` are the finished trainings of a place, each with its ``arm``,
+    ``seed`` and ``episodes`` as :func:`~.evaluation.drive_all` has them.
     """
-    means = {agent: _means(results, agent) for agent in (cell.agent for cell in results.cells)}
-    found: dict[str, Any] = {"arms": {}, "beside": {agent: means[agent] for agent in beside if agent in means}}
-    by_arm = {arm: _trainings(means, arm) for arm in arms}
-    for arm, trainings in by_arm.items():
-        if trainings:
-            found["arms"][arm] = {
+    by_arm = {arm: {part["seed"]: _means(part["episodes"]) for part in parts if part["arm"] == arm} for arm in arms}
+    return {
+        "arms": {
+            arm: {
                 "seeds": sorted(trainings),
                 "means": {key: estimate(_column(trainings, key)).to_dict() for key in SHOWN},
                 "less_reference": _differences(trainings, by_arm[reference]) if arm != reference else {},
             }
-    return found
+            for arm, trainings in by_arm.items()
+            if trainings
+        }
+    }
 
 
-def _means(results: Results, agent: str) -> dict[str, float]:
-    """Means of an agent over its episodes."""
-    cell = next(cell for cell in results.cells if cell.agent == agent)
-    return {key: mean for key in SHOWN if (mean := cell.metrics[key].mean) is not None}
+def means_of(results: Results) -> dict[str, dict[str, float]]:
+    """Means over the episodes of drivers that are not learnt, by their names."""
+    return {
+        cell.agent: {key: mean for key in SHOWN if (mean := cell.metrics[key].mean) is not None}
+        for cell in results.cells
+    }
 
 
-def _trainings(means: dict[str, dict[str, float]], arm: str) -> dict[int, dict[str, float]]:
-    """Means of the trainings of an arm by their seeds."""
-    named = {agent: re.fullmatch(re.escape(arm) + r"-(\d+)", agent) for agent in means}
-    return {int(match[1]): means[agent] for agent, match in named.items() if match}
+def _means(episodes: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Of a policy over its episodes."""
+    return {key: float(np.mean([row[key] for row in episodes])) for key in SHOWN}
 
 
 def _column(trainings: dict[int, dict[str, float]], key: str) -> Array:

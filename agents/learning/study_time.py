@@ -12,7 +12,7 @@ import numpy as np
 from lanebound.agents.benchmark.episode import allotted_s
 from lanebound.agents.learning.experiment import ExperimentConfig
 from lanebound.agents.learning.opening import for_learning
-from lanebound.agents.learning.study import Course, LearningStudyConfig
+from lanebound.agents.learning.study import BESIDE, Course, LearningStudyConfig
 from lanebound.agents.learning.training import one_thread
 
 __all__ = ["Pace", "measured", "study_hours"]
@@ -30,7 +30,7 @@ class Pace(NamedTuple):
 
 
 def study_hours(study: LearningStudyConfig, course: Course) -> float:
-    """Time of a core for a whole study [h]: trainings, evaluations at their checkpoints, and held-out episodes.
+    """Time of a core for a whole study [h]: trainings, their evaluations, and the drivers beside them.
 
     Raises
     ------
@@ -39,12 +39,15 @@ def study_hours(study: LearningStudyConfig, course: Course) -> float:
     """
     paces = {env: measured(next(one for one in course.trainings if one.env == env).experiment(study))
              for env in study.envs}  # fmt: skip
-    return sum(_seconds(one.experiment(study), paces[one.env], study.test_seeds) for one in course.trainings) / 3600.0
+    learning_s = sum(_seconds(one.experiment(study), paces[one.env], study.test_seeds) for one in course.trainings)
+    alone_s = sum(paces[env].alone_s * paces[env].decisions for env, _ in study.places)
+    return (learning_s + len(BESIDE) * study.test_seeds * alone_s) / 3600.0
 
 
 def _seconds(planned: ExperimentConfig, pace: Pace, test_seeds: int) -> float:
-    judged = -(-planned.steps // planned.checkpoint_steps) * planned.evaluation_episodes * pace.decisions
-    return (planned.steps + judged) * pace.learning_s + test_seeds * pace.decisions * pace.alone_s
+    checkpoints = -(-planned.steps // planned.checkpoint_steps)
+    judged = (checkpoints * planned.evaluation_episodes + test_seeds) * pace.decisions
+    return (planned.steps + judged) * pace.learning_s
 
 
 def measured(planned: ExperimentConfig) -> Pace:

@@ -4,7 +4,7 @@
 
     experiment.json                what is learnt
     last.zip  last-replay.pkl      the newest checkpoint; transitions of algorithms that keep them
-    best.zip  best.md              the best so far, by return within the limit of cost, and a card about it
+    best.zip  best.md              the best so far (:func:`is_best`), and a card about it
     progress.json                  an evaluation at each checkpoint
     logs/                          for TensorBoard, where it is installed: costs by cause, levels, alerts, modes
 """
@@ -38,7 +38,7 @@ from lanebound.envs.tally import EPISODE_KEY
 from lanebound.integrity.accel import serial
 from lanebound.integrity.errors import InputError
 
-__all__ = ["Checkpoint", "load_model", "one_thread", "train"]
+__all__ = ["Checkpoint", "is_best", "load_model", "one_thread", "train"]
 
 CLASSES = {
     Algorithm.PPO: "stable_baselines3:PPO",
@@ -96,7 +96,7 @@ def train(
             model.learn(chunk, callback=watch, reset_num_timesteps=model.num_timesteps == 0, tb_log_name="run")
             found = evaluate(experiment, model)
             progress.append({"steps": model.num_timesteps, **found})
-            best = _is_best(progress, _limit(experiment))
+            best = is_best(progress, _limit_of_best(experiment))
             _keep(model, out, best)
             if best:
                 write_card(experiment, progress[-1], out / "best.md")
@@ -208,11 +208,22 @@ def _whole(path: Path, save: Callable[[Path], None]) -> None:
     os.replace(draft, path)
 
 
-def _is_best(progress: list[dict[str, Any]], limit: float) -> bool:
-    """Whether the last evaluation is: the largest return within the limit of cost, else the least cost."""
+def _limit_of_best(experiment: ExperimentConfig) -> float:
+    """What the best checkpoint must keep: the limit where learning heeds one or one is named, else nothing."""
+    heeded = experiment.algorithm.constrained or experiment.cost_limit is not None
+    return _limit(experiment) if heeded else math.inf
+
+
+def is_best(progress: list[dict[str, Any]], limit: float) -> bool:
+    """Whether the last evaluation is: the largest return among those within the limit of cost, else the least cost.
+
+    Within it is who keeps it with the cost's standard error to spare: the best of many checkpoints is the luckiest too,
+    and costs more on other seeds than in its own evaluation.
+    """
 
     def worth(row: Mapping[str, float]) -> tuple[float, float]:
-        return (1.0, row["return"]) if row["cost"] <= limit else (0.0, -row["cost"])
+        high = row["cost"] + row["cost_se"]
+        return (1.0, row["return"]) if high <= limit else (0.0, -high)
 
     return all(worth(progress[-1]) >= worth(row) for row in progress[:-1])
 

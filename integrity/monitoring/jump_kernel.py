@@ -41,7 +41,7 @@ def along_across(east: float, north: float, sin_h: float, cos_h: float) -> tuple
 def contradicts(east: float, north: float, sin_h: float, cos_h: float, expected: Array, found: Array) -> bool:
     """Whether two positions (east, north) [m] apart cannot both be within their levels (2,) AT, CT [m]."""
     at, ct = along_across(east, north, sin_h, cos_h)
-    return at > expected[0] + found[0] or ct > expected[1] + found[1]
+    return bool(at > expected[0] + found[0] or ct > expected[1] + found[1])
 
 
 @jit

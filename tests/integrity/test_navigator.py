@@ -343,7 +343,7 @@ def test_the_truth_does_not_reach_what_is_believed() -> None:
         _assert_same(cars.navigator.locate(measured), twins.navigator.step(twins.truth(10.0)))
 
 
-def test_wrong_reference_coordinates_move_the_fix_unseen() -> None:
+def test_reference_coordinates_wrong_from_the_first_fix_on_move_it_unseen() -> None:
     wrong = Fault(kind=FaultKind.REFERENCE_COORDINATES, start_s=0.0, duration_s=99.0, magnitude_m=1.0, azimuth_deg=90.0)
     moved, true = _Cars(_navigator(faults=(wrong,))).drive(8.0), _Cars(_navigator()).drive(8.0)
     fixed = (moved.mode == Mode.RTK) & (true.mode == Mode.RTK)
@@ -352,6 +352,37 @@ def test_wrong_reference_coordinates_move_the_fix_unseen() -> None:
     np.testing.assert_allclose(shift, np.broadcast_to([1.0, 0.0], shift.shape), atol=1e-6)
     np.testing.assert_allclose(moved.pl_at_m[fixed], true.pl_at_m[fixed], rtol=1e-6)
     assert moved.pl_at_m[fixed].max() < 0.1
+
+
+@pytest.mark.parametrize("kind", [FaultKind.SPOOFING, FaultKind.REFERENCE_COORDINATES])
+@pytest.mark.parametrize("size_m", [0.5, 3.0, 20.0])
+def test_a_shift_of_all_satellites_does_not_move_the_position(kind: FaultKind, size_m: float) -> None:
+    """Residuals are perfect under it. It is held against what was expected, and doubted until it goes."""
+    shift = Fault(kind=kind, start_s=10.0, duration_s=10.0, magnitude_m=size_m, azimuth_deg=60.0)
+    cars = _Cars(_navigator(faults=(shift,)))
+    before, during, after = cars.drive(10.0), cars.drive(10.0), cars.drive(8.0)
+    assert (before.doubt_en_m == 0.0).all()
+    assert (during.rtk[0] == RtkStatus.FAULT.code).all()
+    assert max(during.error_m.max(), after.error_m.max()) < 0.2
+    relied = during.mode == Mode.RTK
+    assert relied[-1].all()
+    shift_en_m = size_m * np.array([np.sin(np.deg2rad(60.0)), np.cos(np.deg2rad(60.0))])
+    np.testing.assert_allclose(during.doubt_en_m[-1], np.broadcast_to(shift_en_m, (4, 2)), atol=0.15)
+    along = np.abs(during.doubt_en_m[-1] @ np.array([np.sin(QUADRANTS), np.cos(QUADRANTS)]))[0]
+    assert (during.pl_at_m[relied] > 0.1).all()
+    assert during.pl_at_m[-1, 0] > along[0] + before.pl_at_m[-1, 0]
+    assert (after.doubt_en_m[-1] == 0.0).all()
+    assert (after.mode[-1] == Mode.RTK).all()
+    assert after.pl_at_m[-1].max() < 0.1
+
+
+def test_without_a_fault_no_jump_is_doubted() -> None:
+    """Through a tunnel, whose far end is the largest jump there is."""
+    run = _Cars(_navigator(mask=_tunnel(100.0, 250.0))).drive(45.0)
+    assert set(np.unique(run.mode)) >= {Mode.RTK, Mode.IMU_ODOMETER}
+    assert (run.mode[-1] == Mode.RTK).all()
+    assert (run.doubt_en_m == 0.0).all()
+    assert not (run.rtk == RtkStatus.FAULT.code).any()
 
 
 def test_a_declared_reference_error_adds_to_the_level() -> None:

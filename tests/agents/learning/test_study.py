@@ -8,16 +8,25 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks import made_up_outcome, made_up_suite
 from typer.testing import CliRunner
 
-from lanebound.agents.benchmark.results import Results
+from lanebound.agents.benchmark.metrics import metric_named
+from lanebound.agents.benchmark.running import run
+from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.cli import app
 from lanebound.agents.learning import study as room
 from lanebound.agents.learning import study_time as times
-from lanebound.agents.learning.study import LearningStudyConfig, load_study, place_suite, plan, run_learning_study
+from lanebound.agents.learning.evaluation import learnt_agent
+from lanebound.agents.learning.study import (
+    BESIDE,
+    LearningStudyConfig,
+    beside_suite,
+    load_study,
+    plan,
+    run_learning_study,
+)
 from lanebound.agents.learning.study_figure import curves_figure
-from lanebound.agents.learning.study_tables import summarise
+from lanebound.agents.learning.study_tables import SHOWN, summarise
 from lanebound.agents.learning.study_time import Pace, measured, study_hours
 from lanebound.integrity.errors import ConfigError, InputError
 
@@ -91,8 +100,8 @@ def test_the_time_of_a_study_is_that_of_its_decisions(monkeypatch: pytest.Monkey
     assert 0.0 < found.learning_s < 1.0
     assert found.decisions == 15.0
     monkeypatch.setattr(times, "measured", lambda planned: Pace(0.5, 2.0, 15.0))
-    of_one = 64 * 0.5 + 2 * 1 * 15 * 0.5 + 3 * 15 * 2.0
-    assert study_hours(study, plan(study)) == pytest.approx(2 * of_one / 3600.0)
+    of_one, of_a_driver = 64 * 0.5 + (2 * 1 + 3) * 15 * 0.5, 3 * 15 * 2.0
+    assert study_hours(study, plan(study)) == pytest.approx((2 * of_one + len(BESIDE) * of_a_driver) / 3600.0)
 
 
 def test_an_environment_may_have_trainings_of_its_own_kind() -> None:
@@ -102,7 +111,7 @@ def test_an_environment_may_have_trainings_of_its_own_kind() -> None:
     assert (here.steps, there.steps) == (64, 32)
     assert there.overrides == {**STILL, **seen, "observation": {"integrity": "blind"}}
     assert here.overrides == {**STILL, "observation": {"integrity": "blind"}}
-    suite = place_suite(study, Path("out"), [plan(study).trainings[2]])
+    suite = beside_suite(study, "UrbanCanyon-v0", "open")
     assert suite.overrides == {**STILL, **seen}
     with pytest.raises(ConfigError, match="did you mean 'UrbanCanyon-v0'"):
         small(by_env={"UrbanCanyn": {}})
@@ -127,22 +136,33 @@ def test_the_packaged_study_has_every_arm_in_every_place() -> None:
 
 
 def test_a_training_is_one_draw_however_many_episodes_its_policy_drives() -> None:
-    agents = [f"{arm}-{seed}" for arm in ("blind", "seeing") for seed in range(5)]
-    suite = made_up_suite(agents=["nominal", *agents], envs=["LaneKeeping"], skies=["urban"], seeds={"count": 3})
-    cost = {"blind": 10.0, "seeing": 4.0}
-    outcomes = []
-    for task in suite.tasks():
-        arm, _, seed = task.agent.partition("-")
-        value = cost.get(arm, 20.0) + float(seed or 0) + 0.5 * (task.seed % 3 - 1)
-        outcomes.append(made_up_outcome(task, cost=value))
-    found = summarise(Results.of(suite, outcomes), ["blind", "seeing", "unlearnt"], "blind", ["nominal", "absent"])
+    def part(arm: str, seed: int, cost: float) -> dict[str, Any]:
+        episodes = [dict.fromkeys(SHOWN, 0.0) | {"cost": cost + seed + shift} for shift in (-0.5, 0.0, 0.5)]
+        return {"arm": arm, "seed": seed, "episodes": episodes}
+
+    parts = [part(arm, seed, cost) for arm, cost in (("blind", 10.0), ("seeing", 4.0)) for seed in range(5)]
+    found = summarise(parts, ["blind", "seeing", "unlearnt"], "blind")
     assert list(found["arms"]) == ["blind", "seeing"]
     mean = found["arms"]["seeing"]["means"]["cost"]
     assert mean["n"] == 5
-    assert mean["mean"] == pytest.approx(np.mean([4.0, 5.0, 6.0, 7.0, 8.0]), abs=0.51)
+    assert mean["mean"] == pytest.approx(np.mean([4.0, 5.0, 6.0, 7.0, 8.0]))
     less = found["arms"]["seeing"]["less_reference"]["cost"]
     assert (less["n"], less["difference"]) == (5, pytest.approx(-6.0))
-    assert list(found["beside"]) == ["nominal"]
+
+
+def test_held_out_episodes_are_those_of_the_benchmark(tmp_path: Path) -> None:
+    """Noted in the engine, all at once, they are what the benchmark finds of the same policy, seed by seed."""
+    overrides = {"experiment": {**SMALL["experiment"], "overrides": {"duration_s": 4.0}}, "skies": ["dense"]}
+    study = small(test_seeds=3, **overrides)
+    run_learning_study(study, tmp_path)
+    for one in plan(study).trainings:
+        noted = json.loads((tmp_path / "parts" / f"{one.name}.json").read_text())["episodes"]
+        agent = learnt_agent(one.experiment(study), tmp_path / "trainings" / one.name / "best.zip")
+        suite = SuiteConfig.load({**beside_suite(study, one.env, one.sky).to_dict(), "agents": {"nominal": agent}})
+        for row, outcome in zip(noted, run(suite, tmp_path / one.arm).outcomes, strict=True):
+            for key in SHOWN:
+                value = metric_named(key).take(outcome)
+                assert row[key] == pytest.approx(value, rel=0.02 if key == "throughput" else 1e-5, abs=1e-9), key
 
 
 def test_curves_take_trainings_of_different_lengths() -> None:

@@ -15,7 +15,7 @@ from lanebound.agents.benchmark import run
 from lanebound.agents.learning.evaluation import evaluate, evaluation_suite
 from lanebound.agents.learning.experiment import load_experiment
 from lanebound.agents.learning.opening import for_judging, for_learning
-from lanebound.agents.learning.training import Checkpoint, _is_best, load_model, train
+from lanebound.agents.learning.training import Checkpoint, is_best, load_model, train
 from lanebound.envs.costs import CAUSES
 from lanebound.integrity.errors import ConfigError, InputError
 from lanebound.integrity.presets import preset_names
@@ -108,8 +108,8 @@ def test_the_logs_hold_costs_by_cause_and_what_integrity_came_to(tmp_path: Path)
 
 
 def test_the_best_is_by_return_within_the_limit_and_by_cost_outside() -> None:
-    def best(*rows: tuple[float, float]) -> bool:
-        return _is_best([{"return": value, "cost": cost} for value, cost in rows], 10.0)
+    def best(*rows: tuple[float, float], se: float = 0.0) -> bool:
+        return is_best([{"return": value, "cost": cost, "cost_se": se} for value, cost in rows], 10.0)
 
     assert best((5.0, 50.0))
     assert best((5.0, 50.0), (4.0, 40.0))
@@ -117,6 +117,8 @@ def test_the_best_is_by_return_within_the_limit_and_by_cost_outside() -> None:
     assert best((9.0, 60.0), (1.0, 9.0))
     assert best((1.0, 9.0), (2.0, 10.0))
     assert not best((1.0, 1.0), (9.0, 11.0))
+    assert not best((1.0, 1.0), (9.0, 9.5), se=1.0)  # lucky, perhaps
+    assert best((1.0, 1.0), (9.0, 8.5), se=1.0)
 
 
 @pytest.mark.parametrize("name", [n.partition("/")[2] for n in preset_names() if n.startswith("experiments/")])
