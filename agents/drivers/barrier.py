@@ -12,6 +12,9 @@ belief may move: none of that is bounded, no promise is made of it and none is s
 are wrong by more than 0.02 rad under a dense sky and 0.04 rad under an urban one (training seeds 1004-1007), 0.2 to
 0.4 m at 11 m/s and the preview: a lane of 3.25 m has no room for such a bound.
 
+Bends have a barrier of speed: ``v^2 <= share a_lat / |kappa(d)| + 2 b (d - PL_AT)`` at every preview, so that what the
+lane barrier asks of the wheel stays within the grip. Without it a driver who is too fast is steered off the road.
+
 Symbols: v and u speed now and next [m/s], s gap [m], T length of a policy step [s], b and B braking of ego and leader,
 e offset [m], psi heading less its steady value in the bend, beta angle of the velocity less that value, L wheelbase.
 """
@@ -39,7 +42,9 @@ __all__ = ["BarrierConfig", "BarrierFilter", "CbfConfig", "make_cbf"]
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 States = tuple[NDArray[Any], ...] | None
-NEEDED = ("ego.speed", "ego.lateral_offset", "road.speed_limit", "integrity.pl_ct", "integrity.alert")
+NEEDED = (
+    "ego.speed", "ego.lateral_offset", "road.speed_limit", "integrity.pl_at", "integrity.pl_ct", "integrity.alert"
+)  # fmt: skip
 EPS = 1e-6
 WALK_MPS = 1.0  # slower, steering moves nothing
 
@@ -68,6 +73,8 @@ class BarrierConfig(Config):
     preview_s: float = Field(1.0, gt=0, description="over which the lane barrier looks ahead; argued")
     lane_floor_m: float = Field(0.15, gt=0, description="M at least, for the believed middle; a hand's breadth, argued")
     car_width_m: float = Field(2.0, gt=0, description="of highway-env's cars")
+    bend_share: float = Field(0.75, gt=0, le=1, description="of the grip, for bends; the rest corrects; argued")
+    bend_brake_mps2: float = Field(3.0, gt=0, description="braking that is counted on before bends; argued")
     slow_share: float = Field(0.48, gt=0, le=1, description="of the limit, while the lane is kept by slack")
     slow_mps2: float = Field(2.0, gt=0, description="braking down to that; comfortable")
     speed_mps: float = Field(14.0, gt=0, description="taken for the limit where the map gives none; 50 km/h")
@@ -100,8 +107,9 @@ class BarrierFilter:
     speed_share : bound of the error of the odometers' scale [-], as configured or as the navigation declares it
     commanded_mps2 : acceleration of the last decision, by which the speed has changed since the odometer's epoch
     followed : whether any vehicle counted as one to stop behind in the last decision
-    counts : ``decisions``; in how many ``following`` and ``lane`` changed the command or had none that is safe, and in
-        how many the lane was kept with slack; ``infeasible`` and ``relaxed``, decisions with any of either
+    counts : ``decisions``; in how many ``following`` and ``lane`` changed the command or had none that is safe, in how
+        many a ``bend`` called for braking, and in how many the lane was kept with slack; ``infeasible`` and
+        ``relaxed``, decisions with any of either
 
     Raises
     ------
@@ -142,7 +150,9 @@ class BarrierFilter:
         wanted = value_of(shares[..., 0], bounds)
         top, stuck = self.acceleration_bound(observation)
         self.remember(observation)
-        lane_top = self._slowing(observation) if self._inner.lateral else np.inf
+        lane_top = (
+            np.minimum(self._slowing(observation), self.bend_bound(observation)) if self._inner.lateral else np.inf
+        )
         self.counts["decisions"] += wanted.size
         self._count("following", top < wanted - EPS, stuck)
         commanded = np.clip(np.minimum(np.minimum(wanted, top), lane_top), *bounds)
@@ -235,6 +245,25 @@ class BarrierFilter:
         hardest = np.maximum(least, -c.brake_mps2)
         stuck = (bound < hardest - EPS) & (shown[..., 0] > c.creep_mps)
         return np.maximum(bound, hardest), stuck
+
+    def bend_bound(self, observation: Observation) -> Array:
+        """Largest acceleration [m/s2] after which every bend of the previews can be met at a share of the grip.
+
+        With the believed place PL_AT too far back and a way of ``v T`` until the next decision.
+        """
+        c, dt, grip = self.config, self._dt_s, None if self._limits is None else self._limits.lateral_acceleration_mps2
+        shown = self.reader.value(observation, "ego.speed")
+        if grip is None:
+            return np.full(shown.shape, np.inf)
+        v = np.maximum(self.fastest(shown, self.commanded_mps2), 0.0)
+        late = self.reader.value(observation, "integrity.pl_at") + v * dt
+        squared = np.full(shown.shape, np.inf)
+        for d in self.reader.previews_m:
+            kappa = np.abs(self.reader.value(observation, f"road.preview_{d:g}m_curvature"))
+            bend = c.bend_share * grip / np.maximum(kappa, 1e-6)
+            squared = np.minimum(squared, bend + 2.0 * c.bend_brake_mps2 * np.maximum(d - late, 0.0))
+        self._count("bend", squared < (v + EPS) ** 2, np.zeros(shown.shape, dtype=np.bool_))
+        return np.asarray(np.maximum((np.sqrt(squared) - v) / dt, -c.brake_mps2))
 
     def angle_bounds(self, observation: Observation) -> tuple[Array, Array, Bools]:
         """Bounds of the steering angle [rad] that keep the car in its lane, and where they rest on slack.

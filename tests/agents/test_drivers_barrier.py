@@ -275,8 +275,35 @@ def test_speeds_are_bounded_by_the_scale_that_the_sky_declares(sky):
 def test_what_it_cannot_filter_is_refused():
     with pytest.raises(InputError, match="action must be continuous"):
         make_agent("cbf", open_env("UrbanCanyon", GIVEN))
-    with pytest.raises(InputError, match=r"must show 'integrity\.pl_ct'"):
+    with pytest.raises(InputError, match=r"must show 'integrity\.pl_at'"):
         make_agent("cbf", open_env("LaneKeeping", GIVEN | {"observation": {"integrity": "blind"}}))
+
+
+def test_full_throttle_is_brought_round_every_bend():
+    """And is not where the filter counts on brakes that nobody has."""
+    env = open_env("LaneKeeping", GIVEN)
+    off = []
+    for config in (C, C.replace(bend_share=1.0, bend_brake_mps2=1e4)):
+        log, barrier = EpisodeLog(), BarrierFilter(env, Constant(1.0), config)
+        drive(env, barrier, [3, 4, 5], [log])
+        off.append([log.episode(seed)[-1]["off_road"] for seed in (0, 1, 2)])
+        assert barrier.counts["bend changed"] > 20 or config is not C
+    assert not any(off[0])
+    assert any(off[1])
+
+
+def test_a_bend_is_met_later_than_believed():
+    env = open_env("LaneKeeping", GIVEN | {"observation": {"form": "flat"}})
+    barrier = BarrierFilter(env, Constant(0.0))
+    bend = {"road__preview_40m_curvature": 0.02, "road__preview_40m_exists": 1.0}
+
+    def bound(v: float, pl_at_m: float) -> float:
+        return float(barrier.bend_bound(seen(barrier.reader, None, v=v, integrity__pl_at=pl_at_m, **bend)))
+
+    fast = np.sqrt(C.bend_share * 4.0 / 0.02 + 2.0 * C.bend_brake_mps2 * 40.0)
+    assert bound(fast - 2.0, 0.0) > 0.0 > bound(fast, 0.0)
+    assert bound(fast - 1.0, 5.0) < bound(fast - 1.0, 0.0)
+    assert bound(40.0, 0.0) == -C.brake_mps2
 
 
 def test_over_full_throttle_nothing_is_hit():
