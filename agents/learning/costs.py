@@ -10,6 +10,7 @@ import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
 from torch import nn
+from torch.nn import functional
 
 from lanebound.integrity.errors import InputError
 
@@ -47,14 +48,18 @@ def require_flat(space: spaces.Space[Any]) -> int:
 class CostCritic(nn.Module):
     """Cost to come from an observation, or from an observation and an action, as a small network.
 
+    It is learnt by squared errors, whose best answer is the mean: a crash that is rare counts as often as it happens.
+
     Parameters
     ----------
     size : of its input
+    scale : of costs, about that of an episode; the network tells shares of it
     widths : of the hidden layers
     """
 
-    def __init__(self, size: int, widths: Sequence[int] = (64, 64)) -> None:
+    def __init__(self, size: int, scale: float = 1.0, widths: Sequence[int] = (64, 64)) -> None:
         super().__init__()
+        self.scale = scale
         layers: list[nn.Module] = []
         for width in widths:
             layers += [nn.Linear(size, width), nn.Tanh()]
@@ -64,7 +69,11 @@ class CostCritic(nn.Module):
     def forward(self, given: torch.Tensor) -> torch.Tensor:
         """(..., size) to (...)."""
         found: torch.Tensor = self.net(given)
-        return found[..., 0]
+        return self.scale * found[..., 0]
+
+    def loss(self, given: torch.Tensor, due: torch.Tensor) -> torch.Tensor:
+        """Mean squared error [of the scale] against the costs that were due, (...)."""
+        return functional.mse_loss(self(given) / self.scale, due / self.scale)
 
     def of(self, given: Array) -> Array:
         """The same on arrays, without gradients."""

@@ -59,6 +59,12 @@ class ExperimentConfig(Config):
     cost_limit: float | None = Field(None, gt=0, description="of an episode's cost; None: the environment's own")
     multiplier: MultiplierConfig = Field(MultiplierConfig(), description="of algorithms under the limit")
     shield: Shield = Field(Shield.NONE, description="filter that every action passes, in training and after")
+    shield_penalty: float = Field(
+        1.0,
+        ge=0,
+        description="taken off the reward in training, times the mean square of what the filter changes of an action "
+        "(shares, -1 to 1): a policy that leans on the filter learns nothing of the road; argued",
+    )
     engine: bool | None = Field(None, description="whether the vector engine drives; None: where it can")
     steps: int = Field(200_000, ge=1, description="decisions, of all environments together")
     count: int = Field(4, ge=1, le=4096, description="environments side by side")

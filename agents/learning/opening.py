@@ -8,18 +8,20 @@ from typing import Any
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecMonitor
 
+from lanebound.agents.benchmark.seeds import SPLITS
 from lanebound.agents.episodes.opening import full_id
 from lanebound.agents.learning.experiment import ExperimentConfig, Shield
 from lanebound.agents.learning.shield import VecShielded
 from lanebound.agents.vec_env import EngineVecEnv, VecEpisodeStatistics
 from lanebound.envs.wrappers import EpisodeStatistics
 from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.streams import named_generator
 
-__all__ = ["for_judging", "for_learning"]
+__all__ = ["episode_seeds", "for_judging", "for_learning"]
 
 
 def for_learning(experiment: ExperimentConfig, processes: int) -> VecEnv:
-    """As many environments as the experiment says, their seeds set.
+    """As many environments as the experiment says, seeded for its beginning.
 
     Parameters
     ----------
@@ -34,14 +36,25 @@ def for_learning(experiment: ExperimentConfig, processes: int) -> VecEnv:
     if env is None:
         makers: list[Any] = [_Maker(experiment)] * experiment.count
         env = DummyVecEnv(makers) if processes == 1 else SubprocVecEnv(makers, start_method="spawn")
-    env = _shielded(experiment, env)
-    env.seed(experiment.seed)
+    env = _shielded(experiment, env, experiment.shield_penalty)
+    env.seed(episode_seeds(experiment, 0))
     return env
+
+
+def episode_seeds(experiment: ExperimentConfig, steps: int) -> int:
+    """Seed of the first environment of a training that begins or goes on after so many steps; the others count on.
+
+    No two trainings share episodes, none meets those of evaluations and benchmarks, and none meets its own again when
+    it is resumed: the seed is drawn by the training's and the steps, above all seeds that splits name.
+    """
+    least = max(max(split) for split in SPLITS.values()) + 1
+    drawn = named_generator([experiment.seed, steps], "traffic").integers(least, 2**31 - experiment.count)
+    return int(drawn)
 
 
 def for_judging(experiment: ExperimentConfig, episodes: int) -> VecEnv:
     """Environments for so many episodes: one for each in the engine, a single one for one after another elsewhere."""
-    return _shielded(experiment, _in_engine(experiment, episodes) or DummyVecEnv([_Maker(experiment)]))
+    return _shielded(experiment, _in_engine(experiment, episodes) or DummyVecEnv([_Maker(experiment)]), 0.0)
 
 
 def _in_engine(experiment: ExperimentConfig, count: int) -> VecEnv | None:
@@ -57,8 +70,8 @@ def _in_engine(experiment: ExperimentConfig, count: int) -> VecEnv | None:
     return VecMonitor(VecEpisodeStatistics(engine))
 
 
-def _shielded(experiment: ExperimentConfig, env: VecEnv) -> VecEnv:
-    return VecShielded(env, experiment.open()) if experiment.shield is Shield.CBF else env
+def _shielded(experiment: ExperimentConfig, env: VecEnv, penalty: float) -> VecEnv:
+    return VecShielded(env, experiment.open(), penalty) if experiment.shield is Shield.CBF else env
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
-from torch.nn import functional
 
 from lanebound.agents.learning.costs import CostCritic, EpisodeCosts, advantages, costs_in, require_flat
 from lanebound.agents.learning.multiplier import Multiplier, MultiplierConfig
@@ -60,7 +59,7 @@ class PPOLagrangian(PPO):
 
     def _setup_model(self) -> None:
         super()._setup_model()
-        self.cost_critic = CostCritic(require_flat(self.observation_space)).to(self.device)
+        self.cost_critic = CostCritic(require_flat(self.observation_space), self.cost_limit).to(self.device)
         self.cost_optimizer = torch.optim.Adam(self.cost_critic.parameters(), lr=self.cost_learning_rate)
         self._episodes = EpisodeCosts(self.n_envs)
         self._costs: list[NDArray[np.float32]] = []
@@ -111,7 +110,7 @@ class PPOLagrangian(PPO):
             order = torch.randperm(len(given), device=self.device)
             for start in range(0, len(given), self.batch_size):
                 batch = order[start : start + self.batch_size]
-                loss = functional.smooth_l1_loss(self.cost_critic(given[batch]), goal[batch])
+                loss = self.cost_critic.loss(given[batch], goal[batch])
                 self.cost_optimizer.zero_grad()
                 loss.backward()  # type: ignore[no-untyped-call]
                 torch.nn.utils.clip_grad_norm_(self.cost_critic.parameters(), self.max_grad_norm)

@@ -106,7 +106,7 @@ class SACLagrangian(SAC):
     def _setup_model(self) -> None:
         super()._setup_model()
         size = require_flat(self.observation_space) + int(np.prod(self.action_space.shape or (1,)))
-        self.cost_critic = CostCritic(size, (256, 256)).to(self.device)
+        self.cost_critic = CostCritic(size, self.cost_limit, (256, 256)).to(self.device)
         self.cost_target = copy.deepcopy(self.cost_critic)
         self.cost_optimizer = torch.optim.Adam(self.cost_critic.parameters(), lr=float(self.lr_schedule(1.0)))
         self._episodes = EpisodeCosts(self.n_envs)
@@ -156,8 +156,8 @@ class SACLagrangian(SAC):
             due = batch.costs + (1 - batch.dones) * self.cost_gamma * to_pay
         found = self.critic(batch.observations, batch.actions)
         _step(self.critic.optimizer, torch.stack([functional.mse_loss(q, goal) for q in found]).sum() / 2)
-        told = self.cost_critic(torch.cat([batch.observations, batch.actions], dim=1))[:, None]
-        _step(self.cost_optimizer, functional.smooth_l1_loss(told, due))
+        given = torch.cat([batch.observations, batch.actions], dim=1)
+        _step(self.cost_optimizer, self.cost_critic.loss(given, due[:, 0]))
 
     def _step_actor(self, batch: Batch, action: torch.Tensor, log_prob: torch.Tensor, alpha: torch.Tensor) -> None:
         weight = self.multiplier.value

@@ -32,6 +32,7 @@ class VecShielded(VecEnvWrapper):
     ----------
     venv : environments of one configuration that start anew at once
     single : one of them, asked for its observations, actions and limits; it is not driven
+    penalty : taken off the reward, times the mean square of what was changed of an action
 
     Raises
     ------
@@ -39,13 +40,14 @@ class VecShielded(VecEnvWrapper):
         As :class:`~lanebound.agents.drivers.barrier.BarrierFilter`.
     """
 
-    def __init__(self, venv: VecEnv, single: DrivingEnv) -> None:
+    def __init__(self, venv: VecEnv, single: DrivingEnv, penalty: float = 0.0) -> None:
         super().__init__(venv)
+        self._penalty = penalty
         self._given = _Given()
         self._filter = BarrierFilter(single, self._given)
         self._seen: Any = None
         self._starts = np.ones(venv.num_envs, dtype=np.bool_)
-        self._changed = np.zeros(venv.num_envs, dtype=np.bool_)
+        self._change = np.zeros((venv.num_envs, 1))
 
     def reset(self) -> Any:
         """Begin an episode in every environment."""
@@ -57,12 +59,13 @@ class VecShielded(VecEnvWrapper):
         """Hand on the nearest safe actions."""
         self._given.action = np.asarray(actions, dtype=np.float32)
         safe, _ = self._filter.predict(self._seen, episode_start=self._starts)
-        self._changed = np.any(safe != self._given.action, axis=-1)
+        self._change = safe - np.clip(self._given.action, -1.0, 1.0)
         self.venv.step_async(safe)
 
     def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """What came of them."""
         self._seen, rewards, self._starts, infos = self.venv.step_wait()
-        for info, changed in zip(infos, self._changed.tolist(), strict=True):
+        for info, changed in zip(infos, np.any(self._change != 0.0, axis=-1).tolist(), strict=True):
             info["shielded"] = changed
-        return self._seen, rewards, self._starts, infos
+        less = np.asarray(self._penalty * np.mean(self._change**2, axis=-1), dtype=np.float32)
+        return self._seen, rewards - less, self._starts, infos

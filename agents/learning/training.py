@@ -31,7 +31,7 @@ from lanebound.agents.kept import write_whole
 from lanebound.agents.learning.card import write_card
 from lanebound.agents.learning.evaluation import evaluate
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig
-from lanebound.agents.learning.opening import for_learning
+from lanebound.agents.learning.opening import episode_seeds, for_learning
 from lanebound.agents.plain import finite_or_none
 from lanebound.envs.costs import CAUSES
 from lanebound.envs.tally import EPISODE_KEY
@@ -90,6 +90,7 @@ def train(
     progress = _claim(experiment, out)
     with closing(for_learning(experiment, processes)) as env, one_thread():
         model = _model(experiment, env, out)
+        env.seed(episode_seeds(experiment, model.num_timesteps))  # stable-baselines3 has seeded it otherwise
         watch = _Watch(stepped)
         while model.num_timesteps < experiment.steps:
             chunk = min(experiment.checkpoint_steps, experiment.steps - model.num_timesteps)
@@ -222,7 +223,7 @@ def is_best(progress: list[dict[str, Any]], limit: float) -> bool:
     """
 
     def worth(row: Mapping[str, float]) -> tuple[float, float]:
-        high = row["cost"] + row["cost_se"]
+        high = row["cost"] + row.get("cost_se", 0.0)  # older evaluations have none
         return (1.0, row["return"]) if high <= limit else (0.0, -high)
 
     return all(worth(progress[-1]) >= worth(row) for row in progress[:-1])

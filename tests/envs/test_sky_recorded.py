@@ -10,33 +10,18 @@ import numpy as np
 import pytest
 from city_drives import simulated, walled
 from highway_env.road.road import RoadNetwork
+from recorded_skies import LENGTH_M, wall_on_the_left
 
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.sky import SkyLevel, Street, build_street, cache
 from lanebound.envs.worlds.networks import city_loop
 from lanebound.integrity.errors import ConfigError, InputError
-from lanebound.integrity.recorded.sky_recording import SkyRecording
 from lanebound.integrity.replay.sky_record import record_sky
 from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.sky.visibility import Path
 from lanebound.integrity.streams import named_generator
 
-LENGTH_M, TURN = 400.0, 2.0 * np.pi
-
-
-def wall_on_the_left() -> SkyRecording:
-    """From 100 to 300 m nothing is received from the left; signals from the right come 25 m late below 30 degrees."""
-    arc, azimuth, elevation = (
-        v.ravel()
-        for v in np.meshgrid(np.arange(2.5, LENGTH_M, 5.0), np.radians(np.arange(5.0, 360.0, 10.0)),
-                             np.radians([15.0, 45.0, 75.0]))
-    )  # fmt: skip
-    beside, right = (arc > 100.0) & (arc < 300.0), np.sin(azimuth) > 0.0
-    path = np.where(beside & ~right, Path.BLOCKED, Path.LOS)
-    path = np.where(beside & right & (elevation < np.radians(30.0)), Path.REFLECTED, path).astype(np.uint8)
-    excess = np.where(path == Path.REFLECTED, 25.0, 0.0)
-    name = np.full(arc.size, "G01")
-    return SkyRecording(name, arc, azimuth, elevation, path, excess, np.full(arc.size, 45.0), LENGTH_M)
+TURN = 2.0 * np.pi
 
 
 @pytest.fixture

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from experiments import experiment
 
-from lanebound.agents.learning.opening import for_judging
+from lanebound.agents.benchmark.seeds import SPLITS
+from lanebound.agents.learning.opening import episode_seeds, for_judging, for_learning
 
 GIVEN = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "duration_s": 2.0}
 
@@ -17,3 +19,27 @@ def test_an_experiment_in_the_city_is_driven_by_the_engine(changes: dict[str, ob
     env = for_judging(experiment(overrides=GIVEN, **changes), 3)
     assert env.num_envs == count
     env.close()
+
+
+def test_no_two_trainings_share_episodes_nor_meet_those_of_evaluations() -> None:
+    count = 64
+    firsts = [episode_seeds(experiment(seed=seed, count=count), steps) for seed in range(20) for steps in (0, 50_000)]
+    seeds = np.sort(firsts)
+    assert (np.diff(seeds) >= count).all()
+    assert seeds[0] > max(max(split) for split in SPLITS.values())
+    assert seeds[-1] + count <= 2**31
+    assert firsts == [episode_seeds(experiment(seed=s, count=count), steps) for s in range(20) for steps in (0, 50_000)]
+
+
+def test_what_the_filter_changes_costs_reward_in_training_alone() -> None:
+    def rewards(penalty: float) -> np.ndarray:
+        changes = {"env": "CarFollowing", "shield": "cbf", "shield_penalty": penalty, "overrides": GIVEN}
+        env = for_learning(experiment(**changes), 1)
+        env.reset()
+        found = env.step(np.tile(np.float32([1.0, 1.0]), (env.num_envs, 1)))[1]
+        env.close()
+        return np.asarray(found)
+
+    free, dear, dearer = (rewards(penalty) for penalty in (0.0, 1.0, 3.0))
+    assert (free - dear > 0.01).all()
+    np.testing.assert_allclose(free - dearer, 3.0 * (free - dear), rtol=1e-5)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from recorded_skies import wall_on_the_left
 
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.registration import make_config
+from lanebound.envs.sky import cache
 from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.engine import Engine
 from lanebound.integrity.errors import ConfigError
@@ -91,6 +94,15 @@ def test_with_the_same_draws_it_is_the_single_environment(name: str, config: dic
     assert pairs.tally.steps >= 8
     crews = pairs.engine.world.whole[:, k.PRESENT].sum(1)
     assert name != "UrbanCanyon" or crews[0] != crews[1], "one has an empty place that the other has not"
+
+
+def test_under_a_recorded_sky_it_is_the_single_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cache, "folder", lambda: tmp_path / "streets")
+    wall_on_the_left().save(tmp_path / "wall.csv")
+    pairs = Pairs("LaneKeeping", {"sky": str(tmp_path / "wall.csv"), "layouts": 2}, 3, 5)
+    pairs.step(25)
+    require_equal(pairs.tally)
+    assert pairs.tally.steps >= 20
 
 
 def test_an_episode_that_starts_while_others_drive_is_the_single_one() -> None:
