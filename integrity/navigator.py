@@ -502,6 +502,7 @@ def _declared(c: NavigatorConfig) -> Array:
         nk.FAULT_DURATION: c.risk.fault_duration_s,
         nk.LEVER_FORWARD: c.positioning.antenna_forward_m, nk.LEVER_RIGHT: c.positioning.antenna_right_m,
         nk.AXLE: c.positioning.axle_m,
+        nk.AFTER_JUMP: r.jump_quarantine_s, nk.AFTER_OUTAGE: r.return_quarantine_s,
     }  # fmt: skip
     par = np.zeros(nk.NP)
     par[nk.WATCH_LIMITS :] = o.watch.packed(o)

@@ -50,7 +50,18 @@ from lanebound.integrity.monitoring.geometry_kernel import (
     X_U,
     scratch,
 )
-from lanebound.integrity.monitoring.jump_kernel import D_E, D_N, DOUBT_SIZE, add_doubt, judge_jump
+from lanebound.integrity.monitoring.jump_kernel import (
+    ACCEPTED,
+    DOUBT_SIZE,
+    QUARANTINED,
+    REFUSED,
+    bounded,
+    in_doubt,
+    judge_jump,
+    pass_time,
+    suspects_signals,
+    widen,
+)
 from lanebound.integrity.monitoring.protection_kernel import (
     budgets_of,
     closed_form,
@@ -129,8 +140,10 @@ TEST_FAILED_CAUSE, INITIALISING_CAUSE = 5, 7  # codes of AlertReason
     STILL_SPEED,
     FAULT_DURATION,
     AXLE,
-) = range(23)
-WATCH_LIMITS = 23  # first of LIMITS
+    AFTER_JUMP,
+    AFTER_OUTAGE,
+) = range(25)
+WATCH_LIMITS = 25  # first of LIMITS
 NP = WATCH_LIMITS + LIMITS
 
 # columns of ``start``, what the last RTK position left to each case: a bound beside ``K sigma``, the whole level [m]
@@ -410,8 +423,10 @@ def _epoch(  # type: ignore[no-untyped-def]
     geo, head, columns, rows, rows_e, rows_group, found, out, pl, covariance,
 ):  # fmt: skip
     """The whole epoch of vehicle v; x to fix_risk and the alert arrays are its state."""
-    dt, n_sat = par[DT], e.shape[0]
+    dt, n_sat, doubt = par[DT], e.shape[0], x[DOUBT:WATCH]
     pl[:] = math.inf
+    pass_time(dt, doubt)
+    suspect = suspects_signals(doubt)
     x[SINCE_RTK] += dt
     x[SINCE_CAL] += dt
 
@@ -424,7 +439,11 @@ def _epoch(  # type: ignore[no-untyped-def]
         e, used, variance, range_rate, velocity_enu, q_v, solved, system, priors[0], apart
     )  # fmt: skip
     later = 1.0 + x[SINCE_RTK] / par[FAULT_DURATION] if x[SINCE_RTK] < math.inf else 1.0
-    checked = solved and (operative_published or later * lost <= AFFORDABLE * (k_dead[0, RISK_AT] + k_dead[0, RISK_CT]))
+    checked = (
+        solved
+        and not suspect
+        and (operative_published or later * lost <= AFFORDABLE * (k_dead[0, RISK_AT] + k_dead[0, RISK_CT]))
+    )
     turning, s_0, c_0 = delta_theta[2] / dt - x[GYRO_BIAS], math.sin(x[HEADING]), math.cos(x[HEADING])
     v_e = velocity_enu[0] - turning * (c_0 * par[LEVER_FORWARD] - s_0 * par[LEVER_RIGHT])  # antenna to reference point
     v_n = velocity_enu[1] + turning * (s_0 * par[LEVER_FORWARD] + c_0 * par[LEVER_RIGHT])
@@ -435,7 +454,7 @@ def _epoch(  # type: ignore[no-untyped-def]
     slip = side_slip(par[AXLE], turning, v_ss)
     middle = wrap(attitude(x, par, delta_theta[2]) + slip)  # the way that the reference point takes
     carry, p_hh = math.sqrt(x[P_HH] / p_before), x[P_HH]  # growth as one error: the bound of its effect on the position
-    if solved and not resting:
+    if solved and not resting and not suspect:
         if calibrate(x, par, heading_limits, v_e, v_n, q_v[0, 0], q_v[0, 1], q_v[1, 1], v_ss, slip, hdop_doppler):
             carry *= x[P_HH] / p_hh
             x[SINCE_CAL] = 0.0
@@ -466,24 +485,31 @@ def _epoch(  # type: ignore[no-untyped-def]
             growth, start, apart, system, sin_h, cos_h, k_dead, published, shift, priors[0], later, shares[1],
             shares[3] > 0.0, pl,
         )  # fmt: skip
+    found[:] = 0.0
     if confirmed and rtk_usable(hdop_rtk, mode_limits):
-        found[:] = math.inf
         levels_rtk(n_rtk, rows, rows_group, sin_h, cos_h, risks, shares, spent + wrong, priors, k_fa, k_published,
                    shift, geo, head, columns, found)  # fmt: skip
-        forward, right, doubt = par[LEVER_FORWARD], par[LEVER_RIGHT], x[DOUBT:WATCH]
-        east = head[X_E] - sin_h * forward - cos_h * right - doubt[D_E]
-        north = head[X_N] - cos_h * forward + sin_h * right - doubt[D_N]
-        jump_e, jump_n = east - x[EAST], north - x[NORTH]
-        before_e, before_n = doubt[D_E], doubt[D_N]
-        if not initialised or judge_jump(jump_e, jump_n, sin_h, cos_h, pl[0], found[0], doubt):
+        forward, right = par[LEVER_FORWARD], par[LEVER_RIGHT]
+        east = head[X_E] - sin_h * forward - cos_h * right
+        north = head[X_N] - cos_h * forward + sin_h * right
+        verdict = ACCEPTED if bounded(found[0]) or not bounded(pl[0]) else QUARANTINED  # what is bounded is better
+        if initialised and verdict == ACCEPTED:
+            verdict = judge_jump(
+                east - x[EAST], north - x[NORTH], sin_h, cos_h, pl[0], found[0], x[SINCE_RTK] < 1.5 * dt,
+                x[CONFLICT_S] > CONFLICT_LIMIT_S, (par[AFTER_JUMP], par[AFTER_OUTAGE]), doubt,
+            )  # fmt: skip
+        if verdict == ACCEPTED:
             mode, pl[:] = RTK, found
-            x[EAST], x[NORTH] = east + before_e - doubt[D_E], north + before_n - doubt[D_N]
-            x[UP] = head[X_U]
+            x[EAST], x[NORTH], x[UP] = east, north, head[X_U]
             x[SINCE_RTK], x[INITIALISED], x[UNBOUNDED] = 0.0, 1.0, 0.0
             restart(growth, start, apart, x, pl, k_dead, shift, published, x[P_HH], head, sin_h, cos_h)
         else:
-            status, x[FIXED_S], held[:] = FAULT, 0.0, False
-    add_doubt(sin_h, cos_h, x[DOUBT:WATCH], pl)
+            status = FAULT
+        if verdict == REFUSED:
+            x[FIXED_S], held[:] = 0.0, False
+    doubted = in_doubt(doubt)
+    if doubted:
+        widen(sin_h, cos_h, found, doubt, pl)
     x[HAS_VEL] = 1.0 if measured else 0.0
     if mode == RTK and measured:
         remember_velocity(q_v[0, 0], q_v[0, 1], q_v[1, 1], growth)
@@ -495,7 +521,7 @@ def _epoch(  # type: ignore[no-untyped-def]
     if mode == RTK:
         sigma_at, sigma_ct = head[SIGMA0_AT], head[SIGMA0_CT]
     cause = INITIALISING_CAUSE if mode == NONE else 0
-    if x[UNBOUNDED] > 0.0 and mode != RTK and mode != NONE:
+    if doubted or (x[UNBOUNDED] > 0.0 and mode != RTK and mode != NONE):
         cause = TEST_FAILED_CAUSE
     available = alert_step(
         v, cause, pl[0, 0], pl[0, 1], sigma_at, sigma_ct, dt, alert_limits, alert, reason, onset, clear

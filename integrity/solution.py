@@ -39,8 +39,8 @@ class Solution:
     corrections_age_s : (B,) age of the reference data (inf when the link is out)
     wrong_fix_risk : (B,) probability that the held ambiguities are wrong
     held : (B, S) bool, satellites whose ambiguities are fixed and held
-    doubt_en_m : (B, 2) jump of RTK that the levels do not allow and that RTK has not taken back; the position does not
-        follow it, and the levels cover both (:mod:`~lanebound.integrity.monitoring.jump_kernel`)
+    doubt_en_m : (B, 2) RTK's position less the one reckoned while RTK is not believed, which the levels cover; else 0
+        (:mod:`~lanebound.integrity.monitoring.jump_kernel`)
     """
 
     time_s: float

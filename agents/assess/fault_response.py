@@ -66,6 +66,7 @@ class Response:
     misleading : epochs in which the error exceeds its level and the position is declared usable
     epochs : counted, from the onset to the end
     worst_m : largest error on an axis while the position is declared usable
+    lost : at the end there is no usable position, which the vehicle without the fault has
     """
 
     noticed_s: Array
@@ -78,6 +79,7 @@ class Response:
     misleading: Ints
     epochs: int
     worst_m: Array
+    lost: Bools
 
 
 def drive_run(
@@ -167,6 +169,7 @@ def measure_response(faulty: Run, sound: Run, onset_s: Array, limits_m: tuple[fl
         misleading=((size > faulty.level_m).any(-1) & usable).sum(0),
         epochs=int(after.sum()),
         worst_m=np.where(usable[..., None], size, 0.0).max((0, 2)),
+        lost=np.asarray((sound.available & ~faulty.available)[-1]),
     )
 
 

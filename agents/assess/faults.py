@@ -40,7 +40,7 @@ SIZES_TRIED: dict[FaultKind, tuple[float, ...]] = {
     K.CONSTELLATION: (0.1, 0.5, 2.0, 10.0),
     K.CYCLE_SLIP: (1, 3, 10),
     K.REFERENCE_COORDINATES: (0.05, 0.5, 2.0),
-    K.SPOOFING: (0.5, 2.0, 10.0, 50.0),
+    K.SPOOFING: (0.5, 2.0, 10.0, 50.0, 200.0),
     K.JAMMING: (10.0, 20.0, 40.0),
     K.CORRECTIONS_LOSS: (0.0,),
     K.GYRO_BIAS: (0.1, 0.5, 2.0),
@@ -64,7 +64,7 @@ class FaultsConfig(Config):
     vehicles: int = Field(16, ge=1, description="vehicles, and seeds, that meet each fault")
     first_seed: int = Field(1, ge=0, description="seed of the first")
     warm_up_s: float = Field(40.0, ge=10, description="before the fault; positions are fixed by then")
-    after_s: float = Field(15.0, gt=0, description="after the fault")
+    after_s: float = Field(75.0, gt=0, description="after the fault; longer than RTK may be kept in quarantine")
     durations_s: tuple[float, ...] = Field((2.0, 20.0), min_length=1, description="lengths of faults")
     kinds: tuple[FaultKind, ...] = Field(tuple(SIZES_TRIED), min_length=1, description="kinds of faults")
     control_s: float = Field(600.0, gt=60, description="length of the drive without faults")
@@ -231,6 +231,7 @@ def _summed(found: Response, time_to_alert_s: float) -> dict[str, Any]:
         "misleading": rate_of(int(found.misleading.sum()), found.epochs),
         "misled_vehicles": int((found.misleading > 0).sum()),
         "worst_m": float(found.worst_m.max()),
+        "lost": int(found.lost.sum()),
     }
 
 

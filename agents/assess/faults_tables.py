@@ -19,7 +19,7 @@ def fault_rows(result: Mapping[str, Any]) -> Table:
     """One row for each fault."""
     columns = (
         "fault", "noticed", "after [s]", "excluded", "slipped", "alerted", "error > AL", "late alerts", "HMI rate",
-        "error > PL", "largest [m]",
+        "error > PL", "largest [m]", "lost at end",
     )  # fmt: skip
     return columns, [_fault_row(cell) for cell in result["faults"]]
 
@@ -40,6 +40,7 @@ def _fault_row(cell: Mapping[str, Any]) -> tuple[str, ...]:
         f"{cell['hazardous']['rate']:.2g}",
         f"{cell['misleading']['rate']:.2g}",
         f"{cell['worst_m']:.2f}",
+        f"{cell['lost']}/{of}",
     )
 
 

@@ -76,7 +76,7 @@ def _with_bar(
 
 def _report(found: dict[str, Any], out: Path, as_json: bool) -> None:
     from lanebound.agents.cli.output import print_json, print_table
-    from lanebound.agents.learning.study_tables import SHOWN
+    from lanebound.agents.learning.study_tables import PRIMARY, SHOWN
 
     if as_json:
         print_json(found)
@@ -89,6 +89,14 @@ def _report(found: dict[str, Any], out: Path, as_json: bool) -> None:
         rows += [(agent, "", *(_short(means.get(key)) for key in SHOWN)) for agent, means in place["beside"].items()]
         headings = ("arm", "trained", *(key.replace("_", " ") for key in SHOWN))
         print_table(f"{place['env']}, {place['sky']}: means over trainings, 95 %", headings, rows)
+        differences = [
+            (arm, *(_tested(of["less_reference"][key]) for key in PRIMARY))
+            for arm, of in place["arms"].items()
+            if of["less_reference"]
+        ]
+        if differences:
+            title = f"less {found['study']['reference']}, 95 %, p by Holm's method over all places"
+            print_table(title, ("arm", *PRIMARY), differences)
     trainings = found["trainings"]
     if trainings["done"] < trainings["planned"]:
         typer.echo(f"{trainings['done']} of {trainings['planned']} trainings are done: the same command goes on")
@@ -102,3 +110,8 @@ def _short(value: float | None) -> str:
 def _spread(estimate: dict[str, Any]) -> str:
     low, high = estimate["low"], estimate["high"]
     return _short(estimate["mean"]) + ("" if low is None else f" [{low:.3g}, {high:.3g}]")
+
+
+def _tested(found: dict[str, Any]) -> str:
+    p = found.get("p_holm")
+    return _spread(found | {"mean": found["difference"]}) + ("" if p is None else f" p {p:.2g}")

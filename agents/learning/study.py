@@ -28,7 +28,7 @@ from lanebound.agents.episodes.opening import full_id
 from lanebound.agents.kept import claim, run_parts, write_whole
 from lanebound.agents.learning.evaluation import drive_all
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig, Shield
-from lanebound.agents.learning.study_tables import means_of, summarise
+from lanebound.agents.learning.study_tables import adjust, means_of, summarise
 from lanebound.agents.learning.training import load_model, one_thread, train
 from lanebound.agents.named import load_named
 from lanebound.agents.plain import finite_or_none
@@ -247,7 +247,7 @@ def _written(
     from lanebound.agents.learning.study_figure import curves_figure
     from lanebound.integrity.assessment.plotting import save
 
-    found = {
+    found: dict[str, Any] = {
         "study": study.to_dict(),
         "trainings": {"planned": len(course.trainings), "done": len(done)},
         "left_out": [list(pair) for pair in course.left_out],
@@ -266,6 +266,7 @@ def _written(
             for (env, sky), results in beside.items()
         ],
     }
+    adjust(found["places"])
     found = finite_or_none(found)
     write_whole(out / "results.json", found)
     if done:

@@ -1,21 +1,30 @@
-"""What arms come to in a place: a training is one draw of an arm, however many episodes its policy drives."""
+"""What arms come to in a place: a training is one draw of an arm, however many episodes its policy drives.
+
+Trainings are few, so intervals and tests are Student's, which takes their means for normal; a share that is the same in
+all trainings has the interval of Clopper and Pearson over the episodes. All trainings of a place are judged on the same
+episodes, in the cities that they were learnt in: the intervals tell of learning anew, not of driving elsewhere.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtr, stdtrit
 
-from lanebound.agents.benchmark.metrics import METRICS
 from lanebound.agents.benchmark.results import Results
-from lanebound.agents.benchmark.statistics import difference, estimate
+from lanebound.agents.benchmark.statistics import estimate, holm
 
-__all__ = ["SHOWN", "means_of", "summarise"]
+__all__ = ["PRIMARY", "SHOWN", "adjust", "means_of", "summarise"]
 
 SHOWN = ("return", "cost", "over_cost_limit", "harm", "collision", "off_road", "lane_departure", "throughput")
 """Metrics that are summed up, by their names in the benchmark."""
+PRIMARY = ("return", "cost", "harm")
+"""Those whose differences from the reference are tested together, by Holm's method."""
+RATES = ("over_cost_limit", "collision", "off_road", "lane_departure")
 
 Array = NDArray[np.float64]
 
@@ -26,12 +35,13 @@ def summarise(parts: Sequence[Mapping[str, Any]], arms: Sequence[str], reference
     Trainings with the same seed are paired. ``parts`` are the finished trainings of a place, each with its ``arm``,
     ``seed`` and ``episodes`` as :func:`~.evaluation.drive_all` has them.
     """
+    episodes = sum(len(part["episodes"]) for part in parts) // max(len(parts), 1)
     by_arm = {arm: {part["seed"]: _means(part["episodes"]) for part in parts if part["arm"] == arm} for arm in arms}
     return {
         "arms": {
             arm: {
                 "seeds": sorted(trainings),
-                "means": {key: estimate(_column(trainings, key)).to_dict() for key in SHOWN},
+                "means": {key: _estimate(trainings, key, episodes * len(trainings)) for key in SHOWN},
                 "less_reference": _differences(trainings, by_arm[reference]) if arm != reference else {},
             }
             for arm, trainings in by_arm.items()
@@ -53,17 +63,60 @@ def _means(episodes: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return {key: float(np.mean([row[key] for row in episodes])) for key in SHOWN}
 
 
-def _column(trainings: dict[int, dict[str, float]], key: str) -> Array:
-    return np.array([row[key] for _, row in sorted(trainings.items()) if key in row])
+def _estimate(trainings: Mapping[int, Mapping[str, Any]], key: str, episodes: int) -> dict[str, Any]:
+    """Mean over trainings with its 95 % interval; None where there is one training."""
+    values = _column(trainings, key)
+    low, high = _student(values)
+    if key in RATES and values.size > 1 and np.ptp(values) == 0.0:
+        pooled = np.arange(episodes) < round(float(values[0]) * episodes)
+        found = estimate(pooled.astype(np.float64), rate=True)
+        low, high = found.low, found.high
+    return {"mean": float(values.mean()), "low": low, "high": high, "n": int(values.size)}
 
 
-def _differences(ours: dict[int, dict[str, float]], theirs: dict[int, dict[str, float]]) -> dict[str, Any]:
-    """Of each metric, over the seeds that both have."""
-    better = {metric.key: metric.better for metric in METRICS}
-    out = {}
+def _student(values: Array) -> tuple[float, float] | tuple[None, None]:
+    """Ends of Student's 95 % interval of a mean."""
+    if values.size < 2:
+        return None, None
+    mean, error = float(values.mean()), float(values.std(ddof=1)) / math.sqrt(values.size)
+    reach = error * float(stdtrit(values.size - 1, 0.975))
+    return mean - reach, mean + reach
+
+
+def _column(trainings: Mapping[int, Mapping[str, Any]], key: str) -> Array:
+    return np.array([trainings[seed][key] for seed in sorted(trainings)])
+
+
+def _differences(ours: Mapping[int, Mapping[str, Any]], theirs: Mapping[int, Mapping[str, Any]]) -> dict[str, Any]:
+    """Of each metric, over the seeds that both have; ``p`` of no difference."""
+    both, out = sorted(ours.keys() & theirs.keys()), {}
     for key in SHOWN:
-        both = [seed for seed in sorted(ours.keys() & theirs.keys()) if key in ours[seed] and key in theirs[seed]]
-        a, b = (np.array([rows[seed][key] for seed in both]) for rows in (ours, theirs))
-        found = difference(a, b, better[key])
-        out[key] = {name: getattr(found, name) for name in ("difference", "low", "high", "n", "p")}
+        gap = np.array([ours[seed][key] - theirs[seed][key] for seed in both])
+        low, high = _student(gap)
+        out[key] = {"difference": float(gap.mean()) if both else None, "low": low, "high": high, "n": len(both),
+                    "p": _p_value(gap)}  # fmt: skip
     return out
+
+
+def _p_value(gap: Array) -> float | None:
+    """Two-sided, of Student's paired test."""
+    if gap.size < 2:
+        return None
+    error = float(gap.std(ddof=1)) / math.sqrt(gap.size)
+    if error == 0.0:
+        return 1.0 if gap[0] == 0.0 else 0.0
+    return 2.0 * float(stdtr(gap.size - 1, -abs(float(gap.mean())) / error))
+
+
+def adjust(places: Sequence[Mapping[str, Any]]) -> None:
+    """Write ``p_holm`` beside each ``p`` of the PRIMARY metrics, adjusted for all places, arms and these metrics."""
+    tests = [
+        less[key]
+        for place in places
+        for arm in place["arms"].values()
+        if (less := arm["less_reference"])
+        for key in PRIMARY
+        if less[key]["p"] is not None
+    ]
+    for test, p in zip(tests, holm([test["p"] for test in tests]), strict=True):
+        test["p_holm"] = p

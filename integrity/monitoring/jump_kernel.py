@@ -1,4 +1,4 @@
-"""RTK against the position that was expected of it: a jump that the levels of both do not allow.
+"""RTK against the position that was expected of it, and quarantine for who contradicts himself.
 
 Each epoch the position first goes on from the last RTK fix by Doppler or odometer, with the protection level it would
 have had without RTK. When both levels hold, the new RTK position lies within their sum of it, on either axis. A wrong
@@ -7,13 +7,19 @@ residuals are perfect. What is done then:
 
 1. The first contradiction refuses RTK and gives up the integers, so that a wrong fix heals by itself.
 2. When integers resolved anew contradict as well, one of the two histories is wrong and nobody can say which. RTK is
-   then used for how the vehicle *moves*, ``position = RTK - doubt``, so that nothing jumps in the driver's hands, and
-   both histories are covered: every level grows by ``abs(doubt_q) + box_q``, where the box bounds what was expected.
-3. When RTK jumps back, so that what is left of the doubt contradicts nothing, the doubt is gone.
+   not used until a quarantine is over: a long one where RTK jumped from one epoch to the next, a short one where it
+   came back from an outage, for wheels, gyros and reflections fail more often than all signals do. Doppler, of the same
+   signals, neither moves the position nor calibrates the heading meanwhile.
+3. So it is where Doppler and odometer contradict each other while RTK goes on: one of them lies, and RTK may lie with
+   Doppler.
+4. In all of this the position goes on by what is left, under an alert, and the levels cover both histories: that of
+   reckoning, which grows, and RTK's, the difference ``D`` away.
+5. After the quarantine RTK is believed again, wherever it is: a spoofer who waits so long is not told from a repair.
 
-A fault that is there from the first fix on, or creeps slower than the levels grow, does not jump and is not seen.
+What is there from the first fix on, or creeps more slowly than the levels of an epoch allow and Doppler shows, is not
+seen.
 
-``doubt`` (DOUBT_SIZE,): DISPUTED 1 after a first contradiction; D_E, D_N [m] the sum of the jumps; BOX_E, BOX_N [m].
+``doubt`` (DOUBT_SIZE,): STAGE; LEFT_S of the quarantine [s]; D_E, D_N [m] RTK's position less the one reckoned.
 """
 
 from __future__ import annotations
@@ -23,12 +29,14 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.accel import jit
 
-__all__ = ["DOUBT_SIZE", "add_doubt", "contradicts", "judge_jump"]
+__all__ = ["DOUBT_SIZE", "bounded", "contradicts", "in_doubt", "judge_jump", "pass_time", "suspects_signals", "widen"]
 
 Array = NDArray[np.float64]
 
-DISPUTED, D_E, D_N, BOX_E, BOX_N = range(5)
-DOUBT_SIZE = 5
+STAGE, LEFT_S, D_E, D_N = range(4)
+DOUBT_SIZE = 4
+TRUSTED, JUMPED, RETURNED, PARDONED = range(4)  # stages: no doubt; after a first contradiction; after a quarantine
+ACCEPTED, REFUSED, QUARANTINED = range(3)  # verdicts; REFUSED: the integers are to be given up
 
 
 @jit
@@ -45,33 +53,74 @@ def contradicts(east: float, north: float, sin_h: float, cos_h: float, expected:
 
 
 @jit
-def judge_jump(
-    east: float, north: float, sin_h: float, cos_h: float, expected: Array, found: Array, doubt: Array
-) -> bool:
-    """Whether the RTK position may be used, (east, north) [m] from where it was expected; keeps the doubt.
-
-    ``expected`` and ``found`` (2,) are the levels AT, CT of either [m], infinite where there is none.
-    """
-    if not contradicts(east, north, sin_h, cos_h, expected, found):
-        doubt[DISPUTED] = 0.0
-        return True
-    if doubt[DISPUTED] == 0.0:
-        doubt[DISPUTED] = 1.0
-        return False
-    east, north = doubt[D_E] + east, doubt[D_N] + north
-    doubt[:] = 0.0
-    if contradicts(east, north, sin_h, cos_h, expected, found):
-        doubt[D_E], doubt[D_N] = east, north
-        doubt[BOX_E] = abs(sin_h) * expected[0] + abs(cos_h) * expected[1]
-        doubt[BOX_N] = abs(cos_h) * expected[0] + abs(sin_h) * expected[1]
-    return True
+def bounded(level: Array) -> bool:
+    """Whether there is a level on both axes, (2,)."""
+    return bool(level[0] < np.inf and level[1] < np.inf)
 
 
 @jit
-def add_doubt(sin_h: float, cos_h: float, doubt: Array, pl: Array) -> None:
-    """Widen the levels pl (R, 2) in place, so that they hold whichever history is the right one."""
-    if doubt[D_E] == 0.0 and doubt[D_N] == 0.0:
-        return
+def in_doubt(doubt: Array) -> bool:
+    """Whether RTK has contradicted and has not been accepted since."""
+    return bool(doubt[LEFT_S] > 0.0 or doubt[STAGE] != TRUSTED)
+
+
+@jit
+def suspects_signals(doubt: Array) -> bool:
+    """Whether Doppler is not to be used either."""
+    return bool(doubt[LEFT_S] > 0.0 or doubt[STAGE] == JUMPED)
+
+
+@jit
+def pass_time(dt: float, doubt: Array) -> None:
+    """An epoch of ``dt`` [s] begins; a quarantine that is over ends in pardon."""
+    if doubt[LEFT_S] > 0.0:
+        doubt[LEFT_S] -= dt
+        if not doubt[LEFT_S] > 0.5 * dt:
+            doubt[LEFT_S], doubt[STAGE] = 0.0, PARDONED
+
+
+@jit
+def judge_jump(
+    east: float, north: float, sin_h: float, cos_h: float, expected: Array, found: Array, lasting: bool, conflict: bool,
+    quarantine_s: tuple[float, float], doubt: Array,
+) -> int:  # fmt: skip
+    """Whether the RTK position is ACCEPTED, (east, north) [m] from where it was expected; keeps the doubt.
+
+    Parameters
+    ----------
+    expected, found : (2,) levels AT, CT of either [m], infinite where there is none
+    lasting : the epoch before had an RTK position as well
+    conflict : Doppler and odometer contradict each other, and have for a while
+    quarantine_s : after a jump, and after an outage
+    """
+    if doubt[LEFT_S] > 0.0:
+        doubt[D_E], doubt[D_N] = east, north
+        return QUARANTINED
+    if doubt[STAGE] == PARDONED:
+        doubt[:] = 0.0
+        return ACCEPTED
+    jumped = doubt[STAGE] == JUMPED
+    together = conflict and (lasting or jumped)
+    proven = bounded(expected) or not jumped  # a jump is not forgotten where nothing speaks for it
+    if proven and not (together or contradicts(east, north, sin_h, cos_h, expected, found)):
+        doubt[:] = 0.0
+        return ACCEPTED
+    doubt[D_E], doubt[D_N] = east, north
+    if doubt[STAGE] == TRUSTED and not together:
+        doubt[STAGE] = JUMPED if lasting else RETURNED
+        return REFUSED
+    doubt[LEFT_S] = quarantine_s[1] if doubt[STAGE] == RETURNED else quarantine_s[0]
+    doubt[STAGE] = TRUSTED
+    if doubt[LEFT_S] > 0.0:
+        return QUARANTINED
+    doubt[:] = 0.0
+    return ACCEPTED
+
+
+@jit
+def widen(sin_h: float, cos_h: float, found: Array, doubt: Array, pl: Array) -> None:
+    """Widen levels of reckoning pl (R, 2) in place so that RTK's history is covered too, of levels ``found`` (R, 2)."""
     at, ct = along_across(doubt[D_E], doubt[D_N], sin_h, cos_h)
-    pl[:, 0] += at + abs(sin_h) * doubt[BOX_E] + abs(cos_h) * doubt[BOX_N]
-    pl[:, 1] += ct + abs(cos_h) * doubt[BOX_E] + abs(sin_h) * doubt[BOX_N]
+    for r in range(pl.shape[0]):
+        pl[r, 0] += at + found[r, 0]
+        pl[r, 1] += ct + found[r, 1]

@@ -85,6 +85,15 @@ class RtkConfig(Config):
         ge=0,
         description="how long a regained fix must pass its tests before it is used [s]; S1: breaks of 1 s and more",
     )
+    jump_quarantine_s: float = Field(
+        60.0,
+        ge=0,
+        description="how long RTK is not believed after it has jumped against what was expected of it [s]; longer than "
+        "a minute of reckoning is of no use",
+    )
+    return_quarantine_s: float = Field(
+        5.0, ge=0, description="and after it has come back from an outage elsewhere than expected [s]; argued"
+    )
     hold_failures: int = Field(
         2, ge=1, description="rejected epochs in a row after which all held ambiguities are given up [-]"
     )

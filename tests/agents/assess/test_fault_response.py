@@ -51,6 +51,7 @@ def test_each_thing_is_told_of_its_vehicle() -> None:
     faulty.alert[36:, 1] = True  # six epochs late
     faulty.error_m[45:, 2, 0] = -0.5
     faulty.held[40, 2] = 11  # at 4.1 s
+    faulty.available[-1, 2] = faulty.available[20, 0] = False
     found = measure_response(faulty, quiet(), ONSET, (1.0, 1.0))
     np.testing.assert_allclose(found.noticed_s, [0.5, 1.6, 2.1])
     assert found.excluded.tolist() == [True, False, False]
@@ -61,6 +62,7 @@ def test_each_thing_is_told_of_its_vehicle() -> None:
     assert found.hazardous.tolist() == [0, 6, 0]
     assert found.misleading.tolist() == [0, 6, 5]
     np.testing.assert_allclose(found.worst_m, [0.01, 2.0, 0.5])
+    assert found.lost.tolist() == [False, False, True]
 
 
 def test_what_the_sound_vehicle_does_too_is_no_response() -> None:

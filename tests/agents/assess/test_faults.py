@@ -60,11 +60,16 @@ def test_corrections_lost_for_seconds_never_mislead(short: tuple[Path, dict[str,
     assert found["misleading"]["events"] == 0
 
 
-def test_wrong_reference_coordinates_mislead_unseen(short: tuple[Path, dict[str, Any]]) -> None:
-    """No test of the rover can see them: the position moves by as much."""
-    found = cell(short[1], FaultKind.REFERENCE_COORDINATES, 2.0)
-    assert found["worst_m"] > 1.0
-    assert found["hazardous"]["events"] > 0
+def test_reference_coordinates_that_jump_are_noticed_at_once_and_not_followed(
+    short: tuple[Path, dict[str, Any]],
+) -> None:
+    for size in (0.5, 2.0):
+        found = cell(short[1], FaultKind.REFERENCE_COORDINATES, size)
+        assert found["noticed"]["events"] == 4
+        assert found["noticed_median_s"] == pytest.approx(0.1)
+        assert found["hazardous"]["events"] == found["misleading"]["events"] == 0
+        assert found["lost"] == 4, "whoever has contradicted himself is not believed for a minute"
+    assert cell(short[1], FaultKind.REFERENCE_COORDINATES, 0.05)["noticed"]["events"] == 0
 
 
 def test_a_lie_misleads_who_hears_it_and_nobody_notices(short: tuple[Path, dict[str, Any]]) -> None:

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import sem, ttest_1samp
+from scipy.stats import t as student_t
 from typer.testing import CliRunner
 
 from lanebound.agents.benchmark.metrics import metric_named
@@ -26,7 +28,7 @@ from lanebound.agents.learning.study import (
     run_learning_study,
 )
 from lanebound.agents.learning.study_figure import curves_figure
-from lanebound.agents.learning.study_tables import SHOWN, summarise
+from lanebound.agents.learning.study_tables import SHOWN, adjust, summarise
 from lanebound.agents.learning.study_time import Pace, measured, study_hours
 from lanebound.integrity.errors import ConfigError, InputError
 
@@ -148,6 +150,30 @@ def test_a_training_is_one_draw_however_many_episodes_its_policy_drives() -> Non
     assert mean["mean"] == pytest.approx(np.mean([4.0, 5.0, 6.0, 7.0, 8.0]))
     less = found["arms"]["seeing"]["less_reference"]["cost"]
     assert (less["n"], less["difference"]) == (5, pytest.approx(-6.0))
+
+
+def test_few_trainings_have_intervals_and_tests_and_many_tests_are_adjusted() -> None:
+    def part(arm: str, seed: int, **figures: float) -> dict[str, Any]:
+        return {"arm": arm, "seed": seed, "episodes": [dict.fromkeys(SHOWN, 0.0) | figures] * 20}
+
+    cost = {"blind": (10.0, 12.0, 11.0), "seeing": (4.0, 5.5, 4.6)}
+    parts = [part(arm, seed, cost=value) for arm in cost for seed, value in enumerate(cost[arm])]
+    place = summarise(parts, list(cost), "blind")
+    mean, crashes = (place["arms"]["seeing"]["means"][key] for key in ("cost", "collision"))
+    gap = np.subtract(cost["seeing"], cost["blind"])
+    assert [mean["low"], mean["high"]] == pytest.approx(t_interval(cost["seeing"]))
+    assert [crashes["low"], crashes["high"]] == [0.0, pytest.approx(1.0 - 0.025 ** (1.0 / 60.0))]
+    less = place["arms"]["seeing"]["less_reference"]
+    assert [less["cost"]["low"], less["cost"]["high"]] == pytest.approx(t_interval(gap))
+    assert less["cost"]["p"] == pytest.approx(ttest_1samp(gap, 0.0).pvalue)
+    assert (less["return"]["difference"], less["return"]["p"]) == (0.0, 1.0)
+    adjust([place, {"arms": {"seeing": {"less_reference": {}}}}])
+    assert less["cost"]["p_holm"] == pytest.approx(3.0 * less["cost"]["p"])
+    assert "p_holm" not in less["collision"]
+
+
+def t_interval(values: Any) -> list[float]:
+    return list(student_t.interval(0.95, len(values) - 1, np.mean(values), sem(values)))
 
 
 def test_held_out_episodes_are_those_of_the_benchmark(tmp_path: Path) -> None:
