@@ -90,13 +90,12 @@ def _report(found: dict[str, Any], out: Path, as_json: bool) -> None:
         headings = ("arm", "trained", *(key.replace("_", " ") for key in SHOWN))
         print_table(f"{place['env']}, {place['sky']}: means over trainings, 95 %", headings, rows)
         differences = [
-            (arm, *(_tested(of["less_reference"][key]) for key in PRIMARY))
+            (f"{arm} - {other}", *(_tested(less[key]) for key in PRIMARY))
             for arm, of in place["arms"].items()
-            if of["less_reference"]
+            for other, less in of["less"].items()
         ]
         if differences:
-            title = f"less {found['study']['reference']}, 95 %, p by Holm's method over all places"
-            print_table(title, ("arm", *PRIMARY), differences)
+            print_table("differences, 95 %, p by Holm's method over all places", ("arms", *PRIMARY), differences)
     trainings = found["trainings"]
     if trainings["done"] < trainings["planned"]:
         typer.echo(f"{trainings['done']} of {trainings['planned']} trainings are done: the same command goes on")

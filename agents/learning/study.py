@@ -52,6 +52,7 @@ class ArmConfig(Config):
     overrides: Mapping[str, Any] = Field({}, description="of the environment's configuration, merged deeply")
     algorithm: Algorithm = Field(Algorithm.PPO, description="how its policies are learnt")
     shield: Shield = Field(Shield.NONE, description="filter between policy and car")
+    against: str | None = Field(None, description="arm that it is compared with; None: with none")
 
 
 class LearningStudyConfig(Config):
@@ -60,7 +61,6 @@ class LearningStudyConfig(Config):
     title: str = Field("", description="what it asks, in a line")
     hypotheses: tuple[str, ...] = Field((), description="what is expected, written before anything is learnt")
     arms: Mapping[str, ArmConfig] = Field(min_length=1, description="by the names they go by in results")
-    reference: str = Field(description="arm that the others are compared with")
     envs: tuple[str, ...] = Field(min_length=1, description="ids, ours without lanebound/")
     skies: tuple[str, ...] = Field(min_length=1, description="levels of the sky")
     seeds: int = Field(5, ge=1, le=100, description="trainings of each arm in each place")
@@ -79,9 +79,11 @@ class LearningStudyConfig(Config):
         return {full_id(name).removeprefix("lanebound/"): value for name, value in own.items()}
 
     @model_validator(mode="after")
-    def _reference_is_an_arm(self) -> Self:
-        if self.reference not in self.arms:
-            raise ConfigError(f"reference must be one of {', '.join(self.arms)}, got {self.reference}: name an arm")
+    def _arms_are_compared_with_arms(self) -> Self:
+        for name, arm in self.arms.items():
+            if arm.against is not None and (arm.against == name or arm.against not in self.arms):
+                others = ", ".join(other for other in self.arms if other != name)
+                raise ConfigError(f"arms.{name}.against must be one of {others}, got {arm.against}: name another arm")
         return self
 
     def shared(self, env: str) -> dict[str, Any]:
@@ -164,7 +166,7 @@ def plan(study: LearningStudyConfig) -> Course:
 
 def _accelerates(study: LearningStudyConfig, env: str) -> bool:
     """Whether actions steer and accelerate, as the filter needs them."""
-    world = Training(env, study.skies[0], study.reference, 0).experiment(study).open()
+    world = Training(env, study.skies[0], next(iter(study.arms)), 0).experiment(study).open()
     space = world.action_space
     world.close()
     return isinstance(space, spaces.Box) and space.shape == (2,)
@@ -258,8 +260,7 @@ def _written(
                 "sky": sky,
                 **summarise(
                     [part for part in done.values() if (part["env"], part["sky"]) == (env, sky)],
-                    list(study.arms),
-                    study.reference,
+                    {name: arm.against for name, arm in study.arms.items()},
                 ),
                 "beside": means_of(results),
             }

@@ -23,14 +23,14 @@ __all__ = ["PRIMARY", "SHOWN", "adjust", "means_of", "summarise"]
 SHOWN = ("return", "cost", "over_cost_limit", "harm", "collision", "off_road", "lane_departure", "throughput")
 """Metrics that are summed up, by their names in the benchmark."""
 PRIMARY = ("return", "cost", "harm")
-"""Those whose differences from the reference are tested together, by Holm's method."""
+"""Those whose differences between arms are tested together, by Holm's method."""
 RATES = ("over_cost_limit", "collision", "off_road", "lane_departure")
 
 Array = NDArray[np.float64]
 
 
-def summarise(parts: Sequence[Mapping[str, Any]], arms: Sequence[str], reference: str) -> dict[str, Any]:
-    """Of each arm the mean over its trainings with a 95 % interval, and its paired difference from the reference.
+def summarise(parts: Sequence[Mapping[str, Any]], arms: Mapping[str, str | None]) -> dict[str, Any]:
+    """Of each arm the mean over its trainings with a 95 % interval, and its paired difference from another (or None).
 
     Trainings with the same seed are paired. ``parts`` are the finished trainings of a place, each with its ``arm``,
     ``seed`` and ``episodes`` as :func:`~.evaluation.drive_all` has them.
@@ -42,7 +42,7 @@ def summarise(parts: Sequence[Mapping[str, Any]], arms: Sequence[str], reference
             arm: {
                 "seeds": sorted(trainings),
                 "means": {key: _estimate(trainings, key, episodes * len(trainings)) for key in SHOWN},
-                "less_reference": _differences(trainings, by_arm[reference]) if arm != reference else {},
+                "less": {other: _differences(trainings, by_arm[other])} if (other := arms[arm]) is not None else {},
             }
             for arm, trainings in by_arm.items()
             if trainings
@@ -114,7 +114,7 @@ def adjust(places: Sequence[Mapping[str, Any]]) -> None:
         less[key]
         for place in places
         for arm in place["arms"].values()
-        if (less := arm["less_reference"])
+        for less in arm["less"].values()
         for key in PRIMARY
         if less[key]["p"] is not None
     ]

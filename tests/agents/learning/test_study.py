@@ -36,9 +36,8 @@ STILL = {"navigation": {"source": "perfect"}, "duration_s": 3.0}
 SMALL: dict[str, Any] = {
     "arms": {
         "blind": {"overrides": {"observation": {"integrity": "blind"}}},
-        "filtered": {"algorithm": "ppo_lagrangian", "shield": "cbf"},
+        "filtered": {"algorithm": "ppo_lagrangian", "shield": "cbf", "against": "blind"},
     },
-    "reference": "blind",
     "envs": ["CarFollowing"],
     "skies": ["open"],
     "seeds": 1,
@@ -81,7 +80,7 @@ def test_a_study_that_is_stopped_goes_on_and_drives_its_policies(tmp_path: Path,
     [place] = found["places"]
     assert {arm: of["seeds"] for arm, of in place["arms"].items()} == {"blind": [0], "filtered": [0]}
     assert set(place["beside"]) == {"nominal", "integrity_aware"}
-    assert place["arms"]["filtered"]["less_reference"]["cost"]["n"] == 1
+    assert place["arms"]["filtered"]["less"]["blind"]["cost"]["n"] == 1
     assert json.loads((tmp_path / "results.json").read_text()) == json.loads(json.dumps(found))
     assert (tmp_path / "curves.svg").stat().st_size > 1000
     with pytest.raises(InputError, match="hold the same study"):
@@ -143,12 +142,12 @@ def test_a_training_is_one_draw_however_many_episodes_its_policy_drives() -> Non
         return {"arm": arm, "seed": seed, "episodes": episodes}
 
     parts = [part(arm, seed, cost) for arm, cost in (("blind", 10.0), ("seeing", 4.0)) for seed in range(5)]
-    found = summarise(parts, ["blind", "seeing", "unlearnt"], "blind")
+    found = summarise(parts, {"blind": None, "seeing": "blind", "unlearnt": "blind"})
     assert list(found["arms"]) == ["blind", "seeing"]
     mean = found["arms"]["seeing"]["means"]["cost"]
     assert mean["n"] == 5
     assert mean["mean"] == pytest.approx(np.mean([4.0, 5.0, 6.0, 7.0, 8.0]))
-    less = found["arms"]["seeing"]["less_reference"]["cost"]
+    less = found["arms"]["seeing"]["less"]["blind"]["cost"]
     assert (less["n"], less["difference"]) == (5, pytest.approx(-6.0))
 
 
@@ -158,16 +157,16 @@ def test_few_trainings_have_intervals_and_tests_and_many_tests_are_adjusted() ->
 
     cost = {"blind": (10.0, 12.0, 11.0), "seeing": (4.0, 5.5, 4.6)}
     parts = [part(arm, seed, cost=value) for arm in cost for seed, value in enumerate(cost[arm])]
-    place = summarise(parts, list(cost), "blind")
+    place = summarise(parts, {"blind": None, "seeing": "blind"})
     mean, crashes = (place["arms"]["seeing"]["means"][key] for key in ("cost", "collision"))
     gap = np.subtract(cost["seeing"], cost["blind"])
     assert [mean["low"], mean["high"]] == pytest.approx(t_interval(cost["seeing"]))
     assert [crashes["low"], crashes["high"]] == [0.0, pytest.approx(1.0 - 0.025 ** (1.0 / 60.0))]
-    less = place["arms"]["seeing"]["less_reference"]
+    less = place["arms"]["seeing"]["less"]["blind"]
     assert [less["cost"]["low"], less["cost"]["high"]] == pytest.approx(t_interval(gap))
     assert less["cost"]["p"] == pytest.approx(ttest_1samp(gap, 0.0).pvalue)
     assert (less["return"]["difference"], less["return"]["p"]) == (0.0, 1.0)
-    adjust([place, {"arms": {"seeing": {"less_reference": {}}}}])
+    adjust([place, {"arms": {"seeing": {"less": {}}}}])
     assert less["cost"]["p_holm"] == pytest.approx(3.0 * less["cost"]["p"])
     assert "p_holm" not in less["collision"]
 
@@ -203,8 +202,8 @@ def test_curves_take_trainings_of_different_lengths() -> None:
 
 
 def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="reference must be one of blind, filtered, got seeing"):
-        small(reference="seeing")
+    with pytest.raises(ConfigError, match=r"arms.filtered.against must be one of blind, got seeing"):
+        small(arms={**SMALL["arms"], "filtered": {"against": "seeing"}})
     with pytest.raises(ConfigError, match="did you mean 'value_of_integrity'"):
         load_study("value_of_integrit")
     told = CliRunner().invoke(app, ["study", "value_of_integrity", "--out", str(tmp_path), "--set", "seeds=0"])
