@@ -12,8 +12,8 @@ belief may move: none of that is bounded, no promise is made of it and none is s
 are wrong by more than 0.02 rad under a dense sky and 0.04 rad under an urban one (training seeds 1004-1007), 0.2 to
 0.4 m at 11 m/s and the preview: a lane of 3.25 m has no room for such a bound.
 
-Bends have a barrier of speed: ``v^2 <= share a_lat / |kappa(d)| + 2 b (d - PL_AT)`` at every preview, so that what the
-lane barrier asks of the wheel stays within the grip. Without it a driver who is too fast is steered off the road.
+Bends have a barrier of speed: ``v^2 <= share a_lat / |kappa(d)| + 2 b (d - PL_AT)`` wherever they are shown, so that
+what the lane barrier asks of the wheel stays within the grip. Without it who is too fast is steered off the road.
 
 Symbols: v and u speed now and next [m/s], s gap [m], T length of a policy step [s], b and B braking of ego and leader,
 e offset [m], psi heading less its steady value in the bend, beta angle of the velocity less that value, L wheelbase.
@@ -132,6 +132,8 @@ class BarrierFilter:
         self.commanded_mps2: Array | float = 0.0
         self.followed: Bools = np.zeros((), dtype=np.bool_)
         self._expected_m: Array | float = np.nan
+        self._behind: Array | float = 0.0
+        self._behind_m: Array | float = 0.0
         self.counts: Counter[str] = Counter()
 
     def predict(
@@ -150,9 +152,10 @@ class BarrierFilter:
         wanted = value_of(shares[..., 0], bounds)
         top, stuck = self.acceleration_bound(observation)
         self.remember(observation)
-        lane_top = (
-            np.minimum(self._slowing(observation), self.bend_bound(observation)) if self._inner.lateral else np.inf
-        )
+        lane_top = np.asarray(np.inf)
+        if self._inner.lateral:
+            self.pass_bend(observation)
+            lane_top = np.minimum(self._slowing(observation), self.bend_bound(observation))
         self.counts["decisions"] += wanted.size
         self._count("following", top < wanted - EPS, stuck)
         commanded = np.clip(np.minimum(np.minimum(wanted, top), lane_top), *bounds)
@@ -168,9 +171,11 @@ class BarrierFilter:
         """Forget what was, where an episode starts.  (...)."""
         if np.all(starts):  # there may be another number of them
             self.commanded_mps2, self._expected_m = 0.0, np.nan
+            self._behind, self._behind_m = 0.0, 0.0
             return
         self.commanded_mps2 = np.where(starts, 0.0, self.commanded_mps2)
         self._expected_m = np.where(starts, np.nan, self._expected_m)
+        self._behind, self._behind_m = np.where(starts, 0.0, self._behind), np.where(starts, 0.0, self._behind_m)
 
     def reseed(self, seed: int) -> None:
         """Hand an episode's seed to a driver that draws."""
@@ -247,9 +252,10 @@ class BarrierFilter:
         return np.maximum(bound, hardest), stuck
 
     def bend_bound(self, observation: Observation) -> Array:
-        """Largest acceleration [m/s2] after which every bend of the previews can be met at a share of the grip.
+        """Largest acceleration [m/s2] after which every bend that is shown can be met at a share of the grip.
 
-        With the believed place PL_AT too far back and a way of ``v T`` until the next decision.
+        With the believed place PL_AT too far back, a way of ``v T`` until the next decision, and no less of a bend than
+        there was within PL_AT behind (:meth:`pass_bend`): the believed place may be too far ahead as well.
         """
         c, dt, grip = self.config, self._dt_s, None if self._limits is None else self._limits.lateral_acceleration_mps2
         shown = self.reader.value(observation, "ego.speed")
@@ -257,13 +263,31 @@ class BarrierFilter:
             return np.full(shown.shape, np.inf)
         v = np.maximum(self.fastest(shown, self.commanded_mps2), 0.0)
         late = self.reader.value(observation, "integrity.pl_at") + v * dt
-        squared = np.full(shown.shape, np.inf)
-        for d in self.reader.previews_m:
-            kappa = np.abs(self.reader.value(observation, f"road.preview_{d:g}m_curvature"))
+        squared = c.bend_share * grip / np.maximum(self._behind, 1e-6)
+        for d, kappa in self.bends(observation):
             bend = c.bend_share * grip / np.maximum(kappa, 1e-6)
             squared = np.minimum(squared, bend + 2.0 * c.bend_brake_mps2 * np.maximum(d - late, 0.0))
         self._count("bend", squared < (v + EPS) ** 2, np.zeros(shown.shape, dtype=np.bool_))
         return np.asarray(np.maximum((np.sqrt(squared) - v) / dt, -c.brake_mps2))
+
+    def bends(self, observation: Observation) -> list[tuple[float, Array]]:
+        """Where bends begin [m] and how tight they are [1/m]: at each preview, and on average between two of them."""
+        read = self.reader.value
+        turned = -np.arctan2(read(observation, "ego.heading_sin"), read(observation, "ego.heading_cos"))
+        found, at = [], 0.0
+        for d in self.reader.previews_m:
+            heading = read(observation, f"road.preview_{d:g}m_heading")
+            turn = (heading - turned + np.pi) % (2.0 * np.pi) - np.pi
+            found += [(at, np.abs(turn) / (d - at)), (d, np.abs(read(observation, f"road.preview_{d:g}m_curvature")))]
+            turned, at = heading, d
+        return found
+
+    def pass_bend(self, observation: Observation) -> None:
+        """Keep the tightest bend of the way of PL_AT just driven."""
+        here = self.bends(observation)[0][1]
+        way = self._behind_m + self.reader.value(observation, "ego.speed") * self._dt_s
+        passed = (here >= self._behind) | (way > self.reader.value(observation, "integrity.pl_at"))
+        self._behind, self._behind_m = np.where(passed, here, self._behind), np.where(passed, 0.0, way)
 
     def angle_bounds(self, observation: Observation) -> tuple[Array, Array, Bools]:
         """Bounds of the steering angle [rad] that keep the car in its lane, and where they rest on slack.

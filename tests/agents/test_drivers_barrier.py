@@ -10,6 +10,7 @@ import pytest
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.barrier import BarrierConfig, BarrierFilter
 from lanebound.agents.drivers.base import Reader
+from lanebound.agents.drivers.shares import value_of
 from lanebound.agents.episodes import EpisodeLog, drive, open_env, summarise
 from lanebound.integrity.errors import InputError
 
@@ -279,15 +280,17 @@ def test_what_it_cannot_filter_is_refused():
         make_agent("cbf", open_env("LaneKeeping", GIVEN | {"observation": {"integrity": "blind"}}))
 
 
-def test_full_throttle_is_brought_round_every_bend():
-    """And is not where the filter counts on brakes that nobody has."""
+def test_full_throttle_is_brought_round_every_bend(monkeypatch):
+    """And is not where the filter knows of no bends."""
     env = open_env("LaneKeeping", GIVEN)
     off = []
-    for config in (C, C.replace(bend_share=1.0, bend_brake_mps2=1e4)):
-        log, barrier = EpisodeLog(), BarrierFilter(env, Constant(1.0), config)
+    for knows in (True, False):
+        if not knows:
+            monkeypatch.setattr(BarrierFilter, "bend_bound", lambda *_: np.asarray(np.inf))
+        log, barrier = EpisodeLog(), BarrierFilter(env, Constant(1.0))
         drive(env, barrier, [3, 4, 5], [log])
         off.append([log.episode(seed)[-1]["off_road"] for seed in (0, 1, 2)])
-        assert barrier.counts["bend changed"] > 20 or config is not C
+        assert barrier.counts["bend changed"] > 20 or not knows
     assert not any(off[0])
     assert any(off[1])
 
@@ -304,6 +307,36 @@ def test_a_bend_is_met_later_than_believed():
     assert bound(fast - 2.0, 0.0) > 0.0 > bound(fast, 0.0)
     assert bound(fast - 1.0, 5.0) < bound(fast - 1.0, 0.0)
     assert bound(40.0, 0.0) == -C.brake_mps2
+
+
+def test_a_bend_between_two_previews_is_met():
+    env = open_env("LaneKeeping", GIVEN | {"observation": {"form": "flat"}})
+    barrier = BarrierFilter(env, Constant(0.0))
+    turned = {f"road__preview_{d}m_heading": 0.6 for d in (40, 80)}  # 0.6 rad between 20 and 40 m: R = 33 m
+    late = np.sqrt(C.bend_share * 4.0 / 0.03 + 2.0 * C.bend_brake_mps2 * 20.0)
+    assert float(barrier.bend_bound(seen(barrier.reader, None, v=late, **turned))) < 0.0
+    assert float(barrier.bend_bound(seen(barrier.reader, None, v=late))) > 1.0
+
+
+def test_a_bend_counts_until_the_level_is_behind_it():
+    env = open_env("LaneKeeping", GIVEN | {"observation": {"form": "flat"}})
+    barrier = BarrierFilter(env, Constant(1.0))
+    bounds = barrier._inner.acceleration_range
+
+    def acceleration(turn_rad: float) -> float:
+        values = {f"road__preview_{d}m_heading": turn_rad for d in (5, 10, 20, 40, 80)}
+        action, _ = barrier.predict(seen(barrier.reader, None, v=9.0, integrity__pl_at=4.0, **values))
+        return float(value_of(action[..., 0], bounds))
+
+    assert acceleration(0.25) < 0.0  # R = 20 m here and now
+    way = 0.0
+    while acceleration(0.0) < 0.0:
+        way += 9.0 * env.dt_s
+        assert way < 20.0
+    assert 3.0 < way < 6.0
+    acceleration(0.25)
+    barrier.begin(np.ones((), dtype=np.bool_))
+    assert acceleration(0.0) == pytest.approx(bounds[1])
 
 
 def test_over_full_throttle_nothing_is_hit():
