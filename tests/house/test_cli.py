@@ -182,7 +182,7 @@ def test_every_packaged_preset_resolves():
 NEEDED = {
     "suite": "envs: [Merge]\nagents: [cruise]\n",
     "experiment": "env: Merge\n",
-    "learning_study": "arms: {one: {}}\nreference: one\nenvs: [Merge]\nskies: [open]\n",
+    "learning_study": "arms: {one: {}}\nenvs: [Merge]\nskies: [open]\n",
 }  # all other kinds have a default for everything
 
 

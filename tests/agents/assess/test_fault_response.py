@@ -60,7 +60,7 @@ def test_each_thing_is_told_of_its_vehicle() -> None:
     assert found.failed.tolist() == [False, True, False]
     np.testing.assert_allclose(found.late_s, [0.0, 0.6, 0.0])
     assert found.hazardous.tolist() == [0, 6, 0]
-    assert found.misleading.tolist() == [0, 6, 5]
+    assert found.misleading.tolist() == [0, 6, 4]
     np.testing.assert_allclose(found.worst_m, [0.01, 2.0, 0.5])
     assert found.lost.tolist() == [False, False, True]
 
