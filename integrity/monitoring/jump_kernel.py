@@ -6,10 +6,11 @@ fix, wrong reference coordinates or a spoofer that moves all satellites together
 residuals are perfect. What is done then:
 
 1. The first contradiction refuses RTK and gives up the integers, so that a wrong fix heals by itself.
-2. When integers resolved anew contradict as well, one of the two histories is wrong and nobody can say which. RTK is
-   not used until a quarantine is over: a long one where RTK jumped from one epoch to the next, a short one where it
-   came back from an outage, for wheels, gyros and reflections fail more often than all signals do. Doppler, of the same
-   signals, neither moves the position nor calibrates the heading meanwhile.
+2. When integers resolved anew contradict as well, or are nearer to the first ones than to what was expected, one of the
+   two histories is wrong and nobody can say which. RTK is not used until a quarantine is over: a long one where RTK
+   jumped from one epoch to the next, a short one where it came back from an outage, for wheels, gyros and reflections
+   fail more often than all signals do. Doppler, of the same signals, neither moves the position nor calibrates the
+   heading meanwhile.
 3. So it is where Doppler and odometer contradict each other while RTK goes on: one of them lies, and RTK may lie with
    Doppler.
 4. In all of this the position goes on by what is left, under an alert, and the levels cover both histories: that of
@@ -23,6 +24,8 @@ seen.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,6 +105,8 @@ def judge_jump(
     jumped = doubt[STAGE] == JUMPED
     together = conflict and (lasting or jumped)
     proven = bounded(expected) or not jumped  # a jump is not forgotten where nothing speaks for it
+    if doubt[STAGE] != TRUSTED:  # nor where it has only been overtaken by levels that grow
+        proven = proven and math.hypot(east, north) < math.hypot(east - doubt[D_E], north - doubt[D_N])
     if proven and not (together or contradicts(east, north, sin_h, cos_h, expected, found)):
         doubt[:] = 0.0
         return ACCEPTED

@@ -82,7 +82,7 @@ def test_a_cut_off_episode_is_worth_what_its_end_is(toll: type) -> None:
     model = learner(toll)
     model._setup_learn(400)
     model.cost_critic.net[-1].weight.data.zero_()
-    model.cost_critic.net[-1].bias.data.fill_(7.0)  # a critic that says 7 everywhere
+    model.cost_critic.net[-1].bias.data.fill_(7.0 / model.cost_limit)  # a critic that says 7 everywhere
     end = {"cost": 0.5, "TimeLimit.truncated": True, "terminal_observation": np.zeros(2, np.float32)}
     going = {"cost": 0.5}
     model._update_info_buffer([end, going, {"cost": 0.5}, going], np.array([True, False, True, False]))

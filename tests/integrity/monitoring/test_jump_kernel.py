@@ -109,6 +109,12 @@ def test_after_a_jump_rtk_must_be_proven(change: dict[str, Any]) -> None:
     assert [watch.judge(2.0), watch.judge(0.0, lasting=False, **change)] == [REFUSED, QUARANTINED]
 
 
+@pytest.mark.parametrize(("again_m", "verdict"), [(0.5, QUARANTINED), (0.3, QUARANTINED), (0.2, ACCEPTED)])
+def test_a_jump_that_growing_levels_have_overtaken_is_one_still(again_m: float, verdict: int) -> None:
+    watch, grown = Watch(), np.array([1.0, 1.0])
+    assert [watch.judge(0.5), watch.judge(again_m, lasting=False, expected=grown)] == [REFUSED, verdict]
+
+
 def test_who_is_pardoned_stays_in_doubt_until_it_is_there() -> None:
     watch = Watch()
     watch.judge(2.0)
