@@ -99,12 +99,12 @@ def _differences(ours: Mapping[int, Mapping[str, Any]], theirs: Mapping[int, Map
 
 
 def _p_value(gap: Array) -> float | None:
-    """Two-sided, of Student's paired test."""
+    """Two-sided, of Student's paired test; where all differ by the same, what turning signs can give."""
     if gap.size < 2:
         return None
     error = float(gap.std(ddof=1)) / math.sqrt(gap.size)
     if error == 0.0:
-        return 1.0 if gap[0] == 0.0 else 0.0
+        return 1.0 if gap[0] == 0.0 else 2.0 ** (1 - gap.size)
     return 2.0 * float(stdtr(gap.size - 1, -abs(float(gap.mean())) / error))
 
 

@@ -166,6 +166,9 @@ def test_few_trainings_have_intervals_and_tests_and_many_tests_are_adjusted() ->
     assert [less["cost"]["low"], less["cost"]["high"]] == pytest.approx(t_interval(gap))
     assert less["cost"]["p"] == pytest.approx(ttest_1samp(gap, 0.0).pvalue)
     assert (less["return"]["difference"], less["return"]["p"]) == (0.0, 1.0)
+    alike = [part(arm, seed, cost=float(arm == "blind")) for arm in cost for seed in range(3)]
+    always = summarise(alike, {"blind": None, "seeing": "blind"})["arms"]["seeing"]["less"]["blind"]["cost"]
+    assert (always["difference"], always["p"]) == (-1.0, 0.25), "three that agree prove little"
     adjust([place, {"arms": {"seeing": {"less": {}}}}])
     assert less["cost"]["p_holm"] == pytest.approx(3.0 * less["cost"]["p"])
     assert "p_holm" not in less["collision"]
