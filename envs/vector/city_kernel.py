@@ -36,6 +36,7 @@ from lanebound.envs.vector.idm_kernel import (
     braking,
     free,
     gap_wanted,
+    wanted_speed,
 )
 from lanebound.envs.vector.lanes_kernel import (
     BEFORE,
@@ -113,7 +114,7 @@ def _neighbours(c, w, lanes, places, lane, i):  # type: ignore[no-untyped-def]
 @jit
 def _follow(c, w, lanes, places, i, front, delta):  # type: ignore[no-untyped-def]
     """IDM's acceleration of vehicle i behind another one, -1 for nobody."""
-    a = free(c, i, lanes.table[w[LANE, i], LIMIT], delta, CALM)
+    a = free(c[SPEED, i], wanted_speed(c, i, lanes.table[w[LANE, i], LIMIT]), delta, CALM)
     if front >= 0:
         a -= braking(c, i, front, _gap(c, w, lanes, places, i, front), CALM)
     return a

@@ -82,7 +82,7 @@ def collide(c, w, i, j, dt):  # type: ignore[no-untyped-def]
         w[CRASHED, i] = w[CRASHED, j] = 1
 
 
-@jit(inline=True)
+@jit
 def near(c, i, j, dt):  # type: ignore[no-untyped-def]
     """Whether a pair is looked at: middles nearer than the diagonals and the way of the first vehicle in a step."""
     dx, dy, reach = c[X, j] - c[X, i], c[Y, j] - c[Y, i], DIAGONAL_M + c[SPEED, i] * dt

@@ -142,7 +142,7 @@ FIGURES = F_BASE + 8
 NONE = -1.0  # no lane is left; no limit
 
 
-@jit(inline=True)
+@jit
 def population(w):  # type: ignore[no-untyped-def]
     """How many vehicles an environment has, the ego included, by its ``whole`` (WHOLE, V)."""
     count = w.shape[1]

@@ -63,9 +63,11 @@ from lanebound.envs.vector.lanes_kernel import (
     LIMIT,
     ROAD,
     SIDE,
+    STRAIGHT,
     WIDTH,
     local,
     of_side,
+    on_straight,
 )
 from lanebound.integrity.accel import jit
 
@@ -176,11 +178,13 @@ def _lacking(gap, needed):  # type: ignore[no-untyped-def]
 @jit
 def _shortfall(c, w, lanes, figures):  # type: ignore[no-untyped-def]
     """Share of the safe distance that in truth lacks to a vehicle ahead in the lane."""
-    lane, worst = w[LANE, 0], 0.0
+    table, lane, worst = lanes.table, w[LANE, 0], 0.0
+    straight, half = table[lane, STRAIGHT] > 0.0, 0.5 * table[lane, WIDTH]
     place, _, _ = local(lanes, lane, c[X, 0], c[Y, 0])
     for i in range(1, population(w)):
-        s, r, _ = local(lanes, lane, c[X, i], c[Y, i])
-        if s > place and abs(r) <= 0.5 * lanes.table[lane, WIDTH]:
+        x, y = c[X, i], c[Y, i]
+        s, r = on_straight(table, lane, x, y) if straight else local(lanes, lane, x, y)[:2]
+        if (s > place) & (abs(r) <= half):
             needed = safe_distance(c[SPEED, 0], c[SPEED, i], figures)
             worst = max(worst, _lacking(s - place - LENGTH_M, needed))
     return worst
@@ -190,12 +194,14 @@ def _shortfall(c, w, lanes, figures):  # type: ignore[no-untyped-def]
 def _headway(b, c, w, t, count, lanes, figures):  # type: ignore[no-untyped-def]
     """Share of the safe distance that lacks: by what is believed of the nearest ahead, or in truth if that is worse."""
     truly = _shortfall(c, w, lanes, figures)
-    lane, gap, lead = int(b[B_LANE]), math.inf, -1
+    table, lane, gap, lead = lanes.table, int(b[B_LANE]), math.inf, -1
+    straight, half = table[lane, STRAIGHT] > 0.0, 0.5 * b[B_WIDTH]
     for i in range(count):
-        s, r, _ = local(lanes, lane, t[i, T_X], t[i, T_Y])
+        x, y = t[i, T_X], t[i, T_Y]
+        s, r = on_straight(table, lane, x, y) if straight else local(lanes, lane, x, y)[:2]
         ahead = s - b[B_ALONG]
         distance = ahead - 0.5 * (LENGTH_M + t[i, T_LENGTH])
-        if ahead > 0.0 and abs(r) <= 0.5 * b[B_WIDTH] and distance < gap:
+        if (ahead > 0.0) & (abs(r) <= half) & (distance < gap):
             gap, lead = distance, i
     if lead < 0:
         return 1.0 if truly > 0.0 else 0.0

@@ -31,9 +31,12 @@ from lanebound.envs.vector.columns_kernel import (
     F_STEP_S,
     F_WHEEL_RATE,
     HEADING,
+    IMPACT_X,
+    IMPACT_Y,
     LANE,
     SIN,
     SPEED,
+    STRUCK,
     TARGET,
     TARGET_SPEED,
     X,
@@ -54,7 +57,7 @@ from lanebound.envs.vector.lanes_kernel import (
     reachable,
     wrap,
 )
-from lanebound.envs.vector.motorway_kernel import KP_HEADING, KP_LATERAL, settle
+from lanebound.envs.vector.motorway_kernel import KP_HEADING, KP_LATERAL
 from lanebound.integrity.accel import jit
 
 __all__ = [
@@ -184,6 +187,21 @@ def move(c, w, steering, acceleration, hold, lanes, figures):  # type: ignore[no
     if hold > 0.0:
         acceleration = min(max(-speed / dt, -hold), hold)
     roll(c, w, 0, steering, acceleration, figures[F_SPEED_MIN], figures[F_SPEED_MAX], lanes, dt)
+
+
+@jit
+def settle(c, w, i, dx, dy, heading, speed):  # type: ignore[no-untyped-def]
+    """Take over a vehicle's new pose; one that was struck is thrown as well, and has crashed."""
+    c[X, i] += dx
+    c[Y, i] += dy
+    if w[STRUCK, i] != 0:
+        c[X, i] += c[IMPACT_X, i]
+        c[Y, i] += c[IMPACT_Y, i]
+        w[CRASHED, i], w[STRUCK, i] = 1, 0
+    c[SPEED, i] = speed
+    if heading != c[HEADING, i]:
+        c[HEADING, i] = heading
+        c[COS, i], c[SIN, i] = math.cos(heading), math.sin(heading)
 
 
 @jit

@@ -31,6 +31,7 @@ Rows = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 Batch = Any  # observations: an array (N, E), or a dict of them
 MASK = "reset_mask"
+NOBODY = np.empty(0, dtype=np.int64)
 
 
 class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
@@ -89,7 +90,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         self._slices = _slices_of(single)
         self._history = np.zeros((self.num_envs, single.config.observation.history, len(single.observer.index)), "f4")
         figures = self.engine.rules.figures
-        self._limits_m = float(figures[k.F_AL_AT]), float(figures[k.F_AL_CT])
+        self._limits_m = figures[[k.F_AL_AT, k.F_AL_CT]]
         self._over = np.zeros(self.num_envs, dtype=np.bool_)
         self._begun = np.zeros(self.num_envs, dtype=np.bool_)
 
@@ -113,8 +114,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         mask = _mask_of(options, self.num_envs)
         rows = np.flatnonzero(mask)
         self._restart(rows, [seeds[e] for e in rows])
-        whole = None if rows.size == self.num_envs else rows
-        return self._observations(), infos_of(self.engine.world, self._limits_m, whole)
+        return self._observations(), infos_of(self.engine.world, self._limits_m, mask)
 
     def step(self, actions: Any) -> tuple[Batch, NDArray[np.float64], Flags, Flags, dict[str, Any]]:
         """Carry out a command in each environment until the next decision.
@@ -126,10 +126,11 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
             is over.
         """
         commands = self._checked(actions)
-        again = np.flatnonzero(self._over)
-        if again.size and self.mode is AutoresetMode.DISABLED:
-            raise InputError(f"environments {again} must be reset, their episodes are over: pass options.{MASK}")
-        driving = None if not again.size else np.flatnonzero(~self._over)
+        again, driving = NOBODY, None
+        if self._over.any():
+            again, driving = self._over.nonzero()[0], (~self._over).nonzero()[0]
+            if self.mode is AutoresetMode.DISABLED:
+                raise InputError(f"environments {again} must be reset, their episodes are over: pass options.{MASK}")
         self.engine.step(commands, driving)
         self._remember(driving)
         out = self.engine.world.out
@@ -138,10 +139,10 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
             rewards[again], terminated[again], truncated[again] = 0.0, False, False
             self._restart(again, [None] * again.size)
         self._over = terminated | truncated
-        ended = np.flatnonzero(self._over)
         final: dict[str, Any] = {}
-        if ended.size and self.mode is AutoresetMode.SAME_STEP:
-            final = self._final(ended)
+        if self.mode is AutoresetMode.SAME_STEP and self._over.any():
+            ended = self._over.nonzero()[0]
+            final = self._final(ended, self._over.copy())
             self._restart(ended, [None] * ended.size)
         return self._observations(), rewards, terminated, truncated, final | infos_of(self.engine.world, self._limits_m)
 
@@ -174,15 +175,13 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         self._history[where, :-1] = self._history[where, 1:]
         self._history[where, -1] = self.engine.world.frame[where]
 
-    def _final(self, ended: Rows) -> dict[str, Any]:
+    def _final(self, ended: Rows, mask: Flags) -> dict[str, Any]:
         """How episodes have ended, in Gymnasium's form."""
-        mask = np.zeros(self.num_envs, dtype=np.bool_)
-        mask[ended] = True
         observations = np.full(self.num_envs, None, dtype=object)
         last = self._observations()
         for e in ended:
             observations[e] = {g: part[e] for g, part in last.items()} if isinstance(last, dict) else last[e]
-        info = infos_of(self.engine.world, self._limits_m, ended)
+        info = infos_of(self.engine.world, self._limits_m, mask)
         return {"final_obs": observations, "_final_obs": mask, "final_info": info, "_final_info": mask}
 
     # Forms

@@ -6,13 +6,23 @@ heading, and lets a driver reason about another one by its own figures.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
+from lanebound.envs.vector.arithmetic_kernel import power
 from lanebound.envs.vector.columns_kernel import COS, SIN, SPEED, TARGET_SPEED
 from lanebound.integrity.accel import jit
 
-__all__ = ["ACC_MAX", "BRAKING_IMPOSED", "SPEED_MOST_MPS", "Manners", "braking", "free", "gap_wanted", "not_zero"]
+__all__ = [
+    "ACC_MAX",
+    "BRAKING_IMPOSED",
+    "SPEED_MOST_MPS",
+    "Manners",
+    "braking",
+    "free",
+    "gap_wanted",
+    "not_zero",
+    "wanted_speed",
+]
 
 ACC_MAX, BRAKING_IMPOSED = 6.0, 2.0  # of IDMVehicle, whatever the manners
 SPEED_MOST_MPS = 40.0
@@ -42,7 +52,7 @@ def not_zero(x):  # type: ignore[no-untyped-def]
     return 1e-2 if x >= 0.0 else -1e-2
 
 
-@jit(inline=True)
+@jit
 def gap_wanted(c, i, j, manners):  # type: ignore[no-untyped-def]
     """The distance wanted of vehicle i behind j."""
     closing_x = c[SPEED, i] * c[COS, i] - c[SPEED, j] * c[COS, j]
@@ -52,13 +62,18 @@ def gap_wanted(c, i, j, manners):  # type: ignore[no-untyped-def]
 
 
 @jit(inline=True)
-def free(c, i, limit, delta, manners):  # type: ignore[no-untyped-def]
-    """Acceleration of vehicle i on an empty road."""
-    wanted = min(max(c[TARGET_SPEED, i], 0.0), limit)
-    return manners.comfort * (1.0 - math.pow(max(c[SPEED, i], 0.0) / abs(not_zero(wanted)), delta))
+def free(speed, wanted, delta, manners):  # type: ignore[no-untyped-def]
+    """Acceleration of a driver on an empty road, who wants a speed with an exponent."""
+    return manners.comfort * (1.0 - power(max(speed, 0.0) / abs(not_zero(wanted)), delta))
 
 
-@jit(inline=True)
+@jit
+def wanted_speed(c, i, limit):  # type: ignore[no-untyped-def]
+    """Speed that vehicle i goes for under a limit."""
+    return min(max(c[TARGET_SPEED, i], 0.0), limit)
+
+
+@jit
 def braking(c, i, j, gap, manners):  # type: ignore[no-untyped-def]
     """What vehicle j, a gap ahead, takes off the acceleration of vehicle i."""
     share = gap_wanted(c, i, j, manners) / not_zero(gap)

@@ -9,48 +9,40 @@ from numpy.typing import NDArray
 
 from lanebound.envs.costs import CAUSES
 from lanebound.envs.rewards import TERMS
-from lanebound.envs.vector import columns_kernel as k
+from lanebound.envs.vector.infos_kernel import NUMBERS, fill_infos
 from lanebound.envs.vector.step_kernel import World
 
 __all__ = ["infos_of", "single_info"]
 
-Rows = NDArray[np.int64]
-OUT = {
-    "cost": k.O_COST, **{cause: k.O_CAUSES + n for n, cause in enumerate(CAUSES)}, "tta_s": k.O_TTA,
-    "err_at_m": k.O_ERR_AT, "err_ct_m": k.O_ERR_CT, "hmi_share": k.O_HMI_SHARE, "yaw_rate_radps": k.O_TURN_RATE,
-}  # fmt: skip
-FLAGS = {
-    "mi": k.O_MI, "hmi": k.O_HMI, "crashed": k.O_IS_CRASHED, "crashed_now": k.O_CRASHED_NOW, "off_road": k.O_OFF_ROAD,
-    "wrong_way": k.O_WRONG_WAY, "astray_now": k.O_ASTRAY_NOW, "is_success": k.O_SUCCESS,
-}  # fmt: skip
-BELIEF = {"pl_at_m": k.B_PL_AT, "pl_ct_m": k.B_PL_CT}
-BELIEF_FLAGS = {"alert": k.B_ALERT, "available": k.B_AVAILABLE}
-BELIEF_CODES = {"mode": k.B_MODE, "reason": k.B_REASON}
+# names of the rows that the kernel fills, in its order; the terms of the reward have a dict of their own
+BEFORE = ("cost", *CAUSES, "tta_s", "err_at_m", "err_ct_m", "hmi_share", "yaw_rate_radps")
+AFTER = ("pl_at_m", "pl_ct_m", "al_at_m", "al_ct_m", "margin_at_m", "margin_ct_m", "speed_mps")
+FLAGS = (
+    "mi", "hmi", "crashed", "crashed_now", "off_road", "wrong_way", "astray_now", "is_success", "alert", "available",
+)  # fmt: skip
+CODES = ("mode", "reason")
+MASKS = tuple(f"_{name}" for name in (*BEFORE, *AFTER, *FLAGS, *CODES, "rewards"))
+MASKS_OF_TERMS = tuple(f"_{name}" for name in TERMS)
 
 
-def infos_of(world: World, limits_m: tuple[float, float], rows: Rows | None = None) -> dict[str, Any]:
-    """The info of all environments, or of ``rows`` with zeros elsewhere: arrays (N,) and, by ``_key``, who has one."""
+def infos_of(world: World, limits_m: NDArray[np.float64], told: NDArray[np.bool_] | None = None) -> dict[str, Any]:
+    """The info of all environments, or of those ``told`` of: arrays (N,), zeros elsewhere, and by ``_key`` who has one.
+
+    limits_m : (2,) alert limits along and across
+    """
     count = world.out.shape[0]
-    mask = np.ones(count, dtype=np.bool_) if rows is None else np.isin(np.arange(count), rows)
-    out, belief, speed = world.out, world.belief, world.cars[:, k.SPEED, 0]
-    if rows is not None:
-        out, belief, speed = (np.where(mask[:, None], a, 0.0) for a in (out, belief, speed[:, None]))
-        speed = speed[:, 0]
-    columns, own = np.ascontiguousarray(out.T), np.ascontiguousarray(belief.T)
-    infos: dict[str, Any] = {name: columns[n] for name, n in OUT.items()}
-    flags = columns[list(FLAGS.values())] > 0.0
-    infos |= dict(zip(FLAGS, flags, strict=True))
-    infos |= {name: own[n] for name, n in BELIEF.items()}
-    infos |= {name: own[n] > 0.0 for name, n in BELIEF_FLAGS.items()}
-    infos |= {name: own[n].astype(np.int64) for name, n in BELIEF_CODES.items()}
-    for axis, limit in zip(("at", "ct"), limits_m, strict=True):
-        infos[f"al_{axis}_m"] = np.where(mask, limit, 0.0)
-        infos[f"margin_{axis}_m"] = infos[f"al_{axis}_m"] - infos[f"pl_{axis}_m"]
-    infos["speed_mps"] = speed.copy()
-    infos |= {f"_{name}": mask for name in list(infos)}
-    terms = {name: columns[k.O_TERMS + n] for n, name in enumerate(TERMS)}
-    infos["rewards"] = terms | {f"_{name}": mask for name in terms}
-    infos["_rewards"] = mask
+    mask = np.ones(count, dtype=np.bool_) if told is None else told
+    numbers, codes = np.empty((NUMBERS, count)), np.empty((len(CODES), count), dtype=np.int64)
+    flags = np.empty((len(FLAGS), count), dtype=np.bool_)
+    fill_infos(mask, world.out, world.belief, world.cars, limits_m, numbers, flags, codes)
+    terms = len(BEFORE) + len(TERMS)
+    infos: dict[str, Any] = dict(zip(BEFORE, numbers, strict=False))
+    infos.update(zip(AFTER, numbers[terms:], strict=True))
+    infos.update(zip(FLAGS, flags, strict=True))
+    infos.update(zip(CODES, codes, strict=True))
+    infos.update(dict.fromkeys(MASKS, mask))
+    rewards = dict(zip(TERMS, numbers[len(BEFORE) : terms], strict=True))
+    infos["rewards"] = rewards | dict.fromkeys(MASKS_OF_TERMS, mask)
     return infos
 
 

@@ -26,6 +26,7 @@ __all__ = [
     "nearest",
     "of_side",
     "on_lane",
+    "on_straight",
     "place",
     "reachable",
     "stations",
@@ -92,8 +93,8 @@ class Lanes(NamedTuple):
 
 @jit
 def wrap(angle):  # type: ignore[no-untyped-def]
-    """The angle in [-pi, pi), as highway-env has it."""
-    return (angle + math.pi) % TWO_PI - math.pi
+    """The angle in [-pi, pi)."""
+    return angle - TWO_PI * math.floor(angle / TWO_PI + 0.5)
 
 
 @jit
@@ -188,25 +189,23 @@ def _station(table, cells, lane, c):  # type: ignore[no-untyped-def]
 @jit
 def local(lanes, lane, x, y):  # type: ignore[no-untyped-def]
     """Distance along a lane, offset to its right, and the lane's direction there: (s, r, heading)."""
-    foot, into, lateral = _foot_on(lanes, lane, x, y)
-    return _local_at(lanes, lane, foot, into, lateral)
-
-
-@jit
-def _foot_on(lanes, lane, x, y):  # type: ignore[no-untyped-def]
-    """Cell, distance into it and offset of the nearest point of the path that all lanes of a road share."""
     table = lanes.table
     if table[lane, STRAIGHT] > 0.0:
-        return int(table[lane, CELL_FIRST]), x - table[lane, LOW_X], y - table[lane, LOW_Y]
-    return _project(table, lanes.cells, lanes.near, lane, x, y)
+        s, r = on_straight(table, lane, x, y)
+        return s, r, 0.0
+    foot, into, lateral = _project(table, lanes.cells, lanes.near, lane, x, y)
+    return _on_path(table, lanes.cells, lane, foot, into, lateral)
 
 
 @jit
-def _local_at(lanes, lane, c, into, lateral):  # type: ignore[no-untyped-def]
-    """What :func:`local` says of a point with a given foot on the path of the lane's road."""
-    table, cells = lanes.table, lanes.cells
-    if table[lane, STRAIGHT] > 0.0:
-        return into, lateral - table[lane, OFFSET], 0.0
+def on_straight(table, lane, x, y):  # type: ignore[no-untyped-def]
+    """Distance along a lane that is straight along x, and offset to its right."""
+    return x - table[lane, LOW_X], y - table[lane, LOW_Y] - table[lane, OFFSET]
+
+
+@jit
+def _on_path(table, cells, lane, c, into, lateral):  # type: ignore[no-untyped-def]
+    """What :func:`local` says of a point with a given foot on the path that all lanes of a road share."""
     turned = (cells[c, C_KAPPA] + 0.5 * cells[c, C_SLOPE] * into) * into
     s = _station(table, cells, lane, c) + into - table[lane, OFFSET] * turned
     return s, lateral - table[lane, OFFSET], cells[c, C_HEADING] + turned
@@ -256,10 +255,17 @@ def nearest(lanes, x, y, heading):  # type: ignore[no-untyped-def]
     best, least, road, table = 0, math.inf, 0, lanes.table
     while road < table.shape[0]:
         end = road + int(table[road, COUNT])
-        if _away(table, road, x, y) <= least:
-            foot, into, lateral = _foot_on(lanes, road, x, y)
+        if table[road, STRAIGHT] > 0.0:
+            turn = abs(wrap(heading))
             for lane in range(road, end):
-                s, r, direction = _local_at(lanes, lane, foot, into, lateral)
+                s, r = on_straight(table, lane, x, y)
+                distance = abs(r) + max(s - table[lane, LENGTH], 0.0, -s) + turn
+                if distance < least:
+                    best, least = lane, distance
+        elif _away(table, road, x, y) <= least:
+            foot, into, lateral = _project(table, lanes.cells, lanes.near, road, x, y)
+            for lane in range(road, end):
+                s, r, direction = _on_path(table, lanes.cells, lane, foot, into, lateral)
                 distance = abs(r) + max(s - table[lane, LENGTH], 0.0, -s) + abs(wrap(heading - direction))
                 if distance < least:
                     best, least = lane, distance
@@ -270,8 +276,6 @@ def nearest(lanes, x, y, heading):  # type: ignore[no-untyped-def]
 @jit
 def _away(table, road, x, y):  # type: ignore[no-untyped-def]
     """A distance that no lane of a road is nearer than, and from which on it holds no point: to its path's squares."""
-    if table[road, STRAIGHT] > 0.0:
-        return 0.0
     low_x, low_y = table[road, LOW_X], table[road, LOW_Y]
     beyond_x, beyond_y = x - low_x - SQUARE_M * table[road, COLUMNS], y - low_y - SQUARE_M * table[road, ROWS]
     return max(low_x - x, beyond_x, low_y - y, beyond_y, 0.0)
@@ -284,10 +288,15 @@ def stations(lanes, x, y, margin, out):  # type: ignore[no-untyped-def]
     while road < table.shape[0]:
         end = road + int(table[road, COUNT])
         out[road:end] = NOWHERE
-        if not _away(table, road, x, y) > 0.0:
-            foot, into, lateral = _foot_on(lanes, road, x, y)
+        if table[road, STRAIGHT] > 0.0:
             for lane in range(road, end):
-                s, r, _ = _local_at(lanes, lane, foot, into, lateral)
+                s, r = on_straight(table, lane, x, y)
+                if on_lane(table, lane, s, r, margin):
+                    out[lane] = s
+        elif not _away(table, road, x, y) > 0.0:
+            foot, into, lateral = _project(table, lanes.cells, lanes.near, road, x, y)
+            for lane in range(road, end):
+                s, r, _ = _on_path(table, lanes.cells, lane, foot, into, lateral)
                 if on_lane(table, lane, s, r, margin):
                     out[lane] = s
         road = end

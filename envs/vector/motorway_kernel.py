@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 
+from lanebound.envs.vector.arithmetic_kernel import FLAT_MOST_RAD, arcsine, cosine, sine
 from lanebound.envs.vector.collisions_kernel import LENGTH_M
 from lanebound.envs.vector.columns_kernel import (
     ACCELERATION,
@@ -39,11 +40,12 @@ from lanebound.envs.vector.idm_kernel import (
     free,
     gap_wanted,
     not_zero,
+    wanted_speed,
 )
 from lanebound.envs.vector.lanes_kernel import LENGTH, LIMIT, OFFSET, WIDTH
 from lanebound.integrity.accel import jit
 
-__all__ = ["BRISK", "SIN_SLIP_MOST", "accelerate", "change_lanes", "drive_others", "settle", "sort_along", "survey"]
+__all__ = ["BRISK", "SIN_SLIP_MOST", "accelerate", "change_lanes", "drive_others", "sort_along", "survey"]
 
 BRISK = Manners(10.0, 1.5, 3.0, 2.0 * math.sqrt(15.0), 1.0, 0.2)  # of highway-env's IDMVehicle
 KP_HEADING, KP_LATERAL = 1.0 / 0.2, 1.0 / 0.6  # of ControlledVehicle
@@ -53,16 +55,16 @@ TAN_SLIP_MOST = 0.5 * math.tan(math.pi / 3.0)
 SIN_SLIP_MOST = math.sin(math.atan(TAN_SLIP_MOST))
 
 
-@jit(inline=True)
+@jit
 def _braking(c, i, j):  # type: ignore[no-untyped-def]
     """What vehicle j ahead takes off IDM's acceleration of vehicle i."""
     return braking(c, i, j, c[X, j] - c[X, i], BRISK)
 
 
-@jit(inline=True)
+@jit
 def _stands_on(c, k, table, lane):  # type: ignore[no-untyped-def]
     beside = abs(c[Y, k] - table[lane, OFFSET]) <= 0.5 * table[lane, WIDTH] + MARGIN_M
-    return beside and -BEYOND_M <= c[X, k] < table[lane, LENGTH] + BEYOND_M
+    return beside & (-BEYOND_M <= c[X, k]) & (c[X, k] < table[lane, LENGTH] + BEYOND_M)
 
 
 @jit
@@ -110,12 +112,11 @@ def survey(c, w, table, newest):  # type: ignore[no-untyped-def]
     last = table.shape[0] - 1
     for at in range(c.shape[1] - 1, -1, -1):
         k = w[ORDER, at]
-        w[RANK, k] = at
         lane = w[LANE, k]
-        w[FRONT, k] = newest[lane]
-        for m in range(max(lane - 1, 0), min(lane + 1, last) + 1):
-            if _stands_on(c, k, table, m):
-                newest[m] = k
+        w[RANK, k], w[FRONT, k] = at, newest[lane]
+        beside = min(max(lane + (1 if c[Y, k] > table[lane, OFFSET] else -1), 0), last)
+        newest[lane] = k if _stands_on(c, k, table, lane) else newest[lane]
+        newest[beside] = k if _stands_on(c, k, table, beside) else newest[beside]
 
 
 @jit
@@ -159,9 +160,11 @@ def _consider(c, w, i, table):  # type: ignore[no-untyped-def]
         follower = _behind(c, w, i, table, lane)
         if follower >= 0:
             limit = table[w[LANE, follower], LIMIT]
-            if free(c, follower, limit, delta, BRISK) - _braking(c, follower, i) < -BRAKING_IMPOSED:
+            alone = free(c[SPEED, follower], wanted_speed(c, follower, limit), delta, BRISK)
+            if alone - _braking(c, follower, i) < -BRAKING_IMPOSED:
                 continue
-        alone, there, here = free(c, i, table[own, LIMIT], delta, BRISK), _ahead(c, w, i, table, lane), w[FRONT, i]
+        alone = free(c[SPEED, i], wanted_speed(c, i, table[own, LIMIT]), delta, BRISK)
+        there, here = _ahead(c, w, i, table, lane), w[FRONT, i]
         gain = alone - (_braking(c, i, there) if there >= 0 else 0.0)
         gain -= alone - (_braking(c, i, here) if here >= 0 else 0.0)
         if not gain < BRISK.gain:
@@ -172,66 +175,89 @@ def _consider(c, w, i, table):  # type: ignore[no-untyped-def]
 def accelerate(c, w, table):  # type: ignore[no-untyped-def]
     """IDM's acceleration of every driver, from the places at the beginning of the step; wrecks do not care."""
     for i in range(1, c.shape[1]):
-        if w[CRASHED, i] != 0:
-            continue
+        c[ACCELERATION, i] = wanted_speed(c, i, table[w[LANE, i], LIMIT])
+    for i in range(1, c.shape[1]):
+        c[ACCELERATION, i] = free(c[SPEED, i], c[ACCELERATION, i], c[DELTA, i], BRISK)
+    for i in range(1, c.shape[1]):
         front = w[FRONT, i]
         less = _braking(c, i, front) if front >= 0 else 0.0
         if w[LANE, i] != w[TARGET, i]:
             front = _ahead(c, w, i, table, w[TARGET, i])
             if front >= 0:
                 less = max(less, _braking(c, i, front))
-        a = free(c, i, table[w[LANE, i], LIMIT], c[DELTA, i], BRISK) - less
-        c[ACCELERATION, i] = min(max(a, -ACC_MAX), ACC_MAX)
-
-
-@jit(inline=True)
-def _sine_of_slip(c, w, i, table):  # type: ignore[no-untyped-def]
-    """Slip angle by which a driver heads for the middle of its lane."""
-    inverse = 1.0 / not_zero(c[SPEED, i])
-    course = -KP_LATERAL * (c[Y, i] - table[w[TARGET, i], OFFSET]) * inverse
-    wanted = 0.0
-    if course != 0.0:
-        wanted = math.asin(min(max(course, -SIN_COURSE_MOST), SIN_COURSE_MOST))
-    turn = (wanted - c[HEADING, i] + math.pi) % (2.0 * math.pi) - math.pi
-    return min(max(0.5 * LENGTH_M * inverse * KP_HEADING * turn, -SIN_SLIP_MOST), SIN_SLIP_MOST)
-
-
-@jit(inline=True)
-def settle(c, w, i, dx, dy, heading, speed):  # type: ignore[no-untyped-def]
-    """Take over a vehicle's new pose; one that was struck is thrown as well, and has crashed."""
-    c[X, i] += dx
-    c[Y, i] += dy
-    if w[STRUCK, i] != 0:
-        c[X, i] += c[IMPACT_X, i]
-        c[Y, i] += c[IMPACT_Y, i]
-        w[CRASHED, i], w[STRUCK, i] = 1, 0
-    c[SPEED, i] = speed
-    if heading != c[HEADING, i]:
-        c[HEADING, i] = heading
-        c[COS, i], c[SIN, i] = math.cos(heading), math.sin(heading)
+        c[ACCELERATION, i] = min(max(c[ACCELERATION, i] - less, -ACC_MAX), ACC_MAX)
 
 
 @jit
-def drive_others(c, w, table, dt):  # type: ignore[no-untyped-def]
-    """One step of all others: the modified bicycle model of highway-env, wrecks braking to rest."""
+def drive_others(c, w, table, dt, slip):  # type: ignore[no-untyped-def]
+    """One step of all others: the modified bicycle model of highway-env, wrecks braking to rest.
+
+    A loop for each quantity, so that the compiler takes several vehicles at once; ``slip`` (V,) is scratch.
+    """
+    _steer(c, w, table, slip)
+    _move(c, slip, dt)
+    _turn(c, slip, dt)
+    _speed_up(c, w, dt)
+    _find_lanes(c, w, table)
+
+
+@jit
+def _steer(c, w, table, slip):  # type: ignore[no-untyped-def]
+    """Sine of the slip angle by which every driver heads for the middle of its lane; wrecks roll straight on."""
+    for i in range(1, c.shape[1]):
+        slip[i] = table[w[TARGET, i], OFFSET]
+    for i in range(1, c.shape[1]):
+        inverse = 1.0 / not_zero(c[SPEED, i])
+        course = -KP_LATERAL * (c[Y, i] - slip[i]) * inverse
+        turn = arcsine(min(max(course, -SIN_COURSE_MOST), SIN_COURSE_MOST)) - c[HEADING, i]
+        turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
+        rate = 0.5 * LENGTH_M * inverse * KP_HEADING * turn
+        slip[i] = 0.0 if w[CRASHED, i] != 0 else min(max(rate, -SIN_SLIP_MOST), SIN_SLIP_MOST)
+
+
+@jit
+def _move(c, slip, dt):  # type: ignore[no-untyped-def]
+    """Everybody to where it is at the end of the step."""
+    for i in range(1, c.shape[1]):
+        cosine_of_slip = math.sqrt(1.0 - slip[i] * slip[i])
+        c[X, i] += c[SPEED, i] * (c[COS, i] * cosine_of_slip - c[SIN, i] * slip[i]) * dt
+    for i in range(1, c.shape[1]):
+        cosine_of_slip = math.sqrt(1.0 - slip[i] * slip[i])
+        c[Y, i] += c[SPEED, i] * (c[SIN, i] * cosine_of_slip + c[COS, i] * slip[i]) * dt
+
+
+@jit
+def _turn(c, slip, dt):  # type: ignore[no-untyped-def]
+    """The new headings, their sines and cosines."""
+    for i in range(1, c.shape[1]):
+        c[HEADING, i] += c[SPEED, i] * slip[i] / (0.5 * LENGTH_M) * dt
+    for i in range(1, c.shape[1]):
+        c[COS, i], c[SIN, i] = cosine(c[HEADING, i]), sine(c[HEADING, i])
+    for i in range(1, c.shape[1]):
+        if abs(c[HEADING, i]) > FLAT_MOST_RAD:
+            c[COS, i], c[SIN, i] = math.cos(c[HEADING, i]), math.sin(c[HEADING, i])
+
+
+@jit
+def _speed_up(c, w, dt):  # type: ignore[no-untyped-def]
+    """Take over the new speeds; who was struck is thrown as well, and has crashed."""
+    for i in range(1, c.shape[1]):
+        a = -c[SPEED, i] if w[CRASHED, i] != 0 else c[ACCELERATION, i]
+        a = min(a, SPEED_MOST_MPS - c[SPEED, i]) if c[SPEED, i] > SPEED_MOST_MPS else a
+        a = max(a, -SPEED_MOST_MPS - c[SPEED, i]) if c[SPEED, i] < -SPEED_MOST_MPS else a
+        c[SPEED, i] += a * dt
+        c[TIMER, i] += dt
+    for i in range(1, c.shape[1]):
+        if w[STRUCK, i] != 0:
+            c[X, i] += c[IMPACT_X, i]
+            c[Y, i] += c[IMPACT_Y, i]
+            w[CRASHED, i], w[STRUCK, i] = 1, 0
+
+
+@jit
+def _find_lanes(c, w, table):  # type: ignore[no-untyped-def]
+    """The nearest lane of every vehicle; half way between two highway-env takes the first."""
     lowest, width, last = table[0, OFFSET], table[0, WIDTH], table.shape[0] - 1
     for i in range(1, c.shape[1]):
-        speed, a = c[SPEED, i], c[ACCELERATION, i]
-        if w[CRASHED, i] != 0:
-            sine, a = 0.0, -speed
-        else:
-            sine = _sine_of_slip(c, w, i, table)
-        cosine = math.sqrt(1.0 - sine * sine)
-        if speed > SPEED_MOST_MPS:
-            a = min(a, SPEED_MOST_MPS - speed)
-        elif speed < -SPEED_MOST_MPS:
-            a = max(a, -SPEED_MOST_MPS - speed)
-        c[TIMER, i] += dt
-        dx = speed * (c[COS, i] * cosine - c[SIN, i] * sine) * dt
-        dy = speed * (c[SIN, i] * cosine + c[COS, i] * sine) * dt
-        settle(c, w, i, dx, dy, c[HEADING, i] + speed * sine / (0.5 * LENGTH_M) * dt, speed + a * dt)
         place = (c[Y, i] - lowest) / width
-        nearest = math.floor(place + 0.5)
-        if place + 0.5 == nearest:  # half way between two: highway-env takes the first
-            nearest -= 1
-        w[LANE, i] = min(max(nearest, 0), last)
+        w[LANE, i] = int(min(max(math.ceil(place - 0.5), 0.0), float(last)))

@@ -72,8 +72,32 @@ class Rules(NamedTuple):
     most: float
 
 
+class Scratch(NamedTuple):
+    """What an environment's step leaves behind and nobody reads: one for each run, not for each environment.
+
+    newest (L,); pairs (P,); places (V, L); slip, square (V,); order (V,); ego (BELIEF,); values (E,).
+    """
+
+    newest: NDArray[np.int64]
+    pairs: NDArray[np.int64]
+    places: NDArray[np.float64]
+    slip: NDArray[np.float64]
+    square: NDArray[np.float64]
+    order: NDArray[np.int64]
+    ego: NDArray[np.float64]
+    values: NDArray[np.float64]
+
+
 @jit
-def _frame(c, w, b, sc, profile, lanes, rules, newest, places, pairs):  # type: ignore[no-untyped-def]
+def _scratch(vehicles, lanes, entries):  # type: ignore[no-untyped-def]
+    return Scratch(
+        np.empty(lanes, np.int64), np.empty(vehicles * vehicles // 2 + 1, np.int64), np.empty((vehicles, lanes)),
+        np.empty(vehicles), np.empty(vehicles), np.empty(vehicles, np.int64), np.empty(k.BELIEF), np.empty(entries),
+    )  # fmt: skip
+
+
+@jit
+def _frame(c, w, b, sc, profile, lanes, rules, scratch):  # type: ignore[no-untyped-def]
     """One simulation step of an environment: all decide by where everybody is, then all move, then they may crash."""
     figures, dt = rules.figures, rules.figures[k.F_STEP_S]
     motorway, city = rules.drivers == MOTORWAY, rules.drivers == CITY
@@ -81,30 +105,31 @@ def _frame(c, w, b, sc, profile, lanes, rules, newest, places, pairs):  # type: 
     if motorway or city:
         show_intent(b, c, w, figures)
     if motorway:
-        survey(c, w, lanes.table, newest)
+        survey(c, w, lanes.table, scratch.newest)
         change_lanes(c, w, lanes.table, figures[k.F_META] > 0.0)
         accelerate(c, w, lanes.table)
     elif city:
-        place_everybody(c, w, lanes, places)
-        decide_all(c, w, lanes, places, figures[k.F_META] > 0.0)
+        place_everybody(c, w, lanes, scratch.places)
+        decide_all(c, w, lanes, scratch.places, figures[k.F_META] > 0.0)
     move(c, w, steering, acceleration, hold, lanes, figures)
     if motorway:
-        drive_others(c, w, lanes.table, dt)
+        drive_others(c, w, lanes.table, dt, scratch.slip)
         sort_along(c, w)
     elif city:
         drive_city(c, w, lanes, dt)
     else:
         drive_leads(c, w, lanes, profile, int(sc[k.S_STEPS]) + 1, dt)
-    collide_all(c, w, motorway, dt, pairs)
+    collide_all(c, w, motorway, dt, scratch.pairs)
     sc[k.S_STEPS] += 1.0
     if figures[k.F_PERFECT] > 0.0:
         know(b, c, w, lanes, dt)
 
 
 @jit
-def _finish(e, world, lanes, chart, rules, start, view, order, square, values):  # type: ignore[no-untyped-def]
+def _finish(e, world, lanes, chart, rules, start, scratch):  # type: ignore[no-untyped-def]
     """Perceive, judge and observe an environment at the end of a policy step, or at its start."""
     c, w, b, sc = world.cars[e], world.whole[e], world.belief[e], world.score[e]
+    order, square, view = scratch.order, scratch.square, scratch.ego
     locate(b, lanes, rules.figures[k.F_META])
     if rules.sees_truth:
         world.seen[e] = see_truth(c, w, b[k.B_X], b[k.B_Y], order, square, world.traffic[e])
@@ -120,7 +145,7 @@ def _finish(e, world, lanes, chart, rules, start, view, order, square, values): 
     observe(
         shown, traffic, count, lanes, chart, rules.figures, rules.shown, rules.rows, rules.preview,
         (rules.reasons, rules.modes, rules.rtks), world.trail[e], world.observed[e], rules.most, world.sky[e],
-        rules.scale, values, world.frame[e],
+        rules.scale, scratch.values, world.frame[e],
     )  # fmt: skip
     world.observed[e] += 1
 
@@ -132,19 +157,16 @@ def run_some(first, last, rows, frames, parts, actions, world, lanes, chart, rul
     ``parts`` adds up DECIDE (take up ``actions`` (N,), codes of meta-actions, first), FINISH (score and observe after)
     and START (with FINISH: no time has passed).
     """
-    count = world.cars.shape[2]
-    newest, pairs = np.empty(lanes.table.shape[0], np.int64), np.empty(count * count // 2 + 1, np.int64)
-    order, square, places = np.empty(count, np.int64), np.empty(count), np.empty((count, lanes.table.shape[0]))
-    view, values = np.empty(k.BELIEF), np.empty(rules.scale.shape[1])
+    scratch = _scratch(world.cars.shape[2], lanes.table.shape[0], rules.scale.shape[1])
     for n in range(first, last):
         e = rows[n]
         c, w, b, sc = world.cars[e], world.whole[e], world.belief[e], world.score[e]
         if parts & DECIDE and rules.figures[k.F_META] > 0.0:
             decide(b, actions[e], lanes, rules.speeds)
         for _ in range(frames):
-            _frame(c, w, b, sc, world.profile[e], lanes, rules, newest, places, pairs)
+            _frame(c, w, b, sc, world.profile[e], lanes, rules, scratch)
         if parts & FINISH:
-            _finish(e, world, lanes, chart, rules, parts & START != 0, view, order, square, values)
+            _finish(e, world, lanes, chart, rules, parts & START != 0, scratch)
 
 
 @jit(parallel=True)

@@ -83,7 +83,7 @@ def same(tally: Tally, where: str, engine: Engine, row: int, single: DrivingEnv,
         "ends": ((out[1] > 0.0, out[2] > 0.0), (terminated, truncated)),
     }
     tally.mismatches += [f"{where} {name}: {a} {b}" for name, (a, b) in facts.items() if a != b]
-    limits = tuple(engine.rules.figures[[k.F_AL_AT, k.F_AL_CT]].tolist())
+    limits = engine.rules.figures[[k.F_AL_AT, k.F_AL_CT]]
     _same_info(part, where, single_info(infos_of(engine.world, limits), row), info)
     if part is not tally:
         tally.mismatches += part.mismatches
