@@ -92,10 +92,10 @@ class Motion:
         self._steps = 0
         return Truth(time_s, dt_s, position, velocity, heading, turn, delta_v, distance, arc_m, lane)
 
-    def adopt(self, rows: NDArray[np.int64], other: Motion) -> None:
-        """Take over the slots of another motion as ``rows``; both are at the end of an epoch."""
-        for mine, theirs in zip(self._arrays, other._arrays, strict=True):
-            mine[rows] = theirs
+    def adopt(self, rows: NDArray[np.int64], other: Motion, theirs: NDArray[np.int64]) -> None:
+        """Take over the slots ``theirs`` of another motion as ``rows``; both are at the end of an epoch."""
+        for mine, values in zip(self._arrays, other._arrays, strict=True):
+            mine[rows] = values[theirs]
 
     @property
     def _arrays(self) -> tuple[Array, ...]:

@@ -235,28 +235,35 @@ class Navigator:
         """Number of vehicles."""
         return self.state.streams.batch
 
-    def another(self, streams: Streams, epoch: int = 0) -> Navigator:
-        """A navigator of the same configuration for other vehicles, each in an area of its own, just switched on.
+    @property
+    def epoch(self) -> int:
+        """Epochs that its clock has counted."""
+        return self.state.area.network.epoch
 
-        ``epoch`` is what its clock shows, in epochs: with that of this navigator, :meth:`adopt` can take its vehicles.
-        """
+    def another(self, streams: Streams) -> Navigator:
+        """A navigator of the same configuration for other vehicles, each in an area of its own, just switched on."""
         other = copy.copy(self)
         other.state = other._initial(streams, streams)
-        links.wind(self.config.corrections, other.state.area.network, epoch, self.config.dt_s)
         return other
 
-    def adopt(self, rows: NDArray[np.int64], other: Navigator) -> None:
-        """Take over the vehicles of another navigator (n) as ``rows`` (n,), in place of those that were there.
+    def adopt(self, rows: NDArray[np.int64], other: Navigator, theirs: NDArray[np.int64]) -> None:
+        """Take over the vehicles ``theirs`` (n,) of another navigator as ``rows`` (n,), in place of those there.
+
+        Each keeps its own time, wherever the clocks of both are; streams are not taken over.
 
         Raises
         ------
         InputError
-            The clocks of both differ, or areas are shared.
+            Vehicles of either navigator share an area.
         """
-        mine, theirs = self.state.area.network, other.state.area.network
-        if mine.epoch != theirs.epoch or not mine.up.shape[0] == self.batch:
-            raise InputError(f"other must be at epoch {mine.epoch} with an area for each, got {theirs.epoch}: wind it")
-        _hand_over(self.state, other.state, rows)
+        for name, navigator in (("this navigator", self), ("other", other)):
+            areas = navigator.state.area.network.up.shape[0]
+            if areas != navigator.batch:
+                raise InputError(f"{name} must have an area for each of {navigator.batch} vehicles, got {areas}: "
+                                 "give it no area_seed")  # fmt: skip
+        _hand_over(self.state, other.state, rows, theirs)
+        mine, network = self.state.area.network, other.state.area.network
+        mine.begun[rows] = mine.epoch - network.own_epoch[theirs]
 
     def align(self, heading_rad: Array, sigma_rad: float) -> None:
         """Give the vehicles a prior heading, (B,) azimuth and its 1-sigma, as from a compass or the last drive."""
@@ -394,13 +401,13 @@ class Navigator:
         )
 
 
-def _hand_over(mine: Any, theirs: Any, rows: NDArray[np.int64]) -> None:
+def _hand_over(mine: Any, other: Any, rows: NDArray[np.int64], theirs: NDArray[np.int64]) -> None:
     """Copy the rows of every array of a state, and of the states in it; clocks and streams stay."""
-    for name, value in vars(theirs).items():
+    for name, value in vars(other).items():
         if isinstance(value, np.ndarray):
-            getattr(mine, name)[rows] = value
+            getattr(mine, name)[rows] = value[theirs]
         elif is_dataclass(value):
-            _hand_over(getattr(mine, name), value, rows)
+            _hand_over(getattr(mine, name), value, rows, theirs)
 
 
 @lru_cache(maxsize=8)

@@ -110,7 +110,7 @@ class Instruments:
             mask.path, mask.excess_m, mask.spacing_m, mask.length_m, mask.closed, mask.azimuths, mask.elevations,
             truth.position_enu_m, truth.velocity_enu_mps, truth.delta_theta_rad, truth.delta_v_mps, truth.distance_m,
             truth.arc_m, truth.lane,
-            self.link, network.epoch * dt, network.message, network.fresh, link_u, link_z, effects.corrections_lost,
+            self.link, network.own_epoch * dt, network.message, network.fresh, link_u, link_z, effects.corrections_lost,
             network.up, network.until, c.newest, c.outage_left, c.up, area.message, c.held,
             self.receiver[0], self.receiver[1], self.receiver[2], effects.spoof_enu_m,
             area.reference_enu_m, effects.reference_enu_m, effects.code_bias_m, effects.phase_bias_m,

@@ -33,8 +33,9 @@ def sense_some(  # type: ignore[no-untyped-def]
     )  # fmt: skip
     first, last = (0, 1) if area.shape[0] == 1 else (a, b)  # one area for all, or one for each
     links.advance(
-        link, now, dt, message, fresh, link_u[a:b], link_z[a:b], lost[a:b], network_up[first:last], until[first:last],
-        newest[a:b], outage_left[a:b], up[a:b], sent[first:last], held[a:b], age[a:b],
+        link, now[first:last], dt, message[first:last], fresh[first:last], link_u[a:b], link_z[a:b], lost[a:b],
+        network_up[first:last], until[first:last], newest[a:b], outage_left[a:b], up[a:b], sent[first:last], held[a:b],
+        age[a:b],
     )  # fmt: skip
     observe_serial(
         receiver, wavelength, dispersion, los, above, system, index[a:b], path, excess,

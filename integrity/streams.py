@@ -114,10 +114,26 @@ class Streams:
             found = self._generators[name] = named_generator(self._seeds[0], name)
         return found
 
-    def normal(self, name: str, *shape: int) -> NDArray[np.float64]:
-        """Standard normal draws ``(B, *shape)`` from stream ``name``."""
+    def normal(self, name: str, *shape: int, where: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
+        """Standard normal draws ``(B, *shape)`` from stream ``name``.
+
+        ``where`` (B,) names the vehicles that draw; the rows of others hold anything, and their generators stay.
+
+        Raises
+        ------
+        InputError
+            Some but not all draw, of vehicles that are seeded jointly.
+        """
         out = np.empty((self.batch, *shape))
-        sk.normals(self.states(name), self._rows, ZIGGURAT, self._by_generator(out))
+        if where is None or where.all():
+            sk.normals(self.states(name), self._rows, ZIGGURAT, self._by_generator(out))
+            return out
+        if self._joint:
+            raise InputError("where must name all vehicles seeded jointly, or none: give one seed for each vehicle")
+        rows = np.flatnonzero(where)
+        drawn = np.empty((rows.size, math.prod(shape)))
+        sk.normals(self.states(name), rows, ZIGGURAT, drawn)
+        out[rows] = drawn.reshape(rows.size, *shape)
         return out
 
     def uniform(self, name: str, *shape: int) -> NDArray[np.float64]:
@@ -135,6 +151,13 @@ class Streams:
             states[index] = named_states([seed], name)[0]
         if index == 0:
             self._generators.clear()
+
+    def adopt(self, rows: NDArray[np.int64], other: Streams, theirs: NDArray[np.int64]) -> None:
+        """Go on with the generators of the vehicles ``theirs`` (n,) of other streams as ``rows`` (n,)."""
+        for row, of in zip(rows.tolist(), theirs.tolist(), strict=True):
+            self._seeds[row] = other._seeds[of]
+        for name in {*self._states, *other._states}:
+            self.states(name)[rows] = other.states(name)[theirs]
 
     def snapshot(self) -> Streams:
         """An independent copy that will produce the same draws."""

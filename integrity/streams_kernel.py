@@ -109,25 +109,22 @@ def normals(states, rows, table, out):  # type: ignore[no-untyped-def]
 
 @jit
 def uniforms_at(states, used, out):  # type: ignore[no-untyped-def]
-    """Fill the places of out (N, M, S, W) that are used (N, S), one after another; the others stay as they are."""
+    """Fill the places of out (N, S, W) that are used (N, S), one after another; the others stay as they are."""
     for e in range(out.shape[0]):
-        for m in range(out.shape[1]):
-            for s in range(out.shape[2]):
-                if used[e, s]:
-                    for w in range(out.shape[3]):
-                        out[e, m, s, w] = uniform(states[e])
+        for s in range(out.shape[1]):
+            if used[e, s]:
+                for w in range(out.shape[2]):
+                    out[e, s, w] = uniform(states[e])
 
 
 @jit
 def normals_at(states, used, table, out):  # type: ignore[no-untyped-def]
     """The same of standard normals."""
-    drawn = np.empty(out.shape[1] * out.shape[2] * out.shape[3])
+    drawn = np.empty(out.shape[1] * out.shape[2])
     for e in range(out.shape[0]):
-        count = out.shape[1] * used[e].sum() * out.shape[3]
-        fill(states[e], table, drawn[:count])
+        fill(states[e], table, drawn[: used[e].sum() * out.shape[2]])
         n = 0
-        for m in range(out.shape[1]):
-            for s in range(out.shape[2]):
-                if used[e, s]:
-                    out[e, m, s] = drawn[n : n + out.shape[3]]
-                    n += out.shape[3]
+        for s in range(out.shape[1]):
+            if used[e, s]:
+                out[e, s] = drawn[n : n + out.shape[2]]
+                n += out.shape[2]

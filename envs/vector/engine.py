@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from typing import Any
+from typing import Any, NamedTuple, cast
 
 import numba
 import numpy as np
@@ -33,8 +33,26 @@ LOG = logging.getLogger(__name__)
 WORLD_SEEDS, EPISODE_SEEDS = 2**31, 2**62  # as DrivingEnv.reset draws them
 
 
+class Stage(NamedTuple):
+    """Where N episodes take place, or wait to: everything that changes, and what is sensed of it."""
+
+    world: World
+    senses: Senses | None
+
+    def adopt(self, rows: Rows, other: Stage) -> None:
+        """Go on with the episodes ``rows`` of another stage."""
+        for array, values in zip(self.world, other.world, strict=True):
+            mine, theirs = cast(NDArray[Any], array), cast(NDArray[Any], values)
+            mine[rows] = theirs[rows]
+        if self.senses is not None and other.senses is not None:
+            self.senses.adopt(rows, other.senses)
+
+
 class Engine:
     """N environments that step together.
+
+    Episodes that follow on others are made ready beforehand, those of all environments that have none waiting at once:
+    navigation starts some seconds before an episode does, and many vehicles take hardly longer than one.
 
     Parameters
     ----------
@@ -72,6 +90,9 @@ class Engine:
         if sensing(single):
             length = duration_s(single.config, single.world)
             self.senses = Senses(single, count, self.lanes, self.rules.figures, length)
+        self._driven, self._next = Stage(self.world, self.senses), Stage(self._empty(), None)
+        self._begun = np.zeros(count, dtype=np.bool_)  # whether an environment has had an episode
+        self._waits = np.zeros(count, dtype=np.bool_)  # whether its next one is ready
 
     def _empty(self) -> World:
         """Arrays for N environments, before any start."""
@@ -95,7 +116,7 @@ class Engine:
 
     @property
     def bytes_per_environment(self) -> int:
-        """Memory of the arrays that grow with N, per environment."""
+        """Memory of the arrays that grow with N, per environment; its next episode has as much again."""
         senses = 0 if self.senses is None else self.senses.nbytes
         return (senses + sum(array.nbytes for array in self.world)) // self.count
 
@@ -103,12 +124,32 @@ class Engine:
 
     def reset(self, rows: Rows, seeds: list[int | None]) -> None:
         """Begin an episode in the environments ``rows``, each with its seed or from where its generator is."""
-        episodes = [self._begin(e, seed) for e, seed in zip(rows.tolist(), seeds, strict=True)]
-        self._know_all(rows)
-        if self.senses is not None:
-            anew = rows.size == self.count and None not in seeds
-            self.senses.begin(rows, episodes, self.world, anew)
-        self._run(rows, 0, FINISH | START)
+        follows = self._begun[rows] & np.array([seed is None for seed in seeds], dtype=np.bool_)
+        first = rows[~follows]
+        if first.size:
+            self._begin(self._driven, first, [seed for seed, on in zip(seeds, follows, strict=True) if not on])
+            self._begun[first], self._waits[first] = True, False
+        if first.size < rows.size:
+            self._go_on(rows[follows])
+
+    def _go_on(self, rows: Rows) -> None:
+        """Take the next episodes of environments, which are made ready where there is none."""
+        if self.senses is not None and self._next.senses is None:
+            self._next = Stage(self._next.world, self.senses.another())
+        if not self._waits[rows].all():
+            lacking = np.flatnonzero(self._begun & ~self._waits)
+            self._begin(self._next, lacking, [None] * lacking.size)
+            self._waits[lacking] = True
+        self._driven.adopt(rows, self._next)
+        self._waits[rows] = False
+
+    def _begin(self, stage: Stage, rows: Rows, seeds: list[int | None]) -> None:
+        """Begin episodes on a stage."""
+        episodes = [self._draw(stage.world, e, seed) for e, seed in zip(rows.tolist(), seeds, strict=True)]
+        self._know_all(stage.world, rows)
+        if stage.senses is not None:
+            stage.senses.begin(rows, episodes, stage.world)
+        self._run(stage.world, rows, 0, FINISH | START)
 
     def step(self, actions: NDArray[Any], rows: Rows | None = None) -> None:
         """Carry out commands (N,) or (N, A) until the next decision, in all environments or in ``rows`` of them."""
@@ -119,20 +160,20 @@ class Engine:
         else:
             self._take_up(actions)
         if self.senses is None:
-            self._run(where, self.frames, DECIDE | FINISH, codes)
+            self._run(self.world, where, self.frames, DECIDE | FINISH, codes)
             return
-        self._run(where, 0, DECIDE, codes)
+        self._run(self.world, where, 0, DECIDE, codes)
         for frame in range(1, self.frames + 1):
-            self._run(where, 1, 0)
+            self._run(self.world, where, 1, 0)
             follow = self.senses.coast if frame % self.senses.steps else self.senses.navigate
             follow(where, self.world)
         self.senses.foresee(where, self.world)
-        self._run(where, 0, FINISH)
+        self._run(self.world, where, 0, FINISH)
 
-    def _run(self, rows: Rows, frames: int, parts: int, actions: Rows | None = None) -> None:
+    def _run(self, world: World, rows: Rows, frames: int, parts: int, actions: Rows | None = None) -> None:
         chosen = self._everyone if actions is None else actions
         run, first = (run_parallel, numba.get_num_threads()) if use_parallel(rows.size) else (run_some, 0)
-        run(first, rows.size, rows, frames, parts, chosen, self.world, self.lanes, self.chart, self.rules)
+        run(first, rows.size, rows, frames, parts, chosen, world, self.lanes, self.chart, self.rules)
 
     def _take_up(self, actions: NDArray[Any]) -> None:
         """Continuous commands in physical units, in the precision of the action as highway-env maps it."""
@@ -158,20 +199,19 @@ class Engine:
 
     # Starts
 
-    def _begin(self, e: int, seed: int | None) -> int:
+    def _draw(self, w: World, e: int, seed: int | None) -> int:
         """Draw as :meth:`DrivingEnv.reset` does: the episode's seed, the world's, then who drives where."""
         generator = self._generators[e]
         if seed is not None or generator is None:
             generator = self._generators[e] = seeding.np_random(seed)[0]
         episode = int(generator.integers(EPISODE_SEEDS))
         world_seed = seed if seed is not None else int(generator.integers(WORLD_SEEDS))
-        w = self.world
         self._start(seeding.np_random(world_seed)[0], w.cars[e], w.whole[e], w.profile[e])
         return episode
 
-    def _know_all(self, rows: Rows) -> None:
+    def _know_all(self, w: World, rows: Rows) -> None:
         """Beliefs and scores at the start, from the true poses."""
-        w, c = self.world, self.world.cars
+        c = w.cars
         w.score[rows] = 0.0
         w.belief[rows] = 0.0
         poses = {k.B_X: k.X, k.B_Y: k.Y, k.B_HEADING: k.HEADING, k.B_SPEED: k.SPEED}

@@ -43,9 +43,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
     >>> infos["cost"].shape
     (4,)
 
-    Environment i under seed s drives as a single one under seed s + i does, whatever N. Its later episodes start as
-    those of the single one, and are they where nothing is sensed; where something is, all environments share a clock,
-    so that messages of reference stations reach these episodes at another tenth of a second.
+    Environment i under seed s drives as a single one under seed s + i does, whatever N, in this episode and all later.
 
     Parameters
     ----------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,6 +86,19 @@ class Perceptions:
         self._told[rows, :, AGE] = self._seen[rows, :, AGE] = np.inf
         self._last_m[rows] = 0.0
 
+    def adopt(self, rows: Rows, other: Perceptions) -> None:
+        """Go on as the egos ``rows`` of other perceptions do."""
+        self._streams.adopt(rows, other._streams, rows)
+        for mine, theirs in zip(self._arrays, other._arrays, strict=True):
+            mine[rows] = theirs[rows]
+
+    @property
+    def _arrays(self) -> tuple[NDArray[Any], ...]:
+        return (
+            self._epoch, self._sent, self._broadcasts, self._arriving, self._origin, self._held, self._told,
+            self._seen, self._last_m, self._there,
+        )  # fmt: skip
+
     def step(self, rows: Rows, time_s: Array, claims: Array, world: World) -> None:
         """One epoch of the egos ``rows`` (n,): others tell claims (n, C, 8) of themselves, sensors look.
 
@@ -112,10 +126,10 @@ class Perceptions:
         The radio's are uniform, the sensor's normal.
         """
         states, there = self._streams.states(name), self._there[rows]
-        own, out = states[rows], np.zeros((rows.size, 1, there.shape[1], width))
+        own, out = states[rows], np.zeros((rows.size, there.shape[1], width))
         if name == "sensor":
             sk.normals_at(own, there, ZIGGURAT, out)
         else:
             sk.uniforms_at(own, there, out)
         states[rows] = own
-        return out[:, 0]
+        return out

@@ -6,6 +6,7 @@ whom they perceive (:mod:`.perceptions`), which takes the navigation of the othe
 
 from __future__ import annotations
 
+import copy
 from dataclasses import is_dataclass
 
 import numpy as np
@@ -49,9 +50,7 @@ GIVEN = ("truth", "none")
 class Senses:
     """What the egos know of themselves and of others.
 
-    All instruments run on one clock, in epochs, that goes on while episodes start anew; so a message of a reference
-    station may find an episode at any tenth of a second. When all are started at once by seeds it starts with them:
-    then they are as single ones.
+    Every environment goes by a time of its own, so that all its episodes are as those of a single one.
 
     Parameters
     ----------
@@ -70,25 +69,37 @@ class Senses:
                               "are never cold: make the same environments with vectorization_mode='sync'")  # fmt: skip
         self._config, self._layouts = config.navigation, config.layouts
         self._lanes, self._figures, self._everyone = lanes, figures, np.arange(count)
+        self._map_bound_m, self._limits_m = map_bound_m(config, settings), limits
         self.skies = Skies.of(single, settings, duration_s)
         self.step_s = 1.0 / config.simulation_hz
         self.steps = config.navigation.steps_per_epoch(config.simulation_hz)
         self.epoch_s = self.step_s * self.steps
         self._warm_up = max(1, round(config.navigation.warm_up_s / self.epoch_s))
-        sees = others > 0 and config.perception.source not in GIVEN
-        self.perceptions = Perceptions(config.perception, count, others, self.epoch_s) if sees else None
-        self._vehicles = 1 + others if self.perceptions is not None and self.perceptions.hears else 1
+        self._distances = np.array(config.observation.satellites_m, dtype=np.float64)
+        self._one = Navigator(settings, self.skies.track, self.skies.mask, 0, 1)
+        self._others, self._perception = others, config.perception
+        self._make()
+
+    def _make(self) -> None:
+        """Everything that changes, before any start."""
+        count = self._everyone.size
+        sees = self._others > 0 and self._perception.source not in GIVEN
+        self.perceptions = Perceptions(self._perception, count, self._others, self.epoch_s) if sees else None
+        self._vehicles = 1 + self._others if self.perceptions is not None and self.perceptions.hears else 1
         self._there = np.ones((count, self._vehicles), dtype=np.bool_)
         self._streams = CrewStreams([0] * count, [0] * count, self._there[:, 1:], self.skies.used[[0] * count])
-        one = Navigator(settings, self.skies.track, self.skies.mask, 0, 1)
-        self._navigator = one.another(self._streams, self._epochs_at_start)
-        self.trackers = Trackers(config.navigation, count, map_bound_m(config, settings), limits)
+        self._navigator = self._one.another(self._streams)
+        self.trackers = Trackers(self._config, count, self._map_bound_m, self._limits_m)
         self._motion = Motion.still(count * self._vehicles, self.step_s)
-        self._hour, self._started = np.zeros((2, count), dtype=np.int64)
+        self._hour, self._age = np.zeros((2, count), dtype=np.int64)  # age: epochs since the episode's start
         self._city_m = np.zeros(count)
-        self._epoch = self._epochs_at_start
         self._sky: SkyView | None = None
-        self._distances = np.array(config.observation.satellites_m, dtype=np.float64)
+
+    def another(self) -> Senses:
+        """Senses for as many egos under the same skies, before any start."""
+        other = copy.copy(self)
+        other._make()
+        return other
 
     @property
     def nbytes(self) -> int:
@@ -98,13 +109,11 @@ class Senses:
 
     # Starts
 
-    def begin(self, rows: Rows, seeds: list[int], world: World, anew: bool) -> None:
+    def begin(self, rows: Rows, seeds: list[int], world: World) -> None:
         """Start the navigation of ``rows`` some seconds before their episodes, on a straight approach.
 
-        ``seeds`` are the episodes': they draw all that a single environment draws from them. ``anew``: these are all
-        environments, and the clock starts again.
+        ``seeds`` are the episodes': they draw all that a single environment draws from them.
         """
-        origin = self._epochs_at_start if anew else self._epoch
         others = world.whole[rows, k.PRESENT, 1:] > 0
         crew = others[:, : self._vehicles - 1]
         self._there[rows, 1:] = crew
@@ -112,16 +121,13 @@ class Senses:
         self._hour[rows], self._city_m[rows] = scenes.hour, self.skies.city_m[scenes.layout]
         used = self.skies.used[scenes.hour]
         streams = CrewStreams(seeds, scenes.fleet_seed.tolist(), crew, used)
-        starter = self._navigator.another(streams, origin - self._epochs_at_start)
-        solution, motion, told = self._approach(rows, starter, world, scenes, origin)
-        if anew:
-            self._navigator, self._motion, self._streams, self._epoch = starter, motion, streams, origin
+        starter = self._one.another(streams)
+        solution, motion, told = self._approach(rows, starter, world, scenes)
+        if rows.size == self._everyone.size:
+            self._navigator, self._motion, self._streams = starter, motion, streams
         else:
-            every = self._rows_of(rows)
-            self._navigator.adopt(every, starter)
-            self._motion.adopt(every, motion)
-            self._streams.adopt(rows, streams)
-        self._started[rows], self._sky = origin, None
+            self._take_over(rows, starter, motion, streams, np.arange(rows.size))
+        self._age[rows], self._sky = 0, None
         world.belief[rows, k.B_ALERT_AGE] = 0.0
         if self._config.source.senses:
             egos = solution.rows(np.arange(rows.size) * self._vehicles)
@@ -134,6 +140,26 @@ class Senses:
                 self.perceptions.step(rows, np.full(rows.size, time_s), claims, world)
         self.foresee(rows, world)
 
+    def adopt(self, rows: Rows, other: Senses) -> None:
+        """Go on as the egos ``rows`` of other senses do."""
+        self._take_over(rows, other._navigator, other._motion, other._streams, rows)
+        self.trackers.adopt(rows, other.trackers)
+        if self.perceptions is not None and other.perceptions is not None:
+            self.perceptions.adopt(rows, other.perceptions)
+        self._there[rows], self._hour[rows], self._city_m[rows] = (
+            other._there[rows], other._hour[rows], other._city_m[rows],
+        )  # fmt: skip
+        self._age[rows], self._sky = other._age[rows], None
+
+    def _take_over(
+        self, rows: Rows, navigator: Navigator, motion: Motion, streams: CrewStreams, theirs: Rows
+    ) -> None:  # fmt: skip
+        """Put the vehicles of the environments ``theirs`` in place of those of ``rows``."""
+        mine, every = self._rows_of(rows), self._rows_of(theirs)
+        self._navigator.adopt(mine, navigator, every)
+        self._motion.adopt(mine, motion, every)
+        self._streams.adopt(rows, streams, theirs)
+
     @property
     def _epochs_at_start(self) -> int:
         """What the clock shows at the start of a single environment's episode."""
@@ -145,7 +171,7 @@ class Senses:
         return every
 
     def _approach(
-        self, rows: Rows, navigator: Navigator, world: World, scenes: Scenes, origin: int
+        self, rows: Rows, navigator: Navigator, world: World, scenes: Scenes
     ) -> tuple[Solution, Motion, list[tuple[float, Array]]]:
         """Drive straight up to the start, an epoch after another; the last of what the others tell of themselves."""
         end, heading, speed = self._poses(rows, world)
@@ -162,7 +188,7 @@ class Senses:
             if step % self.steps == 0:
                 ago = step // self.steps - self._warm_up
                 time_s = ago * self.epoch_s
-                truth = motion.epoch((origin + ago) * self.epoch_s, self.epoch_s, arc, side)
+                truth = motion.epoch((self._epochs_at_start + ago) * self.epoch_s, self.epoch_s, arc, side)
                 clock = np.full(rows.size, self._config.clock_start_s + time_s)
                 sky = self.skies.view(self._hour[rows], clock, self._there[rows])
                 solution = navigator.locate(navigator.measure(truth, sky))
@@ -182,9 +208,9 @@ class Senses:
     def navigate(self, rows: Rows, world: World) -> None:
         """A simulation step has passed that ends an epoch: measure, locate, perceive, and bring beliefs up to date."""
         self._moved(world)
-        self._epoch += 1
+        self._age += 1
         arc, side = self._whereabouts(self._everyone, world)
-        truth = self._motion.epoch(self._epoch * self.epoch_s, self.epoch_s, arc, side)
+        truth = self._motion.epoch((self._navigator.epoch + 1) * self.epoch_s, self.epoch_s, arc, side)
         self._sky = self._view()
         solution = self._navigator.locate(self._navigator.measure(truth, self._sky))
         if self._config.source.senses:
@@ -194,7 +220,7 @@ class Senses:
             self._settle(rows, world, self.step_s)
             glance_all(rows, world.belief, world.score, world.cars, self._figures)
         if self.perceptions is not None:
-            time_s = np.asarray((self._epoch - self._started[rows]) * self.epoch_s, dtype=np.float64)
+            time_s = np.asarray(self._age[rows] * self.epoch_s, dtype=np.float64)
             self.perceptions.step(rows, time_s, claims_of(solution, self._vehicles)[rows], world)
 
     def foresee(self, rows: Rows, world: World) -> None:
@@ -210,8 +236,7 @@ class Senses:
 
     def _view(self) -> SkyView:
         """The skies over all egos now."""
-        since_s = (self._epoch - self._started) * self.epoch_s
-        clock = np.asarray(self._config.clock_start_s + since_s, dtype=np.float64)
+        clock = np.asarray(self._config.clock_start_s + self._age * self.epoch_s, dtype=np.float64)
         return self.skies.view(self._hour, clock, self._there)
 
     def _poses(self, rows: Rows, world: World) -> tuple[Array, Array, Array]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity import streams_kernel as sk
+from lanebound.integrity.errors import InputError
 from lanebound.integrity.streams import ZIGGURAT, Streams
 
 __all__ = ["CrewStreams"]
@@ -39,55 +40,66 @@ class CrewStreams(Streams):
         super().__init__(list(seeds))
         self._others, self._vehicles = Streams(list(fleet_seeds)), 1 + crew.shape[1]
         self.batch = len(seeds) * self._vehicles
-        self._used, self._crew, self._egos = used.copy(), crew.copy(), np.ones((len(seeds), 1), dtype=np.bool_)
+        self._used, self._crew = used.copy(), crew.copy()
+        self._find_places()
 
-    def normal(self, name: str, *shape: int) -> Array:
-        """Standard normal draws (N M, *shape)."""
-        return self._draw(name, shape, normal=True)
+    def _find_places(self) -> None:
+        """Places of the satellites of all others (N, (M - 1) S), and whether any place of a vehicle is empty."""
+        count = self._used.shape[0]
+        self._crew_used = (self._crew[:, :, None] & self._used[:, None, :]).reshape(count, -1)
+        self._complete = bool(self._crew.all())
+
+    def normal(self, name: str, *shape: int, where: NDArray[np.bool_] | None = None) -> Array:
+        """Standard normal draws (N M, *shape), of all vehicles of the environments that draw."""
+        draws = None if where is None or where.all() else where[:: self._vehicles]
+        return self._draw(name, shape, True, draws)
 
     def uniform(self, name: str, *shape: int) -> Array:
         """Uniform draws in [0, 1), likewise."""
-        return self._draw(name, shape, normal=False)
+        return self._draw(name, shape, False, None)
 
-    def adopt(self, rows: Rows, other: CrewStreams) -> None:
-        """Go on with the generators of the environments of other streams (n) in ``rows`` (n,)."""
-        self._used[rows], self._crew[rows] = other._used, other._crew
-        for mine, theirs in ((self, other), (self._others, other._others)):
-            for row, seed in zip(rows.tolist(), theirs._seeds, strict=True):
-                mine._seeds[row] = seed
-            for name in {*mine._states, *theirs._states}:
-                mine.states(name)[rows] = theirs.states(name)
+    def adopt(self, rows: Rows, other: Streams, theirs: Rows) -> None:
+        """Go on with the generators of the environments ``theirs`` (n,) of other streams in ``rows`` (n,)."""
+        if not isinstance(other, CrewStreams):
+            raise InputError(f"other must be streams of environments, got {type(other).__name__}: make CrewStreams")
+        super().adopt(rows, other, theirs)
+        self._others.adopt(rows, other._others, theirs)
+        self._used[rows], self._crew[rows] = other._used[theirs], other._crew[theirs]
+        self._find_places()
 
-    def _draw(self, name: str, shape: tuple[int, ...], normal: bool) -> Array:
-        one = self._drawn(self, self._egos, name, shape, normal)
+    def _draw(self, name: str, shape: tuple[int, ...], normal: bool, draws: NDArray[np.bool_] | None) -> Array:
+        """What every vehicle draws; ``draws`` (N,): the environments that do, None for all."""
+        by_satellite = name in BY_SATELLITE and len(shape) > (name == "station") and shape[0] == self._used.shape[1]
+        used = self._used if by_satellite else None
+        if draws is not None:
+            used = draws[:, None] if used is None else used & draws[:, None]
+        one = self._drawn(self, 1, used, name, shape, normal)
         if self._vehicles > 1:
             if name in COMMON:
                 one = np.repeat(one, self._vehicles, 1)
             else:
-                others = self._drawn(self._others, self._crew, name, shape, normal)
+                used = self._crew_used if by_satellite else None if self._complete else self._crew
+                others = self._drawn(self._others, self._vehicles - 1, used, name, shape, normal)
                 one = np.concatenate([one, others], 1)
         return one.reshape(self.batch, *shape)
 
     def _drawn(
-        self, streams: Streams, crew: NDArray[np.bool_], name: str, shape: tuple[int, ...], normal: bool
-    ) -> Array:
-        """Draws (N, m, *shape) of a crew (N, m) in the places taken, by vehicles and, where it is so, satellites."""
-        count, vehicles = crew.shape
-        places = self._used.shape[1]
-        states = streams.states(name)
-        by_satellite = name in BY_SATELLITE and len(shape) > (name == "station") and shape[0] == places
-        if by_satellite or not crew.all():
-            taken = crew[:, :, None] & self._used[:, None, :] if by_satellite else crew
-            taken = taken.reshape(count, -1)
-            out = np.zeros((count, 1, taken.shape[1], vehicles * math.prod(shape) // taken.shape[1]))
+        self, streams: Streams, vehicles: int, used: NDArray[np.bool_] | None, name: str, shape: tuple[int, ...],
+        normal: bool,
+    ) -> Array:  # fmt: skip
+        """Draws (N, vehicles, *shape) in the places ``used`` (N, places), zeros in the others; None: in all."""
+        states, count = streams.states(name), self._used.shape[0]
+        numbers = vehicles * math.prod(shape)
+        if used is None:
+            every = np.empty((count, numbers))
             if normal:
-                sk.normals_at(states, taken, ZIGGURAT, out)
+                sk.normals(states, self._rows, ZIGGURAT, every)
             else:
-                sk.uniforms_at(states, taken, out)
+                sk.uniforms(states, self._rows, every)
+            return every.reshape(count, vehicles, *shape)
+        some = np.zeros((count, used.shape[1], numbers // used.shape[1]))
+        if normal:
+            sk.normals_at(states, used, ZIGGURAT, some)
         else:
-            out = np.empty((count, vehicles * math.prod(shape)))
-            if normal:
-                sk.normals(states, self._rows, ZIGGURAT, out)
-            else:
-                sk.uniforms(states, self._rows, out)
-        return out.reshape(count, vehicles, *shape)
+            sk.uniforms_at(states, used, some)
+        return some.reshape(count, vehicles, *shape)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -49,6 +51,19 @@ class Trackers:
         self._solution_m[rows] = xy_of(solution.position_en_m)
         self._heading_rad[rows] = _heading(solution)
         self._keep(rows, solution)
+
+    def adopt(self, rows: Rows, other: Trackers) -> None:
+        """Go on as the egos ``rows`` of other trackers do."""
+        for mine, theirs in zip(self._arrays, other._arrays, strict=True):
+            mine[rows] = theirs[rows]
+
+    @property
+    def _arrays(self) -> tuple[NDArray[Any], ...]:
+        return (
+            self.map_shift_m, self._solution_m, self._residual_m, self._heading_rad, self._yaw_rate,
+            self._acceleration, self._fix_heading, self._fix_speed, self._levels_m, self._alert, self._available,
+            self._reason,
+        )  # fmt: skip
 
     def coast(self, rows: Rows, dt_s: float) -> None:
         """Carry the poses on by the last speeds and turn rates, between epochs."""

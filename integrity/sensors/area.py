@@ -83,12 +83,14 @@ def advance_area(config: GnssConfig, link: CorrectionsConfig, state: AreaState, 
 
 def _advance(config: GnssConfig, link: CorrectionsConfig, state: AreaState, dt_s: float) -> None:
     advance_network(link, state.network, dt_s, state.streams)
-    signals, satellites, column = state.signals, state.signals.memory.shape[1], state.network.epoch % gk.N_SLOW
+    signals, network, satellites = state.signals, state.network, state.signals.memory.shape[1]
     decays, gains, clock = _figures(config, dt_s)
+    noise = NO_NOISE
+    if network.fresh.any():
+        noise = state.streams.normal("station", satellites, gk.N_NOISE, where=network.fresh)
     kernel.advance(
-        signals.memory, signals.message, signals.clock, dt_s, column, decays[column], gains[column],
-        state.streams.normal("atmosphere", satellites), state.network.fresh,
-        state.streams.normal("station", satellites, gk.N_NOISE) if state.network.fresh else NO_NOISE, *clock,
+        signals.memory, signals.message, signals.clock, dt_s, network.own_epoch % gk.N_SLOW, decays, gains,
+        state.streams.normal("atmosphere", satellites), network.fresh, noise, *clock,
         state.streams.normal("station", 2),
     )  # fmt: skip
 

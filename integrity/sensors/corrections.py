@@ -63,21 +63,23 @@ class CorrectionsConfig(Config):
 
 @dataclass
 class NetworkState:
-    """The networks of A areas, counted in whole epochs of a common clock so that nothing drifts.
+    """The networks of A areas, counted in whole epochs so that nothing drifts.
 
     Attributes
     ----------
-    epoch : epochs since the clock's zero
-    message : number of the newest reference epoch whose message has been due, -1 before the first
-    fresh : that message was due in the last epoch
+    epoch : of the clock that all areas go by
+    begun : (A,) int64, what that clock showed at zero of each area's own
+    message : (A,) int64, number of the newest reference epoch whose message has been due, -1 before the first
+    fresh : (A,) bool, that message was due in the last epoch
     up : (A,) bool, the network carried messages in the last epoch
     outage_left : (A,) int64, epochs for which the present outage still lasts
     until : (A,) int64, epochs until the next outage
     """
 
     epoch: int
-    message: int
-    fresh: bool
+    begun: NDArray[np.int64]
+    message: NDArray[np.int64]
+    fresh: NDArray[np.bool_]
     up: NDArray[np.bool_]
     outage_left: NDArray[np.int64]
     until: NDArray[np.int64]
@@ -85,6 +87,11 @@ class NetworkState:
     def copy(self) -> NetworkState:
         """An independent copy."""
         return copy.deepcopy(self)
+
+    @property
+    def own_epoch(self) -> NDArray[np.int64]:
+        """(A,) epochs since zero of each area's own clock."""
+        return self.epoch - self.begun
 
 
 @dataclass
@@ -161,8 +168,9 @@ def initial_network(config: CorrectionsConfig, dt_s: float, streams: Streams) ->
     down = u[:, 0] < law.network_down
     return NetworkState(
         epoch=0,
-        message=-1,
-        fresh=False,
+        begun=np.zeros(down.size, dtype=np.int64),
+        message=np.full(down.size, -1, dtype=np.int64),
+        fresh=np.zeros(down.size, dtype=np.bool_),
         up=~down,
         outage_left=np.where(down, _residual(law, u[:, 1:]), 0),
         until=np.array([0 if d else 1 + kernel.quiet_epochs(law.par, dt_s, q) for d, q in zip(down, z, strict=True)]),
@@ -173,23 +181,12 @@ def advance_network(config: CorrectionsConfig, network: NetworkState, dt_s: floa
     """Advance the networks by one epoch, in place; ``streams`` are those of the areas."""
     law = _law(config, dt_s)
     network.epoch += 1
-    arrived = _arrived(config, network.epoch, dt_s)
+    arrived = np.floor((network.own_epoch * dt_s - config.latency_s) / config.interval_s + kernel.ROUNDING)
     network.fresh = arrived > network.message
-    network.message = max(arrived, network.message)
+    network.message = np.maximum(arrived.astype(np.int64), network.message)
     if config.outage_per_h > 0.0:
         z = streams.normal("network", 2)
         kernel.advance_network(law.par, dt_s, z, network.outage_left, network.until, network.up)
-
-
-def wind(config: CorrectionsConfig, network: NetworkState, epoch: int, dt_s: float) -> None:
-    """Set the clock of fresh networks to an epoch: the next message is the one due after it."""
-    network.epoch = epoch
-    network.message = max(_arrived(config, epoch, dt_s), -1)
-
-
-def _arrived(config: CorrectionsConfig, epoch: int, dt_s: float) -> int:
-    """Number of the newest reference epoch whose message has been due."""
-    return math.floor((epoch * dt_s - config.latency_s) / config.interval_s + kernel.ROUNDING)
 
 
 def initial_state(
@@ -260,8 +257,8 @@ def step(
         u, z = streams.uniform("corrections"), streams.normal("corrections")
     age = np.empty(batch)
     kernel.advance(
-        parameters(config, dt_s), network.epoch * dt_s, dt_s, network.message, network.fresh, u, z, lost, network.up,
-        network.until, state.newest, state.outage_left, state.up, sent, state.held, age,
+        parameters(config, dt_s), network.own_epoch * dt_s, dt_s, network.message, network.fresh, u, z, lost,
+        network.up, network.until, state.newest, state.outage_left, state.up, sent, state.held, age,
     )  # fmt: skip
     return age
 

@@ -47,9 +47,10 @@ def advance_network(par, dt, z, outage_left, until, up):  # type: ignore[no-unty
 def advance(  # type: ignore[no-untyped-def]
     par, now, dt, message, fresh, u, z, lost, network_up, until, newest, outage_left, up, sent, held, age
 ):  # fmt: skip
-    """All vehicles, (B,) each, at time ``now``: state advances in place, ``age`` is filled; empty ``u``: no outages.
+    """All vehicles, (B,) each, at time ``now`` (A,) of their areas: state advances in place, ``age`` is filled.
 
-    Who receives the newest message, ``sent`` (A, ...), keeps it in ``held`` (B, ...) until the next one.
+    Empty ``u``: no outages. Who receives the newest message, ``sent`` (A, ...), keeps it in ``held`` (B, ...) until the
+    next one.
 
     An outage of one's own that would run into one of the network does not take place: lengths keep their law.
     """
@@ -63,7 +64,7 @@ def advance(  # type: ignore[no-untyped-def]
         up[v] = network_up[a] and outage_left[v] == 0
         if outage_left[v] > 0:
             outage_left[v] -= 1
-        if fresh and up[v] and not lost[v]:
-            newest[v] = message
+        if fresh[a] and up[v] and not lost[v]:
+            newest[v] = message[a]
             held[v] = sent[a]
-        age[v] = now - newest[v] * par[INTERVAL_S] if newest[v] >= 0 else math.inf
+        age[v] = now[a] - newest[v] * par[INTERVAL_S] if newest[v] >= 0 else math.inf

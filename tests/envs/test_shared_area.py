@@ -32,7 +32,7 @@ def test_the_navigators_of_ego_and_others_have_the_same_area(warm_up_s: float) -
         one, two = (getattr(n.state.area.signals, name) for n in (ego, others))
         np.testing.assert_array_equal(one, two)
     one, two = ego.state.area.network, others.state.area.network
-    assert (one.epoch, one.message) == (two.epoch, two.message)
+    assert (one.epoch, one.message.tolist()) == (two.epoch, two.message.tolist())
     np.testing.assert_array_equal(one.until, two.until)
     np.testing.assert_array_equal(one.outage_left, two.outage_left)
     assert not np.array_equal(ego.state.gnss.memory[0], others.state.gnss.memory[0])

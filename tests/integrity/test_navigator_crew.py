@@ -9,42 +9,49 @@ import pytest
 
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.navigator import Navigator, NavigatorConfig
-from lanebound.integrity.streams import STREAM_NAMES, Streams
+from lanebound.integrity.solution import Solution
+from lanebound.integrity.streams import Streams
 from lanebound.integrity.truth import Truth, truth_between
 
 DT_S, MPS = 0.1, 8.0
 
 
-def _truth(epoch: int, vehicles: int) -> Truth:
-    """Everybody straight on to the North."""
-    before, after = (np.tile([[0.0, MPS * DT_S * n]], (vehicles, 1)) for n in (epoch - 1, epoch))
-    velocity, heading = np.tile([[0.0, MPS]], (vehicles, 1)), np.zeros(vehicles)
+def _truth(epoch: int, *own: int) -> Truth:
+    """Everybody straight on to the North; ``own``: epochs of each vehicle."""
+    before, after = (np.array([[0.0, MPS * DT_S * (n + past)] for n in own]) for past in (-1, 0))
+    velocity, heading = np.tile([[0.0, MPS]], (len(own), 1)), np.zeros(len(own))
     return truth_between(epoch * DT_S, DT_S, (before, after), (velocity, velocity), (heading, heading), arc_m=0.0)
 
 
-def _share(navigator: Navigator, row: int, other: Navigator) -> None:
+def _step(navigator: Navigator, truth: Truth) -> Solution:
+    """Under a sky that stands still, for clocks differ."""
+    sky = navigator.track.at(navigator.track.start_s + 30.0, np.zeros(navigator.batch, dtype=np.int64))
+    return navigator.locate(navigator.measure(truth, sky))
+
+
+def _share(navigator: Navigator, row: int, other: Navigator, theirs: int) -> None:
     """The other's generators for a row, to be drawn from by both alike."""
     for streams in (navigator.state.streams, navigator.state.area.streams):
-        for name in STREAM_NAMES:
-            streams.states(name)[row] = other.state.streams.states(name)[0]
+        streams.adopt(np.array([row]), other.state.streams, np.array([theirs]))
 
 
-def test_a_vehicle_taken_over_goes_on_as_it_would_have() -> None:
+@pytest.mark.parametrize("when", [10, 17, 23])
+def test_a_vehicle_taken_over_goes_on_as_it_would_have(when: int) -> None:
+    """Wherever the clocks of both are: its messages come, and its area changes, by its own."""
     navigator = Navigator.nominal(NavigatorConfig(), [1, 2, 3], duration_s=60.0)
-    other = navigator.another(Streams([9]), epoch=17)
+    other = navigator.another(Streams([8, 9]))
     for epoch in range(1, 21):
-        navigator.step(_truth(epoch, 3))
-        if epoch > 17:
-            other.step(_truth(epoch, 1))
+        _step(navigator, _truth(epoch, *3 * [epoch]))
+    for epoch in range(1, when + 1):
+        _step(other, _truth(epoch, epoch, epoch))
     alone = copy.deepcopy(navigator)
-    navigator.adopt(np.array([1]), other)
-    _share(navigator, 1, other)
+    navigator.adopt(np.array([1]), other, np.array([1]))
+    _share(navigator, 1, other, 1)
     for epoch in range(21, 60):
-        both, single, before = (
-            navigator.step(_truth(epoch, 3)),
-            other.step(_truth(epoch, 1)),
-            alone.step(_truth(epoch, 3)),
-        )
+        own = when + epoch - 20
+        both = _step(navigator, _truth(epoch, epoch, own, epoch))
+        single = _step(other, _truth(own, own, own)).rows(np.array([1]))
+        before = _step(alone, _truth(epoch, *3 * [epoch]))
     for mine, theirs, row in ((both, single, 0), (both, before, 0), (both, before, 2)):
         place = 1 if theirs is single else row
         np.testing.assert_array_equal(mine.position_en_m[place], theirs.position_en_m[row])
@@ -59,10 +66,13 @@ def test_a_vehicle_taken_over_goes_on_as_it_would_have() -> None:
 def test_a_sky_of_ones_own_is_used() -> None:
     navigator = Navigator.nominal(NavigatorConfig(), [1, 2], duration_s=60.0)
     sky = navigator.track.at(navigator.track.start_s + 30.0, np.zeros(2, dtype=np.int64))
-    assert navigator.measure(_truth(1, 2), sky).sky is sky
+    assert navigator.measure(_truth(1, 1, 1), sky).sky is sky
 
 
-def test_clocks_must_agree() -> None:
+def test_areas_must_be_their_own() -> None:
     navigator = Navigator.nominal(NavigatorConfig(), [1, 2], duration_s=60.0)
-    with pytest.raises(InputError, match="epoch"):
-        navigator.adopt(np.array([0]), navigator.another(Streams([5]), epoch=3))
+    shared = Navigator(navigator.config, navigator.track, navigator.mask, [5, 6], area_seed=7)
+    with pytest.raises(InputError, match="area_seed"):
+        navigator.adopt(np.array([0]), shared, np.array([0]))
+    with pytest.raises(InputError, match="area_seed"):
+        shared.adopt(np.array([0]), navigator, np.array([0]))

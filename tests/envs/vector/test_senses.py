@@ -50,9 +50,9 @@ class Pairs:
         self._views: list[Any] = [None] * count
         self.reset(np.arange(count), seed)
 
-    def reset(self, rows: Any, seed: int) -> None:
-        """Start some of them anew, under this seed and those after it."""
-        seeds: list[int | None] = [seed + n for n in range(rows.size)]
+    def reset(self, rows: Any, seed: int | None) -> None:
+        """Start some of them anew, under this seed and those after it, or where their generators are."""
+        seeds: list[int | None] = [None if seed is None else seed + n for n in range(rows.size)]
         self.engine.reset(rows, seeds)
         for row, own in zip(rows.tolist(), seeds, strict=True):
             self._views[row], info = self.singles[row].reset(seed=own)
@@ -107,11 +107,32 @@ def test_under_a_recorded_sky_it_is_the_single_environment(tmp_path: Path, monke
 
 def test_an_episode_that_starts_while_others_drive_is_the_single_one() -> None:
     pairs = Pairs("CarFollowing", {"sky": "open", "layouts": 1}, 2, 5)
-    pairs.step(15)  # 3 s: the shared clock stands as at a start to messages and to what the area draws by turns
-    pairs.reset(np.array([1]), 40)
+    for steps in (1, 7, 4):  # whatever the others' messages are at
+        pairs.step(steps)
+        pairs.reset(np.array([1]), 40 + steps)
     pairs.step(6)
     require_equal(pairs.tally)
-    assert pairs.tally.steps == 42
+    assert pairs.tally.steps == 36
+
+
+@pytest.mark.parametrize("name", ["LaneKeeping", "Highway"])
+def test_later_episodes_are_those_of_the_single_one(name: str) -> None:
+    pairs = Pairs(name, {**(FEW if name == "Highway" else {}), "sky": "open", "layouts": 2}, 3, 5)
+    for rows in ([1], [0, 2], [1, 2], [2], [0, 1, 2]):
+        pairs.step(3)
+        pairs.reset(np.array(rows), None)
+    pairs.step(3)
+    require_equal(pairs.tally)
+    assert pairs.tally.steps >= 40
+
+
+def test_a_seed_puts_an_end_to_what_was_ready() -> None:
+    pairs = Pairs("CarFollowing", {"sky": "open", "layouts": 1}, 2, 5)
+    pairs.reset(np.array([0]), None)  # makes the next of both ready
+    pairs.reset(np.array([1]), 77)
+    pairs.reset(np.array([1]), None)
+    pairs.step(3)
+    require_equal(pairs.tally)
 
 
 @pytest.mark.slow

@@ -58,7 +58,7 @@ def test_they_go_on_with_those_of_others() -> None:
     crew = CrewStreams([1, 2, 3], [4, 5, 6], np.ones((3, 1), dtype=np.bool_), np.ones((3, 2), dtype=np.bool_))
     other = CrewStreams([8], [9], THERE[:1, :1], USED[:1, 1:3])
     crew.normal("imu")
-    crew.adopt(np.array([1]), other)
+    crew.adopt(np.array([1]), other, np.array([0]))
     same = CrewStreams([8], [9], THERE[:1, :1], USED[:1, 1:3])
     np.testing.assert_array_equal(crew.normal("imu")[2:4], same.normal("imu"))
     np.testing.assert_array_equal(crew.normal("gnss", 2, 3)[2:4], same.normal("gnss", 2, 3))

@@ -24,7 +24,7 @@ class _Link:
 
     def step(self, lost=False):
         corrections.advance_network(self.config, self.network, self.dt, self.area_streams)
-        self.sent[:] = self.network.message  # every message says its number
+        self.sent[:] = self.network.message[:, None, None]  # every message says its number
         lost = np.broadcast_to(lost, self.batch).copy()
         return corrections.step(self.config, self.state, self.network, self.sent, self.dt, lost, self.streams)
 
@@ -47,7 +47,7 @@ def test_age_is_a_sawtooth_from_the_latency_on():
 
 def test_nothing_drifts_in_ten_hours():
     link = _Link(CorrectionsConfig())
-    link.network.epoch, link.network.message = 360_000, 35_999
+    link.network.epoch, link.network.message[:] = 360_000, 35_999
     link.state.newest[:] = 35_999
     for n in range(20):
         assert link.step()[0] == pytest.approx(0.3 + 0.1 * ((n - 2) % 10), abs=1e-9)
