@@ -81,9 +81,9 @@ from lanebound.integrity.positioning.mode_kernel import (
     DOPPLER,
     NONE,
     RTK,
+    bridge_mode,
     doppler_usable,
     rtk_usable,
-    select_mode,
 )
 from lanebound.integrity.positioning.odometer_watch_kernel import DOUBT as WATCH_DOUBT
 from lanebound.integrity.positioning.odometer_watch_kernel import (
@@ -414,6 +414,30 @@ def advance(x, growth, par, mode, v_e, v_n, q, v_ss, middle, carry, resting):  #
 
 
 @jit
+def reference_point(head, par, sin_h, cos_h):  # type: ignore[no-untyped-def]
+    """East and North of the vehicle, of whose antenna ``head`` tells [m]."""
+    forward, right = par[LEVER_FORWARD], par[LEVER_RIGHT]
+    return head[X_E] - sin_h * forward - cos_h * right, head[X_N] - cos_h * forward + sin_h * right
+
+
+@jit
+def judge_rtk(x, par, head, sin_h, cos_h, expected, found):  # type: ignore[no-untyped-def]
+    """Whether a confirmed RTK position is taken, beside the one that was expected; levels of both (R, 2) [m].
+
+    One without a level is not taken in place of one that has one.
+    """
+    if bounded(expected[0]) and not bounded(found[0]):
+        return QUARANTINED
+    if not x[INITIALISED] > 0.0:
+        return ACCEPTED
+    east, north = reference_point(head, par, sin_h, cos_h)
+    return judge_jump(
+        east - x[EAST], north - x[NORTH], sin_h, cos_h, expected[0], found[0], x[SINCE_RTK] < 1.5 * par[DT],
+        x[CONFLICT_S] > CONFLICT_LIMIT_S, (par[AFTER_JUMP], par[AFTER_OUTAGE]), x[DOUBT:WATCH],
+    )  # fmt: skip
+
+
+@jit
 def _epoch(  # type: ignore[no-untyped-def]
     e, system, elevation, tracked, cn0, code, phase, range_rate, lock_lost, age,
     delta_theta, delta_v, v_ss,
@@ -470,9 +494,7 @@ def _epoch(  # type: ignore[no-untyped-def]
     x[FIXED_S] = x[FIXED_S] + dt if status == FIXED else 0.0
     confirmed = status == FIXED and (x[SINCE_RTK] < 1.5 * dt or x[FIXED_S] > par[CONFIRM])
     initialised = x[INITIALISED] > 0.0
-    mode = select_mode(
-        False, hdop_rtk, checked, v_gnss, v_ss, hdop_doppler, x[SINCE_RTK], initialised, mode_limits
-    )  # what holds without RTK
+    mode = bridge_mode(checked, v_gnss, v_ss, hdop_doppler, x[SINCE_RTK], initialised, mode_limits)
     advance(x, growth, par, mode, v_e, v_n, q_v, v_ss, middle, carry, resting)
     measured = doppler_usable(checked, v_gnss, v_ss, hdop_doppler, mode_limits)
     integrates = mode == DOPPLER and not resting
@@ -489,18 +511,11 @@ def _epoch(  # type: ignore[no-untyped-def]
     if confirmed and rtk_usable(hdop_rtk, mode_limits):
         levels_rtk(n_rtk, rows, rows_group, sin_h, cos_h, risks, shares, spent + wrong, priors, k_fa, k_published,
                    shift, geo, head, columns, found)  # fmt: skip
-        forward, right = par[LEVER_FORWARD], par[LEVER_RIGHT]
-        east = head[X_E] - sin_h * forward - cos_h * right
-        north = head[X_N] - cos_h * forward + sin_h * right
-        verdict = ACCEPTED if bounded(found[0]) or not bounded(pl[0]) else QUARANTINED  # what is bounded is better
-        if initialised and verdict == ACCEPTED:
-            verdict = judge_jump(
-                east - x[EAST], north - x[NORTH], sin_h, cos_h, pl[0], found[0], x[SINCE_RTK] < 1.5 * dt,
-                x[CONFLICT_S] > CONFLICT_LIMIT_S, (par[AFTER_JUMP], par[AFTER_OUTAGE]), doubt,
-            )  # fmt: skip
+        verdict = judge_rtk(x, par, head, sin_h, cos_h, pl, found)
         if verdict == ACCEPTED:
             mode, pl[:] = RTK, found
-            x[EAST], x[NORTH], x[UP] = east, north, head[X_U]
+            x[EAST], x[NORTH] = reference_point(head, par, sin_h, cos_h)
+            x[UP] = head[X_U]
             x[SINCE_RTK], x[INITIALISED], x[UNBOUNDED] = 0.0, 1.0, 0.0
             restart(growth, start, apart, x, pl, k_dead, shift, published, x[P_HH], head, sin_h, cos_h)
         else:

@@ -24,7 +24,7 @@ from lanebound.integrity.streams import named_generator
 
 __all__ = [
     "METHOD", "RESAMPLES", "SPREAD_SEEDS", "VERDICT_SEEDS", "Difference", "Estimate", "difference", "estimate", "holm",
-    "interquartile_mean", "is_clear", "seeds_to_exclude",
+    "interquartile_mean", "is_clear", "seeds_to_exclude", "student_ends", "student_p",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -153,10 +153,23 @@ def _p_value(gap: Array, rate: bool) -> float:
     if rate:
         fewer = int(min((gap > 0.0).sum(), (gap < 0.0).sum()))
         return min(1.0, 2.0 * float(bdtr(fewer, differing, 0.5))) if differing else 1.0
-    least, error = min(1.0, 2.0 ** (1 - differing)), float(_error(gap))
+    return max(min(1.0, 2.0 ** (1 - differing)), student_p(gap))
+
+
+def student_p(gap: Array) -> float:
+    """Two-sided, of Student's paired test; where all differ by the same, what turning signs can give.  (n,), n > 1."""
+    error = float(_error(gap))
     if error <= ROUNDING * float(np.abs(gap).max()):
-        return least
-    return max(least, 2.0 * float(stdtr(gap.size - 1, -abs(float(gap.mean())) / error)))
+        return min(1.0, 2.0 ** (1 - int(np.count_nonzero(gap))))
+    return 2.0 * float(stdtr(gap.size - 1, -abs(float(gap.mean())) / error))
+
+
+def student_ends(values: Array) -> Ends:
+    """Ends of Student's 95 % interval of a mean; none of a single value.  (n,)."""
+    if values.size < 2:
+        return NONE
+    mean, reach = float(values.mean()), float(_error(values) * stdtrit(values.size - 1, 1.0 - TAIL))
+    return mean - reach, mean + reach
 
 
 def _within(ends: Ends, bounds: Bounds) -> Ends:

@@ -154,8 +154,9 @@ class BarrierFilter:
         self.remember(observation)
         lane_top = np.asarray(np.inf)
         if self._inner.lateral:
-            self.pass_bend(observation)
-            lane_top = np.minimum(self._slowing(observation), self.bend_bound(observation))
+            bends = self.bends(observation)
+            self.pass_bend(observation, bends[0][1])
+            lane_top = np.minimum(self._slowing(observation), self.bend_bound(observation, bends))
         self.counts["decisions"] += wanted.size
         self._count("following", top < wanted - EPS, stuck)
         commanded = np.clip(np.minimum(np.minimum(wanted, top), lane_top), *bounds)
@@ -251,8 +252,8 @@ class BarrierFilter:
         stuck = (bound < hardest - EPS) & (shown[..., 0] > c.creep_mps)
         return np.maximum(bound, hardest), stuck
 
-    def bend_bound(self, observation: Observation) -> Array:
-        """Largest acceleration [m/s2] after which every bend that is shown can be met at a share of the grip.
+    def bend_bound(self, observation: Observation, bends: list[tuple[float, Array]]) -> Array:
+        """Largest acceleration [m/s2] after which every one of :meth:`bends` can be met at a share of the grip.
 
         With the believed place PL_AT too far back, a way of ``v T`` until the next decision, and no less of a bend than
         there was within PL_AT behind (:meth:`pass_bend`): the believed place may be too far ahead as well.
@@ -264,7 +265,7 @@ class BarrierFilter:
         v = np.maximum(self.fastest(shown, self.commanded_mps2), 0.0)
         late = self.reader.value(observation, "integrity.pl_at") + v * dt
         squared = c.bend_share * grip / np.maximum(self._behind, 1e-6)
-        for d, kappa in self.bends(observation):
+        for d, kappa in bends:
             bend = c.bend_share * grip / np.maximum(kappa, 1e-6)
             squared = np.minimum(squared, bend + 2.0 * c.bend_brake_mps2 * np.maximum(d - late, 0.0))
         self._count("bend", squared < (v + EPS) ** 2, np.zeros(shown.shape, dtype=np.bool_))
@@ -282,9 +283,8 @@ class BarrierFilter:
             turned, at = heading, d
         return found
 
-    def pass_bend(self, observation: Observation) -> None:
-        """Keep the tightest bend of the way of PL_AT just driven."""
-        here = self.bends(observation)[0][1]
+    def pass_bend(self, observation: Observation, here: Array) -> None:
+        """Keep the tightest bend of the way of PL_AT just driven, ``here`` is how tight it is now [1/m]."""
         way = self._behind_m + self.reader.value(observation, "ego.speed") * self._dt_s
         passed = (here >= self._behind) | (way > self.reader.value(observation, "integrity.pl_at"))
         self._behind, self._behind_m = np.where(passed, here, self._behind), np.where(passed, 0.0, way)

@@ -7,16 +7,14 @@ episodes, in the cities that they were learnt in: the intervals tell of learning
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtr, stdtrit
 
 from lanebound.agents.benchmark.results import Results
-from lanebound.agents.benchmark.statistics import estimate, holm
+from lanebound.agents.benchmark.statistics import estimate, holm, student_ends, student_p
 
 __all__ = ["PRIMARY", "SHOWN", "adjust", "means_of", "summarise"]
 
@@ -66,21 +64,12 @@ def _means(episodes: Sequence[Mapping[str, float]]) -> dict[str, float]:
 def _estimate(trainings: Mapping[int, Mapping[str, Any]], key: str, episodes: int) -> dict[str, Any]:
     """Mean over trainings with its 95 % interval; None where there is one training."""
     values = _column(trainings, key)
-    low, high = _student(values)
+    low, high = student_ends(values)
     if key in RATES and values.size > 1 and np.ptp(values) == 0.0:
         pooled = np.arange(episodes) < round(float(values[0]) * episodes)
         found = estimate(pooled.astype(np.float64), rate=True)
         low, high = found.low, found.high
     return {"mean": float(values.mean()), "low": low, "high": high, "n": int(values.size)}
-
-
-def _student(values: Array) -> tuple[float, float] | tuple[None, None]:
-    """Ends of Student's 95 % interval of a mean."""
-    if values.size < 2:
-        return None, None
-    mean, error = float(values.mean()), float(values.std(ddof=1)) / math.sqrt(values.size)
-    reach = error * float(stdtrit(values.size - 1, 0.975))
-    return mean - reach, mean + reach
 
 
 def _column(trainings: Mapping[int, Mapping[str, Any]], key: str) -> Array:
@@ -92,20 +81,10 @@ def _differences(ours: Mapping[int, Mapping[str, Any]], theirs: Mapping[int, Map
     both, out = sorted(ours.keys() & theirs.keys()), {}
     for key in SHOWN:
         gap = np.array([ours[seed][key] - theirs[seed][key] for seed in both])
-        low, high = _student(gap)
+        low, high = student_ends(gap)
         out[key] = {"difference": float(gap.mean()) if both else None, "low": low, "high": high, "n": len(both),
-                    "p": _p_value(gap)}  # fmt: skip
+                    "p": student_p(gap) if gap.size > 1 else None}  # fmt: skip
     return out
-
-
-def _p_value(gap: Array) -> float | None:
-    """Two-sided, of Student's paired test; where all differ by the same, what turning signs can give."""
-    if gap.size < 2:
-        return None
-    error = float(gap.std(ddof=1)) / math.sqrt(gap.size)
-    if error == 0.0:
-        return 1.0 if gap[0] == 0.0 else 2.0 ** (1 - gap.size)
-    return 2.0 * float(stdtr(gap.size - 1, -abs(float(gap.mean())) / error))
 
 
 def adjust(places: Sequence[Mapping[str, Any]]) -> None:

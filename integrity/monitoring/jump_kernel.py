@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 
 STAGE, LEFT_S, D_E, D_N = range(4)
 DOUBT_SIZE = 4
-TRUSTED, JUMPED, RETURNED, PARDONED = range(4)  # stages: no doubt; after a first contradiction; after a quarantine
+TRUSTED, JUMPED, RETURNED, WAITING, PARDONED = range(5)  # stages: no doubt; once contradicted; in quarantine; after it
 ACCEPTED, REFUSED, QUARANTINED = range(3)  # verdicts; REFUSED: the integers are to be given up
 
 
@@ -64,19 +64,19 @@ def bounded(level: Array) -> bool:
 @jit
 def in_doubt(doubt: Array) -> bool:
     """Whether RTK has contradicted and has not been accepted since."""
-    return bool(doubt[LEFT_S] > 0.0 or doubt[STAGE] != TRUSTED)
+    return bool(doubt[STAGE] != TRUSTED)
 
 
 @jit
 def suspects_signals(doubt: Array) -> bool:
     """Whether Doppler is not to be used either."""
-    return bool(doubt[LEFT_S] > 0.0 or doubt[STAGE] == JUMPED)
+    return bool(doubt[STAGE] == WAITING or doubt[STAGE] == JUMPED)
 
 
 @jit
 def pass_time(dt: float, doubt: Array) -> None:
     """An epoch of ``dt`` [s] begins; a quarantine that is over ends in pardon."""
-    if doubt[LEFT_S] > 0.0:
+    if doubt[STAGE] == WAITING:
         doubt[LEFT_S] -= dt
         if not doubt[LEFT_S] > 0.5 * dt:
             doubt[LEFT_S], doubt[STAGE] = 0.0, PARDONED
@@ -96,7 +96,7 @@ def judge_jump(
     conflict : Doppler and odometer contradict each other, and have for a while
     quarantine_s : after a jump, and after an outage
     """
-    if doubt[LEFT_S] > 0.0:
+    if doubt[STAGE] == WAITING:
         doubt[D_E], doubt[D_N] = east, north
         return QUARANTINED
     if doubt[STAGE] == PARDONED:
@@ -115,8 +115,8 @@ def judge_jump(
         doubt[STAGE] = JUMPED if lasting else RETURNED
         return REFUSED
     doubt[LEFT_S] = quarantine_s[1] if doubt[STAGE] == RETURNED else quarantine_s[0]
-    doubt[STAGE] = TRUSTED
     if doubt[LEFT_S] > 0.0:
+        doubt[STAGE] = WAITING
         return QUARANTINED
     doubt[:] = 0.0
     return ACCEPTED

@@ -20,15 +20,11 @@ def rtk_usable(hdop, limits):  # type: ignore[no-untyped-def]
 
 
 @jit
-def select_mode(  # type: ignore[no-untyped-def]
-    rtk_fixed, hdop_rtk, doppler_solved, v_gnss, v_ss, hdop_doppler, outage_s, initialised, limits
-):
-    """RTK, then Doppler, then IMU + odometer; nothing before a first RTK position.
+def bridge_mode(doppler_solved, v_gnss, v_ss, hdop_doppler, outage_s, initialised, limits):  # type: ignore[no-untyped-def]
+    """What the position goes on by without RTK: Doppler, then IMU + odometer; nothing before a first RTK position.
 
     limits: RTK HDOP, Doppler speed agreement [m/s], Doppler HDOP, longest Doppler positioning without RTK [s].
     """
-    if rtk_fixed and rtk_usable(hdop_rtk, limits):
-        return RTK
     if not initialised:
         return NONE
     if doppler_usable(doppler_solved, v_gnss, v_ss, hdop_doppler, limits) and outage_s <= limits[3]:

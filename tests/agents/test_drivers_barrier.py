@@ -301,7 +301,8 @@ def test_a_bend_is_met_later_than_believed():
     bend = {"road__preview_40m_curvature": 0.02, "road__preview_40m_exists": 1.0}
 
     def bound(v: float, pl_at_m: float) -> float:
-        return float(barrier.bend_bound(seen(barrier.reader, None, v=v, integrity__pl_at=pl_at_m, **bend)))
+        observation = seen(barrier.reader, None, v=v, integrity__pl_at=pl_at_m, **bend)
+        return float(barrier.bend_bound(observation, barrier.bends(observation)))
 
     fast = np.sqrt(C.bend_share * 4.0 / 0.02 + 2.0 * C.bend_brake_mps2 * 40.0)
     assert bound(fast - 2.0, 0.0) > 0.0 > bound(fast, 0.0)
@@ -314,8 +315,9 @@ def test_a_bend_between_two_previews_is_met():
     barrier = BarrierFilter(env, Constant(0.0))
     turned = {f"road__preview_{d}m_heading": 0.6 for d in (40, 80)}  # 0.6 rad between 20 and 40 m: R = 33 m
     late = np.sqrt(C.bend_share * 4.0 / 0.03 + 2.0 * C.bend_brake_mps2 * 20.0)
-    assert float(barrier.bend_bound(seen(barrier.reader, None, v=late, **turned))) < 0.0
-    assert float(barrier.bend_bound(seen(barrier.reader, None, v=late))) > 1.0
+    there, gone = seen(barrier.reader, None, v=late, **turned), seen(barrier.reader, None, v=late)
+    assert float(barrier.bend_bound(there, barrier.bends(there))) < 0.0
+    assert float(barrier.bend_bound(gone, barrier.bends(gone))) > 1.0
 
 
 def test_a_bend_counts_until_the_level_is_behind_it():

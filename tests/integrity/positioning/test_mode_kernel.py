@@ -3,13 +3,11 @@ import math
 import numpy as np
 import pytest
 
-from lanebound.integrity.positioning.mode_kernel import DOPPLER, IMU_ODOMETER, NONE, RTK, select_mode
+from lanebound.integrity.positioning.mode_kernel import DOPPLER, IMU_ODOMETER, NONE, RTK, bridge_mode, rtk_usable
 from lanebound.integrity.positioning.modes import Mode
 
 LIMITS = np.array([3.0, 0.5, 1.5, 60.0])  # S1 table 1; 60 s from S1 section 5
 BRIDGED = {
-    "rtk_fixed": False,
-    "hdop_rtk": 1.0,
     "doppler_solved": True,
     "v_gnss": 10.0,
     "v_ss": 10.0,
@@ -20,15 +18,19 @@ BRIDGED = {
 
 
 def _mode(**changes):
-    return select_mode(*(BRIDGED | changes).values(), LIMITS)
+    return bridge_mode(*(BRIDGED | changes).values(), LIMITS)
 
 
 def test_numbers_are_those_of_the_enumeration():
     assert (NONE, RTK, DOPPLER, IMU_ODOMETER) == (Mode.NONE, Mode.RTK, Mode.DOPPLER, Mode.IMU_ODOMETER)
 
 
+def test_rtk_needs_its_geometry():
+    assert rtk_usable(2.999, LIMITS)
+    assert not rtk_usable(3.0, LIMITS)
+
+
 def test_order_of_preference():
-    assert _mode(rtk_fixed=True) == RTK
     assert _mode() == DOPPLER
     assert _mode(doppler_solved=False) == IMU_ODOMETER
 
@@ -36,8 +38,6 @@ def test_order_of_preference():
 @pytest.mark.parametrize(
     ("changes", "inside", "outside", "holds", "otherwise"),
     [
-        ({"rtk_fixed": True, "doppler_solved": False}, ("hdop_rtk", 2.999), ("hdop_rtk", 3.0), RTK, IMU_ODOMETER),
-        ({"rtk_fixed": True}, ("hdop_rtk", 2.999), ("hdop_rtk", 3.0), RTK, DOPPLER),
         ({}, ("v_gnss", 10.499), ("v_gnss", 10.5), DOPPLER, IMU_ODOMETER),
         ({}, ("v_gnss", 9.501), ("v_gnss", 9.5), DOPPLER, IMU_ODOMETER),
         ({"v_ss": -10.0}, ("v_gnss", 10.499), ("v_gnss", 10.5), DOPPLER, IMU_ODOMETER),
@@ -53,15 +53,14 @@ def test_each_limit_on_both_sides(changes, inside, outside, holds, otherwise):
 @pytest.mark.parametrize("doppler_solved", [False, True])
 def test_nothing_holds_before_the_first_rtk_position(doppler_solved):
     assert _mode(initialised=False, doppler_solved=doppler_solved) == NONE
-    assert _mode(initialised=False, rtk_fixed=True, hdop_rtk=3.0) == NONE
-    assert _mode(initialised=False, rtk_fixed=True) == RTK
 
 
 def test_dead_reckoning_needs_no_satellites_and_no_time_limit():
-    lost = {"doppler_solved": False, "hdop_rtk": math.inf, "hdop_doppler": math.inf, "v_gnss": math.nan}
+    lost = {"doppler_solved": False, "hdop_doppler": math.inf, "v_gnss": math.nan}
     assert _mode(**lost, outage_s=1e6) == IMU_ODOMETER
 
 
 def test_singular_geometry_never_gives_a_satellite_mode():
-    assert _mode(rtk_fixed=True, hdop_rtk=math.inf, hdop_doppler=math.inf) == IMU_ODOMETER
+    assert _mode(hdop_doppler=math.inf) == IMU_ODOMETER
+    assert not rtk_usable(math.inf, LIMITS)
     assert _mode(v_gnss=math.nan) == IMU_ODOMETER
