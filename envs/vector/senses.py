@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 from dataclasses import is_dataclass
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,12 +22,13 @@ from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.lanes_kernel import Lanes
 from lanebound.envs.vector.perceptions import Perceptions, claims_of
 from lanebound.envs.vector.scenes import Scenes, draw_scenes
-from lanebound.envs.vector.senses_kernel import foresee, glance_all, place_all, whereabouts
+from lanebound.envs.vector.senses_kernel import foresee, foresee_parallel, glance_all, poses_of, whereabouts
 from lanebound.envs.vector.skies import Skies
 from lanebound.envs.vector.start import most_vehicles
 from lanebound.envs.vector.step_kernel import World
 from lanebound.envs.vector.streams import CrewStreams
 from lanebound.envs.vector.trackers import Trackers
+from lanebound.integrity.accel import use_parallel
 from lanebound.integrity.errors import ConfigError
 from lanebound.integrity.navigator import Navigator
 from lanebound.integrity.sky.view import SkyView
@@ -89,7 +91,7 @@ class Senses:
         self._there = np.ones((count, self._vehicles), dtype=np.bool_)
         self._streams = CrewStreams([0] * count, [0] * count, self._there[:, 1:], self.skies.used[[0] * count])
         self._navigator = self._one.another(self._streams)
-        self.trackers = Trackers(self._config, count, self._map_bound_m, self._limits_m)
+        self.trackers = Trackers(self._config, count, self._lanes, self._map_bound_m, self._limits_m)
         self._motion = Motion.still(count * self._vehicles, self.step_s)
         self._hour, self._age = np.zeros((2, count), dtype=np.int64)  # age: epochs since the episode's start
         self._city_m = np.zeros(count)
@@ -128,12 +130,9 @@ class Senses:
         else:
             self._take_over(rows, starter, motion, streams, np.arange(rows.size))
         self._age[rows], self._sky = 0, None
-        world.belief[rows, k.B_ALERT_AGE] = 0.0
         if self._config.source.senses:
-            egos = solution.rows(np.arange(rows.size) * self._vehicles)
-            self.trackers.begin(rows, egos, self._config.map_sigma_m * scenes.map_shift)
-            self._write(rows, egos, world)
-            self._settle(rows, world, 0.0)
+            shift = self._config.map_sigma_m * scenes.map_shift
+            self.trackers.begin(rows, solution, self._vehicles, shift, world.belief)
         if self.perceptions is not None:
             self.perceptions.begin(rows, seeds, others)
             for time_s, claims in told:
@@ -202,8 +201,7 @@ class Senses:
         """A simulation step has passed that ends no navigation epoch."""
         self._moved(world)
         if self._config.source.senses:
-            self.trackers.coast(rows, self.step_s)
-            self._settle(rows, world, self.step_s)
+            self.trackers.coast(rows, self.step_s, world.belief)
 
     def navigate(self, rows: Rows, world: World) -> None:
         """A simulation step has passed that ends an epoch: measure, locate, perceive, and bring beliefs up to date."""
@@ -214,10 +212,7 @@ class Senses:
         self._sky = self._view()
         solution = self._navigator.locate(self._navigator.measure(truth, self._sky))
         if self._config.source.senses:
-            egos = solution.rows(rows * self._vehicles)
-            self.trackers.take(rows, egos, self.step_s, self.epoch_s)
-            self._write(rows, egos, world)
-            self._settle(rows, world, self.step_s)
+            self.trackers.take(rows, solution, self._vehicles, self.step_s, self.epoch_s, world.belief)
             glance_all(rows, world.belief, world.score, world.cars, self._figures)
         if self.perceptions is not None:
             time_s = np.asarray(self._age[rows] * self.epoch_s, dtype=np.float64)
@@ -229,9 +224,10 @@ class Senses:
             return
         s, f = self.skies, self.skies.forecast
         sky = self._view() if self._sky is None else self._sky
-        foresee(
-            self._lanes, rows, world.belief, self._distances, s.begin_m, s.reach_m, self._city_m, f.free, f.spacing_m,
-            f.azimuths, f.elevations, sky.azimuth_rad, sky.elevation_rad, sky.above, world.sky,
+        run, first = (foresee_parallel, numba.get_num_threads()) if use_parallel(rows.size) else (foresee, 0)
+        run(
+            first, rows.size, self._lanes, rows, world.belief, self._distances, s.begin_m, s.reach_m, self._city_m,
+            f.free, f.spacing_m, f.azimuths, f.elevations, sky.azimuth_rad, sky.elevation_rad, sky.above, world.sky,
         )  # fmt: skip
 
     def _view(self) -> SkyView:
@@ -241,9 +237,10 @@ class Senses:
 
     def _poses(self, rows: Rows, world: World) -> tuple[Array, Array, Array]:
         """True positions (n M, 2), headings and speeds of all navigating vehicles."""
-        cars = world.cars[rows, :, : self._vehicles]
-        position = np.stack([cars[:, k.X], cars[:, k.Y]], -1).reshape(-1, 2)
-        return position, cars[:, k.HEADING].ravel(), cars[:, k.SPEED].ravel()
+        count = rows.size * self._vehicles
+        position, heading, speed = np.empty((count, 2)), np.empty(count), np.empty(count)
+        poses_of(rows, self._vehicles, world.cars, position, heading, speed)
+        return position, heading, speed
 
     def _moved(self, world: World) -> None:
         """Note where everybody is after a simulation step."""
@@ -256,26 +253,6 @@ class Senses:
         side, s = np.empty(arc.shape, dtype=np.int64), self.skies
         whereabouts(self._lanes, rows, world.cars, world.whole, s.begin_m, s.reach_m, self._city_m, arc, side)
         return arc.ravel(), side.ravel()
-
-    def _settle(self, rows: Rows, world: World, passed_s: float) -> None:
-        """Place beliefs on the map, trust them as far as they go, and count how long alerts have been on."""
-        belief = world.belief
-        self.trackers.place(rows, belief)
-        place_all(self._lanes, rows, belief)
-        self.trackers.trust(rows, belief)
-        on = belief[rows, k.B_ALERT] > 0.0
-        belief[rows, k.B_ALERT_AGE] = np.where(on, belief[rows, k.B_ALERT_AGE] + passed_s, 0.0)
-
-    def _write(self, rows: Rows, solution: Solution, world: World) -> None:
-        """What the newest solutions say of themselves, in the columns of the belief."""
-        values = {
-            k.B_MODE: solution.mode, k.B_RTK: solution.rtk, k.B_HDOP: solution.hdop,
-            k.B_SATELLITES: solution.satellites, k.B_DOPPLER: solution.satellites_doppler,
-            k.B_EXCLUDED: solution.excluded, k.B_SINCE_RTK: solution.since_rtk_s,
-            k.B_SINCE_CALIBRATION: solution.since_calibration_s, k.B_CORRECTIONS_AGE: solution.corrections_age_s,
-        }  # fmt: skip
-        for column, value in values.items():
-            world.belief[rows, column] = value
 
 
 def _size_of(state: object) -> int:

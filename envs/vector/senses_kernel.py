@@ -6,26 +6,28 @@ import math
 
 import numpy as np
 
-from lanebound.envs.vector.columns_kernel import B_HEADING, B_LANE, B_X, B_Y, LANE, X, Y
-from lanebound.envs.vector.lanes_kernel import COUNT, LENGTH, ONWARD, SIDE, local, nearest
+from lanebound.envs.vector.columns_kernel import B_LANE, B_X, B_Y, HEADING, LANE, SPEED, X, Y
+from lanebound.envs.vector.lanes_kernel import COUNT, LENGTH, ONWARD, SIDE, local
 from lanebound.envs.vector.score_kernel import glance
-from lanebound.integrity.accel import jit
+from lanebound.integrity.accel import jit, prange
 from lanebound.integrity.sky.raytrace_kernel import bin_of
 
-__all__ = ["foresee", "glance_all", "place_all", "skies_at", "whereabouts"]
+__all__ = ["foresee", "foresee_parallel", "glance_all", "poses_of", "skies_at", "skies_parallel", "whereabouts"]
 
 TWO_PI = 2.0 * math.pi
 BELOW = -0.5 * math.pi  # elevation of satellites below the horizon, whose directions nobody asks for
 
 
 @jit
-def skies_at(offset, rate, hour, knot, share, step, mask, los, elevation, azimuth, above):  # type: ignore[no-untyped-def]
-    """Fill los (N, S, 3), elevation, azimuth and above (N, S) of each environment's hour and time.
+def skies_at(  # type: ignore[no-untyped-def]
+    first, last, offset, rate, hour, knot, share, step, mask, los, elevation, azimuth, above
+):  # fmt: skip
+    """Fill los (N, S, 3), elevation, azimuth and above (N, S) of the hours and times of some environments.
 
     offset, rate (H, K, S, 3): vectors to the satellites and their rates at knots ``step`` [s] apart, cubic Hermite in
     between as :func:`~lanebound.integrity.sky.track_kernel.sky_at`; knot, share (N,): the knot before and how far past.
     """
-    for e in range(hour.shape[0]):
+    for e in range(first, last):
         h, k, u = hour[e], knot[e], share[e]
         a1 = u * u * (3.0 - 2.0 * u)
         a0 = 1.0 - a1
@@ -48,6 +50,16 @@ def skies_at(offset, rate, hour, knot, share, step, mask, los, elevation, azimut
                 above[e, s] = elevation[e, s] > mask
 
 
+@jit(parallel=True)
+def skies_parallel(  # type: ignore[no-untyped-def]
+    chunks, last, offset, rate, hour, knot, share, step, mask, los, elevation, azimuth, above
+):  # fmt: skip
+    """:func:`skies_at` for all ``last`` environments, in ``chunks`` runs side by side."""
+    for chunk in prange(chunks):
+        first, end = chunk * last // chunks, (chunk + 1) * last // chunks
+        skies_at(first, end, offset, rate, hour, knot, share, step, mask, los, elevation, azimuth, above)
+
+
 @jit
 def whereabouts(lanes, rows, cars, whole, begin, reach, city, arc, side):  # type: ignore[no-untyped-def]
     """Where the first M vehicles of ``rows`` (n,) truly are along the stations of all cities.
@@ -65,10 +77,13 @@ def whereabouts(lanes, rows, cars, whole, begin, reach, city, arc, side):  # typ
 
 
 @jit
-def place_all(lanes, rows, belief):  # type: ignore[no-untyped-def]
-    """Find the lanes of the believed poses."""
-    for e in rows:
-        belief[e, B_LANE] = nearest(lanes, belief[e, B_X], belief[e, B_Y], belief[e, B_HEADING])
+def poses_of(rows, vehicles, cars, position, heading, speed):  # type: ignore[no-untyped-def]
+    """Fill position (n M, 2), heading and speed (n M,): the truth of the first M vehicles of ``rows`` (n,)."""
+    for n in range(rows.shape[0]):
+        for i in range(vehicles):
+            at, e = n * vehicles + i, rows[n]
+            position[at, 0], position[at, 1] = cars[e, X, i], cars[e, Y, i]
+            heading[at], speed[at] = cars[e, HEADING, i], cars[e, SPEED, i]
 
 
 @jit
@@ -80,16 +95,18 @@ def glance_all(rows, belief, score, cars, figures):  # type: ignore[no-untyped-d
 
 @jit
 def foresee(  # type: ignore[no-untyped-def]
-    lanes, rows, belief, distances, begin, reach, city, free, spacing, n_az, n_el, azimuth, elevation, above, sky
+    first, last, lanes, rows, belief, distances, begin, reach, city, free, spacing, n_az, n_el, azimuth, elevation,
+    above, sky,
 ):  # fmt: skip
-    """Fill sky (N, 3 D): satellites that the map promises ``distances`` (D,) ahead of the belief, as ``Street`` does.
+    """Fill sky (N, 3 D) of ``rows[first:last]``: satellites that the map promises ``distances`` (D,) ahead.
 
-    On the lanes left, own and right of where the path is then, -1 where there is none. free (stations, lanes, cells).
+    On the lanes left, own and right of where the path is then, -1 where there is none, as ``Street`` counts them. free
+    (stations, lanes, cells).
     """
     table, stations, wide = lanes.table, free.shape[0], free.shape[1]
     places = 3 * distances.shape[0]
     station, lane_of = np.empty(places, np.int64), np.empty(places, np.int64)
-    for e in rows:
+    for e in rows[first:last]:
         here, _, _ = local(lanes, int(belief[e, B_LANE]), belief[e, B_X], belief[e, B_Y])
         for d in range(distances.shape[0]):
             own, place = int(belief[e, B_LANE]), here + distances[d]
@@ -115,3 +132,16 @@ def foresee(  # type: ignore[no-untyped-def]
             for n in range(places):
                 if sky[e, n] >= 0.0 and free[station[n], lane_of[n], cell]:
                     sky[e, n] += 1.0
+
+
+@jit(parallel=True)
+def foresee_parallel(  # type: ignore[no-untyped-def]
+    chunks, last, lanes, rows, belief, distances, begin, reach, city, free, spacing, n_az, n_el, azimuth, elevation,
+    above, sky,
+):  # fmt: skip
+    """:func:`foresee` for all ``last`` rows, in ``chunks`` runs side by side."""
+    for chunk in prange(chunks):
+        foresee(
+            chunk * last // chunks, (chunk + 1) * last // chunks, lanes, rows, belief, distances, begin, reach, city,
+            free, spacing, n_az, n_el, azimuth, elevation, above, sky,
+        )  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Self
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,7 +13,8 @@ from lanebound.envs.core import DrivingEnv
 from lanebound.envs.scene import HOURS, MARGIN_S
 from lanebound.envs.sky import build_street
 from lanebound.envs.vector.lanes import lane_rows
-from lanebound.envs.vector.senses_kernel import skies_at
+from lanebound.envs.vector.senses_kernel import skies_at, skies_parallel
+from lanebound.integrity.accel import use_parallel
 from lanebound.integrity.errors import ConfigError
 from lanebound.integrity.navigator import NavigatorConfig
 from lanebound.integrity.sky.forecast import SkyForecast
@@ -101,9 +103,10 @@ class Skies:
         count, satellites = hour.shape[0], self.offset_m.shape[2]
         los, elevation, azimuth = np.zeros((count + 1, satellites, 3)), *np.zeros((2, count + 1, satellites))
         above = np.zeros((count + 1, satellites), dtype=np.bool_)
-        skies_at(
-            self.offset_m, self.rate_mps, hour, knot, place - knot, STEP_S, self.track.mask_rad, los, elevation,
-            azimuth, above,
+        run, first = (skies_parallel, numba.get_num_threads()) if use_parallel(count) else (skies_at, 0)
+        run(
+            first, count, self.offset_m, self.rate_mps, hour, knot, place - knot, STEP_S, self.track.mask_rad, los,
+            elevation, azimuth, above,
         )  # fmt: skip
         index = np.where(there, np.arange(count)[:, None], count).ravel()
         return SkyView(los, elevation, azimuth, NO_RANGE, NO_RANGE, above, self.track.system, self.track.prn, index)

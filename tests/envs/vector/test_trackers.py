@@ -7,9 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from lanebound.envs.core import DrivingEnv
 from lanebound.envs.navigation import NavigationConfig, fix_of
+from lanebound.envs.registration import make_config
 from lanebound.envs.tracker import Tracker
 from lanebound.envs.vector import columns_kernel as k
+from lanebound.envs.vector.lanes import lanes_of
 from lanebound.envs.vector.trackers import Trackers
 from lanebound.integrity.solution import Solution
 
@@ -32,16 +35,15 @@ def test_poses_and_levels_are_those_of_single_trackers() -> None:
     rng, config, rows = np.random.default_rng(1), NavigationConfig(), np.arange(COUNT)
     shift, belief = rng.normal(0.0, 0.03, (COUNT, 2)), np.zeros((COUNT, k.BELIEF))
     solution = _solution(rng)
-    many = Trackers(config, COUNT, BOUND_M, LIMITS_M)
-    many.begin(rows, solution, shift)
+    network = DrivingEnv(make_config("lanebound/Highway-v0", {"world": {"vehicles_count": 1}})).world.road.network
+    many = Trackers(config, COUNT, lanes_of(network), BOUND_M, LIMITS_M)
+    many.begin(rows, solution, 1, shift, belief)
     single = [Tracker(config, shift[n], fix_of(solution, n)) for n in range(COUNT)]
     reasons = set()
     for _ in range(40):
-        many.coast(rows, 0.05)
+        many.coast(rows, 0.05, belief)
         solution = _solution(rng)
-        many.take(rows, solution, 0.05, 0.1)
-        many.place(rows, belief)
-        many.trust(rows, belief)
+        many.take(rows, solution, 1, 0.05, 0.1, belief)
         for n, tracker in enumerate(single):
             tracker.coast(0.05)
             tracker.take(fix_of(solution, n), 0.05, 0.1)
