@@ -193,6 +193,7 @@ class Navigator:
         self._instruments = Instruments.of(config.gnss, config.corrections, config.imu, config.odometer, config.dt_s)
         area = Streams(seeds, batch) if area_seed is None else Streams([area_seed])
         self.state = self._initial(Streams(seeds, batch), area)
+        self._one_time = True  # for all vehicles, the truth's
 
     @classmethod
     def nominal(
@@ -243,27 +244,37 @@ class Navigator:
     def another(self, streams: Streams) -> Navigator:
         """A navigator of the same configuration for other vehicles, each in an area of its own, just switched on."""
         other = copy.copy(self)
-        other.state = other._initial(streams, streams)
+        other.state, other._one_time = other._initial(streams, streams), True
         return other
 
     def adopt(self, rows: NDArray[np.int64], other: Navigator, theirs: NDArray[np.int64]) -> None:
         """Take over the vehicles ``theirs`` (n,) of another navigator as ``rows`` (n,), in place of those there.
 
-        Each keeps its own time, wherever the clocks of both are; streams are not taken over.
+        Each keeps a time of its own, wherever the clocks of both are, so that from then on ``measure`` must be told the
+        sky of each; streams are not taken over.
 
         Raises
         ------
         InputError
-            Vehicles of either navigator share an area.
+            Vehicles of either navigator share an area, are seeded jointly, or suffer faults, which go by one clock.
         """
         for name, navigator in (("this navigator", self), ("other", other)):
-            areas = navigator.state.area.network.up.shape[0]
-            if areas != navigator.batch:
-                raise InputError(f"{name} must have an area for each of {navigator.batch} vehicles, got {areas}: "
-                                 "give it no area_seed")  # fmt: skip
+            navigator._require_single(name)
         _hand_over(self.state, other.state, rows, theirs)
         mine, network = self.state.area.network, other.state.area.network
         mine.begun[rows] = mine.epoch - network.own_epoch[theirs]
+        self._one_time = False
+
+    def _require_single(self, name: str) -> None:
+        """Raise InputError unless vehicles share nothing, neither generators nor areas nor a schedule of faults."""
+        areas, seeds = self.state.area.network.up.shape[0], self.state.streams.seeds
+        if areas != self.batch:
+            raise InputError(f"{name} must have an area for each of {self.batch} vehicles, got {areas}: "
+                             "give it no area_seed")  # fmt: skip
+        if seeds is None:
+            raise InputError(f"{name} must have a seed for each vehicle, got one for all: give it a list of seeds")
+        if self.faults.faults:
+            raise InputError(f"{name} must have no faults, got {len(self.faults.faults)}: their times are of one clock")
 
     def align(self, heading_rad: Array, sigma_rad: float) -> None:
         """Give the vehicles a prior heading, (B,) azimuth and its 1-sigma, as from a compass or the last drive."""
@@ -330,9 +341,16 @@ class Navigator:
 
         ``sky`` holds the satellites of the track as the vehicles see them, when that is not by the truth's clock: each
         may be at an hour of its own.
+
+        Raises
+        ------
+        InputError
+            As :meth:`step`; or there is no ``sky`` for vehicles that were adopted, whose times differ.
         """
         self._require_fitting(truth)
         if sky is None:
+            if not self._one_time:
+                raise InputError("sky must be given for vehicles that were adopted, got None: each has its own time")
             sky = self.track.at(self.track.start_s + truth.time_s, np.zeros(self.batch, dtype=np.int64))
         if self.faults.faults and self.faults.active(truth.time_s):
             effects = self.faults.effects(truth.time_s, truth.dt_s, sky, self.batch)

@@ -422,7 +422,7 @@ def reference_point(head, par, sin_h, cos_h):  # type: ignore[no-untyped-def]
 
 @jit
 def judge_rtk(x, par, head, sin_h, cos_h, expected, found):  # type: ignore[no-untyped-def]
-    """Whether a confirmed RTK position is taken, beside the one that was expected; levels of both (R, 2) [m].
+    """ACCEPTED, REFUSED or QUARANTINED: a confirmed RTK position beside the one expected; levels of both (R, 2) [m].
 
     One without a level is not taken in place of one that has one.
     """

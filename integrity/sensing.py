@@ -21,7 +21,7 @@ from lanebound.integrity.sensors.corrections import parameters as link_parameter
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.gnss import GnssConfig, GnssEpoch, GnssState
 from lanebound.integrity.sensors.gnss import tables as receiver_tables
-from lanebound.integrity.sensors.imu import MOVING_MPS, ImuConfig, ImuSample, ImuState, coefficients, mems_increment
+from lanebound.integrity.sensors.imu import MOVING_MPS, ImuConfig, ImuSample, ImuState, coefficients, warm_up
 from lanebound.integrity.sensors.odometer import OdometerConfig, OdometerSample, OdometerState
 from lanebound.integrity.sensors.odometer import parameters as odometer_parameters
 from lanebound.integrity.sky.view import SkyView
@@ -117,8 +117,8 @@ class Instruments:
             effects.range_rate_bias_mps, effects.cn0_drop_db, effects.slip_cycles, g.clock,
             draw.normal("clock", 2), area.clock, draw.normal("gnss", n_sat, gk.N_NORMAL),
             draw.uniform("gnss", n_sat, gk.N_UNIFORM), area.memory, g.oscillator, g.memory, g.ambiguity,
-            self.imu, MOVING_MPS * dt, self._warm_up_mps(i.on_s), draw.normal("imu", 2, 3, 5), i.turn_on, i.scale,
-            i.instability, i.walk, i.moving_bias_radps, effects.gyro_bias_radps,
+            self.imu, MOVING_MPS * dt, warm_up(self.imu_config, i.on_s, dt), draw.normal("imu", 2, 3, 5), i.turn_on,
+            i.scale, i.instability, i.walk, i.moving_bias_radps, effects.gyro_bias_radps,
             self.odometer, draw.normal("odometer"), o.scale, effects.odometer_scale, effects.odometer_frozen,
             o.noise_mps, o.carry_m, o.last_distance_m, o.last_true_mps,
             age, tracked, code, phase, range_rate, cn0, lock_lost, theta, delta_v, distance, speed,
@@ -128,7 +128,3 @@ class Instruments:
             truth.time_s, sky, GnssEpoch(tracked, code, phase, range_rate, cn0, lock_lost, age),
             ImuSample(theta, delta_v), OdometerSample(distance, speed),
         )  # fmt: skip
-
-    def _warm_up_mps(self, on_s: float) -> float:
-        """What the warm-up of the accelerometers adds to the velocity of an epoch."""
-        return mems_increment(self.imu_config, on_s, self.dt_s) if self.imu_config.mems_exponential else 0.0

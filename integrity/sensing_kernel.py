@@ -45,7 +45,7 @@ def sense_some(  # type: ignore[no-untyped-def]
         ambiguity[a:b], tracked[a:b], code[a:b], phase[a:b], range_rate[a:b], cn0[a:b], lock_lost[a:b],
     )  # fmt: skip
     inertial.measure(
-        imu, dt, moving_m, warm_up_mps, imu_z[a:b], turn_on[a:b], scale[a:b], instability[a:b], walk[a:b],
+        imu, dt, moving_m, warm_up_mps[a:b], imu_z[a:b], turn_on[a:b], scale[a:b], instability[a:b], walk[a:b],
         moving_bias[a:b], gyro_fault[a:b], distance[a:b], turn[a:b], delta_v[a:b], theta_out[a:b], delta_v_out[a:b],
     )  # fmt: skip
     wheels.measure(

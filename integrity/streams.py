@@ -92,6 +92,11 @@ class Streams:
         self._states: dict[str, NDArray[np.uint64]] = {}
         self._generators: dict[str, np.random.Generator] = {}
 
+    @property
+    def seeds(self) -> tuple[int, ...] | None:
+        """Of each vehicle; None where one serves all."""
+        return None if self._joint else tuple(self._seeds)
+
     def states(self, name: str) -> NDArray[np.uint64]:
         """The states (n, 4) of the generators of one stream, n vehicles or a single joint one; draws change them."""
         found = self._states.get(name)
@@ -153,7 +158,17 @@ class Streams:
             self._generators.clear()
 
     def adopt(self, rows: NDArray[np.int64], other: Streams, theirs: NDArray[np.int64]) -> None:
-        """Go on with the generators of the vehicles ``theirs`` (n,) of other streams as ``rows`` (n,)."""
+        """Go on with the generators of the vehicles ``theirs`` (n,) of other streams as ``rows`` (n,).
+
+        Raises
+        ------
+        InputError
+            Either are seeded jointly.
+        """
+        if self._joint or other._joint:
+            raise InputError("streams seeded jointly cannot hand over a vehicle: give one seed for each vehicle")
+        if 0 in rows:
+            self._generators.clear()
         for row, of in zip(rows.tolist(), theirs.tolist(), strict=True):
             self._seeds[row] = other._seeds[of]
         for name in {*self._states, *other._states}:

@@ -39,6 +39,11 @@ class Stage(NamedTuple):
     world: World
     senses: Senses | None
 
+    @property
+    def nbytes(self) -> int:
+        """Memory of all this."""
+        return sum(array.nbytes for array in self.world) + (0 if self.senses is None else self.senses.nbytes)
+
     def adopt(self, rows: Rows, other: Stage) -> None:
         """Go on with the episodes ``rows`` of another stage."""
         for array, values in zip(self.world, other.world, strict=True):
@@ -52,7 +57,8 @@ class Engine:
     """N environments that step together.
 
     Episodes that follow on others are made ready beforehand, those of all environments that have none waiting at once:
-    navigation starts some seconds before an episode does, and many vehicles take hardly longer than one.
+    navigation starts some seconds before an episode does, and many vehicles take hardly longer than one. So most resets
+    copy arrays, and one in many takes long.
 
     Parameters
     ----------
@@ -85,12 +91,14 @@ class Engine:
         self._ranges = direct_ranges(single.world)
         self._start = starter_of(single.world, self.lanes)
         self._generators: list[np.random.Generator | None] = [None] * count
+        self._drawn: dict[int, tuple[int, int]] = {}
         self.world = self._empty()
         self.senses: Senses | None = None
         if sensing(single):
             length = duration_s(single.config, single.world)
             self.senses = Senses(single, count, self.lanes, self.rules.figures, length)
-        self._driven, self._next = Stage(self.world, self.senses), Stage(self._empty(), None)
+        self._driven = Stage(self.world, self.senses)
+        self._next: Stage | None = None
         self._begun = np.zeros(count, dtype=np.bool_)  # whether an environment has had an episode
         self._waits = np.zeros(count, dtype=np.bool_)  # whether its next one is ready
 
@@ -116,9 +124,9 @@ class Engine:
 
     @property
     def bytes_per_environment(self) -> int:
-        """Memory of the arrays that grow with N, per environment; its next episode has as much again."""
-        senses = 0 if self.senses is None else self.senses.nbytes
-        return (senses + sum(array.nbytes for array in self.world)) // self.count
+        """Memory of the arrays that grow with N, per environment: of its episode, and of the next once there is one."""
+        stages = [self._driven] if self._next is None else [self._driven, self._next]
+        return sum(stage.nbytes for stage in stages) // self.count
 
     # An episode
 
@@ -127,15 +135,16 @@ class Engine:
         follows = self._begun[rows] & np.array([seed is None for seed in seeds], dtype=np.bool_)
         first = rows[~follows]
         if first.size:
+            self._begun[first] = self._waits[first] = False
             self._begin(self._driven, first, [seed for seed, on in zip(seeds, follows, strict=True) if not on])
-            self._begun[first], self._waits[first] = True, False
+            self._begun[first] = True
         if first.size < rows.size:
             self._go_on(rows[follows])
 
     def _go_on(self, rows: Rows) -> None:
         """Take the next episodes of environments, which are made ready where there is none."""
-        if self.senses is not None and self._next.senses is None:
-            self._next = Stage(self._next.world, self.senses.another())
+        if self._next is None:
+            self._next = Stage(self._empty(), None if self.senses is None else self.senses.another())
         if not self._waits[rows].all():
             lacking = np.flatnonzero(self._begun & ~self._waits)
             self._begin(self._next, lacking, [None] * lacking.size)
@@ -145,11 +154,15 @@ class Engine:
 
     def _begin(self, stage: Stage, rows: Rows, seeds: list[int | None]) -> None:
         """Begin episodes on a stage."""
-        episodes = [self._draw(stage.world, e, seed) for e, seed in zip(rows.tolist(), seeds, strict=True)]
-        self._know_all(stage.world, rows)
+        drawn, w = [self._draw(e, seed) for e, seed in zip(rows.tolist(), seeds, strict=True)], stage.world
+        for e, (_, world) in zip(rows.tolist(), drawn, strict=True):
+            self._start(seeding.np_random(world)[0], w.cars[e], w.whole[e], w.profile[e])
+        self._know_all(w, rows)
         if stage.senses is not None:
-            stage.senses.begin(rows, episodes, stage.world)
-        self._run(stage.world, rows, 0, FINISH | START)
+            stage.senses.begin(rows, [episode for episode, _ in drawn], w)
+        self._run(w, rows, 0, FINISH | START)
+        for e in rows.tolist():
+            del self._drawn[e]
 
     def step(self, actions: NDArray[Any], rows: Rows | None = None) -> None:
         """Carry out commands (N,) or (N, A) until the next decision, in all environments or in ``rows`` of them."""
@@ -199,15 +212,20 @@ class Engine:
 
     # Starts
 
-    def _draw(self, w: World, e: int, seed: int | None) -> int:
-        """Draw as :meth:`DrivingEnv.reset` does: the episode's seed, the world's, then who drives where."""
+    def _draw(self, e: int, seed: int | None) -> tuple[int, int]:
+        """The seeds of an episode and of its world, as :meth:`DrivingEnv.reset` draws them.
+
+        They are kept until it is ready, so that one whose making was interrupted is made again and not left out.
+        """
         generator = self._generators[e]
         if seed is not None or generator is None:
             generator = self._generators[e] = seeding.np_random(seed)[0]
-        episode = int(generator.integers(EPISODE_SEEDS))
-        world_seed = seed if seed is not None else int(generator.integers(WORLD_SEEDS))
-        self._start(seeding.np_random(world_seed)[0], w.cars[e], w.whole[e], w.profile[e])
-        return episode
+            self._drawn.pop(e, None)
+        if e not in self._drawn:
+            episode = int(generator.integers(EPISODE_SEEDS))
+            world = seed if seed is not None else int(generator.integers(WORLD_SEEDS))
+            self._drawn[e] = episode, world
+        return self._drawn[e]
 
     def _know_all(self, w: World, rows: Rows) -> None:
         """Beliefs and scores at the start, from the true poses."""

@@ -266,8 +266,11 @@ def _seeds_of(seed: int | Sequence[int | None] | None, count: int) -> list[int |
     if seed is None:
         return [None] * count
     if isinstance(seed, int | np.integer):
-        return [int(seed) + i for i in range(count)]
+        seed = [int(seed) + i for i in range(count)]
     seeds = [None if s is None else int(s) for s in seed]
+    lowest = min((s for s in seeds if s is not None), default=0)
+    if lowest < 0:
+        raise InputError(f"seed must be 0 or more, got {lowest}: choose another")
     if len(seeds) != count:
         raise InputError(f"seed must be an int or one for each of {count} environments, got {len(seeds)} of them")
     return seeds
@@ -281,7 +284,7 @@ def _mask_of(options: dict[str, Any] | None, count: int) -> Flags:
                          "set it in a single environment")  # fmt: skip
     if not options:
         return np.ones(count, dtype=np.bool_)
-    mask = np.asarray(options[MASK])
+    mask = np.array(options[MASK])  # infos give it back
     if mask.shape != (count,) or mask.dtype != np.bool_ or not mask.any():
         raise InputError(f"options.{MASK} must be ({count},) bool with one True at least, got {mask!r}")
     return mask

@@ -29,7 +29,6 @@ from lanebound.envs.vector.step_kernel import World
 from lanebound.envs.vector.streams import CrewStreams
 from lanebound.envs.vector.trackers import Trackers
 from lanebound.integrity.accel import use_parallel
-from lanebound.integrity.errors import ConfigError
 from lanebound.integrity.navigator import Navigator
 from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.solution import Solution
@@ -66,9 +65,6 @@ class Senses:
         config, others = single.config, most_vehicles(single.world) - 1
         limits = alert_limits_m(single.world, config)
         settings = navigator_config(config, limits)
-        if settings.imu.mems_exponential:
-            raise ConfigError("navigator.imu.mems_exponential must be False in the vector engine, whose instruments "
-                              "are never cold: make the same environments with vectorization_mode='sync'")  # fmt: skip
         self._config, self._layouts = config.navigation, config.layouts
         self._lanes, self._figures, self._everyone = lanes, figures, np.arange(count)
         self._map_bound_m, self._limits_m = map_bound_m(config, settings), limits
@@ -125,7 +121,7 @@ class Senses:
         streams = CrewStreams(seeds, scenes.fleet_seed.tolist(), crew, used)
         starter = self._one.another(streams)
         solution, motion, told = self._approach(rows, starter, world, scenes)
-        if rows.size == self._everyone.size:
+        if np.array_equal(rows, self._everyone):
             self._navigator, self._motion, self._streams = starter, motion, streams
         else:
             self._take_over(rows, starter, motion, streams, np.arange(rows.size))

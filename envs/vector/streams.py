@@ -50,7 +50,9 @@ class CrewStreams(Streams):
         self._complete = bool(self._crew.all())
 
     def normal(self, name: str, *shape: int, where: NDArray[np.bool_] | None = None) -> Array:
-        """Standard normal draws (N M, *shape), of all vehicles of the environments that draw."""
+        """Standard normal draws (N M, *shape); of a common stream perhaps by some environments alone."""
+        if where is not None and name not in COMMON:
+            raise InputError(f"where must be None for stream {name!r}, which every vehicle draws by itself")
         draws = None if where is None or where.all() else where[:: self._vehicles]
         return self._draw(name, shape, True, draws)
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from lanebound.envs.navigation import NavigationConfig
 from lanebound.envs.vector.lanes_kernel import Lanes
 from lanebound.envs.vector.trackers_kernel import TRACK, Fixes, begin_all, coast_all, settle_all, take_all
+from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.solution import Solution
 
 __all__ = ["Trackers"]
@@ -31,7 +32,8 @@ class Trackers:
         self, config: NavigationConfig, count: int, lanes: Lanes, map_bound_m: float, limits_m: tuple[float, float]
     ) -> None:
         self._lanes = lanes
-        self._figures = np.array([config.jump_m, config.smoothing_s, map_bound_m, *limits_m], dtype=np.float64)
+        codes = [reason.code for reason in (AlertReason.BOTH, AlertReason.PL_AT, AlertReason.PL_CT)]
+        self._figures = np.array([config.jump_m, config.smoothing_s, map_bound_m, *limits_m, *codes], dtype=np.float64)
         self.tracks = np.zeros((count, TRACK))
 
     def begin(self, rows: Rows, solution: Solution, vehicles: int, map_shift_m: Array, belief: Array) -> None:

@@ -12,23 +12,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.envs.tracker import ACCELERATION_S, STANDSTILL_MPS
 from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.columns_kernel import flag
+from lanebound.envs.vector.ego_kernel import ACCELERATION_S, STANDING_MPS
 from lanebound.envs.vector.lanes_kernel import nearest
 from lanebound.integrity.accel import jit
-from lanebound.integrity.monitoring.alerts import AlertReason
 
-__all__ = ["FIGURES", "TRACK", "Fixes", "begin_all", "coast_all", "settle_all", "take_all"]
+__all__ = ["TRACK", "Fixes", "begin_all", "coast_all", "settle_all", "take_all"]
 
 (
     X, Y, LEFT_X, LEFT_Y, HEADING, YAW_RATE, ACCELERATION, FIX_HEADING, FIX_SPEED, LEVEL_AT, LEVEL_CT, ALERT,
     AVAILABLE, REASON, MAP_X, MAP_Y,
 ) = range(16)  # fmt: skip
 TRACK = 16
-JUMP_M, SMOOTHING_S, MAP_BOUND_M, LIMIT_AT_M, LIMIT_CT_M = range(5)
-FIGURES = 5
-BOTH, ALONG, ACROSS = AlertReason.BOTH.code, AlertReason.PL_AT.code, AlertReason.PL_CT.code
+JUMP_M, SMOOTHING_S, MAP_BOUND_M, LIMIT_AT_M, LIMIT_CT_M, BOTH, ALONG, ACROSS = range(8)  # figures; codes of reasons
 
 Array = NDArray[np.float64]
 
@@ -98,7 +95,7 @@ def _take(t, b, fixes, v, since, dt, figures):  # type: ignore[no-untyped-def]
         t[LEFT_Y] -= jump_y
     t[LEFT_X] *= fade
     t[LEFT_Y] *= fade
-    t[YAW_RATE] = _turn(t[FIX_HEADING] - heading) / dt if abs(t[FIX_SPEED]) > STANDSTILL_MPS else 0.0
+    t[YAW_RATE] = _turn(t[FIX_HEADING] - heading) / dt if abs(t[FIX_SPEED]) > STANDING_MPS else 0.0
     share = 1.0 - math.exp(-dt / ACCELERATION_S)
     t[ACCELERATION] += share * ((t[FIX_SPEED] - speed) / dt - t[ACCELERATION])
     t[HEADING] = start + _turn(t[FIX_HEADING] - start)
@@ -118,7 +115,7 @@ def _settle(t, b, lanes, passed, figures):  # type: ignore[no-untyped-def]
     alert = t[ALERT] > 0.0
     b[k.B_REASON] = t[REASON]
     if (along or across) and not alert:
-        b[k.B_REASON] = float(BOTH if along and across else ALONG if along else ACROSS)
+        b[k.B_REASON] = figures[BOTH if along and across else ALONG if along else ACROSS]
     b[k.B_AVAILABLE] = flag(t[AVAILABLE] > 0.0 and not (along or across))
     b[k.B_ALERT] = flag(alert or along or across)
     b[k.B_ALERT_AGE] = b[k.B_ALERT_AGE] + passed if b[k.B_ALERT] > 0.0 else 0.0

@@ -226,6 +226,6 @@ class PositioningConfig(Config):
 
     @property
     def mode_limits(self) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-        """(4,) limits of :func:`.mode_kernel.bridge_mode`."""
+        """(4,) limits of :func:`.mode_kernel.rtk_usable`, the first, and of :func:`.mode_kernel.bridge_mode`."""
         m = self.mode
         return np.array([m.rtk_max_hdop, m.doppler_agreement_mps, m.doppler_max_hdop, m.doppler_max_s])

@@ -1,4 +1,4 @@
-"""Which positioning mode holds now: S1 table 1 and figure 1, for one vehicle."""
+"""What RTK, Doppler and the odometer may be used for now: S1 table 1 and figure 1, for one vehicle."""
 
 from __future__ import annotations
 

@@ -97,7 +97,7 @@ class ImuState:
     instability: Array
     walk: Array
     moving_bias_radps: Array
-    on_s: float
+    on_s: Array
 
     def copy(self) -> ImuState:
         """An independent copy."""
@@ -150,10 +150,12 @@ def mems_exponential_error(
     return -c1_mps2 * math.expm1(-time_s / tau_s) + c2_mps2
 
 
-def mems_increment(config: ImuConfig, start_s: float, dt_s: float) -> float:
-    """Integral of the exponential error over an epoch [m/s]."""
+def warm_up(config: ImuConfig, on_s: Array, dt_s: float) -> Array:
+    """Integral [m/s] of the exponential error over an epoch, ``on_s`` [s] after switch-on, both (B,); 0 if off."""
+    if not config.mems_exponential:
+        return np.zeros(on_s.shape)
     c1, c2, tau = config.mems_c1_mps2, config.mems_c2_mps2, config.mems_tau_s
-    return (c1 + c2) * dt_s + c1 * tau * math.exp(-start_s / tau) * math.expm1(-dt_s / tau)
+    return (c1 + c2) * dt_s + c1 * tau * np.exp(-on_s / tau) * math.expm1(-dt_s / tau)
 
 
 def _pair(config: ImuConfig, name: str) -> Array:
@@ -171,7 +173,7 @@ def initial_imu(config: ImuConfig, streams: Streams) -> ImuState:
         instability=z[:, 2] * _pair(config, "instability"),
         walk=np.zeros_like(z[:, 0]),
         moving_bias_radps=(2.0 * u - 1.0) * config.moving_gyro_bias_degps * DEG,
-        on_s=0.0,
+        on_s=np.zeros(streams.batch),
     )
 
 
@@ -205,7 +207,7 @@ def sample_imu(config: ImuConfig, state: ImuState, truth: Truth, effects: FaultE
     theta, delta_v = np.empty((2, truth.batch, 3))
     kernel.measure(
         coefficients(config, dt), dt, MOVING_MPS * dt,
-        mems_increment(config, state.on_s, dt) if config.mems_exponential else 0.0,
+        warm_up(config, state.on_s, dt),
         streams.normal("imu", 2, 3, 5), state.turn_on, state.scale, state.instability, state.walk,
         state.moving_bias_radps, effects.gyro_bias_radps, truth.distance_m, truth.delta_theta_rad, truth.delta_v_mps,
         theta, delta_v,

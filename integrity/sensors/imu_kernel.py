@@ -38,4 +38,4 @@ def measure(  # type: ignore[no-untyped-def]
         if abs(distance[v]) > moving_m:
             theta_out[v, 2] += moving_bias[v] * dt
         for i in range(3):
-            delta_v_out[v, i] += warm_up_mps
+            delta_v_out[v, i] += warm_up_mps[v]

@@ -9,6 +9,7 @@ import pytest
 
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.navigator import Navigator, NavigatorConfig
+from lanebound.integrity.sensors.faults import Fault, FaultKind, FaultSchedule
 from lanebound.integrity.solution import Solution
 from lanebound.integrity.streams import Streams
 from lanebound.integrity.truth import Truth, truth_between
@@ -38,7 +39,8 @@ def _share(navigator: Navigator, row: int, other: Navigator, theirs: int) -> Non
 @pytest.mark.parametrize("when", [10, 17, 23])
 def test_a_vehicle_taken_over_goes_on_as_it_would_have(when: int) -> None:
     """Wherever the clocks of both are: its messages come, and its area changes, by its own."""
-    navigator = Navigator.nominal(NavigatorConfig(), [1, 2, 3], duration_s=60.0)
+    config = NavigatorConfig.load({"corrections": {"outage_per_h": 900.0}, "imu": {"mems_exponential": True}})
+    navigator = Navigator.nominal(config, [1, 2, 3], duration_s=60.0)
     other = navigator.another(Streams([8, 9]))
     for epoch in range(1, 21):
         _step(navigator, _truth(epoch, *3 * [epoch]))
@@ -67,6 +69,26 @@ def test_a_sky_of_ones_own_is_used() -> None:
     navigator = Navigator.nominal(NavigatorConfig(), [1, 2], duration_s=60.0)
     sky = navigator.track.at(navigator.track.start_s + 30.0, np.zeros(2, dtype=np.int64))
     assert navigator.measure(_truth(1, 1, 1), sky).sky is sky
+
+
+def test_who_has_a_time_of_ones_own_needs_a_sky() -> None:
+    navigator = Navigator.nominal(NavigatorConfig(), [1, 2], duration_s=60.0)
+    navigator.adopt(np.array([0]), navigator.another(Streams([5])), np.array([0]))
+    with pytest.raises(InputError, match="sky"):
+        navigator.step(_truth(1, 1, 1))
+
+
+def test_who_shares_generators_or_faults_is_not_handed_over() -> None:
+    own = Navigator.nominal(NavigatorConfig(), [1, 2], duration_s=60.0)
+    joint = Navigator.nominal(NavigatorConfig(), 1, 2, duration_s=60.0)
+    faulty = Navigator(
+        own.config, own.track, own.mask, [1, 2], faults=FaultSchedule((Fault(kind=FaultKind.ODOMETER_FROZEN),))
+    )
+    for one, two in ((own, joint), (joint, own), (own, faulty), (faulty, own)):
+        with pytest.raises(InputError, match="must have"):
+            one.adopt(np.array([0]), two, np.array([0]))
+    with pytest.raises(InputError, match="jointly"):
+        joint.state.streams.adopt(np.array([0]), own.state.streams, np.array([0]))
 
 
 def test_areas_must_be_their_own() -> None:

@@ -63,8 +63,8 @@ def test_nothing_turns_by_nothing() -> None:
 
 
 def test_powers_of_speed_ratios() -> None:
-    x, y = np.linspace(0.0, 2.5, STEPS), np.random.default_rng(0).uniform(3.5, 4.5, STEPS)
-    found = np.empty(STEPS)
+    x, y = np.geomspace(1e-12, 1e4, STEPS), np.random.default_rng(0).uniform(3.5, 4.5, STEPS)
+    x[0], found = 0.0, np.empty(STEPS)
     powers(x, y, found)
     assert found[0] < 1e-280  # zero, as far as anything that is added to it can tell
     x, y, found = x[1:], y[1:], found[1:]

@@ -114,6 +114,10 @@ def test_observations_belong_to_the_caller() -> None:
     engine.step(np.array([3, 4]))
     _same(first, kept)
     _same(info["speed_mps"], cost)
+    over = np.array([True, False])
+    _, info = engine.reset(options={"reset_mask": over})
+    over[:] = False
+    assert info["_cost"].tolist() == info["rewards"]["_base"].tolist() == [True, False]
 
 
 def test_seeds_are_those_of_single_ones_and_repeat() -> None:

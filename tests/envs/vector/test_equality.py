@@ -26,6 +26,7 @@ OTHERS: list[tuple[str, dict[str, Any]]] = [
     ("Highway", {"action_options": {"lateral": False}, "cost": {"response_s": 1.0}, "reward": {"base": 0.5}}),
     ("Highway", {"action": "continuous", "action_options": {"lateral": False}, "actuators": None}),
     ("Highway", {"simulation_hz": 15, "policy_hz": 1, "navigation": {"rate_hz": 5.0}, "duration_s": 6.0}),
+    ("Highway", {"simulation_hz": 4, "policy_hz": 1, "navigation": {"rate_hz": 4.0}, "duration_s": 12.0}),
     ("LaneKeeping", {"off_road_ends": False, "wrong_way_s": 0.5, "actuators": {"steering_rate_radps": None}}),
 ]
 SLOW: list[tuple[str, dict[str, Any], int]] = [

@@ -115,9 +115,23 @@ def test_an_episode_that_starts_while_others_drive_is_the_single_one() -> None:
     assert pairs.tally.steps == 36
 
 
-@pytest.mark.parametrize("name", ["LaneKeeping", "Highway"])
-def test_later_episodes_are_those_of_the_single_one(name: str) -> None:
-    pairs = Pairs(name, {**(FEW if name == "Highway" else {}), "sky": "open", "layouts": 2}, 3, 5)
+OUTAGES: dict[str, Any] = {"navigator": {"corrections": {"outage_per_h": 900.0}}}
+COLD: dict[str, Any] = {"navigator": {"imu": {"mems_exponential": True}}}
+
+
+@pytest.mark.parametrize(
+    ("name", "config"),
+    [
+        ("LaneKeeping", {"sky": "dense", "layouts": 2, "observation": {"history": 2, "satellites_m": []}}),
+        ("CarFollowing", {"sky": "open", "layouts": 2, **OUTAGES, **PERFECT, **SENSOR}),
+        ("LaneKeeping", {"sky": "open", "layouts": 2, "navigator": OUTAGES["navigator"] | COLD["navigator"]}),
+        ("Highway", {**FEW, **OUTAGES}),
+        ("UrbanCanyon", {**CITY, **BOTH}),
+    ],
+)
+def test_later_episodes_are_those_of_the_single_one(name: str, config: dict[str, Any]) -> None:
+    """With links that fail, instruments that warm up, crews that differ."""
+    pairs = Pairs(name, config, 3, 5)
     for rows in ([1], [0, 2], [1, 2], [2], [0, 1, 2]):
         pairs.step(3)
         pairs.reset(np.array(rows), None)
@@ -195,7 +209,6 @@ def test_levels_and_errors_are_those_of_navigation() -> None:
     [
         ({"navigation": {"warm_up_s": 5.0}}, "warm_up_s"),
         ({"faults": "nominal"}, "faults"),
-        ({"navigator": {"imu": {"mems_exponential": True}}}, "mems_exponential"),
     ],
 )
 def test_what_navigation_cannot_do_is_refused(change: dict[str, Any], message: str) -> None:
