@@ -26,7 +26,7 @@ $(STAMP): pyproject.toml constraints.txt
 
 dev: $(STAMP) ## Install the package, editable, with its tools into .venv/
 
-demo: $(STAMP) ## Compare six drivers where the sky is bad; tables here, a page in out/demo/report.html
+demo: $(STAMP) ## Compare six drivers and a random one where the sky is bad; tables here, a page in out/demo/report.html
 	$(BIN)/lanebound benchmark quick --out out/demo --fresh
 
 test: $(STAMP) ## Run the tests, less the slow ones

@@ -8,19 +8,23 @@ from typing import Any, TypeVar
 
 from lanebound.integrity.config import Config, preset_names
 from lanebound.integrity.errors import ConfigError
-from lanebound.integrity.presets import nearest, parse_yaml
+from lanebound.integrity.presets import load_preset, nearest, parse_yaml
 
 __all__ = ["load_named"]
 
 C = TypeVar("C", bound=Config)
 
 
-def load_named(kind: type[C], what: str, folder: str, name: str, overrides: Mapping[str, Any] | None = None) -> C:
+def load_named(
+    kind: type[C], what: str, folder: str, name: str, overrides: Mapping[str, Any] | None = None,
+    called: str | None = None,
+) -> C:  # fmt: skip
     """A configuration of a class by its name below ``folder``, or by the path of its YAML file.
 
     Parameters
     ----------
     what : it is called in messages
+    called : the ``kind`` that presets of the class name, where the folder holds others as well
 
     Raises
     ------
@@ -38,7 +42,8 @@ def load_named(kind: type[C], what: str, folder: str, name: str, overrides: Mapp
         if isinstance(data, Mapping):
             data = {key: value for key, value in data.items() if key != "kind"}
         return kind.build(data, changes)
-    known = [preset.removeprefix(folder) for preset in preset_names() if preset.startswith(folder)]
+    presets = [preset for preset in preset_names() if preset.startswith(folder)]
+    known = [p.removeprefix(folder) for p in presets if called is None or load_preset(p).get("kind") == called]
     if name not in known:
         raise ConfigError(
             f"{what} '{name}' is unknown: {nearest(name, known)} (or the path of a YAML file of your own)"

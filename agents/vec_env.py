@@ -17,7 +17,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvWrapper
 
 from lanebound.envs.tally import EPISODE_KEY, Tally
 from lanebound.envs.vector.env import ENGINES
-from lanebound.envs.vector.infos import single_info
+from lanebound.envs.vector.infos import NAMES, single_info
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.presets import nearest
 
@@ -52,6 +52,11 @@ class EngineVecEnv(VecEnv):
                 f"env_id must have an engine, as {', '.join(ENGINES)} do, got {env_id!r}: {nearest(env_id, ENGINES)}, "
                 "or use DummyVecEnv or SubprocVecEnv"
             )
+        if isinstance(keys, str):
+            raise InputError(f"keys must be a list of entries of info, got {keys!r}: pass [{keys!r}]")
+        for key in keys:
+            if key not in NAMES:
+                raise InputError(f"keys must be entries of info, got {key!r}: {nearest(key, NAMES)}")
         self.envs = ENGINES[env_id](num_envs, config, AutoresetMode.SAME_STEP)
         super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
         self.arrays: dict[str, Any] = {}
@@ -61,9 +66,6 @@ class EngineVecEnv(VecEnv):
     def reset(self) -> Any:
         """Begin an episode in every environment, under the seeds given by ``seed``."""
         observations, infos = self.envs.reset(seed=self._seeds)
-        for key in self._keys:
-            if key not in infos:
-                raise InputError(f"keys must be entries of info, got {key!r}: {nearest(key, infos)}")
         self.arrays = infos
         self.reset_infos = [single_info(infos, row) for row in range(self.num_envs)]
         self._reset_seeds()

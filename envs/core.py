@@ -47,11 +47,11 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     the track, `CT` across it; PL is a protection level, AL the alert limit that it must not exceed.
 
     ## Action Space
-    `action="meta"`: highway-env's meta-actions, carried out from the believed pose; `action_masks()` tells which of
-    them make sense. `action="continuous"`: acceleration and steering in [-1, 1], as shares of their ranges. Steering
-    asks for no more than 4 m/s2 across the track, and in our own worlds turns at 0.7 rad/s at most; the racetrack has
-    neither limit. The acceleration is not limited further; a car whose wheels show standstill and that asks for none
-    holds its brake.
+    `action="meta"`: highway-env's meta-actions, carried out from the believed pose; `env.unwrapped.action_masks()`
+    tells which of them make sense. `action="continuous"`: acceleration and steering in [-1, 1], as shares of their
+    ranges. Steering asks for no more than 4 m/s2 across the track, and in our own worlds turns at 0.7 rad/s at most;
+    the racetrack has neither limit. The acceleration is not limited further; a car whose wheels show standstill and
+    that asks for none holds its brake.
 
     ## Observation Space
     A `Dict` of vectors, or one `Box` of all of them in this order (`observation.form="flat"`); float32, each entry
@@ -109,8 +109,10 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
 
     ## Info
     The same keys at reset and at every step. What the car knows: `pl_at_m`, `pl_ct_m`, `al_at_m`, `al_ct_m`,
-    `margin_at_m`, `margin_ct_m` (AL - PL), `alert`, `available`, `mode` and `reason` (codes of `Mode` and
-    `AlertReason`), `tta_s` (time left to react to an alert). What no agent is to be given: `speed_mps`,
+    `margin_at_m`, `margin_ct_m` (AL - PL), `alert`, `available`, `mode` (0 none, 1 RTK, 2 Doppler, 3 IMU and
+    odometer), `reason` of the alert (0 none, 1 PL_AT, 2 PL_CT, 3 both, 4 no solution, 5 a test failed, 6 accuracy, 7
+    initialising, 8 not converged, 9 holding until it clears), `tta_s` (time left to react to an alert; all of it, 1 s,
+    while none is on). What no agent is to be given: `speed_mps`,
     `yaw_rate_radps`, `err_at_m`, `err_ct_m` (estimate less truth), `mi` and `hmi` (at any navigation epoch of the step
     available, and an error above its PL but within its AL, or above its AL), `hmi_share` (of the epochs), `crashed`,
     `crashed_now`, `off_road`, `wrong_way`, `astray_now` (either of these two, and new), `is_success`. Of the step:
@@ -132,7 +134,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     is within `cost_limit`.
 
     ## Arguments
-    `config`, a mapping that is merged deeply over what the id presets; `lanebound envs ID` lists every key.
+    `config`, a mapping that is merged deeply over what the id presets; `lanebound envs ID --json` shows it whole.
 
     | key | chooses |
     |---|---|

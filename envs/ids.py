@@ -28,6 +28,7 @@ __all__ = [
     "Roundabout",
     "UrbanCanyon",
     "id_of",
+    "refuse_misplaced",
 ]
 
 CONTINUOUS: dict[str, Any] = {"action": "continuous", "policy_hz": 5}
@@ -38,6 +39,26 @@ INSTANT: dict[str, Any] = {"actuators": {"steering_rate_radps": None}}  # as hig
 SPEEDS: dict[str, Any] = {"action_options": {"target_speeds": [0, 5, 10, 15, 20, 25, 30]}}  # slow enough in an alert
 
 
+ELSEWHERE = {
+    "autoreset_mode": "where environments run one by one pass vector_kwargs={'autoreset_mode': ...} to make_vec",
+    "max_episode_steps": "pass config={'duration_s': ...}",
+}
+
+
+def refuse_misplaced(misplaced: Mapping[str, Any], allowed: str) -> None:
+    """Say where an argument belongs that an environment does not take.
+
+    Raises
+    ------
+    InputError
+        There is one.
+    """
+    for key, value in misplaced.items():
+        fields = EnvConfig.model_fields
+        advice = f"pass config={{{key!r}: {value!r}}}" if key in fields else nearest(key, ["config", *fields])
+        raise InputError(f"arguments must be {allowed}, got {key}={value!r}: {ELSEWHERE.get(key, advice)}")
+
+
 class Preset(DrivingEnv):
     """An environment with a configuration of its own, over which a user's is merged deeply."""
 
@@ -46,10 +67,7 @@ class Preset(DrivingEnv):
     def __init__(
         self, config: Mapping[str, Any] | None = None, render_mode: str | None = None, **misplaced: Any
     ) -> None:
-        for key, value in misplaced.items():
-            fields = EnvConfig.model_fields
-            advice = f"pass config={{{key!r}: {value!r}}}" if key in fields else nearest(key, ["config", *fields])
-            raise InputError(f"arguments must be config and render_mode, got {key}={value!r}: {advice}")
+        refuse_misplaced(misplaced, "config and render_mode")
         if config is not None and not isinstance(config, Mapping):
             raise InputError(f"config must be a mapping of what to change, got {config!r}: pass a dict")
         super().__init__(EnvConfig.build(self.PRESET, config), render_mode)
@@ -88,8 +106,8 @@ class LaneKeeping(Preset):
     Truncated after 60 s, or 20 m before the end of the road.
 
     ## Arguments
-    `config={"world": {...}}`: `layout` (0 to 3, roads of 1.83 to 1.94 km), `lanes_count` (1), `lane_width` (3.25 m),
-    `initial_speed` (10 m/s), `duration` (60 s).
+    `config={"world": {...}}`: `layout` (which road, from 0 on; 0 to 3: of 1.83 to 1.94 km), `lanes_count` (1),
+    `lane_width` (3.25 m), `initial_speed` (10 m/s), `duration` (60 s).
 
     ## Version History
     * v0: first version.
@@ -132,7 +150,7 @@ class CarFollowing(Preset):
     Truncated after 120 s, or 20 m before the end of the road.
 
     ## Arguments
-    `config={"world": {...}}`: `layout` (0 to 3, roads of 2.67 to 3.21 km), `lane_width` (3.25 m),
+    `config={"world": {...}}`: `layout` (which road, from 0 on; 0 to 3: of 2.67 to 3.21 km), `lane_width` (3.25 m),
     `standstill_gap` (2 m), `time_gap` ([0.8, 1.0] s), `lead` (ranges of the profile
     above, see `SpeedProfileConfig`), `duration` (120 s).
 

@@ -90,6 +90,7 @@ def make_world(
     defaults = kind.default_config()
     _check_keys(overrides, defaults, "world")
     config = deep_merge(defaults, overrides)
+    _check_figures(config)
     if config.get("controlled_vehicles", 1) != 1:
         raise ConfigError("world.controlled_vehicles must be 1: one ego drives on its belief, the others are traffic")
     config.update(
@@ -103,6 +104,28 @@ def make_world(
     except AttributeError as error:  # highway-env's racetracks make the ego by a method that meta-actions lack
         taken = defaults["action"]["type"]
         raise ConfigError(f"action must be a {taken} in {kind.__name__}, got {config['action']['type']}") from error
+
+
+WHOLE = {"lanes_count": (1, 20), "vehicles_count": (0, 1000), "layout": (0, 10**6)}
+"""Keys of worlds that are whole numbers, with the least and most: highway-env fails far from what is wrong."""
+NUMBERS = {"vehicles_density": (0.01, 10.0), "initial_speed": (0.0, 60.0), "lane_width": (2.0, 20.0),
+           "ego_spacing": (0.01, 100.0), "duration": (0.1, 1e6)}  # fmt: skip
+"""Those that are numbers."""
+
+
+def _check_figures(config: Mapping[str, Any]) -> None:
+    """Refuse figures of a world that it cannot be made of."""
+    for key, (low, high) in (WHOLE | NUMBERS).items():
+        value, kinds = config.get(key), (int, np.integer) if key in WHOLE else (int, float, np.integer, np.floating)
+        if value is None:
+            continue
+        if isinstance(value, bool) or not isinstance(value, kinds) or not low <= value <= high:
+            kind = "a whole number" if key in WHOLE else "a number"
+            raise ConfigError(f"world.{key} must be {kind} between {low:g} and {high:g}, got {value!r}: correct it")
+    lane, count = config.get("initial_lane_id"), config.get("lanes_count", 1)
+    if lane is not None and not (isinstance(lane, int) and 0 <= lane < count):
+        raise ConfigError(f"world.initial_lane_id must be None or 0 to {count - 1} on {count} lanes, got {lane!r}: "
+                          "None draws one")  # fmt: skip
 
 
 def guard(kind: type[AbstractEnv], config: dict[str, Any]) -> AbstractEnv:

@@ -47,7 +47,11 @@ def _moments(env: DrivingEnv, agent: Driver, episode: int, seed: int) -> Any:
     yield moment_of(env, episode, seed, 0, None, 0.0, False, False, info)
     state, start, step, over = None, np.ones(1, dtype=np.bool_), 0, False
     while not over:
-        action, state = agent.predict(observation, state=state, episode_start=start, deterministic=True)
+        try:
+            action, state = agent.predict(observation, state=state, episode_start=start, deterministic=True)
+        except Exception as error:
+            error.add_note(f"the agent failed at seed {seed}, step {step}")
+            raise
         observation, reward, terminated, truncated, info = env.step(action)
         start, step, over = np.zeros(1, dtype=np.bool_), step + 1, terminated or truncated
         yield moment_of(env, episode, seed, step, action, reward, terminated, truncated, info)

@@ -136,7 +136,7 @@ def load_study(name: str, overrides: Mapping[str, Any] | None = None) -> Learnin
     ConfigError
         There is none, or a value is refused.
     """
-    return load_named(LearningStudyConfig, "study", FOLDER, name, overrides)
+    return load_named(LearningStudyConfig, "study", FOLDER, name, overrides, "learning_study")
 
 
 def plan(study: LearningStudyConfig) -> Course:

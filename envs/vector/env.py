@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from lanebound.envs.core import DrivingEnv
-from lanebound.envs.ids import CarFollowing, Highway, LaneKeeping, Preset, UrbanCanyon, id_of
+from lanebound.envs.ids import CarFollowing, Highway, LaneKeeping, Preset, UrbanCanyon, id_of, refuse_misplaced
 from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.engine import Engine
 from lanebound.envs.vector.infos import infos_of
@@ -71,7 +71,9 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         config: Mapping[str, Any] | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
+        **misplaced: Any,
     ) -> None:
+        refuse_misplaced(misplaced, "num_envs, config, autoreset_mode and render_mode")
         if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer) or num_envs < 1:
             raise InputError(f"num_envs must be a positive int, got {num_envs!r}")
         if render_mode is not None:
@@ -110,6 +112,10 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         """
         seeds = _seeds_of(seed, self.num_envs)
         mask = _mask_of(options, self.num_envs)
+        if not (mask | self._begun).all():
+            first = int(np.flatnonzero(~(mask | self._begun))[0])
+            raise InputError(f"options.{MASK} must name environments that have not begun, but leaves out {first}: "
+                             "reset all of them first")  # fmt: skip
         rows = np.flatnonzero(mask)
         self._restart(rows, [seeds[e] for e in rows])
         return self._observations(), infos_of(self.engine.world, self._limits_m, mask)
@@ -192,6 +198,8 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         return {group: stack[:, :, part].reshape(count, -1).copy() for group, part in self._slices.items()}
 
     def _require_begun(self) -> None:
+        if self.closed:
+            raise InputError("environments must be open, got closed ones: make them anew")
         if not self._begun.all():
             raise InputError("reset must come before everything else, got no episode: call reset() first")
 
@@ -201,11 +209,15 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         given, space = np.asarray(actions), self.action_space
         kinds = "iuf" if isinstance(space, Box) else "iu"
         if given.dtype.kind not in kinds or given.shape != space.shape:
-            raise InputError(f"actions must be numbers of shape {space.shape}, got {given.dtype} {given.shape}")
+            raise InputError(f"actions must be numbers of shape {space.shape}, got {given.dtype} {given.shape}: "
+                             "pass one for each environment")  # fmt: skip
         commands = given.astype(space.dtype)
         low, high = self._bounds
-        if not ((commands >= low).all() and (commands <= high).all()):
-            raise InputError(f"actions must lie in {self.single_action_space} each, got others: clip or mend them")
+        fits = (commands >= low) & (commands <= high)
+        if not fits.all():
+            e = int(np.flatnonzero(~fits.reshape(self.num_envs, -1).all(axis=1))[0])
+            remedy = "clip it" if np.isfinite(given[e]).all() else "check the policy for NaN"
+            raise InputError(f"actions[{e}] must lie in {self.single_action_space}, got {given[e]}: {remedy}")
         return commands
 
 
@@ -267,6 +279,8 @@ def _seeds_of(seed: int | Sequence[int | None] | None, count: int) -> list[int |
         return [None] * count
     if isinstance(seed, int | np.integer):
         seed = [int(seed) + i for i in range(count)]
+    if not isinstance(seed, Sequence | np.ndarray):
+        raise InputError(f"seed must be an int or one for each of {count} environments, got {seed!r}: pass ints")
     seeds = [None if s is None else int(s) for s in seed]
     lowest = min((s for s in seeds if s is not None), default=0)
     if lowest < 0:
@@ -286,5 +300,6 @@ def _mask_of(options: dict[str, Any] | None, count: int) -> Flags:
         return np.ones(count, dtype=np.bool_)
     mask = np.array(options[MASK])  # infos give it back
     if mask.shape != (count,) or mask.dtype != np.bool_ or not mask.any():
-        raise InputError(f"options.{MASK} must be ({count},) bool with one True at least, got {mask!r}")
+        raise InputError(f"options.{MASK} must be ({count},) bool with one True at least, got {mask!r}: "
+                         "pass np.array of True for whom to reset")  # fmt: skip
     return mask

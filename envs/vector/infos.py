@@ -12,7 +12,7 @@ from lanebound.envs.rewards import TERMS
 from lanebound.envs.vector.infos_kernel import NUMBERS, fill_infos
 from lanebound.envs.vector.step_kernel import World
 
-__all__ = ["infos_of", "single_info"]
+__all__ = ["NAMES", "infos_of", "single_info"]
 
 # names of the rows that the kernel fills, in its order; the terms of the reward have a dict of their own
 BEFORE = ("cost", *CAUSES, "tta_s", "err_at_m", "err_ct_m", "hmi_share", "yaw_rate_radps")
@@ -21,7 +21,9 @@ FLAGS = (
     "mi", "hmi", "crashed", "crashed_now", "off_road", "wrong_way", "astray_now", "is_success", "alert", "available",
 )  # fmt: skip
 CODES = ("mode", "reason")
-MASKS = tuple(f"_{name}" for name in (*BEFORE, *AFTER, *FLAGS, *CODES, "rewards"))
+NAMES = (*BEFORE, *AFTER, *FLAGS, *CODES)
+"""Entries of infos that are arrays (N,)."""
+MASKS = tuple(f"_{name}" for name in (*NAMES, "rewards"))
 MASKS_OF_TERMS = tuple(f"_{name}" for name in TERMS)
 
 

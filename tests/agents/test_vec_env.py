@@ -94,9 +94,11 @@ def test_ppo_learns_on_it() -> None:
 def test_what_it_cannot_do_is_refused() -> None:
     with pytest.raises(InputError, match="SubprocVecEnv"):
         EngineVecEnv("lanebound/Merge-v0", 2)
-    env = EngineVecEnv("lanebound/Highway-v0", 2, CONFIG, keys=("costs",))
-    with pytest.raises(InputError, match="cost"):
-        env.reset()
+    with pytest.raises(InputError, match="'costs': did you mean 'cost'"):
+        EngineVecEnv("lanebound/Highway-v0", 2, CONFIG, keys=("costs",))
+    with pytest.raises(InputError, match=r"pass \['cost'\]"):
+        EngineVecEnv("lanebound/Highway-v0", 2, CONFIG, keys="cost")
+    env = EngineVecEnv("lanebound/Highway-v0", 2, CONFIG)
     with pytest.raises(InputError, match="configuration"):
         env.set_attr("config", None)
     with pytest.raises(InputError, match="action_masks"):

@@ -364,6 +364,12 @@ def test_a_configuration_that_cannot_be_is_refused_with_advice(overrides: dict[s
     [
         ({"vehicle_count": 3}, ["world.vehicle_count", "'vehicles_count'"]),
         ({"policy_frequency": 3}, ["world.policy_frequency", "must not be set"]),
+        ({"lanes_count": 0}, ["world.lanes_count", "1 and 20", "got 0"]),
+        ({"lanes_count": 1.5}, ["world.lanes_count", "whole", "got 1.5"]),
+        ({"vehicles_count": True}, ["world.vehicles_count", "got True"]),
+        ({"vehicles_density": 0}, ["world.vehicles_density", "got 0"]),
+        ({"vehicles_density": float("nan")}, ["world.vehicles_density", "got nan"]),
+        ({"initial_lane_id": 9}, ["world.initial_lane_id", "0 to 3", "got 9"]),
     ],
 )
 def test_a_key_that_the_world_lacks_is_refused_with_advice(world: dict[str, Any], words: list[str]) -> None:
@@ -394,6 +400,12 @@ def test_what_belongs_into_the_configuration_is_told_where_it_goes() -> None:
         gym.make(LANE_KEEPING, sky="dense")
     with pytest.raises(InputError, match="got skyy='dense': did you mean 'sky'"):
         gym.make(LANE_KEEPING, skyy="dense")
+    with pytest.raises(InputError, match="vector_kwargs"):
+        gym.make_vec("lanebound/Merge-v0", 2, vectorization_mode="sync", autoreset_mode="SameStep")
+    with pytest.raises(InputError, match=r"got sky='dense': pass config=\{'sky': 'dense'\}"):
+        gym.make_vec(LANE_KEEPING, 2, sky="dense")
+    with pytest.raises(InputError, match="duration_s"):
+        gym.make_vec(LANE_KEEPING, 2, max_episode_steps=10)
 
 
 def test_a_refusal_names_the_value_that_the_id_presets() -> None:

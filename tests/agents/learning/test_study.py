@@ -220,3 +220,8 @@ def test_the_command_prints_a_table_for_each_place(tmp_path: Path) -> None:
     assert told.exit_code == 0, told.output
     assert "2 trainings, 1 at a time" in told.stderr
     assert "CarFollowing-v0, open: means over trainings" in told.stdout
+
+
+def test_studies_of_another_kind_are_not_offered() -> None:
+    with pytest.raises(ConfigError, match="study 'urban_drive' is unknown: known are value_of_integrity"):
+        load_study("urban_drive")

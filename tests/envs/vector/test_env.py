@@ -247,9 +247,25 @@ def test_commands_and_options_are_checked() -> None:
     for wrong in ({"faults": []}, {"reset_mask": np.ones(3, dtype=np.bool_)}, {"reset_mask": np.zeros(2, np.bool_)}):
         with pytest.raises(InputError, match="options"):
             engine.reset(options=wrong)
-    with pytest.raises(InputError, match="seed"):
-        engine.reset(seed=[1, 2, 3])
+    seeds: tuple[Any, ...] = ([1, 2, 3], [1, -1], -5, 1.5)
+    for seed in seeds:
+        with pytest.raises(InputError, match="seed"):
+            engine.reset(seed=seed)
+    with pytest.raises(InputError, match="leaves out 1: reset all"):
+        engine.reset(options={"reset_mask": np.array([True, False])})
     engine.reset(seed=1)
     for actions in (np.zeros(3, dtype=np.int64), np.array([0, 5]), np.array([0.0, 1.0])):
         with pytest.raises(InputError, match="actions"):
             engine.step(actions)
+    engine.close()
+    with pytest.raises(InputError, match="closed"):
+        engine.step(np.zeros(2, dtype=np.int64))
+
+
+def test_who_commands_nonsense_is_named() -> None:
+    engine = VectorLaneKeeping(2, PERFECT)
+    engine.reset(seed=1)
+    with pytest.raises(InputError, match=r"actions\[1\] .* check the policy for NaN"):
+        engine.step(np.array([[0.0, 0.0], [np.nan, 0.0]], dtype=np.float32))
+    with pytest.raises(InputError, match=r"actions\[0\] .* clip it"):
+        engine.step(np.array([[5.0, 0.0], [0.0, 0.0]], dtype=np.float32))
