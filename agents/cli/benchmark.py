@@ -31,7 +31,7 @@ Agents = Annotated[
 
 def benchmark(
     suite: Annotated[
-        str, typer.Argument(metavar="SUITE", help="quick, standard, claim, faults, look_ahead, or a YAML file.")
+        str, typer.Argument(metavar="SUITE", help="quick, standard, claim, faults, look_ahead, learnt, or a YAML file.")
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results; a run goes on where one stopped.")],
     agents: Agents = None,

@@ -130,12 +130,14 @@ def open_foreign(name: str, env: DrivingEnv) -> Driver:
 def _checkpoint(path: str, env: DrivingEnv) -> Driver:
     model = _model(path, _changed(path))
     for what, trained, here in (
-        ("observations", model.observation_space, env.observation_space),
         ("actions", model.action_space, env.action_space),
+        ("observations", model.observation_space, env.observation_space),
     ):
         if not _alike(trained, here):
-            remedy = "set observation.form to flat" if what == "observations" else "choose another environment"
-            raise InputError(f"agent {path} must be trained on these {what}, got {_shape(trained)}: {remedy}")
+            flat = isinstance(trained, spaces.Box) and isinstance(here, spaces.Dict)
+            remedy = "set observation.form=flat" if flat else "choose the environment that it was trained in"
+            raise InputError(f"agent {path} must be trained on these {what}, {_shape(here)}, got {_shape(trained)}: "
+                             f"{remedy}")  # fmt: skip
     driver: Driver = model
     return driver
 
