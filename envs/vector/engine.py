@@ -175,9 +175,8 @@ class Engine:
         if self.senses is None:
             self._run(self.world, where, self.frames, DECIDE | FINISH, codes)
             return
-        self._run(self.world, where, 0, DECIDE, codes)
         for frame in range(1, self.frames + 1):
-            self._run(self.world, where, 1, 0)
+            self._run(self.world, where, 1, DECIDE if frame == 1 else 0, codes)
             follow = self.senses.coast if frame % self.senses.steps else self.senses.navigate
             follow(where, self.world)
         self.senses.foresee(where, self.world)

@@ -14,6 +14,7 @@ from lanebound.envs.registration import make_config
 from lanebound.envs.sky import cache
 from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.engine import Engine
+from lanebound.envs.vector.senses import Senses
 from lanebound.integrity.errors import ConfigError
 from side_by_side import Tally, command, require_equal, same
 
@@ -138,6 +139,22 @@ def test_later_episodes_are_those_of_the_single_one(name: str, config: dict[str,
     pairs.step(3)
     require_equal(pairs.tally)
     assert pairs.tally.steps >= 40
+
+
+def test_a_start_that_was_interrupted_is_made_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    pairs = Pairs("CarFollowing", {"sky": "open", "layouts": 1}, 2, 5)
+
+    def interrupt(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Senses, "begin", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            pairs.engine.reset(np.array([0]), [None])
+    for rows in ([0], [0, 1]):
+        pairs.reset(np.array(rows), None)
+        pairs.step(2)
+    require_equal(pairs.tally)
 
 
 def test_a_seed_puts_an_end_to_what_was_ready() -> None:
