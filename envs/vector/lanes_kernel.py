@@ -91,10 +91,11 @@ class Lanes(NamedTuple):
     advice: NDArray[np.float64]
 
 
-@jit
+@jit(inline=True)
 def wrap(angle):  # type: ignore[no-untyped-def]
-    """The angle in [-pi, pi)."""
-    return angle - TWO_PI * math.floor(angle / TWO_PI + 0.5)
+    """The angle in [-pi, pi), with the rounding of highway-env: drivers that crawl would multiply any other."""
+    above = angle + math.pi
+    return above - TWO_PI * math.floor(above / TWO_PI) - math.pi
 
 
 @jit

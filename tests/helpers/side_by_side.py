@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from lanebound.envs.config import ActionKind
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.registration import make_config
 from lanebound.envs.vector import columns_kernel as k
@@ -89,19 +90,29 @@ def same(tally: Tally, where: str, engine: Engine, row: int, single: DrivingEnv,
         tally.mismatches += part.mismatches
         tally.crawls += 1
         tally.swung = max(tally.swung, part.pose, part.observation, part.reward, part.info)
-        cars[:4, 1 : len(vehicles)] = true[:, 1:]
+        first = 0 if _steers_itself(single) else 1
+        cars[:4, first : len(vehicles)] = true[:, first:]
         cars[k.COS], cars[k.SIN] = np.cos(cars[k.HEADING]), np.sin(cars[k.HEADING])
+        if _steers_itself(single):
+            engine.world.belief[row, [k.B_X, k.B_Y, k.B_HEADING, k.B_SPEED]] = true[:, 0]
 
 
 def _crawls(tally: Tally, single: DrivingEnv, speeds: Any) -> bool:
-    """Whether some city driver has crawled since the last step."""
+    """Whether somebody who steers as ControlledVehicle does, and not along a straight lane's middle, has crawled."""
     before = tally.speeds.get(id(single))
     tally.speeds[id(single)] = speeds
     drivers = [i for i, v in enumerate(single.world.road.vehicles) if isinstance(v, CityDriver)]
+    drivers += [0] if _steers_itself(single) else []
     if not drivers or before is None or before.size != speeds.size:
         return False
     both = np.abs([before[drivers], speeds[drivers]])
     return bool(((both.min(0) < CRAWL_MPS) & (both.max(0) > 0.0)).any())
+
+
+def _steers_itself(single: DrivingEnv) -> bool:
+    """Whether the ego is steered by highway-env's own law, from a pose that it knows."""
+    c = single.config
+    return c.base == "highway-v0" and c.action is ActionKind.META and not c.navigation.source.senses
 
 
 def _same_info(tally: Tally, where: str, got: dict[str, Any], info: dict[str, Any]) -> None:
