@@ -193,7 +193,6 @@ class Navigator:
         self._instruments = Instruments.of(config.gnss, config.corrections, config.imu, config.odometer, config.dt_s)
         area = Streams(seeds, batch) if area_seed is None else Streams([area_seed])
         self.state = self._initial(Streams(seeds, batch), area)
-        self._one_time = True  # for all vehicles, the truth's
 
     @classmethod
     def nominal(
@@ -244,7 +243,7 @@ class Navigator:
     def another(self, streams: Streams) -> Navigator:
         """A navigator of the same configuration for other vehicles, each in an area of its own, just switched on."""
         other = copy.copy(self)
-        other.state, other._one_time = other._initial(streams, streams), True
+        other.state = other._initial(streams, streams)
         return other
 
     def adopt(self, rows: NDArray[np.int64], other: Navigator, theirs: NDArray[np.int64]) -> None:
@@ -263,7 +262,6 @@ class Navigator:
         _hand_over(self.state, other.state, rows, theirs)
         mine, network = self.state.area.network, other.state.area.network
         mine.begun[rows] = mine.epoch - network.own_epoch[theirs]
-        self._one_time = False
 
     def _require_single(self, name: str) -> None:
         """Raise InputError unless vehicles share nothing, neither generators nor areas nor a schedule of faults."""
@@ -349,7 +347,7 @@ class Navigator:
         """
         self._require_fitting(truth)
         if sky is None:
-            if not self._one_time:
+            if self.state.area.network.begun.any():
                 raise InputError("sky must be given for vehicles that were adopted, got None: each has its own time")
             sky = self.track.at(self.track.start_s + truth.time_s, np.zeros(self.batch, dtype=np.int64))
         if self.faults.faults and self.faults.active(truth.time_s):

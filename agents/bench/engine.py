@@ -6,6 +6,7 @@ of an observation of ours.
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Callable
 from typing import Any
 
@@ -51,7 +52,7 @@ def _engine_side(count: int, config: dict[str, Any]) -> tuple[Callable[[], int],
 
 
 def measure(rounds: int = 5) -> list[Row]:
-    """Ratios of policy steps a second, resets included on both sides, and the memory of an environment."""
+    """Ratios of policy steps a second, resets included on both sides; rates of ours; the memory of an environment."""
     cases = {"many": (MANY, PERFECT), "one": (1, PERFECT), "full": (SENSING, FULL), "v2v": (HEARING, V2V)}
     engines = {name: _engine_side(count, config) for name, (count, config) in cases.items()}
     rates = alternate({"bare": _bare_side(), **{name: step for name, (step, _) in engines.items()}}, rounds, 1.0)
@@ -62,6 +63,8 @@ def measure(rounds: int = 5) -> list[Row]:
         Row("engine_dynamics_vs_highway_1env", ratio["one"], "x", 2500.0, 5000.0),
         Row("engine_full_vs_highway_2core", ratio["full"], "x", 1000.0, 3000.0),
         Row("engine_v2v_vs_highway_2core", ratio["v2v"], "x", 200.0, 600.0),
+        Row("engine_dynamics_per_s", statistics.median(rates["many"]), "1/s"),
+        Row("engine_full_per_s", statistics.median(rates["full"]), "1/s"),
         Row("engine_memory_per_environment", size["many"], "KiB", higher_is_better=False),
         Row("engine_full_memory_per_environment", size["full"], "KiB", higher_is_better=False),
         Row("engine_v2v_memory_per_environment", size["v2v"], "KiB", higher_is_better=False),

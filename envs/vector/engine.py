@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -46,8 +46,9 @@ class Stage(NamedTuple):
 
     def adopt(self, rows: Rows, other: Stage) -> None:
         """Go on with the episodes ``rows`` of another stage."""
-        for array, values in zip(self.world, other.world, strict=True):
-            mine, theirs = cast(NDArray[Any], array), cast(NDArray[Any], values)
+        ours: tuple[Any, ...] = self.world
+        waiting: tuple[Any, ...] = other.world
+        for mine, theirs in zip(ours, waiting, strict=True):
             mine[rows] = theirs[rows]
         if self.senses is not None and other.senses is not None:
             self.senses.adopt(rows, other.senses)

@@ -74,8 +74,15 @@ def test_a_sky_of_ones_own_is_used() -> None:
 def test_who_has_a_time_of_ones_own_needs_a_sky() -> None:
     navigator = Navigator.nominal(NavigatorConfig(), [1, 2], duration_s=60.0)
     navigator.adopt(np.array([0]), navigator.another(Streams([5])), np.array([0]))
+    navigator.step(_truth(1, 1, 1))  # still of one time
+    navigator.adopt(np.array([0]), navigator.another(Streams([5])), np.array([0]))
+    kept = navigator.snapshot()
     with pytest.raises(InputError, match="sky"):
-        navigator.step(_truth(1, 1, 1))
+        navigator.step(_truth(2, 1, 2))
+    again = Navigator.nominal(NavigatorConfig(), [1, 2], duration_s=60.0)
+    again.restore(kept)
+    with pytest.raises(InputError, match="sky"):
+        again.step(_truth(2, 1, 2))
 
 
 def test_who_shares_generators_or_faults_is_not_handed_over() -> None:
