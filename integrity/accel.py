@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 import numba
 from numba import prange
 
-__all__ = ["is_compiled", "jit", "prange", "serial", "use_parallel"]
+__all__ = ["is_compiled", "jit", "one_or_many_runs", "prange", "serial", "use_parallel"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 FASTMATH = {"nsz"}  # more would let a kernel compiled now and one loaded from the cache differ in the last bit
@@ -153,3 +153,8 @@ def use_parallel(batch: int) -> bool:
     import multiprocessing
 
     return multiprocessing.parent_process() is None
+
+
+def one_or_many_runs(batch: int, serially: Any, side_by_side: Any) -> tuple[Any, int]:
+    """The kernel for a batch and its first argument: all in one run from 0 on, or in a run for each thread."""
+    return (side_by_side, numba.get_num_threads()) if use_parallel(batch) else (serially, 0)

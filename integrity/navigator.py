@@ -14,13 +14,12 @@ from enum import Enum
 from functools import lru_cache
 from typing import Any, Self
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from lanebound.integrity import navigator_kernel as nk
-from lanebound.integrity.accel import use_parallel
+from lanebound.integrity.accel import one_or_many_runs
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import ConfigError, InputError, require_finite
 from lanebound.integrity.monitoring.alerts import AlertConfig, AlertState
@@ -371,9 +370,9 @@ class Navigator:
         s, t, g, batch = self.state, self._tables, m.gnss, self.batch
         out, levels = np.empty((batch, nk.NO)), np.empty((batch, t.k_dead.shape[0], 2))
         covariance = np.empty((batch, 2, 2))
-        run, first = (nk.run_parallel, numba.get_num_threads()) if use_parallel(batch) else (nk.run_some, 0)
+        run, first = one_or_many_runs(batch, nk.run_some, nk.run_parallel)
         run(
-            first, batch, m.sky.los_enu, m.sky.system, m.sky.elevation_rad, m.sky.index, g.tracked, g.cn0_dbhz,
+            first, batch, m.sky.los_enu, m.sky.system, m.sky.index, g.tracked, g.cn0_dbhz,
             g.code_m, g.phase_m, g.range_rate_mps, g.lock_lost, g.corrections_age_s, m.imu.delta_theta_rad,
             m.imu.delta_v_mps, m.odometer.speed_mps,
             t.par, t.rtk_par, t.mode_limits, t.heading_limits, t.wavelength, t.fixable, t.fit, t.chi2, t.normal, t.fde,

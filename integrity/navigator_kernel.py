@@ -28,7 +28,6 @@ from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import P_EN as G_EN
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import P_NN as G_NN
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED as FDE_EXCLUDED
 from lanebound.integrity.monitoring.detection_kernel import NO_REDUNDANCY as FDE_NO_REDUNDANCY
-from lanebound.integrity.monitoring.detection_kernel import detect_and_exclude
 from lanebound.integrity.monitoring.doppler_separation_kernel import (
     AFFORDABLE,
     STATE,
@@ -95,7 +94,7 @@ from lanebound.integrity.positioning.odometer_watch_kernel import (
 from lanebound.integrity.positioning.resolve_kernel import Fixes
 from lanebound.integrity.positioning.rtk_kernel import held_risk
 from lanebound.integrity.positioning.slip_watch_kernel import Motion
-from lanebound.integrity.rtk_stage_kernel import FAULT, FIXED, Fixed, Signals, Tables, rtk, weigh
+from lanebound.integrity.rtk_stage_kernel import FAULT, FIXED, Fixed, Signals, Tables, rtk, select, test, weigh
 from lanebound.integrity.small_matrix_kernel import hdop_of
 
 # state
@@ -209,17 +208,15 @@ def calibrate(x, par, limits, v_e, v_n, q_ee, q_en, q_nn, v_ss, slip, hdop):  # 
 
 
 @jit
-def velocity(e, elevation, tracked, cn0, range_rate, par, chi2, normal, fde, drift_group, used, variance, v, q):  # type: ignore[no-untyped-def]
+def velocity(e, quality, tracked, cn0, range_rate, par, tables, drift_group, used, variance, v, q):  # type: ignore[no-untyped-def]
     """Velocity and clock drift by least squares of the range rates, with fault detection and exclusion (df = m - 4).
 
     Fills v (3,) [m/s], q (3,3) and ``used``; returns the outcome code, satellites used, excluded, and HDOP.
     """
-    weigh(elevation, tracked, cn0, par[DOP_SIN_MASK], par[DOP_CN0_MIN], par[CN0_KNEE], variance, used)
+    select(e, tracked, cn0, quality, par[DOP_SIN_MASK], par[DOP_CN0_MIN], variance, used)
     for s in range(used.shape[0]):
         variance[s] *= par[DOP_SIGMA] ** 2
-    outcome, _, _, _, excluded = detect_and_exclude(
-        e, drift_group, variance, range_rate, used, chi2, normal, fde[0] > 0.0, int(fde[1]), int(fde[2]), v, q
-    )
+    outcome, excluded = test(e, drift_group, variance, range_rate, used, tables, v, q)
     n = 0
     for s in range(used.shape[0]):
         n += used[s]
@@ -439,12 +436,12 @@ def judge_rtk(x, par, head, sin_h, cos_h, expected, found):  # type: ignore[no-u
 
 @jit
 def _epoch(  # type: ignore[no-untyped-def]
-    e, system, elevation, tracked, cn0, code, phase, range_rate, lock_lost, age,
+    e, system, tracked, cn0, code, phase, range_rate, lock_lost, age,
     delta_theta, delta_v, v_ss,
-    par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent,
+    par, tables, mode_limits, heading_limits, risks, shares, spent,
     priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
     x, rtk_x, last_phase, growth, start, apart, held, integers, fix_id, fix_risk, v, alert, reason, onset, clear,
-    geo, head, columns, rows, rows_e, rows_group, found, out, pl, covariance,
+    fixed, columns, found, out, pl, covariance,
 ):  # fmt: skip
     """The whole epoch of vehicle v; x to fix_risk and the alert arrays are its state."""
     dt, n_sat, doubt = par[DT], e.shape[0], x[DOUBT:WATCH]
@@ -454,9 +451,11 @@ def _epoch(  # type: ignore[no-untyped-def]
     x[SINCE_RTK] += dt
     x[SINCE_CAL] += dt
 
-    used, variance, velocity_enu, q_v = np.empty(n_sat, dtype=np.bool_), np.empty(n_sat), np.empty(3), np.empty((3, 3))
+    used, velocity_enu, q_v = np.empty(n_sat, dtype=np.bool_), np.empty(3), np.empty((3, 3))
+    quality, variance = np.empty(n_sat), np.empty(n_sat)
+    weigh(e, tracked, cn0, par[CN0_KNEE], quality)
     outcome, n_doppler, excluded_doppler, hdop_doppler = velocity(
-        e, elevation, tracked, cn0, range_rate, par, chi2, normal, fde, drift_group, used, variance, velocity_enu, q_v
+        e, quality, tracked, cn0, range_rate, par, tables, drift_group, used, variance, velocity_enu, q_v
     )
     solved = outcome <= FDE_EXCLUDED or outcome == FDE_NO_REDUNDANCY
     lost = separate_velocity(
@@ -485,11 +484,11 @@ def _epoch(  # type: ignore[no-untyped-def]
     sin_h, cos_h = math.sin(x[HEADING]), math.cos(x[HEADING])
 
     status, n_rtk, excluded_rtk, hdop_rtk = rtk(
-        Signals(e, system, elevation, tracked, cn0, code, phase, lock_lost, age),
-        Tables(rtk_par, wavelength, fixable, fit, chi2, normal, fde), Fixes(held, integers, fix_id, fix_risk), rtk_x,
-        last_phase, Motion(dt, solved and x[INITIALISED] > 0.0, velocity_enu, q_v, x[EAST : UP + 1]),
-        sin_h, cos_h, Fixed(geo, head, rows, rows_e, rows_group),
+        Signals(e, system, quality, tracked, cn0, code, phase, lock_lost, age),
+        tables, Fixes(held, integers, fix_id, fix_risk), rtk_x, last_phase,
+        Motion(dt, solved and x[INITIALISED] > 0.0, velocity_enu, q_v, x[EAST : UP + 1]), sin_h, cos_h, fixed,
     )  # fmt: skip
+    head = fixed.head
     wrong = held_risk(held, fix_id, fix_risk)
     x[FIXED_S] = x[FIXED_S] + dt if status == FIXED else 0.0
     confirmed = status == FIXED and (x[SINCE_RTK] < 1.5 * dt or x[FIXED_S] > par[CONFIRM])
@@ -509,8 +508,8 @@ def _epoch(  # type: ignore[no-untyped-def]
         )  # fmt: skip
     found[:] = 0.0
     if confirmed and rtk_usable(hdop_rtk, mode_limits):
-        levels_rtk(n_rtk, rows, rows_group, sin_h, cos_h, risks, shares, spent + wrong, priors, k_fa, k_published,
-                   shift, geo, head, columns, found)  # fmt: skip
+        levels_rtk(n_rtk, fixed.rows, fixed.group, sin_h, cos_h, risks, shares, spent + wrong, priors, k_fa,
+                   k_published, shift, fixed.geo, head, columns, found)  # fmt: skip
         verdict = judge_rtk(x, par, head, sin_h, cos_h, pl, found)
         if verdict == ACCEPTED:
             mode, pl[:] = RTK, found
@@ -552,7 +551,7 @@ def _epoch(  # type: ignore[no-untyped-def]
 
 @jit
 def run_some(  # type: ignore[no-untyped-def]
-    first, last, los, system, elevation, index, tracked, cn0, code, phase, range_rate, lock_lost, age,
+    first, last, los, system, index, tracked, cn0, code, phase, range_rate, lock_lost, age,
     delta_theta, delta_v, v_ss,
     par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent,
     priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
@@ -561,24 +560,24 @@ def run_some(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """One epoch of the vehicles ``first`` to ``last - 1``, which share their scratch."""
     geo, head, columns = scratch(system.shape[0])
-    rows, rows_e, found = np.zeros((4, geo.shape[1])), np.zeros((geo.shape[1], 3)), np.zeros((pl.shape[1], 2))
-    rows_group = np.zeros(geo.shape[1], dtype=np.int64)
+    wide, found = geo.shape[1], np.zeros((pl.shape[1], 2))
+    fixed = Fixed(geo, head, np.zeros((4, wide)), np.zeros((wide, 3)), np.zeros(wide, dtype=np.int64))
+    tables = Tables(rtk_par, wavelength, fixable, fit, chi2, normal, fde)
     for v in range(first, last):
         k = index[v]
         _epoch(
-            los[k], system, elevation[k], tracked[v], cn0[v], code[v], phase[v], range_rate[v], lock_lost[v], age[v],
-            delta_theta[v], delta_v[v], v_ss[v], par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit,
-            chi2, normal, fde, risks, shares, spent, priors, k_fa, k_published, k_dead, published, operative_published,
-            alert_limits, drift_group,
+            los[k], system, tracked[v], cn0[v], code[v], phase[v], range_rate[v], lock_lost[v], age[v],
+            delta_theta[v], delta_v[v], v_ss[v], par, tables, mode_limits, heading_limits,
+            risks, shares, spent, priors, k_fa, k_published, k_dead, published, operative_published, alert_limits,
+            drift_group,
             x[v], rtk_x[v], last_phase[v], growth[v], start[v], apart[v], held[v], integers[v], fix_id[v], fix_risk[v],
-            v, alert, reason, onset, clear, geo, head, columns, rows, rows_e, rows_group, found, out[v], pl[v],
-            covariance[v],
+            v, alert, reason, onset, clear, fixed, columns, found, out[v], pl[v], covariance[v],
         )  # fmt: skip
 
 
 @jit(parallel=True)
 def run_parallel(  # type: ignore[no-untyped-def]
-    chunks, last, los, system, elevation, index, tracked, cn0, code, phase, range_rate, lock_lost, age,
+    chunks, last, los, system, index, tracked, cn0, code, phase, range_rate, lock_lost, age,
     delta_theta, delta_v, v_ss,
     par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent,
     priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
@@ -588,7 +587,7 @@ def run_parallel(  # type: ignore[no-untyped-def]
     """:func:`run_some` for all ``last`` vehicles, in ``chunks`` runs side by side."""
     for chunk in prange(chunks):
         run_some(
-            chunk * last // chunks, (chunk + 1) * last // chunks, los, system, elevation, index, tracked, cn0,
+            chunk * last // chunks, (chunk + 1) * last // chunks, los, system, index, tracked, cn0,
             code, phase, range_rate, lock_lost, age, delta_theta, delta_v, v_ss, par, rtk_par, mode_limits,
             heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent, priors, k_fa,
             k_published, k_dead, published, operative_published, alert_limits, drift_group, x, rtk_x, last_phase,

@@ -19,7 +19,7 @@ def declared_rtk(rtk: RtkConfig, slips: CycleSlipConfig, bands: int, smallest_ri
     r = rtk
     values: dict[int, Any] = {
         rk.BANDS: bands, rk.SIN_MASK: np.sin(np.deg2rad(r.elevation_mask_deg)),
-        rk.CN0_MIN: r.cn0_min_dbhz, rk.CN0_KNEE: r.cn0_knee_dbhz, rk.SIGMA_CODE: r.sigma_code_m,
+        rk.CN0_MIN: r.cn0_min_dbhz, rk.SIGMA_CODE: r.sigma_code_m,
         rk.SIGMA_PHASE: r.sigma_phase_m, rk.SIGMA_PHASE_PL: r.sigma_phase_integrity_m, rk.PHASE_BIAS: r.phase_bias_m,
         rk.AGE_SIGMA: r.age_sigma_mps, rk.MAX_AGE: r.max_age_s, rk.FIX_MAX_AGE: r.fix_max_age_s,
         rk.FIX_LIMIT: r.ambiguity_risk_share * smallest_risk, rk.RATIO_MIN: r.ratio_min,

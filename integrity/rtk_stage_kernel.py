@@ -15,11 +15,12 @@ from lanebound.integrity.monitoring.detection_kernel import EXCLUDED as FDE_EXCL
 from lanebound.integrity.monitoring.detection_kernel import UNRESOLVED as FDE_UNRESOLVED
 from lanebound.integrity.monitoring.detection_kernel import detect_and_exclude
 from lanebound.integrity.monitoring.geometry_kernel import SOLVED, geometry, solve
-from lanebound.integrity.positioning.resolve_kernel import Carriers, Rules, any_of, resolve
+from lanebound.integrity.positioning.resolve_kernel import Carriers, Rules, resolve
 from lanebound.integrity.positioning.rtk_kernel import collapse_code, collapse_phase, drop_small_systems
 from lanebound.integrity.positioning.slip_watch_kernel import NW, SlipRules, watch_slips
 from lanebound.integrity.small_matrix_kernel import hdop_of
 
+TENTH = math.log(10.0) / 10.0
 UNUSED = 1e6  # variance factor of a satellite out of use: held perhaps, but without a say
 FIXED, NO_CORRECTIONS, TOO_FEW, NOT_CONVERGED, FAULT = 0, 1, 2, 3, 5  # codes of RtkStatus
 
@@ -29,19 +30,19 @@ NX = WATCH + NW
 
 # declared figures
 (
-    BANDS, SIN_MASK, CN0_MIN, CN0_KNEE, SIGMA_CODE, SIGMA_PHASE, SIGMA_PHASE_PL, PHASE_BIAS, AGE_SIGMA, MAX_AGE,
+    BANDS, SIN_MASK, CN0_MIN, SIGMA_CODE, SIGMA_PHASE, SIGMA_PHASE_PL, PHASE_BIAS, AGE_SIGMA, MAX_AGE,
     FIX_MAX_AGE, FIX_LIMIT, RATIO_MIN, MAX_CANDIDATES, MIN_SATELLITES, MIN_FURTHER, HOLD_FAILURES, ATTEMPTS,
     SLIP_K, SLIP_IONO, SLIP_FIT, SLIP_FAILURE, RETRY,
-) = range(23)  # fmt: skip
-NP = 23
+) = range(22)  # fmt: skip
+NP = 22
 
 
 class Signals(NamedTuple):
-    """One epoch: e (S, 3), system, elevation, tracked, cn0 (S,), code, phase (S, 2), lock_lost (S,), age []."""
+    """One epoch: e (S, 3), system, quality, tracked, cn0 (S,), code, phase (S, 2), lock_lost (S,), age []."""
 
     e: Any
     system: Any
-    elevation: Any
+    quality: Any
     tracked: Any
     cn0: Any
     code: Any
@@ -73,27 +74,34 @@ class Fixed(NamedTuple):
 
 
 @jit
-def weigh(elevation, tracked, cn0, sin_mask, cn0_min, cn0_knee, factor, used):  # type: ignore[no-untyped-def]
-    """Variance factor ``(1 + 1/sin^2 el)/2 * (1 + 10^((knee - C/N0)/10))`` and who is used, for S satellites.
+def weigh(e, tracked, cn0, cn0_knee, quality):  # type: ignore[no-untyped-def]
+    """Variance factor ``(1 + 1/sin^2 el)/2 * (1 + 10^((knee - C/N0)/10))`` of S satellites, UNUSED if not tracked.
 
     The elevation part is RTKLIB's ``a^2 + (a/sin el)^2`` scaled to 1 at the zenith; the C/N0 part doubles the
     variance at the knee (sigma-epsilon model of Hartinger and Brunner 1999).
     """
-    for s in range(elevation.shape[0]):
-        sine = math.sin(elevation[s])
-        used[s] = tracked[s] and sine > sin_mask and cn0[s] >= cn0_min
-        factor[s] = UNUSED
-        if used[s]:
-            factor[s] = 0.5 * (1.0 + 1.0 / (sine * sine)) * (1.0 + 10.0 ** (0.1 * (cn0_knee - cn0[s])))
+    for s in range(tracked.shape[0]):
+        quality[s] = UNUSED
+        if tracked[s]:
+            sine = e[s, 2]
+            quality[s] = 0.5 * (1.0 + 1.0 / (sine * sine)) * (1.0 + math.exp(TENTH * (cn0_knee - cn0[s])))
+
+
+@jit
+def select(e, tracked, cn0, quality, sin_mask, cn0_min, factor, used):  # type: ignore[no-untyped-def]
+    """Who of S satellites is used: high and strong enough; their variance factors, UNUSED of the others."""
+    for s in range(tracked.shape[0]):
+        used[s] = tracked[s] and e[s, 2] > sin_mask and cn0[s] >= cn0_min
+        factor[s] = quality[s] if used[s] else UNUSED
 
 
 @jit
 def keep_lock(signals, bands, held, phase_ok):  # type: ignore[no-untyped-def]
     """Which carriers are locked on every band; a satellite that lost its lock loses its held integers."""
-    phase = signals.phase
+    phase, tracked, lost = signals.phase, signals.tracked, signals.lock_lost
     for s in range(phase_ok.shape[0]):
-        locked = signals.tracked[s] and phase[s, 0] != 0.0 and (bands == 1 or phase[s, 1] != 0.0)
-        if not locked or signals.lock_lost[s]:
+        locked = tracked[s] and phase[s, 0] != 0.0 and (bands == 1 or phase[s, 1] != 0.0)
+        if not locked or lost[s]:
             held[s] = False
         phase_ok[s] = locked
 
@@ -123,8 +131,20 @@ def let_slips_go(signals, tables, fixes, x, last, motion, factor, phase_ok):  # 
 
 
 @jit
-def enough(member, system, par):  # type: ignore[no-untyped-def]
-    """Leave out systems that bring too few members; returns how many are left, and whether they make a position."""
+def find_candidates(used, phase_ok, fixable, held, candidate):  # type: ignore[no-untyped-def]
+    """Which carriers could be fixed that are not; whether there are any."""
+    found = False
+    for s in range(used.shape[0]):
+        candidate[s] = used[s] and phase_ok[s] and fixable[s] and not held[s]
+        found = found or candidate[s]
+    return found
+
+
+@jit
+def find_members(held, used, system, par, member):  # type: ignore[no-untyped-def]
+    """The fixed carriers in use, without systems that bring too few: how many, and whether they make a position."""
+    for s in range(used.shape[0]):
+        member[s] = held[s] and used[s]
     count, systems = drop_small_systems(member, system, int(par[MIN_FURTHER]))
     return count, systems > 0 and count >= par[MIN_SATELLITES] + par[MIN_FURTHER] * (systems - 1)
 
@@ -147,22 +167,22 @@ def rtk(signals, tables, fixes, x, last, motion, sin_h, cos_h, fixed):  # type: 
     Returns the status, satellites in the solution, excluded, and HDOP.
     """
     par, held, n_sat = tables.par, fixes.held, signals.system.shape[0]
-    phase_ok, used, factor = np.empty(n_sat, dtype=np.bool_), np.empty(n_sat, dtype=np.bool_), np.empty(n_sat)
+    flags, factor = np.empty((4, n_sat), dtype=np.bool_), np.empty(n_sat)
+    phase_ok, used, candidate, member = flags[0], flags[1], flags[2], flags[3]
     keep_lock(signals, int(par[BANDS]), held, phase_ok)
-    weigh(signals.elevation, signals.tracked, signals.cn0, par[SIN_MASK], par[CN0_MIN], par[CN0_KNEE], factor, used)
+    select(signals.e, signals.tracked, signals.cn0, signals.quality, par[SIN_MASK], par[CN0_MIN], factor, used)
     let_slips_go(signals, tables, fixes, x, last, motion, factor, phase_ok)
     if not signals.age <= par[MAX_AGE]:
         x[REJECTED] = 0.0
         return NO_CORRECTIONS, 0, 0, math.inf
     aged = (par[AGE_SIGMA] * signals.age) ** 2  # of the whole range, common to the bands
-    candidate, status = used & phase_ok & tables.fixable & ~held, FIXED
-    _, positioned = enough(held & used, signals.system, par)
+    status, new = FIXED, find_candidates(used, phase_ok, tables.fixable, held, candidate)
+    count, positioned = find_members(held, used, signals.system, par, member)
     due = is_due(x, motion.dt, positioned)
-    if due and any_of(candidate) and signals.age <= par[FIX_MAX_AGE]:
+    if due and new and signals.age <= par[FIX_MAX_AGE]:
         status = resolve_now(signals, tables, fixes, used, candidate, factor, aged, x)
         x[REFUSED_S] = par[RETRY] if status != FIXED else 0.0
-    member = held & used
-    count, positioned = enough(member, signals.system, par)
+        count, positioned = find_members(held, used, signals.system, par, member)
     if not positioned:
         return (status if status != FIXED else TOO_FEW), count, 0, math.inf
     return solve_fixed(signals, tables, fixes, member, count, factor, aged, x, sin_h, cos_h, fixed)
@@ -210,14 +230,14 @@ def solve_fixed(  # type: ignore[no-untyped-def]
     x[REJECTED] = 0.0
     if outcome > FDE_EXCLUDED:
         return TOO_FEW, count, excluded, math.inf
-    n, rows = 0, fixed.rows
+    n, rows, e, group = 0, fixed.rows, fixed.e, fixed.group
+    held, los, system, nominal = fixes.held, signals.e, signals.system, par[SIGMA_PHASE_PL] ** 2
     for s in range(member.shape[0]):
         if tried[s] and not member[s]:
-            fixes.held[s] = False
+            held[s] = False
         if member[s]:
-            fixed.e[n] = signals.e[s]
-            fixed.group[n] = signals.system[s]
-            rows[0, n], rows[1, n] = factor[s] * par[SIGMA_PHASE_PL] ** 2 + aged, par[PHASE_BIAS]
+            e[n, 0], e[n, 1], e[n, 2], group[n] = los[s, 0], los[s, 1], los[s, 2], system[s]
+            rows[0, n], rows[1, n] = factor[s] * nominal + aged, par[PHASE_BIAS]
             rows[2, n], rows[3, n] = y[s], variance[s]
             n += 1
     if geometry(fixed.e, fixed.group, rows[0], rows[1], n, sin_h, cos_h, fixed.geo, fixed.head) != SOLVED:

@@ -8,12 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Self
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity import sensing_kernel as sk
-from lanebound.integrity.accel import use_parallel
+from lanebound.integrity.accel import one_or_many_runs
 from lanebound.integrity.sensors import gnss_kernel as gk
 from lanebound.integrity.sensors.area import AreaState, advance_area
 from lanebound.integrity.sensors.corrections import NO_DRAWS, CorrectionsConfig, CorrectionsState
@@ -104,7 +103,7 @@ class Instruments:
         theta, delta_v, distance, speed = np.empty((batch, 3)), np.empty((batch, 3)), np.empty(batch), np.empty(batch)
         advance_area(self.gnss, self.corrections, s.area, truth.time_s, dt)
         g, c, i, o, area, network = s.gnss, s.corrections, s.imu, s.odometer, s.area.signals, s.area.network
-        run, first = (sk.sense_parallel, numba.get_num_threads()) if use_parallel(batch) else (sk.sense_some, 0)
+        run, first = one_or_many_runs(batch, sk.sense_some, sk.sense_parallel)
         run(
             first, batch, dt, sky.los_enu, sky.elevation_rad, sky.azimuth_rad, sky.above, sky.system, sky.index,
             mask.path, mask.excess_m, mask.spacing_m, mask.length_m, mask.closed, mask.azimuths, mask.elevations,

@@ -9,9 +9,9 @@ import math
 
 import numpy as np
 
-from lanebound.integrity.accel import jit
+from lanebound.integrity.accel import jit, prange
 
-__all__ = ["begin", "normals", "normals_at", "uniforms", "uniforms_at"]
+__all__ = ["begin", "normals", "normals_at", "normals_at_parallel", "uniforms", "uniforms_at"]
 
 ONE = np.uint64(1)
 ROUNDS = 12  # that mix the seed
@@ -118,13 +118,20 @@ def uniforms_at(states, used, out):  # type: ignore[no-untyped-def]
 
 
 @jit
-def normals_at(states, used, table, out):  # type: ignore[no-untyped-def]
-    """The same of standard normals."""
+def normals_at(first, last, states, used, table, out):  # type: ignore[no-untyped-def]
+    """The same of standard normals, for the generators ``first`` to ``last - 1``."""
     drawn = np.empty(out.shape[1] * out.shape[2])
-    for e in range(out.shape[0]):
+    for e in range(first, last):
         fill(states[e], table, drawn[: used[e].sum() * out.shape[2]])
         n = 0
         for s in range(out.shape[1]):
             if used[e, s]:
                 out[e, s] = drawn[n : n + out.shape[2]]
                 n += out.shape[2]
+
+
+@jit(parallel=True)
+def normals_at_parallel(chunks, last, states, used, table, out):  # type: ignore[no-untyped-def]
+    """:func:`normals_at` for all ``last`` generators, in ``chunks`` runs side by side."""
+    for chunk in prange(chunks):
+        normals_at(chunk * last // chunks, (chunk + 1) * last // chunks, states, used, table, out)

@@ -22,7 +22,7 @@ __all__ = ["measure"]
 PERFECT: dict[str, Any] = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}}
 FULL: dict[str, Any] = {"perception": {"source": "truth"}}
 V2V: dict[str, Any] = {}  # as the id presets it
-MANY, SENSING, HEARING, SEED, TURNS = 512, 128, 8, 1, 64
+MANY, HEARING, SEED, TURNS = 512, 8, 1, 64
 
 
 def _bare_side() -> Callable[[], int]:
@@ -53,7 +53,7 @@ def _engine_side(count: int, config: dict[str, Any]) -> tuple[Callable[[], int],
 
 def measure(rounds: int = 5) -> list[Row]:
     """Ratios of policy steps a second, resets included on both sides; rates of ours; the memory of an environment."""
-    cases = {"many": (MANY, PERFECT), "one": (1, PERFECT), "full": (SENSING, FULL), "v2v": (HEARING, V2V)}
+    cases = {"many": (MANY, PERFECT), "one": (1, PERFECT), "full": (MANY, FULL), "v2v": (HEARING, V2V)}
     engines = {name: _engine_side(count, config) for name, (count, config) in cases.items()}
     rates = alternate({"bare": _bare_side(), **{name: step for name, (step, _) in engines.items()}}, rounds, 1.0)
     ratio = {name: median_ratio(rates, name, "bare") for name in cases}

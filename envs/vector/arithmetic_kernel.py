@@ -1,7 +1,7 @@
 """Functions for loops over all vehicles: without branches and calls, so that the compiler takes several at once.
 
 Polynomials through the Chebyshev nodes of the interval, off by no more than the last bit or two of a double; the sums
-are fused, so that they have the same bits one by one and side by side.
+are fused, so that they have the same bits one by one and side by side. Angles are in radians.
 """
 
 # mypy: allow-untyped-calls, allow-untyped-decorators
@@ -19,7 +19,7 @@ from lanebound.integrity.lanes_kernel import fma
 
 __all__ = ["FLAT_MOST_RAD", "SINE_MOST", "arcsine", "cosine", "power", "sine"]
 
-FLAT_MOST_RAD = 0.81  # largest angle of ``sine`` and ``cosine``
+FLAT_MOST_RAD = 0.81  # largest angle [rad] of ``sine`` and ``cosine``
 SINE_MOST = 0.7072  # largest argument of ``arcsine``
 ONE, HALF_ROOT, FRACTION_BITS, BIAS = 0x3FF0000000000000, 0x3FE6A09E667F3BCD, 52, 1023  # bits of 1 and of sqrt(1/2)
 TO_WHOLE = 6755399441055744.0  # 1.5 2^52: adding it leaves no room for a fraction

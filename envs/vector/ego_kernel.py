@@ -55,6 +55,7 @@ from lanebound.envs.vector.lanes_kernel import (
     of_side,
     place,
     reachable,
+    remainder,
     wrap,
 )
 from lanebound.envs.vector.motorway_kernel import KP_HEADING, KP_LATERAL
@@ -135,8 +136,7 @@ def pursuit(b, lanes):  # type: ignore[no-untyped-def]
         lane = int(lanes.table[lane, ONWARD])
     goal_x, goal_y = place(lanes, lane, along, beside)
     dx, dy = goal_x - x, goal_y - y
-    alpha = math.atan2(dy, dx) - b[B_HEADING]
-    alpha -= 2.0 * math.pi * round(alpha / (2.0 * math.pi))
+    alpha = remainder(math.atan2(dy, dx) - b[B_HEADING])
     sine = LENGTH_M * math.sin(min(max(alpha, -1.5), 1.5)) / (math.hypot(dx, dy) + LENGTH_M)
     return math.atan(2.0 * math.tan(math.asin(min(max(sine, -0.99), 0.99))))
 
@@ -237,13 +237,11 @@ def show_intent(b, c, w, figures):  # type: ignore[no-untyped-def]
 
 
 @jit
-def rates(b, heading_before, speed_before, dt):  # type: ignore[no-untyped-def]
-    """Turn rate and smoothed acceleration of the belief since the last fix, as ``Tracker`` has them."""
-    turn = b[B_HEADING] - heading_before
-    turn -= 2.0 * math.pi * round(turn / (2.0 * math.pi))
-    b[B_YAW_RATE] = turn / dt if abs(b[B_SPEED]) > STANDING_MPS else 0.0
+def rates(turned, speed, speed_before, acceleration, dt):  # type: ignore[no-untyped-def]
+    """Yaw rate and smoothed acceleration of a belief that has turned by an angle in ``dt``, as ``Tracker`` has them."""
+    yaw_rate = remainder(turned) / dt if abs(speed) > STANDING_MPS else 0.0
     share = 1.0 - math.exp(-dt / ACCELERATION_S)
-    b[B_ACCELERATION] += share * ((b[B_SPEED] - speed_before) / dt - b[B_ACCELERATION])
+    return yaw_rate, acceleration + share * ((speed - speed_before) / dt - acceleration)
 
 
 @jit
@@ -252,4 +250,5 @@ def know(b, c, w, lanes, dt):  # type: ignore[no-untyped-def]
     before_heading, before_speed = b[B_HEADING], b[B_SPEED]
     b[B_X], b[B_Y], b[B_HEADING], b[B_SPEED] = c[X, 0], c[Y, 0], c[HEADING, 0], c[SPEED, 0]
     b[B_LANE] = w[LANE, 0]
-    rates(b, before_heading, before_speed, dt)
+    turned = b[B_HEADING] - before_heading
+    b[B_YAW_RATE], b[B_ACCELERATION] = rates(turned, b[B_SPEED], before_speed, b[B_ACCELERATION], dt)

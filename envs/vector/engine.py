@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from lanebound.envs.vector.senses import Senses, sensing
 from lanebound.envs.vector.start import most_vehicles, profile_steps, starter_of
 from lanebound.envs.vector.step_kernel import DECIDE, FINISH, START, World, run_parallel, run_some
 from lanebound.envs.vector.support import require_supported
-from lanebound.integrity.accel import is_compiled, use_parallel
+from lanebound.integrity.accel import is_compiled, one_or_many_runs
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rtk_status import RtkStatus
@@ -185,7 +184,7 @@ class Engine:
 
     def _run(self, world: World, rows: Rows, frames: int, parts: int, actions: Rows | None = None) -> None:
         chosen = self._everyone if actions is None else actions
-        run, first = (run_parallel, numba.get_num_threads()) if use_parallel(rows.size) else (run_some, 0)
+        run, first = one_or_many_runs(rows.size, run_some, run_parallel)
         run(first, rows.size, rows, frames, parts, chosen, world, self.lanes, self.chart, self.rules)
 
     def _take_up(self, actions: NDArray[Any]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from lanebound.envs.vector import columns_kernel as k
 from lanebound.integrity.accel import jit
 
-__all__ = ["BELIEVED", "CODES", "NUMBERS", "OF_OUT", "fill_infos"]
+__all__ = ["NUMBERS", "fill_infos"]
 
 # rows of ``numbers``: columns of ``out``, columns of ``belief``, limits, margins, the true speed
 OF_OUT = (

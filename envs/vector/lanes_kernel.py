@@ -29,6 +29,7 @@ __all__ = [
     "on_straight",
     "place",
     "reachable",
+    "remainder",
     "stations",
     "wrap",
 ]
@@ -96,6 +97,12 @@ def wrap(angle):  # type: ignore[no-untyped-def]
     """The angle in [-pi, pi), with the rounding of highway-env: drivers that crawl would multiply any other."""
     above = angle + math.pi
     return above - TWO_PI * math.floor(above / TWO_PI) - math.pi
+
+
+@jit
+def remainder(angle):  # type: ignore[no-untyped-def]
+    """The angle in [-pi, pi], as ``math.remainder`` has it."""
+    return angle - TWO_PI * round(angle / TWO_PI)
 
 
 @jit

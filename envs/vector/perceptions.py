@@ -128,7 +128,7 @@ class Perceptions:
         states, there = self._streams.states(name), self._there[rows]
         own, out = states[rows], np.zeros((rows.size, there.shape[1], width))
         if name == "sensor":
-            sk.normals_at(own, there, ZIGGURAT, out)
+            sk.normals_at(0, rows.size, own, there, ZIGGURAT, out)
         else:
             sk.uniforms_at(own, there, out)
         states[rows] = own

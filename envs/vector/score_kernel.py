@@ -7,7 +7,7 @@ import math
 from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.columns_kernel import flag
 from lanebound.envs.vector.costs_kernel import follow_corridor, price
-from lanebound.envs.vector.lanes_kernel import COUNT, LENGTH, LIMIT, SIDE, WIDTH, local, on_lane, wrap
+from lanebound.envs.vector.lanes_kernel import COUNT, LENGTH, LIMIT, SIDE, WIDTH, local, on_lane, remainder, wrap
 from lanebound.integrity.accel import jit
 
 __all__ = ["glance", "locate", "score"]
@@ -98,8 +98,7 @@ def score(b, sc, c, w, t, count, lanes, figures, start, out):  # type: ignore[no
         sc[k.S_ALLOWED] += limit * policy
         backwards = along < -CREEP_MPS or against
         sc[k.S_AGAINST] = sc[k.S_AGAINST] + policy if backwards else 0.0
-    turn = c[k.HEADING, 0] - sc[k.S_HEADING]
-    turn -= 2.0 * math.pi * round(turn / (2.0 * math.pi))
+    turn = remainder(c[k.HEADING, 0] - sc[k.S_HEADING])
     sc[k.S_HEADING] = c[k.HEADING, 0]
     _verdict(b, sc, c, figures, crashed, on_road, against, terminated or truncated, out)
     out[k.O_TURN_RATE] = turn / policy

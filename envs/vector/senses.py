@@ -9,7 +9,6 @@ from __future__ import annotations
 import copy
 from dataclasses import is_dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,7 +27,7 @@ from lanebound.envs.vector.start import most_vehicles
 from lanebound.envs.vector.step_kernel import World
 from lanebound.envs.vector.streams import CrewStreams
 from lanebound.envs.vector.trackers import Trackers
-from lanebound.integrity.accel import use_parallel
+from lanebound.integrity.accel import one_or_many_runs
 from lanebound.integrity.navigator import Navigator
 from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.solution import Solution
@@ -220,7 +219,7 @@ class Senses:
             return
         s, f = self.skies, self.skies.forecast
         sky = self._view() if self._sky is None else self._sky
-        run, first = (foresee_parallel, numba.get_num_threads()) if use_parallel(rows.size) else (foresee, 0)
+        run, first = one_or_many_runs(rows.size, foresee, foresee_parallel)
         run(
             first, rows.size, self._lanes, rows, world.belief, self._distances, s.begin_m, s.reach_m, self._city_m,
             f.free, f.spacing_m, f.azimuths, f.elevations, sky.azimuth_rad, sky.elevation_rad, sky.above, world.sky,

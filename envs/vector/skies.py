@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Self
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,7 +13,7 @@ from lanebound.envs.scene import HOURS, MARGIN_S
 from lanebound.envs.sky import build_street
 from lanebound.envs.vector.lanes import lane_rows
 from lanebound.envs.vector.senses_kernel import skies_at, skies_parallel
-from lanebound.integrity.accel import use_parallel
+from lanebound.integrity.accel import one_or_many_runs
 from lanebound.integrity.errors import ConfigError
 from lanebound.integrity.navigator import NavigatorConfig
 from lanebound.integrity.sky.forecast import SkyForecast
@@ -99,11 +98,11 @@ class Skies:
         """
         begin = self.start_s[hour]
         place = (begin + clock_s - begin) / STEP_S  # rounded as by SkyTrack.at
-        knot = np.clip(place.astype(np.int64), 0, self.offset_m.shape[1] - 2)
+        knot = np.minimum(np.maximum(place.astype(np.int64), 0), self.offset_m.shape[1] - 2)
         count, satellites = hour.shape[0], self.offset_m.shape[2]
         los, elevation, azimuth = np.zeros((count + 1, satellites, 3)), *np.zeros((2, count + 1, satellites))
         above = np.zeros((count + 1, satellites), dtype=np.bool_)
-        run, first = (skies_parallel, numba.get_num_threads()) if use_parallel(count) else (skies_at, 0)
+        run, first = one_or_many_runs(count, skies_at, skies_parallel)
         run(
             first, count, self.offset_m, self.rate_mps, hour, knot, place - knot, STEP_S, self.track.mask_rad, los,
             elevation, azimuth, above,

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity import streams_kernel as sk
+from lanebound.integrity.accel import one_or_many_runs
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.streams import ZIGGURAT, Streams
 
@@ -101,7 +102,8 @@ class CrewStreams(Streams):
             return every.reshape(count, vehicles, *shape)
         some = np.zeros((count, used.shape[1], numbers // used.shape[1]))
         if normal:
-            sk.normals_at(states, used, ZIGGURAT, some)
+            run, first = one_or_many_runs(count, sk.normals_at, sk.normals_at_parallel)
+            run(first, count, states, used, ZIGGURAT, some)
         else:
             sk.uniforms_at(states, used, some)
         return some.reshape(count, vehicles, *shape)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.columns_kernel import flag
-from lanebound.envs.vector.ego_kernel import ACCELERATION_S, STANDING_MPS
-from lanebound.envs.vector.lanes_kernel import nearest
+from lanebound.envs.vector.ego_kernel import rates
+from lanebound.envs.vector.lanes_kernel import nearest, remainder
 from lanebound.integrity.accel import jit
 
 __all__ = ["TRACK", "Fixes", "begin_all", "coast_all", "settle_all", "take_all"]
@@ -50,12 +50,6 @@ class Fixes(NamedTuple):
     since_rtk_s: Array
     since_calibration_s: Array
     corrections_age_s: Array
-
-
-@jit
-def _turn(angle):  # type: ignore[no-untyped-def]
-    """The angle in [-pi, pi], as ``math.remainder`` has it."""
-    return angle - 2.0 * math.pi * round(angle / (2.0 * math.pi))
 
 
 @jit
@@ -95,10 +89,8 @@ def _take(t, b, fixes, v, since, dt, figures):  # type: ignore[no-untyped-def]
         t[LEFT_Y] -= jump_y
     t[LEFT_X] *= fade
     t[LEFT_Y] *= fade
-    t[YAW_RATE] = _turn(t[FIX_HEADING] - heading) / dt if abs(t[FIX_SPEED]) > STANDING_MPS else 0.0
-    share = 1.0 - math.exp(-dt / ACCELERATION_S)
-    t[ACCELERATION] += share * ((t[FIX_SPEED] - speed) / dt - t[ACCELERATION])
-    t[HEADING] = start + _turn(t[FIX_HEADING] - start)
+    t[YAW_RATE], t[ACCELERATION] = rates(t[FIX_HEADING] - heading, t[FIX_SPEED], speed, t[ACCELERATION], dt)
+    t[HEADING] = start + remainder(t[FIX_HEADING] - start)
 
 
 @jit

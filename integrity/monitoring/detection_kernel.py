@@ -39,8 +39,9 @@ def centre_groups(
     for i in range(y.size):
         if mask[i]:
             g, w = group[i], 1.0 / variance[i]
-            for c in range(3):
-                mean[g, c] += w * los[i, c]
+            mean[g, 0] += w * los[i, 0]
+            mean[g, 1] += w * los[i, 1]
+            mean[g, 2] += w * los[i, 2]
             mean[g, 3] += w * y[i]
             mean[g, 4] += w
             rows += 1
@@ -53,15 +54,35 @@ def centre_groups(
 
 
 @jit
-def accumulate(
+def normal_equations(
+    los: NDArray[Any], group: NDArray[Any], variance: NDArray[Any], y: NDArray[Any], mask: NDArray[Any],
+    mean: NDArray[Any], A: NDArray[Any], b: NDArray[Any],
+) -> None:  # fmt: skip
+    """``A = sum w z z'``, its upper triangle, and ``b = -sum w z (y - mean)`` of the rows in use."""
+    a00, a01, a02, a11, a12, a22, b0, b1, b2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(y.size):
+        if mask[i]:
+            g, w = group[i], 1.0 / variance[i]
+            z0, z1, z2 = los[i, 0] - mean[g, 0], los[i, 1] - mean[g, 1], los[i, 2] - mean[g, 2]
+            w0, w1, w2, r = w * z0, w * z1, w * z2, y[i] - mean[g, 3]
+            a00, a01, a02, a11, a12, a22 = (
+                a00 + w0 * z0, a01 + w0 * z1, a02 + w0 * z2, a11 + w1 * z1, a12 + w1 * z2, a22 + w2 * z2,
+            )  # fmt: skip
+            b0, b1, b2 = b0 - w0 * r, b1 - w1 * r, b2 - w2 * r
+    A[0, 0], A[0, 1], A[0, 2], A[1, 1], A[1, 2], A[2, 2] = a00, a01, a02, a11, a12, a22
+    b[0], b[1], b[2] = b0, b1, b2
+
+
+@jit
+def take_off(
     i: int, factor: float, los: NDArray[Any], y: NDArray[Any], centre: NDArray[Any], A: NDArray[Any], b: NDArray[Any]
 ) -> None:
-    """Add ``factor z z'`` to A and ``-factor z (y - mean)`` to b for row ``i`` (a design row is ``[-e, 1]``)."""
+    """Take ``factor z z'`` off the upper triangle of A, and ``-factor z (y - mean)`` off b, for row ``i``."""
     for p in range(3):
-        zp = los[i, p] - centre[p]
-        b[p] -= factor * zp * (y[i] - centre[3])
-        for q in range(3):
-            A[p, q] += factor * zp * (los[i, q] - centre[q])
+        zp = factor * (los[i, p] - centre[p])
+        b[p] += zp * (y[i] - centre[3])
+        for q in range(p, 3):
+            A[p, q] -= zp * (los[i, q] - centre[q])
 
 
 @jit
@@ -71,21 +92,21 @@ def worst_row(
 ) -> tuple[float, float, int]:  # fmt: skip
     """Global statistic, largest absolute w-statistic and its row (-1: none can be checked)."""
     total, largest, at = 0.0, 0.0, -1
+    q00, q11, q22, q01, q02, q12 = Q[0, 0], Q[1, 1], Q[2, 2], 2.0 * Q[0, 1], 2.0 * Q[0, 2], 2.0 * Q[1, 2]
+    x0, x1, x2 = x[0], x[1], x[2]
     for i in range(y.size):
         if not mask[i]:
             continue
         g, w = group[i], 1.0 / variance[i]
         z0, z1, z2 = los[i, 0] - mean[g, 0], los[i, 1] - mean[g, 1], los[i, 2] - mean[g, 2]
-        r = y[i] - mean[g, 3] + z0 * x[0] + z1 * x[1] + z2 * x[2]
-        total += w * r * r
-        leverage = Q[0, 0] * z0 * z0 + Q[1, 1] * z1 * z1 + Q[2, 2] * z2 * z2
-        leverage += 2.0 * (Q[0, 1] * z0 * z1 + Q[0, 2] * z0 * z2 + Q[1, 2] * z1 * z2)
+        r = y[i] - mean[g, 3] + z0 * x0 + z1 * x1 + z2 * x2
+        square = w * r * r
+        total += square
+        leverage = z0 * (q00 * z0 + q01 * z1 + q02 * z2) + z1 * (q11 * z1 + q12 * z2) + q22 * z2 * z2
         redundancy = 1.0 - w * (1.0 / mean[g, 4] + leverage)
-        if redundancy > RANK_TOLERANCE:
-            size = abs(r) * math.sqrt(w / redundancy)
-            if size > largest or at < 0:
-                largest, at = size, i
-    return total, largest, at
+        if redundancy > RANK_TOLERANCE and (square > largest * redundancy or at < 0):
+            largest, at = square / redundancy, i
+    return total, math.sqrt(largest), at
 
 
 @jit
@@ -117,13 +138,11 @@ def detect_and_exclude(
     outcome code of FdeOutcome, global statistic, largest w-statistic, redundancy, number of rows excluded.
     """
     mean = np.empty((MAX_GROUPS, 5))
-    A, b = np.zeros((3, 3)), np.zeros(3)
+    A, b = np.empty((3, 3)), np.empty(3)
     x[:] = 0.0
     Q[:] = 0.0
     rows, groups = centre_groups(los, group, variance, y, mask, mean)
-    for i in range(y.size):
-        if mask[i]:
-            accumulate(i, 1.0 / variance[i], los, y, mean[group[i]], A, b)
+    normal_equations(los, group, variance, y, mask, mean, A, b)
     excluded = 0
     while True:
         df = rows - 3 - groups
@@ -141,7 +160,7 @@ def detect_and_exclude(
         if at < 0 or largest < limit or excluded >= max_excluded or df - 1 < min_redundancy:
             return UNRESOLVED, total, largest, df, excluded
         w, total_weight = 1.0 / variance[at], mean[group[at], 4]
-        accumulate(at, -w * total_weight / (total_weight - w), los, y, mean[group[at]], A, b)
+        take_off(at, w * total_weight / (total_weight - w), los, y, mean[group[at]], A, b)
         mask[at] = False
         rows, groups = centre_groups(los, group, variance, y, mask, mean)
         excluded += 1

@@ -63,8 +63,8 @@ def separate_velocity(
 
     Returns the summed prior (by system) of the satellites that cannot be left out, now or since the fix.
     """
-    a[NEW_E : NEW_W + 1] = 0.0
-    a[NOW] = IDLE
+    for k in range(y.size):
+        a[NEW_E, k], a[NEW_N, k], a[NEW_W, k], a[NOW, k] = 0.0, 0.0, 0.0, IDLE
     lost = 0.0
     if solved:
         total, m0, m1, m2, my = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -127,9 +127,9 @@ def advance_separations(dt: float, integrates: bool, had: bool, measured: bool, 
         elif a[STATE, k] > IDLE:
             a[C_E, k] *= phi
             a[C_N, k] *= phi
-        a[U_E, k] = a[NEW_E, k] if measured else 0.0
-        a[U_N, k] = a[NEW_N, k] if measured else 0.0
-        a[W, k] = a[NEW_W, k] if measured else 0.0
+    for row in range(W - U_E + 1):
+        for k in range(a.shape[1]):
+            a[U_E + row, k] = a[NEW_E + row, k] if measured else 0.0
 
 
 @jit

@@ -38,7 +38,8 @@ Array = NDArray[np.float64]
 
 STAGE, LEFT_S, D_E, D_N = range(4)
 DOUBT_SIZE = 4
-TRUSTED, JUMPED, RETURNED, WAITING, PARDONED = range(5)  # stages: no doubt; once contradicted; in quarantine; after it
+# stages: no doubt; contradicted once while RTK lasted, or as it came back; in quarantine; after it
+TRUSTED, JUMPED, RETURNED, WAITING, PARDONED = range(5)
 ACCEPTED, REFUSED, QUARANTINED = range(3)  # verdicts; REFUSED: the integers are to be given up
 
 

@@ -39,7 +39,7 @@ def remove_common(change, member, system, n_systems, out):  # type: ignore[no-un
     """Subtract the median change of each system's members: the receiver clock, whatever single satellites do.
 
     ``change``, ``member``, ``system`` (S,) -> ``out`` (S,), NaN (which no test passes judgement on) for satellites that
-    are not members or whose system has fewer than 3 of them.
+    are not members or whose system has fewer than 3 of them; ``out`` may be ``change``.
     """
     values = np.empty(change.shape[0])
     for k in range(n_systems):
@@ -80,6 +80,8 @@ def detect_slip(  # type: ignore[no-untyped-def]
         flags |= PREDICTED
     if abs(d1 - d2 - g) > k * math.sqrt(2.0 * phase_var + s_iono * s_iono):
         flags |= GEOMETRY_FREE
+    if not s_code < math.inf:
+        return flags
     wide, narrow = 1.0 / (1.0 / lambda_1 - 1.0 / lambda_2), 1.0 / (1.0 / lambda_1 + 1.0 / lambda_2)
     spread = 1.0 / (lambda_1 * lambda_1) + 1.0 / (lambda_2 * lambda_2)
     jump = wide * (d1 / lambda_1 - d2 / lambda_2) - narrow * (c1 / lambda_1 + c2 / lambda_2)

@@ -62,50 +62,43 @@ class SlipRules(NamedTuple):
 
 
 @jit
-def reduced(phase, e, point):  # type: ignore[no-untyped-def]
-    """``phase + e.point``: the phase relative to a place."""
-    return phase + e[0] * point[0] + e[1] * point[1] + e[2] * point[2]
-
-
-@jit
 def changes(e, phase, rows, n, motion, watch, last, moved):  # type: ignore[no-untyped-def]
     """Changes (2, n) of the phases in ``rows`` beyond those that the Doppler motion explains; whether it is known."""
-    known = motion.solved and watch[W_MOVING] > 0.0
+    known, velocity, half = motion.solved and watch[W_MOVING] > 0.0, motion.velocity, 0.5 * motion.dt
     place = np.empty(3)
     for k in range(3):
-        step = 0.5 * motion.dt * (watch[W_E + k] + motion.velocity[k]) if known else 0.0
-        place[k] = watch[W_ANCHOR + k] + step
+        place[k] = watch[W_ANCHOR + k] + (half * (watch[W_E + k] + velocity[k]) if known else 0.0)
     for i in range(n):
-        for b in range(2):
-            moved[b, i] = reduced(phase[rows[i], b], e[rows[i]], place) - last[rows[i], b]
+        s = rows[i]
+        along = e[s, 0] * place[0] + e[s, 1] * place[1] + e[s, 2] * place[2]
+        moved[0, i], moved[1, i] = phase[s, 0] + along - last[s, 0], phase[s, 1] + along - last[s, 1]
     return known
 
 
 @jit
 def remember(e, phase, phase_ok, age, motion, watch, last):  # type: ignore[no-untyped-def]
     """Keep this epoch for the next one."""
+    velocity, anchor = motion.velocity, motion.anchor
     for k in range(3):
-        watch[W_E + k] = motion.velocity[k] if motion.solved else 0.0
-        watch[W_ANCHOR + k] = motion.anchor[k]
+        watch[W_E + k] = velocity[k] if motion.solved else 0.0
+        watch[W_ANCHOR + k] = anchor[k]
     watch[W_MOVING] = 1.0 if motion.solved else 0.0
     watch[W_AGE] = age
     for s in range(phase_ok.shape[0]):
         last[s, 0], last[s, 1] = 0.0, 0.0
         if phase_ok[s] and age < math.inf:
-            along = reduced(0.0, e[s], motion.anchor)
+            along = e[s, 0] * anchor[0] + e[s, 1] * anchor[1] + e[s, 2] * anchor[2]
             last[s, 0], last[s, 1] = phase[s, 0] + along, phase[s, 1] + along
 
 
 @jit
-def predicted_sigma(e, motion, known, drift):  # type: ignore[no-untyped-def]
-    """Standard deviation of the predicted change along ``e``, ``drift`` [m] that of the ageing corrections."""
+def predicted_sigma(x, y, z, q, dt, known, drift):  # type: ignore[no-untyped-def]
+    """Standard deviation of the predicted change along (x, y, z), ``drift`` [m] that of the ageing corrections."""
     if not known:
         return math.inf
-    variance = 0.0
-    for j in range(3):
-        for k in range(3):
-            variance += e[j] * motion.q[j, k] * e[k]
-    return math.sqrt(variance * motion.dt * motion.dt + drift * drift)
+    variance = x * x * q[0, 0] + y * y * q[1, 1] + z * z * q[2, 2]
+    variance += 2.0 * (x * y * q[0, 1] + x * z * q[0, 2] + y * z * q[1, 2])
+    return math.sqrt(variance * dt * dt + drift * drift)
 
 
 @jit
@@ -136,16 +129,17 @@ def judge(e, system, variance, rows, n, moved, known, drift, motion, rules, flag
     A prediction that most carriers contradict is itself wrong, and counts for nothing. The code is not asked: in a
     street its reflections come and go from epoch to epoch.
     """
+    wavelength, q, dt, k, iono = rules.wavelength, motion.q, motion.dt, rules.k, rules.iono * motion.dt
     wave_2, contradicted = 0.0, 0
     for attempt in range(2):
         for i in range(n):
             s, c = rows[i], system[rows[i]]
-            s_p[i] = predicted_sigma(e[s], motion, known, drift)
+            s_p[i] = predicted_sigma(e[s, 0], e[s, 1], e[s, 2], q, dt, known, drift)
             if rules.bands == 2:
-                wave_2 = rules.wavelength[c, 1]
+                wave_2 = wavelength[c, 1]
             flags[i] = detect_slip(
-                moved[0, i], moved[1, i], rules.wavelength[c, 0], wave_2, 0.0, 0.0, 0.0, 0.0,
-                math.sqrt(variance[s]), s_p[i], rules.iono * motion.dt, math.inf, rules.k,
+                moved[0, i], moved[1, i], wavelength[c, 0], wave_2, 0.0, 0.0, 0.0, 0.0,
+                math.sqrt(variance[s]), s_p[i], iono, math.inf, k,
             )  # fmt: skip
             contradicted += flags[i] & ~GEOMETRY_FREE != 0
         if attempt == 1 or 2 * contradicted <= n:
@@ -159,9 +153,9 @@ def watch_slips(e, system, phase, variance, phase_ok, age, motion, fixes, rules,
 
     Returns how many were found; ``next_id`` and the numbers after it name the repaired ones.
     """
-    rows, n = np.empty(phase_ok.shape[0], dtype=np.int64), 0
+    rows, n, held = np.empty(phase_ok.shape[0], dtype=np.int64), 0, fixes.held
     for s in range(phase_ok.shape[0]):
-        if fixes.held[s] and phase_ok[s] and last[s, 0] != 0.0:
+        if held[s] and phase_ok[s] and last[s, 0] != 0.0:
             rows[n] = s
             n += 1
     found = 0
@@ -171,7 +165,7 @@ def watch_slips(e, system, phase, variance, phase_ok, age, motion, fixes, rules,
         for i in range(n):
             group[i] = system[rows[i]]
         for b in range(rules.bands):
-            remove_common(moved[b].copy(), everything, group, rules.wavelength.shape[0], moved[b])
+            remove_common(moved[b], everything, group, rules.wavelength.shape[0], moved[b])
         flags, s_p = np.empty(n, dtype=np.int64), np.empty(n)
         drift = rules.aged * abs(age - watch[W_AGE])
         judge(e, system, variance, rows, n, moved, known, drift, motion, rules, flags, s_p)

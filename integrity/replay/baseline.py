@@ -32,7 +32,7 @@ from lanebound.integrity.recorded.rinex_observation import Observations
 from lanebound.integrity.replay.differences import Arc, Reduced, arc_of, matched, reduce_epoch
 from lanebound.integrity.replay.signal_choice import Choice, choose_signals
 from lanebound.integrity.rtk_declared import declared_rtk
-from lanebound.integrity.rtk_stage_kernel import NX, Fixed, Signals, Tables, rtk, weigh
+from lanebound.integrity.rtk_stage_kernel import NX, Fixed, Signals, Tables, rtk, select, weigh
 from lanebound.integrity.sky.broadcast import Ephemerides
 from lanebound.integrity.sky.systems import FIXABLE
 
@@ -238,9 +238,10 @@ class _Run:
         return signals, reduced, near, solved[1]
 
     def _signals(self, reduced: Reduced) -> Signals:
-        tracked = reduced.tracked & self.chosen
+        tracked, e, quality = reduced.tracked & self.chosen, np.ascontiguousarray(reduced.sight_enu), self.system * 0.0
+        weigh(e, tracked, reduced.cn0_dbhz, self.config.rtk.cn0_knee_dbhz, quality)
         return Signals(
-            np.ascontiguousarray(reduced.sight_enu), self.system, reduced.elevation_rad, tracked, reduced.cn0_dbhz,
+            e, self.system, quality, tracked, reduced.cn0_dbhz,
             np.ascontiguousarray(reduced.code_m), np.ascontiguousarray(reduced.phase_m), reduced.lost, 0.0,
         )  # fmt: skip
 
@@ -248,9 +249,9 @@ class _Run:
         """Position (3,) from the differenced code, with levels and sigmas (2,) on AT, CT; None where it is singular."""
         r, bands = self.config.rtk, self.choice.bands
         factor, used = np.empty(len(self.system)), np.empty(len(self.system), np.bool_)
-        weigh(
-            signals.elevation, signals.tracked, signals.cn0, float(np.sin(np.deg2rad(r.elevation_mask_deg))),
-            r.cn0_min_dbhz, r.cn0_knee_dbhz, factor, used,
+        select(
+            signals.e, signals.tracked, signals.cn0, signals.quality, float(np.sin(np.deg2rad(r.elevation_mask_deg))),
+            r.cn0_min_dbhz, factor, used,
         )  # fmt: skip
         rows = np.flatnonzero(used)
         if rows.size < 4:

@@ -10,15 +10,16 @@ NC = 10
 
 
 @jit
-def measure_triad(coef, z, turn_on, scale, instability, walk, truth, out):  # type: ignore[no-untyped-def]
-    """Increments ``out`` (3,) of one triad; ``instability``, ``walk`` (3,) advance in place, z (3, 5) are the draws."""
+def measure_triad(v, t, coef, z, turn_on, scale, instability, walk, truth, out):  # type: ignore[no-untyped-def]
+    """Increments ``out`` of triad t of vehicle v; ``instability`` and ``walk`` advance in place, z are the draws."""
     for i in range(3):
-        error = coef[TURN_ON] * (turn_on[i] + walk[i]) + coef[WHITE] * z[i, 0]
-        error += coef[INTEGRAL] * instability[i] + coef[INTEGRAL_1] * z[i, 1] + coef[INTEGRAL_2] * z[i, 2]
-        error += coef[WALK_1] * z[i, 3] + coef[WALK_2] * z[i, 4]
-        instability[i] = coef[DECAY] * instability[i] + coef[END_1] * z[i, 1]
-        walk[i] += coef[WALK_END_1] * z[i, 3]
-        out[i] = truth[i] * (1.0 + scale[i]) + error
+        error = coef[t, TURN_ON] * (turn_on[v, t, i] + walk[v, t, i]) + coef[t, WHITE] * z[v, t, i, 0]
+        error += coef[t, INTEGRAL] * instability[v, t, i]
+        error += coef[t, INTEGRAL_1] * z[v, t, i, 1] + coef[t, INTEGRAL_2] * z[v, t, i, 2]
+        error += coef[t, WALK_1] * z[v, t, i, 3] + coef[t, WALK_2] * z[v, t, i, 4]
+        instability[v, t, i] = coef[t, DECAY] * instability[v, t, i] + coef[t, END_1] * z[v, t, i, 1]
+        walk[v, t, i] += coef[t, WALK_END_1] * z[v, t, i, 3]
+        out[v, i] = truth[v, i] * (1.0 + scale[v, t, i]) + error
 
 
 @jit
@@ -28,12 +29,8 @@ def measure(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """All vehicles: ``theta``, ``delta_v`` (B, 3) true, z (B, 2, 3, 5), states (B, 2, 3), yaw gyro biases (B,)."""
     for v in range(theta.shape[0]):
-        measure_triad(
-            coef[0], z[v, 0], turn_on[v, 0], scale[v, 0], instability[v, 0], walk[v, 0], theta[v], theta_out[v]
-        )
-        measure_triad(
-            coef[1], z[v, 1], turn_on[v, 1], scale[v, 1], instability[v, 1], walk[v, 1], delta_v[v], delta_v_out[v]
-        )
+        measure_triad(v, 0, coef, z, turn_on, scale, instability, walk, theta, theta_out)
+        measure_triad(v, 1, coef, z, turn_on, scale, instability, walk, delta_v, delta_v_out)
         theta_out[v, 2] += fault[v] * dt
         if abs(distance[v]) > moving_m:
             theta_out[v, 2] += moving_bias[v] * dt

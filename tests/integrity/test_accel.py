@@ -203,6 +203,8 @@ def test_threads_serve_only_large_batches_of_the_main_process(monkeypatch):
     monkeypatch.setattr(accel.numba, "get_num_threads", lambda: 4)
     assert [accel.use_parallel(b) for b in (1, accel.PARALLEL_FROM_BATCH - 1)] == [False, False]
     assert accel.use_parallel(accel.PARALLEL_FROM_BATCH)
+    assert accel.one_or_many_runs(accel.PARALLEL_FROM_BATCH, "one", "many") == ("many", 4)
+    assert accel.one_or_many_runs(1, "one", "many") == ("one", 0)
     monkeypatch.setattr("multiprocessing.parent_process", lambda: object())
     assert not accel.use_parallel(1000)
 

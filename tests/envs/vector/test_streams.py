@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lanebound.envs.vector.streams import CrewStreams
+from lanebound.integrity.accel import PARALLEL_FROM_BATCH, serial
 from lanebound.integrity.streams import Streams
 
 THERE = np.ones((2, 2), dtype=np.bool_)
@@ -26,6 +27,16 @@ def test_they_draw_as_single_ones() -> None:
                 mine = drawn[3 * row : 3 * row + 3]
                 np.testing.assert_array_equal(mine[:, USED[row]] if by_satellite else mine, alone)
                 assert not by_satellite or not mine[:, ~USED[row]].any()
+
+
+def test_many_draw_side_by_side_as_one_after_another() -> None:
+    rng, count = np.random.default_rng(7), 3 * PARALLEL_FROM_BATCH
+    used, nobody = rng.random((count, 5)) < 0.7, np.empty((count, 0), dtype=np.bool_)
+    threads, alone = (CrewStreams(range(count), range(count), nobody, used) for _ in range(2))
+    for name, shape in (("gnss", (5, 3)), ("imu", (2, 3)), ("gnss", (5, 1))):
+        with serial():
+            expected = alone.normal(name, *shape)
+        np.testing.assert_array_equal(threads.normal(name, *shape), expected)
 
 
 def test_empty_places_of_vehicles_take_no_draws() -> None:

@@ -147,6 +147,9 @@ def test_clock_is_the_median_of_its_system() -> None:
     out = np.empty(9)
     kernel.remove_common(change, member, system, 3, out)
     np.testing.assert_allclose(out, expected, atol=1e-12)
+    kernel.remove_common(change, member, system, 3, change)  # in place
+    np.testing.assert_array_equal(change, out)
+    change = np.array([1.0, 1.2, 50.0, 9.0, 5.0, 5.0, -1.0, -2.0, -3.0])
     batch = remove_common(np.stack([change, change + 7.0]), member, system)
     np.testing.assert_allclose(batch, [expected, expected], atol=1e-12)
 
