@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import StrEnum
-from typing import Any
+from typing import Any, Self
 
-from pydantic import field_validator
+from pydantic import field_validator, model_validator
 
+from lanebound.agents.drivers import AGENTS
 from lanebound.agents.episodes.opening import full_id, open_env
 from lanebound.agents.learning.multiplier import MultiplierConfig
 from lanebound.agents.named import load_named
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.config import Config, Field, deep_merge
+from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.presets import nearest
 
-__all__ = ["FLAT", "Algorithm", "ExperimentConfig", "Shield", "load_experiment"]
+__all__ = ["FLAT", "Algorithm", "ExperimentConfig", "ImitationConfig", "Shield", "load_experiment"]
 
 FOLDER = "experiments/"
 FLAT: dict[str, Any] = {"observation": {"form": "flat"}}
@@ -40,6 +43,24 @@ class Algorithm(StrEnum):
         return self in (Algorithm.SAC, Algorithm.SAC_LAGRANGIAN)
 
 
+class ImitationConfig(Config):
+    """How a policy is fitted to a driver before it learns by reward."""
+
+    driver: str = Field("integrity_aware", description="agent that is imitated")
+    rounds: int = Field(4, ge=1, le=100, description="in the first the driver drives, then the policy as it is by then")
+    decisions: int = Field(4000, ge=1, description="in each round, of all environments together")
+    epochs: int = Field(20, ge=1, le=1000, description="after each round, over all that was said so far")
+    batch_size: int = Field(256, ge=1, description="decisions that a step of the fit takes")
+    learning_rate: float = Field(1e-3, gt=0, le=1, description="of the fit, by Adam")
+
+    @field_validator("driver")
+    @classmethod
+    def _driver_exists(cls, name: str) -> str:
+        if name not in AGENTS:
+            raise ConfigError(f"driver '{name}' is unknown: {nearest(name, AGENTS)} (see 'lanebound agents')")
+        return name
+
+
 class Shield(StrEnum):
     """What stands between a policy and the car."""
 
@@ -58,6 +79,7 @@ class ExperimentConfig(Config):
     settings: Mapping[str, Any] = Field({}, description="of the algorithm, by stable-baselines3's names")
     cost_limit: float | None = Field(None, gt=0, description="of an episode's cost; None: the environment's own")
     multiplier: MultiplierConfig = Field(MultiplierConfig(), description="of algorithms under the limit")
+    imitation: ImitationConfig | None = Field(None, description="a driver to begin from; None: from nothing")
     shield: Shield = Field(Shield.NONE, description="filter that every action passes, in training and after")
     shield_penalty: float = Field(
         1.0,
@@ -76,6 +98,12 @@ class ExperimentConfig(Config):
     @classmethod
     def _env_exists(cls, name: str) -> str:
         return full_id(name).removeprefix("lanebound/")
+
+    @model_validator(mode="after")
+    def _can_imitate(self) -> Self:
+        if self.imitation is not None and self.algorithm not in (Algorithm.PPO, Algorithm.PPO_LAGRANGIAN):
+            raise ConfigError(f"imitation must be left out of {self.algorithm}, got one: choose ppo or ppo_lagrangian")
+        return self
 
     @property
     def env_overrides(self) -> dict[str, Any]:

@@ -4,7 +4,8 @@
 
     experiment.json                what is learnt
     last.zip  last-replay.pkl      the newest checkpoint; transitions of algorithms that keep them
-    best.zip  best.md              the best so far (:func:`is_best`), and a card about it
+    best.zip  best.md              the best so far (:func:`is_best`), and a card about it; before any learning by reward
+                                   perhaps, where the policy began from a driver (:mod:`.imitation`)
     progress.json                  an evaluation at each checkpoint
     logs/                          for TensorBoard, where it is installed: costs by cause, levels, alerts, modes
 """
@@ -31,6 +32,7 @@ from lanebound.agents.kept import write_whole
 from lanebound.agents.learning.card import write_card
 from lanebound.agents.learning.evaluation import evaluate
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig
+from lanebound.agents.learning.imitation import imitate
 from lanebound.agents.learning.opening import episode_seeds, for_learning
 from lanebound.agents.plain import finite_or_none
 from lanebound.envs.costs import CAUSES
@@ -47,7 +49,7 @@ CLASSES = {
     Algorithm.PPO_LAGRANGIAN: "lanebound.agents.learning.ppo_lagrangian:PPOLagrangian",
     Algorithm.SAC_LAGRANGIAN: "lanebound.agents.learning.sac_lagrangian:SACLagrangian",
 }
-REPLAY = "last-replay.pkl"
+LAST, REPLAY = "last.zip", "last-replay.pkl"
 INTEGRITY = ("availability", "alert_share", "alerts", "mi_steps", "hmi_steps", "pl_at_mean_m", "pl_ct_mean_m")
 
 
@@ -90,19 +92,15 @@ def train(
     progress = _claim(experiment, out)
     with closing(for_learning(experiment, processes)) as env, one_thread():
         model = _model(experiment, env, out)
+        if experiment.imitation is not None and not (out / LAST).exists():
+            imitate(experiment, experiment.imitation, model, env)
+            told(_checkpoint(experiment, model, out, progress))
         env.seed(episode_seeds(experiment, model.num_timesteps))  # stable-baselines3 has seeded it otherwise
         watch = _Watch(stepped)
         while model.num_timesteps < experiment.steps:
             chunk = min(experiment.checkpoint_steps, experiment.steps - model.num_timesteps)
             model.learn(chunk, callback=watch, reset_num_timesteps=model.num_timesteps == 0, tb_log_name="run")
-            found = evaluate(experiment, model)
-            progress.append({"steps": model.num_timesteps, **found})
-            best = is_best(progress, _limit_of_best(experiment))
-            _keep(model, out, best)
-            if best:
-                write_card(experiment, progress[-1], out / "best.md")
-            write_whole(out / "progress.json", finite_or_none(progress))
-            told(Checkpoint(model.num_timesteps, experiment.steps, found, best))
+            told(_checkpoint(experiment, model, out, progress))
     return progress
 
 
@@ -152,8 +150,8 @@ def _limit(experiment: ExperimentConfig) -> float:
 
 def _model(experiment: ExperimentConfig, env: VecEnv, out: Path) -> BaseAlgorithm:
     logs = str(out / "logs") if find_spec("tensorboard") else None
-    if (out / "last.zip").exists():
-        model = load_model(out / "last.zip", experiment.algorithm, env)
+    if (out / LAST).exists():
+        model = load_model(out / LAST, experiment.algorithm, env)
         model.tensorboard_log = logs
         if (out / REPLAY).exists():
             model.load_replay_buffer(out / REPLAY)  # type: ignore[attr-defined]
@@ -194,11 +192,25 @@ def _claim(experiment: ExperimentConfig, out: Path) -> list[dict[str, Any]]:
         raise InputError(f"out must be a folder that can be written, got {out} ({error}): choose another") from error
 
 
+def _checkpoint(
+    experiment: ExperimentConfig, model: BaseAlgorithm, out: Path, progress: list[dict[str, Any]]
+) -> Checkpoint:
+    """Judge the policy as it is now and keep it; ``progress`` grows by its evaluation."""
+    found = evaluate(experiment, model)
+    progress.append({"steps": model.num_timesteps, **found})
+    best = is_best(progress, _limit_of_best(experiment))
+    _keep(model, out, best)
+    if best:
+        write_card(experiment, progress[-1], out / "best.md")
+    write_whole(out / "progress.json", finite_or_none(progress))
+    return Checkpoint(model.num_timesteps, experiment.steps, found, best)
+
+
 def _keep(model: BaseAlgorithm, out: Path, best: bool) -> None:
     """Save a checkpoint; the one before stays until the new one is whole."""
     if getattr(model, "replay_buffer", None) is not None:
         _whole(out / REPLAY, model.save_replay_buffer)  # type: ignore[attr-defined]
-    _whole(out / "last.zip", model.save)
+    _whole(out / LAST, model.save)
     if best:
         _whole(out / "best.zip", model.save)
 
