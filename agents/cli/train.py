@@ -41,11 +41,15 @@ def train(
 
         with Progress(*columns, console=Console(stderr=True)) as bar:
             task = bar.add_task("decisions", total=experiment.steps)
+            shown = experiment.imitation
+            before = None if shown is None else bar.add_task("imitation", total=shown.total(experiment.count))
             rows = wait_for(
                 lambda: carry_out(
-                    experiment, out, jobs, _say, lambda steps: bar.update(task, completed=min(steps, experiment.steps))
+                    experiment, out, jobs, _say,
+                    lambda steps: bar.update(task, completed=min(steps, experiment.steps)),
+                    lambda decisions: None if before is None else bar.update(before, completed=decisions),
                 )
-            )
+            )  # fmt: skip
     typer.echo(f"{counted(len(rows), 'checkpoint')}; the best is {out / 'best.zip'}, described in {out / 'best.md'}")
     typer.echo(f"What to try next\n  lanebound evaluate {out} --out {out}-evaluation")
 

@@ -25,7 +25,9 @@ def write_card(experiment: ExperimentConfig, row: Mapping[str, Any], path: Path)
         c.title or "A policy of lanebound.",
         "",
         f"Learnt with seed {c.seed} in {row['steps']} decisions, {c.count} environments at once, shield {c.shield}"
-        + ("." if c.imitation is None else f", after imitating `{c.imitation.driver}`."),
+        + (
+            "." if c.imitation is None else f", after imitating `{c.imitation.driver}` in {c.imitation.total(c.count)}."
+        ),
         f"It takes flat observations of `lanebound/{c.env}` with this configuration:",
         "",
         "```json",

@@ -21,6 +21,7 @@ __all__ = ["FLAT", "Algorithm", "ExperimentConfig", "ImitationConfig", "Shield",
 
 FOLDER = "experiments/"
 FLAT: dict[str, Any] = {"observation": {"form": "flat"}}
+REMEMBERING = ("cbf", "mpc")  # agents that reckon with what they commanded last
 
 
 class Algorithm(StrEnum):
@@ -58,7 +59,13 @@ class ImitationConfig(Config):
     def _driver_exists(cls, name: str) -> str:
         if name not in AGENTS:
             raise ConfigError(f"driver '{name}' is unknown: {nearest(name, AGENTS)} (see 'lanebound agents')")
+        if name in REMEMBERING:
+            raise ConfigError(f"driver must have no memory of its commands, got '{name}': others drive by what it says")
         return name
+
+    def total(self, count: int) -> int:
+        """Decisions of ``count`` environments in all rounds together."""
+        return self.rounds * count * -(-self.decisions // count)
 
 
 class Shield(StrEnum):
@@ -88,10 +95,12 @@ class ExperimentConfig(Config):
         "(shares, -1 to 1): a policy that leans on the filter learns nothing of the road; argued",
     )
     engine: bool | None = Field(None, description="whether the vector engine drives; None: where it can")
-    steps: int = Field(200_000, ge=1, description="decisions, of all environments together")
+    steps: int = Field(200_000, ge=1, description="decisions of learning by reward, of all environments")
     count: int = Field(4, ge=1, le=4096, description="environments side by side")
     seed: int = Field(0, ge=0, description="of networks, draws and environments")
-    checkpoint_steps: int = Field(20_000, ge=1, description="decisions between checkpoints; what a stop may lose")
+    checkpoint_steps: int = Field(
+        20_000, ge=1, description="decisions between checkpoints; what a stop may lose, or all of ``imitation``"
+    )
     evaluation_episodes: int = Field(16, ge=1, le=100, description="at each checkpoint, on the last training seeds")
 
     @field_validator("env")

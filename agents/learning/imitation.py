@@ -3,6 +3,7 @@
 Dataset aggregation (Ross, Gordon and Bagnell 2011): in the first round the driver drives, in the following ones the
 policy as far as it has come; at every decision the driver says what it would do, and after each round the policy is
 fitted to all that was said so far. A policy that only copied drives of the driver would not know the way back to them.
+What is fitted of continuous actions is their mean; how widely the policy tries others afterwards stays as it was set.
 """
 
 from __future__ import annotations
@@ -19,33 +20,42 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
 from lanebound.agents.drivers import make_agent
+from lanebound.agents.drivers.base import Driver
 from lanebound.agents.learning.experiment import ExperimentConfig, ImitationConfig
 from lanebound.agents.learning.opening import episode_seeds
 
-__all__ = ["imitate"]
+__all__ = ["imitate", "imitated_driver"]
+
+
+def imitated_driver(experiment: ExperimentConfig) -> Driver | None:
+    """Whom the policy is to begin from, ready to drive; None where it begins from nothing.
+
+    Raises
+    ------
+    InputError
+        The environment has no actions for the driver, or does not show what it needs.
+    """
+    if experiment.imitation is None:
+        return None
+    with closing(experiment.open()) as single:
+        return make_agent(experiment.imitation.driver, single)
 
 
 def imitate(
     experiment: ExperimentConfig,
     config: ImitationConfig,
+    driver: Driver,
     model: BaseAlgorithm,
     env: VecEnv,
     stepped: Callable[[int], None] = lambda decisions: None,
 ) -> list[float]:
-    """Fit the policy of ``model`` to the driver of ``config``; returns the mean loss after each round.
+    """Fit what the policy of ``model`` does without its noise to a driver; returns the mean loss after each round.
 
     Parameters
     ----------
     env : of the experiment; the episodes are none of those learnt from by reward, nor of those judged by
     stepped : called with the decisions so far, at every step
-
-    Raises
-    ------
-    InputError
-        The driver is unknown or cannot drive there.
     """
-    with closing(experiment.open()) as single:
-        driver = make_agent(config.driver, single)
     env.seed(episode_seeds(experiment, 0, "imitation"))
     seen: list[NDArray[np.float32]] = []
     said: list[NDArray[Any]] = []
@@ -58,7 +68,7 @@ def imitate(
             wanted, state = driver.predict(observations, state, starts)
             seen.append(np.array(observations, dtype=np.float32))
             said.append(np.array(wanted))
-            actions = wanted if turn == 0 else model.predict(observations)[0]
+            actions = wanted if turn == 0 else model.predict(observations, deterministic=True)[0]
             observations, _, starts, _ = env.step(np.asarray(actions))
             stepped(len(seen) * env.num_envs)
         losses.append(_fit(model, np.concatenate(seen), np.concatenate(said), config, optimiser))
@@ -71,6 +81,7 @@ def _fit(
     """Some epochs over all that was said; the mean loss of the last."""
     given, wanted = torch.as_tensor(seen, device=model.device), torch.as_tensor(said, device=model.device)
     losses: list[float] = []
+    model.policy.set_training_mode(True)
     for _ in range(config.epochs):
         losses = []
         order = torch.randperm(len(given), device=model.device)
@@ -78,16 +89,16 @@ def _fit(
             rows = order[begin : begin + config.batch_size]
             loss = _misfit(model, given[rows], wanted[rows])
             optimiser.zero_grad()
-            loss.backward()
+            loss.backward()  # type: ignore[no-untyped-call]
             optimiser.step()
             losses.append(loss.item())
     return float(np.mean(losses))
 
 
-def _misfit(model: BaseAlgorithm, given: torch.Tensor, wanted: torch.Tensor) -> Any:
+def _misfit(model: BaseAlgorithm, given: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
     """Mean square of how far continuous actions are off; of discrete ones how unlikely the driver's is (log loss)."""
     policy: Any = model.policy
     law = policy.get_distribution(given)
-    if isinstance(model.action_space, spaces.Box):
-        return (law.mode() - wanted).square().mean()
-    return -law.log_prob(wanted).mean()
+    continuous = isinstance(model.action_space, spaces.Box)
+    off: torch.Tensor = (law.mode() - wanted).square() if continuous else -law.log_prob(wanted)
+    return off.mean()

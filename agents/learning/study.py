@@ -28,6 +28,7 @@ from lanebound.agents.episodes.opening import full_id
 from lanebound.agents.kept import claim, run_parts, write_whole
 from lanebound.agents.learning.evaluation import drive_all
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig, Shield
+from lanebound.agents.learning.imitation import imitated_driver
 from lanebound.agents.learning.study_tables import adjust, means_of, summarise
 from lanebound.agents.learning.training import load_model, one_thread, train
 from lanebound.agents.named import load_named
@@ -161,6 +162,9 @@ def plan(study: LearningStudyConfig) -> Course:
         for arm in study.arms
         if (env, arm) not in left_out
     )
+    for one in trainings:
+        if one.seed == 0 and one.sky == study.skies[0]:
+            imitated_driver(one.experiment(study))
     return Course(trainings, left_out)
 
 

@@ -46,8 +46,10 @@ def study_hours(study: LearningStudyConfig, course: Course) -> float:
 
 def _seconds(planned: ExperimentConfig, pace: Pace, test_seeds: int) -> float:
     checkpoints = -(-planned.steps // planned.checkpoint_steps)
+    shown = 0 if planned.imitation is None else planned.imitation.total(planned.count)
+    checkpoints += planned.imitation is not None
     judged = (checkpoints * planned.evaluation_episodes + test_seeds) * pace.decisions
-    return (planned.steps + judged) * pace.learning_s
+    return (planned.steps + shown + judged) * pace.learning_s
 
 
 def measured(planned: ExperimentConfig) -> Pace:

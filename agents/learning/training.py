@@ -32,7 +32,7 @@ from lanebound.agents.kept import write_whole
 from lanebound.agents.learning.card import write_card
 from lanebound.agents.learning.evaluation import evaluate
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig
-from lanebound.agents.learning.imitation import imitate
+from lanebound.agents.learning.imitation import imitate, imitated_driver
 from lanebound.agents.learning.opening import episode_seeds, for_learning
 from lanebound.agents.plain import finite_or_none
 from lanebound.envs.costs import CAUSES
@@ -76,25 +76,31 @@ def train(
     processes: int = 1,
     told: Callable[[Checkpoint], None] = lambda checkpoint: None,
     stepped: Callable[[int], None] = lambda steps: None,
+    imitated: Callable[[int], None] = lambda decisions: None,
 ) -> list[dict[str, Any]]:
     """Carry out an experiment, or what is left of it in ``out``; returns the evaluations.
 
     Parameters
     ----------
     processes : of single environments, spawned; with 1, or in the vector engine, they run in this one
-    told : called after each checkpoint; stepped : with the decisions so far, at every step
+    told : called after each checkpoint
+    stepped, imitated : called with the decisions so far at every step, of learning by reward and of imitation before it
 
     Raises
     ------
     InputError
         ``out`` holds another experiment, or the environment does not suit the algorithm.
     """
+    driver = imitated_driver(experiment)
     progress = _claim(experiment, out)
     with closing(for_learning(experiment, processes)) as env, one_thread():
         model = _model(experiment, env, out)
-        if experiment.imitation is not None and not (out / LAST).exists():
-            imitate(experiment, experiment.imitation, model, env)
-            told(_checkpoint(experiment, model, out, progress))
+        begun = (out / LAST).exists()
+        if experiment.imitation is not None and driver is not None and not begun:
+            imitate(experiment, experiment.imitation, driver, model, env, imitated)
+            begun = True
+        if begun and all(row["steps"] != model.num_timesteps for row in progress):
+            told(_checkpoint(experiment, model, out, progress))  # or it was kept when the last run was stopped
         env.seed(episode_seeds(experiment, model.num_timesteps))  # stable-baselines3 has seeded it otherwise
         watch = _Watch(stepped)
         while model.num_timesteps < experiment.steps:
@@ -186,8 +192,8 @@ def _claim(experiment: ExperimentConfig, out: Path) -> list[dict[str, Any]]:
                     "choose a new folder"
                 )
         write_whole(mark, wanted)
-        progress = out / "progress.json"
-        return json.loads(progress.read_text(encoding="utf-8")) if progress.exists() else []
+        kept, progress = (out / LAST).exists(), out / "progress.json"
+        return json.loads(progress.read_text(encoding="utf-8")) if kept and progress.exists() else []
     except (OSError, ValueError) as error:
         raise InputError(f"out must be a folder that can be written, got {out} ({error}): choose another") from error
 

@@ -238,7 +238,11 @@ class _Run:
         return signals, reduced, near, solved[1]
 
     def _signals(self, reduced: Reduced) -> Signals:
-        tracked, e, quality = reduced.tracked & self.chosen, np.ascontiguousarray(reduced.sight_enu), self.system * 0.0
+        tracked, e, quality = (
+            reduced.tracked & self.chosen,
+            np.ascontiguousarray(reduced.sight_enu),
+            np.empty(len(self.system)),
+        )
         weigh(e, tracked, reduced.cn0_dbhz, self.config.rtk.cn0_knee_dbhz, quality)
         return Signals(
             e, self.system, quality, tracked, reduced.cn0_dbhz,

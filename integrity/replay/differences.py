@@ -49,11 +49,10 @@ class Arc:
 
 @dataclass(frozen=True)
 class Reduced:
-    """One epoch, satellites S: sights (S, 3) in E, N, U from the rover, elevation at the base [rad], code and phase
-    (S, 2) [m] as ``-e.x + clock`` with x from the base, C/N0, tracked on every band, and lock lost (S,)."""
+    """One epoch, satellites S: sights (S, 3) from the rover in E, N, U of the base, code and phase (S, 2) [m] as
+    ``-e.x + clock`` with x from the base, C/N0, tracked on every band, and lock lost (S,)."""
 
     sight_enu: Array
-    elevation_rad: Array
     code_m: Array
     phase_m: Array
     cn0_dbhz: Array
@@ -121,7 +120,7 @@ def reduce_epoch(
     tracked = both & np.logical_and.reduce([w[:, :bands].all(-1) for w in whole])
     keep, sure = tracked[:, None], ~(rover.half[i] | base.half[j])[:, None]
     return Reduced(
-        np.where(keep, e, [0.0, 0.0, 1.0]), elevation,
+        np.where(keep, e, [0.0, 0.0, 1.0]),
         np.where(keep, rover.code_m[i] - base.code_m[j] - model[:, None], 0.0),
         np.where(keep & sure, rover.phase_m[i] - base.phase_m[j] - model[:, None], 0.0),
         np.minimum(rover.cn0_dbhz[i], base.cn0_dbhz[j]), tracked, rover.lost[i] | base.lost[j],

@@ -248,7 +248,7 @@ def look_up(table_path, table_excess, arc, lane, azimuth, elevation, index, spac
     """
     b_count, s_count = arc.shape[0], azimuth.shape[1]
     stations, lanes = table_path.shape[0], table_path.shape[1]
-    cell, seen = np.empty(s_count, dtype=np.int64), -1
+    cell = np.empty(s_count, dtype=np.int64)
     path = np.empty((b_count, s_count), dtype=np.uint8)
     excess = np.empty((b_count, s_count))
     for b in range(b_count):
@@ -260,8 +260,7 @@ def look_up(table_path, table_excess, arc, lane, azimuth, elevation, index, spac
             n = int(min(max(place, 0.0), stations - 1.0) + 0.5)
         row = min(max(lane[b], 0), lanes - 1)
         k = index[b]
-        if k != seen:
-            seen = k
+        if b == 0 or k != index[b - 1]:
             for s in range(s_count):
                 cell[s] = bin_of(azimuth[k, s], elevation[k, s], n_az, n_el)
         for s in range(s_count):

@@ -23,12 +23,17 @@ def test_an_experiment_in_the_city_is_driven_by_the_engine(changes: dict[str, ob
 
 def test_no_two_trainings_share_episodes_nor_meet_those_of_evaluations() -> None:
     count = 64
-    firsts = [episode_seeds(experiment(seed=seed, count=count), steps) for seed in range(20) for steps in (0, 50_000)]
+    beginnings = [(0, "traffic"), (50_000, "traffic"), (0, "imitation")]
+
+    def drawn() -> list[int]:
+        return [episode_seeds(experiment(seed=seed, count=count), *one) for seed in range(20) for one in beginnings]
+
+    firsts = drawn()
     seeds = np.sort(firsts)
     assert (np.diff(seeds) >= count).all()
     assert seeds[0] > max(max(split) for split in SPLITS.values())
     assert seeds[-1] + count <= 2**31
-    assert firsts == [episode_seeds(experiment(seed=s, count=count), steps) for s in range(20) for steps in (0, 50_000)]
+    assert firsts == drawn()
 
 
 def test_what_the_filter_changes_costs_reward_in_training_alone() -> None:

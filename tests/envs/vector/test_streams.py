@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from lanebound.envs.vector.streams import CrewStreams
-from lanebound.integrity.accel import PARALLEL_FROM_BATCH, serial
-from lanebound.integrity.streams import Streams
+from lanebound.integrity import streams_kernel as sk
+from lanebound.integrity.streams import ZIGGURAT, Streams, named_states
 
 THERE = np.ones((2, 2), dtype=np.bool_)
 USED = np.array([[True, True, False, True], [False, True, True, False]])
@@ -30,13 +30,16 @@ def test_they_draw_as_single_ones() -> None:
 
 
 def test_many_draw_side_by_side_as_one_after_another() -> None:
-    rng, count = np.random.default_rng(7), 3 * PARALLEL_FROM_BATCH
-    used, nobody = rng.random((count, 5)) < 0.7, np.empty((count, 0), dtype=np.bool_)
-    threads, alone = (CrewStreams(range(count), range(count), nobody, used) for _ in range(2))
-    for name, shape in (("gnss", (5, 3)), ("imu", (2, 3)), ("gnss", (5, 1))):
-        with serial():
-            expected = alone.normal(name, *shape)
-        np.testing.assert_array_equal(threads.normal(name, *shape), expected)
+    used = np.random.default_rng(7).random((20, 5)) < 0.7
+    found = []
+    for run, first in ((sk.normals_at, 0), (sk.normals_at_parallel, 3)):  # 20 in 3 runs
+        states, out = named_states(range(20), "gnss"), np.zeros((20, 5, 3))
+        run(first, 20, states, used, ZIGGURAT, out)
+        run(first, 20, states, used, ZIGGURAT, out)
+        found.append(out)
+    np.testing.assert_array_equal(*found)
+    assert found[0][used].all()
+    assert not found[0][~used].any()
 
 
 def test_empty_places_of_vehicles_take_no_draws() -> None:

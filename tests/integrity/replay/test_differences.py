@@ -21,7 +21,8 @@ def test_at_the_true_position_only_clock_and_whole_cycles_remain() -> None:
     for nominal in (rover_place, rover_place + AXES @ np.array([0.4, -0.3, 0.5])):
         found = reduce_epoch(arcs[0], arcs[1], 1, 1, nominal, base_place, 2)
         assert found.tracked.all()
-        air = troposphere_m(rover_place, found.elevation_rad) - troposphere_m(base_place, found.elevation_rad)
+        elevation = np.arcsin(found.sight_enu[:, 2])
+        air = troposphere_m(rover_place, elevation) - troposphere_m(base_place, elevation)
         left = found.code_m[:, 0] + found.sight_enu @ offset + air  # the simulated air is empty
         assert np.ptp(left) < 5e-3  # the rover has a horizon of its own: 7e-5 rad of 23 m per rad at 17 degrees
         cycles = (found.phase_m - found.code_m) / choice.wavelength_m[table.satellites[:, 0]]
