@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lanebound.integrity.assessment.plotting import legend, new_figure, tidy
+from lanebound.integrity.assessment.plotting import new_figure, tidy
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,8 +30,10 @@ def curves_figure(trainings: Sequence[Mapping[str, Any]], arms: Sequence[str]) -
             for arm, colour in zip(arms, COLOURS, strict=False):
                 _draw(axis, [one["checkpoints"] for one in here if one["arm"] == arm], key, arm, colour)
             title = f"{env.removesuffix('-v0')}, {sky}" if row == 0 else ""
-            tidy(axis, title=title, ylabel=label if column == 0 else "", xlabel="decisions" if row else "")
-    legend(axes[0, 0])
+            tidy(axis, title=title, ylabel=label if column == 0 else "", xlabel="thousand decisions" if row else "")
+            axis.locator_params(axis="x", nbins=5)
+    named = {label: line for axis in axes[0] for line, label in zip(*axis.get_legend_handles_labels(), strict=True)}
+    figure.legend(named.values(), named.keys(), loc="outside lower center", ncols=len(named), frameon=False)
     return figure
 
 
@@ -39,7 +41,7 @@ def _draw(axis: Any, trainings: Sequence[Sequence[Mapping[str, float]]], key: st
     if not trainings:
         return
     length = min(map(len, trainings))
-    steps = [row["steps"] for row in trainings[0][:length]]
+    steps = [row["steps"] / 1000.0 for row in trainings[0][:length]]
     values = np.array([[row[key] for row in rows[:length]] for rows in trainings])
     axis.plot(steps, values.mean(0), color=colour, label=arm, linewidth=1.4)
     axis.fill_between(steps, values.min(0), values.max(0), color=colour, alpha=0.15, linewidth=0)
