@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 import time
@@ -63,11 +64,13 @@ def test_a_run_broken_off_and_gone_on_with_ends_as_an_unbroken_one(unbroken, tmp
         workers = [pid for pid in children_of(broken.pid) if b"spawn_main" in cmdline_of(pid)]
         broken.send_signal(signal.SIGINT)
         _, told = broken.communicate(timeout=120)
-    kept = episodes_kept(out)
     assert broken.returncode == 130
-    assert f"interrupted: {kept} finished episodes are kept in {out}" in told
+    said = re.search(rf"interrupted: (\d+) finished episodes are kept in {re.escape(str(out))}", told)
+    assert said is not None
     assert len(workers) == 1
     wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers))
+    kept = episodes_kept(out)
+    assert kept - int(said[1]) in (0, 1)  # the worker may have finished what it had in hand when that was said
     assert kept < 16
 
     results = run(SuiteConfig.load(SUITE), out, jobs=2)
