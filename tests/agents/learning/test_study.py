@@ -200,7 +200,7 @@ def test_curves_take_trainings_of_different_lengths() -> None:
 
     figure = curves_figure([training(0, 5), training(1, 3)], ["blind", "seeing"])
     line = figure.axes[0].lines[0]
-    assert line.get_xdata().tolist() == [10, 20]
+    assert line.get_xdata().tolist() == [0.01, 0.02]
     assert line.get_ydata().tolist() == [1.5, 2.5]
 
 
