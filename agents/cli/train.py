@@ -42,12 +42,13 @@ def train(
         with Progress(*columns, console=Console(stderr=True)) as bar:
             task = bar.add_task("decisions", total=experiment.steps)
             shown = experiment.imitation
-            before = None if shown is None else bar.add_task("imitation", total=shown.total(experiment.count))
+            total = 0 if shown is None else shown.total(experiment.count)
+            before = bar.add_task("imitation", total=total, visible=False)
             rows = wait_for(
                 lambda: carry_out(
                     experiment, out, jobs, _say,
                     lambda steps: bar.update(task, completed=min(steps, experiment.steps)),
-                    lambda decisions: None if before is None else bar.update(before, completed=decisions),
+                    lambda decisions: bar.update(before, completed=decisions, visible=True),
                 )
             )  # fmt: skip
     typer.echo(f"{counted(len(rows), 'checkpoint')}; the best is {out / 'best.zip'}, described in {out / 'best.md'}")

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from lanebound.integrity.config import Config
     from lanebound.integrity.errors import InputError
 
-__all__ = ["ABOUT", "AGENTS", "About", "make_agent", "unknown_agent"]
+__all__ = ["ABOUT", "AGENTS", "REMEMBERING", "About", "make_agent", "unknown_agent"]
 
 AGENTS = {
     "cautious": "lanebound.agents.drivers.margins:make_cautious",
@@ -72,6 +72,8 @@ ABOUT = {
     "stop_on_alert": About("cruise, stops while an alert is on", "position, alert", "stops", ANY),
 }
 """Every name of ``AGENTS`` in words: what ``lanebound agents`` shows."""
+REMEMBERING = ("cbf", "mpc")
+"""Those that reckon with what they commanded last, and go wrong where somebody else's commands are carried out."""
 
 
 def make_agent(name: str, env: DrivingEnv, figures: Mapping[str, Any] | None = None) -> Driver:

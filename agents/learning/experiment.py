@@ -8,20 +8,18 @@ from typing import Any, Self
 
 from pydantic import field_validator, model_validator
 
-from lanebound.agents.drivers import AGENTS
+from lanebound.agents.drivers import AGENTS, REMEMBERING, unknown_agent
 from lanebound.agents.episodes.opening import full_id, open_env
 from lanebound.agents.learning.multiplier import MultiplierConfig
 from lanebound.agents.named import load_named
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.config import Config, Field, deep_merge
 from lanebound.integrity.errors import ConfigError
-from lanebound.integrity.presets import nearest
 
 __all__ = ["FLAT", "Algorithm", "ExperimentConfig", "ImitationConfig", "Shield", "load_experiment"]
 
 FOLDER = "experiments/"
 FLAT: dict[str, Any] = {"observation": {"form": "flat"}}
-REMEMBERING = ("cbf", "mpc")  # agents that reckon with what they commanded last
 
 
 class Algorithm(StrEnum):
@@ -58,7 +56,7 @@ class ImitationConfig(Config):
     @classmethod
     def _driver_exists(cls, name: str) -> str:
         if name not in AGENTS:
-            raise ConfigError(f"driver '{name}' is unknown: {nearest(name, AGENTS)} (see 'lanebound agents')")
+            raise ConfigError(str(unknown_agent(name)))
         if name in REMEMBERING:
             raise ConfigError(f"driver must have no memory of its commands, got '{name}': others drive by what it says")
         return name
