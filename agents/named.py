@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from lanebound.integrity.config import Config, preset_names
 from lanebound.integrity.errors import ConfigError
-from lanebound.integrity.presets import load_preset, nearest, parse_yaml
+from lanebound.integrity.presets import load_file, load_preset, nearest
 
 __all__ = ["load_named"]
 
@@ -33,14 +33,8 @@ def load_named(
     """
     changes = overrides or {}
     if name.endswith((".yaml", ".yml")):
-        try:
-            data = parse_yaml(Path(name).read_text(encoding="utf-8"), name)
-        except OSError as error:
-            raise ConfigError(
-                f"{what} must be a file that can be read, got {name} ({error}): correct the path"
-            ) from None
-        if isinstance(data, Mapping):
-            data = {key: value for key, value in data.items() if key != "kind"}
+        data = load_file(Path(name), what)
+        data.pop("kind", None)
         return kind.build(data, changes)
     presets = [preset for preset in preset_names() if preset.startswith(folder)]
     known = [p.removeprefix(folder) for p in presets if called is None or load_preset(p).get("kind") == called]

@@ -531,6 +531,20 @@ def _epoch(  # type: ignore[no-untyped-def]
     if not measured:
         x[VEL_E], x[VEL_N] = v_ss * math.sin(x[HEADING] + slip), v_ss * math.cos(x[HEADING] + slip)
 
+    _tell(
+        v, mode, status, doubted, x, (sin_h, cos_h, dt), growth, fixed.head, (hdop_rtk, hdop_doppler), pl, alert_limits,
+        alert, reason, onset, clear, out, covariance,
+    )  # fmt: skip
+    out[O_SATELLITES], out[O_DOPPLER], out[O_EXCLUDED] = n_rtk, n_doppler, excluded_rtk + excluded_doppler
+    out[O_WRONG] = wrong
+
+
+@jit
+def _tell(  # type: ignore[no-untyped-def]
+    v, mode, status, doubted, x, now, growth, head, hdop, pl, alert_limits, alert, reason, onset, clear, out, covariance
+):
+    """What vehicle v makes known of its state, and whether it alerts; ``now`` is (sin_h, cos_h, dt)."""
+    sin_h, cos_h, dt = now
     sigma_at, sigma_ct, _, _ = sigma_and_bias(sin_h, cos_h, False, growth)
     if mode == RTK:
         sigma_at, sigma_ct = head[SIGMA0_AT], head[SIGMA0_CT]
@@ -542,9 +556,7 @@ def _epoch(  # type: ignore[no-untyped-def]
     )
     out[O_MODE], out[O_RTK], out[O_AVAILABLE] = mode, status, available
     out[O_SIGMA_AT], out[O_SIGMA_CT] = sigma_at, sigma_ct
-    out[O_HDOP] = hdop_rtk if mode == RTK else hdop_doppler
-    out[O_SATELLITES], out[O_DOPPLER], out[O_EXCLUDED] = n_rtk, n_doppler, excluded_rtk + excluded_doppler
-    out[O_WRONG] = wrong
+    out[O_HDOP] = hdop[0] if mode == RTK else hdop[1]
     covariance[0, 0], covariance[1, 1] = growth[G_EE], growth[G_NN]
     covariance[0, 1] = covariance[1, 0] = growth[G_EN]
 

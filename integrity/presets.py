@@ -8,11 +8,12 @@ from collections.abc import Collection, Hashable, Iterable, Mapping
 from functools import cache
 from importlib import resources
 from importlib.resources.abc import Traversable
+from pathlib import Path
 from typing import Any
 
 from lanebound.integrity.errors import ConfigError
 
-__all__ = ["deep_merge", "load_preset", "nearest", "parse_assignments", "parse_yaml", "preset_names"]
+__all__ = ["deep_merge", "load_file", "load_preset", "nearest", "parse_assignments", "parse_yaml", "preset_names"]
 
 PRESET_PACKAGE = "lanebound.configs"
 FEW = 8  # presets, that a message may name
@@ -52,7 +53,8 @@ def _yaml_loader() -> Any:
     class Loader(yaml.SafeLoader):
         def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
             seen = set()
-            for key in (self.construct_object(key, deep=True) for key, _ in node.value):
+            own = (key for key, _ in node.value if key.tag != "tag:yaml.org,2002:merge")  # not <<, which names no key
+            for key in (self.construct_object(key, deep=True) for key in own):
                 if not isinstance(key, Hashable):
                     continue  # refused by the safe loader itself
                 if key in seen:
@@ -154,6 +156,21 @@ def load_preset(name: str, overrides: Mapping[str, Any] | None = None) -> dict[s
     return deep_merge(_resolve(name, _presets(), ()), overrides or {})
 
 
+def load_file(path: Path, what: str) -> dict[str, Any]:
+    """The values of a preset that is a file of one's own, which may extend packaged ones; ``what`` it is in messages.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be read, is not a mapping of YAML, or extends what there is not.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{what} must be a file that can be read, got {path} ({error}): correct the path") from None
+    return _extended(text, str(path), _presets(), (str(path),))
+
+
 def _nearest_preset(name: str, presets: Iterable[str]) -> str:
     """Advice that names one preset, of which a part may be meant, or says where the many are listed."""
     names = list(presets)
@@ -170,15 +187,19 @@ def _resolve(name: str, presets: Mapping[str, Traversable], seen: tuple[str, ...
     if name not in presets:
         where = f" (extended by '{seen[-1]}')" if seen else ""
         raise ConfigError(f"preset '{name}'{where} is unknown: {_nearest_preset(name, presets)}")
-    data = parse_yaml(presets[name].read_text(encoding="utf-8"), f"preset '{name}'")
+    return _extended(presets[name].read_text(encoding="utf-8"), f"preset '{name}'", presets, (*seen, name))
+
+
+def _extended(text: str, source: str, presets: Mapping[str, Traversable], seen: tuple[str, ...]) -> dict[str, Any]:
+    data = parse_yaml(text, source)
     if not isinstance(data, Mapping):
-        raise ConfigError(f"preset '{name}' must be a mapping, got {type(data).__name__}: write lines 'key: value'")
+        raise ConfigError(f"{source} must be a mapping, got {type(data).__name__}: write lines 'key: value'")
     own = dict(data)
     parents = own.pop("extends", [])
     parents = [parents] if isinstance(parents, str) else parents
     if not isinstance(parents, list) or not all(isinstance(parent, str) for parent in parents):
-        raise ConfigError(f"extends of preset '{name}' must be a name or a list of names, got {parents!r}: correct it")
+        raise ConfigError(f"extends of {source} must be a name or a list of names, got {parents!r}: correct it")
     merged: dict[str, Any] = {}
     for parent in parents:
-        merged = deep_merge(merged, _resolve(parent, presets, (*seen, name)))
+        merged = deep_merge(merged, _resolve(parent, presets, seen))
     return deep_merge(merged, own)

@@ -53,6 +53,7 @@ class ArmConfig(Config):
     overrides: Mapping[str, Any] = Field({}, description="of the environment's configuration, merged deeply")
     algorithm: Algorithm = Field(Algorithm.PPO, description="how its policies are learnt")
     shield: Shield = Field(Shield.NONE, description="filter between policy and car")
+    experiment: Mapping[str, Any] = Field({}, description="what its trainings have of their own, over what all share")
     against: str | None = Field(None, description="arm that it is compared with; None: with none")
 
 
@@ -119,7 +120,8 @@ class Training(NamedTuple):
         """What is learnt, and how."""
         arm = study.arms[self.arm]
         own = {"env": self.env, "sky": self.sky, "algorithm": arm.algorithm, "shield": arm.shield, "seed": self.seed}
-        return ExperimentConfig.load(deep_merge(study.shared(self.env), {"overrides": arm.overrides}) | own)
+        shared = deep_merge(study.shared(self.env), arm.experiment)
+        return ExperimentConfig.load(deep_merge(shared, {"overrides": arm.overrides}) | own)
 
 
 class Course(NamedTuple):

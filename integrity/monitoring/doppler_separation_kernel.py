@@ -127,7 +127,7 @@ def advance_separations(dt: float, integrates: bool, had: bool, measured: bool, 
         elif a[STATE, k] > IDLE:
             a[C_E, k] *= phi
             a[C_N, k] *= phi
-    for row in range(W - U_E + 1):
+    for row in range(W - U_E + 1):  # NEW_E, NEW_N, NEW_W stand in the same order
         for k in range(a.shape[1]):
             a[U_E + row, k] = a[NEW_E + row, k] if measured else 0.0
 

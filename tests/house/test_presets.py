@@ -12,7 +12,15 @@ from hypothesis import strategies as st
 from lanebound.integrity import presets
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import ConfigError
-from lanebound.integrity.presets import deep_merge, load_preset, nearest, parse_assignments, parse_yaml, preset_names
+from lanebound.integrity.presets import (
+    deep_merge,
+    load_file,
+    load_preset,
+    nearest,
+    parse_assignments,
+    parse_yaml,
+    preset_names,
+)
 
 FILES = {
     "base.yaml": "kind: toy\nrisk: 1e-7\nrtk: {age_s: 30, bands: [1, 2]}\n",
@@ -82,6 +90,11 @@ def test_a_model_builds_from_its_preset():
     assert Toy.preset("city/dense", {"risk": 0.1}) == Toy(risk=0.1, rtk=Rtk(age_s=20.0, bands=(1, 2)))
 
 
+def test_mappings_may_be_merged_within_a_file():
+    text = "base: &base {age_s: 20, bands: [1]}\nother: {<<: *base, age_s: 30}\n"
+    assert parse_yaml(text, "test")["other"] == {"age_s": 30, "bands": [1]}
+
+
 @pytest.mark.parametrize(
     ("text", "value"), [("1e-7", 1e-7), ("-2.5E+3", -2500.0), (".5e1", 5.0), ("3", 3), ("1e", "1e"), ("e7", "e7")]
 )
@@ -138,3 +151,26 @@ def test_a_merged_copy_shares_no_mapping():
     merged = deep_merge(base, override)
     merged["a"]["b"] = merged["c"]["d"] = 9
     assert (base, override) == ({"a": {"b": 1}}, {"c": {"d": 2}})
+
+
+def test_a_file_of_ones_own_may_extend_packaged_presets(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("extends: city/dense\nspeed_mps: 3\n", encoding="utf-8")
+    assert load_file(path, "drive") == load_preset("city/dense", {"speed_mps": 3})
+
+
+@pytest.mark.parametrize(
+    ("written", "message"),
+    [
+        (b"extends: bse", r"^preset 'bse' \(extended by '.*mine.yaml'\) is unknown: did you mean 'base'\?$"),
+        (b"extends: 5", r"^extends of .*mine.yaml must be a name or a list of names, got 5: correct it$"),
+        (b"- 1", r"mine.yaml must be a mapping, got list: write lines 'key: value'$"),
+        (b"\xff", r"^drive must be a file that can be read, got .*mine.yaml .*: correct the path$"),
+        (None, r"^drive must be a file that can be read, got .*mine.yaml .*: correct the path$"),
+    ],
+)
+def test_a_file_that_cannot_be_read_or_extends_nothing_is_refused(tmp_path, written, message):
+    if written is not None:
+        (tmp_path / "mine.yaml").write_bytes(written)
+    with pytest.raises(ConfigError, match=message):
+        load_file(tmp_path / "mine.yaml", "drive")

@@ -118,6 +118,18 @@ def test_an_environment_may_have_trainings_of_its_own_kind() -> None:
         small(by_env={"UrbanCanyn": {}})
 
 
+def test_an_arm_may_learn_in_a_way_of_its_own() -> None:
+    shown = {"driver": "nominal", "rounds": 1, "decisions": 10}
+    slow = {"overrides": {"sky": "open"}, "experiment": {"imitation": shown, "settings": {"n_epochs": 2}}}
+    study = small(arms={"slow": slow, "blind": {}}, by_env={"CarFollowing": {"settings": {"n_steps": 8}}})
+    own, shared = (one.experiment(study) for one in plan(study).trainings)
+    assert own.imitation is not None
+    assert (own.imitation.driver, shared.imitation) == ("nominal", None)
+    assert own.settings == {"n_steps": 8, "batch_size": 16, "n_epochs": 2}
+    assert shared.settings == {"n_steps": 8, "batch_size": 16, "n_epochs": 1}
+    assert own.overrides == {**STILL, "sky": "open"}
+
+
 def test_the_filter_is_left_out_where_actions_do_not_accelerate() -> None:
     course = plan(small(envs=["UrbanCanyon", "CarFollowing"]))
     assert course.left_out == (("UrbanCanyon-v0", "filtered"),)
