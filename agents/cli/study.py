@@ -83,11 +83,13 @@ def _report(found: dict[str, Any], out: Path, as_json: bool) -> None:
         return
     for place in found["places"]:
         rows = [
-            (arm, str(len(of["seeds"])), *(_spread(of["means"][key]) for key in SHOWN))
+            (arm, str(len(of["seeds"])), str(of["kept"]), *(_spread(of["means"][key]) for key in SHOWN))
             for arm, of in place["arms"].items()
         ]
-        rows += [(agent, "", *(_short(means.get(key)) for key in SHOWN)) for agent, means in place["beside"].items()]
-        headings = ("arm", "trained", *(key.replace("_", " ") for key in SHOWN))
+        rows += [
+            (agent, "", "", *(_short(means.get(key)) for key in SHOWN)) for agent, means in place["beside"].items()
+        ]
+        headings = ("arm", "trained", "kept limit", *(key.replace("_", " ") for key in SHOWN))
         print_table(f"{place['env']}, {place['sky']}: means over trainings, 95 %", headings, rows)
         differences = [
             (f"{arm} - {other}", *(_tested(less[key]) for key in PRIMARY))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import closing
 from enum import StrEnum
 from typing import Any, Self
 
@@ -120,6 +121,13 @@ class ExperimentConfig(Config):
     def open(self) -> DrivingEnv:
         """The environment, without the shield."""
         return open_env(self.env, self.env_overrides)
+
+    def limit(self) -> float:
+        """What an episode may cost: the limit that is named, or the environment's own."""
+        if self.cost_limit is not None:
+            return self.cost_limit
+        with closing(self.open()) as env:
+            return env.config.cost_limit
 
 
 def load_experiment(name: str, overrides: Mapping[str, Any] | None = None) -> ExperimentConfig:

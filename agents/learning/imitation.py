@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import closing
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -24,11 +24,18 @@ from lanebound.agents.drivers.base import Driver
 from lanebound.agents.learning.experiment import ExperimentConfig, ImitationConfig
 from lanebound.agents.learning.opening import episode_seeds
 
-__all__ = ["imitate", "imitated_driver"]
+__all__ = ["Teacher", "imitate", "teacher_of"]
 
 
-def imitated_driver(experiment: ExperimentConfig) -> Driver | None:
-    """Whom the policy is to begin from, ready to drive; None where it begins from nothing.
+class Teacher(NamedTuple):
+    """Whom a policy begins from, ready to drive, and how it is shown."""
+
+    driver: Driver
+    lessons: ImitationConfig
+
+
+def teacher_of(experiment: ExperimentConfig) -> Teacher | None:
+    """Whom the policy is to begin from; None where it begins from nothing.
 
     Raises
     ------
@@ -38,55 +45,55 @@ def imitated_driver(experiment: ExperimentConfig) -> Driver | None:
     if experiment.imitation is None:
         return None
     with closing(experiment.open()) as single:
-        return make_agent(experiment.imitation.driver, single)
+        return Teacher(make_agent(experiment.imitation.driver, single), experiment.imitation)
 
 
 def imitate(
     experiment: ExperimentConfig,
-    config: ImitationConfig,
-    driver: Driver,
+    teacher: Teacher,
     model: BaseAlgorithm,
     env: VecEnv,
     stepped: Callable[[int], None] = lambda decisions: None,
 ) -> list[float]:
-    """Fit what the policy of ``model`` does without its noise to a driver; returns the mean loss after each round.
+    """Fit what the policy of ``model`` does without its noise to its teacher; returns the mean loss after each round.
 
     Parameters
     ----------
     env : of the experiment; the episodes are none of those learnt from by reward, nor of those judged by
     stepped : called with the decisions so far, at every step
     """
+    driver, lessons = teacher
     env.seed(episode_seeds(experiment, 0, "imitation"))
     seen: list[NDArray[np.float32]] = []
     said: list[NDArray[Any]] = []
     observations: Any = env.reset()
     starts, state = np.ones(env.num_envs, dtype=np.bool_), None
-    optimiser = torch.optim.Adam(model.policy.parameters(), lr=config.learning_rate)
+    optimiser = torch.optim.Adam(model.policy.parameters(), lr=lessons.learning_rate)
     losses = []
-    for turn in range(config.rounds):
-        for _ in range(-(-config.decisions // env.num_envs)):
+    for turn in range(lessons.rounds):
+        for _ in range(-(-lessons.decisions // env.num_envs)):
             wanted, state = driver.predict(observations, state, starts)
             seen.append(np.array(observations, dtype=np.float32))
             said.append(np.array(wanted))
             actions = wanted if turn == 0 else model.predict(observations, deterministic=True)[0]
             observations, _, starts, _ = env.step(np.asarray(actions))
             stepped(len(seen) * env.num_envs)
-        losses.append(_fit(model, np.concatenate(seen), np.concatenate(said), config, optimiser))
+        losses.append(_fit(model, np.concatenate(seen), np.concatenate(said), lessons, optimiser))
     return losses
 
 
 def _fit(
-    model: BaseAlgorithm, seen: NDArray[np.float32], said: NDArray[Any], config: ImitationConfig, optimiser: Any
+    model: BaseAlgorithm, seen: NDArray[np.float32], said: NDArray[Any], lessons: ImitationConfig, optimiser: Any
 ) -> float:
     """Some epochs over all that was said; the mean loss of the last."""
     given, wanted = torch.as_tensor(seen, device=model.device), torch.as_tensor(said, device=model.device)
     losses: list[float] = []
     model.policy.set_training_mode(True)
-    for _ in range(config.epochs):
+    for _ in range(lessons.epochs):
         losses = []
         order = torch.randperm(len(given), device=model.device)
-        for begin in range(0, len(order), config.batch_size):
-            rows = order[begin : begin + config.batch_size]
+        for begin in range(0, len(order), lessons.batch_size):
+            rows = order[begin : begin + lessons.batch_size]
             loss = _misfit(model, given[rows], wanted[rows])
             optimiser.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]

@@ -28,7 +28,7 @@ from lanebound.agents.episodes.opening import full_id
 from lanebound.agents.kept import claim, run_parts, write_whole
 from lanebound.agents.learning.evaluation import drive_all
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig, Shield
-from lanebound.agents.learning.imitation import imitated_driver
+from lanebound.agents.learning.imitation import teacher_of
 from lanebound.agents.learning.study_tables import adjust, means_of, summarise
 from lanebound.agents.learning.training import load_model, one_thread, train
 from lanebound.agents.named import load_named
@@ -166,7 +166,7 @@ def plan(study: LearningStudyConfig) -> Course:
     )
     for one in trainings:
         if one.seed == 0 and one.sky == study.skies[0]:
-            imitated_driver(one.experiment(study))
+            teacher_of(one.experiment(study))
     return Course(trainings, left_out)
 
 
@@ -267,6 +267,7 @@ def _written(
                 **summarise(
                     [part for part in done.values() if (part["env"], part["sky"]) == (env, sky)],
                     {name: arm.against for name, arm in study.arms.items()},
+                    ExperimentConfig.load({**study.shared(env), "env": env, "sky": sky}).limit(),
                 ),
                 "beside": means_of(results),
             }

@@ -32,7 +32,7 @@ from lanebound.agents.kept import write_whole
 from lanebound.agents.learning.card import write_card
 from lanebound.agents.learning.evaluation import evaluate
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig
-from lanebound.agents.learning.imitation import imitate, imitated_driver
+from lanebound.agents.learning.imitation import imitate, teacher_of
 from lanebound.agents.learning.opening import episode_seeds, for_learning
 from lanebound.agents.plain import finite_or_none
 from lanebound.envs.costs import CAUSES
@@ -91,13 +91,13 @@ def train(
     InputError
         ``out`` holds another experiment, or the environment does not suit the algorithm.
     """
-    driver = imitated_driver(experiment)
+    teacher = teacher_of(experiment)
     progress = _claim(experiment, out)
     with closing(for_learning(experiment, processes)) as env, one_thread():
         model = _model(experiment, env, out)
         begun = (out / LAST).exists()
-        if experiment.imitation is not None and driver is not None and not begun:
-            imitate(experiment, experiment.imitation, driver, model, env, imitated)
+        if teacher is not None and not begun:
+            imitate(experiment, teacher, model, env, imitated)
             begun = True
         if begun and all(row["steps"] != model.num_timesteps for row in progress):
             told(_checkpoint(experiment, model, out, progress))  # or it was kept when the last run was stopped
@@ -150,10 +150,6 @@ def _class(algorithm: Algorithm) -> Any:
         ) from None
 
 
-def _limit(experiment: ExperimentConfig) -> float:
-    return experiment.open().config.cost_limit if experiment.cost_limit is None else experiment.cost_limit
-
-
 def _model(experiment: ExperimentConfig, env: VecEnv, out: Path) -> BaseAlgorithm:
     logs = str(out / "logs") if find_spec("tensorboard") else None
     if (out / LAST).exists():
@@ -164,7 +160,7 @@ def _model(experiment: ExperimentConfig, env: VecEnv, out: Path) -> BaseAlgorith
         return model
     settings: dict[str, Any] = {"seed": experiment.seed, "device": "cpu", "tensorboard_log": logs}
     if experiment.algorithm.constrained:
-        settings |= {"cost_limit": _limit(experiment), "multiplier": experiment.multiplier}
+        settings |= {"cost_limit": experiment.limit(), "multiplier": experiment.multiplier}
     policy = "MlpLstmPolicy" if experiment.algorithm is Algorithm.RECURRENT_PPO else "MlpPolicy"
     try:
         made: BaseAlgorithm = _class(experiment.algorithm)(policy, env, **{**settings, **experiment.settings})
@@ -230,7 +226,7 @@ def _whole(path: Path, save: Callable[[Path], None]) -> None:
 def _limit_of_best(experiment: ExperimentConfig) -> float:
     """What the best checkpoint must keep: the limit where learning heeds one or one is named, else nothing."""
     heeded = experiment.algorithm.constrained or experiment.cost_limit is not None
-    return _limit(experiment) if heeded else math.inf
+    return experiment.limit() if heeded else math.inf
 
 
 def is_best(progress: list[dict[str, Any]], limit: float) -> bool:

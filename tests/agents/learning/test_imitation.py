@@ -16,7 +16,7 @@ from lanebound.agents.drivers import make_agent
 from lanebound.agents.learning import training
 from lanebound.agents.learning.evaluation import evaluate
 from lanebound.agents.learning.experiment import ExperimentConfig, ImitationConfig
-from lanebound.agents.learning.imitation import imitate, imitated_driver
+from lanebound.agents.learning.imitation import imitate, teacher_of
 from lanebound.agents.learning.opening import episode_seeds, for_learning
 from lanebound.agents.learning.study import LearningStudyConfig, plan
 from lanebound.agents.learning.training import Checkpoint, one_thread, train
@@ -60,7 +60,7 @@ def test_the_policy_comes_to_do_what_the_driver_does(env: str, driver: str, epoc
         before, earned = _apart(config, model, driver)[0], evaluate(config, model)["return"]
         shown = ImitationConfig(driver=driver, rounds=3, decisions=3200, epochs=epochs)
         config = config.replace(imitation=shown)
-        losses = imitate(config, shown, imitated_driver(config), model, learning)
+        losses = imitate(config, teacher_of(config), model, learning)
         after, constant = _apart(config, model, driver)
     assert len(losses) == 3
     assert after < min(share * constant, 0.7 * before)
