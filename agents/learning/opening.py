@@ -44,9 +44,9 @@ def for_learning(experiment: ExperimentConfig, processes: int) -> VecEnv:
 def episode_seeds(experiment: ExperimentConfig, steps: int, purpose: str = "traffic") -> int:
     """Seed of the first environment of a training that begins or goes on after so many steps; the others count on.
 
-    No two trainings share episodes, none meets those of evaluations and benchmarks, and none meets its own again when
-    it is resumed, or when it goes over to another purpose: the seed is drawn by the training's, by the steps and by a
-    stream of that name, above all seeds that splits name.
+    No trainings of different seeds share episodes, none meets those of evaluations and benchmarks, and none meets its
+    own again when it is resumed, or when it goes over to another purpose: the seed is drawn by the training's, by the
+    steps and by a stream of that name, above all seeds that splits name.
     """
     least = max(max(split) for split in SPLITS.values()) + 1
     drawn = named_generator([experiment.seed, steps], purpose).integers(least, 2**31 - experiment.count)

@@ -267,7 +267,7 @@ def _written(
                 **summarise(
                     [part for part in done.values() if (part["env"], part["sky"]) == (env, sky)],
                     {name: arm.against for name, arm in study.arms.items()},
-                    ExperimentConfig.load({**study.shared(env), "env": env, "sky": sky}).limit(),
+                    {arm: Training(env, sky, arm, 0).experiment(study).limit() for arm in study.arms},
                 ),
                 "beside": means_of(results),
             }

@@ -27,11 +27,13 @@ RATES = ("over_cost_limit", "collision", "off_road", "lane_departure")
 Array = NDArray[np.float64]
 
 
-def summarise(parts: Sequence[Mapping[str, Any]], arms: Mapping[str, str | None], limit: float) -> dict[str, Any]:
+def summarise(
+    parts: Sequence[Mapping[str, Any]], arms: Mapping[str, str | None], limits: Mapping[str, float]
+) -> dict[str, Any]:
     """Of each arm the mean over its trainings with a 95 % interval, and its paired difference from another (or None).
 
-    Trainings with the same seed are paired. ``kept`` counts those whose episodes cost at most ``limit`` in the mean.
-    ``parts`` are the finished trainings of a place, each with its ``arm``, ``seed`` and ``episodes`` as
+    Trainings with the same seed are paired. ``kept`` counts those whose episodes cost at most the arm's of ``limits``
+    in the mean. ``parts`` are the finished trainings of a place, each with its ``arm``, ``seed`` and ``episodes`` as
     :func:`~.evaluation.drive_all` has them.
     """
     episodes = sum(len(part["episodes"]) for part in parts) // max(len(parts), 1)
@@ -40,7 +42,7 @@ def summarise(parts: Sequence[Mapping[str, Any]], arms: Mapping[str, str | None]
         "arms": {
             arm: {
                 "seeds": sorted(trainings),
-                "kept": sum(means["cost"] <= limit for means in trainings.values()),
+                "kept": sum(means["cost"] <= limits[arm] for means in trainings.values()),
                 "means": {key: _estimate(trainings, key, episodes * len(trainings)) for key in SHOWN},
                 "less": {other: _differences(trainings, by_arm[other])} if (other := arms[arm]) is not None else {},
             }

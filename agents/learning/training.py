@@ -190,6 +190,8 @@ def _claim(experiment: ExperimentConfig, out: Path) -> list[dict[str, Any]]:
         write_whole(mark, wanted)
         kept, progress = (out / LAST).exists(), out / "progress.json"
         return json.loads(progress.read_text(encoding="utf-8")) if kept and progress.exists() else []
+    except InputError:
+        raise
     except (OSError, ValueError) as error:
         raise InputError(f"out must be a folder that can be written, got {out} ({error}): choose another") from error
 

@@ -22,6 +22,10 @@ def _id_of(base: str) -> str:
     return next(name for name in IDS if open_env(name).config.base == base)
 
 
+def test_every_id_has_one() -> None:
+    assert {_id_of(base) for base in policies()} == set(IDS)
+
+
 @pytest.mark.parametrize("base", sorted(policies()))
 def test_each_drives_the_id_that_it_was_learnt_in(base: str) -> None:
     name = _id_of(base)

@@ -154,14 +154,14 @@ def test_a_training_is_one_draw_however_many_episodes_its_policy_drives() -> Non
         return {"arm": arm, "seed": seed, "episodes": episodes}
 
     parts = [part(arm, seed, cost) for arm, cost in (("blind", 10.0), ("seeing", 4.0)) for seed in range(5)]
-    found = summarise(parts, {"blind": None, "seeing": "blind", "unlearnt": "blind"}, 6.0)
+    found = summarise(parts, {"blind": None, "seeing": "blind", "unlearnt": "blind"}, {"blind": 13.0, "seeing": 6.0})
     assert list(found["arms"]) == ["blind", "seeing"]
     mean = found["arms"]["seeing"]["means"]["cost"]
     assert mean["n"] == 5
     assert mean["mean"] == pytest.approx(np.mean([4.0, 5.0, 6.0, 7.0, 8.0]))
     less = found["arms"]["seeing"]["less"]["blind"]["cost"]
     assert (less["n"], less["difference"]) == (5, pytest.approx(-6.0))
-    assert [of["kept"] for of in found["arms"].values()] == [0, 3]
+    assert [of["kept"] for of in found["arms"].values()] == [4, 3]
 
 
 def test_few_trainings_have_intervals_and_tests_and_many_tests_are_adjusted() -> None:
@@ -170,7 +170,7 @@ def test_few_trainings_have_intervals_and_tests_and_many_tests_are_adjusted() ->
 
     cost = {"blind": (10.0, 12.0, 11.0), "seeing": (4.0, 5.5, 4.6)}
     parts = [part(arm, seed, cost=value) for arm in cost for seed, value in enumerate(cost[arm])]
-    place = summarise(parts, {"blind": None, "seeing": "blind"}, 5.0)
+    place = summarise(parts, {"blind": None, "seeing": "blind"}, {"blind": 5.0, "seeing": 5.0})
     mean, crashes = (place["arms"]["seeing"]["means"][key] for key in ("cost", "collision"))
     gap = np.subtract(cost["seeing"], cost["blind"])
     assert [mean["low"], mean["high"]] == pytest.approx(t_interval(cost["seeing"]))
@@ -180,7 +180,9 @@ def test_few_trainings_have_intervals_and_tests_and_many_tests_are_adjusted() ->
     assert less["cost"]["p"] == pytest.approx(ttest_1samp(gap, 0.0).pvalue)
     assert (less["return"]["difference"], less["return"]["p"]) == (0.0, 1.0)
     alike = [part(arm, seed, cost=float(arm == "blind")) for arm in cost for seed in range(3)]
-    always = summarise(alike, {"blind": None, "seeing": "blind"}, 5.0)["arms"]["seeing"]["less"]["blind"]["cost"]
+    always = summarise(alike, {"blind": None, "seeing": "blind"}, {"blind": 5.0, "seeing": 5.0})["arms"]["seeing"][
+        "less"
+    ]["blind"]["cost"]
     assert (always["difference"], always["p"]) == (-1.0, 0.25), "three that agree prove little"
     adjust([place, {"arms": {"seeing": {"less": {}}}}])
     assert less["cost"]["p_holm"] == pytest.approx(3.0 * less["cost"]["p"])
