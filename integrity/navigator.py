@@ -55,6 +55,7 @@ from lanebound.integrity.truth_kernel import all_finite
 __all__ = ["Form", "Measurements", "Navigator", "NavigatorConfig", "NavigatorState", "PlCase"]
 
 Array = NDArray[np.float64]
+LEVER_RISK_SHARE = 0.01  # of the smallest risk, for the heading by which an antenna tells of the reference point
 
 
 class Form(Enum):
@@ -468,11 +469,13 @@ class _Tables:
         published = np.array([case.variant is Variant.PUBLISHED for case in cases])
         total = np.array([case.integrity_risk for case in cases])
         wrong_fix = c.positioning.rtk.ambiguity_risk_share * total.min()
-        budgets = c.risk.axis_budgets(total, c.risk.unmonitored_risk + wrong_fix)
+        of_lever = LEVER_RISK_SHARE * total.min() if any(c.positioning.lever_arm_m) else 0.0
+        spent = c.risk.unmonitored_risk + of_lever
+        budgets = c.risk.axis_budgets(total, spent + wrong_fix)
         k_dead = np.where(published[:, None], upper_quantile(total)[:, None], upper_quantile(0.5 * budgets))
         r = c.risk
         return cls(
-            par=_declared(c),
+            par=_declared(c, of_lever),
             rtk_par=declared_rtk(
                 c.positioning.rtk, c.positioning.slips, len(c.gnss.bands), min(case.integrity_risk for case in c.cases)
             ),
@@ -497,7 +500,7 @@ class _Tables:
                     )
                 ]
             ),
-            spent=r.unmonitored_risk,
+            spent=spent,
             priors=np.stack(r.priors()),
             k_fa=np.stack([false_alarm_factor(r.false_alarm, modes, v) for v in (Variant.EXACT, Variant.PUBLISHED)]),
             k_published=upper_quantile(total),
@@ -509,8 +512,8 @@ class _Tables:
         )
 
 
-def _declared(c: NavigatorConfig) -> Array:
-    """The declared figures in the columns of the kernel's ``par``."""
+def _declared(c: NavigatorConfig, of_lever: float) -> Array:
+    """The declared figures in the columns of the kernel's ``par``; ``of_lever`` is the risk spent on its heading."""
     r, d, h, o = c.positioning.rtk, c.positioning.doppler, c.positioning.heading, c.positioning.dead_reckoning
     values: dict[int, Any] = {
         nk.DT: c.dt_s, nk.CN0_KNEE: r.cn0_knee_dbhz, nk.REFERENCE_BIAS: r.reference_bias_m, nk.CONFIRM: r.confirm_s,
@@ -523,6 +526,7 @@ def _declared(c: NavigatorConfig) -> Array:
         nk.ODO_SCALE: o.odometer_scale, nk.STILL_SPEED: o.standstill_speed_mps,
         nk.FAULT_DURATION: c.risk.fault_duration_s,
         nk.LEVER_FORWARD: c.positioning.antenna_forward_m, nk.LEVER_RIGHT: c.positioning.antenna_right_m,
+        nk.LEVER_K: upper_quantile(0.5 * min(c.risk.at_share, 1.0 - c.risk.at_share) * of_lever) if of_lever else 0.0,
         nk.AXLE: c.positioning.axle_m,
         nk.AFTER_JUMP: r.jump_quarantine_s, nk.AFTER_OUTAGE: r.return_quarantine_s,
     }  # fmt: skip

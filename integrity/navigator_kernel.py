@@ -141,8 +141,9 @@ TEST_FAILED_CAUSE, INITIALISING_CAUSE = 5, 7  # codes of AlertReason
     AXLE,
     AFTER_JUMP,
     AFTER_OUTAGE,
-) = range(25)
-WATCH_LIMITS = 25  # first of LIMITS
+    LEVER_K,
+) = range(26)
+WATCH_LIMITS = 26  # first of LIMITS
 NP = WATCH_LIMITS + LIMITS
 
 # columns of ``start``, what the last RTK position left to each case: a bound beside ``K sigma``, the whole level [m]
@@ -403,7 +404,7 @@ def advance(x, growth, par, mode, v_e, v_n, q, v_ss, middle, carry, resting):  #
     s, c = math.sin(middle), math.cos(middle)
     x[EAST] += dt * v_ss * s
     x[NORTH] += dt * v_ss * c
-    b_theta = min(par[HEADING_BIAS] + par[HEADING_DRIFT] * x[SINCE_CAL], math.pi)
+    b_theta = heading_bias(x, par)
     bias = par[ODO_BIAS] + par[ODO_SCALE] * abs(v_ss)
     step_odometer(
         dt, v_ss, s, c, par[ODO_SIGMA], bias, b_theta, phi_d, phi_o, variance, carry, False, growth
@@ -411,10 +412,31 @@ def advance(x, growth, par, mode, v_e, v_n, q, v_ss, middle, carry, resting):  #
 
 
 @jit
+def heading_bias(x, par):  # type: ignore[no-untyped-def]
+    """Bound on what no filter knows of the heading's error [rad]; before the first calibration nothing is known."""
+    if not x[SINCE_CAL] < math.inf:
+        return math.pi
+    return min(par[HEADING_BIAS] + par[HEADING_DRIFT] * x[SINCE_CAL], math.pi)
+
+
+@jit
 def reference_point(head, par, sin_h, cos_h):  # type: ignore[no-untyped-def]
     """East and North of the vehicle, of whose antenna ``head`` tells [m]."""
     forward, right = par[LEVER_FORWARD], par[LEVER_RIGHT]
     return head[X_E] - sin_h * forward - cos_h * right, head[X_N] - cos_h * forward + sin_h * right
+
+
+@jit
+def lever_bounds(x, par):  # type: ignore[no-untyped-def]
+    """Bounds on what a wrong heading does to the reference point, told from the antenna, along and across [m].
+
+    A lever (f, r) turned by theta moves ``f (cos theta - 1) - r sin theta`` along, ``f sin theta + r (cos theta - 1)``
+    across, and by twice its length at most.
+    """
+    theta = min(par[LEVER_K] * math.sqrt(x[P_HH]) + heading_bias(x, par), math.pi)
+    f, r = abs(par[LEVER_FORWARD]), abs(par[LEVER_RIGHT])
+    most, turned = 2.0 * math.hypot(f, r), 0.5 * theta * theta
+    return min(r * theta + f * turned, most), min(f * theta + r * turned, most)
 
 
 @jit
@@ -510,6 +532,9 @@ def _epoch(  # type: ignore[no-untyped-def]
     if confirmed and rtk_usable(hdop_rtk, mode_limits):
         levels_rtk(n_rtk, fixed.rows, fixed.group, sin_h, cos_h, risks, shares, spent + wrong, priors, k_fa,
                    k_published, shift, fixed.geo, head, columns, found)  # fmt: skip
+        lever_at, lever_ct = lever_bounds(x, par)
+        found[:, 0] += lever_at
+        found[:, 1] += lever_ct
         verdict = judge_rtk(x, par, head, sin_h, cos_h, pl, found)
         if verdict == ACCEPTED:
             mode, pl[:] = RTK, found
@@ -532,7 +557,7 @@ def _epoch(  # type: ignore[no-untyped-def]
         x[VEL_E], x[VEL_N] = v_ss * math.sin(x[HEADING] + slip), v_ss * math.cos(x[HEADING] + slip)
 
     _tell(
-        v, mode, status, doubted, x, (sin_h, cos_h, dt), growth, fixed.head, (hdop_rtk, hdop_doppler), pl, alert_limits,
+        v, mode, status, doubted, x, par, sin_h, cos_h, growth, fixed.head, (hdop_rtk, hdop_doppler), pl, alert_limits,
         alert, reason, onset, clear, out, covariance,
     )  # fmt: skip
     out[O_SATELLITES], out[O_DOPPLER], out[O_EXCLUDED] = n_rtk, n_doppler, excluded_rtk + excluded_doppler
@@ -541,24 +566,31 @@ def _epoch(  # type: ignore[no-untyped-def]
 
 @jit
 def _tell(  # type: ignore[no-untyped-def]
-    v, mode, status, doubted, x, now, growth, head, hdop, pl, alert_limits, alert, reason, onset, clear, out, covariance
-):
-    """What vehicle v makes known of its state, and whether it alerts; ``now`` is (sin_h, cos_h, dt)."""
-    sin_h, cos_h, dt = now
+    v, mode, status, doubted, x, par, sin_h, cos_h, growth, head, hdop, pl, alert_limits, alert, reason, onset, clear,
+    out, covariance,
+):  # fmt: skip
+    """What vehicle v makes known of its state, and whether it alerts."""
+    forward, right, variance = par[LEVER_FORWARD], par[LEVER_RIGHT], x[P_HH]
+    turned_e, turned_n = sin_h * right - cos_h * forward, cos_h * right + sin_h * forward  # of a radian of heading
     sigma_at, sigma_ct, _, _ = sigma_and_bias(sin_h, cos_h, False, growth)
     if mode == RTK:
-        sigma_at, sigma_ct = head[SIGMA0_AT], head[SIGMA0_CT]
+        sigma_h = math.sqrt(variance)
+        sigma_at, sigma_ct = (
+            math.hypot(head[SIGMA0_AT], right * sigma_h),
+            math.hypot(head[SIGMA0_CT], forward * sigma_h),
+        )
     cause = INITIALISING_CAUSE if mode == NONE else 0
     if doubted or (x[UNBOUNDED] > 0.0 and mode != RTK and mode != NONE):
         cause = TEST_FAILED_CAUSE
     available = alert_step(
-        v, cause, pl[0, 0], pl[0, 1], sigma_at, sigma_ct, dt, alert_limits, alert, reason, onset, clear
+        v, cause, pl[0, 0], pl[0, 1], sigma_at, sigma_ct, par[DT], alert_limits, alert, reason, onset, clear
     )
     out[O_MODE], out[O_RTK], out[O_AVAILABLE] = mode, status, available
     out[O_SIGMA_AT], out[O_SIGMA_CT] = sigma_at, sigma_ct
     out[O_HDOP] = hdop[0] if mode == RTK else hdop[1]
-    covariance[0, 0], covariance[1, 1] = growth[G_EE], growth[G_NN]
-    covariance[0, 1] = covariance[1, 0] = growth[G_EN]
+    covariance[0, 0] = growth[G_EE] + turned_e * turned_e * variance
+    covariance[1, 1] = growth[G_NN] + turned_n * turned_n * variance
+    covariance[0, 1] = covariance[1, 0] = growth[G_EN] + turned_e * turned_n * variance
 
 
 @jit

@@ -1,4 +1,8 @@
-"""Parts of the bounding study, summed up: rates with exact intervals, where the papers' forms fail, rare risks."""
+"""Parts of the bounding study, summed up: rates with intervals, where the papers' forms fail, rare risks.
+
+The epochs of a geometry share its biases and its level, so that a rate over many is known no better than its spread
+between geometries: the intervals are the exact ones of the count, made wider where that spread asks for it.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +15,9 @@ from numpy.typing import NDArray
 from lanebound.integrity.assessment.bounding import clopper_pearson
 from lanebound.integrity.assessment.exceedance import STRATA, mean_and_deviation
 from lanebound.integrity.assessment.measurement_model import Form
+from lanebound.integrity.monitoring.risk import upper_quantile
 
-__all__ = ["PLACES", "rate_of", "summarise"]
+__all__ = ["PLACES", "rate_of", "rate_over", "summarise"]
 
 Array = NDArray[np.float64]
 Row = Mapping[str, Any]
@@ -50,6 +55,24 @@ def rate_of(events: int, trials: int) -> dict[str, Any]:
         return {"events": events, "trials": 0, "rate": None, "low": None, "high": None}
     low, high = clopper_pearson(events, trials, CONFIDENCE)
     return {"events": events, "trials": trials, "rate": events / trials, "low": low, "high": high}
+
+
+def rate_over(cases: Sequence[Row], events: Array, trials: Array) -> dict[str, Any]:
+    """The rate of ``cases`` together; events, trials (cases,). Its interval allows for the spread between geometries.
+
+    Biases are taken in turn, so that the spread is that within each share of them (a stratified ratio).
+    """
+    found = rate_of(int(events.sum()), int(trials.sum()))
+    if found["rate"] is None:
+        return found
+    share, variance = np.array([row["bias_share"] for row in cases]), 0.0
+    for one in np.unique(share):
+        c, n = events[share == one], trials[share == one]
+        if len(c) > 1 and n.any():
+            variance += len(c) * float(np.var(c - c.sum() / n.sum() * n, ddof=1))
+    half = float(upper_quantile(0.5 * (1.0 - CONFIDENCE))) * variance**0.5 / found["trials"]
+    low, high = min(found["low"], found["rate"] - half), max(found["high"], found["rate"] + half)
+    return found | {"low": max(low, 0.0), "high": min(high, 1.0)}
 
 
 def summarise(config: Mapping[str, Any], parts: Mapping[str, Row]) -> dict[str, Any]:
@@ -94,11 +117,11 @@ def _rates(cases: Sequence[Row], risks: Sequence[float]) -> dict[str, Any]:
     """By form and risk: rates along, across and of either, and which strata they are of."""
     out: dict[str, Any] = {}
     for form in Form:
-        count = np.sum([row["misleading"][form.name] for row in cases], 0)
-        trials = np.sum([row["available"][form.name] for row in cases], 0)
+        count = np.array([row["misleading"][form.name] for row in cases])
+        trials = np.array([row["available"][form.name] for row in cases])
         out[form.value] = {
-            f"{risk:g}": {axis: rate_of(int(count[r, a].sum()), int(trials[r])) for a, axis in enumerate(AXES)}
-            | {"by_stratum": {name: int(n) for name, n in zip(STRATA, count[r, 2], strict=True)}}
+            f"{risk:g}": {axis: rate_over(cases, count[:, r, a].sum(-1), trials[:, r]) for a, axis in enumerate(AXES)}
+            | {"by_stratum": {name: int(n) for name, n in zip(STRATA, count[:, r, 2].sum(0), strict=True)}}
             for r, risk in enumerate(risks)
         }
     return out

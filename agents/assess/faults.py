@@ -87,6 +87,11 @@ class Cell:
         """Name of its part."""
         return f"{self.kind.value}-{self.size:g}-{self.duration_s:g}s-{self.profile}"
 
+    @property
+    def ramp_s(self) -> float:
+        """How long a ramp takes to its size, at which it stays for the rest of the fault [s]."""
+        return 0.5 * self.duration_s
+
 
 def cells_of(config: FaultsConfig) -> list[Cell]:
     """Every kind x size x length x profile."""
@@ -158,7 +163,7 @@ def work_cell(config: FaultsConfig, cell: Cell) -> dict[str, Any]:
         faulty = drive_run(config.navigator, _seeds(config), duration, faults)
     limits = config.navigator.alert.limits
     found = measure_response(faulty, sound, onset, (limits.al_at_m, limits.al_ct_m))
-    place = asdict(cell) | {"kind": cell.kind.value, "in_blackout": bool(dark)}
+    place = asdict(cell) | {"kind": cell.kind.value, "ramp_s": cell.ramp_s, "in_blackout": bool(dark)}
     return place | _summed(found, config.navigator.alert.time_to_alert_s)
 
 
@@ -185,7 +190,7 @@ def _fault(cell: Cell, row: int, onset_s: float, sky: Any, high: np.ndarray) -> 
     """The fault of one vehicle: at the next of the high satellites, in a direction of its own."""
     data: dict[str, Any] = {
         "kind": cell.kind, "start_s": onset_s, "duration_s": cell.duration_s, "profile": cell.profile,
-        "ramp_s": 0.5 * cell.duration_s, "vehicle": row, "azimuth_deg": 67.0 * row % 360.0,
+        "ramp_s": cell.ramp_s, "vehicle": row, "azimuth_deg": 67.0 * row % 360.0,
     }  # fmt: skip
     if SIZES[cell.kind]:
         data[SIZES[cell.kind][0]] = int(cell.size) if cell.kind is K.CYCLE_SLIP else cell.size

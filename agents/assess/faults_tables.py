@@ -28,8 +28,11 @@ def _fault_row(cell: Mapping[str, Any]) -> tuple[str, ...]:
     unit, of = UNITS.get(cell["kind"], ""), cell["vehicles"]
     size = f" {cell['size']:g} {unit}" if unit else ""
     after = cell["noticed_median_s"]
+    profile = cell["profile"]
+    if profile == "ramp":
+        profile += f" of {cell['size'] / cell['ramp_s']:g} {unit}/s for {cell['ramp_s']:g} s"
     return (
-        f"{cell['kind'].replace('_', ' ')}{size}, {cell['profile']}, {cell['duration_s']:g} s",
+        f"{cell['kind'].replace('_', ' ')}{size}, {profile}, {cell['duration_s']:g} s",
         f"{cell['noticed']['events']}/{of}",
         "-" if after is None else f"{after:.1f}",
         f"{cell['excluded']}/{of}",

@@ -74,7 +74,7 @@ class _Cars:
 
     def __init__(self, navigator: Navigator, azimuth_rad: Array = QUADRANTS, ahead_m: float = 0.0) -> None:
         self.navigator, self.azimuth_rad, self.ahead_m = navigator, azimuth_rad[: navigator.batch], ahead_m
-        self.time_s, self.arc_m = 0.0, 0.0
+        self.time_s, self.arc_m, self.offset_m = 0.0, 0.0, np.zeros((navigator.batch, 2))
         self.speed_mps: float | None = None
 
     @property
@@ -84,12 +84,15 @@ class _Cars:
     def truth(self, speed_mps: float) -> Truth:
         """The next epoch, at whose end the speed is reached, and at whose beginning it was the last one.
 
-        The position is that of a point ``ahead_m`` of the reference point.
+        The position is that of a point ``ahead_m`` and ``offset_m`` (B, 2) of the reference point.
         """
         last_mps = speed_mps if self.speed_mps is None else self.speed_mps
         before, after = self.arc_m, self.arc_m + 0.5 * (last_mps + speed_mps) * DT
         self.time_s, self.arc_m, self.speed_mps = self.time_s + DT, after, speed_mps
-        position = (self.along * (before + self.ahead_m), self.along * (after + self.ahead_m))
+        position = (
+            self.along * (before + self.ahead_m) + self.offset_m,
+            self.along * (after + self.ahead_m) + self.offset_m,
+        )
         velocity = (self.along * last_mps, self.along * speed_mps)
         return truth_between(self.time_s, DT, position, velocity, (self.azimuth_rad, self.azimuth_rad), arc_m=after)
 
@@ -460,6 +463,28 @@ def test_the_reference_point_comes_back_from_a_forward_antenna() -> None:
     run = _Cars(_navigator(config), ahead_m=1.0).drive(8.0)
     assert (run.mode[-1] == Mode.RTK).all()
     assert run.error_m[run.mode == Mode.RTK].max() < 0.06
+
+
+@pytest.mark.parametrize(("forward_m", "right_m"), [(1.5, 0.0), (0.0, -1.0), (1.0, 0.5)])
+def test_levels_hold_what_an_unknown_heading_does_to_a_lever(forward_m: float, right_m: float) -> None:
+    """Before the car first moves its heading is anybody's guess, and so is where it stands around its antenna."""
+    lever = {"antenna_forward_m": forward_m, "antenna_right_m": right_m}
+    cars = _Cars(_navigator(CALM.replace(positioning=CALM.positioning.replace(**lever))))
+    antenna = np.stack([np.sin(QUADRANTS), np.cos(QUADRANTS)], -1) * forward_m
+    cars.offset_m = antenna + np.stack([np.cos(QUADRANTS), -np.sin(QUADRANTS)], -1) * right_m
+    standing, moving = cars.drive(10.0, speed_mps=0.0), cars.drive(20.0)
+    for run in (standing, moving):
+        off = run.position_en_m - run.truth_en_m
+        sine, cosine = np.sin(run.heading_rad), np.cos(run.heading_rad)
+        at, ct = off[..., 0] * sine + off[..., 1] * cosine, off[..., 0] * cosine - off[..., 1] * sine
+        fixed = run.mode == Mode.RTK
+        assert fixed.any(axis=0).all()
+        assert (np.abs(at) <= run.pl_at_m)[fixed].all()
+        assert (np.abs(ct) <= run.pl_ct_m)[fixed].all()
+    arm = np.hypot(forward_m, right_m)
+    assert (standing.error_m[standing.mode == Mode.RTK] > 0.5 * arm).any()
+    assert (standing.pl_at_m >= 2.0 * arm).all()
+    assert (moving.pl_ct_m[-1] < 0.3 * arm + 0.1).all()
 
 
 def test_without_a_sky_there_is_no_position_and_no_exception() -> None:
