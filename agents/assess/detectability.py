@@ -25,6 +25,7 @@ from lanebound.integrity.monitoring.detection import (
 from lanebound.integrity.monitoring.exclusion import FdeConfig, FdeOutcome, detect_and_exclude
 from lanebound.integrity.monitoring.significance import noncentrality
 from lanebound.integrity.positioning.least_squares import design_matrix
+from lanebound.integrity.streams import named_generator
 
 __all__ = ["FACTORS", "detectability"]
 
@@ -47,7 +48,7 @@ def detectability(fde: FdeConfig, satellites: int, draws: int, seed: int = 1) ->
     power of the faulty satellite's own test; ``own`` that power measured; ``noticed``, anything detected; ``right``,
     that satellite excluded and no other. At factor 0 ``noticed`` is the false alarm.
     """
-    rng = np.random.default_rng([seed, satellites])
+    rng = named_generator([seed, satellites], "detectability")
     design, variance = _geometries(rng, satellites)
     silent = adjust(design, diagonal_covariance(variance), np.zeros((GEOMETRIES, satellites)))
     size = float(fde.tables(satellites).local_significance[int(silent.df[0]), satellites])

@@ -225,9 +225,8 @@ def _suites() -> str:
         faults = ", ".join(fault.value for fault in s.faults)
         envs = ", ".join(env.removesuffix("-v0") for env in s.envs)
         agents = ", ".join(f"`{agent}`" for agent in s.agents)
-        lines.append(
-            f"| `{name}` | {s.title} | {envs} | {', '.join(s.skies)} | {faults} | {agents} | {s.seeds.count} |"
-        )
+        seeds = f"{s.seeds.count} after {s.seeds.skip:,}" if s.seeds.skip else f"{s.seeds.count}"
+        lines.append(f"| `{name}` | {s.title} | {envs} | {', '.join(s.skies)} | {faults} | {agents} | {seeds} |")
     return "\n".join(lines)
 
 

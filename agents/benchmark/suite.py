@@ -23,22 +23,27 @@ NEEDS: dict[str, dict[str, Any]] = {"oracle": {"observation": {"integrity": "ora
 
 
 class SeedsConfig(Config):
-    """Which seeds: the first so many of a published split."""
+    """Which seeds: the first so many of a published split, or so many after those that were looked at."""
 
     split: Split = Field("test", description="train, to tune on, or test, held out; see seeds.py")
     count: int = Field(50, ge=1, le=10_000, description="number of episodes of each agent in each cell")
 
+    skip: int = Field(0, ge=0, description="of the split's first seeds, that are left out")
+
     @model_validator(mode="after")
     def _split_suffices(self) -> Self:
-        there = len(SPLITS[self.split])
+        there = len(SPLITS[self.split]) - self.skip
         if self.count > there:
-            raise ConfigError(f"count must be <= {there} in the split {self.split}, got {self.count}: take fewer")
+            after = f" after the first {self.skip}" if self.skip else ""
+            raise ConfigError(
+                f"count must be <= {max(there, 0)} in the split {self.split}{after}, got {self.count}: take fewer"
+            )
         return self
 
     @property
     def seeds(self) -> range:
         """The seeds themselves."""
-        return SPLITS[self.split][: self.count]
+        return SPLITS[self.split][self.skip : self.skip + self.count]
 
 
 class AgentConfig(Config):

@@ -99,6 +99,9 @@ def _report_promise(result: dict[str, Any], out: Path, as_json: bool) -> None:
         rows.append((key.replace("_", " "), *(result[g][key] for g in groups)))
     rows.append(("least barrier [m]", *(_short(result[g]["least_barrier_m"]) for g in groups)))
     print_table("The barrier's promise, by faults injected", ("", *groups), rows)
+    kinds = result["one fault"]["by_fault"]
+    crashes = [(kind.replace("_", " "), str(of["episodes"]), str(of["crashes"])) for kind, of in kinds.items()]
+    print_table("Crashes by the fault that was injected", ("fault", "episodes", "crashes"), crashes)
     typer.echo("broken: the barrier went negative by a decision for which every assumption held; none may be.")
     typer.echo(f"promise.json: {out}")
 

@@ -66,6 +66,7 @@ def evaluate(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results; a run goes on where one stopped.")],
     agents: Annotated[str, typer.Option(metavar="A,B", help="Drive these beside it.")] = "nominal,integrity_aware",
     seeds: Annotated[int, typer.Option(min=1, help="Episodes of each, on test seeds.")] = 50,
+    skip: Annotated[int, typer.Option(min=0, help="First test seeds left out, as ones that were looked at.")] = 0,
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes; one for each core by default.")] = None,
 ) -> None:
     """Drive the best checkpoint of a training on the test seeds, beside other agents.
@@ -78,7 +79,7 @@ def evaluate(
     from lanebound.agents.learning.evaluation import evaluation_suite
     from lanebound.agents.report import write_report
 
-    suite = evaluation_suite(folder, agents, seeds)
+    suite = evaluation_suite(folder, agents, seeds, skip)
     with stoppable(lambda: f"finished episodes are kept in {out}: the same command goes on"):
         results = wait_for(lambda: run(suite, out, jobs))
         print_overview(results)

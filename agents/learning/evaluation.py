@@ -122,8 +122,8 @@ def learnt_agent(experiment: ExperimentConfig, checkpoint: Path) -> dict[str, An
     return {"agent": str(checkpoint), "config": config}
 
 
-def evaluation_suite(folder: Path, agents: str, seeds: int) -> SuiteConfig:
-    """The best checkpoint of a training beside other agents, on test seeds, where it was trained.
+def evaluation_suite(folder: Path, agents: str, seeds: int, skip: int = 0) -> SuiteConfig:
+    """The best checkpoint of a training beside other agents where it was trained, on test seeds but the first ``skip``.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def evaluation_suite(folder: Path, agents: str, seeds: int) -> SuiteConfig:
             "skies": [experiment.sky],
             "agents": {"learnt": learnt_agent(experiment, best), **others},
             "reference": reference,
-            "seeds": {"split": "test", "count": seeds},
+            "seeds": {"split": "test", "count": seeds, "skip": skip},
             "overrides": dict(experiment.overrides),
         }
     )

@@ -25,6 +25,7 @@ from lanebound.envs.core import DrivingEnv
 from lanebound.envs.scene import alert_limits_m, navigator_config
 from lanebound.integrity.config import Config, Field
 from lanebound.integrity.sensors.faults import Fault, FaultKind
+from lanebound.integrity.streams import named_generator
 
 __all__ = ["BarrierPromiseConfig", "Reckless", "one_fault", "run_promise", "summarise_promise"]
 
@@ -67,7 +68,7 @@ class Reckless:
 
     def begin(self, seed: int) -> None:
         """A new episode; its seed sets manner and mood."""
-        self._rng = np.random.default_rng([seed, 7])
+        self._rng = named_generator(seed, "recklessness")
         self.manner, self._share = MANNERS[int(self._rng.integers(len(MANNERS)))], 1.0
 
     def predict(
@@ -83,7 +84,7 @@ class Reckless:
 
 def one_fault(seed: int, length_s: float) -> Fault:
     """The fault of an episode: any kind, from some moment in its first half on."""
-    rng = np.random.default_rng([seed, 8])
+    rng = named_generator(seed, "one fault")
     kind, name, low, high = FAULTS[int(rng.integers(len(FAULTS)))]
     size, start, azimuth = rng.uniform(low, high), rng.uniform(0.0, 0.5 * length_s), rng.uniform(0.0, 360.0)
     profile = "ramp" if rng.random() < 0.5 else "step"
@@ -153,8 +154,17 @@ def run_promise(
     ordered = [name for batch in zip(*names.values(), strict=True) for name in batch]
     found = run_parts(out, ordered, partial(drive_named, config), jobs, progress, lambda name: len(_seeds(name)))
     result = {group: summarise_promise(config, [found[name] for name in names[group]]) for group in GROUPS}
+    result["one fault"]["by_fault"] = _by_fault(config, result["one fault"]["crashed_seeds"])
     write_whole(out / "promise.json", result)
     return result
+
+
+def _by_fault(config: BarrierPromiseConfig, crashed: Sequence[int]) -> dict[str, dict[str, int]]:
+    """Episodes and crashes by the kind of the fault that each seed has."""
+    seeds = range(config.first_seed, config.first_seed + config.episodes)
+    of = {seed: one_fault(seed, config.length_s).kind.value for seed in seeds}
+    episodes, crashes = Counter(of.values()), Counter(of[seed] for seed in crashed)
+    return {kind: {"episodes": episodes[kind], "crashes": crashes[kind]} for kind in sorted(episodes)}
 
 
 def _batches(config: BarrierPromiseConfig) -> Iterator[range]:

@@ -41,6 +41,9 @@ def test_five_episodes_keep_the_promise_and_a_broken_run_goes_on(tmp_path, monke
         assert set(found["exceptions"]) <= set(ASSUMPTIONS)
     assert whole["none"]["counts"]["kept"] > 0.9 * whole["none"]["counts"]["decisions"]
     assert whole["none"]["crashes"] == 0
+    by_fault = whole["one fault"]["by_fault"]
+    assert sum(of["episodes"] for of in by_fault.values()) == 5
+    assert sum(of["crashes"] for of in by_fault.values()) == whole["one fault"]["crashes"]
 
     drive_part, driven = barrier_promise.drive_part, []
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lanebound.agents.benchmark.seeds import TEST, TRAIN
-from lanebound.agents.benchmark.suite import SuiteConfig, load_suite, parse_agents
+from lanebound.agents.benchmark.suite import SeedsConfig, SuiteConfig, load_suite, parse_agents
 from lanebound.agents.drivers import AGENTS
 from lanebound.envs import IDS
 from lanebound.integrity.errors import ConfigError, InputError
@@ -112,3 +112,14 @@ def test_the_standard_suite_is_of_all_environments_and_skies():
     assert {f"lanebound/{env}" for env in suite.envs} == set(IDS)
     assert suite.skies == ("open", "suburban", "urban", "dense")
     assert suite.seeds.count == 50
+
+
+def test_seeds_that_were_looked_at_may_be_left_out() -> None:
+    assert SeedsConfig(count=3, skip=2000).seeds == range(12_000, 12_003)
+    assert SeedsConfig(split="train", count=1, skip=999).seeds == range(1999, 2000)
+    with pytest.raises(ConfigError, match="count must be <= 999 in the split train after the first 1, got 1000: take"):
+        SeedsConfig(split="train", count=1000, skip=1)
+    with pytest.raises(
+        ConfigError, match="count must be <= 0 in the split train after the first 5000, got 1: take fewer"
+    ):
+        SeedsConfig(split="train", count=1, skip=5000)
