@@ -57,17 +57,18 @@ def rate_of(events: int, trials: int) -> dict[str, Any]:
     return {"events": events, "trials": trials, "rate": events / trials, "low": low, "high": high}
 
 
-def rate_over(cases: Sequence[Row], events: Array, trials: Array) -> dict[str, Any]:
-    """The rate of ``cases`` together; events, trials (cases,). Its interval allows for the spread between geometries.
+def rate_over(events: Array, trials: Array, strata: Array | None = None) -> dict[str, Any]:
+    """The rate of several cases together; its interval allows for the spread between them.
 
-    Biases are taken in turn, so that the spread is that within each share of them (a stratified ratio).
+    events, trials (cases,) counts; strata (cases,) what is taken in turn, so that the spread is that within each (a
+    stratified ratio).
     """
     found = rate_of(int(events.sum()), int(trials.sum()))
     if found["rate"] is None:
         return found
-    share, variance = np.array([row["bias_share"] for row in cases]), 0.0
-    for one in np.unique(share):
-        c, n = events[share == one], trials[share == one]
+    variance, groups = 0.0, np.zeros(len(events)) if strata is None else strata
+    for one in np.unique(groups):
+        c, n = events[groups == one], trials[groups == one]
         if len(c) > 1 and n.any():
             variance += len(c) * float(np.var(c - c.sum() / n.sum() * n, ddof=1))
     half = float(upper_quantile(0.5 * (1.0 - CONFIDENCE))) * variance**0.5 / found["trials"]
@@ -116,11 +117,12 @@ def _grouped(rows: Iterable[Row], name_of: Callable[[Row], str]) -> dict[str, li
 def _rates(cases: Sequence[Row], risks: Sequence[float]) -> dict[str, Any]:
     """By form and risk: rates along, across and of either, and which strata they are of."""
     out: dict[str, Any] = {}
+    bias = np.array([row["bias_share"] for row in cases])
     for form in Form:
         count = np.array([row["misleading"][form.name] for row in cases])
         trials = np.array([row["available"][form.name] for row in cases])
         out[form.value] = {
-            f"{risk:g}": {axis: rate_over(cases, count[:, r, a].sum(-1), trials[:, r]) for a, axis in enumerate(AXES)}
+            f"{risk:g}": {axis: rate_over(count[:, r, a].sum(-1), trials[:, r], bias) for a, axis in enumerate(AXES)}
             | {"by_stratum": {name: int(n) for name, n in zip(STRATA, count[:, r, 2].sum(0), strict=True)}}
             for r, risk in enumerate(risks)
         }
@@ -184,11 +186,11 @@ def _drift(outages: Sequence[Row], risks: Sequence[float]) -> dict[str, Any]:
     """By source and variant: how often the level at the end of an outage is exceeded, and the worst outage."""
     out: dict[str, Any] = {}
     for source, group in _grouped(outages, lambda row: str(row["source"])).items():
-        trials = sum(row["vehicles"] for row in group)
+        trials = np.array([row["vehicles"] for row in group])
         out[source] = {
             variant: {
                 f"{risk:g}": {
-                    axis: rate_of(int(sum(row["exceeded"][variant][r][a] for row in group)), trials)
+                    axis: rate_over(np.array([row["exceeded"][variant][r][a] for row in group]), trials)
                     for a, axis in enumerate(AXES)
                 }
                 for r, risk in enumerate(risks)
