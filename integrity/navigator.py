@@ -354,7 +354,9 @@ class Navigator:
             effects = self.faults.effects(truth.time_s, truth.dt_s, sky, self.batch)
         else:
             effects = _no_effects(self.batch, sky.satellites)
-        return self._instruments.sense(self.state, sky, self.mask, truth, effects)
+        lever_m = self.config.positioning.lever_arm_m
+        at_antenna = truth.at(*lever_m) if any(lever_m) else truth
+        return self._instruments.sense(self.state, sky, self.mask, at_antenna, effects)
 
     def _require_fitting(self, truth: Truth) -> None:
         """Raise InputError unless the truth is finite, of this batch and of an epoch's length."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -23,7 +23,7 @@ class Truth:
 
     Attributes
     ----------
-    position_enu_m, velocity_enu_mps : (B, 3), at the end of the epoch
+    position_enu_m, velocity_enu_mps : (B, 3) of the vehicle's reference point, at the end of the epoch
     heading_rad : (B,) azimuth of the body's x axis, clockwise from North, at the end
     delta_theta_rad : (B, 3) rotation over the epoch in body axes (forward, right, down)
     delta_v_mps : (B, 3) integrated specific force over the epoch in the body axes of its middle
@@ -47,6 +47,19 @@ class Truth:
     def batch(self) -> int:
         """Number of vehicles."""
         return int(self.heading_rad.shape[0])
+
+    def at(self, forward_m: float, right_m: float) -> Self:
+        """The same motion with position and velocity of another point of the body, as far off the reference point."""
+        sine, cosine, turning = (
+            np.sin(self.heading_rad),
+            np.cos(self.heading_rad),
+            self.delta_theta_rad[:, 2] / self.dt_s,
+        )
+        off = np.zeros_like(self.position_enu_m)
+        off[:, 0], off[:, 1] = sine * forward_m + cosine * right_m, cosine * forward_m - sine * right_m
+        moved = np.zeros_like(off)
+        moved[:, 0], moved[:, 1] = turning * off[:, 1], -turning * off[:, 0]
+        return replace(self, position_enu_m=self.position_enu_m + off, velocity_enu_mps=self.velocity_enu_mps + moved)
 
     @classmethod
     def between(

@@ -84,6 +84,13 @@ KEPT = (
     ("report.html", "all of it in one page"),
 )
 
+EXAMPLE = """```yaml
+title: mine beside ours
+envs: [LaneKeeping, CarFollowing]
+skies: [urban, dense]
+agents: [nominal, integrity_aware, {mine: {agent: runs/model.zip, config: {observation: {form: flat}}}}]
+seeds: {count: 20}
+```"""
 AGENTS = f"""## Agents
 
 An agent of a suite is a name of ours, or `name: agent` with
@@ -189,7 +196,9 @@ def markdown() -> str:
         HEAD,
         "## Suites",
         _suites(),
-        "A suite of your own is a YAML file with these keys:",
+        "A suite of your own is a YAML file, such as",
+        EXAMPLE,
+        "with these keys (`extends: suites/quick` and the lines that differ will do, too):",
         _keys(),
         AGENTS.replace("{kinds}", _pairs("agent", KINDS)),
         _drivers(),
@@ -241,7 +250,7 @@ def _keys() -> str:
 
 def _value(value: object) -> str:
     if isinstance(value, tuple):
-        return ", ".join(f"`{getattr(item, 'value', item)}`" for item in value)
+        return f"`[{', '.join(str(getattr(item, 'value', item)) for item in value)}]`"
     return "" if value in ("", {}) else f"`{value}`"
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from lanebound.agents.benchmark import Results, SuiteConfig
     from lanebound.agents.benchmark.running import Plan, Progress
 
-__all__ = ["benchmark"]
+__all__ = ["benchmark", "carry_out"]
 
 T = TypeVar("T")
 PAGE = "report.html"
@@ -55,12 +55,23 @@ def benchmark(
 
     Example: lanebound benchmark standard --out out/mine --agents nominal,mine=runs/model.zip --seeds 20 --budget 2
     """
+    carry_out(lambda: _suite(suite, agents, seeds, assignments or []), out, fresh, jobs, budget, full, as_json)
+
+
+def carry_out(
+    choose: Callable[[], SuiteConfig],
+    out: Path,
+    fresh: bool,
+    jobs: int | None,
+    budget: float | None,
+    full: bool,
+    as_json: bool,
+) -> None:
+    """Drive a suite, print what came of it and write the report, saying all the while what is done."""
     from lanebound.agents.cli.interrupt import stoppable
 
     with stoppable(lambda: _kept(out)):
-        plan, cold = _while(
-            "opening the environments", lambda say: _plan(suite, agents, seeds, assignments or [], out, fresh)
-        )
+        plan, cold = _while("opening the environments", lambda say: _plan(choose(), out, fresh))
         _announce(plan, jobs, budget, cold)
         results = _with_bar(plan, jobs, budget)
         _print(results, budget, full, as_json)
@@ -89,15 +100,13 @@ def _while(doing: str, work: Callable[[Callable[[str], None]], T]) -> T:
         return wait_for(lambda: work(lambda more: bar.update(task, description=f"{doing}: {more}")))
 
 
-def _plan(
-    name: str, agents: str | None, seeds: int | None, assignments: list[str], out: Path, fresh: bool
-) -> tuple[Plan, bool]:
+def _plan(suite: SuiteConfig, out: Path, fresh: bool) -> tuple[Plan, bool]:
     """What is to be driven, and whether kernels are to be compiled for it."""
     from lanebound.agents.benchmark.compiling import kernels_are_cached
     from lanebound.agents.benchmark.running import Plan
 
     cold = not kernels_are_cached()
-    return Plan.of(_suite(name, agents, seeds, assignments), out, fresh), cold
+    return Plan.of(suite, out, fresh), cold
 
 
 def _suite(name: str, agents: str | None, seeds: int | None, assignments: list[str]) -> SuiteConfig:

@@ -25,6 +25,9 @@ def train(
 ) -> None:
     """Learn a policy, or go on with it; the best within the limit of cost is kept as best.zip, with a card.
 
+    Decisions of imitation come before the experiment's steps. Who goes on after a stop drives other episodes than who
+    never stopped.
+
     Example: lanebound train lane_keeping_ppo_lagrangian --out out/learnt --set steps=100000
     """
     from rich.console import Console
@@ -36,7 +39,7 @@ def train(
 
     experiment = load_experiment(name, parse_assignments(assignments or []))
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with stoppable(lambda: f"checkpoints are kept in {out}: the same command goes on"):
+    with stoppable(lambda: _kept(out)):
         from lanebound.agents.learning.training import train as carry_out
 
         with Progress(*columns, console=Console(stderr=True)) as bar:
@@ -55,6 +58,12 @@ def train(
     typer.echo(f"What to try next\n  lanebound evaluate {out} --out {out}-evaluation")
 
 
+def _kept(out: Path) -> str:
+    if (out / "last.zip").exists():
+        return f"checkpoints are kept in {out}: the same command goes on from the last"
+    return "before the first checkpoint, so that nothing is kept: the same command begins anew"
+
+
 def _say(checkpoint: Checkpoint) -> None:
     found = checkpoint.evaluation
     shown = ", ".join(f"{name} {found[name]:.3g}" for name in ("return", "cost", "success", "mean_speed"))
@@ -68,22 +77,20 @@ def evaluate(
     seeds: Annotated[int, typer.Option(min=1, help="Episodes of each, on test seeds.")] = 50,
     skip: Annotated[int, typer.Option(min=0, help="First test seeds left out, as ones that were looked at.")] = 0,
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes; one for each core by default.")] = None,
+    fresh: Annotated[
+        bool, typer.Option("--fresh/--resume", help="Throw away what that folder holds of an earlier run, or go on.")
+    ] = False,
+    full: Annotated[bool, typer.Option("--full", help="Print every metric with its interval.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> None:
     """Drive the best checkpoint of a training on the test seeds, beside other agents.
 
     Example: lanebound evaluate out/learnt --out out/learnt-evaluation --seeds 20
     """
-    from lanebound.agents.benchmark.running import run
-    from lanebound.agents.cli.interrupt import stoppable, wait_for
-    from lanebound.agents.cli.overview import print_overview
+    from lanebound.agents.cli.benchmark import carry_out
     from lanebound.agents.learning.evaluation import evaluation_suite
-    from lanebound.agents.report import write_report
 
-    suite = evaluation_suite(folder, agents, seeds, skip)
-    with stoppable(lambda: f"finished episodes are kept in {out}: the same command goes on"):
-        results = wait_for(lambda: run(suite, out, jobs))
-        print_overview(results)
-        typer.echo(f"report: {wait_for(lambda: write_report(results, out))}")
+    carry_out(lambda: evaluation_suite(folder, agents, seeds, skip), out, fresh, jobs, None, full, as_json)
 
 
 def export(
@@ -99,8 +106,11 @@ def export(
     """
     from lanebound.agents.cli.interrupt import stoppable, wait_for
     from lanebound.agents.learning.export import export_arrays, export_onnx
+    from lanebound.integrity.errors import InputError
 
     wanted = folder / "best.onnx" if out is None else out
+    if wanted.suffix not in (".onnx", ".npz"):
+        raise InputError(f"out must end in .onnx or .npz, got {wanted}: name it by the form that is wanted")
     write = export_arrays if wanted.suffix == ".npz" else export_onnx
     with stoppable(lambda: "nothing was written"):
         path = wait_for(lambda: write(folder, wanted))

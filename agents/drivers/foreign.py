@@ -135,7 +135,11 @@ def _checkpoint(path: str, env: DrivingEnv) -> Driver:
     ):
         if not _alike(trained, here):
             flat = isinstance(trained, spaces.Box) and isinstance(here, spaces.Dict)
-            remedy = "set observation.form=flat" if flat else "choose the environment that it was trained in"
+            remedy = (
+                "set observation.form=flat (in a suite overrides.observation.form, or this agent's config)"
+                if flat
+                else "choose the environment that it was trained in"
+            )
             raise InputError(f"agent {path} must be trained on these {what}, {_shape(here)}, got {_shape(trained)}: "
                              f"{remedy}")  # fmt: skip
     driver: Driver = model

@@ -110,7 +110,10 @@ class ExperimentConfig(Config):
     @model_validator(mode="after")
     def _can_imitate(self) -> Self:
         if self.imitation is not None and self.algorithm not in (Algorithm.PPO, Algorithm.PPO_LAGRANGIAN):
-            raise ConfigError(f"imitation must be left out of {self.algorithm}, got one: choose ppo or ppo_lagrangian")
+            raise ConfigError(
+                f"imitation must be null for {self.algorithm}, got a driver: write imitation: null, or choose ppo or "
+                "ppo_lagrangian"
+            )
         return self
 
     @property

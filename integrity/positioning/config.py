@@ -207,8 +207,10 @@ class PositioningConfig(Config):
     heading: HeadingConfig = HeadingConfig()
     dead_reckoning: DeadReckoningConfig = DeadReckoningConfig()
     mode: ModeConfig = ModeConfig()
-    antenna_forward_m: float = Field(0.0, description="antenna ahead of the vehicle's reference point [m]")
-    antenna_right_m: float = Field(0.0, description="antenna to the right of the vehicle's reference point [m]")
+    antenna_forward_m: float = Field(
+        0.0, ge=-20, le=20, description="antenna ahead of the vehicle's reference point, where signals arrive [m]"
+    )
+    antenna_right_m: float = Field(0.0, ge=-20, le=20, description="antenna to the right of that point [m]")
     axle_m: float = Field(
         0.0, ge=0, le=20, description="reference point ahead of the rear axle, which does not slip sideways [m]"
     )

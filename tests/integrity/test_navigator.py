@@ -72,9 +72,9 @@ class _Drive:
 class _Cars:
     """Vehicles on straight lines from the origin, one azimuth each; arc and distance are the same."""
 
-    def __init__(self, navigator: Navigator, azimuth_rad: Array = QUADRANTS, ahead_m: float = 0.0) -> None:
-        self.navigator, self.azimuth_rad, self.ahead_m = navigator, azimuth_rad[: navigator.batch], ahead_m
-        self.time_s, self.arc_m, self.offset_m = 0.0, 0.0, np.zeros((navigator.batch, 2))
+    def __init__(self, navigator: Navigator, azimuth_rad: Array = QUADRANTS) -> None:
+        self.navigator, self.azimuth_rad = navigator, azimuth_rad[: navigator.batch]
+        self.time_s, self.arc_m = 0.0, 0.0
         self.speed_mps: float | None = None
 
     @property
@@ -82,17 +82,11 @@ class _Cars:
         return np.column_stack([np.sin(self.azimuth_rad), np.cos(self.azimuth_rad)])
 
     def truth(self, speed_mps: float) -> Truth:
-        """The next epoch, at whose end the speed is reached, and at whose beginning it was the last one.
-
-        The position is that of a point ``ahead_m`` and ``offset_m`` (B, 2) of the reference point.
-        """
+        """The next epoch, at whose end the speed is reached, and at whose beginning it was the last one."""
         last_mps = speed_mps if self.speed_mps is None else self.speed_mps
         before, after = self.arc_m, self.arc_m + 0.5 * (last_mps + speed_mps) * DT
         self.time_s, self.arc_m, self.speed_mps = self.time_s + DT, after, speed_mps
-        position = (
-            self.along * (before + self.ahead_m) + self.offset_m,
-            self.along * (after + self.ahead_m) + self.offset_m,
-        )
+        position = (self.along * before, self.along * after)
         velocity = (self.along * last_mps, self.along * speed_mps)
         return truth_between(self.time_s, DT, position, velocity, (self.azimuth_rad, self.azimuth_rad), arc_m=after)
 
@@ -460,7 +454,7 @@ def test_a_range_that_creeps_away_unseen_from_epoch_to_epoch_is_excluded() -> No
 
 def test_the_reference_point_comes_back_from_a_forward_antenna() -> None:
     config = CALM.replace(positioning=CALM.positioning.replace(antenna_forward_m=1.0))
-    run = _Cars(_navigator(config), ahead_m=1.0).drive(8.0)
+    run = _Cars(_navigator(config)).drive(8.0)
     assert (run.mode[-1] == Mode.RTK).all()
     assert run.error_m[run.mode == Mode.RTK].max() < 0.06
 
@@ -470,8 +464,6 @@ def test_levels_hold_what_an_unknown_heading_does_to_a_lever(forward_m: float, r
     """Before the car first moves its heading is anybody's guess, and so is where it stands around its antenna."""
     lever = {"antenna_forward_m": forward_m, "antenna_right_m": right_m}
     cars = _Cars(_navigator(CALM.replace(positioning=CALM.positioning.replace(**lever))))
-    antenna = np.stack([np.sin(QUADRANTS), np.cos(QUADRANTS)], -1) * forward_m
-    cars.offset_m = antenna + np.stack([np.cos(QUADRANTS), -np.sin(QUADRANTS)], -1) * right_m
     standing, moving = cars.drive(10.0, speed_mps=0.0), cars.drive(20.0)
     for run in (standing, moving):
         off = run.position_en_m - run.truth_en_m

@@ -151,3 +151,20 @@ def test_unusable_input_is_refused_by_name(changes, message):
     arguments = {"time_s": 0.0, "dt_s": 0.1, "position_m": zeros, "velocity_mps": zeros, "heading_rad": (0.0, 0.0)}
     with pytest.raises(InputError, match=message):
         truth_between(**(arguments | changes))
+
+
+@pytest.mark.parametrize(("forward_m", "right_m"), [(1.5, 0.0), (0.0, -1.0), (2.0, 0.7)])
+def test_another_point_of_a_turning_body_moves_as_its_positions_do(forward_m, right_m):
+    dt, turn = 1e-3, 0.4
+    still = np.zeros((1, 2))
+
+    def at(heading):
+        there = truth_between(0.0, dt, (still, still), (still, still), ([heading - turn * dt], [heading]), arc_m=[0.0])
+        return there.at(forward_m, right_m)
+
+    before, after = at(1.0), at(1.0 + turn * dt)
+    moved = (after.position_enu_m - before.position_enu_m) / dt
+    np.testing.assert_allclose(0.5 * (before.velocity_enu_mps + after.velocity_enu_mps), moved, atol=1e-6)
+    along = [np.sin(1.0), np.cos(1.0), 0.0]
+    assert before.position_enu_m[0] @ along == pytest.approx(forward_m)
+    assert np.array_equal(at(1.0).distance_m, [0.0])

@@ -114,7 +114,7 @@ def test_a_stop_between_files_loses_no_judgement(tmp_path: Path, monkeypatch: py
 
 
 def test_who_cannot_imitate_or_be_imitated_is_refused() -> None:
-    with pytest.raises(ConfigError, match="imitation must be left out of sac, got one: choose ppo or ppo_lagrangian"):
+    with pytest.raises(ConfigError, match="imitation must be null for sac, got a driver: write imitation: null, or"):
         experiment(algorithm="sac", imitation=SMALL)
     with pytest.raises(ConfigError, match="agent 'nominl' is unknown: did you mean 'nominal'"):
         experiment(imitation={"driver": "nominl"})
