@@ -13,7 +13,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from ctypes import c_double
+from ctypes import c_bool, c_double
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from threading import Thread
@@ -23,6 +23,7 @@ from lanebound.agents.benchmark.compiling import CompileClock
 from lanebound.agents.benchmark.outcome import Outcome, Status, Task
 from lanebound.agents.benchmark.work import Work
 from lanebound.agents.kept import STARTING, one_thread
+from lanebound.integrity.errors import InputError
 
 __all__ = ["Pool"]
 
@@ -126,9 +127,10 @@ class _Worker:
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
         agents, compilers = context.RawArray(c_double, 2), context.RawArray(c_double, 2)
+        self.serves = context.RawValue(c_bool, False)
         self.clock, self.compiles = SharedClock(agents), CompileClock(compilers)
         self.pipe, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs, agents, compilers), daemon=True)
+        self.process = context.Process(target=_serve, args=(theirs, agents, compilers, self.serves), daemon=True)
         with STARTING, one_thread(), _deaf_to_interrupts():
             self.process.start()
         theirs.close()
@@ -149,7 +151,13 @@ class _Worker:
         return self.clock.spent_s > self.work.suite.episode_timeout_s
 
     def outcome(self) -> Outcome:
-        """What came of its episode; a process that cannot tell any more is replaced."""
+        """What came of its episode; a process that cannot tell any more is replaced.
+
+        Raises
+        ------
+        InputError
+            It ended before it served, as it does where a script that it imports begins the run anew.
+        """
         task, self.task = self.task, None
         assert task is not None
         self.driven_s = self.clock.spent_s
@@ -161,6 +169,11 @@ class _Worker:
         except (EOFError, OSError):
             self.process.join()
             code = self.process.exitcode
+            if not self.serves.value:
+                raise InputError(
+                    f"a process for episodes ended while it was started (exit code {code}; what it printed is above): "
+                    "in a script the run must stand below if __name__ == '__main__':"
+                ) from None
             return self._replaced(task, "raised", f"its process died with exit code {code}")
         limit = self.work.suite.episode_timeout_s
         message = f"it took longer than episode_timeout_s = {limit:g} in all: no answer was waited for"
@@ -199,8 +212,9 @@ def _deaf_to_interrupts() -> Iterator[None]:
 # From here on: the worker's side
 
 
-def _serve(pipe: Connection[Any, Any], agents: Any, compilers: Any) -> None:
+def _serve(pipe: Connection[Any, Any], agents: Any, compilers: Any, serves: Any) -> None:
     """Drive what comes through the pipe until it is closed."""
+    serves.value = True
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # where it cannot be blocked
     Thread(target=_end_with_parent, daemon=True).start()
     os.dup2(2, 1)  # what agents print must not get into what the command prints

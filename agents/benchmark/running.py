@@ -105,7 +105,7 @@ def run(
     Raises
     ------
     InputError
-        As :meth:`Plan.of`.
+        As :meth:`Plan.of`; or a process ends as it is started, as in a script without ``if __name__ == "__main__":``.
     """
     return run_plan(Plan.of(suite, folder, fresh), jobs, budget_h, told)
 

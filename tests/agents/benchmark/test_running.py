@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -180,6 +181,22 @@ def test_agents_that_fail_are_reported_and_the_rest_is_kept(tmp_path):
     assert "episode_timeout_s = 1.5" in by_agent["hangs"].message
     assert results.cell(suite.places[0], "hangs").metrics["failed"].mean == 1.0
     assert results.rows(by_agent["hangs"]).num_rows == 0
+
+
+def test_a_script_that_runs_without_a_guard_is_told_so_and_nothing_is_stored(tmp_path):
+    script = tmp_path / "mine.py"
+    script.write_text(
+        "from pathlib import Path\n"
+        "from lanebound.agents.benchmark import SuiteConfig, run\n"
+        "suite = SuiteConfig.load({'envs': ['LaneKeeping'], 'agents': ['nominal'], 'seeds': {'count': 1}})\n"
+        "run(suite, Path('out'), jobs=1)\n",
+        encoding="utf-8",
+    )
+    done = subprocess.run([sys.executable, str(script)], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "InputError: a process for episodes ended while it was started (exit code 1" in done.stderr
+    assert "must stand below if __name__ == '__main__':" in done.stderr
+    assert episodes_kept(tmp_path / "out") == 0
 
 
 def test_agents_that_cannot_drive_an_environment_are_left_out(tmp_path):
