@@ -12,6 +12,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import math
 import os
@@ -39,6 +40,7 @@ from lanebound.envs.costs import CAUSES
 from lanebound.envs.tally import EPISODE_KEY
 from lanebound.integrity.accel import serial
 from lanebound.integrity.errors import InputError
+from lanebound.integrity.presets import nearest
 
 __all__ = ["Checkpoint", "is_best", "load_model", "one_thread", "train"]
 
@@ -91,6 +93,7 @@ def train(
     InputError
         ``out`` holds another experiment, or the environment does not suit the algorithm.
     """
+    _require_known(experiment)
     teacher = teacher_of(experiment)
     progress = _claim(experiment, out)
     with closing(for_learning(experiment, processes)) as env, one_thread():
@@ -170,6 +173,16 @@ def _model(experiment: ExperimentConfig, env: VecEnv, out: Path) -> BaseAlgorith
             f"({error}): see stable-baselines3"
         ) from None
     return made
+
+
+def _require_known(experiment: ExperimentConfig) -> None:
+    """Raise InputError for a setting that the algorithm, and what it is built on, does not take."""
+    built_on = _class(experiment.algorithm).__mro__
+    known = {name for one in built_on for name in inspect.signature(one.__init__).parameters}
+    for name in experiment.settings:
+        if name not in known:
+            raise InputError(f"settings.{name} must be one that {experiment.algorithm} takes, got one it does not: "
+                             f"{nearest(name, known - {'self', 'args', 'kwargs'})}")  # fmt: skip
 
 
 def _claim(experiment: ExperimentConfig, out: Path) -> list[dict[str, Any]]:

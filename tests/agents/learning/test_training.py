@@ -139,8 +139,10 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
         load_experiment("lane_keepin_ppo")
     with pytest.raises(ConfigError, match="steps must be >= 1"):
         experiment(steps=0)
-    with pytest.raises(InputError, match="settings must suit ppo and LaneKeeping-v0"):
+    with pytest.raises(InputError, match=r"settings.n_stepz must be one that ppo takes, .*: did you mean 'n_steps'"):
         train(experiment(settings={"n_stepz": 3}), tmp_path)
+    with pytest.raises(InputError, match="settings must suit ppo and LaneKeeping-v0"):
+        train(experiment(settings={"policy_kwargs": {"depth": 3}}), tmp_path)
 
 
 @pytest.mark.parametrize("engine", [True, False])
