@@ -189,7 +189,7 @@ class Navigator:
     ) -> None:
         self.config, self.track, self.mask = config, track, mask
         self.faults = faults or FaultSchedule(())
-        self._tables = _Tables.of(config, track.system)
+        self._tables, self._lever_m = _Tables.of(config, track.system), config.positioning.lever_arm_m
         self._instruments = Instruments.of(config.gnss, config.corrections, config.imu, config.odometer, config.dt_s)
         area = Streams(seeds, batch) if area_seed is None else Streams([area_seed])
         self.state = self._initial(Streams(seeds, batch), area)
@@ -354,8 +354,7 @@ class Navigator:
             effects = self.faults.effects(truth.time_s, truth.dt_s, sky, self.batch)
         else:
             effects = _no_effects(self.batch, sky.satellites)
-        lever_m = self.config.positioning.lever_arm_m
-        at_antenna = truth.at(*lever_m) if any(lever_m) else truth
+        at_antenna = truth.at(*self._lever_m) if any(self._lever_m) else truth
         return self._instruments.sense(self.state, sky, self.mask, at_antenna, effects)
 
     def _require_fitting(self, truth: Truth) -> None:

@@ -50,11 +50,8 @@ class Truth:
 
     def at(self, forward_m: float, right_m: float) -> Self:
         """The same motion with position and velocity of another point of the body, as far off the reference point."""
-        sine, cosine, turning = (
-            np.sin(self.heading_rad),
-            np.cos(self.heading_rad),
-            self.delta_theta_rad[:, 2] / self.dt_s,
-        )
+        sine, cosine = np.sin(self.heading_rad), np.cos(self.heading_rad)
+        turning = self.delta_theta_rad[:, 2] / self.dt_s
         off = np.zeros_like(self.position_enu_m)
         off[:, 0], off[:, 1] = sine * forward_m + cosine * right_m, cosine * forward_m - sine * right_m
         moved = np.zeros_like(off)

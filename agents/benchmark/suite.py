@@ -27,7 +27,6 @@ class SeedsConfig(Config):
 
     split: Split = Field("test", description="train, to tune on, or test, held out; see seeds.py")
     count: int = Field(50, ge=1, le=10_000, description="number of episodes of each agent in each cell")
-
     skip: int = Field(0, ge=0, description="of the split's first seeds, that are left out")
 
     @model_validator(mode="after")

@@ -110,8 +110,7 @@ def unknown_agent(name: str) -> InputError:
     from lanebound.integrity.errors import InputError
     from lanebound.integrity.presets import nearest
 
-    return InputError(f"agent '{name}' is unknown: {nearest(name, AGENTS)} (see 'lanebound agents'; others are "
-                      "model.zip, model.onnx or package.module:callable)")  # fmt: skip
+    return InputError(f"agent '{name}' is unknown: {nearest(name, AGENTS)} (see 'lanebound agents')")
 
 
 def _require_actions(name: str, env: DrivingEnv) -> None:

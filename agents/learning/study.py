@@ -227,7 +227,7 @@ def _learn(study: LearningStudyConfig, out: Path, by_name: Mapping[str, Training
         model = load_model(folder / "best.zip", planned.algorithm)
         episodes = drive_all(planned, model, SPLITS["test"][: study.test_seeds])
     hours = (time.monotonic() - begun) / 3600.0
-    return {**one._asdict(), "checkpoints": rows, "episodes": episodes, "hours": hours}
+    return {**one._asdict(), "limit": planned.limit(), "checkpoints": rows, "episodes": episodes, "hours": hours}
 
 
 def beside_suite(study: LearningStudyConfig, env: str, sky: str) -> SuiteConfig:
@@ -267,7 +267,6 @@ def _written(
                 **summarise(
                     [part for part in done.values() if (part["env"], part["sky"]) == (env, sky)],
                     {name: arm.against for name, arm in study.arms.items()},
-                    {arm: Training(env, sky, arm, 0).experiment(study).limit() for arm in study.arms},
                 ),
                 "beside": means_of(results),
             }

@@ -7,6 +7,7 @@ episodes, in the cities that they were learnt in: the intervals tell of learning
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -27,22 +28,21 @@ RATES = ("over_cost_limit", "collision", "off_road", "lane_departure")
 Array = NDArray[np.float64]
 
 
-def summarise(
-    parts: Sequence[Mapping[str, Any]], arms: Mapping[str, str | None], limits: Mapping[str, float]
-) -> dict[str, Any]:
+def summarise(parts: Sequence[Mapping[str, Any]], arms: Mapping[str, str | None]) -> dict[str, Any]:
     """Of each arm the mean over its trainings with a 95 % interval, and its paired difference from another (or None).
 
-    Trainings with the same seed are paired. ``kept`` counts those whose episodes cost at most the arm's of ``limits``
-    in the mean. ``parts`` are the finished trainings of a place, each with its ``arm``, ``seed`` and ``episodes`` as
-    :func:`~.evaluation.drive_all` has them.
+    Trainings with the same seed are paired. ``parts`` are the finished trainings of a place, each with its ``arm``,
+    ``seed``, ``limit`` of an episode's cost and ``episodes`` as :func:`~.evaluation.drive_all` has them; ``kept``
+    counts those whose episodes cost at most that limit in the mean.
     """
     episodes = sum(len(part["episodes"]) for part in parts) // max(len(parts), 1)
+    kept = Counter(part["arm"] for part in parts if _means(part["episodes"])["cost"] <= part["limit"])
     by_arm = {arm: {part["seed"]: _means(part["episodes"]) for part in parts if part["arm"] == arm} for arm in arms}
     return {
         "arms": {
             arm: {
                 "seeds": sorted(trainings),
-                "kept": sum(means["cost"] <= limits[arm] for means in trainings.values()),
+                "kept": kept[arm],
                 "means": {key: _estimate(trainings, key, episodes * len(trainings)) for key in SHOWN},
                 "less": {other: _differences(trainings, by_arm[other])} if (other := arms[arm]) is not None else {},
             }

@@ -178,11 +178,14 @@ def _model(experiment: ExperimentConfig, env: VecEnv, out: Path) -> BaseAlgorith
 def _require_known(experiment: ExperimentConfig) -> None:
     """Raise InputError for a setting that the algorithm, and what it is built on, does not take."""
     built_on = _class(experiment.algorithm).__mro__
-    known = {name for one in built_on for name in inspect.signature(one.__init__).parameters}
+    taken = (p for one in built_on for p in inspect.signature(one.__init__).parameters.values())
+    known = {p.name for p in taken if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)} - {"self"}
     for name in experiment.settings:
         if name not in known:
-            raise InputError(f"settings.{name} must be one that {experiment.algorithm} takes, got one it does not: "
-                             f"{nearest(name, known - {'self', 'args', 'kwargs'})}")  # fmt: skip
+            raise InputError(
+                f"settings.{name} must be one that {experiment.algorithm} takes, got one it does not: "
+                f"{nearest(name, known)}"
+            )
 
 
 def _claim(experiment: ExperimentConfig, out: Path) -> list[dict[str, Any]]:
@@ -190,23 +193,22 @@ def _claim(experiment: ExperimentConfig, out: Path) -> list[dict[str, Any]]:
 
     More steps may be asked for; everything else must be as it was.
     """
-    mark, wanted = out / "experiment.json", experiment.to_dict()
+    mark, progress, wanted = out / "experiment.json", out / "progress.json", experiment.to_dict()
     try:
-        if mark.exists():
-            found = json.loads(mark.read_text(encoding="utf-8"))
-            changed = sorted(key for key in wanted | found if key != "steps" and wanted.get(key) != found.get(key))
-            if changed:
-                raise InputError(
-                    f"out must be empty or hold the same experiment, got {out}, which differs in {', '.join(changed)}: "
-                    "choose a new folder"
-                )
-        write_whole(mark, wanted)
-        kept, progress = (out / LAST).exists(), out / "progress.json"
-        return json.loads(progress.read_text(encoding="utf-8")) if kept and progress.exists() else []
-    except InputError:
-        raise
+        found = json.loads(mark.read_text(encoding="utf-8")) if mark.exists() else wanted
+        changed = sorted(key for key in wanted | found if key != "steps" and wanted.get(key) != found.get(key))
+        if not changed:
+            write_whole(mark, wanted)
+        kept = (out / LAST).exists() and progress.exists()
+        rows: list[dict[str, Any]] = json.loads(progress.read_text(encoding="utf-8")) if kept else []
     except (OSError, ValueError) as error:
         raise InputError(f"out must be a folder that can be written, got {out} ({error}): choose another") from error
+    if changed:
+        raise InputError(
+            f"out must be empty or hold the same experiment, got {out}, which differs in {', '.join(changed)}: "
+            "choose a new folder"
+        )
+    return rows
 
 
 def _checkpoint(

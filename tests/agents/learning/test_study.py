@@ -151,10 +151,11 @@ def test_the_packaged_study_has_every_arm_in_every_place() -> None:
 def test_a_training_is_one_draw_however_many_episodes_its_policy_drives() -> None:
     def part(arm: str, seed: int, cost: float) -> dict[str, Any]:
         episodes = [dict.fromkeys(SHOWN, 0.0) | {"cost": cost + seed + shift} for shift in (-0.5, 0.0, 0.5)]
-        return {"arm": arm, "seed": seed, "episodes": episodes}
+        limit = {"blind": 13.0, "seeing": 6.0}[arm]
+        return {"arm": arm, "seed": seed, "limit": limit, "episodes": episodes}
 
     parts = [part(arm, seed, cost) for arm, cost in (("blind", 10.0), ("seeing", 4.0)) for seed in range(5)]
-    found = summarise(parts, {"blind": None, "seeing": "blind", "unlearnt": "blind"}, {"blind": 13.0, "seeing": 6.0})
+    found = summarise(parts, {"blind": None, "seeing": "blind", "unlearnt": "blind"})
     assert list(found["arms"]) == ["blind", "seeing"]
     mean = found["arms"]["seeing"]["means"]["cost"]
     assert mean["n"] == 5
@@ -166,11 +167,11 @@ def test_a_training_is_one_draw_however_many_episodes_its_policy_drives() -> Non
 
 def test_few_trainings_have_intervals_and_tests_and_many_tests_are_adjusted() -> None:
     def part(arm: str, seed: int, **figures: float) -> dict[str, Any]:
-        return {"arm": arm, "seed": seed, "episodes": [dict.fromkeys(SHOWN, 0.0) | figures] * 20}
+        return {"arm": arm, "seed": seed, "limit": 5.0, "episodes": [dict.fromkeys(SHOWN, 0.0) | figures] * 20}
 
     cost = {"blind": (10.0, 12.0, 11.0), "seeing": (4.0, 5.5, 4.6)}
     parts = [part(arm, seed, cost=value) for arm in cost for seed, value in enumerate(cost[arm])]
-    place = summarise(parts, {"blind": None, "seeing": "blind"}, {"blind": 5.0, "seeing": 5.0})
+    place = summarise(parts, {"blind": None, "seeing": "blind"})
     mean, crashes = (place["arms"]["seeing"]["means"][key] for key in ("cost", "collision"))
     gap = np.subtract(cost["seeing"], cost["blind"])
     assert [mean["low"], mean["high"]] == pytest.approx(t_interval(cost["seeing"]))
@@ -180,9 +181,7 @@ def test_few_trainings_have_intervals_and_tests_and_many_tests_are_adjusted() ->
     assert less["cost"]["p"] == pytest.approx(ttest_1samp(gap, 0.0).pvalue)
     assert (less["return"]["difference"], less["return"]["p"]) == (0.0, 1.0)
     alike = [part(arm, seed, cost=float(arm == "blind")) for arm in cost for seed in range(3)]
-    always = summarise(alike, {"blind": None, "seeing": "blind"}, {"blind": 5.0, "seeing": 5.0})["arms"]["seeing"][
-        "less"
-    ]["blind"]["cost"]
+    always = summarise(alike, {"blind": None, "seeing": "blind"})["arms"]["seeing"]["less"]["blind"]["cost"]
     assert (always["difference"], always["p"]) == (-1.0, 0.25), "three that agree prove little"
     adjust([place, {"arms": {"seeing": {"less": {}}}}])
     assert less["cost"]["p_holm"] == pytest.approx(3.0 * less["cost"]["p"])
