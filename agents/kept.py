@@ -28,7 +28,10 @@ from lanebound.agents.plain import finite_or_none
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import InputError
 
-__all__ = ["STARTING", "Progress", "claim", "code_digest", "one_thread", "parts_kept", "run_parts", "write_whole"]
+__all__ = [
+    "STARTING", "Progress", "claim", "code_digest", "one_thread", "parts_kept", "run_parts", "save_whole",
+    "write_whole",
+]  # fmt: skip
 
 Progress = Callable[[int, int], None]
 STARTING = Lock()
@@ -88,8 +91,13 @@ def code_digest(*packages: str) -> str:
 def write_whole(path: Path, data: Any) -> None:
     """Write JSON so that the file is there whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
+    save_whole(path, lambda draft: draft.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8"))
+
+
+def save_whole(path: Path, save: Callable[[Path], object]) -> None:
+    """Let ``save`` write a file so that it is there whole or not at all; the one before stays until then."""
     draft = path.with_name(path.name + ".part")
-    draft.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+    save(draft)
     os.replace(draft, path)
 
 

@@ -61,6 +61,8 @@ def train(
 def _kept(out: Path) -> str:
     if (out / "last.zip").exists():
         return f"checkpoints are kept in {out}: the same command goes on from the last"
+    if (out / "imitation.pt").exists():
+        return f"finished rounds of imitation are kept in {out}: the same command goes on with the next"
     return "before the first checkpoint, so that nothing is kept: the same command begins anew"
 
 

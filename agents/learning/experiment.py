@@ -47,6 +47,9 @@ class ImitationConfig(Config):
     """How a policy is fitted to a driver before it learns by reward."""
 
     driver: str = Field("integrity_aware", description="agent that is imitated")
+    observation: Mapping[str, Any] = Field(
+        {}, description="what the driver is shown otherwise than the policy, as integrity: full where that is blind"
+    )
     rounds: int = Field(4, ge=1, le=100, description="in the first the driver drives, then the policy as it is by then")
     decisions: int = Field(4000, ge=1, description="in each round, of all environments together")
     epochs: int = Field(20, ge=1, le=1000, description="after each round, over all that was said so far")
@@ -98,7 +101,7 @@ class ExperimentConfig(Config):
     count: int = Field(4, ge=1, le=4096, description="environments side by side")
     seed: int = Field(0, ge=0, description="of networks, draws and environments")
     checkpoint_steps: int = Field(
-        20_000, ge=1, description="decisions between checkpoints; what a stop may lose, or all of ``imitation``"
+        20_000, ge=1, description="decisions between checkpoints; what a stop may lose, or a round of ``imitation``"
     )
     evaluation_episodes: int = Field(16, ge=1, le=100, description="at each checkpoint, on the last training seeds")
 
@@ -120,6 +123,12 @@ class ExperimentConfig(Config):
     def env_overrides(self) -> dict[str, Any]:
         """What the environment changes of what its id presets; observations are flat."""
         return deep_merge(deep_merge({"sky": self.sky}, self.overrides), FLAT)
+
+    def as_driver_sees(self) -> ExperimentConfig:
+        """The same with the observations of the driver that is imitated, where they are other than the policy's."""
+        if self.imitation is None or not self.imitation.observation:
+            return self
+        return self.replace(overrides=deep_merge(self.overrides, {"observation": self.imitation.observation}))
 
     def open(self) -> DrivingEnv:
         """The environment, without the shield."""

@@ -4,12 +4,17 @@ Dataset aggregation (Ross, Gordon and Bagnell 2011): in the first round the driv
 policy as far as it has come; at every decision the driver says what it would do, and after each round the policy is
 fitted to all that was said so far. A policy that only copied drives of the driver would not know the way back to them.
 What is fitted of continuous actions is their mean; how widely the policy tries others afterwards stays as it was set.
+
+The driver may be shown more than the policy (a privileged teacher): then environments show what the driver needs, and
+the policy is handed its part of that.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import closing
+from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,17 +26,31 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.base import Driver
+from lanebound.agents.kept import save_whole
 from lanebound.agents.learning.experiment import ExperimentConfig, ImitationConfig
 from lanebound.agents.learning.opening import episode_seeds
+from lanebound.envs.observation import ObservationConfig, entries
+from lanebound.integrity.errors import InputError
 
 __all__ = ["Teacher", "imitate", "teacher_of"]
 
+Places = NDArray[np.intp]
+
 
 class Teacher(NamedTuple):
-    """Whom a policy begins from, ready to drive, and how it is shown."""
+    """Whom a policy begins from, ready to drive, and how it is shown.
+
+    Attributes
+    ----------
+    driver, lessons : who shows, and how long
+    experiment : whose environments show what the driver needs
+    places : where the entries that the policy sees stand among those
+    """
 
     driver: Driver
     lessons: ImitationConfig
+    experiment: ExperimentConfig
+    places: Places
 
 
 def teacher_of(experiment: ExperimentConfig) -> Teacher | None:
@@ -40,53 +59,111 @@ def teacher_of(experiment: ExperimentConfig) -> Teacher | None:
     Raises
     ------
     InputError
-        The environment has no actions for the driver, or does not show what it needs.
+        The environment has no actions for the driver, or does not show what it or the policy needs.
     """
     if experiment.imitation is None:
         return None
+    shown = experiment.as_driver_sees()
+    with closing(shown.open()) as single:
+        driver, theirs = make_agent(experiment.imitation.driver, single), single.config.observation
     with closing(experiment.open()) as single:
-        return Teacher(make_agent(experiment.imitation.driver, single), experiment.imitation)
+        places = _places(single.config.observation, theirs)
+    return Teacher(driver, experiment.imitation, shown, places)
+
+
+def _places(ours: ObservationConfig, theirs: ObservationConfig) -> Places:
+    """Where the entries of one flat observation stand in another; InputError where they are not all there."""
+    at = {entry: place for place, entry in enumerate(entries(theirs))}
+    missing = [entry.column for entry in entries(ours) if entry not in at]
+    if missing:
+        raise InputError(
+            f"imitation.observation must show the driver all that the policy sees, in the same scales, got none of "
+            f"{', '.join(missing[:3])}{' ...' if missing[3:] else ''}: change of it only what adds entries"
+        )
+    if ours.history != theirs.history or (ours.integrity == "oracle") != (theirs.integrity == "oracle"):
+        raise InputError(
+            "imitation.observation must keep history and whether the truth is shown, got others than the policy's: "
+            "leave out history and integrity: oracle"
+        )
+    frame = np.array([at[entry] for entry in entries(ours)])
+    return np.concatenate([frame + newer * len(at) for newer in range(ours.history)])
 
 
 def imitate(
-    experiment: ExperimentConfig,
     teacher: Teacher,
     model: BaseAlgorithm,
     env: VecEnv,
     stepped: Callable[[int], None] = lambda decisions: None,
+    kept: Path | None = None,
 ) -> list[float]:
     """Fit what the policy of ``model`` does without its noise to its teacher; returns the mean loss after each round.
 
     Parameters
     ----------
-    env : of the experiment; the episodes are none of those learnt from by reward, nor of those judged by
+    env : of the teacher's experiment; the episodes are none of those learnt from by reward, nor of those judged by
     stepped : called with the decisions so far, at every step
+    kept : file for what was said so far and the policy fitted to it, written after each round; from one that is there
+        it goes on, with episodes of its own; None: nowhere
     """
-    driver, lessons = teacher
-    env.seed(episode_seeds(experiment, 0, "imitation"))
-    seen: list[NDArray[np.float32]] = []
-    said: list[NDArray[Any]] = []
+    driver, lessons, experiment, places = teacher
+    optimiser = torch.optim.Adam(model.policy.parameters(), lr=lessons.learning_rate)
+    heard = _Heard([], [], []) if kept is None or not kept.exists() else _taken_up(kept, model, optimiser)
+    env.seed(episode_seeds(experiment, len(heard.losses), "imitation"))
     observations: Any = env.reset()
     starts, state = np.ones(env.num_envs, dtype=np.bool_), None
-    optimiser = torch.optim.Adam(model.policy.parameters(), lr=lessons.learning_rate)
-    losses = []
-    for turn in range(lessons.rounds):
+    for turn in range(len(heard.losses), lessons.rounds):
         for _ in range(-(-lessons.decisions // env.num_envs)):
             wanted, state = driver.predict(observations, state, starts)
-            seen.append(np.array(observations, dtype=np.float32))
-            said.append(np.array(wanted))
-            actions = wanted if turn == 0 else model.predict(observations, deterministic=True)[0]
+            ours = np.array(observations[:, places], dtype=np.float32)
+            heard.seen.append(ours)
+            heard.said.append(np.array(wanted))
+            actions = wanted if turn == 0 else model.predict(ours, deterministic=True)[0]
             observations, _, starts, _ = env.step(np.asarray(actions))
-            stepped(len(seen) * env.num_envs)
-        losses.append(_fit(model, np.concatenate(seen), np.concatenate(said), lessons, optimiser))
-    return losses
+            stepped(len(heard.seen) * env.num_envs)
+        heard.losses.append(_fit(model, heard, lessons, optimiser))
+        if kept is not None:
+            _keep(kept, heard, model, optimiser)
+    return heard.losses
 
 
-def _fit(
-    model: BaseAlgorithm, seen: NDArray[np.float32], said: NDArray[Any], lessons: ImitationConfig, optimiser: Any
-) -> float:
+class _Heard(NamedTuple):
+    """What the policy saw and the driver said, step by step of all environments, and the loss after each round."""
+
+    seen: list[NDArray[np.float32]]
+    said: list[NDArray[Any]]
+    losses: list[float]
+
+
+def _keep(path: Path, heard: _Heard, model: BaseAlgorithm, optimiser: torch.optim.Optimizer) -> None:
+    states = {
+        "seen": torch.as_tensor(np.stack(heard.seen)),
+        "said": torch.as_tensor(np.stack(heard.said)),
+        "losses": heard.losses,
+        "policy": model.policy.state_dict(),
+        "optimiser": optimiser.state_dict(),
+        "draws": torch.get_rng_state(),
+    }
+    save_whole(path, lambda draft: torch.save(states, draft))
+
+
+def _taken_up(path: Path, model: BaseAlgorithm, optimiser: torch.optim.Optimizer) -> _Heard:
+    """What was kept after a round; the policy and its fit are as they were then."""
+    try:
+        states = torch.load(path, weights_only=True)
+        model.policy.load_state_dict(states["policy"])
+        optimiser.load_state_dict(states["optimiser"])
+        torch.set_rng_state(states["draws"])
+        return _Heard(list(states["seen"].numpy()), list(states["said"].numpy()), states["losses"])
+    except (OSError, RuntimeError, LookupError, TypeError, EOFError, UnpicklingError) as error:
+        raise InputError(
+            f"{path} must be as imitation wrote it, got another file ({type(error).__name__}): delete it to begin anew"
+        ) from error
+
+
+def _fit(model: BaseAlgorithm, heard: _Heard, lessons: ImitationConfig, optimiser: torch.optim.Optimizer) -> float:
     """Some epochs over all that was said; the mean loss of the last."""
-    given, wanted = torch.as_tensor(seen, device=model.device), torch.as_tensor(said, device=model.device)
+    given = torch.as_tensor(np.concatenate(heard.seen), device=model.device)
+    wanted = torch.as_tensor(np.concatenate(heard.said), device=model.device)
     losses: list[float] = []
     model.policy.set_training_mode(True)
     for _ in range(lessons.epochs):

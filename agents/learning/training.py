@@ -7,6 +7,7 @@
     best.zip  best.md              the best so far (:func:`is_best`), and a card about it; before any learning by reward
                                    perhaps, where the policy began from a driver (:mod:`.imitation`)
     progress.json                  an evaluation at each checkpoint
+    imitation.pt                   until that is over, what it has come to
     logs/                          for TensorBoard, where it is installed: costs by cause, levels, alerts, modes
 """
 
@@ -15,9 +16,8 @@ from __future__ import annotations
 import inspect
 import json
 import math
-import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
@@ -29,11 +29,11 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from lanebound.agents.kept import write_whole
+from lanebound.agents.kept import save_whole, write_whole
 from lanebound.agents.learning.card import write_card
 from lanebound.agents.learning.evaluation import evaluate
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig
-from lanebound.agents.learning.imitation import imitate, teacher_of
+from lanebound.agents.learning.imitation import Teacher, imitate, teacher_of
 from lanebound.agents.learning.opening import episode_seeds, for_learning
 from lanebound.agents.plain import finite_or_none
 from lanebound.envs.costs import CAUSES
@@ -51,7 +51,7 @@ CLASSES = {
     Algorithm.PPO_LAGRANGIAN: "lanebound.agents.learning.ppo_lagrangian:PPOLagrangian",
     Algorithm.SAC_LAGRANGIAN: "lanebound.agents.learning.sac_lagrangian:SACLagrangian",
 }
-LAST, REPLAY = "last.zip", "last-replay.pkl"
+LAST, REPLAY, IMITATION = "last.zip", "last-replay.pkl", "imitation.pt"
 INTEGRITY = ("availability", "alert_share", "alerts", "mi_steps", "hmi_steps", "pl_at_mean_m", "pl_ct_mean_m")
 
 
@@ -100,7 +100,8 @@ def train(
         model = _model(experiment, env, out)
         begun = (out / LAST).exists()
         if teacher is not None and not begun:
-            imitate(experiment, teacher, model, env, imitated)
+            with _shown(teacher, env, experiment, processes) as shown:
+                imitate(teacher, model, shown, imitated, out / IMITATION)
             begun = True
         if begun and all(row["steps"] != model.num_timesteps for row in progress):
             told(_checkpoint(experiment, model, out, progress))  # or it was kept when the last run was stopped
@@ -111,6 +112,15 @@ def train(
             model.learn(chunk, callback=watch, reset_num_timesteps=model.num_timesteps == 0, tb_log_name="run")
             told(_checkpoint(experiment, model, out, progress))
     return progress
+
+
+def _shown(
+    teacher: Teacher, env: VecEnv, experiment: ExperimentConfig, processes: int
+) -> AbstractContextManager[VecEnv]:
+    """Environments that show what the teacher needs: those of the experiment, or others while it teaches."""
+    if teacher.experiment == experiment:
+        return nullcontext(env)
+    return closing(for_learning(teacher.experiment, processes))
 
 
 @contextmanager
@@ -228,16 +238,11 @@ def _checkpoint(
 def _keep(model: BaseAlgorithm, out: Path, best: bool) -> None:
     """Save a checkpoint; the one before stays until the new one is whole."""
     if getattr(model, "replay_buffer", None) is not None:
-        _whole(out / REPLAY, model.save_replay_buffer)  # type: ignore[attr-defined]
-    _whole(out / LAST, model.save)
+        save_whole(out / REPLAY, model.save_replay_buffer)  # type: ignore[attr-defined]
+    save_whole(out / LAST, model.save)
     if best:
-        _whole(out / "best.zip", model.save)
-
-
-def _whole(path: Path, save: Callable[[Path], None]) -> None:
-    draft = path.with_name("draft-" + path.name)
-    save(draft)
-    os.replace(draft, path)
+        save_whole(out / "best.zip", model.save)
+    (out / IMITATION).unlink(missing_ok=True)
 
 
 def _limit_of_best(experiment: ExperimentConfig) -> float:
