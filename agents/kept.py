@@ -29,13 +29,19 @@ from lanebound.integrity.config import Config
 from lanebound.integrity.errors import InputError
 
 __all__ = [
-    "STARTING", "Progress", "claim", "code_digest", "one_thread", "parts_kept", "run_parts", "save_whole",
-    "write_whole",
+    "MARKS", "STARTING", "Progress", "claim", "code_digest", "one_thread", "parts_kept", "require_own", "run_parts",
+    "save_whole", "write_whole",
 ]  # fmt: skip
 
 Progress = Callable[[int, int], None]
 STARTING = Lock()
 """Held while a process is started: who ends this one at once waits for it, so that none is left half begun."""
+MARKS = {
+    "config.json": "a study or an assessment",
+    "experiment.json": "a training",
+    "suite.json": "a benchmark",
+}
+"""Files by which folders of work are known, and of what."""
 THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -54,6 +60,7 @@ def claim(out: Path, study: str, config: Config, packages: Sequence[str]) -> Non
     text = study + config.to_json() + code_digest(*packages)
     digest = hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
     mark = out / "config.json"
+    require_own(mark)
     try:
         out.mkdir(parents=True, exist_ok=True)
         found = _digest_in(mark) if mark.exists() else digest
@@ -68,6 +75,21 @@ def claim(out: Path, study: str, config: Config, packages: Sequence[str]) -> Non
             f"out must be empty or hold the same study, got {out} of another configuration or version: "
             "choose a new folder"
         )
+
+
+def require_own(mark: Path) -> None:
+    """Refuse a folder that holds work of another kind than the one that is known by ``mark``.
+
+    Raises
+    ------
+    InputError
+        It does.
+    """
+    for name, kind in MARKS.items():
+        if name != mark.name and os.path.exists(mark.with_name(name)):  # False where it may not be looked at
+            raise InputError(
+                f"out must be empty or its own, got {mark.parent}, which holds {kind}: choose a new folder"
+            )
 
 
 def _digest_in(mark: Path) -> Any:

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from lanebound.integrity.config import Config, preset_names
 from lanebound.integrity.errors import ConfigError
-from lanebound.integrity.presets import load_file, load_preset, nearest
+from lanebound.integrity.presets import FILES, load_file, load_preset, nearest
 
 __all__ = ["load_named"]
 
@@ -32,7 +32,7 @@ def load_named(
         There is none, or a value is refused.
     """
     changes = overrides or {}
-    if name.endswith((".yaml", ".yml")):
+    if name.endswith(FILES):
         data = load_file(Path(name), what)
         data.pop("kind", None)
         return kind.build(data, changes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 import re
 from collections.abc import Collection, Hashable, Iterable, Mapping
 from functools import cache
@@ -13,10 +14,20 @@ from typing import Any
 
 from lanebound.integrity.errors import ConfigError
 
-__all__ = ["deep_merge", "load_file", "load_preset", "nearest", "parse_assignments", "parse_yaml", "preset_names"]
+__all__ = [
+    "FILES",
+    "deep_merge",
+    "load_file",
+    "load_preset",
+    "nearest",
+    "parse_assignments",
+    "parse_yaml",
+    "preset_names",
+]
 
 PRESET_PACKAGE = "lanebound.configs"
 FEW = 8  # presets, that a message may name
+FILES = (".yaml", ".yml")
 YAML_FLOAT = re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")  # YAML 1.1 reads 1e-7 as text
 
 
@@ -157,18 +168,31 @@ def load_preset(name: str, overrides: Mapping[str, Any] | None = None) -> dict[s
 
 
 def load_file(path: Path, what: str) -> dict[str, Any]:
-    """The values of a preset that is a file of one's own, which may extend packaged ones; ``what`` it is in messages.
+    """The values of a preset that is a file of one's own; ``what`` it is in messages.
+
+    It may extend packaged ones by name, and other files by their paths from its own folder.
 
     Raises
     ------
     ConfigError
-        It cannot be read, is not a mapping of YAML, or extends what there is not.
+        It cannot be read, is not a mapping of YAML, or extends what there is not, or itself.
     """
+    return _read(path, what, _presets(), ())
+
+
+def _read(path: Path, what: str, presets: Mapping[str, Traversable], seen: tuple[str, ...]) -> dict[str, Any]:
+    source = os.path.abspath(path)
+    _require_new(source, seen)
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
         raise ConfigError(f"{what} must be a file that can be read, got {path} ({error}): correct the path") from None
-    return _extended(text, str(path), _presets(), (str(path),))
+    return _extended(text, str(path), presets, (*seen, source), path.parent)
+
+
+def _require_new(name: str, seen: tuple[str, ...]) -> None:
+    if name in seen:
+        raise ConfigError(f"preset '{name}' extends itself, by way of {' -> '.join((*seen, name))}: break the circle")
 
 
 def _nearest_preset(name: str, presets: Iterable[str]) -> str:
@@ -182,15 +206,17 @@ def _nearest_preset(name: str, presets: Iterable[str]) -> str:
 
 
 def _resolve(name: str, presets: Mapping[str, Traversable], seen: tuple[str, ...]) -> dict[str, Any]:
-    if name in seen:
-        raise ConfigError(f"preset '{name}' extends itself, by way of {' -> '.join((*seen, name))}: break the circle")
+    _require_new(name, seen)
     if name not in presets:
         where = f" (extended by '{seen[-1]}')" if seen else ""
         raise ConfigError(f"preset '{name}'{where} is unknown: {_nearest_preset(name, presets)}")
     return _extended(presets[name].read_text(encoding="utf-8"), f"preset '{name}'", presets, (*seen, name))
 
 
-def _extended(text: str, source: str, presets: Mapping[str, Traversable], seen: tuple[str, ...]) -> dict[str, Any]:
+def _extended(
+    text: str, source: str, presets: Mapping[str, Traversable], seen: tuple[str, ...], folder: Path | None = None
+) -> dict[str, Any]:
+    """What a text says over what it extends, which are presets, and files where it is one itself in ``folder``."""
     data = parse_yaml(text, source)
     if not isinstance(data, Mapping):
         raise ConfigError(f"{source} must be a mapping, got {type(data).__name__}: write lines 'key: value'")
@@ -201,5 +227,8 @@ def _extended(text: str, source: str, presets: Mapping[str, Traversable], seen: 
         raise ConfigError(f"extends of {source} must be a name or a list of names, got {parents!r}: correct it")
     merged: dict[str, Any] = {}
     for parent in parents:
-        merged = deep_merge(merged, _resolve(parent, presets, seen))
+        if folder is not None and parent.endswith(FILES):
+            merged = deep_merge(merged, _read(folder / parent, f"what {source} extends", presets, seen))
+        else:
+            merged = deep_merge(merged, _resolve(parent, presets, seen))
     return deep_merge(merged, own)

@@ -47,12 +47,17 @@ def _tuned() -> str:
 
 
 KINDS = (
-    ("path/model.zip", "a checkpoint of Stable-Baselines3 or sb3-contrib (PPO, A2C, SAC, TD3, DQN, ...)"),
+    (
+        "path/model.zip",
+        "a checkpoint of Stable-Baselines3 or sb3-contrib (PPO, A2C, SAC, TD3, DQN, ...); one learnt on flat "
+        "observations drives where they are dicts as well",
+    ),
     (
         "path/model.onnx",
         "a network, with `onnxruntime` installed: inputs `ego`, `integrity`, `road`, `traffic`, or one for flat "
         "observations; the first output is the action, or a value for each discrete action",
     ),
+    ("path/model.npz", "a policy's arrays, as `lanebound export DIR --out FILE.npz` writes them"),
     (
         "package.module:callable",
         "called with the environment; returns an object with `predict` as in Stable-Baselines3, or a function from "
@@ -88,7 +93,7 @@ EXAMPLE = """```yaml
 title: mine beside ours
 envs: [LaneKeeping, CarFollowing]
 skies: [urban, dense]
-agents: [nominal, integrity_aware, {mine: {agent: runs/model.zip, config: {observation: {form: flat}}}}]
+agents: [nominal, integrity_aware, {mine: {agent: runs/model.zip, config: {observation: {vehicles: 3}}}}]
 seeds: {count: 20}
 ```"""
 AGENTS = f"""## Agents
@@ -97,8 +102,8 @@ An agent of a suite is a name of ours, or `name: agent` with
 
 {{kinds}}
 
-and, where it needs another environment than the suite's, `name: {{agent: ..., config: {{observation: {{form:
-flat}}}}}}`. An agent is to decide by observations alone; what it may read of the environment are its spaces and
+and, where it needs another environment than the suite's, `name: {{agent: ..., config: {{observation: {{vehicles:
+3}}}}}}`. An agent is to decide by observations alone; what it may read of the environment are its spaces and
 its configuration. Checkpoints and modules run code: open only those that you trust.
 
 `oracle` sees the truth, to show what is possible. Its collisions and lane departures are a bound; its cost is

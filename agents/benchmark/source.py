@@ -11,6 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from lanebound.agents.benchmark.suite import AgentConfig
+from lanebound.agents.drivers.foreign import MODELS
 
 __all__ = ["agent_digest", "package_versions", "source_digest"]
 
@@ -55,7 +56,7 @@ def agent_digest(chosen: AgentConfig) -> str:
 
 
 def _files(agent: str) -> list[Path]:
-    if agent.endswith((".zip", ".onnx")):
+    if agent.endswith(MODELS):
         return [Path(agent)]
     module, colon, _ = agent.partition(":")
     if not colon:

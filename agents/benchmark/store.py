@@ -22,6 +22,7 @@ from lanebound.agents.benchmark.source import agent_digest, package_versions, so
 from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.episodes.columns import COLUMNS
 from lanebound.agents.episodes.log import schema_of
+from lanebound.agents.kept import require_own
 from lanebound.integrity.errors import InputError
 
 __all__ = ["STORED", "Store", "replace_file"]
@@ -58,6 +59,7 @@ class Store:
             It holds another suite, or one driven by another version, or cannot be written.
         """
         mark = self.folder / SUITE
+        require_own(mark)
         try:
             if fresh:
                 self._clear()

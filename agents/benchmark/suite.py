@@ -48,7 +48,7 @@ class SeedsConfig(Config):
 class AgentConfig(Config):
     """Who drives."""
 
-    agent: str = Field(description="name of an agent, model.zip (SB3), model.onnx, or package.module:callable")
+    agent: str = Field(description="name of an agent, model.zip (SB3), .onnx, .npz, or package.module:callable")
     config: Mapping[str, Any] = Field({}, description="what this agent needs of its environment, merged over the suite")
     figures: Mapping[str, Any] = Field({}, description="of an agent of ours, such as {speed_share: 0.5} of cautious")
 

@@ -27,7 +27,7 @@ def agents(
     typer.echo("Levels: protection levels. Actions: spaces that it can command, see 'lanebound envs'.")
     typer.echo("Figures: in a suite, such as 'careful: {agent: cbf, figures: {over: integrity_aware}}'.")
     typer.echo(_tuned())
-    typer.echo("Your own: model.zip (Stable-Baselines3), model.onnx, or package.module:callable; they may be given")
+    typer.echo("Your own: model.zip (Stable-Baselines3), .onnx, .npz, or package.module:callable; they may be given")
     typer.echo("wherever a name may: 'lanebound drive ID --agent NAME', 'lanebound benchmark SUITE --agents A,B'.")
 
 

@@ -24,7 +24,7 @@ Agents = Annotated[
     str | None,
     typer.Option(
         metavar="A,B",
-        help="Drive these alone: names ('lanebound agents'), or name=model.zip, .onnx or package.module:callable.",
+        help="Drive these alone: names ('lanebound agents'), or name=FILE.zip, .onnx, .npz or module:callable.",
     ),
 ]
 

@@ -33,7 +33,7 @@ def list_presets(as_json: AsJson = False) -> None:
 @app.command("show")
 def show(
     preset: Annotated[
-        str, typer.Argument(metavar="PRESET", help="Name of a preset, as 'lanebound config list' prints it.")
+        str, typer.Argument(metavar="PRESET", help="As 'lanebound config list' prints it, or a YAML file.")
     ],
     assignments: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one value; may be repeated.")

@@ -35,7 +35,7 @@ def drive(
     agent: Annotated[
         str,
         typer.Option(
-            help=f"Who drives: {', '.join(AGENTS)} (see 'lanebound agents'); model.zip, model.onnx, or module:callable."
+            help=f"Who drives: {', '.join(AGENTS)} (see 'lanebound agents'); FILE.zip, .onnx, .npz, or module:callable."
         ),
     ] = "cruise",
     sky: Sky = None,

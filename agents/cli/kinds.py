@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lanebound.integrity.errors import ConfigError
@@ -32,17 +33,20 @@ KINDS = {
 
 
 def resolve(name: str, overrides: Mapping[str, Any] | None = None) -> tuple[str, Config]:
-    """The kind of a preset, and its configuration with ``overrides`` on top.
+    """The kind of a preset or a file of one's own, and its configuration with ``overrides`` on top.
 
     Raises
     ------
     ConfigError
         The preset or its kind is unknown, or a value is refused.
     """
-    from lanebound.integrity.presets import load_preset, nearest
+    from lanebound.integrity.presets import FILES, deep_merge, load_file, load_preset, nearest
 
-    _require_no_environment(name)
-    data = load_preset(name, overrides)
+    if name.endswith(FILES):
+        data = deep_merge(load_file(Path(name), "preset"), overrides or {})
+    else:
+        _require_no_environment(name)
+        data = load_preset(name, overrides)
     kind = data.pop("kind", None)
     if kind is None:
         raise ConfigError(f"preset '{name}' names no kind: add a line such as 'kind: {min(KINDS)}'")

@@ -13,7 +13,7 @@ from lanebound.envs.observation import Entry, ObservationConfig, entries, group_
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.presets import nearest
 
-__all__ = ["Driver", "Reader"]
+__all__ = ["Driver", "Reader", "in_a_row"]
 
 Array = NDArray[np.float64]
 Observation = NDArray[np.float32] | Mapping[str, NDArray[np.float32]]
@@ -31,6 +31,15 @@ class Driver(Protocol):
         deterministic: bool = True,
     ) -> tuple[Any, tuple[NDArray[Any], ...] | None]:
         """The action for an observation, or one for each of a batch, and the state to hand in next time."""
+
+
+def in_a_row(observation: Observation, history: int = 1) -> NDArray[np.float32]:
+    """The flat form (..., n) of an observation that may be a dict of its groups, of which ``history`` are stacked."""
+    if not isinstance(observation, Mapping):
+        return np.asarray(observation, dtype=np.float32)
+    parts = [np.asarray(part, dtype=np.float32) for part in observation.values()]
+    frames = [part.reshape(*part.shape[:-1], history, -1) for part in parts]
+    return np.concatenate(frames, axis=-1).reshape(*parts[0].shape[:-1], -1)
 
 
 class Reader:

@@ -1,4 +1,4 @@
-"""Agents from elsewhere: checkpoints of stable-baselines3, ONNX files, and what a Python module makes.
+"""Agents from elsewhere: checkpoints of stable-baselines3, networks in files, and what a Python module makes.
 
 Checkpoints and modules run code: open only those that you trust.
 """
@@ -19,14 +19,16 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lanebound.agents.drivers.base import Driver
+from lanebound.agents.drivers.base import Driver, in_a_row
+from lanebound.agents.drivers.learnt import open_arrays
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.presets import nearest
 
-__all__ = ["FunctionDriver", "OnnxDriver", "is_foreign", "open_foreign", "require_foreign"]
+__all__ = ["MODELS", "FlatDriver", "FunctionDriver", "OnnxDriver", "is_foreign", "open_foreign", "require_foreign"]
 
 States = tuple[NDArray[Any], ...] | None
+MODELS = (".zip", ".onnx", ".npz")
 ALGORITHMS = {
     "cost_gae_lambda": "lanebound.agents.learning.ppo_lagrangian:PPOLagrangian",
     "cost_gamma": "lanebound.agents.learning.sac_lagrangian:SACLagrangian",
@@ -48,7 +50,7 @@ CONTRIB = {
 
 def is_foreign(name: str) -> bool:
     """Whether a name is that of a file or of something in a module."""
-    return name.endswith((".zip", ".onnx")) or ":" in name
+    return name.endswith(MODELS) or ":" in name
 
 
 def require_foreign(name: str) -> None:
@@ -59,7 +61,7 @@ def require_foreign(name: str) -> None:
     InputError
         There is no such file or module, or what it takes is not installed.
     """
-    if name.endswith((".zip", ".onnx")):
+    if name.endswith(MODELS):
         if not Path(name).is_file():
             raise InputError(f"agent must be a file that exists, got {name}: correct the path")
         if name.endswith(".onnx"):
@@ -107,7 +109,7 @@ def _names_in(source: str | None) -> set[str] | None:
 def open_foreign(name: str, env: DrivingEnv) -> Driver:
     """The agent of a file or a module.
 
-    ``model.zip`` is a checkpoint of stable-baselines3 (or sb3-contrib), ``model.onnx`` a network, and
+    ``model.zip`` is a checkpoint of stable-baselines3 (or sb3-contrib), ``model.onnx`` or ``model.npz`` a network, and
     ``package.module:callable`` is called with the environment and returns an object with ``predict``, or a function
     from observations to actions.
 
@@ -121,6 +123,8 @@ def open_foreign(name: str, env: DrivingEnv) -> Driver:
         return _checkpoint(name, env)
     if name.endswith(".onnx"):
         return OnnxDriver(_session(name, _changed(name)), env)
+    if name.endswith(".npz"):
+        return open_arrays(Path(name), env)
     return _called(name, env)
 
 
@@ -129,21 +133,36 @@ def open_foreign(name: str, env: DrivingEnv) -> Driver:
 
 def _checkpoint(path: str, env: DrivingEnv) -> Driver:
     model = _model(path, _changed(path))
+    shown = env.observation_space
+    flattened = isinstance(model.observation_space, spaces.Box) and isinstance(shown, spaces.Dict)
     for what, trained, here in (
         ("actions", model.action_space, env.action_space),
-        ("observations", model.observation_space, env.observation_space),
+        ("observations", model.observation_space, spaces.flatten_space(shown) if flattened else shown),
     ):
         if not _alike(trained, here):
-            flat = isinstance(trained, spaces.Box) and isinstance(here, spaces.Dict)
-            remedy = (
-                "set observation.form=flat (in a suite overrides.observation.form, or this agent's config)"
-                if flat
-                else "choose the environment that it was trained in"
+            raise InputError(
+                f"agent {path} must be trained on these {what}, {_shape(here)}, got {_shape(trained)}: "
+                "choose the environment that it was trained in"
             )
-            raise InputError(f"agent {path} must be trained on these {what}, {_shape(here)}, got {_shape(trained)}: "
-                             f"{remedy}")  # fmt: skip
     driver: Driver = model
-    return driver
+    return FlatDriver(driver, env.config.observation.history) if flattened else driver
+
+
+class FlatDriver:
+    """A driver of flat observations where they are dicts of their groups."""
+
+    def __init__(self, driver: Driver, history: int) -> None:
+        self.driver, self.history = driver, history
+
+    def predict(
+        self,
+        observation: Any,
+        state: States = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Any, States]:
+        """What that driver says of the groups in a row."""
+        return self.driver.predict(in_a_row(observation, self.history), state, episode_start, deterministic)
 
 
 @lru_cache(maxsize=4)
@@ -210,11 +229,15 @@ class OnnxDriver:
         self.session, self.space = session, env.action_space
         self.inputs = [item.name for item in session.get_inputs()]
         shown = env.observation_space
-        self._named = isinstance(shown, spaces.Dict)
-        if set(self.inputs) != set(shown) if isinstance(shown, spaces.Dict) else len(self.inputs) != 1:
-            wanted = ", ".join(shown) if isinstance(shown, spaces.Dict) else "one input"
+        groups = set(shown) if isinstance(shown, spaces.Dict) else set()
+        self._named, self._history = set(self.inputs) == groups, env.config.observation.history
+        if not self._named and len(self.inputs) != 1:
+            wanted = f"{', '.join(sorted(groups))}, or one" if groups else "one input"
+            raise InputError(f"an ONNX agent must take {wanted}, got {', '.join(self.inputs)}: rename its inputs")
+        wide, given = spaces.flatdim(shown), session.get_inputs()[0].shape[-1]
+        if not self._named and isinstance(given, int) and given != wide:
             raise InputError(
-                f"an ONNX agent must take {wanted}, got {', '.join(self.inputs)}: rename them, or set observation.form"
+                f"an ONNX agent must take {wide} numbers here, got {given}: choose the environment that it was made for"
             )
 
     def predict(
@@ -225,7 +248,7 @@ class OnnxDriver:
         deterministic: bool = True,
     ) -> tuple[Any, States]:
         """The action for one observation."""
-        parts = observation if self._named else {self.inputs[0]: observation}
+        parts = observation if self._named else {self.inputs[0]: in_a_row(observation, self._history)}
         given = {name: np.asarray(parts[name], dtype=np.float32)[None] for name in self.inputs}
         found = np.asarray(self.session.run(None, given)[0])[0]
         if isinstance(self.space, spaces.Discrete):

@@ -1,4 +1,4 @@
-"""Policies that were learnt and come along with the package: small networks from flat observations to actions.
+"""Policies that were learnt, as arrays: small networks from flat observations to actions; some come with the package.
 
 ``lanebound train`` learns one, ``lanebound export DIR --out FILE.npz`` writes it in this form: for each layer n the
 arrays ``weight_n`` (outputs, inputs) and ``bias_n``, tanh between layers, and ``columns``, the names of the entries of
@@ -7,20 +7,21 @@ the observation in their order. Outputs are a continuous action, or a value of e
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from importlib import resources
-from io import BytesIO
+from importlib.resources.abc import Traversable
+from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lanebound.agents.drivers.base import Observation, Reader
+from lanebound.agents.drivers.base import Observation, Reader, in_a_row
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.errors import InputError
 
-__all__ = ["LearntDriver", "make_ppo", "policies"]
+__all__ = ["LearntDriver", "make_ppo", "open_arrays", "policies"]
 
 Array = NDArray[np.float32]
 States = tuple[NDArray[Any], ...] | None
@@ -46,7 +47,7 @@ class LearntDriver:
         deterministic: bool = True,
     ) -> tuple[NDArray[Any], States]:
         """The action (..., A), or (...) of discrete ones, for an observation (..., n) or a dict of its groups."""
-        whole = _in_a_row(observation)
+        whole = in_a_row(observation)
         found = np.stack([self._outputs(row) for row in whole.reshape(-1, whole.shape[-1])])
         found = found.reshape(*whole.shape[:-1], -1)
         if self._discrete:
@@ -61,14 +62,7 @@ class LearntDriver:
         return outputs
 
 
-def _in_a_row(observation: Observation) -> Array:
-    """The groups of a dict one after another, which is the flat form."""
-    if isinstance(observation, Mapping):
-        return np.concatenate([np.asarray(part, dtype=np.float32) for part in observation.values()], axis=-1)
-    return np.asarray(observation, dtype=np.float32)
-
-
-def policies() -> dict[str, Any]:
+def policies() -> dict[str, Traversable]:
     """The files that come along, by the world that each was learnt in."""
     folder = resources.files("lanebound.agents") / "policies"
     return {file.name.removesuffix(".npz"): file for file in folder.iterdir() if file.name.endswith(".npz")}
@@ -88,19 +82,53 @@ def make_ppo(env: DrivingEnv) -> LearntDriver:
         raise InputError(
             f"'ppo' was learnt in {', '.join(sorted(there))}, got {base}: learn a policy there, by 'lanebound train'"
         )
-    with np.load(BytesIO(there[base].read_bytes())) as data:
-        columns = tuple(data["columns"].tolist())
-        count = sum(name.startswith("weight_") for name in data.files)
-        layers = [(data[f"weight_{n}"], data[f"bias_{n}"]) for n in range(count)]
+    return _fitting(there[base], "'ppo'", f" in {base}", env)
+
+
+def open_arrays(path: Path, env: DrivingEnv) -> LearntDriver:
+    """The policy in a file that ``lanebound export`` wrote.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or was learnt with other observations or actions.
+    """
+    return _fitting(path, f"agent {path}", "", env)
+
+
+def _fitting(file: Traversable, name: str, where: str, env: DrivingEnv) -> LearntDriver:
+    """The policy in a file, where it was learnt with the observations and actions of an environment."""
+    columns, layers = _read(file, name)
     config = env.config.observation
     if Reader(config).columns != columns or config.history != 1:
         raise InputError(
-            f"'ppo' was learnt in {base} with the observation of its own ({len(columns)} entries, no history), "
+            f"{name} was learnt{where} with the observation of its own ({len(columns)} entries, no history), "
             "got another: leave 'observation' as it is there"
         )
-    discrete = isinstance(env.action_space, spaces.Discrete)
     if (spaces.flatdim(env.action_space),) != layers[-1][1].shape:
         raise InputError(
-            f"'ppo' was learnt in {base} with actions of its own, got {env.action_space}: leave 'action' as it is"
+            f"{name} was learnt{where} with actions of its own, got {env.action_space}: leave 'action' as it is"
         )
-    return LearntDriver(layers, discrete)
+    return LearntDriver(layers, isinstance(env.action_space, spaces.Discrete))
+
+
+def _read(file: Traversable, name: str) -> tuple[tuple[str, ...], list[tuple[Array, Array]]]:
+    """Names of what a policy sees, and its layers."""
+    try:
+        with file.open("rb") as stream, np.load(stream) as data:
+            columns = tuple(data["columns"].tolist())
+            count = sum(array.startswith("weight_") for array in data.files)
+            layers = [(data[f"weight_{n}"], data[f"bias_{n}"]) for n in range(count)]
+    except (OSError, ValueError, KeyError, AttributeError, EOFError, BadZipFile) as error:
+        raise InputError(f"{name} must be as 'lanebound export' writes it, got {error}: export it anew") from None
+    wide = len(columns)
+    for n, (weight, bias) in enumerate(layers):
+        if weight.shape != (*bias.shape, wide) or not (np.isfinite(weight).all() and np.isfinite(bias).all()):
+            raise InputError(
+                f"weight_{n} and bias_{n} of {name} must be finite, (m, {wide}) and (m,), got {weight.shape} and "
+                f"{bias.shape}: export it anew"
+            )
+        wide = len(bias)
+    if not layers:
+        raise InputError(f"{name} must hold layers weight_0, bias_0, ..., got none: export it anew")
+    return columns, layers

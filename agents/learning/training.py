@@ -29,7 +29,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from lanebound.agents.kept import save_whole, write_whole
+from lanebound.agents.kept import require_own, save_whole, write_whole
 from lanebound.agents.learning.card import write_card
 from lanebound.agents.learning.evaluation import evaluate
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig
@@ -204,6 +204,7 @@ def _claim(experiment: ExperimentConfig, out: Path) -> list[dict[str, Any]]:
     More steps may be asked for; everything else must be as it was.
     """
     mark, progress, wanted = out / "experiment.json", out / "progress.json", experiment.to_dict()
+    require_own(mark)
     try:
         found = json.loads(mark.read_text(encoding="utf-8")) if mark.exists() else wanted
         changed = sorted(key for key in wanted | found if key != "steps" and wanted.get(key) != found.get(key))

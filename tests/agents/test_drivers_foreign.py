@@ -16,8 +16,10 @@ from typer.testing import CliRunner
 
 from lanebound.agents.cli import app
 from lanebound.agents.drivers import make_agent
+from lanebound.agents.drivers.base import in_a_row
 from lanebound.agents.episodes import open_env
 from lanebound.envs.core import DrivingEnv
+from lanebound.integrity.config import deep_merge
 from lanebound.integrity.errors import InputError
 
 GIVEN = {"sky": "open", "navigation": {"source": "perfect"}, "perception": {"source": "truth"}}
@@ -54,11 +56,9 @@ def test_a_checkpoint_for_meta_actions_and_flat_observations(meta, steered, tmp_
     path = str(tmp_path / "model.zip")
     DQN("MlpPolicy", meta, policy_kwargs={"net_arch": [8]}, buffer_size=10, device="cpu").save(path)
     assert make_agent(path, meta).predict(meta.observation_space.sample())[0] in range(5)
-    whole = open_env("LaneKeeping", GIVEN | {"action": "meta"})
-    with pytest.raises(
-        InputError, match=r"must be trained on these observations, .* got Box.*: set observation\.form=flat"
-    ):
-        make_agent(path, whole)
+    other = open_env("LaneKeeping", GIVEN | {"action": "meta", "observation": {"vehicles": 3}})
+    with pytest.raises(InputError, match=r"must be trained on these observations, Box .*, got Box .*: choose the"):
+        make_agent(path, other)
     with pytest.raises(InputError, match=r"must be trained on these actions, Box .* got Discrete\(5\): choose the"):
         make_agent(path, steered)
 
@@ -85,15 +85,29 @@ def test_what_cannot_drive_is_refused(steered, tmp_path, monkeypatch, name, mess
     assert message in str(refusal.value)
 
 
+@pytest.mark.parametrize("history", [1, 3])
+def test_a_policy_of_flat_observations_drives_where_they_are_dicts(tmp_path, history):
+    given = GIVEN | {"observation": {"history": history}}
+    flat, groups = open_env("UrbanCanyon", deep_merge(given, FLAT)), open_env("UrbanCanyon", given)
+    path = str(tmp_path / "model.zip")
+    PPO("MlpPolicy", flat, policy_kwargs={"net_arch": [8]}, device="cpu").save(path)
+    drivers, seen = (make_agent(path, flat), make_agent(path, groups)), (flat.reset(seed=5)[0], groups.reset(seed=5)[0])
+    for _ in range(4):
+        np.testing.assert_array_equal(in_a_row(seen[1], history), seen[0])
+        actions = [int(driver.predict(part, deterministic=True)[0]) for driver, part in zip(drivers, seen, strict=True)]
+        assert actions[0] == actions[1]
+        seen = (flat.step(actions[0])[0], groups.step(actions[0])[0])
+
+
 class Session:
     """Stands for a network."""
 
-    def __init__(self, inputs: list[str], answer: Any) -> None:
-        self.inputs, self.answer = inputs, answer
+    def __init__(self, inputs: list[str], answer: Any, wide: int | None = None) -> None:
+        self.inputs, self.answer, self.wide = inputs, answer, wide
         self.given: dict[str, Any] = {}
 
     def get_inputs(self) -> list[Any]:
-        return [type("Input", (), {"name": name}) for name in self.inputs]
+        return [type("Input", (), {"name": name, "shape": [None, self.wide]}) for name in self.inputs]
 
     def run(self, outputs: Any, given: dict[str, Any]) -> list[Any]:
         self.given = given
@@ -131,8 +145,17 @@ def test_a_code_of_an_action_counts_as_it_is(monkeypatch, tmp_path, meta):
 
 
 def test_networks_with_other_inputs_are_refused(monkeypatch, tmp_path, steered):
-    with pytest.raises(InputError, match=r"an ONNX agent must take ego, .*, got obs: rename them"):
-        onnx(monkeypatch, tmp_path, steered, Session(["obs"], None))
+    with pytest.raises(InputError, match=r"an ONNX agent must take ego, .*, or one, got obs, obs2: rename its inputs"):
+        onnx(monkeypatch, tmp_path, steered, Session(["obs", "obs2"], None))
+    with pytest.raises(InputError, match=r"an ONNX agent must take \d+ numbers here, got 7: choose the environment"):
+        onnx(monkeypatch, tmp_path, steered, Session(["obs"], None, 7))
+
+
+def test_a_network_of_one_input_takes_the_groups_in_a_row(monkeypatch, tmp_path, steered):
+    session = Session(["obs"], np.zeros((1, 2), np.float32))
+    observation = steered.observation_space.sample()
+    onnx(monkeypatch, tmp_path, steered, session).predict(observation)
+    np.testing.assert_array_equal(session.given["obs"][0], in_a_row(observation))
 
 
 def test_functions_and_objects_from_modules(steered):

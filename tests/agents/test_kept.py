@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,11 @@ import pytest
 from work import squared
 
 from lanebound.agents import kept
-from lanebound.agents.kept import claim, code_digest, one_thread, parts_kept, run_parts, write_whole
+from lanebound.agents.benchmark.store import Store
+from lanebound.agents.benchmark.suite import SuiteConfig
+from lanebound.agents.kept import MARKS, claim, code_digest, one_thread, parts_kept, run_parts, write_whole
+from lanebound.agents.learning.experiment import ExperimentConfig
+from lanebound.agents.learning.training import train
 from lanebound.integrity.config import Config, Field
 from lanebound.integrity.errors import InputError
 
@@ -105,3 +110,20 @@ def test_a_file_is_whole_or_not_there(tmp_path: Path) -> None:
     with pytest.raises(TypeError):
         write_whole(tmp_path / "deep" / "other.json", {"a": object()})
     assert [path.name for path in (tmp_path / "deep").iterdir()] == ["file.json"]
+
+
+@pytest.mark.parametrize("mark", sorted(MARKS))
+def test_kinds_of_work_share_no_folder(tmp_path: Path, mark: str) -> None:
+    suite = SuiteConfig.load({"envs": ["LaneKeeping"], "skies": ["open"], "agents": ["nominal"]})
+    claims: dict[str, Callable[[], object]] = {
+        "config.json": lambda: claim(tmp_path, "of sizes", Small(), PACKAGES),
+        "experiment.json": lambda: train(ExperimentConfig.load({"env": "LaneKeeping"}), tmp_path),
+        "suite.json": lambda: Store(tmp_path).claim(suite, fresh=True),
+    }
+    (tmp_path / mark).write_text("{}", encoding="utf-8")
+    for other in claims.keys() - {mark}:
+        with pytest.raises(
+            InputError, match=f"out must be empty or its own, got .*, which holds {MARKS[mark]}: choose a"
+        ):
+            claims[other]()
+    assert [path.name for path in tmp_path.iterdir()] == [mark]

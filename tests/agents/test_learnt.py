@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 from gymnasium import spaces
@@ -59,3 +62,36 @@ def test_other_actions_than_it_learnt_with_are_refused() -> None:
     base = "LaneKeepingWorld"
     with pytest.raises(InputError, match="leave 'action' as it is"):
         make_agent("ppo", open_env(_id_of(base), {"action": "meta"}))
+
+
+def test_a_file_of_arrays_drives_as_what_came_along(tmp_path: Path) -> None:
+    path = tmp_path / "mine.npz"
+    path.write_bytes(policies()["LaneKeepingWorld"].read_bytes())
+    env = open_env("LaneKeeping")
+    seen = env.observation_space.sample()
+    mine = make_agent(str(path), env)
+    np.testing.assert_array_equal(mine.predict(seen)[0], make_agent("ppo", env).predict(seen)[0])
+    with pytest.raises(
+        InputError, match=r"mine\.npz was learnt with the observation of its own \(\d+ entries, no history"
+    ):
+        make_agent(str(path), open_env("Highway", {"observation": {"vehicles": 2}}))
+
+
+@pytest.mark.parametrize(
+    ("arrays", "reason"),
+    [
+        ({}, "must be as 'lanebound export' writes it, got .*columns"),
+        ({"columns": np.array(["a"])}, "must hold layers weight_0, bias_0, ..., got none"),
+        ({"columns": np.array(["a"]), "weight_0": np.ones((2, 2)), "bias_0": np.ones(2)}, r"must be finite, \(m, 1\)"),
+        ({"columns": np.array(["a"]), "weight_0": np.full((2, 1), np.nan), "bias_0": np.ones(2)}, "must be finite"),
+        ({"columns": np.array(["a"]), "weight_0": np.ones((2, 1))}, "must be as 'lanebound export' writes it"),
+    ],
+)
+def test_a_file_that_is_no_policy_is_refused(tmp_path: Path, arrays: dict[str, Any], reason: str) -> None:
+    path = tmp_path / "mine.npz"
+    np.savez(path, **arrays)
+    with pytest.raises(InputError, match=reason):
+        make_agent(str(path), open_env("LaneKeeping"))
+    path.write_bytes(b"no archive")
+    with pytest.raises(InputError, match="must be as 'lanebound export' writes it"):
+        make_agent(str(path), open_env("LaneKeeping"))

@@ -85,6 +85,16 @@ def test_config_show_prints_values_and_units():
 
 
 @pytest.mark.usefixtures("toy_presets")
+def test_config_show_takes_a_file_of_ones_own(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("extends: rush\nage_s: 7\n", encoding="utf-8")
+    found = json.loads(run("config", "show", str(path), "--set", "gyro_radps=2e-3", "--json").stdout)
+    assert [row["value"] for row in found["values"]] == [7.0, [3], 0.002]
+    path.unlink()
+    assert "preset must be a file that can be read" in run("config", "show", str(path)).stderr
+
+
+@pytest.mark.usefixtures("toy_presets")
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

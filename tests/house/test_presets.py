@@ -159,6 +159,25 @@ def test_a_file_of_ones_own_may_extend_packaged_presets(tmp_path):
     assert load_file(path, "drive") == load_preset("city/dense", {"speed_mps": 3})
 
 
+def test_files_of_ones_own_extend_each_other_from_where_they_are(tmp_path):
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "mine.yaml").write_text("extends: [city/dense, deep/slow.yaml]\n", encoding="utf-8")
+    (tmp_path / "deep" / "slow.yaml").write_text("extends: ../slower.yml\nspeed_mps: 3\n", encoding="utf-8")
+    (tmp_path / "slower.yml").write_text("speed_mps: 2\nbrake_mps2: 1\n", encoding="utf-8")
+    found = load_file(tmp_path / "mine.yaml", "drive")
+    assert found == load_preset("city/dense", {"speed_mps": 3, "brake_mps2": 1})
+    (tmp_path / "slower.yml").write_text("extends: deep/slow.yaml", encoding="utf-8")
+    with pytest.raises(
+        ConfigError, match=r"slow.yaml' extends itself, by way of .*mine.yaml -> .*slow.yaml -> .*slower"
+    ):
+        load_file(tmp_path / "mine.yaml", "drive")
+    (tmp_path / "slower.yml").unlink()
+    with pytest.raises(
+        ConfigError, match=r"^what .*slow.yaml extends must be a file that can be read, got .*slower.yml"
+    ):
+        load_file(tmp_path / "mine.yaml", "drive")
+
+
 @pytest.mark.parametrize(
     ("written", "message"),
     [
