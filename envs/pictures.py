@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from lanebound.envs.cockpit import Cockpit
 from lanebound.envs.rendering import Bodies, Frame, RenderingConfig, Satellites, Tape, Viewer
-from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sky.visibility import Path
 
 __all__ = ["Pictures"]
@@ -71,13 +70,5 @@ def _satellites(cockpit: Cockpit) -> Satellites | None:
     ego = cockpit.ego
     arc, lane = cockpit.around.street.where(ego.lane_index, ego.lane.local_coordinates(ego.position)[0])
     path = cockpit.around.street.mask.look(np.array([arc]), np.array([lane]), m.sky).path[0]
-    used = _used(cockpit, m.gnss.tracked[0] & (path != Path.BLOCKED))
-    return Satellites(m.sky.azimuth_rad[0, up], m.sky.elevation_rad[0, up], path[up], used[up], m.sky.system[up])
-
-
-def _used(cockpit: Cockpit, tracked: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which satellites the position comes from: those held by RTK, those tracked by Doppler, none otherwise."""
-    navigator, mode = cockpit.around.navigator, cockpit.tracker.fix.mode
-    if navigator is None or mode not in (Mode.RTK, Mode.DOPPLER):
-        return np.zeros_like(tracked)
-    return np.asarray(tracked & navigator.state.held[0] if mode == Mode.RTK else tracked)
+    tracked = m.gnss.tracked[0] & (path != Path.BLOCKED)
+    return Satellites(m.sky.azimuth_rad[0, up], m.sky.elevation_rad[0, up], path[up], tracked[up], m.sky.system[up])

@@ -5,6 +5,7 @@
     suite.json                                        what is driven, by which version
     episodes/<env>/<sky>-<faults>/<agent>/<seed>.parquet
     results.json  results.csv  episodes.parquet       what it comes to
+    clips/                                            films in the report, kept while their episodes stay
 """
 
 from __future__ import annotations
@@ -25,9 +26,10 @@ from lanebound.agents.episodes.log import schema_of
 from lanebound.agents.kept import require_own
 from lanebound.integrity.errors import InputError
 
-__all__ = ["STORED", "Store", "replace_file"]
+__all__ = ["CLIPS", "STORED", "Store", "replace_file"]
 
 SUITE, UNFIT, KEY = "suite.json", "left_out.json", b"lanebound.outcome"
+CLIPS = "clips"
 RESULTS = ("results.json", "results.csv", "episodes.parquet", "report.html")
 LEFT_OUT = ("episode", "seed", "rtk", "tta_s", "hdop", "satellites", "since_rtk_s", "corrections_age_s")
 STORED = tuple(column for column in COLUMNS if column.name not in LEFT_OUT)
@@ -100,7 +102,8 @@ class Store:
     def _clear(self) -> None:
         """Remove an earlier suite and nothing else."""
         if (self.folder / SUITE).exists():
-            shutil.rmtree(self.folder / EPISODES, ignore_errors=True)
+            for name in (EPISODES, CLIPS):
+                shutil.rmtree(self.folder / name, ignore_errors=True)
             for name in (*RESULTS, UNFIT, SUITE):
                 (self.folder / name).unlink(missing_ok=True)
 

@@ -38,6 +38,7 @@ def train(
     from lanebound.integrity.presets import parse_assignments
 
     experiment = load_experiment(name, parse_assignments(assignments or []))
+    experiment.open().close()  # what the environment refuses is said before a bar is drawn
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with stoppable(lambda: _kept(out)):
         from lanebound.agents.learning.training import train as carry_out

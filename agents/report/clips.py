@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import base64
+import hashlib
+import json
 import subprocess
 import tempfile
 from dataclasses import dataclass
@@ -10,6 +12,9 @@ from pathlib import Path
 
 from lanebound.agents.benchmark.outcome import Outcome
 from lanebound.agents.benchmark.replay import differences, replay
+from lanebound.agents.benchmark.source import source_digest
+from lanebound.agents.benchmark.store import CLIPS
+from lanebound.agents.kept import save_whole
 
 __all__ = ["Clip", "film_clip", "shrink"]
 
@@ -40,14 +45,32 @@ def film_clip(folder: Path, outcome: Outcome) -> Clip:
 
     Trouble is told, not raised: the report is due in any case, and agents are anybody's code.
     """
+    try:
+        kept = folder / CLIPS / f"{_name(outcome)}.mp4"
+        if kept.exists():
+            return Clip(outcome, _address(kept.read_bytes()))
+        film, other = _filmed(folder, outcome)
+        if other:
+            return Clip(outcome, _address(film), f"Driven again it did not come out as it had: {other} differ.")
+        kept.parent.mkdir(exist_ok=True)
+        save_whole(kept, lambda draft: draft.write_bytes(film))
+        return Clip(outcome, _address(film))
+    except Exception as error:
+        return Clip(outcome, trouble=f"No clip: {type(error).__name__}: {error}")
+
+
+def _filmed(folder: Path, outcome: Outcome) -> tuple[bytes, str]:
+    """The end of an episode that is driven again, and what of it is not as it was."""
     with tempfile.TemporaryDirectory() as place:
         whole, small = Path(place) / "whole.mp4", Path(place) / "small.mp4"
-        try:
-            other = differences(*replay(folder, outcome.id, whole, FPS))
-            trouble = f"Driven again it did not come out as it had: {', '.join(other)} differ." if other else ""
-            return Clip(outcome, _address(shrink(whole, small, outcome.time_s)), trouble)
-        except Exception as error:
-            return Clip(outcome, trouble=f"No clip: {type(error).__name__}: {error}")
+        other = differences(*replay(folder, outcome.id, whole, FPS))
+        return shrink(whole, small, outcome.time_s), ", ".join(other)
+
+
+def _name(outcome: Outcome) -> str:
+    """By how the episode came out, and the code that drives it again: another one has another film."""
+    text = source_digest() + json.dumps(outcome.to_dict(), sort_keys=True)
+    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
 def shrink(whole: Path, small: Path, length_s: float) -> bytes:

@@ -75,14 +75,14 @@ class Satellites:
     ----------
     azimuth_rad : (S,) clockwise from North; elevation_rad : (S,)
     path : (S,) values of :class:`lanebound.integrity.sky.visibility.Path`
-    used : (S,) bool, in the position solution
+    tracked : (S,) bool, measured by the receiver; how many of them the position uses the belief says
     system : (S,) values of :class:`lanebound.integrity.sky.systems.System`
     """
 
     azimuth_rad: Array
     elevation_rad: Array
     path: NDArray[np.integer[Any]]
-    used: NDArray[np.bool_]
+    tracked: NDArray[np.bool_]
     system: NDArray[np.integer[Any]]
 
 

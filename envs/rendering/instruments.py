@@ -69,9 +69,9 @@ def path_colour(path: int, theme: Theme) -> Colour:
 def draw_sky(canvas: Canvas, at: Place, satellites: Satellites | None, up_rad: float, theme: Theme) -> None:
     """Zenith in the middle and horizon at the ring, turned as the map is.
 
-    Discs are received (filled when used), crosses are blocked; letters are those of RINEX; a key is in the corners.
+    Discs are received (filled when tracked), crosses are blocked; letters are those of RINEX; a key is in the corners.
     """
-    head = "sky" if satellites is None else f"sky: {int(satellites.used.sum())} of {len(satellites.used)} used"
+    head = "sky" if satellites is None else f"sky: {int(satellites.tracked.sum())} of {len(satellites.tracked)} tracked"
     canvas.text(at.x, at.y + 4, head, 11, theme.muted)
     plot = at.below_head()
     middle, radius = np.array([plot.x + 0.5 * plot.width, plot.middle]), 0.5 * plot.width - 9.0
@@ -114,9 +114,9 @@ def _draw_satellites(
             for sign in (-1.0, 1.0):
                 canvas.line([[x - 3, y - 3 * sign], [x + 3, y + 3 * sign]], colour, 1.0)
             continue
-        canvas.circle((x, y), 5.5, colour if s.used[row] else theme.plot)
+        canvas.circle((x, y), 5.5, colour if s.tracked[row] else theme.plot)
         canvas.circle((x, y), 5.5, colour, 1.5)
-        ink = theme.panel if s.used[row] else colour
+        ink = theme.panel if s.tracked[row] else colour
         canvas.text(x, y, LETTERS[System(int(s.system[row]))], 8, ink, anchor="centre", bold=True)
 
 

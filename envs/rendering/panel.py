@@ -101,7 +101,7 @@ def _draw_figures(canvas: Canvas, at: Place, frame: Frame, theme: Theme) -> None
     right = (
         ("mode", Mode(b.mode).label, theme.text),
         ("RTK", _rtk(b), theme.text),
-        ("satellites", f"{b.satellites if b.mode == Mode.RTK else b.satellites_doppler}", theme.text),
+        ("satellites used", f"{b.satellites if b.mode == Mode.RTK else b.satellites_doppler}", theme.text),
         ("corrections", _age(b.corrections_age_s), theme.text),
     )
     row = at.height / 4.0

@@ -52,6 +52,23 @@ def test_trouble_is_told(tmp_path):
     assert clip.trouble.startswith("No clip: InputError: ")
 
 
+def test_a_film_is_made_once(tmp_path, monkeypatch):
+    from lanebound.agents.report import clips
+
+    made_up_folder(tmp_path, seeds={"count": 2})
+    first, second = list(made_up_suite().tasks())[:2]
+    made = []
+    monkeypatch.setattr(clips, "_filmed", lambda folder, outcome: (made.append(outcome.id) or b"film", ""))
+    films = [film_clip(tmp_path, made_up_outcome(task)) for task in (first, first, second)]
+    assert made == [first.id, second.id]
+    assert films[0] == films[1]
+    Store(tmp_path).claim(Store(tmp_path).suite(), fresh=True)
+    assert not (tmp_path / "clips").exists()
+    monkeypatch.setattr(clips, "_filmed", lambda folder, outcome: (made.append(outcome.id) or b"film", "cost"))
+    assert all("cost differ" in film_clip(tmp_path, made_up_outcome(first)).trouble for _ in range(2))
+    assert len(made) == 4  # what did not come out as it had is not kept
+
+
 @pytest.mark.slow
 def test_an_episode_is_driven_again(tmp_path):
     given = {"world": {"duration": 2}, "navigation": {"source": "perfect"}, "perception": {"source": "truth"}}
