@@ -24,7 +24,7 @@ from lanebound.integrity.streams import named_generator
 
 __all__ = [
     "METHOD", "RESAMPLES", "SPREAD_SEEDS", "VERDICT_SEEDS", "Difference", "Estimate", "difference", "estimate", "holm",
-    "interquartile_mean", "is_clear", "seeds_to_exclude", "student_ends", "student_p",
+    "interquartile_mean", "is_clear", "seeds_to_exclude", "student_ends", "student_p", "within",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -108,8 +108,8 @@ def estimate(values: Array, rate: bool = False, bounds: Bounds = ANYTHING) -> Es
     if rate:
         low, high = _clopper_pearson(values) if n > 1 else NONE
         return Estimate(mean, low, high, iqm, None, None, n)
-    low, high = _within(_mean_ends(values), bounds)
-    iqm_low, iqm_high = _within(_middle_ends(values), bounds)
+    low, high = within(_mean_ends(values), bounds)
+    iqm_low, iqm_high = within(_middle_ends(values), bounds)
     return Estimate(mean, low, high, iqm, iqm_low, iqm_high, n)
 
 
@@ -172,7 +172,8 @@ def student_ends(values: Array) -> Ends:
     return mean - reach, mean + reach
 
 
-def _within(ends: Ends, bounds: Bounds) -> Ends:
+def within(ends: Ends, bounds: Bounds) -> Ends:
+    """An interval without what lies beyond the bounds of its values."""
     low, high = ends
     return NONE if low is None or high is None else (max(low, bounds[0]), min(high, bounds[1]))
 

@@ -76,43 +76,37 @@ def _with_bar(
 
 def _report(found: dict[str, Any], out: Path, as_json: bool) -> None:
     from lanebound.agents.cli.output import print_json, print_table
-    from lanebound.agents.learning.study_tables import PRIMARY, SHOWN
+    from lanebound.agents.learning.study_tables import PRIMARY, SHOWN, spread, tested
 
     if as_json:
         print_json(found)
         return
     for place in found["places"]:
         rows = [
-            (arm, str(len(of["seeds"])), str(of["kept"]), *(_spread(of["means"][key]) for key in SHOWN))
+            (arm, str(len(of["seeds"])), str(of["kept"]), *(spread(of["means"][key]) for key in SHOWN))
             for arm, of in place["arms"].items()
         ]
         rows += [
-            (agent, "", "", *(_short(means.get(key)) for key in SHOWN)) for agent, means in place["beside"].items()
+            (agent, "", "", *(f"{means[key]:.3g}" if key in means else "" for key in SHOWN))
+            for agent, means in place["beside"].items()
         ]
         headings = ("arm", "trained", "kept limit", *(key.replace("_", " ") for key in SHOWN))
         print_table(f"{place['env']}, {place['sky']}: means over trainings, 95 %", headings, rows)
         differences = [
-            (f"{arm} - {other}", *(_tested(less[key]) for key in PRIMARY))
+            (f"{arm} - {other}", *(tested(less[key]) for key in PRIMARY))
             for arm, of in place["arms"].items()
             for other, less in of["less"].items()
         ]
         if differences:
             print_table("differences, 95 %, p by Holm's method over all places", ("arms", *PRIMARY), differences)
+    kept = [
+        (f"{row['arm']}, {row['other']}", f"{row['first']}, {row['second']} of {row['n']}", f"{row['p_holm']:.2g}")
+        for row in found["kept"]
+        if row["n"]
+    ]
+    if kept:
+        print_table("who keeps the limit, in all places", ("arms", "kept", "p by Holm's method"), kept)
     trainings = found["trainings"]
     if trainings["done"] < trainings["planned"]:
         typer.echo(f"{trainings['done']} of {trainings['planned']} trainings are done: the same command goes on")
     typer.echo(f"results.json, curves.svg: {out}")
-
-
-def _short(value: float | None) -> str:
-    return "" if value is None else f"{value:.3g}"
-
-
-def _spread(estimate: dict[str, Any]) -> str:
-    low, high = estimate["low"], estimate["high"]
-    return _short(estimate["mean"]) + ("" if low is None else f" [{low:.3g}, {high:.3g}]")
-
-
-def _tested(found: dict[str, Any]) -> str:
-    p = found.get("p_holm")
-    return _spread(found | {"mean": found["difference"]}) + ("" if p is None else f" p {p:.2g}")

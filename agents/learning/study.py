@@ -12,7 +12,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -29,7 +29,7 @@ from lanebound.agents.kept import claim, run_parts, write_whole
 from lanebound.agents.learning.evaluation import drive_all
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig, Shield
 from lanebound.agents.learning.imitation import teacher_of
-from lanebound.agents.learning.study_tables import adjust, means_of, summarise
+from lanebound.agents.learning.study_tables import adjust, kept_oftener, means_of, summarise
 from lanebound.agents.learning.training import load_model, one_thread, train
 from lanebound.agents.named import load_named
 from lanebound.agents.plain import finite_or_none
@@ -37,8 +37,8 @@ from lanebound.integrity.config import Config, Field, deep_merge
 from lanebound.integrity.errors import ConfigError
 
 __all__ = [
-    "BESIDE", "ArmConfig", "Course", "LearningStudyConfig", "Training", "beside_suite", "load_study", "plan",
-    "run_learning_study",
+    "BESIDE", "ArmConfig", "Course", "LearningStudyConfig", "Training", "beside_suite", "judged", "load_study",
+    "plan", "run_learning_study",
 ]  # fmt: skip
 
 FOLDER = "studies/"
@@ -54,7 +54,13 @@ class ArmConfig(Config):
     algorithm: Algorithm = Field(Algorithm.PPO, description="how its policies are learnt")
     shield: Shield = Field(Shield.NONE, description="filter between policy and car")
     experiment: Mapping[str, Any] = Field({}, description="what its trainings have of their own, over what all share")
-    against: str | None = Field(None, description="arm that it is compared with; None: with none")
+    against: tuple[str, ...] = Field((), description="arms that it is compared with, one by its name alone")
+    family: str = Field("", description="of its comparisons: those of a family are tested together, by Holm's method")
+
+    @field_validator("against", mode="before")
+    @classmethod
+    def _one_or_several(cls, against: Any) -> Any:
+        return () if against is None else (against,) if isinstance(against, str) else against
 
 
 class LearningStudyConfig(Config):
@@ -67,6 +73,7 @@ class LearningStudyConfig(Config):
     skies: tuple[str, ...] = Field(min_length=1, description="levels of the sky")
     seeds: int = Field(5, ge=1, le=100, description="trainings of each arm in each place")
     test_seeds: int = Field(50, ge=1, le=1000, description="held-out episodes of each policy")
+    test_skip: int = Field(0, ge=0, le=9000, description="first held-out seeds left out, as ones that were looked at")
     experiment: Mapping[str, Any] = Field({}, description="what all trainings share: steps, settings ...")
     by_env: Mapping[str, Mapping[str, Any]] = Field({}, description="what those of an id have of their own, over that")
 
@@ -83,14 +90,32 @@ class LearningStudyConfig(Config):
     @model_validator(mode="after")
     def _arms_are_compared_with_arms(self) -> Self:
         for name, arm in self.arms.items():
-            if arm.against is not None and (arm.against == name or arm.against not in self.arms):
-                others = ", ".join(other for other in self.arms if other != name)
-                raise ConfigError(f"arms.{name}.against must be one of {others}, got {arm.against}: name another arm")
+            others = [other for other in self.arms if other != name]
+            for against in arm.against:
+                if against not in others:
+                    raise ConfigError(
+                        f"arms.{name}.against must be one of {', '.join(others)}, got {against}: name another arm"
+                    )
         return self
+
+    @property
+    def seeds_to_judge(self) -> Sequence[int]:
+        """Held-out seeds that every policy drives."""
+        return SPLITS["test"][self.test_skip : self.test_skip + self.test_seeds]
 
     def shared(self, env: str) -> dict[str, Any]:
         """What all trainings in an environment share."""
         return deep_merge(self.experiment, self.by_env.get(env, {}))
+
+    @property
+    def against(self) -> dict[str, tuple[str, ...]]:
+        """With whom each arm is compared."""
+        return {name: arm.against for name, arm in self.arms.items()}
+
+    @property
+    def families(self) -> dict[str, str]:
+        """Of which family the comparisons of each arm are."""
+        return {name: arm.family for name, arm in self.arms.items()}
 
     @property
     def places(self) -> Iterator[tuple[str, str]]:
@@ -223,11 +248,15 @@ def _learn(study: LearningStudyConfig, out: Path, by_name: Mapping[str, Training
     one, folder = by_name[name], out / "trainings" / name
     begun, planned = time.monotonic(), one.experiment(study)
     rows = train(planned, folder)
-    with one_thread():
-        model = load_model(folder / "best.zip", planned.algorithm)
-        episodes = drive_all(planned, model, SPLITS["test"][: study.test_seeds])
+    episodes = judged(planned, folder, study.seeds_to_judge)
     hours = (time.monotonic() - begun) / 3600.0
     return {**one._asdict(), "limit": planned.limit(), "checkpoints": rows, "episodes": episodes, "hours": hours}
+
+
+def judged(planned: ExperimentConfig, folder: Path, seeds: Sequence[int]) -> list[dict[str, float]]:
+    """What the best policy of a training comes to on each of consecutive seeds."""
+    with one_thread():
+        return drive_all(planned, load_model(folder / "best.zip", planned.algorithm), seeds)
 
 
 def beside_suite(study: LearningStudyConfig, env: str, sky: str) -> SuiteConfig:
@@ -239,7 +268,7 @@ def beside_suite(study: LearningStudyConfig, env: str, sky: str) -> SuiteConfig:
             "skies": [sky],
             "agents": {name: name for name in BESIDE},
             "reference": BESIDE[0],
-            "seeds": {"split": "test", "count": study.test_seeds},
+            "seeds": {"split": "test", "count": study.test_seeds, "skip": study.test_skip},
             "overrides": study.shared(env).get("overrides", {}),
         }
     )
@@ -265,15 +294,15 @@ def _written(
                 "env": env,
                 "sky": sky,
                 **summarise(
-                    [part for part in done.values() if (part["env"], part["sky"]) == (env, sky)],
-                    {name: arm.against for name, arm in study.arms.items()},
+                    [part for part in done.values() if (part["env"], part["sky"]) == (env, sky)], study.against
                 ),
                 "beside": means_of(results),
             }
             for (env, sky), results in beside.items()
         ],
+        "kept": kept_oftener(list(done.values()), study.against),
     }
-    adjust(found["places"])
+    adjust(found["places"], found["kept"], study.families)
     found = finite_or_none(found)
     write_whole(out / "results.json", found)
     if done:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["curves_figure"]
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#9A9A9A")  # Okabe and Ito 2008
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#9A9A9A", "#000000")  # Okabe and Ito 2008
 ROWS = (("return", "return"), ("cost", "cost"))
 
 
@@ -27,7 +28,7 @@ def curves_figure(trainings: Sequence[Mapping[str, Any]], arms: Sequence[str]) -
         here = [one for one in trainings if (one["env"], one["sky"]) == (env, sky)]
         for row, (key, label) in enumerate(ROWS):
             axis = axes[row, column]
-            for arm, colour in zip(arms, COLOURS, strict=False):
+            for arm, colour in zip(arms, cycle(COLOURS), strict=False):
                 _draw(axis, [one["checkpoints"] for one in here if one["arm"] == arm], key, arm, colour)
             title = f"{env.removesuffix('-v0')}, {sky}" if row == 0 else ""
             tidy(axis, title=title, ylabel=label if column == 0 else "", xlabel="thousand decisions" if row else "")

@@ -1,8 +1,9 @@
 """What arms come to in a place: a training is one draw of an arm, however many episodes its policy drives.
 
 Trainings are few, so intervals and tests are Student's, which takes their means for normal; a share that is the same in
-all trainings has the interval of Clopper and Pearson over the episodes. All trainings of a place are judged on the same
-episodes, in the cities that they were learnt in: the intervals tell of learning anew, not of driving elsewhere.
+all trainings has the interval of Clopper and Pearson over all episodes, as if no two drove under the same seed. All
+trainings of a place are judged on the same episodes, in the cities that they were learnt in: the intervals tell of
+learning anew, not of driving elsewhere.
 """
 
 from __future__ import annotations
@@ -13,11 +14,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import binomtest
 
+from lanebound.agents.benchmark.metrics import metric_named
 from lanebound.agents.benchmark.results import Results
-from lanebound.agents.benchmark.statistics import estimate, holm, student_ends, student_p
+from lanebound.agents.benchmark.statistics import estimate, holm, student_ends, student_p, within
 
-__all__ = ["PRIMARY", "SHOWN", "adjust", "means_of", "summarise"]
+__all__ = ["PRIMARY", "SHOWN", "adjust", "kept_oftener", "means_of", "spread", "summarise", "tested"]
 
 SHOWN = ("return", "cost", "over_cost_limit", "harm", "collision", "off_road", "lane_departure", "throughput")
 """Metrics that are summed up, by their names in the benchmark."""
@@ -28,15 +31,15 @@ RATES = ("over_cost_limit", "collision", "off_road", "lane_departure")
 Array = NDArray[np.float64]
 
 
-def summarise(parts: Sequence[Mapping[str, Any]], arms: Mapping[str, str | None]) -> dict[str, Any]:
-    """Of each arm the mean over its trainings with a 95 % interval, and its paired difference from another (or None).
+def summarise(parts: Sequence[Mapping[str, Any]], arms: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+    """Of each arm the mean over its trainings with a 95 % interval, and its paired differences from others.
 
     Trainings with the same seed are paired. ``parts`` are the finished trainings of a place, each with its ``arm``,
     ``seed``, ``limit`` of an episode's cost and ``episodes`` as :func:`~.evaluation.drive_all` has them; ``kept``
-    counts those whose episodes cost at most that limit in the mean.
+    counts those that :func:`keeps` it.
     """
     episodes = sum(len(part["episodes"]) for part in parts) // max(len(parts), 1)
-    kept = Counter(part["arm"] for part in parts if _means(part["episodes"])["cost"] <= part["limit"])
+    kept = Counter(part["arm"] for part in parts if keeps(part))
     by_arm = {arm: {part["seed"]: _means(part["episodes"]) for part in parts if part["arm"] == arm} for arm in arms}
     return {
         "arms": {
@@ -44,12 +47,39 @@ def summarise(parts: Sequence[Mapping[str, Any]], arms: Mapping[str, str | None]
                 "seeds": sorted(trainings),
                 "kept": kept[arm],
                 "means": {key: _estimate(trainings, key, episodes * len(trainings)) for key in SHOWN},
-                "less": {other: _differences(trainings, by_arm[other])} if (other := arms[arm]) is not None else {},
+                "less": {other: _differences(trainings, by_arm[other]) for other in arms[arm]},
             }
             for arm, trainings in by_arm.items()
             if trainings
         }
     }
+
+
+def keeps(part: Mapping[str, Any]) -> bool:
+    """Whether a training's episodes cost at most its limit in the mean."""
+    return _means(part["episodes"])["cost"] <= float(part["limit"])
+
+
+def kept_oftener(parts: Sequence[Mapping[str, Any]], arms: Mapping[str, Sequence[str]]) -> list[dict[str, Any]]:
+    """How often arms keep the limit of cost in all places together, and ``p`` of no difference (McNemar, exact).
+
+    Trainings with the same place and seed are paired; ``n`` pairs, of which ``first`` and ``second`` keep it, and
+    ``first_alone`` and ``second_alone`` where the other does not.
+    """
+    by_arm = {arm: {(p["env"], p["sky"], p["seed"]): keeps(p) for p in parts if p["arm"] == arm} for arm in arms}
+    out = []
+    for arm, others in arms.items():
+        for other in others:
+            ours, theirs = by_arm[arm], by_arm[other]
+            pairs = [(ours[key], theirs[key]) for key in sorted(ours.keys() & theirs.keys())]
+            alone, against = pairs.count((True, False)), pairs.count((False, True))
+            out.append({
+                "arm": arm, "other": other, "n": len(pairs),
+                "first": sum(first for first, _ in pairs), "second": sum(second for _, second in pairs),
+                "first_alone": alone, "second_alone": against,
+                "p": float(binomtest(alone, alone + against).pvalue) if alone + against else 1.0,
+            })  # fmt: skip
+    return out
 
 
 def means_of(results: Results) -> dict[str, dict[str, float]]:
@@ -68,7 +98,7 @@ def _means(episodes: Sequence[Mapping[str, float]]) -> dict[str, float]:
 def _estimate(trainings: Mapping[int, Mapping[str, Any]], key: str, episodes: int) -> dict[str, Any]:
     """Mean over trainings with its 95 % interval; None where there is one training."""
     values = _column(trainings, key)
-    low, high = student_ends(values)
+    low, high = within(student_ends(values), metric_named(key).bounds)
     if key in RATES and values.size > 1 and np.ptp(values) == 0.0:
         pooled = np.arange(episodes) < round(float(values[0]) * episodes)
         found = estimate(pooled.astype(np.float64), rate=True)
@@ -91,15 +121,36 @@ def _differences(ours: Mapping[int, Mapping[str, Any]], theirs: Mapping[int, Map
     return out
 
 
-def adjust(places: Sequence[Mapping[str, Any]]) -> None:
-    """Write ``p_holm`` beside each ``p`` of the PRIMARY metrics, adjusted for all places, arms and these metrics."""
-    tests = [
-        less[key]
-        for place in places
-        for arm in place["arms"].values()
-        for less in arm["less"].values()
-        for key in PRIMARY
-        if less[key]["p"] is not None
-    ]
-    for test, p in zip(tests, holm([test["p"] for test in tests]), strict=True):
-        test["p_holm"] = p
+def adjust(
+    places: Sequence[Mapping[str, Any]], kept: Sequence[Mapping[str, Any]], families: Mapping[str, str]
+) -> dict[str, int]:
+    """Write ``p_holm`` beside each ``p`` of the PRIMARY metrics and of keeping the limit; returns how many there are.
+
+    Tests of arms of a family are adjusted together, for all places and metrics.
+    """
+    tests: dict[str, list[Any]] = {}
+    for place in places:
+        for arm, found in place["arms"].items():
+            of = tests.setdefault(families[arm], [])
+            of += [less[key] for less in found["less"].values() for key in PRIMARY if less[key]["p"] is not None]
+    for row in kept:
+        if row["n"]:
+            tests.setdefault(families[row["arm"]], []).append(row)
+    for of in tests.values():
+        for test, p in zip(of, holm([test["p"] for test in of]), strict=True):
+            test["p_holm"] = p
+    return {family: len(of) for family, of in tests.items()}
+
+
+def spread(estimate: Mapping[str, Any]) -> str:
+    """A mean with its interval in words."""
+    low, high = estimate["low"], estimate["high"]
+    return f"{estimate['mean']:.3g}" + ("" if low is None else f" [{low:.3g}, {high:.3g}]")
+
+
+def tested(found: Mapping[str, Any]) -> str:
+    """A difference with its interval and adjusted p in words; nothing where no seed has both."""
+    if found["difference"] is None:
+        return ""
+    p = found.get("p_holm")
+    return spread({**found, "mean": found["difference"]}) + ("" if p is None else f", p {p:.2g}")

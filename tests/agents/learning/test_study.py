@@ -155,7 +155,7 @@ def test_a_training_is_one_draw_however_many_episodes_its_policy_drives() -> Non
         return {"arm": arm, "seed": seed, "limit": limit, "episodes": episodes}
 
     parts = [part(arm, seed, cost) for arm, cost in (("blind", 10.0), ("seeing", 4.0)) for seed in range(5)]
-    found = summarise(parts, {"blind": None, "seeing": "blind", "unlearnt": "blind"})
+    found = summarise(parts, {"blind": (), "seeing": ("blind",), "unlearnt": ("blind",)})
     assert list(found["arms"]) == ["blind", "seeing"]
     mean = found["arms"]["seeing"]["means"]["cost"]
     assert mean["n"] == 5
@@ -171,7 +171,7 @@ def test_few_trainings_have_intervals_and_tests_and_many_tests_are_adjusted() ->
 
     cost = {"blind": (10.0, 12.0, 11.0), "seeing": (4.0, 5.5, 4.6)}
     parts = [part(arm, seed, cost=value) for arm in cost for seed, value in enumerate(cost[arm])]
-    place = summarise(parts, {"blind": None, "seeing": "blind"})
+    place = summarise(parts, {"blind": (), "seeing": ("blind",)})
     mean, crashes = (place["arms"]["seeing"]["means"][key] for key in ("cost", "collision"))
     gap = np.subtract(cost["seeing"], cost["blind"])
     assert [mean["low"], mean["high"]] == pytest.approx(t_interval(cost["seeing"]))
@@ -181,9 +181,12 @@ def test_few_trainings_have_intervals_and_tests_and_many_tests_are_adjusted() ->
     assert less["cost"]["p"] == pytest.approx(ttest_1samp(gap, 0.0).pvalue)
     assert (less["return"]["difference"], less["return"]["p"]) == (0.0, 1.0)
     alike = [part(arm, seed, cost=float(arm == "blind")) for arm in cost for seed in range(3)]
-    always = summarise(alike, {"blind": None, "seeing": "blind"})["arms"]["seeing"]["less"]["blind"]["cost"]
+    always = summarise(alike, {"blind": (), "seeing": ("blind",)})["arms"]["seeing"]["less"]["blind"]["cost"]
     assert (always["difference"], always["p"]) == (-1.0, 0.25), "three that agree prove little"
-    adjust([place, {"arms": {"seeing": {"less": {}}}}])
+    assert adjust([place, {"arms": {"seeing": {"less": {}}}}], [], {"blind": "", "seeing": "late"}) == {
+        "": 0,
+        "late": 3,
+    }
     assert less["cost"]["p_holm"] == pytest.approx(3.0 * less["cost"]["p"])
     assert "p_holm" not in less["collision"]
 
