@@ -29,19 +29,19 @@ from lanebound.integrity.config import Config
 from lanebound.integrity.errors import InputError
 
 __all__ = [
-    "MARKS", "STARTING", "Progress", "claim", "code_digest", "one_thread", "parts_kept", "require_own", "run_parts",
-    "save_whole", "write_whole",
+    "MARKS", "STARTING", "Progress", "claim", "code_digest", "one_thread", "parts_kept", "replace_file", "require_own",
+    "run_parts", "write_whole",
 ]  # fmt: skip
 
 Progress = Callable[[int, int], None]
 STARTING = Lock()
 """Held while a process is started: who ends this one at once waits for it, so that none is left half begun."""
 MARKS = {
-    "config.json": "a study or an assessment",
-    "experiment.json": "a training",
-    "suite.json": "a benchmark",
+    "config.json": ("digest", "a study or an assessment"),
+    "experiment.json": ("algorithm", "a training"),
+    "suite.json": ("suite", "a benchmark"),
 }
-"""Files by which folders of work are known, and of what."""
+"""Files by which folders of work are known: a key that they hold, and what they are of."""
 THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -63,7 +63,7 @@ def claim(out: Path, study: str, config: Config, packages: Sequence[str]) -> Non
     require_own(mark)
     try:
         out.mkdir(parents=True, exist_ok=True)
-        found = _digest_in(mark) if mark.exists() else digest
+        found = _value_in(mark, "digest") if mark.exists() else digest
         if found == digest:
             write_whole(mark, {"digest": digest, "study": study, "config": config.to_dict()})
     except OSError as error:
@@ -85,18 +85,18 @@ def require_own(mark: Path) -> None:
     InputError
         It does.
     """
-    for name, kind in MARKS.items():
-        if name != mark.name and os.path.exists(mark.with_name(name)):  # False where it may not be looked at
+    for name, (key, kind) in MARKS.items():
+        if name != mark.name and _value_in(mark.with_name(name), key) is not None:
             raise InputError(
                 f"out must be empty or its own, got {mark.parent}, which holds {kind}: choose a new folder"
             )
 
 
-def _digest_in(mark: Path) -> Any:
-    """The digest that a folder is marked with; None where the mark is no mark of ours."""
+def _value_in(mark: Path, key: str) -> Any:
+    """What a folder is marked with under a key; None where the mark is none of ours, or there is none."""
     try:
-        return json.loads(mark.read_text(encoding="utf-8")).get("digest")
-    except (ValueError, AttributeError):
+        return json.loads(mark.read_text(encoding="utf-8")).get(key)
+    except (OSError, ValueError, AttributeError):
         return None
 
 
@@ -113,14 +113,24 @@ def code_digest(*packages: str) -> str:
 def write_whole(path: Path, data: Any) -> None:
     """Write JSON so that the file is there whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    save_whole(path, lambda draft: draft.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8"))
+    with replace_file(path) as draft:
+        draft.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 
 
-def save_whole(path: Path, save: Callable[[Path], object]) -> None:
-    """Let ``save`` write a file so that it is there whole or not at all; the one before stays until then."""
-    draft = path.with_name(path.name + ".part")
-    save(draft)
-    os.replace(draft, path)
+class replace_file:  # noqa: N801 - used as a function
+    """Within it, a draft may be written that takes the place of ``path`` at the end, whole or not at all."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.draft = path, path.with_name(f"{path.name}.{os.getpid()}.part")
+
+    def __enter__(self) -> Path:
+        return self.draft
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            os.replace(self.draft, self.path)
+        else:
+            self.draft.unlink(missing_ok=True)
 
 
 def parts_kept(out: Path) -> int:

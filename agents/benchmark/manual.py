@@ -87,7 +87,7 @@ KEPT = (
     ),
     ("episodes.parquet", "a row for each episode: its outcome, costs and shares in columns of their own"),
     ("report.html", "all of it in one page"),
-    ("clips/", "its films, made again where their episodes are"),
+    ("clips/", "its films, which are not made again while their episodes stay as they are"),
 )
 
 EXAMPLE = """```yaml

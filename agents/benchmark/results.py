@@ -24,9 +24,10 @@ from lanebound.agents.benchmark.statistics import (
     estimate,
     is_clear,
 )
-from lanebound.agents.benchmark.store import Store, replace_file
+from lanebound.agents.benchmark.store import Store
 from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.benchmark.untuned import is_untuned
+from lanebound.agents.kept import replace_file
 
 __all__ = ["FILES", "Cell", "Estimate", "Paired", "Results"]
 

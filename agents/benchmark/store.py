@@ -11,7 +11,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -23,10 +22,10 @@ from lanebound.agents.benchmark.source import agent_digest, package_versions, so
 from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.episodes.columns import COLUMNS
 from lanebound.agents.episodes.log import schema_of
-from lanebound.agents.kept import require_own
+from lanebound.agents.kept import replace_file, require_own
 from lanebound.integrity.errors import InputError
 
-__all__ = ["CLIPS", "STORED", "Store", "replace_file"]
+__all__ = ["CLIPS", "STORED", "Store"]
 
 SUITE, UNFIT, KEY = "suite.json", "left_out.json", b"lanebound.outcome"
 CLIPS = "clips"
@@ -175,22 +174,6 @@ class Store:
         import pyarrow.parquet as pq
 
         return pq.ParquetFile(self.path(task)).read()
-
-
-class replace_file:  # noqa: N801 - used as a function
-    """Within it, a draft may be written that takes the place of ``path`` at the end, whole or not at all."""
-
-    def __init__(self, path: Path) -> None:
-        self.path, self.draft = path, path.with_name(f"{path.name}.{os.getpid()}.part")
-
-    def __enter__(self) -> Path:
-        return self.draft
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:
-            os.replace(self.draft, self.path)
-        else:
-            self.draft.unlink(missing_ok=True)
 
 
 def _write_text(path: Path, text: str) -> None:

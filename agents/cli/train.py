@@ -35,10 +35,12 @@ def train(
 
     from lanebound.agents.cli.interrupt import stoppable, wait_for
     from lanebound.agents.learning.experiment import load_experiment
+    from lanebound.agents.learning.imitation import teacher_of
     from lanebound.integrity.presets import parse_assignments
 
     experiment = load_experiment(name, parse_assignments(assignments or []))
     experiment.open().close()  # what the environment refuses is said before a bar is drawn
+    teacher_of(experiment)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with stoppable(lambda: _kept(out)):
         from lanebound.agents.learning.training import train as carry_out

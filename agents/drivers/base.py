@@ -85,7 +85,15 @@ class Reader:
         """
         for column in columns:
             if column not in self._entries:
-                raise InputError(f"observation must show '{column}', got none: {nearest(column, self._entries)}")
+                raise InputError(f"observation must show '{column}', got none: {self._remedy(column)}")
+
+    def _remedy(self, column: str) -> str:
+        """How to have an entry shown."""
+        group = column.partition(".")[0]
+        if any(entry.group == group for entry in self._entries.values()):
+            return nearest(column, self._entries)
+        way = "full, or for a driver that is imitated imitation.observation.integrity" if group == "integrity" else ""
+        return f"set observation.integrity to {way}" if way else f"let it show the group '{group}'"
 
     def scale(self, column: str) -> float:
         """The quantity at which an entry reads 1."""

@@ -1,12 +1,14 @@
 """Policies that were learnt, as arrays: small networks from flat observations to actions; some come with the package.
 
 ``lanebound train`` learns one, ``lanebound export DIR --out FILE.npz`` writes it in this form: for each layer n the
-arrays ``weight_n`` (outputs, inputs) and ``bias_n``, tanh between layers, and ``columns``, the names of the entries of
-the observation in their order. Outputs are a continuous action, or a value of each discrete one.
+arrays ``weight_n`` (outputs, inputs) and ``bias_n``, tanh between layers; of the entries of the observation, in their
+order, ``columns`` (names) and ``scales``, and ``oracle``, whether they show the truth. Outputs are a continuous action,
+or a value of each discrete one.
 """
 
 from __future__ import annotations
 
+import zlib
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -17,11 +19,12 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lanebound.agents.drivers.base import Observation, Reader, in_a_row
+from lanebound.agents.drivers.base import Observation, in_a_row
 from lanebound.envs.core import DrivingEnv
+from lanebound.envs.observation import ObservationConfig, entries
 from lanebound.integrity.errors import InputError
 
-__all__ = ["LearntDriver", "make_ppo", "open_arrays", "policies"]
+__all__ = ["LearntDriver", "make_ppo", "open_arrays", "policies", "sight"]
 
 Array = NDArray[np.float32]
 States = tuple[NDArray[Any], ...] | None
@@ -96,14 +99,26 @@ def open_arrays(path: Path, env: DrivingEnv) -> LearntDriver:
     return _fitting(path, f"agent {path}", "", env)
 
 
+def sight(config: ObservationConfig) -> dict[str, NDArray[Any]]:
+    """What a policy of flat observations must find as it was when it learnt: names, scales, and whether the truth."""
+    shown = entries(config)
+    return {
+        "columns": np.array([entry.column for entry in shown]),
+        "scales": np.array([entry.scale for entry in shown]),
+        "oracle": np.array(config.integrity == "oracle"),
+    }
+
+
 def _fitting(file: Traversable, name: str, where: str, env: DrivingEnv) -> LearntDriver:
     """The policy in a file, where it was learnt with the observations and actions of an environment."""
-    columns, layers = _read(file, name)
+    learnt, layers = _read(file, name)
     config = env.config.observation
-    if Reader(config).columns != columns or config.history != 1:
+    here = sight(config)
+    other = [key for key, value in here.items() if not np.array_equal(value, learnt[key])]
+    if other or config.history != 1:
         raise InputError(
-            f"{name} was learnt{where} with the observation of its own ({len(columns)} entries, no history), "
-            "got another: leave 'observation' as it is there"
+            f"{name} was learnt{where} with an observation of its own ({len(learnt['columns'])} entries, no history), "
+            f"got another ({', '.join(other) or 'history'} differ): leave 'observation' as it was there"
         )
     if (spaces.flatdim(env.action_space),) != layers[-1][1].shape:
         raise InputError(
@@ -112,16 +127,16 @@ def _fitting(file: Traversable, name: str, where: str, env: DrivingEnv) -> Learn
     return LearntDriver(layers, isinstance(env.action_space, spaces.Discrete))
 
 
-def _read(file: Traversable, name: str) -> tuple[tuple[str, ...], list[tuple[Array, Array]]]:
-    """Names of what a policy sees, and its layers."""
+def _read(file: Traversable, name: str) -> tuple[dict[str, NDArray[Any]], list[tuple[Array, Array]]]:
+    """What a policy sees, and its layers."""
     try:
         with file.open("rb") as stream, np.load(stream) as data:
-            columns = tuple(data["columns"].tolist())
+            learnt = {key: data[key] for key in sight(ObservationConfig())}
             count = sum(array.startswith("weight_") for array in data.files)
             layers = [(data[f"weight_{n}"], data[f"bias_{n}"]) for n in range(count)]
-    except (OSError, ValueError, KeyError, AttributeError, EOFError, BadZipFile) as error:
+    except (OSError, ValueError, TypeError, LookupError, AttributeError, EOFError, BadZipFile, zlib.error) as error:
         raise InputError(f"{name} must be as 'lanebound export' writes it, got {error}: export it anew") from None
-    wide = len(columns)
+    wide = learnt["columns"].size
     for n, (weight, bias) in enumerate(layers):
         if weight.shape != (*bias.shape, wide) or not (np.isfinite(weight).all() and np.isfinite(bias).all()):
             raise InputError(
@@ -131,4 +146,4 @@ def _read(file: Traversable, name: str) -> tuple[tuple[str, ...], list[tuple[Arr
         wide = len(bias)
     if not layers:
         raise InputError(f"{name} must hold layers weight_0, bias_0, ..., got none: export it anew")
-    return columns, layers
+    return learnt, layers

@@ -8,10 +8,9 @@ Observations leave the environment scaled already, so that the network holds all
 from __future__ import annotations
 
 import logging
-import os
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,8 @@ import torch
 from gymnasium import spaces
 from torch import nn
 
-from lanebound.agents.drivers.base import Reader
+from lanebound.agents.drivers.learnt import sight
+from lanebound.agents.kept import replace_file
 from lanebound.agents.learning.evaluation import trained
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig, Shield
 from lanebound.agents.learning.training import load_model
@@ -52,10 +52,9 @@ def export_onnx(folder: Path, path: Path) -> Path:
     policy: Any = model.policy
     network = (_Squashed(policy.actor) if experiment.algorithm.off_policy else _Unsquashed(policy)).eval()
     shape = model.observation_space.shape or ()
-    draft = path.with_name("draft-" + path.name)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with _quiet():
+        with replace_file(path) as draft, _quiet():
             torch.onnx.export(
                 network,
                 (torch.zeros(2, *shape),),
@@ -67,7 +66,6 @@ def export_onnx(folder: Path, path: Path) -> Path:
                 verbose=False,
                 external_data=False,
             )
-        os.replace(draft, path)
     except OSError as error:
         raise _unwritable(path, error) from None
     return path
@@ -87,15 +85,15 @@ def export_arrays(folder: Path, path: Path) -> Path:
     if experiment.algorithm.off_policy or policy.activation_fn is not nn.Tanh:
         raise InputError(f"a policy to export as arrays must be PPO's with tanh, got {experiment.algorithm}: use .onnx")
     layers = [layer for layer in policy.mlp_extractor.policy_net if isinstance(layer, nn.Linear)]
-    arrays: dict[str, Any] = {"columns": np.array(Reader(experiment.open().config.observation).columns)}
+    with closing(experiment.open()) as env:
+        arrays: dict[str, Any] = dict(sight(env.config.observation))
     for n, layer in enumerate([*layers, policy.action_net]):
         arrays[f"weight_{n}"] = layer.weight.detach().numpy()
         arrays[f"bias_{n}"] = layer.bias.detach().numpy()
-    draft = path.with_name("draft-" + path.name)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        np.savez_compressed(draft, **arrays)
-        os.replace(draft, path)
+        with replace_file(path) as draft, draft.open("wb") as stream:
+            np.savez_compressed(stream, **arrays)
     except OSError as error:
         raise _unwritable(path, error) from None
     return path

@@ -4,6 +4,8 @@ Dataset aggregation (Ross, Gordon and Bagnell 2011): in the first round the driv
 policy as far as it has come; at every decision the driver says what it would do, and after each round the policy is
 fitted to all that was said so far. A policy that only copied drives of the driver would not know the way back to them.
 What is fitted of continuous actions is their mean; how widely the policy tries others afterwards stays as it was set.
+Environments begin together and drive on from round to round: of episodes longer than all rounds nobody shows the end,
+and of the part in which the first round falls only the driver's own way is shown.
 
 The driver may be shown more than the policy (a privileged teacher): then environments show what the driver needs, and
 the policy is handed its part of that.
@@ -26,15 +28,18 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.base import Driver
-from lanebound.agents.kept import save_whole
+from lanebound.agents.kept import replace_file
 from lanebound.agents.learning.experiment import ExperimentConfig, ImitationConfig
 from lanebound.agents.learning.opening import episode_seeds
 from lanebound.envs.observation import ObservationConfig, entries
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.errors import ConfigError, InputError
 
 __all__ = ["Teacher", "imitate", "teacher_of"]
 
 Places = NDArray[np.intp]
+UNREADABLE = (
+    OSError, RuntimeError, ValueError, LookupError, TypeError, AttributeError, EOFError, UnpicklingError,
+)  # fmt: skip
 
 
 class Teacher(NamedTuple):
@@ -64,7 +69,11 @@ def teacher_of(experiment: ExperimentConfig) -> Teacher | None:
     if experiment.imitation is None:
         return None
     shown = experiment.as_driver_sees()
-    with closing(shown.open()) as single:
+    try:
+        single = shown.open()
+    except ConfigError as error:
+        raise ConfigError(f"imitation.{error}" if shown is not experiment else str(error)) from None
+    with closing(single):
         driver, theirs = make_agent(experiment.imitation.driver, single), single.config.observation
     with closing(experiment.open()) as single:
         places = _places(single.config.observation, theirs)
@@ -103,7 +112,7 @@ def imitate(
     env : of the teacher's experiment; the episodes are none of those learnt from by reward, nor of those judged by
     stepped : called with the decisions so far, at every step
     kept : file for what was said so far and the policy fitted to it, written after each round; from one that is there
-        it goes on, with episodes of its own; None: nowhere
+        it goes on, with other episodes and these from their beginning; None: nowhere
     """
     driver, lessons, experiment, places = teacher
     optimiser = torch.optim.Adam(model.policy.parameters(), lr=lessons.learning_rate)
@@ -143,7 +152,8 @@ def _keep(path: Path, heard: _Heard, model: BaseAlgorithm, optimiser: torch.opti
         "optimiser": optimiser.state_dict(),
         "draws": torch.get_rng_state(),
     }
-    save_whole(path, lambda draft: torch.save(states, draft))
+    with replace_file(path) as draft:
+        torch.save(states, draft)
 
 
 def _taken_up(path: Path, model: BaseAlgorithm, optimiser: torch.optim.Optimizer) -> _Heard:
@@ -154,7 +164,7 @@ def _taken_up(path: Path, model: BaseAlgorithm, optimiser: torch.optim.Optimizer
         optimiser.load_state_dict(states["optimiser"])
         torch.set_rng_state(states["draws"])
         return _Heard(list(states["seen"].numpy()), list(states["said"].numpy()), states["losses"])
-    except (OSError, RuntimeError, LookupError, TypeError, EOFError, UnpicklingError) as error:
+    except UNREADABLE as error:
         raise InputError(
             f"{path} must be as imitation wrote it, got another file ({type(error).__name__}): delete it to begin anew"
         ) from error

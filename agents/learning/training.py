@@ -29,7 +29,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from lanebound.agents.kept import require_own, save_whole, write_whole
+from lanebound.agents.kept import replace_file, require_own, write_whole
 from lanebound.agents.learning.card import write_card
 from lanebound.agents.learning.evaluation import evaluate
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig
@@ -239,10 +239,11 @@ def _checkpoint(
 def _keep(model: BaseAlgorithm, out: Path, best: bool) -> None:
     """Save a checkpoint; the one before stays until the new one is whole."""
     if getattr(model, "replay_buffer", None) is not None:
-        save_whole(out / REPLAY, model.save_replay_buffer)  # type: ignore[attr-defined]
-    save_whole(out / LAST, model.save)
-    if best:
-        save_whole(out / "best.zip", model.save)
+        with replace_file(out / REPLAY) as draft:
+            model.save_replay_buffer(draft)  # type: ignore[attr-defined]
+    for path in (out / LAST, out / "best.zip") if best else (out / LAST,):
+        with replace_file(path) as draft:
+            model.save(draft)
     (out / IMITATION).unlink(missing_ok=True)
 
 

@@ -7,6 +7,7 @@ import hashlib
 import json
 import subprocess
 import tempfile
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from lanebound.agents.benchmark.outcome import Outcome
 from lanebound.agents.benchmark.replay import differences, replay
 from lanebound.agents.benchmark.source import source_digest
 from lanebound.agents.benchmark.store import CLIPS
-from lanebound.agents.kept import save_whole
+from lanebound.agents.kept import replace_file
 
 __all__ = ["Clip", "film_clip", "shrink"]
 
@@ -52,8 +53,10 @@ def film_clip(folder: Path, outcome: Outcome) -> Clip:
         film, other = _filmed(folder, outcome)
         if other:
             return Clip(outcome, _address(film), f"Driven again it did not come out as it had: {other} differ.")
-        kept.parent.mkdir(exist_ok=True)
-        save_whole(kept, lambda draft: draft.write_bytes(film))
+        with suppress(OSError):  # what cannot be kept is shown all the same
+            kept.parent.mkdir(exist_ok=True)
+            with replace_file(kept) as draft:
+                draft.write_bytes(film)
         return Clip(outcome, _address(film))
     except Exception as error:
         return Clip(outcome, trouble=f"No clip: {type(error).__name__}: {error}")
@@ -68,8 +71,9 @@ def _filmed(folder: Path, outcome: Outcome) -> tuple[bytes, str]:
 
 
 def _name(outcome: Outcome) -> str:
-    """By how the episode came out, and the code that drives it again: another one has another film."""
-    text = source_digest() + json.dumps(outcome.to_dict(), sort_keys=True)
+    """By how the episode came out, the code that drives it again, and how it is filmed: else it is another film."""
+    made = (source_digest(), outcome.to_dict(), LAST_S, WIDTH_PX, FPS, QUALITY, LARGEST_BYTES)
+    text = json.dumps(made, sort_keys=True)
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 

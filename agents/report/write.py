@@ -19,8 +19,9 @@ from lanebound.agents.benchmark.metrics import METRICS
 from lanebound.agents.benchmark.outcome import Outcome, Place
 from lanebound.agents.benchmark.results import Cell, Results
 from lanebound.agents.benchmark.statistics import VERDICT_SEEDS
-from lanebound.agents.benchmark.store import Store, replace_file
+from lanebound.agents.benchmark.store import Store
 from lanebound.agents.benchmark.verdicts import conclusions
+from lanebound.agents.kept import replace_file
 from lanebound.agents.report.clips import Clip, film_clip
 from lanebound.agents.report.commands import replay_command
 from lanebound.agents.report.episodes import badness, what_happened, worst_of

@@ -101,7 +101,7 @@ def _draw_figures(canvas: Canvas, at: Place, frame: Frame, theme: Theme) -> None
     right = (
         ("mode", Mode(b.mode).label, theme.text),
         ("RTK", _rtk(b), theme.text),
-        ("satellites used", f"{b.satellites if b.mode == Mode.RTK else b.satellites_doppler}", theme.text),
+        ("satellites used", f"{_used(b)}", theme.text),
         ("corrections", _age(b.corrections_age_s), theme.text),
     )
     row = at.height / 4.0
@@ -111,6 +111,11 @@ def _draw_figures(canvas: Canvas, at: Place, frame: Frame, theme: Theme) -> None
             y = at.y + (k + 0.5) * row
             canvas.text(x, y, name, 11, theme.muted)
             canvas.text(x + half, y, value, 11, colour, anchor="right")
+
+
+def _used(b: EgoBelief) -> int:
+    """Satellites that the position comes from: none between fixes by IMU and odometer."""
+    return {Mode.RTK: b.satellites, Mode.DOPPLER: b.satellites_doppler}.get(Mode(b.mode), 0)
 
 
 def _level(pl_m: float, al_m: float) -> str:

@@ -151,11 +151,15 @@ def test_networks_with_other_inputs_are_refused(monkeypatch, tmp_path, steered):
         onnx(monkeypatch, tmp_path, steered, Session(["obs"], None, 7))
 
 
-def test_a_network_of_one_input_takes_the_groups_in_a_row(monkeypatch, tmp_path, steered):
+def test_a_network_of_one_input_takes_the_groups_in_a_row(monkeypatch, tmp_path):
     session = Session(["obs"], np.zeros((1, 2), np.float32))
-    observation = steered.observation_space.sample()
-    onnx(monkeypatch, tmp_path, steered, session).predict(observation)
-    np.testing.assert_array_equal(session.given["obs"][0], in_a_row(observation))
+    stacked = GIVEN | {"observation": {"history": 2}}
+    flat, groups = open_env("LaneKeeping", deep_merge(stacked, FLAT)), open_env("LaneKeeping", stacked)
+    wanted, observation = flat.reset(seed=4)[0], groups.reset(seed=4)[0]
+    for _ in range(3):
+        onnx(monkeypatch, tmp_path, groups, session).predict(observation)
+        np.testing.assert_array_equal(session.given["obs"][0], wanted)
+        wanted, observation = (env.step(np.array([0.5, 0.1], np.float32))[0] for env in (flat, groups))
 
 
 def test_functions_and_objects_from_modules(steered):

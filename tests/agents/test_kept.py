@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -120,10 +121,9 @@ def test_kinds_of_work_share_no_folder(tmp_path: Path, mark: str) -> None:
         "experiment.json": lambda: train(ExperimentConfig.load({"env": "LaneKeeping"}), tmp_path),
         "suite.json": lambda: Store(tmp_path).claim(suite, fresh=True),
     }
-    (tmp_path / mark).write_text("{}", encoding="utf-8")
+    key, kind = MARKS[mark]
+    (tmp_path / mark).write_text(json.dumps({key: "something"}), encoding="utf-8")
     for other in claims.keys() - {mark}:
-        with pytest.raises(
-            InputError, match=f"out must be empty or its own, got .*, which holds {MARKS[mark]}: choose a"
-        ):
+        with pytest.raises(InputError, match=f"out must be empty or its own, got .*, which holds {kind}: choose a"):
             claims[other]()
     assert [path.name for path in tmp_path.iterdir()] == [mark]

@@ -20,6 +20,8 @@ LAYERS = [
     (np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 2.0]], np.float32), np.array([0.0, 0.5], np.float32)),
 ]
 
+SEEN = {"columns": np.array(["a"]), "scales": np.ones(1), "oracle": np.array(False)}
+
 
 def _id_of(base: str) -> str:
     return next(name for name in IDS if open_env(name).config.base == base)
@@ -71,26 +73,32 @@ def test_a_file_of_arrays_drives_as_what_came_along(tmp_path: Path) -> None:
     seen = env.observation_space.sample()
     mine = make_agent(str(path), env)
     np.testing.assert_array_equal(mine.predict(seen)[0], make_agent("ppo", env).predict(seen)[0])
-    with pytest.raises(
-        InputError, match=r"mine\.npz was learnt with the observation of its own \(\d+ entries, no history"
-    ):
-        make_agent(str(path), open_env("Highway", {"observation": {"vehicles": 2}}))
+    for other, differs in (
+        ({"vehicles": 2}, "columns, scales"), ({"speed_max_mps": 20}, "scales"), ({"integrity": "oracle"}, "oracle"),
+        ({"history": 2}, "history"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=rf"mine\.npz was learnt with an observation .* \({differs} differ\)"):
+            make_agent(str(path), open_env("LaneKeeping", {"observation": other}))
 
 
 @pytest.mark.parametrize(
     ("arrays", "reason"),
     [
         ({}, "must be as 'lanebound export' writes it, got .*columns"),
-        ({"columns": np.array(["a"])}, "must hold layers weight_0, bias_0, ..., got none"),
-        ({"columns": np.array(["a"]), "weight_0": np.ones((2, 2)), "bias_0": np.ones(2)}, r"must be finite, \(m, 1\)"),
-        ({"columns": np.array(["a"]), "weight_0": np.full((2, 1), np.nan), "bias_0": np.ones(2)}, "must be finite"),
-        ({"columns": np.array(["a"]), "weight_0": np.ones((2, 1))}, "must be as 'lanebound export' writes it"),
+        (SEEN, "must hold layers weight_0, bias_0, ..., got none"),
+        ({**SEEN, "weight_0": np.ones((2, 2)), "bias_0": np.ones(2)}, r"must be finite, \(m, 1\)"),
+        ({**SEEN, "weight_0": np.full((2, 1), np.nan), "bias_0": np.ones(2)}, "must be finite"),
+        ({**SEEN, "weight_0": np.ones((2, 1))}, "must be as 'lanebound export' writes it"),
     ],
 )
 def test_a_file_that_is_no_policy_is_refused(tmp_path: Path, arrays: dict[str, Any], reason: str) -> None:
     path = tmp_path / "mine.npz"
     np.savez(path, **arrays)
     with pytest.raises(InputError, match=reason):
+        make_agent(str(path), open_env("LaneKeeping"))
+    with path.open("wb") as stream:
+        np.save(stream, np.ones(3))
+    with pytest.raises(InputError, match="must be as 'lanebound export' writes it"):
         make_agent(str(path), open_env("LaneKeeping"))
     path.write_bytes(b"no archive")
     with pytest.raises(InputError, match="must be as 'lanebound export' writes it"):

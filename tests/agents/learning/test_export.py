@@ -63,7 +63,7 @@ def test_arrays_answer_as_the_policy_does_for_one_and_for_many(tmp_path: Path, m
     with pytest.raises(InputError, match="was learnt in LaneKeepingWorld, got CarFollowingWorld"):
         make_agent("ppo", open_env("CarFollowing"))
     for other in ({"integrity": "blind"}, {"history": 2}):
-        with pytest.raises(InputError, match="leave 'observation' as it is there"):
+        with pytest.raises(InputError, match="leave 'observation' as it was there"):
             make_agent("ppo", open_env("LaneKeeping", {"observation": other}))
     result = CliRunner().invoke(app, ["export", str(tmp_path), "--out", str(tmp_path / "again.npz")])
     assert result.exit_code == 0, result.output

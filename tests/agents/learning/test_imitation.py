@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from contextlib import closing
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from experiments import experiment
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnvWrapper, VecMonitor
@@ -187,28 +189,34 @@ def test_what_the_driver_is_shown_must_hold_all_that_the_policy_sees() -> None:
 
 
 def test_a_stop_loses_no_finished_round(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    config = experiment(imitation={**SMALL, "rounds": 3}, steps=64)
-    whole = train(config, tmp_path / "whole")
-    fits = 0
+    config = experiment(imitation={**SMALL, "rounds": 3})
+    states: list[dict[str, Any]] = []
     fit = imitation._fit
 
-    def stop_in_third(*given: Any) -> float:
-        nonlocal fits
-        fits += 1
-        if fits == 3:
+    def noted(model: Any, heard: Any, lessons: Any, optimiser: Any) -> float:
+        before = {"seen": np.stack(heard.seen), "said": np.stack(heard.said), "draws": torch.get_rng_state()}
+        weights = {name: value.clone() for name, value in model.policy.state_dict().items()}
+        states.append({**before, "weights": weights, "fit": deepcopy(optimiser.state_dict()["state"])})
+        if len(states) == 3:
             raise KeyboardInterrupt
-        return fit(*given)
+        return fit(model, heard, lessons, optimiser)
 
-    monkeypatch.setattr(imitation, "_fit", stop_in_third)
-    cut = tmp_path / "cut"
+    monkeypatch.setattr(imitation, "_fit", noted)
     with pytest.raises(KeyboardInterrupt):
-        train(config, cut)
+        train(config, tmp_path)
     steps: list[int] = []
-    assert [row["steps"] for row in train(config, cut, imitated=steps.append)] == [0, 64]
-    assert fits == 4  # the third again, and no other
+    train(config, tmp_path, imitated=steps.append)
+    assert len(states) == 4  # the third again, and no other
     assert steps[0] == steps[-1] // 3 * 2 + config.count
-    assert not (cut / "imitation.pt").exists()
-    assert [row["steps"] for row in whole] == [0, 64]
+    cut, again = states[2:]
+    finished = len(cut["seen"]) // 3 * 2
+    for name in ("seen", "said"):
+        np.testing.assert_array_equal(again[name][:finished], cut[name][:finished])
+    assert again["draws"].equal(cut["draws"])
+    assert all(again["weights"][name].equal(value) for name, value in cut["weights"].items())
+    assert cut["fit"].keys() == again["fit"].keys() != set()
+    assert all(again["fit"][k]["exp_avg"].equal(cut["fit"][k]["exp_avg"]) for k in cut["fit"])
+    assert not (tmp_path / "imitation.pt").exists()
 
 
 def test_what_imitation_kept_and_cannot_be_read_is_named(tmp_path: Path) -> None:
@@ -217,3 +225,12 @@ def test_what_imitation_kept_and_cannot_be_read_is_named(tmp_path: Path) -> None
         InputError, match=r"imitation\.pt must be as imitation wrote it, got another file .*: delete it"
     ):
         train(experiment(imitation=SMALL, steps=64), tmp_path)
+
+
+def test_what_the_driver_needs_is_asked_for_by_its_path(tmp_path: Path) -> None:
+    remedy = r"got none: set observation\.integrity to full, or .* imitation\.observation"
+    with pytest.raises(InputError, match=remedy) as told:
+        train(experiment(imitation=SMALL, overrides=BLIND), tmp_path)
+    assert len(str(told.value)) < 200
+    with pytest.raises(ConfigError, match=r"^imitation\.observation\.integrity must be .*, got 'ful'"):
+        teacher_of(experiment(imitation={**SMALL, "observation": {"integrity": "ful"}}))

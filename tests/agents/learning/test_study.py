@@ -28,7 +28,7 @@ from lanebound.agents.learning.study import (
     run_learning_study,
 )
 from lanebound.agents.learning.study_figure import curves_figure
-from lanebound.agents.learning.study_tables import SHOWN, adjust, summarise
+from lanebound.agents.learning.study_tables import SHOWN, adjust, kept_oftener, summarise
 from lanebound.agents.learning.study_time import Pace, measured, study_hours
 from lanebound.integrity.errors import ConfigError, InputError
 
@@ -189,6 +189,25 @@ def test_few_trainings_have_intervals_and_tests_and_many_tests_are_adjusted() ->
     }
     assert less["cost"]["p_holm"] == pytest.approx(3.0 * less["cost"]["p"])
     assert "p_holm" not in less["collision"]
+
+
+def test_who_keeps_the_limit_oftener_is_tested_in_pairs() -> None:
+    def training(arm: str, seed: int, cost: float, sky: str = "urban") -> dict[str, Any]:
+        episode = {**dict.fromkeys(SHOWN, 0.0), "cost": cost}
+        return {"env": "LaneKeeping-v0", "sky": sky, "arm": arm, "seed": seed, "limit": 15.0, "episodes": [episode]}
+
+    parts = [training("blind", seed, 16.0) for seed in range(6)] + [training("seeing", seed, 15.0) for seed in range(5)]
+    parts += [training(arm, 0, 1.0, "dense") for arm in ("blind", "seeing")] + [training("seeing", 1, 1.0, "dense")]
+    arms = {"blind": (), "seeing": ("blind",), "unlearnt": ("blind", "seeing")}
+    first, *others = kept_oftener(parts, arms)
+    assert {**first, "p": None} == {
+        "arm": "seeing", "other": "blind", "n": 6, "first": 6, "second": 1, "first_alone": 5, "second_alone": 0,
+        "p": None,
+    }  # fmt: skip
+    assert first["p"] == pytest.approx(2.0 * 0.5**5)
+    assert [(row["n"], row["p"]) for row in others] == [(0, 1.0), (0, 1.0)]
+    assert adjust([], [first, *others], {"seeing": "late", "unlearnt": ""}) == {"late": 1}
+    assert first["p_holm"] == first["p"]
 
 
 def t_interval(values: Any) -> list[float]:

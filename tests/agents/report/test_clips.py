@@ -62,6 +62,12 @@ def test_a_film_is_made_once(tmp_path, monkeypatch):
     films = [film_clip(tmp_path, made_up_outcome(task)) for task in (first, first, second)]
     assert made == [first.id, second.id]
     assert films[0] == films[1]
+    film_clip(tmp_path, made_up_outcome(first, cost=77.0))
+    assert made.pop() == first.id  # the same episode that came out otherwise
+    with monkeypatch.context() as patch:
+        patch.setattr(clips, "source_digest", lambda: "another code")
+        film_clip(tmp_path, made_up_outcome(first))
+    assert made.pop() == first.id
     Store(tmp_path).claim(Store(tmp_path).suite(), fresh=True)
     assert not (tmp_path / "clips").exists()
     monkeypatch.setattr(clips, "_filmed", lambda folder, outcome: (made.append(outcome.id) or b"film", "cost"))
