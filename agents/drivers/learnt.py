@@ -2,8 +2,7 @@
 
 ``lanebound train`` learns one, ``lanebound export DIR --out FILE.npz`` writes it in this form: for each layer n the
 arrays ``weight_n`` (outputs, inputs) and ``bias_n``, tanh between layers; of the entries of the observation, in their
-order, ``columns`` (names) and ``scales``, and ``oracle``, whether they show the truth. Outputs are a continuous action,
-or a value of each discrete one.
+order, ``columns`` (names) and ``scales``. Outputs are a continuous action, or a value of each discrete one.
 """
 
 from __future__ import annotations
@@ -100,12 +99,11 @@ def open_arrays(path: Path, env: DrivingEnv) -> LearntDriver:
 
 
 def sight(config: ObservationConfig) -> dict[str, NDArray[Any]]:
-    """What a policy of flat observations must find as it was when it learnt: names, scales, and whether the truth."""
+    """What a policy of flat observations must find as it was when it learnt: names and scales of the entries."""
     shown = entries(config)
     return {
         "columns": np.array([entry.column for entry in shown]),
         "scales": np.array([entry.scale for entry in shown]),
-        "oracle": np.array(config.integrity == "oracle"),
     }
 
 

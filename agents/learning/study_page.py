@@ -36,7 +36,11 @@ def _rounded(part: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _short(value: Any) -> Any:
-    return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
+    """A number in few digits, whole where it is; of millions most are 0."""
+    if not isinstance(value, float):
+        return value
+    short = float(f"{value:.{DIGITS}g}")
+    return int(short) if short.is_integer() else short
 
 
 def unpacked(path: Path) -> list[dict[str, Any]]:

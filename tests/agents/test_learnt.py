@@ -20,7 +20,7 @@ LAYERS = [
     (np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 2.0]], np.float32), np.array([0.0, 0.5], np.float32)),
 ]
 
-SEEN = {"columns": np.array(["a"]), "scales": np.ones(1), "oracle": np.array(False)}
+SEEN = {"columns": np.array(["a"]), "scales": np.ones(1)}
 
 
 def _id_of(base: str) -> str:
@@ -74,8 +74,7 @@ def test_a_file_of_arrays_drives_as_what_came_along(tmp_path: Path) -> None:
     mine = make_agent(str(path), env)
     np.testing.assert_array_equal(mine.predict(seen)[0], make_agent("ppo", env).predict(seen)[0])
     for other, differs in (
-        ({"vehicles": 2}, "columns, scales"), ({"speed_max_mps": 20}, "scales"), ({"integrity": "oracle"}, "oracle"),
-        ({"history": 2}, "history"),
+        ({"vehicles": 2}, "columns, scales"), ({"speed_max_mps": 20}, "scales"), ({"history": 2}, "history"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=rf"mine\.npz was learnt with an observation .* \({differs} differ\)"):
             make_agent(str(path), open_env("LaneKeeping", {"observation": other}))
