@@ -131,12 +131,16 @@ def _read(file: Traversable, name: str) -> tuple[dict[str, NDArray[Any]], list[t
         with file.open("rb") as stream, np.load(stream) as data:
             learnt = {key: data[key] for key in sight(ObservationConfig())}
             count = sum(array.startswith("weight_") for array in data.files)
-            layers = [(data[f"weight_{n}"], data[f"bias_{n}"]) for n in range(count)]
+            layers = [(_numbers(data[f"weight_{n}"]), _numbers(data[f"bias_{n}"])) for n in range(count)]
     except (OSError, ValueError, TypeError, LookupError, AttributeError, EOFError, BadZipFile, zlib.error) as error:
         raise InputError(f"{name} must be as 'lanebound export' writes it, got {error}: export it anew") from None
     wide = learnt["columns"].size
     for n, (weight, bias) in enumerate(layers):
-        if weight.shape != (*bias.shape, wide) or not (np.isfinite(weight).all() and np.isfinite(bias).all()):
+        if (
+            weight.shape != (bias.size, wide)
+            or bias.ndim != 1
+            or not (np.isfinite(weight).all() and np.isfinite(bias).all())
+        ):
             raise InputError(
                 f"weight_{n} and bias_{n} of {name} must be finite, (m, {wide}) and (m,), got {weight.shape} and "
                 f"{bias.shape}: export it anew"
@@ -145,3 +149,7 @@ def _read(file: Traversable, name: str) -> tuple[dict[str, NDArray[Any]], list[t
     if not layers:
         raise InputError(f"{name} must hold layers weight_0, bias_0, ..., got none: export it anew")
     return learnt, layers
+
+
+def _numbers(array: NDArray[Any]) -> Array:
+    return np.asarray(array, dtype=np.float32)

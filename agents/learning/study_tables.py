@@ -36,7 +36,7 @@ def summarise(parts: Sequence[Mapping[str, Any]], arms: Mapping[str, Sequence[st
 
     Trainings with the same seed are paired. ``parts`` are the finished trainings of a place, each with its ``arm``,
     ``seed``, ``limit`` of an episode's cost and ``episodes`` as :func:`~.evaluation.drive_all` has them; ``kept``
-    counts those that :func:`keeps` it.
+    counts those that keep it (:func:`keeps`).
     """
     episodes = sum(len(part["episodes"]) for part in parts) // max(len(parts), 1)
     kept = Counter(part["arm"] for part in parts if keeps(part))

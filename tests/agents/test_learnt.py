@@ -87,6 +87,8 @@ def test_a_file_of_arrays_drives_as_what_came_along(tmp_path: Path) -> None:
         (SEEN, "must hold layers weight_0, bias_0, ..., got none"),
         ({**SEEN, "weight_0": np.ones((2, 2)), "bias_0": np.ones(2)}, r"must be finite, \(m, 1\)"),
         ({**SEEN, "weight_0": np.full((2, 1), np.nan), "bias_0": np.ones(2)}, "must be finite"),
+        ({**SEEN, "weight_0": np.array([["x"]]), "bias_0": np.ones(1)}, "must be as 'lanebound export' writes it"),
+        ({**SEEN, "weight_0": np.ones(1), "bias_0": np.array(1.0)}, "must be finite"),
         ({**SEEN, "weight_0": np.ones((2, 1))}, "must be as 'lanebound export' writes it"),
     ],
 )
