@@ -88,7 +88,7 @@ def require_own(mark: Path) -> None:
     for name, (key, kind) in MARKS.items():
         if name != mark.name and _value_in(mark.with_name(name), key) is not None:
             raise InputError(
-                f"out must be empty or its own, got {mark.parent}, which holds {kind}: choose a new folder"
+                f"out must be empty or hold work of its own kind, got {mark.parent} with {kind}: choose a new folder"
             )
 
 

@@ -15,15 +15,8 @@ from typing import Any
 from lanebound.integrity.errors import ConfigError
 
 __all__ = [
-    "FILES",
-    "deep_merge",
-    "load_file",
-    "load_preset",
-    "nearest",
-    "parse_assignments",
-    "parse_yaml",
-    "preset_names",
-]
+    "FILES", "deep_merge", "load_file", "load_preset", "nearest", "parse_assignments", "parse_yaml", "preset_names",
+]  # fmt: skip
 
 PRESET_PACKAGE = "lanebound.configs"
 FEW = 8  # presets, that a message may name

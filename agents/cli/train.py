@@ -39,8 +39,8 @@ def train(
     from lanebound.integrity.presets import parse_assignments
 
     experiment = load_experiment(name, parse_assignments(assignments or []))
-    experiment.open().close()  # what the environment refuses is said before a bar is drawn
-    teacher_of(experiment)
+    if teacher_of(experiment) is None:  # which opens the environment: what is refused is said before a bar is drawn
+        experiment.open().close()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with stoppable(lambda: _kept(out)):
         from lanebound.agents.learning.training import train as carry_out

@@ -92,8 +92,9 @@ class Reader:
         group = column.partition(".")[0]
         if any(entry.group == group for entry in self._entries.values()):
             return nearest(column, self._entries)
-        way = "full, or for a driver that is imitated imitation.observation.integrity" if group == "integrity" else ""
-        return f"set observation.integrity to {way}" if way else f"let it show the group '{group}'"
+        if group == "integrity":
+            return "set observation.integrity to full, or for a driver that is imitated imitation.observation.integrity"
+        return f"let it show the group '{group}'"
 
     def scale(self, column: str) -> float:
         """The quantity at which an entry reads 1."""

@@ -17,7 +17,7 @@ from lanebound.agents.learning.study import LearningStudyConfig, load_study
 from lanebound.agents.learning.study_figure import curves_figure
 from lanebound.agents.learning.study_tables import PRIMARY, SHOWN, adjust, kept_oftener, spread, summarise, tested
 
-__all__ = ["markdown", "overview", "packed", "unpacked", "write_page"]
+__all__ = ["markdown", "overview", "packed", "summed_up", "unpacked", "write_page"]
 
 BY_COLUMNS = ("checkpoints", "episodes")
 DIGITS = 5

@@ -124,6 +124,8 @@ def test_kinds_of_work_share_no_folder(tmp_path: Path, mark: str) -> None:
     key, kind = MARKS[mark]
     (tmp_path / mark).write_text(json.dumps({key: "something"}), encoding="utf-8")
     for other in claims.keys() - {mark}:
-        with pytest.raises(InputError, match=f"out must be empty or its own, got .*, which holds {kind}: choose a"):
+        with pytest.raises(
+            InputError, match=f"out must be empty or hold work of its own kind, got .* with {kind}: choose a"
+        ):
             claims[other]()
     assert [path.name for path in tmp_path.iterdir()] == [mark]
