@@ -131,7 +131,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         """
         commands = self._checked(actions)
         again, driving = NOBODY, None
-        if self._over.any():
+        if np.count_nonzero(self._over):
             again, driving = self._over.nonzero()[0], (~self._over).nonzero()[0]
             if self.mode is AutoresetMode.DISABLED:
                 raise InputError(f"environments {again} must be reset, their episodes are over: pass options.{MASK}")
@@ -144,7 +144,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
             self._restart(again, [None] * again.size)
         self._over = terminated | truncated
         final: dict[str, Any] = {}
-        if self.mode is AutoresetMode.SAME_STEP and self._over.any():
+        if self.mode is AutoresetMode.SAME_STEP and np.count_nonzero(self._over):
             ended = self._over.nonzero()[0]
             final = self._final(ended, self._over.copy())
             self._restart(ended, [None] * ended.size)
@@ -195,12 +195,12 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         stack, count = self._history, self.num_envs
         if self._slices is None:
             return stack.reshape(count, -1).copy()
-        return {group: stack[:, :, part].reshape(count, -1).copy() for group, part in self._slices.items()}
+        return {group: stack[:, :, part].copy().reshape(count, -1) for group, part in self._slices.items()}
 
     def _require_begun(self) -> None:
         if self.closed:
             raise InputError("environments must be open, got closed ones: make them anew")
-        if not self._begun.all():
+        if np.count_nonzero(self._begun) < self.num_envs:
             raise InputError("reset must come before everything else, got no episode: call reset() first")
 
     def _checked(self, actions: Any) -> NDArray[Any]:
@@ -214,7 +214,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         commands = given.astype(space.dtype)
         low, high = self._bounds
         fits = (commands >= low) & (commands <= high)
-        if not fits.all():
+        if np.count_nonzero(fits) < fits.size:
             e = int(np.flatnonzero(~fits.reshape(self.num_envs, -1).all(axis=1))[0])
             remedy = "clip it" if np.isfinite(given[e]).all() else "check the policy for NaN"
             raise InputError(f"actions[{e}] must lie in {self.single_action_space}, got {given[e]}: {remedy}")

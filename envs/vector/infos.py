@@ -37,14 +37,11 @@ def infos_of(world: World, limits_m: NDArray[np.float64], told: NDArray[np.bool_
     numbers, codes = np.empty((NUMBERS, count)), np.empty((len(CODES), count), dtype=np.int64)
     flags = np.empty((len(FLAGS), count), dtype=np.bool_)
     fill_infos(mask, world.out, world.belief, world.cars, limits_m, numbers, flags, codes)
-    terms = len(BEFORE) + len(TERMS)
-    infos: dict[str, Any] = dict(zip(BEFORE, numbers, strict=False))
-    infos.update(zip(AFTER, numbers[terms:], strict=True))
-    infos.update(zip(FLAGS, flags, strict=True))
-    infos.update(zip(CODES, codes, strict=True))
-    infos.update(dict.fromkeys(MASKS, mask))
-    rewards = dict(zip(TERMS, numbers[len(BEFORE) : terms], strict=True))
-    infos["rewards"] = rewards | dict.fromkeys(MASKS_OF_TERMS, mask)
+    rows = [*numbers, *flags, *codes]
+    terms = rows[len(BEFORE) : len(BEFORE) + len(TERMS)]
+    del rows[len(BEFORE) : len(BEFORE) + len(TERMS)]
+    infos: dict[str, Any] = dict(zip(NAMES, rows, strict=True)) | dict.fromkeys(MASKS, mask)
+    infos["rewards"] = dict(zip(TERMS, terms, strict=True)) | dict.fromkeys(MASKS_OF_TERMS, mask)
     return infos
 
 

@@ -108,31 +108,44 @@ def sort_along(c, w):  # type: ignore[no-untyped-def]
 
 
 @jit
-def survey(c, w, table, newest):  # type: ignore[no-untyped-def]
-    """Ranks along the road, and the vehicle in front of each in its lane; ``newest`` (L,) is scratch.
+def survey(c, w, table, newest, held):  # type: ignore[no-untyped-def]
+    """Ranks along the road, and the vehicle in front of each in its lane.
 
-    One sweep against the traffic: the last vehicle met on a lane is in front of all that follow.
+    One sweep against the traffic: the last vehicle met on a lane is in front of all that follow. ``newest`` (L + 1,)
+    and ``held`` (2, V) are scratch.
     """
+    _occupy(c, w, table, held)
     newest[:] = -1
-    last = table.shape[0] - 1
     for at in range(c.shape[1] - 1, -1, -1):
         k = w[ORDER, at]
-        lane = w[LANE, k]
-        w[RANK, k], w[FRONT, k] = at, newest[lane]
-        beside = min(max(lane + (1 if c[Y, k] > table[lane, OFFSET] else -1), 0), last)
-        newest[lane] = k if _stands_on(c, k, table, lane) else newest[lane]
-        newest[beside] = k if _stands_on(c, k, table, beside) else newest[beside]
+        w[RANK, k], w[FRONT, k] = at, newest[w[LANE, k]]
+        newest[held[0, k]] = newest[held[1, k]] = k
+
+
+@jit
+def _occupy(c, w, table, held):  # type: ignore[no-untyped-def]
+    """The lanes that every vehicle stands on, ``held`` (2, V): its own, and the one on its side of it; L for none."""
+    lowest, width, end, none = table[0, OFFSET], table[0, WIDTH], table[0, LENGTH] + BEYOND_M, table.shape[0]
+    reach = 0.5 * width + MARGIN_M
+    for i in range(c.shape[1]):
+        lane, along = w[LANE, i], (-BEYOND_M <= c[X, i]) & (c[X, i] < end)
+        aside = c[Y, i] - (lowest + lane * width)
+        beside = lane + (1 if aside > 0.0 else -1)
+        there = along & (abs(c[Y, i] - (lowest + beside * width)) <= reach) & (beside >= 0) & (beside < none)
+        held[0, i] = lane if along & (abs(aside) <= reach) else none
+        held[1, i] = beside if there else none
 
 
 @jit
 def change_lanes(c, w, table, ego_has_target):  # type: ignore[no-untyped-def]
     """Every driver's decision, one after the other: later ones see the new targets of those before."""
     for i in range(1, c.shape[1]):
-        if w[CRASHED, i] != 0:
+        changing = w[LANE, i] != w[TARGET, i]
+        if not (changing | (c[TIMER, i] > BRISK.delay_s)) or w[CRASHED, i] != 0:
             continue
-        if w[LANE, i] != w[TARGET, i]:
+        if changing:
             _give_up(c, w, i, 0 if ego_has_target else 1)
-        elif c[TIMER, i] > BRISK.delay_s:
+        else:
             c[TIMER, i] = 0.0
             _consider(c, w, i, table)
 
@@ -154,7 +167,9 @@ def _consider(c, w, i, table):  # type: ignore[no-untyped-def]
     """MOBIL without politeness, left before right: the last lane that is worth it is taken."""
     if abs(c[SPEED, i]) < 1.0:
         return
-    own, delta = w[LANE, i], c[DELTA, i]
+    own, delta, here = w[LANE, i], c[DELTA, i], w[FRONT, i]
+    alone = free(c[SPEED, i], wanted_speed(c, i, table[own, LIMIT]), delta, BRISK)
+    now = alone - (_braking(c, i, here) if here >= 0 else 0.0)
     for side in (-1, 1):
         lane = own + side
         if not 0 <= lane < table.shape[0]:
@@ -165,13 +180,11 @@ def _consider(c, w, i, table):  # type: ignore[no-untyped-def]
         follower = _behind(c, w, i, table, lane)
         if follower >= 0:
             limit = table[w[LANE, follower], LIMIT]
-            alone = free(c[SPEED, follower], wanted_speed(c, follower, limit), delta, BRISK)
-            if alone - _braking(c, follower, i) < -BRAKING_IMPOSED:
+            theirs = free(c[SPEED, follower], wanted_speed(c, follower, limit), delta, BRISK)
+            if theirs - _braking(c, follower, i) < -BRAKING_IMPOSED:
                 continue
-        alone = free(c[SPEED, i], wanted_speed(c, i, table[own, LIMIT]), delta, BRISK)
-        there, here = _ahead(c, w, i, table, lane), w[FRONT, i]
-        gain = alone - (_braking(c, i, there) if there >= 0 else 0.0)
-        gain -= alone - (_braking(c, i, here) if here >= 0 else 0.0)
+        there = _ahead(c, w, i, table, lane)
+        gain = alone - (_braking(c, i, there) if there >= 0 else 0.0) - now
         if not gain < BRISK.gain:
             w[TARGET, i] = lane
 

@@ -75,10 +75,11 @@ class Rules(NamedTuple):
 class Scratch(NamedTuple):
     """What an environment's step leaves behind and nobody reads: one for each run, not for each environment.
 
-    newest (L,); pairs (P,); places (V, L); slip, square (V,); order (V,); ego (BELIEF,); values (E,).
+    newest (L + 1,); held (2, V); pairs (P,); places (V, L); slip, square (V,); order (V,); ego (BELIEF,); values (E,).
     """
 
     newest: NDArray[np.int64]
+    held: NDArray[np.int64]
     pairs: NDArray[np.int64]
     places: NDArray[np.float64]
     slip: NDArray[np.float64]
@@ -91,8 +92,9 @@ class Scratch(NamedTuple):
 @jit
 def _scratch(vehicles, lanes, entries):  # type: ignore[no-untyped-def]
     return Scratch(
-        np.empty(lanes, np.int64), np.empty(vehicles * vehicles // 2 + 1, np.int64), np.empty((vehicles, lanes)),
-        np.empty(vehicles), np.empty(vehicles), np.empty(vehicles, np.int64), np.empty(k.BELIEF), np.empty(entries),
+        np.empty(lanes + 1, np.int64), np.empty((2, vehicles), np.int64),
+        np.empty(vehicles * vehicles // 2 + 1, np.int64), np.empty((vehicles, lanes)), np.empty(vehicles),
+        np.empty(vehicles), np.empty(vehicles, np.int64), np.empty(k.BELIEF), np.empty(entries),
     )  # fmt: skip
 
 
@@ -105,7 +107,7 @@ def _frame(c, w, b, sc, profile, lanes, rules, scratch):  # type: ignore[no-unty
     if motorway or city:
         show_intent(b, c, w, figures)
     if motorway:
-        survey(c, w, lanes.table, scratch.newest)
+        survey(c, w, lanes.table, scratch.newest, scratch.held)
         change_lanes(c, w, lanes.table, figures[k.F_META] > 0.0)
         accelerate(c, w, lanes.table)
     elif city:
