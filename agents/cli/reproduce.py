@@ -52,6 +52,7 @@ def urban_drive(
 def barrier_promise(
     out: Annotated[Path, typer.Option(help="Folder for promise.json; an interrupted run goes on there.")],
     episodes: Annotated[int | None, typer.Option(min=1, help="Of each group; the study has 1,000.")] = None,
+    source: Annotated[str, typer.Option(help="What tells of the leader: v2v (radio), sensor, or both.")] = "v2v",
     jobs: Annotated[int, typer.Option(min=1, help="Processes that drive at a time.")] = 1,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
@@ -63,7 +64,8 @@ def barrier_promise(
     from lanebound.agents.reproduce.barrier_promise import BarrierPromiseConfig
 
     with stoppable(lambda: f"finished parts are kept in {out}; run the same command again to go on"):
-        config = BarrierPromiseConfig() if episodes is None else BarrierPromiseConfig(episodes=episodes)
+        given = {} if episodes is None else {"episodes": episodes}
+        config = BarrierPromiseConfig.load(given | {"source": source})
         _report_promise(_promise_with_bar(config, out, jobs), out, as_json)
 
 

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -52,6 +52,7 @@ class BarrierPromiseConfig(Config):
     length_s: float = Field(25.0, gt=1, le=600, description="of an episode")
     batch: int = Field(20, ge=1, description="episodes in a part, which is kept once it is done")
     skies: tuple[str, ...] = Field(("open", "suburban", "urban", "dense"), description="taken in turn")
+    source: Literal["v2v", "sensor", "both"] = Field("v2v", description="what tells the ego of its leader")
     barrier: BarrierConfig = Field(BarrierConfig(), description="of the filter")
 
 
@@ -116,7 +117,8 @@ def drive_part(config: BarrierPromiseConfig, group: str, seeds: Sequence[int]) -
         mine = [seed for seed in seeds if config.skies[seed % len(config.skies)] == sky]
         if not mine:
             continue
-        env = open_env("CarFollowing", {"sky": sky, "world": {"duration": config.length_s}})
+        seen = {"perception": {"source": config.source}}
+        env = open_env("CarFollowing", {"sky": sky, "world": {"duration": config.length_s}} | seen)
         world: Any = env if group == "none" else _Faulty(env, config.length_s)
         reckless = Reckless(env)
         barrier = BarrierFilter(env, reckless, config.barrier)

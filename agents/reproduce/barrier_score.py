@@ -21,7 +21,7 @@ from lanebound.agents.drivers.barrier import BarrierConfig, BarrierFilter
 from lanebound.agents.episodes.columns import Moment
 from lanebound.envs.core import DrivingEnv
 
-__all__ = ["ASSUMPTIONS", "PromiseWatch", "barrier_m", "exceptions_of"]
+__all__ = ["ASSUMPTIONS", "PromiseWatch", "barrier_m", "exceptions_of", "levels_m"]
 
 ROUNDING_M = 1e-3  # observations are float32 of quantities up to 150 m
 ROUNDING_MPS2 = 1e-6
@@ -29,7 +29,7 @@ ASSUMPTIONS = {
     "unseen": "the leader is perceived",
     "behind": "the leader is believed ahead, or was a decision ago and its level still reaches over the ego",
     "no level": "protection levels exist, below what observations can show",
-    "own level": "the ego's errors lie within its protection levels",
+    "own level": "the ego's errors lie within its protection levels, unless a sensor of its own tells of the leader",
     "leader's level": "the error of the leader's place lies within its levels, age included",
     "own speed": "the error of the ego's speed lies within the stated bound",
     "leader's speed": "so does that of the leader's",
@@ -46,10 +46,13 @@ def barrier_m(gap_m: float, ego_mps: float, lead_mps: float, c: BarrierConfig) -
 
 
 def levels_m(env: DrivingEnv, info: Mapping[str, Any]) -> float:
-    """Protection levels along the track of ego and leader together; inf when one is missing, or unseen [m]."""
+    """Levels of the gap, inf when one is missing, or unseen [m]: of ego and leader, of him alone where he is sensed."""
     assert env.cockpit is not None
     traffic = env.cockpit.traffic
-    return float(info["pl_at_m"]) + float(traffic.pl_at_m[0]) if traffic.count else math.inf
+    if not traffic.count:
+        return math.inf
+    own = 0.0 if traffic.relative[0] else float(info["pl_at_m"])
+    return own + float(traffic.pl_at_m[0])
 
 
 def exceptions_of(env: DrivingEnv, barrier: BarrierFilter, info: Mapping[str, Any]) -> set[str]:
@@ -57,17 +60,19 @@ def exceptions_of(env: DrivingEnv, barrier: BarrierFilter, info: Mapping[str, An
     cockpit = env.cockpit
     assert cockpit is not None
     lead, ego, traffic = env.world.lead, cockpit.ego, cockpit.traffic
+    sensed = traffic.count > 0 and bool(traffic.relative[0])
     found = set()
-    if abs(info["err_at_m"]) > info["pl_at_m"] or abs(info["err_ct_m"]) > info["pl_ct_m"]:
+    if not sensed and (abs(info["err_at_m"]) > info["pl_at_m"] or abs(info["err_ct_m"]) > info["pl_ct_m"]):
         found.add("own level")
     if float(ego.speed) > float(barrier.fastest(cockpit.belief().speed_mps, barrier.commanded_mps2)):
         found.add("own speed")
     if traffic.count == 0:
         return found | {"unseen"}
     at, ct = float(traffic.pl_at_m[0]), float(traffic.pl_ct_m[0])
-    if not max(at + info["pl_at_m"], ct + info["pl_ct_m"]) < 2.0 * env.config.observation.pl_max_m:
+    own_at, own_ct = (0.0, 0.0) if sensed else (info["pl_at_m"], info["pl_ct_m"])
+    if not max(at + own_at, ct + own_ct) < 2.0 * env.config.observation.pl_max_m:
         found.add("no level")
-    x, y = (traffic.position_m[0] - lead.position).tolist()
+    x, y = _misplaced_m(env, sensed)
     c, s = math.cos(lead.heading), math.sin(lead.heading)
     if (
         abs(c * x + s * y) > at + float(barrier.strayed(traffic.speed_mps[0], traffic.age_s[0]))
@@ -77,6 +82,22 @@ def exceptions_of(env: DrivingEnv, barrier: BarrierFilter, info: Mapping[str, An
     if float(lead.speed) < float(barrier.slowest(float(traffic.speed_mps[0]), float(traffic.age_s[0]))):
         found.add("leader's speed")
     return found | _behind(env)
+
+
+def _misplaced_m(env: DrivingEnv, sensed: bool) -> tuple[float, float]:
+    """How far the leader is from where he is taken to be; of one that is sensed, as the ego's own frame has it."""
+    cockpit, lead = env.cockpit, env.world.lead
+    assert cockpit is not None
+    place = cockpit.traffic.position_m[0]
+    if not sensed:
+        x, y = (place - lead.position).tolist()
+        return x, y
+    belief, ego = cockpit.belief(), cockpit.ego
+    dx, dy = (place - belief.position_m).tolist()
+    turned = float(ego.heading) - belief.heading_rad
+    c, s = math.cos(turned), math.sin(turned)
+    way_x, way_y = (lead.position - ego.position).tolist()
+    return c * dx - s * dy - way_x, s * dx + c * dy - way_y
 
 
 def _behind(env: DrivingEnv) -> set[str]:

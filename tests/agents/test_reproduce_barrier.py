@@ -15,7 +15,7 @@ from lanebound.agents.cli import app
 from lanebound.agents.drivers.barrier import BarrierConfig
 from lanebound.agents.reproduce import barrier_promise
 from lanebound.agents.reproduce.barrier_promise import BarrierPromiseConfig, one_fault, run_promise
-from lanebound.agents.reproduce.barrier_score import ASSUMPTIONS, PromiseWatch, barrier_m, exceptions_of
+from lanebound.agents.reproduce.barrier_score import ASSUMPTIONS, PromiseWatch, barrier_m, exceptions_of, levels_m
 from lanebound.integrity.errors import InputError
 
 C = BarrierConfig()
@@ -59,6 +59,7 @@ def test_five_episodes_keep_the_promise_and_a_broken_run_goes_on(tmp_path, monke
     monkeypatch.setattr(barrier_promise, "drive_part", drive_part)
     assert run_promise(QUICK, tmp_path / "broken") == whole
     assert (tmp_path / "broken" / "promise.json").read_text() == (tmp_path / "whole" / "promise.json").read_text()
+    assert run_promise(QUICK.replace(source="sensor"), tmp_path / "sensed")["none"]["breaches"] == []
     with pytest.raises(InputError, match="same study"):
         run_promise(BarrierPromiseConfig(episodes=4), tmp_path / "whole")
 
@@ -85,8 +86,8 @@ def test_exceptions_are_named_and_excuse_one_decision_alone():
     """A stand-in for a world whose leader is nowhere near where it says."""
     lead = SimpleNamespace(position=[20.0, 0.0], heading=0.0, speed=5.0)
     traffic = SimpleNamespace(
-        count=1, position_m=_points(26.0), pl_at_m=[1.0], pl_ct_m=[1.0], speed_mps=[9.0], age_s=[0.1]
-    )
+        count=1, position_m=_points(26.0), pl_at_m=[1.0], pl_ct_m=[1.0], speed_mps=[9.0], age_s=[0.1], relative=[False],
+    )  # fmt: skip
     ego = SimpleNamespace(speed=5.0)
     belief = SimpleNamespace(speed_mps=5.0, position_m=np.zeros(2), heading_rad=0.0)
     cockpit = SimpleNamespace(ego=ego, traffic=traffic, belief=lambda: belief)
@@ -120,8 +121,8 @@ def test_faster_growth_is_counted_and_excuses_nothing():
     """A stand-in whose leader's level leaps before the third decision, which then finds no safe acceleration."""
     lead = SimpleNamespace(position=[20.0, 0.0], heading=0.0, speed=5.0)
     traffic = SimpleNamespace(
-        count=1, position_m=_points(20.0), pl_at_m=[1.0], pl_ct_m=[1.0], speed_mps=[5.0], age_s=[0.1]
-    )
+        count=1, position_m=_points(20.0), pl_at_m=[1.0], pl_ct_m=[1.0], speed_mps=[5.0], age_s=[0.1], relative=[False],
+    )  # fmt: skip
     ego = SimpleNamespace(speed=5.0)
     belief = SimpleNamespace(speed_mps=5.0, position_m=np.zeros(2), heading_rad=0.0)
     cockpit = SimpleNamespace(ego=ego, traffic=traffic, belief=lambda: belief)
@@ -150,8 +151,8 @@ def test_a_leader_believed_behind_is_an_assumption_unless_the_filter_brakes_for_
     """A leader 2 m ahead that is believed 1 m behind, all errors within their levels."""
     lead, ego = SimpleNamespace(position=[2.0, 0.0], heading=0.0, speed=5.0), SimpleNamespace(speed=5.0)
     traffic = SimpleNamespace(
-        count=1, position_m=_points(-1.0), pl_at_m=[8.0], pl_ct_m=[1.0], speed_mps=[5.0], age_s=[0.1]
-    )
+        count=1, position_m=_points(-1.0), pl_at_m=[8.0], pl_ct_m=[1.0], speed_mps=[5.0], age_s=[0.1], relative=[False],
+    )  # fmt: skip
     belief = SimpleNamespace(speed_mps=5.0, position_m=np.zeros(2), heading_rad=0.0)
     cockpit = SimpleNamespace(ego=ego, traffic=traffic, belief=lambda: belief)
     world = SimpleNamespace(lead=lead, vehicle=ego, gap_m=lambda: 15.0)
@@ -170,6 +171,42 @@ def test_a_leader_believed_behind_is_an_assumption_unless_the_filter_brakes_for_
     assert watch.counts["kept" if followed else "outside"] == 1
     belief.heading_rad = np.pi  # now it is believed ahead
     assert "behind" not in exceptions_of(env, barrier, info)
+
+
+def test_a_leader_whom_a_sensor_sees_is_judged_as_seen_from_the_ego():
+    """The ego believes to be metres off and turned; its sensor puts the leader where he is from there, 0.5 m off."""
+    turned, true_gap = 0.2, np.array([20.0, 1.0])
+    lead = SimpleNamespace(position=np.array([120.0, 51.0]), heading=0.0, speed=5.0)
+    ego = SimpleNamespace(position=lead.position - true_gap, heading=0.0, speed=5.0)
+    belief = SimpleNamespace(speed_mps=5.0, position_m=ego.position + np.array([4.0, -3.0]), heading_rad=turned)
+    way = np.array([[np.cos(turned), -np.sin(turned)], [np.sin(turned), np.cos(turned)]])
+    place = belief.position_m + way @ (true_gap + np.array([0.5, 0.0]))
+    traffic = SimpleNamespace(
+        count=1, position_m=place[None], pl_at_m=[1.0], pl_ct_m=[0.1], speed_mps=[5.0], age_s=[0.0], relative=[True]
+    )  # fmt: skip
+    cockpit = SimpleNamespace(ego=ego, traffic=traffic, belief=lambda: belief)
+    config = SimpleNamespace(observation=SimpleNamespace(pl_max_m=10.0))
+    env: Any = SimpleNamespace(cockpit=cockpit, world=SimpleNamespace(lead=lead), config=config)
+    info = {"err_at_m": 5.0, "err_ct_m": 0.0, "pl_at_m": 0.5, "pl_ct_m": np.inf}
+    barrier: Any = SimpleNamespace(
+        commanded_mps2=0.0, fastest=lambda v, a: v, slowest=lambda v, age: v, strayed=lambda v, age: 0.0
+    )
+    assert exceptions_of(env, barrier, info) == set()
+    assert levels_m(env, info) == 1.0
+    traffic.pl_at_m = [0.4]
+    assert exceptions_of(env, barrier, info) == {"leader's level"}
+    traffic.relative = [False]
+    assert exceptions_of(env, barrier, info) == {"own level", "leader's level", "no level"}
+    assert levels_m(env, info) == 0.9
+
+
+@pytest.mark.slow
+def test_who_also_looks_is_not_led_astray_by_a_leader_that_lies(tmp_path):
+    config = BarrierPromiseConfig(episodes=60, source="both")
+    found = run_promise(config, tmp_path)["one fault"]
+    assert found["by_fault"]["v2v_lie"]["episodes"] >= 5
+    assert found["crashes"] == 0
+    assert found["breaches"] == []
 
 
 def _points(x: float) -> Any:
