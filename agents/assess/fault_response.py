@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
+ROUNDING_S = 1e-6
 LOOP_M = ((0.0, 0.0), (600.0, 100.0), (900.0, 700.0), (200.0, 800.0), (-200.0, 400.0))
 
 
@@ -56,7 +57,8 @@ class Response:
     Attributes
     ----------
     noticed_s : from onset until a satellite is excluded or its ambiguity given up as slipped, the mode changes or an
-        alert is raised, other than without the fault; inf if never
+        alert is raised, other than without the fault; inf if not while the fault lasts
+    noticed_after : so noticed, but not before the fault was over: by what its end shakes
     excluded : a satellite was excluded that the vehicle without the fault used
     given_up : ambiguities were given up that the vehicle without the fault held
     alerted : an alert was raised that the vehicle without the fault did not raise
@@ -64,12 +66,13 @@ class Response:
     late_s : longest time that it did so before an alert stood, 0 if it never did
     hazardous : epochs in which the error exceeds the limit and the position is declared usable
     misleading : epochs in which the error exceeds its level and the position is declared usable
-    epochs : counted, from the onset to the end
+    epochs : counted, from the onset to the end of the run, as are all that follow ``noticed_after``
     worst_m : largest error on an axis while the position is declared usable
     lost : at the end there is no usable position, which the vehicle without the fault has
     """
 
     noticed_s: Array
+    noticed_after: Bools
     excluded: Bools
     given_up: Bools
     alerted: Bools
@@ -77,7 +80,7 @@ class Response:
     late_s: Array
     hazardous: Ints
     misleading: Ints
-    epochs: int
+    epochs: Ints
     worst_m: Array
     lost: Bools
 
@@ -144,13 +147,15 @@ def _normalised(away: Array, covariance: Array) -> Array:
     return np.where(known, square / np.where(known, determinant, 1.0), 0.0)
 
 
-def measure_response(faulty: Run, sound: Run, onset_s: Array, limits_m: tuple[float, float]) -> Response:
-    """Compare a run with faults from ``onset_s`` (B,) on with the same run without them.
+def measure_response(
+    faulty: Run, sound: Run, onset_s: Array, duration_s: float, limits_m: tuple[float, float]
+) -> Response:
+    """Compare a run with faults from ``onset_s`` (B,) on, for ``duration_s``, with the same run without them.
 
     limits_m : alert limits along and across the track.
     """
     time = faulty.time_s[:, None]
-    after = time > onset_s + 1e-6
+    after, over = time > onset_s + ROUNDING_S, time > onset_s + duration_s + ROUNDING_S
     fresh = (faulty.alert & ~sound.alert) & after
     excluded = (faulty.excluded > sound.excluded) & after
     given_up = (faulty.held < sound.held) & after
@@ -158,8 +163,10 @@ def measure_response(faulty: Run, sound: Run, onset_s: Array, limits_m: tuple[fl
     size = np.abs(faulty.error_m)
     beyond = (size > np.array(limits_m)).any(-1) & after
     usable = faulty.available & ~faulty.alert & after
+    noticed_s = _first(noticed & ~over, time - onset_s)
     return Response(
-        noticed_s=_first(noticed, time - onset_s),
+        noticed_s=noticed_s,
+        noticed_after=np.asarray(noticed.any(0) & np.isinf(noticed_s)),
         excluded=np.asarray(excluded.any(0)),
         given_up=np.asarray(given_up.any(0)),
         alerted=np.asarray(fresh.any(0)),
@@ -167,7 +174,7 @@ def measure_response(faulty: Run, sound: Run, onset_s: Array, limits_m: tuple[fl
         late_s=_longest(beyond & ~faulty.alert) * float(faulty.time_s[1] - faulty.time_s[0]),
         hazardous=(beyond & usable).sum(0),
         misleading=((size > faulty.level_m).any(-1) & usable).sum(0),
-        epochs=int(after.sum()),
+        epochs=after.sum(0),
         worst_m=np.where(usable[..., None], size, 0.0).max((0, 2)),
         lost=np.asarray((sound.available & ~faulty.available)[-1]),
     )

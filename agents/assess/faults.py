@@ -18,7 +18,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.stats import chi2
 
-from lanebound.agents.assess.bounding_summary import rate_of
+from lanebound.agents.assess.bounding_summary import rate_of, rate_over
 from lanebound.agents.assess.detectability import detectability
 from lanebound.agents.assess.fault_response import Response, Run, as_broadcast, drive_run, measure_response
 from lanebound.agents.kept import Progress, claim, run_parts, write_whole
@@ -39,7 +39,7 @@ SIZES_TRIED: dict[FaultKind, tuple[float, ...]] = {
     K.SATELLITE_RANGE: (0.02, 0.1, 0.5, 5.0, 50.0),
     K.CONSTELLATION: (0.1, 0.5, 2.0, 10.0),
     K.CYCLE_SLIP: (1, 3, 10),
-    K.REFERENCE_COORDINATES: (0.05, 0.5, 2.0),
+    K.REFERENCE_COORDINATES: (0.05, 0.5, 2.0, 10.0),
     K.SPOOFING: (0.5, 2.0, 10.0, 50.0, 200.0),
     K.JAMMING: (10.0, 20.0, 40.0),
     K.CORRECTIONS_LOSS: (0.0,),
@@ -49,7 +49,7 @@ SIZES_TRIED: dict[FaultKind, tuple[float, ...]] = {
     K.V2V_LIE: (0.5, 2.0, 10.0),
 }
 """Sizes by kind, in the unit of the kind."""
-BOTH_PROFILES = (K.SATELLITE_RANGE, K.CONSTELLATION, K.SPOOFING)
+STEPS_ALONE = (K.CYCLE_SLIP, K.CORRECTIONS_LOSS, K.ODOMETER_FROZEN)  # there is no half of them
 THEORY = "theory-"  # begins the names of parts that compare with theory
 IN_BLACKOUT = (K.GYRO_BIAS, K.WHEEL_SLIP, K.ODOMETER_FROZEN)
 BLACKOUT_DB = 60.0
@@ -61,7 +61,7 @@ SPREAD_S = 5.0
 class FaultsConfig(Config):
     """How many vehicles meet each fault, and for how long."""
 
-    vehicles: int = Field(16, ge=1, description="vehicles, and seeds, that meet each fault")
+    vehicles: int = Field(64, ge=1, description="vehicles, and seeds, that meet each fault")
     first_seed: int = Field(1, ge=0, description="seed of the first")
     warm_up_s: float = Field(40.0, ge=10, description="before the fault; positions are fixed by then")
     after_s: float = Field(75.0, gt=0, description="after the fault; longer than RTK may be kept in quarantine")
@@ -100,7 +100,7 @@ def cells_of(config: FaultsConfig) -> list[Cell]:
         for kind in config.kinds
         for size in SIZES_TRIED.get(kind, ())
         for duration in config.durations_s
-        for profile in (("step", "ramp") if kind in BOTH_PROFILES else ("step",))
+        for profile in (("step",) if kind in STEPS_ALONE else ("step", "ramp"))
     ]
 
 
@@ -162,7 +162,7 @@ def work_cell(config: FaultsConfig, cell: Cell) -> dict[str, Any]:
     else:
         faulty = drive_run(config.navigator, _seeds(config), duration, faults)
     limits = config.navigator.alert.limits
-    found = measure_response(faulty, sound, onset, (limits.al_at_m, limits.al_ct_m))
+    found = measure_response(faulty, sound, onset, cell.duration_s, (limits.al_at_m, limits.al_ct_m))
     place = asdict(cell) | {"kind": cell.kind.value, "ramp_s": cell.ramp_s, "in_blackout": bool(dark)}
     return place | _summed(found, config.navigator.alert.time_to_alert_s)
 
@@ -219,22 +219,27 @@ def _blackouts(onset: np.ndarray, duration_s: float) -> list[Fault]:
 
 
 def _summed(found: Response, time_to_alert_s: float) -> dict[str, Any]:
-    """Plain figures of a cell."""
-    noticed = np.isfinite(found.noticed_s)
+    """Plain figures of a cell; intervals are of vehicles, for the epochs of one hang together."""
+    noticed, of = np.isfinite(found.noticed_s), len(found.noticed_s)
+
+    def vehicles(which: np.ndarray) -> dict[str, Any]:
+        return rate_of(int(which.sum()), of)
+
     return {
-        "vehicles": len(noticed),
-        "noticed": rate_of(int(noticed.sum()), len(noticed)),
+        "vehicles": of,
+        "noticed": vehicles(noticed),
         "noticed_median_s": float(np.median(found.noticed_s[noticed])) if noticed.any() else None,
+        "noticed_after": int(found.noticed_after.sum()),
         "excluded": int(found.excluded.sum()),
         "given_up": int(found.given_up.sum()),
         "alerted": int(found.alerted.sum()),
         "failed": int(found.failed.sum()),
-        "failed_without_timely_alert": int((found.late_s > time_to_alert_s).sum()),
+        "failed_without_timely_alert": vehicles(found.late_s > time_to_alert_s),
         "longest_late_s": float(found.late_s.max()),
-        "epochs": found.epochs,
-        "hazardous": rate_of(int(found.hazardous.sum()), found.epochs),
-        "misleading": rate_of(int(found.misleading.sum()), found.epochs),
-        "misled_vehicles": int((found.misleading > 0).sum()),
+        "hazardous": rate_over(found.hazardous, found.epochs),
+        "hazardous_vehicles": vehicles(found.hazardous > 0),
+        "misleading": rate_over(found.misleading, found.epochs),
+        "misled_vehicles": vehicles(found.misleading > 0),
         "worst_m": float(found.worst_m.max()),
         "lost": int(found.lost.sum()),
     }

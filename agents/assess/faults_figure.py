@@ -13,19 +13,23 @@ from lanebound.agents.assess.faults_tables import UNITS
 __all__ = ["detectability_figure", "faults_figure"]
 
 COLUMNS = 4
+SHOWN = {"noticed": "noticed while it lasts", "misled_vehicles": "error above its level"}
 
 
 def faults_figure(cells: Sequence[Mapping[str, Any]]) -> Figure:
-    """Shares of vehicles by size of the fault, all lengths and profiles together."""
+    """Shares of vehicles by size of the fault, all lengths together: steps drawn through, ramps dashed."""
     kinds = list(dict.fromkeys(cell["kind"] for cell in cells))
     rows = -(-len(kinds) // COLUMNS)
     figure = Figure(figsize=(3.2 * COLUMNS, 2.6 * rows), layout="constrained")
     axes = np.atleast_1d(figure.subplots(rows, COLUMNS, squeeze=False).ravel())
     for axis, kind in zip(axes, kinds, strict=False):
-        sizes = sorted({cell["size"] for cell in cells if cell["kind"] == kind})
-        for name, of, colour in (("noticed", _noticed, "tab:green"), ("error above its level", _misled, "tab:red")):
-            shares = [np.mean([of(c) for c in cells if c["kind"] == kind and c["size"] == size]) for size in sizes]
-            axis.plot(range(len(sizes)), shares, "o-", color=colour, label=name)
+        here = [cell for cell in cells if cell["kind"] == kind]
+        sizes = sorted({cell["size"] for cell in here})
+        for profile, line in (("step", "o-"), ("ramp", "^--")):
+            for name, colour in (("noticed", "tab:green"), ("misled_vehicles", "tab:red")):
+                shares = [_share(here, size, profile, name) for size in sizes]
+                if None not in shares:
+                    axis.plot(range(len(sizes)), shares, line, color=colour, label=f"{SHOWN[name]}, {profile}")
         unit = f" [{UNITS[kind]}]" if UNITS.get(kind) else ""
         axis.set_title(kind.replace("_", " ") + unit, fontsize=9)
         axis.set_xticks(range(len(sizes)), [f"{size:g}" for size in sizes])
@@ -33,8 +37,14 @@ def faults_figure(cells: Sequence[Mapping[str, Any]]) -> Figure:
     for axis in axes[len(kinds) :]:
         axis.set_axis_off()
     axes[0].set_ylabel("share of vehicles")
-    axes[0].legend(fontsize=8)
+    axes[0].legend(fontsize=7)
     return figure
+
+
+def _share(cells: Sequence[Mapping[str, Any]], size: float, profile: str, name: str) -> float | None:
+    """Mean share of vehicles in the cells of a size and profile; None without any."""
+    found = [cell[name]["rate"] for cell in cells if (cell["size"], cell["profile"]) == (size, profile)]
+    return float(np.mean(found)) if found else None
 
 
 def detectability_figure(powers: Sequence[Mapping[str, Any]]) -> Figure:
@@ -57,10 +67,3 @@ def detectability_figure(powers: Sequence[Mapping[str, Any]]) -> Figure:
         axis.legend(fontsize=8)
     return figure
 
-
-def _noticed(cell: Mapping[str, Any]) -> float:
-    return float(cell["noticed"]["rate"])
-
-
-def _misled(cell: Mapping[str, Any]) -> float:
-    return float(cell["misled_vehicles"] / cell["vehicles"])

@@ -16,10 +16,10 @@ UNITS = {
 
 
 def fault_rows(result: Mapping[str, Any]) -> Table:
-    """One row for each fault."""
+    """One row for each fault: vehicles of all, but for the rate of HMI, which is of epochs."""
     columns = (
-        "fault", "noticed", "after [s]", "excluded", "slipped", "alerted", "error > AL", "late alerts", "HMI rate",
-        "error > PL", "largest [m]", "lost at end",
+        "fault", "noticed", "after [s]", "once over", "excluded", "slipped", "alerted", "error > AL", "late alerts",
+        "misled", "HMI", "HMI rate", "largest [m]", "lost at end",
     )  # fmt: skip
     return columns, [_fault_row(cell) for cell in result["faults"]]
 
@@ -35,13 +35,15 @@ def _fault_row(cell: Mapping[str, Any]) -> tuple[str, ...]:
         f"{cell['kind'].replace('_', ' ')}{size}, {profile}, {cell['duration_s']:g} s",
         f"{cell['noticed']['events']}/{of}",
         "-" if after is None else f"{after:.1f}",
+        f"{cell['noticed_after']}/{of}",
         f"{cell['excluded']}/{of}",
         f"{cell['given_up']}/{of}",
         f"{cell['alerted']}/{of}",
         f"{cell['failed']}/{of}",
-        f"{cell['failed_without_timely_alert']}/{of}",
+        f"{cell['failed_without_timely_alert']['events']}/{of}",
+        f"{cell['misled_vehicles']['events']}/{of}",
+        f"{cell['hazardous_vehicles']['events']}/{of}",
         f"{cell['hazardous']['rate']:.2g}",
-        f"{cell['misleading']['rate']:.2g}",
         f"{cell['worst_m']:.2f}",
         f"{cell['lost']}/{of}",
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -99,13 +100,21 @@ def _report_promise(result: dict[str, Any], out: Path, as_json: bool) -> None:
         rows.append((key, *(result[g]["filter"].get(key, 0) for g in groups)))
     for key in ("crashes", "integrity_risk", "level_exceeded_per_decision", "barrier_lost_per_decision"):
         rows.append((key.replace("_", " "), *(result[g][key] for g in groups)))
+    rows.append(("crashes, 95 %", *(_interval(result[g]["crash_share_95"]) for g in groups)))
     rows.append(("least barrier [m]", *(_short(result[g]["least_barrier_m"]) for g in groups)))
     print_table("The barrier's promise, by faults injected", ("", *groups), rows)
     kinds = result["one fault"]["by_fault"]
-    crashes = [(kind.replace("_", " "), str(of["episodes"]), str(of["crashes"])) for kind, of in kinds.items()]
-    print_table("Crashes by the fault that was injected", ("fault", "episodes", "crashes"), crashes)
+    crashes = [
+        (kind.replace("_", " "), str(of["episodes"]), str(of["crashes"]), _interval(of["crash_share_95"]))
+        for kind, of in kinds.items()
+    ]
+    print_table("Crashes by the fault that was injected", ("fault", "episodes", "crashes", "share, 95 %"), crashes)
     typer.echo("broken: the barrier went negative by a decision for which every assumption held; none may be.")
     typer.echo(f"promise.json: {out}")
+
+
+def _interval(share: Sequence[float]) -> str:
+    return f"{100.0 * share[0]:.1f} to {100.0 * share[1]:.1f} %"
 
 
 def _kept(out: Path) -> str:

@@ -17,6 +17,7 @@ from lanebound.agents.reproduce import barrier_promise
 from lanebound.agents.reproduce.barrier_promise import BarrierPromiseConfig, one_fault, run_promise
 from lanebound.agents.reproduce.barrier_score import ASSUMPTIONS, PromiseWatch, barrier_m, exceptions_of, levels_m
 from lanebound.integrity.errors import InputError
+from lanebound.integrity.sensors.faults import FaultKind
 
 C = BarrierConfig()
 QUICK = BarrierPromiseConfig(episodes=5, length_s=6.0, batch=3)
@@ -78,7 +79,7 @@ def test_a_hundred_episodes_keep_the_promise(tmp_path):
 
 def test_every_fault_can_be_drawn_and_none_depends_on_anything_but_the_seed():
     faults = [one_fault(seed, 25.0) for seed in range(200)]
-    assert {fault.kind for fault in faults} == {kind for kind, *_ in barrier_promise.FAULTS}
+    assert {fault.kind for fault in faults} == set(FaultKind)
     assert faults[:5] == [one_fault(seed, 25.0) for seed in range(5)]
 
 
@@ -204,7 +205,7 @@ def test_a_leader_whom_a_sensor_sees_is_judged_as_seen_from_the_ego():
 def test_who_also_looks_is_not_led_astray_by_a_leader_that_lies(tmp_path):
     config = BarrierPromiseConfig(episodes=60, source="both")
     found = run_promise(config, tmp_path)["one fault"]
-    assert found["by_fault"]["v2v_lie"]["episodes"] >= 5
+    assert found["by_fault"]["v2v_lie"]["episodes"] >= 3
     assert found["crashes"] == 0
     assert found["breaches"] == []
 

@@ -35,11 +35,11 @@ ONSET = np.array([1.0, 1.0, 2.0])
 
 
 def test_nothing_differs() -> None:
-    found = measure_response(quiet(), quiet(), ONSET, (1.0, 1.0))
+    found = measure_response(quiet(), quiet(), ONSET, 10.0, (1.0, 1.0))
     assert np.isinf(found.noticed_s).all()
     assert not (found.excluded | found.alerted | found.failed).any()
     assert found.hazardous.sum() == found.misleading.sum() == 0
-    assert found.epochs == 40 + 40 + 30
+    assert found.epochs.tolist() == [40, 40, 30]
     np.testing.assert_allclose(found.worst_m, 0.01)
 
 
@@ -52,7 +52,7 @@ def test_each_thing_is_told_of_its_vehicle() -> None:
     faulty.error_m[45:, 2, 0] = -0.5
     faulty.held[40, 2] = 11  # at 4.1 s
     faulty.available[-1, 2] = faulty.available[20, 0] = False
-    found = measure_response(faulty, quiet(), ONSET, (1.0, 1.0))
+    found = measure_response(faulty, quiet(), ONSET, 10.0, (1.0, 1.0))
     np.testing.assert_allclose(found.noticed_s, [0.5, 1.6, 2.1])
     assert found.excluded.tolist() == [True, False, False]
     assert found.given_up.tolist() == [False, False, True]
@@ -65,12 +65,23 @@ def test_each_thing_is_told_of_its_vehicle() -> None:
     assert found.lost.tolist() == [False, False, True]
 
 
+def test_what_is_noticed_once_a_fault_is_over_does_not_count_as_noticed() -> None:
+    faulty = quiet()
+    faulty.excluded[30, 0] = 1  # at 3.1 s
+    faulty.alert[19, 1], faulty.alert[30, 1] = True, True
+    found = measure_response(faulty, quiet(), ONSET, 2.0, (1.0, 1.0))
+    np.testing.assert_allclose(found.noticed_s, [np.inf, 1.0, np.inf])
+    assert found.noticed_after.tolist() == [True, False, False]
+    assert found.excluded.tolist() == [True, False, False]
+    assert measure_response(faulty, quiet(), ONSET, 2.1, (1.0, 1.0)).noticed_s[0] == pytest.approx(2.1)
+
+
 def test_what_the_sound_vehicle_does_too_is_no_response() -> None:
     faulty, sound = quiet(), quiet()
     for run in (faulty, sound):
         run.excluded[20, :] = 1
         run.alert[30:, :] = True
-    found = measure_response(faulty, sound, ONSET, (1.0, 1.0))
+    found = measure_response(faulty, sound, ONSET, 10.0, (1.0, 1.0))
     assert np.isinf(found.noticed_s).all()
     assert not found.alerted.any()
 
@@ -79,7 +90,7 @@ def test_what_the_sound_vehicle_does_too_is_no_response() -> None:
 def test_before_the_onset_nothing_counts(before: bool) -> None:
     faulty = replace(quiet())
     faulty.error_m[5 if before else 15, 0, 0] = 3.0
-    found = measure_response(faulty, quiet(), ONSET, (1.0, 1.0))
+    found = measure_response(faulty, quiet(), ONSET, 10.0, (1.0, 1.0))
     assert found.failed[0] != before
 
 
@@ -93,6 +104,6 @@ def test_a_lie_moves_what_is_heard_and_shrinks_its_level() -> None:
     np.testing.assert_array_equal(heard.error_m[:, 2], said.error_m[:, 2])
     np.testing.assert_array_equal(heard.error_m[~lying], said.error_m[~lying])
     np.testing.assert_allclose(heard.level_m[lying, :2], 0.05)
-    found = measure_response(heard, said, np.array([2.0, 2.0, 2.0]), (1.0, 1.0))
+    found = measure_response(heard, said, np.array([2.0, 2.0, 2.0]), 1.0, (1.0, 1.0))
     assert found.hazardous.tolist() == found.misleading.tolist() == [10, 10, 0]
     assert np.isinf(found.noticed_s).all()

@@ -42,6 +42,8 @@ def test_every_fault_is_in_the_campaign() -> None:
     assert set(SIZES_TRIED) == set(FaultKind)
     cells = cells_of(FaultsConfig())
     assert len({c.name for c in cells}) == len(cells)
+    ramps = {c.kind for c in cells if c.profile == "ramp"}
+    assert ramps == set(FaultKind) - {FaultKind.CYCLE_SLIP, FaultKind.CORRECTIONS_LOSS, FaultKind.ODOMETER_FROZEN}
 
 
 def test_large_range_errors_are_excluded_and_small_ones_do_no_harm(short: tuple[Path, dict[str, Any]]) -> None:
