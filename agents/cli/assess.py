@@ -149,7 +149,7 @@ def _report_faults(result: dict[str, Any], out: Path, as_json: bool) -> None:
         print_json(result)
         return
     print_table(
-        "Faults: vehicles that noticed it while it lasted, or once it was over; and what it did to them, from its onset on",
+        "Faults: vehicles that noticed while it lasted, or once it was over, and what it did to them from its onset on",
         *fault_rows(result),
     )
     print_table("Without faults: consistency of the position by mode", *consistency_rows(result))

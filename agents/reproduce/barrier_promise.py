@@ -55,7 +55,7 @@ class BarrierPromiseConfig(Config):
     """How many episodes, and which."""
 
     episodes: int = Field(1000, ge=1, description="of each group: without faults, and with one fault each")
-    first_seed: int = Field(12000, ge=0, description="seed of the first: held out, no figure of the filter was set there")
+    first_seed: int = Field(12000, ge=0, description="of the first: held out, nothing of the filter was set there")
     length_s: float = Field(25.0, gt=1, le=600, description="of an episode")
     batch: int = Field(20, ge=1, description="episodes in a part, which is kept once it is done")
     skies: tuple[str, ...] = Field(("open", "suburban", "urban", "dense"), description="taken in turn")
@@ -180,8 +180,8 @@ def _by_fault(config: BarrierPromiseConfig, crashed: Sequence[int]) -> dict[str,
     of = {seed: one_fault(seed, config.length_s).kind.value for seed in seeds}
     episodes, crashes = Counter(of.values()), Counter(of[seed] for seed in crashed)
     return {
-        kind: {"episodes": episodes[kind], "crashes": crashes[kind], "crash_share_95": _share_95(crashes[kind], of_kind)}
-        for kind, of_kind in sorted(episodes.items())
+        kind: {"episodes": count, "crashes": crashes[kind], "crash_share_95": _share_95(crashes[kind], count)}
+        for kind, count in sorted(episodes.items())
     }
 
 
