@@ -66,4 +66,3 @@ def detectability_figure(powers: Sequence[Mapping[str, Any]]) -> Figure:
         axis.set_ylabel("share of epochs")
         axis.legend(fontsize=8)
     return figure
-
