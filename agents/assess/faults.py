@@ -100,8 +100,12 @@ def cells_of(config: FaultsConfig) -> list[Cell]:
         for kind in config.kinds
         for size in SIZES_TRIED.get(kind, ())
         for duration in config.durations_s
-        for profile in (("step",) if kind in STEPS_ALONE else ("step", "ramp"))
+        for profile in _profiles(kind)
     ]
+
+
+def _profiles(kind: FaultKind) -> tuple[Profile, ...]:
+    return ("step",) if kind in STEPS_ALONE else ("step", "ramp")
 
 
 def assess_faults(
@@ -236,9 +240,9 @@ def _summed(found: Response, time_to_alert_s: float) -> dict[str, Any]:
         "failed": int(found.failed.sum()),
         "failed_without_timely_alert": vehicles(found.late_s > time_to_alert_s),
         "longest_late_s": float(found.late_s.max()),
-        "hazardous": rate_over(found.hazardous, found.epochs),
+        "hazardous": rate_over(found.hazardous.astype(float), found.epochs.astype(float)),
         "hazardous_vehicles": vehicles(found.hazardous > 0),
-        "misleading": rate_over(found.misleading, found.epochs),
+        "misleading": rate_over(found.misleading.astype(float), found.epochs.astype(float)),
         "misled_vehicles": vehicles(found.misleading > 0),
         "worst_m": float(found.worst_m.max()),
         "lost": int(found.lost.sum()),

@@ -104,7 +104,7 @@ def one_fault(seed: int, length_s: float) -> Fault:
     if kind is FaultKind.SATELLITE_RANGE:
         data["prn"] = 1 + int(rng.integers(PRNS))
     if kind is FaultKind.CYCLE_SLIP:
-        data |= {name: round(size), "profile": "step"}
+        data |= {"magnitude_cycles": round(size), "profile": "step"}
     return Fault.load(data)
 
 
