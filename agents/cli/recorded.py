@@ -50,15 +50,21 @@ def rtk(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for solution.csv and rtk.json.")],
     base_position: Annotated[
         str | None,
-        typer.Option(metavar="X,Y,Z", help="Of the base [m], or LAT,LON,H [deg, m]; its header's by default."),
+        typer.Option(
+            metavar="X,Y,Z",
+            help="Antenna of the base in m, or LAT,LON,H in deg and m; by default marker and ANTENNA: DELTA H/E/N of "
+            "its header.",
+        ),
     ] = None,
     rover_position: Annotated[
-        str | None, typer.Option(metavar="X,Y,Z", help="True position of a rover that stands, to count errors.")
+        str | None, typer.Option(metavar="X,Y,Z", help="True antenna of a rover that stands, to count errors, alike.")
     ] = None,
     assignments: Changes = None,
     as_json: AsJson = False,
 ) -> None:
     """RTK of any two receivers, static or moving: fixed positions with protection levels, epoch by epoch.
+
+    Positions are the rover's antenna reference point; its marker lies ANTENNA: DELTA H/E/N of its header below.
 
     Example: lanebound rtk --rover rover.obs --base base.obs --nav base.nav --out out/rtk
     """

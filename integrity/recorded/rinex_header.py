@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.frames import ecef_from_enu_matrix, geodetic_from_ecef
 from lanebound.integrity.recorded.source import finite_number, whole_number
 
 __all__ = ["Header", "HeaderBuilder"]
@@ -21,7 +25,8 @@ class Header:
     """What later lines need, and what a user wants to know.
 
     ``codes`` are the observation codes of each system letter in the order of their columns; ``scale`` divides the
-    stored values of (system, code); ``channel`` is the frequency number of a GLONASS satellite; position [m] or None.
+    stored values of (system, code); ``channel`` is the frequency number of a GLONASS satellite; position [m] of the
+    marker or None; ``antenna_delta_enu_m`` leads from the marker to the antenna reference point.
     """
 
     version: float
@@ -29,13 +34,23 @@ class Header:
     receiver: str
     antenna: str
     position_ecef_m: tuple[float, float, float] | None
-    antenna_une_m: tuple[float, float, float]
+    antenna_delta_enu_m: tuple[float, float, float]
     codes: dict[str, tuple[str, ...]]
     scale: dict[tuple[str, str], float]
     channel: dict[int, int]
     interval_s: float | None
     time_system: str
     leap_s: int | None
+
+    @property
+    def antenna_ecef_m(self) -> NDArray[np.float64] | None:
+        """Antenna reference point (3,) [m]: marker and ANTENNA: DELTA H/E/N (RINEX 3.04 table A2); None without a
+        marker's position."""
+        if self.position_ecef_m is None:
+            return None
+        marker = np.array(self.position_ecef_m)
+        latitude, longitude, _ = geodetic_from_ecef(marker)
+        return np.asarray(marker + ecef_from_enu_matrix(latitude, longitude) @ np.array(self.antenna_delta_enu_m))
 
 
 @dataclass
@@ -101,7 +116,7 @@ class HeaderBuilder:
 
     def _offset(self, text: str) -> None:
         up, east, north = (finite_number(text[14 * i : 14 * i + 14], -1e4, 1e4) for i in range(3))
-        self.offset = (up, north, east)
+        self.offset = (east, north, up)
 
     def _codes(self, text: str) -> None:
         if text[0] != " ":

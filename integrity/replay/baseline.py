@@ -59,7 +59,11 @@ class BaselineConfig(Config):
 class Baseline:
     """Epochs (T,) of the rover: GPS week, time of week [s], mode, status codes of RtkStatus, position from the base in
     E, N, U (T, 3) and in ECEF [m], heading [rad], levels and sigmas (T, 2) on AT, CT [m], satellites, excluded, risk of
-    wrong integers, age of the base's epoch [s]; ``choice`` of signals."""
+    wrong integers, age of the base's epoch [s]; ``choice`` of signals; ``base_ecef_m`` (3,) from which E, N, U count.
+
+    Positions are those of the rover's antenna reference point, from the base's; its marker is away from it by the
+    ANTENNA: DELTA H/E/N of its own header. Phase centres are taken for reference points (no calibrations).
+    """
 
     week: Ints
     tow_s: Array
@@ -75,6 +79,7 @@ class Baseline:
     wrong_fix_risk: Array
     age_s: Array
     choice: Choice
+    base_ecef_m: Array
 
     @property
     def fixed(self) -> NDArray[np.bool_]:
@@ -90,7 +95,8 @@ def solve_baseline(
 
     Parameters
     ----------
-    base_ecef_m : (3,) position of the base's antenna [m]; by default that of its header, whose error is the rover's.
+    base_ecef_m : (3,) position of the base's antenna reference point [m], to which nothing is added; by default that
+        of its header, marker and ANTENNA: DELTA H/E/N. Its error is the rover's.
 
     Raises
     ------
@@ -98,17 +104,7 @@ def solve_baseline(
         No position of the base, no common epochs, signals or satellites.
     """
     config = config or BaselineConfig()
-    place = base.header.position_ecef_m if base_ecef_m is None else base_ecef_m
-    if place is None:
-        raise InputError(
-            "base_ecef_m must be given, the base's header has no APPROX POSITION XYZ: pass its coordinates"
-        )
-    place = require_finite("base_ecef_m", place)
-    require_shape("base_ecef_m", place, (3,))
-    if not 6.0e6 < float(np.linalg.norm(place)) < 7.0e6:
-        raise InputError(
-            f"base_ecef_m must lie near the Earth's surface, got {place.tolist()} m: is it ECEF in metres?"
-        )
+    place = _base_antenna(base, base_ecef_m)
     choice = choose_signals(rover, base, config.bands)
     epochs, partners, age = matched(rover, base, config.rtk.max_age_s)
     if not epochs.size:
@@ -129,6 +125,22 @@ def solve_baseline(
         config,
     )
     return run.solve(rover, epochs, partners, age)
+
+
+def _base_antenna(base: Observations, given_ecef_m: Array | None) -> Array:
+    """The base's antenna reference point (3,) [m]: as given, else that of its header."""
+    place = base.header.antenna_ecef_m if given_ecef_m is None else given_ecef_m
+    if place is None:
+        raise InputError(
+            "base_ecef_m must be given, the base's header has no APPROX POSITION XYZ: pass its coordinates"
+        )
+    place = require_finite("base_ecef_m", place)
+    require_shape("base_ecef_m", place, (3,))
+    if not 6.0e6 < float(np.linalg.norm(place)) < 7.0e6:
+        raise InputError(
+            f"base_ecef_m must lie near the Earth's surface, got {place.tolist()} m: is it ECEF in metres?"
+        )
+    return place
 
 
 def _span(observations: Observations) -> str:
@@ -175,7 +187,7 @@ class _Run:
         out = Baseline(
             rover.week[epochs], rover.tow_s[epochs], np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros((n, 3)),
             np.zeros((n, 3)), np.zeros(n), np.full((n, 2), np.inf), np.full((n, 2), np.inf), np.zeros(n, np.int64),
-            np.zeros(n, np.int64), np.zeros(n), age, self.choice,
+            np.zeros(n, np.int64), np.zeros(n), age, self.choice, self.place,
         )  # fmt: skip
         time = rover.since(int(rover.week[0]))[epochs]
         for k in range(n):

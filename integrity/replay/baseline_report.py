@@ -43,7 +43,8 @@ def run_baseline(
 ) -> tuple[dict[str, Any], list[Path]]:  # fmt: skip
     """Solve a rover, base and navigation triple of RINEX files; write ``solution.csv`` and ``rtk.json`` into ``out``.
 
-    ``rover_ecef_m`` (3,) is the true position of a rover that stands, when it is known: errors are then counted.
+    ``base_ecef_m`` and ``rover_ecef_m`` (3,) are antenna reference points: by default the base's of its header, and the
+    true one of a rover that stands, when it is known: errors are then counted.
 
     Raises
     ------
@@ -52,12 +53,13 @@ def run_baseline(
     """
     ours, theirs, table = read_observations(rover), read_observations(base), read_navigation(navigation)
     solved = solve_baseline(ours, theirs, table, base_ecef_m, config)
-    place = theirs.header.position_ecef_m if base_ecef_m is None else base_ecef_m
     stops = {"rover": ours.stopped, "base": theirs.stopped, "navigation": table.stopped or None}
     summary = {
         "stopped": {name: str(stop) for name, stop in stops.items() if stop is not None},
         "signals": {"rover": solved.choice.rover, "base": solved.choice.base},
-        **summarise(solved, place, rover_ecef_m),
+        "base_antenna_ecef_m": solved.base_ecef_m.tolist(),
+        "antenna_delta_enu_m": {"rover": ours.header.antenna_delta_enu_m, "base": theirs.header.antenna_delta_enu_m},
+        **summarise(solved, rover_ecef_m),
     }
     out.mkdir(parents=True, exist_ok=True)
     written = [out / "rtk.json", out / "solution.csv"]
@@ -84,7 +86,7 @@ def _rows(solved: Baseline) -> Iterator[list[Any]]:
         ]  # fmt: skip
 
 
-def summarise(solved: Baseline, base_ecef_m: Any, rover_ecef_m: Array | None = None) -> dict[str, Any]:
+def summarise(solved: Baseline, rover_ecef_m: Array | None = None) -> dict[str, Any]:
     """Everything counted about a solution, JSON-able."""
     fixed, modes = solved.fixed, np.bincount(solved.mode, minlength=len(Mode))
     found: dict[str, Any] = {
@@ -99,14 +101,14 @@ def summarise(solved: Baseline, base_ecef_m: Any, rover_ecef_m: Array | None = N
             for q, axis in enumerate(("at", "ct"))
         }
     if rover_ecef_m is not None:
-        found["errors"] = _errors(solved, np.asarray(base_ecef_m, dtype=np.float64), rover_ecef_m)
+        found["errors"] = _errors(solved, rover_ecef_m)
     return found
 
 
-def _errors(solved: Baseline, base_ecef_m: Array, rover_ecef_m: Array) -> dict[str, Any]:
+def _errors(solved: Baseline, rover_ecef_m: Array) -> dict[str, Any]:
     """Errors against the true position, for fixed epochs and all with a position."""
-    latitude, longitude, _ = geodetic_from_ecef(base_ecef_m)
-    true = (rover_ecef_m - base_ecef_m) @ ecef_from_enu_matrix(latitude, longitude)
+    latitude, longitude, _ = geodetic_from_ecef(solved.base_ecef_m)
+    true = (rover_ecef_m - solved.base_ecef_m) @ ecef_from_enu_matrix(latitude, longitude)
     out: dict[str, Any] = {}
     for name, keep in (("fixed", solved.fixed), ("all", solved.mode != Mode.NONE)):
         if not keep.any():

@@ -38,6 +38,18 @@ def test_a_small_file(tmp_path: Path) -> None:
     assert found.header.position_ecef_m == (-3817680.9841, 3562840.0688, 3650158.4543)
 
 
+def test_the_antenna_is_height_east_and_north_of_the_marker(tmp_path: Path) -> None:
+    head = rinex_header(**{
+        "APPROX POSITION XYZ": f"{6378137.0:14.4f}{0.0:14.4f}{0.0:14.4f}",  # on the equator: up is x, east y, north z
+        "ANTENNA: DELTA H/E/N": f"{1.5:14.4f}{0.3:14.4f}{0.2:14.4f}",
+        "END OF HEADER": "",
+    })  # fmt: skip
+    head = head.replace(rinex_line("", "END OF HEADER"), "", 1) + rinex_line("", "END OF HEADER")
+    header = read_observations(written(tmp_path, head + rinex_epoch(0.0, rinex_satellite("G05", 2e7, 1e8)))).header
+    assert header.antenna_delta_enu_m == (0.3, 0.2, 1.5)
+    np.testing.assert_allclose(header.antenna_ecef_m, [6378138.5, 0.3, 0.2], rtol=0.0, atol=1e-9)
+
+
 def test_scale_factors_divide(tmp_path: Path) -> None:
     scaled = rinex_header(**{"SYS / SCALE FACTOR": "G  100  1 L1C", "END OF HEADER": ""})
     scaled = scaled.replace(rinex_line("", "END OF HEADER"), "") + rinex_line("", "END OF HEADER")

@@ -82,6 +82,47 @@ def test_a_gap_of_the_base_ages_and_then_ends_the_corrections() -> None:
         solve_baseline(rover, replace(base_at(time), week=base_at(time).week + 1), TABLE, PLACE)
 
 
+DELTA_ENU_M = (0.3, 0.2, 1.5)
+
+
+def pair_at_a_pillar() -> tuple[Observations, Observations, np.ndarray]:
+    """A rover that stands, a base whose header has the marker DELTA_ENU_M below PLACE, and the delta in ECEF [m]."""
+    time = np.arange(0.0, 3.0)
+    rover = receiver(TABLE, time, np.tile(PLACE + AXES @ [50.0, 20.0, 1.0], (3, 1)), clock_s=1e-4, seed=1)
+    base, delta = base_at(time), AXES @ np.array(DELTA_ENU_M)
+    marker = replace(base.header, position_ecef_m=tuple(PLACE - delta), antenna_delta_enu_m=DELTA_ENU_M)
+    return rover, replace(base, header=marker), delta
+
+
+def test_the_antenna_of_the_base_stands_above_its_marker() -> None:
+    rover, base, delta = pair_at_a_pillar()
+    flat = replace(base, header=replace(base.header, antenna_delta_enu_m=(0.0, 0.0, 0.0)))
+    solved, low = solve_baseline(rover, base, TABLE), solve_baseline(rover, flat, TABLE)
+    assert solved.fixed.all()
+    assert low.fixed.all()
+    np.testing.assert_allclose(solved.base_ecef_m, PLACE, rtol=0.0, atol=1e-6)  # the normal turns over 2 m
+    np.testing.assert_allclose(solved.ecef_m - low.ecef_m, np.tile(delta, (3, 1)), rtol=0.0, atol=1e-4)
+    assert np.linalg.norm(solved.ecef_m - (PLACE + AXES @ [50.0, 20.0, 1.0]), axis=1).max() < 0.03
+
+
+def test_without_a_delta_the_marker_is_the_antenna_to_the_bit() -> None:
+    rover, base, _ = pair_at_a_pillar()
+    flat = replace(base.header, antenna_delta_enu_m=(0.0, 0.0, 0.0))
+    marker = np.array(flat.position_ecef_m)
+    assert (flat.antenna_ecef_m == marker).all()
+    ours = solve_baseline(rover, replace(base, header=flat), TABLE)
+    assert ours.ecef_m.tobytes() == solve_baseline(rover, base, TABLE, marker).ecef_m.tobytes()
+
+
+def test_a_given_position_is_the_antenna_and_a_delta_of_the_rover_moves_nothing() -> None:
+    rover, base, _ = pair_at_a_pillar()
+    raised = replace(rover, header=replace(rover.header, antenna_delta_enu_m=DELTA_ENU_M))
+    plain = replace(base, header=replace(base.header, antenna_delta_enu_m=(0.0, 0.0, 0.0)))
+    solved = solve_baseline(raised, base, TABLE, PLACE)
+    assert solved.ecef_m.tobytes() == solve_baseline(rover, plain, TABLE, PLACE).ecef_m.tobytes()
+    assert (solved.base_ecef_m == PLACE).all()
+
+
 def test_what_does_not_belong_together_is_refused() -> None:
     time = np.arange(0.0, 2.0)
     rover, base = (base_at(time) for _ in range(2))
@@ -105,7 +146,7 @@ def test_epochs_without_satellites_have_no_position() -> None:
     solved = solve_baseline(replace(rover, rows=blind), base, TABLE, PLACE)
     assert solved.mode.tolist() == [Mode.RTK, Mode.NONE, Mode.RTK]
     assert np.isinf(solved.pl_m[1]).all()
-    assert summarise(solved, PLACE, PLACE)["fixed"] == 2
+    assert summarise(solved, PLACE)["fixed"] == 2
 
 
 def test_coordinates_in_both_forms_and_from_a_file(tmp_path: Path) -> None:
