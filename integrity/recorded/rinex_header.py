@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.frames import ecef_from_enu_matrix, geodetic_from_ecef
 from lanebound.integrity.recorded.source import finite_number, whole_number
 
-__all__ = ["Header", "HeaderBuilder"]
+__all__ = ["Header", "HeaderBuilder", "b1_in_band_2"]
 
 LABEL_AT = 60
 CODES_PER_LINE = 13
@@ -18,15 +18,17 @@ MAX_CODES = 999
 SYSTEMS = "GRESCJI"
 TIME_SYSTEMS = ("GPS", "GLO", "GAL", "QZS", "BDT", "IRN", "UTC")
 KINDS = "CLDSXI"  # code, phase, Doppler, strength, channel number, ionospheric delay
+B1_IN_BAND_1 = 3.02  # the one version that writes BeiDou's B1I (1561.098 MHz) as band 1, all others as band 2
 
 
 @dataclass(frozen=True)
 class Header:
     """What later lines need, and what a user wants to know.
 
-    ``codes`` are the observation codes of each system letter in the order of their columns; ``scale`` divides the
-    stored values of (system, code); ``channel`` is the frequency number of a GLONASS satellite; position [m] of the
-    marker or None; ``antenna_delta_enu_m`` leads from the marker to the antenna reference point.
+    ``codes`` are the observation codes of each system letter in the order of their columns, BeiDou's B1I in band 2
+    whatever the version (:func:`b1_in_band_2`); ``scale`` divides the stored values of (system, code); ``channel`` is
+    the frequency number of a GLONASS satellite; position [m] of the marker or None; ``antenna_delta_enu_m`` leads from
+    the marker to the antenna reference point.
     """
 
     version: float
@@ -96,9 +98,25 @@ class HeaderBuilder:
             raise ValueError("the header must have SYS / # / OBS TYPES, got none: is it a RINEX 3 observation file?")
         return Header(
             self.version, self.marker, self.receiver, self.antenna, self.position, self.offset,
-            {s: tuple(c) for s, c in self.codes.items()}, dict(self.scale), dict(self.channel), self.interval,
-            self.time_system or "GPS", self.leap,
+            {s: self._columns(s, c) for s, c in self.codes.items()},
+            {(s, self._named(s, code)): factor for (s, code), factor in self.scale.items()},
+            dict(self.channel), self.interval, self.time_system or "GPS", self.leap,
         )  # fmt: skip
+
+    def _columns(self, system: str, codes: list[str]) -> tuple[str, ...]:
+        """Codes as most versions name them; refused where two columns become one."""
+        named = tuple(self._named(system, code) for code in codes)
+        for old, new in zip(codes, named, strict=True):
+            if old != new and named.count(new) > 1:
+                raise ValueError(
+                    f"SYS / # / OBS TYPES of {system} must have BeiDou's B1I in one column, got {old} and {new}, which "
+                    "both mean it: drop one (for instance gfzrnx)"
+                )
+        return named
+
+    def _named(self, system: str, code: str) -> str:
+        assert self.version is not None
+        return b1_in_band_2(code, self.version) if system == "C" else code
 
     def _version(self, text: str) -> None:
         self.version = finite_number(text[:9], 0.0, 99.0)
@@ -177,6 +195,16 @@ class HeaderBuilder:
 
     def _end(self, _text: str) -> None:
         self.ended = True
+
+
+def b1_in_band_2(code: str, version: float) -> str:
+    """A BeiDou code as all versions but 3.02 write it: its 1I, 1Q and 1X (1561.098 MHz) become 2I, 2Q and 2X.
+
+    RINEX 3.05, note of table 19: readers of 3.02 take both alike. Other versions know no 1I and 1Q, and B1C
+    (1575.42 MHz, band 1 from 3.04 on) has no such channels: these mean B1I there too. 1X stays, which is B1C's.
+    """
+    channels = "IQX" if round(version, 2) == B1_IN_BAND_1 else "IQ"
+    return f"{code[0]}2{code[2]}" if code[1:2] == "1" and code[2:] in tuple(channels) else code
 
 
 READERS = {

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.errors import InputError
-from lanebound.integrity.recorded.rinex_observation import Observations, SystemRows
+from lanebound.integrity.recorded.rinex_observation import Observations
 from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS, System
 
 __all__ = ["BAND_MHZ", "LETTERS", "Choice", "choose_signals"]
@@ -27,6 +27,7 @@ BAND_MHZ = {
     "C": {"2": 1561.098, "1": 1575.42, "5": 1176.45, "7": 1207.14, "8": 1191.795, "6": 1268.52},
     "J": {"1": 1575.42, "2": 1227.60, "5": 1176.45, "6": 1278.75},
 }
+B1C_SINCE = 3.04  # version of the first table with B1C; the reader has moved B1I to band 2
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ def _best(letter: str, rover: Observations, base: Observations, count: int) -> l
     """Pairs (rover's code, base's code) of the ``count`` bands with the most satellite epochs, or None."""
     if letter not in rover.rows or letter not in base.rows:
         return None
-    ours, theirs = _by_band(letter, rover.rows[letter]), _by_band(letter, base.rows[letter])
+    ours, theirs = _by_band(letter, rover), _by_band(letter, base)
     shared = [band for band in BAND_MHZ[letter] if band in ours and band in theirs]
     best, most = None, 0
     for group in combinations(shared, count):
@@ -85,13 +86,16 @@ def _best(letter: str, rover: Observations, base: Observations, count: int) -> l
     return best
 
 
-def _by_band(letter: str, rows: SystemRows) -> dict[str, tuple[str, NDArray[np.bool_]]]:
+def _by_band(letter: str, observations: Observations) -> dict[str, tuple[str, NDArray[np.bool_]]]:
     """The code of each band with the most rows that have code and phase, and which those are."""
+    rows, version = observations.rows[letter], observations.header.version
     found: dict[str, tuple[str, NDArray[np.bool_]]] = {}
     for code in rows.codes:
         name = code[1:]
         if code[0] != "L" or len(name) != 2 or name[0] not in BAND_MHZ[letter]:
             continue
+        if letter == "C" and name == "1X" and version < B1C_SINCE:
+            continue  # B1C or B1I: no table before tells
         whole = (rows.column(f"C{name}") != 0.0) & (rows.column(code) != 0.0)
         if whole.any() and (name[0] not in found or whole.sum() > found[name[0]][1].sum()):
             found[name[0]] = (name, whole)

@@ -57,6 +57,49 @@ def test_scale_factors_divide(tmp_path: Path) -> None:
     assert found.rows["G"].value[0].tolist() == [2e7, 1e6, 0.0, 0.0]
 
 
+def beidou_file(version: str, codes: str) -> str:
+    head = rinex_header(**{
+        "RINEX VERSION / TYPE": f"     {version}           OBSERVATION DATA    M",
+        "SYS / # / OBS TYPES": f"C{len(codes.split()):5d} {codes}",
+    })  # fmt: skip
+    return head + rinex_epoch(0.0, rinex_satellite("C05", 2e7, 1e8, 2.1e7, 8e7))
+
+
+@pytest.mark.parametrize(
+    ("version", "codes", "read"),
+    [
+        ("3.02", "C1I L1I D1I S1I", "C2I L2I D2I S2I"),
+        ("3.02", "C1Q L1Q C1X L1X", "C2Q L2Q C2X L2X"),
+        ("3.02", "C2I L2I C7I L7I", "C2I L2I C7I L7I"),  # the draft's, in files of that version too
+        ("3.03", "C1I L1I C7I L7I", "C2I L2I C7I L7I"),  # 1I means nothing else
+        ("3.04", "C2I L2I C1P L1P", "C2I L2I C1P L1P"),
+        ("3.05", "C1X L1X C1D L1D", "C1X L1X C1D L1D"),
+    ],
+)
+def test_b1i_of_beidou_is_in_band_2_whatever_the_version(tmp_path: Path, version: str, codes: str, read: str) -> None:
+    found = read_observations(written(tmp_path, beidou_file(version, codes)))
+    assert found.header.codes["C"] == found.rows["C"].codes == tuple(read.split())
+    assert found.rows["C"].value[0].tolist() == [2e7, 1e8, 2.1e7, 8e7]
+
+
+def test_b1i_of_beidou_in_two_columns_is_refused(tmp_path: Path) -> None:
+    for version in ("3.02", "3.04"):
+        with pytest.raises(InputError, match="B1I in one column, got C1I and C2I"):
+            read_observations(written(tmp_path, beidou_file(version, "C1I L1I C2I L2I")))
+
+
+def test_band_1_of_other_systems_stays_in_version_3_02(tmp_path: Path) -> None:
+    text = RINEX.replace("     3.04", "     3.02", 1)
+    assert read_observations(written(tmp_path, text)).header.codes["G"] == ("C1C", "L1C", "C2W", "L2W")
+
+
+def test_a_scale_goes_with_its_code_to_band_2(tmp_path: Path) -> None:
+    text = beidou_file("3.02", "C1I L1I C7I L7I")
+    scale = rinex_line("C  100  1 L1I", "SYS / SCALE FACTOR")
+    text = text.replace(rinex_line("", "END OF HEADER"), scale + rinex_line("", "END OF HEADER"))
+    assert read_observations(written(tmp_path, text)).rows["C"].value[0].tolist() == [2e7, 1e6, 2.1e7, 8e7]
+
+
 def test_beidou_time_is_14_s_behind(tmp_path: Path) -> None:
     head = rinex_header(**{"TIME OF FIRST OBS": "  2024     6    24     8    20    0.0000000     BDT"})
     found = read_observations(written(tmp_path, head + rinex_epoch(0.0, rinex_satellite("G05", 2e7))))

@@ -198,6 +198,17 @@ def test_the_command(tmp_path: Path) -> None:
     assert refused.exit_code == 2
 
 
+def test_the_static_pair_in_version_3_02(tmp_path: Path) -> None:
+    folder = real("rtk_matrtklib_1m_static_30s")
+    for name in ("rover", "base"):
+        text = (folder / f"{name}.obs").read_text(encoding="utf-8").replace("     3.04 ", "     3.02 ", 1)
+        (tmp_path / f"{name}.obs").write_text(text.replace("C2I L2I D2I S2I", "C1I L1I D1I S1I", 1), encoding="utf-8")
+    for where, out in ((folder, "new"), (tmp_path, "old")):
+        found, _ = run_baseline(where / "rover.obs", where / "base.obs", folder / "base.nav", tmp_path / out)
+        assert "2I" in found["signals"]["rover"]["C"]
+    assert (tmp_path / "new/solution.csv").read_bytes() == (tmp_path / "old/solution.csv").read_bytes()
+
+
 def test_run_needs_no_truth(tmp_path: Path) -> None:
     folder = real("rtk_matrtklib_1m_static_30s")
     found, _ = run_baseline(folder / "rover.obs", folder / "base.obs", folder / "base.nav", tmp_path)

@@ -49,6 +49,28 @@ def test_nothing_in_common_is_told(one: Observations) -> None:
         choose_signals(glonass, one)
 
 
+def beidou(one: Observations, version: float, *names: str) -> Observations:
+    """The GPS rows as BeiDou's of two bands, in a file of a version."""
+    codes = tuple(f"{kind}{name}" for name in names for kind in "CLS")
+    header = replace(one.header, version=version, codes={"C": codes})
+    return replace(one, header=header, rows={"C": replace(one.rows["G"], codes=codes)})
+
+
+def test_b1i_and_b1c_of_beidou_have_frequencies_of_their_own(one: Observations) -> None:
+    new = beidou(one, 3.04, "2I", "1P")
+    choice = choose_signals(new, new)
+    assert choice.rover == {"C": ("2I", "1P")}
+    np.testing.assert_allclose(
+        choice.wavelength_m[System.BEIDOU], SPEED_OF_LIGHT_MPS / np.array([1561.098e6, 1575.42e6]), rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize(("version", "names"), [(3.03, ("2I",)), (3.04, ("2I", "1X")), (4.0, ("2I", "1X"))])
+def test_1x_is_b1c_only_in_versions_that_say_so(one: Observations, version: float, names: tuple[str, ...]) -> None:
+    found = beidou(one, version, "2I", "1X")
+    assert choose_signals(found, found).rover == {"C": names}
+
+
 def test_phases_that_are_missing_do_not_count(one: Observations) -> None:
     rows = one.rows["G"]
     value = rows.value.copy()
