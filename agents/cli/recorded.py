@@ -57,14 +57,14 @@ def rtk(
         ),
     ] = None,
     rover_position: Annotated[
-        str | None, typer.Option(metavar="X,Y,Z", help="True antenna of a rover that stands, to count errors, alike.")
+        str | None, typer.Option(metavar="X,Y,Z", help="True antenna of a rover that stands, to count errors.")
     ] = None,
     assignments: Changes = None,
     as_json: AsJson = False,
 ) -> None:
     """RTK of any two receivers, static or moving: fixed positions with protection levels, epoch by epoch.
 
-    Positions are the rover's antenna reference point; its marker lies ANTENNA: DELTA H/E/N of its header below.
+    Positions are the rover's antenna reference point; its header's ANTENNA: DELTA H/E/N leads there from its marker.
 
     Example: lanebound rtk --rover rover.obs --base base.obs --nav base.nav --out out/rtk
     """
@@ -153,6 +153,7 @@ def _print_rtk(found: dict[str, Any]) -> None:
     if errors:
         head = ("epochs", "axis", "n", "largest error m", "above PL", "exact 95 % interval", "median PL m")
         print_table("Errors", head, [row for name in errors for row in _bounding_rows(name, errors[name])])
+        typer.echo(found["caution"])
 
 
 def _bounding_rows(name: str, found: dict[str, Any]) -> list[list[Any]]:

@@ -36,6 +36,11 @@ HEAD = (
     "pl_ct_m", "sigma_at_m", "sigma_ct_m", "satellites", "excluded", "wrong_fix_risk", "age_s",
 )  # fmt: skip
 
+CAUTION = (
+    "epochs of one session are not independent: neighbouring ones share satellites, multipath and integers, so that "
+    "the exact intervals are narrower than the truth"
+)
+
 
 def run_baseline(
     rover: Path, base: Path, navigation: Path, out: Path, *, base_ecef_m: Array | None = None,
@@ -101,7 +106,7 @@ def summarise(solved: Baseline, rover_ecef_m: Array | None = None) -> dict[str, 
             for q, axis in enumerate(("at", "ct"))
         }
     if rover_ecef_m is not None:
-        found["errors"] = _errors(solved, rover_ecef_m)
+        found |= {"errors": _errors(solved, rover_ecef_m), "caution": CAUTION}
     return found
 
 

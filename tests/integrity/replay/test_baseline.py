@@ -146,7 +146,10 @@ def test_epochs_without_satellites_have_no_position() -> None:
     solved = solve_baseline(replace(rover, rows=blind), base, TABLE, PLACE)
     assert solved.mode.tolist() == [Mode.RTK, Mode.NONE, Mode.RTK]
     assert np.isinf(solved.pl_m[1]).all()
-    assert summarise(solved, PLACE)["fixed"] == 2
+    found = summarise(solved, PLACE)
+    assert found["fixed"] == 2
+    assert "narrower than the truth" in found["caution"]
+    assert not {"errors", "caution"} & set(summarise(solved))  # no intervals, nothing to be cautious about
 
 
 def test_coordinates_in_both_forms_and_from_a_file(tmp_path: Path) -> None:
