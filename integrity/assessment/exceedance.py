@@ -103,8 +103,7 @@ def _add_faults(prepared: Prepared, error: Array, statistic: Array, generator: n
     """A fault in one satellite of each epoch, up to twice the size whose separation lies at the threshold."""
     chance = prepared.prior / prepared.prior.sum()
     which = generator.choice(len(prepared.case), size=len(error), p=chance)
-    own = np.diag(prepared.fault_test)
-    reach = prepared.threshold / np.where(own > 0.0, own, np.inf)  # [m]
+    reach = prepared.threshold * prepared.sigma_of_fault_m
     size = generator.uniform(-LARGEST_FAULT, LARGEST_FAULT, len(error)) * reach[which]
     error += size[:, None] * prepared.fault_error[which]
     statistic += size[:, None] * prepared.fault_test[which]
@@ -150,8 +149,7 @@ def importance_rates(
         rate[axis] += alone * found[0]
         variance[axis] += alone**2 * found[1]
         for k, prior in enumerate(prepared.prior):
-            own = prepared.fault_test[k, k]
-            moved = abs(prepared.threshold * prepared.fault_error[k, axis] / own) if own > 0.0 else 0.0
+            moved = abs(prepared.threshold * prepared.sigma_of_fault_m[k] * prepared.fault_error[k, axis])
             away = max(level[axis] - moved - abs(prepared.tolerant_shift[k, axis]), 0.0)
             few = max(draws // 8, 64)
             rows = prepared.tolerant_rows[k, axis]
@@ -181,10 +179,10 @@ def _weighted(
     error = normal @ prepared.error_rows[axis] + prepared.shift[axis]
     statistic = normal @ prepared.test_rows.T + prepared.test_shift
     if faulty >= 0:
-        own = prepared.fault_test[faulty, faulty]
-        size = generator.uniform(-LARGEST_FAULT, LARGEST_FAULT, draws) * prepared.threshold / own if own > 0.0 else 0.0
+        reach = LARGEST_FAULT * prepared.threshold * prepared.sigma_of_fault_m[faulty]
+        size = generator.uniform(-reach, reach, draws)
         error += size * prepared.fault_error[faulty, axis]
-        statistic += np.outer(np.broadcast_to(size, draws), prepared.fault_test[faulty])
+        statistic += np.outer(size, prepared.fault_test[faulty])
     misleading = (np.abs(error) > level_m) & (np.abs(statistic).max(-1) < prepared.threshold)
     value = weight * misleading
     half = value.reshape(-1, 2).mean(-1)  # one draw of each side: a stratified pair

@@ -117,6 +117,12 @@ class Prepared:
     prior: Array
     levels_m: dict[Form, Array]
 
+    @property
+    def sigma_of_fault_m(self) -> Array:
+        """Size of a fault in each satellite that moves its own separation by a sigma, 0 where none does.  (n,) [m]."""
+        own = np.abs(np.diag(self.fault_test))  # of either sign: of the error on the axis that it moves most
+        return np.where(own > 0.0, 1.0 / np.where(own > 0.0, own, 1.0), 0.0)
+
 
 def draw_case(generator: np.random.Generator, satellites: int, bias_share: float = 0.5) -> Case:
     """A sky of ``satellites`` with 1 to 4 clocks, any heading; bounds of biases up to ``bias_share`` sigma.

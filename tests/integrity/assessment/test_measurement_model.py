@@ -67,6 +67,22 @@ def test_matrices_do_what_an_adjustment_does() -> None:
                 assert statistic[j] == pytest.approx(apart[axis] / sigma[axis], abs=1e-6)
 
 
+def test_a_fault_of_any_satellite_moves_its_own_separation_to_either_side() -> None:
+    """Separations are signed: half of the satellites were taken for such that no fault can be in."""
+    for one in prepare(cases(20), RULES, RISKS):
+        own = np.diag(one.fault_test)
+        moves = np.abs(one.fault_error).max(-1) > 1e-9  # not so the only one of its clock, which can do no harm
+        np.testing.assert_allclose(np.abs(own) * one.sigma_of_fault_m, moves)
+        assert {-1.0, 1.0} <= set(np.sign(own))
+
+
+def test_errors_have_nothing_in_common_with_separations() -> None:
+    """Of a solution of least variance; closed forms of misleading faults are products because of it."""
+    for one in prepare(cases(), RULES, RISKS):
+        sigma = np.linalg.norm(one.error_rows, axis=-1)[:, None]
+        np.testing.assert_allclose(one.error_rows @ one.test_rows.T / sigma, 0.0, atol=1e-9)
+
+
 def test_biases_are_at_their_bounds_and_hurt_the_axis_named() -> None:
     drawn = cases(20)
     for case, one in zip(drawn, prepare(drawn, RULES, RISKS), strict=True):
