@@ -16,14 +16,9 @@ from numpy.typing import NDArray
 from lanebound.agents.assess.bounding_summary import summarise
 from lanebound.agents.kept import Progress, claim, run_parts, write_whole
 from lanebound.integrity.assessment.drift_model import DriftConfig, Outage, drift_exceedance
-from lanebound.integrity.assessment.exceedance import (
-    Tally,
-    expected_fault_free,
-    importance_rates,
-    least_fault_free,
-    tally,
-)
-from lanebound.integrity.assessment.measurement_model import Case, Form, draw_case, prepare
+from lanebound.integrity.assessment.exceedance import Tally, expected_fault_free, least_fault_free, tally
+from lanebound.integrity.assessment.importance import FaultSize, expected_one_fault, importance_rates
+from lanebound.integrity.assessment.measurement_model import Case, Form, Prepared, draw_case, prepare
 from lanebound.integrity.config import Config, Field
 from lanebound.integrity.monitoring.risk import RiskConfig, pair_risk
 from lanebound.integrity.streams import named_generator
@@ -51,6 +46,10 @@ class BoundingConfig(Config):
     wrong_fix_share: float = Field(0.1, ge=0, lt=1, description="share of the least risk that wrong fixes use [-]")
     rare_risk: float = Field(1e-7, gt=0, lt=1, description="risk for importance sampling [-]")
     rare_cases: int = Field(1000, ge=0, description="geometries for it")
+    rare_sizes: FaultSize = Field(
+        FaultSize.WORST,
+        description="sizes of its faults: that which misleads most, or uniform up to twice the threshold's, as counted",
+    )
     rare_draws: int = Field(512, ge=64, multiple_of=16, description="draws of each axis of a geometry without fault")
     outages: int = Field(80, ge=0, description="outages of Doppler, and as many of odometer and heading")
     vehicles: int = Field(20_000, ge=1, description="vehicles in an outage")
@@ -152,24 +151,31 @@ def _place(case: Case) -> dict[str, Any]:
 
 
 def _rare(config: BoundingConfig, indices: range) -> dict[str, Any]:
-    """Importance sampling at the rare risk, and at the least of the counted ones to compare."""
+    """Importance sampling at the rare risk, and at the least of the counted ones to compare; closed forms beside it."""
     risks = [config.rare_risk, min(config.risks)]
     drawn = [_case(config, i, "faults") for i in indices]
     prepared = prepare([case for case, _ in drawn], config.risk, risks, config.wrong_fix_share * config.rare_risk)
     rows = []
     for one, (case, generator) in zip(prepared, drawn, strict=True):
+        draws = partial(importance_rates, draws=config.rare_draws, generator=generator, sizes=config.rare_sizes)
         found = {
             form.name: [
-                [values.tolist() for values in importance_rates(one, form, row, config.rare_draws, generator)]
+                [values.tolist() for values in draws(one, form, row)]
                 for row in range(len(risks))
                 if np.isfinite(one.levels_m[form][row]).all()
             ]
             for form in (Form.ROOT, Form.CLOSED, Form.PUBLISHED)
         }
-        fault_free = {form.name: expected_fault_free(one, form).tolist() for form in (Form.ROOT, Form.CLOSED)}
+        exact = {form.name: _closed_forms(one, form) for form in (Form.ROOT, Form.CLOSED)}
         spent = float(pair_risk(one.prior)) + config.wrong_fix_share * config.rare_risk
-        rows.append(_place(case) | {"rates": found, "fault_free": fault_free, "spent": spent})
+        rows.append(_place(case) | {"rates": found, "exact": exact, "spent": spent})
     return {"cases": rows}
+
+
+def _closed_forms(one: Prepared, form: Form) -> dict[str, Any]:
+    """What importance sampling should find without a fault (but for the test), and no more of with one; (R, 2) each."""
+    faults = {f"one fault, {sizes.value}": expected_one_fault(one, form, sizes).tolist() for sizes in FaultSize}
+    return {"no fault": expected_fault_free(one, form).tolist()} | faults
 
 
 def _drift(config: BoundingConfig, indices: range) -> dict[str, Any]:

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.assessment.bounding import clopper_pearson
-from lanebound.integrity.assessment.exceedance import STRATA, mean_and_deviation
+from lanebound.integrity.assessment.exceedance import STRATA
+from lanebound.integrity.assessment.importance import DRAWN, mean_and_deviation
 from lanebound.integrity.assessment.measurement_model import Form
 from lanebound.integrity.monitoring.risk import upper_quantile
 
@@ -152,34 +153,47 @@ def _spread(ratio: Array) -> dict[str, float] | None:
 
 
 def _rare(rare: Sequence[Row], config: Mapping[str, Any]) -> dict[str, Any]:
-    """Importance estimates at the rare risk and at the least counted one, with their standard deviations.
+    """Importance estimates at the rare risk and at the least counted one, all geometries together and by biases.
 
-    ``spread`` is the standard deviation of the mean from the spread between geometries, ``draws`` that of the draws
-    alone; ``fault_free_exact`` the same stratum without the test in closed form, which bounds it. Two faults at once
-    and wrong fixes are not drawn: ``spent`` is their probability, which they cannot exceed.
+    Two faults at once and wrong fixes are not drawn: ``spent`` is their probability, which they cannot exceed and which
+    levels leave out of their budget, in the mean and of the geometry that has most of it.
     """
-    out: dict[str, Any] = {"spent": float(np.mean([case["spent"] for case in rare]))}
+    spent = [case["spent"] for case in rare]
+    out: dict[str, Any] = {"spent": {"mean": float(np.mean(spent)), "largest": max(spent)}}
     for row, risk in enumerate((config["rare_risk"], min(config["risks"]))):
         out[f"{risk:g}"] = {}
         for form in (Form.ROOT, Form.CLOSED, Form.PUBLISHED):
-            found = [case["rates"][form.name][row] for case in rare if len(case["rates"][form.name]) > row]
-            if not found:
-                continue
-            mean, spread, draws = mean_and_deviation(
-                [np.array(rate) for rate, _ in found], [np.array(variance) for _, variance in found]
-            )
-            out[f"{risk:g}"][form.value] = {
-                "geometries": len(found),
-                **{
-                    axis: {"rate": float(mean[a]), "spread": float(spread[a]), "draws": float(draws[a])}
-                    for a, axis in enumerate(AXES[:2])
-                },
-                "upper": float((mean + SIGMAS * spread).max()),
-            }
-            if form.name in rare[0]["fault_free"]:
-                exact = np.array([case["fault_free"][form.name][row] for case in rare], dtype=np.float64)
-                out[f"{risk:g}"][form.value]["fault_free_exact"] = exact.mean(0).tolist()
+            known = [case for case in rare if len(case["rates"][form.name]) > row]
+            if known:
+                by_bias = _grouped(known, PLACES["bias"]).items()
+                out[f"{risk:g}"][form.value] = _estimate(known, form, row) | {
+                    "by_bias": {place: _estimate(group, form, row) for place, group in by_bias}
+                }
     return out
+
+
+def _estimate(cases: Sequence[Row], form: Form, row: int) -> dict[str, Any]:
+    """Mean rate of some geometries along and across, the part of each stratum, and the standard deviations.
+
+    ``spread`` is the standard deviation of the mean from the spread between geometries, ``draws`` that of the draws
+    alone. ``exact`` are closed forms: without the test, which bounds the stratum without a fault; and with one fault of
+    either law of sizes, tested by the separation of its own satellite alone, which bounds that one. ``spent`` is
+    the probability of what is not drawn.
+    """
+    found = [case["rates"][form.name][row] for case in cases]
+    strata, variances = ([np.array(of) for of in each] for each in zip(*found, strict=True))
+    mean, spread, draws = mean_and_deviation([of.sum(0) for of in strata], [of.sum(0) for of in variances])
+    parts = np.mean(strata, 0)
+    out: dict[str, Any] = {
+        axis: {"rate": float(mean[a]), "spread": float(spread[a]), "draws": float(draws[a])}
+        | {"by_stratum": {name: float(parts[s, a]) for s, name in enumerate(DRAWN)}}
+        for a, axis in enumerate(AXES[:2])
+    }
+    if form.name in cases[0]["exact"]:
+        closed = [case["exact"][form.name] for case in cases]
+        out["exact"] = {name: np.mean([one[name][row] for one in closed], 0).tolist() for name in closed[0]}
+    undrawn = float(np.mean([case["spent"] for case in cases]))
+    return out | {"geometries": len(cases), "spent": undrawn, "upper": float((mean + SIGMAS * spread).max())}
 
 
 def _drift(outages: Sequence[Row], risks: Sequence[float]) -> dict[str, Any]:

@@ -5,9 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["Table", "drift_rows", "form_rows", "place_rows", "rare_rows", "tightness_rows"]
+__all__ = [
+    "Table",
+    "drift_rows",
+    "form_rows",
+    "place_rows",
+    "rare_place_rows",
+    "rare_rows",
+    "strata_rows",
+    "tightness_rows",
+]
 
 Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
+
+ESTIMATE = ("no fault", "one fault", "rate", "sd draws", "sd geometries")
 
 
 def over_risk(rate: Mapping[str, Any], risk: float) -> str:
@@ -50,17 +61,41 @@ def tightness_rows(result: Mapping[str, Any]) -> Table:
     return ("form", *risks), rows
 
 
+def strata_rows(result: Mapping[str, Any]) -> Table:
+    """What the misleading epochs of the exact forms are of, and how many epochs of each there were."""
+    rates = result["rates"]["all"]["all"]
+    rows = [
+        (form, risk, *(f"{one['by_stratum'][name]:,}" for name in result["strata"]))
+        for form in ("exact root", "exact closed form")
+        for risk, one in rates[form].items()
+    ]
+    drawn = ("epochs drawn", "", *(f"{result['epochs'][name]:,}" for name in result["strata"]))
+    return ("form", "risk", *result["strata"]), [*rows, drawn]
+
+
 def rare_rows(result: Mapping[str, Any]) -> Table:
-    """Importance estimates along and across, with the standard deviations of draws and geometries."""
-    rows = []
-    for risk, forms in result["rare"].items():
-        if risk == "spent":
-            continue
-        for form, found in forms.items():
-            for axis in ("along", "across"):
-                one = found[axis]
-                rows.append((risk, form, axis, *(f"{one[key]:.2e}" for key in ("rate", "draws", "spread"))))
-    return ("risk", "form", "axis", "rate", "sd of draws", "sd of geometries"), rows
+    """Importance estimates along and across by stratum, with the standard deviations of draws and geometries."""
+    rare, rows = result["rare"], []
+    undrawn = f"{rare['spent']['mean']:.2e}"
+    for risk, forms in rare.items():
+        if risk != "spent":
+            rows += [(risk, form, *cells) for form, found in forms.items() for cells in _by_axis(found)]
+            rows.append((risk, "not drawn", "either", "", "", undrawn, "", ""))
+    return ("risk", "form", "axis", *ESTIMATE), rows
+
+
+def rare_place_rows(result: Mapping[str, Any]) -> Table:
+    """The same of the exact root at the rare risk, by biases; no rows where nothing has a level."""
+    root = result["rare"][f"{result['config']['rare_risk']:g}"].get("exact root", {"by_bias": {}})
+    rows = [(place, *cells) for place, one in root["by_bias"].items() for cells in _by_axis(one)]
+    return ("place", "axis", *ESTIMATE), rows
+
+
+def _by_axis(found: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    return [
+        (axis, *(f"{v:.2e}" for v in (*one["by_stratum"].values(), one["rate"], one["draws"], one["spread"])))
+        for axis, one in ((axis, found[axis]) for axis in ("along", "across"))
+    ]
 
 
 def drift_rows(result: Mapping[str, Any]) -> Table:

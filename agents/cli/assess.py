@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
+SIZES = {"worst": "the size that misleads most", "uniform": "any size up to twice the threshold's"}
+
 app = typer.Typer(cls=AdvisingGroup, help="Measure whether what the layer promises is true.", no_args_is_help=True)
 
 
@@ -121,7 +123,15 @@ def _with_bar(what: str, study: Any) -> dict[str, Any]:
 
 
 def _report_bounding(result: dict[str, Any], out: Path, as_json: bool) -> None:
-    from lanebound.agents.assess.bounding_tables import drift_rows, form_rows, place_rows, rare_rows, tightness_rows
+    from lanebound.agents.assess.bounding_tables import (
+        drift_rows,
+        form_rows,
+        place_rows,
+        rare_place_rows,
+        rare_rows,
+        strata_rows,
+        tightness_rows,
+    )
     from lanebound.agents.cli.output import print_json, print_table
 
     if as_json:
@@ -132,10 +142,18 @@ def _report_bounding(result: dict[str, Any], out: Path, as_json: bool) -> None:
             f"Misleading epochs, of {result['axis_epochs']:,} axis epochs: rate of either axis over the risk, 95 %",
             *form_rows(result),
         )
+        print_table("Of these, by what there was: misleading epochs on either axis", *strata_rows(result))
         print_table("The same by place, at the least risk counted: rate over the risk", *place_rows(result))
         print_table("Levels over the least that would have held without faults, median", *tightness_rows(result))
     if "rare" in result:
-        print_table("By importance sampling: rate of one axis", *rare_rows(result))
+        size, most = SIZES[result["config"]["rare_sizes"]], result["rare"]["spent"]["largest"]
+        print_table(f"By importance sampling: rate of one axis; faults have {size}", *rare_rows(result))
+        typer.echo(
+            f"Not drawn: two faults and wrong fixes, at most so often on either axis ({most:.2e} in one geometry)."
+        )
+        print_table(
+            f"The exact root at {result['config']['rare_risk']:g} by biases: rate of one axis", *rare_place_rows(result)
+        )
     if "drift" in result:
         print_table("Between fixes: error beyond the level at the end of an outage, either axis", *drift_rows(result))
     typer.echo(f"A rate over the risk above 1 breaks the promise.\nresults.json: {out}")

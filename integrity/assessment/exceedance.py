@@ -1,12 +1,13 @@
-"""How often errors exceed protection levels unnoticed: plain Monte Carlo of the measurement model, and by importance.
+"""How often errors exceed protection levels unnoticed: plain Monte Carlo of the measurement model.
 
 An epoch is *misleading* on an axis when the separation test finds nothing and the error exceeds the level there. Nature
-is drawn as the levels assume it: no fault, one faulty satellite, two at once, or a wrong fix that no test can see.
+is drawn as the levels assume it: no fault, one faulty satellite, two at once, or a wrong fix that no test can see. A
+fault is drawn with any size up to twice the threshold's: most of them harmless, others found (the worst ones are the
+business of :mod:`lanebound.integrity.assessment.importance`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,15 +17,7 @@ from scipy.special import ndtr
 from lanebound.integrity.assessment.measurement_model import Form, Prepared
 from lanebound.integrity.monitoring.risk import multiple_fault_risk, upper_quantile
 
-__all__ = [
-    "STRATA",
-    "Tally",
-    "expected_fault_free",
-    "importance_rates",
-    "least_fault_free",
-    "mean_and_deviation",
-    "tally",
-]
+__all__ = ["STRATA", "Tally", "expected_fault_free", "least_fault_free", "tally"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -129,68 +122,3 @@ def least_fault_free(prepared: Prepared, budgets: ArrayLike) -> Array:
         above = ndtr((shift - middle) / sigma) + ndtr((-shift - middle) / sigma) > wanted
         low, high = np.where(above, middle, low), np.where(above, high, middle)
     return np.asarray(high)
-
-
-def importance_rates(
-    prepared: Prepared, form: Form, row: int, draws: int, generator: np.random.Generator
-) -> tuple[Array, Array]:
-    """Rate of misleading epochs along and across without a wrong fix, and the variance of that estimate, (2,) each.
-
-    In each stratum (no fault, each single fault) the errors are drawn around the level, half of them on either side:
-    the draws ``e`` are shifted by ``m`` along the gain of the solution (of the one without the faulty satellite, which
-    the fault cannot move), and count with ``phi(e) / (phi(e - m)/2 + phi(e + m)/2)``, no more than 2.
-    """
-    level = prepared.levels_m[form][row]
-    rate, variance = np.zeros(AXES), np.zeros(AXES)
-    alone = 1.0 - prepared.prior.sum()
-    for axis in range(AXES):
-        rows, shift = prepared.error_rows[axis], prepared.shift[axis]
-        found = _weighted(prepared, -1, rows, level[axis] - abs(shift), axis, level[axis], draws, generator)
-        rate[axis] += alone * found[0]
-        variance[axis] += alone**2 * found[1]
-        for k, prior in enumerate(prepared.prior):
-            moved = abs(prepared.threshold * prepared.sigma_of_fault_m[k] * prepared.fault_error[k, axis])
-            away = max(level[axis] - moved - abs(prepared.tolerant_shift[k, axis]), 0.0)
-            few = max(draws // 8, 64)
-            rows = prepared.tolerant_rows[k, axis]
-            found = _weighted(prepared, k, rows, away, axis, level[axis], few, generator)
-            rate[axis] += prior * found[0]
-            variance[axis] += prior**2 * found[1]
-    return rate, variance
-
-
-def _weighted(
-    prepared: Prepared,
-    faulty: int,
-    rows: Array,
-    away_m: float,
-    axis: int,
-    level_m: float,
-    draws: int,
-    generator: np.random.Generator,
-) -> tuple[float, float]:
-    """Mean and variance of the mean of one stratum, errors of ``rows`` drawn around plus and minus ``away_m``."""
-    sigma_square = float(rows @ rows)
-    mean = rows * (away_m / sigma_square)
-    side = np.where(np.arange(draws) % 2 == 0, 1.0, -1.0)
-    normal = generator.standard_normal((draws, rows.size)) + side[:, None] * mean
-    along = normal @ mean
-    weight = np.exp(0.5 * mean @ mean - np.logaddexp(along, -along) + np.log(2.0))
-    error = normal @ prepared.error_rows[axis] + prepared.shift[axis]
-    statistic = normal @ prepared.test_rows.T + prepared.test_shift
-    if faulty >= 0:
-        reach = LARGEST_FAULT * prepared.threshold * prepared.sigma_of_fault_m[faulty]
-        size = generator.uniform(-reach, reach, draws)
-        error += size * prepared.fault_error[faulty, axis]
-        statistic += np.outer(size, prepared.fault_test[faulty])
-    misleading = (np.abs(error) > level_m) & (np.abs(statistic).max(-1) < prepared.threshold)
-    value = weight * misleading
-    half = value.reshape(-1, 2).mean(-1)  # one draw of each side: a stratified pair
-    return float(half.mean()), float(half.var(ddof=1) / half.size)
-
-
-def mean_and_deviation(rates: Sequence[Array], variances: Sequence[Array]) -> tuple[Array, Array, Array]:
-    """Mean over cases, its standard deviation from the spread of the cases, and that of the draws alone.  (2,) each."""
-    r, v = np.stack(rates), np.stack(variances)
-    between = r.std(0, ddof=1) / np.sqrt(len(r)) if len(r) > 1 else np.sqrt(v.mean(0))
-    return r.mean(0), between, np.sqrt(v.sum(0)) / len(r)

@@ -14,6 +14,7 @@ from lanebound.agents.assess import bounding
 from lanebound.agents.assess.bounding import BoundingConfig, assess_bounding, part_names, work_part
 from lanebound.agents.assess.bounding_summary import rate_of, rate_over, summarise
 from lanebound.agents.cli import app
+from lanebound.integrity.assessment.importance import FaultSize
 from lanebound.integrity.errors import InputError
 
 SHORT = BoundingConfig(
@@ -60,20 +61,57 @@ def test_false_alarms_keep_their_allocation_without_biases(short: tuple[Path, di
 
 
 def test_importance_sampling_agrees_with_the_closed_form(short: tuple[Path, dict[str, Any]]) -> None:
-    """Faults add to the fault-free rate and the test takes away a little; five standard deviations of the draws."""
+    """Within five standard deviations of the draws: no more than both closed forms, which leave out part of the test.
+
+    And no less than faultless errors that the test lets pass, 99 % of them where there are no biases: one side of each
+    of eight figures, so that all of them hold but for one run in a hundred thousand.
+    """
     for risk in ("1e-07", "1e-05"):
         found = short[1]["rare"][risk]["exact root"]
-        for axis, exact in zip(("along", "across"), found["fault_free_exact"], strict=True):
-            assert found[axis]["rate"] == pytest.approx(exact, rel=0.5)
-            assert found[axis]["rate"] < 0.5 * float(risk)
-            assert found[axis]["draws"] < 0.3 * found[axis]["rate"]
+        unbiased = found["by_bias"]["biases up to 0 sigma"]
+        for a, axis in enumerate(("along", "across")):
+            most = found["exact"]["no fault"][a] + found["exact"]["one fault, worst"][a]
+            assert found[axis]["rate"] < most + 5.0 * found[axis]["draws"]
+            least = (1.0 - SHORT.risk.false_alarm) * unbiased["exact"]["no fault"][a]
+            assert unbiased[axis]["rate"] > least - 5.0 * unbiased[axis]["draws"]
+            assert most < 0.5 * float(risk)
+            assert found[axis]["draws"] < 0.15 * found[axis]["rate"]
+
+
+def test_rare_rates_are_told_by_stratum_and_by_biases(short: tuple[Path, dict[str, Any]]) -> None:
+    rare = short[1]["rare"]
+    found = rare["1e-07"]["exact root"]
+    for axis in ("along", "across"):
+        parts = found[axis]["by_stratum"]
+        assert list(parts) == ["no fault", "one fault"]
+        assert min(parts.values()) > 0.0
+        assert sum(parts.values()) == pytest.approx(found[axis]["rate"])
+        places = found["by_bias"].values()
+        together = sum(one["geometries"] * one[axis]["rate"] for one in places) / SHORT.rare_cases
+        assert together == pytest.approx(found[axis]["rate"])
+    assert 1e-8 < rare["spent"]["mean"] < rare["spent"]["largest"] < 7e-8
+    assert found["along"]["rate"] + found["across"]["rate"] + rare["spent"]["mean"] < 1e-7
+
+
+def test_the_worst_sizes_of_faults_are_worse_than_uniform_ones() -> None:
+    """Draws of the same geometries, and closed forms that do not depend on what is drawn."""
+    worst, uniform = (
+        work_part(SHORT.replace(rare_cases=8, rare_sizes=sizes), "rare-0")["cases"] for sizes in FaultSize
+    )
+    faulty = [np.mean([one["rates"]["ROOT"][1][0][1] for one in of], 0) for of in (worst, uniform)]
+    assert (faulty[0] > 1.5 * faulty[1]).all()
+    assert [one["exact"] for one in worst] == [one["exact"] for one in uniform]
+    for name, drawn in zip(("worst", "uniform"), faulty, strict=True):
+        exact = np.mean([one["exact"]["ROOT"][f"one fault, {name}"][1] for one in worst], 0)
+        assert (drawn < 1.5 * exact).all()
 
 
 def test_levels_are_above_the_least_that_would_have_held(short: tuple[Path, dict[str, Any]]) -> None:
     for risk, found in short[1]["level_over"]["exact root"].items():
-        assert found["root"]["smallest"] == found["root"]["largest"] == 1.0, risk
         assert found["least"]["smallest"] >= 1.0
         assert 1.0 < found["least"]["median"] < 3.0
+        closed = short[1]["level_over"]["exact closed form"][risk]
+        assert closed["root"]["smallest"] > 1.0  # it gives each mode a share of the risk, the root what all leave
     assert short[1]["level_over"]["published bias"]["0.001"]["least"]["smallest"] < 1.0
 
 
@@ -104,8 +142,24 @@ def test_the_command_prints_tables(tmp_path: Path) -> None:
     small = ["epochs_per_case=5000", "rare_cases=4", "rare_draws=64", "outages=2", "vehicles=200"]
     found = CliRunner().invoke(app, [*arguments, *(word for s in small for word in ("--set", s))])
     assert found.exit_code == 0, found.output
-    for words in ("40,000 axis epochs", "exact root", "biases up to 5 sigma", "doppler, published", "results.json"):
+    told = ("40,000 axis epochs", "exact root", "biases up to 5 sigma", "doppler, published", "results.json")
+    for words in (*told, "by what there was", "not drawn", "two faults and wrong fixes", "at 1e-07 by biases"):
         assert words in found.stdout
+    levelless = ["--set", "rare_risk=1e-12"]  # two faults alone are likelier
+    found = CliRunner().invoke(
+        app,
+        [
+            "assess",
+            "bounding",
+            "--out",
+            str(tmp_path / "c"),
+            *(word for s in small for word in ("--set", s)),
+            "--epochs",
+            "20",
+            *levelless,
+        ],
+    )
+    assert found.exit_code == 0, found.output
     refused = CliRunner().invoke(app, ["assess", "bounding", "--out", str(tmp_path / "b"), "--risk", "2"])
     assert refused.exit_code != 0
 
@@ -129,7 +183,8 @@ def test_the_promise_at_length(tmp_path: Path) -> None:
             for form in ("exact root", "exact closed form"):
                 for risk, rates in found[form].items():
                     assert rates["either"]["low"] <= 1.2 * float(risk)
-    assert result["rare"]["1e-07"]["exact root"]["upper"] < 0.5e-7
+    rare = result["rare"]["1e-07"]["exact root"]
+    assert 2.0 * rare["upper"] + result["rare"]["spent"]["mean"] < 1e-7
 
 
 def test_intervals_allow_for_the_spread_between_geometries() -> None:
