@@ -88,12 +88,10 @@ def summarise(config: Mapping[str, Any], parts: Mapping[str, Row]) -> dict[str, 
     result: dict[str, Any] = {"config": dict(config), "confidence": CONFIDENCE, "strata": list(STRATA)}
     if cases:
         epochs = np.sum([row["epochs"] for row in cases], 0)
-        alarms = np.sum([row["alarms"] for row in cases], 0)
         result["epochs"] = {name: int(n) for name, n in zip(STRATA, epochs, strict=True)}
-        result["alarms"] = {name: rate_of(int(a), int(n)) for name, a, n in zip(STRATA, alarms, epochs, strict=True)}
+        result["alarms"] = _alarms(cases)
         result["alarms_by_bias"] = {
-            place: rate_of(sum(r["alarms"][0] for r in group), sum(r["epochs"][0] for r in group))
-            for place, group in _grouped(cases, PLACES["bias"]).items()
+            place: _alarms(group)[STRATA[0]] for place, group in _grouped(cases, PLACES["bias"]).items()
         }
         result["axis_epochs"] = 2 * int(epochs.sum())
         result["rates"] = {
@@ -113,6 +111,13 @@ def _grouped(rows: Iterable[Row], name_of: Callable[[Row], str]) -> dict[str, li
     for row in rows:
         out.setdefault(name_of(row), []).append(row)
     return dict(sorted(out.items()))
+
+
+def _alarms(cases: Sequence[Row]) -> dict[str, Any]:
+    """By stratum: how often the test found something."""
+    alarms, epochs = (np.array([row[name] for row in cases]) for name in ("alarms", "epochs"))
+    bias = np.array([row["bias_share"] for row in cases])
+    return {name: rate_over(alarms[:, s], epochs[:, s], bias) for s, name in enumerate(STRATA)}
 
 
 def _rates(cases: Sequence[Row], risks: Sequence[float]) -> dict[str, Any]:

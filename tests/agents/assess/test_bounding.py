@@ -60,6 +60,16 @@ def test_false_alarms_keep_their_allocation_without_biases(short: tuple[Path, di
     assert found["rate"] > 0.25 * SHORT.risk.false_alarm
 
 
+def test_false_alarms_of_biased_geometries_are_known_no_better_than_their_spread(
+    short: tuple[Path, dict[str, Any]],
+) -> None:
+    """Each geometry has a rate of its own: the count alone would claim ten times what is known."""
+    for found in (short[1]["alarms_by_bias"]["biases up to 2 sigma"], short[1]["alarms"]["no fault"]):
+        counted = rate_of(found["events"], found["trials"])
+        assert counted["rate"] == found["rate"]
+        assert found["high"] - found["low"] > 5.0 * (counted["high"] - counted["low"])
+
+
 def test_importance_sampling_agrees_with_the_closed_form(short: tuple[Path, dict[str, Any]]) -> None:
     """Within five standard deviations of the draws: no more than both closed forms, which leave out part of the test.
 
