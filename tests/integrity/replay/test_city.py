@@ -137,7 +137,8 @@ def test_a_folder_without_a_drive_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_berlin_drive_is_bounded_where_the_plain_model_fails(tmp_path: Path) -> None:
+def test_fitted_bounds_fail_less_often_on_the_berlin_drive_than_the_plain_model(tmp_path: Path) -> None:
+    """Less than half as often, which is no promise kept: they fail too, all in one event (docs/results.md)."""
     folder = real("smartloc_berlin_potsdamer")
     found, written = write_city(folder, tmp_path, CityReplay(every=5))
     trained, plain = found["solutions"]["overbound"], found["solutions"]["gaussian_epoch"]
@@ -145,5 +146,5 @@ def test_the_berlin_drive_is_bounded_where_the_plain_model_fails(tmp_path: Path)
     for axis in ("at", "ct"):
         ours, theirs = (s["after_training"]["all_modes"][axis] for s in (trained, plain))
         assert ours["rate"] < 0.5 * theirs["rate"]
-        assert theirs["rate_low"] > 1e-2  # ten times the risk, beyond doubt
+        assert theirs["rate_low"] > 1e-2  # of 88 epochs taken for independent, which those of one drive are not
         assert trained["training"]["all_modes"][axis]["exceeded"] == 0
