@@ -115,6 +115,11 @@ class EnvConfig(Config):
                 f"navigation.rate_hz must divide simulation_hz = {self.simulation_hz}, "
                 f"got {self.navigation.rate_hz}: choose a divisor"
             )
+        step_s, epoch_s = self.navigator.get("dt_s"), 1.0 / self.navigation.rate_hz
+        if step_s is not None and step_s != epoch_s:
+            raise ConfigError(
+                f"navigator.dt_s must be 1 / navigation.rate_hz = {epoch_s:g}, got {step_s!r}: set navigation.rate_hz"
+            )
         ratio = self.navigation.rate_hz / self.policy_hz
         if sensed and abs(ratio - round(ratio)) > 1e-9:
             raise ConfigError(

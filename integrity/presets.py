@@ -118,11 +118,11 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
     overrides: dict[str, Any] = {}
     for text in assignments:
         if not isinstance(text, str):
-            raise ConfigError(f"an override must be text, got {text!r}: write for example 'navigator.dt_s=0.2'")
+            raise ConfigError(f"an override must be text, got {text!r}: write KEY=VALUE")
         path, equals, value = text.partition("=")
         keys = [key.strip() for key in path.split(".")]
         if not equals or not all(keys):
-            raise ConfigError(f"an override must read key=value, got '{text}': write for example navigator.dt_s=0.2")
+            raise ConfigError(f"an override must read key=value, got '{text}': 'lanebound config show' names the keys")
         nested: Any = parse_yaml(value, f"the value of '{path}'")
         for key in reversed(keys):
             nested = {key: nested}

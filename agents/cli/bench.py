@@ -20,7 +20,7 @@ def bench(
 ) -> None:
     """Measure speed and compare it with the gates. Exit code 1 when a benchmark fails to run.
 
-    Example: lanebound bench --only lambda --rounds 3 --json
+    Example: lanebound bench --only ambiguity --rounds 3 --json
     """
     from rich.console import Console
 

@@ -153,7 +153,8 @@ def _draw(env: DrivingEnv, log: EpisodeLog, out: Path, title: str) -> None:
     from lanebound.integrity.assessment.stanford import stanford_figure
 
     limits = alert_limits_m(env.world, env.config)
-    save(stanford_figure(log.to_record(env.dt_s), *limits, title=title), out / DIAGRAM)
+    figure = stanford_figure(log.to_record(env.dt_s), *limits, title=title, counted="decisions")
+    save(figure, out / DIAGRAM)
 
 
 def _report(

@@ -206,7 +206,8 @@ def _figures(drives: Drives, city: City, out: Path) -> None:
             out / f"series-{risk}.png",
         )
         save(stanford_figure(record, ALERT_LIMIT_M, ALERT_LIMIT_M, risk=float(risk)), out / f"stanford-{risk}.png")
-    position, mode = drives.position_en_m[:, 0].astype(float), drives.mode[:, 0]
+    start = int(np.argmax(drives.mode[:, 0] > 0))  # as the series
+    position, mode = drives.position_en_m[start:, 0].astype(float), drives.mode[start:, 0]
     title = f"First drive, {drives.time_s[-1] / 60.0:.0f} min, by mode of positioning"
     save(map_figure(position, mode, title=title, obstacles=_outlines(city)), out / "map.png")
 

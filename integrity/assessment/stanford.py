@@ -58,23 +58,23 @@ def count_zones(record: Record, axis: Axis, al_m: float) -> ZoneCounts:
 
 def stanford_figure(
     record: Record, al_at_m: float, al_ct_m: float, *, title: str = "Stanford diagram", risk: float | None = None,
-    extent: float = 2.0,
+    extent: float = 2.0, counted: str = "epochs",
 ) -> Figure:  # fmt: skip
-    """Both axes side by side: epochs up to ``extent`` alert limits, zones coloured, counts and rates."""
+    """Both axes side by side: epochs, or what is ``counted``, up to ``extent`` alert limits; zones with their rates."""
     figure = new_figure(13.0, 4.9)
     figure.suptitle(title + risk_text(risk), fontsize=12, color=INK)
     for column, (axis, al) in enumerate(zip(AXES, (al_at_m, al_ct_m), strict=True)):
-        _panel(figure.add_subplot(1, 2, column + 1), record, axis, al, extent * al)
+        _panel(figure.add_subplot(1, 2, column + 1), record, axis, al, extent * al, counted)
     return figure
 
 
-def _panel(axes: Axes, record: Record, axis: Axis, al: float, top: float) -> None:
+def _panel(axes: Axes, record: Record, axis: Axis, al: float, top: float, counted: str) -> None:
     zones = count_zones(record, axis, al)
     _paint_zones(axes, zones, al, top)
     error, pl = record.error(axis).ravel(), record.pl(axis).ravel()
     _density(axes, np.minimum(error, top), np.minimum(pl, top), top)
     beyond = int(((error > top) | (pl > top)).sum())
-    note = f"{zones.total:,} epochs, darker where more" + (
+    note = f"{zones.total:,} {counted}, darker where more" + (
         f"; {beyond:,} beyond the scale at its edge" if beyond else ""
     )
     axes.set_title(f"{AXIS_NAMES[axis]}, alert limit {al:g} m\n{note}", fontsize=9, color=INK, loc="left")

@@ -2,11 +2,14 @@ import dataclasses
 import itertools
 import json
 import math
+import re
 
 import pytest
 
 from lanebound.agents.bench import rows
 from lanebound.agents.bench.rows import Row, alternate, median_ratio
+from lanebound.agents.bench.runner import select
+from lanebound.agents.cli.bench import bench
 from lanebound.integrity.errors import InputError
 
 
@@ -91,3 +94,8 @@ def test_the_ratio_is_the_median_of_the_rounds_not_the_ratio_of_medians():
     assert median_ratio({"fast": [1.0, 2.0, 9.0], "slow": [1.0, 4.0, 3.0]}, "fast", "slow") == 1.0
     with pytest.raises(ValueError, match="zip"):
         median_ratio(rates, "fast", "short")
+
+
+def test_the_example_of_the_help_names_a_benchmark() -> None:
+    (example,) = re.findall(r"Example: lanebound bench --only (\w+)", bench.__doc__ or "")
+    assert select([example]) == [example]
