@@ -32,7 +32,7 @@ def faults_figure(cells: Sequence[Mapping[str, Any]]) -> Figure:
                     axis.plot(range(len(sizes)), shares, line, color=colour, label=f"{SHOWN[name]}, {profile}")
         unit = f" [{UNITS[kind]}]" if UNITS.get(kind) else ""
         axis.set_title(kind.replace("_", " ") + unit, fontsize=9)
-        axis.set_xticks(range(len(sizes)), [f"{size:g}" for size in sizes])
+        axis.set_xticks(range(len(sizes)), [f"{size:g}" if size else "" for size in sizes])
         axis.set_ylim(-0.05, 1.05)
     for axis in axes[len(kinds) :]:
         axis.set_axis_off()
