@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lanebound.integrity.assessment.plotting import new_figure, tidy
+from lanebound.envs import make_config
+from lanebound.integrity.assessment.plotting import INK, new_figure, tidy
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,6 +31,10 @@ def curves_figure(trainings: Sequence[Mapping[str, Any]], arms: Sequence[str]) -
             axis = axes[row, column]
             for arm, colour in zip(arms, cycle(COLOURS), strict=False):
                 _draw(axis, [one["checkpoints"] for one in here if one["arm"] == arm], key, arm, colour)
+            if key == "cost":
+                limit = make_config(f"lanebound/{env}").cost_limit
+                line = axis.axhline(limit, color=INK, linestyle="--", linewidth=1.0, label=f"limit of {limit:g}")
+                axis.legend(handles=[line], loc="upper right", frameon=False, fontsize=8)
             title = f"{env.removesuffix('-v0')}, {sky}" if row == 0 else ""
             tidy(axis, title=title, ylabel=label if column == 0 else "", xlabel="thousand decisions" if row else "")
             axis.locator_params(axis="x", nbins=5)
