@@ -49,8 +49,8 @@ class EngineVecEnv(VecEnv):
     ) -> None:
         if env_id not in ENGINES:
             raise InputError(
-                f"env_id must have an engine, as {', '.join(ENGINES)} do, got {env_id!r}: {nearest(env_id, ENGINES)}, "
-                "or use DummyVecEnv or SubprocVecEnv"
+                f"env_id must have an engine, as {', '.join(ENGINES)} do, got {env_id!r}: choose one of these, or use "
+                "DummyVecEnv or SubprocVecEnv"
             )
         if isinstance(keys, str):
             raise InputError(f"keys must be a list of entries of info, got {keys!r}: pass [{keys!r}]")
