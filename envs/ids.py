@@ -417,7 +417,7 @@ class UrbanCanyon(Preset):
     Truncated after 120 s.
 
     ## Arguments
-    `config={"world": {...}}`: `vehicles_count` (10; fewer find a place), `spread` ([-200, 400] m), `lane_width` (3.25 m),
+    `config={"world": {...}}`: `vehicles_count` (10, places allowing), `spread` ([-200, 400] m), `lane_width` (3.25 m),
     `initial_speed` (10 m/s), `duration` (120 s).
 
     ## Version History
