@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -28,6 +28,7 @@ from lanebound.agents.benchmark.store import Store
 from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.benchmark.untuned import is_untuned
 from lanebound.agents.kept import replace_file
+from lanebound.integrity.errors import InputError
 
 __all__ = ["FILES", "Cell", "Estimate", "Paired", "Results"]
 
@@ -116,6 +117,10 @@ class Results:
     left_out: list[tuple[str, str, str]] = field(default_factory=list)
     folder: Path | None = None
 
+    def __post_init__(self) -> None:
+        """Refuse an episode that counts more than once: intervals would be too narrow."""
+        _require_once(self.outcomes)
+
     @classmethod
     def of(
         cls,
@@ -124,7 +129,15 @@ class Results:
         left_out: Sequence[tuple[str, str, str]] = (),
         folder: Path | None = None,
     ) -> Results:
-        """Results from the outcomes of a suite."""
+        """Results from the outcomes of a suite.
+
+        Raises
+        ------
+        InputError
+            Two outcomes are of the same agent and seed at the same place.
+        """
+        outcomes = list(outcomes)
+        _require_once(outcomes)
         found = {outcome.id: outcome for outcome in outcomes}
         unfit = {(env, agent) for env, agent, _ in left_out}
         tasks = [task for task in suite.tasks() if (task.place.env, task.agent) not in unfit]
@@ -140,7 +153,7 @@ class Results:
         Raises
         ------
         InputError
-            It is no folder of a benchmark.
+            It is no folder of a benchmark, or its suite names a place twice.
         """
         store = Store(Path(folder))
         suite = store.suite()
@@ -212,6 +225,13 @@ class Results:
         rows = [outcome.flat() for outcome in self.outcomes]
         names = list(dict.fromkeys(name for row in rows for name in row))
         pq.write_table(pa.table({name: [row.get(name) for row in rows] for name in names}), path)
+
+
+def _require_once(outcomes: Sequence[Outcome]) -> None:
+    counts = Counter(outcome.id for outcome in outcomes)
+    ident, count = counts.most_common(1)[0] if counts else ("", 1)
+    if count > 1:
+        raise InputError(f"outcomes must have a place, agent and seed of their own, got {count} of {ident}: keep one")
 
 
 Group = dict[tuple[Place, str], list[Outcome]]

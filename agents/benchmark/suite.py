@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import PurePath
 from typing import Any, Self
 
-from pydantic import field_validator, model_validator
+from pydantic import ValidationInfo, field_validator, model_validator
 
 from lanebound.agents.benchmark.outcome import Place, Task
 from lanebound.agents.benchmark.seeds import SPLITS, Split
@@ -91,11 +92,20 @@ class SuiteConfig(Config):
 
         return tuple(full_id(name).removeprefix("lanebound/") for name in names)
 
+    @field_validator("envs", "skies", "faults")
+    @classmethod
+    def _each_once(cls, given: tuple[str | FaultLevel, ...], info: ValidationInfo) -> tuple[str | FaultLevel, ...]:
+        """A cell that is named twice would count its seeds twice; two names of one file are one sky."""
+        names = [name.value if isinstance(name, FaultLevel) else str(PurePath(name)) for name in given]
+        _require_once(str(info.field_name), names, "name each once")
+        return given
+
     @field_validator("agents", mode="before")
     @classmethod
     def _agents_in_full(cls, given: Any) -> Any:
         if isinstance(given, list | tuple):
             entries = [item if isinstance(item, Mapping) else {item: item} for item in given]
+            _require_once("agents", [name for entry in entries for name in entry], "give each a name, {NAME: agent}")
             given = {name: agent for entry in entries for name, agent in entry.items()}
         if not isinstance(given, Mapping):
             example = given if isinstance(given, str) else "nominal"
@@ -144,6 +154,14 @@ class SuiteConfig(Config):
         chosen = self.agents[agent]
         needed = deep_merge(NEEDS.get(chosen.agent, {}), chosen.config)
         return deep_merge(deep_merge(self.overrides, {"sky": place.sky, "faults": place.faults}), needed)
+
+
+def _require_once(field: str, names: Sequence[str], remedy: str) -> None:
+    repeated = next((name for name in names if names.count(name) > 1), None)
+    if repeated is not None:
+        raise ConfigError(
+            f"{field} must differ from each other, got {repeated} {names.count(repeated)} times: {remedy}"
+        )
 
 
 def parse_agents(text: str) -> dict[str, str]:

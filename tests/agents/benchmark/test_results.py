@@ -199,6 +199,15 @@ def test_what_is_fresh_holds_no_earlier_episodes_and_keeps_what_is_not_of_a_benc
     assert sorted(path.name for path in tmp_path.iterdir()) == ["notes.txt", "suite.json"]
 
 
+def test_an_episode_counts_once():
+    """Seeds that count twice make intervals too narrow."""
+    results = made_up_results(seeds={"count": 2})
+    twice = [*results.outcomes, replace(results.outcomes[3], cost=1.0)]
+    for make in (lambda: Results.of(results.suite, twice), lambda: replace(results, outcomes=twice)):
+        with pytest.raises(InputError, match=f"seed of their own, got 2 of {twice[3].id}: keep one"):
+            make()
+
+
 def test_outcomes_hold_no_infinity_and_ignore_what_they_do_not_know():
     outcome = made_up_outcome(next(made_up_suite().tasks()), pl_at_median_m=float("inf"))
     assert outcome.to_dict()["pl_at_median_m"] is None

@@ -63,6 +63,17 @@ def test_an_environment_is_changed_by_suite_place_and_agent():
         ({"agents": {"a": {"agnet": "cruise"}}}, "agents.a.agent is required"),
         ({"episode_timeout_s": 0}, "episode_timeout_s must be > 0"),
         ({"reference": ["cruise", "cruise"]}, "reference must name an agent, or several once each"),
+        (
+            {"envs": ["LaneKeeping", "Merge", "lanekeeping-v0"]},
+            "^envs must differ .*, got LaneKeeping-v0 2 times: name",
+        ),
+        (
+            {"skies": ["dense", "dense", "dense"]},
+            "^skies must differ from each other, got dense 3 times: name each once",
+        ),
+        ({"skies": ["./a.csv", "a.csv"]}, "^skies must differ from each other, got a.csv 2 times"),
+        ({"faults": ["none", "none"]}, "^faults must differ from each other, got none 2 times"),
+        ({"agents": ["cruise", {"cruise": "idm"}]}, "^agents must differ from each other, got cruise 2 times: give"),
         ({"reference": []}, "reference must name an agent, or several once each"),
     ],
 )
