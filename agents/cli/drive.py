@@ -115,8 +115,10 @@ def _drive(
 
 def _claim(out: Path) -> None:
     from lanebound.agents.episodes.columns import describe_columns
+    from lanebound.agents.kept import require_own
     from lanebound.integrity.errors import InputError
 
+    require_own(out / COLUMNS)  # a benchmark keeps its results under the name of our log
     try:
         out.mkdir(parents=True, exist_ok=True)
         (out / COLUMNS).write_text(describe_columns(), encoding="utf-8")

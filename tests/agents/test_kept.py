@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 from work import squared
 
 from lanebound.agents import kept
 from lanebound.agents.benchmark.store import Store
 from lanebound.agents.benchmark.suite import SuiteConfig
+from lanebound.agents.cli import app
 from lanebound.agents.kept import MARKS, claim, code_digest, one_thread, parts_kept, run_parts, write_whole
 from lanebound.agents.learning.experiment import ExperimentConfig
 from lanebound.agents.learning.training import train
@@ -129,3 +131,23 @@ def test_kinds_of_work_share_no_folder(tmp_path: Path, mark: str) -> None:
         ):
             claims[other]()
     assert [path.name for path in tmp_path.iterdir()] == [mark]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["drive", "LaneKeeping"],
+        ["replay", "data"],
+        ["rtk", "--rover", "rover.obs", "--base", "base.obs", "--nav", "base.nav"],
+    ],
+)
+def test_what_writes_in_one_go_takes_no_folder_of_long_work(tmp_path: Path, arguments: list[str]) -> None:
+    """A log of a drive goes by the name of a benchmark's results."""
+    (tmp_path / "suite.json").write_text(json.dumps({"suite": {}}), encoding="utf-8")
+    (tmp_path / "episodes.parquet").write_text("results", encoding="utf-8")
+    told = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path)])
+    assert told.exit_code == 2
+    assert told.stderr.startswith("error: out must be empty or hold work of its own kind, got ")
+    assert told.stderr.endswith("with a benchmark: choose a new folder\n")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["episodes.parquet", "suite.json"]
+    assert (tmp_path / "episodes.parquet").read_text(encoding="utf-8") == "results"
