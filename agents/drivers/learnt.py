@@ -118,11 +118,28 @@ def _fitting(file: Traversable, name: str, where: str, env: DrivingEnv) -> Learn
             f"{name} was learnt{where} with an observation of its own ({len(learnt['columns'])} entries, no history), "
             f"got another ({', '.join(other) or 'history'} differ): leave 'observation' as it was there"
         )
-    if (spaces.flatdim(env.action_space),) != layers[-1][1].shape:
+    outputs = layers[-1][1].size
+    if spaces.flatdim(env.action_space) != outputs:
+        remedy = "leave 'action' as it was there" if where else "drive an id that has it, or learn a policy here"
         raise InputError(
-            f"{name} was learnt{where} with actions of its own, got {env.action_space}: leave 'action' as it is"
+            f"{name} was learnt{where} with actions {_space(outputs)}, got an environment that takes "
+            f"{_taken(env.action_space)}: {remedy} (see 'lanebound envs')"
         )
     return LearntDriver(layers, isinstance(env.action_space, spaces.Discrete))
+
+
+def _space(outputs: int) -> str:
+    """The actions that a policy of so many outputs was learnt with: steering and acceleration, or one of meta-actions.
+
+    >>> _space(2), _space(5)
+    ('Box(2,)', 'Discrete(5)')
+    """
+    return f"Box({outputs},)" if outputs <= 2 else f"Discrete({outputs})"
+
+
+def _taken(space: spaces.Space[Any]) -> str:
+    """A space of actions as ``lanebound envs`` shows it."""
+    return f"Box{space.shape}" if isinstance(space, spaces.Box) else str(space)
 
 
 def _read(file: Traversable, name: str) -> tuple[dict[str, NDArray[Any]], list[tuple[Array, Array]]]:

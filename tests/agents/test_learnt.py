@@ -62,8 +62,22 @@ def test_the_largest_value_is_the_discrete_action() -> None:
 
 def test_other_actions_than_it_learnt_with_are_refused() -> None:
     base = "LaneKeepingWorld"
-    with pytest.raises(InputError, match="leave 'action' as it is"):
+    differing = r"with actions Box\(2,\), got an environment that takes Discrete\(5\): "
+    with pytest.raises(InputError, match=f"'ppo' was learnt in {base} {differing}leave 'action' as it was there"):
         make_agent("ppo", open_env(_id_of(base), {"action": "meta"}))
+
+
+def test_a_file_of_other_actions_says_which_and_where_it_can_drive(tmp_path: Path) -> None:
+    steered, meta = r"Box\(2,\)", r"Discrete\(5\)"
+    for world, name, learnt, taken in (
+        ("LaneKeepingWorld", "Merge", steered, meta),
+        ("merge-v1", "LaneKeeping", meta, steered),
+    ):
+        path = tmp_path / "mine.npz"
+        path.write_bytes(policies()[world].read_bytes())
+        told = f"learnt with actions {learnt}, got an environment that takes {taken}: drive an id that has it, or learn"
+        with pytest.raises(InputError, match=told):
+            make_agent(str(path), open_env(name))
 
 
 def test_a_file_of_arrays_drives_as_what_came_along(tmp_path: Path) -> None:
