@@ -10,7 +10,7 @@ from lanebound.agents.benchmark.episode import Clock, allotted_s, run_episode
 from lanebound.agents.benchmark.outcome import Outcome, Status, Task
 from lanebound.agents.benchmark.store import Store
 from lanebound.agents.benchmark.suite import SuiteConfig
-from lanebound.agents.drivers import AGENTS, make_agent, unknown_agent
+from lanebound.agents.drivers import AGENTS, load_figures, make_agent, unknown_agent
 from lanebound.agents.drivers.foreign import is_foreign, require_foreign
 from lanebound.agents.episodes import open_env
 from lanebound.agents.episodes.film import Film
@@ -122,13 +122,14 @@ def unfit(suite: SuiteConfig) -> list[tuple[str, str, str]]:
     Raises
     ------
     InputError
-        An agent does not exist, or an environment refuses its configuration.
+        An agent or whom it filters does not exist, its figures are refused, or an environment refuses its
+        configuration.
     """
-    for chosen in suite.agents.values():
-        if is_foreign(chosen.agent):
-            require_foreign(chosen.agent)
-        elif chosen.agent not in AGENTS:
-            raise unknown_agent(chosen.agent)
+    for name, chosen in suite.agents.items():
+        _require_agent(chosen.agent)
+        figures = load_figures(chosen.agent, chosen.figures, f"agents.{name}.figures")
+        if (over := getattr(figures, "over", None)) is not None:
+            _require_agent(over)
     for place in suite.places:
         open_env(place.env, suite.env_overrides(place, next(iter(suite.agents))))
     found = []
@@ -141,6 +142,13 @@ def unfit(suite: SuiteConfig) -> list[tuple[str, str, str]]:
             except InputError as error:
                 found.append((place.env, name, str(error)))
     return found
+
+
+def _require_agent(agent: str) -> None:
+    if is_foreign(agent):
+        require_foreign(agent)
+    elif agent not in AGENTS:
+        raise unknown_agent(agent)
 
 
 def expected_s(suite: SuiteConfig, envs: Sequence[str]) -> dict[str, float]:

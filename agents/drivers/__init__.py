@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from lanebound.integrity.config import Config
     from lanebound.integrity.errors import InputError
 
-__all__ = ["ABOUT", "AGENTS", "REMEMBERING", "About", "make_agent", "unknown_agent"]
+__all__ = ["ABOUT", "AGENTS", "REMEMBERING", "About", "load_figures", "make_agent", "unknown_agent"]
 
 AGENTS = {
     "cautious": "lanebound.agents.drivers.margins:make_cautious",
@@ -88,21 +88,45 @@ def make_agent(name: str, env: DrivingEnv, figures: Mapping[str, Any] | None = N
     InputError
         No agent has that name, it has no such figures, or the environment does not show what it needs.
     """
-    if name in AGENTS:
-        module, _, maker = AGENTS[name].partition(":")
-        make = getattr(import_module(module), maker)
-        _require_actions(name, env)
-        driver: Driver = make(env, config=_config_class(name, make).load(dict(figures))) if figures else make(env)
-        return driver
     from lanebound.agents.drivers.foreign import is_foreign, open_foreign
 
-    if not is_foreign(name):
+    if name not in AGENTS and not is_foreign(name):
         raise unknown_agent(name)
-    if figures:
-        from lanebound.integrity.errors import InputError
+    config = load_figures(name, figures)
+    if name not in AGENTS:
+        return open_foreign(name, env)
+    _require_actions(name, env)
+    make = _maker(name)
+    driver: Driver = make(env) if config is None else make(env, config=config)
+    return driver
 
-        raise InputError(f"figures must be empty for '{name}', got {sorted(figures)}: only agents of ours have figures")
-    return open_foreign(name, env)
+
+def load_figures(name: str, figures: Mapping[str, Any] | None, path: str = "") -> Config | None:
+    """The configuration of an agent that its figures change; None where there are no figures.
+
+    Whether it can drive an environment is another matter: figures are right or wrong anywhere.
+
+    Parameters
+    ----------
+    path : goes in front of every key in messages
+
+    Raises
+    ------
+    InputError
+        It has no such figures, or a value is refused.
+    """
+    if not figures:
+        return None
+    if name in AGENTS:
+        return _config_class(name, _maker(name)).load(dict(figures), path)
+    from lanebound.integrity.errors import InputError
+
+    raise InputError(f"figures must be empty for '{name}', got {sorted(figures)}: only agents of ours have figures")
+
+
+def _maker(name: str) -> Any:
+    module, _, maker = AGENTS[name].partition(":")
+    return getattr(import_module(module), maker)
 
 
 def unknown_agent(name: str) -> InputError:

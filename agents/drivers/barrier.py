@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
+from pydantic import field_validator
 
 from lanebound.agents.drivers.base import Driver, Observation, Reader
 from lanebound.agents.drivers.lateral import errors
@@ -35,7 +36,7 @@ from lanebound.agents.drivers.plans import EGO_LENGTH_M
 from lanebound.agents.drivers.shares import share_of, value_of
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.config import Config, Field
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.errors import ConfigError, InputError
 
 __all__ = ["BarrierConfig", "BarrierFilter", "CbfConfig", "make_cbf"]
 
@@ -84,6 +85,13 @@ class CbfConfig(BarrierConfig):
     """The filter, and whom it filters."""
 
     over: str = Field("nominal", min_length=1, description="agent whose commands are filtered, any but cbf itself")
+
+    @field_validator("over")
+    @classmethod
+    def _is_another(cls, over: str) -> str:
+        if over == "cbf":
+            raise ConfigError("over must be another agent than cbf, got cbf: choose nominal or integrity_aware, say")
+        return over
 
 
 class BarrierFilter:
@@ -374,11 +382,9 @@ def make_cbf(env: DrivingEnv, config: CbfConfig | None = None) -> BarrierFilter:
     Raises
     ------
     InputError
-        It is to filter itself, or one of the two cannot drive this environment.
+        One of the two cannot drive this environment.
     """
     from lanebound.agents.drivers import make_agent  # which makes this one
 
     chosen = config or CbfConfig()
-    if chosen.over == "cbf":
-        raise InputError("over must be another agent than cbf, got cbf: choose nominal or integrity_aware, say")
     return BarrierFilter(env, make_agent(chosen.over, env), chosen)

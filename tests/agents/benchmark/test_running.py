@@ -211,3 +211,23 @@ def test_agents_that_cannot_drive_an_environment_are_left_out(tmp_path):
         Plan.of(SuiteConfig.load({**SUITE, "agents": ["nominl"]}), tmp_path)
     with pytest.raises(InputError, match=r"agent must be a file that exists, got no\.zip"):
         Plan.of(SuiteConfig.load({**SUITE, "agents": {"mine": "no.zip"}}), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("agent", "message"),
+    [
+        ({"agent": "cbf", "figures": {"ovr": "integrity_aware"}}, r"agents\.mine\.figures\.ovr is not .* 'over'\?"),
+        ({"agent": "cautious", "figures": {"speed_share": -1}}, r"agents\.mine\.figures\.speed_share must "),
+        ({"agent": "cbf", "figures": {"over": "nominl"}}, "agent 'nominl' is unknown: did you mean 'nominal'?"),
+        ({"agent": "cbf", "figures": {"over": "cbf"}}, "over must be another agent than cbf"),
+        ({"agent": "random", "figures": {"x": 1}}, "figures must be empty for 'random'"),
+        ({"agent": "bad_agents:draws", "figures": {"x": 1}}, "only agents of ours have figures"),
+    ],
+)
+def test_figures_that_are_wrong_anywhere_are_refused_and_not_left_out(tmp_path, agent, message):
+    suite = SuiteConfig.load(
+        {**SUITE, "envs": ["Merge", "LaneKeeping"], "agents": {"nominal": "nominal", "mine": agent}}
+    )
+    with pytest.raises(InputError, match=message):
+        Plan.of(suite, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
