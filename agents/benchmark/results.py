@@ -153,7 +153,7 @@ class Results:
         Raises
         ------
         InputError
-            It is no folder of a benchmark, or its suite names a place twice.
+            It is no folder of a benchmark, or its suite is damaged or refused.
         """
         store = Store(Path(folder))
         suite = store.suite()

@@ -112,14 +112,23 @@ class Store:
         Raises
         ------
         InputError
-            It is no folder of a benchmark.
+            It is no folder of a benchmark, or what says of which one is damaged or refused.
         """
-        found = self._read_mark()
-        if "suite" not in found:
-            raise InputError(
-                f"DIR must be a folder that 'lanebound benchmark' wrote, got {self.folder} without its {SUITE}"
+        mark = self.folder / SUITE
+        if not mark.exists():
+            found = (
+                f"{self.folder} without its {SUITE}" if self.folder.exists() else f"{self.folder}, which is not there"
             )
-        return SuiteConfig.load(found["suite"])
+            raise InputError(
+                f"DIR must be a folder that 'lanebound benchmark' wrote, got {found}: name what was its --out"
+            )
+        try:
+            return SuiteConfig.load(json.loads(mark.read_text(encoding="utf-8"))["suite"])
+        except (OSError, ValueError, LookupError, TypeError) as error:  # refusals of a suite among them
+            raise InputError(
+                f"{mark} must be as 'lanebound benchmark' wrote it, got {_reason(error)}: restore the file, or drive "
+                f"anew by 'lanebound benchmark SUITE --out {self.folder} --fresh'"
+            ) from None
 
     def same_version(self) -> bool:
         """Whether its episodes were driven by the code and the packages that are here now."""
@@ -179,6 +188,14 @@ class Store:
 def _write_text(path: Path, text: str) -> None:
     with replace_file(path) as draft:
         draft.write_text(text, encoding="utf-8")
+
+
+def _reason(error: Exception) -> str:
+    """What is wrong with a mark, in a line."""
+    if isinstance(error, LookupError | TypeError):
+        return "JSON without a suite"
+    damaged = isinstance(error, OSError | UnicodeDecodeError | json.JSONDecodeError)
+    return f"{'damaged data' if damaged else 'a suite that is refused'} ({'; '.join(str(error).splitlines())})"
 
 
 def _differing(old: Any, new: Mapping[str, Any]) -> str:

@@ -191,6 +191,29 @@ def test_a_folder_with_a_damaged_mark_is_not_overwritten(tmp_path):
     assert store.same_version()
 
 
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ('{"suite": {', r"damaged data \(Expecting .*\)"),
+        ("[]", "JSON without a suite"),
+        ('{"version": "0"}', "JSON without a suite"),
+        ('{"suite": {"envs": []}}', r"a suite that is refused \(envs must .*; agents is required, .*\)"),
+    ],
+)
+def test_a_mark_that_says_no_suite_is_named_with_what_is_wrong(tmp_path, text, reason):
+    mark = tmp_path / "suite.json"
+    mark.write_text(text, encoding="utf-8")
+    for read in (Store(tmp_path).suite, lambda: Results.load(tmp_path)):
+        with pytest.raises(InputError, match=f"^{mark} must be as .* wrote it, got {reason}: restore .* --fresh'$"):
+            read()
+
+
+@pytest.mark.parametrize(("folder", "found"), [("", "without its suite.json"), ("none", "none, which is not there")])
+def test_a_folder_that_is_of_no_benchmark_is_told_from_one_that_is_not_there(tmp_path, folder, found):
+    with pytest.raises(InputError, match=f"^DIR must be a folder that .*{found}: name what was its --out$"):
+        Store(tmp_path / folder).suite()
+
+
 def test_what_is_fresh_holds_no_earlier_episodes_and_keeps_what_is_not_of_a_benchmark(tmp_path):
     made_up_folder(tmp_path, seeds={"count": 1})
     (tmp_path / "notes.txt").touch()
