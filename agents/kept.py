@@ -14,7 +14,7 @@ import hashlib
 import json
 import os
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from functools import cache
@@ -42,6 +42,7 @@ MARKS = {
     "suite.json": ("suite", "a benchmark"),
 }
 """Files by which folders of work are known: a key that they hold, and what they are of."""
+SHOWN = 3  # values that a refusal names
 THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -71,10 +72,8 @@ def claim(out: Path, study: str, config: Config, packages: Sequence[str]) -> Non
             f"out must be a folder that can be written, got {out} ({error}): choose another one"
         ) from error
     if found != digest:
-        raise InputError(
-            f"out must be empty or hold the same study, got {out} of another configuration or version: "
-            "choose a new folder"
-        )
+        what = _differing(mark, study, config)
+        raise InputError(f"out must be empty or hold the same study, got {out} {what}: choose a new folder")
 
 
 def require_own(mark: Path) -> None:
@@ -90,6 +89,35 @@ def require_own(mark: Path) -> None:
             raise InputError(
                 f"out must be empty or hold work of its own kind, got {mark.parent} with {kind}: choose a new folder"
             )
+
+
+def _differing(mark: Path, study: str, config: Config) -> str:
+    """What of a folder's mark is not as it would be now."""
+    before, kind = _value_in(mark, "config"), _value_in(mark, "study")
+    if not isinstance(before, Mapping) or kind is None:
+        return f"with a {mark.name} that is none of ours"
+    if kind != study:
+        return f"with the study '{kind}'"
+    then, now = dict(_leaves(before)), dict(_leaves(config.to_dict()))
+    changed = sorted(key for key in then | now if then.get(key) != now.get(key))
+    if not changed:
+        return "of another version of the code"
+    shown = ", ".join(f"{key} ({_short(then, key)} there, now {_short(now, key)})" for key in changed[:SHOWN])
+    return f"which differs in {shown}{f' and {len(changed) - SHOWN} more' if len(changed) > SHOWN else ''}"
+
+
+def _short(values: Mapping[str, Any], key: str) -> str:
+    text = str(values.get(key, "nothing"))
+    return text if len(text) <= 40 else f"{text[:37]}..."
+
+
+def _leaves(tree: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
+    """Values of nested mappings by their dotted paths."""
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{path}{key}.")
+        else:
+            yield f"{path}{key}", value
 
 
 def _value_in(mark: Path, key: str) -> Any:

@@ -29,6 +29,7 @@ class Small(Config):
     """Something to be studied."""
 
     size: int = Field(1, ge=1, description="of it")
+    parts: dict[str, float] = Field({}, description="of its parts")
 
 
 def test_a_run_that_breaks_goes_on_with_what_is_missing(tmp_path: Path) -> None:
@@ -74,18 +75,30 @@ def test_the_environment_is_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "MKL_NUM_THREADS" not in os.environ
 
 
-@pytest.mark.parametrize(("study", "config"), [("other", Small()), ("same", Small(size=2))])
-def test_other_work_in_the_same_folder_is_refused(tmp_path: Path, study: str, config: Config) -> None:
+@pytest.mark.parametrize(
+    ("study", "config", "found"),
+    [
+        ("other", Small(size=2), "with the study 'same'"),
+        ("same", Small(size=2), r"which differs in size \(1 there, now 2\)"),
+        ("same", Small(parts={"a": 0.5}), r"which differs in parts\.a \(nothing there, now 0\.5\)"),
+        (
+            "same",
+            Small(parts=dict.fromkeys("abcde", 0.5)),
+            r"which differs in parts\.a .*, parts\.b .*, parts\.c .* and 2 more",
+        ),
+    ],
+)
+def test_other_work_in_the_same_folder_is_refused(tmp_path: Path, study: str, config: Config, found: str) -> None:
     claim(tmp_path, "same", Small(), PACKAGES)
     claim(tmp_path, "same", Small(), PACKAGES)
-    with pytest.raises(InputError, match="hold the same study"):
+    with pytest.raises(InputError, match=f"hold the same study, got {tmp_path} {found}: choose a new folder$"):
         claim(tmp_path, study, config, PACKAGES)
 
 
 def test_work_of_other_code_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     claim(tmp_path, "same", Small(), PACKAGES)
     monkeypatch.setattr(kept, "code_digest", lambda *packages: "other")
-    with pytest.raises(InputError, match="hold the same study"):
+    with pytest.raises(InputError, match=r"hold the same study, got .* of another version of the code: choose"):
         claim(tmp_path, "same", Small(), PACKAGES)
 
 
@@ -96,7 +109,7 @@ def test_the_code_of_every_package_counts() -> None:
 @pytest.mark.parametrize("mark", ["", "[]", '{"digest": 3}'])
 def test_a_mark_that_is_none_of_ours_is_refused(tmp_path: Path, mark: str) -> None:
     (tmp_path / "config.json").write_text(mark)
-    with pytest.raises(InputError, match="out must be empty or hold the same study"):
+    with pytest.raises(InputError, match=r"hold the same study, got .* with a config\.json that is none of ours"):
         claim(tmp_path, "same", Small(), PACKAGES)
     assert (tmp_path / "config.json").read_text() == mark
 
