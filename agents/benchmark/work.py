@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from lanebound.agents.benchmark.episode import Clock, allotted_s, run_episode
-from lanebound.agents.benchmark.outcome import Outcome, Status, Task
+from lanebound.agents.benchmark.outcome import Outcome, Place, Status, Task
 from lanebound.agents.benchmark.store import Store
 from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.drivers import AGENTS, load_figures, make_agent, unknown_agent
 from lanebound.agents.drivers.foreign import is_foreign, require_foreign
 from lanebound.agents.episodes import open_env
 from lanebound.agents.episodes.film import Film
+from lanebound.agents.episodes.opening import naming
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.errors import InputError
 
@@ -131,11 +132,11 @@ def unfit(suite: SuiteConfig) -> list[tuple[str, str, str]]:
         if (over := getattr(figures, "over", None)) is not None:
             _require_agent(over)
     for place in suite.places:
-        open_env(place.env, suite.env_overrides(place, next(iter(suite.agents))))
+        _opened(suite, place, next(iter(suite.agents)))
     found = []
     for place in {place.env: place for place in suite.places}.values():
         for name, chosen in suite.agents.items():
-            env = open_env(place.env, suite.env_overrides(place, name))
+            env = _opened(suite, place, name)
             try:
                 if not is_foreign(chosen.agent):
                     make_agent(chosen.agent, env, chosen.figures)
@@ -149,6 +150,12 @@ def _require_agent(agent: str) -> None:
         require_foreign(agent)
     elif agent not in AGENTS:
         raise unknown_agent(agent)
+
+
+def _opened(suite: SuiteConfig, place: Place, agent: str) -> DrivingEnv:
+    """The environment of an agent; what it refuses is named by its place in the suite."""
+    with naming({f"agents.{agent}.config": suite.agents[agent].config, "overrides": suite.overrides}):
+        return open_env(place.env, suite.env_overrides(place, agent))
 
 
 def expected_s(suite: SuiteConfig, envs: Sequence[str]) -> dict[str, float]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any, cast
 
 import gymnasium
@@ -12,7 +13,7 @@ from lanebound.envs.navigation import NavigationConfig
 from lanebound.integrity.errors import ConfigError, InputError
 from lanebound.integrity.presets import nearest
 
-__all__ = ["full_id", "open_env"]
+__all__ = ["full_id", "naming", "open_env"]
 
 
 def full_id(name: str) -> str:
@@ -57,6 +58,43 @@ def open_env(name: str, overrides: Mapping[str, Any] | None = None, render_mode:
     except ConfigError as error:
         raise ConfigError(_in_full(str(error), (overrides or {}).get("navigator", {}))) from None
     return cast(DrivingEnv, made.unwrapped)
+
+
+@contextmanager
+def naming(sources: Mapping[str, Mapping[str, Any]]) -> Iterator[None]:
+    """Within it, what an environment refuses is named by the whole path at which the user wrote it.
+
+    Parameters
+    ----------
+    sources : by their paths, what was merged into the environment's configuration; the first that has a key is named
+
+    >>> with naming({"overrides": {"duraton_s": 5}}):
+    ...     raise ConfigError("duraton_s is not a known key: did you mean 'duration_s'?")
+    Traceback (most recent call last):
+    lanebound.integrity.errors.ConfigError: overrides.duraton_s is not a known key: did you mean 'duration_s'?
+    """
+    try:
+        yield
+    except ConfigError as error:
+        lines = [_from_source(line, sources) for line in str(error).splitlines()]
+        raise ConfigError("\n".join(lines)) from None
+
+
+def _from_source(line: str, sources: Mapping[str, Mapping[str, Any]]) -> str:
+    path = line.split()[0].rstrip(":").split(".") if line.split() else []
+    source = next((name for name, given in sources.items() if _has(given, path)), "")
+    return f"{source}.{line}" if source else line
+
+
+def _has(given: Any, path: Sequence[str]) -> bool:
+    """Whether nested mappings hold a path, or something else stands on its way."""
+    for place, key in enumerate(path):
+        if not isinstance(given, Mapping):
+            return place > 0
+        if key not in given:
+            return False
+        given = given[key]
+    return bool(path)
 
 
 def _in_full(message: str, given: Mapping[str, Any]) -> str:

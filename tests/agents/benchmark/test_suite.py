@@ -2,15 +2,36 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from lanebound.agents.benchmark.seeds import TEST, TRAIN
 from lanebound.agents.benchmark.suite import SeedsConfig, SuiteConfig, load_suite, parse_agents
+from lanebound.agents.benchmark.work import unfit
 from lanebound.agents.drivers import AGENTS
 from lanebound.envs import IDS
 from lanebound.integrity.errors import ConfigError, InputError
 
 SMALL = {"envs": ["lanekeeping", "Merge-v0"], "skies": ["urban", "open"], "agents": ["cruise", "oracle"]}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"overrides": {"duraton_s": 5}}, r"^overrides\.duraton_s is not a known key: did you mean 'duration_s'"),
+        ({"overrides": {"observation": {"histry": 2}}}, r"^overrides\.observation\.histry is not a known key"),
+        ({"overrides": {"navigator": {"rate_hz": 2}}}, r"^overrides\.navigator\.rate_hz is not a known key"),
+        (
+            {"agents": {"mine": {"agent": "cruise", "config": {"observation": {"histry": 2}}}}, "reference": "mine"},
+            r"^agents\.mine\.config\.observation\.histry is not a known key",
+        ),
+        ({"skies": ["urbane"]}, "^sky must be"),
+    ],
+)
+def test_what_an_environment_refuses_is_named_as_it_was_written(changes: dict[str, Any], message: str):
+    with pytest.raises(ConfigError, match=message):
+        unfit(SuiteConfig.load({**SMALL, "reference": "cruise", **changes}))
 
 
 def test_seeds_of_training_and_test_share_none():
