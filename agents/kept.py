@@ -22,17 +22,19 @@ from importlib import resources
 from multiprocessing import get_context
 from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import Any, TypeVar
 
 from lanebound.agents.plain import finite_or_none
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import InputError
 
 __all__ = [
-    "MARKS", "STARTING", "Progress", "claim", "code_digest", "one_thread", "parts_kept", "replace_file", "require_own",
-    "run_parts", "write_whole",
+    "MARKS", "STARTING", "Progress", "claim", "code_digest", "one_thread", "parts_kept", "read_kept", "replace_file",
+    "require_own", "run_parts", "write_whole",
 ]  # fmt: skip
 
+T = TypeVar("T")
+JSON_NAMES: dict[type, str] = {dict: "object", list: "array"}
 Progress = Callable[[int, int], None]
 STARTING = Lock()
 """Held while a process is started: who ends this one at once waits for it, so that none is left half begun."""
@@ -126,6 +128,25 @@ def _value_in(mark: Path, key: str) -> Any:
         return json.loads(mark.read_text(encoding="utf-8")).get(key)
     except (OSError, ValueError, AttributeError):
         return None
+
+
+def read_kept(path: Path, kind: type[T]) -> T:
+    """What a file that was written whole holds, of the ``kind`` that was written.
+
+    Raises
+    ------
+    InputError
+        It was damaged since; OSError where it cannot be read.
+    """
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise InputError(f"{path} is not JSON ({error}): restore it or choose a new folder") from None
+    if not isinstance(found, kind):
+        raise InputError(
+            f"{path} must hold a JSON {JSON_NAMES[kind]}, got {type(found).__name__}: restore it or choose a new folder"
+        )
+    return found
 
 
 @cache

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import closing
@@ -17,6 +16,7 @@ from lanebound.agents.benchmark.episode import allotted_s
 from lanebound.agents.benchmark.metrics import HARM_OF_AN_END
 from lanebound.agents.benchmark.seeds import SPLITS
 from lanebound.agents.benchmark.suite import SuiteConfig, parse_agents
+from lanebound.agents.kept import read_kept
 from lanebound.agents.learning.experiment import FLAT, ExperimentConfig, Shield
 from lanebound.agents.learning.opening import for_judging
 from lanebound.envs.tally import EPISODE_KEY
@@ -106,12 +106,12 @@ def trained(folder: Path) -> tuple[ExperimentConfig, Path]:
     Raises
     ------
     InputError
-        ``folder`` is none of a training, or has no checkpoint yet.
+        ``folder`` is none of a training, has no checkpoint yet, or is damaged.
     """
     mark, best = folder / "experiment.json", folder / "best.zip"
     if not (mark.is_file() and best.is_file()):
         raise InputError(f"folder must be one of a training with best.zip, got {folder}: train first")
-    return ExperimentConfig.load(json.loads(mark.read_text(encoding="utf-8"))), best
+    return ExperimentConfig.load(read_kept(mark, dict)), best
 
 
 def learnt_agent(experiment: ExperimentConfig, checkpoint: Path) -> dict[str, Any]:
