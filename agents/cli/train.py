@@ -57,6 +57,13 @@ def train(
                     lambda decisions: bar.update(before, completed=decisions, visible=True),
                 )
             )  # fmt: skip
+            idle = bar.tasks[0].completed == 0
+            if idle:
+                bar.update(task, completed=experiment.steps)
+    if idle:
+        typer.echo(
+            f"all {experiment.steps} decisions are done already (so far {rows[-1]['steps']}): raise steps to go on"
+        )
     typer.echo(f"{counted(len(rows), 'checkpoint')}; the best is {out / 'best.zip'}, described in {out / 'best.md'}")
     typer.echo(f"What to try next\n  lanebound evaluate {out} --out {out}-evaluation")
 
