@@ -7,11 +7,12 @@ from contextlib import closing
 from enum import StrEnum
 from typing import Any, Self
 
-from pydantic import field_validator, model_validator
+from pydantic import ValidationInfo, field_validator, model_validator
 
 from lanebound.agents.drivers import AGENTS, REMEMBERING, unknown_agent
-from lanebound.agents.episodes.opening import full_id, open_env
+from lanebound.agents.episodes.opening import full_id, naming, open_env
 from lanebound.agents.learning.multiplier import MultiplierConfig
+from lanebound.agents.learning.settings import require_settings
 from lanebound.agents.named import load_named
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.config import Config, Field, deep_merge
@@ -55,6 +56,12 @@ class ImitationConfig(Config):
     epochs: int = Field(20, ge=1, le=1000, description="after each round, over all that was said so far")
     batch_size: int = Field(256, ge=1, description="decisions that a step of the fit takes")
     learning_rate: float = Field(1e-3, gt=0, le=1, description="of the fit, by Adam")
+
+    @field_validator("observation")
+    @classmethod
+    def _is_flat(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
+        _require_flat("imitation.observation", given)
+        return given
 
     @field_validator("driver")
     @classmethod
@@ -110,6 +117,29 @@ class ExperimentConfig(Config):
     def _env_exists(cls, name: str) -> str:
         return full_id(name).removeprefix("lanebound/")
 
+    @field_validator("overrides")
+    @classmethod
+    def _is_flat(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
+        _require_flat("overrides.observation", given.get("observation"))
+        return given
+
+    @field_validator("settings")
+    @classmethod
+    def _settings_lie_in_bounds(cls, given: Mapping[str, Any], info: ValidationInfo) -> Mapping[str, Any]:
+        if "algorithm" in info.data:
+            require_settings(info.data["algorithm"], given)
+        return given
+
+    @field_validator("count")
+    @classmethod
+    def _has_a_spread(cls, count: int, info: ValidationInfo) -> int:
+        algorithm, steps = info.data.get("algorithm"), info.data.get("settings", {}).get("n_steps")
+        if algorithm is not None and not algorithm.off_policy and count == steps == 1:
+            raise ConfigError(
+                "count times settings.n_steps must be > 1, got 1: advantages of one decision have no spread, raise one"
+            )
+        return count
+
     @model_validator(mode="after")
     def _can_imitate(self) -> Self:
         if self.imitation is not None and self.algorithm not in (Algorithm.PPO, Algorithm.PPO_LAGRANGIAN):
@@ -132,7 +162,8 @@ class ExperimentConfig(Config):
 
     def open(self) -> DrivingEnv:
         """The environment, without the shield."""
-        return open_env(self.env, self.env_overrides)
+        with naming({"overrides": self.overrides}):
+            return open_env(self.env, self.env_overrides)
 
     def limit(self) -> float:
         """What an episode may cost: the limit that is named, or the environment's own."""
@@ -140,6 +171,13 @@ class ExperimentConfig(Config):
             return self.cost_limit
         with closing(self.open()) as env:
             return env.config.cost_limit
+
+
+def _require_flat(path: str, observation: Any) -> None:
+    """Raise ConfigError for observations in another form than policies are learnt from."""
+    form = observation.get("form", "flat") if isinstance(observation, Mapping) else "flat"
+    if form != "flat":
+        raise ConfigError(f"{path}.form must be flat where policies are learnt, got {form!r}: leave it out")
 
 
 def load_experiment(name: str, overrides: Mapping[str, Any] | None = None) -> ExperimentConfig:

@@ -68,16 +68,16 @@ def teacher_of(experiment: ExperimentConfig) -> Teacher | None:
     """
     if experiment.imitation is None:
         return None
+    with closing(experiment.open()) as single:
+        ours = single.config.observation
     shown = experiment.as_driver_sees()
     try:
         single = shown.open()
-    except ConfigError as error:
-        raise ConfigError(f"imitation.{error}" if shown is not experiment else str(error)) from None
+    except ConfigError as error:  # of what is shown otherwise, since the experiment's own could be opened
+        raise ConfigError(str(error).replace("overrides.observation", "imitation.observation")) from None
     with closing(single):
         driver, theirs = make_agent(experiment.imitation.driver, single), single.config.observation
-    with closing(experiment.open()) as single:
-        places = _places(single.config.observation, theirs)
-    return Teacher(driver, experiment.imitation, shown, places)
+    return Teacher(driver, experiment.imitation, shown, _places(ours, theirs))
 
 
 def _places(ours: ObservationConfig, theirs: ObservationConfig) -> Places:

@@ -13,13 +13,10 @@
 
 from __future__ import annotations
 
-import inspect
-import json
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import dataclass
-from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -29,7 +26,8 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from lanebound.agents.kept import replace_file, require_own, write_whole
+from lanebound.agents.kept import read_kept, replace_file, require_own, write_whole
+from lanebound.agents.learning.algorithms import class_of, make_model, require_known
 from lanebound.agents.learning.card import write_card
 from lanebound.agents.learning.evaluation import evaluate
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig
@@ -40,18 +38,12 @@ from lanebound.envs.costs import CAUSES
 from lanebound.envs.tally import EPISODE_KEY
 from lanebound.integrity.accel import serial
 from lanebound.integrity.errors import InputError
-from lanebound.integrity.presets import nearest
 
 __all__ = ["Checkpoint", "is_best", "load_model", "one_thread", "train"]
 
-CLASSES = {
-    Algorithm.PPO: "stable_baselines3:PPO",
-    Algorithm.SAC: "stable_baselines3:SAC",
-    Algorithm.RECURRENT_PPO: "sb3_contrib:RecurrentPPO",
-    Algorithm.PPO_LAGRANGIAN: "lanebound.agents.learning.ppo_lagrangian:PPOLagrangian",
-    Algorithm.SAC_LAGRANGIAN: "lanebound.agents.learning.sac_lagrangian:SACLagrangian",
-}
 LAST, REPLAY, IMITATION = "last.zip", "last-replay.pkl", "imitation.pt"
+NOT_FINITE = ("Expected parameter", "without overflow")
+"""What torch says of distributions whose parameters are none, as NaN, and of steps that no float holds."""
 INTEGRITY = ("availability", "alert_share", "alerts", "mi_steps", "hmi_steps", "pl_at_mean_m", "pl_ct_mean_m")
 
 
@@ -91,16 +83,18 @@ def train(
     Raises
     ------
     InputError
-        ``out`` holds another experiment, or the environment does not suit the algorithm.
+        ``out`` holds another experiment or damaged files, the environment does not suit the algorithm, or learning
+        diverged.
     """
-    _require_known(experiment)
+    require_known(experiment)
     teacher = teacher_of(experiment)
     progress = _claim(experiment, out)
     with closing(for_learning(experiment, processes)) as env, one_thread():
         model = _model(experiment, env, out)
         begun = (out / LAST).exists()
         if teacher is not None and not begun:
-            with _shown(teacher, env, experiment, processes) as shown:
+            rate = "imitation.learning_rate"
+            with _shown(teacher, env, experiment, processes) as shown, _converging(model, out, rate):
                 imitate(teacher, model, shown, imitated, out / IMITATION)
             begun = True
         if begun and all(row["steps"] != model.num_timesteps for row in progress):
@@ -109,7 +103,8 @@ def train(
         watch = _Watch(stepped)
         while model.num_timesteps < experiment.steps:
             chunk = min(experiment.checkpoint_steps, experiment.steps - model.num_timesteps)
-            model.learn(chunk, callback=watch, reset_num_timesteps=model.num_timesteps == 0, tb_log_name="run")
+            with _converging(model, out, "settings.learning_rate"):
+                model.learn(chunk, callback=watch, reset_num_timesteps=model.num_timesteps == 0, tb_log_name="run")
             told(_checkpoint(experiment, model, out, progress))
     return progress
 
@@ -121,6 +116,29 @@ def _shown(
     if teacher.experiment == experiment:
         return nullcontext(env)
     return closing(for_learning(teacher.experiment, processes))
+
+
+@contextmanager
+def _converging(model: BaseAlgorithm, out: Path, rate: str) -> Iterator[None]:
+    """Within it what is learnt must stay finite, or InputError says so, names the ``rate`` and what is kept."""
+    try:
+        yield
+        lost = not _is_finite(model)
+    except (ValueError, RuntimeError) as error:
+        lost = not _is_finite(model) or any(sign in str(error) for sign in NOT_FINITE)
+        if not lost:
+            raise
+    if lost:
+        kept = f"the checkpoints before are kept in {out}" if (out / LAST).exists() else "nothing is kept"
+        raise InputError(
+            f"learning diverged at step {model.num_timesteps}: lower {rate} and choose a new folder ({kept})"
+        )
+
+
+def _is_finite(model: BaseAlgorithm) -> bool:
+    """Whether every parameter of every network is."""
+    modules = (value for value in vars(model).values() if isinstance(value, torch.nn.Module))
+    return all(bool(torch.isfinite(p).all()) for module in modules for p in module.parameters())
 
 
 @contextmanager
@@ -147,20 +165,10 @@ def load_model(path: Path, algorithm: Algorithm, env: VecEnv | None = None) -> B
         It cannot be read.
     """
     try:
-        found: BaseAlgorithm = _class(algorithm).load(path, env=env, device="cpu")
+        found: BaseAlgorithm = class_of(algorithm).load(path, env=env, device="cpu")
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"checkpoint must be one of {algorithm}, got {path} ({error}): train it anew") from None
     return found
-
-
-def _class(algorithm: Algorithm) -> Any:
-    module, _, name = CLASSES[algorithm].partition(":")
-    try:
-        return getattr(import_module(module), name)
-    except ImportError:
-        raise InputError(
-            f"algorithm {algorithm} needs the package {module}, got none: pip install 'lanebound[learning]'"
-        ) from None
 
 
 def _model(experiment: ExperimentConfig, env: VecEnv, out: Path) -> BaseAlgorithm:
@@ -171,31 +179,7 @@ def _model(experiment: ExperimentConfig, env: VecEnv, out: Path) -> BaseAlgorith
         if (out / REPLAY).exists():
             model.load_replay_buffer(out / REPLAY)  # type: ignore[attr-defined]
         return model
-    settings: dict[str, Any] = {"seed": experiment.seed, "device": "cpu", "tensorboard_log": logs}
-    if experiment.algorithm.constrained:
-        settings |= {"cost_limit": experiment.limit(), "multiplier": experiment.multiplier}
-    policy = "MlpLstmPolicy" if experiment.algorithm is Algorithm.RECURRENT_PPO else "MlpPolicy"
-    try:
-        made: BaseAlgorithm = _class(experiment.algorithm)(policy, env, **{**settings, **experiment.settings})
-    except (TypeError, AssertionError) as error:
-        raise InputError(
-            f"settings must suit {experiment.algorithm} and {experiment.env}, got {dict(experiment.settings)} "
-            f"({error}): see stable-baselines3"
-        ) from None
-    return made
-
-
-def _require_known(experiment: ExperimentConfig) -> None:
-    """Raise InputError for a setting that the algorithm, and what it is built on, does not take."""
-    built_on = _class(experiment.algorithm).__mro__
-    taken = (p for one in built_on for p in inspect.signature(one.__init__).parameters.values())
-    known = {p.name for p in taken if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)} - {"self"}
-    for name in experiment.settings:
-        if name not in known:
-            raise InputError(
-                f"settings.{name} must be one that {experiment.algorithm} takes, got one it does not: "
-                f"{nearest(name, known)}"
-            )
+    return make_model(experiment, env, logs)
 
 
 def _claim(experiment: ExperimentConfig, out: Path) -> list[dict[str, Any]]:
@@ -206,13 +190,13 @@ def _claim(experiment: ExperimentConfig, out: Path) -> list[dict[str, Any]]:
     mark, progress, wanted = out / "experiment.json", out / "progress.json", experiment.to_dict()
     require_own(mark)
     try:
-        found = json.loads(mark.read_text(encoding="utf-8")) if mark.exists() else wanted
+        found = read_kept(mark, dict) if mark.exists() else wanted
         changed = sorted(key for key in wanted | found if key != "steps" and wanted.get(key) != found.get(key))
         if not changed:
             write_whole(mark, wanted)
         kept = (out / LAST).exists() and progress.exists()
-        rows: list[dict[str, Any]] = json.loads(progress.read_text(encoding="utf-8")) if kept else []
-    except (OSError, ValueError) as error:
+        rows: list[dict[str, Any]] = read_kept(progress, list) if kept else []
+    except OSError as error:
         raise InputError(f"out must be a folder that can be written, got {out} ({error}): choose another") from error
     if changed:
         raise InputError(

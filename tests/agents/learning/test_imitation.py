@@ -132,6 +132,13 @@ def test_who_cannot_imitate_or_be_imitated_is_refused() -> None:
         experiment(imitation={"driver": "mpc"})
 
 
+def test_what_is_refused_is_named_where_it_was_written() -> None:
+    with pytest.raises(ConfigError, match=r"^overrides\.duraton_s is not a known key"):
+        teacher_of(experiment(imitation={**SMALL, **SEEING}, overrides={"duraton_s": 5}))
+    with pytest.raises(ConfigError, match=r"^imitation\.observation\.histry is not a known key"):
+        teacher_of(experiment(imitation={**SMALL, "observation": {"histry": 2}}))
+
+
 def test_a_driver_who_cannot_drive_there_leaves_no_folder(tmp_path: Path) -> None:
     blind = experiment(imitation=SMALL, overrides=BLIND)
     with pytest.raises(InputError, match="observation must show"):

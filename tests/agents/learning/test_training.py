@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from experiments import experiment
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from typer.testing import CliRunner
 
 from lanebound.agents.benchmark import run
+from lanebound.agents.cli import app
 from lanebound.agents.learning.evaluation import evaluate, evaluation_suite
 from lanebound.agents.learning.experiment import load_experiment
 from lanebound.agents.learning.opening import for_judging, for_learning
@@ -141,8 +143,72 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
         experiment(steps=0)
     with pytest.raises(InputError, match=r"settings.n_stepz must be one that ppo takes, .*: did you mean 'n_steps'"):
         train(experiment(settings={"n_stepz": 3}), tmp_path)
-    with pytest.raises(InputError, match="settings must suit ppo and LaneKeeping-v0"):
+    with pytest.raises(InputError, match=r"^settings.policy_kwargs.depth must suit ppo and LaneKeeping-v0, got 3 \("):
         train(experiment(settings={"policy_kwargs": {"depth": 3}}), tmp_path)
+    with pytest.raises(InputError, match=r"^settings.target_entropy must suit sac and LaneKeeping-v0, got 'fast' \("):
+        train(experiment(algorithm="sac", settings={"target_entropy": "fast"}), tmp_path / "sac")
+    with pytest.raises(ConfigError, match=r"^overrides.duraton_s is not a known key: did you mean 'duration_s'"):
+        experiment(overrides={"duraton_s": 5}).open()
+
+
+def test_a_device_that_is_not_there_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    message = "^settings.device must be one of this machine, got 'cuda' without CUDA: use cpu or auto$"
+    with pytest.raises(InputError, match=message):
+        train(experiment(settings={"device": "cuda"}), tmp_path)
+
+
+@pytest.mark.filterwarnings("ignore:overflow|invalid value:RuntimeWarning")
+@pytest.mark.parametrize("rate", [1e6, 1e38])
+def test_learning_that_diverges_ends_in_a_line_and_keeps_no_checkpoint_of_it(tmp_path: Path, rate: float) -> None:
+    settings = {"n_steps": 32, "batch_size": 32, "n_epochs": 1, "learning_rate": rate}
+    with pytest.raises(
+        InputError, match=r"^learning diverged at step \d+: lower settings.learning_rate and .* kept\)$"
+    ):
+        train(experiment(settings=settings), tmp_path)
+
+
+def test_what_diverges_after_a_checkpoint_leaves_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def spoil(checkpoint: Checkpoint) -> None:
+        monkeypatch.setattr("stable_baselines3.PPO.train", lambda model: model.policy.log_std.data.fill_(np.nan))
+
+    with pytest.raises(InputError, match=r"at step 128: .* \(the checkpoints before are kept in "):
+        train(experiment(), tmp_path, told=spoil)
+    assert [row["steps"] for row in json.loads((tmp_path / "progress.json").read_text())] == [64]
+    assert load_model(tmp_path / "last.zip", experiment().algorithm).num_timesteps == 64
+
+
+def test_other_errors_than_of_divergence_are_left_as_they_are(tmp_path: Path) -> None:
+    def breaks(steps: int) -> None:
+        raise ValueError("of another kind")
+
+    with pytest.raises(ValueError, match="of another kind"):
+        train(experiment(), tmp_path, stepped=breaks)
+
+
+@pytest.mark.parametrize("name", ["experiment.json", "progress.json"])
+def test_a_damaged_folder_is_refused_by_the_file(tmp_path: Path, name: str) -> None:
+    train(experiment(steps=64), tmp_path)
+    (tmp_path / name).write_text("{", encoding="utf-8")
+    with pytest.raises(InputError, match=rf"{name} is not JSON \(.*\): restore it or choose a new folder$"):
+        train(experiment(), tmp_path)
+    (tmp_path / name).write_text("3", encoding="utf-8")
+    with pytest.raises(InputError, match=rf"{name} must hold a JSON (object|array), got int: restore it"):
+        train(experiment(), tmp_path)
+    if name == "experiment.json":
+        with pytest.raises(InputError, match=r"experiment\.json must hold a JSON object"):
+            evaluation_suite(tmp_path, "nominal", 1)
+
+
+def test_a_training_that_is_done_says_so(tmp_path: Path) -> None:
+    planned = experiment()
+    train(planned, tmp_path / "out")
+    (tmp_path / "planned.yaml").write_text(planned.to_json(), encoding="utf-8")
+    arguments = ["train", str(tmp_path / "planned.yaml"), "--out", str(tmp_path / "out"), "--set", "steps=64"]
+    told = CliRunner().invoke(app, arguments)
+    assert told.exit_code == 0, told.output
+    assert "all 64 decisions are done already (so far 128): raise steps to go on" in told.output
+    assert "64/64" in told.output
 
 
 @pytest.mark.parametrize("engine", [True, False])
