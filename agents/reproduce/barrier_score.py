@@ -29,8 +29,8 @@ ASSUMPTIONS = {
     "unseen": "the leader is perceived",
     "behind": "the leader is believed ahead, or was a decision ago and its level still reaches over the ego",
     "no level": "protection levels exist, below what observations can show",
-    "own level": "the ego's errors lie within its protection levels, unless a sensor of its own tells of the leader",
-    "leader's level": "the error of the leader's place lies within its levels, age included",
+    "own level": "the ego's errors lie within its protection levels",
+    "leader's level": "the error of the leader's place lies within its levels, age included; who is sensed: from the ego",
     "own speed": "the error of the ego's speed lies within the stated bound",
     "leader's speed": "so does that of the leader's",
     "leader's braking": "the leader brakes no harder than stated",
@@ -60,19 +60,17 @@ def exceptions_of(env: DrivingEnv, barrier: BarrierFilter, info: Mapping[str, An
     cockpit = env.cockpit
     assert cockpit is not None
     lead, ego, traffic = env.world.lead, cockpit.ego, cockpit.traffic
-    sensed = traffic.count > 0 and bool(traffic.relative[0])
     found = set()
-    if not sensed and (abs(info["err_at_m"]) > info["pl_at_m"] or abs(info["err_ct_m"]) > info["pl_ct_m"]):
+    if abs(info["err_at_m"]) > info["pl_at_m"] or abs(info["err_ct_m"]) > info["pl_ct_m"]:
         found.add("own level")
     if float(ego.speed) > float(barrier.fastest(cockpit.belief().speed_mps, barrier.commanded_mps2)):
         found.add("own speed")
     if traffic.count == 0:
         return found | {"unseen"}
     at, ct = float(traffic.pl_at_m[0]), float(traffic.pl_ct_m[0])
-    own_at, own_ct = (0.0, 0.0) if sensed else (info["pl_at_m"], info["pl_ct_m"])
-    if not max(at + own_at, ct + own_ct) < 2.0 * env.config.observation.pl_max_m:
+    if not max(at + info["pl_at_m"], ct + info["pl_ct_m"]) < 2.0 * env.config.observation.pl_max_m:
         found.add("no level")
-    x, y = _misplaced_m(env, sensed)
+    x, y = _misplaced_m(env)
     c, s = math.cos(lead.heading), math.sin(lead.heading)
     if (
         abs(c * x + s * y) > at + float(barrier.strayed(traffic.speed_mps[0], traffic.age_s[0]))
@@ -84,20 +82,18 @@ def exceptions_of(env: DrivingEnv, barrier: BarrierFilter, info: Mapping[str, An
     return found | _behind(env)
 
 
-def _misplaced_m(env: DrivingEnv, sensed: bool) -> tuple[float, float]:
-    """How far the leader is from where he is taken to be; of one that is sensed, as the ego's own frame has it."""
+def _misplaced_m(env: DrivingEnv) -> tuple[float, float]:
+    """How far the leader is from where he is taken to be; of one that is sensed, seen from the ego.
+
+    By the axes of the map, on which the filter finds his lane: a wrong heading of the ego puts him aside.
+    """
     cockpit, lead = env.cockpit, env.world.lead
     assert cockpit is not None
-    place = cockpit.traffic.position_m[0]
-    if not sensed:
-        x, y = (place - lead.position).tolist()
-        return x, y
-    belief, ego = cockpit.belief(), cockpit.ego
-    dx, dy = (place - belief.position_m).tolist()
-    turned = float(ego.heading) - belief.heading_rad
-    c, s = math.cos(turned), math.sin(turned)
-    way_x, way_y = (lead.position - ego.position).tolist()
-    return c * dx - s * dy - way_x, s * dx + c * dy - way_y
+    away = cockpit.traffic.position_m[0] - lead.position
+    if cockpit.traffic.relative[0]:
+        away = away - (cockpit.belief().position_m - cockpit.ego.position)
+    x, y = away.tolist()
+    return x, y
 
 
 def _behind(env: DrivingEnv) -> set[str]:

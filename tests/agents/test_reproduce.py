@@ -84,7 +84,7 @@ def test_an_interrupted_study_ends_as_an_unbroken_one(whole: Path, tmp_path: Pat
 
 
 def test_a_folder_with_another_study_is_refused(whole: Path) -> None:
-    with pytest.raises(InputError, match="another configuration"):
+    with pytest.raises(InputError, match="differs in first_seed"):
         run_study(small().replace(first_seed=7), whole)
 
 

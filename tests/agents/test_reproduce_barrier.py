@@ -175,30 +175,31 @@ def test_a_leader_believed_behind_is_an_assumption_unless_the_filter_brakes_for_
 
 
 def test_a_leader_whom_a_sensor_sees_is_judged_as_seen_from_the_ego():
-    """The ego believes to be metres off and turned; its sensor puts the leader where he is from there, 0.5 m off."""
-    turned, true_gap = 0.2, np.array([20.0, 1.0])
+    """The ego believes to be metres off, within its levels; its sensor puts the leader half a metre off from there."""
+    gap = np.array([20.0, 1.0])
     lead = SimpleNamespace(position=np.array([120.0, 51.0]), heading=0.0, speed=5.0)
-    ego = SimpleNamespace(position=lead.position - true_gap, heading=0.0, speed=5.0)
-    belief = SimpleNamespace(speed_mps=5.0, position_m=ego.position + np.array([4.0, -3.0]), heading_rad=turned)
-    way = np.array([[np.cos(turned), -np.sin(turned)], [np.sin(turned), np.cos(turned)]])
-    place = belief.position_m + way @ (true_gap + np.array([0.5, 0.0]))
+    ego = SimpleNamespace(position=lead.position - gap, heading=0.0, speed=5.0)
+    belief = SimpleNamespace(speed_mps=5.0, position_m=ego.position + np.array([4.0, -3.0]), heading_rad=0.0)
     traffic = SimpleNamespace(
-        count=1, position_m=place[None], pl_at_m=[1.0], pl_ct_m=[0.1], speed_mps=[5.0], age_s=[0.0], relative=[True]
+        count=1, position_m=(belief.position_m + gap + np.array([0.5, 0.0]))[None], pl_at_m=[1.0], pl_ct_m=[0.4],
+        speed_mps=[5.0], age_s=[0.0], relative=[True],
     )  # fmt: skip
     cockpit = SimpleNamespace(ego=ego, traffic=traffic, belief=lambda: belief)
     config = SimpleNamespace(observation=SimpleNamespace(pl_max_m=10.0))
     env: Any = SimpleNamespace(cockpit=cockpit, world=SimpleNamespace(lead=lead), config=config)
-    info = {"err_at_m": 5.0, "err_ct_m": 0.0, "pl_at_m": 0.5, "pl_ct_m": np.inf}
+    info = {"err_at_m": 4.0, "err_ct_m": -3.0, "pl_at_m": 4.5, "pl_ct_m": 3.5}
     barrier: Any = SimpleNamespace(
         commanded_mps2=0.0, fastest=lambda v, a: v, slowest=lambda v, age: v, strayed=lambda v, age: 0.0
     )
     assert exceptions_of(env, barrier, info) == set()
     assert levels_m(env, info) == 1.0
-    traffic.pl_at_m = [0.4]
+    assert exceptions_of(env, barrier, info | {"err_ct_m": -3.6}) == {"own level"}
+    turned = 0.03  # of the heading, which the sensor's picture turns with: 0.6 m aside at 20 m
+    traffic.position_m = (belief.position_m + gap + turned * np.array([-gap[1], gap[0]]))[None]
     assert exceptions_of(env, barrier, info) == {"leader's level"}
-    traffic.relative = [False]
-    assert exceptions_of(env, barrier, info) == {"own level", "leader's level", "no level"}
-    assert levels_m(env, info) == 0.9
+    traffic.position_m, traffic.relative = (lead.position + np.array([1.1, 0.0]))[None], [False]
+    assert exceptions_of(env, barrier, info) == {"leader's level"}
+    assert levels_m(env, info) == 5.5
 
 
 @pytest.mark.slow
