@@ -30,7 +30,7 @@ ASSUMPTIONS = {
     "behind": "the leader is believed ahead, or was a decision ago and its level still reaches over the ego",
     "no level": "protection levels exist, below what observations can show",
     "own level": "the ego's errors lie within its protection levels",
-    "leader's level": "the error of the leader's place lies within its levels, age included; who is sensed: from the ego",
+    "leader's level": "the error of the leader's place (if sensed, from the ego) lies within its levels, age included",
     "own speed": "the error of the ego's speed lies within the stated bound",
     "leader's speed": "so does that of the leader's",
     "leader's braking": "the leader brakes no harder than stated",
