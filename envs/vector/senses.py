@@ -73,6 +73,7 @@ class Senses:
         self.epoch_s = self.step_s * self.steps
         self._warm_up = max(1, round(config.navigation.warm_up_s / self.epoch_s))
         self._distances = np.array(config.observation.satellites_m, dtype=np.float64)
+        self._shows_truth = config.observation.integrity == "oracle"
         self._one = Navigator(settings, self.skies.track, self.skies.mask, 0, 1)
         self._others, self._perception = others, config.perception
         self._make()
@@ -221,9 +222,19 @@ class Senses:
         sky = self._view() if self._sky is None else self._sky
         run, first = one_or_many_runs(rows.size, foresee, foresee_parallel)
         run(
-            first, rows.size, self._lanes, rows, world.belief, self._distances, s.begin_m, s.reach_m, self._city_m,
-            f.free, f.spacing_m, f.azimuths, f.elevations, sky.azimuth_rad, sky.elevation_rad, sky.above, world.sky,
+            first, rows.size, self._lanes, rows, self._shown(world), self._distances, s.begin_m, s.reach_m,
+            self._city_m, f.free, f.spacing_m, f.azimuths, f.elevations, sky.azimuth_rad, sky.elevation_rad,
+            sky.above, world.sky,
         )  # fmt: skip
+
+    def _shown(self, world: World) -> Array:
+        """Beliefs by which the sky ahead is foretold, (N, BELIEF): the true places where the truth is observed."""
+        if not self._shows_truth:
+            return world.belief
+        shown = world.belief.copy()
+        shown[:, k.B_X], shown[:, k.B_Y] = world.cars[:, k.X, 0], world.cars[:, k.Y, 0]
+        shown[:, k.B_LANE] = world.whole[:, k.LANE, 0]
+        return shown
 
     def _view(self) -> SkyView:
         """The skies over all egos now."""

@@ -97,6 +97,13 @@ def test_with_the_same_draws_it_is_the_single_environment(name: str, config: dic
     assert name != "UrbanCanyon" or crews[0] != crews[1], "one has an empty place that the other has not"
 
 
+def test_an_oracle_is_foretold_the_sky_of_its_true_lane() -> None:
+    """Under a seed where the navigator takes itself to be in another lane for a moment."""
+    pairs = Pairs("Highway", {**FEW, **TRUTH, "sky": "open", "observation": {"integrity": "oracle"}}, 3, 103)
+    pairs.step(12)
+    require_equal(pairs.tally)
+
+
 def test_under_a_recorded_sky_it_is_the_single_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cache, "folder", lambda: tmp_path / "streets")
     wall_on_the_left().save(tmp_path / "wall.csv")
