@@ -117,10 +117,6 @@ class Results:
     left_out: list[tuple[str, str, str]] = field(default_factory=list)
     folder: Path | None = None
 
-    def __post_init__(self) -> None:
-        """Refuse an episode that counts more than once: intervals would be too narrow."""
-        _require_once(self.outcomes)
-
     @classmethod
     def of(
         cls,
@@ -228,6 +224,7 @@ class Results:
 
 
 def _require_once(outcomes: Sequence[Outcome]) -> None:
+    """Refuse an episode that counts more than once: intervals would be too narrow."""
     counts = Counter(outcome.id for outcome in outcomes)
     ident, count = counts.most_common(1)[0] if counts else ("", 1)
     if count > 1:

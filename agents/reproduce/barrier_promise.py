@@ -180,14 +180,9 @@ def _by_fault(config: BarrierPromiseConfig, crashed: Sequence[int]) -> dict[str,
     of = {seed: one_fault(seed, config.length_s).kind.value for seed in seeds}
     episodes, crashes = Counter(of.values()), Counter(of[seed] for seed in crashed)
     return {
-        kind: {"episodes": count, "crashes": crashes[kind], "crash_share_95": _share_95(crashes[kind], count)}
+        kind: {"episodes": count, "crashes": crashes[kind], "crash_share_95": clopper_pearson(crashes[kind], count)}
         for kind, count in sorted(episodes.items())
     }
-
-
-def _share_95(events: int, trials: int) -> tuple[float, float]:
-    """Exact 95 % interval of a share of episodes, which are independent."""
-    return clopper_pearson(events, trials, 0.95)
 
 
 def _batches(config: BarrierPromiseConfig) -> Iterator[range]:
@@ -227,7 +222,7 @@ def summarise_promise(config: BarrierPromiseConfig, parts: Sequence[dict[str, An
     return {
         "episodes": episodes,
         "crashes": crashes,
-        "crash_share_95": _share_95(crashes, episodes),
+        "crash_share_95": clopper_pearson(crashes, episodes),
         "crashed_seeds": [seed for part in parts for seed in part["crashed"]],
         "least_barrier_m": min((part["least_m"] for part in parts if part["least_m"] is not None), default=None),
         "hours": hours,
