@@ -14,7 +14,7 @@ from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.engine import Engine
 from lanebound.envs.vector.infos import infos_of, single_info
 from lanebound.envs.vector.lanes import lane_rows
-from lanebound.envs.worlds.drivers import CityDriver
+from lanebound.envs.worlds.drivers import CityDriver, LeadVehicle
 
 PERFECT: dict[str, Any] = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}}
 CLOSE = 1e-9  # of poses [m], [rad], [m/s], rewards and infos
@@ -67,7 +67,7 @@ def command(single: DrivingEnv, observation: Any, rng: np.random.Generator) -> A
 
 
 def same(tally: Tally, where: str, engine: Engine, row: int, single: DrivingEnv, seen: Any, step: Any) -> None:
-    """Compare everything after a step; where a city driver crawls, less closely, and the engine goes on from there."""
+    """Compare everything after a step; where somebody crawls, less closely, and the engine goes on from there."""
     reward, terminated, truncated, info = step
     cars, whole, out = engine.world.cars[row], engine.world.whole[row], engine.world.out[row]
     vehicles, true = single.world.road.vehicles, poses(single)
@@ -101,7 +101,7 @@ def _crawls(tally: Tally, single: DrivingEnv, speeds: Any) -> bool:
     """Whether somebody who steers as ControlledVehicle does, and not along a straight lane's middle, has crawled."""
     before = tally.speeds.get(id(single))
     tally.speeds[id(single)] = speeds
-    drivers = [i for i, v in enumerate(single.world.road.vehicles) if isinstance(v, CityDriver)]
+    drivers = [i for i, v in enumerate(single.world.road.vehicles) if isinstance(v, CityDriver | LeadVehicle)]
     drivers += [0] if _steers_itself(single) else []
     if not drivers or before is None or before.size != speeds.size:
         return False
@@ -112,7 +112,7 @@ def _crawls(tally: Tally, single: DrivingEnv, speeds: Any) -> bool:
 def _steers_itself(single: DrivingEnv) -> bool:
     """Whether the ego is steered by highway-env's own law, from a pose that it knows."""
     c = single.config
-    return c.base == "highway-v0" and c.action is ActionKind.META and not c.navigation.source.senses
+    return c.action is ActionKind.META and not c.navigation.source.senses
 
 
 def _same_info(tally: Tally, where: str, got: dict[str, Any], info: dict[str, Any]) -> None:
