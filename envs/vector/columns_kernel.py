@@ -74,29 +74,31 @@ BELIEF = 32  # B_WHEEL: steering of the actuators; B_THROTTLE, B_TURN: accelerat
 ) = range(15)
 SCORE = 15
 
-# out: reward and ends, terms of the reward, costs, verdict
-O_REWARD, O_TERMINATED, O_TRUNCATED = range(3)
-O_TERMS = 3  # first of TERMS
+# out: numbers, then what is true where positive, then codes; each in the order in which infos name them
+O_REWARD = 0
+O_TERMS = 1  # first of TERMS
 TERMS = 5
-O_COST = 8
-O_CAUSES = 9  # first of CAUSES
+O_COST = 6
+O_CAUSES = 7  # first of CAUSES
 CAUSES = 7
+O_TTA, O_ERR_AT, O_ERR_CT, O_HMI_SHARE, O_TURN_RATE = range(14, 19)
+O_PL_AT, O_PL_CT, O_AL_AT, O_AL_CT, O_MARGIN_AT, O_MARGIN_CT, O_SPEED = range(19, 26)
 (
-    O_ERR_AT,
-    O_ERR_CT,
+    O_TERMINATED,
+    O_TRUNCATED,
     O_MI,
     O_HMI,
-    O_HMI_SHARE,
     O_IS_CRASHED,
     O_CRASHED_NOW,
     O_OFF_ROAD,
     O_WRONG_WAY,
     O_ASTRAY_NOW,
     O_SUCCESS,
-    O_TURN_RATE,
-    O_TTA,
-) = range(16, 29)
-OUT = 29
+    O_ALERT,
+    O_AVAILABLE,
+) = range(26, 38)
+O_MODE, O_REASON = range(38, 40)
+O_FLAGS, O_CODES, OUT = O_TERMINATED, O_MODE, 40
 
 # traffic (N, C, SEEN): what the ego perceives of C vehicles, nearest first
 T_X, T_Y, T_HEADING, T_SPEED, T_PL_AT, T_PL_CT, T_AGE, T_LENGTH, T_WIDTH, T_RELATIVE = range(10)

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.ids import CarFollowing, Highway, LaneKeeping, Preset, UrbanCanyon, id_of, refuse_misplaced
-from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.engine import Engine
-from lanebound.envs.vector.infos import infos_of
+from lanebound.envs.vector.infos import form_of, infos_of, told
 from lanebound.integrity.errors import InputError
 
 __all__ = [
@@ -89,8 +88,9 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         self._bounds = _bounds_of(self.action_space)
         self._slices = _slices_of(single)
         self._history = np.zeros((self.num_envs, single.config.observation.history, len(single.observer.index)), "f4")
-        figures = self.engine.rules.figures
-        self._limits_m = figures[[k.F_AL_AT, k.F_AL_CT]]
+        everyone = np.ones(self.num_envs, dtype=np.bool_)
+        everyone.flags.writeable = False  # all infos share it
+        self._form = form_of(everyone)
         self._over = np.zeros(self.num_envs, dtype=np.bool_)
         self._begun = np.zeros(self.num_envs, dtype=np.bool_)
 
@@ -118,7 +118,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
                              "reset all of them first")  # fmt: skip
         rows = np.flatnonzero(mask)
         self._restart(rows, [seeds[e] for e in rows])
-        return self._observations(), infos_of(self.engine.world, self._limits_m, mask)
+        return self._observations(), infos_of(told(self.engine.world.out, mask), form_of(mask))
 
     def step(self, actions: Any) -> tuple[Batch, NDArray[np.float64], Flags, Flags, dict[str, Any]]:
         """Carry out a command in each environment until the next decision.
@@ -137,18 +137,19 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
                 raise InputError(f"environments {again} must be reset, their episodes are over: pass options.{MASK}")
         self.engine.step(commands, driving)
         self._remember(driving)
-        out = self.engine.world.out
-        rewards, terminated, truncated = out[:, k.O_REWARD].copy(), out[:, 1] > 0.0, out[:, 2] > 0.0
         if again.size:
-            rewards[again], terminated[again], truncated[again] = 0.0, False, False
             self._restart(again, [None] * again.size)
-        self._over = terminated | truncated
+        found = latest = told(self.engine.world.out)
+        self._over = found.terminated | found.truncated
         final: dict[str, Any] = {}
         if self.mode is AutoresetMode.SAME_STEP and np.count_nonzero(self._over):
             ended = self._over.nonzero()[0]
             final = self._final(ended, self._over.copy())
             self._restart(ended, [None] * ended.size)
-        return self._observations(), rewards, terminated, truncated, final | infos_of(self.engine.world, self._limits_m)
+            latest = told(self.engine.world.out)
+        infos = infos_of(latest, self._form)
+        infos |= final
+        return self._observations(), found.rewards, found.terminated, found.truncated, infos
 
     def action_masks(self) -> Flags:
         """Which meta-actions make sense from where each ego believes to be, (N, A) bool (sb3-contrib's name).
@@ -185,7 +186,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         last = self._observations()
         for e in ended:
             observations[e] = {g: part[e] for g, part in last.items()} if isinstance(last, dict) else last[e]
-        info = infos_of(self.engine.world, self._limits_m, mask)
+        info = infos_of(told(self.engine.world.out, mask), form_of(mask))
         return {"final_obs": observations, "_final_obs": mask, "final_info": info, "_final_info": mask}
 
     # Forms

@@ -1,53 +1,70 @@
-"""The columns of the engine as the ``info`` of single environments, and as Gymnasium's vector environments batch it."""
+"""The engine's columns as the ``info`` of single environments, and as Gymnasium's vector environments batch it."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.envs.costs import CAUSES
 from lanebound.envs.rewards import TERMS
-from lanebound.envs.vector.infos_kernel import NUMBERS, fill_infos
-from lanebound.envs.vector.step_kernel import World
+from lanebound.envs.vector import columns_kernel as k
 
-__all__ = ["NAMES", "infos_of", "single_info"]
+__all__ = ["NAMES", "Told", "form_of", "infos_of", "single_info", "told"]
 
-# names of the rows that the kernel fills, in its order; the terms of the reward have a dict of their own
-BEFORE = ("cost", *CAUSES, "tta_s", "err_at_m", "err_ct_m", "hmi_share", "yaw_rate_radps")
-AFTER = ("pl_at_m", "pl_ct_m", "al_at_m", "al_ct_m", "margin_at_m", "margin_ct_m", "speed_mps")
+# names of the columns of ``out`` from the terms of the reward on, in their order; those have a dict of their own
+NUMBERS = (
+    "cost", *CAUSES, "tta_s", "err_at_m", "err_ct_m", "hmi_share", "yaw_rate_radps", "pl_at_m", "pl_ct_m", "al_at_m",
+    "al_ct_m", "margin_at_m", "margin_ct_m", "speed_mps",
+)  # fmt: skip
 FLAGS = (
     "mi", "hmi", "crashed", "crashed_now", "off_road", "wrong_way", "astray_now", "is_success", "alert", "available",
 )  # fmt: skip
 CODES = ("mode", "reason")
-NAMES = (*BEFORE, *AFTER, *FLAGS, *CODES)
+NAMES = (*NUMBERS, *FLAGS, *CODES)
 """Entries of infos that are arrays (N,)."""
-MASKS = tuple(f"_{name}" for name in (*NAMES, "rewards"))
-MASKS_OF_TERMS = tuple(f"_{name}" for name in TERMS)
+Infos = dict[str, Any]
 
 
-def infos_of(world: World, limits_m: NDArray[np.float64], told: NDArray[np.bool_] | None = None) -> dict[str, Any]:
-    """The info of all environments, or of those ``told`` of: arrays (N,), zeros elsewhere, and by ``_key`` who has one.
+class Told(NamedTuple):
+    """What a step has come to in N environments, a copy: arrays (N,); ``terms`` and ``rest`` as infos name them."""
 
-    limits_m : (2,) alert limits along and across
-    """
-    count = world.out.shape[0]
-    mask = np.ones(count, dtype=np.bool_) if told is None else told
-    numbers, codes = np.empty((NUMBERS, count)), np.empty((len(CODES), count), dtype=np.int64)
-    flags = np.empty((len(FLAGS), count), dtype=np.bool_)
-    fill_infos(mask, world.out, world.belief, world.cars, limits_m, numbers, flags, codes)
-    rows = [*numbers, *flags, *codes]
-    terms = rows[len(BEFORE) : len(BEFORE) + len(TERMS)]
-    del rows[len(BEFORE) : len(BEFORE) + len(TERMS)]
-    infos: dict[str, Any] = dict(zip(NAMES, rows, strict=True)) | dict.fromkeys(MASKS, mask)
-    infos["rewards"] = dict(zip(TERMS, terms, strict=True)) | dict.fromkeys(MASKS_OF_TERMS, mask)
+    rewards: NDArray[np.float64]
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    terms: list[NDArray[np.float64]]
+    rest: list[NDArray[Any]]
+
+
+def told(out: NDArray[np.float64], of: NDArray[np.bool_] | None = None) -> Told:
+    """The columns (N, OUT) of all environments; or of those ``of`` (N,), and zeros of the others."""
+    rows = out.T.copy()
+    if of is not None:
+        rows[:, ~of] = 0.0
+    numbers, flags = list(rows[: k.O_FLAGS]), list(rows[k.O_FLAGS : k.O_CODES] > 0.0)
+    codes = list(rows[k.O_CODES :].astype(np.int64))
+    return Told(numbers[0], flags[0], flags[1], numbers[k.O_TERMS : k.O_COST], numbers[k.O_COST :] + flags[2:] + codes)
+
+
+def form_of(mask: NDArray[np.bool_]) -> tuple[Infos, Infos]:
+    """Infos still to be filled, and their ``rewards``: by ``_key`` that the environments ``mask`` (N,) have one."""
+    masks = {f"_{name}": mask for name in (*NAMES, "rewards")}
+    return dict.fromkeys(NAMES) | masks, dict.fromkeys(TERMS) | {f"_{name}": mask for name in TERMS}
+
+
+def infos_of(found: Told, form: tuple[Infos, Infos]) -> Infos:
+    """The info of environments: a :func:`form_of` them, which stays as it is, filled with arrays (N,)."""
+    infos, terms = form[0].copy(), form[1].copy()
+    infos.update(zip(NAMES, found.rest, strict=True))
+    terms.update(zip(TERMS, found.terms, strict=True))
+    infos["rewards"] = terms
     return infos
 
 
-def single_info(infos: dict[str, Any], row: int) -> dict[str, Any]:
+def single_info(infos: Infos, row: int) -> Infos:
     """What a single environment would have said: Python's own types, no masks."""
-    found: dict[str, Any] = {}
+    found: Infos = {}
     for name, value in infos.items():
         if name.startswith("_"):
             continue

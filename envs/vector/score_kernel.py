@@ -110,6 +110,7 @@ def score(b, sc, c, w, t, count, lanes, figures, start, out):  # type: ignore[no
     _reward(out, figures, along / limit, r,
             math.hypot((speed - sc[k.S_SPEED]) / policy, across), base, dt)  # fmt: skip
     sc[k.S_SPEED] = speed
+    _tell(b, speed, figures, out)
 
 
 @jit
@@ -149,3 +150,13 @@ def _reward(out, figures, along, lateral, roughness, base, dt):  # type: ignore[
     for n in range(k.TERMS):
         total += figures[k.F_REWARD_WEIGHTS + n] * out[k.O_TERMS + n]
     out[k.O_REWARD] = total
+
+
+@jit
+def _tell(b, speed, figures, out):  # type: ignore[no-untyped-def]
+    """What infos repeat of the belief, and the true speed."""
+    for axis in range(2):
+        level, limit = b[k.B_PL_AT + axis], figures[k.F_AL_AT + axis]
+        out[k.O_PL_AT + axis], out[k.O_AL_AT + axis], out[k.O_MARGIN_AT + axis] = level, limit, limit - level
+    out[k.O_SPEED], out[k.O_ALERT], out[k.O_AVAILABLE] = speed, b[k.B_ALERT], b[k.B_AVAILABLE]
+    out[k.O_MODE], out[k.O_REASON] = b[k.B_MODE], b[k.B_REASON]

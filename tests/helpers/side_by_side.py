@@ -12,7 +12,7 @@ from lanebound.envs.core import DrivingEnv
 from lanebound.envs.registration import make_config
 from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.engine import Engine
-from lanebound.envs.vector.infos import infos_of, single_info
+from lanebound.envs.vector.infos import form_of, infos_of, single_info, told
 from lanebound.envs.vector.lanes import lane_rows
 from lanebound.envs.worlds.drivers import CityDriver, LeadVehicle
 
@@ -81,11 +81,11 @@ def same(tally: Tally, where: str, engine: Engine, row: int, single: DrivingEnv,
         "there": (int(whole[k.PRESENT].sum()), count),
         "lanes": (whole[k.LANE, :count].tolist(), lanes),
         "crashed": ((whole[k.CRASHED, :count] != 0).tolist(), [bool(v.crashed) for v in vehicles]),
-        "ends": ((out[1] > 0.0, out[2] > 0.0), (terminated, truncated)),
+        "ends": ((out[k.O_TERMINATED] > 0.0, out[k.O_TRUNCATED] > 0.0), (terminated, truncated)),
     }
     tally.mismatches += [f"{where} {name}: {a} {b}" for name, (a, b) in facts.items() if a != b]
-    limits = engine.rules.figures[[k.F_AL_AT, k.F_AL_CT]]
-    _same_info(part, where, single_info(infos_of(engine.world, limits), row), info)
+    infos = infos_of(told(engine.world.out), form_of(np.ones(engine.count, dtype=np.bool_)))
+    _same_info(part, where, single_info(infos, row), info)
     if part is not tally:
         tally.mismatches += part.mismatches
         tally.crawls += 1
