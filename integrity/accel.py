@@ -14,6 +14,7 @@ import os
 import shutil
 import stat
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
@@ -29,6 +30,7 @@ __all__ = ["is_compiled", "jit", "one_or_many_runs", "prange", "serial", "use_pa
 F = TypeVar("F", bound=Callable[..., Any])
 FASTMATH = {"nsz"}  # more would let a kernel compiled now and one loaded from the cache differ in the last bit
 PARALLEL_FROM_BATCH = 16
+FORGOTTEN_S = 30 * 86400.0
 OWNER = os.getpid()
 
 
@@ -49,12 +51,23 @@ def cache_directory(layer: str = "integrity") -> str | None:
     for place in places:
         try:
             path = place() / name
+            if not path.exists():
+                _forget(path.parent)
             path.mkdir(parents=True, exist_ok=True)
+            os.utime(path)
         except (OSError, RuntimeError):  # not writable, not ours, no temporary directory, or a user without a home
             continue
         if os.access(path, os.W_OK):
             return str(path)
     return None
+
+
+def _forget(folder: Path) -> None:
+    """Remove the kernels of other versions that no process has begun with for a month; each begins with a touch."""
+    for old in folder.glob("kernels-*"):
+        with suppress(OSError):
+            if time.time() - old.stat().st_mtime > FORGOTTEN_S:
+                shutil.rmtree(old, ignore_errors=True)
 
 
 def _shared() -> Path:

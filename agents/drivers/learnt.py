@@ -2,7 +2,8 @@
 
 ``lanebound train`` learns one, ``lanebound export DIR --out FILE.npz`` writes it in this form: for each layer n the
 arrays ``weight_n`` (outputs, inputs) and ``bias_n``, tanh between layers; of the entries of the observation, in their
-order, ``columns`` (names) and ``scales``. Outputs are a continuous action, or a value of each discrete one.
+order, ``columns`` (names) and ``scales``; and ``discrete``, whether the outputs are a value of each discrete action or
+a continuous action.
 """
 
 from __future__ import annotations
@@ -118,23 +119,19 @@ def _fitting(file: Traversable, name: str, where: str, env: DrivingEnv) -> Learn
             f"{name} was learnt{where} with an observation of its own ({len(learnt['columns'])} entries, no history), "
             f"got another ({', '.join(other) or 'history'} differ): leave 'observation' as it was there"
         )
-    outputs = layers[-1][1].size
-    if spaces.flatdim(env.action_space) != outputs:
+    outputs, discrete = layers[-1][1].size, bool(learnt["discrete"])
+    if (spaces.flatdim(env.action_space), isinstance(env.action_space, spaces.Discrete)) != (outputs, discrete):
         remedy = "leave 'action' as it was there" if where else "drive an id that has it, or learn a policy here"
         raise InputError(
-            f"{name} was learnt{where} with actions {_space(outputs)}, got an environment that takes "
+            f"{name} was learnt{where} with actions {_space(outputs, discrete)}, got an environment that takes "
             f"{_taken(env.action_space)}: {remedy} (see 'lanebound envs')"
         )
-    return LearntDriver(layers, isinstance(env.action_space, spaces.Discrete))
+    return LearntDriver(layers, discrete)
 
 
-def _space(outputs: int) -> str:
-    """The actions that a policy of so many outputs was learnt with: steering and acceleration, or one of meta-actions.
-
-    >>> _space(2), _space(5)
-    ('Box(2,)', 'Discrete(5)')
-    """
-    return f"Box({outputs},)" if outputs <= 2 else f"Discrete({outputs})"
+def _space(outputs: int, discrete: bool) -> str:
+    """The actions that a policy was learnt with, as :func:`_taken` names them."""
+    return f"Discrete({outputs})" if discrete else f"Box({outputs},)"
 
 
 def _taken(space: spaces.Space[Any]) -> str:
@@ -146,7 +143,7 @@ def _read(file: Traversable, name: str) -> tuple[dict[str, NDArray[Any]], list[t
     """What a policy sees, and its layers."""
     try:
         with file.open("rb") as stream, np.load(stream) as data:
-            learnt = {key: data[key] for key in sight(ObservationConfig())}
+            learnt = {key: data[key] for key in (*sight(ObservationConfig()), "discrete")}
             count = sum(array.startswith("weight_") for array in data.files)
             layers = [(_numbers(data[f"weight_{n}"]), _numbers(data[f"bias_{n}"])) for n in range(count)]
     except (OSError, ValueError, TypeError, LookupError, AttributeError, EOFError, BadZipFile, zlib.error) as error:

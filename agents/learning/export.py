@@ -86,7 +86,8 @@ def export_arrays(folder: Path, path: Path) -> Path:
         raise InputError(f"a policy to export as arrays must be PPO's with tanh, got {experiment.algorithm}: use .onnx")
     layers = [layer for layer in policy.mlp_extractor.policy_net if isinstance(layer, nn.Linear)]
     with closing(experiment.open()) as env:
-        arrays: dict[str, Any] = dict(sight(env.config.observation))
+        discrete = isinstance(env.action_space, spaces.Discrete)
+        arrays: dict[str, Any] = sight(env.config.observation) | {"discrete": np.array(discrete)}
     for n, layer in enumerate([*layers, policy.action_net]):
         arrays[f"weight_{n}"] = layer.weight.detach().numpy()
         arrays[f"bias_{n}"] = layer.bias.detach().numpy()

@@ -19,6 +19,7 @@ from contextlib import AbstractContextManager, closing, contextmanager, nullcont
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import torch
@@ -156,8 +157,8 @@ def one_thread() -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def load_model(path: Path, algorithm: Algorithm, env: VecEnv | None = None) -> BaseAlgorithm:
-    """A checkpoint, on the processor.
+def load_model(path: Path, algorithm: Algorithm, env: VecEnv | None = None, device: str = "cpu") -> BaseAlgorithm:
+    """A checkpoint, on the processor if nothing else is wanted.
 
     Raises
     ------
@@ -165,7 +166,7 @@ def load_model(path: Path, algorithm: Algorithm, env: VecEnv | None = None) -> B
         It cannot be read.
     """
     try:
-        found: BaseAlgorithm = class_of(algorithm).load(path, env=env, device="cpu")
+        found: BaseAlgorithm = class_of(algorithm).load(path, env=env, device=device)
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"checkpoint must be one of {algorithm}, got {path} ({error}): train it anew") from None
     return found
@@ -174,12 +175,21 @@ def load_model(path: Path, algorithm: Algorithm, env: VecEnv | None = None) -> B
 def _model(experiment: ExperimentConfig, env: VecEnv, out: Path) -> BaseAlgorithm:
     logs = str(out / "logs") if find_spec("tensorboard") else None
     if (out / LAST).exists():
-        model = load_model(out / LAST, experiment.algorithm, env)
+        model = load_model(out / LAST, experiment.algorithm, env, experiment.settings.get("device", "cpu"))
         model.tensorboard_log = logs
         if (out / REPLAY).exists():
-            model.load_replay_buffer(out / REPLAY)  # type: ignore[attr-defined]
+            _recall(model, out / REPLAY)
         return model
     return make_model(experiment, env, logs)
+
+
+def _recall(model: Any, path: Path) -> None:
+    """Give a model back the transitions that it had."""
+    try:
+        with path.open("rb") as stream:
+            model.load_replay_buffer(stream)
+    except (OSError, ValueError, LookupError, AttributeError, EOFError, UnpicklingError) as error:
+        raise InputError(f"transitions must be as training keeps them, got {path} ({error}): learn anew") from None
 
 
 def _claim(experiment: ExperimentConfig, out: Path) -> list[dict[str, Any]]:

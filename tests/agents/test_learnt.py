@@ -20,7 +20,7 @@ LAYERS = [
     (np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 2.0]], np.float32), np.array([0.0, 0.5], np.float32)),
 ]
 
-SEEN = {"columns": np.array(["a"]), "scales": np.ones(1)}
+SEEN = {"columns": np.array(["a"]), "scales": np.ones(1), "discrete": np.array(False)}
 
 
 def _id_of(base: str) -> str:
@@ -98,6 +98,7 @@ def test_a_file_of_arrays_drives_as_what_came_along(tmp_path: Path) -> None:
     ("arrays", "reason"),
     [
         ({}, "must be as 'lanebound export' writes it, got .*columns"),
+        (dict(list(SEEN.items())[:2]), "must be as 'lanebound export' writes it, got .*discrete"),
         (SEEN, "must hold layers weight_0, bias_0, ..., got none"),
         ({**SEEN, "weight_0": np.ones((2, 2)), "bias_0": np.ones(2)}, r"must be finite, \(m, 1\)"),
         ({**SEEN, "weight_0": np.full((2, 1), np.nan), "bias_0": np.ones(2)}, "must be finite"),

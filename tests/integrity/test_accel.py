@@ -5,6 +5,7 @@ import os
 import stat
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numba
@@ -248,3 +249,21 @@ def test_kernels_of_another_layer_have_a_directory_of_their_own(monkeypatch, tmp
     assert find("envs") not in (own, other)
     (tmp_path / "integrity" / "one_kernel.py").write_text("a = 2")
     assert find() != own
+
+
+def test_kernels_of_versions_that_nobody_has_used_for_a_month_are_removed(only_temporary):
+    only_temporary.mkdir(mode=0o700)
+    old, young, other = (only_temporary / name for name in ("kernels-old", "kernels-young", "notes"))
+    for folder, days in ((old, 31), (young, 29), (other, 99)):
+        folder.mkdir()
+        (folder / "file").write_text("")
+        then = time.time() - days * 86400.0
+        os.utime(folder, (then, then))
+    assert Path(accel.cache_directory.__wrapped__()).exists()
+    assert not old.exists()
+    assert young.exists()
+    assert other.exists()
+    then = time.time() - 31 * 86400.0
+    os.utime(young, (then, then))
+    accel.cache_directory.__wrapped__()  # one that is there already: nothing is looked for
+    assert young.exists()

@@ -17,7 +17,7 @@ from lanebound.agents.cli import app
 from lanebound.agents.learning.evaluation import evaluate, evaluation_suite
 from lanebound.agents.learning.experiment import load_experiment
 from lanebound.agents.learning.opening import for_judging, for_learning
-from lanebound.agents.learning.training import Checkpoint, is_best, load_model, train
+from lanebound.agents.learning.training import REPLAY, Checkpoint, is_best, load_model, train
 from lanebound.envs.costs import CAUSES
 from lanebound.integrity.errors import ConfigError, InputError
 from lanebound.integrity.presets import preset_names
@@ -198,6 +198,16 @@ def test_a_damaged_folder_is_refused_by_the_file(tmp_path: Path, name: str) -> N
     if name == "experiment.json":
         with pytest.raises(InputError, match=r"experiment\.json must hold a JSON object"):
             evaluation_suite(tmp_path, "nominal", 1)
+
+
+def test_damaged_transitions_are_refused_by_the_file(tmp_path: Path) -> None:
+    settings = {"learning_starts": 20, "buffer_size": 100, "batch_size": 16, "train_freq": 16}
+    train(experiment(algorithm="sac", steps=64, settings=settings), tmp_path)
+    whole = (tmp_path / REPLAY).read_bytes()
+    for damaged in (b"", b"{", whole[: len(whole) // 2]):
+        (tmp_path / REPLAY).write_bytes(damaged)
+        with pytest.raises(InputError, match=r"transitions must be as training keeps them, got .*last-replay\.pkl"):
+            train(experiment(algorithm="sac", settings=settings), tmp_path)
 
 
 def test_a_training_that_is_done_says_so(tmp_path: Path) -> None:
