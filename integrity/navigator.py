@@ -131,10 +131,11 @@ class NavigatorConfig(Config):
 class NavigatorState(InstrumentState):
     """Everything that lasts from epoch to epoch: the instruments' own state, and the belief's.
 
-    ``belief`` (B, NX), ``rtk`` (B, NX) and ``growth`` (B, NP) are the flat columns of :mod:`.navigator_kernel`,
+    ``belief`` (B, NX), ``rtk`` (B, NX) and ``growth`` (B, 2, NP) are the flat columns of :mod:`.navigator_kernel`,
     :mod:`.rtk_stage_kernel` and :mod:`.monitoring.dead_reckoning_pl_kernel`, which all R levels share;
-    ``start`` (B, R, 4) is what the last RTK position left to each, ``apart`` (B, APART_ROWS, S) the separations of
-    :mod:`.monitoring.doppler_separation_kernel`. ``held`` (B, S), ``integers`` (B, S, 2), ``fix_id`` and ``fix_risk``
+    ``start`` (B, 2, R, 4) is what an RTK position left to each, ``apart`` (B, 2, APART_ROWS, S) the separations of
+    :mod:`.monitoring.doppler_separation_kernel`; each since the last RTK position, and since the one that the witness
+    (:mod:`.monitoring.jump_kernel`) began at. ``held`` (B, S), ``integers`` (B, S, 2), ``fix_id`` and ``fix_risk``
     (B, S) are the ambiguities held; ``last_phase_m`` (B, S, 2) serves to find slips.
     """
 
@@ -209,7 +210,7 @@ class Navigator:
         belief = np.zeros((batch, nk.NX))
         belief[:, nk.P_HH] = np.deg2rad(heading.initial_sigma_deg) ** 2
         belief[:, nk.P_BB] = heading.bias_initial_radps**2
-        belief[:, [nk.SINCE_RTK, nk.SINCE_CAL]] = np.inf
+        belief[:, [nk.SINCE_RTK, nk.SINCE_CAL, nk.WITNESS_S]] = np.inf
         return NavigatorState(
             streams=streams,
             area=area,
@@ -221,9 +222,9 @@ class Navigator:
             belief=belief,
             rtk=np.zeros((batch, RTK_STATE_SIZE)),
             last_phase_m=np.zeros((batch, n_sat, 2)),
-            growth=np.zeros((batch, GROWTH_SIZE)),
-            start=np.zeros((batch, len(c.cases), 4)),
-            apart=np.zeros((batch, APART_ROWS, n_sat)),
+            growth=np.zeros((batch, 2, GROWTH_SIZE)),
+            start=np.zeros((batch, 2, len(c.cases), 4)),
+            apart=np.zeros((batch, 2, APART_ROWS, n_sat)),
             held=np.zeros((batch, n_sat), dtype=np.bool_),
             integers=np.zeros((batch, n_sat, 2)),
             fix_id=np.zeros((batch, n_sat), dtype=np.int64),
@@ -307,7 +308,7 @@ class Navigator:
         belief[rows, nk.SINCE_RTK] = belief[rows, nk.SINCE_CAL] = 0.0
         belief[rows, nk.HAS_VEL] = belief[rows, nk.FIXED_S] = belief[rows, nk.REST_S] = 0.0
         belief[rows, nk.UNBOUNDED] = belief[rows, nk.CONFLICT_S] = belief[rows, nk.REFUSED_S] = 0.0
-        belief[rows, nk.INITIALISED] = 1.0
+        belief[rows, nk.INITIALISED], belief[rows, nk.WITNESS_S] = 1.0, np.inf
         belief[rows, nk.APART :] = 0.0  # with the memory of the odometer's watch
         self.state.start[rows] = self.state.apart[rows] = 0.0
         self.state.held[rows], self.state.last_phase_m[rows] = False, 0.0
@@ -529,7 +530,7 @@ def _declared(c: NavigatorConfig, of_lever: float) -> Array:
         nk.LEVER_FORWARD: c.positioning.antenna_forward_m, nk.LEVER_RIGHT: c.positioning.antenna_right_m,
         nk.LEVER_K: upper_quantile(0.5 * min(c.risk.at_share, 1.0 - c.risk.at_share) * of_lever) if of_lever else 0.0,
         nk.AXLE: c.positioning.axle_m,
-        nk.AFTER_JUMP: r.jump_quarantine_s, nk.AFTER_OUTAGE: r.return_quarantine_s,
+        nk.AFTER_JUMP: r.jump_quarantine_s, nk.AFTER_OUTAGE: r.return_quarantine_s, nk.WITNESS_MOST_S: r.witness_s,
     }  # fmt: skip
     par = np.zeros(nk.NP)
     par[nk.WATCH_LIMITS :] = o.watch.packed(o)

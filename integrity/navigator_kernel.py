@@ -36,6 +36,7 @@ from lanebound.integrity.monitoring.doppler_separation_kernel import (
     exposure,
     factors,
     separate_velocity,
+    share_epoch,
     worst,
 )
 from lanebound.integrity.monitoring.geometry_kernel import (
@@ -54,7 +55,9 @@ from lanebound.integrity.monitoring.jump_kernel import (
     DOUBT_SIZE,
     QUARANTINED,
     REFUSED,
+    along_across,
     bounded,
+    contradicts,
     in_doubt,
     judge_jump,
     pass_time,
@@ -100,8 +103,8 @@ from lanebound.integrity.small_matrix_kernel import hdop_of
 # state
 EAST, NORTH, UP, HEADING, GYRO_BIAS, P_HH, P_HB, P_BB = range(8)
 VEL_E, VEL_N, HAS_VEL, SINCE_RTK, SINCE_CAL, REST_S, INITIALISED, FIXED_S = range(8, 16)
-UNBOUNDED, CONFLICT_S, REFUSED_S, APART = range(16, 20)
-DOUBT = 20  # first of DOUBT_SIZE
+UNBOUNDED, CONFLICT_S, REFUSED_S, WITNESS_E, WITNESS_N, WITNESS_S, APART = range(16, 23)
+DOUBT = 23  # first of DOUBT_SIZE
 WATCH = DOUBT + DOUBT_SIZE  # first of WATCH_SIZE
 NX = WATCH + WATCH_SIZE
 
@@ -142,10 +145,13 @@ TEST_FAILED_CAUSE, INITIALISING_CAUSE = 5, 7  # codes of AlertReason
     AFTER_JUMP,
     AFTER_OUTAGE,
     LEVER_K,
-) = range(26)
-WATCH_LIMITS = 26  # first of LIMITS
+    WITNESS_MOST_S,
+) = range(27)
+WATCH_LIMITS = 27  # first of LIMITS
 NP = WATCH_LIMITS + LIMITS
 
+# layers of ``growth``, ``start`` and ``apart``: since the last RTK position; since the one that the witness began at
+LATEST, WITNESS = range(2)
 # columns of ``start``, what the last RTK position left to each case: a bound beside ``K sigma``, the whole level [m]
 START_E, START_N, WHOLE_E, WHOLE_N = range(4)
 # columns of ``k_dead``: factors, and the risk that they stand for
@@ -384,31 +390,38 @@ def _box(at, ct, sin_h, cos_h):  # type: ignore[no-untyped-def]
 
 @jit
 def advance(x, growth, par, mode, v_e, v_n, q, v_ss, middle, carry, resting):  # type: ignore[no-untyped-def]
-    """Carry the position and its error over the epoch by Doppler or by dead reckoning.
+    """Carry the position, the witness's, and the errors of both over the epoch by Doppler or by dead reckoning.
 
     At rest the position stays; the bound grows by what the odometer may not show.
     """
     dt, variance = par[DT], x[P_HH]
     phi_d, phi_o = math.exp(-dt / par[DOP_TAU]), math.exp(-dt / par[ODO_TAU])
     if resting or mode == NONE:
-        step_still(phi_d, phi_o, variance, carry, growth)
-        growth[CV_E] += dt * par[STILL_SPEED] * math.sin(x[HEADING])
-        growth[CV_N] += dt * par[STILL_SPEED] * math.cos(x[HEADING])
+        for g in growth:
+            step_still(phi_d, phi_o, variance, carry, g)
+            g[CV_E] += dt * par[STILL_SPEED] * math.sin(x[HEADING])
+            g[CV_N] += dt * par[STILL_SPEED] * math.cos(x[HEADING])
         return
     if mode == DOPPLER:
         before_e, before_n = (x[VEL_E], x[VEL_N]) if x[HAS_VEL] > 0.0 else (v_e, v_n)
-        x[EAST] += 0.5 * dt * (before_e + v_e)
-        x[NORTH] += 0.5 * dt * (before_n + v_n)
-        step_doppler(dt, q[0, 0], q[0, 1], q[1, 1], par[DOP_BIAS], phi_d, phi_o, variance, carry, False, growth)
+        _move(x, 0.5 * dt * (before_e + v_e), 0.5 * dt * (before_n + v_n))
+        for g in growth:
+            step_doppler(dt, q[0, 0], q[0, 1], q[1, 1], par[DOP_BIAS], phi_d, phi_o, variance, carry, False, g)
         return
     s, c = math.sin(middle), math.cos(middle)
-    x[EAST] += dt * v_ss * s
-    x[NORTH] += dt * v_ss * c
+    _move(x, dt * v_ss * s, dt * v_ss * c)
     b_theta = heading_bias(x, par)
     bias = par[ODO_BIAS] + par[ODO_SCALE] * abs(v_ss)
-    step_odometer(
-        dt, v_ss, s, c, par[ODO_SIGMA], bias, b_theta, phi_d, phi_o, variance, carry, False, growth
-    )  # fmt: skip
+    for g in growth:
+        step_odometer(dt, v_ss, s, c, par[ODO_SIGMA], bias, b_theta, phi_d, phi_o, variance, carry, False, g)
+
+
+@jit
+def _move(x, east, north):  # type: ignore[no-untyped-def]
+    x[EAST] += east
+    x[NORTH] += north
+    x[WITNESS_E] += east
+    x[WITNESS_N] += north
 
 
 @jit
@@ -440,7 +453,43 @@ def lever_bounds(x, par):  # type: ignore[no-untyped-def]
 
 
 @jit
-def judge_rtk(x, par, head, sin_h, cos_h, expected, found):  # type: ignore[no-untyped-def]
+def later_by(since, par):  # type: ignore[no-untyped-def]
+    """By how much faults are likelier than at one moment, since some time [s] ago."""
+    return 1.0 + since / par[FAULT_DURATION] if since < math.inf else 1.0
+
+
+@jit
+def hear_witness(  # type: ignore[no-untyped-def]
+    x, par, growth, start, apart, system, sin_h, cos_h, k_dead, published, shift, prior, shares, rtk_en, found, pl
+):
+    """Where the witness contradicts an RTK position that lasts, go back to the one that he began at, and on with him.
+
+    ``found`` (R, 2) are the levels of RTK; ``pl`` (R, 2) become those of the witness, if he is believed [m].
+    """
+    east, north = rtk_en[0] - x[WITNESS_E], rtk_en[1] - x[WITNESS_N]
+    at, ct = along_across(east, north, sin_h, cos_h)
+    if not (x[WITNESS_S] < math.inf and x[SINCE_CAL] < math.inf and (at > found[0, 0] or ct > found[0, 1])):
+        return
+    levels = np.empty_like(pl)
+    levels_dead_reckoning(
+        growth[WITNESS], start[WITNESS], apart[WITNESS], system, sin_h, cos_h, k_dead, published, shift, prior,
+        later_by(x[WITNESS_S], par), shares[1], shares[3] > 0.0, levels,
+    )  # fmt: skip
+    if contradicts(east, north, sin_h, cos_h, levels[0], found[0]):
+        x[EAST], x[NORTH], x[SINCE_RTK], x[APART] = x[WITNESS_E], x[WITNESS_N], x[WITNESS_S], 1.0
+        growth[LATEST], start[LATEST], apart[LATEST] = growth[WITNESS], start[WITNESS], apart[WITNESS]
+        pl[:] = levels
+
+
+@jit
+def call_witness(x, growth, start, apart):  # type: ignore[no-untyped-def]
+    """A new witness begins at the RTK position just found."""
+    x[WITNESS_E], x[WITNESS_N], x[WITNESS_S] = x[EAST], x[NORTH], 0.0
+    growth[WITNESS], start[WITNESS], apart[WITNESS] = growth[LATEST], start[LATEST], apart[LATEST]
+
+
+@jit
+def judge_rtk(x, par, east, north, sin_h, cos_h, expected, found, lasting):  # type: ignore[no-untyped-def]
     """ACCEPTED, REFUSED or QUARANTINED: a confirmed RTK position beside the one expected; levels of both (R, 2) [m].
 
     One without a level is not taken in place of one that has one.
@@ -449,9 +498,8 @@ def judge_rtk(x, par, head, sin_h, cos_h, expected, found):  # type: ignore[no-u
         return QUARANTINED
     if not x[INITIALISED] > 0.0:
         return ACCEPTED
-    east, north = reference_point(head, par, sin_h, cos_h)
     return judge_jump(
-        east - x[EAST], north - x[NORTH], sin_h, cos_h, expected[0], found[0], x[SINCE_RTK] < 1.5 * par[DT],
+        east - x[EAST], north - x[NORTH], sin_h, cos_h, expected[0], found[0], lasting,
         x[CONFLICT_S] > CONFLICT_LIMIT_S, (par[AFTER_JUMP], par[AFTER_OUTAGE]), x[DOUBT:WATCH],
     )  # fmt: skip
 
@@ -472,6 +520,7 @@ def _epoch(  # type: ignore[no-untyped-def]
     suspect = suspects_signals(doubt)
     x[SINCE_RTK] += dt
     x[SINCE_CAL] += dt
+    x[WITNESS_S] += dt
 
     used, velocity_enu, q_v = np.empty(n_sat, dtype=np.bool_), np.empty(3), np.empty((3, 3))
     quality, variance = np.empty(n_sat), np.empty(n_sat)
@@ -481,9 +530,10 @@ def _epoch(  # type: ignore[no-untyped-def]
     )
     solved = outcome <= FDE_EXCLUDED or outcome == FDE_NO_REDUNDANCY
     lost = separate_velocity(
-        e, used, variance, range_rate, velocity_enu, q_v, solved, system, priors[0], apart
+        e, used, variance, range_rate, velocity_enu, q_v, solved, system, priors[0], apart[LATEST]
     )  # fmt: skip
-    later = 1.0 + x[SINCE_RTK] / par[FAULT_DURATION] if x[SINCE_RTK] < math.inf else 1.0
+    share_epoch(apart[LATEST], apart[WITNESS])
+    later = later_by(x[SINCE_RTK], par)
     checked = (
         solved
         and not suspect
@@ -513,20 +563,24 @@ def _epoch(  # type: ignore[no-untyped-def]
     head = fixed.head
     wrong = held_risk(held, fix_id, fix_risk)
     x[FIXED_S] = x[FIXED_S] + dt if status == FIXED else 0.0
-    confirmed = status == FIXED and (x[SINCE_RTK] < 1.5 * dt or x[FIXED_S] > par[CONFIRM])
+    lasting = x[SINCE_RTK] < 1.5 * dt
+    confirmed = status == FIXED and (lasting or x[FIXED_S] > par[CONFIRM])
     initialised = x[INITIALISED] > 0.0
     mode = bridge_mode(checked, v_gnss, v_ss, hdop_doppler, x[SINCE_RTK], initialised, mode_limits)
     advance(x, growth, par, mode, v_e, v_n, q_v, v_ss, middle, carry, resting)
     measured = doppler_usable(checked, v_gnss, v_ss, hdop_doppler, mode_limits)
     integrates = mode == DOPPLER and not resting
-    advance_separations(dt, integrates, x[HAS_VEL] > 0.0, measured, math.exp(-dt / par[DOP_TAU]), apart)
+    for a in apart:
+        advance_separations(dt, integrates, x[HAS_VEL] > 0.0, measured, math.exp(-dt / par[DOP_TAU]), a)
     x[APART] = 1.0 if integrates else x[APART]
     watch_speeds(x, par, solved, v_gnss, v_ss, hdop_doppler, heading_limits, mode_limits[1], delta_v, turning)
+    if x[UNBOUNDED] > 0.0:
+        x[WITNESS_S] = math.inf
     shift = par[REFERENCE_BIAS]
     if initialised and x[UNBOUNDED] == 0.0 and x[SINCE_CAL] < math.inf:
         levels_dead_reckoning(
-            growth, start, apart, system, sin_h, cos_h, k_dead, published, shift, priors[0], later, shares[1],
-            shares[3] > 0.0, pl,
+            growth[LATEST], start[LATEST], apart[LATEST], system, sin_h, cos_h, k_dead, published, shift, priors[0],
+            later, shares[1], shares[3] > 0.0, pl,
         )  # fmt: skip
     found[:] = 0.0
     if confirmed and rtk_usable(hdop_rtk, mode_limits):
@@ -535,13 +589,23 @@ def _epoch(  # type: ignore[no-untyped-def]
         lever_at, lever_ct = lever_bounds(x, par)
         found[:, 0] += lever_at
         found[:, 1] += lever_ct
-        verdict = judge_rtk(x, par, head, sin_h, cos_h, pl, found)
+        east, north = reference_point(head, par, sin_h, cos_h)
+        if lasting:
+            hear_witness(
+                x, par, growth, start, apart, system, sin_h, cos_h, k_dead, published, shift, priors[0], shares,
+                (east, north), found, pl,
+            )  # fmt: skip
+        verdict = judge_rtk(x, par, east, north, sin_h, cos_h, pl, found, lasting)
         if verdict == ACCEPTED:
             mode, pl[:] = RTK, found
-            x[EAST], x[NORTH] = reference_point(head, par, sin_h, cos_h)
-            x[UP] = head[X_U]
+            x[EAST], x[NORTH], x[UP] = east, north, head[X_U]
             x[SINCE_RTK], x[INITIALISED], x[UNBOUNDED] = 0.0, 1.0, 0.0
-            restart(growth, start, apart, x, pl, k_dead, shift, published, x[P_HH], head, sin_h, cos_h)
+            restart(
+                growth[LATEST], start[LATEST], apart[LATEST], x, pl, k_dead, shift, published, x[P_HH], head, sin_h,
+                cos_h,
+            )  # fmt: skip
+            if not (lasting and x[WITNESS_S] < par[WITNESS_MOST_S]):
+                call_witness(x, growth, start, apart)
         else:
             status = FAULT
         if verdict == REFUSED:
@@ -551,14 +615,15 @@ def _epoch(  # type: ignore[no-untyped-def]
         widen(sin_h, cos_h, found, doubt, pl)
     x[HAS_VEL] = 1.0 if measured else 0.0
     if mode == RTK and measured:
-        remember_velocity(q_v[0, 0], q_v[0, 1], q_v[1, 1], growth)
+        for g in growth:
+            remember_velocity(q_v[0, 0], q_v[0, 1], q_v[1, 1], g)
     x[VEL_E], x[VEL_N] = v_e, v_n
     if not measured:
         x[VEL_E], x[VEL_N] = v_ss * math.sin(x[HEADING] + slip), v_ss * math.cos(x[HEADING] + slip)
 
     _tell(
-        v, mode, status, doubted, x, par, sin_h, cos_h, growth, fixed.head, (hdop_rtk, hdop_doppler), pl, alert_limits,
-        alert, reason, onset, clear, out, covariance,
+        v, mode, status, doubted, x, par, sin_h, cos_h, growth[LATEST], fixed.head, (hdop_rtk, hdop_doppler), pl,
+        alert_limits, alert, reason, onset, clear, out, covariance,
     )  # fmt: skip
     out[O_SATELLITES], out[O_DOPPLER], out[O_EXCLUDED] = n_rtk, n_doppler, excluded_rtk + excluded_doppler
     out[O_WRONG] = wrong

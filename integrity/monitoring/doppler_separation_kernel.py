@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.accel import jit
 from lanebound.integrity.monitoring.protection_kernel import q_inverse
 
-__all__ = ["APART_ROWS", "advance_separations", "exposure", "factors", "separate_velocity", "worst"]
+__all__ = ["APART_ROWS", "advance_separations", "exposure", "factors", "separate_velocity", "share_epoch", "worst"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -96,6 +96,13 @@ def separate_velocity(
         if a[NOW, k] == LOST or a[STATE, k] == LOST:
             lost += prior[system[k]]
     return lost
+
+
+@jit
+def share_epoch(a: Array, other: Array) -> None:
+    """What :func:`separate_velocity` has found, for separations since another fix too."""
+    other[NEW_E : NEW_W + 1] = a[NEW_E : NEW_W + 1]
+    other[NOW] = a[NOW]
 
 
 @jit

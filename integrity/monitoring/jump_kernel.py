@@ -3,7 +3,9 @@
 Each epoch the position first goes on from the last RTK fix by Doppler or odometer, with the protection level it would
 have had without RTK. When both levels hold, the new RTK position lies within their sum of it, on either axis. A wrong
 fix, wrong reference coordinates or a spoofer that moves all satellites together break this and nothing else: their
-residuals are perfect. What is done then:
+residuals are perfect. What creeps breaks no single epoch: beside the position runs a witness, who has not listened to
+RTK for up to ten seconds (``rtk.witness_s``) and then begins anew where RTK is. Whoever contradicts him counts as one
+who jumped when the witness began, and the position goes back to the witness's. What is done then:
 
 1. The first contradiction refuses RTK and gives up the integers, so that a wrong fix heals by itself.
 2. When integers resolved anew contradict as well, or are nearer to the first ones than to what was expected, one of the
@@ -17,8 +19,8 @@ residuals are perfect. What is done then:
    reckoning, which grows, and RTK's, the difference ``D`` away.
 5. After the quarantine RTK is believed again, wherever it is: a spoofer who waits so long is not told from a repair.
 
-What is there from the first fix on, or creeps more slowly than the levels of an epoch allow and Doppler shows, is not
-seen.
+What is there from the first fix on, moves Doppler along with it, or creeps no further within ten seconds than the
+levels of RTK and of the witness are wide, is not seen.
 
 ``doubt`` (DOUBT_SIZE,): STAGE; LEFT_S of the quarantine [s]; D_E, D_N [m] RTK's position less the one reckoned.
 """
@@ -32,7 +34,17 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.accel import jit
 
-__all__ = ["DOUBT_SIZE", "bounded", "contradicts", "in_doubt", "judge_jump", "pass_time", "suspects_signals", "widen"]
+__all__ = [
+    "DOUBT_SIZE",
+    "along_across",
+    "bounded",
+    "contradicts",
+    "in_doubt",
+    "judge_jump",
+    "pass_time",
+    "suspects_signals",
+    "widen",
+]
 
 Array = NDArray[np.float64]
 

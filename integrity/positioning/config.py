@@ -94,6 +94,12 @@ class RtkConfig(Config):
     return_quarantine_s: float = Field(
         5.0, ge=0, description="and after it has come back from an outage elsewhere than expected [s]; argued"
     )
+    witness_s: float = Field(
+        10.0,
+        ge=0,
+        description="how long a reckoning goes on beside RTK without listening to it, to find out positions that creep "
+        "away [s]; 0: from one epoch to the next",
+    )
     hold_failures: int = Field(
         2, ge=1, description="rejected epochs in a row after which all held ambiguities are given up [-]"
     )

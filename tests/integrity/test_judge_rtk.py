@@ -22,7 +22,9 @@ def _judged(away_m: float, expected_m: float, found_m: float, **state: float) ->
         x[getattr(nk, name) if hasattr(nk, name) else nk.DOUBT + {"stage": STAGE}[name]] = value
     head[X_E], head[X_N] = away_m + 0.4, 1.5  # the antenna is ahead and to the right of the reference point
     expected, found = np.full((2, 2), expected_m), np.full((2, 2), found_m)
-    return int(nk.judge_rtk(x, par, head, 0.0, 1.0, expected, found))
+    east, north = nk.reference_point(head, par, 0.0, 1.0)
+    lasting = bool(x[nk.SINCE_RTK] < 0.15)
+    return int(nk.judge_rtk(x, par, east, north, 0.0, 1.0, expected, found, lasting))
 
 
 @pytest.mark.parametrize(

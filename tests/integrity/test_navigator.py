@@ -378,6 +378,36 @@ def test_a_shift_of_all_satellites_does_not_move_the_position(kind: FaultKind, s
     assert after.pl_at_m[-1].max() < 0.1
 
 
+def _creeping(rate_mps: float, config: NavigatorConfig = CALM) -> _Drive:
+    """A reference station whose coordinates drift for twenty seconds and stay there for twenty more."""
+    creep = Fault(kind=FaultKind.REFERENCE_COORDINATES, start_s=10.0, duration_s=40.0, magnitude_m=20.0 * rate_mps,
+                  profile="ramp", ramp_s=20.0, azimuth_deg=30.0)  # fmt: skip
+    cars = _Cars(_navigator(config, faults=(creep,)))
+    cars.drive(10.0)
+    return cars.drive(30.0)
+
+
+@pytest.mark.parametrize(("rate_mps", "after_s"), [(0.02, 12.0), (0.1, 3.0), (0.5, 0.8), (2.0, 0.3)])
+def test_a_position_that_creeps_away_is_found_out_by_who_does_not_listen_to_it(rate_mps: float, after_s: float) -> None:
+    """No epoch shows it: each moves by less than its levels. What is gone back to is where it had not crept yet."""
+    run = _creeping(rate_mps)
+    late = DT * np.arange(len(run.solutions)) > after_s
+    assert run.alert[late].all()
+    assert (run.mode[late] != Mode.RTK).all()
+    assert not _over(run)[late].any()
+    assert run.error_m[~late].max() < 0.3
+    shift_en_m = 20.0 * rate_mps * np.array([np.sin(np.deg2rad(30.0)), np.cos(np.deg2rad(30.0))])
+    np.testing.assert_allclose(run.doubt_en_m[-1], np.broadcast_to(shift_en_m, (4, 2)), atol=3.0)
+
+
+def test_without_a_witness_a_position_that_creeps_is_followed() -> None:
+    rtk = CALM.positioning.rtk.replace(witness_s=0.0)
+    run = _creeping(0.1, CALM.replace(positioning=CALM.positioning.replace(rtk=rtk)))
+    assert (run.mode == Mode.RTK).all()
+    assert run.error_m[-1].min() > 1.8
+    assert not run.alert.any()
+
+
 @pytest.mark.parametrize("rate_mps", [3.0, 25.0])
 def test_signals_that_run_away_from_the_wheels_are_not_followed(rate_mps: float) -> None:
     """A spoofer who moves Doppler and phases together, along the track; the others go across it."""
