@@ -25,6 +25,7 @@ from typing import Any
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecEnv
 
 from lanebound.agents.kept import read_kept, replace_file, require_own, write_whole
@@ -100,6 +101,8 @@ def train(
             begun = True
         if begun and all(row["steps"] != model.num_timesteps for row in progress):
             told(_checkpoint(experiment, model, out, progress))  # or it was kept when the last run was stopped
+        if model.num_timesteps:  # a loaded model is seeded as at its beginning: it would try the same noise again
+            set_random_seed(episode_seeds(experiment, model.num_timesteps, "learning"))
         env.seed(episode_seeds(experiment, model.num_timesteps))  # stable-baselines3 has seeded it otherwise
         watch = _Watch(stepped)
         while model.num_timesteps < experiment.steps:

@@ -5,15 +5,19 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from experiments import experiment
+from stable_baselines3.common.base_class import BaseAlgorithm
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from typer.testing import CliRunner
 
 from lanebound.agents.benchmark import run
 from lanebound.agents.cli import app
+from lanebound.agents.learning.algorithms import class_of
 from lanebound.agents.learning.evaluation import evaluate, evaluation_suite
 from lanebound.agents.learning.experiment import load_experiment
 from lanebound.agents.learning.opening import for_judging, for_learning
@@ -50,6 +54,30 @@ def test_a_stop_loses_no_checkpoint_and_the_same_call_goes_on(tmp_path: Path) ->
     assert [checkpoint.steps for checkpoint in told] == [128]
     assert train(experiment(), tmp_path) == rows
     assert [row["steps"] for row in train(experiment(steps=192), tmp_path)] == [64, 128, 192]
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "sac_lagrangian"])
+def test_who_goes_on_after_a_stop_does_not_draw_the_same_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, algorithm: str
+) -> None:
+    drawn: list[tuple[float, float]] = []
+
+    def stop(model: BaseAlgorithm, *_: Any, **__: Any) -> None:
+        drawn.append((float(torch.rand(1)), float(np.random.rand())))  # noqa: NPY002 - the streams that SB3 draws from
+        raise StoppedError
+
+    settings = {} if algorithm == "ppo" else {"buffer_size": 500, "learning_starts": 20, "train_freq": 16}
+    planned = experiment(algorithm=algorithm, **({"settings": settings} if settings else {}))
+    train(planned.replace(steps=64), tmp_path)
+    for steps in (64, 128):
+        more = planned.replace(steps=steps + 64)
+        with monkeypatch.context() as patched:
+            patched.setattr(class_of(planned.algorithm), "learn", stop)
+            with pytest.raises(StoppedError):
+                train(more, tmp_path)
+        train(more, tmp_path)
+    assert drawn[0][0] != drawn[1][0]
+    assert drawn[0][1] != drawn[1][1]
 
 
 def test_the_best_is_measured_on_test_seeds_beside_others(tmp_path: Path) -> None:
