@@ -79,12 +79,26 @@ class _OffPolicy(_Shared):
         )
 
 
+class _ConstrainedOffPolicy(_OffPolicy):
+    """The same under a limit of cost, whose transitions are single steps that are kept whole."""
+
+    n_steps: int = Field(1, ge=1, le=1, description="rewards that a target sums; costs are summed over one")
+    optimize_memory_usage: bool = Field(False, description="whether observations are kept once; costs need both")
+
+    @field_validator("optimize_memory_usage")
+    @classmethod
+    def _is_off(cls, given: bool) -> bool:
+        if given:
+            raise ConfigError("settings.optimize_memory_usage must be false for sac_lagrangian, got true: leave it out")
+        return given
+
+
 BOUNDS: dict[str, type[Config]] = {
     "ppo": _OnPolicy,
     "recurrent_ppo": _Recurrent,
     "ppo_lagrangian": _OnPolicy,
     "sac": _OffPolicy,
-    "sac_lagrangian": _OffPolicy,
+    "sac_lagrangian": _ConstrainedOffPolicy,
 }
 
 

@@ -28,6 +28,8 @@ REFUSED = [
     ("sac", "tau", 0, r"\(0, 1\], got 0"),
     ("sac", "buffer_size", 0, ">= 1, got 0"),
     ("sac", "ent_coef", "automatic", ">= 0, auto or auto_X .*, got 'automatic'"),
+    ("sac_lagrangian", "n_steps", 5, r"\[1, 1\], got 5"),
+    ("sac_lagrangian", "optimize_memory_usage", True, "false for sac_lagrangian, got true: leave it out"),
     ("ppo", "seed", 5, "left out, got 5: use seed"),
     ("sac_lagrangian", "cost_limit", 5, "left out, got 5: use cost_limit"),
 ]
