@@ -65,6 +65,11 @@ class EngineVecEnv(VecEnv):
 
     def reset(self) -> Any:
         """Begin an episode in every environment, under the seeds given by ``seed``."""
+        if any(self._options):
+            raise InputError(
+                f"options must be left out in the vector engine, got {next(filter(None, self._options))}: "
+                "use DummyVecEnv or SubprocVecEnv"
+            )
         observations, infos = self.envs.reset(seed=self._seeds)
         self.arrays = infos
         self.reset_infos = [single_info(infos, row) for row in range(self.num_envs)]
