@@ -77,17 +77,24 @@ def export_arrays(folder: Path, path: Path) -> Path:
     Raises
     ------
     InputError
-        As :func:`export_onnx`, or the network is other than PPO's usual one: layers with tanh between them.
+        As :func:`export_onnx`, or the network is other than PPO's usual one, layers with tanh between them
+        alone, or sees more than one observation.
     """
     experiment, best = trained(folder)
     _require_plain(experiment, ())
     policy: Any = load_model(best, experiment.algorithm).policy
     if experiment.algorithm.off_policy or policy.activation_fn is not nn.Tanh:
         raise InputError(f"a policy to export as arrays must be PPO's with tanh, got {experiment.algorithm}: use .onnx")
+    if policy.squash_output:
+        raise InputError("a policy to export as arrays must not squash its output, got squash_output: true: use .onnx")
     layers = [layer for layer in policy.mlp_extractor.policy_net if isinstance(layer, nn.Linear)]
     with closing(experiment.open()) as env:
-        discrete = isinstance(env.action_space, spaces.Discrete)
-        arrays: dict[str, Any] = sight(env.config.observation) | {"discrete": np.array(discrete)}
+        observation, discrete = env.config.observation, isinstance(env.action_space, spaces.Discrete)
+    if observation.history != 1:
+        raise InputError(
+            f"a policy to export as arrays must see one observation, got a history of {observation.history}: use .onnx"
+        )
+    arrays: dict[str, Any] = sight(observation) | {"discrete": np.array(discrete)}
     for n, layer in enumerate([*layers, policy.action_net]):
         arrays[f"weight_{n}"] = layer.weight.detach().numpy()
         arrays[f"bias_{n}"] = layer.bias.detach().numpy()
@@ -123,12 +130,15 @@ class _Unsquashed(nn.Module):
     def __init__(self, policy: Any) -> None:
         super().__init__()
         self.policy, self.discrete = policy, isinstance(policy.action_space, spaces.Discrete)
+        self.squashed = bool(policy.squash_output)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         policy = self.policy
         features = policy.extract_features(observation, policy.pi_features_extractor)
         found: torch.Tensor = policy.action_net(policy.mlp_extractor.forward_actor(features))
-        return found if self.discrete else found.clamp(-1.0, 1.0)
+        if self.discrete:
+            return found
+        return torch.tanh(found) if self.squashed else found.clamp(-1.0, 1.0)
 
 
 class _Squashed(nn.Module):

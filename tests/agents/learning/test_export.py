@@ -70,6 +70,27 @@ def test_arrays_answer_as_the_policy_does_for_one_and_for_many(tmp_path: Path, m
     assert (tmp_path / "again.npz").stat().st_size < 200_000
 
 
+def test_a_squashed_output_is_exported_squashed_and_no_arrays_hold_it(tmp_path: Path) -> None:
+    settings = SETTINGS["ppo_lagrangian"] | {"use_sde": True, "policy_kwargs": {"squash_output": True}}
+    planned = experiment(algorithm="ppo", steps=64, settings=settings, overrides=STILL)
+    train(planned, tmp_path)
+    policy: Any = load_model(tmp_path / "best.zip", Algorithm.PPO)
+    policy.policy.action_net.bias.data.fill_(0.8)  # where tanh is far from what it is of
+    policy.save(tmp_path / "best.zip")
+    world = planned.open()
+    network = make_agent(str(export_onnx(tmp_path, tmp_path / "net.onnx")), world)
+    seen = world.reset(seed=1)[0]
+    np.testing.assert_allclose(network.predict(seen)[0], policy.predict(seen, deterministic=True)[0], atol=2e-5)
+    with pytest.raises(InputError, match=r"must not squash its output, got squash_output: true: use \.onnx"):
+        export_arrays(tmp_path, tmp_path / "net.npz")
+
+
+def test_arrays_of_a_policy_with_a_history_are_refused_when_they_are_written(tmp_path: Path) -> None:
+    train(experiment(steps=64, overrides={**STILL, "observation": {"history": 2}}), tmp_path)
+    with pytest.raises(InputError, match=r"must see one observation, got a history of 2: use \.onnx"):
+        export_arrays(tmp_path, tmp_path / "net.npz")
+
+
 def test_policies_that_cannot_stand_alone_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match=r"with best\.zip, got .*: train first"):
         export_onnx(tmp_path, tmp_path / "net.onnx")
