@@ -25,6 +25,7 @@ from lanebound.agents.kept import replace_file
 from lanebound.agents.learning.evaluation import trained
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig, Shield
 from lanebound.agents.learning.training import load_model
+from lanebound.envs.observation import ObservationConfig
 from lanebound.integrity.errors import InputError
 
 __all__ = ["export_arrays", "export_onnx"]
@@ -83,17 +84,10 @@ def export_arrays(folder: Path, path: Path) -> Path:
     experiment, best = trained(folder)
     _require_plain(experiment, ())
     policy: Any = load_model(best, experiment.algorithm).policy
-    if experiment.algorithm.off_policy or policy.activation_fn is not nn.Tanh:
-        raise InputError(f"a policy to export as arrays must be PPO's with tanh, got {experiment.algorithm}: use .onnx")
-    if policy.squash_output:
-        raise InputError("a policy to export as arrays must not squash its output, got squash_output: true: use .onnx")
-    layers = [layer for layer in policy.mlp_extractor.policy_net if isinstance(layer, nn.Linear)]
     with closing(experiment.open()) as env:
         observation, discrete = env.config.observation, isinstance(env.action_space, spaces.Discrete)
-    if observation.history != 1:
-        raise InputError(
-            f"a policy to export as arrays must see one observation, got a history of {observation.history}: use .onnx"
-        )
+    _require_layers(experiment.algorithm, policy, observation)
+    layers = [layer for layer in policy.mlp_extractor.policy_net if isinstance(layer, nn.Linear)]
     arrays: dict[str, Any] = sight(observation) | {"discrete": np.array(discrete)}
     for n, layer in enumerate([*layers, policy.action_net]):
         arrays[f"weight_{n}"] = layer.weight.detach().numpy()
@@ -105,6 +99,18 @@ def export_arrays(folder: Path, path: Path) -> Path:
     except OSError as error:
         raise _unwritable(path, error) from None
     return path
+
+
+def _require_layers(algorithm: Algorithm, policy: Any, observation: ObservationConfig) -> None:
+    """Raise InputError for what arrays do not tell: other layers, a squashed output, a memory of observations."""
+    if algorithm.off_policy or policy.activation_fn is not nn.Tanh:
+        raise InputError(f"a policy to export as arrays must be PPO's with tanh, got {algorithm}: use .onnx")
+    if policy.squash_output:
+        raise InputError("a policy to export as arrays must not squash its output, got squash_output: true: use .onnx")
+    if observation.history != 1:
+        raise InputError(
+            f"a policy to export as arrays must see one observation, got a history of {observation.history}: use .onnx"
+        )
 
 
 def _unwritable(path: Path, error: OSError) -> InputError:

@@ -86,7 +86,7 @@ class PPOLagrangian(PPO):
         """Update the multiplier, then the policy by both advantages, then the cost critic."""
         ended = self._episodes.take()
         if ended:
-            self.multiplier.update(float(np.mean(ended)), self.num_timesteps)
+            self.multiplier.update(ended, self.num_timesteps)
             self.logger.record("cost/episode_mean", float(np.mean(ended)))
         weight, buffer = self.multiplier.value, self.rollout_buffer
         seen = buffer.observations.reshape(buffer.buffer_size * self.n_envs, -1).copy()

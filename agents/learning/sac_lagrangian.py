@@ -118,7 +118,7 @@ class SACLagrangian(SAC):
         self._episodes.add(costs_in(infos), ended)
         finished = self._episodes.take()
         if finished:
-            self.multiplier.update(float(np.mean(finished)), self.num_timesteps)
+            self.multiplier.update(finished, self.num_timesteps)
             self.logger.record_mean("cost/episode_mean", float(np.mean(finished)))
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:

