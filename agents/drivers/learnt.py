@@ -2,8 +2,8 @@
 
 ``lanebound train`` learns one, ``lanebound export DIR --out FILE.npz`` writes it in this form: for each layer n the
 arrays ``weight_n`` (outputs, inputs) and ``bias_n``, tanh between layers; of the entries of the observation, in their
-order, ``columns`` (names) and ``scales``; ``integrity``, what they show of it; ``discrete``, whether the outputs are a
-value of each discrete action, or a continuous action.
+order, ``columns`` (names) and ``scales``; and ``discrete``, whether the outputs are a value of each discrete action, or
+a continuous action.
 """
 
 from __future__ import annotations
@@ -100,12 +100,11 @@ def open_arrays(path: Path, env: DrivingEnv) -> LearntDriver:
 
 
 def sight(config: ObservationConfig) -> dict[str, NDArray[Any]]:
-    """What a policy of flat observations must find as it was when it learnt: the entries, and what of integrity."""
+    """What a policy of flat observations must find as it was when it learnt: names and scales of the entries."""
     shown = entries(config)
     return {
         "columns": np.array([entry.column for entry in shown]),
         "scales": np.array([entry.scale for entry in shown]),
-        "integrity": np.array(config.integrity),
     }
 
 
