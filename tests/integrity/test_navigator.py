@@ -389,7 +389,7 @@ def _creeping(rate_mps: float, config: NavigatorConfig = CALM) -> _Drive:
 
 @pytest.mark.parametrize(("rate_mps", "after_s"), [(0.2, 6.0), (0.5, 3.0), (1.0, 1.5), (2.0, 0.5)])
 def test_a_position_that_creeps_away_is_found_out_by_who_does_not_listen_to_it(rate_mps: float, after_s: float) -> None:
-    """No epoch shows it: each moves by less than its levels. What is gone back to had crept by little more than a metre."""
+    """No epoch shows it: each moves by less than its levels. What is gone back to had crept by a metre or so."""
     run = _creeping(rate_mps)
     late = DT * np.arange(len(run.solutions)) > after_s
     assert run.alert[late].all()
