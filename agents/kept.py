@@ -29,8 +29,8 @@ from lanebound.integrity.config import Config
 from lanebound.integrity.errors import InputError
 
 __all__ = [
-    "MARKS", "STARTING", "Progress", "claim", "code_digest", "one_thread", "parts_kept", "read_kept", "replace_file",
-    "require_own", "run_parts", "write_whole",
+    "MARKS", "STARTING", "Progress", "claim", "code_digest", "make_folder", "one_thread", "parts_kept", "read_kept",
+    "replace_file", "require_own", "run_parts", "write_whole",
 ]  # fmt: skip
 
 T = TypeVar("T")
@@ -76,6 +76,23 @@ def claim(out: Path, study: str, config: Config, packages: Sequence[str]) -> Non
     if found != digest:
         what = _differing(mark, study, config)
         raise InputError(f"out must be empty or hold the same study, got {out} {what}: choose a new folder")
+
+
+def make_folder(out: Path) -> None:
+    """Make the folder that results go to, before time is spent on them.
+
+    Raises
+    ------
+    InputError
+        It cannot be made or written.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        probe = out / f".{os.getpid()}.probe"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise InputError(f"out must be a folder that can be written, got {out} ({error}): choose another") from error
 
 
 def require_own(mark: Path) -> None:

@@ -30,12 +30,13 @@ def replay(
     """
     from lanebound.agents.cli.interrupt import stoppable, wait_for
     from lanebound.agents.cli.output import print_json
-    from lanebound.agents.kept import require_own
+    from lanebound.agents.kept import make_folder, require_own
     from lanebound.integrity.presets import parse_assignments
     from lanebound.integrity.replay.datasets import replay_folder
 
     changes = parse_assignments(assignments or [])
     require_own(out / "replay.json")
+    make_folder(out)
     with stoppable(lambda: "nothing is kept"):
         found, written = wait_for(lambda: replay_folder(dataset, out, changes))
     if as_json:
@@ -72,7 +73,7 @@ def rtk(
     """
     from lanebound.agents.cli.interrupt import stoppable, wait_for
     from lanebound.agents.cli.output import print_json
-    from lanebound.agents.kept import require_own
+    from lanebound.agents.kept import make_folder, require_own
     from lanebound.integrity.presets import parse_assignments
     from lanebound.integrity.replay.baseline import BaselineConfig
     from lanebound.integrity.replay.baseline_report import read_coordinates, run_baseline
@@ -83,6 +84,7 @@ def rtk(
         name: None if text is None else read_coordinates(text)
         for name, text in (("base_ecef_m", base_position), ("rover_ecef_m", rover_position))
     }
+    make_folder(out)
     with stoppable(lambda: "nothing is kept"):
         found, written = wait_for(lambda: run_baseline(rover, base, nav, out, config=config, **places))
     if as_json:

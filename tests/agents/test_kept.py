@@ -164,3 +164,13 @@ def test_what_writes_in_one_go_takes_no_folder_of_long_work(tmp_path: Path, argu
     assert told.stderr.endswith("with a benchmark: choose a new folder\n")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["episodes.parquet", "suite.json"]
     assert (tmp_path / "episodes.parquet").read_text(encoding="utf-8") == "results"
+
+
+@pytest.mark.parametrize("command", [["replay", "nowhere"], ["rtk", "--rover", "r", "--base", "b", "--nav", "n"]])
+def test_recorded_drives_refuse_a_file_as_their_folder_first(tmp_path: Path, command: list[str]) -> None:
+    (tmp_path / "file").write_text("mine", encoding="utf-8")
+    for out in (tmp_path / "file", tmp_path / "file" / "below"):
+        done = CliRunner().invoke(app, [*command, "--out", str(out)])
+        assert done.exit_code == 2
+        assert "out must be a folder that can be written, got" in done.output
+    assert (tmp_path / "file").read_text(encoding="utf-8") == "mine"
