@@ -222,7 +222,7 @@ class OnnxDriver:
     Raises
     ------
     InputError
-        It takes other inputs.
+        It takes other inputs, or answers for other actions.
     """
 
     def __init__(self, session: Any, env: DrivingEnv) -> None:
@@ -238,6 +238,14 @@ class OnnxDriver:
         if not self._named and isinstance(given, int) and given != wide:
             raise InputError(
                 f"an ONNX agent must take {wide} numbers here, got {given}: choose the environment that it was made for"
+            )
+        answer = session.get_outputs()[0]
+        of = int(self.space.n) if isinstance(self.space, spaces.Discrete) else spaces.flatdim(self.space)
+        answers = answer.shape[-1] if len(answer.shape) > 1 else None  # a code of an action is one number
+        if isinstance(answers, int) and answers not in ({of, 1} if "int" in answer.type else {of}):
+            raise InputError(
+                f"an ONNX agent must answer with {of} numbers here, got {answers}: "
+                "choose the environment that it was made for"
             )
 
     def predict(

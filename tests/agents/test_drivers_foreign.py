@@ -109,6 +109,11 @@ class Session:
     def get_inputs(self) -> list[Any]:
         return [type("Input", (), {"name": name, "shape": [None, self.wide]}) for name in self.inputs]
 
+    def get_outputs(self) -> list[Any]:
+        shape = [None, *np.shape(self.answer)[1:]]
+        kind = "int64" if np.asarray(self.answer).dtype.kind == "i" else "float"
+        return [type("Output", (), {"name": "action", "shape": shape, "type": f"tensor({kind})"})]
+
     def run(self, outputs: Any, given: dict[str, Any]) -> list[Any]:
         self.given = given
         return [self.answer]
@@ -149,6 +154,13 @@ def test_networks_with_other_inputs_are_refused(monkeypatch, tmp_path, steered):
         onnx(monkeypatch, tmp_path, steered, Session(["obs", "obs2"], None))
     with pytest.raises(InputError, match=r"an ONNX agent must take \d+ numbers here, got 7: choose the environment"):
         onnx(monkeypatch, tmp_path, steered, Session(["obs"], None, 7))
+
+
+def test_networks_for_other_actions_are_refused(monkeypatch, tmp_path, meta, steered):
+    with pytest.raises(InputError, match=r"an ONNX agent must answer with 5 numbers here, got 2: choose the environ"):
+        onnx(monkeypatch, tmp_path, meta, Session(["obs"], np.zeros((1, 2), np.float32)))
+    with pytest.raises(InputError, match=r"an ONNX agent must answer with 2 numbers here, got 5: choose the environ"):
+        onnx(monkeypatch, tmp_path, steered, Session(["obs"], np.zeros((1, 5), np.float32)))
 
 
 def test_a_network_of_one_input_takes_the_groups_in_a_row(monkeypatch, tmp_path):
