@@ -28,7 +28,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecEnv
 
-from lanebound.agents.kept import read_kept, replace_file, require_own, write_whole
+from lanebound.agents.kept import make_folder, read_kept, replace_file, require_own, write_whole
 from lanebound.agents.learning.algorithms import class_of, make_model, require_known
 from lanebound.agents.learning.card import write_card
 from lanebound.agents.learning.evaluation import evaluate
@@ -43,6 +43,7 @@ from lanebound.integrity.errors import InputError
 
 __all__ = ["Checkpoint", "is_best", "load_model", "one_thread", "train"]
 
+MARK, PROGRESS, BEST, CARD = "experiment.json", "progress.json", "best.zip", "best.md"
 LAST, REPLAY, IMITATION = "last.zip", "last-replay.pkl", "imitation.pt"
 NOT_FINITE = ("Expected parameter", "without overflow")
 """What torch says of distributions whose parameters are none, as NaN, and of steps that no float holds."""
@@ -93,6 +94,7 @@ def train(
     progress = _claim(experiment, out)
     with closing(for_learning(experiment, processes)) as env, one_thread():
         model = _model(experiment, env, out)
+        write_whole(out / MARK, experiment.to_dict())  # no sooner: what is refused marks no folder
         begun = (out / LAST).exists()
         if teacher is not None and not begun:
             rate = "imitation.learning_rate"
@@ -196,21 +198,26 @@ def _recall(model: Any, path: Path) -> None:
 
 
 def _claim(experiment: ExperimentConfig, out: Path) -> list[dict[str, Any]]:
-    """Mark a folder with an experiment, or go on with it; the evaluations so far.
+    """A folder for an experiment, new or to go on with; the evaluations so far.
 
     More steps may be asked for; everything else must be as it was.
     """
-    mark, progress, wanted = out / "experiment.json", out / "progress.json", experiment.to_dict()
+    mark, progress, wanted = out / MARK, out / PROGRESS, experiment.to_dict()
     require_own(mark)
+    make_folder(out)
     try:
         found = read_kept(mark, dict) if mark.exists() else wanted
         changed = sorted(key for key in wanted | found if key != "steps" and wanted.get(key) != found.get(key))
-        if not changed:
-            write_whole(mark, wanted)
-        kept = (out / LAST).exists() and progress.exists()
-        rows: list[dict[str, Any]] = read_kept(progress, list) if kept else []
+        lacking = [name for name in (MARK, LAST) if not (out / name).exists()]
+        there = [name for name in (LAST, BEST, CARD, PROGRESS) if (out / name).exists()]
+        rows: list[dict[str, Any]] = read_kept(progress, list) if progress.exists() and not lacking else []
     except OSError as error:
-        raise InputError(f"out must be a folder that can be written, got {out} ({error}): choose another") from error
+        raise InputError(f"out must be a folder that can be read, got {out} ({error}): choose another") from error
+    if lacking and there:
+        raise InputError(
+            f"out must be empty or hold a whole training, got {out} with {', '.join(there)} "
+            f"but without {' and '.join(lacking)}: choose a new folder"
+        )
     if changed:
         raise InputError(
             f"out must be empty or hold the same experiment, got {out}, which differs in {', '.join(changed)}: "
@@ -228,8 +235,8 @@ def _checkpoint(
     best = is_best(progress, _limit_of_best(experiment))
     _keep(model, out, best)
     if best:
-        write_card(experiment, progress[-1], out / "best.md")
-    write_whole(out / "progress.json", finite_or_none(progress))
+        write_card(experiment, progress[-1], out / CARD)
+    write_whole(out / PROGRESS, finite_or_none(progress))
     return Checkpoint(model.num_timesteps, experiment.steps, found, best)
 
 
@@ -238,7 +245,7 @@ def _keep(model: BaseAlgorithm, out: Path, best: bool) -> None:
     if getattr(model, "replay_buffer", None) is not None:
         with replace_file(out / REPLAY) as draft:
             model.save_replay_buffer(draft)  # type: ignore[attr-defined]
-    for path in (out / LAST, out / "best.zip") if best else (out / LAST,):
+    for path in (out / LAST, out / BEST) if best else (out / LAST,):
         with replace_file(path) as draft:
             model.save(draft)
     (out / IMITATION).unlink(missing_ok=True)

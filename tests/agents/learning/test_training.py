@@ -113,6 +113,25 @@ def test_another_experiment_is_refused_with_what_differs(tmp_path: Path) -> None
         train(experiment(seed=3, sky="urban"), tmp_path)
 
 
+def test_what_is_refused_does_not_mark_its_folder(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"settings.n_stepz must be one"):
+        train(experiment(settings={"n_stepz": 3}), tmp_path)
+    assert not list(tmp_path.iterdir())
+    train(experiment(steps=64), tmp_path)
+
+
+def test_files_of_others_and_half_trainings_are_not_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "best.zip").write_text("mine", encoding="utf-8")
+    message = r"with best\.zip but without experiment\.json and last\.zip: choose a new folder$"
+    with pytest.raises(InputError, match=message):
+        train(experiment(steps=64), tmp_path)
+    assert (tmp_path / "best.zip").read_text(encoding="utf-8") == "mine"
+    train(experiment(steps=64), tmp_path / "half")
+    (tmp_path / "half" / "last.zip").unlink()
+    with pytest.raises(InputError, match=r"with best\.zip, best\.md, progress\.json but without last\.zip: choose"):
+        train(experiment(), tmp_path / "half")
+
+
 def test_sac_keeps_its_transitions(tmp_path: Path) -> None:
     settings = {"learning_starts": 20, "buffer_size": 500, "batch_size": 16, "train_freq": 16}
     train(experiment(algorithm="sac", settings=settings), tmp_path)
