@@ -35,13 +35,15 @@ BUILDING = "#DAD6CF"
 RTK_SCALE_M = 0.5  # S1 section 5: the RTK panels have a smaller error scale
 AXIS_NAMES = {"at": "along track (AT)", "ct": "cross track (CT)"}
 SPARSE = 0.1  # a mode used less than this is drawn with dots: single epochs make no line
-PANELS = (Mode.RTK, Mode.DOPPLER, Mode.IMU_ODOMETER)
+PANELS = (Mode.RTK, Mode.DOPPLER, Mode.IMU_ODOMETER)  # of S1; a drive by code shows the modes that it used instead
 
 
 def series_figure(
     record: Record, *, risk: float | None = None, al_at_m: float | None = None, al_ct_m: float | None = None
 ) -> Figure:
     """Absolute error and protection level of one vehicle against time: AT left, CT right; all modes, then each of them.
+
+    These are the paper's three modes, used or not; where positions come from code, the modes that were used.
 
     Raises
     ------
@@ -52,19 +54,21 @@ def series_figure(
         raise InputError(
             f"record must hold one vehicle, (T,), got {np.shape(record.error_at_m)}: select a column first"
         )
-    figure = new_figure(11.0, 9.4)
+    used = [mode for mode in Mode if (record.mode == mode).any()]
+    panels = [m for m in (Mode.CODE, *PANELS) if m in used] if Mode.CODE in used else PANELS
+    figure = new_figure(11.0, 1.8 + 1.9 * (1 + len(panels)))
     figure.suptitle("Position error and protection level (PL)" + risk_text(risk), fontsize=12, color=INK)
     mode_key(
         figure,
-        [mode for mode in Mode if (record.mode == mode).any()],
+        used,
         "mode, as in the strip above the first row:",
         loc="outside lower center",
     )
-    grid = figure.subplots(1 + len(PANELS), 2, sharex=True, squeeze=False)
+    grid = figure.subplots(1 + len(panels), 2, sharex=True, squeeze=False)
     for column, (axis, al) in enumerate(zip(AXES, (al_at_m, al_ct_m), strict=True)):
         top = _scale(record, axis, record.mode != Mode.NONE, al)
         _all_modes(grid[0, column], record, axis, al, top)
-        for row, mode in enumerate(PANELS, start=1):
+        for row, mode in enumerate(panels, start=1):
             _one_mode(grid[row, column], record, axis, mode)
         grid[-1, column].set_xlabel("time (min)", fontsize=9)
         grid[0, column].set_title(f"{AXIS_NAMES[axis]}", fontsize=11, color=INK, loc="left")
@@ -100,11 +104,13 @@ def _all_modes(axes: Axes, record: Record, axis: Axis, al: float | None, top: fl
 
 def _mode_strip(axes: Axes, minutes: Array, record: Record) -> None:
     """A band of mode colours along the top of the panel."""
+    begins = np.flatnonzero(np.diff(record.mode, prepend=-1))  # a mode lasts to the next epoch, if only for one
+    lasts = np.diff(minutes[begins], append=minutes[-1])
     for mode in Mode:
-        axes.fill_between(
-            minutes, 0.965, 1.0, where=(record.mode == mode).tolist(), step="post", linewidth=0,
-            color=MODE_COLOURS[mode], transform=axes.get_xaxis_transform(), zorder=4,
-        )  # fmt: skip
+        bars = [(minutes[k], last) for k, last in zip(begins, lasts, strict=True) if record.mode[k] == mode]
+        axes.broken_barh(
+            bars, (0.965, 0.035), linewidth=0, color=MODE_COLOURS[mode], transform=axes.get_xaxis_transform(), zorder=4
+        )
 
 
 def _one_mode(axes: Axes, record: Record, axis: Axis, mode: Mode) -> None:

@@ -104,7 +104,8 @@ def _drift_figure(outages: Outages, config: OutageConfig) -> Figure:
     )
     for q, name in enumerate(("along track", "cross track")):
         axes = figure.add_subplot(1, 2, q + 1)
-        axes.plot(outages.age_s, np.abs(outages.error_m[..., q]).T, color=INK, alpha=0.25, linewidth=0.6)
+        lines = axes.plot(outages.age_s, np.abs(outages.error_m[..., q]).T, color=INK, alpha=0.25, linewidth=0.6)
+        lines[0].set_label("error of each outage")
         axes.plot(outages.age_s, np.median(outages.pl_m[..., q], 0), color=PL_COLOUR, label="median PL")
         tidy(axes, xlabel="age of the outage (s)", ylabel=f"{name} error and PL (m)")
         legend(axes, loc="upper left")

@@ -80,6 +80,18 @@ def test_a_rare_mode_is_drawn_with_dots() -> None:
     assert {line.get_marker() for line in figure.axes[2].lines} == {"None"}
 
 
+def test_a_drive_by_code_shows_the_modes_it_used_and_each_epoch_in_the_strip() -> None:
+    n = 6
+    mode = np.array([4, 3, 4, 0, 4, 3])
+    record = Record(np.arange(n) * 6.0, mode, np.zeros(n), np.zeros(n), np.ones(n), np.ones(n), mode > 5, mode < 5)
+    figure = series_figure(record)
+    assert [axes.get_ylabel().split(",")[0] for axes in figure.axes[::2]] == ["all modes", "code", "IMU + odometer"]
+    strip = {bars.get_label(): bars for bars in figure.axes[0].collections if len(bars.get_paths()) == 3}
+    (code,) = strip.values()
+    assert [path.get_extents().x0 for path in code.get_paths()] == pytest.approx([0.0, 0.2, 0.4])
+    assert [path.get_extents().width for path in code.get_paths()] == pytest.approx([0.1] * 3)
+
+
 @pytest.mark.parametrize(
     ("risk", "text"), [(None, ""), (1e-6, ", integrity risk $10^{-6}$"), (2e-5, ", integrity risk 2e-05")]
 )
