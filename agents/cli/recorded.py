@@ -145,7 +145,7 @@ def _print_sky(found: dict[str, Any]) -> None:
 def _tell(stopped: Any, written: list[Path]) -> None:
     """Where files ended early, and what was written."""
     for told in stopped.items() if isinstance(stopped, dict) else ([("file", stopped)] if stopped else []):
-        typer.echo(f"note: {told[0]} {told[1]}", err=True)
+        typer.echo(f"note: {told[0]}: {told[1]}", err=True)
     for path in written:
         typer.echo(str(path))
 
@@ -157,7 +157,7 @@ def _print_rtk(found: dict[str, Any]) -> None:
     print_table("RTK", ("", "value"), ((key, found[key]) for key in keys))
     errors = found.get("errors", {})
     if errors:
-        head = ("epochs", "axis", "n", "largest error m", "above PL", "exact 95 % interval", "median PL m")
+        head = ("epochs", "axis", "n", "largest horizontal m", "above PL", "exact 95 % interval", "median PL m")
         print_table("Errors", head, [row for name in errors for row in _bounding_rows(name, errors[name])])
         typer.echo(found["caution"])
 

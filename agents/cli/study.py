@@ -109,4 +109,4 @@ def _report(found: dict[str, Any], out: Path, as_json: bool) -> None:
     trainings = found["trainings"]
     if trainings["done"] < trainings["planned"]:
         typer.echo(f"{trainings['done']} of {trainings['planned']} trainings are done: the same command goes on")
-    typer.echo(f"results.json, curves.svg: {out}")
+    typer.echo(f"results.json{', curves.svg' if trainings['done'] else ''}: {out}")
