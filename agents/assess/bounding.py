@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import field_validator
 
 from lanebound.agents.assess.bounding_summary import summarise
 from lanebound.agents.kept import Progress, claim, run_parts, write_whole
@@ -20,6 +21,7 @@ from lanebound.integrity.assessment.exceedance import Tally, expected_fault_free
 from lanebound.integrity.assessment.importance import FaultSize, expected_one_fault, importance_rates
 from lanebound.integrity.assessment.measurement_model import Case, Form, Prepared, draw_case, prepare
 from lanebound.integrity.config import Config, Field
+from lanebound.integrity.errors import ConfigError
 from lanebound.integrity.monitoring.risk import RiskConfig, pair_risk
 from lanebound.integrity.streams import named_generator
 
@@ -58,6 +60,14 @@ class BoundingConfig(Config):
         RiskConfig(satellite_prior=(1e-5,) * 5), description="the layer's rules; the risk itself is replaced"
     )
     drift: DriftConfig = Field(DriftConfig(), description="errors between fixes")
+
+    @field_validator("risks")
+    @classmethod
+    def _are_risks(cls, risks: tuple[float, ...]) -> tuple[float, ...]:
+        for k, risk in enumerate(risks):
+            if not 0.0 < risk < 1.0:
+                raise ConfigError(f"risks.{k} must lie in (0, 1), got {risk:g}: correct that value")
+        return risks
 
     @property
     def cases(self) -> int:
