@@ -59,13 +59,15 @@ def require_foreign(name: str) -> None:
     Raises
     ------
     InputError
-        There is no such file or module, or what it takes is not installed.
+        There is no such file or module, a checkpoint is damaged, or what it takes is not installed.
     """
     if name.endswith(MODELS):
         if not Path(name).is_file():
             raise InputError(f"agent must be a file that exists, got {name}: correct the path")
         if name.endswith(".onnx"):
             _runtime()
+        if name.endswith(".zip"):
+            _described(name)
         return
     from importlib.util import find_spec
 
@@ -168,18 +170,25 @@ class FlatDriver:
 @lru_cache(maxsize=4)
 def _model(path: str, changed: int) -> Any:
     """A checkpoint, kept: its policies hold no state between decisions."""
-    try:
-        with ZipFile(path) as archive:
-            data = json.loads(archive.read("data"))
-    except (BadZipFile, KeyError, ValueError, OSError) as error:
-        raise InputError(
-            f"agent must be a checkpoint of stable-baselines3, got {path} ({error}): save it anew"
-        ) from None
-    module, _, name = _algorithm(path, data).partition(":")
+    module, _, name = _algorithm(path, _described(path)).partition(":")
     try:
         return getattr(import_module(module), name).load(path, device="cpu")
     except ImportError:
         raise InputError(f"agent {path} needs the package {module}, got none: install it") from None
+
+
+def _described(path: str) -> dict[str, Any]:
+    """What a checkpoint says of itself; a damaged one is refused."""
+    try:
+        with ZipFile(path) as archive:
+            if damaged := archive.testzip():
+                raise BadZipFile(f"{damaged} is damaged")
+            data: dict[str, Any] = json.loads(archive.read("data"))
+    except (BadZipFile, KeyError, ValueError, OSError) as error:
+        raise InputError(
+            f"agent must be a checkpoint of stable-baselines3, got {path} ({error}): save it anew"
+        ) from None
+    return data
 
 
 def _algorithm(path: str, data: dict[str, Any]) -> str:

@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 from lanebound.agents.cli import app
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.base import in_a_row
+from lanebound.agents.drivers.foreign import require_foreign
 from lanebound.agents.episodes import open_env
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.config import deep_merge
@@ -83,6 +84,21 @@ def test_what_cannot_drive_is_refused(steered, tmp_path, monkeypatch, name, mess
     with pytest.raises(InputError) as refusal:
         make_agent(name, steered)
     assert message in str(refusal.value)
+
+
+@pytest.mark.parametrize("keep", [0.5, 1.0])
+def test_a_damaged_checkpoint_is_refused_before_anything_drives(meta, tmp_path, keep):
+    """Cut short, or with one byte changed in its largest part."""
+    path = tmp_path / "model.zip"
+    DQN("MlpPolicy", meta, policy_kwargs={"net_arch": [8]}, buffer_size=10, device="cpu").save(str(path))
+    require_foreign(str(path))
+    data = bytearray(path.read_bytes())
+    data[int(0.4 * len(data))] ^= 255
+    path.write_bytes(data[: int(keep * len(data))])
+    with pytest.raises(
+        InputError, match=r"must be a checkpoint of stable-baselines3, got .*model\.zip \(.*\): save"
+    ):
+        require_foreign(str(path))
 
 
 @pytest.mark.parametrize("history", [1, 3])
