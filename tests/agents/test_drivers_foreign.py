@@ -95,9 +95,7 @@ def test_a_damaged_checkpoint_is_refused_before_anything_drives(meta, tmp_path, 
     data = bytearray(path.read_bytes())
     data[int(0.4 * len(data))] ^= 255
     path.write_bytes(data[: int(keep * len(data))])
-    with pytest.raises(
-        InputError, match=r"must be a checkpoint of stable-baselines3, got .*model\.zip \(.*\): save"
-    ):
+    with pytest.raises(InputError, match=r"must be a checkpoint of stable-baselines3, got .*model\.zip \(.*\): save"):
         require_foreign(str(path))
 
 
