@@ -119,8 +119,16 @@ class Config(BaseModel):
 
     @classmethod
     def build(cls, data: Mapping[str, Any] | Self | None = None, overrides: Mapping[str, Any] | None = None) -> Self:
-        """The configuration from plain data (or another configuration, or nothing) with ``overrides`` merged deeply."""
+        """The configuration from plain data (or another configuration, or nothing) with ``overrides`` merged deeply.
+
+        Raises
+        ------
+        ConfigError
+            As :meth:`load`.
+        """
         base = data.model_dump() if isinstance(data, Config) else data or {}
+        if isinstance(base, str):
+            raise ConfigError(f"{cls.__name__} must be a mapping, got {base!r}: write {cls.__name__}.preset({base!r})")
         return cls.load(deep_merge(base, overrides or {}), unchanged=base)
 
     @classmethod

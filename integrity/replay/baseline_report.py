@@ -97,7 +97,8 @@ def summarise(solved: Baseline, rover_ecef_m: Array | None = None) -> dict[str, 
     found: dict[str, Any] = {
         "epochs": len(solved.tow_s), "fixed": int(fixed.sum()), "modes": {m.key: int(modes[m]) for m in Mode},
         "status": RtkStatus.count(solved.status), "satellites_median": float(np.median(solved.satellites)),
-        "excluded": int(solved.excluded.sum()), "wrong_fix_risk_max": float(solved.wrong_fix_risk.max(initial=0.0)),
+        "excluded": int(solved.excluded.sum()),
+        "wrong_fix_risk_max": float(solved.wrong_fix_risk[fixed].max()) if fixed.any() else None,
     }  # fmt: skip
     if fixed.any():
         finite = solved.pl_m[fixed]

@@ -137,6 +137,11 @@ def test_direct_construction_refuses_in_the_same_words():
         Receiver(clock=Clock(risk=7))
 
 
+def test_the_name_of_a_preset_is_no_data():
+    with pytest.raises(ConfigError, match=r"^Clock must be a mapping, got 'a/b': write Clock\.preset\('a/b'\)$"):
+        Clock.build("a/b")
+
+
 def test_data_must_be_a_mapping():
     with pytest.raises(ConfigError, match=r"^gnss must be a mapping, got \[1\]: "):
         Receiver.load([1], "gnss")

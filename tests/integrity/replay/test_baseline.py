@@ -148,6 +148,7 @@ def test_epochs_without_satellites_have_no_position() -> None:
     assert np.isinf(solved.pl_m[1]).all()
     found = summarise(solved, PLACE)
     assert found["fixed"] == 2
+    assert found["wrong_fix_risk_max"] == solved.wrong_fix_risk[[0, 2]].max()
     assert "narrower than the truth" in found["caution"]
     assert not {"errors", "caution"} & set(summarise(solved))  # no intervals, nothing to be cautious about
 
