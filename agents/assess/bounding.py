@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import field_validator
 
 from lanebound.agents.assess.bounding_summary import summarise
 from lanebound.agents.kept import Progress, claim, run_parts, write_whole
@@ -21,7 +20,6 @@ from lanebound.integrity.assessment.exceedance import Tally, expected_fault_free
 from lanebound.integrity.assessment.importance import FaultSize, expected_one_fault, importance_rates
 from lanebound.integrity.assessment.measurement_model import Case, Form, Prepared, draw_case, prepare
 from lanebound.integrity.config import Config, Field
-from lanebound.integrity.errors import ConfigError
 from lanebound.integrity.monitoring.risk import RiskConfig, pair_risk
 from lanebound.integrity.streams import named_generator
 
@@ -37,7 +35,9 @@ OUTAGES_IN_PART = 4
 class BoundingConfig(Config):
     """How much is drawn, and of what."""
 
-    risks: tuple[float, ...] = Field((1e-3, 1e-4, 1e-5), min_length=1, description="total horizontal risks counted [-]")
+    risks: tuple[Annotated[float, Field(gt=0, lt=1)], ...] = Field(
+        (1e-3, 1e-4, 1e-5), min_length=1, description="total horizontal risks counted [-]"
+    )
     epochs: int = Field(50_000_000, ge=1, description="epochs drawn; each counts along and across")
     epochs_per_case: int = Field(50_000, ge=1, description="epochs of one geometry")
     least_satellites: int = Field(5, ge=5, le=60, description="fewest satellites of a geometry")
@@ -60,14 +60,6 @@ class BoundingConfig(Config):
         RiskConfig(satellite_prior=(1e-5,) * 5), description="the layer's rules; the risk itself is replaced"
     )
     drift: DriftConfig = Field(DriftConfig(), description="errors between fixes")
-
-    @field_validator("risks")
-    @classmethod
-    def _are_risks(cls, risks: tuple[float, ...]) -> tuple[float, ...]:
-        for k, risk in enumerate(risks):
-            if not 0.0 < risk < 1.0:
-                raise ConfigError(f"risks.{k} must lie in (0, 1), got {risk:g}: correct that value")
-        return risks
 
     @property
     def cases(self) -> int:

@@ -115,15 +115,11 @@ def _drive(
 
 def _claim(out: Path) -> None:
     from lanebound.agents.episodes.columns import describe_columns
-    from lanebound.agents.kept import require_own
-    from lanebound.integrity.errors import InputError
+    from lanebound.agents.kept import make_folder, require_own
 
     require_own(out / COLUMNS)  # a benchmark keeps its results under the name of our log
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        (out / COLUMNS).write_text(describe_columns(), encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"--out must be a folder that can be written, got {out} ({error}): choose another") from error
+    make_folder(out)
+    (out / COLUMNS).write_text(describe_columns(), encoding="utf-8")
 
 
 def _with_bar(env: DrivingEnv, driver: Driver, seeds: range, watchers: list[Any], keep: Callable[[int], None]) -> None:

@@ -67,7 +67,7 @@ def require_foreign(name: str) -> None:
         if name.endswith(".onnx"):
             _runtime()
         if name.endswith(".zip"):
-            _described(name)
+            _described(name, _changed(name))
         return
     from importlib.util import find_spec
 
@@ -170,14 +170,15 @@ class FlatDriver:
 @lru_cache(maxsize=4)
 def _model(path: str, changed: int) -> Any:
     """A checkpoint, kept: its policies hold no state between decisions."""
-    module, _, name = _algorithm(path, _described(path)).partition(":")
+    module, _, name = _algorithm(path, _described(path, changed)).partition(":")
     try:
         return getattr(import_module(module), name).load(path, device="cpu")
     except ImportError:
         raise InputError(f"agent {path} needs the package {module}, got none: install it") from None
 
 
-def _described(path: str) -> dict[str, Any]:
+@lru_cache(maxsize=4)
+def _described(path: str, changed: int) -> dict[str, Any]:
     """What a checkpoint says of itself; a damaged one is refused."""
     try:
         with ZipFile(path) as archive:
