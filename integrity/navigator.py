@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from lanebound.integrity import navigator_columns_kernel as col
 from lanebound.integrity import navigator_kernel as nk
 from lanebound.integrity.accel import one_or_many_runs
 from lanebound.integrity.config import Config
@@ -131,8 +132,9 @@ class NavigatorConfig(Config):
 class NavigatorState(InstrumentState):
     """Everything that lasts from epoch to epoch: the instruments' own state, and the belief's.
 
-    ``belief`` (B, NX), ``rtk`` (B, NX) and ``growth`` (B, 2, NP) are the flat columns of :mod:`.navigator_kernel`,
-    :mod:`.rtk_stage_kernel` and :mod:`.monitoring.dead_reckoning_pl_kernel`, which all R levels share;
+    ``belief`` (B, NX), ``rtk`` (B, NX) and ``growth`` (B, 2, NP) are the flat columns of
+    :mod:`.navigator_columns_kernel`, :mod:`.rtk_stage_kernel` and :mod:`.monitoring.dead_reckoning_pl_kernel`, which
+    all R levels share;
     ``start`` (B, 2, R, 4) is what an RTK position left to each, ``apart`` (B, 2, APART_ROWS, S) the separations of
     :mod:`.monitoring.doppler_separation_kernel`; each since the last RTK position, and since the one that the witness
     (:mod:`.monitoring.jump_kernel`) began at. ``held`` (B, S), ``integers`` (B, S, 2), ``fix_id`` and ``fix_risk``
@@ -207,10 +209,10 @@ class Navigator:
         area = initial_area(c.gnss, c.corrections, n_sat, c.dt_s, area_streams)
         sky = self.track.at(self.track.start_s, np.zeros(batch, dtype=np.int64))
         heading = c.positioning.heading
-        belief = np.zeros((batch, nk.NX))
-        belief[:, nk.P_HH] = np.deg2rad(heading.initial_sigma_deg) ** 2
-        belief[:, nk.P_BB] = heading.bias_initial_radps**2
-        belief[:, [nk.SINCE_RTK, nk.SINCE_CAL, nk.WITNESS_S]] = np.inf
+        belief = np.zeros((batch, col.NX))
+        belief[:, col.P_HH] = np.deg2rad(heading.initial_sigma_deg) ** 2
+        belief[:, col.P_BB] = heading.bias_initial_radps**2
+        belief[:, [col.SINCE_RTK, col.SINCE_CAL, col.WITNESS_S]] = np.inf
         return NavigatorState(
             streams=streams,
             area=area,
@@ -277,9 +279,9 @@ class Navigator:
 
     def align(self, heading_rad: Array, sigma_rad: float) -> None:
         """Give the vehicles a prior heading, (B,) azimuth and its 1-sigma, as from a compass or the last drive."""
-        self.state.belief[:, nk.HEADING] = heading_rad
-        self.state.belief[:, nk.P_HH] = sigma_rad**2
-        self.state.belief[:, nk.SINCE_CAL] = 0.0
+        self.state.belief[:, col.HEADING] = heading_rad
+        self.state.belief[:, col.P_HH] = sigma_rad**2
+        self.state.belief[:, col.SINCE_CAL] = 0.0
 
     def place(
         self,
@@ -302,14 +304,14 @@ class Navigator:
         if not (sigma_m > 0.0 and sigma_heading_rad > 0.0):
             raise InputError(f"sigma_m and sigma_heading_rad must be > 0, got {sigma_m} and {sigma_heading_rad}")
         belief, growth = self.state.belief, self.state.growth
-        belief[rows, nk.EAST : nk.NORTH + 1] = require_finite("position_en_m", position_en_m)
-        belief[rows, nk.HEADING] = require_finite("heading_rad", heading_rad)
-        belief[rows, nk.P_HH], belief[rows, nk.P_HB] = sigma_heading_rad**2, 0.0
-        belief[rows, nk.SINCE_RTK] = belief[rows, nk.SINCE_CAL] = 0.0
-        belief[rows, nk.HAS_VEL] = belief[rows, nk.FIXED_S] = belief[rows, nk.REST_S] = 0.0
-        belief[rows, nk.UNBOUNDED] = belief[rows, nk.CONFLICT_S] = belief[rows, nk.REFUSED_S] = 0.0
-        belief[rows, nk.INITIALISED], belief[rows, nk.WITNESS_S] = 1.0, np.inf
-        belief[rows, nk.APART :] = 0.0  # with the memory of the odometer's watch
+        belief[rows, col.EAST : col.NORTH + 1] = require_finite("position_en_m", position_en_m)
+        belief[rows, col.HEADING] = require_finite("heading_rad", heading_rad)
+        belief[rows, col.P_HH], belief[rows, col.P_HB] = sigma_heading_rad**2, 0.0
+        belief[rows, col.SINCE_RTK] = belief[rows, col.SINCE_CAL] = 0.0
+        belief[rows, col.HAS_VEL] = belief[rows, col.FIXED_S] = belief[rows, col.REST_S] = 0.0
+        belief[rows, col.UNBOUNDED] = belief[rows, col.CONFLICT_S] = belief[rows, col.REFUSED_S] = 0.0
+        belief[rows, col.INITIALISED], belief[rows, col.WITNESS_S] = 1.0, np.inf
+        belief[rows, col.APART :] = 0.0  # with the memory of the odometer's watch
         self.state.start[rows] = self.state.apart[rows] = 0.0
         self.state.held[rows], self.state.last_phase_m[rows] = False, 0.0
         self.state.odometer.last_true_mps[rows] = np.nan  # no acceleration, so no slip, in the first epoch
@@ -371,7 +373,7 @@ class Navigator:
     def locate(self, m: Measurements) -> Solution:
         """The belief after the measurements of one epoch; reads nothing else."""
         s, t, g, batch = self.state, self._tables, m.gnss, self.batch
-        out, levels = np.empty((batch, nk.NO)), np.empty((batch, t.k_dead.shape[0], 2))
+        out, levels = np.empty((batch, col.NO)), np.empty((batch, t.k_dead.shape[0], 2))
         covariance = np.empty((batch, 2, 2))
         run, first = one_or_many_runs(batch, nk.run_some, nk.run_parallel)
         run(
@@ -388,34 +390,34 @@ class Navigator:
 
     def _solution(self, m: Measurements, out: Array, levels: Array, covariance: Array) -> Solution:
         s = self.state
-        belief, whole = s.belief.copy(), out[:, : nk.N_WHOLE].astype(np.int64)
+        belief, whole = s.belief.copy(), out[:, : col.N_WHOLE].astype(np.int64)
         return Solution(
             time_s=m.time_s,
-            position_en_m=belief[:, nk.EAST : nk.NORTH + 1],
-            heading_rad=belief[:, nk.HEADING],
-            velocity_en_mps=belief[:, nk.VEL_E : nk.VEL_N + 1],
+            position_en_m=belief[:, col.EAST : col.NORTH + 1],
+            heading_rad=belief[:, col.HEADING],
+            velocity_en_mps=belief[:, col.VEL_E : col.VEL_N + 1],
             speed_mps=m.odometer.speed_mps,
             covariance_en_m2=covariance,
-            sigma_at_m=out[:, nk.O_SIGMA_AT],
-            sigma_ct_m=out[:, nk.O_SIGMA_CT],
+            sigma_at_m=out[:, col.O_SIGMA_AT],
+            sigma_ct_m=out[:, col.O_SIGMA_CT],
             pl_at_m=levels[:, 0, 0],
             pl_ct_m=levels[:, 0, 1],
             pl_cases_m=levels,
-            mode=whole[:, nk.O_MODE],
-            rtk=whole[:, nk.O_RTK],
+            mode=whole[:, col.O_MODE],
+            rtk=whole[:, col.O_RTK],
             alert=s.alert.alert.copy(),
-            available=out[:, nk.O_AVAILABLE] > 0.0,
+            available=out[:, col.O_AVAILABLE] > 0.0,
             reason=s.alert.reason.copy(),
-            hdop=out[:, nk.O_HDOP],
-            satellites=whole[:, nk.O_SATELLITES],
-            satellites_doppler=whole[:, nk.O_DOPPLER],
-            excluded=whole[:, nk.O_EXCLUDED],
-            since_rtk_s=belief[:, nk.SINCE_RTK],
-            since_calibration_s=belief[:, nk.SINCE_CAL],
+            hdop=out[:, col.O_HDOP],
+            satellites=whole[:, col.O_SATELLITES],
+            satellites_doppler=whole[:, col.O_DOPPLER],
+            excluded=whole[:, col.O_EXCLUDED],
+            since_rtk_s=belief[:, col.SINCE_RTK],
+            since_calibration_s=belief[:, col.SINCE_CAL],
             corrections_age_s=m.gnss.corrections_age_s,
-            wrong_fix_risk=out[:, nk.O_WRONG],
+            wrong_fix_risk=out[:, col.O_WRONG],
             held=s.held.copy(),
-            doubt_en_m=belief[:, nk.DOUBT + D_E : nk.DOUBT + D_N + 1],
+            doubt_en_m=belief[:, col.DOUBT + D_E : col.DOUBT + D_N + 1],
         )
 
 
@@ -518,21 +520,21 @@ def _declared(c: NavigatorConfig, of_lever: float) -> Array:
     """The declared figures in the columns of the kernel's ``par``; ``of_lever`` is the risk spent on its heading."""
     r, d, h, o = c.positioning.rtk, c.positioning.doppler, c.positioning.heading, c.positioning.dead_reckoning
     values: dict[int, Any] = {
-        nk.DT: c.dt_s, nk.CN0_KNEE: r.cn0_knee_dbhz, nk.REFERENCE_BIAS: r.reference_bias_m, nk.CONFIRM: r.confirm_s,
-        nk.DOP_SIGMA: d.sigma_mps, nk.DOP_TAU: d.tau_s, nk.DOP_BIAS: d.bias_mps,
-        nk.DOP_SIN_MASK: np.sin(np.deg2rad(d.elevation_mask_deg)), nk.DOP_CN0_MIN: d.cn0_min_dbhz,
-        nk.ARW: h.angle_random_walk_rad, nk.BIAS_WALK: h.bias_walk_radps,
-        nk.ODO_SIGMA: o.odometer_sigma_mps, nk.ODO_TAU: o.odometer_tau_s, nk.ODO_BIAS: o.odometer_bias_mps,
-        nk.HEADING_BIAS: np.deg2rad(o.heading_bias_deg), nk.HEADING_DRIFT: np.deg2rad(o.heading_drift_degps),
-        nk.BIAS_INITIAL: h.bias_initial_radps,
-        nk.ODO_SCALE: o.odometer_scale, nk.STILL_SPEED: o.standstill_speed_mps,
-        nk.FAULT_DURATION: c.risk.fault_duration_s,
-        nk.LEVER_FORWARD: c.positioning.antenna_forward_m, nk.LEVER_RIGHT: c.positioning.antenna_right_m,
-        nk.LEVER_K: upper_quantile(0.5 * min(c.risk.at_share, 1.0 - c.risk.at_share) * of_lever) if of_lever else 0.0,
-        nk.AXLE: c.positioning.axle_m,
-        nk.AFTER_JUMP: r.jump_quarantine_s, nk.AFTER_OUTAGE: r.return_quarantine_s, nk.WITNESS_MOST_S: r.witness_s,
+        col.DT: c.dt_s, col.CN0_KNEE: r.cn0_knee_dbhz, col.REFERENCE_BIAS: r.reference_bias_m, col.CONFIRM: r.confirm_s,
+        col.DOP_SIGMA: d.sigma_mps, col.DOP_TAU: d.tau_s, col.DOP_BIAS: d.bias_mps,
+        col.DOP_SIN_MASK: np.sin(np.deg2rad(d.elevation_mask_deg)), col.DOP_CN0_MIN: d.cn0_min_dbhz,
+        col.ARW: h.angle_random_walk_rad, col.BIAS_WALK: h.bias_walk_radps,
+        col.ODO_SIGMA: o.odometer_sigma_mps, col.ODO_TAU: o.odometer_tau_s, col.ODO_BIAS: o.odometer_bias_mps,
+        col.HEADING_BIAS: np.deg2rad(o.heading_bias_deg), col.HEADING_DRIFT: np.deg2rad(o.heading_drift_degps),
+        col.BIAS_INITIAL: h.bias_initial_radps,
+        col.ODO_SCALE: o.odometer_scale, col.STILL_SPEED: o.standstill_speed_mps,
+        col.FAULT_DURATION: c.risk.fault_duration_s,
+        col.LEVER_FORWARD: c.positioning.antenna_forward_m, col.LEVER_RIGHT: c.positioning.antenna_right_m,
+        col.LEVER_K: upper_quantile(0.5 * min(c.risk.at_share, 1.0 - c.risk.at_share) * of_lever) if of_lever else 0.0,
+        col.AXLE: c.positioning.axle_m,
+        col.AFTER_JUMP: r.jump_quarantine_s, col.AFTER_OUTAGE: r.return_quarantine_s, col.WITNESS_MOST_S: r.witness_s,
     }  # fmt: skip
-    par = np.zeros(nk.NP)
-    par[nk.WATCH_LIMITS :] = o.watch.packed(o)
+    par = np.zeros(col.NP)
+    par[col.WATCH_LIMITS :] = o.watch.packed(o)
     par[list(values)] = list(values.values())
     return par

@@ -1,7 +1,7 @@
 """One navigation epoch of one vehicle: the flow chart of S1 figure 1, stage by stage.
 
 ``x`` (NX,) is the vehicle's state, ``out`` (NO,) its solution and ``par`` (NP,) the declared figures, all flat with the
-columns named below. Everything here is belief: the measurements are the only inputs.
+columns of :mod:`.navigator_columns_kernel`. Everything here is belief: the measurements are the only inputs.
 """
 
 from __future__ import annotations
@@ -10,54 +10,27 @@ import math
 
 import numpy as np
 
+from lanebound.integrity import navigator_columns_kernel as col
 from lanebound.integrity.accel import jit, prange
 from lanebound.integrity.monitoring.alerts_kernel import alert_step
-from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import (
-    CV_E,
-    CV_N,
-    levels,
-    remember_velocity,
-    reset,
-    sigma_and_bias,
-    step_doppler,
-    step_odometer,
-    step_still,
-)
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import P_EE as G_EE
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import P_EN as G_EN
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import P_NN as G_NN
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import remember_velocity, sigma_and_bias
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED as FDE_EXCLUDED
 from lanebound.integrity.monitoring.detection_kernel import NO_REDUNDANCY as FDE_NO_REDUNDANCY
 from lanebound.integrity.monitoring.doppler_separation_kernel import (
     AFFORDABLE,
-    STATE,
-    U_E,
     advance_separations,
-    exposure,
-    factors,
     separate_velocity,
     share_epoch,
-    worst,
 )
-from lanebound.integrity.monitoring.geometry_kernel import (
-    P_EE,
-    P_EN,
-    P_NN,
-    SIGMA0_AT,
-    SIGMA0_CT,
-    X_E,
-    X_N,
-    X_U,
-    scratch,
-)
+from lanebound.integrity.monitoring.geometry_kernel import SIGMA0_AT, SIGMA0_CT, X_E, X_N, X_U, scratch
 from lanebound.integrity.monitoring.jump_kernel import (
     ACCEPTED,
-    DOUBT_SIZE,
     QUARANTINED,
     REFUSED,
-    along_across,
     bounded,
-    contradicts,
     in_doubt,
     judge_jump,
     pass_time,
@@ -79,83 +52,30 @@ from lanebound.integrity.positioning.heading_kernel import (
     predict_heading,
     wrap,
 )
-from lanebound.integrity.positioning.mode_kernel import (
-    DOPPLER,
-    NONE,
-    RTK,
-    bridge_mode,
-    doppler_usable,
-    rtk_usable,
-)
+from lanebound.integrity.positioning.mode_kernel import DOPPLER, NONE, RTK, bridge_mode, doppler_usable, rtk_usable
 from lanebound.integrity.positioning.odometer_watch_kernel import DOUBT as WATCH_DOUBT
-from lanebound.integrity.positioning.odometer_watch_kernel import (
-    LIMITS,
-    WATCH_SIZE,
-    turning_at_rest,
-    watch_odometer,
-)
+from lanebound.integrity.positioning.odometer_watch_kernel import turning_at_rest, watch_odometer
 from lanebound.integrity.positioning.resolve_kernel import Fixes
 from lanebound.integrity.positioning.rtk_kernel import held_risk
 from lanebound.integrity.positioning.slip_watch_kernel import Motion
+from lanebound.integrity.reckoning_kernel import (
+    Reckoning,
+    Terms,
+    advance,
+    call_witness,
+    heading_bias,
+    hear_witness,
+    later_by,
+    levels_dead_reckoning,
+    restart,
+)
 from lanebound.integrity.rtk_stage_kernel import FAULT, FIXED, Fixed, Signals, Tables, rtk, select, test, weigh
 from lanebound.integrity.small_matrix_kernel import hdop_of
 
-# state
-EAST, NORTH, UP, HEADING, GYRO_BIAS, P_HH, P_HB, P_BB = range(8)
-VEL_E, VEL_N, HAS_VEL, SINCE_RTK, SINCE_CAL, REST_S, INITIALISED, FIXED_S = range(8, 16)
-UNBOUNDED, CONFLICT_S, REFUSED_S, WITNESS_E, WITNESS_N, WITNESS_S, APART = range(16, 23)
-DOUBT = 23  # first of DOUBT_SIZE
-WATCH = DOUBT + DOUBT_SIZE  # first of WATCH_SIZE
-NX = WATCH + WATCH_SIZE
-
-# solution
-O_MODE, O_RTK, O_SATELLITES, O_DOPPLER, O_EXCLUDED, O_AVAILABLE, O_SIGMA_AT, O_SIGMA_CT, O_HDOP, O_WRONG = range(10)
-NO = 10
-N_WHOLE = 5  # of which are whole numbers
 MOVING_MPS = 0.5  # slower, nothing is told of side slip
 REACQUIRE_S = 1.0  # of Doppler courses refused for their jump, before the heading filter opens up
 CONFLICT_LIMIT_S = 0.5  # of contradiction between Doppler and odometer
 TEST_FAILED_CAUSE, INITIALISING_CAUSE = 5, 7  # codes of AlertReason
-
-# declared figures
-(
-    DT,
-    CN0_KNEE,
-    REFERENCE_BIAS,
-    DOP_SIGMA,
-    DOP_TAU,
-    DOP_BIAS,
-    DOP_SIN_MASK,
-    DOP_CN0_MIN,
-    ARW,
-    BIAS_WALK,
-    ODO_SIGMA,
-    ODO_TAU,
-    ODO_BIAS,
-    HEADING_BIAS,
-    HEADING_DRIFT,
-    LEVER_FORWARD,
-    LEVER_RIGHT,
-    CONFIRM,
-    BIAS_INITIAL,
-    ODO_SCALE,
-    STILL_SPEED,
-    FAULT_DURATION,
-    AXLE,
-    AFTER_JUMP,
-    AFTER_OUTAGE,
-    LEVER_K,
-    WITNESS_MOST_S,
-) = range(27)
-WATCH_LIMITS = 27  # first of LIMITS
-NP = WATCH_LIMITS + LIMITS
-
-# layers of ``growth``, ``start`` and ``apart``: since the last RTK position; since the one that the witness began at
-LATEST, WITNESS = range(2)
-# columns of ``start``, what the last RTK position left to each case: a bound beside ``K sigma``, the whole level [m]
-START_E, START_N, WHOLE_E, WHOLE_N = range(4)
-# columns of ``k_dead``: factors, and the risk that they stand for
-K_AT, K_CT, RISK_AT, RISK_CT = range(4)
 
 
 @jit
@@ -164,15 +84,17 @@ def attitude(x, par, delta_theta):  # type: ignore[no-untyped-def]
 
     Returns the mean heading over the epoch [rad].
     """
-    dt = par[DT]
-    p = x[P_HH : P_BB + 1]
-    before = x[HEADING]
-    if x[REST_S] > 0.5:
+    dt = par[col.DT]
+    p = x[col.P_HH : col.P_BB + 1]
+    before = x[col.HEADING]
+    if x[col.REST_S] > 0.5:
         rate = delta_theta / dt
-        x[HEADING], x[GYRO_BIAS] = correct(before, x[GYRO_BIAS], p, rate - x[GYRO_BIAS], 0.0, 1.0, par[ARW] ** 2 / dt)
-        return x[HEADING]
-    x[HEADING] = predict_heading(before, x[GYRO_BIAS], p, delta_theta, dt, par[ARW], par[BIAS_WALK])
-    return wrap(before + 0.5 * wrap(x[HEADING] - before))
+        x[col.HEADING], x[col.GYRO_BIAS] = correct(
+            before, x[col.GYRO_BIAS], p, rate - x[col.GYRO_BIAS], 0.0, 1.0, par[col.ARW] ** 2 / dt
+        )
+        return x[col.HEADING]
+    x[col.HEADING] = predict_heading(before, x[col.GYRO_BIAS], p, delta_theta, dt, par[col.ARW], par[col.BIAS_WALK])
+    return wrap(before + 0.5 * wrap(x[col.HEADING] - before))
 
 
 @jit
@@ -197,20 +119,20 @@ def calibrate(x, par, limits, v_e, v_n, q_ee, q_en, q_nn, v_ss, slip, hdop):  # 
     if not speed > 0.0:
         return False
     course = math.atan2(v_e, v_n) if v_ss >= 0.0 else math.atan2(-v_e, -v_n)
-    jump = wrap(course - slip - x[HEADING])
-    allowed = max(limits[3], 3.0 * math.sqrt(x[P_HH]))
+    jump = wrap(course - slip - x[col.HEADING])
+    allowed = max(limits[3], 3.0 * math.sqrt(x[col.P_HH]))
     if not doppler_heading_usable(speed, v_ss, hdop, 0.0, limits):
         return False
     variance = doppler_heading_variance(v_e, v_n, q_ee, q_en, q_nn)
     if abs(jump) >= allowed:
-        x[REFUSED_S] = x[REFUSED_S] + par[DT] if abs(jump) > allowed + 3.0 * math.sqrt(variance) else 0.0
-        if x[REFUSED_S] > REACQUIRE_S:
-            x[P_HH], x[P_HB], x[P_BB] = max(x[P_HH], jump * jump), 0.0, par[BIAS_INITIAL] ** 2
+        x[col.REFUSED_S] = x[col.REFUSED_S] + par[col.DT] if abs(jump) > allowed + 3.0 * math.sqrt(variance) else 0.0
+        if x[col.REFUSED_S] > REACQUIRE_S:
+            x[col.P_HH], x[col.P_HB], x[col.P_BB] = max(x[col.P_HH], jump * jump), 0.0, par[col.BIAS_INITIAL] ** 2
         return False
-    x[REFUSED_S] = 0.0
-    variance *= max(1.0, 2.0 * par[DOP_TAU] / par[DT])
-    p = x[P_HH : P_BB + 1]
-    x[HEADING], x[GYRO_BIAS] = correct(x[HEADING], x[GYRO_BIAS], p, jump, 1.0, 0.0, variance)
+    x[col.REFUSED_S] = 0.0
+    variance *= max(1.0, 2.0 * par[col.DOP_TAU] / par[col.DT])
+    p = x[col.P_HH : col.P_BB + 1]
+    x[col.HEADING], x[col.GYRO_BIAS] = correct(x[col.HEADING], x[col.GYRO_BIAS], p, jump, 1.0, 0.0, variance)
     return True
 
 
@@ -220,9 +142,9 @@ def velocity(e, quality, tracked, cn0, range_rate, par, tables, drift_group, use
 
     Fills v (3,) [m/s], q (3,3) and ``used``; returns the outcome code, satellites used, excluded, and HDOP.
     """
-    select(e, tracked, cn0, quality, par[DOP_SIN_MASK], par[DOP_CN0_MIN], variance, used)
+    select(e, tracked, cn0, quality, par[col.DOP_SIN_MASK], par[col.DOP_CN0_MIN], variance, used)
     for s in range(used.shape[0]):
-        variance[s] *= par[DOP_SIGMA] ** 2
+        variance[s] *= par[col.DOP_SIGMA] ** 2
     outcome, excluded = test(e, drift_group, variance, range_rate, used, tables, v, q)
     n = 0
     for s in range(used.shape[0]):
@@ -237,24 +159,24 @@ def watch_speeds(x, par, solved, v_gnss, v_ss, hdop, limits, agreement, delta_v,
     Where Doppler contradicts, one of them lies. ``limits`` are those of the heading, ``agreement`` [m/s] that of the
     Doppler mode, ``delta_v`` (3,) the increments of velocity forward and to the right [m/s].
     """
-    dt = par[DT]
+    dt = par[col.DT]
     conflict = solved and hdop < limits[2] and abs(v_gnss - abs(v_ss)) > limits[1]
-    x[CONFLICT_S] = x[CONFLICT_S] + dt if conflict else 0.0
+    x[col.CONFLICT_S] = x[col.CONFLICT_S] + dt if conflict else 0.0
     agrees = solved and hdop < limits[2] and abs(v_gnss - abs(v_ss)) < agreement
     if watch_odometer(
-        x[WATCH:NX], par[WATCH_LIMITS:NP], dt, v_ss, delta_v[0], delta_v[1], rate,
-        x[CONFLICT_S] > CONFLICT_LIMIT_S, agrees,
+        x[col.WATCH:col.NX], par[col.WATCH_LIMITS:col.NP], dt, v_ss, delta_v[0], delta_v[1], rate,
+        x[col.CONFLICT_S] > CONFLICT_LIMIT_S, agrees,
     ):  # fmt: skip
-        x[UNBOUNDED] = 1.0
+        x[col.UNBOUNDED] = 1.0
 
 
 @jit
 def standstill(x, dt, v_ss, turning, solved, v_gnss, q):  # type: ignore[no-untyped-def]
     """Count how long the vehicle has been at rest: no pulse, no turn, and no Doppler speed beyond its noise."""
-    at_rest = abs(v_ss) < 0.02 and not turning and not x[WATCH + WATCH_DOUBT] > 0.0
+    at_rest = abs(v_ss) < 0.02 and not turning and not x[col.WATCH + WATCH_DOUBT] > 0.0
     at_rest = at_rest and not (solved and v_gnss > max(0.1, 3.0 * math.sqrt(q[0, 0] + q[1, 1])))
-    x[REST_S] = x[REST_S] + dt if at_rest else 0.0
-    return x[REST_S] > 0.5
+    x[col.REST_S] = x[col.REST_S] + dt if at_rest else 0.0
+    return x[col.REST_S] > 0.5
 
 
 @jit
@@ -320,123 +242,20 @@ def levels_rtk(  # type: ignore[no-untyped-def]
 
 
 @jit
-def levels_dead_reckoning(  # type: ignore[no-untyped-def]
-    growth, start, apart, system, sin_h, cos_h, k_dead, published, shift, prior, later, split, multiple, pl
-):
-    """``PL_q = K_md sigma_q + B_q`` (S1 eq 18-19) of every case: k_dead, start (R, 4), published (R,) bool.
-
-    Exact levels also bound each single satellite fault in the Doppler velocities since the fix, by the separation that
-    it has caused (:mod:`.doppler_separation_kernel`). ``later`` >= 1 raises the priors by the faults that began since.
-    ``shift`` bounds the horizontal length of the error that the reference gave to the last RTK position: exact, that
-    much on each axis; published, equal components on E and N.
-    """
-    total, squares, lost = exposure(system, prior, apart)
-    total, squares, lost = later * total, later * later * squares, later * lost
-    pair = 0.5 * (total * total - squares) if multiple else 0.0
-    axis_sine, axis_cosine = (sin_h, cos_h), (cos_h, -sin_h)
-    sigma_bias = sigma_and_bias(sin_h, cos_h, False, growth)
-    for r in range(k_dead.shape[0]):
-        if not start[r, WHOLE_E] < math.inf:
-            pl[r] = math.inf
-            continue
-        if published[r]:
-            levels(sin_h, cos_h, k_dead[r : r + 1], True, growth, pl[r : r + 1])
-            pl[r] += shift / math.sqrt(2.0)
-            continue
-        for q in range(2):
-            sine, cosine, share = axis_sine[q], axis_cosine[q], split if q == 0 else 1.0 - split
-            k_0, k_f = k_dead[r, q], -math.inf
-            if total > 0.0:
-                k_0, k_f = factors(k_dead[r, RISK_AT + q], share, pair, total, lost)
-            level = k_0 * sigma_bias[q] + abs(sine) * start[r, START_E] + abs(cosine) * start[r, START_N]
-            if -math.inf < k_f < math.inf:
-                whole = abs(sine) * start[r, WHOLE_E] + abs(cosine) * start[r, WHOLE_N]
-                level = max(level, worst(sine, cosine, sigma_bias[q], k_f, apart) + whole)
-            pl[r, q] = level + sigma_bias[2 + q] + shift
-
-
-@jit
-def restart(  # type: ignore[no-untyped-def]
-    growth, start, apart, x, level, k_dead, shift, published, heading_variance, head, sin_h, cos_h
-):
-    """Start dead reckoning anew from the RTK position just found, for every case.
-
-    Its initial error must keep what the protection level promised, biases and faults included: what the ``level``
-    (R, 2) of a case holds beyond ``K sigma`` of the fault-free solution stays on as a bound on E and N. The published
-    form starts from the fault-free covariance alone, as S1 does.
-    """
-    reset(head[P_EE], head[P_EN], head[P_NN], 0.0, 0.0, heading_variance, growth)
-    if x[APART] > 0.0:
-        apart[:U_E] = 0.0
-        apart[STATE] = 0.0
-        x[APART] = 0.0
-    for r in range(level.shape[0]):
-        start[r] = 0.0
-        if not (level[r, 0] < math.inf and level[r, 1] < math.inf):
-            start[r, WHOLE_E] = math.inf
-        elif not published[r]:
-            at, ct = max(level[r, 0] - shift, 0.0), max(level[r, 1] - shift, 0.0)
-            start[r, WHOLE_E], start[r, WHOLE_N] = _box(at, ct, sin_h, cos_h)
-            at = max(at - k_dead[r, K_AT] * head[SIGMA0_AT], 0.0)
-            ct = max(ct - k_dead[r, K_CT] * head[SIGMA0_CT], 0.0)
-            start[r, START_E], start[r, START_N] = _box(at, ct, sin_h, cos_h)
-
-
-@jit
-def _box(at, ct, sin_h, cos_h):  # type: ignore[no-untyped-def]
-    """Bounds on E and N of what is bounded along and across the track."""
-    return abs(sin_h) * at + abs(cos_h) * ct, abs(cos_h) * at + abs(sin_h) * ct
-
-
-@jit
-def advance(x, growth, par, mode, v_e, v_n, q, v_ss, middle, carry, resting):  # type: ignore[no-untyped-def]
-    """Carry the position, the witness's, and the errors of both over the epoch by Doppler or by dead reckoning.
-
-    At rest the position stays; the bound grows by what the odometer may not show.
-    """
-    dt, variance = par[DT], x[P_HH]
-    phi_d, phi_o = math.exp(-dt / par[DOP_TAU]), math.exp(-dt / par[ODO_TAU])
-    if resting or mode == NONE:
-        for g in growth:
-            step_still(phi_d, phi_o, variance, carry, g)
-            g[CV_E] += dt * par[STILL_SPEED] * math.sin(x[HEADING])
-            g[CV_N] += dt * par[STILL_SPEED] * math.cos(x[HEADING])
-        return
-    if mode == DOPPLER:
-        before_e, before_n = (x[VEL_E], x[VEL_N]) if x[HAS_VEL] > 0.0 else (v_e, v_n)
-        _move(x, 0.5 * dt * (before_e + v_e), 0.5 * dt * (before_n + v_n))
-        for g in growth:
-            step_doppler(dt, q[0, 0], q[0, 1], q[1, 1], par[DOP_BIAS], phi_d, phi_o, variance, carry, False, g)
-        return
-    s, c = math.sin(middle), math.cos(middle)
-    _move(x, dt * v_ss * s, dt * v_ss * c)
-    b_theta = heading_bias(x, par)
-    bias = par[ODO_BIAS] + par[ODO_SCALE] * abs(v_ss)
-    for g in growth:
-        step_odometer(dt, v_ss, s, c, par[ODO_SIGMA], bias, b_theta, phi_d, phi_o, variance, carry, False, g)
-
-
-@jit
-def _move(x, east, north):  # type: ignore[no-untyped-def]
-    x[EAST] += east
-    x[NORTH] += north
-    x[WITNESS_E] += east
-    x[WITNESS_N] += north
-
-
-@jit
-def heading_bias(x, par):  # type: ignore[no-untyped-def]
-    """Bound on what no filter knows of the heading's error [rad]; before the first calibration nothing is known."""
-    if not x[SINCE_CAL] < math.inf:
-        return math.pi
-    return min(par[HEADING_BIAS] + par[HEADING_DRIFT] * x[SINCE_CAL], math.pi)
-
-
-@jit
 def reference_point(head, par, sin_h, cos_h):  # type: ignore[no-untyped-def]
     """East and North of the vehicle, of whose antenna ``head`` tells [m]."""
-    forward, right = par[LEVER_FORWARD], par[LEVER_RIGHT]
+    forward, right = par[col.LEVER_FORWARD], par[col.LEVER_RIGHT]
     return head[X_E] - sin_h * forward - cos_h * right, head[X_N] - cos_h * forward + sin_h * right
+
+
+@jit
+def reference_velocity(antenna, par, turning, sin_h, cos_h):  # type: ignore[no-untyped-def]
+    """East and North velocity of the vehicle, from that of its ``antenna`` [m/s] and its yaw rate [rad/s]."""
+    forward, right = par[col.LEVER_FORWARD], par[col.LEVER_RIGHT]
+    return (
+        antenna[0] - turning * (cos_h * forward - sin_h * right),
+        antenna[1] + turning * (sin_h * forward + cos_h * right),
+    )
 
 
 @jit
@@ -446,46 +265,10 @@ def lever_bounds(x, par):  # type: ignore[no-untyped-def]
     A lever (f, r) turned by theta moves ``f (cos theta - 1) - r sin theta`` along, ``f sin theta + r (cos theta - 1)``
     across, and by twice its length at most.
     """
-    theta = min(par[LEVER_K] * math.sqrt(x[P_HH]) + heading_bias(x, par), math.pi)
-    f, r = abs(par[LEVER_FORWARD]), abs(par[LEVER_RIGHT])
+    theta = min(par[col.LEVER_K] * math.sqrt(x[col.P_HH]) + heading_bias(x, par), math.pi)
+    f, r = abs(par[col.LEVER_FORWARD]), abs(par[col.LEVER_RIGHT])
     most, turned = 2.0 * math.hypot(f, r), 0.5 * theta * theta
     return min(r * theta + f * turned, most), min(f * theta + r * turned, most)
-
-
-@jit
-def later_by(since, par):  # type: ignore[no-untyped-def]
-    """By how much faults are likelier than at one moment, since some time [s] ago."""
-    return 1.0 + since / par[FAULT_DURATION] if since < math.inf else 1.0
-
-
-@jit
-def hear_witness(  # type: ignore[no-untyped-def]
-    x, par, growth, start, apart, system, sin_h, cos_h, k_dead, published, shift, prior, shares, rtk_en, found, pl
-):
-    """Where the witness contradicts an RTK position that lasts, go back to the one that he began at, and on with him.
-
-    ``found`` (R, 2) are the levels of RTK; ``pl`` (R, 2) become those of the witness, if he is believed [m].
-    """
-    east, north = rtk_en[0] - x[WITNESS_E], rtk_en[1] - x[WITNESS_N]
-    at, ct = along_across(east, north, sin_h, cos_h)
-    if not (x[WITNESS_S] < math.inf and x[SINCE_CAL] < math.inf and (at > found[0, 0] or ct > found[0, 1])):
-        return
-    levels = np.empty_like(pl)
-    levels_dead_reckoning(
-        growth[WITNESS], start[WITNESS], apart[WITNESS], system, sin_h, cos_h, k_dead, published, shift, prior,
-        later_by(x[WITNESS_S], par), shares[1], shares[3] > 0.0, levels,
-    )  # fmt: skip
-    if contradicts(east, north, sin_h, cos_h, levels[0], found[0]):
-        x[EAST], x[NORTH], x[SINCE_RTK], x[APART] = x[WITNESS_E], x[WITNESS_N], x[WITNESS_S], 1.0
-        growth[LATEST], start[LATEST], apart[LATEST] = growth[WITNESS], start[WITNESS], apart[WITNESS]
-        pl[:] = levels
-
-
-@jit
-def call_witness(x, growth, start, apart):  # type: ignore[no-untyped-def]
-    """A new witness begins at the RTK position just found."""
-    x[WITNESS_E], x[WITNESS_N], x[WITNESS_S] = x[EAST], x[NORTH], 0.0
-    growth[WITNESS], start[WITNESS], apart[WITNESS] = growth[LATEST], start[LATEST], apart[LATEST]
 
 
 @jit
@@ -496,12 +279,24 @@ def judge_rtk(x, par, east, north, sin_h, cos_h, expected, found, lasting):  # t
     """
     if bounded(expected[0]) and not bounded(found[0]):
         return QUARANTINED
-    if not x[INITIALISED] > 0.0:
+    if not x[col.INITIALISED] > 0.0:
         return ACCEPTED
     return judge_jump(
-        east - x[EAST], north - x[NORTH], sin_h, cos_h, expected[0], found[0], lasting,
-        x[CONFLICT_S] > CONFLICT_LIMIT_S, (par[AFTER_JUMP], par[AFTER_OUTAGE]), x[DOUBT:WATCH],
+        east - x[col.EAST], north - x[col.NORTH], sin_h, cos_h, expected[0], found[0], lasting,
+        x[col.CONFLICT_S] > CONFLICT_LIMIT_S, (par[col.AFTER_JUMP], par[col.AFTER_OUTAGE]), x[col.DOUBT:col.WATCH],
     )  # fmt: skip
+
+
+@jit
+def take_rtk(  # type: ignore[no-untyped-def]
+    x, par, latest, witness, terms, east, north, head, sin_h, cos_h, lasting, level
+):
+    """The position is the one of RTK, of the ``level`` (R, 2) [m]; what reckons since then begins anew."""
+    x[col.EAST], x[col.NORTH], x[col.UP] = east, north, head[X_U]
+    x[col.SINCE_RTK], x[col.INITIALISED], x[col.UNBOUNDED] = 0.0, 1.0, 0.0
+    restart(latest, terms, x, level, head, sin_h, cos_h)
+    if not (lasting and x[col.WITNESS_S] < par[col.WITNESS_MOST_S]):
+        call_witness(x, latest, witness)
 
 
 @jit
@@ -514,119 +309,107 @@ def _epoch(  # type: ignore[no-untyped-def]
     fixed, columns, found, out, pl, covariance,
 ):  # fmt: skip
     """The whole epoch of vehicle v; x to fix_risk and the alert arrays are its state."""
-    dt, n_sat, doubt = par[DT], e.shape[0], x[DOUBT:WATCH]
+    dt, n_sat, doubt = par[col.DT], e.shape[0], x[col.DOUBT : col.WATCH]
+    latest = Reckoning(growth[col.LATEST], start[col.LATEST], apart[col.LATEST])
+    witness = Reckoning(growth[col.WITNESS], start[col.WITNESS], apart[col.WITNESS])
+    terms = Terms(system, priors[0], k_dead, published, par[col.REFERENCE_BIAS], shares[1], shares[3] > 0.0)
     pl[:] = math.inf
     pass_time(dt, doubt)
     suspect = suspects_signals(doubt)
-    x[SINCE_RTK] += dt
-    x[SINCE_CAL] += dt
-    x[WITNESS_S] += dt
+    x[col.SINCE_RTK] += dt
+    x[col.SINCE_CAL] += dt
+    x[col.WITNESS_S] += dt
 
     used, velocity_enu, q_v = np.empty(n_sat, dtype=np.bool_), np.empty(3), np.empty((3, 3))
     quality, variance = np.empty(n_sat), np.empty(n_sat)
-    weigh(e, tracked, cn0, par[CN0_KNEE], quality)
+    weigh(e, tracked, cn0, par[col.CN0_KNEE], quality)
     outcome, n_doppler, excluded_doppler, hdop_doppler = velocity(
         e, quality, tracked, cn0, range_rate, par, tables, drift_group, used, variance, velocity_enu, q_v
     )
     solved = outcome <= FDE_EXCLUDED or outcome == FDE_NO_REDUNDANCY
-    lost = separate_velocity(
-        e, used, variance, range_rate, velocity_enu, q_v, solved, system, priors[0], apart[LATEST]
-    )  # fmt: skip
-    share_epoch(apart[LATEST], apart[WITNESS])
-    later = later_by(x[SINCE_RTK], par)
+    lost = separate_velocity(e, used, variance, range_rate, velocity_enu, q_v, solved, system, priors[0], latest.apart)
+    share_epoch(latest.apart, witness.apart)
+    later = later_by(x[col.SINCE_RTK], par)
     checked = (
         solved
         and not suspect
-        and (operative_published or later * lost <= AFFORDABLE * (k_dead[0, RISK_AT] + k_dead[0, RISK_CT]))
+        and (operative_published or later * lost <= AFFORDABLE * (k_dead[0, col.RISK_AT] + k_dead[0, col.RISK_CT]))
     )
-    turning, s_0, c_0 = delta_theta[2] / dt - x[GYRO_BIAS], math.sin(x[HEADING]), math.cos(x[HEADING])
-    v_e = velocity_enu[0] - turning * (c_0 * par[LEVER_FORWARD] - s_0 * par[LEVER_RIGHT])  # antenna to reference point
-    v_n = velocity_enu[1] + turning * (s_0 * par[LEVER_FORWARD] + c_0 * par[LEVER_RIGHT])
+    turning = delta_theta[2] / dt - x[col.GYRO_BIAS]
+    v_e, v_n = reference_velocity(velocity_enu, par, turning, math.sin(x[col.HEADING]), math.cos(x[col.HEADING]))
     v_gnss = math.hypot(v_e, v_n)
-    spinning = turning_at_rest(x[WATCH:NX], par[WATCH_LIMITS:NP], dt, v_ss, turning)
+    spinning = turning_at_rest(x[col.WATCH : col.NX], par[col.WATCH_LIMITS : col.NP], dt, v_ss, turning)
     resting = standstill(x, dt, v_ss, spinning, solved, v_gnss, q_v)
-    p_before = x[P_HH]
-    slip = side_slip(par[AXLE], turning, v_ss)
+    p_before = x[col.P_HH]
+    slip = side_slip(par[col.AXLE], turning, v_ss)
     middle = wrap(attitude(x, par, delta_theta[2]) + slip)  # the way that the reference point takes
-    carry, p_hh = math.sqrt(x[P_HH] / p_before), x[P_HH]  # growth as one error: the bound of its effect on the position
+    p_hh = x[col.P_HH]
+    carry = math.sqrt(p_hh / p_before)  # growth as one error: the bound of its effect on the position
     if solved and not resting and not suspect:
         if calibrate(x, par, heading_limits, v_e, v_n, q_v[0, 0], q_v[0, 1], q_v[1, 1], v_ss, slip, hdop_doppler):
-            carry *= x[P_HH] / p_hh
-            x[SINCE_CAL] = 0.0
-    sin_h, cos_h = math.sin(x[HEADING]), math.cos(x[HEADING])
+            carry *= x[col.P_HH] / p_hh
+            x[col.SINCE_CAL] = 0.0
+    sin_h, cos_h = math.sin(x[col.HEADING]), math.cos(x[col.HEADING])
 
     status, n_rtk, excluded_rtk, hdop_rtk = rtk(
         Signals(e, system, quality, tracked, cn0, code, phase, lock_lost, age),
         tables, Fixes(held, integers, fix_id, fix_risk), rtk_x, last_phase,
-        Motion(dt, solved and x[INITIALISED] > 0.0, velocity_enu, q_v, x[EAST : UP + 1]), sin_h, cos_h, fixed,
+        Motion(dt, solved and x[col.INITIALISED] > 0.0, velocity_enu, q_v, x[col.EAST : col.UP + 1]),
+        sin_h, cos_h, fixed,
     )  # fmt: skip
     head = fixed.head
     wrong = held_risk(held, fix_id, fix_risk)
-    x[FIXED_S] = x[FIXED_S] + dt if status == FIXED else 0.0
-    lasting = x[SINCE_RTK] < 1.5 * dt
-    confirmed = status == FIXED and (lasting or x[FIXED_S] > par[CONFIRM])
-    initialised = x[INITIALISED] > 0.0
-    mode = bridge_mode(checked, v_gnss, v_ss, hdop_doppler, x[SINCE_RTK], initialised, mode_limits)
+    x[col.FIXED_S] = x[col.FIXED_S] + dt if status == FIXED else 0.0
+    lasting = x[col.SINCE_RTK] < 1.5 * dt
+    confirmed = status == FIXED and (lasting or x[col.FIXED_S] > par[col.CONFIRM])
+    initialised = x[col.INITIALISED] > 0.0
+    mode = bridge_mode(checked, v_gnss, v_ss, hdop_doppler, x[col.SINCE_RTK], initialised, mode_limits)
     advance(x, growth, par, mode, v_e, v_n, q_v, v_ss, middle, carry, resting)
     measured = doppler_usable(checked, v_gnss, v_ss, hdop_doppler, mode_limits)
     integrates = mode == DOPPLER and not resting
     for a in apart:
-        advance_separations(dt, integrates, x[HAS_VEL] > 0.0, measured, math.exp(-dt / par[DOP_TAU]), a)
-    x[APART] = 1.0 if integrates else x[APART]
+        advance_separations(dt, integrates, x[col.HAS_VEL] > 0.0, measured, math.exp(-dt / par[col.DOP_TAU]), a)
+    x[col.APART] = 1.0 if integrates else x[col.APART]
     watch_speeds(x, par, solved, v_gnss, v_ss, hdop_doppler, heading_limits, mode_limits[1], delta_v, turning)
-    if x[UNBOUNDED] > 0.0:
-        x[WITNESS_S] = math.inf
-    shift = par[REFERENCE_BIAS]
-    if initialised and x[UNBOUNDED] == 0.0 and x[SINCE_CAL] < math.inf:
-        levels_dead_reckoning(
-            growth[LATEST], start[LATEST], apart[LATEST], system, sin_h, cos_h, k_dead, published, shift, priors[0],
-            later, shares[1], shares[3] > 0.0, pl,
-        )  # fmt: skip
+    if x[col.UNBOUNDED] > 0.0:
+        x[col.WITNESS_S] = math.inf
+    if initialised and x[col.UNBOUNDED] == 0.0 and x[col.SINCE_CAL] < math.inf:
+        levels_dead_reckoning(latest, terms, sin_h, cos_h, later, pl)
     found[:] = 0.0
     if confirmed and rtk_usable(hdop_rtk, mode_limits):
         levels_rtk(n_rtk, fixed.rows, fixed.group, sin_h, cos_h, risks, shares, spent + wrong, priors, k_fa,
-                   k_published, shift, fixed.geo, head, columns, found)  # fmt: skip
+                   k_published, terms.shift, fixed.geo, head, columns, found)  # fmt: skip
         lever_at, lever_ct = lever_bounds(x, par)
         found[:, 0] += lever_at
         found[:, 1] += lever_ct
         east, north = reference_point(head, par, sin_h, cos_h)
         if lasting:
-            hear_witness(
-                x, par, growth, start, apart, system, sin_h, cos_h, k_dead, published, shift, priors[0], shares,
-                (east, north), found, pl,
-            )  # fmt: skip
+            hear_witness(x, par, latest, witness, terms, east, north, sin_h, cos_h, found, pl)
         verdict = judge_rtk(x, par, east, north, sin_h, cos_h, pl, found, lasting)
         if verdict == ACCEPTED:
             mode, pl[:] = RTK, found
-            x[EAST], x[NORTH], x[UP] = east, north, head[X_U]
-            x[SINCE_RTK], x[INITIALISED], x[UNBOUNDED] = 0.0, 1.0, 0.0
-            restart(
-                growth[LATEST], start[LATEST], apart[LATEST], x, pl, k_dead, shift, published, x[P_HH], head, sin_h,
-                cos_h,
-            )  # fmt: skip
-            if not (lasting and x[WITNESS_S] < par[WITNESS_MOST_S]):
-                call_witness(x, growth, start, apart)
+            take_rtk(x, par, latest, witness, terms, east, north, head, sin_h, cos_h, lasting, pl)
         else:
             status = FAULT
         if verdict == REFUSED:
-            x[FIXED_S], held[:] = 0.0, False
+            x[col.FIXED_S], held[:] = 0.0, False
     doubted = in_doubt(doubt)
     if doubted:
         widen(sin_h, cos_h, found, doubt, pl)
-    x[HAS_VEL] = 1.0 if measured else 0.0
+    x[col.HAS_VEL] = 1.0 if measured else 0.0
     if mode == RTK and measured:
         for g in growth:
             remember_velocity(q_v[0, 0], q_v[0, 1], q_v[1, 1], g)
-    x[VEL_E], x[VEL_N] = v_e, v_n
+    x[col.VEL_E], x[col.VEL_N] = v_e, v_n
     if not measured:
-        x[VEL_E], x[VEL_N] = v_ss * math.sin(x[HEADING] + slip), v_ss * math.cos(x[HEADING] + slip)
+        x[col.VEL_E], x[col.VEL_N] = v_ss * math.sin(x[col.HEADING] + slip), v_ss * math.cos(x[col.HEADING] + slip)
 
     _tell(
-        v, mode, status, doubted, x, par, sin_h, cos_h, growth[LATEST], fixed.head, (hdop_rtk, hdop_doppler), pl,
+        v, mode, status, doubted, x, par, sin_h, cos_h, latest.growth, fixed.head, (hdop_rtk, hdop_doppler), pl,
         alert_limits, alert, reason, onset, clear, out, covariance,
     )  # fmt: skip
-    out[O_SATELLITES], out[O_DOPPLER], out[O_EXCLUDED] = n_rtk, n_doppler, excluded_rtk + excluded_doppler
-    out[O_WRONG] = wrong
+    out[col.O_SATELLITES], out[col.O_DOPPLER], out[col.O_EXCLUDED] = n_rtk, n_doppler, excluded_rtk + excluded_doppler
+    out[col.O_WRONG] = wrong
 
 
 @jit
@@ -635,7 +418,7 @@ def _tell(  # type: ignore[no-untyped-def]
     out, covariance,
 ):  # fmt: skip
     """What vehicle v makes known of its state, and whether it alerts."""
-    forward, right, variance = par[LEVER_FORWARD], par[LEVER_RIGHT], x[P_HH]
+    forward, right, variance = par[col.LEVER_FORWARD], par[col.LEVER_RIGHT], x[col.P_HH]
     turned_e, turned_n = sin_h * right - cos_h * forward, cos_h * right + sin_h * forward  # of a radian of heading
     sigma_at, sigma_ct, _, _ = sigma_and_bias(sin_h, cos_h, False, growth)
     if mode == RTK:
@@ -645,14 +428,14 @@ def _tell(  # type: ignore[no-untyped-def]
             math.hypot(head[SIGMA0_CT], forward * sigma_h),
         )
     cause = INITIALISING_CAUSE if mode == NONE else 0
-    if doubted or (x[UNBOUNDED] > 0.0 and mode != RTK and mode != NONE):
+    if doubted or (x[col.UNBOUNDED] > 0.0 and mode != RTK and mode != NONE):
         cause = TEST_FAILED_CAUSE
     available = alert_step(
-        v, cause, pl[0, 0], pl[0, 1], sigma_at, sigma_ct, par[DT], alert_limits, alert, reason, onset, clear
+        v, cause, pl[0, 0], pl[0, 1], sigma_at, sigma_ct, par[col.DT], alert_limits, alert, reason, onset, clear
     )
-    out[O_MODE], out[O_RTK], out[O_AVAILABLE] = mode, status, available
-    out[O_SIGMA_AT], out[O_SIGMA_CT] = sigma_at, sigma_ct
-    out[O_HDOP] = hdop[0] if mode == RTK else hdop[1]
+    out[col.O_MODE], out[col.O_RTK], out[col.O_AVAILABLE] = mode, status, available
+    out[col.O_SIGMA_AT], out[col.O_SIGMA_CT] = sigma_at, sigma_ct
+    out[col.O_HDOP] = hdop[0] if mode == RTK else hdop[1]
     covariance[0, 0] = growth[G_EE] + turned_e * turned_e * variance
     covariance[1, 1] = growth[G_NN] + turned_n * turned_n * variance
     covariance[0, 1] = covariance[1, 0] = growth[G_EN] + turned_e * turned_n * variance

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lanebound.integrity import navigator_columns_kernel as col
 from lanebound.integrity import navigator_kernel as nk
 from lanebound.integrity.monitoring.geometry_kernel import X_E, X_N
 from lanebound.integrity.monitoring.jump_kernel import ACCEPTED, JUMPED, QUARANTINED, REFUSED, STAGE, WAITING
@@ -14,16 +15,16 @@ NOWHERE = np.inf
 
 def _judged(away_m: float, expected_m: float, found_m: float, **state: float) -> int:
     """The verdict on a position to the East of the one expected, of a vehicle that drives North and has had RTK."""
-    x, par, head = np.zeros(nk.NX), np.zeros(nk.NP), np.zeros(32)
-    par[[nk.DT, nk.LEVER_FORWARD, nk.LEVER_RIGHT]] = 0.1, 1.5, 0.4
-    par[[nk.AFTER_JUMP, nk.AFTER_OUTAGE]] = 60.0, 5.0
-    x[[nk.INITIALISED, nk.SINCE_RTK]] = 1.0, 0.1
+    x, par, head = np.zeros(col.NX), np.zeros(col.NP), np.zeros(32)
+    par[[col.DT, col.LEVER_FORWARD, col.LEVER_RIGHT]] = 0.1, 1.5, 0.4
+    par[[col.AFTER_JUMP, col.AFTER_OUTAGE]] = 60.0, 5.0
+    x[[col.INITIALISED, col.SINCE_RTK]] = 1.0, 0.1
     for name, value in state.items():
-        x[getattr(nk, name) if hasattr(nk, name) else nk.DOUBT + {"stage": STAGE}[name]] = value
+        x[getattr(col, name) if hasattr(col, name) else col.DOUBT + {"stage": STAGE}[name]] = value
     head[X_E], head[X_N] = away_m + 0.4, 1.5  # the antenna is ahead and to the right of the reference point
     expected, found = np.full((2, 2), expected_m), np.full((2, 2), found_m)
     east, north = nk.reference_point(head, par, 0.0, 1.0)
-    lasting = bool(x[nk.SINCE_RTK] < 0.15)
+    lasting = bool(x[col.SINCE_RTK] < 0.15)
     return int(nk.judge_rtk(x, par, east, north, 0.0, 1.0, expected, found, lasting))
 
 

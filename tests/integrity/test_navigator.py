@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from lanebound.integrity import navigator_kernel as nk
+from lanebound.integrity import navigator_columns_kernel as col
 from lanebound.integrity.drive import CityDrive, DriveConfig
 from lanebound.integrity.errors import ConfigError, InputError
 from lanebound.integrity.frames import wrap_angle
@@ -626,7 +626,7 @@ def test_levels_in_a_tunnel_are_those_of_the_plain_form() -> None:
     more = [{"integrity_risk": r, "variant": v} for r in (1e-3, RISK) for v in ("published", "exact")]
     navigator = _navigator(CALM.replace(more_levels=more), mask=_tunnel(150.0, 400.0))
     run = _Cars(navigator).drive(20.0)
-    g, start = navigator.state.growth[:, nk.LATEST], navigator.state.start[:, nk.LATEST]
+    g, start = navigator.state.growth[:, col.LATEST], navigator.state.start[:, col.LATEST]
     wrong = CALM.positioning.rtk.ambiguity_risk_share * RISK
     for r, case in enumerate(navigator.config.cases):
         growth = initial_growth(run.covariance_en_m2[-1], np.zeros((4, 2)), 0.0)
@@ -665,7 +665,7 @@ def test_fault_free_traffic_raises_no_doubt() -> None:
     state = car.start(streams, 500.0)
     for _ in range(250):
         navigator.step(car.step(state, streams))
-        assert not navigator.state.belief[:, nk.UNBOUNDED].any()
+        assert not navigator.state.belief[:, col.UNBOUNDED].any()
 
 
 def test_unfit_truth_is_refused() -> None:
@@ -735,7 +735,7 @@ def test_a_placed_vehicle_starts_from_its_prior_and_leaves_the_others_alone() ->
     before = navigator.state.belief.copy()
     navigator.place(np.array([[4.0, -2.0]]), np.array([0.3]), 0.05, 0.01, np.array([1]))
     belief, growth = navigator.state.belief, navigator.state.growth
-    assert belief[1, [nk.EAST, nk.NORTH, nk.HEADING]].tolist() == [4.0, -2.0, 0.3]
+    assert belief[1, [col.EAST, col.NORTH, col.HEADING]].tolist() == [4.0, -2.0, 0.3]
     np.testing.assert_array_equal(belief[[0, 2]], before[[0, 2]])
     assert np.unique(growth[1]).tolist() == [0.0, 0.01**2, 0.05**2]
 
