@@ -6,11 +6,12 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Literal, NamedTuple
 
+from lanebound.agents.episodes.guard import Failing
 from lanebound.agents.plain import finite_or_none
 
 __all__ = ["LEVEL_MAX_M", "OK", "WALL_CLOCK", "Outcome", "Place", "Status", "Task"]
 
-Status = Literal["ok", "raised", "not_finite", "wrong_shape", "outside_space", "timeout"]
+Status = Literal["ok"] | Failing
 OK: Status = "ok"
 LEVEL_MAX_M = 10.0
 """Protection levels above it, and missing ones, count as this, as observations show them by default."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from lanebound.agents.benchmark.episode import Clock, allotted_s, run_episode
+from lanebound.agents.benchmark.episode import allotted_s, run_episode
 from lanebound.agents.benchmark.outcome import Outcome, Place, Status, Task
 from lanebound.agents.benchmark.store import Store
 from lanebound.agents.benchmark.suite import SuiteConfig
@@ -14,6 +14,7 @@ from lanebound.agents.drivers import AGENTS, load_figures, make_agent, unknown_a
 from lanebound.agents.drivers.foreign import is_foreign, require_foreign
 from lanebound.agents.episodes import open_env
 from lanebound.agents.episodes.film import Film
+from lanebound.agents.episodes.guard import Clock
 from lanebound.agents.episodes.opening import naming
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.errors import InputError

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from traceback import extract_tb, format_list
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -12,7 +13,7 @@ from lanebound.agents.cli.output import counted
 from lanebound.agents.drivers import AGENTS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from lanebound.agents.drivers.base import Driver
     from lanebound.agents.episodes import EpisodeLog, Summary
@@ -55,7 +56,7 @@ def drive(
     from lanebound.agents.cli.interrupt import stoppable, wait_for
 
     finished: list[int] = []
-    with stoppable(lambda: _kept(len(finished), out, video)):
+    with stoppable(lambda: _kept(len(finished), out, video)), failing(agent):
         changes = overrides(sky, faults, assignments)
         drove = wait_for(lambda: _drive(name, agent, changes, (seed, episodes), (video, fps), out, finished))
     files = {"log": out and out / LOG, "diagram": out and out / DIAGRAM, "video": video}
@@ -68,6 +69,26 @@ def overrides(sky: str | None, faults: str | None, assignments: list[str] | None
 
     named = {key: value for key, value in (("sky", sky), ("faults", faults)) if value is not None}
     return parse_assignments(assignments or []) | named
+
+
+@contextmanager
+def failing(agent: str) -> Iterator[None]:
+    """Within it, an agent that fails is told by its own frames and one line; exit code 1. A refusal goes on as one."""
+    from lanebound.agents.episodes.guard import AgentFailure
+    from lanebound.integrity.errors import InputError
+
+    try:
+        yield
+    except AgentFailure as failure:
+        cause = failure.__cause__
+        if isinstance(cause, InputError):
+            raise cause from None
+        ours = str(Path(__file__).parents[1])
+        frames = [f for f in extract_tb(cause.__traceback__ if cause else None) if not f.filename.startswith(ours)]
+        typer.echo("".join(format_list(frames)), err=True, nl=False)
+        when = "".join(f", {note}" for note in getattr(failure, "__notes__", ()))
+        typer.echo(f"error: agent {agent}: {failure}{when}", err=True)
+        raise typer.Exit(1) from None
 
 
 def _kept(finished: int, out: Path | None, video: Path | None) -> str:
@@ -91,9 +112,10 @@ def _drive(
     from lanebound.agents.drivers import make_agent
     from lanebound.agents.episodes import EpisodeLog, open_env, summarise
     from lanebound.agents.episodes.film import Film
+    from lanebound.agents.episodes.guard import guarded
 
     env = open_env(name, changes, None if film[0] is None else "rgb_array")
-    driver, log = make_agent(agent, env), EpisodeLog()
+    driver, log = guarded(lambda env: make_agent(agent, env), env, seeds[0]), EpisodeLog()
     if out is not None:
         _claim(out)
     watchers: list[Any] = [log]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,6 +14,7 @@ __all__ = ["record_sky", "replay", "rtk"]
 Changes = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a value; may be repeated.")
 ]
+FAR_M = 1000.0  # between a base as given and as its header has it, which may be coarse
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 
 
@@ -37,8 +40,8 @@ def replay(
     changes = parse_assignments(assignments or [])
     require_own(out / "replay.json")
     make_folder(out)
-    with stoppable(lambda: "nothing is kept"):
-        found, written = wait_for(lambda: replay_folder(dataset, out, changes))
+    with stoppable(lambda: "nothing is kept"), _bar() as told:
+        found, written = wait_for(lambda: replay_folder(dataset, out, changes, told))
     if as_json:
         print_json(found)
         return
@@ -85,13 +88,27 @@ def rtk(
         for name, text in (("base_ecef_m", base_position), ("rover_ecef_m", rover_position))
     }
     make_folder(out)
-    with stoppable(lambda: "nothing is kept"):
-        found, written = wait_for(lambda: run_baseline(rover, base, nav, out, config=config, **places))
+    with stoppable(lambda: "nothing is kept"), _bar() as told:
+        found, written = wait_for(lambda: run_baseline(rover, base, nav, out, config=config, told=told, **places))
     if as_json:
         print_json(found)
         return
     _print_rtk(found)
+    if (found["base_from_header_m"] or 0.0) > FAR_M:
+        away = f"{found['base_from_header_m'] / 1000.0:.1f} km"
+        typer.echo(f"note: --base-position is {away} from where the base's header has it: is it this base?", err=True)
     _tell(found["stopped"], written)
+
+
+@contextmanager
+def _bar() -> Iterator[Callable[[int, int], None]]:
+    """A bar of the epochs solved, which hears how many are done."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True)) as bar:
+        task = bar.add_task("epochs (kernels compile first)", total=None)
+        yield lambda done, of: bar.update(task, description="epochs", completed=done, total=of)
 
 
 def record_sky(

@@ -50,7 +50,7 @@ def _moments(env: DrivingEnv, agent: Driver, episode: int, seed: int) -> Any:
         try:
             action, state = agent.predict(observation, state=state, episode_start=start, deterministic=True)
         except Exception as error:
-            error.add_note(f"the agent failed at seed {seed}, step {step}")
+            error.add_note(f"at seed {seed}, step {step}")
             raise
         observation, reward, terminated, truncated, info = env.step(action)
         start, step, over = np.zeros(1, dtype=np.bool_), step + 1, terminated or truncated

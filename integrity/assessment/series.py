@@ -144,10 +144,12 @@ def map_figure(
     title: str = "",
     obstacles: Iterable[ArrayLike] = (),
     alert: ArrayLike | None = None,
+    truth_en_m: ArrayLike | None = None,
 ) -> Figure:
     """Trajectory coloured by mode over building outlines, its start and end marked.
 
-    position_en_m (T, 2) East, North; mode (T,); obstacles are outlines (P, 2) [m]; alert (T,) marks epochs with a ring.
+    position_en_m (T, 2) East, North; mode (T,); obstacles are outlines (P, 2) [m]; alert (T,) marks epochs with a ring;
+    truth_en_m (K, 2) is where the vehicle was, a line over it all.
 
     Raises
     ------
@@ -179,6 +181,10 @@ def map_figure(
             label="alert",
         )
     _mark_ends(axes, position)
+    if truth_en_m is not None:
+        truth = require_finite("truth_en_m", truth_en_m)
+        require_shape("truth_en_m", truth, (truth.shape[0], 2))
+        axes.plot(*truth.T, color=INK, linewidth=0.8, linestyle="--", label="truth", zorder=4)
     if outlines:
         _draw_obstacles(axes, outlines)
     tidy(axes, xlabel="East (m)", ylabel="North (m)")

@@ -7,6 +7,7 @@ levels of its own. There is no model of motion: static and moving rovers are sol
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,7 +90,7 @@ class Baseline:
 
 def solve_baseline(
     rover: Observations, base: Observations, table: Ephemerides, base_ecef_m: Array | None = None,
-    config: BaselineConfig | None = None,
+    config: BaselineConfig | None = None, told: Callable[[int, int], None] = lambda done, of: None,
 ) -> Baseline:  # fmt: skip
     """Solve all epochs of the rover for which the base has one that is not too old.
 
@@ -97,6 +98,7 @@ def solve_baseline(
     ----------
     base_ecef_m : (3,) position of the base's antenna reference point [m], to which nothing is added; by default that
         of its header, marker and ANTENNA: DELTA H/E/N. Its error is the rover's.
+    told : called with the epochs solved and their number
 
     Raises
     ------
@@ -124,7 +126,7 @@ def solve_baseline(
         choice,
         config,
     )
-    return run.solve(rover, epochs, partners, age)
+    return run.solve(rover, epochs, partners, age, told)
 
 
 def _base_antenna(base: Observations, given_ecef_m: Array | None) -> Array:
@@ -181,7 +183,9 @@ class _Run:
         self.before: Array | None = None
         self.passed: Array | None = None
 
-    def solve(self, rover: Observations, epochs: Ints, partners: Ints, age: Array) -> Baseline:
+    def solve(
+        self, rover: Observations, epochs: Ints, partners: Ints, age: Array, told: Callable[[int, int], None]
+    ) -> Baseline:
         """All matched epochs."""
         n = epochs.size
         out = Baseline(
@@ -193,6 +197,7 @@ class _Run:
         for k in range(n):
             dt = float(time[k] - time[k - 1]) if k else 1.0
             self._epoch(k, int(epochs[k]), int(partners[k]), float(age[k]), dt, out)
+            told(k + 1, n)
         out.ecef_m[:] = np.where((out.mode != Mode.NONE)[:, None], self.place + out.enu_m @ self.axes.T, 0.0)
         return out
 

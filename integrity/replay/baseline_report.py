@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -45,11 +45,13 @@ CAUTION = (
 def run_baseline(
     rover: Path, base: Path, navigation: Path, out: Path, *, base_ecef_m: Array | None = None,
     rover_ecef_m: Array | None = None, config: BaselineConfig | None = None,
+    told: Callable[[int, int], None] = lambda done, of: None,
 ) -> tuple[dict[str, Any], list[Path]]:  # fmt: skip
     """Solve a rover, base and navigation triple of RINEX files; write ``solution.csv`` and ``rtk.json`` into ``out``.
 
     ``base_ecef_m`` and ``rover_ecef_m`` (3,) are antenna reference points: by default the base's of its header, and the
-    true one of a rover that stands, when it is known: errors are then counted.
+    true one of a rover that stands, when it is known: errors are then counted. ``told`` is called with the epochs
+    solved and their number.
 
     Raises
     ------
@@ -57,12 +59,13 @@ def run_baseline(
         A file is refused, or the three do not belong together.
     """
     ours, theirs, table = read_observations(rover), read_observations(base), read_navigation(navigation)
-    solved = solve_baseline(ours, theirs, table, base_ecef_m, config)
+    solved = solve_baseline(ours, theirs, table, base_ecef_m, config, told)
     stops = {"rover": ours.stopped, "base": theirs.stopped, "navigation": table.stopped or None}
     summary = {
         "stopped": {name: str(stop) for name, stop in stops.items() if stop is not None},
         "signals": {"rover": solved.choice.rover, "base": solved.choice.base},
         "base_antenna_ecef_m": solved.base_ecef_m.tolist(),
+        "base_from_header_m": _apart(solved.base_ecef_m, theirs.header.antenna_ecef_m),
         "antenna_delta_enu_m": {"rover": ours.header.antenna_delta_enu_m, "base": theirs.header.antenna_delta_enu_m},
         **summarise(solved, rover_ecef_m),
     }
@@ -74,6 +77,11 @@ def run_baseline(
         writer.writerow(HEAD)
         writer.writerows(_rows(solved))
     return summary, written
+
+
+def _apart(place: Array, header: Array | None) -> float | None:
+    """How far the base is from where its header has it [m], None where that says nothing (or 0, 0, 0)."""
+    return float(np.linalg.norm(place - header)) if header is not None and np.any(header) else None
 
 
 def _rows(solved: Baseline) -> Iterator[list[Any]]:
@@ -147,9 +155,15 @@ def read_coordinates(text: str) -> Array:
         raise InputError(f"coordinates '{text[:60]}': {error}; write x,y,z or latitude,longitude,height") from None
     if len(values) != 3:
         raise InputError(f"coordinates must be three numbers or a file of them, got '{text[:60]}': write x,y,z [m]")
+    place = np.array(values)
     if abs(values[0]) <= 90.0 and abs(values[1]) <= 360.0:
-        return ecef_from_geodetic(np.radians(values[0]), np.radians(values[1]), values[2])
-    return np.array(values)
+        place = ecef_from_geodetic(np.radians(values[0]), np.radians(values[1]), values[2])
+    if not 6.0e6 < float(np.linalg.norm(place)) < 7.0e6:
+        raise InputError(
+            f"coordinates must lie near the Earth's surface as x,y,z [m], or be latitude in [-90, 90] and longitude in "
+            f"[-360, 360] deg with a height, got '{text[:60]}': write latitude before longitude"
+        )
+    return place
 
 
 def read_solution(path: str | Path) -> tuple[Array, Array, NDArray[np.int64]]:

@@ -11,6 +11,7 @@ the wrong signals: it is off where levels are to be trusted.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -111,18 +112,20 @@ class CityDrive:
 def drive_city(
     drive: SmartLoc, errors: CodeErrors | None, config: CityConfig,
     outages_s: tuple[tuple[float, float], ...] = (), every: int = 1,
+    told: Callable[[int, int], None] = lambda done, of: None,
 ) -> CityDrive:  # fmt: skip
     """Solve a drive epoch by epoch.
 
     ``errors`` are trained bounds; None takes the receiver's own variances as independent Gaussian noise around 0.
-    ``outages_s`` are (start, end) in which no signal is used; only each ``every``-th epoch is solved.
+    ``outages_s`` are (start, end) in which no signal is used; only each ``every``-th epoch is solved. ``told`` is
+    called with the epochs solved and their number.
 
     Raises
     ------
     InputError
         No odometry, or no epoch with enough satellites for a first fix.
     """
-    return _Run(drive, errors, config, outages_s).drive(every)
+    return _Run(drive, errors, config, outages_s).drive(every, told)
 
 
 class _Run:
@@ -174,7 +177,7 @@ class _Run:
         self.first_clock = float(x[3])
         return Frame(x[:3], ecef_from_enu_matrix(latitude, longitude))
 
-    def drive(self, every: int) -> CityDrive:
+    def drive(self, every: int, told: Callable[[int, int], None]) -> CityDrive:
         """Each ``every``-th epoch."""
         chosen = np.arange(0, self.time.size, every)
         n = chosen.size
@@ -187,6 +190,7 @@ class _Run:
             if not self._solve(k, i, out):
                 self._carry(before, k, i, out)
             before = k
+            told(i + 1, n)
         return out
 
     def _solve(self, k: int, i: int, out: CityDrive) -> bool:

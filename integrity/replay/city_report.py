@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -98,8 +99,12 @@ def _bounds(record: Record) -> dict[str, Any]:
     return {"all_modes": {a: asdict(measure_bounding(record.error(a), record.pl(a))) for a in AXES}}
 
 
-def replay_city(drive: SmartLoc, config: CityReplay | None = None) -> CityResult:
+def replay_city(
+    drive: SmartLoc, config: CityReplay | None = None, told: Callable[[int, int], None] = lambda done, of: None
+) -> CityResult:
     """Train on the first part of a drive, then solve all of it with the trained bounds and with the plain model.
+
+    ``told`` is called with the epochs solved and their number, of all four solutions.
 
     Raises
     ------
@@ -112,12 +117,19 @@ def replay_city(drive: SmartLoc, config: CityReplay | None = None) -> CityResult
     errors = train(drive, until)
     plain = config.solution.replace(danish={"iterations": 0})
     again = config.solution.replace(danish={"iterations": DanishConfig().iterations})
-    solutions = {
-        "overbound": drive_city(drive, errors, config.solution, every=config.every),
-        "danish": drive_city(drive, errors, again, every=config.every),
-        "gaussian": drive_city(drive, None, plain, every=config.every),
-        "gaussian_epoch": drive_city(drive, None, plain.replace(window_s=0.0), every=config.every),
+    models: dict[str, tuple[CodeErrors | None, CityConfig]] = {
+        "overbound": (errors, config.solution),
+        "danish": (errors, again),
+        "gaussian": (None, plain),
+        "gaussian_epoch": (None, plain.replace(window_s=0.0)),
     }
+    solutions: dict[str, CityDrive] = {}
+    for name, (bounds, solution) in models.items():
+
+        def count(done: int, of: int, before: int = len(solutions)) -> None:
+            told(before * of + done, of * len(models))
+
+        solutions[name] = drive_city(drive, bounds, solution, every=config.every, told=count)
     return CityResult(config, drive, until, errors, solutions)
 
 
@@ -142,8 +154,12 @@ def read_city(folder: Path) -> SmartLoc:
     return read_smartloc(*found)
 
 
-def write_city(folder: Path, out: Path, config: CityReplay | None = None) -> tuple[dict[str, Any], list[Path]]:
+def write_city(
+    folder: Path, out: Path, config: CityReplay | None = None, told: Callable[[int, int], None] = lambda done, of: None
+) -> tuple[dict[str, Any], list[Path]]:
     """Replay a smartLoc folder and write ``replay.json``, Stanford diagrams, series and map into ``out``.
+
+    ``told`` is called with the epochs solved and their number.
 
     Raises
     ------
@@ -151,7 +167,7 @@ def write_city(folder: Path, out: Path, config: CityReplay | None = None) -> tup
         The folder holds no smartLoc drive with its truth.
     """
     drive = read_city(folder)
-    result = replay_city(drive, config)
+    result = replay_city(drive, config, told)
     summary = {"dataset": "smartloc", "stopped": drive.stopped and str(drive.stopped), **result.summary()}
     out.mkdir(parents=True, exist_ok=True)
     written = [out / "replay.json"]
@@ -175,5 +191,9 @@ def _figures(result: CityResult, out: Path) -> list[Path]:
         save(series_figure(whole, risk=risk, al_at_m=limits.al_at_m, al_ct_m=limits.al_ct_m), out / "series.png")
     )
     alert, _ = best.alerts(result.config.alerts)
-    figure = map_figure(best.position_enu_m[:, :2], best.mode, title="believed positions", alert=alert)
+    true, known = result.drive.truth.at(best.time_s) if result.drive.truth is not None else (None, None)
+    truth = None if true is None else best.frame.local(true)[known, :2]
+    figure = map_figure(
+        best.position_enu_m[:, :2], best.mode, title="believed and true positions", alert=alert, truth_en_m=truth
+    )
     return [*written, save(figure, out / "map.png")]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -37,12 +37,16 @@ def kind_of(folder: Path) -> str:
 
 
 def replay_folder(
-    folder: Path, out: Path, changes: Mapping[str, Any] | None = None
+    folder: Path,
+    out: Path,
+    changes: Mapping[str, Any] | None = None,
+    told: Callable[[int, int], None] = lambda done, of: None,
 ) -> tuple[dict[str, Any], list[Path]]:
     """Replay a data set; returns what was counted and the files written into ``out``.
 
     ``changes`` are those to the configuration of the kind: :class:`~.city_report.CityReplay`,
-    :class:`~.outages.OutageConfig` or :class:`~.baseline.BaselineConfig`.
+    :class:`~.outages.OutageConfig` or :class:`~.baseline.BaselineConfig`. ``told`` is called with the epochs solved and
+    their number.
 
     Raises
     ------
@@ -53,16 +57,18 @@ def replay_folder(
     if kind == "smartloc":
         from lanebound.integrity.replay.city_report import CityReplay, write_city
 
-        return write_city(folder, out, CityReplay.build(None, changed))
+        return write_city(folder, out, CityReplay.build(None, changed), told)
     if kind == "comma2k19":
         from lanebound.integrity.replay.outages import OutageConfig
         from lanebound.integrity.replay.outages_report import write_outages
 
         return write_outages(folder, out, OutageConfig.build(None, changed))
-    return _replay_rinex(folder, out, changed)
+    return _replay_rinex(folder, out, changed, told)
 
 
-def _replay_rinex(folder: Path, out: Path, changes: dict[str, Any]) -> tuple[dict[str, Any], list[Path]]:
+def _replay_rinex(
+    folder: Path, out: Path, changes: dict[str, Any], told: Callable[[int, int], None]
+) -> tuple[dict[str, Any], list[Path]]:
     """The pair of a folder, with the positions that lie beside it."""
     from lanebound.integrity.replay.baseline import BaselineConfig
     from lanebound.integrity.replay.baseline_report import read_coordinates, run_baseline
@@ -77,6 +83,6 @@ def _replay_rinex(folder: Path, out: Path, changes: dict[str, Any]) -> tuple[dic
     config = BaselineConfig.build(None, changes)
     found, written = run_baseline(
         folder / "rover.obs", folder / "base.obs", navigation[0], out, base_ecef_m=known["base_ecef_m"],
-        rover_ecef_m=known["rover_ecef_m"], config=config,
+        rover_ecef_m=known["rover_ecef_m"], config=config, told=told,
     )  # fmt: skip
     return {"dataset": "rinex", **found}, written

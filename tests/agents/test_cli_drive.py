@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -116,6 +117,26 @@ def test_mistakes_are_answered_in_one_line(arguments, message):
     assert result.stderr.startswith(message)
     assert result.stderr.count("\n") == 1
     assert result.stdout == ""
+
+
+@pytest.mark.parametrize(
+    ("maker", "line", "frames"),
+    [
+        ("raises", "ValueError: no idea what to do \\(bad_agents.py:\\d+\\), at seed 4, step 3", 2),
+        ("leaves", "SystemExit: 3 \\(bad_agents.py:\\d+\\), at seed 4, step 3", 2),
+        ("unmade", "RuntimeError: could not be made \\(bad_agents.py:\\d+\\)", 1),
+        ("short", "action must be numbers of shape \\(2,\\), got array.*, at seed 4, step 3", 0),
+    ],
+)
+def test_an_agent_that_fails_is_told_by_its_own_frames_and_one_line(maker, line, frames):
+    result = run("LaneKeeping", *GIVEN, "--seed", "4", "--agent", f"bad_agents:{maker}")
+    assert result.exit_code == 1
+    shown = result.stderr.splitlines()
+    assert re.fullmatch(f"error: agent bad_agents:{maker}: {line}", shown[-1])
+    told = [text for text in shown if text.startswith("  File")]
+    assert len(told) == frames
+    assert all("bad_agents.py" in text for text in told)
+    assert not any("Traceback" in text for text in shown)
 
 
 def test_the_table_of_episodes_fits_into_eighty_characters(capsys, monkeypatch):

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from lanebound.agents.benchmark.episode import AgentFailure, checked, run_episode
+from lanebound.agents.benchmark.episode import run_episode
 from lanebound.agents.benchmark.metrics import metric_named
 from lanebound.agents.benchmark.outcome import Place, Task
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.episodes import open_env
+from lanebound.agents.episodes.guard import AgentFailure, checked
 from lanebound.integrity.errors import InputError
 
 GIVEN = {"sky": "open", "navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "duration_s": 2.0}

@@ -120,6 +120,16 @@ def test_map_figure(tmp_path: Path) -> None:
         map_figure(position, [1, 2])
 
 
+def test_the_truth_is_drawn_over_the_map() -> None:
+    position = np.stack([np.arange(5.0), np.zeros(5)], -1)
+    figure = map_figure(position, [1, 1, 2, 3, 0], truth_en_m=position + 0.5)
+    (line,) = [line for line in figure.axes[0].lines if line.get_label() == "truth"]
+    np.testing.assert_array_equal(line.get_xydata(), position + 0.5)
+    assert line.get_zorder() > max(c.get_zorder() for c in figure.axes[0].collections if c.get_label() != "start") - 2
+    with pytest.raises(InputError, match="truth_en_m"):
+        map_figure(position, [1, 1, 2, 3, 0], truth_en_m=np.zeros((3, 3)))
+
+
 def test_report_writes_everything(drive: Record, tmp_path: Path) -> None:
     paths = write_report(drive, tmp_path, 1.0, 1.0, risk=2e-5)
     assert [path.name for path in paths] == ["assessment.json", "stanford.png", "series.png"]

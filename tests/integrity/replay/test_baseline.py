@@ -202,6 +202,30 @@ def test_the_command(tmp_path: Path) -> None:
     assert refused.exit_code == 2
 
 
+def test_a_base_far_from_its_header_is_noticed(tmp_path: Path) -> None:
+    from lanebound.agents.cli import app
+
+    folder = real("rtk_matrtklib_1m_static_30s")
+    options = ["rtk", "--nav", str(folder / "base.nav"), "--out", str(tmp_path)]
+    for name in ("rover", "base"):
+        options += [f"--{name}", str(folder / f"{name}.obs")]
+    place = read_coordinates(str(folder / "base_position.txt"))
+    near, far = (
+        CliRunner().invoke(
+            app, [*options, "--base-position", ",".join(str(v) for v in place + np.array([0.0, 0.0, off]))]
+        )
+        for off in (0.0, 5000.0)
+    )
+    assert "from where the base's header has it" not in near.output
+    assert "note: --base-position is 5.0 km from where the base's header has it" in far.stderr
+
+
+@pytest.mark.parametrize("text", ["137.0,35.0,100.0", "35.0,400.0,100.0", "1.0,2.0,3e7", "95.0,10.0,50.0"])
+def test_places_that_are_not_on_earth_are_refused(text: str) -> None:
+    with pytest.raises(InputError, match=r"near the Earth's surface.*latitude in \[-90, 90\]"):
+        read_coordinates(text)
+
+
 def test_the_static_pair_in_version_3_02(tmp_path: Path) -> None:
     folder = real("rtk_matrtklib_1m_static_30s")
     for name in ("rover", "base"):

@@ -131,6 +131,13 @@ def test_the_command_replays_a_folder(tmp_path: Path) -> None:
     assert refused.exit_code == 2
 
 
+def test_says_how_many_epochs_of_all_solutions_are_done() -> None:
+    heard: list[tuple[int, int]] = []
+    result = replay_city(simulated(), CityReplay(every=40), lambda done, of: heard.append((done, of)))
+    epochs = result.solutions["overbound"].time_s.size
+    assert heard == [(k + 1, 4 * epochs) for k in range(4 * epochs)]
+
+
 def test_a_folder_without_a_drive_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="must hold"):
         write_city(tmp_path, tmp_path / "out")

@@ -1,0 +1,151 @@
+"""An agent that is not trusted: an environment sees its actions only when they were checked."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Literal, Protocol
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.agents.drivers.base import Driver
+from lanebound.envs.core import DrivingEnv
+
+__all__ = ["AgentFailure", "Clock", "Failing", "Guarded", "NoClock", "checked", "guarded", "told"]
+
+LONGEST = 300  # characters of a message
+Failing = Literal["raised", "not_finite", "wrong_shape", "outside_space", "timeout"]
+"""How an agent may fail."""
+
+
+class AgentFailure(Exception):  # noqa: N818 - its status says which
+    """An agent has not done its part."""
+
+    def __init__(self, status: Failing, message: str) -> None:
+        super().__init__(message)
+        self.status: Failing = status
+
+
+class Clock(Protocol):
+    """Is told when an agent begins to work and when it is done, so that others can see it hang."""
+
+    def begin(self) -> None:
+        """It begins."""
+
+    def end(self) -> None:
+        """It is done."""
+
+
+class NoClock:
+    """Nobody watches."""
+
+    def begin(self) -> None:
+        """Nothing."""
+
+    def end(self) -> None:
+        """Nothing."""
+
+
+class Guarded:
+    """An agent whose actions are checked before an environment sees them, and timed.
+
+    Attributes
+    ----------
+    solve_ms : time of every decision
+
+    Raises
+    ------
+    AgentFailure
+        It raises, or its action is no number, of another shape or outside the space.
+    """
+
+    def __init__(self, agent: Driver, space: gymnasium.Space[Any], clock: Clock) -> None:
+        self.agent, self.space, self.clock = agent, space, clock
+        self.solve_ms: list[float] = []
+
+    def predict(
+        self,
+        observation: Any,
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Any, tuple[NDArray[Any], ...] | None]:
+        """The agent's own answer, checked."""
+        self.clock.begin()
+        begun = perf_counter()
+        try:
+            answer = self.agent.predict(
+                observation, state=state, episode_start=episode_start, deterministic=deterministic
+            )
+        except (Exception, SystemExit) as error:
+            raise AgentFailure("raised", told(error)) from error
+        finally:
+            self.solve_ms.append(1000.0 * (perf_counter() - begun))
+            self.clock.end()
+        if not (isinstance(answer, tuple) and len(answer) == 2):
+            raise AgentFailure("wrong_shape", f"predict must return (action, state), got {_short(answer)}")
+        return checked(answer[0], self.space), answer[1]
+
+
+def checked(action: Any, space: gymnasium.Space[Any]) -> Any:
+    """An action as it is, if an environment can carry it out.
+
+    Raises
+    ------
+    AgentFailure
+        It cannot.
+    """
+    try:
+        numbers = np.asarray(action)
+    except ValueError:  # ragged
+        numbers = np.asarray(None)
+    discrete = isinstance(space, gymnasium.spaces.Discrete)
+    fits = numbers.size == 1 if discrete else numbers.shape == space.shape
+    if numbers.dtype.kind not in "iuf" or not fits:
+        raise AgentFailure("wrong_shape", f"action must be numbers of shape {space.shape}, got {_short(action)}")
+    if not np.isfinite(numbers).all():
+        raise AgentFailure("not_finite", f"action must be finite, got {_short(action)}")
+    inside = numbers.dtype.kind in "iu" and space.contains(np.int64(numbers.item())) if discrete else None
+    if inside is None:
+        inside = space.contains(numbers.astype(space.dtype))
+    if not inside:
+        raise AgentFailure("outside_space", f"action must lie in {space}, got {_short(action)}")
+    return action
+
+
+def guarded(make: Callable[[DrivingEnv], Driver], env: DrivingEnv, seed: int, clock: Clock | None = None) -> Guarded:
+    """A new agent under guard; one that draws is given the seed.
+
+    Raises
+    ------
+    AgentFailure
+        It cannot be made.
+    """
+    clock = clock or NoClock()
+    clock.begin()
+    try:
+        agent = make(env)
+        if hasattr(agent, "reseed"):
+            agent.reseed(seed)
+    except (Exception, SystemExit) as error:
+        raise AgentFailure("raised", told(error)) from error
+    finally:
+        clock.end()
+    return Guarded(agent, env.action_space, clock)
+
+
+def told(error: BaseException) -> str:
+    """Kind, text and place of an error, in a line."""
+    text = _short(str(error) or "no message", shown=str)
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+    return f"{type(error).__name__}: {text}{where}"
+
+
+def _short(value: Any, shown: Callable[[Any], str] = repr) -> str:
+    text = " ".join(shown(value).split())
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
