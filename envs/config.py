@@ -18,7 +18,7 @@ from lanebound.envs.rewards import RewardConfig
 from lanebound.envs.sky import RECORDING, SKY_LEVELS, SkyLevel
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import ConfigError
-from lanebound.integrity.presets import nearest
+from lanebound.integrity.presets import FILES, nearest
 from lanebound.integrity.sensors.campaign import FaultPriors
 
 __all__ = ["ActionKind", "EnvConfig", "FaultLevel"]
@@ -59,7 +59,8 @@ class EnvConfig(Config):
     policy_hz: int = Field(2, ge=1, le=50, description="decisions in a second; must divide simulation_hz")
     sky: str = Field(
         "urban",
-        description=f"level of the sky: {', '.join(SKY_LEVELS)}, a preset's full name, or the .csv file of a recording",
+        description=f"level of the sky: {', '.join(SKY_LEVELS)}, a preset's full name, the .csv file of a recording, "
+        "or a .yaml file of one's own",
     )
     layouts: int = Field(4, ge=1, le=64, description="number of made-up cities, one of them drawn for each episode")
     extent_m: float = Field(2500.0, gt=0, description="longer lanes are lined with houses up to here")
@@ -96,7 +97,7 @@ class EnvConfig(Config):
     @field_validator("sky")
     @classmethod
     def _sky_exists(cls, name: str) -> str:
-        if name.endswith(RECORDING):
+        if name.endswith((*RECORDING, *FILES)):
             SkyLevel.named(name)
         elif name not in SKY_LEVELS and "/" not in name:
             raise ConfigError(f"sky must be one of {', '.join(SKY_LEVELS)}, got {name!r}: {nearest(name, SKY_LEVELS)}")

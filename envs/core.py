@@ -138,7 +138,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
 
     | key | chooses |
     |---|---|
-    | `sky` | `open`, `suburban`, `urban` or `dense`, or the file of a recorded sky |
+    | `sky` | `open`, `suburban`, `urban` or `dense`, the file of a recorded sky, or a `.yaml` of your own |
     | `faults` | random faults: `none` (default), `nominal` or `stress` |
     | `action`, `policy_hz`, `simulation_hz` | kind of action; decisions and steps of the dynamics (20) a second |
     | `navigation.source` | `navigator`, `perfect` (the truth, bit for bit) or `offset` (a constant error) |

@@ -18,6 +18,7 @@ __all__ = ["explain"]
 BOUNDS = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
 SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 LISTS = {"tuple_type", "list_type"}
+SIZES = {"too_short": "at least", "too_long": "at most"}
 MAPPINGS = {"model_type", "model_attributes_type", "dict_type", "mapping_type"}
 NUMBERS = {"float_type", "float_parsing", "int_type", "int_parsing"}
 
@@ -29,7 +30,15 @@ def explain(
 
     ``unchanged`` is what a user's changes were merged over: its values are named in place of a field's default.
     """
-    return "\n".join(_line(model, problem, path, unchanged or {}) for problem in error.errors())
+    found = error.errors()
+    places = [problem["loc"] for problem in found]
+    told = [p for p in found if not (p["type"] == "too_short" and _holds(p["loc"], places))]
+    return "\n".join(_line(model, problem, path, unchanged or {}) for problem in told)
+
+
+def _holds(loc: Sequence[int | str], places: Sequence[Sequence[int | str]]) -> bool:
+    """Whether one of the places lies within ``loc``: what is too short for values that were refused is no finding."""
+    return any(len(place) > len(loc) and tuple(place[: len(loc)]) == tuple(loc) for place in places)
 
 
 def _line(model: type[BaseModel], problem: Mapping[str, Any], path: str, unchanged: Mapping[str, Any]) -> str:
@@ -60,6 +69,9 @@ def _demand(problem: Mapping[str, Any], field: FieldInfo | None) -> str:
         return "be an integer"
     if kind in ("enum", "literal_error"):
         return f"be one of {context['expected']}"
+    if kind in SIZES:
+        count = context.get("min_length", context.get("max_length"))
+        return f"have {SIZES[kind]} {count} {'entry' if count == 1 else 'entries'}"
     if kind in LISTS:
         return "be a list"
     if kind in MAPPINGS:

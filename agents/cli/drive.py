@@ -24,7 +24,7 @@ __all__ = ["Sky", "drive", "overrides"]
 WEIGHTED = "cost, weighted"
 LOG, COLUMNS, DIAGRAM = "episodes.parquet", "columns.md", "stanford.png"
 Name = Annotated[str, typer.Argument(metavar="ID", help="An environment, as 'lanebound envs' lists them.")]
-Sky = Annotated[str | None, typer.Option(help="Sky: open, suburban, urban, dense, or a file of record-sky.")]
+Sky = Annotated[str | None, typer.Option(help="Sky: open, suburban, urban, dense, a file of record-sky, or FILE.yaml.")]
 Faults = Annotated[str | None, typer.Option(help="How often instruments fail: none, nominal or stress.")]
 Assignments = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a value of it; may be repeated.")

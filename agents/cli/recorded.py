@@ -35,9 +35,10 @@ def replay(
     from lanebound.agents.cli.output import print_json
     from lanebound.agents.kept import make_folder, require_own
     from lanebound.integrity.presets import parse_assignments
-    from lanebound.integrity.replay.datasets import replay_folder
+    from lanebound.integrity.replay.datasets import kind_of, replay_folder
 
     changes = parse_assignments(assignments or [])
+    kind_of(dataset)
     require_own(out / "replay.json")
     make_folder(out)
     with stoppable(lambda: "nothing is kept"), _bar() as told:

@@ -20,15 +20,25 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lanebound.agents.drivers.base import Driver, in_a_row
-from lanebound.agents.drivers.learnt import open_arrays
+from lanebound.agents.drivers.learnt import open_arrays, require_sight
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.presets import nearest
 
-__all__ = ["MODELS", "FlatDriver", "FunctionDriver", "OnnxDriver", "is_foreign", "open_foreign", "require_foreign"]
+__all__ = [
+    "MODELS",
+    "SIGHT",
+    "FlatDriver",
+    "FunctionDriver",
+    "OnnxDriver",
+    "is_foreign",
+    "open_foreign",
+    "require_foreign",
+]
 
 States = tuple[NDArray[Any], ...] | None
 MODELS = (".zip", ".onnx", ".npz")
+SIGHT = "lanebound.observation"  # metadata of an ONNX file: columns, scales and history of what it learnt with
 ALGORITHMS = {
     "cost_gae_lambda": "lanebound.agents.learning.ppo_lagrangian:PPOLagrangian",
     "cost_gamma": "lanebound.agents.learning.sac_lagrangian:SACLagrangian",
@@ -222,6 +232,8 @@ def _shape(space: spaces.Space[Any]) -> str:
 class OnnxDriver:
     """A network in an ONNX file: inputs named like the groups of the observation, or one for flat observations.
 
+    One that 'lanebound export' wrote says in its metadata what it learnt with, and is held to it.
+
     Its first output is the action, or for discrete actions a value of each, of which the largest counts. Continuous
     actions are clipped into their space.
 
@@ -232,7 +244,7 @@ class OnnxDriver:
     Raises
     ------
     InputError
-        It takes other inputs, or answers for other actions.
+        It takes other inputs, learnt with other observations, or answers for other actions.
     """
 
     def __init__(self, session: Any, env: DrivingEnv) -> None:
@@ -244,6 +256,10 @@ class OnnxDriver:
         if not self._named and len(self.inputs) != 1:
             wanted = f"{', '.join(sorted(groups))}, or one" if groups else "one input"
             raise InputError(f"an ONNX agent must take {wanted}, got {', '.join(self.inputs)}: rename its inputs")
+        told = session.get_modelmeta().custom_metadata_map.get(SIGHT)
+        if told is not None:
+            learnt = json.loads(told)
+            require_sight(learnt, learnt["history"], "the ONNX agent was learnt", env)
         wide, given = spaces.flatdim(shown), session.get_inputs()[0].shape[-1]
         if not self._named and isinstance(given, int) and given != wide:
             raise InputError(

@@ -9,6 +9,7 @@ a continuous action.
 from __future__ import annotations
 
 import zlib
+from collections.abc import Mapping
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -24,7 +25,7 @@ from lanebound.envs.core import DrivingEnv
 from lanebound.envs.observation import ObservationConfig, entries
 from lanebound.integrity.errors import InputError
 
-__all__ = ["LearntDriver", "make_ppo", "open_arrays", "policies", "sight"]
+__all__ = ["LearntDriver", "make_ppo", "open_arrays", "policies", "require_sight", "sight"]
 
 Array = NDArray[np.float32]
 States = tuple[NDArray[Any], ...] | None
@@ -108,17 +109,28 @@ def sight(config: ObservationConfig) -> dict[str, NDArray[Any]]:
     }
 
 
+def require_sight(learnt: Mapping[str, Any], history: int, told: str, env: DrivingEnv) -> None:
+    """Refuse an environment whose observations are others than a policy ``learnt`` with; ``told`` says which it is.
+
+    Raises
+    ------
+    InputError
+        Entries, their scales or the number of observations differ.
+    """
+    config = env.config.observation
+    other = [key for key, value in sight(config).items() if not np.array_equal(value, learnt[key])]
+    if other or config.history != history:
+        remembered = "no history" if history == 1 else f"a history of {history}"
+        raise InputError(
+            f"{told} with an observation of its own ({len(learnt['columns'])} entries, {remembered}), "
+            f"got another ({', '.join(other) or 'history'} differ): leave 'observation' as it was there"
+        )
+
+
 def _fitting(file: Traversable, name: str, where: str, env: DrivingEnv) -> LearntDriver:
     """The policy in a file, where it was learnt with the observations and actions of an environment."""
     learnt, layers = _read(file, name)
-    config = env.config.observation
-    here = sight(config)
-    other = [key for key, value in here.items() if not np.array_equal(value, learnt[key])]
-    if other or config.history != 1:
-        raise InputError(
-            f"{name} was learnt{where} with an observation of its own ({len(learnt['columns'])} entries, no history), "
-            f"got another ({', '.join(other) or 'history'} differ): leave 'observation' as it was there"
-        )
+    require_sight(learnt, 1, f"{name} was learnt{where}", env)
     outputs, discrete = layers[-1][1].size, bool(learnt["discrete"])
     if (spaces.flatdim(env.action_space), isinstance(env.action_space, spaces.Discrete)) != (outputs, discrete):
         remedy = "leave 'action' as it was there" if where else "drive an id that has it, or learn a policy here"

@@ -7,6 +7,7 @@ Observations leave the environment scaled already, so that the network holds all
 
 from __future__ import annotations
 
+import json
 import logging
 import warnings
 from collections.abc import Iterator
@@ -20,6 +21,7 @@ import torch
 from gymnasium import spaces
 from torch import nn
 
+from lanebound.agents.drivers.foreign import SIGHT
 from lanebound.agents.drivers.learnt import sight
 from lanebound.agents.kept import replace_file
 from lanebound.agents.learning.evaluation import trained
@@ -35,7 +37,9 @@ def export_onnx(folder: Path, path: Path) -> Path:
     """Write the best checkpoint of a training as a network with one input and one output; returns its path.
 
     The input ``observation`` (B, n) is the flat observation, the output ``action`` (B, m) the action within [-1, 1], or
-    for discrete actions a value of each, of which the largest counts.
+    for discrete actions a value of each, of which the largest counts. Its metadata hold the experiment
+    (``lanebound.experiment``) and the entries of the observation, their scales and the history
+    (``lanebound.observation``), as JSON.
 
     Parameters
     ----------
@@ -67,9 +71,24 @@ def export_onnx(folder: Path, path: Path) -> Path:
                 verbose=False,
                 external_data=False,
             )
+            _describe(draft, experiment)
     except OSError as error:
         raise _unwritable(path, error) from None
     return path
+
+
+def _describe(path: Path, experiment: ExperimentConfig) -> None:
+    """Write into a network what it was learnt by and with."""
+    import onnx
+
+    with closing(experiment.open()) as env:
+        config = env.config.observation
+    seen = {name: values.tolist() for name, values in sight(config).items()} | {"history": config.history}
+    network = onnx.load(path)
+    onnx.helper.set_model_props(
+        network, {"lanebound.experiment": json.dumps(experiment.to_dict()), SIGHT: json.dumps(seen)}
+    )
+    onnx.save(network, path)
 
 
 def export_arrays(folder: Path, path: Path) -> Path:

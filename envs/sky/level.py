@@ -9,6 +9,7 @@ from typing import Any
 from lanebound.integrity.config import Config, Field, deep_merge
 from lanebound.integrity.errors import ConfigError
 from lanebound.integrity.navigator import NavigatorConfig
+from lanebound.integrity.presets import FILES, load_file
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
 from lanebound.integrity.sky.city import CityConfig, SectionConfig, SectionKind
 from lanebound.integrity.sky.survey import MapConfig
@@ -63,13 +64,18 @@ class SkyLevel(Config):
     def named(cls, name: str) -> SkyLevel:
         """A packaged level: ``open``, ``suburban``, ``urban`` or ``dense``; or the full name of another preset.
 
-        The name of a recorded sky, a ``.csv`` file, is that sky with the link and the instruments of ``urban``.
+        The name of a recorded sky, a ``.csv`` file, is that sky with the link and the instruments of ``urban``. A
+        ``.yaml`` file is a level of one's own, which may say ``extends: skies/urban``.
 
         Raises
         ------
         ConfigError
-            There is no such preset, or no such file.
+            There is no such preset or file, or what it says is refused.
         """
+        if name.endswith(FILES):
+            data = load_file(Path(name), "sky")
+            data.pop("kind", None)
+            return cls.load(data, name)
         if name.endswith(RECORDING):
             if not Path(name).is_file():
                 raise ConfigError(

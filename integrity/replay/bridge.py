@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from lanebound.integrity.config import Config, Field
 from lanebound.integrity.frames import rotate_covariance, track_from_enu_matrix
 from lanebound.integrity.monitoring.dead_reckoning_pl import (
+    bias_track,
     initial_growth,
     missed_detection_factors,
     odometer_step,
@@ -50,9 +52,8 @@ class Bridge:
     ) -> None:  # fmt: skip
         self.config, self.risk, self.elapsed_s = config, risk, 0.0
         lack = np.maximum(levels_m - missed_detection_factors(risk)[0] * sigma_m, 0.0)
-        box = (np.abs(track_from_enu_matrix(heading_rad)) @ lack[..., None])[..., 0]
         self.heading_variance = math.radians(config.heading_sigma_deg) ** 2
-        self.growth = initial_growth(covariance_m2, box, self.heading_variance)
+        self.growth = initial_growth(covariance_m2, _box(lack, heading_rad), self.heading_variance)
 
     def step(self, dt_s: float, speed_mps: ArrayLike, heading_rad: ArrayLike) -> tuple[Array, Array]:
         """Levels and sigmas (..., 2) on AT, CT [m] after ``dt_s`` more at these means (...,)."""
@@ -68,3 +69,12 @@ class Bridge:
         levels = protection_levels(self.growth, heading_rad, self.risk)[..., 0, :]
         variance = np.diagonal(rotate_covariance(self.growth.position_covariance_m2, heading_rad), axis1=-2, axis2=-1)
         return levels, np.sqrt(np.maximum(variance, 0.0))
+
+    def grown(self, heading_rad: ArrayLike) -> Array:
+        """Bound (..., 2) on AT, CT of the biases that came since the solution [m]."""
+        return bias_track(replace(self.growth, box_m=np.zeros_like(self.growth.box_m)), heading_rad)
+
+
+def _box(bound_m: Array, heading_rad: ArrayLike) -> Array:
+    """Bounds on E and N of an error that is bounded on AT and CT (..., 2) [m]."""
+    return np.asarray((np.abs(track_from_enu_matrix(heading_rad)) @ bound_m[..., None])[..., 0])

@@ -130,6 +130,11 @@ def test_json_is_that_of_the_file(driven, results, tmp_path):
         (["benchmark", "quick", "--out", "x", "--agents", "nominl"], "error: agent 'nominl' is unknown: did you mean"),
         (["benchmark", "quick", "--out", "x", "--set", "skies=[dence]"], "error: sky must be one of open"),
         (
+            ["benchmark", "quick", "--out", "x", "--set", "skies=[]"],
+            "error: skies must have at least 1 entry, got []",
+        ),
+        (["assess", "bounding", "--risk", "nan", "--out", "x"], "error: risks.0 must be finite, got nan"),
+        (
             ["benchmark", "quick", "--out", "x", "--set", "envs=LaneKeeping"],
             "error: envs must be a list, got 'LaneKeep",
         ),

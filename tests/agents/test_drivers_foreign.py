@@ -128,6 +128,9 @@ class Session:
         kind = "int64" if np.asarray(self.answer).dtype.kind == "i" else "float"
         return [type("Output", (), {"name": "action", "shape": shape, "type": f"tensor({kind})"})]
 
+    def get_modelmeta(self) -> Any:
+        return type("Metadata", (), {"custom_metadata_map": {}})
+
     def run(self, outputs: Any, given: dict[str, Any]) -> list[Any]:
         self.given = given
         return [self.answer]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from highway_env.road.road import RoadNetwork
 from numpy.typing import NDArray
 
 from lanebound.agents.cli.kinds import resolve
+from lanebound.envs.config import EnvConfig
 from lanebound.envs.records import azimuth_of, enu_of
 from lanebound.envs.sky import SKY_LEVELS, SkyLevel, Street, build_street
 from lanebound.envs.worlds import LaneKeepingWorld
@@ -39,6 +41,18 @@ def test_levels_are_presets_that_the_command_line_knows(name: str) -> None:
 def test_an_unknown_level_is_refused() -> None:
     with pytest.raises(ConfigError, match="preset 'skies/lunar' is unknown"):
         SkyLevel.named("skies/lunar")
+
+
+def test_a_level_of_ones_own_extends_a_packaged_one(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("extends: skies/urban\ncorrections: {outage_per_h: 100.0}\n")
+    assert SkyLevel.named(str(path)) == SkyLevel.named("urban").replace(corrections={"outage_per_h": 100.0})
+    assert EnvConfig.build({"base": "highway-v0"}, {"sky": str(path)}).level.corrections.outage_per_h == 100.0
+    path.write_text("extends: skies/urban\nstreet_width_m: -1\n")
+    with pytest.raises(ConfigError, match=r"mine\.yaml\.street_width_m must lie in \[0, 200\], got -1"):
+        EnvConfig.build({"base": "highway-v0"}, {"sky": str(path)})
+    with pytest.raises(ConfigError, match="sky must be a file that can be read"):
+        SkyLevel.named(str(tmp_path / "none.yaml"))
 
 
 def test_the_navigator_takes_the_levels_link_and_instruments_and_nothing_else() -> None:

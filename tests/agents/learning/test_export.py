@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnx
 import pytest
 from experiments import experiment
 from gymnasium import spaces
@@ -14,7 +15,7 @@ from typer.testing import CliRunner
 from lanebound.agents.cli import app
 from lanebound.agents.drivers import learnt, make_agent
 from lanebound.agents.episodes import open_env
-from lanebound.agents.learning.experiment import Algorithm
+from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig
 from lanebound.agents.learning.export import export_arrays, export_onnx
 from lanebound.agents.learning.training import load_model, train
 from lanebound.integrity.errors import InputError
@@ -46,6 +47,13 @@ def test_a_network_answers_as_its_policy_does(tmp_path: Path, algorithm: str, en
             assert int(found) == int(wanted)
         else:
             np.testing.assert_allclose(found, wanted, atol=2e-5)
+    with pytest.raises(
+        InputError, match=r"the ONNX agent was learnt with an observation of its own .* \(scales differ\)"
+    ):
+        make_agent(str(path), open_env(env, {"observation": {"form": "flat", "pl_max_m": 5.0}}))
+    told = onnx.load(path).metadata_props
+    assert {item.key for item in told} == {"lanebound.experiment", "lanebound.observation"}
+    assert ExperimentConfig.from_json(next(item.value for item in told if "experiment" in item.key)) == planned
 
 
 def test_arrays_answer_as_the_policy_does_for_one_and_for_many(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
