@@ -15,7 +15,16 @@ from typing import Any, NamedTuple
 
 from lanebound.agents.learning.study import LearningStudyConfig, load_study
 from lanebound.agents.learning.study_figure import curves_figure
-from lanebound.agents.learning.study_tables import PRIMARY, SHOWN, adjust, kept_oftener, spread, summarise, tested
+from lanebound.agents.learning.study_tables import (
+    PRIMARY,
+    SHOWN,
+    adjust,
+    higher,
+    kept_oftener,
+    spread,
+    summarise,
+    tested,
+)
 
 __all__ = ["markdown", "overview", "packed", "summed_up", "unpacked", "write_page"]
 
@@ -119,6 +128,12 @@ def markdown(name: str, study: LearningStudyConfig, trainings: Sequence[Mapping[
         "Who keeps the limit in all places together, p of McNemar's exact test before and after Holm:",
         "",
         _kept(kept),
+        "",
+        "Whose return is higher: pairs of trainings (the same place and seed) in which that of the row is above",
+        "that of the column, and places in which its mean is. Of most of these pairs nothing was asked beforehand,",
+        "so that they have no tests:",
+        "",
+        _higher(study, trainings),
     ]
     for place in places:
         lines += ["", f"## {_named(place['env'])}, {place['sky']} sky", "", _means(place)]
@@ -141,6 +156,16 @@ def _kept(rows: Sequence[Mapping[str, Any]]) -> str:
          f"{row['p']:.2g}", f"{row['p_holm']:.2g}")
         for row in rows if row["n"]
     ])  # fmt: skip
+
+
+def _higher(study: LearningStudyConfig, trainings: Sequence[Mapping[str, Any]]) -> str:
+    arms = [arm for arm in study.arms if any(one["arm"] == arm for one in trainings)]
+
+    def cell(arm: str, other: str) -> str:
+        above, pairs, places, of = higher(trainings, arm, other)
+        return f"{above} of {pairs}, {places} of {of}" if pairs and arm != other else ""
+
+    return _table(("", *(f"`{arm}`" for arm in arms)), [(f"`{a}`", *(cell(a, b) for b in arms)) for a in arms])
 
 
 def _means(place: Mapping[str, Any]) -> str:

@@ -20,7 +20,7 @@ from lanebound.agents.benchmark.metrics import metric_named
 from lanebound.agents.benchmark.results import Results
 from lanebound.agents.benchmark.statistics import estimate, holm, student_ends, student_p, within
 
-__all__ = ["PRIMARY", "SHOWN", "adjust", "kept_oftener", "means_of", "spread", "summarise", "tested"]
+__all__ = ["PRIMARY", "SHOWN", "adjust", "higher", "kept_oftener", "means_of", "spread", "summarise", "tested"]
 
 SHOWN = ("return", "cost", "over_cost_limit", "harm", "collision", "off_road", "lane_departure", "throughput")
 """Metrics that are summed up, by their names in the benchmark."""
@@ -80,6 +80,22 @@ def kept_oftener(parts: Sequence[Mapping[str, Any]], arms: Mapping[str, Sequence
                 "p": float(binomtest(alone, alone + against).pvalue) if alone + against else 1.0,
             })  # fmt: skip
     return out
+
+
+def higher(parts: Sequence[Mapping[str, Any]], arm: str, other: str, key: str = "return") -> tuple[int, int, int, int]:
+    """How often a metric of an arm is above that of another: of pairs of trainings, and of means of places.
+
+    Trainings with the same place and seed are paired; (pairs above, pairs, places above, places).
+    """
+    ours, theirs = (
+        {(p["env"], p["sky"], p["seed"]): _means(p["episodes"])[key] for p in parts if p["arm"] == name}
+        for name in (arm, other)
+    )
+    gaps: dict[tuple[str, str], list[float]] = {}
+    for place in sorted(ours.keys() & theirs.keys()):
+        gaps.setdefault(place[:2], []).append(ours[place] - theirs[place])
+    above = [gap > 0.0 for of in gaps.values() for gap in of]
+    return sum(above), len(above), sum(sum(of) > 0.0 for of in gaps.values()), len(gaps)
 
 
 def means_of(results: Results) -> dict[str, dict[str, float]]:

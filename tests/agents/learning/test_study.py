@@ -28,7 +28,7 @@ from lanebound.agents.learning.study import (
     run_learning_study,
 )
 from lanebound.agents.learning.study_figure import curves_figure
-from lanebound.agents.learning.study_tables import SHOWN, adjust, kept_oftener, summarise
+from lanebound.agents.learning.study_tables import SHOWN, adjust, higher, kept_oftener, summarise
 from lanebound.agents.learning.study_time import Pace, measured, study_hours
 from lanebound.integrity.errors import ConfigError, InputError
 
@@ -208,6 +208,20 @@ def test_who_keeps_the_limit_oftener_is_tested_in_pairs() -> None:
     assert [(row["n"], row["p"]) for row in others] == [(0, 1.0), (0, 1.0)]
     assert adjust([], [first, *others], {"seeing": "late", "unlearnt": ""}) == {"late": 1}
     assert first["p_holm"] == first["p"]
+
+
+def test_whose_return_is_higher_is_counted_in_pairs_and_places() -> None:
+    def training(arm: str, seed: int, found: float, sky: str) -> dict[str, Any]:
+        episodes = [{**dict.fromkeys(SHOWN, 0.0), "return": found + off} for off in (-1.0, 1.0)]
+        return {"env": "LaneKeeping-v0", "sky": sky, "arm": arm, "seed": seed, "limit": 15.0, "episodes": episodes}
+
+    parts = [training("blind", seed, 10.0, sky) for seed in range(3) for sky in ("urban", "dense")]
+    parts += [training("seeing", seed, found, "urban") for seed, found in enumerate((11.0, 11.0, 1.0))]
+    parts += [training("seeing", seed, found, "dense") for seed, found in enumerate((12.0, 10.0))]
+    assert higher(parts, "seeing", "blind") == (3, 5, 1, 2)
+    assert higher(parts, "blind", "seeing") == (1, 5, 1, 2)
+    assert higher(parts, "blind", "unlearnt") == (0, 0, 0, 0)
+    assert higher(parts, "seeing", "blind", "cost") == (0, 5, 0, 2)
 
 
 def t_interval(values: Any) -> list[float]:
