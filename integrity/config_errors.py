@@ -99,8 +99,9 @@ def _interval(field: FieldInfo | None) -> str | None:
 
 
 def _found(value: Any) -> str:
+    """The value, a long one without its middle: of a path the end tells most."""
     shown = repr(value)
-    return shown if len(shown) <= 60 else f"{shown[:57]}..."
+    return shown if len(shown) <= 80 else f"{shown[:30]}...{shown[-45:]}"
 
 
 def _before(unchanged: Any, loc: Sequence[int | str]) -> Any:

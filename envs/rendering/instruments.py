@@ -179,7 +179,7 @@ def draw_strip(
     for words, colour in (("AL", theme.limit), ("PL", theme.caution), ("|error|", theme.ego)):
         key -= canvas.text(key, at.y + 4, words, 10, colour, anchor="right") + 8
     if len(al):
-        canvas.text(at.x + head + 8, at.y + 4, f"0 to {top:.1f} m", 10, theme.muted)
+        canvas.text(at.x + head + 8, at.y + 4, f"0 to {top:.1f} m, last {window_s:g} s", 10, theme.muted)
 
 
 def _draw_alerts(canvas: Canvas, plot: Place, x: Array, alert: NDArray[np.bool_], theme: Theme) -> None:

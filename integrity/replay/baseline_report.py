@@ -152,16 +152,16 @@ def read_coordinates(text: str) -> Array:
     try:
         values = [finite_number(word, -1e8, 1e8) for word in words]
     except ValueError as error:
-        raise InputError(f"coordinates '{text[:60]}': {error}; write x,y,z or latitude,longitude,height") from None
+        raise InputError(f"coordinates '{text[-60:]}': {error}; write x,y,z or latitude,longitude,height") from None
     if len(values) != 3:
-        raise InputError(f"coordinates must be three numbers or a file of them, got '{text[:60]}': write x,y,z [m]")
+        raise InputError(f"coordinates must be three numbers or a file of them, got '{text[-60:]}': write x,y,z [m]")
     place = np.array(values)
     if abs(values[0]) <= 90.0 and abs(values[1]) <= 360.0:
         place = ecef_from_geodetic(np.radians(values[0]), np.radians(values[1]), values[2])
     if not 6.0e6 < float(np.linalg.norm(place)) < 7.0e6:
         raise InputError(
             f"coordinates must lie near the Earth's surface as x,y,z [m], or be latitude in [-90, 90] and longitude in "
-            f"[-360, 360] deg with a height, got '{text[:60]}': write latitude before longitude"
+            f"[-360, 360] deg with a height, got '{text[-60:]}': write latitude before longitude"
         )
     return place
 
