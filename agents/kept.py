@@ -38,12 +38,15 @@ JSON_NAMES: dict[type, str] = {dict: "object", list: "array"}
 Progress = Callable[[int, int], None]
 STARTING = Lock()
 """Held while a process is started: who ends this one at once waits for it, so that none is left half begun."""
-MARKS = {
+MARKS: dict[str, tuple[str | None, str]] = {
     "config.json": ("digest", "a study or an assessment"),
     "experiment.json": ("algorithm", "a training"),
     "suite.json": ("suite", "a benchmark"),
+    "replay.json": ("dataset", "a replayed drive"),
+    "rtk.json": ("epochs", "an RTK solution"),
+    "columns.md": (None, "drives"),
 }
-"""Files by which folders of work are known: a key that they hold, and what they are of."""
+"""Files by which folders of work are known: a key that they hold, if they hold any, and what they are of."""
 SHOWN = 3  # values that a refusal names
 THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -104,7 +107,8 @@ def require_own(mark: Path) -> None:
         It does.
     """
     for name, (key, kind) in MARKS.items():
-        if name != mark.name and _value_in(mark.with_name(name), key) is not None:
+        other = mark.with_name(name)
+        if name != mark.name and (other.is_file() if key is None else _value_in(other, key) is not None):
             raise InputError(
                 f"out must be empty or hold work of its own kind, got {mark.parent} with {kind}: choose a new folder"
             )

@@ -15,6 +15,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvWrapper
 
+from lanebound.envs import IDS
 from lanebound.envs.tally import EPISODE_KEY, Tally
 from lanebound.envs.vector.env import ENGINES
 from lanebound.envs.vector.infos import NAMES, single_info
@@ -48,6 +49,8 @@ class EngineVecEnv(VecEnv):
         self, env_id: str, num_envs: int, config: Mapping[str, Any] | None = None, keys: Sequence[str] = ("cost",)
     ) -> None:
         if env_id not in ENGINES:
+            if env_id not in IDS:
+                raise InputError(f"env_id '{env_id}' is unknown: {nearest(env_id, ENGINES)}")
             raise InputError(
                 f"env_id must have an engine, as {', '.join(ENGINES)} do, got {env_id!r}: choose one of these, or use "
                 "DummyVecEnv or SubprocVecEnv"

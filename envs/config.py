@@ -100,7 +100,10 @@ class EnvConfig(Config):
         if name.endswith((*RECORDING, *FILES)):
             SkyLevel.named(name)
         elif name not in SKY_LEVELS and "/" not in name:
-            raise ConfigError(f"sky must be one of {', '.join(SKY_LEVELS)}, got {name!r}: {nearest(name, SKY_LEVELS)}")
+            raise ConfigError(
+                f"sky must be one of {', '.join(SKY_LEVELS)}, or a file, got {name!r}: {nearest(name, SKY_LEVELS)} "
+                "(files: .csv of 'lanebound record-sky', .yaml of your own)"
+            )
         return name
 
     @model_validator(mode="after")

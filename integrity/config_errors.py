@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import typing
 from collections.abc import Mapping, Sequence
 from enum import Enum
@@ -128,9 +129,9 @@ def _remedy(problem: Mapping[str, Any], field: FieldInfo | None, before: Any) ->
 
 
 def _is_number(value: Any) -> bool:
-    """Whether a value is the text of a number."""
+    """Whether a value is the text of a finite number."""
     try:
-        return isinstance(value, str) and bool(float(value) or True)
+        return isinstance(value, str) and math.isfinite(float(value))
     except ValueError:
         return False
 

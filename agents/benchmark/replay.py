@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from difflib import get_close_matches
 from pathlib import Path
 
 from lanebound.agents.benchmark.outcome import Outcome, Task
@@ -26,7 +27,8 @@ def find_task(store: Store, ident: str) -> Task:
     env, slash, rest = ident.removeprefix("lanebound/").partition("/")
     found = tasks.get(f"{env}{slash}{rest}") or tasks.get(f"{env}-v0{slash}{rest}")
     if found is None:
-        raise InputError(f"episode '{ident}' is not in {store.folder}: {nearest(ident, tasks)}")
+        few = get_close_matches(ident, tasks, n=3, cutoff=0.0)  # of thousands
+        raise InputError(f"episode '{ident}' is not in {store.folder}: {nearest(ident, few)}")
     if not store.has(found):
         raise InputError(
             f"episode '{found.id}' must have been driven, got none in {store.folder}: resume the benchmark"

@@ -14,6 +14,11 @@ __all__ = ["record_sky", "replay", "rtk"]
 Changes = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a value; may be repeated.")
 ]
+CITY_WORDS = (
+    "overbound: bounds of the errors by C/N0, fitted on the training part; danish: the same, re-weighted by the data; "
+    "gaussian: the receiver's own variances, taken for noise around 0; gaussian_epoch: the same without a window. "
+    "training, after: before and after the fitting ends; unshared: windows that hold no signal of training."
+)
 FAR_M = 1000.0  # between a base as given and as its header has it, which may be coarse
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 
@@ -29,6 +34,9 @@ def replay(
     smartLoc: a city by code, wheel speed and yaw rate. comma2k19: dead reckoning in artificial outages. A RINEX pair
     (rover.obs, base.obs, base.nav): RTK.
 
+    Keys for --set, of smartLoc: every, first, training_share, solution.*, alerts.*; of comma2k19: every_s, longest_s,
+    heading_error_deg, bridge.*; of RINEX: bands, rtk.*, fde.*, risk.*.
+
     Example: lanebound replay data/smartloc_berlin_potsdamer --out out/berlin
     """
     from lanebound.agents.cli.interrupt import stoppable, wait_for
@@ -38,8 +46,7 @@ def replay(
     from lanebound.integrity.replay.datasets import kind_of, replay_folder
 
     changes = parse_assignments(assignments or [])
-    kind_of(dataset)
-    require_own(out / "replay.json")
+    require_own(out / ("rtk.json" if kind_of(dataset) == "rinex" else "replay.json"))
     make_folder(out)
     with stoppable(lambda: "nothing is kept"), _bar() as told:
         found, written = wait_for(lambda: replay_folder(dataset, out, changes, told))
@@ -59,8 +66,8 @@ def rtk(
         str | None,
         typer.Option(
             metavar="X,Y,Z",
-            help="Antenna of the base in m, or LAT,LON,H in deg and m; by default marker and ANTENNA: DELTA H/E/N of "
-            "its header.",
+            help="Antenna of the base in m, or LAT,LON,H in deg and m, or a file of them; by default marker and "
+            "ANTENNA: DELTA H/E/N of its header.",
         ),
     ] = None,
     rover_position: Annotated[
@@ -171,8 +178,9 @@ def _tell(stopped: Any, written: list[Path]) -> None:
 def _print_rtk(found: dict[str, Any]) -> None:
     from lanebound.agents.cli.output import print_table
 
-    keys = ("epochs", "fixed", "satellites_median", "excluded", "wrong_fix_risk_max")
-    print_table("RTK", ("", "value"), ((key, found[key]) for key in keys))
+    keys = ("epochs", "fixed", "satellites_median", "excluded", "wrong_fix_risk_max", "base_from_header_m")
+    rows = [(key, found[key]) for key in keys] + [(f"epochs {name}", n) for name, n in found["status"].items() if n]
+    print_table("RTK", ("", "value"), rows)
     errors = found.get("errors", {})
     if errors:
         head = ("epochs", "axis", "n", "largest horizontal m", "above PL", "exact 95 % interval", "median PL m")
@@ -193,18 +201,19 @@ def _bounding_rows(name: str, found: dict[str, Any]) -> list[list[Any]]:
 def _print_city(found: dict[str, Any]) -> None:
     from lanebound.agents.cli.output import print_table
 
-    rows = []
+    rows, short = [], {"after_training": "after"}
     for name, solution in found["solutions"].items():
         for part in ("training", "after_training", "unshared"):
             for axis in ("at", "ct") if part in solution else ():
                 counted = solution[part]["all_modes"][axis]
                 rows.append([
-                    name, part, axis, counted["epochs"], solution[part]["accuracy"]["all"][axis]["rmse_m"],
-                    counted["pl_median_m"], counted["exceeded"],
+                    name, short.get(part, part), axis, counted["epochs"],
+                    solution[part]["accuracy"]["all"][axis]["rmse_m"], counted["pl_median_m"], counted["exceeded"],
                     f"{counted['rate_low']:.2g} to {counted['rate_high']:.2g}",
                 ])  # fmt: skip
     head = ("solution", "part", "axis", "epochs", "RMSE m", "median PL m", "above PL", "exact 95 % interval")
     print_table(f"Errors above protection levels at risk {found['risk']:g}", head, rows)
+    typer.echo(CITY_WORDS)
     typer.echo(found["caution"])
 
 

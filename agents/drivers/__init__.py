@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import import_module
+from pathlib import Path
 from types import NoneType
 from typing import TYPE_CHECKING, Any, NamedTuple, cast, get_args, get_type_hints
 
@@ -134,7 +135,9 @@ def unknown_agent(name: str) -> InputError:
     from lanebound.integrity.errors import InputError
     from lanebound.integrity.presets import nearest
 
-    return InputError(f"agent '{name}' is unknown: {nearest(name, AGENTS)} (see 'lanebound agents')")
+    if (Path(name) / "best.zip").is_file():
+        return InputError(f"agent must be a name or a file, got the folder {name}: give {Path(name) / 'best.zip'}")
+    return InputError(f"agent '{name}' is unknown: {nearest(name, AGENTS)} (see 'lanebound agents'), or give a file")
 
 
 def _require_actions(name: str, env: DrivingEnv) -> None:

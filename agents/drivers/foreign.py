@@ -258,8 +258,7 @@ class OnnxDriver:
             raise InputError(f"an ONNX agent must take {wanted}, got {', '.join(self.inputs)}: rename its inputs")
         told = session.get_modelmeta().custom_metadata_map.get(SIGHT)
         if told is not None:
-            learnt = json.loads(told)
-            require_sight(learnt, learnt["history"], "the ONNX agent was learnt", env)
+            require_sight(*_seen(told), "the ONNX agent was learnt", env)
         wide, given = spaces.flatdim(shown), session.get_inputs()[0].shape[-1]
         if not self._named and isinstance(given, int) and given != wide:
             raise InputError(
@@ -289,6 +288,18 @@ class OnnxDriver:
             return np.asarray(found if found.dtype.kind in "iu" else np.argmax(found)), state
         assert isinstance(self.space, spaces.Box)
         return np.clip(found, self.space.low, self.space.high).astype(np.float32), state  # NaN stays NaN
+
+
+def _seen(told: str) -> tuple[dict[str, list[Any]], int]:
+    """Columns and scales of a network's metadata, and its history."""
+    try:
+        learnt = json.loads(told)
+        return {"columns": list(learnt["columns"]), "scales": list(learnt["scales"])}, int(learnt["history"])
+    except (ValueError, KeyError, TypeError):
+        raise InputError(
+            f"metadata {SIGHT} of an ONNX agent must be JSON of columns, scales and history, got {told[:60]!r}: "
+            "export it anew"
+        ) from None
 
 
 @lru_cache(maxsize=4)

@@ -123,7 +123,8 @@ def require_sight(learnt: Mapping[str, Any], history: int, told: str, env: Drivi
         remembered = "no history" if history == 1 else f"a history of {history}"
         raise InputError(
             f"{told} with an observation of its own ({len(learnt['columns'])} entries, {remembered}), "
-            f"got another ({', '.join(other) or 'history'} differ): leave 'observation' as it was there"
+            f"got another of {len(entries(config))} ({', '.join(other) or 'history'} differ): "
+            "leave 'observation' as it was there"
         )
 
 

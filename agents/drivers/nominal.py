@@ -74,5 +74,8 @@ def make_oracle(env: DrivingEnv, config: CruiseConfig | None = None) -> Continuo
     """
     shown = env.config.observation.integrity
     if shown != "oracle":
-        raise InputError(f"observation.integrity must be oracle for agent 'oracle', got {shown}: set it to oracle")
+        raise InputError(
+            f"observation.integrity must be oracle for agent 'oracle', got {shown}: "
+            "set it to oracle (--set observation.integrity=oracle)"
+        )
     return make_nominal(env, config)

@@ -34,7 +34,8 @@ def full_id(name: str) -> str:
         return short[_short(name)]
     if name in gymnasium.registry and not name.startswith("lanebound/"):
         return name
-    raise InputError(f"environment '{name}' is unknown: {nearest(name, [*IDS, *(i.split('/')[1] for i in IDS)])}")
+    known = (env_id.partition("/")[2] for env_id in IDS)
+    raise InputError(f"environment '{name}' is unknown: {nearest(name.removeprefix('lanebound/'), known)}")
 
 
 def _short(name: str) -> str:

@@ -18,7 +18,7 @@ PACKAGES = ("lanebound", "stable-baselines3", "torch", "highway-env", "numpy")
 def write_card(experiment: ExperimentConfig, row: Mapping[str, Any], path: Path) -> None:
     """Write the card of the checkpoint whose evaluation is ``row``."""
     c = experiment
-    figures = [f"| {name} | {value:.3g} |" for name, value in row.items()]
+    figures = [f"| {name} | {value if isinstance(value, int) else f'{value:.3g}'} |" for name, value in row.items()]
     lines = [
         f"# {c.algorithm} in {c.env}, {c.sky} sky",
         "",
@@ -28,7 +28,7 @@ def write_card(experiment: ExperimentConfig, row: Mapping[str, Any], path: Path)
         + (
             "." if c.imitation is None else f", after imitating `{c.imitation.driver}` in {c.imitation.total(c.count)}."
         ),
-        f"It takes flat observations of `lanebound/{c.env}` with this configuration:",
+        f"It takes flat observations of `lanebound/{c.env}` and was learnt by this experiment:",
         "",
         "```json",
         c.to_json(),

@@ -27,7 +27,7 @@ WORLDS = {
     CarFollowingWorld: "CarFollowingWorld",
     UrbanCanyonWorld: "UrbanCanyonWorld",
 }
-INSTEAD = "or make the same environments with vectorization_mode='sync' or 'async'"
+INSTEAD = "or make the same environments with vectorization_mode='sync' or 'async', for SB3 as DummyVecEnv"
 
 
 def require_supported(single: DrivingEnv) -> None:

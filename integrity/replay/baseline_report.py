@@ -58,6 +58,8 @@ def run_baseline(
     InputError
         A file is refused, or the three do not belong together.
     """
+    if Path(rover).resolve() == Path(base).resolve():
+        raise InputError(f"rover and base must be files of two receivers, got {rover} twice: correct one of the paths")
     ours, theirs, table = read_observations(rover), read_observations(base), read_navigation(navigation)
     solved = solve_baseline(ours, theirs, table, base_ecef_m, config, told)
     stops = {"rover": ours.stopped, "base": theirs.stopped, "navigation": table.stopped or None}

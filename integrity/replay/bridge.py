@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 from lanebound.integrity.config import Config, Field
 from lanebound.integrity.frames import rotate_covariance, track_from_enu_matrix
 from lanebound.integrity.monitoring.dead_reckoning_pl import (
-    bias_track,
     initial_growth,
     missed_detection_factors,
     odometer_step,
@@ -22,6 +20,7 @@ from lanebound.integrity.monitoring.risk import RiskConfig
 __all__ = ["Bridge", "BridgeConfig"]
 
 Array = NDArray[np.float64]
+HEADING = 5  # state of the growth's covariance
 
 
 class BridgeConfig(Config):
@@ -43,23 +42,31 @@ class Bridge:
     """Growth of the protection levels from those of a solution.
 
     The solution's own levels stay below: a bound of either sign makes up for what ``K sigma`` of the fault-free
-    covariance (..., 2, 2) in E, N [m^2] lacks of ``levels_m`` (..., 2) on AT, CT.
+    covariance (..., 2, 2) in E, N [m^2] lacks of ``levels_m`` (..., 2) on AT, CT. ``with_heading`` (..., 3) are the
+    covariances of E and N with the solution's heading [m rad] and its variance [rad^2], which counts where it is more
+    than the declared one.
     """
 
     def __init__(
         self, config: BridgeConfig, risk: RiskConfig, covariance_m2: Array, levels_m: Array, sigma_m: Array,
-        heading_rad: ArrayLike,
+        heading_rad: ArrayLike, with_heading: Array | None = None,
     ) -> None:  # fmt: skip
         self.config, self.risk, self.elapsed_s = config, risk, 0.0
         lack = np.maximum(levels_m - missed_detection_factors(risk)[0] * sigma_m, 0.0)
-        self.heading_variance = math.radians(config.heading_sigma_deg) ** 2
-        self.growth = initial_growth(covariance_m2, _box(lack, heading_rad), self.heading_variance)
+        box = (np.abs(track_from_enu_matrix(heading_rad)) @ lack[..., None])[..., 0]
+        self.heading_variance = np.asarray(math.radians(config.heading_sigma_deg) ** 2)
+        if with_heading is not None:
+            self.heading_variance = np.maximum(self.heading_variance, with_heading[..., 2])
+        self.growth = initial_growth(covariance_m2, box, self.heading_variance)
+        if with_heading is not None:
+            joint = self.growth.covariance
+            joint[..., :2, HEADING] = joint[..., HEADING, :2] = with_heading[..., :2]
 
     def step(self, dt_s: float, speed_mps: ArrayLike, heading_rad: ArrayLike) -> tuple[Array, Array]:
         """Levels and sigmas (..., 2) on AT, CT [m] after ``dt_s`` more at these means (...,)."""
         c = self.config
         self.elapsed_s += dt_s
-        self.heading_variance += math.radians(c.heading_walk_deg_per_sqrt_s) ** 2 * dt_s
+        self.heading_variance = self.heading_variance + math.radians(c.heading_walk_deg_per_sqrt_s) ** 2 * dt_s
         drift = math.radians(c.heading_bias_deg + c.heading_drift_degps * self.elapsed_s)
         self.growth = odometer_step(
             self.growth, dt_s, speed_mps, heading_rad, sigma_mps=c.speed_sigma_mps,
@@ -69,12 +76,3 @@ class Bridge:
         levels = protection_levels(self.growth, heading_rad, self.risk)[..., 0, :]
         variance = np.diagonal(rotate_covariance(self.growth.position_covariance_m2, heading_rad), axis1=-2, axis2=-1)
         return levels, np.sqrt(np.maximum(variance, 0.0))
-
-    def grown(self, heading_rad: ArrayLike) -> Array:
-        """Bound (..., 2) on AT, CT of the biases that came since the solution [m]."""
-        return bias_track(replace(self.growth, box_m=np.zeros_like(self.growth.box_m)), heading_rad)
-
-
-def _box(bound_m: Array, heading_rad: ArrayLike) -> Array:
-    """Bounds on E and N of an error that is bounded on AT and CT (..., 2) [m]."""
-    return np.asarray((np.abs(track_from_enu_matrix(heading_rad)) @ bound_m[..., None])[..., 0])

@@ -4,9 +4,6 @@ Each epoch solves the window of the last seconds (:mod:`.window`), detects and e
 by solution separation with every satellite a fault mode. Where that fails, wheel speed and yaw rate carry on from the
 last solution, with the protection level growing as :mod:`lanebound.integrity.monitoring.dead_reckoning_pl` says.
 
-Where a solution lies farther from the position carried on than the noise of both allows, one of the two is wrong, and
-the levels cover both until they agree again (:mod:`.carry`).
-
 Danish re-weighting can be switched on. It chooses its weights by the data, which no level knows of, and may settle on
 the wrong signals: it is off where levels are to be trusted.
 """
@@ -32,10 +29,9 @@ from lanebound.integrity.monitoring.separation import separate
 from lanebound.integrity.positioning.danish import DanishConfig
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.recorded.smartloc import SmartLoc
-from lanebound.integrity.replay.bridge import BridgeConfig
-from lanebound.integrity.replay.carry import Carrier, Place, Witness
+from lanebound.integrity.replay.bridge import Bridge, BridgeConfig
 from lanebound.integrity.replay.overbound import CodeErrors
-from lanebound.integrity.replay.reckoning import Path, reckon
+from lanebound.integrity.replay.reckoning import Path, reckon, turned
 from lanebound.integrity.replay.sagnac import ranges_and_sights
 from lanebound.integrity.replay.window import FIXED_UNKNOWNS, PSI, Frame, Rows, System, settle
 
@@ -59,9 +55,6 @@ class CityConfig(Config):
     axle_m: float = Field(0.0, ge=0.0, le=20.0, description="antenna ahead of the rear axle [m]; not told by smartLoc")
     minimum_satellites: int = Field(5, ge=5, description="satellites now, fewer are bridged [-]")
     satellite_prior: float = Field(1e-3, gt=0.0, lt=1.0, description="P(a satellite's errors exceed their bound) [-]")
-    jump_test: bool = Field(
-        True, description="test solutions against the position carried on, at the levels' probability of false alarm"
-    )
     danish: DanishConfig = DanishConfig(iterations=0)
     fde: FdeConfig = FdeConfig()
     risk: RiskConfig = RiskConfig(integrity_risk=1e-3)
@@ -118,25 +111,25 @@ class CityDrive:
 
 def drive_city(
     drive: SmartLoc, errors: CodeErrors | None, config: CityConfig,
-    outages_s: tuple[tuple[float, float], ...] = (), every: int = 1,
+    outages_s: tuple[tuple[float, float], ...] = (), every: int = 1, first: int = 0,
     told: Callable[[int, int], None] = lambda done, of: None,
 ) -> CityDrive:  # fmt: skip
     """Solve a drive epoch by epoch.
 
     ``errors`` are trained bounds; None takes the receiver's own variances as independent Gaussian noise around 0.
-    ``outages_s`` are (start, end) in which no signal is used; only each ``every``-th epoch is solved. ``told`` is
-    called with the epochs solved and their number.
+    ``outages_s`` are (start, end) in which no signal is used; only each ``every``-th epoch is solved, from number
+    ``first`` on. ``told`` is called with the epochs solved and their number.
 
     Raises
     ------
     InputError
         No odometry, or no epoch with enough satellites for a first fix.
     """
-    return _Run(drive, errors, config, outages_s).drive(every, told)
+    return _Run(drive, errors, config, outages_s).drive(every, first, told)
 
 
 class _Run:
-    """State of one drive: the latest solution carried on, and the last one that none contradicted."""
+    """State of one drive: last unknowns, bridge, and what is put out."""
 
     def __init__(
         self, drive: SmartLoc, errors: CodeErrors | None, config: CityConfig, outages: tuple[tuple[float, float], ...]
@@ -161,8 +154,8 @@ class _Run:
         self.systems = np.unique(r.system[self.usable])
         self.epoch = np.searchsorted(self.time, r.time_s)
         self.frame = self._first_frame()
-        self.latest: Carrier | None = None
-        self.witness = Witness(config.window_s)
+        self.x: Array | None = None
+        self.bridge: Bridge | None = None
 
     def _first_frame(self) -> Frame:
         """Axes at the fix of the first epoch with enough signals, found from the centre of the Earth."""
@@ -184,51 +177,48 @@ class _Run:
         self.first_clock = float(x[3])
         return Frame(x[:3], ecef_from_enu_matrix(latitude, longitude))
 
-    def drive(self, every: int, told: Callable[[int, int], None]) -> CityDrive:
-        """Each ``every``-th epoch."""
-        chosen = np.arange(0, self.time.size, every)
+    def drive(self, every: int, first: int, told: Callable[[int, int], None]) -> CityDrive:
+        """Each ``every``-th epoch from ``first`` on."""
+        chosen = np.arange(first, self.time.size, every)
         n = chosen.size
         out = CityDrive(
             self.frame, self.time[chosen], np.zeros((n, 3)), np.zeros(n), np.full(n, int(Mode.NONE)),
             np.full((n, 2), np.inf), np.full((n, 2), np.inf), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n),
         )  # fmt: skip
-        before = 0
+        before = first
         for i, k in enumerate(map(int, chosen)):
-            carried = self._carried(self.latest, before, k)
-            his = self._carried(self.witness.carrier, before, k)
-            found = self._solved(k, i, out)
-            if found is not None:
-                if self.config.jump_test and self.latest is not None and carried is not None:
-                    found = self.witness.heard(found, (self.latest, carried), his, float(self.time[k]))
-                self.latest = Carrier(self.config.bridge, self.config.risk, found)
-            _put(out, i, found or carried, Mode.IMU_ODOMETER if found is None else Mode.CODE)
+            if not self._solve(k, i, out):
+                self._carry(before, k, i, out)
             before = k
             told(i + 1, n)
         return out
 
-    def _carried(self, carrier: Carrier | None, before: int, k: int) -> Place | None:
-        """Wheel speed and yaw rate from the last epoch on; None where there is nothing to be carried."""
-        if carrier is None:
-            return None
-        way = self.now_path[k, :2] - self.now_path[before, :2]
-        return carrier.step(float(self.time[k] - self.time[before]), way, float(self.now_path[k, 2]))
-
-    def _solved(self, k: int, i: int, out: CityDrive) -> Place | None:
-        """One epoch from its window; None where there is no solution to be used."""
+    def _solve(self, k: int, i: int, out: CityDrive) -> bool:
+        """One epoch from its window; False where there is no solution to be used."""
         now = self.usable & (self.epoch == k)
         out.satellites[i] = int(now.sum())
         if out.satellites[i] < self.config.minimum_satellites:
-            return None
+            return False
         rows = self._rows(k)
         system = self._settled(rows)
         fde = self._tested(system, system.x[PSI] + self.now_path[k, 2])
         out.excluded[i], out.reweighted[i] = int(fde.excluded.sum()), float((system.factor > 1.0).mean())
         if int(fde.outcome) not in GOOD_ENOUGH:
-            return None
+            return False
         x = system.x + fde.adjustment.x
         heading = float(x[PSI] + self.now_path[k, 2])
-        levels, sigma, covariance = self._levels(system, fde, heading)
-        return Place(x, heading, levels, sigma, covariance) if np.isfinite(levels).all() else None
+        levels, sigma = self._levels(system, fde, heading)
+        if not np.isfinite(levels).all():
+            return False
+        self.x = x
+        gain = fde.adjustment.gain[[0, 1, PSI]]
+        joint = gain @ gain.T
+        self.bridge = Bridge(
+            self.config.bridge, self.config.risk, joint[:2, :2], levels, sigma, heading, with_heading=joint[2]
+        )
+        out.position_enu_m[i], out.heading_rad[i], out.mode[i] = x[:3], heading, int(Mode.CODE)
+        out.pl_m[i], out.sigma_m[i] = levels, sigma
+        return True
 
     def _rows(self, k: int) -> Rows:
         """Pseudoranges of the window that ends at epoch k."""
@@ -253,8 +243,8 @@ class _Run:
     def _settled(self, rows: Rows) -> System:
         """The settled window: from the last solution, or from several headings where none is known."""
         size = FIXED_UNKNOWNS + max(self.systems.size - 1, 0)
-        if self.latest is not None:
-            return settle(rows, self.frame, self.latest.x.copy(), self.tau, self.config.danish)
+        if self.x is not None:
+            return settle(rows, self.frame, self.x.copy(), self.tau, self.config.danish)
         best: System | None = None
         for turn in range(TURNS):
             start = np.zeros(size)
@@ -273,24 +263,28 @@ class _Run:
             self.config.fde, system.design, np.eye(rows), system.y, modes=modes, heading_rad=heading
         )
 
-    def _levels(self, system: System, fde: FdeResult, heading: float) -> tuple[Array, Array, Array]:
-        """Protection levels and sigmas (2,) on AT, CT and the covariance (2, 2) in E, N."""
+    def _levels(self, system: System, fde: FdeResult, heading: float) -> tuple[Array, Array]:
+        """Protection levels and sigmas (2,) on AT, CT."""
         used = fde.used
         present = np.unique(system.owner[used])
         modes = system.owner == present[present >= 0][:, None]
         parts = separate(system.design, np.eye(len(system.y)), modes, heading, rows=used)
         priors = np.full(modes.shape[0], self.config.satellite_prior)
         levels = protection_levels(parts, priors, self.config.risk)[0]
-        gain = fde.adjustment.gain[:2]
-        return levels, parts.sigma_m[0], gain @ gain.T
+        return levels, parts.sigma_m[0]
 
-
-def _put(out: CityDrive, i: int, place: Place | None, mode: Mode) -> None:
-    """Where the car is at epoch i, if anything is known."""
-    if place is None:
-        return
-    out.position_enu_m[i], out.heading_rad[i], out.mode[i] = place.x[:3], place.heading_rad, int(mode)
-    out.pl_m[i], out.sigma_m[i] = place.levels_m, place.sigma_m
+    def _carry(self, before: int, k: int, i: int, out: CityDrive) -> None:
+        """Wheel speed and yaw rate from the last epoch on."""
+        if self.bridge is None or self.x is None:
+            return
+        heading = float(self.x[PSI] + self.now_path[k, 2])
+        dt = float(self.time[k] - self.time[before])
+        way = turned(self.now_path[k, :2] - self.now_path[before, :2], float(self.x[PSI]))
+        self.x[:2] += way
+        self.x[3] += self.x[4] * dt
+        levels, sigma = self.bridge.step(dt, float(np.linalg.norm(way)) / dt, heading)
+        out.position_enu_m[i], out.heading_rad[i], out.mode[i] = self.x[:3], heading, int(Mode.IMU_ODOMETER)
+        out.pl_m[i], out.sigma_m[i] = levels, sigma
 
 
 def _cost(system: System) -> float:

@@ -38,6 +38,7 @@ class CityReplay(Config):
 
     training_share: float = Field(0.4, gt=0, lt=1, description="first part of the drive, for fitting the bounds [-]")
     every: int = Field(1, ge=1, description="solve each so many-th epoch [-]")
+    first: int = Field(0, ge=0, le=100, description="epochs left out before the first that is solved [-]")
     solution: CityConfig = CityConfig()
     alerts: AlertConfig = AlertConfig(limits=AlertLimits(al_at_m=25.0, al_ct_m=25.0))
 
@@ -115,8 +116,8 @@ def replay_city(
     time = drive.ranges.time_s
     until = float(time[0] + config.training_share * (time[-1] - time[0]))
     errors = train(drive, until)
-    plain = config.solution.replace(danish={"iterations": 0}, jump_test=False)
-    again = plain.replace(danish={"iterations": DanishConfig().iterations})
+    plain = config.solution.replace(danish={"iterations": 0})
+    again = config.solution.replace(danish={"iterations": DanishConfig().iterations})
     models: dict[str, tuple[CodeErrors | None, CityConfig]] = {
         "overbound": (errors, config.solution),
         "danish": (errors, again),
@@ -129,7 +130,7 @@ def replay_city(
         def count(done: int, of: int, before: int = len(solutions)) -> None:
             told(before * of + done, of * len(models))
 
-        solutions[name] = drive_city(drive, bounds, solution, every=config.every, told=count)
+        solutions[name] = drive_city(drive, bounds, solution, every=config.every, first=config.first, told=count)
     return CityResult(config, drive, until, errors, solutions)
 
 

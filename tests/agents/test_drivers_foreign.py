@@ -119,6 +119,7 @@ class Session:
     def __init__(self, inputs: list[str], answer: Any, wide: int | None = None) -> None:
         self.inputs, self.answer, self.wide = inputs, answer, wide
         self.given: dict[str, Any] = {}
+        self.metadata: dict[str, str] = {}
 
     def get_inputs(self) -> list[Any]:
         return [type("Input", (), {"name": name, "shape": [None, self.wide]}) for name in self.inputs]
@@ -129,7 +130,7 @@ class Session:
         return [type("Output", (), {"name": "action", "shape": shape, "type": f"tensor({kind})"})]
 
     def get_modelmeta(self) -> Any:
-        return type("Metadata", (), {"custom_metadata_map": {}})
+        return type("Metadata", (), {"custom_metadata_map": self.metadata})
 
     def run(self, outputs: Any, given: dict[str, Any]) -> list[Any]:
         self.given = given
@@ -171,6 +172,14 @@ def test_networks_with_other_inputs_are_refused(monkeypatch, tmp_path, steered):
         onnx(monkeypatch, tmp_path, steered, Session(["obs", "obs2"], None))
     with pytest.raises(InputError, match=r"an ONNX agent must take \d+ numbers here, got 7: choose the environment"):
         onnx(monkeypatch, tmp_path, steered, Session(["obs"], None, 7))
+
+
+@pytest.mark.parametrize("told", ["{}", "not json", "[1]", '{"columns": 1, "scales": 2, "history": 3}'])
+def test_a_network_with_damaged_metadata_is_refused(monkeypatch, tmp_path, steered, told):
+    session = Session(["obs"], np.zeros((1, 2), np.float32))
+    session.metadata["lanebound.observation"] = told
+    with pytest.raises(InputError, match=r"metadata lanebound\.observation of an ONNX agent must be JSON of columns"):
+        onnx(monkeypatch, tmp_path, steered, session)
 
 
 def test_networks_for_other_actions_are_refused(monkeypatch, tmp_path, meta, steered):

@@ -16,7 +16,16 @@ from lanebound.agents import kept
 from lanebound.agents.benchmark.store import Store
 from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.cli import app
-from lanebound.agents.kept import MARKS, claim, code_digest, one_thread, parts_kept, run_parts, write_whole
+from lanebound.agents.kept import (
+    MARKS,
+    claim,
+    code_digest,
+    one_thread,
+    parts_kept,
+    require_own,
+    run_parts,
+    write_whole,
+)
 from lanebound.agents.learning.experiment import ExperimentConfig
 from lanebound.agents.learning.training import train
 from lanebound.integrity.config import Config, Field
@@ -128,6 +137,15 @@ def test_a_file_is_whole_or_not_there(tmp_path: Path) -> None:
     assert [path.name for path in (tmp_path / "deep").iterdir()] == ["file.json"]
 
 
+def test_a_folder_of_drives_or_of_a_replay_takes_no_training(tmp_path: Path) -> None:
+    for mark, kind in (("columns.md", "drives"), ("replay.json", "a replayed drive"), ("rtk.json", "an RTK solution")):
+        (tmp_path / mark).write_text('{"dataset": "smartloc", "epochs": 3}', encoding="utf-8")
+        with pytest.raises(InputError, match=f"with {kind}: choose"):
+            require_own(tmp_path / "experiment.json")
+        require_own(tmp_path / mark)
+        (tmp_path / mark).unlink()
+
+
 @pytest.mark.parametrize("mark", sorted(MARKS))
 def test_kinds_of_work_share_no_folder(tmp_path: Path, mark: str) -> None:
     suite = SuiteConfig.load({"envs": ["LaneKeeping"], "skies": ["open"], "agents": ["nominal"]})
@@ -146,15 +164,26 @@ def test_kinds_of_work_share_no_folder(tmp_path: Path, mark: str) -> None:
     assert [path.name for path in tmp_path.iterdir()] == [mark]
 
 
+@pytest.fixture
+def recorded(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The folder one is in holds what goes for a recorded pair."""
+    folder = tmp_path_factory.mktemp("recorded")
+    for name in ("rover.obs", "base.obs"):
+        (folder / name).touch()
+    monkeypatch.chdir(folder)
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
         ["drive", "LaneKeeping"],
-        ["replay", "data"],
+        ["replay", "."],
         ["rtk", "--rover", "rover.obs", "--base", "base.obs", "--nav", "base.nav"],
     ],
 )
-def test_what_writes_in_one_go_takes_no_folder_of_long_work(tmp_path: Path, arguments: list[str]) -> None:
+def test_what_writes_in_one_go_takes_no_folder_of_long_work(
+    tmp_path: Path, recorded: None, arguments: list[str]
+) -> None:
     """A log of a drive goes by the name of a benchmark's results."""
     (tmp_path / "suite.json").write_text(json.dumps({"suite": {}}), encoding="utf-8")
     (tmp_path / "episodes.parquet").write_text("results", encoding="utf-8")
@@ -166,8 +195,10 @@ def test_what_writes_in_one_go_takes_no_folder_of_long_work(tmp_path: Path, argu
     assert (tmp_path / "episodes.parquet").read_text(encoding="utf-8") == "results"
 
 
-@pytest.mark.parametrize("command", [["replay", "nowhere"], ["rtk", "--rover", "r", "--base", "b", "--nav", "n"]])
-def test_recorded_drives_refuse_a_file_as_their_folder_first(tmp_path: Path, command: list[str]) -> None:
+@pytest.mark.parametrize("command", [["replay", "."], ["rtk", "--rover", "r", "--base", "b", "--nav", "n"]])
+def test_recorded_drives_refuse_a_file_as_their_folder_first(
+    tmp_path: Path, recorded: None, command: list[str]
+) -> None:
     (tmp_path / "file").write_text("mine", encoding="utf-8")
     for out in (tmp_path / "file", tmp_path / "file" / "below"):
         done = CliRunner().invoke(app, [*command, "--out", str(out)])

@@ -11,7 +11,7 @@ from lanebound.integrity.frames import ecef_from_enu_matrix, ecef_from_geodetic
 from lanebound.integrity.recorded.smartloc import Odometry, Pseudoranges, SmartLoc, Truth
 from lanebound.integrity.replay.sagnac import ranges_and_sights
 
-__all__ = ["ELEVATION_DEG", "SIGMA_M", "SPEED_MPS", "as_files", "heading_at", "pulled", "simulated", "walled"]
+__all__ = ["ELEVATION_DEG", "SIGMA_M", "SPEED_MPS", "as_files", "heading_at", "simulated", "walled"]
 
 LAT, LON = np.radians(52.5), np.radians(13.4)
 SIGMA_M = 3.0
@@ -68,14 +68,6 @@ def walled(
     lost = beside & (side < 0.0) & (elevation < blocked_deg)
     r = replace(r, range_m=r.range_m + 40.0 * late, cn0_dbhz=np.where(late, 30.0, r.cn0_dbhz))
     return replace(drive, ranges=Pseudoranges(*(getattr(r, f.name)[~lost] for f in fields(r))))
-
-
-def pulled(drive: SmartLoc, from_s: float, until_s: float, east_m: float) -> SmartLoc:
-    """The drive with all signals as they would be that much further East: no test of one epoch finds it."""
-    r = drive.ranges
-    there = (r.time_s >= from_s) & (r.time_s < until_s)
-    shift = -east_m * np.sin(np.radians(36.0 * (r.satellite - 1))) * np.cos(r.elevation_rad)
-    return replace(drive, ranges=replace(r, range_m=r.range_m + there * shift))
 
 
 def as_files(drive: SmartLoc, folder: Path) -> None:

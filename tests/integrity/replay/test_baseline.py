@@ -237,6 +237,11 @@ def test_the_static_pair_in_version_3_02(tmp_path: Path) -> None:
     assert (tmp_path / "new/solution.csv").read_bytes() == (tmp_path / "old/solution.csv").read_bytes()
 
 
+def test_one_file_is_not_taken_for_two_receivers(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="files of two receivers, got .* twice"):
+        run_baseline(tmp_path / "a.obs", tmp_path / "below" / ".." / "a.obs", tmp_path / "a.nav", tmp_path)
+
+
 def test_run_needs_no_truth(tmp_path: Path) -> None:
     folder = real("rtk_matrtklib_1m_static_30s")
     found, _ = run_baseline(folder / "rover.obs", folder / "base.obs", folder / "base.nav", tmp_path)
