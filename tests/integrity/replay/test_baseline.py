@@ -238,7 +238,7 @@ def test_the_static_pair_in_version_3_02(tmp_path: Path) -> None:
 
 
 def test_one_file_is_not_taken_for_two_receivers(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="files of two receivers, got .* twice"):
+    with pytest.raises(InputError, match=r"files of two receivers, got .* twice"):
         run_baseline(tmp_path / "a.obs", tmp_path / "below" / ".." / "a.obs", tmp_path / "a.nav", tmp_path)
 
 
