@@ -19,6 +19,7 @@ from lanebound.envs.manual import SECTIONS, markdown
 from lanebound.envs.scene import alert_limits_m
 from lanebound.envs.worlds import networks
 from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.sensors.faults import Fault, FaultKind
 
 ROOT = Path(__file__).parents[2]
 LIGHT = {"sky": "open", "layouts": 1}
@@ -153,3 +154,9 @@ def test_the_readme_tells_the_same() -> None:
         config = make_config(env_id)
         row = rf"^\| `{env_id}` \| .+ \| {config.action.value}, {config.policy_hz} Hz \| {config.sky} \|$"
         assert re.search(row, readme, re.MULTILINE), env_id
+
+
+def test_the_manual_names_every_key_and_kind_of_a_fault() -> None:
+    text = markdown()
+    assert [kind.value for kind in FaultKind if kind.value not in text] == []
+    assert [key for key in Fault.model_fields if f"`{key}`" not in text and f'"{key}"' not in text] == []
