@@ -24,7 +24,7 @@ def load_named(
     Parameters
     ----------
     what : it is called in messages
-    called : the ``kind`` that presets of the class name, where the folder holds others as well
+    called : the ``kind`` that presets of the class name, where that is another word
 
     Raises
     ------
@@ -33,9 +33,7 @@ def load_named(
     """
     changes = overrides or {}
     if name.endswith(FILES):
-        data = load_file(Path(name), what)
-        data.pop("kind", None)
-        return kind.build(data, changes)
+        return kind.build(load_file(Path(name), what, called or what), changes)
     presets = [preset for preset in preset_names() if preset.startswith(folder)]
     known = [p.removeprefix(folder) for p in presets if called is None or load_preset(p).get("kind") == called]
     if name not in known:

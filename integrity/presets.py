@@ -160,17 +160,21 @@ def load_preset(name: str, overrides: Mapping[str, Any] | None = None) -> dict[s
     return deep_merge(_resolve(name, _presets(), ()), overrides or {})
 
 
-def load_file(path: Path, what: str) -> dict[str, Any]:
+def load_file(path: Path, what: str, kind: str | None = None) -> dict[str, Any]:
     """The values of a preset that is a file of one's own; ``what`` it is in messages.
 
-    It may extend packaged ones by name, and other files by their paths from its own folder.
+    It may extend packaged ones by name, and other files by their paths from its own folder. With ``kind`` a file that
+    names another, itself or by what it extends, is refused; the values are then without it.
 
     Raises
     ------
     ConfigError
-        It cannot be read, is not a mapping of YAML, or extends what there is not, or itself.
+        It cannot be read, is not a mapping of YAML, is of another kind, or extends what there is not, or itself.
     """
-    return _read(path, what, _presets(), ())
+    data = _read(path, what, _presets(), ())
+    if kind is not None and (found := data.pop("kind", kind)) != kind:
+        raise ConfigError(f"{what} must be a file of kind {kind}, got {path} of kind {found}: give another file")
+    return data
 
 
 def _read(path: Path, what: str, presets: Mapping[str, Traversable], seen: tuple[str, ...]) -> dict[str, Any]:

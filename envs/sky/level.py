@@ -73,9 +73,7 @@ class SkyLevel(Config):
             There is no such preset or file, or what it says is refused.
         """
         if name.endswith(FILES):
-            data = load_file(Path(name), "sky")
-            data.pop("kind", None)
-            return cls.load(data, name)
+            return cls.load(load_file(Path(name), "sky", "sky_level"), name)
         if name.endswith(RECORDING):
             if not Path(name).is_file():
                 raise ConfigError(

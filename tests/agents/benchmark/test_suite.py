@@ -107,6 +107,9 @@ def test_suites_come_from_names_and_files(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text("envs: [Merge]\nagents: [cruise]\n", encoding="utf-8")
     assert load_suite(str(path), {"seeds": {"count": 3}}).seeds.count == 3
+    (tmp_path / "other.yaml").write_text("extends: experiments/lane_keeping_ppo\n")
+    with pytest.raises(ConfigError, match=r"suite must be a file of kind suite, got .*other\.yaml of kind experiment"):
+        load_suite(str(tmp_path / "other.yaml"))
     with pytest.raises(ConfigError, match="suite 'quik' is unknown: did you mean"):
         load_suite("quik")
     with pytest.raises(ConfigError, match="suite must be a file that can be read"):
