@@ -34,7 +34,11 @@ def bounding(
         typer.Option("--risk", help="Horizontal risk to count at; may be repeated. The study has 1e-3, 1e-4, 1e-5."),
     ] = None,
     epochs: Annotated[
-        int | None, typer.Option(min=1, help="Epochs to draw, two axes each; the study has 50 million.")
+        int | None,
+        typer.Option(
+            min=1,
+            help="Epochs to draw, two axes each; the study has 50 million. The other tables take minutes all the same.",
+        ),
     ] = None,
     rare_risk: Annotated[float | None, typer.Option(help="Risk for importance sampling; the study has 1e-7.")] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Processes that draw at a time.")] = 1,

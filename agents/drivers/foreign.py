@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable
 from functools import lru_cache
 from importlib import import_module
+from inspect import signature
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile, ZipFile
@@ -348,11 +349,27 @@ def _called(name: str, env: DrivingEnv) -> Driver:
     make = getattr(import_module(module), attribute, None)
     if not callable(make):
         raise InputError(f"agent '{name}' must name a callable of {module}, got {make!r}: correct the name")
+    _require_taking(make, name, env)
     agent = make(env)
     if not hasattr(agent, "predict") and not callable(agent):
         raise InputError(f"agent '{name}' must return an object with predict or a function, got {agent!r}: return one")
     driver: Driver = agent if hasattr(agent, "predict") else FunctionDriver(agent)
     return driver
+
+
+def _require_taking(make: Callable[..., Any], name: str, env: DrivingEnv) -> None:
+    """Refuse what cannot be called with the environment alone."""
+    try:
+        found = signature(make)
+    except ValueError:  # Python knows none of it
+        return
+    try:
+        found.bind(env)
+    except TypeError as error:
+        told = f"{name.rpartition(':')[2]}{found} ({error})"
+        raise InputError(
+            f"agent '{name}' must be callable with the environment, got {told}: give it one argument"
+        ) from None
 
 
 def _look_here() -> None:

@@ -74,6 +74,7 @@ def test_a_checkpoint_for_meta_actions_and_flat_observations(meta, steered, tmp_
         ("bad_agents:nobody", "must name a callable of bad_agents, got 'nobody', which is not there: "),
         ("bad_agents:not_callable", "must name a callable of bad_agents, got 5"),
         ("bad_agents:nothing", "must return an object with predict or a function, got 5"),
+        ("bad_agents:takes_nothing", "must be callable with the environment, got takes_nothing() -> 'Any' (too many "),
     ],
 )
 def test_what_cannot_drive_is_refused(steered, tmp_path, monkeypatch, name, message):

@@ -91,6 +91,10 @@ def nothing(env: Any) -> Any:
     return 5
 
 
+def takes_nothing() -> Any:
+    return lambda observation: np.zeros(2, np.float32)
+
+
 not_callable = 5
 
 
