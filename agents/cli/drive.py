@@ -131,7 +131,13 @@ def _drive(
             watchers.append(stack.enter_context(Film(env, film[0], film[1])))
         _with_bar(env, driver, range(seeds[0], seeds[0] + seeds[1]), watchers, keep)
     if out is not None:
-        _draw(env, log, out, f"{name}, {agent}")
+        driven = f"seed {seeds[0]}" if seeds[1] == 1 else f"seeds {seeds[0]} to {seeds[0] + seeds[1] - 1}"
+        _draw(
+            env,
+            log,
+            out,
+            f"{name}, {agent}: {Path(env.config.sky).name} sky, faults {env.config.faults.value}, {driven}",
+        )
     return [summarise(log.episode(i)) for i in range(seeds[1])], env.config.cost_limit
 
 
