@@ -27,6 +27,7 @@ from typing import Any, TypeVar
 from lanebound.agents.plain import finite_or_none
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import InputError
+from lanebound.integrity.progress import Progress
 
 __all__ = [
     "MARKS", "STARTING", "Progress", "claim", "code_digest", "make_folder", "one_thread", "parts_kept", "read_kept",
@@ -35,7 +36,6 @@ __all__ = [
 
 T = TypeVar("T")
 JSON_NAMES: dict[type, str] = {dict: "object", list: "array"}
-Progress = Callable[[int, int], None]
 STARTING = Lock()
 """Held while a process is started: who ends this one at once waits for it, so that none is left half begun."""
 MARKS: dict[str, tuple[str | None, str]] = {

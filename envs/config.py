@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import Enum
+from functools import cached_property
 from typing import Any, Self
 
 from pydantic import Field, field_validator, model_validator
@@ -132,9 +133,9 @@ class EnvConfig(Config):
             )
         return self
 
-    @property
+    @cached_property
     def level(self) -> SkyLevel:
-        """The level of the sky."""
+        """The level of the sky, read once: a file of one's own may change later."""
         return SkyLevel.named(self.sky)
 
     def limits_m(self, lane_width_m: float, car_width_m: float) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from lanebound.envs.cockpit import Surroundings
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.fleet import Fleet
 from lanebound.envs.perception import Perception
-from lanebound.envs.sky import build_street
+from lanebound.envs.sky import SkyLevel, build_street
 from lanebound.integrity.monitoring.risk import upper_quantile
 from lanebound.integrity.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.sensors.campaign import random_campaign
@@ -51,14 +51,16 @@ def navigator_config(config: EnvConfig, limits_m: tuple[float, float]) -> Naviga
 
     The limits are for the pose on the map, so the map's own bound is taken off them, and its risk off the total.
     """
-    return _navigator_config(config.to_json(), limits_m)
+    return _navigator_config(config.to_json(), config.level.to_json(), limits_m)
 
 
 @lru_cache(maxsize=32)
-def _navigator_config(text: str, limits_m: tuple[float, float]) -> NavigatorConfig:
+def _navigator_config(text: str, level: str, limits_m: tuple[float, float]) -> NavigatorConfig:
     config = EnvConfig.from_json(text)
-    base = config.level.navigator().replace(
-        dt_s=1.0 / config.navigation.rate_hz, positioning={"axle_m": 0.5 * Vehicle.LENGTH}
+    base = (
+        SkyLevel.from_json(level)
+        .navigator()
+        .replace(dt_s=1.0 / config.navigation.rate_hz, positioning={"axle_m": 0.5 * Vehicle.LENGTH})
     )
     given = base.replace(**config.navigator)
     limits = [max(limit - map_bound_m(config, given), 0.01) for limit in limits_m]

@@ -10,7 +10,6 @@ from lanebound.agents.benchmark.pool import Pool
 from lanebound.agents.benchmark.store import Store
 from lanebound.agents.benchmark.work import FilmedWork
 from lanebound.integrity.errors import InputError
-from lanebound.integrity.presets import nearest
 
 __all__ = ["differences", "find_task", "replay"]
 
@@ -27,8 +26,8 @@ def find_task(store: Store, ident: str) -> Task:
     env, slash, rest = ident.removeprefix("lanebound/").partition("/")
     found = tasks.get(f"{env}{slash}{rest}") or tasks.get(f"{env}-v0{slash}{rest}")
     if found is None:
-        few = get_close_matches(ident, tasks, n=3, cutoff=0.0)  # of thousands
-        raise InputError(f"episode '{ident}' is not in {store.folder}: {nearest(ident, few)}")
+        (closest,) = get_close_matches(ident, tasks, n=1, cutoff=0.0)  # of thousands
+        raise InputError(f"episode '{ident}' is not in {store.folder}: did you mean '{closest}'?")
     if not store.has(found):
         raise InputError(
             f"episode '{found.id}' must have been driven, got none in {store.folder}: resume the benchmark"

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+if TYPE_CHECKING:
+    from lanebound.integrity.progress import Progress
 
 __all__ = ["record_sky", "replay", "rtk"]
 
@@ -109,7 +112,7 @@ def rtk(
 
 
 @contextmanager
-def _bar() -> Iterator[Callable[[int, int], None]]:
+def _bar() -> Iterator[Progress]:
     """A bar of the epochs solved, which hears how many are done."""
     from rich.console import Console
     from rich.progress import Progress
@@ -201,13 +204,13 @@ def _bounding_rows(name: str, found: dict[str, Any]) -> list[list[Any]]:
 def _print_city(found: dict[str, Any]) -> None:
     from lanebound.agents.cli.output import print_table
 
-    rows, short = [], {"after_training": "after"}
+    rows = []
     for name, solution in found["solutions"].items():
         for part in ("training", "after_training", "unshared"):
             for axis in ("at", "ct") if part in solution else ():
                 counted = solution[part]["all_modes"][axis]
                 rows.append([
-                    name, short.get(part, part), axis, counted["epochs"],
+                    name, part.removesuffix("_training"), axis, counted["epochs"],
                     solution[part]["accuracy"]["all"][axis]["rmse_m"], counted["pl_median_m"], counted["exceeded"],
                     f"{counted['rate_low']:.2g} to {counted['rate_high']:.2g}",
                 ])  # fmt: skip

@@ -361,7 +361,7 @@ def _require_taking(make: Callable[..., Any], name: str, env: DrivingEnv) -> Non
     """Refuse what cannot be called with the environment alone."""
     try:
         found = signature(make)
-    except ValueError:  # Python knows none of it
+    except (TypeError, ValueError):  # Python knows none of it
         return
     try:
         found.bind(env)

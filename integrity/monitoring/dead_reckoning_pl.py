@@ -51,8 +51,14 @@ class Growth:
         return self.covariance[..., :2, :2]
 
 
-def initial_growth(position_covariance_m2: ArrayLike, bias_en_m: ArrayLike, heading_variance: ArrayLike) -> Growth:
-    """After an RTK fix.  (..., 2, 2) [m^2], (..., 2) [m], (...,) [rad^2]."""
+def initial_growth(
+    position_covariance_m2: ArrayLike, bias_en_m: ArrayLike, heading_variance: ArrayLike,
+    position_heading: ArrayLike = (0.0, 0.0),
+) -> Growth:  # fmt: skip
+    """After a fix.  (..., 2, 2) [m^2], (..., 2) [m], (...,) [rad^2].
+
+    ``position_heading`` (..., 2) is the covariance of E and N with the heading [m rad].
+    """
     position = require_finite("position_covariance_m2", position_covariance_m2)
     require_shape("position_covariance_m2", position, (2, 2))
     heading = require_in_range("heading_variance", heading_variance, 0.0, np.inf)
@@ -61,6 +67,7 @@ def initial_growth(position_covariance_m2: ArrayLike, bias_en_m: ArrayLike, head
     c[..., :2, :2] = position
     c[..., [2, 3, 4], [2, 3, 4]] = 1.0
     c[..., 5, 5] = heading
+    c[..., :2, 5] = c[..., 5, :2] = require_finite("position_heading", position_heading)
     box = np.broadcast_to(require_in_range("bias_en_m", bias_en_m, 0.0, np.inf), (*lead, 2)).copy()
     return Growth(c, np.zeros((*lead, 2)), np.zeros((*lead, 2)), box)
 

@@ -7,7 +7,6 @@ levels of its own. There is no model of motion: static and moving rovers are sol
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +28,7 @@ from lanebound.integrity.positioning.resolve_kernel import Fixes
 from lanebound.integrity.positioning.rtk_kernel import held_risk
 from lanebound.integrity.positioning.rtk_status import RtkStatus
 from lanebound.integrity.positioning.slip_watch_kernel import Motion
+from lanebound.integrity.progress import Progress, silent
 from lanebound.integrity.recorded.rinex_observation import Observations
 from lanebound.integrity.replay.differences import Arc, Reduced, arc_of, matched, reduce_epoch
 from lanebound.integrity.replay.signal_choice import Choice, choose_signals
@@ -90,7 +90,7 @@ class Baseline:
 
 def solve_baseline(
     rover: Observations, base: Observations, table: Ephemerides, base_ecef_m: Array | None = None,
-    config: BaselineConfig | None = None, told: Callable[[int, int], None] = lambda done, of: None,
+    config: BaselineConfig | None = None, told: Progress = silent,
 ) -> Baseline:  # fmt: skip
     """Solve all epochs of the rover for which the base has one that is not too old.
 
@@ -129,6 +129,11 @@ def solve_baseline(
     return run.solve(rover, epochs, partners, age, told)
 
 
+def on_earth(place_ecef_m: Array) -> bool:
+    """Whether a place (3,) [m] is near the Earth's surface; coordinates in other units or axes are not."""
+    return 6.0e6 < float(np.linalg.norm(place_ecef_m)) < 7.0e6
+
+
 def _base_antenna(base: Observations, given_ecef_m: Array | None) -> Array:
     """The base's antenna reference point (3,) [m]: as given, else that of its header."""
     place = base.header.antenna_ecef_m if given_ecef_m is None else given_ecef_m
@@ -138,7 +143,7 @@ def _base_antenna(base: Observations, given_ecef_m: Array | None) -> Array:
         )
     place = require_finite("base_ecef_m", place)
     require_shape("base_ecef_m", place, (3,))
-    if not 6.0e6 < float(np.linalg.norm(place)) < 7.0e6:
+    if not on_earth(place):
         raise InputError(
             f"base_ecef_m must lie near the Earth's surface, got {place.tolist()} m: is it ECEF in metres?"
         )
@@ -183,9 +188,7 @@ class _Run:
         self.before: Array | None = None
         self.passed: Array | None = None
 
-    def solve(
-        self, rover: Observations, epochs: Ints, partners: Ints, age: Array, told: Callable[[int, int], None]
-    ) -> Baseline:
+    def solve(self, rover: Observations, epochs: Ints, partners: Ints, age: Array, told: Progress) -> Baseline:
         """All matched epochs."""
         n = epochs.size
         out = Baseline(

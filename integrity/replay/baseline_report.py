@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -22,9 +22,10 @@ from lanebound.integrity.frames import (
 )
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rtk_status import RtkStatus
+from lanebound.integrity.progress import Progress, silent
 from lanebound.integrity.recorded.rinex_observation import read_observations
 from lanebound.integrity.recorded.source import Lines, finite_number
-from lanebound.integrity.replay.baseline import Baseline, BaselineConfig, solve_baseline
+from lanebound.integrity.replay.baseline import Baseline, BaselineConfig, on_earth, solve_baseline
 from lanebound.integrity.sky.broadcast import read_navigation
 
 __all__ = ["read_coordinates", "read_solution", "run_baseline", "summarise"]
@@ -45,7 +46,7 @@ CAUTION = (
 def run_baseline(
     rover: Path, base: Path, navigation: Path, out: Path, *, base_ecef_m: Array | None = None,
     rover_ecef_m: Array | None = None, config: BaselineConfig | None = None,
-    told: Callable[[int, int], None] = lambda done, of: None,
+    told: Progress = silent,
 ) -> tuple[dict[str, Any], list[Path]]:  # fmt: skip
     """Solve a rover, base and navigation triple of RINEX files; write ``solution.csv`` and ``rtk.json`` into ``out``.
 
@@ -160,7 +161,7 @@ def read_coordinates(text: str) -> Array:
     place = np.array(values)
     if abs(values[0]) <= 90.0 and abs(values[1]) <= 360.0:
         place = ecef_from_geodetic(np.radians(values[0]), np.radians(values[1]), values[2])
-    if not 6.0e6 < float(np.linalg.norm(place)) < 7.0e6:
+    if not on_earth(place):
         raise InputError(
             f"coordinates must lie near the Earth's surface as x,y,z [m], or be latitude in [-90, 90] and longitude in "
             f"[-360, 360] deg with a height, got '{text[-60:]}': write latitude before longitude"

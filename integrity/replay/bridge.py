@@ -20,7 +20,6 @@ from lanebound.integrity.monitoring.risk import RiskConfig
 __all__ = ["Bridge", "BridgeConfig"]
 
 Array = NDArray[np.float64]
-HEADING = 5  # state of the growth's covariance
 
 
 class BridgeConfig(Config):
@@ -54,13 +53,9 @@ class Bridge:
         self.config, self.risk, self.elapsed_s = config, risk, 0.0
         lack = np.maximum(levels_m - missed_detection_factors(risk)[0] * sigma_m, 0.0)
         box = (np.abs(track_from_enu_matrix(heading_rad)) @ lack[..., None])[..., 0]
-        self.heading_variance = np.asarray(math.radians(config.heading_sigma_deg) ** 2)
-        if with_heading is not None:
-            self.heading_variance = np.maximum(self.heading_variance, with_heading[..., 2])
-        self.growth = initial_growth(covariance_m2, box, self.heading_variance)
-        if with_heading is not None:
-            joint = self.growth.covariance
-            joint[..., :2, HEADING] = joint[..., HEADING, :2] = with_heading[..., :2]
+        own = np.zeros(3) if with_heading is None else with_heading
+        self.heading_variance = np.maximum(math.radians(config.heading_sigma_deg) ** 2, own[..., 2])
+        self.growth = initial_growth(covariance_m2, box, self.heading_variance, own[..., :2])
 
     def step(self, dt_s: float, speed_mps: ArrayLike, heading_rad: ArrayLike) -> tuple[Array, Array]:
         """Levels and sigmas (..., 2) on AT, CT [m] after ``dt_s`` more at these means (...,)."""

@@ -11,7 +11,6 @@ the wrong signals: it is off where levels are to be trusted.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +27,7 @@ from lanebound.integrity.monitoring.risk import RiskConfig
 from lanebound.integrity.monitoring.separation import separate
 from lanebound.integrity.positioning.danish import DanishConfig
 from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.progress import Progress, silent
 from lanebound.integrity.recorded.smartloc import SmartLoc
 from lanebound.integrity.replay.bridge import Bridge, BridgeConfig
 from lanebound.integrity.replay.overbound import CodeErrors
@@ -112,7 +112,7 @@ class CityDrive:
 def drive_city(
     drive: SmartLoc, errors: CodeErrors | None, config: CityConfig,
     outages_s: tuple[tuple[float, float], ...] = (), every: int = 1, first: int = 0,
-    told: Callable[[int, int], None] = lambda done, of: None,
+    told: Progress = silent,
 ) -> CityDrive:  # fmt: skip
     """Solve a drive epoch by epoch.
 
@@ -177,7 +177,7 @@ class _Run:
         self.first_clock = float(x[3])
         return Frame(x[:3], ecef_from_enu_matrix(latitude, longitude))
 
-    def drive(self, every: int, first: int, told: Callable[[int, int], None]) -> CityDrive:
+    def drive(self, every: int, first: int, told: Progress) -> CityDrive:
         """Each ``every``-th epoch from ``first`` on."""
         chosen = np.arange(first, self.time.size, every)
         n = chosen.size

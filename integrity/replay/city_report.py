@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from lanebound.integrity.config import Config, Field
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.monitoring.alerts import AlertConfig, AlertLimits
 from lanebound.integrity.positioning.danish import DanishConfig
+from lanebound.integrity.progress import Progress, silent
 from lanebound.integrity.recorded.smartloc import SmartLoc, read_smartloc
 from lanebound.integrity.replay.city import CityConfig, CityDrive, drive_city
 from lanebound.integrity.replay.overbound import CodeErrors
@@ -100,9 +100,7 @@ def _bounds(record: Record) -> dict[str, Any]:
     return {"all_modes": {a: asdict(measure_bounding(record.error(a), record.pl(a))) for a in AXES}}
 
 
-def replay_city(
-    drive: SmartLoc, config: CityReplay | None = None, told: Callable[[int, int], None] = lambda done, of: None
-) -> CityResult:
+def replay_city(drive: SmartLoc, config: CityReplay | None = None, told: Progress = silent) -> CityResult:
     """Train on the first part of a drive, then solve all of it with the trained bounds and with the plain model.
 
     ``told`` is called with the epochs solved and their number, of all four solutions.
@@ -156,7 +154,7 @@ def read_city(folder: Path) -> SmartLoc:
 
 
 def write_city(
-    folder: Path, out: Path, config: CityReplay | None = None, told: Callable[[int, int], None] = lambda done, of: None
+    folder: Path, out: Path, config: CityReplay | None = None, told: Progress = silent
 ) -> tuple[dict[str, Any], list[Path]]:
     """Replay a smartLoc folder and write ``replay.json``, Stanford diagrams, series and map into ``out``.
 
@@ -192,9 +190,10 @@ def _figures(result: CityResult, out: Path) -> list[Path]:
         save(series_figure(whole, risk=risk, al_at_m=limits.al_at_m, al_ct_m=limits.al_ct_m), out / "series.png")
     )
     alert, _ = best.alerts(result.config.alerts)
-    true, known = result.drive.truth.at(best.time_s) if result.drive.truth is not None else (None, None)
-    truth = None if true is None else best.frame.local(true)[known, :2]
+    assert result.drive.truth is not None  # the record has asked for it
+    true, known = result.drive.truth.at(best.time_s)
     figure = map_figure(
-        best.position_enu_m[:, :2], best.mode, title="believed and true positions", alert=alert, truth_en_m=truth
-    )
+        best.position_enu_m[:, :2], best.mode, title="believed and true positions", alert=alert,
+        truth_en_m=best.frame.local(true)[known, :2],
+    )  # fmt: skip
     return [*written, save(figure, out / "map.png")]

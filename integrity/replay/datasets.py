@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from lanebound.integrity.errors import InputError
+from lanebound.integrity.progress import Progress, silent
 
 __all__ = ["kind_of", "replay_folder"]
 
@@ -40,7 +41,7 @@ def replay_folder(
     folder: Path,
     out: Path,
     changes: Mapping[str, Any] | None = None,
-    told: Callable[[int, int], None] = lambda done, of: None,
+    told: Progress = silent,
 ) -> tuple[dict[str, Any], list[Path]]:
     """Replay a data set; returns what was counted and the files written into ``out``.
 
@@ -67,7 +68,7 @@ def replay_folder(
 
 
 def _replay_rinex(
-    folder: Path, out: Path, changes: dict[str, Any], told: Callable[[int, int], None]
+    folder: Path, out: Path, changes: dict[str, Any], told: Progress
 ) -> tuple[dict[str, Any], list[Path]]:
     """The pair of a folder, with the positions that lie beside it."""
     from lanebound.integrity.replay.baseline import BaselineConfig

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from lanebound.agents.cli.kinds import resolve
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.records import azimuth_of, enu_of
+from lanebound.envs.scene import navigator_config
 from lanebound.envs.sky import SKY_LEVELS, SkyLevel, Street, build_street
 from lanebound.envs.worlds import LaneKeepingWorld
 from lanebound.integrity.errors import ConfigError
@@ -48,6 +49,15 @@ def test_a_level_of_ones_own_extends_a_packaged_one(tmp_path: Path) -> None:
     path.write_text("extends: skies/urban\ncorrections: {outage_per_h: 100.0}\n")
     assert SkyLevel.named(str(path)) == SkyLevel.named("urban").replace(corrections={"outage_per_h": 100.0})
     assert EnvConfig.build({"base": "highway-v0"}, {"sky": str(path)}).level.corrections.outage_per_h == 100.0
+    limits = (1.5, 0.6)
+    outages = []
+    for per_h in (100.0, 200.0):  # a file that is changed counts for environments made after that
+        path.write_text(f"extends: skies/urban\ncorrections: {{outage_per_h: {per_h}}}\n")
+        config = EnvConfig.build({"base": "highway-v0"}, {"sky": str(path)})
+        outages += [config.level.corrections.outage_per_h, navigator_config(config, limits).corrections.outage_per_h]
+        path.write_text("extends: skies/dense\n")
+        assert config.level.corrections.outage_per_h == per_h
+    assert outages == [100.0, 100.0, 200.0, 200.0]
     path.write_text("extends: skies/urban\nstreet_width_m: -1\n")
     with pytest.raises(ConfigError, match=r"mine\.yaml\.street_width_m must lie in \[0, 200\], got -1"):
         EnvConfig.build({"base": "highway-v0"}, {"sky": str(path)})

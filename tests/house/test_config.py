@@ -71,7 +71,7 @@ def refusal(data: dict, path: str = "", model: type[Config] = Receiver) -> list[
             "clock.drift_mps must be finite, got inf: correct that value (the default is 0.1)",
         ),
         ({"clock": {"drift_mps": "3"}}, "clock.drift_mps must be a number, got '3': write the number without quotes"),
-        ({"clock": {"drift_mps": "x"}}, "clock.drift_mps must be a number, got 'x': give a number"),
+        ({"clock": {"channels": "nan"}}, "clock.channels must be an integer, got 'nan': give a number"),
         ({"clock": {"drift_mps": "three"}}, "clock.drift_mps must be a number, got 'three': give a number"),
         ({"weights": 1}, "weights must be a list, got 1: write [1]"),
         ({"clock": {"drift_mps": True}}, "clock.drift_mps must be a number, got True: give a number"),
