@@ -1,4 +1,9 @@
-"""Numba, set up once: a versioned on-disk cache, and a parallel form only where it pays.
+"""Numba, set up once: a versioned on-disk cache, and threads of our own where they pay.
+
+Kernels run in threads of Python's, which wait for work without using a processor: Numba's own threads spin between
+kernels, and a second busy process on the machine would slow them fiftyfold. A kernel that :func:`run_rows` may share
+among threads has the signature ``kernel(first, last, *arguments)``, treats the rows ``first`` to ``last - 1`` alone and
+releases the interpreter's lock.
 
 Numba's cache hashes the file of a kernel but not the files of its callees, so the cache directory of a layer is
 versioned by a digest of every kernel file (``*_kernel.py``) of this package and of that layer. What lies in it is
@@ -10,28 +15,31 @@ from __future__ import annotations
 
 import atexit
 import hashlib
+import itertools
+import multiprocessing
 import os
 import shutil
 import stat
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any, TypeVar
 
 import numba
-from numba import prange
 
-__all__ = ["is_compiled", "jit", "one_or_many_runs", "prange", "serial", "use_parallel"]
+__all__ = ["is_compiled", "jit", "run_rows", "serial", "thread_count"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 FASTMATH = {"nsz"}  # more would let a kernel compiled now and one loaded from the cache differ in the last bit
-PARALLEL_FROM_BATCH = 16
+PIECE_US = 80.0  # to wake a thread and to hear from it takes some 40 us
+PIECES_PER_THREAD = 4
 FORGOTTEN_S = 30 * 86400.0
-OWNER = os.getpid()
 
 
 @cache
@@ -40,7 +48,7 @@ def cache_directory(layer: str = "integrity") -> str | None:
 
     Kernels of another layer call those of this one, so both count there.
     """
-    digest = hashlib.blake2b(repr(sorted(FASTMATH)).encode(), digest_size=8)
+    digest = hashlib.blake2b(repr(("nogil", *sorted(FASTMATH))).encode(), digest_size=8)
     here = Path(__file__).parent
     for folder in dict.fromkeys((here, here.parent / layer)):
         for source in sorted(folder.rglob("*_kernel.py")):
@@ -118,11 +126,14 @@ def _layer_of(function: Callable[..., Any]) -> str:
     return rest.partition(".")[0] if package == "lanebound" else "integrity"
 
 
-def jit(function: F | None = None, *, parallel: bool = False, inline: bool = False) -> Any:
-    """``numba.njit`` with this package's options: cached, C division, no loss of NaN or inf, sums in their order."""
+def jit(function: F | None = None, *, inline: bool = False) -> Any:
+    """``numba.njit`` with this package's options: cached, C division, no loss of NaN or inf, sums in their order.
+
+    Kernels release the interpreter's lock while they run. They are compiled at their first call by one thread.
+    """
 
     def wrap(f: F) -> Any:
-        options: dict[str, Any] = {"error_model": "numpy", "fastmath": FASTMATH, "parallel": parallel}
+        options: dict[str, Any] = {"error_model": "numpy", "fastmath": FASTMATH, "nogil": True}
         if inline:
             options["inline"] = "always"
         directory = cache_directory(_layer_of(f))
@@ -151,7 +162,7 @@ _serial: ContextVar[bool] = ContextVar("serial", default=False)
 
 @contextmanager
 def serial() -> Iterator[None]:
-    """Inside this context nothing uses threads: for loops whose own work between kernels leaves threads to cool."""
+    """Inside this context :func:`run_rows` uses no threads: to measure one core, or for several trainings at once."""
     token = _serial.set(True)
     try:
         yield
@@ -159,15 +170,76 @@ def serial() -> Iterator[None]:
         _serial.reset(token)
 
 
-def use_parallel(batch: int) -> bool:
-    """Whether a batch is worth threads. Never in a worker process: a forked child would die in OpenMP."""
-    if batch < PARALLEL_FROM_BATCH or _serial.get() or numba.get_num_threads() == 1 or os.getpid() != OWNER:
-        return False
-    import multiprocessing
+def thread_count(pieces: int) -> int:
+    """Threads for so many pieces of work: one for a single piece, in a :func:`serial` context and in worker processes.
 
-    return multiprocessing.parent_process() is None
+    At most ``NUMBA_NUM_THREADS``, which is the number of processors unless the environment says otherwise.
+    """
+    most = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
+    if pieces < 2 or _serial.get() or most == 1 or multiprocessing.parent_process() is not None:
+        return 1
+    return most
 
 
-def one_or_many_runs(batch: int, serially: Any, side_by_side: Any) -> tuple[Any, int]:
-    """The kernel for a batch and its first argument: all in one run from 0 on, or in a run for each thread."""
-    return (side_by_side, numba.get_num_threads()) if use_parallel(batch) else (serially, 0)
+def run_rows(kernel: Any, rows: int, *arguments: Any, row_us: float) -> None:
+    """Call ``kernel(first, last, *arguments)`` for all rows: at once, or in pieces that threads take in turn.
+
+    The pieces are smaller than a thread's share, so that a thread that is held up by another process leaves its work
+    to the others. What comes out does not depend on the number of threads, as rows do not depend on each other.
+
+    Parameters
+    ----------
+    row_us : about how long a row takes on one thread [us]; a piece is to be worth waking a thread for
+    """
+    pieces = int(rows * row_us / PIECE_US)
+    threads = thread_count(pieces)
+    if threads == 1:
+        kernel(0, rows, *arguments)
+        return
+    pieces = min(threads * PIECES_PER_THREAD, pieces, rows)
+    turn = itertools.count()
+
+    def work() -> None:
+        while (piece := next(turn)) < pieces:
+            kernel(piece * rows // pieces, (piece + 1) * rows // pieces, *arguments)
+
+    _crew(threads - 1, os.getpid()).share(work)
+
+
+class _Crew:
+    """Threads that wait for work; they end with the process."""
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._tasks: SimpleQueue[tuple[Callable[[], None], SimpleQueue[BaseException | None]]] = SimpleQueue()
+        for _ in range(size):
+            threading.Thread(target=self._serve, name="lanebound", daemon=True).start()
+
+    def _serve(self) -> None:
+        while True:
+            work, done = self._tasks.get()
+            error: BaseException | None = None
+            try:
+                work()
+            except BaseException as caught:
+                error = caught
+            done.put(error)
+
+    def share(self, work: Callable[[], None]) -> None:
+        """Run ``work`` in every thread and in the caller's; raises what any of them raised."""
+        done: SimpleQueue[BaseException | None] = SimpleQueue()
+        for _ in range(self._size):
+            self._tasks.put((work, done))
+        try:
+            work()
+        finally:
+            errors = [done.get() for _ in range(self._size)]
+        for error in errors:
+            if error is not None:
+                raise error
+
+
+@cache
+def _crew(size: int, process: int) -> _Crew:
+    """The threads of a process: a forked one does not inherit any."""
+    return _Crew(size)

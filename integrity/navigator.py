@@ -20,7 +20,7 @@ from pydantic import Field, model_validator
 
 from lanebound.integrity import navigator_columns_kernel as col
 from lanebound.integrity import navigator_kernel as nk
-from lanebound.integrity.accel import one_or_many_runs
+from lanebound.integrity.accel import run_rows
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import ConfigError, InputError, require_finite
 from lanebound.integrity.monitoring.alerts import AlertConfig, AlertState
@@ -56,6 +56,7 @@ from lanebound.integrity.truth_kernel import all_finite
 __all__ = ["Form", "Measurements", "Navigator", "NavigatorConfig", "NavigatorState", "PlCase"]
 
 Array = NDArray[np.float64]
+LOCATE_US = 20.0  # of one thread for a vehicle and epoch, measured
 LEVER_RISK_SHARE = 0.01  # of the smallest risk, for the heading by which an antenna tells of the reference point
 
 
@@ -375,16 +376,15 @@ class Navigator:
         s, t, g, batch = self.state, self._tables, m.gnss, self.batch
         out, levels = np.empty((batch, col.NO)), np.empty((batch, t.k_dead.shape[0], 2))
         covariance = np.empty((batch, 2, 2))
-        run, first = one_or_many_runs(batch, nk.run_some, nk.run_parallel)
-        run(
-            first, batch, m.sky.los_enu, m.sky.system, m.sky.index, g.tracked, g.cn0_dbhz,
+        run_rows(
+            nk.run_some, batch, m.sky.los_enu, m.sky.system, m.sky.index, g.tracked, g.cn0_dbhz,
             g.code_m, g.phase_m, g.range_rate_mps, g.lock_lost, g.corrections_age_s, m.imu.delta_theta_rad,
             m.imu.delta_v_mps, m.odometer.speed_mps,
             t.par, t.rtk_par, t.mode_limits, t.heading_limits, t.wavelength, t.fixable, t.fit, t.chi2, t.normal, t.fde,
             t.risks, t.shares, t.spent, t.priors, t.k_fa, t.k_published, t.k_dead, t.published, t.operative_published,
             t.alert_limits, t.drift_group, s.belief, s.rtk, s.last_phase_m, s.growth, s.start, s.apart, s.held,
             s.integers, s.fix_id, s.fix_risk, s.alert.alert, s.alert.reason, s.alert.onset_s, s.alert.clear_s, out,
-            levels, covariance,
+            levels, covariance, row_us=LOCATE_US,
         )  # fmt: skip
         return self._solution(m, out, levels, covariance)
 

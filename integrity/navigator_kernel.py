@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from lanebound.integrity import navigator_columns_kernel as col
-from lanebound.integrity.accel import jit, prange
+from lanebound.integrity.accel import jit
 from lanebound.integrity.monitoring.alerts_kernel import alert_step
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import P_EE as G_EE
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import P_EN as G_EN
@@ -464,24 +464,4 @@ def run_some(  # type: ignore[no-untyped-def]
             drift_group,
             x[v], rtk_x[v], last_phase[v], growth[v], start[v], apart[v], held[v], integers[v], fix_id[v], fix_risk[v],
             v, alert, reason, onset, clear, fixed, columns, found, out[v], pl[v], covariance[v],
-        )  # fmt: skip
-
-
-@jit(parallel=True)
-def run_parallel(  # type: ignore[no-untyped-def]
-    chunks, last, los, system, index, tracked, cn0, code, phase, range_rate, lock_lost, age,
-    delta_theta, delta_v, v_ss,
-    par, rtk_par, mode_limits, heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent,
-    priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
-    x, rtk_x, last_phase, growth, start, apart, held, integers, fix_id, fix_risk, alert, reason, onset, clear,
-    out, pl, covariance,
-):  # fmt: skip
-    """:func:`run_some` for all ``last`` vehicles, in ``chunks`` runs side by side."""
-    for chunk in prange(chunks):
-        run_some(
-            chunk * last // chunks, (chunk + 1) * last // chunks, los, system, index, tracked, cn0,
-            code, phase, range_rate, lock_lost, age, delta_theta, delta_v, v_ss, par, rtk_par, mode_limits,
-            heading_limits, wavelength, fixable, fit, chi2, normal, fde, risks, shares, spent, priors, k_fa,
-            k_published, k_dead, published, operative_published, alert_limits, drift_group, x, rtk_x, last_phase,
-            growth, start, apart, held, integers, fix_id, fix_risk, alert, reason, onset, clear, out, pl, covariance,
         )  # fmt: skip

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity import sensing_kernel as sk
-from lanebound.integrity.accel import one_or_many_runs
+from lanebound.integrity.accel import run_rows
 from lanebound.integrity.sensors import gnss_kernel as gk
 from lanebound.integrity.sensors.area import AreaState, advance_area
 from lanebound.integrity.sensors.corrections import NO_DRAWS, CorrectionsConfig, CorrectionsState
@@ -31,6 +31,8 @@ from lanebound.integrity.truth import Truth
 __all__ = ["InstrumentState", "Instruments", "Measurements"]
 
 Array = NDArray[np.float64]
+
+SENSE_US = 6.0  # of one thread for a vehicle and epoch, measured
 
 
 @dataclass(frozen=True)
@@ -103,9 +105,8 @@ class Instruments:
         theta, delta_v, distance, speed = np.empty((batch, 3)), np.empty((batch, 3)), np.empty(batch), np.empty(batch)
         advance_area(self.gnss, self.corrections, s.area, truth.time_s, dt)
         g, c, i, o, area, network = s.gnss, s.corrections, s.imu, s.odometer, s.area.signals, s.area.network
-        run, first = one_or_many_runs(batch, sk.sense_some, sk.sense_parallel)
-        run(
-            first, batch, dt, sky.los_enu, sky.elevation_rad, sky.azimuth_rad, sky.above, sky.system, sky.index,
+        run_rows(
+            sk.sense_some, batch, dt, sky.los_enu, sky.elevation_rad, sky.azimuth_rad, sky.above, sky.system, sky.index,
             mask.path, mask.excess_m, mask.spacing_m, mask.length_m, mask.closed, mask.azimuths, mask.elevations,
             truth.position_enu_m, truth.velocity_enu_mps, truth.delta_theta_rad, truth.delta_v_mps, truth.distance_m,
             truth.arc_m, truth.lane,
@@ -120,7 +121,7 @@ class Instruments:
             i.scale, i.instability, i.walk, i.moving_bias_radps, effects.gyro_bias_radps,
             self.odometer, draw.normal("odometer"), o.scale, effects.odometer_scale, effects.odometer_frozen,
             o.noise_mps, o.carry_m, o.last_distance_m, o.last_true_mps,
-            age, tracked, code, phase, range_rate, cn0, lock_lost, theta, delta_v, distance, speed,
+            age, tracked, code, phase, range_rate, cn0, lock_lost, theta, delta_v, distance, speed, row_us=SENSE_US,
         )  # fmt: skip
         i.on_s += dt
         return Measurements(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lanebound.integrity.accel import jit, prange
+from lanebound.integrity.accel import jit
 from lanebound.integrity.sensors import corrections_kernel as links
 from lanebound.integrity.sensors import imu_kernel as inertial
 from lanebound.integrity.sensors import odometer_kernel as wheels
@@ -52,30 +52,3 @@ def sense_some(  # type: ignore[no-untyped-def]
         odometer, dt, odometer_z[a:b], odometer_scale[a:b], wheel_fault[a:b], frozen[a:b], odometer_noise[a:b],
         carry[a:b], last_distance[a:b], last_true[a:b], distance[a:b], distance_out[a:b], speed_out[a:b],
     )  # fmt: skip
-
-
-@jit(parallel=True)
-def sense_parallel(  # type: ignore[no-untyped-def]
-    chunks, count, dt, los, elevation, azimuth, above, system, index,
-    table_path, table_excess, spacing, length, closed, azimuths, elevations,
-    position, velocity, turn, delta_v, distance, arc, lane,
-    link, now, message, fresh, link_u, link_z, lost, network_up, until, newest, outage_left, up, sent, held,
-    receiver, wavelength, dispersion, spoof, reference, reference_fault, code_bias, phase_bias, rate_bias,
-    cn0_drop, slips, clock, z_clock, station_clock, z, u, area, oscillator, memory, ambiguity,
-    imu, moving_m, warm_up_mps, imu_z, turn_on, scale, instability, walk, moving_bias, gyro_fault,
-    odometer, odometer_z, odometer_scale, wheel_fault, frozen, odometer_noise, carry, last_distance, last_true,
-    age, tracked, code, phase, range_rate, cn0, lock_lost, theta_out, delta_v_out, distance_out, speed_out,
-):  # fmt: skip
-    """:func:`sense_some` for all ``count`` vehicles, in ``chunks`` runs side by side."""
-    for chunk in prange(chunks):
-        sense_some(
-            chunk * count // chunks, (chunk + 1) * count // chunks, dt, los, elevation, azimuth, above, system, index,
-            table_path, table_excess, spacing, length, closed, azimuths, elevations,
-            position, velocity, turn, delta_v, distance, arc, lane,
-            link, now, message, fresh, link_u, link_z, lost, network_up, until, newest, outage_left, up, sent, held,
-            receiver, wavelength, dispersion, spoof, reference, reference_fault, code_bias, phase_bias, rate_bias,
-            cn0_drop, slips, clock, z_clock, station_clock, z, u, area, oscillator, memory, ambiguity,
-            imu, moving_m, warm_up_mps, imu_z, turn_on, scale, instability, walk, moving_bias, gyro_fault,
-            odometer, odometer_z, odometer_scale, wheel_fault, frozen, odometer_noise, carry, last_distance, last_true,
-            age, tracked, code, phase, range_rate, cn0, lock_lost, theta_out, delta_v_out, distance_out, speed_out,
-        )  # fmt: skip

@@ -9,9 +9,9 @@ import math
 
 import numpy as np
 
-from lanebound.integrity.accel import jit, prange
+from lanebound.integrity.accel import jit
 
-__all__ = ["begin", "normals", "normals_at", "normals_at_parallel", "uniforms", "uniforms_at"]
+__all__ = ["begin", "normals", "normals_at", "uniforms", "uniforms_at"]
 
 ONE = np.uint64(1)
 ROUNDS = 12  # that mix the seed
@@ -128,10 +128,3 @@ def normals_at(first, last, states, used, table, out):  # type: ignore[no-untype
             if used[e, s]:
                 out[e, s] = drawn[n : n + out.shape[2]]
                 n += out.shape[2]
-
-
-@jit(parallel=True)
-def normals_at_parallel(chunks, last, states, used, table, out):  # type: ignore[no-untyped-def]
-    """:func:`normals_at` for all ``last`` generators, in ``chunks`` runs side by side."""
-    for chunk in prange(chunks):
-        normals_at(chunk * last // chunks, (chunk + 1) * last // chunks, states, used, table, out)

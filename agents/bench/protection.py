@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from lanebound.agents.bench.rows import Row, alternate, median_ratio
+from lanebound.integrity.accel import serial
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.monitoring.protection import protection_levels_batch
 from lanebound.integrity.monitoring.risk import RiskConfig
@@ -43,17 +45,17 @@ class Sky:
 
     def kernel(self, parallel: bool) -> Array:
         """Levels of all epochs by the kernels.  (E, 2) [m]."""
-        levels = protection_levels_batch(
-            self.los,
-            True,
-            self.group,
-            self.variance,
-            self.heading,
-            CONFIG,
-            accuracy_m2=self.accuracy,
-            bias_m=self.bias,
-            parallel=parallel,
-        )
+        with nullcontext() if parallel else serial():
+            levels = protection_levels_batch(
+                self.los,
+                True,
+                self.group,
+                self.variance,
+                self.heading,
+                CONFIG,
+                accuracy_m2=self.accuracy,
+                bias_m=self.bias,
+            )
         return levels.root_m[:, 0]
 
     def naive(self) -> Array:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from lanebound.agents.bench.rows import Row, alternate
-from lanebound.integrity.sensors import gnss_kernel, imu, odometer
+from lanebound.integrity.sensors import imu, odometer
 from lanebound.integrity.sensors.area import initial_area
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
 from lanebound.integrity.sensors.effects import FaultEffects
@@ -68,11 +68,7 @@ def _inertial(batch: int) -> Callable[[], int]:
 
 def measure(rounds: int = 5) -> list[Row]:
     """Microseconds for each vehicle and epoch, draws included, medians over rounds."""
-    parallel, gnss_kernel.observe_parallel = gnss_kernel.observe_parallel, gnss_kernel.observe_serial
-    try:
-        rates = alternate({"gnss": _gnss(BATCH), "gnss_1": _gnss(1), "imu_odometer": _inertial(BATCH)}, rounds)
-    finally:
-        gnss_kernel.observe_parallel = parallel
+    rates = alternate({"gnss": _gnss(BATCH), "gnss_1": _gnss(1), "imu_odometer": _inertial(BATCH)}, rounds)
     us = {name: 1e6 / statistics.median(values) for name, values in rates.items()}
     unit = "us"
     return [

@@ -17,9 +17,9 @@ from lanebound.envs.vector.lanes import lanes_of
 from lanebound.envs.vector.rules import direct_ranges, duration_s, meta_codes, rules_of, trail_length
 from lanebound.envs.vector.senses import Senses, sensing
 from lanebound.envs.vector.start import most_vehicles, profile_steps, starter_of
-from lanebound.envs.vector.step_kernel import DECIDE, FINISH, START, World, run_parallel, run_some
+from lanebound.envs.vector.step_kernel import DECIDE, FINISH, START, World, run_some
 from lanebound.envs.vector.support import require_supported
-from lanebound.integrity.accel import is_compiled, one_or_many_runs
+from lanebound.integrity.accel import is_compiled, run_rows
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rtk_status import RtkStatus
@@ -29,6 +29,7 @@ __all__ = ["Engine"]
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 LOG = logging.getLogger(__name__)
+VEHICLE_FRAME_US, FINISH_US = 0.06, 5.0  # of one thread, measured
 WORLD_SEEDS, EPISODE_SEEDS = 2**31, 2**62  # as DrivingEnv.reset draws them
 
 
@@ -79,7 +80,7 @@ class Engine:
 
     def __init__(self, single: DrivingEnv, count: int) -> None:
         require_supported(single)
-        if not (is_compiled(run_some) or is_compiled(run_parallel)):
+        if not is_compiled(run_some):
             LOG.warning("compiling the vector engine for this machine: some minutes, once")
         self.single, self.count = single, count
         network = single.world.road.network
@@ -184,8 +185,9 @@ class Engine:
 
     def _run(self, world: World, rows: Rows, frames: int, parts: int, actions: Rows | None = None) -> None:
         chosen = self._everyone if actions is None else actions
-        run, first = one_or_many_runs(rows.size, run_some, run_parallel)
-        run(first, rows.size, rows, frames, parts, chosen, world, self.lanes, self.chart, self.rules)
+        row_us = VEHICLE_FRAME_US * frames * world.cars.shape[2] + (FINISH_US if parts & FINISH else 0.0)
+        shared = self.lanes, self.chart, self.rules
+        run_rows(run_some, rows.size, rows, frames, parts, chosen, world, *shared, row_us=row_us)
 
     def _take_up(self, actions: NDArray[Any]) -> None:
         """Continuous commands in physical units, in the precision of the action as highway-env maps it."""

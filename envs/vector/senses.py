@@ -21,13 +21,13 @@ from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.lanes_kernel import Lanes
 from lanebound.envs.vector.perceptions import Perceptions, claims_of
 from lanebound.envs.vector.scenes import Scenes, draw_scenes
-from lanebound.envs.vector.senses_kernel import foresee, foresee_parallel, glance_all, poses_of, whereabouts
+from lanebound.envs.vector.senses_kernel import foresee, glance_all, poses_of, whereabouts
 from lanebound.envs.vector.skies import Skies
 from lanebound.envs.vector.start import most_vehicles
 from lanebound.envs.vector.step_kernel import World
 from lanebound.envs.vector.streams import CrewStreams
 from lanebound.envs.vector.trackers import Trackers
-from lanebound.integrity.accel import one_or_many_runs
+from lanebound.integrity.accel import run_rows
 from lanebound.integrity.navigator import Navigator
 from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.solution import Solution
@@ -220,11 +220,10 @@ class Senses:
             return
         s, f = self.skies, self.skies.forecast
         sky = self._view() if self._sky is None else self._sky
-        run, first = one_or_many_runs(rows.size, foresee, foresee_parallel)
-        run(
-            first, rows.size, self._lanes, rows, self._shown(world), self._distances, s.begin_m, s.reach_m,
+        run_rows(
+            foresee, rows.size, self._lanes, rows, self._shown(world), self._distances, s.begin_m, s.reach_m,
             self._city_m, f.free, f.spacing_m, f.azimuths, f.elevations, sky.azimuth_rad, sky.elevation_rad,
-            sky.above, world.sky,
+            sky.above, world.sky, row_us=4.0,
         )  # fmt: skip
 
     def _shown(self, world: World) -> Array:

@@ -9,10 +9,10 @@ import numpy as np
 from lanebound.envs.vector.columns_kernel import B_LANE, B_X, B_Y, HEADING, LANE, SPEED, X, Y
 from lanebound.envs.vector.lanes_kernel import COUNT, LENGTH, ONWARD, SIDE, local
 from lanebound.envs.vector.score_kernel import glance
-from lanebound.integrity.accel import jit, prange
+from lanebound.integrity.accel import jit
 from lanebound.integrity.sky.raytrace_kernel import bin_of
 
-__all__ = ["foresee", "foresee_parallel", "glance_all", "poses_of", "skies_at", "skies_parallel", "whereabouts"]
+__all__ = ["foresee", "glance_all", "poses_of", "skies_at", "whereabouts"]
 
 TWO_PI = 2.0 * math.pi
 BELOW = -0.5 * math.pi  # elevation of satellites below the horizon, whose directions nobody asks for
@@ -48,16 +48,6 @@ def skies_at(  # type: ignore[no-untyped-def]
                 turn = math.atan2(los[e, s, 0], los[e, s, 1])
                 azimuth[e, s] = turn if turn >= 0.0 else turn + TWO_PI
                 above[e, s] = elevation[e, s] > mask
-
-
-@jit(parallel=True)
-def skies_parallel(  # type: ignore[no-untyped-def]
-    chunks, last, offset, rate, hour, knot, share, step, mask, los, elevation, azimuth, above
-):  # fmt: skip
-    """:func:`skies_at` for all ``last`` environments, in ``chunks`` runs side by side."""
-    for chunk in prange(chunks):
-        first, end = chunk * last // chunks, (chunk + 1) * last // chunks
-        skies_at(first, end, offset, rate, hour, knot, share, step, mask, los, elevation, azimuth, above)
 
 
 @jit
@@ -132,16 +122,3 @@ def foresee(  # type: ignore[no-untyped-def]
             for n in range(places):
                 if sky[e, n] >= 0.0 and free[station[n], lane_of[n], cell]:
                     sky[e, n] += 1.0
-
-
-@jit(parallel=True)
-def foresee_parallel(  # type: ignore[no-untyped-def]
-    chunks, last, lanes, rows, belief, distances, begin, reach, city, free, spacing, n_az, n_el, azimuth, elevation,
-    above, sky,
-):  # fmt: skip
-    """:func:`foresee` for all ``last`` rows, in ``chunks`` runs side by side."""
-    for chunk in prange(chunks):
-        foresee(
-            chunk * last // chunks, (chunk + 1) * last // chunks, lanes, rows, belief, distances, begin, reach, city,
-            free, spacing, n_az, n_el, azimuth, elevation, above, sky,
-        )  # fmt: skip

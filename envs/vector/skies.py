@@ -12,8 +12,8 @@ from lanebound.envs.core import DrivingEnv
 from lanebound.envs.scene import HOURS, MARGIN_S
 from lanebound.envs.sky import build_street
 from lanebound.envs.vector.lanes import lane_rows
-from lanebound.envs.vector.senses_kernel import skies_at, skies_parallel
-from lanebound.integrity.accel import one_or_many_runs
+from lanebound.envs.vector.senses_kernel import skies_at
+from lanebound.integrity.accel import run_rows
 from lanebound.integrity.errors import ConfigError
 from lanebound.integrity.navigator import NavigatorConfig
 from lanebound.integrity.sky.forecast import SkyForecast
@@ -102,10 +102,9 @@ class Skies:
         count, satellites = hour.shape[0], self.offset_m.shape[2]
         los, elevation, azimuth = np.zeros((count + 1, satellites, 3)), *np.zeros((2, count + 1, satellites))
         above = np.zeros((count + 1, satellites), dtype=np.bool_)
-        run, first = one_or_many_runs(count, skies_at, skies_parallel)
-        run(
-            first, count, self.offset_m, self.rate_mps, hour, knot, place - knot, STEP_S, self.track.mask_rad, los,
-            elevation, azimuth, above,
+        run_rows(
+            skies_at, count, self.offset_m, self.rate_mps, hour, knot, place - knot, STEP_S, self.track.mask_rad, los,
+            elevation, azimuth, above, row_us=2.0,
         )  # fmt: skip
         index = np.where(there, np.arange(count)[:, None], count).ravel()
         return SkyView(los, elevation, azimuth, NO_RANGE, NO_RANGE, above, self.track.system, self.track.prn, index)

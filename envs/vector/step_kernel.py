@@ -20,9 +20,9 @@ from lanebound.envs.vector.motorway_kernel import accelerate, change_lanes, driv
 from lanebound.envs.vector.observe_kernel import ORACLE, observe, true_view
 from lanebound.envs.vector.perceive_kernel import see_truth
 from lanebound.envs.vector.score_kernel import locate, score
-from lanebound.integrity.accel import jit, prange
+from lanebound.integrity.accel import jit
 
-__all__ = ["CITY", "COURSE", "MOTORWAY", "Rules", "World", "run_parallel", "run_some"]
+__all__ = ["CITY", "COURSE", "MOTORWAY", "Rules", "World", "run_some"]
 
 MOTORWAY, COURSE, CITY = range(3)  # whose drivers the others are
 DECIDE, FINISH, START = 1, 2, 4  # parts of a run: new commands first; score and observe last, as at a start
@@ -169,11 +169,3 @@ def run_some(first, last, rows, frames, parts, actions, world, lanes, chart, rul
             _frame(c, w, b, sc, world.profile[e], lanes, rules, scratch)
         if parts & FINISH:
             _finish(e, world, lanes, chart, rules, parts & START != 0, scratch)
-
-
-@jit(parallel=True)
-def run_parallel(chunks, last, rows, frames, parts, actions, world, lanes, chart, rules):  # type: ignore[no-untyped-def]
-    """:func:`run_some` for all ``last`` rows, in ``chunks`` runs side by side."""
-    for chunk in prange(chunks):
-        first, end = chunk * last // chunks, (chunk + 1) * last // chunks
-        run_some(first, end, rows, frames, parts, actions, world, lanes, chart, rules)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity import streams_kernel as sk
-from lanebound.integrity.accel import one_or_many_runs
+from lanebound.integrity.accel import run_rows
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.streams import ZIGGURAT, Streams
 
@@ -102,8 +102,7 @@ class CrewStreams(Streams):
             return every.reshape(count, vehicles, *shape)
         some = np.zeros((count, used.shape[1], numbers // used.shape[1]))
         if normal:
-            run, first = one_or_many_runs(count, sk.normals_at, sk.normals_at_parallel)
-            run(first, count, states, used, ZIGGURAT, some)
+            run_rows(sk.normals_at, count, states, used, ZIGGURAT, some, row_us=4.0)
         else:
             sk.uniforms_at(states, used, some)
         return some.reshape(count, vehicles, *shape)

@@ -188,7 +188,6 @@ def _exact_levels(cases: Sequence[Case], config: RiskConfig, risks: Array, spent
         bias_m=padded("bias_bound_m", 0.0),
         spent=spent,
         closed=True,
-        parallel=False,
     )
     return [{Form.ROOT: r, Form.CLOSED: c} for r, c in zip(found.root_m, found.closed_m, strict=True)]
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.accel import jit, prange
+from lanebound.integrity.accel import jit
 
-__all__ = ["alert_batch", "alert_step", "find_reason"]
+__all__ = ["alert_step", "find_reason"]
 
 # Codes of AlertReason, repeated because Numba's cache does not see other files change (a test compares them).
 EPS_S = 1e-9  # a hold of 1 s lasts ten epochs of 0.1 s, whatever they sum to
@@ -66,25 +66,3 @@ def alert_step(
     else:
         reason[i] = HOLDING if alert[i] else NONE
     return bool(now == NONE)
-
-
-@jit(parallel=True)  # type: ignore[untyped-decorator]
-def alert_batch(
-    cause: NDArray[Any],
-    pl_at: NDArray[Any],
-    pl_ct: NDArray[Any],
-    sigma_at: NDArray[Any],
-    sigma_ct: NDArray[Any],
-    dt: float,
-    limits: NDArray[Any],
-    alert: NDArray[Any],
-    reason: NDArray[Any],
-    onset_s: NDArray[Any],
-    clear_s: NDArray[Any],
-    available: NDArray[Any],
-) -> None:
-    """Advance all vehicles; every array is (B,), the state arrays and ``available`` change in place."""
-    for i in prange(alert.size):
-        available[i] = alert_step(
-            i, cause[i], pl_at[i], pl_ct[i], sigma_at[i], sigma_ct[i], dt, limits, alert, reason, onset_s, clear_s
-        )

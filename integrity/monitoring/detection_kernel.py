@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.accel import jit, prange
+from lanebound.integrity.accel import jit
 from lanebound.integrity.small_matrix_kernel import invert_3x3
 
-__all__ = ["detect_and_exclude", "detect_and_exclude_batch"]
+__all__ = ["detect_and_exclude"]
 
 # Codes of FdeOutcome, repeated because Numba's cache does not see other files change (a test compares them).
 CLEAN, EXCLUDED, UNRESOLVED, NO_REDUNDANCY, SINGULAR = 0, 1, 2, 3, 4
@@ -164,31 +164,3 @@ def detect_and_exclude(
         mask[at] = False
         rows, groups = centre_groups(los, group, variance, y, mask, mean)
         excluded += 1
-
-
-@jit(parallel=True)  # type: ignore[untyped-decorator]
-def detect_and_exclude_batch(
-    los: NDArray[Any],
-    group: NDArray[Any],
-    variance: NDArray[Any],
-    y: NDArray[Any],
-    mask: NDArray[Any],
-    global_chi2: NDArray[Any],
-    local_normal: NDArray[Any],
-    global_first: bool,
-    max_excluded: int,
-    min_redundancy: int,
-    x: NDArray[Any],
-    Q: NDArray[Any],
-    outcome: NDArray[Any],
-    statistic: NDArray[Any],
-    worst: NDArray[Any],
-    df: NDArray[Any],
-    excluded: NDArray[Any],
-) -> None:
-    """The same for B vehicles: los (B, N, 3), group (N,), the rest (B, N); results (B,), x (B, 3), Q (B, 3, 3)."""
-    for v in prange(y.shape[0]):
-        outcome[v], statistic[v], worst[v], df[v], excluded[v] = detect_and_exclude(
-            los[v], group, variance[v], y[v], mask[v], global_chi2, local_normal, global_first, max_excluded,
-            min_redundancy, x[v], Q[v],
-        )  # fmt: skip

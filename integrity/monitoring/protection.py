@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
-from lanebound.integrity.accel import use_parallel
+from lanebound.integrity.accel import run_rows
 from lanebound.integrity.errors import InputError, require_finite, require_in_range, require_shape
 from lanebound.integrity.monitoring import protection_kernel as kernel
 from lanebound.integrity.monitoring.fault_modes import FaultModes
@@ -45,7 +45,6 @@ Ints = NDArray[np.int64]
 
 FAULT_FREE_PRIOR = 2.0
 BISECTIONS = 80
-CHUNKS = 32
 
 
 @dataclass(frozen=True)
@@ -248,7 +247,6 @@ def protection_levels_batch(
     subsets: FaultModes | None = None,
     root: bool = True,
     closed: bool = False,
-    parallel: bool | None = None,
 ) -> BatchLevels:
     """Protection levels of E epochs with one row for each satellite, by the kernels and exact biases.
 
@@ -264,7 +262,6 @@ def protection_levels_batch(
     subsets : further modes of several satellites at once, columns as those of ``in_view``; single satellites and
         constellations have their priors in ``config``.
     root, closed : which levels to compute; the other is inf.
-    parallel : use threads; by default when the batch is large enough and threads are safe here.
 
     Raises
     ------
@@ -302,10 +299,7 @@ def protection_levels_batch(
     level = (shape[0], config.risks(risks).size, 2)
     out = BatchLevels(np.full(level, np.inf), np.full(level, np.inf), np.zeros(shape[0], np.int64))
     results = (out.status, out.root_m, out.closed_m)
-    if use_parallel(shape[0]) if parallel is None else parallel:
-        kernel.run_parallel(min(CHUNKS, max(shape[0], 1)), *columns, *rules, *results)
-    else:
-        kernel.run_chunk(0, shape[0], *columns, *rules, *results)
+    run_rows(kernel.run_chunk, shape[0], *columns, *rules, *results, row_us=2.0)
     bad = np.flatnonzero(out.status == kernel.BAD_INPUT)
     if bad.size:
         _refuse(int(bad[0]), *columns[:6])

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.accel import jit, prange
+from lanebound.integrity.accel import jit
 from lanebound.integrity.lanes_kernel import (
     WIDTH,
     absolute,
@@ -63,7 +63,6 @@ __all__ = [
     "q_inverse",
     "root",
     "run_chunk",
-    "run_parallel",
     "tails",
 ]
 
@@ -454,66 +453,3 @@ def run_chunk(
             root(count, k_fa[count - 1], budgets, tolerate, head, mode, level[i])
         if want_closed:
             closed_form(count, k_fa[count - 1], budgets, share0, tolerate, head, mode, closed[i])
-
-
-def _run_parallel(
-    chunks: int,
-    los: Array,
-    mask: Bools,
-    group: Ints,
-    variance: Array,
-    accuracy: Array,
-    bias: Array,
-    heading: Array,
-    unmonitored: Array,
-    satellite: Array,
-    constellation: Array,
-    subset: Bools,
-    subset_prior: Array,
-    k_fa: Array,
-    risks: Array,
-    split_at: float,
-    share0: float,
-    constellations: bool,
-    multiple: bool,
-    tolerate: bool,
-    want_root: bool,
-    want_closed: bool,
-    status: Ints,
-    level: Array,
-    closed: Array,
-) -> None:
-    """:func:`run_chunk` over all epochs, ``chunks`` runs shared among the threads."""
-    epochs = mask.shape[0]
-    for chunk in prange(chunks):
-        run_chunk(
-            chunk * epochs // chunks,
-            (chunk + 1) * epochs // chunks,
-            los,
-            mask,
-            group,
-            variance,
-            accuracy,
-            bias,
-            heading,
-            unmonitored,
-            satellite,
-            constellation,
-            subset,
-            subset_prior,
-            k_fa,
-            risks,
-            split_at,
-            share0,
-            constellations,
-            multiple,
-            tolerate,
-            want_root,
-            want_closed,
-            status,
-            level,
-            closed,
-        )
-
-
-run_parallel = jit(parallel=True)(_run_parallel)

@@ -291,7 +291,7 @@ class _Run:
         if int(fde.outcome) not in (FdeOutcome.CLEAN.code, FdeOutcome.EXCLUDED.code):
             return np.asarray(fde.adjustment.x[:3]), None
         levels = protection_levels_batch(
-            signals.e[rows][None], fde.used[None], group, variance, self.heading, self.config.risk, parallel=False
+            signals.e[rows][None], fde.used[None], group, variance, self.heading, self.config.risk
         )
         turn = np.array([[np.sin(self.heading), np.cos(self.heading)], [np.cos(self.heading), -np.sin(self.heading)]])
         spread = turn @ fde.adjustment.gain[:2]

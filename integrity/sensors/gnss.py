@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from lanebound.integrity.accel import use_parallel
 from lanebound.integrity.config import Config
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.sensors import gnss_kernel as gk
@@ -297,8 +296,7 @@ def observe(
     code, phase = np.zeros((2, batch, n_sat, 2))
     range_rate, cn0 = np.zeros((2, batch, n_sat))
     cfg, wavelength, dispersion = tables(config, truth.dt_s)
-    run = gk.observe_parallel if use_parallel(batch) else gk.observe_serial
-    run(
+    gk.observe_serial(
         cfg, wavelength, dispersion, sky.los_enu, sky.above, sky.system, sky.index,
         reception.path, reception.excess_m, truth.position_enu_m + effects.spoof_enu_m, truth.velocity_enu_mps,
         area.reference_enu_m + effects.reference_enu_m, age_s, effects.code_bias_m, effects.phase_bias_m,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from lanebound.integrity.accel import jit, prange
+from lanebound.integrity.accel import jit
 
 # figures
 (
@@ -293,24 +293,6 @@ def observe_serial(  # type: ignore[no-untyped-def]
     """:func:`observe_vehicle` for B vehicles, one after another, in one area or each in its own."""
     areas = area.shape[0]
     for v in range(index.shape[0]):
-        k, a = index[v], v % areas
-        observe_vehicle(
-            cfg, wavelength, dispersion, los[k], above[k], system, path[v], excess[v], position[v], velocity[v],
-            reference[v], age[v], code_bias[v], phase_bias[v], rate_bias[v], cn0_drop[v], slips[v], clock[v],
-            z_clock[v], station_clock[a], z[v], u[v], area[a], station[v], oscillator[v], memory[v], ambiguity[v],
-            tracked[v], code[v], phase[v], range_rate[v], cn0[v], lock_lost[v],
-        )  # fmt: skip
-
-
-@jit(parallel=True)
-def observe_parallel(  # type: ignore[no-untyped-def]
-    cfg, wavelength, dispersion, los, above, system, index, path, excess, position, velocity, reference, age,
-    code_bias, phase_bias, rate_bias, cn0_drop, slips, clock, z_clock, station_clock, z, u, area, station, oscillator,
-    memory, ambiguity, tracked, code, phase, range_rate, cn0, lock_lost,
-):  # fmt: skip
-    """:func:`observe_vehicle` for B vehicles, side by side, in one area or each in its own."""
-    areas = area.shape[0]
-    for v in prange(index.shape[0]):
         k, a = index[v], v % areas
         observe_vehicle(
             cfg, wavelength, dispersion, los[k], above[k], system, path[v], excess[v], position[v], velocity[v],

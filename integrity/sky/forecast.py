@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.accel import use_parallel
+from lanebound.integrity.accel import run_rows
 from lanebound.integrity.errors import require_in_range
-from lanebound.integrity.sky.raytrace_kernel import count_free, free_parallel, free_serial
+from lanebound.integrity.sky.raytrace_kernel import count_free, free_rows
 from lanebound.integrity.sky.scene import City
 from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.sky.visibility import cell_centres, cells_of, distinct_antennas
@@ -63,8 +63,7 @@ class SkyForecast:
         require_in_range("spacing_m", spacing_m, 0.0, 1e4, low_open=True)
         azimuths, elevations = cells_of(az_step_deg, el_step_deg)
         free = np.empty((each.shape[0], azimuths * elevations), dtype=np.bool_)
-        run = free_parallel if use_parallel(each.shape[0]) else free_serial
-        run(city.grid, each, cell_centres(azimuths, elevations), free)
+        run_rows(free_rows, each.shape[0], city.grid, each, cell_centres(azimuths, elevations), free, row_us=500.0)
         return cls(free[rows], azimuths, elevations, spacing_m)
 
     def count(self, arc_m: Array, lane: NDArray[np.int64], sky: SkyView) -> NDArray[np.int64]:

@@ -7,16 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.accel import use_parallel
+from lanebound.integrity.accel import run_rows
 from lanebound.integrity.errors import InputError, require_finite, require_shape
-from lanebound.integrity.sky.raytrace_kernel import EDGE, GRAZING, Grid, trace_parallel, trace_serial
+from lanebound.integrity.sky.raytrace_kernel import EDGE, GRAZING, Grid, trace_rows
 
 __all__ = ["Hits", "build_grid", "first_hits", "first_hits_reference", "moller_trumbore"]
 
 Array = NDArray[np.float64]
 
 MAX_CELLS = 4_000_000
-PARALLEL_FROM_RAYS = 4096
 
 
 @dataclass(frozen=True)
@@ -148,6 +147,5 @@ def first_hits(grid: Grid, origin: ArrayLike, direction: ArrayLike) -> Hits:
     o, d = (np.ascontiguousarray(x).reshape(-1, 3) for x in np.broadcast_arrays(o, d))
     n = o.shape[0]
     hits = Hits(np.empty(n), np.empty(n, dtype=np.int64), np.empty(n))
-    run = trace_parallel if n >= PARALLEL_FROM_RAYS and use_parallel(n) else trace_serial
-    run(grid, o, d, hits.t, hits.triangle, hits.foliage_t)
+    run_rows(trace_rows, n, grid, o, d, hits.t, hits.triangle, hits.foliage_t, row_us=0.5)
     return hits

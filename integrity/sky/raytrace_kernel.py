@@ -12,19 +12,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.accel import jit, prange
+from lanebound.integrity.accel import jit
 
 __all__ = [
     "Grid",
     "count_free",
-    "free_parallel",
-    "free_serial",
+    "free_rows",
     "look_up",
-    "mask_parallel",
-    "mask_serial",
+    "mask_rows",
     "trace",
-    "trace_parallel",
-    "trace_serial",
+    "trace_rows",
 ]
 
 EDGE = 1e-12  # edges belong to the triangle, up to rounding
@@ -140,15 +137,12 @@ def trace(grid, ox, oy, oz, dx, dy, dz, any_hit):  # type: ignore[no-untyped-def
                 return best, which, leaf
 
 
-def _trace_batch(grid, origin, direction, t, which, leaf):  # type: ignore[no-untyped-def]
+@jit
+def trace_rows(first, last, grid, origin, direction, t, which, leaf):  # type: ignore[no-untyped-def]
     """Rays (N, 3), (N, 3) into t (N,), which (N,), leaf (N,)."""
-    for r in prange(origin.shape[0]):
+    for r in range(first, last):
         o, d = origin[r], direction[r]
         t[r], which[r], leaf[r] = trace(grid, o[0], o[1], o[2], d[0], d[1], d[2], False)
-
-
-trace_serial = jit(_trace_batch)
-trace_parallel = jit(parallel=True)(_trace_batch)
 
 
 @jit
@@ -199,29 +193,23 @@ def _mask_at(grid, ox, oy, oz, direction, n_az, n_el, path, excess):  # type: ig
             path[c] = REFLECTED
 
 
-def _mask_batch(grid, antenna, direction, n_az, n_el, path, excess):  # type: ignore[no-untyped-def]
+@jit
+def mask_rows(first, last, grid, antenna, direction, n_az, n_el, path, excess):  # type: ignore[no-untyped-def]
     """Masks of antennas (P, 3) into path (P, cells) uint8 and excess (P, cells) float32 [m]."""
-    for p in prange(antenna.shape[0]):
+    for p in range(first, last):
         o = antenna[p]
         _mask_at(grid, o[0], o[1], o[2], direction, n_az, n_el, path[p], excess[p])
 
 
-mask_serial = jit(_mask_batch)
-mask_parallel = jit(parallel=True)(_mask_batch)
-
-
-def _free_batch(grid, antenna, direction, free):  # type: ignore[no-untyped-def]
+@jit
+def free_rows(first, last, grid, antenna, direction, free):  # type: ignore[no-untyped-def]
     """Which rays from antennas (P, 3) along ``direction`` (cells, 3) meet nothing, into free (P, cells) bool."""
-    for p in prange(antenna.shape[0]):
+    for p in range(first, last):
         o = antenna[p]
         for c in range(direction.shape[0]):
             d = direction[c]
             solid, _, leaf = trace(grid, o[0], o[1], o[2], d[0], d[1], d[2], True)
             free[p, c] = min(solid, leaf) == math.inf
-
-
-free_serial = jit(_free_batch)
-free_parallel = jit(parallel=True)(_free_batch)
 
 
 @jit

@@ -15,10 +15,10 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.accel import use_parallel
+from lanebound.integrity.accel import run_rows
 from lanebound.integrity.errors import InputError, require_finite, require_in_range, require_shape
 from lanebound.integrity.sky.raytrace import first_hits
-from lanebound.integrity.sky.raytrace_kernel import look_up, mask_parallel, mask_serial
+from lanebound.integrity.sky.raytrace_kernel import look_up, mask_rows
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.scene import City
 from lanebound.integrity.sky.view import SkyView
@@ -323,8 +323,8 @@ def _cast(city: City, antenna: Array, azimuths: int, elevations: int) -> tuple[N
     """Paths and excesses (P, A E) of antennas (P, 3)."""
     path = np.empty((antenna.shape[0], azimuths * elevations), dtype=np.uint8)
     excess = np.empty(path.shape, dtype=np.float32)
-    run = mask_parallel if use_parallel(antenna.shape[0]) else mask_serial
-    run(city.grid, antenna, cell_centres(azimuths, elevations), azimuths, elevations, path, excess)
+    cells = cell_centres(azimuths, elevations)
+    run_rows(mask_rows, antenna.shape[0], city.grid, antenna, cells, azimuths, elevations, path, excess, row_us=1000.0)
     return path, excess
 
 

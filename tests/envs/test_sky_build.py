@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from functools import cache
 
 import numpy as np
@@ -12,8 +13,8 @@ from numpy.typing import NDArray
 
 from lanebound.envs.sky import SkyLevel, Street, build_street
 from lanebound.envs.sky.corridors import CLEARANCE_M, corridors, edges_of
+from lanebound.integrity.accel import serial
 from lanebound.integrity.errors import InputError
-from lanebound.integrity.sky import visibility
 from lanebound.integrity.sky.city import CityConfig, SectionConfig, SectionKind
 from lanebound.integrity.sky.forecast import SkyForecast
 from lanebound.integrity.sky.raytrace import first_hits
@@ -82,11 +83,11 @@ def test_both_sides_of_every_long_road_are_lined(name: str) -> None:
             assert np.mean([x.any() for x in lined]) > 0.6, (start, end, side)
 
 
-def test_equal_inputs_equal_bits_with_and_without_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_equal_inputs_equal_bits_with_and_without_threads() -> None:
     first = build_street(straight(), canyon(), 3, reuse=False)
-    for parallel in (True, False):
-        monkeypatch.setattr(visibility, "use_parallel", lambda batch, parallel=parallel: parallel)
-        again = build_street(straight(), canyon(), 3, reuse=False)
+    for context in (nullcontext, serial):
+        with context():
+            again = build_street(straight(), canyon(), 3, reuse=False)
         np.testing.assert_array_equal(first.city.triangles_enu_m, again.city.triangles_enu_m)
         np.testing.assert_array_equal(first.mask.path, again.mask.path)
         np.testing.assert_array_equal(first.mask.excess_m, again.mask.excess_m)

@@ -5,6 +5,7 @@ import os
 import stat
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -193,26 +194,88 @@ def test_a_function_without_a_file_is_compiled_in_memory():
 
 
 def test_options_reach_numba_in_both_decorator_forms():
-    assert not accel.jit(_divide).targetoptions["parallel"]
-    options = accel.jit(parallel=True, inline=True)(_divide).targetoptions
-    assert options["parallel"]
+    assert accel.jit(_divide).targetoptions["nogil"]
+    options = accel.jit(inline=True)(_divide).targetoptions
+    assert options["nogil"]
     assert options["inline"] == "always"
     assert not {"nnan", "ninf", "fast"} & set(options["fastmath"])
 
 
-def test_threads_serve_only_large_batches_of_the_main_process(monkeypatch):
-    monkeypatch.setattr(accel.numba, "get_num_threads", lambda: 4)
-    assert [accel.use_parallel(b) for b in (1, accel.PARALLEL_FROM_BATCH - 1)] == [False, False]
-    assert accel.use_parallel(accel.PARALLEL_FROM_BATCH)
-    assert accel.one_or_many_runs(accel.PARALLEL_FROM_BATCH, "one", "many") == ("many", 4)
-    assert accel.one_or_many_runs(1, "one", "many") == ("one", 0)
+@pytest.fixture
+def four_threads(monkeypatch):
+    monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 4)
+
+
+def test_threads_serve_only_large_batches_of_the_main_process(four_threads, monkeypatch):
+    assert [accel.thread_count(pieces) for pieces in (0, 1, 2, 1000)] == [1, 1, 4, 4]
+    with accel.serial():
+        assert accel.thread_count(1000) == 1
+    assert accel.thread_count(1000) == 4
     monkeypatch.setattr("multiprocessing.parent_process", lambda: object())
-    assert not accel.use_parallel(1000)
+    assert accel.thread_count(1000) == 1
 
 
-def test_one_thread_is_no_reason_for_the_parallel_form(monkeypatch):
-    monkeypatch.setattr(accel.numba, "get_num_threads", lambda: 1)
-    assert not accel.use_parallel(1000)
+def test_one_processor_is_no_reason_for_threads(monkeypatch):
+    monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 1)
+    assert accel.thread_count(1000) == 1
+
+
+@pytest.mark.parametrize("rows", [0, 1, 15, 16, 17, 100, 1001])
+def test_every_row_is_worked_on_once_whatever_the_number_of_threads(four_threads, rows):
+    done, callers = np.zeros(rows, dtype=np.int64), set()
+
+    def kernel(first, last, by):
+        done[first:last] += by
+        callers.add(threading.current_thread().name)
+
+    accel.run_rows(kernel, rows, 3, row_us=10.0)
+    assert (done == 3).all()
+    if rows < 16:
+        assert callers == {threading.current_thread().name}
+
+
+def test_threads_share_the_work(four_threads):
+    meeting = threading.Barrier(4, timeout=60.0)  # only four threads at once get past it
+
+    def kernel(first, last):
+        if not met.is_set():
+            meeting.wait()
+            met.set()
+
+    met = threading.Event()
+    accel.run_rows(kernel, 128, row_us=100.0)
+    assert met.is_set()
+
+
+def test_an_error_in_any_thread_is_raised_and_the_threads_go_on(four_threads):
+    def kernel(first, last):
+        if last == 128:
+            raise ValueError("the last piece")
+
+    for _ in range(3):
+        with pytest.raises(ValueError, match="the last piece"):
+            accel.run_rows(kernel, 128, row_us=100.0)
+    test_every_row_is_worked_on_once_whatever_the_number_of_threads(four_threads, 1001)
+
+
+def test_a_forked_process_has_threads_of_its_own(four_threads):
+    accel.run_rows(lambda first, last: None, 128, row_us=100.0)
+    child = os.fork() if hasattr(os, "fork") else None
+    if child is None:
+        pytest.skip("this system forks no processes")
+    if child == 0:
+        rows = []
+        accel.run_rows(lambda first, last: rows.append(last - first), 128, row_us=100.0)
+        os._exit(0 if sum(rows) == 128 else 1)
+    _, status = os.waitpid(child, 0)
+    assert os.waitstatus_to_exitcode(status) == 0
+
+
+def test_idle_threads_use_no_processor(four_threads):
+    accel.run_rows(lambda first, last: None, 128, row_us=100.0)
+    before, start = time.process_time(), time.monotonic()
+    time.sleep(0.5)
+    assert time.process_time() - before < 0.2 * (time.monotonic() - start)
 
 
 def test_a_compiled_sum_keeps_its_order_to_the_last_bit():
@@ -225,14 +288,6 @@ def test_a_compiled_sum_keeps_its_order_to_the_last_bit():
 
     x = np.linspace(-1.0, 3.0, 1001)
     assert total(x) == functools.reduce(operator.add, x.tolist(), 0.0)
-
-
-def test_a_serial_context_uses_no_threads(monkeypatch):
-    monkeypatch.setattr(numba, "get_num_threads", lambda: 2)
-    assert accel.use_parallel(1000)
-    with accel.serial():
-        assert not accel.use_parallel(1000)
-    assert accel.use_parallel(1000)
 
 
 def test_kernels_of_another_layer_have_a_directory_of_their_own(monkeypatch, tmp_path):

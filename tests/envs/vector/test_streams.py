@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from lanebound.envs.vector.streams import CrewStreams
 from lanebound.integrity import streams_kernel as sk
+from lanebound.integrity.accel import run_rows
 from lanebound.integrity.streams import ZIGGURAT, Streams, named_states
 
 THERE = np.ones((2, 2), dtype=np.bool_)
@@ -32,10 +35,10 @@ def test_they_draw_as_single_ones() -> None:
 def test_many_draw_side_by_side_as_one_after_another() -> None:
     used = np.random.default_rng(7).random((20, 5)) < 0.7
     found = []
-    for run, first in ((sk.normals_at, 0), (sk.normals_at_parallel, 3)):  # 20 in 3 runs
+    for run in (sk.normals_at, partial(run_rows, sk.normals_at, row_us=40.0)):
         states, out = named_states(range(20), "gnss"), np.zeros((20, 5, 3))
-        run(first, 20, states, used, ZIGGURAT, out)
-        run(first, 20, states, used, ZIGGURAT, out)
+        for _ in range(2):
+            run(*((0, 20) if run is sk.normals_at else (20,)), states, used, ZIGGURAT, out)
         found.append(out)
     np.testing.assert_array_equal(*found)
     assert found[0][used].all()

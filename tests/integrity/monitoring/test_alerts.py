@@ -139,18 +139,11 @@ def test_kernel_equals_reference(seed: int) -> None:
         sigma = rng.choice([0.1, 0.4, np.nan], (2, B), p=[0.8, 0.1, 0.1])
         cause = rng.choice([0, 5, 7], B, p=[0.8, 0.1, 0.1])
         status = step(config, ours, *pl, DT, sigma_at_m=sigma[0], sigma_ct_m=sigma[1], cause=cause)
-        alerts_kernel.alert_batch(
-            cause,
-            *pl,
-            *sigma,
-            DT,
-            config.packed,
-            theirs.alert,
-            theirs.reason,
-            theirs.onset_s,
-            theirs.clear_s,
-            available,
-        )
+        for i in range(B):
+            available[i] = alerts_kernel.alert_step(
+                i, cause[i], *pl[:, i], *sigma[:, i], DT, config.packed, theirs.alert, theirs.reason, theirs.onset_s,
+                theirs.clear_s,
+            )  # fmt: skip
         for field in ("alert", "reason", "onset_s", "clear_s"):
             assert np.array_equal(getattr(ours, field), getattr(theirs, field)), field
         assert np.array_equal(status.available, available)

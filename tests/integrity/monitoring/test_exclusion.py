@@ -110,10 +110,11 @@ def compare(
     mask, x, Q = used.copy(), np.empty((B, 3)), np.empty((B, 3, 3))
     code, df, count = (np.empty(B, dtype=np.int64) for _ in range(3))
     statistic, worst = np.empty(B), np.empty(B)
-    detection_kernel.detect_and_exclude_batch(
-        los, group, variance, y, mask, tables.global_chi2, tables.local_normal, config.global_first,
-        config.max_excluded, config.min_redundancy, x, Q, code, statistic, worst, df, count,
-    )  # fmt: skip
+    for v in range(B):
+        code[v], statistic[v], worst[v], df[v], count[v] = detection_kernel.detect_and_exclude(
+            los[v], group, variance[v], y[v], mask[v], tables.global_chi2, tables.local_normal, config.global_first,
+            config.max_excluded, config.min_redundancy, x[v], Q[v],
+        )  # fmt: skip
     ref = detect_and_exclude(config, design_of(los, group), diagonal_covariance(variance), y, used)
     assert np.array_equal(code, ref.outcome)
     assert np.array_equal(mask, ref.used)

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binom, norm
 
+from lanebound.integrity.accel import serial
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.monitoring import geometry_kernel as gk
 from lanebound.integrity.monitoring import protection_kernel as pk
@@ -168,9 +169,10 @@ def test_batch_equals_reference(n: int, systems: int, systems_may_fail: bool) ->
 def test_threads_give_the_same_bits() -> None:
     case = sky(1, 40, 16, 3)
     arguments = (case["los"], True, case["group"], case["variance"], case["heading"], RiskConfig(), RISKS)
-    serial = protection_levels_batch(*arguments, bias_m=case["bias"], parallel=False)
-    threads = protection_levels_batch(*arguments, bias_m=case["bias"], parallel=True)
-    np.testing.assert_array_equal(serial.root_m, threads.root_m)
+    with serial():
+        alone = protection_levels_batch(*arguments, bias_m=case["bias"])
+    threads = protection_levels_batch(*arguments, bias_m=case["bias"])
+    np.testing.assert_array_equal(alone.root_m, threads.root_m)
 
 
 def test_root_is_never_below_and_hardly_above() -> None:

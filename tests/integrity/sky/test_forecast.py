@@ -7,7 +7,6 @@ import pytest
 from numpy.typing import NDArray
 
 from lanebound.integrity.errors import InputError
-from lanebound.integrity.sky import forecast
 from lanebound.integrity.sky.city import CityConfig, SectionKind, build_city
 from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.forecast import SkyForecast
@@ -31,11 +30,7 @@ def sky(hours: float = 0.0) -> SkyView:
     return config.satellites().view(time_s, *config.place_rad, config.mask_rad, np.array([1]))
 
 
-@pytest.mark.parametrize("parallel", [True, False])
-def test_free_cells_are_those_that_the_mask_of_the_same_city_has_in_sight(
-    monkeypatch: pytest.MonkeyPatch, parallel: bool
-) -> None:
-    monkeypatch.setattr(forecast, "use_parallel", lambda batch: parallel)
+def test_free_cells_are_those_that_the_mask_of_the_same_city_has_in_sight() -> None:
     mask = SkyMask.of_stations(antennas(), CITY, 10.0)
     found = SkyForecast.of_stations(antennas(), CITY, 10.0)
     assert (mask.path == Path.FOLIAGE).any()

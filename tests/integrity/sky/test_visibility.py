@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from lanebound.integrity.accel import serial
 from lanebound.integrity.errors import InputError
 from lanebound.integrity.sky.city import CityConfig, SectionKind, build_city
 from lanebound.integrity.sky.road import Road
@@ -160,15 +161,14 @@ def test_open_sky_and_satellites_below_the_horizon() -> None:
     np.testing.assert_array_equal(SkyMask.open().look(0.0, 0, negative).path, got.path)
 
 
-def test_threads_and_one_core_build_the_same_mask(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_threads_and_one_core_build_the_same_mask() -> None:
     road = Road.straight(150.0, lane_count=1)
     city = build_city(road, CityConfig.uniform(SectionKind.DENSE_CANYON), np.random.default_rng(4))
-    built = []
-    for parallel in (True, False):
-        monkeypatch.setattr("lanebound.integrity.sky.visibility.use_parallel", lambda _, p=parallel: p)
-        built.append(SkyMask.build(road, city, az_step_deg=6.0, el_step_deg=6.0))
-    np.testing.assert_array_equal(built[0].path, built[1].path)
-    np.testing.assert_array_equal(built[0].excess_m, built[1].excess_m)
+    threads = SkyMask.build(road, city, az_step_deg=6.0, el_step_deg=6.0)
+    with serial():
+        alone = SkyMask.build(road, city, az_step_deg=6.0, el_step_deg=6.0)
+    np.testing.assert_array_equal(threads.path, alone.path)
+    np.testing.assert_array_equal(threads.excess_m, alone.excess_m)
 
 
 def test_saved_masks_come_back_and_know_their_inputs(tmp_path: FilePath, canyon: tuple[City, SkyMask]) -> None:
