@@ -25,9 +25,9 @@ from threading import Lock
 from typing import Any, TypeVar
 
 from lanebound.agents.plain import finite_or_none
-from lanebound.integrity.config import Config
-from lanebound.integrity.errors import InputError
-from lanebound.integrity.progress import Progress
+from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.progress import Progress
 
 __all__ = [
     "MARKS", "STARTING", "Progress", "claim", "code_digest", "make_folder", "one_thread", "parts_kept", "read_kept",

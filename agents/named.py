@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from lanebound.integrity.config import Config, preset_names
-from lanebound.integrity.errors import ConfigError
-from lanebound.integrity.presets import FILES, load_file, load_preset, nearest
+from lanebound.integrity.core.config import Config, preset_names
+from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.presets import FILES, load_file, load_preset, nearest
 
 __all__ = ["load_named"]
 

@@ -19,8 +19,8 @@ from lanebound.envs import IDS
 from lanebound.envs.tally import EPISODE_KEY, Tally
 from lanebound.envs.vector.env import ENGINES
 from lanebound.envs.vector.infos import NAMES, single_info
-from lanebound.integrity.errors import InputError
-from lanebound.integrity.presets import nearest
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.presets import nearest
 
 __all__ = ["EngineVecEnv", "VecEpisodeStatistics"]
 

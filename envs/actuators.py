@@ -6,7 +6,7 @@ import math
 
 from pydantic import Field
 
-from lanebound.integrity.config import Config
+from lanebound.integrity.core.config import Config
 
 __all__ = ["HOLD", "ActuatorConfig", "Actuators"]
 

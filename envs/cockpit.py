@@ -27,11 +27,11 @@ from lanebound.envs.perception import Perception
 from lanebound.envs.records import EgoBelief, Traffic
 from lanebound.envs.sky import Street
 from lanebound.envs.tracker import Tracker
+from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.monitoring.alerts import AlertReason
-from lanebound.integrity.navigator import Measurements, Navigator
+from lanebound.integrity.navigators.navigator import Measurements, Navigator
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.faults import FaultSchedule
-from lanebound.integrity.streams import Streams
 
 __all__ = ["Cockpit", "Surroundings"]
 

@@ -17,9 +17,9 @@ from lanebound.envs.perception import PerceptionConfig
 from lanebound.envs.rendering.config import RenderingConfig
 from lanebound.envs.rewards import RewardConfig
 from lanebound.envs.sky import RECORDING, SKY_LEVELS, SkyLevel
-from lanebound.integrity.config import Config
-from lanebound.integrity.errors import ConfigError
-from lanebound.integrity.presets import FILES, nearest
+from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.presets import FILES, nearest
 from lanebound.integrity.sensors.campaign import FaultPriors
 
 __all__ = ["ActionKind", "EnvConfig", "FaultLevel"]

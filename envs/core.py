@@ -23,7 +23,7 @@ from lanebound.envs.rewards import rewards_of, total
 from lanebound.envs.scene import alert_limits_m, navigator_config, set_scene
 from lanebound.envs.truth import true_belief, true_traffic
 from lanebound.envs.world import checked_command
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sensors.faults import Fault
 
 __all__ = ["DrivingEnv"]

@@ -20,7 +20,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from pydantic import Field
 
 from lanebound.envs.records import EgoBelief, LaneIndex, Traffic
-from lanebound.integrity.config import Config
+from lanebound.integrity.core.config import Config
 
 __all__ = ["CAUSES", "Corridor", "CostConfig", "Lead", "costs_of", "lead_of", "rss_distance_m", "shortfall", "weighted"]
 

@@ -17,10 +17,10 @@ from lanebound.envs.motion import Motion
 from lanebound.envs.navigation import NavigationConfig, place
 from lanebound.envs.perception import Claims, Vehicles
 from lanebound.envs.sky import Street
-from lanebound.integrity.accel import serial
-from lanebound.integrity.navigator import Navigator
-from lanebound.integrity.solution import Solution
-from lanebound.integrity.streams import Streams
+from lanebound.integrity.core.accel import serial
+from lanebound.integrity.core.streams import Streams
+from lanebound.integrity.navigators.navigator import Navigator
+from lanebound.integrity.navigators.solution import Solution
 
 __all__ = ["Fleet"]
 

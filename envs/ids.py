@@ -11,8 +11,8 @@ from typing import Any, ClassVar
 
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
-from lanebound.integrity.errors import InputError
-from lanebound.integrity.presets import nearest
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.presets import nearest
 
 __all__ = [
     "CLASSES",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 __all__ = ["ANGLE_WEIGHT", "CIRCULAR", "COLUMNS", "STRAIGHT", "WAVY", "nearest"]
 

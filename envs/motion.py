@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.envs import motion_kernel as kernel
-from lanebound.integrity.frames import GRAVITY_MPS2
-from lanebound.integrity.truth import Truth
+from lanebound.integrity.core.frames import GRAVITY_MPS2
+from lanebound.integrity.motion.truth import Truth
 
 __all__ = ["Motion"]
 

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from lanebound.integrity.accel import jit
-from lanebound.integrity.truth_kernel import between
+from lanebound.integrity.core.accel import jit
+from lanebound.integrity.motion.truth_kernel import between
 
 __all__ = ["advance", "epoch"]
 

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from lanebound.envs.records import azimuth_of, enu_of, heading_of
-from lanebound.integrity.config import Config
+from lanebound.integrity.core.config import Config
 from lanebound.integrity.monitoring.alerts import AlertReason
-from lanebound.integrity.navigator import Navigator
+from lanebound.integrity.navigators.navigator import Navigator
+from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rtk_status import RtkStatus
-from lanebound.integrity.solution import Solution
 
 __all__ = ["Fix", "NavigationConfig", "Source", "fix_of", "place"]
 
@@ -77,7 +77,7 @@ class NavigationConfig(Config):
 
 @dataclass(frozen=True)
 class Fix:
-    """The solution of one vehicle in the plane of the world, see :class:`~lanebound.integrity.solution.Solution`."""
+    """The solution of one vehicle in the plane of the world: the fields of ``Solution``."""
 
     position_m: Array
     heading_rad: float

@@ -11,8 +11,8 @@ from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.ids import CLASSES, CONTINUOUS, META, id_of
 from lanebound.envs.world import world_defaults
-from lanebound.integrity.errors import ConfigError, InputError
-from lanebound.integrity.presets import nearest
+from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.core.presets import nearest
 
 __all__ = ["IDS", "make_config", "register_all", "wrap"]
 

@@ -7,7 +7,7 @@ import math
 from highway_env.vehicle.kinematics import Vehicle
 from pydantic import Field
 
-from lanebound.integrity.config import Config
+from lanebound.integrity.core.config import Config
 
 __all__ = ["TERMS", "RewardConfig", "rewards_of", "total"]
 

@@ -14,13 +14,13 @@ from lanebound.envs.config import EnvConfig
 from lanebound.envs.fleet import Fleet
 from lanebound.envs.perception import Perception
 from lanebound.envs.sky import SkyLevel, build_street
+from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.monitoring.risk import upper_quantile
-from lanebound.integrity.navigator import Navigator, NavigatorConfig
+from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.sensors.campaign import random_campaign
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
 from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.track import SkyTrack
-from lanebound.integrity.streams import Streams
 
 __all__ = ["MAP_SHARE", "alert_limits_m", "map_bound_m", "navigator_config", "set_scene"]
 

@@ -21,8 +21,8 @@ from highway_env.envs.parking_env import ParkingEnv
 
 from lanebound.envs.worlds import OWN_WORLDS
 from lanebound.envs.worlds.drivers import IntersectionDriver
-from lanebound.integrity.errors import ConfigError, InputError
-from lanebound.integrity.presets import deep_merge, nearest
+from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.core.presets import deep_merge, nearest
 
 __all__ = ["checked_command", "guard", "make_world", "world_defaults"]
 

@@ -24,8 +24,8 @@ from gymnasium.utils import RecordConstructorArgs
 
 from lanebound.envs.costs import CAUSES
 from lanebound.envs.tally import EPISODE_KEY, Tally
-from lanebound.integrity.errors import InputError
-from lanebound.integrity.presets import nearest
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.presets import nearest
 
 __all__ = ["CostIntoReward", "EpisodeStatistics", "SafetyGymnasium"]
 

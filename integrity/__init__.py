@@ -20,7 +20,7 @@ Batch rule
 Outcomes
     Failure is a value: an enumerated verdict, a missing protection level is ``inf``, never NaN.
 Randomness
-    All draws come from named, seeded streams (:mod:`lanebound.integrity.streams`).
+    All draws come from named, seeded streams (:mod:`lanebound.integrity.core.streams`).
 Errors
-    Bad input raises :class:`~lanebound.integrity.errors.InputError` or ``ConfigError``, both ``ValueError``.
+    Bad input raises :class:`~lanebound.integrity.core.errors.InputError` or ``ConfigError``, both ``ValueError``.
 """

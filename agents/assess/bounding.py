@@ -19,9 +19,9 @@ from lanebound.integrity.assessment.drift_model import DriftConfig, Outage, drif
 from lanebound.integrity.assessment.exceedance import Tally, expected_fault_free, least_fault_free, tally
 from lanebound.integrity.assessment.importance import FaultSize, expected_one_fault, importance_rates
 from lanebound.integrity.assessment.measurement_model import Case, Form, Prepared, draw_case, prepare
-from lanebound.integrity.config import Config, Field
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.monitoring.risk import RiskConfig, pair_risk
-from lanebound.integrity.streams import named_generator
 
 __all__ = ["BoundingConfig", "assess_bounding", "part_names", "work_part"]
 

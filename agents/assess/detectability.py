@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri, chndtr
 
 from lanebound.agents.assess.bounding_summary import rate_of
+from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.monitoring.detection import (
     Adjustment,
     adjust,
@@ -25,7 +26,6 @@ from lanebound.integrity.monitoring.detection import (
 from lanebound.integrity.monitoring.exclusion import FdeConfig, FdeOutcome, detect_and_exclude
 from lanebound.integrity.monitoring.significance import noncentrality
 from lanebound.integrity.positioning.least_squares import design_matrix
-from lanebound.integrity.streams import named_generator
 
 __all__ = ["FACTORS", "detectability"]
 

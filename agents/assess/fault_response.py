@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.drive import CityDrive, DriveConfig
-from lanebound.integrity.frames import track_from_enu_matrix
-from lanebound.integrity.navigator import Navigator, NavigatorConfig
+from lanebound.integrity.core.frames import track_from_enu_matrix
+from lanebound.integrity.core.streams import Streams
+from lanebound.integrity.motion.drive import CityDrive, DriveConfig
+from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import SkyMask
-from lanebound.integrity.streams import Streams
 
 __all__ = ["Response", "Run", "as_broadcast", "drive_run", "measure_response"]
 

@@ -22,8 +22,8 @@ from lanebound.agents.assess.bounding_summary import rate_of, rate_over
 from lanebound.agents.assess.detectability import detectability
 from lanebound.agents.assess.fault_response import Response, Run, as_broadcast, drive_run, measure_response
 from lanebound.agents.kept import Progress, claim, run_parts, write_whole
-from lanebound.integrity.config import Config, Field
-from lanebound.integrity.navigator import NavigatorConfig
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sensors.faults import SIZES, Fault, FaultKind
 from lanebound.integrity.sky.systems import System

@@ -15,7 +15,7 @@ from highway_env.envs.common.abstract import AbstractEnv
 from lanebound.agents.bench.rows import Row
 from lanebound.envs import DrivingEnv, make_config
 from lanebound.envs.world import guard
-from lanebound.integrity.navigator import Navigator
+from lanebound.integrity.navigators.navigator import Navigator
 
 __all__ = ["bare_of", "measure"]
 

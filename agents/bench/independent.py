@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from lanebound.agents.bench._sidereon import Araim, installed, package
 from lanebound.agents.bench.ambiguity import drifting_problems
 from lanebound.agents.bench.rows import Row, alternate, median_ratio
-from lanebound.integrity.accel import serial
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.accel import serial
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.araim import AraimConfig, enu_levels
 from lanebound.integrity.monitoring.fault_modes import enumerate_faults
 from lanebound.integrity.positioning import lambda_kernel as kernel

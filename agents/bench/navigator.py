@@ -8,14 +8,14 @@ import time
 import numpy as np
 
 from lanebound.agents.bench.rows import Row
-from lanebound.integrity.drive import CityDrive, DriveConfig
-from lanebound.integrity.navigator import Navigator, NavigatorConfig
+from lanebound.integrity.core.streams import Streams
+from lanebound.integrity.motion.drive import CityDrive, DriveConfig
+from lanebound.integrity.motion.truth import Truth
+from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.sky.city import CityConfig, SectionKind, build_city
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import SkyMask
-from lanebound.integrity.streams import Streams
-from lanebound.integrity.truth import Truth
 
 __all__ = ["measure"]
 

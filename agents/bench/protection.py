@@ -11,8 +11,8 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from lanebound.agents.bench.rows import Row, alternate, median_ratio
-from lanebound.integrity.accel import serial
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.accel import serial
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.protection import protection_levels_batch
 from lanebound.integrity.monitoring.risk import RiskConfig
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from lanebound.agents.bench.rows import Row
 from lanebound.agents.plain import to_json_text
-from lanebound.integrity.errors import InputError
-from lanebound.integrity.presets import nearest
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.presets import nearest
 
 __all__ = ["Report", "benchmark_names", "claim", "run", "select", "write"]
 

@@ -8,6 +8,8 @@ from collections.abc import Callable
 import numpy as np
 
 from lanebound.agents.bench.rows import Row, alternate
+from lanebound.integrity.core.streams import Streams
+from lanebound.integrity.motion.truth import Truth, truth_between
 from lanebound.integrity.sensors import imu, odometer
 from lanebound.integrity.sensors.area import initial_area
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
@@ -15,8 +17,6 @@ from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.gnss import GnssConfig, initial_state, observe
 from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.sky.visibility import Reception
-from lanebound.integrity.streams import Streams
-from lanebound.integrity.truth import Truth, truth_between
 
 __all__ = ["measure"]
 

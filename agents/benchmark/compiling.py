@@ -70,7 +70,7 @@ class CompileClock:
 
 def kernels_are_cached() -> bool:
     """Whether kernels of this version were compiled before, so that a run begins at once."""
-    from lanebound.integrity.accel import cache_directory
+    from lanebound.integrity.core.accel import cache_directory
 
     directory = cache_directory()
     return directory is not None and sum(1 for _ in Path(directory).glob("*/*.nbi")) >= KEPT_AT_LEAST

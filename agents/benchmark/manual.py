@@ -20,7 +20,7 @@ from lanebound.agents.benchmark.suite import SuiteConfig, load_suite
 from lanebound.agents.benchmark.untuned import tuned_places
 from lanebound.agents.benchmark.verdicts import MARGIN
 from lanebound.agents.drivers import ABOUT
-from lanebound.integrity.config import describe
+from lanebound.integrity.core.config import describe
 
 __all__ = ["SUITES", "markdown"]
 

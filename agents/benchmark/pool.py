@@ -23,7 +23,7 @@ from lanebound.agents.benchmark.compiling import CompileClock
 from lanebound.agents.benchmark.outcome import Outcome, Status, Task
 from lanebound.agents.benchmark.work import Work
 from lanebound.agents.kept import STARTING, one_thread
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 __all__ = ["Pool"]
 

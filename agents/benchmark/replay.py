@@ -9,7 +9,7 @@ from lanebound.agents.benchmark.outcome import Outcome, Task
 from lanebound.agents.benchmark.pool import Pool
 from lanebound.agents.benchmark.store import Store
 from lanebound.agents.benchmark.work import FilmedWork
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 __all__ = ["differences", "find_task", "replay"]
 

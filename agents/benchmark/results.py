@@ -28,7 +28,7 @@ from lanebound.agents.benchmark.store import Store
 from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.benchmark.untuned import is_untuned
 from lanebound.agents.kept import replace_file
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 __all__ = ["FILES", "Cell", "Estimate", "Paired", "Results"]
 

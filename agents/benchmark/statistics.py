@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.special import bdtr, betaincinv, ndtr, stdtr, stdtrit
 
 from lanebound.agents.benchmark.metrics import ANYTHING, Better, Bounds
-from lanebound.integrity.streams import named_generator
+from lanebound.integrity.core.streams import named_generator
 
 __all__ = [
     "METHOD", "RESAMPLES", "SPREAD_SEEDS", "VERDICT_SEEDS", "Difference", "Estimate", "difference", "estimate", "holm",

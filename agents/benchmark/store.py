@@ -23,7 +23,7 @@ from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.episodes.columns import COLUMNS
 from lanebound.agents.episodes.log import schema_of
 from lanebound.agents.kept import replace_file, require_own
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 __all__ = ["CLIPS", "STORED", "Store"]
 

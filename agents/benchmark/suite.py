@@ -13,8 +13,8 @@ from lanebound.agents.benchmark.outcome import Place, Task
 from lanebound.agents.benchmark.seeds import SPLITS, Split
 from lanebound.agents.named import load_named
 from lanebound.envs import FaultLevel
-from lanebound.integrity.config import Config, Field, deep_merge
-from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.core.config import Config, Field, deep_merge
+from lanebound.integrity.core.errors import ConfigError, InputError
 
 __all__ = ["AgentConfig", "SeedsConfig", "SuiteConfig", "load_suite", "parse_agents"]
 

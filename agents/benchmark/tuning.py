@@ -23,7 +23,7 @@ from lanebound.agents.benchmark.running import Progress, run
 from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.drivers.margins import CautiousConfig
 from lanebound.agents.episodes import open_env
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 __all__ = ["LADDER", "Measured", "cautious_at", "choose", "tune_cautious", "tuning_suite"]
 

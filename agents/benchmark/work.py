@@ -17,7 +17,7 @@ from lanebound.agents.episodes.film import Film
 from lanebound.agents.episodes.guard import Clock
 from lanebound.agents.episodes.opening import naming
 from lanebound.envs.core import DrivingEnv
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 __all__ = ["FilmedWork", "Work", "expected_s", "unfit"]
 

@@ -45,7 +45,7 @@ class AdvisingGroup(TyperGroup):
         try:
             return super().invoke(ctx)
         except ValueError as error:
-            from lanebound.integrity.errors import InputError
+            from lanebound.integrity.core.errors import InputError
 
             if not isinstance(error, InputError):
                 raise
@@ -55,7 +55,7 @@ class AdvisingGroup(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The command that is asked for, or an InputError that offers the nearest."""
         if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
-            from lanebound.integrity.errors import InputError
+            from lanebound.integrity.core.errors import InputError
 
             raise InputError(f"command '{args[0]}' is unknown: {_nearest(args[0], self.list_commands(ctx))}")
         return super().resolve_command(ctx, args)
@@ -102,7 +102,7 @@ def _options(context: Any) -> Sequence[str]:
 
 
 def _nearest(word: str, known: Sequence[str]) -> str:
-    from lanebound.integrity.presets import nearest
+    from lanebound.integrity.core.presets import nearest
 
     return nearest(word, known)
 

@@ -81,7 +81,7 @@ def faults(
     """
     from lanebound.agents.assess.faults import FaultsConfig, assess_faults
     from lanebound.agents.cli.interrupt import stoppable
-    from lanebound.integrity.presets import parse_assignments
+    from lanebound.integrity.core.presets import parse_assignments
 
     with stoppable(lambda: _kept(out)):
         given = {} if vehicles is None else {"vehicles": vehicles}
@@ -99,7 +99,7 @@ def _kept(out: Path) -> str:
 
 def _bounding_config(assignments: list[str], given: dict[str, Any]) -> BoundingConfig:
     from lanebound.agents.assess.bounding import BoundingConfig
-    from lanebound.integrity.presets import parse_assignments
+    from lanebound.integrity.core.presets import parse_assignments
 
     return BoundingConfig.load(parse_assignments(assignments) | given)
 

@@ -112,7 +112,7 @@ def _plan(suite: SuiteConfig, out: Path, fresh: bool) -> tuple[Plan, bool]:
 def _suite(name: str, agents: str | None, seeds: int | None, assignments: list[str]) -> SuiteConfig:
     """The suite with what the options change of it."""
     from lanebound.agents.benchmark.suite import load_suite, parse_agents
-    from lanebound.integrity.presets import deep_merge, parse_assignments
+    from lanebound.integrity.core.presets import deep_merge, parse_assignments
 
     changes = parse_assignments(assignments)
     if seeds is not None:

@@ -21,7 +21,7 @@ def list_presets(as_json: AsJson = False) -> None:
     Example: lanebound config list --json
     """
     from lanebound.agents.cli.output import print_json, print_table
-    from lanebound.integrity.presets import load_preset, preset_names
+    from lanebound.integrity.core.presets import load_preset, preset_names
 
     found = [{"preset": name, "kind": load_preset(name).get("kind")} for name in preset_names()]
     if as_json:
@@ -46,8 +46,8 @@ def show(
     """
     from lanebound.agents.cli.kinds import resolve
     from lanebound.agents.cli.output import format_value, print_json, print_table
-    from lanebound.integrity.config import describe
-    from lanebound.integrity.presets import parse_assignments
+    from lanebound.integrity.core.config import describe
+    from lanebound.integrity.core.presets import parse_assignments
 
     kind, config = resolve(preset, parse_assignments(assignments or []))
     entries = describe(config)

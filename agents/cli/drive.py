@@ -65,7 +65,7 @@ def drive(
 
 def overrides(sky: str | None, faults: str | None, assignments: list[str] | None) -> dict[str, Any]:
     """What the options change of an environment's configuration; the named ones win over ``--set``."""
-    from lanebound.integrity.presets import parse_assignments
+    from lanebound.integrity.core.presets import parse_assignments
 
     named = {key: value for key, value in (("sky", sky), ("faults", faults)) if value is not None}
     return parse_assignments(assignments or []) | named
@@ -75,7 +75,7 @@ def overrides(sky: str | None, faults: str | None, assignments: list[str] | None
 def failing(agent: str) -> Iterator[None]:
     """Within it, an agent that fails is told by its own frames and one line; exit code 1. A refusal goes on as one."""
     from lanebound.agents.episodes.guard import AgentFailure
-    from lanebound.integrity.errors import InputError
+    from lanebound.integrity.core.errors import InputError
 
     try:
         yield

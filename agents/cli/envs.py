@@ -32,13 +32,13 @@ def envs(
 
     if name is None:
         if assignments:
-            from lanebound.integrity.errors import InputError
+            from lanebound.integrity.core.errors import InputError
 
             raise InputError("--set needs an environment, got none: name one, as in 'lanebound envs LaneKeeping'")
         _list(as_json)
         return
     from lanebound.agents.episodes.opening import open_env
-    from lanebound.integrity.presets import parse_assignments
+    from lanebound.integrity.core.presets import parse_assignments
 
     env = open_env(name, parse_assignments(assignments or []))
     if as_json:
@@ -112,7 +112,7 @@ def _weights(env: DrivingEnv) -> dict[str, float]:
 def _show(env: DrivingEnv) -> None:
     from lanebound.agents.cli.listing import INFO
     from lanebound.agents.cli.output import print_table
-    from lanebound.integrity.config import describe
+    from lanebound.integrity.core.config import describe
 
     about, weights = facts(env), _weights(env)
     del about["observation"]

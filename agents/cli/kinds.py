@@ -7,10 +7,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from lanebound.integrity.config import Config
+    from lanebound.integrity.core.config import Config
 
 __all__ = ["KINDS", "resolve"]
 
@@ -20,7 +20,7 @@ KINDS = {
     "suite": "lanebound.agents.benchmark.suite:SuiteConfig",
     "tuned_caution": "lanebound.agents.drivers.margins:TunedCaution",
     "urban_drive": "lanebound.agents.reproduce.urban_drive:UrbanDriveConfig",
-    "navigator": "lanebound.integrity.navigator:NavigatorConfig",
+    "navigator": "lanebound.integrity.navigators.navigator:NavigatorConfig",
     "corrections": "lanebound.integrity.sensors.corrections:CorrectionsConfig",
     "fault_priors": "lanebound.integrity.sensors.campaign:FaultPriors",
     "gnss": "lanebound.integrity.sensors.gnss:GnssConfig",
@@ -40,7 +40,7 @@ def resolve(name: str, overrides: Mapping[str, Any] | None = None) -> tuple[str,
     ConfigError
         The preset or its kind is unknown, or a value is refused.
     """
-    from lanebound.integrity.presets import FILES, deep_merge, load_file, load_preset, nearest
+    from lanebound.integrity.core.presets import FILES, deep_merge, load_file, load_preset, nearest
 
     if name.endswith(FILES):
         data = deep_merge(load_file(Path(name), "preset"), overrides or {})

@@ -29,7 +29,7 @@ def play(
     from lanebound.agents.episodes import EpisodeLog, open_env, summarise
     from lanebound.agents.episodes.play import play as play_all
     from lanebound.agents.episodes.play import require_display
-    from lanebound.integrity.presets import deep_merge
+    from lanebound.integrity.core.presets import deep_merge
 
     changes = deep_merge({"policy_hz": PLAY_HZ}, overrides(sky, faults, assignments))
     open_env(name, changes)

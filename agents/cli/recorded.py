@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from lanebound.integrity.progress import Progress
+    from lanebound.integrity.core.progress import Progress
 
 __all__ = ["record_sky", "replay", "rtk"]
 
@@ -45,7 +45,7 @@ def replay(
     from lanebound.agents.cli.interrupt import stoppable, wait_for
     from lanebound.agents.cli.output import print_json
     from lanebound.agents.kept import make_folder, require_own
-    from lanebound.integrity.presets import parse_assignments
+    from lanebound.integrity.core.presets import parse_assignments
     from lanebound.integrity.replay.datasets import kind_of, replay_folder
 
     changes = parse_assignments(assignments or [])
@@ -88,7 +88,7 @@ def rtk(
     from lanebound.agents.cli.interrupt import stoppable, wait_for
     from lanebound.agents.cli.output import print_json
     from lanebound.agents.kept import make_folder, require_own
-    from lanebound.integrity.presets import parse_assignments
+    from lanebound.integrity.core.presets import parse_assignments
     from lanebound.integrity.replay.baseline import BaselineConfig
     from lanebound.integrity.replay.baseline_report import read_coordinates, run_baseline
 
@@ -136,8 +136,8 @@ def record_sky(
     """
     from lanebound.agents.cli.interrupt import stoppable, wait_for
     from lanebound.agents.cli.output import print_json
-    from lanebound.integrity.errors import ConfigError
-    from lanebound.integrity.presets import parse_assignments
+    from lanebound.integrity.core.errors import ConfigError
+    from lanebound.integrity.core.presets import parse_assignments
     from lanebound.integrity.replay.city_report import read_city
     from lanebound.integrity.replay.sky_record import SkyRecordConfig, summary
     from lanebound.integrity.replay.sky_record import record_sky as make

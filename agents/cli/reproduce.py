@@ -130,7 +130,7 @@ def _checked(assignments: list[str], changes: dict[str, Any], out: Path) -> Urba
     from lanebound.agents.cli.kinds import resolve
     from lanebound.agents.reproduce.study import check
     from lanebound.agents.reproduce.urban_drive import UrbanDriveConfig
-    from lanebound.integrity.presets import parse_assignments
+    from lanebound.integrity.core.presets import parse_assignments
 
     _, config = resolve("studies/urban_drive", parse_assignments(assignments) | changes)
     assert isinstance(config, UrbanDriveConfig)

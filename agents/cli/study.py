@@ -32,7 +32,7 @@ def study(
     from lanebound.agents.cli.interrupt import stoppable
     from lanebound.agents.learning.study import load_study, plan
     from lanebound.agents.learning.study_time import study_hours
-    from lanebound.integrity.presets import parse_assignments
+    from lanebound.integrity.core.presets import parse_assignments
 
     with stoppable(lambda: f"trainings and checkpoints are kept in {out}: the same command goes on"):
         chosen = load_study(name, parse_assignments(assignments or []))

@@ -36,7 +36,7 @@ def train(
     from lanebound.agents.cli.interrupt import stoppable, wait_for
     from lanebound.agents.learning.experiment import load_experiment
     from lanebound.agents.learning.imitation import teacher_of
-    from lanebound.integrity.presets import parse_assignments
+    from lanebound.integrity.core.presets import parse_assignments
 
     experiment = load_experiment(name, parse_assignments(assignments or []))
     if teacher_of(experiment) is None:  # which opens the environment: what is refused is said before a bar is drawn
@@ -118,7 +118,7 @@ def export(
     """
     from lanebound.agents.cli.interrupt import stoppable, wait_for
     from lanebound.agents.learning.export import export_arrays, export_onnx
-    from lanebound.integrity.errors import InputError
+    from lanebound.integrity.core.errors import InputError
 
     wanted = folder / "best.onnx" if out is None else out
     if wanted.suffix not in (".onnx", ".npz"):

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast, get_args, get_type_hint
 if TYPE_CHECKING:
     from lanebound.agents.drivers.base import Driver
     from lanebound.envs.core import DrivingEnv
-    from lanebound.integrity.config import Config
-    from lanebound.integrity.errors import InputError
+    from lanebound.integrity.core.config import Config
+    from lanebound.integrity.core.errors import InputError
 
 __all__ = ["ABOUT", "AGENTS", "REMEMBERING", "About", "load_figures", "make_agent", "unknown_agent"]
 
@@ -120,7 +120,7 @@ def load_figures(name: str, figures: Mapping[str, Any] | None, path: str = "") -
         return None
     if name in AGENTS:
         return _config_class(name, _maker(name)).load(dict(figures), path)
-    from lanebound.integrity.errors import InputError
+    from lanebound.integrity.core.errors import InputError
 
     raise InputError(f"figures must be empty for '{name}', got {sorted(figures)}: only agents of ours have figures")
 
@@ -132,8 +132,8 @@ def _maker(name: str) -> Any:
 
 def unknown_agent(name: str) -> InputError:
     """What to say of a name that no agent has."""
-    from lanebound.integrity.errors import InputError
-    from lanebound.integrity.presets import nearest
+    from lanebound.integrity.core.errors import InputError
+    from lanebound.integrity.core.presets import nearest
 
     if (Path(name) / "best.zip").is_file():
         return InputError(f"agent must be a name or a file, got the folder {name}: give {Path(name) / 'best.zip'}")
@@ -147,7 +147,7 @@ def _require_actions(name: str, env: DrivingEnv) -> None:
     there = {ANY, *((STEERED,) if steered else ()), *((FULL,) if steered and actions.longitudinal else ())}
     if ABOUT[name].actions in there:
         return
-    from lanebound.integrity.errors import InputError
+    from lanebound.integrity.core.errors import InputError
 
     fitting = ", ".join(other for other, about in ABOUT.items() if about.actions in there and _is_there(other, env))
     wanted = "continuous with acceleration" if ABOUT[name].actions == FULL else "continuous"
@@ -168,6 +168,6 @@ def _config_class(name: str, make: Any) -> type[Config]:
         for kind in get_args(get_type_hints(make).get("config")):
             if kind is not NoneType:
                 return cast("type[Config]", kind)
-    from lanebound.integrity.errors import InputError
+    from lanebound.integrity.core.errors import InputError
 
     raise InputError(f"figures must be empty for '{name}', got some: this agent has none")

@@ -14,7 +14,7 @@ from lanebound.agents.drivers.margins import Rss, RssConfig
 from lanebound.agents.drivers.plan import ContinuousDriver, MetaDriver, carry_out
 from lanebound.agents.drivers.plans import following_acceleration, nearest_ahead
 from lanebound.envs.core import DrivingEnv
-from lanebound.integrity.config import Field
+from lanebound.integrity.core.config import Field
 
 __all__ = ["AwareConfig", "IntegrityAware", "make_integrity_aware"]
 

@@ -35,8 +35,8 @@ from lanebound.agents.drivers.leaders import counted, expected_m, in_way
 from lanebound.agents.drivers.plans import EGO_LENGTH_M
 from lanebound.agents.drivers.shares import share_of, value_of
 from lanebound.envs.core import DrivingEnv
-from lanebound.integrity.config import Config, Field
-from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import ConfigError, InputError
 
 __all__ = ["BarrierConfig", "BarrierFilter", "CbfConfig", "make_cbf"]
 

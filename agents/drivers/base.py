@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.envs.observation import Entry, ObservationConfig, entries, group_slices
-from lanebound.integrity.errors import InputError
-from lanebound.integrity.presets import nearest
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.presets import nearest
 
 __all__ = ["Driver", "Reader", "in_a_row"]
 

@@ -13,7 +13,7 @@ from lanebound.agents.drivers.lateral import Array, LqrSteering, StanleySteering
 from lanebound.agents.drivers.plan import ContinuousDriver, MetaDriver, Plan, carry_out
 from lanebound.agents.drivers.plans import CruiseConfig, idm_acceleration
 from lanebound.envs.core import DrivingEnv
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 __all__ = ["IdmPlan", "make_cruise", "make_idm", "make_lqr", "make_stanley"]
 

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from lanebound.agents.drivers.base import Driver, in_a_row
 from lanebound.agents.drivers.learnt import open_arrays, require_sight
 from lanebound.envs.core import DrivingEnv
-from lanebound.integrity.errors import InputError
-from lanebound.integrity.presets import nearest
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.presets import nearest
 
 __all__ = [
     "MODELS",

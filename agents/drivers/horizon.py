@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
 from lanebound.agents.drivers.base import Observation, Reader
-from lanebound.integrity.config import Config, Field
+from lanebound.integrity.core.config import Config, Field
 
 __all__ = [
     "Condensed",

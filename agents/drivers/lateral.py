@@ -16,7 +16,7 @@ from scipy.linalg import solve_discrete_are
 from lanebound.agents.drivers.base import Observation, Reader
 from lanebound.agents.drivers.plans import EGO_LENGTH_M, CruiseConfig, pursuit_steering
 from lanebound.envs.core import DrivingEnv
-from lanebound.integrity.config import Config, Field
+from lanebound.integrity.core.config import Config, Field
 
 __all__ = ["LqrConfig", "LqrSteering", "PursuitSteering", "StanleyConfig", "StanleySteering", "Steering", "errors"]
 

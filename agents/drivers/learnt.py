@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from lanebound.agents.drivers.base import Observation, in_a_row
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.observation import ObservationConfig, entries
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 __all__ = ["LearntDriver", "make_ppo", "open_arrays", "policies", "require_sight", "sight"]
 

@@ -14,7 +14,7 @@ from lanebound.agents.drivers.plan import ContinuousDriver, MetaDriver, carry_ou
 from lanebound.agents.drivers.plans import CruiseConfig, following_acceleration
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
-from lanebound.integrity.config import Config, Field
+from lanebound.integrity.core.config import Config, Field
 
 __all__ = ["Cautious", "CautiousConfig", "Rss", "RssConfig", "TunedCaution", "make_cautious", "make_rss", "rss_speed"]
 

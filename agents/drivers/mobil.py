@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lanebound.agents.drivers.base import Observation, Reader
 from lanebound.agents.drivers.plans import EGO_LENGTH_M, FREE_M, CruiseConfig, idm_acceleration
-from lanebound.integrity.config import Config, Field
+from lanebound.integrity.core.config import Config, Field
 
 __all__ = ["MobilConfig", "Neighbours", "changes", "neighbours"]
 

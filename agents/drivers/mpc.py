@@ -36,7 +36,7 @@ from lanebound.agents.drivers.plan import ContinuousDriver
 from lanebound.agents.drivers.plans import FREE_M
 from lanebound.agents.drivers.programmes import Across, Along, MpcConfig, Road
 from lanebound.envs.core import DrivingEnv
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 __all__ = ["LevelMpc", "PredictiveDriver", "make_mpc"]
 

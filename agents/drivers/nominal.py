@@ -17,7 +17,7 @@ from lanebound.agents.drivers.passing import PassingSteering
 from lanebound.agents.drivers.plan import ContinuousDriver, MetaDriver, Plan, carry_out
 from lanebound.agents.drivers.plans import CruiseConfig
 from lanebound.envs.core import DrivingEnv
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 __all__ = ["Nominal", "make_nominal", "make_oracle"]
 

@@ -24,7 +24,7 @@ from lanebound.agents.drivers.plans import (
 )
 from lanebound.agents.drivers.shares import share_of
 from lanebound.envs.core import DrivingEnv
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 __all__ = ["ContinuousDriver", "MetaDriver", "Plan", "carry_out"]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.agents.drivers.base import Observation, Reader
-from lanebound.integrity.config import Config, Field
+from lanebound.integrity.core.config import Config, Field
 
 __all__ = [
     "EGO_LENGTH_M",

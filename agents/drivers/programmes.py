@@ -17,7 +17,7 @@ from lanebound.agents.drivers.barrier import BarrierConfig
 from lanebound.agents.drivers.horizon import Condensed, GrowthConfig, condense
 from lanebound.agents.drivers.lateral import LqrConfig
 from lanebound.agents.drivers.plans import EGO_LENGTH_M, CruiseConfig
-from lanebound.integrity.config import Field
+from lanebound.integrity.core.config import Field
 
 __all__ = ["Across", "Along", "MpcConfig", "Road", "solve"]
 

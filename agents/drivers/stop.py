@@ -12,7 +12,7 @@ from lanebound.agents.drivers.base import Observation
 from lanebound.agents.drivers.plan import ContinuousDriver, MetaDriver, Plan, carry_out
 from lanebound.agents.drivers.plans import CruiseConfig
 from lanebound.envs.core import DrivingEnv
-from lanebound.integrity.config import Field
+from lanebound.integrity.core.config import Field
 
 __all__ = ["StopConfig", "StopOnAlert", "make_stop_on_alert"]
 

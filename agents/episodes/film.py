@@ -11,7 +11,7 @@ import numpy as np
 
 from lanebound.agents.episodes.columns import Moment
 from lanebound.envs.core import DrivingEnv
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 __all__ = ["Film", "part_of"]
 

@@ -10,8 +10,8 @@ import gymnasium
 
 from lanebound.envs import IDS, DrivingEnv, make_config, wrap
 from lanebound.envs.navigation import NavigationConfig
-from lanebound.integrity.errors import ConfigError, InputError
-from lanebound.integrity.presets import nearest
+from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.core.presets import nearest
 
 __all__ = ["full_id", "naming", "open_env"]
 
@@ -72,7 +72,7 @@ def naming(sources: Mapping[str, Mapping[str, Any]]) -> Iterator[None]:
     >>> with naming({"overrides": {"duraton_s": 5}}):
     ...     raise ConfigError("duraton_s is not a known key: did you mean 'duration_s'?")
     Traceback (most recent call last):
-    lanebound.integrity.errors.ConfigError: overrides.duraton_s is not a known key: did you mean 'duration_s'?
+    lanebound.integrity.core.errors.ConfigError: overrides.duraton_s is not a known key: did you mean 'duration_s'?
     """
     try:
         yield

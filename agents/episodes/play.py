@@ -10,7 +10,7 @@ import numpy as np
 from lanebound.agents.drivers.keyboard import Key, KeyboardDriver
 from lanebound.agents.episodes.drive import Watcher, moment_of
 from lanebound.envs.core import DrivingEnv
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 __all__ = ["Closed", "hand_over", "play", "require_display"]
 

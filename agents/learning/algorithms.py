@@ -12,8 +12,8 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig
-from lanebound.integrity.errors import InputError
-from lanebound.integrity.presets import nearest
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.presets import nearest
 
 __all__ = ["class_of", "make_model", "require_known"]
 

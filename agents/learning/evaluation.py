@@ -20,8 +20,8 @@ from lanebound.agents.kept import read_kept
 from lanebound.agents.learning.experiment import FLAT, ExperimentConfig, Shield
 from lanebound.agents.learning.opening import for_judging
 from lanebound.envs.tally import EPISODE_KEY
-from lanebound.integrity.config import deep_merge
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.config import deep_merge
+from lanebound.integrity.core.errors import InputError
 
 __all__ = ["drive_all", "evaluate", "evaluation_suite", "learnt_agent", "trained"]
 

@@ -15,8 +15,8 @@ from lanebound.agents.learning.multiplier import MultiplierConfig
 from lanebound.agents.learning.settings import require_settings
 from lanebound.agents.named import load_named
 from lanebound.envs.core import DrivingEnv
-from lanebound.integrity.config import Config, Field, deep_merge
-from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.core.config import Config, Field, deep_merge
+from lanebound.integrity.core.errors import ConfigError
 
 __all__ = ["FLAT", "Algorithm", "ExperimentConfig", "ImitationConfig", "Shield", "load_experiment"]
 

@@ -28,7 +28,7 @@ from lanebound.agents.learning.evaluation import trained
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig, Shield
 from lanebound.agents.learning.training import load_model
 from lanebound.envs.observation import ObservationConfig
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 __all__ = ["export_arrays", "export_onnx"]
 

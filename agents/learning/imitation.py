@@ -32,7 +32,7 @@ from lanebound.agents.kept import replace_file
 from lanebound.agents.learning.experiment import ExperimentConfig, ImitationConfig
 from lanebound.agents.learning.opening import episode_seeds
 from lanebound.envs.observation import ObservationConfig, entries
-from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.core.errors import ConfigError, InputError
 
 __all__ = ["Teacher", "imitate", "teacher_of"]
 

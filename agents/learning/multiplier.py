@@ -15,8 +15,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from lanebound.integrity.config import Config, Field
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import InputError
 
 __all__ = ["Multiplier", "MultiplierConfig"]
 

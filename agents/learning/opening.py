@@ -14,8 +14,8 @@ from lanebound.agents.learning.experiment import ExperimentConfig, Shield
 from lanebound.agents.learning.shield import VecShielded
 from lanebound.agents.vec_env import EngineVecEnv, VecEpisodeStatistics
 from lanebound.envs.wrappers import EpisodeStatistics
-from lanebound.integrity.errors import ConfigError, InputError
-from lanebound.integrity.streams import named_generator
+from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.core.streams import named_generator
 
 __all__ = ["episode_seeds", "for_judging", "for_learning"]
 

@@ -11,8 +11,8 @@ from typing import Any
 
 from pydantic import field_validator
 
-from lanebound.integrity.config import Config, Field
-from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import ConfigError
 
 __all__ = ["BOUNDS", "require_settings"]
 

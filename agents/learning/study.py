@@ -33,8 +33,8 @@ from lanebound.agents.learning.study_tables import adjust, kept_oftener, means_o
 from lanebound.agents.learning.training import load_model, one_thread, train
 from lanebound.agents.named import load_named
 from lanebound.agents.plain import finite_or_none
-from lanebound.integrity.config import Config, Field, deep_merge
-from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.core.config import Config, Field, deep_merge
+from lanebound.integrity.core.errors import ConfigError
 
 __all__ = [
     "BESIDE", "ArmConfig", "Course", "LearningStudyConfig", "Training", "beside_suite", "judged", "load_study",

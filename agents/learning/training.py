@@ -38,8 +38,8 @@ from lanebound.agents.learning.opening import episode_seeds, for_learning
 from lanebound.agents.plain import finite_or_none
 from lanebound.envs.costs import CAUSES
 from lanebound.envs.tally import EPISODE_KEY
-from lanebound.integrity.accel import serial
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.accel import serial
+from lanebound.integrity.core.errors import InputError
 
 __all__ = ["Checkpoint", "is_best", "load_model", "one_thread", "train"]
 

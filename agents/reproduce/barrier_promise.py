@@ -24,10 +24,10 @@ from lanebound.agents.reproduce.barrier_score import PromiseWatch
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.scene import alert_limits_m, navigator_config
 from lanebound.integrity.assessment.bounding import clopper_pearson
-from lanebound.integrity.config import Config, Field
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.sensors.faults import Fault, FaultKind
 from lanebound.integrity.sky.systems import System
-from lanebound.integrity.streams import named_generator
 
 __all__ = ["BarrierPromiseConfig", "Reckless", "one_fault", "run_promise", "summarise_promise"]
 

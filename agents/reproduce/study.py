@@ -24,7 +24,7 @@ from lanebound.integrity.assessment.plotting import save
 from lanebound.integrity.assessment.record import Record
 from lanebound.integrity.assessment.series import map_figure, series_figure
 from lanebound.integrity.assessment.stanford import stanford_figure
-from lanebound.integrity.drive import CityDrive
+from lanebound.integrity.motion.drive import CityDrive
 from lanebound.integrity.sky.city import City
 
 __all__ = ["check", "is_short", "lookup", "rows_against_paper", "run_study", "summarise", "verdict"]

@@ -18,16 +18,16 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from lanebound.agents.reproduce.published import MODES, RISKS, risk_key
-from lanebound.integrity.config import Config
-from lanebound.integrity.drive import CityDrive, DriveConfig
+from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.streams import Streams, named_generator
 from lanebound.integrity.monitoring.risk import Variant
-from lanebound.integrity.navigator import Form, Navigator, NavigatorConfig, PlCase
+from lanebound.integrity.motion.drive import CityDrive, DriveConfig
+from lanebound.integrity.navigators.navigator import Form, Navigator, NavigatorConfig, PlCase
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sky.city import City, CityConfig, build_city
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import SkyMask
-from lanebound.integrity.streams import Streams, named_generator
 
 __all__ = ["Drives", "UrbanDriveConfig", "drive", "seed_statistics"]
 

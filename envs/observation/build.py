@@ -17,7 +17,7 @@ from lanebound.envs.observation.groups import ego_values, integrity_values, road
 from lanebound.envs.observation.index import Entry, entries, group_slices
 from lanebound.envs.observation.path import RoadMap, Step
 from lanebound.envs.records import EgoBelief, Traffic
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 __all__ = ["Observation", "Observer"]
 

@@ -7,8 +7,8 @@ from typing import Literal, Self
 
 from pydantic import model_validator
 
-from lanebound.integrity.config import Config, Field
-from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import ConfigError
 
 __all__ = ["ObservationConfig"]
 

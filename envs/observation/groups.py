@@ -13,7 +13,7 @@ from lanebound.envs.observation.config import ObservationConfig
 from lanebound.envs.observation.index import LANES
 from lanebound.envs.observation.path import Path, wrap
 from lanebound.envs.records import EgoBelief, Traffic
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rtk_status import RtkStatus

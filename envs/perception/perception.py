@@ -12,10 +12,10 @@ from lanebound.envs.perception.sensor import Sensor
 from lanebound.envs.perception.tracks_kernel import AGE, HEADING, N_COLUMNS, PL_AT, PL_CT, SPEED, XY, bring_forward
 from lanebound.envs.perception.vehicles import Claims, Vehicles
 from lanebound.envs.records import EgoBelief, Traffic, azimuth_of, enu_of, heading_of, xy_of
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.v2v import V2vInbox, V2vMessage, exchange, forget, initial_v2v
-from lanebound.integrity.streams import Streams
 
 __all__ = ["Perception"]
 

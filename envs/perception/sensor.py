@@ -11,7 +11,7 @@ from lanebound.envs.perception.config import SensorConfig
 from lanebound.envs.perception.tracks_kernel import AGE, N_COLUMNS, XY, measure
 from lanebound.envs.perception.vehicles import Vehicles
 from lanebound.envs.records import EgoBelief
-from lanebound.integrity.streams import Streams
+from lanebound.integrity.core.streams import Streams
 
 __all__ = ["Sensor"]
 

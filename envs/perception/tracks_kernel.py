@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 __all__ = ["AGE", "HEADING", "N_COLUMNS", "PL_AT", "PL_CT", "SPEED", "XY", "bring_forward", "in_sight", "measure"]
 

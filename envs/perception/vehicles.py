@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.envs.records import heading_of, xy_of
+from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.modes import Mode
-from lanebound.integrity.solution import Solution
 
 __all__ = ["Claims", "Vehicles"]
 

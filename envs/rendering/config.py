@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-from lanebound.integrity.config import Config, Field
+from lanebound.integrity.core.config import Config, Field
 
 __all__ = ["Orientation", "RenderingConfig", "ThemeName"]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lanebound.envs.records import EgoBelief, LaneIndex, Traffic
 from lanebound.envs.rendering.trace import Trace
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.scene import City
 
 __all__ = ["CAUTION_SHARE", "Bodies", "Frame", "Satellites", "Status"]

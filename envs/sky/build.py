@@ -11,13 +11,13 @@ from lanebound.envs.sky.corridors import Corridor, Edge, LaneGround, corridors, 
 from lanebound.envs.sky.level import SkyLevel
 from lanebound.envs.sky.recorded import recorded_street, recording_of
 from lanebound.envs.sky.street import LaneMap, Street
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.sky.city import CityConfig, SectionKind, Stretch, line_street
 from lanebound.integrity.sky.forecast import SkyForecast
 from lanebound.integrity.sky.scene import City
 from lanebound.integrity.sky.survey import as_mapped
 from lanebound.integrity.sky.visibility import SkyMask
-from lanebound.integrity.streams import named_generator
 
 __all__ = ["Section", "build_street"]
 

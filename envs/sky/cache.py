@@ -23,7 +23,7 @@ from lanebound.envs.sky.corridors import edges_of
 from lanebound.envs.sky.level import SkyLevel
 from lanebound.envs.sky.street import LaneMap, Street
 from lanebound.integrity import sky
-from lanebound.integrity.accel import cache_directory
+from lanebound.integrity.core.accel import cache_directory
 from lanebound.integrity.sky.forecast import SkyForecast
 from lanebound.integrity.sky.scene import City
 from lanebound.integrity.sky.visibility import SkyMask

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from lanebound.integrity.config import Config, Field, deep_merge
-from lanebound.integrity.errors import ConfigError
-from lanebound.integrity.navigator import NavigatorConfig
-from lanebound.integrity.presets import FILES, load_file
+from lanebound.integrity.core.config import Config, Field, deep_merge
+from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.presets import FILES, load_file
+from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
 from lanebound.integrity.sky.city import CityConfig, SectionConfig, SectionKind
 from lanebound.integrity.sky.survey import MapConfig

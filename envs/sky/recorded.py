@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from lanebound.envs.sky.corridors import Corridor, edges_of
 from lanebound.envs.sky.street import LaneMap, Street
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.recorded.sky_recording import SkyRecording, read_sky_recording
 from lanebound.integrity.sky.forecast import SkyForecast
 from lanebound.integrity.sky.scene import City
 from lanebound.integrity.sky.visibility import Path, SkyMask
-from lanebound.integrity.streams import named_generator
 
 __all__ = ["recorded_street", "recording_of"]
 

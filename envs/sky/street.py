@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lanebound.envs.records import LaneIndex
 from lanebound.envs.sky.corridors import Edge, edges_of, lane_points
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.forecast import SkyForecast
 from lanebound.integrity.sky.scene import City
 from lanebound.integrity.sky.view import SkyView

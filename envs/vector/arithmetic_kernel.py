@@ -14,8 +14,8 @@ from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
 
-from lanebound.integrity.accel import jit
-from lanebound.integrity.lanes_kernel import fma
+from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.simd_kernel import fma
 
 __all__ = ["FLAT_MOST_RAD", "SINE_MOST", "arcsine", "cosine", "power", "sine"]
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 __all__ = ["FACTS", "LINE_COLUMNS", "NODE_COLUMNS", "Chart", "path_at", "project"]
 

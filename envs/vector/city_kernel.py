@@ -53,7 +53,7 @@ from lanebound.envs.vector.lanes_kernel import (
     reachable,
     stations,
 )
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 __all__ = ["CALM", "decide_all", "drive_city", "place_everybody"]
 

@@ -22,7 +22,7 @@ from lanebound.envs.vector.columns_kernel import (
     Y,
     population,
 )
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 __all__ = ["LENGTH_M", "WIDTH_M", "collide_all"]
 

@@ -7,7 +7,7 @@ environment lies in one row, an environment in one block. ``belief`` (N, BELIEF)
 
 from __future__ import annotations
 
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 # cars: true pose (x, y, heading, speed), cosine and sine of the heading, what the driver wants, what a crash displaces
 X, Y, HEADING, SPEED, COS, SIN, TARGET_SPEED, TIMER, DELTA, IMPACT_X, IMPACT_Y, ACCELERATION = range(12)

@@ -69,7 +69,7 @@ from lanebound.envs.vector.lanes_kernel import (
     of_side,
     on_straight,
 )
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 __all__ = ["follow_corridor", "price"]
 

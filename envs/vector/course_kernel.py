@@ -5,7 +5,7 @@ from __future__ import annotations
 from lanebound.envs.vector.columns_kernel import CRASHED, HEADING, SPEED, TARGET, X, Y
 from lanebound.envs.vector.ego_kernel import roll, steering_to
 from lanebound.envs.vector.idm_kernel import SPEED_MOST_MPS
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 __all__ = ["drive_leads"]
 

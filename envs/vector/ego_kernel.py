@@ -59,7 +59,7 @@ from lanebound.envs.vector.lanes_kernel import (
     wrap,
 )
 from lanebound.envs.vector.motorway_kernel import KP_HEADING, KP_LATERAL
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 __all__ = [
     "FASTER",

@@ -19,7 +19,7 @@ from lanebound.envs.vector.senses import Senses, sensing
 from lanebound.envs.vector.start import most_vehicles, profile_steps, starter_of
 from lanebound.envs.vector.step_kernel import DECIDE, FINISH, START, World, run_some
 from lanebound.envs.vector.support import require_supported
-from lanebound.integrity.accel import is_compiled, run_rows
+from lanebound.integrity.core.accel import is_compiled, run_rows
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rtk_status import RtkStatus

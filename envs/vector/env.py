@@ -15,7 +15,7 @@ from lanebound.envs.core import DrivingEnv
 from lanebound.envs.ids import CarFollowing, Highway, LaneKeeping, Preset, UrbanCanyon, id_of, refuse_misplaced
 from lanebound.envs.vector.engine import Engine
 from lanebound.envs.vector.infos import form_of, infos_of, told
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 __all__ = [
     "ENGINES",

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from lanebound.envs.vector.arithmetic_kernel import power
 from lanebound.envs.vector.columns_kernel import COS, SIN, SPEED, TARGET_SPEED
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 __all__ = [
     "ACC_MAX",

@@ -12,7 +12,7 @@ from lanebound.envs.records import LaneIndex
 from lanebound.envs.vector import lanes_kernel as lk
 from lanebound.envs.vector.lanes_kernel import CELL_COLUMNS, Lanes
 from lanebound.envs.worlds.lanes import ADVICE_STEP_M, CurveLane
-from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.core.errors import ConfigError
 
 __all__ = ["lane_rows", "lanes_of"]
 

@@ -48,7 +48,7 @@ from lanebound.envs.vector.idm_kernel import (
     wanted_speed,
 )
 from lanebound.envs.vector.lanes_kernel import LENGTH, LIMIT, OFFSET, WIDTH, wrap
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 __all__ = ["BRISK", "SIN_SLIP_MOST", "accelerate", "change_lanes", "drive_others", "sort_along", "survey"]
 

@@ -20,7 +20,7 @@ from lanebound.envs.vector.chart_kernel import (
 )
 from lanebound.envs.vector.columns_kernel import flag
 from lanebound.envs.vector.lanes_kernel import ROAD, SIDE, WIDTH, local, wrap
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 __all__ = ["BLIND", "FULL", "ORACLE", "observe", "true_view"]
 

@@ -13,7 +13,7 @@ from lanebound.envs.perception.tracks_kernel import PL_CT as TRACK_PL_CT
 from lanebound.envs.perception.tracks_kernel import SPEED as TRACK_SPEED
 from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.collisions_kernel import LENGTH_M, WIDTH_M
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 __all__ = ["hear_all", "look_all", "see_truth", "sum_up"]
 

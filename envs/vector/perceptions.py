@@ -13,9 +13,9 @@ from lanebound.envs.perception import Claims, PerceptionConfig
 from lanebound.envs.perception.tracks_kernel import AGE, N_COLUMNS, PL_AT, PL_CT
 from lanebound.envs.vector.perceive_kernel import SENDS, hear_all, look_all, sum_up
 from lanebound.envs.vector.step_kernel import World
-from lanebound.integrity import streams_kernel as sk
-from lanebound.integrity.solution import Solution
-from lanebound.integrity.streams import ZIGGURAT, Streams
+from lanebound.integrity.core import streams_kernel as sk
+from lanebound.integrity.core.streams import ZIGGURAT, Streams
+from lanebound.integrity.navigators.solution import Solution
 
 __all__ = ["Perceptions", "claims_of"]
 

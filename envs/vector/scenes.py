@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.streams import named_generator
+from lanebound.integrity.core.streams import named_generator
 
 __all__ = ["Scenes", "draw_scenes"]
 

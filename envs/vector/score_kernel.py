@@ -8,7 +8,7 @@ from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.columns_kernel import flag
 from lanebound.envs.vector.costs_kernel import follow_corridor, price
 from lanebound.envs.vector.lanes_kernel import COUNT, LENGTH, LIMIT, SIDE, WIDTH, local, on_lane, remainder, wrap
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 __all__ = ["glance", "locate", "score"]
 

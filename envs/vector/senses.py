@@ -27,10 +27,10 @@ from lanebound.envs.vector.start import most_vehicles
 from lanebound.envs.vector.step_kernel import World
 from lanebound.envs.vector.streams import CrewStreams
 from lanebound.envs.vector.trackers import Trackers
-from lanebound.integrity.accel import run_rows
-from lanebound.integrity.navigator import Navigator
+from lanebound.integrity.core.accel import run_rows
+from lanebound.integrity.navigators.navigator import Navigator
+from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.sky.view import SkyView
-from lanebound.integrity.solution import Solution
 
 __all__ = ["Senses", "sensing"]
 

@@ -9,7 +9,7 @@ import numpy as np
 from lanebound.envs.vector.columns_kernel import B_LANE, B_X, B_Y, HEADING, LANE, SPEED, X, Y
 from lanebound.envs.vector.lanes_kernel import COUNT, LENGTH, ONWARD, SIDE, local
 from lanebound.envs.vector.score_kernel import glance
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 from lanebound.integrity.sky.raytrace_kernel import bin_of
 
 __all__ = ["foresee", "glance_all", "poses_of", "skies_at", "whereabouts"]

@@ -13,9 +13,9 @@ from lanebound.envs.scene import HOURS, MARGIN_S
 from lanebound.envs.sky import build_street
 from lanebound.envs.vector.lanes import lane_rows
 from lanebound.envs.vector.senses_kernel import skies_at
-from lanebound.integrity.accel import run_rows
-from lanebound.integrity.errors import ConfigError
-from lanebound.integrity.navigator import NavigatorConfig
+from lanebound.integrity.core.accel import run_rows
+from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.sky.forecast import SkyForecast
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.view import SkyView

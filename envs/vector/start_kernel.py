@@ -20,7 +20,7 @@ from lanebound.envs.vector.columns_kernel import (
     Y,
 )
 from lanebound.envs.vector.lanes_kernel import LIMIT, OFFSET
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 __all__ = ["line_up"]
 

@@ -20,7 +20,7 @@ from lanebound.envs.vector.motorway_kernel import accelerate, change_lanes, driv
 from lanebound.envs.vector.observe_kernel import ORACLE, observe, true_view
 from lanebound.envs.vector.perceive_kernel import see_truth
 from lanebound.envs.vector.score_kernel import locate, score
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 __all__ = ["CITY", "COURSE", "MOTORWAY", "Rules", "World", "run_some"]
 

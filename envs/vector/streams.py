@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity import streams_kernel as sk
-from lanebound.integrity.accel import run_rows
-from lanebound.integrity.errors import InputError
-from lanebound.integrity.streams import ZIGGURAT, Streams
+from lanebound.integrity.core import streams_kernel as sk
+from lanebound.integrity.core.accel import run_rows
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.streams import ZIGGURAT, Streams
 
 __all__ = ["CrewStreams"]
 

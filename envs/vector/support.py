@@ -17,7 +17,7 @@ from lanebound.envs.worlds.car_following import CarFollowingWorld
 from lanebound.envs.worlds.drivers import CityDriver
 from lanebound.envs.worlds.lane_keeping import LaneKeepingWorld
 from lanebound.envs.worlds.urban_canyon import UrbanCanyonWorld
-from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.core.errors import ConfigError
 
 __all__ = ["WORLDS", "require_supported"]
 

@@ -9,7 +9,7 @@ from lanebound.envs.navigation import NavigationConfig
 from lanebound.envs.vector.lanes_kernel import Lanes
 from lanebound.envs.vector.trackers_kernel import TRACK, Fixes, begin_all, coast_all, settle_all, take_all
 from lanebound.integrity.monitoring.alerts import AlertReason
-from lanebound.integrity.solution import Solution
+from lanebound.integrity.navigators.solution import Solution
 
 __all__ = ["Trackers"]
 

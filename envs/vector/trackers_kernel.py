@@ -16,7 +16,7 @@ from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.columns_kernel import flag
 from lanebound.envs.vector.ego_kernel import rates
 from lanebound.envs.vector.lanes_kernel import nearest, remainder
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 __all__ = ["TRACK", "Fixes", "begin_all", "coast_all", "settle_all", "take_all"]
 
@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 
 class Fixes(NamedTuple):
-    """Solutions of B vehicles, (B,) and (B, 2): the fields of :class:`~lanebound.integrity.solution.Solution`."""
+    """Solutions of B vehicles, (B,) and (B, 2): the fields of ``Solution``."""
 
     position_en_m: Array
     heading_rad: Array

@@ -9,7 +9,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 from pydantic import field_validator
 
-from lanebound.integrity.config import Config, Field
+from lanebound.integrity.core.config import Config, Field
 
 __all__ = ["CityDriver", "IntersectionDriver", "LeadVehicle", "SpeedProfileConfig", "speed_profile"]
 

@@ -14,7 +14,7 @@ from highway_env.utils import get_class_path
 from numpy.typing import NDArray
 
 from lanebound.envs.worlds.paths import Path, Piece, Pose
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 __all__ = ["CurveLane"]
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lanebound.envs.records import LaneIndex
 from lanebound.envs.worlds.lanes import CurveLane
 from lanebound.envs.worlds.paths import Path, Piece, Pose, bend, rounded_polygon, straight
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 __all__ = ["CITY_SECTIONS", "LAYOUTS", "Section", "StreetNetwork", "advance", "city_loop", "long_road", "winding_road"]
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 __all__ = ["Foot", "Path", "Piece", "Pose", "bend", "rounded_polygon", "straight"]
 

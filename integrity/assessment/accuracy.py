@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lanebound.integrity.assessment.record import AXES, Record
-from lanebound.integrity.errors import InputError, require_finite
+from lanebound.integrity.core.errors import InputError, require_finite
 from lanebound.integrity.positioning.modes import Mode
 
 __all__ = ["AxisAccuracy", "accuracy_by_mode", "measure_accuracy", "mode_share"]

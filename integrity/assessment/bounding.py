@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.special import betaincinv
 
 from lanebound.integrity.assessment.record import AXES, Axis, Record
-from lanebound.integrity.errors import InputError, require_probability
+from lanebound.integrity.core.errors import InputError, require_probability
 
 __all__ = ["Bounding", "bounding_by_mode", "clopper_pearson", "measure_bounding"]
 

@@ -12,8 +12,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.config import Config, Field
-from lanebound.integrity.frames import track_from_enu_matrix
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.monitoring.dead_reckoning_pl import (
     Growth,
     doppler_step,

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.assessment.record import AXES, Axis, Record
-from lanebound.integrity.errors import InputError, require_in_range
+from lanebound.integrity.core.errors import InputError, require_in_range
 
 __all__ = [
     "AxisEvents",

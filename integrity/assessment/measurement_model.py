@@ -14,8 +14,8 @@ from enum import Enum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.errors import InputError
-from lanebound.integrity.frames import track_from_enu_matrix
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.monitoring.protection import closed_form, protection_levels_batch
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor, pair_risk, upper_quantile
 from lanebound.integrity.monitoring.separation import Separation, published_bias, separate

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.errors import InputError, require_finite
+from lanebound.integrity.core.errors import InputError, require_finite
 from lanebound.integrity.positioning.modes import Mode
 
 __all__ = ["AXES", "Axis", "Record"]

@@ -20,7 +20,7 @@ from lanebound.integrity.assessment.plotting import (
     tidy,
 )
 from lanebound.integrity.assessment.record import AXES, Axis, Record
-from lanebound.integrity.errors import InputError, require_finite, require_shape
+from lanebound.integrity.core.errors import InputError, require_finite, require_shape
 from lanebound.integrity.positioning.modes import Mode
 
 if TYPE_CHECKING:

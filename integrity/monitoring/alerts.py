@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import model_validator
 
-from lanebound.integrity.advice import Advice
-from lanebound.integrity.config import Config, Field
-from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.core.advice import Advice
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import ConfigError, InputError
 
 __all__ = ["ALERT_LIMITS", "AlertConfig", "AlertLimits", "AlertReason", "AlertState", "AlertStatus", "step"]
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.config import Config, Field
-from lanebound.integrity.errors import require_shape
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import require_shape
 from lanebound.integrity.monitoring.fault_modes import FaultModes, enumerate_faults
 from lanebound.integrity.monitoring.protection import protection_levels_batch
 from lanebound.integrity.monitoring.risk import RiskConfig

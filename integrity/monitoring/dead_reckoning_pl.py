@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.errors import require_finite, require_in_range, require_shape
-from lanebound.integrity.frames import rotate_covariance, track_from_enu_matrix
+from lanebound.integrity.core.errors import require_finite, require_in_range, require_shape
+from lanebound.integrity.core.frames import rotate_covariance, track_from_enu_matrix
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant, upper_quantile
 
 __all__ = [

@@ -25,7 +25,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 __all__ = ["GROWTH_SIZE", "levels", "reset", "sigma_and_bias", "step_doppler", "step_odometer", "step_still"]
 

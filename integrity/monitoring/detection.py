@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtri, ndtri
 
-from lanebound.integrity.advice import Advice
-from lanebound.integrity.errors import InputError, require_finite, require_in_range, require_shape
-from lanebound.integrity.frames import track_from_enu_matrix
+from lanebound.integrity.core.advice import Advice
+from lanebound.integrity.core.errors import InputError, require_finite, require_in_range, require_shape
+from lanebound.integrity.core.frames import track_from_enu_matrix
 
 __all__ = [
     "Adjustment",

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.accel import jit
-from lanebound.integrity.small_matrix_kernel import invert_3x3
+from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.small_matrix_kernel import invert_3x3
 
 __all__ = ["detect_and_exclude"]
 

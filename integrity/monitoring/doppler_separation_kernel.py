@@ -37,7 +37,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 from lanebound.integrity.monitoring.protection_kernel import q_inverse
 
 __all__ = ["APART_ROWS", "advance_separations", "exposure", "factors", "separate_velocity", "share_epoch", "worst"]

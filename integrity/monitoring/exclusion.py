@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.advice import Advice
-from lanebound.integrity.config import Config, Field
+from lanebound.integrity.core.advice import Advice
+from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.monitoring.detection import (
     Adjustment,
     Separation,

@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.errors import InputError, require_in_range, require_shape
+from lanebound.integrity.core.errors import InputError, require_in_range, require_shape
 from lanebound.integrity.monitoring.risk import multiple_fault_risk
 
 __all__ = ["FaultModes", "enumerate_faults"]

@@ -23,9 +23,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.accel import jit
-from lanebound.integrity.lanes_kernel import WIDTH, absolute, fma, load, padded, spread, store, total
-from lanebound.integrity.small_matrix_kernel import MAX_GROUPS, invert_upper
+from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.simd_kernel import WIDTH, absolute, fma, load, padded, spread, store, total
+from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, invert_upper
 
 __all__ = ["HEAD_SIZE", "MAX_GROUPS", "capacity", "geometry", "scratch", "solve"]
 

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
-from lanebound.integrity.accel import run_rows
-from lanebound.integrity.errors import InputError, require_finite, require_in_range, require_shape
+from lanebound.integrity.core.accel import run_rows
+from lanebound.integrity.core.errors import InputError, require_finite, require_in_range, require_shape
 from lanebound.integrity.monitoring import protection_kernel as kernel
 from lanebound.integrity.monitoring.fault_modes import FaultModes
 from lanebound.integrity.monitoring.geometry_kernel import MAX_GROUPS

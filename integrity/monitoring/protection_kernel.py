@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.accel import jit
-from lanebound.integrity.lanes_kernel import (
+from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.simd_kernel import (
     WIDTH,
     absolute,
     fma,

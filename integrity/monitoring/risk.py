@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import field_validator
 from scipy.special import chdtri, ndtri
 
-from lanebound.integrity.config import Config, Field
-from lanebound.integrity.errors import require_in_range
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import require_in_range
 
 __all__ = [
     "RiskConfig",

@@ -12,7 +12,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.errors import require_in_range
+from lanebound.integrity.core.errors import require_in_range
 from lanebound.integrity.positioning.least_squares import design_matrix, gain, weights
 
 __all__ = [

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.errors import InputError, require_finite, require_in_range, require_shape
-from lanebound.integrity.frames import track_from_enu_matrix
+from lanebound.integrity.core.errors import InputError, require_finite, require_in_range, require_shape
+from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.monitoring.risk import Variant
 from lanebound.integrity.positioning.least_squares import gain, weights
 

@@ -19,8 +19,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.accel import jit
-from lanebound.integrity.lanes_kernel import WIDTH, absolute, fma, load, maximum, padded, root_of, spread, store, total
+from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.simd_kernel import (
+    WIDTH,
+    absolute,
+    fma,
+    load,
+    maximum,
+    padded,
+    root_of,
+    spread,
+    store,
+    total,
+)
+from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, invert_upper
 from lanebound.integrity.monitoring.geometry_kernel import (
     ACCURACY,
     B0_AT,
@@ -76,7 +88,6 @@ from lanebound.integrity.monitoring.geometry_kernel import (
     W,
     normal,
 )
-from lanebound.integrity.small_matrix_kernel import MAX_GROUPS, invert_upper
 
 __all__ = ["add_hypothesis", "add_subset", "modes", "set_priors"]
 

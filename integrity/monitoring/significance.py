@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import chdtrc, chdtri, chndtr, chndtrix, ndtri
 
-from lanebound.integrity.errors import InputError, require_probability
+from lanebound.integrity.core.errors import InputError, require_probability
 
 __all__ = [
     "Linking",

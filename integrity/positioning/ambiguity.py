@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import erfc
 
-from lanebound.integrity.errors import InputError, require_probability
+from lanebound.integrity.core.errors import InputError, require_probability
 from lanebound.integrity.positioning import lambda_kernel as kernel
 
 __all__ = [

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.errors import InputError, require_finite, require_shape
+from lanebound.integrity.core.errors import InputError, require_finite, require_shape
 
 __all__ = ["Condensed", "condense", "condense_white", "gauss_markov_covariance"]
 

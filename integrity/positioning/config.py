@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.special import chdtri
 
-from lanebound.integrity.config import Config
-from lanebound.integrity.frames import GRAVITY_MPS2
+from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.frames import GRAVITY_MPS2
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
 
 __all__ = [

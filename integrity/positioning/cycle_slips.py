@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 from scipy.special import chdtri, ndtri
 
-from lanebound.integrity.config import Config
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.positioning import cycle_slips_kernel as kernel
 from lanebound.integrity.positioning.ambiguity import bootstrap_failure_rate, decorrelate, integer_least_squares
 

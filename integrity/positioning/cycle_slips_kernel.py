@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 from lanebound.integrity.positioning.lambda_kernel import OK, bootstrap_failure_rate, integer_least_squares
 
 NO_SLIP, GEOMETRY_FREE, PREDICTED, CODE_PHASE = 0, 1, 2, 4  # bits of what detect_slip returns

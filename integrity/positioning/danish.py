@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.config import Config, Field
+from lanebound.integrity.core.config import Config, Field
 
 __all__ = ["DanishConfig", "variance_factor"]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 HH, HB, BB = 0, 1, 2
 

@@ -19,7 +19,7 @@ import math
 
 import numpy as np
 
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 OK, NODE_LIMIT, NOT_POSITIVE_DEFINITE, NOT_FINITE = 0, 1, 2, 3  # values of ambiguity.SearchStatus
 WORK_PLANES = 5  # planes of `work`: A, U, L, S and one of vectors

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.advice import Advice
-from lanebound.integrity.errors import InputError, require_finite, require_shape
+from lanebound.integrity.core.advice import Advice
+from lanebound.integrity.core.errors import InputError, require_finite, require_shape
 
 __all__ = ["Dilution", "Gain", "Solution", "Solvability", "design_matrix", "dilution", "gain", "solve", "weights"]
 

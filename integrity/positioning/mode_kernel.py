@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 NONE, RTK, DOPPLER, IMU_ODOMETER = 0, 1, 2, 3  # the values of modes.Mode
 

@@ -15,7 +15,7 @@ A slow change below the allowance, and a slow error of scale, cannot be seen: th
 
 from __future__ import annotations
 
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 # memory
 LAST_SPEED, LAST_DV, HAS_LAST, ABOVE, BELOW, SAME_S, TURNING_S, DOUBT, AGREE_S = range(9)

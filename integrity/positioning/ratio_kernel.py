@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 from lanebound.integrity.positioning.lambda_kernel import OK, search
 
 LIMITS = np.array([1e-3, 1e-2])

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from lanebound.integrity.config import Config
-from lanebound.integrity.errors import InputError, require_probability
+from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.errors import InputError, require_probability
 from lanebound.integrity.positioning import ratio_kernel as kernel
 from lanebound.integrity.positioning.ambiguity import ambiguity_work, bootstrap_failure_rate, decorrelate
 

@@ -23,7 +23,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, invert_3x3, multiply_3
 from lanebound.integrity.positioning.lambda_kernel import OK, integer_least_squares, largest_prefix
 from lanebound.integrity.positioning.ratio_kernel import minimum_ratio
 from lanebound.integrity.positioning.rtk_kernel import (
@@ -35,7 +36,6 @@ from lanebound.integrity.positioning.rtk_kernel import (
     held_risk,
     order_by_variance,
 )
-from lanebound.integrity.small_matrix_kernel import MAX_GROUPS, invert_3x3, multiply_3
 
 __all__ = ["Carriers", "Fixes", "Rules", "resolve"]
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lanebound.integrity.accel import jit
-from lanebound.integrity.small_matrix_kernel import MAX_GROUPS
+from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
 
 
 @jit

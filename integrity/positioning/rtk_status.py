@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lanebound.integrity.advice import Advice
+from lanebound.integrity.core.advice import Advice
 
 __all__ = ["RtkStatus"]
 

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 from lanebound.integrity.positioning.cycle_slips_kernel import (
     GEOMETRY_FREE,
     NO_SLIP,

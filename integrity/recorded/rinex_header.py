@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.frames import ecef_from_enu_matrix, geodetic_from_ecef
+from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
 from lanebound.integrity.recorded.source import finite_number, whole_number
 
 __all__ = ["Header", "HeaderBuilder", "b1_in_band_2"]

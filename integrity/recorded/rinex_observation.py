@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.rinex_header import Header, HeaderBuilder
 from lanebound.integrity.recorded.source import MAX_BYTES, Lines, Stop, finite_number, whole_number
 

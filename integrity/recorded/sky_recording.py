@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.source import Lines, Stop, finite_number
 from lanebound.integrity.sky.visibility import Path
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.source import Lines, Stop, finite_number
 
 __all__ = ["SmartLocRaw", "read_smartloc_raw"]

@@ -12,14 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.config import Config, Field
-from lanebound.integrity.errors import InputError, require_finite, require_shape
-from lanebound.integrity.frames import ecef_from_enu_matrix, geodetic_from_ecef
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import InputError, require_finite, require_shape
+from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
+from lanebound.integrity.core.progress import Progress, silent
 from lanebound.integrity.monitoring.exclusion import FdeConfig, FdeOutcome, detect_and_exclude
 from lanebound.integrity.monitoring.geometry_kernel import SIGMA0_AT, SIGMA0_CT, X_E, X_N, X_U, scratch
 from lanebound.integrity.monitoring.protection import protection_levels_batch
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor
-from lanebound.integrity.navigator_kernel import levels_rtk
+from lanebound.integrity.navigators.navigator_kernel import levels_rtk
+from lanebound.integrity.navigators.rtk_declared import declared_rtk
+from lanebound.integrity.navigators.rtk_stage_kernel import NX, Fixed, Signals, Tables, rtk, select, weigh
 from lanebound.integrity.positioning.config import RtkConfig
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
 from lanebound.integrity.positioning.least_squares import design_matrix, gain, weights
@@ -28,12 +31,9 @@ from lanebound.integrity.positioning.resolve_kernel import Fixes
 from lanebound.integrity.positioning.rtk_kernel import held_risk
 from lanebound.integrity.positioning.rtk_status import RtkStatus
 from lanebound.integrity.positioning.slip_watch_kernel import Motion
-from lanebound.integrity.progress import Progress, silent
 from lanebound.integrity.recorded.rinex_observation import Observations
 from lanebound.integrity.replay.differences import Arc, Reduced, arc_of, matched, reduce_epoch
 from lanebound.integrity.replay.signal_choice import Choice, choose_signals
-from lanebound.integrity.rtk_declared import declared_rtk
-from lanebound.integrity.rtk_stage_kernel import NX, Fixed, Signals, Tables, rtk, select, weigh
 from lanebound.integrity.sky.broadcast import Ephemerides
 from lanebound.integrity.sky.systems import FIXABLE
 

@@ -13,16 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.assessment.bounding import measure_bounding
-from lanebound.integrity.errors import InputError
-from lanebound.integrity.frames import (
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.frames import (
     ecef_from_enu_matrix,
     ecef_from_geodetic,
     geodetic_from_ecef,
     track_from_enu_matrix,
 )
+from lanebound.integrity.core.progress import Progress, silent
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rtk_status import RtkStatus
-from lanebound.integrity.progress import Progress, silent
 from lanebound.integrity.recorded.rinex_observation import read_observations
 from lanebound.integrity.recorded.source import Lines, finite_number
 from lanebound.integrity.replay.baseline import Baseline, BaselineConfig, on_earth, solve_baseline

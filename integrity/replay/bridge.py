@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.config import Config, Field
-from lanebound.integrity.frames import rotate_covariance, track_from_enu_matrix
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.frames import rotate_covariance, track_from_enu_matrix
 from lanebound.integrity.monitoring.dead_reckoning_pl import (
     initial_growth,
     missed_detection_factors,

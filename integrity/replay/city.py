@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.assessment.record import Record
-from lanebound.integrity.config import Config, Field
-from lanebound.integrity.errors import InputError
-from lanebound.integrity.frames import ecef_from_enu_matrix, geodetic_from_ecef, track_from_enu_matrix
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef, track_from_enu_matrix
+from lanebound.integrity.core.progress import Progress, silent
 from lanebound.integrity.monitoring.alerts import AlertConfig, AlertState, step
 from lanebound.integrity.monitoring.exclusion import FdeConfig, FdeOutcome, FdeResult, detect_and_exclude
 from lanebound.integrity.monitoring.protection import protection_levels
@@ -27,7 +28,6 @@ from lanebound.integrity.monitoring.risk import RiskConfig
 from lanebound.integrity.monitoring.separation import separate
 from lanebound.integrity.positioning.danish import DanishConfig
 from lanebound.integrity.positioning.modes import Mode
-from lanebound.integrity.progress import Progress, silent
 from lanebound.integrity.recorded.smartloc import SmartLoc
 from lanebound.integrity.replay.bridge import Bridge, BridgeConfig
 from lanebound.integrity.replay.overbound import CodeErrors

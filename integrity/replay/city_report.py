@@ -15,11 +15,11 @@ from lanebound.integrity.assessment.record import AXES, Record
 from lanebound.integrity.assessment.report import assess
 from lanebound.integrity.assessment.series import map_figure, series_figure
 from lanebound.integrity.assessment.stanford import stanford_figure
-from lanebound.integrity.config import Config, Field
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.progress import Progress, silent
 from lanebound.integrity.monitoring.alerts import AlertConfig, AlertLimits
 from lanebound.integrity.positioning.danish import DanishConfig
-from lanebound.integrity.progress import Progress, silent
 from lanebound.integrity.recorded.smartloc import SmartLoc, read_smartloc
 from lanebound.integrity.replay.city import CityConfig, CityDrive, drive_city
 from lanebound.integrity.replay.overbound import CodeErrors

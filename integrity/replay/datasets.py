@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from lanebound.integrity.errors import InputError
-from lanebound.integrity.progress import Progress, silent
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.progress import Progress, silent
 
 __all__ = ["kind_of", "replay_folder"]
 

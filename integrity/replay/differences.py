@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.frames import ecef_from_enu_matrix, geodetic_from_ecef
+from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
 from lanebound.integrity.recorded.rinex_observation import WEEK_S, Observations
 from lanebound.integrity.replay.sagnac import ranges_and_sights
 from lanebound.integrity.replay.signal_choice import LETTERS, Choice

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.config import Config, Field
-from lanebound.integrity.errors import InputError
-from lanebound.integrity.frames import ecef_from_enu_matrix, geodetic_from_ecef, track_from_enu_matrix
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef, track_from_enu_matrix
 from lanebound.integrity.monitoring.dead_reckoning_pl import missed_detection_factors
 from lanebound.integrity.monitoring.risk import RiskConfig
 from lanebound.integrity.recorded.comma import Comma

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize_scalar
 from scipy.special import ndtri
 
-from lanebound.integrity.errors import InputError, require_finite
+from lanebound.integrity.core.errors import InputError, require_finite
 
 __all__ = ["CodeErrors", "fit_overbound", "gaussian_bound", "lasting_s"]
 

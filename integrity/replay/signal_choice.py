@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.rinex_observation import Observations
 from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS, System
 

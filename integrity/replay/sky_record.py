@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.config import Config, Field
-from lanebound.integrity.errors import InputError
-from lanebound.integrity.frames import ecef_from_enu_matrix, geodetic_from_ecef
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
 from lanebound.integrity.recorded.sky_recording import SkyRecording
 from lanebound.integrity.recorded.smartloc import Pseudoranges, SmartLoc, Truth
 from lanebound.integrity.replay.training import code_errors

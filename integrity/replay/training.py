@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.smartloc import SmartLoc
 from lanebound.integrity.replay.overbound import CodeErrors, fit_overbound
 from lanebound.integrity.replay.sagnac import ranges_and_sights

@@ -17,12 +17,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.sensors import area_kernel as kernel
 from lanebound.integrity.sensors import gnss_kernel as gk
 from lanebound.integrity.sensors.clock import clock_gains
 from lanebound.integrity.sensors.corrections import CorrectionsConfig, NetworkState, advance_network, initial_network
 from lanebound.integrity.sensors.gnss import AreaSignals, GnssConfig
-from lanebound.integrity.streams import Streams
 
 __all__ = ["AreaState", "advance_area", "initial_area"]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 
 @jit

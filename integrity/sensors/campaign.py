@@ -7,8 +7,8 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from lanebound.integrity.config import Config
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sensors.faults import SIZES, Fault, FaultKind
 from lanebound.integrity.sky.systems import System
 from lanebound.integrity.sky.view import SkyView

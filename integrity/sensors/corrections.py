@@ -26,11 +26,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.special import ndtri
 
-from lanebound.integrity.config import Config
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.sensors import corrections_kernel as kernel
 from lanebound.integrity.sensors.gnss_kernel import N_STATION
-from lanebound.integrity.streams import Streams
 
 __all__ = [
     "CorrectionsConfig",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 # columns of ``par``
 LATENCY_S, INTERVAL_S, ONSET_PROBABILITY, NETWORK_RATE, MEDIAN_S, LOG_SD, MAX_S = range(7)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from lanebound.integrity.config import Config
+from lanebound.integrity.core.config import Config
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sky.systems import System
 from lanebound.integrity.sky.view import SkyView

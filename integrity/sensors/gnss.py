@@ -12,16 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from lanebound.integrity.config import Config
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.streams import Streams
+from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.sensors import gnss_kernel as gk
 from lanebound.integrity.sensors.clock import OCXO_H0, OCXO_HM2, TCXO_H0, TCXO_HM2, clock_gains
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sky.systems import N_SYSTEMS, WAVELENGTH_M
 from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.sky.visibility import Reception
-from lanebound.integrity.streams import Streams
-from lanebound.integrity.truth import Truth
 
 __all__ = ["AreaSignals", "GnssConfig", "GnssEpoch", "GnssState", "initial_state", "observe"]
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 # figures
 (

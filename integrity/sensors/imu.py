@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from lanebound.integrity.config import Config
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.streams import Streams
+from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.sensors import imu_kernel as kernel
 from lanebound.integrity.sensors.effects import FaultEffects
-from lanebound.integrity.streams import Streams
-from lanebound.integrity.truth import Truth
 
 __all__ = [
     "AxisNoise",

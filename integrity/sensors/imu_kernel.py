@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 # coefficients of a triad: rows of ``coef`` (2, NC), gyro first
 TURN_ON, WHITE, DECAY, END_1, INTEGRAL, INTEGRAL_1, INTEGRAL_2, WALK_END_1, WALK_1, WALK_2 = range(10)

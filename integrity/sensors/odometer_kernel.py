@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 # columns of ``par``
 DECAY, INNOVATION_MPS, PULSE_M, SLIP_S2_PER_M, DROPOUT_MPS = range(5)

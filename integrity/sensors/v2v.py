@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from lanebound.integrity.config import Config
-from lanebound.integrity.errors import InputError, require_finite, require_shape
+from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.errors import InputError, require_finite, require_shape
+from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.sensors.effects import FaultEffects
-from lanebound.integrity.streams import Streams
 
 __all__ = ["V2vConfig", "V2vInbox", "V2vMessage", "V2vState", "exchange", "forget", "initial_v2v"]
 

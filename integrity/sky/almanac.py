@@ -12,7 +12,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.constellation import SECONDS_PER_WEEK, SatelliteTable, gps_seconds_of
 from lanebound.integrity.sky.orbit import EARTH_RATE_RADPS, OrbitElements
 from lanebound.integrity.sky.systems import System

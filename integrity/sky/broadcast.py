@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.errors import InputError, require_finite
+from lanebound.integrity.core.errors import InputError, require_finite
 from lanebound.integrity.sky.ephemeris import Ephemerides
 from lanebound.integrity.sky.orbit import solve_kepler
 from lanebound.integrity.sky.rinex_navigation import parse_navigation, read_navigation

@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.config import Config, Field
+from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.sky.mesh import city_from_mesh
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.scene import City, Surface, prisms

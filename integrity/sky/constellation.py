@@ -14,9 +14,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.config import Config, Field
-from lanebound.integrity.errors import InputError, require_finite, require_in_range
-from lanebound.integrity.frames import ecef_from_geodetic, enu_from_ecef
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import InputError, require_finite, require_in_range
+from lanebound.integrity.core.frames import ecef_from_geodetic, enu_from_ecef
 from lanebound.integrity.sky.orbit import (
     EARTH_RATE_RADPS,
     MU_M3PS2,

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.accel import run_rows
-from lanebound.integrity.errors import require_in_range
+from lanebound.integrity.core.accel import run_rows
+from lanebound.integrity.core.errors import require_in_range
 from lanebound.integrity.sky.raytrace_kernel import count_free, free_rows
 from lanebound.integrity.sky.scene import City
 from lanebound.integrity.sky.view import SkyView

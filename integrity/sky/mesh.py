@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.errors import InputError, require_finite, require_shape
+from lanebound.integrity.core.errors import InputError, require_finite, require_shape
 from lanebound.integrity.sky.scene import City, Surface
 
 __all__ = ["MESH_SUFFIXES", "city_from_mesh"]

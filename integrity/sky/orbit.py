@@ -7,8 +7,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.errors import require_in_range
-from lanebound.integrity.frames import WGS84_A_M
+from lanebound.integrity.core.errors import require_in_range
+from lanebound.integrity.core.frames import WGS84_A_M
 
 __all__ = ["EARTH_RATE_RADPS", "MU_M3PS2", "OrbitElements", "nodal_regression_radps", "propagate", "solve_kepler"]
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.accel import run_rows
-from lanebound.integrity.errors import InputError, require_finite, require_shape
+from lanebound.integrity.core.accel import run_rows
+from lanebound.integrity.core.errors import InputError, require_finite, require_shape
 from lanebound.integrity.sky.raytrace_kernel import EDGE, GRAZING, Grid, trace_rows
 
 __all__ = ["Hits", "build_grid", "first_hits", "first_hits_reference", "moller_trumbore"]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 __all__ = [
     "Grid",

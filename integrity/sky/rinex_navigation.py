@@ -15,7 +15,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.ephemeris import Ephemerides
 from lanebound.integrity.sky.systems import System
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from lanebound.integrity.errors import InputError, require_finite, require_in_range, require_shape
+from lanebound.integrity.core.errors import InputError, require_finite, require_in_range, require_shape
 
 __all__ = ["Road"]
 

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.errors import InputError, require_finite, require_shape
+from lanebound.integrity.core.errors import InputError, require_finite, require_shape
 from lanebound.integrity.sky.raytrace import build_grid
 from lanebound.integrity.sky.raytrace_kernel import Grid
 

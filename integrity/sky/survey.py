@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lanebound.integrity.config import Config, Field
+from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.sky.scene import City
 
 __all__ = ["MapConfig", "as_mapped"]

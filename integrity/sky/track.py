@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.errors import InputError, require_in_range
+from lanebound.integrity.core.errors import InputError, require_in_range
 from lanebound.integrity.sky.constellation import SatelliteTable, SkyConfig
 from lanebound.integrity.sky.track_kernel import sky_at
 from lanebound.integrity.sky.view import SkyView

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 __all__ = ["sky_at"]
 

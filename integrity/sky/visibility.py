@@ -15,8 +15,8 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.accel import run_rows
-from lanebound.integrity.errors import InputError, require_finite, require_in_range, require_shape
+from lanebound.integrity.core.accel import run_rows
+from lanebound.integrity.core.errors import InputError, require_finite, require_in_range, require_shape
 from lanebound.integrity.sky.raytrace import first_hits
 from lanebound.integrity.sky.raytrace_kernel import look_up, mask_rows
 from lanebound.integrity.sky.road import Road

@@ -10,7 +10,7 @@ from lanebound.agents.bench import rows
 from lanebound.agents.bench.rows import Row, alternate, median_ratio
 from lanebound.agents.bench.runner import select
 from lanebound.agents.cli.bench import bench
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 
 @pytest.mark.parametrize(

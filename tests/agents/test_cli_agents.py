@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from lanebound.agents.cli import app
 from lanebound.agents.drivers import ABOUT, AGENTS, _config_class, make_agent
 from lanebound.agents.episodes import open_env
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 QUICK = """
 import sys

@@ -17,7 +17,7 @@ from lanebound.agents.benchmark.metrics import metric_named
 from lanebound.agents.cli import app
 from lanebound.agents.cli import benchmark as command
 from lanebound.agents.cli.benchmark_tables import number, print_results, with_interval
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 
 def run(*arguments: str) -> Any:

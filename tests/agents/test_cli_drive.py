@@ -21,7 +21,7 @@ from lanebound.agents.drivers import AGENTS, make_agent
 from lanebound.agents.episodes import COLUMNS, EpisodeLog, drive, open_env
 from lanebound.agents.episodes.film import Film
 from lanebound.agents.episodes.summary import measures, summarise
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 GIVEN = ("--sky", "open", "--set", "navigation.source=perfect", "--set", "perception.source=truth")
 

@@ -22,7 +22,7 @@ from lanebound.agents.drivers.plans import (
 )
 from lanebound.agents.episodes import EpisodeLog, drive, open_env, summarise
 from lanebound.envs.observation import ObservationConfig, entries
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 CALM = CruiseConfig()
 STEERERS = ("cbf", "lqr", "mpc", "stanley")

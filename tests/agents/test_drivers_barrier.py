@@ -12,7 +12,7 @@ from lanebound.agents.drivers.barrier import BarrierConfig, BarrierFilter
 from lanebound.agents.drivers.base import Reader
 from lanebound.agents.drivers.shares import value_of
 from lanebound.agents.episodes import EpisodeLog, drive, open_env, summarise
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 GIVEN: dict[str, Any] = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "sky": "open"}
 C = BarrierConfig()

@@ -20,8 +20,8 @@ from lanebound.agents.drivers.base import in_a_row
 from lanebound.agents.drivers.foreign import require_foreign
 from lanebound.agents.episodes import open_env
 from lanebound.envs.core import DrivingEnv
-from lanebound.integrity.config import deep_merge
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.config import deep_merge
+from lanebound.integrity.core.errors import InputError
 
 GIVEN = {"sky": "open", "navigation": {"source": "perfect"}, "perception": {"source": "truth"}}
 FLAT = {"observation": {"form": "flat"}}

@@ -20,7 +20,7 @@ from lanebound.agents.episodes import EpisodeLog, drive, open_env, summarise
 from lanebound.envs import IDS, make_config
 from lanebound.envs.costs import CostConfig, rss_distance_m
 from lanebound.envs.sky import SKY_LEVELS
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 GIVEN: dict[str, Any] = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "sky": "open"}
 LIMIT_MPS = 50.0 / 3.6

@@ -15,7 +15,7 @@ from lanebound.agents.drivers.horizon import condense
 from lanebound.agents.drivers.mpc import LevelMpc, make_mpc
 from lanebound.agents.drivers.programmes import MpcConfig, solve
 from lanebound.agents.episodes import EpisodeLog, drive, open_env
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 GIVEN: dict[str, Any] = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "sky": "open"}
 LIMIT_MPS = 50.0 / 3.6

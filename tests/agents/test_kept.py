@@ -28,8 +28,8 @@ from lanebound.agents.kept import (
 )
 from lanebound.agents.learning.experiment import ExperimentConfig
 from lanebound.agents.learning.training import train
-from lanebound.integrity.config import Config, Field
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import InputError
 
 PACKAGES = ("lanebound.agents.assess",)
 

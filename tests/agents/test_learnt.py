@@ -13,7 +13,7 @@ from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.learnt import LearntDriver, policies
 from lanebound.agents.episodes.opening import open_env
 from lanebound.envs.registration import IDS
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 LAYERS = [
     (np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], np.float32), np.zeros(3, np.float32)),

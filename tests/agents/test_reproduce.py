@@ -22,7 +22,7 @@ from lanebound.agents.reproduce.study import (
     verdict,
 )
 from lanebound.agents.reproduce.urban_drive import UrbanDriveConfig, outage_lengths_s
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 SMALL = {
     "seeds": 2,

@@ -16,7 +16,7 @@ from lanebound.agents.drivers.barrier import BarrierConfig
 from lanebound.agents.reproduce import barrier_promise
 from lanebound.agents.reproduce.barrier_promise import BarrierPromiseConfig, one_fault, run_promise
 from lanebound.agents.reproduce.barrier_score import ASSUMPTIONS, PromiseWatch, barrier_m, exceptions_of, levels_m
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sensors.faults import FaultKind
 
 C = BarrierConfig()

@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 from lanebound.agents.vec_env import EngineVecEnv, VecEpisodeStatistics
 from lanebound.envs.tally import EPISODE_KEY
 from lanebound.envs.wrappers import EpisodeStatistics
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 CONFIG: dict[str, Any] = {
     "navigation": {"source": "perfect"},

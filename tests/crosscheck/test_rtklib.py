@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from recordings import real
 
-from lanebound.integrity.frames import ecef_from_enu_matrix, geodetic_from_ecef
+from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
 from lanebound.integrity.positioning.ambiguity import integer_least_squares
 from lanebound.integrity.positioning.least_squares import design_matrix, dilution
 from lanebound.integrity.replay.baseline_report import read_coordinates, read_solution, run_baseline

@@ -21,8 +21,8 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 from lanebound.envs import IDS, DrivingEnv, make_config, wrap
-from lanebound.integrity.errors import ConfigError, InputError
-from lanebound.integrity.streams import STREAM_NAMES
+from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.core.streams import STREAM_NAMES
 
 HIGHWAY, LANE_KEEPING = "lanebound/Highway-v0", "lanebound/LaneKeeping-v0"
 FEW: dict[str, dict[str, Any]] = {

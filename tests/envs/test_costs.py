@@ -24,7 +24,7 @@ from lanebound.envs.costs import (
     shortfall,
 )
 from lanebound.envs.judge import _misleading
-from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.core.errors import ConfigError
 
 PERFECT: dict[str, Any] = {"sky": "open", "navigation": {"source": "perfect"}, "perception": {"source": "none"}}
 LEFT, IDLE, RIGHT = 0, 1, 2

@@ -18,7 +18,7 @@ from lanebound.envs.ids import CLASSES, CarFollowing, Highway, LaneKeeping, Pres
 from lanebound.envs.manual import SECTIONS, markdown
 from lanebound.envs.scene import alert_limits_m
 from lanebound.envs.worlds import networks
-from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.sensors.faults import Fault, FaultKind
 
 ROOT = Path(__file__).parents[2]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lanebound.envs.motion import Motion
 from lanebound.envs.records import azimuth_of, enu_of
-from lanebound.integrity.truth import truth_between
+from lanebound.integrity.motion.truth import truth_between
 
 STEP, PER_EPOCH = 0.05, 2
 ROWS = np.array([2, 0], dtype=np.int64)

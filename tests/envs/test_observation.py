@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from beliefs import believe
 from lanebound.envs.observation import ObservationConfig, Observer, entries
 from lanebound.envs.records import EgoBelief, Traffic
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rtk_status import RtkStatus

@@ -13,7 +13,7 @@ from lanebound.envs.observation import (
     entries,
     group_slices,
 )
-from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.core.errors import ConfigError
 
 VARIANTS = [
     ObservationConfig(),

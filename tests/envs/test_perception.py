@@ -16,10 +16,10 @@ from scipy.stats import binom
 from beliefs import believe
 from lanebound.envs.perception import Claims, Perception, PerceptionConfig, Vehicles
 from lanebound.envs.records import EgoBelief, Traffic
-from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sensors.effects import FaultEffects
-from lanebound.integrity.streams import Streams
 
 DT = 0.1
 EGO = 0

@@ -16,7 +16,7 @@ from beliefs import believe
 from lanebound.envs.perception import SensorConfig, Vehicles
 from lanebound.envs.perception.sensor import Sensor
 from lanebound.envs.perception.tracks_kernel import AGE, HEADING, PL_AT, PL_CT, SPEED, XY, in_sight
-from lanebound.integrity.streams import Streams
+from lanebound.integrity.core.streams import Streams
 
 DT = 0.1
 EXACT = SensorConfig(range_sigma_m=0.0, bearing_sigma_deg=0.0, speed_sigma_mps=0.0, heading_sigma_deg=0.0)

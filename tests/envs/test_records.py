@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lanebound.envs.records import azimuth_of, enu_of, heading_of, xy_of
-from lanebound.integrity.frames import track_from_enu_matrix
+from lanebound.integrity.core.frames import track_from_enu_matrix
 
 ANGLES = st.floats(-20.0, 20.0)
 COORDINATES = st.floats(-1e4, 1e4)

@@ -20,7 +20,7 @@ from lanebound.envs.rendering.camera import Camera, oriented_box
 from lanebound.envs.rendering.map_view import camera_of
 from lanebound.envs.rendering.roads import RoadDrawing, corridor
 from lanebound.envs.rendering.scenery import Scenery
-from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.sky.scene import City, Surface, prisms
 
 WIDTH_M, RADIUS_M = 3.25, 40.0

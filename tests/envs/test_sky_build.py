@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from lanebound.envs.sky import SkyLevel, Street, build_street
 from lanebound.envs.sky.corridors import CLEARANCE_M, corridors, edges_of
-from lanebound.integrity.accel import serial
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.accel import serial
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.city import CityConfig, SectionConfig, SectionKind
 from lanebound.integrity.sky.forecast import SkyForecast
 from lanebound.integrity.sky.raytrace import first_hits

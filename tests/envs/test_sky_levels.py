@@ -17,12 +17,12 @@ from lanebound.envs.records import azimuth_of, enu_of
 from lanebound.envs.scene import navigator_config
 from lanebound.envs.sky import SKY_LEVELS, SkyLevel, Street, build_street
 from lanebound.envs.worlds import LaneKeepingWorld
-from lanebound.integrity.errors import ConfigError
-from lanebound.integrity.navigator import Navigator, NavigatorConfig
+from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.motion.truth import truth_between
+from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sky.city import SectionKind
 from lanebound.integrity.sky.track import SkyTrack
-from lanebound.integrity.truth import truth_between
 
 # Share of time without RTK; measured over 4 layouts: suburban 0.05-0.06, urban 0.19-0.23, dense 0.35-0.39.
 BANDS = {"open": (0.0, 0.02), "suburban": (0.02, 0.09), "urban": (0.10, 0.28), "dense": (0.28, 0.46)}

@@ -15,11 +15,11 @@ from recorded_skies import LENGTH_M, wall_on_the_left
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.sky import SkyLevel, Street, build_street, cache
 from lanebound.envs.worlds.networks import city_loop
-from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.replay.sky_record import record_sky
 from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.sky.visibility import Path
-from lanebound.integrity.streams import named_generator
 
 TURN = 2.0 * np.pi
 

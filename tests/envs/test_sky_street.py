@@ -13,7 +13,7 @@ from highway_env.road.lane import StraightLane
 from highway_env.road.road import RoadNetwork
 
 from lanebound.envs.sky import NO_LANE, SkyLevel, Street, build_street
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.city import CityConfig, SectionKind
 from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.track import SkyTrack

@@ -12,7 +12,7 @@ from lanebound.envs import wrap
 from lanebound.envs.worlds.drivers import CityDriver, IntersectionDriver, LeadVehicle, SpeedProfileConfig, speed_profile
 from lanebound.envs.worlds.networks import city_loop, long_road
 from lanebound.envs.worlds.roads import StreetRoad
-from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.core.errors import ConfigError
 
 DT_S = 0.05
 

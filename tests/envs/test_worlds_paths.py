@@ -17,7 +17,7 @@ from scipy.integrate import quad
 from lanebound.envs.worlds.lanes import CurveLane
 from lanebound.envs.worlds.networks import LAYOUTS, StreetNetwork, advance, city_loop, long_road, winding_road
 from lanebound.envs.worlds.paths import Path, Piece, Pose, bend, rounded_polygon, straight
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 CORNER = Path.of(Pose(3.0, -2.0, 0.4), [*straight(40.0), *bend(1.2, 25.0, 12.0), *straight(30.0)])
 NETWORKS = {"winding": winding_road(0, 2, 3.25), "long": long_road(1, 3.25), "city": city_loop(3.25)}

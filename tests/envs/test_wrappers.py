@@ -16,7 +16,7 @@ from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics, Time
 
 from lanebound.envs.costs import CAUSES
 from lanebound.envs.wrappers import CostIntoReward, EpisodeStatistics, SafetyGymnasium
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.positioning.modes import Mode
 
 ID = "lanebound/LaneKeeping-v0"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lanebound.integrity.frames import ecef_from_enu_matrix, ecef_from_geodetic
+from lanebound.integrity.core.frames import ecef_from_enu_matrix, ecef_from_geodetic
 from lanebound.integrity.recorded.rinex_header import Header
 from lanebound.integrity.recorded.rinex_observation import Observations, SystemRows
 from lanebound.integrity.replay.sagnac import ranges_and_sights

@@ -13,7 +13,7 @@ from lanebound.agents.benchmark.results import Results
 from lanebound.agents.benchmark.store import STORED, Store
 from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.envs.costs import CAUSES
-from lanebound.integrity.streams import named_generator
+from lanebound.integrity.core.streams import named_generator
 
 SUITE = {
     "title": "made up",

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lanebound.integrity.frames import ecef_from_enu_matrix, ecef_from_geodetic
+from lanebound.integrity.core.frames import ecef_from_enu_matrix, ecef_from_geodetic
 from lanebound.integrity.recorded.smartloc import Odometry, Pseudoranges, SmartLoc, Truth
 from lanebound.integrity.replay.sagnac import ranges_and_sights
 

@@ -20,15 +20,15 @@ import numpy as np
 
 import lanebound.envs
 from lanebound.envs.sky import SkyLevel
-from lanebound.integrity.drive import CityDrive, DriveConfig
-from lanebound.integrity.navigator import Navigator, NavigatorConfig
+from lanebound.integrity.core.streams import Streams
+from lanebound.integrity.motion.drive import CityDrive, DriveConfig
+from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
 from lanebound.integrity.sky.city import CityConfig, SectionKind, build_city
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.systems import System
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import SkyMask
-from lanebound.integrity.streams import Streams
 
 Arrays = dict[str, np.ndarray]
 VEHICLES, EPOCHS = 20, 300  # of each of four skies: 24,000 vehicle-epochs

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 SMARTLOC = (
     "odom3 0 5.0 0 0 0 0 -0.01 0.0025 0.0009 0.0009 4e-06 4e-06 4e-06\n"

@@ -43,7 +43,7 @@ def check_imports() -> int:
 def check_presets() -> None:
     """Every packaged preset resolves to a configuration."""
     from lanebound.agents.cli.kinds import resolve
-    from lanebound.integrity.presets import preset_names
+    from lanebound.integrity.core.presets import preset_names
 
     for name in preset_names():
         resolve(name)

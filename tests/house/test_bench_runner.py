@@ -9,7 +9,7 @@ import pytest
 
 from lanebound.agents.bench import runner
 from lanebound.agents.bench.rows import Row
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 GOOD = """
 from lanebound.agents.bench.rows import Row

@@ -16,9 +16,9 @@ from lanebound.agents.bench import runner
 from lanebound.agents.cli import app, kinds
 from lanebound.agents.cli.advice import explain
 from lanebound.agents.cli.output import format_value
-from lanebound.integrity import presets
-from lanebound.integrity.config import Config, Field
-from lanebound.integrity.presets import preset_names
+from lanebound.integrity.core import presets
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.presets import preset_names
 
 
 class Toy(Config):

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import model_validator
 
-from lanebound.integrity.config import Config, Field, describe, unit_of
-from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.core.config import Config, Field, describe, unit_of
+from lanebound.integrity.core.errors import ConfigError
 
 
 class Grade(Enum):

@@ -86,7 +86,7 @@ def modules_of_integrity() -> set[str]:
     ["gymnasium", "highway_env", "torch", "stable_baselines3", "pygame", "typer", "lanebound.envs", "lanebound.agents"],
 )
 def test_integrity_stands_alone(modules_of_integrity, stranger):
-    assert "lanebound.integrity.errors" in modules_of_integrity
+    assert "lanebound.integrity.core.errors" in modules_of_integrity
     assert stranger not in modules_of_integrity
 
 

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lanebound.integrity import presets
-from lanebound.integrity.config import Config
-from lanebound.integrity.errors import ConfigError
-from lanebound.integrity.presets import (
+from lanebound.integrity.core import presets
+from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.presets import (
     deep_merge,
     load_file,
     load_preset,

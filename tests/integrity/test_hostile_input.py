@@ -18,10 +18,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from navigation_texts import GPS_RECORD, HEADER
 
-from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.core.presets import parse_assignments, parse_yaml
 from lanebound.integrity.monitoring.risk import RiskConfig
-from lanebound.integrity.navigator import NavigatorConfig
-from lanebound.integrity.presets import parse_assignments, parse_yaml
+from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.sky import almanac as almanac_room
 from lanebound.integrity.sky import mesh as mesh_room
 from lanebound.integrity.sky import rinex_navigation

@@ -15,7 +15,7 @@ from lanebound.agents.assess.bounding import BoundingConfig, assess_bounding, pa
 from lanebound.agents.assess.bounding_summary import rate_of, rate_over, summarise
 from lanebound.agents.cli import app
 from lanebound.integrity.assessment.importance import FaultSize
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 SHORT = BoundingConfig(
     epochs=300_000, epochs_per_case=10_000, rare_cases=12, rare_draws=256, outages=4, vehicles=2000, seed=3

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lanebound.agents.assess.fault_response import Run, as_broadcast, measure_response
-from lanebound.integrity.navigator import NavigatorConfig
+from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sensors.faults import Fault, FaultKind
 

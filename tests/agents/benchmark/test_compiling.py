@@ -7,7 +7,7 @@ from pathlib import Path
 
 from lanebound.agents.benchmark import compiling
 from lanebound.agents.benchmark.compiling import CompileClock, kernels_are_cached
-from lanebound.integrity import accel
+from lanebound.integrity.core import accel
 
 
 def test_kernels_within_kernels_count_once(monkeypatch):

@@ -15,7 +15,7 @@ from lanebound.agents.benchmark.outcome import Place, Task
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.episodes import open_env
 from lanebound.agents.episodes.guard import AgentFailure, checked
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 GIVEN = {"sky": "open", "navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "duration_s": 2.0}
 DRAWING = ("random", "bad_agents:draws", "bad_agents:samples")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from lanebound.agents.benchmark.manual import SUITES, markdown
 from lanebound.agents.benchmark.metrics import METRICS
-from lanebound.integrity.presets import preset_names
+from lanebound.integrity.core.presets import preset_names
 
 ROOT = Path(__file__).parents[3]
 

@@ -17,7 +17,7 @@ from lanebound.agents.benchmark.outcome import Outcome
 from lanebound.agents.benchmark.results import Results
 from lanebound.agents.benchmark.source import source_digest
 from lanebound.agents.benchmark.store import STORED, Store
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from lanebound.agents.benchmark.replay import differences, replay
 from lanebound.agents.benchmark.results import Results
 from lanebound.agents.benchmark.running import Plan, Progress, run
 from lanebound.agents.benchmark.suite import SuiteConfig
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 SUITE = {
     "envs": ["LaneKeeping", "CarFollowing"],

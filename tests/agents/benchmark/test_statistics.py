@@ -16,7 +16,7 @@ from lanebound.agents.benchmark.statistics import (
     is_clear,
     seeds_to_exclude,
 )
-from lanebound.integrity.streams import named_generator
+from lanebound.integrity.core.streams import named_generator
 
 
 def normal(n: int, seed: int = 1) -> np.ndarray:

@@ -11,7 +11,7 @@ from lanebound.agents.benchmark.suite import SeedsConfig, SuiteConfig, load_suit
 from lanebound.agents.benchmark.work import unfit
 from lanebound.agents.drivers import AGENTS
 from lanebound.envs import IDS
-from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.core.errors import ConfigError, InputError
 
 SMALL = {"envs": ["lanekeeping", "Merge-v0"], "skies": ["urban", "open"], "agents": ["cruise", "oracle"]}
 

@@ -14,7 +14,7 @@ from lanebound.agents.benchmark.tuning import GOAL, LADDER, Measured, cautious_a
 from lanebound.agents.cli import app
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.episodes import open_env
-from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.core.errors import ConfigError, InputError
 
 
 def _measured(harm: float, throughput_mps: float) -> Measured:

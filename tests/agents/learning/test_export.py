@@ -18,7 +18,7 @@ from lanebound.agents.episodes import open_env
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig
 from lanebound.agents.learning.export import export_arrays, export_onnx
 from lanebound.agents.learning.training import load_model, train
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 STILL = {"navigation": {"source": "perfect"}, "duration_s": 4.0}
 SETTINGS: dict[str, dict[str, Any]] = {

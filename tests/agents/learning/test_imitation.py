@@ -21,8 +21,8 @@ from lanebound.agents.learning.imitation import Teacher, imitate, teacher_of
 from lanebound.agents.learning.opening import episode_seeds, for_learning
 from lanebound.agents.learning.study import LearningStudyConfig, plan
 from lanebound.agents.learning.training import Checkpoint, one_thread, train
-from lanebound.integrity.config import deep_merge
-from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.core.config import deep_merge
+from lanebound.integrity.core.errors import ConfigError, InputError
 
 SMALL: dict[str, Any] = {"rounds": 1, "decisions": 8, "epochs": 1}
 

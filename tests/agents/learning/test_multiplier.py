@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lanebound.agents.learning.multiplier import Multiplier, MultiplierConfig
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 ALONE = MultiplierConfig(window=1)  # the control by itself: each update by its own episodes
 

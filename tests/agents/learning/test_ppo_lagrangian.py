@@ -16,7 +16,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from lanebound.agents.learning.costs import EpisodeCosts, advantages, costs_in
 from lanebound.agents.learning.multiplier import MultiplierConfig
 from lanebound.agents.learning.ppo_lagrangian import PPOLagrangian
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 SETTINGS: dict[str, Any] = {
     "n_steps": 100,

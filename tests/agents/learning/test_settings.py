@@ -11,7 +11,7 @@ from experiments import experiment
 from lanebound.agents.learning.algorithms import class_of
 from lanebound.agents.learning.experiment import Algorithm
 from lanebound.agents.learning.settings import BOUNDS
-from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.core.errors import ConfigError
 
 REFUSED = [
     ("ppo", "learning_rate", -1, "> 0, got -1"),

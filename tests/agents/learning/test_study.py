@@ -30,7 +30,7 @@ from lanebound.agents.learning.study import (
 from lanebound.agents.learning.study_figure import curves_figure
 from lanebound.agents.learning.study_tables import SHOWN, adjust, higher, kept_oftener, summarise
 from lanebound.agents.learning.study_time import Pace, measured, study_hours
-from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.core.errors import ConfigError, InputError
 
 STILL = {"navigation": {"source": "perfect"}, "duration_s": 3.0}
 SMALL: dict[str, Any] = {

@@ -23,8 +23,8 @@ from lanebound.agents.learning.experiment import load_experiment
 from lanebound.agents.learning.opening import for_judging, for_learning
 from lanebound.agents.learning.training import REPLAY, Checkpoint, is_best, load_model, train
 from lanebound.envs.costs import CAUSES
-from lanebound.integrity.errors import ConfigError, InputError
-from lanebound.integrity.presets import preset_names
+from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.core.presets import preset_names
 
 
 class StoppedError(Exception):

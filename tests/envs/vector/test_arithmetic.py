@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lanebound.envs.vector import arithmetic_kernel as arithmetic
-from lanebound.integrity.accel import jit
+from lanebound.integrity.core.accel import jit
 
 STEPS = 200_001
 

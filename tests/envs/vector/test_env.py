@@ -20,7 +20,7 @@ from lanebound.envs.vector.env import (
     VectorUrbanCanyon,
 )
 from lanebound.envs.worlds.drivers import CityDriver
-from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.core.errors import ConfigError, InputError
 from side_by_side import PERFECT
 
 SHORT: dict[str, Any] = {**PERFECT, "world": {"vehicles_count": 5}, "duration_s": 2.0}

@@ -16,7 +16,7 @@ from lanebound.envs.vector.chart_kernel import path_at, project
 from lanebound.envs.vector.lanes import lane_rows, lanes_of
 from lanebound.envs.worlds.networks import city_loop, winding_road
 from lanebound.envs.worlds.paths import SQUARE_M
-from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.core.errors import ConfigError
 
 NETWORKS = {
     "winding": winding_road(1, 3, 3.25),

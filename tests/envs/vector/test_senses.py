@@ -15,7 +15,7 @@ from lanebound.envs.sky import cache
 from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.engine import Engine
 from lanebound.envs.vector.senses import Senses
-from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.core.errors import ConfigError
 from side_by_side import Tally, command, require_equal, same
 
 FEW: dict[str, Any] = {"world": {"vehicles_count": 4}, "sky": "urban", "extent_m": 300.0, "layouts": 2}

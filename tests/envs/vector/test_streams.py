@@ -7,9 +7,9 @@ from functools import partial
 import numpy as np
 
 from lanebound.envs.vector.streams import CrewStreams
-from lanebound.integrity import streams_kernel as sk
-from lanebound.integrity.accel import run_rows
-from lanebound.integrity.streams import ZIGGURAT, Streams, named_states
+from lanebound.integrity.core import streams_kernel as sk
+from lanebound.integrity.core.accel import run_rows
+from lanebound.integrity.core.streams import ZIGGURAT, Streams, named_states
 
 THERE = np.ones((2, 2), dtype=np.bool_)
 USED = np.array([[True, True, False, True], [False, True, True, False]])

@@ -14,7 +14,7 @@ from lanebound.envs.tracker import Tracker
 from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.lanes import lanes_of
 from lanebound.envs.vector.trackers import Trackers
-from lanebound.integrity.solution import Solution
+from lanebound.integrity.navigators.solution import Solution
 
 COUNT, BOUND_M, LIMITS_M = 4, 0.1, (1.5, 0.6)
 

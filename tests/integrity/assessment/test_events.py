@@ -19,7 +19,7 @@ from lanebound.integrity.assessment.events import (
     running_age_s,
 )
 from lanebound.integrity.assessment.record import Record
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 
 def record(error_ct: list[float], pl_ct: list[float], alert: str = "", interval_s: float = 0.5) -> Record:

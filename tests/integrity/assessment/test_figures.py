@@ -16,7 +16,7 @@ from lanebound.integrity.assessment.record import Record
 from lanebound.integrity.assessment.report import assess, write_report
 from lanebound.integrity.assessment.series import map_figure, series_figure
 from lanebound.integrity.assessment.stanford import count_zones, stanford_figure
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.positioning.modes import Mode
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lanebound.integrity.assessment.measurement_model import Case, Form, Worst, draw_case, prepare
-from lanebound.integrity.errors import InputError
-from lanebound.integrity.frames import track_from_enu_matrix
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.monitoring.detection import adjust, diagonal_covariance
 from lanebound.integrity.monitoring.protection import protection_levels
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant

@@ -15,7 +15,7 @@ from lanebound.integrity.assessment.availability import (
 )
 from lanebound.integrity.assessment.bounding import bounding_by_mode, clopper_pearson, measure_bounding
 from lanebound.integrity.assessment.record import Record
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 
 
 @pytest.fixture

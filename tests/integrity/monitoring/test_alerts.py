@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.monitoring import alerts_kernel
 from lanebound.integrity.monitoring.alerts import (
     ALERT_LIMITS,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import comb
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.fault_modes import enumerate_faults
 
 TWO_SYSTEMS = np.repeat([0, 1], 5)

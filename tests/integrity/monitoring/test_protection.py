@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binom, norm
 
-from lanebound.integrity.accel import serial
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.accel import serial
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring import geometry_kernel as gk
 from lanebound.integrity.monitoring import protection_kernel as pk
 from lanebound.integrity.monitoring.protection import (

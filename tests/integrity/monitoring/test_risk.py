@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.monitoring.protection_kernel import q_inverse
 from lanebound.integrity.monitoring.risk import (
     RiskConfig,

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lanebound.integrity.errors import InputError
-from lanebound.integrity.frames import track_from_enu_matrix
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.frames import track_from_enu_matrix
+from lanebound.integrity.core.small_matrix_kernel import hdop_of
 from lanebound.integrity.monitoring import geometry_kernel as gk
 from lanebound.integrity.monitoring.risk import Variant
 from lanebound.integrity.monitoring.separation import (
@@ -20,7 +21,6 @@ from lanebound.integrity.monitoring.separation import (
 )
 from lanebound.integrity.monitoring.separation_kernel import modes, set_priors
 from lanebound.integrity.positioning.least_squares import design_matrix, dilution, solve
-from lanebound.integrity.small_matrix_kernel import hdop_of
 
 PRIORS = np.full(gk.MAX_GROUPS, 1e-5)
 

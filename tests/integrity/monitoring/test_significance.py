@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, ncx2, norm
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.significance import (
     Linking,
     baarda_global_significance,

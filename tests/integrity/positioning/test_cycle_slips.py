@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.positioning import cycle_slips_kernel as kernel
 from lanebound.integrity.positioning.cycle_slips import (
     CycleSlipConfig,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.positioning.danish import DanishConfig, variance_factor
 
 

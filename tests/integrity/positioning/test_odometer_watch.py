@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lanebound.integrity.drive import CityDrive, DriveConfig
+from lanebound.integrity.core.streams import Streams
+from lanebound.integrity.motion.drive import CityDrive, DriveConfig
 from lanebound.integrity.positioning import odometer_watch_kernel as wk
 from lanebound.integrity.positioning.config import DeadReckoningConfig
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.imu import ImuConfig, initial_imu, sample_imu
 from lanebound.integrity.sensors.odometer import OdometerConfig, initial_odometer, sample_odometer
 from lanebound.integrity.sky.road import Road
-from lanebound.integrity.streams import Streams
 
 Array = NDArray[np.float64]
 DT = 0.1

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.positioning import ratio_kernel as kernel
 from lanebound.integrity.positioning.ambiguity import resolve
 from lanebound.integrity.positioning.ratio_test import (

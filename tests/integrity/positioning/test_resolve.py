@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2, poisson
 
+from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
 from lanebound.integrity.positioning.resolve_kernel import (
     FIXED,
     NOT_CONVERGED,
@@ -25,7 +26,6 @@ from lanebound.integrity.positioning.resolve_kernel import (
 )
 from lanebound.integrity.positioning.rtk_kernel import add_layer, collapse_code, drop_small_systems, held_risk
 from lanebound.integrity.sky.systems import WAVELENGTH_M
-from lanebound.integrity.small_matrix_kernel import MAX_GROUPS
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]

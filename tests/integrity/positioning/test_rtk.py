@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, hdop_of, invert_3x3, multiply_3
 from lanebound.integrity.positioning.rtk import double_difference_matrix, solve_dense
 from lanebound.integrity.positioning.rtk_kernel import (
     add_layer,
@@ -17,7 +18,6 @@ from lanebound.integrity.positioning.rtk_kernel import (
     held_risk,
     order_by_variance,
 )
-from lanebound.integrity.small_matrix_kernel import MAX_GROUPS, hdop_of, invert_3x3, multiply_3
 
 SYSTEMS = 4
 C_MPS = 299792458.0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from recordings import SKY
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.sky_recording import SkyRecording, read_sky_recording
 from lanebound.integrity.sky.visibility import Path
 

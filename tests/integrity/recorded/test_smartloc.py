@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from recordings import RAW, SMARTLOC, SMARTLOC_TRUTH, real, survives
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.smartloc import read_smartloc
 from lanebound.integrity.recorded.smartloc_raw import read_smartloc_raw
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.source import Lines, finite_number, whole_number
 
 

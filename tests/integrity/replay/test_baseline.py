@@ -13,8 +13,8 @@ from baselines import AXES, PLACE, receiver, sky
 from recordings import real
 from typer.testing import CliRunner
 
-from lanebound.integrity.errors import InputError
-from lanebound.integrity.frames import track_from_enu_matrix
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.recorded.rinex_observation import Observations, SystemRows
 from lanebound.integrity.replay.baseline import Baseline, BaselineConfig, solve_baseline

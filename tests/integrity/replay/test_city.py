@@ -12,7 +12,7 @@ from city_drives import SIGMA_M, SPEED_MPS, as_files, heading_at, simulated
 from recordings import real
 from typer.testing import CliRunner
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.alerts import AlertConfig
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.recorded.smartloc import Odometry, Pseudoranges, SmartLoc

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from recordings import comma_folder, real
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.comma import read_comma
 from lanebound.integrity.replay.outages import Motion, OutageConfig, calibrate, motion_of, run_outages, sawtooth
 from lanebound.integrity.replay.outages_report import write_outages

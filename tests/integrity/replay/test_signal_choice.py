@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from baselines import PLACE, receiver, sky
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.rinex_observation import Observations
 from lanebound.integrity.replay.signal_choice import choose_signals
 from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS, System

@@ -12,7 +12,7 @@ from city_drives import ELEVATION_DEG, SPEED_MPS, as_files, heading_at, simulate
 from recordings import real
 from typer.testing import CliRunner
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.sky_recording import SkyRecording, read_sky_recording
 from lanebound.integrity.recorded.smartloc import Pseudoranges, SmartLoc
 from lanebound.integrity.replay.city_report import read_city

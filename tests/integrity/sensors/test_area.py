@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.sensors import gnss_kernel as gk
 from lanebound.integrity.sensors.area import advance_area, initial_area
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
 from lanebound.integrity.sensors.gnss import GnssConfig
-from lanebound.integrity.streams import Streams
 
 GNSS, LINK, DT, N_SAT = GnssConfig(), CorrectionsConfig(outage_per_h=120.0), 0.1, 7
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import poisson
 
-from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.sensors.campaign import FaultPrior, FaultPriors, random_campaign
 from lanebound.integrity.sensors.faults import FaultKind, FaultSchedule
 from lanebound.integrity.sky.view import SkyView
-from lanebound.integrity.streams import named_generator
 
 SATELLITES, VEHICLES = 6, 3
 NEVER = {kind.value: {"per_h": 0.0} for kind in FaultKind}

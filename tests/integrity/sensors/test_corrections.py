@@ -4,11 +4,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import kstest, norm, poisson
 
-from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.sensors import corrections
 from lanebound.integrity.sensors import gnss_kernel as gk
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
-from lanebound.integrity.streams import Streams
 
 
 class _Link:

@@ -7,7 +7,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sensors.effects import FaultEffects
 
 NEUTRAL_ONE = {"odometer_scale", "v2v_pl_scale"}

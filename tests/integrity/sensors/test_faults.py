@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.faults import SIZES, Fault, FaultKind, FaultSchedule
 from lanebound.integrity.sky.systems import System

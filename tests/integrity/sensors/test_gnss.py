@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2
 
-from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.core.streams import Streams
+from lanebound.integrity.motion.truth import Truth, truth_between
 from lanebound.integrity.sensors import gnss_kernel as gk
 from lanebound.integrity.sensors import signals
 from lanebound.integrity.sensors.area import advance_area, initial_area
@@ -18,8 +20,6 @@ from lanebound.integrity.sensors.gnss import GnssConfig, GnssEpoch, initial_stat
 from lanebound.integrity.sky.systems import WAVELENGTH_M
 from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.sky.visibility import Path, Reception
-from lanebound.integrity.streams import Streams
-from lanebound.integrity.truth import Truth, truth_between
 
 DT = 0.1
 SYSTEM = np.array([0, 0, 1, 2, 3, 0, 1, 3])

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
-from lanebound.integrity.errors import ConfigError, InputError
-from lanebound.integrity.frames import GRAVITY_MPS2
+from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.core.frames import GRAVITY_MPS2
+from lanebound.integrity.core.streams import Streams
+from lanebound.integrity.motion.truth import Truth, truth_between
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.imu import (
     AxisNoise,
@@ -18,8 +20,6 @@ from lanebound.integrity.sensors.imu import (
     random_walk_step,
     sample_imu,
 )
-from lanebound.integrity.streams import Streams
-from lanebound.integrity.truth import Truth, truth_between
 
 DEG = np.pi / 180.0
 SILENT = AxisNoise(density=0.0)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.core.streams import Streams
+from lanebound.integrity.motion.truth import Truth, truth_between
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.odometer import OdometerConfig, OdometerSample, initial_odometer, sample_odometer
-from lanebound.integrity.streams import Streams
-from lanebound.integrity.truth import Truth, truth_between
 
 DT = 0.1
 EXACT = OdometerConfig(scale_sigma=0.0, noise_mps=0.0, slip_s2_per_m=0.0)

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from lanebound.integrity.config import Config
-from lanebound.integrity.presets import load_preset, preset_names
+from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.presets import load_preset, preset_names
 from lanebound.integrity.sensors.campaign import FaultPriors
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
 from lanebound.integrity.sensors.faults import SIZES, FaultKind

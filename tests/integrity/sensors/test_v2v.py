@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from lanebound.integrity.errors import ConfigError, InputError
+from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.v2v import V2vConfig, V2vInbox, V2vMessage, exchange, forget, initial_v2v
-from lanebound.integrity.streams import Streams
 
 DT = 0.1
 PERFECT = V2vConfig(latency_s=0.0, jitter_s=0.0, loss=0.0, range_m=1e9)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky import almanac
 from lanebound.integrity.sky.almanac import parse_yuma, read_yuma
 from lanebound.integrity.sky.constellation import SatelliteTable

@@ -10,7 +10,7 @@ import pytest
 from broadcast_cases import CASES, MESSAGES, NAMES
 from navigation_texts import GPS_RECORD, HEADER, record
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.broadcast import parse_navigation, positions, read_navigation, turned_by_travel
 from lanebound.integrity.sky.systems import System
 

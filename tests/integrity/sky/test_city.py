@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lanebound.integrity.errors import ConfigError
+from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.sky.city import STREETS, CityConfig, SectionConfig, SectionKind, build_city
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.scene import City, prisms

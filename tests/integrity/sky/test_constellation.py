@@ -7,8 +7,8 @@ import pickle
 import numpy as np
 import pytest
 
-from lanebound.integrity.errors import ConfigError, InputError
-from lanebound.integrity.frames import geodetic_from_ecef
+from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.core.frames import geodetic_from_ecef
 from lanebound.integrity.sky.constellation import SatelliteTable, SkyConfig, nominal_satellites
 from lanebound.integrity.sky.systems import CARRIER_HZ, FIXABLE, N_SYSTEMS, WAVELENGTH_M, System
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.city import CityConfig, SectionKind, build_city
 from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.forecast import SkyForecast

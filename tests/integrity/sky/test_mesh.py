@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.city import Surface, city_from_mesh
 from lanebound.integrity.sky.visibility import line_of_sight
 

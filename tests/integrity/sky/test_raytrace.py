@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.raytrace import build_grid, first_hits, first_hits_reference, moller_trumbore
 from lanebound.integrity.sky.scene import City, Surface, prisms
 from lanebound.integrity.sky.visibility import line_of_sight

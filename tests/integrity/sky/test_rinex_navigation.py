@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from navigation_texts import GPS_RECORD, HEADER
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.ephemeris import Ephemerides
 from lanebound.integrity.sky.rinex_navigation import parse_navigation, read_navigation
 from lanebound.integrity.sky.systems import System

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.road import Road
 
 BLOCK = Road.through([(0, 0), (0, 300), (400, 300), (400, 0)], closed=True, lane_count=3, corner_radius_m=20.0)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lanebound.integrity.accel import serial
-from lanebound.integrity.errors import InputError
+from lanebound.integrity.core.accel import serial
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.city import CityConfig, SectionKind, build_city
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.scene import City, Surface, prisms

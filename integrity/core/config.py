@@ -1,0 +1,245 @@
+"""Typed configuration: frozen models that refuse unknown keys, wrong types and values out of range, with advice.
+
+>>> class Receiver(Config):
+...     rate_hz: float = Field(10.0, gt=0, description="epochs in a second [Hz]; S1 section 4")
+>>> Receiver.load({"rate_hz": 5}).rate_hz
+5.0
+>>> Receiver(rate_hz=-1.0)
+Traceback (most recent call last):
+lanebound.integrity.core.errors.ConfigError: rate_hz must be > 0, got -1.0: correct that value (the default is 10.0)
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from enum import Enum
+from typing import Any, NamedTuple, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic_core import PydanticCustomError
+
+from lanebound.integrity.core.config_errors import explain
+from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.presets import deep_merge, load_preset, preset_names
+
+__all__ = ["Config", "Entry", "Field", "deep_merge", "describe", "load_preset", "preset_names", "unit_of"]
+
+UNITS = {
+    "bps": "bit/s",
+    "cm": "cm",
+    "cycles": "cycles",
+    "db": "dB",
+    "dbhz": "dB-Hz",
+    "deg": "deg",
+    "degps": "deg/s",
+    "dps": "deg/s",
+    "g": "g",
+    "h": "h",
+    "hz": "Hz",
+    "km": "km",
+    "kmph": "km/h",
+    "m": "m",
+    "m2": "m^2",
+    "mhz": "MHz",
+    "min": "min",
+    "mm": "mm",
+    "mps": "m/s",
+    "mps2": "m/s^2",
+    "mps3": "m/s^3",
+    "ms": "ms",
+    "ns": "ns",
+    "pct": "%",
+    "ppm": "ppm",
+    "rad": "rad",
+    "radps": "rad/s",
+    "radps2": "rad/s^2",
+    "s": "s",
+    "us": "us",
+}
+HASH = "_hash"  # beside the fields, as a cached property would be
+ROOTS = {f"sqrt_{name}": f"sqrt({unit})" for name, unit in UNITS.items()}
+
+
+class Config(BaseModel):
+    """Base of every configuration: frozen, no unknown keys, finite numbers, defaults checked too.
+
+    Any mistake raises :class:`~lanebound.integrity.core.errors.ConfigError` with one line for each problem. Text is
+    never read as a number, nor a truth value as one; an int may stand for a float and a list for a tuple, as YAML
+    needs.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
+
+    def __init__(self, **data: Any) -> None:
+        try:
+            super().__init__(**data)
+        except ValidationError as error:
+            raise ConfigError(explain(type(self), error)) from None
+
+    # Tells pydantic that nested models may be validated without a call of this __init__, so that paths stay whole.
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
+
+    def __hash__(self) -> int:
+        """Of type and values, found once: configurations are keys of caches in inner loops."""
+        found = self.__dict__.get(HASH)
+        if found is None:
+            found = hash((type(self), *(self.__dict__[name] for name in type(self).model_fields)))
+            self.__dict__[HASH] = found
+        return int(found)
+
+    def __getstate__(self) -> dict[Any, Any]:
+        """Without the hash: another process hashes text otherwise."""
+        state = super().__getstate__()
+        return {**state, "__dict__": {name: value for name, value in state["__dict__"].items() if name != HASH}}
+
+    @field_validator("*", mode="wrap")
+    @classmethod
+    def _refuse_coercion(cls, raw: Any, handler: Any) -> Any:
+        value = handler(raw)
+        _check_same_kind(raw, value)
+        return value
+
+    @classmethod
+    def load(cls, data: Mapping[str, Any], path: str = "", unchanged: Mapping[str, Any] | None = None) -> Self:
+        """The configuration from plain data; ``path`` goes in front of every key in messages.
+
+        ``unchanged`` is what the data were before a user changed them, for messages to name its values.
+
+        Raises
+        ------
+        ConfigError
+            One line for each problem: dotted path, bound, value, remedy.
+        """
+        if not isinstance(data, Mapping):
+            raise ConfigError(f"{path or cls.__name__} must be a mapping, got {data!r}: write keys and values")
+        try:
+            return cls.model_validate(dict(data))
+        except ValidationError as error:
+            raise ConfigError(explain(cls, error, path, unchanged)) from None
+
+    @classmethod
+    def build(cls, data: Mapping[str, Any] | Self | None = None, overrides: Mapping[str, Any] | None = None) -> Self:
+        """The configuration from plain data (or another configuration, or nothing) with ``overrides`` merged deeply.
+
+        Raises
+        ------
+        ConfigError
+            As :meth:`load`.
+        """
+        base = data.model_dump() if isinstance(data, Config) else data or {}
+        if isinstance(base, str):
+            raise ConfigError(f"{cls.__name__} must be a mapping, got {base!r}: write {cls.__name__}.preset({base!r})")
+        return cls.load(deep_merge(base, overrides or {}), unchanged=base)
+
+    @classmethod
+    def preset(cls, name: str, overrides: Mapping[str, Any] | None = None) -> Self:
+        """The configuration of a packaged preset with ``overrides`` merged deeply."""
+        data = load_preset(name, overrides)
+        data.pop("kind", None)
+        return cls.load(data)
+
+    def replace(self, **changes: Any) -> Self:
+        """A checked copy with ``changes``; a mapping changes only the keys it names."""
+        return type(self).build(self, changes)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data (numbers, text, lists, mappings) that ``load`` and JSON take."""
+        return self.model_dump(mode="json")
+
+    def to_json(self) -> str:
+        """JSON text that ``from_json`` takes."""
+        return self.model_dump_json()
+
+    @classmethod
+    def from_json(cls, text: str | bytes) -> Self:
+        """The configuration from JSON text.
+
+        Raises
+        ------
+        ConfigError
+            The text is not JSON, or its values are refused.
+        """
+        import json
+
+        try:
+            data = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise ConfigError(f"{cls.__name__} must be given as JSON, got {error}: correct the text") from error
+        return cls.load(data)
+
+
+def _check_same_kind(raw: Any, value: Any) -> None:
+    """Refuse a number that was read from text or from a truth value, at any depth of a sequence or mapping."""
+    if isinstance(value, Config | Enum | str) or value is raw:
+        return
+    if isinstance(value, bool) and not isinstance(raw, bool):
+        raise PydanticCustomError("bool_type", "Input should be true or false")
+    if isinstance(value, int | float) and isinstance(raw, str | bytes | bool):
+        raise PydanticCustomError("int_type" if isinstance(value, int) else "float_type", "Input should be a number")
+    if isinstance(value, Mapping) and isinstance(raw, Mapping):
+        for old, new in zip(raw.values(), value.values(), strict=True):
+            _check_same_kind(old, new)
+    elif isinstance(value, Sequence) and isinstance(raw, Sequence):
+        for old, new in zip(raw, value, strict=True):
+            _check_same_kind(old, new)
+
+
+class Entry(NamedTuple):
+    """One value of a configuration: dotted path, value, unit ("" for a pure number) and what it is."""
+
+    path: str
+    value: Any
+    unit: str
+    description: str
+
+
+def unit_of(name: str) -> str:
+    """The unit that a field's name ends in: ``"speed_mps"`` -> ``"m/s"``, ``"faults_per_h"`` -> ``"1/h"``."""
+    head, *below = name.split("_per_")
+    top = _suffix(head)
+    if not below:
+        return top
+    return "/".join([top or "1", *(ROOTS.get(part) or UNITS.get(part, part) for part in below)])
+
+
+def _suffix(name: str) -> str:
+    return UNITS.get(name.rpartition("_")[2], "") if "_" in name else ""
+
+
+def describe(config: BaseModel, path: str = "") -> list[Entry]:
+    """Every value of a configuration, in the order of its fields.
+
+    The unit is the one in brackets in the field's description, or else the one its name ends in.
+    """
+    return list(_entries(config, path))
+
+
+def _entries(config: BaseModel, path: str) -> Iterator[Entry]:
+    for name, field in type(config).model_fields.items():
+        value = getattr(config, name)
+        where = f"{path}.{name}" if path else name
+        items = _nested(value, where)
+        if items:
+            for below, model in items:
+                yield from _entries(model, below)
+            continue
+        text = field.description or ""
+        bracket = re.search(r"\s*\[([^\]]*)\]", text)
+        unit = bracket[1] if bracket else unit_of(name)
+        if bracket:
+            text = text[: bracket.start()] + text[bracket.end() :]
+        yield Entry(where, value, "" if unit == "-" else unit, text)
+
+
+def _nested(value: Any, path: str) -> list[tuple[str, BaseModel]]:
+    """The configurations inside a value, each with its path."""
+    if isinstance(value, BaseModel):
+        return [(path, value)]
+    if isinstance(value, Mapping):
+        inside = [(f"{path}.{key}", item) for key, item in value.items()]
+    elif isinstance(value, list | tuple):
+        inside = [(f"{path}.{i}", item) for i, item in enumerate(value)]
+    else:
+        return []
+    return [(where, item) for where, item in inside if isinstance(item, BaseModel)]

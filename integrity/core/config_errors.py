@@ -1,0 +1,160 @@
+"""Pydantic's findings in this package's words: the dotted path, the bound, the value found and the remedy."""
+
+from __future__ import annotations
+
+import math
+import typing
+from collections.abc import Mapping, Sequence
+from enum import Enum
+from typing import TYPE_CHECKING, Any
+
+from lanebound.integrity.core.presets import nearest
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel, ValidationError
+    from pydantic.fields import FieldInfo
+
+__all__ = ["explain"]
+
+BOUNDS = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
+SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+LISTS = {"tuple_type", "list_type"}
+SIZES = {"too_short": "at least", "too_long": "at most"}
+MAPPINGS = {"model_type", "model_attributes_type", "dict_type", "mapping_type"}
+NUMBERS = {"float_type", "float_parsing", "int_type", "int_parsing"}
+
+
+def explain(
+    model: type[BaseModel], error: ValidationError, path: str = "", unchanged: Mapping[str, Any] | None = None
+) -> str:
+    """One line for each problem that ``error`` found in ``model``, with ``path`` in front of each key.
+
+    ``unchanged`` is what a user's changes were merged over: its values are named in place of a field's default.
+    """
+    found = error.errors()
+    places = [problem["loc"] for problem in found]
+    told = [p for p in found if not (p["type"] == "too_short" and _holds(p["loc"], places))]
+    return "\n".join(_line(model, problem, path, unchanged or {}) for problem in told)
+
+
+def _holds(loc: Sequence[int | str], places: Sequence[Sequence[int | str]]) -> bool:
+    """Whether one of the places lies within ``loc``: what is too short for values that were refused is no finding."""
+    return any(len(place) > len(loc) and tuple(place[: len(loc)]) == tuple(loc) for place in places)
+
+
+def _line(model: type[BaseModel], problem: Mapping[str, Any], path: str, unchanged: Mapping[str, Any]) -> str:
+    loc, kind = problem["loc"], problem["type"]
+    owner, field = _find(model, loc)
+    dotted = ".".join(filter(None, (path, *map(str, loc)))) or model.__name__
+    if kind == "extra_forbidden":
+        return f"{dotted} is not a known key: {nearest(str(loc[-1]), owner.model_fields if owner else ())}"
+    if kind == "missing":
+        return f"{dotted} is required, got nothing: add it"
+    if kind in ("value_error", "assertion_error"):
+        text = str(problem["ctx"]["error"])
+        return text if text.startswith(dotted) else f"{dotted}: {text}"
+    remedy = _remedy(problem, field, _before(unchanged, loc))
+    return f"{dotted} must {_demand(problem, field)}, got {_found(problem['input'])}: {remedy}"
+
+
+def _demand(problem: Mapping[str, Any], field: FieldInfo | None) -> str:
+    """What the value must do, in words."""
+    kind, context = problem["type"], problem.get("ctx", {})
+    if kind in BOUNDS:
+        return _interval(field) or _one_bound(context)
+    if kind == "finite_number":
+        return "be finite"
+    if kind in NUMBERS:
+        return "be an integer" if kind.startswith("int") else "be a number"
+    if kind == "int_from_float":
+        return "be an integer"
+    if kind in ("enum", "literal_error"):
+        return f"be one of {context['expected']}"
+    if kind in SIZES:
+        count = context.get("min_length", context.get("max_length"))
+        return f"have {SIZES[kind]} {count} {'entry' if count == 1 else 'entries'}"
+    if kind in LISTS:
+        return "be a list"
+    if kind in MAPPINGS:
+        return "be a mapping"
+    text = str(problem["msg"])
+    text = text.removeprefix("Input should be ")
+    return f"be {text}" if text != problem["msg"] else f"satisfy: {text}"
+
+
+def _one_bound(context: Mapping[str, Any]) -> str:
+    return " and ".join(f"be {SIGNS[key]} {limit:.12g}" for key, limit in context.items() if key in SIGNS)
+
+
+def _interval(field: FieldInfo | None) -> str | None:
+    """``"lie in (0, 1)"`` when the field has both bounds."""
+    limits = {
+        key: getattr(item, key) for item in (field.metadata if field else ()) for key in SIGNS if hasattr(item, key)
+    }
+    low = "gt" if "gt" in limits else "ge"
+    high = "lt" if "lt" in limits else "le"
+    if low not in limits or high not in limits:
+        return None
+    left, right = "(" if low == "gt" else "[", ")" if high == "lt" else "]"
+    return f"lie in {left}{limits[low]:.12g}, {limits[high]:.12g}{right}"
+
+
+def _found(value: Any) -> str:
+    """The value, a long one without its middle: of a path the end tells most."""
+    shown = repr(value)
+    return shown if len(shown) <= 80 else f"{shown[:30]}...{shown[-45:]}"
+
+
+def _before(unchanged: Any, loc: Sequence[int | str]) -> Any:
+    """The value at a path of plain data, None where there is none."""
+    for key in loc:
+        unchanged = unchanged.get(key) if isinstance(unchanged, Mapping) else None
+    return unchanged
+
+
+def _remedy(problem: Mapping[str, Any], field: FieldInfo | None, before: Any) -> str:
+    kind, value = problem["type"], problem["input"]
+    if kind in NUMBERS:
+        return "write the number without quotes" if _is_number(value) else "give a number"
+    if kind in LISTS and isinstance(value, int | float | str):
+        return f"write [{value}]"
+    if kind in ("enum", "literal_error"):
+        return nearest(str(value), str(problem["ctx"]["expected"]).replace(" or ", ", ").replace("'", "").split(", "))
+    default = field.get_default() if field is not None and not field.is_required() else None
+    if _plain(before) and before not in (default, problem["input"]):
+        return f"correct that value (unchanged it is {before})"
+    if _plain(default):
+        return f"correct that value (the default is {default})"
+    return "correct that value"
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a value is the text of a finite number."""
+    try:
+        return isinstance(value, str) and math.isfinite(float(value))
+    except ValueError:
+        return False
+
+
+def _plain(value: Any) -> bool:
+    return isinstance(value, int | float | str) and not isinstance(value, Enum)
+
+
+def _find(model: type[BaseModel], loc: Sequence[int | str]) -> tuple[type[BaseModel] | None, FieldInfo | None]:
+    """The model that owns the last key of ``loc``, and that key's field; None where the path leaves the models."""
+    owner: type[BaseModel] | None = model
+    inside: type[BaseModel] | None = model
+    field: FieldInfo | None = None
+    for key in loc:
+        owner = inside
+        field = owner.model_fields.get(key) if owner is not None and isinstance(key, str) else None
+        if field is not None:
+            inside = _model_in(field.annotation)
+    return owner, field
+
+
+def _model_in(annotation: Any) -> type[BaseModel] | None:
+    """The model inside an annotation such as ``Model``, ``Model | None`` or ``tuple[Model, ...]``."""
+    if isinstance(annotation, type) and hasattr(annotation, "model_fields"):
+        return annotation
+    return next(filter(None, map(_model_in, typing.get_args(annotation))), None)

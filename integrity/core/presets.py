@@ -1,0 +1,231 @@
+"""Presets: YAML files packaged with :mod:`lanebound.configs`, merged deeply, as plain data."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+from collections.abc import Collection, Hashable, Iterable, Mapping
+from functools import cache
+from importlib import resources
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Any
+
+from lanebound.integrity.core.errors import ConfigError
+
+__all__ = [
+    "FILES", "deep_merge", "load_file", "load_preset", "nearest", "parse_assignments", "parse_yaml", "preset_names",
+]  # fmt: skip
+
+PRESET_PACKAGE = "lanebound.configs"
+FEW = 8  # presets, that a message may name
+FILES = (".yaml", ".yml")
+YAML_FLOAT = re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")  # YAML 1.1 reads 1e-7 as text
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """Advice that names the closest known word, or all of them when none is close."""
+    names = sorted(known)
+    close = difflib.get_close_matches(str(word), names, n=1, cutoff=0.5)
+    if close:
+        return f"did you mean '{close[0]}'?"
+    return f"known are {', '.join(names)}" if names else "none are known"
+
+
+def deep_merge(base: Mapping[str, Any], override: Mapping[str, Any]) -> dict[str, Any]:
+    """A copy of ``base`` in which mappings are merged key by key and every other value is replaced."""
+    merged = {key: deep_merge(value, {}) if isinstance(value, Mapping) else value for key, value in base.items()}
+    for key, value in override.items():
+        old = merged.get(key)
+        if isinstance(value, Mapping):
+            merged[key] = deep_merge(old if isinstance(old, Mapping) else {}, value)
+        else:
+            merged[key] = value
+    return merged
+
+
+DEEPEST = 50
+MOST_VALUES = 20_000
+
+
+@cache
+def _yaml_loader() -> Any:
+    """PyYAML's safe loader, which also reads 1e-7 as a number and refuses a key given twice."""
+    import yaml
+
+    class Loader(yaml.SafeLoader):
+        def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+            seen = set()
+            own = (key for key, _ in node.value if key.tag != "tag:yaml.org,2002:merge")  # not <<, which names no key
+            for key in (self.construct_object(key, deep=True) for key in own):
+                if not isinstance(key, Hashable):
+                    continue  # refused by the safe loader itself
+                if key in seen:
+                    raise yaml.constructor.ConstructorError(None, None, f"key '{key}' twice", node.start_mark)
+                seen.add(key)
+            return super().construct_mapping(node, deep=deep)
+
+    Loader.add_implicit_resolver("tag:yaml.org,2002:float", YAML_FLOAT, list("-+.0123456789"))
+    return Loader
+
+
+def parse_yaml(text: str, source: str) -> Any:
+    """Plain data from YAML text; ``source`` names it in errors.
+
+    Raises
+    ------
+    ConfigError
+        The text is not YAML, is nested too deeply, or holds too much once its aliases are written out.
+    """
+    import yaml
+
+    try:
+        data = yaml.load(text, Loader=_yaml_loader())  # a SafeLoader
+    except yaml.YAMLError as exc:
+        raise ConfigError(f"{source} is not valid YAML, got {' '.join(str(exc).split())}: correct that line") from exc
+    except RecursionError as exc:
+        raise ConfigError(f"{source} must be nested at most {DEEPEST} levels, got more: flatten it") from exc
+    _require_moderate(data, source)
+    return data
+
+
+def _require_moderate(data: Any, source: str) -> None:
+    """Refuse data so deep or so large that a check would not end: a few aliases can stand for a billion values."""
+    count, level = 0, [data]
+    for _ in range(DEEPEST):
+        below: list[Any] = []
+        for inside in map(_inside, level):
+            count += len(inside)
+            if count > MOST_VALUES:
+                raise ConfigError(f"{source} must hold at most {MOST_VALUES} values, got more: use fewer aliases")
+            below.extend(inside)
+        if not below:
+            return
+        level = below
+    raise ConfigError(f"{source} must be nested at most {DEEPEST} levels, got more: flatten it")
+
+
+def _inside(part: Any) -> Collection[Any]:
+    """The values in a mapping, a list or a set; nothing in others."""
+    if isinstance(part, Mapping):
+        return part.values()
+    return part if isinstance(part, list | set | tuple) else ()
+
+
+def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
+    """Nested overrides from texts such as ``"navigator.dt_s=0.2"``; values are read as YAML."""
+    overrides: dict[str, Any] = {}
+    for text in assignments:
+        if not isinstance(text, str):
+            raise ConfigError(f"an override must be text, got {text!r}: write KEY=VALUE")
+        path, equals, value = text.partition("=")
+        keys = [key.strip() for key in path.split(".")]
+        if not equals or not all(keys):
+            raise ConfigError(f"an override must read key=value, got '{text}': 'lanebound config show' names the keys")
+        nested: Any = parse_yaml(value, f"the value of '{path}'")
+        for key in reversed(keys):
+            nested = {key: nested}
+        overrides = deep_merge(overrides, nested)
+    return overrides
+
+
+def _walk(folder: Traversable, prefix: str = "") -> Iterable[tuple[str, Traversable]]:
+    for entry in folder.iterdir():
+        if entry.is_dir():
+            yield from _walk(entry, f"{prefix}{entry.name}/")
+        elif entry.name.endswith(".yaml"):
+            yield prefix + entry.name.removesuffix(".yaml"), entry
+
+
+def _presets() -> dict[str, Traversable]:
+    return dict(sorted(_walk(resources.files(PRESET_PACKAGE))))
+
+
+def preset_names() -> list[str]:
+    """Names of the packaged presets: their paths below ``configs/`` without ``.yaml``, sorted."""
+    return list(_presets())
+
+
+def load_preset(name: str, overrides: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """The values of preset ``name`` with those it extends below it and ``overrides`` on top.
+
+    A preset may say ``extends: other`` (or a list, later ones win). ``kind``, when present, stays in the result.
+
+    Raises
+    ------
+    ConfigError
+        A preset is unknown, is not a mapping of YAML, or extends itself.
+    """
+    return deep_merge(_resolve(name, _presets(), ()), overrides or {})
+
+
+def load_file(path: Path, what: str, kind: str | None = None) -> dict[str, Any]:
+    """The values of a preset that is a file of one's own; ``what`` it is in messages.
+
+    It may extend packaged ones by name, and other files by their paths from its own folder. With ``kind`` a file that
+    names another, itself or by what it extends, is refused; the values are then without it.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be read, is not a mapping of YAML, is of another kind, or extends what there is not, or itself.
+    """
+    data = _read(path, what, _presets(), ())
+    if kind is not None and (found := data.pop("kind", kind)) != kind:
+        raise ConfigError(f"{what} must be a file of kind {kind}, got {path} of kind {found}: give another file")
+    return data
+
+
+def _read(path: Path, what: str, presets: Mapping[str, Traversable], seen: tuple[str, ...]) -> dict[str, Any]:
+    source = os.path.abspath(path)
+    _require_new(source, seen)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{what} must be a file that can be read, got {path} ({error}): correct the path") from None
+    return _extended(text, str(path), presets, (*seen, source), path.parent)
+
+
+def _require_new(name: str, seen: tuple[str, ...]) -> None:
+    if name in seen:
+        raise ConfigError(f"preset '{name}' extends itself, by way of {' -> '.join((*seen, name))}: break the circle")
+
+
+def _nearest_preset(name: str, presets: Iterable[str]) -> str:
+    """Advice that names one preset, of which a part may be meant, or says where the many are listed."""
+    names = list(presets)
+    by_last = {preset.rpartition("/")[2]: preset for preset in names}
+    close = difflib.get_close_matches(name, [*names, *by_last], n=1, cutoff=0.6)
+    if close:
+        return f"did you mean '{by_last.get(close[0], close[0])}'?"
+    return nearest(name, names) if len(names) <= FEW else "'lanebound config list' names all of them"
+
+
+def _resolve(name: str, presets: Mapping[str, Traversable], seen: tuple[str, ...]) -> dict[str, Any]:
+    _require_new(name, seen)
+    if name not in presets:
+        where = f" (extended by '{seen[-1]}')" if seen else ""
+        raise ConfigError(f"preset '{name}'{where} is unknown: {_nearest_preset(name, presets)}")
+    return _extended(presets[name].read_text(encoding="utf-8"), f"preset '{name}'", presets, (*seen, name))
+
+
+def _extended(
+    text: str, source: str, presets: Mapping[str, Traversable], seen: tuple[str, ...], folder: Path | None = None
+) -> dict[str, Any]:
+    """What a text says over what it extends, which are presets, and files where it is one itself in ``folder``."""
+    data = parse_yaml(text, source)
+    if not isinstance(data, Mapping):
+        raise ConfigError(f"{source} must be a mapping, got {type(data).__name__}: write lines 'key: value'")
+    own = dict(data)
+    parents = own.pop("extends", [])
+    parents = [parents] if isinstance(parents, str) else parents
+    if not isinstance(parents, list) or not all(isinstance(parent, str) for parent in parents):
+        raise ConfigError(f"extends of {source} must be a name or a list of names, got {parents!r}: correct it")
+    merged: dict[str, Any] = {}
+    for parent in parents:
+        if folder is not None and parent.endswith(FILES):
+            merged = deep_merge(merged, _read(folder / parent, f"what {source} extends", presets, seen))
+        else:
+            merged = deep_merge(merged, _resolve(parent, presets, seen))
+    return deep_merge(merged, own)

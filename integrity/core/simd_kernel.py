@@ -1,0 +1,227 @@
+"""Eight numbers at a time: a vector type for kernels, whose arithmetic has the same bits on every path.
+
+A loop that adds up a row is vectorised by the compiler only when it may change the order of the sum, and then the last
+bits depend on what the compiler saw around the loop. Here the kernel says itself what is done side by side. ``Lanes``
+add, subtract, multiply and divide lane by lane, with each other and with plain numbers; the functions below do the
+rest. Each is one machine operation for 2, 4 or 8 lanes, whatever the processor has, of the same result.
+
+Inside kernels only. Rows are read and written ``WIDTH`` columns at a time, without bounds checks: their arrays must be
+C-contiguous, and wide enough for whole vectors (:func:`padded`).
+"""
+
+# mypy: allow-untyped-calls, allow-untyped-decorators
+
+from __future__ import annotations
+
+import operator
+from typing import Any
+
+from llvmlite import ir
+from numba.core import types
+from numba.core.cgutils import get_or_insert_function
+from numba.core.typeconv.castgraph import Conversion
+from numba.core.typing.templates import AbstractTemplate, Signature, infer_global
+from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
+
+from lanebound.integrity.core.accel import jit
+
+__all__ = [
+    "WIDTH",
+    "absolute",
+    "fma",
+    "largest",
+    "load",
+    "maximum",
+    "minimum",
+    "padded",
+    "root_of",
+    "spread",
+    "store",
+    "total",
+    "where_less",
+]
+
+WIDTH = 8
+VECTOR, NUMBER, INDEX = ir.VectorType(ir.DoubleType(), WIDTH), ir.DoubleType(), ir.IntType(64)
+
+
+class LanesType(types.Type):
+    """Numba's type of ``Lanes``; a plain number becomes one by filling all lanes."""
+
+    def __init__(self) -> None:
+        super().__init__(name="Lanes")
+
+    def can_convert_from(self, typingctx: Any, other: Any) -> Any:
+        return Conversion.safe if isinstance(other, types.Float) else None
+
+
+lanes = LanesType()
+
+
+@register_model(LanesType)
+class LanesModel(models.PrimitiveModel):
+    """Lanes live in a vector register."""
+
+    def __init__(self, manager: Any, fe_type: Any) -> None:
+        super().__init__(manager, fe_type, VECTOR)
+
+
+def _filled(builder: Any, number: Any) -> Any:
+    first = builder.insert_element(ir.Constant(VECTOR, ir.Undefined), number, ir.IntType(32)(0))
+    return builder.shuffle_vector(first, first, ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), [0] * WIDTH))
+
+
+@lower_cast(types.Float, lanes)
+def _cast(context: Any, builder: Any, from_type: Any, to_type: Any, value: Any) -> Any:
+    return _filled(builder, context.cast(builder, value, from_type, types.float64))
+
+
+def _takes_lanes(arguments: tuple[Any, ...]) -> bool:
+    return lanes in arguments and all(a == lanes or isinstance(a, types.Float) for a in arguments)
+
+
+def _operator(function: Any, instruction: str) -> None:
+    """Teach Numba ``function`` of two ``Lanes``, or of ``Lanes`` and a number."""
+
+    @infer_global(function)
+    class Template(AbstractTemplate):
+        def generic(self, args: Any, kws: Any) -> Signature | None:
+            return Signature(lanes, (lanes, lanes), None) if len(args) == 2 and _takes_lanes(args) else None
+
+    @lower_builtin(function, lanes, lanes)
+    def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return getattr(builder, instruction)(*args)
+
+
+for _name, _llvm_name in {"add": "fadd", "sub": "fsub", "mul": "fmul", "truediv": "fdiv"}.items():
+    for _function in (_name, f"i{_name}"):
+        _operator(getattr(operator, _function), _llvm_name)
+
+
+def _instruction(function: Any) -> Any:
+    """A function of kernels that stands for the LLVM code which ``function`` emits."""
+    return intrinsic(function)
+
+
+def _llvm(builder: Any, name: str, *args: Any) -> Any:
+    """Call of the LLVM function ``name``, which takes and gives vectors or numbers of one type."""
+    kind = args[0].type
+    suffix = f"v{WIDTH}f64" if kind == VECTOR else "f64"
+    signature = ir.FunctionType(kind, [kind] * len(args))
+    return builder.call(get_or_insert_function(builder.module, signature, f"llvm.{name}.{suffix}"), args)
+
+
+@_instruction
+def fma(typingctx: Any, a: Any, b: Any, c: Any) -> Any:
+    """``a b + c`` rounded once, of lanes or numbers."""
+    kind = lanes if lanes in (a, b, c) else types.float64
+    return kind(kind, kind, kind), lambda context, builder, signature, args: _llvm(builder, "fma", *args)
+
+
+@_instruction
+def absolute(typingctx: Any, a: Any) -> Any:
+    """``abs(a)`` of each lane."""
+    return lanes(lanes), lambda context, builder, signature, args: _llvm(builder, "fabs", *args)
+
+
+@_instruction
+def root_of(typingctx: Any, a: Any) -> Any:
+    """Square root of each lane."""
+    return lanes(lanes), lambda context, builder, signature, args: _llvm(builder, "sqrt", *args)
+
+
+@_instruction
+def where_less(typingctx: Any, a: Any, b: Any, then: Any, otherwise: Any) -> Any:
+    """``then if a < b else otherwise`` in each lane; NaN is not less."""
+
+    def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.select(builder.fcmp_ordered("<", args[0], args[1]), args[2], args[3])
+
+    return lanes(lanes, lanes, lanes, lanes), emit
+
+
+@_instruction
+def spread(typingctx: Any, number: Any) -> Any:
+    """``number`` in all lanes."""
+    return lanes(lanes), lambda context, builder, signature, args: args[0]
+
+
+def _address(context: Any, builder: Any, signature: Any, args: Any, at: int) -> Any:
+    """Where columns ``args[at + 2]`` and on of row ``args[at + 1]`` of array ``args[at]`` begin, as vector pointer."""
+    array = context.make_array(signature.args[at])(context, builder, args[at])
+    columns = builder.extract_value(array.shape, 1)
+    offset = builder.add(builder.mul(args[at + 1], columns), args[at + 2])
+    return builder.bitcast(builder.gep(array.data, [offset]), VECTOR.as_pointer())
+
+
+@_instruction
+def load(typingctx: Any, array: Any, row: Any, column: Any) -> Any:
+    """Columns ``column`` to ``column + WIDTH - 1`` of a row of ``array``."""
+
+    def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.load(_address(context, builder, signature, args, 0), align=8)
+
+    return lanes(array, types.int64, types.int64), emit
+
+
+@_instruction
+def store(typingctx: Any, value: Any, array: Any, row: Any, column: Any) -> Any:
+    """Write the lanes to columns ``column`` to ``column + WIDTH - 1`` of a row of ``array``."""
+
+    def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        builder.store(args[0], _address(context, builder, signature, args, 1), align=8)
+        return context.get_dummy_value()
+
+    return types.void(lanes, array, types.int64, types.int64), emit
+
+
+def _folded(builder: Any, vector: Any, combine: Any) -> Any:
+    """One number of all lanes: the upper half on the lower, until one is left."""
+    width = WIDTH
+    while width > 1:
+        width //= 2
+        mask = ir.VectorType(ir.IntType(32), width)
+        low, high = (ir.Constant(mask, list(range(start, start + width))) for start in (0, width))
+        vector = combine(builder.shuffle_vector(vector, vector, low), builder.shuffle_vector(vector, vector, high))
+    return builder.extract_element(vector, ir.IntType(32)(0))
+
+
+@_instruction
+def total(typingctx: Any, a: Any) -> Any:
+    """Sum of the lanes, by pairs in a fixed order."""
+
+    def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return _folded(builder, args[0], builder.fadd)
+
+    return types.float64(lanes), emit
+
+
+@_instruction
+def largest(typingctx: Any, a: Any) -> Any:
+    """Largest of the lanes, none of them NaN."""
+
+    def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        def greater(x: Any, y: Any) -> Any:
+            return builder.select(builder.fcmp_ordered(">", x, y), x, y)
+
+        return _folded(builder, args[0], greater)
+
+    return types.float64(lanes), emit
+
+
+@jit
+def minimum(a: Any, limit: Any) -> Any:
+    """The smaller one in each lane; a NaN in ``a`` stays."""
+    return where_less(limit, a, limit, a)
+
+
+@jit
+def maximum(a: Any, limit: Any) -> Any:
+    """The larger one in each lane; a NaN in ``a`` stays."""
+    return where_less(a, limit, limit, a)
+
+
+@jit
+def padded(n: int) -> int:
+    """The next multiple of WIDTH: the columns that whole vectors reach."""
+    return (n + WIDTH - 1) // WIDTH * WIDTH

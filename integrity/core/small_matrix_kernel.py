@@ -1,0 +1,78 @@
+"""Symmetric 3x3 matrices, which is what is left of a position once the clocks are eliminated, and their HDOP."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.core.accel import jit
+
+__all__ = ["MAX_GROUPS", "hdop_of", "invert_3x3", "invert_upper", "multiply_3"]
+
+Array = NDArray[np.float64]
+
+MAX_GROUPS = 8  # clocks of a receiver
+SINGULAR_BELOW = 1e-12  # of the determinant of the matrix scaled to a unit diagonal, and of the diagonal's own spread
+
+
+@jit
+def invert_upper(
+    a: float, b: float, c: float, d: float, e: float, f: float
+) -> tuple[bool, float, float, float, float, float, float]:
+    """Whether [[a, b, c], [b, d, e], [c, e, f]] is positive definite, and the upper triangle of its inverse."""
+    m, o, p = d * f - e * e, c * e - b * f, b * e - c * d
+    det = a * m + b * o + c * p
+    least, most = min(a, d, f), max(a, d, f)
+    if not (det > SINGULAR_BELOW * a * d * f and least > SINGULAR_BELOW * most):  # also for NaN
+        return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    t = 1.0 / det
+    q, r = a * f - c * c, a * d - b * b
+    return m > 0.0 and q > 0.0 and r > 0.0, m * t, o * t, p * t, q * t, (b * c - a * e) * t, r * t
+
+
+@jit
+def invert_3x3(matrix: Array, out: Array) -> bool:
+    """Inverse of a symmetric positive definite 3x3 matrix; False (and ``out`` undefined) when it is not one."""
+    ok, out[0, 0], out[0, 1], out[0, 2], out[1, 1], out[1, 2], out[2, 2] = invert_upper(
+        matrix[0, 0], matrix[0, 1], matrix[0, 2], matrix[1, 1], matrix[1, 2], matrix[2, 2]
+    )
+    out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]
+    return bool(ok)
+
+
+@jit
+def multiply_3(matrix: Array, vector: Array, out: Array) -> None:
+    """``out = matrix vector`` for a 3x3 matrix."""
+    for j in range(3):
+        out[j] = matrix[j, 0] * vector[0] + matrix[j, 1] * vector[1] + matrix[j, 2] * vector[2]
+
+
+@jit
+def hdop_of(e: Array, group: NDArray[np.int64], member: NDArray[np.bool_]) -> float:
+    """HDOP ``sqrt(Q_EE + Q_NN)`` of the members, ``Q`` from ``(G'G)^-1`` with one clock for each group; inf: singular.
+
+    e (S, 3) unit vectors in ENU, group (S,) below MAX_GROUPS, member (S,) bool.
+    """
+    mean = np.zeros((MAX_GROUPS, 4))
+    for s in range(e.shape[0]):
+        if member[s]:
+            row = mean[group[s]]
+            row[0] += e[s, 0]
+            row[1] += e[s, 1]
+            row[2] += e[s, 2]
+            row[3] += 1.0
+    a, b, c, d, f, g = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for s in range(e.shape[0]):
+        if member[s]:
+            row = mean[group[s]]
+            x, y, z = e[s, 0] - row[0] / row[3], e[s, 1] - row[1] / row[3], e[s, 2] - row[2] / row[3]
+            a += x * x
+            b += x * y
+            c += x * z
+            d += y * y
+            f += y * z
+            g += z * z
+    ok, east, _, _, north, _, _ = invert_upper(a, b, c, d, f, g)
+    return math.sqrt(east + north) if ok else math.inf

@@ -1,0 +1,188 @@
+"""Named random streams: one generator per vehicle and purpose, all spawned from one seed by name.
+
+Adding a stream, or a draw in one stream, never moves another; the same seed gives the same bits in any process.
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import math
+from collections.abc import Sequence
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.core import streams_kernel as sk
+from lanebound.integrity.core.errors import InputError
+
+__all__ = ["STREAM_NAMES", "ZIGGURAT", "Streams", "named_generator", "named_states"]
+
+STREAM_NAMES = (
+    "traffic", "gnss", "clock", "corrections", "imu", "odometer", "v2v", "sensor", "faults", "start", "scene",
+    "atmosphere", "station", "network",
+)  # fmt: skip
+"""All streams; the last three are what the vehicles of an area have in common."""
+ZIGGURAT: NDArray[np.float64] = np.load(str(resources.files("lanebound.integrity.core") / "ziggurat.npy"))
+"""(3, 256) tables of normal draws (:func:`~lanebound.integrity.core.streams_kernel.fill`), rounded as NumPy's are."""
+
+
+def _name_key(name: str) -> int:
+    """A stable 64-bit key of a stream's name (Python's own ``hash`` changes from process to process)."""
+    return int.from_bytes(hashlib.blake2b(name.encode(), digest_size=8).digest(), "little")
+
+
+def _entropy(seed: int | Sequence[int]) -> list[int]:
+    """One seed, or several, as plain non-negative ints."""
+    entropy = [int(seed)] if isinstance(seed, int | np.integer) else [int(s) for s in seed]
+    if any(e < 0 for e in entropy):
+        raise InputError(f"seed must be non-negative, got {seed}: choose 0 or a positive integer")
+    return entropy
+
+
+def _sequence(seed: int | Sequence[int], name: str) -> np.random.SeedSequence:
+    return np.random.SeedSequence([*_entropy(seed), _name_key(name)])
+
+
+def named_generator(seed: int | Sequence[int], name: str) -> np.random.Generator:
+    """The generator of stream ``name`` under ``seed`` (a non-negative int, or a sequence of them)."""
+    return np.random.Generator(np.random.SFC64(_sequence(seed, name)))
+
+
+def named_states(seeds: Sequence[int], name: str) -> NDArray[np.uint64]:
+    """The states (n, 4) of those generators, for compiled draws of the same bits."""
+    words = np.stack([_sequence(seed, name).generate_state(3, np.uint64) for seed in seeds])
+    states = np.empty((len(seeds), 4), dtype=np.uint64)
+    sk.begin(words, states)
+    return states
+
+
+class Streams:
+    """Generators by name for a batch of vehicles.
+
+    Parameters
+    ----------
+    seeds
+        One seed for each vehicle, or one int that seeds ``batch`` vehicles jointly (row b of a draw then belongs to
+        vehicle b, but the rows come from one generator: the fastest form, for Monte Carlo).
+    batch
+        Number of vehicles; needed only with a single seed.
+
+    A draw is always shaped ``(B, *shape)``.
+
+    Raises
+    ------
+    InputError
+        When a seed is negative, none is given, or ``batch`` is missing or contradicts the number of seeds.
+    """
+
+    def __init__(self, seeds: int | Sequence[int], batch: int | None = None) -> None:
+        self._joint = isinstance(seeds, int | np.integer)
+        if self._joint and (batch is None or batch < 1):
+            raise InputError(f"batch must be a positive int when one seed serves many vehicles, got {batch}")
+        self._seeds = _entropy(seeds)
+        self.batch: int = int(batch) if self._joint and batch is not None else len(self._seeds)
+        if self.batch < 1 or batch not in (None, self.batch):
+            raise InputError(
+                f"seeds must hold one seed for each vehicle, got {self.batch} for batch {batch}: make them agree"
+            )
+        self._rows = np.arange(len(self._seeds))
+        self._states: dict[str, NDArray[np.uint64]] = {}
+        self._generators: dict[str, np.random.Generator] = {}
+
+    @property
+    def seeds(self) -> tuple[int, ...] | None:
+        """Of each vehicle; None where one serves all."""
+        return None if self._joint else tuple(self._seeds)
+
+    def states(self, name: str) -> NDArray[np.uint64]:
+        """The states (n, 4) of the generators of one stream, n vehicles or a single joint one; draws change them."""
+        found = self._states.get(name)
+        if found is None:
+            self._require_undrawn(name, self._generators)
+            found = self._states[name] = named_states(self._seeds, name)
+        return found
+
+    def generator(self, name: str) -> np.random.Generator:
+        """The first vehicle's generator of a stream, or the joint one, for laws that are not drawn in batches.
+
+        Raises
+        ------
+        InputError
+            The stream is drawn from in batches: the same numbers would be drawn twice.
+        """
+        found = self._generators.get(name)
+        if found is None:
+            self._require_undrawn(name, self._states)
+            found = self._generators[name] = named_generator(self._seeds[0], name)
+        return found
+
+    def normal(self, name: str, *shape: int, where: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
+        """Standard normal draws ``(B, *shape)`` from stream ``name``.
+
+        ``where`` (B,) names the vehicles that draw; the rows of others hold anything, and their generators stay.
+
+        Raises
+        ------
+        InputError
+            Some but not all draw, of vehicles that are seeded jointly.
+        """
+        out = np.empty((self.batch, *shape))
+        if where is None or where.all():
+            sk.normals(self.states(name), self._rows, ZIGGURAT, self._by_generator(out))
+            return out
+        if self._joint:
+            raise InputError("where must name all vehicles seeded jointly, or none: give one seed for each vehicle")
+        rows = np.flatnonzero(where)
+        drawn = np.empty((rows.size, math.prod(shape)))
+        sk.normals(self.states(name), rows, ZIGGURAT, drawn)
+        out[rows] = drawn.reshape(rows.size, *shape)
+        return out
+
+    def uniform(self, name: str, *shape: int) -> NDArray[np.float64]:
+        """Uniform draws in [0, 1) of shape ``(B, *shape)`` from stream ``name``."""
+        out = np.empty((self.batch, *shape))
+        sk.uniforms(self.states(name), self._rows, self._by_generator(out))
+        return out
+
+    def reseed(self, index: int, seed: int) -> None:
+        """Start vehicle ``index`` anew under ``seed`` (all its streams); refused for joint seeding."""
+        if self._joint:
+            raise InputError("streams seeded jointly cannot reseed one vehicle: give one seed for each vehicle")
+        self._seeds[index] = _entropy(seed)[0]
+        for name, states in self._states.items():
+            states[index] = named_states([seed], name)[0]
+        if index == 0:
+            self._generators.clear()
+
+    def adopt(self, rows: NDArray[np.int64], other: Streams, theirs: NDArray[np.int64]) -> None:
+        """Go on with the generators of the vehicles ``theirs`` (n,) of other streams as ``rows`` (n,).
+
+        Raises
+        ------
+        InputError
+            Either are seeded jointly.
+        """
+        if self._joint or other._joint:
+            raise InputError("streams seeded jointly cannot hand over a vehicle: give one seed for each vehicle")
+        if 0 in rows:
+            self._generators.clear()
+        for row, of in zip(rows.tolist(), theirs.tolist(), strict=True):
+            self._seeds[row] = other._seeds[of]
+        for name in {*self._states, *other._states}:
+            self.states(name)[rows] = other.states(name)[theirs]
+
+    def snapshot(self) -> Streams:
+        """An independent copy that will produce the same draws."""
+        return copy.deepcopy(self)
+
+    def _by_generator(self, out: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The same array with a row for each generator."""
+        return out.reshape(len(self._seeds), math.prod(out.shape) // len(self._seeds))
+
+    @staticmethod
+    def _require_undrawn(name: str, other: dict[str, Any]) -> None:
+        if name in other:
+            raise InputError(f"stream {name!r} must be drawn from in one way, got two: name another stream")

@@ -1,0 +1,214 @@
+"""Scripted drives: vehicles that follow a road with speed limits, curves and traffic lights, and give their truth.
+
+They exist to exercise the navigation on its own, without a driving environment. Longitudinal motion only: each vehicle
+keeps the middle of its lane, accelerates and brakes within comfortable limits and stops at red lights.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.errors import InputError, require_finite, require_in_range
+from lanebound.integrity.core.streams import Streams
+from lanebound.integrity.motion.truth import Truth, truth_between
+from lanebound.integrity.sky.road import Road
+
+__all__ = ["CityDrive", "DriveConfig", "DriveState"]
+
+Array = NDArray[np.float64]
+
+
+class DriveConfig(Config):
+    """How the scripted drivers behave."""
+
+    speed_limit_mps: float = Field(13.9, gt=0, description="speed limit [m/s]; 50 km/h, Tokyo city streets")
+    acceleration_mps2: float = Field(
+        1.5, gt=0, description="comfortable acceleration [m/s^2]; ISO 15622 allows up to 2"
+    )
+    braking_mps2: float = Field(2.0, gt=0, description="comfortable braking [m/s^2]; ISO 15622 allows up to 3.5")
+    lateral_mps2: float = Field(2.0, gt=0, description="lateral acceleration that limits the speed in curves [m/s^2]")
+    light_spacing_m: float = Field(250.0, gt=20, description="distance between traffic lights [m]; city blocks")
+    red_share: float = Field(0.45, ge=0, le=1, description="share of lights met at red [-]")
+    red_min_s: float = Field(5.0, ge=0, description="shortest wait at a red light [s]")
+    red_max_s: float = Field(50.0, ge=0, description="longest wait at a red light [s]")
+    lane: int = Field(0, ge=0, description="lane driven in, 0 is the rightmost")
+
+
+@dataclass
+class DriveState:
+    """Where the vehicles are along the road: all arrays (B,)."""
+
+    time_s: float
+    arc_m: Array
+    speed_mps: Array
+    light: NDArray[np.int64]
+    red: NDArray[np.bool_]
+    wait_s: Array
+    position_m: Array
+    heading_rad: Array
+
+    def copy(self) -> DriveState:
+        """An independent copy."""
+        return copy.deepcopy(self)
+
+
+class CityDrive:
+    """A batch of vehicles driving along ``road``.
+
+    Parameters
+    ----------
+    road : Road
+        Its centre line; closed roads are driven lap after lap, open ones to their end, where the vehicles stop.
+    config : DriveConfig
+    dt_s : float
+        Length of a navigation epoch.
+
+    Raises
+    ------
+    InputError
+        When ``dt_s`` is not positive, or the lane lies beyond the centre of a curve.
+    """
+
+    def __init__(self, road: Road, config: DriveConfig, dt_s: float = 0.1) -> None:
+        if not float(require_finite("dt_s", dt_s)) > 0.0:
+            raise InputError(f"dt_s must be positive, got {dt_s}: pass the length of an epoch in seconds")
+        self.road, self.config, self.dt_s = road, config, dt_s
+        tangent = road.tangent_rad - road.tangent_rad[0]
+        lateral = float(road.lane_lateral_m(config.lane))
+        self._lane_at_m = road.arc_at_m - lateral * tangent  # exact: the tangent turns evenly between vertices
+        if not (np.diff(self._lane_at_m) > 0.0).all():
+            raise InputError(
+                f"road must bend less than lane {config.lane}, got a radius below {lateral} m: widen its curves"
+            )
+        self._limit_mps = self._curve_limits()
+
+    def _curve_limits(self) -> Array:
+        """Speed limit at each vertex: the legal one, or what the curve ahead allows with comfortable braking."""
+        c, step = self.config, np.diff(self.road.arc_at_m)
+        bend = np.maximum(np.abs(np.diff(self.road.tangent_rad)), 1e-9)
+        in_curve = np.maximum(np.sqrt(c.lateral_mps2 * np.diff(self._lane_at_m) / bend), 3.0)
+        limit = np.full(step.size + 1, c.speed_limit_mps)
+        limit[:-1] = np.minimum(limit[:-1], in_curve)
+        limit[1:] = np.minimum(limit[1:], in_curve)
+        for _ in range(2):  # twice, so that a closed road's end sees its beginning
+            if self.road.closed:
+                limit[-1] = min(limit[-1], limit[0])
+            for i in range(step.size - 1, -1, -1):
+                limit[i] = min(limit[i], np.sqrt(limit[i + 1] ** 2 + 2.0 * c.braking_mps2 * step[i]))
+        return limit
+
+    def _along_lane(self, arc_m: Array) -> Array:
+        """Length of the lane from the road's beginning: ``s - lateral (heading(s) - heading(0))``."""
+        lap = np.floor(arc_m / self.road.length_m) if self.road.closed else np.zeros_like(arc_m)
+        within = self.road.wrap_arc(arc_m) if self.road.closed else np.minimum(arc_m, self.road.length_m)
+        lane = np.interp(within, self.road.arc_at_m, self._lane_at_m)
+        return np.asarray(lane + lap * self._lane_at_m[-1] + (arc_m - within - lap * self.road.length_m))
+
+    def _advance_arc(self, arc_m: Array, distance_m: Array) -> Array:
+        """The arc after ``distance_m`` along the lane; exactly the same arc for a vehicle that stands."""
+        lane = self._along_lane(arc_m) + distance_m
+        lap = np.floor(lane / self._lane_at_m[-1]) if self.road.closed else np.zeros_like(lane)
+        arc = lap * self.road.length_m
+        arc += np.interp(lane - lap * self._lane_at_m[-1], self._lane_at_m, self.road.arc_at_m)
+        return np.asarray(np.where(distance_m > 0.0, arc, arc_m))
+
+    def start(self, streams: Streams, spread_m: float = 0.0) -> DriveState:
+        """Vehicles at rest, spread uniformly over the first ``spread_m`` of the road.
+
+        Raises
+        ------
+        InputError
+            When ``streams`` is no :class:`Streams`, or ``spread_m`` is negative or beyond the end of an open road.
+        """
+        _require_streams(streams)
+        require_in_range("spread_m", spread_m, 0.0, np.inf if self.road.closed else self.road.length_m)
+        u = streams.uniform("traffic", 2)
+        arc = u[:, 0] * spread_m
+        position, heading = self._pose(arc)
+        return DriveState(
+            time_s=0.0,
+            arc_m=arc,
+            speed_mps=np.zeros(streams.batch),
+            light=np.floor(arc / self.config.light_spacing_m).astype(np.int64) + 1,
+            red=u[:, 1] < self.config.red_share,
+            wait_s=np.zeros(streams.batch),
+            position_m=position,
+            heading_rad=heading,
+        )
+
+    def _pose(self, arc_m: Array) -> tuple[Array, Array]:
+        lane = np.full(arc_m.shape, self.config.lane)
+        return self.road.pose_at(arc_m, self.road.lane_lateral_m(lane))
+
+    def step(self, state: DriveState, streams: Streams) -> Truth:
+        """Advance ``state`` in place by one epoch and return its truth.
+
+        Raises
+        ------
+        InputError
+            When ``streams`` is not for as many vehicles as ``state`` holds.
+        """
+        _require_streams(streams, state.arc_m.size)
+        c, dt = self.config, self.dt_s
+        u = streams.uniform("traffic", 2)
+        to_light = state.light * c.light_spacing_m - state.arc_m
+        allowed = self._allowed_speed(state, to_light)
+        speed = np.clip(
+            allowed, state.speed_mps - 2.0 * c.braking_mps2 * dt, state.speed_mps + c.acceleration_mps2 * dt
+        )
+        speed = np.where(speed < 0.05, np.where(allowed < 0.05, 0.0, speed), speed)
+        arc = self._advance_arc(state.arc_m, 0.5 * (speed + state.speed_mps) * dt)
+        self._lights(state, to_light, speed, u)
+        position, heading = self._pose(arc)
+        v0 = state.speed_mps[:, None] * np.column_stack([np.sin(state.heading_rad), np.cos(state.heading_rad)])
+        v1 = speed[:, None] * np.column_stack([np.sin(heading), np.cos(heading)])
+        truth = truth_between(
+            state.time_s + dt,
+            dt,
+            (state.position_m, position),
+            (v0, v1),
+            (state.heading_rad, heading),
+            arc_m=arc,
+            lane=c.lane,
+        )
+        state.time_s += dt
+        state.arc_m, state.speed_mps, state.position_m, state.heading_rad = arc, speed, position, heading
+        return truth
+
+    def _allowed_speed(self, state: DriveState, to_light: Array) -> Array:
+        """Speed that still allows to stop for a red light, or at the end of an open road, with comfortable braking."""
+        gap = np.where(state.red, to_light - 1.0, np.inf)
+        if not self.road.closed:
+            gap = np.minimum(gap, self.road.length_m - 1.0 - state.arc_m)
+        stopping = np.sqrt(2.0 * self.config.braking_mps2 * np.maximum(gap, 0.0))
+        limit = np.interp(self.road.wrap_arc(state.arc_m), self.road.arc_at_m, self._limit_mps)
+        return np.minimum(limit, np.where(gap < 0.3, 0.0, stopping))
+
+    def _lights(self, state: DriveState, to_light: Array, speed: Array, u: Array) -> None:
+        """Count down the wait at a red light; draw the next light when one is passed."""
+        c = self.config
+        waiting = state.red & (speed == 0.0) & (to_light < 3.0)
+        begins = waiting & (state.wait_s <= 0.0)
+        state.wait_s = np.where(begins, c.red_min_s + (c.red_max_s - c.red_min_s) * u[:, 0], state.wait_s)
+        state.wait_s = np.where(waiting, state.wait_s - self.dt_s, state.wait_s)
+        state.red &= ~(waiting & (state.wait_s <= 0.0))
+        passed = to_light <= 0.0
+        state.light = state.light + passed
+        state.red = np.where(passed, u[:, 1] < c.red_share, state.red)
+
+
+def _require_streams(streams: Streams, batch: int | None = None) -> None:
+    """Raise InputError unless ``streams`` are random streams, for ``batch`` vehicles when a number is given."""
+    if not isinstance(streams, Streams):
+        raise InputError(f"streams must be of class Streams, got {type(streams).__name__}: pass Streams(seeds)")
+    if batch not in (None, streams.batch):
+        raise InputError(
+            f"streams must be for the {batch} vehicles of state, got streams for {streams.batch}: "
+            "pass those that start() was given"
+        )

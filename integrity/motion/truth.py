@@ -1,0 +1,120 @@
+"""What really happens to a batch of vehicles during one navigation epoch: the only input that sensors may read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lanebound.integrity.core.errors import InputError, require_finite, require_shape
+from lanebound.integrity.core.frames import GRAVITY_MPS2
+from lanebound.integrity.motion.truth_kernel import between
+
+__all__ = ["Truth", "truth_between"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The true motion of B vehicles over one epoch of length ``dt_s`` that ends at ``time_s``.
+
+    Attributes
+    ----------
+    position_enu_m, velocity_enu_mps : (B, 3) of the vehicle's reference point, at the end of the epoch
+    heading_rad : (B,) azimuth of the body's x axis, clockwise from North, at the end
+    delta_theta_rad : (B, 3) rotation over the epoch in body axes (forward, right, down)
+    delta_v_mps : (B, 3) integrated specific force over the epoch in the body axes of its middle
+    distance_m : (B,) signed length of the chord, which is the path's to second order in the turn
+    arc_m : (B,) position along the street's centre line, for the sky mask
+    lane : (B,) lane index there, 0 is the rightmost
+    """
+
+    time_s: float
+    dt_s: float
+    position_enu_m: Array
+    velocity_enu_mps: Array
+    heading_rad: Array
+    delta_theta_rad: Array
+    delta_v_mps: Array
+    distance_m: Array
+    arc_m: Array
+    lane: NDArray[np.int64]
+
+    @property
+    def batch(self) -> int:
+        """Number of vehicles."""
+        return int(self.heading_rad.shape[0])
+
+    def at(self, forward_m: float, right_m: float) -> Self:
+        """The same motion with position and velocity of another point of the body, as far off the reference point."""
+        sine, cosine = np.sin(self.heading_rad), np.cos(self.heading_rad)
+        turning = self.delta_theta_rad[:, 2] / self.dt_s
+        off = np.zeros_like(self.position_enu_m)
+        off[:, 0], off[:, 1] = sine * forward_m + cosine * right_m, cosine * forward_m - sine * right_m
+        moved = np.zeros_like(off)
+        moved[:, 0], moved[:, 1] = turning * off[:, 1], -turning * off[:, 0]
+        return replace(self, position_enu_m=self.position_enu_m + off, velocity_enu_mps=self.velocity_enu_mps + moved)
+
+    @classmethod
+    def between(
+        cls,
+        time_s: float,
+        dt_s: float,
+        position_m: tuple[Array, Array],
+        velocity_mps: tuple[Array, Array],
+        heading_rad: tuple[Array, Array],
+        arc_m: Array,
+        lane: NDArray[np.int64],
+    ) -> Self:
+        """:func:`truth_between` for arrays that are known to be finite float64 of the right shapes."""
+        batch = heading_rad[1].shape[0]
+        position, velocity, turn, delta_v = np.empty((4, batch, 3))
+        heading, distance = np.empty((2, batch))
+        between(
+            *position_m, *velocity_mps, *heading_rad, -GRAVITY_MPS2 * dt_s,
+            position, velocity, heading, turn, delta_v, distance,
+        )  # fmt: skip
+        return cls(time_s, dt_s, position, velocity, heading, turn, delta_v, distance, arc_m, lane)
+
+
+def _plane_vectors(name: str, value: ArrayLike, batch: int) -> Array:
+    """``value`` as (B, 2) East, North."""
+    vectors = np.atleast_2d(require_finite(name, value))
+    require_shape(name, vectors, (batch, 2))
+    return vectors
+
+
+def truth_between(
+    time_s: float,
+    dt_s: float,
+    position_m: tuple[ArrayLike, ArrayLike],
+    velocity_mps: tuple[ArrayLike, ArrayLike],
+    heading_rad: tuple[ArrayLike, ArrayLike],
+    arc_m: ArrayLike = 0.0,
+    lane: ArrayLike = 0,
+) -> Truth:
+    """Truth of an epoch from the (E, N) poses at its two ends, for vehicles on a plane.
+
+    Parameters
+    ----------
+    position_m, velocity_mps : pairs of (B, 2) East, North at the start and at the end
+    heading_rad : pair of (B,) azimuths at the start and at the end
+    arc_m, lane : (B,) or scalar, where on the street the epoch ends
+
+    Raises
+    ------
+    InputError
+        When an entry is not finite, a shape does not fit the others, or ``dt_s`` is not positive.
+    """
+    if not dt_s > 0.0:
+        raise InputError(f"dt_s must be positive, got {dt_s}: pass the length of the epoch in seconds")
+    h0, h1 = (np.atleast_1d(require_finite("heading_rad", h)) for h in heading_rad)
+    require_shape("heading_rad", h0, (h1.size,))
+    p0, p1 = (_plane_vectors("position_m", p, h1.size) for p in position_m)
+    v0, v1 = (_plane_vectors("velocity_mps", v, h1.size) for v in velocity_mps)
+    where = np.array(np.broadcast_to(require_finite("arc_m", arc_m), h1.shape))
+    row = np.array(np.broadcast_to(np.asarray(lane, dtype=np.int64), h1.shape))
+    return Truth.between(float(time_s), float(dt_s), (p0, p1), (v0, v1), (h0, h1), where, row)

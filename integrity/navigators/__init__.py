@@ -1,0 +1,1 @@
+"""From measurements to belief: navigators, and the solution that each of them gives."""

@@ -1,0 +1,325 @@
+import functools
+import math
+import operator
+import os
+import stat
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+
+from lanebound.integrity.core import accel
+
+
+@pytest.fixture
+def unwritable(tmp_path):
+    """A path below a regular file: not even root can make it."""
+    file = tmp_path / "file"
+    file.write_text("")
+    return file / "below"
+
+
+def _run_kernel(code, **environment):
+    """Run ``code`` and a small kernel in a new process; returns the cache directory and the kernel's answer."""
+    code += (
+        "\nfrom lanebound.integrity.core import accel"
+        "\nfrom lanebound.integrity.positioning.heading_kernel import wrap"
+        "\nprint(accel.cache_directory(), wrap(7.0))"
+    )
+    env = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA_", "XDG_"))} | environment
+    done = subprocess.run([sys.executable, "-W", "error", "-c", code], env=env, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    directory, answer = done.stdout.split()
+    assert float(answer) == pytest.approx(7.0 - 2.0 * math.pi, abs=1e-12)
+    return directory
+
+
+def test_an_unwritable_cache_falls_back_to_the_temporary_directory(unwritable, tmp_path):
+    (tmp_path / "tmp").mkdir()
+    nowhere = str(unwritable)
+    directory = _run_kernel(
+        "", HOME=nowhere, NUMBA_CACHE_DIR=nowhere, XDG_CACHE_HOME=nowhere, TMPDIR=str(tmp_path / "tmp")
+    )
+    assert directory.startswith(str(tmp_path / "tmp" / f"lanebound-{os.getuid()}" / "kernels-"))
+    assert list((tmp_path / "tmp").rglob("*.nbi")), "the kernel was not cached in the fallback"
+
+
+@pytest.fixture
+def only_temporary(monkeypatch, unwritable, tmp_path):
+    """A temporary directory, and no other place for the cache; returns this user's directory in it."""
+    shared = tmp_path / "tmp"
+    shared.mkdir()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(unwritable))
+    monkeypatch.setattr(accel.tempfile, "tempdir", str(shared))
+    monkeypatch.setattr(accel.atexit, "register", lambda function: function)
+    return shared / f"lanebound-{os.getuid()}"
+
+
+def test_the_shared_fallback_is_private_and_used_again(only_temporary):
+    first = accel.cache_directory.__wrapped__()
+    assert Path(first).parent == only_temporary
+    assert stat.S_IMODE(only_temporary.lstat().st_mode) == 0o700
+    assert accel.cache_directory.__wrapped__() == first
+
+
+def _open_to_others(path, elsewhere):
+    path.mkdir()
+    path.chmod(0o770)
+
+
+def _readable_by_others(path, elsewhere):
+    path.mkdir()
+    path.chmod(0o755)
+
+
+def _a_link(path, elsewhere):
+    elsewhere.mkdir(mode=0o700)
+    path.symlink_to(elsewhere)
+
+
+def _a_file(path, elsewhere):
+    path.write_text("")
+
+
+@pytest.mark.parametrize("trap", [_open_to_others, _readable_by_others, _a_link, _a_file])
+def test_a_directory_that_others_could_fill_is_not_used(trap, only_temporary, tmp_path):
+    elsewhere = tmp_path / "elsewhere"
+    trap(only_temporary, elsewhere)
+    chosen = Path(accel.cache_directory.__wrapped__())
+    assert chosen.parent != only_temporary
+    assert chosen.parent.parent == only_temporary.parent
+    assert stat.S_IMODE(chosen.parent.lstat().st_mode) == 0o700
+    assert not elsewhere.exists() or not any(elsewhere.iterdir())
+    assert accel.cache_directory.__wrapped__() != str(chosen), "each process has a directory of its own"
+
+
+def test_a_directory_of_another_user_is_not_used(only_temporary, monkeypatch):
+    only_temporary.mkdir(mode=0o700)
+    me = os.getuid()
+    monkeypatch.setattr(accel, "_user", lambda: me + 1)
+    only_temporary.rename(only_temporary.with_name(f"lanebound-{me + 1}"))
+    assert Path(accel.cache_directory.__wrapped__()).parent.name != f"lanebound-{me + 1}"
+
+
+def test_the_fresh_directory_goes_with_its_process(unwritable, tmp_path):
+    shared = tmp_path / "tmp"
+    shared.mkdir()
+    (shared / f"lanebound-{os.getuid()}").write_text("")
+    nowhere = str(unwritable)
+    directory = _run_kernel("", HOME=nowhere, NUMBA_CACHE_DIR=nowhere, TMPDIR=str(shared))
+    assert Path(directory).parent.parent == shared
+    assert not Path(directory).parent.exists()
+
+
+def test_without_any_writable_directory_kernels_still_run(unwritable):
+    nowhere = str(unwritable)
+    code = f"import tempfile; tempfile.tempdir = {nowhere!r}"  # TMPDIR alone would fall back to /tmp
+    assert _run_kernel(code, HOME=nowhere, NUMBA_CACHE_DIR=nowhere, TMPDIR=nowhere) == "None"
+
+
+def test_neither_a_home_nor_a_temporary_directory_is_needed(monkeypatch):
+    def no_home(self):
+        raise RuntimeError("Could not determine home directory.")
+
+    def no_temporary_directory():
+        raise FileNotFoundError("No usable temporary directory found")
+
+    monkeypatch.setattr(accel.Path, "expanduser", no_home)
+    monkeypatch.setattr(accel.tempfile, "gettempdir", no_temporary_directory)
+    assert accel.cache_directory.__wrapped__() is None
+
+
+@pytest.mark.parametrize("variables", [("NUMBA_CACHE_DIR",), ("XDG_CACHE_HOME",), ("HOME",)])
+def test_the_directory_follows_the_environment(variables, monkeypatch, tmp_path):
+    for name in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    for name in variables:
+        monkeypatch.setenv(name, str(tmp_path))
+    parent = tmp_path / ".cache" if variables == ("HOME",) else tmp_path
+    assert accel.cache_directory.__wrapped__().startswith(str(parent / "lanebound" / "kernels-"))
+
+
+def test_the_directory_changes_with_any_kernel_file_and_no_other(monkeypatch, tmp_path):
+    package = tmp_path / "package"
+    for room in ("room", "core"):
+        (package / room).mkdir(parents=True)
+    (package / "room" / "a_kernel.py").write_text("A = 1\n")
+    (package / "plain.py").write_text("B = 1\n")
+    monkeypatch.setattr(accel, "__file__", str(package / "core" / "accel.py"))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    first = accel.cache_directory.__wrapped__()
+    (package / "plain.py").write_text("B = 2\n")
+    assert accel.cache_directory.__wrapped__() == first
+    (package / "room" / "a_kernel.py").write_text("A = 2\n")
+    assert accel.cache_directory.__wrapped__() != first
+
+
+def _divide(a, b):
+    return a / b, math.isnan(a / b), math.isinf(a / b)
+
+
+def test_kernels_divide_as_c_does_and_keep_nan_and_inf():
+    fast = accel.jit(_divide)
+    assert fast(1.0, 0.0) == (math.inf, False, True)
+    assert fast(-1.0, 0.0) == (-math.inf, False, True)
+    quotient, is_nan, is_inf = fast(0.0, 0.0)
+    assert math.isnan(quotient)
+    assert (is_nan, is_inf) == (True, False)
+
+
+def test_a_kernel_is_compiled_when_it_lies_in_the_cache(monkeypatch, tmp_path):
+    monkeypatch.setattr(accel, "cache_directory", lambda layer="integrity": str(tmp_path))
+    fast = accel.jit(_divide)
+    assert not accel.is_compiled(fast)
+    fast(1.0, 2.0)
+    assert accel.is_compiled(fast)
+    monkeypatch.setattr(accel, "cache_directory", lambda layer="integrity": None)
+    assert not accel.is_compiled(fast)
+
+
+def test_the_global_cache_setting_is_left_as_it_was():
+    before = numba.config.CACHE_DIR
+    accel.jit(_divide)
+    assert before == numba.config.CACHE_DIR
+
+
+def test_a_function_without_a_file_is_compiled_in_memory():
+    scope = {}
+    exec("def double(x):\n    return 2.0 * x", scope)
+    assert accel.jit(scope["double"])(1.5) == 3.0
+
+
+def test_options_reach_numba_in_both_decorator_forms():
+    assert accel.jit(_divide).targetoptions["nogil"]
+    options = accel.jit(inline=True)(_divide).targetoptions
+    assert options["nogil"]
+    assert options["inline"] == "always"
+    assert not {"nnan", "ninf", "fast"} & set(options["fastmath"])
+
+
+@pytest.fixture
+def four_threads(monkeypatch):
+    monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 4)
+
+
+def test_threads_serve_only_large_batches_of_the_main_process(four_threads, monkeypatch):
+    assert [accel.thread_count(pieces) for pieces in (0, 1, 2, 1000)] == [1, 1, 4, 4]
+    with accel.serial():
+        assert accel.thread_count(1000) == 1
+    assert accel.thread_count(1000) == 4
+    monkeypatch.setattr("multiprocessing.parent_process", lambda: object())
+    assert accel.thread_count(1000) == 1
+
+
+def test_one_processor_is_no_reason_for_threads(monkeypatch):
+    monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 1)
+    assert accel.thread_count(1000) == 1
+
+
+@pytest.mark.parametrize("rows", [0, 1, 15, 16, 17, 100, 1001])
+def test_every_row_is_worked_on_once_whatever_the_number_of_threads(four_threads, rows):
+    done, callers = np.zeros(rows, dtype=np.int64), set()
+
+    def kernel(first, last, by):
+        done[first:last] += by
+        callers.add(threading.current_thread().name)
+
+    accel.run_rows(kernel, rows, 3, row_us=10.0)
+    assert (done == 3).all()
+    if rows < 16:
+        assert callers == {threading.current_thread().name}
+
+
+def test_threads_share_the_work(four_threads):
+    meeting = threading.Barrier(4, timeout=60.0)  # only four threads at once get past it
+
+    def kernel(first, last):
+        if not met.is_set():
+            meeting.wait()
+            met.set()
+
+    met = threading.Event()
+    accel.run_rows(kernel, 128, row_us=100.0)
+    assert met.is_set()
+
+
+def test_an_error_in_any_thread_is_raised_and_the_threads_go_on(four_threads):
+    def kernel(first, last):
+        if last == 128:
+            raise ValueError("the last piece")
+
+    for _ in range(3):
+        with pytest.raises(ValueError, match="the last piece"):
+            accel.run_rows(kernel, 128, row_us=100.0)
+    test_every_row_is_worked_on_once_whatever_the_number_of_threads(four_threads, 1001)
+
+
+def test_a_forked_process_has_threads_of_its_own(four_threads):
+    accel.run_rows(lambda first, last: None, 128, row_us=100.0)
+    child = os.fork() if hasattr(os, "fork") else None
+    if child is None:
+        pytest.skip("this system forks no processes")
+    if child == 0:
+        rows = []
+        accel.run_rows(lambda first, last: rows.append(last - first), 128, row_us=100.0)
+        os._exit(0 if sum(rows) == 128 else 1)
+    _, status = os.waitpid(child, 0)
+    assert os.waitstatus_to_exitcode(status) == 0
+
+
+def test_idle_threads_use_no_processor(four_threads):
+    accel.run_rows(lambda first, last: None, 128, row_us=100.0)
+    before, start = time.process_time(), time.monotonic()
+    time.sleep(0.5)
+    assert time.process_time() - before < 0.2 * (time.monotonic() - start)
+
+
+def test_a_compiled_sum_keeps_its_order_to_the_last_bit():
+    @accel.jit
+    def total(x):
+        s = 0.0
+        for v in x:
+            s += v
+        return s
+
+    x = np.linspace(-1.0, 3.0, 1001)
+    assert total(x) == functools.reduce(operator.add, x.tolist(), 0.0)
+
+
+def test_kernels_of_another_layer_have_a_directory_of_their_own(monkeypatch, tmp_path):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    for layer in ("integrity", "envs"):
+        (tmp_path / layer / "core").mkdir(parents=True)
+        (tmp_path / layer / "one_kernel.py").write_text("a = 1")
+    monkeypatch.setattr(accel, "__file__", str(tmp_path / "integrity" / "core" / "accel.py"))
+    find = accel.cache_directory.__wrapped__
+    own, other = find(), find("envs")
+    assert own != other
+    (tmp_path / "envs" / "one_kernel.py").write_text("a = 2")
+    assert find() == own, "kernels of integrity call none of other layers"
+    assert find("envs") not in (own, other)
+    (tmp_path / "integrity" / "one_kernel.py").write_text("a = 2")
+    assert find() != own
+
+
+def test_kernels_of_versions_that_nobody_has_used_for_a_month_are_removed(only_temporary):
+    only_temporary.mkdir(mode=0o700)
+    old, young, other = (only_temporary / name for name in ("kernels-old", "kernels-young", "notes"))
+    for folder, days in ((old, 31), (young, 29), (other, 99)):
+        folder.mkdir()
+        (folder / "file").write_text("")
+        then = time.time() - days * 86400.0
+        os.utime(folder, (then, then))
+    assert Path(accel.cache_directory.__wrapped__()).exists()
+    assert not old.exists()
+    assert young.exists()
+    assert other.exists()
+    then = time.time() - 31 * 86400.0
+    os.utime(young, (then, then))
+    accel.cache_directory.__wrapped__()  # one that is there already: nothing is looked for
+    assert young.exists()

@@ -1,0 +1,30 @@
+"""Weights of satellites in closed form, and who counts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lanebound.integrity.navigators.rtk_stage_kernel import UNUSED, select, weigh
+
+SINE = np.array([1.0, 0.5, 0.5, 0.1, 0.0, 0.5])  # of the elevation: zenith, 30 degrees, ... an empty place
+KNEE = 35.0
+CN0 = np.array([35.0, 35.0, 45.0, 50.0, 0.0, np.nan])
+TRACKED = np.array([True, True, True, True, False, True])
+E = np.column_stack([np.sqrt(1.0 - SINE**2), np.zeros(6), SINE])
+E[4] = 0.0
+
+
+def test_the_weight_falls_with_elevation_and_doubles_its_variance_at_the_knee() -> None:
+    quality = np.empty(6)
+    weigh(E, TRACKED, CN0, KNEE, quality)
+    np.testing.assert_allclose(quality[:4], [2.0, 5.0, 2.5 * 1.1, 50.5 * (1.0 + 10.0**-1.5)], rtol=1e-14)
+    assert quality[4] == UNUSED
+
+
+def test_who_is_low_weak_or_untracked_has_no_say() -> None:
+    quality, factor, used = np.empty(6), np.empty(6), np.empty(6, dtype=np.bool_)
+    weigh(E, TRACKED, CN0, KNEE, quality)
+    select(E, TRACKED, CN0, quality, 0.2, 40.0, factor, used)
+    assert used.tolist() == [False, False, True, False, False, False]
+    assert factor[2] == quality[2]
+    assert (factor[~used] == UNUSED).all()
