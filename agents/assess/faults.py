@@ -21,7 +21,9 @@ from scipy.stats import chi2
 from lanebound.agents.assess.bounding_summary import rate_of, rate_over
 from lanebound.agents.assess.detectability import detectability
 from lanebound.agents.assess.fault_response import Response, Run, as_broadcast, drive_run, measure_response
-from lanebound.agents.kept import Progress, claim, run_parts, write_whole
+from lanebound.agents.checkpointing.files import write_json
+from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
+from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
@@ -108,33 +110,31 @@ def _profiles(kind: FaultKind) -> tuple[Profile, ...]:
     return ("step",) if kind in STEPS_ALONE else ("step", "ramp")
 
 
-def assess_faults(
-    config: FaultsConfig, out: Path, jobs: int = 1, progress: Progress = lambda done, of: None
-) -> dict[str, Any]:
-    """Drive all that is not yet in ``out``, and write ``results.json`` and the figure; returns the results.
+def assess_faults(config: FaultsConfig, out: Path, jobs: int = 1, on_progress: OnProgress = ignore) -> dict[str, Any]:
+    """Drive the missing parts, and write ``results.json`` and the figures; returns the results.
 
     Raises
     ------
     InputError
-        ``out`` holds another study, or cannot be written.
+        ``out`` cannot be claimed: it holds other work, results of another version or foreign files.
     """
     from lanebound.agents.assess.faults_figure import detectability_figure, faults_figure
     from lanebound.integrity.assessment.plotting import save
 
-    claim(out, "faults", config, PACKAGES)
+    ResultFolder(out, "fault campaign", config.to_dict(), code_digest(*PACKAGES)).claim()
     cells = {cell.name: cell for cell in cells_of(config)}
     theory = [f"{THEORY}{satellites}" for satellites in config.theory_satellites]
-    parts = run_parts(out, [*cells, "control", *theory], partial(work_part, config), jobs, progress)
+    parts = run_parts(out, [*cells, "control", *theory], partial(work_part, config), jobs, on_progress)
     faults, powers = [parts[name] for name in cells], [parts[name] for name in theory]
     result = {"config": config.to_dict(), "control": parts["control"], "theory": powers, "faults": faults}
-    write_whole(out / "results.json", result)
+    write_json(out / "results.json", result)
     save(faults_figure(faults), out / "faults.svg")
     if powers:
         save(detectability_figure(powers), out / "detectability.svg")
     return result
 
 
-def work_part(config: FaultsConfig, name: str) -> dict[str, Any]:
+def work_part(config: FaultsConfig, name: str, advance: Advance = ignore) -> dict[str, Any]:
     """One cell, the drive without faults, or a comparison with theory."""
     if name == "control":
         return control(config)

@@ -10,7 +10,7 @@ from lanebound.agents.benchmark.metrics import HARM_OF_AN_END
 from lanebound.agents.benchmark.outcome import Place
 from lanebound.agents.benchmark.results import Paired, Results
 from lanebound.agents.benchmark.statistics import holm, seeds_to_exclude
-from lanebound.agents.plain import counted
+from lanebound.agents.serialization import counted
 
 __all__ = ["ENDS", "HARM", "LEVEL", "MARGIN", "RULE", "Verdict", "conclusions", "verdicts"]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from traceback import extract_tb, format_list
@@ -15,7 +16,7 @@ from lanebound.agents.drivers import AGENTS
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from lanebound.agents.drivers.base import Driver
+    from lanebound.agents.checkpointing.runner import OnProgress
     from lanebound.agents.episodes import EpisodeLog, Summary
     from lanebound.envs.core import DrivingEnv
 
@@ -53,12 +54,16 @@ def drive(
 
     Example: lanebound drive LaneKeeping --sky dense --faults stress --seed 1 --video out/drive.mp4 --out out/drive
     """
-    from lanebound.agents.cli.interrupt import stoppable, wait_for
+    from lanebound.agents.cli.progress import resumable, with_bar
 
     finished: list[int] = []
-    with stoppable(lambda: _kept(len(finished), out, video)), failing(agent):
+    seeds = range(seed, seed + episodes)
+    with resumable(lambda: _kept(len(finished), out, video)), failing(agent):
         changes = overrides(sky, faults, assignments)
-        drove = wait_for(lambda: _drive(name, agent, changes, (seed, episodes), (video, fps), out, finished))
+        drove = with_bar(
+            "episodes",
+            lambda on_progress: _drive(name, agent, changes, seeds, (video, fps), out, finished, on_progress),
+        )
     files = {"log": out and out / LOG, "diagram": out and out / DIAGRAM, "video": video}
     _report(f"{agent} in {name}", *drove, files, as_json)
 
@@ -103,14 +108,17 @@ def _drive(
     name: str,
     agent: str,
     changes: dict[str, Any],
-    seeds: tuple[int, int],
+    seeds: range,
     film: tuple[Path | None, int],
     out: Path | None,
     finished: list[int],
+    on_progress: OnProgress,
 ) -> tuple[list[Summary], float | None]:
-    """Drive with a bar, and the limit of the cost; everything that can be refused is refused before it shows."""
+    """Summaries of the episodes, and the limit of the cost; all refusals come before the first progress."""
+    from lanebound.agents.checkpointing.runner import Counter, RunProgress
     from lanebound.agents.drivers import make_agent
     from lanebound.agents.episodes import EpisodeLog, open_env, summarise
+    from lanebound.agents.episodes import drive as drive_all
     from lanebound.agents.episodes.film import Film
     from lanebound.agents.episodes.guard import guarded
 
@@ -118,7 +126,8 @@ def _drive(
     driver, log = guarded(lambda env: make_agent(agent, env), env, seeds[0]), EpisodeLog()
     if out is not None:
         _claim(out)
-    watchers: list[Any] = [log]
+    length_s = float(env.world.config.get("duration") or math.inf)
+    watchers: list[Any] = [log, EpisodeProgress(Counter(on_progress, RunProgress(len(seeds))), length_s)]
 
     def keep(episode: int) -> None:
         if out is not None:
@@ -129,48 +138,39 @@ def _drive(
         stack.callback(env.close)
         if film[0] is not None:
             watchers.append(stack.enter_context(Film(env, film[0], film[1])))
-        _with_bar(env, driver, range(seeds[0], seeds[0] + seeds[1]), watchers, keep)
+        drive_all(env, driver, list(seeds), watchers, keep)
     if out is not None:
-        driven = f"seed {seeds[0]}" if seeds[1] == 1 else f"seeds {seeds[0]} to {seeds[0] + seeds[1] - 1}"
-        _draw(
-            env,
-            log,
-            out,
-            f"{name}, {agent}: {Path(env.config.sky).name} sky, faults {env.config.faults.value}, {driven}",
-        )
-    return [summarise(log.episode(i)) for i in range(seeds[1])], env.config.cost_limit
+        driven = f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]} to {seeds[-1]}"
+        sky = Path(env.config.sky).name
+        _draw(env, log, out, f"{name}, {agent}: {sky} sky, faults {env.config.faults.value}, {driven}")
+    return [summarise(log.episode(i)) for i in range(len(seeds))], env.config.cost_limit
 
 
 def _claim(out: Path) -> None:
+    from lanebound.agents.checkpointing.folder import ResultFolder
     from lanebound.agents.episodes.columns import describe_columns
-    from lanebound.agents.kept import make_folder, require_own
 
-    require_own(out / COLUMNS)  # a benchmark keeps its results under the name of our log
-    make_folder(out)
+    ResultFolder(out, "drive").claim()
     (out / COLUMNS).write_text(describe_columns(), encoding="utf-8")
 
 
-def _with_bar(env: DrivingEnv, driver: Driver, seeds: range, watchers: list[Any], keep: Callable[[int], None]) -> None:
-    from rich.console import Console
-    from rich.progress import Progress
+class EpisodeProgress:
+    """Reports episodes as they are driven, by the share of their time; an episode that ends early is complete.
 
-    from lanebound.agents.episodes import drive as drive_all
+    Parameters
+    ----------
+    report : called with the episodes done
+    length_s : longest time of an episode [s]; infinity where it has none
+    """
 
-    length_s = env.world.config.get("duration")
-    with Progress(console=Console(stderr=True)) as bar:
-        total = None if length_s is None else float(length_s) * len(seeds)
-        task = bar.add_task(f"{counted(len(seeds), 'episode')} (kernels compile first)", total=total)
+    def __init__(self, report: Callable[[float], None], length_s: float) -> None:
+        self._report, self._length_s = report, length_s
 
-        class Pace:
-            """Moves the bar; an episode that ends early fills its share."""
-
-            def note(self, moment: Any) -> None:
-                done = moment.episode + float(moment.terminated or moment.truncated)
-                if length_s is not None:
-                    driven = max(done * length_s, moment.episode * length_s + moment.belief.time_s)
-                    bar.update(task, completed=driven, description=f"episode {moment.episode + 1} of {len(seeds)}")
-
-        drive_all(env, driver, list(seeds), [*watchers, Pace()], keep)
+    def note(self, moment: Any) -> None:
+        """Report a step."""
+        over = moment.terminated or moment.truncated
+        share = 1.0 if over else min(moment.belief.time_s / self._length_s, 1.0)
+        self._report(moment.episode + share)
 
 
 def _draw(env: DrivingEnv, log: EpisodeLog, out: Path, title: str) -> None:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from lanebound.agents.cli.output import counted
 
 if TYPE_CHECKING:
+    from lanebound.agents.checkpointing.runner import OnProgress
+    from lanebound.agents.learning.experiment import ExperimentConfig
     from lanebound.agents.learning.training import Checkpoint
 
 __all__ = ["evaluate", "export", "train"]
@@ -30,36 +32,16 @@ def train(
 
     Example: lanebound train lane_keeping_ppo_lagrangian --out out/learnt --set steps=100000
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    from lanebound.agents.cli.interrupt import stoppable, wait_for
+    from lanebound.agents.cli.progress import resumable, with_bar
     from lanebound.agents.learning.experiment import load_experiment
     from lanebound.agents.learning.imitation import teacher_of
     from lanebound.integrity.core.presets import parse_assignments
 
     experiment = load_experiment(name, parse_assignments(assignments or []))
-    if teacher_of(experiment) is None:  # which opens the environment: what is refused is said before a bar is drawn
+    if teacher_of(experiment) is None:  # which opens the environment: refusals come before the work
         experiment.open().close()
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with stoppable(lambda: _kept(out)):
-        from lanebound.agents.learning.training import train as carry_out
-
-        with Progress(*columns, console=Console(stderr=True)) as bar:
-            task = bar.add_task("decisions", total=experiment.steps)
-            shown = experiment.imitation
-            total = 0 if shown is None else shown.total(experiment.count)
-            before = bar.add_task("imitation", total=total, visible=False)
-            rows = wait_for(
-                lambda: carry_out(
-                    experiment, out, jobs, _say,
-                    lambda steps: bar.update(task, completed=min(steps, experiment.steps)),
-                    lambda decisions: bar.update(before, completed=decisions, visible=True),
-                )
-            )  # fmt: skip
-            idle = bar.tasks[0].completed == 0
-            if idle:
-                bar.update(task, completed=experiment.steps)
+    with resumable(lambda: _kept(out)):
+        rows, idle = with_bar("decisions", lambda on_progress: _trained(experiment, out, jobs, on_progress))
     if idle:
         typer.echo(
             f"all {experiment.steps} decisions are done already (so far {rows[-1]['steps']}): raise steps to go on"
@@ -68,12 +50,33 @@ def train(
     typer.echo(f"What to try next\n  lanebound evaluate {out} --out {out}-evaluation")
 
 
+def _trained(
+    experiment: ExperimentConfig, out: Path, jobs: int, on_progress: OnProgress
+) -> tuple[list[dict[str, Any]], bool]:
+    """The evaluations of a training, and whether all its decisions had been made before."""
+    from lanebound.agents.checkpointing.runner import Counter, RunProgress
+    from lanebound.agents.learning.training import train as carry_out
+
+    lessons = experiment.imitation
+    total = 0 if lessons is None else lessons.total(experiment.count)
+    decisions = Counter(on_progress, RunProgress(experiment.steps))
+    imitation = Counter(on_progress, RunProgress(total, stage="decisions of imitation"))
+    made: list[int] = []
+
+    def stepped(steps: int) -> None:
+        made.append(steps)
+        decisions(min(steps, experiment.steps))
+
+    rows = carry_out(experiment, out, jobs, _say, stepped, imitation)
+    return rows, not made
+
+
 def _kept(out: Path) -> str:
     if (out / "last.zip").exists():
-        return f"checkpoints are kept in {out}: the same command goes on from the last"
+        return f"checkpoints are kept in {out}; run the same command again to resume from the last one"
     if (out / "imitation.pt").exists():
-        return f"finished rounds of imitation are kept in {out}: the same command goes on with the next"
-    return "before the first checkpoint, so that nothing is kept: the same command begins anew"
+        return f"finished rounds of imitation are kept in {out}; run the same command again to resume"
+    return "before the first checkpoint, so nothing is kept"
 
 
 def _say(checkpoint: Checkpoint) -> None:
@@ -116,7 +119,7 @@ def export(
 
     Example: lanebound export out/learnt --out out/learnt.onnx
     """
-    from lanebound.agents.cli.interrupt import stoppable, wait_for
+    from lanebound.agents.cli.progress import resumable, wait_for
     from lanebound.agents.learning.export import export_arrays, export_onnx
     from lanebound.integrity.core.errors import InputError
 
@@ -124,6 +127,6 @@ def export(
     if wanted.suffix not in (".onnx", ".npz"):
         raise InputError(f"out must end in .onnx or .npz, got {wanted}: name it by the form that is wanted")
     write = export_arrays if wanted.suffix == ".npz" else export_onnx
-    with stoppable(lambda: "nothing was written"):
+    with resumable(lambda: "nothing was written"):
         path = wait_for(lambda: write(folder, wanted))
     typer.echo(f"{path}: observation -> action, {path.stat().st_size / 1e3:.0f} kB")

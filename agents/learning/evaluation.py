@@ -16,7 +16,7 @@ from lanebound.agents.benchmark.episode import allotted_s
 from lanebound.agents.benchmark.metrics import HARM_OF_AN_END
 from lanebound.agents.benchmark.seeds import SPLITS
 from lanebound.agents.benchmark.suite import SuiteConfig, parse_agents
-from lanebound.agents.kept import read_kept
+from lanebound.agents.checkpointing.folder import ResultFolder
 from lanebound.agents.learning.experiment import FLAT, ExperimentConfig, Shield
 from lanebound.agents.learning.opening import for_judging
 from lanebound.envs.tally import EPISODE_KEY
@@ -108,10 +108,10 @@ def trained(folder: Path) -> tuple[ExperimentConfig, Path]:
     InputError
         ``folder`` is none of a training, has no checkpoint yet, or is damaged.
     """
-    mark, best = folder / "experiment.json", folder / "best.zip"
-    if not (mark.is_file() and best.is_file()):
+    best = folder / "best.zip"
+    if not best.is_file():
         raise InputError(f"folder must be one of a training with best.zip, got {folder}: train first")
-    return ExperimentConfig.load(read_kept(mark, dict)), best
+    return ExperimentConfig.load(ResultFolder(folder, "training").manifest()["config"]), best
 
 
 def learnt_agent(experiment: ExperimentConfig, checkpoint: Path) -> dict[str, Any]:

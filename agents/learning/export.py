@@ -21,9 +21,9 @@ import torch
 from gymnasium import spaces
 from torch import nn
 
+from lanebound.agents.checkpointing.files import replace_file
 from lanebound.agents.drivers.foreign import SIGHT
 from lanebound.agents.drivers.learnt import sight
-from lanebound.agents.kept import replace_file
 from lanebound.agents.learning.evaluation import trained
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig, Shield
 from lanebound.agents.learning.training import load_model

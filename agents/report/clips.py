@@ -15,7 +15,7 @@ from lanebound.agents.benchmark.outcome import Outcome
 from lanebound.agents.benchmark.replay import differences, replay
 from lanebound.agents.benchmark.source import source_digest
 from lanebound.agents.benchmark.store import CLIPS
-from lanebound.agents.kept import replace_file
+from lanebound.agents.checkpointing.files import replace_file
 
 __all__ = ["Clip", "film_clip", "shrink"]
 

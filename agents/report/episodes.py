@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lanebound.agents.benchmark.outcome import Outcome
 from lanebound.agents.benchmark.results import Results
-from lanebound.agents.benchmark.store import Store
+from lanebound.agents.benchmark.store import EpisodeStore
 from lanebound.agents.report.looks import Actor
 from lanebound.agents.report.trace import Trace
 from lanebound.integrity.assessment.record import AXES, Record
@@ -43,7 +43,7 @@ def _columns(results: Results, outcome: Outcome) -> Columns | None:
         return None
     import pyarrow.parquet as pq
 
-    table = pq.ParquetFile(Store(results.folder).path(outcome.task)).read(columns=list(TAKEN))
+    table = pq.ParquetFile(EpisodeStore(results.folder).path(outcome.task)).read(columns=list(TAKEN))
     if table.num_rows < 2:
         return None
     found: Columns = {name: table[name].to_numpy() for name in TAKEN}

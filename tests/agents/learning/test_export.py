@@ -12,6 +12,7 @@ from experiments import experiment
 from gymnasium import spaces
 from typer.testing import CliRunner
 
+from lanebound.agents.checkpointing.folder import ResultFolder
 from lanebound.agents.cli import app
 from lanebound.agents.drivers import learnt, make_agent
 from lanebound.agents.episodes import open_env
@@ -102,15 +103,21 @@ def test_arrays_of_a_policy_with_a_history_are_refused_when_they_are_written(tmp
 def test_policies_that_cannot_stand_alone_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match=r"with best\.zip, got .*: train first"):
         export_onnx(tmp_path, tmp_path / "net.onnx")
-    (tmp_path / "best.zip").touch()
+
+    def claim(planned: ExperimentConfig) -> None:
+        for name in ("run.json", "best.zip"):
+            (tmp_path / name).unlink(missing_ok=True)
+        ResultFolder(tmp_path, "training", planned.to_dict()).claim()
+        (tmp_path / "best.zip").touch()
+
     for changes, message in (
         ({"algorithm": "recurrent_ppo"}, "must have no memory, got recurrent_ppo"),
         ({"env": "CarFollowing", "shield": "cbf"}, "must stand alone, got one under the filter cbf"),
     ):
-        (tmp_path / "experiment.json").write_text(experiment(**changes).to_json())
+        claim(experiment(**changes))
         with pytest.raises(InputError, match=message):
             export_onnx(tmp_path, tmp_path / "net.onnx")
-    (tmp_path / "experiment.json").write_text(experiment().to_json())
+    claim(experiment())
     monkeypatch.setattr("lanebound.agents.learning.export.find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"needs the package onnx, got none: pip install 'lanebound\[learning\]'"):
         export_onnx(tmp_path, tmp_path / "net.onnx")

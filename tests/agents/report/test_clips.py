@@ -9,8 +9,9 @@ import pytest
 from benchmarks import made_up_folder, made_up_outcome, made_up_suite
 from imageio_ffmpeg import count_frames_and_secs, write_frames
 
-from lanebound.agents.benchmark.store import Store
-from lanebound.agents.benchmark.work import Work
+from lanebound.agents.benchmark.store import EpisodeStore
+from lanebound.agents.benchmark.work import DrivenEpisodes
+from lanebound.agents.checkpointing.pool import PartStatus
 from lanebound.agents.report.clips import LAST_S, film_clip, shrink
 
 
@@ -68,7 +69,7 @@ def test_a_film_is_made_once(tmp_path, monkeypatch):
         patch.setattr(clips, "source_digest", lambda: "another code")
         film_clip(tmp_path, made_up_outcome(first))
     assert made.pop() == first.id
-    Store(tmp_path).claim(Store(tmp_path).suite(), fresh=True)
+    EpisodeStore(tmp_path).claim(EpisodeStore(tmp_path).suite(), fresh=True)
     assert not (tmp_path / "clips").exists()
     monkeypatch.setattr(clips, "_filmed", lambda folder, outcome: (made.append(outcome.id) or b"film", "cost"))
     assert all("cost differ" in film_clip(tmp_path, made_up_outcome(first)).trouble for _ in range(2))
@@ -79,8 +80,9 @@ def test_a_film_is_made_once(tmp_path, monkeypatch):
 def test_an_episode_is_driven_again(tmp_path):
     given = {"world": {"duration": 2}, "navigation": {"source": "perfect"}, "perception": {"source": "truth"}}
     suite = made_up_suite(envs=["LaneKeeping"], skies=["open"], agents=["nominal"], overrides=given)
-    Store(tmp_path).claim(suite)
-    outcome = Work(suite, tmp_path).drive(next(iter(suite.tasks())))
+    EpisodeStore(tmp_path).claim(suite)
+    status = PartStatus([0.0] * PartStatus.SIZE)
+    outcome = DrivenEpisodes(suite, tmp_path).do(next(iter(suite.tasks())), status)
     clip = film_clip(tmp_path, outcome)
     assert clip.trouble == ""
     (tmp_path / "clip.mp4").write_bytes(base64.b64decode(clip.address.partition(",")[2]))
