@@ -14,10 +14,11 @@ from lanebound.agents.cli.output import counted
 from lanebound.agents.drivers import AGENTS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
+    from lanebound.agents.benchmark.outcome import Outcome
     from lanebound.agents.checkpointing.runner import OnProgress
-    from lanebound.agents.episodes import EpisodeLog, Summary
+    from lanebound.agents.episodes import EpisodeLog
     from lanebound.envs.core import DrivingEnv
 
 __all__ = ["Sky", "drive", "overrides"]
@@ -113,11 +114,14 @@ def _drive(
     out: Path | None,
     finished: list[int],
     on_progress: OnProgress,
-) -> tuple[list[Summary], float | None]:
-    """Summaries of the episodes, and the limit of the cost; all refusals come before the first progress."""
+) -> tuple[list[Outcome], float | None]:
+    """Outcomes of the episodes, and the limit of the cost; all refusals come before the first progress."""
+    from lanebound.agents.benchmark.episode import allotted_s
+    from lanebound.agents.benchmark.outcome import Place, Task
+    from lanebound.agents.benchmark.scoring import outcome_of
     from lanebound.agents.checkpointing.runner import Counter, RunProgress
     from lanebound.agents.drivers import make_agent
-    from lanebound.agents.episodes import EpisodeLog, open_env, summarise
+    from lanebound.agents.episodes import EpisodeLog, open_env
     from lanebound.agents.episodes import drive as drive_all
     from lanebound.agents.episodes.film import Film
     from lanebound.agents.episodes.guard import guarded
@@ -143,7 +147,12 @@ def _drive(
         driven = f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]} to {seeds[-1]}"
         sky = Path(env.config.sky).name
         _draw(env, log, out, f"{name}, {agent}: {sky} sky, faults {env.config.faults.value}, {driven}")
-    return [summarise(log.episode(i)) for i in range(len(seeds))], env.config.cost_limit
+    place = Place(name, env.config.sky, env.config.faults.value)
+    outcomes = [
+        outcome_of(log.episode(i), allotted_s(env), Task(place, agent, seed), cost_limit=env.config.cost_limit)
+        for i, seed in enumerate(seeds)
+    ]
+    return outcomes, env.config.cost_limit
 
 
 def _claim(out: Path) -> None:
@@ -184,24 +193,53 @@ def _draw(env: DrivingEnv, log: EpisodeLog, out: Path, title: str) -> None:
 
 
 def _report(
-    who: str, summaries: list[Summary], limit: float | None, files: dict[str, Path | None], as_json: bool
+    who: str, outcomes: list[Outcome], limit: float | None, files: dict[str, Path | None], as_json: bool
 ) -> None:
     from lanebound.agents.cli.output import print_json, print_table
-    from lanebound.agents.episodes.summary import measures
 
     written = {what: str(path) for what, path in files.items() if path is not None}
     if as_json:
-        all_of_them = measures(summaries)
-        found = {"episodes": [s.to_dict() for s in summaries], "all": all_of_them, "cost_limit": limit}
+        all_of_them = measures(outcomes)
+        found = {"episodes": [s.to_dict() for s in outcomes], "all": all_of_them, "cost_limit": limit}
         print_json({**found, "files": written})
         return
     columns = ("seed", "ended by", "time [s]", "return", "cost", "success", "available", "HMI")
-    print_table(f"{who}: {counted(len(summaries), 'episode')}", columns, map(_line, summaries))
-    over = "" if len(summaries) == 1 else f", means over {len(summaries)} episodes"
-    lines = ((*_label(key), _value(key, value, limit)) for key, value in measures(summaries).items())
+    print_table(f"{who}: {counted(len(outcomes), 'episode')}", columns, map(_line, outcomes))
+    over = "" if len(outcomes) == 1 else f", means over {len(outcomes)} episodes"
+    lines = ((*_label(key), _value(key, value, limit)) for key, value in measures(outcomes).items())
     print_table(f"Measures{over}", ("measure", "unit", "value"), lines)
     for what, path in written.items():
         typer.echo(f"{what}: {path}")
+
+
+def measures(outcomes: Sequence[Outcome]) -> dict[str, float]:
+    """Means over episodes; shares are of the steps of all episodes together."""
+    import numpy as np
+
+    from lanebound.envs.costs import CAUSES
+
+    steps = np.array([o.steps for o in outcomes], dtype=np.float64)
+    weight = steps / max(float(steps.sum()), 1.0)
+
+    def mean(name: str) -> float:
+        return float(np.mean([getattr(o, name) for o in outcomes]))
+
+    def of_steps(shares: Sequence[float | None]) -> float:
+        return float(np.dot(weight, [share or 0.0 for share in shares]))
+
+    modes = sorted({mode for o in outcomes for mode in o.mode_shares})
+    return {
+        "success rate": mean("success"),
+        "collision rate": mean("collision"),
+        "return": mean("total_return"),
+        "cost": mean("cost"),
+        **{cause: float(np.mean([o.costs[cause] for o in outcomes])) for cause in CAUSES},
+        **{f"share of {mode}": of_steps([o.mode_shares.get(mode, 0.0) for o in outcomes]) for mode in modes},
+        "availability": of_steps([o.availability for o in outcomes]),
+        "alert share": of_steps([o.alert_share for o in outcomes]),
+        "MI steps": float(sum(o.mi_steps for o in outcomes)),
+        "HMI steps": float(sum(o.hmi_steps for o in outcomes)),
+    }
 
 
 def _label(measure: str) -> tuple[str, str]:
@@ -237,9 +275,9 @@ def _against(cost: float, limit: float) -> str:
     )
 
 
-def _line(s: Summary) -> tuple[Any, ...]:
+def _line(s: Outcome) -> tuple[Any, ...]:
     ended = (s.seed, s.ended, round(s.time_s, 1), round(s.total_return, 1), round(s.cost, 1), s.success)
-    return (*ended, f"{s.availability:.1%}", s.hmi_steps)
+    return (*ended, f"{s.availability or 0.0:.1%}", s.hmi_steps)
 
 
 def _three(value: float) -> float:

@@ -1,4 +1,4 @@
-"""What a policy comes to, on seeds that training does not draw."""
+"""Evaluation of a policy, on seeds that training does not draw."""
 
 from __future__ import annotations
 
@@ -6,14 +6,15 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
 from lanebound.agents.benchmark.episode import allotted_s
-from lanebound.agents.benchmark.metrics import HARM_OF_AN_END
+from lanebound.agents.benchmark.metrics import metric_named
+from lanebound.agents.benchmark.scoring import UNNAMED, outcome_of_statistics
 from lanebound.agents.benchmark.seeds import SPLITS
 from lanebound.agents.benchmark.suite import SuiteConfig, parse_agents
 from lanebound.agents.checkpointing.folder import ResultFolder
@@ -23,7 +24,13 @@ from lanebound.envs.tally import EPISODE_KEY
 from lanebound.integrity.core.config import deep_merge
 from lanebound.integrity.core.errors import InputError
 
-__all__ = ["drive_all", "evaluate", "evaluation_suite", "learnt_agent", "trained"]
+__all__ = ["JUDGED", "drive_all", "evaluate", "evaluation_suite", "learnt_agent", "trained"]
+
+JUDGED = (
+    "return", "cost", "over_cost_limit", "success", "collision", "off_road", "lane_departure", "harm", "mean_speed",
+    "throughput", "alert_share", "any_hmi",
+)  # fmt: skip
+"""Metrics of an episode that checkpoints are judged by."""
 
 
 def evaluate(experiment: ExperimentConfig, model: BaseAlgorithm) -> dict[str, float]:
@@ -39,27 +46,20 @@ def evaluate(experiment: ExperimentConfig, model: BaseAlgorithm) -> dict[str, fl
 
 
 def drive_all(experiment: ExperimentConfig, model: BaseAlgorithm, seeds: Sequence[int]) -> list[dict[str, float]]:
-    """What the policy without its noise comes to under each of consecutive seeds; in the engine all at once.
+    """Metrics of the policy without exploration under each of consecutive seeds; in the engine all at once.
 
-    Of an episode, by the names of the benchmark's metrics: ``return, cost, over_cost_limit, success, collision,
-    off_road, lane_departure, harm, mean_speed, throughput, alert_share, any_hmi``, and ``length`` in decisions. The way
-    of ``throughput`` is the true speed at each decision times its duration.
+    Of an episode: the benchmark's metrics :data:`JUDGED`, and ``length`` in decisions. The way of ``throughput`` is the
+    true speed at each decision times its duration.
     """
     with closing(experiment.open()) as single:
-        terms = Terms(single.config.cost_limit, single.dt_s, allotted_s(single))
+        dt_s = single.dt_s
+        terms = {"cost_limit": single.config.cost_limit, "allotted_s": allotted_s(single)}
     env = for_judging(experiment, len(seeds))
     try:
-        return [_row(info, terms) for seed in seeds[:: env.num_envs] for info in _drive(env, model, seed)]
+        ends = [info for seed in seeds[:: env.num_envs] for info in _drive(env, model, seed)]
     finally:
         env.close()
-
-
-class Terms(NamedTuple):
-    """What all episodes of an environment have in common: limit of cost, time of a decision and in all [s]."""
-
-    cost_limit: float
-    dt_s: float
-    allotted_s: float
+    return [_row(info, dt_s, terms) for info in ends]
 
 
 def _drive(env: VecEnv, model: BaseAlgorithm, seed: int) -> list[Mapping[str, Any]]:
@@ -77,27 +77,12 @@ def _drive(env: VecEnv, model: BaseAlgorithm, seed: int) -> list[Mapping[str, An
     return [ends[e] for e in range(env.num_envs)]
 
 
-def _row(info: Mapping[str, Any], terms: Terms) -> dict[str, float]:
-    """What is noted of an episode, from what its end says."""
+def _row(info: Mapping[str, Any], dt_s: float, terms: Mapping[str, float]) -> dict[str, float]:
+    """Metrics of an episode, from the info of its last step."""
     episode = info[EPISODE_KEY]
-    success, collision, off_road = bool(info["is_success"]), bool(info["crashed"]), episode["cost_off_road"] > 0.0
-    time_s = terms.dt_s * episode["length"]
-    taken_s = time_s if success else max(terms.allotted_s, time_s)
-    return {
-        "return": episode["return"],
-        "cost": episode["cost"],
-        "over_cost_limit": float(episode["cost"] > terms.cost_limit),
-        "success": float(success),
-        "collision": float(collision),
-        "off_road": float(off_road),
-        "lane_departure": float(episode["cost_lane"] > 0.0),
-        "harm": HARM_OF_AN_END * float(collision or off_road) + episode["cost_lane"],
-        "mean_speed": episode["speed_mean_mps"],
-        "throughput": episode["speed_mean_mps"] * time_s / taken_s,
-        "alert_share": episode["alert_share"],
-        "any_hmi": float(episode["hmi_steps"] > 0),
-        "length": float(episode["length"]),
-    }
+    outcome = outcome_of_statistics(info, episode, UNNAMED, time_s=dt_s * episode["length"], **terms)
+    found = {key: metric_named(key).take(outcome) for key in JUDGED}
+    return {key: value for key, value in found.items() if value is not None} | {"length": float(outcome.steps)}
 
 
 def trained(folder: Path) -> tuple[ExperimentConfig, Path]:

@@ -12,7 +12,6 @@ import pytest
 import torch
 from experiments import experiment
 from stable_baselines3 import PPO
-from stable_baselines3.common.vec_env import VecEnvWrapper, VecMonitor
 
 from lanebound.agents.checkpointing.folder import ResultFolder
 from lanebound.agents.learning import imitation, training
@@ -22,6 +21,7 @@ from lanebound.agents.learning.imitation import Teacher, imitate, teacher_of
 from lanebound.agents.learning.opening import episode_seeds, for_learning
 from lanebound.agents.learning.study import LearningStudyConfig, plan
 from lanebound.agents.learning.training import Checkpoint, one_thread, train
+from lanebound.agents.vec_env import EngineVecEnv
 from lanebound.integrity.core.config import deep_merge
 from lanebound.integrity.core.errors import ConfigError, InputError
 
@@ -97,8 +97,8 @@ def test_the_same_seed_imitates_alike(tmp_path: Path) -> None:
 
 def test_its_episodes_are_none_that_learning_meets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seeded: list[int] = []
-    seed = VecEnvWrapper.seed
-    monkeypatch.setattr(VecMonitor, "seed", lambda env, to: seeded.append(to) or seed(env, to))
+    seed = EngineVecEnv.seed
+    monkeypatch.setattr(EngineVecEnv, "seed", lambda env, to: seeded.append(to) or seed(env, to))
     config = experiment(imitation=SMALL, steps=64)
     train(config, tmp_path)
     shown = seeded.index(episode_seeds(config, 0, "imitation"))
