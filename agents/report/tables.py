@@ -9,8 +9,8 @@ from lanebound.agents.benchmark.metrics import MAIN, METRICS, Metric, metric_nam
 from lanebound.agents.benchmark.outcome import Place
 from lanebound.agents.benchmark.results import Cell, Estimate
 from lanebound.agents.benchmark.statistics import SPREAD_SEEDS, VERDICT_SEEDS
-from lanebound.agents.report.looks import Actor, clear_best, slug_of, title_of, unit_of
 from lanebound.agents.report.numbers import SHARE, plain
+from lanebound.agents.report.style import Actor, clear_best, slug_of, title_of, unit_of
 
 __all__ = ["Entry", "Head", "Overview", "Table", "all_metrics", "head_of", "main_table", "overviews"]
 

@@ -26,7 +26,7 @@ from lanebound.agents.checkpointing.files import replace_file
 from lanebound.agents.report.clips import Clip, film_clip
 from lanebound.agents.report.commands import replay_command
 from lanebound.agents.report.episodes import badness, what_happened, worst_of
-from lanebound.agents.report.looks import Actor, actors_of, title_of
+from lanebound.agents.report.style import Actor, actors_of, title_of
 from lanebound.agents.report.tables import head_of, overviews
 from lanebound.agents.report.views import causes, view_of
 from lanebound.integrity.assessment.plotting import MODE_COLOURS

@@ -131,7 +131,8 @@ def test_who_failed_is_never_the_best_and_figures_of_fewer_seeds_say_so():
     assert "n = " not in main(sound)
     assert ' class="best"' not in main(failing)
     assert main(failing).count('<small class="n">n = 11</small>') == len(MAIN) - 1
-    assert "v-better" not in render(Results.of(suite, failing)).split("<main")[1].replace('key v-better"', "")
+    assert "var(--worse)" in render(Results.of(suite, sound)).split("<main")[1]
+    assert "var(--worse)" not in render(Results.of(suite, failing)).split("<main")[1]
 
 
 def test_each_reference_has_its_pictures_and_untuned_caution_is_named(monkeypatch):
