@@ -31,7 +31,7 @@ from lanebound.integrity.sensors.faults import SIZES, Fault, FaultKind
 from lanebound.integrity.sky.systems import System
 from lanebound.integrity.sky.track import SkyTrack
 
-__all__ = ["Cell", "FaultsConfig", "assess_faults", "cells_of", "work_cell"]
+__all__ = ["FaultCase", "FaultsConfig", "assess_faults", "cells_of", "work_cell"]
 
 PACKAGES = ("lanebound.integrity", "lanebound.agents.assess")
 K = FaultKind
@@ -76,7 +76,7 @@ class FaultsConfig(Config):
 
 
 @dataclass(frozen=True)
-class Cell:
+class FaultCase:
     """One fault of the campaign."""
 
     kind: FaultKind
@@ -95,10 +95,10 @@ class Cell:
         return 0.5 * self.duration_s
 
 
-def cells_of(config: FaultsConfig) -> list[Cell]:
+def cells_of(config: FaultsConfig) -> list[FaultCase]:
     """Every kind x size x length x profile."""
     return [
-        Cell(kind, size, duration, profile)
+        FaultCase(kind, size, duration, profile)
         for kind in config.kinds
         for size in SIZES_TRIED.get(kind, ())
         for duration in config.durations_s
@@ -154,7 +154,7 @@ def _onsets(config: FaultsConfig) -> np.ndarray:
     return np.asarray(config.warm_up_s + steps * config.navigator.dt_s)
 
 
-def work_cell(config: FaultsConfig, cell: Cell) -> dict[str, Any]:
+def work_cell(config: FaultsConfig, cell: FaultCase) -> dict[str, Any]:
     """Drive with and without the fault and sum up what became of it."""
     onset = _onsets(config)
     duration = config.warm_up_s + SPREAD_S + cell.duration_s + config.after_s
@@ -179,7 +179,7 @@ def _sound(text: str, duration_s: float, dark_s: float | None) -> Run:
     return drive_run(config.navigator, _seeds(config), duration_s, dark)
 
 
-def _maker(cell: Cell, onset: np.ndarray, dark: Sequence[Fault]) -> Callable[[SkyTrack], list[Fault]]:
+def _maker(cell: FaultCase, onset: np.ndarray, dark: Sequence[Fault]) -> Callable[[SkyTrack], list[Fault]]:
     """The faults of all vehicles, once the sky is known."""
 
     def faults(track: SkyTrack) -> list[Fault]:
@@ -190,7 +190,7 @@ def _maker(cell: Cell, onset: np.ndarray, dark: Sequence[Fault]) -> Callable[[Sk
     return faults
 
 
-def _fault(cell: Cell, row: int, onset_s: float, sky: Any, high: np.ndarray) -> Fault:
+def _fault(cell: FaultCase, row: int, onset_s: float, sky: Any, high: np.ndarray) -> Fault:
     """The fault of one vehicle: at the next of the high satellites, in a direction of its own."""
     data: dict[str, Any] = {
         "kind": cell.kind, "start_s": onset_s, "duration_s": cell.duration_s, "profile": cell.profile,

@@ -12,7 +12,7 @@ from lanebound.agents.benchmark.results import Paired, Results
 from lanebound.agents.benchmark.statistics import holm, seeds_to_exclude
 from lanebound.agents.serialization import counted
 
-__all__ = ["ENDS", "HARM", "LEVEL", "MARGIN", "RULE", "Verdict", "conclusions", "verdicts"]
+__all__ = ["ENDS", "HARM", "LEVEL", "MARGIN", "RULE", "SafetyVerdict", "conclusions", "verdicts"]
 
 HARM = ("collision", "off_road", "lane_departure", "harm")
 """What the true car did; costs also judge levels and alerts, which some agents obey, and are no part of it."""
@@ -31,7 +31,7 @@ Pairs = dict[str, Paired]
 
 
 @dataclass(frozen=True)
-class Verdict:
+class SafetyVerdict:
     """What is to be said of an agent against another.
 
     Attributes
@@ -53,7 +53,7 @@ class Verdict:
     cost: float | None
 
 
-def verdicts(results: Results) -> list[Verdict]:
+def verdicts(results: Results) -> list[SafetyVerdict]:
     """Of every agent against every reference, those that decide by the truth apart, those safer in most cells first.
 
     Safer takes one of HARM clearly lower, by its 95 % interval and by its p-value adjusted by Holm's method over all
@@ -73,7 +73,7 @@ def verdicts(results: Results) -> list[Verdict]:
         ]
         worse = [place for place, those in whole.items() if _clearly(those, HARM, 1.0)]
         means = (_mean(those[key].difference for those in whole.values()) for key in ("throughput", "cost"))
-        found.append(Verdict(agent, against, list(whole), safer, worse, len(here) - len(whole), *means))
+        found.append(SafetyVerdict(agent, against, list(whole), safer, worse, len(here) - len(whole), *means))
     return sorted(found, key=lambda v: (results.suite.references.index(v.against), -len(v.safer)))
 
 
@@ -119,7 +119,7 @@ def conclusions(results: Results) -> list[str]:
     return [*lines, RULE] if any(verdict.safer for verdict in found) else lines
 
 
-def _told(results: Results, against: str, found: Sequence[Verdict]) -> list[str]:
+def _told(results: Results, against: str, found: Sequence[SafetyVerdict]) -> list[str]:
     """What is said of all that are compared with one reference."""
     here = [verdict for verdict in found if verdict.against == against]
     whole = [verdict for verdict in here if verdict.places]
@@ -140,7 +140,7 @@ def _told(results: Results, against: str, found: Sequence[Verdict]) -> list[str]
     return [f"Clearly safer than {against}: {named}.", *paid, *lines]
 
 
-def _counted(verdict: Verdict) -> str:
+def _counted(verdict: SafetyVerdict) -> str:
     worse = f" (clearly worse in {len(verdict.worse)})" if verdict.worse else ""
     return f"{verdict.agent} in {len(verdict.safer)} of {counted(len(verdict.places), 'cell')}{worse}"
 

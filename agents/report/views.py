@@ -34,7 +34,7 @@ from lanebound.integrity.assessment.events import Zone
 from lanebound.integrity.assessment.record import AXES
 from lanebound.integrity.assessment.stanford import ZoneCounts
 
-__all__ = ["Choice", "Diagram", "PlaceView", "TraceView", "causes", "view_of"]
+__all__ = ["ChartChoice", "Diagram", "PlaceView", "TraceView", "causes", "view_of"]
 
 GAINS = ("return", "success", "throughput", "mean_speed")
 WORST, WORST_OF_MANY = 3, 1  # episodes whose traces a place shows, and where there are many places
@@ -42,7 +42,7 @@ MANY_PLACES = 12
 
 
 @dataclass(frozen=True)
-class Choice:
+class ChartChoice:
     """One of several pictures of the same kind."""
 
     key: str
@@ -60,7 +60,7 @@ class Forests:
     """Differences against a reference: a picture for each metric."""
 
     against: str
-    pictures: list[Choice]
+    pictures: list[ChartChoice]
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class PlaceView:
     main: Table
     full: Table
     forests: list[Forests]
-    fronts: list[Choice]
+    fronts: list[ChartChoice]
     costs: Markup | None
     diagrams: list[Diagram]
     traces: list[TraceView]
@@ -131,16 +131,16 @@ def _forests(results: Results, cells: Sequence[Cell], against: str) -> Forests:
         ]
         if any(row.low is not None for row in rows):
             picture = forest(metric.title, unit_of(metric), metric.better, names[against], rows)
-            found.append(Choice(metric.key, metric.title, picture))
+            found.append(ChartChoice(metric.key, metric.title, picture))
     return Forests(names.get(against, against), found)
 
 
-def _fronts(cells: Sequence[Cell], actors: Mapping[str, Actor]) -> list[Choice]:
+def _fronts(cells: Sequence[Cell], actors: Mapping[str, Actor]) -> list[ChartChoice]:
     """Cost against what may be gained by it."""
     return [choice for key in GAINS if (choice := _front(key, cells, actors)) is not None]
 
 
-def _front(key: str, cells: Sequence[Cell], actors: Mapping[str, Actor]) -> Choice | None:
+def _front(key: str, cells: Sequence[Cell], actors: Mapping[str, Actor]) -> ChartChoice | None:
     gain, spots = metric_named(key), []
     for cell in cells:
         x, y = (_spread(cell, name) for name in ("cost", key))
@@ -149,7 +149,7 @@ def _front(key: str, cells: Sequence[Cell], actors: Mapping[str, Actor]) -> Choi
     if not spots:
         return None
     sides = [ParetoAxis(m.title, "" if unit_of(m) == SHARE else m.unit, m.better) for m in (metric_named("cost"), gain)]
-    return Choice(key, gain.title, pareto(spots, *sides))
+    return ChartChoice(key, gain.title, pareto(spots, *sides))
 
 
 def _spread(cell: Cell, key: str) -> tuple[float, float, float] | None:

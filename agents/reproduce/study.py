@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
-from lanebound.agents.reproduce.published import CELLS, Cell
+from lanebound.agents.reproduce.published import CELLS, PrintedFigure
 from lanebound.agents.reproduce.urban_drive import Drives, UrbanDriveConfig, drive, seed_statistics, street
 from lanebound.agents.serialization import finite_or_none
 from lanebound.integrity.assessment.plotting import save
@@ -146,7 +146,7 @@ def rows_against_paper(tables: dict[str, Any]) -> list[dict[str, Any]]:
     return [_row(cell, tables) for cell in CELLS]
 
 
-def _row(cell: Cell, tables: dict[str, Any]) -> dict[str, Any]:
+def _row(cell: PrintedFigure, tables: dict[str, Any]) -> dict[str, Any]:
     ours, spread = lookup(tables, cell.path), lookup(tables["spread"], cell.path)
     return {
         "figure": ".".join(cell.path),
