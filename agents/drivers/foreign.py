@@ -99,7 +99,7 @@ def require_foreign(name: str) -> None:
 
 
 def _names_in(source: str | None) -> set[str] | None:
-    """Names that a module's source binds at its top level; None where only running it would tell."""
+    """Names that a module's source binds at its top level, modules apart; None where the source does not show them."""
     if source is None or not source.endswith(".py"):
         return None
     try:
@@ -110,8 +110,10 @@ def _names_in(source: str | None) -> set[str] | None:
     for node in body:
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             found.add(node.name)
-        elif isinstance(node, ast.Import | ast.ImportFrom):
-            found |= {(alias.asname or alias.name).partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            found |= {alias.asname or alias.name for alias in node.names}
+        elif isinstance(node, ast.Import):
+            continue  # a module is no callable
         elif isinstance(node, ast.Assign | ast.AnnAssign):
             found |= {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
         elif not isinstance(node, ast.Expr):
