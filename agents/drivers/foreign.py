@@ -321,7 +321,7 @@ def _runtime() -> Any:
         return import_module("onnxruntime")
     except ImportError:
         raise InputError(
-            "an ONNX agent needs the package onnxruntime, got none: pip install 'lanebound[learning]'"
+            "an ONNX agent needs the package onnxruntime, got none: pip install onnxruntime"
         ) from None
 
 

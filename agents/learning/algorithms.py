@@ -41,7 +41,7 @@ def class_of(algorithm: Algorithm) -> Any:
         return getattr(import_module(module), name)
     except ImportError:
         raise InputError(
-            f"algorithm {algorithm} needs the package {module}, got none: pip install 'lanebound[learning]'"
+            f"algorithm {algorithm} needs the package {module}, got none: pip install {module.replace('_', '-')}"
         ) from None
 
 

@@ -146,7 +146,7 @@ def _require_plain(experiment: ExperimentConfig, packages: tuple[str, ...] = ("o
         )
     for package in packages:
         if find_spec(package) is None:
-            raise InputError(f"an export needs the package {package}, got none: pip install 'lanebound[learning]'")
+            raise InputError(f"an export needs the package {package}, got none: pip install {package}")
 
 
 class _Unsquashed(nn.Module):
