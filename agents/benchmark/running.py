@@ -9,7 +9,7 @@ from lanebound.agents.benchmark.outcome import Task
 from lanebound.agents.benchmark.results import Results
 from lanebound.agents.benchmark.store import EpisodeStore
 from lanebound.agents.benchmark.suite import SuiteConfig
-from lanebound.agents.benchmark.work import DrivenEpisodes, expected_s, unfit
+from lanebound.agents.benchmark.work import DrivenEpisodes, expected_s, strangers, unfit
 from lanebound.agents.checkpointing.folder import locked
 from lanebound.agents.checkpointing.runner import Counter, OnProgress, RunProgress, available_cores, ignore, run_work
 
@@ -27,6 +27,7 @@ class BenchmarkPlan:
     left_out : agents that cannot drive an environment, as ``(env, agent, reason)``
     tasks : missing episodes in the order of the work: all cells with the first seed, then with the next
     stored : number of finished episodes
+    warnings : policies that drive environments in which they were not learnt
     expected_s : time of a core for an episode of each environment that lasts to its end [s]
     """
 
@@ -35,6 +36,7 @@ class BenchmarkPlan:
     left_out: list[tuple[str, str, str]]
     tasks: list[Task]
     stored: int
+    warnings: list[str]
     expected_s: dict[str, float]
 
     @classmethod
@@ -54,7 +56,7 @@ class BenchmarkPlan:
         missing = [task for task in wanted if not store.has(task)]
         missing.sort(key=lambda task: task.seed)  # stable: a budget leaves about as many seeds in every cell
         expected = expected_s(suite, sorted({task.place.env for task in missing}))
-        return cls(suite, folder, left_out, missing, len(wanted) - len(missing), expected)
+        return cls(suite, folder, left_out, missing, len(wanted) - len(missing), strangers(suite), expected)
 
     def hours(self, jobs: int) -> float:
         """About how long the plan takes with so many processes [h]."""

@@ -12,14 +12,15 @@ from lanebound.agents.benchmark.store import EpisodeStore
 from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.checkpointing.pool import Lost, PartStatus
 from lanebound.agents.drivers import AGENTS, load_figures, make_agent, unknown_agent
-from lanebound.agents.drivers.foreign import is_foreign, require_foreign
+from lanebound.agents.drivers.foreign import MODELS, is_foreign, require_foreign
+from lanebound.agents.drivers.origin import elsewhere
 from lanebound.agents.episodes import open_env
 from lanebound.agents.episodes.film import Film
 from lanebound.agents.episodes.opening import naming
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.errors import InputError
 
-__all__ = ["DrivenEpisodes", "FilmedEpisodes", "expected_s", "unfit"]
+__all__ = ["DrivenEpisodes", "FilmedEpisodes", "expected_s", "strangers", "unfit"]
 
 COST_OF_A_SECOND = {
     "LaneKeeping-v0": 0.03,
@@ -149,6 +150,22 @@ def unfit(suite: SuiteConfig) -> list[tuple[str, str, str]]:
             except InputError as error:
                 found.append((place.env, name, str(error)))
     return found
+
+
+def strangers(suite: SuiteConfig) -> list[str]:
+    """A warning for each policy of a file that drives an environment in which it was not learnt."""
+    files = {
+        name: [agent for agent in (chosen.agent, str(chosen.figures.get("over", ""))) if agent.endswith(MODELS)]
+        for name, chosen in suite.agents.items()
+    }
+    places = {place.env: place for place in suite.places}.values()
+    found = (
+        elsewhere(file, _opened(suite, place, name).config.base)
+        for name, there in files.items()
+        for file in there
+        for place in places
+    )
+    return [warning for warning in dict.fromkeys(found) if warning]
 
 
 def _require_agent(agent: str) -> None:

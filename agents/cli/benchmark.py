@@ -132,6 +132,8 @@ def _announce(plan: BenchmarkPlan, jobs: int | None, budget: float | None, cold:
 
     for env, agent, why in plan.left_out:
         typer.echo(f"left out: {agent} in {env} ({why.partition(': ')[0]})", err=True)
+    for warning in plan.warnings:
+        typer.echo(f"warning: {warning}", err=True)
     if not plan.tasks:
         typer.echo(f"{counted(plan.stored, 'episode')}, all there already: nothing to drive.", err=True)
         return

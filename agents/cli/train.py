@@ -10,6 +10,7 @@ import typer
 from lanebound.agents.cli.output import counted
 
 if TYPE_CHECKING:
+    from lanebound.agents.benchmark.suite import SuiteConfig
     from lanebound.agents.checkpointing.runner import OnProgress
     from lanebound.agents.learning.experiment import ExperimentConfig
     from lanebound.agents.learning.training import Checkpoint
@@ -85,37 +86,56 @@ def _say(checkpoint: Checkpoint) -> None:
     typer.echo(f"{checkpoint.steps:>9} decisions: {shown}{'  best' if checkpoint.best else ''}", err=True)
 
 
+Source = Annotated[
+    Path, typer.Argument(metavar="TRAINING", help="Folder of a training, or a checkpoint .zip of Stable-Baselines3.")
+]
+Where = Annotated[
+    str | None,
+    typer.Option("--env", metavar="ID", help="Environment, for a checkpoint that does not say where it was learnt."),
+]
+Changes = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change a value of that environment; may be repeated."),
+]
+
+
 def evaluate(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a training.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results; a run goes on where one stopped.")],
+    source: Source,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results; it is resumed.")],
+    env: Where = None,
+    sky: Annotated[str | None, typer.Option(help="Level of the sky; that of the training by default.")] = None,
+    assignments: Changes = None,
     agents: Annotated[str, typer.Option(metavar="A,B", help="Drive these beside it.")] = "nominal,integrity_aware",
     seeds: Annotated[int, typer.Option(min=1, help="Episodes of each, on test seeds.")] = 50,
     skip: Annotated[int, typer.Option(min=0, help="First test seeds left out, as ones that were looked at.")] = 0,
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes; one for each core by default.")] = None,
-    fresh: Annotated[
-        bool, typer.Option("--fresh/--resume", help="Throw away what that folder holds of an earlier run, or go on.")
-    ] = False,
+    fresh: Annotated[bool, typer.Option("--fresh/--resume", help="Remove earlier results, or resume.")] = False,
     full: Annotated[bool, typer.Option("--full", help="Print every metric with its interval.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> None:
-    """Drive the best checkpoint of a training on the test seeds, beside other agents.
+    """Drive a learnt policy on the test seeds, beside other agents.
 
     Example: lanebound evaluate out/learnt --out out/learnt-evaluation --seeds 20
     """
     from lanebound.agents.cli.benchmark import carry_out
     from lanebound.agents.learning.evaluation import evaluation_suite
 
-    carry_out(lambda: evaluation_suite(folder, agents, seeds, skip), out, fresh, jobs, None, full, as_json)
+    def choose() -> SuiteConfig:
+        return evaluation_suite(source, agents, seeds, skip, env, _changes(sky, assignments))
+
+    carry_out(choose, out, fresh, jobs, None, full, as_json)
 
 
 def export(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a training.")],
+    source: Source,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="FILE.onnx, best.onnx in that folder by default; or FILE.npz, as 'ppo' is."),
+        typer.Option(metavar="FILE", help="FILE.onnx, by default beside the checkpoint; or FILE.npz, as 'ppo' is."),
     ] = None,
+    env: Where = None,
+    assignments: Changes = None,
 ) -> None:
-    """Write the best checkpoint of a training as a network alone, from flat observations to actions.
+    """Write a learnt policy as a network alone, from flat observations to actions.
 
     Example: lanebound export out/learnt --out out/learnt.onnx
     """
@@ -123,10 +143,18 @@ def export(
     from lanebound.agents.learning.export import export_arrays, export_onnx
     from lanebound.integrity.core.errors import InputError
 
-    wanted = folder / "best.onnx" if out is None else out
+    wanted = (source.with_suffix(".onnx") if source.suffix == ".zip" else source / "best.onnx") if out is None else out
     if wanted.suffix not in (".onnx", ".npz"):
-        raise InputError(f"out must end in .onnx or .npz, got {wanted}: name it by the form that is wanted")
+        raise InputError(f"out must end in .onnx or .npz, got {wanted}: choose one of these forms")
     write = export_arrays if wanted.suffix == ".npz" else export_onnx
     with resumable(lambda: "nothing was written"):
-        path = wait_for(lambda: write(folder, wanted))
+        path = wait_for(lambda: write(source, wanted, env, _changes(None, assignments)))
     typer.echo(f"{path}: observation -> action, {path.stat().st_size / 1e3:.0f} kB")
+
+
+def _changes(sky: str | None, assignments: list[str] | None) -> dict[str, Any]:
+    """Values of an experiment that the options change."""
+    from lanebound.integrity.core.presets import parse_assignments
+
+    overrides = parse_assignments(assignments or [])
+    return ({"overrides": overrides} if overrides else {}) | ({} if sky is None else {"sky": sky})

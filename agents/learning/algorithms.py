@@ -15,7 +15,7 @@ from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import nearest
 
-__all__ = ["class_of", "make_model", "require_known"]
+__all__ = ["CLASSES", "class_of", "make_model", "require_known"]
 
 CLASSES = {
     Algorithm.PPO: "stable_baselines3:PPO",

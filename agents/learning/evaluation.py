@@ -18,6 +18,9 @@ from lanebound.agents.benchmark.scoring import UNNAMED, outcome_of_statistics
 from lanebound.agents.benchmark.seeds import SPLITS
 from lanebound.agents.benchmark.suite import SuiteConfig, parse_agents
 from lanebound.agents.checkpointing.folder import ResultFolder
+from lanebound.agents.drivers.foreign import load_checkpoint, require_foreign
+from lanebound.agents.drivers.origin import experiment_in
+from lanebound.agents.learning.algorithms import CLASSES
 from lanebound.agents.learning.experiment import FLAT, ExperimentConfig, Shield
 from lanebound.agents.learning.opening import for_judging
 from lanebound.envs.tally import EPISODE_KEY
@@ -31,6 +34,7 @@ JUDGED = (
     "throughput", "alert_share", "any_hmi",
 )  # fmt: skip
 """Metrics of an episode that checkpoints are judged by."""
+KINDS = {path.rpartition(":")[2]: algorithm for algorithm, path in CLASSES.items()}
 
 
 def evaluate(experiment: ExperimentConfig, model: BaseAlgorithm) -> dict[str, float]:
@@ -85,37 +89,62 @@ def _row(info: Mapping[str, Any], dt_s: float, terms: Mapping[str, float]) -> di
     return {key: value for key, value in found.items() if value is not None} | {"length": float(outcome.steps)}
 
 
-def trained(folder: Path) -> tuple[ExperimentConfig, Path]:
-    """The experiment of a folder of a training, and its best checkpoint.
+def trained(
+    source: Path, env: str | None = None, changes: Mapping[str, Any] | None = None
+) -> tuple[ExperimentConfig, Path]:
+    """The experiment of a training and its checkpoint, from a folder or from a checkpoint alone.
+
+    Parameters
+    ----------
+    source : folder of a training, whose best checkpoint is taken, or a checkpoint of Stable-Baselines3
+    env, changes : id, and values of an experiment (``sky``, ``overrides``), over those that ``source`` holds
 
     Raises
     ------
     InputError
-        ``folder`` is none of a training, has no checkpoint yet, or is damaged.
+        ``source`` is neither, has no checkpoint yet, is damaged, or does not say where it was learnt and ``env`` is
+        None; ConfigError where a value is refused.
     """
-    best = folder / "best.zip"
+    best = source / "best.zip"
+    if source.suffix == ".zip" and source.is_file():
+        require_foreign(str(source))
+        found = experiment_in(source)
+        if found is None:
+            if env is None:
+                raise InputError(f"{source} must say where it was learnt, but holds no experiment: add --env ID")
+            kind = type(load_checkpoint(source)).__name__
+            found = {"title": f"{kind} of {source.name}"} | ({"algorithm": KINDS[kind]} if kind in KINDS else {})
+        return ExperimentConfig.build(found or {}, {**(changes or {}), **({} if env is None else {"env": env})}), source
     if not best.is_file():
-        raise InputError(f"folder must be one of a training with best.zip, got {folder}: train first")
-    return ExperimentConfig.load(ResultFolder(folder, "training").manifest()["config"]), best
+        raise InputError(f"TRAINING must be a folder with best.zip or a checkpoint .zip, got {source}: train first")
+    found = ResultFolder(source, "training").manifest()["config"]
+    return ExperimentConfig.build(found, {**(changes or {}), **({} if env is None else {"env": env})}), best
 
 
 def learnt_agent(experiment: ExperimentConfig, checkpoint: Path) -> dict[str, Any]:
-    """A checkpoint as an agent of a suite, under the filter that it was trained with, and seeing what it saw then."""
+    """A checkpoint as an agent of a suite, with the filter and the observations of its training."""
     config = deep_merge(experiment.overrides, FLAT)
     if experiment.shield is Shield.CBF:
         return {"agent": "cbf", "figures": {"over": str(checkpoint)}, "config": config}
     return {"agent": str(checkpoint), "config": config}
 
 
-def evaluation_suite(folder: Path, agents: str, seeds: int, skip: int = 0) -> SuiteConfig:
-    """The best checkpoint of a training beside other agents where it was trained, on test seeds but the first ``skip``.
+def evaluation_suite(
+    source: Path, agents: str, seeds: int, skip: int = 0, env: str | None = None,
+    changes: Mapping[str, Any] | None = None,
+) -> SuiteConfig:  # fmt: skip
+    """A suite of a learnt policy beside other agents where it was trained, on test seeds but the first ``skip``.
+
+    Parameters
+    ----------
+    source, env, changes : as of :func:`trained`
 
     Raises
     ------
     InputError
-        ``folder`` is none of a training, or has no checkpoint yet; ConfigError for an agent that is unknown.
+        As :func:`trained`; ConfigError for an agent that is unknown.
     """
-    experiment, best = trained(folder)
+    experiment, best = trained(source, env, changes)
     others = parse_agents(agents)
     reference = next(iter(others), "learnt")
     return SuiteConfig.load(

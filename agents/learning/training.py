@@ -29,6 +29,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from lanebound.agents.checkpointing.files import make_folder, read_json, replace_file, write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, locked
+from lanebound.agents.drivers.origin import write_experiment
 from lanebound.agents.learning.algorithms import class_of, make_model, require_known
 from lanebound.agents.learning.card import write_card
 from lanebound.agents.learning.evaluation import evaluate
@@ -228,21 +229,22 @@ def _checkpoint(
     found = evaluate(experiment, model)
     progress.append({"steps": model.num_timesteps, **found})
     best = is_best(progress, _limit_of_best(experiment))
-    _keep(model, out, best)
+    _keep(experiment, model, out, best)
     if best:
         write_card(experiment, progress[-1], out / CARD)
     write_json(out / PROGRESS, progress)
     return Checkpoint(model.num_timesteps, experiment.steps, found, best)
 
 
-def _keep(model: BaseAlgorithm, out: Path, best: bool) -> None:
-    """Save a checkpoint; the one before stays until the new one is whole."""
+def _keep(experiment: ExperimentConfig, model: BaseAlgorithm, out: Path, best: bool) -> None:
+    """Save a checkpoint; the previous one stays until the new one is complete."""
     if getattr(model, "replay_buffer", None) is not None:
         with replace_file(out / REPLAY) as draft:
             model.save_replay_buffer(draft)  # type: ignore[attr-defined]
     for path in (out / LAST, out / BEST) if best else (out / LAST,):
         with replace_file(path) as draft:
             model.save(draft)
+            write_experiment(draft, experiment.to_json())
     (out / IMITATION).unlink(missing_ok=True)
 
 

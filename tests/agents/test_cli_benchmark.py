@@ -97,7 +97,7 @@ def test_tables_stand_there_before_the_page_is_written(driven, tmp_path, monkeyp
 
 
 def test_nothing_is_announced_where_nothing_is_to_be_driven(driven, results, tmp_path, monkeypatch):
-    plan = running.BenchmarkPlan(results.suite, tmp_path, [], [], 36, {})
+    plan = running.BenchmarkPlan(results.suite, tmp_path, [], [], 36, [], {})
     monkeypatch.setattr(running.BenchmarkPlan, "of", lambda *arguments: plan)
     told = run("benchmark", "quick", "--out", str(tmp_path))
     assert told.exit_code == 0
