@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from lanebound.agents.benchmark.metrics import MAIN, METRICS, Metric, metric_named
 from lanebound.agents.benchmark.outcome import Place
-from lanebound.agents.benchmark.results import Cell, Estimate
+from lanebound.agents.benchmark.results import Cell, Estimate, Results
 from lanebound.agents.benchmark.statistics import SPREAD_SEEDS, VERDICT_SEEDS
+from lanebound.agents.benchmark.verdicts import mean_over_cells
 from lanebound.agents.report.numbers import SHARE, plain
 from lanebound.agents.report.style import Actor, clear_best, slug_of, title_of, unit_of
 
-__all__ = ["Head", "Overview", "Table", "TableEntry", "all_metrics", "head_of", "main_table", "overviews"]
+__all__ = [
+    "Head",
+    "Overview",
+    "Table",
+    "TableEntry",
+    "all_metrics",
+    "head_of",
+    "main_table",
+    "means_table",
+    "overviews",
+]
 
 ARROWS = {"higher": "↑", "lower": "↓"}
 
@@ -92,6 +104,18 @@ def main_table(cells: Sequence[Cell], actors: Mapping[str, Actor]) -> Table:
     return _table(cells, actors, [metric_named(key) for key in MAIN])
 
 
+def means_table(results: Results, actors: Mapping[str, Actor]) -> Table:
+    """The main metrics of the agents in the mean of all places, without intervals."""
+    metrics = [metric_named(key) for key in MAIN]
+    rows = []
+    for name, actor in actors.items():
+        cells = [cell for cell in results.cells if cell.agent == name]
+        entries = [TableEntry(plain(mean_over_cells(results, name, m.key), unit_of(m))) for m in metrics]
+        if cells:
+            rows.append(TableRow(actor, sum(c.episodes for c in cells), sum(c.failed for c in cells), entries))
+    return Table([head_of(metric) for metric in metrics], rows)
+
+
 def all_metrics(cells: Sequence[Cell], actors: Mapping[str, Actor]) -> Table:
     """All metrics that anybody has a figure of."""
     return _table(cells, actors, [m for m in METRICS if any(cell.metrics[m.key].n for cell in cells)])
@@ -129,13 +153,15 @@ def _entry(estimate: Estimate, metric: Metric, best: bool, seeds: int) -> TableE
 
 
 def _lacking(e: Estimate, metric: Metric) -> str:
-    """Why an estimate has no interval; nothing where it has one, or is none itself."""
+    """Why an estimate has no interval; "" where it has one, or does not exist."""
     if e.mean is None or e.low is not None:
         return ""
     if e.n < SPREAD_SEEDS:
-        return f"no interval: {e.n} seed{'s' if e.n > 1 else ''}"
-    never = e.mean == 0.0 and metric.bounds[0] == 0.0
-    return f"no interval: never seen in {e.n}" if never else f"no interval: all {e.n} too alike"
+        return f"{e.n} seed{'s' if e.n > 1 else ''}"
+    if e.mean == 0.0 and metric.bounds[0] == 0.0:
+        return f"never in {e.n}"
+    alike = e.iqm is not None and math.isclose(e.mean, e.iqm, rel_tol=1e-9)
+    return f"all {e.n} alike" if alike else "few seeds dominate"
 
 
 def _bare(low: float | None, high: float | None, unit: str) -> str:

@@ -21,13 +21,13 @@ from lanebound.agents.benchmark.outcome import Outcome, Place
 from lanebound.agents.benchmark.results import Cell, Results
 from lanebound.agents.benchmark.statistics import VERDICT_SEEDS
 from lanebound.agents.benchmark.store import EpisodeStore
-from lanebound.agents.benchmark.verdicts import conclusions
+from lanebound.agents.benchmark.verdicts import opening
 from lanebound.agents.checkpointing.files import replace_file
 from lanebound.agents.report.clips import Clip, film_clip
 from lanebound.agents.report.commands import replay_command
 from lanebound.agents.report.episodes import badness, what_happened, worst_of
 from lanebound.agents.report.style import Actor, actors_of, title_of
-from lanebound.agents.report.tables import head_of, overviews
+from lanebound.agents.report.tables import head_of, means_table, overviews
 from lanebound.agents.report.views import causes, view_of
 from lanebound.integrity.assessment.plotting import MODE_COLOURS
 
@@ -89,7 +89,8 @@ def render(results: Results, clips: int = 0, told: Callable[[int, int], None] = 
         overviews=overviews(places, actors) if len(places) > 1 else [],
         actors=list(actors.values()),
         bounds=[actor.name for actor in actors.values() if actor.bound],
-        verdicts=conclusions(results) if results.cells else [],
+        opening=opening(results) if results.cells else [],
+        means=means_table(results, actors),
         few=max((cell.episodes for cell in results.cells), default=VERDICT_SEEDS) < VERDICT_SEEDS,
         verdict_seeds=VERDICT_SEEDS,
         episodes=len(results.outcomes),

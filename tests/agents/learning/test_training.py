@@ -81,7 +81,7 @@ def test_who_goes_on_after_a_stop_does_not_draw_the_same_again(
 
 
 def test_the_best_is_measured_on_test_seeds_beside_others(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"with best\.zip, got .*: train first"):
+    with pytest.raises(InputError, match=r"with best\.zip or a checkpoint \.zip, got .*: train first"):
         evaluation_suite(tmp_path, "nominal", 1)
     train(experiment(steps=64, algorithm="ppo_lagrangian"), tmp_path / "learnt")
     suite = evaluation_suite(tmp_path / "learnt", "nominal", 2)

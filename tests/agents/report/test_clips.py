@@ -60,6 +60,7 @@ def test_a_film_is_made_once(tmp_path, monkeypatch):
     first, second = list(made_up_suite().tasks())[:2]
     made = []
     monkeypatch.setattr(clips, "_filmed", lambda folder, outcome: (made.append(outcome.id) or b"film", ""))
+    monkeypatch.setattr(clips, "poster_of", lambda film: b"poster")
     films = [film_clip(tmp_path, made_up_outcome(task)) for task in (first, first, second)]
     assert made == [first.id, second.id]
     assert films[0] == films[1]
@@ -85,6 +86,7 @@ def test_an_episode_is_driven_again(tmp_path):
     outcome = DrivenEpisodes(suite, tmp_path).do(next(iter(suite.tasks())), status)
     clip = film_clip(tmp_path, outcome)
     assert clip.trouble == ""
+    assert base64.b64decode(clip.poster.partition(",")[2]).startswith(b"\xff\xd8")
     (tmp_path / "clip.mp4").write_bytes(base64.b64decode(clip.address.partition(",")[2]))
     _, seconds = count_frames_and_secs(str(tmp_path / "clip.mp4"))
     assert seconds == pytest.approx(2.0, abs=0.3)
