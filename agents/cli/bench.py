@@ -20,6 +20,9 @@ def bench(
 ) -> None:
     """Measure speed and compare it with the gates. Exit code 1 when a benchmark fails to run.
 
+    The benchmark ``cold`` (a start of the vector engine with an empty cache of kernels) takes minutes and runs only
+    with --only cold.
+
     Example: lanebound bench --only ambiguity --rounds 3 --json
     """
     from rich.console import Console
