@@ -25,7 +25,6 @@ from lanebound.integrity.monitoring.doppler_separation_kernel import (
     separate_velocity,
     share_epoch,
 )
-from lanebound.integrity.monitoring.geometry_kernel import SIGMA0_AT, SIGMA0_CT, X_E, X_N, X_U, scratch
 from lanebound.integrity.monitoring.jump_kernel import (
     ACCEPTED,
     QUARANTINED,
@@ -38,13 +37,13 @@ from lanebound.integrity.monitoring.jump_kernel import (
     widen,
 )
 from lanebound.integrity.monitoring.protection_kernel import (
-    budgets_of,
     closed_form,
     closed_form_published,
+    multi_hypothesis_pl,
     pair_risk,
-    root,
+    split_budgets,
 )
-from lanebound.integrity.monitoring.separation_kernel import modes, set_priors
+from lanebound.integrity.monitoring.separation_kernel import find_modes, set_priors
 from lanebound.integrity.navigators import navigator_columns_kernel as col
 from lanebound.integrity.navigators.reckoning_kernel import (
     Reckoning,
@@ -60,9 +59,9 @@ from lanebound.integrity.navigators.reckoning_kernel import (
 from lanebound.integrity.navigators.rtk_stage_kernel import (
     FAULT,
     FIXED,
-    Fixed,
     Signals,
     Tables,
+    fixed_scratch,
     rtk,
     select,
     test,
@@ -191,29 +190,15 @@ def standstill(x, dt, v_ss, turning, solved, v_gnss, q):  # type: ignore[no-unty
 
 @jit
 def levels_rtk(  # type: ignore[no-untyped-def]
-    n,
-    rows,
-    rows_group,
-    sin_h,
-    cos_h,
-    risks,
-    shares,
-    spent,
-    priors,
-    k_fa,
-    k_published,
-    reference_bias,
-    geo,
-    head,
-    mode,
-    pl,
-):
+    n, fixed, sin_h, cos_h, risks, shares, spent, priors, k_fa, k_published, reference_bias, pl,
+):  # fmt: skip
     """Protection levels of the fixed position: cases of the root, of the closed form, and of the published form.
 
     risks (3, R) holds the risk of each case in the row of its form, 0 elsewhere; ``reference_bias`` [m] bounds the
     common shift
     of a wrong reference, which every mode shares. Published: ``b_E = b_N`` of that length, so ``B = b / sqrt 2``.
     """
+    rows, group, geo, moments, modes = fixed.rows, fixed.group, fixed.geo, fixed.moments, fixed.modes
     count_cases = risks.shape[1]
     one, budget, found = np.empty(1), np.empty((1, 2)), np.empty((1, 2))
     constellations, split, share0, multiple, tolerate = (
@@ -223,30 +208,28 @@ def levels_rtk(  # type: ignore[no-untyped-def]
         shares[3] > 0.0,
         shares[4] > 0.0,
     )
-    n_modes = 0
+    n_modes, lost = 0, 0.0
     for form in range(3):
         filled = False
         for r in range(count_cases):
             if risks[form, r] <= 0.0:
                 continue
             if not filled:
-                n_modes = modes(
-                    rows_group, rows[0], rows[3], n, sin_h, cos_h, constellations, form == 2, geo, head, mode
-                )
-                set_priors(rows_group, n, n_modes, priors[0], priors[1], head, mode)
+                n_modes = find_modes(group, rows[3], n, sin_h, cos_h, constellations, form == 2, geo, moments, modes)
+                lost = set_priors(group, n, n_modes, priors[0], priors[1], geo.clocks, modes)
                 filled = True
             if form == 2:
                 one[0] = k_published[r]
-                closed_form_published(n_modes, k_fa[1, n_modes - 1], one, mode, found)
+                closed_form_published(n_modes, k_fa[1, n_modes - 1], one, modes, found)
                 shift = reference_bias / math.sqrt(2.0)
             else:
                 one[0] = risks[form, r]
-                lost = spent + (pair_risk(n_modes, mode) if multiple else 0.0)
-                budgets_of(one, split, lost, budget)
+                spent_here = spent + (pair_risk(n_modes, modes.prior) if multiple else 0.0)
+                split_budgets(one, split, spent_here, budget)
                 if form == 0:
-                    root(n_modes, k_fa[0, n_modes - 1], budget, tolerate, head, mode, found)
+                    multi_hypothesis_pl(n_modes, k_fa[0, n_modes - 1], budget, lost, tolerate, modes, found)
                 else:
-                    closed_form(n_modes, k_fa[0, n_modes - 1], budget, share0, tolerate, head, mode, found)
+                    closed_form(n_modes, k_fa[0, n_modes - 1], budget, share0, lost, tolerate, modes, found)
                 shift = reference_bias
             pl[r, 0], pl[r, 1] = found[0, 0] + shift, found[0, 1] + shift
 
@@ -255,7 +238,8 @@ def levels_rtk(  # type: ignore[no-untyped-def]
 def reference_point(head, par, sin_h, cos_h):  # type: ignore[no-untyped-def]
     """East and North of the vehicle, of whose antenna ``head`` tells [m]."""
     forward, right = par[col.LEVER_FORWARD], par[col.LEVER_RIGHT]
-    return head[X_E] - sin_h * forward - cos_h * right, head[X_N] - cos_h * forward + sin_h * right
+    x = head.position
+    return x[0] - sin_h * forward - cos_h * right, x[1] - cos_h * forward + sin_h * right
 
 
 @jit
@@ -302,7 +286,7 @@ def take_rtk(  # type: ignore[no-untyped-def]
     x, par, latest, witness, terms, east, north, head, sin_h, cos_h, lasting, level
 ):
     """The position is the one of RTK, of the ``level`` (R, 2) [m]; what reckons since then begins anew."""
-    x[col.EAST], x[col.NORTH], x[col.UP] = east, north, head[X_U]
+    x[col.EAST], x[col.NORTH], x[col.UP] = east, north, head.position[2]
     x[col.SINCE_RTK], x[col.INITIALISED], x[col.UNBOUNDED] = 0.0, 1.0, 0.0
     restart(latest, terms, x, level, head, sin_h, cos_h)
     if not (lasting and x[col.WITNESS_S] < par[col.WITNESS_MOST_S]):
@@ -316,7 +300,7 @@ def _epoch(  # type: ignore[no-untyped-def]
     par, tables, mode_limits, heading_limits, risks, shares, spent,
     priors, k_fa, k_published, k_dead, published, operative_published, alert_limits, drift_group,
     x, rtk_x, last_phase, growth, start, apart, held, integers, fix_id, fix_risk, v, alert, reason, onset, clear,
-    fixed, columns, found, out, pl, covariance,
+    fixed, found, out, pl, covariance,
 ):  # fmt: skip
     """The whole epoch of vehicle v; x to fix_risk and the alert arrays are its state."""
     dt, n_sat, doubt = par[col.DT], e.shape[0], x[col.DOUBT : col.WATCH]
@@ -367,7 +351,7 @@ def _epoch(  # type: ignore[no-untyped-def]
         Motion(dt, solved and x[col.INITIALISED] > 0.0, velocity_enu, q_v, x[col.EAST : col.UP + 1]),
         sin_h, cos_h, fixed,
     )  # fmt: skip
-    head = fixed.head
+    head = fixed.geo.fix[0]
     wrong = held_risk(held, fix_id, fix_risk)
     x[col.FIXED_S] = x[col.FIXED_S] + dt if status == FIXED else 0.0
     lasting = x[col.SINCE_RTK] < 1.5 * dt
@@ -387,8 +371,8 @@ def _epoch(  # type: ignore[no-untyped-def]
         levels_dead_reckoning(latest, terms, sin_h, cos_h, later, pl)
     found[:] = 0.0
     if confirmed and rtk_usable(hdop_rtk, mode_limits):
-        levels_rtk(n_rtk, fixed.rows, fixed.group, sin_h, cos_h, risks, shares, spent + wrong, priors, k_fa,
-                   k_published, terms.shift, fixed.geo, head, columns, found)  # fmt: skip
+        levels_rtk(n_rtk, fixed, sin_h, cos_h, risks, shares, spent + wrong, priors, k_fa, k_published, terms.shift,
+                   found)  # fmt: skip
         lever_at, lever_ct = lever_bounds(x, par)
         found[:, 0] += lever_at
         found[:, 1] += lever_ct
@@ -415,7 +399,7 @@ def _epoch(  # type: ignore[no-untyped-def]
         x[col.VEL_E], x[col.VEL_N] = v_ss * math.sin(x[col.HEADING] + slip), v_ss * math.cos(x[col.HEADING] + slip)
 
     _tell(
-        v, mode, status, doubted, x, par, sin_h, cos_h, latest.growth, fixed.head, (hdop_rtk, hdop_doppler), pl,
+        v, mode, status, doubted, x, par, sin_h, cos_h, latest.growth, head, (hdop_rtk, hdop_doppler), pl,
         alert_limits, alert, reason, onset, clear, out, covariance,
     )  # fmt: skip
     out[col.O_SATELLITES], out[col.O_DOPPLER], out[col.O_EXCLUDED] = n_rtk, n_doppler, excluded_rtk + excluded_doppler
@@ -434,8 +418,8 @@ def _tell(  # type: ignore[no-untyped-def]
     if mode == RTK:
         sigma_h = math.sqrt(variance)
         sigma_at, sigma_ct = (
-            math.hypot(head[SIGMA0_AT], right * sigma_h),
-            math.hypot(head[SIGMA0_CT], forward * sigma_h),
+            math.hypot(head.sigma[0], right * sigma_h),
+            math.hypot(head.sigma[1], forward * sigma_h),
         )
     cause = INITIALISING_CAUSE if mode == NONE else 0
     if doubted or (x[col.UNBOUNDED] > 0.0 and mode != RTK and mode != NONE):
@@ -461,9 +445,8 @@ def run_some(  # type: ignore[no-untyped-def]
     out, pl, covariance,
 ):  # fmt: skip
     """One epoch of the vehicles ``first`` to ``last - 1``, which share their scratch."""
-    geo, head, columns = scratch(system.shape[0])
-    wide, found = geo.shape[1], np.zeros((pl.shape[1], 2))
-    fixed = Fixed(geo, head, np.zeros((4, wide)), np.zeros((wide, 3)), np.zeros(wide, dtype=np.int64))
+    found = np.zeros((pl.shape[1], 2))
+    fixed = fixed_scratch(system.shape[0])
     tables = Tables(rtk_par, wavelength, fixable, fit, chi2, normal, fde)
     for v in range(first, last):
         k = index[v]
@@ -473,5 +456,5 @@ def run_some(  # type: ignore[no-untyped-def]
             risks, shares, spent, priors, k_fa, k_published, k_dead, published, operative_published, alert_limits,
             drift_group,
             x[v], rtk_x[v], last_phase[v], growth[v], start[v], apart[v], held[v], integers[v], fix_id[v], fix_risk[v],
-            v, alert, reason, onset, clear, fixed, columns, found, out[v], pl[v], covariance[v],
+            v, alert, reason, onset, clear, fixed, found, out[v], pl[v], covariance[v],
         )  # fmt: skip

@@ -23,7 +23,6 @@ from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import (
     step_still,
 )
 from lanebound.integrity.monitoring.doppler_separation_kernel import STATE, U_E, exposure, factors, worst
-from lanebound.integrity.monitoring.geometry_kernel import P_EE, P_EN, P_NN, SIGMA0_AT, SIGMA0_CT
 from lanebound.integrity.monitoring.jump_kernel import along_across, contradicts
 from lanebound.integrity.navigators import navigator_columns_kernel as col
 from lanebound.integrity.positioning.mode_kernel import DOPPLER, NONE
@@ -151,7 +150,7 @@ def restart(reckoning, terms, x, level, head, sin_h, cos_h):  # type: ignore[no-
     form starts from the fault-free covariance alone, as S1 does.
     """
     start, k_dead = reckoning.start, terms.k_dead
-    reset(head[P_EE], head[P_EN], head[P_NN], 0.0, 0.0, x[col.P_HH], reckoning.growth)
+    reset(head.p_ee, head.p_en, head.p_nn, 0.0, 0.0, x[col.P_HH], reckoning.growth)
     if x[col.APART] > 0.0:
         reckoning.apart[:U_E] = 0.0
         reckoning.apart[STATE] = 0.0
@@ -163,8 +162,8 @@ def restart(reckoning, terms, x, level, head, sin_h, cos_h):  # type: ignore[no-
         elif not terms.published[r]:
             at, ct = max(level[r, 0] - terms.shift, 0.0), max(level[r, 1] - terms.shift, 0.0)
             start[r, col.WHOLE_E], start[r, col.WHOLE_N] = _box(at, ct, sin_h, cos_h)
-            at = max(at - k_dead[r, col.K_AT] * head[SIGMA0_AT], 0.0)
-            ct = max(ct - k_dead[r, col.K_CT] * head[SIGMA0_CT], 0.0)
+            at = max(at - k_dead[r, col.K_AT] * head.sigma[0], 0.0)
+            ct = max(ct - k_dead[r, col.K_CT] * head.sigma[1], 0.0)
             start[r, col.START_E], start[r, col.START_N] = _box(at, ct, sin_h, cos_h)
 
 

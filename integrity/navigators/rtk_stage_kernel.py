@@ -15,7 +15,8 @@ from lanebound.integrity.core.small_matrix_kernel import hdop_of
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED as FDE_EXCLUDED
 from lanebound.integrity.monitoring.detection_kernel import UNRESOLVED as FDE_UNRESOLVED
 from lanebound.integrity.monitoring.detection_kernel import detect_and_exclude
-from lanebound.integrity.monitoring.geometry_kernel import SOLVED, geometry, solve
+from lanebound.integrity.monitoring.geometry_kernel import SOLVED, capacity, find_geometry, geometry_scratch, solve
+from lanebound.integrity.monitoring.separation_kernel import mode_scratch, moment_scratch
 from lanebound.integrity.positioning.resolve_kernel import Carriers, Rules, resolve
 from lanebound.integrity.positioning.rtk_kernel import collapse_code, collapse_phase, drop_small_systems
 from lanebound.integrity.positioning.slip_watch_kernel import NW, SlipRules, watch_slips
@@ -64,13 +65,24 @@ class Tables(NamedTuple):
 
 
 class Fixed(NamedTuple):
-    """Of the fixed solution: geo and head of geometry_kernel, and its rows (4, S), their e and group."""
+    """Of the fixed solution: geo, its rows (4, W), their e (W, 3) and group (W,); moments and modes of its levels."""
 
     geo: Any
-    head: Any
     rows: Any
     e: Any
     group: Any
+    moments: Any
+    modes: Any
+
+
+@jit
+def fixed_scratch(n):  # type: ignore[no-untyped-def]
+    """Allocate a Fixed for up to n satellites."""
+    w = capacity(n)
+    return Fixed(
+        geometry_scratch(n), np.zeros((4, w)), np.zeros((w, 3)), np.zeros(w, dtype=np.int64), moment_scratch(n),
+        mode_scratch(n),
+    )  # fmt: skip
 
 
 @jit
@@ -240,7 +252,7 @@ def solve_fixed(  # type: ignore[no-untyped-def]
             rows[0, n], rows[1, n] = factor[s] * nominal + aged, par[PHASE_BIAS]
             rows[2, n], rows[3, n] = y[s], variance[s]
             n += 1
-    if geometry(fixed.e, fixed.group, rows[0], rows[1], n, sin_h, cos_h, fixed.geo, fixed.head) != SOLVED:
+    if find_geometry(e, group, rows[0], rows[1], n, sin_h, cos_h, fixed.geo) != SOLVED:
         return TOO_FEW, n, excluded, math.inf
-    solve(rows[2], fixed.group, n, fixed.geo, fixed.head)
+    solve(rows[2], group, n, fixed.geo)
     return FIXED, n, excluded, hdop_of(signals.e, signals.system, member)

@@ -17,12 +17,11 @@ from lanebound.integrity.core.errors import InputError, require_finite, require_
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
 from lanebound.integrity.core.progress import Progress, silent
 from lanebound.integrity.monitoring.exclusion import FdeConfig, FdeOutcome, detect_and_exclude
-from lanebound.integrity.monitoring.geometry_kernel import SIGMA0_AT, SIGMA0_CT, X_E, X_N, X_U, scratch
 from lanebound.integrity.monitoring.protection import protection_levels_batch
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor
 from lanebound.integrity.navigators.navigator_kernel import levels_rtk
 from lanebound.integrity.navigators.rtk_declared import declared_rtk
-from lanebound.integrity.navigators.rtk_stage_kernel import NX, Fixed, Signals, Tables, rtk, select, weigh
+from lanebound.integrity.navigators.rtk_stage_kernel import NX, Signals, Tables, fixed_scratch, rtk, select, weigh
 from lanebound.integrity.positioning.config import RtkConfig
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
 from lanebound.integrity.positioning.least_squares import design_matrix, gain, weights
@@ -178,10 +177,7 @@ class _Run:
         )  # fmt: skip
         self.fixes = Fixes(np.zeros(n, np.bool_), np.zeros((n, 2)), np.zeros(n, np.int64), np.zeros(n))
         self.x, self.last = np.zeros(NX), np.zeros((n, 2))
-        geo, head, mode = scratch(n)
-        self.geo, self.head, self.columns = geo, head, mode
-        wide = geo.shape[1]  # whole vectors of the kernels
-        self.fixed = Fixed(geo, head, np.zeros((4, wide)), np.zeros((wide, 3)), np.zeros(wide, np.int64))
+        self.fixed = fixed_scratch(n)
         modes = np.arange(n + 10)
         self.k_fa = np.stack([false_alarm_factor(r.false_alarm, modes, v) for v in (Variant.EXACT, Variant.PUBLISHED)])
         self.heading = 0.0
@@ -224,9 +220,10 @@ class _Run:
         if status == RtkStatus.FIXED.code:
             levels = self._levels(count, sine, cosine, wrong)
             out.mode[k], out.satellites[k], out.wrong_fix_risk[k] = int(Mode.RTK), count, wrong
-            out.enu_m[k] = self.head[[X_E, X_N, X_U]]
+            fix = self.fixed.geo.fix[0]
+            out.enu_m[k] = fix["position"]
             self._turn(out.enu_m[k])
-            out.pl_m[k], out.sigma_m[k] = levels, self.head[[SIGMA0_AT, SIGMA0_CT]]
+            out.pl_m[k], out.sigma_m[k] = levels, fix["sigma"]
         elif code_levels is not None:
             out.mode[k], out.satellites[k] = int(Mode.CODE), int(reduced.tracked.sum())
             out.enu_m[k], out.pl_m[k], out.sigma_m[k] = near, code_levels[0], code_levels[1]
@@ -304,8 +301,8 @@ class _Run:
         shares = [r.monitors_constellations, r.at_share, r.fault_free_share, r.subtract_multiple, r.spend_unsolvable]
         risks = np.array([[r.integrity_risk], [0.0], [0.0]])
         levels_rtk(
-            count, self.fixed.rows, self.fixed.group, sine, cosine, risks, np.array([float(s) for s in shares]),
+            count, self.fixed, sine, cosine, risks, np.array([float(s) for s in shares]),
             r.unmonitored_risk + wrong, np.stack(r.priors()), self.k_fa, np.zeros(1), self.config.rtk.reference_bias_m,
-            self.geo, self.head, self.columns, pl,
+            pl,
         )  # fmt: skip
         return np.asarray(pl[0])
