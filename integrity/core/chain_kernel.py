@@ -56,12 +56,16 @@ class Chain:
     """
 
     def __init__(self, *stages: Callable[..., Any]) -> None:
+        self._stages = stages
         parts = groupby(stages, key=lambda stage: hasattr(stage, "py_func"))
         self._parts = [p for compiled, group in parts for p in ([_Compiled(tuple(group))] if compiled else [*group])]
 
     def __call__(self, first: int, last: int, data: Any) -> None:
         for part in self._parts:
             part(first, last, data)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Chain, self._stages
 
 
 class _Compiled:
@@ -93,11 +97,16 @@ class _Compiled:
         found = self._bound.get(kind)
         if found is None:
             addresses = np.array([_address(kernel, (types.int64, types.int64, kind)) for kernel in self._kernels])
-            driver = jit(_run)
+            driver = jit(_run) if _is_ours(kind) else numba.njit(error_model="numpy", nogil=True)(_run)
             driver.compile((numba.typeof(addresses), types.int64, types.int64, kind))
             driver.disable_compile()
             found = self._bound[kind] = driver, addresses
         return found
+
+
+def _is_ours(kind: Any) -> bool:
+    """Whether every process can load a cached function of this type: its class is importable as part of lanebound."""
+    return bool(getattr(kind, "instance_class", object).__module__.startswith("lanebound."))
 
 
 def _address(kernel: Any, signature: tuple[Any, ...]) -> np.uintp:

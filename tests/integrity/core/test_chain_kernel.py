@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -81,6 +83,15 @@ def test_an_error_of_a_kernel_is_raised_and_ends_the_chain() -> None:
     np.testing.assert_array_equal(pair.a, np.arange(4.0))
     chain(0, 1, pair)
     assert pair.a[0] == 1.0
+
+
+def test_copies_do_the_same() -> None:
+    chain = Chain(add, double)
+    chain(0, 4, _pair())
+    for again in (copy.deepcopy(chain), pickle.loads(pickle.dumps(chain))):
+        pair = _pair()
+        again(0, 4, pair)
+        np.testing.assert_array_equal(pair.a, 2.0 * (np.arange(4.0) + 1.0))
 
 
 def test_threads_share_a_chain(monkeypatch: pytest.MonkeyPatch) -> None:
