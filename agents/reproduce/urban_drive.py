@@ -71,7 +71,9 @@ class UrbanDriveConfig(Config):
         """The navigator with the eight reported levels behind its operative one: four published, then four exact."""
         cases = [
             PlCase(
-                integrity_risk=risk, variant=variant, form=LevelForm.CLOSED if variant is Variant.PUBLISHED else LevelForm.ROOT
+                integrity_risk=risk,
+                variant=variant,
+                form=LevelForm.CLOSED if variant is Variant.PUBLISHED else LevelForm.ROOT,
             )
             for variant in (Variant.PUBLISHED, Variant.EXACT)
             for risk in RISKS

@@ -43,7 +43,7 @@ def _call_at(typingctx: Any, address: Any, first: Any, last: Any, data: Any) -> 
 
 def _run(addresses, first, last, data):  # type: ignore[no-untyped-def]
     for i in range(addresses.shape[0]):
-        _call_at(addresses[i], first, last, data)
+        _call_at(addresses[i], first, last, data)  # type: ignore[call-arg]
 
 
 class Chain:

@@ -155,7 +155,7 @@ def _find(model: type[BaseModel], loc: Sequence[int | str]) -> tuple[type[BaseMo
 
 def _having(model: type[BaseModel] | None, key: int | str) -> type[BaseModel] | None:
     """The model, or of a family of models (:mod:`.tagged`) the first kind that has the key."""
-    kinds = list(getattr(model, "kinds", {}).values()) or [model]
+    kinds: list[type[BaseModel] | None] = [*getattr(model, "kinds", {}).values()] or [model]
     return next((kind for kind in kinds if kind is not None and key in kind.model_fields), kinds[0])
 
 

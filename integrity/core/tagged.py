@@ -28,7 +28,7 @@ from lanebound.integrity.core.presets import nearest
 
 __all__ = ["Literal", "Tagged"]
 
-C = TypeVar("C", bound="type[Tagged]")
+C = TypeVar("C", bound="Tagged")
 
 
 class Tagged(Config):
@@ -59,7 +59,7 @@ class Tagged(Config):
         return super().__new__(kind)
 
     @classmethod
-    def register(cls, kind: C) -> C:
+    def register(cls, kind: type[C]) -> type[C]:
         """Add a kind to the family; a decorator.
 
         Raises

@@ -78,7 +78,7 @@ def remember_velocity(q_ee: float, q_en: float, q_nn: float, g: Any) -> None:
 @jit(borrows=True)
 def _heading_noise(step: Any, g: Any) -> float:
     """Variance that is new in the heading error, which keeps the share ``carry`` of the old one."""
-    return max(step.heading_variance - step.carry * step.carry * g.var_th, 0.0)
+    return float(max(step.heading_variance - step.carry * step.carry * g.var_th, 0.0))
 
 
 @jit(borrows=True)

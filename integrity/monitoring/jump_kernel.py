@@ -8,11 +8,11 @@ beside RTK without using it, for up to ``rtk.backup_s`` seconds, and then restar
 between the backup solution and RTK counts as a jump at the time when the backup solution started, and the position
 returns to the backup solution. What follows a contradiction:
 
-1. The first contradiction refuses RTK and releases the integers, so that a wrong fix heals by itself.
+1. The first contradiction refuses RTK and releases the integers, so that a wrong fix does not last.
 2. When integers resolved anew contradict as well, or lie nearer to the first ones than to the expected position, one of
    the two histories is wrong and the measurements do not show which. RTK is then in quarantine: a long one after a jump
-   from one epoch to the next, a short one after the end of an outage, because odometers, gyros and reflections fail more
-   often than all signals together. Meanwhile Doppler, which uses the same signals, neither moves the position nor
+   from one epoch to the next, a short one after the end of an outage, because odometers, gyros and reflections fail
+   more often than all signals together. Meanwhile Doppler, which uses the same signals, neither moves the position nor
    calibrates the heading.
 3. The same follows when Doppler and odometer contradict each other while RTK continues: one of them is wrong, and RTK
    may be wrong together with Doppler.

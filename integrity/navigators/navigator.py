@@ -11,7 +11,6 @@ joined by :func:`register_navigator`.
 from __future__ import annotations
 
 import copy
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, is_dataclass
 from enum import Enum
@@ -142,7 +141,7 @@ def register_navigator(config: type[NavigatorConfig], navigator: type[Navigator]
     KINDS[config] = navigator
 
 
-class Navigator(ABC):
+class Navigator:
     """Sensing and belief of a batch of vehicles; an object of the class of its configuration's kind.
 
     Parameters
@@ -167,7 +166,7 @@ class Navigator(ABC):
     def __new__(cls, config: NavigatorConfig | None = None, *rest: Any, **more: Any) -> Self:
         """An object of the class of the configuration's kind."""
         kind = KINDS[type(config)] if cls is Navigator and config is not None else cls
-        return super().__new__(kind)  # type: ignore[return-value, type-var]
+        return super().__new__(kind)  # type: ignore[return-value]
 
     def __init__(
         self,
@@ -191,28 +190,29 @@ class Navigator(ABC):
 
     def prepare(self) -> None:
         """Compute what follows from the configuration and the track, once; by default nothing."""
+        return
 
-    @abstractmethod
     def initial_belief(self, batch: int) -> Any:
         """The belief of vehicles that have just been switched on: a NamedTuple or dataclass of arrays (B, ...)."""
+        raise NotImplementedError
 
     def initial_extensions(self, batch: int) -> dict[str, NDArray[Any]]:
         """The states (B,) of modes and monitors that have one, by name; by default none."""
         return {}
 
-    @abstractmethod
     def align(self, heading_rad: Array, sigma_rad: float) -> None:
         """Give the vehicles a prior heading, (B,) azimuth and its 1-sigma, as from a compass or the last drive."""
+        raise NotImplementedError
 
-    @abstractmethod
     def place_rows(
         self, rows: Rows | slice, position_en_m: Array, heading_rad: Array, sigma_m: float, sigma_heading_rad: float
     ) -> None:
         """:meth:`place` in the belief, with checked arguments."""
+        raise NotImplementedError
 
-    @abstractmethod
     def locate(self, m: Measurements) -> Solution:
         """The belief after the measurements of one epoch; reads nothing else."""
+        raise NotImplementedError
 
     # What all kinds have
 

@@ -238,7 +238,7 @@ def decorrelate(n: int, Q: Array, warm: bool, scratch: SearchScratch) -> int:
     if status == OK and (warm or not all_small(n, Q)):
         reduce_block(n, 0, U, D, Zt, Z_inverse)
         size_reduce(n, U, Zt, Z_inverse)
-    return status
+    return int(status)
 
 
 @jit(borrows=True)
@@ -267,7 +267,7 @@ def _insert(n: int, m: int, z: Array, distance: float, candidates: Array, norms:
     norms[slot] = distance
     for i in range(n):
         candidates[slot, i] = z[i]
-    return norms[m - 1]
+    return float(norms[m - 1])
 
 
 @jit(borrows=True)
@@ -386,7 +386,7 @@ def integer_least_squares(n: int, a_hat: Array, Q: Array, node_limit: int, warm:
         return NOT_FINITE
     status = decorrelate(n, Q, warm, scratch)
     if status != OK:
-        return status
+        return int(status)
     to_decorrelated(n, a_hat, scratch.Zt, scratch.rounded, scratch.z_float)
     status = search(n, node_limit, scratch)
     for slot in range(norms.shape[0]):
@@ -394,7 +394,7 @@ def integer_least_squares(n: int, a_hat: Array, Q: Array, node_limit: int, warm:
             for i in range(n):
                 solution[i] = candidates[slot, i]
             from_decorrelated(n, solution, scratch.Z_inverse, scratch.rounded, candidates[slot])
-    return status
+    return int(status)
 
 
 @jit(borrows=True)

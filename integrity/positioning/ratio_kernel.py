@@ -83,7 +83,7 @@ def tabulated_mu(n: int, failure_rate: float, limit: float) -> float:
     k, v = _position(FAILURE_RATES, failure_rate)
     low = MU[table, i, k] + v * (MU[table, i, k + 1] - MU[table, i, k])
     high = MU[table, i + 1, k] + v * (MU[table, i + 1, k + 1] - MU[table, i + 1, k])
-    return low + u * (high - low)
+    return float(low + u * (high - low))
 
 
 @jit

@@ -60,9 +60,9 @@ FIXED, TOO_FEW, NOT_CONVERGED, RATIO_FAILED, SEARCH_FAILED = 0, 2, 3, 4, 6  # co
 
 
 class Floats(NamedTuple):
-    """``count`` satellites in ``order``, their ``n`` ambiguities with owners, and covariance."""
+    """``satellites`` of them in ``order``, their ``n`` ambiguities with owners, and covariance."""
 
-    count: int
+    satellites: int
     order: Ints
     n: int
     owner: Ints
@@ -147,7 +147,7 @@ def choose(
         chosen[s] = ambiguities[s].held
     for j in range(groups):
         chosen[owner[bands * j]] = True
-    for i in range(floats.count):
+    for i in range(floats.satellites):
         s = floats.order[i]
         if not chosen[s] and is_reference(s, floats):
             for j in range(groups):
@@ -188,10 +188,9 @@ def relief(pull: Array, weight: Array, own: Array, bands: int) -> float:
             for k in range(own.shape[0]):
                 h[i % bands, k % bands] += own[i] * own[k] * weight[i, k]
     if bands == 1:
-        return g[0] * g[0] / h[0, 0]
-    return (h[1, 1] * g[0] * g[0] - 2.0 * h[0, 1] * g[0] * g[1] + h[0, 0] * g[1] * g[1]) / (
-        h[0, 0] * h[1, 1] - h[0, 1] * h[1, 0]
-    )
+        return float(g[0] * g[0] / h[0, 0])
+    norm = h[1, 1] * g[0] * g[0] - 2.0 * h[0, 1] * g[0] * g[1] + h[0, 0] * g[1] * g[1]
+    return float(norm / (h[0, 0] * h[1, 1] - h[0, 1] * h[1, 0]))
 
 
 @jit
@@ -208,7 +207,7 @@ def suspect(
     weight = np.linalg.inv(floats.covariance[:n, :n])
     pull, own, count = weight @ (floats.ambiguity[:n] - best[:n]), np.empty(n), 0
     relieved[:] = -1.0
-    for j in range(floats.count):
+    for j in range(floats.satellites):
         s = floats.order[j]
         if not chosen[s] or ambiguities[s].held:
             continue
@@ -299,4 +298,4 @@ def resolve(
         candidate[s] = True
         if again == FIXED:
             return FIXED
-    return status
+    return int(status)

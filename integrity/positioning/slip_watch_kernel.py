@@ -2,8 +2,8 @@
 
 Between two epochs each held phase changes by ``-e.dx``, the clocks, and whatever its integers do. ``dx`` comes from
 the Doppler velocities of both epochs, the clocks are the median of each system and band, and
-:mod:`.cycle_slips_kernel` tests what remains. The lines of sight turn from epoch to epoch: phases are stored relative to
-a point near the vehicle (``phase + e.anchor``), which leaves of the turn only its product with the distance to that
+:mod:`.cycle_slips_kernel` tests what remains. The lines of sight turn from epoch to epoch: phases are stored relative
+to a point near the vehicle (``phase + e.anchor``), which leaves of the turn only its product with the distance to that
 point.
 """
 

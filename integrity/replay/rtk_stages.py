@@ -62,9 +62,7 @@ class RtkStages:
     ) -> None:  # fmt: skip
         exact = risk.replace(variant=Variant.EXACT)
         positioning = {"rtk": rtk.to_dict(), "slips": slips.to_dict()}
-        config = RtkReckoningConfig(
-            positioning=positioning, fde=fde, risk=exact, gnss={"bands": tuple(range(bands))}
-        )
+        config = RtkReckoningConfig(positioning=positioning, fde=fde, risk=exact, gnss={"bands": tuple(range(bands))})
         parameters = epoch_parameters(config)
         parameters["modes"]["rtk_max_hdop"] = math.inf  # levels are wanted of every fixed position
         tables = Tables(

@@ -73,7 +73,7 @@ def _find_rest(vehicle: Any, par: Any, speed: float, w: Any) -> bool:
 
 @jit(borrows=True)
 def side_slip(axle: float, turning: float, speed: float) -> float:
-    """Angle from the heading to the course of the reference point, ``axle`` [m] ahead of the rear axle, in a turn [rad].
+    """Angle in a turn from the heading to the course of the reference point, ``axle`` [m] ahead of the rear axle [rad].
 
     The rear axle moves along the heading, so the reference point moves sideways at ``axle`` times the yaw rate.
     """
@@ -91,9 +91,9 @@ def _advance_heading(heading: Any, par: Any, delta_theta: float, resting: bool) 
     if resting:
         innovation = delta_theta / dt - heading.gyro_bias
         correct(innovation, 0.0, 1.0, rules.angle_random_walk**2 / dt, heading)
-        return heading.angle
+        return float(heading.angle)
     predict_heading(delta_theta, dt, rules.angle_random_walk, rules.bias_walk, heading)
-    return wrap(before + 0.5 * wrap(heading.angle - before))
+    return float(wrap(before + 0.5 * wrap(heading.angle - before)))
 
 
 @jit(borrows=True)

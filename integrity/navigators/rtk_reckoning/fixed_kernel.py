@@ -98,7 +98,7 @@ def find_fixed_position(first: int, last: int, epoch: Epoch) -> None:
         system[s] = satellites[s].system
     for v in range(first, last):
         vehicle, w, ambiguities = state.vehicles[v], work.vehicles[v], state.ambiguities[v]
-        fixed, los = w.fixed, measured.los[measured.index[v]]
+        fixed, los = w.fixed, measured.los[measured.sight[v]]
         work.fixed_levels[v, :, :] = 0.0
         fixed.satellites, fixed.excluded, fixed.hdop, fixed.usable = 0, 0, math.inf, False
         if fixed.status != NO_CORRECTIONS:

@@ -38,7 +38,7 @@ def heading_bias(vehicle: Any, rules: Any) -> float:
     """Bound on the heading's error beside the filter's variance [rad]; pi before the first calibration."""
     if not vehicle.since_calibration < math.inf:
         return math.pi
-    return min(rules.heading_bias + rules.heading_drift * vehicle.since_calibration, math.pi)
+    return float(min(rules.heading_bias + rules.heading_drift * vehicle.since_calibration, math.pi))
 
 
 @jit(borrows=True)

@@ -20,7 +20,7 @@ def follow_carriers(first: int, last: int, epoch: Epoch) -> None:
     n = satellites.shape[0]
     variance = np.empty(n)
     for v in range(first, last):
-        vehicle, w, los = state.vehicles[v], work.vehicles[v], measured.los[measured.index[v]]
+        vehicle, w, los = state.vehicles[v], work.vehicles[v], measured.los[measured.sight[v]]
         tracked, phase, lost, ambiguities = (
             measured.tracked[v],
             measured.phase[v],

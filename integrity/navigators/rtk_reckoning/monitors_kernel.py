@@ -107,11 +107,12 @@ def judge_position(vehicle: Any, par: Any, w: Any, expected: Array, found: Array
     if not vehicle.initialised:
         return ACCEPTED
     east, north = reference_point(w.fixed, par.lever, w.sin_h, w.cos_h)
-    return judge_jump(
+    verdict = judge_jump(
         east - vehicle.position[0], north - vehicle.position[1], w.sin_h, w.cos_h, expected[0], found[0],
         w.fixed.lasting, vehicle.conflict_s > CONFLICT_LIMIT_S, par.jump.after_jump, par.jump.after_outage,
         vehicle.jump,
     )  # fmt: skip
+    return int(verdict)
 
 
 @jit(borrows=True)

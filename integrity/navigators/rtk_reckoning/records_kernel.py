@@ -173,8 +173,8 @@ START = record(
 class State(NamedTuple):
     """What lasts of B vehicles.
 
-    vehicles (B,) of VEHICLE; ambiguities (B, S) of AMBIGUITY; growth (B, 2) of GROWTH and starts (B, 2, R) of START, for
-    LATEST and BACKUP; influences (B, 2, S) of INFLUENCE at the beginning and at the end of the epoch; separations
+    vehicles (B,) of VEHICLE; ambiguities (B, S) of AMBIGUITY; growth (B, 2) of GROWTH and starts (B, 2, R) of START,
+    for LATEST and BACKUP; influences (B, 2, S) of INFLUENCE at the beginning and at the end of the epoch; separations
     (B, 2, S) of SEPARATION.
     """
 
@@ -192,12 +192,12 @@ class State(NamedTuple):
 class Measured(NamedTuple):
     """Measurements of B vehicles, as in :class:`~lanebound.integrity.sensors.instruments.Measurements`.
 
-    los (K, S, 3) and the row ``index`` (B,) that each vehicle uses; tracked, cn0, range_rate, lock_lost (B, S); code,
+    los (K, S, 3) and the row ``sight`` (B,) that each vehicle uses; tracked, cn0, range_rate, lock_lost (B, S); code,
     phase (B, S, 2); age (B,) of the corrections; turn, delta_v (B, 3); speed (B,).
     """
 
     los: Array
-    index: Ints
+    sight: Ints
     tracked: Bools
     cn0: Array
     code: Array

@@ -49,7 +49,7 @@ def resolve_integers(first: int, last: int, epoch: Epoch) -> None:
         rtk.refused_s = max(rtk.refused_s - par.dt, 0.0)
         due = not positioned or not rtk.refused_s > 0.5 * par.dt
         if due and new and age <= rules.fix_max_age:
-            code, los, factor = measured.code[v], measured.los[measured.index[v]], work.factor[v]
+            code, los, factor = measured.code[v], measured.los[measured.sight[v]], work.factor[v]
             carriers = Carriers(los, satellites, measured.phase[v], np.empty(n))
             rows = Rows(los, system, np.empty(n), np.empty(n), used.copy())
             fixed.status = _resolve(carriers, rows, code, factor, age, candidate, ambiguities, thresholds, par, rtk)
@@ -81,4 +81,4 @@ def _resolve(
     if outcome > EXCLUDED:
         return NOT_CONVERGED
     rtk.fixes += 1
-    return resolve(carriers, candidate, ambiguities, rules, position, q, rtk.fixes)
+    return int(resolve(carriers, candidate, ambiguities, rules, position, q, rtk.fixes))

@@ -27,7 +27,7 @@ def find_velocity(first: int, last: int, epoch: Epoch) -> None:
     n = satellites.shape[0]
     clock, variance, used = np.zeros(n, dtype=np.int64), np.empty(n), np.empty(n, dtype=np.bool_)
     for v in range(first, last):
-        vehicle, w, los = state.vehicles[v], work.vehicles[v], measured.los[measured.index[v]]
+        vehicle, w, los = state.vehicles[v], work.vehicles[v], measured.los[measured.sight[v]]
         epoch.out.levels[v, :, :] = math.inf
         begin_epoch(par.dt, vehicle.jump)
         w.suspect = suspects_signals(vehicle.jump)
