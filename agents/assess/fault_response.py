@@ -1,6 +1,6 @@
-"""What a navigator does about one fault: vehicles with it beside the same vehicles without it, epoch by epoch.
+"""The response of a navigator to one fault: vehicles with the fault beside the same vehicles without it.
 
-Both runs draw the same noise, so that whatever differs is the fault's doing.
+Both runs draw the same noise, so that all differences are effects of the fault.
 """
 
 from __future__ import annotations
@@ -52,23 +52,23 @@ class Run:
 
 @dataclass(frozen=True)
 class Response:
-    """What became of a fault in each vehicle, (B,) each.
+    """The effects of a fault in each vehicle, (B,) each.
 
     Attributes
     ----------
-    noticed_s : from onset until a satellite is excluded or its ambiguity given up as slipped, the mode changes or an
-        alert is raised, other than without the fault; inf if not while the fault lasts
-    noticed_after : so noticed, but not before the fault was over: by what its end shakes
+    noticed_s : from onset until a satellite is excluded, an ambiguity is given up as slipped, the mode changes or an
+        alert is raised, other than without the fault; inf if not during the fault
+    noticed_after : noticed after the end of the fault only
     excluded : a satellite was excluded that the vehicle without the fault used
     given_up : ambiguities were given up that the vehicle without the fault held
     alerted : an alert was raised that the vehicle without the fault did not raise
     failed : the error exceeded the alert limit on an axis
-    late_s : longest time that it did so before an alert stood, 0 if it never did
+    late_s : longest time of such an error without an alert, 0 without any
     hazardous : epochs in which the error exceeds the limit and the position is declared usable
     misleading : epochs in which the error exceeds its level and the position is declared usable
-    epochs : counted, from the onset to the end of the run, as are all that follow ``noticed_after``
+    epochs : number of epochs from the onset to the end of the run; all values after ``noticed_after`` are of these
     worst_m : largest error on an axis while the position is declared usable
-    lost : at the end there is no usable position, which the vehicle without the fault has
+    lost : no usable position at the end, other than without the fault
     """
 
     noticed_s: Array
@@ -92,7 +92,7 @@ def drive_run(
     faults: Sequence[Fault] | Callable[[SkyTrack], Sequence[Fault]] = (),
     mask: SkyMask | None = None,
 ) -> Run:
-    """Drive a loop of city streets, one vehicle for each seed; ``faults`` may be made from the sky."""
+    """Drive a loop of city streets, one vehicle for each seed; ``faults`` may be a function of the sky."""
     track = SkyTrack.from_config(config.sky, duration_s + 60.0)
     schedule = FaultSchedule(faults(track) if callable(faults) else faults)
     navigator = Navigator(config, track, mask or SkyMask.open(), list(seeds), faults=schedule)
@@ -120,9 +120,9 @@ def drive_run(
 
 
 def as_broadcast(run: Run, config: NavigatorConfig, faults: Sequence[Fault]) -> Run:
-    """What others are told by vehicles that broadcast their belief, with the lies among ``faults`` in it.
+    """The broadcast belief of vehicles, with the false broadcasts among ``faults``.
 
-    Receivers have nothing to test it by, so that whether it is declared usable stays the sender's own word.
+    Receivers cannot test a broadcast, so that its availability is as the sender declares it.
     """
     schedule, batch = FaultSchedule(faults), run.error_m.shape[1]
     track = SkyTrack.from_config(config.sky, config.dt_s)

@@ -1,10 +1,10 @@
-"""How the cautious driver's constant margins are found: the fair opponent of the integrity-aware driver.
+"""Tuning of the constant margins of the cautious driver, a fair opponent of the integrity-aware driver.
 
-A benchmark on training seeds: the integrity-aware driver beside a ladder of cautious ones. One number, caution, moves
-speed, gap and lane together from the nominal driver's (0) to a third of the speed, 10 m and half a car (1). The least
-rung that does no more harm than the integrity-aware driver is taken; where none does as little, the caution of the same
-throughput, which unlike mean speed an early end does not raise. It is one line through the margins that there could be,
-judged by means over few seeds: other constant margins may do better than the one that is found.
+A benchmark on training seeds: the integrity-aware driver beside a ladder of cautious ones. One number, caution, changes
+speed, gap and lane together from those of the nominal driver (0) to a third of the speed, 10 m and half a car (1). The
+result is the least caution with no more harm than the integrity-aware driver; where there is none, the caution with the
+same throughput, which an early end does not raise, unlike mean speed. This is one line through all possible margins,
+evaluated by means over few seeds: other constant margins may be better.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ EPISODE: dict[str, Any] = {}  # of the environments' configuration, changed for 
 
 @dataclass(frozen=True)
 class Measured:
-    """Means over episodes: harm as the metric of that name, what is in it, throughput and speed [m/s]."""
+    """Means over episodes: harm as the metric of that name, its parts, throughput and speed [m/s]."""
 
     harm: float
     collision_rate: float
@@ -48,12 +48,12 @@ class Measured:
 
     @classmethod
     def of(cls, outcomes: list[Outcome]) -> Measured:
-        """Of the episodes of one driver.
+        """Means over the episodes of one driver.
 
         Raises
         ------
         InputError
-            It failed in one: the others may be the easy ones.
+            It failed in an episode: the others may be the easy ones.
         """
         failed = [o for o in outcomes if o.failed]
         if failed:
@@ -101,10 +101,10 @@ def tuning_suite(name: str, sky: str, seeds: int) -> SuiteConfig:
 
 
 def choose(goal: Measured, ladder: dict[float, Measured]) -> tuple[float, str]:
-    """Caution, and by what it is matched: ``harm`` or, where no rung does as little, ``throughput``.
+    """Caution, and the metric that it matches: ``harm`` or, where no rung has so little, ``throughput``.
 
-    Between rungs throughput and harm are taken as linear. Throughput need not fall with caution, for crashes lower it:
-    of several cautions of the same throughput that of least harm is taken, and without any the rung of the nearest.
+    Between rungs throughput and harm are linear. Throughput need not fall with caution, because crashes lower it: of
+    several cautions with the same throughput the one with the least harm is taken, and without any the nearest rung.
     """
     harmless = [caution for caution, found in ladder.items() if found.harm <= goal.harm]
     if harmless:
@@ -121,7 +121,7 @@ Rung = tuple[float, Measured]
 
 
 def _between(throughput_mps: float, one: Rung, other: Rung) -> tuple[float, float] | None:
-    """Harm and caution between two rungs where throughput is as given; None where it is nowhere between them."""
+    """Harm and caution between two rungs at a throughput; None where it does not lie between them."""
     (caution, low), (more, high) = one, other
     if (
         not min(low.throughput_mps, high.throughput_mps)
@@ -142,7 +142,7 @@ def tune_cautious(
     jobs: int | None = None,
     on_progress: OnProgress = ignore,
 ) -> dict[str, Any]:
-    """Drive the ladder, or what is missing of it in ``folder``, and choose; as plain data.
+    """Drive the missing episodes of the ladder in ``folder``, and choose; as plain data.
 
     Raises
     ------

@@ -29,35 +29,35 @@ __all__ = ["app", "main"]
 EXAMPLES = """
 [bold]Examples[/bold]
 
-  lanebound config list                        which presets there are
+  lanebound config list                        the presets
 
   lanebound config show NAME                   one of them, with units
 
   lanebound config show NAME --set key=value   the same with a change
 
-  lanebound envs                               which environments there are
+  lanebound envs                               the environments
 
-  lanebound agents                             who can drive, and by what
+  lanebound agents                             the agents
 
-  lanebound drive LaneKeeping --video a.mp4    let an agent drive one, and film it
+  lanebound drive LaneKeeping --video a.mp4    drive with an agent, and film it
 
-  lanebound play UrbanCanyon                   drive one yourself
+  lanebound play UrbanCanyon                   drive by hand
 
   lanebound benchmark quick --out out/demo     compare agents, seed by seed
 
-  lanebound train lane_keeping_ppo --out out   a policy, learnt
+  lanebound train lane_keeping_ppo --out out   train a policy
 
   lanebound reproduce urban-drive --out out    S1's tables beside ours
 
-  lanebound assess bounding --out out/bounds   is an error above its level as rare as promised?
+  lanebound assess bounding --out out/bounds   how often errors exceed their levels
 
-  lanebound replay data/berlin --out out/b     a recorded drive through the same rooms
+  lanebound replay data/berlin --out out/b     a recorded drive, with the same navigator
 
   lanebound record-sky data/berlin --out b.csv   its sky, for drive --sky b.csv
 
   lanebound bench --json                       speed against the gates
 
-Every command explains itself: [bold]lanebound COMMAND --help[/bold]
+Help of a command: [bold]lanebound COMMAND --help[/bold]
 """
 
 app = typer.Typer(

@@ -1,4 +1,4 @@
-"""What every driver has: the interface of stable-baselines3's policies, and a reader of observations by name."""
+"""The interface of drivers, that of stable-baselines3's policies, and a reader of observations by name."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PREVIEW = re.compile(r"preview_(.+)m_ahead")
 
 
 class Driver(Protocol):
-    """Decides by observations alone; stands wherever a policy of stable-baselines3 may stand."""
+    """Decides by observations alone; has the interface of a policy of stable-baselines3."""
 
     def predict(
         self,
@@ -30,7 +30,7 @@ class Driver(Protocol):
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[Any, tuple[NDArray[Any], ...] | None]:
-        """The action for an observation, or one for each of a batch, and the state to hand in next time."""
+        """The action for an observation, or one for each of a batch, and the state of the next call."""
 
 
 def in_a_row(observation: Observation, history: int = 1) -> NDArray[np.float32]:
@@ -43,10 +43,10 @@ def in_a_row(observation: Observation, history: int = 1) -> NDArray[np.float32]:
 
 
 class Reader:
-    """Looks quantities up in an observation by the names of the published index, in their own units.
+    """Reads quantities of an observation by the names of the published index, in their units.
 
-    Works on single observations and on batches (any leading axes), as dicts or flat, of which the newest counts when
-    several are stacked.
+    Works on single observations and on batches (any leading axes), as dicts or flat; of stacked observations it reads
+    the newest.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Reader:
 
     Attributes
     ----------
-    previews_m : how far ahead the route is shown, nearest first
+    previews_m : distances of the previews of the route, nearest first
     """
 
     def __init__(self, config: ObservationConfig) -> None:
@@ -76,19 +76,19 @@ class Reader:
         return tuple(self._entries)
 
     def require(self, columns: Iterable[str]) -> None:
-        """Refuse an observation that does not show these.
+        """Refuse an observation without these entries.
 
         Raises
         ------
         InputError
-            Naming the first that is missing and the nearest one there is.
+            The message names the first missing entry and the nearest known one.
         """
         for column in columns:
             if column not in self._entries:
                 raise InputError(f"observation must show '{column}', got none: {self._remedy(column)}")
 
     def _remedy(self, column: str) -> str:
-        """How to have an entry shown."""
+        """How to add an entry."""
         group = column.partition(".")[0]
         if any(entry.group == group for entry in self._entries.values()):
             return nearest(column, self._entries)

@@ -1,4 +1,4 @@
-"""A person at the keyboard as a driver: what is pressed, and what that commands."""
+"""A driver by keyboard: pressed keys, and the actions that they command."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lanebound.envs.core import DrivingEnv
 
 __all__ = ["HELP", "Key", "KeyboardDriver"]
 
-PEDAL = 0.5  # share of the range that an arrow asks for
+PEDAL = 0.5  # share of the range that an arrow commands
 STEER_MAX = 0.35  # of the range, reached after STEER_S; small, as the wheel of a car is
 STEER_S = 0.6
 MOVES = {"LEFT": "LANE_LEFT", "RIGHT": "LANE_RIGHT", "UP": "FASTER", "DOWN": "SLOWER"}
@@ -21,7 +21,7 @@ HELP = "arrows: up and down for speed, left and right to steer or change lane; R
 
 
 class Key(Enum):
-    """The keys that mean something; the value is pygame's name of the key."""
+    """The keys in use; the value is pygame's name of the key."""
 
     LEFT = "left"
     RIGHT = "right"
@@ -32,7 +32,7 @@ class Key(Enum):
 
 
 class KeyboardDriver:
-    """Turns keys into actions; knows nothing of windows.
+    """Turns keys into actions, independent of any window.
 
     Under meta-actions each press is one command, in the order of pressing. Under continuous ones arrows act for as long
     as they are held: the wheel turns gradually and springs back.
@@ -56,7 +56,7 @@ class KeyboardDriver:
         self._held.discard(key)
 
     def reset(self) -> None:
-        """Forget what was pressed; the wheel is straight."""
+        """Clear the pressed keys; the wheel is straight."""
         self._held.clear()
         self._pressed.clear()
         self._wheel = 0.0
@@ -68,7 +68,7 @@ class KeyboardDriver:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[Any, tuple[NDArray[Any], ...] | None]:
-        """The action that the keys ask for."""
+        """The action of the keys."""
         return (self._steered() if self._continuous else self._chosen()), state
 
     def _chosen(self) -> int:

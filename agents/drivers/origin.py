@@ -1,4 +1,4 @@
-"""In which environment a policy was learnt, as its file says: a policy that drives elsewhere is reported."""
+"""The environment in which a policy was learnt, from its file; a policy in another environment is reported."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def write_experiment(checkpoint: Path, text: str) -> None:
 
 
 def experiment_in(path: Path) -> dict[str, Any] | None:
-    """The experiment that a policy's file holds; None where it holds none, as files of other origin."""
+    """The experiment in a policy's file; None without one, as in files of other origin."""
     try:
         text = _text_in(path)
         found = None if text is None else json.loads(text)

@@ -1,7 +1,6 @@
-"""A plan of driving, and the two ways of carrying it out: by steering and acceleration, or by meta-actions.
+"""A plan of driving, and its two executions: by steering and acceleration, or by meta-actions.
 
-A plan answers what a driver must know of an observation: how fast to go, how near to whom, along which line, on which
-lane. Other drivers differ from the plain one in single answers.
+A plan computes speed, gap, line and lane from an observation. Drivers override single ones of these.
 """
 
 from __future__ import annotations
@@ -33,18 +32,18 @@ States = tuple[NDArray[Any], ...] | None
 
 
 class Plan:
-    """Keeps to the route's middle, its speed and its distance.
+    """Follows the middle of the route at its speed, with a safe gap.
 
     Parameters
     ----------
-    env : gives the index of its observations and the figures of its actions, nothing else
+    env : only the index of its observations and the figures of its actions are read
     config : of the driver
     steering : law of steering; None: pure pursuit
 
     Raises
     ------
     InputError
-        The observation does not show what the plan needs.
+        The observation lacks an entry that the plan needs.
     """
 
     NEEDED: ClassVar[Sequence[str]] = ("ego.speed", "road.speed_limit")
@@ -55,11 +54,11 @@ class Plan:
         self.steering: Steering = PursuitSteering(env, self.reader, config) if steering is None else steering
 
     def margins(self, observation: Observation) -> tuple[Array | float, Array | float]:
-        """What to take off the gap to each vehicle, and to widen the ego's lane by on each side for it [m]."""
+        """Reduction of the gap to each vehicle, and widening of the ego's lane on each side for it [m]."""
         return 0.0, 0.0
 
     def wanted_speed(self, observation: Observation) -> Array:
-        """How fast to go with nobody ahead [m/s]."""
+        """Speed on a free road [m/s]."""
         return route_speed(self.reader, observation, self.config)
 
     def lead(self, observation: Observation) -> tuple[Array, Array]:
@@ -72,7 +71,7 @@ class Plan:
         return following_acceleration(v, wanted, *self.lead(observation), self.config)
 
     def top_speed(self, observation: Observation) -> Array:
-        """How fast to go at most, with whoever is ahead [m/s]; what meta-actions are chosen by."""
+        """Largest speed behind the vehicle ahead [m/s], by which meta-actions are chosen."""
         c = self.config
         s, lead = self.lead(observation)
         headway = np.maximum(s - c.standstill_m, 0.0) / c.time_gap_s
@@ -120,7 +119,7 @@ class ContinuousDriver:
 
 
 class MetaDriver:
-    """Changes lane, or else faster, slower or as it is."""
+    """Changes lane, or commands faster, slower or idle."""
 
     def __init__(self, env: DrivingEnv, plan: Plan) -> None:
         self.plan = plan
@@ -144,6 +143,6 @@ class MetaDriver:
         slower = np.where(goal < now, codes["SLOWER"], np.full(now.shape, codes["IDLE"]))
         action = np.where(goal > now, codes["FASTER"], slower)
         if "LANE_LEFT" in codes:
-            side = np.where(goal < now, 0, plan.change(observation))  # braking comes first
+            side = np.where(goal < now, 0, plan.change(observation))  # braking has priority
             action = np.where(side < 0, codes["LANE_LEFT"], np.where(side > 0, codes["LANE_RIGHT"], action))
         return np.asarray(action), state

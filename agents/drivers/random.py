@@ -1,4 +1,4 @@
-"""A driver without a plan: any action, equally likely."""
+"""A driver with random actions, all equally likely."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def schema_of(columns: Sequence[Column]) -> Any:
 
 
 class EpisodeLog:
-    """Rows as they come.
+    """Rows of all steps in memory.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class EpisodeLog:
         return pa.Table.from_pylist(self.rows, schema=schema_of(COLUMNS))
 
     def write(self, path: Path) -> None:
-        """Write the Parquet file; it is whole at any time."""
+        """Write the Parquet file; it is complete at any time."""
         import pyarrow.parquet as pq
 
         part = path.with_suffix(".part")

@@ -303,7 +303,7 @@ def _draw_density(axes: Axes, error_m: NDArray[np.float64], pl_m: NDArray[np.flo
 
 
 def share_text(rate: float) -> str:
-    """A share as a percentage with enough digits to tell a rare event from none."""
+    """A share as a percentage with enough digits to distinguish a rare event from none."""
     if rate in (0.0, 1.0):
         return f"{100.0 * rate:.0f} %"
     return f"{100.0 * rate:.1f} %" if 0.001 <= rate <= 0.999 else f"{100.0 * rate:.3g} %"

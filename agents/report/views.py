@@ -1,4 +1,4 @@
-"""One place of a benchmark as the page shows it: its tables and pictures, ready to be laid out."""
+"""The tables and pictures of one place of a benchmark."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class TraceView:
 
 @dataclass(frozen=True)
 class PlaceView:
-    """All there is to see of a place."""
+    """All tables and pictures of a place."""
 
     slug: str
     title: str
@@ -136,7 +136,7 @@ def _forests(results: Results, cells: Sequence[Cell], against: str) -> Forests:
 
 
 def _fronts(cells: Sequence[Cell], actors: Mapping[str, Actor]) -> list[ChartChoice]:
-    """Cost against what may be gained by it."""
+    """Cost against gains."""
     return [choice for key in GAINS if (choice := _front(key, cells, actors)) is not None]
 
 
@@ -220,7 +220,7 @@ def _traces(results: Results, here: Sequence[Outcome], actors: Mapping[str, Acto
 
 
 def _figures(outcome: Outcome) -> str:
-    """How an episode went, in a line."""
+    """Main figures of an episode, in a line."""
     figures = [f"{outcome.ended} after {plain(outcome.time_s)} s", f"cost {plain(outcome.cost)}"]
     figures += [f"return {plain(outcome.total_return)}"]
     figures += [f"{outcome.hmi_steps} steps hazardously misleading"] if outcome.hmi_steps else []
