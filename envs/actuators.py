@@ -21,7 +21,9 @@ class ActuatorConfig(Config):
         4.0, gt=0, description="largest v^2 / R that steering may ask for; dry road, passenger comfort ends earlier"
     )
     steering_rate_radps: float | None = Field(
-        0.7, gt=0, description="of the road wheels; a driver's 500 deg/s at the wheel over a ratio of 13, rounded up"
+        0.7,
+        gt=0,
+        description="rate of the road wheels; a driver's 500 deg/s at the wheel over a ratio of 13, rounded up",
     )
     hold_mps2: float | None = Field(
         4.0, gt=0, description="brake that holds a car whose wheels show standstill; what RSS takes as sure"

@@ -42,7 +42,7 @@ class NavigationConfig(Config):
 
     source: Source = Field(
         Source.NAVIGATOR,
-        description="navigator: sensed and estimated; perfect: truth, bit for bit; offset: truth and a constant error",
+        description="navigator: from simulated sensors; perfect: true pose; offset: true pose and a constant error",
     )
     rate_hz: float = Field(10.0, gt=0, le=20, description="navigation epochs in a second; must divide simulation_hz")
     offset_at_m: float = Field(0.0, ge=-50, le=50, description="error along the track, forward, for source offset")
@@ -53,7 +53,7 @@ class NavigationConfig(Config):
         3.0,
         ge=0,
         le=60,
-        description="driven straight on before the start, so that RTK may be fixed where it can",
+        description="time on a straight approach before the episode, in which RTK can be fixed",
     )
     map_sigma_m: float = Field(
         0.03, ge=0, le=1, description="1-sigma of the map's shift on each axis; HD maps claim 0.1 m at 3 sigma"
@@ -61,9 +61,7 @@ class NavigationConfig(Config):
     jump_m: float = Field(
         0.25, gt=0, description="a correction larger than this is smoothed; larger than RTK noise, argued"
     )
-    smoothing_s: float = Field(
-        1.0, ge=0, le=30, description="time constant with which a smoothed jump is taken over, 0 takes it at once"
-    )
+    smoothing_s: float = Field(1.0, ge=0, le=30, description="time constant of the smoothing; 0: none")
 
     @property
     def clock_start_s(self) -> float:

@@ -18,7 +18,7 @@ class SensorConfig(Config):
 
     range_m: float = Field(80.0, gt=0, description="farthest vehicle seen [m]; near-range mode of 77 GHz radars, 70 m")
     field_of_view_deg: float = Field(
-        360.0, gt=0, le=360, description="opening of the cone it looks into, centred ahead [deg]; surround set"
+        360.0, gt=0, le=360, description="opening of the field of view, centred ahead [deg]; surround set"
     )
     range_sigma_m: float = Field(
         0.2,
@@ -42,22 +42,24 @@ class PerceptionConfig(Config):
     """Which sources the ego has, and how long it believes them."""
 
     source: Literal["v2v", "sensor", "both", "none", "truth"] = Field(
-        "v2v", description="what tells of the traffic; truth: every vehicle as it is, at no age"
+        "v2v", description="source of the traffic; truth: every vehicle as it is, at no age"
     )
     v2v: V2vConfig = Field(default_factory=V2vConfig, description="the radio channel")
     sensor: SensorConfig = Field(default_factory=SensorConfig, description="the ego's own sensor")
-    drop_after_s: float = Field(1.0, ge=0, description="a vehicle not measured for longer is forgotten [s]; our choice")
+    drop_after_s: float = Field(
+        1.0, ge=0, description="largest age of a measurement; older ones are dropped [s]; our choice"
+    )
     acceleration_bound_mps2: float = Field(
-        8.0, ge=0, description="another's acceleration, at most, since its measurement [m/s^2]; emergency braking, dry"
+        8.0, ge=0, description="bound of others' acceleration along [m/s^2]; emergency braking, dry"
     )
     lateral_bound_mps2: float = Field(
         8.0,
         ge=0,
-        description="another's acceleration across, at most, since then [m/s^2]; the same tyres, friction circle",
+        description="bound of others' acceleration across [m/s^2]; the same tyres, friction circle",
     )
     course_bound_deg: float = Field(
         5.0,
         ge=0,
         lt=90,
-        description="angle between another's course and the heading known of it, at most [deg]; our choice",
+        description="bound of the angle between course and heading of others [deg]; our choice",
     )
