@@ -1,4 +1,4 @@
-"""The vector engine for Stable-Baselines3, which has a kind of vector environment of its own.
+"""The vector engine as a vector environment of Stable-Baselines3.
 
 >>> from stable_baselines3 import PPO
 >>> config = {"observation": {"form": "flat"}}
@@ -7,13 +7,15 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvWrapper
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 
 from lanebound.envs import IDS
 from lanebound.envs.tally import EPISODE_KEY, Tally
@@ -22,20 +24,23 @@ from lanebound.envs.vector.infos import NAMES, single_info
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import nearest
 
-__all__ = ["EngineVecEnv", "VecEpisodeStatistics"]
+__all__ = ["EngineVecEnv"]
 
 
 class EngineVecEnv(VecEnv):
     """N environments of an id in the vector engine; they start anew at once when their episode is over.
 
-    ``infos[i]`` holds the entries of ``keys`` at every step, for dictionaries cost time. At the end of an episode it
-    holds all that a single environment says, ``terminal_observation`` and ``TimeLimit.truncated``. ``arrays`` is the
-    whole info of the last step as arrays (N,), of the end of an episode where one ended.
+    ``infos[i]`` holds the entries of ``keys`` at every step; a dictionary of all entries would cost time. At the end of
+    an episode it holds all entries of a single environment, ``terminal_observation``, ``TimeLimit.truncated``, and
+    ``episode`` as ``VecMonitor`` gives it: return ``r``, length ``l`` and time ``t`` since the start [s]. ``arrays`` is
+    the whole info of the last step as arrays (N,), of the end of an episode where one ended.
 
     Parameters
     ----------
     env_id, num_envs, config : as for ``gymnasium.make_vec``
     keys : entries of ``info`` wanted at every step
+    statistics : whether the end of an episode also has ``episode_integrity``, as
+        :class:`~lanebound.envs.wrappers.EpisodeStatistics` has it for single environments
 
     Raises
     ------
@@ -46,7 +51,12 @@ class EngineVecEnv(VecEnv):
     """
 
     def __init__(
-        self, env_id: str, num_envs: int, config: Mapping[str, Any] | None = None, keys: Sequence[str] = ("cost",)
+        self,
+        env_id: str,
+        num_envs: int,
+        config: Mapping[str, Any] | None = None,
+        keys: Sequence[str] = ("cost",),
+        statistics: bool = False,
     ) -> None:
         if env_id not in ENGINES:
             if env_id not in IDS:
@@ -65,6 +75,8 @@ class EngineVecEnv(VecEnv):
         self.arrays: dict[str, Any] = {}
         self._keys = tuple(keys)
         self._actions: NDArray[Any] | None = None
+        self._returns, self._lengths, self._begun = np.zeros(num_envs), np.zeros(num_envs, np.int64), time.time()
+        self._tally = Tally(num_envs) if statistics else None
 
     def reset(self) -> Any:
         """Begin an episode in every environment, under the seeds given by ``seed``."""
@@ -75,6 +87,7 @@ class EngineVecEnv(VecEnv):
             )
         observations, infos = self.envs.reset(seed=self._seeds)
         self.arrays = infos
+        self._clear(slice(None))
         self.reset_infos = [single_info(infos, row) for row in range(self.num_envs)]
         self._reset_seeds()
         self._reset_options()
@@ -91,14 +104,35 @@ class EngineVecEnv(VecEnv):
         observations, rewards, terminated, truncated, infos = self.envs.step(self._actions)
         over = terminated | truncated
         self._actions, self.arrays = None, _as_ended(infos, over)
+        self._returns += rewards
+        self._lengths += 1
+        if self._tally is not None:
+            self._tally.add(rewards, self.arrays)
         columns = [infos[key].tolist() for key in self._keys]
-        told = [dict(zip(self._keys, row, strict=True)) for row in zip(*columns, strict=True)]
-        told = told or [{} for _ in range(self.num_envs)]
-        for row in np.flatnonzero(over).tolist():
-            told[row] = single_info(infos["final_info"], row)
-            told[row]["terminal_observation"] = infos["final_obs"][row]
-            told[row]["TimeLimit.truncated"] = bool(truncated[row] and not terminated[row])
-        return observations, rewards.astype(np.float32), over, told
+        found = [dict(zip(self._keys, row, strict=True)) for row in zip(*columns, strict=True)]
+        found = found or [{} for _ in range(self.num_envs)]
+        ended = np.flatnonzero(over)
+        for row in ended.tolist():
+            found[row] = single_info(infos["final_info"], row) | self._episode(row)
+            found[row]["terminal_observation"] = infos["final_obs"][row]
+            found[row]["TimeLimit.truncated"] = bool(truncated[row] and not terminated[row])
+        if ended.size:
+            self._clear(ended)
+        return observations, rewards.astype(np.float32), over, found
+
+    def _episode(self, row: int) -> dict[str, Any]:
+        """Statistics of the episode that ends in an environment."""
+        length, seconds = int(self._lengths[row]), round(time.time() - self._begun, 6)
+        found: dict[str, Any] = {"episode": {"r": float(self._returns[row]), "l": length, "t": seconds}}
+        if self._tally is not None:
+            found[EPISODE_KEY] = self._tally.report(row, bool(self.arrays["is_success"][row]))
+        return found
+
+    def _clear(self, rows: Any) -> None:
+        """Begin the statistics of episodes."""
+        self._returns[rows], self._lengths[rows] = 0.0, 0
+        if self._tally is not None:
+            self._tally.clear(rows)
 
     def close(self) -> None:
         """Close the engine."""
@@ -122,42 +156,12 @@ class EngineVecEnv(VecEnv):
         return [masks[row] for row in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """No environment of the engine is wrapped."""
-        return [False] * self._count(indices)
+        """Whether infos are as the wrapper makes them: those of ``Monitor`` are, though no environment is wrapped."""
+        return [wrapper_class is Monitor] * self._count(indices)
 
     def _count(self, indices: Any) -> int:
         rows: Iterable[int] = self._get_indices(indices)
         return len(list(rows))
-
-
-class VecEpisodeStatistics(VecEnvWrapper):
-    """Puts ``episode_integrity`` into the infos of an episode's end, as ``EpisodeStatistics`` does for single ones.
-
-    Parameters
-    ----------
-    venv : the engine
-    """
-
-    venv: EngineVecEnv
-
-    def __init__(self, venv: EngineVecEnv) -> None:
-        super().__init__(venv)
-        self._tally = Tally(venv.num_envs)
-
-    def reset(self) -> Any:
-        """Begin an episode in every environment, and its statistics."""
-        self._tally.clear()
-        return self.venv.reset()
-
-    def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """Carry out commands; what ends brings its statistics."""
-        observations, rewards, over, infos = self.venv.step_wait()
-        self._tally.add(rewards, self.venv.arrays)
-        ended = np.flatnonzero(over)
-        for row in ended.tolist():
-            infos[row][EPISODE_KEY] = self._tally.report(row, infos[row]["is_success"])
-        self._tally.clear(ended)
-        return observations, rewards, over, infos
 
 
 def _as_ended(infos: dict[str, Any], over: NDArray[np.bool_]) -> dict[str, Any]:

@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.agents.assess.bounding_summary import summarise
-from lanebound.agents.kept import Progress, claim, run_parts, write_whole
+from lanebound.agents.checkpointing.files import write_json
+from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
+from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
 from lanebound.integrity.assessment.drift_model import DriftConfig, Outage, drift_exceedance
 from lanebound.integrity.assessment.exceedance import Tally, expected_fault_free, least_fault_free, tally
 from lanebound.integrity.assessment.importance import FaultSize, expected_one_fault, importance_rates
@@ -68,20 +70,19 @@ class BoundingConfig(Config):
 
 
 def assess_bounding(
-    config: BoundingConfig, out: Path, jobs: int = 1, progress: Progress = lambda done, of: None
+    config: BoundingConfig, out: Path, jobs: int = 1, on_progress: OnProgress = ignore
 ) -> dict[str, Any]:
-    """Draw everything that is not yet in ``out``, and write ``results.json``; returns it.
+    """Draw the missing parts, and write ``results.json``; returns its data.
 
     Raises
     ------
     InputError
-        ``out`` holds another study, or cannot be written.
+        ``out`` cannot be claimed: it holds other work, results of another version or foreign files.
     """
-    claim(out, "bounding", config, PACKAGES)
-    names = part_names(config)
-    parts = run_parts(out, names, partial(work_part, config), jobs, progress)
+    ResultFolder(out, "bounding assessment", config.to_dict(), code_digest(*PACKAGES)).claim()
+    parts = run_parts(out, part_names(config), partial(work_part, config), jobs, on_progress)
     result = summarise(config.to_dict(), parts)
-    write_whole(out / "results.json", result)
+    write_json(out / "results.json", result)
     return result
 
 
@@ -95,13 +96,13 @@ def part_names(config: BoundingConfig) -> list[str]:
     ]
 
 
-def work_part(config: BoundingConfig, name: str) -> dict[str, Any]:
-    """Draw one part; the same whatever was drawn before it."""
+def work_part(config: BoundingConfig, name: str, advance: Advance = ignore) -> dict[str, Any]:
+    """Draw one part; it does not depend on other parts."""
     kind, first = name.split("-")
     start = int(first)
     match kind:
         case "cases":
-            return _cases(config, range(start, min(start + CASES_IN_PART, config.cases)))
+            return _cases(config, range(start, min(start + CASES_IN_PART, config.cases)), advance)
         case "rare":
             return _rare(config, range(start, min(start + 10 * CASES_IN_PART, config.rare_cases)))
         case _:
@@ -116,7 +117,7 @@ def _case(config: BoundingConfig, index: int, stream: str) -> tuple[Case, np.ran
     return draw_case(generator, satellites, share), generator
 
 
-def _cases(config: BoundingConfig, indices: range) -> dict[str, Any]:
+def _cases(config: BoundingConfig, indices: range, advance: Advance) -> dict[str, Any]:
     wrong_fix = config.wrong_fix_share * min(config.risks)
     budgets = config.risk.axis_budgets(config.risks)
     drawn = [_case(config, i, "gnss") for i in indices]
@@ -138,6 +139,7 @@ def _cases(config: BoundingConfig, indices: range) -> dict[str, Any]:
                 "fault_free": {form.name: expected_fault_free(one, form).tolist() for form in (Form.ROOT, Form.CLOSED)},
             }
         )
+        advance(len(rows) / len(indices))
     return {"cases": rows}
 
 

@@ -21,7 +21,9 @@ from scipy.stats import chi2
 from lanebound.agents.assess.bounding_summary import rate_of, rate_over
 from lanebound.agents.assess.detectability import detectability
 from lanebound.agents.assess.fault_response import Response, Run, as_broadcast, drive_run, measure_response
-from lanebound.agents.kept import Progress, claim, run_parts, write_whole
+from lanebound.agents.checkpointing.files import write_json
+from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
+from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
@@ -29,7 +31,7 @@ from lanebound.integrity.sensors.faults import SIZES, Fault, FaultKind
 from lanebound.integrity.sky.systems import System
 from lanebound.integrity.sky.track import SkyTrack
 
-__all__ = ["Cell", "FaultsConfig", "assess_faults", "cells_of", "work_cell"]
+__all__ = ["FaultCase", "FaultsConfig", "assess_faults", "cells_of", "work_cell"]
 
 PACKAGES = ("lanebound.integrity", "lanebound.agents.assess")
 K = FaultKind
@@ -74,7 +76,7 @@ class FaultsConfig(Config):
 
 
 @dataclass(frozen=True)
-class Cell:
+class FaultCase:
     """One fault of the campaign."""
 
     kind: FaultKind
@@ -93,10 +95,10 @@ class Cell:
         return 0.5 * self.duration_s
 
 
-def cells_of(config: FaultsConfig) -> list[Cell]:
+def cells_of(config: FaultsConfig) -> list[FaultCase]:
     """Every kind x size x length x profile."""
     return [
-        Cell(kind, size, duration, profile)
+        FaultCase(kind, size, duration, profile)
         for kind in config.kinds
         for size in SIZES_TRIED.get(kind, ())
         for duration in config.durations_s
@@ -108,33 +110,31 @@ def _profiles(kind: FaultKind) -> tuple[Profile, ...]:
     return ("step",) if kind in STEPS_ALONE else ("step", "ramp")
 
 
-def assess_faults(
-    config: FaultsConfig, out: Path, jobs: int = 1, progress: Progress = lambda done, of: None
-) -> dict[str, Any]:
-    """Drive all that is not yet in ``out``, and write ``results.json`` and the figure; returns the results.
+def assess_faults(config: FaultsConfig, out: Path, jobs: int = 1, on_progress: OnProgress = ignore) -> dict[str, Any]:
+    """Drive the missing parts, and write ``results.json`` and the figures; returns the results.
 
     Raises
     ------
     InputError
-        ``out`` holds another study, or cannot be written.
+        ``out`` cannot be claimed: it holds other work, results of another version or foreign files.
     """
     from lanebound.agents.assess.faults_figure import detectability_figure, faults_figure
     from lanebound.integrity.assessment.plotting import save
 
-    claim(out, "faults", config, PACKAGES)
+    ResultFolder(out, "fault campaign", config.to_dict(), code_digest(*PACKAGES)).claim()
     cells = {cell.name: cell for cell in cells_of(config)}
     theory = [f"{THEORY}{satellites}" for satellites in config.theory_satellites]
-    parts = run_parts(out, [*cells, "control", *theory], partial(work_part, config), jobs, progress)
+    parts = run_parts(out, [*cells, "control", *theory], partial(work_part, config), jobs, on_progress)
     faults, powers = [parts[name] for name in cells], [parts[name] for name in theory]
     result = {"config": config.to_dict(), "control": parts["control"], "theory": powers, "faults": faults}
-    write_whole(out / "results.json", result)
+    write_json(out / "results.json", result)
     save(faults_figure(faults), out / "faults.svg")
     if powers:
         save(detectability_figure(powers), out / "detectability.svg")
     return result
 
 
-def work_part(config: FaultsConfig, name: str) -> dict[str, Any]:
+def work_part(config: FaultsConfig, name: str, advance: Advance = ignore) -> dict[str, Any]:
     """One cell, the drive without faults, or a comparison with theory."""
     if name == "control":
         return control(config)
@@ -154,7 +154,7 @@ def _onsets(config: FaultsConfig) -> np.ndarray:
     return np.asarray(config.warm_up_s + steps * config.navigator.dt_s)
 
 
-def work_cell(config: FaultsConfig, cell: Cell) -> dict[str, Any]:
+def work_cell(config: FaultsConfig, cell: FaultCase) -> dict[str, Any]:
     """Drive with and without the fault and sum up what became of it."""
     onset = _onsets(config)
     duration = config.warm_up_s + SPREAD_S + cell.duration_s + config.after_s
@@ -179,7 +179,7 @@ def _sound(text: str, duration_s: float, dark_s: float | None) -> Run:
     return drive_run(config.navigator, _seeds(config), duration_s, dark)
 
 
-def _maker(cell: Cell, onset: np.ndarray, dark: Sequence[Fault]) -> Callable[[SkyTrack], list[Fault]]:
+def _maker(cell: FaultCase, onset: np.ndarray, dark: Sequence[Fault]) -> Callable[[SkyTrack], list[Fault]]:
     """The faults of all vehicles, once the sky is known."""
 
     def faults(track: SkyTrack) -> list[Fault]:
@@ -190,7 +190,7 @@ def _maker(cell: Cell, onset: np.ndarray, dark: Sequence[Fault]) -> Callable[[Sk
     return faults
 
 
-def _fault(cell: Cell, row: int, onset_s: float, sky: Any, high: np.ndarray) -> Fault:
+def _fault(cell: FaultCase, row: int, onset_s: float, sky: Any, high: np.ndarray) -> Fault:
     """The fault of one vehicle: at the next of the high satellites, in a direction of its own."""
     data: dict[str, Any] = {
         "kind": cell.kind, "start_s": onset_s, "duration_s": cell.duration_s, "profile": cell.profile,

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from lanebound.agents.plain import finite_or_none
+from lanebound.agents.serialization import finite_or_none
 from lanebound.integrity.core.errors import InputError
 
 __all__ = ["Row", "alternate", "median_ratio"]

@@ -10,7 +10,7 @@ from importlib import import_module
 from pathlib import Path
 
 from lanebound.agents.bench.rows import Row
-from lanebound.agents.plain import to_json_text
+from lanebound.agents.serialization import to_json_text
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import nearest
 

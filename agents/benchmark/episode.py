@@ -1,4 +1,4 @@
-"""One episode of one agent: its rows and what it came to, whatever the agent does."""
+"""One episode of one agent: its rows and its outcome, whatever the agent does."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from lanebound.agents.benchmark.outcome import Outcome, Task
-from lanebound.agents.benchmark.scoring import figures
+from lanebound.agents.benchmark.scoring import outcome_of
 from lanebound.agents.drivers.base import Driver
 from lanebound.agents.episodes import EpisodeLog, drive
 from lanebound.agents.episodes.drive import Watcher
@@ -19,11 +19,11 @@ from lanebound.envs.core import DrivingEnv
 
 __all__ = ["allotted_s", "run_episode"]
 
-ENDLESS_S = 300.0  # as an environment without a duration of its own ends
+ENDLESS_S = 300.0  # of an environment without a duration
 
 
 def allotted_s(env: DrivingEnv) -> float:
-    """How long an episode can last."""
+    """Time that an episode can last [s]."""
     return float(env.config.duration_s or env.world.config.get("duration", ENDLESS_S))
 
 
@@ -38,14 +38,14 @@ def run_episode(
 
     Parameters
     ----------
-    env : it may have driven other episodes before
+    env : may have driven other episodes before
     make : makes the agent
-    clock : is told when the agent works
-    watchers : see every step beside the log
+    clock : measures the time of the agent
+    watchers : called at every step, beside the log
 
     Returns
     -------
-    The rows of all steps that were driven, and the outcome.
+    The rows of all driven steps, and the outcome.
     """
     log, status, message = EpisodeLog(), "ok", ""
     agent: Guarded | None = None
@@ -58,33 +58,28 @@ def run_episode(
         status, message = failure.status, str(failure)
     except Exception as error:
         status, message = "raised", f"in the environment: {told(error)}"
-    return log.rows, _outcome(task, status, message, log.rows, env, agent)
+    figures = {"cost_limit": env.config.cost_limit, **_solve_times(agent), **_counted(agent)}
+    return log.rows, outcome_of(log.rows, allotted_s(env), task, status=status, message=message, **figures)
 
 
 def seed_everything(seed: int) -> None:
-    """Start the global generators anew: an agent that draws from them must not depend on who drew before."""
+    """Seed the global generators: an agent that draws from them must not depend on earlier draws."""
     random.seed(seed)
     np.random.seed(seed)  # noqa: NPY002 - it is the global one that agents of others may use
     if "torch" in sys.modules:
         sys.modules["torch"].manual_seed(seed)
 
 
-def _outcome(
-    task: Task, status: str, message: str, rows: Sequence[Any], env: DrivingEnv, agent: Guarded | None
-) -> Outcome:
-    time_s = allotted_s(env)
-    data: dict[str, Any] = figures(rows, time_s) if rows else {"allotted_s": time_s}
-    data["cost_limit"] = env.config.cost_limit
-    if agent is not None and agent.solve_ms:
-        data["solve_ms_median"] = float(np.median(agent.solve_ms))
-        data["solve_ms_p99"] = float(np.quantile(agent.solve_ms, 0.99))
-    data |= _counted(agent)
-    made = Outcome(*task.place, task.agent, task.seed, status=status, message=message, **data)  # type: ignore[arg-type]
-    return Outcome.from_dict(made.to_dict())
+def _solve_times(agent: Guarded | None) -> dict[str, float]:
+    """Quantiles of the times of the decisions [ms]."""
+    if agent is None or not agent.solve_ms:
+        return {}
+    median, high = np.median(agent.solve_ms), np.quantile(agent.solve_ms, 0.99)
+    return {"solve_ms_median": float(median), "solve_ms_p99": float(high)}
 
 
 def _counted(agent: Guarded | None) -> dict[str, int]:
-    """What an agent counts of its decisions, if it does: those that were ``infeasible``, and ``relaxed``."""
+    """The agent's own counts of decisions that were infeasible or relaxed, where it has them."""
     counts = getattr(agent and agent.agent, "counts", None)
     if not isinstance(counts, Mapping) or "decisions" not in counts:
         return {}

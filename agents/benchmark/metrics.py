@@ -263,10 +263,10 @@ SOLVING = (
 )
 METRICS: tuple[Metric, ...] = (*SAFETY, *REWARD, *MOTION, *INTEGRITY, *SOLVING)
 MAIN = (
-    "success", "collision", "off_road", "lane_departure", "harm", "return", "cost", "throughput", "availability",
+    "harm", "throughput", "collision", "off_road", "lane_departure", "success", "cost", "return", "availability",
     "any_hmi",
 )  # fmt: skip
-"""Keys of the metrics that a short table shows."""
+"""Keys of the metrics that a short table shows: harm beside throughput first, for either alone is easily had."""
 
 
 def metric_named(key: str) -> Metric:

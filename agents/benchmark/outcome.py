@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Literal, NamedTuple
 
 from lanebound.agents.episodes.guard import Failing
-from lanebound.agents.plain import finite_or_none
+from lanebound.agents.serialization import finite_or_none
 
 __all__ = ["LEVEL_MAX_M", "OK", "WALL_CLOCK", "Outcome", "Place", "Status", "Task"]
 

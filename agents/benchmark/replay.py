@@ -1,4 +1,4 @@
-"""A stored episode driven again: it must end as it did, and can be filmed."""
+"""Replay of a stored episode: its outcome must be the same to the last bit. It can be filmed."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from lanebound.agents.benchmark.outcome import Outcome, Task
-from lanebound.agents.benchmark.pool import Pool
-from lanebound.agents.benchmark.store import Store
-from lanebound.agents.benchmark.work import FilmedWork
+from lanebound.agents.benchmark.store import EpisodeStore
+from lanebound.agents.benchmark.work import FilmedEpisodes
+from lanebound.agents.checkpointing.pool import Pool
 from lanebound.integrity.core.errors import InputError
 
 __all__ = ["differences", "find_task", "replay"]
 
 
-def find_task(store: Store, ident: str) -> Task:
-    """The stored episode of a name, ``env/sky-faults/agent/seed``; ids may leave out ``lanebound/`` and version.
+def find_task(store: EpisodeStore, ident: str) -> Task:
+    """The stored episode of an id, ``env/sky-faults/agent/seed``; ``lanebound/`` and the version may be left out.
 
     Raises
     ------
     InputError
-        There is none, with the nearest.
+        There is none; the message names the nearest.
     """
     tasks = {task.id: task for task in store.suite().tasks()}
     env, slash, rest = ident.removeprefix("lanebound/").partition("/")
@@ -36,22 +36,22 @@ def find_task(store: Store, ident: str) -> Task:
 
 
 def replay(folder: Path, ident: str, film: Path | None = None, fps: int = 10) -> tuple[Outcome, Outcome]:
-    """Drive a stored episode again, in a process of its own as before; returns the stored outcome and that of now.
+    """Drive a stored episode again in a worker process; returns the stored outcome and the new one.
 
     Raises
     ------
     InputError
-        No stored episode has that name, or the film is refused.
+        No stored episode has that id, or the film is refused.
     """
-    store = Store(folder)
+    store = EpisodeStore(folder)
     task = find_task(store, ident)
-    work = FilmedWork(store.suite(), film, fps)
+    work = FilmedEpisodes(store.suite(), film, fps)
     work.check(task)
-    (now,) = Pool(work, 1).run([task])
+    ((_, now),) = Pool(work, 1).run([task])
     return store.outcome(task), now
 
 
 def differences(stored: Outcome, now: Outcome) -> list[str]:
-    """Attributes in which two outcomes do not agree to the last bit; times on the wall do not count."""
+    """Attributes in which two outcomes differ, wall-clock times excepted."""
     ours, theirs = stored.lasting(), now.lasting()
     return [key for key in ours if ours[key] != theirs[key]]

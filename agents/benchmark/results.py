@@ -24,10 +24,10 @@ from lanebound.agents.benchmark.statistics import (
     estimate,
     is_clear,
 )
-from lanebound.agents.benchmark.store import Store
+from lanebound.agents.benchmark.store import EpisodeStore
 from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.benchmark.untuned import is_untuned
-from lanebound.agents.kept import replace_file
+from lanebound.agents.checkpointing.files import replace_file
 from lanebound.integrity.core.errors import InputError
 
 __all__ = ["FILES", "Cell", "Estimate", "Paired", "Results"]
@@ -151,7 +151,7 @@ class Results:
         InputError
             It is no folder of a benchmark, or its suite is damaged or refused.
         """
-        store = Store(Path(folder))
+        store = EpisodeStore(Path(folder))
         suite = store.suite()
         outcomes = [store.outcome(task) for task in suite.tasks() if store.has(task)]
         return cls.of(suite, outcomes, store.left_out(), Path(folder))
@@ -163,7 +163,7 @@ class Results:
 
     def rows(self, outcome: Outcome) -> Any:
         """The stored rows of an episode, a pyarrow Table; None for results that were made up."""
-        return None if self.folder is None else Store(self.folder).rows(outcome.task)
+        return None if self.folder is None else EpisodeStore(self.folder).rows(outcome.task)
 
     def cell(self, place: Place, agent: str) -> Cell:
         """The cell of an agent at a place."""

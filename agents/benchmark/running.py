@@ -1,35 +1,34 @@
-"""A benchmark from its suite to its results: what is missing is driven, stored as it comes, and put together."""
+"""A benchmark from its suite to its results: missing episodes are driven and stored, then all results are computed."""
 
 from __future__ import annotations
 
-import os
-import time
-from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
-from lanebound.agents.benchmark.outcome import Outcome, Task
-from lanebound.agents.benchmark.pool import Pool
+from lanebound.agents.benchmark.outcome import Task
 from lanebound.agents.benchmark.results import Results
-from lanebound.agents.benchmark.store import Store
+from lanebound.agents.benchmark.store import EpisodeStore
 from lanebound.agents.benchmark.suite import SuiteConfig
-from lanebound.agents.benchmark.work import Work, expected_s, unfit
+from lanebound.agents.benchmark.work import DrivenEpisodes, expected_s, strangers, unfit
+from lanebound.agents.checkpointing.folder import locked
+from lanebound.agents.checkpointing.runner import Counter, OnProgress, RunProgress, available_cores, ignore, run_work
 
-__all__ = ["Plan", "Progress", "run", "run_plan"]
+__all__ = ["BenchmarkPlan", "run", "run_plan"]
 
-START_S = 6.0  # until a worker is at work
+START_S = 6.0  # to start a worker
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What is to be driven, and about how long that takes.
+class BenchmarkPlan:
+    """Episodes to drive, and about how long that takes.
 
     Attributes
     ----------
-    left_out : agents that cannot drive an environment, as ``(env, agent, why)``
-    tasks : episodes that are missing, in the order of the work; stored : how many are there already
-    expected_s : time of a core that an episode of each environment may take, if it lasts to its end
+    left_out : agents that cannot drive an environment, as ``(env, agent, reason)``
+    tasks : missing episodes in the order of the work: all cells with the first seed, then with the next
+    stored : number of finished episodes
+    warnings : policies that drive environments in which they were not learnt
+    expected_s : time of a core for an episode of each environment that lasts to its end [s]
     """
 
     suite: SuiteConfig
@@ -37,52 +36,35 @@ class Plan:
     left_out: list[tuple[str, str, str]]
     tasks: list[Task]
     stored: int
+    warnings: list[str]
     expected_s: dict[str, float]
 
     @classmethod
-    def of(cls, suite: SuiteConfig, folder: Path, fresh: bool = False) -> Plan:
-        """The plan of a suite in a folder, which then belongs to it.
+    def of(cls, suite: SuiteConfig, folder: Path, fresh: bool = False) -> BenchmarkPlan:
+        """The plan of a suite in a folder, which is claimed for it.
 
         Raises
         ------
         InputError
-            An agent does not exist, an environment refuses its configuration, or the folder holds another suite.
+            An agent does not exist, an environment refuses its configuration, or the folder cannot be claimed.
         """
         left_out = unfit(suite)
         out = {(env, agent) for env, agent, _ in left_out}
-        store = Store(folder)
-        store.claim(suite, fresh)
-        store.leave_out(left_out)
+        store = EpisodeStore(folder)
+        store.claim(suite, fresh, left_out)
         wanted = [task for task in suite.tasks() if (task.place.env, task.agent) not in out]
         missing = [task for task in wanted if not store.has(task)]
+        missing.sort(key=lambda task: task.seed)  # stable: a budget leaves about as many seeds in every cell
         expected = expected_s(suite, sorted({task.place.env for task in missing}))
-        return cls(suite, folder, left_out, missing, len(wanted) - len(missing), expected)
+        return cls(suite, folder, left_out, missing, len(wanted) - len(missing), strangers(suite), expected)
 
     def hours(self, jobs: int) -> float:
-        """About how long it takes with so many processes [h]."""
-        work_s = sum(self.expected_s[task.place.env] for task in self.tasks)
-        return (work_s / jobs + START_S) / 3600.0 if self.tasks else 0.0
-
-
-@dataclass
-class Progress:
-    """How far a run is.
-
-    Attributes
-    ----------
-    done, of : episodes of this run
-    failures : those in which an agent failed
-    left_s : about how long the rest takes, kernels that are still to be compiled apart; None while nothing is finished
-    compiling : how many processes compile kernels now
-    out_of_time : whether the budget is used up
-    """
-
-    of: int
-    done: int = 0
-    failures: list[Outcome] = field(default_factory=list)
-    left_s: float | None = None
-    compiling: int = 0
-    out_of_time: bool = False
+        """About how long the plan takes with so many processes [h]."""
+        return (
+            (sum(self.expected_s[task.place.env] for task in self.tasks) / jobs + START_S) / 3600.0
+            if self.tasks
+            else 0.0
+        )
 
 
 def run(
@@ -91,63 +73,42 @@ def run(
     jobs: int | None = None,
     budget_h: float | None = None,
     fresh: bool = False,
-    told: Callable[[Progress], None] = lambda progress: None,
+    on_progress: OnProgress = ignore,
 ) -> Results:
-    """Drive what is missing of a suite, and save results.
+    """Drive the missing episodes of a suite, and save the results.
 
     Parameters
     ----------
-    jobs : processes, one for each core when None
-    budget_h : no episode is begun after that
-    fresh : what the folder holds of an earlier run is thrown away
-    told : called a few times a second
+    jobs : processes; None: one for each core
+    budget_h : no episode is started after that [h]
+    fresh : remove the results of an earlier run first
+    on_progress : called a few times a second
 
     Raises
     ------
     InputError
-        As :meth:`Plan.of`; or a process ends as it is started, as in a script without ``if __name__ == "__main__":``.
+        As :meth:`BenchmarkPlan.of`; or a worker ends while it is started, as in a script without
+        ``if __name__ == "__main__":``.
     """
-    return run_plan(Plan.of(suite, folder, fresh), jobs, budget_h, told)
+    return run_plan(BenchmarkPlan.of(suite, folder, fresh), jobs, budget_h, on_progress)
 
 
 def run_plan(
-    plan: Plan,
-    jobs: int | None = None,
-    budget_h: float | None = None,
-    told: Callable[[Progress], None] = lambda progress: None,
+    plan: BenchmarkPlan, jobs: int | None = None, budget_h: float | None = None, on_progress: OnProgress = ignore
 ) -> Results:
-    """The same from a plan."""
-    begun = time.monotonic()
-    jobs = cores() if jobs is None else jobs
-    progress, left = Progress(len(plan.tasks)), Counter(task.place.env for task in plan.tasks)
-    pool = Pool(Work(plan.suite, plan.folder), jobs)
-
-    def in_time() -> bool:
-        progress.out_of_time = budget_h is not None and time.monotonic() - begun > 3600.0 * budget_h
-        return not progress.out_of_time
-
-    def looked() -> None:
-        progress.compiling = pool.compiling
-        told(progress)
-
-    whole_s = _sum_s(left, plan.expected_s)
-    for outcome in pool.run(plan.tasks, in_time, looked):
-        left[outcome.env] -= 1
-        progress.done += 1
-        progress.failures += [outcome] if outcome.failed else []
-        rest_s = _sum_s(left, plan.expected_s)
-        at_a_time = max(1, min(jobs, progress.of - progress.done))
-        progress.left_s = pool.driven_s / (whole_s - rest_s) * rest_s / at_a_time
-        told(progress)
+    """Drive the episodes of a plan, and save the results."""
+    counter = Counter(on_progress, RunProgress(of=plan.stored + len(plan.tasks), done=plan.stored))
+    driven = run_work(
+        plan.tasks,
+        DrivenEpisodes(plan.suite, plan.folder),
+        available_cores() if jobs is None else jobs,
+        counter,
+        isolated=True,
+        budget_h=budget_h,
+    )
+    with locked(plan.folder):
+        for _, outcome in driven:
+            counter.progress.failed += outcome.failed
     results = Results.load(plan.folder)
     results.save(plan.folder)
     return results
-
-
-def cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _sum_s(counts: Counter[str], each_s: dict[str, float]) -> float:
-    return sum(count * each_s[env] for env, count in counts.items())

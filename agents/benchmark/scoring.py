@@ -1,41 +1,114 @@
-"""From the rows of an episode to its figures."""
+"""From the rows of an episode to its outcome, and from the statistics of an episode in the engine to the same."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.agents.benchmark.outcome import LEVEL_MAX_M
-from lanebound.agents.episodes.summary import summarise
+from lanebound.agents.benchmark.outcome import LEVEL_MAX_M, Outcome, Place, Task
+from lanebound.envs.costs import CAUSES
 from lanebound.integrity.assessment.events import alert_delays
 
-__all__ = ["figures"]
+__all__ = ["UNNAMED", "outcome_of", "outcome_of_statistics"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Row = Mapping[str, Any]
+ENDINGS = (("crashed", "collision"), ("off_road", "off road"), ("wrong_way", "wrong way"))
+UNNAMED = Task(Place("", "", ""), "", 0)
 
 
-def figures(rows: Sequence[Row], allotted_s: float) -> dict[str, Any]:
-    """The figures of an :class:`~lanebound.agents.benchmark.outcome.Outcome` that follow from the rows.
+def outcome_of(rows: Sequence[Row], allotted_s: float, task: Task = UNNAMED, **more: Any) -> Outcome:
+    """The outcome of an episode.
 
     Parameters
     ----------
-    rows : of one episode, its start first
-    allotted_s : the time there was
+    rows : of one episode, its start first; no rows where the agent failed before
+    allotted_s : time that the episode could last [s]
+    task : what was driven
+    more : further attributes of the outcome
     """
-    summary = summarise(rows).to_dict()
-    del summary["seed"]
-    if len(rows) < 2:
-        return {**summary, "allotted_s": allotted_s, "availability": None, "alert_share": None, "mode_shares": {}}
-    way_m = _way_m(rows)
-    taken_s = summary["time_s"] if summary["success"] else max(allotted_s, summary["time_s"])
+    figures = {"allotted_s": allotted_s, **_totals(rows), **_figures(rows, allotted_s)} if rows else {}
+    made = Outcome(*task.place, task.agent, task.seed, **{"allotted_s": allotted_s, **figures, **more})
+    return Outcome.from_dict(made.to_dict())
+
+
+def outcome_of_statistics(info: Mapping[str, Any], statistics: Mapping[str, Any], task: Task, **more: Any) -> Outcome:
+    """The outcome of an episode whose rows are not known; the way is the mean true speed times the time.
+
+    Parameters
+    ----------
+    info : of the last step
+    statistics : sums and means over the episode, as ``episode_integrity`` in ``info``
+    more : further attributes: ``time_s``, ``allotted_s``, ``cost_limit``
+    """
+    success, time_s = bool(info["is_success"]), more["time_s"]
+    taken_s = time_s if success else max(more["allotted_s"], time_s)
+    return Outcome(
+        *task.place,
+        task.agent,
+        task.seed,
+        steps=statistics["length"],
+        mean_speed_mps=statistics["speed_mean_mps"],
+        throughput_mps=statistics["speed_mean_mps"] * time_s / taken_s,
+        total_return=statistics["return"],
+        cost=statistics["cost"],
+        costs={cause: statistics[cause] for cause in CAUSES},
+        success=success,
+        collision=bool(info["crashed"]),
+        lane_departure=statistics["cost_lane"] > 0.0,
+        mode_shares=dict(statistics["mode_shares"]),
+        availability=statistics["availability"],
+        alert_share=statistics["alert_share"],
+        alerts=statistics["alerts"],
+        mi_steps=statistics["mi_steps"],
+        hmi_steps=statistics["hmi_steps"],
+        **more,
+    )
+
+
+def _totals(rows: Sequence[Row]) -> dict[str, Any]:
+    """Length, end, sums and shares of the steps; the start counts in the sums only."""
+    last, driven = rows[-1], rows[1:] or rows
+
+    def total(name: str) -> float:
+        return float(sum(row[name] for row in rows))
+
+    counts = Counter(row["mode"] for row in driven)
     return {
-        **summary,
-        "allotted_s": allotted_s,
+        "steps": last["step"],
+        "time_s": last["time_s"],
+        "ended": _ending(last),
+        "total_return": total("reward"),
+        "cost": total("cost"),
+        "costs": {cause: total(cause) for cause in CAUSES},
+        "success": bool(last["is_success"]),
+        "collision": bool(last["crashed"]),
+        "mode_shares": {mode: count / len(driven) for mode, count in counts.most_common()},
+        "availability": float(_flags(driven, "available").mean()),
+        "alert_share": float(_flags(driven, "alert").mean()),
+        "mi_steps": int(_flags(driven, "mi").sum()),
+        "hmi_steps": int(_flags(driven, "hmi").sum()),
+    }
+
+
+def _ending(row: Row) -> str:
+    """How an episode ended, from its last row."""
+    ended = next((word for key, word in ENDINGS if row[key]), None)
+    return ended or ("time up" if row["truncated"] else "arrived" if row["terminated"] else "stopped")
+
+
+def _figures(rows: Sequence[Row], allotted_s: float) -> dict[str, Any]:
+    """Motion, integrity and alerts of an episode with at least one decision; else nothing of the steps."""
+    if len(rows) < 2:
+        return {"availability": None, "alert_share": None, "mode_shares": {}}
+    way_m, time_s = _way_m(rows), rows[-1]["time_s"]
+    taken_s = time_s if rows[-1]["is_success"] else max(allotted_s, time_s)
+    return {
         "distance_m": way_m,
         "mean_speed_mps": float(_column(rows, "speed_mps")[1:].mean()),
         "throughput_mps": way_m / taken_s,
@@ -83,7 +156,7 @@ def _rms(values: Array) -> float | None:
 
 
 def _integrity(rows: Sequence[Row]) -> dict[str, Any]:
-    """Levels, errors, alerts and availability; the start, before any decision, does not count."""
+    """Levels, errors and continuity; the start, before any decision, does not count."""
     found: dict[str, Any] = {}
     missing = np.zeros(len(rows), dtype=np.bool_)
     for axis in ("at", "ct"):
@@ -104,7 +177,7 @@ def _integrity(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def _alerts(rows: Sequence[Row]) -> dict[str, Any]:
-    """Alerts, and the errors above their limits that had none, or waited for it."""
+    """Alerts, and errors above their limits whose alert is late or missing."""
     time_s, alert = _column(rows, "time_s"), _flags(rows, "alert")[1:]
     onset_s, last_s, over_s = _failures(rows[1:], time_s)
     delay_s = alert_delays(time_s[1:], alert, onset_s, last_s)
@@ -118,9 +191,9 @@ def _alerts(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def _failures(rows: Sequence[Row], time_s: Array) -> tuple[Array, Array, Array]:
-    """When an error on either axis came to exceed its limit, did so for the last time, and was over.
+    """When an error on either axis begins to exceed its limit, exceeds it for the last time, and has ended [s].
 
-    An error that is there at the end is over one step later; so what has no alert waits longer than what has one.
+    An error at the end of the episode ends one step later: an error without an alert waits longer than one with.
     """
     over = np.zeros(len(rows), dtype=np.bool_)
     for axis in ("at", "ct"):

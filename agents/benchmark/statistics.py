@@ -17,9 +17,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import bdtr, betaincinv, ndtr, stdtr, stdtrit
+from scipy.special import bdtr, ndtr, stdtr, stdtrit
 
 from lanebound.agents.benchmark.metrics import ANYTHING, Better, Bounds
+from lanebound.integrity.assessment.bounding import clopper_pearson
 from lanebound.integrity.core.streams import named_generator
 
 __all__ = [
@@ -106,7 +107,7 @@ def estimate(values: Array, rate: bool = False, bounds: Bounds = ANYTHING) -> Es
         return Estimate(None, None, None, None, None, None, 0)
     mean, iqm = float(values.mean()), float(interquartile_mean(values))
     if rate:
-        low, high = _clopper_pearson(values) if n > 1 else NONE
+        low, high = clopper_pearson(int(values.sum()), n) if n > 1 else NONE
         return Estimate(mean, low, high, iqm, None, None, n)
     low, high = within(_mean_ends(values), bounds)
     iqm_low, iqm_high = within(_middle_ends(values), bounds)
@@ -176,13 +177,6 @@ def within(ends: Ends, bounds: Bounds) -> Ends:
     """An interval without what lies beyond the bounds of its values."""
     low, high = ends
     return NONE if low is None or high is None else (max(low, bounds[0]), min(high, bounds[1]))
-
-
-def _clopper_pearson(values: Array) -> Ends:
-    """Exact interval of a binomial rate; Clopper and Pearson 1934."""
-    n, k = values.size, int(values.sum())
-    low = float(betaincinv(k, n - k + 1, TAIL)) if k else 0.0
-    return low, float(betaincinv(k + 1, n - k, 1.0 - TAIL)) if k < n else 1.0
 
 
 def _agresti_min(gap: Array) -> tuple[float, float]:

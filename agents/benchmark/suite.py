@@ -11,7 +11,7 @@ from pydantic import ValidationInfo, field_validator, model_validator
 
 from lanebound.agents.benchmark.outcome import Place, Task
 from lanebound.agents.benchmark.seeds import SPLITS, Split
-from lanebound.agents.named import load_named
+from lanebound.agents.presets import load_named
 from lanebound.envs import FaultLevel
 from lanebound.integrity.core.config import Config, Field, deep_merge
 from lanebound.integrity.core.errors import ConfigError, InputError

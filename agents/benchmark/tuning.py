@@ -9,7 +9,6 @@ judged by means over few seeds: other constant margins may do better than the on
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -19,8 +18,9 @@ from typing import Any
 from lanebound.agents.benchmark.metrics import harm_of, went_off_road
 from lanebound.agents.benchmark.outcome import Outcome
 from lanebound.agents.benchmark.results import Results
-from lanebound.agents.benchmark.running import Progress, run
+from lanebound.agents.benchmark.running import run
 from lanebound.agents.benchmark.suite import SuiteConfig
+from lanebound.agents.checkpointing.runner import OnProgress, ignore
 from lanebound.agents.drivers.margins import CautiousConfig
 from lanebound.agents.episodes import open_env
 from lanebound.integrity.core.errors import InputError
@@ -140,7 +140,7 @@ def tune_cautious(
     seeds: int,
     folder: Path,
     jobs: int | None = None,
-    told: Callable[[Progress], None] = lambda progress: None,
+    on_progress: OnProgress = ignore,
 ) -> dict[str, Any]:
     """Drive the ladder, or what is missing of it in ``folder``, and choose; as plain data.
 
@@ -151,7 +151,7 @@ def tune_cautious(
         training seeds.
     """
     suite = tuning_suite(name, sky, seeds)
-    results = run(suite, folder, jobs, told=told)
+    results = run(suite, folder, jobs, on_progress=on_progress)
     config = open_env(name, {"sky": sky}).config
     goal = _measured(results, GOAL)
     ladder = {caution: _measured(results, _rung(caution)) for caution in LADDER}

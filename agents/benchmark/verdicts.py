@@ -1,4 +1,4 @@
-"""Who is clearly safer than whom: what may be said in a line of so many comparisons, and what not."""
+"""Verdicts: which agents are clearly safer than others, and the sentences that open reports."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ from lanebound.agents.benchmark.metrics import HARM_OF_AN_END
 from lanebound.agents.benchmark.outcome import Place
 from lanebound.agents.benchmark.results import Paired, Results
 from lanebound.agents.benchmark.statistics import holm, seeds_to_exclude
-from lanebound.agents.plain import counted
+from lanebound.agents.serialization import counted
 
-__all__ = ["ENDS", "HARM", "LEVEL", "MARGIN", "RULE", "Verdict", "conclusions", "verdicts"]
+__all__ = [
+    "ENDS", "HARM", "LEVEL", "MARGIN", "RULE", "SafetyVerdict", "conclusions", "mean_over_cells", "opening", "verdicts",
+]  # fmt: skip
 
 HARM = ("collision", "off_road", "lane_departure", "harm")
 """What the true car did; costs also judge levels and alerts, which some agents obey, and are no part of it."""
@@ -20,6 +22,7 @@ ENDS = ("collision", "off_road")
 MARGIN = 0.05
 """By more than this share of the episodes ENDS must not have risen, by the upper ends of their intervals."""
 LEVEL = 0.05  # of the family of all comparisons, by Holm's method
+LEAST_HARMFUL = 3  # agents that the opening names
 RULE = (
     f"Safer: clearly fewer crashes, ends off the road or departures, or less harm ({HARM_OF_AN_END:g} for such an end, "
     f"and m2 beyond the lane), by Holm's method over all comparisons; none of these clearly worse, and crashes and "
@@ -31,7 +34,7 @@ Pairs = dict[str, Paired]
 
 
 @dataclass(frozen=True)
-class Verdict:
+class SafetyVerdict:
     """What is to be said of an agent against another.
 
     Attributes
@@ -53,7 +56,7 @@ class Verdict:
     cost: float | None
 
 
-def verdicts(results: Results) -> list[Verdict]:
+def verdicts(results: Results) -> list[SafetyVerdict]:
     """Of every agent against every reference, those that decide by the truth apart, those safer in most cells first.
 
     Safer takes one of HARM clearly lower, by its 95 % interval and by its p-value adjusted by Holm's method over all
@@ -73,7 +76,7 @@ def verdicts(results: Results) -> list[Verdict]:
         ]
         worse = [place for place, those in whole.items() if _clearly(those, HARM, 1.0)]
         means = (_mean(those[key].difference for those in whole.values()) for key in ("throughput", "cost"))
-        found.append(Verdict(agent, against, list(whole), safer, worse, len(here) - len(whole), *means))
+        found.append(SafetyVerdict(agent, against, list(whole), safer, worse, len(here) - len(whole), *means))
     return sorted(found, key=lambda v: (results.suite.references.index(v.against), -len(v.safer)))
 
 
@@ -112,15 +115,53 @@ def _mean(values: Iterable[float | None]) -> float | None:
     return fmean(known) if known else None
 
 
+def mean_over_cells(results: Results, agent: str, key: str) -> float | None:
+    """Mean of a metric over the cells of an agent; cells weigh alike, whatever number of seeds they have."""
+    return _mean(cell.metrics[key].mean for cell in results.cells if cell.agent == agent)
+
+
+def opening(results: Results) -> list[str]:
+    """Three sentences: harm and throughput of the reference and of the least harmful agents, and what is shown.
+
+    Agents that observe the truth, act at random, failed, or have not driven all cells are left out.
+    """
+    reference, cells = results.suite.references[0], len({cell.place for cell in results.cells})
+    paces = {agent: _pace(results, agent) for agent in results.suite.agents if _competes(results, agent, cells)}
+    paces.pop(reference, None)
+    known = sorted((pace, agent) for agent, pace in paces.items() if pace is not None)[:LEAST_HARMFUL]
+    lines = []
+    if (pace := _pace(results, reference)) is not None:
+        lines.append(
+            f"{reference}, the reference, drives at {pace[1]:.1f} m/s with a harm of {pace[0]:.1f} an episode "
+            f"(means of {counted(cells, 'cell')})."
+        )
+    if known:
+        named = ", ".join(f"{agent} ({harm:.1f} at {throughput:.1f} m/s)" for (harm, throughput), agent in known)
+        lines.append(f"Least harm: {named}.")
+    return [*lines, *conclusions(results)]
+
+
+def _pace(results: Results, agent: str) -> tuple[float, float] | None:
+    """Harm and throughput of an agent; None where it has neither."""
+    harm, throughput = (mean_over_cells(results, agent, key) for key in ("harm", "throughput"))
+    return None if harm is None or throughput is None else (harm, throughput)
+
+
+def _competes(results: Results, agent: str, cells: int) -> bool:
+    chosen, own = results.suite.agents[agent], [cell for cell in results.cells if cell.agent == agent]
+    whole = len(own) == cells and not any(cell.failed for cell in own)
+    return whole and not chosen.sees_truth and chosen.agent != "random"
+
+
 def conclusions(results: Results) -> list[str]:
-    """Lines that say who is clearly safer than the references, in how many cells, and what that costs, in all cells."""
+    """Sentences: which agents are clearly safer than the references, in how many cells, and at which throughput."""
     found = verdicts(results)
-    lines = [line for against in results.suite.references for line in _told(results, against, found)]
+    lines = [line for against in results.suite.references for line in _against(results, against, found)]
     return [*lines, RULE] if any(verdict.safer for verdict in found) else lines
 
 
-def _told(results: Results, against: str, found: Sequence[Verdict]) -> list[str]:
-    """What is said of all that are compared with one reference."""
+def _against(results: Results, against: str, found: Sequence[SafetyVerdict]) -> list[str]:
+    """Sentences about all agents that are compared with one reference."""
     here = [verdict for verdict in found if verdict.against == against]
     whole = [verdict for verdict in here if verdict.places]
     lines = [
@@ -140,18 +181,18 @@ def _told(results: Results, against: str, found: Sequence[Verdict]) -> list[str]
     return [f"Clearly safer than {against}: {named}.", *paid, *lines]
 
 
-def _counted(verdict: Verdict) -> str:
+def _counted(verdict: SafetyVerdict) -> str:
     worse = f" (clearly worse in {len(verdict.worse)})" if verdict.worse else ""
     return f"{verdict.agent} in {len(verdict.safer)} of {counted(len(verdict.places), 'cell')}{worse}"
 
 
 def _nobody(results: Results, against: str) -> str:
-    """Nobody is safer; with too few seeds nobody can be."""
+    """That no agent is clearly safer; with too few seeds none can be."""
     count, least = max(cell.episodes for cell in results.cells), seeds_to_exclude(MARGIN)
     seeds = counted(count, "seed")
     if count >= least:
-        return f"With {seeds} no agent is clearly safer than {against} in any cell; --seeds takes more."
+        return f"With {seeds} no agent is clearly safer than {against} in any cell; more seeds may show more (--seeds)."
     return (
-        f"With {seeds} no agent can be called safer than {against}: that crashes do not rise by more than "
-        f"{100.0 * MARGIN:g} points takes {least} at least; --seeds takes more."
+        f"With {seeds} no agent can be called safer than {against}: to exclude a rise of crashes by more than "
+        f"{100.0 * MARGIN:g} points takes {least} seeds at least (--seeds)."
     )

@@ -1,4 +1,4 @@
-"""What a worker does: opens environments, drives an episode, stores it."""
+"""Episodes of a benchmark as work for the runner: open the environment, drive the agent, store the episode."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ from typing import Any
 
 from lanebound.agents.benchmark.episode import allotted_s, run_episode
 from lanebound.agents.benchmark.outcome import Outcome, Place, Status, Task
-from lanebound.agents.benchmark.store import Store
+from lanebound.agents.benchmark.store import EpisodeStore
 from lanebound.agents.benchmark.suite import SuiteConfig
+from lanebound.agents.checkpointing.pool import Lost, PartStatus
 from lanebound.agents.drivers import AGENTS, load_figures, make_agent, unknown_agent
-from lanebound.agents.drivers.foreign import is_foreign, require_foreign
+from lanebound.agents.drivers.foreign import MODELS, is_foreign, require_foreign
+from lanebound.agents.drivers.origin import elsewhere
 from lanebound.agents.episodes import open_env
 from lanebound.agents.episodes.film import Film
-from lanebound.agents.episodes.guard import Clock
 from lanebound.agents.episodes.opening import naming
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.errors import InputError
 
-__all__ = ["FilmedWork", "Work", "expected_s", "unfit"]
+__all__ = ["DrivenEpisodes", "FilmedEpisodes", "expected_s", "strangers", "unfit"]
 
 COST_OF_A_SECOND = {
     "LaneKeeping-v0": 0.03,
@@ -31,41 +32,46 @@ COST_OF_A_SECOND = {
     "Racetrack-v0": 0.02,
     "UrbanCanyon-v0": 0.05,
 }
-"""Time of a core that a second of an episode takes, measured with the nominal agent on a 2.5 GHz core of 2023 [s]."""
+"""Time of a core for a second of an episode, measured with the nominal agent on a 2.5 GHz core of 2023 [s]."""
 COST_OF_OTHERS = 0.1
+MOST_OPEN = 40  # environments that a worker keeps open; each takes some MB
+LOST_STATUS: dict[Lost, Status] = {"died": "raised", "timeout": "timeout"}
 
 
-class Work:
-    """How episodes of a suite are driven and where they are kept.
-
-    Travels to workers; the environments do not.
+class DrivenEpisodes:
+    """Drives episodes of a suite and stores them. It is pickled for workers; the open environments are not.
 
     Parameters
     ----------
-    suite : what is driven
-    folder : of the results; None keeps nothing
+    folder : of the results; None stores nothing
     """
 
     def __init__(self, suite: SuiteConfig, folder: Path | None) -> None:
         self.suite, self.folder = suite, folder
-        self._env = ""
         self._open: dict[tuple[Any, ...], DrivingEnv] = {}
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_open": {}, "_env": ""}
+        return {**self.__dict__, "_open": {}}
 
-    def drive(self, task: Task, clock: Clock | None = None) -> Outcome:
+    @property
+    def timeout_s(self) -> float:
+        """Time that an agent may take in an episode [s]."""
+        return self.suite.episode_timeout_s
+
+    def do(self, task: Task, status: PartStatus) -> Outcome:
         """Drive an episode and store it."""
-        rows, outcome = run_episode(self._environment(task), self._make(task), task, clock)
+        rows, outcome = run_episode(self._environment(task), self._make(task), task, status)
         if self.folder is not None:
-            Store(self.folder).write(rows, outcome)
+            EpisodeStore(self.folder).write(rows, outcome)
         return outcome
 
-    def keep_failure(self, task: Task, status: Status, message: str) -> Outcome:
-        """Store an episode of which nothing is left but how it ended."""
-        outcome = Outcome(*task.place, task.agent, task.seed, status=status, message=message)
+    def lost(self, task: Task, reason: Lost, message: str) -> Outcome:
+        """Store an episode without rows, whose worker died or was ended."""
+        if reason == "timeout":
+            message = f"it took longer than episode_timeout_s = {self.timeout_s:g} in all: no answer was waited for"
+        outcome = Outcome(*task.place, task.agent, task.seed, status=LOST_STATUS[reason], message=message)
         if self.folder is not None:
-            Store(self.folder).write([], outcome)
+            EpisodeStore(self.folder).write([], outcome)
         return outcome
 
     def _make(self, task: Task) -> Callable[[DrivingEnv], Any]:
@@ -73,23 +79,23 @@ class Work:
         return lambda env: make_agent(chosen.agent, env, chosen.figures)
 
     def _environment(self, task: Task) -> DrivingEnv:
-        """The environment of a task; those of an id are kept while the work is at that id."""
-        if task.place.env != self._env:
-            self._open.clear()
-            self._env = task.place.env
+        """The environment of a task; the most recent ones stay open."""
         changes = self.suite.env_overrides(task.place, task.agent)
         key = (task.place, repr(changes))
-        if key not in self._open:
-            self._open[key] = open_env(task.place.env, changes)
-        return self._open[key]
+        env = self._open.pop(key, None) or open_env(task.place.env, changes)
+        self._open[key] = env
+        if len(self._open) > MOST_OPEN:
+            del self._open[next(iter(self._open))]
+        return env
 
 
-class FilmedWork(Work):
-    """The same with a film of the episode, and nothing kept beside it.
+class FilmedEpisodes(DrivenEpisodes):
+    """Drives episodes, films them and stores nothing else.
 
     Parameters
     ----------
-    film : where it goes, None for none; fps : its pictures in a second of the drive
+    film : file of the film; None makes no film
+    fps : pictures in a second of the drive
     """
 
     def __init__(self, suite: SuiteConfig, film: Path | None, fps: int) -> None:
@@ -107,24 +113,24 @@ class FilmedWork(Work):
         if self.film is not None:
             Film(self._environment(task), self.film, self.fps)
 
-    def drive(self, task: Task, clock: Clock | None = None) -> Outcome:
+    def do(self, task: Task, status: PartStatus) -> Outcome:
         """Drive an episode and film it."""
         if self.film is None:
-            return super().drive(task, clock)
+            return super().do(task, status)
         env = open_env(task.place.env, self.suite.env_overrides(task.place, task.agent), "rgb_array")
         with Film(env, self.film, self.fps) as film:
-            return run_episode(env, self._make(task), task, clock, [film])[1]
+            return run_episode(env, self._make(task), task, status, [film])[1]
 
 
 def unfit(suite: SuiteConfig) -> list[tuple[str, str, str]]:
-    """Agents of ours that cannot drive an environment of a suite, as ``(env, agent, why)``.
+    """Agents of ours that cannot drive an environment of a suite, as ``(env, agent, reason)``.
 
-    Those from elsewhere are not made before their episodes: nothing of theirs is run here.
+    Agents from files and modules are made at their episodes only, so that none of their code runs here.
 
     Raises
     ------
     InputError
-        An agent or whom it filters does not exist, its figures are refused, or an environment refuses its
+        An agent, or the agent that it filters, does not exist, its figures are refused, or an environment refuses its
         configuration.
     """
     for name, chosen in suite.agents.items():
@@ -146,6 +152,22 @@ def unfit(suite: SuiteConfig) -> list[tuple[str, str, str]]:
     return found
 
 
+def strangers(suite: SuiteConfig) -> list[str]:
+    """A warning for each policy of a file that drives an environment in which it was not learnt."""
+    files = {
+        name: [agent for agent in (chosen.agent, str(chosen.figures.get("over", ""))) if agent.endswith(MODELS)]
+        for name, chosen in suite.agents.items()
+    }
+    places = {place.env: place for place in suite.places}.values()
+    found = (
+        elsewhere(file, _opened(suite, place, name).config.base)
+        for name, there in files.items()
+        for file in there
+        for place in places
+    )
+    return [warning for warning in dict.fromkeys(found) if warning]
+
+
 def _require_agent(agent: str) -> None:
     if is_foreign(agent):
         require_foreign(agent)
@@ -154,13 +176,13 @@ def _require_agent(agent: str) -> None:
 
 
 def _opened(suite: SuiteConfig, place: Place, agent: str) -> DrivingEnv:
-    """The environment of an agent; what it refuses is named by its place in the suite."""
+    """The environment of an agent; refused keys are named by their path in the suite."""
     with naming({f"agents.{agent}.config": suite.agents[agent].config, "overrides": suite.overrides}):
         return open_env(place.env, suite.env_overrides(place, agent))
 
 
 def expected_s(suite: SuiteConfig, envs: Sequence[str]) -> dict[str, float]:
-    """Time of a core that an episode of each environment may take [s], if it lasts to its end."""
+    """Time of a core for an episode of each environment that lasts to its end [s]."""
     place = {place.env: place for place in suite.places}
     agent = next(iter(suite.agents))
     allotted = {env: allotted_s(open_env(env, suite.env_overrides(place[env], agent))) for env in envs}

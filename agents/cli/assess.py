@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from lanebound.agents.cli.advice import AdvisingGroup
-from lanebound.agents.cli.estimate import Estimate
 
 if TYPE_CHECKING:
     from lanebound.agents.assess.bounding import BoundingConfig
@@ -53,12 +51,12 @@ def bounding(
     Example: lanebound assess bounding --out out/bounds --epochs 1000000 --jobs 2
     """
     from lanebound.agents.assess.bounding import assess_bounding
-    from lanebound.agents.cli.interrupt import stoppable
+    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
 
     given = {"risks": risk, "epochs": epochs, "rare_risk": rare_risk}
-    with stoppable(lambda: _kept(out)):
+    with resumable(lambda: kept_text(out, "parts/*.json", "part")):
         config = _bounding_config(assignments or [], {key: value for key, value in given.items() if value})
-        result = _with_bar("parts drawn (kernels compile first)", lambda told: assess_bounding(config, out, jobs, told))
+        result = with_bar("parts", lambda on_progress: assess_bounding(config, out, jobs, on_progress))
         _report_bounding(result, out, as_json)
 
 
@@ -80,21 +78,14 @@ def faults(
     Example: lanebound assess faults --out out/faults --vehicles 4 --set 'kinds=[spoofing,jamming]'
     """
     from lanebound.agents.assess.faults import FaultsConfig, assess_faults
-    from lanebound.agents.cli.interrupt import stoppable
+    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
     from lanebound.integrity.core.presets import parse_assignments
 
-    with stoppable(lambda: _kept(out)):
+    with resumable(lambda: kept_text(out, "parts/*.json", "part")):
         given = {} if vehicles is None else {"vehicles": vehicles}
         config = FaultsConfig.load(parse_assignments(assignments or []) | given)
-        result = _with_bar("faults driven (kernels compile first)", lambda told: assess_faults(config, out, jobs, told))
+        result = with_bar("parts", lambda on_progress: assess_faults(config, out, jobs, on_progress))
         _report_faults(result, out, as_json)
-
-
-def _kept(out: Path) -> str:
-    from lanebound.agents.cli.output import counted
-    from lanebound.agents.kept import parts_kept
-
-    return f"{counted(parts_kept(out), 'finished part')} kept in {out}; run the same command again to go on"
 
 
 def _bounding_config(assignments: list[str], given: dict[str, Any]) -> BoundingConfig:
@@ -102,28 +93,6 @@ def _bounding_config(assignments: list[str], given: dict[str, Any]) -> BoundingC
     from lanebound.integrity.core.presets import parse_assignments
 
     return BoundingConfig.load(parse_assignments(assignments) | given)
-
-
-def _with_bar(what: str, study: Any) -> dict[str, Any]:
-    """Run a study in a thread of its own with a bar of its parts."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    from lanebound.agents.cli.interrupt import wait_for
-
-    console = Console(stderr=True)
-    estimate = Estimate(time.monotonic)
-    with Progress(console=console) as bar:
-        task = bar.add_task(what, total=None)
-
-        def told(done: int, of: int) -> None:
-            bar.update(task, completed=done, total=of)
-            line = estimate.line(done, of)
-            if line and not console.is_terminal:  # a terminal has the bar's own
-                console.print(line)
-
-        found: dict[str, Any] = wait_for(lambda: study(told))
-        return found
 
 
 def _report_bounding(result: dict[str, Any], out: Path, as_json: bool) -> None:

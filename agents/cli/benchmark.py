@@ -13,7 +13,7 @@ from lanebound.agents.cli.output import counted
 
 if TYPE_CHECKING:
     from lanebound.agents.benchmark import Results, SuiteConfig
-    from lanebound.agents.benchmark.running import Plan, Progress
+    from lanebound.agents.benchmark.running import BenchmarkPlan
 
 __all__ = ["benchmark", "carry_out"]
 
@@ -67,13 +67,14 @@ def carry_out(
     full: bool,
     as_json: bool,
 ) -> None:
-    """Drive a suite, print what came of it and write the report, saying all the while what is done."""
-    from lanebound.agents.cli.interrupt import stoppable
+    """Drive a suite, print the results and write the report, with progress."""
+    from lanebound.agents.benchmark.running import run_plan
+    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
 
-    with stoppable(lambda: _kept(out)):
+    with resumable(lambda: kept_text(out, "episodes/*/*/*/*.parquet", "episode")):
         plan, cold = _while("opening the environments", lambda say: _plan(choose(), out, fresh))
         _announce(plan, jobs, budget, cold)
-        results = _with_bar(plan, jobs, budget)
+        results = with_bar("episodes", lambda on_progress: run_plan(plan, jobs, budget, on_progress))
         _print(results, budget, full, as_json)
         if plan.tasks and not sys.stderr.isatty():
             typer.echo("writing the report: the worst episodes are driven again and filmed", err=True)
@@ -86,12 +87,12 @@ def carry_out(
 
 
 def _while(doing: str, work: Callable[[Callable[[str], None]], T]) -> T:
-    """What ``work`` comes to; a line says for how long it has been at it, and what ``work`` says of it."""
+    """The result of ``work``; a line in a terminal shows its time and what it reports."""
     from rich.console import Console
     from rich.progress import Progress as Bar
     from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    from lanebound.agents.cli.interrupt import wait_for
+    from lanebound.agents.cli.progress import wait_for
 
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     console = Console(stderr=True)
@@ -100,17 +101,17 @@ def _while(doing: str, work: Callable[[Callable[[str], None]], T]) -> T:
         return wait_for(lambda: work(lambda more: bar.update(task, description=f"{doing}: {more}")))
 
 
-def _plan(suite: SuiteConfig, out: Path, fresh: bool) -> tuple[Plan, bool]:
-    """What is to be driven, and whether kernels are to be compiled for it."""
-    from lanebound.agents.benchmark.compiling import kernels_are_cached
-    from lanebound.agents.benchmark.running import Plan
+def _plan(suite: SuiteConfig, out: Path, fresh: bool) -> tuple[BenchmarkPlan, bool]:
+    """The plan of a suite, and whether kernels must be compiled for it."""
+    from lanebound.agents.benchmark.running import BenchmarkPlan
+    from lanebound.integrity.core.accel import kernels_are_cached
 
     cold = not kernels_are_cached()
-    return Plan.of(suite, out, fresh), cold
+    return BenchmarkPlan.of(suite, out, fresh), cold
 
 
 def _suite(name: str, agents: str | None, seeds: int | None, assignments: list[str]) -> SuiteConfig:
-    """The suite with what the options change of it."""
+    """The suite with the changes of the options."""
     from lanebound.agents.benchmark.suite import load_suite, parse_agents
     from lanebound.integrity.core.presets import deep_merge, parse_assignments
 
@@ -125,16 +126,18 @@ def _suite(name: str, agents: str | None, seeds: int | None, assignments: list[s
     return type(found).load({**found.to_dict(), "agents": wanted})
 
 
-def _announce(plan: Plan, jobs: int | None, budget: float | None, cold: bool) -> None:
-    """What is to be driven and about how long it takes."""
-    from lanebound.agents.benchmark.running import cores
+def _announce(plan: BenchmarkPlan, jobs: int | None, budget: float | None, cold: bool) -> None:
+    """Print what is to be driven and about how long it takes."""
+    from lanebound.agents.checkpointing.runner import available_cores
 
     for env, agent, why in plan.left_out:
         typer.echo(f"left out: {agent} in {env} ({why.partition(': ')[0]})", err=True)
+    for warning in plan.warnings:
+        typer.echo(f"warning: {warning}", err=True)
     if not plan.tasks:
         typer.echo(f"{counted(plan.stored, 'episode')}, all there already: nothing to drive.", err=True)
         return
-    count = min(cores() if jobs is None else jobs, len(plan.tasks))
+    count = min(available_cores() if jobs is None else jobs, len(plan.tasks))
     there = f", {plan.stored} more {'is' if plan.stored == 1 else 'are'} there already" if plan.stored else ""
     line = f"{counted(len(plan.tasks), 'episode')} to drive with {counted(count, 'process')}{there}"
     line += f": about {_length(plan.hours(count))}"
@@ -144,68 +147,6 @@ def _announce(plan: Plan, jobs: int | None, budget: float | None, cold: bool) ->
 
 def _length(hours: float) -> str:
     return f"{hours:.2g} h" if hours >= 1.0 else f"{max(1, round(60.0 * hours))} min"
-
-
-def _kept(out: Path) -> str:
-    from lanebound.agents.benchmark.parts import episodes_kept
-
-    kept = episodes_kept(out)
-    found = f"{counted(kept, 'finished episode')} {'is' if kept == 1 else 'are'} kept in {out}"
-    return f"{found if kept else 'no episode was finished'}; run the same command again (without --fresh) to go on"
-
-
-def _with_bar(plan: Plan, jobs: int | None, budget: float | None) -> Results:
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
-    from rich.progress import Progress as Bar
-
-    from lanebound.agents.benchmark.running import run_plan
-    from lanebound.agents.cli.interrupt import wait_for
-
-    if not plan.tasks:
-        return wait_for(lambda: run_plan(plan, jobs, budget))
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rest]}"))
-    with Bar(*columns, console=Console(stderr=True)) as bar:
-        total = plan.stored + len(plan.tasks)
-        task = bar.add_task("episodes", total=total, completed=plan.stored, rest="starting")
-
-        lines = None if bar.console.is_terminal else _lines()
-
-        def told(progress: Progress) -> None:
-            if lines is not None:
-                lines(progress)
-            bar.update(task, completed=plan.stored + progress.done, rest=_rest(progress))
-
-        return wait_for(lambda: run_plan(plan, jobs, budget, told))
-
-
-def _lines() -> Callable[[Progress], None]:
-    """Tells of the progress where no bar moves: a line when kernels are compiled, and one for each tenth."""
-    compiling, tenths = False, 0
-
-    def told(progress: Progress) -> None:
-        nonlocal compiling, tenths
-        if progress.compiling and not compiling:
-            compiling = True
-            typer.echo("compiling kernels, once: this takes some minutes", err=True)
-        if 10 * progress.done // progress.of > tenths:
-            tenths = 10 * progress.done // progress.of
-            typer.echo(f"{progress.done} of {counted(progress.of, 'episode')}, {_rest(progress)}", err=True)
-
-    return told
-
-
-def _rest(progress: Progress) -> str:
-    """What stands beside the bar: no time before one is known."""
-    told = ["starting" if progress.left_s is None else f"{_clock(progress.left_s)} left"]
-    if progress.compiling:
-        told = [*(told if progress.done else []), "compiling kernels, once"]
-    return ", ".join([*told, *([f"{len(progress.failures)} failed"] if progress.failures else [])])
-
-
-def _clock(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
 
 
 def _print(results: Results, budget: float | None, full: bool, as_json: bool) -> None:

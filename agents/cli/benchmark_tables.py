@@ -52,7 +52,9 @@ def _print_place(console: Console, results: Results, place: Place) -> None:
     shown = [metric_named(key) for key in MAIN if any(cell.metrics[key].n for cell in cells)]
     rows = list(dict.fromkeys((agent, against) for agent, against, _ in pairs))
     columns = [_column(metric, cells, [pairs[(*row, metric.key)] for row in rows], seeds) for metric in shown]
-    names = Column("agent", [*map(Text, map(_name, cells)), *(Text(f"{agent} - {against}") for agent, against in rows)])
+    names = TableColumn(
+        "agent", [*map(Text, map(_name, cells)), *(Text(f"{agent} - {against}") for agent, against in rows)]
+    )
     console.print(Text(title, style="bold"))
     for group in _groups(columns, console.width - names.width(console) - 2):
         console.print(_table(console, [names, *group], len(cells)))
@@ -62,7 +64,7 @@ def _name(cell: Cell) -> str:
     return f"{cell.agent} (untuned)" if cell.untuned else cell.agent
 
 
-def _column(metric: Metric, cells: Sequence[Cell], pairs: Sequence[Paired], seeds: int) -> Column:
+def _column(metric: Metric, cells: Sequence[Cell], pairs: Sequence[Paired], seeds: int) -> TableColumn:
     """Means of a metric with intervals, and below them the differences from the references."""
     found = []
     for cell in cells:
@@ -75,7 +77,7 @@ def _column(metric: Metric, cells: Sequence[Cell], pairs: Sequence[Paired], seed
             text.stylize(COLOURS[(pair.difference > 0.0) == (metric.better == "higher")])
         found.append(text)
     unit = "%" if _in_percent(metric) else metric.unit
-    return Column("\n".join([*metric.title.split(), f"[{unit}]" if unit else ""]), found)
+    return TableColumn("\n".join([*metric.title.split(), f"[{unit}]" if unit else ""]), found)
 
 
 def _fewer(n: int, seeds: int) -> str:
@@ -88,7 +90,7 @@ def _text(mean: str, interval: str, fewer: str) -> Text:
 
 
 @dataclass(frozen=True)
-class Column:
+class TableColumn:
     """A column of a table: in a terminal each entry has a second line, in a file it is in one."""
 
     head: str
@@ -105,10 +107,10 @@ class Column:
         return text if console.is_terminal else Text(" ".join(text.plain.split("\n")).rstrip())
 
 
-def _groups(columns: Sequence[Column], room: int) -> list[list[Column]]:
+def _groups(columns: Sequence[TableColumn], room: int) -> list[list[TableColumn]]:
     """Columns that fit beside each other, one at least: none is cut."""
     console = Console()
-    groups: list[list[Column]] = [[]]
+    groups: list[list[TableColumn]] = [[]]
     for column in columns:
         if groups[-1] and sum(c.width(console) for c in [*groups[-1], column]) > room:
             groups.append([])
@@ -116,7 +118,7 @@ def _groups(columns: Sequence[Column], room: int) -> list[list[Column]]:
     return groups
 
 
-def _table(console: Console, columns: Sequence[Column], agents: int) -> Table:
+def _table(console: Console, columns: Sequence[TableColumn], agents: int) -> Table:
     table = Table(box=SIMPLE_HEAD, header_style="bold", padding=(0, 1, 0, 1), collapse_padding=True, pad_edge=False)
     for column in columns:
         head = Text(column.head) if console.is_terminal else Text(" ".join(column.head.split()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from traceback import extract_tb, format_list
@@ -13,10 +14,11 @@ from lanebound.agents.cli.output import counted
 from lanebound.agents.drivers import AGENTS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
-    from lanebound.agents.drivers.base import Driver
-    from lanebound.agents.episodes import EpisodeLog, Summary
+    from lanebound.agents.benchmark.outcome import Outcome
+    from lanebound.agents.checkpointing.runner import OnProgress
+    from lanebound.agents.episodes import EpisodeLog
     from lanebound.envs.core import DrivingEnv
 
 __all__ = ["Sky", "drive", "overrides"]
@@ -53,12 +55,16 @@ def drive(
 
     Example: lanebound drive LaneKeeping --sky dense --faults stress --seed 1 --video out/drive.mp4 --out out/drive
     """
-    from lanebound.agents.cli.interrupt import stoppable, wait_for
+    from lanebound.agents.cli.progress import resumable, with_bar
 
     finished: list[int] = []
-    with stoppable(lambda: _kept(len(finished), out, video)), failing(agent):
+    seeds = range(seed, seed + episodes)
+    with resumable(lambda: _kept(len(finished), out, video)), failing(agent):
         changes = overrides(sky, faults, assignments)
-        drove = wait_for(lambda: _drive(name, agent, changes, (seed, episodes), (video, fps), out, finished))
+        drove = with_bar(
+            "episodes",
+            lambda on_progress: _drive(name, agent, changes, seeds, (video, fps), out, finished, on_progress),
+        )
     files = {"log": out and out / LOG, "diagram": out and out / DIAGRAM, "video": video}
     _report(f"{agent} in {name}", *drove, files, as_json)
 
@@ -103,14 +109,20 @@ def _drive(
     name: str,
     agent: str,
     changes: dict[str, Any],
-    seeds: tuple[int, int],
+    seeds: range,
     film: tuple[Path | None, int],
     out: Path | None,
     finished: list[int],
-) -> tuple[list[Summary], float | None]:
-    """Drive with a bar, and the limit of the cost; everything that can be refused is refused before it shows."""
+    on_progress: OnProgress,
+) -> tuple[list[Outcome], float | None]:
+    """Outcomes of the episodes, and the limit of the cost; all refusals come before the first progress."""
+    from lanebound.agents.benchmark.episode import allotted_s
+    from lanebound.agents.benchmark.outcome import Place, Task
+    from lanebound.agents.benchmark.scoring import outcome_of
+    from lanebound.agents.checkpointing.runner import Counter, RunProgress
     from lanebound.agents.drivers import make_agent
-    from lanebound.agents.episodes import EpisodeLog, open_env, summarise
+    from lanebound.agents.episodes import EpisodeLog, open_env
+    from lanebound.agents.episodes import drive as drive_all
     from lanebound.agents.episodes.film import Film
     from lanebound.agents.episodes.guard import guarded
 
@@ -118,7 +130,8 @@ def _drive(
     driver, log = guarded(lambda env: make_agent(agent, env), env, seeds[0]), EpisodeLog()
     if out is not None:
         _claim(out)
-    watchers: list[Any] = [log]
+    length_s = float(env.world.config.get("duration") or math.inf)
+    watchers: list[Any] = [log, EpisodeProgress(Counter(on_progress, RunProgress(len(seeds))), length_s)]
 
     def keep(episode: int) -> None:
         if out is not None:
@@ -129,48 +142,44 @@ def _drive(
         stack.callback(env.close)
         if film[0] is not None:
             watchers.append(stack.enter_context(Film(env, film[0], film[1])))
-        _with_bar(env, driver, range(seeds[0], seeds[0] + seeds[1]), watchers, keep)
+        drive_all(env, driver, list(seeds), watchers, keep)
     if out is not None:
-        driven = f"seed {seeds[0]}" if seeds[1] == 1 else f"seeds {seeds[0]} to {seeds[0] + seeds[1] - 1}"
-        _draw(
-            env,
-            log,
-            out,
-            f"{name}, {agent}: {Path(env.config.sky).name} sky, faults {env.config.faults.value}, {driven}",
-        )
-    return [summarise(log.episode(i)) for i in range(seeds[1])], env.config.cost_limit
+        driven = f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]} to {seeds[-1]}"
+        sky = Path(env.config.sky).name
+        _draw(env, log, out, f"{name}, {agent}: {sky} sky, faults {env.config.faults.value}, {driven}")
+    place = Place(name, env.config.sky, env.config.faults.value)
+    outcomes = [
+        outcome_of(log.episode(i), allotted_s(env), Task(place, agent, seed), cost_limit=env.config.cost_limit)
+        for i, seed in enumerate(seeds)
+    ]
+    return outcomes, env.config.cost_limit
 
 
 def _claim(out: Path) -> None:
+    from lanebound.agents.checkpointing.folder import ResultFolder
     from lanebound.agents.episodes.columns import describe_columns
-    from lanebound.agents.kept import make_folder, require_own
 
-    require_own(out / COLUMNS)  # a benchmark keeps its results under the name of our log
-    make_folder(out)
+    ResultFolder(out, "drive").claim()
     (out / COLUMNS).write_text(describe_columns(), encoding="utf-8")
 
 
-def _with_bar(env: DrivingEnv, driver: Driver, seeds: range, watchers: list[Any], keep: Callable[[int], None]) -> None:
-    from rich.console import Console
-    from rich.progress import Progress
+class EpisodeProgress:
+    """Reports episodes as they are driven, by the share of their time; an episode that ends early is complete.
 
-    from lanebound.agents.episodes import drive as drive_all
+    Parameters
+    ----------
+    report : called with the episodes done
+    length_s : longest time of an episode [s]; infinity where it has none
+    """
 
-    length_s = env.world.config.get("duration")
-    with Progress(console=Console(stderr=True)) as bar:
-        total = None if length_s is None else float(length_s) * len(seeds)
-        task = bar.add_task(f"{counted(len(seeds), 'episode')} (kernels compile first)", total=total)
+    def __init__(self, report: Callable[[float], None], length_s: float) -> None:
+        self._report, self._length_s = report, length_s
 
-        class Pace:
-            """Moves the bar; an episode that ends early fills its share."""
-
-            def note(self, moment: Any) -> None:
-                done = moment.episode + float(moment.terminated or moment.truncated)
-                if length_s is not None:
-                    driven = max(done * length_s, moment.episode * length_s + moment.belief.time_s)
-                    bar.update(task, completed=driven, description=f"episode {moment.episode + 1} of {len(seeds)}")
-
-        drive_all(env, driver, list(seeds), [*watchers, Pace()], keep)
+    def note(self, moment: Any) -> None:
+        """Report a step."""
+        over = moment.terminated or moment.truncated
+        share = 1.0 if over else min(moment.belief.time_s / self._length_s, 1.0)
+        self._report(moment.episode + share)
 
 
 def _draw(env: DrivingEnv, log: EpisodeLog, out: Path, title: str) -> None:
@@ -184,24 +193,53 @@ def _draw(env: DrivingEnv, log: EpisodeLog, out: Path, title: str) -> None:
 
 
 def _report(
-    who: str, summaries: list[Summary], limit: float | None, files: dict[str, Path | None], as_json: bool
+    who: str, outcomes: list[Outcome], limit: float | None, files: dict[str, Path | None], as_json: bool
 ) -> None:
     from lanebound.agents.cli.output import print_json, print_table
-    from lanebound.agents.episodes.summary import measures
 
     written = {what: str(path) for what, path in files.items() if path is not None}
     if as_json:
-        all_of_them = measures(summaries)
-        found = {"episodes": [s.to_dict() for s in summaries], "all": all_of_them, "cost_limit": limit}
+        all_of_them = measures(outcomes)
+        found = {"episodes": [s.to_dict() for s in outcomes], "all": all_of_them, "cost_limit": limit}
         print_json({**found, "files": written})
         return
     columns = ("seed", "ended by", "time [s]", "return", "cost", "success", "available", "HMI")
-    print_table(f"{who}: {counted(len(summaries), 'episode')}", columns, map(_line, summaries))
-    over = "" if len(summaries) == 1 else f", means over {len(summaries)} episodes"
-    lines = ((*_label(key), _value(key, value, limit)) for key, value in measures(summaries).items())
+    print_table(f"{who}: {counted(len(outcomes), 'episode')}", columns, map(_line, outcomes))
+    over = "" if len(outcomes) == 1 else f", means over {len(outcomes)} episodes"
+    lines = ((*_label(key), _value(key, value, limit)) for key, value in measures(outcomes).items())
     print_table(f"Measures{over}", ("measure", "unit", "value"), lines)
     for what, path in written.items():
         typer.echo(f"{what}: {path}")
+
+
+def measures(outcomes: Sequence[Outcome]) -> dict[str, float]:
+    """Means over episodes; shares are of the steps of all episodes together."""
+    import numpy as np
+
+    from lanebound.envs.costs import CAUSES
+
+    steps = np.array([o.steps for o in outcomes], dtype=np.float64)
+    weight = steps / max(float(steps.sum()), 1.0)
+
+    def mean(name: str) -> float:
+        return float(np.mean([getattr(o, name) for o in outcomes]))
+
+    def of_steps(shares: Sequence[float | None]) -> float:
+        return float(np.dot(weight, [share or 0.0 for share in shares]))
+
+    modes = sorted({mode for o in outcomes for mode in o.mode_shares})
+    return {
+        "success rate": mean("success"),
+        "collision rate": mean("collision"),
+        "return": mean("total_return"),
+        "cost": mean("cost"),
+        **{cause: float(np.mean([o.costs[cause] for o in outcomes])) for cause in CAUSES},
+        **{f"share of {mode}": of_steps([o.mode_shares.get(mode, 0.0) for o in outcomes]) for mode in modes},
+        "availability": of_steps([o.availability for o in outcomes]),
+        "alert share": of_steps([o.alert_share for o in outcomes]),
+        "MI steps": float(sum(o.mi_steps for o in outcomes)),
+        "HMI steps": float(sum(o.hmi_steps for o in outcomes)),
+    }
 
 
 def _label(measure: str) -> tuple[str, str]:
@@ -237,9 +275,9 @@ def _against(cost: float, limit: float) -> str:
     )
 
 
-def _line(s: Summary) -> tuple[Any, ...]:
+def _line(s: Outcome) -> tuple[Any, ...]:
     ended = (s.seed, s.ended, round(s.time_s, 1), round(s.total_return, 1), round(s.cost, 1), s.success)
-    return (*ended, f"{s.availability:.1%}", s.hmi_steps)
+    return (*ended, f"{s.availability or 0.0:.1%}", s.hmi_steps)
 
 
 def _three(value: float) -> float:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Collection, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
-from lanebound.agents.plain import counted
+from lanebound.agents.serialization import counted
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -100,6 +100,6 @@ def print_json(data: Any) -> None:
     """Print plain data as JSON; what is infinite or NaN is ``null``."""
     import typer
 
-    from lanebound.agents.plain import to_json_text
+    from lanebound.agents.serialization import to_json_text
 
     typer.echo(to_json_text(data))

@@ -24,9 +24,10 @@ def play(
 
     Example: lanebound play UrbanCanyon --sky dense
     """
+    from lanebound.agents.benchmark.scoring import outcome_of
     from lanebound.agents.cli.drive import overrides
     from lanebound.agents.drivers.keyboard import HELP
-    from lanebound.agents.episodes import EpisodeLog, open_env, summarise
+    from lanebound.agents.episodes import EpisodeLog, open_env
     from lanebound.agents.episodes.play import play as play_all
     from lanebound.agents.episodes.play import require_display
     from lanebound.integrity.core.presets import deep_merge
@@ -40,6 +41,8 @@ def play(
     for episode in range(begun):
         rows = log.episode(episode)
         if len(rows) > 1:
-            s = summarise(rows)
-            came_to = f"return {s.total_return:.1f}, cost {s.cost:.1f}"
-            typer.echo(f"seed {s.seed}: {s.ended} after {s.time_s:.1f} s, {came_to}")
+            o = outcome_of(rows, rows[-1]["time_s"])
+            typer.echo(
+                f"seed {seed + episode}: {o.ended} after {o.time_s:.1f} s, "
+                f"return {o.total_return:.1f}, cost {o.cost:.1f}"
+            )

@@ -1,19 +1,20 @@
-"""``lanebound replay``, ``rtk`` and ``record-sky``: what others recorded, through the rooms of simulated drives."""
+"""``lanebound replay``, ``rtk`` and ``record-sky``: recorded drives through the navigator of simulated ones."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
 if TYPE_CHECKING:
+    from lanebound.agents.checkpointing.runner import OnProgress
     from lanebound.integrity.core.progress import Progress
 
 __all__ = ["record_sky", "replay", "rtk"]
 
+T = TypeVar("T")
 Changes = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a value; may be repeated.")
 ]
@@ -42,17 +43,13 @@ def replay(
 
     Example: lanebound replay data/smartloc_berlin_potsdamer --out out/berlin
     """
-    from lanebound.agents.cli.interrupt import stoppable, wait_for
     from lanebound.agents.cli.output import print_json
-    from lanebound.agents.kept import make_folder, require_own
     from lanebound.integrity.core.presets import parse_assignments
     from lanebound.integrity.replay.datasets import kind_of, replay_folder
 
     changes = parse_assignments(assignments or [])
-    require_own(out / ("rtk.json" if kind_of(dataset) == "rinex" else "replay.json"))
-    make_folder(out)
-    with stoppable(lambda: "nothing is kept"), _bar() as told:
-        found, written = wait_for(lambda: replay_folder(dataset, out, changes, told))
+    kind = "RTK solution" if kind_of(dataset) == "rinex" else "replayed drive"
+    found, written = _solve(out, kind, lambda told: replay_folder(dataset, out, changes, told))
     if as_json:
         print_json(found)
         return
@@ -85,22 +82,19 @@ def rtk(
 
     Example: lanebound rtk --rover rover.obs --base base.obs --nav base.nav --out out/rtk
     """
-    from lanebound.agents.cli.interrupt import stoppable, wait_for
     from lanebound.agents.cli.output import print_json
-    from lanebound.agents.kept import make_folder, require_own
     from lanebound.integrity.core.presets import parse_assignments
     from lanebound.integrity.replay.baseline import BaselineConfig
     from lanebound.integrity.replay.baseline_report import read_coordinates, run_baseline
 
     config = BaselineConfig.build(None, parse_assignments(assignments or []))
-    require_own(out / "rtk.json")
     places = {
         name: None if text is None else read_coordinates(text)
         for name, text in (("base_ecef_m", base_position), ("rover_ecef_m", rover_position))
     }
-    make_folder(out)
-    with stoppable(lambda: "nothing is kept"), _bar() as told:
-        found, written = wait_for(lambda: run_baseline(rover, base, nav, out, config=config, told=told, **places))
+    found, written = _solve(
+        out, "RTK solution", lambda told: run_baseline(rover, base, nav, out, config=config, told=told, **places)
+    )
     if as_json:
         print_json(found)
         return
@@ -111,15 +105,27 @@ def rtk(
     _tell(found["stopped"], written)
 
 
-@contextmanager
-def _bar() -> Iterator[Progress]:
-    """A bar of the epochs solved, which hears how many are done."""
-    from rich.console import Console
-    from rich.progress import Progress
+def _solve(out: Path, kind: str, work: Callable[[Progress], T]) -> T:
+    """The result of ``work``, which writes into a folder of its kind and reports the epochs that are solved."""
+    from lanebound.agents.checkpointing.folder import ResultFolder
+    from lanebound.agents.cli.progress import resumable, with_bar
 
-    with Progress(console=Console(stderr=True)) as bar:
-        task = bar.add_task("epochs (kernels compile first)", total=None)
-        yield lambda done, of: bar.update(task, description="epochs", completed=done, total=of)
+    ResultFolder(out, kind).claim()
+    with resumable(lambda: "nothing is kept"):
+        return with_bar("epochs", lambda on_progress: work(_epochs(on_progress)))
+
+
+def _epochs(on_progress: OnProgress) -> Progress:
+    """Reports epochs that are done, and their number, as progress."""
+    from lanebound.agents.checkpointing.runner import Counter, RunProgress
+
+    counter = Counter(on_progress, RunProgress(0))
+
+    def told(done: int, of: int) -> None:
+        counter.progress.of = of
+        counter(done)
+
+    return told
 
 
 def record_sky(
@@ -134,8 +140,8 @@ def record_sky(
 
     Example: lanebound record-sky data/smartloc_berlin_potsdamer --out berlin.csv
     """
-    from lanebound.agents.cli.interrupt import stoppable, wait_for
     from lanebound.agents.cli.output import print_json
+    from lanebound.agents.cli.progress import resumable, wait_for
     from lanebound.integrity.core.errors import ConfigError
     from lanebound.integrity.core.presets import parse_assignments
     from lanebound.integrity.replay.city_report import read_city
@@ -145,7 +151,7 @@ def record_sky(
     if out.suffix != ".csv":
         raise ConfigError(f"--out must end in .csv, by which a recorded sky is known, got {out}: name it so")
     config = SkyRecordConfig.build(None, parse_assignments(assignments or []))
-    with stoppable(lambda: "nothing is kept"):
+    with resumable(lambda: "nothing is kept"):
         drive = wait_for(lambda: read_city(dataset))
         recording = make(drive, config)
         recording.save(out)

@@ -24,10 +24,10 @@ def replay_episode(
 
     Example: lanebound replay-episode out/demo LaneKeeping/dense-none/nominal/10000 --video out/replay.mp4
     """
-    from lanebound.agents.cli.interrupt import stoppable, wait_for
     from lanebound.agents.cli.output import print_json
+    from lanebound.agents.cli.progress import resumable, wait_for
 
-    with stoppable(lambda: "nothing is kept"):
+    with resumable(lambda: "nothing is kept"):
         stored, now, differing = wait_for(lambda: _replayed(folder, ident, video, fps))
     film = None if video is None or not video.exists() else str(video)
     if as_json:
@@ -61,9 +61,9 @@ def _print(stored: Outcome, now: Outcome, differing: list[str], film: str | None
 
 
 def _explain(folder: Path) -> None:
-    from lanebound.agents.benchmark.store import Store
+    from lanebound.agents.benchmark.store import EpisodeStore
 
-    same = Store(folder).same_version()
+    same = EpisodeStore(folder).same_version()
     why = (
         "the agent may draw from a generator of its own, or look at the clock"
         if same

@@ -11,7 +11,6 @@ import typer
 from lanebound.agents.cli.advice import AdvisingGroup
 
 if TYPE_CHECKING:
-    from lanebound.agents.reproduce.barrier_promise import BarrierPromiseConfig
     from lanebound.agents.reproduce.urban_drive import UrbanDriveConfig
 
 __all__ = ["app"]
@@ -41,11 +40,13 @@ def urban_drive(
 
     Example: lanebound reproduce urban-drive --out out/urban --seeds 10
     """
-    from lanebound.agents.cli.interrupt import stoppable
+    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
+    from lanebound.agents.reproduce.study import run_study
 
-    with stoppable(lambda: _kept(out)):
+    with resumable(lambda: kept_text(out, "parts/*.json", "part")):
         changes = {key: value for key, value in (("seeds", seeds), ("minutes", minutes)) if value is not None}
-        tables = _run_with_bar(_checked(assignments or [], changes, out), out)
+        config = _checked(assignments or [], changes, out)
+        tables = with_bar("epochs", lambda on_progress: run_study(config, out, on_progress))
         _report(tables, out, as_json)
 
 
@@ -61,27 +62,14 @@ def barrier_promise(
 
     Example: lanebound reproduce barrier-promise --out out/barrier --episodes 100 --jobs 2
     """
-    from lanebound.agents.cli.interrupt import stoppable
-    from lanebound.agents.reproduce.barrier_promise import BarrierPromiseConfig
+    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
+    from lanebound.agents.reproduce.barrier_promise import BarrierPromiseConfig, run_promise
 
-    with stoppable(lambda: f"finished parts are kept in {out}; run the same command again to go on"):
+    with resumable(lambda: kept_text(out, "parts/*.json", "part")):
         given = {} if episodes is None else {"episodes": episodes}
         config = BarrierPromiseConfig.load(given | {"source": source})
-        _report_promise(_promise_with_bar(config, out, jobs), out, as_json)
-
-
-def _promise_with_bar(config: BarrierPromiseConfig, out: Path, jobs: int) -> dict[str, Any]:
-    from rich.console import Console
-    from rich.progress import Progress
-
-    from lanebound.agents.cli.interrupt import wait_for
-    from lanebound.agents.reproduce.barrier_promise import run_promise
-
-    with Progress(console=Console(stderr=True)) as bar:
-        task = bar.add_task("episodes (kernels compile first)", total=None)
-        return wait_for(
-            lambda: run_promise(config, out, jobs, lambda done, of: bar.update(task, completed=done, total=of))
-        )
+        found = with_bar("episodes", lambda on_progress: run_promise(config, out, jobs, on_progress))
+        _report_promise(found, out, as_json)
 
 
 def _report_promise(result: dict[str, Any], out: Path, as_json: bool) -> None:
@@ -117,16 +105,8 @@ def _interval(share: Sequence[float]) -> str:
     return f"{100.0 * share[0]:.1f} to {100.0 * share[1]:.1f} %"
 
 
-def _kept(out: Path) -> str:
-    from lanebound.agents.reproduce.parts import drives_kept
-
-    kept = drives_kept(out)
-    found = f"{kept} finished drives are kept in {out}" if kept else "no drive was finished"
-    return f"{found}; the kernels compiled so far are kept too; run the same command again to go on"
-
-
 def _checked(assignments: list[str], changes: dict[str, Any], out: Path) -> UrbanDriveConfig:
-    """The configuration, with everything refused that can be refused before the work begins."""
+    """The configuration, checked before the work begins."""
     from lanebound.agents.cli.kinds import resolve
     from lanebound.agents.reproduce.study import check
     from lanebound.agents.reproduce.urban_drive import UrbanDriveConfig
@@ -136,18 +116,6 @@ def _checked(assignments: list[str], changes: dict[str, Any], out: Path) -> Urba
     assert isinstance(config, UrbanDriveConfig)
     check(config, out)
     return config
-
-
-def _run_with_bar(config: UrbanDriveConfig, out: Path) -> dict[str, Any]:
-    from rich.console import Console
-    from rich.progress import Progress
-
-    from lanebound.agents.cli.interrupt import wait_for
-    from lanebound.agents.reproduce.study import run_study
-
-    with Progress(console=Console(stderr=True)) as bar:
-        task = bar.add_task(f"{config.seeds} drives of {config.minutes:g} min (kernels compile first)", total=None)
-        return wait_for(lambda: run_study(config, out, lambda done, of: bar.update(task, completed=done, total=of)))
 
 
 def _report(tables: dict[str, Any], out: Path, as_json: bool) -> None:

@@ -29,16 +29,16 @@ def study(
 
     Example: lanebound study value_of_integrity --out out/study --jobs 2 --budget 8
     """
-    from lanebound.agents.cli.interrupt import stoppable
-    from lanebound.agents.learning.study import load_study, plan
+    from lanebound.agents.cli.progress import resumable, with_bar
+    from lanebound.agents.learning.study import load_study, plan, run_learning_study
     from lanebound.agents.learning.study_time import study_hours
     from lanebound.integrity.core.presets import parse_assignments
 
-    with stoppable(lambda: f"trainings and checkpoints are kept in {out}: the same command goes on"):
+    with resumable(lambda: f"trainings and checkpoints are kept in {out}; run the same command again to resume"):
         chosen = load_study(name, parse_assignments(assignments or []))
         course = plan(chosen)
         _announce(chosen, course, study_hours(chosen, course) / jobs, jobs, budget)
-        found = _with_bar(chosen, course, out, jobs, budget)
+        found = with_bar("trainings", lambda on_progress: run_learning_study(chosen, out, jobs, budget, on_progress))
         _report(found, out, as_json)
 
 
@@ -53,25 +53,6 @@ def _announce(chosen: LearningStudyConfig, course: Course, hours: float, jobs: i
         f"{chosen.test_seeds} held-out seeds each: about {hours:.2g} h from nothing{may}.",
         err=True,
     )
-
-
-def _with_bar(
-    chosen: LearningStudyConfig, course: Course, out: Path, jobs: int, budget: float | None
-) -> dict[str, Any]:
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    from lanebound.agents.cli.interrupt import wait_for
-    from lanebound.agents.learning.study import run_learning_study
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("trainings", total=len(course.trainings))
-
-        def told(done: int, of: int) -> None:
-            bar.update(task, completed=done, total=of)
-
-        return wait_for(lambda: run_learning_study(chosen, out, jobs, budget, told))
 
 
 def _report(found: dict[str, Any], out: Path, as_json: bool) -> None:

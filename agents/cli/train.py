@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from lanebound.agents.cli.output import counted
 
 if TYPE_CHECKING:
+    from lanebound.agents.benchmark.suite import SuiteConfig
+    from lanebound.agents.checkpointing.runner import OnProgress
+    from lanebound.agents.learning.experiment import ExperimentConfig
     from lanebound.agents.learning.training import Checkpoint
 
 __all__ = ["evaluate", "export", "train"]
@@ -30,36 +33,16 @@ def train(
 
     Example: lanebound train lane_keeping_ppo_lagrangian --out out/learnt --set steps=100000
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    from lanebound.agents.cli.interrupt import stoppable, wait_for
+    from lanebound.agents.cli.progress import resumable, with_bar
     from lanebound.agents.learning.experiment import load_experiment
     from lanebound.agents.learning.imitation import teacher_of
     from lanebound.integrity.core.presets import parse_assignments
 
     experiment = load_experiment(name, parse_assignments(assignments or []))
-    if teacher_of(experiment) is None:  # which opens the environment: what is refused is said before a bar is drawn
+    if teacher_of(experiment) is None:  # which opens the environment: refusals come before the work
         experiment.open().close()
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with stoppable(lambda: _kept(out)):
-        from lanebound.agents.learning.training import train as carry_out
-
-        with Progress(*columns, console=Console(stderr=True)) as bar:
-            task = bar.add_task("decisions", total=experiment.steps)
-            shown = experiment.imitation
-            total = 0 if shown is None else shown.total(experiment.count)
-            before = bar.add_task("imitation", total=total, visible=False)
-            rows = wait_for(
-                lambda: carry_out(
-                    experiment, out, jobs, _say,
-                    lambda steps: bar.update(task, completed=min(steps, experiment.steps)),
-                    lambda decisions: bar.update(before, completed=decisions, visible=True),
-                )
-            )  # fmt: skip
-            idle = bar.tasks[0].completed == 0
-            if idle:
-                bar.update(task, completed=experiment.steps)
+    with resumable(lambda: _kept(out)):
+        rows, idle = with_bar("decisions", lambda on_progress: _trained(experiment, out, jobs, on_progress))
     if idle:
         typer.echo(
             f"all {experiment.steps} decisions are done already (so far {rows[-1]['steps']}): raise steps to go on"
@@ -68,12 +51,33 @@ def train(
     typer.echo(f"What to try next\n  lanebound evaluate {out} --out {out}-evaluation")
 
 
+def _trained(
+    experiment: ExperimentConfig, out: Path, jobs: int, on_progress: OnProgress
+) -> tuple[list[dict[str, Any]], bool]:
+    """The evaluations of a training, and whether all its decisions had been made before."""
+    from lanebound.agents.checkpointing.runner import Counter, RunProgress
+    from lanebound.agents.learning.training import train as carry_out
+
+    lessons = experiment.imitation
+    total = 0 if lessons is None else lessons.total(experiment.count)
+    decisions = Counter(on_progress, RunProgress(experiment.steps))
+    imitation = Counter(on_progress, RunProgress(total, stage="decisions of imitation"))
+    made: list[int] = []
+
+    def stepped(steps: int) -> None:
+        made.append(steps)
+        decisions(min(steps, experiment.steps))
+
+    rows = carry_out(experiment, out, jobs, _say, stepped, imitation)
+    return rows, not made
+
+
 def _kept(out: Path) -> str:
     if (out / "last.zip").exists():
-        return f"checkpoints are kept in {out}: the same command goes on from the last"
+        return f"checkpoints are kept in {out}; run the same command again to resume from the last one"
     if (out / "imitation.pt").exists():
-        return f"finished rounds of imitation are kept in {out}: the same command goes on with the next"
-    return "before the first checkpoint, so that nothing is kept: the same command begins anew"
+        return f"finished rounds of imitation are kept in {out}; run the same command again to resume"
+    return "before the first checkpoint, so nothing is kept"
 
 
 def _say(checkpoint: Checkpoint) -> None:
@@ -82,48 +86,75 @@ def _say(checkpoint: Checkpoint) -> None:
     typer.echo(f"{checkpoint.steps:>9} decisions: {shown}{'  best' if checkpoint.best else ''}", err=True)
 
 
+Source = Annotated[
+    Path, typer.Argument(metavar="TRAINING", help="Folder of a training, or a checkpoint .zip of Stable-Baselines3.")
+]
+Where = Annotated[
+    str | None,
+    typer.Option("--env", metavar="ID", help="Environment, for a checkpoint that does not say where it was learnt."),
+]
+Changes = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change a value of that environment; may be repeated."),
+]
+
+
 def evaluate(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a training.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results; a run goes on where one stopped.")],
+    source: Source,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results; it is resumed.")],
+    env: Where = None,
+    sky: Annotated[str | None, typer.Option(help="Level of the sky; that of the training by default.")] = None,
+    assignments: Changes = None,
     agents: Annotated[str, typer.Option(metavar="A,B", help="Drive these beside it.")] = "nominal,integrity_aware",
     seeds: Annotated[int, typer.Option(min=1, help="Episodes of each, on test seeds.")] = 50,
     skip: Annotated[int, typer.Option(min=0, help="First test seeds left out, as ones that were looked at.")] = 0,
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes; one for each core by default.")] = None,
-    fresh: Annotated[
-        bool, typer.Option("--fresh/--resume", help="Throw away what that folder holds of an earlier run, or go on.")
-    ] = False,
+    fresh: Annotated[bool, typer.Option("--fresh/--resume", help="Remove earlier results, or resume.")] = False,
     full: Annotated[bool, typer.Option("--full", help="Print every metric with its interval.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> None:
-    """Drive the best checkpoint of a training on the test seeds, beside other agents.
+    """Drive a learnt policy on the test seeds, beside other agents.
 
     Example: lanebound evaluate out/learnt --out out/learnt-evaluation --seeds 20
     """
     from lanebound.agents.cli.benchmark import carry_out
     from lanebound.agents.learning.evaluation import evaluation_suite
 
-    carry_out(lambda: evaluation_suite(folder, agents, seeds, skip), out, fresh, jobs, None, full, as_json)
+    def choose() -> SuiteConfig:
+        return evaluation_suite(source, agents, seeds, skip, env, _changes(sky, assignments))
+
+    carry_out(choose, out, fresh, jobs, None, full, as_json)
 
 
 def export(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a training.")],
+    source: Source,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="FILE.onnx, best.onnx in that folder by default; or FILE.npz, as 'ppo' is."),
+        typer.Option(metavar="FILE", help="FILE.onnx, by default beside the checkpoint; or FILE.npz, as 'ppo' is."),
     ] = None,
+    env: Where = None,
+    assignments: Changes = None,
 ) -> None:
-    """Write the best checkpoint of a training as a network alone, from flat observations to actions.
+    """Write a learnt policy as a network alone, from flat observations to actions.
 
     Example: lanebound export out/learnt --out out/learnt.onnx
     """
-    from lanebound.agents.cli.interrupt import stoppable, wait_for
+    from lanebound.agents.cli.progress import resumable, wait_for
     from lanebound.agents.learning.export import export_arrays, export_onnx
     from lanebound.integrity.core.errors import InputError
 
-    wanted = folder / "best.onnx" if out is None else out
+    wanted = (source.with_suffix(".onnx") if source.suffix == ".zip" else source / "best.onnx") if out is None else out
     if wanted.suffix not in (".onnx", ".npz"):
-        raise InputError(f"out must end in .onnx or .npz, got {wanted}: name it by the form that is wanted")
+        raise InputError(f"out must end in .onnx or .npz, got {wanted}: choose one of these forms")
     write = export_arrays if wanted.suffix == ".npz" else export_onnx
-    with stoppable(lambda: "nothing was written"):
-        path = wait_for(lambda: write(folder, wanted))
+    with resumable(lambda: "nothing was written"):
+        path = wait_for(lambda: write(source, wanted, env, _changes(None, assignments)))
     typer.echo(f"{path}: observation -> action, {path.stat().st_size / 1e3:.0f} kB")
+
+
+def _changes(sky: str | None, assignments: list[str] | None) -> dict[str, Any]:
+    """Values of an experiment that the options change."""
+    from lanebound.integrity.core.presets import parse_assignments
+
+    overrides = parse_assignments(assignments or [])
+    return ({"overrides": overrides} if overrides else {}) | ({} if sky is None else {"sky": sky})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -33,24 +33,9 @@ def cautious(
 
     Example: lanebound tune cautious CarFollowing --sky dense --out out/tune
     """
-    from lanebound.agents.cli.interrupt import stoppable, wait_for
-    from lanebound.agents.cli.output import print_json
-
-    with stoppable(lambda: f"finished episodes are kept in {out}: the same command goes on"):
-        print_json(wait_for(lambda: _tuned(name, sky, seeds, out, jobs)))
-
-
-def _tuned(name: str, sky: str, seeds: int, out: Path, jobs: int | None) -> dict[str, Any]:
-    from rich.console import Console
-    from rich.progress import Progress
-
-    from lanebound.agents.benchmark.running import Progress as Run
     from lanebound.agents.benchmark.tuning import tune_cautious
+    from lanebound.agents.cli.output import print_json
+    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
 
-    with Progress(console=Console(stderr=True)) as bar:
-        task = bar.add_task("driving", total=None)
-
-        def told(progress: Run) -> None:
-            bar.update(task, completed=progress.done, total=progress.of)
-
-        return tune_cautious(name, sky, seeds, out, jobs, told)
+    with resumable(lambda: kept_text(out, "episodes/*/*/*/*.parquet", "episode")):
+        print_json(with_bar("episodes", lambda on_progress: tune_cautious(name, sky, seeds, out, jobs, on_progress)))

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from lanebound.agents.drivers.base import Driver, in_a_row
 from lanebound.agents.drivers.learnt import open_arrays, require_sight
+from lanebound.agents.drivers.origin import report_elsewhere
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import nearest
@@ -33,6 +34,8 @@ __all__ = [
     "FunctionDriver",
     "OnnxDriver",
     "is_foreign",
+    "load_checkpoint",
+    "onnx_session",
     "open_foreign",
     "require_foreign",
 ]
@@ -99,7 +102,7 @@ def require_foreign(name: str) -> None:
 
 
 def _names_in(source: str | None) -> set[str] | None:
-    """Names that a module's source binds at its top level; None where only running it would tell."""
+    """Names that a module's source binds at its top level, modules apart; None where the source does not show them."""
     if source is None or not source.endswith(".py"):
         return None
     try:
@@ -110,8 +113,10 @@ def _names_in(source: str | None) -> set[str] | None:
     for node in body:
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             found.add(node.name)
-        elif isinstance(node, ast.Import | ast.ImportFrom):
-            found |= {(alias.asname or alias.name).partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            found |= {alias.asname or alias.name for alias in node.names}
+        elif isinstance(node, ast.Import):
+            continue  # a module is no callable
         elif isinstance(node, ast.Assign | ast.AnnAssign):
             found |= {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
         elif not isinstance(node, ast.Expr):
@@ -132,10 +137,12 @@ def open_foreign(name: str, env: DrivingEnv) -> Driver:
         It is not there, or is made for other observations or actions.
     """
     require_foreign(name)
+    if name.endswith(MODELS):
+        report_elsewhere(name, env.config.base)
     if name.endswith(".zip"):
         return _checkpoint(name, env)
     if name.endswith(".onnx"):
-        return OnnxDriver(_session(name, _changed(name)), env)
+        return OnnxDriver(onnx_session(Path(name)), env)
     if name.endswith(".npz"):
         return open_arrays(Path(name), env)
     return _called(name, env)
@@ -145,7 +152,7 @@ def open_foreign(name: str, env: DrivingEnv) -> Driver:
 
 
 def _checkpoint(path: str, env: DrivingEnv) -> Driver:
-    model = _model(path, _changed(path))
+    model = load_checkpoint(Path(path))
     shown = env.observation_space
     flattened = isinstance(model.observation_space, spaces.Box) and isinstance(shown, spaces.Dict)
     for what, trained, here in (
@@ -178,9 +185,20 @@ class FlatDriver:
         return self.driver.predict(in_a_row(observation, self.history), state, episode_start, deterministic)
 
 
+def load_checkpoint(path: Path) -> Any:
+    """The model of a checkpoint of Stable-Baselines3 or sb3-contrib, whose algorithm follows from what it holds.
+
+    Raises
+    ------
+    InputError
+        It is damaged, of an unknown algorithm, or needs a package that is not installed.
+    """
+    return _model(str(path), _changed(str(path)))
+
+
 @lru_cache(maxsize=4)
 def _model(path: str, changed: int) -> Any:
-    """A checkpoint, kept: its policies hold no state between decisions."""
+    """A cached model: policies hold no state between decisions."""
     module, _, name = _algorithm(path, _described(path, changed)).partition(":")
     try:
         return getattr(import_module(module), name).load(path, device="cpu")
@@ -303,6 +321,17 @@ def _seen(told: str) -> tuple[dict[str, list[Any]], int]:
         ) from None
 
 
+def onnx_session(path: Path) -> Any:
+    """The session of onnxruntime for a network.
+
+    Raises
+    ------
+    InputError
+        The file is no network, or the package is missing.
+    """
+    return _session(str(path), _changed(str(path)))
+
+
 @lru_cache(maxsize=4)
 def _session(path: str, changed: int) -> Any:
     runtime = _runtime()
@@ -318,9 +347,7 @@ def _runtime() -> Any:
     try:
         return import_module("onnxruntime")
     except ImportError:
-        raise InputError(
-            "an ONNX agent needs the package onnxruntime, got none: pip install 'lanebound[learning]'"
-        ) from None
+        raise InputError("an ONNX agent needs the package onnxruntime, got none: pip install onnxruntime") from None
 
 
 # Python

@@ -16,7 +16,7 @@ from lanebound.agents.drivers.base import Observation, Reader
 from lanebound.integrity.core.config import Config, Field
 
 __all__ = [
-    "Condensed",
+    "CondensedProblem",
     "GrowthConfig",
     "condense",
     "predicted_levels",
@@ -66,7 +66,7 @@ class GrowthConfig(Config):
 
 
 @dataclass(frozen=True)
-class Condensed:
+class CondensedProblem:
     """States of a horizon by its inputs, ``x = free x0 + forced z``, and the cost ``z' H z / 2 + (F x0)' z``.
 
     Attributes
@@ -81,7 +81,7 @@ class Condensed:
     F: Array
 
 
-def condense(A: Array, B: Array, Q: Array, R: float, steps: int) -> Condensed:
+def condense(A: Array, B: Array, Q: Array, R: float, steps: int) -> CondensedProblem:
     """Eliminate the states of ``sum x'Qx + R u^2`` with the tail of the infinite horizon: unconstrained it is the LQR.
 
     The terminal weight solves the discrete Riccati equation (Rawlings, Mayne and Diehl 2017, section 1.3).
@@ -100,7 +100,7 @@ def condense(A: Array, B: Array, Q: Array, R: float, steps: int) -> Condensed:
     weight = np.kron(np.eye(steps), Q)
     weight[-n:, -n:] = P
     H = forced.T @ weight @ forced + R * np.eye(steps)
-    return Condensed(free, forced, 0.5 * (H + H.T), forced.T @ weight @ free)
+    return CondensedProblem(free, forced, 0.5 * (H + H.T), forced.T @ weight @ free)
 
 
 def sky_ahead(reader: Reader, observation: Observation, distance_m: Array, needed: int) -> NDArray[np.bool_]:

@@ -34,7 +34,7 @@ from lanebound.agents.drivers.leaders import leader_of
 from lanebound.agents.drivers.nominal import Nominal
 from lanebound.agents.drivers.plan import ContinuousDriver
 from lanebound.agents.drivers.plans import FREE_M
-from lanebound.agents.drivers.programmes import Across, Along, MpcConfig, Road
+from lanebound.agents.drivers.programmes import Across, Along, FreeRoad, MpcConfig
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.errors import InputError
 
@@ -115,12 +115,12 @@ class LevelMpc(Nominal):
             return hardest, shown > c.barrier.creep_mps, False
         return max(min(a, bound), hardest), False, False
 
-    def _road(self, observation: Observation, v: float, ahead: Bools) -> Road:
+    def _road(self, observation: Observation, v: float, ahead: Bools) -> FreeRoad:
         """Free road behind the leader, as far back as its errors and the levels of both may put it."""
         c, along = self.config, self._along.time_s
         leader = leader_of(self.reader, observation, ahead)
         if leader is None:
-            return Road(np.full(c.steps, FREE_M), FREE_M)
+            return FreeRoad(np.full(c.steps, FREE_M), FREE_M)
         slow = self.barrier.least_mps(leader.speed_mps)
         at, _ = upper_levels(self.reader, observation, v * along, self.dt_s, c.growth)
         way = max(leader.gap_m, 0.0) + leader.speed_mps * along
@@ -128,7 +128,7 @@ class LevelMpc(Nominal):
         grown = at - float(self.reader.value(observation, "integrity.pl_at")) + told - leader.told_m
         free = leader.gap_m - leader.level_m - self.barrier.strayed(leader.speed_mps, leader.age_s) + slow * along
         free = free - grown
-        return Road(free, float(free[-1]) + 0.5 * slow**2 / c.barrier.lead_brake_mps2)
+        return FreeRoad(free, float(free[-1]) + 0.5 * slow**2 / c.barrier.lead_brake_mps2)
 
     def _reference(self, observation: Observation, at: Array, ct: Array) -> Array:
         """What the route allows, a share of the limit where levels are foreseen above theirs, or 0.  (N,) [m/s]."""

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.agents.drivers.barrier import BarrierConfig
-from lanebound.agents.drivers.horizon import Condensed, GrowthConfig, condense
+from lanebound.agents.drivers.horizon import CondensedProblem, GrowthConfig, condense
 from lanebound.agents.drivers.lateral import LqrConfig
 from lanebound.agents.drivers.plans import EGO_LENGTH_M, CruiseConfig
 from lanebound.integrity.core.config import Field
 
-__all__ = ["Across", "Along", "MpcConfig", "Road", "solve"]
+__all__ = ["Across", "Along", "FreeRoad", "MpcConfig", "solve"]
 
 Array = NDArray[np.float64]
 SOLVED = 1  # daqp: optimal
@@ -56,7 +56,7 @@ def solve(H: Array, f: Array, A: Array, upper: Array, lower: Array) -> Array | N
     return np.asarray(z) if flag == SOLVED else None
 
 
-class Road(NamedTuple):
+class FreeRoad(NamedTuple):
     """Free road for the ego's front bumper: at each step (N,), and beyond the last where the leader may stop [m]."""
 
     free_m: Array
@@ -90,7 +90,7 @@ class Along:
         rows = [*(np.hstack(block) for block in blocks), np.hstack([stop, np.zeros((self._at.size, 1))])]
         self.A = np.ascontiguousarray(np.vstack(rows))
 
-    def plan(self, v: float, before: float, wanted: Array, road: Road, bound: float) -> float | None:
+    def plan(self, v: float, before: float, wanted: Array, road: FreeRoad, bound: float) -> float | None:
         """The first acceleration, ``bound`` at most; None when nothing satisfies the bounds.
 
         A bound that asks for more than standing at the end of the step asks for that.
@@ -121,16 +121,16 @@ class Across:
     def __init__(self, c: MpcConfig, dt_s: float) -> None:
         self.config, self.dt_s = c, dt_s
         self._weights = np.diag([c.lqr.offset_m**-2, c.lqr.heading_rad**-2])
-        self._known: dict[int, tuple[Condensed, Array, Array]] = {}
+        self._known: dict[int, tuple[CondensedProblem, Array, Array]] = {}
 
-    def matrices(self, v: float) -> tuple[Condensed, Array, Array]:
+    def matrices(self, v: float) -> tuple[CondensedProblem, Array, Array]:
         """Dynamics, H and rows of the constraints at the nearest of the speeds that are told apart."""
         key = max(round(v / SPEED_STEP_MPS), 1)
         if key not in self._known:
             self._known[key] = self._make(key * SPEED_STEP_MPS * self.dt_s)
         return self._known[key]
 
-    def _make(self, way_m: float) -> tuple[Condensed, Array, Array]:
+    def _make(self, way_m: float) -> tuple[CondensedProblem, Array, Array]:
         c, n = self.config, self.config.lane_steps
         A = np.array([[1.0, way_m], [0.0, 1.0]])
         B = np.array([[0.5 * way_m + 0.5 * way_m**2 / EGO_LENGTH_M], [way_m / EGO_LENGTH_M]])

@@ -15,7 +15,7 @@ from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import nearest
 
-__all__ = ["class_of", "make_model", "require_known"]
+__all__ = ["CLASSES", "class_of", "make_model", "require_known"]
 
 CLASSES = {
     Algorithm.PPO: "stable_baselines3:PPO",
@@ -41,7 +41,7 @@ def class_of(algorithm: Algorithm) -> Any:
         return getattr(import_module(module), name)
     except ImportError:
         raise InputError(
-            f"algorithm {algorithm} needs the package {module}, got none: pip install 'lanebound[learning]'"
+            f"algorithm {algorithm} needs the package {module}, got none: pip install {module.replace('_', '-')}"
         ) from None
 
 

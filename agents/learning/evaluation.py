@@ -1,4 +1,4 @@
-"""What a policy comes to, on seeds that training does not draw."""
+"""Evaluation of a policy, on seeds that training does not draw."""
 
 from __future__ import annotations
 
@@ -6,24 +6,35 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
 from lanebound.agents.benchmark.episode import allotted_s
-from lanebound.agents.benchmark.metrics import HARM_OF_AN_END
+from lanebound.agents.benchmark.metrics import metric_named
+from lanebound.agents.benchmark.scoring import UNNAMED, outcome_of_statistics
 from lanebound.agents.benchmark.seeds import SPLITS
 from lanebound.agents.benchmark.suite import SuiteConfig, parse_agents
-from lanebound.agents.kept import read_kept
+from lanebound.agents.checkpointing.folder import ResultFolder
+from lanebound.agents.drivers.foreign import load_checkpoint, require_foreign
+from lanebound.agents.drivers.origin import experiment_in
+from lanebound.agents.learning.algorithms import CLASSES
 from lanebound.agents.learning.experiment import FLAT, ExperimentConfig, Shield
 from lanebound.agents.learning.opening import for_judging
 from lanebound.envs.tally import EPISODE_KEY
 from lanebound.integrity.core.config import deep_merge
 from lanebound.integrity.core.errors import InputError
 
-__all__ = ["drive_all", "evaluate", "evaluation_suite", "learnt_agent", "trained"]
+__all__ = ["JUDGED", "drive_all", "evaluate", "evaluation_suite", "learnt_agent", "trained"]
+
+JUDGED = (
+    "return", "cost", "over_cost_limit", "success", "collision", "off_road", "lane_departure", "harm", "mean_speed",
+    "throughput", "alert_share", "any_hmi",
+)  # fmt: skip
+"""Metrics of an episode that checkpoints are judged by."""
+KINDS = {path.rpartition(":")[2]: algorithm for algorithm, path in CLASSES.items()}
 
 
 def evaluate(experiment: ExperimentConfig, model: BaseAlgorithm) -> dict[str, float]:
@@ -39,27 +50,20 @@ def evaluate(experiment: ExperimentConfig, model: BaseAlgorithm) -> dict[str, fl
 
 
 def drive_all(experiment: ExperimentConfig, model: BaseAlgorithm, seeds: Sequence[int]) -> list[dict[str, float]]:
-    """What the policy without its noise comes to under each of consecutive seeds; in the engine all at once.
+    """Metrics of the policy without exploration under each of consecutive seeds; in the engine all at once.
 
-    Of an episode, by the names of the benchmark's metrics: ``return, cost, over_cost_limit, success, collision,
-    off_road, lane_departure, harm, mean_speed, throughput, alert_share, any_hmi``, and ``length`` in decisions. The way
-    of ``throughput`` is the true speed at each decision times its duration.
+    Of an episode: the benchmark's metrics :data:`JUDGED`, and ``length`` in decisions. The way of ``throughput`` is the
+    true speed at each decision times its duration.
     """
     with closing(experiment.open()) as single:
-        terms = Terms(single.config.cost_limit, single.dt_s, allotted_s(single))
+        dt_s = single.dt_s
+        terms = {"cost_limit": single.config.cost_limit, "allotted_s": allotted_s(single)}
     env = for_judging(experiment, len(seeds))
     try:
-        return [_row(info, terms) for seed in seeds[:: env.num_envs] for info in _drive(env, model, seed)]
+        ends = [info for seed in seeds[:: env.num_envs] for info in _drive(env, model, seed)]
     finally:
         env.close()
-
-
-class Terms(NamedTuple):
-    """What all episodes of an environment have in common: limit of cost, time of a decision and in all [s]."""
-
-    cost_limit: float
-    dt_s: float
-    allotted_s: float
+    return [_row(info, dt_s, terms) for info in ends]
 
 
 def _drive(env: VecEnv, model: BaseAlgorithm, seed: int) -> list[Mapping[str, Any]]:
@@ -77,60 +81,70 @@ def _drive(env: VecEnv, model: BaseAlgorithm, seed: int) -> list[Mapping[str, An
     return [ends[e] for e in range(env.num_envs)]
 
 
-def _row(info: Mapping[str, Any], terms: Terms) -> dict[str, float]:
-    """What is noted of an episode, from what its end says."""
+def _row(info: Mapping[str, Any], dt_s: float, terms: Mapping[str, float]) -> dict[str, float]:
+    """Metrics of an episode, from the info of its last step."""
     episode = info[EPISODE_KEY]
-    success, collision, off_road = bool(info["is_success"]), bool(info["crashed"]), episode["cost_off_road"] > 0.0
-    time_s = terms.dt_s * episode["length"]
-    taken_s = time_s if success else max(terms.allotted_s, time_s)
-    return {
-        "return": episode["return"],
-        "cost": episode["cost"],
-        "over_cost_limit": float(episode["cost"] > terms.cost_limit),
-        "success": float(success),
-        "collision": float(collision),
-        "off_road": float(off_road),
-        "lane_departure": float(episode["cost_lane"] > 0.0),
-        "harm": HARM_OF_AN_END * float(collision or off_road) + episode["cost_lane"],
-        "mean_speed": episode["speed_mean_mps"],
-        "throughput": episode["speed_mean_mps"] * time_s / taken_s,
-        "alert_share": episode["alert_share"],
-        "any_hmi": float(episode["hmi_steps"] > 0),
-        "length": float(episode["length"]),
-    }
+    outcome = outcome_of_statistics(info, episode, UNNAMED, time_s=dt_s * episode["length"], **terms)
+    found = {key: metric_named(key).take(outcome) for key in JUDGED}
+    return {key: value for key, value in found.items() if value is not None} | {"length": float(outcome.steps)}
 
 
-def trained(folder: Path) -> tuple[ExperimentConfig, Path]:
-    """The experiment of a folder of a training, and its best checkpoint.
+def trained(
+    source: Path, env: str | None = None, changes: Mapping[str, Any] | None = None
+) -> tuple[ExperimentConfig, Path]:
+    """The experiment of a training and its checkpoint, from a folder or from a checkpoint alone.
+
+    Parameters
+    ----------
+    source : folder of a training, whose best checkpoint is taken, or a checkpoint of Stable-Baselines3
+    env, changes : id, and values of an experiment (``sky``, ``overrides``), over those that ``source`` holds
 
     Raises
     ------
     InputError
-        ``folder`` is none of a training, has no checkpoint yet, or is damaged.
+        ``source`` is neither, has no checkpoint yet, is damaged, or does not say where it was learnt and ``env`` is
+        None; ConfigError where a value is refused.
     """
-    mark, best = folder / "experiment.json", folder / "best.zip"
-    if not (mark.is_file() and best.is_file()):
-        raise InputError(f"folder must be one of a training with best.zip, got {folder}: train first")
-    return ExperimentConfig.load(read_kept(mark, dict)), best
+    best = source / "best.zip"
+    if source.suffix == ".zip" and source.is_file():
+        require_foreign(str(source))
+        found = experiment_in(source)
+        if found is None:
+            if env is None:
+                raise InputError(f"{source} must say where it was learnt, but holds no experiment: add --env ID")
+            kind = type(load_checkpoint(source)).__name__
+            found = {"title": f"{kind} of {source.name}"} | ({"algorithm": KINDS[kind]} if kind in KINDS else {})
+        return ExperimentConfig.build(found or {}, {**(changes or {}), **({} if env is None else {"env": env})}), source
+    if not best.is_file():
+        raise InputError(f"TRAINING must be a folder with best.zip or a checkpoint .zip, got {source}: train first")
+    found = ResultFolder(source, "training").manifest()["config"]
+    return ExperimentConfig.build(found, {**(changes or {}), **({} if env is None else {"env": env})}), best
 
 
 def learnt_agent(experiment: ExperimentConfig, checkpoint: Path) -> dict[str, Any]:
-    """A checkpoint as an agent of a suite, under the filter that it was trained with, and seeing what it saw then."""
+    """A checkpoint as an agent of a suite, with the filter and the observations of its training."""
     config = deep_merge(experiment.overrides, FLAT)
     if experiment.shield is Shield.CBF:
         return {"agent": "cbf", "figures": {"over": str(checkpoint)}, "config": config}
     return {"agent": str(checkpoint), "config": config}
 
 
-def evaluation_suite(folder: Path, agents: str, seeds: int, skip: int = 0) -> SuiteConfig:
-    """The best checkpoint of a training beside other agents where it was trained, on test seeds but the first ``skip``.
+def evaluation_suite(
+    source: Path, agents: str, seeds: int, skip: int = 0, env: str | None = None,
+    changes: Mapping[str, Any] | None = None,
+) -> SuiteConfig:  # fmt: skip
+    """A suite of a learnt policy beside other agents where it was trained, on test seeds but the first ``skip``.
+
+    Parameters
+    ----------
+    source, env, changes : as of :func:`trained`
 
     Raises
     ------
     InputError
-        ``folder`` is none of a training, or has no checkpoint yet; ConfigError for an agent that is unknown.
+        As :func:`trained`; ConfigError for an agent that is unknown.
     """
-    experiment, best = trained(folder)
+    experiment, best = trained(source, env, changes)
     others = parse_agents(agents)
     reference = next(iter(others), "learnt")
     return SuiteConfig.load(

@@ -13,7 +13,7 @@ from lanebound.agents.drivers import AGENTS, REMEMBERING, unknown_agent
 from lanebound.agents.episodes.opening import full_id, naming, open_env
 from lanebound.agents.learning.multiplier import MultiplierConfig
 from lanebound.agents.learning.settings import require_settings
-from lanebound.agents.named import load_named
+from lanebound.agents.presets import load_named
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.config import Config, Field, deep_merge
 from lanebound.integrity.core.errors import ConfigError

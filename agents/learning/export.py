@@ -1,8 +1,8 @@
-"""A learnt policy without what learning needs: an ONNX network, or the arrays that our own driver takes.
+"""Export of a learnt policy: as an ONNX network, or as the arrays that the driver ``ppo`` reads.
 
 Both go from flat observations to actions, without exploration.
 
-Observations leave the environment scaled already, so that the network holds all there is between the two.
+The environment scales its observations, so the network is all there is between observation and action.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import logging
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
@@ -21,20 +21,20 @@ import torch
 from gymnasium import spaces
 from torch import nn
 
-from lanebound.agents.drivers.foreign import SIGHT
+from lanebound.agents.checkpointing.files import replace_file
+from lanebound.agents.drivers.foreign import SIGHT, load_checkpoint
 from lanebound.agents.drivers.learnt import sight
-from lanebound.agents.kept import replace_file
+from lanebound.agents.drivers.origin import EXPERIMENT
 from lanebound.agents.learning.evaluation import trained
-from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig, Shield
-from lanebound.agents.learning.training import load_model
+from lanebound.agents.learning.experiment import ExperimentConfig, Shield
 from lanebound.envs.observation import ObservationConfig
 from lanebound.integrity.core.errors import InputError
 
 __all__ = ["export_arrays", "export_onnx"]
 
 
-def export_onnx(folder: Path, path: Path) -> Path:
-    """Write the best checkpoint of a training as a network with one input and one output; returns its path.
+def export_onnx(source: Path, path: Path, env: str | None = None, changes: Mapping[str, Any] | None = None) -> Path:
+    """Write a learnt policy as a network with one input and one output; returns its path.
 
     The input ``observation`` (B, n) is the flat observation, the output ``action`` (B, m) the action within [-1, 1], or
     for discrete actions a value of each, of which the largest counts. Its metadata hold the experiment
@@ -43,20 +43,20 @@ def export_onnx(folder: Path, path: Path) -> Path:
 
     Parameters
     ----------
-    folder : of the training
+    source, env, changes : as of :func:`~lanebound.agents.learning.evaluation.trained`
 
     Raises
     ------
     InputError
-        ``folder`` has no checkpoint, the policy has a memory or a filter after it, a package is missing, or ``path``
+        ``source`` has no checkpoint, the policy has a memory or a filter after it, a package is missing, or ``path``
         cannot be written.
     """
-    experiment, best = trained(folder)
-    _require_plain(experiment)
-    model = load_model(best, experiment.algorithm)
-    policy: Any = model.policy
-    network = (_Squashed(policy.actor) if experiment.algorithm.off_policy else _Unsquashed(policy)).eval()
-    shape = model.observation_space.shape or ()
+    experiment, best = trained(source, env, changes)
+    model = load_checkpoint(best)
+    _require_plain(experiment, model)
+    policy = model.policy
+    network = (_Unsquashed(policy) if hasattr(policy, "mlp_extractor") else _Squashed(policy.actor)).eval()
+    shape = model.observation_space.shape
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with replace_file(path) as draft, _quiet():
@@ -85,14 +85,12 @@ def _describe(path: Path, experiment: ExperimentConfig) -> None:
         config = env.config.observation
     seen = {name: values.tolist() for name, values in sight(config).items()} | {"history": config.history}
     network = onnx.load(path)
-    onnx.helper.set_model_props(
-        network, {"lanebound.experiment": json.dumps(experiment.to_dict()), SIGHT: json.dumps(seen)}
-    )
+    onnx.helper.set_model_props(network, {EXPERIMENT: json.dumps(experiment.to_dict()), SIGHT: json.dumps(seen)})
     onnx.save(network, path)
 
 
-def export_arrays(folder: Path, path: Path) -> Path:
-    """Write the best checkpoint of a training as ``ppo`` reads it (see :mod:`.drivers.learnt`); returns its path.
+def export_arrays(source: Path, path: Path, env: str | None = None, changes: Mapping[str, Any] | None = None) -> Path:
+    """Write a learnt policy as ``ppo`` reads it (see :mod:`.drivers.learnt`); returns its path.
 
     Raises
     ------
@@ -100,14 +98,16 @@ def export_arrays(folder: Path, path: Path) -> Path:
         As :func:`export_onnx`, or the network is other than PPO's usual one, layers with tanh between them
         alone, or sees more than one observation.
     """
-    experiment, best = trained(folder)
-    _require_plain(experiment, ())
-    policy: Any = load_model(best, experiment.algorithm).policy
-    with closing(experiment.open()) as env:
-        observation, discrete = env.config.observation, isinstance(env.action_space, spaces.Discrete)
-    _require_layers(experiment.algorithm, policy, observation)
+    experiment, best = trained(source, env, changes)
+    model = load_checkpoint(best)
+    _require_plain(experiment, model, ())
+    policy = model.policy
+    with closing(experiment.open()) as world:
+        observation, discrete = world.config.observation, isinstance(world.action_space, spaces.Discrete)
+    _require_layers(policy, observation)
     layers = [layer for layer in policy.mlp_extractor.policy_net if isinstance(layer, nn.Linear)]
     arrays: dict[str, Any] = sight(observation) | {"discrete": np.array(discrete)}
+    arrays[EXPERIMENT] = np.array(experiment.to_json())
     for n, layer in enumerate([*layers, policy.action_net]):
         arrays[f"weight_{n}"] = layer.weight.detach().numpy()
         arrays[f"bias_{n}"] = layer.bias.detach().numpy()
@@ -120,10 +120,12 @@ def export_arrays(folder: Path, path: Path) -> Path:
     return path
 
 
-def _require_layers(algorithm: Algorithm, policy: Any, observation: ObservationConfig) -> None:
-    """Raise InputError for what arrays do not tell: other layers, a squashed output, a memory of observations."""
-    if algorithm.off_policy or policy.activation_fn is not nn.Tanh:
-        raise InputError(f"a policy to export as arrays must be PPO's with tanh, got {algorithm}: use .onnx")
+def _require_layers(policy: Any, observation: ObservationConfig) -> None:
+    """Raise InputError for what arrays cannot hold: other layers, a squashed output, a history of observations."""
+    if not hasattr(policy, "mlp_extractor") or policy.activation_fn is not nn.Tanh:
+        raise InputError(
+            f"a policy to export as arrays must be PPO's with tanh, got {type(policy).__name__}: use .onnx"
+        )
     if policy.squash_output:
         raise InputError("a policy to export as arrays must not squash its output, got squash_output: true: use .onnx")
     if observation.history != 1:
@@ -136,17 +138,32 @@ def _unwritable(path: Path, error: OSError) -> InputError:
     return InputError(f"out must be a file that can be written, got {path} ({error}): choose another")
 
 
-def _require_plain(experiment: ExperimentConfig, packages: tuple[str, ...] = ("onnx", "onnxscript")) -> None:
-    if experiment.algorithm is Algorithm.RECURRENT_PPO:
-        raise InputError("a policy to export must have no memory, got recurrent_ppo: drive with its best.zip instead")
+def _require_plain(
+    experiment: ExperimentConfig, model: Any, packages: tuple[str, ...] = ("onnx", "onnxscript")
+) -> None:
+    """Raise InputError for a policy that is more than a network, for other observations, and for missing packages."""
+    policy, kind = model.policy, type(model).__name__
+    if hasattr(policy, "lstm_actor"):
+        raise InputError(f"a policy to export must have no memory, got {kind}: drive with its checkpoint instead")
+    if not (hasattr(policy, "mlp_extractor") or hasattr(getattr(policy, "actor", None), "latent_pi")):
+        raise InputError(
+            f"a policy to export must be of PPO, A2C or SAC, got {kind}: drive with its checkpoint instead"
+        )
     if experiment.shield is not Shield.NONE:
         raise InputError(
             f"a policy to export must stand alone, got one under the filter {experiment.shield}: "
-            "drive with its best.zip and that filter instead"
+            "drive with its checkpoint and that filter instead"
+        )
+    with closing(experiment.open()) as env:
+        here = env.observation_space.shape
+    if model.observation_space.shape != here:
+        raise InputError(
+            f"the policy must be learnt on flat observations of {experiment.env}, {here}, got "
+            f"{model.observation_space.shape}: name its environment (--env) and what was changed there (--set)"
         )
     for package in packages:
         if find_spec(package) is None:
-            raise InputError(f"an export needs the package {package}, got none: pip install 'lanebound[learning]'")
+            raise InputError(f"an export needs the package {package}, got none: pip install {package}")
 
 
 class _Unsquashed(nn.Module):

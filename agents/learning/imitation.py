@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
+from lanebound.agents.checkpointing.files import replace_file
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.base import Driver
-from lanebound.agents.kept import replace_file
 from lanebound.agents.learning.experiment import ExperimentConfig, ImitationConfig
 from lanebound.agents.learning.opening import episode_seeds
 from lanebound.envs.observation import ObservationConfig, entries

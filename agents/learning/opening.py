@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecMonitor
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from lanebound.agents.benchmark.seeds import SPLITS
 from lanebound.agents.episodes.opening import full_id
 from lanebound.agents.learning.experiment import ExperimentConfig, Shield
 from lanebound.agents.learning.shield import VecShielded
-from lanebound.agents.vec_env import EngineVecEnv, VecEpisodeStatistics
+from lanebound.agents.vec_env import EngineVecEnv
 from lanebound.envs.wrappers import EpisodeStatistics
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.streams import named_generator
@@ -63,12 +63,11 @@ def _in_engine(experiment: ExperimentConfig, count: int) -> VecEnv | None:
     if experiment.engine is False:
         return None
     try:
-        engine = EngineVecEnv(full_id(experiment.env), count, experiment.env_overrides)
+        return EngineVecEnv(full_id(experiment.env), count, experiment.env_overrides, statistics=True)
     except (ConfigError, InputError) as error:
         if experiment.engine:
             raise ConfigError(f"engine must be left out here, got true: {error}") from None
         return None
-    return VecMonitor(VecEpisodeStatistics(engine))
 
 
 def _shielded(experiment: ExperimentConfig, env: VecEnv, penalty: float) -> VecEnv:

@@ -2,17 +2,17 @@
 
 ::
 
-    config.json               what is studied
-    trainings/NAME/           a training each, which goes on where it was stopped
-    parts/NAME.json           what came of each finished training: its checkpoints, its policy's held-out episodes
-    beside/ENV-SKY/           a benchmark of drivers of ours on the same seeds
-    results.json  curves.svg  what it comes to
+    run.json                  the study
+    trainings/NAME/           one resumable training each
+    parts/NAME.json           results of each finished training: checkpoints, held-out episodes of its policy
+    beside/ENV-SKY/           a benchmark of other drivers on the same seeds
+    results.json  curves.svg  means, intervals and tests; learning curves
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -24,15 +24,17 @@ from lanebound.agents.benchmark.results import Results
 from lanebound.agents.benchmark.running import run
 from lanebound.agents.benchmark.seeds import SPLITS
 from lanebound.agents.benchmark.suite import SuiteConfig
+from lanebound.agents.checkpointing.files import write_json
+from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
+from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
 from lanebound.agents.episodes.opening import full_id
-from lanebound.agents.kept import claim, run_parts, write_whole
 from lanebound.agents.learning.evaluation import drive_all
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig, Shield
 from lanebound.agents.learning.imitation import teacher_of
 from lanebound.agents.learning.study_tables import adjust, kept_oftener, means_of, summarise
 from lanebound.agents.learning.training import load_model, one_thread, train
-from lanebound.agents.named import load_named
-from lanebound.agents.plain import finite_or_none
+from lanebound.agents.presets import load_named
+from lanebound.agents.serialization import finite_or_none
 from lanebound.integrity.core.config import Config, Field, deep_merge
 from lanebound.integrity.core.errors import ConfigError
 
@@ -208,32 +210,34 @@ def run_learning_study(
     out: Path,
     jobs: int = 1,
     budget_h: float | None = None,
-    progress: Callable[[int, int], None] = lambda done, of: None,
+    on_progress: OnProgress = ignore,
 ) -> dict[str, Any]:
-    """Learn what is not yet learnt, drive the policies of finished places, and write ``results.json``; returns it.
+    """Carry out the missing trainings, drive other drivers on the same seeds, and write ``results.json``.
 
     Parameters
     ----------
     jobs : trainings at a time, a process each
-    budget_h : no training or episode is begun after that
-    progress : called with the trainings done and their number
+    budget_h : no training or episode is started after that [h]
+    on_progress : called with the number of trainings
+
+    Returns
+    -------
+    The data of ``results.json``.
 
     Raises
     ------
     InputError
-        ``out`` holds another study or cannot be written, or an experiment is refused.
+        ``out`` cannot be claimed, or an experiment is refused.
     """
     begun = time.monotonic()
     course = plan(study)
-    claim(out, "learning", study, PACKAGES)
+    ResultFolder(out, "learning study", study.to_dict(), code_digest(*PACKAGES)).claim()
     by_name = {one.name: one for one in course.trainings}
 
     def left_h() -> float | None:
         return None if budget_h is None else max(budget_h - (time.monotonic() - begun) / 3600.0, 0.0)
 
-    done = run_parts(
-        out, list(by_name), partial(_learn, study, out, by_name), jobs, progress, may_start=lambda: left_h() != 0.0
-    )
+    done = run_parts(out, list(by_name), partial(_learn, study, out, by_name), jobs, on_progress, budget_h=budget_h)
     there = {(part["env"], part["sky"]) for part in done.values()}
     beside = {
         (env, sky): run(beside_suite(study, env, sky), out / "beside" / f"{env}-{sky}", jobs, left_h())
@@ -243,11 +247,13 @@ def run_learning_study(
     return _written(study, course, done, beside, out)
 
 
-def _learn(study: LearningStudyConfig, out: Path, by_name: Mapping[str, Training], name: str) -> dict[str, Any]:
-    """One training, or what is left of it; its evaluations, and its policy's episodes on held-out seeds."""
+def _learn(
+    study: LearningStudyConfig, out: Path, by_name: Mapping[str, Training], name: str, advance: Advance
+) -> dict[str, Any]:
+    """One training, or the rest of it; its evaluations, and its policy's episodes on held-out seeds."""
     one, folder = by_name[name], out / "trainings" / name
     begun, planned = time.monotonic(), one.experiment(study)
-    rows = train(planned, folder)
+    rows = train(planned, folder, stepped=lambda steps: advance(min(steps / planned.steps, 1.0)))
     episodes = judged(planned, folder, study.seeds_to_judge)
     hours = (time.monotonic() - begun) / 3600.0
     return {**one._asdict(), "limit": planned.limit(), "checkpoints": rows, "episodes": episodes, "hours": hours}
@@ -304,7 +310,7 @@ def _written(
     }
     adjust(found["places"], found["kept"], study.families)
     found = finite_or_none(found)
-    write_whole(out / "results.json", found)
+    write_json(out / "results.json", found)
     if done:
         save(curves_figure(list(done.values()), list(study.arms)), out / "curves.svg")
     return dict(found)

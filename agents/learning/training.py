@@ -1,14 +1,13 @@
-"""Training that goes on where it stopped: chunks between checkpoints, each kept whole or not at all.
+"""Resumable training: it is saved at checkpoints, and an interrupted training continues from the last one.
 
 ::
 
-    experiment.json                what is learnt
-    last.zip  last-replay.pkl      the newest checkpoint; transitions of algorithms that keep them
-    best.zip  best.md              the best so far (:func:`is_best`), and a card about it; before any learning by reward
-                                   perhaps, where the policy began from a driver (:mod:`.imitation`)
+    run.json                       the experiment
+    last.zip  last-replay.pkl      the newest checkpoint; transitions of off-policy algorithms
+    best.zip  best.md              the best checkpoint so far (:func:`is_best`) and a card that describes it
     progress.json                  an evaluation at each checkpoint
-    imitation.pt                   until that is over, what it has come to
-    logs/                          for TensorBoard, where it is installed: costs by cause, levels, alerts, modes
+    imitation.pt                   state of the imitation (:mod:`.imitation`), until it is finished
+    logs/                          TensorBoard logs, where it is installed: costs by cause, levels, alerts, modes
 """
 
 from __future__ import annotations
@@ -28,14 +27,15 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecEnv
 
-from lanebound.agents.kept import make_folder, read_kept, replace_file, require_own, write_whole
+from lanebound.agents.checkpointing.files import make_folder, read_json, replace_file, write_json
+from lanebound.agents.checkpointing.folder import ResultFolder, locked
+from lanebound.agents.drivers.origin import write_experiment
 from lanebound.agents.learning.algorithms import class_of, make_model, require_known
 from lanebound.agents.learning.card import write_card
 from lanebound.agents.learning.evaluation import evaluate
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig
 from lanebound.agents.learning.imitation import Teacher, imitate, teacher_of
 from lanebound.agents.learning.opening import episode_seeds, for_learning
-from lanebound.agents.plain import finite_or_none
 from lanebound.envs.costs import CAUSES
 from lanebound.envs.tally import EPISODE_KEY
 from lanebound.integrity.core.accel import serial
@@ -43,7 +43,7 @@ from lanebound.integrity.core.errors import InputError
 
 __all__ = ["Checkpoint", "is_best", "load_model", "one_thread", "train"]
 
-MARK, PROGRESS, BEST, CARD = "experiment.json", "progress.json", "best.zip", "best.md"
+PROGRESS, BEST, CARD = "progress.json", "best.zip", "best.md"
 LAST, REPLAY, IMITATION = "last.zip", "last-replay.pkl", "imitation.pt"
 NOT_FINITE = ("Expected parameter", "without overflow")
 """What torch says of distributions whose parameters are none, as NaN, and of steps that no float holds."""
@@ -91,10 +91,11 @@ def train(
     """
     require_known(experiment)
     teacher = teacher_of(experiment)
-    progress = _claim(experiment, out)
-    with closing(for_learning(experiment, processes)) as env, one_thread():
+    progress = _progress(experiment, out)
+    make_folder(out)
+    with locked(out), closing(for_learning(experiment, processes)) as env, one_thread():
         model = _model(experiment, env, out)
-        write_whole(out / MARK, experiment.to_dict())  # no sooner: what is refused marks no folder
+        _folder(experiment, out).claim()  # not earlier: a refused setting must leave no manifest
         begun = (out / LAST).exists()
         if teacher is not None and not begun:
             rate = "imitation.learning_rate"
@@ -197,33 +198,28 @@ def _recall(model: Any, path: Path) -> None:
         raise InputError(f"transitions must be as training keeps them, got {path} ({error}): learn anew") from None
 
 
-def _claim(experiment: ExperimentConfig, out: Path) -> list[dict[str, Any]]:
-    """A folder for an experiment, new or to go on with; the evaluations so far.
+def _folder(experiment: ExperimentConfig, out: Path) -> ResultFolder:
+    """The folder of an experiment; more steps may be asked for than before."""
+    config = experiment.to_dict()
+    return ResultFolder(out, "training", config, fixed={key: config[key] for key in config if key != "steps"})
 
-    More steps may be asked for; everything else must be as it was.
-    """
-    mark, progress, wanted = out / MARK, out / PROGRESS, experiment.to_dict()
-    require_own(mark)
-    make_folder(out)
+
+def _progress(experiment: ExperimentConfig, out: Path) -> list[dict[str, Any]]:
+    """Evaluations of the checkpoints in a folder that can be claimed; none in a new one."""
+    _folder(experiment, out).check()
+    progress, last = out / PROGRESS, out / LAST
+    if not last.exists():
+        there = [name for name in (BEST, CARD, PROGRESS) if (out / name).exists()]
+        if there:
+            raise InputError(
+                f"out must be empty or hold a complete training, got {out} with {', '.join(there)} but without {LAST}: "
+                "choose a new folder"
+            )
+        return []
     try:
-        found = read_kept(mark, dict) if mark.exists() else wanted
-        changed = sorted(key for key in wanted | found if key != "steps" and wanted.get(key) != found.get(key))
-        lacking = [name for name in (MARK, LAST) if not (out / name).exists()]
-        there = [name for name in (LAST, BEST, CARD, PROGRESS) if (out / name).exists()]
-        rows: list[dict[str, Any]] = read_kept(progress, list) if progress.exists() and not lacking else []
+        return read_json(progress, list) if progress.exists() else []
     except OSError as error:
         raise InputError(f"out must be a folder that can be read, got {out} ({error}): choose another") from error
-    if lacking and there:
-        raise InputError(
-            f"out must be empty or hold a whole training, got {out} with {', '.join(there)} "
-            f"but without {' and '.join(lacking)}: choose a new folder"
-        )
-    if changed:
-        raise InputError(
-            f"out must be empty or hold the same experiment, got {out}, which differs in {', '.join(changed)}: "
-            "choose a new folder"
-        )
-    return rows
 
 
 def _checkpoint(
@@ -233,21 +229,22 @@ def _checkpoint(
     found = evaluate(experiment, model)
     progress.append({"steps": model.num_timesteps, **found})
     best = is_best(progress, _limit_of_best(experiment))
-    _keep(model, out, best)
+    _keep(experiment, model, out, best)
     if best:
         write_card(experiment, progress[-1], out / CARD)
-    write_whole(out / PROGRESS, finite_or_none(progress))
+    write_json(out / PROGRESS, progress)
     return Checkpoint(model.num_timesteps, experiment.steps, found, best)
 
 
-def _keep(model: BaseAlgorithm, out: Path, best: bool) -> None:
-    """Save a checkpoint; the one before stays until the new one is whole."""
+def _keep(experiment: ExperimentConfig, model: BaseAlgorithm, out: Path, best: bool) -> None:
+    """Save a checkpoint; the previous one stays until the new one is complete."""
     if getattr(model, "replay_buffer", None) is not None:
         with replace_file(out / REPLAY) as draft:
             model.save_replay_buffer(draft)  # type: ignore[attr-defined]
     for path in (out / LAST, out / BEST) if best else (out / LAST,):
         with replace_file(path) as draft:
             model.save(draft)
+            write_experiment(draft, experiment.to_json())
     (out / IMITATION).unlink(missing_ok=True)
 
 

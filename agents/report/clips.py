@@ -15,13 +15,14 @@ from lanebound.agents.benchmark.outcome import Outcome
 from lanebound.agents.benchmark.replay import differences, replay
 from lanebound.agents.benchmark.source import source_digest
 from lanebound.agents.benchmark.store import CLIPS
-from lanebound.agents.kept import replace_file
+from lanebound.agents.checkpointing.files import replace_file
 
 __all__ = ["Clip", "film_clip", "shrink"]
 
 LAST_S = 12.0  # of the episode: where it ends badly
 WIDTH_PX = 960
 FPS = 10
+POSTER_BEFORE_END_S = 1.0
 QUALITY = (30, 36, 42)  # constant rate factors of x264, tried until a clip is small enough
 LARGEST_BYTES = 1_200_000
 
@@ -32,12 +33,14 @@ class Clip:
 
     Attributes
     ----------
-    address : the film itself, as a ``data:`` address; "" when there is none
-    trouble : why there is none, or what does not agree with the episode as it was
+    address : the film as a ``data:`` address; "" where there is none
+    poster : a picture of its last second as a ``data:`` address, shown before the film is played
+    trouble : why there is no film, or what differs from the stored episode
     """
 
     outcome: Outcome
     address: str = ""
+    poster: str = ""
     trouble: str = ""
 
 
@@ -49,15 +52,15 @@ def film_clip(folder: Path, outcome: Outcome) -> Clip:
     try:
         kept = folder / CLIPS / f"{_name(outcome)}.mp4"
         if kept.exists():
-            return Clip(outcome, _address(kept.read_bytes()))
+            return _clip(outcome, kept.read_bytes())
         film, other = _filmed(folder, outcome)
         if other:
-            return Clip(outcome, _address(film), f"Driven again it did not come out as it had: {other} differ.")
+            return _clip(outcome, film, f"Driven again it did not come out as it had: {other} differ.")
         with suppress(OSError):  # what cannot be kept is shown all the same
             kept.parent.mkdir(exist_ok=True)
             with replace_file(kept) as draft:
                 draft.write_bytes(film)
-        return Clip(outcome, _address(film))
+        return _clip(outcome, film)
     except Exception as error:
         return Clip(outcome, trouble=f"No clip: {type(error).__name__}: {error}")
 
@@ -92,5 +95,22 @@ def shrink(whole: Path, small: Path, length_s: float) -> bytes:
     return small.read_bytes()
 
 
-def _address(film: bytes) -> str:
-    return "data:video/mp4;base64," + base64.b64encode(film).decode("ascii")
+def _clip(outcome: Outcome, film: bytes, trouble: str = "") -> Clip:
+    return Clip(outcome, _address("video/mp4", film), _address("image/jpeg", poster_of(film)), trouble)
+
+
+def poster_of(film: bytes) -> bytes:
+    """A picture shortly before the end of a film, as JPEG."""
+    from imageio_ffmpeg import get_ffmpeg_exe
+
+    command = [get_ffmpeg_exe(), "-v", "error", "-y", "-sseof", f"-{POSTER_BEFORE_END_S}", "-i"]
+    with tempfile.TemporaryDirectory() as place:
+        whole, picture = Path(place) / "film.mp4", Path(place) / "poster.jpg"
+        whole.write_bytes(film)
+        command += [str(whole), "-frames:v", "1", "-vf", "scale=640:-2", "-q:v", "6", str(picture)]
+        subprocess.run(command, check=True, stdin=subprocess.DEVNULL, capture_output=True)
+        return picture.read_bytes()
+
+
+def _address(kind: str, data: bytes) -> str:
+    return f"data:{kind};base64,{base64.b64encode(data).decode('ascii')}"

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from lanebound.agents.benchmark.outcome import Outcome
 from lanebound.agents.benchmark.results import Results
-from lanebound.agents.benchmark.store import Store
-from lanebound.agents.report.looks import Actor
-from lanebound.agents.report.trace import Trace
+from lanebound.agents.benchmark.store import EpisodeStore
+from lanebound.agents.report.charts import EpisodeTrace
+from lanebound.agents.report.style import Actor
 from lanebound.integrity.assessment.record import AXES, Record
 from lanebound.integrity.positioning.modes import Mode
 
@@ -25,13 +25,13 @@ TAKEN = ("time_s", "mode", "err_at_m", "err_ct_m", "pl_at_m", "pl_ct_m", "al_at_
 Columns = dict[str, NDArray[Any]]
 
 
-def trace_of(results: Results, outcome: Outcome) -> Trace | None:
+def trace_of(results: Results, outcome: Outcome) -> EpisodeTrace | None:
     """Belief and truth of an episode after every decision; None where nothing is kept of it."""
     columns = _columns(results, outcome)
     return None if columns is None else _traced([columns])
 
 
-def pooled(results: Results, outcomes: Iterable[Outcome]) -> Trace | None:
+def pooled(results: Results, outcomes: Iterable[Outcome]) -> EpisodeTrace | None:
     """The same of many episodes, one after the other; their time counts decisions and means nothing."""
     parts = [columns for outcome in outcomes if (columns := _columns(results, outcome)) is not None]
     return _traced(parts) if parts else None
@@ -43,7 +43,7 @@ def _columns(results: Results, outcome: Outcome) -> Columns | None:
         return None
     import pyarrow.parquet as pq
 
-    table = pq.ParquetFile(Store(results.folder).path(outcome.task)).read(columns=list(TAKEN))
+    table = pq.ParquetFile(EpisodeStore(results.folder).path(outcome.task)).read(columns=list(TAKEN))
     if table.num_rows < 2:
         return None
     found: Columns = {name: table[name].to_numpy() for name in TAKEN}
@@ -52,7 +52,7 @@ def _columns(results: Results, outcome: Outcome) -> Columns | None:
     return {name: values[keep] for name, values in found.items()} if keep.any() else None
 
 
-def _traced(parts: Sequence[Columns]) -> Trace:
+def _traced(parts: Sequence[Columns]) -> EpisodeTrace:
     """One record; where alert limits change, errors and levels are scaled so that each keeps its ratio to its limit."""
     joined = {name: np.concatenate([part[name] for part in parts]) for name in TAKEN}
     limits = {axis: joined[f"al_{axis}_m"] for axis in AXES}
@@ -69,7 +69,7 @@ def _traced(parts: Sequence[Columns]) -> Trace:
         alert=joined["alert"].astype(bool),
         available=joined["available"].astype(bool),
     )
-    return Trace(record, first["at"], first["ct"])
+    return EpisodeTrace(record, first["at"], first["ct"])
 
 
 def what_happened(outcome: Outcome) -> str:

@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from lanebound.agents.benchmark.metrics import MAIN, METRICS, Metric, metric_named
 from lanebound.agents.benchmark.outcome import Place
-from lanebound.agents.benchmark.results import Cell, Estimate
+from lanebound.agents.benchmark.results import Cell, Estimate, Results
 from lanebound.agents.benchmark.statistics import SPREAD_SEEDS, VERDICT_SEEDS
-from lanebound.agents.report.looks import Actor, clear_best, slug_of, title_of, unit_of
+from lanebound.agents.benchmark.verdicts import mean_over_cells
 from lanebound.agents.report.numbers import SHARE, plain
+from lanebound.agents.report.style import Actor, clear_best, slug_of, title_of, unit_of
 
-__all__ = ["Entry", "Head", "Overview", "Table", "all_metrics", "head_of", "main_table", "overviews"]
+__all__ = [
+    "Head",
+    "Overview",
+    "Table",
+    "TableEntry",
+    "all_metrics",
+    "head_of",
+    "main_table",
+    "means_table",
+    "overviews",
+]
 
 ARROWS = {"higher": "↑", "lower": "↓"}
 
@@ -35,7 +47,7 @@ class Head:
 
 
 @dataclass(frozen=True)
-class Entry:
+class TableEntry:
     """A mean and its interval as text, or why it has none; ``best`` where it is clear of all others.
 
     ``seeds`` says how many it is of, where they are fewer than those that were driven.
@@ -50,13 +62,13 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Row:
+class TableRow:
     """An agent, how many episodes it drove, its entries, and whether it is untuned here."""
 
     actor: Actor
     episodes: int
     failed: int
-    entries: list[Entry]
+    entries: list[TableEntry]
     untuned: bool = False
 
 
@@ -65,7 +77,7 @@ class Table:
     """Agents by metrics."""
 
     heads: list[Head]
-    rows: list[Row]
+    rows: list[TableRow]
 
 
 @dataclass(frozen=True)
@@ -74,7 +86,7 @@ class Overview:
 
     head: Head
     agents: list[Actor]
-    lines: list[tuple[str, str, list[Entry]]]
+    lines: list[tuple[str, str, list[TableEntry]]]
 
 
 def head_of(metric: Metric) -> Head:
@@ -92,6 +104,18 @@ def main_table(cells: Sequence[Cell], actors: Mapping[str, Actor]) -> Table:
     return _table(cells, actors, [metric_named(key) for key in MAIN])
 
 
+def means_table(results: Results, actors: Mapping[str, Actor]) -> Table:
+    """The main metrics of the agents in the mean of all places, without intervals."""
+    metrics = [metric_named(key) for key in MAIN]
+    rows = []
+    for name, actor in actors.items():
+        cells = [cell for cell in results.cells if cell.agent == name]
+        entries = [TableEntry(plain(mean_over_cells(results, name, m.key), unit_of(m))) for m in metrics]
+        if cells:
+            rows.append(TableRow(actor, sum(c.episodes for c in cells), sum(c.failed for c in cells), entries))
+    return Table([head_of(metric) for metric in metrics], rows)
+
+
 def all_metrics(cells: Sequence[Cell], actors: Mapping[str, Actor]) -> Table:
     """All metrics that anybody has a figure of."""
     return _table(cells, actors, [m for m in METRICS if any(cell.metrics[m.key].n for cell in cells)])
@@ -100,13 +124,13 @@ def all_metrics(cells: Sequence[Cell], actors: Mapping[str, Actor]) -> Table:
 def _table(cells: Sequence[Cell], actors: Mapping[str, Actor], metrics: Sequence[Metric]) -> Table:
     columns = [_entries(metric, cells, actors) for metric in metrics]
     rows = [
-        Row(actors[cell.agent], cell.episodes, cell.failed, [column[i] for column in columns], cell.untuned)
+        TableRow(actors[cell.agent], cell.episodes, cell.failed, [column[i] for column in columns], cell.untuned)
         for i, cell in enumerate(cells)
     ]
     return Table([head_of(metric) for metric in metrics], rows)
 
 
-def _entries(metric: Metric, cells: Sequence[Cell], actors: Mapping[str, Actor]) -> list[Entry]:
+def _entries(metric: Metric, cells: Sequence[Cell], actors: Mapping[str, Actor]) -> list[TableEntry]:
     """One metric of the agents at one place; those that see the truth do not compete, and who failed is not best."""
     found = {cell.agent: cell.metrics[metric.key] for cell in cells}
     failed, seeds = {cell.agent for cell in cells if cell.failed}, max(cell.episodes for cell in cells)
@@ -120,22 +144,24 @@ def _entries(metric: Metric, cells: Sequence[Cell], actors: Mapping[str, Actor])
     return [_entry(e, metric, name == best and name not in failed, seeds) for name, e in found.items()]
 
 
-def _entry(estimate: Estimate, metric: Metric, best: bool, seeds: int) -> Entry:
+def _entry(estimate: Estimate, metric: Metric, best: bool, seeds: int) -> TableEntry:
     """One estimate; of what is 0 or 1 in each episode an interquartile mean says nothing."""
     e, unit = estimate, unit_of(metric)
     iqm = "" if metric.rate else f"{plain(e.iqm, unit)} {_bare(e.iqm_low, e.iqm_high, unit)}"
     fewer = f"n = {e.n}" if 0 < e.n < seeds else ""
-    return Entry(plain(e.mean, unit), _bare(e.low, e.high, unit), _lacking(e, metric), best, iqm, fewer)
+    return TableEntry(plain(e.mean, unit), _bare(e.low, e.high, unit), _lacking(e, metric), best, iqm, fewer)
 
 
 def _lacking(e: Estimate, metric: Metric) -> str:
-    """Why an estimate has no interval; nothing where it has one, or is none itself."""
+    """Why an estimate has no interval; "" where it has one, or does not exist."""
     if e.mean is None or e.low is not None:
         return ""
     if e.n < SPREAD_SEEDS:
-        return f"no interval: {e.n} seed{'s' if e.n > 1 else ''}"
-    never = e.mean == 0.0 and metric.bounds[0] == 0.0
-    return f"no interval: never seen in {e.n}" if never else f"no interval: all {e.n} too alike"
+        return f"{e.n} seed{'s' if e.n > 1 else ''}"
+    if e.mean == 0.0 and metric.bounds[0] == 0.0:
+        return f"never in {e.n}"
+    alike = e.iqm is not None and math.isclose(e.mean, e.iqm, rel_tol=1e-9)
+    return f"all {e.n} alike" if alike else "few seeds dominate"
 
 
 def _bare(low: float | None, high: float | None, unit: str) -> str:
@@ -158,5 +184,5 @@ def _overview(
     lines = []
     for place, cells in places.items():
         found = dict(zip((cell.agent for cell in cells), _entries(metric, cells, actors), strict=True))
-        lines.append((title_of(place), slug_of(place), [found.get(a.name, Entry("")) for a in agents]))
+        lines.append((title_of(place), slug_of(place), [found.get(a.name, TableEntry("")) for a in agents]))
     return Overview(head_of(metric), list(agents), lines)

@@ -11,23 +11,30 @@ from markupsafe import Markup
 from lanebound.agents.benchmark.metrics import MAIN, METRICS, metric_named
 from lanebound.agents.benchmark.outcome import Outcome, Place
 from lanebound.agents.benchmark.results import Cell, Results
-from lanebound.agents.report.bars import Stack, stacked
+from lanebound.agents.report.charts import (
+    AXIS_NAMES,
+    CostBar,
+    PairedRow,
+    ParetoAxis,
+    ParetoPoint,
+    forest,
+    pareto,
+    share_text,
+    stacked,
+    stanford,
+    trace,
+)
 from lanebound.agents.report.commands import replay_command
 from lanebound.agents.report.episodes import pooled, trace_of, worst_of
-from lanebound.agents.report.forest import Difference, forest
-from lanebound.agents.report.looks import Actor, slug_of, title_of, unit_of
 from lanebound.agents.report.numbers import SHARE, plain
-from lanebound.agents.report.pareto import Place as Spot
-from lanebound.agents.report.pareto import Side, pareto
-from lanebound.agents.report.stanford import AXIS_NAMES, share_text, stanford
+from lanebound.agents.report.style import Actor, slug_of, title_of, unit_of
 from lanebound.agents.report.tables import Table, all_metrics, main_table
-from lanebound.agents.report.trace import trace
 from lanebound.envs.costs import CAUSES, CostConfig
 from lanebound.integrity.assessment.events import Zone
 from lanebound.integrity.assessment.record import AXES
 from lanebound.integrity.assessment.stanford import ZoneCounts
 
-__all__ = ["Choice", "Diagram", "PlaceView", "TraceView", "causes", "view_of"]
+__all__ = ["ChartChoice", "Diagram", "PlaceView", "TraceView", "causes", "view_of"]
 
 GAINS = ("return", "success", "throughput", "mean_speed")
 WORST, WORST_OF_MANY = 3, 1  # episodes whose traces a place shows, and where there are many places
@@ -35,7 +42,7 @@ MANY_PLACES = 12
 
 
 @dataclass(frozen=True)
-class Choice:
+class ChartChoice:
     """One of several pictures of the same kind."""
 
     key: str
@@ -53,7 +60,7 @@ class Forests:
     """Differences against a reference: a picture for each metric."""
 
     against: str
-    pictures: list[Choice]
+    pictures: list[ChartChoice]
 
 
 @dataclass(frozen=True)
@@ -86,7 +93,7 @@ class PlaceView:
     main: Table
     full: Table
     forests: list[Forests]
-    fronts: list[Choice]
+    fronts: list[ChartChoice]
     costs: Markup | None
     diagrams: list[Diagram]
     traces: list[TraceView]
@@ -117,32 +124,32 @@ def _forests(results: Results, cells: Sequence[Cell], against: str) -> Forests:
     names = {cell.agent: f"{cell.agent}, untuned" if cell.untuned else cell.agent for cell in cells}
     for metric in (metric_named(key) for key in MAIN):
         rows = [
-            Difference(names[pair.agent], pair.difference, pair.low, pair.high, pair.n, pair.better, pair.failed)
+            PairedRow(names[pair.agent], pair.difference, pair.low, pair.high, pair.n, pair.better, pair.failed)
             for pair in results.paired
             if (pair.place, pair.against, pair.metric) == (cells[0].place, against, metric.key)
             if pair.difference is not None
         ]
         if any(row.low is not None for row in rows):
             picture = forest(metric.title, unit_of(metric), metric.better, names[against], rows)
-            found.append(Choice(metric.key, metric.title, picture))
+            found.append(ChartChoice(metric.key, metric.title, picture))
     return Forests(names.get(against, against), found)
 
 
-def _fronts(cells: Sequence[Cell], actors: Mapping[str, Actor]) -> list[Choice]:
+def _fronts(cells: Sequence[Cell], actors: Mapping[str, Actor]) -> list[ChartChoice]:
     """Cost against what may be gained by it."""
     return [choice for key in GAINS if (choice := _front(key, cells, actors)) is not None]
 
 
-def _front(key: str, cells: Sequence[Cell], actors: Mapping[str, Actor]) -> Choice | None:
+def _front(key: str, cells: Sequence[Cell], actors: Mapping[str, Actor]) -> ChartChoice | None:
     gain, spots = metric_named(key), []
     for cell in cells:
         x, y = (_spread(cell, name) for name in ("cost", key))
         if x is not None and y is not None:
-            spots.append(Spot(cell.agent, actors[cell.agent].look, x, y, actors[cell.agent].bound))
+            spots.append(ParetoPoint(cell.agent, actors[cell.agent].look, x, y, actors[cell.agent].bound))
     if not spots:
         return None
-    sides = [Side(m.title, "" if unit_of(m) == SHARE else m.unit, m.better) for m in (metric_named("cost"), gain)]
-    return Choice(key, gain.title, pareto(spots, *sides))
+    sides = [ParetoAxis(m.title, "" if unit_of(m) == SHARE else m.unit, m.better) for m in (metric_named("cost"), gain)]
+    return ChartChoice(key, gain.title, pareto(spots, *sides))
 
 
 def _spread(cell: Cell, key: str) -> tuple[float, float, float] | None:
@@ -172,7 +179,7 @@ def _costs(results: Results, place: Place, here: Sequence[Outcome], agents: Sequ
         if driven:
             weights = _weights(results, place, agent)
             parts = {c: weights[c] * float(np.mean([o.costs.get(c, 0.0) for o in driven])) for c in CAUSES}
-            stacks.append(Stack(agent, {_cause(cause): value for cause, value in parts.items()}))
+            stacks.append(CostBar(agent, {_cause(cause): value for cause, value in parts.items()}))
     return stacked("Costs by cause", stacks) if stacks else None
 
 

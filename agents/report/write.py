@@ -6,6 +6,7 @@ import json
 import platform
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
@@ -19,14 +20,14 @@ from lanebound.agents.benchmark.metrics import METRICS
 from lanebound.agents.benchmark.outcome import Outcome, Place
 from lanebound.agents.benchmark.results import Cell, Results
 from lanebound.agents.benchmark.statistics import VERDICT_SEEDS
-from lanebound.agents.benchmark.store import Store
-from lanebound.agents.benchmark.verdicts import conclusions
-from lanebound.agents.kept import replace_file
+from lanebound.agents.benchmark.store import EpisodeStore
+from lanebound.agents.benchmark.verdicts import opening
+from lanebound.agents.checkpointing.files import replace_file
 from lanebound.agents.report.clips import Clip, film_clip
 from lanebound.agents.report.commands import replay_command
 from lanebound.agents.report.episodes import badness, what_happened, worst_of
-from lanebound.agents.report.looks import Actor, actors_of, title_of
-from lanebound.agents.report.tables import head_of, overviews
+from lanebound.agents.report.style import Actor, actors_of, title_of
+from lanebound.agents.report.tables import head_of, means_table, overviews
 from lanebound.agents.report.views import causes, view_of
 from lanebound.integrity.assessment.plotting import MODE_COLOURS
 
@@ -88,7 +89,8 @@ def render(results: Results, clips: int = 0, told: Callable[[int, int], None] = 
         overviews=overviews(places, actors) if len(places) > 1 else [],
         actors=list(actors.values()),
         bounds=[actor.name for actor in actors.values() if actor.bound],
-        verdicts=conclusions(results) if results.cells else [],
+        opening=opening(results) if results.cells else [],
+        means=means_table(results, actors),
         few=max((cell.episodes for cell in results.cells), default=VERDICT_SEEDS) < VERDICT_SEEDS,
         verdict_seeds=VERDICT_SEEDS,
         episodes=len(results.outcomes),
@@ -160,20 +162,16 @@ def _failures_of(results: Results, place: Place, agent: str, group: Sequence[Out
 
 
 def _versions(folder: Path | None) -> list[tuple[str, str]]:
-    """What drove, and what it stood on: as it was recorded, and else as it is now."""
+    """Versions that the episodes were driven with, as recorded; the present ones of packages that are not recorded."""
+    manifest = {} if folder is None else EpisodeStore(folder).manifest()
     found: list[tuple[str, str]] = []
-    recorded = {} if folder is None else Store(folder).packages()
-    mark = None if folder is None else folder / "suite.json"
-    if mark is not None and mark.exists():
-        kept = json.loads(mark.read_text(encoding="utf-8"))
-        found = [("driven by lanebound", str(kept.get("version", ""))), ("digest of its code", str(kept.get("source")))]
+    if manifest:
+        found = [("driven by lanebound", str(manifest["version"])), ("digest of its code", str(manifest["source"]))]
+    recorded = {"Python": platform.python_version(), **manifest.get("packages", {})}
     found += recorded.items()
-    found += [] if "Python" in recorded else [("Python", platform.python_version())]
     for name in PACKAGES:
         if name in recorded:
             continue
-        try:
+        with suppress(PackageNotFoundError):
             found.append((name, version(name)))
-        except PackageNotFoundError:
-            continue
     return found

@@ -16,10 +16,12 @@ from typing import Any, Literal
 
 import numpy as np
 
+from lanebound.agents.checkpointing.files import write_json
+from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
+from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
 from lanebound.agents.drivers.barrier import BarrierConfig, BarrierFilter
 from lanebound.agents.drivers.nominal import make_nominal
 from lanebound.agents.episodes import drive, open_env
-from lanebound.agents.kept import Progress, claim, run_parts, write_whole
 from lanebound.agents.reproduce.barrier_score import PromiseWatch
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.scene import alert_limits_m, navigator_config
@@ -122,7 +124,9 @@ class _Faulty:
         return self._env.reset(seed=seed, options={"faults": [one_fault(seed, self._length_s)]})
 
 
-def drive_part(config: BarrierPromiseConfig, group: str, seeds: Sequence[int]) -> dict[str, Any]:
+def drive_part(
+    config: BarrierPromiseConfig, group: str, seeds: Sequence[int], advance: Advance = ignore
+) -> dict[str, Any]:
     """Drive some seeds under the sky that each has; plain figures of all of them."""
     total: dict[str, Any] = {"episodes": 0, "crashes": 0, "least_m": math.inf, "breaches": [], "crashed": []}
     counts: dict[str, Counter[str]] = {"counts": Counter(), "exceptions": Counter(), "filter": Counter()}
@@ -140,6 +144,7 @@ def drive_part(config: BarrierPromiseConfig, group: str, seeds: Sequence[int]) -
             reckless.begin(seed)
             drive(world, barrier, [seed], [watch])
             total["episodes"] += 1
+            advance(total["episodes"] / len(seeds))
             if env.world.vehicle.crashed:
                 total["crashes"] += 1
                 total["crashed"].append(seed)
@@ -155,22 +160,23 @@ def drive_part(config: BarrierPromiseConfig, group: str, seeds: Sequence[int]) -
 
 
 def run_promise(
-    config: BarrierPromiseConfig, out: Path, jobs: int = 1, progress: Progress = lambda done, of: None
+    config: BarrierPromiseConfig, out: Path, jobs: int = 1, on_progress: OnProgress = ignore
 ) -> dict[str, Any]:
-    """Drive all episodes, each part kept once it is done, and write ``promise.json``; returns it.
+    """Drive the missing episodes, and write ``promise.json``; returns its data.
 
     Raises
     ------
     InputError
-        ``out`` holds another study or cannot be written.
+        ``out`` cannot be claimed: it holds other work, results of another version or foreign files.
     """
-    claim(out, "barrier promise", config, PACKAGES)
+    ResultFolder(out, "barrier promise study", config.to_dict(), code_digest(*PACKAGES)).claim()
     names = {group: [_name(group, seeds) for seeds in _batches(config)] for group in GROUPS}
     ordered = [name for batch in zip(*names.values(), strict=True) for name in batch]
-    found = run_parts(out, ordered, partial(drive_named, config), jobs, progress, lambda name: len(_seeds(name)))
+    drive_one = partial(drive_named, config)
+    found = run_parts(out, ordered, drive_one, jobs, on_progress, size=lambda name: len(_seeds(name)))
     result = {group: summarise_promise(config, [found[name] for name in names[group]]) for group in GROUPS}
     result["one fault"]["by_fault"] = _by_fault(config, result["one fault"]["crashed_seeds"])
-    write_whole(out / "promise.json", result)
+    write_json(out / "promise.json", result)
     return result
 
 
@@ -202,10 +208,10 @@ def _seeds(name: str) -> range:
     return range(int(first), int(last) + 1)
 
 
-def drive_named(config: BarrierPromiseConfig, name: str) -> dict[str, Any]:
+def drive_named(config: BarrierPromiseConfig, name: str, advance: Advance = ignore) -> dict[str, Any]:
     """Drive the part of a name."""
     group = next(group for group in GROUPS if name.startswith(group.replace(" ", "-")))
-    return drive_part(config, group, _seeds(name))
+    return drive_part(config, group, _seeds(name), advance)
 
 
 def summarise_promise(config: BarrierPromiseConfig, parts: Sequence[dict[str, Any]]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-__all__ = ["CELLS", "MODES", "RISKS", "Cell"]
+__all__ = ["CELLS", "MODES", "RISKS", "PrintedFigure"]
 
 MODES = ("rtk", "doppler", "imu_odometer")
 RISKS = (1e-3, 1e-4, 1e-5, 1e-6)
@@ -33,7 +33,7 @@ IMPOSSIBLE = {("error", "imu_odometer", "rmse_ct_m"), ("error", "imu_odometer", 
 
 
 @dataclass(frozen=True)
-class Cell:
+class PrintedFigure:
     """One printed figure: ``path`` in tables.json, its value, the band we aim at and a remark."""
 
     path: tuple[str, ...]
@@ -48,23 +48,25 @@ def risk_key(risk: float) -> str:
     return f"1e-{round(-math.log10(risk))}"
 
 
-def _cells() -> list[Cell]:
+def _cells() -> list[PrintedFigure]:
     share_band = {"rtk": (0.672, 0.772), "doppler": (0.208, 0.308), "imu_odometer": (0.01, 0.04)}
-    cells = [Cell(("mode_share", m), MODE_SHARE[m], *share_band[m]) for m in MODES]
+    cells = [PrintedFigure(("mode_share", m), MODE_SHARE[m], *share_band[m]) for m in MODES]
     for mode in MODES:
         tolerance = 0.6 if mode == "imu_odometer" else 0.3
         for key, value in ERROR_M[mode].items():
             remark = (
                 "printed RMSE is below the printed median over sqrt 2" if ("error", mode, key) in IMPOSSIBLE else ""
             )
-            cells.append(Cell(("error", mode, key), value, value * (1 - tolerance), value * (1 + tolerance), remark))
+            cells.append(
+                PrintedFigure(("error", mode, key), value, value * (1 - tolerance), value * (1 + tolerance), remark)
+            )
     for mode in MODES:
         tolerance = 0.4 if mode == "imu_odometer" else 0.25
         for axis, table in (("at", PL_AT_M), ("ct", PL_CT_M)):
             for risk, value in zip(RISKS, table[mode], strict=True):
                 path = ("pl_median", mode, f"{axis}_m", risk_key(risk))
                 remark = "0.567 K + 0.050 gives 2.745" if (mode, axis, risk) == ("doppler", "ct", 1e-6) else ""
-                cells.append(Cell(path, value, value * (1 - tolerance), value * (1 + tolerance), remark))
+                cells.append(PrintedFigure(path, value, value * (1 - tolerance), value * (1 + tolerance), remark))
     return cells
 
 

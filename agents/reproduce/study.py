@@ -1,13 +1,8 @@
-"""Run the urban drive for all its seeds, keep each batch as soon as it is done, and write tables and figures.
-
-A run that is interrupted and started again in the same folder goes on with the batches that are missing, and ends as an
-unbroken one would.
-"""
+"""The urban drive for all its seeds, batch by batch, and its tables and figures."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,11 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.agents.kept import claim, write_whole
-from lanebound.agents.plain import finite_or_none
-from lanebound.agents.reproduce.parts import part_path
-from lanebound.agents.reproduce.published import CELLS, Cell
+from lanebound.agents.checkpointing.files import write_json
+from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
+from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
+from lanebound.agents.reproduce.published import CELLS, PrintedFigure
 from lanebound.agents.reproduce.urban_drive import Drives, UrbanDriveConfig, drive, seed_statistics, street
+from lanebound.agents.serialization import finite_or_none
 from lanebound.integrity.assessment.plotting import save
 from lanebound.integrity.assessment.record import Record
 from lanebound.integrity.assessment.series import map_figure, series_figure
@@ -34,62 +30,60 @@ ALERT_LIMIT_M = 1.0  # S1 section 5
 FIGURE_RISKS = {"1e-4": 1, "1e-6": 3}  # S1 figures 3 and 4
 
 
-def run_study(
-    config: UrbanDriveConfig, out: Path, progress: Callable[[int, int], None] = lambda done, of: None
-) -> dict[str, Any]:
-    """Drive all seeds and write ``tables.json`` and the figures into ``out``; returns the tables.
+def run_study(config: UrbanDriveConfig, out: Path, on_progress: OnProgress = ignore) -> dict[str, Any]:
+    """Drive the missing batches, and write ``tables.json`` and the figures into ``out``; returns the tables.
 
     Parameters
     ----------
-    progress : called with the epochs done so far and the epochs in all
+    on_progress : called with the number of epochs
 
     Raises
     ------
     InputError
-        ``out`` holds a study with another configuration, or cannot hold one.
+        As :func:`check`.
     """
     check(config, out)
-    road, city, mask = street(config, out / "parts")
-    dt = config.navigator.dt_s
-    per_drive = round(60.0 * config.minutes / dt)
-    statistics: list[dict[str, Any]] = []
-    for first, seeds in _batches(config):
-        part = part_path(out, seeds)
-        if not part.exists():
-            told = partial(_tell, progress, first * per_drive, len(seeds), config.seeds * per_drive)
-            drives = drive(config, road, mask, seeds, told)
-            if first == 0:
-                _figures(drives, city, out)
-            write_whole(part, seed_statistics(drives, dt))
-        statistics += json.loads(part.read_text(encoding="utf-8"))
-        progress((first + len(seeds)) * per_drive, config.seeds * per_drive)
+    batches = _batches(config)
+    epochs = round(60.0 * config.minutes / config.navigator.dt_s)
+    found = run_parts(
+        out, list(batches), partial(_drive_batch, config, out), 1, on_progress,
+        size=lambda name: len(batches[name]) * epochs, infinite=True,
+    )  # fmt: skip
+    statistics = [drive_ for part in found.values() for drive_ in part]
     tables = {"seeds": config.seeds, "minutes": config.minutes, **summarise(statistics)}
     tables = finite_or_none(tables)
-    write_whole(out / "tables.json", tables)
+    write_json(out / "tables.json", tables)
     return dict(tables)
 
 
-def _tell(progress: Callable[[int, int], None], before: int, batch: int, total: int, epochs: int) -> None:
-    progress(before + batch * epochs, total)
+def _batches(config: UrbanDriveConfig) -> dict[str, list[int]]:
+    """Seeds of each part by its name."""
+    last = config.first_seed + config.seeds
+    seeds = (range(first, min(first + config.batch, last)) for first in range(config.first_seed, last, config.batch))
+    return {f"seeds-{batch[0]}-{batch[-1]}": list(batch) for batch in seeds}
 
 
-def _batches(config: UrbanDriveConfig) -> Iterator[tuple[int, list[int]]]:
-    for first in range(0, config.seeds, config.batch):
-        last = min(first + config.batch, config.seeds)
-        yield first, list(range(config.first_seed + first, config.first_seed + last))
+def _drive_batch(config: UrbanDriveConfig, out: Path, name: str, advance: Advance) -> list[dict[str, Any]]:
+    """Statistics of the drives of a part; the figures are of the first drive."""
+    seeds = _batches(config)[name]
+    road, city, mask = street(config, out / "parts")
+    drives = drive(config, road, mask, seeds, advance)
+    if seeds[0] == config.first_seed:
+        _figures(drives, city, out)
+    return seed_statistics(drives, config.navigator.dt_s)
 
 
 def check(config: UrbanDriveConfig, out: Path) -> None:
-    """Refuse what cannot be driven, before any time is spent, and mark the folder with the study.
+    """Refuse a configuration that cannot be driven, and claim the folder.
 
     Raises
     ------
     InputError
-        The road cannot be driven, no satellite flies, or ``out`` holds another study or cannot be written.
+        The road cannot be driven, there is no satellite, or ``out`` cannot be claimed.
     """
     CityDrive(config.road(), config.drive, config.navigator.dt_s)
     config.navigator.sky.satellites()
-    claim(out, "urban drive", config, PACKAGES)
+    ResultFolder(out, "urban drive study", config.to_dict(), code_digest(*PACKAGES)).claim()
 
 
 def _leaves(tree: dict[str, Any], path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
@@ -152,7 +146,7 @@ def rows_against_paper(tables: dict[str, Any]) -> list[dict[str, Any]]:
     return [_row(cell, tables) for cell in CELLS]
 
 
-def _row(cell: Cell, tables: dict[str, Any]) -> dict[str, Any]:
+def _row(cell: PrintedFigure, tables: dict[str, Any]) -> dict[str, Any]:
     ours, spread = lookup(tables, cell.path), lookup(tables["spread"], cell.path)
     return {
         "figure": ".".join(cell.path),

@@ -8,7 +8,6 @@ luck.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from lanebound.agents.checkpointing.runner import Advance, ignore
 from lanebound.agents.reproduce.published import MODES, RISKS, risk_key
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.streams import Streams, named_generator
@@ -93,7 +93,7 @@ class Drives:
 
 
 def street(config: UrbanDriveConfig, cache: Path | None = None) -> tuple[Road, City, SkyMask]:
-    """The loop, what stands along it, and its sky mask, which is kept under ``cache`` when a folder is given."""
+    """The loop, the city along it, and its sky mask, which is cached in the folder ``cache``."""
     road = config.road()
     city = build_city(road, config.city, named_generator(config.city_seed, "city"))
     digest = SkyMask.digest_of(road, city)
@@ -103,7 +103,7 @@ def street(config: UrbanDriveConfig, cache: Path | None = None) -> tuple[Road, C
     mask = SkyMask.build(road, city)
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        draft = path.with_name(f"draft-{path.name}")  # an interruption must not leave half a mask under the name
+        draft = path.with_name(f"draft-{path.name}")  # NumPy wants the suffix .npz
         mask.save(draft)
         os.replace(draft, path)
     return road, city, mask
@@ -114,9 +114,9 @@ def drive(
     road: Road,
     mask: SkyMask,
     seeds: list[int],
-    progress: Callable[[int], None] = lambda _: None,
+    advance: Advance = ignore,
 ) -> Drives:
-    """Drive the loop with each seed; ``progress`` is told the number of epochs done."""
+    """Drive the loop with each seed; ``advance`` is called with the share of the epochs that is done."""
     navigation = config.with_levels()
     dt, epochs = navigation.dt_s, round(60.0 * config.minutes / navigation.dt_s)
     horizon_s = 3600.0 * np.ceil(
@@ -146,7 +146,7 @@ def drive(
         out.mode[k], out.rtk[k], out.level_m[k] = s.mode, s.rtk, s.pl_cases_m[:, 1:]
         out.position_en_m[k], out.satellites[k] = truth.position_enu_m[:, :2], s.satellites_doppler
         if k % 100 == 99:
-            progress(k + 1)
+            advance((k + 1) / epochs)
     return out
 
 

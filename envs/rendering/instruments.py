@@ -15,7 +15,7 @@ from lanebound.envs.rendering.trace import Trace
 from lanebound.integrity.sky.systems import System
 from lanebound.integrity.sky.visibility import Path
 
-__all__ = ["Place", "draw_error_box", "draw_sky", "draw_strip"]
+__all__ = ["PanelPlace", "draw_error_box", "draw_sky", "draw_strip"]
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ STRIP_REACH = 1.6
 
 
 @dataclass(frozen=True)
-class Place:
+class PanelPlace:
     """A rectangle on the picture [px]."""
 
     x: float
@@ -54,9 +54,9 @@ class Place:
         """(4, 2) clockwise from the upper left."""
         return np.array([[self.x, self.y], [self.right, self.y], [self.right, self.bottom], [self.x, self.bottom]])
 
-    def below_head(self) -> Place:
+    def below_head(self) -> PanelPlace:
         """What is left under a line of words."""
-        return Place(self.x, self.y + HEAD_PX, self.width, self.height - HEAD_PX)
+        return PanelPlace(self.x, self.y + HEAD_PX, self.width, self.height - HEAD_PX)
 
 
 def path_colour(path: int, theme: Theme) -> Colour:
@@ -66,7 +66,7 @@ def path_colour(path: int, theme: Theme) -> Colour:
     }[Path(path)]  # fmt: skip
 
 
-def draw_sky(canvas: Canvas, at: Place, satellites: Satellites | None, up_rad: float, theme: Theme) -> None:
+def draw_sky(canvas: Canvas, at: PanelPlace, satellites: Satellites | None, up_rad: float, theme: Theme) -> None:
     """Zenith in the middle and horizon at the ring, turned as the map is.
 
     Discs are received (filled when tracked), crosses are blocked; letters are those of RINEX; a key is in the corners.
@@ -88,7 +88,7 @@ def draw_sky(canvas: Canvas, at: Place, satellites: Satellites | None, up_rad: f
         _draw_satellites(canvas, middle, radius, satellites, up_rad, theme)
 
 
-def _draw_sky_key(canvas: Canvas, plot: Place, theme: Theme) -> None:
+def _draw_sky_key(canvas: Canvas, plot: PanelPlace, theme: Theme) -> None:
     upper, lower = plot.y + 5, plot.bottom - 5
     canvas.text(plot.x, upper, "LOS", 9, path_colour(Path.LOS, theme))
     canvas.text(plot.right, upper, "leaves", 9, path_colour(Path.FOLIAGE, theme), anchor="right")
@@ -120,7 +120,7 @@ def _draw_satellites(
         canvas.text(x, y, LETTERS[System(int(s.system[row]))], 8, ink, anchor="centre", bold=True)
 
 
-def draw_error_box(canvas: Canvas, at: Place, frame: Frame, theme: Theme) -> None:
+def draw_error_box(canvas: Canvas, at: PanelPlace, frame: Frame, theme: Theme) -> None:
     """The estimate in the middle with its levels and limits; the dot is the truth, ahead is up. Each axis has its
     own scale: the limits always form the same square."""
     outside = frame.misleading
@@ -151,7 +151,7 @@ def _square(middle: Array, half_x: float, half_y: float) -> Array:
 
 def draw_strip(
     canvas: Canvas,
-    at: Place,
+    at: PanelPlace,
     name: str,
     trace: Trace,
     series: tuple[Array, Array, Array],
@@ -182,7 +182,7 @@ def draw_strip(
         canvas.text(at.x + head + 8, at.y + 4, f"0 to {top:.1f} m, last {window_s:g} s", 10, theme.muted)
 
 
-def _draw_alerts(canvas: Canvas, plot: Place, x: Array, alert: NDArray[np.bool_], theme: Theme) -> None:
+def _draw_alerts(canvas: Canvas, plot: PanelPlace, x: Array, alert: NDArray[np.bool_], theme: Theme) -> None:
     change = np.flatnonzero(np.diff(np.concatenate([[False], alert, [False]]).astype(np.int8)))
     for begin, end in change.reshape(-1, 2):
         left = x[begin]
@@ -190,7 +190,7 @@ def _draw_alerts(canvas: Canvas, plot: Place, x: Array, alert: NDArray[np.bool_]
         canvas.box(left, plot.y, right - left, plot.height, mix(theme.plot, theme.alert, 0.28))
 
 
-def _draw_scale(canvas: Canvas, plot: Place, top: float, theme: Theme) -> None:
+def _draw_scale(canvas: Canvas, plot: PanelPlace, top: float, theme: Theme) -> None:
     """A line at each whole or half metre."""
     step = 0.5 if top < 3.0 else np.ceil(top / 5.0)
     for value in np.arange(step, top, step):
@@ -198,6 +198,6 @@ def _draw_scale(canvas: Canvas, plot: Place, top: float, theme: Theme) -> None:
         canvas.line([[plot.x, y], [plot.right, y]], theme.grid, 0.5)
 
 
-def _height(plot: Place, values: Array, top: float) -> Array:
+def _height(plot: PanelPlace, values: Array, top: float) -> Array:
     """Heights on the plot; what is above it is drawn along its upper edge."""
     return np.asarray(plot.bottom - np.minimum(values / top, 1.0 - 1.5 / plot.height) * plot.height)

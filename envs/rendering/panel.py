@@ -8,7 +8,7 @@ from lanebound.envs.records import EgoBelief
 from lanebound.envs.rendering.canvas import Canvas
 from lanebound.envs.rendering.config import RenderingConfig
 from lanebound.envs.rendering.frame import CAUTION_SHARE, Frame, Status
-from lanebound.envs.rendering.instruments import Place, draw_error_box, draw_sky, draw_strip
+from lanebound.envs.rendering.instruments import PanelPlace, draw_error_box, draw_sky, draw_strip
 from lanebound.envs.rendering.map_view import camera_of, status_colour
 from lanebound.envs.rendering.theme import Colour, Theme, mix
 from lanebound.integrity.monitoring.alerts import AlertReason
@@ -39,15 +39,15 @@ def draw_panel(canvas: Canvas, frame: Frame, config: RenderingConfig, theme: The
     x, width, height = config.map_width_px, config.panel_width_px, config.height_px
     canvas.box(x, 0, width, height, theme.panel)
     x, width = x + MARGIN, width - 2 * MARGIN
-    _draw_head(canvas, Place(x, 8, width, 16), frame, theme)
-    _draw_badge(canvas, Place(x, 30, width, 34), frame, theme)
-    _draw_figures(canvas, Place(x, 72, width, 66), frame, theme)
+    _draw_head(canvas, PanelPlace(x, 8, width, 16), frame, theme)
+    _draw_badge(canvas, PanelPlace(x, 30, width, 34), frame, theme)
+    _draw_figures(canvas, PanelPlace(x, 72, width, 66), frame, theme)
     side = 0.5 * (width - MARGIN)
     plots_end = 146 + side + 14
     if plots_end <= height:
         up = camera_of(frame, config).up_rad
-        draw_sky(canvas, Place(x, 146, side, side + 14), frame.satellites, up, theme)
-        draw_error_box(canvas, Place(x + side + MARGIN, 146, side, side + 14), frame, theme)
+        draw_sky(canvas, PanelPlace(x, 146, side, side + 14), frame.satellites, up, theme)
+        draw_error_box(canvas, PanelPlace(x + side + MARGIN, 146, side, side + 14), frame, theme)
     each = 0.5 * (height - plots_end - 8) - 8
     if each >= LEAST_STRIP_PX:
         t, now = frame.trace, frame.time_s
@@ -57,16 +57,16 @@ def draw_panel(canvas: Canvas, frame: Frame, config: RenderingConfig, theme: The
                 ("cross track", (t.err_ct_m, t.pl_ct_m, t.al_ct_m)),
             )
         ):
-            place = Place(x, plots_end + 8 + k * (each + 8), width, each)
+            place = PanelPlace(x, plots_end + 8 + k * (each + 8), width, each)
             draw_strip(canvas, place, name, t, series, now, config.window_s, theme)
 
 
-def _draw_head(canvas: Canvas, at: Place, frame: Frame, theme: Theme) -> None:
+def _draw_head(canvas: Canvas, at: PanelPlace, frame: Frame, theme: Theme) -> None:
     canvas.text(at.x, at.middle, frame.title, 12, theme.text, bold=True)
     canvas.text(at.right, at.middle, f"{frame.time_s:.1f} s", 12, theme.muted, anchor="right")
 
 
-def _draw_badge(canvas: Canvas, at: Place, frame: Frame, theme: Theme) -> None:
+def _draw_badge(canvas: Canvas, at: PanelPlace, frame: Frame, theme: Theme) -> None:
     """The light with its word and why: what the ego itself knows."""
     status = frame.status
     colour = status_colour(status, theme)
@@ -89,7 +89,7 @@ def _why(frame: Frame) -> str:
     return REASONS.get(reason, "position not available")
 
 
-def _draw_figures(canvas: Canvas, at: Place, frame: Frame, theme: Theme) -> None:
+def _draw_figures(canvas: Canvas, at: PanelPlace, frame: Frame, theme: Theme) -> None:
     """Two columns of names and values."""
     b = frame.belief
     left = (
@@ -158,12 +158,12 @@ def draw_legend(canvas: Canvas, status: Status, config: RenderingConfig, theme: 
     canvas.box(x, y - 11, total, 22, theme.panel, round_px=5)
     x += 10
     for (name, kind, colour), width in zip(entries, widths, strict=True):
-        _draw_key(canvas, Place(x, y - 4.5, 16, 9), kind, colour, theme)
+        _draw_key(canvas, PanelPlace(x, y - 4.5, 16, 9), kind, colour, theme)
         canvas.text(x + 21, y, name, 11, theme.text)
         x += width
 
 
-def _draw_key(canvas: Canvas, at: Place, kind: str, colour: Colour, theme: Theme) -> None:
+def _draw_key(canvas: Canvas, at: PanelPlace, kind: str, colour: Colour, theme: Theme) -> None:
     """As the map draws it, on the colour of the road."""
     if kind != "body":
         canvas.box(at.x - 2, at.y - 2, at.width + 4, at.height + 4, theme.road)
@@ -178,7 +178,7 @@ def _draw_key(canvas: Canvas, at: Place, kind: str, colour: Colour, theme: Theme
         canvas.box(at.x + 3, at.y + 2, at.width - 6, at.height - 4, theme.other)
         canvas.blend(at.corners[None], colour, 0.12)
         canvas.line(at.corners, colour, 0.5, closed=True)
-        inner = Place(at.x + 3, at.y + 2, at.width - 6, at.height - 4)
+        inner = PanelPlace(at.x + 3, at.y + 2, at.width - 6, at.height - 4)
         canvas.line(inner.corners, colour, 1.5, closed=True)
     else:
         canvas.blend(at.corners[None], colour, 0.10)

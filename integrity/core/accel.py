@@ -16,6 +16,7 @@ from __future__ import annotations
 import atexit
 import hashlib
 import itertools
+import logging
 import multiprocessing
 import os
 import shutil
@@ -32,14 +33,18 @@ from queue import SimpleQueue
 from typing import Any, TypeVar
 
 import numba
+from numba.core import event
 
-__all__ = ["is_compiled", "jit", "run_rows", "serial", "thread_count"]
+__all__ = ["LOGGER", "is_compiled", "jit", "kernels_are_cached", "run_rows", "serial", "thread_count"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 FASTMATH = {"nsz"}  # more would let a kernel compiled now and one loaded from the cache differ in the last bit
 PIECE_US = 80.0  # to wake a thread and to hear from it takes some 40 us
 PIECES_PER_THREAD = 4
 FORGOTTEN_S = 30 * 86400.0
+LOGGER = logging.getLogger("lanebound")
+NOTICE_S = 2.0  # a shorter compilation is not reported
+CACHED_AT_LEAST = 100  # kernels in the cache after any drive; about 200
 
 
 @cache
@@ -156,6 +161,45 @@ def is_compiled(kernel: Any) -> bool:
     directory, source = cache_directory(_layer_of(kernel)), Path(kernel.__code__.co_filename)
     return directory is not None and any(Path(directory).glob(f"*/{source.stem}.{kernel.__name__}-*.nbi"))
 
+
+def kernels_are_cached() -> bool:
+    """Whether kernels of this version were compiled before, so that work starts without a long compilation."""
+    directory = cache_directory()
+    return directory is not None and sum(1 for _ in Path(directory).glob("*/*.nbi")) >= CACHED_AT_LEAST
+
+
+class _CompilationNotice(event.Listener):
+    """Logs one warning when this process has compiled kernels for ``NOTICE_S``; loading from the cache is no event.
+
+    Kernels that call kernels are compiled within each other.
+    """
+
+    def __init__(self) -> None:
+        self._depth, self._begun, self._spent_s, self._logged = 0, 0.0, 0.0, False
+
+    def on_start(self, event: Any) -> None:
+        """A compilation begins."""
+        if self._depth == 0:
+            self._begun = time.monotonic()
+        self._depth += 1
+        self._notice()
+
+    def on_end(self, event: Any) -> None:
+        """A compilation ends."""
+        self._notice()
+        self._depth -= 1
+        if self._depth == 0:
+            self._spent_s += time.monotonic() - self._begun
+
+    def _notice(self) -> None:
+        if self._logged or self._spent_s + time.monotonic() - self._begun < NOTICE_S:
+            return
+        self._logged = True
+        cached = "once for this version" if cache_directory() else "in every process: set NUMBA_CACHE_DIR to a folder"
+        LOGGER.warning("lanebound: compiling kernels, %s. This takes some minutes.", cached)
+
+
+event.register("numba:compile", _CompilationNotice())  # type: ignore[no-untyped-call]
 
 _serial: ContextVar[bool] = ContextVar("serial", default=False)
 

@@ -19,17 +19,25 @@ __all__ = [
 ]  # fmt: skip
 
 PRESET_PACKAGE = "lanebound.configs"
-FEW = 8  # presets, that a message may name
+FEW = 8  # presets that a message may name
+SIMILAR = 0.6  # ratio of difflib, above which words are similar
 FILES = (".yaml", ".yml")
 YAML_FLOAT = re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")  # YAML 1.1 reads 1e-7 as text
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Advice that names the closest known word, or all of them when none is close."""
-    names = sorted(known)
-    close = difflib.get_close_matches(str(word), names, n=1, cutoff=0.5)
-    if close:
-        return f"did you mean '{close[0]}'?"
+    """Advice that names the closest known word, or all of them when none is close.
+
+    Close words share most of their letters, and are about as long or contained in each other.
+
+    >>> nearest("nope", ["np"]), nearest("urbn", ["urban", "dense"])
+    ('known are np', "did you mean 'urban'?")
+    """
+    names, text = sorted(known), str(word)
+    for close in difflib.get_close_matches(text, names, n=3, cutoff=SIMILAR):
+        long, short = max(len(close), len(text)), min(len(close), len(text))
+        if long <= 1.5 * short or text in close or close in text:
+            return f"did you mean '{close}'?"
     return f"known are {', '.join(names)}" if names else "none are known"
 
 
@@ -182,6 +190,11 @@ def _read(path: Path, what: str, presets: Mapping[str, Traversable], seen: tuple
     _require_new(source, seen)
     try:
         text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise ConfigError(
+            f"{what} must be a text file in UTF-8, got {path} with byte {error.object[error.start]:#04x} at "
+            f"{error.start}: save it as UTF-8"
+        ) from None
     except (OSError, ValueError) as error:
         raise ConfigError(f"{what} must be a file that can be read, got {path} ({error}): correct the path") from None
     return _extended(text, str(path), presets, (*seen, source), path.parent)

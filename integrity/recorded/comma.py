@@ -8,6 +8,7 @@ into ECEF.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.recorded.numpy_file import read_rows
-from lanebound.integrity.recorded.source import Stop
+from lanebound.integrity.recorded.source import MAX_BYTES
 
-__all__ = ["Comma", "Fixes", "Reference", "Series", "read_comma"]
+__all__ = ["Comma", "Fixes", "Reference", "Series", "read_comma", "read_rows"]
 
 Array = NDArray[np.float64]
+MAX_HEADER = 4096  # bytes; the header of a plain array has 118
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class Fixes:
 @dataclass(frozen=True)
 class Comma:
     """A segment: reference, speed of the car [m/s], of its four wheels [m/s], acceleration [m/s^2] and rotation rate
-    [rad/s] (forward, right, down), fixes or None; ``stopped`` names the first array that is cut."""
+    [rad/s] (forward, right, down), and fixes or None."""
 
     reference: Reference
     speed: Series
@@ -69,7 +70,6 @@ class Comma:
     acceleration: Series
     rotation_rate: Series
     fixes: Fixes | None
-    stopped: Stop | None
 
 
 def read_comma(folder: str | Path) -> Comma:
@@ -92,7 +92,48 @@ def read_comma(folder: str | Path) -> Comma:
     speed, wheels = reader.series("CAN/speed"), reader.series("CAN/wheel_speed", 4)
     acceleration, rate = reader.series("IMU/accelerometer", 3), reader.series("IMU/gyro", 3)
     fixes = _fixes(reader)
-    return Comma(reference, speed, wheels, acceleration, rate, fixes, reader.stopped)
+    return Comma(reference, speed, wheels, acceleration, rate, fixes)
+
+
+def read_rows(path: str | Path, columns: int | None, max_bytes: int = MAX_BYTES) -> Array:
+    """Rows (N,) or, with ``columns``, (N, columns), of a NumPy array file, as float64.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is cut or too large, is no array of real numbers of that shape, or holds a number that
+        is not finite.
+    """
+    source = Path(path)
+    try:
+        size = source.stat().st_size
+        if size > max_bytes:
+            raise InputError(f"{path} must have at most {max_bytes} bytes, has {size}: split it")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of headers that Python 2 wrote
+            # mapped, so that a header that declares more than the file holds allocates nothing
+            found = np.load(source, mmap_mode="r", allow_pickle=False, max_header_size=MAX_HEADER)
+    except OSError as error:
+        raise InputError(f"{path} must be a readable file, got: {error}") from error
+    except InputError:
+        raise
+    except Exception as error:  # NumPy's parser of headers raises many kinds
+        raise InputError(f"{path} must be a complete NumPy array file (.npy), got: {str(error)[:200]}") from error
+    if not isinstance(found, np.ndarray):
+        found.close()
+    if not isinstance(found, np.ndarray) or found.dtype.kind not in "fiu" or found.dtype.itemsize > 8:
+        kind = getattr(found, "dtype", type(found).__name__)
+        raise InputError(f"{path} must hold real numbers, got {kind}: save them as float64")
+    rows = found[:, 0] if columns is None and found.ndim == 2 and found.shape[1] == 1 else found
+    wanted = () if columns is None else (columns,)
+    if not rows.ndim or rows.shape[1:] != wanted:
+        expected = ", ".join(["N", *map(str, wanted)])
+        raise InputError(f"{path} must have shape ({expected}), got {rows.shape}: transpose or slice it")
+    numbers = np.array(rows, dtype=np.float64)
+    if not np.isfinite(numbers).all():
+        bad = int(np.argwhere(~np.isfinite(numbers))[0][0])
+        raise InputError(f"{path} must be finite, got {numbers[bad]} in row {bad}: drop that row from all its arrays")
+    return numbers
 
 
 def _fixes(reader: _Reader) -> Fixes | None:
@@ -105,13 +146,12 @@ def _fixes(reader: _Reader) -> Fixes | None:
 
 
 class _Reader:
-    """Arrays of one folder; remembers the first that is cut."""
+    """Arrays of one folder."""
 
     def __init__(self, folder: Path) -> None:
         if not folder.is_dir():
             raise InputError(f"{folder} must be a folder of a comma2k19 segment: give the one that holds global_pose")
         self.folder = folder
-        self.stopped: Stop | None = None
 
     def path(self, name: Path) -> Path | None:
         """The file of an array, with or without its ending; None where there is none."""
@@ -123,9 +163,7 @@ class _Reader:
         path = self.path(name)
         if path is None:
             raise InputError(f"{self.folder / name}(.npy) must be there, is not: is {self.folder} a comma2k19 segment?")
-        found, lacking = read_rows(path, columns)
-        if lacking and self.stopped is None:
-            self.stopped = Stop(len(found), f"{path} is cut, {lacking} rows are missing")
+        found = read_rows(path, columns)
         if not len(found):
             raise InputError(f"{path} must hold at least one row, got none: fetch it again")
         return found

@@ -83,7 +83,7 @@ def write_outages(folder: Path, out: Path, config: OutageConfig | None = None) -
     motion, calibration = motion_of(segment, config)
     outages = run_outages(motion, config)
     figures = {
-        "dataset": "comma2k19", "stopped": segment.stopped and str(segment.stopped), "caution": CAUTION,
+        "dataset": "comma2k19", "caution": CAUTION,
         "risk": config.risk.integrity_risk, "calibration": calibration, "outages": len(outages.start_s),
         "speed_mps": [float(v) for v in np.quantile(outages.speed_mps, [0.0, 0.5, 1.0])], "by_age": by_age(outages),
         "all_ages": {axis: asdict(_bounded(outages, q)) for q, axis in enumerate(("at", "ct"))},

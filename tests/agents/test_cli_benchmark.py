@@ -14,9 +14,10 @@ from typer.testing import CliRunner
 from lanebound.agents import report
 from lanebound.agents.benchmark import Results, running
 from lanebound.agents.benchmark.metrics import metric_named
+from lanebound.agents.checkpointing.runner import RunProgress
 from lanebound.agents.cli import app
-from lanebound.agents.cli import benchmark as command
 from lanebound.agents.cli.benchmark_tables import number, print_results, with_interval
+from lanebound.agents.cli.progress import kept_text, rest_text
 from lanebound.integrity.core.errors import InputError
 
 
@@ -34,9 +35,9 @@ def driven(monkeypatch, results):
     """Nothing is driven: the plan is real, and its results were made up."""
     plans = []
 
-    def made_up(plan, jobs, budget_h, told=lambda progress: None):
+    def made_up(plan, jobs, budget_h, on_progress):
         plans.append((plan, jobs, budget_h))
-        told(running.Progress(of=2, done=1, left_s=3700.0))
+        on_progress(RunProgress(of=2, done=1, left_s=3700.0))
         return results
 
     monkeypatch.setattr(running, "run_plan", made_up)
@@ -79,7 +80,8 @@ def test_prints_tables_and_what_to_try_next(driven, tmp_path):
 
 def test_an_overview_comes_first_and_is_short(driven, tmp_path):
     told = run("benchmark", "quick", "--out", str(tmp_path)).stdout
-    assert told.startswith("Means over 4 cells")
+    assert told.startswith("nominal, the reference, drives at ")
+    assert "\nMeans over 4 cells" in told
     assert "Each cell with its intervals: the same command with --full." in told
     assert "1 episode in which the agent failed" in told
     assert told.count("\n") < 40
@@ -92,12 +94,12 @@ def test_tables_stand_there_before_the_page_is_written(driven, tmp_path, monkeyp
     monkeypatch.setattr(report, "write_report", broken)
     told = run("benchmark", "quick", "--out", str(tmp_path))
     assert (told.exit_code, told.stderr.splitlines()[-1]) == (2, "error: no page")
-    assert told.stdout.startswith("Means over 4 cells")
+    assert "Means over 4 cells" in told.stdout
 
 
 def test_nothing_is_announced_where_nothing_is_to_be_driven(driven, results, tmp_path, monkeypatch):
-    plan = running.Plan(results.suite, tmp_path, [], [], 36, {})
-    monkeypatch.setattr(running.Plan, "of", lambda *arguments: plan)
+    plan = running.BenchmarkPlan(results.suite, tmp_path, [], [], 36, [], {})
+    monkeypatch.setattr(running.BenchmarkPlan, "of", lambda *arguments: plan)
     told = run("benchmark", "quick", "--out", str(tmp_path))
     assert told.exit_code == 0
     assert told.stderr == "36 episodes, all there already: nothing to drive.\n"
@@ -106,14 +108,15 @@ def test_nothing_is_announced_where_nothing_is_to_be_driven(driven, results, tmp
 @pytest.mark.parametrize(
     ("progress", "told"),
     [
-        (running.Progress(of=9), "starting"),
-        (running.Progress(of=9, compiling=2), "compiling kernels, once"),
-        (running.Progress(of=9, done=1, left_s=3700.0, compiling=1), "1:01:40 left, compiling kernels, once"),
-        (running.Progress(of=9, done=2, left_s=5.0), "0:00:05 left"),
+        (RunProgress(of=9), "starting"),
+        (RunProgress(of=9, compiling=2), "compiling kernels, once"),
+        (RunProgress(of=9, done=1, left_s=3700.0, compiling=1), "1:01:40 left, compiling kernels, once"),
+        (RunProgress(of=9, done=1, failed=2), "starting, 2 failed"),
+        (RunProgress(of=9, done=2, left_s=5.0), "0:00:05 left"),
     ],
 )
 def test_no_time_is_told_before_one_is_known(progress, told):
-    assert command._rest(progress) == told
+    assert rest_text(progress) == told
 
 
 def test_json_is_that_of_the_file(driven, results, tmp_path):
@@ -143,7 +146,10 @@ def test_json_is_that_of_the_file(driven, results, tmp_path):
             ["benchmark", "quick", "--out", "x", "--set", "seeds.count=two"],
             "error: seeds.count must be an integer, got",
         ),
-        (["replay-episode", "nowhere", "a/b/c/1"], "error: DIR must be a folder that 'lanebound benchmark' wrote"),
+        (
+            ["replay-episode", "nowhere", "a/b/c/1"],
+            "error: the folder must hold a benchmark, got nowhere, which does not exist",
+        ),
     ],
 )
 def test_mistakes_are_answered_in_one_line(tmp_path, monkeypatch, arguments, message):
@@ -172,8 +178,10 @@ def test_a_replay_says_whether_it_ended_as_before(monkeypatch, results):
     assert json.loads(shown)["differing"] == ["cost"]
 
 
-def test_what_is_kept_is_said_without_heavy_imports(results):
-    assert command._kept(results.folder).startswith(f"36 finished episodes are kept in {results.folder}; run the same")
+def test_what_is_kept_and_how_to_resume(results):
+    told = kept_text(results.folder, "episodes/*/*/*/*.parquet", "episode")
+    assert told == f"36 finished episodes are kept in {results.folder}; run the same command again to resume"
+    assert kept_text(results.folder, "parts/*.json", "part").startswith("no part was finished; run the same")
 
 
 def test_figures_have_as_many_digits_as_can_be_read():
@@ -235,7 +243,7 @@ def test_each_reference_has_its_differences_and_untuned_caution_is_named(capsys,
 
 def test_unknown_episodes_are_answered_with_the_nearest(results):
     from lanebound.agents.benchmark.replay import find_task
-    from lanebound.agents.benchmark.store import Store
+    from lanebound.agents.benchmark.store import EpisodeStore
 
     with pytest.raises(InputError, match=r"is not in .*: did you mean 'LaneKeeping-v0/urban-none/random/10000'"):
-        find_task(Store(results.folder), "LaneKeeping-v0/urban-none/randm/10000")
+        find_task(EpisodeStore(results.folder), "LaneKeeping-v0/urban-none/randm/10000")

@@ -15,12 +15,13 @@ import pytest
 from imageio_ffmpeg import count_frames_and_secs
 from typer.testing import CliRunner
 
+from lanebound.agents.benchmark.outcome import Outcome
+from lanebound.agents.benchmark.scoring import UNNAMED, outcome_of
 from lanebound.agents.cli import app
 from lanebound.agents.cli import drive as command
 from lanebound.agents.drivers import AGENTS, make_agent
 from lanebound.agents.episodes import COLUMNS, EpisodeLog, drive, open_env
 from lanebound.agents.episodes.film import Film
-from lanebound.agents.episodes.summary import measures, summarise
 from lanebound.integrity.core.errors import InputError
 
 GIVEN = ("--sky", "open", "--set", "navigation.source=perfect", "--set", "perception.source=truth")
@@ -142,8 +143,9 @@ def test_an_agent_that_fails_is_told_by_its_own_frames_and_one_line(maker, line,
 def test_the_table_of_episodes_fits_into_eighty_characters(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     row = dict.fromkeys([column.name for column in COLUMNS], 0.0) | {"seed": 10_000, "mode": "rtk", "step": 900}
-    summary = summarise([row | {"time_s": 180.0, "cost": 1196.9, "reward": -123.4, "off_road": True}])
-    command._report("integrity_aware in LaneKeeping", [summary], 15.0, {}, False)
+    end = {"time_s": 180.0, "cost": 1196.9, "reward": -123.4, "off_road": True}
+    outcome = outcome_of([row | {"time_s": 179.8}, row | end], 180.0, UNNAMED._replace(seed=10_000))
+    command._report("integrity_aware in LaneKeeping", [outcome], 15.0, {}, False)
     shown = capsys.readouterr().out
     assert max(map(len, shown.splitlines())) <= 80
     assert "80 x the limit 15" in shown
@@ -182,14 +184,17 @@ def test_an_unfinished_film_is_thrown_away(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_summaries_weigh_episodes_by_steps_where_shares_are_of_steps():
+def test_measures_weigh_episodes_by_steps_where_shares_are_of_steps():
     end = {"crashed": True, "off_road": False, "wrong_way": False, "truncated": False, "terminated": True}
-    row = end | dict.fromkeys([c.name for c in COLUMNS if c.name.startswith("cost")], 1.0) | {
-        "seed": 1, "time_s": 1.0, "reward": 2.0, "is_success": False, "alert": True, "mi": False, "hmi": True,
-    }  # fmt: skip
-    short = summarise([row | {"step": k, "available": True, "mode": "rtk"} for k in range(2)])
-    long = summarise([row | {"step": k, "available": False, "mode": "doppler"} for k in range(4)])
-    found = measures([short, long])
+    row = dict.fromkeys([c.name for c in COLUMNS], 0.0) | end | {
+        c.name: 1.0 for c in COLUMNS if c.name.startswith("cost")
+    } | {"reward": 2.0, "is_success": False, "alert": True, "mi": False, "hmi": True}  # fmt: skip
+
+    def episode(steps: int, **given: Any) -> Outcome:
+        return outcome_of([row | {"step": k, "time_s": 0.2 * k, **given} for k in range(steps + 1)], 1.0)
+
+    short, long = episode(1, available=True, mode="rtk"), episode(3, available=False, mode="doppler")
+    found = command.measures([short, long])
     assert (short.ended, short.steps, long.steps) == ("collision", 1, 3)
     assert found["availability"] == found["share of rtk"] == pytest.approx(0.25)
     assert found["HMI steps"] == 4.0

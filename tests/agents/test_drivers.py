@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
+from lanebound.agents.benchmark.scoring import outcome_of
 from lanebound.agents.drivers import AGENTS, make_agent
 from lanebound.agents.drivers.base import Reader
 from lanebound.agents.drivers.learnt import policies
@@ -20,7 +21,7 @@ from lanebound.agents.drivers.plans import (
     route_speed,
     safe_speed,
 )
-from lanebound.agents.episodes import EpisodeLog, drive, open_env, summarise
+from lanebound.agents.episodes import EpisodeLog, drive, open_env
 from lanebound.envs.observation import ObservationConfig, entries
 from lanebound.integrity.core.errors import InputError
 
@@ -188,7 +189,7 @@ def test_cruise_drives_well_when_it_knows_where_it_is(name, seconds):
     env = open_env(name, GIVEN | {"world": {"duration": seconds}})
     log = EpisodeLog()
     drive(env, make_agent("cruise", env), [3], [log])
-    summary = summarise(log.episode(0))
+    summary = outcome_of(log.episode(0), 0.0)
     assert (summary.ended, summary.success) == ("time up", True)
     assert summary.costs["cost_lane"] == 0.0
     assert summary.cost < 0.2

@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lanebound.agents.benchmark.scoring import outcome_of
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.barrier import BarrierConfig, BarrierFilter
 from lanebound.agents.drivers.base import Reader
 from lanebound.agents.drivers.shares import value_of
-from lanebound.agents.episodes import EpisodeLog, drive, open_env, summarise
+from lanebound.agents.episodes import EpisodeLog, drive, open_env
 from lanebound.integrity.core.errors import InputError
 
 GIVEN: dict[str, Any] = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "sky": "open"}
@@ -354,7 +355,7 @@ def test_over_full_throttle_nothing_is_hit():
     for _ in range(2):
         log, barrier = EpisodeLog(), BarrierFilter(env, Reckless())
         drive(env, barrier, [3], [log])
-        ends.append((summarise(log.episode(0)).total_return, dict(barrier.counts)))
+        ends.append((outcome_of(log.episode(0), 0.0).total_return, dict(barrier.counts)))
         assert not log.episode(0)[-1]["crashed"]
         assert barrier.counts["following changed"] > 20
     assert ends[0] == ends[1]

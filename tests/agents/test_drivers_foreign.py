@@ -69,8 +69,12 @@ def test_a_checkpoint_for_meta_actions_and_flat_observations(meta, steered, tmp_
     [
         ("nowhere.zip", "agent must be a file that exists, got nowhere.zip: correct the path"),
         ("broken.zip", "agent must be a checkpoint of stable-baselines3, got broken.zip"),
-        ("net.onnx", "an ONNX agent needs the package onnxruntime, got none: pip install 'lanebound[learning]'"),
+        ("net.onnx", "an ONNX agent needs the package onnxruntime, got none: pip install onnxruntime"),
         ("nowhere_at_all:make", "agent 'nowhere_at_all:make' must name a module that can be imported"),
+        (
+            "bad_agents:np",
+            "must name a callable of bad_agents, got 'np', which is not there: known are AFTER, Any, Bad",
+        ),
         ("bad_agents:nobody", "must name a callable of bad_agents, got 'nobody', which is not there: "),
         ("bad_agents:not_callable", "must name a callable of bad_agents, got 5"),
         ("bad_agents:nothing", "must return an object with predict or a function, got 5"),

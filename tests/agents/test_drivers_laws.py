@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lanebound.agents.benchmark.scoring import outcome_of
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.base import Reader
 from lanebound.agents.drivers.lateral import EGO_LENGTH_M, LqrSteering, PursuitSteering, StanleySteering
 from lanebound.agents.drivers.mobil import MobilConfig, changes, neighbours
 from lanebound.agents.drivers.plans import FREE_M, CruiseConfig, idm_acceleration
-from lanebound.agents.episodes import EpisodeLog, drive, open_env, summarise
+from lanebound.agents.episodes import EpisodeLog, drive, open_env
 from lanebound.envs.observation import ObservationConfig
 
 CALM, MOBIL = CruiseConfig(), MobilConfig()
@@ -160,7 +161,7 @@ def test_who_knows_where_it_is_stays_in_its_lane(agent, name):
     log = EpisodeLog()
     drive(env, make_agent(agent, env), [3], [log])
     rows = log.episode(0)
-    summary = summarise(rows)
+    summary = outcome_of(rows, 0.0)
     assert (summary.ended, summary.success) == ("time up", True)
     assert summary.costs["cost_lane"] == 0.0
     assert max(abs(row["est_lateral_m"]) for row in rows) < 0.25
@@ -171,4 +172,4 @@ def test_nominal_passes_on_the_motorway_without_harm():
     log = EpisodeLog()
     drive(env, make_agent("nominal", env), [1], [log])
     assert {"LANE_LEFT", "LANE_RIGHT"} & {row["action_name"] for row in log.episode(0)}
-    assert summarise(log.episode(0)).success
+    assert outcome_of(log.episode(0), 0.0).success

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lanebound.agents.benchmark.scoring import outcome_of
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.aware import AwareConfig, IntegrityAware
 from lanebound.agents.drivers.base import Reader
@@ -16,7 +17,7 @@ from lanebound.agents.drivers.nominal import Nominal
 from lanebound.agents.drivers.plan import Plan
 from lanebound.agents.drivers.plans import CruiseConfig
 from lanebound.agents.drivers.stop import StopConfig, StopOnAlert
-from lanebound.agents.episodes import EpisodeLog, drive, open_env, summarise
+from lanebound.agents.episodes import EpisodeLog, drive, open_env
 from lanebound.envs import IDS, make_config
 from lanebound.envs.costs import CostConfig, rss_distance_m
 from lanebound.envs.sky import SKY_LEVELS
@@ -222,7 +223,7 @@ def test_a_short_drive_ends_well_and_the_same_each_time(agent, name):
     for _ in range(2):
         log = EpisodeLog()
         drive(env, make_agent(agent, env), [3], [log])
-        summary = summarise(log.episode(0))
+        summary = outcome_of(log.episode(0), 0.0)
         assert summary.ended == "time up"
         assert summary.costs["cost_lane"] == summary.costs["cost_collision"] == 0.0
         ends.append((summary.total_return, summary.cost, log.episode(0)[-1]["true_x_m"]))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lanebound.agents.drivers.plans import FREE_M
-from lanebound.agents.drivers.programmes import CUT_MPS, Along, MpcConfig, Road
+from lanebound.agents.drivers.programmes import CUT_MPS, Along, FreeRoad, MpcConfig
 
 C = MpcConfig()
 DT_S = 0.2
@@ -15,10 +15,10 @@ ALONG = Along(C, DT_S)
 WANTED = np.full(C.steps, 14.0)
 
 
-def behind(gap_m: float, lead_mps: float) -> Road:
+def behind(gap_m: float, lead_mps: float) -> FreeRoad:
     """Free road behind a leader of constant speed that brakes after the horizon."""
     free = gap_m + lead_mps * ALONG.time_s
-    return Road(free, float(free[-1]) + 0.5 * lead_mps**2 / LEAD_B)
+    return FreeRoad(free, float(free[-1]) + 0.5 * lead_mps**2 / LEAD_B)
 
 
 @pytest.mark.parametrize(("lead_mps", "gap_m"), [(0.0, 60.0), (5.0, 60.0), (10.0, 40.0), (14.0, 30.0)])
@@ -41,9 +41,9 @@ def test_a_plan_that_could_not_stop_at_its_end_is_none():
     reach = 14.0 * 4.0 - 0.5 * B * 4.0**2 + 1.0  # braking fully, in 4 s, and a metre; it stands after 2.8 s
     assert reach > 0.5 * 14.0**2 / B - 4.0
     stands = 0.5 * 14.0**2 / B + 0.5 * B * DT_S * DT_S + C.barrier.standstill_m + (0.5 * CUT_MPS) ** 2 / (2.0 * B)
-    assert ALONG.plan(14.0, 0.0, WANTED, Road(free, stands + 0.5), np.inf) is not None
-    assert ALONG.plan(14.0, 0.0, WANTED, Road(free, stands - 0.5), np.inf) is None
-    assert ALONG.plan(14.0, 0.0, WANTED, Road(free, FREE_M), np.inf) > 0.0 - 1e-9
+    assert ALONG.plan(14.0, 0.0, WANTED, FreeRoad(free, stands + 0.5), np.inf) is not None
+    assert ALONG.plan(14.0, 0.0, WANTED, FreeRoad(free, stands - 0.5), np.inf) is None
+    assert ALONG.plan(14.0, 0.0, WANTED, FreeRoad(free, FREE_M), np.inf) > 0.0 - 1e-9
 
 
 def test_the_tangents_hold_for_every_speed():
@@ -65,6 +65,8 @@ def test_the_tangents_hold_for_every_speed():
 
 
 def test_a_bound_that_asks_for_more_than_standing_asks_for_that():
-    assert ALONG.plan(0.0, 0.0, WANTED, Road(np.full(C.steps, FREE_M), FREE_M), -1.25) == pytest.approx(0.0, abs=1e-9)
-    a = ALONG.plan(0.1, 0.0, WANTED, Road(np.full(C.steps, FREE_M), FREE_M), -1.25)
+    assert ALONG.plan(0.0, 0.0, WANTED, FreeRoad(np.full(C.steps, FREE_M), FREE_M), -1.25) == pytest.approx(
+        0.0, abs=1e-9
+    )
+    a = ALONG.plan(0.1, 0.0, WANTED, FreeRoad(np.full(C.steps, FREE_M), FREE_M), -1.25)
     assert a == pytest.approx(-0.1 / DT_S, abs=1e-9)

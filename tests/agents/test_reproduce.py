@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lanebound.agents.checkpointing.runner import RunProgress
 from lanebound.agents.cli.kinds import resolve
 from lanebound.agents.reproduce import study
-from lanebound.agents.reproduce.parts import drives_kept, part_path
 from lanebound.agents.reproduce.published import CELLS, MODES, RISKS, risk_key
 from lanebound.agents.reproduce.study import (
     check,
@@ -72,8 +72,8 @@ def test_an_interrupted_study_ends_as_an_unbroken_one(whole: Path, tmp_path: Pat
     class StoppedError(Exception):
         pass
 
-    def stop_in_second_batch(done: int, of: int) -> None:
-        if done > of // 2:
+    def stop_in_second_batch(progress: RunProgress) -> None:
+        if progress.done > progress.of // 2:
             raise StoppedError
 
     with pytest.raises(StoppedError):
@@ -97,12 +97,6 @@ def test_what_cannot_be_driven_is_refused_before_the_folder_is_marked(tmp_path: 
         with pytest.raises(InputError):
             check(config, tmp_path / "new")
         assert not (tmp_path / "new").exists()
-
-
-def test_finished_drives_are_counted(whole: Path, tmp_path: Path) -> None:
-    assert drives_kept(whole) == 2
-    assert drives_kept(tmp_path) == 0
-    assert part_path(tmp_path, [5, 6, 7]) == tmp_path / "parts" / "seeds-5-7.json"
 
 
 def test_tables_are_json_although_levels_may_be_infinite(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -48,11 +48,11 @@ def test_five_episodes_keep_the_promise_and_a_broken_run_goes_on(tmp_path, monke
 
     drive_part, driven = barrier_promise.drive_part, []
 
-    def stops(config: Any, group: str, seeds: Any) -> Any:
+    def stops(config: Any, group: str, seeds: Any, advance: Any) -> Any:
         if len(driven) == 2:
             raise KeyboardInterrupt
         driven.append(group)
-        return drive_part(config, group, seeds)
+        return drive_part(config, group, seeds, advance)
 
     monkeypatch.setattr(barrier_promise, "drive_part", stops)
     with pytest.raises(KeyboardInterrupt):
@@ -61,7 +61,7 @@ def test_five_episodes_keep_the_promise_and_a_broken_run_goes_on(tmp_path, monke
     assert run_promise(QUICK, tmp_path / "broken") == whole
     assert (tmp_path / "broken" / "promise.json").read_text() == (tmp_path / "whole" / "promise.json").read_text()
     assert run_promise(QUICK.replace(source="sensor"), tmp_path / "sensed")["none"]["breaches"] == []
-    with pytest.raises(InputError, match="same study"):
+    with pytest.raises(InputError, match="same barrier promise study"):
         run_promise(BarrierPromiseConfig(episodes=4), tmp_path / "whole")
 
 

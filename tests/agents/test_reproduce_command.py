@@ -15,16 +15,18 @@ import pytest
 from processes import started
 from typer.testing import CliRunner
 
-from lanebound.agents import kept
-from lanebound.agents.cli import app, interrupt
-from lanebound.agents.cli.interrupt import wait_for
+from lanebound.agents.checkpointing import pool
+from lanebound.agents.cli import app, progress
+from lanebound.agents.cli.kinds import resolve
+from lanebound.agents.cli.progress import wait_for
 from lanebound.agents.reproduce import study
 from lanebound.agents.reproduce.published import CELLS, MODES, RISKS, risk_key
+from lanebound.agents.reproduce.urban_drive import UrbanDriveConfig
 
 PROGRAM = str(Path(sys.executable).parent / "lanebound")
 STUBBORN = """
 import time
-from lanebound.agents.cli.interrupt import stoppable, wait_for
+from lanebound.agents.cli.progress import resumable, wait_for
 
 def deaf():
     print("ready", flush=True)
@@ -34,7 +36,7 @@ def deaf():
         except KeyboardInterrupt:
             pass
 
-with stoppable(lambda: "all is kept"):
+with resumable(lambda: "all is kept"):
     wait_for(deaf)
 """
 
@@ -77,10 +79,14 @@ def test_bad_input_is_refused_before_the_bar_shows(
 
 
 def test_a_folder_with_another_study_is_refused_before_the_bar_shows(tmp_path: Path) -> None:
-    (tmp_path / "config.json").write_text('{"digest": "other"}')
-    result = run("--out", str(tmp_path))
+    config = resolve("studies/urban_drive", {"seeds": 1})[1]
+    assert isinstance(config, UrbanDriveConfig)
+    study.check(config, tmp_path)
+    result = run("--out", str(tmp_path), "--seeds", "2")
     assert result.exit_code == 2
-    assert result.stderr.startswith("error: out must be empty or hold the same study")
+    assert result.stderr.startswith("error: the folder must be empty or hold the same urban drive study, got")
+    assert "which differs in seeds (1 there, now 2)" in result.stderr
+    assert result.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize(("seeds", "minutes", "short"), [(100, 26.0, False), (8, 6.0, True)])
@@ -107,13 +113,13 @@ def test_an_interruption_says_what_is_kept_and_how_to_go_on(tmp_path: Path, monk
         raise KeyboardInterrupt
 
     monkeypatch.setattr(study, "run_study", stop)
-    monkeypatch.setattr(interrupt.os, "_exit", sys.exit)
-    monkeypatch.setattr(kept, "STARTING", Lock())  # who ends keeps it held
+    monkeypatch.setattr(progress.os, "_exit", sys.exit)
+    monkeypatch.setattr(pool, "STARTING", Lock())  # it stays acquired
     result = run("--out", str(tmp_path))
     assert result.exit_code == 130
     line = result.stderr.splitlines()[-1]
-    assert line.startswith("interrupted: 25 finished drives are kept in")
-    assert line.endswith("run the same command again to go on")
+    assert line.startswith("interrupted: 1 finished part is kept in")
+    assert line.endswith("run the same command again to resume")
 
 
 def test_work_returns_and_raises_as_if_it_were_called() -> None:
@@ -136,10 +142,10 @@ def test_the_program_stops_while_its_kernels_compile(tmp_path: Path) -> None:
     command = [PROGRAM, "reproduce", "urban-drive", "--out", str(out), "--seeds", "1", "--minutes", "1"]
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     with started(command, env=environment) as process:
-        while not (out / "config.json").exists() and process.poll() is None:
+        while not (out / "run.json").exists() and process.poll() is None:
             time.sleep(0.05)
         time.sleep(1.0)  # it compiles for half a minute now
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=20)
     assert process.returncode == 130
-    assert said.splitlines()[-1].startswith("interrupted: no drive was finished; ")
+    assert said.splitlines()[-1].startswith("interrupted: no part was finished; ")

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 from stable_baselines3 import PPO
+from stable_baselines3.common.logger import configure
+from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
-from lanebound.agents.vec_env import EngineVecEnv, VecEpisodeStatistics
+from lanebound.agents.vec_env import EngineVecEnv
 from lanebound.envs.tally import EPISODE_KEY
 from lanebound.envs.wrappers import EpisodeStatistics
 from lanebound.integrity.core.errors import InputError
@@ -45,7 +49,7 @@ def test_it_does_what_a_dummy_of_single_environments_does() -> None:
             if "terminal_observation" in info_too:
                 ends += 1
                 assert info["TimeLimit.truncated"] == info_too["TimeLimit.truncated"]
-                assert set(info) == set(info_too)
+                assert set(info) == set(info_too) | {"episode"}
                 for group, last in info_too["terminal_observation"].items():
                     np.testing.assert_allclose(info["terminal_observation"][group], last, atol=1e-6)
             else:
@@ -54,6 +58,7 @@ def test_it_does_what_a_dummy_of_single_environments_does() -> None:
     assert rewards.dtype == np.float32
     assert engine.get_attr("render_mode") == [None] * 3
     assert engine.env_is_wrapped(VecMonitor) == [False] * 3
+    assert engine.env_is_wrapped(Monitor) == [True] * 3  # as far as its infos go
     for masks, env in zip(engine.env_method("action_masks"), single.envs, strict=True):
         np.testing.assert_array_equal(masks, env.unwrapped.action_masks())
 
@@ -64,7 +69,7 @@ def test_statistics_of_episodes_are_those_of_single_environments() -> None:
     def single() -> EpisodeStatistics:
         return EpisodeStatistics(gymnasium.make("lanebound/LaneKeeping-v0", config=config))
 
-    engine = VecEpisodeStatistics(EngineVecEnv("lanebound/LaneKeeping-v0", 2, config))
+    engine = EngineVecEnv("lanebound/LaneKeeping-v0", 2, config, statistics=True)
     found: dict[Any, Any] = {}
     wanted: dict[Any, Any] = {}
     for env, told in ((engine, found), (DummyVecEnv([single] * 2), wanted)):
@@ -83,12 +88,40 @@ def test_statistics_of_episodes_are_those_of_single_environments() -> None:
         np.testing.assert_allclose([told[n] for n in plain], [episode[n] for n in plain], atol=1e-5, err_msg=str(plain))
 
 
-def test_ppo_learns_on_it() -> None:
+def test_ppo_learns_on_it_and_logs_returns_without_a_wrapper(tmp_path: Path) -> None:
     config = {**CONFIG, "observation": {"form": "flat"}}
-    env = VecMonitor(EngineVecEnv("lanebound/Highway-v0", 4, config))
-    model = PPO("MlpPolicy", env, n_steps=8, batch_size=32, n_epochs=1, seed=1).learn(64)
+    env = EngineVecEnv("lanebound/Highway-v0", 4, config)
+    model = PPO("MlpPolicy", env, n_steps=8, batch_size=32, n_epochs=1, seed=1)
+    model.set_logger(configure(str(tmp_path), ["json"]))
+    model.learn(64)
+    model.logger.close()
     assert model.num_timesteps == 64
-    assert env.episode_count > 0
+    last = json.loads((tmp_path / "progress.json").read_text(encoding="utf-8").splitlines()[-1])
+    assert model.ep_info_buffer
+    assert last["rollout/ep_len_mean"] == np.mean([info["l"] for info in model.ep_info_buffer])
+    assert last["rollout/ep_rew_mean"] == pytest.approx(np.mean([info["r"] for info in model.ep_info_buffer]))
+
+
+def test_episodes_are_those_of_vec_monitor() -> None:
+    config = {**CONFIG, "observation": {"form": "flat"}}
+    with pytest.warns(UserWarning, match="already wrapped with a `Monitor`"):
+        env = VecMonitor(EngineVecEnv("lanebound/Highway-v0", 3, config))
+    own = EngineVecEnv("lanebound/Highway-v0", 3, config)
+    rng, ends = np.random.default_rng(2), 0
+    for one in (env, own):
+        one.seed(4)
+        one.reset()
+    for _ in range(12):
+        actions = rng.integers(5, size=3)
+        infos, ours = env.step(actions)[3], own.step(actions)[3]
+        for info, mine in zip(infos, ours, strict=True):
+            assert ("episode" in info) == ("episode" in mine)
+            if "episode" in mine:
+                ends += 1
+                assert mine["episode"]["r"] == pytest.approx(float(info["episode"]["r"]), abs=1e-4)
+                assert mine["episode"]["l"] == info["episode"]["l"]
+                assert mine["episode"]["t"] >= 0.0
+    assert ends >= 3
 
 
 def test_what_it_cannot_do_is_refused() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from lanebound.agents.benchmark.outcome import Outcome, Task
 from lanebound.agents.benchmark.results import Results
-from lanebound.agents.benchmark.store import STORED, Store
+from lanebound.agents.benchmark.store import STORED, EpisodeStore
 from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.envs.costs import CAUSES
 from lanebound.integrity.core.streams import named_generator
@@ -112,7 +112,7 @@ def made_up_results(**changes: Any) -> Results:
 
 def made_up_folder(folder: Path, **changes: Any) -> Results:
     """The same in a folder, with rows, its last episode failed."""
-    suite, store = made_up_suite(**changes), Store(folder)
+    suite, store = made_up_suite(**changes), EpisodeStore(folder)
     store.claim(suite)
     tasks = list(suite.tasks())
     for task in tasks:

@@ -1,4 +1,7 @@
-"""Smoke test of an installed wheel: run it with the interpreter of a clean environment, outside the source tree."""
+"""Smoke test of an installed wheel: run it with the interpreter of a clean environment, outside the source tree.
+
+``python smoke_wheel.py`` tests a wheel with its extras, ``python smoke_wheel.py integrity`` one without any.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,9 @@ import pkgutil
 import subprocess
 import sys
 import sysconfig
+from collections.abc import Sequence
 from importlib import import_module, metadata
+from importlib.util import find_spec
 from pathlib import Path
 
 LAYERS = ("agents", "configs", "envs", "integrity")
@@ -26,11 +31,11 @@ def check_layout() -> None:
     assert any(path.endswith("licenses/LICENSE") for path in installed_files())
 
 
-def check_imports() -> int:
+def check_imports(layers: Sequence[str]) -> int:
     """Every module imports, from site-packages; returns how many there are."""
     home = Path(sysconfig.get_path("purelib")).resolve()
     count = 0
-    for layer in LAYERS:
+    for layer in layers:
         package = import_module(f"lanebound.{layer}")
         assert package.__file__ is not None
         assert home in Path(package.__file__).resolve().parents, f"{package.__file__} is not in {home}"
@@ -56,9 +61,40 @@ def check_command_line() -> None:
     assert answer.stdout.split() == ["lanebound", metadata.version("lanebound")]
 
 
+def check_integrity_alone() -> None:
+    """The navigation layer works where neither simulators nor learners are installed, and the command says so."""
+    for name in ("gymnasium", "highway_env", "torch", "stable_baselines3", "typer"):
+        assert find_spec(name) is None, f"{name} is installed"
+    import numpy as np
+
+    from lanebound.integrity.core.streams import Streams
+    from lanebound.integrity.motion.drive import CityDrive, DriveConfig
+    from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
+    from lanebound.integrity.sky.road import Road
+    from lanebound.integrity.sky.track import SkyTrack
+    from lanebound.integrity.sky.visibility import SkyMask
+
+    config, road = NavigatorConfig(), Road.straight(800.0, heading_rad=0.6)
+    navigator = Navigator(config, SkyTrack.from_config(config.sky, 600.0), SkyMask.open(), [1, 2])
+    car, traffic = CityDrive(road, DriveConfig(), config.dt_s), Streams([1, 2])
+    state = car.start(traffic)
+    for _ in range(100):
+        truth = car.step(state, traffic)
+        solution = navigator.step(truth)
+    error_m = np.linalg.norm(solution.position_en_m - truth.position_enu_m[:, :2], axis=-1)
+    assert (error_m < np.hypot(solution.pl_at_m, solution.pl_ct_m)).all(), (error_m, solution.pl_at_m)
+    command = Path(sys.executable).parent / "lanebound"
+    answer = subprocess.run([str(command), "--version"], check=False, capture_output=True, text=True)
+    assert "install lanebound with its extra 'agents'" in answer.stderr, answer.stderr
+
+
 if __name__ == "__main__":
     check_layout()
-    modules = check_imports()
-    check_presets()
-    check_command_line()
+    if sys.argv[1:] == ["integrity"]:
+        modules = check_imports(["integrity", "configs"])
+        check_integrity_alone()
+    else:
+        modules = check_imports(LAYERS)
+        check_presets()
+        check_command_line()
     print(f"the wheel works: {modules} modules")

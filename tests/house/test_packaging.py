@@ -7,12 +7,14 @@ import subprocess
 import sys
 import tomllib
 from importlib import metadata
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[2]
 LAYERS = ("agents", "configs", "envs", "integrity")
+PARTS = ("envs", "agents", "learning")  # extras, each above the one before
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
 
@@ -57,11 +59,31 @@ def requirement_names(lines: list[str]) -> set[str]:
 def test_every_requirement_is_pinned():
     project = PROJECT["project"]
     extras = project["optional-dependencies"]
-    wanted = [*project["dependencies"], *extras["learning"], *extras["dev"]]
-    wanted.remove("lanebound[learning]")  # by which the tools bring what learning takes
+    wanted = [*project["dependencies"], *(line for name in PARTS for line in extras[name]), *extras["dev"]]
+    wanted = [line for line in wanted if not line.startswith("lanebound[")]
     pinned = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     assert all(line.startswith("#") or "==" in line for line in pinned)
     assert requirement_names(wanted) <= requirement_names([line for line in pinned if not line.startswith("#")])
+
+
+def test_each_extra_contains_the_one_below():
+    extras = PROJECT["project"]["optional-dependencies"]
+    for below, extra in pairwise((*PARTS, "dev")):
+        assert f"lanebound[{below}]" in extras[extra]
+
+
+def test_the_navigation_layer_installs_without_simulators_and_learners():
+    base = requirement_names(PROJECT["project"]["dependencies"])
+    assert not base & {"gymnasium", "highway-env", "stable-baselines3", "torch", "pygame-ce", "typer"}
+    assert {"torch", "typer"} <= requirement_names(PROJECT["project"]["optional-dependencies"]["agents"])
+
+
+def test_the_command_says_what_is_missing_without_its_packages():
+    code = "import sys; sys.modules['typer'] = None; from lanebound.agents import main; main()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: the command line needs the package typer, got none: install lanebound with")
+    assert done.stderr.count("\n") == 1
 
 
 IMPORT_ALL = """

@@ -124,6 +124,19 @@ def test_nearest_takes_any_key():
     assert nearest(1, ["10", "a"]) == "did you mean '10'?"
 
 
+@pytest.mark.parametrize(
+    ("word", "known", "advice"),
+    [
+        ("nope", ["np", "make"], "known are make, np"),  # half as long
+        ("nonsense-v0", ["intersection-v0", "merge-v1"], "known are intersection-v0, merge-v1"),  # too few letters
+        ("LaneKeeping", ["lanebound/LaneKeeping-v0", "x"], "did you mean 'lanebound/LaneKeeping-v0'?"),  # contained
+        ("tyo", ["toy", "boy"], "did you mean 'toy'?"),
+    ],
+)
+def test_nearest_suggests_only_what_is_near(word, known, advice):
+    assert nearest(word, known) == advice
+
+
 def test_nearest_falls_back_to_the_list():
     assert nearest("zzz", ["b", "a"]) == "known are a, b"
     assert nearest("zzz", []) == "none are known"
@@ -184,7 +197,7 @@ def test_files_of_ones_own_extend_each_other_from_where_they_are(tmp_path):
         (b"extends: bse", r"^preset 'bse' \(extended by '.*mine.yaml'\) is unknown: did you mean 'base'\?$"),
         (b"extends: 5", r"^extends of .*mine.yaml must be a name or a list of names, got 5: correct it$"),
         (b"- 1", r"mine.yaml must be a mapping, got list: write lines 'key: value'$"),
-        (b"\xff", r"^drive must be a file that can be read, got .*mine.yaml .*: correct the path$"),
+        (b"a: \xe9", r"^drive must be a text file in UTF-8, got .*mine.yaml with byte 0xe9 at 3: save it as UTF-8$"),
         (None, r"^drive must be a file that can be read, got .*mine.yaml .*: correct the path$"),
     ],
 )

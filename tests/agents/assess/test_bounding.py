@@ -134,16 +134,16 @@ def test_an_interrupted_run_ends_as_an_unbroken_one(
         (out / "parts" / f"{name}.json").unlink()
     drawn: list[str] = []
 
-    def watched(config: BoundingConfig, name: str) -> dict[str, Any]:
+    def watched(config: BoundingConfig, name: str, advance: Any) -> dict[str, Any]:
         drawn.append(name)
-        return work_part(config, name)
+        return work_part(config, name, advance)
 
     monkeypatch.setattr(bounding, "work_part", watched)
     again = assess_bounding(SHORT, out)
     assert drawn == names[::2]
     assert again == result
     assert json.loads((out / "results.json").read_text(encoding="utf-8"))["rates"] == result["rates"]
-    with pytest.raises(InputError, match="same study"):
+    with pytest.raises(InputError, match="same bounding assessment"):
         assess_bounding(SHORT.replace(seed=4), out)
 
 

@@ -116,8 +116,8 @@ def test_the_control_drive_is_bounded(short: tuple[Path, dict[str, Any]]) -> Non
 def test_files_are_written_and_a_second_run_drives_nothing(short: tuple[Path, dict[str, Any]]) -> None:
     out, result = short
     assert (out / "faults.svg").stat().st_size > 1000
-    told: list[tuple[int, int]] = []
-    again = assess_faults(SHORT, out, progress=lambda done, of: told.append((done, of)))
+    told: list[tuple[float, float]] = []
+    again = assess_faults(SHORT, out, on_progress=lambda now: told.append((now.done, now.of)))
     assert told == [(len(cells_of(SHORT)) + 2,) * 2]
     assert (out / "detectability.svg").stat().st_size > 1000
     assert again["faults"] == json.loads((out / "results.json").read_text(encoding="utf-8"))["faults"]

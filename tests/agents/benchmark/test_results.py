@@ -16,7 +16,9 @@ from lanebound.agents.benchmark.metrics import MAIN, METRICS, harm_of, metric_na
 from lanebound.agents.benchmark.outcome import Outcome
 from lanebound.agents.benchmark.results import Results
 from lanebound.agents.benchmark.source import source_digest
-from lanebound.agents.benchmark.store import STORED, Store
+from lanebound.agents.benchmark.store import STORED, EpisodeStore
+from lanebound.agents.checkpointing.files import write_json
+from lanebound.agents.checkpointing.folder import MANIFEST, code_digest
 from lanebound.integrity.core.errors import InputError
 
 
@@ -86,27 +88,18 @@ def test_harm_is_what_the_true_car_did_and_nothing_of_levels_alerts_or_weights()
     assert harm_of(made_up_outcome(task, collision=True, costs=costs | {"cost_off_road": 1.0})) == 52.5
 
 
-@pytest.mark.parametrize(
-    ("change", "what"),
-    [
-        ({"packages": {"numpy": "0.1"}}, r"another version of numpy \(0\.1\)"),
-        ({"packages": {}}, r"another version of Python \(not recorded\)"),
-        ({"source": "0"}, "another version of the code"),
-    ],
-)
-def test_what_was_driven_with_other_versions_is_not_gone_on_with(tmp_path, change, what):
-    store, suite = Store(tmp_path), made_up_suite()
-    store.claim(suite)
-    mark = json.loads((tmp_path / "suite.json").read_text(encoding="utf-8"))
-    assert set(mark["packages"]) >= {"Python", "numpy", "numba", "highway-env"}
-    assert store.packages() == mark["packages"]
+def test_a_folder_knows_the_versions_of_its_episodes(tmp_path):
+    store, suite = EpisodeStore(tmp_path), made_up_suite()
+    store.claim(suite, left_out=[("Merge-v0", "cbf", "it steers")])
+    assert store.left_out() == [("Merge-v0", "cbf", "it steers")]
     assert store.same_version()
-    kept = {**mark["packages"], **change["packages"]} if change.get("packages") else change.get("packages")
-    damaged = mark | change | ({"packages": kept} if kept is not None else {})
-    (tmp_path / "suite.json").write_text(json.dumps(damaged), encoding="utf-8")
+    manifest = store.manifest()
+    write_json(tmp_path / MANIFEST, manifest | {"source": "0"})
     assert not store.same_version()
-    with pytest.raises(InputError, match=what):
+    with pytest.raises(InputError, match=r"of another version of the code \(.*\): .* or drive anew with --fresh"):
         store.claim(suite)
+    store.claim(suite, fresh=True)
+    assert store.same_version()
 
 
 @pytest.mark.parametrize("name", ["episode.py", "outcome.py", "scoring.py", "suite.py", "work.py"])
@@ -116,9 +109,12 @@ def test_the_digest_is_of_all_that_an_outcome_follows_from(monkeypatch, name):
     def changed(path):
         return read(path) + (b"#" if path.parts[-2:] == ("benchmark", name) else b"")
 
-    before = source_digest.__wrapped__()
+    code_digest.cache_clear()
+    before = source_digest()
     monkeypatch.setattr(Path, "read_bytes", changed)
-    assert source_digest.__wrapped__() != before
+    code_digest.cache_clear()
+    assert source_digest() != before
+    code_digest.cache_clear()
 
 
 def test_what_an_agent_that_failed_did_counts_as_failure_and_as_nothing_else():
@@ -175,51 +171,37 @@ def test_the_files_agree(folder):
     assert [row["id"] for row in table] == [o.id for o in results.outcomes]
     assert table[0]["share_rtk"] == results.outcomes[0].mode_shares["rtk"]
     assert sorted(path.name for path in folder.iterdir()) == [
-        "episodes", "episodes.parquet", "results.csv", "results.json", "suite.json",
+        "episodes", "episodes.parquet", "results.csv", "results.json", "run.json",
     ]  # fmt: skip
 
 
-def test_a_folder_with_a_damaged_mark_is_not_overwritten(tmp_path):
-    store, suite = Store(tmp_path), made_up_suite()
-    with pytest.raises(InputError, match="DIR must be a folder that 'lanebound benchmark' wrote"):
-        store.suite()
-    (tmp_path / "suite.json").write_text("{", encoding="utf-8")
-    with pytest.raises(InputError, match=r"with another kind of suite\.json: choose a new folder, or drive anew"):
-        store.claim(suite)
-    store.claim(suite, fresh=True)
-    assert store.suite() == suite
-    assert store.same_version()
+def test_a_manifest_without_a_valid_suite_is_named_with_what_is_wrong(tmp_path):
+    made_up_folder(tmp_path, seeds={"count": 1})
+    manifest = EpisodeStore(tmp_path).manifest()
+    for config, reason in (
+        ({"envs": []}, "envs must .*; agents is required, .*"),
+        (None, ".*"),
+    ):
+        write_json(tmp_path / MANIFEST, manifest | {"config": config})
+        for read in (EpisodeStore(tmp_path).suite, lambda: Results.load(tmp_path)):
+            with pytest.raises(
+                InputError, match=f"run.json must hold a valid suite, got {reason}: restore .* --fresh'$"
+            ):
+                read()
 
 
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
-        ('{"suite": {', r"damaged data \(Expecting .*\)"),
-        ("[]", "JSON without a suite"),
-        ('{"version": "0"}', "JSON without a suite"),
-        ('{"suite": {"envs": []}}', r"a suite that is refused \(envs must .*; agents is required, .*\)"),
-    ],
-)
-def test_a_mark_that_says_no_suite_is_named_with_what_is_wrong(tmp_path, text, reason):
-    mark = tmp_path / "suite.json"
-    mark.write_text(text, encoding="utf-8")
-    for read in (Store(tmp_path).suite, lambda: Results.load(tmp_path)):
-        with pytest.raises(InputError, match=f"^{mark} must be as .* wrote it, got {reason}: restore .* --fresh'$"):
-            read()
-
-
-@pytest.mark.parametrize(("folder", "found"), [("", "without its suite.json"), ("none", "none, which is not there")])
-def test_a_folder_that_is_of_no_benchmark_is_told_from_one_that_is_not_there(tmp_path, folder, found):
-    with pytest.raises(InputError, match=f"^DIR must be a folder that .*{found}: name what was its --out$"):
-        Store(tmp_path / folder).suite()
+@pytest.mark.parametrize(("folder", "found"), [("", r"without run\.json"), ("none", "none, which does not exist")])
+def test_a_folder_without_a_benchmark_differs_from_one_that_does_not_exist(tmp_path, folder, found):
+    with pytest.raises(InputError, match=f"^the folder must hold a benchmark, got .*{found}: give the folder of its"):
+        EpisodeStore(tmp_path / folder).suite()
 
 
 def test_what_is_fresh_holds_no_earlier_episodes_and_keeps_what_is_not_of_a_benchmark(tmp_path):
     made_up_folder(tmp_path, seeds={"count": 1})
     (tmp_path / "notes.txt").touch()
-    store = Store(tmp_path)
+    store = EpisodeStore(tmp_path)
     store.claim(made_up_suite(skies=["open"]), fresh=True)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["notes.txt", "suite.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["notes.txt", "run.json"]
 
 
 def test_an_episode_counts_once():

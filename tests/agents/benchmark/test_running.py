@@ -15,11 +15,11 @@ import pytest
 import yaml
 from processes import started
 
-from lanebound.agents.benchmark.parts import episodes_kept
 from lanebound.agents.benchmark.replay import differences, replay
 from lanebound.agents.benchmark.results import Results
-from lanebound.agents.benchmark.running import Plan, Progress, run
+from lanebound.agents.benchmark.running import BenchmarkPlan, run
 from lanebound.agents.benchmark.suite import SuiteConfig
+from lanebound.agents.checkpointing.runner import RunProgress
 from lanebound.integrity.core.errors import InputError
 
 SUITE = {
@@ -35,11 +35,15 @@ GIVEN = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"},
 @pytest.fixture(scope="module")
 def unbroken(tmp_path_factory) -> Results:
     """All of the suite, in one process."""
-    told: list[Progress] = []
-    results = run(SuiteConfig.load(SUITE), tmp_path_factory.mktemp("unbroken"), jobs=1, told=told.append)
-    assert told[-1].done == told[-1].of == 16
-    assert told[-1].left_s == 0.0
+    progress: list[RunProgress] = []
+    results = run(SuiteConfig.load(SUITE), tmp_path_factory.mktemp("unbroken"), jobs=1, on_progress=progress.append)
+    assert progress[-1].done == progress[-1].of == 16
+    assert progress[-1].left_s == 0.0
     return results
+
+
+def episodes_in(folder: Path) -> int:
+    return len(list(folder.glob("episodes/*/*/*/*.parquet")))
 
 
 def children_of(pid: int) -> list[int]:
@@ -61,7 +65,7 @@ def test_a_run_broken_off_and_gone_on_with_ends_as_an_unbroken_one(unbroken, tmp
     suite.write_text(yaml.safe_dump(SUITE), encoding="utf-8")
     command = [Path(sys.executable).parent / "lanebound", "benchmark", suite, "--out", out, "--jobs", "1"]
     with started(command) as broken:
-        wait_until(lambda: episodes_kept(out) >= 3)
+        wait_until(lambda: episodes_in(out) >= 3)
         workers = [pid for pid in children_of(broken.pid) if b"spawn_main" in cmdline_of(pid)]
         broken.send_signal(signal.SIGINT)
         _, told = broken.communicate(timeout=120)
@@ -70,7 +74,7 @@ def test_a_run_broken_off_and_gone_on_with_ends_as_an_unbroken_one(unbroken, tmp
     assert said is not None
     assert len(workers) == 1
     wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers))
-    kept = episodes_kept(out)
+    kept = episodes_in(out)
     assert kept - int(said[1]) in (0, 1)  # the worker may have finished what it had in hand when that was said
     assert kept < 16
 
@@ -92,7 +96,7 @@ def test_an_interrupt_of_all_processes_is_answered_in_one_line(tmp_path, moment)
         assert begun.stdout is not None
         assert begun.stdout.readline() == "on\n"
         if moment == "at once":
-            wait_until((out / "suite.json").exists)
+            wait_until((out / "run.json").exists)
         else:
             wait_until(lambda: any(b"spawn_main" in cmdline_of(pid) for pid in children_of(begun.pid)))
         time.sleep({"at once": 0.1, "first worker": 0.05, "workers import": 1.0}[moment])
@@ -118,7 +122,7 @@ def cmdline_of(pid: int) -> bytes:
 def test_the_files_of_a_run(unbroken):
     names = {path.name for path in unbroken.folder.iterdir()}
     assert names == {
-        "episodes", "episodes.parquet", "left_out.json", "results.csv", "results.json", "suite.json",
+        ".lock", "episodes", "episodes.parquet", "results.csv", "results.json", "run.json",
     }  # fmt: skip
     assert pq.read_table(unbroken.folder / "episodes.parquet").num_rows == 16
     assert Results.load(unbroken.folder) == unbroken
@@ -149,12 +153,14 @@ def test_what_cannot_be_replayed_is_refused(unbroken, ident, film, message):
 
 
 def test_a_folder_of_another_suite_is_refused(unbroken):
-    with pytest.raises(InputError, match=r"got .* with another value of skies: choose a new folder"):
-        Plan.of(SuiteConfig.load({**SUITE, "skies": ["dense"]}), unbroken.folder)
-    with pytest.raises(InputError, match="with another agent under the name 'random'"):
-        Plan.of(SuiteConfig.load({**SUITE, "agents": {"random": "cruise"}}), unbroken.folder)
-    assert Plan.of(SuiteConfig.load({**SUITE, "seeds": {"count": 3}}), unbroken.folder).stored == 16
-    assert len(Plan.of(SuiteConfig.load(SUITE), unbroken.folder).tasks) == 0
+    with pytest.raises(
+        InputError, match=r"which differs in skies \(.*dense.*\): choose a new folder, or drive anew with --fresh"
+    ):
+        BenchmarkPlan.of(SuiteConfig.load({**SUITE, "skies": ["dense"]}), unbroken.folder)
+    with pytest.raises(InputError, match=r"which differs in agents\.random \(random, \w+ there, now cruise, \w+\)"):
+        BenchmarkPlan.of(SuiteConfig.load({**SUITE, "agents": {"random": "cruise"}}), unbroken.folder)
+    assert BenchmarkPlan.of(SuiteConfig.load({**SUITE, "seeds": {"count": 3}}), unbroken.folder).stored == 16
+    assert len(BenchmarkPlan.of(SuiteConfig.load(SUITE), unbroken.folder).tasks) == 0
 
 
 def test_nothing_is_begun_beyond_the_budget(tmp_path):
@@ -194,23 +200,23 @@ def test_a_script_that_runs_without_a_guard_is_told_so_and_nothing_is_stored(tmp
     )
     done = subprocess.run([sys.executable, str(script)], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 1
-    assert "InputError: a process for episodes ended while it was started (exit code 1" in done.stderr
+    assert "InputError: a worker process ended while it was started (exit code 1" in done.stderr
     assert "must stand below if __name__ == '__main__':" in done.stderr
-    assert episodes_kept(tmp_path / "out") == 0
+    assert episodes_in(tmp_path / "out") == 0
 
 
 def test_agents_that_cannot_drive_an_environment_are_left_out(tmp_path):
     suite = SuiteConfig.load({**SUITE, "envs": ["Merge"], "skies": ["open"], "agents": ["nominal", "cbf"]})
-    plan = Plan.of(suite, tmp_path)
+    plan = BenchmarkPlan.of(suite, tmp_path)
     ((env, agent, why),) = plan.left_out
     assert (env, agent) == ("Merge-v0", "cbf")
     assert why.startswith("action must be continuous")
     assert {task.agent for task in plan.tasks} == {"nominal"}
     assert plan.hours(1) > 0.0
     with pytest.raises(InputError, match="agent 'nominl' is unknown"):
-        Plan.of(SuiteConfig.load({**SUITE, "agents": ["nominl"]}), tmp_path)
+        BenchmarkPlan.of(SuiteConfig.load({**SUITE, "agents": ["nominl"]}), tmp_path)
     with pytest.raises(InputError, match=r"agent must be a file that exists, got no\.zip"):
-        Plan.of(SuiteConfig.load({**SUITE, "agents": {"mine": "no.zip"}}), tmp_path)
+        BenchmarkPlan.of(SuiteConfig.load({**SUITE, "agents": {"mine": "no.zip"}}), tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -229,5 +235,5 @@ def test_figures_that_are_wrong_anywhere_are_refused_and_not_left_out(tmp_path, 
         {**SUITE, "envs": ["Merge", "LaneKeeping"], "agents": {"nominal": "nominal", "mine": agent}}
     )
     with pytest.raises(InputError, match=message):
-        Plan.of(suite, tmp_path / "out")
+        BenchmarkPlan.of(suite, tmp_path / "out")
     assert not (tmp_path / "out").exists()

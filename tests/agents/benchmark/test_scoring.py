@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 from benchmarks import made_up_outcome, made_up_rows, made_up_suite
 
+from lanebound.agents.benchmark.metrics import metric_named
 from lanebound.agents.benchmark.outcome import LEVEL_MAX_M
-from lanebound.agents.benchmark.scoring import figures
+from lanebound.agents.benchmark.scoring import outcome_of, outcome_of_statistics
+from lanebound.agents.learning.evaluation import JUDGED
 from lanebound.envs.observation.config import ObservationConfig
+from lanebound.envs.tally import Tally
+from lanebound.integrity.positioning.modes import Mode
 
 DT_S = 0.2
 
@@ -29,68 +33,86 @@ def rows(steps: int, **columns: list[float] | list[bool] | list[str] | float | b
 
 def test_motion_by_closed_forms():
     t = DT_S * np.arange(51)
-    accelerating = figures(rows(50, speed_mps=(10.0 + 1.5 * t).tolist()), 10.0)
-    assert accelerating["rms_acceleration_mps2"] == pytest.approx(1.5)
-    assert accelerating["rms_jerk_mps3"] == pytest.approx(0.0, abs=1e-9)
-    turning = figures(rows(50, speed_mps=10.0, true_heading_rad=np.angle(np.exp(1j * (3.0 + 0.1 * t))).tolist()), 10.0)
-    assert turning["rms_lateral_mps2"] == pytest.approx(1.0)  # across the jump from pi to -pi too
-    circle = figures(rows(50, true_x_m=(3 * t).tolist(), true_y_m=(4 * t).tolist()), 10.0)
-    assert circle["distance_m"] == pytest.approx(50.0)
-    assert circle["throughput_mps"] == pytest.approx(5.0)
+    accelerating = outcome_of(rows(50, speed_mps=(10.0 + 1.5 * t).tolist()), 10.0)
+    assert accelerating.rms_acceleration_mps2 == pytest.approx(1.5)
+    assert accelerating.rms_jerk_mps3 == pytest.approx(0.0, abs=1e-9)
+    turning = outcome_of(
+        rows(50, speed_mps=10.0, true_heading_rad=np.angle(np.exp(1j * (3.0 + 0.1 * t))).tolist()), 10.0
+    )
+    assert turning.rms_lateral_mps2 == pytest.approx(1.0)  # across the jump from pi to -pi too
+    circle = outcome_of(rows(50, true_x_m=(3 * t).tolist(), true_y_m=(4 * t).tolist()), 10.0)
+    assert circle.distance_m == pytest.approx(50.0)
+    assert circle.throughput_mps == pytest.approx(5.0)
 
 
 def test_an_episode_cut_short_has_less_throughput():
     fell = rows(50, speed_mps=10.0, true_y_m=0.0, is_success=False)
-    assert figures(fell, 40.0)["throughput_mps"] == pytest.approx(100.0 / 40.0)
+    assert outcome_of(fell, 40.0).throughput_mps == pytest.approx(100.0 / 40.0)
     arrived = rows(50, speed_mps=10.0, true_y_m=0.0)
-    assert figures(arrived, 40.0)["throughput_mps"] == pytest.approx(10.0)
+    assert outcome_of(arrived, 40.0).throughput_mps == pytest.approx(10.0)
 
 
 def test_gaps_count_where_somebody_is_ahead():
-    assert figures(rows(4, gap_m=[math.inf, 10.0, 12.0, 20.0, math.inf]), 1.0)["gap_m"] == 12.0
-    assert figures(rows(4, gap_m=math.inf), 1.0)["gap_m"] is None
+    assert outcome_of(rows(4, gap_m=[math.inf, 10.0, 12.0, 20.0, math.inf]), 1.0).gap_m == 12.0
+    assert outcome_of(rows(4, gap_m=math.inf), 1.0).gap_m is None
 
 
 def test_a_level_that_is_missing_counts_as_the_largest():
     levels = [0.0, 1.0, math.inf, math.inf, 2.0]
-    found = figures(rows(4, pl_at_m=levels, err_at_m=[9.0, -1.0, 2.0, -3.0, 4.0]), 1.0)
-    assert found["pl_at_median_m"] == LEVEL_MAX_M == ObservationConfig().pl_max_m
-    assert found["no_level"] == 0.5
-    assert (found["pe_at_median_m"], found["pe_at_max_m"]) == (2.5, 4.0)
-    never, wide = figures(rows(4, pl_at_m=math.inf), 1.0), figures(rows(4, pl_at_m=20.0), 1.0)
-    assert never["pl_at_median_m"] == wide["pl_at_median_m"] == LEVEL_MAX_M
-    assert (never["no_level"], wide["no_level"]) == (1.0, 0.0)
+    found = outcome_of(rows(4, pl_at_m=levels, err_at_m=[9.0, -1.0, 2.0, -3.0, 4.0]), 1.0)
+    assert found.pl_at_median_m == LEVEL_MAX_M == ObservationConfig().pl_max_m
+    assert found.no_level == 0.5
+    assert (found.pe_at_median_m, found.pe_at_max_m) == (2.5, 4.0)
+    never, wide = outcome_of(rows(4, pl_at_m=math.inf), 1.0), outcome_of(rows(4, pl_at_m=20.0), 1.0)
+    assert never.pl_at_median_m == wide.pl_at_median_m == LEVEL_MAX_M
+    assert (never.no_level, wide.no_level) == (1.0, 0.0)
 
 
 def test_alerts_and_continuity():
     on = [False, True, False, True, True]
-    found = figures(rows(4, alert=on, available=[not x for x in on]), 1.0)
-    assert found["alerts"] == 2
-    assert found["alert_share"] == 0.75
-    assert found["continuity"] == 0.0  # the one available step is followed by one that is not
-    assert figures(rows(4, available=False), 1.0)["continuity"] == 0.0
+    found = outcome_of(rows(4, alert=on, available=[not x for x in on]), 1.0)
+    assert found.alerts == 2
+    assert found.alert_share == 0.75
+    assert found.continuity == 0.0  # the one available step is followed by one that is not
+    assert outcome_of(rows(4, available=False), 1.0).continuity == 0.0
 
 
 def test_an_alert_that_never_comes_is_later_than_any_that_comes():
     over = [0, 0, 1, 1, 1, 1, 0]
-    late = figures(rows(6, err_ct_m=over, alert=[False] * 5 + [True] * 2), 2.0)
-    assert late["time_to_alert_s"] == pytest.approx(3 * DT_S)
-    never = figures(rows(6, err_ct_m=over, alert=False), 2.0)
-    assert never["time_to_alert_s"] == pytest.approx(4 * DT_S)  # as long as it lasted
-    assert (late["missed_alerts"], never["missed_alerts"]) == (0, 1)
-    lasting = figures(rows(6, err_ct_m=[0, 0, 0, 0, 0, 1, 1], alert=False), 2.0)
-    assert (lasting["time_to_alert_s"], lasting["missed_alerts"]) == (pytest.approx(2 * DT_S), 1)
-    after = figures(rows(6, err_ct_m=[0, 0, 1, 0, 0, 0, 0], alert=[False] * 4 + [True] * 3), 2.0)
-    assert (after["time_to_alert_s"], after["missed_alerts"]) == (pytest.approx(DT_S), 1)
-    nothing = figures(rows(6), 2.0)
-    assert (nothing["time_to_alert_s"], nothing["missed_alerts"]) == (None, 0)
+    late = outcome_of(rows(6, err_ct_m=over, alert=[False] * 5 + [True] * 2), 2.0)
+    assert late.time_to_alert_s == pytest.approx(3 * DT_S)
+    never = outcome_of(rows(6, err_ct_m=over, alert=False), 2.0)
+    assert never.time_to_alert_s == pytest.approx(4 * DT_S)  # as long as it lasted
+    assert (late.missed_alerts, never.missed_alerts) == (0, 1)
+    lasting = outcome_of(rows(6, err_ct_m=[0, 0, 0, 0, 0, 1, 1], alert=False), 2.0)
+    assert (lasting.time_to_alert_s, lasting.missed_alerts) == (pytest.approx(2 * DT_S), 1)
+    after = outcome_of(rows(6, err_ct_m=[0, 0, 1, 0, 0, 0, 0], alert=[False] * 4 + [True] * 3), 2.0)
+    assert (after.time_to_alert_s, after.missed_alerts) == (pytest.approx(DT_S), 1)
+    nothing = outcome_of(rows(6), 2.0)
+    assert (nothing.time_to_alert_s, nothing.missed_alerts) == (None, 0)
 
 
 def test_departures_are_those_of_the_true_body():
-    assert figures(rows(3, cost_lane=[0.0, 0.0, 1e-3, 0.0]), 1.0)["lane_departure"]
-    assert not figures(rows(3), 1.0)["lane_departure"]
+    assert outcome_of(rows(3, cost_lane=[0.0, 0.0, 1e-3, 0.0]), 1.0).lane_departure
+    assert not outcome_of(rows(3), 1.0).lane_departure
 
 
 def test_an_agent_that_fails_at_once_has_no_shares():
-    found = figures(rows(4)[:1], 40.0)
-    assert (found["steps"], found["availability"], found["mode_shares"]) == (0, None, {})
+    found = outcome_of(rows(4)[:1], 40.0)
+    assert (found.steps, found.availability, found.mode_shares) == (0, None, {})
+
+
+def test_statistics_of_the_engine_give_the_metrics_of_rows():
+    """Without the rows the way is the speed times the time."""
+    driven = rows(50, speed_mps=10.0, true_y_m=0.0, cost_lane=[0.0] * 40 + [0.1] * 11, cost=0.5, crashed=True)
+    wanted = outcome_of(driven, 40.0, cost_limit=15.0)
+    tally = Tally(1)
+    for row in driven[1:]:
+        tally.add(row["reward"], row | {"mode": int(next(mode for mode in Mode if mode.key == row["mode"]))})
+    statistics = tally.report(0, True)
+    more = {"time_s": wanted.time_s, "allotted_s": 40.0, "cost_limit": 15.0}
+    found = outcome_of_statistics(driven[-1], statistics, wanted.task, **more)
+    for key in JUDGED:
+        metric = metric_named(key)
+        extra = wanted.cost / 51 if key == "cost" else 0.0  # of the start, which statistics leave out
+        assert metric.take(found) + extra == pytest.approx(metric.take(wanted)), key

@@ -61,7 +61,7 @@ def test_a_lower_cost_is_no_safety_and_crashes_are_not_outweighed():
     assert not any(verdict.safer for verdict in verdicts(results))
     (line,) = conclusions(results)
     assert line.startswith("With 8 seeds no agent can be called safer than nominal")
-    assert f"takes {seeds_to_exclude(MARGIN)} at least" in line
+    assert f"takes {seeds_to_exclude(MARGIN)} seeds at least" in line
 
 
 @pytest.mark.parametrize("end", ["crashed", "off_road"])
@@ -110,7 +110,7 @@ def test_who_never_ends_well_and_who_sees_the_truth_are_not_praised():
         return outcome(task, lane_m2=30.0 * bad, lane_departure=bad, success=bad, ended="time up")
 
     assert conclusions(driven(made)) == [
-        "With 60 seeds no agent is clearly safer than nominal in any cell; --seeds takes more."
+        "With 60 seeds no agent is clearly safer than nominal in any cell; more seeds may show more (--seeds)."
     ]
     for agent in ("oracle", {"agent": "nominal", "config": {"observation": {"integrity": "oracle"}}}):
         assert verdicts(driven(made, agents={"nominal": "nominal", "mine": agent})) == []

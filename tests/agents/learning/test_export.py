@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +11,22 @@ import onnx
 import pytest
 from experiments import experiment
 from gymnasium import spaces
+from sb3_contrib import RecurrentPPO
+from stable_baselines3 import A2C, PPO, SAC, TD3
 from typer.testing import CliRunner
 
+from lanebound.agents.benchmark.suite import SuiteConfig
+from lanebound.agents.benchmark.work import strangers
 from lanebound.agents.cli import app
 from lanebound.agents.drivers import learnt, make_agent
+from lanebound.agents.drivers.foreign import load_checkpoint
+from lanebound.agents.drivers.origin import elsewhere, experiment_in
 from lanebound.agents.episodes import open_env
+from lanebound.agents.learning.evaluation import trained
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig
 from lanebound.agents.learning.export import export_arrays, export_onnx
 from lanebound.agents.learning.training import load_model, train
+from lanebound.agents.vec_env import EngineVecEnv
 from lanebound.integrity.core.errors import InputError
 
 STILL = {"navigation": {"source": "perfect"}, "duration_s": 4.0}
@@ -99,21 +108,94 @@ def test_arrays_of_a_policy_with_a_history_are_refused_when_they_are_written(tmp
         export_arrays(tmp_path, tmp_path / "net.npz")
 
 
-def test_policies_that_cannot_stand_alone_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(InputError, match=r"with best\.zip, got .*: train first"):
-        export_onnx(tmp_path, tmp_path / "net.onnx")
-    (tmp_path / "best.zip").touch()
-    for changes, message in (
-        ({"algorithm": "recurrent_ppo"}, "must have no memory, got recurrent_ppo"),
-        ({"env": "CarFollowing", "shield": "cbf"}, "must stand alone, got one under the filter cbf"),
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Checkpoints as users of Stable-Baselines3 save them, without a word of where they were learnt."""
+    folder = tmp_path_factory.mktemp("saved")
+    env = EngineVecEnv("lanebound/LaneKeeping-v0", 2, {**STILL, "observation": {"form": "flat"}})
+    for name, kind in (("PPO", PPO), ("A2C", A2C), ("SAC", SAC), ("TD3", TD3)):
+        kind("MlpPolicy", env, seed=1).save(folder / f"{name}.zip")
+    RecurrentPPO("MlpLstmPolicy", env, seed=1).save(folder / "RecurrentPPO.zip")
+    return folder
+
+
+@pytest.mark.parametrize("algorithm", ["PPO", "A2C", "SAC"])
+def test_a_checkpoint_of_ones_own_is_exported_once_its_environment_is_named(
+    saved: Path, tmp_path: Path, algorithm: str
+) -> None:
+    source = saved / f"{algorithm}.zip"
+    with pytest.raises(InputError, match=rf"{algorithm}\.zip must say where it was learnt, .*: add --env ID$"):
+        export_onnx(source, tmp_path / "net.onnx")
+    arguments = ["export", str(source), "--out", str(tmp_path / "net.onnx"), "--env", "LaneKeeping"]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    world = open_env("LaneKeeping", {"observation": {"form": "flat"}})
+    network, policy = make_agent(str(tmp_path / "net.onnx"), world), load_checkpoint(source)
+    seen = world.reset(seed=1)[0]
+    np.testing.assert_allclose(network.predict(seen)[0], policy.predict(seen, deterministic=True)[0], atol=2e-5)
+    with pytest.raises(
+        InputError, match=r"must be learnt on flat observations of LaneKeeping-v0, .* got \(216,\): name"
     ):
-        (tmp_path / "experiment.json").write_text(experiment(**changes).to_json())
-        with pytest.raises(InputError, match=message):
-            export_onnx(tmp_path, tmp_path / "net.onnx")
-    (tmp_path / "experiment.json").write_text(experiment().to_json())
-    monkeypatch.setattr("lanebound.agents.learning.export.find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"needs the package onnx, got none: pip install 'lanebound\[learning\]'"):
+        export_onnx(source, tmp_path / "b.onnx", "LaneKeeping", {"overrides": {"observation": {"vehicles": 3}}})
+
+
+def test_policies_that_cannot_stand_alone_are_refused(
+    saved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(InputError, match=r"with best\.zip or a checkpoint \.zip, got .*: train first"):
         export_onnx(tmp_path, tmp_path / "net.onnx")
+    for algorithm, message in (
+        ("RecurrentPPO", "must have no memory, got RecurrentPPO: drive with its checkpoint instead"),
+        ("TD3", "must be of PPO, A2C or SAC, got TD3: drive with its checkpoint instead"),
+    ):
+        with pytest.raises(InputError, match=message):
+            export_onnx(saved / f"{algorithm}.zip", tmp_path / "net.onnx", "LaneKeeping")
+    with pytest.raises(InputError, match="must stand alone, got one under the filter cbf"):
+        export_onnx(saved / "PPO.zip", tmp_path / "net.onnx", "CarFollowing", {"shield": "cbf"})
+    with pytest.raises(InputError, match=r"must be PPO's with tanh, got SACPolicy: use \.onnx"):
+        export_arrays(saved / "SAC.zip", tmp_path / "net.npz", "LaneKeeping")
+    monkeypatch.setattr("lanebound.agents.learning.export.find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"needs the package onnx, got none: pip install onnx$"):
+        export_onnx(saved / "PPO.zip", tmp_path / "net.onnx", "LaneKeeping")
+
+
+def test_a_checkpoint_of_ones_own_is_evaluated(saved: Path, tmp_path: Path) -> None:
+    arguments = ["evaluate", str(saved / "PPO.zip"), "--out", str(tmp_path), "--seeds", "1", "--jobs", "1"]
+    told = CliRunner().invoke(app, arguments)
+    assert (told.exit_code, "add --env ID" in told.stderr) == (2, True)
+    more = ["--env", "LaneKeeping", "--sky", "open", "--agents", "nominal", "--set", "duration_s=2", "--json"]
+    told = CliRunner().invoke(app, [*arguments, *more])
+    assert told.exit_code == 0, told.output
+    assert [(one["agent"], one["status"]) for one in json.loads(told.stdout)["outcomes"]] == [
+        ("learnt", "ok"), ("nominal", "ok"),
+    ]  # fmt: skip
+
+
+def test_policies_know_where_they_were_learnt(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    planned = experiment(steps=64, overrides=STILL)
+    train(planned, tmp_path / "run")
+    best = tmp_path / "run" / "best.zip"
+    files = [best, export_onnx(best, tmp_path / "net.onnx"), export_arrays(best, tmp_path / "net.npz")]
+    flat = {"observation": {"form": "flat"}}
+    home, other = open_env("LaneKeeping", flat), open_env("CarFollowing", flat)
+    for file in files:
+        assert experiment_in(file) == planned.to_dict()
+        caplog.clear()
+        make_agent(str(file), home)
+        assert caplog.messages == []
+        make_agent(str(file), other)
+        assert caplog.messages == [
+            f"lanebound: policy {file} was learnt in LaneKeeping-v0 and drives CarFollowingWorld here: its results say "
+            "nothing of what it learnt"
+        ]
+    suite = SuiteConfig.load(
+        {"envs": ["LaneKeeping", "CarFollowing"], "agents": {"mine": str(best), "safe": {"agent": "cbf", "figures":
+         {"over": str(files[2])}}, "nominal": "nominal"}, "seeds": {"count": 1}}
+    )  # fmt: skip
+    assert strangers(suite) == [elsewhere(str(file), "CarFollowingWorld") for file in (best, files[2])]
+    assert trained(best)[0] == planned
+    (tmp_path / "damaged.npz").write_bytes(b"PK")
+    assert experiment_in(tmp_path / "damaged.npz") is None
 
 
 def test_the_command_says_what_is_missing(tmp_path: Path) -> None:

@@ -12,8 +12,8 @@ import pytest
 import torch
 from experiments import experiment
 from stable_baselines3 import PPO
-from stable_baselines3.common.vec_env import VecEnvWrapper, VecMonitor
 
+from lanebound.agents.checkpointing.folder import ResultFolder
 from lanebound.agents.learning import imitation, training
 from lanebound.agents.learning.evaluation import evaluate
 from lanebound.agents.learning.experiment import ExperimentConfig, ImitationConfig
@@ -21,6 +21,7 @@ from lanebound.agents.learning.imitation import Teacher, imitate, teacher_of
 from lanebound.agents.learning.opening import episode_seeds, for_learning
 from lanebound.agents.learning.study import LearningStudyConfig, plan
 from lanebound.agents.learning.training import Checkpoint, one_thread, train
+from lanebound.agents.vec_env import EngineVecEnv
 from lanebound.integrity.core.config import deep_merge
 from lanebound.integrity.core.errors import ConfigError, InputError
 
@@ -96,8 +97,8 @@ def test_the_same_seed_imitates_alike(tmp_path: Path) -> None:
 
 def test_its_episodes_are_none_that_learning_meets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seeded: list[int] = []
-    seed = VecEnvWrapper.seed
-    monkeypatch.setattr(VecMonitor, "seed", lambda env, to: seeded.append(to) or seed(env, to))
+    seed = EngineVecEnv.seed
+    monkeypatch.setattr(EngineVecEnv, "seed", lambda env, to: seeded.append(to) or seed(env, to))
     config = experiment(imitation=SMALL, steps=64)
     train(config, tmp_path)
     shown = seeded.index(episode_seeds(config, 0, "imitation"))
@@ -111,7 +112,7 @@ def test_a_stop_between_files_loses_no_judgement(tmp_path: Path, monkeypatch: py
 
     config = experiment(imitation=SMALL, steps=64)
     whole = train(config, tmp_path / "whole")
-    where = "write_card" if missing == "best.md" else "finite_or_none"
+    where = "write_card" if missing == "best.md" else "write_json"
     with monkeypatch.context() as patch:
         patch.setattr(training, where, stop)
         with pytest.raises(KeyboardInterrupt):
@@ -227,11 +228,14 @@ def test_a_stop_loses_no_finished_round(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_what_imitation_kept_and_cannot_be_read_is_named(tmp_path: Path) -> None:
+    config = experiment(imitation=SMALL, steps=64)
+    fixed = {key: value for key, value in config.to_dict().items() if key != "steps"}
+    ResultFolder(tmp_path, "training", config.to_dict(), fixed=fixed).claim()
     (tmp_path / "imitation.pt").write_bytes(b"nothing of ours")
     with pytest.raises(
         InputError, match=r"imitation\.pt must be as imitation wrote it, got another file .*: delete it"
     ):
-        train(experiment(imitation=SMALL, steps=64), tmp_path)
+        train(config, tmp_path)
 
 
 def test_what_the_driver_needs_is_asked_for_by_its_path(tmp_path: Path) -> None:

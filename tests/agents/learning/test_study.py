@@ -58,24 +58,25 @@ def small(**changes: Any) -> LearningStudyConfig:
 
 
 def test_a_study_that_is_stopped_goes_on_and_drives_its_policies(tmp_path: Path, monkeypatch: Any) -> None:
-    told: list[tuple[int, int]] = []
+    told: list[tuple[float, float]] = []
     nothing = run_learning_study(small(), tmp_path, budget_h=0.0)
     assert (nothing["trainings"], nothing["places"]) == ({"planned": 2, "done": 0}, [])
 
     train, begun = room.train, []
 
-    def stops(*arguments: Any) -> Any:
+    def stops(*arguments: Any, **settings: Any) -> Any:
         begun.append(arguments[0].seed)
         if len(begun) == 2:
             raise KeyboardInterrupt
-        return train(*arguments)
+        return train(*arguments, **settings)
 
     monkeypatch.setattr(room, "train", stops)
     with pytest.raises(KeyboardInterrupt):
         run_learning_study(small(), tmp_path)
     monkeypatch.setattr(room, "train", train)
-    found = run_learning_study(small(), tmp_path, progress=lambda done, of: told.append((done, of)))
-    assert told == [(1, 2), (2, 2)]
+    found = run_learning_study(small(), tmp_path, on_progress=lambda now: told.append((now.done, now.of)))
+    assert (told[0], told[-1]) == ((1, 2), (2, 2))
+    assert any(1 < done < 2 for done, _ in told)
     assert found["trainings"] == {"planned": 2, "done": 2}
     [place] = found["places"]
     assert {arm: of["seeds"] for arm, of in place["arms"].items()} == {"blind": [0], "filtered": [0]}
@@ -83,7 +84,7 @@ def test_a_study_that_is_stopped_goes_on_and_drives_its_policies(tmp_path: Path,
     assert place["arms"]["filtered"]["less"]["blind"]["cost"]["n"] == 1
     assert json.loads((tmp_path / "results.json").read_text()) == json.loads(json.dumps(found))
     assert (tmp_path / "curves.svg").stat().st_size > 1000
-    with pytest.raises(InputError, match="hold the same study"):
+    with pytest.raises(InputError, match="hold the same learning study"):
         run_learning_study(small(seeds=2), tmp_path)
 
 

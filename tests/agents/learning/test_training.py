@@ -81,7 +81,7 @@ def test_who_goes_on_after_a_stop_does_not_draw_the_same_again(
 
 
 def test_the_best_is_measured_on_test_seeds_beside_others(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"with best\.zip, got .*: train first"):
+    with pytest.raises(InputError, match=r"with best\.zip or a checkpoint \.zip, got .*: train first"):
         evaluation_suite(tmp_path, "nominal", 1)
     train(experiment(steps=64, algorithm="ppo_lagrangian"), tmp_path / "learnt")
     suite = evaluation_suite(tmp_path / "learnt", "nominal", 2)
@@ -107,7 +107,7 @@ def test_the_engine_and_single_environments_judge_alike(tmp_path: Path) -> None:
 def test_another_experiment_is_refused_with_what_differs(tmp_path: Path) -> None:
     train(experiment(steps=64), tmp_path)
     message = (
-        r"^out must be empty or hold the same experiment, got .*, which differs in seed, sky: choose a new folder$"
+        r"hold the same training, got .* which differs in seed \(0 there, now 3\), sky \(.*\): choose a new folder$"
     )
     with pytest.raises(InputError, match=message):
         train(experiment(seed=3, sky="urban"), tmp_path)
@@ -122,7 +122,7 @@ def test_what_is_refused_does_not_mark_its_folder(tmp_path: Path) -> None:
 
 def test_files_of_others_and_half_trainings_are_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "best.zip").write_text("mine", encoding="utf-8")
-    message = r"with best\.zip but without experiment\.json and last\.zip: choose a new folder$"
+    message = r"with files of other origin \(best\.zip\): choose a new folder$"
     with pytest.raises(InputError, match=message):
         train(experiment(steps=64), tmp_path)
     assert (tmp_path / "best.zip").read_text(encoding="utf-8") == "mine"
@@ -233,7 +233,7 @@ def test_other_errors_than_of_divergence_are_left_as_they_are(tmp_path: Path) ->
         train(experiment(), tmp_path, stepped=breaks)
 
 
-@pytest.mark.parametrize("name", ["experiment.json", "progress.json"])
+@pytest.mark.parametrize("name", ["run.json", "progress.json"])
 def test_a_damaged_folder_is_refused_by_the_file(tmp_path: Path, name: str) -> None:
     train(experiment(steps=64), tmp_path)
     (tmp_path / name).write_text("{", encoding="utf-8")
@@ -242,8 +242,8 @@ def test_a_damaged_folder_is_refused_by_the_file(tmp_path: Path, name: str) -> N
     (tmp_path / name).write_text("3", encoding="utf-8")
     with pytest.raises(InputError, match=rf"{name} must hold a JSON (object|array), got int: restore it"):
         train(experiment(), tmp_path)
-    if name == "experiment.json":
-        with pytest.raises(InputError, match=r"experiment\.json must hold a JSON object"):
+    if name == "run.json":
+        with pytest.raises(InputError, match=r"run\.json must hold a JSON object"):
             evaluation_suite(tmp_path, "nominal", 1)
 
 
@@ -265,7 +265,6 @@ def test_a_training_that_is_done_says_so(tmp_path: Path) -> None:
     told = CliRunner().invoke(app, arguments)
     assert told.exit_code == 0, told.output
     assert "all 64 decisions are done already (so far 128): raise steps to go on" in told.output
-    assert "64/64" in told.output
 
 
 @pytest.mark.parametrize("engine", [True, False])

@@ -28,10 +28,11 @@ FRAME = """<!doctype html><body style="margin:0"><script>addEventListener("messa
   document.body.dataset.found = event.data; }});</script><iframe src="{page}" width="{width}" height="800"></iframe>"""
 
 
-@pytest.fixture(scope="module")
-def page(tmp_path_factory) -> Path:
+@pytest.fixture(scope="module", params=[3, 8])
+def page(request, tmp_path_factory) -> Path:
+    """A page with too few seeds for a verdict, and one with the longest legends."""
     folder = tmp_path_factory.mktemp("results")
-    return write_report(made_up_folder(folder, seeds={"count": 3}), folder, clips=0)
+    return write_report(made_up_folder(folder, seeds={"count": request.param}), folder, clips=0)
 
 
 def opened(page: Path, width_px: int, tmp_path: Path) -> tuple[list[int], str]:

@@ -9,8 +9,9 @@ import pytest
 from benchmarks import made_up_folder, made_up_outcome, made_up_suite
 from imageio_ffmpeg import count_frames_and_secs, write_frames
 
-from lanebound.agents.benchmark.store import Store
-from lanebound.agents.benchmark.work import Work
+from lanebound.agents.benchmark.store import EpisodeStore
+from lanebound.agents.benchmark.work import DrivenEpisodes
+from lanebound.agents.checkpointing.pool import PartStatus
 from lanebound.agents.report.clips import LAST_S, film_clip, shrink
 
 
@@ -59,6 +60,7 @@ def test_a_film_is_made_once(tmp_path, monkeypatch):
     first, second = list(made_up_suite().tasks())[:2]
     made = []
     monkeypatch.setattr(clips, "_filmed", lambda folder, outcome: (made.append(outcome.id) or b"film", ""))
+    monkeypatch.setattr(clips, "poster_of", lambda film: b"poster")
     films = [film_clip(tmp_path, made_up_outcome(task)) for task in (first, first, second)]
     assert made == [first.id, second.id]
     assert films[0] == films[1]
@@ -68,7 +70,7 @@ def test_a_film_is_made_once(tmp_path, monkeypatch):
         patch.setattr(clips, "source_digest", lambda: "another code")
         film_clip(tmp_path, made_up_outcome(first))
     assert made.pop() == first.id
-    Store(tmp_path).claim(Store(tmp_path).suite(), fresh=True)
+    EpisodeStore(tmp_path).claim(EpisodeStore(tmp_path).suite(), fresh=True)
     assert not (tmp_path / "clips").exists()
     monkeypatch.setattr(clips, "_filmed", lambda folder, outcome: (made.append(outcome.id) or b"film", "cost"))
     assert all("cost differ" in film_clip(tmp_path, made_up_outcome(first)).trouble for _ in range(2))
@@ -79,10 +81,12 @@ def test_a_film_is_made_once(tmp_path, monkeypatch):
 def test_an_episode_is_driven_again(tmp_path):
     given = {"world": {"duration": 2}, "navigation": {"source": "perfect"}, "perception": {"source": "truth"}}
     suite = made_up_suite(envs=["LaneKeeping"], skies=["open"], agents=["nominal"], overrides=given)
-    Store(tmp_path).claim(suite)
-    outcome = Work(suite, tmp_path).drive(next(iter(suite.tasks())))
+    EpisodeStore(tmp_path).claim(suite)
+    status = PartStatus([0.0] * PartStatus.SIZE)
+    outcome = DrivenEpisodes(suite, tmp_path).do(next(iter(suite.tasks())), status)
     clip = film_clip(tmp_path, outcome)
     assert clip.trouble == ""
+    assert base64.b64decode(clip.poster.partition(",")[2]).startswith(b"\xff\xd8")
     (tmp_path / "clip.mp4").write_bytes(base64.b64decode(clip.address.partition(",")[2]))
     _, seconds = count_frames_and_secs(str(tmp_path / "clip.mp4"))
     assert seconds == pytest.approx(2.0, abs=0.3)

@@ -7,9 +7,9 @@ import pytest
 from benchmarks import LIMITS_M, made_up_folder, made_up_outcome, made_up_rows, made_up_suite
 
 from lanebound.agents.benchmark.results import Results
-from lanebound.agents.benchmark.store import Store
+from lanebound.agents.benchmark.store import EpisodeStore
 from lanebound.agents.report.episodes import pooled, trace_of, what_happened, worst_of
-from lanebound.agents.report.looks import actors_of
+from lanebound.agents.report.style import actors_of
 
 SUITE = made_up_suite(
     envs=["LaneKeeping"], skies=["urban"], seeds={"count": 3}, agents=["random", "nominal", "cautious"]
@@ -45,7 +45,7 @@ def test_episodes_are_pooled_with_all_their_decisions(tmp_path):
 
 
 def test_other_alert_limits_keep_their_ratio(tmp_path):
-    store = Store(tmp_path)
+    store = EpisodeStore(tmp_path)
     store.claim(SUITE)
     tasks = list(SUITE.tasks())[:2]
     for task, limit in zip(tasks, (1.0, 2.0), strict=True):

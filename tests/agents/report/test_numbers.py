@@ -6,12 +6,12 @@ import doctest
 
 import pytest
 
-from lanebound.agents.report import looks, numbers, svg
-from lanebound.agents.report.looks import clear_best
+from lanebound.agents.report import canvas, numbers, style
 from lanebound.agents.report.numbers import SHARE, interval, plain, shorten, signed
+from lanebound.agents.report.style import clear_best
 
 
-@pytest.mark.parametrize("module", [looks, numbers, svg])
+@pytest.mark.parametrize("module", [canvas, numbers, style])
 def test_the_examples_hold(module):
     found = doctest.testmod(module)
     assert found.attempted > 0

@@ -112,9 +112,32 @@ def test_what_was_never_seen_has_no_interval_and_leaves_nobody_the_best():
     suite = made_up_suite(agents=["nominal", "random"], envs=["LaneKeeping"], skies=["urban"], seeds={"count": 9})
     outcomes = [made_up_outcome(t, cost=0.0 if t.agent == "random" else float(t.seed)) for t in suite.tasks()]
     html = render(Results.of(suite, outcomes))
-    assert '<b>0.000</b><small class="lacks">no interval: never seen in 9</small>' in html
+    assert '<b>0.000</b><small class="lacks">never in 9</small>' in html
     main = html.split("Main metrics, LaneKeeping, urban sky</span></caption>")[1].split("</table>")[0]
     assert not any("10,004" in line for line in main.split("<td") if line.startswith(' class="best"'))
+
+
+def test_the_page_opens_with_harm_beside_throughput_in_three_sentences():
+    page = Page(render(made_up_results(seeds={"count": 8})))
+    first = [text for text in page.words["p"] if "reference" in text or "Least harm" in text or "no agent" in text]
+    assert re.match(
+        r"nominal, the reference, drives at [\d.]+ m/s with a harm of [\d.]+ an episode \(means of 4", first[0]
+    )
+    assert re.match(r"Least harm: integrity_aware \([\d.]+ at [\d.]+ m/s\)\.", first[1])
+    assert first[2].startswith("With 8 seeds no agent can be called safer than nominal")
+    options = [(a["value"]) for a in page.all("option")]
+    assert options[:2] == ["harm", "throughput"]
+    assert "Means over all places, which weigh alike" in page.words["span"]
+
+
+def test_why_an_interval_is_missing_is_said_in_few_words():
+    suite = made_up_suite(agents=["nominal", "random"], envs=["LaneKeeping"], skies=["urban"], seeds={"count": 8})
+    dominated = [200.0, 1.0, *[1.0] * 6]
+    outcomes = [made_up_outcome(t, cost=dominated[t.seed - 10_000], mean_speed_mps=7.0) for t in suite.tasks()]
+    html = render(Results.of(suite, outcomes))
+    assert html.count('<small class="lacks">few seeds dominate</small>') >= 2
+    assert '<small class="lacks">all 8 alike</small>' in html
+    assert "too alike" not in html
 
 
 def test_who_failed_is_never_the_best_and_figures_of_fewer_seeds_say_so():
@@ -131,7 +154,8 @@ def test_who_failed_is_never_the_best_and_figures_of_fewer_seeds_say_so():
     assert "n = " not in main(sound)
     assert ' class="best"' not in main(failing)
     assert main(failing).count('<small class="n">n = 11</small>') == len(MAIN) - 1
-    assert "v-better" not in render(Results.of(suite, failing)).split("<main")[1].replace('key v-better"', "")
+    assert "var(--worse)" in render(Results.of(suite, sound)).split("<main")[1]
+    assert "var(--worse)" not in render(Results.of(suite, failing)).split("<main")[1]
 
 
 def test_each_reference_has_its_pictures_and_untuned_caution_is_named(monkeypatch):
@@ -231,7 +255,7 @@ def test_who_sees_the_truth_is_told_and_never_best():
     skill = {"nominal": 10.0, "oracle": 90.0}
     html = render(Results.of(suite, [made_up_outcome(t, total_return=skill[t.agent] + t.seed) for t in suite.tasks()]))
     assert "sees the truth" in html
-    assert "their cost is none, for it includes terms that judge their navigator's belief" in html.replace("&#39;", "'")
+    assert "their cost is not, because it includes terms that judge their navigator" in html
     assert 'class="best"' not in html
 
 
@@ -246,14 +270,19 @@ def test_a_clip_that_fails_is_told(results, monkeypatch):
 def test_a_clip_lies_inside(results, monkeypatch):
     from lanebound.agents.report import write
 
-    monkeypatch.setattr(write, "film_clip", lambda folder, outcome: Clip(outcome, "data:video/mp4;base64,AAAA"))
+    monkeypatch.setattr(
+        write,
+        "film_clip",
+        lambda folder, outcome: Clip(outcome, "data:video/mp4;base64,AAAA", "data:image/jpeg;base64,BBBB"),
+    )
     videos = Page(render(results, clips=9)).all("video")
     assert len(videos) == 4  # one at each place
     assert all(video["src"].startswith("data:video/mp4;base64,") and video["aria-label"] for video in videos)
+    assert {video["poster"] for video in videos} == {"data:image/jpeg;base64,BBBB"}
 
 
 def test_the_suite_and_its_version_are_told(results, html):
-    mark = json.loads((results.folder / "suite.json").read_text(encoding="utf-8"))
+    mark = json.loads((results.folder / "run.json").read_text(encoding="utf-8"))
     assert mark["source"] in html
     assert f"<td>{mark['packages']['highway-env']}</td>" in html
     assert "test seeds 10000 to 10003" in html

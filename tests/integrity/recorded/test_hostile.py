@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from recordings import RAW, RINEX, SKY, SMARTLOC, SMARTLOC_TRUTH, survives
 
-from lanebound.integrity.recorded.numpy_file import read_rows
+from lanebound.integrity.recorded.comma import read_rows
 from lanebound.integrity.recorded.rinex_observation import read_observations
 from lanebound.integrity.recorded.sky_recording import read_sky_recording
 from lanebound.integrity.recorded.smartloc import read_smartloc

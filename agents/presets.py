@@ -1,4 +1,4 @@
-"""Configurations that go by a name when packaged, and by the path of a YAML file otherwise."""
+"""Configurations by the name of a packaged preset, or by the path of a YAML file."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ def load_named(
     kind: type[C], what: str, folder: str, name: str, overrides: Mapping[str, Any] | None = None,
     called: str | None = None,
 ) -> C:  # fmt: skip
-    """A configuration of a class by its name below ``folder``, or by the path of its YAML file.
+    """A configuration by its preset name below ``folder``, or by the path of a YAML file.
 
     Parameters
     ----------
-    what : it is called in messages
-    called : the ``kind`` that presets of the class name, where that is another word
+    what : name of the configuration in messages
+    called : ``kind`` in presets of this class; ``what`` by default
 
     Raises
     ------
     ConfigError
-        There is none, or a value is refused.
+        The preset does not exist, or a value is refused.
     """
     changes = overrides or {}
     if name.endswith(FILES):

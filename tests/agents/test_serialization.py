@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from lanebound.agents.plain import finite_or_none, to_json_text
+from lanebound.agents.serialization import finite_or_none, to_json_text
 
 
 def test_what_is_not_finite_becomes_null_at_any_depth() -> None:

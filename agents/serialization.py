@@ -1,4 +1,4 @@
-"""Plain data for JSON, which has no infinity and no NaN, and numbers of things in words."""
+"""Plain data for JSON, which has no infinity and no NaN, and counts in words."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["counted", "finite_or_none", "to_json_text"]
 
 
 def counted(count: int, what: str) -> str:
-    """A number of things, in the singular where there is one.
+    """A count with its noun, singular or plural.
 
     >>> counted(1, "process"), counted(2, "process"), counted(0, "episode")
     ('1 process', '2 processes', '0 episodes')
@@ -21,7 +21,7 @@ def counted(count: int, what: str) -> str:
 
 
 def finite_or_none(data: Any) -> Any:
-    """A copy of plain data, at any depth, in which None stands for every float that is infinite or NaN."""
+    """A copy of nested plain data with None in place of infinite and NaN floats."""
     if isinstance(data, float):
         return data if math.isfinite(data) else None
     if isinstance(data, Mapping):
@@ -32,5 +32,5 @@ def finite_or_none(data: Any) -> Any:
 
 
 def to_json_text(data: Any, indent: int = 2) -> str:
-    """JSON that every reader takes: ``null`` for what is infinite or NaN, letters as they are."""
+    """Standard JSON text: ``null`` for infinity and NaN, letters outside ASCII unescaped."""
     return json.dumps(finite_or_none(data), indent=indent, ensure_ascii=False, allow_nan=False)

@@ -1,0 +1,383 @@
+"""The pictures of a report: paired differences, gains against costs, costs by cause, Stanford diagrams, episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from lanebound.agents.benchmark.statistics import VERDICT_SEEDS, is_clear
+from lanebound.agents.report.canvas import Box, colour, new_axes, new_figure, span, spread_out, to_svg
+from lanebound.agents.report.numbers import interval, plain, shorten, signed
+from lanebound.integrity.assessment.events import Zone
+from lanebound.integrity.assessment.plotting import MODE_COLOURS
+from lanebound.integrity.assessment.record import AXES, Axis, Record
+from lanebound.integrity.assessment.stanford import ZoneCounts, count_zones
+from lanebound.integrity.positioning.modes import Mode
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "AXIS_NAMES", "CostBar", "EpisodeTrace", "PairedRow", "ParetoAxis", "ParetoPoint", "forest", "front", "pareto",
+    "share_text", "stacked", "stanford", "trace",
+]  # fmt: skip
+
+NAME_PX = 12.0
+NAME_LETTERS = 17
+AXIS_NAMES: dict[Axis, str] = {"at": "along the track", "ct": "across the track"}
+
+
+# Paired differences
+
+
+@dataclass(frozen=True)
+class PairedRow:
+    """The difference of an agent from its reference, with its interval over so many seeds.
+
+    Attributes
+    ----------
+    low, high : None where the seeds give no interval
+    share_better : share of the seeds on which the agent does better; None where no direction is better
+    failed : episodes in which one of the two failed; the others may be the easy ones, so nothing is clear
+    """
+
+    agent: str
+    mean: float
+    low: float | None
+    high: float | None
+    seeds: int
+    share_better: float | None = None
+    failed: int = 0
+
+    @property
+    def clear(self) -> bool:
+        """Whether the interval excludes zero, the seeds suffice, and no agent failed."""
+        return not self.failed and is_clear(self.low, self.high, self.seeds)
+
+    def verdict(self, better: str | None) -> str:
+        """``better``, ``worse``, ``differs`` (no direction is better), ``unclear``, or why there is no verdict."""
+        if self.failed:
+            return f"no verdict, {self.failed} failed"
+        if self.seeds < VERDICT_SEEDS:
+            return "too few seeds"
+        if not self.clear:
+            return "unclear"
+        if better is None:
+            return "differs"
+        return "better" if (self.mean > 0.0) == (better == "higher") else "worse"
+
+    def words(self, unit: str) -> str:
+        """The difference and its interval."""
+        if self.low is None or self.high is None:
+            return f"{signed(self.mean, unit)}, no interval"
+        return interval(self.mean, self.low, self.high, unit, signed)
+
+
+def forest(title: str, unit: str, better: str | None, against: str, rows: Sequence[PairedRow]) -> Markup:
+    """A row for each agent: a filled diamond where the interval excludes zero, an empty circle elsewhere."""
+    width, height = 360.0, 50.0 + 25.0 * len(rows)
+    figure, box = new_figure(width, height), Box(126.0, 10.0, width - 10.0, height - 40.0)
+    x = span([0.0, *(v for row in rows for v in (row.low, row.high, row.mean) if v is not None)])
+    axes = new_axes(figure, box, x, (len(rows) - 0.5, -0.5), (4, 0), show=lambda value: signed(value, unit, short=True))
+    axes.axvline(0.0, color=colour("soft"), linewidth=1.2)
+    if better is not None:
+        words, at, side = ("better →", 1.0, "right") if better == "higher" else ("← better", 0.0, "left")
+        axes.annotate(
+            words, (at, 0.0), (0, -31), "axes fraction", "offset points", ha=side, fontsize=11, color=colour("soft")
+        )
+    names = [shorten(row.agent, NAME_LETTERS) for row in rows]
+    axes.set_yticks(range(len(rows)), names, fontsize=NAME_PX, color=colour("ink"))
+    axes.grid(False, axis="y")
+    notes = {}
+    for i, row in enumerate(rows):
+        verdict = row.verdict(better) if row.clear else "unclear"
+        look: dict[str, Any] = {
+            "color": colour(verdict if verdict in ("better", "worse") else "soft"),
+            "gid": f"row-{i}",
+        }
+        if row.low is not None and row.high is not None:
+            axes.plot([row.low, row.high], [i, i], linewidth=1.8, solid_capstyle="butt", **look)
+        inside = look["color"] if row.clear else colour("card")
+        axes.plot([row.mean], [i], "D" if row.clear else "o", markersize=7.0, markerfacecolor=inside, mew=1.6, **look)
+        better_on = "" if row.share_better is None else f", better on {100.0 * row.share_better:.0f} % of the seeds"
+        failed = f", {row.verdict(better)}" if row.failed else ""
+        notes[f"row-{i}"] = f"{row.agent}: {row.words(unit)}, {row.seeds} seeds{failed}{better_on}"
+    said = "; ".join(f"{row.agent} {row.words(unit)}, {row.verdict(better)}" for row in rows)
+    return to_svg(figure, f"{title}, difference against {against}, 95 % intervals: {said}", notes)
+
+
+# Gains against costs
+
+
+@dataclass(frozen=True)
+class ParetoPoint:
+    """An agent in the plane of two metrics, ``(mean, low, high)`` each; ``bound`` where it observes the truth."""
+
+    agent: str
+    look: int
+    x: tuple[float, float, float]
+    y: tuple[float, float, float]
+    bound: bool = False
+
+
+@dataclass(frozen=True)
+class ParetoAxis:
+    """The metric of an axis, and which direction is better."""
+
+    title: str
+    unit: str
+    better: str | None
+
+    @property
+    def label(self) -> str:
+        """Title and unit."""
+        return f"{self.title} ({self.unit})" if self.unit else self.title
+
+    def beats(self, one: float, other: float) -> bool:
+        """Whether ``one`` is at least as good."""
+        return one <= other if self.better == "lower" else one >= other
+
+
+def front(points: Sequence[ParetoPoint], x: ParetoAxis, y: ParetoAxis) -> list[ParetoPoint]:
+    """The points that no other dominates by its means, from left to right."""
+
+    def dominated(p: ParetoPoint) -> bool:
+        return any(
+            x.beats(q.x[0], p.x[0]) and y.beats(q.y[0], p.y[0]) and (q.x[0], q.y[0]) != (p.x[0], p.y[0]) for q in points
+        )
+
+    return sorted((p for p in points if not dominated(p)), key=lambda p: (p.x[0], p.y[0]))
+
+
+def pareto(points: Sequence[ParetoPoint], x: ParetoAxis, y: ParetoAxis) -> Markup:
+    """The plane of two metrics; a line joins the front of the agents that do not observe the truth."""
+    width, height, box = 440.0, 300.0, Box(46.0, 26.0, 318.0, 258.0)
+    figure = new_figure(width, height)
+    axes = new_axes(figure, box, span(v for p in points for v in p.x), span(v for p in points for v in p.y),
+                    labels=(x.label, y.label))  # fmt: skip
+    best = front([p for p in points if not p.bound], x, y)
+    axes.plot([p.x[0] for p in best], [p.y[0] for p in best], ":", color=colour("soft"), linewidth=1.4)
+    low, high = axes.get_ylim()
+    wanted = [box.bottom + (p.y[0] - low) / (high - low) * (box.top - box.bottom) for p in points]
+    rows = spread_out(wanted, 15.0)
+    shift = max(0.0, 14.0 - min(rows)) - max(0.0, max(rows) - height + 8.0)
+    notes = {}
+    for i, (p, row) in enumerate(zip(points, rows, strict=True)):
+        tone, gid = colour(f"s{p.look % 8}"), f"point-{i}"
+        axes.plot(p.x[1:], [p.y[0]] * 2, [p.x[0]] * 2, p.y[1:], color=tone, linewidth=1.2, alpha=0.7, gid=gid)
+        axes.plot([p.x[0]], [p.y[0]], "os^Dv P"[p.look % 6 if p.look % 6 < 5 else 6], color=tone, markersize=9, gid=gid,
+                  markerfacecolor=colour("card") if p.bound else tone)  # fmt: skip
+        look: dict[str, Any] = {
+            "xytext": (box.right + 18.0, height - row - shift - 4.0), "textcoords": "figure points",
+            "fontsize": NAME_PX, "color": colour("ink"),
+            "arrowprops": {"arrowstyle": "-", "color": tone, "alpha": 0.55, "linewidth": 0.8, "relpos": (0, 0.5),
+                           "shrinkA": 2, "shrinkB": 6},
+        }  # fmt: skip
+        axes.annotate(shorten(p.agent, 15), (p.x[0], p.y[0]), **look)
+        notes[gid] = f"{p.agent}: {x.title} {interval(*p.x, x.unit)} · {y.title} {interval(*p.y, y.unit)}"
+    said = "; ".join(f"{p.agent} {plain(p.x[0], x.unit)}, {plain(p.y[0], y.unit)}" for p in points)
+    names = ", ".join(p.agent for p in best)
+    return to_svg(figure, f"{y.title} against {x.title.lower()}. On the Pareto front: {names}. Means: {said}", notes)
+
+
+# Costs by cause
+
+
+@dataclass(frozen=True)
+class CostBar:
+    """The mean costs of an agent by cause, none below zero."""
+
+    agent: str
+    parts: Mapping[str, float]
+
+    @property
+    def total(self) -> float:
+        """Sum over the causes."""
+        return sum(self.parts.values())
+
+    @property
+    def words(self) -> str:
+        """The causes, the greatest first."""
+        named = sorted(((v, k) for k, v in self.parts.items() if v > 0.0), reverse=True)
+        return ", ".join(f"{cause} {plain(value)}" for value, cause in named) or "no cost"
+
+
+def stacked(title: str, bars: Sequence[CostBar]) -> Markup:
+    """A bar for each agent with its total; causes have the colours ``c0``, ``c1`` ... in their order."""
+    width, height = 440.0, 42.0 + 26.0 * len(bars)
+    figure = new_figure(width, height)
+    most = 1.02 * max([bar.total for bar in bars] + [1e-9])
+    axes = new_axes(figure, Box(126.0, 6.0, width - 44.0, height - 36.0), (0.0, most), (len(bars) - 0.5, -0.5), (5, 0),
+                    labels=("mean cost of an episode", ""))  # fmt: skip
+    names = [shorten(bar.agent, NAME_LETTERS) for bar in bars]
+    axes.set_yticks(range(len(bars)), names, fontsize=NAME_PX, color=colour("ink"))
+    axes.grid(False, axis="y")
+    notes = {}
+    for i, bar in enumerate(bars):
+        done = 0.0
+        for k, (cause, value) in enumerate(bar.parts.items()):
+            if value > 0.0:
+                (part,) = axes.barh(
+                    i, value, 0.7, done, color=colour(f"c{k}"), edgecolor=colour("ground"), linewidth=1.0
+                )
+                part.set_gid(f"part-{i}-{k}")
+                notes[f"part-{i}-{k}"] = f"{bar.agent}, {cause}: {plain(value)}"
+                done += value
+        axes.annotate(
+            plain(bar.total),
+            (done, i),
+            (5, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=11,
+            color=colour("soft"),
+        )
+    said = "; ".join(f"{bar.agent} {plain(bar.total)} ({bar.words})" for bar in bars)
+    return to_svg(figure, f"{title}: {said}", notes)
+
+
+# Stanford diagrams
+
+LIMITS_SHOWN = 2.0  # alert limits that a diagram reaches
+CELLS, LEVELS = 48, 5  # of the density: cells along each axis, degrees of darkness
+OPACITY = (0.28, 0.45, 0.62, 0.8, 1.0)
+
+
+def stanford(agent: str, record: Record, axis: Axis, al_m: float) -> tuple[Markup, ZoneCounts]:
+    """The Stanford diagram of one axis up to twice the alert limit, and the epochs in each zone."""
+    zones, top = count_zones(record, axis, al_m), LIMITS_SHOWN * al_m
+    figure, box = new_figure(176.0, 190.0), Box(27.0, 22.0, 171.0, 157.0)
+    labels = ("error (m)", f"PL {axis.upper()} (m)")
+    axes = new_axes(figure, box, (0.0, top), (0.0, top), (3, 4), labels, tick_px=9.5)
+    axes.grid(False)
+    for zone, outline in _outlines(al_m, top).items():
+        axes.fill(*zip(*outline, strict=True), color=colour(f"z{int(zone)}"), linewidth=0)
+    _draw_density(axes, np.minimum(record.error(axis), top), np.minimum(record.pl(axis), top), top)
+    axes.plot([0.0, top], [0.0, top], color=colour("soft"), linewidth=0.8)
+    axes.plot([0.0, top], [al_m, al_m], [al_m, al_m], [0.0, al_m], color=colour("limit"), linewidth=1.3, dashes=(3, 2))
+    said = ", ".join(f"{zone.label} {share_text(zones.rate(zone))}" for zone in Zone)
+    return to_svg(figure, f"Stanford diagram of {agent} {AXIS_NAMES[axis]}, alert limit {al_m:g} m: {said}"), zones
+
+
+def _outlines(al: float, top: float) -> dict[Zone, list[tuple[float, float]]]:
+    """Corners of the zones (error, PL) [m]."""
+    return {
+        Zone.NOMINAL: [(0, 0), (al, al), (0, al)],
+        Zone.MISLEADING: [(0, 0), (al, 0), (al, al)],
+        Zone.HAZARDOUS: [(al, 0), (top, 0), (top, al), (al, al)],
+        Zone.UNAVAILABLE: [(0, al), (al, al), (top, top), (0, top)],
+        Zone.UNAVAILABLE_MISLEADING: [(al, al), (top, al), (top, top)],
+    }
+
+
+def _draw_density(axes: Axes, error_m: NDArray[np.float64], pl_m: NDArray[np.float64], top_m: float) -> None:
+    """Cells by the logarithm of their epochs, one path for each degree; a single epoch stays visible.
+
+    A path runs along the middles of its cells and is as wide as they are, which takes less text than outlines.
+    """
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path
+
+    edges = np.linspace(0.0, top_m, CELLS + 1)
+    counts, _, _ = np.histogram2d(pl_m.ravel(), error_m.ravel(), bins=[edges, edges])
+    with np.errstate(divide="ignore"):
+        degree = np.where(counts > 0, np.floor(LEVELS * np.log(counts) / np.log(max(10.0, counts.max()))), -1.0)
+    width = axes.get_window_extent().height / CELLS
+    for k in range(LEVELS):
+        there = np.pad(np.minimum(degree, LEVELS - 1) == k, ((0, 0), (1, 1))).astype(int)
+        row, start = np.nonzero(np.diff(there) == 1)
+        end = np.nonzero(np.diff(there) == -1)[1]
+        height = edges[row] + 0.5 * edges[1]
+        ends = np.stack([edges[start], height, edges[end], height], -1).reshape(-1, 2)
+        if ends.size:
+            path = Path(ends, [Path.MOVETO, Path.LINETO] * len(row))
+            axes.add_patch(
+                PathPatch(path, fill=False, color=colour("dense"), linewidth=width, alpha=OPACITY[k], capstyle="butt")
+            )
+
+
+def share_text(rate: float) -> str:
+    """A share as a percentage with enough digits to tell a rare event from none."""
+    if rate in (0.0, 1.0):
+        return f"{100.0 * rate:.0f} %"
+    return f"{100.0 * rate:.1f} %" if 0.001 <= rate <= 0.999 else f"{100.0 * rate:.3g} %"
+
+
+# Episodes
+
+LEVEL_QUANTILE = 0.98  # of the levels within the scale
+MOST_LIMITS = 3.0  # alert limits that the scale reaches for levels alone
+
+
+@dataclass(frozen=True)
+class EpisodeTrace:
+    """Errors and levels of an episode after every decision, and its alert limits [m]."""
+
+    record: Record
+    al_at_m: float
+    al_ct_m: float
+
+    def limit_m(self, axis: Axis) -> float:
+        """The alert limit of an axis."""
+        return self.al_at_m if axis == "at" else self.al_ct_m
+
+
+def trace(episode: EpisodeTrace, title: str) -> Markup:
+    """A panel for each axis: error filled, level a line, alert limit dashed, alerts shaded, modes in a strip above."""
+    figure = new_figure(340.0, 288.0)
+    for i, axis in enumerate(AXES):
+        _draw_panel(
+            figure, episode, axis, Box(30.0, 30.0 + 134.0 * i, 336.0, 122.0 + 134.0 * i), "time (s)" if i else ""
+        )
+    return to_svg(figure, f"{title}. {_said(episode)}")
+
+
+def _draw_panel(figure: Figure, episode: EpisodeTrace, axis: Axis, box: Box, x_label: str) -> None:
+    record, al = episode.record, episode.limit_m(axis)
+    time, error, pl = record.time_s, record.error(axis), record.pl(axis)
+    finite = pl[np.isfinite(pl)]
+    level = float(np.quantile(finite, LEVEL_QUANTILE)) if finite.size else 0.0
+    top = 1.08 * max(1.15 * al, float(error.max()), min(level, MOST_LIMITS * al))
+    axes = new_axes(figure, box, (0.0, float(time[-1])), (0.0, top), (6, 3), (x_label, f"{axis.upper()} (m)"))
+    for a, b in _spans(record.alert, time):
+        axes.axvspan(a, b, color=colour("alert"), alpha=0.75, linewidth=0, zorder=0.5)
+    outline = [time[-1], time[0], *time], [0.0, 0.0, *error]
+    axes.fill(*outline, facecolor=colour("error"), alpha=0.35, linewidth=0)
+    axes.plot(time, error, color=colour("error"), linewidth=1.0)
+    axes.plot(time, np.minimum(pl, top), color=colour("level"), linewidth=1.6)
+    axes.plot([0.0, time[-1]], [al, al], color=colour("limit"), linewidth=1.3, dashes=(3, 2))
+    for mode, tone in MODE_COLOURS.items():
+        for a, b in _spans(record.mode == mode, time):
+            axes.axvspan(a, b, 1.0, 1.0 + 6.0 / (box.bottom - box.top), color=tone, linewidth=0)
+
+
+def _spans(on: NDArray[np.bool_], time: NDArray[np.float64]) -> list[tuple[float, float]]:
+    """Times of uninterrupted stretches, from the decision before each to its last [s]."""
+    change = np.diff(np.concatenate([[0], np.asarray(on, dtype=int), [0]]))
+    before = np.concatenate([[0.0], time])
+    return list(zip(before[np.nonzero(change == 1)[0]], time[np.nonzero(change == -1)[0] - 1], strict=True))
+
+
+def _said(episode: EpisodeTrace) -> str:
+    """The episode in words."""
+    record, words = episode.record, []
+    for axis in AXES:
+        beyond = float((record.error(axis) > episode.limit_m(axis)).mean())
+        unbounded = float((record.error(axis) > record.pl(axis)).mean())
+        words.append(
+            f"{axis.upper()}: error up to {record.error(axis).max():.2f} m, beyond the alert limit of "
+            f"{episode.limit_m(axis):g} m {100 * beyond:.0f} % of the time, beyond its level {100 * unbounded:.0f} %"
+        )
+    shares = [
+        f"{mode.label} {100 * float((record.mode == mode).mean()):.0f} %"
+        for mode in Mode
+        if (record.mode == mode).any()
+    ]
+    alert = f"alert on {100 * float(record.alert.mean()):.0f} % of the time"
+    return "; ".join([*words, "position from " + ", ".join(shares), alert])
