@@ -129,7 +129,7 @@ def test_commands_parse(page: Path) -> None:
 @pytest.mark.parametrize("wrong", ["benchmark quick --outt out/quick", "benchmrk quick", "assess boundng --out o"])
 def test_what_does_not_exist_does_not_parse(wrong: str) -> None:
     parse("assess bounding --out out/bounding")
-    with pytest.raises(Exception, match="outt|benchmrk|boundng"):
+    with pytest.raises(Exception, match=r"outt|benchmrk|boundng"):
         parse(wrong)
 
 
