@@ -54,8 +54,9 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
 
     `env.unwrapped.action_masks()` returns the meta-actions that are possible from the estimated pose.
 
-    Steering is limited to a lateral acceleration of 4 m/s2 and, in our own worlds, to a rate of 0.7 rad/s. A brake
-    holds the car while its wheels show standstill and no acceleration is commanded. Racetrack has none of these limits.
+    Steering is limited to a lateral acceleration of 4 m/s2 and, in LaneKeeping, CarFollowing and UrbanCanyon, to a rate
+    of 0.7 rad/s. A brake holds the car while its wheels show standstill and no acceleration is commanded. Racetrack has
+    neither these limits nor the brake.
 
     ## Observation Space
     A `Dict` of vectors, float32, each entry divided by its scale and clipped to [-1, 1] or [0, 1].
@@ -115,8 +116,9 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
       than `d_RSS` and is not perceived costs dt.
     - During a commanded lane change both lanes count as the lane. Where lanes meet or fork the body may stand on each
       of them. With `keep_lane=False` the whole road counts, and `cost_lane_integrity` is 0.
-    - A car at rest in its lane can only have `cost_hmi`. A crash or leaving the road costs more than any `cost_limit`,
-      so that an early end never reduces the cost (a whole drive of `nominal` costs at most 190, in `UrbanCanyon`).
+    - A car at rest in its lane can only have `cost_hmi`. A crash or leaving the road (200) costs more than any
+      `cost_limit` and more than an average drive of `nominal` (at most 190, in UrbanCanyon): an early end does not
+      save costs.
     - `cost_limit` is the limit of an episode's cost for constrained learning. It is not enforced.
 
     ## Info
