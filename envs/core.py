@@ -70,7 +70,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `road` | from the map: speed limit, route 5 to 80 m ahead, predicted satellites 0 to 160 m ahead on three lanes |
     | `traffic` | the 6 nearest perceived vehicles: position, speed, heading, lane, age, and PL of both on each axis |
 
-    A missing protection level has its flag `..._exists` at 0 and the entry at its largest value.
+    For a missing protection level the flag `..._exists` is 0, level and ratio are 1 and the margin is -1.
 
     | `observation.integrity` | effect |
     |---|---|
