@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lanebound.agents.bench.rows import Row, alternate, median_ratio
 from lanebound.integrity.positioning import lambda_kernel as kernel
-from lanebound.integrity.positioning.ambiguity import NODE_LIMIT, ambiguity_work, integer_least_squares
+from lanebound.integrity.positioning.ambiguity import NODE_LIMIT, integer_least_squares
 
 __all__ = ["drifting_problems", "measure"]
 
@@ -53,12 +53,11 @@ def drifting_problems(seed: int = 3) -> tuple[Array, Array]:
 def measure(rounds: int = 5) -> list[Row]:
     """Warm compiled fix against the plain one, both returning the two best candidates; checked for equality first."""
     a, Q = drifting_problems()
-    transform, work = ambiguity_work(a.shape[-1])
     candidates, norms = np.empty((EPOCHS, 2, a.shape[-1])), np.empty((EPOCHS, 2))
     failure_rate, status = np.empty(EPOCHS), np.empty(EPOCHS, dtype=np.int64)
 
     def run(reuse: bool) -> int:
-        kernel.solve_epochs(a, Q, 2, NODE_LIMIT, reuse, transform, candidates, norms, failure_rate, status, work)
+        kernel.solve_epochs(a, Q, NODE_LIMIT, reuse, candidates, norms, failure_rate, status)
         return EPOCHS
 
     plain_epochs = itertools.cycle(range(EPOCHS))

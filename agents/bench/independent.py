@@ -15,7 +15,7 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.araim import AraimConfig, enu_levels
 from lanebound.integrity.monitoring.fault_modes import enumerate_faults
 from lanebound.integrity.positioning import lambda_kernel as kernel
-from lanebound.integrity.positioning.ambiguity import NODE_LIMIT, ambiguity_work
+from lanebound.integrity.positioning.ambiguity import NODE_LIMIT
 
 __all__ = ["measure"]
 
@@ -75,12 +75,11 @@ def _levels(rounds: int) -> list[Row]:
 def _integers(rounds: int) -> list[Row]:
     a, Q = drifting_problems()
     epochs, n = a.shape
-    transform, work = ambiguity_work(n)
     candidates, norms = np.empty((epochs, 2, n)), np.empty((epochs, 2))
     failure_rate, status = np.empty(epochs), np.empty(epochs, dtype=np.int64)
 
     def ours() -> int:
-        kernel.solve_epochs(a, Q, 2, NODE_LIMIT, False, transform, candidates, norms, failure_rate, status, work)
+        kernel.solve_epochs(a, Q, NODE_LIMIT, False, candidates, norms, failure_rate, status)
         return int(epochs)
 
     search = package().lambda_ils_search

@@ -22,7 +22,7 @@ from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.streams import Streams, named_generator
 from lanebound.integrity.monitoring.risk import Variant
 from lanebound.integrity.motion.drive import CityDrive, DriveConfig
-from lanebound.integrity.navigators.navigator import Form, Navigator, NavigatorConfig, PlCase
+from lanebound.integrity.navigators.navigator import LevelForm, Navigator, NavigatorConfig, PlCase
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sky.city import City, CityConfig, build_city
 from lanebound.integrity.sky.road import Road
@@ -71,7 +71,9 @@ class UrbanDriveConfig(Config):
         """The navigator with the eight reported levels behind its operative one: four published, then four exact."""
         cases = [
             PlCase(
-                integrity_risk=risk, variant=variant, form=Form.CLOSED if variant is Variant.PUBLISHED else Form.ROOT
+                integrity_risk=risk,
+                variant=variant,
+                form=LevelForm.CLOSED if variant is Variant.PUBLISHED else LevelForm.ROOT,
             )
             for variant in (Variant.PUBLISHED, Variant.EXACT)
             for risk in RISKS

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 from pydantic_core import PydanticCustomError
 
-from lanebound.integrity.core.config_errors import explain
+from lanebound.integrity.core.config_errors import explain, model_in
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.presets import deep_merge, load_preset, preset_names
 
@@ -130,7 +130,12 @@ class Config(BaseModel):
         base = data.model_dump() if isinstance(data, Config) else data or {}
         if isinstance(base, str):
             raise ConfigError(f"{cls.__name__} must be a mapping, got {base!r}: write {cls.__name__}.preset({base!r})")
-        return cls.load(deep_merge(base, overrides or {}), unchanged=base)
+        return cls.load(_merged(cls, base, overrides or {}), unchanged=base)
+
+    @classmethod
+    def kept(cls, base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+        """What of ``base`` holds beside ``changes`` that are merged over it: all, unless they change its kind."""
+        return dict(base)
 
     @classmethod
     def preset(cls, name: str, overrides: Mapping[str, Any] | None = None) -> Self:
@@ -167,6 +172,20 @@ class Config(BaseModel):
         except (ValueError, RecursionError) as error:
             raise ConfigError(f"{cls.__name__} must be given as JSON, got {error}: correct the text") from error
         return cls.load(data)
+
+
+def _merged(model: type[BaseModel] | None, base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """As ``deep_merge``, with configurations that may change their kind."""
+    merged = deep_merge(model.kept(base, changes) if model is not None and issubclass(model, Config) else base, {})
+    for key, value in changes.items():
+        old = merged.get(key)
+        field = model.model_fields.get(key) if model is not None else None
+        inside = model_in(field.annotation) if field is not None else None
+        if isinstance(value, Mapping):
+            merged[key] = _merged(inside, old if isinstance(old, Mapping) else {}, value)
+        else:
+            merged[key] = value
+    return merged
 
 
 def _check_same_kind(raw: Any, value: Any) -> None:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
     from pydantic.fields import FieldInfo
 
-__all__ = ["explain"]
+__all__ = ["explain", "model_in"]
 
 BOUNDS = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
 SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
@@ -146,15 +146,21 @@ def _find(model: type[BaseModel], loc: Sequence[int | str]) -> tuple[type[BaseMo
     inside: type[BaseModel] | None = model
     field: FieldInfo | None = None
     for key in loc:
-        owner = inside
+        owner = _having(inside, key)
         field = owner.model_fields.get(key) if owner is not None and isinstance(key, str) else None
         if field is not None:
-            inside = _model_in(field.annotation)
+            inside = model_in(field.annotation)
     return owner, field
 
 
-def _model_in(annotation: Any) -> type[BaseModel] | None:
+def _having(model: type[BaseModel] | None, key: int | str) -> type[BaseModel] | None:
+    """The model, or of a family of models (:mod:`.tagged`) the first kind that has the key."""
+    kinds: list[type[BaseModel] | None] = [*getattr(model, "kinds", {}).values()] or [model]
+    return next((kind for kind in kinds if kind is not None and key in kind.model_fields), kinds[0])
+
+
+def model_in(annotation: Any) -> type[BaseModel] | None:
     """The model inside an annotation such as ``Model``, ``Model | None`` or ``tuple[Model, ...]``."""
     if isinstance(annotation, type) and hasattr(annotation, "model_fields"):
         return annotation
-    return next(filter(None, map(_model_in, typing.get_args(annotation))), None)
+    return next(filter(None, map(model_in, typing.get_args(annotation))), None)

@@ -1,12 +1,12 @@
 """Eight numbers at a time: a vector type for kernels, whose arithmetic has the same bits on every path.
 
-A loop that adds up a row is vectorised by the compiler only when it may change the order of the sum, and then the last
-bits depend on what the compiler saw around the loop. Here the kernel says itself what is done side by side. ``Lanes``
-add, subtract, multiply and divide lane by lane, with each other and with plain numbers; the functions below do the
-rest. Each is one machine operation for 2, 4 or 8 lanes, whatever the processor has, of the same result.
+A compiler vectorises a loop that adds up a row only when it may change the order of the sum; the last bits then depend
+on the code around the loop. Here the kernel states which operations run side by side. ``Lanes`` add, subtract, multiply
+and divide lane by lane, with each other and with plain numbers; the functions below give the other operations. Each is
+one machine operation on 2, 4 or 8 lanes, depending on the processor, with the same result.
 
-Inside kernels only. Rows are read and written ``WIDTH`` columns at a time, without bounds checks: their arrays must be
-C-contiguous, and wide enough for whole vectors (:func:`padded`).
+For use inside kernels. ``load`` and ``store`` move ``WIDTH`` entries at a time without bounds checks: arrays must be
+C-contiguous and long enough for whole vectors (:func:`padded`).
 """
 
 # mypy: allow-untyped-calls, allow-untyped-decorators
@@ -146,33 +146,48 @@ def spread(typingctx: Any, number: Any) -> Any:
     return lanes(lanes), lambda context, builder, signature, args: args[0]
 
 
-def _address(context: Any, builder: Any, signature: Any, args: Any, at: int) -> Any:
-    """Where columns ``args[at + 2]`` and on of row ``args[at + 1]`` of array ``args[at]`` begin, as vector pointer."""
-    array = context.make_array(signature.args[at])(context, builder, args[at])
-    columns = builder.extract_value(array.shape, 1)
-    offset = builder.add(builder.mul(args[at + 1], columns), args[at + 2])
-    return builder.bitcast(builder.gep(array.data, [offset]), VECTOR.as_pointer())
+def _address(context: Any, builder: Any, array_type: Any, array: Any, indices: Any) -> Any:
+    """Vector pointer to the entry ``indices`` of an array of one axis or two."""
+    fields = context.make_array(array_type)(context, builder, array)
+    offset = indices[0]
+    if array_type.ndim == 2:
+        offset = builder.add(builder.mul(indices[0], builder.extract_value(fields.shape, 1)), indices[1])
+    return builder.bitcast(builder.gep(fields.data, [offset]), VECTOR.as_pointer())
+
+
+def _indices(array: Any, j: Any) -> tuple[Any, Any] | None:
+    """Types of the two indices, the second one possibly left out; None where they do not fit the array's axes."""
+    axes = 1 if j is None else 2
+    if not isinstance(array, types.Array) or array.ndim != axes:
+        return None
+    return types.int64, types.Omitted(None) if j is None else types.int64
 
 
 @_instruction
-def load(typingctx: Any, array: Any, row: Any, column: Any) -> Any:
-    """Columns ``column`` to ``column + WIDTH - 1`` of a row of ``array``."""
+def load(typingctx: Any, array: Any, i: Any, j: Any = None) -> Any:
+    """Entries ``i`` to ``i + WIDTH - 1`` of a vector, or ``j`` to ``j + WIDTH - 1`` of row ``i`` of a matrix."""
+    indices = _indices(array, j)
+    if indices is None:
+        return None
 
     def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.load(_address(context, builder, signature, args, 0), align=8)
+        return builder.load(_address(context, builder, signature.args[0], args[0], args[1:]), align=8)
 
-    return lanes(array, types.int64, types.int64), emit
+    return lanes(array, *indices), emit
 
 
 @_instruction
-def store(typingctx: Any, value: Any, array: Any, row: Any, column: Any) -> Any:
-    """Write the lanes to columns ``column`` to ``column + WIDTH - 1`` of a row of ``array``."""
+def store(typingctx: Any, value: Any, array: Any, i: Any, j: Any = None) -> Any:
+    """Write the lanes to the entries that :func:`load` reads."""
+    indices = _indices(array, j)
+    if indices is None:
+        return None
 
     def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        builder.store(args[0], _address(context, builder, signature, args, 1), align=8)
+        builder.store(args[0], _address(context, builder, signature.args[1], args[1], args[2:]), align=8)
         return context.get_dummy_value()
 
-    return types.void(lanes, array, types.int64, types.int64), emit
+    return types.void(lanes, array, *indices), emit
 
 
 def _folded(builder: Any, vector: Any, combine: Any) -> Any:

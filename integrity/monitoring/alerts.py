@@ -18,8 +18,19 @@ from pydantic import model_validator
 from lanebound.integrity.core.advice import Advice
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.core.records import Records, one_record
+from lanebound.integrity.monitoring.alerts_kernel import ALERT_RULES
 
-__all__ = ["ALERT_LIMITS", "AlertConfig", "AlertLimits", "AlertReason", "AlertState", "AlertStatus", "step"]
+__all__ = [
+    "ALERT_LIMITS",
+    "AlertConfig",
+    "AlertLimits",
+    "AlertReason",
+    "AlertState",
+    "AlertStatus",
+    "alert_parameters",
+    "step",
+]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -112,13 +123,21 @@ class AlertConfig(Config):
             )
         return self
 
-    @property
-    def packed(self) -> Array:
-        """The numbers a kernel needs, (8,): AL_AT, AL_CT, T_acc AT, CT, margin, hold, raise after, K_acc."""
-        limits = self.limits
-        accuracy = [np.inf if v is None else v for v in (limits.accuracy_at_m, limits.accuracy_ct_m)]
-        times = [self.clear_margin, self.clear_hold_s, self.raise_after_s]
-        return np.array([limits.al_at_m, limits.al_ct_m, *accuracy, *times, K_ACCURACY])
+
+def alert_parameters(config: AlertConfig) -> Records:
+    """ALERT_RULES (1,) of :mod:`.alerts_kernel`."""
+    limits = config.limits
+    return one_record(
+        ALERT_RULES,
+        al_at=limits.al_at_m,
+        al_ct=limits.al_ct_m,
+        accuracy_at=np.inf if limits.accuracy_at_m is None else limits.accuracy_at_m,
+        accuracy_ct=np.inf if limits.accuracy_ct_m is None else limits.accuracy_ct_m,
+        clear_margin=config.clear_margin,
+        clear_hold_s=config.clear_hold_s,
+        raise_after_s=config.raise_after_s,
+        k_accuracy=K_ACCURACY,
+    )
 
 
 @dataclass

@@ -1,68 +1,76 @@
-"""The alert logic of one vehicle as a kernel; :func:`lanebound.integrity.monitoring.alerts.step` is its reference."""
+"""The alert logic of one vehicle; :func:`lanebound.integrity.monitoring.alerts.step` does the same for arrays."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.records import record
 
-__all__ = ["alert_step", "find_reason"]
+__all__ = ["ALERT", "ALERT_RULES", "alert_step", "find_reason"]
 
-# Codes of AlertReason, repeated because Numba's cache does not see other files change (a test compares them).
 EPS_S = 1e-9  # a hold of 1 s lasts ten epochs of 0.1 s, whatever they sum to
-NONE, PL_AT, PL_CT, BOTH, NO_SOLUTION, ACCURACY, HOLDING = 0, 1, 2, 3, 4, 6, 9
+NONE, PL_AT, PL_CT, BOTH, NO_SOLUTION, TEST_FAILED, ACCURACY, INITIALISING, HOLDING = 0, 1, 2, 3, 4, 5, 6, 7, 9
+
+ALERT = record(
+    alert=("?", "the alert is on"),
+    reason=("i8", "code of AlertReason"),
+    onset_s="age of the present violation [s]; -1 while there is none",
+    clear_s="how long all limits have been met with margin [s]",
+)
+"""State of the alert."""
+
+ALERT_RULES = record(
+    al_at="alert limit along track [m]",
+    al_ct="alert limit across track [m]",
+    accuracy_at="required accuracy along track, 95 %, inf: not tested [m]",
+    accuracy_ct="required accuracy across track [m]",
+    clear_margin="share of the limits below which an alert clears [-]",
+    clear_hold_s="how long they must be met with this margin [s]",
+    raise_after_s="how long a violation must last before the alert [s]",
+    k_accuracy="standard deviations of the 95 % accuracy [-]",
+)
+"""AlertConfig as the kernel takes it."""
 
 
-@jit
+@jit(borrows=True)
 def find_reason(
-    cause: int, pl_at: float, pl_ct: float, sigma_at: float, sigma_ct: float, scale: float, limits: NDArray[Any]
+    cause: int, pl_at: float, pl_ct: float, sigma_at: float, sigma_ct: float, scale: float, rules: Any
 ) -> int:
-    """Code of what is wrong now; a NaN counts as missing. ``limits`` from ``AlertConfig.packed``."""
+    """Code of what is wrong now, with the limits multiplied by ``scale``; a NaN counts as missing."""
     if cause != NONE:
         return cause
-    at_inside, ct_inside = pl_at <= scale * limits[0], pl_ct <= scale * limits[1]
+    at_inside, ct_inside = pl_at <= scale * rules.al_at, pl_ct <= scale * rules.al_ct
     if not (at_inside or ct_inside):
         return BOTH if pl_at < np.inf or pl_ct < np.inf else NO_SOLUTION
     if not at_inside:
         return PL_AT
     if not ct_inside:
         return PL_CT
-    if not (limits[7] * sigma_at < limits[2] and limits[7] * sigma_ct < limits[3]):
+    if not (rules.k_accuracy * sigma_at < rules.accuracy_at and rules.k_accuracy * sigma_ct < rules.accuracy_ct):
         return ACCURACY
     return NONE
 
 
-@jit
+@jit(borrows=True)
 def alert_step(
-    i: int,
-    cause: int,
-    pl_at: float,
-    pl_ct: float,
-    sigma_at: float,
-    sigma_ct: float,
-    dt: float,
-    limits: NDArray[Any],
-    alert: NDArray[Any],
-    reason: NDArray[Any],
-    onset_s: NDArray[Any],
-    clear_s: NDArray[Any],
+    cause: int, pl_at: float, pl_ct: float, sigma_at: float, sigma_ct: float, dt: float, rules: Any, state: Any
 ) -> bool:
-    """Advance vehicle ``i`` of the state arrays by one epoch; returns whether the position is available."""
-    now = find_reason(cause, pl_at, pl_ct, sigma_at, sigma_ct, 1.0, limits)
+    """Advance the alert by one epoch; returns whether the position is available."""
+    now = find_reason(cause, pl_at, pl_ct, sigma_at, sigma_ct, 1.0, rules)
     if now != NONE:
-        onset_s[i] = onset_s[i] + dt if onset_s[i] >= 0.0 else 0.0
-        clear_s[i] = 0.0
-        alert[i] = alert[i] or onset_s[i] >= limits[6] - EPS_S
+        state.onset_s = state.onset_s + dt if state.onset_s >= 0.0 else 0.0
+        state.clear_s = 0.0
+        state.alert = state.alert or state.onset_s >= rules.raise_after_s - EPS_S
     else:
-        onset_s[i] = -1.0
-        inside = find_reason(cause, pl_at, pl_ct, sigma_at, sigma_ct, limits[4], limits) == NONE
-        clear_s[i] = clear_s[i] + dt if inside else 0.0
-        alert[i] = alert[i] and clear_s[i] < limits[5] - EPS_S
+        state.onset_s = -1.0
+        inside = find_reason(cause, pl_at, pl_ct, sigma_at, sigma_ct, rules.clear_margin, rules) == NONE
+        state.clear_s = state.clear_s + dt if inside else 0.0
+        state.alert = state.alert and state.clear_s < rules.clear_hold_s - EPS_S
     if now != NONE:
-        reason[i] = now
+        state.reason = now
     else:
-        reason[i] = HOLDING if alert[i] else NONE
+        state.reason = HOLDING if state.alert else NONE
     return bool(now == NONE)

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.advice import Advice
 from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.monitoring.detection import (
     Adjustment,
     Separation,
@@ -22,9 +23,18 @@ from lanebound.integrity.monitoring.detection import (
     separation_test,
     w_test,
 )
+from lanebound.integrity.monitoring.detection_kernel import FDE_RULES, Thresholds
 from lanebound.integrity.monitoring.significance import Linking, ThresholdTables, threshold_tables
 
-__all__ = ["FdeConfig", "FdeOutcome", "FdeResult", "Search", "detect_and_exclude"]
+__all__ = [
+    "FdeConfig",
+    "FdeOutcome",
+    "FdeResult",
+    "Search",
+    "detect_and_exclude",
+    "fde_parameters",
+    "fde_thresholds",
+]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -67,6 +77,24 @@ class FdeConfig(Config):
         """Threshold tables for up to ``n_max`` rows; the separation test splits each local test over two axes."""
         axes = 2 if self.search is Search.SEPARATION else 1
         return threshold_tables(self.alpha, n_max, self.linking, self.power, axes)
+
+
+def fde_parameters(config: FdeConfig) -> Records:
+    """FDE_RULES (1,) of :mod:`.detection_kernel`."""
+    return one_record(
+        FDE_RULES,
+        global_first=config.global_first,
+        max_excluded=config.max_excluded,
+        min_redundancy=config.min_redundancy,
+        by_tests=config.linking is Linking.BONFERRONI,
+    )
+
+
+def fde_thresholds(config: FdeConfig, n_max: int) -> Thresholds:
+    """Thresholds of :mod:`.detection_kernel` for up to ``n_max`` rows."""
+    tables = config.tables(n_max)
+    local = tables.local_normal[-1] if config.linking is Linking.BONFERRONI else tables.local_normal[:, -1]
+    return Thresholds(tables.global_chi2.copy(), local.copy())
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from scipy.special import ndtr
 
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.errors import InputError, require_finite, require_in_range, require_shape
+from lanebound.integrity.core.records import one_record
 from lanebound.integrity.monitoring import protection_kernel as kernel
 from lanebound.integrity.monitoring.fault_modes import FaultModes
 from lanebound.integrity.monitoring.geometry_kernel import MAX_GROUPS
@@ -271,7 +272,7 @@ def protection_levels_batch(
     los = np.require(los_enu, np.float64, ["C", "W"])
     require_shape("los_enu", los, (None, None, 3))
     shape = los.shape[:2]
-    columns = (
+    epochs = kernel.Epochs(
         los,
         _full(in_view, shape, np.bool_),
         _full(group, shape, np.int64),
@@ -282,27 +283,28 @@ def protection_levels_batch(
         _full(require_in_range("spent", spent, 0.0, 1.0) + config.unmonitored_risk, shape[:1]),
     )
     removed, prior = _subset_columns(subsets, shape[1])
-    rules = (
-        *config.priors(),
-        removed,
-        prior,
-        config.false_alarm_factors(shape[1] + MAX_GROUPS + len(prior)),
-        np.ascontiguousarray(require_in_range("risks", config.risks(risks), 0.0, 1.0, low_open=True, high_open=True)),
-        config.at_share,
-        config.fault_free_share,
-        config.monitors_constellations,
-        config.subtract_multiple,
-        config.spend_unsolvable,
-        root,
-        closed,
+    wanted = require_in_range("risks", config.risks(risks), 0.0, 1.0, low_open=True, high_open=True)
+    tables = kernel.RiskTables(
+        *config.priors(), removed, prior, config.false_alarm_factors(shape[1] + MAX_GROUPS + len(prior)),
+        np.ascontiguousarray(wanted),
+    )  # fmt: skip
+    rules = one_record(
+        kernel.RULES,
+        at_share=config.at_share,
+        fault_free_share=config.fault_free_share,
+        constellations=config.monitors_constellations,
+        multiple=config.subtract_multiple,
+        tolerate=config.spend_unsolvable,
+        root=root,
+        closed=closed,
     )
-    level = (shape[0], config.risks(risks).size, 2)
+    level = (shape[0], wanted.size, 2)
     out = BatchLevels(np.full(level, np.inf), np.full(level, np.inf), np.zeros(shape[0], np.int64))
-    results = (out.status, out.root_m, out.closed_m)
-    run_rows(kernel.run_chunk, shape[0], *columns, *rules, *results, row_us=2.0)
+    results = kernel.LevelResults(out.status, out.root_m, out.closed_m)
+    run_rows(kernel.find_levels, shape[0], epochs, tables, rules, results, row_us=2.0)
     bad = np.flatnonzero(out.status == kernel.BAD_INPUT)
     if bad.size:
-        _refuse(int(bad[0]), *columns[:6])
+        _refuse(int(bad[0]), epochs)
     return out
 
 
@@ -319,12 +321,12 @@ def _full(value: ArrayLike, shape: tuple[int, ...], dtype: type = np.float64) ->
     return np.require(np.broadcast_to(np.asarray(value, dtype=dtype), shape), requirements=["C", "W"])
 
 
-def _refuse(epoch: int, los: Array, mask: NDArray[np.bool_], group: Ints, *positive: Array) -> None:
+def _refuse(epoch: int, epochs: kernel.Epochs) -> None:
     """Raise the InputError that names what cannot be used at ``epoch``."""
-    seen = mask[epoch]
-    require_in_range(f"group[{epoch}]", group[epoch, seen], 0, MAX_GROUPS - 1)
-    for name, value in zip(("variance_m2", "accuracy_m2"), positive, strict=False):
+    seen = epochs.in_view[epoch]
+    require_in_range(f"group[{epoch}]", epochs.group[epoch, seen], 0, MAX_GROUPS - 1)
+    for name, value in (("variance_m2", epochs.variance), ("accuracy_m2", epochs.accuracy)):
         require_in_range(f"{name}[{epoch}]", value[epoch, seen], 0.0, np.inf, low_open=True)
-    require_in_range(f"bias_m[{epoch}]", positive[2][epoch, seen], 0.0, np.inf)
-    require_finite(f"los_enu[{epoch}]", los[epoch, seen])
+    require_in_range(f"bias_m[{epoch}]", epochs.bias[epoch, seen], 0.0, np.inf)
+    require_finite(f"los_enu[{epoch}]", epochs.los[epoch, seen])
     raise InputError(f"los_enu[{epoch}] must hold unit vectors where in view: normalise them or clear in_view")

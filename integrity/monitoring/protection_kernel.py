@@ -1,26 +1,27 @@
-"""Protection levels of one epoch from the columns of ``mode``: the closed form and the multi-hypothesis root.
+"""Protection levels of one epoch from its fault modes: the closed form and the multi-hypothesis root.
 
-The root PL of an axis solves (S2 eq 10-11, with ``P_0 = 2``, ``T_i = K_fa sigma_di``)::
+The multi-hypothesis level of an axis solves (S2 eq 10-11, with ``P_0 = 2``, ``T_i = K_fa sigma_di``)::
 
     f(PL) = sum_i P_i Q((PL - T_i - b_i) / sigma_i) = budget
 
 by third-order steps on ``log f``, which is nearly a parabola: two or three evaluations reach 1e-10. The tail sum runs
 over whole vectors with a polynomial for the Mills ratio ``Q(z)/phi(z)`` and one for ``exp``, both of relative error
-below 4e-11. A level is accepted when an evaluation proves ``f(PL) <= budget``, or after a step so short that what it
-leaves out is less than what the level is then raised by.
+below 4e-11. A level is accepted when an evaluation proves ``f(PL) <= budget``, or after a step so short that its
+remainder is less than the amount by which the level is then raised.
 
-Columns of ``mode``: :mod:`lanebound.integrity.monitoring.separation_kernel`.
+Modes: :class:`lanebound.integrity.monitoring.separation_kernel.Modes`.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.core.simd_kernel import (
     WIDTH,
     absolute,
@@ -37,32 +38,33 @@ from lanebound.integrity.core.simd_kernel import (
     where_less,
 )
 from lanebound.integrity.monitoring.geometry_kernel import (
-    BIAS_AT,
-    DELTA_AT,
-    LOG_PRIOR,
-    LOST,
     MAX_GROUPS,
-    OFFSET_AT,
-    OFFSET_CT,
-    PRIOR,
-    RATE_AT,
-    RATE_CT,
-    SIGMA_AT,
     SOLVED,
-    WEIGHT,
     capacity,
-    geometry,
-    scratch,
+    find_geometry,
+    geometry_scratch,
 )
-from lanebound.integrity.monitoring.separation_kernel import add_subset, modes, set_priors
+from lanebound.integrity.monitoring.separation_kernel import (
+    Modes,
+    add_subset,
+    find_modes,
+    mode_scratch,
+    moment_scratch,
+    set_priors,
+)
 
 __all__ = [
-    "budgets_of",
+    "RULES",
+    "Epochs",
+    "LevelResults",
+    "RiskTables",
     "closed_form",
     "closed_form_published",
+    "find_levels",
+    "multi_hypothesis_pl",
+    "pair_risk",
     "q_inverse",
-    "root",
-    "run_chunk",
+    "split_budgets",
     "tails",
 ]
 
@@ -132,17 +134,18 @@ def _third_order(g: float, slope: float, curvature: float, twist: float) -> floa
     return float(d - d * d * d * twist / (6.0 * there)) if there < 0.5 * slope else float(d)
 
 
-@jit
-def load_axes(k_fa: float, count: int, mode: Array) -> None:
-    """Rows OFFSET and RATE of both axes; columns without effect to the next multiple of WIDTH."""
+@jit(borrows=True, forceinline=True)
+def _find_offsets(k_fa: float, count: int, modes: Modes) -> None:
+    """Offset and rate of both axes; entries without effect to the next multiple of WIDTH."""
     for axis in range(AXES):
         for k in range(0, count, WIDTH):
-            store(1.0 / load(mode, SIGMA_AT + axis, k), mode, RATE_AT + axis, k)
-            offset = fma(load(mode, DELTA_AT + axis, k), k_fa, load(mode, BIAS_AT + axis, k))
-            store(offset, mode, OFFSET_AT + axis, k)
+            store(1.0 / load(modes.sigma, axis, k), modes.rate, axis, k)
+            offset = fma(load(modes.delta, axis, k), k_fa, load(modes.bias, axis, k))
+            store(offset, modes.offset, axis, k)
     for k in range(count, padded(count)):
-        mode[WEIGHT, k], mode[LOG_PRIOR, k] = 0.0, -np.inf
-        mode[OFFSET_AT, k], mode[OFFSET_CT, k], mode[RATE_AT, k], mode[RATE_CT, k] = 0.0, 0.0, 0.0, 0.0
+        modes.weight[k], modes.log_prior[k] = 0.0, -np.inf
+        for axis in range(AXES):
+            modes.offset[axis, k], modes.rate[axis, k] = 0.0, 0.0
 
 
 @jit
@@ -166,24 +169,26 @@ def _upper_tail(z: Any) -> tuple[Any, Any]:
 
 
 @jit
-def _add_tails(x: float, axis: int, k: int, mode: Array, f: Any, f1: Any, f2: Any, f3: Any) -> Any:
-    """The sums of :func:`tails`, continued by columns k to k + WIDTH - 1."""
-    rate, weight = load(mode, RATE_AT + axis, k), load(mode, WEIGHT, k)
-    z = (x - load(mode, OFFSET_AT + axis, k)) * rate
+def _add_tails(
+    x: float, axis: int, k: int, weights: Array, offsets: Array, rates: Array, f: Any, f1: Any, f2: Any, f3: Any
+) -> Any:
+    """The sums of :func:`tails`, continued by the modes k to k + WIDTH - 1."""
+    rate, weight = load(rates, axis, k), load(weights, k)
+    z = (x - load(offsets, axis, k)) * rate
     upper, e = _upper_tail(z)
     first = weight * rate * e
     second = first * rate
     return fma(weight, upper, f), f1 + first, fma(second, z, f2), fma(second * rate, fma(z, z, -1.0), f3)
 
 
-@jit
-def tails(x_at: float, x_ct: float, count: int, mode: Array) -> Any:
+@jit(borrows=True)
+def tails(x_at: float, x_ct: float, count: int, weights: Array, offsets: Array, rates: Array) -> Any:
     """``f``, ``-f'``, ``f''`` and ``-f'''`` of AT at x_at, and those of CT at x_ct: two chains side by side."""
     zero = spread(0.0)
     at, ct = (zero, zero, zero, zero), (zero, zero, zero, zero)
     for k in range(0, count, WIDTH):
-        at = _add_tails(x_at, 0, k, mode, *at)
-        ct = _add_tails(x_ct, 1, k, mode, *ct)
+        at = _add_tails(x_at, 0, k, weights, offsets, rates, *at)
+        ct = _add_tails(x_ct, 1, k, weights, offsets, rates, *ct)
     return _summed(at), _summed(ct)
 
 
@@ -193,37 +198,37 @@ def _summed(lanes: Any) -> Any:
     return total(f), total(f1) * INV_SQRT2PI, total(f2) * INV_SQRT2PI, total(f3) * INV_SQRT2PI
 
 
-@jit
-def _start(axis: int, log_budget: float, count: int, mode: Array) -> float:
-    """The largest level that one column alone asks for: just below the root."""
+@jit(borrows=True)
+def _start(axis: int, log_budget: float, count: int, modes: Modes) -> float:
+    """The largest level that one mode alone needs: just below the root."""
     x = spread(0.0)
     for k in range(0, count, WIDTH):
-        log_p = log_budget - load(mode, LOG_PRIOR, k)
+        log_p = log_budget - load(modes.log_prior, k)
         t = root_of(minimum(log_p, -0.7) * -2.0)  # as _rough_quantile
         over = fma(t, fma(t, 0.010328, 0.802853), 2.515517)
         under = fma(t, fma(t, fma(t, 0.001308, 0.189269), 1.432788), 1.0)
-        level = fma(t - over / under, load(mode, SIGMA_AT + axis, k), load(mode, OFFSET_AT + axis, k))
+        level = fma(t - over / under, load(modes.sigma, axis, k), load(modes.offset, axis, k))
         x = maximum(x, where_less(log_p, -0.7, level, 0.0))
     return float(largest(x))
 
 
-@jit
-def _ceiling(axis: int, budget: float, count: int, mode: Array) -> float:
-    """A level above the root: every column then uses at most its prior's share of the budget."""
+@jit(borrows=True)
+def _ceiling(axis: int, budget: float, count: int, modes: Modes) -> float:
+    """A level above the root: every mode then uses at most its prior's share of the budget."""
     priors = 0.0
     for k in range(count):
-        priors += mode[WEIGHT, k]
+        priors += modes.weight[k]
     z = max(q_inverse(budget / priors), 0.0)
     x = 0.0
     for k in range(count):
-        if mode[WEIGHT, k] > 0.0:
-            x = max(x, mode[OFFSET_AT + axis, k] + z * mode[SIGMA_AT + axis, k])
+        if modes.weight[k] > 0.0:
+            x = max(x, modes.offset[axis, k] + z * modes.sigma[axis, k])
     return x
 
 
-@jit
+@jit(borrows=True)
 def _next_level(
-    i: int, axis: int, x: float, low: float, high: float, sums: Any, budget: float, count: int, mode: Array
+    i: int, axis: int, x: float, low: float, high: float, sums: Any, budget: float, count: int, modes: Modes
 ) -> tuple[bool, float, float, float]:
     """Whether the root is found, the next level to try (or the root), and the bracket; ``sums`` at x."""
     f, f1, f2, f3 = sums
@@ -241,7 +246,7 @@ def _next_level(
         return True, (x + d) * (1.0 + 2.0 * NUDGE), low, high
     x = (x + d) * (1.0 + NUDGE)
     if i == PATIENCE:
-        high = min(high, _ceiling(axis, budget, count, mode))
+        high = min(high, _ceiling(axis, budget, count, modes))
     if i >= PATIENCE and (i % 2 == 0 or not low < x < high):
         x = 0.5 * (low + high)
     elif not low < x < high:
@@ -249,117 +254,168 @@ def _next_level(
     return False, x, low, high
 
 
-@jit
-def _roots(budget_at: float, budget_ct: float, count: int, mode: Array, out: Array) -> None:
+@jit(borrows=True, forceinline=True)
+def _roots(budget_at: float, budget_ct: float, count: int, modes: Modes, out: Array) -> None:
     """The levels where the tail sums of AT and CT meet their budgets, from above; a budget of 0 gives inf."""
     done_at, done_ct = budget_at <= 0.0, budget_ct <= 0.0
-    x_at = 0.0 if done_at else _start(0, math.log(budget_at), count, mode)
-    x_ct = 0.0 if done_ct else _start(1, math.log(budget_ct), count, mode)
+    x_at = 0.0 if done_at else _start(0, math.log(budget_at), count, modes)
+    x_ct = 0.0 if done_ct else _start(1, math.log(budget_ct), count, modes)
     low_at, low_ct, high_at, high_ct = 0.0, 0.0, np.inf, np.inf
     out[0], out[1] = np.inf, np.inf
     for i in range(MAX_STEPS):
         if done_at and done_ct:
             break
-        at, ct = tails(x_at, x_ct, count, mode)
+        at, ct = tails(x_at, x_ct, count, modes.weight, modes.offset, modes.rate)
         if not done_at:
-            done_at, x_at, low_at, high_at = _next_level(i, 0, x_at, low_at, high_at, at, budget_at, count, mode)
+            done_at, x_at, low_at, high_at = _next_level(i, 0, x_at, low_at, high_at, at, budget_at, count, modes)
             out[0] = x_at if done_at else high_at
         if not done_ct:
-            done_ct, x_ct, low_ct, high_ct = _next_level(i, 1, x_ct, low_ct, high_ct, ct, budget_ct, count, mode)
+            done_ct, x_ct, low_ct, high_ct = _next_level(i, 1, x_ct, low_ct, high_ct, ct, budget_ct, count, modes)
             out[1] = x_ct if done_ct else high_ct
 
 
 @jit
-def _left_of(budget: float, axis: int, tolerate: bool, head: Array, mode: Array) -> float:
-    """What of an axis' budget is left to the modes with a solution; 0 when no level can hold it."""
-    lost = head[LOST]
+def _remaining(budget: float, sigma: float, lost: float, tolerate: bool) -> float:
+    """What of an axis' budget remains for the modes with a solution; 0 when no level can meet it."""
     left = budget - (lost if tolerate else 0.0)
-    hopeless = left <= 0.0 or (lost > 0.0 and not tolerate) or not mode[SIGMA_AT + axis, 0] < np.inf
+    hopeless = left <= 0.0 or (lost > 0.0 and not tolerate) or not sigma < np.inf
     return 0.0 if hopeless else left
 
 
-@jit
-def root(count: int, k_fa: float, budgets: Array, tolerate: bool, head: Array, mode: Array, out: Array) -> None:
-    """Multi-hypothesis protection levels (S2 eq 10-11) of ``count`` columns with priors set.
+@jit(borrows=True)
+def multi_hypothesis_pl(
+    count: int, k_fa: float, budgets: Array, lost: float, tolerate: bool, modes: Modes, out: Array
+) -> None:
+    """Multi-hypothesis protection levels (S2 eq 10-11) of ``count`` modes with priors set.
 
     Parameters
     ----------
     k_fa : threshold of the separation test, in sigmas.
     budgets : (R, 2) integrity risk of AT and CT, less what is spent on unmonitored faults; one row for each risk.
-    tolerate : move the prior of modes without a solution into the unmonitored risk; otherwise they make PL inf.
+    lost : total prior of the modes without a solution.
+    tolerate : move that prior into the unmonitored risk; otherwise such a mode makes PL inf.
     out : (R, 2) protection levels [m], never below the root and above it by at most 5e-10 relative; inf without one.
     """
-    load_axes(k_fa, count, mode)
+    _find_offsets(k_fa, count, modes)
     for r in range(budgets.shape[0]):
-        at = _left_of(budgets[r, 0], 0, tolerate, head, mode)
-        ct = _left_of(budgets[r, 1], 1, tolerate, head, mode)
-        _roots(at, ct, count, mode, out[r])
+        at = _remaining(budgets[r, 0], modes.sigma[0, 0], lost, tolerate)
+        ct = _remaining(budgets[r, 1], modes.sigma[1, 0], lost, tolerate)
+        _roots(at, ct, count, modes, out[r])
 
 
-@jit
+@jit(borrows=True)
 def closed_form(
-    count: int, k_fa: float, budgets: Array, share0: float, tolerate: bool, head: Array, mode: Array, out: Array
+    count: int, k_fa: float, budgets: Array, share0: float, lost: float, tolerate: bool, modes: Modes, out: Array
 ) -> None:
     """``max_i K_fa sigma_di + K_md,i sigma_i + b_i``, ``K_md,i = Qinv(w_i budget / P_i)`` (S1 eq 17, exact factors).
 
     ``share0`` is the fault-free mode's share w_0 of the budget (the others share the rest equally), 0 for equal shares.
-    Other parameters as :func:`root`; the result is never below the root's.
+    Other parameters as :func:`multi_hypothesis_pl`; the result is never below its level.
     """
     first = 1.0 / count if share0 <= 0.0 or count == 1 else share0
     other = (1.0 - first) / max(count - 1, 1)
-    load_axes(k_fa, count, mode)
+    _find_offsets(k_fa, count, modes)
     for axis in range(AXES):
         for r in range(budgets.shape[0]):
-            budget = _left_of(budgets[r, axis], axis, tolerate, head, mode)
+            budget = _remaining(budgets[r, axis], modes.sigma[axis, 0], lost, tolerate)
             if budget <= 0.0:
                 out[r, axis] = np.inf
                 continue
-            level = mode[OFFSET_AT + axis, 0] + q_inverse(0.5 * first * budget) * mode[SIGMA_AT + axis, 0]
+            level = modes.offset[axis, 0] + q_inverse(0.5 * first * budget) * modes.sigma[axis, 0]
             prior, k_md = -1.0, 0.0
             for k in range(1, count):
-                if mode[WEIGHT, k] > 0.0:
-                    if mode[PRIOR, k] != prior:
-                        prior = mode[PRIOR, k]
+                if modes.weight[k] > 0.0:
+                    if modes.prior[k] != prior:
+                        prior = modes.prior[k]
                         k_md = q_inverse(other * budget / prior)
-                    level = max(level, mode[OFFSET_AT + axis, k] + k_md * mode[SIGMA_AT + axis, k])
+                    level = max(level, modes.offset[axis, k] + k_md * modes.sigma[axis, k])
             out[r, axis] = level
 
 
-@jit
-def closed_form_published(count: int, k_fa: float, k_md: Array, mode: Array, out: Array) -> None:
+@jit(borrows=True)
+def closed_form_published(count: int, k_fa: float, k_md: Array, modes: Modes, out: Array) -> None:
     """S1 eq 17 as printed, one unsplit ``k_md`` (R,) for each risk and every mode; out (R, 2) [m]."""
-    load_axes(k_fa, count, mode)
+    _find_offsets(k_fa, count, modes)
     for axis in range(AXES):
         for r in range(k_md.shape[0]):
             level = 0.0
             for k in range(count):
-                level = max(level, mode[OFFSET_AT + axis, k] + k_md[r] * mode[SIGMA_AT + axis, k])
+                level = max(level, modes.offset[axis, k] + k_md[r] * modes.sigma[axis, k])
             out[r, axis] = level
 
 
-@jit
-def pair_risk(count: int, mode: Array) -> float:
-    """Bound of the probability of two or more faults at once, ``sum_{i<j} P_i P_j`` over columns 1 to count - 1."""
+@jit(borrows=True)
+def pair_risk(count: int, priors: Array) -> float:
+    """Bound of the probability of two or more faults at once, ``sum_{i<j} P_i P_j`` over the modes 1 to count - 1."""
     p, p2, k = spread(0.0), spread(0.0), 1
     while k + WIDTH <= count:
-        prior = load(mode, PRIOR, k)
+        prior = load(priors, k)
         p, p2, k = p + prior, fma(prior, prior, p2), k + WIDTH
     once, squares = total(p), total(p2)
     for i in range(k, count):
-        once += mode[PRIOR, i]
-        squares += mode[PRIOR, i] * mode[PRIOR, i]
+        once += priors[i]
+        squares += priors[i] * priors[i]
     return float(0.5 * (once * once - squares))
 
 
-@jit
-def budgets_of(risks: Array, split_at: float, unmonitored: float, budgets: Array) -> None:
+@jit(borrows=True)
+def split_budgets(risks: Array, split_at: float, unmonitored: float, budgets: Array) -> None:
     """``budgets[r] = (risk - unmonitored) (split_at, 1 - split_at)``; not positive when nothing is left."""
     for r in range(risks.shape[0]):
         left = risks[r] - unmonitored
         budgets[r, 0], budgets[r, 1] = left * split_at, left * (1.0 - split_at)
 
 
-@jit
+class Epochs(NamedTuple):
+    """E epochs of N satellites.
+
+    los (E, N, 3) unit vectors receiver to satellite; in_view (E, N) bool; group (E, N) clock of each satellite;
+    variance, accuracy (E, N) [m^2]; bias (E, N) [m]; heading (E,) [rad]; unmonitored (E,) risk already spent [-].
+    """
+
+    los: Array
+    in_view: Bools
+    group: Ints
+    variance: Array
+    accuracy: Array
+    bias: Array
+    heading: Array
+    unmonitored: Array
+
+
+class RiskTables(NamedTuple):
+    """satellite, constellation (MAX_GROUPS,) priors [-]; subset (M, N) bool and subset_prior (M,) of further modes;
+    k_fa (C,) threshold by the number of fault modes; risks (R,) [-]."""
+
+    satellite: Array
+    constellation: Array
+    subset: Bools
+    subset_prior: Array
+    k_fa: Array
+    risks: Array
+
+
+RULES = record(
+    at_share="share of the risk along track [-]",
+    fault_free_share="share w_0 of the fault-free mode in the closed form, 0: equal shares [-]",
+    constellations=("?", "add a mode for each constellation"),
+    multiple=("?", "spend risk on two or more faults at once"),
+    tolerate=("?", "spend the prior of modes without a solution"),
+    root=("?", "compute the multi-hypothesis level"),
+    closed=("?", "compute the closed form"),
+)
+"""Rules of :func:`find_levels`."""
+
+
+class LevelResults(NamedTuple):
+    """status (E,) code of geometry_kernel or BAD_INPUT; root, closed (E, R, 2) protection levels [m]."""
+
+    status: Ints
+    root: Array
+    closed: Array
+
+
+@jit(borrows=True)
 def _usable(n: int, e: Array, group: Ints, rows: Array) -> bool:
     """Whether n satellites have directions, groups, variances and biases that make sense; without branches.
 
@@ -384,52 +440,28 @@ def _usable(n: int, e: Array, group: Ints, rows: Array) -> bool:
 
 
 @jit
-def run_chunk(
-    first: int,
-    last: int,
-    los: Array,
-    mask: Bools,
-    group: Ints,
-    variance: Array,
-    accuracy: Array,
-    bias: Array,
-    heading: Array,
-    unmonitored: Array,
-    satellite: Array,
-    constellation: Array,
-    subset: Bools,
-    subset_prior: Array,
-    k_fa: Array,
-    risks: Array,
-    split_at: float,
-    share0: float,
-    constellations: bool,
-    multiple: bool,
-    tolerate: bool,
-    want_root: bool,
-    want_closed: bool,
-    status: Ints,
-    level: Array,
-    closed: Array,
+def find_levels(
+    first: int, last: int, epochs: Epochs, tables: RiskTables, rules: Records, results: LevelResults
 ) -> None:
-    """Protection levels of epochs ``first`` to ``last`` - 1; arguments as ``protection_levels_batch`` makes them.
+    """Protection levels of the epochs ``first`` to ``last - 1``.
 
     The status of an epoch with an entry in view that cannot be used is BAD_INPUT.
     """
-    size = mask.shape[1]
-    subsets = subset.shape[0]
-    geo, head, mode = scratch(size, subsets)
-    columns = capacity(size, subsets)
+    rule, size, subsets = rules[0], epochs.in_view.shape[1], tables.subset.shape[0]
+    geo, modes = geometry_scratch(size, subsets), mode_scratch(size, subsets)
+    moments, columns = moment_scratch(size), capacity(size)
     removed = np.empty(size, np.bool_)
     flat, g, rows = np.empty((1, 3 * columns)), np.empty(size, np.int64), np.empty((3, columns))
     e, v, a, b = flat.reshape((columns, 3)), rows[0], rows[1], rows[2]
     seen = np.empty(size, np.uint64)  # an unsigned index is not checked for counting from the end
-    budgets = np.empty((risks.shape[0], AXES))
+    budgets = np.empty((tables.risks.shape[0], AXES))
+    los, in_view, group, status = epochs.los, epochs.in_view, epochs.group, results.status
+    variance, accuracy, bias = epochs.variance, epochs.accuracy, epochs.bias
     for i in range(first, last):
         n = 0
         for s in range(size):
             seen[n] = s
-            n += mask[i, s]
+            n += in_view[i, s]
         for k in range(n):
             j = seen[k]
             e[k, 0], e[k, 1], e[k, 2] = los[i, j, 0], los[i, j, 1], los[i, j, 2]
@@ -437,19 +469,23 @@ def run_chunk(
         if not _usable(n, flat, g, rows):
             status[i] = BAD_INPUT
             continue
-        sin_h, cos_h = math.sin(heading[i]), math.cos(heading[i])
-        status[i] = geometry(e, g, v, b, n, sin_h, cos_h, geo, head)
+        sin_h, cos_h = math.sin(epochs.heading[i]), math.cos(epochs.heading[i])
+        status[i] = find_geometry(e, g, v, b, n, sin_h, cos_h, geo)
         if status[i] != SOLVED:
             continue
-        count = modes(g, v, a, n, sin_h, cos_h, constellations, False, geo, head, mode)
-        set_priors(g, n, count, satellite, constellation, head, mode)
+        count = find_modes(g, a, n, sin_h, cos_h, rule.constellations, False, geo, moments, modes)
+        lost = set_priors(g, n, count, tables.satellite, tables.constellation, geo.clocks, modes)
         for m in range(subsets):
             for k in range(n):
-                removed[k] = subset[m, seen[k]]
-            count = add_subset(count, subset_prior[m], removed[:n], g, a, n, sin_h, cos_h, geo, head, mode)
-        spent = unmonitored[i] + (pair_risk(count, mode) if multiple else 0.0)
-        budgets_of(risks, split_at, spent, budgets)
-        if want_root:
-            root(count, k_fa[count - 1], budgets, tolerate, head, mode, level[i])
-        if want_closed:
-            closed_form(count, k_fa[count - 1], budgets, share0, tolerate, head, mode, closed[i])
+                removed[k] = tables.subset[m, seen[k]]
+            count, unsolved = add_subset(
+                count, tables.subset_prior[m], removed[:n], g, n, sin_h, cos_h, geo, moments, modes
+            )
+            lost += unsolved
+        spent = epochs.unmonitored[i] + (pair_risk(count, modes.prior) if rule.multiple else 0.0)
+        split_budgets(tables.risks, rule.at_share, spent, budgets)
+        k_fa = tables.k_fa[count - 1]
+        if rule.root:
+            multi_hypothesis_pl(count, k_fa, budgets, lost, rule.tolerate, modes, results.root[i])
+        if rule.closed:
+            closed_form(count, k_fa, budgets, rule.fault_free_share, lost, rule.tolerate, modes, results.closed[i])

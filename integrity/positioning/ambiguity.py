@@ -23,12 +23,10 @@ __all__ = [
     "AmbiguitySolution",
     "Decorrelation",
     "SearchStatus",
-    "ambiguity_work",
     "bootstrap_failure_rate",
     "decorrelate",
     "integer_least_squares",
     "largest_prefix",
-    "partial_least_squares",
     "resolve",
 ]
 
@@ -87,14 +85,6 @@ class Decorrelation:
     Z: Array
     U: Array
     D: Array
-
-
-def ambiguity_work(n_max: int) -> tuple[Array, Array]:
-    """Scratch for the kernels: ``transform`` (2, c, c) and ``work`` (5, c, c) with capacity ``c >= n_max``."""
-    if n_max < 0:
-        raise InputError(f"n_max must be >= 0, got {n_max}: give the most ambiguities that can occur")
-    c = max(n_max, kernel.VECTOR_ROWS)
-    return np.zeros((2, c, c)), np.zeros((kernel.WORK_PLANES, c, c))
 
 
 def _factor(Q: Array) -> tuple[Array, Array, Array] | None:
@@ -289,48 +279,15 @@ def resolve(
     """
     a, cov, batch = _checked(a_hat, Q, candidates, node_limit)
     count, n = a.shape
-    transform, work = ambiguity_work(n)
     out = np.tile(np.floor(np.nan_to_num(a) + 0.5)[:, None, :], (1, candidates, 1))
     norms, rate, status = np.empty((count, candidates)), np.empty(count), np.empty(count, dtype=np.int64)
-    kernel.solve_epochs(a, cov, candidates, node_limit, reuse, transform, out, norms, rate, status, work)
+    kernel.solve_epochs(a, cov, node_limit, reuse, out, norms, rate, status)
     return AmbiguitySolution(
         out.reshape(*batch, candidates, n),
         norms.reshape(*batch, candidates),
         rate.reshape(batch),
         status.reshape(batch),
     )
-
-
-def partial_least_squares(
-    a_hat: ArrayLike, Q: ArrayLike, failure_limit: float, candidates: int = 2, node_limit: int = NODE_LIMIT
-) -> tuple[Array, Array, int, SearchStatus]:
-    """Reference of partial fixing of one problem (n,), (n, n): the most precise decorrelated ambiguities are fixed.
-
-    The rest take their means given the fixed ones. Returns candidates (m, n), norms (m,) of the fixed part, how many
-    decorrelated ambiguities were fixed, and the status (Teunissen, Joosten & Tiberius, ION NTM 1999).
-    """
-    limit = require_probability("failure_limit", failure_limit)
-    flat_a, flat_q, _ = _checked(a_hat, Q, candidates, node_limit)
-    a, cov = flat_a[0], flat_q[0]
-    none = np.tile(np.floor(np.nan_to_num(a) + 0.5), (candidates, 1)), np.full(candidates, np.inf), 0
-    if not np.isfinite(a).all():
-        return *none, SearchStatus.NOT_FINITE
-    reduced = decorrelate(cov)
-    if reduced is None:
-        return *none, SearchStatus.NOT_POSITIVE_DEFINITE
-    n, (Z, U, D) = len(a), (reduced.Z, reduced.U, reduced.D)
-    fixed = max(k for k in range(n + 1) if bootstrap_failure_rate(D[n - k :]) <= limit)
-    whole = np.floor(a + 0.5)
-    z_float = Z.T @ (a - whole)
-    first, complete = n - fixed, True
-    z, norms = np.tile(z_float, (candidates, 1)), np.append(0.0, np.full(candidates - 1, np.inf))
-    if fixed:
-        block = slice(first, n)
-        z[:, block], norms, complete = _search(z_float[block], U[block, block], D[block], candidates, node_limit)
-        # the means of z_1 given z_2 follow from U_12 U_22^-1, the regression of one on the other
-        z[:, :first] += (z[:, block] - z_float[block]) @ np.linalg.solve(U[block, block].T, U[:first, block].T)
-    status = SearchStatus.OK if complete else SearchStatus.NODE_LIMIT
-    return whole + np.linalg.solve(Z.T, z.T).T, norms, fixed, status
 
 
 def largest_prefix(Q: ArrayLike, order: ArrayLike, group: int, failure_limit: float) -> tuple[int, float]:

@@ -7,13 +7,18 @@ configured in :mod:`lanebound.integrity.sensors`; a protection level is honest w
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.special import chdtri
 
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.frames import GRAVITY_MPS2
+from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
+from lanebound.integrity.positioning.heading_kernel import CALIBRATION
+from lanebound.integrity.positioning.mode_kernel import MODE_LIMITS
+from lanebound.integrity.positioning.odometer_watch_kernel import WATCH_LIMITS
+from lanebound.integrity.positioning.rtk_kernel import MOST_AMBIGUITIES, RTK_RULES
+from lanebound.integrity.positioning.slip_watch_kernel import SLIP_RULES
 
 __all__ = [
     "DeadReckoningConfig",
@@ -23,6 +28,11 @@ __all__ = [
     "OdometerWatchConfig",
     "PositioningConfig",
     "RtkConfig",
+    "calibration_parameters",
+    "mode_parameters",
+    "rtk_parameters",
+    "slip_parameters",
+    "watch_parameters",
 ]
 
 
@@ -88,27 +98,21 @@ class RtkConfig(Config):
     jump_quarantine_s: float = Field(
         60.0,
         ge=0,
-        description="how long RTK is not believed after it has jumped against what was expected of it [s]; longer than "
-        "a minute of reckoning is of no use",
+        description="how long RTK is not used after a jump against the expected position [s]; longer than a minute of "
+        "dead reckoning is of no use",
     )
     return_quarantine_s: float = Field(
         5.0, ge=0, description="and after it has come back from an outage elsewhere than expected [s]; argued"
     )
-    witness_s: float = Field(
+    backup_s: float = Field(
         10.0,
         ge=0,
-        description="how long a reckoning goes on beside RTK without listening to it, to find out positions that creep "
-        "away [s]; 0: from one epoch to the next",
+        description="how long a backup solution dead-reckons beside RTK without using it, to detect positions that "
+        "drift away [s]; 0: from one epoch to the next",
     )
     hold_failures: int = Field(
         2, ge=1, description="rejected epochs in a row after which all held ambiguities are given up [-]"
     )
-
-    @property
-    def largest_misfits(self) -> NDArray[np.float64]:
-        """Largest squared norm of an accepted fix by its number of ambiguities, up to that of all candidates."""
-        numbers = np.arange(2 * self.max_candidates + 1)
-        return np.asarray(chdtri(np.maximum(numbers, 1), self.fit_false_rejection))
 
 
 class DopplerConfig(Config):
@@ -160,16 +164,7 @@ class OdometerWatchConfig(Config):
         3.5, gt=0, description="yaw rate of no vehicle at rest [deg/s]; 6 sigma of a gyro bias at turn-on, and noise"
     )
     still_s: float = Field(0.3, ge=0, description="how long that must last [s]")
-    agree_s: float = Field(2.0, ge=0, description="how long Doppler must agree until doubt ends [s]")
-
-    def packed(self, odometer: DeadReckoningConfig) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-        """The figures in the columns of the kernel's ``limits``."""
-        jump = self.sigmas * np.sqrt(2.0) * odometer.odometer_sigma_mps + odometer.standstill_speed_mps
-        return np.array([
-            self.accelerometer_bias_mps2 + GRAVITY_MPS2 * self.grade, self.scale,
-            np.tan(np.deg2rad(self.misalignment_deg)), self.lever_m, jump, self.stuck_s,
-            np.deg2rad(self.still_rate_degps), self.still_s, self.agree_s,
-        ])  # fmt: skip
+    agree_s: float = Field(2.0, ge=0, description="how long Doppler must agree until the doubt ends [s]")
 
 
 class DeadReckoningConfig(Config):
@@ -226,14 +221,79 @@ class PositioningConfig(Config):
         """Antenna position in the body frame: forward, right [m]."""
         return self.antenna_forward_m, self.antenna_right_m
 
-    @property
-    def heading_limits(self) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-        """(4,) limits of :func:`.heading_kernel.doppler_heading_usable`."""
-        h = self.heading
-        return np.array([h.min_speed_mps, h.speed_agreement_mps, h.max_hdop, np.deg2rad(h.max_jump_deg)])
 
-    @property
-    def mode_limits(self) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-        """(4,) limits of :func:`.mode_kernel.rtk_usable`, the first, and of :func:`.mode_kernel.bridge_mode`."""
-        m = self.mode
-        return np.array([m.rtk_max_hdop, m.doppler_agreement_mps, m.doppler_max_hdop, m.doppler_max_s])
+def rtk_parameters(config: RtkConfig, bands: int, smallest_risk: float) -> Records:
+    """RTK_RULES (1,) of :mod:`.rtk_kernel`; ``smallest_risk`` is that of the strictest level reported."""
+    return one_record(
+        RTK_RULES,
+        bands=bands,
+        sin_mask=np.sin(np.deg2rad(config.elevation_mask_deg)),
+        cn0_min=config.cn0_min_dbhz,
+        cn0_knee=config.cn0_knee_dbhz,
+        sigma_code=config.sigma_code_m,
+        sigma_phase=config.sigma_phase_m,
+        sigma_phase_integrity=config.sigma_phase_integrity_m,
+        phase_bias=config.phase_bias_m,
+        age_sigma=config.age_sigma_mps,
+        max_age=config.max_age_s,
+        fix_max_age=config.fix_max_age_s,
+        fix_limit=config.ambiguity_risk_share * smallest_risk,
+        ratio_min=config.ratio_min,
+        misfit=chdtri(np.maximum(np.arange(MOST_AMBIGUITIES + 1), 1), config.fit_false_rejection),
+        attempts=config.attempts,
+        max_candidates=config.max_candidates,
+        min_satellites=config.min_satellites,
+        min_further=config.min_further,
+        hold_failures=config.hold_failures,
+        retry=config.retry_s,
+    )
+
+
+def slip_parameters(config: CycleSlipConfig) -> Records:
+    """SLIP_RULES (1,) of :mod:`.slip_watch_kernel`."""
+    return one_record(
+        SLIP_RULES,
+        k=config.threshold,
+        ionosphere=config.ionosphere_rate_mps,
+        fit=config.fit_limit,
+        failure=config.repair_failure_rate,
+    )
+
+
+def calibration_parameters(config: HeadingConfig) -> Records:
+    """CALIBRATION (1,) of :mod:`.heading_kernel`."""
+    return one_record(
+        CALIBRATION,
+        min_speed=config.min_speed_mps,
+        speed_agreement=config.speed_agreement_mps,
+        max_hdop=config.max_hdop,
+        max_jump=np.deg2rad(config.max_jump_deg),
+    )
+
+
+def mode_parameters(config: ModeConfig) -> Records:
+    """MODE_LIMITS (1,) of :mod:`.mode_kernel`."""
+    return one_record(
+        MODE_LIMITS,
+        rtk_max_hdop=config.rtk_max_hdop,
+        doppler_agreement=config.doppler_agreement_mps,
+        doppler_max_hdop=config.doppler_max_hdop,
+        doppler_max_s=config.doppler_max_s,
+    )
+
+
+def watch_parameters(config: DeadReckoningConfig) -> Records:
+    """WATCH_LIMITS (1,) of :mod:`.odometer_watch_kernel`."""
+    w = config.watch
+    return one_record(
+        WATCH_LIMITS,
+        allowed=w.accelerometer_bias_mps2 + GRAVITY_MPS2 * w.grade,
+        scale=w.scale,
+        misalignment=np.tan(np.deg2rad(w.misalignment_deg)),
+        lever=w.lever_m,
+        jump=w.sigmas * np.sqrt(2.0) * config.odometer_sigma_mps + config.standstill_speed_mps,
+        stuck_s=w.stuck_s,
+        still_rate=np.deg2rad(w.still_rate_degps),
+        still_s=w.still_s,
+        agree_s=w.agree_s,
+    )

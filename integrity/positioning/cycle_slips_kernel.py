@@ -1,20 +1,25 @@
 """Cycle slips of one satellite between two epochs: detection by three kinds of test, repair by integer search.
 
-Letters: ``d1``, ``d2`` changes of phase on the two bands [m], ``lambda_1``, ``lambda_2`` wavelengths [m] (0: no
-second band), ``p`` predicted change of range [m], ``g`` predicted change of ``phase_1 - phase_2`` [m] (the
-ionosphere's rate times the interval), ``c1``, ``c2`` changes of code [m]. Standard deviations: ``s_phase`` of one
-phase at one epoch, ``s_p`` of p, ``s_iono`` of g, ``s_code`` of one code at one epoch [m]; infinite ones switch the
-tests that need them off. All changes are free of the receiver clock (:func:`remove_common`, or between satellites).
+Letters: ``lambda_1``, ``lambda_2`` wavelengths [m] (0: no second band); those of :class:`Changes` and, ``s_`` before
+the name, of :class:`Deviations`. All changes are free of the receiver clock (:func:`remove_common`, or between
+satellites).
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.positioning.lambda_kernel import OK, bootstrap_failure_rate, integer_least_squares
+from lanebound.integrity.positioning.lambda_kernel import (
+    OK,
+    bootstrap_failure_rate,
+    integer_least_squares,
+    search_scratch,
+)
 
 NO_SLIP, GEOMETRY_FREE, PREDICTED, CODE_PHASE = 0, 1, 2, 4  # bits of what detect_slip returns
 REPAIRED, NOT_UNIQUE, HALF_CYCLE, INCONSISTENT = 0, 1, 2, 3  # values of cycle_slips.RepairStatus
@@ -22,7 +27,32 @@ REPAIR_NODES = 10_000
 MIN_COMMON = 3  # a median of fewer satellites would take a slip for the clock
 
 
-@jit
+class Changes(NamedTuple):
+    """Changes of one satellite between two epochs [m].
+
+    phase_1, phase_2 by band; predicted change of the range; ionosphere: predicted change of ``phase_1 - phase_2``;
+    code_1, code_2 by band.
+    """
+
+    phase_1: float
+    phase_2: float
+    predicted: float = 0.0
+    ionosphere: float = 0.0
+    code_1: float = 0.0
+    code_2: float = 0.0
+
+
+class Deviations(NamedTuple):
+    """Standard deviations [m]: phase and code of one band at one epoch, of the prediction and of the ionosphere's
+    change. An infinite one switches off the tests that need it."""
+
+    phase: float
+    predicted: float
+    ionosphere: float
+    code: float = math.inf
+
+
+@jit(borrows=True)
 def sorted_median(values, count):  # type: ignore[no-untyped-def]
     """Median of the first ``count`` values, which are sorted in place: quicker than a partition for a dozen of them."""
     for i in range(1, count):
@@ -54,10 +84,8 @@ def remove_common(change, member, system, n_systems, out):  # type: ignore[no-un
                 out[s] = change[s] - middle if member[s] else math.nan
 
 
-@jit
-def detect_slip(  # type: ignore[no-untyped-def]
-    d1, d2, lambda_1, lambda_2, p, g, c1, c2, s_phase, s_p, s_iono, s_code, k
-):
+@jit(borrows=True)
+def detect_slip(change: Changes, lambda_1: float, lambda_2: float, deviation: Deviations, k: float) -> int:
     """Which tests find a slip: NO_SLIP or a sum of GEOMETRY_FREE, PREDICTED and CODE_PHASE.
 
     A test rejects when its statistic exceeds k standard deviations:
@@ -69,6 +97,8 @@ def detect_slip(  # type: ignore[no-untyped-def]
 
     NaN statistics, and those of a missing band, do not reject.
     """
+    d1, d2, p, g, c1, c2 = change
+    s_phase, s_p, s_iono, s_code = deviation
     flags = NO_SLIP
     phase_var = 2.0 * s_phase * s_phase
     prediction_var = phase_var + s_p * s_p
@@ -92,31 +122,33 @@ def detect_slip(  # type: ignore[no-untyped-def]
 
 
 @jit
-def repair_slip(  # type: ignore[no-untyped-def]
-    d1, d2, lambda_1, lambda_2, p, g, s_phase, s_p, s_iono, failure_limit, fit_limit, slips
-):
+def repair_slip(
+    change: Changes, lambda_1: float, lambda_2: float, deviation: Deviations, failure_limit: float, fit_limit: float,
+    slips: NDArray[np.float64],
+) -> int:  # fmt: skip
     """Find the slips (N_1, N_2) that explain both jumps, when only one pair can; returns a repair status.
 
     ``(d1 - p, d2 + g - p) = (lambda_1 N_1, lambda_2 N_2) + e``, where e has the prediction's error in common, is solved
     by integer least squares in half cycles. REPAIRED, with ``slips`` (2,) set, needs whole cycles, a bootstrapped
     failure rate within ``failure_limit``, a best norm within ``fit_limit`` (a chi-square quantile of 2 degrees), and a
     likelihood ratio to the runner-up of at least ``1 / failure_limit``. HALF_CYCLE: unique, but not whole; the others
-    are not unique or fit nothing. All but REPAIRED ask for a reset.
+    are not unique or fit nothing. Every status but REPAIRED requires a reset.
     """
+    d1, d2, p, g, _, _ = change
+    s_phase, s_p, s_iono, _ = deviation
     slips[0] = slips[1] = 0.0
     if not lambda_2 > 0.0:
         return NOT_UNIQUE
-    transform, work = np.empty((2, 8, 8)), np.empty((5, 8, 8))
-    a, Q, D = np.empty(8), np.empty((8, 8)), np.empty(8)
+    scratch, a, Q = search_scratch(2, 2), np.empty(2), np.empty((2, 2))
     half_1, half_2 = 0.5 * lambda_1, 0.5 * lambda_2
     variance = 2.0 * s_phase * s_phase + s_p * s_p
     a[0], a[1] = (d1 - p) / half_1, (d2 + g - p) / half_2
     Q[0, 0] = variance / (half_1 * half_1)
     Q[1, 1] = (variance + s_iono * s_iono) / (half_2 * half_2)
     Q[0, 1] = Q[1, 0] = s_p * s_p / (half_1 * half_2)
-    candidates, norms = np.empty((2, 8)), np.empty(2)
-    status = integer_least_squares(2, a, Q, 2, REPAIR_NODES, False, transform, candidates, norms, D, work)
-    if status != OK or bootstrap_failure_rate(0, 2, D) > failure_limit:
+    candidates, norms = scratch.candidates, scratch.norms
+    status = integer_least_squares(2, a, Q, REPAIR_NODES, False, scratch)
+    if status != OK or bootstrap_failure_rate(0, 2, scratch.D) > failure_limit:
         return NOT_UNIQUE
     if norms[0] > fit_limit:
         return INCONSISTENT
@@ -126,17 +158,3 @@ def repair_slip(  # type: ignore[no-untyped-def]
         return HALF_CYCLE
     slips[0], slips[1] = 0.5 * candidates[0, 0], 0.5 * candidates[0, 1]
     return REPAIRED
-
-
-@jit
-def detect_slips(  # type: ignore[no-untyped-def]
-    phase_change, code_change, p, g, lambdas, member, s_phase, s_p, s_iono, s_code, k, flags
-):
-    """:func:`detect_slip` for each satellite: changes and lambdas (S, 2), p, g, s_* and member (S,) -> flags (S,)."""
-    for s in range(flags.shape[0]):
-        flags[s] = NO_SLIP
-        if member[s]:
-            flags[s] = detect_slip(
-                phase_change[s, 0], phase_change[s, 1], lambdas[s, 0], lambdas[s, 1], p[s], g[s],
-                code_change[s, 0], code_change[s, 1], s_phase[s], s_p[s], s_iono[s], s_code[s], k,
-            )  # fmt: skip

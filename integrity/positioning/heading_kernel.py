@@ -1,61 +1,90 @@
 """Heading from the gyro, calibrated by Doppler and by standstill (S1 section 2, S2 section 2.2).
 
-A two-state Kalman filter for one vehicle: heading error and gyro bias, with covariance ``p`` = [p_hh, p_hb, p_bb].
-Doppler headings carry errors correlated over a time tau, much longer than one epoch: their variance is multiplied by
-``2 tau / dt``, the white noise of equal power at low frequency, so that repeating them does not feign precision.
+A two-state Kalman filter for one vehicle: heading error and gyro bias. Doppler headings carry errors correlated over a
+time tau, much longer than one epoch: their variance is multiplied by ``2 tau / dt``, the white noise of equal power at
+low frequency, so that repeating them does not feign precision.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.records import record
 
-HH, HB, BB = 0, 1, 2
+__all__ = [
+    "CALIBRATION",
+    "HEADING",
+    "correct",
+    "doppler_heading_usable",
+    "doppler_heading_variance",
+    "predict_heading",
+    "wrap",
+]
+
+HEADING = record(
+    angle="azimuth of the heading [rad]",
+    gyro_bias="bias of the yaw gyro [rad/s]",
+    p_hh="variance of the heading error [rad^2]",
+    p_hb="covariance of heading and bias [rad^2/s]",
+    p_bb="variance of the bias [rad^2/s^2]",
+)
+"""State of the heading filter."""
+
+CALIBRATION = record(
+    min_speed="least odometer speed [m/s]",
+    speed_agreement="largest difference of Doppler and odometer speed [m/s]",
+    max_hdop="largest HDOP [-]",
+    max_jump="largest difference of the Doppler course and the heading [rad]",
+)
+"""When Doppler calibrates the heading (S1 table 1, third column)."""
 
 
-@jit
-def wrap(angle):  # type: ignore[no-untyped-def]
+@jit(borrows=True)
+def wrap(angle: float) -> float:
     """Wrap to [-pi, pi); rounding can give pi itself."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
-@jit
-def predict_heading(heading, bias, p, delta_theta, dt, arw, bias_walk):  # type: ignore[no-untyped-def]
-    """Advance heading [rad] by one gyro increment less its bias; grow ``p`` in place. Returns the new heading.
+@jit(borrows=True)
+def predict_heading(delta_theta: float, dt: float, arw: float, bias_walk: float, h: Any) -> None:
+    """Advance the heading filter by one gyro increment [rad] less its bias.
 
     arw is the angle random walk [rad/sqrt(s)], bias_walk the rate random walk of the bias [rad/s/sqrt(s)].
     """
-    p[HH] += -2.0 * dt * p[HB] + dt * dt * p[BB] + arw * arw * dt
-    p[HB] -= dt * p[BB]
-    p[BB] += bias_walk * bias_walk * dt
-    return wrap(heading + delta_theta - bias * dt)
+    h.p_hh += -2.0 * dt * h.p_hb + dt * dt * h.p_bb + arw * arw * dt
+    h.p_hb -= dt * h.p_bb
+    h.p_bb += bias_walk * bias_walk * dt
+    h.angle = wrap(h.angle + delta_theta - h.gyro_bias * dt)
 
 
-@jit
-def correct(heading, bias, p, innovation, h_heading, h_bias, variance):  # type: ignore[no-untyped-def]
-    """Kalman update with ``innovation = h_heading d_heading + h_bias d_bias + noise``; returns heading and bias."""
-    ph = h_heading * p[HH] + h_bias * p[HB]
-    pb = h_heading * p[HB] + h_bias * p[BB]
+@jit(borrows=True)
+def correct(innovation: float, h_heading: float, h_bias: float, variance: float, h: Any) -> None:
+    """Kalman update with ``innovation = h_heading d_heading + h_bias d_bias + noise`` of this variance."""
+    ph = h_heading * h.p_hh + h_bias * h.p_hb
+    pb = h_heading * h.p_hb + h_bias * h.p_bb
     s = h_heading * ph + h_bias * pb + variance
     kh, kb = ph / s, pb / s
-    p[HH] -= kh * ph
-    p[HB] -= kh * pb
-    p[BB] -= kb * pb
-    return wrap(heading + kh * innovation), bias + kb * innovation
+    h.p_hh -= kh * ph
+    h.p_hb -= kh * pb
+    h.p_bb -= kb * pb
+    h.angle, h.gyro_bias = wrap(h.angle + kh * innovation), h.gyro_bias + kb * innovation
 
 
-@jit
-def doppler_heading_usable(v_gnss, v_ss, hdop, jump, limits):  # type: ignore[no-untyped-def]
-    """S1 table 1, third column, and S2's jump limit.
+@jit(borrows=True)
+def doppler_heading_usable(v_gnss: float, v_ss: float, hdop: float, jump: float, limits: Any) -> bool:
+    """S1 table 1, third column, and S2's jump limit, for the speeds of Doppler and odometer [m/s]."""
+    return bool(
+        abs(v_ss) > limits.min_speed
+        and abs(v_gnss - abs(v_ss)) < limits.speed_agreement
+        and hdop < limits.max_hdop
+        and abs(jump) < limits.max_jump
+    )
 
-    limits: minimum odometer speed [m/s], speed agreement [m/s], HDOP, heading jump [rad].
-    """
-    return abs(v_ss) > limits[0] and abs(v_gnss - abs(v_ss)) < limits[1] and hdop < limits[2] and abs(jump) < limits[3]
 
-
-@jit
-def doppler_heading_variance(v_e, v_n, q_ee, q_en, q_nn):  # type: ignore[no-untyped-def]
+@jit(borrows=True)
+def doppler_heading_variance(v_e: float, v_n: float, q_ee: float, q_en: float, q_nn: float) -> float:
     """Variance of atan2(vE, vN) [rad^2]: the cross-track velocity variance over the squared speed."""
     v2 = v_e * v_e + v_n * v_n
     s, c = v_e / math.sqrt(v2), v_n / math.sqrt(v2)

@@ -1,36 +1,90 @@
-"""How a position was obtained: the modes of S1 Fig. 1, in their order of preference."""
+"""How a position was obtained: the modes of S1 figure 1, in their order of preference, and those that users add."""
 
 from __future__ import annotations
 
-from enum import IntEnum
+from collections.abc import Iterator
+from typing import Any, ClassVar
+
+from lanebound.integrity.core.errors import InputError
 
 __all__ = ["Mode"]
 
 
-class Mode(IntEnum):
-    """Source of the position of an epoch (S1 Fig. 1); ``CODE`` is the metre-level start-up fix before any RTK."""
+class _Table(type):
+    """Lets the class be used as the table of its members, in the order of their codes."""
 
-    NONE = 0
-    RTK = 1
-    DOPPLER = 2
-    IMU_ODOMETER = 3
-    CODE = 4
+    members: dict[int, Mode]
+
+    def __iter__(cls) -> Iterator[Mode]:
+        return iter(list(cls.members.values()))
+
+    def __len__(cls) -> int:
+        return len(cls.members)
+
+
+class Mode(int, metaclass=_Table):
+    """Source of the position of an epoch (S1 Fig. 1); ``CODE`` is the metre-level start-up fix before any RTK.
+
+    A mode is the integer code that arrays hold. ``key`` is its name in tables and JSON, for instance ``imu_odometer``,
+    ``label`` its name in figures and printed tables, for instance ``IMU + odometer``.
+    """
+
+    NONE: ClassVar[Mode]
+    RTK: ClassVar[Mode]
+    DOPPLER: ClassVar[Mode]
+    IMU_ODOMETER: ClassVar[Mode]
+    CODE: ClassVar[Mode]
+
+    key: str
+    label: str
+
+    def __new__(cls, code: int) -> Mode:
+        found = cls.members.get(int(code))
+        if found is None:
+            raise ValueError(f"mode must be one of {[int(m) for m in cls]}, got {code}: register it first")
+        return found
+
+    @classmethod
+    def register(cls, key: str, label: str) -> Mode:
+        """Add a mode, with the next code; the same mode when the key is known already.
+
+        Raises
+        ------
+        InputError
+            The key is known with another label.
+        """
+        for mode in cls:
+            if mode.key == key:
+                if mode.label != label:
+                    raise InputError(f"label of mode {key!r} must be {mode.label!r}, got {label!r}: choose another key")
+                return mode
+        mode = int.__new__(cls, len(cls))
+        mode.key, mode.label = key, label
+        cls.members[int(mode)] = mode
+        return mode
 
     @property
-    def key(self) -> str:
-        """Name used in tables and JSON, for instance ``imu_odometer``."""
-        return self.name.lower()
+    def value(self) -> int:
+        """The code as a plain integer."""
+        return int(self)
 
     @property
-    def label(self) -> str:
-        """Name used in figures and printed tables, for instance ``IMU + odometer``."""
-        return _LABELS[self]
+    def name(self) -> str:
+        """The key in capitals, as the name of a constant."""
+        return self.key.upper()
+
+    def __repr__(self) -> str:
+        return f"Mode.{self.name}"
+
+    __str__ = int.__repr__
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Mode, (int(self),)
 
 
-_LABELS = {
-    Mode.NONE: "no solution",
-    Mode.RTK: "RTK",
-    Mode.DOPPLER: "Doppler",
-    Mode.IMU_ODOMETER: "IMU + odometer",
-    Mode.CODE: "code",
-}
+Mode.members = {}
+Mode.NONE = Mode.register("none", "no solution")
+Mode.RTK = Mode.register("rtk", "RTK")
+Mode.DOPPLER = Mode.register("doppler", "Doppler")
+Mode.IMU_ODOMETER = Mode.register("imu_odometer", "IMU + odometer")
+Mode.CODE = Mode.register("code", "code")

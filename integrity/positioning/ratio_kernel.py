@@ -10,9 +10,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.positioning.lambda_kernel import OK, search
+from lanebound.integrity.positioning.lambda_kernel import OK, search, search_scratch
+
+Array = NDArray[np.float64]
 
 LIMITS = np.array([1e-3, 1e-2])
 NUMBERS = np.array([1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 14.0, 20.0, 28.0, 40.0, 66.0])
@@ -51,8 +54,8 @@ MU = np.array(
 )  # [limit, n, failure rate]: ratio_test.simulate_thresholds, every cell
 
 
-@jit
-def _position(grid, value):  # type: ignore[no-untyped-def]
+@jit(borrows=True)
+def _position(grid: Array, value: float) -> tuple[int, float]:
     """Interval of an ascending grid and the fraction within it, in the logarithm, clipped to the grid."""
     last = grid.shape[0] - 1
     if value <= grid[0]:
@@ -66,7 +69,7 @@ def _position(grid, value):  # type: ignore[no-untyped-def]
 
 
 @jit
-def tabulated_mu(n, failure_rate, limit):  # type: ignore[no-untyped-def]
+def tabulated_mu(n: int, failure_rate: float, limit: float) -> float:
     """Largest mu for which P(wrong and accepted) <= limit; 0 (accept nothing) where the table says nothing.
 
     A limit between two tables takes the smaller. Beyond the last n the last one counts (mu grows with n: conservative).
@@ -80,11 +83,11 @@ def tabulated_mu(n, failure_rate, limit):  # type: ignore[no-untyped-def]
     k, v = _position(FAILURE_RATES, failure_rate)
     low = MU[table, i, k] + v * (MU[table, i, k + 1] - MU[table, i, k])
     high = MU[table, i + 1, k] + v * (MU[table, i + 1, k + 1] - MU[table, i + 1, k])
-    return low + u * (high - low)
+    return float(low + u * (high - low))
 
 
 @jit
-def minimum_ratio(n, failure_rate, limit, floor):  # type: ignore[no-untyped-def]
+def minimum_ratio(n: int, failure_rate: float, limit: float, floor: float) -> float:
     """Smallest second best over best norm to accept: ``max(1 / mu, floor)``, inf when nothing may be accepted.
 
     The floor guards against errors of the model, which the failure rate knows nothing of.
@@ -94,23 +97,24 @@ def minimum_ratio(n, failure_rate, limit, floor):  # type: ignore[no-untyped-def
 
 
 @jit
-def simulate_ratios(n, U, D, draws, node_limit, work, ratios):  # type: ignore[no-untyped-def]
+def simulate_ratios(n: int, U: Array, D: Array, draws: Array, node_limit: int, ratios: Array) -> None:
     """Best over second best norm of each wrong fix, 1 for right ones; ``draws`` (E, n) are standard normal.
 
     Float ambiguities ``z = U sqrt(D) g`` around zero, so that a fix is right when all its integers are zero. A search
-    that exhausts its nodes counts as 1 too: it is never accepted. ``ratios`` (E,) out, ``work`` (5, c, c) scratch.
+    that exhausts its nodes counts as 1 too: it is never accepted. ``ratios`` (E,) is filled.
     """
-    candidates, norms, z = np.empty((2, n)), np.empty(2), np.empty(n)
+    scratch = search_scratch(n, 2)
+    scratch.U[:], scratch.D[:] = U, D
     for e in range(draws.shape[0]):
         for i in range(n):
             total = 0.0
             for k in range(i, n):
                 total += U[i, k] * math.sqrt(D[k]) * draws[e, k]
-            z[i] = total
-        status = search(0, n, U, D, z, 2, node_limit, candidates, norms, work[2], work[3], work[4])
+            scratch.z_float[i] = total
+        status = search(n, node_limit, scratch)
         wrong = False
         for i in range(n):
-            wrong = wrong or candidates[0, i] != 0.0
+            wrong = wrong or scratch.candidates[0, i] != 0.0
         ratios[e] = 1.0
         if status == OK and wrong:
-            ratios[e] = norms[0] / norms[1]
+            ratios[e] = scratch.norms[0] / scratch.norms[1]

@@ -21,7 +21,7 @@ from pydantic import Field
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import InputError, require_probability
 from lanebound.integrity.positioning import ratio_kernel as kernel
-from lanebound.integrity.positioning.ambiguity import ambiguity_work, bootstrap_failure_rate, decorrelate
+from lanebound.integrity.positioning.ambiguity import bootstrap_failure_rate, decorrelate
 
 __all__ = [
     "RatioTestConfig",
@@ -155,14 +155,13 @@ def simulate_thresholds(
     if n < 1 or draws < 1 or models < 1:
         raise InputError(f"n, draws and models must be >= 1, got {n}, {draws} and {models}: raise them")
     mu = np.ones(len(kernel.LIMITS))
-    _, work = ambiguity_work(n)
     for _ in range(models):
         reduced = decorrelate(model_covariance(n, rng))
         if reduced is None:
             continue
         D = reduced.D * _scale_to(reduced.D, failure_rate)
         ratios = np.empty(draws)
-        kernel.simulate_ratios(n, reduced.U, D, rng.standard_normal((draws, n)), SIMULATION_NODES, work, ratios)
+        kernel.simulate_ratios(n, reduced.U, D, rng.standard_normal((draws, n)), SIMULATION_NODES, ratios)
         ratios.sort()
         allowed = (kernel.LIMITS * draws).astype(np.int64)
         mu = np.minimum(mu, np.where(ratios[allowed] < 1.0, ratios[allowed] * (1 - 1e-12), 1.0))

@@ -1,72 +1,183 @@
-"""RTK with one vehicle's single differences, epoch by epoch (S1 section 3: no dynamic model), fast form.
+"""RTK with one vehicle's single differences, epoch by epoch (S1 section 3: no dynamic model).
 
 Receiver clocks are eliminated by centring: within one system and observable type, weights ``w_s`` and lines of sight
 ``e_s`` give the mean ``e- = sum w e / sum w``, and the clock-free normal matrix is ``sum w (e - e-)(e - e-)'``. Code
-and
-phase of both bands share one variance factor ``f_s`` (as RTKLIB's constant code/phase ratio), so the observables of one
-satellite collapse into one row of weight ``sum of weights`` without loss. :mod:`.rtk` holds the dense reference.
+and phase of both bands share one variance factor ``f_s`` (as RTKLIB's constant code/phase ratio), so the observables of
+one satellite collapse into one row of weight ``sum of weights`` without loss.
 """
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
+from lanebound.integrity.positioning.rows_kernel import Rows
+
+__all__ = [
+    "AMBIGUITY",
+    "BASE",
+    "MOST_AMBIGUITIES",
+    "RTK_RULES",
+    "SATELLITE",
+    "UNUSED",
+    "Carriers",
+    "add_layer",
+    "collapse_code",
+    "collapse_phase",
+    "drop_small_systems",
+    "float_ambiguities",
+    "held_base",
+    "held_risk",
+    "order_by_variance",
+    "select",
+    "weigh",
+]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+UNUSED = 1e6  # variance factor of a satellite that is not used; its ambiguities may still be held
+MOST_AMBIGUITIES = 80  # two bands of the most candidates that RtkConfig allows
+TENTH = math.log(10.0) / 10.0
+
+SATELLITE = record(
+    system=("i8", "its system, which is also its clock"),
+    fixable=("?", "its ambiguities are integers"),
+    prior="its fault probability [-]",
+    wavelength=("f8", (2,), "of the bands tracked [m]"),
+)
+"""What is constant of a satellite."""
+
+AMBIGUITY = record(
+    held=("?", "the integers are fixed and held"),
+    integers=("f8", (2,), "by band [cycles]"),
+    fix_id=("i8", "number of the fix that they came from"),
+    fix_risk="failure rate of that whole fix [-]",
+    last_phase=("f8", (2,), "phase of the last epoch relative to the anchor, 0: not followed [m]"),
+)
+"""The ambiguities of one satellite."""
+
+RTK_RULES = record(
+    bands=("i8", "bands tracked"),
+    sin_mask="sine of the lowest elevation used",
+    cn0_min="lowest C/N0 used [dB-Hz]",
+    cn0_knee="C/N0 at which the variance doubles [dB-Hz]",
+    sigma_code="code, zenith, one band [m]",
+    sigma_phase="phase, zenith, one band [m]",
+    sigma_phase_integrity="phase of both bands for protection levels [m]",
+    phase_bias="bound of a phase bias of one satellite [m]",
+    age_sigma="growth of a satellite's error with the age of corrections [m/s]",
+    max_age="oldest usable corrections [s]",
+    fix_max_age="oldest corrections for new fixes [s]",
+    fix_limit="largest risk of wrong integers [-]",
+    ratio_min="floor of the ratio test [-]",
+    misfit=("f8", (MOST_AMBIGUITIES + 1,), "largest squared norm of a fix by its number of ambiguities"),
+    attempts=("i8", "sets without one suspect to try"),
+    max_candidates=("i8", "satellites searched at once"),
+    min_satellites=("i8", "satellites of a fix with one system"),
+    min_further=("i8", "satellites that a further system must bring"),
+    hold_failures=("i8", "rejected epochs in a row after which all integers are released"),
+    retry="after a refusal, time until the next attempt [s]",
+)
+"""RtkConfig as kernels take it."""
+
+MEAN = record(e=("f8", (3,), "weighted mean line of sight"), y="weighted mean [m]", weight="sum of weights [1/m^2]")
+BASE = record(
+    e=("f8", (3,), "weighted mean line of sight of the held satellites"),
+    weight="sum of their weights, of one band [1/m^2]; 0: none is held",
+    phase=("f8", (2,), "weighted mean of phase - lambda N, by band [m]"),
+)
+"""The clock of a system from its held satellites."""
+
+
+class Carriers(NamedTuple):
+    """Carriers of one epoch: los (S, 3), satellites (S,) of SATELLITE, phase (S, 2) [m], variance (S,) of one band."""
+
+    los: Array
+    satellites: Records
+    phase: Array
+    variance: Array
+
+
+@jit(borrows=True)
+def weigh(los: Array, tracked: Bools, cn0: Array, cn0_knee: float, quality: Array) -> None:
+    """Variance factor ``(1 + 1/sin^2 el)/2 * (1 + 10^((knee - C/N0)/10))`` of S satellites, UNUSED if not tracked.
+
+    The elevation part is RTKLIB's ``a^2 + (a/sin el)^2`` scaled to 1 at the zenith; the C/N0 part doubles the
+    variance at the knee (sigma-epsilon model of Hartinger and Brunner 1999).
+    """
+    for s in range(tracked.shape[0]):
+        quality[s] = UNUSED
+        if tracked[s]:
+            sine = los[s, 2]
+            quality[s] = 0.5 * (1.0 + 1.0 / (sine * sine)) * (1.0 + math.exp(TENTH * (cn0_knee - cn0[s])))
+
+
+@jit(borrows=True)
+def select(
+    los: Array, tracked: Bools, cn0: Array, quality: Array, sin_mask: float, cn0_min: float, factor: Array, used: Bools
+) -> None:
+    """Find which satellites are high and strong enough; their variance factors, UNUSED of the others."""
+    for s in range(tracked.shape[0]):
+        used[s] = tracked[s] and los[s, 2] > sin_mask and cn0[s] >= cn0_min
+        factor[s] = quality[s] if used[s] else UNUSED
 
 
 @jit
-def add_layer(e, system, member, variance, y, normal, rhs, e_mean, y_mean, w_sum):  # type: ignore[no-untyped-def]
-    """Add one observable type to the clock-free normal equations ``normal x = rhs`` of ``y = -e x + clock``.
-
-    e (S,3), system (S,), member (S,) bool, variance (S,) [m^2], y (S,) [m]; e_mean (8,3), y_mean (8,), w_sum (8,) are
-    filled per system (zero weight: no member).
-    """
-    e_mean[:] = 0.0
-    y_mean[:] = 0.0
-    w_sum[:] = 0.0
-    for s in range(e.shape[0]):
-        if member[s]:
-            w, c = 1.0 / variance[s], system[s]
-            w_sum[c] += w
-            y_mean[c] += w * y[s]
+def add_layer(rows: Rows, normal: Array, rhs: Array) -> None:
+    """Add one observable type to the clock-free normal equations ``normal x = rhs``, (3, 3) and (3,)."""
+    los, group, variance, y, used = rows
+    means = np.zeros(MAX_GROUPS, MEAN)
+    for s in range(los.shape[0]):
+        if used[s]:
+            w, mean = 1.0 / variance[s], means[group[s]]
+            mean.weight += w
+            mean.y += w * y[s]
             for k in range(3):
-                e_mean[c, k] += w * e[s, k]
-    for c in range(w_sum.shape[0]):
-        if w_sum[c] > 0.0:
-            y_mean[c] /= w_sum[c]
+                mean.e[k] += w * los[s, k]
+    for c in range(MAX_GROUPS):
+        mean = means[c]
+        if mean.weight > 0.0:
+            mean.y /= mean.weight
             for k in range(3):
-                e_mean[c, k] /= w_sum[c]
-    for s in range(e.shape[0]):
-        if member[s]:
-            w, c = 1.0 / variance[s], system[s]
-            dy = y[s] - y_mean[c]
+                mean.e[k] /= mean.weight
+    for s in range(los.shape[0]):
+        if used[s]:
+            w, mean = 1.0 / variance[s], means[group[s]]
+            dy = y[s] - mean.y
             for j in range(3):
-                gj = e[s, j] - e_mean[c, j]
+                gj = los[s, j] - mean.e[j]
                 rhs[j] -= w * gj * dy
                 for k in range(3):
-                    normal[j, k] += w * gj * (e[s, k] - e_mean[c, k])
+                    normal[j, k] += w * gj * (los[s, k] - mean.e[k])
 
 
-@jit
-def collapse_code(code, bands, out):  # type: ignore[no-untyped-def]
-    """Mean of the code over the bands: code (S,2) -> out (S,) [m]; its variance is that of one band over ``bands``."""
+@jit(borrows=True)
+def collapse_code(code: Array, bands: int, out: Array) -> None:
+    """Mean of the code over the bands: code (S, 2) -> out (S,) [m]; its variance is that of one band over ``bands``."""
     for s in range(code.shape[0]):
         out[s] = code[s, 0] if bands == 1 else 0.5 * (code[s, 0] + code[s, 1])
 
 
-@jit
-def collapse_phase(phase, integers, wavelength, system, bands, out):  # type: ignore[no-untyped-def]
-    """Mean over the bands of ``phase - lambda N``: phase, integers (S,2), wavelength (systems, 2) -> out (S,) [m]."""
-    for s in range(phase.shape[0]):
+@jit(borrows=True)
+def collapse_phase(carriers: Carriers, ambiguities: Records, bands: int, out: Array) -> None:
+    """Mean over the bands of ``phase - lambda N`` -> out (S,) [m]."""
+    for s in range(out.shape[0]):
         total = 0.0
         for b in range(bands):
-            total += phase[s, b] - wavelength[system[s], b] * integers[s, b]
+            total += carriers.phase[s, b] - carriers.satellites[s].wavelength[b] * ambiguities[s].integers[b]
         out[s] = total / bands
 
 
-@jit
-def order_by_variance(candidate, variance, limit, order):  # type: ignore[no-untyped-def]
+@jit(borrows=True)
+def order_by_variance(candidate: Bools, variance: Array, limit: int, order: Ints) -> int:
     """Indices of the candidates, most precise first, at most ``limit`` of them: fills ``order``, returns the count."""
     n = 0
     for s in range(candidate.shape[0]):
@@ -84,134 +195,120 @@ def order_by_variance(candidate, variance, limit, order):  # type: ignore[no-unt
 
 
 @jit
-def float_ambiguities(  # type: ignore[no-untyped-def]
-    e,
-    system,
-    order,
-    count,
-    phase,
-    variance,
-    bands,
-    wavelength,
-    x,
-    q_x,
-    e_base,
-    w_base,
-    phase_base,
-    ambiguity,
-    q_a,
-    owner,
-):
+def float_ambiguities(
+    carriers: Carriers, order: Ints, count: int, bands: int, x: Array, q_x: Array, base: Records, ambiguity: Array,
+    q_a: Array, owner: Ints,
+) -> int:  # fmt: skip
     """Float ambiguities of ``count`` satellites and their covariance, given the position from all other rows.
 
-    ``N = (phase - clock + (e - e_base) x) / lambda`` where the clock of a system and band comes from the mean of its
-    held satellites (``w_base`` > 0, mean line of sight ``e_base`` (8,3), mean held phase ``phase_base`` (8,2)) or,
-    where
-    none is held, from the first of its satellites in ``order``: that one is the reference and has no unknown of its
-    own.
-    Covariance: ``((e_u - e-) Q_x (e_v - e-) + [same system and band] (1 / w_base + delta_uv var)) / (lambda lambda')``.
+    ``N = (phase - clock + (e - e_base) x) / lambda`` where the clock of a system and band is that of ``base``
+    (MAX_GROUPS,) or, where no satellite is held, of the first of its satellites in ``order``: this reference has no
+    unknown of its own. Covariance:
+    ``((e_u - e-) Q_x (e_v - e-) + [same system and band] (1 / w_base + delta_uv var)) / (lambda lambda')``.
     Order of the unknowns: satellite by satellite, band by band.
 
-    variance (S,) of one band's phase [m^2]; w_base (8,) is the weight of one band. Fills ``ambiguity`` (n,), ``q_a``
-    (n,n) [cycles^2] and ``owner`` (n,) with satellite indices; returns n. The base arrays are completed in place.
+    Fills ``ambiguity`` (n,), ``q_a`` (n, n) [cycles^2] and ``owner`` (n,) with satellite indices; returns n. ``base``
+    is completed in place.
     """
+    los, satellites, phase, variance = carriers
     n = 0
     for i in range(count):
         s = order[i]
-        c = system[s]
-        if w_base[c] <= 0.0:
-            w_base[c] = 1.0 / variance[s]
+        satellite = satellites[s]
+        clock = base[satellite.system]
+        if clock.weight <= 0.0:
+            clock.weight = 1.0 / variance[s]
             for k in range(3):
-                e_base[c, k] = e[s, k]
+                clock.e[k] = los[s, k]
             for b in range(bands):
-                phase_base[c, b] = phase[s, b]
+                clock.phase[b] = phase[s, b]
             continue
         for b in range(bands):
             geometric = 0.0
             for k in range(3):
-                geometric += (e[s, k] - e_base[c, k]) * x[k]
-            ambiguity[n] = (phase[s, b] - phase_base[c, b] + geometric) / wavelength[c, b]
+                geometric += (los[s, k] - clock.e[k]) * x[k]
+            ambiguity[n] = (phase[s, b] - clock.phase[b] + geometric) / satellite.wavelength[b]
             owner[n] = s
             n += 1
     h = np.empty(3)
     for i in range(n):
         u = owner[i]
-        cu, bu = system[u], i % bands
+        clock_u, bu = base[satellites[u].system], i % bands
         for k in range(3):
             h[k] = 0.0
             for j in range(3):
-                h[k] += q_x[k, j] * (e[u, j] - e_base[cu, j])
+                h[k] += q_x[k, j] * (los[u, j] - clock_u.e[j])
         for i2 in range(i + 1):
             v = owner[i2]
-            cv, bv = system[v], i2 % bands
+            clock_v, bv = base[satellites[v].system], i2 % bands
             q = 0.0
             for k in range(3):
-                q += h[k] * (e[v, k] - e_base[cv, k])
-            if cu == cv and bu == bv:
-                q += 1.0 / w_base[cu]
+                q += h[k] * (los[v, k] - clock_v.e[k])
+            if satellites[u].system == satellites[v].system and bu == bv:
+                q += 1.0 / clock_u.weight
                 if u == v:
                     q += variance[u]
-            q /= wavelength[cu, bu] * wavelength[cv, bv]
+            q /= satellites[u].wavelength[bu] * satellites[v].wavelength[bv]
             q_a[i, i2] = q
             q_a[i2, i] = q
     return n
 
 
-@jit
-def held_base(phase, integers, held, system, variance, bands, wavelength, e, e_base, w_base, phase_base):  # type: ignore[no-untyped-def]
-    """Clock of each system and band from its held satellites: weighted means of ``phase - lambda N`` and of ``e``."""
-    e_base[:] = 0.0
-    w_base[:] = 0.0
-    phase_base[:] = 0.0
-    for s in range(phase.shape[0]):
-        if held[s]:
-            c, w = system[s], 1.0 / variance[s]
-            w_base[c] += w
-            for k in range(3):
-                e_base[c, k] += w * e[s, k]
-            for b in range(bands):
-                phase_base[c, b] += w * (phase[s, b] - wavelength[c, b] * integers[s, b])
-    for c in range(w_base.shape[0]):
-        if w_base[c] > 0.0:
-            for k in range(3):
-                e_base[c, k] /= w_base[c]
-            for b in range(bands):
-                phase_base[c, b] /= w_base[c]
+@jit(borrows=True)
+def held_base(carriers: Carriers, ambiguities: Records, bands: int, base: Records) -> None:
+    """Clock of each system from its held satellites: weighted means of ``phase - lambda N`` and of ``e``.
 
-
-@jit
-def held_risk(held, fix_id, fix_risk):  # type: ignore[no-untyped-def]
-    """Probability that any held ambiguity is wrong: the union bound over the fixes they came from.
-
-    fix_id (S,) numbers the fix of each satellite, fix_risk (S,) is the failure rate of that whole fix.
+    ``base`` (MAX_GROUPS,) is of zeros before.
     """
+    los, satellites, phase, variance = carriers
+    for s in range(variance.shape[0]):
+        if ambiguities[s].held:
+            satellite, w = satellites[s], 1.0 / variance[s]
+            clock = base[satellite.system]
+            clock.weight += w
+            for k in range(3):
+                clock.e[k] += w * los[s, k]
+            for b in range(bands):
+                clock.phase[b] += w * (phase[s, b] - satellite.wavelength[b] * ambiguities[s].integers[b])
+    for c in range(base.shape[0]):
+        clock = base[c]
+        if clock.weight > 0.0:
+            for k in range(3):
+                clock.e[k] /= clock.weight
+            for b in range(bands):
+                clock.phase[b] /= clock.weight
+
+
+@jit(borrows=True)
+def held_risk(ambiguities: Records) -> float:
+    """Probability that any held ambiguity is wrong: the union bound over the fixes that they came from."""
     total = 0.0
-    for s in range(held.shape[0]):
-        if not held[s]:
+    for s in range(ambiguities.shape[0]):
+        if not ambiguities[s].held:
             continue
         first = True
         for r in range(s):
-            if held[r] and fix_id[r] == fix_id[s]:
+            if ambiguities[r].held and ambiguities[r].fix_id == ambiguities[s].fix_id:
                 first = False
                 break
         if first:
-            total += fix_risk[s]
+            total += ambiguities[s].fix_risk
     return total
 
 
 @jit
-def drop_small_systems(member, system, minimum):  # type: ignore[no-untyped-def]
+def drop_small_systems(member: Bools, satellites: Records, minimum: int) -> tuple[int, int]:
     """Leave out systems with fewer than ``minimum`` members; returns the number of satellites and of systems left."""
     count = np.zeros(MAX_GROUPS, dtype=np.int64)
     for s in range(member.shape[0]):
         if member[s]:
-            count[system[s]] += 1
-    satellites, systems = 0, 0
+            count[satellites[s].system] += 1
+    members, systems = 0, 0
     for c in range(MAX_GROUPS):
         if count[c] >= minimum:
-            satellites += count[c]
+            members += count[c]
             systems += 1
     for s in range(member.shape[0]):
-        if member[s] and count[system[s]] < minimum:
+        if member[s] and count[satellites[s].system] < minimum:
             member[s] = False
-    return satellites, systems
+    return members, systems

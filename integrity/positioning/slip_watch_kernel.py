@@ -1,12 +1,10 @@
-"""Undetected cycle slips of held carriers, found at their epoch and repaired or let go.
+"""Undetected cycle slips of held carriers, found at their epoch and repaired or released.
 
 Between two epochs each held phase changes by ``-e.dx``, the clocks, and whatever its integers do. ``dx`` comes from
-the Doppler velocities of both epochs, the clocks are the median of each system and band, and what remains is judged by
-:mod:`.cycle_slips_kernel`. The lines of sight turn from epoch to epoch: phases are kept relative to a point near the
-vehicle (``phase + e.anchor``), which leaves of the turn only its product with the distance to that point.
-
-``watch`` (NW,) and ``last`` (S, 2), zeros before the first epoch, are what lasts: the last velocity, anchor and age of
-corrections, and the last phases relative to the anchor (0: not followed).
+the Doppler velocities of both epochs, the clocks are the median of each system and band, and
+:mod:`.cycle_slips_kernel` tests what remains. The lines of sight turn from epoch to epoch: phases are stored relative
+to a point near the vehicle (``phase + e.anchor``), which leaves of the turn only its product with the distance to that
+point.
 """
 
 from __future__ import annotations
@@ -15,84 +13,96 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.positioning.cycle_slips_kernel import (
     GEOMETRY_FREE,
     NO_SLIP,
     REPAIRED,
+    Changes,
+    Deviations,
     detect_slip,
     remove_common,
     repair_slip,
 )
-from lanebound.integrity.positioning.rtk_kernel import held_risk
+from lanebound.integrity.positioning.rtk_kernel import Carriers, held_risk
 
-__all__ = ["NW", "Motion", "SlipRules", "watch_slips"]
+__all__ = ["SLIP_RULES", "SLIP_WATCH", "DopplerMotion", "watch_slips"]
 
-W_E, W_N, W_U, W_MOVING, W_ANCHOR, W_AGE = 0, 1, 2, 3, 4, 7
-NW = 8
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
 REPAIR_SHARE = 0.1  # of the risk of wrong integers, for one repair
 
+SLIP_WATCH = record(
+    velocity=("f8", (3,), "of the last epoch, zeros without one [m/s]"),
+    moving=("?", "the last epoch had a velocity"),
+    anchor=("f8", (3,), "point to which the last phases are relative [m]"),
+    age="age of the corrections at the last epoch [s]",
+)
+"""What the slip test stores of the last epoch; zeros before the first one. The phases are in AMBIGUITY."""
 
-class Motion(NamedTuple):
+SLIP_RULES = record(
+    k="standard deviations at which a test rejects [-]",
+    ionosphere="standard deviation of the rate of phase 1 - phase 2 [m/s]",
+    fit="largest squared norm of a repair [-]",
+    failure="failure rate of a repair [-]",
+)
+"""CycleSlipConfig as the kernel takes it."""
+
+
+class DopplerMotion(NamedTuple):
     """dt [s], Doppler velocity (3,) and its covariance (3, 3) when ``solved``, and a point near the vehicle (3,)."""
 
-    dt: Any
-    solved: Any
-    velocity: Any
-    q: Any
-    anchor: Any
+    dt: float
+    solved: bool
+    velocity: Array
+    q: Array
+    anchor: Array
 
 
-class SlipRules(NamedTuple):
-    """Thresholds of CycleSlipConfig, and what they stand on.
-
-    bands, wavelength (systems, 2) [m]; ``k`` standard deviations of a test; ``iono`` [m/s]; ``fit`` of a repair;
-    ``failure`` rate of a repair; ``limit`` of the risk of all integers; ``aged`` [m/s] growth of errors with the age.
-    """
-
-    bands: Any
-    wavelength: Any
-    k: Any
-    iono: Any
-    fit: Any
-    failure: Any
-    limit: Any
-    aged: Any
-
-
-@jit
-def changes(e, phase, rows, n, motion, watch, last, moved):  # type: ignore[no-untyped-def]
+@jit(borrows=True)
+def _changes(
+    carriers: Carriers, ambiguities: Records, rows: NDArray[np.int64], n: int, motion: DopplerMotion, watch: Any,
+    moved: Array,
+) -> bool:  # fmt: skip
     """Changes (2, n) of the phases in ``rows`` beyond those that the Doppler motion explains; whether it is known."""
-    known, velocity, half = motion.solved and watch[W_MOVING] > 0.0, motion.velocity, 0.5 * motion.dt
-    place = np.empty(3)
-    for k in range(3):
-        place[k] = watch[W_ANCHOR + k] + (half * (watch[W_E + k] + velocity[k]) if known else 0.0)
+    los, phase, velocity, half = carriers.los, carriers.phase, motion.velocity, 0.5 * motion.dt
+    known = motion.solved and watch.moving
+    x = watch.anchor[0] + (half * (watch.velocity[0] + velocity[0]) if known else 0.0)
+    y = watch.anchor[1] + (half * (watch.velocity[1] + velocity[1]) if known else 0.0)
+    z = watch.anchor[2] + (half * (watch.velocity[2] + velocity[2]) if known else 0.0)
     for i in range(n):
         s = rows[i]
-        along = e[s, 0] * place[0] + e[s, 1] * place[1] + e[s, 2] * place[2]
-        moved[0, i], moved[1, i] = phase[s, 0] + along - last[s, 0], phase[s, 1] + along - last[s, 1]
+        along = los[s, 0] * x + los[s, 1] * y + los[s, 2] * z
+        last = ambiguities[s].last_phase
+        moved[0, i], moved[1, i] = phase[s, 0] + along - last[0], phase[s, 1] + along - last[1]
     return known
 
 
-@jit
-def remember(e, phase, phase_ok, age, motion, watch, last):  # type: ignore[no-untyped-def]
-    """Keep this epoch for the next one."""
-    velocity, anchor = motion.velocity, motion.anchor
+@jit(borrows=True)
+def _store(
+    carriers: Carriers, phase_ok: Bools, age: float, motion: DopplerMotion, ambiguities: Records, watch: Any
+) -> None:
+    """Store this epoch for the next one."""
+    los, phase, anchor = carriers.los, carriers.phase, motion.anchor
     for k in range(3):
-        watch[W_E + k] = velocity[k] if motion.solved else 0.0
-        watch[W_ANCHOR + k] = anchor[k]
-    watch[W_MOVING] = 1.0 if motion.solved else 0.0
-    watch[W_AGE] = age
+        watch.velocity[k] = motion.velocity[k] if motion.solved else 0.0
+        watch.anchor[k] = anchor[k]
+    watch.moving = motion.solved
+    watch.age = age
     for s in range(phase_ok.shape[0]):
-        last[s, 0], last[s, 1] = 0.0, 0.0
+        last = ambiguities[s].last_phase
+        last[0], last[1] = 0.0, 0.0
         if phase_ok[s] and age < math.inf:
-            along = e[s, 0] * anchor[0] + e[s, 1] * anchor[1] + e[s, 2] * anchor[2]
-            last[s, 0], last[s, 1] = phase[s, 0] + along, phase[s, 1] + along
+            along = los[s, 0] * anchor[0] + los[s, 1] * anchor[1] + los[s, 2] * anchor[2]
+            last[0], last[1] = phase[s, 0] + along, phase[s, 1] + along
 
 
-@jit
-def predicted_sigma(x, y, z, q, dt, known, drift):  # type: ignore[no-untyped-def]
+@jit(borrows=True)
+def _predicted_sigma(x: float, y: float, z: float, q: Array, dt: float, known: bool, drift: float) -> float:
     """Standard deviation of the predicted change along (x, y, z), ``drift`` [m] that of the ageing corrections."""
     if not known:
         return math.inf
@@ -102,45 +112,50 @@ def predicted_sigma(x, y, z, q, dt, known, drift):  # type: ignore[no-untyped-de
 
 
 @jit
-def repair(s, d1, d2, s_phase, s_p, s_iono, system, fixes, rules, next_id):  # type: ignore[no-untyped-def]
-    """Move the integers of satellite s by the slip if only one explains the jump and the risk allows; else let it go.
+def _repair(
+    s: int, change: Changes, deviation: Deviations, carriers: Carriers, ambiguities: Records, rtk: Any, slips: Any,
+    next_id: int,
+) -> None:  # fmt: skip
+    """Move the integers of satellite s by the slip if only one explains the jump and the risk allows; else release it.
 
     A repaired satellite has a fix of its own, with the risk of the old one and that of the repair.
     """
-    slips, failure = np.zeros(2), min(rules.failure, REPAIR_SHARE * rules.limit)
-    c, risk = system[s], fixes.fix_risk[s] + failure
-    fixes.held[s] = False
-    if not s_p < math.inf or held_risk(fixes.held, fixes.fix_id, fixes.fix_risk) + risk > rules.limit:
+    held, found = ambiguities[s], np.zeros(2)
+    failure = min(slips.failure, REPAIR_SHARE * rtk.fix_limit)
+    risk = held.fix_risk + failure
+    held.held = False
+    if not deviation.predicted < math.inf or held_risk(ambiguities) + risk > rtk.fix_limit:
         return
-    wave_2 = rules.wavelength[c, 1] if rules.bands == 2 else 0.0
-    if repair_slip(
-        d1, d2, rules.wavelength[c, 0], wave_2, 0.0, 0.0, s_phase, s_p, s_iono, failure, rules.fit, slips
-    ) != REPAIRED:  # fmt: skip
+    wavelength = carriers.satellites[s].wavelength
+    second = wavelength[1] if rtk.bands == 2 else 0.0
+    if repair_slip(change, wavelength[0], second, deviation, failure, slips.fit, found) != REPAIRED:
         return
-    fixes.held[s], fixes.fix_id[s], fixes.fix_risk[s] = True, next_id, risk
+    held.held, held.fix_id, held.fix_risk = True, next_id, risk
     for b in range(2):
-        fixes.integers[s, b] += slips[b]
+        held.integers[b] += found[b]
 
 
-@jit
-def judge(e, system, variance, rows, n, moved, known, drift, motion, rules, flags, s_p):  # type: ignore[no-untyped-def]
+@jit(borrows=True)
+def _judge(
+    carriers: Carriers, rows: NDArray[np.int64], n: int, moved: Array, known: bool, drift: float,
+    motion: DopplerMotion, rtk: Any, slips: Any, flags: NDArray[np.int64], s_p: Array,
+) -> None:  # fmt: skip
     """Flags (n,) of :func:`~.cycle_slips_kernel.detect_slip` for the changes ``moved`` (2, n); fills ``s_p`` (n,) too.
 
-    A prediction that most carriers contradict is itself wrong, and counts for nothing. The code is not asked: in a
-    street its reflections come and go from epoch to epoch.
+    A prediction that most carriers contradict is itself wrong and is not used. The code is not tested: in a street its
+    reflections change from epoch to epoch.
     """
-    wavelength, q, dt, k, iono = rules.wavelength, motion.q, motion.dt, rules.k, rules.iono * motion.dt
-    wave_2, contradicted = 0.0, 0
+    los, q, dt, ionosphere = carriers.los, motion.q, motion.dt, slips.ionosphere * motion.dt
+    contradicted = 0
     for attempt in range(2):
         for i in range(n):
-            s, c = rows[i], system[rows[i]]
-            s_p[i] = predicted_sigma(e[s, 0], e[s, 1], e[s, 2], q, dt, known, drift)
-            if rules.bands == 2:
-                wave_2 = wavelength[c, 1]
-            flags[i] = detect_slip(
-                moved[0, i], moved[1, i], wavelength[c, 0], wave_2, 0.0, 0.0, 0.0, 0.0,
-                math.sqrt(variance[s]), s_p[i], iono, math.inf, k,
-            )  # fmt: skip
+            s = rows[i]
+            s_p[i] = _predicted_sigma(los[s, 0], los[s, 1], los[s, 2], q, dt, known, drift)
+            wavelength = carriers.satellites[s].wavelength
+            second = wavelength[1] if rtk.bands == 2 else 0.0
+            change = Changes(moved[0, i], moved[1, i], 0.0, 0.0, 0.0, 0.0)
+            deviation = Deviations(math.sqrt(carriers.variance[s]), s_p[i], ionosphere, math.inf)
+            flags[i] = detect_slip(change, wavelength[0], second, deviation, slips.k)
             contradicted += flags[i] & ~GEOMETRY_FREE != 0
         if attempt == 1 or 2 * contradicted <= n:
             return
@@ -148,33 +163,40 @@ def judge(e, system, variance, rows, n, moved, known, drift, motion, rules, flag
 
 
 @jit
-def watch_slips(e, system, phase, variance, phase_ok, age, motion, fixes, rules, watch, last, next_id):  # type: ignore[no-untyped-def]
-    """Test all held carriers for slips since the last epoch, in place; ``variance`` (S,) is that of one band [m^2].
+def watch_slips(
+    carriers: Carriers, phase_ok: Bools, age: float, motion: DopplerMotion, ambiguities: Records, rtk: Any,
+    slips: Any, watch: Any, next_id: int,
+) -> int:  # fmt: skip
+    """Test all held carriers for slips since the last epoch, in place.
 
-    Returns how many were found; ``next_id`` and the numbers after it name the repaired ones.
+    rtk of RTK_RULES, slips of SLIP_RULES, watch of SLIP_WATCH. Returns how many were found; ``next_id`` and the numbers
+    after it name the repaired ones.
     """
-    rows, n, held = np.empty(phase_ok.shape[0], dtype=np.int64), 0, fixes.held
-    for s in range(phase_ok.shape[0]):
-        if held[s] and phase_ok[s] and last[s, 0] != 0.0:
+    n_sat = phase_ok.shape[0]
+    rows, n = np.empty(n_sat, dtype=np.int64), 0
+    for s in range(n_sat):
+        if ambiguities[s].held and phase_ok[s] and ambiguities[s].last_phase[0] != 0.0:
             rows[n] = s
             n += 1
     found = 0
     if n > 0 and age < math.inf:
         moved, group, everything = np.empty((2, n)), np.empty(n, dtype=np.int64), np.ones(n, dtype=np.bool_)
-        known = changes(e, phase, rows, n, motion, watch, last, moved)
+        known, systems = _changes(carriers, ambiguities, rows, n, motion, watch, moved), 0
         for i in range(n):
-            group[i] = system[rows[i]]
-        for b in range(rules.bands):
-            remove_common(moved[b], everything, group, rules.wavelength.shape[0], moved[b])
+            group[i] = carriers.satellites[rows[i]].system
+            systems = max(systems, group[i] + 1)
+        for b in range(rtk.bands):
+            remove_common(moved[b], everything, group, systems, moved[b])
         flags, s_p = np.empty(n, dtype=np.int64), np.empty(n)
-        drift = rules.aged * abs(age - watch[W_AGE])
-        judge(e, system, variance, rows, n, moved, known, drift, motion, rules, flags, s_p)
+        drift = rtk.age_sigma * abs(age - watch.age)
+        _judge(carriers, rows, n, moved, known, drift, motion, rtk, slips, flags, s_p)
         for i in range(n):
             if flags[i] != NO_SLIP:
-                repair(
-                    rows[i], moved[0, i], moved[1, i], math.sqrt(variance[rows[i]]), s_p[i], rules.iono * motion.dt,
-                    system, fixes, rules, next_id + found,
-                )  # fmt: skip
+                change = Changes(moved[0, i], moved[1, i], 0.0, 0.0, 0.0, 0.0)
+                deviation = Deviations(
+                    math.sqrt(carriers.variance[rows[i]]), s_p[i], slips.ionosphere * motion.dt, math.inf
+                )
+                _repair(rows[i], change, deviation, carriers, ambiguities, rtk, slips, next_id + found)
                 found += 1
-    remember(e, phase, phase_ok, age, motion, watch, last)
+    _store(carriers, phase_ok, age, motion, ambiguities, watch)
     return found

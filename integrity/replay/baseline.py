@@ -17,22 +17,17 @@ from lanebound.integrity.core.errors import InputError, require_finite, require_
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
 from lanebound.integrity.core.progress import Progress, silent
 from lanebound.integrity.monitoring.exclusion import FdeConfig, FdeOutcome, detect_and_exclude
-from lanebound.integrity.monitoring.geometry_kernel import SIGMA0_AT, SIGMA0_CT, X_E, X_N, X_U, scratch
 from lanebound.integrity.monitoring.protection import protection_levels_batch
-from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor
-from lanebound.integrity.navigators.navigator_kernel import levels_rtk
-from lanebound.integrity.navigators.rtk_declared import declared_rtk
-from lanebound.integrity.navigators.rtk_stage_kernel import NX, Fixed, Signals, Tables, rtk, select, weigh
+from lanebound.integrity.monitoring.risk import RiskConfig
 from lanebound.integrity.positioning.config import RtkConfig
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
 from lanebound.integrity.positioning.least_squares import design_matrix, gain, weights
 from lanebound.integrity.positioning.modes import Mode
-from lanebound.integrity.positioning.resolve_kernel import Fixes
-from lanebound.integrity.positioning.rtk_kernel import held_risk
+from lanebound.integrity.positioning.rtk_kernel import select, weigh
 from lanebound.integrity.positioning.rtk_status import RtkStatus
-from lanebound.integrity.positioning.slip_watch_kernel import Motion
 from lanebound.integrity.recorded.rinex_observation import Observations
 from lanebound.integrity.replay.differences import Arc, Reduced, arc_of, matched, reduce_epoch
+from lanebound.integrity.replay.rtk_stages import RtkStages, Signals
 from lanebound.integrity.replay.signal_choice import Choice, choose_signals
 from lanebound.integrity.sky.broadcast import Ephemerides
 from lanebound.integrity.sky.systems import FIXABLE
@@ -118,7 +113,7 @@ def solve_baseline(
         raise InputError(
             "table must hold messages of GPS, Galileo, BeiDou or QZSS, has none: pass the day's navigation"
         )
-    run = _Run(
+    run = _Session(
         arc_of(rover, choice.rover, choice, table),
         arc_of(base, choice.base, choice, table),
         table,
@@ -155,35 +150,22 @@ def _span(observations: Observations) -> str:
     return f"{first} to {last}"
 
 
-class _Run:
+class _Session:
     """Tables and state of one session."""
 
     def __init__(
         self, rover: Arc, base: Arc, table: Ephemerides, place: Array, choice: Choice, config: BaselineConfig
     ) -> None:
-        n = len(table.satellites)
         self.rover, self.base, self.place, self.choice, self.config = rover, base, place, choice, config
         self.system = np.ascontiguousarray(table.satellites[:, 0])
         chosen = np.isin(self.system, np.flatnonzero((choice.wavelength_m != 1.0).any(-1)))
         self.chosen = chosen
         latitude, longitude, _ = geodetic_from_ecef(place)
         self.axes = ecef_from_enu_matrix(latitude, longitude)
-        r, thresholds = config.risk, config.fde.tables(n)
-        self.par = declared_rtk(config.rtk, config.slips, choice.bands, r.integrity_risk)
-        self.tables = Tables(
-            self.par, np.ascontiguousarray(choice.wavelength_m), np.asarray(FIXABLE[self.system] & chosen),
-            config.rtk.largest_misfits, np.ascontiguousarray(thresholds.global_chi2),
-            np.ascontiguousarray(thresholds.local_normal),
-            np.array([float(v) for v in (config.fde.global_first, config.fde.max_excluded, config.fde.min_redundancy)]),
+        self.stages = RtkStages(
+            config.rtk, config.slips, config.fde, config.risk, self.system, np.ascontiguousarray(choice.wavelength_m),
+            np.asarray(FIXABLE[self.system] & chosen), choice.bands,
         )  # fmt: skip
-        self.fixes = Fixes(np.zeros(n, np.bool_), np.zeros((n, 2)), np.zeros(n, np.int64), np.zeros(n))
-        self.x, self.last = np.zeros(NX), np.zeros((n, 2))
-        geo, head, mode = scratch(n)
-        self.geo, self.head, self.columns = geo, head, mode
-        wide = geo.shape[1]  # whole vectors of the kernels
-        self.fixed = Fixed(geo, head, np.zeros((4, wide)), np.zeros((wide, 3)), np.zeros(wide, np.int64))
-        modes = np.arange(n + 10)
-        self.k_fa = np.stack([false_alarm_factor(r.false_alarm, modes, v) for v in (Variant.EXACT, Variant.PUBLISHED)])
         self.heading = 0.0
         self.before: Array | None = None
         self.passed: Array | None = None
@@ -208,25 +190,19 @@ class _Run:
         """Code position, RTK stage, levels."""
         found = self._code_position(i, j)
         if found is None:
-            self.fixes.held[:] = False
+            self.stages.release()
             out.status[k] = RtkStatus.TOO_FEW.code
             return
         signals, reduced, near, code_levels = found
         self.before = near
         sine, cosine = float(np.sin(self.heading)), float(np.cos(self.heading))
-        stage = signals._replace(age=age)
-        motion = Motion(dt, False, np.zeros(3), np.zeros((3, 3)), near)
-        status, count, excluded, _ = rtk(
-            stage, self.tables, self.fixes, self.x, self.last, motion, sine, cosine, self.fixed
-        )
-        out.status[k], out.excluded[k], out.heading_rad[k] = status, excluded, self.heading
-        wrong = float(held_risk(self.fixes.held, self.fixes.fix_id, self.fixes.fix_risk))
-        if status == RtkStatus.FIXED.code:
-            levels = self._levels(count, sine, cosine, wrong)
-            out.mode[k], out.satellites[k], out.wrong_fix_risk[k] = int(Mode.RTK), count, wrong
-            out.enu_m[k] = self.head[[X_E, X_N, X_U]]
+        fixed, levels = self.stages.step(signals, age, dt, near, sine, cosine)
+        out.status[k], out.excluded[k], out.heading_rad[k] = fixed["status"], fixed["excluded"], self.heading
+        if fixed["status"] == RtkStatus.FIXED.code:
+            out.mode[k], out.satellites[k] = int(Mode.RTK), fixed["satellites"]
+            out.wrong_fix_risk[k] = fixed["wrong"]
+            out.enu_m[k], out.pl_m[k], out.sigma_m[k] = fixed["position"], levels, fixed["sigma"]
             self._turn(out.enu_m[k])
-            out.pl_m[k], out.sigma_m[k] = levels, self.head[[SIGMA0_AT, SIGMA0_CT]]
         elif code_levels is not None:
             out.mode[k], out.satellites[k] = int(Mode.CODE), int(reduced.tracked.sum())
             out.enu_m[k], out.pl_m[k], out.sigma_m[k] = near, code_levels[0], code_levels[1]
@@ -265,8 +241,8 @@ class _Run:
         )
         weigh(e, tracked, reduced.cn0_dbhz, self.config.rtk.cn0_knee_dbhz, quality)
         return Signals(
-            e, self.system, quality, tracked, reduced.cn0_dbhz,
-            np.ascontiguousarray(reduced.code_m), np.ascontiguousarray(reduced.phase_m), reduced.lost, 0.0,
+            e, quality, tracked, reduced.cn0_dbhz, np.ascontiguousarray(reduced.code_m),
+            np.ascontiguousarray(reduced.phase_m), reduced.lost,
         )  # fmt: skip
 
     def _code_solution(self, signals: Signals) -> tuple[Array, tuple[Array, Array] | None] | None:
@@ -274,7 +250,7 @@ class _Run:
         r, bands = self.config.rtk, self.choice.bands
         factor, used = np.empty(len(self.system)), np.empty(len(self.system), np.bool_)
         select(
-            signals.e, signals.tracked, signals.cn0, signals.quality, float(np.sin(np.deg2rad(r.elevation_mask_deg))),
+            signals.los, signals.tracked, signals.cn0, signals.quality, float(np.sin(np.deg2rad(r.elevation_mask_deg))),
             r.cn0_min_dbhz, factor, used,
         )  # fmt: skip
         rows = np.flatnonzero(used)
@@ -283,7 +259,7 @@ class _Run:
         variance = factor[rows] * r.sigma_code_m**2 / bands
         y = signals.code[rows, :bands].mean(-1)
         present, group = np.unique(self.system[rows], return_inverse=True)
-        design = design_matrix(signals.e[rows], group, len(present))
+        design = design_matrix(signals.los[rows], group, len(present))
         covariance = np.diag(variance)
         if not gain(design, weights(covariance)).solved:
             return None
@@ -291,21 +267,9 @@ class _Run:
         if int(fde.outcome) not in (FdeOutcome.CLEAN.code, FdeOutcome.EXCLUDED.code):
             return np.asarray(fde.adjustment.x[:3]), None
         levels = protection_levels_batch(
-            signals.e[rows][None], fde.used[None], group, variance, self.heading, self.config.risk
+            signals.los[rows][None], fde.used[None], group, variance, self.heading, self.config.risk
         )
         turn = np.array([[np.sin(self.heading), np.cos(self.heading)], [np.cos(self.heading), -np.sin(self.heading)]])
         spread = turn @ fde.adjustment.gain[:2]
         sigma = np.sqrt((spread**2 * variance).sum(-1))
         return np.asarray(fde.adjustment.x[:3]), (levels.root_m[0, 0], sigma)
-
-    def _levels(self, count: int, sine: float, cosine: float, wrong: float) -> Array:
-        """Protection levels (2,) of the fixed position; the risk of wrong integers is spent first."""
-        r, pl = self.config.risk, np.full((1, 2), np.inf)
-        shares = [r.monitors_constellations, r.at_share, r.fault_free_share, r.subtract_multiple, r.spend_unsolvable]
-        risks = np.array([[r.integrity_risk], [0.0], [0.0]])
-        levels_rtk(
-            count, self.fixed.rows, self.fixed.group, sine, cosine, risks, np.array([float(s) for s in shares]),
-            r.unmonitored_risk + wrong, np.stack(r.priors()), self.k_fa, np.zeros(1), self.config.rtk.reference_bias_m,
-            self.geo, self.head, self.columns, pl,
-        )  # fmt: skip
-        return np.asarray(pl[0])

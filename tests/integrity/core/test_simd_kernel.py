@@ -7,6 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from numba.core.errors import TypingError
 
 from lanebound.integrity.core import simd_kernel as lk
 from lanebound.integrity.core.accel import jit
@@ -109,6 +110,26 @@ def test_rows_are_read_and_written_where_asked_and_nowhere_else() -> None:
     expected[1, 5:13] *= 2.0
     _shifted(a, 1, 5)
     np.testing.assert_array_equal(a, expected)
+
+
+@jit
+def _doubled(vector, k):
+    store(load(vector, k) * 2.0, vector, k)
+
+
+def test_a_vector_is_read_and_written_from_an_entry_on() -> None:
+    a = np.arange(20.0)
+    _doubled(a, 3)
+    np.testing.assert_array_equal(a, np.where((np.arange(20) >= 3) & (np.arange(20) < 11), 2.0, 1.0) * np.arange(20.0))
+
+
+def test_a_matrix_needs_two_indices() -> None:
+    @jit
+    def one(a, i):
+        return total(load(a, i))
+
+    with pytest.raises(TypingError):
+        one(np.zeros((1, 8)), 0)
 
 
 @pytest.mark.parametrize(("n", "columns"), [(0, 0), (1, 8), (8, 8), (9, 16), (30, 32)])

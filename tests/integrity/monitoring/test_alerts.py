@@ -16,6 +16,7 @@ from lanebound.integrity.monitoring.alerts import (
     AlertReason,
     AlertState,
     AlertStatus,
+    alert_parameters,
     step,
 )
 
@@ -121,8 +122,9 @@ def test_accuracy_threshold_is_1_96_sigma() -> None:
 
 
 def test_kernel_codes_are_the_enums() -> None:
-    for name in ("NONE", "PL_AT", "PL_CT", "BOTH", "NO_SOLUTION", "ACCURACY", "HOLDING"):
+    for name in ("NONE", "PL_AT", "PL_CT", "BOTH", "NO_SOLUTION", "ACCURACY", "INITIALISING", "HOLDING"):
         assert getattr(alerts_kernel, name) == AlertReason[name].code
+    assert AlertReason.INTEGRITY_TEST_FAILED.code == alerts_kernel.TEST_FAILED
 
 
 @settings(max_examples=15, deadline=None)
@@ -132,7 +134,9 @@ def test_kernel_equals_reference(seed: int) -> None:
     limits = AlertLimits(accuracy_at_m=0.5, accuracy_ct_m=0.7)
     config = AlertConfig(limits=limits, clear_hold_s=0.3, raise_after_s=0.2)
     B = 20
-    ours, theirs = AlertState.initial(B), AlertState.initial(B)
+    ours, theirs, rules = AlertState.initial(B), np.zeros(B, alerts_kernel.ALERT), alert_parameters(config)[0]
+    for field in theirs.dtype.names:
+        theirs[field] = getattr(ours, field)
     available = np.empty(B, dtype=bool)
     for _ in range(12):
         pl = rng.choice([0.5, 0.95, 1.2, np.inf, np.nan], (2, B), p=[0.5, 0.2, 0.1, 0.1, 0.1])
@@ -140,12 +144,9 @@ def test_kernel_equals_reference(seed: int) -> None:
         cause = rng.choice([0, 5, 7], B, p=[0.8, 0.1, 0.1])
         status = step(config, ours, *pl, DT, sigma_at_m=sigma[0], sigma_ct_m=sigma[1], cause=cause)
         for i in range(B):
-            available[i] = alerts_kernel.alert_step(
-                i, cause[i], *pl[:, i], *sigma[:, i], DT, config.packed, theirs.alert, theirs.reason, theirs.onset_s,
-                theirs.clear_s,
-            )  # fmt: skip
-        for field in ("alert", "reason", "onset_s", "clear_s"):
-            assert np.array_equal(getattr(ours, field), getattr(theirs, field)), field
+            available[i] = alerts_kernel.alert_step(cause[i], *pl[:, i], *sigma[:, i], DT, rules, theirs[i])
+        for field in theirs.dtype.names:
+            assert np.array_equal(getattr(ours, field), theirs[field]), field
         assert np.array_equal(status.available, available)
 
 

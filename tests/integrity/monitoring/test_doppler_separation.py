@@ -7,12 +7,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
+from lanebound.integrity.core.records import record
 from lanebound.integrity.monitoring import doppler_separation_kernel as dk
 
 Array = NDArray[np.float64]
 DT, PHI = 0.1, float(np.exp(-0.1 / 0.54))
-PRIOR = np.array([1e-5, 1e-5, 1e-4, 1e-5, 1e-5, 0.0, 0.0, 0.0])
-SYSTEM = np.array([0, 0, 0, 1, 1, 2, 2], dtype=np.int64)
+SATELLITES = np.zeros(7, record(prior="[-]"))
+SATELLITES["prior"] = [1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-4, 1e-4]
 ALL = np.ones(7, dtype=np.bool_)
 
 
@@ -32,10 +33,27 @@ def _velocity(los: Array, variance: Array, y: Array, used: NDArray[np.bool_]) ->
     return (inverse @ design.T @ (y[used] / variance[used]))[:3], inverse[:3, :3]
 
 
-def _run(epochs: int, rng: np.random.Generator, fault: Array | None = None) -> tuple[Array, Array, Array]:
-    """Kernel state, and separations of the positions told by leaving each satellite out of every epoch, (7, 2)."""
+class _Monitor:
+    """Separations of a position that Doppler moves in every epoch."""
+
+    def __init__(self) -> None:
+        self.last, self.now = np.zeros(7, dk.INFLUENCE), np.zeros(7, dk.INFLUENCE)
+        self.separations, self.had = np.zeros(7, dk.SEPARATION), False
+
+    def step(self, los: Array, used: NDArray[np.bool_], variance: Array, y: Array, v: Array, q: Array) -> None:
+        dk.find_influences(los, used, variance, y, v, q, True, self.now)
+        self.advance(True)
+
+    def advance(self, integrates: bool) -> None:
+        for k in range(7):
+            dk.advance_separation(DT, integrates, self.had, PHI, self.last[k], self.now[k], self.separations[k])
+        self.last, self.had = self.now.copy(), True
+
+
+def _run(epochs: int, rng: np.random.Generator, fault: Array | None = None) -> tuple[_Monitor, Array, Array]:
+    """The monitor, and separations of the positions found by leaving each satellite out of every epoch, (7, 2)."""
     los, variance = _sky()
-    a, error, apart = np.zeros((dk.APART_ROWS, 7)), rng.normal(size=7), np.zeros((7, 2))
+    a, error, apart = _Monitor(), rng.normal(size=7), np.zeros((7, 2))
     last = np.zeros((7, 2))
     for epoch in range(epochs):
         error = PHI * error + np.sqrt(1.0 - PHI**2) * rng.normal(size=7)
@@ -43,8 +61,7 @@ def _run(epochs: int, rng: np.random.Generator, fault: Array | None = None) -> t
         used = ALL.copy()
         used[2] = epoch % 11 != 5
         v, q = _velocity(los, variance, y, used)
-        dk.separate_velocity(los, used, variance, y, v, q, True, SYSTEM, PRIOR, a)
-        dk.advance_separations(DT, True, epoch > 0, True, PHI, a)
+        a.step(los, used, variance, y, v, q)
         now = np.zeros((7, 2))
         for k in np.flatnonzero(used):
             now[k] = (v - _velocity(los, variance, y, used & (np.arange(7) != k))[0])[:2]
@@ -55,17 +72,18 @@ def _run(epochs: int, rng: np.random.Generator, fault: Array | None = None) -> t
 
 def test_separation_is_that_of_positions_without_the_satellite() -> None:
     a, apart, _ = _run(60, np.random.default_rng(1))
-    np.testing.assert_allclose(a[[dk.D_E, dk.D_N]].T, apart, rtol=1e-9, atol=1e-12)
-    assert (a[dk.STATE] == dk.MONITORED).all()
+    found = np.column_stack([a.separations["d_e"], a.separations["d_n"]])
+    np.testing.assert_allclose(found, apart, rtol=1e-9, atol=1e-12)
+    assert (a.separations["state"] == dk.MONITORED).all()
 
 
 def test_covariance_without_a_satellite_is_the_fault_free_one_and_that_of_the_separation() -> None:
     los, variance = _sky()
-    a, y = np.zeros((dk.APART_ROWS, 7)), np.zeros(7)
+    influences, y = np.zeros(7, dk.INFLUENCE), np.zeros(7)
     v, q = _velocity(los, variance, y, ALL)
-    dk.separate_velocity(los, ALL, variance, y, v, q, True, SYSTEM, PRIOR, a)
+    dk.find_influences(los, ALL, variance, y, v, q, True, influences)
     for k in range(7):
-        u = a[[dk.NEW_E, dk.NEW_N], k]
+        u = np.array([influences["u_e"][k], influences["u_n"][k]])
         without = _velocity(los, variance, y, np.arange(7) != k)[1]
         np.testing.assert_allclose(q[:2, :2] + np.outer(u, u), without[:2, :2], rtol=1e-9)
 
@@ -75,16 +93,15 @@ def test_covariance_is_that_of_simulated_separations() -> None:
     rng, drives = np.random.default_rng(2), 1500
     los, variance = _sky()
     error = rng.normal(size=(drives, 7))
-    states = np.zeros((drives, dk.APART_ROWS, 7))
-    for epoch in range(40):
+    monitors = [_Monitor() for _ in range(drives)]
+    for _ in range(40):
         error = PHI * error + np.sqrt(1.0 - PHI**2) * rng.normal(size=(drives, 7))
-        for a, y in zip(states, np.sqrt(variance) * error, strict=True):
-            v, q = _velocity(los, variance, y, ALL)
-            dk.separate_velocity(los, ALL, variance, y, v, q, True, SYSTEM, PRIOR, a)
-            dk.advance_separations(DT, True, epoch > 0, True, PHI, a)
+        for a, y in zip(monitors, np.sqrt(variance) * error, strict=True):
+            a.step(los, ALL, variance, y, *_velocity(los, variance, y, ALL))
+    states = np.stack([a.separations for a in monitors])
     low, high = chi2.ppf([0.5e-3 / 14, 1.0 - 0.5e-3 / 14], df=drives)
-    for row, var in ((dk.D_E, dk.S_EE), (dk.D_N, dk.S_NN)):
-        white = (states[:, row] ** 2).sum(0) / states[0, var]
+    for name, variance_name in (("d_e", "s_ee"), ("d_n", "s_nn")):
+        white = (states[name] ** 2).sum(0) / states[variance_name][0]
         assert ((low < white) & (white < high)).all()
 
 
@@ -96,46 +113,46 @@ def test_a_drift_shows_in_the_separation_and_is_bounded_whatever_it_does() -> No
     rng, exceeded, trials, k_f = np.random.default_rng(4), 0, 60, float(norm.isf(0.005))
     for _ in range(trials):
         a, _, _ = _run(100, rng, fault)
-        noise = np.sqrt(a[dk.S_EE, 4])
+        s = a.separations[4]
+        noise = np.sqrt(s["s_ee"])
         moved = 100 * DT * (_velocity(los, variance, fault, ALL)[0] - _velocity(los, variance, fault * 0.0, ALL)[0])[0]
-        exceeded += bool(abs(moved) > abs(a[dk.D_E, 4]) + k_f * noise)
+        exceeded += bool(abs(moved) > abs(s["d_e"]) + k_f * noise)
     assert exceeded <= 4  # expected 0.3 or less: a binomial of 60 with p = 0.01 exceeds 4 once in 2600 runs
 
 
 def test_a_satellite_that_the_velocity_needs_is_lost() -> None:
     los, variance = _sky()
-    a, y, few = np.zeros((dk.APART_ROWS, 7)), np.zeros(7), ALL.copy()
+    a, y, few = _Monitor(), np.zeros(7), ALL.copy()
     few[[1, 3, 5]] = False
-    v, q = _velocity(los, variance, y, few)
-    lost = dk.separate_velocity(los, few, variance, y, v, q, True, SYSTEM, PRIOR, a)
-    assert lost == pytest.approx(1e-5 * 3 + 1e-4)
-    dk.advance_separations(DT, True, False, True, PHI, a)
-    assert dk.exposure(SYSTEM, PRIOR, a)[2] == pytest.approx(lost)
-    assert np.isfinite(a).all()
+    a.step(los, few, variance, y, *_velocity(los, variance, y, few))
+    assert (a.now["state"] == np.where(few, dk.LOST, dk.IDLE)).all()
+    total, squares, lost = dk.exposure(SATELLITES, a.separations)
+    assert total == lost == pytest.approx(1e-5 * 3 + 1e-4)
+    assert squares == pytest.approx(1e-10 * 3 + 1e-8)
 
 
-def test_rest_keeps_the_separation_and_forgets_the_velocity() -> None:
+def test_at_rest_the_separation_stays_and_its_correlation_fades() -> None:
     a, _, _ = _run(20, np.random.default_rng(5))
-    before = a.copy()
-    a[dk.NEW_E : dk.NEW_W + 1], a[dk.NOW] = 0.0, dk.IDLE
-    dk.advance_separations(DT, False, True, False, PHI, a)
-    np.testing.assert_array_equal(a[: dk.C_E], before[: dk.C_E])
-    np.testing.assert_allclose(a[[dk.C_E, dk.C_N]], PHI * before[[dk.C_E, dk.C_N]], rtol=1e-12)
-    assert not a[[dk.U_E, dk.U_N, dk.W]].any()
+    before, a.now = a.separations.copy(), np.zeros(7, dk.INFLUENCE)
+    a.advance(False)
+    for name in ("d_e", "d_n", "s_ee", "s_en", "s_nn", "state"):
+        np.testing.assert_array_equal(a.separations[name], before[name])
+    for name in ("c_e", "c_n"):
+        np.testing.assert_allclose(a.separations[name], PHI * before[name], rtol=1e-12)
 
 
 @pytest.mark.parametrize("budget", [5e-6, 5e-7, 4e-4])
 @pytest.mark.parametrize("lost", [0.0, 1e-7])
 def test_factors_spend_the_budget_and_no_more(budget: float, lost: float) -> None:
     share, pair, total = 0.5, 1e-8, 1e-3
-    k_0, k_f = dk.factors(budget, share, pair, total, lost)
+    k_0, k_f = dk.risk_factors(budget, share, pair, total, lost)
     spent = 2.0 * norm.sf(k_0) + (total - lost) * 2.0 * norm.sf(k_f) + share * (pair + lost)
     assert spent == pytest.approx(budget, rel=1e-6)
 
 
 def test_small_priors_are_spent_and_large_ones_leave_nothing() -> None:
-    k_0, k_f = dk.factors(1e-4, 0.5, 0.0, 1e-5, 0.0)
+    k_0, k_f = dk.risk_factors(1e-4, 0.5, 0.0, 1e-5, 0.0)
     assert k_f == -np.inf
     assert 2.0 * norm.sf(k_0) + 0.5e-5 == pytest.approx(1e-4)
-    assert dk.factors(5e-6, 0.5, 2e-5, 1e-3, 0.0) == (np.inf, np.inf)
-    assert dk.factors(5e-6, 0.5, 0.0, 1e-3, 1e-5) == (np.inf, np.inf)
+    assert dk.risk_factors(5e-6, 0.5, 2e-5, 1e-3, 0.0) == (np.inf, np.inf)
+    assert dk.risk_factors(5e-6, 0.5, 0.0, 1e-3, 1e-5) == (np.inf, np.inf)

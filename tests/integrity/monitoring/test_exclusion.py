@@ -11,8 +11,17 @@ from scipy.stats import binom
 
 from lanebound.integrity.monitoring import detection_kernel
 from lanebound.integrity.monitoring.detection import diagonal_covariance
-from lanebound.integrity.monitoring.exclusion import FdeConfig, FdeOutcome, FdeResult, Search, detect_and_exclude
+from lanebound.integrity.monitoring.exclusion import (
+    FdeConfig,
+    FdeOutcome,
+    FdeResult,
+    Search,
+    detect_and_exclude,
+    fde_parameters,
+    fde_thresholds,
+)
 from lanebound.integrity.monitoring.significance import Linking
+from lanebound.integrity.positioning.rows_kernel import Rows
 
 Array = NDArray[np.float64]
 
@@ -111,10 +120,10 @@ def compare(
     code, df, count = (np.empty(B, dtype=np.int64) for _ in range(3))
     statistic, worst = np.empty(B), np.empty(B)
     for v in range(B):
+        rows = Rows(los[v], group, variance[v], y[v], mask[v])
         code[v], statistic[v], worst[v], df[v], count[v] = detection_kernel.detect_and_exclude(
-            los[v], group, variance[v], y[v], mask[v], tables.global_chi2, tables.local_normal, config.global_first,
-            config.max_excluded, config.min_redundancy, x[v], Q[v],
-        )  # fmt: skip
+            rows, fde_thresholds(config, n), fde_parameters(config)[0], x[v], Q[v]
+        )
     ref = detect_and_exclude(config, design_of(los, group), diagonal_covariance(variance), y, used)
     assert np.array_equal(code, ref.outcome)
     assert np.array_equal(mask, ref.used)
@@ -134,7 +143,8 @@ def compare(
 @pytest.mark.parametrize("groups", [1, 3])
 @pytest.mark.parametrize("global_first", [True, False])
 @pytest.mark.parametrize("search", [Search.W_TEST, Search.SEPARATION])
-def test_kernel_equals_reference(groups: int, global_first: bool, search: Search) -> None:
+@pytest.mark.parametrize("linking", list(Linking))
+def test_kernel_equals_reference(groups: int, global_first: bool, search: Search, linking: Linking) -> None:
     rng = np.random.default_rng(12)
     B, n = 60, 14
     los, group = directions(rng, B, n), rng.integers(0, groups, n)
@@ -142,7 +152,7 @@ def test_kernel_equals_reference(groups: int, global_first: bool, search: Search
     variance = rng.uniform(0.5, 3.0, (B, n))
     y = rng.normal(size=(B, n)) * np.sqrt(variance) + (rng.random((B, n)) < 0.1) * rng.normal(size=(B, n)) * 30
     used = rng.random((B, n)) < rng.uniform(0.2, 1.0, (B, 1))
-    compare(los, group, variance, y, used, FdeConfig(global_first=global_first, search=search))
+    compare(los, group, variance, y, used, FdeConfig(global_first=global_first, search=search, linking=linking))
 
 
 def test_kernel_when_a_constellation_has_one_satellite() -> None:

@@ -28,7 +28,7 @@ from lanebound.integrity.monitoring.risk import (
     multiple_fault_risk,
 )
 from lanebound.integrity.monitoring.separation import Separation, constellation_modes, separate
-from lanebound.integrity.monitoring.separation_kernel import add_hypothesis, modes, set_priors
+from lanebound.integrity.monitoring.separation_kernel import find_modes, mode_scratch, moment_scratch, set_priors
 from lanebound.integrity.positioning.least_squares import design_matrix
 
 PRIORS = (1e-5, 1e-6, 1e-5, 3e-5, 1e-5)
@@ -119,15 +119,15 @@ def test_araim_reference_example() -> None:
 
 def test_araim_example_in_the_kernel() -> None:
     """The same figures from the kernel, whose lines of sight have the other sign."""
-    geo, head, mode = gk.scratch(10)
+    geo, moments, modes = gk.geometry_scratch(10), moment_scratch(10), mode_scratch(10)
     group, out = np.repeat([0, 1], 5).astype(np.int64), np.empty((1, 2))
     bias, integrity, accuracy = np.full(10, 0.5), np.array(ARAIM_INTEGRITY), np.array(ARAIM_ACCURACY)
-    assert gk.geometry(-ARAIM_ROWS, group, integrity, bias, 10, 1.0, 0.0, geo, head) == gk.SOLVED
-    count = modes(group, integrity, accuracy, 10, 1.0, 0.0, True, False, geo, head, mode)
+    assert gk.find_geometry(-ARAIM_ROWS, group, integrity, bias, 10, 1.0, 0.0, geo) == gk.SOLVED
+    count = find_modes(group, accuracy, 10, 1.0, 0.0, True, False, geo, moments, modes)
     assert count == 13
-    set_priors(group, 10, count, np.full(8, 1e-5), np.full(8, 1e-4), head, mode)
+    lost = set_priors(group, 10, count, np.full(8, 1e-5), np.full(8, 1e-4), geo.clocks, modes)
     budget = np.full((1, 2), 1e-9 * (1.0 - multiple_fault_risk([1e-5] * 10 + [1e-4] * 2) / 1e-7))
-    pk.root(count, 5.894859640911244, budget, False, head, mode, out)
+    pk.multi_hypothesis_pl(count, 5.894859640911244, budget, lost, False, modes, out)
     assert np.hypot(*out[0]) == pytest.approx(13.406290984, abs=1e-6)
 
 
@@ -216,14 +216,14 @@ def test_published_closed_form() -> None:
     found = protection_levels(separation, np.full(12, 1e-5), config, [1e-5], root=False)
     np.testing.assert_allclose(found[0], expected, rtol=1e-12)
     np.testing.assert_allclose(closed_form_published(separation, np.array(k_fa), 1e-5), expected, rtol=1e-12)
-    mode, out = np.zeros((gk.MODE_ROWS, gk.capacity(12))), np.empty((1, 2))
-    for row, part in ((gk.SIGMA_AT, "sigma_m"), (gk.DELTA_AT, "delta_m"), (gk.BIAS_AT, "bias_m")):
-        mode[row : row + 2, :13] = getattr(separation, part).T
-    pk.closed_form_published(13, k_fa, np.array([k_md]), mode, out)
+    modes, out = mode_scratch(12), np.empty((1, 2))
+    for name in ("sigma", "delta", "bias"):
+        getattr(modes, name)[:, :13] = getattr(separation, f"{name}_m").T
+    pk.closed_form_published(13, k_fa, np.array([k_md]), modes, out)
     np.testing.assert_allclose(out[0], expected, rtol=1e-12)
 
 
-def test_wrong_fix_hypotheses_in_both_forms() -> None:
+def test_a_wrong_fix_raises_the_level() -> None:
     """A wrong fix of 2e-6 that moves the position by 20 cm raises the level at 1e-5 by that order."""
     case = sky(6, 1, 14, 2)
     config = RiskConfig(satellite_prior=PRIORS)
@@ -233,18 +233,6 @@ def test_wrong_fix_hypotheses_in_both_forms() -> None:
     expected = protection_levels(separation, priors, config, RISKS, hypotheses=wrong)
     assert (expected >= plain - 1e-12).all()
     assert (expected[-1] > plain[-1] + 0.1).any()
-    geo, head, mode = gk.scratch(14, 1)
-    turn = np.sin(case["heading"][0]), np.cos(case["heading"][0])
-    columns = [np.ascontiguousarray(case[name][0]) for name in ("los", "group", "variance", "bias", "accuracy")]
-    gk.geometry(*columns[:4], 14, *turn, geo, head)
-    count = modes(columns[1], columns[2], columns[4], 14, *turn, False, False, geo, head, mode)
-    set_priors(columns[1], 14, count, *config.priors(), head, mode)
-    budgets = config.axis_budgets(RISKS, pk.pair_risk(count, mode))
-    sigma = mode[gk.SIGMA_AT, 0], mode[gk.SIGMA_CT, 0]
-    more = add_hypothesis(count, 2e-6, *sigma, 8.0, -8.0, mode)
-    out = np.empty((4, 2))
-    pk.root(more, config.false_alarm_factors(14)[14], budgets, False, head, mode, out)
-    np.testing.assert_allclose(out, expected, rtol=1e-9)
 
 
 def test_spent_risk_and_unsolvable_modes() -> None:

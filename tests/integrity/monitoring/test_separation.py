@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -19,7 +21,7 @@ from lanebound.integrity.monitoring.separation import (
     satellite_modes,
     separate,
 )
-from lanebound.integrity.monitoring.separation_kernel import modes, set_priors
+from lanebound.integrity.monitoring.separation_kernel import Modes, find_modes, mode_scratch, moment_scratch, set_priors
 from lanebound.integrity.positioning.least_squares import design_matrix, dilution, solve
 
 PRIORS = np.full(gk.MAX_GROUPS, 1e-5)
@@ -55,27 +57,41 @@ class Case:
             variant=variant,
         )
 
-    def kernel(self, published: bool = False) -> tuple[int, int, np.ndarray, np.ndarray, np.ndarray]:
-        geo, head, mode = gk.scratch(self.n)
+    def kernel(self, published: bool = False) -> Found:
+        geo, modes = gk.geometry_scratch(self.n), mode_scratch(self.n)
         turn = np.sin(self.heading), np.cos(self.heading)
-        status = gk.geometry(self.los, self.group, self.variance, self.bias, self.n, *turn, geo, head)
-        if status != gk.SOLVED:
-            return status, 0, geo, head, mode
-        gk.solve(self.y, self.group, self.n, geo, head)
-        count = modes(self.group, self.variance, self.accuracy, self.n, *turn, True, published, geo, head, mode)
-        set_priors(self.group, self.n, count, PRIORS, 2.0 * PRIORS, head, mode)
-        return status, count, geo, head, mode
+        status, count, lost = (
+            gk.find_geometry(self.los, self.group, self.variance, self.bias, self.n, *turn, geo),
+            0,
+            0.0,
+        )
+        if status == gk.SOLVED:
+            gk.solve(self.y, self.group, self.n, geo)
+            moments = moment_scratch(self.n)
+            count = find_modes(self.group, self.accuracy, self.n, *turn, True, published, geo, moments, modes)
+            lost = set_priors(self.group, self.n, count, PRIORS, 2.0 * PRIORS, geo.clocks, modes)
+        return Found(status, count, geo, modes, lost)
 
 
-def check_columns(reference: Separation, count: int, mode: np.ndarray, tolerance: float = 1e-9) -> None:
+class Found(NamedTuple):
+    """What the kernels found."""
+
+    status: int
+    count: int
+    geo: gk.Geometry
+    modes: Modes
+    lost: float
+
+
+def check_columns(reference: Separation, found: Found, tolerance: float = 1e-9) -> None:
+    count, modes = found.count, found.modes
     assert count == reference.sigma_m.shape[0]
-    solved = np.isfinite(mode[gk.SIGMA_AT, :count])
+    solved = np.isfinite(modes.sigma[0, :count])
     np.testing.assert_array_equal(solved, reference.solved)
-    rows = {"sigma_m": gk.SIGMA_AT, "delta_m": gk.DELTA_AT, "bias_m": gk.BIAS_AT, "separation_m": gk.D_AT}
-    for name, row in rows.items():
-        expected = getattr(reference, name)[solved]
+    for name in ("sigma", "delta", "bias", "separation"):
+        expected = getattr(reference, f"{name}_m")[solved]
         scale = np.abs(expected) + reference.sigma_m[solved] * 1e-3
-        assert (np.abs(mode[row : row + 2, :count].T[solved] - expected) <= tolerance * scale).all(), name
+        assert (np.abs(getattr(modes, name)[:, :count].T[solved] - expected) <= tolerance * scale).all(), name
 
 
 @pytest.mark.parametrize(
@@ -84,14 +100,14 @@ def check_columns(reference: Separation, count: int, mode: np.ndarray, tolerance
 def test_kernel_equals_reference(n: int, systems: int) -> None:
     for seed in range(6):
         case = Case(seed, n, systems)
-        status, count, geo, head, mode = case.kernel()
-        assert status == gk.SOLVED
-        free = geo[gk.FREE, :n].min()
-        check_columns(case.reference(), count, mode, 1e-9 * max(1.0, 1e-3 / max(free, 1e-9)))
+        found = case.kernel()
+        assert found.status == gk.SOLVED
+        geo, free = found.geo, found.geo.free[:n].min()
+        check_columns(case.reference(), found, 1e-9 * max(1.0, 1e-3 / max(free, 1e-9)))
         fix = solve(design_matrix(case.los, case.group, systems), np.diag(case.variance), case.y)
-        np.testing.assert_allclose(head[gk.X_E : gk.X_U + 1], fix.estimate[:3], rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(geo[gk.RESIDUAL, :n], fix.residual, atol=1e-9)
-        assert head[gk.CHI2] == pytest.approx(float(fix.chi2), rel=1e-9)
+        np.testing.assert_allclose(geo.fix["position"][0], fix.estimate[:3], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(geo.residual[:n], fix.residual, atol=1e-9)
+        assert geo.fix["chi2"][0] == pytest.approx(float(fix.chi2), rel=1e-9)
         expected = dilution(design_matrix(case.los, case.group, systems), np.eye(n))
         assert hdop_of(case.los, case.group, np.ones(n, dtype=np.bool_)) == pytest.approx(float(expected.hdop))
 
@@ -100,17 +116,16 @@ def test_kernel_equals_reference(n: int, systems: int) -> None:
 def test_kernel_equals_reference_with_published_bias(n: int, systems: int) -> None:
     for seed in range(4):
         case = Case(seed, n, systems)
-        _, count, _, _, mode = case.kernel(published=True)
-        check_columns(case.reference(variant=Variant.PUBLISHED), count, mode)
+        check_columns(case.reference(variant=Variant.PUBLISHED), case.kernel(published=True))
 
 
 def test_a_satellite_alone_with_its_clock_changes_nothing() -> None:
     case = Case(3, 10, 1)
     case.group[4] = 2
-    _, count, _, _, mode = case.kernel()
-    check_columns(case.reference(), count, mode)
-    assert mode[gk.SIGMA_AT, 5] == mode[gk.SIGMA_AT, 0]
-    assert mode[gk.DELTA_AT, 5] == mode[gk.D_CT, 5] == 0.0
+    found = case.kernel()
+    check_columns(case.reference(), found)
+    assert found.modes.sigma[0, 5] == found.modes.sigma[0, 0]
+    assert found.modes.delta[0, 5] == found.modes.separation[1, 5] == 0.0
 
 
 def test_nearly_singular_subset_keeps_relative_accuracy() -> None:
@@ -120,33 +135,33 @@ def test_nearly_singular_subset_keeps_relative_accuracy() -> None:
     case.los[:-1, :2] /= np.linalg.norm(case.los[:-1, :2], axis=1, keepdims=True) / np.sqrt(1 - 0.09)
     case.los[-2] = [np.sqrt(1 - 0.301**2), 0.0, 0.301]
     case.los[-1] = [0.0, 0.6, 0.8]
-    _, count, geo, _, mode = case.kernel()
-    assert 1e-8 < geo[gk.FREE, 8] < 1e-3
-    check_columns(case.reference(), count, mode, 1e-8)
+    found = case.kernel()
+    assert 1e-8 < found.geo.free[8] < 1e-3
+    check_columns(case.reference(), found, 1e-8)
 
 
 def test_modes_without_solution_are_marked() -> None:
     """Five satellites and two clocks: any loss leaves four rows for five unknowns."""
     case = Case(1, 5, 2)
-    status, count, _, head, mode = case.kernel()
-    assert (status, count) == (gk.SOLVED, 8)
-    assert np.isinf(mode[gk.SIGMA_AT, 1:8]).all()
-    assert (mode[gk.WEIGHT, 1:8] == 0.0).all()
-    assert head[gk.LOST] == pytest.approx(5 * 1e-5 + 2 * 2e-5)
+    found = case.kernel()
+    assert (found.status, found.count) == (gk.SOLVED, 8)
+    assert np.isinf(found.modes.sigma[0, 1:8]).all()
+    assert (found.modes.weight[1:8] == 0.0).all()
+    assert found.lost == pytest.approx(5 * 1e-5 + 2 * 2e-5)
     assert not case.reference().solved[1:].any()
 
 
 @pytest.mark.parametrize(("n", "systems", "status"), [(0, 1, gk.TOO_FEW), (1, 1, gk.TOO_FEW), (4, 2, gk.TOO_FEW)])
 def test_too_few(n: int, systems: int, status: int) -> None:
-    found, _, _, head, _ = Case(0, n, systems).kernel()
-    assert found == status
-    assert np.isinf(head[gk.SIGMA0_AT])
+    found = Case(0, n, systems).kernel()
+    assert found.status == status
+    assert np.isinf(found.geo.fix["sigma"]).all()
 
 
 def test_one_direction_is_singular() -> None:
     case = Case(0, 7, 1)
     case.los[:] = [0.6, 0.0, 0.8]
-    assert case.kernel()[0] == gk.SINGULAR
+    assert case.kernel().status == gk.SINGULAR
 
 
 def test_separation_by_definition_with_correlated_rows() -> None:
@@ -218,15 +233,16 @@ def test_exact_form_turns_with_the_sky(seed: int, turn: float) -> None:
 @given(seed=st.integers(0, 1000))
 def test_order_of_satellites_does_not_matter(seed: int) -> None:
     case = Case(seed, 13, 3)
-    _, count, _, _, before = case.kernel()
+    before = case.kernel()
     order = np.random.default_rng(seed).permutation(13)
     for name in ("los", "group", "variance", "accuracy", "bias", "y"):
         setattr(case, name, np.ascontiguousarray(getattr(case, name)[order]))
-    _, _, _, _, after = case.kernel()
-    columns = np.concatenate([[0], 1 + order, np.arange(14, count)])
-    known = np.isfinite(before[gk.SIGMA_AT, columns])
-    rows = slice(gk.SIGMA_AT, gk.D_CT + 1)
-    np.testing.assert_allclose(after[rows, :count][:, known], before[rows, columns][:, known], rtol=1e-7, atol=1e-9)
+    after = case.kernel()
+    columns = np.concatenate([[0], 1 + order, np.arange(14, before.count)])
+    known = np.isfinite(before.modes.sigma[0, columns])
+    for one, two in zip(after.modes[:4], before.modes[:4], strict=True):
+        found, expected = one[:, : before.count][:, known], two[:, columns][:, known]
+        np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9)
 
 
 @settings(max_examples=60, deadline=None)
@@ -235,10 +251,11 @@ def test_kernel_never_gives_nan(seed: int, n: int, systems: int, spread: float) 
     case = Case(seed, n, systems)
     case.los = case.los * [spread, 1.0, 1.0]
     case.los /= np.linalg.norm(case.los, axis=1, keepdims=True)
-    _, count, geo, head, mode = case.kernel()
-    assert not np.isnan(mode[:, :count]).any()
-    assert not np.isnan(head).any()
-    assert not np.isnan(geo[: gk.RESIDUAL]).any()
+    found = case.kernel()
+    for part in (*found.modes[:4], *found.geo[2:7]):
+        assert not np.isnan(part[..., : found.count]).any()
+    for name in found.geo.fix.dtype.names:
+        assert not np.isnan(found.geo.fix[name]).any()
 
 
 def test_bad_input_is_named() -> None:

@@ -1,4 +1,4 @@
-"""The corridor from truth to belief: fixes, outages, modes, faults, reproducible bits, refusals."""
+"""The navigator: fixes, outages, modes, faults, reproducible bits, refusals."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from scipy.stats import norm
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.frames import wrap_angle
 from lanebound.integrity.core.streams import Streams
-from lanebound.integrity.monitoring import dead_reckoning_pl_kernel as dk
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.monitoring.dead_reckoning_pl import initial_growth
 from lanebound.integrity.monitoring.dead_reckoning_pl import protection_levels as protection_levels_dead
@@ -23,8 +22,8 @@ from lanebound.integrity.monitoring.risk import RiskConfig
 from lanebound.integrity.monitoring.separation import satellite_modes, separate
 from lanebound.integrity.motion.drive import CityDrive, DriveConfig
 from lanebound.integrity.motion.truth import Truth, truth_between
-from lanebound.integrity.navigators import navigator_columns_kernel as col
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import LATEST
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rtk_status import RtkStatus
@@ -218,6 +217,8 @@ def test_levels_that_do_not_fit_the_tests_are_refused() -> None:
         NOMINAL.replace(fde={"alpha": 1e-4})
     with pytest.raises(ConfigError, match="constellation_prior"):
         NOMINAL.replace(risk={"constellation_prior": [1e-4] * 5})
+    with pytest.raises(ConfigError, match="global_first"):
+        NOMINAL.replace(fde={"global_first": True})
 
 
 def test_jamming_everything_leaves_the_odometer() -> None:
@@ -388,8 +389,8 @@ def _creeping(rate_mps: float, config: NavigatorConfig = CALM) -> _Drive:
 
 
 @pytest.mark.parametrize(("rate_mps", "after_s"), [(0.2, 6.0), (0.5, 3.0), (1.0, 1.5), (2.0, 0.5)])
-def test_a_position_that_creeps_away_is_found_out_by_who_does_not_listen_to_it(rate_mps: float, after_s: float) -> None:
-    """No epoch shows it: each moves by less than its levels. What is gone back to had crept by a metre or so."""
+def test_the_backup_solution_detects_a_position_that_drifts(rate_mps: float, after_s: float) -> None:
+    """No single epoch shows the drift: each moves by less than its levels. The backup solution had drifted a metre."""
     run = _creeping(rate_mps)
     late = DT * np.arange(len(run.solutions)) > after_s
     assert run.alert[late].all()
@@ -401,8 +402,8 @@ def test_a_position_that_creeps_away_is_found_out_by_who_does_not_listen_to_it(r
     np.testing.assert_allclose(refused_en_m - run.truth_en_m[-1], np.broadcast_to(shift_en_m, (4, 2)), atol=0.2)
 
 
-def test_without_a_witness_a_position_that_creeps_is_followed() -> None:
-    rtk = CALM.positioning.rtk.replace(witness_s=0.0)
+def test_without_a_backup_solution_a_position_that_drifts_is_followed() -> None:
+    rtk = CALM.positioning.rtk.replace(backup_s=0.0)
     run = _creeping(0.5, CALM.replace(positioning=CALM.positioning.replace(rtk=rtk)))
     assert (run.mode == Mode.RTK).all()
     assert run.error_m[-1].min() > 9.9
@@ -626,15 +627,16 @@ def test_levels_in_a_tunnel_are_those_of_the_plain_form() -> None:
     more = [{"integrity_risk": r, "variant": v} for r in (1e-3, RISK) for v in ("published", "exact")]
     navigator = _navigator(CALM.replace(more_levels=more), mask=_tunnel(150.0, 400.0))
     run = _Cars(navigator).drive(20.0)
-    g, start = navigator.state.growth[:, col.LATEST], navigator.state.start[:, col.LATEST]
+    g, start = navigator.state.belief.growth[:, LATEST], navigator.state.belief.starts[:, LATEST]
     wrong = CALM.positioning.rtk.ambiguity_risk_share * RISK
     for r, case in enumerate(navigator.config.cases):
         growth = initial_growth(run.covariance_en_m2[-1], np.zeros((4, 2)), 0.0)
         growth = replace(
             growth,
-            by_heading_m=g[:, [dk.CTH_E, dk.CTH_N]], by_speed_m=g[:, [dk.CV_E, dk.CV_N]],
-            box_m=g[:, [dk.BOX_E, dk.BOX_N]] + start[:, r, :2],
-        )  # fmt: skip
+            by_heading_m=np.stack([g["cth_e"], g["cth_n"]], -1),
+            by_speed_m=np.stack([g["cv_e"], g["cv_n"]], -1),
+            box_m=np.stack([g["box_e"] + start["bias_e"][:, r], g["box_n"] + start["bias_n"][:, r]], -1),
+        )
         config = RiskConfig(variant=case.variant, unmonitored_risk=wrong)
         expected = protection_levels_dead(growth, run.heading_rad[-1], config, [case.integrity_risk])[:, 0]
         np.testing.assert_allclose(run.pl_cases_m[-1, :, r], expected, rtol=1e-9)
@@ -665,7 +667,7 @@ def test_fault_free_traffic_raises_no_doubt() -> None:
     state = car.start(streams, 500.0)
     for _ in range(250):
         navigator.step(car.step(state, streams))
-        assert not navigator.state.belief[:, col.UNBOUNDED].any()
+        assert not navigator.state.belief.vehicles["unbounded"].any()
 
 
 def test_unfit_truth_is_refused() -> None:
@@ -692,17 +694,17 @@ def test_an_unseen_slip_is_caught_at_its_epoch_before_the_fault_test_meets_it() 
     cars = _Cars(_navigator())
     before = cars.drive(9.0).solutions[-1]
     row = int(np.flatnonzero(before.held.all(0) & (TRACK.system == System.GPS))[0])
-    kept = cars.navigator.state.integers[:, row].copy()
+    kept = cars.navigator.state.belief.ambiguities["integers"][:, row].copy()
     cars.navigator.faults = FaultSchedule((_slip(row, 1, 9.5),))
     run = cars.drive(1.0)
     assert not run.excluded.any()
     assert (run.mode == Mode.RTK).all()
     assert run.error_m.max() < 0.05
-    moved = cars.navigator.state.integers[:, row] - kept
+    moved = cars.navigator.state.belief.ambiguities["integers"][:, row] - kept
     regained = run.held[-1, :, row]
     assert regained.any()
     np.testing.assert_array_equal(moved[regained], 1.0)
-    assert (cars.navigator.state.fix_id[:, row] > 1).all()
+    assert (cars.navigator.state.belief.ambiguities["fix_id"][:, row] > 1).all()
 
 
 def test_half_cycles_stop_rtk_no_longer_than_the_receiver_needs_to_correct_them() -> None:
@@ -710,7 +712,7 @@ def test_half_cycles_stop_rtk_no_longer_than_the_receiver_needs_to_correct_them(
     cars = _Cars(_navigator())
     cars.drive(6.0)
     cars.navigator.state.gnss.ambiguity[:, ::2] += 1.0
-    cars.navigator.state.held[:] = False
+    cars.navigator.state.belief.ambiguities["held"] = False
     run = cars.drive(CALM.gnss.half_cycle_resolve_s + 2.0)
     assert (run.mode[:30] != Mode.RTK).any(axis=0).all()
     assert (run.mode[-1] == Mode.RTK).all()
@@ -723,7 +725,7 @@ def test_one_carrier_half_a_cycle_off_stops_nothing() -> None:
     before = cars.drive(6.0).solutions[-1]
     row = int(np.flatnonzero(before.held.all(0) & (TRACK.system == System.GPS))[0])
     cars.navigator.state.gnss.ambiguity[:, row] += 1.0
-    cars.navigator.state.held[:] = False
+    cars.navigator.state.belief.ambiguities["held"] = False
     run = cars.drive(1.5)
     assert (run.rtk[5:] == RtkStatus.FIXED.code).all()
     assert not run.held[:, :, row].any()
@@ -732,12 +734,16 @@ def test_one_carrier_half_a_cycle_off_stops_nothing() -> None:
 
 def test_a_placed_vehicle_starts_from_its_prior_and_leaves_the_others_alone() -> None:
     navigator = Navigator.nominal(NavigatorConfig(), [1, 2, 3])
-    before = navigator.state.belief.copy()
+    before = navigator.state.belief.vehicles.copy()
     navigator.place(np.array([[4.0, -2.0]]), np.array([0.3]), 0.05, 0.01, np.array([1]))
-    belief, growth = navigator.state.belief, navigator.state.growth
-    assert belief[1, [col.EAST, col.NORTH, col.HEADING]].tolist() == [4.0, -2.0, 0.3]
-    np.testing.assert_array_equal(belief[[0, 2]], before[[0, 2]])
-    assert np.unique(growth[1]).tolist() == [0.0, 0.01**2, 0.05**2]
+    vehicles, growth = navigator.state.belief.vehicles, navigator.state.belief.growth[1]
+    assert vehicles["position"][1].tolist() == [4.0, -2.0, 0.0]
+    assert vehicles["heading"]["angle"][1] == 0.3
+    np.testing.assert_array_equal(vehicles[[0, 2]], before[[0, 2]])
+    assert (growth["p_ee"] == 0.05**2).all()
+    assert (growth["p_nn"] == 0.05**2).all()
+    assert (growth["var_th"] == 0.01**2).all()
+    assert not any(growth[name].any() for name in growth.dtype.names if name not in ("p_ee", "p_nn", "var_th"))
 
 
 def test_a_prior_without_spread_is_refused() -> None:

@@ -7,10 +7,8 @@ from scipy.stats import binom, norm
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.positioning.ambiguity import (
     SearchStatus,
-    ambiguity_work,
     bootstrap_failure_rate,
     integer_least_squares,
-    partial_least_squares,
     resolve,
 )
 
@@ -82,19 +80,6 @@ def test_misuse_is_an_error(solve: object) -> None:
     ):
         with pytest.raises(InputError):
             solve(a, Q, **options)  # type: ignore[operator]
-    with pytest.raises(InputError, match="n_max"):
-        ambiguity_work(-1)
-    with pytest.raises(InputError, match="failure_limit"):
-        partial_least_squares(np.zeros(2), np.eye(2), 0.0)
-
-
-def test_partial_fixing_of_unusable_input() -> None:
-    assert partial_least_squares([np.nan, 0.0], Q2, 1e-3)[2:] == (0, SearchStatus.NOT_FINITE)
-    assert partial_least_squares([0.1, 0.0], -Q2, 1e-3)[2:] == (0, SearchStatus.NOT_POSITIVE_DEFINITE)
-    candidates, norms, fixed, status = partial_least_squares([0.1, 0.3], 9 * np.eye(2), 1e-3)
-    assert (fixed, status) == (0, SearchStatus.OK)
-    np.testing.assert_allclose(candidates[0], [0.1, 0.3])
-    np.testing.assert_array_equal(norms, [0.0, np.inf])
 
 
 def test_failure_rate_closed_forms() -> None:

@@ -92,37 +92,10 @@ def test_kernel_equals_reference(
     slow = detect(
         phase, lambdas, p, PHASE_M, s_p, IONO_M, 3.0, geometry_free_m=g, code_change_m=code, sigma_code_m=s_code
     )
-    ones, flags = np.ones(6), np.zeros(6, dtype=np.int64)
-    kernel.detect_slips(
-        phase,
-        code,
-        p,
-        g * ones,
-        lambdas,
-        ones > 0,
-        PHASE_M * ones,
-        s_p * ones,
-        IONO_M * ones,
-        s_code * ones,
-        3.0,
-        flags,
-    )
-    np.testing.assert_array_equal(flags, slow)
-    kernel.detect_slips(
-        phase,
-        code,
-        p,
-        g * ones,
-        lambdas,
-        ones < 0,
-        PHASE_M * ones,
-        s_p * ones,
-        IONO_M * ones,
-        s_code * ones,
-        3.0,
-        flags,
-    )
-    np.testing.assert_array_equal(flags, 0)
+    deviation = kernel.Deviations(PHASE_M, s_p, IONO_M, s_code)
+    for i in range(6):
+        change = kernel.Changes(*phase[i], p[i], g, *code[i])
+        assert kernel.detect_slip(change, *lambdas[i], deviation, 3.0) == slow[i]
 
 
 def test_an_active_ionosphere_is_followed() -> None:
@@ -158,7 +131,7 @@ def repaired(phase: Array, p: float, s_p: float = PREDICTED_M) -> tuple[int, Arr
     """Kernel repair with this file's noise."""
     slips = np.empty(2)
     status = kernel.repair_slip(
-        phase[0], phase[1], LAMBDA[0], LAMBDA[1], p, 0.0, PHASE_M, s_p, IONO_M,
+        kernel.Changes(phase[0], phase[1], p, 0.0, 0.0, 0.0), *LAMBDA, kernel.Deviations(PHASE_M, s_p, IONO_M, np.inf),
         CONFIG.repair_failure_rate, CONFIG.fit_limit, slips,
     )  # fmt: skip
     return status, slips

@@ -6,7 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
+from lanebound.integrity.positioning.config import HeadingConfig, calibration_parameters
 from lanebound.integrity.positioning.heading_kernel import (
+    HEADING,
     correct,
     doppler_heading_usable,
     doppler_heading_variance,
@@ -22,8 +24,14 @@ DOPPLER_SIGMA, TAU_S = 0.01, 0.54  # 0.1 m/s at 10 m/s, correlated over 0.54 s
 few = settings(max_examples=40, deadline=None, derandomize=True)
 
 
-def _initial_covariance():
-    return np.array([HEADING_SIGMA**2, 0.0, BIAS_SIGMA**2])
+def _filter(angle=0.0, bias=0.0, p=(HEADING_SIGMA**2, 0.0, BIAS_SIGMA**2)):
+    h = np.zeros(1, HEADING)[0]
+    h["angle"], h["gyro_bias"], h["p_hh"], h["p_hb"], h["p_bb"] = angle, bias, *p
+    return h
+
+
+def _covariance(h):
+    return _matrix([h["p_hh"], h["p_hb"], h["p_bb"]])
 
 
 def _matrix(p):
@@ -52,9 +60,10 @@ def test_prediction_is_the_matrix_form(p, dt, bias, increment):
     # the true bias turns the vehicle less than the gyro says: d_heading' = d_heading - dt d_bias
     F = np.array([[1.0, -dt], [0.0, 1.0]])
     expected = F @ _matrix(p) @ F.T + np.diag([ARW**2 * dt, BIAS_WALK**2 * dt])
-    found = predict_heading(3.0, bias, p, increment, dt, ARW, BIAS_WALK)
-    assert math.remainder(found - (3.0 + increment - bias * dt), 2.0 * math.pi) == pytest.approx(0.0, abs=1e-12)
-    np.testing.assert_allclose(_matrix(p), expected, rtol=1e-9, atol=1e-12)
+    h = _filter(3.0, bias, p)
+    predict_heading(increment, dt, ARW, BIAS_WALK, h)
+    assert math.remainder(h["angle"] - (3.0 + increment - bias * dt), 2.0 * math.pi) == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(_covariance(h), expected, rtol=1e-9, atol=1e-12)
 
 
 @few
@@ -67,51 +76,52 @@ def test_prediction_is_the_matrix_form(p, dt, bias, increment):
 def test_correction_is_the_matrix_form(p, h, variance, innovation):
     H, P = np.array([h]), _matrix(p)
     K = P @ H.T / (H @ P @ H.T + variance)
-    heading, bias = correct(0.2, 0.001, p, innovation, *h, variance)
-    assert math.remainder(heading - 0.2 - K[0, 0] * innovation, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-11)
-    assert bias == pytest.approx(0.001 + K[1, 0] * innovation, abs=1e-11)
+    state = _filter(0.2, 0.001, p)
+    correct(innovation, *h, variance, state)
+    assert math.remainder(state["angle"] - 0.2 - K[0, 0] * innovation, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-11)
+    assert state["gyro_bias"] == pytest.approx(0.001 + K[1, 0] * innovation, abs=1e-11)
     joseph = (np.eye(2) - K @ H) @ P @ (np.eye(2) - K @ H).T + K * variance @ K.T
-    np.testing.assert_allclose(_matrix(p), joseph, rtol=1e-8, atol=1e-11)
-    assert np.linalg.eigvalsh(_matrix(p)).min() > 0.0
+    np.testing.assert_allclose(_covariance(state), joseph, rtol=1e-8, atol=1e-11)
+    assert np.linalg.eigvalsh(_covariance(state)).min() > 0.0
 
 
 def test_a_correction_crosses_north_and_south_the_short_way():
-    p = np.array([1.0, 0.0, 1.0])
-    heading, _ = correct(math.pi - 0.01, 0.0, p, 0.1, 1.0, 0.0, 1.0)
-    assert heading == pytest.approx(-math.pi + 0.04)
+    h = _filter(math.pi - 0.01, 0.0, (1.0, 0.0, 1.0))
+    correct(0.1, 1.0, 0.0, 1.0, h)
+    assert h["angle"] == pytest.approx(-math.pi + 0.04)
 
 
 def test_standstill_teaches_the_bias_and_leaves_the_heading():
     # At rest the gyro reads its bias plus white noise of variance arw^2 / dt: the information adds up.
     rng = np.random.default_rng(4)
-    true_bias, p, bias, n = 0.006, _initial_covariance(), 0.0, 200
+    true_bias, h, n = 0.006, _filter(1.0), 200
     variance = ARW**2 / DT_S
     for noise in rng.normal(size=n) * math.sqrt(variance):
-        heading, bias = correct(1.0, bias, p, true_bias + noise - bias, 0.0, 1.0, variance)
-    assert heading == 1.0
-    assert p[2] == pytest.approx(1.0 / (1.0 / BIAS_SIGMA**2 + n / variance))
-    np.testing.assert_array_equal(p[:2], [HEADING_SIGMA**2, 0.0])
-    assert abs(bias - true_bias) < 3.29 * math.sqrt(p[2])  # fails by chance once in 1000 seeds
+        correct(true_bias + noise - h["gyro_bias"], 0.0, 1.0, variance, h)
+    assert h["angle"] == 1.0
+    assert h["p_bb"] == pytest.approx(1.0 / (1.0 / BIAS_SIGMA**2 + n / variance))
+    assert (h["p_hh"], h["p_hb"]) == (HEADING_SIGMA**2, 0.0)
+    assert abs(h["gyro_bias"] - true_bias) < 3.29 * math.sqrt(h["p_bb"])  # fails by chance once in 1000 seeds
 
 
 def test_standstill_while_drifting_stops_the_heading_too():
     # The heading error came from the bias, so learning the bias at rest corrects the heading it has already turned.
-    true_bias, p, heading, bias = 0.006, np.array([1e-8, 0.0, BIAS_SIGMA**2]), 0.0, 0.0
+    true_bias, h = 0.006, _filter(p=(1e-8, 0.0, BIAS_SIGMA**2))
     for _ in range(100):
-        heading = predict_heading(heading, bias, p, true_bias * DT_S, DT_S, 1e-9, 1e-9)
-    assert heading == pytest.approx(0.06)
-    heading, bias = correct(heading, bias, p, true_bias - bias, 0.0, 1.0, 1e-12)
-    assert bias == pytest.approx(true_bias, rel=1e-5)
-    assert heading == pytest.approx(0.0, abs=1e-6)
+        predict_heading(true_bias * DT_S, DT_S, 1e-9, 1e-9, h)
+    assert h["angle"] == pytest.approx(0.06)
+    correct(true_bias - h["gyro_bias"], 0.0, 1.0, 1e-12, h)
+    assert h["gyro_bias"] == pytest.approx(true_bias, rel=1e-5)
+    assert h["angle"] == pytest.approx(0.0, abs=1e-6)
 
 
 def _calibrate(inflation, runs=150, epochs=400, seed=6):
-    """Errors (runs, 2) and covariances (runs, 3) after ``epochs`` of gyro with bias and correlated Doppler headings."""
+    """Errors (runs, 2) and filters (runs,) after ``epochs`` of gyro with bias and correlated Doppler headings."""
     rng = np.random.default_rng(seed)
     true = np.full(runs, 3.0)
     gyro_bias = BIAS_SIGMA * rng.normal(size=runs)
-    heading, bias = true + HEADING_SIGMA * rng.normal(size=runs), np.zeros(runs)
-    p = np.tile(_initial_covariance(), (runs, 1))
+    h = np.repeat(np.array([_filter()]), runs)
+    h["angle"] = true + HEADING_SIGMA * rng.normal(size=runs)
     phi = math.exp(-DT_S / TAU_S)
     doppler_error = DOPPLER_SIGMA * rng.normal(size=runs)
     for k in range(epochs):
@@ -122,15 +132,15 @@ def _calibrate(inflation, runs=150, epochs=400, seed=6):
         white = math.sqrt(1.0 - phi**2) * DOPPLER_SIGMA * rng.normal(size=runs)
         doppler_error = phi * doppler_error + white
         for i in range(runs):
-            predicted = predict_heading(heading[i], bias[i], p[i], increment[i], DT_S, ARW, BIAS_WALK)
-            innovation = wrap(true[i] + doppler_error[i] - predicted)
-            heading[i], bias[i] = correct(predicted, bias[i], p[i], innovation, 1.0, 0.0, inflation * DOPPLER_SIGMA**2)
-    heading_error = np.array([wrap(angle) for angle in true - heading])
-    return np.column_stack([heading_error, gyro_bias - bias]), p
+            predict_heading(increment[i], DT_S, ARW, BIAS_WALK, h[i])
+            innovation = wrap(true[i] + doppler_error[i] - h["angle"][i])
+            correct(innovation, 1.0, 0.0, inflation * DOPPLER_SIGMA**2, h[i])
+    heading_error = np.array([wrap(angle) for angle in true - h["angle"]])
+    return np.column_stack([heading_error, gyro_bias - h["gyro_bias"]]), h
 
 
-def _nees(errors, p):
-    return np.array([e @ np.linalg.solve(_matrix(q), e) for e, q in zip(errors, p, strict=True)])
+def _nees(errors, h):
+    return np.array([e @ np.linalg.solve(_covariance(q), e) for e, q in zip(errors, h, strict=True)])
 
 
 def test_calibration_converges_and_its_covariance_is_honest():
@@ -148,7 +158,7 @@ def test_repeating_a_correlated_heading_as_if_white_feigns_precision():
     assert _nees(errors, p).sum() > 3.0 * chi2.ppf(1.0 - 1e-9, df=errors.size)
 
 
-LIMITS = np.array([0.5, 1.5, 2.5, math.radians(2.0)])  # S1 table 1, third column; S2 section 2.2
+LIMITS = calibration_parameters(HeadingConfig())[0]  # S1 table 1, third column; S2 section 2.2
 USABLE = {"v_gnss": 5.0, "v_ss": 5.0, "hdop": 1.0, "jump": 0.0}
 
 

@@ -10,12 +10,10 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.positioning import lambda_kernel as kernel
 from lanebound.integrity.positioning.ambiguity import (
-    ambiguity_work,
     bootstrap_failure_rate,
     decorrelate,
     integer_least_squares,
     largest_prefix,
-    partial_least_squares,
     resolve,
 )
 
@@ -54,17 +52,14 @@ def random_problem(n: int, seed: int) -> tuple[Array, Array]:
 def run(
     a: Array, Q: Array, m: int = 2, capacity: int = 0, node_limit: int = 100_000
 ) -> tuple[int, Array, Array, Array]:
-    """One cold kernel call: status, candidates, norms, transform."""
+    """One cold kernel call: status, candidates, norms, Z'."""
     n = len(a)
-    transform, work = ambiguity_work(max(n, capacity))
-    c = transform.shape[1]
+    c = max(n, capacity)
     padded_a, padded_q = np.full(c, np.nan), np.full((c, c), np.nan)
     padded_a[:n], padded_q[:n, :n] = a, Q
-    candidates, norms, D = np.zeros((m, c)), np.zeros(m), np.zeros(c)
-    status = kernel.integer_least_squares(
-        n, padded_a, padded_q, m, node_limit, False, transform, candidates, norms, D, work
-    )
-    return status, candidates[:, :n], norms, transform[:, :n, :n]
+    scratch = kernel.search_scratch(c, m)
+    status = kernel.integer_least_squares(n, padded_a, padded_q, node_limit, False, scratch)
+    return status, scratch.candidates[:, :n], scratch.norms, scratch.Zt[:n, :n]
 
 
 def test_published_example() -> None:
@@ -117,10 +112,9 @@ def test_fast_equals_reference_on_double_differences(n_pairs: int) -> None:
 @settings(max_examples=40, deadline=None)
 def test_decorrelation_is_unimodular_and_exact(n: int, seed: int) -> None:
     _, Q = random_problem(n, seed)
-    transform, work = ambiguity_work(n)
-    D = np.zeros(transform.shape[1])
-    assert kernel.decorrelate(n, Q, False, transform, work[1], D, work[0], work[3]) == kernel.OK
-    Z, inverse, U = transform[0, :n, :n].T, transform[1, :n, :n], work[1, :n, :n]
+    scratch = kernel.search_scratch(n, 2)
+    assert kernel.decorrelate(n, Q, False, scratch) == kernel.OK
+    Z, inverse, U, D = scratch.Zt.T, scratch.Z_inverse, scratch.U, scratch.D
     np.testing.assert_array_equal(Z, np.rint(Z))
     np.testing.assert_array_equal(Z @ inverse, np.eye(n))
     np.testing.assert_allclose(
@@ -165,7 +159,7 @@ def test_small_variances_skip_the_decorrelation() -> None:
     Q = Q * (0.0024 / np.diag(Q).max())
     status, candidates, norms, transform = run(a, Q)
     assert status == kernel.OK
-    np.testing.assert_array_equal(np.abs(transform[0]).sum(axis=1), 1.0)  # a permutation
+    np.testing.assert_array_equal(np.abs(transform).sum(axis=1), 1.0)  # a permutation
     slow = integer_least_squares(a, Q)
     np.testing.assert_array_equal(candidates, slow.candidates)
     np.testing.assert_allclose(norms, slow.norms, rtol=1e-9)
@@ -179,39 +173,10 @@ def test_node_limit_is_reported() -> None:
     np.testing.assert_array_equal(candidates[0], np.rint(candidates[0]))
 
 
-@pytest.mark.parametrize("n_pairs", [3, 8])
-def test_partial_fixing_equals_reference(n_pairs: int) -> None:
-    for seed in range(6):
-        a, Q = double_differences(n_pairs, np.random.default_rng(seed), code_m=0.5)
-        n = len(a)
-        transform, work = ambiguity_work(n)
-        candidates, norms, D = np.zeros((2, n)), np.zeros(2), np.zeros(transform.shape[1])
-        status, first = kernel.partial_least_squares(
-            n, a, Q, 2, 1e-3, 100_000, False, transform, candidates, norms, D, work
-        )
-        slow, slow_norms, fixed, slow_status = partial_least_squares(a, Q, 1e-3)
-        assert (status, n - first) == (slow_status, fixed)
-        found = np.isfinite(norms)
-        np.testing.assert_allclose(candidates[found], slow[found], atol=1e-7)
-        np.testing.assert_allclose(norms, slow_norms, rtol=1e-8)
-        assert kernel.bootstrap_failure_rate(first, n, D) <= 1e-3
-        if first:
-            assert kernel.bootstrap_failure_rate(first - 1, n, D) > 1e-3
-
-
-def test_partial_fixing_of_everything_is_integer_least_squares() -> None:
-    a, Q = double_differences(10, np.random.default_rng(0))
-    candidates, norms, fixed, _ = partial_least_squares(a, Q, 0.5)
-    assert fixed == len(a)
-    np.testing.assert_allclose(candidates, resolve(a, Q).candidates, atol=1e-8)
-    np.testing.assert_allclose(norms, resolve(a, Q).norms, rtol=1e-8)
-
-
 def prefix(Q: Array, order: NDArray[np.int64], group: int, limit: float) -> tuple[int, float]:
     """The kernel's largest prefix."""
-    transform, work = ambiguity_work(len(order))
-    D = np.zeros(transform.shape[1])
-    k, rate = kernel.largest_prefix(len(order) // group, group, order, Q, limit, transform, D, work)
+    ordered = np.ascontiguousarray(Q[np.ix_(order, order)])
+    k, rate = kernel.largest_prefix(len(order) // group, group, ordered, limit, kernel.search_scratch(len(order), 2))
     return k, rate
 
 

@@ -1,4 +1,4 @@
-"""A lying odometer is told by the accelerometer, the gyro or itself; a healthy one is left alone."""
+"""A faulty odometer is found by the accelerometer, the gyro or itself; a healthy one raises no doubt."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.drive import CityDrive, DriveConfig
 from lanebound.integrity.positioning import odometer_watch_kernel as wk
-from lanebound.integrity.positioning.config import DeadReckoningConfig
+from lanebound.integrity.positioning.config import DeadReckoningConfig, watch_parameters
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.imu import ImuConfig, initial_imu, sample_imu
 from lanebound.integrity.sensors.odometer import OdometerConfig, initial_odometer, sample_odometer
@@ -18,18 +18,18 @@ from lanebound.integrity.sky.road import Road
 Array = NDArray[np.float64]
 DT = 0.1
 CONFIG = DeadReckoningConfig()
-LIMITS = CONFIG.watch.packed(CONFIG)
+LIMITS = watch_parameters(CONFIG)[0]
 
 
 def _watch(
     speed: Array, forward: Array, lateral: Array | None = None, rate: Array | None = None, agrees: bool = False
 ) -> Array:
     """Doubt after each epoch, (T,)."""
-    w, zero = np.zeros(wk.WATCH_SIZE), np.zeros_like(speed)
+    w, zero = np.zeros(1, wk.ODOMETER_WATCH)[0], np.zeros_like(speed)
     lateral, rate, doubt = zero if lateral is None else lateral, zero if rate is None else rate, []
     for v, f, side, turn in zip(speed, forward, lateral, rate, strict=True):
-        wk.turning_at_rest(w, LIMITS, DT, v, turn)
-        doubt.append(wk.watch_odometer(w, LIMITS, DT, v, f, side, turn, False, agrees))
+        wk.turning_at_rest(DT, v, turn, LIMITS, w)
+        doubt.append(wk.watch_odometer(DT, v, f, side, turn, False, agrees, LIMITS, w))
     return np.array(doubt)
 
 
@@ -81,7 +81,7 @@ def test_doubt_ends_when_doppler_has_agreed() -> None:
 def test_every_allowance_used_up_gives_few_false_alarms() -> None:
     """Bias, steepest road and noise at their bounds for 20,000 epochs: about 2 Q(5.5) each, so 1e-3 expected in all."""
     rng, n = np.random.default_rng(8), 20_000
-    forward = np.full(n, DT * LIMITS[wk.ALLOWED])
+    forward = np.full(n, DT * LIMITS["allowed"])
     assert not _watch(8.0 + rng.normal(0.0, CONFIG.odometer_sigma_mps, n), forward).any()
 
 
@@ -91,7 +91,7 @@ def test_no_false_alarm_in_city_traffic() -> None:
     car = CityDrive(Road.through(np.array([[0.0, 0.0], [300.0, 0.0], [300.0, 300.0]]), closed=True), DriveConfig(), DT)
     state, imu = car.start(streams, 200.0), initial_imu(ImuConfig(), streams)
     odometer = initial_odometer(OdometerConfig(), streams)
-    memory, fine = np.zeros((16, wk.WATCH_SIZE)), FaultEffects.none(16, 1)
+    memory, fine = np.zeros(16, wk.ODOMETER_WATCH), FaultEffects.none(16, 1)
     for _ in range(1000):
         truth = car.step(state, streams)
         sample = sample_imu(ImuConfig(), imu, truth, fine, streams)
@@ -99,5 +99,5 @@ def test_no_false_alarm_in_city_traffic() -> None:
         for b in range(16):
             rate = sample.delta_theta_rad[b, 2] / DT
             forward, lateral = sample.delta_v_mps[b, 0], sample.delta_v_mps[b, 1]
-            wk.turning_at_rest(memory[b], LIMITS, DT, speed[b], rate)
-            assert not wk.watch_odometer(memory[b], LIMITS, DT, speed[b], forward, lateral, rate, False, False)
+            wk.turning_at_rest(DT, speed[b], rate, LIMITS, memory[b])
+            assert not wk.watch_odometer(DT, speed[b], forward, lateral, rate, False, False, LIMITS, memory[b])

@@ -4,27 +4,35 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2, poisson
 
-from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
+from lanebound.integrity.positioning.config import RtkConfig, rtk_parameters
 from lanebound.integrity.positioning.resolve_kernel import (
     FIXED,
     NOT_CONVERGED,
     RATIO_FAILED,
     TOO_FEW,
-    Carriers,
-    Fixes,
-    Rules,
     base_of,
     float_solution,
     resolve,
     suspect,
 )
-from lanebound.integrity.positioning.rtk_kernel import add_layer, collapse_code, drop_small_systems, held_risk
+from lanebound.integrity.positioning.rows_kernel import Rows
+from lanebound.integrity.positioning.rtk_kernel import (
+    AMBIGUITY,
+    MOST_AMBIGUITIES,
+    SATELLITE,
+    Carriers,
+    add_layer,
+    collapse_code,
+    drop_small_systems,
+    held_risk,
+)
 from lanebound.integrity.sky.systems import WAVELENGTH_M
 
 Array = NDArray[np.float64]
@@ -36,7 +44,14 @@ N_SAT = len(SYSTEM)
 
 def fit_limits(false_rejection: float) -> Array:
     """Largest best norm by number of ambiguities; without bound for 0."""
-    return np.asarray(chi2.isf(false_rejection, np.maximum(np.arange(42), 1)))
+    return np.asarray(chi2.isf(false_rejection, np.maximum(np.arange(MOST_AMBIGUITIES + 1), 1)))
+
+
+def satellites_of(system: NDArray[np.int64]) -> NDArray[np.void]:
+    """Satellites of these systems, with the wavelengths of two bands."""
+    satellites = np.zeros(len(system), SATELLITE)
+    satellites["system"], satellites["wavelength"] = system, WAVES[system]
+    return satellites
 
 
 @dataclass
@@ -49,11 +64,18 @@ class _Problem:
     variance_code: Array
     variance_phase: Array
     true: Array
-    held: Bools
-    integers: Array
-    fix_id: NDArray[np.int64]
-    fix_risk: Array
+    fixes: NDArray[np.void]
     system: NDArray[np.int64]
+
+    def __getattr__(self, name: str) -> Any:
+        """A field of what is held: held, integers, fix_id, fix_risk."""
+        if name not in AMBIGUITY.names:
+            raise AttributeError(name)
+        return self.fixes[name]
+
+    @property
+    def carriers(self) -> Carriers:
+        return Carriers(self.los, satellites_of(self.system), self.phase, self.variance_phase)
 
     def resolve(
         self, *, candidate: Bools | None = None, bands: int = 2, limit: float = 1e-3, ratio: float = 1.0,
@@ -62,20 +84,22 @@ class _Problem:
         """Run the kernel on everything that is not held; state is changed in place."""
         wanted = ~self.held if candidate is None else candidate
         x, q = self._code_position(bands)
-        rules = Rules(bands, WAVES, limit, ratio, fit_limits(fit), attempts, most, least, further)
-        carriers = Carriers(self.los, self.system, self.phase, self.variance_phase)
-        fixes = Fixes(self.held, self.integers, self.fix_id, self.fix_risk)
-        return int(resolve(carriers, wanted, fixes, rules, x, q, fix))
+        rules = rtk_parameters(RtkConfig(), bands, 1.0)[0]
+        rules["fix_limit"], rules["ratio_min"], rules["misfit"], rules["attempts"] = (
+            limit,
+            ratio,
+            fit_limits(fit),
+            attempts,
+        )
+        rules["max_candidates"], rules["min_satellites"], rules["min_further"] = most, least, further
+        return int(resolve(self.carriers, wanted, self.fixes, rules, x, q, fix))
 
     def _code_position(self, bands: int) -> tuple[Array, Array]:
         """Position and covariance from the code of all satellites."""
         y, normal, rhs = np.empty(len(self.system)), np.zeros((3, 3)), np.zeros(3)
         collapse_code(self.code, bands, y)
-        everything, mean = (
-            np.ones(len(self.system), dtype=np.bool_),
-            (np.empty((MAX_GROUPS, 3)), *np.empty((2, MAX_GROUPS))),
-        )
-        add_layer(self.los, self.system, everything, self.variance_code / bands, y, normal, rhs, *mean)
+        everything = np.ones(len(self.system), dtype=np.bool_)
+        add_layer(Rows(self.los, self.system, self.variance_code / bands, y, everything), normal, rhs)
         q = np.linalg.pinv(normal)
         return q @ rhs, q
 
@@ -106,11 +130,7 @@ def _problem(seed: int, noise: float = 1.0, sigma_code: float = 0.3, system: NDA
     error = noise * rng.standard_normal((2, n, 2))
     code = geometric + clocks[0, system] + error[0] * np.sqrt(variance_code)[:, None]
     phase = geometric + clocks[1, system] + error[1] * np.sqrt(variance_phase)[:, None] + WAVES[system] * true
-    nothing = np.zeros(n, dtype=np.bool_)
-    ids = np.zeros(n, dtype=np.int64)
-    return _Problem(
-        los, code, phase, variance_code, variance_phase, true, nothing, np.zeros((n, 2)), ids, np.zeros(n), system
-    )
+    return _Problem(los, code, phase, variance_code, variance_phase, true, np.zeros(n, AMBIGUITY), system)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -141,7 +161,7 @@ def test_wrong_fixes_stay_within_the_stated_risk() -> None:
         p = _problem(10_000 + seed, sigma_code=0.6)
         if p.resolve(limit=0.05, bands=1) == FIXED:
             fixes, wrong = fixes + 1, wrong + p.wrong(bands=1)
-            rate = held_risk(p.held, p.fix_id, p.fix_risk)
+            rate = held_risk(p.fixes)
             assert 0.0 <= rate <= 0.05
             stated += rate
     assert fixes > 1000
@@ -233,18 +253,18 @@ def test_a_single_band_leaves_the_second_integers_at_zero() -> None:
 
 
 def test_the_risk_of_what_is_held_is_the_union_over_its_fixes() -> None:
-    fix, risk = np.array([1, 1, 2, 3]), np.array([1e-4, 1e-4, 2e-4, 5e-4])
-    everything = np.ones(4, dtype=np.bool_)
-    assert held_risk(everything, fix, risk) == pytest.approx(8e-4)
-    assert held_risk(np.array([False, True, True, False]), fix, risk) == pytest.approx(3e-4)
-    assert held_risk(~everything, fix, risk) == 0.0
+    fixes = np.zeros(4, AMBIGUITY)
+    fixes["fix_id"], fixes["fix_risk"] = [1, 1, 2, 3], [1e-4, 1e-4, 2e-4, 5e-4]
+    for held, risk in (([1, 1, 1, 1], 8e-4), ([0, 1, 1, 0], 3e-4), ([0, 0, 0, 0], 0.0)):
+        fixes["held"] = held
+        assert held_risk(fixes) == pytest.approx(risk)
 
 
 def test_small_systems_are_left_out_in_place() -> None:
     member = np.ones(N_SAT, dtype=np.bool_)
-    assert drop_small_systems(member, SYSTEM, 4) == (10, 2)
+    assert drop_small_systems(member, satellites_of(SYSTEM), 4) == (10, 2)
     np.testing.assert_array_equal(member, SYSTEM != 3)
-    assert drop_small_systems(member, SYSTEM, 7) == (0, 0)
+    assert drop_small_systems(member, satellites_of(SYSTEM), 7) == (0, 0)
 
 
 def _half_cycle(p: _Problem, s: int, bands: int = 1) -> None:
@@ -293,16 +313,12 @@ def test_most_half_cycles_are_found_in_few_attempts_and_none_is_held() -> None:
 def test_the_norm_relieved_is_what_is_lost_when_the_satellite_is_left_out() -> None:
     """Against the plain form: the norm of the rest with its own block of the covariance."""
     p = _problem(11)
-    rules = Rules(2, WAVES, 1.0, 2.0, fit_limits(0.0), 0, 16, 5, 3)
-    carriers, fixes = (
-        Carriers(p.los, p.system, p.phase, p.variance_phase),
-        Fixes(p.held, p.integers, p.fix_id, p.fix_risk),
-    )
+    rules, carriers = rtk_parameters(RtkConfig(), 2, 1.0)[0], p.carriers
     x, q = p._code_position(2)
     everything = np.ones(N_SAT, dtype=np.bool_)
-    floats = float_solution(carriers, everything, base_of(carriers, fixes, rules), rules, x, q)
+    floats = float_solution(carriers, everything, base_of(carriers, p.fixes, 2), rules, x, q)
     n, best, relieved = floats.n, np.round(floats.ambiguity), np.empty(N_SAT)
-    count = suspect(floats, n // 2, fixes, everything, p.system, rules, best, relieved)
+    count = suspect(floats, n // 2, p.fixes, everything, carriers, 2, best, relieved)
     assert count == N_SAT
     v, Q, owner = floats.ambiguity[:n] - best[:n], floats.covariance[:n, :n], floats.owner[:n]
     whole = v @ np.linalg.solve(Q, v)
@@ -331,7 +347,7 @@ def test_all_attempts_together_stay_within_the_risk() -> None:
     for seed in range(800):
         p = _problem(20_000 + seed, sigma_code=4.0)
         if p.resolve(limit=limit, fit=0.3, attempts=6) == FIXED:
-            rate = held_risk(p.held, p.fix_id, p.fix_risk)
+            rate = held_risk(p.fixes)
             assert rate <= limit
             stated, wrong, again = stated + rate, wrong + p.wrong(), again + (rate >= 0.5 * limit)
     assert again > 100

@@ -7,8 +7,13 @@ from hypothesis import strategies as st
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, hdop_of, invert_3x3, multiply_3
+from lanebound.integrity.positioning.rows_kernel import Rows
 from lanebound.integrity.positioning.rtk import double_difference_matrix, solve_dense
 from lanebound.integrity.positioning.rtk_kernel import (
+    AMBIGUITY,
+    BASE,
+    SATELLITE,
+    Carriers,
     add_layer,
     collapse_code,
     collapse_phase,
@@ -66,44 +71,39 @@ def _problem(seed, *, with_held, noise=1.0, satellites=16):
     return arguments, x, integers
 
 
+def _satellites(system):
+    satellites = np.zeros(len(system), SATELLITE)
+    satellites["system"], satellites["wavelength"] = system, WAVELENGTH_M[system]
+    return satellites
+
+
+def _carriers(a):
+    """Carriers and what is held of a problem."""
+    held = np.zeros(len(a["system"]), AMBIGUITY)
+    held["held"], held["integers"] = a["held"], a["integers"]
+    return Carriers(a["los_enu"], _satellites(a["system"]), a["phase_m"], a["variance_phase_m2"]), held
+
+
 def _kernel_position(a, bands):
     """Position, its covariance and whether the geometry is regular, through the kernel's collapsed layers."""
     normal, q_x, rhs, x = np.zeros((3, 3)), np.empty((3, 3)), np.zeros(3), np.empty(3)
-    y = np.empty(len(a["system"]))
-    scratch = np.empty((MAX_GROUPS, 3)), np.empty(MAX_GROUPS), np.empty(MAX_GROUPS)
+    y, (carriers, held) = np.empty(len(a["system"])), _carriers(a)
     collapse_code(a["code_m"], bands, y)
-    add_layer(a["los_enu"], a["system"], a["code_used"], a["variance_code_m2"] / bands, y, normal, rhs, *scratch)
-    collapse_phase(a["phase_m"], a["integers"], a["wavelength_m"], a["system"], bands, y)
-    add_layer(a["los_enu"], a["system"], a["held"], a["variance_phase_m2"] / bands, y, normal, rhs, *scratch)
+    add_layer(Rows(a["los_enu"], a["system"], a["variance_code_m2"] / bands, y, a["code_used"]), normal, rhs)
+    collapse_phase(carriers, held, bands, y)
+    add_layer(Rows(a["los_enu"], a["system"], a["variance_phase_m2"] / bands, y, a["held"]), normal, rhs)
     assert invert_3x3(normal, q_x)
     multiply_3(q_x, rhs, x)
     return x, q_x
 
 
 def _kernel_ambiguities(a, bands, x, q_x):
-    e_base, w_base, phase_base = np.empty((MAX_GROUPS, 3)), np.empty(MAX_GROUPS), np.empty((MAX_GROUPS, 2))
-    common = a["phase_m"], a["integers"], a["held"], a["system"], a["variance_phase_m2"], bands, a["wavelength_m"]
-    held_base(*common, a["los_enu"], e_base, w_base, phase_base)
+    base, (carriers, held) = np.zeros(MAX_GROUPS, BASE), _carriers(a)
+    held_base(carriers, held, bands, base)
     size = bands * len(a["system"])
     ambiguity, q_a, owner = np.empty(size), np.empty((size, size)), np.empty(size, dtype=np.int64)
-    n = float_ambiguities(
-        a["los_enu"],
-        a["system"],
-        a["candidates"],
-        len(a["candidates"]),
-        a["phase_m"],
-        a["variance_phase_m2"],
-        bands,
-        a["wavelength_m"],
-        x,
-        q_x,
-        e_base,
-        w_base,
-        phase_base,
-        ambiguity,
-        q_a,
-        owner,
-    )
+    order = a["candidates"]
+    n = float_ambiguities(carriers, order, len(order), bands, x, q_x, base, ambiguity, q_a, owner)
     return ambiguity[:n], q_a[:n, :n], owner[:n]
 
 
@@ -306,13 +306,15 @@ def test_a_satellite_alone_in_its_system_adds_nothing():
 def test_systems_with_too_few_satellites_are_left_out():
     system = np.array([0, 0, 0, 1, 2, 2, 3])
     member = np.array([True, True, True, True, True, False, False])
-    assert drop_small_systems(member, system, 2) == (3, 1)
+    assert drop_small_systems(member, _satellites(system), 2) == (3, 1)
     np.testing.assert_array_equal(member, [True, True, True, False, False, False, False])
-    assert drop_small_systems(member, system, 4) == (0, 0)
+    assert drop_small_systems(member, _satellites(system), 4) == (0, 0)
     assert not member.any()
 
 
 def test_the_risk_of_held_ambiguities_counts_each_fix_once():
-    fix_id, fix_risk = np.array([4, 4, 7, 4, 9]), np.array([1e-6, 1e-6, 3e-6, 1e-6, 5e-6])
-    assert held_risk(np.array([True, True, True, True, False]), fix_id, fix_risk) == pytest.approx(4e-6)
-    assert held_risk(np.zeros(5, dtype=bool), fix_id, fix_risk) == 0.0
+    held = np.zeros(5, AMBIGUITY)
+    held["fix_id"], held["fix_risk"] = [4, 4, 7, 4, 9], [1e-6, 1e-6, 3e-6, 1e-6, 5e-6]
+    assert held_risk(held) == 0.0
+    held["held"][:4] = True
+    assert held_risk(held) == pytest.approx(4e-6)

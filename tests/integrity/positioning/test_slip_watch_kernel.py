@@ -10,9 +10,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import poisson
 
+from lanebound.integrity.positioning.config import RtkConfig, rtk_parameters, slip_parameters
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
-from lanebound.integrity.positioning.resolve_kernel import Fixes
-from lanebound.integrity.positioning.slip_watch_kernel import NW, Motion, SlipRules, watch_slips
+from lanebound.integrity.positioning.rtk_kernel import AMBIGUITY, SATELLITE, Carriers
+from lanebound.integrity.positioning.slip_watch_kernel import SLIP_WATCH, DopplerMotion, watch_slips
 from lanebound.integrity.sky.systems import WAVELENGTH_M
 
 Array = NDArray[np.float64]
@@ -37,10 +38,17 @@ class _Watch:
         self.azimuth, self.elevation = rng.uniform(0.0, 2.0 * math.pi, N_SAT), rng.uniform(0.4, 1.4, N_SAT)
         self.true = np.round(rng.uniform(-1e4, 1e4, (N_SAT, 2)))
         self.clock = 100.0 * rng.standard_normal((5, 2))
-        self.fixes = Fixes(
-            np.ones(N_SAT, dtype=np.bool_), self.true.copy(), np.ones(N_SAT, dtype=np.int64), np.full(N_SAT, 1e-7)
+        self.fixes, self.satellites = np.zeros(N_SAT, AMBIGUITY), np.zeros(N_SAT, SATELLITE)
+        self.fixes["held"], self.fixes["integers"], self.fixes["fix_id"], self.fixes["fix_risk"] = (
+            True,
+            self.true,
+            1,
+            1e-7,
         )
-        self.watch, self.last, self.time = np.zeros(NW), np.zeros((N_SAT, 2)), 0.0
+        self.satellites["system"], self.satellites["wavelength"] = SYSTEM, WAVES[SYSTEM]
+        self.watch, self.time = np.zeros(1, SLIP_WATCH)[0], 0.0
+        self.rtk = rtk_parameters(RtkConfig(), self.bands, 1.0)[0]
+        self.rtk["fix_limit"], self.slips = self.limit, CycleSlipConfig(repair_failure_rate=self.failure)
         self.place, self.age = np.array([700.0, -900.0, 30.0]), 0.5
 
     def step(
@@ -59,20 +67,13 @@ class _Watch:
         phase += noise * SIGMA_M * self.rng.standard_normal((N_SAT, 2))
         phase += drift_m * self.rng.standard_normal(N_SAT)[:, None]
         velocity = np.array([after, 6.0, 0.0]) + noise * SIGMA_MPS * self.rng.standard_normal(3) + lie
-        slips = CycleSlipConfig(repair_failure_rate=self.failure)
-        motion = Motion(DT, solved, velocity, SIGMA_MPS**2 * np.eye(3), self.place + 3.0)
-        rules = SlipRules(
-            self.bands, WAVES, slips.threshold, slips.ionosphere_rate_mps, slips.fit_limit, slips.repair_failure_rate,
-            self.limit, 0.0015,
+        motion = DopplerMotion(DT, solved, velocity, SIGMA_MPS**2 * np.eye(3), self.place + 3.0)
+        carriers = Carriers(e, self.satellites, phase, np.full(N_SAT, SIGMA_M**2))
+        found = watch_slips(
+            carriers, np.ones(N_SAT, dtype=np.bool_), self.age if age is None else age, motion, self.fixes, self.rtk,
+            slip_parameters(self.slips)[0], self.watch, 50,
         )  # fmt: skip
-        variance = np.full(N_SAT, SIGMA_M**2)
-        everything = np.ones(N_SAT, dtype=np.bool_)
-        return int(
-            watch_slips(
-                e, SYSTEM, phase, variance, everything, self.age if age is None else age, motion, self.fixes, rules,
-                self.watch, self.last, 50,
-            )
-        )  # fmt: skip
+        return int(found)
 
 
 def test_whole_drives_without_slips_raise_hardly_an_alarm() -> None:
@@ -81,7 +82,7 @@ def test_whole_drives_without_slips_raise_hardly_an_alarm() -> None:
     found = 0
     for _ in range(3000):
         found += w.step()
-        w.fixes.held[:] = True
+        w.fixes["held"][:] = True
     assert found <= poisson.ppf(0.999, 12 * 3000 * 1e-5)
 
 
@@ -93,7 +94,7 @@ def test_a_slip_is_found_at_its_epoch_and_only_there(cycles: tuple[float, float]
         assert w.step() == 0
         w.true[s] += cycles
         assert w.step() == 1
-        np.testing.assert_array_equal(np.flatnonzero(~w.fixes.held), [s])
+        np.testing.assert_array_equal(np.flatnonzero(~w.fixes["held"]), [s])
         assert w.step() == 0
 
 
@@ -102,20 +103,20 @@ def test_a_slip_that_only_one_pair_explains_is_repaired_and_pays_its_risk() -> N
     w.step()
     w.true[6] += [4, -2]
     assert w.step(noise=0.3) == 1
-    assert w.fixes.held.all()
-    np.testing.assert_array_equal(w.fixes.integers, w.true)
-    assert w.fixes.fix_id[6] == 50
-    assert w.fixes.fix_risk[6] == pytest.approx(1e-7 + 1e-4)
-    np.testing.assert_array_equal(np.delete(w.fixes.fix_id, 6), 1)
+    assert w.fixes["held"].all()
+    np.testing.assert_array_equal(w.fixes["integers"], w.true)
+    assert w.fixes["fix_id"][6] == 50
+    assert w.fixes["fix_risk"][6] == pytest.approx(1e-7 + 1e-4)
+    np.testing.assert_array_equal(np.delete(w.fixes["fix_id"], 6), 1)
 
 
 def test_no_repair_costs_more_than_the_risk_allows() -> None:
     w = _Watch(3, limit=1.5e-4)
-    w.fixes.fix_risk[:] = 1.4e-4
+    w.fixes["fix_risk"][:] = 1.4e-4
     w.step()
     w.true[6] += [4, -2]
     w.step(noise=0.3)
-    np.testing.assert_array_equal(np.flatnonzero(~w.fixes.held), [6])
+    np.testing.assert_array_equal(np.flatnonzero(~w.fixes["held"]), [6])
 
 
 def test_without_doppler_the_two_bands_still_watch_each_other() -> None:
@@ -123,14 +124,14 @@ def test_without_doppler_the_two_bands_still_watch_each_other() -> None:
     w.step(solved=False)
     w.true[2] += [1, 0]
     assert w.step(solved=False) == 1
-    assert not w.fixes.held[2]
+    assert not w.fixes["held"][2]
 
 
 def test_a_velocity_that_most_carriers_contradict_counts_for_nothing() -> None:
     w = _Watch(5)
     w.step()
     assert w.step(lie=30.0) == 0
-    assert w.fixes.held.all()
+    assert w.fixes["held"].all()
 
 
 def test_a_jump_of_the_correction_age_widens_the_prediction() -> None:
@@ -153,4 +154,4 @@ def test_one_band_relies_on_the_prediction() -> None:
     w.step()
     w.true[1] += [1, 0]
     assert w.step() == 1
-    assert not w.fixes.held[1]
+    assert not w.fixes["held"][1]

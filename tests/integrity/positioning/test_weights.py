@@ -1,10 +1,10 @@
-"""Weights of satellites in closed form, and who counts."""
+"""Weights of satellites in closed form, and which satellites are used."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from lanebound.integrity.navigators.rtk_stage_kernel import UNUSED, select, weigh
+from lanebound.integrity.positioning.rtk_kernel import UNUSED, select, weigh
 
 SINE = np.array([1.0, 0.5, 0.5, 0.1, 0.0, 0.5])  # of the elevation: zenith, 30 degrees, ... an empty place
 KNEE = 35.0
@@ -21,7 +21,7 @@ def test_the_weight_falls_with_elevation_and_doubles_its_variance_at_the_knee() 
     assert quality[4] == UNUSED
 
 
-def test_who_is_low_weak_or_untracked_has_no_say() -> None:
+def test_a_satellite_that_is_low_weak_or_untracked_is_not_used() -> None:
     quality, factor, used = np.empty(6), np.empty(6), np.empty(6, dtype=np.bool_)
     weigh(E, TRACKED, CN0, KNEE, quality)
     select(E, TRACKED, CN0, quality, 0.2, 40.0, factor, used)

@@ -1,0 +1,154 @@
+"""Configurations of several kinds: a tag in the data chooses the class, and new kinds register themselves.
+
+>>> class Shape(Tagged, tag="kind"):
+...     area_m2: float = 0.0
+>>> @Shape.register
+... class Circle(Shape):
+...     kind: Literal["circle"] = "circle"
+...     radius_m: float = 1.0
+>>> Shape.load({"kind": "circle", "radius_m": 2.0}).radius_m
+2.0
+
+Fields typed ``Shape`` take, check and write any registered kind. Data without a tag are of the default kind, if the
+family has one.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal, Self, TypeVar
+
+from pydantic import GetCoreSchemaHandler
+from pydantic_core import core_schema
+
+from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.presets import nearest
+
+__all__ = ["Literal", "Tagged"]
+
+C = TypeVar("C", bound="Tagged")
+
+
+class Tagged(Config):
+    """Base of a family of configurations.
+
+    Class arguments of a family
+    ---------------------------
+    tag : name of the field that names the kind
+    default : kind of data without a tag; none by default
+    modules : modules that register built-in kinds, by kind, imported when the kind is first needed
+    """
+
+    family: ClassVar[type[Tagged] | None] = None
+    tag: ClassVar[str] = "kind"
+    default: ClassVar[str | None] = None
+    modules: ClassVar[Mapping[str, str]] = {}
+    kinds: ClassVar[dict[str, type[Tagged]]] = {}
+
+    def __init_subclass__(
+        cls, tag: str | None = None, default: str | None = None, modules: Mapping[str, str] | None = None, **more: Any
+    ) -> None:
+        super().__init_subclass__(**more)
+        if tag is not None:
+            cls.family, cls.tag, cls.default, cls.modules, cls.kinds = cls, tag, default, modules or {}, {}
+
+    def __new__(cls, **data: Any) -> Self:
+        kind = cls._kind_of(data) if cls.family is cls else cls
+        return super().__new__(kind)
+
+    @classmethod
+    def register(cls, kind: type[C]) -> type[C]:
+        """Add a kind to the family; a decorator.
+
+        Raises
+        ------
+        ConfigError
+            The kind has no tag, or another class has it.
+        """
+        field = kind.model_fields.get(cls.tag)
+        name = field.default if field is not None else None
+        if not isinstance(name, str):
+            raise ConfigError(f"{kind.__name__}.{cls.tag} must have a default, got none: write its name")
+        other = cls.kinds.get(name)
+        if other is not None and (other.__module__, other.__qualname__) != (kind.__module__, kind.__qualname__):
+            raise ConfigError(f"{cls.tag} must be new, got {name!r}, which {other.__name__} has: choose another name")
+        cls.kinds[name] = kind
+        return kind
+
+    @classmethod
+    def kind_named(cls, name: str) -> type[Self]:
+        """The class of a kind.
+
+        Raises
+        ------
+        ConfigError
+            There is no such kind.
+        """
+        if name not in cls.kinds and name in cls.modules:
+            importlib.import_module(cls.modules[name])
+        found = cls.kinds.get(name) if isinstance(name, str) else None
+        if found is None:
+            known = sorted({*cls.kinds, *cls.modules})
+            raise ConfigError(f"{cls.tag} must be one of {', '.join(known)}, got {name!r}: {nearest(str(name), known)}")
+        return found  # type: ignore[return-value]
+
+    @classmethod
+    def _kind_of(cls, data: Mapping[str, Any]) -> type[Self]:
+        name = data.get(cls.tag, cls.default)
+        if name is None:
+            known = sorted({*cls.kinds, *cls.modules})
+            raise ConfigError(f"{cls.tag} is required, got nothing: write one of {', '.join(known)}")
+        return cls.kind_named(name)
+
+    @classmethod
+    def load(cls, data: Mapping[str, Any], path: str = "", unchanged: Mapping[str, Any] | None = None) -> Self:
+        """As :meth:`Config.load`, of the kind that the data name."""
+        if cls.family is not cls or not isinstance(data, Mapping):
+            return super().load(data, path, unchanged)
+        try:
+            kind = cls._kind_of(data)
+        except ConfigError as error:
+            raise ConfigError(f"{path}.{error}" if path else str(error)) from None
+        return kind.load(data, path, unchanged)
+
+    @classmethod
+    def kept(cls, base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+        """Of another kind, the values that both kinds have."""
+        family, tag = cls.family or cls, cls.tag
+        name = changes.get(tag, base.get(tag))
+        if name == base.get(tag, cls.default) or name is None:
+            return dict(base)
+        fields = family.kind_named(name).model_fields
+        return {key: value for key, value in base.items() if key in fields and key != tag}
+
+    def replace(self, **changes: Any) -> Self:
+        """A checked copy with ``changes``; a mapping changes only the keys it names. The kind may change."""
+        return (self.family or type(self)).build(self, changes)  # type: ignore[return-value]
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+        """Of a family: dispatch to the kind; of a kind: the usual one."""
+        if cls.family is not cls:
+            return handler(source)
+        return core_schema.no_info_plain_validator_function(
+            cls._validate,
+            serialization=core_schema.plain_serializer_function_ser_schema(_written, info_arg=True),
+        )
+
+    @classmethod
+    def _validate(cls, value: Any) -> Any:
+        """A configuration of the family from one, from data, or from the name of a kind."""
+        if isinstance(value, cls):
+            return value
+        data = {cls.tag: value} if isinstance(value, str) else value
+        if not isinstance(data, Mapping):
+            raise ConfigError(f"must be a mapping, got {value!r}: write keys and values")
+        return cls._kind_of(data).model_validate(dict(data))
+
+
+def _written(value: Tagged, info: Any) -> Any:
+    """Plain data of a configuration; the name of its kind where the kind has nothing else to say."""
+    data = value.model_dump(mode=info.mode)
+    return data[value.tag] if set(data) == {value.tag} else data

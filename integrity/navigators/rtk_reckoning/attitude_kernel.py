@@ -1,0 +1,126 @@
+"""Stage 2: standstill, and the heading by the gyro, calibrated by Doppler."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from lanebound.integrity.core.accel import jit
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
+from lanebound.integrity.positioning.heading_kernel import (
+    correct,
+    doppler_heading_usable,
+    doppler_heading_variance,
+    predict_heading,
+    wrap,
+)
+from lanebound.integrity.positioning.mode_kernel import doppler_usable
+from lanebound.integrity.positioning.odometer_watch_kernel import STANDING_MPS, turning_at_rest
+
+__all__ = ["find_attitude"]
+
+MOVING_MPS = 0.5  # slower, the side slip is not known
+REACQUIRE_S = 1.0  # of Doppler courses refused for their jump, before the heading filter opens up
+REST_S = 0.5  # without motion, until the vehicle is at rest
+REST_DOPPLER_MPS = 0.1  # Doppler speed that is no motion, at least
+
+
+@jit
+def find_attitude(first: int, last: int, epoch: Epoch) -> None:
+    """Heading at the end of the epoch, and the course in its middle."""
+    par, measured = epoch.parameters[0], epoch.measured
+    for v in range(first, last):
+        vehicle, w = epoch.state.vehicles[v], epoch.work.vehicles[v]
+        heading, speed = vehicle.heading, measured.speed[v]
+        w.turning = measured.turn[v, 2] / par.dt - heading.gyro_bias
+        _move_velocity(vehicle, par, w)
+        w.resting = _find_rest(vehicle, par, speed, w)
+        w.slip = side_slip(par.lever.axle, w.turning, speed)
+        before = heading.p_hh
+        w.middle = wrap(_advance_heading(heading, par, measured.turn[v, 2], w.resting) + w.slip)
+        after = heading.p_hh
+        carry = math.sqrt(after / before)  # growth as one error: the bound of its effect on the position
+        if w.solved and not w.resting and not w.suspect and _calibrate(vehicle, par, speed, w):
+            carry *= heading.p_hh / after
+            vehicle.since_calibration = 0.0
+        w.sin_h, w.cos_h = math.sin(heading.angle), math.cos(heading.angle)
+        step = w.step
+        step.dt_s, step.heading_variance, step.carry = par.dt, heading.p_hh, carry
+        step.phi_doppler, step.phi_odometer = math.exp(-par.dt / par.doppler.tau), math.exp(-par.dt / par.odometer.tau)
+        w.measured = doppler_usable(w.checked, w.v_gnss, speed, w.hdop_doppler, par.modes)
+
+
+@jit(borrows=True)
+def _move_velocity(vehicle: Any, par: Any, w: Any) -> None:
+    """Velocity of the reference point from that of the antenna and the yaw rate."""
+    sin_h, cos_h = math.sin(vehicle.heading.angle), math.cos(vehicle.heading.angle)
+    forward, right = par.lever.forward, par.lever.right
+    w.v_e = w.velocity[0] - w.turning * (cos_h * forward - sin_h * right)
+    w.v_n = w.velocity[1] + w.turning * (sin_h * forward + cos_h * right)
+    w.v_gnss = math.hypot(w.v_e, w.v_n)
+
+
+@jit(borrows=True)
+def _find_rest(vehicle: Any, par: Any, speed: float, w: Any) -> bool:
+    """Count how long the vehicle has been at rest: no pulse, no turn, and no Doppler speed beyond its noise."""
+    spinning = turning_at_rest(par.dt, speed, w.turning, par.odometer.watch, vehicle.watch)
+    at_rest = abs(speed) < STANDING_MPS and not spinning and not vehicle.watch.doubted
+    noise = max(REST_DOPPLER_MPS, 3.0 * math.sqrt(w.q[0, 0] + w.q[1, 1]))
+    at_rest = at_rest and not (w.solved and w.v_gnss > noise)
+    vehicle.rest_s = vehicle.rest_s + par.dt if at_rest else 0.0
+    return bool(vehicle.rest_s > REST_S)
+
+
+@jit(borrows=True)
+def side_slip(axle: float, turning: float, speed: float) -> float:
+    """Angle in a turn from the heading to the course of the reference point, ``axle`` [m] ahead of the rear axle [rad].
+
+    The rear axle moves along the heading, so the reference point moves sideways at ``axle`` times the yaw rate.
+    """
+    sine = axle * turning / speed if abs(speed) > MOVING_MPS else 0.0
+    return math.asin(min(max(sine, -1.0), 1.0))
+
+
+@jit(borrows=True)
+def _advance_heading(heading: Any, par: Any, delta_theta: float, resting: bool) -> float:
+    """Advance the heading by the gyro; at rest hold it and learn the gyro bias instead (ZUPT, S1 figure 1).
+
+    Returns the mean heading over the epoch [rad].
+    """
+    dt, rules, before = par.dt, par.heading, heading.angle
+    if resting:
+        innovation = delta_theta / dt - heading.gyro_bias
+        correct(innovation, 0.0, 1.0, rules.angle_random_walk**2 / dt, heading)
+        return float(heading.angle)
+    predict_heading(delta_theta, dt, rules.angle_random_walk, rules.bias_walk, heading)
+    return float(wrap(before + 0.5 * wrap(heading.angle - before)))
+
+
+@jit(borrows=True)
+def _calibrate(vehicle: Any, par: Any, speed: float, w: Any) -> bool:
+    """Calibrate heading and gyro bias by the Doppler course where S1 table 1 allows it; True when done.
+
+    The limit of the jump is widened to 3 sigma while the filter itself is less certain than the limit. Courses refused
+    for REACQUIRE_S for their jump alone show that the filter is wrong: its variance is raised to accept a new heading.
+    """
+    heading, limits = vehicle.heading, par.heading.calibration
+    magnitude = math.hypot(w.v_e, w.v_n)
+    if not magnitude > 0.0:
+        return False
+    course = math.atan2(w.v_e, w.v_n) if speed >= 0.0 else math.atan2(-w.v_e, -w.v_n)
+    jump = wrap(course - w.slip - heading.angle)
+    allowed = max(limits.max_jump, 3.0 * math.sqrt(heading.p_hh))
+    if not doppler_heading_usable(magnitude, speed, w.hdop_doppler, 0.0, limits):
+        return False
+    variance = doppler_heading_variance(w.v_e, w.v_n, w.q[0, 0], w.q[0, 1], w.q[1, 1])
+    if abs(jump) >= allowed:
+        beyond = abs(jump) > allowed + 3.0 * math.sqrt(variance)
+        vehicle.course_refused_s = vehicle.course_refused_s + par.dt if beyond else 0.0
+        if vehicle.course_refused_s > REACQUIRE_S:
+            heading.p_hh, heading.p_hb = max(heading.p_hh, jump * jump), 0.0
+            heading.p_bb = par.heading.bias_initial**2
+        return False
+    vehicle.course_refused_s = 0.0
+    variance *= max(1.0, 2.0 * par.doppler.tau / par.dt)
+    correct(jump, 1.0, 0.0, variance, heading)
+    return True

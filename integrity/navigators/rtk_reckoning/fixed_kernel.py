@@ -1,0 +1,231 @@
+"""Stage 5: the position of the held phases, its fault test and its protection levels.
+
+The fixed position takes the phases alone: the code's share of the weight is the inverse square of the code/phase ratio,
+1/5000, and would only add its multipath.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.records import Records
+from lanebound.integrity.core.small_matrix_kernel import hdop_of
+from lanebound.integrity.monitoring.detection_kernel import EXCLUDED, UNRESOLVED, detect_and_exclude
+from lanebound.integrity.monitoring.geometry_kernel import (
+    SOLVED,
+    Geometry,
+    capacity,
+    find_geometry,
+    geometry_scratch,
+    solve,
+)
+from lanebound.integrity.monitoring.protection_kernel import (
+    closed_form,
+    closed_form_published,
+    multi_hypothesis_pl,
+    pair_risk,
+    split_budgets,
+)
+from lanebound.integrity.monitoring.separation_kernel import (
+    Modes,
+    Moments,
+    find_modes,
+    mode_scratch,
+    moment_scratch,
+    set_priors,
+)
+from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import heading_bias
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import (
+    MULTI_HYPOTHESIS,
+    PUBLISHED,
+    Array,
+    Epoch,
+    Ints,
+    Tables,
+)
+from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import NO_CORRECTIONS, find_members
+from lanebound.integrity.positioning.mode_kernel import rtk_usable
+from lanebound.integrity.positioning.rows_kernel import Rows
+from lanebound.integrity.positioning.rtk_kernel import Carriers, collapse_phase, held_risk
+
+__all__ = ["find_fixed_position"]
+
+FIXED, TOO_FEW, FAULT = 0, 2, 5  # codes of RtkStatus
+
+
+class FixedScratch(NamedTuple):
+    """Scratch of the fixed solution; W columns.
+
+    geo, moments, modes of its levels; los (W, 3), group (W,); variance for integrity, bias bound, measurement and
+    variance for accuracy (W,) of the satellites in it.
+    """
+
+    geo: Geometry
+    moments: Moments
+    modes: Modes
+    los: Array
+    group: Ints
+    variance: Array
+    bias: Array
+    y: Array
+    accuracy: Array
+
+
+@jit
+def fixed_scratch(n: int) -> FixedScratch:
+    """Allocate the scratch for up to n satellites."""
+    w = capacity(n)
+    return FixedScratch(
+        geometry_scratch(n), moment_scratch(n), mode_scratch(n), np.zeros((w, 3)), np.zeros(w, dtype=np.int64),
+        np.zeros(w), np.zeros(w), np.zeros(w), np.zeros(w),
+    )  # fmt: skip
+
+
+@jit
+def find_fixed_position(first: int, last: int, epoch: Epoch) -> None:
+    """Solve with the held phases, test and exclude, and bound the position where it may be used."""
+    par, state, measured, work = epoch.parameters[0], epoch.state, epoch.measured, epoch.work
+    tables, rules = epoch.tables, par.rtk
+    satellites = tables.satellites
+    n, scratch = satellites.shape[0], fixed_scratch(satellites.shape[0])
+    system = np.empty(n, dtype=np.int64)
+    rows = Rows(np.empty((n, 3)), system, np.empty(n), np.empty(n), np.empty(n, dtype=np.bool_))
+    for s in range(n):
+        system[s] = satellites[s].system
+    for v in range(first, last):
+        vehicle, w, ambiguities = state.vehicles[v], work.vehicles[v], state.ambiguities[v]
+        fixed, los = w.fixed, measured.los[measured.sight[v]]
+        work.fixed_levels[v, :, :] = 0.0
+        fixed.satellites, fixed.excluded, fixed.hdop, fixed.usable = 0, 0, math.inf, False
+        if fixed.status != NO_CORRECTIONS:
+            count, positioned = find_members(ambiguities, work.used[v], satellites, rules, rows.used)
+            fixed.satellites = count
+            if positioned:
+                carriers = Carriers(los, satellites, measured.phase[v], work.factor[v])
+                here = Rows(los, system, rows.variance, rows.y, rows.used)
+                _solve_fixed(carriers, here, ambiguities, measured.age[v], tables, par, vehicle.rtk, w, scratch)
+            elif fixed.status == FIXED:
+                fixed.status = TOO_FEW
+        fixed.wrong = held_risk(ambiguities)
+        vehicle.fixed_s = vehicle.fixed_s + par.dt if fixed.status == FIXED else 0.0
+        fixed.lasting = vehicle.since_rtk < 1.5 * par.dt
+        confirmed = fixed.status == FIXED and (fixed.lasting or vehicle.fixed_s > par.confirm)
+        fixed.usable = confirmed and rtk_usable(fixed.hdop, par.modes)
+        if fixed.usable:
+            levels = work.fixed_levels[v]
+            levels_of_fix(fixed.satellites, fixed.wrong, w.sin_h, w.cos_h, tables, par.risk, scratch, levels)
+            lever_at, lever_ct = lever_bounds(vehicle, par)
+            for r in range(levels.shape[0]):
+                levels[r, 0] += lever_at
+                levels[r, 1] += lever_ct
+
+
+@jit
+def _solve_fixed(
+    carriers: Carriers, rows: Rows, ambiguities: Records, age: float, tables: Tables, par: Any, rtk: Any, w: Any,
+    scratch: FixedScratch,
+) -> None:  # fmt: skip
+    """Test the rows in use, release the integers of what is excluded, and solve with the rest.
+
+    ``carriers.variance`` holds the variance factors.
+    """
+    rules, fixed, factor, n_sat = par.rtk, w.fixed, carriers.variance, rows.y.shape[0]
+    position, q, tried = np.empty(3), np.empty((3, 3)), rows.used.copy()
+    aged = (rules.age_sigma * age) ** 2  # of the whole range, common to the bands
+    collapse_phase(carriers, ambiguities, rules.bands, rows.y)
+    for s in range(n_sat):
+        rows.variance[s] = factor[s] * (rules.sigma_phase**2 / rules.bands) + aged
+    outcome, _, _, _, fixed.excluded = detect_and_exclude(rows, tables.thresholds, par.fde, position, q)
+    if outcome == UNRESOLVED:
+        rtk.rejected += 1
+        if rtk.rejected >= rules.hold_failures:
+            for s in range(n_sat):
+                ambiguities[s].held = False
+            rtk.rejected = 0
+        fixed.status = FAULT
+        return
+    rtk.rejected = 0
+    if outcome > EXCLUDED:
+        fixed.status = TOO_FEW
+        return
+    n, nominal, los, group = 0, rules.sigma_phase_integrity**2, scratch.los, scratch.group
+    for s in range(n_sat):
+        if tried[s] and not rows.used[s]:
+            ambiguities[s].held = False
+        if rows.used[s]:
+            los[n, 0], los[n, 1], los[n, 2], group[n] = rows.los[s, 0], rows.los[s, 1], rows.los[s, 2], rows.group[s]
+            scratch.variance[n], scratch.bias[n] = factor[s] * nominal + aged, rules.phase_bias
+            scratch.y[n], scratch.accuracy[n] = rows.y[s], rows.variance[s]
+            n += 1
+    fixed.satellites = n
+    geo = scratch.geo
+    if find_geometry(los, group, scratch.variance, scratch.bias, n, w.sin_h, w.cos_h, geo) != SOLVED:
+        fixed.status = TOO_FEW
+        return
+    solve(scratch.y, group, n, geo)
+    fix = geo.fix[0]
+    for k in range(3):
+        fixed.position[k] = fix.position[k]
+    fixed.p_ee, fixed.p_en, fixed.p_nn = fix.p_ee, fix.p_en, fix.p_nn
+    fixed.sigma[0], fixed.sigma[1] = fix.sigma[0], fix.sigma[1]
+    fixed.status, fixed.hdop = FIXED, hdop_of(rows.los, rows.group, rows.used)
+
+
+@jit
+def levels_of_fix(
+    n: int, wrong: float, sin_h: float, cos_h: float, tables: Tables, risk: Any, scratch: FixedScratch, pl: Array
+) -> None:
+    """Protection levels pl (R, 2) of the fixed position of n satellites, for every case in its form.
+
+    The reference bias bounds the common shift by a wrong reference, which every mode shares. Published:
+    ``b_E = b_N`` of that length, so ``B = b / sqrt 2``. ``wrong`` is the risk of wrong integers, which is spent first.
+    """
+    cases, geo, moments, modes, group = tables.cases, scratch.geo, scratch.moments, scratch.modes, scratch.group
+    one, budget, found = np.empty(1), np.empty((1, 2)), np.empty((1, 2))
+    count, lost = 0, 0.0
+    for form in range(3):
+        filled = False
+        for r in range(cases.shape[0]):
+            case = cases[r]
+            if case.form != form:
+                continue
+            if not filled:
+                published = form == PUBLISHED
+                count = find_modes(
+                    group, scratch.accuracy, n, sin_h, cos_h, risk.constellations, published, geo, moments, modes
+                )
+                lost = set_priors(group, n, count, risk.satellite_prior, risk.constellation_prior, geo.clocks, modes)
+                filled = True
+            if form == PUBLISHED:
+                one[0] = case.k_published
+                closed_form_published(count, tables.k_fa[1, count - 1], one, modes, found)
+                shift = risk.reference_bias / math.sqrt(2.0)
+            else:
+                one[0], k_fa = case.risk, tables.k_fa[0, count - 1]
+                spent = risk.spent + wrong
+                spent = spent + (pair_risk(count, modes.prior) if risk.multiple else 0.0)
+                split_budgets(one, risk.at_share, spent, budget)
+                if form == MULTI_HYPOTHESIS:
+                    multi_hypothesis_pl(count, k_fa, budget, lost, risk.tolerate, modes, found)
+                else:
+                    share0 = risk.fault_free_share
+                    closed_form(count, k_fa, budget, share0, lost, risk.tolerate, modes, found)
+                shift = risk.reference_bias
+            pl[r, 0], pl[r, 1] = found[0, 0] + shift, found[0, 1] + shift
+
+
+@jit(borrows=True)
+def lever_bounds(vehicle: Any, par: Any) -> tuple[float, float]:
+    """Bounds on the shift of the reference point against the antenna by a wrong heading, along and across [m].
+
+    A lever (f, r) turned by theta moves ``f (cos theta - 1) - r sin theta`` along, ``f sin theta + r (cos theta - 1)``
+    across, and by twice its length at most.
+    """
+    theta = min(par.lever.k * math.sqrt(vehicle.heading.p_hh) + heading_bias(vehicle, par.odometer), math.pi)
+    f, r = abs(par.lever.forward), abs(par.lever.right)
+    most, turned = 2.0 * math.hypot(f, r), 0.5 * theta * theta
+    return min(r * theta + f * turned, most), min(f * theta + r * turned, most)

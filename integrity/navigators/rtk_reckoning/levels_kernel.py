@@ -1,0 +1,137 @@
+"""Protection levels of dead reckoning since an RTK position, by Doppler or by odometer and gyro.
+
+Two dead reckonings run in parallel: LATEST since the last RTK position, and BACKUP of the backup solution.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.records import Records
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import reset, sigma_and_bias
+from lanebound.integrity.monitoring.doppler_separation_kernel import (
+    IDLE,
+    exposure,
+    risk_factors,
+    worst_separation,
+)
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import LATEST, Array, Epoch, Tables
+
+__all__ = ["DeadReckoningState", "find_levels", "heading_bias", "later_by", "levels_since_fix", "restart"]
+
+
+class DeadReckoningState(NamedTuple):
+    """What has been added to an RTK position: growth of its errors, what it left to the cases, the separations.
+
+    growth of GROWTH, starts (R,) of START, separations (S,) of SEPARATION.
+    """
+
+    growth: Any
+    starts: Records
+    separations: Records
+
+
+@jit(borrows=True)
+def heading_bias(vehicle: Any, rules: Any) -> float:
+    """Bound on the heading's error beside the filter's variance [rad]; pi before the first calibration."""
+    if not vehicle.since_calibration < math.inf:
+        return math.pi
+    return float(min(rules.heading_bias + rules.heading_drift * vehicle.since_calibration, math.pi))
+
+
+@jit(borrows=True)
+def later_by(since: float, duration: float) -> float:
+    """Factor by which a fault since some time [s] ago is likelier than at one moment, for a mean duration [s]."""
+    return 1.0 + since / duration if since < math.inf else 1.0
+
+
+@jit
+def find_levels(first: int, last: int, epoch: Epoch) -> None:
+    """Stage 9: levels of the position as dead reckoning has moved it; inf where the odometer is doubted."""
+    par, state, tables = epoch.parameters[0], epoch.state, epoch.tables
+    for v in range(first, last):
+        vehicle, w = state.vehicles[v], epoch.work.vehicles[v]
+        if vehicle.initialised and not vehicle.unbounded and vehicle.since_calibration < math.inf:
+            latest = DeadReckoningState(state.growth[v, LATEST], state.starts[v, LATEST], state.separations[v, LATEST])
+            levels_since_fix(latest, tables, par.risk, w.sin_h, w.cos_h, w.later, epoch.out.levels[v])
+
+
+@jit
+def levels_since_fix(
+    reckoning: DeadReckoningState, tables: Tables, risk: Any, sin_h: float, cos_h: float, later: float, pl: Array
+) -> None:
+    """``PL_q = K_md sigma_q + B_q`` (S1 eq 18-19) of every case, into pl (R, 2) [m].
+
+    Exact levels also bound each single satellite fault in the Doppler velocities since the fix, by the separation that
+    it has caused (:mod:`~lanebound.integrity.monitoring.doppler_separation_kernel`). ``later`` >= 1 raises the priors
+    by the faults that began since. Of the error that the reference gave to the RTK position exact levels take the bound
+    on each axis, published ones equal components on E and N.
+    """
+    growth, starts, separations, cases = reckoning.growth, reckoning.starts, reckoning.separations, tables.cases
+    total, squares, lost = exposure(tables.satellites, separations)
+    total, squares, lost = later * total, later * later * squares, later * lost
+    pair = 0.5 * (total * total - squares) if risk.multiple else 0.0
+    axis_sine, axis_cosine = (sin_h, cos_h), (cos_h, -sin_h)
+    sigma_bias, published_bias = sigma_and_bias(sin_h, cos_h, False, growth), sigma_and_bias(sin_h, cos_h, True, growth)
+    for r in range(cases.shape[0]):
+        case, start = cases[r], starts[r]
+        if not start.whole_e < math.inf:
+            pl[r, 0], pl[r, 1] = math.inf, math.inf
+            continue
+        for q in range(2):
+            if case.published:
+                level = case.k_dead[q] * published_bias[q] + published_bias[2 + q]
+                pl[r, q] = level + risk.reference_bias / math.sqrt(2.0)
+                continue
+            sine, cosine, share = axis_sine[q], axis_cosine[q], risk.at_share if q == 0 else 1.0 - risk.at_share
+            k_0, k_f = case.k_dead[q], -math.inf
+            if total > 0.0:
+                k_0, k_f = risk_factors(case.budget[q], share, pair, total, lost)
+            level = k_0 * sigma_bias[q] + abs(sine) * start.bias_e + abs(cosine) * start.bias_n
+            if -math.inf < k_f < math.inf:
+                whole = abs(sine) * start.whole_e + abs(cosine) * start.whole_n
+                level = max(level, worst_separation(sine, cosine, sigma_bias[q], k_f, separations) + whole)
+            pl[r, q] = level + sigma_bias[2 + q] + risk.reference_bias
+
+
+@jit
+def restart(
+    reckoning: DeadReckoningState, tables: Tables, risk: Any, vehicle: Any, fixed: Any, sin_h: float, cos_h: float,
+    level: Array,
+) -> None:  # fmt: skip
+    """Restart dead reckoning at the RTK position just found, for every case.
+
+    Its initial error must keep what the protection level promised, biases and faults included: what the ``level``
+    (R, 2) of a case holds beyond ``K sigma`` of the fault-free solution remains as a bound on E and N. The published
+    form starts from the fault-free covariance alone, as S1 does.
+    """
+    reset(fixed.p_ee, fixed.p_en, fixed.p_nn, 0.0, 0.0, vehicle.heading.p_hh, reckoning.growth)
+    if vehicle.separated:
+        for k in range(reckoning.separations.shape[0]):
+            clear_separation(reckoning.separations[k])
+        vehicle.separated = False
+    for r in range(level.shape[0]):
+        start, case = reckoning.starts[r], tables.cases[r]
+        start.bias_e, start.bias_n, start.whole_e, start.whole_n = 0.0, 0.0, 0.0, 0.0
+        if not (level[r, 0] < math.inf and level[r, 1] < math.inf):
+            start.whole_e = math.inf
+        elif not case.published:
+            at, ct = max(level[r, 0] - risk.reference_bias, 0.0), max(level[r, 1] - risk.reference_bias, 0.0)
+            start.whole_e, start.whole_n = _box(at, ct, sin_h, cos_h)
+            at = max(at - case.k_dead[0] * fixed.sigma[0], 0.0)
+            ct = max(ct - case.k_dead[1] * fixed.sigma[1], 0.0)
+            start.bias_e, start.bias_n = _box(at, ct, sin_h, cos_h)
+
+
+@jit(borrows=True)
+def clear_separation(s: Any) -> None:
+    """No separation since the fix."""
+    s.d_e, s.d_n, s.s_ee, s.s_en, s.s_nn, s.c_e, s.c_n, s.state = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, IDLE
+
+
+@jit(borrows=True)
+def _box(at: float, ct: float, sin_h: float, cos_h: float) -> tuple[float, float]:
+    """Bounds on E and N of what is bounded along and across the track."""
+    return abs(sin_h) * at + abs(cos_h) * ct, abs(cos_h) * at + abs(sin_h) * ct

@@ -1,0 +1,91 @@
+"""Stages 6: the positioning modes that bridge the time since an RTK position, in their order of preference.
+
+A mode moves the positions of the vehicles that it is usable for and that no mode before it has moved: both dead
+reckonings, LATEST and BACKUP, with the growth of their errors. At rest every mode leaves the position; the bound grows
+by the creep that the odometer may not show.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.records import Records
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import step_doppler, step_odometer, step_still
+from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import heading_bias
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
+
+__all__ = ["advance_doppler", "advance_imu_odometer", "advance_nothing", "move", "stand"]
+
+UNDECIDED = -1
+NONE, RTK, DOPPLER, IMU_ODOMETER = 0, 1, 2, 3  # codes of positioning.modes.Mode
+
+
+@jit
+def advance_doppler(first: int, last: int, epoch: Epoch) -> None:
+    """Doppler: ``p += dt/2 (v_{t-1} + v_t)`` where its velocity is usable and the last RTK position is recent."""
+    par, state = epoch.parameters[0], epoch.state
+    for v in range(first, last):
+        vehicle, w, growth = state.vehicles[v], epoch.work.vehicles[v], state.growth[v]
+        w.mode, w.integrates = UNDECIDED, False
+        if not (vehicle.initialised and w.measured and vehicle.since_rtk <= par.modes.doppler_max_s):
+            continue
+        w.mode, w.integrates = DOPPLER, not w.resting
+        if w.resting:
+            stand(par, w, growth)
+            continue
+        before_e, before_n = (vehicle.velocity[0], vehicle.velocity[1]) if vehicle.has_velocity else (w.v_e, w.v_n)
+        move(vehicle, 0.5 * par.dt * (before_e + w.v_e), 0.5 * par.dt * (before_n + w.v_n))
+        for k in range(growth.shape[0]):
+            step_doppler(w.step, w.q[0, 0], w.q[0, 1], w.q[1, 1], par.doppler.bias, growth[k])
+
+
+@jit
+def advance_imu_odometer(first: int, last: int, epoch: Epoch) -> None:
+    """IMU and odometer: ``p += V dt [sin t, cos t]``; usable after a first position."""
+    par, state = epoch.parameters[0], epoch.state
+    rules = par.odometer
+    for v in range(first, last):
+        vehicle, w, growth = state.vehicles[v], epoch.work.vehicles[v], state.growth[v]
+        if w.mode != UNDECIDED or not vehicle.initialised:
+            continue
+        w.mode = IMU_ODOMETER
+        if w.resting:
+            stand(par, w, growth)
+            continue
+        s, c, speed = math.sin(w.middle), math.cos(w.middle), epoch.measured.speed[v]
+        move(vehicle, par.dt * speed * s, par.dt * speed * c)
+        b_theta, bias = heading_bias(vehicle, rules), rules.bias + rules.scale * abs(speed)
+        for k in range(growth.shape[0]):
+            step_odometer(w.step, speed, s, c, rules.sigma, bias, b_theta, growth[k])
+
+
+@jit
+def advance_nothing(first: int, last: int, epoch: Epoch) -> None:
+    """No mode is usable: the position stays."""
+    for v in range(first, last):
+        w = epoch.work.vehicles[v]
+        if w.mode == UNDECIDED:
+            w.mode = NONE
+            stand(epoch.parameters[0], w, epoch.state.growth[v])
+
+
+@jit(borrows=True)
+def move(vehicle: Any, east: float, north: float) -> None:
+    """Move the position and the backup solution [m]."""
+    vehicle.position[0] += east
+    vehicle.position[1] += north
+    vehicle.backup.position[0] += east
+    vehicle.backup.position[1] += north
+
+
+@jit(borrows=True)
+def stand(par: Any, w: Any, growth: Records) -> None:
+    """An epoch at rest, of both dead reckonings."""
+    creep = par.dt * par.odometer.still_speed
+    for k in range(growth.shape[0]):
+        g = growth[k]
+        step_still(w.step, g)
+        g.cv_e += creep * w.sin_h
+        g.cv_n += creep * w.cos_h

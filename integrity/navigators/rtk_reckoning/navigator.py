@@ -1,0 +1,209 @@
+"""The navigator of the kind ``rtk_reckoning``: an epoch is a list of stages."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.core.accel import run_rows
+from lanebound.integrity.core.chain_kernel import Chain
+from lanebound.integrity.monitoring.alerts import AlertReason
+from lanebound.integrity.navigators.navigator import Measurements, Navigator, Rows, register_navigator
+from lanebound.integrity.navigators.rtk_reckoning.attitude_kernel import find_attitude
+from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConfig
+from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import find_fixed_position
+from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import find_levels
+from lanebound.integrity.navigators.rtk_reckoning.lock_kernel import follow_carriers
+from lanebound.integrity.navigators.rtk_reckoning.modes_kernel import (
+    advance_doppler,
+    advance_imu_odometer,
+    advance_nothing,
+)
+from lanebound.integrity.navigators.rtk_reckoning.monitors_kernel import (
+    judge_fix,
+    separate_doppler,
+    watch_speeds,
+    widen_levels,
+)
+from lanebound.integrity.navigators.rtk_reckoning.parameters import epoch_parameters, epoch_tables
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import (
+    RECORDS,
+    WORK,
+    Epoch,
+    Measured,
+    Outputs,
+    State,
+    Work,
+)
+from lanebound.integrity.navigators.rtk_reckoning.report_kernel import report, take_fix
+from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import resolve_integers
+from lanebound.integrity.navigators.rtk_reckoning.velocity_kernel import find_velocity
+from lanebound.integrity.navigators.solution import Solution
+
+__all__ = ["RtkReckoningNavigator"]
+
+Array = NDArray[np.float64]
+LOCATE_US = 20.0  # of one thread for a vehicle and epoch, measured
+
+
+class RtkReckoningNavigator(Navigator):
+    """RTK, bridged by Doppler and by dead reckoning with odometer and gyro, with protection levels and alerts."""
+
+    config: RtkReckoningConfig
+
+    def prepare(self) -> None:
+        """The parameters, and the list of stages."""
+        self._parameters = epoch_parameters(self.config)
+        self._tables = epoch_tables(self.config, self.track.system)
+        self._stages = Chain(
+            find_velocity,
+            find_attitude,
+            follow_carriers,
+            resolve_integers,
+            find_fixed_position,
+            advance_doppler,
+            advance_imu_odometer,
+            advance_nothing,
+            separate_doppler,
+            watch_speeds,
+            find_levels,
+            judge_fix,
+            take_fix,
+            widen_levels,
+            report,
+        )
+        self._work: Work | None = None
+
+    def initial_belief(self, batch: int) -> State:
+        """Nothing is known but the bounds of the heading and of the gyro bias."""
+        belief = blank_state(batch, len(self.track.system), len(self.config.cases))
+        vehicles, heading = belief.vehicles, self.config.positioning.heading
+        vehicles["heading"]["p_hh"] = np.deg2rad(heading.initial_sigma_deg) ** 2
+        vehicles["heading"]["p_bb"] = heading.bias_initial_radps**2
+        vehicles["since_rtk"] = vehicles["since_calibration"] = vehicles["backup"]["age"] = np.inf
+        vehicles["alert"]["alert"], vehicles["alert"]["reason"] = True, AlertReason.INITIALISING.code
+        vehicles["alert"]["onset_s"] = -1.0
+        return belief
+
+    def align(self, heading_rad: Array, sigma_rad: float) -> None:
+        """Give the vehicles a prior heading, (B,) azimuth and its 1-sigma, as from a compass or the last drive."""
+        vehicles = self.state.belief.vehicles
+        vehicles["heading"]["angle"], vehicles["heading"]["p_hh"] = heading_rad, sigma_rad**2
+        vehicles["since_calibration"] = 0.0
+
+    def place_rows(
+        self, rows: Rows | slice, position_en_m: Array, heading_rad: Array, sigma_m: float, sigma_heading_rad: float
+    ) -> None:
+        """Dead-reckon from the prior until RTK is found; the gyro bias and the alert stay."""
+        belief = self.state.belief
+        old, fresh = belief.vehicles[rows], np.zeros(position_en_m.shape[0], belief.vehicles.dtype)
+        fresh["position"][:, :2], fresh["position"][:, 2] = position_en_m, old["position"][:, 2]
+        fresh["velocity"] = old["velocity"]
+        fresh["heading"], fresh["alert"], fresh["rtk"] = old["heading"], old["alert"], old["rtk"]
+        fresh["heading"]["angle"], fresh["heading"]["p_hh"] = heading_rad, sigma_heading_rad**2
+        fresh["heading"]["p_hb"] = 0.0
+        fresh["initialised"], fresh["backup"]["age"] = True, np.inf
+        fresh["backup"]["position"] = old["backup"]["position"]
+        belief.vehicles[rows] = fresh
+        for array in (belief.starts, belief.growth, belief.separations, belief.influences):
+            array[rows] = np.zeros((), array.dtype)
+        belief.ambiguities["held"][rows], belief.ambiguities["last_phase"][rows] = False, 0.0
+        for axis in ("p_ee", "p_nn"):
+            belief.growth[axis][rows] = sigma_m**2
+        belief.growth["var_th"][rows] = sigma_heading_rad**2
+
+    def locate(self, m: Measurements) -> Solution:
+        """The belief after the measurements of one epoch; reads nothing else."""
+        batch, satellites, levels = self.batch, len(self.track.system), self._tables.cases.shape[0]
+        out = blank_outputs(batch, satellites, levels)
+        if self._work is None or self._work.vehicles.shape[0] != batch:
+            self._work = blank_work(batch, satellites, levels)
+        epoch = Epoch(self._parameters, self._tables, self.state.belief, measured_of(m), self._work, out)
+        run_rows(self._stages, batch, epoch, row_us=LOCATE_US)
+        return solution_of(m, out)
+
+
+def blank_state(batch: int, satellites: int, cases: int) -> State:
+    """The state of vehicles, all zeros."""
+    shapes = {
+        "vehicles": (batch,),
+        "ambiguities": (batch, satellites),
+        "growth": (batch, 2),
+        "starts": (batch, 2, cases),
+        "influences": (batch, 2, satellites),
+        "separations": (batch, 2, satellites),
+    }
+    return State(**{name: np.zeros(shape, RECORDS[name]) for name, shape in shapes.items()})
+
+
+def blank_work(batch: int, satellites: int, cases: int) -> Work:
+    """Work of vehicles, all zeros."""
+    shape = batch, satellites
+    return Work(
+        np.zeros(batch, WORK), np.zeros(shape), np.zeros(shape), np.zeros(shape, np.bool_), np.zeros(shape, np.bool_),
+        np.zeros((batch, cases, 2)),
+    )  # fmt: skip
+
+
+def blank_outputs(batch: int, satellites: int, cases: int) -> Outputs:
+    """Outputs of vehicles, to be filled."""
+
+    def real(*shape: int) -> Array:
+        return np.empty((batch, *shape))
+
+    def whole() -> NDArray[np.int64]:
+        return np.empty(batch, np.int64)
+
+    def flag(*shape: int) -> NDArray[np.bool_]:
+        return np.empty((batch, *shape), np.bool_)
+
+    return Outputs(
+        position=real(2), heading=real(), velocity=real(2), covariance=real(2, 2), sigma_at=real(), sigma_ct=real(),
+        levels=real(cases, 2), mode=whole(), rtk=whole(), alert=flag(), available=flag(), reason=whole(), hdop=real(),
+        satellites=whole(), satellites_doppler=whole(), excluded=whole(), since_rtk=real(), since_calibration=real(),
+        wrong=real(), held=flag(satellites), difference=real(2),
+    )  # fmt: skip
+
+
+def measured_of(m: Measurements) -> Measured:
+    """The measurements as the stages take them."""
+    g = m.gnss
+    return Measured(
+        m.sky.los_enu, m.sky.index, g.tracked, g.cn0_dbhz, g.code_m, g.phase_m, g.range_rate_mps, g.lock_lost,
+        g.corrections_age_s, m.imu.delta_theta_rad, m.imu.delta_v_mps, m.odometer.speed_mps,
+    )  # fmt: skip
+
+
+def solution_of(m: Measurements, out: Outputs) -> Solution:
+    """The solution of the outputs of all stages."""
+    return Solution(
+        time_s=m.time_s,
+        position_en_m=out.position,
+        heading_rad=out.heading,
+        velocity_en_mps=out.velocity,
+        speed_mps=m.odometer.speed_mps,
+        covariance_en_m2=out.covariance,
+        sigma_at_m=out.sigma_at,
+        sigma_ct_m=out.sigma_ct,
+        pl_at_m=out.levels[:, 0, 0],
+        pl_ct_m=out.levels[:, 0, 1],
+        pl_cases_m=out.levels,
+        mode=out.mode,
+        rtk=out.rtk,
+        alert=out.alert,
+        available=out.available,
+        reason=out.reason,
+        hdop=out.hdop,
+        satellites=out.satellites,
+        satellites_doppler=out.satellites_doppler,
+        excluded=out.excluded,
+        since_rtk_s=out.since_rtk,
+        since_calibration_s=out.since_calibration,
+        corrections_age_s=m.gnss.corrections_age_s,
+        wrong_fix_risk=out.wrong,
+        held=out.held,
+        doubt_en_m=out.difference,
+    )
+
+
+register_navigator(RtkReckoningConfig, RtkReckoningNavigator)

@@ -1,0 +1,315 @@
+"""What the stages of an epoch of ``rtk_reckoning`` work on: parameters, state, measurements, work and outputs."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.core.records import Records, record
+from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
+from lanebound.integrity.monitoring.alerts_kernel import ALERT, ALERT_RULES
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import GROWTH, STEP
+from lanebound.integrity.monitoring.detection_kernel import FDE_RULES, Thresholds
+from lanebound.integrity.monitoring.doppler_separation_kernel import INFLUENCE, SEPARATION
+from lanebound.integrity.monitoring.jump_kernel import JUMP
+from lanebound.integrity.positioning.heading_kernel import CALIBRATION, HEADING
+from lanebound.integrity.positioning.mode_kernel import MODE_LIMITS
+from lanebound.integrity.positioning.odometer_watch_kernel import ODOMETER_WATCH, WATCH_LIMITS
+from lanebound.integrity.positioning.rtk_kernel import AMBIGUITY, RTK_RULES, SATELLITE
+from lanebound.integrity.positioning.slip_watch_kernel import SLIP_RULES, SLIP_WATCH
+
+__all__ = [
+    "CASE",
+    "PARAMETERS",
+    "START",
+    "VEHICLE",
+    "WORK",
+    "Epoch",
+    "Measured",
+    "Outputs",
+    "State",
+    "Tables",
+]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+LATEST, BACKUP = 0, 1  # the two dead reckonings: since the last RTK position, and that of the backup solution
+MULTI_HYPOTHESIS, CLOSED, PUBLISHED = 0, 1, 2  # forms of a protection level
+
+# Parameters
+
+DOPPLER_RULES = record(
+    sigma="range rate, zenith [m/s]",
+    tau="correlation time of the velocity error [s]",
+    bias="bound of a constant velocity bias in E and in N [m/s]",
+    sin_mask="sine of the lowest elevation used",
+    cn0_min="lowest C/N0 used [dB-Hz]",
+)
+HEADING_RULES = record(
+    angle_random_walk="[rad/sqrt(s)]",
+    bias_walk="random walk of the gyro bias [rad/s/sqrt(s)]",
+    bias_initial="gyro bias at turn-on, 1 sigma [rad/s]",
+    calibration=(CALIBRATION, "when Doppler calibrates"),
+)
+ODOMETER_RULES = record(
+    sigma="odometer speed, 1 sigma [m/s]",
+    tau="correlation time of its error [s]",
+    bias="bound of a constant error [m/s]",
+    scale="bound of the scale error [-]",
+    still_speed="speed that the odometer may show as rest [m/s]",
+    heading_bias="bound of the heading's error after calibration [rad]",
+    heading_drift="growth of that bound [rad/s]",
+    watch=(WATCH_LIMITS, "what a healthy odometer may differ by"),
+)
+LEVER = record(
+    forward="antenna ahead of the reference point [m]",
+    right="antenna to the right of it [m]",
+    k="factor on the heading's sigma in the bound of the lever arm [-]",
+    axle="reference point ahead of the rear axle [m]",
+)
+JUMP_RULES = record(
+    after_jump="quarantine after a jump [s]",
+    after_outage="quarantine after an outage [s]",
+    backup="longest time since the restart of the backup solution [s]",
+)
+RISK_RULES = record(
+    at_share="share of the risk along track [-]",
+    fault_free_share="share of the fault-free mode in the closed form, 0: equal shares [-]",
+    spent="risk spent on events outside the fault modes [-]",
+    fault_duration="mean time that a fault lasts [s]",
+    reference_bias="bound of the horizontal error of the reference coordinates [m]",
+    constellations=("?", "a constellation may fail as a whole"),
+    multiple=("?", "spend risk on two or more faults at once"),
+    tolerate=("?", "spend the prior of modes without a solution"),
+    published=("?", "the operative level is of the published form"),
+    satellite_prior=("f8", (MAX_GROUPS,), "fault probability of one satellite, by system [-]"),
+    constellation_prior=("f8", (MAX_GROUPS,), "fault probability of a whole system [-]"),
+)
+PARAMETERS = record(
+    dt="length of an epoch [s]",
+    confirm="how long a regained fix must pass its tests [s]",
+    rtk=(RTK_RULES, "RTK"),
+    slips=(SLIP_RULES, "cycle slips"),
+    doppler=(DOPPLER_RULES, "Doppler velocity"),
+    heading=(HEADING_RULES, "heading filter"),
+    odometer=(ODOMETER_RULES, "odometer and dead reckoning"),
+    modes=(MODE_LIMITS, "conditions of the positioning modes"),
+    lever=(LEVER, "antenna and axle"),
+    jump=(JUMP_RULES, "jump monitor"),
+    risk=(RISK_RULES, "risk and its allocation"),
+    fde=(FDE_RULES, "fault detection and exclusion"),
+    alert=(ALERT_RULES, "alert limits and times"),
+)
+"""The declared figures of a navigator."""
+
+CASE = record(
+    risk="total horizontal risk [-]",
+    form=("i8", "MULTI_HYPOTHESIS, CLOSED or PUBLISHED, of the RTK level"),
+    published=("?", "published factors and biases"),
+    k_published="Qinv(risk)",
+    k_dead=("f8", (2,), "K_md of dead reckoning by axis"),
+    budget=("f8", (2,), "the risk that it stands for, by axis [-]"),
+)
+"""A protection level to report."""
+
+
+class Tables(NamedTuple):
+    """Parameters in arrays.
+
+    satellites (S,) of SATELLITE; cases (R,) of CASE, the operative one first; thresholds of the fault tests;
+    k_fa (2, C) threshold of the separation test by the number of fault modes, exact and published.
+    """
+
+    satellites: Records
+    cases: Records
+    thresholds: Thresholds
+    k_fa: Array
+
+
+# State
+
+RTK_STATE = record(
+    rejected=("i8", "rejected epochs in a row"),
+    fixes=("i8", "number of fixes so far"),
+    refused_s="time until the next attempt after a refusal [s]",
+    slips=(SLIP_WATCH, "of the slip test"),
+)
+BACKUP_STATE = record(position=("f8", (2,), "East, North [m]"), age="time since its restart, inf: none [s]")
+VEHICLE = record(
+    position=("f8", (3,), "East, North, Up of the reference point [m]"),
+    heading=(HEADING, "heading filter"),
+    since_calibration="time since the heading was last calibrated [s]",
+    course_refused_s="how long Doppler courses have been refused for their jump [s]",
+    rest_s="how long the vehicle has been at rest [s]",
+    velocity=("f8", (2,), "East, North at the end of the last epoch [m/s]"),
+    has_velocity=("?", "the velocity begins a trapezoid"),
+    initialised=("?", "there has been a position"),
+    since_rtk="time since the last RTK position [s]",
+    fixed_s="how long RTK has passed its tests [s]",
+    conflict_s="how long Doppler and odometer have contradicted each other [s]",
+    unbounded=("?", "no level holds before the next RTK position"),
+    separated=("?", "a separation has grown since the last RTK position"),
+    rtk=(RTK_STATE, "RTK"),
+    backup=(BACKUP_STATE, "backup solution"),
+    jump=(JUMP, "jump monitor"),
+    watch=(ODOMETER_WATCH, "odometer watch"),
+    alert=(ALERT, "alert"),
+)
+"""What lasts of a vehicle from epoch to epoch."""
+
+START = record(
+    bias_e="bound beside K sigma, East [m]",
+    bias_n="the same, North [m]",
+    whole_e="bound of the whole error, East; inf without a level [m]",
+    whole_n="the same, North [m]",
+)
+"""What the last RTK position left to the levels of one case."""
+
+
+class State(NamedTuple):
+    """What lasts of B vehicles.
+
+    vehicles (B,) of VEHICLE; ambiguities (B, S) of AMBIGUITY; growth (B, 2) of GROWTH and starts (B, 2, R) of START,
+    for LATEST and BACKUP; influences (B, 2, S) of INFLUENCE at the beginning and at the end of the epoch; separations
+    (B, 2, S) of SEPARATION.
+    """
+
+    vehicles: Records
+    ambiguities: Records
+    growth: Records
+    starts: Records
+    influences: Records
+    separations: Records
+
+
+# Measurements
+
+
+class Measured(NamedTuple):
+    """Measurements of B vehicles, as in :class:`~lanebound.integrity.sensors.instruments.Measurements`.
+
+    los (K, S, 3) and the row ``sight`` (B,) that each vehicle uses; tracked, cn0, range_rate, lock_lost (B, S); code,
+    phase (B, S, 2); age (B,) of the corrections; turn, delta_v (B, 3); speed (B,).
+    """
+
+    los: Array
+    sight: Ints
+    tracked: Bools
+    cn0: Array
+    code: Array
+    phase: Array
+    range_rate: Array
+    lock_lost: Bools
+    age: Array
+    turn: Array
+    delta_v: Array
+    speed: Array
+
+
+# Work and outputs
+
+FIXED_SOLUTION = record(
+    status=("i8", "code of RtkStatus"),
+    satellites=("i8", "in the solution"),
+    excluded=("i8", "by its fault test"),
+    hdop="[-]",
+    position=("f8", (3,), "East, North, Up of the antenna [m]"),
+    p_ee="covariance, East East [m^2]",
+    p_en="East North [m^2]",
+    p_nn="North North [m^2]",
+    sigma=("f8", (2,), "standard deviation along and across track [m]"),
+    wrong="probability that the held integers are wrong [-]",
+    lasting=("?", "the epoch before had an RTK position"),
+    usable=("?", "confirmed, and of good geometry: levels are filled"),
+)
+WORK = record(
+    suspect=("?", "Doppler must not be used"),
+    solved=("?", "there is a tested Doppler velocity"),
+    checked=("?", "it may move the position"),
+    measured=("?", "it agrees with the odometer and has good geometry"),
+    velocity=("f8", (3,), "Doppler velocity of the antenna, East North Up [m/s]"),
+    q=("f8", (3, 3), "its covariance [m^2/s^2]"),
+    v_e="Doppler velocity of the reference point, East [m/s]",
+    v_n="the same, North [m/s]",
+    v_gnss="its magnitude [m/s]",
+    hdop_doppler="[-]",
+    satellites_doppler=("i8", "in the velocity"),
+    excluded_doppler=("i8", "by its fault test"),
+    later="factor on the priors for faults that began since the last RTK position",
+    turning="yaw rate less its bias [rad/s]",
+    resting=("?", "the vehicle is at rest"),
+    slip="side slip angle of the reference point [rad]",
+    middle="course of the reference point in the middle of the epoch [rad]",
+    sin_h="sine of the heading",
+    cos_h="cosine of the heading",
+    step=(STEP, "what the epoch does to the error processes"),
+    mode=("i8", "code of the positioning mode, UNDECIDED before one is found"),
+    integrates=("?", "the position moved by the Doppler velocity"),
+    accepted=("?", "the RTK position is accepted"),
+    fixed=(FIXED_SOLUTION, "RTK solution"),
+)
+"""What stages hand on to later stages of the same epoch."""
+
+
+class Work(NamedTuple):
+    """Work of B vehicles.
+
+    vehicles (B,) of WORK; quality, factor (B, S) variance factors of a satellite, of any use and in RTK; used, phase_ok
+    (B, S): used in RTK, carrier locked on every band; fixed_levels (B, R, 2) [m] of the RTK position, else zeros.
+    """
+
+    vehicles: Records
+    quality: Array
+    factor: Array
+    used: Bools
+    phase_ok: Bools
+    fixed_levels: Array
+
+
+class Outputs(NamedTuple):
+    """The arrays of a :class:`~lanebound.integrity.navigators.solution.Solution`, with levels (B, R, 2)."""
+
+    position: Array
+    heading: Array
+    velocity: Array
+    covariance: Array
+    sigma_at: Array
+    sigma_ct: Array
+    levels: Array
+    mode: Ints
+    rtk: Ints
+    alert: Bools
+    available: Bools
+    reason: Ints
+    hdop: Array
+    satellites: Ints
+    satellites_doppler: Ints
+    excluded: Ints
+    since_rtk: Array
+    since_calibration: Array
+    wrong: Array
+    held: Bools
+    difference: Array
+
+
+class Epoch(NamedTuple):
+    """One epoch of a batch: what every stage ``stage(first, last, epoch)`` takes. parameters (1,) of PARAMETERS."""
+
+    parameters: Records
+    tables: Tables
+    state: State
+    measured: Measured
+    work: Work
+    out: Outputs
+
+
+RECORDS: dict[str, Any] = {
+    "vehicles": VEHICLE, "ambiguities": AMBIGUITY, "growth": GROWTH, "starts": START, "influences": INFLUENCE,
+    "separations": SEPARATION,
+}  # fmt: skip
+"""Types of the arrays of State."""
+SATELLITE_RECORD = SATELLITE

@@ -1,0 +1,94 @@
+"""The last stages: the RTK position is taken where it is accepted, and the solution is reported."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from lanebound.integrity.core.accel import jit
+from lanebound.integrity.monitoring.alerts_kernel import INITIALISING, TEST_FAILED, alert_step
+from lanebound.integrity.monitoring.alerts_kernel import NONE as NO_CAUSE
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import remember_velocity, sigma_and_bias
+from lanebound.integrity.monitoring.jump_kernel import is_suspicious
+from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import DeadReckoningState, restart
+from lanebound.integrity.navigators.rtk_reckoning.modes_kernel import NONE, RTK
+from lanebound.integrity.navigators.rtk_reckoning.monitors_kernel import copy_reckoning, reference_point
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import BACKUP, LATEST, Epoch, Outputs
+
+__all__ = ["report", "take_fix"]
+
+
+@jit
+def take_fix(first: int, last: int, epoch: Epoch) -> None:
+    """Replace the position by an accepted RTK position and restart dead reckoning there."""
+    par, state, tables, levels = epoch.parameters[0], epoch.state, epoch.tables, epoch.out.levels
+    for v in range(first, last):
+        vehicle, w, growth = state.vehicles[v], epoch.work.vehicles[v], state.growth[v]
+        if w.accepted:
+            w.mode = RTK
+            for r in range(levels.shape[1]):
+                levels[v, r, 0], levels[v, r, 1] = epoch.work.fixed_levels[v, r, 0], epoch.work.fixed_levels[v, r, 1]
+            vehicle.position[0], vehicle.position[1] = reference_point(w.fixed, par.lever, w.sin_h, w.cos_h)
+            vehicle.position[2] = w.fixed.position[2]
+            vehicle.since_rtk, vehicle.initialised, vehicle.unbounded = 0.0, True, False
+            latest = DeadReckoningState(growth[LATEST], state.starts[v, LATEST], state.separations[v, LATEST])
+            restart(latest, tables, par.risk, vehicle, w.fixed, w.sin_h, w.cos_h, levels[v])
+            if not (w.fixed.lasting and vehicle.backup.age < par.jump.backup):
+                vehicle.backup.position[0], vehicle.backup.position[1] = vehicle.position[0], vehicle.position[1]
+                vehicle.backup.age = 0.0
+                copy_reckoning(v, state, LATEST, BACKUP)
+        vehicle.has_velocity = w.measured
+        if w.mode == RTK and w.measured:
+            for k in range(growth.shape[0]):
+                remember_velocity(w.q[0, 0], w.q[0, 1], w.q[1, 1], growth[k])
+        vehicle.velocity[0], vehicle.velocity[1] = w.v_e, w.v_n
+        if not w.measured:
+            course, speed = vehicle.heading.angle + w.slip, epoch.measured.speed[v]
+            vehicle.velocity[0], vehicle.velocity[1] = speed * math.sin(course), speed * math.cos(course)
+
+
+@jit
+def report(first: int, last: int, epoch: Epoch) -> None:
+    """Advance the alert and fill the outputs."""
+    par, state, out = epoch.parameters[0], epoch.state, epoch.out
+    for v in range(first, last):
+        vehicle, w, g = state.vehicles[v], epoch.work.vehicles[v], state.growth[v, LATEST]
+        sigma_at, sigma_ct, _, _ = sigma_and_bias(w.sin_h, w.cos_h, False, g)
+        if w.mode == RTK:
+            sigma_h = math.sqrt(vehicle.heading.p_hh)
+            sigma_at = math.hypot(w.fixed.sigma[0], par.lever.right * sigma_h)
+            sigma_ct = math.hypot(w.fixed.sigma[1], par.lever.forward * sigma_h)
+        cause, doubted = INITIALISING if w.mode == NONE else NO_CAUSE, is_suspicious(vehicle.jump)
+        if doubted or (vehicle.unbounded and w.mode != RTK and w.mode != NONE):
+            cause = TEST_FAILED
+        at, ct = out.levels[v, 0, 0], out.levels[v, 0, 1]
+        out.available[v] = alert_step(cause, at, ct, sigma_at, sigma_ct, par.dt, par.alert, vehicle.alert)
+        out.alert[v], out.reason[v] = vehicle.alert.alert, vehicle.alert.reason
+        out.sigma_at[v], out.sigma_ct[v] = sigma_at, sigma_ct
+        _report_state(v, vehicle, w, out)
+        lever, variance = par.lever, vehicle.heading.p_hh
+        turned_e = w.sin_h * lever.right - w.cos_h * lever.forward  # of a radian of heading
+        turned_n = w.cos_h * lever.right + w.sin_h * lever.forward
+        out.covariance[v, 0, 0] = g.p_ee + turned_e * turned_e * variance
+        out.covariance[v, 1, 1] = g.p_nn + turned_n * turned_n * variance
+        out.covariance[v, 0, 1] = out.covariance[v, 1, 0] = g.p_en + turned_e * turned_n * variance
+        for s in range(out.held.shape[1]):
+            out.held[v, s] = state.ambiguities[v, s].held
+
+
+@jit(borrows=True)
+def _report_state(v: int, vehicle: Any, w: Any, out: Outputs) -> None:
+    """Position, heading, velocity, mode and counts of vehicle v."""
+    for k in range(2):
+        out.position[v, k], out.velocity[v, k] = vehicle.position[k], vehicle.velocity[k]
+    out.heading[v], out.difference[v, 0], out.difference[v, 1] = (
+        vehicle.heading.angle,
+        vehicle.jump.d_e,
+        vehicle.jump.d_n,
+    )
+    out.mode[v], out.rtk[v] = w.mode, w.fixed.status
+    out.hdop[v] = w.fixed.hdop if w.mode == RTK else w.hdop_doppler
+    out.satellites[v], out.satellites_doppler[v] = w.fixed.satellites, w.satellites_doppler
+    out.excluded[v] = w.fixed.excluded + w.excluded_doppler
+    out.since_rtk[v], out.since_calibration[v] = vehicle.since_rtk, vehicle.since_calibration
+    out.wrong[v] = w.fixed.wrong

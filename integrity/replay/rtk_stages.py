@@ -1,0 +1,108 @@
+"""The RTK stages of ``rtk_reckoning`` for one recorded receiver, without the other sensors of a vehicle."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.core.chain_kernel import Chain
+from lanebound.integrity.monitoring.exclusion import FdeConfig, fde_thresholds
+from lanebound.integrity.monitoring.risk import RiskConfig, Variant
+from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConfig
+from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import find_fixed_position
+from lanebound.integrity.navigators.rtk_reckoning.lock_kernel import follow_carriers
+from lanebound.integrity.navigators.rtk_reckoning.navigator import blank_outputs, blank_state, blank_work
+from lanebound.integrity.navigators.rtk_reckoning.parameters import (
+    case_table,
+    epoch_parameters,
+    satellite_table,
+    separation_thresholds,
+)
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch, Measured, Tables
+from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import resolve_integers
+from lanebound.integrity.positioning.config import RtkConfig
+from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
+
+__all__ = ["RtkStages", "Signals"]
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+class Signals(NamedTuple):
+    """One epoch of S satellites: los (S, 3); variance factor, tracked, cn0, lost (S,); code, phase (S, 2) [m]."""
+
+    los: Array
+    quality: Array
+    tracked: Bools
+    cn0: Array
+    code: Array
+    phase: Array
+    lost: Bools
+
+
+class RtkStages:
+    """Carrier lock, integer resolution, fixed position and its levels, epoch by epoch, of one receiver.
+
+    Parameters
+    ----------
+    rtk, slips, fde, risk : their configurations
+    system : (S,) of the satellites
+    wavelength_m : (systems, bands)
+    fixable : (S,) bool, satellites whose integers may be fixed
+    bands : bands used
+    """
+
+    def __init__(
+        self, rtk: RtkConfig, slips: CycleSlipConfig, fde: FdeConfig, risk: RiskConfig, system: NDArray[np.int64],
+        wavelength_m: Array, fixable: Bools, bands: int,
+    ) -> None:  # fmt: skip
+        exact = risk.replace(variant=Variant.EXACT)
+        positioning = {"rtk": rtk.to_dict(), "slips": slips.to_dict()}
+        config = RtkReckoningConfig(positioning=positioning, fde=fde, risk=exact, gnss={"bands": tuple(range(bands))})
+        parameters = epoch_parameters(config)
+        parameters["modes"]["rtk_max_hdop"] = math.inf  # levels are wanted of every fixed position
+        tables = Tables(
+            satellite_table(system, wavelength_m, fixable, exact), case_table(config.cases, exact, 0.0),
+            fde_thresholds(fde, len(system)), separation_thresholds(exact, len(system)),
+        )  # fmt: skip
+        n = len(system)
+        state, work, out = blank_state(1, n, 1), blank_work(1, n, 1), blank_outputs(1, n, 1)
+        measured = Measured(
+            np.zeros((1, n, 3)), np.zeros(1, np.int64), np.zeros((1, n), np.bool_), np.zeros((1, n)),
+            np.zeros((1, n, 2)), np.zeros((1, n, 2)), np.zeros((1, n)), np.zeros((1, n), np.bool_), np.zeros(1),
+            np.zeros((1, 3)), np.zeros((1, 3)), np.zeros(1),
+        )  # fmt: skip
+        self._epoch = Epoch(parameters, tables, state, measured, work, out)
+        self._stages = Chain(follow_carriers, resolve_integers, find_fixed_position)
+
+    def release(self) -> None:
+        """Release all integers."""
+        self._epoch.state.ambiguities["held"] = False
+
+    def step(
+        self, signals: Signals, age_s: float, dt_s: float, near_m: Array, sin_h: float, cos_h: float
+    ) -> tuple[np.void, Array]:
+        """Run the stages on one epoch; ``near_m`` (3,) is a point near the receiver.
+
+        Returns the solution (FIXED_SOLUTION of :mod:`~lanebound.integrity.navigators.rtk_reckoning.records_kernel`) and
+        its levels (2,) AT, CT [m], zeros unless it is fixed.
+        """
+        e = self._epoch
+        e.parameters["dt"] = dt_s
+        e.work.quality[0] = signals.quality
+        m = e.measured
+        for target, value in (
+            (m.los, signals.los), (m.tracked, signals.tracked), (m.cn0, signals.cn0), (m.code, signals.code),
+            (m.phase, signals.phase), (m.lock_lost, signals.lost),
+        ):  # fmt: skip
+            target[0] = value
+        m.age[0] = age_s
+        e.state.vehicles["position"][0] = near_m
+        w = e.work.vehicles
+        w["sin_h"], w["cos_h"] = sin_h, cos_h
+        self._stages(0, 1, e)
+        return w["fixed"][0], e.work.fixed_levels[0, 0]
