@@ -23,7 +23,7 @@ import stat
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import cache
@@ -33,7 +33,7 @@ from typing import Any, TypeVar
 
 import numba
 
-__all__ = ["is_compiled", "jit", "run_rows", "serial", "thread_count"]
+__all__ = ["is_compiled", "jit", "run_chain", "run_rows", "serial", "thread_count"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 FASTMATH = {"nsz"}  # more would let a kernel compiled now and one loaded from the cache differ in the last bit
@@ -126,16 +126,28 @@ def _layer_of(function: Callable[..., Any]) -> str:
     return rest.partition(".")[0] if package == "lanebound" else "integrity"
 
 
-def jit(function: F | None = None, *, inline: bool = False) -> Any:
+def jit(function: F | None = None, *, inline: bool = False, forceinline: bool = False, borrows: bool = False) -> Any:
     """``numba.njit`` with this package's options: cached, C division, no loss of NaN or inf, sums in their order.
 
     Kernels release the interpreter's lock while they run. They are compiled at their first call by one thread.
+
+    Parameters
+    ----------
+    inline : Numba inlines the function before type inference and does not compile it by itself; for small functions
+    forceinline : LLVM inlines the function; for a function with a NamedTuple of many arrays and few callers, as each
+        array passed costs some 2 ns
+    borrows : do not count references to arrays, which costs some 5 ns for each array that a function takes or finds in
+        a NamedTuple; for functions that allocate no array and return none
     """
 
     def wrap(f: F) -> Any:
         options: dict[str, Any] = {"error_model": "numpy", "fastmath": FASTMATH, "nogil": True}
         if inline:
             options["inline"] = "always"
+        if forceinline:
+            options["forceinline"] = True
+        if borrows:
+            options["_nrt"] = False
         directory = cache_directory(_layer_of(f))
         if directory is None:
             return numba.njit(**options)(f)
@@ -191,17 +203,30 @@ def run_rows(kernel: Any, rows: int, *arguments: Any, row_us: float) -> None:
     ----------
     row_us : about how long a row takes on one thread [us]; a piece is to be worth waking a thread for
     """
+    run_chain([(kernel, arguments)], rows, row_us=row_us)
+
+
+def run_chain(links: Sequence[tuple[Any, tuple[Any, ...]]], rows: int, *, row_us: float) -> None:
+    """:func:`run_rows` of several kernels one after another, for each piece of rows: threads are woken once for all.
+
+    Parameters
+    ----------
+    links : kernels with their arguments after ``first`` and ``last``
+    row_us : about how long a row takes in all kernels together on one thread [us]
+    """
     pieces = int(rows * row_us / PIECE_US)
     threads = thread_count(pieces)
     if threads == 1:
-        kernel(0, rows, *arguments)
+        for kernel, arguments in links:
+            kernel(0, rows, *arguments)
         return
     pieces = min(threads * PIECES_PER_THREAD, pieces, rows)
     turn = itertools.count()
 
     def work() -> None:
         while (piece := next(turn)) < pieces:
-            kernel(piece * rows // pieces, (piece + 1) * rows // pieces, *arguments)
+            for kernel, arguments in links:
+                kernel(piece * rows // pieces, (piece + 1) * rows // pieces, *arguments)
 
     _crew(threads - 1, os.getpid()).share(work)
 

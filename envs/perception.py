@@ -1,4 +1,7 @@
-"""Which sources of traffic the ego has, and their figures."""
+"""How the ego perceives traffic: what others broadcast of themselves, what its own sensor sees, or both.
+
+The formulas are in :mod:`lanebound.envs.batch.perception_kernel`.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ class SensorConfig(Config):
 
     range_m: float = Field(80.0, gt=0, description="farthest vehicle seen [m]; near-range mode of 77 GHz radars, 70 m")
     field_of_view_deg: float = Field(
-        360.0, gt=0, le=360, description="opening of the cone it looks into, centred ahead [deg]; surround set"
+        360.0, gt=0, le=360, description="opening of the field of view, centred ahead [deg]; surround set"
     )
     range_sigma_m: float = Field(
         0.2,
@@ -39,10 +42,10 @@ class SensorConfig(Config):
 
 
 class PerceptionConfig(Config):
-    """Which sources the ego has, and how long it believes them."""
+    """Which sources the ego has, and how long their measurements count."""
 
     source: Literal["v2v", "sensor", "both", "none", "truth"] = Field(
-        "v2v", description="what tells of the traffic; truth: every vehicle as it is, at no age"
+        "v2v", description="source of the traffic; truth: every vehicle as it is, at no age"
     )
     v2v: V2vConfig = Field(default_factory=V2vConfig, description="the radio channel")
     sensor: SensorConfig = Field(default_factory=SensorConfig, description="the ego's own sensor")
