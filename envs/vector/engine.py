@@ -186,7 +186,8 @@ class Engine:
         share = (speed - speeds[0]) / (speeds[-1] - speeds[0])
         nearest = np.clip(np.round(share * (speeds.size - 1)), 0, speeds.size - 1).astype(np.int64)
         episodes.ego.belief["target_speed_mps"][rows] = speeds[nearest]
-        run_chain(episodes.finish_links(rows, start=True), rows.size, row_us=FINISH_US)
+        links = [self._judge_link(stage, rows, start=True), *episodes.finish_links(rows, start=True)]
+        run_chain(links, rows.size, row_us=FINISH_US)
         episodes.fill_extra(rows)
         for e in rows.tolist():
             del self._drawn[e]
@@ -227,9 +228,7 @@ class Engine:
             run_chain(links, n, row_us=cost_us + EPOCH_US)
             fixes = None if truth is None or e.navigation is None else fixes_of(e.navigation.locate(truth))
             links, cost_us = e.epoch_links(where, fixes, e.times_s[where]), EPOCH_US
-        ego, course = e.ego, self._stage.course
-        links.append((judge_rows, (where, e.cars, ego, e.table.lanes, course.rules, course.world)))
-        links += e.finish_links(where, start=False)
+        links += [self._judge_link(self._stage, where, start=False), *e.finish_links(where, start=False)]
         run_chain(links, n, row_us=cost_us + FINISH_US)
         e.fill_extra(where)
 
@@ -239,6 +238,11 @@ class Engine:
         motions = None if e.navigation is None else e.navigation.motions
         moved = e.cars, stage.drivers, motions, e.tracks, e.ego, e.table.lanes, stage.course
         return self._drive, (rows, frames, codes, *moved)
+
+    def _judge_link(self, stage: Stage, rows: Rows, start: bool) -> Any:
+        """What the wrapped world says of a step, as a link of a chain."""
+        e, course = stage.episodes, stage.course
+        return judge_rows, (rows, e.cars, e.ego, e.table.lanes, course.rules, course.world, start)
 
     def _take_up(self, actions: NDArray[Any]) -> None:
         """Continuous commands in physical units, in the precision of the action as highway-env maps it."""

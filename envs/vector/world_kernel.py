@@ -33,8 +33,8 @@ WORLD = record(
 
 
 @jit
-def judge_rows(first, last, rows, cars, ego, lanes, rules, worlds):  # type: ignore[no-untyped-def]
-    """Fill the facts of a policy step: ends and reward of the wrapped world."""
+def judge_rows(first, last, rows, cars, ego, lanes, rules, worlds, start):  # type: ignore[no-untyped-def]
+    """Fill the facts of a policy step, ends and reward of the wrapped world; or of a start, where no time has passed."""
     world, policy = worlds[0], rules[0].policy_s
     for n in range(first, last):
         e = rows[n]
@@ -42,14 +42,16 @@ def judge_rows(first, last, rows, cars, ego, lanes, rules, worlds):  # type: ign
         lane, speed, crashed = car.lane[0], car.speed[0], car.crashed[0] != 0
         s, r, direction = local(lanes, lane, car.x[0], car.y[0])
         angle, on_road = wrap(car.heading[0] - direction), on_lane(lanes, lane, s, r, 0.0)
+        facts.on_road, facts.terminated, facts.truncated, facts.base = 1 if on_road else 0, 0, 0, 0.0
+        if start:
+            continue
         sc.time_s += policy
         over = crashed or (world.off_road_ends != 0 and not on_road)
         over = over or (world.against_ends != 0 and abs(angle) > 0.5 * math.pi)
         late = sc.time_s >= world.duration_s - world.tolerance_s
         late = late or (world.end_m >= 0.0 and s > lanes.table[lane].length_m - world.end_m)
         late = late or sc.steps * rules[0].step_s >= world.episode_s - 0.5 * policy
-        facts.on_road, facts.terminated, facts.truncated = 1 if on_road else 0, 1 if over else 0, 1 if late else 0
-        facts.base = 0.0
+        facts.terminated, facts.truncated = 1 if over else 0, 1 if late else 0
         if world.reward == OF_ROADS:
             facts.base = _of_roads(lanes, lane, s, r, speed * math.cos(angle), crashed, world)
         elif world.reward == OF_HIGHWAY:
