@@ -124,7 +124,7 @@ class BeliefLoop:
         """Measure the epoch that ends now, locate by the measurements alone, and perceive."""
         e, fixes = self.episodes, None
         if e.navigation is not None:
-            link, truth = e.navigation.epoch_link(ROW, e.cars)
+            link, truth = e.navigation.epoch_link(ROW, e.batch)
             _run([link])
             self.solution = e.navigation.locate(truth)
             fixes = fixes_of(self.solution)
@@ -225,7 +225,7 @@ class BeliefLoop:
         """All that the ego knows of itself now."""
         e = self.episodes
         self._intents()
-        locate_rows(0, 1, ROW, e.cars, e.ego, e.map, e.shown, e.rules)
+        locate_rows(0, 1, ROW, e.batch)
         return EgoBelief.of(e.ego.belief, 0, e.table)
 
     @property

@@ -91,8 +91,10 @@ def begin_all(episodes: Episodes, rows: NDArray[np.int64], seeds: Sequence[int])
     """Begin episodes of the engine, whose cars are in their places."""
     crew = np.arange(1, episodes.cars.x.shape[1]) < episodes.cars.count[rows, None]
     config, navigation = episodes.config, episodes.navigation
-    navigating = crew[:, : (1 if navigation is None else navigation.vehicles) - 1]
-    starts = draw_starts(seeds, config.layouts, HOURS, navigating, config.navigation.source.senses)
+    starts = None
+    if navigation is not None:
+        navigating = crew[:, : navigation.vehicles - 1]
+        starts = draw_starts(seeds, config.layouts, HOURS, navigating, config.navigation.source.senses)
     episodes.begin(rows, seeds, starts, crew)
 
 
@@ -117,8 +119,9 @@ def _episodes(
         skies, cities = Skies.of(settings.sky, span_s, hours), Cities.of(streets, routes.table)
         members = 1 + (capacity if hears else 0)
         navigation = NavigationBatch(
-            config.navigation, settings, skies, cities, routes.table.lanes, count, members, step_s, steps
-        )
+            config.navigation, settings, skies, cities, cities.ahead(config.observation.satellites_m),
+            routes.table.lanes, count, members, step_s, steps,
+        )  # fmt: skip
     perception = PerceptionBatch(config.perception, count, capacity, vehicles, step_s * steps)
     rules = rules_of(config, alert_limits_m(world, config), map_bound_m(config, settings) if senses else 0.0)
     return Episodes(config, rules, routes, empty_cars(count, vehicles), navigation, perception)

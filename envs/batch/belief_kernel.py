@@ -46,7 +46,7 @@ class Fixes(NamedTuple):
     corrections_age_s: Array
 
 
-@jit
+@jit(borrows=True)
 def adopt(t, b, fixes, v):  # type: ignore[no-untyped-def]
     """Take over the solution of vehicle v, position and heading in the plane, into a track and a belief."""
     t.x_m, t.y_m = fixes.position_en_m[v, 0], -fixes.position_en_m[v, 1]
@@ -59,7 +59,7 @@ def adopt(t, b, fixes, v):  # type: ignore[no-untyped-def]
     b.since_calibration_s, b.corrections_age_s = fixes.since_calibration_s[v], fixes.corrections_age_s[v]
 
 
-@jit
+@jit(borrows=True)
 def begin(t, b, fixes, v, shift_x, shift_y):  # type: ignore[no-untyped-def]
     """Start a track at a first solution; ``shift`` [m] is the error of the ego's map."""
     t.residual_x_m = t.residual_y_m = t.yaw_rate_radps = t.acceleration_mps2 = 0.0
@@ -68,7 +68,7 @@ def begin(t, b, fixes, v, shift_x, shift_y):  # type: ignore[no-untyped-def]
     t.heading_rad = t.fix_heading_rad
 
 
-@jit
+@jit(borrows=True)
 def coast(t, dt):  # type: ignore[no-untyped-def]
     """Carry the pose on by the last speed and turn rate."""
     turned = dt * t.yaw_rate_radps
@@ -86,7 +86,7 @@ def rates(turned, speed, speed_before, acceleration, dt):  # type: ignore[no-unt
     return yaw_rate, acceleration + share * ((speed - speed_before) / dt - acceleration)
 
 
-@jit
+@jit(borrows=True)
 def take(t, b, fixes, v, rules):  # type: ignore[no-untyped-def]
     """A new solution, a simulation step after the pose was last carried on and an epoch after the last solution."""
     dt, start, heading, speed = rules.epoch_s, t.heading_rad, t.fix_heading_rad, t.fix_speed_mps
@@ -105,7 +105,7 @@ def take(t, b, fixes, v, rules):  # type: ignore[no-untyped-def]
     t.heading_rad = start + remainder(t.fix_heading_rad - start)
 
 
-@jit
+@jit(borrows=True)
 def settle(t, b, lanes, passed, rules):  # type: ignore[no-untyped-def]
     """Place the belief on the map and bring levels and alert up to date, ``passed`` [s] after they last were.
 
@@ -121,7 +121,7 @@ def settle(t, b, lanes, passed, rules):  # type: ignore[no-untyped-def]
     _trust(b, rules, t.alert != 0, t.available != 0, t.reason, passed)
 
 
-@jit
+@jit(borrows=True)
 def _trust(b, rules, alert, available, reason, passed):  # type: ignore[no-untyped-def]
     """Whether the position is available, and the alert: the solution's own, and that of levels beyond their limits."""
     along, across = b.pl_at_m > rules.al_at_m, b.pl_ct_m > rules.al_ct_m
@@ -134,7 +134,7 @@ def _trust(b, rules, alert, available, reason, passed):  # type: ignore[no-untyp
     b.time_s += passed
 
 
-@jit
+@jit(borrows=True)
 def take_given(b, car, lanes, passed, rules):  # type: ignore[no-untyped-def]
     """A position that is given: the true pose, displaced by the constant offset, whose size is the level.
 
@@ -155,7 +155,7 @@ def take_given(b, car, lanes, passed, rules):  # type: ignore[no-untyped-def]
     _trust(b, rules, False, True, rules.reason_none, passed)
 
 
-@jit
+@jit(borrows=True)
 def locate(b, lanes, path_of, rules):  # type: ignore[no-untyped-def]
     """Where the believed pose is on the ego's own map; without meta-actions the lane itself is the target."""
     s, r, direction = local(lanes, b.lane, b.x_m, b.y_m)

@@ -45,7 +45,7 @@ def begin_corridor(sc, b, lanes):  # type: ignore[no-untyped-def]
     sc.corridor_road, sc.corridor_side, sc.leaving_side, sc.change_s = lane.road, lane.side, NONE, 0.0
 
 
-@jit
+@jit(borrows=True)
 def follow_corridor(sc, b, car, lanes, rules, dt):  # type: ignore[no-untyped-def]
     """Follow what is commanded, by belief; of the true car only its size is read.
 
@@ -68,7 +68,7 @@ def follow_corridor(sc, b, car, lanes, rules, dt):  # type: ignore[no-untyped-de
         sc.leaving_side = NONE
 
 
-@jit
+@jit(borrows=True)
 def _beyond(lanes, low, high, x, y):  # type: ignore[no-untyped-def]
     """How far a point is outside of the lanes from ``low`` to ``high``, negative inside; whether it is beside them."""
     beyond, on = -math.inf, False
@@ -80,7 +80,7 @@ def _beyond(lanes, low, high, x, y):  # type: ignore[no-untyped-def]
     return beyond, on
 
 
-@jit
+@jit(borrows=True)
 def _span(lanes, sc, road, whole):  # type: ignore[no-untyped-def]
     """The outermost lanes of a road that the corridor holds."""
     own = sc.corridor_side
@@ -90,7 +90,7 @@ def _span(lanes, sc, road, whole):  # type: ignore[no-untyped-def]
     return of_side(lanes, road, min(own, left)), of_side(lanes, road, max(own, left))
 
 
-@jit
+@jit(borrows=True)
 def overhang_m(car, sc, lanes, keep):  # type: ignore[no-untyped-def]
     """How far the worst corner of the true body is beyond its corridor, 0 inside.
 
@@ -122,7 +122,7 @@ def overhang_m(car, sc, lanes, keep):  # type: ignore[no-untyped-def]
     return worst
 
 
-@jit
+@jit(borrows=True)
 def _doubt_m(b, sc, car, lanes):  # type: ignore[no-untyped-def]
     """How far beyond the corridor the estimate and its level allow the car to be, negative inside."""
     half = 0.5 * car.width[0]
@@ -135,7 +135,7 @@ def _doubt_m(b, sc, car, lanes):  # type: ignore[no-untyped-def]
     return max(beyond, right + b.pl_ct_m + half - 0.5 * width_at(lanes, high, s))
 
 
-@jit
+@jit(borrows=True)
 def rss_distance_m(ego, lead, c):  # type: ignore[no-untyped-def]
     """Longitudinal distance that is always safe (Shalev-Shwartz et al. 2017, definition 1), 0 at least [m].
 
@@ -150,12 +150,12 @@ def rss_distance_m(ego, lead, c):  # type: ignore[no-untyped-def]
     return max(travel - w * w / (2.0 * c.brake_max_mps2), 0.0)
 
 
-@jit
+@jit(borrows=True)
 def _lacking(gap, needed):  # type: ignore[no-untyped-def]
     return min(max(1.0 - gap / needed, 0.0), 1.0) if needed > 0.0 else 0.0
 
 
-@jit
+@jit(borrows=True)
 def shortfall(car, lanes, c):  # type: ignore[no-untyped-def]
     """Share of the RSS distance that in truth lacks to a vehicle ahead, within half the lane's width; 0 to 1."""
     n, worst = car.lane[0], 0.0
@@ -170,7 +170,7 @@ def shortfall(car, lanes, c):  # type: ignore[no-untyped-def]
     return worst
 
 
-@jit
+@jit(borrows=True)
 def lead_of(b, seen, count, length, lanes):  # type: ignore[no-untyped-def]
     """Which of ``count`` perceived vehicles the ego believes to follow, NONE for none, and the gap to it.
 
@@ -190,7 +190,7 @@ def lead_of(b, seen, count, length, lanes):  # type: ignore[no-untyped-def]
     return lead, gap
 
 
-@jit
+@jit(borrows=True)
 def _headway(b, car, seen, count, lanes, c):  # type: ignore[no-untyped-def]
     """Share of the RSS distance that lacks: by what is believed of the lead, or in truth if that is worse."""
     truly = shortfall(car, lanes, c)
@@ -202,7 +202,7 @@ def _headway(b, car, seen, count, lanes, c):  # type: ignore[no-untyped-def]
     return max(truly, _lacking(gap, rss_distance_m(b.speed_mps, seen[lead].speed_mps, c)))
 
 
-@jit
+@jit(borrows=True)
 def price(b, sc, car, seen, count, lanes, rules, dt, out):  # type: ignore[no-untyped-def]
     """Fill the costs of a step by cause, and their weighted sum; ``out`` holds the verdict already."""
     keep, speed, c = rules.keep_lane != 0, abs(car.speed[0]), rules.costs

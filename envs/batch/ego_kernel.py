@@ -37,7 +37,7 @@ def not_zero(x):  # type: ignore[no-untyped-def]
     return 1e-2 if x >= 0.0 else -1e-2
 
 
-@jit
+@jit(borrows=True)
 def decide(b, action, lanes, speeds):  # type: ignore[no-untyped-def]
     """Turn a meta-action into targets: a speed one step up or down from the believed one, or the lane beside."""
     if action == FASTER or action == SLOWER:
@@ -55,14 +55,14 @@ def decide(b, action, lanes, speeds):  # type: ignore[no-untyped-def]
             b.target_lane = goal
 
 
-@jit
+@jit(borrows=True)
 def past_end(lanes, n, x, y):  # type: ignore[no-untyped-def]
     """Whether a point is near the end of a lane, where highway-env goes on to the next."""
     s, _, _ = local(lanes, n, x, y)
     return s > lanes.table[n].length_m - 0.5 * PAST_END_M
 
 
-@jit
+@jit(borrows=True)
 def steering_rad(lanes, n, x, y, heading, speed, length):  # type: ignore[no-untyped-def]
     """highway-env's steering angle of a car at a pose, to the middle of a lane."""
     s, r, _ = local(lanes, n, x, y)
@@ -74,7 +74,7 @@ def steering_rad(lanes, n, x, y, heading, speed, length):  # type: ignore[no-unt
     return min(max(math.atan(2.0 * math.tan(slip)), -STEERING_MOST_RAD), STEERING_MOST_RAD)
 
 
-@jit
+@jit(borrows=True)
 def pursuit_rad(lanes, n, onward, b, length):  # type: ignore[no-untyped-def]
     """Steering angle by pure pursuit of a lane, for a car with its centre half way between the axles, right positive.
 
@@ -100,7 +100,7 @@ def pursuit_rad(lanes, n, onward, b, length):  # type: ignore[no-untyped-def]
     return math.atan(2.0 * math.tan(math.asin(min(max(sine, -0.99), 0.99))))
 
 
-@jit
+@jit(borrows=True)
 def intend(b, lanes, onward, rules, length):  # type: ignore[no-untyped-def]
     """Steering and acceleration that carry meta-actions out from the believed pose."""
     if rules.pursues != 0:
@@ -111,7 +111,7 @@ def intend(b, lanes, onward, rules, length):  # type: ignore[no-untyped-def]
     return steering, KP_A * (b.target_speed_mps - b.speed_mps)
 
 
-@jit
+@jit(borrows=True)
 def actuate(b, command, steering, acceleration, length, rules):  # type: ignore[no-untyped-def]
     """The steering that the wheels carry out, and the brake that holds a standing car [m/s2], 0 for none.
 

@@ -21,15 +21,15 @@ from lanebound.envs.batch import rows_kernel as rk
 from lanebound.envs.batch import view_kernel as vk
 from lanebound.envs.batch.belief_kernel import Fixes
 from lanebound.envs.batch.lanes import LaneTable
-from lanebound.envs.batch.motion_kernel import Whereabouts
 from lanebound.envs.batch.navigation import NavigationBatch, Starts, fixes_of
 from lanebound.envs.batch.perception import PerceptionBatch, perceives
-from lanebound.envs.batch.records_kernel import BELIEF, COMMAND, FACTS, OUTCOME, SCORE, TRACK, Cars
+from lanebound.envs.batch.records_kernel import BELIEF, COMMAND, FACTS, OUTCOME, SCORE, TRACK, Cars, Ego
 from lanebound.envs.batch.route_map import Reach, Routes
-from lanebound.envs.batch.sky_ahead_kernel import Forecast
+from lanebound.envs.batch.route_map_kernel import RouteMap
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.observation.index import Observed, entries, sources_of
 from lanebound.integrity.core.accel import run_chain
+from lanebound.integrity.core.bundle_kernel import Bundle
 from lanebound.integrity.core.records import Records
 
 __all__ = ["Episodes", "empty_cars", "reach_of"]
@@ -39,7 +39,6 @@ Rows = NDArray[np.int64]
 SHOWN = {"full": vk.FULL, "blind": vk.BLIND, "oracle": vk.ORACLE}
 EPS_S = 1e-6  # a window of 1 s holds ten steps of 0.1 s, whatever they sum to
 STEP_US, EPOCH_US, FINISH_US = 0.6, 6.0, 5.0  # of one thread for an environment, measured
-NOWHERE = Whereabouts(np.zeros(0), np.zeros(0), np.zeros(0))
 
 
 def empty_cars(count: int, vehicles: int) -> Cars:
@@ -74,7 +73,6 @@ class Episodes:
     tracks : (N,) TRACK where the egos' positions are sensed, else None
     sky : (N, 3 D) satellites predicted ahead, negative for unknown
     frame : (N, E) float32, the newest observations
-    shown : how an agent observes
     """
 
     def __init__(
@@ -94,10 +92,10 @@ class Episodes:
         self._sources = sources_of(self.index)
         self._extra = [(place, entry) for place, entry in enumerate(self.index) if callable(entry.source)]
         truth = config.perception.source == "truth"
-        self.shown = rk.Shown(SHOWN[o.integrity], int(truth))
+        self._shown = SHOWN[o.integrity], int(truth)
         belief: Records = np.zeros(n, BELIEF)
         shown = np.zeros(n, BELIEF) if o.integrity == "oracle" else belief
-        self.ego = rk.Ego(belief, *(np.zeros(n, kind) for kind in (COMMAND, SCORE, FACTS, OUTCOME)), shown)
+        self.ego = Ego(belief, *(np.zeros(n, kind) for kind in (COMMAND, SCORE, FACTS, OUTCOME)), shown)
         self.tracks: Records | None = np.zeros(n, TRACK) if config.navigation.source.senses else None
         self._forecasts = self.tracks is not None and bool(o.satellites_m)
         self.sky = np.full((n, 3 * len(o.satellites_m)), -1.0)
@@ -110,14 +108,15 @@ class Episodes:
             trail=np.zeros((n, trail, 2)),
         )
         self.frame = np.zeros((n, len(self.index)), dtype=np.float32)
-        words = vk.Words(
+        self._words = vk.Words(
             _words(shown), shown.view(np.int64).reshape(n, -1), _words(self.views.own), _words(self.views.preview),
             self.sky, _words(self.views.vehicles),
         )  # fmt: skip
-        self._frames = self._sources, words, self.frame
-        self._ahead: Forecast | None = None
-        if navigation is not None:
-            self._ahead = navigation.cities.ahead(o.satellites_m)
+        self._bundle: tuple[Bundle, RouteMap] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything but the bundle, which holds addresses."""
+        return {**self.__dict__, "_bundle": None}
 
     @property
     def table(self) -> LaneTable:
@@ -125,18 +124,29 @@ class Episodes:
         return self.routes.table
 
     @property
-    def map(self) -> rk.Map:
-        """The egos' map, with the paths found so far."""
-        where = NOWHERE if self.navigation is None else self.navigation.where
-        return rk.Map(self.table.lanes, self.routes.map, self.path_of, where)
+    def batch(self) -> Records:
+        """The episodes as kernels take them, with the paths found so far."""
+        if self._bundle is None or self._bundle[1] is not self.routes.map:
+            arrays = rk.Batch(
+                self.cars, self.ego, self.perception.pictures, self.views, self._words, self._sources, self.frame,
+                self.rules, self.table.lanes, self.routes.map, self.path_of, *self._shown,
+            )  # fmt: skip
+            self._bundle = Bundle(arrays), self.routes.map
+        return self._bundle[0].handle
+
+    @property
+    def arrays(self) -> tuple[NDArray[Any], ...]:
+        """Those that have a row for each environment, but for what navigates."""
+        shown = () if self.ego.shown is self.ego.belief else (self.ego.shown,)
+        tracks = () if self.tracks is None else (self.tracks,)
+        views = self.views.own, self.views.preview, self.views.vehicles, self.views.trail
+        known = (*self.cars, *self.ego[:-1], *shown, *tracks, *views, self.sky, self.frame)
+        return tuple(array for array in (*known, *self.perception.arrays) if array.size)
 
     @property
     def nbytes(self) -> int:
         """Memory of the arrays that have a row for each environment."""
-        parts = *self.cars, *self.ego[:-1], self.sky, self.frame, *self.views[:3], self.views.trail
-        size = sum(array.nbytes for array in parts) + self.perception.nbytes
-        size += 0 if self.ego.shown is self.ego.belief else self.ego.shown.nbytes
-        size += 0 if self.tracks is None else self.tracks.nbytes
+        size = sum(array.nbytes for array in self.arrays)
         return size + (0 if self.navigation is None else self.navigation.nbytes)
 
     def another(self) -> Episodes:
@@ -162,38 +172,32 @@ class Episodes:
         return np.asarray(self.ego.score["steps"] // steps * float(self.rules["epoch_s"][0]), dtype=np.float64)
 
     def adopt(self, rows: Rows, other: Episodes) -> None:
-        """Go on with the episodes ``rows`` of another batch of the same configuration."""
-        mine = *self.cars, *self.ego, self.sky, self.frame, *self.views[:3], self.views.trail
-        theirs = *other.cars, *other.ego, other.sky, other.frame, *other.views[:3], other.views.trail
-        for ours, waiting in zip(mine, theirs, strict=True):
-            ours[rows] = waiting[rows]
-        if self.tracks is not None and other.tracks is not None:
-            self.tracks[rows] = other.tracks[rows]
+        """Go on with the navigators and draws of episodes ``rows`` of others, whose arrays have been copied."""
         if self.navigation is not None and other.navigation is not None:
             self.navigation.adopt(rows, other.navigation)
         self.perception.adopt(rows, other.perception)
 
     # Starts
 
-    def begin(self, rows: Rows, seeds: Sequence[int], starts: Starts, there: NDArray[np.bool_]) -> None:
+    def begin(self, rows: Rows, seeds: Sequence[int], starts: Starts | None, there: NDArray[np.bool_]) -> None:
         """Begin episodes with the cars where they are, after an approach of those that navigate.
 
-        starts: what the seeds draw; there (n, C): slots of others for which is drawn.
+        starts: what the seeds draw for navigation; there (n, C): slots of others for which is drawn.
         """
-        belief, lanes, approach = self.ego.belief, self.table.lanes, None
-        for records in (*self.ego, *([] if self.tracks is None else [self.tracks])):
-            records[rows] = 0
-        belief["target_lane"][rows] = self.cars.lane[rows, 0]
+        approach = None
+        for records in (*self.ego[:-1], *([] if self.tracks is None else [self.tracks])):
+            records[rows] = np.zeros((), records.dtype)
+        self.ego.belief["target_lane"][rows] = self.cars.lane[rows, 0]
         local, navigation = np.arange(rows.size), self.navigation
-        if navigation is not None:
+        if navigation is not None and starts is not None:
             crew = there[:, : navigation.vehicles - 1]
             approach = navigation.begin(rows, seeds, starts, self.cars, crew)
-        if self.tracks is None or approach is None or navigation is None:
-            rk.give_rows(0, rows.size, rows, self.cars, belief, lanes, 0.0, self.rules)
+        if self.tracks is None or approach is None or navigation is None or starts is None:
+            rk.give_rows(0, rows.size, rows, self.batch, 0.0)
         else:
             at, fixes = local * navigation.vehicles, fixes_of(approach.solution)
             shift = self.config.navigation.map_sigma_m * starts.map_shift
-            rk.begin_rows(0, rows.size, rows, at, fixes, shift, self.tracks, belief, lanes, self.rules)
+            rk.begin_rows(0, rows.size, rows, at, fixes, shift, self.tracks, self.batch)
         self.perception.begin(rows, seeds, there, self.cars)
         if perceives(self.config.perception):
             heard = [(0.0, None)] if approach is None else approach.heard
@@ -205,12 +209,12 @@ class Episodes:
     def _perceive(self, rows: Rows, local: Rows, time_s: Array, solution: Any) -> None:
         fixes = None if solution is None else fixes_of(solution)
         at = local * self.navigation.vehicles if self.navigation is not None else local
-        links = self.perception.links(rows, at, time_s, fixes, self.cars, self.ego.belief)
+        links = self.perception.links(rows, at, time_s, fixes, self.batch)
         run_chain(links, rows.size, row_us=EPOCH_US)
 
     def replace_cars(self, cars: Cars) -> None:
         """Other vehicles in place of those there have been, perhaps more of them."""
-        self.cars = cars
+        self.cars, self._bundle = cars, None
         self.perception.make_room(cars.x.shape[1])
 
     # Steps
@@ -219,33 +223,30 @@ class Episodes:
         """A simulation step has passed that ends no navigation epoch."""
         if self.navigation is None:
             return []
-        return [self.navigation.coast_link(rows, self.cars, self.tracks, self.ego.belief, self.rules)]
+        return [self.navigation.coast_link(rows, self.batch, self.tracks)]
 
     def give_links(self, rows: Rows) -> list[Any]:
         """A simulation step has passed for egos whose positions are given."""
         if self.tracks is not None:
             return []
-        step_s = float(self.rules["step_s"][0])
-        return [(rk.give_rows, (rows, self.cars, self.ego.belief, self.table.lanes, step_s, self.rules))]
+        return [(rk.give_rows, (rows, self.batch, float(self.rules["step_s"][0])))]
 
     def epoch_links(self, rows: Rows, fixes: Fixes | None, time_s: Array, lies: Array | None = None) -> list[Any]:
         """An epoch has been measured: the beliefs take its solutions over, and traffic is perceived."""
-        at = rows if self.navigation is None else self.navigation.at(rows)
+        at, batch = rows if self.navigation is None else self.navigation.at(rows), self.batch
         out: list[Any] = []
         if self.tracks is not None and fixes is not None:
-            follow = at, fixes, self.tracks, self.ego.belief, self.table.lanes, self.rules
-            out.append((rk.take_rows, (rows, *follow)))
-        out.append((rk.count_rows, (rows, self.cars, self.ego)))
-        return out + self.perception.links(rows, at, time_s, fixes, self.cars, self.ego.belief, lies)
+            out.append((rk.take_rows, (rows, at, fixes, self.tracks, batch)))
+        out.append((rk.count_rows, (rows, batch)))
+        return out + self.perception.links(rows, at, time_s, fixes, batch, lies)
 
     def finish_links(self, rows: Rows, start: bool) -> list[Any]:
         """A policy step is over, or an episode begins: score it, and fill the frames."""
-        where = self.map
-        out: list[Any] = [(rk.locate_rows, (rows, self.cars, self.ego, where, self.shown, self.rules))]
+        batch = self.batch
+        out: list[Any] = [(rk.locate_rows, (rows, batch))]
         if self._forecasts and self.navigation is not None:
-            out.append((rk.predict_rows, (rows, self.ego.shown, where, self._ahead, self.navigation.sky, self.sky)))
-        scored = self.cars, self.ego, self.perception.pictures, where, start, self.shown, self.rules, self.views
-        out.append((rk.finish_rows, (rows, *scored, self._frames)))
+            out.append((rk.predict_rows, (rows, batch, self.navigation.sensed.handle)))
+        out.append((rk.finish_rows, (rows, batch, start)))
         return out
 
     def fill_extra(self, rows: Rows) -> None:

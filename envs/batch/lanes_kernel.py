@@ -129,7 +129,7 @@ def remainder(angle):  # type: ignore[no-untyped-def]
 # Curves beside a path
 
 
-@jit
+@jit(borrows=True)
 def _advance(cell, into):  # type: ignore[no-untyped-def]
     """Pose at a distance into a cell: a chord on straights and arcs, three Gauss points on clothoids."""
     x, y, heading = cell.x_m, cell.y_m, cell.heading_rad
@@ -148,7 +148,7 @@ def _advance(cell, into):  # type: ignore[no-untyped-def]
     return x, y, heading + (kappa + 0.5 * slope * into) * into
 
 
-@jit
+@jit(borrows=True)
 def _foot(cell, x, y):  # type: ignore[no-untyped-def]
     """Distance into a cell of the foot of the normal through a point, which may lie outside it, and the offset."""
     heading = cell.heading_rad
@@ -176,7 +176,7 @@ def _foot(cell, x, y):  # type: ignore[no-untyped-def]
     return math.atan2(a, b) / kappa, gap / kappa
 
 
-@jit
+@jit(borrows=True)
 def _project(lanes, lane, x, y):  # type: ignore[no-untyped-def]
     """Cell, distance into it and offset of the nearest point of a path: a walk from the cell that the grid names."""
     cells, low, last = lanes.cells, lane.cell_first, lane.cell_last - 1
@@ -208,7 +208,7 @@ def _station(cells, lane, c):  # type: ignore[no-untyped-def]
     return cells[c].station_m - lane.offset_m * (cells[c].heading_rad - cells[lane.cell_first].heading_rad)
 
 
-@jit
+@jit(borrows=True)
 def _on_path(cells, lane, c, into, lateral):  # type: ignore[no-untyped-def]
     """What :func:`local` gives for a point with a given foot on the path of a curve."""
     turned = (cells[c].kappa_pm + 0.5 * cells[c].slope_pm2 * into) * into
@@ -216,7 +216,7 @@ def _on_path(cells, lane, c, into, lateral):  # type: ignore[no-untyped-def]
     return s, lateral - lane.offset_m, cells[c].heading_rad + turned
 
 
-@jit
+@jit(borrows=True)
 def _into(cells, lane, s):  # type: ignore[no-untyped-def]
     """Cell and distance along the path into it, of a distance along a curve."""
     low, high = lane.cell_first, lane.cell_last
@@ -242,7 +242,7 @@ def straight(lane, x, y):  # type: ignore[no-untyped-def]
     return dx * lane.east + dy * lane.south, dy * lane.east - dx * lane.south
 
 
-@jit
+@jit(borrows=True)
 def local(lanes, n, x, y):  # type: ignore[no-untyped-def]
     """Distance along a lane, offset to its right, and the lane's direction there: (s, r, heading)."""
     lane = lanes.table[n]
@@ -255,7 +255,7 @@ def local(lanes, n, x, y):  # type: ignore[no-untyped-def]
     return _local_of_others(lanes, lane, x, y)
 
 
-@jit
+@jit(borrows=True)
 def _local_of_others(lanes, lane, x, y):  # type: ignore[no-untyped-def]
     """:func:`local` on sine, circular and sampled lanes."""
     if lane.kind == SINE:
@@ -286,7 +286,7 @@ def _local_of_others(lanes, lane, x, y):  # type: ignore[no-untyped-def]
     return s, r, heading
 
 
-@jit
+@jit(borrows=True)
 def _on_nodes(lanes, lane, s):  # type: ignore[no-untyped-def]
     """Point, direction and curvature of a sampled centreline at a station; straight on past its ends."""
     inside = min(max(s, 0.0), lane.length_m)
@@ -300,7 +300,7 @@ def _on_nodes(lanes, lane, s):  # type: ignore[no-untyped-def]
     return x + (s - inside) * math.cos(heading), y + (s - inside) * math.sin(heading), heading, 0.0
 
 
-@jit
+@jit(borrows=True)
 def centre(lanes, n, s):  # type: ignore[no-untyped-def]
     """Point, direction and curvature of a lane's centreline at a station: (x, y, heading, curvature)."""
     lane = lanes.table[n]
@@ -314,7 +314,7 @@ def centre(lanes, n, s):  # type: ignore[no-untyped-def]
     return _on_nodes(lanes, lane, s)
 
 
-@jit
+@jit(borrows=True)
 def place(lanes, n, s, r):  # type: ignore[no-untyped-def]
     """The point at a distance along a lane and to the right of it: (x, y)."""
     lane = lanes.table[n]
@@ -331,7 +331,7 @@ def place(lanes, n, s, r):  # type: ignore[no-untyped-def]
     return x - r * math.sin(heading), y + r * math.cos(heading)
 
 
-@jit
+@jit(borrows=True)
 def heading_at(lanes, n, s):  # type: ignore[no-untyped-def]
     """Direction of a lane, not wrapped."""
     lane = lanes.table[n]
@@ -360,14 +360,14 @@ def width_at(lanes, n, s):  # type: ignore[no-untyped-def]
     return width
 
 
-@jit
+@jit(borrows=True)
 def _away(lane, x, y):  # type: ignore[no-untyped-def]
     """A distance that no lane beside a path is nearer than, and past 0 holds no point: to the squares of the path."""
     beyond_x, beyond_y = x - lane.grid_x_m - SQUARE_M * lane.grid_columns, y - lane.grid_y_m - SQUARE_M * lane.grid_rows
     return max(lane.grid_x_m - x, beyond_x, lane.grid_y_m - y, beyond_y, 0.0)
 
 
-@jit
+@jit(borrows=True)
 def nearest(lanes, x, y, heading):  # type: ignore[no-untyped-def]
     """The lane with the least ``|r| + beyond its ends + |angle|``; the first of equals.
 
@@ -396,7 +396,7 @@ def nearest(lanes, x, y, heading):  # type: ignore[no-untyped-def]
     return best
 
 
-@jit
+@jit(borrows=True)
 def closest(lanes, x, y, heading, extra_m):  # type: ignore[no-untyped-def]
     """The lane with the least distance as in :func:`nearest` plus ``extra_m`` (L,), and whether no other is as near.
 
@@ -417,7 +417,7 @@ def closest(lanes, x, y, heading, extra_m):  # type: ignore[no-untyped-def]
     return best, clear and second - least > CLOSE * (1.0 + least)
 
 
-@jit
+@jit(borrows=True)
 def stations(lanes, x, y, margin, out):  # type: ignore[no-untyped-def]
     """Fill ``out`` (L,): station of a point on each lane, ``NOWHERE_M`` on lanes that do not hold it by a margin."""
     projected, foot, into, lateral = -1, 0, 0.0, 0.0
@@ -437,14 +437,14 @@ def stations(lanes, x, y, margin, out):  # type: ignore[no-untyped-def]
             out[n] = s
 
 
-@jit
+@jit(borrows=True)
 def advised(lanes, n, s):  # type: ignore[no-untyped-def]
     """Speed that the bends ahead on a curve allow, as ``CurveLane.advised_speed``."""
     first, last = lanes.table[n].advice_first, lanes.table[n].advice_last - 1
     return lanes.advice[min(first + max(int(s / ADVICE_STEP_M), 0), last)]
 
 
-@jit
+@jit(borrows=True)
 def following(lanes, n, x, y):  # type: ignore[no-untyped-def]
     """The lane to follow from a point on: near the end of the lane its onward lane, if there is one."""
     lane = lanes.table[n]

@@ -65,6 +65,21 @@ def advance(motion, x, y, heading):  # type: ignore[no-untyped-def]
     motion.heading_rad = heading
 
 
+@jit(borrows=True)
+def _ends_of(motions, step_s, ends, headings):  # type: ignore[no-untyped-def]
+    """Positions and velocities East, North (4, M, 2) and azimuths (2, M) at both ends of an epoch; the next one begins."""
+    for i in range(motions.shape[0]):
+        m = motions[i]
+        for k in range(2):
+            sign = 1.0 if k == 0 else -1.0
+            now = (1.5 * m.chord[k] - 0.5 * m.chord_before[k]) / step_s
+            ends[0, i, k], ends[1, i, k] = sign * m.start[k], sign * m.position[k]
+            ends[2, i, k], ends[3, i, k] = sign * m.start_velocity[k], sign * now
+            m.start[k], m.start_velocity[k] = m.position[k], now
+        headings[0, i], headings[1, i] = m.start_heading_rad + 0.5 * math.pi, m.heading_rad + 0.5 * math.pi
+        m.start_heading_rad = m.heading_rad
+
+
 @jit
 def fill_motion(motions, rows, step_s, down, truth):  # type: ignore[no-untyped-def]
     """Fill the motion of a Truth from the beginning of the epoch to now, where the next one begins.
@@ -73,19 +88,9 @@ def fill_motion(motions, rows, step_s, down, truth):  # type: ignore[no-untyped-
     what gravity adds.
     """
     count = motions.shape[1]
-    ends = np.empty((4, count, 2))
-    headings = np.empty((2, count))
+    ends, headings = np.empty((4, count, 2)), np.empty((2, count))
     for e in rows:
-        for i in range(count):
-            m = motions[e, i]
-            for k in range(2):
-                sign = 1.0 if k == 0 else -1.0
-                now = (1.5 * m.chord[k] - 0.5 * m.chord_before[k]) / step_s
-                ends[0, i, k], ends[1, i, k] = sign * m.start[k], sign * m.position[k]
-                ends[2, i, k], ends[3, i, k] = sign * m.start_velocity[k], sign * now
-                m.start[k], m.start_velocity[k] = m.position[k], now
-            headings[0, i], headings[1, i] = m.start_heading_rad + 0.5 * math.pi, m.heading_rad + 0.5 * math.pi
-            m.start_heading_rad = m.heading_rad
+        _ends_of(motions[e], step_s, ends, headings)
         a, b = e * count, (e + 1) * count
         between(
             ends[0], ends[1], ends[2], ends[3], headings[0], headings[1], down, truth.position[a:b],
@@ -93,7 +98,7 @@ def fill_motion(motions, rows, step_s, down, truth):  # type: ignore[no-untyped-
         )  # fmt: skip
 
 
-@jit
+@jit(borrows=True)
 def fill_whereabouts(cars, lanes, where, e, first, count, truth):  # type: ignore[no-untyped-def]
     """Fill arc and lane of the ``count`` navigating vehicles of environment e, rows from ``first`` on of a Truth."""
     for v in range(cars.count[e]):
@@ -105,7 +110,7 @@ def fill_whereabouts(cars, lanes, where, e, first, count, truth):  # type: ignor
             truth.lane[first + i] = lanes.table[n].side
 
 
-@jit
+@jit(borrows=True)
 def begin_motion(first, last, rows, cars, lanes, where, step_s, before_s, motions, end, ahead, truth):  # type: ignore[no-untyped-def]
     """Put the navigating vehicles of environments ``rows`` on a straight approach, ``before_s`` before their places.
 

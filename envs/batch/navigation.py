@@ -20,11 +20,12 @@ from lanebound.envs.batch.lanes_kernel import Lanes
 from lanebound.envs.batch.motion_kernel import MOTION, TruthRows, Whereabouts, begin_motion, fill_motion
 from lanebound.envs.batch.records_kernel import Cars
 from lanebound.envs.batch.skies import Cities, Skies
-from lanebound.envs.batch.sky_ahead_kernel import SkyRows
+from lanebound.envs.batch.sky_ahead_kernel import Forecast, SkyRows
 from lanebound.envs.batch.streams import CrewStreams
 from lanebound.envs.navigation import NavigationConfig
 from lanebound.envs.records import azimuth_of, enu_of
 from lanebound.integrity.core.accel import run_rows
+from lanebound.integrity.core.bundle_kernel import Bundle
 from lanebound.integrity.core.frames import GRAVITY_MPS2
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.core.streams import named_generator
@@ -105,6 +106,7 @@ class NavigationBatch:
     ----------
     config, settings : how the egos know their positions, and the navigator's own configuration
     skies, cities : that episodes may draw
+    forecast : what the map says of the cities, at the distances that are shown
     lanes : of the road network
     count, vehicles : N environments of M vehicles
     step_s, steps : length of a simulation step, and steps in an epoch
@@ -124,6 +126,7 @@ class NavigationBatch:
         settings: NavigatorConfig,
         skies: Skies,
         cities: Cities,
+        forecast: Forecast,
         lanes: Lanes,
         count: int,
         vehicles: int,
@@ -131,6 +134,7 @@ class NavigationBatch:
         steps: int,
     ) -> None:
         self.config, self.skies, self.cities, self.lanes = config, skies, cities, lanes
+        self._forecast = forecast
         self.count, self.vehicles, self.step_s, self.steps = count, vehicles, step_s, steps
         self.epoch_s = step_s * steps
         self.epochs_before = max(1, round(config.warm_up_s / self.epoch_s))
@@ -147,9 +151,14 @@ class NavigationBatch:
         self._hour, self._age = np.zeros((2, n), dtype=np.int64)  # age: epochs since the episode's start
         self.where: Whereabouts = self.cities.where(np.zeros(n, dtype=np.int64))
         self.sky: SkyRows = self.skies.empty(n)
+        self.sensed = self._bundle(self.sky)
         self._index: Rows | None = None
         self.measurements: Measurements | None = None
         self._kept = np.arange(n)
+
+    def _bundle(self, sky: SkyRows) -> Bundle:
+        """What the kernels read of skies and cities."""
+        return Bundle(rk.Sensed(self.where, self._forecast, self.skies.table, sky))
 
     def another(self) -> NavigationBatch:
         """Navigators of as many environments under the same skies, before any start."""
@@ -183,7 +192,8 @@ class NavigationBatch:
         motions = np.zeros((rows.size, self.vehicles), MOTION)
         approach = self._approach(rows, starter, motions, starts, cars)
         if np.array_equal(rows, self._kept):
-            self.navigator, self.motions, self._streams = starter, motions, streams
+            self.navigator, self._streams = starter, streams
+            self.motions[:] = motions
         else:
             self._take_over(rows, starter, motions, streams, np.arange(rows.size))
         self._age[rows], self._index = 0, None
@@ -220,7 +230,7 @@ class NavigationBatch:
         heading, noise = motions["heading_rad"].ravel()[present], starts.noise.reshape(-1, 3)[present]
         place_all(navigator, self.config, begin.reshape(-1, 2)[present], heading, noise, present)
         sky, index = self.skies.empty(rows.size), np.where(self._there[rows], every[:, None], rows.size).ravel()
-        hour = self._hour[rows]
+        hour, sensed = self._hour[rows], self._bundle(sky)
         for step in range(1, steps + 1):
             last = end if step == steps else None
             rk.approach_step(0, rows.size, every, motions, begin, ahead, step * self.step_s, last)
@@ -228,7 +238,8 @@ class NavigationBatch:
                 continue
             ago = step // self.steps - self.epochs_before
             clock, time_s = self._clock_s(ago), ago * self.epoch_s
-            run_rows(rk.sky_rows, rows.size, every, self.skies.times(hour, np.full(rows.size, clock)), sky, row_us=2.0)
+            times = self.skies.times(hour, np.full(rows.size, clock))
+            run_rows(rk.sky_rows, rows.size, every, sensed.handle, times, row_us=2.0)
             fill_motion(motions, every, self.step_s, self._down, truth)
             solution = self._locate(navigator, truth, self.skies.view(sky, index), clock)
             if last is not None or (self.vehicles > 1 and -HEARD_S <= time_s < -0.5 * self.epoch_s):
@@ -258,17 +269,15 @@ class NavigationBatch:
         """The faults of a single environment's vehicles: 0 the ego, 1 and up the slots."""
         self.navigator.faults = faults
 
-    def coast_link(self, rows: Rows, cars: Cars, tracks: Records | None, beliefs: Records, rules: Records) -> Any:
+    def coast_link(self, rows: Rows, batch: Records, tracks: Records | None) -> Any:
         """A simulation step has passed that ends no epoch, as a link of a chain."""
-        return rk.coast_rows, (rows, cars, self.motions, tracks, beliefs, self.lanes, rules)
+        return rk.coast_rows, (rows, batch, self.motions, tracks)
 
-    def epoch_link(self, rows: Rows, cars: Cars) -> tuple[Any, TruthRows]:
+    def epoch_link(self, rows: Rows, batch: Records) -> tuple[Any, TruthRows]:
         """A simulation step has passed that ends an epoch, as a link of a chain, and the truth that it fills."""
         self._age += 1
-        truth = _truth_rows(self.motions.size)
-        times = self.skies.times(self._hour, self.clock_s)
-        where = self.lanes, self.where, self.step_s, self._down
-        return (rk.end_epoch, (rows, cars, self.motions, *where, truth, times, self.sky)), truth
+        truth, times = _truth_rows(self.motions.size), self.skies.times(self._hour, self.clock_s)
+        return (rk.end_epoch, (rows, batch, self.sensed.handle, self.motions, self._down, times, truth)), truth
 
     def locate(self, truth: TruthRows) -> Solution:
         """Measure an epoch, and locate all vehicles by the measurements alone."""
@@ -287,7 +296,7 @@ class NavigationBatch:
 
     def sky_link(self, rows: Rows) -> Any:
         """The skies over egos now, as a link of a chain."""
-        return rk.sky_rows, (rows, self.skies.times(self._hour, self.clock_s), self.sky)
+        return rk.sky_rows, (rows, self.sensed.handle, self.skies.times(self._hour, self.clock_s))
 
     @property
     def time_s(self) -> Array:

@@ -73,19 +73,22 @@ class PerceptionBatch:
         late = self._slots_late
         self._streams = Streams([0] * n)
         self._there = np.ones((n, slots), dtype=np.bool_)
-        self._spoken: Records = np.zeros((n, heard), pk.CLAIM)
         radio = pk.Radio(
             np.zeros((n, late, heard), pk.SIGHTING),
             np.full((n, late, heard), -1, dtype=np.int64),
             np.full((n, heard), -1, dtype=np.int64),
             np.zeros((n, heard), pk.SIGHTING),
         )
-        self.pictures = rk.Pictures(
+        self.pictures = pk.Pictures(
             picture=np.zeros(n, pk.PICTURE),
             perceived=np.zeros((n, max(slots, self.vehicles - 1, 1)), PERCEIVED),
             tracks=np.zeros((n, slots), pk.SIGHTING),
             slots=np.zeros((n, slots), pk.SLOT),
+            spoken=np.zeros((n, heard), pk.CLAIM),
             radio=radio,
+            of_radio=self._radio,
+            of_sensor=self._sensor,
+            of_tracks=self._tracking,
         )
 
     def another(self) -> PerceptionBatch:
@@ -98,10 +101,11 @@ class PerceptionBatch:
     @property
     def nbytes(self) -> int:
         """Memory of the arrays."""
-        return sum(array.nbytes for array in self._arrays)
+        return sum(array.nbytes for array in self.arrays)
 
     @property
-    def _arrays(self) -> tuple[NDArray[Any], ...]:
+    def arrays(self) -> tuple[NDArray[Any], ...]:
+        """Those that have a row for each environment."""
         p = self.pictures
         return p.picture, p.perceived, p.tracks, p.slots, *p.radio, self._there
 
@@ -111,16 +115,19 @@ class PerceptionBatch:
         there (n, C): places of others, by slot, that draw.
         """
         p = self.pictures
-        p.picture[rows], p.slots[rows] = 0, 0
-        p.picture["sent"][rows] = -1
+        p.picture["seen"][rows] = 0
+        if not (self.hears or self.looks):
+            return
+        p.picture["epoch"][rows], p.picture["sent"][rows] = 0, -1
+        p.picture["last_x_m"][rows] = p.picture["last_y_m"][rows] = 0.0
+        p.slots[rows] = np.zeros((), pk.SLOT)
         _silence(p.tracks, rows, np.inf)
         if self.hears:
             _silence(p.radio.held, rows, -np.inf)
             p.radio.arriving[rows] = p.radio.origin[rows] = -1
-        if self.hears or self.looks:
-            self._there[rows, : self.capacity], self._there[rows, self.capacity] = there, True
-            for row, seed in zip(rows.tolist(), seeds, strict=True):
-                self._streams.reseed(row, seed)
+        self._there[rows, : self.capacity], self._there[rows, self.capacity] = there, True
+        for row, seed in zip(rows.tolist(), seeds, strict=True):
+            self._streams.reseed(row, seed)
         slot = cars.slot[rows]
         n, v = np.nonzero((slot >= 0) & (np.arange(slot.shape[1]) < cars.count[rows, None]))
         e, s = rows[n], slot[n, v]
@@ -128,10 +135,9 @@ class PerceptionBatch:
         p.slots["length_m"][e, s], p.slots["width_m"][e, s] = cars.length[e, v], cars.width[e, v]
 
     def adopt(self, rows: Rows, other: PerceptionBatch) -> None:
-        """Go on as the egos ``rows`` of another batch do."""
-        self._streams.adopt(rows, other._streams, rows)
-        for mine, theirs in zip(self._arrays, other._arrays, strict=True):
-            mine[rows] = theirs[rows]
+        """Go on with the draws of the egos ``rows`` of another batch, whose arrays have been copied."""
+        if self.hears or self.looks:
+            self._streams.adopt(rows, other._streams, rows)
 
     def make_room(self, vehicles: int) -> None:
         """Room for as many vehicles, the ego included."""
@@ -148,24 +154,20 @@ class PerceptionBatch:
         p.slots[0, slot] = key, length_m, width_m
 
     def links(
-        self, rows: Rows, at: Rows, time_s: Array, fixes: Fixes | None, cars: Cars, beliefs: Records,
-        lies: Array | None = None,
-    ) -> list[Any]:  # fmt: skip
+        self, rows: Rows, at: Rows, time_s: Array, fixes: Fixes | None, batch: Records, lies: Array | None = None
+    ) -> list[Any]:
         """One epoch of the egos ``rows`` (n,), as links of a chain.
 
         at (n,): rows of the egos in ``fixes``, after which those of the others follow by slot; time_s (n,) of the
-        episodes; lies (C, 4): see :func:`.perception_kernel.hear`.
+        episodes; batch: the bundle of the episodes; lies (C, 4): see :func:`.perception_kernel.hear`.
         """
         out: list[Any] = []
         if self.hears and fixes is not None:
-            u = self._draw("v2v", rows, 2)
-            speech = at, fixes, self._spoken, cars, self.pictures, time_s, u, self._radio, lies
-            out.append((rk.hear_rows, (rows, *speech)))
+            out.append((rk.hear_rows, (rows, at, fixes, batch, time_s, self._draw("v2v", rows, 2), lies)))
         if self.looks:
-            noise = self._draw("sensor", rows, 4)
-            out.append((rk.look_rows, (rows, cars, beliefs, self.pictures, noise, self._sensor)))
+            out.append((rk.look_rows, (rows, batch, self._draw("sensor", rows, 4))))
         if out:
-            out.append((rk.sum_up_rows, (rows, beliefs, self.pictures, time_s, self._tracking)))
+            out.append((rk.sum_up_rows, (rows, batch, time_s)))
         return out
 
     def _draw(self, name: str, rows: Rows, width: int) -> Array:
@@ -185,6 +187,6 @@ class PerceptionBatch:
 
 def _silence(sightings: Records, rows: Rows, time_s: float) -> None:
     """Nothing is known of vehicles, :func:`.perception_kernel.silence`."""
-    sightings[rows] = 0
+    sightings[rows] = np.zeros((), pk.SIGHTING)
     for name, value in (("pl_at_m", np.inf), ("pl_ct_m", np.inf), ("time_s", time_s)):
         sightings[name][rows] = value

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
 
-__all__ = ["CLAIM", "PICTURE", "RADIO", "SENSOR", "SIGHTING", "SLOT", "TRACKING", "Radio", "claim", "forget_slot",
+__all__ = ["CLAIM", "PICTURE", "RADIO", "SENSOR", "SIGHTING", "SLOT", "TRACKING", "Pictures", "Radio", "claim", "forget_slot",
            "hear", "in_sight", "look", "see_truth", "silence", "sum_up"]  # fmt: skip
 
 ROUNDING = 1e-9
@@ -95,7 +95,26 @@ class Radio(NamedTuple):
     held: Records
 
 
-@jit
+class Pictures(NamedTuple):
+    """Whom N egos perceive.
+
+    picture (N,) PICTURE; perceived (N, P) PERCEIVED, nearest first; tracks (N, C + 1) SIGHTING of the sensor; slots
+    (N, C + 1) SLOT; spoken (N, C) CLAIM and radio: of C slots, of none where the ego has no radio; of_radio (1,) RADIO,
+    of_sensor (1,) SENSOR, of_tracks (1,) TRACKING: figures.
+    """
+
+    picture: Records
+    perceived: Records
+    tracks: Records
+    slots: Records
+    spoken: Records
+    radio: Radio
+    of_radio: Records
+    of_sensor: Records
+    of_tracks: Records
+
+
+@jit(borrows=True)
 def silence(sighting, time):  # type: ignore[no-untyped-def]
     """Nothing is known of a vehicle: levels of inf; a time of -inf for messages, an age of inf for the sensor."""
     sighting.x_m = sighting.y_m = sighting.heading_rad = sighting.speed_mps = 0.0
@@ -103,7 +122,7 @@ def silence(sighting, time):  # type: ignore[no-untyped-def]
     sighting.time_s = time
 
 
-@jit
+@jit(borrows=True)
 def forget_slot(radio, tracks, e, slot):  # type: ignore[no-untyped-def]
     """Drop what is known of a slot and what is under way from it: another vehicle takes it over."""
     if slot < radio.origin.shape[1]:
@@ -113,7 +132,7 @@ def forget_slot(radio, tracks, e, slot):  # type: ignore[no-untyped-def]
     silence(tracks[e, slot], math.inf)
 
 
-@jit
+@jit(borrows=True)
 def claim(solution, v, c):  # type: ignore[no-untyped-def]
     """What the vehicle of row v of a solution would broadcast, in the plane."""
     east, north = solution.velocity_en_mps[v, 0], solution.velocity_en_mps[v, 1]
@@ -124,7 +143,7 @@ def claim(solution, v, c):  # type: ignore[no-untyped-def]
     c.sends = 1 if solution.mode[v] != 0 else 0
 
 
-@jit
+@jit(borrows=True)
 def hear(picture, radio, e, figures, time, claims, car, u, lies):  # type: ignore[no-untyped-def]
     """One epoch of the radio to one ego: send, carry, receive.
 
@@ -165,7 +184,7 @@ def hear(picture, radio, e, figures, time, claims, car, u, lies):  # type: ignor
         radio.arriving[e, at, i] = -1
 
 
-@jit
+@jit(borrows=True)
 def in_sight(car, ahead, i):  # type: ignore[no-untyped-def]
     """Whether the line from the middle of the ego to that of vehicle ``i`` crosses no third vehicle.
 
@@ -190,7 +209,7 @@ def in_sight(car, ahead, i):  # type: ignore[no-untyped-def]
     return True
 
 
-@jit
+@jit(borrows=True)
 def look(picture, tracks, figures, b, car, noise, ahead):  # type: ignore[no-untyped-def]
     """One epoch of the sensor of one ego: tracks move with the ego's odometry, and those in sight are measured anew.
 
@@ -235,7 +254,7 @@ def look(picture, tracks, figures, b, car, noise, ahead):  # type: ignore[no-unt
         track.time_s = 0.0
 
 
-@jit
+@jit(borrows=True)
 def sum_up(radio, tracks, slots, e, figures, time, b, square, seen):  # type: ignore[no-untyped-def]
     """The newer of two sightings of each slot, the sensor's if equally old, moved to now, nearest to the ego first.
 
@@ -272,7 +291,7 @@ def sum_up(radio, tracks, slots, e, figures, time, b, square, seen):  # type: ig
     return count
 
 
-@jit
+@jit(borrows=True)
 def see_truth(car, x, y, every, order, square, seen):  # type: ignore[no-untyped-def]
     """Fill ``seen`` (V - 1,) PERCEIVED with the others as they are, nearest to (x, y) first; returns how many.
 

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.records import record
+from lanebound.integrity.core.records import Records, record
 
 __all__ = [
     "BELIEF", "CAUSES", "COMMAND", "COST_FIGURES", "FACTS", "GIVEN", "OUTCOME", "PERCEIVED", "REWARD_WEIGHTS", "RULES",
-    "SCORE", "SENSED", "TERMS", "TRACK", "Cars", "cars_of",
+    "SCORE", "SENSED", "TERMS", "TRACK", "Cars", "Ego", "cars_of",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -58,6 +58,20 @@ def cars_of(cars, e):  # type: ignore[no-untyped-def]
         cars.count[e], cars.x[e], cars.y[e], cars.heading[e], cars.speed[e], cars.length[e], cars.width[e],
         cars.lane[e], cars.crashed[e], cars.slot[e],
     )  # fmt: skip
+
+
+class Ego(NamedTuple):
+    """What is known, commanded and scored of N egos: a record of each kind below for each.
+
+    ``shown``: BELIEF by which an agent observes; the belief itself unless an oracle shows the truth.
+    """
+
+    belief: Records
+    command: Records
+    score: Records
+    facts: Records
+    outcome: Records
+    shown: Records
 
 
 BELIEF = record(

@@ -52,7 +52,7 @@ class RouteMap(NamedTuple):
     ahead: NDArray[np.int64]
 
 
-@jit
+@jit(borrows=True)
 def path_at(routes, lanes, p, station):  # type: ignore[no-untyped-def]
     """Point, direction and curvature at a station of a path, straight on past both ends: (x, y, heading, curvature)."""
     path = routes.paths[p]
@@ -72,7 +72,7 @@ def path_at(routes, lanes, p, station):  # type: ignore[no-untyped-def]
     return x + beyond * math.cos(heading), y + beyond * math.sin(heading), heading, 0.0
 
 
-@jit
+@jit(borrows=True)
 def project(routes, lanes, p, x, y, guess):  # type: ignore[no-untyped-def]
     """Station and offset to the right of a point, found from a guess by Newton's steps: (s, r, whether it is beside).
 

@@ -29,14 +29,14 @@ def _flag(condition):  # type: ignore[no-untyped-def]
     return 1.0 if condition else 0.0
 
 
-@jit
+@jit(borrows=True)
 def _errors(b, car):  # type: ignore[no-untyped-def]
     """Estimate less truth along and across the true heading, forward and right positive."""
     dx, dy, cosine, sine = b.x_m - car.x[0], b.y_m - car.y[0], math.cos(car.heading[0]), math.sin(car.heading[0])
     return cosine * dx + sine * dy, cosine * dy - sine * dx
 
 
-@jit
+@jit(borrows=True)
 def count_epoch(b, sc, car):  # type: ignore[no-untyped-def]
     """Count a navigation epoch: misleading is an available estimate whose error exceeds its level on an axis.
 
@@ -59,7 +59,7 @@ def count_epoch(b, sc, car):  # type: ignore[no-untyped-def]
         sc.mi += 1
 
 
-@jit
+@jit(borrows=True)
 def score(b, sc, car, seen, count, lanes, facts, rules, start, out):  # type: ignore[no-untyped-def]
     """The verdict on a step, or at a start, where no time has passed: fills ``out`` and remembers in ``sc``.
 

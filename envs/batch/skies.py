@@ -76,12 +76,12 @@ class Skies:
         return SkyTrack(t.start_s, STEP_S, self.table.offset[0][:, used], self.table.rate[0][:, used], t.mask_rad,
                         t.system[used], t.prn[used])  # fmt: skip
 
-    def times(self, hour: Rows, clock_s: Array) -> tuple[HourTable, Rows, Rows, Array, float, float]:
+    def times(self, hour: Rows, clock_s: Array) -> tuple[Rows, Rows, Array, float, float]:
         """What the kernel of skies takes for N environments: hour (N,), and ``clock_s`` (N,) after its beginning."""
         begin = self.start_s[hour]
         place = (begin + clock_s - begin) / STEP_S  # rounded as by SkyTrack.at
         knot = np.minimum(np.maximum(place.astype(np.int64), 0), self.table.offset.shape[1] - 2)
-        return self.table, hour, knot, place - knot, STEP_S, self.track.mask_rad
+        return hour, knot, place - knot, STEP_S, self.track.mask_rad
 
     def empty(self, count: int) -> SkyRows:
         """Rows for N environments and one more, in which there is no satellite."""

@@ -48,7 +48,7 @@ class Forecast(NamedTuple):
     elevations: int
 
 
-@jit
+@jit(borrows=True)
 def fill_sky(table, hour, knot, share, step, mask, e, sky):  # type: ignore[no-untyped-def]
     """The satellites of an environment at a time between two knots, ``step`` [s] apart, cubic Hermite in between.
 
@@ -76,14 +76,28 @@ def fill_sky(table, hour, knot, share, step, mask, e, sky):  # type: ignore[no-u
             sky.above[e, s] = sky.elevation[e, s] > mask
 
 
-@jit
-def predict(b, lanes, routes, where, forecast, sky, e, out):  # type: ignore[no-untyped-def]
+@jit(borrows=True)
+def predict(b, lanes, routes, where, forecast, sky, e, cells, out):  # type: ignore[no-untyped-def]
     """Fill out (3 D,): satellites in line of sight at distances ahead, on the lanes left, own and right, -1 for none.
 
-    The neighbours are those of the lane that the route takes at that distance, at the same share of its length.
+    The neighbours are those of the lane that the route takes at that distance, at the same share of its length. cells
+    (2, 3 D) is scratch: station and lane of each place.
     """
-    wide, places = forecast.free.shape[1], out.shape[0]
-    station, lane_of = np.empty(places, np.int64), np.empty(places, np.int64)
+    _places_ahead(b, lanes, routes, where, forecast, e, cells, out)
+    for s in range(sky.azimuth.shape[1]):
+        if not sky.above[e, s]:
+            continue
+        cell = bin_of(sky.azimuth[e, s], sky.elevation[e, s], forecast.azimuths, forecast.elevations)
+        if cell < 0:
+            continue
+        for n in range(out.shape[0]):
+            if out[n] >= 0.0 and forecast.free[cells[0, n], cells[1, n], cell]:
+                out[n] += 1.0
+
+
+@jit(borrows=True)
+def _places_ahead(b, lanes, routes, where, forecast, e, cells, out):  # type: ignore[no-untyped-def]
+    """Station and lane of the places for which satellites are predicted; out is 0 where there is a lane, else -1."""
     path = routes.paths[b.path]
     here, _, _ = local(lanes, b.lane, b.x_m, b.y_m)
     for d in range(forecast.distances.shape[0]):
@@ -104,14 +118,5 @@ def predict(b, lanes, routes, where, forecast, sky, e, out):  # type: ignore[no-
             out[n] = 0.0 if there else NO_LANE
             s = place / own.length_m * lane.length_m
             arc = where.city[e] + where.begin[row] + min(max(s, 0.0), where.reach[row])
-            station[n] = int(min(max(arc / forecast.spacing, 0.0), forecast.free.shape[0] - 1.0) + 0.5)
-            lane_of[n] = min(lane.side, wide - 1)
-    for s in range(sky.azimuth.shape[1]):
-        if not sky.above[e, s]:
-            continue
-        cell = bin_of(sky.azimuth[e, s], sky.elevation[e, s], forecast.azimuths, forecast.elevations)
-        if cell < 0:
-            continue
-        for n in range(places):
-            if out[n] >= 0.0 and forecast.free[station[n], lane_of[n], cell]:
-                out[n] += 1.0
+            cells[0, n] = int(min(max(arc / forecast.spacing, 0.0), forecast.free.shape[0] - 1.0) + 0.5)
+            cells[1, n] = min(lane.side, forecast.free.shape[1] - 1)

@@ -124,7 +124,7 @@ def _flag(condition):  # type: ignore[no-untyped-def]
     return 1.0 if condition else 0.0
 
 
-@jit
+@jit(borrows=True)
 def true_view(b, car, lanes, path_of, rules, view):  # type: ignore[no-untyped-def]
     """Make ``view``, a copy of the belief, that of an ego that knows everything: its true pose, no level needed."""
     n = car.lane[0]
@@ -137,7 +137,7 @@ def true_view(b, car, lanes, path_of, rules, view):  # type: ignore[no-untyped-d
         view.target_lane, view.target_speed_mps = n, car.speed[0]
 
 
-@jit
+@jit(borrows=True)
 def derive(b, seen, count, lanes, routes, rules, shown, observed, e, views):  # type: ignore[no-untyped-def]
     """Fill the view, the preview and the vehicles of environment e from a belief and the traffic perceived."""
     _derive_ego(b, lanes, routes, views.own[e])
@@ -206,7 +206,7 @@ def _derive_point(b, lanes, routes, cosine, sine, station, point):  # type: igno
     point.heading_rad, point.curvature_pm = wrap(direction - b.heading_rad), curvature
 
 
-@jit
+@jit(borrows=True)
 def _derive_vehicle(b, lanes, routes, other, shown, row):  # type: ignore[no-untyped-def]
     """A vehicle that is perceived; combined levels: own plus half the extent of its box, turned, on the ego's axes."""
     half, cosine, sine = 0.5 * b.lane_width_m, math.cos(b.heading_rad), math.sin(b.heading_rad)
@@ -243,7 +243,7 @@ def _derive_nobody(row):  # type: ignore[no-untyped-def]
     row.ahead_m = row.lane_gap_m = row.age_s = row.pl_at_m = row.pl_ct_m = math.inf
 
 
-@jit
+@jit(borrows=True)
 def fill_frame(sources, words, e, view, frame):  # type: ignore[no-untyped-def]
     """Fill ``frame`` (E,) float32 of environment e: ``clip(field / scale, low, high)``, field by field.
 

@@ -29,7 +29,7 @@ def _reach(nx, ny, cosine, sine, length, width):  # type: ignore[no-untyped-def]
     return 0.5 * length * abs(nx * cosine + ny * sine) + 0.5 * width * abs(ny * cosine - nx * sine)
 
 
-@jit
+@jit(borrows=True)
 def collide(car, drv, i, j, dt):  # type: ignore[no-untyped-def]
     """Let two vehicles meet: those that overlap have crashed, those that will within ``dt`` part half the way each."""
     dx, dy = car.x[i] - car.x[j], car.y[i] - car.y[j]

@@ -15,7 +15,7 @@ from lanebound.envs.batch.ego_kernel import actuate, intend, steering_rad
 from lanebound.envs.batch.lanes_kernel import following, nearest
 from lanebound.integrity.core.accel import jit
 
-__all__ = ["SPEED_MOST_MPS", "Drivers", "command_ego", "drivers_of", "move_ego", "roll", "steer_along"]
+__all__ = ["SPEED_MOST_MPS", "Drivers", "clear", "command_ego", "drivers_of", "move_ego", "roll", "seat", "steer_along"]
 
 SPEED_MOST_MPS = 40.0  # Vehicle.MAX_SPEED of highway-env
 
@@ -57,6 +57,27 @@ def drivers_of(drivers, e):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
+@jit(borrows=True)
+def clear(car, drv, length, width):  # type: ignore[no-untyped-def]
+    """Empty places, for vehicles of one size."""
+    for i in range(car.x.shape[0]):
+        car.x[i] = car.y[i] = car.heading[i] = car.speed[i] = 0.0
+        car.length[i], car.width[i] = length, width
+        car.lane[i] = car.crashed[i] = 0
+        drv.target_speed[i] = drv.timer[i] = drv.delta[i] = drv.acceleration[i] = 0.0
+        drv.impact_x[i] = drv.impact_y[i] = 0.0
+        drv.target[i] = drv.struck[i] = drv.rank[i] = drv.front[i] = 0
+
+
+@jit(borrows=True)
+def seat(car, drv, count):  # type: ignore[no-untyped-def]
+    """What follows from the poses of ``count`` vehicles at a start: slots, order, cosines and sines."""
+    for i in range(car.x.shape[0]):
+        car.slot[i] = i - 1 if i < count else -1
+        drv.order[i] = i
+        drv.cos[i], drv.sin[i] = math.cos(car.heading[i]), math.sin(car.heading[i])
+
+
 @jit(inline=True)
 def command_ego(b, command, car, drv, lanes, rules):  # type: ignore[no-untyped-def]
     """Steering, acceleration and holding brake of the ego in this step; the others read off what it intends.
@@ -83,7 +104,7 @@ def move_ego(car, drv, steering, acceleration, hold, slowest, fastest, lanes, dt
     roll(car, drv, 0, steering, acceleration, slowest, fastest, lanes, dt)
 
 
-@jit
+@jit(borrows=True)
 def roll(car, drv, i, steering, acceleration, slowest, fastest, lanes, dt):  # type: ignore[no-untyped-def]
     """One step of a car by highway-env's bicycle model, held between two speeds; a wreck brakes.
 

@@ -18,11 +18,12 @@ from lanebound.envs.batch.navigation import fixes_of
 from lanebound.envs.batch.records_kernel import cars_of
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.scene import begin_all, duration_s, make_batch
-from lanebound.envs.vector.drive_kernel import Course
-from lanebound.envs.vector.drivers_kernel import Drivers, drivers_of
+from lanebound.envs.vector.drive_kernel import Traffic
+from lanebound.envs.vector.drivers_kernel import Drivers, clear, drivers_of, seat
 from lanebound.envs.vector.support import require_supported, support_of, traffic_of
 from lanebound.envs.vector.world_kernel import WORLD, judge_rows
 from lanebound.integrity.core.accel import is_compiled, run_chain
+from lanebound.integrity.core.bundle_kernel import Bundle, RowCopier
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.records import Records, one_record
 
@@ -42,30 +43,29 @@ class Stage:
     Attributes
     ----------
     episodes : what egos know, and how they are scored
-    drivers : what the vehicles are about
-    course : what they drive by
+    traffic : the vehicles beyond their poses, and what they drive by
+    bundle : the traffic as kernels take it
     """
 
     def __init__(self, engine: Engine, episodes: Episodes) -> None:
-        vehicles = episodes.cars.x.shape[1]
-        n, self.episodes = engine.count, episodes
+        n, vehicles = episodes.cars.x.shape
         numbers = [np.zeros((n, vehicles)) for _ in range(8)]
         wholes = [np.zeros((n, vehicles), dtype=np.int64) for _ in range(5)]
-        self.drivers = Drivers(*numbers, *wholes)
         profile = np.zeros((n, engine.support.profile_steps(engine.single.world)))
-        self.course = Course(episodes.rules, engine.world, engine.speeds, profile)
+        self.episodes = episodes
+        self.traffic = Traffic(Drivers(*numbers, *wholes), engine.world, engine.speeds, profile)
+        self.bundle = Bundle(self.traffic)
+        self._copier = RowCopier((*episodes.arrays, *self.traffic.drivers, profile))
 
     @property
     def nbytes(self) -> int:
         """Memory of all this."""
-        return self.episodes.nbytes + sum(array.nbytes for array in (*self.drivers, self.course.profile))
+        moved = *self.traffic.drivers, self.traffic.profile
+        return self.episodes.nbytes + sum(array.nbytes for array in moved)
 
     def adopt(self, rows: Rows, other: Stage) -> None:
         """Go on with the episodes ``rows`` of another stage."""
-        for mine, theirs in zip(
-            (*self.drivers, self.course.profile), (*other.drivers, other.course.profile), strict=True
-        ):
-            mine[rows] = theirs[rows]
+        self._copier.copy(rows, other._copier)
         self.episodes.adopt(rows, other.episodes)
 
 
@@ -143,7 +143,7 @@ class Engine:
     @property
     def drivers(self) -> Drivers:
         """What the vehicles are about."""
-        return self._stage.drivers
+        return self._stage.traffic.drivers
 
     @property
     def bytes_per_environment(self) -> int:
@@ -194,16 +194,11 @@ class Engine:
 
     def _line_up(self, stage: Stage, e: int, rng: np.random.Generator) -> None:
         """Put the vehicles of an environment where its world's generator draws them."""
-        cars, drivers = stage.episodes.cars, stage.drivers
-        for array in (*cars[1:], *drivers):
-            array[e] = 0
-        cars.length[e], cars.width[e] = Vehicle.LENGTH, Vehicle.WIDTH
+        cars, drivers = stage.episodes.cars, stage.traffic.drivers
         own, theirs = cars_of.py_func(cars, e), drivers_of.py_func(drivers, e)
-        count = self._start(rng, own, theirs, stage.course.profile[e])
-        cars.count[e] = count
-        cars.slot[e], drivers.order[e] = -1, np.arange(cars.x.shape[1])
-        cars.slot[e, 1:count] = np.arange(count - 1)
-        drivers.cos[e], drivers.sin[e] = np.cos(cars.heading[e]), np.sin(cars.heading[e])
+        clear(own, theirs, Vehicle.LENGTH, Vehicle.WIDTH)
+        count = cars.count[e] = self._start(rng, own, theirs, stage.traffic.profile[e])
+        seat(own, theirs, count)
 
     def step(self, actions: NDArray[Any], rows: Rows | None = None) -> None:
         """Carry out commands (N,) or (N, A) until the next decision, in all environments or in ``rows`` of them."""
@@ -223,7 +218,7 @@ class Engine:
                 continue
             truth = None
             if e.navigation is not None:
-                link, truth = e.navigation.epoch_link(where, e.cars)
+                link, truth = e.navigation.epoch_link(where, e.batch)
                 links.append(link)
             run_chain(links, n, row_us=cost_us + EPOCH_US)
             fixes = None if truth is None or e.navigation is None else fixes_of(e.navigation.locate(truth))
@@ -234,15 +229,13 @@ class Engine:
 
     def _drive_link(self, rows: Rows, frames: int, codes: Rows | None) -> Any:
         """Simulation steps as a link of a chain."""
-        e, stage = self.episodes, self._stage
+        e = self.episodes
         motions = None if e.navigation is None else e.navigation.motions
-        moved = e.cars, stage.drivers, motions, e.tracks, e.ego, e.table.lanes, stage.course
-        return self._drive, (rows, frames, codes, *moved)
+        return self._drive, (rows, frames, codes, e.batch, self._stage.bundle.handle, motions, e.tracks)
 
     def _judge_link(self, stage: Stage, rows: Rows, start: bool) -> Any:
         """What the wrapped world says of a step, as a link of a chain."""
-        e, course = stage.episodes, stage.course
-        return judge_rows, (rows, e.cars, e.ego, e.table.lanes, course.rules, course.world, start)
+        return judge_rows, (rows, stage.episodes.batch, stage.bundle.handle, start)
 
     def _take_up(self, actions: NDArray[Any]) -> None:
         """Continuous commands in physical units, in the precision of the action as highway-env maps it."""

@@ -33,7 +33,7 @@ class IdmParameters(NamedTuple):
     gain: float
 
 
-@jit
+@jit(inline=True)
 def gap_wanted(car, drv, i, j, idm):  # type: ignore[no-untyped-def]
     """The distance wanted of vehicle i behind j."""
     closing_x = car.speed[i] * drv.cos[i] - car.speed[j] * drv.cos[j]
@@ -54,7 +54,7 @@ def wanted_speed(drv, i, limit):  # type: ignore[no-untyped-def]
     return min(max(drv.target_speed[i], 0.0), limit)
 
 
-@jit
+@jit(inline=True)
 def braking(car, drv, i, j, gap, idm):  # type: ignore[no-untyped-def]
     """What vehicle j, a gap ahead, takes off the acceleration of vehicle i."""
     share = gap_wanted(car, drv, i, j, idm) / not_zero(gap)

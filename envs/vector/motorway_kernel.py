@@ -38,7 +38,7 @@ TAN_SLIP_MOST = 0.5 * math.tan(math.pi / 3.0)
 SIN_SLIP_MOST = math.sin(math.atan(TAN_SLIP_MOST))
 
 
-@jit(borrows=True)
+@jit(inline=True)
 def _braking(car, drv, i, j):  # type: ignore[no-untyped-def]
     """What vehicle j ahead takes off IDM's acceleration of vehicle i."""
     return braking(car, drv, i, j, car.x[j] - car.x[i], BRISK)
@@ -51,7 +51,7 @@ def _stands_on(car, k, table, lane):  # type: ignore[no-untyped-def]
     return beside & (-PAST_END_M <= car.x[k]) & (car.x[k] < table[lane].length_m + PAST_END_M)
 
 
-@jit(borrows=True)
+@jit(inline=True)
 def _ahead(car, drv, i, table, lane):  # type: ignore[no-untyped-def]
     """The vehicle ahead of i on a lane, -1 for none."""
     for at in range(drv.rank[i] + 1, car.count):
@@ -61,7 +61,7 @@ def _ahead(car, drv, i, table, lane):  # type: ignore[no-untyped-def]
     return -1
 
 
-@jit(borrows=True)
+@jit(inline=True)
 def _behind(car, drv, i, table, lane):  # type: ignore[no-untyped-def]
     """The vehicle behind i on a lane, -1 for none."""
     for at in range(drv.rank[i] - 1, -1, -1):
@@ -129,7 +129,7 @@ def change_lanes(car, drv, table, ego_has_target):  # type: ignore[no-untyped-de
             _consider(car, drv, i, table)
 
 
-@jit(borrows=True)
+@jit(inline=True)
 def _give_up(car, drv, i, first):  # type: ignore[no-untyped-def]
     """Return to the own lane when a vehicle close ahead is changing into the same one."""
     goal = drv.target[i]
@@ -141,7 +141,7 @@ def _give_up(car, drv, i, first):  # type: ignore[no-untyped-def]
                 return
 
 
-@jit(borrows=True)
+@jit(inline=True)
 def _consider(car, drv, i, table):  # type: ignore[no-untyped-def]
     """MOBIL without politeness, left before right: the last lane that is worth it is taken."""
     if abs(car.speed[i]) < 1.0:

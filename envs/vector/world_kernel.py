@@ -7,6 +7,7 @@ import math
 from lanebound.envs.batch.lanes_kernel import local, on_lane, width_at, wrap
 from lanebound.envs.batch.records_kernel import cars_of
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.bundle_kernel import unbundle
 from lanebound.integrity.core.records import record
 
 __all__ = ["NO_REWARD", "OF_HIGHWAY", "OF_ROADS", "WORLD", "judge_rows"]
@@ -32,13 +33,15 @@ WORLD = record(
 )
 
 
-@jit
-def judge_rows(first, last, rows, cars, ego, lanes, rules, worlds, start):  # type: ignore[no-untyped-def]
+@jit(borrows=True)
+def judge_rows(first, last, rows, batch, traffic, start):  # type: ignore[no-untyped-def]
     """Fill the facts of a policy step, ends and reward of the wrapped world; or of a start, where no time has passed."""
-    world, policy = worlds[0], rules[0].policy_s
+    a, world = unbundle(batch), unbundle(traffic).world[0]
+    lanes, rules = a.lanes, a.rules[0]
+    policy = rules.policy_s
     for n in range(first, last):
         e = rows[n]
-        car, b, sc, facts = cars_of(cars, e), ego.belief[e], ego.score[e], ego.facts[e]
+        car, b, sc, facts = cars_of(a.cars, e), a.ego.belief[e], a.ego.score[e], a.ego.facts[e]
         lane, speed, crashed = car.lane[0], car.speed[0], car.crashed[0] != 0
         s, r, direction = local(lanes, lane, car.x[0], car.y[0])
         angle, on_road = wrap(car.heading[0] - direction), on_lane(lanes, lane, s, r, 0.0)
@@ -50,12 +53,12 @@ def judge_rows(first, last, rows, cars, ego, lanes, rules, worlds, start):  # ty
         over = over or (world.against_ends != 0 and abs(angle) > 0.5 * math.pi)
         late = sc.time_s >= world.duration_s - world.tolerance_s
         late = late or (world.end_m >= 0.0 and s > lanes.table[lane].length_m - world.end_m)
-        late = late or sc.steps * rules[0].step_s >= world.episode_s - 0.5 * policy
+        late = late or sc.steps * rules.step_s >= world.episode_s - 0.5 * policy
         facts.terminated, facts.truncated = 1 if over else 0, 1 if late else 0
         if world.reward == OF_ROADS:
             facts.base = _of_roads(lanes, lane, s, r, speed * math.cos(angle), crashed, world)
         elif world.reward == OF_HIGHWAY:
-            wanted = b.target_lane if rules[0].meta != 0 else lane
+            wanted = b.target_lane if rules.meta != 0 else lane
             facts.base = _of_highway(lanes, wanted, speed * math.cos(car.heading[0]), crashed, world)
             facts.base *= 1.0 if on_road else 0.0
 
