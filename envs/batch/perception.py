@@ -50,7 +50,7 @@ class PerceptionBatch:
     def __init__(self, config: PerceptionConfig, count: int, capacity: int, vehicles: int, epoch_s: float) -> None:
         v, s = config.v2v, config.sensor
         self.config, self.count, self.capacity, self.vehicles = config, count, capacity, vehicles
-        self.hears, self.looks = config.source in ("v2v", "both"), config.source in ("sensor", "both")
+        self.hears, self.looks = (capacity > 0 and config.source in (name, "both") for name in ("v2v", "sensor"))
         self._slots_late = math.ceil(v.latency_max_s / epoch_s) + 2 if self.hears else 0
         self._radio = one_record(
             pk.RADIO, latency_s=v.latency_s, jitter_s=v.jitter_s, latency_max_s=v.latency_max_s, loss=v.loss,
