@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lanebound.envs.batch.records_kernel import PERCEIVED
 from lanebound.integrity.core.records import Records
 
 if TYPE_CHECKING:
@@ -144,11 +145,10 @@ class Traffic:
         p = perceived.copy()
         position = np.stack([p["x_m"], p["y_m"]], axis=-1)
         names = ("heading_rad", "speed_mps", "pl_at_m", "pl_ct_m", "age_s", "length_m", "width_m")
-        return cls(p["key"], position, *(p[name] for name in names), p["relative"] != 0)
+        numbers = [p[name] for name in names]
+        return cls(p["key"], position, *[*numbers, p["relative"] != 0])
 
     @classmethod
     def none(cls) -> Traffic:
         """No vehicle."""
-        row = np.zeros(0)
-        key, relative = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
-        return cls(key, np.zeros((0, 2)), row, row, row, row, row, row, row, relative)
+        return cls.of(np.zeros(0, PERCEIVED))

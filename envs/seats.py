@@ -1,7 +1,7 @@
 """The vehicles of a single environment in the records: their poses, and the slots that the others take and leave.
 
-A slot is a row of everything that has one for each vehicle beside the ego: navigators, messages, tracks. A vehicle keeps
-its slot for as long as it is in the world; the next vehicle in that slot inherits its instruments.
+A slot is a row of all arrays that have a row for each vehicle beside the ego: navigators, messages, tracks. A vehicle
+has one slot from its entry into the world to its exit; the next vehicle in that slot has the same instruments.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Seats:
         self.vehicles = [self.world.vehicle, *others]
         self._make_room(len(self.vehicles))
         cars, n = self.episodes.cars, len(self.vehicles)
-        cars.count[0], cars.slot[0] = n, -1
+        cars.present[0], cars.slot[0] = n, -1
         cars.slot[0, 1:n] = [self.slot.get(v, -1) for v in others]
         cars.length[0, :n] = [v.LENGTH for v in self.vehicles]
         cars.width[0, :n] = [v.WIDTH for v in self.vehicles]

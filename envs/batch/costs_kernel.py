@@ -162,7 +162,7 @@ def shortfall(car, lanes, c):  # type: ignore[no-untyped-def]
     lane = lanes.table[n]
     place, _, _ = local(lanes, n, car.x[0], car.y[0])
     half, flat = 0.5 * width_at(lanes, n, place), lane.kind == STRAIGHT
-    for i in range(1, car.count):
+    for i in range(1, car.present):
         s, r = straight(lane, car.x[i], car.y[i]) if flat else local(lanes, n, car.x[i], car.y[i])[:2]
         if (s > place) & (abs(r) <= half):
             needed = rss_distance_m(car.speed[0], car.speed[i], c)

@@ -1,4 +1,4 @@
-"""The ego's control by belief: meta-actions and the steering that carries them out, and what the actuators make of it."""
+"""The ego's control by belief: meta-actions, the steering that carries them out, and the actuators."""
 
 from __future__ import annotations
 

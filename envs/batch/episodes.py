@@ -44,9 +44,9 @@ STEP_US, EPOCH_US, FINISH_US = 0.6, 6.0, 5.0  # of one thread for an environment
 def empty_cars(count: int, vehicles: int) -> Cars:
     """N environments without vehicles."""
     shape = count, vehicles
-    numbers = [np.zeros(shape) for _ in range(6)]
-    lane, crashed = np.zeros((2, *shape), dtype=np.int64)
-    return Cars(np.zeros(count, dtype=np.int64), *numbers, lane, crashed, np.full(shape, -1, dtype=np.int64))
+    numbers: list[Any] = [np.zeros(shape) for _ in range(6)]
+    wholes: list[Any] = [np.zeros(shape, dtype=np.int64) for _ in range(2)]
+    return Cars(np.zeros(count, dtype=np.int64), *[*numbers, *wholes, np.full(shape, -1, dtype=np.int64)])
 
 
 def reach_of(config: EnvConfig) -> Reach:
@@ -86,7 +86,7 @@ class Episodes:
     ) -> None:
         self.config, self.rules, self.routes = config, rules, routes
         self.cars, self.navigation, self.perception = cars, navigation, perception
-        o, n = config.observation, cars.count.size
+        o, n = config.observation, cars.present.size
         self.path_of: Rows = np.arange(len(routes.table.index))
         self.index = entries(o)
         self._sources = sources_of(self.index)
@@ -95,7 +95,8 @@ class Episodes:
         self._shown = SHOWN[o.integrity], int(truth)
         belief: Records = np.zeros(n, BELIEF)
         shown = np.zeros(n, BELIEF) if o.integrity == "oracle" else belief
-        self.ego = Ego(belief, *(np.zeros(n, kind) for kind in (COMMAND, SCORE, FACTS, OUTCOME)), shown)
+        records: list[Records] = [np.zeros(n, kind) for kind in (COMMAND, SCORE, FACTS, OUTCOME)]
+        self.ego = Ego(belief, *[*records, shown])
         self.tracks: Records | None = np.zeros(n, TRACK) if config.navigation.source.senses else None
         self._forecasts = self.tracks is not None and bool(o.satellites_m)
         self.sky = np.full((n, 3 * len(o.satellites_m)), -1.0)
@@ -108,15 +109,22 @@ class Episodes:
             trail=np.zeros((n, trail, 2)),
         )
         self.frame = np.zeros((n, len(self.index)), dtype=np.float32)
-        self._words = vk.Words(
-            _words(shown), shown.view(np.int64).reshape(n, -1), _words(self.views.own), _words(self.views.preview),
-            self.sky, _words(self.views.vehicles),
-        )  # fmt: skip
+        self._words = self._all_words()
         self._bundle: tuple[Bundle, RouteMap] | None = None
 
+    def _all_words(self) -> vk.Words:
+        """The memory of the records that observations come from."""
+        shown, v = self.ego.shown, self.views
+        whole = shown.view(np.int64).reshape(shown.size, -1)
+        return vk.Words(_words(shown), whole, _words(v.own), _words(v.preview), self.sky, _words(v.vehicles))
+
     def __getstate__(self) -> dict[str, Any]:
-        """Everything but the bundle, which holds addresses."""
-        return {**self.__dict__, "_bundle": None}
+        """Everything but what holds addresses, or the memory of other arrays."""
+        return {name: value for name, value in self.__dict__.items() if name not in ("_bundle", "_words")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _bundle=None)
+        self._words = self._all_words()
 
     @property
     def table(self) -> LaneTable:
@@ -158,8 +166,9 @@ class Episodes:
 
     @property
     def epoch_steps(self) -> int | None:
-        """Simulation steps in an epoch; None where nothing is sensed and every step is alike."""
-        if self.navigation is None and not perceives(self.config.perception):
+        """Simulation steps in an epoch; None where nothing is sensed, no position is off, and every step is alike."""
+        exact = not (self.rules["offset_at_m"][0] or self.rules["offset_ct_m"][0])
+        if exact and self.navigation is None and not perceives(self.config.perception):
             return None
         return self.config.navigation.steps_per_epoch(self.config.simulation_hz)
 

@@ -1,9 +1,9 @@
 """Lanes as records: where a point lies on a lane, which point lies where, and which lane is nearest to a pose.
 
 Frame ``xy``: x ahead along the first road, y to its right; headings, offsets and curvatures are positive to the right.
-The geometry of each kind is that of its class: highway-env's straight, sine and circular lanes, and ``CurveLane``, which
-runs at a constant offset beside a path of cells with linear curvature (:mod:`..worlds.paths`). A lane of any other class
-is known by samples of its centreline, 2 m apart, with cubic Hermite curves between them.
+The geometry of each kind is that of its class: highway-env's straight, sine and circular lanes, and ``CurveLane``,
+which runs at a constant offset beside a path of cells with linear curvature (:mod:`..worlds.paths`). A lane of any
+other class is known by samples of its centreline, 2 m apart, with cubic Hermite curves between them.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from lanebound.integrity.core.records import Records, record
 
 __all__ = [
     "ADVICE_STEP_M", "CELL", "CIRCLE", "CURVE", "JOINT", "LANE", "NODE", "NONE", "NOWHERE_M", "PAST_END_M", "SAMPLED",
-    "SINE", "SQUARE_M", "STRAIGHT", "Lanes", "advised", "centre", "closest", "following", "heading_at", "local", "nearest", "of_side",
-    "on_lane", "place", "reachable", "remainder", "stations", "straight", "width_at", "wrap",
+    "SINE", "SQUARE_M", "STRAIGHT", "Lanes", "advised", "centre", "closest", "following", "heading_at", "local",
+    "nearest", "of_side", "on_lane", "place", "reachable", "remainder", "stations", "straight", "width_at", "wrap",
 ]  # fmt: skip
 
 STRAIGHT, SINE, CIRCLE, CURVE, SAMPLED = 0, 1, 2, 3, 4  # kinds of lanes
@@ -115,7 +115,7 @@ class Lanes(NamedTuple):
 
 @jit(inline=True)
 def wrap(angle):  # type: ignore[no-untyped-def]
-    """The angle in [-pi, pi), with the rounding of highway-env, as steering at a crawl multiplies any other rounding."""
+    """The angle in [-pi, pi), rounded as by highway-env, whose steering multiplies other rounding at a crawl."""
     above = angle + math.pi
     return above - TWO_PI * math.floor(above / TWO_PI) - math.pi
 

@@ -67,7 +67,7 @@ def advance(motion, x, y, heading):  # type: ignore[no-untyped-def]
 
 @jit(borrows=True)
 def _ends_of(motions, step_s, ends, headings):  # type: ignore[no-untyped-def]
-    """Positions and velocities East, North (4, M, 2) and azimuths (2, M) at both ends of an epoch; the next one begins."""
+    """Positions and velocities East, North (4, M, 2), azimuths (2, M) at both ends of an epoch; the next begins."""
     for i in range(motions.shape[0]):
         m = motions[i]
         for k in range(2):
@@ -101,7 +101,7 @@ def fill_motion(motions, rows, step_s, down, truth):  # type: ignore[no-untyped-
 @jit(borrows=True)
 def fill_whereabouts(cars, lanes, where, e, first, count, truth):  # type: ignore[no-untyped-def]
     """Fill arc and lane of the ``count`` navigating vehicles of environment e, rows from ``first`` on of a Truth."""
-    for v in range(cars.count[e]):
+    for v in range(cars.present[e]):
         i = 0 if v == 0 else cars.slot[e, v] + 1
         if (v == 0 or i > 0) and i < count:
             n = cars.lane[e, v]
@@ -114,14 +114,15 @@ def fill_whereabouts(cars, lanes, where, e, first, count, truth):  # type: ignor
 def begin_motion(first, last, rows, cars, lanes, where, step_s, before_s, motions, end, ahead, truth):  # type: ignore[no-untyped-def]
     """Put the navigating vehicles of environments ``rows`` on a straight approach, ``before_s`` before their places.
 
-    Row n of motions (n, M) MOTION, of end and ahead (n, M, 2), filled with the place [m] and the velocity [m/s] of each,
+    Row n of motions (n, M) MOTION, of end and ahead (n, M, 2), filled with the place [m] and the velocity [m/s] of
+    each,
     and the rows n M and up of ``truth``, whose arcs and lanes are those of the places.
     """
     count = motions.shape[1]
     for n in range(first, last):
         e = rows[n]
         fill_whereabouts(cars, lanes, where, e, n * count, count, truth)
-        for v in range(cars.count[e]):
+        for v in range(cars.present[e]):
             i = 0 if v == 0 else cars.slot[e, v] + 1
             if (v == 0 or i > 0) and i < count:
                 m, speed, heading = motions[n, i], cars.speed[e, v], cars.heading[e, v]
@@ -133,4 +134,3 @@ def begin_motion(first, last, rows, cars, lanes, where, step_s, before_s, motion
                     m.position[k] = m.start[k] = end[n, i, k] - before_s * ahead[n, i, k]
                     m.chord[k] = m.chord_before[k] = step_s * speed * (cosine if k == 0 else sine)
                     m.start_velocity[k] = (1.5 * m.chord[k] - 0.5 * m.chord_before[k]) / step_s
-

@@ -225,7 +225,9 @@ class NavigationBatch:
         truth, heard = _truth_rows(size), list[tuple[float, Solution]]()
         end, ahead = np.zeros((2, *motions.shape, 2))
         before_s = self.epochs_before * self.epoch_s
-        begin_motion(0, rows.size, rows, cars, self.lanes, self.where, self.step_s, before_s, motions, end, ahead, truth)
+        begin_motion(
+            0, rows.size, rows, cars, self.lanes, self.where, self.step_s, before_s, motions, end, ahead, truth
+        )
         begin, present = motions["position"].copy(), np.flatnonzero(_present(rows, cars, self.vehicles))
         heading, noise = motions["heading_rad"].ravel()[present], starts.noise.reshape(-1, 3)[present]
         place_all(navigator, self.config, begin.reshape(-1, 2)[present], heading, noise, present)
@@ -344,7 +346,7 @@ def _present(rows: Rows, cars: Cars, vehicles: int) -> Flags:
     """Which of the navigating vehicles of environments there are, (n, M)."""
     there = np.zeros((rows.size, vehicles), dtype=np.bool_)
     for n, e in enumerate(rows.tolist()):
-        slots = cars.slot[e, 1 : cars.count[e]]
+        slots = cars.slot[e, 1 : cars.present[e]]
         there[n, 0], there[n, slots[(slots >= 0) & (slots < vehicles - 1)] + 1] = True, True
     return there
 

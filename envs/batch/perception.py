@@ -129,7 +129,7 @@ class PerceptionBatch:
         for row, seed in zip(rows.tolist(), seeds, strict=True):
             self._streams.reseed(row, seed)
         slot = cars.slot[rows]
-        n, v = np.nonzero((slot >= 0) & (np.arange(slot.shape[1]) < cars.count[rows, None]))
+        n, v = np.nonzero((slot >= 0) & (np.arange(slot.shape[1]) < cars.present[rows, None]))
         e, s = rows[n], slot[n, v]
         p.slots["key"][e, s] = v
         p.slots["length_m"][e, s], p.slots["width_m"][e, s] = cars.length[e, v], cars.width[e, v]

@@ -4,7 +4,8 @@ A broadcast says where its sender believes to be on the globe; a sensor tells wh
 first is wrong by the sender's error, the second is put on the ego's believed pose and shares its error, so that the
 geometry between the two vehicles stays right. Truth enters as radio range and echoes alone.
 
-What one source knows of one vehicle is a SIGHTING; C slots of vehicles each have one of the radio and one of the sensor.
+What one source knows of a vehicle is a SIGHTING; each of C slots of vehicles has one of the radio and one of the
+sensor.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
 
-__all__ = ["CLAIM", "PICTURE", "RADIO", "SENSOR", "SIGHTING", "SLOT", "TRACKING", "Pictures", "Radio", "claim", "forget_slot",
+__all__ = ["CLAIM", "PICTURE", "RADIO", "SENSOR", "SIGHTING", "SLOT", "TRACKING", "Pictures", "Radio", "claim",
+           "forget_slot",
            "hear", "in_sight", "look", "see_truth", "silence", "sum_up"]  # fmt: skip
 
 ROUNDING = 1e-9
@@ -84,7 +86,7 @@ PICTURE = record(
 class Radio(NamedTuple):
     """Messages under way to N egos from C slots each, and held by them.
 
-    broadcasts (N, L, C) SIGHTING: what was said in the last L epochs; arriving (N, L, C): epoch of origin of the message
+    broadcasts (N, L, C) SIGHTING: messages of the last L epochs; arriving (N, L, C): epoch of origin of the message
     that arrives in a coming epoch, -1 for none; origin (N, C): epoch of origin of the message held, -1 for none; held
     (N, C) SIGHTING: for none, levels of inf and a time of -inf.
     """
@@ -147,7 +149,7 @@ def claim(solution, v, c):  # type: ignore[no-untyped-def]
 def hear(picture, radio, e, figures, time, claims, car, u, lies):  # type: ignore[no-untyped-def]
     """One epoch of the radio to one ego: send, carry, receive.
 
-    claims (C,) CLAIM by slot; u (C + 1, 2) uniform draws; lies (C, 4): displacement East, North and up [m] and factor on
+    claims (C,) CLAIM by slot; u (C + 1, 2) uniform draws; lies (C, 4): displacement East, North, up [m] and factor on
     the levels of what each says, or None for honest vehicles. A message gets through within the range with ``P = (1 -
     loss) (1 - (d / range)^4)``; one that takes longer than an epoch arrives in a later one, and the newer replaces one
     that would arrive with it.
@@ -167,7 +169,7 @@ def hear(picture, radio, e, figures, time, claims, car, u, lies):  # type: ignor
             said.pl_ct_m *= lies[i, 3]
     if due > picture.sent:
         picture.sent = due
-        for v in range(1, car.count):
+        for v in range(1, car.present):
             i = car.slot[v]
             if i < 0 or i >= count or claims[i].sends == 0:
                 continue
@@ -193,7 +195,7 @@ def in_sight(car, ahead, i):  # type: ignore[no-untyped-def]
     """
     x, y = car.x[0], car.y[0]
     line_x, line_y = car.x[i] - x, car.y[i] - y
-    for j in range(1, car.count):
+    for j in range(1, car.present):
         if j == i or car.slot[j] < 0:
             continue
         start_x, start_y = x - car.x[j], y - car.y[j]
@@ -227,9 +229,9 @@ def look(picture, tracks, figures, b, car, noise, ahead):  # type: ignore[no-unt
         tracks[i].y_m += b.y_m - picture.last_y_m - south
         tracks[i].time_s += figures.epoch_s
     picture.last_x_m, picture.last_y_m = b.x_m, b.y_m
-    for v in range(1, car.count):
+    for v in range(1, car.present):
         ahead[v, 0], ahead[v, 1] = math.cos(car.heading[v]), math.sin(car.heading[v])
-    for v in range(1, car.count):
+    for v in range(1, car.present):
         gap_x, gap_y = car.x[v] - car.x[0], car.y[v] - car.y[0]
         distance = math.sqrt(gap_x * gap_x + gap_y * gap_y)
         bearing = math.atan2(gap_y, gap_x) - car.heading[0]
@@ -299,7 +301,7 @@ def see_truth(car, x, y, every, order, square, seen):  # type: ignore[no-untyped
     (V,) are scratch.
     """
     count = 0
-    for i in range(1, car.count):
+    for i in range(1, car.present):
         if car.slot[i] < 0 and not every:
             continue
         dx, dy = car.x[i] - x, car.y[i] - y

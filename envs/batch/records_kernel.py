@@ -32,14 +32,14 @@ CAUSES = (
 
 
 class Cars(NamedTuple):
-    """The true vehicles of N environments, the ego first: (N, V), ``count`` (N,); of one environment (V,) and a number.
+    """The true vehicles, the ego first: of N environments (N, V) and ``present`` (N,), of one (V,) and a number.
 
-    count: how many vehicles there are, in the first places; x, y [m], heading [rad], speed [m/s]; length, width [m];
+    present: number of vehicles, which are in the first places; x, y [m], heading [rad], speed [m/s]; length, width [m];
     lane: row of the lane that a vehicle is on; crashed: 1 after a crash; slot: row of the vehicle in everything that
     has a row for each of C slots, -1 for none.
     """
 
-    count: Rows
+    present: Rows
     x: Array
     y: Array
     heading: Array
@@ -55,7 +55,7 @@ class Cars(NamedTuple):
 def cars_of(cars, e):  # type: ignore[no-untyped-def]
     """The vehicles of environment e."""
     return Cars(
-        cars.count[e], cars.x[e], cars.y[e], cars.heading[e], cars.speed[e], cars.length[e], cars.width[e],
+        cars.present[e], cars.x[e], cars.y[e], cars.heading[e], cars.speed[e], cars.length[e], cars.width[e],
         cars.lane[e], cars.crashed[e], cars.slot[e],
     )  # fmt: skip
 

@@ -110,7 +110,8 @@ class Routes:
 
     def _arrays(self) -> RouteMap:
         columns = (self._paths, PATH), (self._pieces, PIECE), (self._following, np.int64), (self._ahead, np.int64)
-        return RouteMap(*(np.array(rows, dtype=kind) for rows, kind in columns))
+        arrays: list[Any] = [np.array(rows, dtype=kind) for rows, kind in columns]
+        return RouteMap(*arrays)
 
     def _build(self, lane: int, route: tuple[Step, ...]) -> int:
         after, lane_end_m = self._follow(lane, route)
@@ -229,7 +230,7 @@ class Routes:
             if not roads:
                 break
             wanted = onward.get(node)
-            lane = self._beside(lane, wanted if wanted in roads else roads[0])
+            lane = self._beside(lane, wanted if wanted is not None and wanted in roads else roads[0])
             out.append(lane)
             left -= self._length(lane)
         return out

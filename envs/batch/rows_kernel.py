@@ -1,4 +1,4 @@
-"""Entry kernels: what happens to environments ``rows[first:last]`` at the end of a simulation step, epoch or policy step.
+"""Entry kernels, each for environments ``rows[first:last]`` at the end of a simulation, epoch or policy step.
 
 They are the links of ``run_chain``; the formulas are in the other files of this package. ``batch`` is the handle of a
 bundle of :class:`Batch`, ``sensed`` that of :class:`Sensed`.
@@ -64,7 +64,7 @@ class Sensed(NamedTuple):
 @jit(borrows=True)
 def follow_motion(motions, cars, e):  # type: ignore[no-untyped-def]
     """Take the true poses of the navigating vehicles of an environment after a simulation step."""
-    for v in range(cars.count[e]):
+    for v in range(cars.present[e]):
         i = 0 if v == 0 else cars.slot[e, v] + 1
         if (v == 0 or i > 0) and i < motions.shape[1]:
             advance(motions[e, i], cars.x[e, v], cars.y[e, v], cars.heading[e, v])
@@ -90,7 +90,7 @@ def give_rows(first, last, rows, batch, passed):  # type: ignore[no-untyped-def]
 
 @jit(borrows=True)
 def coast_rows(first, last, rows, batch, motions, tracks):  # type: ignore[no-untyped-def]
-    """A simulation step has passed that ends no navigation epoch; ``tracks``: None where the egos' positions are given."""
+    """A simulation step that ends no epoch; ``tracks``: None where the egos' positions are given."""
     a = unbundle(batch)
     for n in range(first, last):
         follow_motion(motions, a.cars, rows[n])
@@ -117,7 +117,7 @@ def end_epoch(first, last, rows, batch, sensed, motions, down, times, truth):  #
 
 @jit(borrows=True)
 def sky_rows(first, last, rows, sensed, times):  # type: ignore[no-untyped-def]
-    """The skies over environments; times: (hour (N,), knot (N,), share of the step past it (N,), step [s], mask [rad])."""
+    """The skies over environments; times: hour, knot, share of the step past it (N,); step [s]; mask [rad]."""
     a, (hour, knot, share, step, mask) = unbundle(sensed), times
     for n in range(first, last):
         e = rows[n]
@@ -249,7 +249,7 @@ def _finish(e, a, start, order, square, truth):  # type: ignore[no-untyped-def]
 
 @jit(borrows=True)
 def approach_step(first, last, rows, motions, begin, ahead, passed_s, end):  # type: ignore[no-untyped-def]
-    """A simulation step of an approach, to where the vehicles are ``passed_s`` after its beginning; to ``end`` if given.
+    """A simulation step of an approach, to the poses ``passed_s`` after its beginning, or to ``end`` if given.
 
     begin, ahead, end (n, M, 2); ``end`` is None but for the last step.
     """

@@ -1,6 +1,6 @@
 """Truth against belief at the end of a policy step: errors, misleading information, ends of an episode, rewards, costs.
 
-Terms of the reward, of the TRUE car; v speed, psi heading less the lane's, d offset from its middle, dt the policy step:
+Terms of the reward, of the TRUE car; v speed, psi heading less the lane's, d offset from its middle, dt policy step:
 
 ``progress``  ``v cos(psi) / v_limit dt`` between -dt and dt: reversing takes back, speeding earns nothing.
 ``lane_centre``  ``progress / (1 + (d / 0.5 m)^2)``, 0 at least: nothing for standing in the middle.
@@ -69,7 +69,7 @@ def score(b, sc, car, seen, count, lanes, facts, rules, start, out):  # type: ig
     dt = 0.0 if start else policy
     lane = lanes.table[car.lane[0]]
     limit = lane.speed_limit_mps if lane.speed_limit_mps > 0.0 else rules.max_speed_mps
-    s, r, direction = local(lanes, car.lane[0], car.x[0], car.y[0])
+    _s, r, direction = local(lanes, car.lane[0], car.x[0], car.y[0])
     angle = wrap(car.heading[0] - direction)
     along, against = speed * math.cos(angle), abs(angle) > 0.5 * math.pi
     if start:

@@ -93,8 +93,8 @@ SOURCE = record(
 class Words(NamedTuple):
     """The blocks of N environments as 8-byte words, the memory of the records: (N, words).
 
-    belief and belief_whole are the same memory, read as numbers and as whole numbers; own (VIEW); preview (N, D AHEAD); sky
-    (N, 3 D): satellites predicted on the lanes left, own and right, negative for unknown; vehicles (N, R BESIDE).
+    belief and belief_whole are the same memory, read as numbers and as whole numbers; own (VIEW); preview (N, D AHEAD);
+    sky (N, 3 D): satellites predicted on the lanes left, own and right, negative for unknown; vehicles (N, R BESIDE).
     """
 
     belief: NDArray[np.float64]
@@ -266,7 +266,7 @@ def fill_frame(sources, words, e, view, frame):  # type: ignore[no-untyped-def]
         elif block == SKY:
             value = words.sky[e, word]
             side = word % 3
-            if value < 0.0 or side == 0 and view.left_exists == 0.0 or side == 2 and view.right_exists == 0.0:
+            if value < 0.0 or (side == 0 and view.left_exists == 0.0) or (side == 2 and view.right_exists == 0.0):
                 value = UNKNOWN
         if source.code == source.code:
             value = 1.0 if value == source.code else 0.0

@@ -5,9 +5,9 @@ its meaning: a missing protection level is the clipped maximum with its ``exists
 
 The source of an entry names a field of a record: ``belief.speed_mps`` (BELIEF of :mod:`..batch.records_kernel`),
 ``view.ratio_at`` (VIEW of :mod:`..batch.view_kernel`), ``preview[2].ahead_m`` (AHEAD at the third preview distance),
-``sky[4]`` (satellites predicted: left, own and right lane of each distance in turn), ``vehicle[0].age_s`` (BESIDE of the
-nearest vehicle). ``belief.mode == 2`` is 1 where a code is that number. So a new entry is a line here; for a quantity
-that no record has yet, a field in VIEW or BESIDE and its formula there come first.
+``sky[4]`` (satellites predicted: left, own and right lane of each distance in turn), ``vehicle[0].age_s`` (BESIDE of
+the nearest vehicle). ``belief.mode == 2`` is 1 where a code is that number. So a new entry is a line here; for a
+quantity that no record has yet, a field in VIEW or BESIDE and its formula there come first.
 
 :func:`register_entry` adds an entry from outside; its source may also be a function of :class:`Observed`.
 """
@@ -15,10 +15,10 @@ that no record has yet, a field in VIEW or BESIDE and its formula there come fir
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import nan, pi
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -251,11 +251,15 @@ def register_entry(entry: Entry) -> None:
         There is no such group or field, an entry of that name is there already, or bounds or scale are out of range.
     """
     if entry.group not in GROUPS:
-        raise InputError(f"group must be one of {', '.join(GROUPS)}, got {entry.group!r}: {nearest(entry.group, GROUPS)}")
+        raise InputError(
+            f"group must be one of {', '.join(GROUPS)}, got {entry.group!r}: {nearest(entry.group, GROUPS)}"
+        )
     if entry.column in {other.column for other in entries(ObservationConfig(vehicles=64))}:
         raise InputError(f"name must not be taken, got {entry.column}: choose another")
     if not (entry.scale > 0.0 and entry.low < entry.high):
-        raise InputError(f"scale must be > 0 and low < high, got {entry.scale}, {entry.low}, {entry.high}: correct them")
+        raise InputError(
+            f"scale must be > 0 and low < high, got {entry.scale}, {entry.low}, {entry.high}: correct them"
+        )
     if isinstance(entry.source, str):
         _word_of(entry.source)
     _registered.append(entry)
@@ -308,9 +312,12 @@ def _word_of(source: str) -> tuple[int, int, float]:
         known = ("belief", *BLOCKS, "sky")
         raise InputError(f"source must name one of {', '.join(known)}, got {source!r}: {nearest(name, known)}")
     block, record = BLOCKS.get(name, (vk.BELIEF_NUMBER, BELIEF))
-    if field not in (record.fields or {}):
-        raise InputError(f"source must name a field of {name}, got {source!r}: {nearest(str(field), record.names or ())}")
-    kind, offset = (record.fields or {})[field][:2]
+    fields: Mapping[str, Any] = record.fields or {}
+    if field not in fields:
+        raise InputError(
+            f"source must name a field of {name}, got {source!r}: {nearest(str(field), record.names or ())}"
+        )
+    kind, offset = fields[field][:2]
     if name == "belief" and kind.kind == "i":
         block = vk.BELIEF_WHOLE
     return block, (row * record.itemsize + offset) // WORD, code

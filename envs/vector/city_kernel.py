@@ -38,7 +38,7 @@ WALKING_MPS = 1.0  # slower vehicles do not change lanes
 @jit(inline=True)
 def place_all(car, lanes, places):  # type: ignore[no-untyped-def]
     """Fill ``places`` (V, L): how far along each lane every vehicle is, ``NOWHERE_M`` where it is not."""
-    for i in range(car.count):
+    for i in range(car.present):
         stations(lanes, car.x[i], car.y[i], BESIDE_M, places[i])
 
 
@@ -72,7 +72,7 @@ def _place(table, places, lane, j):  # type: ignore[no-untyped-def]
 def _neighbours(car, lanes, places, lane, i):  # type: ignore[no-untyped-def]
     """The vehicles next ahead of and behind vehicle i on a lane and those that it joins, -1 for none."""
     s, front, rear, front_m, rear_m = _along(car, lanes, places, lane, i), -1, -1, math.inf, NOWHERE_M
-    for j in range(car.count):
+    for j in range(car.present):
         if j == i:
             continue
         place = _place(lanes.table, places, lane, j)
@@ -103,7 +103,7 @@ def _bend(car, lanes, places, i):  # type: ignore[no-untyped-def]
 @jit(inline=True)
 def decide_all(car, drv, lanes, places, ego_has_target):  # type: ignore[no-untyped-def]
     """The decisions of all drivers one after the other: later ones see the new targets of those before."""
-    for i in range(1, car.count):
+    for i in range(1, car.present):
         if car.crashed[i] != 0:
             continue
         drv.target[i] = following(lanes, drv.target[i], car.x[i], car.y[i])
@@ -121,7 +121,7 @@ def _give_up(car, drv, lanes, places, i, first):  # type: ignore[no-untyped-def]
     goal = drv.target[i]
     if lanes.table[goal].road != lanes.table[car.lane[i]].road:
         return
-    for j in range(first, car.count):
+    for j in range(first, car.present):
         if j != i and drv.target[j] == goal and car.lane[j] != goal:
             if 0.0 < _gap(car, lanes, places, i, j) < gap_wanted(car, drv, i, j, CALM):
                 drv.target[i] = car.lane[i]
@@ -167,7 +167,7 @@ def _accelerate(car, drv, lanes, places, i):  # type: ignore[no-untyped-def]
 @jit(inline=True)
 def drive_city(car, drv, lanes, dt):  # type: ignore[no-untyped-def]
     """One step of all others; braking ends at standstill."""
-    for i in range(1, car.count):
+    for i in range(1, car.present):
         steering, a = 0.0, 0.0
         if car.crashed[i] == 0:
             steering = steer_along(car, drv, lanes, i)

@@ -87,8 +87,8 @@ def _diagonal(car):  # type: ignore[no-untyped-def]
 def collide_all(car, drv, dt):  # type: ignore[no-untyped-def]
     """All pairs of an environment."""
     diagonal = _diagonal(car)
-    for i in range(car.count - 1):
-        for j in range(i + 1, car.count):
+    for i in range(car.present - 1):
+        for j in range(i + 1, car.present):
             if _near(car, i, j, dt, diagonal):
                 collide(car, drv, i, j, dt)
 
@@ -99,7 +99,7 @@ def collide_sorted(car, drv, dt, pairs):  # type: ignore[no-untyped-def]
 
     ``pairs`` (P,) is scratch; with more vehicles than fit all pairs are looked at.
     """
-    count = car.count
+    count = car.present
     if count * count > 2 * pairs.shape[0]:
         collide_all(car, drv, dt)
         return

@@ -11,7 +11,7 @@ __all__ = ["drive_profiles"]
 @jit(inline=True)
 def drive_profiles(car, drv, lanes, profile, step, dt):  # type: ignore[no-untyped-def]
     """Vehicles 1 and up drive to the speed that ``profile`` (S,) [m/s] has for the end of step number ``step``."""
-    for i in range(1, car.count):
+    for i in range(1, car.present):
         steering, a = 0.0, 0.0
         if car.crashed[i] == 0:
             steering = steer_along(car, drv, lanes, i)

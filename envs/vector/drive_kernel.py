@@ -29,10 +29,10 @@ __all__ = ["Traffic", "run_city", "run_course", "run_motorway"]
 
 
 class Traffic(NamedTuple):
-    """The vehicles of N environments, and what they drive by.
+    """The vehicles of N environments, and the parameters of their motion.
 
-    world (1,) WORLD; speeds: target speeds of meta-actions; profile (N, S): speeds of the vehicles that drive a profile,
-    step by step.
+    world (1,) WORLD; speeds: target speeds of meta-actions; profile (N, S): prescribed speeds of other vehicles [m/s],
+    by simulation step.
     """
 
     drivers: Drivers

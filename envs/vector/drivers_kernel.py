@@ -24,12 +24,12 @@ Rows = NDArray[np.int64]
 
 
 class Drivers(NamedTuple):
-    """What the vehicles of N environments are about, (N, V); of one environment (V,).
+    """State of the vehicles' control, of N environments (N, V), of one (V,).
 
-    cos, sin: of the heading; target_speed [m/s]: wanted; timer [s]: since the driver last considered a lane change; delta:
-    exponent of the acceleration; acceleration [m/s2]: decided; impact_x, impact_y [m]: by which a crash displaces; target:
-    row of the lane that is wanted; struck: 1 from a crash to the next step; order: vehicles sorted along the road; rank:
-    place in it; front: vehicle in front in the own lane, -1 for none.
+    cos, sin: of the heading; target_speed [m/s]; timer [s]: since a lane change was last considered; delta: exponent of
+    the acceleration; acceleration [m/s2]: command; impact_x, impact_y [m]: displacement by a crash; target: row of the
+    target lane; struck: 1 from a crash to the next step; order: vehicles sorted along the road; rank: place in it;
+    front: vehicle in front in the own lane, -1 for none.
     """
 
     cos: Array

@@ -49,8 +49,8 @@ class Stage:
 
     def __init__(self, engine: Engine, episodes: Episodes) -> None:
         n, vehicles = episodes.cars.x.shape
-        numbers = [np.zeros((n, vehicles)) for _ in range(8)]
-        wholes = [np.zeros((n, vehicles), dtype=np.int64) for _ in range(5)]
+        numbers: list[Any] = [np.zeros((n, vehicles)) for _ in range(8)]
+        wholes: list[Any] = [np.zeros((n, vehicles), dtype=np.int64) for _ in range(5)]
         profile = np.zeros((n, engine.support.profile_steps(engine.single.world)))
         self.episodes = episodes
         self.traffic = Traffic(Drivers(*numbers, *wholes), engine.world, engine.speeds, profile)
@@ -120,6 +120,16 @@ class Engine:
         self._next: Stage | None = None
         self._begun = np.zeros(count, dtype=np.bool_)  # whether an environment has had an episode
         self._waits = np.zeros(count, dtype=np.bool_)  # whether its next one is ready
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything but the functions of the world."""
+        return {name: value for name, value in self.__dict__.items() if name not in ("support", "_drive", "_start")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.support = support_of(self.single.config)
+        self._drive = traffic_of(self.support)
+        self._start = self.support.starter(self.single.world, self.episodes.table)
 
     def _world(self) -> Any:
         """The record of the world."""
@@ -197,7 +207,7 @@ class Engine:
         cars, drivers = stage.episodes.cars, stage.traffic.drivers
         own, theirs = cars_of.py_func(cars, e), drivers_of.py_func(drivers, e)
         clear(own, theirs, Vehicle.LENGTH, Vehicle.WIDTH)
-        count = cars.count[e] = self._start(rng, own, theirs, stage.traffic.profile[e])
+        count = cars.present[e] = self._start(rng, own, theirs, stage.traffic.profile[e])
         seat(own, theirs, count)
 
     def step(self, actions: NDArray[Any], rows: Rows | None = None) -> None:

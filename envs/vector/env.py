@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,10 +11,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from lanebound.envs.batch.infos import form_of, infos_of, results
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.ids import Preset, has_engine, id_of, presets, refuse_misplaced
 from lanebound.envs.vector.engine import Engine
-from lanebound.envs.batch.infos import form_of, infos_of, results
 from lanebound.integrity.core.errors import InputError
 
 __all__ = ["VectorDrivingEnv", "engine_class", "engines"]
@@ -216,12 +215,16 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         return commands
 
 
-@cache
+_classes: dict[type[Preset], type[VectorDrivingEnv]] = {}
+
+
 def engine_class(kind: type[Preset]) -> type[VectorDrivingEnv]:
     """The vector environment of an id; one class for each."""
-    name = f"Vector{kind.__name__}"
-    page = f"``{id_of(kind)}``, N times."
-    return type(name, (VectorDrivingEnv,), {"KIND": kind, "__doc__": page, "__module__": __name__})
+    if kind not in _classes:
+        page = f"``{id_of(kind)}``, N times."
+        body = {"KIND": kind, "__doc__": page, "__module__": __name__}
+        _classes[kind] = type(f"Vector{kind.__name__}", (VectorDrivingEnv,), body)
+    return _classes[kind]
 
 
 def engines() -> dict[str, type[VectorDrivingEnv]]:

@@ -54,7 +54,7 @@ def _stands_on(car, k, table, lane):  # type: ignore[no-untyped-def]
 @jit(inline=True)
 def _ahead(car, drv, i, table, lane):  # type: ignore[no-untyped-def]
     """The vehicle ahead of i on a lane, -1 for none."""
-    for at in range(drv.rank[i] + 1, car.count):
+    for at in range(drv.rank[i] + 1, car.present):
         k = drv.order[at]
         if _stands_on(car, k, table, lane):
             return k
@@ -74,7 +74,7 @@ def _behind(car, drv, i, table, lane):  # type: ignore[no-untyped-def]
 @jit(inline=True)
 def sort_along(car, drv):  # type: ignore[no-untyped-def]
     """Bring ``order`` up to date: nearly sorted, so by insertion."""
-    for a in range(1, car.count):
+    for a in range(1, car.present):
         k = drv.order[a]
         x = car.x[k]
         if car.x[drv.order[a - 1]] <= x:
@@ -95,7 +95,7 @@ def survey(car, drv, table, newest, held):  # type: ignore[no-untyped-def]
     """
     _occupy(car, table, held)
     newest[:] = -1
-    for at in range(car.count - 1, -1, -1):
+    for at in range(car.present - 1, -1, -1):
         k = drv.order[at]
         drv.rank[k], drv.front[k] = at, newest[car.lane[k]]
         newest[held[0, k]] = newest[held[1, k]] = k
@@ -106,7 +106,7 @@ def _occupy(car, table, held):  # type: ignore[no-untyped-def]
     """The lanes that every vehicle stands on, ``held`` (2, V): its own, and the one on its side of it; L for none."""
     lowest, width, end, none = table[0].y_m, table[0].width_m, table[0].length_m + PAST_END_M, table.shape[0]
     reach = 0.5 * width + MARGIN_M
-    for i in range(car.count):
+    for i in range(car.present):
         lane, along = car.lane[i], (-PAST_END_M <= car.x[i]) & (car.x[i] < end)
         aside = car.y[i] - (lowest + lane * width)
         beside = lane + (1 if aside > 0.0 else -1)
@@ -118,7 +118,7 @@ def _occupy(car, table, held):  # type: ignore[no-untyped-def]
 @jit(inline=True)
 def change_lanes(car, drv, table, ego_has_target):  # type: ignore[no-untyped-def]
     """The decisions of all drivers one after the other: later ones see the new targets of those before."""
-    for i in range(1, car.count):
+    for i in range(1, car.present):
         changing = car.lane[i] != drv.target[i]
         if not (changing | (drv.timer[i] > BRISK.delay_s)) or car.crashed[i] != 0:
             continue
@@ -133,7 +133,7 @@ def change_lanes(car, drv, table, ego_has_target):  # type: ignore[no-untyped-de
 def _give_up(car, drv, i, first):  # type: ignore[no-untyped-def]
     """Return to the own lane when a vehicle close ahead is changing into the same one."""
     goal = drv.target[i]
-    for k in range(first, car.count):
+    for k in range(first, car.present):
         if drv.target[k] == goal and car.lane[k] != goal and k != i:
             distance = car.x[k] - car.x[i]
             if 0.0 < distance < gap_wanted(car, drv, i, k, BRISK):
@@ -171,11 +171,11 @@ def _consider(car, drv, i, table):  # type: ignore[no-untyped-def]
 @jit(inline=True)
 def accelerate(car, drv, table):  # type: ignore[no-untyped-def]
     """IDM's acceleration of every driver, from the places at the beginning of the step; that of a wreck is not used."""
-    for i in range(1, car.count):
+    for i in range(1, car.present):
         drv.acceleration[i] = wanted_speed(drv, i, table[car.lane[i]].speed_limit_mps)
-    for i in range(1, car.count):
+    for i in range(1, car.present):
         drv.acceleration[i] = free(car.speed[i], drv.acceleration[i], drv.delta[i], BRISK)
-    for i in range(1, car.count):
+    for i in range(1, car.present):
         front = drv.front[i]
         less = _braking(car, drv, i, front) if front >= 0 else 0.0
         if car.lane[i] != drv.target[i]:
@@ -201,9 +201,9 @@ def drive_others(car, drv, table, dt, slip):  # type: ignore[no-untyped-def]
 @jit(inline=True)
 def _steer(car, drv, table, slip):  # type: ignore[no-untyped-def]
     """Sine of the slip angle that steers every vehicle to the middle of its lane; wrecks roll straight on."""
-    for i in range(1, car.count):
+    for i in range(1, car.present):
         slip[i] = table[drv.target[i]].y_m
-    for i in range(1, car.count):
+    for i in range(1, car.present):
         inverse = 1.0 / not_zero(car.speed[i])
         course = -KP_LATERAL * (car.y[i] - slip[i]) * inverse
         turn = arcsine(min(max(course, -SIN_COURSE_MOST), SIN_COURSE_MOST)) - car.heading[i]
@@ -215,10 +215,10 @@ def _steer(car, drv, table, slip):  # type: ignore[no-untyped-def]
 @jit(inline=True)
 def _move(car, drv, slip, dt):  # type: ignore[no-untyped-def]
     """Every vehicle to its place at the end of the step."""
-    for i in range(1, car.count):
+    for i in range(1, car.present):
         cosine_of_slip = math.sqrt(1.0 - slip[i] * slip[i])
         car.x[i] += car.speed[i] * (drv.cos[i] * cosine_of_slip - drv.sin[i] * slip[i]) * dt
-    for i in range(1, car.count):
+    for i in range(1, car.present):
         cosine_of_slip = math.sqrt(1.0 - slip[i] * slip[i])
         car.y[i] += car.speed[i] * (drv.sin[i] * cosine_of_slip + drv.cos[i] * slip[i]) * dt
 
@@ -226,11 +226,11 @@ def _move(car, drv, slip, dt):  # type: ignore[no-untyped-def]
 @jit(inline=True)
 def _turn(car, drv, slip, dt):  # type: ignore[no-untyped-def]
     """The new headings, their sines and cosines."""
-    for i in range(1, car.count):
+    for i in range(1, car.present):
         car.heading[i] += car.speed[i] * slip[i] / (0.5 * car.length[i]) * dt
-    for i in range(1, car.count):
+    for i in range(1, car.present):
         drv.cos[i], drv.sin[i] = cosine(car.heading[i]), sine(car.heading[i])
-    for i in range(1, car.count):
+    for i in range(1, car.present):
         if abs(car.heading[i]) > FLAT_MOST_RAD:
             drv.cos[i], drv.sin[i] = math.cos(car.heading[i]), math.sin(car.heading[i])
 
@@ -238,13 +238,13 @@ def _turn(car, drv, slip, dt):  # type: ignore[no-untyped-def]
 @jit(inline=True)
 def _speed_up(car, drv, dt):  # type: ignore[no-untyped-def]
     """The new speeds; a vehicle that was struck is thrown as well, and has crashed."""
-    for i in range(1, car.count):
+    for i in range(1, car.present):
         a = -car.speed[i] if car.crashed[i] != 0 else drv.acceleration[i]
         a = min(a, SPEED_MOST_MPS - car.speed[i]) if car.speed[i] > SPEED_MOST_MPS else a
         a = max(a, -SPEED_MOST_MPS - car.speed[i]) if car.speed[i] < -SPEED_MOST_MPS else a
         car.speed[i] += a * dt
         drv.timer[i] += dt
-    for i in range(1, car.count):
+    for i in range(1, car.present):
         if drv.struck[i] != 0:
             car.x[i] += drv.impact_x[i]
             car.y[i] += drv.impact_y[i]
@@ -255,6 +255,6 @@ def _speed_up(car, drv, dt):  # type: ignore[no-untyped-def]
 def _find_lanes(car, drv, table):  # type: ignore[no-untyped-def]
     """The nearest lane of every vehicle; half way between two highway-env takes the first."""
     lowest, width, last = table[0].y_m, table[0].width_m, table.shape[0] - 1
-    for i in range(1, car.count):
+    for i in range(1, car.present):
         place = (car.y[i] - lowest) / width
         car.lane[i] = int(min(max(math.ceil(place - 0.5), 0.0), float(last)))

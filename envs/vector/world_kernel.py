@@ -35,7 +35,7 @@ WORLD = record(
 
 @jit(borrows=True)
 def judge_rows(first, last, rows, batch, traffic, start):  # type: ignore[no-untyped-def]
-    """Fill the facts of a policy step, ends and reward of the wrapped world; or of a start, where no time has passed."""
+    """Fill the facts of a policy step: ends and reward of the wrapped world; of a start, where no time has passed."""
     a, world = unbundle(batch), unbundle(traffic).world[0]
     lanes, rules = a.lanes, a.rules[0]
     policy = rules.policy_s

@@ -1,8 +1,8 @@
 """The worlds that configurations may name, each declared once: its class, and how the vector engine drives it.
 
-:func:`register_world` adds one from outside. A world of the roads of our own needs no more than its class: a subclass of
-:class:`~lanebound.envs.worlds.base.World` that makes a network and draws the seats of an episode is driven alone and by
-the engine. A world of highway-env has a :class:`Support` written for it.
+:func:`register_world` adds one from outside. A subclass of :class:`~lanebound.envs.worlds.base.World` that makes a
+network and draws the seats of an episode needs nothing else for the single environment and the engine. A world of
+highway-env has a :class:`Support` of its own.
 """
 
 from __future__ import annotations
@@ -21,10 +21,19 @@ if TYPE_CHECKING:
     from lanebound.envs.batch.records_kernel import Cars
     from lanebound.envs.vector.drivers_kernel import Drivers
 
-__all__ = ["Refusal", "Starter", "Support", "WorldKind", "register_world", "withdraw_world", "world_kind", "world_kinds"]
+__all__ = [
+    "Refusal",
+    "Starter",
+    "Support",
+    "WorldKind",
+    "register_world",
+    "withdraw_world",
+    "world_kind",
+    "world_kinds",
+]
 
 Starter = Callable[[np.random.Generator, "Cars", "Drivers", np.ndarray[Any, Any]], int]
-"""Fills the vehicles of one environment, and its profile of speeds (S,), from the world's generator; returns how many."""
+"""Fills the vehicles of one environment and its profile of speeds (S,) from a generator; returns their number."""
 Refusal = tuple[str, str, object]
 """An option that the engine does not take: its name, what is allowed, and the value given."""
 

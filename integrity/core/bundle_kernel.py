@@ -17,6 +17,7 @@ replaced, another bundle is made.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from typing import Any
 
 import numba
@@ -33,6 +34,7 @@ __all__ = ["Bundle", "RowCopier", "unbundle"]
 
 _types: dict[str, Any] = {}
 _sizes: dict[str, int] = {}
+_intrinsic: Callable[[Any], Any] = intrinsic
 
 
 class Bundle:
@@ -104,7 +106,7 @@ def _kind_of(handle: Any) -> Any:
     return _types[next(iter(handle.dtype.fields))]
 
 
-@intrinsic
+@_intrinsic
 def _size_of(typingctx: Any, values: Any) -> Any:
     """Bytes that a value takes in memory."""
 
@@ -114,7 +116,7 @@ def _size_of(typingctx: Any, values: Any) -> Any:
     return types.int64(values), codegen
 
 
-@intrinsic
+@_intrinsic
 def _store(typingctx: Any, values: Any, handle: Any) -> Any:
     """Write a value to where a handle points."""
 
@@ -127,7 +129,7 @@ def _store(typingctx: Any, values: Any, handle: Any) -> Any:
     return types.void(values, handle), codegen
 
 
-@intrinsic
+@_intrinsic
 def unbundle(typingctx: Any, handle: Any) -> Any:
     """The NamedTuple behind a handle, inside a kernel."""
     kind = _kind_of(handle)
@@ -140,7 +142,7 @@ def unbundle(typingctx: Any, handle: Any) -> Any:
     return kind(handle), codegen
 
 
-@intrinsic
+@_intrinsic
 def _copy(typingctx: Any, target: Any, source: Any, size: Any) -> Any:
     """Copy bytes from one address to another."""
 

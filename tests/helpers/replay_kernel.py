@@ -38,9 +38,12 @@ def run_replay(first, last, rows, frames, actions, batch, traffic, motions, trac
             places = car.x.shape[0]
             steps = t.profile.shape[1] // (6 * places)
             begin = (sc.steps % steps) * 6 * places
-            for i in range(car.count):
+            for i in range(car.present):
                 car.x[i], car.y[i] = t.profile[e, begin + i], t.profile[e, begin + places + i]
-                car.heading[i], car.speed[i] = t.profile[e, begin + 2 * places + i], t.profile[e, begin + 3 * places + i]
+                car.heading[i], car.speed[i] = (
+                    t.profile[e, begin + 2 * places + i],
+                    t.profile[e, begin + 3 * places + i],
+                )
                 car.lane[i] = int(t.profile[e, begin + 4 * places + i])
                 car.crashed[i] = int(t.profile[e, begin + 5 * places + i])
             sc.steps += 1

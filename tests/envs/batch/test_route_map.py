@@ -3,24 +3,58 @@
 from __future__ import annotations
 
 from math import inf, pi
+from typing import Any
 
 import numpy as np
 import pytest
 from highway_env.envs.merge_env import MergeEnv
 from highway_env.envs.racetrack_env import RacetrackEnv
 from highway_env.envs.roundabout_env import RoundaboutEnv
-from highway_env.road.lane import CircularLane, PolyLaneFixedWidth, SineLane, StraightLane
+from highway_env.road.lane import CircularLane, StraightLane
 from highway_env.road.road import RoadNetwork
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lanebound.envs.observation.path import RoadMap, line_of, wrap
+from lanebound.envs.batch.lanes import lane_table
+from lanebound.envs.batch.route_map import Reach, Routes, routes_of
+from lanebound.envs.batch.route_map_kernel import path_at, project
 
-STRAIGHT = StraightLane([3.0, -2.0], [40.0, 30.0])
-CLOCKWISE = CircularLane([5.0, 4.0], 20.0, 0.3, 2.0, clockwise=True)
-ANTICLOCKWISE = CircularLane([5.0, 4.0], 20.0, 2.0, 0.3, clockwise=False)
-SINE = SineLane([0.0, 0.0], [60.0, 0.0], amplitude=2.0, pulsation=2 * pi / 60.0, phase=0.4)
-POLY = PolyLaneFixedWidth([(x, 5.0 * np.sin(x / 15.0)) for x in np.arange(0.0, 60.0, 1.0)])
+
+class Path:
+    """One path of a route map."""
+
+    def __init__(self, routes: Routes, row: int) -> None:
+        self.routes, self.row = routes, row
+        self.record = routes.map.paths[row]
+
+    def __getattr__(self, name: str) -> float:
+        return float(self.record[name])
+
+    @property
+    def following(self) -> tuple[Any, ...]:
+        rows = self.routes.map.following[self.record["following_first"] : self.record["following_last"]]
+        return tuple(self.routes.table.index[n] for n in rows)
+
+    @property
+    def lane(self) -> tuple[float, ...]:
+        return tuple(float(self.record[n]) for n in ("lane_share", "left_exists", "right_exists", "speed_limit_mps"))
+
+    def at(self, station: float) -> tuple[float, float, float, float]:
+        return tuple(path_at(self.routes.map, self.routes.table.lanes, self.row, float(station)))  # type: ignore[return-value]
+
+    def project(self, x: float, y: float, guess: float) -> tuple[float, float] | None:
+        s, r, beside = project(self.routes.map, self.routes.table.lanes, self.row, float(x), float(y), float(guess))
+        return (s, r) if beside else None
+
+
+class RoadMap:
+    """The paths over a road network."""
+
+    def __init__(self, network: RoadNetwork, behind_m: float, ahead_m: float) -> None:
+        self.routes = Routes(network, lane_table(network), Reach(behind_m, ahead_m, 0.0))
+
+    def path(self, lane: Any, route: Any = None) -> Path:
+        return Path(self.routes, self.routes.row(self.routes.table.row[lane], route))
 
 
 def ring(radius_m: float = 20.0) -> RoadNetwork:
@@ -43,43 +77,6 @@ def fork() -> RoadNetwork:
     network.add_lane("x", "s", StraightLane([50.0, 0.0], [150.0, 0.0]))
     network.add_lane("x", "t", CircularLane([50.0, 30.0], 30.0, -pi / 2, 0.0))
     return network
-
-
-@pytest.mark.parametrize("lane", [STRAIGHT, CLOCKWISE, ANTICLOCKWISE])
-def test_simple_lanes_are_exact(lane):
-    line = line_of(lane)
-    for s in np.linspace(0.0, lane.length, 23):
-        x, y, heading, _ = line.at(s)
-        assert [x, y] == pytest.approx(lane.position(s, 0.0).tolist(), abs=1e-9)
-        assert wrap(heading - lane.heading_at(s)) == pytest.approx(0.0, abs=1e-12)
-
-
-@pytest.mark.parametrize(("lane", "error_m", "error_rad"), [(SINE, 2e-3, 2e-3), (POLY, 0.05, 0.05)])
-def test_other_lanes_are_interpolated(lane, error_m, error_rad):
-    line = line_of(lane)
-    for s in np.linspace(0.0, lane.length, 101):
-        x, y, heading, _ = line.at(s)
-        assert [x, y] == pytest.approx(lane.position(s, 0.0).tolist(), abs=error_m)
-        assert wrap(heading - lane.heading_at(s)) == pytest.approx(0.0, abs=error_rad)
-
-
-def test_curvature_is_positive_to_the_right():
-    assert line_of(CLOCKWISE).at(3.0)[3] == pytest.approx(1 / 20)
-    assert line_of(ANTICLOCKWISE).at(3.0)[3] == pytest.approx(-1 / 20)
-    straight_on, bent = line_of(SINE), SINE.pulsation**2 * SINE.amplitude
-    assert straight_on.at(6.0)[3] == pytest.approx(-bent * np.sin(SINE.pulsation * 6.0 + 0.4), abs=0.1 * bent)
-
-
-def test_a_sampled_arc_is_as_good_as_the_exact_one():
-    class Arc(CircularLane):
-        """Not known to be an arc."""
-
-    arc = (np.zeros(2), 15.0, 0.0, 2.0)
-    exact, sampled = line_of(CircularLane(*arc)), line_of(Arc(*arc))
-    assert type(exact) is not type(sampled)
-    for s in np.linspace(0.0, exact.length, 57):
-        assert sampled.at(s)[:3] == pytest.approx(exact.at(s)[:3], abs=2e-5)
-        assert sampled.at(s)[3] == pytest.approx(exact.at(s)[3], rel=1e-3)
 
 
 def test_a_path_is_continuous_round_a_ring():
@@ -142,7 +139,6 @@ def test_what_the_map_says_of_a_lane():
     assert roads.path(("a", "b", 0)).lane == (0.0, 0.0, 0.0, 20.0)
     assert roads.path(("b", "c", 0)).lane == (0.0, 0.0, 1.0, 20.0)
     assert roads.path(("c", "d", 1)).lane == (1.0, 1.0, 0.0, inf)
-    assert roads.path(("c", "d", np.int64(1))).lane == (1.0, 1.0, 0.0, inf)
 
 
 @settings(max_examples=60, deadline=None)
@@ -190,3 +186,12 @@ def test_paths_over_the_networks_of_highway_env_have_no_steps(world):
         assert path.start_m <= 0.0 < path.junction_m <= path.end_m
         points = np.array([path.at(s)[:2] for s in np.arange(path.start_m, min(path.end_m, path.lane_end_m), 1.0)])
         assert np.hypot(*np.diff(points, axis=0).T).max() < 3.0
+
+
+def test_paths_of_equal_networks_are_found_once() -> None:
+    one, two = (routes_of(fork(), Reach(50.0, 50.0, 0.0)) for _ in range(2))
+    assert one is two
+    assert one.row(1) == 1
+    row = one.row(0, [("x", "t", 0)])
+    assert row == two.row(0, [("x", "t", 0)]) >= len(one.table.index)
+    assert routes_of(fork(), Reach(50.0, 60.0, 0.0)) is not one

@@ -7,11 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 from highway_env.road.lane import CircularLane, StraightLane
-from highway_env.road.road import Road, RoadNetwork
-from highway_env.vehicle.controller import MDPVehicle
+from highway_env.road.road import RoadNetwork
 
 from lanebound.envs import DrivingEnv, make_config
-from lanebound.envs.pursuit import pursuit_rad
+from lanebound.envs.batch.ego_kernel import pursuit_rad
+from lanebound.envs.batch.lanes import lane_table
+from lanebound.envs.batch.records_kernel import BELIEF
+from vehicles import record_of
 
 LEFT, IDLE, RIGHT, FASTER = 0, 1, 2, 3
 KNOWN: dict[str, Any] = {
@@ -55,8 +57,11 @@ def test_a_change_at_a_crawl_and_speed_after_it_settle(seed: int) -> None:
     assert max(map(abs, offsets[-4:])) < 0.5
 
 
-def _car(network: RoadNetwork, position_m: Any, heading_rad: float, speed_mps: float) -> MDPVehicle:
-    return MDPVehicle(Road(network, np_random=np.random.default_rng(0)), np.array(position_m), heading_rad, speed_mps)
+def _steering(network: RoadNetwork, x: float, y: float, heading_rad: float, speed_mps: float) -> float:
+    """Steering towards lane 0, beyond whose end lies lane 1 if there is one."""
+    belief = record_of(BELIEF, x_m=x, y_m=y, heading_rad=heading_rad, speed_mps=speed_mps)
+    table = lane_table(network)
+    return float(pursuit_rad(table.lanes, 0, 1 if len(table.index) > 1 else -1, belief, 5.0))
 
 
 def test_on_a_circle_the_wheels_stand_as_its_radius_asks() -> None:
@@ -64,17 +69,16 @@ def test_on_a_circle_the_wheels_stand_as_its_radius_asks() -> None:
     network, radius_m = RoadNetwork(), 40.0
     network.add_lane("a", "b", CircularLane([0.0, 0.0], radius_m, 0.0, 3.0, clockwise=True))
     slip = np.arcsin(2.5 / radius_m)
-    car = _car(network, [radius_m, 0.0], 0.5 * np.pi - slip, 5.0)
-    assert pursuit_rad(network, ("a", "b", 0), None, car) == pytest.approx(np.arctan(2.0 * np.tan(slip)), rel=0.03)
+    found = _steering(network, radius_m, 0.0, 0.5 * np.pi - slip, 5.0)
+    assert found == pytest.approx(np.arctan(2.0 * np.tan(slip)), rel=0.03)
 
 
 def test_it_turns_to_the_lane_and_looks_beyond_its_end() -> None:
     network = RoadNetwork()
     network.add_lane("a", "b", StraightLane([0.0, 0.0], [50.0, 0.0]))
     network.add_lane("b", "c", StraightLane([50.0, 0.0], [50.0, 80.0]))
-    index = ("a", "b", 0)
-    assert pursuit_rad(network, index, None, _car(network, [10.0, 0.0], 0.0, 5.0)) == pytest.approx(0.0, abs=1e-12)
-    assert pursuit_rad(network, index, None, _car(network, [10.0, -1.0], 0.0, 5.0)) > 0.05
-    assert pursuit_rad(network, index, None, _car(network, [10.0, 1.0], 0.0, 5.0)) < -0.05
-    assert pursuit_rad(network, index, None, _car(network, [46.0, 0.0], 0.0, 5.0)) > 0.05
-    assert abs(pursuit_rad(network, index, None, _car(network, [10.0, 40.0], 0.0, 0.0))) < np.pi / 2
+    assert _steering(network, 10.0, 0.0, 0.0, 5.0) == pytest.approx(0.0, abs=1e-12)
+    assert _steering(network, 10.0, -1.0, 0.0, 5.0) > 0.05
+    assert _steering(network, 10.0, 1.0, 0.0, 5.0) < -0.05
+    assert _steering(network, 46.0, 0.0, 0.0, 5.0) > 0.05
+    assert abs(_steering(network, 10.0, 40.0, 0.0, 0.0)) < np.pi / 2

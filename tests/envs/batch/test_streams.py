@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from lanebound.envs.vector.streams import CrewStreams
+from lanebound.envs.batch.streams import CrewStreams
 from lanebound.integrity.core import streams_kernel as sk
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.streams import ZIGGURAT, Streams, named_states

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from recorded_skies import wall_on_the_left
 
+from lanebound.envs.batch.navigation import NavigationBatch
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.registration import make_config
 from lanebound.envs.sky import cache
-from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.engine import Engine
-from lanebound.envs.vector.senses import Senses
 from lanebound.integrity.core.errors import ConfigError
 from side_by_side import Tally, command, require_equal, same
 
@@ -93,7 +92,7 @@ def test_with_the_same_draws_it_is_the_single_environment(name: str, config: dic
     pairs.step(steps)
     require_equal(pairs.tally)
     assert pairs.tally.steps >= 8
-    crews = pairs.engine.world.whole[:, k.PRESENT].sum(1)
+    crews = pairs.engine.episodes.cars.present
     assert name != "UrbanCanyon" or crews[0] != crews[1], "one has an empty place that the other has not"
 
 
@@ -155,7 +154,7 @@ def test_a_start_that_was_interrupted_is_made_again(monkeypatch: pytest.MonkeyPa
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr(Senses, "begin", interrupt)
+        patched.setattr(NavigationBatch, "begin", interrupt)
         with pytest.raises(KeyboardInterrupt):
             pairs.engine.reset(np.array([0]), [None])
     for rows in ([0], [0, 1]):
@@ -190,10 +189,10 @@ def test_environments_start_anew_beside_others() -> None:
     ends = np.zeros(4, dtype=np.int64)
     for _ in range(12):
         engine.step(np.zeros((4, 2), dtype=np.float32))
-        out = engine.world.out
-        over = (out[:, k.O_TERMINATED] > 0.0) | (out[:, k.O_TRUNCATED] > 0.0)
+        out = engine.outcome
+        over = (out["terminated"] > 0.0) | (out["truncated"] > 0.0)
         ends += over
-        assert (np.abs(out[:, [k.O_ERR_AT, k.O_ERR_CT]]) < 1.0).all()  # another's solution would be far off
+        assert (np.abs([out["err_at_m"], out["err_ct_m"]]) < 1.0).all()  # another's solution would be far off
         if over.any():
             engine.reset(np.flatnonzero(over), [None] * int(over.sum()))
     assert (ends >= 2).all()
@@ -209,7 +208,7 @@ def test_the_same_seed_gives_the_same_bits_however_many_there_are() -> None:
             engine.step(np.full(engine.count, n % 5))
         engine.reset(np.array([engine.count // 2]), [None])
         engine.step(np.full(engine.count, 3))
-        drives.append(engine.world.frame.copy())
+        drives.append(engine.episodes.frame.copy())
     np.testing.assert_array_equal(drives[0], drives[1])
     np.testing.assert_array_equal(drives[0][1], drives[2][0])
 
@@ -220,19 +219,19 @@ def test_levels_and_errors_are_those_of_navigation() -> None:
     engine.reset(np.arange(24), list(range(24)))
     for _ in range(25):
         engine.step(np.zeros((24, 2), dtype=np.float32))
-    belief, out = engine.world.belief, engine.world.out
-    error = np.abs(out[:, [k.O_ERR_AT, k.O_ERR_CT]])
-    assert (error < belief[:, [k.B_PL_AT, k.B_PL_CT]]).mean() > 0.95
+    out, sky = engine.outcome, engine.episodes.sky
+    error = np.abs([out["err_at_m"], out["err_ct_m"]])
+    assert (error < [out["pl_at_m"], out["pl_ct_m"]]).mean() > 0.95
     assert 0.005 < np.median(error) < 0.2
-    assert (engine.world.sky.max(1) > 10).all()
-    assert len(np.unique(engine.world.sky[:, 1])) > 3, "the hours must differ"
+    assert (sky.max(1) > 10).all()
+    assert len(np.unique(sky[:, 1])) > 3, "the hours must differ"
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"navigation": {"warm_up_s": 5.0}}, "warm_up_s"),
         ({"faults": "nominal"}, "faults"),
+        ({"policy_hz": 4, "navigation": {"rate_hz": 10.0}}, "policy_hz"),
     ],
 )
 def test_what_navigation_cannot_do_is_refused(change: dict[str, Any], message: str) -> None:
