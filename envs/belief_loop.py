@@ -124,9 +124,7 @@ class BeliefLoop:
         """Measure the epoch that ends now, locate by the measurements alone, and perceive."""
         e, fixes = self.episodes, None
         if e.navigation is not None:
-            link, truth = e.navigation.epoch_link(ROW, e.batch)
-            _run([link])
-            self.solution = e.navigation.locate(truth)
+            self.solution = e.navigation.navigate(ROW, e.batch)
             fixes = fixes_of(self.solution)
         _run(e.epoch_links(ROW, fixes, np.array([self.time_s]), self._lies()))
 

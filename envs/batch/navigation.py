@@ -281,6 +281,12 @@ class NavigationBatch:
         truth, times = _truth_rows(self.motions.size), self.skies.times(self._hour, self.clock_s)
         return (rk.end_epoch, (rows, batch, self.sensed.handle, self.motions, self._down, times, truth)), truth
 
+    def navigate(self, rows: Rows, batch: Records) -> Solution:
+        """The whole of an epoch: its truth and skies, its measurements, and what follows from them."""
+        (kernel, arguments), truth = self.epoch_link(rows, batch)
+        kernel(0, rows.size, *arguments)
+        return self.locate(truth)
+
     def locate(self, truth: TruthRows) -> Solution:
         """Measure an epoch, and locate all vehicles by the measurements alone."""
         clock = self._clock_s(self.navigator.epoch + 1 - self._epochs_at_start)
