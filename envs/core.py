@@ -1,9 +1,8 @@
-"""The environment: highway-env's world, driven on belief, observed and judged with its integrity."""
+"""The environment: highway-env's world, driven on belief, observed and scored with its integrity."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from typing import Any
 
 import gymnasium
@@ -11,26 +10,19 @@ import numpy as np
 from highway_env.envs.common.action import DiscreteMetaAction
 from numpy.typing import NDArray
 
+from lanebound.envs.belief_loop import BeliefLoop
 from lanebound.envs.catalogue import world_of
-from lanebound.envs.cockpit import Cockpit
-from lanebound.envs.config import ActionKind, EnvConfig
-from lanebound.envs.costs import Corridor, costs_of, lead_of, weighted
-from lanebound.envs.judge import Judge, Verdict
+from lanebound.envs.config import EnvConfig
 from lanebound.envs.observation import Observer
 from lanebound.envs.pictures import Pictures
-from lanebound.envs.records import EgoBelief
-from lanebound.envs.rewards import rewards_of, total
-from lanebound.envs.scene import alert_limits_m, navigator_config, set_scene
-from lanebound.envs.truth import true_belief, true_traffic
+from lanebound.envs.scene import alert_limits_m, duration_s, navigator_config, set_scene
 from lanebound.envs.world import checked_command
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sensors.faults import Fault
 
 __all__ = ["DrivingEnv"]
 
-Array = NDArray[np.float64]
 OPTIONS = ("faults",)
-ENDLESS_S = 300.0  # of sky for worlds that set no duration
 
 
 class DrivingEnv(gymnasium.Env[Any, Any]):
@@ -200,7 +192,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         self.observer = Observer(self.config.observation)
         self.action_space = self.world.action_type.space()
         self.observation_space = self.observer.space
-        self.cockpit: Cockpit | None = None
+        self.belief_loop: BeliefLoop | None = None
         self._pictures: Pictures | None = None
 
     @property
@@ -227,19 +219,11 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         faults = _faults_in(options)
         episode_seed = int(self.np_random.integers(2**62))
         self.world.reset(seed=seed if seed is not None else int(self.np_random.integers(2**31)))
-        self._duration_s = float(self.config.duration_s or self.world.config.get("duration", ENDLESS_S))
-        around = set_scene(self.world, self.config, episode_seed, self._duration_s, faults)
-        limits = alert_limits_m(self.world, self.config)
-        self.cockpit = Cockpit(self.world, self.config.navigation, self.config.actuators, limits, around)
-        self._belief = self.cockpit.belief()
-        meta = self.config.action is ActionKind.META
-        self._corridor = Corridor(not self.config.keep_lane, meta, self._belief.target_lane_index)
-        self._judge = Judge(self.config, self.world)
-        self.cockpit.watch = self._judge.glance
-        self._speed_before = float(self.world.vehicle.speed)
+        self._duration_s = duration_s(self.config, self.world)
+        context = set_scene(self.world, self.config, episode_seed, faults)
+        self.belief_loop = BeliefLoop(self.world, self.config, context)
         self.observer.reset()
-        verdict = self._judge.look(self._belief, self.dt_s, ended=False)
-        info = self._info(verdict, self._costs(verdict, start=True), self._rewards(verdict, 0.0, start=True))
+        info = self.belief_loop.finish(False, False, 0.0, start=True)
         self._show(info)
         return self._observe(), info
 
@@ -251,24 +235,20 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         InputError
             Before the first reset, or for a command outside the action space.
         """
-        cockpit = self._cockpit()
+        loop = self._loop()
         command = checked_command(self.action_space, action)
         _, base, terminated, truncated, _ = self.world.step(command)
-        cockpit.look()
-        truncated = bool(truncated) or cockpit.time_s >= self._duration_s - 0.5 * self.dt_s
-        self._belief = cockpit.belief()
-        self._corridor.update(self._belief, self.world.vehicle, self.dt_s)
-        verdict = self._judge.look(self._belief, self.dt_s, ended=bool(terminated or truncated))
-        costs, rewards = self._costs(verdict), self._rewards(verdict, float(base))
-        info = self._info(verdict, costs, rewards)
+        loop.look()
+        truncated = bool(truncated) or loop.time_s >= self._duration_s - 0.5 * self.dt_s
+        info = loop.finish(bool(terminated), truncated, float(base))
         self._show(info)
-        reward = total(self.config.reward, rewards)
-        return self._observe(), reward, bool(terminated) or verdict.failed, truncated, info
+        outcome = loop.episodes.ego.outcome
+        return self._observe(), float(outcome["reward"][0]), bool(outcome["terminated"][0] > 0.0), truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """The picture of now, (height, width, 3), under ``rgb_array``; ``human`` shows it as the drive goes."""
         if self.render_mode == "rgb_array":
-            return self._picture().draw(self._cockpit(), self._title)
+            return self._picture().draw(self._loop(), self._title)
         return None
 
     def close(self) -> None:
@@ -288,7 +268,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         inner = self.world.action_type
         if not isinstance(inner, DiscreteMetaAction):
             raise InputError("action_masks needs meta-actions, got continuous ones: there is nothing to mask")
-        inner.controlled_vehicle = self._cockpit().believed
+        inner.controlled_vehicle = self._loop().believed
         try:
             allowed = inner.get_available_actions()
         finally:
@@ -297,73 +277,26 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         mask[allowed] = True
         return mask
 
-    # What the agent sees
-
-    def _observe(self) -> Any:
-        cockpit = self._cockpit()
-        belief, traffic = self._belief, cockpit.traffic
-        if self.config.observation.integrity == "oracle":
-            belief, traffic = true_belief(cockpit), true_traffic(cockpit)
-        network, route = self.world.road.network, cockpit.route
-        return self.observer.observe(belief, traffic, self._sky_ahead(belief), network, route)
-
-    def _sky_ahead(self, belief: EgoBelief) -> NDArray[np.int64] | None:
-        """Satellites that the map predicts ahead of the believed pose; None where nothing is sensed."""
-        cockpit = self._cockpit()
-        if cockpit.measurements is None or not self.observer.satellites_m.size:
-            return None
-        street, place = cockpit.around.street, belief.longitudinal_m
-        return street.predicted_beside(
-            belief.lane_index, place, self.observer.satellites_m, cockpit.measurements.sky, cockpit.route
-        )
-
-    # How it is judged
-
-    def _costs(self, verdict: Verdict, start: bool = False) -> dict[str, float]:
-        belief, traffic, car = self._belief, self._cockpit().traffic, self.world.vehicle
-        road, c = self.world.road, self.config.cost
-        lead = lead_of(road.network, belief, traffic, float(car.LENGTH))
-        v, dt_s = verdict, 0.0 if start else self.dt_s
-        return costs_of(
-            c, road.network, self._corridor, car, belief, lead, road.vehicles, v.crashed_now, v.astray_now, v.hmi_share,
-            dt_s,
-        )  # fmt: skip
-
-    def _rewards(self, verdict: Verdict, base: float, start: bool = False) -> dict[str, float]:
-        car, dt_s = self.world.vehicle, 0.0 if start else self.dt_s
-        speed = float(car.speed)
-        along, across = (speed - self._speed_before) / self.dt_s, speed * verdict.yaw_rate_radps
-        self._speed_before = speed
-        return rewards_of(car, along, across, verdict.crashed_now, base, dt_s)
-
-    def _info(self, verdict: Verdict, costs: dict[str, float], rewards: dict[str, float]) -> dict[str, Any]:
-        b, c = self._belief, self.config.cost
-        late_s = c.time_to_alert_s - b.alert_age_s
-        return {
-            "cost": weighted(c, costs),
-            **costs,
-            "pl_at_m": b.pl_at_m,
-            "pl_ct_m": b.pl_ct_m,
-            "al_at_m": b.al_at_m,
-            "al_ct_m": b.al_ct_m,
-            "margin_at_m": b.al_at_m - b.pl_at_m,
-            "margin_ct_m": b.al_ct_m - b.pl_ct_m,
-            "alert": b.alert,
-            "available": b.available,
-            "mode": b.mode,
-            "reason": b.reason,
-            "tta_s": max(late_s, 0.0) if b.alert else c.time_to_alert_s,
-            "speed_mps": float(self.world.vehicle.speed),
-            "rewards": rewards,
-            **asdict(verdict),
-        }
-
     # Helpers
 
-    def _cockpit(self) -> Cockpit:
-        if self.cockpit is None:
+    def _observe(self) -> Any:
+        """The observation of now.
+
+        Raises
+        ------
+        InputError
+            An entry is NaN.
+        """
+        frame = self._loop().episodes.frame[0]
+        if np.isnan(frame.sum()):
+            names = [e.column for e, bad in zip(self.observer.index, np.isnan(frame), strict=True) if bad]
+            raise InputError(f"{', '.join(names)} must be a number, got nan: correct the source of the entry")
+        return self.observer.observe(frame)
+
+    def _loop(self) -> BeliefLoop:
+        if self.belief_loop is None:
             raise InputError("reset must come before everything else, got no episode: call reset() first")
-        return self.cockpit
+        return self.belief_loop
 
     @property
     def _title(self) -> str:
@@ -377,9 +310,9 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     def _show(self, info: dict[str, Any]) -> None:
         if self.render_mode is None:
             return
-        self._picture().note(self._cockpit(), info)
+        self._picture().note(self._loop(), info)
         if self.render_mode == "human":
-            self._picture().show(self._cockpit(), self._title)
+            self._picture().show(self._loop(), self._title)
 
     def __getstate__(self) -> dict[str, Any]:
         """Everything but the window, which cannot be copied."""

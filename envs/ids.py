@@ -9,8 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
+import gymnasium
+
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
+from lanebound.envs.worlds import world_kind
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import nearest
 
@@ -27,8 +30,13 @@ __all__ = [
     "Racetrack",
     "Roundabout",
     "UrbanCanyon",
+    "enter",
+    "has_engine",
     "id_of",
+    "presets",
     "refuse_misplaced",
+    "register_id",
+    "withdraw_id",
 ]
 
 CONTINUOUS: dict[str, Any] = {"action": "continuous", "policy_hz": 5}
@@ -63,6 +71,7 @@ class Preset(DrivingEnv):
     """An environment with a configuration of its own, over which a user's is merged deeply."""
 
     PRESET: ClassVar[Mapping[str, Any]]
+    ID: ClassVar[str | None] = None
 
     def __init__(
         self, config: Mapping[str, Any] | None = None, render_mode: str | None = None, **misplaced: Any
@@ -438,6 +447,49 @@ CLASSES: tuple[type[Preset], ...] = (
 )
 
 
+_registered: list[type[Preset]] = []
+
+
+def presets() -> tuple[type[Preset], ...]:
+    """The classes of all ids, those registered from outside last."""
+    return (*CLASSES, *_registered)
+
+
+def register_id(kind: type[Preset]) -> str:
+    """Add an id with Gymnasium from outside, driven alone and, where its world has support, by the engine.
+
+    Raises
+    ------
+    InputError
+        The id is taken.
+    """
+    if any(id_of(kind) == id_of(other) for other in presets()):
+        raise InputError(f"id must not be taken, got {id_of(kind)}: set ID in the class")
+    _registered.append(kind)
+    enter(kind)
+    return id_of(kind)
+
+
+def withdraw_id(kind: type[Preset]) -> None:
+    """Take back an id that was registered."""
+    _registered.remove(kind)
+    del gymnasium.registry[id_of(kind)]
+
+
+def enter(kind: type[Preset]) -> None:
+    """Register an id with Gymnasium; doing so twice changes nothing."""
+    if id_of(kind) not in gymnasium.registry:
+        engine = f"lanebound.envs.vector.env:Vector{kind.__name__}" if has_engine(kind) else None
+        entry = f"{kind.__module__}:{kind.__qualname__}" if kind in CLASSES else kind
+        gymnasium.register(id_of(kind), entry, vector_entry_point=engine, kwargs={"config": {}})
+
+
+def has_engine(kind: type[Preset]) -> bool:
+    """Whether the vector engine drives an id."""
+    world = world_kind(str(kind.PRESET["base"]))
+    return world is not None and world.support is not None
+
+
 def id_of(kind: type[Preset]) -> str:
-    """The id of a class: ``lanebound/Name-v0``."""
-    return f"lanebound/{kind.__name__}-v0"
+    """The id of a class: ``lanebound/Name-v0``, or what it says itself."""
+    return kind.ID or f"lanebound/{kind.__name__}-v0"

@@ -14,10 +14,10 @@ from typing import Any, Literal
 import numpy as np
 
 from lanebound.envs.core import DrivingEnv
-from lanebound.envs.costs import CAUSES, lead_of
+from lanebound.envs.costs import CAUSES
 from lanebound.envs.records import EgoBelief
 from lanebound.envs.rewards import TERMS
-from lanebound.envs.truth import true_belief, true_traffic
+from lanebound.envs.truth import true_lead
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rtk_status import RtkStatus
@@ -74,10 +74,14 @@ def _lane(index: Any) -> str:
 
 def _gap(env: DrivingEnv) -> float:
     """True gap to the vehicle ahead in the ego's lane, inf without one within reach."""
-    cockpit, ego = env.cockpit, env.world.vehicle
-    assert cockpit is not None
-    lead = lead_of(env.world.road.network, true_belief(cockpit), true_traffic(cockpit), float(ego.LENGTH))
+    assert env.belief_loop is not None
+    lead = true_lead(env.belief_loop)
     return lead.gap_m if lead is not None and lead.gap_m <= GAP_REACH_M else math.inf
+
+
+def _perceived(env: DrivingEnv) -> int:
+    """Number of vehicles that the ego perceives."""
+    return 0 if env.belief_loop is None else env.belief_loop.traffic.count
 
 
 def _belief(name: str, kind: Kind, unit: str, meaning: str, field: str) -> Column:
@@ -127,7 +131,7 @@ BELIEF = (
     _belief("est_speed_mps", "float", "m/s", "speed by the odometer", "speed_mps"),
     Column("est_lane", "text", "", "lane nearest to the estimate", lambda m: _lane(m.belief.lane_index)),
     _belief("est_lateral_m", "float", "m", "believed offset from its centreline, positive right", "lateral_m"),
-    Column("perceived", "int", "", "vehicles perceived", lambda m: m.env.cockpit.traffic.count if m.env.cockpit else 0),
+    Column("perceived", "int", "", "vehicles perceived", lambda m: _perceived(m.env)),
 )
 INTEGRITY = (
     _info("err_at_m", "float", "m", "estimate less truth along the true heading"),

@@ -43,7 +43,7 @@ def outages(sky: str, seeds: tuple[int, ...]) -> list[tuple[float, float, float]
         observation, info = env.reset(seed=seed, options={"faults": OUTAGES})
         over, foretold = False, None
         while not over:
-            since = env.cockpit.belief().since_rtk_s
+            since = env.belief_loop.belief().since_rtk_s
             linked = float(reader.value(observation, "integrity.corrections_age")) < G.link_age_s
             if since <= G.rtk_s:
                 way = times * info["speed_mps"]
