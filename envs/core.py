@@ -127,11 +127,11 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     one's own.
 
     `reset(options={"faults": [{"kind": "spoofing", "start_s": 5.0, "magnitude_m": 3.0}]})` sets faults in place of
-    random ones. A fault has a `kind` (satellite_range, constellation, cycle_slip, reference_coordinates, spoofing,
-    jamming, corrections_loss, gyro_bias, wheel_slip, odometer_frozen, v2v_lie), `start_s` from the start of the episode
-    and `duration_s`, a `profile` (step, or ramp with `ramp_s`), the magnitude of its kind (`magnitude_m`,
-    `magnitude_cycles`, `magnitude_db`, `magnitude_degps` or `magnitude_ratio`) and, where it takes them, `system`,
-    `prn`, `band`, `azimuth_deg` and `vehicle` (0 is the ego, by default all).
+    random ones. A fault has a `kind` (see [Fault kinds](#fault-kinds)), `start_s` from the start of the episode and
+    `duration_s`, a `profile` (step, or ramp with `ramp_s`), the magnitude of its kind (`magnitude_m`,
+    `magnitude_cycles`, `magnitude_db`, `magnitude_degps`, `magnitude_ratio`, or `magnitude` for a registered kind with
+    another unit) and, where it takes them, `system`, `prn`, `band`, `azimuth_deg` and `vehicle` (0 is the ego, by
+    default all).
 
     ## Episode End
     Terminated when the true car has crashed, has its middle off the road, or has driven against its lane for 1 s; and

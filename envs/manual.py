@@ -1,4 +1,4 @@
-"""The manual of the environments, put together from their docstrings and the index of observations.
+"""The manual of the environments, put together from their docstrings, the fault kinds and the index of observations.
 
 ``python -m lanebound.envs.manual > docs/environments.md`` writes it.
 """
@@ -12,6 +12,8 @@ from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.ids import CLASSES, Preset, id_of
 from lanebound.envs.observation import GROUPS, ObservationConfig, describe, group_slices
+from lanebound.integrity.sensors.fault_kinds import FaultKind
+from lanebound.integrity.sensors.fault_registry import fault_kinds
 
 __all__ = ["SECTIONS", "markdown"]
 
@@ -31,7 +33,7 @@ SECTIONS = (
 HEAD = """# Environments
 
 Made from the docstrings by `python -m lanebound.envs.manual > docs/environments.md`. First what all environments share,
-then a page for each id with what is particular, last every entry of an observation."""
+then a page for each id with what is particular, the kinds of faults, and every entry of an observation."""
 
 
 def markdown() -> str:
@@ -39,7 +41,8 @@ def markdown() -> str:
     parts = [HEAD, _contents(), "## What all share", _page(DrivingEnv)]
     for kind in CLASSES:
         parts += [f"## {kind.__name__}", f"`{id_of(kind)}`", _page(kind)]
-    return "\n\n".join([*parts, "## Observation index", _index()]) + "\n"
+    parts += ["## Fault kinds", _fault_table(), "## Observation index", _index()]
+    return "\n\n".join(parts) + "\n"
 
 
 def _page(kind: type[DrivingEnv]) -> str:
@@ -57,6 +60,24 @@ def _contents() -> str:
 def _line(kind: type[Preset], c: EnvConfig) -> str:
     name = f"[{id_of(kind)}](#{kind.__name__.lower()})"
     return f"| {name} | `{c.base}` | {c.action.value} | {c.policy_hz} | {c.sky} |"
+
+
+def _fault_table() -> str:
+    """A row for each registered kind of fault."""
+    head = [
+        'Kinds that `reset(options={"faults": [...]})` takes. A kind without ramps has its whole size at once in any '
+        "profile. A kind of your own is a `FaultKind` (`lanebound.integrity.sensors.fault_kinds`), given to "
+        "`register_fault` (`lanebound.integrity.sensors.fault_registry`).\n",
+        "| kind | what it changes | magnitude | profiles | needs |",
+        "|---|---|---|---|---|",
+    ]
+    return "\n".join([*head, *map(_fault_row, fault_kinds())])
+
+
+def _fault_row(kind: FaultKind) -> str:
+    magnitudes = " or ".join(f"`{m.field}` [{m.unit}], {m.bounds}" for m in kind.magnitudes) or "-"
+    needs = ", ".join(f"`{name}`" for name in kind.needs) or "-"
+    return f"| `{kind.name}` | {kind.summary} | {magnitudes} | {', '.join(kind.profiles)} | {needs} |"
 
 
 def _index() -> str:

@@ -92,7 +92,7 @@ METRES = Magnitude("m", "magnitude_m")
 FAULT_TABLE: tuple[FaultKind, ...] = (
     FaultKind(
         name="satellite_range",
-        summary="the clock of one satellite: its code and phase ranges; a ramp also its Doppler",
+        summary="code and phase ranges of one satellite; a ramp also its Doppler",
         apply=_satellite_range,
         target=FaultTarget.SATELLITE,
         magnitudes=(METRES,),
@@ -103,7 +103,7 @@ FAULT_TABLE: tuple[FaultKind, ...] = (
     ),
     FaultKind(
         name="constellation",
-        summary="the reference frame of one system is displaced: its ranges move a position towards the azimuth",
+        summary="ranges of one system: they describe a position displaced towards the azimuth; a ramp also its Doppler",
         apply=_constellation,
         target=FaultTarget.SYSTEM,
         magnitudes=(METRES,),
@@ -114,7 +114,7 @@ FAULT_TABLE: tuple[FaultKind, ...] = (
     ),
     FaultKind(
         name="cycle_slip",
-        summary="the carrier phase ambiguity of one satellite, or of a system, jumps once, in one band or both",
+        summary="carrier phase of one satellite, or of all of a system: one jump, in one band or both",
         apply=_cycle_slip,
         target=FaultTarget.SATELLITE,
         magnitudes=(Magnitude("cycles", "magnitude_cycles", whole=True),),
@@ -126,7 +126,7 @@ FAULT_TABLE: tuple[FaultKind, ...] = (
     ),
     FaultKind(
         name="reference_coordinates",
-        summary="wrong coordinates of the reference station: RTK positions move towards the azimuth",
+        summary="coordinates of the reference station: RTK positions move towards the azimuth",
         apply=_reference_coordinates,
         target=FaultTarget.STREET,
         magnitudes=(METRES,),
@@ -136,7 +136,7 @@ FAULT_TABLE: tuple[FaultKind, ...] = (
     ),
     FaultKind(
         name="spoofing",
-        summary="all satellite signals describe a position displaced towards the azimuth; a ramp also its velocity",
+        summary="all satellite signals: they describe a position displaced towards the azimuth; a ramp also a velocity",
         apply=_spoofing,
         target=FaultTarget.STREET,
         magnitudes=(METRES,),
@@ -146,7 +146,7 @@ FAULT_TABLE: tuple[FaultKind, ...] = (
     ),
     FaultKind(
         name="jamming",
-        summary="loss of carrier-to-noise density of all satellite signals",
+        summary="carrier-to-noise density of all satellite signals: a loss",
         apply=_jamming,
         target=FaultTarget.STREET,
         magnitudes=(Magnitude("dB", "magnitude_db", ge=0.0, signed=False),),
@@ -156,7 +156,7 @@ FAULT_TABLE: tuple[FaultKind, ...] = (
     ),
     FaultKind(
         name="corrections_loss",
-        summary="the link to the reference station is cut",
+        summary="the link to the reference station: no data",
         apply=_corrections_loss,
         profiles=("step",),
         prior=FaultPrior(per_h=2.0, median_s=11.5),
@@ -164,7 +164,7 @@ FAULT_TABLE: tuple[FaultKind, ...] = (
     ),
     FaultKind(
         name="gyro_bias",
-        summary="bias of the yaw gyro, positive clockwise",
+        summary="the yaw gyro: a bias, positive clockwise",
         apply=_gyro_bias,
         magnitudes=(Magnitude("deg/s", "magnitude_degps"),),
         sizes_tried=(0.1, 0.5, 2.0),
@@ -174,7 +174,7 @@ FAULT_TABLE: tuple[FaultKind, ...] = (
     ),
     FaultKind(
         name="wheel_slip",
-        summary="the odometer measures 1 + magnitude times the distance",
+        summary="the odometer: 1 + magnitude times the distance",
         apply=_wheel_slip,
         magnitudes=(Magnitude("of speed", "magnitude_ratio", gt=-1.0, signed=False),),
         sizes_tried=(0.02, 0.1, 0.5),
@@ -184,7 +184,7 @@ FAULT_TABLE: tuple[FaultKind, ...] = (
     ),
     FaultKind(
         name="odometer_frozen",
-        summary="the odometer repeats its last message",
+        summary="the odometer: it repeats its last message",
         apply=_odometer_frozen,
         profiles=("step",),
         in_blackout=True,
@@ -193,7 +193,7 @@ FAULT_TABLE: tuple[FaultKind, ...] = (
     ),
     FaultKind(
         name="v2v_lie",
-        summary="a vehicle broadcasts a position displaced towards the azimuth, and 1 + ratio times its levels",
+        summary="the broadcast of a vehicle: its position moves towards the azimuth, its levels grow by the ratio",
         apply=_v2v_lie,
         magnitudes=(METRES, Magnitude("of the level", "magnitude_ratio", gt=-1.0)),
         sizes_tried=(0.5, 2.0, 10.0),
