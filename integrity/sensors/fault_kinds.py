@@ -23,9 +23,13 @@ from lanebound.integrity.sky.view import SkyView
 if TYPE_CHECKING:
     from lanebound.integrity.sensors.faults import Fault
 
-__all__ = ["FaultKind", "FaultMoment", "FaultPrior", "FaultTarget", "Magnitude", "Profile"]
+__all__ = ["MAGNITUDE_FIELDS", "FaultKind", "FaultMoment", "FaultPrior", "FaultTarget", "Magnitude", "Profile"]
 
 Profile = Literal["step", "ramp"]
+MAGNITUDE_FIELDS = (
+    "magnitude", "magnitude_m", "magnitude_cycles", "magnitude_db", "magnitude_degps", "magnitude_ratio",
+)  # fmt: skip
+"""Fields of a fault that hold a magnitude; the first has no unit of its own."""
 PLACES = ("system", "prn", "band", "vehicle")  # fields of a fault that are None by default
 
 
@@ -53,7 +57,7 @@ class Magnitude:
     Raises
     ------
     ConfigError
-        Random faults would take a sign that the bounds refuse.
+        There is no such field, or random faults would take a sign that the bounds refuse.
     """
 
     unit: str
@@ -65,6 +69,8 @@ class Magnitude:
     whole: bool = False
 
     def __post_init__(self) -> None:
+        if self.field not in MAGNITUDE_FIELDS:
+            raise ConfigError(f"field must be one of {', '.join(MAGNITUDE_FIELDS)}, got {self.field!r}: correct it")
         lowest = self.ge if self.gt is None else self.gt
         if self.signed and lowest is not None and lowest >= 0.0:
             raise ConfigError(f"signed must be False where a magnitude must be >= {lowest:g}, got True: correct it")

@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.sensors.effects import FaultEffects
-from lanebound.integrity.sensors.fault_kinds import FaultKind, FaultMoment, Profile
+from lanebound.integrity.sensors.fault_kinds import MAGNITUDE_FIELDS, FaultKind, FaultMoment, Profile
 from lanebound.integrity.sensors.fault_registry import KindName, fault_kind
 from lanebound.integrity.sky.systems import System
 from lanebound.integrity.sky.view import SkyView
@@ -63,7 +63,7 @@ class Fault(Config):
     @model_validator(mode="after")
     def _fits_kind(self) -> Fault:
         kind, of = self.declaration, {magnitude.field: magnitude for magnitude in self.declaration.magnitudes}
-        given = {name: getattr(self, name) for name in MAGNITUDES if getattr(self, name) != 0}
+        given = {name: getattr(self, name) for name in MAGNITUDE_FIELDS if getattr(self, name) != 0}
         for name, value in given.items():
             if name not in of:
                 raise ValueError(f"{kind.name} has no {name}: leave it 0")
@@ -113,9 +113,6 @@ class Fault(Config):
         """Unit vector of a displacement, (3,)."""
         azimuth = math.radians(self.azimuth_deg)
         return np.array([math.sin(azimuth), math.cos(azimuth), 0.0])
-
-
-MAGNITUDES = tuple(name for name in Fault.model_fields if name.startswith("magnitude"))
 
 
 class FaultSchedule:

@@ -38,6 +38,7 @@ CLOCK_JUMP = FaultKind(
     summary="the clock of the receiver: code and phase ranges of all satellites",
     apply=clock_jump,
     magnitudes=(Magnitude("ns"),),
+    profiles=("step",),
     sizes_tried=(30.0, 300.0),
     prior=FaultPrior(per_h=0.01, median_s=60.0, low=10.0, high=1000.0),
 )
@@ -90,8 +91,8 @@ def test_the_fault_campaign_tries_it(tmp_path: Path) -> None:
     )  # fmt: skip
     cells = assess_faults(small, tmp_path)["faults"]
     assert [(c["kind"], c["unit"], c["size"], c["profile"]) for c in cells] == [
-        ("clock_jump", "ns", size, profile) for size in (30.0, 300.0) for profile in ("step", "ramp")
-    ]
+        ("clock_jump", "ns", 30.0, "step"), ("clock_jump", "ns", 300.0, "step"),
+    ]  # fmt: skip
     # the receiver clock is estimated in each epoch: a jump that all satellites share moves no position
     assert all(c["misled_vehicles"]["events"] == 0 for c in cells)
 

@@ -12,7 +12,7 @@ from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.truth import truth_between
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.sensors.effects import FaultEffects
-from lanebound.integrity.sensors.fault_kinds import FaultKind, FaultMoment, Magnitude
+from lanebound.integrity.sensors.fault_kinds import MAGNITUDE_FIELDS, FaultKind, FaultMoment, Magnitude
 from lanebound.integrity.sensors.fault_registry import fault_kind, fault_kinds, register_fault, unregister_fault
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
 from lanebound.integrity.sensors.v2v import V2vConfig, V2vMessage, exchange, initial_v2v
@@ -119,6 +119,12 @@ NS = Magnitude("ns", ge=1.0, le=9.0, signed=False, whole=True)
 def test_wrong_declarations_are_refused(declared: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         FaultKind(**{"name": "other", "summary": "nothing", "apply": _nothing, **declared})
+
+
+def test_a_magnitude_has_a_field_of_faults() -> None:
+    assert set(MAGNITUDE_FIELDS) == {name for name in Fault.model_fields if name.startswith("magnitude")}
+    with pytest.raises(ConfigError, match=r"field must be one of magnitude, magnitude_m, .* got 'magnitude_ns'"):
+        Magnitude("ns", "magnitude_ns")
 
 
 def test_random_sizes_take_no_sign_that_the_bounds_refuse() -> None:
