@@ -151,8 +151,8 @@ class FaultMoment:
     def satellites(self) -> NDArray[np.bool_]:
         """Satellites that the fault strikes, (S,): those of its system and number; all where it names no system."""
         system, prn = self.fault.system, self.fault.prn
-        of_system = np.ones(self.sky.satellites, np.bool_) if system is None else self.sky.system == system
-        return np.asarray(of_system & ((prn is None) | (self.sky.prn == prn)))
+        found = np.ones(self.sky.satellites, np.bool_) if system is None else np.asarray(self.sky.system == system)
+        return found if prn is None else found & (self.sky.prn == prn)
 
 
 @dataclass(frozen=True)

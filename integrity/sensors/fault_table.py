@@ -33,8 +33,9 @@ def _constellation(effects: FaultEffects, now: FaultMoment) -> None:
 def _bias_ranges(effects: FaultEffects, now: FaultMoment, size_m: NDArray[np.floating[Any]]) -> None:
     """Add range errors, (S,) or (B, S) at full size, to code and phase, and their growth to the Doppler."""
     size = np.broadcast_to(size_m, effects.code_bias_m.shape)[now.rows]
-    effects.code_bias_m[now.rows] += size * now.level
-    effects.phase_bias_m[now.rows] += size * now.level
+    bias = size * now.level
+    effects.code_bias_m[now.rows] += bias
+    effects.phase_bias_m[now.rows] += bias
     effects.range_rate_bias_mps[now.rows] += size * now.growth_per_s
 
 
