@@ -21,6 +21,8 @@ from lanebound.envs.ids import CLASSES, Preset, id_of
 from lanebound.envs.observation import GROUPS, OBSERVATION_INDEX
 from lanebound.envs.observation.index import Entry
 from lanebound.integrity.core.config import describe
+from lanebound.integrity.sensors.fault_kinds import FaultKind
+from lanebound.integrity.sensors.fault_registry import fault_kinds
 
 __all__ = ["SECTIONS", "markdown"]
 
@@ -106,19 +108,10 @@ rates at which each kind occurs within an hour of driving. `reset(options={"faul
 
 ```
 
-| `kind` | effect | keys |
-|---|---|---|
-| `satellite_range` | range error of one satellite | `system`, `prn`, `magnitude_m` |
-| `constellation` | displaced reference frame of a satellite system | `system`, `magnitude_m`, `azimuth_deg` |
-| `cycle_slip` | one jump of carrier phases | `system`, `magnitude_cycles`, optional `prn`, `band` (0 or 1) |
-| `reference_coordinates` | displaced reference station | `magnitude_m`, `azimuth_deg` |
-| `spoofing` | displaced GNSS position | `magnitude_m`, `azimuth_deg` |
-| `jamming` | lower C/N0 of all signals | `magnitude_db` |
-| `corrections_loss` | no corrections | |
-| `gyro_bias` | bias of the yaw gyro, positive clockwise | `magnitude_degps` |
-| `wheel_slip` | counted distance times 1 + ratio | `magnitude_ratio` |
-| `odometer_frozen` | the wheel sensor repeats its last value | |
-| `v2v_lie` | broadcast position displaced, levels times 1 + ratio | `magnitude_m`, `azimuth_deg`, `magnitude_ratio` |
+@FAULT_KINDS@
+
+A kind of your own is a `FaultKind` (`lanebound.integrity.sensors.fault_kinds`), given to `register_fault`
+(`lanebound.integrity.sensors.fault_registry`): [Extending](extending.md).
 
 | key | default | meaning |
 |---|---|---|
@@ -127,6 +120,7 @@ rates at which each kind occurs within an hour of driving. `reset(options={"faul
 | `system`, `prn` | None | 0 GPS, 1 Galileo, 2 GLONASS, 3 BeiDou, 4 QZSS; number of the satellite |
 | `vehicle` | None | 0: the ego; 1 and more: other vehicles; None: all |
 | `azimuth_deg` | 90 | direction of a displacement, clockwise from North |
+| `magnitude` | 0 | magnitude of a registered kind whose unit has no field of its own |
 
 ## Many environments at once
 
@@ -162,7 +156,7 @@ def markdown() -> str:
     parts = [HEAD, _contents(), "## All environments", _page(DrivingEnv)]
     for kind in CLASSES:
         parts += [f"## {kind.__name__}", f'`gymnasium.make("{id_of(kind)}")`', _page(kind)]
-    return "\n\n".join([*parts, TOPICS, _keys(), _index()]) + "\n"
+    return "\n\n".join([*parts, TOPICS.replace("@FAULT_KINDS@", _fault_table()), _keys(), _index()]) + "\n"
 
 
 def _page(kind: type[DrivingEnv]) -> str:
@@ -231,6 +225,20 @@ def _plain(value: Any) -> str:
     if value == {}:
         return "empty"
     return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+# Faults
+
+
+def _fault_table() -> str:
+    """A row for each registered kind of fault."""
+    return _table(("`kind`", "effect", "magnitude", "profiles", "needs"), map(_fault_row, fault_kinds()))
+
+
+def _fault_row(kind: FaultKind) -> list[str]:
+    magnitudes = " or ".join(f"`{m.field}` [{m.unit}], {m.bounds}" for m in kind.magnitudes) or "-"
+    needs = ", ".join(f"`{name}`" for name in kind.needs) or "-"
+    return [f"`{kind.name}`", kind.summary, magnitudes, ", ".join(kind.profiles), needs]
 
 
 # Observations
