@@ -1,6 +1,6 @@
-"""The response of a navigator to one fault: vehicles with the fault beside the same vehicles without it.
+"""Response of a navigator to a fault: vehicles with the fault against the same vehicles without it, by epoch.
 
-Both runs draw the same noise, so that all differences are effects of the fault.
+Both runs draw the same noise: all differences are effects of the fault.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ LOOP_M = ((0.0, 0.0), (600.0, 100.0), (900.0, 700.0), (200.0, 800.0), (-200.0, 4
 
 @dataclass(frozen=True)
 class Run:
-    """Belief and truth of B vehicles: error_m and level_m (T, B, 2) along and across, the rest (T, B).
+    """Estimates and errors of B vehicles: error_m and level_m (T, B, 2) along and across the track, the rest (T, B).
 
-    ``heading_rad`` is the true one, by which errors are taken along and across.
+    ``heading_rad`` is the true heading, which defines along and across.
     ``squared`` is the normalised estimation error squared ``d' Q^-1 d`` of the position in the plane.
     """
 
@@ -52,23 +52,24 @@ class Run:
 
 @dataclass(frozen=True)
 class Response:
-    """The effects of a fault in each vehicle, (B,) each.
+    """Response of each vehicle to a fault, (B,) each.
 
     Attributes
     ----------
-    noticed_s : from onset until a satellite is excluded, an ambiguity is given up as slipped, the mode changes or an
-        alert is raised, other than without the fault; inf if not during the fault
-    noticed_after : noticed after the end of the fault only
+    noticed_s : time from the onset until a satellite is excluded, an ambiguity is released as slipped, the mode changes
+        or an alert is raised, other than without the fault; inf if this does not occur during the fault
+    noticed_after : noticed in this sense, but only after the end of the fault
     excluded : a satellite was excluded that the vehicle without the fault used
-    given_up : ambiguities were given up that the vehicle without the fault held
+    given_up : ambiguities were released that the vehicle without the fault held
     alerted : an alert was raised that the vehicle without the fault did not raise
     failed : the error exceeded the alert limit on an axis
-    late_s : longest time of such an error without an alert, 0 without any
+    late_s : longest time that the error exceeded the limit without an alert, 0 if it did not
     hazardous : epochs in which the error exceeds the limit and the position is declared usable
     misleading : epochs in which the error exceeds its level and the position is declared usable
-    epochs : number of epochs from the onset to the end of the run; all values after ``noticed_after`` are of these
+    epochs : number of epochs from the onset to the end of the run; this and all other entries but ``noticed_s`` refer
+        to these epochs
     worst_m : largest error on an axis while the position is declared usable
-    lost : no usable position at the end, other than without the fault
+    lost : no position is usable at the end of the run, where the vehicle without the fault has one
     """
 
     noticed_s: Array
@@ -120,9 +121,9 @@ def drive_run(
 
 
 def as_broadcast(run: Run, config: NavigatorConfig, faults: Sequence[Fault]) -> Run:
-    """The broadcast belief of vehicles, with the false broadcasts among ``faults``.
+    """The run as receivers of the vehicles' broadcasts see it, with the broadcast faults among ``faults``.
 
-    Receivers cannot test a broadcast, so that its availability is as the sender declares it.
+    Receivers cannot test a broadcast: the sender decides whether its position is usable.
     """
     schedule, batch = FaultSchedule(faults), run.error_m.shape[1]
     track = SkyTrack.from_config(config.sky, config.dt_s)

@@ -1,4 +1,4 @@
-"""The manual of the benchmark: the text of ``manual.md``, with tables made from the code.
+"""The page of the benchmark: the text of ``manual.md``, with tables of suites, agents, metrics and columns.
 
 ``python -m lanebound.agents.benchmark.manual > docs/benchmark.md`` writes it.
 """
@@ -6,10 +6,12 @@
 from __future__ import annotations
 
 import inspect
+import re
 import sys
-from collections.abc import Iterable, Sequence
-from dataclasses import fields
+from collections.abc import Sequence
 from importlib.resources import files
+from itertools import groupby
+from operator import itemgetter
 
 from jinja2 import StrictUndefined, Template
 
@@ -23,16 +25,18 @@ from lanebound.agents.benchmark.suite import SuiteConfig, load_suite
 from lanebound.agents.benchmark.untuned import tuned_places
 from lanebound.agents.benchmark.verdicts import MARGIN
 from lanebound.agents.drivers import ABOUT
+from lanebound.envs.ids import CLASSES
 from lanebound.integrity.core.config import describe
 
 __all__ = ["SUITES", "markdown"]
 
 SUITES = ("quick", "standard", "claim", "faults", "look_ahead", "learnt")
+
 ARROWS = {"higher": "↑", "lower": "↓", None: ""}
 
 
 def markdown() -> str:
-    """The manual in Markdown."""
+    """The whole page in Markdown."""
     text = files("lanebound.agents.benchmark").joinpath("manual.md").read_text(encoding="utf-8")
     page: str = Template(text, undefined=StrictUndefined, keep_trailing_newline=True).render(
         TRAIN=TRAIN,
@@ -44,35 +48,41 @@ def markdown() -> str:
         least_seeds=seeds_to_exclude(MARGIN),
         suites=_suites(),
         keys=_keys(),
-        tuned="\n".join(f"- `{base.removesuffix('World')}`, {sky} sky" for base, sky in tuned_places()),
-        agents=_table(
-            ("agent", "does", "reads", "on an alert", "actions"),
-            ((f"`{name}`", *about) for name, about in ABOUT.items()),
-        ),
-        metrics=_table(
-            ("key", "unit", "", "is"), ((f"`{m.key}`", m.unit, ARROWS[m.better], m.meaning) for m in METRICS)
-        ),
+        tuned=_tuned(),
+        agents=_drivers(),
+        metrics=_metrics(),
         csv_columns=", ".join(f"`{c}`" for c in (*CSV_COLUMNS, *ESTIMATE_COLUMNS, *PAIRED_COLUMNS)),
         outcome=_outcome(),
-        columns=_table(("column", "type", "unit", "is"), ((f"`{c.name}`", c.kind, c.unit, c.meaning) for c in STORED)),
+        columns=_columns(),
     )
     return page
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = (head, ["---"] * len(head), *rows)
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+def _tuned() -> str:
+    """The places where constant margins were tuned, by environment."""
+    skies: dict[str, list[str]] = {}
+    for base, sky in tuned_places():
+        skies.setdefault(base.removesuffix("World"), []).append(f"`{sky}`")
+    return " and ".join(f"`{name}` ({', '.join(found)})" for name, found in skies.items())
+
+
+def _drivers() -> str:
+    """The packaged agents, as ``lanebound agents`` lists them."""
+    lines = ["| agent | does | reads | during an alert | actions |", "|---|---|---|---|---|"]
+    return "\n".join([*lines, *(f"| `{name}` | {' | '.join(about)} |" for name, about in ABOUT.items())])
 
 
 def _suites() -> str:
-    rows = []
+    lines = ["| suite | question | environments | skies | faults | agents | seeds |", "|---|---|---|---|---|---|---|"]
     for name in SUITES:
         s = load_suite(name)
+        faults = ", ".join(fault.value for fault in s.faults)
+        everything = len(s.envs) == len(CLASSES)
+        envs = "all" if everything else ", ".join(env.removesuffix("-v0") for env in s.envs)
+        agents = ", ".join(f"`{agent}`" for agent in s.agents)
         seeds = f"{s.seeds.count} after {s.seeds.skip:,}" if s.seeds.skip else f"{s.seeds.count}"
-        envs, agents = (env.removesuffix("-v0") for env in s.envs), (f"`{agent}`" for agent in s.agents)
-        lists = (", ".join(names) for names in (envs, s.skies, (fault.value for fault in s.faults), agents))
-        rows.append((f"`{name}`", s.title, *lists, seeds))
-    return _table(("suite", "for", "environments", "skies", "faults", "agents", "seeds"), rows)
+        lines.append(f"| `{name}` | {s.title} | {envs} | {', '.join(s.skies)} | {faults} | {agents} | {seeds} |")
+    return "\n".join(lines)
 
 
 def _keys() -> str:
@@ -80,8 +90,8 @@ def _keys() -> str:
     entries = [(e.path, _value(e.value), e.description) for e in describe(suite) if not e.path.startswith("agents")]
     entries.insert(4, ("agents", "", str(SuiteConfig.model_fields["agents"].description)))
     needed = [name for name, field in SuiteConfig.model_fields.items() if field.is_required()]
-    rows = ((f"`{key}`", "needed" if key in needed else default, text) for key, default, text in entries)
-    return _table(("key", "default", "is"), rows)
+    lines = [f"| `{key}` | {'needed' if key in needed else default} | {text} |" for key, default, text in entries]
+    return "\n".join(["| key | default | meaning |", "|---|---|---|", *lines])
 
 
 def _value(value: object) -> str:
@@ -90,12 +100,28 @@ def _value(value: object) -> str:
     return "" if value in ("", {}) else f"`{value}`"
 
 
+def _metrics() -> str:
+    rows = [(metric.key, (metric.unit, ARROWS[metric.better], metric.meaning)) for metric in METRICS]
+    return "\n".join(["| key | unit | | meaning |", "|---|---|---|---|", *_merged(rows)])
+
+
+def _merged(rows: Sequence[tuple[str, tuple[str, ...]]]) -> list[str]:
+    """Lines of a table; neighbours that differ in their names only share a line."""
+    shared = [(rest, [name for name, _ in members]) for rest, members in groupby(rows, itemgetter(1))]
+    return [f"| {', '.join(f'`{name}`' for name in names)} | {' | '.join(rest)} |" for rest, names in shared]
+
+
 def _outcome() -> str:
-    """The attributes of its docstring as a list."""
+    """The attributes' part of its docstring, a table."""
     text = (inspect.getdoc(Outcome) or "").partition("Attributes\n----------\n")[2].replace("``", "`")
-    names = ", ".join(f"`{item.name}`" for item in fields(Outcome))
-    items = "\n".join(f"- {line}" if line[:1] != " " else line for line in text.splitlines())
-    return f"Its fields in their order: {names}.\n\n{items}"
+    rows = [re.sub(r"\s+", " ", line).split(" : ", 1) for line in re.split(r"\n(?! )", text.strip())]
+    lines = [f"| {', '.join(f'`{name}`' for name in names.split(', '))} | {meaning} |" for names, meaning in rows]
+    return "\n".join(["| field | meaning |", "|---|---|", *lines])
+
+
+def _columns() -> str:
+    rows = [(c.name, (c.kind, c.unit, c.meaning)) for c in STORED]
+    return "\n".join(["| column | type | unit | meaning |", "|---|---|---|---|", *_merged(rows)])
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The outcome of one episode of one agent, as plain data for JSON."""
+"""Outcome of one episode of one agent, as plain data for JSON."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ __all__ = ["LEVEL_MAX_M", "OK", "WALL_CLOCK", "Outcome", "Place", "Status", "Tas
 Status = Literal["ok"] | Failing
 OK: Status = "ok"
 LEVEL_MAX_M = 10.0
-"""Larger and missing protection levels count as this, as in observations by default."""
+"""Protection levels above it, and missing ones, count as this, as observations show them by default."""
 WALL_CLOCK = ("solve_ms_median", "solve_ms_p99")
 
 
 class Place(NamedTuple):
-    """The place of episodes: an environment under a sky with faults."""
+    """Where episodes are driven: an environment under a sky with faults."""
 
     env: str
     sky: str
@@ -46,34 +46,36 @@ class Task(NamedTuple):
 class Outcome:
     """One episode of one agent.
 
-    All values but the solve times (``WALL_CLOCK``) are reproduced bit by bit from suite, seed and version. Missing and
-    infinite values are None. An agent that failed has a ``status`` other than ``ok``, and values of the steps before.
+    Everything but the solve times (see ``WALL_CLOCK``) follows from suite, seed and version, to the last bit. None
+    stands for missing and infinite values. An agent that failed has a ``status`` other than ``ok``, and its values are
+    those of the steps before the failure.
 
     Attributes
     ----------
-    env, sky, faults, agent, seed : what was driven
-    status, message : whether and why the agent failed
-    ended : ``collision``, ``off road``, ``wrong way``, ``time up``, ``arrived`` or ``stopped`` (the agent failed)
-    steps, time_s, allotted_s : decisions, their time, and the longest time of the episode
-    distance_m, mean_speed_mps : true way and speed
-    throughput_mps : distance over the time taken; over ``allotted_s`` where the episode ended without success
-    gap_m : median true gap, bumper to bumper, to the vehicle ahead in lane within 100 m
-    total_return, cost : sums of reward and weighted cost; costs : by cause, unweighted; cost_limit : permitted
-    success, collision : bool; lane_departure : the true body left its lane outside commanded changes, at any time
-    rms_acceleration_mps2, rms_jerk_mps3, rms_lateral_mps2 : of the true car, from one decision to the next
-    mode_shares : share of the steps by key of the source of the position
-    pl_at_median_m, pl_ct_median_m : protection levels along and across the track, those above 10 m or missing as 10 m
-    no_level : share of the steps without a level on either axis
-    pe_at_median_m, pe_ct_median_m, pe_at_max_m, pe_ct_max_m : sizes of the errors along and across the track
-    availability, alert_share : shares of the steps; alerts : number of alerts that began
-    mi_steps, hmi_steps : steps of misleading but not hazardous, and of hazardously misleading information
-    time_to_alert_s : mean time from an error exceeding its limit to the alert, or to the end of the error without one;
-        None when no error exceeded its limit
-    missed_alerts : number of errors above their limits without an alert during that time
-    continuity : share of the available steps that an available one follows; 0 where none does
-    solve_ms_median, solve_ms_p99 : time of decisions [ms]
-    infeasible, relaxed : decisions without a command within the agent's constraints, and decisions with a weakened one;
-        None for agents without ``counts`` (which have ``decisions`` too)
+    env, sky, faults, agent, seed : environment, sky, level of faults, agent and seed
+    status, message : `ok` or the kind of failure of the agent; its description
+    ended : `collision`, `off road`, `wrong way`, `time up`, `arrived` or `stopped` (the agent failed)
+    steps, time_s, allotted_s : number of decisions, their time, longest possible time
+    distance_m, mean_speed_mps : true distance and speed
+    throughput_mps : distance over the time taken, or over the longest possible time in an episode without success
+    gap_m : median true gap between bumpers to the vehicle ahead in the lane within 100 m
+    total_return, cost, costs, cost_limit : sum of rewards, weighted sum of costs, unweighted sums by cause, limit
+    success, collision : the episode ended well; the true car crashed
+    lane_departure : the true body left its lane outside commanded lane changes
+    rms_acceleration_mps2, rms_jerk_mps3, rms_lateral_mps2 : of the true car, from decision to decision
+    mode_shares : share of steps by positioning mode
+    pl_at_median_m, pl_ct_median_m : protection levels; those above 10 m or missing count as 10 m
+    no_level : share of steps without a protection level on either axis
+    pe_at_median_m, pe_ct_median_m, pe_at_max_m, pe_ct_max_m : absolute errors along and across the track
+    availability, alert_share, alerts : shares of steps; number of alerts
+    mi_steps, hmi_steps : steps with misleading but not hazardous, and with hazardously misleading information
+    time_to_alert_s : mean time from an error above its alert limit to the alert, or to the end of the error where none
+        came; None when no error was above its limit
+    missed_alerts : number of errors above their limits that ended without an alert
+    continuity : share of available steps after which the next one is available; 0 without any
+    solve_ms_median, solve_ms_p99 : time of a decision [ms]
+    infeasible, relaxed : decisions without a command that meets the agent's constraints, and decisions for which it
+        weakened one; None for agents that do not count them
     """
 
     env: str
@@ -134,15 +136,15 @@ class Outcome:
 
     @property
     def failed(self) -> bool:
-        """Whether the agent failed."""
+        """Whether the agent failed to do its part."""
         return self.status != OK
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """Plain data that JSON can hold."""
         return dict(finite_or_none(asdict(self)))
 
     def lasting(self) -> dict[str, Any]:
-        """The data without measured times: equal in every run."""
+        """The same without the times that a clock on the wall measured: equal in every run."""
         return {key: value for key, value in self.to_dict().items() if key not in WALL_CLOCK}
 
     def flat(self) -> dict[str, Any]:
@@ -153,6 +155,6 @@ class Outcome:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Outcome:
-        """The outcome of plain data; unknown keys of other versions are ignored."""
+        """The outcome of plain data; what other versions wrote beside it is left out."""
         known = {item.name for item in fields(cls)}
         return cls(**{key: value for key, value in data.items() if key in known})

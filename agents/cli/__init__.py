@@ -29,33 +29,33 @@ __all__ = ["app", "main"]
 EXAMPLES = """
 [bold]Examples[/bold]
 
-  lanebound config list                        the presets
+  lanebound config list                        list the presets
 
-  lanebound config show NAME                   one of them, with units
+  lanebound config show NAME                   print one with units
 
   lanebound config show NAME --set key=value   the same with a change
 
-  lanebound envs                               the environments
+  lanebound envs                               list the environments
 
-  lanebound agents                             the agents
+  lanebound agents                             list the agents
 
-  lanebound drive LaneKeeping --video a.mp4    drive with an agent, and film it
+  lanebound drive LaneKeeping --video a.mp4    drive an episode and film it
 
-  lanebound play UrbanCanyon                   drive by hand
+  lanebound play UrbanCanyon                   drive by keyboard
 
-  lanebound benchmark quick --out out/demo     compare agents, seed by seed
+  lanebound benchmark quick --out out/demo     compare agents seed by seed
 
   lanebound train lane_keeping_ppo --out out   train a policy
 
-  lanebound reproduce urban-drive --out out    S1's tables beside ours
+  lanebound reproduce urban-drive --out out    reproduce the tables of S1
 
-  lanebound assess bounding --out out/bounds   how often errors exceed their levels
+  lanebound assess bounding --out out/bounds   count errors above their levels
 
-  lanebound replay data/berlin --out out/b     a recorded drive, with the same navigator
+  lanebound replay data/berlin --out out/b     process a recorded drive
 
-  lanebound record-sky data/berlin --out b.csv   its sky, for drive --sky b.csv
+  lanebound record-sky data/berlin --out b.csv   write its sky for drive --sky b.csv
 
-  lanebound bench --json                       speed against the gates
+  lanebound bench --json                       measure speed
 
 Help of a command: [bold]lanebound COMMAND --help[/bold]
 """
@@ -63,7 +63,7 @@ Help of a command: [bold]lanebound COMMAND --help[/bold]
 app = typer.Typer(
     name="lanebound",
     cls=AdvisingGroup,
-    help="Integrity-aware driving: where the vehicle is, how far to trust it, and agents that drive on that belief.",
+    help="Driving environments with GNSS integrity: protection levels, agents, benchmarks, recorded drives.",
     epilog=EXAMPLES,
     no_args_is_help=True,
     rich_markup_mode="rich",
