@@ -94,6 +94,18 @@ class Paired:
         """Whether the interval excludes 0, with enough seeds, and no agent failed."""
         return not self.failed and is_clear(self.low, self.high, self.n)
 
+    def verdict(self, better: str | None) -> str:
+        """``better``, ``worse``, ``differs`` (no direction is better), ``unclear``, or why there is no verdict."""
+        if self.failed:
+            return f"no verdict, {self.failed} failed"
+        if self.n < VERDICT_SEEDS:
+            return "too few seeds"
+        if not self.clear or self.difference is None:
+            return "unclear"
+        if better is None:
+            return "differs"
+        return "better" if (self.difference > 0.0) == (better == "higher") else "worse"
+
 
 @dataclass(frozen=True)
 class Results:

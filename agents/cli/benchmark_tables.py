@@ -20,7 +20,7 @@ from lanebound.agents.cli.output import counted, open_console
 __all__ = ["number", "print_failures", "print_results", "with_interval"]
 
 SHARES = ("availability", "hmi")
-COLOURS = {True: "green", False: "red"}
+COLOURS = {"better": "green", "worse": "red"}
 FAILURES = 10  # that are listed
 
 
@@ -70,8 +70,8 @@ def _column(metric: Metric, cells: Sequence[Cell], pairs: Sequence[Paired], seed
     for pair in pairs:
         shown = with_interval(metric, pair.difference, pair.low, pair.high, signed=True)
         text = _text(*shown, _fewer(pair.n, seeds))
-        if pair.clear and metric.better is not None and pair.difference is not None:
-            text.stylize(COLOURS[(pair.difference > 0.0) == (metric.better == "higher")])
+        if tone := COLOURS.get(pair.verdict(metric.better)):
+            text.stylize(tone)
         found.append(text)
     unit = "%" if _in_percent(metric) else metric.unit
     return TableColumn("\n".join([*metric.title.split(), f"[{unit}]" if unit else ""]), found)

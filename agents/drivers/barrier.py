@@ -29,7 +29,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pydantic import field_validator
 
-from lanebound.agents.drivers.base import Driver, Observation, Reader
+from lanebound.agents.drivers.base import Driver, Observation, Reader, Starts, States
 from lanebound.agents.drivers.lateral import errors
 from lanebound.agents.drivers.leaders import counted, expected_m, in_way
 from lanebound.agents.drivers.plans import EGO_LENGTH_M
@@ -42,7 +42,6 @@ __all__ = ["BarrierConfig", "BarrierFilter", "CbfConfig", "make_cbf"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-States = tuple[NDArray[Any], ...] | None
 NEEDED = (
     "ego.speed", "ego.lateral_offset", "road.speed_limit", "integrity.pl_at", "integrity.pl_ct", "integrity.alert"
 )  # fmt: skip
@@ -149,11 +148,7 @@ class BarrierFilter:
         self.counts: Counter[str] = Counter()
 
     def predict(
-        self,
-        observation: Any,
-        state: States = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
+        self, observation: Any, state: States = None, episode_start: Starts = None, deterministic: bool = True
     ) -> tuple[NDArray[np.float32], States]:
         """The filtered action, and the driver's own state."""
         action, after = self.driver.predict(observation, state, episode_start, deterministic)

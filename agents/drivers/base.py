@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from typing import Any, Protocol
 
@@ -13,9 +14,11 @@ from lanebound.envs.observation import Entry, ObservationConfig, entries, group_
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import nearest
 
-__all__ = ["Driver", "Reader", "in_a_row"]
+__all__ = ["Driver", "Reader", "Starts", "StatelessDriver", "States", "in_a_row"]
 
 Array = NDArray[np.float64]
+States = tuple[NDArray[Any], ...] | None
+Starts = NDArray[np.bool_] | None
 Observation = NDArray[np.float32] | Mapping[str, NDArray[np.float32]]
 PREVIEW = re.compile(r"preview_(.+)m_ahead")
 
@@ -24,13 +27,23 @@ class Driver(Protocol):
     """Decides by observations alone; has the interface of a policy of stable-baselines3."""
 
     def predict(
-        self,
-        observation: Any,
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Any, tuple[NDArray[Any], ...] | None]:
+        self, observation: Any, state: States = None, episode_start: Starts = None, deterministic: bool = True
+    ) -> tuple[Any, States]:
         """The action for an observation, or one for each of a batch, and the state of the next call."""
+
+
+class StatelessDriver(ABC):
+    """A driver whose action depends on the observation alone."""
+
+    def predict(
+        self, observation: Any, state: States = None, episode_start: Starts = None, deterministic: bool = True
+    ) -> tuple[Any, States]:
+        """The action for an observation, or one for each of a batch, and the unchanged state."""
+        return self.act(observation), state
+
+    @abstractmethod
+    def act(self, observation: Any) -> Any:
+        """The action for an observation, or one for each of a batch."""
 
 
 def in_a_row(observation: Observation, history: int = 1) -> NDArray[np.float32]:

@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from lanebound.agents.drivers.base import StatelessDriver
 from lanebound.envs.core import DrivingEnv
 
 __all__ = ["HELP", "Key", "KeyboardDriver"]
@@ -31,7 +32,7 @@ class Key(Enum):
     LEAVE = "q"
 
 
-class KeyboardDriver:
+class KeyboardDriver(StatelessDriver):
     """Turns keys into actions, independent of any window.
 
     Under meta-actions each press is one command, in the order of pressing. Under continuous ones arrows act for as long
@@ -61,15 +62,9 @@ class KeyboardDriver:
         self._pressed.clear()
         self._wheel = 0.0
 
-    def predict(
-        self,
-        observation: Any,
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Any, tuple[NDArray[Any], ...] | None]:
+    def act(self, observation: Any) -> int | NDArray[np.float32]:
         """The action of the keys."""
-        return (self._steered() if self._continuous else self._chosen()), state
+        return self._steered() if self._continuous else self._chosen()
 
     def _chosen(self) -> int:
         while self._pressed:

@@ -27,7 +27,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lanebound.agents.drivers.barrier import BarrierFilter
-from lanebound.agents.drivers.base import Observation, Reader
+from lanebound.agents.drivers.base import Observation, Reader, Starts, States
 from lanebound.agents.drivers.horizon import predicted_levels, upper_broadcast, upper_levels
 from lanebound.agents.drivers.lateral import LqrSteering, errors
 from lanebound.agents.drivers.leaders import leader_of
@@ -191,12 +191,8 @@ class PredictiveDriver(ContinuousDriver):
         return self.plan.counts
 
     def predict(
-        self,
-        observation: Any,
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: Bools | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
+        self, observation: Any, state: States = None, episode_start: Starts = None, deterministic: bool = True
+    ) -> tuple[NDArray[np.float32], States]:
         """As any plan; the memory is cleared where an episode starts."""
         if episode_start is not None:
             shape = self.plan.reader.value(observation, "ego.speed").shape

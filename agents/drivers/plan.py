@@ -6,13 +6,13 @@ A plan computes speed, gap, line and lane from an observation. Drivers override 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lanebound.agents.drivers.base import Observation, Reader
+from lanebound.agents.drivers.base import Observation, Reader, StatelessDriver
 from lanebound.agents.drivers.lateral import PursuitSteering, Steering
 from lanebound.agents.drivers.plans import (
     CruiseConfig,
@@ -28,7 +28,6 @@ from lanebound.integrity.core.errors import InputError
 __all__ = ["ContinuousDriver", "MetaDriver", "Plan", "carry_out"]
 
 Array = NDArray[np.float64]
-States = tuple[NDArray[Any], ...] | None
 
 
 class Plan:
@@ -87,7 +86,7 @@ def carry_out(env: DrivingEnv, plan: Plan) -> ContinuousDriver | MetaDriver:
     return ContinuousDriver(env, plan) if isinstance(env.action_space, spaces.Box) else MetaDriver(env, plan)
 
 
-class ContinuousDriver:
+class ContinuousDriver(StatelessDriver):
     """Steers and accelerates; changes no lane.
 
     Raises
@@ -101,13 +100,7 @@ class ContinuousDriver:
         if not plan.reader.previews_m:
             raise InputError("observation.preview_m must name a distance for this agent, got none: add one")
 
-    def predict(
-        self,
-        observation: Any,
-        state: States = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], States]:
+    def act(self, observation: Observation) -> NDArray[np.float32]:
         """Acceleration and steering as shares of their ranges, whichever of them the environment takes."""
         inner = self._actuators
         parts = []
@@ -115,10 +108,10 @@ class ContinuousDriver:
             parts.append(share_of(self.plan.acceleration(observation), inner.acceleration_range))
         if inner.lateral:
             parts.append(share_of(self.plan.steering(observation), inner.steering_range))
-        return np.stack(parts, axis=-1).astype(np.float32), state
+        return np.stack(parts, axis=-1).astype(np.float32)
 
 
-class MetaDriver:
+class MetaDriver(StatelessDriver):
     """Changes lane, or commands faster, slower or idle."""
 
     def __init__(self, env: DrivingEnv, plan: Plan) -> None:
@@ -128,13 +121,7 @@ class MetaDriver:
         self._codes = {label: code for code, label in inner.actions.items()}
         self._levels = np.sort(np.asarray(inner.target_speeds, dtype=np.float64))
 
-    def predict(
-        self,
-        observation: Any,
-        state: States = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.int64], States]:
+    def act(self, observation: Observation) -> NDArray[np.int64]:
         """The code of an action."""
         plan, levels, codes = self.plan, self._levels, self._codes
         wanted = plan.top_speed(observation)
@@ -145,4 +132,4 @@ class MetaDriver:
         if "LANE_LEFT" in codes:
             side = np.where(goal < now, 0, plan.change(observation))  # braking has priority
             action = np.where(side < 0, codes["LANE_LEFT"], np.where(side > 0, codes["LANE_RIGHT"], action))
-        return np.asarray(action), state
+        return np.asarray(action)

@@ -10,9 +10,8 @@ from typing import Any, Literal, Protocol
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
-from lanebound.agents.drivers.base import Driver
+from lanebound.agents.drivers.base import Driver, Starts, States
 from lanebound.envs.core import DrivingEnv
 
 __all__ = ["AgentFailure", "Clock", "Failing", "Guarded", "NoClock", "checked", "error_text", "guarded"]
@@ -68,12 +67,8 @@ class Guarded:
         self.solve_ms: list[float] = []
 
     def predict(
-        self,
-        observation: Any,
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Any, tuple[NDArray[Any], ...] | None]:
+        self, observation: Any, state: States = None, episode_start: Starts = None, deterministic: bool = True
+    ) -> tuple[Any, States]:
         """The checked action of the agent."""
         self.clock.begin()
         begun = perf_counter()

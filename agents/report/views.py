@@ -14,7 +14,6 @@ from lanebound.agents.benchmark.results import Cell, Results
 from lanebound.agents.report.charts import (
     AXIS_NAMES,
     CostBar,
-    PairedRow,
     ParetoAxis,
     ParetoPoint,
     forest,
@@ -123,13 +122,13 @@ def _forests(results: Results, cells: Sequence[Cell], against: str) -> Forests:
     found = []
     names = {cell.agent: f"{cell.agent}, untuned" if cell.untuned else cell.agent for cell in cells}
     for metric in (metric_named(key) for key in MAIN):
-        rows = [
-            PairedRow(names[pair.agent], pair.difference, pair.low, pair.high, pair.n, pair.better, pair.failed)
+        rows = {
+            names[pair.agent]: pair
             for pair in results.paired
             if (pair.place, pair.against, pair.metric) == (cells[0].place, against, metric.key)
             if pair.difference is not None
-        ]
-        if any(row.low is not None for row in rows):
+        }
+        if any(row.low is not None for row in rows.values()):
             picture = forest(metric.title, unit_of(metric), metric.better, names[against], rows)
             found.append(ChartChoice(metric.key, metric.title, picture))
     return Forests(names.get(against, against), found)
