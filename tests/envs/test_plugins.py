@@ -176,8 +176,8 @@ def test_an_unknown_world_and_one_without_an_engine_are_refused(hairpin: ModuleT
         assert "lanebound/Alone-v0" not in engines()
         with pytest.raises(
             ConfigError,
-            match=r"base must have an engine, as LaneKeepingWorld, .*, HairpinWorld do, got 'AloneWorld': choose one of "
-            "these, or make the same environments with vectorization_mode='sync' or 'async'",
+            match=r"base must have an engine, as LaneKeepingWorld, .*, HairpinWorld do, got 'AloneWorld': choose one "
+            "of these, or make the same environments with vectorization_mode='sync' or 'async'",
         ):
             pair("Alone", PERFECT)
     finally:
