@@ -29,7 +29,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from lanebound.agents.checkpointing.files import make_folder, read_json, replace_file, write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, locked
-from lanebound.agents.drivers.origin import write_experiment
+from lanebound.agents.drivers.origin import EXPERIMENT, add_text, name_inputs
 from lanebound.agents.learning.algorithms import class_of, make_model, require_known
 from lanebound.agents.learning.card import write_card
 from lanebound.agents.learning.evaluation import evaluate
@@ -241,10 +241,13 @@ def _keep(experiment: ExperimentConfig, model: BaseAlgorithm, out: Path, best: b
     if getattr(model, "replay_buffer", None) is not None:
         with replace_file(out / REPLAY) as draft:
             model.save_replay_buffer(draft)  # type: ignore[attr-defined]
+    with closing(experiment.open()) as single:
+        observation = single.config.observation
     for path in (out / LAST, out / BEST) if best else (out / LAST,):
         with replace_file(path) as draft:
             model.save(draft)
-            write_experiment(draft, experiment.to_json())
+            add_text(draft, EXPERIMENT, experiment.to_json())
+            name_inputs(draft, observation)
     (out / IMITATION).unlink(missing_ok=True)
 
 
