@@ -117,11 +117,11 @@ class RiskConfig(Config):
         """The given risks or, without any, the configured one.  (R,)."""
         return np.atleast_1d(np.asarray(self.integrity_risk if risks is None else risks, dtype=np.float64))
 
-    def false_alarm_factors(self, largest: int) -> Array:
-        """K_fa for 0 to ``largest`` fault modes.  (largest + 1,)."""
+    def false_alarm_factors(self, largest: int, rank: int = 1) -> Array:
+        """K_fa for 0 to ``largest`` fault modes, of a mode with separations of this rank.  (largest + 1,)."""
         counts = np.arange(largest + 1)
         if self.direction_test:
-            return direction_factor(self.false_alarm, counts, 1)
+            return direction_factor(self.false_alarm, counts, rank)
         return false_alarm_factor(self.false_alarm, counts, self.variant)
 
 
