@@ -214,16 +214,16 @@ def _separation(
         v_at, v_ct = sin_h * sin_h * ee + cross + cos_h * cos_h * nn, cos_h * cos_h * ee - cross + sin_h * sin_h * nn
         worst = at * at / v_at if v_at > still else 0.0
         worst = max(worst, ct * ct / v_ct if v_ct > still else 0.0)
-        return worst / factor[1] ** 2
+        return float(worst / factor[1] ** 2)
     half, det = 0.5 * (ee + nn), ee * nn - en * en
     major = half + math.sqrt(max(half * half - det, 0.0))
     if not major > still:
         return 0.0
     if det > RANK_TOLERANCE * major * major:
-        return (nn * e * e - 2.0 * en * e * n + ee * n * n) / (det * factor[2] ** 2)
+        return float((nn * e * e - 2.0 * en * e * n + ee * n * n) / (det * factor[2] ** 2))
     a, c = (major - nn, en) if ee > nn else (en, major - ee)
     along = (a * e + c * n) ** 2 / (a * a + c * c)
-    return along / (major * factor[1] ** 2)
+    return float(along / (major * factor[1] ** 2))
 
 
 @jit(borrows=True)

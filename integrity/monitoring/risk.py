@@ -58,7 +58,9 @@ class RiskConfig(Config):
     false_alarm: float = Field(
         0.01, gt=0, lt=1, description="significance alpha of the separation test [-]; S1 section 3.2"
     )
-    direction_test: bool = Field(False, description="test the direction of largest separation, not AT and CT; S2 eq 9")
+    direction_test: bool = Field(
+        False, description="test the direction of largest separation, not AT and CT, as fde.search DIRECTION; S2 eq 9"
+    )
     satellite_prior: tuple[float, ...] = Field(
         SATELLITE_PRIORS,
         min_length=5,
