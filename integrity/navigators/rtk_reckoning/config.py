@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from lanebound.integrity.core.errors import ConfigError
-from lanebound.integrity.monitoring.exclusion import Search
-from lanebound.integrity.monitoring.significance import Linking
+from lanebound.integrity.monitoring.exclusion import FdeConfig, Search
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 
 __all__ = ["RtkReckoningConfig"]
@@ -19,16 +17,7 @@ class RtkReckoningConfig(NavigatorConfig):
 
     kind: Literal["rtk_reckoning"] = Field("rtk_reckoning", description="kind of the navigator")
 
-    @model_validator(mode="after")
-    def _tests_are_those_of_the_levels(self) -> Self:
-        fde = self.fde
-        if fde.global_first or fde.linking is not Linking.BONFERRONI or fde.search is not Search.SEPARATION:
-            raise ConfigError(
-                "fde must search by SEPARATION with BONFERRONI and without global_first: the levels count on that test"
-            )
-        if self.risk.direction_test or self.risk.monitors_constellations:
-            raise ConfigError(
-                "risk.direction_test and risk.constellation_prior must be off in a navigator, which tests satellites "
-                "along and across the track: use monitoring.separation and monitoring.protection for them"
-            )
-        return self
+    @property
+    def tests(self) -> FdeConfig:
+        """The fault tests: ``fde``, which ``risk.direction_test`` lets search in the direction of maximum error."""
+        return self.fde.replace(search=Search.DIRECTION) if self.risk.direction_test else self.fde

@@ -120,14 +120,15 @@ CASE = record(
 class Tables(NamedTuple):
     """Parameters in arrays.
 
-    satellites (S,) of SATELLITE; cases (R,) of CASE, the operative one first; thresholds of the fault tests;
-    k_fa (2, C) threshold of the separation test by the number of fault modes, exact and published.
+    satellites (S,) of SATELLITE; cases (R,) of CASE, the operative one first; thresholds of the fault tests; k_fa those
+    that the levels count on, of the same tests; k_published (C, 2) S1's factor by the number of fault modes.
     """
 
     satellites: Records
     cases: Records
     thresholds: Thresholds
-    k_fa: Array
+    k_fa: Thresholds
+    k_published: Array
 
 
 # State
