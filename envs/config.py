@@ -20,6 +20,7 @@ from lanebound.envs.sky import RECORDING, SKY_LEVELS, SkyLevel
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.presets import FILES, nearest
+from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.sensors.campaign import FaultPriors
 
 __all__ = ["ActionKind", "EnvConfig", "FaultLevel"]
@@ -67,7 +68,11 @@ class EnvConfig(Config):
     extent_m: float = Field(2500.0, gt=0, description="longer lanes are lined with houses up to here")
     faults: FaultLevel = Field(FaultLevel.NONE, description="how often instruments and satellites fail")
     navigation: NavigationConfig = Field(NavigationConfig(), description="how the ego knows its position")
-    navigator: Mapping[str, Any] = Field({}, description="overrides of the level's NavigatorConfig, merged deeply")
+    navigator: Mapping[str, Any] = Field(
+        {},
+        description="overrides of the level's NavigatorConfig, merged deeply; or the name of a preset (with a '/') or "
+        "of a kind",
+    )
     perception: PerceptionConfig = Field(PerceptionConfig(), description="how the ego knows the traffic")
     slots: int = Field(64, ge=0, le=512, description="vehicles beside the ego that can be perceived at a time")
     observation: ObservationConfig = Field(ObservationConfig(), description="what the agent sees of it")
@@ -94,6 +99,11 @@ class EnvConfig(Config):
     cost: CostConfig = Field(CostConfig(), description="weights and figures of the costs")
     cost_limit: float = Field(10.0, ge=0, description="of an episode, for constrained learning; not enforced")
     rendering: RenderingConfig = Field(RenderingConfig(), description="size and looks of pictures")
+
+    @field_validator("navigator", mode="before")
+    @classmethod
+    def _navigator_by_name(cls, value: Any) -> Any:
+        return NavigatorConfig.data_of(value)
 
     @field_validator("sky")
     @classmethod
