@@ -18,7 +18,7 @@ from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
 from lanebound.integrity.assessment.drift_model import DriftConfig, Outage, drift_exceedance
-from lanebound.integrity.assessment.exceedance import Tally, expected_fault_free, least_fault_free, tally
+from lanebound.integrity.assessment.exceedance import ExceedanceCounts, expected_fault_free, least_fault_free, tally
 from lanebound.integrity.assessment.importance import FaultSize, expected_one_fault, importance_rates
 from lanebound.integrity.assessment.measurement_model import Case, Form, Prepared, draw_case, prepare
 from lanebound.integrity.core.config import Config, Field
@@ -125,7 +125,7 @@ def _cases(config: BoundingConfig, indices: range, advance: Advance) -> dict[str
     rows = []
     for i, one, (case, generator) in zip(indices, prepared, drawn, strict=True):
         epochs = min(config.epochs_per_case, config.epochs - i * config.epochs_per_case)
-        counted = Tally.empty(len(config.risks))
+        counted = ExceedanceCounts.empty(len(config.risks))
         tally(one, epochs, wrong_fix, generator, counted)
         rows.append(
             _place(case)

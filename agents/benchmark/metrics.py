@@ -91,12 +91,12 @@ def _rate(key: str, title: str, better: Better, meaning: str, take: Callable[[Ou
 
 def _cause(cause: str) -> Metric:
     title = cause.replace("_", " ")
-    return Metric(cause, title, "", "lower", f"sum of {cause}, unweighted", _driven(lambda o: o.costs.get(cause, 0.0)))
+    return Metric(cause, title, "", "lower", "unweighted sum of the cost", _driven(lambda o: o.costs.get(cause, 0.0)))
 
 
 def _mode(mode: Mode) -> Metric:
     better: Better = "higher" if mode is Mode.RTK else None
-    meaning = f"share of steps on {mode.label}"
+    meaning = f"share of steps with the mode {mode.label}"
     return _share(
         f"share_{mode.key}", f"{mode.label} share", better, meaning, lambda o: o.mode_shares.get(mode.key, 0.0)
     )
@@ -117,13 +117,15 @@ def _any(key: str, title: str, meaning: str, name: str) -> Metric:
 
 
 SAFETY = (
-    _rate("success", "success", "higher", "ended well; an agent that failed has not", lambda o: float(o.success)),
+    _rate(
+        "success", "success", "higher", "the episode ended well and the agent did not fail", lambda o: float(o.success)
+    ),
     _rate("collision", "collision", "lower", "the true car crashed", _driven(attrgetter("collision"))),
     _rate(
         "lane_departure",
         "lane departure",
         "lower",
-        "the true body left its lane outside commanded changes",
+        "the true body left its lane outside commanded lane changes",
         _driven(attrgetter("lane_departure")),
     ),
     _rate(
@@ -138,17 +140,17 @@ SAFETY = (
         "harm",
         "",
         "lower",
-        f"{HARM_OF_AN_END:g} for a crash or an end off the road, and the sum of cost_lane (m2 beyond the lane)",
+        f"{HARM_OF_AN_END:g} for a crash or an end off the road, plus the sum of cost_lane (m2 beyond the lane)",
         _driven(harm_of),
     ),
     _rate(
         "over_cost_limit",
         "over cost limit",
         "lower",
-        "the cost exceeded the limit of the environment",
+        "the cost exceeded cost_limit",
         _driven(lambda o: None if o.cost_limit is None else float(o.cost > o.cost_limit)),
     ),
-    _rate("failed", "failed", "lower", "the agent failed, see status", lambda o: float(o.failed)),
+    _rate("failed", "failed", "lower", "the agent failed", lambda o: float(o.failed)),
 )
 REWARD = (
     Metric("return", "return", "", "higher", "sum of rewards", _driven(attrgetter("total_return")), bounds=ANYTHING),
@@ -170,13 +172,22 @@ MOTION = (
         "throughput",
         "m/s",
         "higher",
-        "way over time taken, over all the time there was without success",
+        "distance over the time taken; without success over the longest possible time",
         "throughput_mps",
     ),
-    _plain("gap", "gap", "m", None, "median true gap to the vehicle ahead within 100 m, bumper to bumper", "gap_m"),
-    _plain("rms_acceleration", "acceleration", "m/s2", "lower", "root mean square along", "rms_acceleration_mps2"),
-    _plain("rms_jerk", "jerk", "m/s3", "lower", "root mean square along", "rms_jerk_mps3"),
-    _plain("rms_lateral", "lateral", "m/s2", "lower", "root mean square acceleration across", "rms_lateral_mps2"),
+    _plain("gap", "gap", "m", None, "median true gap between bumpers to the vehicle ahead within 100 m", "gap_m"),
+    _plain(
+        "rms_acceleration",
+        "acceleration",
+        "m/s2",
+        "lower",
+        "root mean square of the acceleration along",
+        "rms_acceleration_mps2",
+    ),
+    _plain("rms_jerk", "jerk", "m/s3", "lower", "root mean square of the jerk along", "rms_jerk_mps3"),
+    _plain(
+        "rms_lateral", "lateral", "m/s2", "lower", "root mean square of the lateral acceleration", "rms_lateral_mps2"
+    ),
 )
 INTEGRITY = (
     *(
@@ -185,7 +196,7 @@ INTEGRITY = (
             f"PL_{axis.upper()}",
             "m",
             "lower",
-            f"median protection level {along} the track; steps above {LEVEL_MAX_M:g} m or without one count as that",
+            f"median protection level {along} the track; at most {LEVEL_MAX_M:g} m, also when missing",
             f"pl_{axis}_median_m",
         )
         for axis, along in (("at", "along"), ("ct", "across"))
@@ -196,34 +207,37 @@ INTEGRITY = (
     _plain("pe_at_max", "max error AT", "m", "lower", "largest error along the track", "pe_at_max_m"),
     _plain("pe_ct_max", "max error CT", "m", "lower", "largest error across the track", "pe_ct_max_m"),
     _share("availability", "availability", "higher", "share of steps with no level above its limit"),
-    _share("alert_share", "alert share", "lower", "share of steps under an alert"),
-    _plain("alerts", "alerts", "", "lower", "alerts that began"),
+    _share("alert_share", "alert share", "lower", "share of steps with an alert"),
+    _plain("alerts", "alerts", "", "lower", "number of alerts"),
     _share(
         "mi",
         "MI",
         "lower",
-        "share of steps with misleading, but not hazardous, information",
+        "share of steps with misleading but not hazardous information",
         _share_of_steps("mi_steps"),
     ),
     _share(
         "hmi", "HMI", "lower", "share of steps with hazardously misleading information", _share_of_steps("hmi_steps")
     ),
-    _any("any_mi", "any MI", "any step had misleading, but not hazardous, information", "mi_steps"),
+    _any("any_mi", "any MI", "any step had misleading but not hazardous information", "mi_steps"),
     _any("any_hmi", "any HMI", "any step had hazardously misleading information", "hmi_steps"),
     _plain(
         "time_to_alert",
         "time to alert",
         "s",
         "lower",
-        "mean time from an error exceeding its limit to the alert; all that it lasted where none came",
+        "mean time from an error above its limit to the alert, or to the end of the error without one",
         "time_to_alert_s",
     ),
-    _plain("missed_alerts", "missed alerts", "", "lower", "times that an error exceeded its limit without an alert"),
-    _any(
-        "any_missed", "any missed alert", "an error exceeded its limit, and no alert came while it did", "missed_alerts"
+    _plain(
+        "missed_alerts", "missed alerts", "", "lower", "number of errors above their limits that ended without an alert"
     ),
+    _any("any_missed", "any missed alert", "any missed alert", "missed_alerts"),
     _share(
-        "continuity", "continuity", "higher", "share of available steps that an available one follows; 0 without any"
+        "continuity",
+        "continuity",
+        "higher",
+        "share of available steps after which the next one is available; 0 without any",
     ),
     *(_mode(mode) for mode in Mode),
 )
@@ -250,14 +264,14 @@ SOLVING = (
         "infeasible",
         "infeasible",
         "lower",
-        "share of decisions for which no command met the agent's constraints, as it counts them",
+        "share of decisions without a command that meets the agent's constraints",
         _share_of_decisions("infeasible"),
     ),
     _share(
         "relaxed",
         "relaxed",
         "lower",
-        "share of decisions for which the agent weakened a constraint, as it counts them",
+        "share of decisions for which the agent weakened a constraint",
         _share_of_decisions("relaxed"),
     ),
 )

@@ -26,9 +26,9 @@ NEEDS: dict[str, dict[str, Any]] = {"oracle": {"observation": {"integrity": "ora
 class SeedsConfig(Config):
     """Which seeds: the first so many of a published split, or so many after those that were looked at."""
 
-    split: Split = Field("test", description="train, to tune on, or test, held out; see seeds.py")
+    split: Split = Field("test", description="train (for tuning) or test (held out)")
     count: int = Field(50, ge=1, le=10_000, description="number of episodes of each agent in each cell")
-    skip: int = Field(0, ge=0, description="of the split's first seeds, that are left out")
+    skip: int = Field(0, ge=0, description="number of first seeds of the split to leave out")
 
     @model_validator(mode="after")
     def _split_suffices(self) -> Self:
@@ -47,11 +47,13 @@ class SeedsConfig(Config):
 
 
 class AgentConfig(Config):
-    """Who drives."""
+    """An agent of a suite."""
 
     agent: str = Field(description="name of an agent, model.zip (SB3), .onnx, .npz, or package.module:callable")
-    config: Mapping[str, Any] = Field({}, description="what this agent needs of its environment, merged over the suite")
-    figures: Mapping[str, Any] = Field({}, description="of an agent of ours, such as {speed_share: 0.5} of cautious")
+    config: Mapping[str, Any] = Field({}, description="changes of the environment's configuration for this agent")
+    figures: Mapping[str, Any] = Field(
+        {}, description="parameters of a packaged agent, such as {speed_share: 0.5} of cautious"
+    )
 
     @property
     def sees_truth(self) -> bool:
@@ -71,17 +73,19 @@ class SuiteConfig(Config):
     (('LaneKeeping-v0',), 'runs/model.zip', 10000)
     """
 
-    title: str = Field("", description="what it is for, in a line")
-    envs: tuple[str, ...] = Field(min_length=1, description="ids, ours without lanebound/")
+    title: str = Field("", description="what the suite is for")
+    envs: tuple[str, ...] = Field(min_length=1, description="ids; lanebound/ may be left out")
     skies: tuple[str, ...] = Field(("urban",), min_length=1, description="levels of the sky")
     faults: tuple[FaultLevel, ...] = Field((FaultLevel.NONE,), min_length=1, description="levels of faults")
-    agents: Mapping[str, AgentConfig] = Field(min_length=1, description="by the names they go by in results")
+    agents: Mapping[str, AgentConfig] = Field(min_length=1, description="agents by their names in results")
     reference: str | tuple[str, ...] = Field(
-        "nominal", description="agent, or list of agents, that the others are paired with, seed by seed"
+        "nominal", description="agent, or list of agents, with which the others are compared seed by seed"
     )
     seeds: SeedsConfig = Field(SeedsConfig(), description="which seeds")
-    overrides: Mapping[str, Any] = Field({}, description="of the configuration of every environment, merged deeply")
-    episode_timeout_s: float = Field(600.0, gt=0, description="that an agent may take in an episode, wall clock")
+    overrides: Mapping[str, Any] = Field(
+        {}, description="changes of the configuration of every environment, merged deeply"
+    )
+    episode_timeout_s: float = Field(600.0, gt=0, description="limit of the time of an agent's decisions in an episode")
 
     @field_validator("envs", mode="before")
     @classmethod

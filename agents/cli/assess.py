@@ -71,17 +71,26 @@ def faults(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Change a value of the study; may be repeated."),
     ] = None,
+    plugins: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--plugin", metavar="MODULE", help="Module or .py file that registers fault kinds; may be repeated."
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> None:
-    """Every fault in several sizes and lengths: is it noticed, how soon, and does it mislead?
+    """Every kind of fault in several sizes and lengths: is it noticed, how soon, and does it mislead?
 
     Example: lanebound assess faults --out out/faults --vehicles 4 --set 'kinds=[spoofing,jamming]'
     """
     from lanebound.agents.assess.faults import FaultsConfig, assess_faults
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
+    from lanebound.agents.plugins import load_plugin
     from lanebound.integrity.core.presets import parse_assignments
 
     with resumable(lambda: kept_text(out, "parts/*.json", "part")):
+        for name in plugins or ():
+            load_plugin(name)
         given = {} if vehicles is None else {"vehicles": vehicles}
         config = FaultsConfig.load(parse_assignments(assignments or []) | given)
         result = with_bar("parts", lambda on_progress: assess_faults(config, out, jobs, on_progress))

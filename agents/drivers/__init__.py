@@ -53,23 +53,23 @@ class About(NamedTuple):
 
 LEVELS = "position, levels"
 ABOUT = {
-    "cautious": About("nominal, slower, constant margins", "position", "nothing", ANY),
+    "cautious": About("nominal with constant margins, slower", "position", "nothing", ANY),
     "cbf": About(
-        "`over: AGENT` (nominal), barrier-filtered", f"{LEVELS}, alert", "slows where levels fill the lane", FULL
+        "barrier filter over an agent (`over`; nominal)", f"{LEVELS}, alert", "slows if levels fill the lane", FULL
     ),
     "cruise": About("keeps lane, speed and distance", "position", "nothing", ANY),
-    "idm": About("cruise, follows by IDM alone", "position", "nothing", ANY),
+    "idm": About("cruise with IDM for distances", "position", "nothing", ANY),
     "integrity_aware": About(
-        "rss, slower by levels and ahead of outages", f"{LEVELS}, alert, sky ahead", "slows, stops if it lasts", ANY
+        "rss, slower with levels and before outages", f"{LEVELS}, alert, sky ahead", "slows, later stops", ANY
     ),
-    "lqr": About("cruise, steers by an LQR", "position", "nothing", STEERED),
-    "mpc": About("plans ahead within growing levels (MPC)", f"{LEVELS}, alert", "slows as levels grow", FULL),
-    "nominal": About("best laws, blind to integrity; the reference", "position", "nothing", ANY),
-    "oracle": About("nominal on the truth: a bound", "the truth", "nothing", ANY),
-    "ppo": About("learnt under the limit of cost, where a policy comes along", "everything", "as it learnt", ANY),
-    "random": About("any action, equally likely", "nothing", "nothing", ANY),
+    "lqr": About("cruise with LQR steering", "position", "nothing", STEERED),
+    "mpc": About("model predictive control", f"{LEVELS}, alert", "slows as levels grow", FULL),
+    "nominal": About("best laws without integrity; the reference", "position", "nothing", ANY),
+    "oracle": About("nominal on the true state: a bound", "the truth", "nothing", ANY),
+    "ppo": About("learnt policy of the id, cost limited", "everything", "as learnt", ANY),
+    "random": About("random actions", "nothing", "nothing", ANY),
     "rss": About("nominal, gaps less levels, RSS speeds", LEVELS, "nothing", ANY),
-    "stanley": About("cruise, steers by Stanley's law", "position", "nothing", STEERED),
+    "stanley": About("cruise with Stanley steering", "position", "nothing", STEERED),
     "stop_on_alert": About("cruise, stops while an alert is on", "position, alert", "stops", ANY),
 }
 """Every name of ``AGENTS`` in words: what ``lanebound agents`` shows."""

@@ -59,5 +59,5 @@ def _moments(env: DrivingEnv, agent: Driver, episode: int, seed: int) -> Any:
 
 def moment_of(env: DrivingEnv, *rest: Any) -> Moment:
     """What there is to log now; ``rest`` are the fields of a Moment after its belief."""
-    assert env.cockpit is not None
-    return Moment(env, env.cockpit.belief(), *rest)
+    assert env.belief_loop is not None
+    return Moment(env, env.belief_loop.belief(), *rest)

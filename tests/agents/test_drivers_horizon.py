@@ -12,14 +12,12 @@ from lanebound.agents.drivers.base import Reader
 from lanebound.agents.drivers.horizon import GrowthConfig, predicted_levels, upper_levels, upper_told
 from lanebound.agents.episodes import open_env
 from lanebound.envs.observation import ObservationConfig
-from lanebound.integrity.sensors.faults import Fault, FaultKind
+from lanebound.integrity.sensors.faults import Fault
 
 G = GrowthConfig()
 DT_S = 0.2
 READER = Reader(ObservationConfig(form="flat"))
-OUTAGES = [
-    Fault.load({"kind": FaultKind.CORRECTIONS_LOSS, "start_s": start, "duration_s": 7.0}) for start in (1.0, 13.0, 25.0)
-]
+OUTAGES = [Fault.load({"kind": "corrections_loss", "start_s": start, "duration_s": 7.0}) for start in (1.0, 13.0, 25.0)]
 AHEAD_S = (0.5, 1.0, 2.0, 4.0)
 
 
@@ -43,7 +41,7 @@ def outages(sky: str, seeds: tuple[int, ...]) -> list[tuple[float, float, float]
         observation, info = env.reset(seed=seed, options={"faults": OUTAGES})
         over, foretold = False, None
         while not over:
-            since = env.cockpit.belief().since_rtk_s
+            since = env.belief_loop.belief().since_rtk_s
             linked = float(reader.value(observation, "integrity.corrections_age")) < G.link_age_s
             if since <= G.rtk_s:
                 way = times * info["speed_mps"]

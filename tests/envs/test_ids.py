@@ -19,7 +19,8 @@ from lanebound.envs.manual import SECTIONS, markdown
 from lanebound.envs.scene import alert_limits_m
 from lanebound.envs.worlds import networks
 from lanebound.integrity.core.errors import ConfigError
-from lanebound.integrity.sensors.faults import Fault, FaultKind
+from lanebound.integrity.sensors.fault_registry import fault_kinds
+from lanebound.integrity.sensors.faults import Fault
 
 ROOT = Path(__file__).parents[2]
 LIGHT = {"sky": "open", "layouts": 1}
@@ -148,8 +149,6 @@ def test_the_manual_is_up_to_date() -> None:
 
 def test_the_readme_tells_the_same() -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    costs = re.findall(r"^\| `cost_\w+` \|.*$", inspect.getdoc(DrivingEnv) or "", re.MULTILINE)
-    assert [row for row in costs if row not in readme] == []
     for env_id in IDS:
         config = make_config(env_id)
         row = rf"^\| `{env_id}` \| .+ \| {config.action.value}, {config.policy_hz} Hz \| {config.sky} \|$"
@@ -158,5 +157,8 @@ def test_the_readme_tells_the_same() -> None:
 
 def test_the_manual_names_every_key_and_kind_of_a_fault() -> None:
     text = markdown()
-    assert [kind.value for kind in FaultKind if kind.value not in text] == []
+    for kind in fault_kinds():
+        (row,) = re.findall(rf"^\| `{kind.name}` \|.*\|$", text, re.MULTILINE)
+        words = [kind.summary, *kind.profiles, *kind.needs, *(m.field for m in kind.magnitudes)]
+        assert [word for word in words if word not in row] == []
     assert [key for key in Fault.model_fields if f"`{key}`" not in text and f'"{key}"' not in text] == []
