@@ -20,6 +20,7 @@ from typer.testing import CliRunner
 
 import lanebound.envs  # noqa: F401 - registers the ids
 from lanebound.agents.cli import app
+from lanebound.envs.observation import ObservationConfig, entries
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.monitoring.alerts import AlertReason
@@ -127,17 +128,20 @@ def test_without_any_mode_a_moving_vehicle_has_no_level_between_fixes() -> None:
 
 
 def test_environments_and_the_engine_show_the_mode(inertial: Mode) -> None:
-    config = {"sky": "open", "navigator": {"modes": ["inertial:inertial"]}, "observation": {"integrity": "blind"}}
+    config = {"sky": "open", "navigator": {"modes": ["inertial:inertial"]}, "observation": {"form": "flat"}}
+    column = [entry.column for entry in entries(ObservationConfig())].index("integrity.mode_inertial")
     loss = [{"kind": "jamming", "start_s": 0.0, "magnitude_db": 40.0}]
     env = gymnasium.make(KEEPING, config=config)
-    _, _ = env.reset(seed=1, options={"faults": loss})
-    found = {env.step(np.zeros(2, dtype=np.float32))[4]["mode"] for _ in range(4)}
+    env.reset(seed=1, options={"faults": loss})
+    steps = [env.step(np.zeros(2, dtype=np.float32)) for _ in range(4)]
     env.close()
-    assert int(inertial) in found
+    assert [bool(obs[column]) for obs, *_ in steps] == [info["mode"] == inertial for *_, info in steps]
+    assert any(info["mode"] == inertial for *_, info in steps)
     engine = gymnasium.make_vec(KEEPING, num_envs=2, config=config)
     engine.reset(seed=1)
-    info = engine.step(np.zeros((2, 2), dtype=np.float32))[4]
+    obs, _, _, _, info = engine.step(np.zeros((2, 2), dtype=np.float32))
     engine.close()
+    assert (obs[:, column] == (info["mode"] == inertial)).all()
     assert set(info["mode"].tolist()) <= {int(Mode.RTK), int(inertial)}
 
 
@@ -277,8 +281,8 @@ def test_a_kind_drives_environments_the_engine_and_the_command(odometer_gyro: Mo
 
 
 def test_an_unknown_kind_is_refused_with_the_way_to_register_it() -> None:
-    for kind in ("odometer_gyro", {"kind": "odometer_gyro"}):
-        with pytest.raises(ConfigError, match=r"kind must be one of rtk_reckoning, got 'odometer_gyro': import"):
+    for kind in ("compass", {"kind": "compass"}):
+        with pytest.raises(ConfigError, match=r"kind must be one of rtk_reckoning, got 'compass': import"):
             gymnasium.make(KEEPING, config={"navigator": kind}).reset(seed=1)
     with pytest.raises(ConfigError, match="'no_such:kind' must name a module that can be imported"):
         NavigatorConfig.load({"kind": "no_such:kind"})
