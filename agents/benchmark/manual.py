@@ -20,7 +20,7 @@ from lanebound.agents.benchmark.outcome import Outcome
 from lanebound.agents.benchmark.results import CSV_COLUMNS, ESTIMATE_COLUMNS, PAIRED_COLUMNS
 from lanebound.agents.benchmark.seeds import TEST, TRAIN
 from lanebound.agents.benchmark.statistics import RESAMPLES, VERDICT_SEEDS, seeds_to_exclude
-from lanebound.agents.benchmark.store import STORED
+from lanebound.agents.benchmark.store import stored_columns
 from lanebound.agents.benchmark.suite import SuiteConfig, load_suite
 from lanebound.agents.benchmark.untuned import tuned_places
 from lanebound.agents.benchmark.verdicts import MARGIN
@@ -120,7 +120,7 @@ def _outcome() -> str:
 
 
 def _columns() -> str:
-    rows = [(c.name, (c.kind, c.unit, c.meaning)) for c in STORED]
+    rows = [(c.name, (c.kind, c.unit, c.meaning)) for c in stored_columns()]
     return "\n".join(["| column | type | unit | meaning |", "|---|---|---|---|", *_merged(rows)])
 
 

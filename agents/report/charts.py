@@ -14,7 +14,7 @@ from lanebound.agents.benchmark.results import Paired
 from lanebound.agents.report.canvas import Box, colour, new_axes, new_figure, span, spread_out, to_svg
 from lanebound.agents.report.numbers import interval, plain, shorten, signed
 from lanebound.integrity.assessment.events import Zone
-from lanebound.integrity.assessment.plotting import MODE_COLOURS
+from lanebound.integrity.assessment.plotting import mode_colour
 from lanebound.integrity.assessment.record import AXES, Axis, Record
 from lanebound.integrity.assessment.stanford import ZoneCounts, count_zones
 from lanebound.integrity.positioning.modes import Mode
@@ -316,9 +316,9 @@ def _draw_panel(figure: Figure, episode: EpisodeTrace, axis: Axis, box: Box, x_l
     axes.plot(time, error, color=colour("error"), linewidth=1.0)
     axes.plot(time, np.minimum(pl, top), color=colour("level"), linewidth=1.6)
     axes.plot([0.0, time[-1]], [al, al], color=colour("limit"), linewidth=1.3, dashes=(3, 2))
-    for mode, tone in MODE_COLOURS.items():
+    for mode in Mode:
         for a, b in _spans(record.mode == mode, time):
-            axes.axvspan(a, b, 1.0, 1.0 + 6.0 / (box.bottom - box.top), color=tone, linewidth=0)
+            axes.axvspan(a, b, 1.0, 1.0 + 6.0 / (box.bottom - box.top), color=mode_colour(mode), linewidth=0)
 
 
 def _spans(on: NDArray[np.bool_], time: NDArray[np.float64]) -> list[tuple[float, float]]:

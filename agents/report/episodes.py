@@ -18,7 +18,6 @@ from lanebound.integrity.positioning.modes import Mode
 
 __all__ = ["badness", "pooled", "trace_of", "what_happened", "worst_of"]
 
-CODES = {mode.key: int(mode) for mode in Mode}
 BAD_ENDS = ("collision", "off road", "wrong way")
 SECONDS = "time_s"
 TAKEN = ("time_s", "mode", "err_at_m", "err_ct_m", "pl_at_m", "pl_ct_m", "al_at_m", "al_ct_m", "alert", "available")
@@ -61,7 +60,7 @@ def _traced(parts: Sequence[Columns]) -> EpisodeTrace:
     many = len(parts) > 1
     record = Record(
         time_s=np.arange(1.0, joined[SECONDS].size + 1.0) if many else joined[SECONDS],
-        mode=np.array([CODES[key] for key in joined["mode"]]),
+        mode=np.array([int(Mode.named(key)) for key in joined["mode"]]),
         error_at_m=joined["err_at_m"] * ratio["at"],
         error_ct_m=joined["err_ct_m"] * ratio["ct"],
         pl_at_m=joined["pl_at_m"] * ratio["at"],

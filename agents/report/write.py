@@ -29,7 +29,8 @@ from lanebound.agents.report.episodes import badness, what_happened, worst_of
 from lanebound.agents.report.style import Actor, actors_of, title_of
 from lanebound.agents.report.tables import head_of, means_table, overviews
 from lanebound.agents.report.views import causes, view_of
-from lanebound.integrity.assessment.plotting import MODE_COLOURS
+from lanebound.integrity.assessment.plotting import mode_colour
+from lanebound.integrity.positioning.modes import Mode
 
 __all__ = ["NAME", "render", "write_report"]
 
@@ -101,7 +102,7 @@ def render(results: Results, clips: int = 0, on_clip: Callable[[int, int], None]
         failed_agents=len(results.failures),
         metrics=[head_of(metric) for metric in METRICS],
         causes=causes(),
-        modes=[(mode.label, colour) for mode, colour in MODE_COLOURS.items()],
+        modes=[(mode.label, mode_colour(mode)) for mode in Mode],
         definition=json.dumps(results.suite.to_dict(), indent=2, ensure_ascii=False),
         versions=_versions(results.folder),
         title_of=title_of,

@@ -29,6 +29,7 @@ __all__ = [
     "Epoch",
     "Measured",
     "Outputs",
+    "Own",
     "State",
     "Tables",
 ]
@@ -252,6 +253,8 @@ WORK = record(
     integrates=("?", "the position moved by the Doppler velocity"),
     accepted=("?", "the RTK position is accepted"),
     fixed=(FIXED_SOLUTION, "RTK solution"),
+    excluded=("i8", "satellites excluded by monitors from outside"),
+    cause=("i8", "code of AlertReason that a monitor from outside raises, 0 for none"),
 )
 """What stages hand on to later stages of the same epoch."""
 
@@ -295,6 +298,16 @@ class Outputs(NamedTuple):
     wrong: Array
     held: Bools
     difference: Array
+
+
+class Own(NamedTuple):
+    """What belongs to one mode or monitor from outside.
+
+    code of its Mode or AlertReason; state (B,) of its own record, which lasts.
+    """
+
+    code: int
+    state: Records
 
 
 class Epoch(NamedTuple):
