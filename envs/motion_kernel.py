@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.motion.truth_kernel import between
+from lanebound.integrity.motion.truth_kernel import EndRows, TrueMotion, between
 
 __all__ = ["advance", "epoch"]
 
@@ -45,4 +45,5 @@ def epoch(  # type: ignore[no-untyped-def]
             start_m[b, k], start_mps[b, k] = position_m[b, k], now
         h0[b], h1[b] = start_rad[b] + 0.5 * math.pi, heading_rad[b] + 0.5 * math.pi
         start_rad[b] = heading_rad[b]
-    between(p0, p1, v0, v1, h0, h1, down, position, velocity, heading, turn, delta_v, distance)
+    out = TrueMotion(position, velocity, heading, turn, delta_v, distance)
+    between(EndRows(p0, v0, h0), EndRows(p1, v1, h1), down, out)

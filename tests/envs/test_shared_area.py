@@ -35,8 +35,8 @@ def test_the_navigators_of_ego_and_others_have_the_same_area(warm_up_s: float) -
     assert (one.epoch, one.message.tolist()) == (two.epoch, two.message.tolist())
     np.testing.assert_array_equal(one.until, two.until)
     np.testing.assert_array_equal(one.outage_left, two.outage_left)
-    assert not np.array_equal(ego.state.gnss.memory[0], others.state.gnss.memory[0])
-    assert ego.state.gnss.oscillator[0, 1] != others.state.gnss.oscillator[0, 1]
+    assert not np.array_equal(ego.state.gnss.signals[0], others.state.gnss.signals[0])
+    assert ego.state.gnss.vehicles["drift"][0] != others.state.gnss.vehicles["drift"][0]
 
 
 def test_other_episodes_have_other_areas() -> None:
