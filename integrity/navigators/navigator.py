@@ -329,7 +329,7 @@ class Navigator:
         self.place_rows(rows, position, heading, sigma_m, sigma_heading_rad)
         for name, fresh in self.initial_extensions(1).items():
             self.state.extensions[name][rows] = fresh
-        self.state.odometer.last_true_mps[rows] = np.nan  # no acceleration, so no slip, in the first epoch
+        self.state.odometer.wheels["last_true_mps"][rows] = np.nan  # no acceleration, so no slip, in the first epoch
 
     def snapshot(self) -> NavigatorState:
         """An independent copy of everything that lasts."""

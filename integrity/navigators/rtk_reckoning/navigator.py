@@ -20,7 +20,8 @@ from lanebound.integrity.navigators.rtk_reckoning.parameters import epoch_parame
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import (
     RECORDS,
     WORK,
-    Epoch,
+    EpochInputs,
+    Lasting,
     Measured,
     Outputs,
     State,
@@ -48,7 +49,6 @@ class RtkReckoningNavigator(Navigator):
         self._tables = epoch_tables(self.config, self.track.system)
         self._stages = StageList(stages_of(self.config))
         self._excludes = any(Point.MEASURED in monitor.stages for monitor in self.config.chosen_monitors)
-        self._work: Work | None = None
 
     def initial_belief(self, batch: int) -> State:
         """Nothing is known but the bounds of the heading and of the gyro bias."""
@@ -97,16 +97,22 @@ class RtkReckoningNavigator(Navigator):
 
     def locate(self, m: Measurements) -> Solution:
         """The belief after the measurements of one epoch; reads nothing else."""
-        batch, satellites, levels = self.batch, len(self.track.system), self._tables.cases.shape[0]
-        out = blank_outputs(batch, satellites, levels)
-        if self._work is None or self._work.vehicles.shape[0] != batch:
-            self._work = blank_work(batch, satellites, levels)
+        batch, belief = self.batch, self.state.belief
+        out = blank_outputs(batch, len(self.track.system), self._tables.cases.shape[0])
         measured = measured_of(m)
         if self._excludes:
             measured = measured._replace(tracked=measured.tracked.copy())
-        epoch = Epoch(self._parameters, self._tables, self.state.belief, measured, self._work, out)
-        run_rows(self._stages, batch, epoch, self.state.extensions, row_us=LOCATE_US)
+        owners = self._parameters, self._tables, belief
+        lasting = self.state.locating.of(owners, lambda: self._lasting(belief))
+        inputs = EpochInputs(measured, out)
+        run_rows(self._stages, batch, lasting, inputs, self.state.extensions, row_us=LOCATE_US)
         return solution_of(m, out)
+
+    def _lasting(self, belief: State) -> Lasting:
+        """What the stages work on in every epoch."""
+        batch, satellites = belief.ambiguities.shape
+        work = blank_work(batch, satellites, self._tables.cases.shape[0])
+        return Lasting(self._parameters, self._tables, belief, work)
 
 
 def stages_of(config: RtkReckoningConfig) -> list[Stage | OutsideStage]:
@@ -161,20 +167,16 @@ def blank_work(batch: int, satellites: int, cases: int) -> Work:
 def blank_outputs(batch: int, satellites: int, cases: int) -> Outputs:
     """Outputs of vehicles, to be filled."""
 
-    def real(*shape: int) -> Array:
-        return np.empty((batch, *shape))
-
-    def whole() -> NDArray[np.int64]:
-        return np.empty(batch, np.int64)
-
-    def flag(*shape: int) -> NDArray[np.bool_]:
-        return np.empty((batch, *shape), np.bool_)
-
+    heading, sigma_at, sigma_ct, hdop, since_rtk, since_calibration, wrong = np.empty((7, batch))
+    position, velocity, difference = np.empty((3, batch, 2))
+    mode, rtk, reason, used, used_doppler, excluded = np.empty((6, batch), np.int64)
+    alert, available = np.empty((2, batch), np.bool_)
     return Outputs(
-        position=real(2), heading=real(), velocity=real(2), covariance=real(2, 2), sigma_at=real(), sigma_ct=real(),
-        levels=real(cases, 2), mode=whole(), rtk=whole(), alert=flag(), available=flag(), reason=whole(), hdop=real(),
-        satellites=whole(), satellites_doppler=whole(), excluded=whole(), since_rtk=real(), since_calibration=real(),
-        wrong=real(), held=flag(satellites), difference=real(2),
+        position=position, heading=heading, velocity=velocity, covariance=np.empty((batch, 2, 2)), sigma_at=sigma_at,
+        sigma_ct=sigma_ct, levels=np.empty((batch, cases, 2)), mode=mode, rtk=rtk, alert=alert, available=available,
+        reason=reason, hdop=hdop, satellites=used, satellites_doppler=used_doppler, excluded=excluded,
+        since_rtk=since_rtk, since_calibration=since_calibration, wrong=wrong,
+        held=np.empty((batch, satellites), np.bool_), difference=difference,
     )  # fmt: skip
 
 

@@ -27,6 +27,8 @@ __all__ = [
     "VEHICLE",
     "WORK",
     "Epoch",
+    "EpochInputs",
+    "Lasting",
     "Measured",
     "Outputs",
     "Own",
@@ -316,8 +318,24 @@ class Epoch(NamedTuple):
     parameters: Records
     tables: Tables
     state: State
-    measured: Measured
     work: Work
+    measured: Measured
+    out: Outputs
+
+
+class Lasting(NamedTuple):
+    """The fields of an Epoch that last."""
+
+    parameters: Records
+    tables: Tables
+    state: State
+    work: Work
+
+
+class EpochInputs(NamedTuple):
+    """The fields of an Epoch that are of one epoch alone."""
+
+    measured: Measured
     out: Outputs
 
 

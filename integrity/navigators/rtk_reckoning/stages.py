@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from lanebound.integrity.core.bundle_kernel import Bundle
 from lanebound.integrity.core.chain_kernel import Chain
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.records import Records, record
-from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch, Own
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch, EpochInputs, Own
 
 __all__ = ["STATELESS", "OutsideStage", "Stage", "StageList"]
 
@@ -53,21 +54,27 @@ class OutsideStage:
 
 
 class StageList:
-    """Stages called in their order: ``stages(first, last, epoch, states)``; states (B,) of records by name."""
+    """Stages called in their order: ``stages(first, last, lasting, inputs, states)``.
+
+    ``lasting`` is the bundle of the fields of an Epoch that last, ``inputs`` holds the others; states (B,) of records by
+    name.
+    """
 
     def __init__(self, stages: Sequence[Stage | OutsideStage]) -> None:
         self._stages = tuple(stages)
         self._parts: list[Any] = []
         for outside, group in groupby(stages, key=lambda stage: isinstance(stage, OutsideStage)):
             members = list(group)
-            self._parts += members if outside else [Chain(*members)]
+            self._parts += members if outside else [Chain(Epoch, *members)]
 
-    def __call__(self, first: int, last: int, epoch: Epoch, states: Mapping[str, Records]) -> None:
+    def __call__(
+        self, first: int, last: int, lasting: Bundle, inputs: EpochInputs, states: Mapping[str, Records]
+    ) -> None:
         for part in self._parts:
             if isinstance(part, OutsideStage):
-                part(first, last, epoch, states)
+                part(first, last, Epoch(*lasting.values, *inputs), states)
             else:
-                part(first, last, epoch)
+                part(first, last, lasting, inputs)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return StageList, (self._stages,)
