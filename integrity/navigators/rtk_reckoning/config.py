@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
+from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.monitoring.exclusion import FdeConfig, Search
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.navigators.rtk_reckoning.modes import PositioningMode, mode_named

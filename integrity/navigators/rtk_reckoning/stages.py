@@ -56,8 +56,8 @@ class OutsideStage:
 class StageList:
     """Stages called in their order: ``stages(first, last, lasting, inputs, states)``.
 
-    ``lasting`` is the bundle of the fields of an Epoch that last, ``inputs`` holds the others; states (B,) of records by
-    name.
+    ``lasting`` is the bundle of the fields of an Epoch that last, ``inputs`` holds the others; states (B,) of records
+    by name.
     """
 
     def __init__(self, stages: Sequence[Stage | OutsideStage]) -> None:
@@ -72,7 +72,7 @@ class StageList:
     ) -> None:
         for part in self._parts:
             if isinstance(part, OutsideStage):
-                part(first, last, Epoch(*lasting.values, *inputs), states)
+                part(first, last, Epoch._make((*lasting.values, *inputs)), states)
             else:
                 part(first, last, lasting, inputs)
 
