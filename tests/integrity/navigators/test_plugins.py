@@ -21,6 +21,7 @@ from typer.testing import CliRunner
 import lanebound.envs  # noqa: F401 - registers the ids
 from lanebound.agents.cli import app
 from lanebound.envs.observation import ObservationConfig, entries
+from lanebound.integrity.core.accel import serial
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.monitoring.alerts import AlertReason
@@ -203,6 +204,16 @@ def test_the_state_of_a_monitor_is_kept_restored_and_handed_over(interference: A
     assert not other.state.extensions["monitor interference"]["usual"].any()
     other.adopt(np.array([0]), navigator, np.array([1]))
     assert other.state.extensions["monitor interference"]["usual"].tolist() == [usual[1], 0.0]
+
+
+def test_threads_share_the_work_of_a_monitor(interference: AlertReason) -> None:
+    config, seeds = NavigatorConfig.load({"monitors": ["interference"]}), list(range(32))
+    alone, shared = (_tunnel(config, seeds, _jammed(8.0)) for _ in range(2))
+    with serial():
+        one = _drive(alone, range(88))[-1]
+    many = _drive(shared, range(88))[-1]
+    np.testing.assert_array_equal(one.pl_cases_m, many.pl_cases_m)
+    assert one.reason[1] == many.reason[1] == interference.code
 
 
 def test_a_level_that_a_monitor_lowers_is_refused() -> None:
