@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,8 +31,10 @@ from lanebound.integrity.navigators.rtk_reckoning.parameters import epoch_parame
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import (
     RECORDS,
     WORK,
+    Bools,
     Epoch,
     EpochInputs,
+    Ints,
     Lasting,
     Measured,
     Outputs,
@@ -116,18 +120,18 @@ class RtkReckoningNavigator(Navigator):
 
     def locate(self, m: Measurements) -> Solution:
         """The belief after the measurements of one epoch; reads nothing else."""
-        batch, belief = self.batch, self.state.belief
-        out = blank_outputs(batch, len(self.track.system), self._tables.cases.shape[0])
+        belief = self.state.belief
         owners = self._parameters, self._tables, belief
         lasting = self.state.locating.of(owners, lambda: self._lasting(belief))
-        run_rows(self._stages, batch, lasting, EpochInputs(measured_of(m), out), row_us=LOCATE_US)
-        return solution_of(m, out)
+        run_rows(self._stages, self.batch, lasting, EpochInputs(measured_of(m)), row_us=LOCATE_US)
+        return solution_of(m, copied_outputs(lasting.values.out))
 
     def _lasting(self, belief: State) -> Lasting:
         """What the stages work on in every epoch."""
         batch, satellites = belief.ambiguities.shape
-        work = blank_work(batch, satellites, self._tables.cases.shape[0])
-        return Lasting(self._parameters, self._tables, belief, work)
+        cases = self._tables.cases.shape[0]
+        work, out = blank_work(batch, satellites, cases), blank_outputs(batch, satellites, cases)
+        return Lasting(self._parameters, self._tables, belief, work, out)
 
 
 def blank_state(batch: int, satellites: int, cases: int) -> State:
@@ -153,18 +157,32 @@ def blank_work(batch: int, satellites: int, cases: int) -> Work:
 
 
 def blank_outputs(batch: int, satellites: int, cases: int) -> Outputs:
-    """Outputs of vehicles, to be filled."""
+    """Outputs of vehicles, to be filled; arrays of one shape and type are parts of one block."""
+    return _outputs_in(
+        np.empty((7, batch)), np.empty((3, batch, 2)), np.empty((6, batch), np.int64), np.empty((2, batch), np.bool_),
+        np.empty((batch, 2, 2)), np.empty((batch, cases, 2)), np.empty((batch, satellites), np.bool_),
+    )  # fmt: skip
 
-    heading, sigma_at, sigma_ct, hdop, since_rtk, since_calibration, wrong = np.empty((7, batch))
-    position, velocity, difference = np.empty((3, batch, 2))
-    mode, rtk, reason, used, used_doppler, excluded = np.empty((6, batch), np.int64)
-    alert, available = np.empty((2, batch), np.bool_)
+
+def copied_outputs(out: Outputs) -> Outputs:
+    """A copy of :func:`blank_outputs` that were filled."""
+    blocks: list[Any] = [part.base for part in (out.heading, out.position, out.mode, out.alert)]
+    return _outputs_in(*(part.copy() for part in (*blocks, out.covariance, out.levels, out.held)))
+
+
+def _outputs_in(
+    reals: Array, planes: Array, codes: Ints, flags: Bools, covariance: Array, levels: Array, held: Bools
+) -> Outputs:
+    """Outputs as parts of blocks."""
+    heading, sigma_at, sigma_ct, hdop, since_rtk, since_calibration, wrong = reals
+    position, velocity, difference = planes
+    mode, rtk, reason, satellites, satellites_doppler, excluded = codes
+    alert, available = flags
     return Outputs(
-        position=position, heading=heading, velocity=velocity, covariance=np.empty((batch, 2, 2)), sigma_at=sigma_at,
-        sigma_ct=sigma_ct, levels=np.empty((batch, cases, 2)), mode=mode, rtk=rtk, alert=alert, available=available,
-        reason=reason, hdop=hdop, satellites=used, satellites_doppler=used_doppler, excluded=excluded,
-        since_rtk=since_rtk, since_calibration=since_calibration, wrong=wrong,
-        held=np.empty((batch, satellites), np.bool_), difference=difference,
+        position=position, heading=heading, velocity=velocity, covariance=covariance, sigma_at=sigma_at,
+        sigma_ct=sigma_ct, levels=levels, mode=mode, rtk=rtk, alert=alert, available=available, reason=reason,
+        hdop=hdop, satellites=satellites, satellites_doppler=satellites_doppler, excluded=excluded,
+        since_rtk=since_rtk, since_calibration=since_calibration, wrong=wrong, held=held, difference=difference,
     )  # fmt: skip
 
 

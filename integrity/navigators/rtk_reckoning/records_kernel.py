@@ -305,8 +305,8 @@ class Epoch(NamedTuple):
     tables: Tables
     state: State
     work: Work
-    measured: Measured
     out: Outputs
+    measured: Measured
 
 
 class Lasting(NamedTuple):
@@ -316,13 +316,13 @@ class Lasting(NamedTuple):
     tables: Tables
     state: State
     work: Work
+    out: Outputs
 
 
 class EpochInputs(NamedTuple):
     """The fields of an Epoch that are of one epoch alone."""
 
     measured: Measured
-    out: Outputs
 
 
 RECORDS: dict[str, Any] = {
