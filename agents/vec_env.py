@@ -18,9 +18,9 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 
 from lanebound.envs import IDS
+from lanebound.envs.batch.infos import NAMES, single_info
 from lanebound.envs.tally import EPISODE_KEY, Tally
-from lanebound.envs.vector.env import ENGINES
-from lanebound.envs.vector.infos import NAMES, single_info
+from lanebound.envs.vector.env import engines
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import nearest
 
@@ -58,11 +58,12 @@ class EngineVecEnv(VecEnv):
         keys: Sequence[str] = ("cost",),
         statistics: bool = False,
     ) -> None:
-        if env_id not in ENGINES:
+        driven = engines()
+        if env_id not in driven:
             if env_id not in IDS:
-                raise InputError(f"env_id '{env_id}' is unknown: {nearest(env_id, ENGINES)}")
+                raise InputError(f"env_id '{env_id}' is unknown: {nearest(env_id, driven)}")
             raise InputError(
-                f"env_id must have an engine, as {', '.join(ENGINES)} do, got {env_id!r}: choose one of these, or use "
+                f"env_id must have an engine, as {', '.join(driven)} do, got {env_id!r}: choose one of these, or use "
                 "DummyVecEnv or SubprocVecEnv"
             )
         if isinstance(keys, str):
@@ -70,7 +71,7 @@ class EngineVecEnv(VecEnv):
         for key in keys:
             if key not in NAMES:
                 raise InputError(f"keys must be entries of info, got {key!r}: {nearest(key, NAMES)}")
-        self.envs = ENGINES[env_id](num_envs, config, AutoresetMode.SAME_STEP)
+        self.envs = driven[env_id](num_envs, config, AutoresetMode.SAME_STEP)
         super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
         self.arrays: dict[str, Any] = {}
         self._keys = tuple(keys)

@@ -9,7 +9,7 @@ from highway_env.envs.common.abstract import AbstractEnv
 
 from lanebound.envs.config import ActionKind, EnvConfig
 from lanebound.envs.world import make_world, world_defaults
-from lanebound.envs.worlds import OWN_WORLDS
+from lanebound.envs.worlds import world_kind
 from lanebound.envs.worlds.base import META
 
 __all__ = ["world_of"]
@@ -29,7 +29,9 @@ def world_of(config: EnvConfig) -> AbstractEnv:
     continuous = config.action is ActionKind.CONTINUOUS
     name = OTHER_FORM.get(config.base, config.base) if continuous else config.base
     defaults = world_defaults(name)
-    own = dict(META) if name in OWN_WORLDS and not continuous else _action(defaults["action"], config.action)
+    kind = world_kind(name)
+    ours = kind is not None and kind.world is not None
+    own = dict(META) if ours and not continuous else _action(defaults["action"], config.action)
     world = dict(config.world)
     if "offroad_terminal" in defaults:
         world.setdefault("offroad_terminal", config.off_road_ends)

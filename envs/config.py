@@ -1,4 +1,4 @@
-"""The configuration of an environment: the world, its sky, what the ego knows of it, and how driving is judged."""
+"""The configuration of an environment: world, sky, navigation, perception, observation, rewards and costs."""
 
 from __future__ import annotations
 
@@ -20,20 +20,21 @@ from lanebound.envs.sky import RECORDING, SKY_LEVELS, SkyLevel
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.presets import FILES, nearest
+from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.sensors.campaign import FaultPriors
 
 __all__ = ["ActionKind", "EnvConfig", "FaultLevel"]
 
 
 class ActionKind(Enum):
-    """What an agent commands."""
+    """Kind of action."""
 
     META = "meta"
     CONTINUOUS = "continuous"
 
 
 class FaultLevel(Enum):
-    """How often instruments and satellites fail."""
+    """Rates of random faults of sensors, satellites and links."""
 
     NONE = "none"
     NOMINAL = "nominal"
@@ -46,54 +47,58 @@ class FaultLevel(Enum):
 
 
 class EnvConfig(Config):
-    """Everything that makes an environment; what an id presets may be overridden key by key.
+    """All options of an environment. The preset of an id may be overridden key by key.
 
     >>> EnvConfig.build({"base": "highway-v0"}, {"sky": "dense", "cost": {"hmi": 1.0}}).cost.hmi
     1.0
     """
 
-    base: str = Field(description="highway-env id, or one of our own worlds")
-    world: Mapping[str, Any] = Field({}, description="overrides of the world's own configuration, merged deeply")
+    base: str = Field(description="id of highway-env, or one of our own worlds")
+    world: Mapping[str, Any] = Field({}, description="keys of the world's own configuration, merged deeply")
     action: ActionKind = Field(ActionKind.META, description="meta-actions, or steering and acceleration")
-    action_options: Mapping[str, Any] = Field({}, description="highway-env's options of that action type")
+    action_options: Mapping[str, Any] = Field({}, description="options of highway-env's action type")
     simulation_hz: int = Field(20, ge=1, le=200, description="steps of the dynamics in a second")
     policy_hz: int = Field(2, ge=1, le=50, description="decisions in a second; must divide simulation_hz")
     sky: str = Field(
         "urban",
-        description=f"level of the sky: {', '.join(SKY_LEVELS)}, a preset's full name, the .csv file of a recording, "
-        "or a .yaml file of one's own",
+        description=f"level of the sky: {', '.join(SKY_LEVELS)}, a preset's full name, a .csv recording, a .yaml file",
     )
-    layouts: int = Field(4, ge=1, le=64, description="number of made-up cities, one of them drawn for each episode")
-    extent_m: float = Field(2500.0, gt=0, description="longer lanes are lined with houses up to here")
-    faults: FaultLevel = Field(FaultLevel.NONE, description="how often instruments and satellites fail")
-    navigation: NavigationConfig = Field(NavigationConfig(), description="how the ego knows its position")
-    navigator: Mapping[str, Any] = Field({}, description="overrides of the level's NavigatorConfig, merged deeply")
-    perception: PerceptionConfig = Field(PerceptionConfig(), description="how the ego knows the traffic")
-    slots: int = Field(64, ge=0, le=512, description="vehicles beside the ego that can be perceived at a time")
-    observation: ObservationConfig = Field(ObservationConfig(), description="what the agent sees of it")
+    layouts: int = Field(4, ge=1, le=64, description="number of generated cities, one of them drawn for each episode")
+    extent_m: float = Field(2500.0, gt=0, description="length of a lane that is lined with buildings")
+    faults: FaultLevel = Field(FaultLevel.NONE, description="rates of random faults")
+    navigation: NavigationConfig = Field(NavigationConfig(), description="source of the ego's position")
+    navigator: Mapping[str, Any] = Field(
+        {}, description="keys of NavigatorConfig, merged deeply over those of the sky; or name of a preset or a kind"
+    )
+    perception: PerceptionConfig = Field(PerceptionConfig(), description="source of other vehicles' positions")
+    slots: int = Field(64, ge=0, le=512, description="largest number of vehicles perceived at a time")
+    observation: ObservationConfig = Field(ObservationConfig(), description="contents, form and scales of observations")
     actuators: ActuatorConfig | None = Field(
         ActuatorConfig(), description="limits of steering; None for highway-env's own"
     )
     al_at_m: float = Field(1.5, gt=0, description="along-track alert limit; S2 section 6")
-    al_ct_m: float | None = Field(
-        None, gt=0, description="cross-track alert limit; None: half of narrowest lane less car"
-    )
-    keep_lane: bool = Field(True, description="whether the car must keep its lane, and not the road alone")
+    al_ct_m: float | None = Field(None, gt=0, description="cross-track alert limit; None: (narrowest lane - car) / 2")
+    keep_lane: bool = Field(True, description="costs count beyond the lane; false: beyond the road")
     duration_s: float | None = Field(
-        None, gt=0, le=3600, description="when an episode is truncated; None: as the world says, or after 300 s"
+        None, gt=0, le=3600, description="length of an episode; None: that of the world, or 300 s"
     )
-    off_road_ends: bool = Field(True, description="end the episode when the car's middle leaves the road")
-    wrong_way_s: float = Field(1.0, gt=0, description="end it after driving against a lane for so long")
+    off_road_ends: bool = Field(True, description="terminate when the middle of the car leaves the road")
+    wrong_way_s: float = Field(1.0, gt=0, description="terminate after driving against the lane for this time")
     success_share: float = Field(
         0.25,
         ge=0,
         le=1,
-        description="mean speed over the limit that a success needs",
+        description="mean speed over the speed limit that a success requires",
     )
     reward: RewardConfig = Field(RewardConfig(), description="weights of the reward's terms")
-    cost: CostConfig = Field(CostConfig(), description="weights and figures of the costs")
-    cost_limit: float = Field(10.0, ge=0, description="of an episode, for constrained learning; not enforced")
-    rendering: RenderingConfig = Field(RenderingConfig(), description="size and looks of pictures")
+    cost: CostConfig = Field(CostConfig(), description="weights and parameters of the costs")
+    cost_limit: float = Field(10.0, ge=0, description="of an episode's cost, for constrained learning; not enforced")
+    rendering: RenderingConfig = Field(RenderingConfig(), description="size and style of pictures")
+
+    @field_validator("navigator", mode="before")
+    @classmethod
+    def _navigator_by_name(cls, value: Any) -> Any:
+        return NavigatorConfig.data_of(value)
 
     @field_validator("sky")
     @classmethod

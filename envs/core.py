@@ -1,9 +1,8 @@
-"""The environment: highway-env's world, driven on belief, observed and judged with its integrity."""
+"""The environment: highway-env's world, driven on belief, observed and scored with its integrity."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from typing import Any
 
 import gymnasium
@@ -11,151 +10,170 @@ import numpy as np
 from highway_env.envs.common.action import DiscreteMetaAction
 from numpy.typing import NDArray
 
+from lanebound.envs.belief_loop import BeliefLoop
 from lanebound.envs.catalogue import world_of
-from lanebound.envs.cockpit import Cockpit
-from lanebound.envs.config import ActionKind, EnvConfig
-from lanebound.envs.costs import Corridor, costs_of, lead_of, weighted
-from lanebound.envs.judge import Judge, Verdict
+from lanebound.envs.config import EnvConfig
 from lanebound.envs.observation import Observer
 from lanebound.envs.pictures import Pictures
-from lanebound.envs.records import EgoBelief
-from lanebound.envs.rewards import rewards_of, total
-from lanebound.envs.scene import alert_limits_m, navigator_config, set_scene
-from lanebound.envs.truth import true_belief, true_traffic
+from lanebound.envs.scene import alert_limits_m, duration_s, navigator_config, set_scene
 from lanebound.envs.world import checked_command
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sensors.faults import Fault
 
 __all__ = ["DrivingEnv"]
 
-Array = NDArray[np.float64]
 OPTIONS = ("faults",)
-ENDLESS_S = 300.0  # of sky for worlds that set no duration
 
 
 class DrivingEnv(gymnasium.Env[Any, Any]):
     """
     ## Description
-    A car drives in a world of highway-env, whose dynamics, traffic and endings stay as they are. Its navigation
-    measures what really happens 10 times a second (satellites between buildings, reference link, gyros, wheel pulses)
-    and works out an estimate with protection levels. Everything that decides reads the estimate: the observation, the
-    lane that the car takes itself to be in, lane changes, steering and speed control of meta-actions, its route. So an
-    error across the track really moves the car in its lane, and one along it really shortens the gap. The other drivers
-    see the truth.
+    A car drives in a world of highway-env, whose dynamics, traffic and end rules are unchanged. Ten times a second the
+    sensors of the car are simulated at its true pose (GNSS signals between buildings, corrections of a reference
+    station, gyros, accelerometers, wheel pulses), and a navigator computes an estimated pose with protection levels.
+    All decisions use the estimate: the observation, the lane of the car, lane changes, steering and speed control under
+    meta-actions, the route. A position error across the track therefore moves the car in its lane, and an error along
+    the track changes the gap to the vehicle ahead. Other vehicles react to true positions.
 
-    Lateral quantities are positive to the right, angles positive when turning right, as in highway-env. `AT` is along
-    the track, `CT` across it; PL is a protection level, AL the alert limit that it must not exceed.
+    Lateral values are positive to the right, angles and yaw rates for right turns, as in highway-env. `at` is along the
+    track, `ct` across it. PL is a protection level, AL its alert limit.
 
     ## Action Space
-    `action="meta"`: highway-env's meta-actions, carried out from the believed pose; `env.unwrapped.action_masks()`
-    tells which of them make sense. `action="continuous"`: acceleration and steering in [-1, 1], as shares of their
-    ranges. Steering asks for no more than 4 m/s2 across the track, and in our own worlds turns at 0.7 rad/s at most;
-    the racetrack has neither limit. The acceleration is not limited further; a car whose wheels show standstill and
-    that asks for none holds its brake.
+    | `action` | space | commands |
+    |---|---|---|
+    | `"meta"` | `Discrete` | highway-env's meta-actions, executed from the estimated pose |
+    | `"continuous"` | `Box` | acceleration and steering in [-1, 1], as shares of their ranges |
+
+    `env.unwrapped.action_masks()` returns the meta-actions that are possible from the estimated pose.
+
+    Steering is limited to a lateral acceleration of 4 m/s2 and, in LaneKeeping, CarFollowing and UrbanCanyon, to a rate
+    of 0.7 rad/s. A brake holds the car while its wheels show standstill and no acceleration is commanded. Racetrack has
+    neither these limits nor the brake.
 
     ## Observation Space
-    A `Dict` of vectors, or one `Box` of all of them in this order (`observation.form="flat"`); float32, each entry
-    scaled and clipped into [-1, 1] or [0, 1]. The published index names every entry with unit, scale and meaning.
+    A `Dict` of vectors, float32, each entry divided by its scale and clipped to [-1, 1] or [0, 1].
+    `observation.form="flat"` gives one `Box` with the same entries in this order. `observation.history` stacks
+    observations. The section "Observation index" lists all entries.
 
-    | group | tells |
+    | group | contents |
     |---|---|
-    | `ego` | speed, acceleration, yaw rate, steering, place in the lane, neighbouring lanes, commanded change |
-    | `integrity` | PL, AL, ratio, margin, trend; alert, reason; source of the position; satellites, corrections |
-    | `road` | by the map: limit, route 5 to 80 m ahead, satellites predicted 0 to 160 m ahead on three lanes |
-    | `traffic` | the 6 nearest vehicles perceived: place, speed, heading, lane, age, PL of both on each axis |
+    | `ego` | speed, acceleration, yaw rate, steering, position in the lane, neighbouring lanes, commanded lane change |
+    | `integrity` | PL, AL, ratio, margin and trend on each axis; alert, reason, mode, RTK status, satellites |
+    | `road` | from the map: speed limit, route 5 to 80 m ahead, predicted satellites 0 to 160 m ahead on three lanes |
+    | `traffic` | the 6 nearest perceived vehicles: position, speed, heading, lane, age, and PL of both on each axis |
 
-    A missing level reads as the clipped maximum with its `exists` flag 0. `observation.integrity="blind"` leaves out
-    `integrity` and the levels in `traffic`; `"oracle"` shows the true state with levels of 0. The predicted satellites
-    are always those of a map without trees, whose buildings are 2.5 m off in height and 0.7 m in place (1 sigma):
-    between houses they are 1 to 3 off on average, as in practice.
+    For a missing protection level the flag `..._exists` is 0, level and ratio are 1 and the margin is -1.
+
+    | `observation.integrity` | effect |
+    |---|---|
+    | `"full"` | everything |
+    | `"blind"` | no group `integrity`, no protection levels in `traffic` |
+    | `"oracle"` | the true state with protection levels of 0 |
+
+    Satellites are predicted with a map that has no trees and is inaccurate (1 sigma: 2.5 m in the height of a building,
+    0.7 m in its position). Between buildings the prediction is wrong by 1 to 3 satellites on average.
 
     ## Rewards
-    The weighted sum of named terms of the true car, 1.2 a second at best; the terms are in `info["rewards"]`. v is the
-    speed, d the offset from the middle of the lane, psi the heading less the lane's, dt the length of a step, a the
-    acceleration along and across.
+    The reward is the weighted sum of these terms, all computed from the true state; at most 1.2 a second.
+    `info["rewards"]` holds the unweighted terms. Symbols: v speed, psi heading relative to the lane, d offset from the
+    middle of the lane, a acceleration (along and across), dt length of a step.
 
-    | term | weight | is |
+    | term | weight | value in a step |
     |---|---|---|
-    | `progress` | 1 | `v cos(psi) / v_limit dt`, between 0 and dt |
-    | `lane_centre` | 0.2 | `progress / (1 + (d / 0.5 m)^2)` |
+    | `progress` | 1 | `v cos(psi) / v_limit dt`, limited to [-dt, dt] |
+    | `lane_centre` | 0.2 | `max(progress, 0) / (1 + (d / 0.5 m)^2)` |
     | `comfort` | 0.1 | `-min(1, (a / 2 m/s2)^2) dt` |
     | `collision` | -5 | 1 in the step of a crash |
     | `base` | 0 | the reward of the wrapped world |
 
     ## Costs
-    Never part of the reward: `info["cost"]` is the weighted sum of causes that stand beside it. Each is 0 or more and
-    adds up over time, so that a faster policy changes no episode's cost; at rest in its lane a car pays for `cost_hmi`
-    alone. v, d and dt are as above, W is the width of the car and w that of the lane; `est` marks what the car
-    believes.
+    Costs are not part of the reward. `info["cost"]` is their weighted sum in a step. All are integrals over time or
+    single events, so the cost of an episode does not depend on `policy_hz`. W and w are the widths of car and lane;
+    `est` marks estimated values, all others are true.
 
-    | cause | weight | is |
+    | cause | weight | value in a step |
     |---|---|---|
     | `cost_collision` | 200 | 1 in the step of a crash |
-    | `cost_off_road` | 200 | 1 in the step that ends the episode off the road, or against the traffic |
-    | `cost_lane` | 1 | `out v dt`, out how far the true body reaches beyond its lane, at most 2 m |
-    | `cost_lane_integrity` | 0.1 | `out v dt`, out = `max(0, abs(d_est) + PL_CT + W/2 - w/2)`, at most 2 m |
-    | `cost_headway` | 0.5 | `max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt`, at most dt; by the true gap if worse |
+    | `cost_off_road` | 200 | 1 in the step in which the car leaves the road or the episode ends against the traffic |
+    | `cost_lane` | 1 | `out v dt`; out: largest distance of a corner of the body beyond the lane, at most 2 m |
+    | `cost_lane_integrity` | 0.1 | `out v dt`; out: `max(0, abs(d_est) + PL_CT + W/2 - w/2)`, at most 2 m |
+    | `cost_headway` | 0.5 | `max(0, 1 - (gap_est - PL_AT of both) / d_RSS) dt`, at most dt; see below |
     | `cost_alert` | 0.5 | dt while an alert is older than 1 s and the car changes lane or exceeds half the limit |
-    | `cost_hmi` | 5 | dt while the position counts as available and an error exceeds its alert limit, by epochs |
+    | `cost_hmi` | 5 | dt times the share of navigation epochs with hazardously misleading information |
 
-    `d_RSS = v rho + a rho^2 / 2 + (v + a rho)^2 / (2 b_min) - v_lead^2 / (2 b_max)`, 0 at least, with rho 0.5 s, a 2,
-    b_min 4 and b_max 6 m/s2. A missing level counts as 2 m across the track and as 40 m of a gap; a leader whom the car
-    does not perceive at all, nearer than d_RSS in truth, costs dt. A crash or leaving the road costs more than any
-    `cost_limit`, and more than the whole drive of a driver that is blind to integrity (190 at most, in `UrbanCanyon`),
-    so that an early end is no way to save costs. During a lane change both lanes count as the car's own, for the body
-    and for the estimate with its level; with `keep_lane=False` the whole road counts so at all times. Where lanes meet
-    the body may stand on several of them. `cost_limit` is a bound of an episode's cost for constrained learning and not
-    enforced; each page says what it lies between.
+    - `cost_headway` is at least `max(0, 1 - gap / d_RSS) dt` with the true gap and true speeds.
+    - Safe distance: `d_RSS = v rho + a rho^2 / 2 + (v + a rho)^2 / (2 b_min) - v_lead^2 / (2 b_max)`, at least 0, with
+      rho = 0.5 s, a = 2, b_min = 4 and b_max = 6 m/s2.
+    - A missing protection level counts as 2 m across the track and as 40 m of the gap. A vehicle ahead that is nearer
+      than `d_RSS` and is not perceived costs dt.
+    - During a commanded lane change both lanes count as the lane. Where lanes meet or fork the body may stand on each
+      of them. With `keep_lane=False` the whole road counts, and `cost_lane_integrity` is 0.
+    - A car at rest in its lane can only have `cost_hmi`. A crash or leaving the road (200) costs more than any
+      `cost_limit` and more than an average drive of `nominal` (at most 190, in UrbanCanyon): an early end does not
+      save costs.
+    - `cost_limit` is the limit of an episode's cost for constrained learning. It is not enforced.
 
     ## Info
-    The same keys at reset and at every step. What the car knows: `pl_at_m`, `pl_ct_m`, `al_at_m`, `al_ct_m`,
-    `margin_at_m`, `margin_ct_m` (AL - PL), `alert`, `available`, `mode` (0 none, 1 RTK, 2 Doppler, 3 IMU and
-    odometer), `reason` of the alert (0 none, 1 PL_AT, 2 PL_CT, 3 both, 4 no solution, 5 a test failed, 6 accuracy, 7
-    initialising, 8 not converged, 9 holding until it clears), `tta_s` (time left to react to an alert; all of it, 1 s,
-    while none is on). What no agent is to be given: `speed_mps`,
-    `yaw_rate_radps`, `err_at_m`, `err_ct_m` (estimate less truth), `mi` and `hmi` (at any navigation epoch of the step
-    available, and an error above its PL but within its AL, or above its AL), `hmi_share` (of the epochs), `crashed`,
-    `crashed_now`, `off_road`, `wrong_way`, `astray_now` (either of these two, and new), `is_success`. Of the step:
-    `cost` and the causes above, `rewards` (the terms above, unweighted).
+    The same keys at reset and in each step. Known to the car:
+
+    | key | value |
+    |---|---|
+    | `pl_at_m`, `pl_ct_m` | protection levels; `inf` when missing |
+    | `al_at_m`, `al_ct_m` | alert limits |
+    | `margin_at_m`, `margin_ct_m` | AL - PL |
+    | `available` | no protection level exceeds its alert limit |
+    | `alert`, `tta_s` | an alert is on; time left to react to it (1 s without an alert) |
+    | `reason` | why the alert is on: code of `AlertReason` |
+    | `mode` | source of the position: 0 none, 1 RTK, 2 Doppler, 3 IMU and odometer, 4 code |
+
+    Codes of `reason`: 0 none, 1 PL_AT, 2 PL_CT, 3 both, 4 no solution, 5 a test failed, 6 accuracy, 7 initialising, 8
+    not converged, 9 holding (the limits are met again, and the alert clears soon).
+
+    True values and scores; an agent must not use them:
+
+    | key | value |
+    |---|---|
+    | `speed_mps`, `yaw_rate_radps` | true speed and yaw rate |
+    | `err_at_m`, `err_ct_m` | estimate less truth |
+    | `mi` | misleading information in an epoch of the step: available, an error above its PL and within its AL |
+    | `hmi`, `hmi_share` | hazardously misleading information: available, an error above its AL; share of the epochs |
+    | `crashed`, `off_road`, `wrong_way` | state of the true car |
+    | `crashed_now`, `astray_now` | new in this step: a crash; off the road or against the traffic |
+    | `is_success` | the episode ends well in this step |
+    | `cost` and the causes above | weighted sum; unweighted causes |
+    | `rewards` | unweighted terms |
 
     ## Starting State
-    `seed` draws everything: the traffic, one of 4 made-up cities along the roads, the hour of the constellations. The
-    navigation starts 3 s before the episode, on a straight approach, 0.05 m and 0.5 degrees (1 sigma) from the truth;
-    the map is 0.03 m (1 sigma) off on each axis, for which the levels take a tenth of the integrity risk. The link to
-    the reference station is as it is found at any time, up or in an outage. All vehicles of an episode share
-    atmosphere, station and the network's half of the outages; receivers, their surroundings and the other half are each
-    one's own.
-
-    `reset(options={"faults": [{"kind": "spoofing", "start_s": 5.0, "magnitude_m": 3.0}]})` sets faults in place of
-    random ones. A fault has a `kind` (satellite_range, constellation, cycle_slip, reference_coordinates, spoofing,
-    jamming, corrections_loss, gyro_bias, wheel_slip, odometer_frozen, v2v_lie), `start_s` from the start of the episode
-    and `duration_s`, a `profile` (step, or ramp with `ramp_s`), the magnitude of its kind (`magnitude_m`,
-    `magnitude_cycles`, `magnitude_db`, `magnitude_degps` or `magnitude_ratio`) and, where it takes them, `system`,
-    `prn`, `band`, `azimuth_deg` and `vehicle` (0 is the ego, by default all).
+    `reset(seed=...)` determines the whole episode: traffic, one of 4 generated cities along the roads, the hour of the
+    constellations, all sensor noise. The navigator runs for 3 s before the episode on a straight approach. It starts
+    with errors of 0.05 m and 0.5 degrees (1 sigma). The map has an error of 0.03 m (1 sigma) on each axis, for which a
+    tenth of the integrity risk is allocated. The correction link may be in an outage at the start. All vehicles of an
+    episode share the atmosphere and the reference station; half of the outages affect all of them, the others a single
+    vehicle.
 
     ## Episode End
-    Terminated when the true car has crashed, has its middle off the road, or has driven against its lane for 1 s; and
-    where the world says so. Truncated by the world's time. `info["is_success"]` marks an end without harm, at a mean
-    speed along the lane of a quarter of the limit or more: the task is done. It takes no notice of costs, as in
-    Safety-Gymnasium, where task and cost are reported side by side: a drive is good when it is a success *and* its cost
-    is within `cost_limit`.
+    Terminated when the true car has crashed, has its middle off the road or has driven against its lane for 1 s, and by
+    the rules of the wrapped world. Truncated when the world's time is up. `info["is_success"]` is true in the last step
+    if the car is unharmed, on the road and in the direction of its lane, and its mean speed along the lane was at least
+    a quarter of the limit. Costs do not count for it: compare the cost with `cost_limit` separately, as in
+    Safety-Gymnasium.
 
     ## Arguments
-    `config`, a mapping that is merged deeply over what the id presets; `lanebound envs ID --json` shows it whole.
+    `gymnasium.make(id, config={...}, render_mode=...)`. `config` is merged deeply over the preset of the id; an unknown
+    key is refused with the nearest one. `lanebound envs ID --json` prints the whole configuration of an id.
 
-    | key | chooses |
+    | key | meaning |
     |---|---|
-    | `sky` | `open`, `suburban`, `urban` or `dense`, the file of a recorded sky, or a `.yaml` of your own |
-    | `faults` | random faults: `none` (default), `nominal` or `stress` |
-    | `action`, `policy_hz`, `simulation_hz` | kind of action; decisions and steps of the dynamics (20) a second |
-    | `navigation.source` | `navigator`, `perfect` (the truth, bit for bit) or `offset` (a constant error) |
-    | `perception.source` | `v2v` (default), `sensor`, `both`, `truth` or `none` |
-    | `observation` | `form`, `history`, `integrity`, `vehicles` and so on |
-    | `reward`, `cost`, `cost_limit` | weights, and the figures of the formulas |
+    | `sky` | `"open"`, `"suburban"`, `"urban"`, `"dense"`, a recorded sky (`.csv`), or your own (`.yaml`) |
+    | `faults` | random faults: `"none"`, `"nominal"` or `"stress"` |
+    | `action`, `policy_hz`, `simulation_hz` | kind of action; decisions and steps of the dynamics (20) in a second |
+    | `navigation.source` | `"navigator"`, `"perfect"` (true pose) or `"offset"` (true pose plus a constant error) |
+    | `perception.source` | `"v2v"`, `"sensor"`, `"both"`, `"truth"` or `"none"` |
+    | `observation`, `reward`, `cost` | contents and scales; weights and parameters of the formulas |
     | `actuators` | limits of steering; None for highway-env's own |
-    | `world` | the wrapped world's own keys |
+    | `world` | keys of the wrapped world |
 
-    `render_mode`: `"rgb_array"`, `"human"` or None.
+    `render_mode` is `"rgb_array"`, `"human"` or None. The section "Configuration keys" lists all keys.
 
     ## Version History
     * v0: first version.
@@ -174,7 +192,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         self.observer = Observer(self.config.observation)
         self.action_space = self.world.action_type.space()
         self.observation_space = self.observer.space
-        self.cockpit: Cockpit | None = None
+        self.belief_loop: BeliefLoop | None = None
         self._pictures: Pictures | None = None
 
     @property
@@ -201,19 +219,11 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         faults = _faults_in(options)
         episode_seed = int(self.np_random.integers(2**62))
         self.world.reset(seed=seed if seed is not None else int(self.np_random.integers(2**31)))
-        self._duration_s = float(self.config.duration_s or self.world.config.get("duration", ENDLESS_S))
-        around = set_scene(self.world, self.config, episode_seed, self._duration_s, faults)
-        limits = alert_limits_m(self.world, self.config)
-        self.cockpit = Cockpit(self.world, self.config.navigation, self.config.actuators, limits, around)
-        self._belief = self.cockpit.belief()
-        meta = self.config.action is ActionKind.META
-        self._corridor = Corridor(not self.config.keep_lane, meta, self._belief.target_lane_index)
-        self._judge = Judge(self.config, self.world)
-        self.cockpit.watch = self._judge.glance
-        self._speed_before = float(self.world.vehicle.speed)
+        self._duration_s = duration_s(self.config, self.world)
+        context = set_scene(self.world, self.config, episode_seed, faults)
+        self.belief_loop = BeliefLoop(self.world, self.config, context)
         self.observer.reset()
-        verdict = self._judge.look(self._belief, self.dt_s, ended=False)
-        info = self._info(verdict, self._costs(verdict, start=True), self._rewards(verdict, 0.0, start=True))
+        info = self.belief_loop.finish(False, False, 0.0, start=True)
         self._show(info)
         return self._observe(), info
 
@@ -225,24 +235,20 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         InputError
             Before the first reset, or for a command outside the action space.
         """
-        cockpit = self._cockpit()
+        loop = self._loop()
         command = checked_command(self.action_space, action)
         _, base, terminated, truncated, _ = self.world.step(command)
-        cockpit.look()
-        truncated = bool(truncated) or cockpit.time_s >= self._duration_s - 0.5 * self.dt_s
-        self._belief = cockpit.belief()
-        self._corridor.update(self._belief, self.world.vehicle, self.dt_s)
-        verdict = self._judge.look(self._belief, self.dt_s, ended=bool(terminated or truncated))
-        costs, rewards = self._costs(verdict), self._rewards(verdict, float(base))
-        info = self._info(verdict, costs, rewards)
+        loop.look()
+        truncated = bool(truncated) or loop.time_s >= self._duration_s - 0.5 * self.dt_s
+        info = loop.finish(bool(terminated), truncated, float(base))
         self._show(info)
-        reward = total(self.config.reward, rewards)
-        return self._observe(), reward, bool(terminated) or verdict.failed, truncated, info
+        outcome = loop.episodes.ego.outcome
+        return self._observe(), float(outcome["reward"][0]), bool(outcome["terminated"][0] > 0.0), truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """The picture of now, (height, width, 3), under ``rgb_array``; ``human`` shows it as the drive goes."""
         if self.render_mode == "rgb_array":
-            return self._picture().draw(self._cockpit(), self._title)
+            return self._picture().draw(self._loop(), self._title)
         return None
 
     def close(self) -> None:
@@ -262,7 +268,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         inner = self.world.action_type
         if not isinstance(inner, DiscreteMetaAction):
             raise InputError("action_masks needs meta-actions, got continuous ones: there is nothing to mask")
-        inner.controlled_vehicle = self._cockpit().believed
+        inner.controlled_vehicle = self._loop().believed
         try:
             allowed = inner.get_available_actions()
         finally:
@@ -271,73 +277,26 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         mask[allowed] = True
         return mask
 
-    # What the agent sees
-
-    def _observe(self) -> Any:
-        cockpit = self._cockpit()
-        belief, traffic = self._belief, cockpit.traffic
-        if self.config.observation.integrity == "oracle":
-            belief, traffic = true_belief(cockpit), true_traffic(cockpit)
-        network, route = self.world.road.network, cockpit.route
-        return self.observer.observe(belief, traffic, self._sky_ahead(belief), network, route)
-
-    def _sky_ahead(self, belief: EgoBelief) -> NDArray[np.int64] | None:
-        """Satellites that the map predicts ahead of the believed pose; None where nothing is sensed."""
-        cockpit = self._cockpit()
-        if cockpit.measurements is None or not self.observer.satellites_m.size:
-            return None
-        street, place = cockpit.around.street, belief.longitudinal_m
-        return street.predicted_beside(
-            belief.lane_index, place, self.observer.satellites_m, cockpit.measurements.sky, cockpit.route
-        )
-
-    # How it is judged
-
-    def _costs(self, verdict: Verdict, start: bool = False) -> dict[str, float]:
-        belief, traffic, car = self._belief, self._cockpit().traffic, self.world.vehicle
-        road, c = self.world.road, self.config.cost
-        lead = lead_of(road.network, belief, traffic, float(car.LENGTH))
-        v, dt_s = verdict, 0.0 if start else self.dt_s
-        return costs_of(
-            c, road.network, self._corridor, car, belief, lead, road.vehicles, v.crashed_now, v.astray_now, v.hmi_share,
-            dt_s,
-        )  # fmt: skip
-
-    def _rewards(self, verdict: Verdict, base: float, start: bool = False) -> dict[str, float]:
-        car, dt_s = self.world.vehicle, 0.0 if start else self.dt_s
-        speed = float(car.speed)
-        along, across = (speed - self._speed_before) / self.dt_s, speed * verdict.yaw_rate_radps
-        self._speed_before = speed
-        return rewards_of(car, along, across, verdict.crashed_now, base, dt_s)
-
-    def _info(self, verdict: Verdict, costs: dict[str, float], rewards: dict[str, float]) -> dict[str, Any]:
-        b, c = self._belief, self.config.cost
-        late_s = c.time_to_alert_s - b.alert_age_s
-        return {
-            "cost": weighted(c, costs),
-            **costs,
-            "pl_at_m": b.pl_at_m,
-            "pl_ct_m": b.pl_ct_m,
-            "al_at_m": b.al_at_m,
-            "al_ct_m": b.al_ct_m,
-            "margin_at_m": b.al_at_m - b.pl_at_m,
-            "margin_ct_m": b.al_ct_m - b.pl_ct_m,
-            "alert": b.alert,
-            "available": b.available,
-            "mode": b.mode,
-            "reason": b.reason,
-            "tta_s": max(late_s, 0.0) if b.alert else c.time_to_alert_s,
-            "speed_mps": float(self.world.vehicle.speed),
-            "rewards": rewards,
-            **asdict(verdict),
-        }
-
     # Helpers
 
-    def _cockpit(self) -> Cockpit:
-        if self.cockpit is None:
+    def _observe(self) -> Any:
+        """The observation of now.
+
+        Raises
+        ------
+        InputError
+            An entry is NaN.
+        """
+        frame = self._loop().episodes.frame[0]
+        if np.isnan(frame.sum()):
+            names = [e.column for e, bad in zip(self.observer.index, np.isnan(frame), strict=True) if bad]
+            raise InputError(f"{', '.join(names)} must be a number, got nan: correct the source of the entry")
+        return self.observer.observe(frame)
+
+    def _loop(self) -> BeliefLoop:
+        if self.belief_loop is None:
             raise InputError("reset must come before everything else, got no episode: call reset() first")
-        return self.cockpit
+        return self.belief_loop
 
     @property
     def _title(self) -> str:
@@ -345,15 +304,16 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
 
     def _picture(self) -> Pictures:
         if self._pictures is None:
-            self._pictures = Pictures(self.config.rendering, self._title, self.metadata["render_fps"])
+            c = self.config
+            self._pictures = Pictures(c.rendering, self._title, self.metadata["render_fps"], c.cost_limit)
         return self._pictures
 
     def _show(self, info: dict[str, Any]) -> None:
         if self.render_mode is None:
             return
-        self._picture().note(self._cockpit(), info)
+        self._picture().note(self._loop(), info)
         if self.render_mode == "human":
-            self._picture().show(self._cockpit(), self._title)
+            self._picture().show(self._loop(), self._title)
 
     def __getstate__(self) -> dict[str, Any]:
         """Everything but the window, which cannot be copied."""

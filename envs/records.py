@@ -1,4 +1,4 @@
-"""What the rooms of an environment hand to each other: the belief an agent may see, and the traffic it perceives.
+"""What is read off an episode: the belief of an ego, and the traffic that it perceives.
 
 Frame ``xy``: highway-env's plane, x ahead along the first road, y to its right, headings clockwise from x seen from
 above. It is East-South: ``E = x``, ``N = -y``, azimuth = heading + pi / 2. Lateral offsets are positive to the right.
@@ -7,10 +7,16 @@ above. It is East-South: ``E = x``, ``N = -y``, azimuth = heading + pi / 2. Late
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from lanebound.envs.batch.records_kernel import PERCEIVED
+from lanebound.integrity.core.records import Records
+
+if TYPE_CHECKING:
+    from lanebound.envs.batch.lanes import LaneTable
 
 __all__ = ["EgoBelief", "LaneIndex", "Traffic", "azimuth_of", "enu_of", "heading_of", "xy_of"]
 
@@ -91,6 +97,16 @@ class EgoBelief:
     since_calibration_s: float
     corrections_age_s: float
 
+    @classmethod
+    def of(cls, beliefs: Records, row: int, table: LaneTable) -> EgoBelief:
+        """The belief in a row of BELIEF, on the lanes of a table."""
+        values: dict[str, Any] = dict(zip(beliefs.dtype.names or (), beliefs[row].item(), strict=True))
+        position = np.array([values.pop("x_m"), values.pop("y_m")])
+        lane, target = table.index[values.pop("lane")], table.index[values.pop("target_lane")]
+        flags = {name: bool(values.pop(name)) for name in ("alert", "available")}
+        del values["path"]
+        return cls(position_m=position, lane_index=lane, target_lane_index=target, **flags, **values)
+
 
 @dataclass(frozen=True)
 class Traffic:
@@ -104,7 +120,7 @@ class Traffic:
     age_s : (N,) since the measurement behind it
     length_m, width_m : (N,)
     relative : (N,) bool, seen by the ego's own sensor: the levels bound the position *relative* to the ego, whose own
-        levels are not to be added
+        levels are not added
     """
 
     key: NDArray[np.int64]
@@ -124,8 +140,15 @@ class Traffic:
         return int(self.key.shape[0])
 
     @classmethod
+    def of(cls, perceived: Records) -> Traffic:
+        """The vehicles in rows (N,) of PERCEIVED."""
+        p = perceived.copy()
+        position = np.stack([p["x_m"], p["y_m"]], axis=-1)
+        names = ("heading_rad", "speed_mps", "pl_at_m", "pl_ct_m", "age_s", "length_m", "width_m")
+        numbers = [p[name] for name in names]
+        return cls(p["key"], position, *[*numbers, p["relative"] != 0])
+
+    @classmethod
     def none(cls) -> Traffic:
-        """Nobody."""
-        row = np.zeros(0)
-        key, relative = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
-        return cls(key, np.zeros((0, 2)), row, row, row, row, row, row, row, relative)
+        """No vehicle."""
+        return cls.of(np.zeros(0, PERCEIVED))

@@ -5,21 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import gymnasium
-
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
-from lanebound.envs.ids import CLASSES, CONTINUOUS, META, id_of
+from lanebound.envs.ids import CLASSES, CONTINUOUS, IDS, META, enter
 from lanebound.envs.world import world_defaults
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.presets import nearest
 
 __all__ = ["IDS", "make_config", "register_all", "wrap"]
-
-ENGINES = ("LaneKeeping", "CarFollowing", "Highway", "UrbanCanyon")
-"""Classes of ids that :mod:`lanebound.envs.vector` has a batched engine for."""
-
-IDS: dict[str, dict[str, Any]] = {id_of(kind): dict(kind.PRESET) for kind in CLASSES}
 
 
 def make_config(env_id: str, overrides: Mapping[str, Any] | None = None) -> EnvConfig:
@@ -58,9 +51,4 @@ def wrap(env_id: str, config: Mapping[str, Any] | None = None, render_mode: str 
 def register_all() -> None:
     """Register every id with Gymnasium; doing so twice changes nothing."""
     for kind in CLASSES:
-        if id_of(kind) not in gymnasium.registry:
-            name = kind.__qualname__
-            engine = f"lanebound.envs.vector.env:Vector{name}" if name in ENGINES else None
-            gymnasium.register(
-                id_of(kind), f"{kind.__module__}:{name}", vector_entry_point=engine, kwargs={"config": {}}
-            )
+        enter(kind)

@@ -2,31 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.intersection_env import IntersectionEnv
 from highway_env.vehicle.kinematics import Vehicle
+from numpy.typing import NDArray
 
-from lanebound.envs.cockpit import Surroundings
+from lanebound.envs.batch.episodes import Episodes, empty_cars, reach_of
+from lanebound.envs.batch.navigation import NavigationBatch, Starts, draw_starts
+from lanebound.envs.batch.perception import PerceptionBatch
+from lanebound.envs.batch.route_map import routes_of
+from lanebound.envs.batch.rules import rules_of
+from lanebound.envs.batch.skies import HOURS, Cities, Skies
 from lanebound.envs.config import EnvConfig
-from lanebound.envs.fleet import Fleet
-from lanebound.envs.perception import Perception
-from lanebound.envs.sky import SkyLevel, build_street
-from lanebound.integrity.core.streams import Streams
+from lanebound.envs.sky import SkyLevel, Street, build_street
+from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.monitoring.risk import upper_quantile
-from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
+from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.sensors.campaign import random_campaign
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
-from lanebound.integrity.sky.constellation import SkyConfig
-from lanebound.integrity.sky.track import SkyTrack
 
-__all__ = ["MAP_SHARE", "alert_limits_m", "map_bound_m", "navigator_config", "set_scene"]
+__all__ = ["MAP_SHARE", "EpisodeContext", "alert_limits_m", "begin_all", "duration_s", "make_batch", "map_bound_m",
+           "navigator_config", "set_scene"]  # fmt: skip
 
-HOURS = 24  # the constellations repeat after a day, nearly
+ENDLESS_S = 300.0  # of sky for worlds that set no duration
 MARGIN_S = 60.0  # of sky beyond what an episode is expected to last
-EGO = 0  # its row in faults; None strikes everybody
 MAP_SHARE = 0.1  # of the integrity risk, for the map: of both, its Gaussian level pays less for a small share
 NEWCOMERS = 24  # slots kept for vehicles that appear later, where the world makes some
 
@@ -71,67 +75,103 @@ def _navigator_config(text: str, level: str, limits_m: tuple[float, float]) -> N
     )
 
 
+def duration_s(config: EnvConfig, world: AbstractEnv) -> float:
+    """When an episode is truncated."""
+    return float(config.duration_s or world.config.get("duration", ENDLESS_S))
+
+
+def make_batch(world: AbstractEnv, config: EnvConfig, count: int, vehicles: int) -> Episodes:
+    """N episodes of the vector engine, each in any of the cities at any hour; ``vehicles`` there may be in each."""
+    network, sections = world.road.network, getattr(world, "sections", ())
+    streets = [build_street(network, config.level, n, sections, config.extent_m) for n in range(config.layouts)]
+    return _episodes(world, config, streets, range(HOURS), count, vehicles, vehicles - 1)
+
+
+def begin_all(episodes: Episodes, rows: NDArray[np.int64], seeds: Sequence[int]) -> None:
+    """Begin episodes of the engine, whose cars are in their places."""
+    crew = np.arange(1, episodes.cars.x.shape[1]) < episodes.cars.present[rows, None]
+    config, navigation = episodes.config, episodes.navigation
+    starts = None
+    if navigation is not None:
+        navigating = crew[:, : navigation.vehicles - 1]
+        starts = draw_starts(seeds, config.layouts, HOURS, navigating, config.navigation.source.senses)
+    episodes.begin(rows, seeds, starts, crew)
+
+
+def _episodes(
+    world: AbstractEnv,
+    config: EnvConfig,
+    streets: Sequence[Street],
+    hours: Sequence[int],
+    count: int,
+    vehicles: int,
+    capacity: int,
+) -> Episodes:
+    """N episodes in some cities at some hours, of up to V vehicles, of which C others have a slot."""
+    settings = navigator_config(config, alert_limits_m(world, config))
+    senses, hears = config.navigation.source.senses, config.perception.source in ("v2v", "both")
+    routes = routes_of(world.road.network, reach_of(config))
+    steps = config.navigation.steps_per_epoch(config.simulation_hz)
+    step_s = 1.0 / config.simulation_hz
+    navigation = None
+    if senses or (hears and capacity > 0):
+        span_s = config.navigation.warm_up_s + duration_s(config, world) + MARGIN_S
+        skies, cities = Skies.of(settings.sky, span_s, hours), Cities.of(streets, routes.table)
+        members = 1 + (capacity if hears else 0)
+        navigation = NavigationBatch(
+            config.navigation, settings, skies, cities, cities.ahead(config.observation.satellites_m),
+            routes.table.lanes, count, members, step_s, steps,
+        )  # fmt: skip
+    perception = PerceptionBatch(config.perception, count, capacity, vehicles, step_s * steps)
+    rules = rules_of(config, alert_limits_m(world, config), map_bound_m(config, settings) if senses else 0.0)
+    return Episodes(config, rules, routes, empty_cars(count, vehicles), navigation, perception)
+
+
+@dataclass(frozen=True)
+class EpisodeContext:
+    """What the episode of a single environment takes place in: its street, and the episode as one row."""
+
+    street: Street
+    episodes: Episodes
+    seed: int
+    starts: Starts
+    faults: FaultSchedule
+
+
 def set_scene(
-    world: AbstractEnv, config: EnvConfig, seed: int, duration_s: float, faults: tuple[Fault, ...] | None = None
-) -> Surroundings:
-    """What an episode of ``duration_s`` takes place in, all of it drawn from ``seed`` by named streams.
+    world: AbstractEnv, config: EnvConfig, seed: int, faults: tuple[Fault, ...] | None = None
+) -> EpisodeContext:
+    """What an episode takes place in, all of it drawn from ``seed`` by named streams.
 
     ``faults`` takes the place of the random campaign when given; their times count from the start of the episode, and
-    vehicle 0 is the ego, 1 and up the slots of the others, None everybody.
+    vehicle 0 is the ego, 1 and up the slots of the others, None all of them.
     """
-    streams = Streams([seed])
-    scene = streams.generator("scene")
-    layout, hour, fleet_seed = (int(scene.integers(n)) for n in (config.layouts, HOURS, 2**62))
-    street = build_street(world.road.network, config.level, layout, getattr(world, "sections", ()), config.extent_m)
-    settings = navigator_config(config, alert_limits_m(world, config))
     others = sum(v is not world.vehicle for v in world.road.vehicles)
     capacity = min(config.slots, others + (NEWCOMERS if isinstance(world, IntersectionEnv) else 0))
-    broadcast = capacity > 0 and config.perception.source in ("v2v", "both")
-    track = track_of(settings.sky, hour, config.navigation.warm_up_s + duration_s + MARGIN_S)
-    # one street: the same atmosphere, reference station and network for all
-    ego = Navigator(settings, track, street.mask, [seed], area_seed=seed) if config.navigation.source.senses else None
-    fleet = Navigator(settings, track, street.mask, fleet_seed, capacity, area_seed=seed) if broadcast else None
-    campaign = _campaign(track, config, duration_s, capacity, streams) if faults is None else faults
-    clock = [fault.replace(start_s=fault.start_s + config.navigation.clock_start_s) for fault in campaign]
-    others_faults = FaultSchedule([_row(f, f.vehicle - 1) if f.vehicle else f for f in clock if f.vehicle != EGO])
-    if ego is not None:
-        ego.faults = FaultSchedule([_row(f, None) for f in clock if f.vehicle in (None, EGO)])
-    if fleet is not None:
-        fleet.faults = others_faults
-    epoch_s = config.navigation.steps_per_epoch(config.simulation_hz) / config.simulation_hz
-    return Surroundings(
-        street=street,
-        navigator=ego,
-        fleet=Fleet(world, street, fleet, config.navigation, Streams(fleet_seed, max(capacity, 1)), capacity),
-        perception=Perception(config.perception, capacity + 1, epoch_s, streams),
-        streams=streams,
-        faults=others_faults,
-        map_bound_m=map_bound_m(config, settings) if ego is not None else 0.0,
-    )
+    hears = config.perception.source in ("v2v", "both")
+    crew = np.ones((1, capacity if hears else 0), dtype=np.bool_)
+    starts = draw_starts([seed], config.layouts, HOURS, crew, config.navigation.source.senses)
+    layout, hour = int(starts.layout[0]), int(starts.hour[0])
+    street = build_street(world.road.network, config.level, layout, getattr(world, "sections", ()), config.extent_m)
+    episodes = _episodes(world, config, [street], [hour], 1, 1 + others, capacity)
+    schedule = FaultSchedule(())
+    if episodes.navigation is not None:
+        campaign = _campaign(episodes.navigation, config, duration_s(config, world), capacity, seed)
+        campaign = campaign if faults is None else faults
+        start_s = config.navigation.clock_start_s
+        schedule = FaultSchedule([fault.replace(start_s=fault.start_s + start_s) for fault in campaign])
+        episodes.navigation.navigator.faults = schedule
+    here = np.zeros(1, dtype=np.int64)
+    return EpisodeContext(street, episodes, seed, starts._replace(layout=here, hour=here), schedule)
 
 
 def _campaign(
-    track: SkyTrack, config: EnvConfig, duration_s: float, others: int, streams: Streams
+    navigation: NavigationBatch, config: EnvConfig, duration_s: float, others: int, seed: int
 ) -> tuple[Fault, ...]:
     """The random faults of an episode: of what all share, of the ego (row 0) and of the other slots (1 and up)."""
     priors = config.faults.priors
     if priors is None:
         return ()
+    track = navigation.skies.risen()
     sky = track.at(track.start_s, np.zeros(others + 1, dtype=np.int64))
-    return random_campaign(priors, duration_s, streams.generator("faults"), sky)
-
-
-def _row(fault: Fault, vehicle: int | None) -> Fault:
-    return fault.replace(vehicle=vehicle)
-
-
-@lru_cache(maxsize=64)
-def _track(text: str, hour: int, duration_s: float) -> SkyTrack:
-    config = SkyConfig.from_json(text)
-    place = config.place_rad
-    return SkyTrack.build(config.satellites(), config.start_gps_s + 3600.0 * hour, duration_s, place, config.mask_rad)
-
-
-def track_of(config: SkyConfig, hour: int, duration_s: float) -> SkyTrack:
-    """The sky ``hour`` hours after a configuration's start, kept for other episodes at that hour."""
-    return _track(config.to_json(), hour, duration_s)
+    return random_campaign(priors, duration_s, named_generator(seed, "faults"), sky)

@@ -1,58 +1,59 @@
-"""The true state in the form of a belief: for oracles, and for scoring. Nothing that decides may be given it."""
+"""The true state in the form of a belief: for scoring and for columns of logs. Nothing that decides may be given it."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from lanebound.envs.cockpit import Cockpit
+from lanebound.envs.batch.costs_kernel import lead_of
+from lanebound.envs.batch.perception_kernel import see_truth
+from lanebound.envs.batch.records_kernel import cars_of
+from lanebound.envs.batch.view_kernel import true_view
+from lanebound.envs.belief_loop import BeliefLoop
 from lanebound.envs.records import EgoBelief, Traffic
+from lanebound.integrity.core.records import Records
 
-__all__ = ["true_belief", "true_traffic"]
+__all__ = ["TrueLead", "true_belief", "true_lead", "true_traffic"]
 
 
-def true_belief(cockpit: Cockpit) -> EgoBelief:
+class TrueLead(NamedTuple):
+    """The vehicle next ahead in the ego's lane: gap between bumpers [m], and its speed [m/s]."""
+
+    gap_m: float
+    speed_mps: float
+
+
+def true_belief(loop: BeliefLoop) -> EgoBelief:
     """What the ego would believe if it knew everything: its true pose, no protection level needed."""
-    ego = cockpit.ego
-    longitudinal, lateral = ego.lane.local_coordinates(ego.position)
-    belief = cockpit.belief()
-    return replace(
-        belief,
-        position_m=ego.position.copy(),
-        heading_rad=float(ego.heading),
-        speed_mps=float(ego.speed),
-        lane_index=ego.lane_index,
-        longitudinal_m=float(longitudinal),
-        lateral_m=float(lateral),
-        angle_rad=float(ego.lane.local_angle(ego.heading, longitudinal)),
-        lane_width_m=float(ego.lane.width_at(longitudinal)),
-        target_lane_index=belief.target_lane_index if cockpit.meta else ego.lane_index,
-        target_speed_mps=belief.target_speed_mps if cockpit.meta else float(ego.speed),
-        pl_at_m=0.0,
-        pl_ct_m=0.0,
-    )
+    return EgoBelief.of(_true_belief(loop), 0, loop.episodes.table)
 
 
-def true_traffic(cockpit: Cockpit) -> Traffic:
+def true_traffic(loop: BeliefLoop) -> Traffic:
     """All vehicles as they are, nearest first."""
-    ego = cockpit.ego
-    there = [v for v in cockpit.world.road.vehicles if v is not ego]
-    if not there:
-        return Traffic.none()
-    position = np.array([v.position for v in there], dtype=np.float64)
-    order = np.argsort(np.hypot(*(position - ego.position).T), kind="stable")
-    rows = np.array([(v.heading, v.speed, v.LENGTH, v.WIDTH) for v in there], dtype=np.float64)[order]
-    zero = np.zeros(len(there))
-    return Traffic(
-        key=order.astype(np.int64),
-        position_m=position[order],
-        heading_rad=rows[:, 0],
-        speed_mps=rows[:, 1],
-        pl_at_m=zero,
-        pl_ct_m=zero,
-        age_s=zero,
-        length_m=rows[:, 2],
-        width_m=rows[:, 3],
-        relative=np.zeros(len(there), dtype=np.bool_),
-    )
+    return Traffic.of(_true_traffic(loop))
+
+
+def true_lead(loop: BeliefLoop) -> TrueLead | None:
+    """The vehicle that the ego truly follows, None for none."""
+    belief, traffic = _true_belief(loop), _true_traffic(loop)
+    lanes, length = loop.episodes.table.lanes, float(loop.ego.LENGTH)
+    lead, gap = lead_of(belief[0], traffic, traffic.size, length, lanes)
+    return None if lead < 0 else TrueLead(float(gap), float(traffic["speed_mps"][lead]))
+
+
+def _true_belief(loop: BeliefLoop) -> Records:
+    e = loop.episodes
+    loop.belief()  # brings the records up to date
+    view: Records = e.ego.belief.copy()
+    true_view(e.ego.belief[0], cars_of.py_func(e.cars, 0), e.table.lanes, e.path_of, e.rules[0], view[0])
+    return view
+
+
+def _true_traffic(loop: BeliefLoop) -> Records:
+    loop.seats.read(full=True)
+    car = cars_of.py_func(loop.episodes.cars, 0)
+    seen = np.zeros(car.x.size, loop.episodes.perception.pictures.perceived.dtype)
+    order, square = np.empty(car.x.size, dtype=np.int64), np.empty(car.x.size)
+    count = see_truth(car, car.x[0], car.y[0], True, order, square, seen)
+    return seen[:count]

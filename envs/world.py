@@ -19,15 +19,15 @@ from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.intersection_env import IntersectionEnv
 from highway_env.envs.parking_env import ParkingEnv
 
-from lanebound.envs.worlds import OWN_WORLDS
+from lanebound.envs.worlds import world_kind, world_kinds
 from lanebound.envs.worlds.drivers import IntersectionDriver
+from lanebound.envs.worlds.highway import IDM_PATH
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.presets import deep_merge, nearest
 
 __all__ = ["checked_command", "guard", "make_world", "world_defaults"]
 
 NOTHING = {"type": "AttributesObservation", "attributes": []}
-IDM_PATH = "highway_env.vehicle.behavior.IDMVehicle"
 RESERVED = ("observation", "action", "simulation_frequency", "policy_frequency", "manual_control")
 DIRECT = "ContinuousAction"
 IDLE = 1
@@ -44,15 +44,16 @@ def _guarded_rewards(world: AbstractEnv, action: Any) -> dict[str, float]:
 
 def _class_of(base: str) -> type[AbstractEnv]:
     """The class behind the name of one of our worlds, or behind a registered id of highway-env's."""
-    if base in OWN_WORLDS:
-        return OWN_WORLDS[base]
+    declared = world_kind(base)
+    if declared is not None and declared.world is not None:
+        return declared.world
     try:
         spec = gymnasium.spec(base)
     except GymnasiumError:
         known = [name for name, s in gymnasium.registry.items() if "highway_env" in str(s.entry_point)]
+        own = [kind.name for kind in world_kinds() if kind.world is not None]
         raise ConfigError(
-            f"base must be a highway-env id or one of {', '.join(OWN_WORLDS)}, got {base!r}: "
-            f"{nearest(base, [*OWN_WORLDS, *known])}"
+            f"base must be a highway-env id or one of {', '.join(own)}, got {base!r}: {nearest(base, [*own, *known])}"
         ) from None
     creator = load_env_creator(spec.entry_point) if isinstance(spec.entry_point, str) else spec.entry_point
     if not (isinstance(creator, type) and issubclass(creator, AbstractEnv)):

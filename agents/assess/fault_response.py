@@ -1,6 +1,6 @@
-"""What a navigator does about one fault: vehicles with it beside the same vehicles without it, epoch by epoch.
+"""Response of a navigator to a fault: vehicles with the fault against the same vehicles without it, by epoch.
 
-Both runs draw the same noise, so that whatever differs is the fault's doing.
+Both runs draw the same noise: all differences are effects of the fault.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ LOOP_M = ((0.0, 0.0), (600.0, 100.0), (900.0, 700.0), (200.0, 800.0), (-200.0, 4
 
 @dataclass(frozen=True)
 class Run:
-    """Belief and truth of B vehicles: error_m and level_m (T, B, 2) along and across, the rest (T, B).
+    """Estimates and errors of B vehicles: error_m and level_m (T, B, 2) along and across the track, the rest (T, B).
 
-    ``heading_rad`` is the true one, by which errors are taken along and across.
+    ``heading_rad`` is the true heading, which defines along and across.
     ``squared`` is the normalised estimation error squared ``d' Q^-1 d`` of the position in the plane.
     """
 
@@ -52,23 +52,24 @@ class Run:
 
 @dataclass(frozen=True)
 class Response:
-    """What became of a fault in each vehicle, (B,) each.
+    """Response of each vehicle to a fault, (B,) each.
 
     Attributes
     ----------
-    noticed_s : from onset until a satellite is excluded or its ambiguity given up as slipped, the mode changes or an
-        alert is raised, other than without the fault; inf if not while the fault lasts
-    noticed_after : so noticed, but not before the fault was over: by what its end shakes
+    noticed_s : time from the onset until a satellite is excluded, an ambiguity is released as slipped, the mode changes
+        or an alert is raised, other than without the fault; inf if this does not occur during the fault
+    noticed_after : noticed in this sense, but only after the end of the fault
     excluded : a satellite was excluded that the vehicle without the fault used
-    given_up : ambiguities were given up that the vehicle without the fault held
+    given_up : ambiguities were released that the vehicle without the fault held
     alerted : an alert was raised that the vehicle without the fault did not raise
     failed : the error exceeded the alert limit on an axis
-    late_s : longest time that it did so before an alert stood, 0 if it never did
+    late_s : longest time that the error exceeded the limit without an alert, 0 if it did not
     hazardous : epochs in which the error exceeds the limit and the position is declared usable
     misleading : epochs in which the error exceeds its level and the position is declared usable
-    epochs : counted, from the onset to the end of the run, as are all that follow ``noticed_after``
+    epochs : number of epochs from the onset to the end of the run; this and all other entries but ``noticed_s`` refer
+        to these epochs
     worst_m : largest error on an axis while the position is declared usable
-    lost : at the end there is no usable position, which the vehicle without the fault has
+    lost : no position is usable at the end of the run, where the vehicle without the fault has one
     """
 
     noticed_s: Array
@@ -92,7 +93,7 @@ def drive_run(
     faults: Sequence[Fault] | Callable[[SkyTrack], Sequence[Fault]] = (),
     mask: SkyMask | None = None,
 ) -> Run:
-    """Drive a loop of city streets, one vehicle for each seed; ``faults`` may be made from the sky."""
+    """Drive a loop of city streets, one vehicle for each seed; ``faults`` may be a function of the sky."""
     track = SkyTrack.from_config(config.sky, duration_s + 60.0)
     schedule = FaultSchedule(faults(track) if callable(faults) else faults)
     navigator = Navigator(config, track, mask or SkyMask.open(), list(seeds), faults=schedule)
@@ -120,9 +121,9 @@ def drive_run(
 
 
 def as_broadcast(run: Run, config: NavigatorConfig, faults: Sequence[Fault]) -> Run:
-    """What others are told by vehicles that broadcast their belief, with the lies among ``faults`` in it.
+    """The run as receivers of the vehicles' broadcasts see it, with the broadcast faults among ``faults``.
 
-    Receivers have nothing to test it by, so that whether it is declared usable stays the sender's own word.
+    Receivers cannot test a broadcast: the sender decides whether its position is usable.
     """
     schedule, batch = FaultSchedule(faults), run.error_m.shape[1]
     track = SkyTrack.from_config(config.sky, config.dt_s)

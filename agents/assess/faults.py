@@ -1,21 +1,26 @@
-"""The fault campaign: every fault of the instruments, in several sizes and lengths, and what the navigator does then.
+"""The fault campaign: every kind of fault in several sizes and lengths, and the response of the navigator.
 
-Vehicles drive a loop of city streets under an open sky. From some moment on each has the fault, at a satellite of its
-own where the fault is a satellite's; beside it the same vehicle drives without. Faults of gyro and wheels are set into
-a blackout of all signals, where nothing else knows the way. Lies are told to others: what counts is what these believe.
+Vehicles drive a loop of city streets under an open sky. Each vehicle drives twice with the same noise: with a fault,
+and without it. A fault of a satellite strikes another satellite for each vehicle. The declaration of a kind
+(:class:`~lanebound.integrity.sensors.fault_kinds.FaultKind`) states its sizes, whether it is tried in a blackout of all
+satellite signals, and whether it changes what the vehicle broadcasts: then the belief of the receivers counts.
 
-Beside it stands what theory says: the power of detection and exclusion by the size of a bias (:mod:`.detectability`).
+The campaign also compares the power of detection and exclusion with theory, by the size of a bias
+(:mod:`.detectability`).
 """
 
 from __future__ import annotations
 
+import hashlib
+import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
+from pydantic import field_validator
 from scipy.stats import chi2
 
 from lanebound.agents.assess.bounding_summary import rate_of, rate_over
@@ -25,89 +30,96 @@ from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
 from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
-from lanebound.integrity.sensors.faults import SIZES, Fault, FaultKind
+from lanebound.integrity.sensors.fault_kinds import FaultKind, FaultTarget, Profile
+from lanebound.integrity.sensors.fault_registry import BUILT_IN, KindName, fault_kind, fault_kinds, register_fault
+from lanebound.integrity.sensors.faults import Fault
 from lanebound.integrity.sky.systems import System
 from lanebound.integrity.sky.track import SkyTrack
 
 __all__ = ["FaultCase", "FaultsConfig", "assess_faults", "cells_of", "work_cell"]
 
 PACKAGES = ("lanebound.integrity", "lanebound.agents.assess")
-K = FaultKind
-Profile = Literal["step", "ramp"]
-
-SIZES_TRIED: dict[FaultKind, tuple[float, ...]] = {
-    K.SATELLITE_RANGE: (0.02, 0.1, 0.5, 5.0, 50.0),
-    K.CONSTELLATION: (0.1, 0.5, 2.0, 10.0),
-    K.CYCLE_SLIP: (1, 3, 10),
-    K.REFERENCE_COORDINATES: (0.05, 0.5, 2.0, 10.0),
-    K.SPOOFING: (0.5, 2.0, 10.0, 50.0, 200.0),
-    K.JAMMING: (10.0, 20.0, 40.0),
-    K.CORRECTIONS_LOSS: (0.0,),
-    K.GYRO_BIAS: (0.1, 0.5, 2.0),
-    K.WHEEL_SLIP: (0.02, 0.1, 0.5),
-    K.ODOMETER_FROZEN: (0.0,),
-    K.V2V_LIE: (0.5, 2.0, 10.0),
-}
-"""Sizes by kind, in the unit of the kind."""
-STEPS_ALONE = (K.CYCLE_SLIP, K.CORRECTIONS_LOSS, K.ODOMETER_FROZEN)  # there is no half of them
 THEORY = "theory-"  # begins the names of parts that compare with theory
-IN_BLACKOUT = (K.GYRO_BIAS, K.WHEEL_SLIP, K.ODOMETER_FROZEN)
 BLACKOUT_DB = 60.0
 BLACKOUT_BEFORE_S = 1.0
-LOWEST_RAD = np.deg2rad(25.0)  # a satellite that is tracked for sure
+LOWEST_RAD = np.deg2rad(25.0)  # a receiver tracks satellites above it under an open sky
+SYSTEMS = (System.GPS, System.GALILEO)  # that faults of a system strike, in turn
 SPREAD_S = 5.0
 
 
+def _tried() -> tuple[str, ...]:
+    """Kinds that the campaign tries."""
+    return tuple(kind.name for kind in fault_kinds() if not kind.not_tried_because)
+
+
 class FaultsConfig(Config):
-    """How many vehicles meet each fault, and for how long."""
+    """How many vehicles meet each fault, and for how long.
+
+    Raises
+    ------
+    ConfigError
+        A kind is unknown, or declares why the campaign omits it.
+    """
 
     vehicles: int = Field(64, ge=1, description="vehicles, and seeds, that meet each fault")
     first_seed: int = Field(1, ge=0, description="seed of the first")
     warm_up_s: float = Field(40.0, ge=10, description="before the fault; positions are fixed by then")
     after_s: float = Field(75.0, gt=0, description="after the fault; longer than RTK may be kept in quarantine")
     durations_s: tuple[float, ...] = Field((2.0, 20.0), min_length=1, description="lengths of faults")
-    kinds: tuple[FaultKind, ...] = Field(tuple(SIZES_TRIED), min_length=1, description="kinds of faults")
+    kinds: tuple[KindName, ...] = Field(
+        default_factory=_tried, min_length=1, description="kinds of faults; by default all registered ones"
+    )
     control_s: float = Field(600.0, gt=60, description="length of the drive without faults")
     theory_satellites: tuple[int, ...] = Field((7, 12), description="sizes of geometries that are put beside theory")
     theory_draws: int = Field(4000, ge=40, description="of each size and each bias, four times as many without one")
     navigator: NavigatorConfig = NavigatorConfig()
+
+    @field_validator("kinds")
+    @classmethod
+    def _are_tried(cls, kinds: tuple[str, ...]) -> tuple[str, ...]:
+        for kind in map(fault_kind, kinds):
+            if kind.not_tried_because:
+                raise ValueError(f"kinds must be tried in the campaign, got {kind.name!r}: {kind.not_tried_because}")
+        return kinds
 
 
 @dataclass(frozen=True)
 class FaultCase:
     """One fault of the campaign."""
 
-    kind: FaultKind
+    kind: str
     size: float
     duration_s: float
     profile: Profile
 
     @property
+    def declaration(self) -> FaultKind:
+        """The declaration of its kind."""
+        return fault_kind(self.kind)
+
+    @property
     def name(self) -> str:
         """Name of its part."""
-        return f"{self.kind.value}-{self.size:g}-{self.duration_s:g}s-{self.profile}"
+        return f"{self.kind}-{self.size:g}-{self.duration_s:g}s-{self.profile}"
 
     @property
     def ramp_s(self) -> float:
-        """How long a ramp takes to its size, at which it stays for the rest of the fault [s]."""
+        """Time in which a ramp reaches its size, which it has for the rest of the fault [s]."""
         return 0.5 * self.duration_s
 
 
 def cells_of(config: FaultsConfig) -> list[FaultCase]:
-    """Every kind x size x length x profile."""
+    """Every kind x size x length x profile; a kind without a magnitude has the size 0."""
     return [
-        FaultCase(kind, size, duration, profile)
-        for kind in config.kinds
-        for size in SIZES_TRIED.get(kind, ())
+        FaultCase(kind.name, size, duration, profile)
+        for kind in map(fault_kind, config.kinds)
+        for size in kind.sizes_tried or (0.0,)
         for duration in config.durations_s
-        for profile in _profiles(kind)
+        for profile in kind.profiles
     ]
-
-
-def _profiles(kind: FaultKind) -> tuple[Profile, ...]:
-    return ("step",) if kind in STEPS_ALONE else ("step", "ramp")
 
 
 def assess_faults(config: FaultsConfig, out: Path, jobs: int = 1, on_progress: OnProgress = ignore) -> dict[str, Any]:
@@ -116,15 +128,19 @@ def assess_faults(config: FaultsConfig, out: Path, jobs: int = 1, on_progress: O
     Raises
     ------
     InputError
-        ``out`` cannot be claimed: it holds other work, results of another version or foreign files.
+        ``out`` cannot be claimed: it holds other work, results of another version or foreign files; or worker processes
+        cannot import the effect function of a registered kind.
     """
     from lanebound.agents.assess.faults_figure import detectability_figure, faults_figure
     from lanebound.integrity.assessment.plotting import save
 
-    ResultFolder(out, "fault campaign", config.to_dict(), code_digest(*PACKAGES)).claim()
+    registered = tuple(fault_kind(name) for name in config.kinds if name not in BUILT_IN)
+    if jobs > 1:
+        _require_importable(registered)
+    ResultFolder(out, "fault campaign", config.to_dict(), _source(registered)).claim()
     cells = {cell.name: cell for cell in cells_of(config)}
     theory = [f"{THEORY}{satellites}" for satellites in config.theory_satellites]
-    parts = run_parts(out, [*cells, "control", *theory], partial(work_part, config), jobs, on_progress)
+    parts = run_parts(out, [*cells, "control", *theory], partial(work_part, config, registered), jobs, on_progress)
     faults, powers = [parts[name] for name in cells], [parts[name] for name in theory]
     result = {"config": config.to_dict(), "control": parts["control"], "theory": powers, "faults": faults}
     write_json(out / "results.json", result)
@@ -134,8 +150,32 @@ def assess_faults(config: FaultsConfig, out: Path, jobs: int = 1, on_progress: O
     return result
 
 
-def work_part(config: FaultsConfig, name: str, advance: Advance = ignore) -> dict[str, Any]:
-    """One cell, the drive without faults, or a comparison with theory."""
+def _require_importable(kinds: Sequence[FaultKind]) -> None:
+    for kind in kinds:
+        try:
+            pickle.dumps(kind)
+        except Exception as error:
+            raise InputError(
+                f"jobs must be 1 for fault kind {kind.name!r}, because worker processes cannot import it ({error}): "
+                "define its effect function at the top level of a module"
+            ) from None
+
+
+def _source(kinds: Sequence[FaultKind]) -> str:
+    """Digest of the code that the results follow from: the package's, and the files of registered kinds."""
+    found = hashlib.blake2b(code_digest(*PACKAGES).encode(), digest_size=8)
+    for kind in kinds:
+        file = Path(getattr(getattr(kind.apply, "__code__", None), "co_filename", ""))
+        found.update(f"{kind.name}{kind.sizes_tried}".encode() + (file.read_bytes() if file.is_file() else b""))
+    return found.hexdigest()
+
+
+def work_part(
+    config: FaultsConfig, registered: Sequence[FaultKind], name: str, advance: Advance = ignore
+) -> dict[str, Any]:
+    """One cell, the drive without faults, or a comparison with theory; a worker process registers kinds first."""
+    for kind in registered:
+        register_fault(kind)
     if name == "control":
         return control(config)
     if name.startswith(THEORY):
@@ -149,25 +189,25 @@ def _seeds(config: FaultsConfig) -> list[int]:
 
 
 def _onsets(config: FaultsConfig) -> np.ndarray:
-    """Onsets spread over some seconds, on epochs.  (B,) [s]."""
+    """Onsets of the faults, spread over some seconds, at ends of epochs.  (B,) [s]."""
     steps = np.round(np.linspace(0.0, SPREAD_S, config.vehicles) / config.navigator.dt_s)
     return np.asarray(config.warm_up_s + steps * config.navigator.dt_s)
 
 
 def work_cell(config: FaultsConfig, cell: FaultCase) -> dict[str, Any]:
-    """Drive with and without the fault and sum up what became of it."""
-    onset = _onsets(config)
+    """Drive with and without the fault and sum up the response."""
+    kind, onset = cell.declaration, _onsets(config)
     duration = config.warm_up_s + SPREAD_S + cell.duration_s + config.after_s
-    dark = _blackouts(onset, cell.duration_s) if cell.kind in IN_BLACKOUT else []
+    dark = _blackouts(onset, cell.duration_s) if kind.in_blackout else []
     sound, faults = _sound(config.to_json(), duration, cell.duration_s if dark else None), _maker(cell, onset, dark)
-    if cell.kind is K.V2V_LIE:
+    if kind.broadcast:
         track = SkyTrack.from_config(config.navigator.sky, duration)
         faulty = as_broadcast(sound, config.navigator, faults(track))
     else:
         faulty = drive_run(config.navigator, _seeds(config), duration, faults)
     limits = config.navigator.alert.limits
     found = measure_response(faulty, sound, onset, cell.duration_s, (limits.al_at_m, limits.al_ct_m))
-    place = asdict(cell) | {"kind": cell.kind.value, "ramp_s": cell.ramp_s, "in_blackout": bool(dark)}
+    place = asdict(cell) | {"unit": kind.unit, "ramp_s": cell.ramp_s, "in_blackout": bool(dark)}
     return place | _summed(found, config.navigator.alert.time_to_alert_s)
 
 
@@ -191,27 +231,28 @@ def _maker(cell: FaultCase, onset: np.ndarray, dark: Sequence[Fault]) -> Callabl
 
 
 def _fault(cell: FaultCase, row: int, onset_s: float, sky: Any, high: np.ndarray) -> Fault:
-    """The fault of one vehicle: at the next of the high satellites, in a direction of its own."""
+    """The fault of one vehicle: satellites, systems and directions change from vehicle to vehicle."""
+    kind = cell.declaration
     data: dict[str, Any] = {
-        "kind": cell.kind, "start_s": onset_s, "duration_s": cell.duration_s, "profile": cell.profile,
+        "kind": kind.name, "start_s": onset_s, "duration_s": cell.duration_s, "profile": cell.profile,
         "ramp_s": cell.ramp_s, "vehicle": row, "azimuth_deg": 67.0 * row % 360.0,
     }  # fmt: skip
-    if SIZES[cell.kind]:
-        data[SIZES[cell.kind][0]] = int(cell.size) if cell.kind is K.CYCLE_SLIP else cell.size
-    if cell.kind in (K.SATELLITE_RANGE, K.CYCLE_SLIP):
+    if kind.magnitude is not None:
+        data[kind.magnitude.field] = cell.size
+    if kind.target is FaultTarget.SATELLITE:
         satellite = high[row % len(high)]
         data |= {"system": System(int(sky.system[satellite])), "prn": int(sky.prn[satellite])}
-    if cell.kind is K.CONSTELLATION:
-        data["system"] = (System.GPS, System.GALILEO)[row % 2]
+    if kind.target is FaultTarget.SYSTEM:
+        data["system"] = SYSTEMS[row % len(SYSTEMS)]
     return Fault.load(data)
 
 
 def _blackouts(onset: np.ndarray, duration_s: float) -> list[Fault]:
-    """No signals at all from just before the fault until its end."""
+    """Jamming of all signals from just before the fault until its end."""
     return [
         Fault.load(
             {
-                "kind": K.JAMMING,
+                "kind": "jamming",
                 "start_s": float(t) - BLACKOUT_BEFORE_S,
                 "vehicle": row,
                 "duration_s": duration_s + BLACKOUT_BEFORE_S,
@@ -223,7 +264,7 @@ def _blackouts(onset: np.ndarray, duration_s: float) -> list[Fault]:
 
 
 def _summed(found: Response, time_to_alert_s: float) -> dict[str, Any]:
-    """Plain figures of a cell; intervals are of vehicles, for the epochs of one hang together."""
+    """Plain figures of a cell; intervals are of vehicles, because the epochs of one vehicle are correlated."""
     noticed, of = np.isfinite(found.noticed_s), len(found.noticed_s)
 
     def vehicles(which: np.ndarray) -> dict[str, Any]:
@@ -266,7 +307,7 @@ def control(config: FaultsConfig) -> dict[str, Any]:
 
 
 def _consistency(run: Run, here: np.ndarray) -> dict[str, Any] | None:
-    """Normalised squared errors (two degrees of freedom) and level over the smallest bound that would have held."""
+    """Normalised squared errors (two degrees of freedom) and level over the smallest bound of all errors."""
     if not here.any():
         return None
     squared, size, level = run.squared[here], np.abs(run.error_m)[here], run.level_m[here]

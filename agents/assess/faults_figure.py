@@ -1,4 +1,4 @@
-"""The fault campaign as a figure: for each kind, how often it is noticed and how often it misleads, by size."""
+"""Figures of the fault campaign: by kind and size, how often a fault is noticed and how often it misleads."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-
-from lanebound.agents.assess.faults_tables import UNITS
 
 __all__ = ["detectability_figure", "faults_figure"]
 
@@ -30,7 +28,7 @@ def faults_figure(cells: Sequence[Mapping[str, Any]]) -> Figure:
                 shares = [_share(here, size, profile, name) for size in sizes]
                 if None not in shares:
                     axis.plot(range(len(sizes)), shares, line, color=colour, label=f"{SHOWN[name]}, {profile}")
-        unit = f" [{UNITS[kind]}]" if UNITS.get(kind) else ""
+        unit = f" [{here[0]['unit']}]" if here[0]["unit"] else ""
         axis.set_title(kind.replace("_", " ") + unit, fontsize=9)
         axis.set_xticks(range(len(sizes)), [f"{size:g}" if size else "" for size in sizes])
         axis.set_ylim(-0.05, 1.05)

@@ -9,11 +9,6 @@ from lanebound.agents.assess.bounding_tables import Table
 
 __all__ = ["consistency_rows", "control_lines", "fault_rows", "theory_rows"]
 
-UNITS = {
-    "satellite_range": "m", "constellation": "m", "cycle_slip": "cycles", "reference_coordinates": "m", "spoofing": "m",
-    "jamming": "dB", "gyro_bias": "deg/s", "wheel_slip": "of speed", "v2v_lie": "m",
-}  # fmt: skip
-
 
 def fault_rows(result: Mapping[str, Any]) -> Table:
     """One row for each fault: vehicles of all, but for the rate of HMI, which is of epochs."""
@@ -25,7 +20,7 @@ def fault_rows(result: Mapping[str, Any]) -> Table:
 
 
 def _fault_row(cell: Mapping[str, Any]) -> tuple[str, ...]:
-    unit, of = UNITS.get(cell["kind"], ""), cell["vehicles"]
+    unit, of = cell["unit"], cell["vehicles"]
     size = f" {cell['size']:g} {unit}" if unit else ""
     after = cell["noticed_median_s"]
     profile = cell["profile"]

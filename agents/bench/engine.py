@@ -15,7 +15,8 @@ import numpy as np
 from lanebound.agents.bench.environments import bare_of
 from lanebound.agents.bench.rows import Row, alternate, median_ratio
 from lanebound.envs import DrivingEnv, make_config
-from lanebound.envs.vector import VectorHighway
+from lanebound.envs.ids import Highway
+from lanebound.envs.vector import VectorDrivingEnv, engine_class
 
 __all__ = ["measure"]
 
@@ -39,8 +40,8 @@ def _bare_side() -> Callable[[], int]:
     return step
 
 
-def _engine_side(count: int, config: dict[str, Any]) -> tuple[Callable[[], int], VectorHighway]:
-    env = VectorHighway(count, config, autoreset_mode="SameStep")
+def _engine_side(count: int, config: dict[str, Any]) -> tuple[Callable[[], int], VectorDrivingEnv]:
+    env = engine_class(Highway)(count, config, autoreset_mode="SameStep")
     env.reset(seed=SEED)
     actions, turn = np.random.default_rng(SEED).integers(5, size=(TURNS, count)), iter(range(10**9))
 

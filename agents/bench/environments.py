@@ -14,8 +14,8 @@ from highway_env.envs.common.abstract import AbstractEnv
 
 from lanebound.agents.bench.rows import Row
 from lanebound.envs import DrivingEnv, make_config
+from lanebound.envs.batch.navigation import NavigationBatch
 from lanebound.envs.world import guard
-from lanebound.integrity.navigators.navigator import Navigator
 
 __all__ = ["bare_of", "measure"]
 
@@ -45,29 +45,26 @@ def _run(env: gymnasium.Env[Any, Any], command: Any) -> tuple[float, int]:
 
 
 class _Clock:
-    """Adds up the time that navigators take, by standing in for their ``measure`` and ``locate``."""
+    """Adds up the time that navigation takes in single environments: skies, measurements and solutions."""
 
     def __init__(self) -> None:
-        self.seconds, self._kept = 0.0, (Navigator.measure, Navigator.locate)
+        self.seconds, self._kept = 0.0, NavigationBatch.navigate
 
     def __enter__(self) -> _Clock:
-        for name, function in zip(("measure", "locate"), self._kept, strict=True):
-            setattr(Navigator, name, self._timed(function))
-        return self
+        kept = self._kept
 
-    def __exit__(self, *_: object) -> None:
-        for name, function in zip(("measure", "locate"), self._kept, strict=True):
-            setattr(Navigator, name, function)
-
-    def _timed(self, function: Any) -> Any:
-        def timed(navigator: Navigator, given: Any) -> Any:
+        def timed(navigation: NavigationBatch, *given: Any) -> Any:
             begun = time.perf_counter()
             try:
-                return function(navigator, given)
+                return kept(navigation, *given)
             finally:
                 self.seconds += time.perf_counter() - begun
 
-        return timed
+        setattr(NavigationBatch, "navigate", timed)  # noqa: B010 - a method cannot be assigned
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        setattr(NavigationBatch, "navigate", self._kept)  # noqa: B010
 
 
 def _shares(name: str, source: str, rounds: int) -> tuple[float, float]:

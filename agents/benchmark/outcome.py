@@ -1,4 +1,4 @@
-"""What one episode of one agent came to: plain figures, that JSON can hold."""
+"""Outcome of one episode of one agent, as plain data for JSON."""
 
 from __future__ import annotations
 
@@ -47,34 +47,35 @@ class Outcome:
     """One episode of one agent.
 
     Everything but the solve times (see ``WALL_CLOCK``) follows from suite, seed and version, to the last bit. None
-    stands for what does not exist or is not finite. An agent that failed has a ``status`` other than ``ok``, and its
-    figures are those of the steps before.
+    stands for missing and infinite values. An agent that failed has a ``status`` other than ``ok``, and its values are
+    those of the steps before the failure.
 
     Attributes
     ----------
-    env, sky, faults, agent, seed : what was driven
-    status, message : whether the agent did its part, and what went wrong
-    ended : ``collision``, ``off road``, ``wrong way``, ``time up``, ``arrived`` or ``stopped`` (the agent failed)
-    steps, time_s, allotted_s : decisions, their time, and the time there was
-    distance_m, mean_speed_mps : true way and speed
-    throughput_mps : distance over the time taken; all the time there was counts where the episode ended without success
-    gap_m : median true gap, bumper to bumper, to the vehicle ahead in lane within 100 m
-    total_return, cost : sums of reward and weighted cost; costs : by cause, unweighted; cost_limit : permitted
-    success, collision : bool; lane_departure : the true body left its lane outside commanded changes, at any time
-    rms_acceleration_mps2, rms_jerk_mps3, rms_lateral_mps2 : of the true car, from one decision to the next
-    mode_shares : share of the steps by key of the source of the position
-    pl_at_median_m, pl_ct_median_m : protection levels along and across the track, those above 10 m or missing as 10 m
-    no_level : share of the steps without a level on either axis
-    pe_at_median_m, pe_ct_median_m, pe_at_max_m, pe_ct_max_m : sizes of the errors that they bound
-    availability, alert_share : shares of the steps; alerts : how many began
-    mi_steps, hmi_steps : steps of misleading but not hazardous, and of hazardously misleading information
-    time_to_alert_s : mean time from an error exceeding its limit to the alert, or to its end where none came before;
-        None when no error exceeded its limit
-    missed_alerts : how many errors exceeded their limits without an alert while they did
-    continuity : share of the available steps that an available one follows; 0 where none does
-    solve_ms_median, solve_ms_p99 : time that decisions took [ms]
-    infeasible, relaxed : decisions for which no command met the agent's constraints, and those for which it weakened
-        one; None where the agent does not count them in its ``counts``, which has ``decisions`` then
+    env, sky, faults, agent, seed : environment, sky, level of faults, agent and seed
+    status, message : `ok` or the kind of failure of the agent; its description
+    ended : `collision`, `off road`, `wrong way`, `time up`, `arrived` or `stopped` (the agent failed)
+    steps, time_s, allotted_s : number of decisions, their time, longest possible time
+    distance_m, mean_speed_mps : true distance and speed
+    throughput_mps : distance over the time taken, or over the longest possible time in an episode without success
+    gap_m : median true gap between bumpers to the vehicle ahead in the lane within 100 m
+    total_return, cost, costs, cost_limit : sum of rewards, weighted sum of costs, unweighted sums by cause, limit
+    success, collision : the episode ended well; the true car crashed
+    lane_departure : the true body left its lane outside commanded lane changes
+    rms_acceleration_mps2, rms_jerk_mps3, rms_lateral_mps2 : of the true car, from decision to decision
+    mode_shares : share of steps by positioning mode
+    pl_at_median_m, pl_ct_median_m : protection levels; those above 10 m or missing count as 10 m
+    no_level : share of steps without a protection level on either axis
+    pe_at_median_m, pe_ct_median_m, pe_at_max_m, pe_ct_max_m : absolute errors along and across the track
+    availability, alert_share, alerts : shares of steps; number of alerts
+    mi_steps, hmi_steps : steps with misleading but not hazardous, and with hazardously misleading information
+    time_to_alert_s : mean time from an error above its alert limit to the alert, or to the end of the error where none
+        came; None when no error was above its limit
+    missed_alerts : number of errors above their limits that ended without an alert
+    continuity : share of available steps after which the next one is available; 0 without any
+    solve_ms_median, solve_ms_p99 : time of a decision [ms]
+    infeasible, relaxed : decisions without a command that meets the agent's constraints, and decisions for which it
+        weakened one; None for agents that do not count them
     """
 
     env: str

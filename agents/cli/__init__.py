@@ -29,41 +29,41 @@ __all__ = ["app", "main"]
 EXAMPLES = """
 [bold]Examples[/bold]
 
-  lanebound config list                        which presets there are
+  lanebound config list                        list the presets
 
-  lanebound config show NAME                   one of them, with units
+  lanebound config show NAME                   print one with units
 
   lanebound config show NAME --set key=value   the same with a change
 
-  lanebound envs                               which environments there are
+  lanebound envs                               list the environments
 
-  lanebound agents                             who can drive, and by what
+  lanebound agents                             list the agents
 
-  lanebound drive LaneKeeping --video a.mp4    let an agent drive one, and film it
+  lanebound drive LaneKeeping --video a.mp4    drive an episode and film it
 
-  lanebound play UrbanCanyon                   drive one yourself
+  lanebound play UrbanCanyon                   drive by keyboard
 
-  lanebound benchmark quick --out out/demo     compare agents, seed by seed
+  lanebound benchmark quick --out out/demo     compare agents seed by seed
 
-  lanebound train lane_keeping_ppo --out out   a policy, learnt
+  lanebound train lane_keeping_ppo --out out   train a policy
 
-  lanebound reproduce urban-drive --out out    S1's tables beside ours
+  lanebound reproduce urban-drive --out out    reproduce the tables of S1
 
-  lanebound assess bounding --out out/bounds   is an error above its level as rare as promised?
+  lanebound assess bounding --out out/bounds   count errors above their levels
 
-  lanebound replay data/berlin --out out/b     a recorded drive through the same rooms
+  lanebound replay data/berlin --out out/b     process a recorded drive
 
-  lanebound record-sky data/berlin --out b.csv   its sky, for drive --sky b.csv
+  lanebound record-sky data/berlin --out b.csv   write its sky for drive --sky b.csv
 
-  lanebound bench --json                       speed against the gates
+  lanebound bench --json                       measure speed
 
-Every command explains itself: [bold]lanebound COMMAND --help[/bold]
+Help of a command: [bold]lanebound COMMAND --help[/bold]
 """
 
 app = typer.Typer(
     name="lanebound",
     cls=AdvisingGroup,
-    help="Integrity-aware driving: where the vehicle is, how far to trust it, and agents that drive on that belief.",
+    help="Driving environments with GNSS integrity: protection levels, agents, benchmarks, recorded drives.",
     epilog=EXAMPLES,
     no_args_is_help=True,
     rich_markup_mode="rich",

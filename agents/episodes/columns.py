@@ -14,18 +14,19 @@ from typing import Any, Literal
 import numpy as np
 
 from lanebound.envs.core import DrivingEnv
-from lanebound.envs.costs import CAUSES, lead_of
+from lanebound.envs.costs import CAUSES
 from lanebound.envs.records import EgoBelief
 from lanebound.envs.rewards import TERMS
-from lanebound.envs.truth import true_belief, true_traffic
+from lanebound.envs.truth import true_lead
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rtk_status import RtkStatus
 
-__all__ = ["COLUMNS", "Column", "Moment", "describe_columns", "row_of"]
+__all__ = ["COLUMNS", "Column", "Moment", "columns", "describe_columns", "register_column", "row_of",
+           "withdraw_column"]  # fmt: skip
 
 RTK_NAMES = {status.code: status.name.lower() for status in RtkStatus}
-REASON_NAMES = {reason.code: reason.name.lower() for reason in AlertReason}
 GAP_REACH_M = 100.0  # nobody follows a vehicle that is further ahead
 Kind = Literal["int", "float", "bool", "text", "floats"]
 
@@ -74,10 +75,14 @@ def _lane(index: Any) -> str:
 
 def _gap(env: DrivingEnv) -> float:
     """True gap to the vehicle ahead in the ego's lane, inf without one within reach."""
-    cockpit, ego = env.cockpit, env.world.vehicle
-    assert cockpit is not None
-    lead = lead_of(env.world.road.network, true_belief(cockpit), true_traffic(cockpit), float(ego.LENGTH))
+    assert env.belief_loop is not None
+    lead = true_lead(env.belief_loop)
     return lead.gap_m if lead is not None and lead.gap_m <= GAP_REACH_M else math.inf
+
+
+def _perceived(env: DrivingEnv) -> int:
+    """Number of vehicles that the ego perceives."""
+    return 0 if env.belief_loop is None else env.belief_loop.traffic.count
 
 
 def _belief(name: str, kind: Kind, unit: str, meaning: str, field: str) -> Column:
@@ -89,23 +94,29 @@ def _info(name: str, kind: Kind, unit: str, meaning: str) -> Column:
 
 
 def _reward(term: str) -> Column:
-    return Column(f"reward_{term}", "float", "", f"term {term}, unweighted", lambda m: m.info["rewards"][term])
+    return Column(f"reward_{term}", "float", "", "unweighted", lambda m: m.info["rewards"][term])
 
 
 WHEN = (
     Column("episode", "int", "", "number of the episode, from 0", lambda m: m.episode),
     Column("seed", "int", "", "seed that the episode was reset with", lambda m: m.seed),
-    Column("step", "int", "", "decisions carried out; 0 at the start", lambda m: m.step),
+    Column("step", "int", "", "number of the decision; 0 is the start", lambda m: m.step),
     Column("time_s", "float", "s", "since the start of the episode", lambda m: m.belief.time_s),
-    Column("action", "floats", "", "code of the meta-action, or continuous command; empty at 0", lambda m: m.numbers),
-    Column("action_name", "text", "", "name of the meta-action; null for continuous ones and at 0", lambda m: m.word),
+    Column(
+        "action", "floats", "", "code of the meta-action, or continuous action; empty in row 0", lambda m: m.numbers
+    ),
+    Column(
+        "action_name", "text", "", "name of the meta-action; null for continuous actions and in row 0", lambda m: m.word
+    ),
 )
 TRUTH = (
-    Column("true_x_m", "float", "m", "true middle of the car", lambda m: float(m.env.world.vehicle.position[0])),
-    Column("true_y_m", "float", "m", "true middle of the car", lambda m: float(m.env.world.vehicle.position[1])),
+    Column("true_x_m", "float", "m", "true centre of the car", lambda m: float(m.env.world.vehicle.position[0])),
+    Column("true_y_m", "float", "m", "true centre of the car", lambda m: float(m.env.world.vehicle.position[1])),
     Column("true_heading_rad", "float", "rad", "true heading", lambda m: float(m.env.world.vehicle.heading)),
     _info("speed_mps", "float", "m/s", "true speed"),
-    Column("true_lane", "text", "", "lane nearest to the truth", lambda m: _lane(m.env.world.vehicle.lane_index)),
+    Column(
+        "true_lane", "text", "", "lane nearest to the true position", lambda m: _lane(m.env.world.vehicle.lane_index)
+    ),
     Column(
         "gap_m",
         "float",
@@ -115,13 +126,13 @@ TRUTH = (
     ),
 )
 BELIEF = (
-    Column("est_x_m", "float", "m", "believed middle of the car", lambda m: float(m.belief.position_m[0])),
-    Column("est_y_m", "float", "m", "believed middle of the car", lambda m: float(m.belief.position_m[1])),
-    _belief("est_heading_rad", "float", "rad", "believed heading", "heading_rad"),
+    Column("est_x_m", "float", "m", "estimated centre of the car", lambda m: float(m.belief.position_m[0])),
+    Column("est_y_m", "float", "m", "estimated centre of the car", lambda m: float(m.belief.position_m[1])),
+    _belief("est_heading_rad", "float", "rad", "estimated heading", "heading_rad"),
     _belief("est_speed_mps", "float", "m/s", "speed by the odometer", "speed_mps"),
-    Column("est_lane", "text", "", "lane nearest to the belief", lambda m: _lane(m.belief.lane_index)),
+    Column("est_lane", "text", "", "lane nearest to the estimate", lambda m: _lane(m.belief.lane_index)),
     _belief("est_lateral_m", "float", "m", "believed offset from its centreline, positive right", "lateral_m"),
-    Column("perceived", "int", "", "vehicles perceived", lambda m: m.env.cockpit.traffic.count if m.env.cockpit else 0),
+    Column("perceived", "int", "", "vehicles perceived", lambda m: _perceived(m.env)),
 )
 INTEGRITY = (
     _info("err_at_m", "float", "m", "estimate less truth along the true heading"),
@@ -133,11 +144,11 @@ INTEGRITY = (
     Column("mode", "text", "", "source of the position", lambda m: Mode(m.info["mode"]).key),
     Column("rtk", "text", "", "why RTK holds or not", lambda m: RTK_NAMES[m.belief.rtk]),
     _info("alert", "bool", "", "the alert is on"),
-    Column("reason", "text", "", "why", lambda m: REASON_NAMES[m.info["reason"]]),
+    Column("reason", "text", "", "reason of the alert", lambda m: AlertReason.from_code(m.info["reason"]).name.lower()),
     _info("available", "bool", "", "no protection level exceeds its limit"),
     _info("tta_s", "float", "s", "time left to react to the alert; all of it without one"),
-    _info("mi", "bool", "", "misleading information: available, an error above its level but within the limit"),
-    _info("hmi", "bool", "", "hazardously misleading information: available, an error above the limit"),
+    _info("mi", "bool", "", "misleading information: available, an error above its level and within its limit"),
+    _info("hmi", "bool", "", "hazardously misleading information: available, an error above its limit"),
     _belief("satellites", "int", "", "used by RTK", "satellites"),
     _belief("hdop", "float", "", "horizontal dilution of precision; inf without satellites", "hdop"),
     _belief("since_rtk_s", "float", "s", "time since the last RTK position; inf before the first", "since_rtk_s"),
@@ -145,26 +156,51 @@ INTEGRITY = (
 )
 SCORE = (
     _info("cost", "float", "", "weighted sum of the costs"),
-    *(_info(cause, "float", "", "by cause, unweighted, see CostConfig") for cause in CAUSES),
+    *(_info(cause, "float", "", "unweighted") for cause in CAUSES),
     Column("reward", "float", "", "weighted sum of the terms", lambda m: m.reward),
     *(_reward(term) for term in TERMS),
     _info("crashed", "bool", "", "the true car has crashed"),
-    _info("off_road", "bool", "", "its middle is off the road"),
-    _info("wrong_way", "bool", "", "it has driven against its lane for too long"),
+    _info("off_road", "bool", "", "the true centre of the car is off the road"),
+    _info("wrong_way", "bool", "", "the car has driven against its lane for 1 s"),
     _info("is_success", "bool", "", "the episode ends well here"),
-    Column("terminated", "bool", "", "the episode ends here by what happened", lambda m: m.terminated),
+    Column("terminated", "bool", "", "the episode ends here by an event", lambda m: m.terminated),
     Column("truncated", "bool", "", "the episode ends here because its time is up", lambda m: m.truncated),
 )
 COLUMNS: tuple[Column, ...] = (*WHEN, *TRUTH, *BELIEF, *INTEGRITY, *SCORE)
+"""The columns of this package."""
+_registered: list[Column] = []
+
+
+def columns() -> tuple[Column, ...]:
+    """All columns: those of this package, and those that were registered."""
+    return (*COLUMNS, *_registered)
+
+
+def register_column(column: Column) -> None:
+    """Add a column to the logs of episodes from now on, those that a benchmark stores included.
+
+    Raises
+    ------
+    InputError
+        The name is taken.
+    """
+    if column.name in {other.name for other in columns()}:
+        raise InputError(f"name of a column must not be taken, got {column.name!r}: choose another")
+    _registered.append(column)
+
+
+def withdraw_column(name: str) -> None:
+    """Take back a column that was registered."""
+    _registered[:] = [column for column in _registered if column.name != name]
 
 
 def row_of(moment: Moment) -> dict[str, Any]:
     """One row of the log."""
-    return {column.name: column.take(moment) for column in COLUMNS}
+    return {column.name: column.take(moment) for column in columns()}
 
 
 def describe_columns() -> str:
     """The columns as a table in Markdown."""
     lines = ["| column | type | unit | meaning |", "|---|---|---|---|"]
-    lines += [f"| {c.name} | {c.kind} | {c.unit or '-'} | {c.meaning} |" for c in COLUMNS]
+    lines += [f"| {c.name} | {c.kind} | {c.unit or '-'} | {c.meaning} |" for c in columns()]
     return "\n".join(lines) + "\n"

@@ -28,7 +28,8 @@ from lanebound.envs.scene import alert_limits_m, navigator_config
 from lanebound.integrity.assessment.bounding import clopper_pearson
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.streams import named_generator
-from lanebound.integrity.sensors.faults import Fault, FaultKind
+from lanebound.integrity.sensors.fault_registry import fault_kind
+from lanebound.integrity.sensors.faults import Fault
 from lanebound.integrity.sky.systems import System
 
 __all__ = ["BarrierPromiseConfig", "Reckless", "one_fault", "run_promise", "summarise_promise"]
@@ -37,18 +38,19 @@ PACKAGES = ("lanebound.integrity", "lanebound.envs", "lanebound.agents.drivers",
 GROUPS = ("none", "one fault")
 MANNERS = ("full throttle", "random", "moody")
 FAULTS = (
-    (FaultKind.SATELLITE_RANGE, "magnitude_m", 0.5, 50.0),
-    (FaultKind.CONSTELLATION, "magnitude_m", 0.5, 10.0),
-    (FaultKind.CYCLE_SLIP, "magnitude_cycles", 1, 10),
-    (FaultKind.SPOOFING, "magnitude_m", 2.0, 20.0),
-    (FaultKind.REFERENCE_COORDINATES, "magnitude_m", 0.2, 2.0),
-    (FaultKind.CORRECTIONS_LOSS, None, 0.0, 0.0),
-    (FaultKind.JAMMING, "magnitude_db", 10.0, 40.0),
-    (FaultKind.GYRO_BIAS, "magnitude_degps", 0.1, 2.0),
-    (FaultKind.WHEEL_SLIP, "magnitude_ratio", 0.05, 0.5),
-    (FaultKind.ODOMETER_FROZEN, None, 0.0, 0.0),
-    (FaultKind.V2V_LIE, "magnitude_m", 1.0, 20.0),
-)  # kinds, and from which size to which: those that are in sensors/fault_priors_stress as there
+    ("satellite_range", 0.5, 50.0),
+    ("constellation", 0.5, 10.0),
+    ("cycle_slip", 1, 10),
+    ("spoofing", 2.0, 20.0),
+    ("reference_coordinates", 0.2, 2.0),
+    ("corrections_loss", 0.0, 0.0),
+    ("jamming", 10.0, 40.0),
+    ("gyro_bias", 0.1, 2.0),
+    ("wheel_slip", 0.05, 0.5),
+    ("odometer_frozen", 0.0, 0.0),
+    ("v2v_lie", 1.0, 20.0),
+)
+"""Kinds with their smallest and largest sizes; those of sensors/fault_priors_stress have the sizes that it has."""
 SYSTEMS = (System.GPS, System.GALILEO)
 PRNS = 24  # of either system, numbers from 1 on; who is below the horizon harms nobody
 
@@ -93,20 +95,19 @@ class Reckless:
 
 
 def one_fault(seed: int, length_s: float) -> Fault:
-    """The fault of an episode: any kind, from some moment in its first half on, for all vehicles alike."""
+    """The fault of an episode: any kind, from a time in its first half on, the same for all vehicles."""
     rng = named_generator(seed, "one fault")
-    kind, name, low, high = FAULTS[int(rng.integers(len(FAULTS)))]
+    name, low, high = FAULTS[int(rng.integers(len(FAULTS)))]
+    kind = fault_kind(name)
     size, start, azimuth = rng.uniform(low, high), rng.uniform(0.0, 0.5 * length_s), rng.uniform(0.0, 360.0)
-    profile = "ramp" if rng.random() < 0.5 else "step"
-    data: dict[str, Any] = {"kind": kind, "start_s": start, "duration_s": rng.uniform(1.0, 15.0), "profile": profile}
-    if name is not None:
-        data |= {name: size, "azimuth_deg": azimuth, "ramp_s": 5.0}
-    if kind in (FaultKind.SATELLITE_RANGE, FaultKind.CONSTELLATION, FaultKind.CYCLE_SLIP):
+    profile = "ramp" if rng.random() < 0.5 and "ramp" in kind.profiles else "step"
+    data: dict[str, Any] = {"kind": name, "start_s": start, "duration_s": rng.uniform(1.0, 15.0), "profile": profile}
+    if (of := kind.magnitude) is not None:
+        data |= {of.field: round(size) if of.whole else size, "azimuth_deg": azimuth, "ramp_s": 5.0}
+    if "system" in kind.needs:
         data["system"] = SYSTEMS[int(rng.integers(len(SYSTEMS)))]
-    if kind is FaultKind.SATELLITE_RANGE:
+    if "prn" in kind.needs:
         data["prn"] = 1 + int(rng.integers(PRNS))
-    if kind is FaultKind.CYCLE_SLIP:
-        data |= {"magnitude_cycles": round(size), "profile": "step"}
     return Fault.load(data)
 
 
@@ -183,7 +184,7 @@ def run_promise(
 def _by_fault(config: BarrierPromiseConfig, crashed: Sequence[int]) -> dict[str, dict[str, Any]]:
     """Episodes and crashes by the kind of the fault that each seed has."""
     seeds = range(config.first_seed, config.first_seed + config.episodes)
-    of = {seed: one_fault(seed, config.length_s).kind.value for seed in seeds}
+    of = {seed: one_fault(seed, config.length_s).kind for seed in seeds}
     episodes, crashes = Counter(of.values()), Counter(of[seed] for seed in crashed)
     return {
         kind: {"episodes": count, "crashes": crashes[kind], "crash_share_95": clopper_pearson(crashes[kind], count)}

@@ -47,8 +47,8 @@ def barrier_m(gap_m: float, ego_mps: float, lead_mps: float, c: BarrierConfig) -
 
 def levels_m(env: DrivingEnv, info: Mapping[str, Any]) -> float:
     """Levels of the gap, inf when one is missing, or unseen [m]: of ego and leader, of him alone where he is sensed."""
-    assert env.cockpit is not None
-    traffic = env.cockpit.traffic
+    assert env.belief_loop is not None
+    traffic = env.belief_loop.traffic
     if not traffic.count:
         return math.inf
     own = 0.0 if traffic.relative[0] else float(info["pl_at_m"])
@@ -57,13 +57,13 @@ def levels_m(env: DrivingEnv, info: Mapping[str, Any]) -> float:
 
 def exceptions_of(env: DrivingEnv, barrier: BarrierFilter, info: Mapping[str, Any]) -> set[str]:
     """Which assumptions do not hold of the belief that the next decision is made on; one leader, no other traffic."""
-    cockpit = env.cockpit
-    assert cockpit is not None
-    lead, ego, traffic = env.world.lead, cockpit.ego, cockpit.traffic
+    loop = env.belief_loop
+    assert loop is not None
+    lead, ego, traffic = env.world.lead, loop.ego, loop.traffic
     found = set()
     if abs(info["err_at_m"]) > info["pl_at_m"] or abs(info["err_ct_m"]) > info["pl_ct_m"]:
         found.add("own level")
-    if float(ego.speed) > float(barrier.fastest(cockpit.belief().speed_mps, barrier.commanded_mps2)):
+    if float(ego.speed) > float(barrier.fastest(loop.belief().speed_mps, barrier.commanded_mps2)):
         found.add("own speed")
     if traffic.count == 0:
         return found | {"unseen"}
@@ -87,21 +87,21 @@ def _misplaced_m(env: DrivingEnv) -> tuple[float, float]:
 
     By the axes of the map, on which the filter finds his lane: a wrong heading of the ego puts him aside.
     """
-    cockpit, lead = env.cockpit, env.world.lead
-    assert cockpit is not None
-    away = cockpit.traffic.position_m[0] - lead.position
-    if cockpit.traffic.relative[0]:
-        away = away - (cockpit.belief().position_m - cockpit.ego.position)
+    loop, lead = env.belief_loop, env.world.lead
+    assert loop is not None
+    away = loop.traffic.position_m[0] - lead.position
+    if loop.traffic.relative[0]:
+        away = away - (loop.belief().position_m - loop.ego.position)
     x, y = away.tolist()
     return x, y
 
 
 def _behind(env: DrivingEnv) -> set[str]:
     """Whether the leader is believed level with the ego or behind it, by their middles along the ego's heading."""
-    cockpit = env.cockpit
-    assert cockpit is not None
-    belief = cockpit.belief()
-    dx, dy = (cockpit.traffic.position_m[0] - belief.position_m).tolist()
+    loop = env.belief_loop
+    assert loop is not None
+    belief = loop.belief()
+    dx, dy = (loop.traffic.position_m[0] - belief.position_m).tolist()
     return {"behind"} if math.cos(belief.heading_rad) * dx + math.sin(belief.heading_rad) * dy <= 0.0 else set()
 
 

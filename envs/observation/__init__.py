@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from lanebound.envs.observation.build import Observation, Observer
 from lanebound.envs.observation.config import ObservationConfig
-from lanebound.envs.observation.index import GROUPS, OBSERVATION_INDEX, Entry, describe, entries, group_slices
+from lanebound.envs.observation.index import (
+    GROUPS,
+    OBSERVATION_INDEX,
+    Entry,
+    Observed,
+    describe,
+    entries,
+    group_slices,
+    register_entry,
+    withdraw_entry,
+)
 
 __all__ = [
     "GROUPS",
@@ -12,8 +22,11 @@ __all__ = [
     "Entry",
     "Observation",
     "ObservationConfig",
+    "Observed",
     "Observer",
     "describe",
     "entries",
     "group_slices",
+    "register_entry",
+    "withdraw_entry",
 ]

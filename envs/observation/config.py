@@ -1,4 +1,4 @@
-"""What an observation holds, at which scale, and in which form."""
+"""Contents, scales and form of an observation."""
 
 from __future__ import annotations
 
@@ -17,20 +17,17 @@ class ObservationConfig(Config):
     """Form, content and scales of an observation; every entry is its quantity over its scale, clipped to its bounds."""
 
     form: Literal["dict", "flat"] = Field("dict", description="one vector for each group, or all groups in one vector")
-    history: int = Field(
-        1, ge=1, le=64, description="observations stacked along the last axis, the newest last [-]; 1 is none"
-    )
+    history: int = Field(1, ge=1, le=64, description="number of stacked observations, the newest last [-]")
     integrity: Literal["full", "blind", "oracle"] = Field(
         "full",
-        description="full; blind: no group integrity and no levels in traffic; oracle: full with protection levels of "
-        "0, for a true state that the caller passes",
+        description="full; blind: no group integrity and no levels in traffic; oracle: the true state with levels of 0",
     )
-    vehicles: int = Field(6, ge=0, le=64, description="rows of traffic, the nearest first [-]")
+    vehicles: int = Field(6, ge=0, le=64, description="number of vehicles in traffic, the nearest first [-]")
     preview_m: tuple[float, ...] = Field(
-        (5.0, 10.0, 20.0, 40.0, 80.0), description="where the route's centreline is shown, ahead of the ego; argued"
+        (5.0, 10.0, 20.0, 40.0, 80.0), description="distances ahead at which the route's centreline is given; argued"
     )
     satellites_m: tuple[float, ...] = Field(
-        (0.0, 20.0, 40.0, 80.0, 160.0), description="where the predicted sky is shown, ahead of the ego; argued"
+        (0.0, 20.0, 40.0, 80.0, 160.0), description="distances ahead at which satellites are predicted; argued"
     )
     speed_max_mps: float = Field(40.0, gt=0, description="scale of speeds; highway-env's fastest vehicle")
     acceleration_max_mps2: float = Field(10.0, gt=0, description="scale of accelerations; dry road, argued")
@@ -42,15 +39,15 @@ class ObservationConfig(Config):
     pl_max_m: float = Field(
         10.0,
         gt=0,
-        description="protection levels are clipped here, missing ones are shown so; argued: over two lanes",
+        description="scale of protection levels, and value of missing ones; argued: over two lanes",
     )
-    ratio_max: float = Field(3.0, gt=1, description="PL / AL is clipped here [-]; argued")
-    trend_window_s: float = Field(1.0, gt=0, description="over which the change of protection levels is shown; argued")
+    ratio_max: float = Field(3.0, gt=1, description="scale of PL / AL [-]; argued")
+    trend_window_s: float = Field(1.0, gt=0, description="period of the trend of protection levels; argued")
     hdop_max: float = Field(10.0, gt=0, description="scale of HDOP [-]; argued")
     satellites_max: int = Field(40, ge=1, description="scale of numbers of satellites [-]; five systems, argued")
     excluded_max: int = Field(5, ge=1, description="scale of the number of excluded satellites [-]; argued")
     elapsed_max_s: float = Field(
-        60.0, gt=0, description="times since an event are clipped here; argued: above the longest outage of 50 s"
+        60.0, gt=0, description="scale of times since an event; argued: above the longest outage of 50 s"
     )
     age_max_s: float = Field(5.0, gt=0, description="scale of the age of perceived vehicles; argued")
     length_max_m: float = Field(20.0, gt=0, description="scale of the length of vehicles; an articulated lorry")

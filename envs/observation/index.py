@@ -1,24 +1,61 @@
-"""The published index: every entry of an observation with its unit, scale, bounds and meaning.
+"""The published index: every entry of an observation with its unit, scale, bounds, meaning and source.
 
 An entry is ``clip(quantity / scale, low, high)``, float32; nothing is NaN or infinite. What is missing reads as said in
 its meaning: a missing protection level is the clipped maximum with its ``exists`` flag 0, never 0.
+
+The source of an entry names a field of a record: ``belief.speed_mps`` (BELIEF of :mod:`..batch.records_kernel`),
+``view.ratio_at`` (VIEW of :mod:`..batch.view_kernel`), ``preview[2].ahead_m`` (AHEAD at the third preview distance),
+``sky[4]`` (satellites predicted: left, own and right lane of each distance in turn), ``vehicle[0].age_s`` (BESIDE of
+the nearest vehicle). ``belief.mode == 2`` is 1 where a code is that number. So a new entry is a line here; for a
+quantity that no record has yet, a field in VIEW or BESIDE and its formula there come first.
+
+:func:`register_entry` adds an entry from outside; its source may also be a function of :class:`Observed`.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from math import pi
+from math import nan, pi
+from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.envs.batch import view_kernel as vk
+from lanebound.envs.batch.ego_kernel import STEERING_MOST_RAD
+from lanebound.envs.batch.records_kernel import BELIEF
 from lanebound.envs.observation.config import ObservationConfig
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.presets import nearest
+from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rtk_status import RtkStatus
 
-__all__ = ["GROUPS", "LANES", "OBSERVATION_INDEX", "STEERING_MAX_RAD", "Entry", "describe", "entries", "group_slices"]
+__all__ = ["GROUPS", "LANES", "OBSERVATION_INDEX", "Entry", "Observed", "Source", "describe", "entries", "group_slices",
+           "register_entry", "sources_of", "withdraw_entry"]  # fmt: skip
 
 GROUPS = ("ego", "integrity", "road", "traffic")
 LANES = ("left", "own", "right")
-STEERING_MAX_RAD = pi / 3  # ControlledVehicle.MAX_STEERING_ANGLE of highway-env
+
+
+class Observed(NamedTuple):
+    """What the entries of N environments come from: records (N,) BELIEF and VIEW, (N, D) AHEAD, (N, R) BESIDE.
+
+    sky (N, 3 D): satellites predicted on the lanes left, own and right, negative for unknown.
+    """
+
+    belief: Records
+    view: Records
+    preview: Records
+    sky: NDArray[np.float64]
+    vehicles: Records
+
+
+Source = str | Callable[[Observed], NDArray[np.float64]]
+"""Where an entry comes from: a field by name, or a function of N environments that returns (N,) numbers."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +69,7 @@ class Entry:
     scale : of which one is shown [unit]
     low, high : bounds of the entry
     meaning : what it is, its sign, and how it reads when missing
+    source : where the quantity comes from
     """
 
     name: str
@@ -41,6 +79,7 @@ class Entry:
     low: float
     high: float
     meaning: str
+    source: Source
 
     @property
     def column(self) -> str:
@@ -48,144 +87,197 @@ class Entry:
         return f"{self.group}.{self.name}"
 
 
-def _signed(group: str, name: str, unit: str, scale: float, meaning: str) -> Entry:
-    return Entry(name, group, unit, scale, -1.0, 1.0, meaning)
+class _Group:
+    """Makes the entries of a group."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def signed(self, name: str, unit: str, scale: float, meaning: str, source: str) -> Entry:
+        return Entry(name, self.name, unit, scale, -1.0, 1.0, meaning, source)
+
+    def positive(self, name: str, unit: str, scale: float, meaning: str, source: str) -> Entry:
+        return Entry(name, self.name, unit, scale, 0.0, 1.0, meaning, source)
+
+    def flag(self, name: str, meaning: str, source: str) -> Entry:
+        return Entry(name, self.name, "", 1.0, 0.0, 1.0, meaning, source)
 
 
-def _positive(group: str, name: str, unit: str, scale: float, meaning: str) -> Entry:
-    return Entry(name, group, unit, scale, 0.0, 1.0, meaning)
-
-
-def _flag(group: str, name: str, meaning: str) -> Entry:
-    return Entry(name, group, "", 1.0, 0.0, 1.0, meaning)
-
-
-def _ego(config: ObservationConfig) -> list[Entry]:
-    c, g = config, "ego"
+def _ego(c: ObservationConfig) -> list[Entry]:
+    g = _Group("ego")
+    fast = c.speed_max_mps
     return [
-        _signed(g, "speed", "m/s", c.speed_max_mps, "speed by the odometer"),
-        _signed(g, "target_speed", "m/s", c.speed_max_mps, "speed set by meta-actions, else the speed itself"),
-        _signed(g, "acceleration", "m/s^2", c.acceleration_max_mps2, "along the heading"),
-        _signed(g, "yaw_rate", "rad/s", c.yaw_rate_max_radps, "positive turning right"),
-        _signed(g, "steering", "rad", STEERING_MAX_RAD, "angle commanded last, positive right"),
-        _signed(g, "heading_sin", "", 1.0, "sine of the heading less the lane's, positive pointing right"),
-        _signed(g, "heading_cos", "", 1.0, "cosine of the heading less the lane's"),
-        _signed(g, "lateral_offset", "m", c.offset_max_m, "from the lane's centreline, positive right"),
-        _signed(g, "lateral_share", "", 2.0, "lateral offset over half the lane's width"),
-        _positive(g, "lane_width", "m", c.lane_width_max_m, "width of the lane"),
-        _positive(g, "lane_share", "", 1.0, "lane number over the road's last one: 0 leftmost or alone, 1 rightmost"),
-        _flag(g, "left_exists", "a lane that may be entered lies to the left"),
-        _flag(g, "right_exists", "a lane that may be entered lies to the right"),
-        _flag(g, "target_left", "a change to a lane on the left is commanded"),
-        _flag(g, "target_right", "a change to a lane on the right is commanded"),
-    ]
+        g.signed("speed", "m/s", fast, "speed by the odometer", "belief.speed_mps"),
+        g.signed("target_speed", "m/s", fast, "speed set by meta-actions, else the speed itself",
+                 "belief.target_speed_mps"),
+        g.signed("acceleration", "m/s^2", c.acceleration_max_mps2, "along the heading", "belief.acceleration_mps2"),
+        g.signed("yaw_rate", "rad/s", c.yaw_rate_max_radps, "positive turning right", "belief.yaw_rate_radps"),
+        g.signed("steering", "rad", STEERING_MOST_RAD, "angle commanded last, positive right", "belief.steering_rad"),
+        g.signed("heading_sin", "", 1.0, "sine of the heading less the lane's, positive pointing right",
+                 "view.heading_sin"),
+        g.signed("heading_cos", "", 1.0, "cosine of the heading less the lane's", "view.heading_cos"),
+        g.signed("lateral_offset", "m", c.offset_max_m, "from the lane's centreline, positive right",
+                 "belief.lateral_m"),
+        g.signed("lateral_share", "", 2.0, "lateral offset over half the lane's width", "view.lateral_share"),
+        g.positive("lane_width", "m", c.lane_width_max_m, "width of the lane", "belief.lane_width_m"),
+        g.positive("lane_share", "", 1.0, "lane number over the road's last one: 0 leftmost or alone, 1 rightmost",
+                   "view.lane_share"),
+        g.flag("left_exists", "a lane that may be entered lies to the left", "view.left_exists"),
+        g.flag("right_exists", "a lane that may be entered lies to the right", "view.right_exists"),
+        g.flag("target_left", "a change to a lane on the left is commanded", "view.target_left"),
+        g.flag("target_right", "a change to a lane on the right is commanded", "view.target_right"),
+    ]  # fmt: skip
 
 
-def _integrity(config: ObservationConfig) -> list[Entry]:
-    return [*_levels(config), *_outcome(config), *_sources(config)]
-
-
-def _levels(c: ObservationConfig) -> list[Entry]:
-    g, pl, change = "integrity", c.pl_max_m, f"change of the clipped level in the last {c.trend_window_s:g} s"
+def _integrity(c: ObservationConfig) -> list[Entry]:
+    if not c.shows_levels:
+        return []
+    g, pl, most = _Group("integrity"), c.pl_max_m, c.elapsed_max_s
+    change = f"change of the clipped level in the last {c.trend_window_s:g} s"
     out = []
     for axis, name in (("at", "along track"), ("ct", "across track")):
         out += [
-            _positive(g, f"pl_{axis}", "m", pl, f"protection level {name}; 1 when missing"),
-            _flag(g, f"pl_{axis}_exists", f"there is a protection level {name}"),
-            _positive(g, f"al_{axis}", "m", pl, f"alert limit {name}"),
-            _positive(g, f"ratio_{axis}", "", c.ratio_max, f"PL / AL {name}; 1 when missing"),
-            _signed(g, f"margin_{axis}", "m", pl, f"AL - PL {name}, safe when >= 0; -1 when missing"),
-            _signed(g, f"trend_{axis}", "m", pl, f"{change}, {name}; the first one counts as constant before"),
-        ]
-    return out
-
-
-def _outcome(c: ObservationConfig) -> list[Entry]:
-    g = "integrity"
+            g.positive(f"pl_{axis}", "m", pl, f"protection level {name}; 1 when missing", f"view.pl_{axis}_m"),
+            g.flag(f"pl_{axis}_exists", f"there is a protection level {name}", f"view.pl_{axis}_exists"),
+            g.positive(f"al_{axis}", "m", pl, f"alert limit {name}", f"belief.al_{axis}_m"),
+            g.positive(f"ratio_{axis}", "", c.ratio_max, f"PL / AL {name}; 1 when missing", f"view.ratio_{axis}"),
+            g.signed(f"margin_{axis}", "m", pl, f"AL - PL {name}, safe when >= 0; -1 when missing",
+                     f"view.margin_{axis}_m"),
+            g.signed(f"trend_{axis}", "m", pl, f"{change}, {name}; the first one counts as constant before",
+                     f"view.trend_{axis}_m"),
+        ]  # fmt: skip
     return [
-        _flag(g, "available", "no protection level exceeds its limit now"),
-        _flag(g, "alert", "the alert is on"),
-        _positive(g, "alert_age", "s", c.elapsed_max_s, "how long the alert has been on; 0 without"),
-        *(_flag(g, f"reason_{reason.name.lower()}", reason.value) for reason in AlertReason),
-        *(_flag(g, f"mode_{mode.key}", f"source of the position: {mode.label}") for mode in Mode),
-        *(_flag(g, f"rtk_{status.name.lower()}", status.value) for status in RtkStatus),
-    ]
+        *out,
+        g.flag("available", "no protection level exceeds its limit now", "view.available"),
+        g.flag("alert", "the alert is on", "view.alert"),
+        g.positive("alert_age", "s", most, "how long the alert has been on; 0 without", "view.alert_age_s"),
+        *(g.flag(f"reason_{r.name.lower()}", r.value, f"view.reason == {r.code}") for r in AlertReason),
+        *(g.flag(f"mode_{m.key}", f"source of the position: {m.label}", f"belief.mode == {int(m)}") for m in Mode),
+        *(g.flag(f"rtk_{r.name.lower()}", r.value, f"belief.rtk == {r.code}") for r in RtkStatus),
+        g.positive("since_rtk", "s", most, "time since the last RTK position; 1 when never", "belief.since_rtk_s"),
+        g.positive("since_calibration", "s", most, "time since the heading was calibrated; 1 when never",
+                   "belief.since_calibration_s"),
+        g.positive("corrections_age", "s", most, "age of the reference data; 1 when the link is out",
+                   "belief.corrections_age_s"),
+        g.positive("satellites", "", c.satellites_max, "used by RTK", "belief.satellites"),
+        g.positive("satellites_doppler", "", c.satellites_max, "used by the velocity", "belief.satellites_doppler"),
+        g.positive("excluded", "", c.excluded_max, "satellites excluded by fault detection in this epoch",
+                   "belief.excluded"),
+        g.positive("hdop", "", c.hdop_max, "horizontal dilution of precision; 1 without satellites", "belief.hdop"),
+    ]  # fmt: skip
 
 
-def _sources(c: ObservationConfig) -> list[Entry]:
-    g, most = "integrity", c.elapsed_max_s
-    return [
-        _positive(g, "since_rtk", "s", most, "time since the last RTK position; 1 when never"),
-        _positive(g, "since_calibration", "s", most, "time since the heading was calibrated; 1 when never"),
-        _positive(g, "corrections_age", "s", most, "age of the reference data; 1 when the link is out"),
-        _positive(g, "satellites", "", c.satellites_max, "used by RTK"),
-        _positive(g, "satellites_doppler", "", c.satellites_max, "used by the velocity"),
-        _positive(g, "excluded", "", c.excluded_max, "satellites excluded by fault detection in this epoch"),
-        _positive(g, "hdop", "", c.hdop_max, "horizontal dilution of precision; 1 without satellites"),
-    ]
-
-
-def _road(config: ObservationConfig) -> list[Entry]:
-    c, g = config, "road"
+def _road(c: ObservationConfig) -> list[Entry]:
+    g = _Group("road")
     out = [
-        _positive(g, "speed_limit", "m/s", c.speed_max_mps, "of the lane; 1 when the map gives none"),
-        _positive(g, "junction", "m", c.range_m, "distance to the end of the lane's own stretch of road"),
-        _positive(g, "lane_end", "m", c.range_m, "distance to where no lane goes on from this one; 1 if beyond reach"),
-    ]
-    for d in c.preview_m:
+        g.positive("speed_limit", "m/s", c.speed_max_mps, "of the lane; 1 when the map gives none",
+                   "view.speed_limit_mps"),
+        g.positive("junction", "m", c.range_m, "distance to the end of the lane's own stretch of road",
+                   "view.junction_m"),
+        g.positive("lane_end", "m", c.range_m, "distance to where no lane goes on from this one; 1 if beyond reach",
+                   "view.lane_end_m"),
+    ]  # fmt: skip
+    for n, d in enumerate(c.preview_m):
         where = f"of the route's centreline {d:g} m ahead"
         out += [
-            _flag(g, f"preview_{d:g}m_exists", f"the map goes on {d:g} m ahead; else the road is drawn on straight"),
-            _signed(g, f"preview_{d:g}m_ahead", "m", d, f"point {where}, along the ego's heading"),
-            _signed(g, f"preview_{d:g}m_right", "m", d, f"point {where}, to the ego's right"),
-            _signed(g, f"preview_{d:g}m_heading", "rad", pi, f"direction {where} less the ego's heading"),
-            _signed(g, f"preview_{d:g}m_curvature", "1/m", c.curvature_max_per_m, f"{where}, positive turning right"),
-        ]
-    for d in c.satellites_m:
+            g.flag(f"preview_{d:g}m_exists", f"the map goes on {d:g} m ahead; else the road is drawn on straight",
+                   f"preview[{n}].exists"),
+            g.signed(f"preview_{d:g}m_ahead", "m", d, f"point {where}, along the ego's heading",
+                     f"preview[{n}].ahead_m"),
+            g.signed(f"preview_{d:g}m_right", "m", d, f"point {where}, to the ego's right", f"preview[{n}].right_m"),
+            g.signed(f"preview_{d:g}m_heading", "rad", pi, f"direction {where} less the ego's heading",
+                     f"preview[{n}].heading_rad"),
+            g.signed(f"preview_{d:g}m_curvature", "1/m", c.curvature_max_per_m, f"{where}, positive turning right",
+                     f"preview[{n}].curvature_pm"),
+        ]  # fmt: skip
+    for n, d in enumerate(c.satellites_m):
         text = f"satellites predicted in line of sight {d:g} m ahead; -1 without a prediction or without that lane"
-        out += [_signed(g, f"sky_{d:g}m_{lane}", "", c.satellites_max, f"{lane} lane: {text}") for lane in LANES]
+        out += [
+            g.signed(f"sky_{d:g}m_{lane}", "", c.satellites_max, f"{lane} lane: {text}", f"sky[{3 * n + k}]")
+            for k, lane in enumerate(LANES)
+        ]
     return out
 
 
-def _traffic(config: ObservationConfig) -> list[Entry]:
-    return [entry for row in range(config.vehicles) for entry in _vehicle(config, row)]
+def _traffic(c: ObservationConfig) -> list[Entry]:
+    return [entry for row in range(c.vehicles) for entry in _vehicle(c, row)]
 
 
 def _vehicle(c: ObservationConfig, row: int) -> list[Entry]:
-    g, p = "traffic", f"v{row}_"
-    kept = [
-        _flag(g, p + "present", "a vehicle is perceived here; else ahead, lane_gap, age and levels read 1, the rest 0"),
-        _signed(g, p + "ahead", "m", c.range_m, "middle to middle along the ego's heading"),
-        _signed(g, p + "right", "m", c.range_m, "middle to middle to the ego's right"),
-        _signed(g, p + "velocity_ahead", "m/s", c.speed_max_mps, "relative velocity along the ego's heading"),
-        _signed(g, p + "velocity_right", "m/s", c.speed_max_mps, "relative velocity to the ego's right"),
-        _signed(g, p + "heading_sin", "", 1.0, "sine of its heading less the ego's"),
-        _signed(g, p + "heading_cos", "", 1.0, "cosine of its heading less the ego's"),
-        _signed(g, p + "lane_gap", "m", c.range_m, "middle to middle along the ego's route; +-1 when not beside it"),
-        _signed(g, p + "lane_offset", "m", c.offset_max_m, "from the route's centreline; +-1 when not beside it"),
-        _flag(g, p + "own_lane", "within half a lane width of the route's centreline"),
-        _flag(g, p + "left_lane", "within the next lane width to the left, whichever way that lane goes"),
-        _flag(g, p + "right_lane", "within the next lane width to the right"),
-        _positive(g, p + "length", "m", c.length_max_m, "of the vehicle"),
-        _positive(g, p + "width", "m", c.width_max_m, "of the vehicle"),
-        _positive(g, p + "age", "s", c.age_max_s, "since the measurement behind it"),
-        _flag(g, p + "sensor", "seen by the ego's own sensor, else by its broadcasts"),
-    ]
-    if not c.shows_levels:
-        return kept
+    g, p, v = _Group("traffic"), f"v{row}_", f"vehicle[{row}]"
     text = "the ego's level (not for a vehicle seen by sensor) and half the extent of its own box on that axis"
-    return [
-        *kept,
-        _flag(g, p + "pl_exists", "both have the protection levels that the next two need"),
-        _positive(g, p + "pl_at", "m", 2.0 * c.pl_max_m, f"along the ego's heading, {text}; 1 when missing"),
-        _positive(g, p + "pl_ct", "m", 2.0 * c.pl_max_m, f"across the ego's heading, {text}; 1 when missing"),
-    ]
+    out = [
+        g.flag(p + "present", "a vehicle is perceived here; else ahead, lane_gap, age and levels read 1, the rest 0",
+               f"{v}.present"),
+        g.signed(p + "ahead", "m", c.range_m, "middle to middle along the ego's heading", f"{v}.ahead_m"),
+        g.signed(p + "right", "m", c.range_m, "middle to middle to the ego's right", f"{v}.right_m"),
+        g.signed(p + "velocity_ahead", "m/s", c.speed_max_mps, "relative velocity along the ego's heading",
+                 f"{v}.velocity_ahead_mps"),
+        g.signed(p + "velocity_right", "m/s", c.speed_max_mps, "relative velocity to the ego's right",
+                 f"{v}.velocity_right_mps"),
+        g.signed(p + "heading_sin", "", 1.0, "sine of its heading less the ego's", f"{v}.heading_sin"),
+        g.signed(p + "heading_cos", "", 1.0, "cosine of its heading less the ego's", f"{v}.heading_cos"),
+        g.signed(p + "lane_gap", "m", c.range_m, "middle to middle along the ego's route; +-1 when not beside it",
+                 f"{v}.lane_gap_m"),
+        g.signed(p + "lane_offset", "m", c.offset_max_m, "from the route's centreline; +-1 when not beside it",
+                 f"{v}.lane_offset_m"),
+        g.flag(p + "own_lane", "within half a lane width of the route's centreline", f"{v}.own_lane"),
+        g.flag(p + "left_lane", "within the next lane width to the left, whichever way that lane goes",
+               f"{v}.left_lane"),
+        g.flag(p + "right_lane", "within the next lane width to the right", f"{v}.right_lane"),
+        g.positive(p + "length", "m", c.length_max_m, "of the vehicle", f"{v}.length_m"),
+        g.positive(p + "width", "m", c.width_max_m, "of the vehicle", f"{v}.width_m"),
+        g.positive(p + "age", "s", c.age_max_s, "since the measurement behind it", f"{v}.age_s"),
+        g.flag(p + "sensor", "seen by the ego's own sensor, else by its broadcasts", f"{v}.sensor"),
+        g.flag(p + "pl_exists", "both have the protection levels that the next two need", f"{v}.pl_exists"),
+        g.positive(p + "pl_at", "m", 2.0 * c.pl_max_m, f"along the ego's heading, {text}; 1 when missing",
+                   f"{v}.pl_at_m"),
+        g.positive(p + "pl_ct", "m", 2.0 * c.pl_max_m, f"across the ego's heading, {text}; 1 when missing",
+                   f"{v}.pl_ct_m"),
+    ]  # fmt: skip
+    return out if c.shows_levels else out[:-3]
+
+
+DECLARED = {"ego": _ego, "integrity": _integrity, "road": _road, "traffic": _traffic}
+_registered: list[Entry] = []
+
+
+def register_entry(entry: Entry) -> None:
+    """Add an entry to the end of its group, for all environments that are made from now on.
+
+    Raises
+    ------
+    InputError
+        There is no such group or field, an entry of that name is there already, or bounds or scale are out of range.
+    """
+    if entry.group not in GROUPS:
+        raise InputError(
+            f"group must be one of {', '.join(GROUPS)}, got {entry.group!r}: {nearest(entry.group, GROUPS)}"
+        )
+    if entry.column in {other.column for other in entries(ObservationConfig(vehicles=64))}:
+        raise InputError(f"name must not be taken, got {entry.column}: choose another")
+    if not (entry.scale > 0.0 and entry.low < entry.high):
+        raise InputError(
+            f"scale must be > 0 and low < high, got {entry.scale}, {entry.low}, {entry.high}: correct them"
+        )
+    if isinstance(entry.source, str):
+        _word_of(entry.source)
+    _registered.append(entry)
+
+
+def withdraw_entry(entry: Entry) -> None:
+    """Take back an entry that was registered; environments that have been made keep it."""
+    _registered.remove(entry)
 
 
 def entries(config: ObservationConfig) -> tuple[Entry, ...]:
     """Every entry of one observation, in the order of the flat form."""
-    integrity = _integrity(config) if config.shows_levels else []
-    return (*_ego(config), *integrity, *_road(config), *_traffic(config))
+    out: list[Entry] = []
+    for group in GROUPS:
+        shown = DECLARED[group](config)
+        hidden = group == "integrity" and not config.shows_levels
+        out += shown if hidden else [*shown, *(entry for entry in _registered if entry.group == group)]
+    return tuple(out)
 
 
 def group_slices(config: ObservationConfig) -> dict[str, slice]:
@@ -193,6 +285,53 @@ def group_slices(config: ObservationConfig) -> dict[str, slice]:
     groups = [entry.group for entry in entries(config)]
     starts = {group: groups.index(group) for group in GROUPS if group in groups}
     return {group: slice(start, start + groups.count(group)) for group, start in starts.items()}
+
+
+# Sources, as the kernel reads them
+
+SOURCE = re.compile(r"(\w+)(?:\[(\d+)\])?(?:\.(\w+))?(?: == (-?\d+))?")
+BLOCKS = {"view": (vk.VIEW_NUMBER, vk.VIEW), "preview": (vk.PREVIEW, vk.AHEAD), "vehicle": (vk.VEHICLE, vk.BESIDE)}
+WORD = 8  # bytes
+
+
+def _word_of(source: str) -> tuple[int, int, float]:
+    """Block, word and code of a source.
+
+    Raises
+    ------
+    InputError
+        No such record or field.
+    """
+    match = SOURCE.fullmatch(source)
+    if match is None:
+        raise InputError(f"source must be as 'belief.speed_mps' or 'vehicle[0].age_s', got {source!r}: correct it")
+    name, row, field, code = match[1], int(match[2] or 0), match[3], nan if match[4] is None else float(match[4])
+    if name == "sky" and field is None:
+        return vk.SKY, row, code
+    if name != "belief" and name not in BLOCKS:
+        known = ("belief", *BLOCKS, "sky")
+        raise InputError(f"source must name one of {', '.join(known)}, got {source!r}: {nearest(name, known)}")
+    block, record = BLOCKS.get(name, (vk.BELIEF_NUMBER, BELIEF))
+    fields: Mapping[str, Any] = record.fields or {}
+    if field not in fields:
+        raise InputError(
+            f"source must name a field of {name}, got {source!r}: {nearest(str(field), record.names or ())}"
+        )
+    kind, offset = fields[field][:2]
+    if name == "belief" and kind.kind == "i":
+        block = vk.BELIEF_WHOLE
+    return block, (row * record.itemsize + offset) // WORD, code
+
+
+def sources_of(index: tuple[Entry, ...]) -> Records:
+    """The table by which the kernel fills a frame, (E,) SOURCE; entries of functions are left to their functions."""
+    table = np.zeros(len(index), vk.SOURCE)
+    for row, entry in zip(table, index, strict=True):
+        row["block"], row["word"], row["code"] = -1, 0, nan
+        if isinstance(entry.source, str):
+            row["block"], row["word"], row["code"] = _word_of(entry.source)
+        row["factor"], row["low"], row["high"] = 1.0 / entry.scale, entry.low, entry.high
+    return table
 
 
 def describe(config: ObservationConfig | None = None) -> str:

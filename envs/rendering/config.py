@@ -1,4 +1,4 @@
-"""What a user may choose about the picture."""
+"""Options of pictures."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ class ThemeName(StrEnum):
 
 
 class RenderingConfig(Config):
-    """Size, scale and looks of a rendered frame. The defaults fit a README and a video."""
+    """Size, scale and style of a rendered frame. The defaults fit a README and a video."""
 
     width_px: int = Field(960, ge=320, le=7680, description="width of the picture [px]")
     height_px: int = Field(540, ge=240, le=4320, description="height of the picture [px]")
     scale_px_per_m: float = Field(8.0, gt=0.2, le=100, description="zoom of the map [px/m]; a car is then 40 px long")
     orientation: Orientation = Field(Orientation.HEADING_UP, description="what points up on the map")
     theme: ThemeName = Field(ThemeName.DARK, description="dark or light colours")
-    panel: bool = Field(True, description="instruments at the right: status, sky, error box and strip charts")
-    legend: bool = Field(True, description="the key to the colours, at the foot of the map")
-    supersampling: int = Field(2, ge=1, le=4, description="drawn this much larger, then averaged: smooth edges [-]")
-    window_s: float = Field(30.0, gt=1, le=600, description="time that the strip charts show")
+    panel: bool = Field(True, description="instruments on the right: status, sky, error box and strip charts")
+    legend: bool = Field(True, description="legend of the colours at the bottom of the map")
+    supersampling: int = Field(2, ge=1, le=4, description="factor of anti-aliasing [-]")
+    window_s: float = Field(30.0, gt=1, le=600, description="time range of the strip charts")
 
     @property
     def map_width_px(self) -> int:

@@ -1,30 +1,13 @@
 """Many environments of one configuration as arrays, for training at the speed of compiled code.
 
-One step flows through the files in this order: ``motorway_kernel``, ``city_kernel`` or ``course_kernel`` (traffic, the
-first two by ``idm_kernel``), ``ego_kernel`` (commands by belief, and how cars move), ``collisions_kernel``; ``senses``
-(who is where under which of the ``skies``), with ``trackers`` (where each ego believes to be) and ``perceptions`` (whom
-it perceives); ``score_kernel`` with ``costs_kernel`` (truth against belief); ``observe_kernel``. ``step_kernel`` runs
-the kernels, ``engine`` owns the arrays and ``env`` is the vector environment of Gymnasium, with ``infos``.
-
-An episode begins in ``start`` (who drives where) and ``scenes`` (city, hour, errors at the start); ``streams`` draws
-what single environments would draw. ``lanes`` and ``chart`` are the roads, ``rules`` the configuration, and ``support``
-tells what is refused.
+Belief, perception, observations and scores are in :mod:`lanebound.envs.batch`, as for single environments. This package
+moves the cars: ``motorway_kernel``, ``city_kernel`` and ``course_kernel`` (traffic, the first two by ``idm_kernel``),
+``drivers_kernel`` (motion of a car), ``collisions_kernel``; ``drive_kernel`` runs them, ``world_kernel`` holds the end
+rules of the worlds. ``engine`` owns the arrays, ``env`` is the vector environment of Gymnasium, ``support`` refuses
+options that the engine does not have.
 """
 
 from lanebound.envs.vector.engine import Engine
-from lanebound.envs.vector.env import (
-    VectorCarFollowing,
-    VectorDrivingEnv,
-    VectorHighway,
-    VectorLaneKeeping,
-    VectorUrbanCanyon,
-)
+from lanebound.envs.vector.env import VectorDrivingEnv, __getattr__, engine_class, engines
 
-__all__ = [
-    "Engine",
-    "VectorCarFollowing",
-    "VectorDrivingEnv",
-    "VectorHighway",
-    "VectorLaneKeeping",
-    "VectorUrbanCanyon",
-]
+__all__ = ["Engine", "VectorDrivingEnv", "__getattr__", "engine_class", "engines"]

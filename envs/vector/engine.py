@@ -1,57 +1,72 @@
-"""The batched core: N environments of one configuration as arrays, equal to as many single ones."""
+"""The vector engine: N environments of one configuration in compiled traffic, equal to as many single ones."""
 
 from __future__ import annotations
 
 import logging
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from gymnasium.utils import seeding
+from highway_env.envs.common.action import ContinuousAction, DiscreteMetaAction
+from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
+from lanebound.envs.batch.ego_kernel import FASTER, IDLE, LEFT, RIGHT, SLOWER
+from lanebound.envs.batch.episodes import Episodes
+from lanebound.envs.batch.lanes_kernel import PAST_END_M
+from lanebound.envs.batch.navigation import fixes_of
+from lanebound.envs.batch.records_kernel import cars_of
 from lanebound.envs.core import DrivingEnv
-from lanebound.envs.vector import columns_kernel as k
-from lanebound.envs.vector import lanes_kernel as lk
-from lanebound.envs.vector.chart import chart_of
-from lanebound.envs.vector.lanes import lanes_of
-from lanebound.envs.vector.rules import direct_ranges, duration_s, meta_codes, rules_of, trail_length
-from lanebound.envs.vector.senses import Senses, sensing
-from lanebound.envs.vector.start import most_vehicles, profile_steps, starter_of
-from lanebound.envs.vector.step_kernel import DECIDE, FINISH, START, World, run_some
-from lanebound.envs.vector.support import require_supported
-from lanebound.integrity.core.accel import is_compiled, run_rows
-from lanebound.integrity.monitoring.alerts import AlertReason
-from lanebound.integrity.positioning.modes import Mode
-from lanebound.integrity.positioning.rtk_status import RtkStatus
+from lanebound.envs.scene import begin_all, duration_s, make_batch
+from lanebound.envs.vector.drive_kernel import Traffic
+from lanebound.envs.vector.drivers_kernel import Drivers, clear, drivers_of, seat
+from lanebound.envs.vector.support import require_supported, support_of, traffic_of
+from lanebound.envs.vector.world_kernel import WORLD, judge_rows
+from lanebound.integrity.core.accel import is_compiled, run_chain
+from lanebound.integrity.core.bundle_kernel import Bundle, RowCopier
+from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.records import Records, one_record
 
 __all__ = ["Engine"]
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 LOG = logging.getLogger(__name__)
-VEHICLE_FRAME_US, FINISH_US = 0.06, 5.0  # of one thread, measured
+VEHICLE_FRAME_US, FINISH_US, EPOCH_US = 0.06, 5.0, 4.0  # of one thread, measured
 WORLD_SEEDS, EPISODE_SEEDS = 2**31, 2**62  # as DrivingEnv.reset draws them
+META_CODES = {"LANE_LEFT": LEFT, "IDLE": IDLE, "LANE_RIGHT": RIGHT, "FASTER": FASTER, "SLOWER": SLOWER}
 
 
-class Stage(NamedTuple):
-    """Where N episodes take place, or wait to: everything that changes, and what is sensed of it."""
+class Stage:
+    """Where N episodes take place, or wait to: everything that changes.
 
-    world: World
-    senses: Senses | None
+    Attributes
+    ----------
+    episodes : what egos know, and how they are scored
+    traffic : the vehicles beyond their poses, and what they drive by
+    bundle : the traffic as kernels take it
+    """
+
+    def __init__(self, engine: Engine, episodes: Episodes) -> None:
+        n, vehicles = episodes.cars.x.shape
+        numbers: list[Any] = [np.zeros((n, vehicles)) for _ in range(8)]
+        wholes: list[Any] = [np.zeros((n, vehicles), dtype=np.int64) for _ in range(5)]
+        profile = np.zeros((n, engine.support.profile_steps(engine.single.world)))
+        self.episodes = episodes
+        self.traffic = Traffic(Drivers(*numbers, *wholes), engine.world, engine.speeds, profile)
+        self.bundle = Bundle(self.traffic)
+        self._copier = RowCopier((*episodes.arrays, *self.traffic.drivers, profile))
 
     @property
     def nbytes(self) -> int:
         """Memory of all this."""
-        return sum(array.nbytes for array in self.world) + (0 if self.senses is None else self.senses.nbytes)
+        moved = *self.traffic.drivers, self.traffic.profile
+        return self.episodes.nbytes + sum(array.nbytes for array in moved)
 
     def adopt(self, rows: Rows, other: Stage) -> None:
         """Go on with the episodes ``rows`` of another stage."""
-        ours: tuple[Any, ...] = self.world
-        waiting: tuple[Any, ...] = other.world
-        for mine, theirs in zip(ours, waiting, strict=True):
-            mine[rows] = theirs[rows]
-        if self.senses is not None and other.senses is not None:
-            self.senses.adopt(rows, other.senses)
+        self._copier.copy(rows, other._copier)
+        self.episodes.adopt(rows, other.episodes)
 
 
 class Engine:
@@ -68,9 +83,10 @@ class Engine:
 
     Attributes
     ----------
-    world : everything that changes, see :class:`~lanebound.envs.vector.step_kernel.World`
-    lanes, chart, rules : what all environments share
+    episodes : what egos know, and how they are scored
+    drivers : what the vehicles are about
     codes : (A,) code of each meta-action of the action space, none under continuous actions
+    speeds : target speeds of meta-actions
 
     Raises
     ------
@@ -80,53 +96,69 @@ class Engine:
 
     def __init__(self, single: DrivingEnv, count: int) -> None:
         require_supported(single)
-        if not is_compiled(run_some):
+        self.single, self.count, self.support = single, count, support_of(single.config)
+        self._drive = traffic_of(self.support)
+        if not is_compiled(self._drive):
             LOG.warning("compiling the vector engine for this machine: some minutes, once")
-        self.single, self.count = single, count
-        network = single.world.road.network
-        self.lanes, self.chart = lanes_of(network), chart_of(network, single.config.observation)
-        self.rules = rules_of(single)
-        self.frames = single.config.simulation_hz // single.config.policy_hz
+        config, inner = single.config, single.world.action_type
+        self.frames = config.simulation_hz // config.policy_hz
+        meta = isinstance(inner, DiscreteMetaAction)
+        actions = inner.actions if meta else {}
+        self.codes: Rows = np.array([META_CODES[actions[n]] for n in range(len(actions))], dtype=np.int64)
+        self.speeds = np.array(inner.target_speeds if meta else [0.0, 1.0], dtype=np.float64)
+        self._ranges = _direct_ranges(inner)
+        self.world = self._world()
         self._everyone = np.arange(count)
-        self.codes = meta_codes(single.world)
-        self._ranges = direct_ranges(single.world)
-        self._start = starter_of(single.world, self.lanes)
         self._generators: list[np.random.Generator | None] = [None] * count
         self._drawn: dict[int, tuple[int, int]] = {}
-        self.world = self._empty()
-        self.senses: Senses | None = None
-        if sensing(single):
-            length = duration_s(single.config, single.world)
-            self.senses = Senses(single, count, self.lanes, self.rules.figures, length)
-        self._driven = Stage(self.world, self.senses)
+        vehicles = self.support.vehicles(single.world)
+        episodes = make_batch(single.world, config, count, vehicles)
+        if not episodes.table.goes_one_way:
+            raise ConfigError("base must have roads that go on in one way with as many lanes: choose another id")
+        self._start = self.support.starter(single.world, episodes.table)
+        self._stage = Stage(self, episodes)
         self._next: Stage | None = None
         self._begun = np.zeros(count, dtype=np.bool_)  # whether an environment has had an episode
         self._waits = np.zeros(count, dtype=np.bool_)  # whether its next one is ready
 
-    def _empty(self) -> World:
-        """Arrays for N environments, before any start."""
-        n, config, world = self.count, self.single.config, self.single.world
-        vehicles, entries = most_vehicles(world), len(self.single.observer.index)
-        others = max(vehicles - 1, 1)
-        return World(
-            cars=np.zeros((n, k.CAR, vehicles)),
-            whole=np.zeros((n, k.WHOLE, vehicles), dtype=np.int64),
-            belief=np.zeros((n, k.BELIEF)),
-            score=np.zeros((n, k.SCORE)),
-            out=np.zeros((n, k.OUT)),
-            traffic=np.zeros((n, others, k.SEEN)),
-            seen=np.zeros(n, dtype=np.int64),
-            profile=np.zeros((n, profile_steps(world))),
-            trail=np.zeros((n, trail_length(config), 2)),
-            observed=np.zeros(n, dtype=np.int64),
-            sky=np.full((n, 3 * len(config.observation.satellites_m)), -1.0),
-            frame=np.zeros((n, entries), dtype=np.float32),
-        )
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything but the functions of the world."""
+        return {name: value for name, value in self.__dict__.items() if name not in ("support", "_drive", "_start")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.support = support_of(self.single.config)
+        self._drive = traffic_of(self.support)
+        self._start = self.support.starter(self.single.world, self.episodes.table)
+
+    def _world(self) -> Any:
+        """The record of the world."""
+        inner, config = self.single.world.action_type, self.single.config
+        slowest, fastest = getattr(inner, "speed_range", None) or (Vehicle.MIN_SPEED, Vehicle.MAX_SPEED)
+        figures: dict[str, Any] = dict.fromkeys(WORLD.names or (), 0.0)
+        figures |= {"speed_least_mps": slowest, "speed_most_mps": fastest, "end_m": -1.0}
+        figures |= {"episode_s": duration_s(config, self.single.world)}
+        return one_record(WORLD, **(figures | dict(self.support.ends(self.single.world))))
+
+    @property
+    def episodes(self) -> Episodes:
+        """What egos know, and how they are scored."""
+        return self._stage.episodes
+
+    @property
+    def outcome(self) -> Records:
+        """(N,) OUTCOME of the last step."""
+        return self.episodes.ego.outcome
+
+    @property
+    def drivers(self) -> Drivers:
+        """What the vehicles are about."""
+        return self._stage.traffic.drivers
 
     @property
     def bytes_per_environment(self) -> int:
         """Memory of the arrays that grow with N, per environment: of its episode, and of the next once there is one."""
-        stages = [self._driven] if self._next is None else [self._driven, self._next]
+        stages = [self._stage] if self._next is None else [self._stage, self._next]
         return sum(stage.nbytes for stage in stages) // self.count
 
     # An episode
@@ -137,7 +169,7 @@ class Engine:
         first = rows[~follows]
         if first.size:
             self._begun[first] = self._waits[first] = False
-            self._begin(self._driven, first, [seed for seed, on in zip(seeds, follows, strict=True) if not on])
+            self._begin(self._stage, first, [seed for seed, on in zip(seeds, follows, strict=True) if not on])
             self._begun[first] = True
         if first.size < rows.size:
             self._go_on(rows[follows])
@@ -145,70 +177,94 @@ class Engine:
     def _go_on(self, rows: Rows) -> None:
         """Take the next episodes of environments, which are made ready where there is none."""
         if self._next is None:
-            self._next = Stage(self._empty(), None if self.senses is None else self.senses.another())
+            self._next = Stage(self, self.episodes.another())
         if not self._waits[rows].all():
             lacking = np.flatnonzero(self._begun & ~self._waits)
             self._begin(self._next, lacking, [None] * lacking.size)
             self._waits[lacking] = True
-        self._driven.adopt(rows, self._next)
+        self._stage.adopt(rows, self._next)
         self._waits[rows] = False
 
     def _begin(self, stage: Stage, rows: Rows, seeds: list[int | None]) -> None:
         """Begin episodes on a stage."""
-        drawn, w = [self._draw(e, seed) for e, seed in zip(rows.tolist(), seeds, strict=True)], stage.world
+        drawn = [self._draw(e, seed) for e, seed in zip(rows.tolist(), seeds, strict=True)]
+        episodes = stage.episodes
         for e, (_, world) in zip(rows.tolist(), drawn, strict=True):
-            self._start(seeding.np_random(world)[0], w.cars[e], w.whole[e], w.profile[e])
-        self._know_all(w, rows)
-        if stage.senses is not None:
-            stage.senses.begin(rows, [episode for episode, _ in drawn], w)
-        self._run(w, rows, 0, FINISH | START)
+            self._line_up(stage, e, seeding.np_random(world)[0])
+        begin_all(episodes, rows, [episode for episode, _ in drawn])
+        speeds, speed = self.speeds, episodes.cars.speed[rows, 0]
+        share = (speed - speeds[0]) / (speeds[-1] - speeds[0])
+        nearest = np.clip(np.round(share * (speeds.size - 1)), 0, speeds.size - 1).astype(np.int64)
+        episodes.ego.belief["target_speed_mps"][rows] = speeds[nearest]
+        links = [self._judge_link(stage, rows, start=True), *episodes.finish_links(rows, start=True)]
+        run_chain(links, rows.size, row_us=FINISH_US)
+        episodes.fill_extra(rows)
         for e in rows.tolist():
             del self._drawn[e]
 
+    def _line_up(self, stage: Stage, e: int, rng: np.random.Generator) -> None:
+        """Put the vehicles of an environment where its world's generator draws them."""
+        cars, drivers = stage.episodes.cars, stage.traffic.drivers
+        own, theirs = cars_of.py_func(cars, e), drivers_of.py_func(drivers, e)
+        clear(own, theirs, Vehicle.LENGTH, Vehicle.WIDTH)
+        count = cars.present[e] = self._start(rng, own, theirs, stage.traffic.profile[e])
+        seat(own, theirs, count)
+
     def step(self, actions: NDArray[Any], rows: Rows | None = None) -> None:
         """Carry out commands (N,) or (N, A) until the next decision, in all environments or in ``rows`` of them."""
-        where = self._everyone if rows is None else rows
-        codes = self._everyone
+        where, codes = self._everyone if rows is None else rows, None
         if self.codes.size:
             codes = self.codes[actions]
         else:
             self._take_up(actions)
-        if self.senses is None:
-            self._run(self.world, where, self.frames, DECIDE | FINISH, codes)
-            return
-        for frame in range(1, self.frames + 1):
-            self._run(self.world, where, 1, DECIDE if frame == 1 else 0, codes)
-            follow = self.senses.coast if frame % self.senses.steps else self.senses.navigate
-            follow(where, self.world)
-        self.senses.foresee(where, self.world)
-        self._run(self.world, where, 0, FINISH)
+        e, n = self.episodes, where.size
+        frames = self.frames if e.epoch_steps is None else e.epoch_steps
+        links: list[Any] = []
+        cost_us = 0.0
+        for done in range(0, self.frames, frames):
+            links.append(self._drive_link(where, frames, codes if done == 0 else None))
+            cost_us += VEHICLE_FRAME_US * frames * e.cars.x.shape[1]
+            if e.epoch_steps is None:
+                continue
+            truth = None
+            if e.navigation is not None:
+                link, truth = e.navigation.epoch_link(where, e.batch)
+                links.append(link)
+            run_chain(links, n, row_us=cost_us + EPOCH_US)
+            fixes = None if truth is None or e.navigation is None else fixes_of(e.navigation.locate(truth))
+            links, cost_us = e.epoch_links(where, fixes, e.times_s[where]), EPOCH_US
+        links += [self._judge_link(self._stage, where, start=False), *e.finish_links(where, start=False)]
+        run_chain(links, n, row_us=cost_us + FINISH_US)
+        e.fill_extra(where)
 
-    def _run(self, world: World, rows: Rows, frames: int, parts: int, actions: Rows | None = None) -> None:
-        chosen = self._everyone if actions is None else actions
-        row_us = VEHICLE_FRAME_US * frames * world.cars.shape[2] + (FINISH_US if parts & FINISH else 0.0)
-        shared = self.lanes, self.chart, self.rules
-        run_rows(run_some, rows.size, rows, frames, parts, chosen, world, *shared, row_us=row_us)
+    def _drive_link(self, rows: Rows, frames: int, codes: Rows | None) -> Any:
+        """Simulation steps as a link of a chain."""
+        e = self.episodes
+        motions = None if e.navigation is None else e.navigation.motions
+        return self._drive, (rows, frames, codes, e.batch, self._stage.bundle.handle, motions, e.tracks)
+
+    def _judge_link(self, stage: Stage, rows: Rows, start: bool) -> Any:
+        """What the wrapped world says of a step, as a link of a chain."""
+        return judge_rows, (rows, stage.episodes.batch, stage.bundle.handle, start)
 
     def _take_up(self, actions: NDArray[Any]) -> None:
         """Continuous commands in physical units, in the precision of the action as highway-env maps it."""
-        column = 0
-        for target, between in zip((k.B_THROTTLE, k.B_TURN), self._ranges, strict=True):
+        column, command = 0, self.episodes.ego.command
+        for target, between in zip(("acceleration_mps2", "steering_rad"), self._ranges, strict=True):
             if between is not None:
                 share = np.clip(actions[:, column], -1, 1)
-                self.world.belief[:, target] = between[0] + (share - -1) * (between[1] - between[0]) / (1 - -1)
+                command[target] = between[0] + (share - -1) * (between[1] - between[0]) / (1 - -1)
                 column += 1
 
     def sensible(self) -> NDArray[np.bool_]:
         """Which of left, idle, right, faster and slower make sense for each ego by its belief, (N, 5)."""
-        b, table, wanted = self.world.belief, self.lanes.table, self.rules.speeds
-        own = table[b[:, k.B_LANE].astype(np.int64)]
-        s, beside = b[:, k.B_ALONG], 2.0 * own[:, lk.WIDTH]
-        there = (s >= 0.0) & (s < own[:, lk.LENGTH] + lk.VEHICLE_LENGTH_M)
-        left = (own[:, lk.SIDE] > 0) & (np.abs(b[:, k.B_LATERAL] + own[:, lk.WIDTH]) <= beside)
-        right = own[:, lk.SIDE] < own[:, lk.COUNT] - 1
-        right &= np.abs(b[:, k.B_LATERAL] - own[:, lk.WIDTH]) <= beside
-        speed = b[:, k.B_TARGET_SPEED]
-        every = np.ones_like(there)
+        b, wanted = self.episodes.ego.belief, self.speeds
+        own = self.episodes.table.lanes.table[b["lane"]]
+        s, width, aside = b["longitudinal_m"], own["width_m"], b["lateral_m"]
+        there = (s >= 0.0) & (s < own["length_m"] + PAST_END_M)
+        left = (own["side"] > 0) & (np.abs(aside + width) <= 2.0 * width)
+        right = (own["side"] < own["count"] - 1) & (np.abs(aside - width) <= 2.0 * width)
+        speed, every = b["target_speed_mps"], np.ones_like(there)
         return np.stack([left & there, every, right & there, speed < wanted[-1], speed > wanted[0]], -1)
 
     # Starts
@@ -228,19 +284,12 @@ class Engine:
             self._drawn[e] = episode, world
         return self._drawn[e]
 
-    def _know_all(self, w: World, rows: Rows) -> None:
-        """Beliefs and scores at the start, from the true poses."""
-        c = w.cars
-        w.score[rows] = 0.0
-        w.belief[rows] = 0.0
-        poses = {k.B_X: k.X, k.B_Y: k.Y, k.B_HEADING: k.HEADING, k.B_SPEED: k.SPEED}
-        for belief, car in poses.items():
-            w.belief[rows, belief] = c[rows, car, 0]
-        w.belief[rows, k.B_LANE] = w.belief[rows, k.B_TARGET_LANE] = w.whole[rows, k.LANE, 0]
-        speeds = self.rules.speeds
-        share = (c[rows, k.SPEED, 0] - speeds[0]) / (speeds[-1] - speeds[0])
-        nearest = np.clip(np.round(share * (speeds.size - 1)), 0, speeds.size - 1).astype(np.int64)
-        w.belief[rows, k.B_TARGET_SPEED] = speeds[nearest]
-        w.belief[rows, k.B_AVAILABLE] = 1.0
-        w.belief[rows, k.B_MODE], w.belief[rows, k.B_RTK] = int(Mode.RTK), RtkStatus.FIXED.code
-        w.belief[rows, k.B_REASON] = AlertReason.NONE.code
+
+def _direct_ranges(inner: Any) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
+    """Ranges of acceleration and steering of continuous actions, None for one that is not commanded."""
+    if not isinstance(inner, ContinuousAction):
+        return None, None
+    return (
+        inner.acceleration_range if inner.longitudinal else None,
+        inner.steering_range if inner.lateral else None,
+    )

@@ -11,20 +11,13 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from lanebound.envs.batch.infos import form_of, infos_of, results
 from lanebound.envs.core import DrivingEnv
-from lanebound.envs.ids import CarFollowing, Highway, LaneKeeping, Preset, UrbanCanyon, id_of, refuse_misplaced
+from lanebound.envs.ids import Preset, has_engine, id_of, presets, refuse_misplaced
 from lanebound.envs.vector.engine import Engine
-from lanebound.envs.vector.infos import form_of, infos_of, told
 from lanebound.integrity.core.errors import InputError
 
-__all__ = [
-    "ENGINES",
-    "VectorCarFollowing",
-    "VectorDrivingEnv",
-    "VectorHighway",
-    "VectorLaneKeeping",
-    "VectorUrbanCanyon",
-]
+__all__ = ["VectorDrivingEnv", "engine_class", "engines"]
 
 Rows = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -118,7 +111,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
                              "reset all of them first")  # fmt: skip
         rows = np.flatnonzero(mask)
         self._restart(rows, [seeds[e] for e in rows])
-        return self._observations(), infos_of(told(self.engine.world.out, mask), form_of(mask))
+        return self._observations(), infos_of(results(self.engine.outcome, mask), form_of(mask))
 
     def step(self, actions: Any) -> tuple[Batch, NDArray[np.float64], Flags, Flags, dict[str, Any]]:
         """Carry out a command in each environment until the next decision.
@@ -139,14 +132,14 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         self._remember(driving)
         if again.size:
             self._restart(again, [None] * again.size)
-        found = latest = told(self.engine.world.out)
+        found = latest = results(self.engine.outcome)
         self._over = found.terminated | found.truncated
         final: dict[str, Any] = {}
         if self.mode is AutoresetMode.SAME_STEP and np.count_nonzero(self._over):
             ended = self._over.nonzero()[0]
             final = self._final(ended, self._over.copy())
             self._restart(ended, [None] * ended.size)
-            latest = told(self.engine.world.out)
+            latest = results(self.engine.outcome)
         infos = infos_of(latest, self._form)
         infos |= final
         return self._observations(), found.rewards, found.terminated, found.truncated, infos
@@ -168,17 +161,17 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
 
     def _restart(self, rows: Rows, seeds: list[int | None]) -> None:
         self.engine.reset(rows, seeds)
-        self._history[rows] = self.engine.world.frame[rows, None]
+        self._history[rows] = self.engine.episodes.frame[rows, None]
         self._over[rows], self._begun[rows] = False, True
 
     def _remember(self, rows: Rows | None) -> None:
         """Put the newest observations at the end of the stack."""
         if self._history.shape[1] == 1:
-            self._history[:, 0] = self.engine.world.frame
+            self._history[:, 0] = self.engine.episodes.frame
             return
         where: Any = slice(None) if rows is None else rows
         self._history[where, :-1] = self._history[where, 1:]
-        self._history[where, -1] = self.engine.world.frame[where]
+        self._history[where, -1] = self.engine.episodes.frame[where]
 
     def _final(self, ended: Rows, mask: Flags) -> dict[str, Any]:
         """How episodes have ended, in Gymnasium's form."""
@@ -186,7 +179,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         last = self._observations()
         for e in ended:
             observations[e] = {g: part[e] for g, part in last.items()} if isinstance(last, dict) else last[e]
-        info = infos_of(told(self.engine.world.out, mask), form_of(mask))
+        info = infos_of(results(self.engine.outcome, mask), form_of(mask))
         return {"final_obs": observations, "_final_obs": mask, "final_info": info, "_final_info": mask}
 
     # Forms
@@ -222,32 +215,29 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         return commands
 
 
-class VectorHighway(VectorDrivingEnv):
-    """``lanebound/Highway-v0``, N times."""
-
-    KIND = Highway
+_classes: dict[type[Preset], type[VectorDrivingEnv]] = {}
 
 
-class VectorCarFollowing(VectorDrivingEnv):
-    """``lanebound/CarFollowing-v0``, N times."""
-
-    KIND = CarFollowing
-
-
-class VectorLaneKeeping(VectorDrivingEnv):
-    """``lanebound/LaneKeeping-v0``, N times."""
-
-    KIND = LaneKeeping
+def engine_class(kind: type[Preset]) -> type[VectorDrivingEnv]:
+    """The vector environment of an id; one class for each."""
+    if kind not in _classes:
+        page = f"``{id_of(kind)}``, N times."
+        body = {"KIND": kind, "__doc__": page, "__module__": __name__}
+        _classes[kind] = type(f"Vector{kind.__name__}", (VectorDrivingEnv,), body)
+    return _classes[kind]
 
 
-class VectorUrbanCanyon(VectorDrivingEnv):
-    """``lanebound/UrbanCanyon-v0``, N times."""
+def engines() -> dict[str, type[VectorDrivingEnv]]:
+    """The ids that the engine drives, and their vector environments."""
+    return {id_of(kind): engine_class(kind) for kind in presets() if has_engine(kind)}
 
-    KIND = UrbanCanyon
 
-
-KINDS = (VectorHighway, VectorCarFollowing, VectorLaneKeeping, VectorUrbanCanyon)
-ENGINES = {id_of(kind.KIND): kind for kind in KINDS}
+def __getattr__(name: str) -> type[VectorDrivingEnv]:
+    """``VectorHighway`` and so on: the vector environment of the class of ids of that name."""
+    for kind in presets():
+        if name == f"Vector{kind.__name__}" and has_engine(kind):
+            return engine_class(kind)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def _bounds_of(space: Space[Any]) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -1,38 +1,27 @@
-"""The Intelligent Driver Model as highway-env has it, for drivers of several manners.
+"""The Intelligent Driver Model as highway-env has it, with the parameters of several classes of drivers.
 
 M. Treiber, A. Hennecke, S. Helbing, Phys. Rev. E 62, 1805, 2000; highway-env takes the speed difference along the own
-heading, and lets a driver reason about another one by its own figures.
+heading, and lets a driver reason about another one by its own parameters.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
+from lanebound.envs.batch.ego_kernel import not_zero
 from lanebound.envs.vector.arithmetic_kernel import power
-from lanebound.envs.vector.columns_kernel import COS, SIN, SPEED, TARGET_SPEED
 from lanebound.integrity.core.accel import jit
 
-__all__ = [
-    "ACC_MAX",
-    "BRAKING_IMPOSED",
-    "SPEED_MOST_MPS",
-    "Manners",
-    "braking",
-    "free",
-    "gap_wanted",
-    "not_zero",
-    "wanted_speed",
-]
+__all__ = ["ACC_MOST", "BRAKING_IMPOSED", "IdmParameters", "braking", "free", "gap_wanted", "wanted_speed"]
 
-ACC_MAX, BRAKING_IMPOSED = 6.0, 2.0  # of IDMVehicle, whatever the manners
-SPEED_MOST_MPS = 40.0
+ACC_MOST, BRAKING_IMPOSED = 6.0, 2.0  # of IDMVehicle [m/s2], whatever the parameters
 
 
-class Manners(NamedTuple):
-    """Figures of a class of drivers.
+class IdmParameters(NamedTuple):
+    """Parameters of a class of drivers.
 
     gap_m: wanted at standstill, middle to middle; headway_s: time gap; comfort: acceleration [m/s2]; twice_root:
-    ``2 sqrt(a b)`` of it and of the deceleration [m/s2]; delay_s: between thoughts of changing lanes; gain: of
+    ``2 sqrt(a b)`` of it and of the deceleration [m/s2]; delay_s: between considerations of a lane change; gain: of
     acceleration by which a change is worth it [m/s2].
     """
 
@@ -45,36 +34,28 @@ class Manners(NamedTuple):
 
 
 @jit(inline=True)
-def not_zero(x):  # type: ignore[no-untyped-def]
-    """x, or 0.01 with its sign when it is smaller."""
-    if abs(x) > 1e-2:
-        return x
-    return 1e-2 if x >= 0.0 else -1e-2
-
-
-@jit
-def gap_wanted(c, i, j, manners):  # type: ignore[no-untyped-def]
+def gap_wanted(car, drv, i, j, idm):  # type: ignore[no-untyped-def]
     """The distance wanted of vehicle i behind j."""
-    closing_x = c[SPEED, i] * c[COS, i] - c[SPEED, j] * c[COS, j]
-    closing_y = c[SPEED, i] * c[SIN, i] - c[SPEED, j] * c[SIN, j]
-    closing = closing_x * c[COS, i] + closing_y * c[SIN, i]
-    return manners.gap_m + c[SPEED, i] * manners.headway_s + c[SPEED, i] * closing / manners.twice_root
+    closing_x = car.speed[i] * drv.cos[i] - car.speed[j] * drv.cos[j]
+    closing_y = car.speed[i] * drv.sin[i] - car.speed[j] * drv.sin[j]
+    closing = closing_x * drv.cos[i] + closing_y * drv.sin[i]
+    return idm.gap_m + car.speed[i] * idm.headway_s + car.speed[i] * closing / idm.twice_root
 
 
 @jit(inline=True)
-def free(speed, wanted, delta, manners):  # type: ignore[no-untyped-def]
-    """Acceleration of a driver on an empty road, who wants a speed with an exponent."""
-    return manners.comfort * (1.0 - power(max(speed, 0.0) / abs(not_zero(wanted)), delta))
+def free(speed, wanted, delta, idm):  # type: ignore[no-untyped-def]
+    """Acceleration on an empty road, for a wanted speed and an exponent."""
+    return idm.comfort * (1.0 - power(max(speed, 0.0) / abs(not_zero(wanted)), delta))
 
 
-@jit
-def wanted_speed(c, i, limit):  # type: ignore[no-untyped-def]
+@jit(inline=True)
+def wanted_speed(drv, i, limit):  # type: ignore[no-untyped-def]
     """Speed that vehicle i goes for under a limit."""
-    return min(max(c[TARGET_SPEED, i], 0.0), limit)
+    return min(max(drv.target_speed[i], 0.0), limit)
 
 
-@jit
-def braking(c, i, j, gap, manners):  # type: ignore[no-untyped-def]
+@jit(inline=True)
+def braking(car, drv, i, j, gap, idm):  # type: ignore[no-untyped-def]
     """What vehicle j, a gap ahead, takes off the acceleration of vehicle i."""
-    share = gap_wanted(c, i, j, manners) / not_zero(gap)
-    return manners.comfort * share * share
+    share = gap_wanted(car, drv, i, j, idm) / not_zero(gap)
+    return idm.comfort * share * share

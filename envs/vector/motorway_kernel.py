@@ -1,281 +1,260 @@
 """Traffic of a straight motorway along x: highway-env's IDM drivers with MOBIL lane changes, sorted once a step.
 
 An environment's vehicles are kept in order along x, so that neighbours are found by a short walk. Headings and slip
-enter by their sines and cosines: steering asks for ``sin(beta)``, and by ``tan(beta) = tan(steering) / 2`` arctangent
-and tangent cancel. Vehicle 0 is the ego, whom others see as it truly is.
+enter by their sines and cosines: steering commands ``sin(beta)``, and by ``tan(beta) = tan(steering) / 2`` arctangent
+and tangent cancel. Lanes are straight along x, of one width, side by side.
 
 Below ``L dt / (4 tau_heading tau_lateral)``, at 20 Hz 0.52 m/s, the steering of ControlledVehicle multiplies whatever
-rounding there is. Angles are wrapped with highway-env's rounding, so that drivers who are in the middle of their lane
-stay there; an ego that crawls while it changes lanes by meta-actions sways by up to some millimetres, and how is a
-matter of the last bits.
+rounding there is. Angles are wrapped with highway-env's rounding, so that drivers in the middle of their lane stay
+there; an ego that crawls while it changes lanes by meta-actions sways by up to some millimetres, which the last bits
+decide.
 """
 
 from __future__ import annotations
 
 import math
 
+from lanebound.envs.batch.ego_kernel import KP_HEADING, KP_LATERAL, not_zero
+from lanebound.envs.batch.lanes_kernel import PAST_END_M, wrap
 from lanebound.envs.vector.arithmetic_kernel import FLAT_MOST_RAD, arcsine, cosine, sine
-from lanebound.envs.vector.collisions_kernel import LENGTH_M
-from lanebound.envs.vector.columns_kernel import (
-    ACCELERATION,
-    COS,
-    CRASHED,
-    DELTA,
-    FRONT,
-    HEADING,
-    IMPACT_X,
-    IMPACT_Y,
-    LANE,
-    ORDER,
-    RANK,
-    SIN,
-    SPEED,
-    STRUCK,
-    TARGET,
-    TIMER,
-    X,
-    Y,
-)
+from lanebound.envs.vector.drivers_kernel import SPEED_MOST_MPS
 from lanebound.envs.vector.idm_kernel import (
-    ACC_MAX,
+    ACC_MOST,
     BRAKING_IMPOSED,
-    SPEED_MOST_MPS,
-    Manners,
+    IdmParameters,
     braking,
     free,
     gap_wanted,
-    not_zero,
     wanted_speed,
 )
-from lanebound.envs.vector.lanes_kernel import LENGTH, LIMIT, OFFSET, WIDTH, wrap
 from lanebound.integrity.core.accel import jit
 
 __all__ = ["BRISK", "SIN_SLIP_MOST", "accelerate", "change_lanes", "drive_others", "sort_along", "survey"]
 
-BRISK = Manners(10.0, 1.5, 3.0, 2.0 * math.sqrt(15.0), 1.0, 0.2)  # of highway-env's IDMVehicle
-KP_HEADING, KP_LATERAL = 1.0 / 0.2, 1.0 / 0.6  # of ControlledVehicle
-MARGIN_M, BEYOND_M = 1.0, 5.0  # beside and past the ends of a lane, to be on it
+BRISK = IdmParameters(10.0, 1.5, 3.0, 2.0 * math.sqrt(15.0), 1.0, 0.2)  # of highway-env's IDMVehicle
+MARGIN_M = 1.0  # beside a lane, to be on it for drivers that look for neighbours
 SIN_COURSE_MOST = math.sin(0.25 * math.pi)
 TAN_SLIP_MOST = 0.5 * math.tan(math.pi / 3.0)
 SIN_SLIP_MOST = math.sin(math.atan(TAN_SLIP_MOST))
 
 
-@jit
-def _braking(c, i, j):  # type: ignore[no-untyped-def]
+@jit(inline=True)
+def _braking(car, drv, i, j):  # type: ignore[no-untyped-def]
     """What vehicle j ahead takes off IDM's acceleration of vehicle i."""
-    return braking(c, i, j, c[X, j] - c[X, i], BRISK)
+    return braking(car, drv, i, j, car.x[j] - car.x[i], BRISK)
 
 
-@jit
-def _stands_on(c, k, table, lane):  # type: ignore[no-untyped-def]
-    beside = abs(c[Y, k] - table[lane, OFFSET]) <= 0.5 * table[lane, WIDTH] + MARGIN_M
-    return beside & (-BEYOND_M <= c[X, k]) & (c[X, k] < table[lane, LENGTH] + BEYOND_M)
+@jit(inline=True)
+def _stands_on(car, k, table, lane):  # type: ignore[no-untyped-def]
+    """Whether a vehicle is on a lane, or beside it by no more than the margin."""
+    beside = abs(car.y[k] - table[lane].y_m) <= 0.5 * table[lane].width_m + MARGIN_M
+    return beside & (-PAST_END_M <= car.x[k]) & (car.x[k] < table[lane].length_m + PAST_END_M)
 
 
-@jit
-def _ahead(c, w, i, table, lane):  # type: ignore[no-untyped-def]
+@jit(inline=True)
+def _ahead(car, drv, i, table, lane):  # type: ignore[no-untyped-def]
     """The vehicle ahead of i on a lane, -1 for none."""
-    for at in range(w[RANK, i] + 1, c.shape[1]):
-        k = w[ORDER, at]
-        if _stands_on(c, k, table, lane):
+    for at in range(drv.rank[i] + 1, car.present):
+        k = drv.order[at]
+        if _stands_on(car, k, table, lane):
             return k
     return -1
 
 
-@jit
-def _behind(c, w, i, table, lane):  # type: ignore[no-untyped-def]
+@jit(inline=True)
+def _behind(car, drv, i, table, lane):  # type: ignore[no-untyped-def]
     """The vehicle behind i on a lane, -1 for none."""
-    for at in range(w[RANK, i] - 1, -1, -1):
-        k = w[ORDER, at]
-        if _stands_on(c, k, table, lane):
+    for at in range(drv.rank[i] - 1, -1, -1):
+        k = drv.order[at]
+        if _stands_on(car, k, table, lane):
             return k
     return -1
 
 
-@jit
-def sort_along(c, w):  # type: ignore[no-untyped-def]
-    """Bring ``ORDER`` up to date: nearly sorted, so by insertion."""
-    for a in range(1, c.shape[1]):
-        k = w[ORDER, a]
-        x = c[X, k]
-        if c[X, w[ORDER, a - 1]] <= x:
+@jit(inline=True)
+def sort_along(car, drv):  # type: ignore[no-untyped-def]
+    """Bring ``order`` up to date: nearly sorted, so by insertion."""
+    for a in range(1, car.present):
+        k = drv.order[a]
+        x = car.x[k]
+        if car.x[drv.order[a - 1]] <= x:
             continue
         at = a - 1
-        while at >= 0 and c[X, w[ORDER, at]] > x:
-            w[ORDER, at + 1] = w[ORDER, at]
+        while at >= 0 and car.x[drv.order[at]] > x:
+            drv.order[at + 1] = drv.order[at]
             at -= 1
-        w[ORDER, at + 1] = k
+        drv.order[at + 1] = k
 
 
-@jit
-def survey(c, w, table, newest, held):  # type: ignore[no-untyped-def]
+@jit(inline=True)
+def survey(car, drv, table, newest, held):  # type: ignore[no-untyped-def]
     """Ranks along the road, and the vehicle in front of each in its lane.
 
     One sweep against the traffic: the last vehicle met on a lane is in front of all that follow. ``newest`` (L + 1,)
     and ``held`` (2, V) are scratch.
     """
-    _occupy(c, w, table, held)
+    _occupy(car, table, held)
     newest[:] = -1
-    for at in range(c.shape[1] - 1, -1, -1):
-        k = w[ORDER, at]
-        w[RANK, k], w[FRONT, k] = at, newest[w[LANE, k]]
+    for at in range(car.present - 1, -1, -1):
+        k = drv.order[at]
+        drv.rank[k], drv.front[k] = at, newest[car.lane[k]]
         newest[held[0, k]] = newest[held[1, k]] = k
 
 
-@jit
-def _occupy(c, w, table, held):  # type: ignore[no-untyped-def]
+@jit(inline=True)
+def _occupy(car, table, held):  # type: ignore[no-untyped-def]
     """The lanes that every vehicle stands on, ``held`` (2, V): its own, and the one on its side of it; L for none."""
-    lowest, width, end, none = table[0, OFFSET], table[0, WIDTH], table[0, LENGTH] + BEYOND_M, table.shape[0]
+    lowest, width, end, none = table[0].y_m, table[0].width_m, table[0].length_m + PAST_END_M, table.shape[0]
     reach = 0.5 * width + MARGIN_M
-    for i in range(c.shape[1]):
-        lane, along = w[LANE, i], (-BEYOND_M <= c[X, i]) & (c[X, i] < end)
-        aside = c[Y, i] - (lowest + lane * width)
+    for i in range(car.present):
+        lane, along = car.lane[i], (-PAST_END_M <= car.x[i]) & (car.x[i] < end)
+        aside = car.y[i] - (lowest + lane * width)
         beside = lane + (1 if aside > 0.0 else -1)
-        there = along & (abs(c[Y, i] - (lowest + beside * width)) <= reach) & (beside >= 0) & (beside < none)
+        there = along & (abs(car.y[i] - (lowest + beside * width)) <= reach) & (beside >= 0) & (beside < none)
         held[0, i] = lane if along & (abs(aside) <= reach) else none
         held[1, i] = beside if there else none
 
 
-@jit
-def change_lanes(c, w, table, ego_has_target):  # type: ignore[no-untyped-def]
-    """Every driver's decision, one after the other: later ones see the new targets of those before."""
-    for i in range(1, c.shape[1]):
-        changing = w[LANE, i] != w[TARGET, i]
-        if not (changing | (c[TIMER, i] > BRISK.delay_s)) or w[CRASHED, i] != 0:
+@jit(inline=True)
+def change_lanes(car, drv, table, ego_has_target):  # type: ignore[no-untyped-def]
+    """The decisions of all drivers one after the other: later ones see the new targets of those before."""
+    for i in range(1, car.present):
+        changing = car.lane[i] != drv.target[i]
+        if not (changing | (drv.timer[i] > BRISK.delay_s)) or car.crashed[i] != 0:
             continue
         if changing:
-            _give_up(c, w, i, 0 if ego_has_target else 1)
+            _give_up(car, drv, i, 0 if ego_has_target else 1)
         else:
-            c[TIMER, i] = 0.0
-            _consider(c, w, i, table)
+            drv.timer[i] = 0.0
+            _consider(car, drv, i, table)
 
 
-@jit
-def _give_up(c, w, i, first):  # type: ignore[no-untyped-def]
-    """Go back to the own lane when somebody close ahead is changing into the same one."""
-    goal = w[TARGET, i]
-    for k in range(first, c.shape[1]):
-        if w[TARGET, k] == goal and w[LANE, k] != goal and k != i:
-            distance = c[X, k] - c[X, i]
-            if 0.0 < distance < gap_wanted(c, i, k, BRISK):
-                w[TARGET, i] = w[LANE, i]
+@jit(inline=True)
+def _give_up(car, drv, i, first):  # type: ignore[no-untyped-def]
+    """Return to the own lane when a vehicle close ahead is changing into the same one."""
+    goal = drv.target[i]
+    for k in range(first, car.present):
+        if drv.target[k] == goal and car.lane[k] != goal and k != i:
+            distance = car.x[k] - car.x[i]
+            if 0.0 < distance < gap_wanted(car, drv, i, k, BRISK):
+                drv.target[i] = car.lane[i]
                 return
 
 
-@jit
-def _consider(c, w, i, table):  # type: ignore[no-untyped-def]
+@jit(inline=True)
+def _consider(car, drv, i, table):  # type: ignore[no-untyped-def]
     """MOBIL without politeness, left before right: the last lane that is worth it is taken."""
-    if abs(c[SPEED, i]) < 1.0:
+    if abs(car.speed[i]) < 1.0:
         return
-    own, delta, here = w[LANE, i], c[DELTA, i], w[FRONT, i]
-    alone = free(c[SPEED, i], wanted_speed(c, i, table[own, LIMIT]), delta, BRISK)
-    now = alone - (_braking(c, i, here) if here >= 0 else 0.0)
+    own, delta, here = car.lane[i], drv.delta[i], drv.front[i]
+    alone = free(car.speed[i], wanted_speed(drv, i, table[own].speed_limit_mps), delta, BRISK)
+    now = alone - (_braking(car, drv, i, here) if here >= 0 else 0.0)
     for side in (-1, 1):
         lane = own + side
         if not 0 <= lane < table.shape[0]:
             continue
-        aside = abs(c[Y, i] - table[lane, OFFSET])
-        if not (aside <= 2.0 * table[lane, WIDTH] and 0.0 <= c[X, i] < table[lane, LENGTH] + BEYOND_M):
+        aside = abs(car.y[i] - table[lane].y_m)
+        if not (aside <= 2.0 * table[lane].width_m and 0.0 <= car.x[i] < table[lane].length_m + PAST_END_M):
             continue
-        follower = _behind(c, w, i, table, lane)
+        follower = _behind(car, drv, i, table, lane)
         if follower >= 0:
-            limit = table[w[LANE, follower], LIMIT]
-            theirs = free(c[SPEED, follower], wanted_speed(c, follower, limit), delta, BRISK)
-            if theirs - _braking(c, follower, i) < -BRAKING_IMPOSED:
+            limit = table[car.lane[follower]].speed_limit_mps
+            theirs = free(car.speed[follower], wanted_speed(drv, follower, limit), delta, BRISK)
+            if theirs - _braking(car, drv, follower, i) < -BRAKING_IMPOSED:
                 continue
-        there = _ahead(c, w, i, table, lane)
-        gain = alone - (_braking(c, i, there) if there >= 0 else 0.0) - now
+        there = _ahead(car, drv, i, table, lane)
+        gain = alone - (_braking(car, drv, i, there) if there >= 0 else 0.0) - now
         if not gain < BRISK.gain:
-            w[TARGET, i] = lane
+            drv.target[i] = lane
 
 
-@jit
-def accelerate(c, w, table):  # type: ignore[no-untyped-def]
-    """IDM's acceleration of every driver, from the places at the beginning of the step; wrecks do not care."""
-    for i in range(1, c.shape[1]):
-        c[ACCELERATION, i] = wanted_speed(c, i, table[w[LANE, i], LIMIT])
-    for i in range(1, c.shape[1]):
-        c[ACCELERATION, i] = free(c[SPEED, i], c[ACCELERATION, i], c[DELTA, i], BRISK)
-    for i in range(1, c.shape[1]):
-        front = w[FRONT, i]
-        less = _braking(c, i, front) if front >= 0 else 0.0
-        if w[LANE, i] != w[TARGET, i]:
-            front = _ahead(c, w, i, table, w[TARGET, i])
+@jit(inline=True)
+def accelerate(car, drv, table):  # type: ignore[no-untyped-def]
+    """IDM's acceleration of every driver, from the places at the beginning of the step; that of a wreck is not used."""
+    for i in range(1, car.present):
+        drv.acceleration[i] = wanted_speed(drv, i, table[car.lane[i]].speed_limit_mps)
+    for i in range(1, car.present):
+        drv.acceleration[i] = free(car.speed[i], drv.acceleration[i], drv.delta[i], BRISK)
+    for i in range(1, car.present):
+        front = drv.front[i]
+        less = _braking(car, drv, i, front) if front >= 0 else 0.0
+        if car.lane[i] != drv.target[i]:
+            front = _ahead(car, drv, i, table, drv.target[i])
             if front >= 0:
-                less = max(less, _braking(c, i, front))
-        c[ACCELERATION, i] = min(max(c[ACCELERATION, i] - less, -ACC_MAX), ACC_MAX)
+                less = max(less, _braking(car, drv, i, front))
+        drv.acceleration[i] = min(max(drv.acceleration[i] - less, -ACC_MOST), ACC_MOST)
 
 
-@jit
-def drive_others(c, w, table, dt, slip):  # type: ignore[no-untyped-def]
+@jit(inline=True)
+def drive_others(car, drv, table, dt, slip):  # type: ignore[no-untyped-def]
     """One step of all others: the modified bicycle model of highway-env, wrecks braking to rest.
 
     A loop for each quantity, so that the compiler takes several vehicles at once; ``slip`` (V,) is scratch.
     """
-    _steer(c, w, table, slip)
-    _move(c, slip, dt)
-    _turn(c, slip, dt)
-    _speed_up(c, w, dt)
-    _find_lanes(c, w, table)
+    _steer(car, drv, table, slip)
+    _move(car, drv, slip, dt)
+    _turn(car, drv, slip, dt)
+    _speed_up(car, drv, dt)
+    _find_lanes(car, drv, table)
 
 
-@jit
-def _steer(c, w, table, slip):  # type: ignore[no-untyped-def]
-    """Sine of the slip angle by which every driver heads for the middle of its lane; wrecks roll straight on."""
-    for i in range(1, c.shape[1]):
-        slip[i] = table[w[TARGET, i], OFFSET]
-    for i in range(1, c.shape[1]):
-        inverse = 1.0 / not_zero(c[SPEED, i])
-        course = -KP_LATERAL * (c[Y, i] - slip[i]) * inverse
-        turn = arcsine(min(max(course, -SIN_COURSE_MOST), SIN_COURSE_MOST)) - c[HEADING, i]
+@jit(inline=True)
+def _steer(car, drv, table, slip):  # type: ignore[no-untyped-def]
+    """Sine of the slip angle that steers every vehicle to the middle of its lane; wrecks roll straight on."""
+    for i in range(1, car.present):
+        slip[i] = table[drv.target[i]].y_m
+    for i in range(1, car.present):
+        inverse = 1.0 / not_zero(car.speed[i])
+        course = -KP_LATERAL * (car.y[i] - slip[i]) * inverse
+        turn = arcsine(min(max(course, -SIN_COURSE_MOST), SIN_COURSE_MOST)) - car.heading[i]
         turn = wrap(turn)
-        rate = 0.5 * LENGTH_M * inverse * KP_HEADING * turn
-        slip[i] = 0.0 if w[CRASHED, i] != 0 else min(max(rate, -SIN_SLIP_MOST), SIN_SLIP_MOST)
+        rate = 0.5 * car.length[i] * inverse * KP_HEADING * turn
+        slip[i] = 0.0 if car.crashed[i] != 0 else min(max(rate, -SIN_SLIP_MOST), SIN_SLIP_MOST)
 
 
-@jit
-def _move(c, slip, dt):  # type: ignore[no-untyped-def]
-    """Everybody to where it is at the end of the step."""
-    for i in range(1, c.shape[1]):
+@jit(inline=True)
+def _move(car, drv, slip, dt):  # type: ignore[no-untyped-def]
+    """Every vehicle to its place at the end of the step."""
+    for i in range(1, car.present):
         cosine_of_slip = math.sqrt(1.0 - slip[i] * slip[i])
-        c[X, i] += c[SPEED, i] * (c[COS, i] * cosine_of_slip - c[SIN, i] * slip[i]) * dt
-    for i in range(1, c.shape[1]):
+        car.x[i] += car.speed[i] * (drv.cos[i] * cosine_of_slip - drv.sin[i] * slip[i]) * dt
+    for i in range(1, car.present):
         cosine_of_slip = math.sqrt(1.0 - slip[i] * slip[i])
-        c[Y, i] += c[SPEED, i] * (c[SIN, i] * cosine_of_slip + c[COS, i] * slip[i]) * dt
+        car.y[i] += car.speed[i] * (drv.sin[i] * cosine_of_slip + drv.cos[i] * slip[i]) * dt
 
 
-@jit
-def _turn(c, slip, dt):  # type: ignore[no-untyped-def]
+@jit(inline=True)
+def _turn(car, drv, slip, dt):  # type: ignore[no-untyped-def]
     """The new headings, their sines and cosines."""
-    for i in range(1, c.shape[1]):
-        c[HEADING, i] += c[SPEED, i] * slip[i] / (0.5 * LENGTH_M) * dt
-    for i in range(1, c.shape[1]):
-        c[COS, i], c[SIN, i] = cosine(c[HEADING, i]), sine(c[HEADING, i])
-    for i in range(1, c.shape[1]):
-        if abs(c[HEADING, i]) > FLAT_MOST_RAD:
-            c[COS, i], c[SIN, i] = math.cos(c[HEADING, i]), math.sin(c[HEADING, i])
+    for i in range(1, car.present):
+        car.heading[i] += car.speed[i] * slip[i] / (0.5 * car.length[i]) * dt
+    for i in range(1, car.present):
+        drv.cos[i], drv.sin[i] = cosine(car.heading[i]), sine(car.heading[i])
+    for i in range(1, car.present):
+        if abs(car.heading[i]) > FLAT_MOST_RAD:
+            drv.cos[i], drv.sin[i] = math.cos(car.heading[i]), math.sin(car.heading[i])
 
 
-@jit
-def _speed_up(c, w, dt):  # type: ignore[no-untyped-def]
-    """Take over the new speeds; who was struck is thrown as well, and has crashed."""
-    for i in range(1, c.shape[1]):
-        a = -c[SPEED, i] if w[CRASHED, i] != 0 else c[ACCELERATION, i]
-        a = min(a, SPEED_MOST_MPS - c[SPEED, i]) if c[SPEED, i] > SPEED_MOST_MPS else a
-        a = max(a, -SPEED_MOST_MPS - c[SPEED, i]) if c[SPEED, i] < -SPEED_MOST_MPS else a
-        c[SPEED, i] += a * dt
-        c[TIMER, i] += dt
-    for i in range(1, c.shape[1]):
-        if w[STRUCK, i] != 0:
-            c[X, i] += c[IMPACT_X, i]
-            c[Y, i] += c[IMPACT_Y, i]
-            w[CRASHED, i], w[STRUCK, i] = 1, 0
+@jit(inline=True)
+def _speed_up(car, drv, dt):  # type: ignore[no-untyped-def]
+    """The new speeds; a vehicle that was struck is thrown as well, and has crashed."""
+    for i in range(1, car.present):
+        a = -car.speed[i] if car.crashed[i] != 0 else drv.acceleration[i]
+        a = min(a, SPEED_MOST_MPS - car.speed[i]) if car.speed[i] > SPEED_MOST_MPS else a
+        a = max(a, -SPEED_MOST_MPS - car.speed[i]) if car.speed[i] < -SPEED_MOST_MPS else a
+        car.speed[i] += a * dt
+        drv.timer[i] += dt
+    for i in range(1, car.present):
+        if drv.struck[i] != 0:
+            car.x[i] += drv.impact_x[i]
+            car.y[i] += drv.impact_y[i]
+            car.crashed[i], drv.struck[i] = 1, 0
 
 
-@jit
-def _find_lanes(c, w, table):  # type: ignore[no-untyped-def]
+@jit(inline=True)
+def _find_lanes(car, drv, table):  # type: ignore[no-untyped-def]
     """The nearest lane of every vehicle; half way between two highway-env takes the first."""
-    lowest, width, last = table[0, OFFSET], table[0, WIDTH], table.shape[0] - 1
-    for i in range(1, c.shape[1]):
-        place = (c[Y, i] - lowest) / width
-        w[LANE, i] = int(min(max(math.ceil(place - 0.5), 0.0), float(last)))
+    lowest, width, last = table[0].y_m, table[0].width_m, table.shape[0] - 1
+    for i in range(1, car.present):
+        place = (car.y[i] - lowest) / width
+        car.lane[i] = int(min(max(math.ceil(place - 0.5), 0.0), float(last)))

@@ -4,22 +4,6 @@ from __future__ import annotations
 
 import math
 
-from lanebound.envs.vector.columns_kernel import (
-    COS,
-    DELTA,
-    HEADING,
-    LANE,
-    ORDER,
-    PRESENT,
-    SIN,
-    SPEED,
-    TARGET,
-    TARGET_SPEED,
-    TIMER,
-    X,
-    Y,
-)
-from lanebound.envs.vector.lanes_kernel import LIMIT, OFFSET
 from lanebound.integrity.core.accel import jit
 
 __all__ = ["line_up"]
@@ -29,22 +13,19 @@ DELTA_LOW, DELTA_HIGH = 3.5, 4.5  # IDMVehicle.DELTA_RANGE
 
 
 @jit
-def line_up(rng, c, w, table, ego_lane, ego_spacing, spacing):  # type: ignore[no-untyped-def]
+def line_up(rng, car, drv, table, ego_lane, ego_spacing, spacing):  # type: ignore[no-untyped-def]
     """Vehicles of one environment, each ahead of those before; ``ego_lane`` -1 draws the ego's lane as well."""
     lanes = table.shape[0]
     packed = math.exp(-5.0 / 40.0 * lanes)
-    c[:, :] = 0.0
-    w[:, :] = 0
-    for i in range(c.shape[1]):
+    for i in range(car.x.shape[0]):
         lane = ego_lane if i == 0 and ego_lane >= 0 else rng.integers(0, lanes)
-        speed = EGO_MPS if i == 0 else rng.uniform(0.7 * table[lane, LIMIT], 0.8 * table[lane, LIMIT])
+        limit = table[lane].speed_limit_mps
+        speed = EGO_MPS if i == 0 else rng.uniform(0.7 * limit, 0.8 * limit)
         gap = (ego_spacing if i == 0 else spacing) * (PLACE_M + speed) * packed
-        x = 3.0 * gap if i == 0 else c[X, i - 1]
+        x = 3.0 * gap if i == 0 else car.x[i - 1]
         x += gap * rng.uniform(0.9, 1.1)
-        c[X, i], c[Y, i], c[SPEED, i], c[TARGET_SPEED, i] = x, table[lane, OFFSET], speed, speed
-        c[HEADING, i], c[SIN, i], c[COS, i] = 0.0, 0.0, 1.0
-        c[TIMER, i] = (x + table[lane, OFFSET]) * math.pi % 1.0
+        car.x[i], car.y[i], car.speed[i], drv.target_speed[i] = x, table[lane].y_m, speed, speed
+        drv.timer[i] = (x + table[lane].y_m) * math.pi % 1.0
         if i > 0:
-            c[DELTA, i] = rng.uniform(DELTA_LOW, DELTA_HIGH)
-        w[LANE, i] = w[TARGET, i] = lane
-        w[ORDER, i], w[PRESENT, i] = i, 1
+            drv.delta[i] = rng.uniform(DELTA_LOW, DELTA_HIGH)
+        car.lane[i] = drv.target[i] = lane

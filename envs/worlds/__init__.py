@@ -1,13 +1,34 @@
-"""Worlds of our own: plain highway-env scenarios that know nothing of belief."""
-
-from highway_env.envs.common.abstract import AbstractEnv
+"""Worlds of our own: plain highway-env scenarios that know nothing of belief; and what is declared of all worlds."""
 
 from lanebound.envs.worlds.car_following import CarFollowingWorld
+from lanebound.envs.worlds.highway import motorway_support
+from lanebound.envs.worlds.kinds import (
+    Support,
+    WorldKind,
+    register_world,
+    withdraw_world,
+    world_kind,
+    world_kinds,
+)
 from lanebound.envs.worlds.lane_keeping import LaneKeepingWorld
 from lanebound.envs.worlds.urban_canyon import UrbanCanyonWorld
 
-__all__ = ["OWN_WORLDS", "CarFollowingWorld", "LaneKeepingWorld", "UrbanCanyonWorld"]
+__all__ = [
+    "CarFollowingWorld",
+    "LaneKeepingWorld",
+    "Support",
+    "UrbanCanyonWorld",
+    "WorldKind",
+    "register_world",
+    "withdraw_world",
+    "world_kind",
+    "world_kinds",
+]
 
-OWN_WORLDS: dict[str, type[AbstractEnv]] = {
-    kind.__name__: kind for kind in (LaneKeepingWorld, CarFollowingWorld, UrbanCanyonWorld)
-}
+for _kind in (
+    WorldKind("LaneKeepingWorld", LaneKeepingWorld, LaneKeepingWorld.support),
+    WorldKind("CarFollowingWorld", CarFollowingWorld, CarFollowingWorld.support),
+    WorldKind("UrbanCanyonWorld", UrbanCanyonWorld, UrbanCanyonWorld.support),
+    WorldKind("highway-v0", None, motorway_support),
+):
+    register_world(_kind)

@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 from math import cos, pi
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.utils import lmap, wrap_to_pi
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.kinematics import Vehicle
+from numpy.typing import NDArray
 
 from lanebound.envs.records import LaneIndex
+from lanebound.envs.worlds.drivers import LeadVehicle
+from lanebound.envs.worlds.kinds import Starter, Support
 from lanebound.envs.worlds.networks import Section, StreetNetwork
 from lanebound.envs.worlds.roads import StreetRoad
+from lanebound.integrity.core.errors import InputError
 
-__all__ = ["TARGET_SPEEDS_MPS", "World"]
+if TYPE_CHECKING:
+    from lanebound.envs.batch.lanes import LaneTable
+    from lanebound.envs.batch.records_kernel import Cars
+    from lanebound.envs.vector.drivers_kernel import Drivers
+
+__all__ = ["TARGET_SPEEDS_MPS", "Seat", "World"]
+
+Array = NDArray[np.float64]
 
 # Of meta-actions; evenly spaced, as MDPVehicle asks. Steps of 2 m/s would not brake in time for a lead vehicle.
 TARGET_SPEEDS_MPS = [0.0, 2.8, 5.6, 8.4, 11.2, 14.0]
@@ -26,8 +39,27 @@ CONTINUOUS: dict[str, Any] = {
 META: dict[str, Any] = {"type": "DiscreteMetaAction", "target_speeds": TARGET_SPEEDS_MPS}
 
 
+class Seat(NamedTuple):
+    """How a vehicle starts an episode: its lane, how far along it, its speed, and what its driver wants.
+
+    Attributes
+    ----------
+    target_mps, exponent : speed on a free road, and by which power of it the acceleration falls off (IDM drivers)
+    """
+
+    lane_index: LaneIndex
+    along_m: float
+    speed_mps: float
+    target_mps: float = 0.0
+    exponent: float = 0.0
+
+
 class World(AbstractEnv):  # type: ignore[misc]
-    """A scenario of highway-env on one of our roads: subclasses make the road and place who drives on it.
+    """A scenario of highway-env on a road of our own.
+
+    A subclass makes the road (``_network``) and draws the seats of an episode (``draw_seats``); ``OTHERS`` is the class
+    of the vehicles beside the ego, ``TRAFFIC`` the engine's kind of traffic for them, ``ENDS_M`` how far before the end
+    of the road an episode is over (None for roads without an end).
 
     Action
         highway-env's, by ``config["action"]``: ``ContinuousAction`` (acceleration within 6 m/s2, steering within
@@ -43,6 +75,10 @@ class World(AbstractEnv):  # type: ignore[misc]
         ``simulation_frequency`` 20 Hz; ``lane_width`` [m]: 3.25 in towns, 4 is easy, 3 hard for cars 2 m wide;
         ``duration`` [s]; ``progress_reward``, ``centring_reward``, ``collision_reward``: weights of the terms.
     """
+
+    OTHERS: ClassVar[type[Vehicle]] = LeadVehicle
+    TRAFFIC: ClassVar[str] = "course"
+    ENDS_M: ClassVar[float | None] = 20.0
 
     @classmethod
     def default_config(cls) -> dict[str, Any]:
@@ -73,9 +109,26 @@ class World(AbstractEnv):  # type: ignore[misc]
         """The road network."""
         raise NotImplementedError
 
+    def draw_seats(self, rng: np.random.Generator) -> tuple[list[Seat], Array | None]:
+        """The seats of an episode, the ego's first, and the speeds that the others drive step by step, if any."""
+        raise NotImplementedError
+
+    @classmethod
+    def most_vehicles(cls, config: dict[str, Any]) -> int:
+        """How many vehicles an episode may have, the ego included."""
+        return 1
+
     def _populate(self) -> None:
         """Place the ego and the others."""
-        raise NotImplementedError
+        (ego, *others), speeds = self.draw_seats(self.np_random)
+        self._place_ego(ego.lane_index, ego.along_m, ego.speed_mps)
+        for seat in others:
+            driver: Any = self.OTHERS.make_on_lane(self.road, seat.lane_index, seat.along_m, seat.speed_mps)
+            if isinstance(driver, IDMVehicle):
+                driver.target_speed, driver.DELTA = seat.target_mps, seat.exponent
+            if isinstance(driver, LeadVehicle) and speeds is not None:
+                driver.follow(speeds)
+            self.road.vehicles.append(driver)
 
     def _reset(self) -> None:
         self.road = StreetRoad(
@@ -130,5 +183,72 @@ class World(AbstractEnv):  # type: ignore[misc]
         return bool(self.vehicle.crashed or off_road or abs(self._along()[2]) > 0.5 * pi)
 
     def _is_truncated(self) -> bool:
-        """Time is up; half a step of it is left to rounding."""
-        return bool(self.time >= self.config["duration"] - 0.5 / self.config["policy_frequency"])
+        """Time is up, half a step of it left to rounding; or the road is at its end."""
+        late = bool(self.time >= self.config["duration"] - 0.5 / self.config["policy_frequency"])
+        return late or (self.ENDS_M is not None and bool(self._along()[0] > self.vehicle.lane.length - self.ENDS_M))
+
+    # In the vector engine
+
+    @classmethod
+    def support(cls) -> Support:
+        """How the engine drives this world: by the same seats, compiled traffic, and the ends and reward above."""
+        return Support(
+            traffic=cls.TRAFFIC,
+            vehicles=lambda world: cls.most_vehicles(world.config),
+            starter=_seated,
+            ends=cls._ends,
+            profile_steps=cls._profile_steps,
+            refusals=cls._refusals,
+            drivers=cls.OTHERS if issubclass(cls.OTHERS, IDMVehicle) else None,
+        )
+
+    @staticmethod
+    def _ends(world: AbstractEnv) -> dict[str, float]:
+        """Fields of the engine's record WORLD."""
+        from lanebound.envs.vector.world_kernel import OF_ROADS
+
+        c = world.config
+        return {
+            "duration_s": c["duration"], "tolerance_s": 0.5 / c["policy_frequency"],
+            "off_road_ends": c["offroad_terminal"], "against_ends": True,
+            "end_m": -1.0 if world.ENDS_M is None else world.ENDS_M, "reward": OF_ROADS,
+            "collision": c["collision_reward"], "first": c["progress_reward"], "second": c["centring_reward"],
+        }  # fmt: skip
+
+    @staticmethod
+    def _profile_steps(world: AbstractEnv) -> int:
+        """Length of the profile of speeds that vehicles drive."""
+        if not issubclass(world.OTHERS, LeadVehicle) or world.most_vehicles(world.config) < 2:
+            return 1
+        return int(np.ceil(world.config["duration"] / (1.0 / world.config["simulation_frequency"]))) + 1
+
+    @staticmethod
+    def _refusals(world: AbstractEnv) -> list[tuple[str, str, object]]:
+        """Options that the engine does not take."""
+        name = "neighbour_vehicles_connected_lanes"
+        joined = world.TRAFFIC != "city" or bool(world.config[name])
+        return [] if joined else [(f"world.{name}", "True", False)]
+
+
+def _seated(world: AbstractEnv, table: LaneTable) -> Starter:
+    """The start of episodes by the seats that a world draws, into the records of the engine."""
+    from lanebound.envs.batch.lanes_kernel import nearest
+
+    network, delay = world.road.network, getattr(world.OTHERS, "LANE_CHANGE_DELAY", 1.0)
+
+    def start(rng: np.random.Generator, cars: Cars, drivers: Drivers, profile: Array) -> int:
+        seats, speeds = world.draw_seats(rng)
+        if len(seats) > cars.x.size:
+            raise InputError(f"most_vehicles must be {len(seats)} at least, got {cars.x.size}: correct it in the world")
+        if speeds is not None:
+            profile[:] = speeds
+        for i, seat in enumerate(seats):
+            lane = network.get_lane(seat.lane_index)
+            (x, y), heading = lane.position(seat.along_m, 0.0), float(lane.heading_at(seat.along_m))
+            cars.x[i], cars.y[i], cars.heading[i], cars.speed[i] = x, y, heading, seat.speed_mps
+            cars.lane[i] = drivers.target[i] = nearest(table.lanes, float(x), float(y), heading)
+            drivers.target_speed[i], drivers.delta[i] = seat.target_mps, seat.exponent
+            drivers.timer[i] = (np.sum([x, y]) * np.pi) % delay
+        return len(seats)
+
+    return start

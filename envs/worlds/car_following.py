@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from lanebound.envs.worlds.base import World
+import numpy as np
+
+from lanebound.envs.worlds.base import Array, Seat, World
 from lanebound.envs.worlds.drivers import LeadVehicle, SpeedProfileConfig, speed_profile
 from lanebound.envs.worlds.networks import StreetNetwork, long_road
 
@@ -45,24 +47,19 @@ class CarFollowingWorld(World):
     def _network(self) -> StreetNetwork:
         return long_road(self.config["layout"], self.config["lane_width"])
 
-    def _populate(self) -> None:
-        profile = speed_profile(
-            self.np_random,
-            self.config["duration"],
-            1.0 / self.config["simulation_frequency"],
-            SpeedProfileConfig.load(self.config["lead"], "lead"),
-        )
-        index = ("start", "end", 0)
-        lane = self.road.network.get_lane(index)
-        speed = float(profile[0])
-        gap = self.config["standstill_gap"] + float(self.np_random.uniform(*self.config["time_gap"])) * speed
-        latest = lane.length - END_M - lane.speed_limit * self.config["duration"]
-        start = float(self.np_random.uniform(10.0, max(latest, 20.0)))
-        self._place_ego(index, start, speed)
-        lead = LeadVehicle.make_on_lane(self.road, index, start + gap + LeadVehicle.LENGTH, speed)
-        lead.follow(profile)
-        self.road.vehicles.append(lead)
+    @classmethod
+    def most_vehicles(cls, config: dict[str, Any]) -> int:
+        """The ego and the vehicle ahead."""
+        return 2
 
-    def _is_truncated(self) -> bool:
-        """Time is up, or the road is at its end."""
-        return super()._is_truncated() or self._along()[0] > self.vehicle.lane.length - END_M / 2
+    def draw_seats(self, rng: np.random.Generator) -> tuple[list[Seat], Array | None]:
+        """Anywhere from where the episode's time does not reach the end of the road at the limit."""
+        c = self.config
+        law = SpeedProfileConfig.load(c["lead"], "lead")
+        speeds = speed_profile(rng, c["duration"], 1.0 / c["simulation_frequency"], law)
+        index, speed = ("start", "end", 0), float(speeds[0])
+        lane = self.road.network.get_lane(index)
+        gap = c["standstill_gap"] + float(rng.uniform(*c["time_gap"])) * speed
+        latest = lane.length - END_M - lane.speed_limit * c["duration"]
+        start = float(rng.uniform(10.0, max(latest, 20.0)))
+        return [Seat(index, start, speed), Seat(index, start + gap + LeadVehicle.LENGTH, speed)], speeds

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from lanebound.envs.worlds.base import World
+import numpy as np
+
+from lanebound.envs.worlds.base import Array, Seat, World
 from lanebound.envs.worlds.networks import StreetNetwork, winding_road
 
 __all__ = ["LaneKeepingWorld"]
@@ -34,14 +36,10 @@ class LaneKeepingWorld(World):
     def _network(self) -> StreetNetwork:
         return winding_road(self.config["layout"], self.config["lanes_count"], self.config["lane_width"])
 
-    def _populate(self) -> None:
-        """Start anywhere from where the episode's time does not reach the end of the road at the limit."""
-        index = ("start", "end", int(self.np_random.integers(self.config["lanes_count"])))
+    def draw_seats(self, rng: np.random.Generator) -> tuple[list[Seat], Array | None]:
+        """Anywhere from where the episode's time does not reach the end of the road at the limit."""
+        index = ("start", "end", int(rng.integers(self.config["lanes_count"])))
         lane = self.road.network.get_lane(index)
         latest = lane.length - END_M - lane.speed_limit * self.config["duration"]
-        start = float(self.np_random.uniform(10.0, max(latest, 20.0)))
-        self._place_ego(index, start, min(self.config["initial_speed"], lane.advised_speed(start)))
-
-    def _is_truncated(self) -> bool:
-        """Time is up, or the road is at its end."""
-        return super()._is_truncated() or self._along()[0] > self.vehicle.lane.length - END_M / 2
+        start = float(rng.uniform(10.0, max(latest, 20.0)))
+        return [Seat(index, start, min(self.config["initial_speed"], lane.advised_speed(start)))], None

@@ -13,6 +13,7 @@ from highway_env.road.lane import AbstractLane, LineType
 from highway_env.utils import get_class_path
 from numpy.typing import NDArray
 
+from lanebound.envs.batch.lanes_kernel import ADVICE_STEP_M
 from lanebound.envs.worlds.paths import Path, Piece, Pose
 from lanebound.integrity.core.errors import InputError
 
@@ -22,7 +23,6 @@ Array = NDArray[np.float64]
 
 LATERAL_MPS2 = 2.0  # comfortable in bends; urban drivers stay within 2 to 2.5
 DECELERATION_MPS2 = 1.2
-ADVICE_STEP_M = 2.0
 
 
 class CurveLane(AbstractLane):  # type: ignore[misc]

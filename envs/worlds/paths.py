@@ -15,12 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
+from lanebound.envs.batch.lanes_kernel import SQUARE_M
 from lanebound.integrity.core.errors import InputError
 
 __all__ = ["Foot", "Path", "Piece", "Pose", "bend", "rounded_polygon", "straight"]
 
 CLOTHOID_CELL_M = 1.0  # 3-point Gauss over it is exact to 1e-11 m in all of a corner
-SQUARE_M = 8.0
 MARGIN_M = 40.0
 SAMPLE_M = 2.0
 MEMORY = 512

@@ -2,34 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
+from highway_env.vehicle.kinematics import Vehicle
 
-from lanebound.envs.records import LaneIndex
-from lanebound.envs.worlds.base import META, World
+from lanebound.envs.worlds.base import META, Array, Seat, World
 from lanebound.envs.worlds.drivers import CityDriver
 from lanebound.envs.worlds.networks import CITY_SECTIONS, Section, StreetNetwork, advance, city_loop
 
-__all__ = ["Seat", "UrbanCanyonWorld", "draw_seats"]
+__all__ = ["UrbanCanyonWorld"]
 
 ROOM_M = 20.0  # from middle to middle of two vehicles at the start
-
-
-class Seat(NamedTuple):
-    """How a vehicle starts: its lane, how far along it, its speed, and what its driver wants.
-
-    Attributes
-    ----------
-    target_mps, exponent : speed on a free road, and by which power of it the acceleration falls off
-    """
-
-    lane_index: LaneIndex
-    along_m: float
-    speed_mps: float
-    target_mps: float
-    exponent: float
 
 
 class UrbanCanyonWorld(World):
@@ -45,6 +29,10 @@ class UrbanCanyonWorld(World):
         ``vehicles_count`` (other vehicles at most; places already taken stay single), ``spread`` [m] (range along the
         road, from the ego, in which they start), ``initial_speed`` [m/s].
     """
+
+    OTHERS: ClassVar[type[Vehicle]] = CityDriver
+    TRAFFIC: ClassVar[str] = "city"
+    ENDS_M: ClassVar[float | None] = None
 
     @classmethod
     def default_config(cls) -> dict[str, Any]:
@@ -67,33 +55,30 @@ class UrbanCanyonWorld(World):
     def _network(self) -> StreetNetwork:
         return city_loop(self.config["lane_width"])
 
-    def _populate(self) -> None:
-        ego, *others = draw_seats(self.np_random, self.road.network, self.config)
-        self._place_ego(ego.lane_index, ego.along_m, ego.speed_mps)
-        for seat in others:
-            driver = CityDriver.make_on_lane(self.road, seat.lane_index, seat.along_m, seat.speed_mps)
-            driver.target_speed, driver.DELTA = seat.target_mps, seat.exponent
-            self.road.vehicles.append(driver)
+    @classmethod
+    def most_vehicles(cls, config: dict[str, Any]) -> int:
+        """The ego and the others, of which some may be left out."""
+        return 1 + int(config["vehicles_count"])
 
-
-def draw_seats(rng: np.random.Generator, network: StreetNetwork, config: Mapping[str, Any]) -> list[Seat]:
-    """Where the vehicles of an episode start, the ego first; others who would start too near to one are left out."""
-    start, end, side = network.random_lane_index(rng)
-    index = (str(start), str(end), int(side))
-    lane = network.get_lane(index)
-    along = float(rng.uniform(0.0, lane.length))
-    speed = min(config["initial_speed"], lane.advised_speed(along))
-    seats, taken = [Seat(index, along, speed, speed, CityDriver.DELTA)], [lane.position(along, 0.0)]
-    for _ in range(config["vehicles_count"]):
-        away, side = float(rng.uniform(*config["spread"])), int(rng.integers(2))
-        share = float(rng.uniform(0.8, 1.0))
-        there, s = advance(network, (*index[:2], side), along, away)
-        lane = network.get_lane(there)
-        place = lane.position(s, 0.0)
-        if min(np.hypot(*(other - place)) for other in taken) < ROOM_M:
-            continue
-        wanted = share * lane.speed_limit
-        speed, exponent = min(wanted, lane.advised_speed(s)), float(rng.uniform(*CityDriver.DELTA_RANGE))
-        seats.append(Seat(there, s, speed, wanted, exponent))
-        taken.append(place)
-    return seats
+    def draw_seats(self, rng: np.random.Generator) -> tuple[list[Seat], Array | None]:
+        """Anywhere on the loop; others that would start too near to one are left out."""
+        c, network = self.config, self.road.network
+        start, end, side = network.random_lane_index(rng)
+        index = (str(start), str(end), int(side))
+        lane = network.get_lane(index)
+        along = float(rng.uniform(0.0, lane.length))
+        speed = min(c["initial_speed"], lane.advised_speed(along))
+        seats, taken = [Seat(index, along, speed, speed, CityDriver.DELTA)], [lane.position(along, 0.0)]
+        for _ in range(c["vehicles_count"]):
+            away, side = float(rng.uniform(*c["spread"])), int(rng.integers(2))
+            share = float(rng.uniform(0.8, 1.0))
+            there, s = advance(network, (*index[:2], side), along, away)
+            lane = network.get_lane(there)
+            place = lane.position(s, 0.0)
+            if min(np.hypot(*(other - place)) for other in taken) < ROOM_M:
+                continue
+            wanted = share * lane.speed_limit
+            speed, exponent = min(wanted, lane.advised_speed(s)), float(rng.uniform(*CityDriver.DELTA_RANGE))
+            seats.append(Seat(there, s, speed, wanted, exponent))
+            taken.append(place)
+        return seats, None

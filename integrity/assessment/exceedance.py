@@ -17,7 +17,7 @@ from scipy.special import ndtr
 from lanebound.integrity.assessment.measurement_model import Form, Prepared
 from lanebound.integrity.monitoring.risk import multiple_fault_risk, upper_quantile
 
-__all__ = ["STRATA", "Tally", "expected_fault_free", "least_fault_free", "tally"]
+__all__ = ["STRATA", "ExceedanceCounts", "expected_fault_free", "least_fault_free", "tally"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -30,7 +30,7 @@ WAVELENGTH_M = 0.19029367279836487  # L1
 
 
 @dataclass
-class Tally:
+class ExceedanceCounts:
     """Counts of misleading epochs: ``misleading[form]`` (R, 3, strata) along, across, either; ``epochs`` (strata,).
 
     ``available[form]`` (R,) epochs with a finite level, ``alarms`` (strata,) epochs in which the test found something.
@@ -42,16 +42,18 @@ class Tally:
     alarms: Ints = field(default_factory=lambda: np.zeros(len(STRATA), np.int64))
 
     @staticmethod
-    def empty(risks: int) -> Tally:
+    def empty(risks: int) -> ExceedanceCounts:
         """Nothing counted yet."""
-        return Tally(
+        return ExceedanceCounts(
             {form: np.zeros((risks, AXES + 1, len(STRATA)), np.int64) for form in Form},
             {form: np.zeros(risks, np.int64) for form in Form},
             np.zeros(len(STRATA), np.int64),
         )
 
 
-def tally(prepared: Prepared, epochs: int, wrong_fix: float, generator: np.random.Generator, into: Tally) -> None:
+def tally(
+    prepared: Prepared, epochs: int, wrong_fix: float, generator: np.random.Generator, into: ExceedanceCounts
+) -> None:
     """Draw ``epochs`` of a case and add what is counted to ``into``; a wrong fix has probability ``wrong_fix``."""
     strata = _numbers_of_strata(prepared, epochs, wrong_fix, generator)
     for form, levels in prepared.levels_m.items():
@@ -69,7 +71,9 @@ def _numbers_of_strata(prepared: Prepared, epochs: int, wrong_fix: float, genera
     return np.asarray(generator.multinomial(epochs, [*(1.0 - wrong_fix) * faults, wrong_fix]))
 
 
-def _count_block(prepared: Prepared, stratum: int, count: int, generator: np.random.Generator, into: Tally) -> None:
+def _count_block(
+    prepared: Prepared, stratum: int, count: int, generator: np.random.Generator, into: ExceedanceCounts
+) -> None:
     normal = generator.standard_normal((count, len(prepared.case)))
     error = normal @ prepared.error_rows.T + prepared.shift
     statistic = normal @ prepared.test_rows.T + prepared.test_shift

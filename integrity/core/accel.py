@@ -24,7 +24,7 @@ import stat
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import cache
@@ -35,7 +35,7 @@ from typing import Any, TypeVar, overload
 import numba
 from numba.core import event
 
-__all__ = ["LOGGER", "is_compiled", "jit", "kernels_are_cached", "run_rows", "serial", "thread_count"]
+__all__ = ["LOGGER", "is_compiled", "jit", "kernels_are_cached", "run_chain", "run_rows", "serial", "thread_count"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 FASTMATH = {"nsz"}  # more would let a kernel compiled now and one loaded from the cache differ in the last bit
@@ -251,17 +251,30 @@ def run_rows(kernel: Any, rows: int, *arguments: Any, row_us: float) -> None:
     ----------
     row_us : about how long a row takes on one thread [us]; a piece is to be worth waking a thread for
     """
+    run_chain([(kernel, arguments)], rows, row_us=row_us)
+
+
+def run_chain(links: Sequence[tuple[Any, tuple[Any, ...]]], rows: int, *, row_us: float) -> None:
+    """:func:`run_rows` of several kernels one after another, for each piece of rows: threads are woken once for all.
+
+    Parameters
+    ----------
+    links : kernels with their arguments after ``first`` and ``last``
+    row_us : about how long a row takes in all kernels together on one thread [us]
+    """
     pieces = int(rows * row_us / PIECE_US)
     threads = thread_count(pieces)
     if threads == 1:
-        kernel(0, rows, *arguments)
+        for kernel, arguments in links:
+            kernel(0, rows, *arguments)
         return
     pieces = min(threads * PIECES_PER_THREAD, pieces, rows)
     turn = itertools.count()
 
     def work() -> None:
         while (piece := next(turn)) < pieces:
-            kernel(piece * rows // pieces, (piece + 1) * rows // pieces, *arguments)
+            for kernel, arguments in links:
+                kernel(piece * rows // pieces, (piece + 1) * rows // pieces, *arguments)
 
     _crew(threads - 1, os.getpid()).share(work)
 

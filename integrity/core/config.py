@@ -235,7 +235,8 @@ def describe(config: BaseModel, path: str = "") -> list[Entry]:
 
 
 def _entries(config: BaseModel, path: str) -> Iterator[Entry]:
-    for name, field in type(config).model_fields.items():
+    fields = type(config).model_fields
+    for name in [*fields, *(config.model_extra or ())]:
         value = getattr(config, name)
         where = f"{path}.{name}" if path else name
         items = _nested(value, where)
@@ -243,7 +244,7 @@ def _entries(config: BaseModel, path: str) -> Iterator[Entry]:
             for below, model in items:
                 yield from _entries(model, below)
             continue
-        text = field.description or ""
+        text = (fields[name].description or "") if name in fields else ""
         bracket = re.search(r"\s*\[([^\]]*)\]", text)
         unit = bracket[1] if bracket else unit_of(name)
         if bracket:

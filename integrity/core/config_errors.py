@@ -150,6 +150,8 @@ def _find(model: type[BaseModel], loc: Sequence[int | str]) -> tuple[type[BaseMo
         field = owner.model_fields.get(key) if owner is not None and isinstance(key, str) else None
         if field is not None:
             inside = model_in(field.annotation)
+        elif owner is not None and owner.model_config.get("extra") == "allow":
+            inside = model_in(typing.get_type_hints(owner)["__pydantic_extra__"])
     return owner, field
 
 

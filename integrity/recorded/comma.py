@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.source import MAX_BYTES
 
-__all__ = ["Comma", "Fixes", "Reference", "Series", "read_comma", "read_rows"]
+__all__ = ["Comma", "ReceiverFixes", "Reference", "Series", "read_comma", "read_rows"]
 
 Array = NDArray[np.float64]
 MAX_HEADER = 4096  # bytes; the header of a plain array has 118
@@ -49,7 +49,7 @@ class Reference:
 
 
 @dataclass(frozen=True)
-class Fixes:
+class ReceiverFixes:
     """Fixes of the u-blox: time (N,) [s], latitude and longitude [deg], speed [m/s], course [deg]."""
 
     time_s: Array
@@ -69,7 +69,7 @@ class Comma:
     wheel_speed: Series
     acceleration: Series
     rotation_rate: Series
-    fixes: Fixes | None
+    fixes: ReceiverFixes | None
 
 
 def read_comma(folder: str | Path) -> Comma:
@@ -136,13 +136,13 @@ def read_rows(path: str | Path, columns: int | None, max_bytes: int = MAX_BYTES)
     return numbers
 
 
-def _fixes(reader: _Reader) -> Fixes | None:
+def _fixes(reader: _Reader) -> ReceiverFixes | None:
     """Columns of live_gnss: latitude, longitude, speed, time stamp, altitude, course."""
     if reader.path(Path("GNSS/live_gnss_ublox/t")) is None:
         return None
     found = reader.series("GNSS/live_gnss_ublox", 6)
     latitude, longitude, speed, _, _, course = found.value.T
-    return Fixes(found.time_s, latitude, longitude, speed, course)
+    return ReceiverFixes(found.time_s, latitude, longitude, speed, course)
 
 
 class _Reader:

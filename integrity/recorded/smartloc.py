@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.source import Lines, Stop, finite_number
 
-__all__ = ["SYSTEM_LETTERS", "Odometry", "Pseudoranges", "SmartLoc", "Truth", "read_smartloc"]
+__all__ = ["SYSTEM_LETTERS", "GroundTruth", "Odometry", "Pseudoranges", "SmartLoc", "read_smartloc"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -71,7 +71,7 @@ class Odometry:
 
 
 @dataclass(frozen=True)
-class Truth:
+class GroundTruth:
     """Ground truth: time (K,) [s] and position (K, 3) ECEF [m]."""
 
     time_s: Array
@@ -93,7 +93,7 @@ class SmartLoc:
 
     ranges: Pseudoranges
     odometry: Odometry
-    truth: Truth | None
+    truth: GroundTruth | None
     stopped: Stop | None
 
 
@@ -169,7 +169,7 @@ def _odometry(rows: Array) -> Odometry:
     return Odometry(rows[:, 0], rows[:, 1], rows[:, 6], rows[:, 7], rows[:, 12])
 
 
-def _truth(rows: Array, path: str | Path | None) -> Truth | None:
+def _truth(rows: Array, path: str | Path | None) -> GroundTruth | None:
     if not rows.shape[0]:
         if path is not None:
             raise InputError(f"{path} must hold lines 'point3', got none: is it the *_GT file of smartLoc?")
@@ -178,4 +178,4 @@ def _truth(rows: Array, path: str | Path | None) -> Truth | None:
     rows = rows[np.concatenate([[True], np.diff(rows[:, 0]) > 0.0])]
     if math.isclose(float(np.abs(rows[:, 1:]).max()), 0.0):
         raise InputError(f"{path} must hold positions, got zeros only: is it the *_GT file of smartLoc?")
-    return Truth(rows[:, 0], rows[:, 1:])
+    return GroundTruth(rows[:, 0], rows[:, 1:])

@@ -31,11 +31,11 @@ from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.recorded.smartloc import SmartLoc
 from lanebound.integrity.replay.bridge import Bridge, BridgeConfig
 from lanebound.integrity.replay.overbound import CodeErrors
-from lanebound.integrity.replay.reckoning import Path, reckon, turned
+from lanebound.integrity.replay.reckoning import DeadReckonedPath, reckon, turned
 from lanebound.integrity.replay.sagnac import ranges_and_sights
-from lanebound.integrity.replay.window import FIXED_UNKNOWNS, PSI, Frame, Rows, System, settle
+from lanebound.integrity.replay.window import FIXED_UNKNOWNS, PSI, LocalFrame, WhitenedSystem, WindowRows, settle
 
-__all__ = ["CityConfig", "CityDrive", "drive_city"]
+__all__ = ["CodeReplay", "CodeReplayConfig", "drive_city"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -45,7 +45,7 @@ GOOD_ENOUGH = (FdeOutcome.CLEAN.code, FdeOutcome.EXCLUDED.code)
 TURNS = 8  # first guesses of the heading
 
 
-class CityConfig(Config):
+class CodeReplayConfig(Config):
     """How a drive by code is solved and bounded."""
 
     window_s: float = Field(40.0, ge=0.0, le=300.0, description="length of a window [s]; 200 m at 5 m/s")
@@ -62,11 +62,11 @@ class CityConfig(Config):
 
 
 @dataclass(frozen=True)
-class CityDrive:
+class CodeReplay:
     """Epochs (T,): time [s], position (T, 3) in ``frame`` [m], heading [rad], mode, levels and sigmas (T, 2) on AT and
     CT [m], satellites now, satellites excluded, share of rows without full weight."""
 
-    frame: Frame
+    frame: LocalFrame
     time_s: Array
     position_enu_m: Array
     heading_rad: Array
@@ -110,10 +110,10 @@ class CityDrive:
 
 
 def drive_city(
-    drive: SmartLoc, errors: CodeErrors | None, config: CityConfig,
+    drive: SmartLoc, errors: CodeErrors | None, config: CodeReplayConfig,
     outages_s: tuple[tuple[float, float], ...] = (), every: int = 1, first: int = 0,
     told: Progress = silent,
-) -> CityDrive:  # fmt: skip
+) -> CodeReplay:  # fmt: skip
     """Solve a drive epoch by epoch.
 
     ``errors`` are trained bounds; None takes the receiver's own variances as independent Gaussian noise around 0.
@@ -132,7 +132,11 @@ class _Run:
     """State of one drive: last unknowns, bridge, and what is put out."""
 
     def __init__(
-        self, drive: SmartLoc, errors: CodeErrors | None, config: CityConfig, outages: tuple[tuple[float, float], ...]
+        self,
+        drive: SmartLoc,
+        errors: CodeErrors | None,
+        config: CodeReplayConfig,
+        outages: tuple[tuple[float, float], ...],
     ) -> None:
         o, r = drive.odometry, drive.ranges
         if o.time_s.size < 2:
@@ -157,7 +161,7 @@ class _Run:
         self.x: Array | None = None
         self.bridge: Bridge | None = None
 
-    def _first_frame(self) -> Frame:
+    def _first_frame(self) -> LocalFrame:
         """Axes at the fix of the first epoch with enough signals, found from the centre of the Earth."""
         count = np.bincount(self.epoch[self.usable], minlength=self.time.size)
         enough = np.flatnonzero(count >= self.config.minimum_satellites)
@@ -175,13 +179,13 @@ class _Run:
             x += np.linalg.lstsq(design, r.range_m[own] - self.centre[own] - distance - x[3], rcond=None)[0]
         latitude, longitude, _ = geodetic_from_ecef(x[:3])
         self.first_clock = float(x[3])
-        return Frame(x[:3], ecef_from_enu_matrix(latitude, longitude))
+        return LocalFrame(x[:3], ecef_from_enu_matrix(latitude, longitude))
 
-    def drive(self, every: int, first: int, told: Progress) -> CityDrive:
+    def drive(self, every: int, first: int, told: Progress) -> CodeReplay:
         """Each ``every``-th epoch from ``first`` on."""
         chosen = np.arange(first, self.time.size, every)
         n = chosen.size
-        out = CityDrive(
+        out = CodeReplay(
             self.frame, self.time[chosen], np.zeros((n, 3)), np.zeros(n), np.full(n, int(Mode.NONE)),
             np.full((n, 2), np.inf), np.full((n, 2), np.inf), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n),
         )  # fmt: skip
@@ -193,7 +197,7 @@ class _Run:
             told(i + 1, n)
         return out
 
-    def _solve(self, k: int, i: int, out: CityDrive) -> bool:
+    def _solve(self, k: int, i: int, out: CodeReplay) -> bool:
         """One epoch from its window; False where there is no solution to be used."""
         now = self.usable & (self.epoch == k)
         out.satellites[i] = int(now.sum())
@@ -220,7 +224,7 @@ class _Run:
         out.pl_m[i], out.sigma_m[i] = levels, sigma
         return True
 
-    def _rows(self, k: int) -> Rows:
+    def _rows(self, k: int) -> WindowRows:
         """Pseudoranges of the window that ends at epoch k."""
         r, age = self.ranges, self.time - self.time[k]
         wanted = np.zeros(self.time.size, np.bool_)
@@ -235,17 +239,17 @@ class _Run:
         way = self.on_path[own, :2] - self.now_path[k, :2]
         length = self.now_path[k, 3] - self.on_path[own, 3]
         sigma = np.hypot(self.sigma[own], self.config.path_error * length)
-        return Rows(
+        return WindowRows(
             age[self.epoch[own]], r.range_m[own] - self.centre[own], sigma, r.satellite_ecef_m[own],
             satellite.astype(np.int64), np.searchsorted(self.systems, r.system[own]), way, length,
         )  # fmt: skip
 
-    def _settled(self, rows: Rows) -> System:
+    def _settled(self, rows: WindowRows) -> WhitenedSystem:
         """The settled window: from the last solution, or from several headings where none is known."""
         size = FIXED_UNKNOWNS + max(self.systems.size - 1, 0)
         if self.x is not None:
             return settle(rows, self.frame, self.x.copy(), self.tau, self.config.danish)
-        best: System | None = None
+        best: WhitenedSystem | None = None
         for turn in range(TURNS):
             start = np.zeros(size)
             start[3], start[PSI] = self.first_clock, 2.0 * np.pi * turn / TURNS
@@ -255,7 +259,7 @@ class _Run:
         assert best is not None
         return best
 
-    def _tested(self, system: System, heading: float) -> FdeResult:
+    def _tested(self, system: WhitenedSystem, heading: float) -> FdeResult:
         """Detection and exclusion with each satellite a mode."""
         rows = len(system.y)
         modes = system.owner == np.arange(int(system.owner.max()) + 1)[:, None]
@@ -263,7 +267,7 @@ class _Run:
             self.config.fde, system.design, np.eye(rows), system.y, modes=modes, heading_rad=heading
         )
 
-    def _levels(self, system: System, fde: FdeResult, heading: float) -> tuple[Array, Array]:
+    def _levels(self, system: WhitenedSystem, fde: FdeResult, heading: float) -> tuple[Array, Array]:
         """Protection levels and sigmas (2,) on AT, CT."""
         used = fde.used
         present = np.unique(system.owner[used])
@@ -273,7 +277,7 @@ class _Run:
         levels = protection_levels(parts, priors, self.config.risk)[0]
         return levels, parts.sigma_m[0]
 
-    def _carry(self, before: int, k: int, i: int, out: CityDrive) -> None:
+    def _carry(self, before: int, k: int, i: int, out: CodeReplay) -> None:
         """Wheel speed and yaw rate from the last epoch on."""
         if self.bridge is None or self.x is None:
             return
@@ -287,13 +291,13 @@ class _Run:
         out.pl_m[i], out.sigma_m[i] = levels, sigma
 
 
-def _cost(system: System) -> float:
+def _cost(system: WhitenedSystem) -> float:
     """Sum of squared residuals of the whole window at its end."""
     x = np.linalg.lstsq(system.design, system.y, rcond=None)[0]
     return float(((system.y - system.design @ x) ** 2).sum() + system.misfit.sum() + 2.0 * np.log(system.factor).sum())
 
 
-def _path_at(path: Path, time_s: Array) -> Array:
+def _path_at(path: DeadReckonedPath, time_s: Array) -> Array:
     """East, North, heading and distance of the path at times (T,): (T, 4)."""
     columns = (path.position_m[:, 0], path.position_m[:, 1], path.heading_rad, path.distance_m)
     return np.stack([np.interp(time_s, path.time_s, column) for column in columns], -1)

@@ -21,7 +21,7 @@ from lanebound.integrity.core.progress import Progress, silent
 from lanebound.integrity.monitoring.alerts import AlertConfig, AlertLimits
 from lanebound.integrity.positioning.danish import DanishConfig
 from lanebound.integrity.recorded.smartloc import SmartLoc, read_smartloc
-from lanebound.integrity.replay.city import CityConfig, CityDrive, drive_city
+from lanebound.integrity.replay.city import CodeReplay, CodeReplayConfig, drive_city
 from lanebound.integrity.replay.overbound import CodeErrors
 from lanebound.integrity.replay.training import train
 
@@ -39,7 +39,7 @@ class CityReplay(Config):
     training_share: float = Field(0.4, gt=0, lt=1, description="first part of the drive, for fitting the bounds [-]")
     every: int = Field(1, ge=1, description="solve each so many-th epoch [-]")
     first: int = Field(0, ge=0, le=100, description="epochs left out before the first that is solved [-]")
-    solution: CityConfig = CityConfig()
+    solution: CodeReplayConfig = CodeReplayConfig()
     alerts: AlertConfig = AlertConfig(limits=AlertLimits(al_at_m=25.0, al_ct_m=25.0))
 
 
@@ -52,7 +52,7 @@ class CityResult:
     drive: SmartLoc
     until_s: float
     errors: CodeErrors
-    solutions: dict[str, CityDrive]
+    solutions: dict[str, CodeReplay]
 
     def parts(self) -> dict[str, tuple[float, float]]:
         """[from, to) [s] of training, of what comes after, and of windows that lie wholly after."""
@@ -116,13 +116,13 @@ def replay_city(drive: SmartLoc, config: CityReplay | None = None, told: Progres
     errors = train(drive, until)
     plain = config.solution.replace(danish={"iterations": 0})
     again = config.solution.replace(danish={"iterations": DanishConfig().iterations})
-    models: dict[str, tuple[CodeErrors | None, CityConfig]] = {
+    models: dict[str, tuple[CodeErrors | None, CodeReplayConfig]] = {
         "overbound": (errors, config.solution),
         "danish": (errors, again),
         "gaussian": (None, plain),
         "gaussian_epoch": (None, plain.replace(window_s=0.0)),
     }
-    solutions: dict[str, CityDrive] = {}
+    solutions: dict[str, CodeReplay] = {}
     for name, (bounds, solution) in models.items():
 
         def count(done: int, of: int, before: int = len(solutions)) -> None:

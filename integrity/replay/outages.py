@@ -22,7 +22,7 @@ from lanebound.integrity.recorded.comma import Comma
 from lanebound.integrity.replay.bridge import Bridge, BridgeConfig
 from lanebound.integrity.replay.reckoning import reckon, turned
 
-__all__ = ["Motion", "OutageConfig", "Outages", "calibrate", "motion_of", "run_outages", "sawtooth"]
+__all__ = ["Motion", "OutageConfig", "OutageErrors", "calibrate", "motion_of", "run_outages", "sawtooth"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -63,7 +63,7 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Outages:
+class OutageErrors:
     """N outages of M ages (M,) [s]: signed error (N, M, 2) along and across the track [m], level (N, M, 2), speed at
     the start (N,) [m/s] and given heading error (N,) [rad]."""
 
@@ -138,7 +138,7 @@ def calibrate(motion: Motion, seconds: float) -> tuple[Motion, dict[str, float]]
     return calibrated, {"speed_scale": scale, "gyro_bias_degps": math.degrees(bias)}
 
 
-def run_outages(motion: Motion, config: OutageConfig) -> Outages:
+def run_outages(motion: Motion, config: OutageConfig) -> OutageErrors:
     """All outages that begin after the calibration and end before the drive does."""
     n = round(config.longest_s * config.rate_hz)
     first = math.ceil(config.calibration_s * config.rate_hz)
@@ -150,7 +150,7 @@ def run_outages(motion: Motion, config: OutageConfig) -> Outages:
     starts, errors = np.array([s for s, _ in cases]), np.array([e for _, e in cases], dtype=np.float64)
     off, levels = _driven(motion, starts, errors, n, config)
     age = np.asarray((np.arange(n) + 1.0) / config.rate_hz, dtype=np.float64)
-    return Outages(age, off, levels, motion.true_speed_mps[starts], errors, motion.time_s[starts])
+    return OutageErrors(age, off, levels, motion.true_speed_mps[starts], errors, motion.time_s[starts])
 
 
 def _driven(motion: Motion, starts: Ints, heading_error: Array, n: int, config: OutageConfig) -> tuple[Array, Array]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.assessment.bounding import measure_bounding
 from lanebound.integrity.assessment.plotting import INK, PL_COLOUR, legend, new_figure, risk_text, save, tidy
 from lanebound.integrity.recorded.comma import read_comma
-from lanebound.integrity.replay.outages import Motion, OutageConfig, Outages, motion_of, run_outages, sawtooth
+from lanebound.integrity.replay.outages import Motion, OutageConfig, OutageErrors, motion_of, run_outages, sawtooth
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,7 +31,7 @@ S1_HEADING_DEG = math.degrees(math.asin(S1_DRIFT_M / (S1_SPEED_MPS * S1_AGE_S)))
 CAUTION = "outages overlap and stem from one minute of one drive: the exact intervals are narrower than the truth"
 
 
-def by_age(outages: Outages, ages_s: tuple[float, ...] = AGES_S) -> list[dict[str, Any]]:
+def by_age(outages: OutageErrors, ages_s: tuple[float, ...] = AGES_S) -> list[dict[str, Any]]:
     """Errors, levels and exceedances at some ages, JSON-able."""
     rows = []
     for age in ages_s:
@@ -66,7 +66,7 @@ def _against_s1(motion: Motion, config: OutageConfig) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _bounded(outages: Outages, q: int) -> Any:
+def _bounded(outages: OutageErrors, q: int) -> Any:
     return measure_bounding(outages.error_m[..., q], outages.pl_m[..., q])
 
 
@@ -96,7 +96,7 @@ def write_outages(folder: Path, out: Path, config: OutageConfig | None = None) -
     return figures, [summary, drift, save(_sawtooth_figure(motion, config), out / "sawtooth.png")]
 
 
-def _drift_figure(outages: Outages, config: OutageConfig) -> Figure:
+def _drift_figure(outages: OutageErrors, config: OutageConfig) -> Figure:
     """Every outage's error against its age, and the levels."""
     figure = new_figure(11.0, 4.4)
     figure.suptitle(

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Path", "reckon", "turned"]
+__all__ = ["DeadReckonedPath", "reckon", "turned"]
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Path:
+class DeadReckonedPath:
     """Times (T,) [s], heading clockwise from the start's (T,) [rad], position (T, 2) [m], distance (T,) [m]."""
 
     time_s: Array
@@ -22,7 +22,7 @@ class Path:
     distance_m: Array
 
 
-def reckon(time_s: Array, speed_mps: Array, yaw_rate_radps: Array, axle_m: float = 0.0) -> Path:
+def reckon(time_s: Array, speed_mps: Array, yaw_rate_radps: Array, axle_m: float = 0.0) -> DeadReckonedPath:
     """``dp = V dt [sin t, cos t]`` with the means of speed and heading over each interval (inverse of S1 eq 4).
 
     All (T,); the yaw rate is positive to the right (clockwise). The rear axle goes where the car points; the path is
@@ -36,7 +36,7 @@ def reckon(time_s: Array, speed_mps: Array, yaw_rate_radps: Array, axle_m: float
     steps = run[:, None] * np.stack([np.sin(middle), np.cos(middle)], -1)
     ahead = axle_m * np.stack([np.sin(heading), np.cos(heading) - 1.0], -1)
     position = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)]) + ahead
-    return Path(time_s, heading, position, np.concatenate([[0.0], np.cumsum(np.abs(run))]))
+    return DeadReckonedPath(time_s, heading, position, np.concatenate([[0.0], np.cumsum(np.abs(run))]))
 
 
 def turned(offset_m: Array, angle_rad: float) -> Array:

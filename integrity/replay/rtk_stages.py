@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.bundle_kernel import Bundle
 from lanebound.integrity.core.chain_kernel import Chain
-from lanebound.integrity.monitoring.exclusion import FdeConfig, fde_thresholds
+from lanebound.integrity.monitoring.exclusion import FdeConfig
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant
 from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConfig
 from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import find_fixed_position
@@ -68,7 +68,7 @@ class RtkStages:
         parameters["modes"]["rtk_max_hdop"] = math.inf  # levels are wanted of every fixed position
         tables = Tables(
             satellite_table(system, wavelength_m, fixable, exact), case_table(config.cases, exact, 0.0),
-            fde_thresholds(fde, len(system)), separation_thresholds(exact, len(system)),
+            *separation_thresholds(config, len(system)),
         )  # fmt: skip
         n = len(system)
         state, work, out = blank_state(1, n, 1), blank_work(1, n, 1), blank_outputs(1, n, 1)

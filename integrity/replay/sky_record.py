@@ -16,7 +16,7 @@ from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
 from lanebound.integrity.recorded.sky_recording import SkyRecording
-from lanebound.integrity.recorded.smartloc import Pseudoranges, SmartLoc, Truth
+from lanebound.integrity.recorded.smartloc import GroundTruth, Pseudoranges, SmartLoc
 from lanebound.integrity.replay.training import code_errors
 from lanebound.integrity.sky.visibility import Path
 
@@ -89,7 +89,7 @@ def _taken(r: Pseudoranges, keep: Bools) -> Pseudoranges:
     return Pseudoranges(**{name: column[keep] for name, column in vars(r).items()})
 
 
-def _way(truth: Truth, time_s: Array) -> tuple[Array, Array, Array]:
+def _way(truth: GroundTruth, time_s: Array) -> tuple[Array, Array, Array]:
     """Position ECEF (T, 3), distance driven (T,) [m] and direction of travel from North (T,) [rad] at times (T,)."""
     path = truth.position_ecef_m
     axes = ecef_from_enu_matrix(*geodetic_from_ecef(path[0])[:2])

@@ -21,7 +21,7 @@ from lanebound.integrity.positioning.danish import DanishConfig, variance_factor
 from lanebound.integrity.replay.reckoning import turned
 from lanebound.integrity.replay.sagnac import ranges_and_sights
 
-__all__ = ["FIXED_UNKNOWNS", "PSI", "Frame", "Rows", "System", "build", "settle"]
+__all__ = ["FIXED_UNKNOWNS", "PSI", "LocalFrame", "WhitenedSystem", "WindowRows", "build", "settle"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -34,7 +34,7 @@ STEPS = 3  # Gauss-Newton at first; each Danish round adds one
 
 
 @dataclass(frozen=True)
-class Frame:
+class LocalFrame:
     """The local frame: origin (3,) ECEF [m] and the matrix whose columns are E, N, U."""
 
     origin_ecef_m: Array
@@ -50,7 +50,7 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class Rows:
+class WindowRows:
     """Pseudoranges of a window, (m,): age <= 0 [s], range less its expected error and sigma [m], satellite (m, 3) ECEF,
     index of the satellite, of its system (0 has no offset), and the reckoned way to now (m, 2) with its length [m]."""
 
@@ -65,7 +65,7 @@ class Rows:
 
 
 @dataclass(frozen=True)
-class System:
+class WhitenedSystem:
     """Independent rows of unit variance: design (r, n), y (r,) against ``x``, owner (r,): satellite or -1 for priors.
 
     ``misfit`` and ``freedom`` (satellites,) are what the rows of one satellite say against each other.
@@ -80,7 +80,7 @@ class System:
     freedom: Ints
 
 
-def build(rows: Rows, frame: Frame, x: Array) -> tuple[Array, Array]:
+def build(rows: WindowRows, frame: LocalFrame, x: Array) -> tuple[Array, Array]:
     """Design (m, n) at x (n,) and observed minus computed (m,)."""
     way = turned(rows.way_m, x[PSI])
     place = np.zeros((len(way), 3))
@@ -100,7 +100,7 @@ def build(rows: Rows, frame: Frame, x: Array) -> tuple[Array, Array]:
     return design, rows.range_m - distance - clock
 
 
-def settle(rows: Rows, frame: Frame, start: Array, tau_s: float, danish: DanishConfig) -> System:
+def settle(rows: WindowRows, frame: LocalFrame, start: Array, tau_s: float, danish: DanishConfig) -> WhitenedSystem:
     """Gauss-Newton with Danish re-weighting from ``start``; the system at its end."""
     whitener = _whitener(rows, tau_s)
     x, factor = start.copy(), np.ones(len(rows.age_s))
@@ -117,7 +117,7 @@ def settle(rows: Rows, frame: Frame, start: Array, tau_s: float, danish: DanishC
     return _condensed(rows, frame, x, factor, whitener)
 
 
-def _whitener(rows: Rows, tau_s: float) -> Array:
+def _whitener(rows: WindowRows, tau_s: float) -> Array:
     """``L^-1`` of the correlation matrix ``L L'`` of all rows: satellites are independent.  (m, m)."""
     out = np.zeros((len(rows.age_s), len(rows.age_s)))
     for s in range(int(rows.satellite.max()) + 1):
@@ -127,21 +127,21 @@ def _whitener(rows: Rows, tau_s: float) -> Array:
     return out
 
 
-def _white(rows: Rows, frame: Frame, x: Array, factor: Array, whitener: Array) -> Array:
+def _white(rows: WindowRows, frame: LocalFrame, x: Array, factor: Array, whitener: Array) -> Array:
     """Rows of unit variance (m, n + 1), the right-hand side last."""
     design, left = build(rows, frame, x)
     sigma = rows.sigma_m * np.sqrt(factor)
     return np.asarray(whitener @ (np.column_stack([design, left]) / sigma[:, None]))
 
 
-def _step(rows: Rows, frame: Frame, x: Array, factor: Array, whitener: Array) -> Array:
+def _step(rows: WindowRows, frame: LocalFrame, x: Array, factor: Array, whitener: Array) -> Array:
     """The Gauss-Newton step (n,)."""
     prior, told = _priors(x)
     white = np.concatenate([_white(rows, frame, x, factor, whitener), np.column_stack([prior, told])])
     return np.asarray(np.linalg.lstsq(white[:, :-1], white[:, -1], rcond=None)[0])
 
 
-def _condensed(rows: Rows, frame: Frame, x: Array, factor: Array, whitener: Array) -> System:
+def _condensed(rows: WindowRows, frame: LocalFrame, x: Array, factor: Array, whitener: Array) -> WhitenedSystem:
     """Rows of each satellite, condensed, and those of the priors."""
     white = _white(rows, frame, x, factor, whitener)
     parts, owner, misfit, freedom = [], [], [], []
@@ -152,7 +152,7 @@ def _condensed(rows: Rows, frame: Frame, x: Array, factor: Array, whitener: Arra
         misfit.append(part.misfit)
         freedom.append(part.freedom)
     prior, told = _priors(x)
-    return System(
+    return WhitenedSystem(
         np.concatenate([p[0] for p in parts] + [prior]), np.concatenate([p[1] for p in parts] + [told]),
         np.array(owner + [-1] * len(told)), x, factor, np.array(misfit), np.array(freedom),
     )  # fmt: skip

@@ -1,115 +1,83 @@
-"""Random fault campaigns: how often each kind of fault begins, how long it lasts and how large it is."""
+"""Random faults: how often each kind begins, how long it lasts and how large it is."""
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from collections.abc import Mapping
+from typing import Any, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import ConfigDict, model_validator
 
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.sensors.faults import SIZES, Fault, FaultKind
+from lanebound.integrity.core.presets import nearest
+from lanebound.integrity.sensors.fault_kinds import FaultKind, FaultPrior, FaultTarget, Profile
+from lanebound.integrity.sensors.fault_registry import fault_kinds
+from lanebound.integrity.sensors.faults import Fault
 from lanebound.integrity.sky.systems import System
 from lanebound.integrity.sky.view import SkyView
 
-__all__ = ["FaultPrior", "FaultPriors", "random_campaign"]
-
-K = FaultKind
-
-
-class FaultPrior(Config):
-    """How one kind of fault comes: Poisson onsets at each target, lognormal length, uniform size of random sign."""
-
-    per_h: float = Field(0.0, ge=0, description="onsets of each target (satellite, system or vehicle) [1/h]")
-    median_s: float = Field(30.0, gt=0, description="median length [s]")
-    log_sd: float = Field(0.8, ge=0, description="1-sigma of the length's logarithm [-]")
-    low: float = Field(0.0, ge=0, description="smallest magnitude, in the unit of the kind")
-    high: float = Field(0.0, ge=0, description="largest magnitude, in the unit of the kind")
-    ramp_share: float = Field(0.5, ge=0, le=1, description="share of ramps, the rest are steps [-]")
-
-    @model_validator(mode="after")
-    def _range_is_ordered(self) -> Self:
-        if self.low > self.high:
-            raise ValueError(f"low must be <= high, got {self.low} > {self.high}: exchange them")
-        return self
+__all__ = ["FaultPriors", "random_campaign"]
 
 
 class FaultPriors(Config):
-    """Priors by kind. Satellite figures are commitments of the system providers, road figures are argued."""
+    """Priors by kind: an entry for each registered kind, by default the prior that the kind declares.
 
-    satellite_range: FaultPrior = Field(
-        FaultPrior(per_h=1e-5, median_s=600.0, low=5.0, high=100.0),
-        description="GPS SPS PS 2020: 1e-5 per hour and satellite, error above 4.42 URA, ended within the hour",
-    )
-    constellation: FaultPrior = Field(
-        FaultPrior(per_h=1e-4, median_s=600.0, low=5.0, high=100.0, ramp_share=1.0),
-        description="ARAIM ADD v3: 1e-4 for Galileo and others (GPS 1e-8), wrong Earth orientation",
-    )
-    cycle_slip: FaultPrior = Field(
-        FaultPrior(per_h=0.05, median_s=0.2, low=1, high=10, ramp_share=0.0),
-        description="slips a receiver does not notice, per satellite; a few per day of urban driving",
-    )
-    reference_coordinates: FaultPrior = Field(
-        FaultPrior(per_h=1e-5, median_s=3600.0, low=0.05, high=2.0, ramp_share=0.0),
-        description="wrong reference coordinates; an operator's error every ten years of a station",
-    )
-    spoofing: FaultPrior = Field(
-        FaultPrior(per_h=1e-5, median_s=60.0, low=5.0, high=50.0, ramp_share=1.0),
-        description="drag-off; rare outside of known regions",
-    )
-    jamming: FaultPrior = Field(
-        FaultPrior(per_h=0.2, median_s=10.0, low=5.0, high=40.0, ramp_share=1.0),
-        description="privacy jammers; STRIKE3: 1,141 deliberate events at 8 airports in 30 days",
-    )
-    corrections_loss: FaultPrior = Field(
-        FaultPrior(per_h=2.0, median_s=11.5), description="loss of the mobile network; outage length fits S1 section 5"
-    )
-    gyro_bias: FaultPrior = Field(
-        FaultPrior(per_h=1e-4, median_s=600.0, low=0.1, high=2.0),
-        description="jump of a MEMS bias, shock or temperature",
-    )
-    wheel_slip: FaultPrior = Field(
-        FaultPrior(per_h=0.1, median_s=1.0, low=0.05, high=0.5, ramp_share=0.0),
-        description="slippery patches beyond the slip of normal driving",
-    )
-    odometer_frozen: FaultPrior = Field(
-        FaultPrior(per_h=1e-4, median_s=5.0),
-        description="stuck bus message; ASIL B wheel-speed sensors aim at 1e-7 per hour",
-    )
-    v2v_lie: FaultPrior = Field(
-        FaultPrior(per_h=1e-3, median_s=60.0, low=1.0, high=20.0), description="wrong or malicious broadcasts; argued"
-    )
+    Raises
+    ------
+    ConfigError
+        A name is not that of a registered kind, or a kind with a magnitude can begin without any size.
+    """
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, FaultPrior]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_of_each_kind(cls, given: Any) -> Any:
+        if not isinstance(given, Mapping):
+            return given
+        priors = {kind.name: kind.prior for kind in fault_kinds()}
+        unknown = next((name for name in given if name not in priors), None)
+        if unknown is not None:
+            raise ValueError(f"{unknown} is not a known key: {nearest(unknown, priors)}")
+        return {**priors, **given}
 
     @model_validator(mode="after")
     def _sizes_are_given(self) -> Self:
-        for kind, names in SIZES.items():
-            prior: FaultPrior = getattr(self, kind.value)
-            if names and prior.per_h > 0.0 and prior.high == 0.0:
-                raise ValueError(f"{kind.value}.high must be > 0 when per_h is, got 0: give low and high too")
+        for kind in fault_kinds():
+            prior = self.of(kind)
+            if kind.magnitudes and prior.per_h > 0.0 and prior.high == 0.0:
+                raise ValueError(f"{kind.name}.high must be > 0 when per_h is, got 0: give low and high too")
         return self
+
+    def of(self, kind: FaultKind) -> FaultPrior:
+        """The prior of a kind."""
+        return self.__pydantic_extra__[kind.name]
 
 
 def _targets(kind: FaultKind, sky: SkyView) -> list[dict[str, int | System]]:
-    """What a kind of fault can strike: each satellite, each system, each vehicle, or the street as a whole."""
-    if kind in (K.SATELLITE_RANGE, K.CYCLE_SLIP):
-        return [{"system": System(int(s)), "prn": int(p)} for s, p in zip(sky.system, sky.prn, strict=True)]
-    if kind is K.CONSTELLATION:
-        return [{"system": System(int(s))} for s in np.unique(sky.system)]
-    if kind in (K.REFERENCE_COORDINATES, K.JAMMING, K.SPOOFING):
-        return [{}]
-    return [{"vehicle": v} for v in range(sky.batch)]
+    """All that faults of a kind can strike: each satellite, each system, each vehicle, or the street as a whole."""
+    match kind.target:
+        case FaultTarget.SATELLITE:
+            return [{"system": System(int(s)), "prn": int(p)} for s, p in zip(sky.system, sky.prn, strict=True)]
+        case FaultTarget.SYSTEM:
+            return [{"system": System(int(s))} for s in np.unique(sky.system)]
+        case FaultTarget.STREET:
+            return [{}]
+        case FaultTarget.VEHICLE:
+            return [{"vehicle": v} for v in range(sky.batch)]
 
 
 def _magnitude(kind: FaultKind, prior: FaultPrior, generator: np.random.Generator) -> dict[str, float | int]:
-    """A magnitude in the unit of the kind; negative in half the cases where a sign makes sense."""
+    """The first magnitude of the kind; negative in half the cases where it is signed."""
     size, sign = generator.uniform(prior.low, prior.high), generator.choice([-1.0, 1.0])
-    if not SIZES[kind]:
+    of = kind.magnitude
+    if of is None:
         return {}
-    if kind is K.CYCLE_SLIP:
-        return {"magnitude_cycles": int(sign) * max(1, round(size))}
-    unsigned = kind in (K.JAMMING, K.WHEEL_SLIP)
-    return {SIZES[kind][0]: size if unsigned else sign * size}
+    if of.whole:
+        size = max(1, round(size))
+    return {of.field: type(size)(sign) * size if of.signed else size}
 
 
 def _draw(
@@ -120,10 +88,10 @@ def _draw(
     generator: np.random.Generator,
 ) -> Fault:
     length = prior.median_s * float(np.exp(prior.log_sd * generator.standard_normal()))
-    profile: Literal["step", "ramp"] = "ramp" if generator.random() < prior.ramp_share else "step"
+    profile: Profile = "ramp" if generator.random() < prior.ramp_share and "ramp" in kind.profiles else "step"
     return Fault.load(
         {
-            "kind": kind,
+            "kind": kind.name,
             "start_s": generator.uniform(0.0, duration_s),
             "duration_s": length,
             "profile": profile,
@@ -145,7 +113,7 @@ def random_campaign(
     priors_per_h : rates by kind
     duration_s : length of the run [s]
     generator : stream "faults"
-    sky : names the satellites and the number of vehicles
+    sky : satellites and number of vehicles
 
     Returns
     -------
@@ -159,9 +127,8 @@ def random_campaign(
     if not duration_s > 0.0:
         raise InputError(f"duration_s must be positive, got {duration_s}: pass the length of the run in seconds")
     faults: list[Fault] = []
-    for kind in FaultKind:
-        prior: FaultPrior = getattr(priors_per_h, kind.value)
-        targets = _targets(kind, sky)
+    for kind in fault_kinds():
+        prior, targets = priors_per_h.of(kind), _targets(kind, sky)
         for target, count in zip(
             targets, generator.poisson(prior.per_h * duration_s / 3600.0, len(targets)), strict=True
         ):

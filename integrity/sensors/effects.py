@@ -1,4 +1,4 @@
-"""What faults add to the instruments in one epoch: arrays of zeros unless something is wrong."""
+"""Effects of faults on the instruments in one epoch."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FaultEffects:
-    """What faults do to B vehicles and S satellites this epoch.
+    """Effects of faults on B vehicles and S satellites in an epoch; biases are 0 and factors 1 without a fault.
 
     Attributes
     ----------
     code_bias_m, phase_bias_m : (B, S) added to the code and the phase of both bands
     range_rate_bias_mps : (B, S) added to the Doppler range rate, the derivative of the phase bias
-    cn0_drop_db : (B, S) taken off the carrier-to-noise density (jamming)
-    slip_cycles : (B, S, 2) int64, cycles that the ambiguity jumps by now, unknown to the receiver
-    spoof_enu_m : (B, 3) the signals describe the true position plus this
-    reference_enu_m : (B, 3) error of the reference coordinates: an RTK solution moves by this
+    cn0_drop_db : (B, S) subtracted from the carrier-to-noise density (jamming)
+    slip_cycles : (B, S, 2) int64, jump of the ambiguity in this epoch, which the receiver does not detect
+    spoof_enu_m : (B, 3) displacement of the position that the signals describe
+    reference_enu_m : (B, 3) error of the reference coordinates, by which RTK positions move
     corrections_lost : (B,) bool, the reference link is cut
     gyro_bias_radps : (B,) added to the yaw gyro
     odometer_scale : (B,) factor on the distance counted by the wheels, 1 = none
@@ -51,12 +51,12 @@ class FaultEffects:
 
     @classmethod
     def none(cls, batch: int, satellites: int) -> FaultEffects:
-        """No fault at all: shared, read-only arrays, made once for each (B, S)."""
+        """The effects without a fault: shared, read-only arrays, made once for each (B, S)."""
         return _none(batch, satellites)
 
     @classmethod
     def blank(cls, batch: int, satellites: int) -> FaultEffects:
-        """No fault yet: fresh writable arrays that a schedule fills.
+        """The effects without a fault, as new arrays that effect functions change.
 
         Raises
         ------

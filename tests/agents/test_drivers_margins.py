@@ -19,7 +19,9 @@ from lanebound.agents.drivers.plans import CruiseConfig
 from lanebound.agents.drivers.stop import StopConfig, StopOnAlert
 from lanebound.agents.episodes import EpisodeLog, drive, open_env
 from lanebound.envs import IDS, make_config
-from lanebound.envs.costs import CostConfig, rss_distance_m
+from lanebound.envs.batch.costs_kernel import rss_distance_m
+from lanebound.envs.batch.rules import cost_figures
+from lanebound.envs.costs import CostConfig
 from lanebound.envs.sky import SKY_LEVELS
 from lanebound.integrity.core.errors import InputError
 
@@ -53,7 +55,7 @@ def seen(
 @pytest.mark.parametrize("v", [3.0, 8.0, 14.0])
 @pytest.mark.parametrize("lead", [0.0, 6.0, 14.0])
 def test_at_the_safe_speed_the_gap_is_the_distance_that_costs_are_judged_by(v, lead):
-    distance = rss_distance_m(v, lead, CostConfig())
+    distance = rss_distance_m(v, lead, cost_figures(CostConfig())[0])
     speed = float(rss_speed(np.array(distance), np.array(lead), RssConfig()))
     assert speed == pytest.approx(v) if distance > 0.0 else speed >= v
 

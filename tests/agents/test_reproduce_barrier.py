@@ -17,7 +17,7 @@ from lanebound.agents.reproduce import barrier_promise
 from lanebound.agents.reproduce.barrier_promise import BarrierPromiseConfig, one_fault, run_promise
 from lanebound.agents.reproduce.barrier_score import ASSUMPTIONS, PromiseWatch, barrier_m, exceptions_of, levels_m
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.sensors.faults import FaultKind
+from lanebound.integrity.sensors.fault_table import FAULT_TABLE
 
 C = BarrierConfig()
 QUICK = BarrierPromiseConfig(episodes=5, length_s=6.0, batch=3)
@@ -79,7 +79,7 @@ def test_a_hundred_episodes_keep_the_promise(tmp_path):
 
 def test_every_fault_can_be_drawn_and_none_depends_on_anything_but_the_seed():
     faults = [one_fault(seed, 25.0) for seed in range(200)]
-    assert {fault.kind for fault in faults} == set(FaultKind)
+    assert {fault.kind for fault in faults} == {kind.name for kind in FAULT_TABLE}
     assert faults[:5] == [one_fault(seed, 25.0) for seed in range(5)]
 
 
@@ -91,10 +91,10 @@ def test_exceptions_are_named_and_excuse_one_decision_alone():
     )  # fmt: skip
     ego = SimpleNamespace(speed=5.0)
     belief = SimpleNamespace(speed_mps=5.0, position_m=np.zeros(2), heading_rad=0.0)
-    cockpit = SimpleNamespace(ego=ego, traffic=traffic, belief=lambda: belief)
+    loop = SimpleNamespace(ego=ego, traffic=traffic, belief=lambda: belief)
     world = SimpleNamespace(lead=lead, vehicle=ego, gap_m=lambda: 15.0)
     config = SimpleNamespace(observation=SimpleNamespace(pl_max_m=10.0))
-    env: Any = SimpleNamespace(cockpit=cockpit, world=world, config=config, dt_s=0.2)
+    env: Any = SimpleNamespace(belief_loop=loop, world=world, config=config, dt_s=0.2)
     info = {"err_at_m": 0.1, "err_ct_m": 0.1, "pl_at_m": 0.5, "pl_ct_m": 0.5}
     barrier: Any = SimpleNamespace(
         config=C,
@@ -126,10 +126,10 @@ def test_faster_growth_is_counted_and_excuses_nothing():
     )  # fmt: skip
     ego = SimpleNamespace(speed=5.0)
     belief = SimpleNamespace(speed_mps=5.0, position_m=np.zeros(2), heading_rad=0.0)
-    cockpit = SimpleNamespace(ego=ego, traffic=traffic, belief=lambda: belief)
+    loop = SimpleNamespace(ego=ego, traffic=traffic, belief=lambda: belief)
     world = SimpleNamespace(lead=lead, vehicle=ego, gap_m=lambda: 15.0)
     config = SimpleNamespace(observation=SimpleNamespace(pl_max_m=10.0))
-    env: Any = SimpleNamespace(cockpit=cockpit, world=world, config=config, dt_s=0.2)
+    env: Any = SimpleNamespace(belief_loop=loop, world=world, config=config, dt_s=0.2)
     info = {"err_at_m": 0.0, "err_ct_m": 0.0, "pl_at_m": 0.5, "pl_ct_m": 0.5}
     barrier: Any = SimpleNamespace(
         config=C, counts=Counter(), commanded_mps2=0.0, followed=np.array(True),
@@ -155,10 +155,10 @@ def test_a_leader_believed_behind_is_an_assumption_unless_the_filter_brakes_for_
         count=1, position_m=_points(-1.0), pl_at_m=[8.0], pl_ct_m=[1.0], speed_mps=[5.0], age_s=[0.1], relative=[False],
     )  # fmt: skip
     belief = SimpleNamespace(speed_mps=5.0, position_m=np.zeros(2), heading_rad=0.0)
-    cockpit = SimpleNamespace(ego=ego, traffic=traffic, belief=lambda: belief)
+    loop = SimpleNamespace(ego=ego, traffic=traffic, belief=lambda: belief)
     world = SimpleNamespace(lead=lead, vehicle=ego, gap_m=lambda: 15.0)
     config = SimpleNamespace(observation=SimpleNamespace(pl_max_m=10.0))
-    env: Any = SimpleNamespace(cockpit=cockpit, world=world, config=config, dt_s=0.2)
+    env: Any = SimpleNamespace(belief_loop=loop, world=world, config=config, dt_s=0.2)
     info = {"err_at_m": 0.0, "err_ct_m": 0.0, "pl_at_m": 8.0, "pl_ct_m": 0.5}
     barrier: Any = SimpleNamespace(
         config=C, counts=Counter(), commanded_mps2=0.0, followed=np.array(followed),
@@ -184,9 +184,9 @@ def test_a_leader_whom_a_sensor_sees_is_judged_as_seen_from_the_ego():
         count=1, position_m=(belief.position_m + gap + np.array([0.5, 0.0]))[None], pl_at_m=[1.0], pl_ct_m=[0.4],
         speed_mps=[5.0], age_s=[0.0], relative=[True],
     )  # fmt: skip
-    cockpit = SimpleNamespace(ego=ego, traffic=traffic, belief=lambda: belief)
+    loop = SimpleNamespace(ego=ego, traffic=traffic, belief=lambda: belief)
     config = SimpleNamespace(observation=SimpleNamespace(pl_max_m=10.0))
-    env: Any = SimpleNamespace(cockpit=cockpit, world=SimpleNamespace(lead=lead), config=config)
+    env: Any = SimpleNamespace(belief_loop=loop, world=SimpleNamespace(lead=lead), config=config)
     info = {"err_at_m": 4.0, "err_ct_m": -3.0, "pl_at_m": 4.5, "pl_ct_m": 3.5}
     barrier: Any = SimpleNamespace(
         commanded_mps2=0.0, fastest=lambda v, a: v, slowest=lambda v, age: v, strayed=lambda v, age: 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,13 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from lanebound.envs import DrivingEnv, make_config, wrap
-from lanebound.envs.cockpit import Cockpit
+from lanebound.envs.batch.belief_kernel import settle
+from lanebound.envs.batch.lanes import lane_table
+from lanebound.envs.batch.lanes_kernel import nearest
+from lanebound.envs.batch.records_kernel import BELIEF
+from lanebound.envs.belief_loop import BeliefLoop
 from lanebound.envs.ego import BelievedVehicle, MetaEgo
+from lanebound.envs.navigation import Source
 from lanebound.envs.scene import map_bound_m, navigator_config
 from lanebound.integrity.monitoring.alerts import AlertReason
 
@@ -129,7 +135,7 @@ def test_poisoned_truth_changes_no_decision(monkeypatch: pytest.MonkeyPatch) -> 
 
     def blind_act(self: Any, action: Any = None) -> None:
         nonlocal decisions
-        self.cockpit.look()
+        self.loop.look()
         kept = _poisoned(self)
         try:
             act(self, action)
@@ -153,13 +159,13 @@ def test_poisoned_truth_changes_no_decision(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_belief_is_up_to_date_before_anything_is_decided(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[int] = []
-    look = Cockpit.look
+    look = BeliefLoop.look
 
-    def counted(self: Cockpit) -> None:
+    def counted(self: BeliefLoop) -> None:
         look(self)
         seen.append(self._seen - self._moved)
 
-    monkeypatch.setattr(Cockpit, "look", counted)
+    monkeypatch.setattr(BeliefLoop, "look", counted)
     _drive(1)
     assert set(seen) == {0}
 
@@ -169,13 +175,14 @@ def test_a_pose_that_has_yet_to_take_a_jump_over_is_not_called_available() -> No
     env = _highway(sky="open")
     env.reset(seed=1)
     env.step(IDLE)
-    cockpit = env.cockpit
-    assert cockpit is not None
-    assert cockpit.belief().available
-    cockpit.tracker.residual_m = np.array([0.0, 3.0])
-    cockpit._place()
-    cockpit._trust()
-    belief = cockpit.belief()
+    loop = env.belief_loop
+    assert loop is not None
+    assert loop.belief().available
+    e = loop.episodes
+    assert e.tracks is not None
+    e.tracks["residual_y_m"] = 3.0
+    settle(e.tracks[0], e.ego.belief[0], e.table.lanes, 0.0, e.rules[0])
+    belief = loop.belief()
     assert belief.pl_ct_m > 3.0 > belief.al_ct_m
     assert (belief.alert, belief.available, belief.reason) == (True, False, AlertReason.PL_CT.code)
 
@@ -185,8 +192,8 @@ def test_an_ego_that_knows_its_position_still_hears_the_others() -> None:
     env.reset(seed=1)
     for _ in range(20):
         env.step(IDLE)
-    assert env.cockpit is not None
-    assert env.cockpit.traffic.count == 1
+    assert env.belief_loop is not None
+    assert env.belief_loop.traffic.count == 1
 
 
 def test_levels_on_the_map_keep_to_the_stated_risk() -> None:
@@ -214,5 +221,12 @@ def test_where_lanes_part_the_believed_one_is_that_of_the_route_unless_it_is_far
     network.add_lane("b", "t", CircularLane([50.0, 20.0], 20.0, -np.pi / 2, 0.0))
     car = BelievedVehicle(Road(network, np_random=np.random.default_rng(0)), np.array([40.0, 0.0]), 0.0, 10.0)
     car.route = [("b", planned, None)]
-    car.place(np.array([x, 0.3]), 0.02, 10.0)
+    table, belief = lane_table(network), np.zeros(1, BELIEF)
+    for name, value in (("x_m", x), ("y_m", 0.3), ("heading_rad", 0.02), ("speed_mps", 10.0)):
+        belief[name] = value
+    belief["lane"] = nearest(table.lanes, x, 0.3, 0.02)
+    loop: Any = object.__new__(BeliefLoop)
+    loop.config = SimpleNamespace(navigation=SimpleNamespace(source=Source.NAVIGATOR))
+    loop.episodes, loop.believed = SimpleNamespace(ego=SimpleNamespace(belief=belief), table=table), car
+    loop._place()
     assert car.lane_index == ("b", lane, 0)

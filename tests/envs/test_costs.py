@@ -3,31 +3,46 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from highway_env.road.lane import StraightLane
-from highway_env.road.road import Road, RoadNetwork
-from highway_env.vehicle.kinematics import Vehicle
+from highway_env.road.road import RoadNetwork
 
 from lanebound.envs import IDS, DrivingEnv, make_config, wrap
-from lanebound.envs.costs import (
-    CHANGE_S,
-    Corridor,
-    CostConfig,
-    Lead,
-    _short_headway,
-    overhang_m,
-    rss_distance_m,
-    shortfall,
-)
-from lanebound.envs.judge import _misleading
+from lanebound.envs.batch.costs_kernel import CHANGE_S, _headway, overhang_m, rss_distance_m, shortfall
+from lanebound.envs.batch.episodes import Episodes
+from lanebound.envs.batch.lanes import lane_table
+from lanebound.envs.batch.records_kernel import BELIEF, PERCEIVED, SCORE, Cars, cars_of
+from lanebound.envs.batch.rows_kernel import count_rows
+from lanebound.envs.batch.rules import cost_figures
+from lanebound.envs.batch.score_kernel import count_epoch
+from lanebound.envs.belief_loop import BeliefLoop
+from lanebound.envs.costs import CostConfig
 from lanebound.integrity.core.errors import ConfigError
+from vehicles import cars_at, record_of
 
 PERFECT: dict[str, Any] = {"sky": "open", "navigation": {"source": "perfect"}, "perception": {"source": "none"}}
 LEFT, IDLE, RIGHT = 0, 1, 2
+
+
+def _loop(env: DrivingEnv) -> BeliefLoop:
+    assert env.belief_loop is not None
+    return env.belief_loop
+
+
+def _corridor(env: DrivingEnv) -> tuple[int, bool]:
+    """Number of the lane that the car is to keep, and whether it is changing."""
+    score = _loop(env).episodes.ego.score[0]
+    return int(score["corridor_side"]), bool(score["leaving_side"] >= 0)
+
+
+def _car(env: DrivingEnv) -> tuple[Cars, Episodes]:
+    """The vehicles of an environment as they are now."""
+    loop = _loop(env)
+    loop.seats.read(full=True)
+    return cars_of.py_func(loop.episodes.cars, 0), loop.episodes
 
 
 def _costs(env: DrivingEnv, commands: Any, steps: int, seed: int = 0) -> dict[str, float]:
@@ -84,29 +99,27 @@ def test_a_lane_change_is_free_and_one_without_end_is_not() -> None:
     once = _costs(env, lambda k: RIGHT if k == 2 else IDLE, 20)
     assert once["cost_lane"] == 0.0
     env.reset(seed=0)
-    corridor = env._corridor
     changing = 0
     for k in range(79):  # withdrawn before the car arrives, again and again
         env.step(RIGHT if k % 2 else LEFT)
-        changing += corridor.changing
+        changing += _corridor(env)[1]
     assert changing * env.dt_s <= 0.5 * 79 * env.dt_s + CHANGE_S
 
 
 def test_continuous_actions_command_no_change_of_lane() -> None:
     env = DrivingEnv({"base": "UrbanCanyonWorld", "action": "continuous", **PERFECT, "world": {"vehicles_count": 0}})
     env.reset(seed=0)
-    corridor = env._corridor
-    lane = corridor.lane_index[2]
+    lane, _ = _corridor(env)
     for _ in range(8):
         _, _, over, _, _ = env.step(np.array([0.0, 0.15 if lane == 0 else -0.15], dtype=np.float32))
-        assert corridor.lane_index[2] == lane
-        assert not corridor.changing
+        assert _corridor(env) == (lane, False)
         if over:
             break
 
 
 def test_rss_distance_by_hand() -> None:
-    c = CostConfig(response_s=1.0, accelerate_mps2=2.0, brake_min_mps2=4.0, brake_max_mps2=8.0)
+    config = CostConfig(response_s=1.0, accelerate_mps2=2.0, brake_min_mps2=4.0, brake_max_mps2=8.0)
+    c = cost_figures(config)[0]
     assert rss_distance_m(10.0, 12.0, c) == pytest.approx(10.0 + 1.0 + 144.0 / 8.0 - 144.0 / 16.0)
     assert rss_distance_m(0.0, 0.0, c) == 0.0
     assert rss_distance_m(5.0, 40.0, c) == 0.0
@@ -131,16 +144,14 @@ def test_a_newcomer_is_felt_as_it_drives() -> None:
     """The first epoch of a vehicle that appears shows its speed, not a start from rest."""
     env = wrap("intersection-v2", {"sky": "open", "world": {"spawn_probability": 1.0, "initial_vehicle_count": 2}})
     env.reset(seed=3)
-    assert env.cockpit is not None
-    fleet = env.cockpit.around.fleet
-    assert fleet.navigator is not None
-    known, levels = set(fleet.vehicles), []
+    loop = _loop(env)
+    known, levels = set(loop.seats.slot), []
     for _ in range(12):
         *_, terminated, truncated, _ = env.step(IDLE)
-        assert fleet.solution is not None
-        for row, vehicle in zip(fleet.rows, fleet.vehicles, strict=True):
+        assert loop.solution is not None
+        for vehicle, slot in loop.seats.slot.items():
             if vehicle not in known and not vehicle.crashed:
-                levels.append(float(fleet.solution.pl_at_m[row]))
+                levels.append(float(loop.solution.pl_at_m[1 + slot]))
         if terminated or truncated:
             break
     assert len(levels) > 5
@@ -153,8 +164,8 @@ def test_a_lie_moves_the_vehicle_that_is_perceived() -> None:
         env.reset(seed=2, options={"faults": faults})
         for _ in range(15):
             env.step(np.zeros(2, dtype=np.float32))
-        assert env.cockpit is not None
-        return float(math.hypot(*(env.cockpit.traffic.position_m[0] - env.cockpit.ego.position)))
+        loop = _loop(env)
+        return float(math.hypot(*(loop.traffic.position_m[0] - loop.ego.position)))
 
     lie = {"kind": "v2v_lie", "magnitude_m": 20.0, "azimuth_deg": 90.0, "duration_s": 60.0}
     assert abs(lead([lie]) - lead([])) > 5.0
@@ -179,8 +190,7 @@ def test_mistakes_are_refused_when_the_environment_is_made(config: dict[str, Any
 def test_the_others_have_been_heard_when_an_episode_begins() -> None:
     env = DrivingEnv(make_config("lanebound/CarFollowing-v0", {"sky": "open", "perception": {"v2v": {"loss": 0.0}}}))
     env.reset(seed=2)
-    assert env.cockpit is not None
-    traffic = env.cockpit.traffic
+    traffic = _loop(env).traffic
     lead = next(v for v in env.world.road.vehicles if v is not env.world.vehicle)
     assert traffic.count == 1
     assert math.hypot(*(traffic.position_m[0] - lead.position)) < traffic.pl_at_m[0] < 1.0
@@ -204,26 +214,33 @@ def _behind(gap_m: float, speed_mps: float, **perception: Any) -> DrivingEnv:
 def test_what_lacks_of_the_distance_is_a_question_of_the_true_gap(gap_m: float, speed_mps: float, lacks: float) -> None:
     """From 10 m/s a standing vehicle asks for 5.25 + 11^2 / 8 = 20.4 m; at rest no gap is too short."""
     env = _behind(gap_m, speed_mps, source="none")
-    found = shortfall(env.world.vehicle, env.world.road.vehicles, env.config.cost)
+    car, e = _car(env)
+    found = shortfall(car, e.table.lanes, cost_figures(env.config.cost)[0])
     assert found == pytest.approx(lacks, abs=0.01)
 
 
 @pytest.mark.parametrize(("bound_m", "share"), [(0.0, 0.02), (5.0, 0.27), (20.0, 1.0), (math.inf, 1.0)])
 def test_a_missing_level_of_the_gap_costs_as_the_largest(bound_m: float, share: float) -> None:
     """20 m of 20.4 m: a gap just too short, less what bounds its error."""
-    env = _behind(20.0, 10.0, source="none")
-    assert env.cockpit is not None
-    belief = replace(env.cockpit.belief(), speed_mps=10.0)
-    found = _short_headway(CostConfig(), belief, Lead(20.0, 0.0, bound_m), env.world.vehicle, env.world.road.vehicles)
-    assert found == pytest.approx(share, abs=0.02)
+    assert _share_lacking(_behind(20.0, 10.0, source="none"), 20.0, bound_m) == pytest.approx(share, abs=0.02)
 
 
 def test_a_nearer_leader_unseen_costs_by_the_true_gap() -> None:
     env = _behind(10.2, 10.0, source="none")
-    assert env.cockpit is not None
-    far = Lead(90.0, 0.0, 0.5)
-    ego, others = env.world.vehicle, env.world.road.vehicles
-    assert _short_headway(CostConfig(), env.cockpit.belief(), far, ego, others) == pytest.approx(0.5, abs=0.01)
+    assert _share_lacking(env, 90.0, 0.5) == pytest.approx(0.5, abs=0.01)
+
+
+def _share_lacking(env: DrivingEnv, gap_m: float, bound_m: float) -> float:
+    """Of the RSS distance, by a standing leader that is perceived at a gap with a level."""
+    car, e = _car(env)
+    belief, lane = e.ego.belief.copy(), env.world.vehicle.lane
+    belief["speed_mps"] = 10.0
+    x, y = lane.position(float(belief["longitudinal_m"][0]) + gap_m + env.world.vehicle.LENGTH, 0.0)
+    seen = np.zeros(1, PERCEIVED)
+    for name, value in (("x_m", x), ("y_m", y), ("length_m", env.world.vehicle.LENGTH), ("pl_at_m", bound_m)):
+        seen[name] = value
+    seen["relative"] = 1
+    return float(_headway(belief[0], car, seen, 1, e.table.lanes, cost_figures(CostConfig())[0]))
 
 
 @pytest.mark.parametrize("env_id", IDS)
@@ -248,15 +265,22 @@ def test_every_epoch_of_a_step_is_judged() -> None:
     """At 2 decisions a second a step has five epochs; three of them hazardous are three fifths of its time."""
     env = DrivingEnv(make_config("lanebound/UrbanCanyon-v0", {"sky": "open", "world": {"vehicles_count": 0}}))
     env.reset(seed=0)
-    assert env.cockpit is not None
-    judge, seen = env._judge, []
+    e, seen = _loop(env).episodes, list[int]()
+    links = e.epoch_links
 
-    def watch(position_m: Any, levels_m: Any, limits_m: Any, available: bool) -> None:
-        seen.append(available)
-        beside = np.array([0.0, 5.0 if len(seen) in (1, 3, 4) else 0.0])
-        judge.glance(env.world.vehicle.position + beside, (0.1, 0.1), limits_m, True)
+    def displace(first: int, last: int) -> None:
+        seen.append(len(seen) + 1)
+        belief, beside = e.ego.belief, 5.0 if seen[-1] in (1, 3, 4) else 0.0
+        x, y = env.world.vehicle.position
+        for name, value in (("x_m", x), ("y_m", y + beside), ("pl_at_m", 0.1), ("pl_ct_m", 0.1), ("available", 1)):
+            belief[name] = value
 
-    env.cockpit.watch = watch
+    def with_errors(*arguments: Any) -> list[Any]:
+        found = links(*arguments)
+        at = next(n for n, (kernel, _) in enumerate(found) if kernel is count_rows)
+        return [*found[:at], (displace, ()), *found[at:]]
+
+    e.epoch_links = with_errors  # type: ignore[method-assign]
     *_, info = env.step(IDLE)
     assert len(seen) == 5
     assert (info["hmi"], info["mi"], info["hmi_share"]) == (True, False, 0.6)
@@ -277,9 +301,16 @@ def test_misleading_and_hazardous_exclude_each_other(
     error_ct_m: float, level_m: float, available: bool, said: tuple[bool, bool]
 ) -> None:
     """With an error along the track that misleads whenever the position is available and the other axis does not."""
-    assert _misleading((0.0, error_ct_m), (0.3, level_m), (1.5, 0.6), available) == said
-    hazardous = _misleading((0.5, error_ct_m), (0.3, level_m), (1.5, 0.6), available)
-    assert hazardous == (False, True) if said[1] else hazardous == (available, False)
+
+    def judged(error_at_m: float) -> tuple[bool, bool]:
+        levels = {"pl_at_m": 0.3, "pl_ct_m": level_m, "al_at_m": 1.5, "al_ct_m": 0.6, "available": available}
+        score = record_of(SCORE)
+        count_epoch(record_of(BELIEF, x_m=error_at_m, y_m=error_ct_m, **levels), score, cars_at([[0.0, 0.0]]))
+        assert score["epochs"] == 1
+        return bool(score["mi"]), bool(score["hmi"])
+
+    assert judged(0.0) == said
+    assert judged(0.5) == ((False, True) if said[1] else (available, False))
 
 
 def test_a_leader_that_is_not_perceived_costs_in_full_until_the_car_stands() -> None:
@@ -310,11 +341,14 @@ def test_the_body_may_stand_on_two_lanes_that_meet() -> None:
     network = RoadNetwork()
     network.add_lane("a", "b", StraightLane([0.0, 0.0], [50.0, 0.0]))
     network.add_lane("b", "c", StraightLane([50.0, 0.0], [90.0, 30.0]))
-    car = Vehicle(Road(network, np_random=np.random.default_rng(0)), np.array([50.0, 0.0]), 0.32)
-    corridor = Corridor(False, True, ("a", "b", 0))
-    assert overhang_m(network, corridor, car.position, 0.32, car) == 0.0
-    assert overhang_m(network, corridor, np.array([20.0, 1.5]), 0.0, car) == pytest.approx(0.5)
-    assert overhang_m(network, corridor, np.array([-20.0, -1.5]), 0.0, car) == pytest.approx(0.5)
+    lanes, corridor = lane_table(network).lanes, record_of(SCORE, leaving_side=-1)
+
+    def out(x: float, y: float, heading_rad: float) -> float:
+        return float(overhang_m(cars_at([[x, y]], heading_rad), corridor, lanes, True))
+
+    assert out(50.0, 0.0, 0.32) == 0.0
+    assert out(20.0, 1.5, 0.0) == pytest.approx(0.5)
+    assert out(-20.0, -1.5, 0.0) == pytest.approx(0.5)
 
 
 def test_a_car_that_takes_itself_to_stand_does_so() -> None:
@@ -330,7 +364,7 @@ def test_the_wheels_turn_at_the_stated_rate_towards_what_is_commanded() -> None:
     """0.7 rad/s from step to step of the dynamics, however seldom decisions come."""
     env = DrivingEnv(make_config("lanebound/LaneKeeping-v0", {"sky": "open"}))
     env.reset(seed=0)
-    assert env.cockpit is not None
+    belief = _loop(env).episodes.ego.belief
     for command, angle in ((0.5, 0.14), (0.5, 0.2), (-0.5, 0.06)):
         env.step(np.array([-0.5, command], dtype=np.float32))
-        assert env.cockpit.steering_rad == pytest.approx(angle, abs=1e-6)
+        assert belief["steering_rad"][0] == pytest.approx(angle, abs=1e-6)

@@ -6,6 +6,8 @@ import functools
 import inspect
 import pickle
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import gymnasium as gym
@@ -19,7 +21,8 @@ from lanebound.envs.manual import SECTIONS, markdown
 from lanebound.envs.scene import alert_limits_m
 from lanebound.envs.worlds import networks
 from lanebound.integrity.core.errors import ConfigError
-from lanebound.integrity.sensors.faults import Fault, FaultKind
+from lanebound.integrity.sensors.fault_registry import fault_kinds
+from lanebound.integrity.sensors.faults import Fault
 
 ROOT = Path(__file__).parents[2]
 LIGHT = {"sky": "open", "layouts": 1}
@@ -148,8 +151,6 @@ def test_the_manual_is_up_to_date() -> None:
 
 def test_the_readme_tells_the_same() -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    costs = re.findall(r"^\| `cost_\w+` \|.*$", inspect.getdoc(DrivingEnv) or "", re.MULTILINE)
-    assert [row for row in costs if row not in readme] == []
     for env_id in IDS:
         config = make_config(env_id)
         row = rf"^\| `{env_id}` \| .+ \| {config.action.value}, {config.policy_hz} Hz \| {config.sky} \|$"
@@ -158,5 +159,20 @@ def test_the_readme_tells_the_same() -> None:
 
 def test_the_manual_names_every_key_and_kind_of_a_fault() -> None:
     text = markdown()
-    assert [kind.value for kind in FaultKind if kind.value not in text] == []
+    for kind in fault_kinds():
+        (row,) = re.findall(rf"^\| `{kind.name}` \|.*\|$", text, re.MULTILINE)
+        words = [kind.summary, *kind.profiles, *kind.needs, *(m.field for m in kind.magnitudes)]
+        assert [word for word in words if word not in row] == []
     assert [key for key in Fault.model_fields if f"`{key}`" not in text and f'"{key}"' not in text] == []
+
+
+def test_gymnasium_imports_the_package_that_an_id_names() -> None:
+    """In a process of its own: importing Gymnasium alone does not import ours, and registers nothing."""
+    code = (
+        "import gymnasium, sys\n"
+        "assert not any(name.startswith('lanebound') for name in [*sys.modules, *gymnasium.registry])\n"
+        "print(gymnasium.make('lanebound.envs:lanebound/LaneKeeping-v0').spec.id)\n"
+        "print(gymnasium.make_vec('lanebound.envs:lanebound/LaneKeeping-v0', 2).num_envs)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert done.stdout.split() == ["lanebound/LaneKeeping-v0", "2"]

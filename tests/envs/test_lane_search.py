@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from highway_env.road.lane import CircularLane, SineLane, StraightLane
+from highway_env.road.lane import CircularLane, StraightLane
 from highway_env.road.road import RoadNetwork
 
-from lanebound.envs import lane_search_kernel as kernel
+from lanebound.envs.batch.lanes import lane_table
+from lanebound.envs.batch.lanes_kernel import closest
 from lanebound.envs.catalogue import world_of
 from lanebound.envs.config import EnvConfig
-from lanebound.envs.lane_search import SwiftNetwork, swift
+from lanebound.envs.lane_search import FastRoadNetwork, fast_network
 
 BASES = ("highway-v0", "merge-v1", "roundabout-v1", "intersection-v2", "racetrack-v1", "exit-v1", "u-turn-v1")
 
@@ -32,59 +33,40 @@ def _of(*lanes: Any) -> RoadNetwork:
 def _assert_same(network: RoadNetwork, position: Any, heading: float) -> None:
     where = np.asarray(position, dtype=np.float64)
     expected = network.get_closest_lane_index(where, heading)
-    assert SwiftNetwork(network).get_closest_lane_index(where, heading) == expected
+    assert FastRoadNetwork(network, lane_table(network)).get_closest_lane_index(where, heading) == expected
 
 
 @pytest.mark.parametrize("base", BASES)
 def test_same_lane_as_highway_env_near_and_far_from_every_lane(base: str) -> None:
     network, rng = _network(base), np.random.default_rng(1)
-    swift = SwiftNetwork(network)
+    fast = FastRoadNetwork(network, lane_table(network))
     for lane in network.lanes_list():
         for _ in range(12):
             s, d = rng.uniform(-20.0, lane.length + 20.0), 4.0 * rng.standard_normal()
             position = lane.position(s, d) + rng.choice([0.0, 30.0]) * rng.standard_normal(2)
             heading = float(lane.heading_at(s) + rng.choice([0.1, 2.0]) * rng.standard_normal())
             expected = network.get_closest_lane_index(position, heading)
-            assert swift.get_closest_lane_index(position, heading) == expected
+            assert fast.get_closest_lane_index(position, heading) == expected
 
 
 @pytest.mark.parametrize("base", BASES)
 def test_same_lane_where_lanes_meet_or_lie_level(base: str) -> None:
     network = _network(base)
-    swift = SwiftNetwork(network)
+    fast = FastRoadNetwork(network, lane_table(network))
     for lane in network.lanes_list():
         for s in (0.0, 0.5 * lane.length, lane.length):
             for d in (-0.5, 0.0, 0.5):
                 position, heading = lane.position(s, d * lane.width_at(s)), float(lane.heading_at(s))
                 expected = network.get_closest_lane_index(position, heading)
-                assert swift.get_closest_lane_index(position, heading) == expected
-
-
-@pytest.mark.parametrize(
-    "lane",
-    [
-        StraightLane([3.0, -2.0], [50.0, 30.0]),
-        SineLane([0.0, 0.0], [100.0, 10.0], amplitude=3.0, pulsation=0.1, phase=0.4),
-        CircularLane([1.0, 2.0], 20.0, 0.3, 2.5, clockwise=True),
-        CircularLane([1.0, 2.0], 20.0, 2.5, -1.0, clockwise=False),
-    ],
-)
-def test_distances_are_those_of_highway_env(lane: Any) -> None:
-    table, rng = SwiftNetwork(_of(lane))._table, np.random.default_rng(2)
-    assert table is not None
-    for _ in range(200):
-        (x, y), heading = 40.0 * rng.standard_normal(2), float(3.0 * rng.standard_normal())
-        found, steady = kernel.distance(table[0], x, y, heading)
-        assert steady
-        assert found == pytest.approx(lane.distance_with_heading(np.array([x, y]), heading), abs=1e-9)
+                assert fast.get_closest_lane_index(position, heading) == expected
 
 
 def test_ties_jumps_and_nonsense_are_left_to_highway_env() -> None:
     twins = _of(StraightLane([0.0, 0.0], [10.0, 0.0]), StraightLane([0.0, 0.0], [10.0, 0.0]))
     circle = _of(CircularLane([0.0, 0.0], 10.0, 0.0, 1.0), StraightLane([-10.0, 8.0], [-10.0, 9.0]))
     for network, x, y in ((twins, 5.0, 1.0), (circle, -10.0, 0.0), (circle, -10.0, -0.0), (twins, np.nan, 0.0)):
-        table = SwiftNetwork(network)._table
-        assert kernel.nearest(table, x, y, 0.0) == -1
+        lanes = lane_table(network).lanes
+        assert not closest(lanes, x, y, 0.0, np.zeros(2))[1]
         _assert_same(network, [x, y], 0.0)
 
 
@@ -95,7 +77,7 @@ def test_without_a_heading_and_with_lanes_of_other_kinds_highway_env_answers() -
     network = _of(StraightLane([0.0, 0.0], [10.0, 0.0]), Other([0.0, 4.0], [10.0, 4.0]))
     _assert_same(network, [5.0, 3.0], 0.1)
     straight = _of(StraightLane([0.0, 0.0], [10.0, 0.0]), StraightLane([0.0, 4.0], [10.0, 4.0]))
-    assert SwiftNetwork(straight).get_closest_lane_index(np.array([5.0, 3.0])) == ("a", "b", 1)
+    assert FastRoadNetwork(straight, lane_table(straight)).get_closest_lane_index(np.array([5.0, 3.0])) == ("a", "b", 1)
 
 
 def test_a_network_with_a_search_of_its_own_keeps_it() -> None:
@@ -103,5 +85,5 @@ def test_a_network_with_a_search_of_its_own_keeps_it() -> None:
         pass
 
     own = Own()
-    assert swift(own) is own
-    assert type(swift(_of(StraightLane([0.0, 0.0], [10.0, 0.0])))) is SwiftNetwork
+    assert fast_network(own) is own
+    assert type(fast_network(_of(StraightLane([0.0, 0.0], [10.0, 0.0])))) is FastRoadNetwork

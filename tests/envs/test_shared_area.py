@@ -10,6 +10,7 @@ import pytest
 
 import lanebound.envs  # noqa: F401  registers the ids
 from lanebound.envs.core import DrivingEnv
+from lanebound.integrity.navigators.navigator import Navigator
 
 
 def _env(config: dict[str, Any], seed: int = 3) -> DrivingEnv:
@@ -24,26 +25,28 @@ def test_the_navigators_of_ego_and_others_have_the_same_area(warm_up_s: float) -
     env = _env({"sky": "dense", "navigation": {"warm_up_s": warm_up_s}})
     for _ in range(10):
         env.step(np.zeros(2, np.float32))
-    assert env.cockpit is not None
-    ego, others = env.cockpit.around.navigator, env.cockpit.around.fleet.navigator
-    assert ego is not None
-    assert others is not None
+    state = _navigator(env).state
     for name in ("memory", "message", "clock", "reference_enu_m"):
-        one, two = (getattr(n.state.area.signals, name) for n in (ego, others))
-        np.testing.assert_array_equal(one, two)
-    one, two = ego.state.area.network, others.state.area.network
-    assert (one.epoch, one.message.tolist()) == (two.epoch, two.message.tolist())
-    np.testing.assert_array_equal(one.until, two.until)
-    np.testing.assert_array_equal(one.outage_left, two.outage_left)
-    assert not np.array_equal(ego.state.gnss.signals[0], others.state.gnss.signals[0])
-    assert ego.state.gnss.vehicles["drift"][0] != others.state.gnss.vehicles["drift"][0]
+        ego, other = getattr(state.area.signals, name)
+        np.testing.assert_array_equal(ego, other, err_msg=name)
+    network = state.area.network
+    for name in ("message", "until", "outage_left"):
+        ego, other = getattr(network, name)
+        np.testing.assert_array_equal(ego, other, err_msg=name)
+    assert not np.array_equal(*state.gnss.signals)
+    assert state.gnss.vehicles["drift"][0] != state.gnss.vehicles["drift"][1]
+
+
+def _navigator(env: DrivingEnv) -> Navigator:
+    """Of the ego, and in its second row of the vehicle ahead."""
+    assert env.belief_loop is not None
+    navigation = env.belief_loop.episodes.navigation
+    assert navigation is not None
+    return navigation.navigator
 
 
 def test_other_episodes_have_other_areas() -> None:
     stations = []
     for seed in (1, 2):
-        cockpit = _env({"sky": "open"}, seed).cockpit
-        assert cockpit is not None
-        assert cockpit.around.navigator is not None
-        stations.append(cockpit.around.navigator.state.area.signals.memory)
+        stations.append(_navigator(_env({"sky": "open"}, seed)).state.area.signals.memory)
     assert not np.array_equal(*stations)

@@ -141,7 +141,7 @@ def test_an_environment_plays_a_recorded_drive(file: FilePath) -> None:
     satellites = []
     for _ in range(120):
         _, _, terminated, truncated, _ = env.step(1)
-        satellites.append(env.unwrapped.cockpit.belief().satellites)
+        satellites.append(env.unwrapped.belief_loop.belief().satellites)
         if terminated or truncated:
             break
     env.close()

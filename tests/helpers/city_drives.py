@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, ecef_from_geodetic
-from lanebound.integrity.recorded.smartloc import Odometry, Pseudoranges, SmartLoc, Truth
+from lanebound.integrity.recorded.smartloc import GroundTruth, Odometry, Pseudoranges, SmartLoc
 from lanebound.integrity.replay.sagnac import ranges_and_sights
 
 __all__ = ["ELEVATION_DEG", "SIGMA_M", "SPEED_MPS", "as_files", "heading_at", "simulated", "walled"]
@@ -54,7 +54,7 @@ def simulated(
     odometry = Odometry(
         t, np.full(t.size, SPEED_MPS), np.full(t.size, -0.05), np.full(t.size, 0.01), np.full(t.size, 1e-6)
     )
-    return SmartLoc(ranges, odometry, Truth(t, place), None)
+    return SmartLoc(ranges, odometry, GroundTruth(t, place), None)
 
 
 def walled(

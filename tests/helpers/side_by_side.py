@@ -7,13 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from lanebound.envs.batch.infos import form_of, infos_of, results, single_info
 from lanebound.envs.config import ActionKind
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.registration import make_config
-from lanebound.envs.vector import columns_kernel as k
 from lanebound.envs.vector.engine import Engine
-from lanebound.envs.vector.infos import form_of, infos_of, single_info, told
-from lanebound.envs.vector.lanes import lane_rows
 from lanebound.envs.worlds.drivers import CityDriver, LeadVehicle
 
 PERFECT: dict[str, Any] = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}}
@@ -69,32 +67,40 @@ def command(single: DrivingEnv, observation: Any, rng: np.random.Generator) -> A
 def same(tally: Tally, where: str, engine: Engine, row: int, single: DrivingEnv, seen: Any, step: Any) -> None:
     """Compare everything after a step; where somebody crawls, less closely, and the engine goes on from there."""
     reward, terminated, truncated, info = step
-    cars, whole, out = engine.world.cars[row], engine.world.whole[row], engine.world.out[row]
-    vehicles, true = single.world.road.vehicles, poses(single)
+    e, vehicles, true = engine.episodes, single.world.road.vehicles, poses(single)
+    out, count = e.ego.outcome[row], len(vehicles)
+    driven = np.array([column[row, :count] for column in (e.cars.x, e.cars.y, e.cars.heading, e.cars.speed)])
     part = Tally() if _crawls(tally, single, true[3]) else tally
-    part.pose = max(part.pose, float(np.abs(cars[:4, : len(vehicles)] - true).max()))
-    part.observation = max(part.observation, float(np.abs(engine.world.frame[row] - flat(single, seen)).max()))
-    part.reward = max(part.reward, abs(float(out[k.O_REWARD]) - reward))
-    rows, count = lane_rows(single.world.road.network), len(vehicles)
-    lanes = [rows.index(v.lane_index) for v in vehicles]
+    part.pose = max(part.pose, float(np.abs(driven - true).max()))
+    part.observation = max(part.observation, float(np.abs(e.frame[row] - flat(single, seen)).max()))
+    part.reward = max(part.reward, abs(float(out["reward"]) - reward))
+    lanes = [e.table.row[v.lane_index] for v in vehicles]
     facts = {
-        "there": (int(whole[k.PRESENT].sum()), count),
-        "lanes": (whole[k.LANE, :count].tolist(), lanes),
-        "crashed": ((whole[k.CRASHED, :count] != 0).tolist(), [bool(v.crashed) for v in vehicles]),
-        "ends": ((out[k.O_TERMINATED] > 0.0, out[k.O_TRUNCATED] > 0.0), (terminated, truncated)),
+        "there": (int(e.cars.present[row]), count),
+        "lanes": (e.cars.lane[row, :count].tolist(), lanes),
+        "crashed": ((e.cars.crashed[row, :count] != 0).tolist(), [bool(v.crashed) for v in vehicles]),
+        "ends": ((out["terminated"] > 0.0, out["truncated"] > 0.0), (terminated, truncated)),
     }
     tally.mismatches += [f"{where} {name}: {a} {b}" for name, (a, b) in facts.items() if a != b]
-    infos = infos_of(told(engine.world.out), form_of(np.ones(engine.count, dtype=np.bool_)))
+    infos = infos_of(results(e.ego.outcome), form_of(np.ones(engine.count, dtype=np.bool_)))
     _same_info(part, where, single_info(infos, row), info)
     if part is not tally:
         tally.mismatches += part.mismatches
         tally.crawls += 1
         tally.swung = max(tally.swung, part.pose, part.observation, part.reward, part.info)
-        first = 0 if _steers_itself(single) else 1
-        cars[:4, first : len(vehicles)] = true[:, first:]
-        cars[k.COS], cars[k.SIN] = np.cos(cars[k.HEADING]), np.sin(cars[k.HEADING])
-        if _steers_itself(single):
-            engine.world.belief[row, [k.B_X, k.B_Y, k.B_HEADING, k.B_SPEED]] = true[:, 0]
+        _go_on_from(engine, row, true, _steers_itself(single))
+
+
+def _go_on_from(engine: Engine, row: int, true: Any, ego: bool) -> None:
+    """Put the vehicles of an engine where those of a single environment are; the ego as well where it says so."""
+    cars, drivers, belief = engine.episodes.cars, engine.drivers, engine.episodes.ego.belief
+    taken = slice(0 if ego else 1, true.shape[1])
+    for column, values in zip((cars.x, cars.y, cars.heading, cars.speed), true, strict=True):
+        column[row, taken] = values[taken]
+    drivers.cos[row], drivers.sin[row] = np.cos(cars.heading[row]), np.sin(cars.heading[row])
+    if ego:
+        for name, value in zip(("x_m", "y_m", "heading_rad", "speed_mps"), true[:, 0], strict=True):
+            belief[name][row] = value
 
 
 def _crawls(tally: Tally, single: DrivingEnv, speeds: Any) -> bool:
@@ -140,7 +146,9 @@ def drive(
     engine.reset(rows, [seed])
     targets = [v.target_lane_index for v in single.world.road.vehicles[1:] if hasattr(v, "timer")]
     begun = poses(single)
-    assert (engine.world.cars[row, :4, : begun.shape[1]] == begun).all(), "an episode must start from the same bits"
+    cars = engine.episodes.cars
+    placed = [column[row, : begun.shape[1]] for column in (cars.x, cars.y, cars.heading, cars.speed)]
+    assert (np.array(placed) == begun).all(), "an episode must start from the same bits"
     same(tally, f"seed {seed} start", engine, row, single, seen, (0.0, False, False, info))
     actions = np.zeros((engine.count, *single.action_space.shape), dtype=single.action_space.dtype)
     for n in range(steps):

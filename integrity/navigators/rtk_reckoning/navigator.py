@@ -8,31 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import run_rows
-from lanebound.integrity.core.chain_kernel import Chain
+from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, Rows, register_navigator
 from lanebound.integrity.navigators.rtk_reckoning.attitude_kernel import find_attitude
 from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConfig
-from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import find_fixed_position
+from lanebound.integrity.navigators.rtk_reckoning.extension_kernel import begin
 from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import find_levels
 from lanebound.integrity.navigators.rtk_reckoning.lock_kernel import follow_carriers
-from lanebound.integrity.navigators.rtk_reckoning.modes_kernel import (
-    advance_doppler,
-    advance_imu_odometer,
-    advance_nothing,
-)
-from lanebound.integrity.navigators.rtk_reckoning.monitors_kernel import (
-    judge_fix,
-    separate_doppler,
-    watch_speeds,
-    widen_levels,
-)
+from lanebound.integrity.navigators.rtk_reckoning.modes_kernel import advance_nothing
+from lanebound.integrity.navigators.rtk_reckoning.monitors import BUILT_IN, Point
 from lanebound.integrity.navigators.rtk_reckoning.parameters import epoch_parameters, epoch_tables
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import (
     RECORDS,
     WORK,
     Bools,
-    Epoch,
     EpochInputs,
     Ints,
     Lasting,
@@ -43,7 +33,7 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import (
 )
 from lanebound.integrity.navigators.rtk_reckoning.report_kernel import report, take_fix
 from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import resolve_integers
-from lanebound.integrity.navigators.rtk_reckoning.velocity_kernel import find_velocity
+from lanebound.integrity.navigators.rtk_reckoning.stages import OutsideStage, Stage, StageList
 from lanebound.integrity.navigators.solution import Solution
 
 __all__ = ["RtkReckoningNavigator"]
@@ -61,24 +51,8 @@ class RtkReckoningNavigator(Navigator):
         """The parameters, and the list of stages."""
         self._parameters = epoch_parameters(self.config)
         self._tables = epoch_tables(self.config, self.track.system)
-        self._stages = Chain(
-            Epoch,
-            find_velocity,
-            find_attitude,
-            follow_carriers,
-            resolve_integers,
-            find_fixed_position,
-            advance_doppler,
-            advance_imu_odometer,
-            advance_nothing,
-            separate_doppler,
-            watch_speeds,
-            find_levels,
-            judge_fix,
-            take_fix,
-            widen_levels,
-            report,
-        )
+        self._stages = StageList(stages_of(self.config))
+        self._excludes = any(Point.MEASURED in monitor.stages for monitor in self.config.chosen_monitors)
 
     def initial_belief(self, batch: int) -> State:
         """Nothing is known but the bounds of the heading and of the gyro bias."""
@@ -90,6 +64,13 @@ class RtkReckoningNavigator(Navigator):
         vehicles["alert"]["alert"], vehicles["alert"]["reason"] = True, AlertReason.INITIALISING.code
         vehicles["alert"]["onset_s"] = -1.0
         return belief
+
+    def initial_extensions(self, batch: int) -> dict[str, Records]:
+        """The states of the modes and monitors from outside."""
+        modes = {f"mode {mode.mode.key}": mode.initial for mode in self.config.chosen_modes}
+        monitors = {f"monitor {monitor.name}": monitor.initial for monitor in self.config.chosen_monitors}
+        given = {**modes, **monitors}.items()
+        return {name: np.repeat(initial, batch) for name, initial in given if initial is not None}
 
     def align(self, heading_rad: Array, sigma_rad: float) -> None:
         """Give the vehicles a prior heading, (B,) azimuth and its 1-sigma, as from a compass or the last drive."""
@@ -120,10 +101,13 @@ class RtkReckoningNavigator(Navigator):
 
     def locate(self, m: Measurements) -> Solution:
         """The belief after the measurements of one epoch; reads nothing else."""
-        belief = self.state.belief
+        measured, belief = measured_of(m), self.state.belief
+        if self._excludes:
+            measured = measured._replace(tracked=measured.tracked.copy())
         owners = self._parameters, self._tables, belief
         lasting = self.state.locating.of(owners, lambda: self._lasting(belief))
-        run_rows(self._stages, self.batch, lasting, EpochInputs(measured_of(m)), row_us=LOCATE_US)
+        inputs, states = EpochInputs(measured), self.state.extensions
+        run_rows(self._stages, self.batch, lasting, inputs, states, row_us=LOCATE_US)
         return solution_of(m, copied_outputs(lasting.values.out))
 
     def _lasting(self, belief: State) -> Lasting:
@@ -132,6 +116,33 @@ class RtkReckoningNavigator(Navigator):
         cases = self._tables.cases.shape[0]
         work, out = blank_work(batch, satellites, cases), blank_outputs(batch, satellites, cases)
         return Lasting(self._parameters, self._tables, belief, work, out)
+
+
+def stages_of(config: RtkReckoningConfig) -> list[Stage | OutsideStage]:
+    """The stages of an epoch, in their order."""
+    monitors = [*BUILT_IN.values(), *config.chosen_monitors]
+
+    def monitored(point: Point) -> list[Stage | OutsideStage]:
+        return [monitor.stages[point] for monitor in monitors if point in monitor.stages]
+
+    return [
+        begin,
+        *monitored(Point.MEASURED),
+        *monitored(Point.VELOCITY),
+        find_attitude,
+        follow_carriers,
+        resolve_integers,
+        *monitored(Point.FIX),
+        *monitored(Point.ESTIMATED),
+        *(mode.stage for mode in config.chosen_modes),
+        advance_nothing,
+        *monitored(Point.MOVED),
+        find_levels,
+        *monitored(Point.JUDGED),
+        take_fix,
+        *monitored(Point.BOUNDED),
+        report,
+    ]
 
 
 def blank_state(batch: int, satellites: int, cases: int) -> State:

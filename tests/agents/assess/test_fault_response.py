@@ -10,7 +10,7 @@ import pytest
 from lanebound.agents.assess.fault_response import Run, as_broadcast, measure_response
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
-from lanebound.integrity.sensors.faults import Fault, FaultKind
+from lanebound.integrity.sensors.faults import Fault
 
 EPOCHS, VEHICLES = 50, 3
 
@@ -95,7 +95,7 @@ def test_before_the_onset_nothing_counts(before: bool) -> None:
 
 
 def test_a_lie_moves_what_is_heard_and_shrinks_its_level() -> None:
-    common = {"kind": FaultKind.V2V_LIE, "start_s": 2.0, "duration_s": 1.0, "magnitude_m": 3.0, "azimuth_deg": 90.0}
+    common = {"kind": "v2v_lie", "start_s": 2.0, "duration_s": 1.0, "magnitude_m": 3.0, "azimuth_deg": 90.0}
     lies = [Fault.load(common | {"vehicle": v, "magnitude_ratio": -0.5}) for v in (0, 1)]
     heard, said = as_broadcast(quiet(), NavigatorConfig(), lies), quiet()
     lying = (said.time_s > 2.05) & (said.time_s < 3.05)

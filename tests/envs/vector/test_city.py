@@ -6,15 +6,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from highway_env.vehicle.kinematics import Vehicle
 
+from lanebound.envs.batch import lanes_kernel as lk
+from lanebound.envs.batch.lanes import lane_table
 from lanebound.envs.vector import city_kernel as city
-from lanebound.envs.vector import columns_kernel as k
-from lanebound.envs.vector import lanes_kernel as lk
-from lanebound.envs.vector.lanes import lane_rows, lanes_of
-from lanebound.envs.vector.start import most_vehicles, starter_of
+from lanebound.envs.vector import idm_kernel as idm
+from lanebound.envs.vector.drivers_kernel import clear, seat
 from lanebound.envs.worlds.drivers import CityDriver
 from lanebound.envs.worlds.lanes import ADVICE_STEP_M
 from lanebound.envs.worlds.urban_canyon import UrbanCanyonWorld
+from vehicles import empty_rows
 
 
 def _world(seed: int, **config: Any) -> UrbanCanyonWorld:
@@ -24,12 +26,14 @@ def _world(seed: int, **config: Any) -> UrbanCanyonWorld:
 
 
 def _started(world: UrbanCanyonWorld, seed: int) -> tuple[Any, Any]:
-    """The arrays of one environment of a world, after a start."""
-    vehicles = most_vehicles(world)
-    cars, whole = np.ones((k.CAR, vehicles)), np.ones((k.WHOLE, vehicles), dtype=np.int64)
-    start = starter_of(world, lanes_of(world.road.network))
-    start(np.random.Generator(np.random.PCG64(seed)), cars, whole, np.zeros(1))
-    return cars, whole
+    """The records of one environment of a world, after a start."""
+    support = world.support()
+    car, drv = empty_rows(support.vehicles(world), 0)
+    clear(car, drv, Vehicle.LENGTH, Vehicle.WIDTH)
+    start = support.starter(world, lane_table(world.road.network))
+    count = start(np.random.Generator(np.random.PCG64(seed)), car, drv, np.zeros(1))
+    seat(car, drv, count)
+    return car._replace(present=count), drv
 
 
 def test_figures_are_those_of_the_drivers() -> None:
@@ -38,7 +42,7 @@ def test_figures_are_those_of_the_drivers() -> None:
     assert calm.twice_root == pytest.approx(2.0 * np.sqrt(-kind.COMFORT_ACC_MAX * kind.COMFORT_ACC_MIN), rel=1e-15)
     assert calm[4:] == (kind.LANE_CHANGE_DELAY, kind.LANE_CHANGE_MIN_ACC_GAIN)
     assert (city.REACTION_S, lk.ADVICE_STEP_M) == (kind.REACTION_S, ADVICE_STEP_M)
-    assert (city.ACC_MAX, city.BRAKING_IMPOSED) == (kind.ACC_MAX, kind.LANE_CHANGE_MAX_BRAKING_IMPOSED)
+    assert (idm.ACC_MOST, idm.BRAKING_IMPOSED) == (kind.ACC_MAX, kind.LANE_CHANGE_MAX_BRAKING_IMPOSED)
 
 
 @pytest.mark.parametrize("count", [0, 14])
@@ -46,37 +50,37 @@ def test_an_episode_starts_as_the_worlds(count: int) -> None:
     crews = set()
     for seed in range(6):
         world = _world(seed, vehicles_count=count, spread=[-120.0, 200.0])
-        cars, whole = _started(world, seed)
-        there, network = world.road.vehicles, world.road.network
+        car, drv = _started(world, seed)
+        there, index = world.road.vehicles, lane_table(world.road.network).index
         crews.add(len(there))
-        assert whole[k.PRESENT].tolist() == [1] * len(there) + [0] * (1 + count - len(there))
+        assert car.present == len(there)
+        assert (car.slot >= 0).sum() == len(there) - 1
         for i, v in enumerate(there):
             values = (*v.position, v.heading, v.speed, np.cos(v.heading), np.sin(v.heading))
-            assert tuple(cars[[k.X, k.Y, k.HEADING, k.SPEED, k.COS, k.SIN], i]) == values
-            assert lane_rows(network)[whole[k.LANE, i]] == v.lane_index == v.target_lane_index
+            assert (car.x[i], car.y[i], car.heading[i], car.speed[i], drv.cos[i], drv.sin[i]) == values
+            assert index[car.lane[i]] == index[drv.target[i]] == v.lane_index == v.target_lane_index
             if isinstance(v, CityDriver):
-                wanted = v.target_speed, v.timer, v.DELTA
-                assert tuple(cars[[k.TARGET_SPEED, k.TIMER, k.DELTA], i]) == wanted
-        assert not cars[[k.X, k.Y, k.SPEED], len(there) :].any()
+                assert (drv.target_speed[i], drv.timer[i], drv.delta[i]) == (v.target_speed, v.timer, v.DELTA)
+        assert not any(column[len(there) :].any() for column in (car.x, car.y, car.speed))
     assert len(crews) > 2 or crews == {1} == {1 + count}
 
 
 def test_lanes_hold_and_advise_as_the_objects() -> None:
     network, rng = _world(1).road.network, np.random.default_rng(3)
-    lanes, out = lanes_of(network), np.empty(8)
-    found = 0
-    for n, index in enumerate(lane_rows(network)):
+    table, out = lane_table(network), np.empty(8)
+    lanes, found = table.lanes, 0
+    for n, index in enumerate(table.index):
         lane = network.get_lane(index)
-        before = lane_rows(network)[int(lanes.table[n, lk.BEFORE])]
+        before = table.index[lanes.table[n]["before"]]
         assert (before[1], before[2]) == (index[0], index[2])
         for s in (-9.0, 0.0, lane.length, lane.length + 30.0, *rng.uniform(0.0, lane.length, 40)):
             assert lk.advised(lanes, n, s) == lane.advised_speed(s)
             point = lane.position(s, float(rng.uniform(-4.0, 4.0)))
             lk.stations(lanes, *point, 1.0, out)
-            for other, place in zip(lane_rows(network), out, strict=True):
+            for other, place in zip(table.index, out, strict=True):
                 there = network.get_lane(other)
                 held = there.on_lane(point, *there.local_coordinates(point), 1.0)
-                assert (place != lk.NOWHERE) == held
+                assert (place != lk.NOWHERE_M) == held
                 found += held
                 if held:
                     assert place == pytest.approx(there.local_coordinates(point)[0], abs=1e-9)
@@ -87,14 +91,14 @@ def test_neighbours_are_found_across_the_ends_of_roads() -> None:
     across = 0
     for seed in range(12):
         world = _world(seed, vehicles_count=40, spread=[-250.0, 250.0])
-        lanes, rows, network = lanes_of(world.road.network), lane_rows(world.road.network), world.road.network
-        cars, whole = _started(world, seed)
-        places = np.empty((cars.shape[1], len(rows)))
-        city.place_everybody(cars, whole, lanes, places)
+        network, table = world.road.network, lane_table(world.road.network)
+        car, _ = _started(world, seed)
+        places = np.empty((car.x.size, len(table.index)))
+        city.place_all.py_func(car, table.lanes, places)
         there = world.road.vehicles
         for i, v in enumerate(there):
             for index in network.all_side_lanes(v.lane_index):
-                got = city._neighbours(cars, whole, lanes, places, rows.index(index), i)
+                got = city._neighbours(car, table.lanes, places, table.row[index], i)
                 wanted = world.road.neighbour_vehicles(v, index)
                 assert got == tuple(-1 if other is None else there.index(other) for other in wanted)
                 across += any(other is not None and other.lane_index[:2] != index[:2] for other in wanted)

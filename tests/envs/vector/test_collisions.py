@@ -7,10 +7,22 @@ import pytest
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 
-from lanebound.envs.vector import columns_kernel as k
-from lanebound.envs.vector.collisions_kernel import LENGTH_M, WIDTH_M, collide_all
+from lanebound.envs.vector.collisions_kernel import collide_all, collide_sorted
+from lanebound.envs.vector.drivers_kernel import clear, seat
+from lanebound.integrity.core.accel import jit
+from vehicles import empty_rows
 
 DT_S = 0.05
+
+
+@jit
+def _all(car, drv):  # type: ignore[no-untyped-def]
+    collide_all(car, drv, DT_S)
+
+
+@jit
+def _sorted(car, drv, pairs):  # type: ignore[no-untyped-def]
+    collide_sorted(car, drv, DT_S, pairs)
 
 
 def _crowd(seed: int, count: int) -> Road:
@@ -28,20 +40,23 @@ def test_who_crashes_and_where_to_is_the_same(in_order: bool) -> None:
     thrown = crashed = 0
     for seed in range(12):
         road = _crowd(seed, 9)
-        cars, whole = np.zeros((k.CAR, 9)), np.zeros((k.WHOLE, 9), dtype=np.int64)
+        car, drv = empty_rows(9, len(road.vehicles))
+        clear(car, drv, Vehicle.LENGTH, Vehicle.WIDTH)
         for i, v in enumerate(road.vehicles):
-            cars[[k.X, k.Y, k.HEADING, k.SPEED], i] = *v.position, v.heading, v.speed
-        cars[k.COS], cars[k.SIN] = np.cos(cars[k.HEADING]), np.sin(cars[k.HEADING])
-        whole[k.ORDER], whole[k.PRESENT] = np.argsort(cars[k.X]), 1
-        collide_all(cars, whole, in_order, DT_S, np.empty(60, dtype=np.int64))
+            (car.x[i], car.y[i]), car.heading[i], car.speed[i] = v.position, v.heading, v.speed
+        seat(car, drv, 9)
+        drv.order[:] = np.argsort(car.x)
+        if in_order:
+            _sorted(car, drv, np.empty(60, dtype=np.int64))
+        else:
+            _all(car, drv)
         for i, vehicle in enumerate(road.vehicles):
             for other in road.vehicles[i + 1 :]:
                 vehicle.handle_collisions(other, DT_S)
         for i, v in enumerate(road.vehicles):
-            assert bool(whole[k.CRASHED, i]) == v.crashed
-            assert bool(whole[k.STRUCK, i]) == (v.impact is not None)
+            assert bool(car.crashed[i]) == v.crashed
+            assert bool(drv.struck[i]) == (v.impact is not None)
             if v.impact is not None:
-                np.testing.assert_allclose(cars[[k.IMPACT_X, k.IMPACT_Y], i], v.impact, atol=1e-9)
-        thrown, crashed = thrown + int(whole[k.STRUCK].sum()), crashed + int(whole[k.CRASHED].sum())
+                np.testing.assert_allclose([drv.impact_x[i], drv.impact_y[i]], v.impact, atol=1e-9)
+        thrown, crashed = thrown + int(drv.struck.sum()), crashed + int(car.crashed.sum())
     assert thrown > crashed > 20
-    assert (LENGTH_M, WIDTH_M) == (Vehicle.LENGTH, Vehicle.WIDTH)

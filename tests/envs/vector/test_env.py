@@ -152,7 +152,7 @@ def test_many_run_as_few() -> None:
 def test_it_says_that_compiling_takes_a_while_when_it_is_to_come(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr("lanebound.envs.vector.engine.is_compiled", lambda kernel: kernel.__name__ == "run_some")
+    monkeypatch.setattr("lanebound.envs.vector.engine.is_compiled", lambda kernel: kernel.__name__ == "run_motorway")
     VectorHighway(1, SHORT)
     assert not caplog.records
     monkeypatch.setattr("lanebound.envs.vector.engine.is_compiled", lambda kernel: False)
@@ -175,7 +175,6 @@ def test_drivers_that_something_has_rewritten_are_refused(monkeypatch: pytest.Mo
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"navigation": {"source": "offset", "offset_ct_m": 1.0}}, "navigation.source"),
         ({"world": {"other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle"}}, "other_vehicles_type"),
         ({"base": "two-way-v0"}, "base"),
         ({"base": "merge-v1", "world": {}}, "sync"),

@@ -27,6 +27,7 @@ OTHERS: list[tuple[str, dict[str, Any]]] = [
     ("Highway", {"action": "continuous", "action_options": {"lateral": False}, "actuators": None}),
     ("Highway", {"simulation_hz": 15, "policy_hz": 1, "navigation": {"rate_hz": 5.0}, "duration_s": 6.0}),
     ("Highway", {"simulation_hz": 4, "policy_hz": 1, "navigation": {"rate_hz": 4.0}, "duration_s": 12.0}),
+    ("LaneKeeping", {"navigation": {"source": "offset", "offset_at_m": 0.7, "offset_ct_m": -0.4}}),
     ("LaneKeeping", {"off_road_ends": False, "wrong_way_s": 0.5, "actuators": {"steering_rate_radps": None}}),
 ]
 SLOW: list[tuple[str, dict[str, Any], int]] = [

@@ -8,7 +8,7 @@ from scipy.stats import binom, chi2, norm
 from lanebound.integrity.assessment.exceedance import (
     LARGEST_FAULT,
     STRATA,
-    Tally,
+    ExceedanceCounts,
     expected_fault_free,
     least_fault_free,
     tally,
@@ -27,7 +27,7 @@ def one_case(rules: RiskConfig, seed: int = 5, satellites: int = 9) -> Prepared:
 def test_counts_without_faults_and_without_a_test_are_binomial() -> None:
     """With a test that never speaks the rate is known; each count fails by chance once in 10,000 runs."""
     rules = RiskConfig(satellite_prior=(1e-12,) * 5, false_alarm=1e-14)
-    case, counted = one_case(rules), Tally.empty(len(RISKS))
+    case, counted = one_case(rules), ExceedanceCounts.empty(len(RISKS))
     tally(case, 60_000, 0.0, np.random.default_rng(1), counted)
     assert counted.epochs.tolist() == [60_000, 0, 0, 0]
     assert counted.alarms.sum() == 0
@@ -50,7 +50,7 @@ def test_the_least_level_uses_its_budget() -> None:
 
 def test_strata_come_as_often_as_nature_has_them() -> None:
     rules = RiskConfig(satellite_prior=(0.02,) * 5)
-    case, counted = one_case(rules), Tally.empty(len(RISKS))
+    case, counted = one_case(rules), ExceedanceCounts.empty(len(RISKS))
     tally(case, 50_000, 0.1, np.random.default_rng(2), counted)
     none, once = 0.98**9, 9 * 0.02 * 0.98**8
     share = np.array([0.9 * none, 0.9 * once, 0.9 * (1.0 - none - once), 0.1])
@@ -61,7 +61,7 @@ def test_strata_come_as_often_as_nature_has_them() -> None:
 
 def test_faults_are_found_and_wrong_fixes_never() -> None:
     rules = RiskConfig(satellite_prior=(5e-3,) * 5, false_alarm=1e-4)
-    case, counted = one_case(rules, satellites=20), Tally.empty(len(RISKS))
+    case, counted = one_case(rules, satellites=20), ExceedanceCounts.empty(len(RISKS))
     tally(case, 20_000, 0.2, np.random.default_rng(3), counted)
     found = counted.alarms / counted.epochs
     largest = LARGEST_FAULT * case.threshold * case.sigma_of_fault_m

@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
-from lanebound.integrity.assessment.exceedance import Tally, expected_fault_free, tally
+from lanebound.integrity.assessment.exceedance import ExceedanceCounts, expected_fault_free, tally
 from lanebound.integrity.assessment.importance import (
     FaultSize,
     expected_one_fault,
@@ -31,9 +31,9 @@ def case(request: pytest.FixtureRequest) -> Prepared:
     return prepare([draw_case(np.random.default_rng(request.param), 12, 0.5)], UNEVEN, RISKS)[0]
 
 
-def counted_with(case: Prepared, prior: float, epochs: int, seed: int) -> Tally:
+def counted_with(case: Prepared, prior: float, epochs: int, seed: int) -> ExceedanceCounts:
     """Counts of the case and its levels, where every satellite has a fault as often as ``prior`` says."""
-    counted, common = Tally.empty(len(RISKS)), replace(case, prior=np.full(len(case.case), prior))
+    counted, common = ExceedanceCounts.empty(len(RISKS)), replace(case, prior=np.full(len(case.case), prior))
     tally(common, epochs, 0.0, np.random.default_rng(seed), counted)
     return counted
 

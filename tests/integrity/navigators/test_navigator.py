@@ -27,7 +27,7 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import LATEST
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rtk_status import RtkStatus
-from lanebound.integrity.sensors.faults import Fault, FaultKind, FaultSchedule
+from lanebound.integrity.sensors.faults import Fault, FaultSchedule
 from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.systems import System
@@ -137,7 +137,7 @@ def test_nothing_is_believed_before_the_first_fix() -> None:
     assert np.isinf(solution.since_rtk_s).all()
 
 
-LOSS = Fault(kind=FaultKind.CORRECTIONS_LOSS, start_s=10.0, duration_s=50.0)
+LOSS = Fault(kind="corrections_loss", start_s=10.0, duration_s=50.0)
 
 
 def _tunnel(start_m: float, end_m: float) -> SkyMask:
@@ -192,8 +192,8 @@ def test_at_rest_in_an_outage_only_the_creep_that_the_odometer_may_hide_grows() 
 
 
 def test_an_odometer_that_doppler_contradicts_has_no_level() -> None:
-    lost = Fault(kind=FaultKind.CORRECTIONS_LOSS, start_s=3.0, duration_s=100.0)
-    frozen = Fault(kind=FaultKind.ODOMETER_FROZEN, start_s=40.0, duration_s=60.0)
+    lost = Fault(kind="corrections_loss", start_s=3.0, duration_s=100.0)
+    frozen = Fault(kind="odometer_frozen", start_s=40.0, duration_s=60.0)
     cars = _Cars(_navigator(faults=(lost, frozen)))
     cars.drive(40.0, speed_mps=10.0)
     run = cars.drive(10.0, speed_mps=5.0)
@@ -205,7 +205,7 @@ def test_an_odometer_that_doppler_contradicts_has_no_level() -> None:
 
 
 def test_a_heading_knocked_off_by_the_gyro_is_found_again() -> None:
-    knock = Fault(kind=FaultKind.GYRO_BIAS, start_s=20.0, duration_s=3.0, magnitude_degps=5.0)
+    knock = Fault(kind="gyro_bias", start_s=20.0, duration_s=3.0, magnitude_degps=5.0)
     cars = _Cars(_navigator(faults=(knock,)))
     run = cars.drive(60.0)
     error = np.abs(wrap_angle(run.heading_rad[-1] - QUADRANTS))
@@ -215,14 +215,10 @@ def test_a_heading_knocked_off_by_the_gyro_is_found_again() -> None:
 def test_levels_that_do_not_fit_the_tests_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"fde\.alpha"):
         NOMINAL.replace(fde={"alpha": 1e-4})
-    with pytest.raises(ConfigError, match="constellation_prior"):
-        NOMINAL.replace(risk={"constellation_prior": [1e-4] * 5})
-    with pytest.raises(ConfigError, match="global_first"):
-        NOMINAL.replace(fde={"global_first": True})
 
 
 def test_jamming_everything_leaves_the_odometer() -> None:
-    jam = Fault(kind=FaultKind.JAMMING, start_s=10.0, duration_s=10.0, magnitude_db=60.0)
+    jam = Fault(kind="jamming", start_s=10.0, duration_s=10.0, magnitude_db=60.0)
     run = _Cars(_navigator(faults=(jam,))).drive(30.0)
     assert (run.mode[110:195] == Mode.IMU_ODOMETER).all()
     assert (run.satellites_doppler[110:195] == 0).all()
@@ -270,7 +266,7 @@ def _pose(heading: Array, rear: Array, rate: float) -> tuple[Array, Array]:
 
 
 def test_in_a_bend_the_reference_point_moves_sideways() -> None:
-    jam = Fault(kind=FaultKind.JAMMING, start_s=25.0, duration_s=10.0, magnitude_db=60.0)
+    jam = Fault(kind="jamming", start_s=25.0, duration_s=10.0, magnitude_db=60.0)
     quarter = 0.5 * np.pi / 6.0
     ends = {}
     for axle_m in (AXLE_M, 0.0):
@@ -342,7 +338,7 @@ def test_the_truth_does_not_reach_what_is_believed() -> None:
 
 
 def test_reference_coordinates_wrong_from_the_first_fix_on_move_it_unseen() -> None:
-    wrong = Fault(kind=FaultKind.REFERENCE_COORDINATES, start_s=0.0, duration_s=99.0, magnitude_m=1.0, azimuth_deg=90.0)
+    wrong = Fault(kind="reference_coordinates", start_s=0.0, duration_s=99.0, magnitude_m=1.0, azimuth_deg=90.0)
     moved, true = _Cars(_navigator(faults=(wrong,))).drive(8.0), _Cars(_navigator()).drive(8.0)
     fixed = (moved.mode == Mode.RTK) & (true.mode == Mode.RTK)
     assert fixed[-1].all()
@@ -360,9 +356,9 @@ def _over(run: _Drive) -> Array:
     return np.asarray((along > run.pl_at_m) | (across > run.pl_ct_m))
 
 
-@pytest.mark.parametrize("kind", [FaultKind.SPOOFING, FaultKind.REFERENCE_COORDINATES])
+@pytest.mark.parametrize("kind", ["spoofing", "reference_coordinates"])
 @pytest.mark.parametrize("size_m", [0.5, 3.0, 20.0])
-def test_a_shift_of_all_satellites_does_not_move_the_position(kind: FaultKind, size_m: float) -> None:
+def test_a_shift_of_all_satellites_does_not_move_the_position(kind: str, size_m: float) -> None:
     """Residuals are perfect under it. It is held against what was expected, and not believed for a while."""
     shift = Fault(kind=kind, start_s=10.0, duration_s=10.0, magnitude_m=size_m, azimuth_deg=60.0)
     cars = _Cars(_navigator(faults=(shift,)))
@@ -381,7 +377,7 @@ def test_a_shift_of_all_satellites_does_not_move_the_position(kind: FaultKind, s
 
 def _creeping(rate_mps: float, config: NavigatorConfig = CALM) -> _Drive:
     """A reference station whose coordinates drift for twenty seconds and stay there for twenty more."""
-    creep = Fault(kind=FaultKind.REFERENCE_COORDINATES, start_s=10.0, duration_s=40.0, magnitude_m=20.0 * rate_mps,
+    creep = Fault(kind="reference_coordinates", start_s=10.0, duration_s=40.0, magnitude_m=20.0 * rate_mps,
                   profile="ramp", ramp_s=20.0, azimuth_deg=30.0)  # fmt: skip
     cars = _Cars(_navigator(config, faults=(creep,)))
     cars.drive(10.0)
@@ -413,7 +409,7 @@ def test_without_a_backup_solution_a_position_that_drifts_is_followed() -> None:
 @pytest.mark.parametrize("rate_mps", [3.0, 25.0])
 def test_signals_that_run_away_from_the_wheels_are_not_followed(rate_mps: float) -> None:
     """A spoofer who moves Doppler and phases together, along the track; the others go across it."""
-    away = Fault(kind=FaultKind.SPOOFING, start_s=10.0, duration_s=20.0, magnitude_m=20.0 * rate_mps, profile="ramp",
+    away = Fault(kind="spoofing", start_s=10.0, duration_s=20.0, magnitude_m=20.0 * rate_mps, profile="ramp",
                  ramp_s=20.0, azimuth_deg=float(np.rad2deg(QUADRANTS[0])))  # fmt: skip
     cars = _Cars(_navigator(faults=(away,)))
     cars.drive(10.0)
@@ -424,7 +420,7 @@ def test_signals_that_run_away_from_the_wheels_are_not_followed(rate_mps: float)
 
 
 def test_after_wheels_that_lied_in_a_tunnel_rtk_is_believed_again_within_seconds() -> None:
-    slip = Fault(kind=FaultKind.WHEEL_SLIP, start_s=11.0, duration_s=14.0, magnitude_ratio=-0.045)
+    slip = Fault(kind="wheel_slip", start_s=11.0, duration_s=14.0, magnitude_ratio=-0.045)
     run = _Cars(_navigator(mask=_tunnel(100.0, 250.0), faults=(slip,))).drive(45.0)
     doubted = np.abs(run.doubt_en_m).max(-1) > 0.0
     assert doubted.any(0).any()
@@ -460,7 +456,7 @@ def _with_false_range(**fault: Any) -> tuple[int, _Drive]:
     cars.navigator.faults = FaultSchedule(
         (
             Fault(
-                kind=FaultKind.SATELLITE_RANGE, start_s=10.0, duration_s=5.0,
+                kind="satellite_range", start_s=10.0, duration_s=5.0,
                 system=System.GPS, prn=int(TRACK.prn[row]), **fault,
             ),
         )
@@ -572,7 +568,7 @@ def _sparse_outage(rate_mps: float, seconds: float) -> tuple[Array, Array, Array
     batch = 48
     rtk = CALM.positioning.rtk.replace(max_age_s=3.0)
     drift = Fault(
-        kind=FaultKind.SATELLITE_RANGE, start_s=8.0, duration_s=60.0, profile="ramp", ramp_s=60.0,
+        kind="satellite_range", start_s=8.0, duration_s=60.0, profile="ramp", ramp_s=60.0,
         magnitude_m=60.0 * rate_mps, system=System(int(TRACK.system[SPARSE[0]])), prn=int(TRACK.prn[SPARSE[0]]),
     )  # fmt: skip
     config = CALM.replace(positioning=CALM.positioning.replace(rtk=rtk))
@@ -646,7 +642,7 @@ def test_levels_in_a_tunnel_are_those_of_the_plain_form() -> None:
 
 @pytest.mark.parametrize("braking_mps2", [2.0, 3.0])
 def test_an_odometer_frozen_in_a_tunnel_is_told_within_two_seconds(braking_mps2: float) -> None:
-    frozen = Fault(kind=FaultKind.ODOMETER_FROZEN, start_s=20.0, duration_s=60.0)
+    frozen = Fault(kind="odometer_frozen", start_s=20.0, duration_s=60.0)
     cars = _Cars(_navigator(mask=_tunnel(150.0, 400.0), faults=(frozen,)))
     before = cars.drive(20.0)
     assert np.isfinite(before.pl_at_m[-1]).all()
@@ -685,7 +681,7 @@ def test_unfit_truth_is_refused() -> None:
 
 def _slip(row: int, cycles: float, start_s: float) -> Fault:
     return Fault(
-        kind=FaultKind.CYCLE_SLIP, start_s=start_s, duration_s=DT, magnitude_cycles=cycles,
+        kind="cycle_slip", start_s=start_s, duration_s=DT, magnitude_cycles=cycles,
         system=System(int(TRACK.system[row])), prn=int(TRACK.prn[row]),
     )  # fmt: skip
 

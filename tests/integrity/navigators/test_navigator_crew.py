@@ -12,7 +12,7 @@ from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.truth import Truth, truth_between
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.navigators.solution import Solution
-from lanebound.integrity.sensors.faults import Fault, FaultKind, FaultSchedule
+from lanebound.integrity.sensors.faults import Fault, FaultSchedule
 
 DT_S, MPS = 0.1, 8.0
 
@@ -88,9 +88,7 @@ def test_who_has_a_time_of_ones_own_needs_a_sky() -> None:
 def test_who_shares_generators_or_faults_is_not_handed_over() -> None:
     own = Navigator.nominal(NavigatorConfig(), [1, 2], duration_s=60.0)
     joint = Navigator.nominal(NavigatorConfig(), 1, 2, duration_s=60.0)
-    faulty = Navigator(
-        own.config, own.track, own.mask, [1, 2], faults=FaultSchedule((Fault(kind=FaultKind.ODOMETER_FROZEN),))
-    )
+    faulty = Navigator(own.config, own.track, own.mask, [1, 2], faults=FaultSchedule((Fault(kind="odometer_frozen"),)))
     for one, two in ((own, joint), (joint, own), (own, faulty), (faulty, own)):
         with pytest.raises(InputError, match="must have"):
             one.adopt(np.array([0]), two, np.array([0]))

@@ -16,16 +16,16 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.alerts import AlertConfig
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.recorded.smartloc import Odometry, Pseudoranges, SmartLoc
-from lanebound.integrity.replay.city import CityConfig, drive_city
+from lanebound.integrity.replay.city import CodeReplayConfig, drive_city
 from lanebound.integrity.replay.city_report import CityReplay, replay_city, write_city
 from lanebound.integrity.replay.overbound import CodeErrors
 from lanebound.integrity.replay.training import code_errors
 
 BOUNDS = CodeErrors(np.array([30.0, 50.0]), np.zeros(2), np.full(2, SIGMA_M), 0.0)
-QUICK = CityConfig(window_s=10.0)
+QUICK = CodeReplayConfig(window_s=10.0)
 
 
-def errors_and_levels(drive: SmartLoc, config: CityConfig, **options: object) -> tuple[np.ndarray, np.ndarray]:
+def errors_and_levels(drive: SmartLoc, config: CodeReplayConfig, **options: object) -> tuple[np.ndarray, np.ndarray]:
     record = drive_city(drive, BOUNDS, config, **options).record(drive, AlertConfig(), after_s=8.0)
     return (
         np.stack([record.error("at"), record.error("ct")], -1),

@@ -13,7 +13,7 @@ from lanebound.integrity.motion.truth import Truth, truth_between
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig
 from lanebound.integrity.sensors import corrections as links
 from lanebound.integrity.sensors.area import advance_area
-from lanebound.integrity.sensors.faults import Fault, FaultKind, FaultSchedule
+from lanebound.integrity.sensors.faults import Fault, FaultSchedule
 from lanebound.integrity.sensors.gnss import observe
 from lanebound.integrity.sensors.imu import sample_imu
 from lanebound.integrity.sensors.odometer import sample_odometer
@@ -29,11 +29,11 @@ CONFIG = NavigatorConfig.model_validate(
 FAULTS = tuple(
     Fault.model_validate({"kind": kind, "start_s": 2.0, "duration_s": 2.0, **size})
     for kind, size in (
-        (FaultKind.SPOOFING, {"magnitude_m": 5.0, "profile": "ramp"}),
-        (FaultKind.CORRECTIONS_LOSS, {}),
-        (FaultKind.GYRO_BIAS, {"magnitude_degps": 0.5, "vehicle": 0}),
-        (FaultKind.WHEEL_SLIP, {"magnitude_ratio": 0.1}),
-        (FaultKind.JAMMING, {"magnitude_db": 6.0}),
+        ("spoofing", {"magnitude_m": 5.0, "profile": "ramp"}),
+        ("corrections_loss", {}),
+        ("gyro_bias", {"magnitude_degps": 0.5, "vehicle": 0}),
+        ("wheel_slip", {"magnitude_ratio": 0.1}),
+        ("jamming", {"magnitude_db": 6.0}),
     )
 )
 
@@ -105,7 +105,7 @@ def test_a_rover_holds_what_the_station_said_in_the_last_message_it_received() -
 
     Whoever holds the same message has the same, and those with another one have another.
     """
-    lost = Fault.model_validate({"kind": FaultKind.CORRECTIONS_LOSS, "start_s": 2.0, "duration_s": 4.0, "vehicle": 1})
+    lost = Fault.model_validate({"kind": "corrections_loss", "start_s": 2.0, "duration_s": 4.0, "vehicle": 1})
     config = CONFIG.replace(corrections={"outage_per_h": 0.0})
     navigator = Navigator(config, TRACK, _mask(), [4, 5, 6], None, FaultSchedule((lost,)), 7)
     newest, held = [], []

@@ -11,7 +11,7 @@ from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.presets import load_preset, preset_names
 from lanebound.integrity.sensors.campaign import FaultPriors
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
-from lanebound.integrity.sensors.faults import SIZES, FaultKind
+from lanebound.integrity.sensors.fault_registry import fault_kinds
 from lanebound.integrity.sensors.gnss import GnssConfig
 from lanebound.integrity.sensors.imu import ImuConfig
 from lanebound.integrity.sensors.odometer import OdometerConfig
@@ -65,7 +65,7 @@ def test_the_city_link_is_down_for_the_share_of_s1() -> None:
 def test_stress_meets_every_kind_and_gives_each_a_size() -> None:
     priors = FaultPriors.preset("sensors/fault_priors_stress")
     nominal = FaultPriors()
-    for kind in FaultKind:
-        prior = getattr(priors, kind.value)
-        assert prior.per_h > getattr(nominal, kind.value).per_h
-        assert (prior.low > 0) == bool(SIZES[kind])
+    for kind in fault_kinds():
+        prior = priors.of(kind)
+        assert prior.per_h > nominal.of(kind).per_h
+        assert (prior.low > 0) == bool(kind.magnitudes)

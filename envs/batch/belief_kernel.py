@@ -1,0 +1,165 @@
+"""Where each ego believes to be: the solution carried on between epochs, and how far to trust it.
+
+A correction longer than ``jump_m`` (a re-fix after an outage) goes into a residual, which then fades: the pose stays
+continuous, and its protection level is the solution's plus what has not yet faded, plus the bound of the map's error.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.envs.batch.lanes_kernel import local, nearest, remainder, width_at, wrap
+from lanebound.integrity.core.accel import jit
+
+__all__ = ["Fixes", "adopt", "begin", "coast", "locate", "rates", "settle", "take", "take_given"]
+
+ACCELERATION_S = 0.3  # time constant of the acceleration shown: ten odometer pulses at 10 m/s
+STANDSTILL_MPS = 0.05
+
+Array = NDArray[np.float64]
+
+
+class Fixes(NamedTuple):
+    """Solutions of B vehicles, (B,) and (B, 2): fields of ``Solution``."""
+
+    position_en_m: Array
+    heading_rad: Array
+    velocity_en_mps: Array
+    speed_mps: Array
+    pl_at_m: Array
+    pl_ct_m: Array
+    alert: NDArray[np.bool_]
+    available: NDArray[np.bool_]
+    reason: NDArray[np.int64]
+    mode: NDArray[np.int64]
+    rtk: NDArray[np.int64]
+    hdop: Array
+    satellites: NDArray[np.int64]
+    satellites_doppler: NDArray[np.int64]
+    excluded: NDArray[np.int64]
+    since_rtk_s: Array
+    since_calibration_s: Array
+    corrections_age_s: Array
+
+
+@jit(borrows=True)
+def adopt(t, b, fixes, v):  # type: ignore[no-untyped-def]
+    """Take over the solution of vehicle v, position and heading in the plane, into a track and a belief."""
+    t.x_m, t.y_m = fixes.position_en_m[v, 0], -fixes.position_en_m[v, 1]
+    t.fix_heading_rad = (fixes.heading_rad[v] - 0.5 * math.pi + math.pi) % (2.0 * math.pi) - math.pi
+    t.fix_speed_mps, t.pl_at_m, t.pl_ct_m = fixes.speed_mps[v], fixes.pl_at_m[v], fixes.pl_ct_m[v]
+    t.alert, t.available, t.reason = fixes.alert[v], fixes.available[v], fixes.reason[v]
+    b.mode, b.rtk, b.hdop = fixes.mode[v], fixes.rtk[v], fixes.hdop[v]
+    b.satellites, b.satellites_doppler = fixes.satellites[v], fixes.satellites_doppler[v]
+    b.excluded, b.since_rtk_s = fixes.excluded[v], fixes.since_rtk_s[v]
+    b.since_calibration_s, b.corrections_age_s = fixes.since_calibration_s[v], fixes.corrections_age_s[v]
+
+
+@jit(borrows=True)
+def begin(t, b, fixes, v, shift_x, shift_y):  # type: ignore[no-untyped-def]
+    """Start a track at a first solution; ``shift`` [m] is the error of the ego's map."""
+    t.residual_x_m = t.residual_y_m = t.yaw_rate_radps = t.acceleration_mps2 = 0.0
+    t.map_x_m, t.map_y_m = shift_x, shift_y
+    adopt(t, b, fixes, v)
+    t.heading_rad = t.fix_heading_rad
+
+
+@jit(borrows=True)
+def coast(t, dt):  # type: ignore[no-untyped-def]
+    """Carry the pose on by the last speed and turn rate."""
+    turned = dt * t.yaw_rate_radps
+    middle = t.heading_rad + 0.5 * turned
+    t.x_m += dt * t.fix_speed_mps * math.cos(middle)
+    t.y_m += dt * t.fix_speed_mps * math.sin(middle)
+    t.heading_rad += turned
+
+
+@jit(inline=True)
+def rates(turned, speed, speed_before, acceleration, dt):  # type: ignore[no-untyped-def]
+    """Yaw rate and smoothed acceleration of an estimate that has turned by an angle in ``dt``."""
+    yaw_rate = remainder(turned) / dt if abs(speed) > STANDSTILL_MPS else 0.0
+    share = 1.0 - math.exp(-dt / ACCELERATION_S)
+    return yaw_rate, acceleration + share * ((speed - speed_before) / dt - acceleration)
+
+
+@jit(borrows=True)
+def take(t, b, fixes, v, rules):  # type: ignore[no-untyped-def]
+    """A new solution, a simulation step after the pose was last carried on and an epoch after the last solution."""
+    dt, start, heading, speed = rules.epoch_s, t.heading_rad, t.fix_heading_rad, t.fix_speed_mps
+    coast(t, rules.step_s)
+    x, y = t.x_m, t.y_m
+    adopt(t, b, fixes, v)
+    jump_x, jump_y = t.x_m - x, t.y_m - y
+    fade = math.exp(-dt / rules.smoothing_s) if rules.smoothing_s > 0.0 else 0.0
+    if math.hypot(jump_x, jump_y) > rules.jump_m:
+        t.residual_x_m -= jump_x
+        t.residual_y_m -= jump_y
+    t.residual_x_m *= fade
+    t.residual_y_m *= fade
+    turned = t.fix_heading_rad - heading
+    t.yaw_rate_radps, t.acceleration_mps2 = rates(turned, t.fix_speed_mps, speed, t.acceleration_mps2, dt)
+    t.heading_rad = start + remainder(t.fix_heading_rad - start)
+
+
+@jit(borrows=True)
+def settle(t, b, lanes, passed, rules):  # type: ignore[no-untyped-def]
+    """Place the belief on the map and bring levels and alert up to date, ``passed`` [s] after they last were.
+
+    Levels along and across the heading: the solution's, ``|residual|`` turned onto the axes, and the map's bound.
+    """
+    b.x_m, b.y_m = t.x_m + t.residual_x_m + t.map_x_m, t.y_m + t.residual_y_m + t.map_y_m
+    b.heading_rad, b.speed_mps = t.heading_rad, t.fix_speed_mps
+    b.yaw_rate_radps, b.acceleration_mps2 = t.yaw_rate_radps, t.acceleration_mps2
+    b.lane = nearest(lanes, b.x_m, b.y_m, b.heading_rad)
+    s, c = math.sin(t.heading_rad), math.cos(t.heading_rad)
+    b.pl_at_m = t.pl_at_m + (abs(c * t.residual_x_m + s * t.residual_y_m) + rules.map_bound_m)
+    b.pl_ct_m = t.pl_ct_m + (abs(c * t.residual_y_m - s * t.residual_x_m) + rules.map_bound_m)
+    _trust(b, rules, t.alert != 0, t.available != 0, t.reason, passed)
+
+
+@jit(borrows=True)
+def _trust(b, rules, alert, available, reason, passed):  # type: ignore[no-untyped-def]
+    """Whether the position is available, and the alert: the solution's own, and that of levels beyond their limits."""
+    along, across = b.pl_at_m > rules.al_at_m, b.pl_ct_m > rules.al_ct_m
+    b.al_at_m, b.al_ct_m, b.reason = rules.al_at_m, rules.al_ct_m, reason
+    if (along or across) and not alert:
+        b.reason = rules.reason_both if along and across else rules.reason_at if along else rules.reason_ct
+    b.available = 1 if available and not (along or across) else 0
+    b.alert = 1 if alert or along or across else 0
+    b.alert_age_s = b.alert_age_s + passed if b.alert != 0 else 0.0
+    b.time_s += passed
+
+
+@jit(borrows=True)
+def take_given(b, car, lanes, passed, rules):  # type: ignore[no-untyped-def]
+    """A position that is given: the true pose, displaced by the constant offset, whose size is the level.
+
+    Without an offset the believed pose and lane are the true ones, bit for bit. At a start ``passed`` is 0.
+    """
+    at, ct, heading, speed = rules.offset_at_m, rules.offset_ct_m, b.heading_rad, b.speed_mps
+    b.heading_rad, b.speed_mps = car.heading[0], car.speed[0]
+    if passed > 0.0:
+        turned = b.heading_rad - heading
+        b.yaw_rate_radps, b.acceleration_mps2 = rates(turned, b.speed_mps, speed, b.acceleration_mps2, passed)
+    b.x_m, b.y_m, b.lane = car.x[0], car.y[0], car.lane[0]
+    if at != 0.0 or ct != 0.0:
+        cosine, sine = math.cos(b.heading_rad), math.sin(b.heading_rad)
+        b.x_m += at * cosine - ct * sine
+        b.y_m += at * sine + ct * cosine
+        b.lane = nearest(lanes, b.x_m, b.y_m, b.heading_rad)
+    b.pl_at_m, b.pl_ct_m, b.mode, b.rtk = abs(at), abs(ct), rules.mode_given, rules.rtk_given
+    _trust(b, rules, False, True, rules.reason_none, passed)
+
+
+@jit(borrows=True)
+def locate(b, lanes, path_of, rules):  # type: ignore[no-untyped-def]
+    """Where the believed pose is on the ego's own map; without meta-actions the lane itself is the target."""
+    s, r, direction = local(lanes, b.lane, b.x_m, b.y_m)
+    b.longitudinal_m, b.lateral_m, b.path = s, r, path_of[b.lane]
+    b.angle_rad, b.lane_width_m = wrap(b.heading_rad - direction), width_at(lanes, b.lane, s)
+    if rules.meta == 0:
+        b.target_lane, b.target_speed_mps = b.lane, b.speed_mps

@@ -1,0 +1,75 @@
+"""Outcomes of N environments as the ``info`` of single ones, and as Gymnasium's vector environments batch it."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.envs.batch.records_kernel import OUTCOME, TERMS
+from lanebound.integrity.core.records import Records
+
+__all__ = ["NAMES", "StepResult", "form_of", "info_of", "infos_of", "results", "single_info"]
+
+FIELDS = OUTCOME.names or ()
+COST, TERMINATED, TRUNCATED, MODE = (FIELDS.index(name) for name in ("cost", "terminated", "truncated", "mode"))
+NUMBERS, FLAGS, CODES = FIELDS[COST:TERMINATED], FIELDS[TRUNCATED + 1 : MODE], FIELDS[MODE:]
+NAMES = (*NUMBERS, *FLAGS, *CODES)
+"""Entries of infos that are arrays (N,)."""
+Infos = dict[str, Any]
+
+
+class StepResult(NamedTuple):
+    """What a step has come to in N environments, a copy: arrays (N,); ``terms`` and ``rest`` as infos name them."""
+
+    rewards: NDArray[np.float64]
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    terms: list[NDArray[np.float64]]
+    rest: list[NDArray[Any]]
+
+
+def results(outcome: Records, of: NDArray[np.bool_] | None = None) -> StepResult:
+    """The outcomes (N,) OUTCOME of all environments; or of those ``of`` (N,), and zeros of the others."""
+    rows = outcome.view(np.float64).reshape(-1, len(FIELDS)).T.copy()
+    if of is not None:
+        rows[:, ~of] = 0.0
+    numbers, flags = list(rows[:TERMINATED]), list(rows[TERMINATED:MODE] > 0.0)
+    codes = list(rows[MODE:].astype(np.int64))
+    return StepResult(numbers[0], flags[0], flags[1], numbers[1:COST], numbers[COST:] + flags[2:] + codes)
+
+
+def form_of(mask: NDArray[np.bool_]) -> tuple[Infos, Infos]:
+    """Infos still to be filled, and their ``rewards``: by ``_key`` that the environments ``mask`` (N,) have one."""
+    masks = {f"_{name}": mask for name in (*NAMES, "rewards")}
+    return dict.fromkeys(NAMES) | masks, dict.fromkeys(TERMS) | {f"_{name}": mask for name in TERMS}
+
+
+def infos_of(found: StepResult, form: tuple[Infos, Infos]) -> Infos:
+    """The info of environments: a :func:`form_of` them, which stays as it is, filled with arrays (N,)."""
+    infos, terms = form[0].copy(), form[1].copy()
+    infos.update(zip(NAMES, found.rest, strict=True))
+    terms.update(zip(TERMS, found.terms, strict=True))
+    infos["rewards"] = terms
+    return infos
+
+
+def info_of(outcome: Records, row: int) -> Infos:
+    """The info of one environment: Python's own types."""
+    values = outcome[row].item()
+    info: Infos = dict(zip(NUMBERS, values[COST:TERMINATED], strict=True))
+    info.update(zip(FLAGS, (value > 0.0 for value in values[TRUNCATED + 1 : MODE]), strict=True))
+    info.update(zip(CODES, (int(value) for value in values[MODE:]), strict=True))
+    info["rewards"] = dict(zip(TERMS, values[1:COST], strict=True))
+    return info
+
+
+def single_info(infos: Infos, row: int) -> Infos:
+    """The info of one environment among those that are batched: Python's own types, no masks."""
+    found: Infos = {}
+    for name, value in infos.items():
+        if name.startswith("_"):
+            continue
+        found[name] = single_info(value, row) if isinstance(value, dict) else value[row].item()
+    return found

@@ -1,0 +1,370 @@
+"""What N egos sense: one navigator locates all vehicles that navigate, each in its own city at its own hour.
+
+A row of environment e holds M vehicles, the ego first, then the others by slot; M is 1 where nobody broadcasts. The
+navigation of an episode begins some seconds before it, on a straight approach.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass, is_dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.envs.batch import rows_kernel as rk
+from lanebound.envs.batch.belief_kernel import Fixes
+from lanebound.envs.batch.lanes_kernel import Lanes
+from lanebound.envs.batch.motion_kernel import MOTION, TruthRows, Whereabouts, begin_motion, fill_motion
+from lanebound.envs.batch.records_kernel import Cars
+from lanebound.envs.batch.skies import Cities, Skies
+from lanebound.envs.batch.sky_ahead_kernel import Forecast, SkyRows
+from lanebound.envs.batch.streams import CrewStreams
+from lanebound.envs.navigation import NavigationConfig
+from lanebound.envs.records import azimuth_of, enu_of
+from lanebound.integrity.core.accel import run_rows
+from lanebound.integrity.core.bundle_kernel import Bundle
+from lanebound.integrity.core.frames import GRAVITY_MPS2
+from lanebound.integrity.core.records import Records
+from lanebound.integrity.core.streams import named_generator
+from lanebound.integrity.motion.truth import Truth
+from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig
+from lanebound.integrity.navigators.solution import Solution
+from lanebound.integrity.sensors.faults import FaultSchedule
+
+__all__ = ["HEARD_S", "Approach", "NavigationBatch", "Starts", "draw_starts", "fixes_of"]
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+HEARD_S = 0.6  # of the approach with the radio on: the longest delay of a message
+FLEET_SEEDS = 2**62
+FLEET_STARTS = 2  # draws of the others' first positions: as they enter the world, and again for their approach
+MOTION_US = 0.5  # of one thread for a vehicle and step, measured
+
+
+class Starts(NamedTuple):
+    """What the starts of n episodes draw beside the traffic.
+
+    layout, hour, fleet_seed (n,): city, hour of the constellations, seed of the others' instruments; map_shift (n, 2)
+    standard normal, of each ego's map; noise (n, M, 3) standard normal, of first positions and headings.
+    """
+
+    layout: Rows
+    hour: Rows
+    fleet_seed: Rows
+    map_shift: Array
+    noise: Array
+
+
+def draw_starts(seeds: Sequence[int], layouts: int, hours: int, crew: Flags, sensed: bool) -> Starts:
+    """The draws of episodes, by their seeds.
+
+    crew (n, M - 1): places of the others that a vehicle has taken; zeros are drawn for the rest. ``sensed``: the egos'
+    own positions are, and so their maps have a shift.
+    """
+    drawn = np.zeros((3, len(seeds)), dtype=np.int64)
+    shift, noise = np.zeros((len(seeds), 2)), np.zeros((len(seeds), 1 + crew.shape[1], 3))
+    for n, seed in enumerate(seeds):
+        scene, start = named_generator(seed, "scene"), named_generator(seed, "start")
+        drawn[:, n] = [scene.integers(below) for below in (layouts, hours, FLEET_SEEDS)]
+        if sensed:
+            shift[n], noise[n, 0] = start.standard_normal(2), start.standard_normal(3)
+        if others := int(crew[n].sum()):
+            of_fleet = fleet_generator(int(drawn[2, n]))
+            noise[n, 1 : 1 + others] = of_fleet.standard_normal((FLEET_STARTS, others, 3))[-1]
+    return Starts(drawn[0], drawn[1], drawn[2], shift, noise)
+
+
+def fleet_generator(seed: int) -> np.random.Generator:
+    """What the first positions of the others are drawn from."""
+    return named_generator(seed, "start")
+
+
+def fixes_of(solution: Solution) -> Fixes:
+    """The fields of a solution that kernels read."""
+    return Fixes(*[getattr(solution, name) for name in Fixes._fields])
+
+
+@dataclass(frozen=True)
+class Approach:
+    """How episodes have been driven up to: the solution at the start, and those heard before (time, solution)."""
+
+    solution: Solution
+    heard: list[tuple[float, Solution]]
+
+
+class NavigationBatch:
+    """The navigators of N environments.
+
+    Every environment goes by a time of its own, so that all its episodes are as those of a single one.
+
+    Parameters
+    ----------
+    config, settings : how the egos know their positions, and the navigator's own configuration
+    skies, cities : that episodes may draw
+    forecast : what the map says of the cities, at the distances that are shown
+    lanes : of the road network
+    count, vehicles : N environments of M vehicles
+    step_s, steps : length of a simulation step, and steps in an epoch
+
+    Attributes
+    ----------
+    navigator : of N M vehicles
+    motions : (N, M) MOTION
+    sky : the skies over the egos at the last epoch
+    where : the cities that they are in
+    measurements : of the last epoch, None before
+    """
+
+    def __init__(
+        self,
+        config: NavigationConfig,
+        settings: NavigatorConfig,
+        skies: Skies,
+        cities: Cities,
+        forecast: Forecast,
+        lanes: Lanes,
+        count: int,
+        vehicles: int,
+        step_s: float,
+        steps: int,
+    ) -> None:
+        self.config, self.skies, self.cities, self.lanes = config, skies, cities, lanes
+        self._forecast = forecast
+        self.count, self.vehicles, self.step_s, self.steps = count, vehicles, step_s, steps
+        self.epoch_s = step_s * steps
+        self.epochs_before = max(1, round(config.warm_up_s / self.epoch_s))
+        self._one = Navigator(settings, skies.track, cities.mask, 0, 1)
+        self._make()
+
+    def _make(self) -> None:
+        """Everything that changes, before any start."""
+        n, m = self.count, self.vehicles
+        self._there = np.ones((n, m), dtype=np.bool_)
+        self._streams = CrewStreams([0] * n, [0] * n, self._there[:, 1:], self.skies.used[[0] * n])
+        self.navigator = self._one.another(self._streams)
+        self.motions: Records = np.zeros((n, m), MOTION)
+        self._hour, self._age = np.zeros((2, n), dtype=np.int64)  # age: epochs since the episode's start
+        self.where: Whereabouts = self.cities.where(np.zeros(n, dtype=np.int64))
+        self.sky: SkyRows = self.skies.empty(n)
+        self.sensed = self._bundle(self.sky)
+        self._index: Rows | None = None
+        self.measurements: Measurements | None = None
+        self._kept = np.arange(n)
+
+    def _bundle(self, sky: SkyRows) -> Bundle:
+        """What the kernels read of skies and cities."""
+        return Bundle(rk.Sensed(self.where, self._forecast, self.skies.table, sky))
+
+    def another(self) -> NavigationBatch:
+        """Navigators of as many environments under the same skies, before any start."""
+        other = copy.copy(self)
+        other._make()
+        return other
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the arrays that have a row for each environment or vehicle."""
+        return _size_of(self.navigator.state) + self.motions.nbytes
+
+    def at(self, rows: Rows) -> Rows:
+        """The rows of the egos among all vehicles."""
+        return rows * self.vehicles
+
+    # Starts
+
+    def begin(self, rows: Rows, seeds: Sequence[int], starts: Starts, cars: Cars, there: Flags) -> Approach:
+        """Start the navigation of ``rows`` before their episodes; ``seeds`` draw all that is drawn.
+
+        there (n, M - 1): places of the others that take part, by slot.
+        """
+        self._there[rows, 1:] = there
+        self._hour[rows] = starts.hour
+        self.where.city[rows] = self.cities.city_m[starts.layout]
+        streams = CrewStreams(seeds, starts.fleet_seed.tolist(), there, self.skies.used[starts.hour])
+        starter = self._one.another(streams)
+        if self.count == 1:
+            starter.faults = self.navigator.faults
+        motions = np.zeros((rows.size, self.vehicles), MOTION)
+        approach = self._approach(rows, starter, motions, starts, cars)
+        if np.array_equal(rows, self._kept):
+            self.navigator, self._streams = starter, streams
+            self.motions[:] = motions
+        else:
+            self._take_over(rows, starter, motions, streams, np.arange(rows.size))
+        self._age[rows], self._index = 0, None
+        return approach
+
+    def adopt(self, rows: Rows, other: NavigationBatch) -> None:
+        """Go on with the environments ``rows`` of another batch."""
+        self._take_over(rows, other.navigator, other.motions, other._streams, rows)
+        self._there[rows], self._hour[rows], self._age[rows] = other._there[rows], other._hour[rows], other._age[rows]
+        self.where.city[rows], self._index = other.where.city[rows], None
+
+    def _take_over(
+        self, rows: Rows, navigator: Navigator, motions: Records, streams: CrewStreams, theirs: Rows
+    ) -> None:
+        self.navigator.adopt(self._rows_of(rows), navigator, self._rows_of(theirs))
+        self.motions[rows] = motions[theirs]
+        self._streams.adopt(rows, streams, theirs)
+
+    def _rows_of(self, rows: Rows) -> Rows:
+        """The rows of all navigating vehicles of environments."""
+        every: Rows = (rows[:, None] * self.vehicles + np.arange(self.vehicles)).ravel()
+        return every
+
+    def _approach(
+        self, rows: Rows, navigator: Navigator, motions: Records, starts: Starts, cars: Cars
+    ) -> Approach:  # fmt: skip
+        """Drive all vehicles straight up to their starts, an epoch after another."""
+        every, size, steps = np.arange(rows.size), motions.size, self.epochs_before * self.steps
+        truth, heard = _truth_rows(size), list[tuple[float, Solution]]()
+        end, ahead = np.zeros((2, *motions.shape, 2))
+        before_s = self.epochs_before * self.epoch_s
+        begin_motion(
+            0, rows.size, rows, cars, self.lanes, self.where, self.step_s, before_s, motions, end, ahead, truth
+        )
+        begin, present = motions["position"].copy(), np.flatnonzero(_present(rows, cars, self.vehicles))
+        heading, noise = motions["heading_rad"].ravel()[present], starts.noise.reshape(-1, 3)[present]
+        place_all(navigator, self.config, begin.reshape(-1, 2)[present], heading, noise, present)
+        sky, index = self.skies.empty(rows.size), np.where(self._there[rows], every[:, None], rows.size).ravel()
+        hour, sensed = self._hour[rows], self._bundle(sky)
+        for step in range(1, steps + 1):
+            last = end if step == steps else None
+            rk.approach_step(0, rows.size, every, motions, begin, ahead, step * self.step_s, last)
+            if step % self.steps:
+                continue
+            ago = step // self.steps - self.epochs_before
+            clock, time_s = self._clock_s(ago), ago * self.epoch_s
+            times = self.skies.times(hour, np.full(rows.size, clock))
+            run_rows(rk.sky_rows, rows.size, every, sensed.handle, times, row_us=2.0)
+            fill_motion(motions, every, self.step_s, self._down, truth)
+            solution = self._locate(navigator, truth, self.skies.view(sky, index), clock)
+            if last is not None or (self.vehicles > 1 and -HEARD_S <= time_s < -0.5 * self.epoch_s):
+                heard.append((time_s, solution))
+        return Approach(solution, heard)
+
+    def enter(
+        self, slots: Rows, position_m: Array, heading_rad: Array, speed_mps: Array, passed: int, noise: Array
+    ) -> None:
+        """Vehicles appear in slots (n,) of a single environment, after going straight on at their speed.
+
+        position_m (n, 2) is where each is now; ``passed``: steps of the epoch before this one; noise (n, 3) standard
+        normal, of the positions that they know.
+        """
+        chord = self.step_s * speed_mps[:, None] * np.stack([np.cos(heading_rad), np.sin(heading_rad)], -1)
+        before, rows = position_m - chord, slots + 1
+        m = self.motions
+        m["position"][0, rows], m["heading_rad"][0, rows] = before, heading_rad
+        m["chord"][0, rows] = m["chord_before"][0, rows] = chord
+        m["start"][0, rows], m["start_velocity"][0, rows] = before - passed * chord, chord / self.step_s
+        m["start_heading_rad"][0, rows] = heading_rad
+        place_all(self.navigator, self.config, before, heading_rad, noise, rows)
+
+    # Steps
+
+    def set_faults(self, faults: FaultSchedule) -> None:
+        """The faults of a single environment's vehicles: 0 the ego, 1 and up the slots."""
+        self.navigator.faults = faults
+
+    def coast_link(self, rows: Rows, batch: Records, tracks: Records | None) -> Any:
+        """A simulation step has passed that ends no epoch, as a link of a chain."""
+        return rk.coast_rows, (rows, batch, self.motions, tracks)
+
+    def epoch_link(self, rows: Rows, batch: Records) -> tuple[Any, TruthRows]:
+        """A simulation step has passed that ends an epoch, as a link of a chain, and the truth that it fills."""
+        self._age += 1
+        truth, times = _truth_rows(self.motions.size), self.skies.times(self._hour, self.clock_s)
+        return (rk.end_epoch, (rows, batch, self.sensed.handle, self.motions, self._down, times, truth)), truth
+
+    def navigate(self, rows: Rows, batch: Records) -> Solution:
+        """The whole of an epoch: its truth and skies, its measurements, and what follows from them."""
+        (kernel, arguments), truth = self.epoch_link(rows, batch)
+        kernel(0, rows.size, *arguments)
+        return self.locate(truth)
+
+    def locate(self, truth: TruthRows) -> Solution:
+        """Measure an epoch, and locate all vehicles by the measurements alone."""
+        clock = self._clock_s(self.navigator.epoch + 1 - self._epochs_at_start)
+        return self._locate(self.navigator, truth, self.view(), clock)
+
+    def _locate(self, navigator: Navigator, truth: TruthRows, sky: Any, clock_s: float) -> Solution:
+        self.measurements = navigator.measure(Truth(clock_s, self.epoch_s, *truth), sky)
+        return navigator.locate(self.measurements)
+
+    def view(self) -> Any:
+        """The skies over all vehicles at the last epoch; where there is no vehicle, none."""
+        if self._index is None:
+            self._index = np.where(self._there, self._kept[:, None], self.count).ravel()
+        return self.skies.view(self.sky, self._index)
+
+    def sky_link(self, rows: Rows) -> Any:
+        """The skies over egos now, as a link of a chain."""
+        return rk.sky_rows, (rows, self.sensed.handle, self.skies.times(self._hour, self.clock_s))
+
+    @property
+    def time_s(self) -> Array:
+        """(N,) of each episode."""
+        return np.asarray(self._age * self.epoch_s, dtype=np.float64)
+
+    @property
+    def clock_s(self) -> Array:
+        """(N,) what the clocks of single environments would show."""
+        return np.asarray(self.config.clock_start_s + self._age * self.epoch_s, dtype=np.float64)
+
+    def _clock_s(self, epochs: int) -> float:
+        return self.config.clock_start_s + epochs * self.epoch_s
+
+    @property
+    def _epochs_at_start(self) -> int:
+        """What a navigator's clock shows at the start of an episode."""
+        return round(self.config.clock_start_s / self.epoch_s)
+
+    @property
+    def _down(self) -> float:
+        return -GRAVITY_MPS2 * self.epoch_s
+
+
+def place_all(
+    navigator: Navigator,
+    config: NavigationConfig,
+    xy: Array,
+    heading_rad: Array,
+    noise: Array,
+    rows: Rows | slice = slice(None),
+) -> None:
+    """Start vehicles of a navigator near their true poses: xy (n, 2), heading (n,), standard normal noise (n, 3)."""
+    spread = np.deg2rad(config.start_heading_deg)
+    navigator.place(
+        enu_of(xy + config.start_sigma_m * noise[:, :2]),
+        azimuth_of(heading_rad + spread * noise[:, 2]),
+        config.start_sigma_m,
+        float(spread),
+        rows,
+    )
+
+
+def _present(rows: Rows, cars: Cars, vehicles: int) -> Flags:
+    """Which of the navigating vehicles of environments there are, (n, M)."""
+    there = np.zeros((rows.size, vehicles), dtype=np.bool_)
+    for n, e in enumerate(rows.tolist()):
+        slots = cars.slot[e, 1 : cars.present[e]]
+        there[n, 0], there[n, slots[(slots >= 0) & (slots < vehicles - 1)] + 1] = True, True
+    return there
+
+
+def _truth_rows(count: int) -> TruthRows:
+    position, velocity, turn, delta_v = np.zeros((4, count, 3))
+    heading, distance, arc = np.zeros((3, count))
+    return TruthRows(position, velocity, heading, turn, delta_v, distance, arc, np.zeros(count, dtype=np.int64))
+
+
+def _size_of(state: object) -> int:
+    """Bytes of the arrays of a state, and of the states in it."""
+    parts = vars(state).values()
+    return sum(part.nbytes if isinstance(part, np.ndarray) else _size_of(part) if is_dataclass(part) else 0
+               for part in parts)  # fmt: skip

@@ -1,0 +1,192 @@
+"""Whom N egos perceive, epoch after epoch: their radios, their sensors, and the state of both."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.envs.batch import perception_kernel as pk
+from lanebound.envs.batch import rows_kernel as rk
+from lanebound.envs.batch.belief_kernel import Fixes
+from lanebound.envs.batch.records_kernel import PERCEIVED, Cars
+from lanebound.envs.perception import PerceptionConfig
+from lanebound.integrity.core import streams_kernel as sk
+from lanebound.integrity.core.records import Records, one_record
+from lanebound.integrity.core.streams import ZIGGURAT, Streams
+
+__all__ = ["PerceptionBatch", "perceives"]
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+GIVEN = ("truth", "none")
+
+
+def perceives(config: PerceptionConfig) -> bool:
+    """Whether traffic is measured or heard of, not given."""
+    return config.source not in GIVEN
+
+
+class PerceptionBatch:
+    """The egos' pictures of the traffic.
+
+    Parameters
+    ----------
+    config : sources and their figures
+    count, capacity : N egos, and C slots of others that each may perceive
+    vehicles : V that an environment may have, the ego included
+    epoch_s : length of an epoch
+
+    Attributes
+    ----------
+    hears, looks : whether the sources are the radio, a sensor, or both
+    pictures : the records, for kernels
+    """
+
+    def __init__(self, config: PerceptionConfig, count: int, capacity: int, vehicles: int, epoch_s: float) -> None:
+        v, s = config.v2v, config.sensor
+        self.config, self.count, self.capacity, self.vehicles = config, count, capacity, vehicles
+        self.hears, self.looks = (capacity > 0 and config.source in (name, "both") for name in ("v2v", "sensor"))
+        self._slots_late = math.ceil(v.latency_max_s / epoch_s) + 2 if self.hears else 0
+        self._radio = one_record(
+            pk.RADIO, latency_s=v.latency_s, jitter_s=v.jitter_s, latency_max_s=v.latency_max_s, loss=v.loss,
+            range_m=v.range_m, rate_hz=v.rate_hz, epoch_s=epoch_s,
+        )  # fmt: skip
+        self._sensor = one_record(
+            pk.SENSOR, range_m=s.range_m, half_view_rad=math.radians(0.5 * s.field_of_view_deg),
+            range_sigma_m=s.range_sigma_m, bearing_sigma_rad=math.radians(s.bearing_sigma_deg),
+            speed_sigma_mps=s.speed_sigma_mps, heading_sigma_rad=math.radians(s.heading_sigma_deg),
+            bound_sigmas=s.bound_sigmas, epoch_s=epoch_s,
+        )  # fmt: skip
+        self._tracking = one_record(
+            pk.TRACKING, drop_after_s=config.drop_after_s, along_mps2=config.acceleration_bound_mps2,
+            across_mps2=config.lateral_bound_mps2, course_sin=math.sin(math.radians(config.course_bound_deg)),
+        )  # fmt: skip
+        self._make()
+
+    def _make(self) -> None:
+        n, slots, heard = self.count, self.capacity + 1, self.capacity if self.hears else 0
+        late = self._slots_late
+        self._streams = Streams([0] * n)
+        self._there = np.ones((n, slots), dtype=np.bool_)
+        radio = pk.Radio(
+            np.zeros((n, late, heard), pk.SIGHTING),
+            np.full((n, late, heard), -1, dtype=np.int64),
+            np.full((n, heard), -1, dtype=np.int64),
+            np.zeros((n, heard), pk.SIGHTING),
+        )
+        self.pictures = pk.Pictures(
+            picture=np.zeros(n, pk.PICTURE),
+            perceived=np.zeros((n, max(slots, self.vehicles - 1, 1)), PERCEIVED),
+            tracks=np.zeros((n, slots), pk.SIGHTING),
+            slots=np.zeros((n, slots), pk.SLOT),
+            spoken=np.zeros((n, heard), pk.CLAIM),
+            radio=radio,
+            of_radio=self._radio,
+            of_sensor=self._sensor,
+            of_tracks=self._tracking,
+        )
+
+    def another(self) -> PerceptionBatch:
+        """Pictures of as many egos by the same sources, before any start."""
+        other = object.__new__(PerceptionBatch)
+        other.__dict__.update(self.__dict__)
+        other._make()
+        return other
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the arrays."""
+        return sum(array.nbytes for array in self.arrays)
+
+    @property
+    def arrays(self) -> tuple[NDArray[Any], ...]:
+        """Those that have a row for each environment."""
+        p = self.pictures
+        return p.picture, p.perceived, p.tracks, p.slots, *p.radio, self._there
+
+    def begin(self, rows: Rows, seeds: Sequence[int], there: Flags, cars: Cars) -> None:
+        """Start with silent radios and sensors that have seen nobody, under the episodes' seeds.
+
+        there (n, C): places of others, by slot, that draw.
+        """
+        p = self.pictures
+        p.picture["seen"][rows] = 0
+        if not (self.hears or self.looks):
+            return
+        p.picture["epoch"][rows], p.picture["sent"][rows] = 0, -1
+        p.picture["last_x_m"][rows] = p.picture["last_y_m"][rows] = 0.0
+        p.slots[rows] = np.zeros((), pk.SLOT)
+        _silence(p.tracks, rows, np.inf)
+        if self.hears:
+            _silence(p.radio.held, rows, -np.inf)
+            p.radio.arriving[rows] = p.radio.origin[rows] = -1
+        self._there[rows, : self.capacity], self._there[rows, self.capacity] = there, True
+        for row, seed in zip(rows.tolist(), seeds, strict=True):
+            self._streams.reseed(row, seed)
+        slot = cars.slot[rows]
+        n, v = np.nonzero((slot >= 0) & (np.arange(slot.shape[1]) < cars.present[rows, None]))
+        e, s = rows[n], slot[n, v]
+        p.slots["key"][e, s] = v
+        p.slots["length_m"][e, s], p.slots["width_m"][e, s] = cars.length[e, v], cars.width[e, v]
+
+    def adopt(self, rows: Rows, other: PerceptionBatch) -> None:
+        """Go on with the draws of the egos ``rows`` of another batch, whose arrays have been copied."""
+        if self.hears or self.looks:
+            self._streams.adopt(rows, other._streams, rows)
+
+    def make_room(self, vehicles: int) -> None:
+        """Room for as many vehicles, the ego included."""
+        perceived = self.pictures.perceived
+        if vehicles - 1 > perceived.shape[1]:
+            longer = np.zeros((self.count, vehicles - 1), PERCEIVED)
+            longer[:, : perceived.shape[1]] = perceived
+            self.vehicles, self.pictures = vehicles, self.pictures._replace(perceived=longer)
+
+    def enter(self, slot: int, key: int, length_m: float, width_m: float) -> None:
+        """Another vehicle takes a slot of a single environment over: nothing of the last one remains."""
+        p = self.pictures
+        pk.forget_slot(p.radio, p.tracks, 0, slot)
+        p.slots[0, slot] = key, length_m, width_m
+
+    def links(
+        self, rows: Rows, at: Rows, time_s: Array, fixes: Fixes | None, batch: Records, lies: Array | None = None
+    ) -> list[Any]:
+        """One epoch of the egos ``rows`` (n,), as links of a chain.
+
+        at (n,): rows of the egos in ``fixes``, after which those of the others follow by slot; time_s (n,) of the
+        episodes; batch: the bundle of the episodes; lies (C, 4): see :func:`.perception_kernel.hear`.
+        """
+        out: list[Any] = []
+        if self.hears and fixes is not None:
+            out.append((rk.hear_rows, (rows, at, fixes, batch, time_s, self._draw("v2v", rows, 2), lies)))
+        if self.looks:
+            out.append((rk.look_rows, (rows, batch, self._draw("sensor", rows, 4))))
+        if out:
+            out.append((rk.sum_up_rows, (rows, batch, time_s)))
+        return out
+
+    def _draw(self, name: str, rows: Rows, width: int) -> Array:
+        """Draws (n, C + 1, width) for the vehicles there are, one after another, with zeros in empty places.
+
+        The radio's are uniform, the sensor's normal.
+        """
+        states, there = self._streams.states(name), self._there[rows]
+        own, out = states[rows], np.zeros((rows.size, there.shape[1], width))
+        if name == "sensor":
+            sk.normals_at(0, rows.size, own, there, ZIGGURAT, out)
+        else:
+            sk.uniforms_at(own, there, out)
+        states[rows] = own
+        return out
+
+
+def _silence(sightings: Records, rows: Rows, time_s: float) -> None:
+    """Nothing is known of vehicles, :func:`.perception_kernel.silence`."""
+    sightings[rows] = np.zeros((), pk.SIGHTING)
+    for name, value in (("pl_at_m", np.inf), ("pl_ct_m", np.inf), ("time_s", time_s)):
+        sightings[name][rows] = value

@@ -1,0 +1,319 @@
+"""Whom each ego perceives: broadcasts of the others' own beliefs, its own sensor, or everybody as they are.
+
+A broadcast says where its sender believes to be on the globe; a sensor tells where another vehicle is from here. The
+first is wrong by the sender's error, the second is put on the ego's believed pose and shares its error, so that the
+geometry between the two vehicles stays right. Truth enters as radio range and echoes alone.
+
+What one source knows of a vehicle is a SIGHTING; each of C slots of vehicles has one of the radio and one of the
+sensor.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.records import Records, record
+
+__all__ = ["CLAIM", "PICTURE", "RADIO", "SENSOR", "SIGHTING", "SLOT", "TRACKING", "Pictures", "Radio", "claim",
+           "forget_slot",
+           "hear", "in_sight", "look", "see_truth", "silence", "sum_up"]  # fmt: skip
+
+ROUNDING = 1e-9
+COURSE_FROM_MPS = 2.0  # below, Doppler noise turns the course by degrees
+
+CLAIM = record(
+    x_m="believed position",
+    y_m="believed position",
+    heading_rad="course, or the heading at low speed and in reverse",
+    speed_mps="by the odometer",
+    pl_at_m="protection level along the heading, inf when missing",
+    pl_ct_m="protection level across the heading, inf when missing",
+    sends=("i8", "1 where the vehicle knows its position and broadcasts it"),
+)
+SIGHTING = record(
+    x_m="position at the time of the measurement",
+    y_m="position at the time of the measurement",
+    heading_rad="then",
+    speed_mps="then",
+    pl_at_m="bound along the heading",
+    pl_ct_m="bound across the heading",
+    time_s="of the measurement; its age in what the sensor holds",
+)
+SLOT = record(
+    key=("i8", "name of the vehicle that has the slot, or had it last; never given twice"),
+    length_m="its length",
+    width_m="its width",
+)
+RADIO = record(
+    latency_s="shortest delay of a message",
+    jitter_s="mean of the exponential delay on top",
+    latency_max_s="later messages are dropped",
+    loss="share lost at close range",
+    range_m="nothing is heard beyond",
+    rate_hz="messages of a vehicle in a second",
+    epoch_s="length of an epoch",
+)
+SENSOR = record(
+    range_m="farthest vehicle seen",
+    half_view_rad="half of the opening of the cone, centred ahead",
+    range_sigma_m="error of the distance",
+    bearing_sigma_rad="error of the bearing",
+    speed_sigma_mps="error of the relative speed",
+    heading_sigma_rad="error of the relative heading",
+    bound_sigmas="standard deviations that bound an error",
+    epoch_s="length of an epoch",
+)
+TRACKING = record(
+    drop_after_s="a track that is older is left out",
+    along_mps2="acceleration of another along its heading at most",
+    across_mps2="acceleration of another across its heading at most",
+    course_sin="sine of the largest angle between its course and the heading known of it",
+)
+PICTURE = record(
+    seen=("i8", "how many vehicles are perceived"),
+    epoch=("i8", "epochs since the radio was switched on"),
+    sent=("i8", "number of the newest transmission slot used"),
+    last_x_m="where the sensor looked from last",
+    last_y_m="where the sensor looked from last",
+)
+
+
+class Radio(NamedTuple):
+    """Messages under way to N egos from C slots each, and held by them.
+
+    broadcasts (N, L, C) SIGHTING: messages of the last L epochs; arriving (N, L, C): epoch of origin of the message
+    that arrives in a coming epoch, -1 for none; origin (N, C): epoch of origin of the message held, -1 for none; held
+    (N, C) SIGHTING: for none, levels of inf and a time of -inf.
+    """
+
+    broadcasts: Records
+    arriving: NDArray[np.int64]
+    origin: NDArray[np.int64]
+    held: Records
+
+
+class Pictures(NamedTuple):
+    """Whom N egos perceive.
+
+    picture (N,) PICTURE; perceived (N, P) PERCEIVED, nearest first; tracks (N, C + 1) SIGHTING of the sensor; slots
+    (N, C + 1) SLOT; spoken (N, C) CLAIM and radio: of C slots, of none where the ego has no radio; of_radio (1,) RADIO,
+    of_sensor (1,) SENSOR, of_tracks (1,) TRACKING: figures.
+    """
+
+    picture: Records
+    perceived: Records
+    tracks: Records
+    slots: Records
+    spoken: Records
+    radio: Radio
+    of_radio: Records
+    of_sensor: Records
+    of_tracks: Records
+
+
+@jit(borrows=True)
+def silence(sighting, time):  # type: ignore[no-untyped-def]
+    """Nothing is known of a vehicle: levels of inf; a time of -inf for messages, an age of inf for the sensor."""
+    sighting.x_m = sighting.y_m = sighting.heading_rad = sighting.speed_mps = 0.0
+    sighting.pl_at_m = sighting.pl_ct_m = math.inf
+    sighting.time_s = time
+
+
+@jit(borrows=True)
+def forget_slot(radio, tracks, e, slot):  # type: ignore[no-untyped-def]
+    """Drop what is known of a slot and what is under way from it: another vehicle takes it over."""
+    if slot < radio.origin.shape[1]:
+        radio.arriving[e, :, slot] = -1
+        radio.origin[e, slot] = -1
+        silence(radio.held[e, slot], -math.inf)
+    silence(tracks[e, slot], math.inf)
+
+
+@jit(borrows=True)
+def claim(solution, v, c):  # type: ignore[no-untyped-def]
+    """What the vehicle of row v of a solution would broadcast, in the plane."""
+    east, north = solution.velocity_en_mps[v, 0], solution.velocity_en_mps[v, 1]
+    azimuth = math.atan2(east, north) if solution.speed_mps[v] > COURSE_FROM_MPS else solution.heading_rad[v]
+    c.x_m, c.y_m = solution.position_en_m[v, 0], -solution.position_en_m[v, 1]
+    c.heading_rad, c.speed_mps = azimuth - 0.5 * math.pi, solution.speed_mps[v]
+    c.pl_at_m, c.pl_ct_m = solution.pl_at_m[v], solution.pl_ct_m[v]
+    c.sends = 1 if solution.mode[v] != 0 else 0
+
+
+@jit(borrows=True)
+def hear(picture, radio, e, figures, time, claims, car, u, lies):  # type: ignore[no-untyped-def]
+    """One epoch of the radio to one ego: send, carry, receive.
+
+    claims (C,) CLAIM by slot; u (C + 1, 2) uniform draws; lies (C, 4): displacement East, North, up [m] and factor on
+    the levels of what each says, or None for honest vehicles. A message gets through within the range with ``P = (1 -
+    loss) (1 - (d / range)^4)``; one that takes longer than an epoch arrives in a later one, and the newer replaces one
+    that would arrive with it.
+    """
+    slots, count = radio.arriving.shape[1:]
+    picture.epoch += 1
+    epoch = picture.epoch
+    at, due = epoch % slots, math.floor(epoch * figures.epoch_s * figures.rate_hz + ROUNDING)
+    for i in range(count):
+        said, c = radio.broadcasts[e, at, i], claims[i]
+        said.x_m, said.y_m, said.heading_rad, said.speed_mps = c.x_m, c.y_m, c.heading_rad, c.speed_mps
+        said.pl_at_m, said.pl_ct_m, said.time_s = c.pl_at_m, c.pl_ct_m, time
+        if lies is not None:
+            said.x_m += lies[i, 0]
+            said.y_m -= lies[i, 1]
+            said.pl_at_m *= lies[i, 3]
+            said.pl_ct_m *= lies[i, 3]
+    if due > picture.sent:
+        picture.sent = due
+        for v in range(1, car.present):
+            i = car.slot[v]
+            if i < 0 or i >= count or claims[i].sends == 0:
+                continue
+            delay = figures.latency_s - figures.jitter_s * math.log1p(-u[i, 1])
+            x, y = (car.x[0] - car.x[v]) / figures.range_m, (car.y[0] - car.y[v]) / figures.range_m
+            fade = min(x * x + y * y, 1.0)
+            if delay <= figures.latency_max_s and u[i, 0] < (1.0 - figures.loss) * (1.0 - fade * fade):
+                wait = math.ceil(delay / figures.epoch_s - ROUNDING)
+                radio.arriving[e, (epoch + wait) % slots, i] = epoch
+    for i in range(count):
+        if radio.arriving[e, at, i] > radio.origin[e, i]:
+            radio.origin[e, i] = radio.arriving[e, at, i]
+            radio.held[e, i] = radio.broadcasts[e, radio.origin[e, i] % slots, i]
+        radio.arriving[e, at, i] = -1
+
+
+@jit(borrows=True)
+def in_sight(car, ahead, i):  # type: ignore[no-untyped-def]
+    """Whether the line from the middle of the ego to that of vehicle ``i`` crosses no third vehicle.
+
+    Exact: a line and a rectangle are apart when their shadows on an axis of the rectangle, or on the normal of the
+    line, are. ``ahead`` (V, 2) are the unit vectors of the headings.
+    """
+    x, y = car.x[0], car.y[0]
+    line_x, line_y = car.x[i] - x, car.y[i] - y
+    for j in range(1, car.present):
+        if j == i or car.slot[j] < 0:
+            continue
+        start_x, start_y = x - car.x[j], y - car.y[j]
+        cos, sin = ahead[j, 0], ahead[j, 1]
+        along, across = cos * line_x + sin * line_y, cos * line_y - sin * line_x
+        if abs(2.0 * (cos * start_x + sin * start_y) + along) > abs(along) + car.length[j]:
+            continue
+        if abs(2.0 * (cos * start_y - sin * start_x) + across) > abs(across) + car.width[j]:
+            continue
+        twist = 2.0 * (start_x * line_y - start_y * line_x)
+        if abs(twist) <= abs(across) * car.length[j] + abs(along) * car.width[j]:
+            return False
+    return True
+
+
+@jit(borrows=True)
+def look(picture, tracks, figures, b, car, noise, ahead):  # type: ignore[no-untyped-def]
+    """One epoch of the sensor of one ego: tracks move with the ego's odometry, and those in sight are measured anew.
+
+    So a jump of the ego's solution moves ego and tracks alike. Along and across the measured heading, which the line of
+    sight leaves by psi, the errors of distance (sigma_r) and bearing (sigma_b) give ``sigma_at^2 = (sigma_r cos psi)^2
+    + (r sigma_b sin psi)^2``, and sigma_ct with cos and sin exchanged. The ego's error of its own speed enters by the
+    cosine of the angle between the headings.
+
+    tracks (C,) SIGHTING by slot, with ages; noise (C, 4) standard normal; ahead (V, 2) is scratch.
+    """
+    travelled = b.speed_mps * figures.epoch_s
+    east, south = math.cos(b.heading_rad) * travelled, math.sin(b.heading_rad) * travelled
+    for i in range(tracks.shape[0]):
+        tracks[i].x_m += b.x_m - picture.last_x_m - east
+        tracks[i].y_m += b.y_m - picture.last_y_m - south
+        tracks[i].time_s += figures.epoch_s
+    picture.last_x_m, picture.last_y_m = b.x_m, b.y_m
+    for v in range(1, car.present):
+        ahead[v, 0], ahead[v, 1] = math.cos(car.heading[v]), math.sin(car.heading[v])
+    for v in range(1, car.present):
+        gap_x, gap_y = car.x[v] - car.x[0], car.y[v] - car.y[0]
+        distance = math.sqrt(gap_x * gap_x + gap_y * gap_y)
+        bearing = math.atan2(gap_y, gap_x) - car.heading[0]
+        off_axis = abs(bearing - 2.0 * math.pi * round(bearing / (2.0 * math.pi)))
+        if car.slot[v] < 0 or distance > figures.range_m or off_axis > figures.half_view_rad:
+            continue
+        if not in_sight(car, ahead, v):
+            continue
+        n, track = noise[car.slot[v]], tracks[car.slot[v]]
+        r = distance + figures.range_sigma_m * n[0]
+        line = b.heading_rad + bearing + figures.bearing_sigma_rad * n[1]
+        turned = car.heading[v] - car.heading[0]
+        heading = b.heading_rad + turned + figures.heading_sigma_rad * n[3]
+        cos, sin = math.cos(line - heading), math.sin(line - heading)
+        sigma_r, sigma_c = figures.range_sigma_m, abs(r) * figures.bearing_sigma_rad
+        track.x_m, track.y_m = b.x_m + r * math.cos(line), b.y_m + r * math.sin(line)
+        track.heading_rad = heading
+        doubt = (b.speed_mps - car.speed[0]) * math.cos(turned)
+        track.speed_mps = car.speed[v] + doubt + figures.speed_sigma_mps * n[2]
+        track.pl_at_m = figures.bound_sigmas * math.hypot(sigma_r * cos, sigma_c * sin)
+        track.pl_ct_m = figures.bound_sigmas * math.hypot(sigma_r * sin, sigma_c * cos)
+        track.time_s = 0.0
+
+
+@jit(borrows=True)
+def sum_up(radio, tracks, slots, e, figures, time, b, square, seen):  # type: ignore[no-untyped-def]
+    """The newer of two sightings of each slot, the sensor's if equally old, moved to now, nearest to the ego first.
+
+    A position is brought forward at constant velocity from its measurement, ``age`` ago, with levels grown by ``a_at
+    age^2 / 2`` and ``a_ct age^2 / 2 + v age sin(course)``. Fills ``seen`` (C,) PERCEIVED and returns how many there
+    are; square (C,) is scratch.
+    """
+    count, heard = 0, radio.origin.shape[1]
+    for slot in range(tracks.shape[0]):
+        age = tracks[slot].time_s
+        told = time - radio.held[e, slot].time_s if slot < heard else math.inf
+        sensed = age <= told + ROUNDING
+        source = tracks[slot]
+        if not sensed:
+            source, age = radio.held[e, slot], told
+        if not age <= figures.drop_after_s + ROUNDING:
+            continue
+        x = source.x_m + source.speed_mps * age * math.cos(source.heading_rad)
+        y = source.y_m + source.speed_mps * age * math.sin(source.heading_rad)
+        distance2 = (x - b.x_m) ** 2 + (y - b.y_m) ** 2
+        at = count
+        while at > 0 and square[at - 1] > distance2:
+            square[at] = square[at - 1]
+            seen[at] = seen[at - 1]
+            at -= 1
+        square[at], row = distance2, seen[at]
+        row.x_m, row.y_m, row.heading_rad, row.speed_mps = x, y, source.heading_rad, source.speed_mps
+        row.pl_at_m = source.pl_at_m + 0.5 * figures.along_mps2 * age * age
+        growth = (0.5 * figures.across_mps2 * age + figures.course_sin * abs(source.speed_mps)) * age
+        row.pl_ct_m = source.pl_ct_m + growth
+        row.age_s, row.relative, row.key = age, 1 if sensed else 0, slots[slot].key
+        row.length_m, row.width_m = slots[slot].length_m, slots[slot].width_m
+        count += 1
+    return count
+
+
+@jit(borrows=True)
+def see_truth(car, x, y, every, order, square, seen):  # type: ignore[no-untyped-def]
+    """Fill ``seen`` (V - 1,) PERCEIVED with the others as they are, nearest to (x, y) first; returns how many.
+
+    Of two at one distance the first in the world comes first. ``every``: also those that have no slot. order and square
+    (V,) are scratch.
+    """
+    count = 0
+    for i in range(1, car.present):
+        if car.slot[i] < 0 and not every:
+            continue
+        dx, dy = car.x[i] - x, car.y[i] - y
+        distance, at = dx * dx + dy * dy, count
+        while at > 0 and square[at - 1] > distance:
+            square[at], order[at] = square[at - 1], order[at - 1]
+            at -= 1
+        square[at], order[at] = distance, i
+        count += 1
+    for n in range(count):
+        i, row = order[n], seen[n]
+        row.x_m, row.y_m, row.heading_rad, row.speed_mps = car.x[i], car.y[i], car.heading[i], car.speed[i]
+        row.pl_at_m = row.pl_ct_m = row.age_s = 0.0
+        row.length_m, row.width_m, row.relative, row.key = car.length[i], car.width[i], 0, i
+    return count

@@ -1,0 +1,68 @@
+"""The configuration of an environment as the record that kernels read."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from highway_env.vehicle.kinematics import Vehicle
+
+from lanebound.envs.batch.records_kernel import COST_FIGURES, GIVEN, REWARD_WEIGHTS, RULES, SENSED, TERMS
+from lanebound.envs.config import ActionKind, EnvConfig
+from lanebound.envs.navigation import Source
+from lanebound.integrity.core.records import Records, one_record
+from lanebound.integrity.monitoring.alerts import AlertReason
+from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.positioning.rtk_status import RtkStatus
+
+__all__ = ["cost_figures", "rules_of"]
+
+
+def rules_of(config: EnvConfig, limits_m: tuple[float, float], map_bound_m: float) -> Records:
+    """What the kernels read of a configuration, (1,) RULES; limits and bound as the scene finds them."""
+    n, a = config.navigation, config.actuators
+    at, ct = (n.offset_at_m, n.offset_ct_m) if n.source is Source.OFFSET else (0.0, 0.0)
+    step_s = 1.0 / config.simulation_hz
+    return one_record(
+        RULES,
+        step_s=step_s,
+        epoch_s=step_s * n.steps_per_epoch(config.simulation_hz),
+        policy_s=1.0 / config.policy_hz,
+        meta=config.action is ActionKind.META,
+        source=SENSED if n.source.senses else GIVEN,
+        offset_at_m=at,
+        offset_ct_m=ct,
+        jump_m=n.jump_m,
+        smoothing_s=n.smoothing_s,
+        map_bound_m=map_bound_m,
+        al_at_m=limits_m[0],
+        al_ct_m=limits_m[1],
+        actuated=a is not None,
+        pursues=a is not None and a.steering_rate_radps is not None,
+        lateral_mps2=_or_none(a.lateral_acceleration_mps2 if a else None),
+        wheel_rate_radps=_or_none(a.steering_rate_radps if a else None),
+        hold_mps2=a.hold_mps2 if a else 0.0,
+        off_road_ends=config.off_road_ends,
+        wrong_way_s=config.wrong_way_s,
+        success_share=config.success_share,
+        keep_lane=config.keep_lane,
+        max_speed_mps=Vehicle.MAX_SPEED,
+        reason_none=AlertReason.NONE.code,
+        reason_at=AlertReason.PL_AT.code,
+        reason_ct=AlertReason.PL_CT.code,
+        reason_both=AlertReason.BOTH.code,
+        mode_given=int(Mode.RTK),
+        rtk_given=RtkStatus.FIXED.code,
+        pl_most_m=config.observation.pl_max_m,
+        rewards=one_record(REWARD_WEIGHTS, **{name: getattr(config.reward, name) for name in TERMS}),
+        costs=cost_figures(config.cost),
+    )
+
+
+def cost_figures(config: Any) -> Records:
+    """Weights and figures of the costs, (1,) COST_FIGURES: the fields of ``CostConfig``."""
+    return one_record(COST_FIGURES, **{name: getattr(config, name) for name in COST_FIGURES.names or ()})
+
+
+def _or_none(limit: float | None) -> float:
+    """A limit, or the mark of none."""
+    return -1.0 if limit is None else limit

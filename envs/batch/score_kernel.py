@@ -1,0 +1,132 @@
+"""Truth against belief at the end of a policy step: errors, misleading information, ends of an episode, rewards, costs.
+
+Terms of the reward, of the TRUE car; v speed, psi heading less the lane's, d offset from its middle, dt policy step:
+
+``progress``  ``v cos(psi) / v_limit dt`` between -dt and dt: reversing takes back, speeding earns nothing.
+``lane_centre``  ``progress / (1 + (d / 0.5 m)^2)``, 0 at least: nothing for standing in the middle.
+``comfort``  ``-min(1, (|a| / 2 m/s2)^2) dt``, a the acceleration along and across.
+``collision``  1 in the step of a crash. ``base``  the wrapped world's own reward.
+"""
+
+from __future__ import annotations
+
+import math
+
+from lanebound.envs.batch.costs_kernel import begin_corridor, follow_corridor, price
+from lanebound.envs.batch.lanes_kernel import local, remainder, wrap
+from lanebound.integrity.core.accel import jit
+
+__all__ = ["count_epoch", "score"]
+
+CREEP_MPS = 0.5  # driving backwards more slowly is no wrong way
+CENTRE_SCALE_M = 0.5  # offset at which the credit for the middle of the lane is halved
+COMFORT_MPS2 = 2.0  # ISO 2631-1: uncomfortable from 1.25 to 2.5 m/s2
+
+
+@jit(inline=True)
+def _flag(condition):  # type: ignore[no-untyped-def]
+    """1.0 or 0.0."""
+    return 1.0 if condition else 0.0
+
+
+@jit(borrows=True)
+def _errors(b, car):  # type: ignore[no-untyped-def]
+    """Estimate less truth along and across the true heading, forward and right positive."""
+    dx, dy, cosine, sine = b.x_m - car.x[0], b.y_m - car.y[0], math.cos(car.heading[0]), math.sin(car.heading[0])
+    return cosine * dx + sine * dy, cosine * dy - sine * dx
+
+
+@jit(borrows=True)
+def count_epoch(b, sc, car):  # type: ignore[no-untyped-def]
+    """Count a navigation epoch: misleading is an available estimate whose error exceeds its level on an axis.
+
+    Hazardously so where it exceeds the alert limit (S3 II.C); an epoch that is hazardous on one axis is no more than
+    that.
+    """
+    at, ct = _errors(b, car)
+    mi = hmi = False
+    for axis in range(2):
+        error = abs(at) if axis == 0 else abs(ct)
+        level = b.pl_at_m if axis == 0 else b.pl_ct_m
+        limit = b.al_at_m if axis == 0 else b.al_ct_m
+        if b.available != 0 and level <= limit:
+            hmi = hmi or error > limit
+            mi = mi or level < error <= limit
+    sc.epochs += 1
+    if hmi:
+        sc.hmi += 1
+    elif mi:
+        sc.mi += 1
+
+
+@jit(borrows=True)
+def score(b, sc, car, seen, count, lanes, facts, rules, start, out):  # type: ignore[no-untyped-def]
+    """The verdict on a step, or at a start, where no time has passed: fills ``out`` and remembers in ``sc``.
+
+    ``seen``, ``count``: whom the ego perceives; ``facts``: what the wrapped world says of the step.
+    """
+    policy, speed = rules.policy_s, car.speed[0]
+    dt = 0.0 if start else policy
+    lane = lanes.table[car.lane[0]]
+    limit = lane.speed_limit_mps if lane.speed_limit_mps > 0.0 else rules.max_speed_mps
+    _s, r, direction = local(lanes, car.lane[0], car.x[0], car.y[0])
+    angle = wrap(car.heading[0] - direction)
+    along, against = speed * math.cos(angle), abs(angle) > 0.5 * math.pi
+    if start:
+        begin_corridor(sc, b, lanes)
+        sc.heading_rad, sc.speed_mps = car.heading[0], speed
+    else:
+        follow_corridor(sc, b, car, lanes, rules, policy)
+        sc.progress_m += along * policy
+        sc.allowed_m += limit * policy
+        backwards = along < -CREEP_MPS or against
+        sc.against_s = sc.against_s + policy if backwards else 0.0
+    out.yaw_rate_radps = remainder(car.heading[0] - sc.heading_rad) / policy
+    sc.heading_rad = car.heading[0]
+    _judge(b, sc, car, facts, against, rules, out)
+    price(b, sc, car, seen, count, lanes, rules, dt, out)
+    rough = math.hypot((speed - sc.speed_mps) / policy, speed * out.yaw_rate_radps) / COMFORT_MPS2
+    sc.speed_mps = speed
+    progress, w = min(max(along / limit, -1.0), 1.0) * dt, rules.rewards
+    out.progress = progress
+    out.lane_centre = max(progress, 0.0) / (1.0 + (r / CENTRE_SCALE_M) ** 2)
+    out.comfort = -min(rough * rough, 1.0) * dt
+    out.collision = out.crashed_now
+    out.base = facts.base
+    total = w.progress * out.progress + w.lane_centre * out.lane_centre + w.comfort * out.comfort
+    out.reward = total + w.collision * out.collision + w.base * out.base
+    _repeat(b, speed, rules, out)
+
+
+@jit(inline=True)
+def _judge(b, sc, car, facts, against, rules, out):  # type: ignore[no-untyped-def]
+    """What truth says of the step."""
+    crashed, on_road = car.crashed[0] != 0, facts.on_road != 0
+    over = facts.terminated != 0 or facts.truncated != 0
+    out.crashed_now = _flag(crashed and sc.crashed == 0)
+    sc.crashed = 1 if crashed or sc.crashed != 0 else 0
+    off_road = rules.off_road_ends != 0 and not on_road
+    wrong_way = sc.against_s > rules.wrong_way_s
+    astray = off_road or wrong_way or (over and against)
+    out.astray_now = _flag(astray and sc.astray == 0)
+    sc.astray = 1 if astray or sc.astray != 0 else 0
+    good = over and on_road and not (sc.crashed != 0 or against)
+    out.err_at_m, out.err_ct_m = _errors(b, car)
+    out.mi, out.hmi = _flag(sc.mi > 0), _flag(sc.hmi > 0)
+    out.hmi_share = sc.hmi / max(sc.epochs, 1)
+    sc.epochs = sc.mi = sc.hmi = 0
+    out.crashed, out.off_road, out.wrong_way = _flag(sc.crashed != 0), _flag(off_road), _flag(wrong_way)
+    out.is_success = _flag(good and sc.progress_m >= rules.success_share * sc.allowed_m)
+    out.terminated = _flag(facts.terminated != 0 or sc.crashed != 0 or off_road or wrong_way)
+    out.truncated = _flag(facts.truncated != 0)
+
+
+@jit(inline=True)
+def _repeat(b, speed, rules, out):  # type: ignore[no-untyped-def]
+    """What infos repeat of the belief, and the true speed."""
+    tta = rules.costs.time_to_alert_s
+    out.tta_s = max(tta - b.alert_age_s, 0.0) if b.alert != 0 else tta
+    out.pl_at_m, out.pl_ct_m, out.al_at_m, out.al_ct_m = b.pl_at_m, b.pl_ct_m, b.al_at_m, b.al_ct_m
+    out.margin_at_m, out.margin_ct_m = b.al_at_m - b.pl_at_m, b.al_ct_m - b.pl_ct_m
+    out.speed_mps, out.alert, out.available = speed, b.alert, b.available
+    out.mode, out.reason = b.mode, b.reason

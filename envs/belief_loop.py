@@ -1,0 +1,239 @@
+"""The loop of a single environment from the true world to what its ego believes, and from there to its commands.
+
+When the car has moved, :meth:`BeliefLoop.look` brings the belief up to date before anything is decided: measure,
+locate, track, perceive traffic, place the believed vehicle. Truth enters as the poses of the vehicles alone, from which
+instruments measure. The formulas are those of :mod:`lanebound.envs.batch`, at one row.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.road.road import Road
+from highway_env.vehicle.kinematics import Vehicle
+from numpy.typing import NDArray
+
+from lanebound.envs.batch import ego_kernel
+from lanebound.envs.batch.infos import info_of
+from lanebound.envs.batch.lanes_kernel import NONE, closest
+from lanebound.envs.batch.navigation import fixes_of
+from lanebound.envs.batch.rows_kernel import locate_rows
+from lanebound.envs.config import EnvConfig
+from lanebound.envs.ego import HOLD, BelievedVehicle, MetaEgo, take_over
+from lanebound.envs.lane_search import fast_network
+from lanebound.envs.navigation import Source
+from lanebound.envs.records import EgoBelief, LaneIndex, Traffic
+from lanebound.envs.scene import EpisodeContext
+from lanebound.envs.seats import Seats
+from lanebound.integrity.navigators.navigator import Measurements
+from lanebound.integrity.navigators.solution import Solution
+
+__all__ = ["BeliefLoop"]
+
+Array = NDArray[np.float64]
+ROW = np.zeros(1, dtype=np.int64)
+ROUTE_M = 2.0  # half a lane of highway-env's: by so much a lane of the route may be further off than another
+
+
+class BeliefLoop:
+    """What the ego senses, believes and commands during one episode.
+
+    Attributes
+    ----------
+    believed : the vehicle that meta-actions control, on its own perceived road over the shared network
+    episodes : belief, perception and scores as records of one row
+    time_s : since the start
+    solution : of all navigating vehicles at the last epoch, the ego first, then by slot; None where none navigates
+    """
+
+    def __init__(self, world: AbstractEnv, config: EnvConfig, context: EpisodeContext) -> None:
+        self.world, self.config, self.context = world, config, context
+        self.episodes, self.street = context.episodes, context.street
+        world.road.network = fast_network(world.road.network, self.episodes.table)
+        self.step_s, self.epoch_s = (float(self.episodes.rules[name][0]) for name in ("step_s", "epoch_s"))
+        self.steps_per_epoch = config.navigation.steps_per_epoch(config.simulation_hz)
+        self.time_s, self._moved, self._seen = 0.0, 0, 0
+        self.solution: Solution | None = None
+        self.actuated = config.actuators is not None
+        self._onward: dict[tuple[LaneIndex, tuple[Any, ...]], int] = {}
+        ego = world.vehicle
+        self.believed = BelievedVehicle.of(ego, self._perceived_road())
+        take_over(ego, self)
+        self.seats = Seats(world, self.episodes, int(context.starts.fleet_seed[0]))
+        self.seats.read(full=True)
+        self.episodes.begin(ROW, [context.seed], context.starts, np.ones((1, self.seats.capacity), dtype=np.bool_))
+        if self.meta:
+            self.episodes.ego.belief["target_speed_mps"] = self.believed.target_speed
+        self._place()
+
+    def _perceived_road(self) -> Road:
+        """A road over the same network, with a generator of its own, and no vehicle on it but the believed one."""
+        road = self.world.road
+        return Road(
+            network=road.network,
+            np_random=np.random.default_rng(0),  # next_lane takes one and draws nothing
+            neighbour_vehicles_connected_lanes=road.neighbour_vehicles_connected_lanes,
+        )
+
+    @property
+    def ego(self) -> Vehicle:
+        """The physical car, for scoring."""
+        return self.world.vehicle
+
+    @property
+    def meta(self) -> bool:
+        """Whether the ego is under meta-actions."""
+        return isinstance(self.ego, MetaEgo)
+
+    @property
+    def route(self) -> list[Any] | None:
+        """The route intended, None for wherever the lane leads."""
+        route: list[Any] | None = self.believed.route
+        return route
+
+    @property
+    def measurements(self) -> Measurements | None:
+        """Of all navigating vehicles at the last epoch, the ego first; None where none navigates."""
+        return None if self.episodes.navigation is None else self.episodes.navigation.measurements
+
+    # What the physical ego calls
+
+    def moved(self) -> None:
+        """The car has moved; the others are about to."""
+        self._moved += 1
+
+    def look(self) -> None:
+        """Bring the belief up to date with what has moved since."""
+        if self._moved == self._seen:
+            return
+        e, self._seen = self.episodes, self._moved
+        self.time_s = self._seen * self.step_s
+        epoch = self._seen % self.steps_per_epoch == 0
+        self.seats.follow((self._seen - 1) % self.steps_per_epoch)
+        self.seats.read(full=epoch)
+        _run(e.give_links(ROW))
+        if not epoch:
+            _run(e.coast_links(ROW))
+        else:
+            self._end_epoch()
+        self._place()
+
+    def _end_epoch(self) -> None:
+        """Measure the epoch that ends now, locate by the measurements alone, and perceive."""
+        e, fixes = self.episodes, None
+        if e.navigation is not None:
+            self.solution = e.navigation.navigate(ROW, e.batch)
+            fixes = fixes_of(self.solution)
+        _run(e.epoch_links(ROW, fixes, np.array([self.time_s]), self._lies()))
+
+    def _lies(self) -> Array | None:
+        """What faults do to what the others say, (C, 4); None without such faults."""
+        faults, navigation = self.context.faults, self.episodes.navigation
+        if navigation is None or navigation.vehicles == 1 or not faults.faults:
+            return None
+        clock = float(navigation.clock_s[0])
+        if not faults.active(clock):
+            return None
+        effects = faults.effects(clock, self.epoch_s, navigation.view(), navigation.vehicles)
+        lies = np.concatenate([effects.v2v_offset_enu_m, effects.v2v_pl_scale[:, None]], axis=1)
+        return np.ascontiguousarray(lies[1:], dtype=np.float64)
+
+    # From belief to commands
+
+    def _place(self) -> None:
+        """Move the believed vehicle to the estimate; lanes of a planned route count where others cross or part."""
+        if self.config.navigation.source is Source.PERFECT:
+            self.believed.copy_from(self.ego)
+            return
+        belief, table = self.episodes.ego.belief, self.episodes.table
+        b = belief[0]
+        index = table.index[b["lane"]]
+        if self.believed.route and index[:2] != self.believed.lane_index[:2]:
+            planned = self.believed.planned
+            if index[:2] not in planned:
+                extra = np.array([0.0 if other[:2] in planned else ROUTE_M for other in table.index])
+                row, _ = closest(table.lanes, b["x_m"], b["y_m"], b["heading_rad"], extra)
+                belief["lane"], index = row, table.index[row]
+        self.believed.place(np.array([b["x_m"], b["y_m"]]), float(b["heading_rad"]), float(b["speed_mps"]), index)
+
+    def intend(self) -> dict[str, float]:
+        """Steering and acceleration that carry meta-actions out from the believed pose."""
+        e, car = self.episodes, self.believed
+        lanes, belief, rows = e.table.lanes, e.ego.belief, e.table.row
+        target = rows[car.target_lane_index]
+        if ego_kernel.past_end(lanes, target, car.position[0], car.position[1]):
+            car.follow_road()
+            target = rows[car.target_lane_index]
+        belief["target_lane"], belief["target_speed_mps"] = target, car.target_speed
+        length = float(car.LENGTH)
+        steering, acceleration = ego_kernel.intend(belief[0], lanes, self._lane_onward(), e.rules[0], length)
+        return {"steering": steering, "acceleration": acceleration}
+
+    def _lane_onward(self) -> int:
+        """The lane beyond the end of the target lane, ``NONE`` where no road goes on."""
+        car = self.believed
+        key = car.target_lane_index, tuple(car.route or ())
+        found = self._onward.get(key)
+        if found is None:
+            network = car.road.network
+            lane = network.get_lane(key[0])
+            end = lane.position(lane.length, 0.0)
+            onward = network.next_lane(key[0], list(key[1]), end, np.random.default_rng(0))
+            found = self._onward[key] = NONE if onward == key[0] else self.episodes.table.row[onward]
+        return found
+
+    def limit(self, action: dict[str, float]) -> dict[str, float]:
+        """A command as the actuators carry it out, with the brake that holds a standing car under ``HOLD``."""
+        e = self.episodes
+        steering, hold = ego_kernel.actuate(
+            e.ego.belief[0], e.ego.command[0], float(action["steering"]), float(action["acceleration"]),
+            float(self.ego.LENGTH), e.rules[0],
+        )  # fmt: skip
+        out = {**action, "steering": steering}
+        if hold > 0.0:
+            out[HOLD] = hold
+        return out
+
+    # Scores and observations
+
+    def finish(self, terminated: bool, truncated: bool, base: float, start: bool = False) -> dict[str, Any]:
+        """Score and observe the policy step that ends now, and return its info."""
+        e, row = self.episodes, self.episodes.table.row
+        self.seats.read(full=True)
+        self._intents()
+        for index in {self.believed.lane_index, self.ego.lane_index}:
+            e.path_of[row[index]] = e.routes.row(row[index], self.route)
+        e.ego.facts[0] = bool(self.ego.on_road), terminated, truncated, base
+        _run(e.finish_links(ROW, start))
+        e.fill_extra(ROW)
+        return info_of(e.ego.outcome, 0)
+
+    def _intents(self) -> None:
+        """Targets of meta-actions, into the records."""
+        if self.meta:
+            belief = self.episodes.ego.belief
+            belief["target_lane"] = self.episodes.table.row[self.believed.target_lane_index]
+            belief["target_speed_mps"] = self.believed.target_speed
+
+    # Read-outs
+
+    def belief(self) -> EgoBelief:
+        """All that the ego knows of itself now."""
+        e = self.episodes
+        self._intents()
+        locate_rows(0, 1, ROW, e.batch)
+        return EgoBelief.of(e.ego.belief, 0, e.table)
+
+    @property
+    def traffic(self) -> Traffic:
+        """Whom the ego perceives, nearest first."""
+        pictures = self.episodes.perception.pictures
+        return Traffic.of(pictures.perceived[0, : int(pictures.picture["seen"][0])])
+
+
+def _run(links: list[Any]) -> None:
+    """Run the links of a chain for one row."""
+    for kernel, arguments in links:
+        kernel(0, 1, *arguments)

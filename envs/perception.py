@@ -1,0 +1,68 @@
+"""How the ego perceives traffic: what others broadcast of themselves, what its own sensor sees, or both.
+
+The formulas are in :mod:`lanebound.envs.batch.perception_kernel`.
+"""
+
+from __future__ import annotations
+
+from statistics import NormalDist
+from typing import Literal
+
+from pydantic import Field
+
+from lanebound.integrity.core.config import Config
+from lanebound.integrity.sensors.v2v import V2vConfig
+
+__all__ = ["PerceptionConfig", "SensorConfig"]
+
+
+class SensorConfig(Config):
+    """The ego's own look at the vehicles around it: a fused set of radars or lidars that reports whole vehicles."""
+
+    range_m: float = Field(80.0, gt=0, description="farthest vehicle seen [m]; near-range mode of 77 GHz radars, 70 m")
+    field_of_view_deg: float = Field(
+        360.0, gt=0, le=360, description="opening of the field of view, centred ahead [deg]; surround set"
+    )
+    range_sigma_m: float = Field(
+        0.2,
+        ge=0,
+        description="error of the distance, middle to middle, 1 sigma [m]; 77 GHz radar 0.1 m, and the body's",
+    )
+    bearing_sigma_deg: float = Field(0.3, ge=0, description="error of the bearing, 1 sigma [deg]; 77 GHz radar ahead")
+    speed_sigma_mps: float = Field(0.1, ge=0, description="error of the relative speed, 1 sigma [m/s]; 77 GHz radar")
+    heading_sigma_deg: float = Field(2.0, ge=0, description="error of the relative heading, 1 sigma [deg]; box fits")
+    integrity_risk: float = Field(
+        1e-5, gt=0, lt=1, description="risk of its bounds, half along, half across [-]; as the navigator's"
+    )
+
+    @property
+    def bound_sigmas(self) -> float:
+        """How many standard deviations bound an error: ``Qinv(risk / 4)``."""
+        return -NormalDist().inv_cdf(self.integrity_risk / 4.0)
+
+
+class PerceptionConfig(Config):
+    """Which sources the ego has, and how long their measurements count."""
+
+    source: Literal["v2v", "sensor", "both", "none", "truth"] = Field(
+        "v2v", description="source of the traffic; truth: every vehicle as it is, at no age"
+    )
+    v2v: V2vConfig = Field(default_factory=V2vConfig, description="the radio channel")
+    sensor: SensorConfig = Field(default_factory=SensorConfig, description="the ego's own sensor")
+    drop_after_s: float = Field(
+        1.0, ge=0, description="largest age of a measurement; older ones are dropped [s]; our choice"
+    )
+    acceleration_bound_mps2: float = Field(
+        8.0, ge=0, description="bound of others' acceleration along [m/s^2]; emergency braking, dry"
+    )
+    lateral_bound_mps2: float = Field(
+        8.0,
+        ge=0,
+        description="bound of others' acceleration across [m/s^2]; the same tyres, friction circle",
+    )
+    course_bound_deg: float = Field(
+        5.0,
+        ge=0,
+        lt=90,
+        description="bound of the angle between course and heading of others [deg]; our choice",
+    )

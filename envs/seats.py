@@ -1,0 +1,103 @@
+"""The vehicles of a single environment in the records: their poses, and the slots that the others take and leave.
+
+A slot is a row of all arrays that have a row for each vehicle beside the ego: navigators, messages, tracks. A vehicle
+has one slot from its entry into the world to its exit; the next vehicle in that slot has the same instruments.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.vehicle.kinematics import Vehicle
+from numpy.typing import NDArray
+
+from lanebound.envs.batch.episodes import Episodes, empty_cars
+from lanebound.envs.batch.navigation import FLEET_STARTS, fleet_generator
+
+__all__ = ["Seats"]
+
+Array = NDArray[np.float64]
+
+
+class Seats:
+    """The vehicles of a world as the first row of ``episodes.cars``.
+
+    Attributes
+    ----------
+    capacity : number of slots
+    vehicles : the ego, then the others in the order of the world
+    slot : of each vehicle that has one
+    """
+
+    def __init__(self, world: AbstractEnv, episodes: Episodes, fleet_seed: int) -> None:
+        self.world, self.episodes = world, episodes
+        self.capacity = episodes.perception.capacity
+        self.vehicles: list[Vehicle] = []
+        self.slot: dict[Vehicle, int] = {}
+        self._free = list(range(self.capacity))[::-1]
+        self._generator = fleet_generator(fleet_seed)
+        others = self._others()
+        if others:  # what their starts have drawn
+            self._generator.standard_normal((FLEET_STARTS, self.capacity, 3))
+        self._named = 1 + len(others)  # those that are there have the names 1, 2, ...
+        self._seat(others)
+
+    def _others(self) -> list[Vehicle]:
+        ego = self.world.vehicle
+        return [v for v in self.world.road.vehicles if v is not ego]
+
+    def _seat(self, others: list[Vehicle]) -> list[Vehicle]:
+        """Free the slots of vehicles that are gone, and give slots to new ones; returns those."""
+        there = set(others)
+        for vehicle in [v for v in self.slot if v not in there]:
+            self._free.append(self.slot.pop(vehicle))
+        fresh = [v for v in others if v not in self.slot][: len(self._free)]
+        for vehicle in fresh:
+            self.slot[vehicle] = self._free.pop()
+        self.vehicles = [self.world.vehicle, *others]
+        self._make_room(len(self.vehicles))
+        cars, n = self.episodes.cars, len(self.vehicles)
+        cars.present[0], cars.slot[0] = n, -1
+        cars.slot[0, 1:n] = [self.slot.get(v, -1) for v in others]
+        cars.length[0, :n] = [v.LENGTH for v in self.vehicles]
+        cars.width[0, :n] = [v.WIDTH for v in self.vehicles]
+        return fresh
+
+    def _make_room(self, count: int) -> None:
+        """Longer rows, where more vehicles appear than there has been room for."""
+        if count > self.episodes.cars.x.shape[1]:
+            self.episodes.replace_cars(empty_cars(1, 2 * count))
+
+    def follow(self, passed: int) -> None:
+        """Take note of vehicles that have appeared or gone; ``passed``: steps of the epoch before this one."""
+        others = self._others()
+        if others == self.vehicles[1:]:
+            return
+        fresh = self._seat(others)
+        perception, navigation = self.episodes.perception, self.episodes.navigation
+        for vehicle in fresh:
+            perception.enter(self.slot[vehicle], self._named, vehicle.LENGTH, vehicle.WIDTH)
+            self._named += 1
+        if fresh and navigation is not None and navigation.vehicles > 1:
+            slots = np.array([self.slot[v] for v in fresh], dtype=np.int64)
+            position = np.array([v.position for v in fresh], dtype=np.float64)
+            heading, speed = np.array([(v.heading, v.speed) for v in fresh], dtype=np.float64).T
+            noise = self._generator.standard_normal((self.capacity, 3))[slots]
+            navigation.enter(slots, position, heading, speed, passed, noise)
+
+    def read(self, full: bool) -> None:
+        """Take the poses of the vehicles; ``full``: speeds, lanes and crashes as well."""
+        cars, vehicles = self.episodes.cars, self.vehicles
+        navigation = self.episodes.navigation
+        if not full and (navigation is None or navigation.vehicles == 1):
+            vehicles = vehicles[:1]
+        n = len(vehicles)
+        cars.x[0, :n], cars.y[0, :n] = np.array([v.position for v in vehicles], dtype=np.float64).T
+        cars.heading[0, :n] = [v.heading for v in vehicles]
+        cars.speed[0, 0] = vehicles[0].speed
+        row = self.episodes.table.row
+        cars.lane[0, 0] = row[vehicles[0].lane_index]
+        if full:
+            cars.speed[0, :n] = [v.speed for v in vehicles]
+            cars.lane[0, :n] = [row[v.lane_index] for v in vehicles]
+            cars.crashed[0, :n] = [v.crashed for v in vehicles]

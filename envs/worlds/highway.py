@@ -1,0 +1,65 @@
+"""highway-env's motorway in the vector engine: how its episodes start and end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.vehicle.behavior import IDMVehicle
+from numpy.typing import NDArray
+
+from lanebound.envs.worlds.kinds import Refusal, Starter, Support
+
+if TYPE_CHECKING:
+    from lanebound.envs.batch.lanes import LaneTable
+    from lanebound.envs.batch.records_kernel import Cars
+    from lanebound.envs.vector.drivers_kernel import Drivers
+
+__all__ = ["IDM_PATH", "motorway_support"]
+
+IDM_PATH = "highway_env.vehicle.behavior.IDMVehicle"
+
+
+def motorway_support() -> Support:
+    """How the engine drives ``highway-v0``."""
+    return Support(
+        traffic="motorway",
+        vehicles=lambda world: len(world.road.vehicles),
+        starter=_lined_up,
+        ends=_ends,
+        refusals=_refusals,
+        drivers=IDMVehicle,
+    )
+
+
+def _lined_up(world: AbstractEnv, table: LaneTable) -> Starter:
+    """The draws of ``HighwayEnv``, in their order."""
+    from lanebound.envs.vector.start_kernel import line_up
+
+    c, lane = world.config, world.config["initial_lane_id"]
+    ego_lane, spacings = -1 if lane is None else int(lane), (float(c["ego_spacing"]), 1.0 / c["vehicles_density"])
+
+    def start(rng: np.random.Generator, cars: Cars, drivers: Drivers, profile: NDArray[np.float64]) -> int:
+        line_up(rng, cars, drivers, table.lanes.table, ego_lane, *spacings)
+        return int(cars.x.size)
+
+    return start
+
+
+def _ends(world: AbstractEnv) -> Mapping[str, Any]:
+    from lanebound.envs.vector.world_kernel import OF_HIGHWAY
+
+    c = world.config
+    slow, fast = c["reward_speed_range"]
+    return {
+        "duration_s": c["duration"], "tolerance_s": 0.0, "off_road_ends": c["offroad_terminal"], "against_ends": False,
+        "end_m": -1.0, "reward": OF_HIGHWAY, "collision": c["collision_reward"], "first": c["right_lane_reward"],
+        "second": c["high_speed_reward"], "slow_mps": slow, "fast_mps": fast, "normalize": c["normalize_reward"],
+    }  # fmt: skip
+
+
+def _refusals(world: AbstractEnv) -> list[Refusal]:
+    found = world.config["other_vehicles_type"]
+    return [] if found == IDM_PATH else [("world.other_vehicles_type", IDM_PATH, found)]

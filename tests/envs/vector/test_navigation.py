@@ -1,0 +1,239 @@
+"""Navigation in a batch: with the same draws it is the single environment's, and by its own draws it is as good."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from recorded_skies import wall_on_the_left
+
+from lanebound.envs.batch.navigation import NavigationBatch
+from lanebound.envs.core import DrivingEnv
+from lanebound.envs.registration import make_config
+from lanebound.envs.sky import cache
+from lanebound.envs.vector.engine import Engine
+from lanebound.integrity.core.errors import ConfigError
+from side_by_side import Tally, command, require_equal, same
+
+FEW: dict[str, Any] = {"world": {"vehicles_count": 4}, "sky": "urban", "extent_m": 300.0, "layouts": 2}
+CITY: dict[str, Any] = {
+    "world": {"vehicles_count": 6, "spread": [-60.0, 90.0]},
+    "sky": "urban",
+    "extent_m": 300.0,
+    "layouts": 2,
+}
+TRUTH, SENSOR, BOTH = ({"perception": {"source": source}} for source in ("truth", "sensor", "both"))
+PERFECT: dict[str, Any] = {"navigation": {"source": "perfect"}}
+CASES: list[tuple[str, dict[str, Any], int]] = [
+    ("LaneKeeping", {"sky": "dense", "layouts": 2}, 25),
+    ("LaneKeeping", {"sky": "open", "action": "meta", "observation": {"history": 2, "satellites_m": []}}, 8),
+    ("CarFollowing", {"sky": "open"}, 15),
+    ("Highway", {**FEW, **BOTH, "sky": "open"}, 6),
+    ("CarFollowing", {"sky": "open", **PERFECT, **SENSOR}, 6),
+    ("Highway", FEW, 10),
+    ("Highway", {**FEW, **TRUTH, "sky": "open", "observation": {"integrity": "oracle"}}, 5),
+    ("Highway", {**FEW, **PERFECT, "sky": "open"}, 5),
+    ("UrbanCanyon", {**CITY, "sky": "open"}, 8),
+    ("UrbanCanyon", {**CITY, **BOTH}, 6),
+]
+
+
+class Pairs:
+    """Single environments and an engine, started at once and driven by the same commands."""
+
+    def __init__(self, name: str, config: dict[str, Any], count: int, seed: int) -> None:
+        made = make_config(f"lanebound/{name}-v0", config)
+        self.singles, self.engine = [DrivingEnv(made) for _ in range(count)], Engine(DrivingEnv(made), count)
+        self.tally, self._rng = Tally(), np.random.default_rng(seed)
+        self._views: list[Any] = [None] * count
+        self.reset(np.arange(count), seed)
+
+    def reset(self, rows: Any, seed: int | None) -> None:
+        """Start some of them anew, under this seed and those after it, or where their generators are."""
+        seeds: list[int | None] = [None if seed is None else seed + n for n in range(rows.size)]
+        self.engine.reset(rows, seeds)
+        for row, own in zip(rows.tolist(), seeds, strict=True):
+            self._views[row], info = self.singles[row].reset(seed=own)
+            self._compare(f"{row} start", row, (0.0, False, False, info))
+
+    def step(self, count: int) -> None:
+        """Drive on by so many steps, or until the first episode is over."""
+        for n in range(count):
+            actions = [
+                command(single, _newest(single, seen), self._rng)
+                for single, seen in zip(self.singles, self._views, strict=True)
+            ]
+            self.engine.step(np.array(actions))
+            over = False
+            for row, single in enumerate(self.singles):
+                self._views[row], reward, terminated, truncated, info = single.step(actions[row])
+                self._compare(f"{row} step {n}", row, (reward, terminated, truncated, info))
+                over = over or terminated or truncated
+                self.tally.steps += 1
+            if over:
+                return
+
+    def _compare(self, where: str, row: int, told: Any) -> None:
+        single = self.singles[row]
+        same(self.tally, where, self.engine, row, single, _newest(single, self._views[row]), told)
+
+
+def _newest(single: DrivingEnv, seen: Any) -> Any:
+    """The last observation of a stack, by group."""
+    return {group: part[-(s.stop - s.start) :] for (group, s), part in zip(
+        single.observer.slices.items(), seen.values(), strict=True)}  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "config", "steps"), CASES)
+def test_with_the_same_draws_it_is_the_single_environment(name: str, config: dict[str, Any], steps: int) -> None:
+    pairs = Pairs(name, config, 2, 5)
+    pairs.step(steps)
+    require_equal(pairs.tally)
+    assert pairs.tally.steps >= 8
+    crews = pairs.engine.episodes.cars.present
+    assert name != "UrbanCanyon" or crews[0] != crews[1], "one has an empty place that the other has not"
+
+
+def test_an_oracle_is_foretold_the_sky_of_its_true_lane() -> None:
+    """Under a seed where the navigator takes itself to be in another lane for a moment."""
+    pairs = Pairs("Highway", {**FEW, **TRUTH, "sky": "open", "observation": {"integrity": "oracle"}}, 3, 103)
+    pairs.step(12)
+    require_equal(pairs.tally)
+
+
+def test_under_a_recorded_sky_it_is_the_single_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cache, "folder", lambda: tmp_path / "streets")
+    wall_on_the_left().save(tmp_path / "wall.csv")
+    pairs = Pairs("LaneKeeping", {"sky": str(tmp_path / "wall.csv"), "layouts": 2}, 3, 5)
+    pairs.step(25)
+    require_equal(pairs.tally)
+    assert pairs.tally.steps >= 20
+
+
+def test_an_episode_that_starts_while_others_drive_is_the_single_one() -> None:
+    pairs = Pairs("CarFollowing", {"sky": "open", "layouts": 1}, 2, 5)
+    for steps in (1, 7, 4):  # whatever the others' messages are at
+        pairs.step(steps)
+        pairs.reset(np.array([1]), 40 + steps)
+    pairs.step(6)
+    require_equal(pairs.tally)
+    assert pairs.tally.steps == 36
+
+
+OUTAGES: dict[str, Any] = {"navigator": {"corrections": {"outage_per_h": 900.0}}}
+COLD: dict[str, Any] = {"navigator": {"imu": {"mems_exponential": True}}}
+
+
+@pytest.mark.parametrize(
+    ("name", "config"),
+    [
+        ("LaneKeeping", {"sky": "dense", "layouts": 2, "observation": {"history": 2, "satellites_m": []}}),
+        ("CarFollowing", {"sky": "open", "layouts": 2, **OUTAGES, **PERFECT, **SENSOR}),
+        ("LaneKeeping", {"sky": "open", "layouts": 2, "navigator": OUTAGES["navigator"] | COLD["navigator"]}),
+        ("Highway", {**FEW, **OUTAGES}),
+        ("UrbanCanyon", {**CITY, **BOTH}),
+    ],
+)
+def test_later_episodes_are_those_of_the_single_one(name: str, config: dict[str, Any]) -> None:
+    """With links that fail, instruments that warm up, crews that differ."""
+    pairs = Pairs(name, config, 3, 5)
+    for rows in ([1], [0, 2], [1, 2], [2], [0, 1, 2]):
+        pairs.step(3)
+        pairs.reset(np.array(rows), None)
+    pairs.step(3)
+    require_equal(pairs.tally)
+    assert pairs.tally.steps >= 40
+
+
+def test_a_start_that_was_interrupted_is_made_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    pairs = Pairs("CarFollowing", {"sky": "open", "layouts": 1}, 2, 5)
+
+    def interrupt(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(NavigationBatch, "begin", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            pairs.engine.reset(np.array([0]), [None])
+    for rows in ([0], [0, 1]):
+        pairs.reset(np.array(rows), None)
+        pairs.step(2)
+    require_equal(pairs.tally)
+
+
+def test_a_seed_puts_an_end_to_what_was_ready() -> None:
+    pairs = Pairs("CarFollowing", {"sky": "open", "layouts": 1}, 2, 5)
+    pairs.reset(np.array([0]), None)  # makes the next of both ready
+    pairs.reset(np.array([1]), 77)
+    pairs.reset(np.array([1]), None)
+    pairs.step(3)
+    require_equal(pairs.tally)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "config", "steps"), CASES)
+def test_with_the_same_draws_for_long(name: str, config: dict[str, Any], steps: int) -> None:
+    for seed in range(0, 60, 3):
+        pairs = Pairs(name, config, 3, 100 + seed)
+        pairs.step(30 * steps)
+        require_equal(pairs.tally)
+
+
+def test_environments_start_anew_beside_others() -> None:
+    made = make_config("lanebound/LaneKeeping-v0", {"sky": "open", "duration_s": 1.0})
+    engine = Engine(DrivingEnv(made), 4)
+    engine.reset(np.arange(4), [3, 4, 5, 6])
+    engine.reset(np.array([1]), [7])
+    ends = np.zeros(4, dtype=np.int64)
+    for _ in range(12):
+        engine.step(np.zeros((4, 2), dtype=np.float32))
+        out = engine.outcome
+        over = (out["terminated"] > 0.0) | (out["truncated"] > 0.0)
+        ends += over
+        assert (np.abs([out["err_at_m"], out["err_ct_m"]]) < 1.0).all()  # another's solution would be far off
+        if over.any():
+            engine.reset(np.flatnonzero(over), [None] * int(over.sum()))
+    assert (ends >= 2).all()
+
+
+def test_the_same_seed_gives_the_same_bits_however_many_there_are() -> None:
+    made = make_config("lanebound/Highway-v0", {**FEW, "sky": "open"})
+    three, one = Engine(DrivingEnv(made), 3), Engine(DrivingEnv(made), 1)
+    drives = []
+    for engine, seeds in ((three, [11, 12, 13]), (three, [11, 12, 13]), (one, [12])):
+        engine.reset(np.arange(engine.count), list(seeds))
+        for n in range(3):
+            engine.step(np.full(engine.count, n % 5))
+        engine.reset(np.array([engine.count // 2]), [None])
+        engine.step(np.full(engine.count, 3))
+        drives.append(engine.episodes.frame.copy())
+    np.testing.assert_array_equal(drives[0], drives[1])
+    np.testing.assert_array_equal(drives[0][1], drives[2][0])
+
+
+def test_levels_and_errors_are_those_of_navigation() -> None:
+    made = make_config("lanebound/LaneKeeping-v0", {"sky": "open", "duration_s": 30.0})
+    engine = Engine(DrivingEnv(made), 24)
+    engine.reset(np.arange(24), list(range(24)))
+    for _ in range(25):
+        engine.step(np.zeros((24, 2), dtype=np.float32))
+    out, sky = engine.outcome, engine.episodes.sky
+    error = np.abs([out["err_at_m"], out["err_ct_m"]])
+    assert (error < [out["pl_at_m"], out["pl_ct_m"]]).mean() > 0.95
+    assert 0.005 < np.median(error) < 0.2
+    assert (sky.max(1) > 10).all()
+    assert len(np.unique(sky[:, 1])) > 3, "the hours must differ"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"faults": "nominal"}, "faults"),
+        ({"policy_hz": 4, "navigation": {"rate_hz": 10.0}}, "policy_hz"),
+    ],
+)
+def test_what_navigation_cannot_do_is_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        Engine(DrivingEnv(make_config("lanebound/Highway-v0", {**FEW, **change})), 2)
