@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
 
-__all__ = ["Bundle", "RowCopier", "unbundle"]
+__all__ = ["Bundle", "RowCopier", "is_ours", "unbundle"]
 
 _types: dict[str, Any] = {}
 _sizes: dict[str, int] = {}
@@ -95,10 +95,22 @@ def _written(values: Any) -> Records:
     name = f"b{hashlib.blake2b(str(kind).encode(), digest_size=12).hexdigest()}"
     if name not in _types:
         _types[name] = kind
-        _sizes[name] = int(_size(values))
+    size, write = (_size, _write) if is_ours(kind) else (_size_uncached, _write_uncached)
+    if name not in _sizes:
+        _sizes[name] = int(size(values))
     handle = np.zeros(1, np.dtype([(name, np.int64, (-(-_sizes[name] // 8),))]))
-    _write(values, handle)
+    write(values, handle)
     return handle
+
+
+def is_ours(kind: Any) -> bool:
+    """Whether every process can load cached kernels for a type: the NamedTuples in it are importable from lanebound.
+
+    One kernel in the cache with a class of a script or test would keep all others from loading.
+    """
+    parts = getattr(kind, "types", ())
+    named = getattr(kind, "instance_class", None)
+    return (named is None or str(named.__module__).startswith("lanebound.")) and all(map(is_ours, parts))
 
 
 def _kind_of(handle: Any) -> Any:
@@ -171,3 +183,7 @@ def _size(values):  # type: ignore[no-untyped-def]
 @jit(borrows=True)
 def _write(values, handle):  # type: ignore[no-untyped-def]
     _store(values, handle)
+
+
+_uncached: dict[str, Any] = {"error_model": "numpy", "nogil": True, "_nrt": False}
+_size_uncached, _write_uncached = numba.njit(**_uncached)(_size.py_func), numba.njit(**_uncached)(_write.py_func)

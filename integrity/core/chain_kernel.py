@@ -19,13 +19,17 @@ import numpy as np
 from numba.core import types
 from numba.extending import intrinsic
 
-from lanebound.integrity.core.accel import jit
-from lanebound.integrity.core.bundle_kernel import Bundle, unbundle
+from lanebound.integrity.core.accel import FASTMATH, jit
+from lanebound.integrity.core.bundle_kernel import Bundle, is_ours, unbundle
 
 __all__ = ["Chain"]
 
 _intrinsic: Callable[[Any], Any] = intrinsic
 _wholes: dict[type, type] = {}
+_kept: list[Any] = []  # kernels whose machine code is called by address
+IN_MEMORY: dict[str, Any] = {"error_model": "numpy", "fastmath": FASTMATH, "nogil": True}
+BORROWING: dict[str, Any] = {**IN_MEMORY, "_nrt": False}
+"""Options of kernels with types of a script or test, which must not come into the cache."""
 
 
 @_intrinsic
@@ -133,21 +137,18 @@ class _Compiled:
             kind = numba.typeof(self._whole(*lasting.values, *inputs))
             _wholes[type(inputs)] = self._whole
             addresses = np.array([_address(kernel, (types.int64, types.int64, kind)) for kernel in self._kernels])
-            options: dict[str, Any] = {"error_model": "numpy", "nogil": True, "_nrt": False}
-            driver = jit(borrows=True)(_run) if _is_ours(kind) else numba.njit(**options)(_run)
+            driver = jit(borrows=True)(_run) if is_ours(kind) else numba.njit(**BORROWING)(_run)
             driver.compile((numba.typeof(addresses), types.int64, types.int64, *key))
             driver.disable_compile()
             found = self._bound[key] = driver, addresses
         return found
 
 
-def _is_ours(kind: Any) -> bool:
-    """Whether every process can load a cached function of this type: its class is importable as part of lanebound."""
-    return bool(getattr(kind, "instance_class", object).__module__.startswith("lanebound."))
-
-
 def _address(kernel: Any, signature: tuple[Any, ...]) -> np.uintp:
     """Where the machine code of a kernel for a signature begins; compiled now if it is not yet."""
+    if not is_ours(signature[-1]):
+        kernel = numba.njit(**IN_MEMORY)(kernel.py_func)
+        _kept.append(kernel)
     kernel.compile(signature)
     compiled = kernel.overloads[signature]
     return np.uintp(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))

@@ -1,19 +1,22 @@
 """Bundles of arrays that last as long as the objects that own them."""
 
+# mypy: allow-untyped-calls
+
 from __future__ import annotations
 
 from collections.abc import Callable
 from operator import is_not
 from typing import Any
 
+import numba
 import numpy as np
 
 from lanebound.integrity.core import bundle_kernel
-from lanebound.integrity.core.bundle_kernel import Bundle
+from lanebound.integrity.core.bundle_kernel import Bundle, is_ours
 
 __all__ = ["LastingBundle"]
 
-_handle_types: dict[Any, np.dtype[np.void]] = {}
+_known: dict[Any, tuple[np.dtype[np.void], bool]] = {}
 
 
 class LastingBundle:
@@ -42,12 +45,13 @@ class _KnownBundle(Bundle):
     def write(self) -> None:
         """Write the handle, before threads read it."""
         key = _key_of(self.values)
-        known = _handle_types.get(key)
+        known = _known.get(key)
         if known is None:
-            _handle_types[key] = self.handle.dtype
-        else:
-            self._handle = np.zeros(1, known)
-            bundle_kernel._write(self.values, self._handle)
+            _known[key] = self.handle.dtype, is_ours(numba.typeof(self.values))
+            return
+        kind, ours = known
+        self._handle = np.zeros(1, kind)
+        (bundle_kernel._write if ours else bundle_kernel._write_uncached)(self.values, self._handle)
 
 
 def _key_of(values: Any) -> Any:

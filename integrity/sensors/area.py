@@ -24,6 +24,7 @@ from lanebound.integrity.sensors import area_kernel as kernel
 from lanebound.integrity.sensors import gnss_kernel as gk
 from lanebound.integrity.sensors.clock import clock_gains
 from lanebound.integrity.sensors.corrections import CorrectionsConfig, NetworkState, initial_network, link_parameters
+from lanebound.integrity.sensors.corrections_kernel import advance_network
 from lanebound.integrity.sensors.gnss import AreaSignals, GnssConfig, flat
 
 __all__ = ["AreaState", "advance_area", "initial_area"]
@@ -88,7 +89,33 @@ def advance_area(config: GnssConfig, link: CorrectionsConfig, state: AreaState, 
     bundle = state.bundle.of(owners, lambda: _rows_of(rules, link_rules, state))
     while network.epoch < epoch:
         network.epoch += 1
-        kernel.advance(network.epoch, bundle.handle)
+        if type(state.streams) is Streams:
+            kernel.advance(network.epoch, bundle.handle)
+        else:
+            _advance_by_draws(bundle.values, state)
+
+
+def _advance_by_draws(area: kernel.AreaRows, state: AreaState) -> None:
+    """The same as the kernel, by the draws of streams that draw in a way of their own."""
+    rules, link_rules, network, streams = area.rules[0], area.link_rules[0], state.network, state.streams
+    satellites = area.memory.shape[1]
+    outages = streams.normal("network", 2) if link_rules["outages"] else area.draws.outages
+    advance_network(network.epoch, link_rules, outages, area.network)
+    noise = flat(area.draws.noise)
+    if network.fresh.any():
+        noise = streams.normal("station", satellites, gk.STATION_NOISE.itemsize // 8, where=network.fresh)
+    z, clock = streams.normal("atmosphere", satellites), streams.normal("station", 2)
+    memory, process = area.memory.view(np.float64).reshape(*area.memory.shape, -1), network.own_epoch % kernel.PROCESSES
+    decay, gain = (np.ascontiguousarray(area.rules[name]).view(np.float64) for name in ("decay", "gain"))
+    rows = np.arange(process.size)
+    memory[rows, :, process] = decay[process, None] * memory[rows, :, process] + gain[process, None] * z
+    fresh = network.fresh
+    for name in ("code_multipath", "phase_multipath"):
+        area.message[name][fresh] = area.memory[name][fresh]
+    news = noise.reshape(*area.memory.shape, -1)[fresh]
+    area.message["code"][fresh], area.message["phase"][fresh] = news[..., : gk.BANDS], news[..., gk.BANDS :]
+    area.clock[:, 0] += rules["dt"] * area.clock[:, 1] + rules["clock_11"] * clock[:, 0]
+    area.clock[:, 1] += rules["clock_21"] * clock[:, 0] + rules["clock_22"] * clock[:, 1]
 
 
 def _rows_of(rules: Records, link_rules: Records, state: AreaState) -> kernel.AreaRows:

@@ -5,10 +5,12 @@ The link, the receiver, gyros and wheels each have a file of their own in :mod:`
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.lasting import LastingBundle
@@ -53,6 +55,7 @@ from lanebound.integrity.sky.visibility import SkyMask, blank_reception
 
 __all__ = ["InstrumentState", "Instruments", "Measurements"]
 
+NO_STATES = np.empty((0, 4), np.uint64)  # of streams that draw in a way of their own
 SENSE_US = 6.0  # of one thread for a vehicle and epoch, measured
 
 
@@ -131,16 +134,32 @@ class Instruments:
         epoch = SensedEpoch(
             s.area.network.epoch, sky.rows, motion_rows(truth), effect_rows(effects), gnss, imu, odometer
         )
-        if rows.draws.gnss.shape[0] != batch:
+        if type(s.streams) is not Streams:
+            self._draw(s.streams, rows)
+        elif rows.draws.gnss.shape[0] != batch:
             draw(0, batch, bundle.handle)
         run_rows(sense, batch, bundle.handle, epoch, row_us=SENSE_US)
         return Measurements(truth.time_s, sky, gnss_epoch(gnss), ImuSample(*imu), OdometerSample(*odometer))
+
+    def _draw(self, streams: Streams, rows: InstrumentRows) -> None:
+        """The draws of an epoch from streams that draw in a way of their own."""
+        draws, (batch, satellites) = rows.draws, rows.receivers.signals.shape
+        if self.corrections.outage_per_h > 0.0:
+            rows.link.uniforms[:], rows.link.normals[:] = (
+                streams.uniform("corrections", 1),
+                streams.normal("corrections", 1),
+            )
+        rows.receivers.clock_normals[:] = streams.normal("clock", 2)
+        draws.gnss_normals[:] = streams.normal("gnss", satellites, NORMALS.itemsize // 8).reshape(batch, -1)
+        draws.gnss_uniforms[:] = streams.uniform("gnss", satellites, UNIFORMS.itemsize // 8).reshape(batch, -1)
+        rows.imu.normals[:] = streams.normal("imu", 2, 3, 5)
+        rows.odometer.normals[:] = streams.normal("odometer", 1)
 
     def _rows(self, s: InstrumentState, mask: SkyMask) -> InstrumentRows:
         """The states as the kernel takes them."""
         batch, satellites = s.gnss.signals.shape
         normals, uniforms = (np.zeros((batch, satellites), kind) for kind in (NORMALS, UNIFORMS))
-        imu_normals, signals, states = np.empty((batch, 2, 3, 5)), s.area.signals, s.streams.states
+        imu_normals, signals, states = np.empty((batch, 2, 3, 5)), s.area.signals, _states_of(s.streams)
         uniform, normal = np.empty((2, batch, 1))
         return InstrumentRows(
             draws=Draws(
@@ -167,3 +186,8 @@ class Instruments:
             imu=ImuRows(self.imu_rules, s.imu.axes, s.imu.moving_bias_radps, np.zeros(batch), imu_normals),
             odometer=OdometerRows(self.odometer_rules, s.odometer.wheels, np.empty((batch, 1))),
         )  # fmt: skip
+
+
+def _states_of(streams: Streams) -> Callable[[str], NDArray[np.uint64]]:
+    """The generators by name that the kernel draws from; none of streams that draw in a way of their own."""
+    return streams.states if type(streams) is Streams else lambda name: NO_STATES

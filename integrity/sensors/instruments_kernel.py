@@ -22,7 +22,7 @@ from lanebound.integrity.sensors.gnss_kernel import (
 )
 from lanebound.integrity.sensors.imu_kernel import ImuOutputs, ImuRows
 from lanebound.integrity.sensors.odometer_kernel import OdometerOutputs, OdometerRows
-from lanebound.integrity.sky.raytrace_kernel import MaskRows, ReceptionRows, SkyRows, look_up
+from lanebound.integrity.sky.raytrace_kernel import MaskRows, ReceptionRows, SatelliteRows, look_up
 
 __all__ = ["Draws", "InstrumentRows", "SensedEpoch", "draw", "sense"]
 
@@ -64,7 +64,7 @@ class SensedEpoch(NamedTuple):
     """One epoch: its number on the clock of the areas, what is measured, and the outputs."""
 
     number: int
-    sky: SkyRows
+    sky: SatelliteRows
     motion: MotionRows
     effects: EffectRows
     gnss: GnssOutputs

@@ -20,7 +20,7 @@ __all__ = [
     "Grid",
     "MaskRows",
     "ReceptionRows",
-    "SkyRows",
+    "SatelliteRows",
     "count_free",
     "free_rows",
     "look_up",
@@ -56,7 +56,7 @@ class MaskRows(NamedTuple):
     excess: NDArray[np.float32]
 
 
-class SkyRows(NamedTuple):
+class SatelliteRows(NamedTuple):
     """Satellites of an epoch, as in :class:`~lanebound.integrity.sky.view.SkyView`.
 
     los (K, S, 3); elevation, azimuth (K, S) [rad]; above (K, S); system (S,); row (B,) the k of each vehicle.
@@ -279,7 +279,7 @@ def count_free(free, arc, lane, azimuth, elevation, above, spacing, n_az, n_el):
 def look_up(first, last, mask, sky, arc, lane, out):  # type: ignore[no-untyped-def]
     """Reception of vehicles ``first`` to ``last - 1``: nearest station, lane clamped, cell of each satellite.
 
-    mask of MaskRows, sky of SkyRows; arc (B,) [m], lane (B,); ``out`` of ReceptionRows is filled.
+    mask of MaskRows, sky of SatelliteRows; arc (B,) [m], lane (B,); ``out`` of ReceptionRows is filled.
     """
     rules, cells = mask.rules[0], out.cells[first]
     stations, lanes = mask.path.shape[0], mask.path.shape[1]

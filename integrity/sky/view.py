@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lanebound.integrity.sky.raytrace_kernel import SkyRows
+from lanebound.integrity.sky.raytrace_kernel import SatelliteRows
 
 __all__ = ["SkyView"]
 
@@ -53,9 +53,9 @@ class SkyView:
         return int(self.system.shape[0])
 
     @property
-    def rows(self) -> SkyRows:
+    def rows(self) -> SatelliteRows:
         """The arrays as kernels take them."""
-        return SkyRows(self.los_enu, self.elevation_rad, self.azimuth_rad, self.above, self.system, self.index)
+        return SatelliteRows(self.los_enu, self.elevation_rad, self.azimuth_rad, self.above, self.system, self.index)
 
     def for_vehicles(self, index: ArrayLike) -> SkyView:
         """The same sky for other vehicles: ``index`` (B,) names the row k of each."""

@@ -319,8 +319,8 @@ class Epoch(NamedTuple):
     tables: Tables
     state: State
     work: Work
-    measured: Measured
     out: Outputs
+    measured: Measured
 
 
 class Lasting(NamedTuple):
@@ -330,13 +330,13 @@ class Lasting(NamedTuple):
     tables: Tables
     state: State
     work: Work
+    out: Outputs
 
 
 class EpochInputs(NamedTuple):
     """The fields of an Epoch that are of one epoch alone."""
 
     measured: Measured
-    out: Outputs
 
 
 RECORDS: dict[str, Any] = {

@@ -7,22 +7,13 @@ import pickle
 import sys
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 import pytest
 
-from lanebound.integrity.core import accel, bundle_kernel
+from lanebound.integrity.core import accel
 from lanebound.integrity.core.accel import jit, run_rows
 from lanebound.integrity.core.bundle_kernel import Bundle
 from lanebound.integrity.core.chain_kernel import Chain
-
-
-@pytest.fixture(autouse=True)
-def _in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compile what writes bundles in memory: types of a test must not come into the cache that processes share."""
-    for name in ("_size", "_write"):
-        kernel = getattr(bundle_kernel, name).py_func
-        monkeypatch.setattr(bundle_kernel, name, numba.njit(**{"_nrt": False})(kernel))
 
 
 class Pair(NamedTuple):

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import copy
+import os
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,3 +36,19 @@ def test_a_copy_holds_nothing() -> None:
     again = copy.deepcopy(lasting)
     assert again.of((owner,), lambda: One(owner)) is not first
     assert lasting.of((owner,), lambda: One(owner)) is first
+
+
+def test_types_of_a_script_do_not_enter_the_cache_that_processes_share(tmp_path: Path) -> None:
+    """Otherwise no other process could load any kernel of the file that has it."""
+    script = tmp_path / "own.py"
+    script.write_text(
+        "from typing import Any, NamedTuple\n"
+        "import numpy as np\n"
+        "from lanebound.integrity.core.bundle_kernel import Bundle\n"
+        "class Own(NamedTuple):\n"
+        "    a: Any\n"
+        "assert Bundle(Own(np.zeros(3))).handle.shape == (1,)\n"
+    )
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    subprocess.run([sys.executable, str(script)], check=True, env=environment)
+    assert not list(tmp_path.rglob("bundle_kernel.*.nbi"))
