@@ -47,6 +47,13 @@ from lanebound.integrity.positioning.rtk_kernel import (
     held_risk,
     order_by_variance,
 )
+from lanebound.integrity.positioning.status_kernel import (
+    FIXED,
+    NOT_CONVERGED,
+    RATIO_FAILED,
+    SEARCH_FAILED,
+    TOO_FEW,
+)
 
 __all__ = ["resolve"]
 
@@ -56,7 +63,6 @@ Bools = NDArray[np.bool_]
 
 NODE_LIMIT = 20_000
 FIRST_SHARE = 0.5  # of the risk, for the set of all candidates; the rest is for the sets that lack one of them
-FIXED, TOO_FEW, NOT_CONVERGED, RATIO_FAILED, SEARCH_FAILED = 0, 2, 3, 4, 6  # codes of RtkStatus
 
 
 class Floats(NamedTuple):
