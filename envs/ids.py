@@ -13,6 +13,7 @@ import gymnasium
 
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
+from lanebound.envs.world import world_defaults
 from lanebound.envs.worlds import world_kind
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import nearest
@@ -20,6 +21,7 @@ from lanebound.integrity.core.presets import nearest
 __all__ = [
     "CLASSES",
     "CONTINUOUS",
+    "IDS",
     "META",
     "CarFollowing",
     "Highway",
@@ -447,6 +449,8 @@ CLASSES: tuple[type[Preset], ...] = (
 )
 
 
+IDS: dict[str, dict[str, Any]] = {}
+"""The presets of all ids that are registered."""
 _registered: list[type[Preset]] = []
 
 
@@ -456,15 +460,18 @@ def presets() -> tuple[type[Preset], ...]:
 
 
 def register_id(kind: type[Preset]) -> str:
-    """Add an id with Gymnasium from outside, driven alone and, where its world has support, by the engine.
+    """Register an id from outside, for single environments and, if its world has engine support, for the engine.
 
     Raises
     ------
     InputError
         The id is taken.
+    ConfigError
+        The preset names no known world, or has another mistake.
     """
-    if any(id_of(kind) == id_of(other) for other in presets()):
+    if id_of(kind) in IDS:
         raise InputError(f"id must not be taken, got {id_of(kind)}: set ID in the class")
+    world_defaults(EnvConfig.build(kind.PRESET).base)
     _registered.append(kind)
     enter(kind)
     return id_of(kind)
@@ -473,11 +480,12 @@ def register_id(kind: type[Preset]) -> str:
 def withdraw_id(kind: type[Preset]) -> None:
     """Take back an id that was registered."""
     _registered.remove(kind)
-    del gymnasium.registry[id_of(kind)]
+    del IDS[id_of(kind)], gymnasium.registry[id_of(kind)]
 
 
 def enter(kind: type[Preset]) -> None:
     """Register an id with Gymnasium; doing so twice changes nothing."""
+    IDS[id_of(kind)] = dict(kind.PRESET)
     if id_of(kind) not in gymnasium.registry:
         engine = f"lanebound.envs.vector.env:Vector{kind.__name__}" if has_engine(kind) else None
         entry = f"{kind.__module__}:{kind.__qualname__}" if kind in CLASSES else kind

@@ -118,6 +118,7 @@ A kind of your own is a `FaultKind` (`lanebound.integrity.sensors.fault_kinds`),
 | `start_s`, `duration_s` | 0, 10 | from the start of the episode; length |
 | `profile`, `ramp_s` | `step`, 10 | `ramp`: linear growth over `ramp_s`, also in Doppler |
 | `system`, `prn` | None | 0 GPS, 1 Galileo, 2 GLONASS, 3 BeiDou, 4 QZSS; number of the satellite |
+| `band` | None | band of a cycle slip, 0 or 1; None: both |
 | `vehicle` | None | 0: the ego; 1 and more: other vehicles; None: all |
 | `azimuth_deg` | 90 | direction of a displacement, clockwise from North |
 | `magnitude` | 0 | magnitude of a registered kind whose unit has no field of its own |

@@ -7,14 +7,12 @@ from typing import Any
 
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
-from lanebound.envs.ids import CLASSES, CONTINUOUS, META, enter, id_of
+from lanebound.envs.ids import CLASSES, CONTINUOUS, IDS, META, enter
 from lanebound.envs.world import world_defaults
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.presets import nearest
 
 __all__ = ["IDS", "make_config", "register_all", "wrap"]
-
-IDS: dict[str, dict[str, Any]] = {id_of(kind): dict(kind.PRESET) for kind in CLASSES}
 
 
 def make_config(env_id: str, overrides: Mapping[str, Any] | None = None) -> EnvConfig:

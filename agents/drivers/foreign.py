@@ -20,19 +20,19 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lanebound.agents.drivers.base import Driver, in_a_row
-from lanebound.agents.drivers.learnt import open_arrays, require_sight
-from lanebound.agents.drivers.origin import report_elsewhere
+from lanebound.agents.drivers.base import Driver
+from lanebound.agents.drivers.inputs import INPUTS, PolicyInputs
+from lanebound.agents.drivers.learnt import open_arrays
+from lanebound.agents.drivers.origin import inputs_in, report_elsewhere
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import nearest
 
 __all__ = [
     "MODELS",
-    "SIGHT",
-    "FlatDriver",
     "FunctionDriver",
     "OnnxDriver",
+    "SelectingDriver",
     "is_foreign",
     "load_checkpoint",
     "onnx_session",
@@ -42,7 +42,6 @@ __all__ = [
 
 States = tuple[NDArray[Any], ...] | None
 MODELS = (".zip", ".onnx", ".npz")
-SIGHT = "lanebound.observation"  # metadata of an ONNX file: columns, scales and history of what it learnt with
 ALGORITHMS = {
     "cost_gae_lambda": "lanebound.agents.learning.ppo_lagrangian:PPOLagrangian",
     "cost_gamma": "lanebound.agents.learning.sac_lagrangian:SACLagrangian",
@@ -152,27 +151,36 @@ def open_foreign(name: str, env: DrivingEnv) -> Driver:
 
 
 def _checkpoint(path: str, env: DrivingEnv) -> Driver:
-    model = load_checkpoint(Path(path))
-    shown = env.observation_space
-    flattened = isinstance(model.observation_space, spaces.Box) and isinstance(shown, spaces.Dict)
-    for what, trained, here in (
-        ("actions", model.action_space, env.action_space),
-        ("observations", model.observation_space, spaces.flatten_space(shown) if flattened else shown),
-    ):
+    model: Any = load_checkpoint(Path(path))
+    trained, shown = model.observation_space, env.observation_space
+    if not _alike(model.action_space, env.action_space):
+        raise _unlike(path, "actions", model.action_space, env.action_space)
+    inputs = inputs_in(Path(path))
+    if inputs is None:
+        flattened = isinstance(trained, spaces.Box) and isinstance(shown, spaces.Dict)
+        here = spaces.flatten_space(shown) if flattened else shown
         if not _alike(trained, here):
-            raise InputError(
-                f"agent {path} must be trained on these {what}, {_shape(here)}, got {_shape(trained)}: "
-                "choose the environment that it was trained in"
-            )
-    driver: Driver = model
-    return FlatDriver(driver, env.config.observation.history) if flattened else driver
+            raise _unlike(path, "observations", trained, here)
+        inputs = PolicyInputs.of(env.config.observation)
+    selection = inputs.select_from(env.config.observation, f"agent {path}")
+    if selection.is_whole and type(trained) is type(shown):
+        driver: Driver = model
+        return driver
+    return SelectingDriver(model, selection.grouped if isinstance(trained, spaces.Dict) else selection.flat)
 
 
-class FlatDriver:
-    """A driver of flat observations where they are dicts of their groups."""
+def _unlike(path: str, what: str, trained: spaces.Space[Any], here: spaces.Space[Any]) -> InputError:
+    return InputError(
+        f"agent {path} must be trained on these {what}, {_shape(here)}, got {_shape(trained)}: "
+        "choose the environment that it was trained in"
+    )
 
-    def __init__(self, driver: Driver, history: int) -> None:
-        self.driver, self.history = driver, history
+
+class SelectingDriver:
+    """A driver that takes other observations than those of the environment: its entries are selected first."""
+
+    def __init__(self, driver: Driver, select: Callable[[Any], Any]) -> None:
+        self.driver, self.select = driver, select
 
     def predict(
         self,
@@ -181,8 +189,8 @@ class FlatDriver:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[Any, States]:
-        """What that driver says of the groups in a row."""
-        return self.driver.predict(in_a_row(observation, self.history), state, episode_start, deterministic)
+        """The action of that driver for its entries."""
+        return self.driver.predict(self.select(observation), state, episode_start, deterministic)
 
 
 def load_checkpoint(path: Path) -> Any:
@@ -251,7 +259,8 @@ def _shape(space: spaces.Space[Any]) -> str:
 class OnnxDriver:
     """A network in an ONNX file: inputs named like the groups of the observation, or one for flat observations.
 
-    One that 'lanebound export' wrote says in its metadata what it learnt with, and is held to it.
+    The metadata of a file of 'lanebound export' hold the names of its observation entries; a file without them takes
+    all entries in the order of the environment.
 
     Its first output is the action, or for discrete actions a value of each, of which the largest counts. Continuous
     actions are clipped into their space.
@@ -263,26 +272,29 @@ class OnnxDriver:
     Raises
     ------
     InputError
-        It takes other inputs, learnt with other observations, or answers for other actions.
+        Its inputs are not those of the environment, or its output is for other actions.
     """
 
     def __init__(self, session: Any, env: DrivingEnv) -> None:
         self.session, self.space = session, env.action_space
         self.inputs = [item.name for item in session.get_inputs()]
-        shown = env.observation_space
-        groups = set(shown) if isinstance(shown, spaces.Dict) else set()
-        self._named, self._history = set(self.inputs) == groups, env.config.observation.history
+        text = session.get_modelmeta().custom_metadata_map.get(INPUTS)
+        config = env.config.observation
+        inputs = PolicyInputs.of(config) if text is None else PolicyInputs.from_json(text, "the ONNX agent")
+        self._selection = inputs.select_from(config, "the ONNX agent")
+        sizes = self._selection.sizes
+        self._named = set(self.inputs) == set(sizes)
         if not self._named and len(self.inputs) != 1:
-            wanted = f"{', '.join(sorted(groups))}, or one" if groups else "one input"
-            raise InputError(f"an ONNX agent must take {wanted}, got {', '.join(self.inputs)}: rename its inputs")
-        told = session.get_modelmeta().custom_metadata_map.get(SIGHT)
-        if told is not None:
-            require_sight(*_seen(told), "the ONNX agent was learnt", env)
-        wide, given = spaces.flatdim(shown), session.get_inputs()[0].shape[-1]
-        if not self._named and isinstance(given, int) and given != wide:
             raise InputError(
-                f"an ONNX agent must take {wide} numbers here, got {given}: choose the environment that it was made for"
+                f"an ONNX agent must take {', '.join(sizes)}, or one, got {', '.join(self.inputs)}: rename its inputs"
             )
+        for item in session.get_inputs():
+            wide, given = sizes[item.name] if self._named else inputs.size, item.shape[-1]
+            if isinstance(given, int) and given != wide:
+                raise InputError(
+                    f"an ONNX agent must take {wide} numbers here, got {given}: choose the environment that it was "
+                    "made for"
+                )
         answer = session.get_outputs()[0]
         of = int(self.space.n) if isinstance(self.space, spaces.Discrete) else spaces.flatdim(self.space)
         answers = answer.shape[-1] if len(answer.shape) > 1 else None  # a code of an action is one number
@@ -300,25 +312,14 @@ class OnnxDriver:
         deterministic: bool = True,
     ) -> tuple[Any, States]:
         """The action for one observation."""
-        parts = observation if self._named else {self.inputs[0]: in_a_row(observation, self._history)}
+        select = self._selection
+        parts = select.grouped(observation) if self._named else {self.inputs[0]: select.flat(observation)}
         given = {name: np.asarray(parts[name], dtype=np.float32)[None] for name in self.inputs}
         found = np.asarray(self.session.run(None, given)[0])[0]
         if isinstance(self.space, spaces.Discrete):
             return np.asarray(found if found.dtype.kind in "iu" else np.argmax(found)), state
         assert isinstance(self.space, spaces.Box)
         return np.clip(found, self.space.low, self.space.high).astype(np.float32), state  # NaN stays NaN
-
-
-def _seen(told: str) -> tuple[dict[str, list[Any]], int]:
-    """Columns and scales of a network's metadata, and its history."""
-    try:
-        learnt = json.loads(told)
-        return {"columns": list(learnt["columns"]), "scales": list(learnt["scales"])}, int(learnt["history"])
-    except (ValueError, KeyError, TypeError):
-        raise InputError(
-            f"metadata {SIGHT} of an ONNX agent must be JSON of columns, scales and history, got {told[:60]!r}: "
-            "export it anew"
-        ) from None
 
 
 def onnx_session(path: Path) -> Any:

@@ -1,15 +1,15 @@
-"""Policies that were learnt, as arrays: small networks from flat observations to actions; some come with the package.
+"""Trained policies as arrays: small networks from flat observations to actions; one for each id is in the package.
 
-``lanebound train`` learns one, ``lanebound export DIR --out FILE.npz`` writes it in this form: for each layer n the
-arrays ``weight_n`` (outputs, inputs) and ``bias_n``, tanh between layers; of the entries of the observation, in their
-order, ``columns`` (names) and ``scales``; and ``discrete``, whether the outputs are a value of each discrete action, or
-a continuous action.
+``lanebound train`` trains one, ``lanebound export DIR --out FILE.npz`` writes it in this form: for each layer n the
+arrays ``weight_n`` (outputs, inputs) and ``bias_n``, tanh between layers; ``columns`` (names) and ``scales`` of the
+observation entries in the order of the inputs; and ``discrete``, whether the outputs are a value of each discrete
+action, or a continuous action. A policy selects its entries by name (:mod:`.inputs`).
 """
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -21,27 +21,33 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lanebound.agents.drivers.base import Observation, in_a_row
+from lanebound.agents.drivers.inputs import PolicyInputs
 from lanebound.envs.core import DrivingEnv
-from lanebound.envs.observation import ObservationConfig, entries
 from lanebound.integrity.core.errors import InputError
 
-__all__ = ["LearntDriver", "make_ppo", "open_arrays", "policies", "require_sight", "sight"]
+__all__ = ["LearntDriver", "make_ppo", "open_arrays", "policies"]
 
 Array = NDArray[np.float32]
 States = tuple[NDArray[Any], ...] | None
 
 
 class LearntDriver:
-    """Does what the network says, without noise; the same for one observation and for a batch.
+    """Applies the network without noise; gives the same result for one observation and for a batch.
 
     Parameters
     ----------
     layers : weights (outputs, inputs) and biases (outputs,) from the first layer on
-    discrete : whether the output of the largest value is the action; else they are the action within [-1, 1]
+    discrete : whether the index of the largest output is the action; else the outputs are the action within [-1, 1]
+    select : gives the inputs (..., n) of the network for an observation
     """
 
-    def __init__(self, layers: list[tuple[Array, Array]], discrete: bool = False) -> None:
-        self._layers, self._discrete = layers, discrete
+    def __init__(
+        self,
+        layers: list[tuple[Array, Array]],
+        discrete: bool = False,
+        select: Callable[[Observation], Array] = in_a_row,
+    ) -> None:
+        self._layers, self._discrete, self._select = layers, discrete, select
 
     def predict(
         self,
@@ -51,7 +57,7 @@ class LearntDriver:
         deterministic: bool = True,
     ) -> tuple[NDArray[Any], States]:
         """The action (..., A), or (...) of discrete ones, for an observation (..., n) or a dict of its groups."""
-        whole = in_a_row(observation)
+        whole = self._select(observation)
         found = np.stack([self._outputs(row) for row in whole.reshape(-1, whole.shape[-1])])
         found = found.reshape(*whole.shape[:-1], -1)
         if self._discrete:
@@ -78,7 +84,7 @@ def make_ppo(env: DrivingEnv) -> LearntDriver:
     Raises
     ------
     InputError
-        There is none, or it was learnt with other observations or actions.
+        There is none, the environment does not show an entry that it needs, or takes other actions.
     """
     there = policies()
     base = env.config.base
@@ -95,43 +101,16 @@ def open_arrays(path: Path, env: DrivingEnv) -> LearntDriver:
     Raises
     ------
     InputError
-        It cannot be read, or was learnt with other observations or actions.
+        It cannot be read, the environment does not show an entry that it needs, or takes other actions.
     """
     return _fitting(path, f"agent {path}", "", env)
 
 
-def sight(config: ObservationConfig) -> dict[str, NDArray[Any]]:
-    """What a policy of flat observations must find as it was when it learnt: names and scales of the entries."""
-    shown = entries(config)
-    return {
-        "columns": np.array([entry.column for entry in shown]),
-        "scales": np.array([entry.scale for entry in shown]),
-    }
-
-
-def require_sight(learnt: Mapping[str, Any], history: int, told: str, env: DrivingEnv) -> None:
-    """Refuse an environment whose observations are others than a policy ``learnt`` with; ``told`` says which it is.
-
-    Raises
-    ------
-    InputError
-        Entries, their scales or the number of observations differ.
-    """
-    config = env.config.observation
-    other = [key for key, value in sight(config).items() if not np.array_equal(value, learnt[key])]
-    if other or config.history != history:
-        remembered = "no history" if history == 1 else f"a history of {history}"
-        raise InputError(
-            f"{told} with an observation of its own ({len(learnt['columns'])} entries, {remembered}), "
-            f"got another of {len(entries(config))} ({', '.join(other) or 'history'} differ): "
-            "leave 'observation' as it was there"
-        )
-
-
 def _fitting(file: Traversable, name: str, where: str, env: DrivingEnv) -> LearntDriver:
-    """The policy in a file, where it was learnt with the observations and actions of an environment."""
+    """The policy in a file for an environment that shows its entries and takes its actions."""
     learnt, layers = _read(file, name)
-    require_sight(learnt, 1, f"{name} was learnt{where}", env)
+    inputs = PolicyInputs(tuple(learnt["columns"].tolist()), tuple(learnt["scales"].tolist()))
+    selection = inputs.select_from(env.config.observation, name)
     outputs, discrete = layers[-1][1].size, bool(learnt["discrete"])
     if (spaces.flatdim(env.action_space), isinstance(env.action_space, spaces.Discrete)) != (outputs, discrete):
         remedy = "leave 'action' as it was there" if where else "drive an id that has it, or learn a policy here"
@@ -139,7 +118,7 @@ def _fitting(file: Traversable, name: str, where: str, env: DrivingEnv) -> Learn
             f"{name} was learnt{where} with actions {_space(outputs, discrete)}, got an environment that takes "
             f"{_taken(env.action_space)}: {remedy} (see 'lanebound envs')"
         )
-    return LearntDriver(layers, discrete)
+    return LearntDriver(layers, discrete, selection.flat)
 
 
 def _space(outputs: int, discrete: bool) -> str:
@@ -153,15 +132,17 @@ def _taken(space: spaces.Space[Any]) -> str:
 
 
 def _read(file: Traversable, name: str) -> tuple[dict[str, NDArray[Any]], list[tuple[Array, Array]]]:
-    """What a policy sees, and its layers."""
+    """The arrays of a policy that describe its inputs and actions, and its layers."""
     try:
         with file.open("rb") as stream, np.load(stream) as data:
-            learnt = {key: data[key] for key in (*sight(ObservationConfig()), "discrete")}
+            learnt = {key: data[key] for key in ("columns", "scales", "discrete")}
             count = sum(array.startswith("weight_") for array in data.files)
             layers = [(_numbers(data[f"weight_{n}"]), _numbers(data[f"bias_{n}"])) for n in range(count)]
     except (OSError, ValueError, TypeError, LookupError, AttributeError, EOFError, BadZipFile, zlib.error) as error:
         raise InputError(f"{name} must be as 'lanebound export' writes it, got {error}: export it anew") from None
     wide = learnt["columns"].size
+    if learnt["columns"].ndim != 1 or learnt["scales"].shape != (wide,) or learnt["scales"].dtype.kind != "f":
+        raise InputError(f"columns and scales of {name} must be (n,) names and numbers, got others: export it anew")
     for n, (weight, bias) in enumerate(layers):
         if (
             weight.shape != (bias.size, wide)

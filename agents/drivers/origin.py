@@ -1,4 +1,7 @@
-"""In which environment a policy was learnt, as its file says: a policy that drives elsewhere is reported."""
+"""What a policy's file holds of its training: the experiment and the names of its observation entries.
+
+A policy in another environment than that of its training is reported.
+"""
 
 from __future__ import annotations
 
@@ -10,43 +13,70 @@ from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
+from lanebound.agents.drivers.inputs import INPUTS, PolicyInputs
 from lanebound.envs import IDS, make_config
+from lanebound.envs.observation import ObservationConfig
 from lanebound.integrity.core.accel import LOGGER
 
-__all__ = ["EXPERIMENT", "elsewhere", "experiment_in", "report_elsewhere", "write_experiment"]
+__all__ = ["EXPERIMENT", "add_text", "elsewhere", "experiment_in", "inputs_in", "name_inputs", "report_elsewhere"]
 
 EXPERIMENT = "lanebound.experiment"
 """Name of the experiment as JSON: a member of a checkpoint, metadata of an ONNX file, an array of an NPZ file."""
 
 
-def write_experiment(checkpoint: Path, text: str) -> None:
-    """Add an experiment, as JSON, to a checkpoint of Stable-Baselines3, which ignores it."""
+def add_text(checkpoint: Path, name: str, text: str) -> None:
+    """Add a member to a checkpoint of Stable-Baselines3, which ignores it."""
     with ZipFile(checkpoint, "a") as archive:
-        archive.writestr(EXPERIMENT, text)
+        archive.writestr(name, text)
+
+
+def name_inputs(checkpoint: str | Path, config: ObservationConfig) -> None:
+    """Add the names of the observation entries to a checkpoint, so that it can drive where there are more of them.
+
+    ``lanebound train`` does so; call it after ``model.save`` in a training of your own.
+
+    Parameters
+    ----------
+    config : of the observations in training, ``env.unwrapped.config.observation``
+    """
+    add_text(Path(checkpoint), INPUTS, PolicyInputs.of(config).to_json())
 
 
 def experiment_in(path: Path) -> dict[str, Any] | None:
-    """The experiment that a policy's file holds; None where it holds none, as files of other origin."""
+    """The experiment in a policy's file; None without one, as in files of other origin."""
     try:
-        text = _text_in(path)
+        text = _text_in(path, EXPERIMENT)
         found = None if text is None else json.loads(text)
     except (OSError, ValueError, LookupError, BadZipFile):
         return None  # reported where the policy is loaded
     return found if isinstance(found, dict) else None
 
 
-def _text_in(path: Path) -> str | None:
+def inputs_in(checkpoint: Path) -> PolicyInputs | None:
+    """The observation entries of a checkpoint's policy; None where it does not name them.
+
+    Raises
+    ------
+    InputError
+        What it holds is damaged.
+    """
+    text = _text_in(checkpoint, INPUTS)
+    return None if text is None else PolicyInputs.from_json(text, f"agent {checkpoint}")
+
+
+def _text_in(path: Path, name: str) -> str | None:
+    """A text of that name in a policy's file; None where it has none."""
     if path.suffix == ".onnx":
         from lanebound.agents.drivers.foreign import onnx_session
 
-        found: str | None = onnx_session(path).get_modelmeta().custom_metadata_map.get(EXPERIMENT)
+        found: str | None = onnx_session(path).get_modelmeta().custom_metadata_map.get(name)
         return found
     with ZipFile(path) as archive:  # an NPZ file is one as well
-        if EXPERIMENT in archive.namelist():
-            return archive.read(EXPERIMENT).decode()
+        if name in archive.namelist():
+            return archive.read(name).decode()
     if path.suffix == ".npz":
         with np.load(path, allow_pickle=False) as arrays:
-            return str(arrays[EXPERIMENT]) if EXPERIMENT in arrays.files else None
+            return str(arrays[name]) if name in arrays.files else None
     return None
 
 

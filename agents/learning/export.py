@@ -22,12 +22,11 @@ from gymnasium import spaces
 from torch import nn
 
 from lanebound.agents.checkpointing.files import replace_file
-from lanebound.agents.drivers.foreign import SIGHT, load_checkpoint
-from lanebound.agents.drivers.learnt import sight
-from lanebound.agents.drivers.origin import EXPERIMENT
+from lanebound.agents.drivers.foreign import load_checkpoint
+from lanebound.agents.drivers.inputs import INPUTS, PolicyInputs
+from lanebound.agents.drivers.origin import EXPERIMENT, inputs_in
 from lanebound.agents.learning.evaluation import trained
 from lanebound.agents.learning.experiment import ExperimentConfig, Shield
-from lanebound.envs.observation import ObservationConfig
 from lanebound.integrity.core.errors import InputError
 
 __all__ = ["export_arrays", "export_onnx"]
@@ -54,6 +53,7 @@ def export_onnx(source: Path, path: Path, env: str | None = None, changes: Mappi
     experiment, best = trained(source, env, changes)
     model = load_checkpoint(best)
     _require_plain(experiment, model)
+    inputs = _inputs(experiment, model, best)
     policy = model.policy
     network = (_Unsquashed(policy) if hasattr(policy, "mlp_extractor") else _Squashed(policy.actor)).eval()
     shape = model.observation_space.shape
@@ -71,22 +71,37 @@ def export_onnx(source: Path, path: Path, env: str | None = None, changes: Mappi
                 verbose=False,
                 external_data=False,
             )
-            _describe(draft, experiment)
+            _describe(draft, experiment, inputs)
     except OSError as error:
         raise _unwritable(path, error) from None
     return path
 
 
-def _describe(path: Path, experiment: ExperimentConfig) -> None:
-    """Write into a network what it was learnt by and with."""
+def _describe(path: Path, experiment: ExperimentConfig, inputs: PolicyInputs) -> None:
+    """Write into a network its experiment and the names of its observation entries."""
     import onnx
 
-    with closing(experiment.open()) as env:
-        config = env.config.observation
-    seen = {name: values.tolist() for name, values in sight(config).items()} | {"history": config.history}
     network = onnx.load(path)
-    onnx.helper.set_model_props(network, {EXPERIMENT: json.dumps(experiment.to_dict()), SIGHT: json.dumps(seen)})
+    onnx.helper.set_model_props(network, {EXPERIMENT: json.dumps(experiment.to_dict()), INPUTS: inputs.to_json()})
     onnx.save(network, path)
+
+
+def _inputs(experiment: ExperimentConfig, model: Any, checkpoint: Path) -> PolicyInputs:
+    """The observation entries of a policy: as its checkpoint names them, else those of the experiment's environment.
+
+    Raises
+    ------
+    InputError
+        The policy takes another number of them.
+    """
+    with closing(experiment.open()) as env:
+        inputs = inputs_in(checkpoint) or PolicyInputs.of(env.config.observation)
+    if model.observation_space.shape != (inputs.size,):
+        raise InputError(
+            f"the policy must be learnt on flat observations of {experiment.env}, {(inputs.size,)}, got "
+            f"{model.observation_space.shape}: name its environment (--env) and what was changed there (--set)"
+        )
+    return inputs
 
 
 def export_arrays(source: Path, path: Path, env: str | None = None, changes: Mapping[str, Any] | None = None) -> Path:
@@ -101,13 +116,12 @@ def export_arrays(source: Path, path: Path, env: str | None = None, changes: Map
     experiment, best = trained(source, env, changes)
     model = load_checkpoint(best)
     _require_plain(experiment, model, ())
-    policy = model.policy
-    with closing(experiment.open()) as world:
-        observation, discrete = world.config.observation, isinstance(world.action_space, spaces.Discrete)
-    _require_layers(policy, observation)
+    inputs, policy = _inputs(experiment, model, best), model.policy
+    _require_layers(policy, inputs)
     layers = [layer for layer in policy.mlp_extractor.policy_net if isinstance(layer, nn.Linear)]
-    arrays: dict[str, Any] = sight(observation) | {"discrete": np.array(discrete)}
-    arrays[EXPERIMENT] = np.array(experiment.to_json())
+    discrete = isinstance(model.action_space, spaces.Discrete)
+    arrays: dict[str, Any] = {"columns": inputs.columns, "scales": inputs.scales, "discrete": discrete}
+    arrays[EXPERIMENT] = experiment.to_json()
     for n, layer in enumerate([*layers, policy.action_net]):
         arrays[f"weight_{n}"] = layer.weight.detach().numpy()
         arrays[f"bias_{n}"] = layer.bias.detach().numpy()
@@ -120,7 +134,7 @@ def export_arrays(source: Path, path: Path, env: str | None = None, changes: Map
     return path
 
 
-def _require_layers(policy: Any, observation: ObservationConfig) -> None:
+def _require_layers(policy: Any, inputs: PolicyInputs) -> None:
     """Raise InputError for what arrays cannot hold: other layers, a squashed output, a history of observations."""
     if not hasattr(policy, "mlp_extractor") or policy.activation_fn is not nn.Tanh:
         raise InputError(
@@ -128,9 +142,9 @@ def _require_layers(policy: Any, observation: ObservationConfig) -> None:
         )
     if policy.squash_output:
         raise InputError("a policy to export as arrays must not squash its output, got squash_output: true: use .onnx")
-    if observation.history != 1:
+    if inputs.history != 1:
         raise InputError(
-            f"a policy to export as arrays must see one observation, got a history of {observation.history}: use .onnx"
+            f"a policy to export as arrays must see one observation, got a history of {inputs.history}: use .onnx"
         )
 
 
@@ -141,7 +155,7 @@ def _unwritable(path: Path, error: OSError) -> InputError:
 def _require_plain(
     experiment: ExperimentConfig, model: Any, packages: tuple[str, ...] = ("onnx", "onnxscript")
 ) -> None:
-    """Raise InputError for a policy that is more than a network, for other observations, and for missing packages."""
+    """Raise InputError for a policy that is more than a network, and for missing packages."""
     policy, kind = model.policy, type(model).__name__
     if hasattr(policy, "lstm_actor"):
         raise InputError(f"a policy to export must have no memory, got {kind}: drive with its checkpoint instead")
@@ -153,13 +167,6 @@ def _require_plain(
         raise InputError(
             f"a policy to export must stand alone, got one under the filter {experiment.shield}: "
             "drive with its checkpoint and that filter instead"
-        )
-    with closing(experiment.open()) as env:
-        here = env.observation_space.shape
-    if model.observation_space.shape != here:
-        raise InputError(
-            f"the policy must be learnt on flat observations of {experiment.env}, {here}, got "
-            f"{model.observation_space.shape}: name its environment (--env) and what was changed there (--set)"
         )
     for package in packages:
         if find_spec(package) is None:

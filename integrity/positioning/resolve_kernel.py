@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, invert_3x3, multiply_3
+from lanebound.integrity.positioning.codes_kernel import FIXED, NOT_CONVERGED, RATIO_FAILED, SEARCH_FAILED, TOO_FEW
 from lanebound.integrity.positioning.lambda_kernel import (
     OK,
     SearchScratch,
@@ -46,13 +47,6 @@ from lanebound.integrity.positioning.rtk_kernel import (
     held_base,
     held_risk,
     order_by_variance,
-)
-from lanebound.integrity.positioning.status_kernel import (
-    FIXED,
-    NOT_CONVERGED,
-    RATIO_FAILED,
-    SEARCH_FAILED,
-    TOO_FEW,
 )
 
 __all__ = ["resolve"]

@@ -183,7 +183,7 @@ def test_networks_with_other_inputs_are_refused(monkeypatch, tmp_path, steered):
 def test_a_network_with_damaged_metadata_is_refused(monkeypatch, tmp_path, steered, told):
     session = Session(["obs"], np.zeros((1, 2), np.float32))
     session.metadata["lanebound.observation"] = told
-    with pytest.raises(InputError, match=r"metadata lanebound\.observation of an ONNX agent must be JSON of columns"):
+    with pytest.raises(InputError, match=r"lanebound\.observation of the ONNX agent must be JSON of columns"):
         onnx(monkeypatch, tmp_path, steered, session)
 
 

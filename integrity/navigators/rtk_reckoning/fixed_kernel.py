@@ -49,10 +49,10 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import (
     Tables,
 )
 from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import find_members
+from lanebound.integrity.positioning.codes_kernel import FAULT, FIXED, NO_CORRECTIONS, TOO_FEW
 from lanebound.integrity.positioning.mode_kernel import rtk_usable
 from lanebound.integrity.positioning.rows_kernel import Rows
 from lanebound.integrity.positioning.rtk_kernel import Carriers, collapse_phase, held_risk
-from lanebound.integrity.positioning.status_kernel import FAULT, FIXED, NO_CORRECTIONS, TOO_FEW
 
 __all__ = ["find_fixed_position"]
 

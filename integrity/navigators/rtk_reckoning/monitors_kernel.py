@@ -26,8 +26,8 @@ from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import (
     levels_since_fix,
 )
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import BACKUP, LATEST, Array, Epoch, State, Tables
+from lanebound.integrity.positioning.codes_kernel import FAULT
 from lanebound.integrity.positioning.odometer_watch_kernel import watch_odometer
-from lanebound.integrity.positioning.status_kernel import FAULT
 
 __all__ = ["judge_fix", "separate_doppler", "watch_speeds", "widen_levels"]
 

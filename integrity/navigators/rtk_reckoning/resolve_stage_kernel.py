@@ -10,10 +10,10 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED, Thresholds, detect_and_exclude
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Bools, Epoch
+from lanebound.integrity.positioning.codes_kernel import FIXED, NO_CORRECTIONS, NOT_CONVERGED
 from lanebound.integrity.positioning.resolve_kernel import resolve
 from lanebound.integrity.positioning.rows_kernel import Rows
 from lanebound.integrity.positioning.rtk_kernel import Carriers, collapse_code, drop_small_systems
-from lanebound.integrity.positioning.status_kernel import FIXED, NO_CORRECTIONS, NOT_CONVERGED
 
 __all__ = ["resolve_integers"]
 

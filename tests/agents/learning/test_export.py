@@ -20,7 +20,8 @@ from lanebound.agents.benchmark.work import strangers
 from lanebound.agents.cli import app
 from lanebound.agents.drivers import learnt, make_agent
 from lanebound.agents.drivers.foreign import load_checkpoint
-from lanebound.agents.drivers.origin import elsewhere, experiment_in
+from lanebound.agents.drivers.inputs import PolicyInputs
+from lanebound.agents.drivers.origin import elsewhere, experiment_in, inputs_in
 from lanebound.agents.episodes import open_env
 from lanebound.agents.learning.evaluation import trained
 from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig
@@ -56,9 +57,7 @@ def test_a_network_answers_as_its_policy_does(tmp_path: Path, algorithm: str, en
             assert int(found) == int(wanted)
         else:
             np.testing.assert_allclose(found, wanted, atol=2e-5)
-    with pytest.raises(
-        InputError, match=r"the ONNX agent was learnt with an observation of its own .* \(scales differ\)"
-    ):
+    with pytest.raises(InputError, match=r"the scale of 'integrity.pl_at' must be 10, with which the ONNX agent was"):
         make_agent(str(path), open_env(env, {"observation": {"form": "flat", "pl_max_m": 5.0}}))
     told = onnx.load(path).metadata_props
     assert {item.key for item in told} == {"lanebound.experiment", "lanebound.observation"}
@@ -80,7 +79,7 @@ def test_arrays_answer_as_the_policy_does_for_one_and_for_many(tmp_path: Path, m
     with pytest.raises(InputError, match="was learnt in LaneKeepingWorld, got CarFollowingWorld"):
         make_agent("ppo", open_env("CarFollowing"))
     for other in ({"integrity": "blind"}, {"history": 2}):
-        with pytest.raises(InputError, match="leave 'observation' as it was there"):
+        with pytest.raises(InputError, match="configure 'observation' as in its training"):
             make_agent("ppo", open_env("LaneKeeping", {"observation": other}))
     result = CliRunner().invoke(app, ["export", str(tmp_path), "--out", str(tmp_path / "again.npz")])
     assert result.exit_code == 0, result.output
@@ -175,6 +174,7 @@ def test_policies_know_where_they_were_learnt(tmp_path: Path, caplog: pytest.Log
     planned = experiment(steps=64, overrides=STILL)
     train(planned, tmp_path / "run")
     best = tmp_path / "run" / "best.zip"
+    assert inputs_in(best) == PolicyInputs.of(planned.open().config.observation)
     files = [best, export_onnx(best, tmp_path / "net.onnx"), export_arrays(best, tmp_path / "net.npz")]
     flat = {"observation": {"form": "flat"}}
     home, other = open_env("LaneKeeping", flat), open_env("CarFollowing", flat)

@@ -708,7 +708,7 @@ def test_half_cycles_stop_rtk_no_longer_than_the_receiver_needs_to_correct_them(
     """Every second carrier comes back half a cycle off, which no set of integers explains."""
     cars = _Cars(_navigator())
     cars.drive(6.0)
-    cars.navigator.state.gnss.ambiguity[:, ::2] += 1.0
+    cars.navigator.state.gnss.signals["ambiguity"][:, ::2] += 1.0
     cars.navigator.state.belief.ambiguities["held"] = False
     run = cars.drive(CALM.gnss.half_cycle_resolve_s + 2.0)
     assert (run.mode[:30] != Mode.RTK).any(axis=0).all()
@@ -721,7 +721,7 @@ def test_one_carrier_half_a_cycle_off_stops_nothing() -> None:
     cars = _Cars(_navigator(config))
     before = cars.drive(6.0).solutions[-1]
     row = int(np.flatnonzero(before.held.all(0) & (TRACK.system == System.GPS))[0])
-    cars.navigator.state.gnss.ambiguity[:, row] += 1.0
+    cars.navigator.state.gnss.signals["ambiguity"][:, row] += 1.0
     cars.navigator.state.belief.ambiguities["held"] = False
     run = cars.drive(1.5)
     assert (run.rtk[5:] == RtkStatus.FIXED.code).all()

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2, poisson
 
+from lanebound.integrity.positioning.codes_kernel import FIXED, NOT_CONVERGED, RATIO_FAILED, TOO_FEW
 from lanebound.integrity.positioning.config import RtkConfig, rtk_parameters
 from lanebound.integrity.positioning.resolve_kernel import base_of, float_solution, resolve, suspect
 from lanebound.integrity.positioning.rows_kernel import Rows
@@ -24,7 +25,6 @@ from lanebound.integrity.positioning.rtk_kernel import (
     drop_small_systems,
     held_risk,
 )
-from lanebound.integrity.positioning.status_kernel import FIXED, NOT_CONVERGED, RATIO_FAILED, TOO_FEW
 from lanebound.integrity.sky.systems import WAVELENGTH_M
 
 Array = NDArray[np.float64]

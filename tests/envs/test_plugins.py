@@ -1,0 +1,185 @@
+"""Observation entries, a world and an id from outside: registered, driven alone and by the engine, taken back.
+
+The modules stand in tests/plugins; docs/extending.md shows them.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Iterator
+from types import ModuleType
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from lanebound.agents.episodes import open_env
+from lanebound.envs import IDS, make_config
+from lanebound.envs.ids import CONTINUOUS, Preset, register_id, withdraw_id
+from lanebound.envs.observation import Entry, ObservationConfig, describe, entries, register_entry, withdraw_entry
+from lanebound.envs.vector.env import engines
+from lanebound.envs.worlds import WorldKind, register_world, withdraw_world
+from lanebound.envs.worlds.base import World
+from lanebound.integrity.core.errors import ConfigError, InputError
+from side_by_side import PERFECT, Tally, drive, pair, require_equal
+
+KEEPING, HAIRPIN = "lanebound/LaneKeeping-v0", "lanebound/Hairpin-v0"
+ENGINE: Any = {"vectorization_mode": "vector_entry_point"}
+OPEN: dict[str, Any] = {"sky": "open"}
+
+
+def _load(name: str) -> ModuleType:
+    """Import a plug-in anew, as a first import does."""
+    sys.modules.pop(name, None)
+    return importlib.import_module(name)
+
+
+@pytest.fixture
+def two_entries() -> Iterator[dict[str, Entry]]:
+    """One that reads a field, one that is computed."""
+    found = _load("elapsed_time").ELAPSED_TIME, _load("stopping_distance").STOPPING_DISTANCE
+    yield {entry.name: entry for entry in found}
+    for entry in found:
+        withdraw_entry(entry)
+
+
+@pytest.fixture
+def hairpin() -> Iterator[ModuleType]:
+    module = _load("hairpin")
+    yield module
+    withdraw_id(module.Hairpin)
+    withdraw_world("HairpinWorld")
+
+
+def _columns(observation: Any, form: str) -> dict[str, Any]:
+    """The entries of an observation (..., n) by name."""
+    index = [entry for entry in entries(ObservationConfig()) if form == "flat" or entry.group == "ego"]
+    values = observation if form == "flat" else observation["ego"]
+    return {entry.column: values[..., n] for n, entry in enumerate(index)}
+
+
+@pytest.mark.parametrize("form", ["flat", "dict"])
+def test_entries_are_shown_by_the_single_environment_and_the_engine(two_entries: dict[str, Entry], form: str) -> None:
+    given = {**OPEN, "observation": {"form": form}}
+    single, engine = gymnasium.make(KEEPING, config=given), gymnasium.make_vec(KEEPING, 2, config=given, **ENGINE)
+    alone, together = single.reset(seed=3)[0], engine.reset(seed=3)[0]
+    for n in range(1, 6):
+        action = np.array([1.0, 0.0], np.float32)
+        alone, *_ = single.step(action)
+        together, *_ = engine.step(np.tile(action, (2, 1)))
+        found, many = _columns(alone, form), _columns(together, form)
+        for name in two_entries:
+            assert found[f"ego.{name}"] == many[f"ego.{name}"][0]
+        speed = found["ego.speed"] * 40.0
+        assert found["ego.elapsed_time"] == pytest.approx(0.2 * n / 60.0, rel=1e-6)
+        assert found["ego.stopping_distance"] == pytest.approx(speed**2 / 6.0 / 50.0, rel=1e-5)
+    assert single.observation_space.contains(alone)
+    assert engine.observation_space.contains(together)
+    single.close()
+    engine.close()
+
+
+def test_the_index_lists_them_until_they_are_withdrawn(two_entries: dict[str, Entry]) -> None:
+    assert "| ego | 15 | elapsed_time | s | 60 | [0, 1] | time since the start of the episode |" in describe()
+    assert "| ego | 16 | stopping_distance | m | 50 | [0, 1] | distance until the car stands at 3 m/s2," in describe()
+    for entry in two_entries.values():
+        withdraw_entry(entry)
+    assert not any(name in describe() for name in two_entries)
+    for entry in two_entries.values():
+        register_entry(entry)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"group": "eggo"}, "group must be one of ego, integrity, road, traffic, got 'eggo': did you mean 'ego'"),
+        ({"name": "speed"}, r"name must not be taken, got ego\.speed: choose another"),
+        ({"scale": 0.0}, r"scale must be > 0 and low < high, got 0\.0, 0\.0, 1\.0"),
+        (
+            {"source": "belief.speed"},
+            "source must name a field of belief, got 'belief.speed': did you mean 'speed_mps'",
+        ),
+        ({"source": "believe.speed_mps"}, "source must name one of belief, .*: did you mean 'belief'"),
+        ({"source": "speed of the car"}, r"source must be as 'belief\.speed_mps' or"),
+    ],
+)
+def test_a_mistaken_entry_is_refused(change: dict[str, Any], message: str) -> None:
+    right = {"name": "mine", "group": "ego", "unit": "m/s", "scale": 1.0, "low": 0.0, "high": 1.0, "meaning": "mine"}
+    with pytest.raises(InputError, match=message):
+        register_entry(Entry(**{**right, "source": "belief.speed_mps", **change}))
+    assert "ego.mine" not in {entry.column for entry in entries(ObservationConfig())}
+
+
+@pytest.mark.parametrize("action", ["continuous", "meta"])
+def test_a_world_is_the_same_alone_and_in_the_engine(hairpin: ModuleType, action: str) -> None:
+    single, engine = pair("Hairpin", {**PERFECT, "action": action})
+    tally = Tally()
+    for seed in range(3):
+        drive(single, engine, seed, tally, 30)
+    require_equal(tally)
+    assert tally.steps >= 30
+
+
+def test_its_navigation_is_the_same_as_well(hairpin: ModuleType) -> None:
+    single, engine = pair("Hairpin", OPEN)
+    tally = Tally()
+    drive(single, engine, 5, tally, 25)
+    require_equal(tally)
+    assert tally.steps == 25
+
+
+def test_its_id_is_one_as_others_until_it_is_withdrawn(hairpin: ModuleType) -> None:
+    assert IDS[HAIRPIN]["base"] == make_config(HAIRPIN).base == "HairpinWorld"
+    assert isinstance(open_env("hairpin").world, hairpin.HairpinWorld)
+    envs = gymnasium.make_vec(HAIRPIN, 3, config={**PERFECT, "world": {"lane_width": 4.0}}, **ENGINE)
+    observations, _ = envs.reset(seed=1)
+    assert envs.observation_space.contains(observations)
+    envs.close()
+    with pytest.raises(InputError, match="id must not be taken, got lanebound/Hairpin-v0: set ID in the class"):
+        register_id(hairpin.Hairpin)
+    with pytest.raises(InputError, match="name of a world must not be taken, got 'HairpinWorld': choose another"):
+        register_world(WorldKind("HairpinWorld", hairpin.HairpinWorld))
+    withdraw_id(hairpin.Hairpin)
+    try:
+        assert HAIRPIN not in IDS
+        assert HAIRPIN not in engines()
+        with pytest.raises(gymnasium.error.NameNotFound):
+            gymnasium.make(HAIRPIN)
+        with pytest.raises(InputError, match=r"env_id must be one of .*, got 'lanebound/Hairpin-v0'"):
+            make_config(HAIRPIN)
+    finally:
+        register_id(hairpin.Hairpin)
+
+
+def test_an_unknown_world_and_one_without_an_engine_are_refused(hairpin: ModuleType) -> None:
+    class Lost(Preset):
+        PRESET = {"base": "HairpinWorl", **CONTINUOUS}  # noqa: RUF012
+
+    class Alone(Preset):
+        PRESET = {"base": "AloneWorld", **CONTINUOUS}  # noqa: RUF012
+
+    with pytest.raises(
+        ConfigError,
+        match=r"base must be a highway-env id or one of LaneKeepingWorld, .*, HairpinWorld, got 'HairpinWorl': "
+        "did you mean 'HairpinWorld'",
+    ):
+        register_id(Lost)
+    assert "lanebound/Lost-v0" not in IDS
+    register_world(WorldKind("AloneWorld", hairpin.HairpinWorld))
+    register_id(Alone)
+    try:
+        single = gymnasium.make("lanebound/Alone-v0", config=PERFECT)
+        assert isinstance(single.unwrapped.world, World)  # type: ignore[attr-defined]
+        single.reset(seed=1)
+        assert "lanebound/Alone-v0" not in engines()
+        with pytest.raises(
+            ConfigError,
+            match=r"base must have an engine, as LaneKeepingWorld, .*, HairpinWorld do, got 'AloneWorld': choose one "
+            "of these, or make the same environments with vectorization_mode='sync' or 'async'",
+        ):
+            pair("Alone", PERFECT)
+    finally:
+        withdraw_id(Alone)
+        withdraw_world("AloneWorld")
