@@ -7,7 +7,7 @@ left after what is spent on events outside the modes. Columns and axes as in
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -45,6 +45,7 @@ Ints = NDArray[np.int64]
 
 FAULT_FREE_PRIOR = 2.0
 BISECTIONS = 80
+RANK_TOLERANCE = 1e-6  # of the smaller singular value of a separation
 
 
 @dataclass(frozen=True)
@@ -151,6 +152,8 @@ def protection_levels(
     require_shape("priors", p, (separation.sigma_m.shape[-2] - 1,))
     n_modes = separation.sigma_m.shape[-2] - 1
     k_fa = config.false_alarm_factors(n_modes)[n_modes]
+    if config.direction_test:
+        separation = _scaled_by_rank(separation, config.false_alarm_factors(n_modes, 2)[n_modes] / k_fa)
     if config.variant is Variant.PUBLISHED and not root:
         levels = [closed_form_published(separation, k_fa, float(r)) for r in config.risks(risks)]
         return np.stack(levels, -2)
@@ -164,6 +167,17 @@ def protection_levels(
         levels = [multi_hypothesis(separation, columns, k_fa, budgets[..., r, :], tolerate) for r in range(count)]
         return np.stack(levels, -2)
     return _closed_of_risks(separation, columns, k_fa, budgets, config)
+
+
+def _scaled_by_rank(separation: Separation, factor: Array) -> Separation:
+    """The same with the separations of modes that move East and North independently (rank 2) times ``factor``."""
+    moved = separation.gain_track[..., :1, :, :] - separation.gain_track[..., 1:, :, :]
+    size = np.sqrt((moved**2).sum((-2, -1)))
+    plane = np.linalg.matrix_rank(moved, tol=RANK_TOLERANCE * size) > 1
+    scale = np.where(plane, factor, 1.0)[..., None]
+    return replace(
+        separation, delta_m=np.concatenate([separation.delta_m[..., :1, :], scale * separation.delta_m[..., 1:, :]], -2)
+    )
 
 
 def _closed_of_risks(separation: Separation, columns: Array, k_fa: Array, budgets: Array, config: RiskConfig) -> Array:

@@ -138,14 +138,16 @@ def test_araim_example_in_the_kernel() -> None:
     assert np.hypot(*out[0]) == pytest.approx(13.406290984, abs=1e-6)
 
 
+@pytest.mark.parametrize("direction", [False, True])
 @pytest.mark.parametrize("systems_may_fail", [False, True])
 @pytest.mark.parametrize(("n", "systems"), [(6, 1), (9, 2), (14, 3), (22, 4), (35, 5)])
-def test_batch_equals_reference(n: int, systems: int, systems_may_fail: bool) -> None:
+def test_batch_equals_reference(n: int, systems: int, systems_may_fail: bool, direction: bool) -> None:
     """Roots and closed forms of masked random epochs to 1e-9 (1e-8 where a subset is nearly singular)."""
     config = RiskConfig(
         satellite_prior=PRIORS,
         constellation_prior=(1e-6 if systems_may_fail else 0.0,) * 5,
         fault_free_share=0.25 if systems_may_fail else 0.0,
+        direction_test=direction,
     )
     case = sky(n, 8, n, systems)
     view = np.random.default_rng(n).random((8, n)) < 0.9

@@ -133,7 +133,7 @@ def levels(config: NavigatorConfig, case: Case) -> Array:
 
 def plain_levels(config: NavigatorConfig, case: Case) -> Array:
     """The same by the plain form with the factors written out."""
-    found, risk = case.separation(config), config.risk
+    found, risk = case.separation(config), config.risk.replace(direction_test=False)
     count = len(found.sigma_m) - 1
     scale = factors(config, case) / risk.false_alarm_factors(count)[count]
     found = replace(found, delta_m=found.delta_m * np.concatenate([[1.0], scale])[:, None])
