@@ -21,8 +21,7 @@ from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef, track_from_enu_matrix
 from lanebound.integrity.core.progress import Progress, silent
-from lanebound.integrity.monitoring.alerts import AlertConfig, alert_parameters, initial_alert
-from lanebound.integrity.monitoring.alerts_kernel import NONE, alert_step
+from lanebound.integrity.monitoring.alerts import AlertConfig, AlertState, step
 from lanebound.integrity.monitoring.exclusion import FdeConfig, FdeOutcome, FdeResult, detect_and_exclude
 from lanebound.integrity.monitoring.protection import protection_levels
 from lanebound.integrity.monitoring.risk import RiskConfig
@@ -105,13 +104,9 @@ class CodeReplay:
 
     def alerts(self, config: AlertConfig) -> tuple[Bools, Bools]:
         """Whether the alert was on, and whether the limits were met, at every epoch.  (T,) each."""
-        rules, states = alert_parameters(config)[0], initial_alert()
-        steps = np.diff(self.time_s, prepend=2.0 * self.time_s[0] - self.time_s[1])
-        alert, available = np.empty(steps.size, np.bool_), np.empty(steps.size, np.bool_)
-        for k, (pl, dt) in enumerate(zip(self.pl_m, steps, strict=True)):
-            available[k] = alert_step(NONE, pl[0], pl[1], 0.0, 0.0, dt, rules, states[0])
-            alert[k] = states["alert"][0]
-        return alert, available
+        state, steps = AlertState.initial(1), np.diff(self.time_s, prepend=2.0 * self.time_s[0] - self.time_s[1])
+        found = [step(config, state, pl[:1], pl[1:], float(dt)) for pl, dt in zip(self.pl_m, steps, strict=True)]
+        return np.array([s.alert[0] for s in found]), np.array([s.available[0] for s in found])
 
 
 def drive_city(

@@ -14,9 +14,11 @@ from lanebound.integrity.monitoring.alerts import (
     AlertConfig,
     AlertLimits,
     AlertReason,
+    AlertState,
+    AlertStatus,
     alert_parameters,
+    step,
 )
-from plain_alerts import AlertState, AlertStatus, step
 
 DT = 0.1
 
