@@ -22,7 +22,6 @@ __all__ = [
     "accurate",
     "bias_track",
     "doppler_step",
-    "gauss_markov_variance",
     "initial_growth",
     "missed_detection_factors",
     "odometer_step",
@@ -70,12 +69,6 @@ def initial_growth(
     c[..., :2, 5] = c[..., 5, :2] = require_finite("position_heading", position_heading)
     box = np.broadcast_to(require_in_range("bias_en_m", bias_en_m, 0.0, np.inf), (*lead, 2)).copy()
     return Growth(c, np.zeros((*lead, 2)), np.zeros((*lead, 2)), box)
-
-
-def gauss_markov_variance(time_s: ArrayLike, sigma: ArrayLike, tau_s: ArrayLike) -> Array:
-    """Variance of an integrated Gauss-Markov error, ``2 s^2 tau (T - tau (1 - exp(-T/tau)))``.  (...,) -> (...,)."""
-    t, s, tau = (np.asarray(v, dtype=np.float64) for v in (time_s, sigma, tau_s))
-    return np.asarray(2.0 * s**2 * tau * (t + tau * np.expm1(-t / tau)))
 
 
 def _processes(

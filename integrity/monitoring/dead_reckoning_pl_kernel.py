@@ -16,7 +16,7 @@ from typing import Any
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import record
 
-__all__ = ["GROWTH", "STEP", "reset", "sigma_and_bias", "step_doppler", "step_odometer", "step_still", "step_white"]
+__all__ = ["GROWTH", "STEP", "reset", "sigma_and_bias", "step_doppler", "step_odometer", "step_still"]
 
 GROWTH = record(
     p_ee="variance of the position error, East [m^2]",
@@ -100,17 +100,6 @@ def step_still(step: Any, g: Any) -> None:
     """An epoch at rest: the position error does not grow, its correlations fade."""
     g.have_l = False
     _decay(step, g)
-
-
-@jit(borrows=True)
-def step_white(step: Any, cov_ee: float, cov_en: float, cov_nn: float, bias_e: float, bias_n: float, g: Any) -> None:
-    """A displacement whose error is independent from epoch to epoch, of this covariance [m^2] and bias bounds [m]."""
-    g.p_ee += cov_ee
-    g.p_en += cov_en
-    g.p_nn += cov_nn
-    g.box_e += bias_e
-    g.box_n += bias_n
-    step_still(step, g)
 
 
 @jit(borrows=True)

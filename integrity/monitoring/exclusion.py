@@ -11,6 +11,7 @@ from lanebound.integrity.core.advice import Advice
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
+from lanebound.integrity.monitoring import detection_kernel as kernel
 from lanebound.integrity.monitoring.detection import (
     Adjustment,
     Separation,
@@ -46,19 +47,22 @@ Ints = NDArray[np.int64]
 class FdeOutcome(Advice):
     """How fault detection and exclusion ended."""
 
-    CLEAN = 0, "no fault detected; the solution may be used"
-    EXCLUDED = 1, "faults were excluded and the rest agrees; the solution may be used"
-    UNRESOLVED = 2, "a fault is present and could not be excluded; do not use the solution"
-    NO_REDUNDANCY = 3, "too few measurements to test; only the protection level guards"
-    SINGULAR = 4, "geometry has no solution; wait for more satellites"
+    CLEAN = kernel.CLEAN, "no fault detected; the solution may be used"
+    EXCLUDED = kernel.EXCLUDED, "faults were excluded and the rest agrees; the solution may be used"
+    UNRESOLVED = kernel.UNRESOLVED, "a fault is present and could not be excluded; do not use the solution"
+    NO_REDUNDANCY = kernel.NO_REDUNDANCY, "too few measurements to test; only the protection level guards"
+    SINGULAR = kernel.SINGULAR, "geometry has no solution; wait for more satellites"
 
 
 class Search(Advice):
     """Which test names the mode to exclude."""
 
-    W_TEST = 0, "normalised residuals of each mode"
-    SEPARATION = 1, "solution separation along and across the track, confirmed by normalised residuals"
-    DIRECTION = 2, "solution separation in the direction of the maximum error, confirmed by normalised residuals"
+    W_TEST = kernel.W_TEST, "normalised residuals of each mode"
+    SEPARATION = kernel.SEPARATION, "solution separation along and across the track, confirmed by normalised residuals"
+    DIRECTION = (
+        kernel.DIRECTION,
+        "solution separation in the direction of the maximum error, confirmed by normalised residuals",
+    )
 
 
 class FdeConfig(Config):

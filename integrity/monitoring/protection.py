@@ -7,7 +7,7 @@ left after what is spent on events outside the modes. Columns and axes as in
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,7 +32,6 @@ from lanebound.integrity.monitoring.separation import Separation
 
 __all__ = [
     "BatchLevels",
-    "Hypotheses",
     "closed_form",
     "closed_form_published",
     "multi_hypothesis",
@@ -46,18 +45,7 @@ Ints = NDArray[np.int64]
 
 FAULT_FREE_PRIOR = 2.0
 BISECTIONS = 80
-
-
-@dataclass(frozen=True)
-class Hypotheses:
-    """Untested hypotheses, wrong fixes above all: prior (..., H) [-], sigma and bias (..., H, 2) [m] on AT, CT.
-
-    S1 3.2: ``risk = P_CF P(err > PL | correct) + sum_k P_IF,k P(err + bias_k > PL)``.
-    """
-
-    prior: Array
-    sigma_m: Array
-    bias_m: Array
+RANK_TOLERANCE = 1e-6  # of the smaller singular value of a separation
 
 
 @dataclass(frozen=True)
@@ -144,7 +132,6 @@ def protection_levels(
     risks: ArrayLike | None = None,
     *,
     spent: ArrayLike = 0.0,
-    hypotheses: Hypotheses | None = None,
     root: bool = True,
 ) -> Array:
     """PL_AT and PL_CT of each risk with the factors, budgets and variant of ``config``.
@@ -155,7 +142,6 @@ def protection_levels(
     priors : (..., M) fault probability of each mode [-]; a mode with prior 0 is not counted.
     risks : (R,) total horizontal risks; default the configured one.
     spent : (...,) risk already spent, the probability of a wrong fix above all [-].
-    hypotheses : untested columns to add; they enter the root, not the closed form.
     root : the multi-hypothesis root (S2 eq 10-11), else the closed form (S1 eq 17).
 
     Returns
@@ -166,6 +152,8 @@ def protection_levels(
     require_shape("priors", p, (separation.sigma_m.shape[-2] - 1,))
     n_modes = separation.sigma_m.shape[-2] - 1
     k_fa = config.false_alarm_factors(n_modes)[n_modes]
+    if config.direction_test:
+        separation = _scaled_by_rank(separation, config.false_alarm_factors(n_modes, 2)[n_modes] / k_fa)
     if config.variant is Variant.PUBLISHED and not root:
         levels = [closed_form_published(separation, k_fa, float(r)) for r in config.risks(risks)]
         return np.stack(levels, -2)
@@ -175,28 +163,21 @@ def protection_levels(
     budgets = config.axis_budgets(risks, outside)
     columns = np.concatenate([np.full((*p.shape[:-1], 1), FAULT_FREE_PRIOR), p], -1)
     if root:
-        return _root_of_risks(separation, columns, k_fa, budgets, config.spend_unsolvable, hypotheses)
+        tolerate, count = config.spend_unsolvable, budgets.shape[-2]
+        levels = [multi_hypothesis(separation, columns, k_fa, budgets[..., r, :], tolerate) for r in range(count)]
+        return np.stack(levels, -2)
     return _closed_of_risks(separation, columns, k_fa, budgets, config)
 
 
-def _root_of_risks(
-    separation: Separation,
-    columns: Array,
-    k_fa: Array,
-    budgets: Array,
-    tolerate: bool,
-    hypotheses: Hypotheses | None,
-) -> Array:
-    """The root for every row of ``budgets`` (..., R, 2), hypotheses appended."""
-    if hypotheses is not None:
-        separation = _append(separation, hypotheses)
-        shape = np.broadcast_shapes(columns.shape[:-1], hypotheses.prior.shape[:-1])
-        parts = [np.broadcast_to(part, (*shape, part.shape[-1])) for part in (columns, hypotheses.prior)]
-        columns = np.concatenate(parts, -1)
-    levels = [
-        multi_hypothesis(separation, columns, k_fa, budgets[..., r, :], tolerate) for r in range(budgets.shape[-2])
-    ]
-    return np.stack(levels, -2)
+def _scaled_by_rank(separation: Separation, factor: Array) -> Separation:
+    """The same with the separations of modes that move East and North independently (rank 2) times ``factor``."""
+    moved = separation.gain_track[..., :1, :, :] - separation.gain_track[..., 1:, :, :]
+    size = np.sqrt((moved**2).sum((-2, -1)))
+    plane = np.linalg.matrix_rank(moved, tol=RANK_TOLERANCE * size) > 1
+    scale = np.where(plane, factor, 1.0)[..., None]
+    return replace(
+        separation, delta_m=np.concatenate([separation.delta_m[..., :1, :], scale * separation.delta_m[..., 1:, :]], -2)
+    )
 
 
 def _closed_of_risks(separation: Separation, columns: Array, k_fa: Array, budgets: Array, config: RiskConfig) -> Array:
@@ -211,26 +192,6 @@ def _closed_of_risks(separation: Separation, columns: Array, k_fa: Array, budget
     levels = np.stack([closed_form(separation, k_fa, k_md[..., r, :, :]) for r in range(budgets.shape[-2])], -2)
     refused = (left <= 0.0) | ((spent > 0.0) & (not config.spend_unsolvable))
     return np.where(refused, np.inf, levels)
-
-
-def _append(separation: Separation, hypotheses: Hypotheses) -> Separation:
-    """The separation with the hypotheses as further columns."""
-
-    def join(columns: NDArray[Any], more: NDArray[Any]) -> NDArray[Any]:
-        shape = np.broadcast_shapes(columns.shape[:-2], more.shape[:-2])
-        parts = [np.broadcast_to(part, (*shape, *part.shape[-2:])) for part in (columns, more)]
-        return np.concatenate(parts, -2)
-
-    zero = np.zeros_like(hypotheses.sigma_m)
-    status = np.zeros(hypotheses.prior.shape, np.int64)
-    return Separation(
-        sigma_m=join(separation.sigma_m, hypotheses.sigma_m),
-        delta_m=join(separation.delta_m, zero),
-        bias_m=join(separation.bias_m, np.abs(hypotheses.bias_m)),
-        separation_m=join(separation.separation_m, zero),
-        status=join(separation.status[..., None], status[..., None])[..., 0],
-        gain_track=separation.gain_track,
-    )
 
 
 def protection_levels_batch(

@@ -16,7 +16,7 @@ from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.monitoring.risk import Variant
 from lanebound.integrity.positioning.least_squares import gain, weights
 
-__all__ = ["Separation", "constellation_modes", "published_bias", "satellite_modes", "separate"]
+__all__ = ["Separation", "published_bias", "separate"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -43,21 +43,6 @@ class Separation:
     def solved(self) -> Bools:
         """Which solutions exist.  (..., 1 + M)."""
         return np.asarray(self.status == 0)
-
-
-def satellite_modes(satellite: ArrayLike) -> Bools:
-    """One mode for each satellite, removing all its rows (code and phase together).
-
-    satellite (m,) int, 0 to M - 1 for each row -> (M, m).
-    """
-    owner = np.asarray(satellite, dtype=np.int64)
-    return np.asarray(owner == np.arange(int(owner.max(initial=-1)) + 1)[:, None])
-
-
-def constellation_modes(system: ArrayLike) -> Bools:
-    """One mode for each constellation present, in ascending order.  system (m,) int -> (C, m)."""
-    owner = np.asarray(system, dtype=np.int64)
-    return np.asarray(owner == np.unique(owner)[:, None])
 
 
 def published_bias(gain_en: Array, bias: Array, heading_rad: Array) -> Array:

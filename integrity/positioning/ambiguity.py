@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import erfc
 
-from lanebound.integrity.core.errors import InputError, require_probability
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.positioning import lambda_kernel as kernel
 
 __all__ = [
@@ -26,7 +26,6 @@ __all__ = [
     "bootstrap_failure_rate",
     "decorrelate",
     "integer_least_squares",
-    "largest_prefix",
     "resolve",
 ]
 
@@ -288,23 +287,3 @@ def resolve(
         rate.reshape(batch),
         status.reshape(batch),
     )
-
-
-def largest_prefix(Q: ArrayLike, order: ArrayLike, group: int, failure_limit: float) -> tuple[int, float]:
-    """Reference of the largest k whose ambiguities ``order[: k * group]`` can be fixed together, and their P_IF.
-
-    One decorrelation for each prefix (the kernel meets all prefixes in one; its P_IF may differ slightly, both are
-    upper bounds). (0, 0) when none can be fixed; (-1, 1) when Q (n, n) is not positive definite.
-    """
-    limit = require_probability("failure_limit", failure_limit)
-    cov, index = np.asarray(Q, dtype=np.float64), np.asarray(order, dtype=np.int64)
-    best = (0, 0.0)
-    for k in range(1, len(index) // group + 1):
-        subset = index[: k * group]
-        reduced = decorrelate(cov[np.ix_(subset, subset)])
-        if reduced is None:
-            return -1, 1.0
-        rate = float(bootstrap_failure_rate(reduced.D))
-        if rate <= limit:
-            best = (k, rate)
-    return best

@@ -1,4 +1,4 @@
-"""Fixed-failure-rate ratio test: the threshold table, its look-up, and the Monte Carlo that made it.
+"""Fixed-failure-rate ratio test: the threshold table and its look-up.
 
 ``mu`` bounds best over second best norm: accept when ``norm_1 <= mu norm_2``. ``P_IF`` is the bootstrapped failure
 rate of the decorrelated ambiguities, as :func:`lanebound.integrity.positioning.lambda_kernel.bootstrap_failure_rate`
@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.positioning.lambda_kernel import OK, search, search_scratch
 
 Array = NDArray[np.float64]
 
@@ -51,7 +50,7 @@ MU = np.array(
             [1.0000, 1.0000, 1.0000, 0.9966, 0.9634, 0.9281, 0.9099, 0.9036],
         ],
     ]
-)  # [limit, n, failure rate]: ratio_test.simulate_thresholds, every cell
+)  # [limit, n, failure rate]: every cell by tests/reference/plain_ratio_test.py, simulate_thresholds
 
 
 @jit(borrows=True)
@@ -94,27 +93,3 @@ def minimum_ratio(n: int, failure_rate: float, limit: float, floor: float) -> fl
     """
     mu = tabulated_mu(n, failure_rate, limit)
     return max(1.0 / mu, floor) if mu > 0.0 else math.inf
-
-
-@jit
-def simulate_ratios(n: int, U: Array, D: Array, draws: Array, node_limit: int, ratios: Array) -> None:
-    """Best over second best norm of each wrong fix, 1 for right ones; ``draws`` (E, n) are standard normal.
-
-    Float ambiguities ``z = U sqrt(D) g`` around zero, so that a fix is right when all its integers are zero. A search
-    that exhausts its nodes counts as 1 too: it is never accepted. ``ratios`` (E,) is filled.
-    """
-    scratch = search_scratch(n, 2)
-    scratch.U[:], scratch.D[:] = U, D
-    for e in range(draws.shape[0]):
-        for i in range(n):
-            total = 0.0
-            for k in range(i, n):
-                total += U[i, k] * math.sqrt(D[k]) * draws[e, k]
-            scratch.z_float[i] = total
-        status = search(n, node_limit, scratch)
-        wrong = False
-        for i in range(n):
-            wrong = wrong or scratch.candidates[0, i] != 0.0
-        ratios[e] = 1.0
-        if status == OK and wrong:
-            ratios[e] = scratch.norms[0] / scratch.norms[1]

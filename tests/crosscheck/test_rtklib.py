@@ -16,11 +16,12 @@ from recordings import real
 
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
 from lanebound.integrity.positioning.ambiguity import integer_least_squares
-from lanebound.integrity.positioning.least_squares import design_matrix, dilution
+from lanebound.integrity.positioning.least_squares import design_matrix
 from lanebound.integrity.replay.baseline_report import read_coordinates, read_solution, run_baseline
 from lanebound.integrity.sky.broadcast import positions, read_navigation, turned_by_travel
 from lanebound.integrity.sky.rinex_navigation import QZSS_PRN_BEFORE
 from lanebound.integrity.sky.systems import System
+from plain_least_squares import dilution
 
 Program = Callable[..., Path]
 LETTERS = {"G": System.GPS, "E": System.GALILEO, "C": System.BEIDOU, "J": System.QZSS}

@@ -9,8 +9,9 @@ from navigation_texts import GPS_RECORD, HEADER
 from lanebound.agents.bench._sidereon import Araim
 from lanebound.integrity.monitoring.araim import AraimConfig, araim
 from lanebound.integrity.positioning.ambiguity import integer_least_squares
-from lanebound.integrity.positioning.least_squares import design_matrix, dilution
+from lanebound.integrity.positioning.least_squares import design_matrix
 from lanebound.integrity.sky.broadcast import parse_navigation
+from plain_least_squares import dilution
 
 sidereon = pytest.importorskip("sidereon", reason="the independent package sidereon is not installed")
 

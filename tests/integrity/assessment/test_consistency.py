@@ -17,7 +17,8 @@ from lanebound.integrity.monitoring.detection import (
 )
 from lanebound.integrity.monitoring.risk import Variant
 from lanebound.integrity.monitoring.significance import noncentrality
-from lanebound.integrity.positioning.least_squares import design_matrix, solve
+from lanebound.integrity.positioning.least_squares import design_matrix
+from plain_least_squares import solve
 
 TAIL = 5e-5  # each band is left by chance once in 10,000 runs
 NO_BIAS = DriftConfig(doppler_bias_mps=0.0, odometer_bias_mps=0.0, heading_bias_deg=0.0)

@@ -17,7 +17,6 @@ from lanebound.integrity.monitoring.dead_reckoning_pl import (
     accurate,
     bias_track,
     doppler_step,
-    gauss_markov_variance,
     initial_growth,
     missed_detection_factors,
     odometer_step,
@@ -132,16 +131,6 @@ def test_kernel_equals_reference(sources: str) -> None:
         np.testing.assert_allclose(levels, protection_levels(growth, 1.1, config, [1e-3, 1e-6]), rtol=1e-11)
 
 
-def test_an_independent_displacement_adds_its_covariance_and_its_bias() -> None:
-    _, g = drive("d" * 5 + "o" * 5)
-    before = g.copy()
-    dk.step_white(step_of(before["var_th"], 1.0), 0.04, 0.01, 0.09, 0.3, 0.2, g)
-    for name, more in (("p_ee", 0.04), ("p_en", 0.01), ("p_nn", 0.09), ("box_e", 0.3), ("box_n", 0.2)):
-        assert g[name] == pytest.approx(before[name] + more, rel=1e-14)
-    assert g["od_e"] == pytest.approx(PHI_O * before["od_e"])
-    assert not g["have_l"]
-
-
 @pytest.mark.parametrize("sources", SOURCES)
 def test_covariance_is_that_of_simulated_errors(sources: str) -> None:
     """Variances of 40,000 whitened errors in both directions; fails by chance once in 1000 runs for each case."""
@@ -150,6 +139,11 @@ def test_covariance_is_that_of_simulated_errors(sources: str) -> None:
     low, high = chi2.ppf([2.5e-4, 1.0 - 2.5e-4], df=draws)
     assert ((low < (white**2).sum(-1)) & ((white**2).sum(-1) < high)).all()
     assert abs(np.corrcoef(white)[0, 1]) < norm.isf(2.5e-4) / np.sqrt(draws)
+
+
+def gauss_markov_variance(time_s: float, sigma: float, tau_s: float) -> float:
+    """Variance of an integrated Gauss-Markov error, ``2 s^2 tau (T - tau (1 - exp(-T/tau)))``."""
+    return float(2.0 * sigma**2 * tau_s * (time_s + tau_s * np.expm1(-time_s / tau_s)))
 
 
 def test_gauss_markov_growth_has_its_closed_form() -> None:

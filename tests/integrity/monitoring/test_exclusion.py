@@ -105,11 +105,6 @@ def test_masked_rows_are_never_excluded_nor_counted() -> None:
     assert result.n_excluded[0] == 0
 
 
-def test_kernel_codes_are_the_enums() -> None:
-    for member in FdeOutcome:
-        assert getattr(detection_kernel, member.name) == member.code
-
-
 def _informative(used: NDArray[np.bool_], group: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Rows (B, n) in use but those alone with their clock.
 

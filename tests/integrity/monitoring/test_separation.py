@@ -9,20 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fault_rows import constellation_modes, satellite_modes
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.core.small_matrix_kernel import hdop_of
 from lanebound.integrity.monitoring import geometry_kernel as gk
 from lanebound.integrity.monitoring.risk import Variant
-from lanebound.integrity.monitoring.separation import (
-    Separation,
-    constellation_modes,
-    published_bias,
-    satellite_modes,
-    separate,
-)
+from lanebound.integrity.monitoring.separation import Separation, published_bias, separate
 from lanebound.integrity.monitoring.separation_kernel import Modes, find_modes, mode_scratch, moment_scratch, set_priors
-from lanebound.integrity.positioning.least_squares import design_matrix, dilution, solve
+from lanebound.integrity.positioning.least_squares import design_matrix
+from plain_least_squares import dilution, solve
 
 PRIORS = np.full(gk.MAX_GROUPS, 1e-5)
 

@@ -10,13 +10,14 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import binom, chi2, norm
 
+from fault_rows import constellation_modes
 from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.monitoring import geometry_kernel as gk
 from lanebound.integrity.monitoring.detection import adjust, diagonal_covariance
 from lanebound.integrity.monitoring.detection_kernel import detect_and_exclude
 from lanebound.integrity.monitoring.exclusion import FdeConfig, FdeOutcome, Search, fde_parameters, fde_thresholds
 from lanebound.integrity.monitoring.protection import protection_levels
-from lanebound.integrity.monitoring.separation import Separation, constellation_modes, separate
+from lanebound.integrity.monitoring.separation import Separation, separate
 from lanebound.integrity.monitoring.significance import (
     Linking,
     baarda_global_significance,
@@ -132,7 +133,7 @@ def levels(config: NavigatorConfig, case: Case) -> Array:
 
 def plain_levels(config: NavigatorConfig, case: Case) -> Array:
     """The same by the plain form with the factors written out."""
-    found, risk = case.separation(config), config.risk
+    found, risk = case.separation(config), config.risk.replace(direction_test=False)
     count = len(found.sigma_m) - 1
     scale = factors(config, case) / risk.false_alarm_factors(count)[count]
     found = replace(found, delta_m=found.delta_m * np.concatenate([[1.0], scale])[:, None])

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from fault_rows import satellite_modes
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.frames import wrap_angle
 from lanebound.integrity.core.streams import Streams
@@ -19,7 +20,7 @@ from lanebound.integrity.monitoring.dead_reckoning_pl import initial_growth
 from lanebound.integrity.monitoring.dead_reckoning_pl import protection_levels as protection_levels_dead
 from lanebound.integrity.monitoring.protection import protection_levels
 from lanebound.integrity.monitoring.risk import RiskConfig
-from lanebound.integrity.monitoring.separation import satellite_modes, separate
+from lanebound.integrity.monitoring.separation import separate
 from lanebound.integrity.motion.drive import CityDrive, DriveConfig
 from lanebound.integrity.motion.truth import Truth, truth_between
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig

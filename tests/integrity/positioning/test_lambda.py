@@ -13,7 +13,6 @@ from lanebound.integrity.positioning.ambiguity import (
     bootstrap_failure_rate,
     decorrelate,
     integer_least_squares,
-    largest_prefix,
     resolve,
 )
 
@@ -21,6 +20,24 @@ Array = NDArray[np.float64]
 # de Jonge & Tiberius (1996), LGR series 12, the three-ambiguity example used throughout
 EXAMPLE_A = np.array([5.450, 3.100, 2.970])
 EXAMPLE_Q = np.array([[6.290, 5.978, 0.544], [5.978, 6.292, 2.340], [0.544, 2.340, 6.288]])
+
+
+def largest_prefix(Q: Array, order: NDArray[np.int64], group: int, failure_limit: float) -> tuple[int, float]:
+    """Reference of the largest k whose ambiguities ``order[: k * group]`` can be fixed together, and their P_IF.
+
+    One decorrelation for each prefix (the kernel meets all prefixes in one; its P_IF may differ slightly, both are
+    upper bounds). (0, 0) when none can be fixed; (-1, 1) when Q (n, n) is not positive definite.
+    """
+    best = (0, 0.0)
+    for k in range(1, len(order) // group + 1):
+        subset = order[: k * group]
+        reduced = decorrelate(Q[np.ix_(subset, subset)])
+        if reduced is None:
+            return -1, 1.0
+        rate = float(bootstrap_failure_rate(reduced.D))
+        if rate <= failure_limit:
+            best = (k, rate)
+    return best
 
 
 def double_differences(n_pairs: int, rng: np.random.Generator, code_m: float = 0.3) -> tuple[Array, Array]:

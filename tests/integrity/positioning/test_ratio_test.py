@@ -9,7 +9,7 @@ from scipy.stats import binom
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.positioning import ratio_kernel as kernel
 from lanebound.integrity.positioning.ambiguity import resolve
-from lanebound.integrity.positioning.ratio_test import (
+from plain_ratio_test import (
     RatioTestConfig,
     RatioVariant,
     accepted,

@@ -13,12 +13,7 @@ from scipy.stats import chi2, poisson
 
 from lanebound.integrity.positioning.codes_kernel import FIXED, NOT_CONVERGED, RATIO_FAILED, TOO_FEW
 from lanebound.integrity.positioning.config import RtkConfig, rtk_parameters
-from lanebound.integrity.positioning.resolve_kernel import (
-    base_of,
-    float_solution,
-    resolve,
-    suspect,
-)
+from lanebound.integrity.positioning.resolve_kernel import base_of, float_solution, resolve, suspect
 from lanebound.integrity.positioning.rows_kernel import Rows
 from lanebound.integrity.positioning.rtk_kernel import (
     AMBIGUITY,

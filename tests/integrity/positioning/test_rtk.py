@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dense_rtk import double_difference_matrix, solve_dense
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, hdop_of, invert_3x3, multiply_3
 from lanebound.integrity.positioning.rows_kernel import Rows
-from lanebound.integrity.positioning.rtk import double_difference_matrix, solve_dense
 from lanebound.integrity.positioning.rtk_kernel import (
     AMBIGUITY,
     BASE,

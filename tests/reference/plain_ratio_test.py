@@ -12,8 +12,11 @@ the model (``floor``).
 
 from __future__ import annotations
 
+import math
 from enum import Enum
+from typing import Any
 
+import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
@@ -22,6 +25,7 @@ from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import InputError, require_probability
 from lanebound.integrity.positioning import ratio_kernel as kernel
 from lanebound.integrity.positioning.ambiguity import bootstrap_failure_rate, decorrelate
+from lanebound.integrity.positioning.lambda_kernel import OK, search, search_scratch
 
 __all__ = [
     "RatioTestConfig",
@@ -29,6 +33,7 @@ __all__ = [
     "accepted",
     "minimum_ratio",
     "model_covariance",
+    "simulate_ratios",
     "simulate_thresholds",
 ]
 
@@ -141,6 +146,30 @@ def _scale_to(D: Array, failure_rate: float) -> float:
     return float(np.exp(low))
 
 
+@numba.njit(nogil=True)
+def simulate_ratios(n: int, U: Array, D: Array, draws: Array, node_limit: int, ratios: Array) -> Any:
+    """Best over second best norm of each wrong fix, 1 for right ones; ``draws`` (E, n) are standard normal.
+
+    Float ambiguities ``z = U sqrt(D) g`` around zero, so that a fix is right when all its integers are zero. A search
+    that exhausts its nodes counts as 1 too: it is never accepted. ``ratios`` (E,) is filled.
+    """
+    scratch = search_scratch(n, 2)
+    scratch.U[:], scratch.D[:] = U, D
+    for e in range(draws.shape[0]):
+        for i in range(n):
+            total = 0.0
+            for k in range(i, n):
+                total += U[i, k] * math.sqrt(D[k]) * draws[e, k]
+            scratch.z_float[i] = total
+        status = search(n, node_limit, scratch)
+        wrong = False
+        for i in range(n):
+            wrong = wrong or scratch.candidates[0, i] != 0.0
+        ratios[e] = 1.0
+        if status == OK and wrong:
+            ratios[e] = scratch.norms[0] / scratch.norms[1]
+
+
 def simulate_thresholds(
     n: int, failure_rate: float, rng: np.random.Generator, draws: int = 50_000, models: int = 16
 ) -> Array:
@@ -161,7 +190,7 @@ def simulate_thresholds(
             continue
         D = reduced.D * _scale_to(reduced.D, failure_rate)
         ratios = np.empty(draws)
-        kernel.simulate_ratios(n, reduced.U, D, rng.standard_normal((draws, n)), SIMULATION_NODES, ratios)
+        simulate_ratios(n, reduced.U, D, rng.standard_normal((draws, n)), SIMULATION_NODES, ratios)
         ratios.sort()
         allowed = (kernel.LIMITS * draws).astype(np.int64)
         mu = np.minimum(mu, np.where(ratios[allowed] < 1.0, ratios[allowed] * (1 - 1e-12), 1.0))
