@@ -163,7 +163,9 @@ class World(AbstractEnv):  # type: ignore[misc]
         """Weighted sum of the terms, brought to [0, 1]."""
         weights = {name: self.config[f"{name}_reward"] for name in ("progress", "centring", "collision")}
         terms = self._rewards(action)
-        total = sum(weights[name] * terms[f"{name}_reward"] for name in weights)
+        total = 0.0
+        for name, weight in weights.items():  # sum() compensates rounding from Python 3.12 on, kernels do not
+            total += weight * terms[f"{name}_reward"]
         best = weights["progress"] + weights["centring"]
         return float(np.clip(lmap(total, [weights["collision"], best], [0.0, 1.0]), 0.0, 1.0))
 

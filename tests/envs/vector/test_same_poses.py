@@ -79,6 +79,6 @@ def test_a_pose_that_differs_is_found() -> None:
     ("name", "source", "shown", "action", "position"), list(product(WORLDS, SOURCES, SHOWN, ACTIONS, POSITIONS))
 )
 def test_every_bit_is_the_same_for_long(name: str, source: str, shown: str, action: str, position: str) -> None:
-    """A minute of a single environment, or several episodes that end earlier."""
+    """Half a minute of a single environment, or several episodes that end earlier."""
     config = _given(name, source, shown, action, position)
-    _require_equal(name, config, 120 if action == "meta" else 300, count=1)
+    _require_equal(name, config, 60 if action == "meta" else 150, count=1)
