@@ -43,10 +43,10 @@ CASES: list[tuple[str, dict[str, Any], int]] = [
 class Pairs:
     """Single environments and an engine, started at once and driven by the same commands."""
 
-    def __init__(self, name: str, config: dict[str, Any], count: int, seed: int) -> None:
+    def __init__(self, name: str, config: dict[str, Any], count: int, seed: int, tally: Tally | None = None) -> None:
         made = make_config(f"lanebound/{name}-v0", config)
         self.singles, self.engine = [DrivingEnv(made) for _ in range(count)], Engine(DrivingEnv(made), count)
-        self.tally, self._rng = Tally(), np.random.default_rng(seed)
+        self.tally, self._rng = tally or Tally(), np.random.default_rng(seed)
         self._views: list[Any] = [None] * count
         self.reset(np.arange(count), seed)
 
@@ -170,10 +170,11 @@ def test_a_seed_puts_an_end_to_what_was_ready() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "config", "steps"), CASES)
 def test_with_the_same_draws_for_long(name: str, config: dict[str, Any], steps: int) -> None:
+    tally = Tally()
     for seed in range(0, 60, 3):
-        pairs = Pairs(name, config, 3, 100 + seed)
-        pairs.step(30 * steps)
-        require_equal(pairs.tally)
+        Pairs(name, config, 3, 100 + seed, tally).step(30 * steps)
+    require_equal(tally, parted=12)
+    assert tally.episodes == 60
 
 
 def test_environments_start_anew_beside_others() -> None:
