@@ -126,10 +126,29 @@ A kind of your own is a `FaultKind` (`lanebound.integrity.sensors.fault_kinds`),
 ## Many environments at once
 
 `gymnasium.make_vec(id, num_envs=N, config={...})` steps N environments in compiled code where the table above says so.
-Environment i under seed s gives, within rounding, the observations, rewards, costs and infos of the single environment
-under seed s + i. Faults and rendering need single environments (`vectorization_mode="sync"` or `"async"`). Options that
-the engine does not support are refused with a message. [Training](training.md#many-environments-at-once) describes
-reset modes and Stable-Baselines3.
+Environment i under seed s is the single environment under seed s + i. Faults and rendering need single environments
+(`vectorization_mode="sync"` or `"async"`). Options that the engine does not support are refused with a message.
+[Training](training.md#many-environments-at-once) describes reset modes and Stable-Baselines3.
+
+Given the same poses of all vehicles, observations, rewards, costs and infos have equal bits. The compiled dynamics
+round otherwise than highway-env's: poses agree within 1e-9 and all decisions exactly. In two cases rounding grows, and
+the rest of the episode differs:
+
+- A vehicle that steers by highway-env's law is slower than 0.5 m/s: each simulation step multiplies rounding.
+- Two vehicles crash in line: rounding chooses along which body's side they are pushed apart.
+
+Measured with perfect navigation, dense traffic and random commands, in 584 episodes of up to 120 s. The slow tests
+bound the number of episodes that part:
+
+| id, action | episodes | with a vehicle that slow | parted |
+|---|---|---|---|
+| LaneKeeping, both | 100 | 0 | 0 |
+| CarFollowing, meta | 40 | 22 | 2 |
+| CarFollowing, continuous | 60 | 0 | 0 |
+| Highway, meta | 111 | 9 | 1 |
+| Highway, continuous | 60 | 0 | 0 |
+| UrbanCanyon, meta | 153 | 35 | 8 |
+| UrbanCanyon, continuous | 60 | 0 | 0 |
 
 ## Other worlds
 

@@ -69,8 +69,8 @@ class PerceptionBatch:
         self._make()
 
     def _make(self) -> None:
-        n, slots, heard = self.count, self.capacity + 1, self.capacity if self.hears else 0
-        late = self._slots_late
+        n, late, heard = self.count, self._slots_late, self.capacity if self.hears else 0
+        slots = self.capacity + 1 if self.hears or self.looks else 0
         self._streams = Streams([0] * n)
         self._there = np.ones((n, slots), dtype=np.bool_)
         radio = pk.Radio(
@@ -149,6 +149,8 @@ class PerceptionBatch:
 
     def enter(self, slot: int, key: int, length_m: float, width_m: float) -> None:
         """Another vehicle takes a slot of a single environment over: nothing of the last one remains."""
+        if not (self.hears or self.looks):
+            return
         p = self.pictures
         pk.forget_slot(p.radio, p.tracks, 0, slot)
         p.slots[0, slot] = key, length_m, width_m

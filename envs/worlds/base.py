@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from lanebound.envs.records import LaneIndex
 from lanebound.envs.worlds.drivers import LeadVehicle
 from lanebound.envs.worlds.kinds import Starter, Support
+from lanebound.envs.worlds.lanes import CurveLane
 from lanebound.envs.worlds.networks import Section, StreetNetwork
 from lanebound.envs.worlds.roads import StreetRoad
 from lanebound.integrity.core.errors import InputError
@@ -150,15 +151,21 @@ class World(AbstractEnv):  # type: ignore[misc]
 
     def _along(self) -> tuple[float, float, float]:
         """Distance along the ego's lane [m], to the right of it [m], and angle to it [rad]."""
-        lane = self.vehicle.lane
-        s, r = lane.local_coordinates(self.vehicle.position)
-        return s, r, float(wrap_to_pi(self.vehicle.heading - lane.heading_at(s)))
+        lane, position = self.vehicle.lane, self.vehicle.position
+        if isinstance(lane, CurveLane):
+            s, r, direction = lane.local_pose(position)
+        else:
+            s, r = lane.local_coordinates(position)
+            direction = lane.heading_at(s)
+        return s, r, float(wrap_to_pi(self.vehicle.heading - direction))
 
     def _reward(self, action: Any) -> float:
         """Weighted sum of the terms, brought to [0, 1]."""
         weights = {name: self.config[f"{name}_reward"] for name in ("progress", "centring", "collision")}
         terms = self._rewards(action)
-        total = sum(weights[name] * terms[f"{name}_reward"] for name in weights)
+        total = 0.0
+        for name, weight in weights.items():  # sum() compensates rounding from Python 3.12 on, kernels do not
+            total += weight * terms[f"{name}_reward"]
         best = weights["progress"] + weights["centring"]
         return float(np.clip(lmap(total, [weights["collision"], best], [0.0, 1.0]), 0.0, 1.0))
 
@@ -170,7 +177,8 @@ class World(AbstractEnv):  # type: ignore[misc]
         _, lateral, angle = self._along()
         lane, vehicle = self.vehicle.lane, self.vehicle
         progress = min(max(vehicle.speed * cos(angle) / lane.speed_limit, 0.0), 1.0)
-        nearness = max(1.0 - (2.0 * lateral / lane.width) ** 2, 0.0)
+        share = 2.0 * lateral / lane.width
+        nearness = max(1.0 - share * share, 0.0)
         return {
             "progress_reward": progress,
             "centring_reward": nearness * min(4.0 * progress, 1.0),

@@ -86,10 +86,14 @@ class CurveLane(AbstractLane):  # type: ignore[misc]
 
     def local_coordinates(self, position: Array) -> tuple[float, float]:
         """Distance along the lane and to the right of it [m]."""
+        return self.local_pose(position)[:2]
+
+    def local_pose(self, position: Array) -> tuple[float, float, float]:
+        """Distance along the lane and to the right of it [m], and the lane's direction there [rad], not wrapped."""
         path, offset = self.path, self.offset_m
         cell, into, lateral = path.project(float(position[0]), float(position[1]))
         turned = (path.kappa[cell] + 0.5 * path.slope[cell] * into) * into
-        return self._station[cell] + into - offset * turned, lateral - offset
+        return self._station[cell] + into - offset * turned, lateral - offset, path.pose[cell].heading + turned
 
     def heading_at(self, longitudinal: float) -> float:
         """Direction of the lane [rad], not wrapped."""

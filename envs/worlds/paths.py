@@ -9,7 +9,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Sequence
 from functools import lru_cache
-from math import atan2, cos, floor, hypot, pi, sin, sqrt, tan
+from math import atan2, cos, floor, pi, sin, sqrt, tan
 from typing import NamedTuple
 
 import numpy as np
@@ -282,8 +282,9 @@ class Path:
         if kappa == 0.0:
             return along, right
         a, b = kappa * along, 1.0 - kappa * right
-        # 1 - hypot(a, b), without the loss of digits at large radii
-        gap = (kappa * right * (1.0 + b) - a * a) / (1.0 + hypot(a, b))
+        # 1 - hypot(a, b), without the loss of digits at large radii; the C library's hypot is that of the kernels, and
+        # math.hypot rounds otherwise
+        gap = (kappa * right * (1.0 + b) - a * a) / (1.0 + abs(complex(a, b)))
         return atan2(a, b) / kappa, gap / kappa
 
     def _foot_clothoid(self, cell: int, x: float, y: float, into: float) -> tuple[float, float]:

@@ -65,3 +65,21 @@ def test_slots_are_given_free_and_taken_over() -> None:
     fresh = [slot for vehicle, slot in seats.slot.items() if vehicle not in before]
     assert before[gone] in fresh, "the slot that was given back is taken first"
     assert not first & {int(names[slot]) for slot in fresh}, "no name is given twice"
+
+
+def test_slots_are_taken_over_where_nobody_is_tracked() -> None:
+    """Given traffic has no tracks: they take no memory, and newcomers are seen all the same."""
+    world = {"spawn_probability": 1.0, "initial_vehicle_count": 3}
+    config = {"sky": "open", "world": world, "perception": {"source": "truth"}, "navigation": {"source": "perfect"}}
+    env = wrap("intersection-v2", config)
+    env.reset(seed=3)
+    loop = env.belief_loop
+    assert loop is not None
+    assert loop.episodes.perception.pictures.tracks.size == 0
+    before = set(loop.seats.slot)
+    over = False
+    while not over and not set(loop.seats.slot) - before:
+        *_, terminated, truncated, _ = env.step(IDLE)
+        over = terminated or truncated
+    assert set(loop.seats.slot) - before
+    assert loop.episodes.perception.pictures.picture["seen"][0] == len(loop.seats.slot)

@@ -1,4 +1,21 @@
-"""A vector engine and single environments under the same seeds and commands, compared at every step."""
+"""A vector engine and single environments under the same seeds and commands, compared at every step.
+
+Both drive by themselves; nothing of one is copied into the other. Every pose agrees within 1e-9, and every decision
+exactly, up to the step in which rounding may part the two. Rounding itself is unequal: NumPy's arcsine, arctangent and
+tangent, by which highway-env steers, differ from the C library's in the last bit. Two causes are accepted.
+
+Crawl: a vehicle that steers by highway-env's law (``ControlledVehicle``) is slow. By that law the offset from the
+middle of the lane changes in a simulation step dt at the speed v by the factor ``1 - (L / 2) k_heading k_lateral dt
+/ v``: below ``v = (L / 4) k_heading k_lateral dt`` (0.52 m/s at 20 Hz for L = 5 m) its size exceeds 1, and each step
+multiplies rounding, by 9 at 0.1 m/s and by 100 at most. The cause holds where the vehicle whose pose differs most has
+been slower than 1.5 times that speed in the policy step, without standing all the time; speeds are known at its ends.
+
+Tie: two vehicles crash whose headings agree within 1e-5 rad. highway-env pushes them apart along the side of that body
+along which they overlap least; where the bodies are in line, both overlap alike, and rounding chooses the side.
+
+An episode parts at the first step in which a pose differs by more than 1e-9, if one of the causes holds. It is compared
+no further and counted; :func:`require_equal` bounds the count. Any other difference is a failure.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from lanebound.envs.batch.ego_kernel import KP_HEADING, KP_LATERAL
 from lanebound.envs.batch.infos import form_of, infos_of, results, single_info
 from lanebound.envs.config import ActionKind
 from lanebound.envs.core import DrivingEnv
@@ -17,8 +35,41 @@ from lanebound.envs.worlds.drivers import CityDriver, LeadVehicle
 PERFECT: dict[str, Any] = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}}
 CLOSE = 1e-9  # of poses [m], [rad], [m/s], rewards and infos
 SEEN = 1e-6  # of float32 observations
-CRAWL_MPS = 0.8  # at 20 Hz highway-env's steering swings out below 0.52 m/s, and multiplies what rounding there is
-SWUNG = 0.05  # of all numbers of a step in which a driver crawls
+CRAWL = 1.5  # of the speed below which rounding grows
+IN_LINE_RAD = 1e-5
+
+
+class _Episode:
+    """What may part the two in the present episode of a single environment."""
+
+    def __init__(self, single: DrivingEnv) -> None:
+        self.apart, self.crawled = False, False
+        self._speed, self._crashed = poses(single)[3], _crashed(single)
+
+    def cause(self, single: DrivingEnv, most: int) -> str:
+        """Why the two may part in this step, in which vehicle ``most`` differs most; called at every step."""
+        (_, _, heading, speed), crashed = poses(single), _crashed(single)
+        both = np.abs([self._speed, speed])
+        crawl_mps = CRAWL * 0.25 * single.world.vehicle.LENGTH * KP_HEADING * KP_LATERAL / single.config.simulation_hz
+        crawls = (both.min(0) < crawl_mps) & (both.max(0) > 0.0) & _steered(single)
+        new = crashed & ~self._crashed
+        turned = np.abs(np.sin(heading[new][:, None] - heading[crashed]))
+        tie = bool(((turned < IN_LINE_RAD).sum(1) > 1).any())  # each is in line with itself
+        self.crawled = self.crawled or bool(crawls.any())
+        self._speed, self._crashed = speed, crashed
+        return "crawl" if crawls[most] else "tie" if tie and crashed[most] else ""
+
+
+def _crashed(single: DrivingEnv) -> Any:
+    return np.array([bool(v.crashed) for v in single.world.road.vehicles])
+
+
+def _steered(single: DrivingEnv) -> Any:
+    """Which vehicles steer by highway-env's law; drivers of a straight motorway do not crawl."""
+    c, vehicles = single.config, single.world.road.vehicles
+    pursues = c.actuators is not None and c.actuators.steering_rate_radps is not None
+    ego = c.action is ActionKind.META and not pursues
+    return np.array([isinstance(v, CityDriver | LeadVehicle) or (ego and i == 0) for i, v in enumerate(vehicles)])
 
 
 @dataclass
@@ -34,9 +85,28 @@ class Tally:
     reward: float = 0.0
     info: float = 0.0
     crawls: int = 0
-    swung: float = 0.0
-    speeds: dict[int, Any] = field(default_factory=dict)
+    parted: list[str] = field(default_factory=list)
     mismatches: list[str] = field(default_factory=list)
+    _now: dict[int, _Episode] = field(default_factory=dict, repr=False)
+
+    def begin(self, single: DrivingEnv) -> None:
+        """An episode begins."""
+        self.episodes += 1
+        self._now[id(single)] = _Episode(single)
+
+    def apart(self, single: DrivingEnv) -> bool:
+        """Whether rounding has parted the two in this episode."""
+        return self._now[id(single)].apart
+
+    def parts(self, single: DrivingEnv, where: str, off: Any) -> bool:
+        """Whether rounding parts the two in a step, in which vehicles differ by ``off`` (V,); called at every step."""
+        episode = self._now[id(single)]
+        crawled, cause = episode.crawled, episode.cause(single, int(off.argmax()))
+        self.crawls += episode.crawled and not crawled
+        if cause and off.max() > CLOSE:
+            episode.apart = True
+            self.parted.append(f"{cause}, {where}: {off.max():.1e}")
+        return episode.apart
 
 
 def pair(name: str, config: dict[str, Any], count: int = 1) -> tuple[DrivingEnv, Engine]:
@@ -53,6 +123,12 @@ def flat(single: DrivingEnv, observation: Any) -> Any:
     return np.concatenate([observation[group] for group in single.observer.slices])
 
 
+def newest(single: DrivingEnv, observation: Any) -> Any:
+    """The last observation of a stack, by group."""
+    return {group: part[-(s.stop - s.start) :] for (group, s), part in zip(
+        single.observer.slices.items(), observation.values(), strict=True)}  # fmt: skip
+
+
 def command(single: DrivingEnv, observation: Any, rng: np.random.Generator) -> Any:
     """Random meta-actions; or a driver that keeps its lane with unsteady hands."""
     if hasattr(single.action_space, "n"):
@@ -65,15 +141,19 @@ def command(single: DrivingEnv, observation: Any, rng: np.random.Generator) -> A
 
 
 def same(tally: Tally, where: str, engine: Engine, row: int, single: DrivingEnv, seen: Any, step: Any) -> None:
-    """Compare everything after a step; where somebody crawls, less closely, and the engine goes on from there."""
+    """Compare everything after a step, up to the step in which rounding may part the two."""
+    if tally.apart(single):
+        return
     reward, terminated, truncated, info = step
     e, vehicles, true = engine.episodes, single.world.road.vehicles, poses(single)
     out, count = e.ego.outcome[row], len(vehicles)
     driven = np.array([column[row, :count] for column in (e.cars.x, e.cars.y, e.cars.heading, e.cars.speed)])
-    part = Tally() if _crawls(tally, single, true[3]) else tally
-    part.pose = max(part.pose, float(np.abs(driven - true).max()))
-    part.observation = max(part.observation, float(np.abs(e.frame[row] - flat(single, seen)).max()))
-    part.reward = max(part.reward, abs(float(out["reward"]) - reward))
+    off = np.abs(driven - true).max(0)
+    if tally.parts(single, where, off):
+        return
+    tally.pose = max(tally.pose, float(off.max()))
+    tally.observation = max(tally.observation, float(np.abs(e.frame[row] - flat(single, seen)).max()))
+    tally.reward = max(tally.reward, abs(float(out["reward"]) - reward))
     lanes = [e.table.row[v.lane_index] for v in vehicles]
     facts = {
         "there": (int(e.cars.present[row]), count),
@@ -83,42 +163,7 @@ def same(tally: Tally, where: str, engine: Engine, row: int, single: DrivingEnv,
     }
     tally.mismatches += [f"{where} {name}: {a} {b}" for name, (a, b) in facts.items() if a != b]
     infos = infos_of(results(e.ego.outcome), form_of(np.ones(engine.count, dtype=np.bool_)))
-    _same_info(part, where, single_info(infos, row), info)
-    if part is not tally:
-        tally.mismatches += part.mismatches
-        tally.crawls += 1
-        tally.swung = max(tally.swung, part.pose, part.observation, part.reward, part.info)
-        _go_on_from(engine, row, true, _steers_itself(single))
-
-
-def _go_on_from(engine: Engine, row: int, true: Any, ego: bool) -> None:
-    """Put the vehicles of an engine where those of a single environment are; the ego as well where it says so."""
-    cars, drivers, belief = engine.episodes.cars, engine.drivers, engine.episodes.ego.belief
-    taken = slice(0 if ego else 1, true.shape[1])
-    for column, values in zip((cars.x, cars.y, cars.heading, cars.speed), true, strict=True):
-        column[row, taken] = values[taken]
-    drivers.cos[row], drivers.sin[row] = np.cos(cars.heading[row]), np.sin(cars.heading[row])
-    if ego:
-        for name, value in zip(("x_m", "y_m", "heading_rad", "speed_mps"), true[:, 0], strict=True):
-            belief[name][row] = value
-
-
-def _crawls(tally: Tally, single: DrivingEnv, speeds: Any) -> bool:
-    """Whether somebody who steers as ControlledVehicle does, and not along a straight lane's middle, has crawled."""
-    before = tally.speeds.get(id(single))
-    tally.speeds[id(single)] = speeds
-    drivers = [i for i, v in enumerate(single.world.road.vehicles) if isinstance(v, CityDriver | LeadVehicle)]
-    drivers += [0] if _steers_itself(single) else []
-    if not drivers or before is None or before.size != speeds.size:
-        return False
-    both = np.abs([before[drivers], speeds[drivers]])
-    return bool(((both.min(0) < CRAWL_MPS) & (both.max(0) > 0.0)).any())
-
-
-def _steers_itself(single: DrivingEnv) -> bool:
-    """Whether the ego is steered by highway-env's own law, from a pose that it knows."""
-    c = single.config
-    return c.action is ActionKind.META and not c.navigation.source.senses
+    _same_info(tally, where, single_info(infos, row), info)
 
 
 def _same_info(tally: Tally, where: str, got: dict[str, Any], info: dict[str, Any]) -> None:
@@ -149,6 +194,7 @@ def drive(
     cars = engine.episodes.cars
     placed = [column[row, : begun.shape[1]] for column in (cars.x, cars.y, cars.heading, cars.speed)]
     assert (np.array(placed) == begun).all(), "an episode must start from the same bits"
+    tally.begin(single)
     same(tally, f"seed {seed} start", engine, row, single, seen, (0.0, False, False, info))
     actions = np.zeros((engine.count, *single.action_space.shape), dtype=single.action_space.dtype)
     for n in range(steps):
@@ -160,15 +206,14 @@ def drive(
         now = [v.target_lane_index for v in single.world.road.vehicles[1:] if hasattr(v, "timer")]
         tally.lane_changes += sum(a != b for a, b in zip(targets, now, strict=True))
         tally.steps, targets = tally.steps + 1, now
-        if terminated or truncated:
+        if terminated or truncated or tally.apart(single):
             break
-    tally.episodes += 1
     tally.crashes += bool(info["crashed"])
 
 
-def require_equal(tally: Tally) -> None:
-    """No discrete mismatch, and every difference within rounding."""
+def require_equal(tally: Tally, parted: int = 0) -> None:
+    """No discrete mismatch, every difference within rounding, and ``parted`` episodes at most that part."""
     assert tally.mismatches == []
     assert max(tally.pose, tally.reward, tally.info) < CLOSE, tally
-    assert tally.swung < SWUNG, tally
     assert tally.observation < SEEN, tally
+    assert len(tally.parted) <= parted, tally.parted

@@ -81,6 +81,16 @@ def test_places_on_lanes_and_nearest_lanes_are_the_same(name: str) -> None:
     assert tied <= 6
 
 
+@pytest.mark.parametrize("name", ["winding", "loop"])
+def test_lanes_of_our_own_have_the_same_bits(name: str) -> None:
+    """Straights, arcs and clothoids; highway-env's dynamics see the lane object, the engine's its record."""
+    network, rng = NETWORKS[name], np.random.default_rng(3)
+    table = lane_table(network)
+    for n, point in _points(network, rng, 2000):
+        lane = network.get_lane(table.index[n])
+        assert lane.local_pose(point) == lk.local(table.lanes, n, *point.tolist())
+
+
 @pytest.mark.parametrize("lane", [STRAIGHT, CLOCKWISE, ANTICLOCKWISE])
 def test_centrelines_of_simple_lanes_are_exact(lane: Any) -> None:
     lanes = _alone(lane)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from highway_env.envs.intersection_env import IntersectionEnv
 from highway_env.envs.merge_env import MergeEnv
 from highway_env.envs.racetrack_env import RacetrackEnv
 from highway_env.envs.roundabout_env import RoundaboutEnv
@@ -195,3 +196,24 @@ def test_paths_of_equal_networks_are_found_once() -> None:
     row = one.row(0, [("x", "t", 0)])
     assert row == two.row(0, [("x", "t", 0)]) >= len(one.table.index)
     assert routes_of(fork(), Reach(50.0, 60.0, 0.0)) is not one
+
+
+def test_before_the_exit_of_an_intersection_the_straight_lane_comes_first() -> None:
+    """Three lanes lead onto an exit, two of them bends. All join it equally well: rounding must not choose."""
+    env = IntersectionEnv()
+    try:
+        env.reset(seed=0)
+        network = env.road.network
+    finally:
+        env.close()
+    routes = Routes(network, lane_table(network), Reach(30.0, 30.0, 0.0))
+    for exit_ in range(4):
+        node, lane = f"il{exit_}", routes.table.row[f"il{exit_}", f"o{exit_}", 0]
+        lanes = [routes.table.row[start, node, 0] for start, roads in network.graph.items() if node in roads]
+        assert len(lanes) == 3
+        joints = [routes._joint(n, lane) for n in lanes]
+        misfit = [abs(joint.aside_m) + abs(joint.turn_rad) for joint in joints]
+        assert max(misfit) - min(misfit) < 1e-12, "no tie"
+        before = routes.table.index[routes._before(lane)[-1][1]]
+        assert before[0] == f"ir{(exit_ + 2) % 4}", "the approach from opposite"
+        assert isinstance(network.get_lane(before), StraightLane)

@@ -15,7 +15,7 @@ from lanebound.envs.registration import make_config
 from lanebound.envs.sky import cache
 from lanebound.envs.vector.engine import Engine
 from lanebound.integrity.core.errors import ConfigError
-from side_by_side import Tally, command, require_equal, same
+from side_by_side import Tally, command, newest, require_equal, same
 
 FEW: dict[str, Any] = {"world": {"vehicles_count": 4}, "sky": "urban", "extent_m": 300.0, "layouts": 2}
 CITY: dict[str, Any] = {
@@ -43,10 +43,10 @@ CASES: list[tuple[str, dict[str, Any], int]] = [
 class Pairs:
     """Single environments and an engine, started at once and driven by the same commands."""
 
-    def __init__(self, name: str, config: dict[str, Any], count: int, seed: int) -> None:
+    def __init__(self, name: str, config: dict[str, Any], count: int, seed: int, tally: Tally | None = None) -> None:
         made = make_config(f"lanebound/{name}-v0", config)
         self.singles, self.engine = [DrivingEnv(made) for _ in range(count)], Engine(DrivingEnv(made), count)
-        self.tally, self._rng = Tally(), np.random.default_rng(seed)
+        self.tally, self._rng = tally or Tally(), np.random.default_rng(seed)
         self._views: list[Any] = [None] * count
         self.reset(np.arange(count), seed)
 
@@ -56,13 +56,14 @@ class Pairs:
         self.engine.reset(rows, seeds)
         for row, own in zip(rows.tolist(), seeds, strict=True):
             self._views[row], info = self.singles[row].reset(seed=own)
+            self.tally.begin(self.singles[row])
             self._compare(f"{row} start", row, (0.0, False, False, info))
 
     def step(self, count: int) -> None:
         """Drive on by so many steps, or until the first episode is over."""
         for n in range(count):
             actions = [
-                command(single, _newest(single, seen), self._rng)
+                command(single, newest(single, seen), self._rng)
                 for single, seen in zip(self.singles, self._views, strict=True)
             ]
             self.engine.step(np.array(actions))
@@ -77,13 +78,7 @@ class Pairs:
 
     def _compare(self, where: str, row: int, told: Any) -> None:
         single = self.singles[row]
-        same(self.tally, where, self.engine, row, single, _newest(single, self._views[row]), told)
-
-
-def _newest(single: DrivingEnv, seen: Any) -> Any:
-    """The last observation of a stack, by group."""
-    return {group: part[-(s.stop - s.start) :] for (group, s), part in zip(
-        single.observer.slices.items(), seen.values(), strict=True)}  # fmt: skip
+        same(self.tally, where, self.engine, row, single, newest(single, self._views[row]), told)
 
 
 @pytest.mark.parametrize(("name", "config", "steps"), CASES)
@@ -175,10 +170,11 @@ def test_a_seed_puts_an_end_to_what_was_ready() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "config", "steps"), CASES)
 def test_with_the_same_draws_for_long(name: str, config: dict[str, Any], steps: int) -> None:
+    tally = Tally()
     for seed in range(0, 60, 3):
-        pairs = Pairs(name, config, 3, 100 + seed)
-        pairs.step(30 * steps)
-        require_equal(pairs.tally)
+        Pairs(name, config, 3, 100 + seed, tally).step(30 * steps)
+    require_equal(tally, parted=12)
+    assert tally.episodes == 60
 
 
 def test_environments_start_anew_beside_others() -> None:
