@@ -7,6 +7,8 @@ Importing this package registers the ids with Gymnasium:
 >>> observation, info = env.reset(seed=1)
 >>> info["pl_ct_m"] < info["al_ct_m"]
 True
+
+Gymnasium imports it by itself when an id names it: ``gymnasium.make("lanebound.envs:lanebound/LaneKeeping-v0")``.
 """
 
 from lanebound.envs.config import ActionKind, EnvConfig, FaultLevel

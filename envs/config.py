@@ -20,6 +20,7 @@ from lanebound.envs.sky import RECORDING, SKY_LEVELS, SkyLevel
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.presets import FILES, nearest
+from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.sensors.campaign import FaultPriors
 
 __all__ = ["ActionKind", "EnvConfig", "FaultLevel"]
@@ -66,7 +67,9 @@ class EnvConfig(Config):
     extent_m: float = Field(2500.0, gt=0, description="length of a lane that is lined with buildings")
     faults: FaultLevel = Field(FaultLevel.NONE, description="rates of random faults")
     navigation: NavigationConfig = Field(NavigationConfig(), description="source of the ego's position")
-    navigator: Mapping[str, Any] = Field({}, description="keys of NavigatorConfig, merged deeply over those of the sky")
+    navigator: Mapping[str, Any] = Field(
+        {}, description="keys of NavigatorConfig, merged deeply over those of the sky; or name of a preset or a kind"
+    )
     perception: PerceptionConfig = Field(PerceptionConfig(), description="source of other vehicles' positions")
     slots: int = Field(64, ge=0, le=512, description="largest number of vehicles perceived at a time")
     observation: ObservationConfig = Field(ObservationConfig(), description="contents, form and scales of observations")
@@ -91,6 +94,11 @@ class EnvConfig(Config):
     cost: CostConfig = Field(CostConfig(), description="weights and parameters of the costs")
     cost_limit: float = Field(10.0, ge=0, description="of an episode's cost, for constrained learning; not enforced")
     rendering: RenderingConfig = Field(RenderingConfig(), description="size and style of pictures")
+
+    @field_validator("navigator", mode="before")
+    @classmethod
+    def _navigator_by_name(cls, value: Any) -> Any:
+        return NavigatorConfig.data_of(value)
 
     @field_validator("sky")
     @classmethod

@@ -305,7 +305,8 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
 
     def _picture(self) -> Pictures:
         if self._pictures is None:
-            self._pictures = Pictures(self.config.rendering, self._title, self.metadata["render_fps"])
+            c = self.config
+            self._pictures = Pictures(c.rendering, self._title, self.metadata["render_fps"], c.cost_limit)
         return self._pictures
 
     def _show(self, info: dict[str, Any]) -> None:

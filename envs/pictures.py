@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.envs.belief_loop import BeliefLoop
-from lanebound.envs.rendering import Bodies, Frame, RenderingConfig, Satellites, Tape, Viewer
+from lanebound.envs.rendering import Bodies, EpisodeCost, Frame, RenderingConfig, Satellites, Tape, Viewer
 from lanebound.integrity.sky.visibility import Path
 
 __all__ = ["Pictures"]
@@ -17,16 +18,18 @@ __all__ = ["Pictures"]
 class Pictures:
     """A viewer and the tape of the last seconds."""
 
-    def __init__(self, config: RenderingConfig, title: str, fps: float) -> None:
+    def __init__(self, config: RenderingConfig, title: str, fps: float, cost_limit: float) -> None:
         self.viewer = Viewer(config, title=title, fps=fps)
         self.tape = Tape(config.window_s)
-        self._cost: float | None = None
+        self._cost = EpisodeCost(0.0, 0.0, cost_limit)
 
     def note(self, loop: BeliefLoop, info: dict[str, Any]) -> None:
         """Record a step for the strip charts."""
         if loop.time_s == 0.0:
             self.tape.clear()
-        self._cost = float(info["cost"])
+            self._cost = replace(self._cost, episode=0.0)
+        cost = float(info["cost"])
+        self._cost = replace(self._cost, step=cost, episode=self._cost.episode + cost)
         names = ("err_at_m", "pl_at_m", "al_at_m", "err_ct_m", "pl_ct_m", "al_ct_m", "alert")
         self.tape.add(loop.time_s, **{name: info[name] for name in names})
 

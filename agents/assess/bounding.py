@@ -1,7 +1,8 @@
-"""Is ``|error| > PL`` as rare as promised? Plain Monte Carlo for common risks, importance sampling for rare ones.
+"""The rate of ``|error| > PL``: plain Monte Carlo for common risks, importance sampling for rare ones.
 
-Three kinds of parts: ``cases-I`` draws epochs of random geometries by nature's own probabilities, ``rare-I`` estimates
-the rate at a risk too small to be counted, ``drift-I`` draws outages without redundancy (Doppler, odometer + heading).
+Three kinds of parts: ``cases-I`` draws epochs of random geometries with true probabilities, ``rare-I`` estimates the
+rate at a risk that is too small for counting, ``drift-I`` draws outages without redundancy (Doppler, odometer and
+heading).
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ OUTAGES_IN_PART = 4
 
 
 class BoundingConfig(Config):
-    """How much is drawn, and of what."""
+    """Numbers and distributions of the draws."""
 
     risks: tuple[Annotated[float, Field(gt=0, lt=1)], ...] = Field(
         (1e-3, 1e-4, 1e-5), min_length=1, description="total horizontal risks counted [-]"
@@ -52,14 +53,15 @@ class BoundingConfig(Config):
     rare_cases: int = Field(1000, ge=0, description="geometries for it")
     rare_sizes: FaultSize = Field(
         FaultSize.WORST,
-        description="sizes of its faults: that which misleads most, or uniform up to twice the threshold's, as counted",
+        description="sizes of its faults: the most misleading one, or uniform up to twice the threshold's, as counted",
     )
     rare_draws: int = Field(512, ge=64, multiple_of=16, description="draws of each axis of a geometry without fault")
     outages: int = Field(80, ge=0, description="outages of Doppler, and as many of odometer and heading")
     vehicles: int = Field(20_000, ge=1, description="vehicles in an outage")
     seed: int = Field(1, ge=0, description="of all draws")
     risk: RiskConfig = Field(
-        RiskConfig(satellite_prior=(1e-5,) * 5), description="the layer's rules; the risk itself is replaced"
+        RiskConfig(satellite_prior=(1e-5,) * 5),
+        description="rules of the navigation layer; the risk itself is replaced",
     )
     drift: DriftConfig = Field(DriftConfig(), description="errors between fixes")
 
@@ -110,7 +112,7 @@ def work_part(config: BoundingConfig, name: str, advance: Advance = ignore) -> d
 
 
 def _case(config: BoundingConfig, index: int, stream: str) -> tuple[Case, np.random.Generator]:
-    """Geometry ``index`` and the generator that goes on with its draws; sizes and biases are taken in turn."""
+    """Geometry ``index`` and the generator of its draws; sizes and biases are taken in turn."""
     generator = named_generator([config.seed, index], stream)
     satellites = int(generator.integers(config.least_satellites, config.most_satellites + 1))
     share = config.bias_shares[index % len(config.bias_shares)]
@@ -144,7 +146,7 @@ def _cases(config: BoundingConfig, indices: range, advance: Advance) -> dict[str
 
 
 def _place(case: Case) -> dict[str, Any]:
-    """Where in the space of geometries a case lies."""
+    """The properties of a geometry."""
     return {
         "satellites": len(case),
         "clocks": int(np.unique(case.group).size),
@@ -155,7 +157,7 @@ def _place(case: Case) -> dict[str, Any]:
 
 
 def _rare(config: BoundingConfig, indices: range) -> dict[str, Any]:
-    """Importance sampling at the rare risk, and at the least of the counted ones to compare; closed forms beside it."""
+    """Importance sampling at the rare risk and, for comparison, at the least counted one; with closed forms."""
     risks = [config.rare_risk, min(config.risks)]
     drawn = [_case(config, i, "faults") for i in indices]
     prepared = prepare([case for case, _ in drawn], config.risk, risks, config.wrong_fix_share * config.rare_risk)
@@ -177,7 +179,7 @@ def _rare(config: BoundingConfig, indices: range) -> dict[str, Any]:
 
 
 def _closed_forms(one: Prepared, form: Form) -> dict[str, Any]:
-    """What importance sampling should find without a fault (but for the test), and no more of with one; (R, 2) each."""
+    """Expected rates without a fault (without the test), and upper bounds with one; (R, 2) each."""
     faults = {f"one fault, {sizes.value}": expected_one_fault(one, form, sizes).tolist() for sizes in FaultSize}
     return {"no fault": expected_fault_free(one, form).tolist()} | faults
 

@@ -1,7 +1,7 @@
-"""Parts of the bounding study, summed up: rates with intervals, where the papers' forms fail, rare risks.
+"""Summary of the bounding study: rates with intervals, failures of the published forms, rare risks.
 
-The epochs of a geometry share its biases and its level, so that a rate over many is known no better than its spread
-between geometries: the intervals are the exact ones of the count, made wider where that spread asks for it.
+The epochs of a geometry share its biases and its level, so that the spread between geometries limits the accuracy of a
+rate: intervals are the exact ones of the count, widened where that spread is larger.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ SIGMAS = 3.0  # of an importance estimate, beyond which it disagrees
 
 
 def _octant(row: Row) -> str:
-    """How the heading stands to East and North: along one of them, or between them."""
+    """The heading: along East or North, or between them."""
     away = abs((float(row["heading_deg"]) + 45.0) % 90.0 - 45.0)
     return "heading within 22.5 deg of an axis" if away < 22.5 else "heading between the axes"
 
 
 def _size(row: Row) -> str:
-    """Which third of the usual numbers of satellites."""
+    """The class of the number of satellites."""
     n = int(row["satellites"])
     return "up to 15 satellites" if n <= 15 else "16 to 25 satellites" if n <= 25 else "26 satellites and more"
 
@@ -47,7 +47,7 @@ PLACES: dict[str, Callable[[Row], str]] = {
     "heading": _octant,
     "worst": lambda row: f"biases worst {row['worst']}",
 }
-"""How cases are grouped, each by a name of the group that a case is in."""
+"""Groupings of cases: functions from a case to the name of its group."""
 
 
 def rate_of(events: int, trials: int) -> dict[str, Any]:
@@ -59,9 +59,9 @@ def rate_of(events: int, trials: int) -> dict[str, Any]:
 
 
 def rate_over(events: Array, trials: Array, strata: Array | None = None) -> dict[str, Any]:
-    """The rate of several cases together; its interval allows for the spread between them.
+    """The rate of several cases together; its interval includes the spread between them.
 
-    events, trials (cases,) counts; strata (cases,) what is taken in turn, so that the spread is that within each (a
+    events, trials (cases,) counts; strata (cases,) values that are taken in turn: the spread is that within each (a
     stratified ratio).
     """
     found = rate_of(int(events.sum()), int(trials.sum()))
@@ -78,7 +78,7 @@ def rate_over(events: Array, trials: Array, strata: Array | None = None) -> dict
 
 
 def summarise(config: Mapping[str, Any], parts: Mapping[str, Row]) -> dict[str, Any]:
-    """All of it, as plain data."""
+    """The summary as plain data."""
 
     def rows(kind: str, key: str) -> list[Row]:
         return [row for name, part in parts.items() if name.startswith(kind) for row in part[key]]
@@ -114,14 +114,14 @@ def _grouped(rows: Iterable[Row], name_of: Callable[[Row], str]) -> dict[str, li
 
 
 def _alarms(cases: Sequence[Row]) -> dict[str, Any]:
-    """By stratum: how often the test found something."""
+    """Rates of alarms of the test by stratum."""
     alarms, epochs = (np.array([row[name] for row in cases]) for name in ("alarms", "epochs"))
     bias = np.array([row["bias_share"] for row in cases])
     return {name: rate_over(alarms[:, s], epochs[:, s], bias) for s, name in enumerate(STRATA)}
 
 
 def _rates(cases: Sequence[Row], risks: Sequence[float]) -> dict[str, Any]:
-    """By form and risk: rates along, across and of either, and which strata they are of."""
+    """By form and risk: rates along, across and on either axis, and counts by stratum."""
     out: dict[str, Any] = {}
     bias = np.array([row["bias_share"] for row in cases])
     for form in Form:
@@ -136,7 +136,7 @@ def _rates(cases: Sequence[Row], risks: Sequence[float]) -> dict[str, Any]:
 
 
 def _tightness(cases: Sequence[Row], risks: Sequence[float]) -> dict[str, Any]:
-    """Ratios of each form's level to the exact root's, and to the least that would have held without faults."""
+    """Ratios of each form's level to the exact root's, and to the least sufficient level without faults."""
     root = np.array([row["level_m"][Form.ROOT.name] for row in cases], dtype=np.float64)
     least = np.array([row["least_m"] for row in cases], dtype=np.float64)
     out: dict[str, Any] = {}
@@ -160,8 +160,8 @@ def _spread(ratio: Array) -> dict[str, float] | None:
 def _rare(rare: Sequence[Row], config: Mapping[str, Any]) -> dict[str, Any]:
     """Importance estimates at the rare risk and at the least counted one, all geometries together and by biases.
 
-    Two faults at once and wrong fixes are not drawn: ``spent`` is their probability, which they cannot exceed and which
-    levels leave out of their budget, in the mean and of the geometry that has most of it.
+    Two faults at once and wrong fixes are not drawn: ``spent`` is an upper bound of their probability, which levels
+    subtract from their budget, in the mean and of the geometry with the largest.
     """
     spent = [case["spent"] for case in rare]
     out: dict[str, Any] = {"spent": {"mean": float(np.mean(spent)), "largest": max(spent)}}

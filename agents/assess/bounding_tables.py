@@ -37,7 +37,7 @@ def form_rows(result: Mapping[str, Any]) -> Table:
 
 
 def place_rows(result: Mapping[str, Any]) -> Table:
-    """Each form at the least risk by biases, size, heading and the axis that biases hurt."""
+    """Each form at the least risk by biases, size, heading and the axis with the worst biases."""
     places = [(kind, place) for kind in ("bias", "size", "heading", "worst") for place in result["rates"][kind]]
     forms = list(result["rates"]["all"]["all"])
     risk = min(result["rates"]["all"]["all"][forms[0]], key=float)
@@ -51,7 +51,7 @@ def place_rows(result: Mapping[str, Any]) -> Table:
 
 
 def tightness_rows(result: Mapping[str, Any]) -> Table:
-    """Median level of each form over the least one that would have held without faults."""
+    """Median level of each form over the least sufficient one without faults."""
     risks = list(next(iter(result["level_over"].values())))
 
     def ratio(found: Mapping[str, Any] | None) -> str:
@@ -62,7 +62,7 @@ def tightness_rows(result: Mapping[str, Any]) -> Table:
 
 
 def strata_rows(result: Mapping[str, Any]) -> Table:
-    """What the misleading epochs of the exact forms are of, and how many epochs of each there were."""
+    """Misleading epochs of the exact forms by stratum, and all epochs of each."""
     rates = result["rates"]["all"]["all"]
     rows = [
         (form, risk, *(f"{one['by_stratum'][name]:,}" for name in result["strata"]))
@@ -85,7 +85,7 @@ def rare_rows(result: Mapping[str, Any]) -> Table:
 
 
 def rare_place_rows(result: Mapping[str, Any]) -> Table:
-    """The same of the exact root at the rare risk, by biases; no rows where nothing has a level."""
+    """The same of the exact root at the rare risk, by biases; no rows without levels."""
     root = result["rare"][f"{result['config']['rare_risk']:g}"].get("exact root", {"by_bias": {}})
     rows = [(place, *cells) for place, one in root["by_bias"].items() for cells in _by_axis(one)]
     return ("place", "axis", *ESTIMATE), rows

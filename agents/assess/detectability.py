@@ -1,4 +1,4 @@
-"""How large a bias of one satellite must be to be found: theory beside what detection and exclusion do.
+"""Detectable biases of one satellite: theory beside the results of detection and exclusion.
 
 Geometries, noise and faulty satellites are drawn at random. A bias is so many times the minimal detectable one of its
 satellite, ``sqrt(lambda_0 / c'MC)`` (Baarda 1968): at 1 the test of the faulty satellite alone has the power that
@@ -36,7 +36,7 @@ GEOMETRIES = 40
 LOWEST_RAD = np.deg2rad(10.0)
 SYSTEMS = 2
 FREE_DRAWS = 4  # so many times more without a fault: false alarms are rare
-UNSOLVED = 1e-6  # of the largest; a redundancy below is that of a satellite that nothing checks
+UNSOLVED = 1e-6  # of the largest redundancy; a satellite below has no redundancy
 
 
 def detectability(fde: FdeConfig, satellites: int, draws: int, seed: int = 1) -> dict[str, Any]:
@@ -65,7 +65,7 @@ def detectability(fde: FdeConfig, satellites: int, draws: int, seed: int = 1) ->
 
 
 def _geometries(rng: np.random.Generator, satellites: int) -> tuple[Array, Array]:
-    """Designs (K, n, 5) and variances (K, n), in the unit of the zenith, in which every satellite is checked."""
+    """Designs (K, n, 5) and variances (K, n) [of the zenith's], with redundancy of every satellite."""
     designs: list[Array] = []
     variances: list[Array] = []
     while len(designs) < GEOMETRIES:

@@ -1,4 +1,4 @@
-"""Finds the benchmarks, runs them one after another, and keeps going when one fails."""
+"""Finds the benchmarks and runs them one after another; one that fails does not stop the others."""
 
 from __future__ import annotations
 
@@ -18,11 +18,13 @@ __all__ = ["Report", "benchmark_names", "claim", "run", "select", "write"]
 
 BENCH_PACKAGE = "lanebound.agents.bench"
 SUPPORT = {"rows", "runner"}
+ON_REQUEST = {"cold"}
+"""Benchmarks of several minutes, which run only when they are named."""
 
 
 @dataclass
 class Report:
-    """What was measured, and by name why the others were not."""
+    """The measured rows, and the reasons of failure by benchmark."""
 
     rows: list[Row] = field(default_factory=list)
     failures: dict[str, str] = field(default_factory=dict)
@@ -35,7 +37,7 @@ def benchmark_names() -> list[str]:
 
 
 def select(only: Sequence[str]) -> list[str]:
-    """The benchmarks asked for, or all of them when none is.
+    """The named benchmarks; without a name, all but those of ``ON_REQUEST``.
 
     Raises
     ------
@@ -46,13 +48,13 @@ def select(only: Sequence[str]) -> list[str]:
     for name in only:
         if name not in known:
             raise InputError(f"benchmark '{name}' is unknown: {nearest(name, known)}")
-    return [name for name in known if name in only] if only else known
+    return [name for name in known if name in only] if only else [name for name in known if name not in ON_REQUEST]
 
 
 def run(names: Sequence[str], rounds: int = 5, progress: Callable[[str], None] | None = None) -> Report:
-    """Run benchmarks by name; ``progress`` is told each name before it runs.
+    """Run benchmarks by name; ``progress`` is called with each name before it runs.
 
-    A module without ``measure`` is a helper of the others and is passed over.
+    A module without ``measure`` is a helper of the others and is skipped.
     """
     report = Report()
     for name in names:
@@ -74,7 +76,7 @@ def write(rows: Sequence[Row], path: Path) -> None:
 
 
 def claim(path: Path) -> None:
-    """Make sure that ``path`` can be written, before the time is spent on measuring.
+    """Check that ``path`` can be written, before anything is measured.
 
     Raises
     ------

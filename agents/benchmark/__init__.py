@@ -1,6 +1,6 @@
 """The benchmark: agents compared in suites of environments, skies and faults, seed by seed.
 
-What stands here is loaded when it is asked for: the rest of the package is heavy.
+Names are loaded at their first use, because the modules import heavy packages.
 """
 
 from __future__ import annotations

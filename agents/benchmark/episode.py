@@ -1,4 +1,4 @@
-"""One episode of one agent: its rows and its outcome, whatever the agent does."""
+"""One episode of one agent: its rows and its outcome, also where the agent fails."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lanebound.agents.benchmark.scoring import outcome_of
 from lanebound.agents.drivers.base import Driver
 from lanebound.agents.episodes import EpisodeLog, drive
 from lanebound.agents.episodes.drive import Watcher
-from lanebound.agents.episodes.guard import AgentFailure, Clock, Guarded, guarded, told
+from lanebound.agents.episodes.guard import AgentFailure, Clock, Guarded, error_text, guarded
 from lanebound.envs.core import DrivingEnv
 
 __all__ = ["allotted_s", "run_episode"]
@@ -23,7 +23,7 @@ ENDLESS_S = 300.0  # of an environment without a duration
 
 
 def allotted_s(env: DrivingEnv) -> float:
-    """Time that an episode can last [s]."""
+    """Longest time of an episode [s]."""
     return float(env.config.duration_s or env.world.config.get("duration", ENDLESS_S))
 
 
@@ -57,15 +57,15 @@ def run_episode(
     except AgentFailure as failure:
         status, message = failure.status, str(failure)
     except Exception as error:
-        status, message = "raised", f"in the environment: {told(error)}"
+        status, message = "raised", f"in the environment: {error_text(error)}"
     figures = {"cost_limit": env.config.cost_limit, **_solve_times(agent), **_counted(agent)}
     return log.rows, outcome_of(log.rows, allotted_s(env), task, status=status, message=message, **figures)
 
 
 def seed_everything(seed: int) -> None:
-    """Seed the global generators: an agent that draws from them must not depend on earlier draws."""
+    """Seed the global generators, so that an agent that uses them does not depend on earlier draws."""
     random.seed(seed)
-    np.random.seed(seed)  # noqa: NPY002 - it is the global one that agents of others may use
+    np.random.seed(seed)  # noqa: NPY002 - foreign agents may use the global generator
     if "torch" in sys.modules:
         sys.modules["torch"].manual_seed(seed)
 
@@ -79,7 +79,7 @@ def _solve_times(agent: Guarded | None) -> dict[str, float]:
 
 
 def _counted(agent: Guarded | None) -> dict[str, int]:
-    """The agent's own counts of decisions that were infeasible or relaxed, where it has them."""
+    """The agent's own counts of infeasible and relaxed decisions, where it has them."""
     counts = getattr(agent and agent.agent, "counts", None)
     if not isinstance(counts, Mapping) or "decisions" not in counts:
         return {}

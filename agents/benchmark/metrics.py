@@ -1,4 +1,4 @@
-"""What episodes are compared by."""
+"""The metrics by which episodes are compared."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ class Metric:
 
     Attributes
     ----------
-    key, title, unit, meaning : how it is called and read; the unit of a share is ``""``
-    better : which way is good; None where it depends
-    take : the figure of an episode; None where it has none, and then the episode does not count here
-    rate : it is 0 or 1 in each episode
-    bounds : between which it lies
-    wall_clock : it is measured by a clock on the wall, and differs from run to run
+    key, title, unit, meaning : the unit of a share is ``""``
+    better : good direction; None where it depends
+    take : value of an episode; None where it has none: the episode does not count for this metric
+    rate : values are 0 or 1
+    bounds : of the values
+    wall_clock : measured in real time, so that it differs from run to run
     """
 
     key: str
@@ -58,10 +58,9 @@ def went_off_road(outcome: Outcome) -> bool:
 
 
 def harm_of(outcome: Outcome) -> float:
-    """What the true car did, whatever it believed: 50 for a crash or an end off the road, and ``cost_lane`` [m^2].
+    """Harm of the true car: 50 for a crash or an end off the road, and ``cost_lane`` [m^2].
 
-    Nothing in it judges protection levels or alerts, so that who obeys them gains nothing by that alone. Its figures
-    are its own: weights of the environments' costs may change, and this stays as it is.
+    It does not depend on protection levels or alerts, nor on the weights of the environments' costs.
     """
     end = outcome.collision or went_off_road(outcome)
     return HARM_OF_AN_END * float(end) + outcome.costs.get("cost_lane", 0.0)
@@ -107,7 +106,7 @@ def _share_of_steps(name: str) -> Take:
 
 
 def _share_of_decisions(name: str) -> Take:
-    """Of what an agent counts of its decisions, one for each step; none where it counts nothing."""
+    """Share of an agent's own count in its decisions, one for each step; None where it counts nothing."""
     return lambda o: None if getattr(o, name) is None or not o.steps else getattr(o, name) / o.steps
 
 
@@ -116,40 +115,20 @@ def _any(key: str, title: str, meaning: str, name: str) -> Metric:
     return _rate(key, title, "lower", meaning, _driven(lambda o: float(getattr(o, name) > 0) if o.steps else None))
 
 
+# fmt: off
 SAFETY = (
-    _rate(
-        "success", "success", "higher", "the episode ended well and the agent did not fail", lambda o: float(o.success)
-    ),
+    _rate("success", "success", "higher", "the episode ended well and the agent did not fail",
+          lambda o: float(o.success)),
     _rate("collision", "collision", "lower", "the true car crashed", _driven(attrgetter("collision"))),
-    _rate(
-        "lane_departure",
-        "lane departure",
-        "lower",
-        "the true body left its lane outside commanded lane changes",
-        _driven(attrgetter("lane_departure")),
-    ),
-    _rate(
-        "off_road",
-        "off road",
-        "lower",
-        "the episode ended off the road or against the traffic",
-        _driven(went_off_road),
-    ),
-    Metric(
-        "harm",
-        "harm",
-        "",
-        "lower",
-        f"{HARM_OF_AN_END:g} for a crash or an end off the road, plus the sum of cost_lane (m2 beyond the lane)",
-        _driven(harm_of),
-    ),
-    _rate(
-        "over_cost_limit",
-        "over cost limit",
-        "lower",
-        "the cost exceeded cost_limit",
-        _driven(lambda o: None if o.cost_limit is None else float(o.cost > o.cost_limit)),
-    ),
+    _rate("lane_departure", "lane departure", "lower", "the true body left its lane outside commanded lane changes",
+          _driven(attrgetter("lane_departure"))),
+    _rate("off_road", "off road", "lower", "the episode ended off the road or against the traffic",
+          _driven(went_off_road)),
+    Metric("harm", "harm", "", "lower",
+           f"{HARM_OF_AN_END:g} for a crash or an end off the road, plus the sum of cost_lane (m2 beyond the lane)",
+           _driven(harm_of)),
+    _rate("over_cost_limit", "over cost limit", "lower", "the cost exceeded cost_limit",
+          _driven(lambda o: None if o.cost_limit is None else float(o.cost > o.cost_limit))),
     _rate("failed", "failed", "lower", "the agent failed", lambda o: float(o.failed)),
 )
 REWARD = (
@@ -158,49 +137,22 @@ REWARD = (
     *map(_cause, CAUSES),
 )
 MOTION = (
-    Metric(
-        "mean_speed",
-        "speed",
-        "m/s",
-        "higher",
-        "mean true speed",
-        _driven(attrgetter("mean_speed_mps")),
-        bounds=ANYTHING,
-    ),
-    _plain(
-        "throughput",
-        "throughput",
-        "m/s",
-        "higher",
-        "distance over the time taken; without success over the longest possible time",
-        "throughput_mps",
-    ),
+    Metric("mean_speed", "speed", "m/s", "higher", "mean true speed", _driven(attrgetter("mean_speed_mps")),
+           bounds=ANYTHING),
+    _plain("throughput", "throughput", "m/s", "higher",
+           "distance over the time taken; without success over the longest possible time", "throughput_mps"),
     _plain("gap", "gap", "m", None, "median true gap between bumpers to the vehicle ahead within 100 m", "gap_m"),
-    _plain(
-        "rms_acceleration",
-        "acceleration",
-        "m/s2",
-        "lower",
-        "root mean square of the acceleration along",
-        "rms_acceleration_mps2",
-    ),
+    _plain("rms_acceleration", "acceleration", "m/s2", "lower", "root mean square of the acceleration along",
+           "rms_acceleration_mps2"),
     _plain("rms_jerk", "jerk", "m/s3", "lower", "root mean square of the jerk along", "rms_jerk_mps3"),
-    _plain(
-        "rms_lateral", "lateral", "m/s2", "lower", "root mean square of the lateral acceleration", "rms_lateral_mps2"
-    ),
+    _plain("rms_lateral", "lateral", "m/s2", "lower", "root mean square of the lateral acceleration",
+           "rms_lateral_mps2"),
 )
 INTEGRITY = (
-    *(
-        _plain(
-            f"pl_{axis}_median",
-            f"PL_{axis.upper()}",
-            "m",
-            "lower",
-            f"median protection level {along} the track; at most {LEVEL_MAX_M:g} m, also when missing",
-            f"pl_{axis}_median_m",
-        )
-        for axis, along in (("at", "along"), ("ct", "across"))
-    ),
+    *(_plain(f"pl_{axis}_median", f"PL_{axis.upper()}", "m", "lower",
+             f"median protection level {along} the track; at most {LEVEL_MAX_M:g} m, also when missing",
+             f"pl_{axis}_median_m")
+      for axis, along in (("at", "along"), ("ct", "across"))),
     _share("no_level", "no level", "lower", "share of steps without a protection level on either axis"),
     _plain("pe_at_median", "error AT", "m", "lower", "median error along the track", "pe_at_median_m"),
     _plain("pe_ct_median", "error CT", "m", "lower", "median error across the track", "pe_ct_median_m"),
@@ -209,78 +161,41 @@ INTEGRITY = (
     _share("availability", "availability", "higher", "share of steps with no level above its limit"),
     _share("alert_share", "alert share", "lower", "share of steps with an alert"),
     _plain("alerts", "alerts", "", "lower", "number of alerts"),
-    _share(
-        "mi",
-        "MI",
-        "lower",
-        "share of steps with misleading but not hazardous information",
-        _share_of_steps("mi_steps"),
-    ),
-    _share(
-        "hmi", "HMI", "lower", "share of steps with hazardously misleading information", _share_of_steps("hmi_steps")
-    ),
+    _share("mi", "MI", "lower", "share of steps with misleading but not hazardous information",
+           _share_of_steps("mi_steps")),
+    _share("hmi", "HMI", "lower", "share of steps with hazardously misleading information",
+           _share_of_steps("hmi_steps")),
     _any("any_mi", "any MI", "any step had misleading but not hazardous information", "mi_steps"),
     _any("any_hmi", "any HMI", "any step had hazardously misleading information", "hmi_steps"),
-    _plain(
-        "time_to_alert",
-        "time to alert",
-        "s",
-        "lower",
-        "mean time from an error above its limit to the alert, or to the end of the error without one",
-        "time_to_alert_s",
-    ),
-    _plain(
-        "missed_alerts", "missed alerts", "", "lower", "number of errors above their limits that ended without an alert"
-    ),
+    _plain("time_to_alert", "time to alert", "s", "lower",
+           "mean time from an error above its limit to the alert, or to the end of the error without one",
+           "time_to_alert_s"),
+    _plain("missed_alerts", "missed alerts", "", "lower",
+           "number of errors above their limits that ended without an alert"),
     _any("any_missed", "any missed alert", "any missed alert", "missed_alerts"),
-    _share(
-        "continuity",
-        "continuity",
-        "higher",
-        "share of available steps after which the next one is available; 0 without any",
-    ),
+    _share("continuity", "continuity", "higher",
+           "share of available steps after which the next one is available; 0 without any"),
     *(_mode(mode) for mode in Mode),
 )
 SOLVING = (
-    Metric(
-        "solve_median",
-        "solve time",
-        "ms",
-        "lower",
-        "median time of a decision",
-        _driven(attrgetter("solve_ms_median")),
-        wall_clock=True,
-    ),
-    Metric(
-        "solve_p99",
-        "solve time 99 %",
-        "ms",
-        "lower",
-        "99 % quantile of the time of a decision",
-        _driven(attrgetter("solve_ms_p99")),
-        wall_clock=True,
-    ),
-    _share(
-        "infeasible",
-        "infeasible",
-        "lower",
-        "share of decisions without a command that meets the agent's constraints",
-        _share_of_decisions("infeasible"),
-    ),
-    _share(
-        "relaxed",
-        "relaxed",
-        "lower",
-        "share of decisions for which the agent weakened a constraint",
-        _share_of_decisions("relaxed"),
-    ),
+    Metric("solve_median", "solve time", "ms", "lower", "median time of a decision",
+           _driven(attrgetter("solve_ms_median")), wall_clock=True),
+    Metric("solve_p99", "solve time 99 %", "ms", "lower", "99 % quantile of the time of a decision",
+           _driven(attrgetter("solve_ms_p99")), wall_clock=True),
+    _share("infeasible", "infeasible", "lower",
+           "share of decisions without a command that meets the agent's constraints",
+           _share_of_decisions("infeasible")),
+    _share("relaxed", "relaxed", "lower",
+           "share of decisions for which the agent weakened a constraint",
+           _share_of_decisions("relaxed")),
 )
+# fmt: on
 METRICS: tuple[Metric, ...] = (*SAFETY, *REWARD, *MOTION, *INTEGRITY, *SOLVING)
 MAIN = (
     "harm", "throughput", "collision", "off_road", "lane_departure", "success", "cost", "return", "availability",
     "any_hmi",
 )  # fmt: skip
-"""Keys of the metrics that a short table shows: harm beside throughput first, for either alone is easily had."""
+"""Keys of the metrics of a short table: harm beside throughput first, as each alone is easy to improve."""
 
 
 def metric_named(key: str) -> Metric:

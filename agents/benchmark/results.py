@@ -1,4 +1,4 @@
-"""What a benchmark comes to: outcomes, cells with estimates, paired differences; saved and loaded."""
+"""The results of a benchmark: outcomes, cells with estimates, paired differences; saved and loaded."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ PAIRED_COLUMNS = ("against", "p")  # empty where a row is of an agent alone
 class Cell:
     """An agent in an environment under a sky with faults: estimates over its seeds by the keys of the metrics.
 
-    ``untuned`` where it is to be tuned, and was not for this place.
+    ``untuned`` where its margins were not tuned for this place.
     """
 
     env: str
@@ -57,7 +57,7 @@ class Cell:
 
     @property
     def place(self) -> Place:
-        """Where it drove."""
+        """The place of the cell."""
         return Place(self.env, self.sky, self.faults)
 
 
@@ -65,9 +65,9 @@ class Cell:
 class Paired:
     """A metric of an agent less that of another in the same cell, seed by seed, with its 95 % interval.
 
-    ``better`` is the share of the n seeds in which the difference is for the better; None where no way is. ``p`` is the
-    p-value of no difference, for this metric alone. ``failed`` counts the episodes here in which either agent failed:
-    their seeds are not among the n, and as they may well be the hard ones, nothing is clear then.
+    ``better`` is the share of the n seeds in which the difference is for the better; None without a good direction.
+    ``p`` is the p-value of no difference, for this metric alone. ``failed`` counts the episodes in which either agent
+    failed: their seeds, perhaps the hard ones, are not among the n, so that nothing is clear then.
     """
 
     env: str
@@ -86,27 +86,39 @@ class Paired:
 
     @property
     def place(self) -> Place:
-        """Where both drove."""
+        """The place of the comparison."""
         return Place(self.env, self.sky, self.faults)
 
     @property
     def clear(self) -> bool:
-        """Whether the interval leaves 0 out, with seeds enough to rely on that, and no agent failed."""
+        """Whether the interval excludes 0, with enough seeds, and no agent failed."""
         return not self.failed and is_clear(self.low, self.high, self.n)
+
+    def verdict(self, better: str | None) -> str:
+        """``better``, ``worse``, ``differs`` (no direction is better), ``unclear``, or why there is no verdict."""
+        if self.failed:
+            return f"no verdict, {self.failed} failed"
+        if self.n < VERDICT_SEEDS:
+            return "too few seeds"
+        if not self.clear or self.difference is None:
+            return "unclear"
+        if better is None:
+            return "differs"
+        return "better" if (self.difference > 0.0) == (better == "higher") else "worse"
 
 
 @dataclass(frozen=True)
 class Results:
-    """All of a suite that has been driven so far.
+    """The results of the driven episodes of a suite.
 
     Attributes
     ----------
-    suite : what was to be driven
+    suite : the whole suite
     outcomes : one for each finished episode, in the order of the suite's tasks
     cells, paired : estimates and differences, in the same order
     missing : ids of the episodes that were not driven
-    left_out : agents that cannot drive an environment, as ``(env, agent, why)``; their episodes are not missing
-    folder : where it is kept; None for results that were made up
+    left_out : agents that cannot drive an environment, as ``(env, agent, reason)``; their episodes are not missing
+    folder : of the results; None for results without files
     """
 
     suite: SuiteConfig
@@ -144,7 +156,7 @@ class Results:
 
     @classmethod
     def load(cls, folder: Path | str) -> Results:
-        """The results of a folder: read from its episodes, whether or not the run came to its end.
+        """The results of a folder, read from its episodes; the run need not be finished.
 
         Raises
         ------
@@ -162,7 +174,7 @@ class Results:
         return [outcome for outcome in self.outcomes if outcome.failed]
 
     def rows(self, outcome: Outcome) -> Any:
-        """The stored rows of an episode, a pyarrow Table; None for results that were made up."""
+        """The stored rows of an episode, a pyarrow Table; None for results without files."""
         return None if self.folder is None else EpisodeStore(self.folder).rows(outcome.task)
 
     def cell(self, place: Place, agent: str) -> Cell:
@@ -224,7 +236,7 @@ class Results:
 
 
 def _require_once(outcomes: Sequence[Outcome]) -> None:
-    """Refuse an episode that counts more than once: intervals would be too narrow."""
+    """Refuse repeated episodes: intervals would be too narrow."""
     counts = Counter(outcome.id for outcome in outcomes)
     ident, count = counts.most_common(1)[0] if counts else ("", 1)
     if count > 1:

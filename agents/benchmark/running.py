@@ -20,7 +20,7 @@ START_S = 6.0  # to start a worker
 
 @dataclass(frozen=True)
 class BenchmarkPlan:
-    """Episodes to drive, and about how long that takes.
+    """Episodes to drive, and their expected time.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class BenchmarkPlan:
     tasks : missing episodes in the order of the work: all cells with the first seed, then with the next
     stored : number of finished episodes
     warnings : policies that drive environments in which they were not learnt
-    expected_s : time of a core for an episode of each environment that lasts to its end [s]
+    expected_s : core time for an episode of each environment that lasts to its end [s]
     """
 
     suite: SuiteConfig
@@ -60,11 +60,8 @@ class BenchmarkPlan:
 
     def hours(self, jobs: int) -> float:
         """About how long the plan takes with so many processes [h]."""
-        return (
-            (sum(self.expected_s[task.place.env] for task in self.tasks) / jobs + START_S) / 3600.0
-            if self.tasks
-            else 0.0
-        )
+        working_s = sum(self.expected_s[task.place.env] for task in self.tasks)
+        return (working_s / jobs + START_S) / 3600.0 if self.tasks else 0.0
 
 
 def run(

@@ -1,4 +1,4 @@
-"""From the rows of an episode to its outcome, and from the statistics of an episode in the engine to the same."""
+"""The outcome of an episode, from its rows or from its statistics in the engine."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def outcome_of(rows: Sequence[Row], allotted_s: float, task: Task = UNNAMED, **m
 
     Parameters
     ----------
-    rows : of one episode, its start first; no rows where the agent failed before
-    allotted_s : time that the episode could last [s]
-    task : what was driven
+    rows : of one episode, its start first; empty where the agent failed before
+    allotted_s : longest time of the episode [s]
+    task : names of the outcome
     more : further attributes of the outcome
     """
     figures = {"allotted_s": allotted_s, **_totals(rows), **_figures(rows, allotted_s)} if rows else {}
@@ -38,7 +38,7 @@ def outcome_of(rows: Sequence[Row], allotted_s: float, task: Task = UNNAMED, **m
 
 
 def outcome_of_statistics(info: Mapping[str, Any], statistics: Mapping[str, Any], task: Task, **more: Any) -> Outcome:
-    """The outcome of an episode whose rows are not known; the way is the mean true speed times the time.
+    """The outcome of an episode without rows; the way is the mean true speed times the time.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def outcome_of_statistics(info: Mapping[str, Any], statistics: Mapping[str, Any]
 
 
 def _totals(rows: Sequence[Row]) -> dict[str, Any]:
-    """Length, end, sums and shares of the steps; the start counts in the sums only."""
+    """Length, end, sums and shares of the steps; the start row counts in the sums only."""
     last, driven = rows[-1], rows[1:] or rows
 
     def total(name: str) -> float:
@@ -97,13 +97,13 @@ def _totals(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def _ending(row: Row) -> str:
-    """How an episode ended, from its last row."""
+    """The end of an episode, from its last row."""
     ended = next((word for key, word in ENDINGS if row[key]), None)
     return ended or ("time up" if row["truncated"] else "arrived" if row["terminated"] else "stopped")
 
 
 def _figures(rows: Sequence[Row], allotted_s: float) -> dict[str, Any]:
-    """Motion, integrity and alerts of an episode with at least one decision; else nothing of the steps."""
+    """Motion, integrity and alerts of an episode with at least one decision; else None for shares of steps."""
     if len(rows) < 2:
         return {"availability": None, "alert_share": None, "mode_shares": {}}
     way_m, time_s = _way_m(rows), rows[-1]["time_s"]
@@ -156,7 +156,7 @@ def _rms(values: Array) -> float | None:
 
 
 def _integrity(rows: Sequence[Row]) -> dict[str, Any]:
-    """Levels, errors and continuity; the start, before any decision, does not count."""
+    """Levels, errors and continuity, without the start row."""
     found: dict[str, Any] = {}
     missing = np.zeros(len(rows), dtype=np.bool_)
     for axis in ("at", "ct"):
@@ -177,7 +177,7 @@ def _integrity(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def _alerts(rows: Sequence[Row]) -> dict[str, Any]:
-    """Alerts, and errors above their limits whose alert is late or missing."""
+    """Alerts, and errors above their limits with late or missing alerts."""
     time_s, alert = _column(rows, "time_s"), _flags(rows, "alert")[1:]
     onset_s, last_s, over_s = _failures(rows[1:], time_s)
     delay_s = alert_delays(time_s[1:], alert, onset_s, last_s)
@@ -191,9 +191,9 @@ def _alerts(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def _failures(rows: Sequence[Row], time_s: Array) -> tuple[Array, Array, Array]:
-    """When an error on either axis begins to exceed its limit, exceeds it for the last time, and has ended [s].
+    """Begin, last step and end of errors above their limits on either axis [s].
 
-    An error at the end of the episode ends one step later: an error without an alert waits longer than one with.
+    An error at the end of the episode ends one step later: an error without an alert lasts longer than one with.
     """
     over = np.zeros(len(rows), dtype=np.bool_)
     for axis in ("at", "ct"):

@@ -1,4 +1,4 @@
-"""The published seeds: those to train and tune on, and those held out to test on. They share none."""
+"""The published seeds: disjoint splits for training and tuning, and for tests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Digests of the code and of the agents that an episode follows from: results of other code must not be mixed in."""
+"""Digests of the code and of the agents that determine an episode: results of other code are not mixed in."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ SOURCES = (
     "lanebound.agents.episodes",
     *(f"lanebound.agents.benchmark:{name}.py" for name in ("episode", "outcome", "scoring", "suite", "work")),
 )
-"""What an episode's rows and figures follow from; metrics are computed when results are loaded."""
+"""Code that determines the rows and outcomes of episodes; metrics are computed when results are loaded."""
 
 
 def source_digest() -> str:
-    """Digest of the code and presets that episodes follow from, as they are at the first call."""
+    """Digest of the code and presets that determine episodes, as they are at the first call."""
     return code_digest(*SOURCES)
 
 

@@ -1,11 +1,11 @@
-"""Means over seeds with 95 % intervals that hold the truth about as often as they say, with few seeds too.
+"""Means over seeds with 95 % intervals whose coverage is about nominal, with few seeds too.
 
 Means and paired differences have at each end the wider of Student's interval and that of the studentised bootstrap:
-Student's alone is too short where figures are skewed or mostly zero, the bootstrap's where they have heavy tails.
+Student's alone is too short where values are skewed or mostly zero, the bootstrap's where they have heavy tails.
 Interquartile means have the percentile interval expanded for the number of seeds. Rates have the interval of Clopper
-and Pearson, their paired differences that of Agresti and Min. A paired difference also has a p-value, for Holm's method
-among many: of Student's t test, of rates McNemar's exact one. The resamples are drawn from a stream named by the number
-of seeds, so that the same figures give the same intervals in any order and any process, and metrics share them.
+and Pearson, their paired differences that of Agresti and Min. A paired difference also has a p-value for Holm's method:
+of Student's t test, of rates McNemar's exact one. The resamples are drawn from a stream named by the number of seeds:
+equal values give equal intervals in any order and any process, and all metrics share the resamples.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ Array = NDArray[np.float64]
 Ends = tuple[float, float] | tuple[None, None]
 RESAMPLES = 2000
 SPREAD_SEEDS = 4
-"""With fewer no mean has an interval."""
+"""With fewer seeds no mean has an interval."""
 VERDICT_SEEDS = 8
-"""With fewer seeds nobody is called better: they do not show how figures are spread."""
+"""With fewer seeds no agent is called better: they do not show the spread of values."""
 METHOD = {
     "means": "at each end the wider of Student's t and the studentised bootstrap, over seeds",
     "interquartile_means": f"expanded percentile bootstrap, from {VERDICT_SEEDS} seeds on",
@@ -68,7 +68,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Difference:
-    """A mean difference over n seeds, its 95 % interval, and the share of the seeds in which it is for the better.
+    """A mean difference over n seeds, its 95 % interval, and the share of the seeds with a better value.
 
     ``p`` is the two-sided p-value of no difference; None with fewer than two seeds.
     """
@@ -89,18 +89,18 @@ def interquartile_mean(values: Array) -> Array:
 
 
 def estimate(values: Array, rate: bool = False, bounds: Bounds = ANYTHING) -> Estimate:
-    """Mean and interquartile mean with 95 % intervals, None where the seeds say too little of their spread.  (n,).
+    """Mean and interquartile mean with 95 % intervals, None where the seeds do not show the spread.  (n,).
 
-    That is for the mean where they are fewer than four, all the same, or all but about three nearly the same: then so
-    many resamples have no spread that an end is further off than two seeds would leave it. It is for the interquartile
-    mean where they are fewer than eight, or its resamples are all the same.
+    The mean has no interval with fewer than four seeds, and where all values, or all but about three, are (nearly)
+    equal: then so many resamples have no spread that an end would be beyond that of two seeds. The interquartile mean
+    has none with fewer than eight seeds, and where its resamples are equal.
 
     Parameters
     ----------
-    values : one of each seed
-    rate : they are 0 or 1; the interval of 0 of n ends at ``1 - 0.025^(1/n)``, about 3.7 / n. Their interquartile
-        mean says nothing, and has none
-    bounds : between which values lie; no interval reaches beyond them
+    values : one for each seed
+    rate : values are 0 or 1; the interval of 0 of n ends at ``1 - 0.025^(1/n)``, about 3.7 / n. The interquartile mean
+        of a rate has no interval
+    bounds : of the values, and of the intervals
     """
     n = values.size
     if n == 0:
@@ -115,7 +115,7 @@ def estimate(values: Array, rate: bool = False, bounds: Bounds = ANYTHING) -> Es
 
 
 def difference(ours: Array, theirs: Array, better: Better, rate: bool = False) -> Difference:
-    """Mean of ``ours - theirs``, entry by entry, with its 95 % interval; of a ``rate`` all are 0 or 1.  (n,)."""
+    """Mean of ``ours - theirs`` with its 95 % interval; values of a ``rate`` are 0 or 1.  (n,)."""
     gap = ours - theirs
     n = gap.size
     if n == 0:
@@ -126,12 +126,12 @@ def difference(ours: Array, theirs: Array, better: Better, rate: bool = False) -
 
 
 def is_clear(low: float | None, high: float | None, n: int) -> bool:
-    """Whether an interval of a difference over n seeds says which is better: it leaves 0 out, and n suffices."""
+    """Whether an interval of a difference over n seeds excludes 0, and n suffices."""
     return n >= VERDICT_SEEDS and low is not None and high is not None and (low > 0.0 or high < 0.0)
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
-    """P-values adjusted for being so many: those of at most 0.05 are wrong in 5 % of families, if any is; Holm 1979.
+    """P-values adjusted for their number: at most 5 % of families have a wrong one of 0.05 or less; Holm 1979.
 
     >>> holm([0.04, 0.01, 0.03])
     [0.06, 0.03, 0.06]
@@ -144,12 +144,12 @@ def holm(p_values: Sequence[float]) -> list[float]:
 
 
 def seeds_to_exclude(rise: float) -> int:
-    """Seeds from which on a rate's rise by more than ``rise`` is excluded where no seed differs."""
+    """Least number of seeds that excludes a rise of a rate by more than ``rise`` where no seed differs."""
     return next(n for n in range(2, 1_000_000) if _agresti_min(np.zeros(n))[1] <= rise)
 
 
 def _p_value(gap: Array, rate: bool) -> float:
-    """Of no difference.  With k differing seeds, turning signs gives no less than ``2^(1 - k)``: nor does this."""
+    """P-value of no difference, at least the smallest one of a sign test, ``2^(1 - k)`` with k differing seeds."""
     differing = int(np.count_nonzero(gap))
     if rate:
         fewer = int(min((gap > 0.0).sum(), (gap < 0.0).sum()))
@@ -158,7 +158,7 @@ def _p_value(gap: Array, rate: bool) -> float:
 
 
 def student_p(gap: Array) -> float:
-    """Two-sided, of Student's paired test; where all differ by the same, what turning signs can give.  (n,), n > 1."""
+    """Two-sided, of Student's paired test; of a sign test where all differences are equal.  (n,), n > 1."""
     error = float(_error(gap))
     if error <= ROUNDING * float(np.abs(gap).max()):
         return min(1.0, 2.0 ** (1 - int(np.count_nonzero(gap))))
@@ -174,7 +174,7 @@ def student_ends(values: Array) -> Ends:
 
 
 def within(ends: Ends, bounds: Bounds) -> Ends:
-    """An interval without what lies beyond the bounds of its values."""
+    """An interval clipped to the bounds of its values."""
     low, high = ends
     return NONE if low is None or high is None else (max(low, bounds[0]), min(high, bounds[1]))
 
@@ -187,7 +187,7 @@ def _agresti_min(gap: Array) -> tuple[float, float]:
 
 
 def _mean_ends(values: Array) -> Ends:
-    """Of Student's interval and the studentised bootstrap's the wider at each end; none beyond that of two values."""
+    """At each end the wider of Student's interval and the studentised bootstrap's; at most that of two values."""
     n = values.size
     mean, error = float(values.mean()), float(_error(values))
     nothing = ROUNDING * float(np.abs(values).max())
@@ -207,13 +207,13 @@ def _mean_ends(values: Array) -> Ends:
 
 
 def _error(values: Array) -> Any:
-    """Standard error of the mean.  (..., n) -> (...); of one value none."""
+    """Standard error of the mean, 0 of one value.  (..., n) -> (...)."""
     n = values.shape[-1]
     return values.std(axis=-1, ddof=1) / np.sqrt(n) if n > 1 else 0.0
 
 
 def _middle_ends(values: Array) -> Ends:
-    """Percentile interval of the interquartile mean, as much wider as Student's is; Hesterberg 2015, 5.2."""
+    """Percentile interval of the interquartile mean, expanded as Student's; Hesterberg 2015, 5.2."""
     n = values.size
     if n < VERDICT_SEEDS:
         return NONE
@@ -231,5 +231,5 @@ def _resampled(values: Array, figure: Callable[[Array], Array]) -> Array:
 
 @lru_cache(maxsize=4)
 def _choices(n: int) -> NDArray[np.int64]:
-    """Which seeds each resample takes, (RESAMPLES, n)."""
+    """Seeds of each resample, (RESAMPLES, n)."""
     return named_generator(n, "bootstrap").integers(n, size=(RESAMPLES, n))

@@ -21,18 +21,21 @@ from lanebound.agents.benchmark.source import agent_digest, source_digest
 from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.checkpointing.files import replace_file
 from lanebound.agents.checkpointing.folder import MANIFEST, ResultFolder, package_versions
-from lanebound.agents.episodes.columns import COLUMNS
+from lanebound.agents.episodes.columns import Column, columns
 from lanebound.agents.episodes.log import schema_of
 from lanebound.integrity.core.errors import InputError
 
-__all__ = ["CLIPS", "EPISODES", "KIND", "STORED", "EpisodeStore"]
+__all__ = ["CLIPS", "EPISODES", "KIND", "EpisodeStore", "stored_columns"]
 
 KIND = "benchmark"
 EPISODES, CLIPS, KEY = "episodes", "clips", b"lanebound.outcome"
 RESULTS = ("results.json", "results.csv", "episodes.parquet", "report.html")
 LEFT_OUT = ("episode", "seed", "rtk", "tta_s", "hdop", "satellites", "since_rtk_s", "corrections_age_s")
-STORED = tuple(column for column in COLUMNS if column.name not in LEFT_OUT)
-"""The columns of a stored episode."""
+
+
+def stored_columns() -> tuple[Column, ...]:
+    """The columns of a stored episode."""
+    return tuple(column for column in columns() if column.name not in LEFT_OUT)
 
 
 class EpisodeStore:
@@ -132,8 +135,9 @@ class EpisodeStore:
         import pyarrow as pa
         import pyarrow.parquet as pq
 
-        schema = schema_of(STORED).with_metadata({KEY: json.dumps(outcome.to_dict(), allow_nan=False).encode()})
-        stored = [{column.name: row[column.name] for column in STORED} for row in rows]
+        shown = stored_columns()
+        schema = schema_of(shown).with_metadata({KEY: json.dumps(outcome.to_dict(), allow_nan=False).encode()})
+        stored = [{column.name: row[column.name] for column in shown} for row in rows]
         path = self.path(outcome.task)
         path.parent.mkdir(parents=True, exist_ok=True)
         with replace_file(path) as draft:
@@ -146,7 +150,7 @@ class EpisodeStore:
         return Outcome.from_dict(json.loads(pq.read_metadata(self.path(task)).metadata[KEY]))
 
     def rows(self, task: Task) -> Any:
-        """The rows of a finished episode, a pyarrow Table with the columns ``STORED``; the first row is the start."""
+        """The rows of a finished episode, a pyarrow Table of :func:`stored_columns`; the first row is the start."""
         import pyarrow.parquet as pq
 
         return pq.ParquetFile(self.path(task)).read()

@@ -1,4 +1,4 @@
-"""Suites: which environments, skies, faults, agents and seeds a benchmark drives."""
+"""Suites: the environments, skies, faults, agents and seeds of a benchmark."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NEEDS: dict[str, dict[str, Any]] = {"oracle": {"observation": {"integrity": "ora
 
 
 class SeedsConfig(Config):
-    """Which seeds: the first so many of a published split, or so many after those that were looked at."""
+    """The first seeds of a published split, or those after the ones that were already inspected."""
 
     split: Split = Field("test", description="train (for tuning) or test (held out)")
     count: int = Field(50, ge=1, le=10_000, description="number of episodes of each agent in each cell")
@@ -57,16 +57,16 @@ class AgentConfig(Config):
 
     @property
     def sees_truth(self) -> bool:
-        """Whether it drives on the truth: it shows what is possible, and does not compete."""
+        """Whether it observes the truth: it shows what is possible, and does not compete."""
         seeing = NEEDS["oracle"]["observation"]["integrity"]
         return self.agent == "oracle" or self.config.get("observation", {}).get("integrity") == seeing
 
 
 class SuiteConfig(Config):
-    """Everything that a benchmark drives; its cells are envs x skies x faults x agents.
+    """The content of a benchmark; its cells are envs x skies x faults x agents.
 
-    ``agents`` may be written as a list of names, or as a mapping from names to what :class:`AgentConfig` calls agent,
-    or to all of its fields.
+    ``agents`` may be a list of names, or a mapping from names to the ``agent`` of :class:`AgentConfig` or to all of
+    its fields.
 
     >>> suite = SuiteConfig.load({"envs": ["LaneKeeping"], "agents": ["nominal", {"mine": "runs/model.zip"}]})
     >>> suite.envs, suite.agents["mine"].agent, suite.seeds.seeds[0]
@@ -99,7 +99,7 @@ class SuiteConfig(Config):
     @field_validator("envs", "skies", "faults")
     @classmethod
     def _each_once(cls, given: tuple[str | FaultLevel, ...], info: ValidationInfo) -> tuple[str | FaultLevel, ...]:
-        """A cell that is named twice would count its seeds twice; two names of one file are one sky."""
+        """A repeated cell would count its seeds twice; two names of one file are one sky."""
         names = [name.value if isinstance(name, FaultLevel) else str(PurePath(name)) for name in given]
         _require_once(str(info.field_name), names, "name each once")
         return given
@@ -140,21 +140,18 @@ class SuiteConfig(Config):
 
     @property
     def places(self) -> list[Place]:
-        """Where episodes are driven, in order."""
+        """All places in order."""
         return [Place(e, s, f.value) for e in self.envs for s in self.skies for f in self.faults]
 
     def tasks(self) -> Iterator[Task]:
-        """All episodes in the order of the work: env by env, and in each of them seed by seed.
-
-        So what is finished early has as many seeds of every sky and agent.
-        """
+        """All episodes, env by env, and in each of them seed by seed."""
         for env in self.envs:
             here = [place for place in self.places if place.env == env]
             for seed in self.seeds.seeds:
                 yield from (Task(place, agent, seed) for place in here for agent in self.agents)
 
     def env_overrides(self, place: Place, agent: str) -> dict[str, Any]:
-        """What an agent's environment changes of what its id presets."""
+        """Changes of the preset of the id for the environment of an agent."""
         chosen = self.agents[agent]
         needed = deep_merge(NEEDS.get(chosen.agent, {}), chosen.config)
         return deep_merge(deep_merge(self.overrides, {"sky": place.sky, "faults": place.faults}), needed)

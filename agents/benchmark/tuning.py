@@ -1,21 +1,21 @@
-"""How the cautious driver's constant margins are found: the fair opponent of the integrity-aware driver.
+"""Tuning of the constant margins of the cautious driver, a fair opponent of the integrity-aware driver.
 
-A benchmark on training seeds: the integrity-aware driver beside a ladder of cautious ones. One number, caution, moves
-speed, gap and lane together from the nominal driver's (0) to a third of the speed, 10 m and half a car (1). The least
-rung that does no more harm than the integrity-aware driver is taken; where none does as little, the caution of the same
-throughput, which unlike mean speed an early end does not raise. It is one line through the margins that there could be,
-judged by means over few seeds: other constant margins may do better than the one that is found.
+A benchmark on training seeds: the integrity-aware driver beside a ladder of cautious ones. One number, caution, changes
+speed, gap and lane together from those of the nominal driver (0) to a third of the speed, 10 m and half a car (1). The
+result is the least caution with no more harm than the integrity-aware driver; where there is none, the caution with the
+same throughput, which an early end does not raise, unlike mean speed. This is one line through all possible margins,
+evaluated by means over few seeds: other constant margins may be better.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from lanebound.agents.benchmark.metrics import harm_of, went_off_road
+from lanebound.agents.benchmark.metrics import metric_named
 from lanebound.agents.benchmark.outcome import Outcome
 from lanebound.agents.benchmark.results import Results
 from lanebound.agents.benchmark.running import run
@@ -25,52 +25,34 @@ from lanebound.agents.drivers.margins import CautiousConfig
 from lanebound.agents.episodes import open_env
 from lanebound.integrity.core.errors import InputError
 
-__all__ = ["LADDER", "Measured", "cautious_at", "choose", "tune_cautious", "tuning_suite"]
+__all__ = ["LADDER", "cautious_at", "choose", "measured", "tune_cautious", "tuning_suite"]
+
+Means = dict[str, float]
+Rung = tuple[float, Means]
 
 SPEED_SPAN, GAP_SPAN_M, LANE_SPAN_M = 0.7, 10.0, 1.0
 LADDER = tuple(k / 8 for k in range(9))
 GOAL = "integrity_aware"
+MEASURED = ("harm", "collision", "off_road", "lane_departure", "cost_lane", "throughput", "mean_speed")
 EPISODE: dict[str, Any] = {}  # of the environments' configuration, changed for all
 
 
-@dataclass(frozen=True)
-class Measured:
-    """Means over episodes: harm as the metric of that name, what is in it, throughput and speed [m/s]."""
+def measured(outcomes: Sequence[Outcome]) -> Means:
+    """Means of MEASURED over the episodes of one driver, and the number of ``episodes``.
 
-    harm: float
-    collision_rate: float
-    off_road_rate: float
-    departure_rate: float
-    cost_lane: float
-    throughput_mps: float
-    speed_mps: float
-    episodes: int
-
-    @classmethod
-    def of(cls, outcomes: list[Outcome]) -> Measured:
-        """Of the episodes of one driver.
-
-        Raises
-        ------
-        InputError
-            It failed in one: the others may be the easy ones.
-        """
-        failed = [o for o in outcomes if o.failed]
-        if failed:
-            raise InputError(
-                f"episodes must all be driven to tune on them, got {len(failed)} of {len(outcomes)} that failed, "
-                f"{failed[0].id} among them ({failed[0].message}): mend the driver"
-            )
-        return cls(
-            harm=fmean(map(harm_of, outcomes)),
-            collision_rate=fmean(o.collision for o in outcomes),
-            off_road_rate=fmean(map(went_off_road, outcomes)),
-            departure_rate=fmean(o.lane_departure for o in outcomes),
-            cost_lane=fmean(o.costs.get("cost_lane", 0.0) for o in outcomes),
-            throughput_mps=fmean(o.throughput_mps or 0.0 for o in outcomes),
-            speed_mps=fmean(o.mean_speed_mps or 0.0 for o in outcomes),
-            episodes=len(outcomes),
+    Raises
+    ------
+    InputError
+        It failed in an episode: the others may be the easy ones.
+    """
+    failed = [o for o in outcomes if o.failed]
+    if failed:
+        raise InputError(
+            f"episodes must all be driven to tune on them, got {len(failed)} of {len(outcomes)} that failed, "
+            f"{failed[0].id} among them ({failed[0].message}): mend the driver"
         )
+    found = {key: fmean(metric_named(key).take(o) or 0.0 for o in outcomes) for key in MEASURED}
+    return found | {"episodes": len(outcomes)}
 
 
 def cautious_at(caution: float) -> CautiousConfig:
@@ -100,49 +82,38 @@ def tuning_suite(name: str, sky: str, seeds: int) -> SuiteConfig:
     )
 
 
-def choose(goal: Measured, ladder: dict[float, Measured]) -> tuple[float, str]:
-    """Caution, and by what it is matched: ``harm`` or, where no rung does as little, ``throughput``.
+def choose(goal: Means, ladder: Mapping[float, Means]) -> tuple[float, str]:
+    """Caution, and the metric that it matches: ``harm`` or, where no rung has so little, ``throughput``.
 
-    Between rungs throughput and harm are taken as linear. Throughput need not fall with caution, for crashes lower it:
-    of several cautions of the same throughput that of least harm is taken, and without any the rung of the nearest.
+    Between rungs throughput and harm are linear. Throughput need not fall with caution, because crashes lower it: of
+    several cautions with the same throughput the one with the least harm is taken, and without any the nearest rung.
     """
-    harmless = [caution for caution, found in ladder.items() if found.harm <= goal.harm]
+    harmless = [caution for caution, found in ladder.items() if found["harm"] <= goal["harm"]]
     if harmless:
         return min(harmless), "harm"
     rungs = sorted(ladder.items())
-    matching = [match for pair in pairwise(rungs) if (match := _between(goal.throughput_mps, *pair)) is not None]
+    matching = [match for pair in pairwise(rungs) if (match := _between(goal["throughput"], *pair)) is not None]
     if matching:
         return min(matching)[1], "throughput"
-    away = [(abs(found.throughput_mps - goal.throughput_mps), found.harm, caution) for caution, found in rungs]
+    away = [(abs(found["throughput"] - goal["throughput"]), found["harm"], caution) for caution, found in rungs]
     return min(away)[2], "throughput"
 
 
-Rung = tuple[float, Measured]
-
-
-def _between(throughput_mps: float, one: Rung, other: Rung) -> tuple[float, float] | None:
-    """Harm and caution between two rungs where throughput is as given; None where it is nowhere between them."""
+def _between(throughput: float, one: Rung, other: Rung) -> tuple[float, float] | None:
+    """Harm and caution between two rungs at a throughput; None where it does not lie between them."""
     (caution, low), (more, high) = one, other
-    if (
-        not min(low.throughput_mps, high.throughput_mps)
-        <= throughput_mps
-        <= max(low.throughput_mps, high.throughput_mps)
-    ):
+    ends = low["throughput"], high["throughput"]
+    if not min(ends) <= throughput <= max(ends):
         return None
-    span = high.throughput_mps - low.throughput_mps
-    share = (throughput_mps - low.throughput_mps) / span if span else float(high.harm < low.harm)
-    return low.harm + share * (high.harm - low.harm), caution + share * (more - caution)
+    span = ends[1] - ends[0]
+    share = (throughput - ends[0]) / span if span else float(high["harm"] < low["harm"])
+    return low["harm"] + share * (high["harm"] - low["harm"]), caution + share * (more - caution)
 
 
 def tune_cautious(
-    name: str,
-    sky: str,
-    seeds: int,
-    folder: Path,
-    jobs: int | None = None,
-    on_progress: OnProgress = ignore,
+    name: str, sky: str, seeds: int, folder: Path, jobs: int | None = None, on_progress: OnProgress = ignore
 ) -> dict[str, Any]:
-    """Drive the ladder, or what is missing of it in ``folder``, and choose; as plain data.
+    """Drive the missing episodes of the ladder in ``folder``, and choose; as plain data.
 
     Raises
     ------
@@ -161,8 +132,8 @@ def tune_cautious(
         "base": config.base,
         "sky": sky,
         "seeds": [suite.seeds.seeds[0], suite.seeds.seeds[-1]],
-        GOAL: asdict(goal),
-        "ladder": {str(rung): asdict(found) for rung, found in ladder.items()},
+        GOAL: goal,
+        "ladder": {str(rung): found for rung, found in ladder.items()},
         "caution": caution,
         "matched": matched,
         "figures": _margins(caution),
@@ -178,5 +149,5 @@ def _margins(caution: float) -> dict[str, float]:
     return {name: round(getattr(config, name), 4) for name in ("speed_share", "gap_m", "lane_m")}
 
 
-def _measured(results: Results, agent: str) -> Measured:
-    return Measured.of([o for o in results.outcomes if o.agent == agent])
+def _measured(results: Results, agent: str) -> Means:
+    return measured([o for o in results.outcomes if o.agent == agent])

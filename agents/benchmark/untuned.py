@@ -1,6 +1,6 @@
-"""Where the margins of ``cautious`` were tuned, and where it drives with some that nobody fitted to the place.
+"""The places for which the margins of ``cautious`` were tuned, and places without tuned margins.
 
-The preset is read as it stands: to list the agents must not take what validates it.
+The preset is read without validation, so that listing the agents stays fast.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ NO_FAULTS = "none"
 
 @cache
 def tuned_places() -> tuple[tuple[str, str], ...]:
-    """Base of the world and sky of all places that margins were found for; faults were none there."""
+    """Base of the world and sky of all places with tuned margins, without faults."""
     import yaml
 
     found = yaml.safe_load(files("lanebound.configs").joinpath(PRESET).read_text(encoding="utf-8"))
@@ -29,14 +29,14 @@ def tuned_places() -> tuple[tuple[str, str], ...]:
 
 
 def is_untuned(chosen: AgentConfig, place: Place) -> bool:
-    """Whether an agent is to be tuned and was not at this place; with figures of its own it is what they say."""
+    """Whether an agent has tuned margins, but none for this place; its own figures count as tuned."""
     if chosen.agent != TUNED_AGENT or chosen.figures:
         return False
     return place.faults != NO_FAULTS or (_base(place.env), place.sky) not in tuned_places()
 
 
 def _base(env: str) -> str:
-    """The world that an environment is made on; those of highway-env are their own."""
+    """The base world of an environment; an id of highway-env is its own."""
     from lanebound.agents.episodes.opening import full_id
     from lanebound.envs import IDS, make_config
 

@@ -1,4 +1,4 @@
-"""Verdicts: which agents are clearly safer than others, and the sentences that open reports."""
+"""Verdicts: agents that are clearly safer than others, and the opening sentences of reports."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ __all__ = [
 ]  # fmt: skip
 
 HARM = ("collision", "off_road", "lane_departure", "harm")
-"""What the true car did; costs also judge levels and alerts, which some agents obey, and are no part of it."""
+"""Metrics of the true car; costs also depend on levels and alerts, to which some agents react."""
 ENDS = ("collision", "off_road")
 MARGIN = 0.05
-"""By more than this share of the episodes ENDS must not have risen, by the upper ends of their intervals."""
+"""Largest rise of ENDS [share of episodes], by the upper ends of their intervals."""
 LEVEL = 0.05  # of the family of all comparisons, by Holm's method
 LEAST_HARMFUL = 3  # agents that the opening names
 RULE = (
@@ -35,13 +35,12 @@ Pairs = dict[str, Paired]
 
 @dataclass(frozen=True)
 class SafetyVerdict:
-    """What is to be said of an agent against another.
+    """The comparison of an agent with another.
 
     Attributes
     ----------
-    agent, against : who, and with whom it is compared
-    places : where both drove and neither failed; of others nothing is said
-    safer, worse : in which of them it is clearly safer, and in which it does clearly more of any harm
+    places : where both drove and neither failed
+    safer, worse : places where it is clearly safer, and places with clearly more of any harm
     failed : number of places where one of the two failed
     throughput_mps, cost : mean differences over all ``places``; None without any
     """
@@ -57,11 +56,11 @@ class SafetyVerdict:
 
 
 def verdicts(results: Results) -> list[SafetyVerdict]:
-    """Of every agent against every reference, those that decide by the truth apart, those safer in most cells first.
+    """All agents that do not observe the truth against every reference; those safer in most cells first.
 
-    Safer takes one of HARM clearly lower, by its 95 % interval and by its p-value adjusted by Holm's method over all
+    Safer requires one of HARM clearly lower, by its 95 % interval and by its p-value adjusted by Holm's method over all
     agents, references, cells and these metrics; none of them clearly higher, by its interval; the upper ends of the
-    differences in ENDS at most MARGIN; and a success: whoever never gets there does no harm either.
+    differences in ENDS at most MARGIN; and a success, because a car that does not move does no harm either.
     """
     pairs = _compared(results)
     adjusted = _adjusted(pairs)
@@ -90,7 +89,7 @@ def _compared(results: Results) -> dict[Key, Pairs]:
 
 
 def _adjusted(pairs: dict[Key, Pairs]) -> dict[Key, dict[str, float]]:
-    """P-values of HARM, adjusted over all of them; what has none shows nothing, and counts as one more comparison."""
+    """P-values of HARM, adjusted over all of them; a missing one counts as 1."""
     asked = [(key, metric) for key in pairs for metric in HARM]
     known = [pairs[key][metric].p for key, metric in asked]
     found: dict[Key, dict[str, float]] = {key: {} for key in pairs}
@@ -106,7 +105,7 @@ def _is_safer(pairs: Pairs, adjusted: dict[str, float]) -> bool:
 
 
 def _clearly(pairs: Pairs, keys: Iterable[str], sign: float) -> list[str]:
-    """Those that are clearly higher (sign 1) or lower (-1)."""
+    """Metrics that are clearly higher (sign 1) or lower (-1)."""
     return [key for key in keys if pairs[key].clear and sign * (pairs[key].difference or 0.0) > 0.0]
 
 
@@ -116,7 +115,7 @@ def _mean(values: Iterable[float | None]) -> float | None:
 
 
 def mean_over_cells(results: Results, agent: str, key: str) -> float | None:
-    """Mean of a metric over the cells of an agent; cells weigh alike, whatever number of seeds they have."""
+    """Mean of a metric over the cells of an agent, each with the same weight."""
     return _mean(cell.metrics[key].mean for cell in results.cells if cell.agent == agent)
 
 
@@ -142,7 +141,7 @@ def opening(results: Results) -> list[str]:
 
 
 def _pace(results: Results, agent: str) -> tuple[float, float] | None:
-    """Harm and throughput of an agent; None where it has neither."""
+    """Harm and throughput of an agent; None where one is missing."""
     harm, throughput = (mean_over_cells(results, agent, key) for key in ("harm", "throughput"))
     return None if harm is None or throughput is None else (harm, throughput)
 
@@ -187,7 +186,7 @@ def _counted(verdict: SafetyVerdict) -> str:
 
 
 def _nobody(results: Results, against: str) -> str:
-    """That no agent is clearly safer; with too few seeds none can be."""
+    """The sentence that no agent is clearly safer, or that there are too few seeds for it."""
     count, least = max(cell.episodes for cell in results.cells), seeds_to_exclude(MARGIN)
     seeds = counted(count, "seed")
     if count >= least:

@@ -32,7 +32,7 @@ COST_OF_A_SECOND = {
     "Racetrack-v0": 0.02,
     "UrbanCanyon-v0": 0.05,
 }
-"""Time of a core for a second of an episode, measured with the nominal agent on a 2.5 GHz core of 2023 [s]."""
+"""Core time for a second of an episode, measured with the nominal agent on a 2.5 GHz core of 2023 [s]."""
 COST_OF_OTHERS = 0.1
 MOST_OPEN = 40  # environments that a worker keeps open; each takes some MB
 LOST_STATUS: dict[Lost, Status] = {"died": "raised", "timeout": "timeout"}
@@ -68,7 +68,7 @@ class DrivenEpisodes:
     def lost(self, task: Task, reason: Lost, message: str) -> Outcome:
         """Store an episode without rows, whose worker died or was ended."""
         if reason == "timeout":
-            message = f"it took longer than episode_timeout_s = {self.timeout_s:g} in all: no answer was waited for"
+            message = f"it took longer than episode_timeout_s = {self.timeout_s:g} in all: its process was ended"
         outcome = Outcome(*task.place, task.agent, task.seed, status=LOST_STATUS[reason], message=message)
         if self.folder is not None:
             EpisodeStore(self.folder).write([], outcome)
@@ -182,7 +182,7 @@ def _opened(suite: SuiteConfig, place: Place, agent: str) -> DrivingEnv:
 
 
 def expected_s(suite: SuiteConfig, envs: Sequence[str]) -> dict[str, float]:
-    """Time of a core for an episode of each environment that lasts to its end [s]."""
+    """Core time for an episode of each environment that lasts to its end [s]."""
     place = {place.env: place for place in suite.places}
     agent = next(iter(suite.agents))
     allotted = {env: allotted_s(open_env(env, suite.env_overrides(place[env], agent))) for env in envs}

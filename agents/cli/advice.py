@@ -1,4 +1,4 @@
-"""Refusals at the command line, all in one form: what is wrong, the bound and what to do; exit code 2, no traceback."""
+"""Refusals at the command line in one form: field, bound, value and remedy; exit code 2, no traceback."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class AdvisingGroup(TyperGroup):
         windows_expand_args: bool = True,
         **extra: Any,
     ) -> Any:
-        """Run the program and leave with its exit code; typer's complaints are put into this package's form."""
+        """Run the program and exit with its code; errors of typer get the form of this package."""
         if not standalone_mode:
             return super().main(args, prog_name, complete_var, False, windows_expand_args, **extra)
         try:
@@ -62,7 +62,7 @@ class AdvisingGroup(TyperGroup):
 
 
 def explain(error: Any) -> str:
-    """A complaint of typer in the form ``field bound, got value: remedy``; "" where it only asked for help."""
+    """An error of typer in the form ``field bound, got value: remedy``; "" for a request of help."""
     kind, context = type(error).__name__, getattr(error, "ctx", None)
     if kind == "NoArgsIsHelpError":
         return ""
@@ -80,7 +80,7 @@ def explain(error: Any) -> str:
 
 
 def _demand(finding: Mapping[str, Any]) -> str:
-    """What a value must be and what was found, from a finding of pydantic: ``be >= 1, got 0``."""
+    """Bound and value of an error of pydantic: ``be >= 1, got 0``."""
     bounds = [f"{SIGNS[key]} {limit:g}" for key, limit in finding.get("ctx", {}).items() if key in SIGNS]
     wanted = " and ".join(bounds) or str(finding["msg"]).removeprefix("Input should be ").partition(",")[0]
     return f"be {wanted}, got {finding['input']}"

@@ -1,17 +1,15 @@
-"""``lanebound agents``: who can drive, and what each of them does with what it is told."""
+"""``lanebound agents``: the agents, and what each of them does with its observations."""
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import typer
+
+from lanebound.agents.cli.options import AsJson
 
 __all__ = ["agents"]
 
 
-def agents(
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
-) -> None:
+def agents(as_json: AsJson = False) -> None:
     """List the agents: what they do, read, do on an alert, and which actions they can command.
 
     Example: lanebound agents --json
@@ -27,12 +25,12 @@ def agents(
     typer.echo("Levels: protection levels. Actions: spaces that it can command, see 'lanebound envs'.")
     typer.echo("Figures: in a suite, such as 'careful: {agent: cbf, figures: {over: integrity_aware}}'.")
     typer.echo(_tuned())
-    typer.echo("Your own: model.zip (Stable-Baselines3), .onnx, .npz, or package.module:callable; they may be given")
-    typer.echo("wherever a name may: 'lanebound drive ID --agent NAME', 'lanebound benchmark SUITE --agents A,B'.")
+    typer.echo("Your own: model.zip (Stable-Baselines3), .onnx, .npz, or package.module:callable in place of a name:")
+    typer.echo("'lanebound drive ID --agent NAME', 'lanebound benchmark SUITE --agents A,B'.")
 
 
 def _tuned() -> str:
-    """Where the constant margins were fitted to the place, and that elsewhere they were not."""
+    """Environments and skies for which the constant margins were tuned."""
     from lanebound.agents.benchmark.untuned import tuned_places
     from lanebound.agents.cli.listing import LISTING
 

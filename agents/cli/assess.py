@@ -1,32 +1,32 @@
-"""``lanebound assess``: is what the layer promises true?"""
+"""``lanebound assess``: measure whether the promises of the navigation layer hold."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from lanebound.agents.cli.advice import AdvisingGroup
-
-if TYPE_CHECKING:
-    from lanebound.agents.assess.bounding import BoundingConfig
+from lanebound.agents.cli.options import AsJson, Assignments, Jobs, changes
 
 __all__ = ["app"]
 
 SIZES = {"worst": "the size that misleads most", "uniform": "any size up to twice the threshold's"}
 
-app = typer.Typer(cls=AdvisingGroup, help="Measure whether what the layer promises is true.", no_args_is_help=True)
+app = typer.Typer(
+    cls=AdvisingGroup, help="Measure whether the promises of the navigation layer hold.", no_args_is_help=True
+)
 
 
 @app.callback()
 def _assess() -> None:
-    """Measure whether what the layer promises is true."""
+    """Measure whether the promises of the navigation layer hold."""
 
 
 @app.command("bounding")
 def bounding(
-    out: Annotated[Path, typer.Option(help="Folder for results.json; an interrupted run goes on there.")],
+    out: Annotated[Path, typer.Option(help="Folder for results.json; a run is resumed there.")],
     risk: Annotated[
         list[float] | None,
         typer.Option("--risk", help="Horizontal risk to count at; may be repeated. The study has 1e-3, 1e-4, 1e-5."),
@@ -39,23 +39,19 @@ def bounding(
         ),
     ] = None,
     rare_risk: Annotated[float | None, typer.Option(help="Risk for importance sampling; the study has 1e-7.")] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Processes that draw at a time.")] = 1,
-    assignments: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Change a value of the study; may be repeated."),
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+    jobs: Jobs = 1,
+    assignments: Assignments = None,
+    as_json: AsJson = False,
 ) -> None:
     """How often errors exceed their protection levels, exact and as the papers print them, with exact intervals.
 
     Example: lanebound assess bounding --out out/bounds --epochs 1000000 --jobs 2
     """
-    from lanebound.agents.assess.bounding import assess_bounding
+    from lanebound.agents.assess.bounding import BoundingConfig, assess_bounding
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
 
-    given = {"risks": risk, "epochs": epochs, "rare_risk": rare_risk}
     with resumable(lambda: kept_text(out, "parts/*.json", "part")):
-        config = _bounding_config(assignments or [], {key: value for key, value in given.items() if value})
+        config = BoundingConfig.load(changes(assignments, risks=risk or None, epochs=epochs, rare_risk=rare_risk))
         result = with_bar("parts", lambda on_progress: assess_bounding(config, out, jobs, on_progress))
         _report_bounding(result, out, as_json)
 
@@ -95,13 +91,6 @@ def faults(
         config = FaultsConfig.load(parse_assignments(assignments or []) | given)
         result = with_bar("parts", lambda on_progress: assess_faults(config, out, jobs, on_progress))
         _report_faults(result, out, as_json)
-
-
-def _bounding_config(assignments: list[str], given: dict[str, Any]) -> BoundingConfig:
-    from lanebound.agents.assess.bounding import BoundingConfig
-    from lanebound.integrity.core.presets import parse_assignments
-
-    return BoundingConfig.load(parse_assignments(assignments) | given)
 
 
 def _report_bounding(result: dict[str, Any], out: Path, as_json: bool) -> None:

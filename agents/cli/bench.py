@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from lanebound.agents.cli.options import AsJson
+
 __all__ = ["bench"]
 
 
@@ -16,9 +18,12 @@ def bench(
     ] = None,
     rounds: Annotated[int, typer.Option(min=1, help="Repeat each comparison and keep the median.")] = 5,
     out: Annotated[Path, typer.Option(help="Where to write the figures as JSON.")] = Path("build/bench.json"),
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Measure speed and compare it with the gates. Exit code 1 when a benchmark fails to run.
+
+    The benchmark ``cold`` (a start of the vector engine with an empty cache of kernels) takes minutes and runs only
+    with --only cold.
 
     Example: lanebound bench --only ambiguity --rounds 3 --json
     """

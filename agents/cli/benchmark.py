@@ -1,14 +1,15 @@
-"""``lanebound benchmark``: agents compared, seed by seed, and a page about it."""
+"""``lanebound benchmark``: agents compared, seed by seed, and a report."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from lanebound.agents.cli.options import AsJson, Assignments, Budget, Cores, Fresh, FullTables, changes
 from lanebound.agents.cli.output import counted
 
 if TYPE_CHECKING:
@@ -19,43 +20,30 @@ __all__ = ["benchmark", "carry_out"]
 
 T = TypeVar("T")
 PAGE = "report.html"
-
-Agents = Annotated[
-    str | None,
-    typer.Option(
-        metavar="A,B",
-        help="Drive these alone: names ('lanebound agents'), or name=FILE.zip, .onnx, .npz or module:callable.",
-    ),
-]
+AGENTS_HELP = "Drive these alone: names ('lanebound agents'), or name=FILE.zip, .onnx, .npz or module:callable."
 
 
 def benchmark(
     suite: Annotated[
         str, typer.Argument(metavar="SUITE", help="quick, standard, claim, faults, look_ahead, learnt, or a YAML file.")
     ],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results; a run goes on where one stopped.")],
-    agents: Agents = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results; a run is resumed there.")],
+    agents: Annotated[str | None, typer.Option(metavar="A,B", help=AGENTS_HELP)] = None,
     seeds: Annotated[int | None, typer.Option(min=1, help="Episodes of each agent in each cell.")] = None,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Processes; one for each core by default.")] = None,
-    fresh: Annotated[
-        bool, typer.Option("--fresh/--resume", help="Throw away what DIR holds of an earlier run, or go on with it.")
-    ] = False,
-    budget: Annotated[float | None, typer.Option(min=0.0, metavar="HOURS", help="Begin no episode after that.")] = None,
-    assignments: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a value of it; may be repeated.")
-    ] = None,
-    full: Annotated[
-        bool, typer.Option("--full", help="Print the tables of every cell, not the overview alone.")
-    ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+    jobs: Cores = None,
+    fresh: Fresh = False,
+    budget: Budget = None,
+    assignments: Assignments = None,
+    full: FullTables = False,
+    as_json: AsJson = False,
 ) -> None:
     """Drive a suite of environments, skies and faults with several agents, and compare them seed by seed.
 
-    'lanebound agents' says what ours do.
+    'lanebound agents' describes the agents.
 
     Example: lanebound benchmark standard --out out/mine --agents nominal,mine=runs/model.zip --seeds 20 --budget 2
     """
-    carry_out(lambda: _suite(suite, agents, seeds, assignments or []), out, fresh, jobs, budget, full, as_json)
+    carry_out(lambda: _suite(suite, agents, seeds, changes(assignments)), out, fresh, jobs, budget, full, as_json)
 
 
 def carry_out(
@@ -77,7 +65,7 @@ def carry_out(
         results = with_bar("episodes", lambda on_progress: run_plan(plan, jobs, budget, on_progress))
         _print(results, budget, full, as_json)
         if plan.tasks and not sys.stderr.isatty():
-            typer.echo("writing the report: the worst episodes are driven again and filmed", err=True)
+            typer.echo("writing the report: filming the worst episodes", err=True)
         page = _while(f"writing {out / PAGE}", lambda say: _write(results, out, say))
         if not as_json:
             _point_to(results, out, page)
@@ -110,15 +98,12 @@ def _plan(suite: SuiteConfig, out: Path, fresh: bool) -> tuple[BenchmarkPlan, bo
     return BenchmarkPlan.of(suite, out, fresh), cold
 
 
-def _suite(name: str, agents: str | None, seeds: int | None, assignments: list[str]) -> SuiteConfig:
+def _suite(name: str, agents: str | None, seeds: int | None, changed: dict[str, Any]) -> SuiteConfig:
     """The suite with the changes of the options."""
     from lanebound.agents.benchmark.suite import load_suite, parse_agents
-    from lanebound.integrity.core.presets import deep_merge, parse_assignments
+    from lanebound.integrity.core.presets import deep_merge
 
-    changes = parse_assignments(assignments)
-    if seeds is not None:
-        changes = deep_merge(changes, {"seeds": {"count": seeds}})
-    found = load_suite(name, changes)
+    found = load_suite(name, changed if seeds is None else deep_merge(changed, {"seeds": {"count": seeds}}))
     if agents is None:
         return found
     known = {name: chosen.to_dict() for name, chosen in found.agents.items()}
@@ -127,7 +112,7 @@ def _suite(name: str, agents: str | None, seeds: int | None, assignments: list[s
 
 
 def _announce(plan: BenchmarkPlan, jobs: int | None, budget: float | None, cold: bool) -> None:
-    """Print what is to be driven and about how long it takes."""
+    """Print the planned episodes and about how long they take."""
     from lanebound.agents.checkpointing.runner import available_cores
 
     for env, agent, why in plan.left_out:
@@ -135,10 +120,10 @@ def _announce(plan: BenchmarkPlan, jobs: int | None, budget: float | None, cold:
     for warning in plan.warnings:
         typer.echo(f"warning: {warning}", err=True)
     if not plan.tasks:
-        typer.echo(f"{counted(plan.stored, 'episode')}, all there already: nothing to drive.", err=True)
+        typer.echo(f"{counted(plan.stored, 'episode')}, all stored already: nothing to drive.", err=True)
         return
     count = min(available_cores() if jobs is None else jobs, len(plan.tasks))
-    there = f", {plan.stored} more {'is' if plan.stored == 1 else 'are'} there already" if plan.stored else ""
+    there = f", {plan.stored} more {'is' if plan.stored == 1 else 'are'} stored already" if plan.stored else ""
     line = f"{counted(len(plan.tasks), 'episode')} to drive with {counted(count, 'process')}{there}"
     line += f": about {_length(plan.hours(count))}"
     line += ", and some minutes more to compile kernels, once" if cold else ""
@@ -161,16 +146,16 @@ def _print(results: Results, budget: float | None, full: bool, as_json: bool) ->
     if results.missing:
         why = "" if budget is None else f": the budget of {budget:g} h is used up"
         missing = f"{counted(len(results.missing), 'episode')} {'is' if len(results.missing) == 1 else 'are'} missing"
-        typer.echo(f"{missing}{why}. Run the same command again to go on.\n")
+        typer.echo(f"{missing}{why}. Run the same command again to resume.\n")
 
 
 def _write(results: Results, out: Path, say: Callable[[str], None]) -> Path:
     from lanebound.agents.report import write_report
 
-    def told(done: int, of: int) -> None:
-        say(f"the worst episodes are driven again for it, {done} of {of} done")
+    def report(done: int, of: int) -> None:
+        say(f"filming the worst episodes, {done} of {of} done")
 
-    return write_report(results, out, told=told)
+    return write_report(results, out, on_clip=report)
 
 
 def _point_to(results: Results, out: Path, page: Path) -> None:
@@ -181,7 +166,7 @@ def _point_to(results: Results, out: Path, page: Path) -> None:
 
 
 def _next(results: Results, out: Path) -> str:
-    """What to try next."""
+    """Commands to try next."""
     planned = [o for o in results.outcomes if results.suite.agents[o.agent].agent != "random"]
     worst = max(results.failures or planned or results.outcomes, key=lambda o: o.cost, default=None)
     lines = ["What to try next"]

@@ -1,4 +1,4 @@
-"""How results of a benchmark look in a terminal: a table for each place, and the differences from the references."""
+"""Results of a benchmark in a terminal: a table for each place, and the differences from the references."""
 
 from __future__ import annotations
 
@@ -20,15 +20,12 @@ from lanebound.agents.cli.output import counted, open_console
 __all__ = ["number", "print_failures", "print_results", "with_interval"]
 
 SHARES = ("availability", "hmi")
-COLOURS = {True: "green", False: "red"}
+COLOURS = {"better": "green", "worse": "red"}
 FAILURES = 10  # that are listed
 
 
 def print_results(results: Results) -> None:
-    """Print means with intervals, paired differences and failures.
-
-    Tables that are too wide stand below each other.
-    """
+    """Print means with intervals, paired differences and failures; wide tables are split."""
     console = open_console()
     for place in results.suite.places:
         if any(cell.place == place for cell in results.cells):
@@ -73,15 +70,15 @@ def _column(metric: Metric, cells: Sequence[Cell], pairs: Sequence[Paired], seed
     for pair in pairs:
         shown = with_interval(metric, pair.difference, pair.low, pair.high, signed=True)
         text = _text(*shown, _fewer(pair.n, seeds))
-        if pair.clear and metric.better is not None and pair.difference is not None:
-            text.stylize(COLOURS[(pair.difference > 0.0) == (metric.better == "higher")])
+        if tone := COLOURS.get(pair.verdict(metric.better)):
+            text.stylize(tone)
         found.append(text)
     unit = "%" if _in_percent(metric) else metric.unit
     return TableColumn("\n".join([*metric.title.split(), f"[{unit}]" if unit else ""]), found)
 
 
 def _fewer(n: int, seeds: int) -> str:
-    """How many seeds a figure is of, where they are fewer than there are."""
+    """The number of seeds of a value, where it is smaller than that of all."""
     return f"n={n}" if 0 < n < seeds else ""
 
 
@@ -91,24 +88,24 @@ def _text(mean: str, interval: str, fewer: str) -> Text:
 
 @dataclass(frozen=True)
 class TableColumn:
-    """A column of a table: in a terminal each entry has a second line, in a file it is in one."""
+    """A column of a table; entries have two lines in a terminal, and one in a file."""
 
     head: str
     entries: list[Text]
 
     def width(self, console: Console) -> int:
-        """Characters that it takes, with what is around it."""
+        """Its width with padding [characters]."""
         lines = [line for text in self.entries for line in self.fitted(console, text).plain.splitlines()]
         head = self.head.split("\n") if console.is_terminal else [self.head]
         return max(map(len, [*head, *lines])) + 2
 
     def fitted(self, console: Console, text: Text) -> Text:
-        """An entry as it is shown."""
+        """An entry for this console."""
         return text if console.is_terminal else Text(" ".join(text.plain.split("\n")).rstrip())
 
 
 def _groups(columns: Sequence[TableColumn], room: int) -> list[list[TableColumn]]:
-    """Columns that fit beside each other, one at least: none is cut."""
+    """Groups of columns that fit side by side, at least one column each."""
     console = Console()
     groups: list[list[TableColumn]] = [[]]
     for column in columns:
@@ -132,7 +129,7 @@ def _table(console: Console, columns: Sequence[TableColumn], agents: int) -> Tab
 def with_interval(
     metric: Metric, mean: float | None, low: float | None, high: float | None, signed: bool = False
 ) -> tuple[str, str]:
-    """A mean and its interval as text; ``-`` and nothing where there is none."""
+    """A mean and its interval as text; ``-`` and "" where they are missing."""
     if mean is None:
         return "-", ""
     if low is None or high is None:
@@ -141,7 +138,7 @@ def with_interval(
 
 
 def number(metric: Metric, value: float, signed: bool = False) -> str:
-    """A figure of a metric with as many digits as can be read: shares in percent."""
+    """A value of a metric as text, shares in percent."""
     scaled = 100.0 * value if _in_percent(metric) else value
     digits = 1 if abs(scaled) < 100.0 else 0
     text = f"{scaled:{'+' if signed else ''}.{digits}f}"
@@ -153,7 +150,7 @@ def _in_percent(metric: Metric) -> bool:
 
 
 def print_failures(console: Console, results: Results) -> None:
-    """The episodes in which an agent failed, the first of them with what was wrong."""
+    """Print the first episodes in which an agent failed, with the reasons."""
     failures = results.failures
     if not failures:
         return

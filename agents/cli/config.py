@@ -1,4 +1,4 @@
-"""``lanebound config``: what presets there are, and what they resolve to."""
+"""``lanebound config``: the presets, and the values that they resolve to."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Annotated, Any
 import typer
 
 from lanebound.agents.cli.advice import AdvisingGroup
+from lanebound.agents.cli.options import AsJson, Assignments, changes
 
 __all__ = ["app"]
 
 app = typer.Typer(cls=AdvisingGroup, no_args_is_help=True, help="List the presets, or show one with its units.")
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 
 
 @app.command("list")
@@ -35,21 +35,18 @@ def show(
     preset: Annotated[
         str, typer.Argument(metavar="PRESET", help="As 'lanebound config list' prints it, or a YAML file.")
     ],
-    assignments: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one value; may be repeated.")
-    ] = None,
+    assignments: Assignments = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show the resolved values of a preset: what it says, what it extends, and the defaults below.
+    """Show the resolved values of a preset: its own, those of the preset that it extends, and defaults.
 
     Example: lanebound config show studies/urban_drive --set navigator.dt_s=0.2 --json
     """
     from lanebound.agents.cli.kinds import resolve
     from lanebound.agents.cli.output import format_value, print_json, print_table
     from lanebound.integrity.core.config import describe
-    from lanebound.integrity.core.presets import parse_assignments
 
-    kind, config = resolve(preset, parse_assignments(assignments or []))
+    kind, config = resolve(preset, changes(assignments))
     entries = describe(config)
     if as_json:
         values: list[dict[str, Any]] = [{**entry._asdict(), "value": _plain(entry.value)} for entry in entries]

@@ -1,4 +1,4 @@
-"""``lanebound drive``: an agent drives, and what came of it is shown, logged and filmed."""
+"""``lanebound drive``: an agent drives; the results are shown, logged and filmed."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lanebound.agents.cli.options import AsJson, Assignments, EnvId, Faults, Fps, Seed, Sky, Video, changes
 from lanebound.agents.cli.output import counted
 from lanebound.agents.drivers import AGENTS
 
@@ -21,37 +22,27 @@ if TYPE_CHECKING:
     from lanebound.agents.episodes import EpisodeLog
     from lanebound.envs.core import DrivingEnv
 
-__all__ = ["Sky", "drive", "overrides"]
+__all__ = ["drive"]
 
 WEIGHTED = "cost, weighted"
 LOG, COLUMNS, DIAGRAM = "episodes.parquet", "columns.md", "stanford.png"
-Name = Annotated[str, typer.Argument(metavar="ID", help="An environment, as 'lanebound envs' lists them.")]
-Sky = Annotated[str | None, typer.Option(help="Sky: open, suburban, urban, dense, a file of record-sky, or FILE.yaml.")]
-Faults = Annotated[str | None, typer.Option(help="How often instruments fail: none, nominal or stress.")]
-Assignments = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a value of it; may be repeated.")
-]
+AGENT_HELP = f"Agent: {', '.join(AGENTS)} (see 'lanebound agents'); FILE.zip, .onnx, .npz, or module:callable."
 
 
 def drive(
-    name: Name,
-    agent: Annotated[
-        str,
-        typer.Option(
-            help=f"Who drives: {', '.join(AGENTS)} (see 'lanebound agents'); FILE.zip, .onnx, .npz, or module:callable."
-        ),
-    ] = "cruise",
+    name: EnvId,
+    agent: Annotated[str, typer.Option(help=AGENT_HELP)] = "cruise",
     sky: Sky = None,
     faults: Faults = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the first episode; each next one has the next.")] = 0,
+    seed: Seed = 0,
     episodes: Annotated[int, typer.Option(min=1, help="How many episodes.")] = 1,
-    video: Annotated[Path | None, typer.Option(metavar="FILE.mp4", help="Film all of it.")] = None,
-    fps: Annotated[int, typer.Option(min=1, help="Pictures of the film in a second of the drive.")] = 10,
+    video: Video = None,
+    fps: Fps = 10,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help=f"Folder for {LOG}, {COLUMNS} and {DIAGRAM}.")] = None,
     assignments: Assignments = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+    as_json: AsJson = False,
 ) -> None:
-    """Let an agent drive, and print return, costs and how good its position was.
+    """Drive with an agent, and print return, costs and the quality of its position.
 
     Example: lanebound drive LaneKeeping --sky dense --faults stress --seed 1 --video out/drive.mp4 --out out/drive
     """
@@ -60,26 +51,17 @@ def drive(
     finished: list[int] = []
     seeds = range(seed, seed + episodes)
     with resumable(lambda: _kept(len(finished), out, video)), failing(agent):
-        changes = overrides(sky, faults, assignments)
+        changed = changes(assignments, sky=sky, faults=faults)
         drove = with_bar(
-            "episodes",
-            lambda on_progress: _drive(name, agent, changes, seeds, (video, fps), out, finished, on_progress),
+            "episodes", lambda report: _drive(name, agent, changed, seeds, (video, fps), out, finished, report)
         )
     files = {"log": out and out / LOG, "diagram": out and out / DIAGRAM, "video": video}
     _report(f"{agent} in {name}", *drove, files, as_json)
 
 
-def overrides(sky: str | None, faults: str | None, assignments: list[str] | None) -> dict[str, Any]:
-    """What the options change of an environment's configuration; the named ones win over ``--set``."""
-    from lanebound.integrity.core.presets import parse_assignments
-
-    named = {key: value for key, value in (("sky", sky), ("faults", faults)) if value is not None}
-    return parse_assignments(assignments or []) | named
-
-
 @contextmanager
 def failing(agent: str) -> Iterator[None]:
-    """Within it, an agent that fails is told by its own frames and one line; exit code 1. A refusal goes on as one."""
+    """In this context the failure of an agent prints its own frames and one line; exit code 1. Refusals pass."""
     from lanebound.agents.episodes.guard import AgentFailure
     from lanebound.integrity.core.errors import InputError
 
@@ -108,7 +90,7 @@ def _kept(finished: int, out: Path | None, video: Path | None) -> str:
 def _drive(
     name: str,
     agent: str,
-    changes: dict[str, Any],
+    changed: dict[str, Any],
     seeds: range,
     film: tuple[Path | None, int],
     out: Path | None,
@@ -126,7 +108,7 @@ def _drive(
     from lanebound.agents.episodes.film import Film
     from lanebound.agents.episodes.guard import guarded
 
-    env = open_env(name, changes, None if film[0] is None else "rgb_array")
+    env = open_env(name, changed, None if film[0] is None else "rgb_array")
     driver, log = guarded(lambda env: make_agent(agent, env), env, seeds[0]), EpisodeLog()
     if out is not None:
         _claim(out)
@@ -199,9 +181,8 @@ def _report(
 
     written = {what: str(path) for what, path in files.items() if path is not None}
     if as_json:
-        all_of_them = measures(outcomes)
-        found = {"episodes": [s.to_dict() for s in outcomes], "all": all_of_them, "cost_limit": limit}
-        print_json({**found, "files": written})
+        episodes = [outcome.to_dict() for outcome in outcomes]
+        print_json({"episodes": episodes, "all": measures(outcomes), "cost_limit": limit, "files": written})
         return
     columns = ("seed", "ended by", "time [s]", "return", "cost", "success", "available", "HMI")
     print_table(f"{who}: {counted(len(outcomes), 'episode')}", columns, map(_line, outcomes))
@@ -243,7 +224,7 @@ def measures(outcomes: Sequence[Outcome]) -> dict[str, float]:
 
 
 def _label(measure: str) -> tuple[str, str]:
-    """A measure and its unit as the table has them: the cost is a weighted sum, its causes stand without weights."""
+    """A measure and its unit: the cost is a weighted sum, its causes are unweighted."""
     from lanebound.agents.cli.listing import INFO
 
     if measure == "cost":
@@ -255,8 +236,8 @@ def _label(measure: str) -> tuple[str, str]:
 
 
 def _value(measure: str, value: float, limit: float | None) -> str:
-    """A value with as many digits as count; the cost beside what is permitted."""
-    text = f"{_three(value):g}"
+    """A value in three decimals; the cost beside its limit."""
+    text = f"{round(value, 3):g}"
     return f"{text}, {_against(value, limit)}" if measure == "cost" and limit else text
 
 
@@ -268,17 +249,9 @@ def _against(cost: float, limit: float) -> str:
     """
     if cost <= limit:
         return f"within the limit {limit:g}"
-    return (
-        f"{cost / limit:.2g} x the limit {limit:g}"
-        if cost < 100.0 * limit
-        else f"{cost / limit:.0f} x the limit {limit:g}"
-    )
+    return f"{cost / limit:{'.2g' if cost < 100.0 * limit else '.0f'}} x the limit {limit:g}"
 
 
 def _line(s: Outcome) -> tuple[Any, ...]:
     ended = (s.seed, s.ended, round(s.time_s, 1), round(s.total_return, 1), round(s.cost, 1), s.success)
     return (*ended, f"{s.availability or 0.0:.1%}", s.hmi_steps)
-
-
-def _three(value: float) -> float:
-    return round(value, 3)

@@ -1,10 +1,12 @@
-"""``lanebound envs``: which environments there are, and what one of them shows, takes and charges."""
+"""``lanebound envs``: the environments; of one its configuration, observation, info and costs."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from lanebound.agents.cli.options import AsJson, Assignments, changes
 
 if TYPE_CHECKING:
     from lanebound.envs.core import DrivingEnv
@@ -16,15 +18,12 @@ COLUMNS = ("id", "action_space", "policy_hz", "sky", "cost_limit")  # fit into a
 
 def envs(
     name: Annotated[
-        str | None,
-        typer.Argument(metavar="[ID]", help="Show this one: configuration, observation, info, costs."),
+        str | None, typer.Argument(metavar="[ID]", help="Show this one: configuration, observation, info, costs.")
     ] = None,
-    assignments: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a value of it; may be repeated.")
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+    assignments: Assignments = None,
+    as_json: AsJson = False,
 ) -> None:
-    """List the environments, or show one: what it is made of, and every entry of its observation.
+    """List the environments, or show one: its configuration, and every entry of its observation.
 
     Example: lanebound envs LaneKeeping --set sky=dense --set observation.integrity=blind
     """
@@ -38,9 +37,8 @@ def envs(
         _list(as_json)
         return
     from lanebound.agents.episodes.opening import open_env
-    from lanebound.integrity.core.presets import parse_assignments
 
-    env = open_env(name, parse_assignments(assignments or []))
+    env = open_env(name, changes(assignments))
     if as_json:
         print_json(_details(env))
     else:
@@ -63,13 +61,13 @@ def _list(as_json: bool) -> None:
 
 
 def _short(row: dict[str, Any]) -> list[Any]:
-    """A row of the table; of a box its shape says enough, as all go from -1 to 1."""
+    """A row of the table; a box is shown by its shape, as all have the bounds -1 and 1."""
     space = str(row["action_space"]).replace("-1.0, 1.0, (", "").replace("), float32", "")
     return [space if column == "action_space" else row[column] for column in COLUMNS]
 
 
 def facts(env: DrivingEnv) -> dict[str, Any]:
-    """What the list says of an environment."""
+    """The entry of an environment in the list."""
     from lanebound.envs.observation import group_slices
 
     c = env.config

@@ -1,4 +1,4 @@
-"""Which configuration class the ``kind`` of a preset names, loaded only when asked for."""
+"""Configuration classes by the ``kind`` of a preset, loaded at their first use."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ KINDS = {
 
 
 def resolve(name: str, overrides: Mapping[str, Any] | None = None) -> tuple[str, Config]:
-    """The kind of a preset or a file of one's own, and its configuration with ``overrides`` on top.
+    """The kind of a preset or a YAML file, and its configuration with ``overrides``.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def resolve(name: str, overrides: Mapping[str, Any] | None = None) -> tuple[str,
 
 
 def _require_no_environment(name: str) -> None:
-    """Point to where environments are shown: they are no presets."""
+    """Refuse the name of an environment with a hint to ``lanebound envs``."""
     from lanebound.agents.cli.listing import LISTING
 
     short = name.removeprefix("lanebound/").removesuffix("-v0").lower()

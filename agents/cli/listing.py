@@ -1,4 +1,4 @@
-"""The environments in plain data, so that listing them needs none of their imports; a test compares it with them."""
+"""The environments as plain data, so that listing them is fast; a test compares it with the environments."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How commands print: a table for people, JSON for programs."""
+"""Output of commands: tables and JSON."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LONG_WORD = 24  # characters; longer ones may be broken
 
 
 def format_value(value: Any) -> str:
-    """A value as a person reads it: six digits of a float, ``yes``/``no``, ``-`` for nothing."""
+    """A value as text: six digits of a float, ``yes``/``no``, ``-`` for None."""
     if value is None:
         return "-"
     if isinstance(value, bool):
@@ -32,7 +32,7 @@ def format_value(value: Any) -> str:
 
 
 def open_console() -> Console:
-    """Standard output; a file or a pipe is as wide as COLUMNS says, or as is easily read."""
+    """Standard output; a file or a pipe has the width COLUMNS, or one that is easy to read."""
     from rich.console import Console
 
     console = Console()
@@ -44,10 +44,10 @@ def open_console() -> Console:
 def print_table(
     title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]], numbers: Collection[str] = ()
 ) -> None:
-    """Print rows under a title; columns whose values are numbers, or which are named so, are set flush right.
+    """Print rows under a title; columns of numbers, and those in ``numbers``, are aligned to the right.
 
-    The table fits the width of the terminal. Longer text goes on in further lines, but the first column, by which rows
-    are named, and heads are never broken: where they leave no room the table is wider.
+    The table fits the width of the terminal. Long text is wrapped, but the first column and heads are never broken:
+    where they leave no room the table is wider.
     """
     from rich.table import Table
     from rich.text import Text
@@ -72,7 +72,7 @@ def print_table(
 
 
 def _least_width(head: str, texts: Iterable[str], whole: bool = False) -> int:
-    """Characters of a column in which its head and its words, very long ones apart, or ``whole`` texts are unbroken."""
+    """Least width of a column without breaks in its head and its words (but very long ones), or ``whole`` texts."""
     words = (len(word) for text in texts for word in ((text,) if whole else text.split()))
     return max([*map(len, head.split("\n")), *(length for length in words if whole or length <= LONG_WORD)])
 
@@ -80,8 +80,8 @@ def _least_width(head: str, texts: Iterable[str], whole: bool = False) -> int:
 def _fitted(least: Sequence[int], most: Sequence[int], columns: Sequence[str], room: int) -> list[int]:
     """Widths of columns that fit.
 
-    Where the least ones do not, the widest but the first give way, as long as they can be read. What is left over goes
-    to those that have least of what they could use.
+    Where the least widths do not fit, the widest columns but the first are narrowed down to a readable width. Free
+    space goes to the columns with the smallest share of their largest width.
     """
     fitted, spare = list(least), room - sum(least) - 3 * len(least) - 1
     for i in sorted(range(1, len(fitted)), key=lambda i: -fitted[i]):
@@ -97,7 +97,7 @@ def _fitted(least: Sequence[int], most: Sequence[int], columns: Sequence[str], r
 
 
 def print_json(data: Any) -> None:
-    """Print plain data as JSON; what is infinite or NaN is ``null``."""
+    """Print plain data as JSON; infinity and NaN are ``null``."""
     import typer
 
     from lanebound.agents.serialization import to_json_text

@@ -1,4 +1,4 @@
-"""A benchmark in a few sentences and one table: the means of each agent over all cells."""
+"""The overview of a benchmark: the opening sentences, and one table with means of each agent over all cells."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def _partial(results: Results, places: int) -> list[str]:
 
 
 def _untuned(results: Results) -> list[str]:
-    """Agents that drove with untuned margins."""
+    """Agents with untuned margins."""
     driven = Counter(cell.agent for cell in results.cells)
     untuned = Counter(cell.agent for cell in results.cells if cell.untuned)
     return [
@@ -79,7 +79,7 @@ def _untuned(results: Results) -> list[str]:
 
 
 def _failing(results: Results) -> list[str]:
-    """Agents whose figures leave out the episodes in which they failed, perhaps the hard ones."""
+    """Agents with failed episodes, perhaps the hard ones, which their means leave out."""
     driven = Counter(outcome.agent for outcome in results.outcomes)
     failed = Counter(outcome.agent for outcome in results.failures)
     return [

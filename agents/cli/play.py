@@ -2,42 +2,33 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import typer
 
-from lanebound.agents.cli.drive import Assignments, Faults, Name, Sky
+from lanebound.agents.cli.options import Assignments, EnvId, Faults, Seed, Sky, changes
 
 __all__ = ["play"]
 
-PLAY_HZ = 10  # decisions in a second, so that keys act and pictures come at once
+PLAY_HZ = 10  # decisions in a second, for a quick response to keys
 
 
-def play(
-    name: Name,
-    sky: Sky = None,
-    faults: Faults = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the first episode; each next one has the next.")] = 0,
-    assignments: Assignments = None,
-) -> None:
-    """Drive by hand in a window that shows what is believed beside what is true.
+def play(name: EnvId, sky: Sky = None, faults: Faults = None, seed: Seed = 0, assignments: Assignments = None) -> None:
+    """Drive by hand in a window that shows belief and truth.
 
     Example: lanebound play UrbanCanyon --sky dense
     """
     from lanebound.agents.benchmark.scoring import outcome_of
-    from lanebound.agents.cli.drive import overrides
     from lanebound.agents.drivers.keyboard import HELP
     from lanebound.agents.episodes import EpisodeLog, open_env
     from lanebound.agents.episodes.play import play as play_all
     from lanebound.agents.episodes.play import require_display
     from lanebound.integrity.core.presets import deep_merge
 
-    changes = deep_merge({"policy_hz": PLAY_HZ}, overrides(sky, faults, assignments))
-    open_env(name, changes)
+    changed = deep_merge({"policy_hz": PLAY_HZ}, changes(assignments, sky=sky, faults=faults))
+    open_env(name, changed)
     require_display()
     log = EpisodeLog()
     typer.echo(HELP)
-    begun = play_all(open_env(name, changes, "human"), seed, [log])
+    begun = play_all(open_env(name, changed, "human"), seed, [log])
     for episode in range(begun):
         rows = log.episode(episode)
         if len(rows) > 1:

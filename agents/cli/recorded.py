@@ -1,4 +1,4 @@
-"""``lanebound replay``, ``rtk`` and ``record-sky``: recorded drives through the navigator of simulated ones."""
+"""``lanebound replay``, ``rtk`` and ``record-sky``: recorded drives, computed by the navigator of simulated ones."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from lanebound.agents.cli.options import AsJson, Assignments, changes
+
 if TYPE_CHECKING:
     from lanebound.agents.checkpointing.runner import OnProgress
     from lanebound.integrity.core.progress import Progress
@@ -15,22 +17,18 @@ if TYPE_CHECKING:
 __all__ = ["record_sky", "replay", "rtk"]
 
 T = TypeVar("T")
-Changes = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a value; may be repeated.")
-]
 CITY_WORDS = (
     "overbound: bounds of the errors by C/N0, fitted on the training part; danish: the same, re-weighted by the data; "
     "gaussian: the receiver's own variances, taken for noise around 0; gaussian_epoch: the same without a window. "
     "training, after: before and after the fitting ends; unshared: windows that hold no signal of training."
 )
-FAR_M = 1000.0  # between a base as given and as its header has it, which may be coarse
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
+FAR_M = 1000.0  # between the given position of a base and that of its header, which may be coarse
 
 
 def replay(
     dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder: smartLoc, comma2k19, or a RINEX pair.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the figures and for replay.json or rtk.json.")],
-    assignments: Changes = None,
+    assignments: Assignments = None,
     as_json: AsJson = False,
 ) -> None:
     """Replay a recorded drive: positions, protection levels, exclusions and alerts against the truth.
@@ -44,17 +42,15 @@ def replay(
     Example: lanebound replay data/smartloc_berlin_potsdamer --out out/berlin
     """
     from lanebound.agents.cli.output import print_json
-    from lanebound.integrity.core.presets import parse_assignments
     from lanebound.integrity.replay.datasets import kind_of, replay_folder
 
-    changes = parse_assignments(assignments or [])
     kind = "RTK solution" if kind_of(dataset) == "rinex" else "replayed drive"
-    found, written = _solve(out, kind, lambda told: replay_folder(dataset, out, changes, told))
+    found, written = _solve(out, kind, lambda report: replay_folder(dataset, out, changes(assignments), report))
     if as_json:
         print_json(found)
         return
     _PRINTERS[found["dataset"]](found)
-    _tell(found.get("stopped"), written)
+    _print_files(found.get("stopped"), written)
 
 
 def rtk(
@@ -73,7 +69,7 @@ def rtk(
     rover_position: Annotated[
         str | None, typer.Option(metavar="X,Y,Z", help="True antenna of a rover that stands, to count errors.")
     ] = None,
-    assignments: Changes = None,
+    assignments: Assignments = None,
     as_json: AsJson = False,
 ) -> None:
     """RTK of any two receivers, static or moving: fixed positions with protection levels, epoch by epoch.
@@ -83,17 +79,16 @@ def rtk(
     Example: lanebound rtk --rover rover.obs --base base.obs --nav base.nav --out out/rtk
     """
     from lanebound.agents.cli.output import print_json
-    from lanebound.integrity.core.presets import parse_assignments
     from lanebound.integrity.replay.baseline import BaselineConfig
     from lanebound.integrity.replay.baseline_report import read_coordinates, run_baseline
 
-    config = BaselineConfig.build(None, parse_assignments(assignments or []))
+    config = BaselineConfig.build(None, changes(assignments))
     places = {
         name: None if text is None else read_coordinates(text)
         for name, text in (("base_ecef_m", base_position), ("rover_ecef_m", rover_position))
     }
     found, written = _solve(
-        out, "RTK solution", lambda told: run_baseline(rover, base, nav, out, config=config, told=told, **places)
+        out, "RTK solution", lambda report: run_baseline(rover, base, nav, out, config=config, told=report, **places)
     )
     if as_json:
         print_json(found)
@@ -102,7 +97,7 @@ def rtk(
     if (found["base_from_header_m"] or 0.0) > FAR_M:
         away = f"{found['base_from_header_m'] / 1000.0:.1f} km"
         typer.echo(f"note: --base-position is {away} from where the base's header has it: is it this base?", err=True)
-    _tell(found["stopped"], written)
+    _print_files(found["stopped"], written)
 
 
 def _solve(out: Path, kind: str, work: Callable[[Progress], T]) -> T:
@@ -121,11 +116,11 @@ def _epochs(on_progress: OnProgress) -> Progress:
 
     counter = Counter(on_progress, RunProgress(0))
 
-    def told(done: int, of: int) -> None:
+    def report(done: int, of: int) -> None:
         counter.progress.of = of
         counter(done)
 
-    return told
+    return report
 
 
 def record_sky(
@@ -133,24 +128,23 @@ def record_sky(
     out: Annotated[
         Path, typer.Option(metavar="FILE.csv", help="The recorded sky, to be named as an environment's sky.")
     ],
-    assignments: Changes = None,
+    assignments: Assignments = None,
     as_json: AsJson = False,
 ) -> None:
-    """Write down the sky along a recorded drive: who was received where, and how late. Environments can play it.
+    """Write the sky along a recorded drive: received satellites by place, and their delays, for environments.
 
     Example: lanebound record-sky data/smartloc_berlin_potsdamer --out berlin.csv
     """
     from lanebound.agents.cli.output import print_json
     from lanebound.agents.cli.progress import resumable, wait_for
     from lanebound.integrity.core.errors import ConfigError
-    from lanebound.integrity.core.presets import parse_assignments
     from lanebound.integrity.replay.city_report import read_city
     from lanebound.integrity.replay.sky_record import SkyRecordConfig, summary
     from lanebound.integrity.replay.sky_record import record_sky as make
 
     if out.suffix != ".csv":
         raise ConfigError(f"--out must end in .csv, by which a recorded sky is known, got {out}: name it so")
-    config = SkyRecordConfig.build(None, parse_assignments(assignments or []))
+    config = SkyRecordConfig.build(None, changes(assignments))
     with resumable(lambda: "nothing is kept"):
         drive = wait_for(lambda: read_city(dataset))
         recording = make(drive, config)
@@ -160,7 +154,7 @@ def record_sky(
         print_json(found)
         return
     _print_sky(found)
-    _tell(drive.stopped, [out])
+    _print_files(drive.stopped, [out])
 
 
 def _print_sky(found: dict[str, Any]) -> None:
@@ -176,10 +170,11 @@ def _print_sky(found: dict[str, Any]) -> None:
     print_table("Recorded sky", ("", "value"), rows)
 
 
-def _tell(stopped: Any, written: list[Path]) -> None:
-    """Where files ended early, and what was written."""
-    for told in stopped.items() if isinstance(stopped, dict) else ([("file", stopped)] if stopped else []):
-        typer.echo(f"note: {told[0]}: {told[1]}", err=True)
+def _print_files(stopped: Any, written: list[Path]) -> None:
+    """Print which inputs ended early, and the written files."""
+    early = stopped if isinstance(stopped, dict) else {"file": stopped} if stopped else {}
+    for name, reason in early.items():
+        typer.echo(f"note: {name}: {reason}", err=True)
     for path in written:
         typer.echo(str(path))
 

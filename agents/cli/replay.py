@@ -1,4 +1,4 @@
-"""``lanebound replay-episode``: an episode of a benchmark driven again, and filmed."""
+"""``lanebound replay-episode``: an episode of a benchmark, driven again and filmed."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from lanebound.agents.cli.options import AsJson, Fps, Video
 
 if TYPE_CHECKING:
     from lanebound.agents.benchmark import Outcome
@@ -16,9 +18,9 @@ __all__ = ["replay_episode"]
 def replay_episode(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder that 'lanebound benchmark' wrote.")],
     ident: Annotated[str, typer.Argument(metavar="ID", help="Episode as it is listed: env/sky-faults/agent/seed.")],
-    video: Annotated[Path | None, typer.Option(metavar="FILE.mp4", help="Film it.")] = None,
-    fps: Annotated[int, typer.Option(min=1, help="Pictures of the film in a second of the drive.")] = 10,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    video: Video = None,
+    fps: Fps = 10,
+    as_json: AsJson = False,
 ) -> None:
     """Drive an episode of a benchmark again, and check that it ends as it did. Exit code 1 when it does not.
 
@@ -65,7 +67,7 @@ def _explain(folder: Path) -> None:
 
     same = EpisodeStore(folder).same_version()
     why = (
-        "the agent may draw from a generator of its own, or look at the clock"
+        "the agent may draw from a generator of its own, or depend on the time"
         if same
         else "the code or a package has changed"
     )

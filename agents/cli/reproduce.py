@@ -1,4 +1,4 @@
-"""``lanebound reproduce``: what the source papers show, from one documented parameter set."""
+"""``lanebound reproduce``: the results of the source papers, from one documented parameter set."""
 
 from __future__ import annotations
 
@@ -9,32 +9,28 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lanebound.agents.cli.advice import AdvisingGroup
+from lanebound.agents.cli.options import AsJson, Assignments, Jobs, changes
 
 if TYPE_CHECKING:
     from lanebound.agents.reproduce.urban_drive import UrbanDriveConfig
 
 __all__ = ["app"]
 
-app = typer.Typer(cls=AdvisingGroup, help="Reproduce what the source papers show.", no_args_is_help=True)
+app = typer.Typer(cls=AdvisingGroup, help="Reproduce the results of the source papers.", no_args_is_help=True)
 
 
 @app.callback()
 def _reproduce() -> None:
-    """Reproduce what the source papers show."""
+    """Reproduce the results of the source papers."""
 
 
 @app.command("urban-drive")
 def urban_drive(
-    out: Annotated[
-        Path, typer.Option(help="Folder for tables.json and the figures; an interrupted run goes on there.")
-    ],
+    out: Annotated[Path, typer.Option(help="Folder for tables.json and the figures; a run is resumed there.")],
     seeds: Annotated[int | None, typer.Option(min=1, help="Number of drives; the study has 100.")] = None,
     minutes: Annotated[float | None, typer.Option(min=1.0, help="Length of a drive; the study has 26.")] = None,
-    assignments: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Change a value of the study; may be repeated."),
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    assignments: Assignments = None,
+    as_json: AsJson = False,
 ) -> None:
     """A Tokyo-like urban drive: RTK, Doppler, IMU + odometer, and the tables of S1 beside ours.
 
@@ -44,19 +40,18 @@ def urban_drive(
     from lanebound.agents.reproduce.study import run_study
 
     with resumable(lambda: kept_text(out, "parts/*.json", "part")):
-        changes = {key: value for key, value in (("seeds", seeds), ("minutes", minutes)) if value is not None}
-        config = _checked(assignments or [], changes, out)
+        config = _checked(changes(assignments, seeds=seeds, minutes=minutes), out)
         tables = with_bar("epochs", lambda on_progress: run_study(config, out, on_progress))
         _report(tables, out, as_json)
 
 
 @app.command("barrier-promise")
 def barrier_promise(
-    out: Annotated[Path, typer.Option(help="Folder for promise.json; an interrupted run goes on there.")],
+    out: Annotated[Path, typer.Option(help="Folder for promise.json; a run is resumed there.")],
     episodes: Annotated[int | None, typer.Option(min=1, help="Of each group; the study has 1,000.")] = None,
-    source: Annotated[str, typer.Option(help="What tells of the leader: v2v (radio), sensor, or both.")] = "v2v",
-    jobs: Annotated[int, typer.Option(min=1, help="Processes that drive at a time.")] = 1,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    source: Annotated[str, typer.Option(help="Source of the leader's state: v2v (radio), sensor, or both.")] = "v2v",
+    jobs: Jobs = 1,
+    as_json: AsJson = False,
 ) -> None:
     """The barrier filter under reckless drivers: is its barrier ever negative, without faults and with them?
 
@@ -66,8 +61,7 @@ def barrier_promise(
     from lanebound.agents.reproduce.barrier_promise import BarrierPromiseConfig, run_promise
 
     with resumable(lambda: kept_text(out, "parts/*.json", "part")):
-        given = {} if episodes is None else {"episodes": episodes}
-        config = BarrierPromiseConfig.load(given | {"source": source})
+        config = BarrierPromiseConfig.load(changes(None, episodes=episodes, source=source))
         found = with_bar("episodes", lambda on_progress: run_promise(config, out, jobs, on_progress))
         _report_promise(found, out, as_json)
 
@@ -79,13 +73,16 @@ def _report_promise(result: dict[str, Any], out: Path, as_json: bool) -> None:
         print_json(result)
         return
     groups = list(result)
+    named = sorted({name for group in result.values() for name in group["exceptions"]})
+    counted = (
+        ("counts", "", ("decisions", "kept", "broken", "exceptional", "lost", "unsafe starts")),
+        ("exceptions", "exceptions: ", named),
+        ("filter", "", ("following infeasible", "lane slack", "lane infeasible")),
+    )
     rows = [("episodes", *(result[g]["episodes"] for g in groups))]
-    for key in ("decisions", "kept", "broken", "exceptional", "lost", "unsafe starts"):
-        rows.append((key, *(result[g]["counts"].get(key, 0) for g in groups)))
-    named = sorted({name for g in groups for name in result[g]["exceptions"]})
-    rows += [(f"exceptions: {n}", *(result[g]["exceptions"].get(n, 0) for g in groups)) for n in named]
-    for key in ("following infeasible", "lane slack", "lane infeasible"):
-        rows.append((key, *(result[g]["filter"].get(key, 0) for g in groups)))
+    rows += [
+        (f"{head}{key}", *(result[g][kind].get(key, 0) for g in groups)) for kind, head, keys in counted for key in keys
+    ]
     for key in ("crashes", "integrity_risk", "level_exceeded_per_decision", "barrier_lost_per_decision"):
         rows.append((key.replace("_", " "), *(result[g][key] for g in groups)))
     rows.append(("crashes, 95 %", *(_interval(result[g]["crash_share_95"]) for g in groups)))
@@ -105,14 +102,13 @@ def _interval(share: Sequence[float]) -> str:
     return f"{100.0 * share[0]:.1f} to {100.0 * share[1]:.1f} %"
 
 
-def _checked(assignments: list[str], changes: dict[str, Any], out: Path) -> UrbanDriveConfig:
+def _checked(changed: dict[str, Any], out: Path) -> UrbanDriveConfig:
     """The configuration, checked before the work begins."""
     from lanebound.agents.cli.kinds import resolve
     from lanebound.agents.reproduce.study import check
     from lanebound.agents.reproduce.urban_drive import UrbanDriveConfig
-    from lanebound.integrity.core.presets import parse_assignments
 
-    _, config = resolve("studies/urban_drive", parse_assignments(assignments) | changes)
+    _, config = resolve("studies/urban_drive", changed)
     assert isinstance(config, UrbanDriveConfig)
     check(config, out)
     return config

@@ -1,4 +1,4 @@
-"""``lanebound study``: arms that differ in what they see and heed, learnt with several seeds and compared."""
+"""``lanebound study``: arms with different observations and constraints, trained with several seeds and compared."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lanebound.agents.cli.options import AsJson, Assignments, Budget, Jobs, changes
 from lanebound.agents.cli.output import counted
 
 if TYPE_CHECKING:
@@ -17,25 +18,22 @@ __all__ = ["study"]
 
 def study(
     name: Annotated[str, typer.Argument(metavar="STUDY", help="One of ours (value_of_integrity), or a YAML file.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the trainings and results; a run goes on there.")],
-    jobs: Annotated[int, typer.Option(min=1, help="Trainings at a time, a process each.")] = 1,
-    budget: Annotated[float | None, typer.Option(min=0.0, metavar="HOURS", help="Begin nothing after that.")] = None,
-    assignments: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a value of it; may be repeated.")
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the trainings and results; a run is resumed.")],
+    jobs: Jobs = 1,
+    budget: Budget = None,
+    assignments: Assignments = None,
+    as_json: AsJson = False,
 ) -> None:
-    """Learn every arm of a study in every place with several seeds, and compare them on held-out seeds.
+    """Train every arm of a study in every place with several seeds, and compare them on held-out seeds.
 
     Example: lanebound study value_of_integrity --out out/study --jobs 2 --budget 8
     """
     from lanebound.agents.cli.progress import resumable, with_bar
     from lanebound.agents.learning.study import load_study, plan, run_learning_study
     from lanebound.agents.learning.study_time import study_hours
-    from lanebound.integrity.core.presets import parse_assignments
 
     with resumable(lambda: f"trainings and checkpoints are kept in {out}; run the same command again to resume"):
-        chosen = load_study(name, parse_assignments(assignments or []))
+        chosen = load_study(name, changes(assignments))
         course = plan(chosen)
         _announce(chosen, course, study_hours(chosen, course) / jobs, jobs, budget)
         found = with_bar("trainings", lambda on_progress: run_learning_study(chosen, out, jobs, budget, on_progress))
@@ -86,8 +84,10 @@ def _report(found: dict[str, Any], out: Path, as_json: bool) -> None:
         if row["n"]
     ]
     if kept:
-        print_table("who keeps the limit, in all places", ("arms", "kept", "p by Holm's method"), kept)
+        print_table("trainings within the cost limit, in all places", ("arms", "kept", "p by Holm's method"), kept)
     trainings = found["trainings"]
     if trainings["done"] < trainings["planned"]:
-        typer.echo(f"{trainings['done']} of {trainings['planned']} trainings are done: the same command goes on")
+        typer.echo(
+            f"{trainings['done']} of {trainings['planned']} trainings are done: run the same command again to resume"
+        )
     typer.echo(f"results.json{', curves.svg' if trainings['done'] else ''}: {out}")

@@ -1,4 +1,4 @@
-"""``lanebound train``, ``evaluate`` and ``export``: policies that are learnt, what they come to, and as networks."""
+"""``lanebound train``, ``evaluate`` and ``export``: train policies, evaluate them, write them as networks."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lanebound.agents.cli.options import AsJson, Assignments, Cores, Fresh, FullTables, changes
 from lanebound.agents.cli.output import counted
 
 if TYPE_CHECKING:
@@ -20,33 +21,28 @@ __all__ = ["evaluate", "export", "train"]
 
 def train(
     name: Annotated[str, typer.Argument(metavar="EXPERIMENT", help="One of ours, or a YAML file.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the checkpoints; a run goes on from the last.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the checkpoints; the last one is resumed.")],
     jobs: Annotated[int, typer.Option(min=1, help="1: environments in this process; more: each in its own.")] = 1,
-    assignments: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change a value of it; may be repeated.")
-    ] = None,
+    assignments: Assignments = None,
 ) -> None:
-    """Learn a policy, or go on with it; the best within the limit of cost is kept as best.zip, with a card.
+    """Train a policy, or resume its training; the best within the limit of cost is stored as best.zip, with a card.
 
-    Decisions of imitation come before the experiment's steps. Who goes on after a stop drives other episodes than who
-    never stopped.
+    Decisions of imitation come before the experiment's steps. A resumed training has other episodes than an
+    uninterrupted one.
 
     Example: lanebound train lane_keeping_ppo_lagrangian --out out/learnt --set steps=100000
     """
     from lanebound.agents.cli.progress import resumable, with_bar
     from lanebound.agents.learning.experiment import load_experiment
     from lanebound.agents.learning.imitation import teacher_of
-    from lanebound.integrity.core.presets import parse_assignments
 
-    experiment = load_experiment(name, parse_assignments(assignments or []))
+    experiment = load_experiment(name, changes(assignments))
     if teacher_of(experiment) is None:  # which opens the environment: refusals come before the work
         experiment.open().close()
     with resumable(lambda: _kept(out)):
         rows, idle = with_bar("decisions", lambda on_progress: _trained(experiment, out, jobs, on_progress))
     if idle:
-        typer.echo(
-            f"all {experiment.steps} decisions are done already (so far {rows[-1]['steps']}): raise steps to go on"
-        )
+        typer.echo(f"all {experiment.steps} decisions are made (now {rows[-1]['steps']}): raise steps to continue")
     typer.echo(f"{counted(len(rows), 'checkpoint')}; the best is {out / 'best.zip'}, described in {out / 'best.md'}")
     typer.echo(f"What to try next\n  lanebound evaluate {out} --out {out}-evaluation")
 
@@ -93,10 +89,6 @@ Where = Annotated[
     str | None,
     typer.Option("--env", metavar="ID", help="Environment, for a checkpoint that does not say where it was learnt."),
 ]
-Changes = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Change a value of that environment; may be repeated."),
-]
 
 
 def evaluate(
@@ -104,14 +96,14 @@ def evaluate(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results; it is resumed.")],
     env: Where = None,
     sky: Annotated[str | None, typer.Option(help="Level of the sky; that of the training by default.")] = None,
-    assignments: Changes = None,
+    assignments: Assignments = None,
     agents: Annotated[str, typer.Option(metavar="A,B", help="Drive these beside it.")] = "nominal,integrity_aware",
     seeds: Annotated[int, typer.Option(min=1, help="Episodes of each, on test seeds.")] = 50,
     skip: Annotated[int, typer.Option(min=0, help="First test seeds left out, as ones that were looked at.")] = 0,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Processes; one for each core by default.")] = None,
-    fresh: Annotated[bool, typer.Option("--fresh/--resume", help="Remove earlier results, or resume.")] = False,
-    full: Annotated[bool, typer.Option("--full", help="Print every metric with its interval.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+    jobs: Cores = None,
+    fresh: Fresh = False,
+    full: FullTables = False,
+    as_json: AsJson = False,
 ) -> None:
     """Drive a learnt policy on the test seeds, beside other agents.
 
@@ -133,7 +125,7 @@ def export(
         typer.Option(metavar="FILE", help="FILE.onnx, by default beside the checkpoint; or FILE.npz, as 'ppo' is."),
     ] = None,
     env: Where = None,
-    assignments: Changes = None,
+    assignments: Assignments = None,
 ) -> None:
     """Write a learnt policy as a network alone, from flat observations to actions.
 
@@ -154,7 +146,5 @@ def export(
 
 def _changes(sky: str | None, assignments: list[str] | None) -> dict[str, Any]:
     """Values of an experiment that the options change."""
-    from lanebound.integrity.core.presets import parse_assignments
-
-    overrides = parse_assignments(assignments or [])
+    overrides = changes(assignments)
     return ({"overrides": overrides} if overrides else {}) | ({} if sky is None else {"sky": sky})

@@ -1,4 +1,4 @@
-"""``lanebound tune``: figures of agents that are found by driving training seeds."""
+"""``lanebound tune``: parameters of agents, fitted on training seeds."""
 
 from __future__ import annotations
 
@@ -8,24 +8,25 @@ from typing import Annotated
 import typer
 
 from lanebound.agents.cli.advice import AdvisingGroup
+from lanebound.agents.cli.options import Cores, EnvId
 
 __all__ = ["app"]
 
-app = typer.Typer(cls=AdvisingGroup, help="Find figures of agents on training seeds.", no_args_is_help=True)
+app = typer.Typer(cls=AdvisingGroup, help="Fit parameters of agents on training seeds.", no_args_is_help=True)
 
 
 @app.callback()
 def _tune() -> None:
-    """Find figures of agents on training seeds."""
+    """Fit parameters of agents on training seeds."""
 
 
 @app.command("cautious")
 def cautious(
-    name: Annotated[str, typer.Argument(metavar="ID", help="An environment, as 'lanebound envs' lists them.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the episodes; a run goes on where one stopped.")],
+    name: EnvId,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the episodes; a run is resumed there.")],
     sky: Annotated[str, typer.Option(help="Level of the sky.")] = "dense",
     seeds: Annotated[int, typer.Option(min=1, help="How many, from the first training seed on.")] = 40,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Processes; one for each core by default.")] = None,
+    jobs: Cores = None,
 ) -> None:
     """Constant margins to compare the integrity-aware driver with; prints JSON.
 

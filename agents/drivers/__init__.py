@@ -1,4 +1,4 @@
-"""Agents by name: controllers that drive on what an observation says, with the interface of stable-baselines3."""
+"""Agents by name: controllers that decide by observations, with the interface of stable-baselines3."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ ANY, STEERED, FULL = "any", "Box", "Box(2,)"
 
 
 class About(NamedTuple):
-    """An agent in a few words.
+    """The description of an agent.
 
     Attributes
     ----------
-    does : how it drives; reads : what of an observation; on_alert : what it does while an alert is on
+    does : its method; reads : entries of observations that it uses; on_alert : its reaction to an alert
     actions : spaces of actions that it can command, as ``lanebound envs`` shows them: any, steering with or without
         acceleration, or steering with acceleration
     """
@@ -72,17 +72,17 @@ ABOUT = {
     "stanley": About("cruise with Stanley steering", "position", "nothing", STEERED),
     "stop_on_alert": About("cruise, stops while an alert is on", "position, alert", "stops", ANY),
 }
-"""Every name of ``AGENTS`` in words: what ``lanebound agents`` shows."""
+"""Descriptions of ``AGENTS``, as ``lanebound agents`` prints them."""
 REMEMBERING = ("cbf", "mpc")
-"""Those that reckon with what they commanded last, and go wrong where somebody else's commands are carried out."""
+"""Agents that use their last command: they are wrong where the commands of another agent are carried out."""
 
 
 def make_agent(name: str, env: DrivingEnv, figures: Mapping[str, Any] | None = None) -> Driver:
-    """The agent of that name for an environment, made from its spaces and its published index alone.
+    """The agent of a name for an environment, made from its spaces and its published index alone.
 
     The name may also be that of a file or a callable, see :func:`~lanebound.agents.drivers.foreign.open_foreign`.
-    ``figures`` change the agent's own configuration, such as ``{"speed_share": 0.5}`` that of ``cautious``, or whom
-    ``cbf`` filters, ``{"over": "integrity_aware"}``.
+    ``figures`` change the agent's own configuration, such as ``{"speed_share": 0.5}`` of ``cautious``, or ``{"over":
+    "integrity_aware"}`` of ``cbf``, the agent that it filters.
 
     Raises
     ------
@@ -103,13 +103,11 @@ def make_agent(name: str, env: DrivingEnv, figures: Mapping[str, Any] | None = N
 
 
 def load_figures(name: str, figures: Mapping[str, Any] | None, path: str = "") -> Config | None:
-    """The configuration of an agent that its figures change; None where there are no figures.
-
-    Whether it can drive an environment is another matter: figures are right or wrong anywhere.
+    """The configuration of an agent with changed figures; None without figures. No environment is needed.
 
     Parameters
     ----------
-    path : goes in front of every key in messages
+    path : prefix of the keys in messages
 
     Raises
     ------
@@ -131,7 +129,7 @@ def _maker(name: str) -> Any:
 
 
 def unknown_agent(name: str) -> InputError:
-    """What to say of a name that no agent has."""
+    """The refusal of a name that no agent has."""
     from lanebound.integrity.core.errors import InputError
     from lanebound.integrity.core.presets import nearest
 
@@ -156,7 +154,7 @@ def _require_actions(name: str, env: DrivingEnv) -> None:
 
 
 def _is_there(name: str, env: DrivingEnv) -> bool:
-    """Whether an agent has what it needs for an environment: the learnt one a policy of that world."""
+    """Whether an agent is available for an environment: the learnt one needs a policy of that world."""
     from lanebound.agents.drivers.learnt import policies
 
     return name != "ppo" or env.config.base in policies()

@@ -1,4 +1,4 @@
-"""The integrity-aware driver: as careful as its protection levels and the sky ahead ask for, and no more."""
+"""The integrity-aware driver: its caution follows the protection levels and the predicted sky."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ from lanebound.integrity.core.config import Field
 __all__ = ["AwareConfig", "IntegrityAware", "make_integrity_aware"]
 
 Array = NDArray[np.float64]
+FAR_M = 1e6
 
 
 class AwareConfig(RssConfig):
-    """When to slow down, how far, and when to stop."""
+    """Thresholds for slowing down and stopping."""
 
     alert_share: float = Field(0.48, gt=0, le=1, description="of the limit while an alert is on; just below what costs")
     ratio_calm: float = Field(0.6, ge=0, lt=1, description="PL / AL up to which the limit holds [-]; argued")
-    slow_mps2: float = Field(4.0, gt=0, description="braking for an alert at most; what RSS takes as sure")
+    slow_mps2: float = Field(4.0, gt=0, description="braking for an alert at most; as in RSS")
     satellites_needed: int = Field(17, ge=0, description="predicted, below which RTK is out in over 3 of 5 cases")
     dead_reckoning_s: float = Field(
         30.0,
@@ -34,7 +35,7 @@ class AwareConfig(RssConfig):
         description="without RTK under an alert until the car stops; on training seeds 12 s saved no departure and "
         "cost a sixth of the return",
     )
-    grace_s: float = Field(8.0, ge=0, description="and as much longer, where that leads out into the open; argued")
+    grace_s: float = Field(8.0, ge=0, description="longer by this where the open sky is reached within it; argued")
     link_s: float = Field(1.0, gt=0, description="the same where the sky is open and the link is out; argued")
     link_age_s: float = Field(2.0, gt=0, description="age of the reference data from which the link counts as out")
     lane_extra_m: float = Field(1.0, ge=0, description="the own lane is widened by PL_CT, by this at most; half a car")
@@ -42,15 +43,15 @@ class AwareConfig(RssConfig):
 
 
 class IntegrityAware(Rss):
-    """RSS with protection levels, which slows down with them and before known outages, and seeks the open sky.
+    """RSS with protection levels: slower with them and before known outages, and prefers lanes with an open sky.
 
-    Its speed falls from the limit at ``PL / AL = ratio_calm`` to a share of it at 1, the larger ratio counting. Before
-    a stretch where two points in a row of the predicted sky show too few satellites it brakes to that share,
+    The speed falls from the limit at ``PL / AL = ratio_calm`` to a share of it at 1; the larger ratio counts. Before
+    a stretch where two points in a row of the predicted sky have too few satellites it brakes to that share,
     ``v^2 <= v_alert^2 + 2 b d``. The minimal-risk manoeuvre on an alert: that share of the limit, no lane change, and a
-    stop once dead reckoning has lasted its time. That is short where only the link is out, which passes by itself:
-    there it waits. It is longer where going on soon leads out into the open. In between it does not creep: errors
-    across the track grow with time, about 0.1 m/s at any speed above walking pace, so that a blocked stretch of D
-    metres costs the more the slower it is driven (a gyro's bias b adds ``b D^2 / 2 v``).
+    stop when dead reckoning has lasted its time. That time is short where only the link is out, because an outage of
+    the link ends while the car waits. It is longer where the car soon reaches the open sky. In between the car does not
+    slow down further: errors across the track grow with time, about 0.1 m/s at any speed above walking pace, so that a
+    blocked stretch of D metres adds more error at a lower speed (a gyro's bias b adds ``b D^2 / 2 v``).
     """
 
     NEEDED: ClassVar[Sequence[str]] = (
@@ -71,7 +72,7 @@ class IntegrityAware(Rss):
         return self.reader.rows(observation, "pl_at"), across
 
     def wanted_speed(self, observation: Observation) -> Array:
-        """What route, levels, predicted sky and alert allow."""
+        """Speed that route, levels, predicted sky and alert allow."""
         c, reader = self.config, self.reader
         route = super().wanted_speed(observation)
         limit = reader.value(observation, "road.speed_limit")
@@ -87,7 +88,7 @@ class IntegrityAware(Rss):
         return np.where(alert & over, 0.0, np.where(alert, np.minimum(wanted, slow), wanted))
 
     def _overdue(self, observation: Observation, slow_mps: Array) -> NDArray[np.bool_]:
-        """Where RTK has been missed for too long to go on: by then, and where the open sky is not near enough."""
+        """Where RTK has been missing for too long, and the open sky is not near enough."""
         c, since = self.config, self.reader.value(observation, "integrity.since_rtk")
         unlinked = self.reader.value(observation, "integrity.corrections_age") > c.link_age_s
         sky = self._sky(observation, "own")
@@ -97,16 +98,18 @@ class IntegrityAware(Rss):
         return np.where(unlinked & enough, since > c.link_s, (since > c.dead_reckoning_s) & ~reaches)
 
     def _open(self, observation: Observation) -> Array:
-        """Distance to where two points in a row see enough [m]; far without any."""
-        points = self.reader.config.satellites_m
-        fine = self._sky(observation, "own") >= self.config.satellites_needed - 0.5
-        nearest = np.full(fine.shape[:-1], 1e6)
-        for i, (d, _) in reversed(list(enumerate(pairwise(points)))):
-            nearest = np.where(fine[..., i] & fine[..., i + 1], d, nearest)
+        """Distance to where two points in a row have enough satellites [m]; far without any."""
+        return self._first_pair(self._sky(observation, "own") >= self.config.satellites_needed - 0.5)
+
+    def _first_pair(self, points: NDArray[np.bool_]) -> Array:
+        """Distance to the first two points of the predicted sky in a row that are True [m]; far without any."""
+        nearest = np.full(points.shape[:-1], FAR_M)
+        for i, (d, _) in reversed(list(enumerate(pairwise(self.reader.config.satellites_m)))):
+            nearest = np.where(points[..., i] & points[..., i + 1], d, nearest)
         return nearest
 
     def acceleration(self, observation: Observation) -> Array:
-        """As hard as nominal brakes where nothing but the estimate counts; for anything else within a bound."""
+        """Brakes as hard as nominal for the estimate alone, and within a bound for levels, sky and alert."""
         c, v = self.config, self.reader.value(observation, "ego.speed")
         careful = super().acceleration(observation)
         bare = following_acceleration(v, super().wanted_speed(observation), *nearest_ahead(self.reader, observation), c)
@@ -118,7 +121,7 @@ class IntegrityAware(Rss):
         return np.where(alert, 0, super().change(observation))
 
     def bonus(self, observation: Observation) -> tuple[Array | float, Array | float]:
-        """For each side the share of the points ahead where it sees enough and the own lane does not."""
+        """For each side the share of the points ahead with enough satellites there and too few on the own lane."""
         own = self._dark(observation, "own")
         sides = [own & ~self._dark(observation, s) & self._seen(observation, s) for s in ("left", "right")]
         left, right = (self.config.sky_bonus_mps2 * side.sum(axis=-1) for side in sides)
@@ -126,11 +129,7 @@ class IntegrityAware(Rss):
 
     def _outage(self, observation: Observation) -> Array:
         """Distance to the next known outage [m]; far without one."""
-        dark, points = self._dark(observation, "own"), self.reader.config.satellites_m
-        nearest = np.full(dark.shape[:-1], 1e6)
-        for i, (d, _) in reversed(list(enumerate(pairwise(points)))):
-            nearest = np.where(dark[..., i] & dark[..., i + 1], d, nearest)
-        return nearest
+        return self._first_pair(self._dark(observation, "own"))
 
     def _dark(self, observation: Observation, lane: str) -> NDArray[np.bool_]:
         """Where fewer satellites are predicted than needed, (..., D); not where nothing is predicted."""

@@ -1,8 +1,9 @@
-"""What every driver has: the interface of stable-baselines3's policies, and a reader of observations by name."""
+"""The interface of drivers, that of stable-baselines3's policies, and a reader of observations by name."""
 
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from typing import Any, Protocol
 
@@ -13,24 +14,36 @@ from lanebound.envs.observation import Entry, ObservationConfig, entries, group_
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import nearest
 
-__all__ = ["Driver", "Reader", "in_a_row"]
+__all__ = ["Driver", "Reader", "Starts", "StatelessDriver", "States", "in_a_row"]
 
 Array = NDArray[np.float64]
+States = tuple[NDArray[Any], ...] | None
+Starts = NDArray[np.bool_] | None
 Observation = NDArray[np.float32] | Mapping[str, NDArray[np.float32]]
 PREVIEW = re.compile(r"preview_(.+)m_ahead")
 
 
 class Driver(Protocol):
-    """Decides by observations alone; stands wherever a policy of stable-baselines3 may stand."""
+    """Decides by observations alone; has the interface of a policy of stable-baselines3."""
 
     def predict(
-        self,
-        observation: Any,
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Any, tuple[NDArray[Any], ...] | None]:
-        """The action for an observation, or one for each of a batch, and the state to hand in next time."""
+        self, observation: Any, state: States = None, episode_start: Starts = None, deterministic: bool = True
+    ) -> tuple[Any, States]:
+        """The action for an observation, or one for each of a batch, and the state of the next call."""
+
+
+class StatelessDriver(ABC):
+    """A driver whose action depends on the observation alone."""
+
+    def predict(
+        self, observation: Any, state: States = None, episode_start: Starts = None, deterministic: bool = True
+    ) -> tuple[Any, States]:
+        """The action for an observation, or one for each of a batch, and the unchanged state."""
+        return self.act(observation), state
+
+    @abstractmethod
+    def act(self, observation: Any) -> Any:
+        """The action for an observation, or one for each of a batch."""
 
 
 def in_a_row(observation: Observation, history: int = 1) -> NDArray[np.float32]:
@@ -43,10 +56,10 @@ def in_a_row(observation: Observation, history: int = 1) -> NDArray[np.float32]:
 
 
 class Reader:
-    """Looks quantities up in an observation by the names of the published index, in their own units.
+    """Reads quantities of an observation by the names of the published index, in their units.
 
-    Works on single observations and on batches (any leading axes), as dicts or flat, of which the newest counts when
-    several are stacked.
+    Works on single observations and on batches (any leading axes), as dicts or flat; of stacked observations it reads
+    the newest.
 
     Parameters
     ----------
@@ -54,7 +67,7 @@ class Reader:
 
     Attributes
     ----------
-    previews_m : how far ahead the route is shown, nearest first
+    previews_m : distances of the previews of the route, nearest first
     """
 
     def __init__(self, config: ObservationConfig) -> None:
@@ -76,19 +89,19 @@ class Reader:
         return tuple(self._entries)
 
     def require(self, columns: Iterable[str]) -> None:
-        """Refuse an observation that does not show these.
+        """Refuse an observation without these entries.
 
         Raises
         ------
         InputError
-            Naming the first that is missing and the nearest one there is.
+            The message names the first missing entry and the nearest known one.
         """
         for column in columns:
             if column not in self._entries:
                 raise InputError(f"observation must show '{column}', got none: {self._remedy(column)}")
 
     def _remedy(self, column: str) -> str:
-        """How to have an entry shown."""
+        """How to add an entry."""
         group = column.partition(".")[0]
         if any(entry.group == group for entry in self._entries.values()):
             return nearest(column, self._entries)

@@ -1,6 +1,7 @@
 """Giving way to traffic that crosses the route: gap acceptance by times of arrival; leading axes are a batch.
 
-Others go straight on at their speed; whoever comes within a car's width of the route, not along it, crosses it there.
+Predictions assume that other vehicles drive straight on at their speed. A vehicle that comes within a car's width of
+the route, and not along it, crosses it there.
 
 Symbols: d station on the route [m], t time [s], v speed of the ego [m/s].
 """
@@ -22,23 +23,23 @@ STATION_STEP_M, TIME_STEP_S = 2.0, 0.5
 class YieldConfig(Config):
     """Figures of giving way."""
 
-    horizon_s: float = Field(
-        5.0, gt=0, description="how far ahead others are followed; critical gaps are 4-7 s, HCM 2010"
-    )
-    reach_m: float = Field(50.0, gt=0, description="how far along the route; a stop from 50 km/h in comfort")
+    horizon_s: float = Field(5.0, gt=0, description="prediction of other vehicles; critical gaps are 4-7 s, HCM 2010")
+    reach_m: float = Field(50.0, gt=0, description="along the route; a comfortable stop from 50 km/h")
     width_m: float = Field(2.5, gt=0, description="distance between middles at which paths cross; a car and a margin")
     gap_s: float = Field(
-        2.0, ge=0, description="between one having left the point and the other coming; 1 s crashed half as often again"
+        2.0,
+        ge=0,
+        description="between one vehicle leaving the point and the other arriving; 1 s had half as many crashes more",
     )
-    length_m: float = Field(7.0, gt=0, description="to stop short of a point by, or to clear it by; a car and a margin")
+    length_m: float = Field(7.0, gt=0, description="distance before and behind the point; a car and a margin")
     angle_sin: float = Field(0.35, ge=0, le=1, description="sine of the angle from which a path crosses; 20 degrees")
-    moving_mps: float = Field(1.0, ge=0, description="slower ones stay where they are; argued")
-    accelerate_mps2: float = Field(1.5, gt=0, description="of the ego setting off; as the driver's")
+    moving_mps: float = Field(1.0, ge=0, description="slower vehicles count as standing; argued")
+    accelerate_mps2: float = Field(1.5, gt=0, description="of the ego from rest; as the driver's")
     brake_mps2: float = Field(2.0, gt=0, description="of the ego giving way; comfortable")
 
 
 def yield_speed(reader: Reader, observation: Observation, c: YieldConfig) -> Array:
-    """Fastest speed from which the ego stops short of whoever crosses in time; infinite with nobody.  (...)."""
+    """Fastest speed from which the ego stops before crossing traffic; infinite without any.  (...)."""
     v = np.maximum(reader.value(observation, "ego.speed"), 0.0)
     if not reader.config.vehicles or not reader.previews_m:
         return np.full(v.shape, np.inf)
@@ -71,7 +72,7 @@ def _route(reader: Reader, observation: Observation, station: Array) -> tuple[Ar
 
 
 def _at(reader: Reader, observation: Observation, v: Array, when: Array) -> Array:
-    """Where the others will be, (..., K, T, 2) in the ego's axes of now."""
+    """Predicted places of other vehicles, (..., K, T, 2) in the present axes of the ego."""
     ahead = reader.rows(observation, "velocity_ahead") + v[..., None]
     x = reader.rows(observation, "ahead")[..., None] + ahead[..., None] * when
     y = reader.rows(observation, "right")[..., None] + reader.rows(observation, "velocity_right")[..., None] * when
@@ -79,7 +80,7 @@ def _at(reader: Reader, observation: Observation, v: Array, when: Array) -> Arra
 
 
 def _across(reader: Reader, observation: Observation, course: Array, apart: Array, c: YieldConfig) -> NDArray[np.bool_]:
-    """Who heads across the route where it is nearest to him now, (..., K)."""
+    """Which vehicles head across the route at its point nearest to them now, (..., K)."""
     nearest = np.argmin(apart[..., 0, :], axis=-1)
     along = np.take_along_axis(np.broadcast_to(course[..., None, :], apart[..., 0, :].shape), nearest[..., None], -1)
     sin, cos = reader.rows(observation, "heading_sin"), reader.rows(observation, "heading_cos")
@@ -88,12 +89,12 @@ def _across(reader: Reader, observation: Observation, course: Array, apart: Arra
 
 
 def _speed(reader: Reader, observation: Observation, v: Array) -> Array:
-    """How fast the others are, (..., K)."""
+    """Speeds of the other vehicles, (..., K)."""
     ahead = reader.rows(observation, "velocity_ahead") + v[..., None]
     return np.asarray(np.hypot(ahead, reader.rows(observation, "velocity_right")))
 
 
 def _arrival_s(station: Array, v: Array, c: YieldConfig) -> Array:
-    """When the ego gets to each station, setting off where it stands: ``v t + a t^2 / 2 = d``.  (..., D)."""
+    """When the ego reaches each station at its acceleration: ``v t + a t^2 / 2 = d``.  (..., D)."""
     a, speed = c.accelerate_mps2, v[..., None]
     return (np.sqrt(speed**2 + 2.0 * a * station) - speed) / a

@@ -1,7 +1,6 @@
-"""The plain driver: keeps its lane, its speed and its distance, and trusts its position whatever that is worth.
+"""The plain driver: keeps lane, speed and distance, and uses its position without regard to integrity.
 
-It knows nothing of integrity: what it reads is the same in blind observations. That makes it the one to beat. Beside it
-stand drivers that differ from it in one law alone.
+It reads only entries of blind observations, which makes it the baseline. Other drivers here differ from it in one law.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a predictive controller looks ahead with: condensed linear dynamics, and protection levels that grow in outages.
+"""Prediction for a predictive controller: condensed linear dynamics, and protection levels that grow in outages.
 
 Symbols: x state, u input, z inputs of a horizon stacked, A and B of ``x(k+1) = A x(k) + B u(k)``, T length of a step.
 """
@@ -21,15 +21,15 @@ __all__ = [
     "condense",
     "predicted_levels",
     "sky_ahead",
+    "upper_broadcast",
     "upper_levels",
-    "upper_told",
 ]
 
 Array = NDArray[np.float64]
 
 
 class GrowthConfig(Config):
-    """How protection levels grow without RTK, and where RTK is expected to hold."""
+    """Growth of protection levels without RTK, and where RTK is expected."""
 
     satellites_needed: int = Field(17, ge=0, description="predicted, below which RTK is out in 3 of 5 cases")
     growth_at_m: float = Field(
@@ -45,19 +45,21 @@ class GrowthConfig(Config):
     reset_at_m: float = Field(0.2, ge=0, description="PL_AT on RTK, likewise")
     reset_ct_m: float = Field(0.21, ge=0, description="PL_CT on RTK, likewise")
     refix_s: float = Field(2.0, ge=0, description="under an open sky until RTK holds again; argued")
-    rtk_s: float = Field(0.05, ge=0, description="RTK counts as held when it was last so lately; half an epoch")
+    rtk_s: float = Field(0.05, ge=0, description="RTK is present when it was so within this time; half an epoch")
     link_age_s: float = Field(
         1.5, gt=0, description="age of reference data from which the link counts as out; 1.1 s at most while it holds"
     )
 
     upper_at_m: float = Field(
-        1.3, ge=0, description="upper gain of PL_AT in 1 s without RTK; 9 of 10 keep to it, seeds 1004-1007 likewise"
+        1.3, ge=0, description="upper gain of PL_AT in 1 s without RTK; 9 of 10 lie below, seeds 1004-1007 likewise"
     )
     upper_ct_m: float = Field(1.25, ge=0, description="that of PL_CT likewise")
-    upper_told_m: float = Field(1.3, ge=0, description="that of the level that a leader tells likewise")
-    spare_m: float = Field(0.03, ge=0, description="by which levels on RTK vary, 9 of 10; likewise")
-    told_spare_m: float = Field(0.15, ge=0, description="by which a leader's vary, told in steps; likewise")
-    told_rtk_m: float = Field(0.35, ge=0, description="level up to which a leader is taken to have RTK; likewise")
+    upper_broadcast_m: float = Field(1.3, ge=0, description="that of the level that a leader broadcasts, likewise")
+    spare_m: float = Field(0.03, ge=0, description="variation of levels on RTK, 9 of 10; likewise")
+    broadcast_spare_m: float = Field(
+        0.15, ge=0, description="variation of a leader's level, broadcast in steps; likewise"
+    )
+    broadcast_rtk_m: float = Field(0.35, ge=0, description="level of a leader up to which it has RTK; likewise")
 
     def gained_m(self, since_s: float, for_s: float) -> tuple[float, float]:
         """Growth along and across, ``g (t + T)^p - g t^p``, within T from ``since_s`` without RTK on."""
@@ -104,13 +106,13 @@ def condense(A: Array, B: Array, Q: Array, R: float, steps: int) -> CondensedPro
 
 
 def sky_ahead(reader: Reader, observation: Observation, distance_m: Array, needed: int) -> NDArray[np.bool_]:
-    """Where RTK is expected not to hold: the nearest predicted sky behind each distance sees too few.  (D,) -> (D,)."""
+    """Where RTK is not expected: too few satellites at the nearest predicted point behind each distance.  (D,)."""
     points = reader.config.satellites_m
     if not points:
         return np.zeros(distance_m.shape, dtype=np.bool_)
     seen = np.array([float(reader.value(observation, f"road.sky_{d:g}m_own")) for d in points])
     dark = (seen >= 0.0) & (seen < needed - 0.5)
-    both = np.array([*(a and b for a, b in pairwise(dark)), dark[-1]])  # one dark point alone is a shadow passed
+    both = np.array([*(a and b for a, b in pairwise(dark)), dark[-1]])  # a single dark point is a short shadow
     place = np.clip(np.searchsorted(points, distance_m, side="right") - 1, 0, len(points) - 1)
     return np.asarray(both[place])
 
@@ -120,10 +122,10 @@ def predicted_levels(
 ) -> tuple[Array, Array]:
     """Protection levels along and across at the steps ahead: the sawtooth of outages and their ends.
 
-    Without RTK a level grows from what it is now, fast at first and slower with the time that has passed since; where
-    the sky sees enough for long enough it falls to that of RTK. A link that is out now stays out. Measured levels of
-    an outage's first 4 s lie at 0.8 to 1.7 times the law, 8 of 10; how fast they grew lately foretells them worse, as
-    the growth falls and a jump does not come again.
+    Without RTK a level grows from its present value, fast at first and slower with time; where enough satellites are
+    predicted for long enough it falls to that of RTK. A link that is out now stays out. Measured levels of an outage's
+    first 4 s lie at 0.8 to 1.7 times the law, 8 of 10; the recent growth predicts them worse, because growth falls and
+    a jump is not repeated.
 
     Parameters
     ----------
@@ -152,11 +154,11 @@ def predicted_levels(
 def upper_levels(
     reader: Reader, observation: Observation, way_m: Array, dt_s: float, c: GrowthConfig
 ) -> tuple[Array, Array]:
-    """Protection levels along and across at the steps ahead that nine of ten keep to, at each step by itself.
+    """Upper protection levels along and across at the steps ahead: nine of ten lie below, at each step by itself.
 
-    From now on they grow wherever RTK may be lost within the horizon: it is out already, the link is, or any point of
-    the predicted sky on the way is dark, for RTK is lost before or behind such a point as well. That RTK may come back
-    is not counted on.
+    They grow from now on wherever RTK may be lost within the horizon: it is out already, the link is, or any point of
+    the predicted sky on the way is dark, because RTK is also lost before or behind such a point. A later return of RTK
+    is not assumed.
 
     Parameters
     ----------
@@ -171,28 +173,28 @@ def upper_levels(
     return at + c.upper_at_m * rise, ct + c.upper_ct_m * rise
 
 
-def upper_told(
-    reader: Reader, observation: Observation, told_m: float, way_m: Array, dt_s: float, c: GrowthConfig
+def upper_broadcast(
+    reader: Reader, observation: Observation, broadcast_m: float, way_m: Array, dt_s: float, c: GrowthConfig
 ) -> Array:
-    """The same of the level of a leader, (N,): for how long RTK has been out for it is told by its level alone.
+    """Upper level of a leader at the steps ahead, (N,); its time without RTK follows from its level.
 
-    Its sky is that of the ego's lane where it will be, and its link the ego's.
+    Its sky is that of the ego's lane at its predicted place, and its link is the ego's.
 
     Parameters
     ----------
-    told_m : its level as told
-    way_m : (N,) where it is at each step, from the ego
+    broadcast_m : its level as broadcast
+    way_m : (N,) its place at each step, from the ego
     """
-    told = told_m + c.told_spare_m
-    if told_m > c.told_rtk_m:
-        since_s = ((told_m - c.reset_at_m) / max(c.growth_at_m, 1e-3)) ** (1.0 / c.growth_power)
-        return told + c.upper_told_m * _rise(max(since_s, 0.0), way_m.size, dt_s, c)
+    level = broadcast_m + c.broadcast_spare_m
+    if broadcast_m > c.broadcast_rtk_m:
+        since_s = ((broadcast_m - c.reset_at_m) / max(c.growth_at_m, 1e-3)) ** (1.0 / c.growth_power)
+        return level + c.upper_broadcast_m * _rise(max(since_s, 0.0), way_m.size, dt_s, c)
     lost = _may_be_lost(reader, observation, way_m, c)
-    return told + c.upper_told_m * (_rise(0.0, way_m.size, dt_s, c) if lost else np.zeros(way_m.size))
+    return level + c.upper_broadcast_m * (_rise(0.0, way_m.size, dt_s, c) if lost else np.zeros(way_m.size))
 
 
 def _may_be_lost(reader: Reader, observation: Observation, way_m: Array, c: GrowthConfig) -> bool:
-    """Whether the link is out, or too few satellites are predicted at any point between which the way lies."""
+    """Whether the link is out, or too few satellites are predicted at a point along the way or next to it."""
     if float(reader.value(observation, "integrity.corrections_age")) >= c.link_age_s:
         return True
     points = np.asarray(reader.config.satellites_m)
@@ -202,6 +204,6 @@ def _may_be_lost(reader: Reader, observation: Observation, way_m: Array, c: Grow
 
 
 def _rise(since_s: float, steps: int, dt_s: float, c: GrowthConfig) -> Array:
-    """Growth at each step ahead of what grows by 1 in the first second, from ``since_s`` without RTK on, (N,)."""
+    """Growth at each step ahead, 1 in the first second of an outage, after ``since_s`` without RTK, (N,)."""
     out_s = since_s + dt_s * np.arange(1.0, steps + 1.0)
     return np.asarray(out_s**c.growth_power - since_s**c.growth_power)

@@ -1,4 +1,4 @@
-"""A person at the keyboard as a driver: what is pressed, and what that commands."""
+"""A driver by keyboard: pressed keys, and the actions that they command."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from lanebound.agents.drivers.base import StatelessDriver
 from lanebound.envs.core import DrivingEnv
 
 __all__ = ["HELP", "Key", "KeyboardDriver"]
 
-PEDAL = 0.5  # share of the range that an arrow asks for
+PEDAL = 0.5  # share of the range that an arrow commands
 STEER_MAX = 0.35  # of the range, reached after STEER_S; small, as the wheel of a car is
 STEER_S = 0.6
 MOVES = {"LEFT": "LANE_LEFT", "RIGHT": "LANE_RIGHT", "UP": "FASTER", "DOWN": "SLOWER"}
@@ -21,7 +22,7 @@ HELP = "arrows: up and down for speed, left and right to steer or change lane; R
 
 
 class Key(Enum):
-    """The keys that mean something; the value is pygame's name of the key."""
+    """The keys in use; the value is pygame's name of the key."""
 
     LEFT = "left"
     RIGHT = "right"
@@ -31,8 +32,8 @@ class Key(Enum):
     LEAVE = "q"
 
 
-class KeyboardDriver:
-    """Turns keys into actions; knows nothing of windows.
+class KeyboardDriver(StatelessDriver):
+    """Turns keys into actions, independent of any window.
 
     Under meta-actions each press is one command, in the order of pressing. Under continuous ones arrows act for as long
     as they are held: the wheel turns gradually and springs back.
@@ -56,20 +57,14 @@ class KeyboardDriver:
         self._held.discard(key)
 
     def reset(self) -> None:
-        """Forget what was pressed; the wheel is straight."""
+        """Clear the pressed keys; the wheel is straight."""
         self._held.clear()
         self._pressed.clear()
         self._wheel = 0.0
 
-    def predict(
-        self,
-        observation: Any,
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Any, tuple[NDArray[Any], ...] | None]:
-        """The action that the keys ask for."""
-        return (self._steered() if self._continuous else self._chosen()), state
+    def act(self, observation: Any) -> int | NDArray[np.float32]:
+        """The action of the keys."""
+        return self._steered() if self._continuous else self._chosen()
 
     def _chosen(self) -> int:
         while self._pressed:

@@ -1,4 +1,4 @@
-"""Steering along the route by its error here and its bend ahead; leading axes are a batch.
+"""Steering along the route by the present errors and the bend ahead; leading axes are a batch.
 
 Symbols: e offset of the car's middle from the centreline, positive right [m], psi heading less the route's [rad], kappa
 curvature [1/m], L length of the car, which is its wheelbase in highway-env [m], v speed [m/s], beta the angle of the
@@ -38,11 +38,11 @@ class LqrConfig(Config):
     offset_m: float = Field(0.3, gt=0, description="offset; half of what a lane of 3.25 m leaves, argued")
     heading_rad: float = Field(0.1, gt=0, description="heading; argued")
     steering_rad: float = Field(0.05, gt=0, description="steering beyond that of the bend; 2 m/s2 at 14 m/s, argued")
-    aside_m: float = Field(1.5, gt=0, description="offset that counts at most on the way to another line; argued")
+    aside_m: float = Field(1.5, gt=0, description="largest offset that counts on the way to another line; argued")
 
 
 def errors(reader: Reader, observation: Observation) -> tuple[Array, Array, Array, Array]:
-    """What there is to correct: e, psi less its steady value in the bend, and beta and delta of that bend.
+    """The errors to correct: e, psi less its steady value in the bend, and beta and delta of that bend.
 
     kappa is the route's turn up to the nearest preview over its distance. A car on the bend has ``sin(beta) = kappa L /
     2``, ``tan(delta) = 2 tan(beta)`` and ``psi = -beta`` (psi_ss of Hoffmann et al. 2007, equation 11).

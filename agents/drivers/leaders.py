@@ -1,7 +1,7 @@
-"""Whom a safe driver has to stop behind: vehicles in its way, and one that was ahead and may be so still.
+"""The vehicles behind which a safe driver must be able to stop: those ahead, and a leader that may still be ahead.
 
-Where protection levels are longer than the gap a leader may be believed level with the ego, or behind it. It is not
-told apart from a follower by what is believed of it now, but by where it was a decision ago.
+Where protection levels are longer than the gap, a leader may be believed level with the ego, or behind it. Its place at
+the last decision distinguishes it from a follower.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ Bools = NDArray[np.bool_]
 
 
 class Leader(NamedTuple):
-    """The vehicle that leaves least room, of a single observation.
+    """The vehicle with the least free gap, of a single observation.
 
     Attributes
     ----------
-    gap_m : between bumpers, as believed; speed_mps : as told; age_s : of what it told
-    level_m : protection level along the track of both together; told_m : its own, as told
+    gap_m : between bumpers, as believed; speed_mps : as broadcast; age_s : of the broadcast
+    level_m : protection level along the track of both together; broadcast_m : its own level, as broadcast
     """
 
     gap_m: float
     speed_mps: float
     age_s: float
     level_m: float
-    told_m: float
+    broadcast_m: float
 
 
 def in_way(reader: Reader, observation: Observation, extra_m: float) -> Bools:
@@ -46,15 +46,16 @@ def in_way(reader: Reader, observation: Observation, extra_m: float) -> Bools:
 
 
 def counted(reader: Reader, observation: Observation, way: Bools, expected: Array | float) -> Bools:
-    """Which vehicles count as ahead: those believed so, and a leader that may be so still, (..., K).
+    """Which vehicles count as ahead: those believed ahead, and a leader that may still be ahead, (..., K).
 
-    A leader was expected at some gap. Where none ahead is within its level of that, the nearest to it of those that
-    are believed level or behind, are within their level of it, and whose level reaches over the ego, counts too.
+    The leader of the last decision has an expected gap. Where no vehicle ahead lies within its level of that gap, one
+    that is believed level or behind counts too: the nearest to that gap, within its level of it, with a level that
+    reaches over the ego.
 
     Parameters
     ----------
     way : (..., K), which vehicles may be in the ego's lane
-    expected : (...), gap at which the leader was to be by now, between middles; NaN without a leader
+    expected : (...), expected gap of the leader between middles; NaN without a leader
     """
     gap, level = reader.rows(observation, "lane_gap"), reader.rows(observation, "pl_at")
     ahead = way & (gap > 0.0)
@@ -67,7 +68,7 @@ def counted(reader: Reader, observation: Observation, way: Bools, expected: Arra
 
 
 def expected_m(reader: Reader, observation: Observation, ahead: Bools, dt_s: float) -> Array:
-    """Gap at which the nearest of those that count will be after a step; NaN without any.  (...)."""
+    """Expected gap after a step to the nearest vehicle that counts; NaN without any.  (...)."""
     gap = np.where(ahead, reader.rows(observation, "lane_gap"), np.inf)
     best = np.argmin(gap, axis=-1)[..., None]
     closing = np.take_along_axis(reader.rows(observation, "velocity_ahead"), best, axis=-1)[..., 0]
@@ -75,7 +76,7 @@ def expected_m(reader: Reader, observation: Observation, ahead: Bools, dt_s: flo
 
 
 def leader_of(reader: Reader, observation: Observation, ahead: Bools) -> Leader | None:
-    """The vehicle of a single observation that leaves least room, of those that count; None without any."""
+    """The vehicle of a single observation with the least free gap, of those that count; None without any."""
     if not ahead.any():
         return None
     level = reader.rows(observation, "pl_at")
@@ -84,5 +85,5 @@ def leader_of(reader: Reader, observation: Observation, ahead: Bools) -> Leader 
     v = float(reader.value(observation, "ego.speed")) + float(reader.rows(observation, "velocity_ahead")[k])
     relative = bool(reader.rows(observation, "sensor")[k] > 0.5)
     own = 0.0 if relative else float(reader.value(observation, "integrity.pl_at"))
-    told = max(float(level[k]) - own, 0.0)
-    return Leader(float(gap[k]), max(v, 0.0), float(reader.rows(observation, "age")[k]), float(level[k]), told)
+    broadcast = max(float(level[k]) - own, 0.0)
+    return Leader(float(gap[k]), max(v, 0.0), float(reader.rows(observation, "age")[k]), float(level[k]), broadcast)

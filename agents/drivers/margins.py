@@ -1,4 +1,4 @@
-"""Drivers that keep margins: as large as the protection levels are, or constant ones."""
+"""Drivers with margins: the protection levels, or constant ones."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ Array = NDArray[np.float64]
 
 
 class RssConfig(CruiseConfig):
-    """Figures of Responsibility-Sensitive Safety, as the environments judge by."""
+    """Parameters of Responsibility-Sensitive Safety, as in the costs of the environments."""
 
     rss_response_s: float = Field(0.5, gt=0, description="rho; Shalev-Shwartz 2017")
     rss_accelerate_mps2: float = Field(2.0, ge=0, description="acceleration during the response; RSS, comfort")
-    rss_brake_min_mps2: float = Field(4.0, gt=0, description="braking that the ego is sure to reach; IEEE 2846 survey")
+    rss_brake_min_mps2: float = Field(4.0, gt=0, description="braking that the ego always reaches; IEEE 2846 survey")
     rss_brake_max_mps2: float = Field(6.0, gt=0, description="braking of the leader at most; dry road")
 
 
 class CautiousConfig(CruiseConfig):
-    """Constant margins; see :class:`TunedCaution` for those that were found on training seeds."""
+    """Constant margins; :class:`TunedCaution` has those that were tuned on training seeds."""
 
     gap_m: float = Field(3.0, ge=0, description="taken off every gap; PL_AT of two cars a few seconds into an outage")
     speed_share: float = Field(0.8, gt=0, le=1, description="share of the speed that the route allows [-]; argued")
@@ -39,12 +39,12 @@ class CautiousConfig(CruiseConfig):
 
 
 class TunedCaution(Config):
-    """The margins that were found for worlds and skies by ``lanebound tune cautious``."""
+    """Margins tuned for worlds and skies by ``lanebound tune cautious``."""
 
     at: Mapping[str, Mapping[str, CautiousConfig]] = Field({}, description="by base of the world and sky")
 
     def of(self, world: EnvConfig) -> CautiousConfig:
-        """The margins for an environment: those found there, or the defaults."""
+        """The margins for an environment: those tuned there, or the defaults."""
         return self.at.get(world.base, {}).get(world.sky, CautiousConfig())
 
 
@@ -59,7 +59,7 @@ def rss_speed(s: Array, lead_mps: Array, c: RssConfig) -> Array:
 
 
 class Rss(Nominal):
-    """Nominal, with gaps less the protection levels of both vehicles, and never faster than RSS allows for the rest.
+    """Nominal, with gaps reduced by the protection levels of both vehicles, and at most at the speed of RSS.
 
     A missing level counts as the largest that observations show.
     """
@@ -85,16 +85,16 @@ class Rss(Nominal):
 
 
 class Cautious(Nominal):
-    """Nominal, slower, further from others, and careful of vehicles at the edge of its lane; blind to integrity."""
+    """Nominal with less speed, larger gaps and a wider own lane; without integrity."""
 
     config: CautiousConfig
 
     def margins(self, observation: Observation) -> tuple[Array | float, Array | float]:
-        """The constant ones."""
+        """The constant margins."""
         return self.config.gap_m, self.config.lane_m
 
     def wanted_speed(self, observation: Observation) -> Array:
-        """A share of the route's."""
+        """A share of the speed of the route."""
         return self.config.speed_share * super().wanted_speed(observation)
 
 

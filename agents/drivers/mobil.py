@@ -25,7 +25,7 @@ class MobilConfig(Config):
 
     politeness: float = Field(0.2, ge=0, le=1, description="p, weight of the others' loss [-]; Kesting 2007, 0 to 0.5")
     threshold_mps2: float = Field(0.3, ge=0, description="gain that a change must exceed; Kesting 2007 has 0.1")
-    brake_safe_mps2: float = Field(3.0, gt=0, description="hardest braking forced on anybody; Kesting 2007 has 4")
+    brake_safe_mps2: float = Field(3.0, gt=0, description="hardest braking of any vehicle; Kesting 2007 has 4")
     room_m: float = Field(3.0, ge=0, description="gap to leader and follower of the new lane at least; argued")
     speed_min_mps: float = Field(3.0, ge=0, description="below it no lane is changed; argued")
     bend_per_m: float = Field(0.02, gt=0, description="nor before bends tighter than this [1/m]; 50 m radius, argued")
@@ -42,7 +42,7 @@ class Neighbours(NamedTuple):
 
 
 def neighbours(reader: Reader, observation: Observation, lane: int, along_m: Array | float = 0.0) -> Neighbours:
-    """Who drives ahead and behind on a lane; ``along_m`` (..., K) is taken off every gap."""
+    """Vehicles ahead and behind on a lane; ``along_m`` (..., K) is subtracted from every gap."""
     v = reader.value(observation, "ego.speed")
     if not reader.config.vehicles:
         return Neighbours(np.full(v.shape, FREE_M), v, np.full(v.shape, FREE_M), v)
@@ -80,7 +80,7 @@ def changes(
     Parameters
     ----------
     wanted_mps : speed on a free road
-    along_m : taken off every gap
+    along_m : subtracted from every gap
     bonus_mps2 : added to the gain of the left and of the right side
     """
     v = reader.value(observation, "ego.speed")
@@ -88,7 +88,7 @@ def changes(
     end = reader.value(observation, "road.lane_end")
     end = np.where(end < reader.scale("road.lane_end"), np.maximum(end, 0.0), FREE_M)
     here = np.minimum(_idm(v, wanted_mps, own.lead_gap_m, own.lead_mps, c), _idm(v, wanted_mps, end, 0.0 * v, c))
-    joined = own.lead_gap_m + own.follower_gap_m + EGO_LENGTH_M  # for the old follower, once the ego has gone
+    joined = own.lead_gap_m + own.follower_gap_m + EGO_LENGTH_M  # for the old follower, after the change
     relief = _follower(own, joined, own.lead_mps, wanted_mps, c) - _follower(own, own.follower_gap_m, v, wanted_mps, c)
     gains = []
     sides = ((-1, "ego.left_exists", bonus_mps2[0]), (1, "ego.right_exists", bonus_mps2[1]))
@@ -109,7 +109,7 @@ def changes(
 
 
 def _may_change(reader: Reader, observation: Observation, v: Array, m: MobilConfig) -> NDArray[np.bool_]:
-    """Nothing is under way, the car rolls, and the road ahead is straight enough and not about to end."""
+    """No change is in progress, the car moves, and the road ahead is straight enough and does not end."""
     may = (reader.value(observation, "ego.target_left") < 0.5) & (reader.value(observation, "ego.target_right") < 0.5)
     may &= v >= m.speed_min_mps
     may &= reader.value(observation, "road.junction") >= m.way_m
@@ -123,7 +123,7 @@ def _idm(v: Array, wanted_mps: Array, s: Array, lead_mps: Array, c: CruiseConfig
     return np.clip(idm_acceleration(v, wanted_mps, s, lead_mps, c), -2.0 * c.brake_max_mps2, c.accelerate_mps2)
 
 
-def _follower(who: Neighbours, s: Array, lead_mps: Array, wanted_mps: Array, c: CruiseConfig) -> Array:
-    """Acceleration of a lane's follower at a gap; 0 where nobody follows."""
-    speed = who.follower_mps
-    return np.where(who.follower_gap_m < FREE_M, _idm(speed, np.maximum(wanted_mps, speed), s, lead_mps, c), 0.0)
+def _follower(lane: Neighbours, s: Array, lead_mps: Array, wanted_mps: Array, c: CruiseConfig) -> Array:
+    """Acceleration of a lane's follower at a gap; 0 without a follower."""
+    speed = lane.follower_mps
+    return np.where(lane.follower_gap_m < FREE_M, _idm(speed, np.maximum(wanted_mps, speed), s, lead_mps, c), 0.0)

@@ -1,15 +1,15 @@
 """Predictive control within protection levels: gap, speed and lane over a horizon, with room for levels that grow.
 
-Bounds on the believed middle are tightened by the levels at each step ahead: those of the ego, and of the leader as it
-tells of them, at an upper quantile of their growth (:mod:`.horizon`), and by the leader's speed error. The plan ends in
-a state from which the ego stops behind the leader should that brake as hard as it can. Two quadratic programmes a
+Bounds on the believed middle are tightened by the levels at each step ahead: those of the ego, and those that the
+leader broadcasts, at an upper quantile of their growth (:mod:`.horizon`), and by the leader's speed error. The plan
+ends in a state from which the ego stops behind a leader that brakes as hard as possible. Two quadratic programmes a
 decision (:mod:`.programmes`), solved by daqp (Arnstrom, Bemporad and Axehill 2022).
 
-What is claimed, and what is not. Each level keeps to its prediction in nine of ten cases at each step, not in all of
-them together. The leader is foreseen at constant speed and to brake after the horizon at the earliest: a plan may have
-no successor when it brakes within, or when levels outgrow their quantile, so no recursive feasibility is claimed, and
-this is no tube in the sense of robust control. What holds at every decision is the first step's barrier: with no plan
-the car brakes fully, and that keeps the gap under the assumptions of :class:`.barrier.BarrierFilter`.
+Guarantees: each level lies below its prediction in nine of ten cases at each step, not at all steps together. The
+leader is predicted with constant speed, and braking after the horizon: a plan may have no successor when the leader
+brakes within the horizon, or when levels exceed their quantile. So no recursive feasibility is claimed, and this is no
+tube in the sense of robust control. The barrier of the first step holds at every decision: without a plan the car
+brakes fully, which keeps the gap under the assumptions of :class:`.barrier.BarrierFilter`.
 
 Symbols: p way made [m], v speed [m/s], a acceleration [m/s2], s gap [m], e offset [m], T length of a step [s],
 k = 1 .. N steps, b and B hardest braking of ego and leader [m/s2], s0 gap at rest [m].
@@ -27,8 +27,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lanebound.agents.drivers.barrier import BarrierFilter
-from lanebound.agents.drivers.base import Observation, Reader
-from lanebound.agents.drivers.horizon import predicted_levels, upper_levels, upper_told
+from lanebound.agents.drivers.base import Observation, Reader, Starts, States
+from lanebound.agents.drivers.horizon import predicted_levels, upper_broadcast, upper_levels
 from lanebound.agents.drivers.lateral import LqrSteering, errors
 from lanebound.agents.drivers.leaders import leader_of
 from lanebound.agents.drivers.nominal import Nominal
@@ -44,30 +44,29 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 TIMES_KEPT = 100_000
 SLACK_M = 0.01  # less is not counted
-WALK_MPS = 1.0  # slower, steering moves nothing
+WALK_MPS = 1.0  # at lower speeds steering has no effect
 
 
 class LevelMpc(Nominal):
-    """The plan of the predictive driver; a :class:`PredictiveDriver` carries it out.
+    """The plan of the predictive driver; a :class:`PredictiveDriver` executes it.
 
-    Along: ``sum (v - v_ref)^2 + a^2 + jerk^2`` and the square of what is short of the time gap, within ``0 <= v``,
-    ``-b <= a <= a_max``, ``jerk <= j_max``, ``p(k) <= s + v_lead k T - s0 - PL_AT(k)`` with v_lead as slow as its
-    error allows and PL_AT of both, ``p(N) + tau v(N) + v(N)^2 / 2b <= s + v_lead N T + v_lead^2 / 2B - s0 - PL_AT(N)``,
-    and for the first step the barrier of :class:`BarrierFilter`, for a leader that brakes at once. ``v_ref`` is what
-    the route allows, a share of the limit where a level is expected above its limit, and 0 once RTK has been missed
-    under an alert for as long as dead reckoning may last: errors grow with time, and a lane that levels fill is none to
-    plan in. Across: the linear-quadratic regulator's cost within ``|e(k)| <= (w - W) / 2 - PL_CT(k)``, a floor at
-    least, with slack.
+    Along: ``sum (v - v_ref)^2 + a^2 + jerk^2`` and the square of the shortfall of the time gap, within ``0 <= v``,
+    ``-b <= a <= a_max``, ``jerk <= j_max``, ``p(k) <= s + v_lead k T - s0 - PL_AT(k)`` with the least v_lead within
+    its error and PL_AT of both, ``p(N) + tau v(N) + v(N)^2 / 2b <= s + v_lead N T + v_lead^2 / 2B - s0 - PL_AT(N)``,
+    and for the first step the barrier of :class:`BarrierFilter`, for a leader that brakes at once. ``v_ref`` is the
+    speed that the route allows, a share of the limit where a level is expected above its limit, and 0 when RTK has been
+    missing under an alert for the allowed time of dead reckoning: errors grow with time. Across: the linear-quadratic
+    regulator's cost within ``|e(k)| <= (w - W) / 2 - PL_CT(k)``, with a floor and slack.
 
-    Where nothing satisfies the bounds along, it brakes fully; across, it steers as the regulator does. Standing still
-    is no failure of the programme: a gap that levels fill is not counted then.
+    Where nothing satisfies the bounds along, it brakes fully; across, it steers as the regulator. At standstill a gap
+    that levels fill does not count as infeasible.
 
     Attributes
     ----------
-    counts : ``decisions``; ``following infeasible``, those whose bounds nothing satisfies or for which not even full
-        braking keeps the barrier; ``lane infeasible``; ``lane slack``, those whose lane is kept with slack, or to the
-        floor somewhere in the horizon; ``infeasible`` and ``relaxed``, decisions with any of either
-    solve_s : time that the programmes of each of the last decisions took
+    counts : ``decisions``; ``following infeasible``, those whose bounds nothing satisfies or for which full braking
+        does not satisfy the barrier either; ``lane infeasible``; ``lane slack``, those with slack, or with the floor
+        somewhere in the horizon; ``infeasible`` and ``relaxed``, decisions with any of either
+    solve_s : solution times of the last programmes
     """
 
     NEEDED = (*Nominal.NEEDED, *(f"integrity.{name}" for name in (
@@ -116,7 +115,7 @@ class LevelMpc(Nominal):
         return max(min(a, bound), hardest), False, False
 
     def _road(self, observation: Observation, v: float, ahead: Bools) -> FreeRoad:
-        """Free road behind the leader, as far back as its errors and the levels of both may put it."""
+        """Free road behind the leader, shortened by its errors and the levels of both."""
         c, along = self.config, self._along.time_s
         leader = leader_of(self.reader, observation, ahead)
         if leader is None:
@@ -124,14 +123,14 @@ class LevelMpc(Nominal):
         slow = self.barrier.least_mps(leader.speed_mps)
         at, _ = upper_levels(self.reader, observation, v * along, self.dt_s, c.growth)
         way = max(leader.gap_m, 0.0) + leader.speed_mps * along
-        told = upper_told(self.reader, observation, leader.told_m, way, self.dt_s, c.growth)
-        grown = at - float(self.reader.value(observation, "integrity.pl_at")) + told - leader.told_m
+        theirs = upper_broadcast(self.reader, observation, leader.broadcast_m, way, self.dt_s, c.growth)
+        grown = at - float(self.reader.value(observation, "integrity.pl_at")) + theirs - leader.broadcast_m
         free = leader.gap_m - leader.level_m - self.barrier.strayed(leader.speed_mps, leader.age_s) + slow * along
         free = free - grown
         return FreeRoad(free, float(free[-1]) + 0.5 * slow**2 / c.barrier.lead_brake_mps2)
 
     def _reference(self, observation: Observation, at: Array, ct: Array) -> Array:
-        """What the route allows, a share of the limit where levels are foreseen above theirs, or 0.  (N,) [m/s]."""
+        """Speed of the route, a share of the limit where levels are predicted above theirs, or 0.  (N,) [m/s]."""
         c, reader = self.config, self.reader
         since = float(reader.value(observation, "integrity.since_rtk"))
         if float(reader.value(observation, "integrity.alert")) > 0.5 and since > c.dead_reckoning_s:
@@ -182,28 +181,19 @@ class LevelMpc(Nominal):
 
 
 class PredictiveDriver(ContinuousDriver):
-    """Carries the plan out, and shows what it counts.
-
-    Attributes
-    ----------
-    counts : those of the plan
-    """
+    """Executes the plan."""
 
     plan: LevelMpc
 
     @property
     def counts(self) -> Counter[str]:
-        """What the plan counts."""
+        """The counts of the plan."""
         return self.plan.counts
 
     def predict(
-        self,
-        observation: Any,
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: Bools | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """As any plan; where an episode starts what was before is forgotten."""
+        self, observation: Any, state: States = None, episode_start: Starts = None, deterministic: bool = True
+    ) -> tuple[NDArray[np.float32], States]:
+        """As any plan; the memory is cleared where an episode starts."""
         if episode_start is not None:
             shape = self.plan.reader.value(observation, "ego.speed").shape
             self.plan.barrier.begin(np.asarray(episode_start).reshape(shape))
@@ -213,7 +203,7 @@ class PredictiveDriver(ContinuousDriver):
 def _each(
     work: Callable[..., tuple[float, bool, bool]], reader: Reader, observation: Observation, *given: NDArray[Any]
 ) -> tuple[Array, Bools, Bools]:
-    """``work`` for an observation and what is given with it, or for each of a batch; a row of what it returns each."""
+    """``work`` for an observation and further arguments, or for each of a batch; three arrays of its results."""
     batch = reader.value(observation, "ego.speed").shape
     out, none, slack = np.empty(batch), np.zeros(batch, dtype=np.bool_), np.zeros(batch, dtype=np.bool_)
     for i in np.ndindex(batch):

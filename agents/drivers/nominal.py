@@ -1,4 +1,4 @@
-"""The nominal driver: the best laws there are, blind to integrity; and the same with the truth to drive on."""
+"""The nominal driver: the best control laws without integrity; and the same with the truth as its observation."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 class Nominal(Plan):
-    """A linear-quadratic regulator at the wheel, the intelligent driver model, a safe speed, MOBIL, and giving way."""
+    """Linear-quadratic steering, the intelligent driver model, a safe speed, MOBIL, and giving way."""
 
     NEEDED: ClassVar[Sequence[str]] = (*Plan.NEEDED, "ego.lateral_offset", "road.lane_end", "road.junction")
 
@@ -38,23 +38,23 @@ class Nominal(Plan):
             self.steering = PassingSteering(law, self.reader, config) if _cannot_slow(env) else law
 
     def wanted_speed(self, observation: Observation) -> Array:
-        """What the route allows, and giving way to whoever crosses it."""
+        """The speed of the route, and of giving way to crossing traffic."""
         free = super().wanted_speed(observation)
         return np.minimum(free, yield_speed(self.reader, observation, self.giving_way))
 
     def bonus(self, observation: Observation) -> tuple[Array | float, Array | float]:
-        """What speaks for the lanes left and right beside speed [m/s2]."""
+        """Gains of the lanes left and right beside speed [m/s2]."""
         return 0.0, 0.0
 
     def change(self, observation: Observation) -> NDArray[np.int64]:
-        """By MOBIL, with gaps less their margins."""
+        """By MOBIL, with gaps reduced by their margins."""
         along, _ = self.margins(observation)
         wanted, bonus = self.wanted_speed(observation), self.bonus(observation)
         return changes(self.reader, observation, wanted, self.config, self.mobil, along, bonus)
 
 
 def _cannot_slow(env: DrivingEnv) -> bool:
-    """Whether steering is all there is to command, on a road whose lanes may be chosen freely."""
+    """Whether steering is the only command, on a road whose lanes may be chosen freely."""
     inner = env.world.action_type
     return isinstance(env.action_space, spaces.Box) and not inner.longitudinal and not env.config.keep_lane
 

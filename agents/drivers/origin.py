@@ -1,6 +1,6 @@
 """What a policy's file holds of its training: the experiment and the names of its observation entries.
 
-A policy that drives in another world than that of its training is reported.
+A policy in another environment than that of its training is reported.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def name_inputs(checkpoint: str | Path, config: ObservationConfig) -> None:
 
 
 def experiment_in(path: Path) -> dict[str, Any] | None:
-    """The experiment that a policy's file holds; None where it holds none, as files of other origin."""
+    """The experiment in a policy's file; None without one, as in files of other origin."""
     try:
         text = _text_in(path, EXPERIMENT)
         found = None if text is None else json.loads(text)

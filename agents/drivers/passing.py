@@ -1,4 +1,4 @@
-"""Steering round whoever is slower, for cars that cannot slow down; leading axes are a batch."""
+"""Steering past slower vehicles, for cars that cannot slow down; leading axes are a batch."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from lanebound.agents.drivers.plans import CruiseConfig
 __all__ = ["PASSING", "PassingSteering"]
 
 Array = NDArray[np.float64]
-PASSING = MobilConfig(way_m=1.0, speed_min_mps=1.0)  # a car that cannot slow down waits for no straight
+PASSING = MobilConfig(way_m=1.0, speed_min_mps=1.0)  # a car that cannot slow down changes lane in bends too
 
 
 class PassingSteering:
-    """A regulator that is led to the neighbouring lane while MOBIL says so, and stays where it has come to.
+    """A regulator that steers to the neighbouring lane while MOBIL chooses it, and stays there.
 
-    The speed being what it is, it is the wanted one: nothing but who is ahead and behind speaks for a lane. Half way
-    over the car's lane is the new one, in which nobody is in the way, so that it needs no memory.
+    The present speed counts as the wanted one, so that only vehicles ahead and behind decide. Half way over, the new
+    lane is the car's own one and free, so that no memory is needed.
     """
 
     def __init__(self, law: LqrSteering, reader: Reader, config: CruiseConfig, mobil: MobilConfig = PASSING) -> None:

@@ -1,19 +1,18 @@
-"""A plan of driving, and the two ways of carrying it out: by steering and acceleration, or by meta-actions.
+"""A plan of driving, and its two executions: by steering and acceleration, or by meta-actions.
 
-A plan answers what a driver must know of an observation: how fast to go, how near to whom, along which line, on which
-lane. Other drivers differ from the plain one in single answers.
+A plan computes speed, gap, line and lane from an observation. Drivers override single ones of these.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lanebound.agents.drivers.base import Observation, Reader
+from lanebound.agents.drivers.base import Observation, Reader, StatelessDriver
 from lanebound.agents.drivers.lateral import PursuitSteering, Steering
 from lanebound.agents.drivers.plans import (
     CruiseConfig,
@@ -29,22 +28,21 @@ from lanebound.integrity.core.errors import InputError
 __all__ = ["ContinuousDriver", "MetaDriver", "Plan", "carry_out"]
 
 Array = NDArray[np.float64]
-States = tuple[NDArray[Any], ...] | None
 
 
 class Plan:
-    """Keeps to the route's middle, its speed and its distance.
+    """Follows the middle of the route at its speed, with a safe gap.
 
     Parameters
     ----------
-    env : gives the index of its observations and the figures of its actions, nothing else
+    env : only the index of its observations and the figures of its actions are read
     config : of the driver
     steering : law of steering; None: pure pursuit
 
     Raises
     ------
     InputError
-        The observation does not show what the plan needs.
+        The observation lacks an entry that the plan needs.
     """
 
     NEEDED: ClassVar[Sequence[str]] = ("ego.speed", "road.speed_limit")
@@ -55,11 +53,11 @@ class Plan:
         self.steering: Steering = PursuitSteering(env, self.reader, config) if steering is None else steering
 
     def margins(self, observation: Observation) -> tuple[Array | float, Array | float]:
-        """What to take off the gap to each vehicle, and to widen the ego's lane by on each side for it [m]."""
+        """Reduction of the gap to each vehicle, and widening of the ego's lane on each side for it [m]."""
         return 0.0, 0.0
 
     def wanted_speed(self, observation: Observation) -> Array:
-        """How fast to go with nobody ahead [m/s]."""
+        """Speed on a free road [m/s]."""
         return route_speed(self.reader, observation, self.config)
 
     def lead(self, observation: Observation) -> tuple[Array, Array]:
@@ -72,7 +70,7 @@ class Plan:
         return following_acceleration(v, wanted, *self.lead(observation), self.config)
 
     def top_speed(self, observation: Observation) -> Array:
-        """How fast to go at most, with whoever is ahead [m/s]; what meta-actions are chosen by."""
+        """Largest speed behind the vehicle ahead [m/s], by which meta-actions are chosen."""
         c = self.config
         s, lead = self.lead(observation)
         headway = np.maximum(s - c.standstill_m, 0.0) / c.time_gap_s
@@ -88,7 +86,7 @@ def carry_out(env: DrivingEnv, plan: Plan) -> ContinuousDriver | MetaDriver:
     return ContinuousDriver(env, plan) if isinstance(env.action_space, spaces.Box) else MetaDriver(env, plan)
 
 
-class ContinuousDriver:
+class ContinuousDriver(StatelessDriver):
     """Steers and accelerates; changes no lane.
 
     Raises
@@ -102,13 +100,7 @@ class ContinuousDriver:
         if not plan.reader.previews_m:
             raise InputError("observation.preview_m must name a distance for this agent, got none: add one")
 
-    def predict(
-        self,
-        observation: Any,
-        state: States = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], States]:
+    def act(self, observation: Observation) -> NDArray[np.float32]:
         """Acceleration and steering as shares of their ranges, whichever of them the environment takes."""
         inner = self._actuators
         parts = []
@@ -116,11 +108,11 @@ class ContinuousDriver:
             parts.append(share_of(self.plan.acceleration(observation), inner.acceleration_range))
         if inner.lateral:
             parts.append(share_of(self.plan.steering(observation), inner.steering_range))
-        return np.stack(parts, axis=-1).astype(np.float32), state
+        return np.stack(parts, axis=-1).astype(np.float32)
 
 
-class MetaDriver:
-    """Changes lane, or else faster, slower or as it is."""
+class MetaDriver(StatelessDriver):
+    """Changes lane, or commands faster, slower or idle."""
 
     def __init__(self, env: DrivingEnv, plan: Plan) -> None:
         self.plan = plan
@@ -129,13 +121,7 @@ class MetaDriver:
         self._codes = {label: code for code, label in inner.actions.items()}
         self._levels = np.sort(np.asarray(inner.target_speeds, dtype=np.float64))
 
-    def predict(
-        self,
-        observation: Any,
-        state: States = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.int64], States]:
+    def act(self, observation: Observation) -> NDArray[np.int64]:
         """The code of an action."""
         plan, levels, codes = self.plan, self._levels, self._codes
         wanted = plan.top_speed(observation)
@@ -144,6 +130,6 @@ class MetaDriver:
         slower = np.where(goal < now, codes["SLOWER"], np.full(now.shape, codes["IDLE"]))
         action = np.where(goal > now, codes["FASTER"], slower)
         if "LANE_LEFT" in codes:
-            side = np.where(goal < now, 0, plan.change(observation))  # braking comes first
+            side = np.where(goal < now, 0, plan.change(observation))  # braking has priority
             action = np.where(side < 0, codes["LANE_LEFT"], np.where(side > 0, codes["LANE_RIGHT"], action))
-        return np.asarray(action), state
+        return np.asarray(action)

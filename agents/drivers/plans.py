@@ -1,4 +1,4 @@
-"""How fast and along which curve to drive, from what an observation shows; leading axes are a batch.
+"""Speed, acceleration and steering from an observation; leading axes are a batch.
 
 Symbols: v speed [m/s], s gap bumper to bumper [m], kappa curvature [1/m], L length of the car [m], beta the angle of
 its velocity to its heading, delta the steering angle, (x, y) a point ahead and to the right of its middle [m].
@@ -26,11 +26,11 @@ __all__ = [
 
 Array = NDArray[np.float64]
 EGO_LENGTH_M = 5.0  # of highway-env's cars
-FREE_M = 1e6  # a gap to nobody
+FREE_M = 1e6  # gap without a vehicle ahead
 
 
 class CruiseConfig(Config):
-    """Figures of a calm driver."""
+    """Parameters of a calm driver."""
 
     speed_mps: float = Field(14.0, gt=0, description="where the map gives no limit [m/s]; 50 km/h")
     lateral_mps2: float = Field(2.0, gt=0, description="acceleration across the track in bends; comfort, ISO 2631-1")
@@ -39,9 +39,9 @@ class CruiseConfig(Config):
     brake_max_mps2: float = Field(5.0, gt=0, description="hardest braking; dry road, argued")
     lead_brake_mps2: float = Field(6.0, gt=0, description="hardest braking expected of a leader; RSS, dry road")
     time_gap_s: float = Field(1.2, gt=0, description="time gap to the leader; IDM, 1 to 1.5 s")
-    response_s: float = Field(0.6, ge=0, description="until braking takes hold: a decision and the age of a broadcast")
+    response_s: float = Field(0.6, ge=0, description="until braking begins: a decision and the age of a broadcast")
     standstill_m: float = Field(2.0, gt=0, description="gap at rest; IDM, Treiber 2000")
-    lookahead_s: float = Field(0.8, gt=0, description="of the point that is steered for; longer is calmer, argued")
+    lookahead_s: float = Field(0.8, gt=0, description="of the target point; longer is calmer, argued")
     lookahead_min_m: float = Field(5.0, gt=0, description="and at least this far; a car's length")
 
 
@@ -62,7 +62,7 @@ def nearest_ahead(
 
     Parameters
     ----------
-    along_m : (..., K) or number, taken off the gap to each vehicle
+    along_m : (..., K) or number, subtracted from the gap to each vehicle
     across_m : (..., K) or number, by which the ego's lane is widened on each side for each vehicle
     """
     speed = reader.value(observation, "ego.speed")

@@ -1,4 +1,4 @@
-"""The two programmes of the predictive driver, along and across the track, and what weighs in them.
+"""The two programmes of the predictive driver, along and across the track, and their weights.
 
 Symbols: p way made [m], v speed [m/s], a acceleration [m/s2], e offset [m], psi heading less its steady value in the
 bend [rad], u steering less that of the bend [rad], T length of a step [s], k = 1 .. N steps, b and B hardest braking of
@@ -50,7 +50,7 @@ class MpcConfig(CruiseConfig):
 
 
 def solve(H: Array, f: Array, A: Array, upper: Array, lower: Array) -> Array | None:
-    """Minimise ``z'Hz/2 + f'z`` within ``lower <= (z, A z) <= upper``; None when nothing lies within."""
+    """Minimise ``z'Hz/2 + f'z`` within ``lower <= (z, A z) <= upper``; None without a solution."""
     sense = np.zeros(upper.size, dtype=np.int32)
     z, _, flag, _ = daqp.solve(H, f, A, upper, lower, sense)
     return np.asarray(z) if flag == SOLVED else None
@@ -124,7 +124,7 @@ class Across:
         self._known: dict[int, tuple[CondensedProblem, Array, Array]] = {}
 
     def matrices(self, v: float) -> tuple[CondensedProblem, Array, Array]:
-        """Dynamics, H and rows of the constraints at the nearest of the speeds that are told apart."""
+        """Dynamics, H and rows of the constraints at the nearest tabulated speed."""
         key = max(round(v / SPEED_STEP_MPS), 1)
         if key not in self._known:
             self._known[key] = self._make(key * SPEED_STEP_MPS * self.dt_s)

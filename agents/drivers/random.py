@@ -1,4 +1,4 @@
-"""A driver without a plan: any action, equally likely."""
+"""A driver with random actions, all equally likely."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.agents.drivers.base import Reader
+from lanebound.agents.drivers.base import Observation, Reader, StatelessDriver
 from lanebound.envs.core import DrivingEnv
 
 __all__ = ["RandomDriver"]
 
 
-class RandomDriver:
+class RandomDriver(StatelessDriver):
     """Draws from the action space with a generator of its own.
 
     Parameters
@@ -31,16 +31,10 @@ class RandomDriver:
         """Begin anew under a seed."""
         self._rng = np.random.default_rng(seed)
 
-    def predict(
-        self,
-        observation: Any,
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Any, tuple[NDArray[Any], ...] | None]:
+    def act(self, observation: Observation) -> NDArray[Any]:
         """An action, or one for each of a batch."""
         batch = self._reader.value(observation, "ego.speed").shape
         if hasattr(self.action_space, "n"):
-            return self._rng.integers(self.action_space.n, size=batch), state
+            return self._rng.integers(self.action_space.n, size=batch)
         low, high = self.action_space.low, self.action_space.high  # type: ignore[attr-defined]
-        return self._rng.uniform(low, high, (*batch, *low.shape)).astype(np.float32), state
+        return self._rng.uniform(low, high, (*batch, *low.shape)).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Commands as continuous actions hold them: shares of a range, from -1 at its low end to 1 at its high end."""
+"""Commands of continuous actions: shares of a range, from -1 at its low end to 1 at its high end."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 def share_of(value: Array, bounds: tuple[float, float]) -> Array:
-    """Where values lie between their bounds, from -1 to 1; beyond them the nearer end.  (...) -> (...)."""
+    """Values as shares of their bounds, from -1 to 1, clipped.  (...) -> (...)."""
     low, high = bounds
     return np.clip(2.0 * (value - low) / (high - low) - 1.0, -1.0, 1.0)
 

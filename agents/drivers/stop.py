@@ -1,4 +1,4 @@
-"""The simplest answer to an alert: to stop until it is over."""
+"""The simplest reaction to an alert: to stop until it is over."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ __all__ = ["StopConfig", "StopOnAlert", "make_stop_on_alert"]
 
 
 class StopConfig(CruiseConfig):
-    """Figures of a driver that stops."""
+    """Parameters of a driver that stops."""
 
-    stop_mps2: float = Field(4.0, gt=0, description="braking while an alert is on; what RSS takes as sure")
+    stop_mps2: float = Field(4.0, gt=0, description="braking while an alert is on; as in RSS")
 
 
 class StopOnAlert(Plan):

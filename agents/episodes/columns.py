@@ -18,14 +18,15 @@ from lanebound.envs.costs import CAUSES
 from lanebound.envs.records import EgoBelief
 from lanebound.envs.rewards import TERMS
 from lanebound.envs.truth import true_lead
+from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rtk_status import RtkStatus
 
-__all__ = ["COLUMNS", "Column", "Moment", "describe_columns", "row_of"]
+__all__ = ["COLUMNS", "Column", "Moment", "columns", "describe_columns", "register_column", "row_of",
+           "withdraw_column"]  # fmt: skip
 
 RTK_NAMES = {status.code: status.name.lower() for status in RtkStatus}
-REASON_NAMES = {reason.code: reason.name.lower() for reason in AlertReason}
 GAP_REACH_M = 100.0  # nobody follows a vehicle that is further ahead
 Kind = Literal["int", "float", "bool", "text", "floats"]
 
@@ -143,7 +144,7 @@ INTEGRITY = (
     Column("mode", "text", "", "source of the position", lambda m: Mode(m.info["mode"]).key),
     Column("rtk", "text", "", "why RTK holds or not", lambda m: RTK_NAMES[m.belief.rtk]),
     _info("alert", "bool", "", "the alert is on"),
-    Column("reason", "text", "", "reason of the alert", lambda m: REASON_NAMES[m.info["reason"]]),
+    Column("reason", "text", "", "reason of the alert", lambda m: AlertReason.from_code(m.info["reason"]).name.lower()),
     _info("available", "bool", "", "no protection level exceeds its limit"),
     _info("tta_s", "float", "s", "time left to react to the alert; all of it without one"),
     _info("mi", "bool", "", "misleading information: available, an error above its level and within its limit"),
@@ -166,15 +167,40 @@ SCORE = (
     Column("truncated", "bool", "", "the episode ends here because its time is up", lambda m: m.truncated),
 )
 COLUMNS: tuple[Column, ...] = (*WHEN, *TRUTH, *BELIEF, *INTEGRITY, *SCORE)
+"""The columns of this package."""
+_registered: list[Column] = []
+
+
+def columns() -> tuple[Column, ...]:
+    """All columns: those of this package, and those that were registered."""
+    return (*COLUMNS, *_registered)
+
+
+def register_column(column: Column) -> None:
+    """Add a column to the logs of episodes from now on, those that a benchmark stores included.
+
+    Raises
+    ------
+    InputError
+        The name is taken.
+    """
+    if column.name in {other.name for other in columns()}:
+        raise InputError(f"name of a column must not be taken, got {column.name!r}: choose another")
+    _registered.append(column)
+
+
+def withdraw_column(name: str) -> None:
+    """Take back a column that was registered."""
+    _registered[:] = [column for column in _registered if column.name != name]
 
 
 def row_of(moment: Moment) -> dict[str, Any]:
     """One row of the log."""
-    return {column.name: column.take(moment) for column in COLUMNS}
+    return {column.name: column.take(moment) for column in columns()}
 
 
 def describe_columns() -> str:
     """The columns as a table in Markdown."""
     lines = ["| column | type | unit | meaning |", "|---|---|---|---|"]
-    lines += [f"| {c.name} | {c.kind} | {c.unit or '-'} | {c.meaning} |" for c in COLUMNS]
+    lines += [f"| {c.name} | {c.kind} | {c.unit or '-'} | {c.meaning} |" for c in columns()]
     return "\n".join(lines) + "\n"

@@ -1,4 +1,4 @@
-"""The loop: an agent drives episodes of an environment while others watch."""
+"""The loop: an agent drives episodes of an environment, and watchers receive every step."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ __all__ = ["Watcher", "drive", "moment_of"]
 
 
 class Watcher(Protocol):
-    """Whoever is to be told of every step."""
+    """Receives every step."""
 
     def note(self, moment: Moment) -> None:
-        """A step has been taken, or an episode begun (step 0)."""
+        """A step was taken, or an episode begins (step 0)."""
 
 
 def drive(
@@ -28,11 +28,11 @@ def drive(
     watchers: Sequence[Watcher] = (),
     ended: Callable[[int], None] = lambda episode: None,
 ) -> None:
-    """Drive one episode for each seed; the agent is given observations, the watchers everything.
+    """Drive one episode for each seed; the agent receives observations, the watchers whole moments.
 
     Parameters
     ----------
-    ended : called with the number of each episode that is over
+    ended : called with the number of each finished episode
     """
     for episode, seed in enumerate(seeds):
         for moment in _moments(env, agent, episode, seed):
@@ -58,6 +58,6 @@ def _moments(env: DrivingEnv, agent: Driver, episode: int, seed: int) -> Any:
 
 
 def moment_of(env: DrivingEnv, *rest: Any) -> Moment:
-    """What there is to log now; ``rest`` are the fields of a Moment after its belief."""
+    """The present moment; ``rest`` are the fields of a Moment after its belief."""
     assert env.belief_loop is not None
     return Moment(env, env.belief_loop.belief(), *rest)

@@ -17,20 +17,20 @@ __all__ = ["Film", "part_of"]
 
 
 def part_of(path: Path) -> Path:
-    """Where a film is kept until it is whole."""
+    """The file of a film until it is complete."""
     return path.with_name(f"{path.stem}.part{path.suffix}")
 
 
 class Film:
     """Writes an MP4 (H.264) of what an environment renders; a watcher of a drive, and a context manager.
 
-    The world's hook for pictures within a policy step is used. Looking at the belief then is what the next simulation
-    step would begin with, so that filming changes nothing of the drive.
+    Pictures within a policy step use the world's hook for rendering. They update the belief as the beginning of the
+    next simulation step would, so that filming does not change the drive.
 
     Parameters
     ----------
     env : with render_mode ``rgb_array``
-    path : where the film goes; it appears there when it is whole
+    path : of the film; the file appears when it is complete
     fps : pictures in a second of the drive; must divide ``simulation_hz``
 
     Raises
@@ -68,7 +68,7 @@ class Film:
             self._part.unlink(missing_ok=True)
 
     def note(self, moment: Moment) -> None:
-        """A decision has been carried out, or an episode begins."""
+        """A decision was executed, or an episode begins."""
         if moment.step == 0:
             self._count = 0
             self._shoot()

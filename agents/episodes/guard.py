@@ -1,4 +1,4 @@
-"""An agent that is not trusted: an environment sees its actions only when they were checked."""
+"""Agents of any origin: their actions are checked before they reach an environment."""
 
 from __future__ import annotations
 
@@ -10,20 +10,19 @@ from typing import Any, Literal, Protocol
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
-from lanebound.agents.drivers.base import Driver
+from lanebound.agents.drivers.base import Driver, Starts, States
 from lanebound.envs.core import DrivingEnv
 
-__all__ = ["AgentFailure", "Clock", "Failing", "Guarded", "NoClock", "checked", "guarded", "told"]
+__all__ = ["AgentFailure", "Clock", "Failing", "Guarded", "NoClock", "checked", "error_text", "guarded"]
 
 LONGEST = 300  # characters of a message
 Failing = Literal["raised", "not_finite", "wrong_shape", "outside_space", "timeout"]
-"""How an agent may fail."""
+"""Kinds of failures of an agent."""
 
 
 class AgentFailure(Exception):  # noqa: N818 - its status says which
-    """An agent has not done its part."""
+    """An agent failed."""
 
     def __init__(self, status: Failing, message: str) -> None:
         super().__init__(message)
@@ -31,17 +30,17 @@ class AgentFailure(Exception):  # noqa: N818 - its status says which
 
 
 class Clock(Protocol):
-    """Is told when an agent begins to work and when it is done, so that others can see it hang."""
+    """Measures the time of an agent; another process can end an agent that takes too long."""
 
     def begin(self) -> None:
-        """It begins."""
+        """The agent begins."""
 
     def end(self) -> None:
-        """It is done."""
+        """The agent is done."""
 
 
 class NoClock:
-    """Nobody watches."""
+    """Measures nothing."""
 
     def begin(self) -> None:
         """Nothing."""
@@ -51,7 +50,7 @@ class NoClock:
 
 
 class Guarded:
-    """An agent whose actions are checked before an environment sees them, and timed.
+    """An agent whose actions are checked, and its decisions timed.
 
     Attributes
     ----------
@@ -68,13 +67,9 @@ class Guarded:
         self.solve_ms: list[float] = []
 
     def predict(
-        self,
-        observation: Any,
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Any, tuple[NDArray[Any], ...] | None]:
-        """The agent's own answer, checked."""
+        self, observation: Any, state: States = None, episode_start: Starts = None, deterministic: bool = True
+    ) -> tuple[Any, States]:
+        """The checked action of the agent."""
         self.clock.begin()
         begun = perf_counter()
         try:
@@ -82,7 +77,7 @@ class Guarded:
                 observation, state=state, episode_start=episode_start, deterministic=deterministic
             )
         except (Exception, SystemExit) as error:
-            raise AgentFailure("raised", told(error)) from error
+            raise AgentFailure("raised", error_text(error)) from error
         finally:
             self.solve_ms.append(1000.0 * (perf_counter() - begun))
             self.clock.end()
@@ -92,12 +87,12 @@ class Guarded:
 
 
 def checked(action: Any, space: gymnasium.Space[Any]) -> Any:
-    """An action as it is, if an environment can carry it out.
+    """An unchanged action that an environment can execute.
 
     Raises
     ------
     AgentFailure
-        It cannot.
+        The environment cannot execute it.
     """
     try:
         numbers = np.asarray(action)
@@ -118,7 +113,7 @@ def checked(action: Any, space: gymnasium.Space[Any]) -> Any:
 
 
 def guarded(make: Callable[[DrivingEnv], Driver], env: DrivingEnv, seed: int, clock: Clock | None = None) -> Guarded:
-    """A new agent under guard; one that draws is given the seed.
+    """A new agent with checks; an agent with random draws receives the seed.
 
     Raises
     ------
@@ -132,13 +127,13 @@ def guarded(make: Callable[[DrivingEnv], Driver], env: DrivingEnv, seed: int, cl
         if hasattr(agent, "reseed"):
             agent.reseed(seed)
     except (Exception, SystemExit) as error:
-        raise AgentFailure("raised", told(error)) from error
+        raise AgentFailure("raised", error_text(error)) from error
     finally:
         clock.end()
     return Guarded(agent, env.action_space, clock)
 
 
-def told(error: BaseException) -> str:
+def error_text(error: BaseException) -> str:
     """Kind, text and place of an error, in a line."""
     text = _short(str(error) or "no message", shown=str)
     frames = traceback.extract_tb(error.__traceback__)

@@ -9,16 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from lanebound.agents.episodes.columns import COLUMNS, Column, Moment, row_of
+from lanebound.agents.episodes.columns import Column, Moment, columns, row_of
 from lanebound.integrity.assessment.record import Record
 from lanebound.integrity.positioning.modes import Mode
 
 __all__ = ["EpisodeLog", "schema_of"]
 
-MODES = {mode.key: int(mode) for mode in Mode}
 
-
-def schema_of(columns: Sequence[Column]) -> Any:
+def schema_of(shown: Sequence[Column]) -> Any:
     """A pyarrow Schema of columns; unit and meaning of each are in the metadata of its field."""
     import pyarrow as pa
 
@@ -29,17 +27,15 @@ def schema_of(columns: Sequence[Column]) -> Any:
         "text": pa.string(),
         "floats": pa.list_(pa.float64()),
     }
-    return pa.schema(
-        [pa.field(c.name, types[c.kind], metadata={"unit": c.unit, "meaning": c.meaning}) for c in columns]
-    )
+    return pa.schema([pa.field(c.name, types[c.kind], metadata={"unit": c.unit, "meaning": c.meaning}) for c in shown])
 
 
 class EpisodeLog:
-    """Rows as they come.
+    """Rows of all steps in memory.
 
     Attributes
     ----------
-    rows : one dict for each step, with the keys of :data:`~lanebound.agents.episodes.columns.COLUMNS`
+    rows : one dict for each step, with the keys of :func:`~lanebound.agents.episodes.columns.columns`
     """
 
     def __init__(self) -> None:
@@ -57,10 +53,10 @@ class EpisodeLog:
         """A pyarrow Table; unit and meaning of a column are in the metadata of its field."""
         import pyarrow as pa
 
-        return pa.Table.from_pylist(self.rows, schema=schema_of(COLUMNS))
+        return pa.Table.from_pylist(self.rows, schema=schema_of(columns()))
 
     def write(self, path: Path) -> None:
-        """Write the Parquet file; it is whole at any time."""
+        """Write the Parquet file; it is complete at any time."""
         import pyarrow.parquet as pq
 
         part = path.with_suffix(".part")
@@ -76,7 +72,7 @@ class EpisodeLog:
 
         return Record(
             time_s=step_s * np.arange(1.0, len(rows) + 1.0),
-            mode=np.array([MODES[row["mode"]] for row in rows]),
+            mode=np.array([int(Mode.named(row["mode"])) for row in rows]),
             error_at_m=column("err_at_m"),
             error_ct_m=column("err_ct_m"),
             pl_at_m=column("pl_at_m"),

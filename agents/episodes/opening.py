@@ -1,4 +1,4 @@
-"""Environments by the names that people type."""
+"""Environments by short names."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["full_id", "naming", "open_env"]
 
 
 def full_id(name: str) -> str:
-    """The id that a name stands for: itself, or ours without ``lanebound/`` and version, in any case.
+    """The id of a name: an id, or one of lanebound without ``lanebound/`` and version, in upper or lower case.
 
     >>> full_id("lanekeeping")
     'lanebound/LaneKeeping-v0'
@@ -27,7 +27,7 @@ def full_id(name: str) -> str:
     Raises
     ------
     InputError
-        Neither one of ours nor one of highway-env's.
+        Neither an id of lanebound nor of highway-env.
     """
     short = {_short(env_id): env_id for env_id in IDS}
     if _short(name) in short and (name.count("-v") == 0 or name.endswith("-v0")):
@@ -43,7 +43,7 @@ def _short(name: str) -> str:
 
 
 def open_env(name: str, overrides: Mapping[str, Any] | None = None, render_mode: str | None = None) -> DrivingEnv:
-    """The environment of a name, one of highway-env's wrapped; without Gymnasium's checks round it.
+    """The environment of a name, wrapped where it is one of highway-env, without Gymnasium's checks.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def open_env(name: str, overrides: Mapping[str, Any] | None = None, render_mode:
     env_id = full_id(name)
     if env_id not in IDS:
         return wrap(env_id, overrides, render_mode)
-    make_config(env_id, overrides)  # refused here in our own words, not Gymnasium's
+    make_config(env_id, overrides)  # refused here, before Gymnasium changes the message
     try:
         made = gymnasium.make(env_id, config=dict(overrides or {}), render_mode=render_mode, disable_env_checker=True)
     except ConfigError as error:
@@ -63,11 +63,11 @@ def open_env(name: str, overrides: Mapping[str, Any] | None = None, render_mode:
 
 @contextmanager
 def naming(sources: Mapping[str, Mapping[str, Any]]) -> Iterator[None]:
-    """Within it, what an environment refuses is named by the whole path at which the user wrote it.
+    """In this context refusals of an environment name the full path of the key in the user's configuration.
 
     Parameters
     ----------
-    sources : by their paths, what was merged into the environment's configuration; the first that has a key is named
+    sources : by path, the mappings merged into the environment's configuration; the first with the key is named
 
     >>> with naming({"overrides": {"duraton_s": 5}}):
     ...     raise ConfigError("duraton_s is not a known key: did you mean 'duration_s'?")
@@ -88,7 +88,7 @@ def _from_source(line: str, sources: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def _has(given: Any, path: Sequence[str]) -> bool:
-    """Whether nested mappings hold a path, or something else stands on its way."""
+    """Whether nested mappings hold a path, or a value that is no mapping before its end."""
     for place, key in enumerate(path):
         if not isinstance(given, Mapping):
             return place > 0
@@ -99,7 +99,7 @@ def _has(given: Any, path: Sequence[str]) -> bool:
 
 
 def _in_full(message: str, given: Mapping[str, Any]) -> str:
-    """What a navigator refuses of the overrides ``given`` for it, with their whole path.
+    """The refusal of a navigator with the full paths of the overrides ``given`` for it.
 
     >>> _in_full("rate_hz is not a known key: known are dt_s, risk", {"rate_hz": -5})
     "navigator.rate_hz is not a known key: did you mean 'navigation.rate_hz'?"

@@ -1,4 +1,4 @@
-"""The algorithms by their names: made for an experiment, with what they refuse said by the name of the setting."""
+"""The algorithms by name: made for an experiment; refusals name the setting."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def require_known(experiment: ExperimentConfig) -> None:
 
 
 def make_model(experiment: ExperimentConfig, env: VecEnv, logs: str | None) -> BaseAlgorithm:
-    """What is to learn, as it is before it has.
+    """The untrained model of an experiment.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def _made(experiment: ExperimentConfig, env: VecEnv, logs: str | None, settings:
 
 
 def _culprit(experiment: ExperimentConfig, env: VecEnv) -> tuple[str, Any]:
-    """The setting without which the algorithm can be made, by its path, and its value; all where there is none."""
+    """Path and value of the setting without which the algorithm can be made; all settings where there is none."""
     for path, value, others in _each_left_out("settings", experiment.settings):
         try:
             _made(experiment, env, None, others)
@@ -102,7 +102,7 @@ def _culprit(experiment: ExperimentConfig, env: VecEnv) -> tuple[str, Any]:
 
 
 def _each_left_out(path: str, settings: Mapping[str, Any]) -> Iterator[tuple[str, Any, dict[str, Any]]]:
-    """Every setting with its path and value, and the settings without it; what is inside one before the whole."""
+    """Every setting with its path and value, and the settings without it; nested ones first."""
     for name, value in settings.items():
         if isinstance(value, Mapping):
             for inner, found, rest in _each_left_out(f"{path}.{name}", value):

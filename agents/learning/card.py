@@ -1,4 +1,4 @@
-"""A card that goes with a checkpoint: what it is, how it was made, what it came to, and what it is not for."""
+"""The card of a checkpoint: description, experiment, evaluation and intended use."""
 
 from __future__ import annotations
 

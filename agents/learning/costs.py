@@ -1,4 +1,4 @@
-"""What the algorithms under a cost limit share: costs out of ``info``, a critic of them, and their advantages."""
+"""Common parts of the algorithms under a cost limit: costs of ``info``, their critic, and their advantages."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ def require_flat(space: spaces.Space[Any]) -> int:
 
 
 class CostCritic(nn.Module):
-    """Cost to come from an observation, or from an observation and an action, as a small network.
+    """Expected future cost of an observation, or of an observation and an action, as a small network.
 
-    It is learnt by squared errors, whose best answer is the mean: a crash that is rare counts as often as it happens.
+    The loss is the squared error, whose minimum is the mean: a rare crash counts by its frequency.
 
     Parameters
     ----------
     size : of its input
-    scale : of costs, about that of an episode; the network tells shares of it
+    scale : of costs, about that of an episode; the output of the network is a share of it
     widths : of the hidden layers
     """
 
@@ -72,7 +72,7 @@ class CostCritic(nn.Module):
         return self.scale * found[..., 0]
 
     def loss(self, given: torch.Tensor, due: torch.Tensor) -> torch.Tensor:
-        """Mean squared error [of the scale] against the costs that were due, (...)."""
+        """Mean squared error [of the scale] against target costs, (...)."""
         return functional.mse_loss(self(given) / self.scale, due / self.scale)
 
     def of(self, given: Array) -> Array:

@@ -33,15 +33,15 @@ JUDGED = (
     "return", "cost", "over_cost_limit", "success", "collision", "off_road", "lane_departure", "harm", "mean_speed",
     "throughput", "alert_share", "any_hmi",
 )  # fmt: skip
-"""Metrics of an episode that checkpoints are judged by."""
+"""Metrics of an episode in evaluations of checkpoints."""
 KINDS = {path.rpartition(":")[2]: algorithm for algorithm, path in CLASSES.items()}
 
 
 def evaluate(experiment: ExperimentConfig, model: BaseAlgorithm) -> dict[str, float]:
     """Means over episodes of the policy without its noise, and the standard error of the cost (``cost_se``).
 
-    The seeds are the last of the training seeds: those of the benchmarks stay unseen, and none is drawn in training,
-    where environments go on from a seed of their own.
+    The seeds are the last training seeds: those of the benchmarks stay unseen, and training does not use them, because
+    its environments continue from a seed of their own.
     """
     rows = drive_all(experiment, model, SPLITS["train"][-experiment.evaluation_episodes :])
     costs = [row["cost"] for row in rows]
@@ -67,7 +67,7 @@ def drive_all(experiment: ExperimentConfig, model: BaseAlgorithm, seeds: Sequenc
 
 
 def _drive(env: VecEnv, model: BaseAlgorithm, seed: int) -> list[Mapping[str, Any]]:
-    """How an episode ends in each environment, under the seeds from ``seed`` on; who ends sooner drives on, unnoted."""
+    """The last info of an episode in each environment, under the seeds from ``seed`` on; later episodes are ignored."""
     env.seed(seed)
     observations: Any = env.reset()
     ends: dict[int, Mapping[str, Any]] = {}

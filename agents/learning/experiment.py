@@ -1,4 +1,4 @@
-"""What an experiment is: an environment, an algorithm with its settings, a limit of cost, and how long."""
+"""Experiments: an environment, an algorithm with its settings, a limit of cost, and a duration."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FLAT: dict[str, Any] = {"observation": {"form": "flat"}}
 
 
 class Algorithm(StrEnum):
-    """How a policy is learnt."""
+    """Algorithms of learning."""
 
     PPO = "ppo"
     SAC = "sac"
@@ -35,25 +35,25 @@ class Algorithm(StrEnum):
 
     @property
     def constrained(self) -> bool:
-        """Whether it heeds the limit of cost."""
+        """Whether it respects the limit of cost."""
         return self in (Algorithm.PPO_LAGRANGIAN, Algorithm.SAC_LAGRANGIAN)
 
     @property
     def off_policy(self) -> bool:
-        """Whether it learns from transitions that it keeps."""
+        """Whether it learns from stored transitions."""
         return self in (Algorithm.SAC, Algorithm.SAC_LAGRANGIAN)
 
 
 class ImitationConfig(Config):
-    """How a policy is fitted to a driver before it learns by reward."""
+    """Imitation of a driver before learning by reward."""
 
     driver: str = Field("integrity_aware", description="agent that is imitated")
     observation: Mapping[str, Any] = Field(
-        {}, description="what the driver is shown otherwise than the policy, as integrity: full where that is blind"
+        {}, description="of the driver, over that of the policy, such as integrity: full over blind"
     )
-    rounds: int = Field(4, ge=1, le=100, description="in the first the driver drives, then the policy as it is by then")
+    rounds: int = Field(4, ge=1, le=100, description="in the first the driver drives, then the present policy")
     decisions: int = Field(4000, ge=1, description="in each round, of all environments together")
-    epochs: int = Field(20, ge=1, le=1000, description="after each round, over all that was said so far")
+    epochs: int = Field(20, ge=1, le=1000, description="after each round, over all labels")
     batch_size: int = Field(256, ge=1, description="decisions that a step of the fit takes")
     learning_rate: float = Field(1e-3, gt=0, le=1, description="of the fit, by Adam")
 
@@ -69,7 +69,7 @@ class ImitationConfig(Config):
         if name not in AGENTS:
             raise ConfigError(str(unknown_agent(name)))
         if name in REMEMBERING:
-            raise ConfigError(f"driver must have no memory of its commands, got '{name}': others drive by what it says")
+            raise ConfigError(f"driver must have no memory of its commands, got '{name}': another policy drives")
         return name
 
     def total(self, count: int) -> int:
@@ -78,14 +78,14 @@ class ImitationConfig(Config):
 
 
 class Shield(StrEnum):
-    """What stands between a policy and the car."""
+    """Filters between a policy and the car."""
 
     NONE = "none"
     CBF = "cbf"
 
 
 class ExperimentConfig(Config):
-    """Everything that training depends on."""
+    """All inputs of a training."""
 
     title: str = Field("", description="what it is for, in a line")
     env: str = Field(description="id, ours without lanebound/")
@@ -100,15 +100,17 @@ class ExperimentConfig(Config):
     shield_penalty: float = Field(
         1.0,
         ge=0,
-        description="taken off the reward in training, times the mean square of what the filter changes of an action "
-        "(shares, -1 to 1): a policy that leans on the filter learns nothing of the road; argued",
+        description="subtracted from the reward in training, times the mean square of the filter's change of an action "
+        "(shares, -1 to 1): without it a policy relies on the filter and does not learn the road; argued",
     )
     engine: bool | None = Field(None, description="whether the vector engine drives; None: where it can")
     steps: int = Field(200_000, ge=1, description="decisions of learning by reward, of all environments")
     count: int = Field(4, ge=1, le=4096, description="environments side by side")
     seed: int = Field(0, ge=0, description="of networks, draws and environments")
     checkpoint_steps: int = Field(
-        20_000, ge=1, description="decisions between checkpoints; what a stop may lose, or a round of ``imitation``"
+        20_000,
+        ge=1,
+        description="decisions between checkpoints; an interruption loses at most these, or a round of ``imitation``",
     )
     evaluation_episodes: int = Field(16, ge=1, le=100, description="at each checkpoint, on the last training seeds")
 
@@ -151,11 +153,11 @@ class ExperimentConfig(Config):
 
     @property
     def env_overrides(self) -> dict[str, Any]:
-        """What the environment changes of what its id presets; observations are flat."""
+        """Changes of the preset of the environment's id; observations are flat."""
         return deep_merge(deep_merge({"sky": self.sky}, self.overrides), FLAT)
 
     def as_driver_sees(self) -> ExperimentConfig:
-        """The same with the observations of the driver that is imitated, where they are other than the policy's."""
+        """The experiment with the observations of the imitated driver."""
         if self.imitation is None or not self.imitation.observation:
             return self
         return self.replace(overrides=deep_merge(self.overrides, {"observation": self.imitation.observation}))
@@ -166,7 +168,7 @@ class ExperimentConfig(Config):
             return open_env(self.env, self.env_overrides)
 
     def limit(self) -> float:
-        """What an episode may cost: the limit that is named, or the environment's own."""
+        """The cost limit of an episode: that of the experiment, or of the environment."""
         if self.cost_limit is not None:
             return self.cost_limit
         with closing(self.open()) as env:
@@ -174,7 +176,7 @@ class ExperimentConfig(Config):
 
 
 def _require_flat(path: str, observation: Any) -> None:
-    """Raise ConfigError for observations in another form than policies are learnt from."""
+    """Raise ConfigError for observations that are not flat."""
     form = observation.get("form", "flat") if isinstance(observation, Mapping) else "flat"
     if form != "flat":
         raise ConfigError(f"{path}.form must be flat where policies are learnt, got {form!r}: leave it out")

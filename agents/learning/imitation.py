@@ -1,14 +1,14 @@
-"""Where learning by reward may begin: a policy fitted to what a driver does, in the places that the policy comes to.
+"""Imitation before learning by reward: a policy is fitted to the actions of a driver, in states that the policy visits.
 
 Dataset aggregation (Ross, Gordon and Bagnell 2011): in the first round the driver drives, in the following ones the
-policy as far as it has come; at every decision the driver says what it would do, and after each round the policy is
-fitted to all that was said so far. A policy that only copied drives of the driver would not know the way back to them.
-What is fitted of continuous actions is their mean; how widely the policy tries others afterwards stays as it was set.
-Environments begin together and drive on from round to round: of episodes longer than all rounds nobody shows the end,
-and of the part in which the first round falls only the driver's own way is shown.
+present policy; every decision is labelled with the action of the driver, and after each round the policy is fitted to
+all labels. A policy fitted to drives of the driver alone could not return to them after an error. Of continuous actions
+the mean is fitted; the spread of exploration is unchanged. Environments begin together and continue from round to
+round: the end of an episode that is longer than all rounds is not shown, and the part of it in the first round is shown
+on the driver's own path only.
 
-The driver may be shown more than the policy (a privileged teacher): then environments show what the driver needs, and
-the policy is handed its part of that.
+The driver may observe more than the policy (a privileged teacher): then environments have the observations of the
+driver, and the policy receives its part of them.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ UNREADABLE = (
 
 
 class Teacher(NamedTuple):
-    """Whom a policy begins from, ready to drive, and how it is shown.
+    """The driver that a policy imitates.
 
     Attributes
     ----------
-    driver, lessons : who shows, and how long
-    experiment : whose environments show what the driver needs
-    places : where the entries that the policy sees stand among those
+    driver, lessons : the driver, and the configuration of the imitation
+    experiment : has environments with the observations of the driver
+    places : places of the policy's entries among those of the driver
     """
 
     driver: Driver
@@ -59,12 +59,12 @@ class Teacher(NamedTuple):
 
 
 def teacher_of(experiment: ExperimentConfig) -> Teacher | None:
-    """Whom the policy is to begin from; None where it begins from nothing.
+    """The teacher of an experiment; None without imitation.
 
     Raises
     ------
     InputError
-        The environment has no actions for the driver, or does not show what it or the policy needs.
+        The environment has no actions for the driver, or its observations lack entries of the driver or the policy.
     """
     if experiment.imitation is None:
         return None
@@ -73,7 +73,7 @@ def teacher_of(experiment: ExperimentConfig) -> Teacher | None:
     shown = experiment.as_driver_sees()
     try:
         single = shown.open()
-    except ConfigError as error:  # of what is shown otherwise, since the experiment's own could be opened
+    except ConfigError as error:  # of the driver's observations, as those of the experiment are valid
         raise ConfigError(str(error).replace("overrides.observation", "imitation.observation")) from None
     with closing(single):
         driver, theirs = make_agent(experiment.imitation.driver, single), single.config.observation
@@ -81,17 +81,17 @@ def teacher_of(experiment: ExperimentConfig) -> Teacher | None:
 
 
 def _places(ours: ObservationConfig, theirs: ObservationConfig) -> Places:
-    """Where the entries of one flat observation stand in another; InputError where they are not all there."""
+    """Places of the entries of one flat observation in another; InputError where one is missing."""
     at = {entry: place for place, entry in enumerate(entries(theirs))}
     missing = [entry.column for entry in entries(ours) if entry not in at]
     if missing:
         raise InputError(
-            f"imitation.observation must show the driver all that the policy sees, in the same scales, got none of "
-            f"{', '.join(missing[:3])}{' ...' if missing[3:] else ''}: change of it only what adds entries"
+            f"imitation.observation must have all entries of the policy, in the same scales, got none of "
+            f"{', '.join(missing[:3])}{' ...' if missing[3:] else ''}: change only what adds entries"
         )
     if ours.history != theirs.history or (ours.integrity == "oracle") != (theirs.integrity == "oracle"):
         raise InputError(
-            "imitation.observation must keep history and whether the truth is shown, got others than the policy's: "
+            "imitation.observation must have the history and integrity: oracle of the policy, got others: "
             "leave out history and integrity: oracle"
         )
     frame = np.array([at[entry] for entry in entries(ours)])
@@ -105,49 +105,49 @@ def imitate(
     stepped: Callable[[int], None] = lambda decisions: None,
     kept: Path | None = None,
 ) -> list[float]:
-    """Fit what the policy of ``model`` does without its noise to its teacher; returns the mean loss after each round.
+    """Fit the policy of ``model``, without exploration, to its teacher; returns the mean loss after each round.
 
     Parameters
     ----------
-    env : of the teacher's experiment; the episodes are none of those learnt from by reward, nor of those judged by
-    stepped : called with the decisions so far, at every step
-    kept : file for what was said so far and the policy fitted to it, written after each round; from one that is there
-        it goes on, with other episodes and these from their beginning; None: nowhere
+    env : of the teacher's experiment; the episodes differ from those of learning by reward and of evaluations
+    stepped : called with the number of decisions at every step
+    kept : file of all labels and the fitted policy, written after each round; an existing file is resumed, with other
+        episodes from their beginning; None: no file
     """
     driver, lessons, experiment, places = teacher
     optimiser = torch.optim.Adam(model.policy.parameters(), lr=lessons.learning_rate)
-    heard = _Heard([], [], []) if kept is None or not kept.exists() else _taken_up(kept, model, optimiser)
-    env.seed(episode_seeds(experiment, len(heard.losses), "imitation"))
+    labels = _Labels([], [], []) if kept is None or not kept.exists() else _resumed(kept, model, optimiser)
+    env.seed(episode_seeds(experiment, len(labels.losses), "imitation"))
     observations: Any = env.reset()
     starts, state = np.ones(env.num_envs, dtype=np.bool_), None
-    for turn in range(len(heard.losses), lessons.rounds):
+    for turn in range(len(labels.losses), lessons.rounds):
         for _ in range(-(-lessons.decisions // env.num_envs)):
             wanted, state = driver.predict(observations, state, starts)
             ours = np.array(observations[:, places], dtype=np.float32)
-            heard.seen.append(ours)
-            heard.said.append(np.array(wanted))
+            labels.observations.append(ours)
+            labels.actions.append(np.array(wanted))
             actions = wanted if turn == 0 else model.predict(ours, deterministic=True)[0]
             observations, _, starts, _ = env.step(np.asarray(actions))
-            stepped(len(heard.seen) * env.num_envs)
-        heard.losses.append(_fit(model, heard, lessons, optimiser))
+            stepped(len(labels.observations) * env.num_envs)
+        labels.losses.append(_fit(model, labels, lessons, optimiser))
         if kept is not None:
-            _keep(kept, heard, model, optimiser)
-    return heard.losses
+            _keep(kept, labels, model, optimiser)
+    return labels.losses
 
 
-class _Heard(NamedTuple):
-    """What the policy saw and the driver said, step by step of all environments, and the loss after each round."""
+class _Labels(NamedTuple):
+    """Observations and actions of the driver, step by step of all environments, and the loss after each round."""
 
-    seen: list[NDArray[np.float32]]
-    said: list[NDArray[Any]]
+    observations: list[NDArray[np.float32]]
+    actions: list[NDArray[Any]]
     losses: list[float]
 
 
-def _keep(path: Path, heard: _Heard, model: BaseAlgorithm, optimiser: torch.optim.Optimizer) -> None:
+def _keep(path: Path, labels: _Labels, model: BaseAlgorithm, optimiser: torch.optim.Optimizer) -> None:
     states = {
-        "seen": torch.as_tensor(np.stack(heard.seen)),
-        "said": torch.as_tensor(np.stack(heard.said)),
-        "losses": heard.losses,
+        "observations": torch.as_tensor(np.stack(labels.observations)),
+        "actions": torch.as_tensor(np.stack(labels.actions)),
+        "losses": labels.losses,
         "policy": model.policy.state_dict(),
         "optimiser": optimiser.state_dict(),
         "draws": torch.get_rng_state(),
@@ -156,24 +156,24 @@ def _keep(path: Path, heard: _Heard, model: BaseAlgorithm, optimiser: torch.opti
         torch.save(states, draft)
 
 
-def _taken_up(path: Path, model: BaseAlgorithm, optimiser: torch.optim.Optimizer) -> _Heard:
-    """What was kept after a round; the policy and its fit are as they were then."""
+def _resumed(path: Path, model: BaseAlgorithm, optimiser: torch.optim.Optimizer) -> _Labels:
+    """Labels of a file; the policy and its optimiser get their states of then."""
     try:
         states = torch.load(path, weights_only=True)
         model.policy.load_state_dict(states["policy"])
         optimiser.load_state_dict(states["optimiser"])
         torch.set_rng_state(states["draws"])
-        return _Heard(list(states["seen"].numpy()), list(states["said"].numpy()), states["losses"])
+        return _Labels(list(states["observations"].numpy()), list(states["actions"].numpy()), states["losses"])
     except UNREADABLE as error:
         raise InputError(
             f"{path} must be as imitation wrote it, got another file ({type(error).__name__}): delete it to begin anew"
         ) from error
 
 
-def _fit(model: BaseAlgorithm, heard: _Heard, lessons: ImitationConfig, optimiser: torch.optim.Optimizer) -> float:
-    """Some epochs over all that was said; the mean loss of the last."""
-    given = torch.as_tensor(np.concatenate(heard.seen), device=model.device)
-    wanted = torch.as_tensor(np.concatenate(heard.said), device=model.device)
+def _fit(model: BaseAlgorithm, labels: _Labels, lessons: ImitationConfig, optimiser: torch.optim.Optimizer) -> float:
+    """Some epochs over all labels; the mean loss of the last one."""
+    given = torch.as_tensor(np.concatenate(labels.observations), device=model.device)
+    wanted = torch.as_tensor(np.concatenate(labels.actions), device=model.device)
     losses: list[float] = []
     model.policy.set_training_mode(True)
     for _ in range(lessons.epochs):
@@ -190,7 +190,7 @@ def _fit(model: BaseAlgorithm, heard: _Heard, lessons: ImitationConfig, optimise
 
 
 def _misfit(model: BaseAlgorithm, given: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
-    """Mean square of how far continuous actions are off; of discrete ones how unlikely the driver's is (log loss)."""
+    """Mean squared error of continuous actions; log loss of discrete ones."""
     policy: Any = model.policy
     law = policy.get_distribution(given)
     continuous = isinstance(model.action_space, spaces.Box)

@@ -1,12 +1,12 @@
 """The Lagrange multiplier of a cost limit, under PID control (Stooke, Achiam and Abbeel 2020, algorithm 2).
 
 Symbols: J_C mean cost of the latest episodes, d its limit, Delta = (J_C - d) / d the excess, I its integral, lambda
-multiplier. J_C is of a hundred episodes: environments that began together end together, so that one update may see
-fifty of them and the next one a crash alone, which would count as much; and of single episodes, with rare crashes, most
-excesses are negative and the others cut off, whatever their mean.
+multiplier. J_C is a mean over a hundred episodes: environments that begin together end together, so that one update may
+have fifty episodes and the next one a single crash, with equal weight; and with rare crashes most excesses of single
+episodes are negative and the others cut off, whatever their mean.
 
-No term takes more of an excess than the integral may give back below the limit: a beginner's crashes cost 14 times the
-limit, and a policy taught by what they make of the multiplier stands still for long.
+No term takes more of an excess than the integral can reduce below the limit: crashes at the beginning cost 14 times the
+limit, and a multiplier driven by them makes a policy stand still for long.
 """
 
 from __future__ import annotations
@@ -25,9 +25,11 @@ class MultiplierConfig(Config):
     """Gains of the controller, on the relative excess over the limit."""
 
     proportional: float = Field(0.05, ge=0, description="K_P [-]")
-    integral: float = Field(0.02, ge=0, description="K_I, by update [-]; small: at 0.05 policies came to stand still")
+    integral: float = Field(0.02, ge=0, description="K_I, by update [-]; small: at 0.05 policies stood still")
     derivative: float = Field(0.0, ge=0, description="K_D, of growing costs alone [-]; Stooke 2020")
-    smoothing: float = Field(0.8, ge=0, lt=1, description="share of the old in what the P and D terms see [-]")
+    smoothing: float = Field(
+        0.8, ge=0, lt=1, description="share of the old value in the input of the P and D terms [-]"
+    )
     most: float = Field(1.0, gt=0, description="excess that counts at most; none falls below -1 [-]")
     start: float = Field(0.1, ge=0, description="multiplier before the first update [-]")
     after_steps: int = Field(0, ge=0, description="decisions of learning without a limit, before it counts")
@@ -39,7 +41,7 @@ class MultiplierConfig(Config):
 
 @dataclass
 class Multiplier:
-    """How much a unit of cost weighs against a unit of reward, 0 at least.
+    """The weight of a unit of cost against a unit of reward, 0 at least.
 
     Parameters
     ----------
@@ -65,9 +67,7 @@ class Multiplier:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.limit < math.inf:
-            raise InputError(
-                f"cost_limit must be > 0 and finite, got {self.limit}: an excess is told by its share of the limit"
-            )
+            raise InputError(f"cost_limit must be > 0 and finite, got {self.limit}: an excess is a share of the limit")
         self.value = 0.0 if self.config.after_steps else self.config.start
         self.integral = self.config.start / self.config.integral if self.config.integral > 0.0 else 0.0
 

@@ -1,4 +1,4 @@
-"""The environments of an experiment, to learn and to be judged in: the vector engine where it can, else single ones."""
+"""The environments of an experiment: the vector engine where possible, else single environments."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["episode_seeds", "for_judging", "for_learning"]
 
 
 def for_learning(experiment: ExperimentConfig, processes: int) -> VecEnv:
-    """As many environments as the experiment says, seeded for its beginning.
+    """The environments of a training, seeded for its beginning.
 
     Parameters
     ----------
@@ -42,11 +42,11 @@ def for_learning(experiment: ExperimentConfig, processes: int) -> VecEnv:
 
 
 def episode_seeds(experiment: ExperimentConfig, steps: int, purpose: str = "traffic") -> int:
-    """Seed of the first environment of a training that begins or goes on after so many steps; the others count on.
+    """Seed of the first environment of a training that begins or resumes after so many steps; the others count on.
 
-    No trainings of different seeds share episodes, none meets those of evaluations and benchmarks, and none meets its
-    own again when it is resumed, or when it goes over to another purpose: the seed is drawn by the training's, by the
-    steps and by a stream of that name, above all seeds that splits name.
+    Trainings of different seeds share no episodes, nor with evaluations and benchmarks, and a resumed training or
+    another purpose has other episodes: the seed is drawn from the training's seed, the steps and a stream of that name,
+    above all seeds of the splits.
     """
     least = max(max(split) for split in SPLITS.values()) + 1
     drawn = named_generator([experiment.seed, steps], purpose).integers(least, 2**31 - experiment.count)
@@ -54,12 +54,12 @@ def episode_seeds(experiment: ExperimentConfig, steps: int, purpose: str = "traf
 
 
 def for_judging(experiment: ExperimentConfig, episodes: int) -> VecEnv:
-    """Environments for so many episodes: one for each in the engine, a single one for one after another elsewhere."""
+    """Environments for so many episodes: one for each in the engine, else a single one for all in turn."""
     return _shielded(experiment, _in_engine(experiment, episodes) or DummyVecEnv([_Maker(experiment)]), 0.0)
 
 
 def _in_engine(experiment: ExperimentConfig, count: int) -> VecEnv | None:
-    """Environments in the engine; None where it is not wanted, or need not and cannot."""
+    """Environments in the engine; None where it is switched off, or optional and not possible."""
     if experiment.engine is False:
         return None
     try:
@@ -76,7 +76,7 @@ def _shielded(experiment: ExperimentConfig, env: VecEnv, penalty: float) -> VecE
 
 @dataclass(frozen=True)
 class _Maker:
-    """Makes a single environment, in whichever process."""
+    """Makes a single environment, in any process."""
 
     experiment: ExperimentConfig
 

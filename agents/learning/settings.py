@@ -1,4 +1,4 @@
-"""Bounds of an algorithm's settings, so that a bad one is refused before anything starts, and by its name.
+"""Bounds of an algorithm's settings: a bad value is refused by its name before anything starts.
 
 Settings have stable-baselines3's names and defaults. Those without a bound here are judged by the algorithm itself.
 """
@@ -17,7 +17,7 @@ from lanebound.integrity.core.errors import ConfigError
 __all__ = ["BOUNDS", "require_settings"]
 
 OWN = ("seed", "cost_limit", "multiplier")
-"""Fields of an experiment that algorithms take as well: given twice, the card would tell another story."""
+"""Fields of an experiment that algorithms take as well: two values would contradict each other in the card."""
 TEMPERATURE = re.compile(r"auto(_(\d+\.?\d*|\.\d+)(e[+-]?\d+)?)?")
 
 

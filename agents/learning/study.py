@@ -1,4 +1,4 @@
-"""A study of learning: arms that differ in what they see and heed, learnt everywhere with several seeds, then compared.
+"""A study of learning: arms with different observations and constraints, trained in all places, then compared.
 
 ::
 
@@ -49,14 +49,14 @@ BESIDE = ("nominal", "integrity_aware")
 
 
 class ArmConfig(Config):
-    """What distinguishes the policies of an arm."""
+    """The differences of an arm from the others."""
 
     title: str = Field("", description="what it is, in a line")
     overrides: Mapping[str, Any] = Field({}, description="of the environment's configuration, merged deeply")
     algorithm: Algorithm = Field(Algorithm.PPO, description="how its policies are learnt")
     shield: Shield = Field(Shield.NONE, description="filter between policy and car")
-    experiment: Mapping[str, Any] = Field({}, description="what its trainings have of their own, over what all share")
-    against: tuple[str, ...] = Field((), description="arms that it is compared with, one by its name alone")
+    experiment: Mapping[str, Any] = Field({}, description="of its trainings, over that of all")
+    against: tuple[str, ...] = Field((), description="arms that it is compared with; one may be a name alone")
     family: str = Field("", description="of its comparisons: those of a family are tested together, by Holm's method")
 
     @field_validator("against", mode="before")
@@ -66,18 +66,18 @@ class ArmConfig(Config):
 
 
 class LearningStudyConfig(Config):
-    """Everything that the study depends on."""
+    """All inputs of a study."""
 
-    title: str = Field("", description="what it asks, in a line")
-    hypotheses: tuple[str, ...] = Field((), description="what is expected, written before anything is learnt")
+    title: str = Field("", description="its question, in a line")
+    hypotheses: tuple[str, ...] = Field((), description="expectations, written before any training")
     arms: Mapping[str, ArmConfig] = Field(min_length=1, description="by the names they go by in results")
     envs: tuple[str, ...] = Field(min_length=1, description="ids, ours without lanebound/")
     skies: tuple[str, ...] = Field(min_length=1, description="levels of the sky")
     seeds: int = Field(5, ge=1, le=100, description="trainings of each arm in each place")
     test_seeds: int = Field(50, ge=1, le=1000, description="held-out episodes of each policy")
-    test_skip: int = Field(0, ge=0, le=9000, description="first held-out seeds left out, as ones that were looked at")
-    experiment: Mapping[str, Any] = Field({}, description="what all trainings share: steps, settings ...")
-    by_env: Mapping[str, Mapping[str, Any]] = Field({}, description="what those of an id have of their own, over that")
+    test_skip: int = Field(0, ge=0, le=9000, description="first held-out seeds left out, as they were inspected")
+    experiment: Mapping[str, Any] = Field({}, description="common to all trainings: steps, settings ...")
+    by_env: Mapping[str, Mapping[str, Any]] = Field({}, description="of the trainings of an id, over that")
 
     @field_validator("envs")
     @classmethod
@@ -102,21 +102,21 @@ class LearningStudyConfig(Config):
 
     @property
     def seeds_to_judge(self) -> Sequence[int]:
-        """Held-out seeds that every policy drives."""
+        """Held-out seeds of every policy."""
         return SPLITS["test"][self.test_skip : self.test_skip + self.test_seeds]
 
     def shared(self, env: str) -> dict[str, Any]:
-        """What all trainings in an environment share."""
+        """The common experiment of all trainings in an environment."""
         return deep_merge(self.experiment, self.by_env.get(env, {}))
 
     @property
     def against(self) -> dict[str, tuple[str, ...]]:
-        """With whom each arm is compared."""
+        """Arms that each arm is compared with."""
         return {name: arm.against for name, arm in self.arms.items()}
 
     @property
     def families(self) -> dict[str, str]:
-        """Of which family the comparisons of each arm are."""
+        """Families of the comparisons of each arm."""
         return {name: arm.family for name, arm in self.arms.items()}
 
     @property
@@ -126,7 +126,7 @@ class LearningStudyConfig(Config):
 
 
 class Training(NamedTuple):
-    """A policy to be learnt."""
+    """A policy to be trained."""
 
     env: str
     sky: str
@@ -144,7 +144,7 @@ class Training(NamedTuple):
         return f"{self.arm}-{self.seed}"
 
     def experiment(self, study: LearningStudyConfig) -> ExperimentConfig:
-        """What is learnt, and how."""
+        """The experiment of the training."""
         arm = study.arms[self.arm]
         own = {"env": self.env, "sky": self.sky, "algorithm": arm.algorithm, "shield": arm.shield, "seed": self.seed}
         shared = deep_merge(study.shared(self.env), arm.experiment)
@@ -152,7 +152,7 @@ class Training(NamedTuple):
 
 
 class Course(NamedTuple):
-    """All trainings in the order of the work, and arms that an environment has no actions for."""
+    """All trainings in the order of the work, and arms without suitable actions in an environment."""
 
     trainings: tuple[Training, ...]
     left_out: tuple[tuple[str, str], ...]
@@ -170,7 +170,7 @@ def load_study(name: str, overrides: Mapping[str, Any] | None = None) -> Learnin
 
 
 def plan(study: LearningStudyConfig) -> Course:
-    """What is to be learnt: every place and arm with the first seed, then with the next.
+    """The trainings of a study: every place and arm with the first seed, then with the next.
 
     Raises
     ------
@@ -198,7 +198,7 @@ def plan(study: LearningStudyConfig) -> Course:
 
 
 def _accelerates(study: LearningStudyConfig, env: str) -> bool:
-    """Whether actions steer and accelerate, as the filter needs them."""
+    """Whether actions include steering and acceleration, which the filter needs."""
     world = Training(env, study.skies[0], next(iter(study.arms)), 0).experiment(study).open()
     space = world.action_space
     world.close()
@@ -250,7 +250,7 @@ def run_learning_study(
 def _learn(
     study: LearningStudyConfig, out: Path, by_name: Mapping[str, Training], name: str, advance: Advance
 ) -> dict[str, Any]:
-    """One training, or the rest of it; its evaluations, and its policy's episodes on held-out seeds."""
+    """Carry out or resume one training; its evaluations, and episodes of its policy on held-out seeds."""
     one, folder = by_name[name], out / "trainings" / name
     begun, planned = time.monotonic(), one.experiment(study)
     rows = train(planned, folder, stepped=lambda steps: advance(min(steps / planned.steps, 1.0)))
@@ -260,13 +260,13 @@ def _learn(
 
 
 def judged(planned: ExperimentConfig, folder: Path, seeds: Sequence[int]) -> list[dict[str, float]]:
-    """What the best policy of a training comes to on each of consecutive seeds."""
+    """Metrics of the best policy of a training on each of consecutive seeds."""
     with one_thread():
         return drive_all(planned, load_model(folder / "best.zip", planned.algorithm), seeds)
 
 
 def beside_suite(study: LearningStudyConfig, env: str, sky: str) -> SuiteConfig:
-    """Drivers of ours on the held-out seeds of a place."""
+    """Packaged drivers on the held-out seeds of a place."""
     return SuiteConfig.load(
         {
             "title": study.title,

@@ -1,4 +1,4 @@
-"""A study on a page: what every arm came to in every place, and how far arms are apart, from trainings that were kept.
+"""The page of a study: results of every arm in every place, and differences of arms, from stored trainings.
 
 ``python -m lanebound.agents.learning.study_page docs/value_of_integrity.json docs`` writes ``value_of_integrity.md``
 and the learning curves into ``docs``. With folders of the study after that, as ``out/study=4518748`` with the commit
@@ -34,7 +34,7 @@ PLACES_A_PICTURE = 4
 
 
 def packed(folder: Path, commit: str) -> list[dict[str, Any]]:
-    """The trainings of a folder of a study, by columns, with the commit that they were learnt at."""
+    """The trainings of a folder of a study, by columns, with the commit of their code."""
     parts = [json.loads(path.read_text(encoding="utf-8")) for path in sorted((folder / "parts").glob("*.json"))]
     return [{**_rounded(part), "commit": commit} for part in parts]
 
@@ -45,7 +45,7 @@ def _rounded(part: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _short(value: Any) -> Any:
-    """A number in few digits, whole where it is; of millions most are 0."""
+    """A number in few digits, as an integer where possible."""
     if not isinstance(value, float):
         return value
     short = float(f"{value:.{DIGITS}g}")
@@ -53,7 +53,7 @@ def _short(value: Any) -> Any:
 
 
 def unpacked(path: Path) -> list[dict[str, Any]]:
-    """The trainings of a file as the study had them, with rows."""
+    """The trainings of a file, with rows."""
     return [
         training
         | {key: [dict(zip(training[key], row, strict=True)) for row in zip(*training[key].values(), strict=True)]
@@ -63,7 +63,7 @@ def unpacked(path: Path) -> list[dict[str, Any]]:
 
 
 class Sum(NamedTuple):
-    """What a study came to: in each place, who keeps the limit in all, and how many tests each family has."""
+    """The summary of a study: places, trainings within the limit, and the number of tests of each family."""
 
     places: list[dict[str, Any]]
     kept: list[dict[str, Any]]
@@ -71,7 +71,7 @@ class Sum(NamedTuple):
 
 
 def summed_up(study: LearningStudyConfig, trainings: Sequence[Mapping[str, Any]]) -> Sum:
-    """What the trainings of a study came to."""
+    """Summarise the trainings of a study."""
     places = [
         {"env": env, "sky": sky, **summarise(here, study.against)}
         for env, sky in study.places
@@ -82,7 +82,7 @@ def summed_up(study: LearningStudyConfig, trainings: Sequence[Mapping[str, Any]]
 
 
 def overview(study: LearningStudyConfig, places: Sequence[Mapping[str, Any]]) -> str:
-    """Return at cost, each with half of its interval, and how many keep the limit of those that heed it."""
+    """Return at cost, each with half of its interval, and trainings within the limit of constrained arms."""
     arms = list(study.arms)
     rows = [
         (f"{_named(place['env'])}, {place['sky']}", *(_at_cost(study, place["arms"].get(arm), arm) for arm in arms))

@@ -1,9 +1,9 @@
-"""What arms come to in a place: a training is one draw of an arm, however many episodes its policy drives.
+"""Results of the arms of a study in a place: a training is one draw of an arm, for any number of episodes.
 
-Trainings are few, so intervals and tests are Student's, which takes their means for normal; a share that is the same in
-all trainings has the interval of Clopper and Pearson over all episodes, as if no two drove under the same seed. All
-trainings of a place are judged on the same episodes, in the cities that they were learnt in: the intervals tell of
-learning anew, not of driving elsewhere.
+Trainings are few, so intervals and tests are Student's, which assume normal means; a share that is equal in all
+trainings has the interval of Clopper and Pearson over all episodes, as if all had different seeds. All trainings of a
+place are evaluated on the same episodes, in the cities of their training: the intervals describe a repeated training,
+not other cities.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from lanebound.agents.benchmark.statistics import estimate, holm, student_ends, 
 __all__ = ["PRIMARY", "SHOWN", "adjust", "higher", "kept_oftener", "means_of", "spread", "summarise", "tested"]
 
 SHOWN = ("return", "cost", "over_cost_limit", "harm", "collision", "off_road", "lane_departure", "throughput")
-"""Metrics that are summed up, by their names in the benchmark."""
+"""Metrics of the summary, by their names in the benchmark."""
 PRIMARY = ("return", "cost", "harm")
-"""Those whose differences between arms are tested together, by Holm's method."""
+"""Metrics whose differences between arms are tested together, by Holm's method."""
 RATES = ("over_cost_limit", "collision", "off_road", "lane_departure")
 
 Array = NDArray[np.float64]
 
 
 def summarise(parts: Sequence[Mapping[str, Any]], arms: Mapping[str, Sequence[str]]) -> dict[str, Any]:
-    """Of each arm the mean over its trainings with a 95 % interval, and its paired differences from others.
+    """Means of each arm over its trainings with 95 % intervals, and paired differences from other arms.
 
     Trainings with the same seed are paired. ``parts`` are the finished trainings of a place, each with its ``arm``,
-    ``seed``, ``limit`` of an episode's cost and ``episodes`` as :func:`~.evaluation.drive_all` has them; ``kept``
-    counts those that keep it (:func:`keeps`).
+    ``seed``, ``limit`` of an episode's cost and ``episodes`` of :func:`~.evaluation.drive_all`; ``kept`` is the number
+    of those within the limit (:func:`keeps`).
     """
     episodes = sum(len(part["episodes"]) for part in parts) // max(len(parts), 1)
     kept = Counter(part["arm"] for part in parts if keeps(part))
@@ -56,15 +56,15 @@ def summarise(parts: Sequence[Mapping[str, Any]], arms: Mapping[str, Sequence[st
 
 
 def keeps(part: Mapping[str, Any]) -> bool:
-    """Whether a training's episodes cost at most its limit in the mean."""
+    """Whether the mean cost of a training's episodes is at most its limit."""
     return _means(part["episodes"])["cost"] <= float(part["limit"])
 
 
 def kept_oftener(parts: Sequence[Mapping[str, Any]], arms: Mapping[str, Sequence[str]]) -> list[dict[str, Any]]:
-    """How often arms keep the limit of cost in all places together, and ``p`` of no difference (McNemar, exact).
+    """Trainings of arms within the cost limit, in all places together, and ``p`` of no difference (McNemar, exact).
 
-    Trainings with the same place and seed are paired; ``n`` pairs, of which ``first`` and ``second`` keep it, and
-    ``first_alone`` and ``second_alone`` where the other does not.
+    Trainings with the same place and seed are paired: ``n`` pairs; ``first`` and ``second`` within the limit, and
+    ``first_alone`` and ``second_alone`` where the other is not.
     """
     by_arm = {arm: {(p["env"], p["sky"], p["seed"]): keeps(p) for p in parts if p["arm"] == arm} for arm in arms}
     out = []
@@ -83,9 +83,9 @@ def kept_oftener(parts: Sequence[Mapping[str, Any]], arms: Mapping[str, Sequence
 
 
 def higher(parts: Sequence[Mapping[str, Any]], arm: str, other: str, key: str = "return") -> tuple[int, int, int, int]:
-    """How often a metric of an arm is above that of another: of pairs of trainings, and of means of places.
+    """Comparison of a metric of two arms, trainings with the same place and seed paired.
 
-    Trainings with the same place and seed are paired; (pairs above, pairs, places above, places).
+    Returns (pairs where the first is higher, pairs, places where its mean is higher, places).
     """
     ours, theirs = (
         {(p["env"], p["sky"], p["seed"]): _means(p["episodes"])[key] for p in parts if p["arm"] == name}
@@ -99,7 +99,7 @@ def higher(parts: Sequence[Mapping[str, Any]], arm: str, other: str, key: str = 
 
 
 def means_of(results: Results) -> dict[str, dict[str, float]]:
-    """Means over the episodes of drivers that are not learnt, by their names."""
+    """Means over the episodes of packaged drivers, by name."""
     return {
         cell.agent: {key: mean for key in SHOWN if (mean := cell.metrics[key].mean) is not None}
         for cell in results.cells
@@ -107,7 +107,7 @@ def means_of(results: Results) -> dict[str, dict[str, float]]:
 
 
 def _means(episodes: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Of a policy over its episodes."""
+    """Means of a policy over its episodes."""
     return {key: float(np.mean([row[key] for row in episodes])) for key in SHOWN}
 
 
@@ -127,7 +127,7 @@ def _column(trainings: Mapping[int, Mapping[str, Any]], key: str) -> Array:
 
 
 def _differences(ours: Mapping[int, Mapping[str, Any]], theirs: Mapping[int, Mapping[str, Any]]) -> dict[str, Any]:
-    """Of each metric, over the seeds that both have; ``p`` of no difference."""
+    """Differences of each metric over common seeds; ``p`` of no difference."""
     both, out = sorted(ours.keys() & theirs.keys()), {}
     for key in SHOWN:
         gap = np.array([ours[seed][key] - theirs[seed][key] for seed in both])
@@ -140,7 +140,7 @@ def _differences(ours: Mapping[int, Mapping[str, Any]], theirs: Mapping[int, Map
 def adjust(
     places: Sequence[Mapping[str, Any]], kept: Sequence[Mapping[str, Any]], families: Mapping[str, str]
 ) -> dict[str, int]:
-    """Write ``p_holm`` beside each ``p`` of the PRIMARY metrics and of keeping the limit; returns how many there are.
+    """Write ``p_holm`` beside each ``p`` of the PRIMARY metrics and of the limit; returns the numbers of tests.
 
     Tests of arms of a family are adjusted together, for all places and metrics.
     """
@@ -159,13 +159,13 @@ def adjust(
 
 
 def spread(estimate: Mapping[str, Any]) -> str:
-    """A mean with its interval in words."""
+    """A mean with its interval as text."""
     low, high = estimate["low"], estimate["high"]
     return f"{estimate['mean']:.3g}" + ("" if low is None else f" [{low:.3g}, {high:.3g}]")
 
 
 def tested(found: Mapping[str, Any]) -> str:
-    """A difference with its interval and adjusted p in words; nothing where no seed has both."""
+    """A difference with its interval and adjusted p as text; "" without common seeds."""
     if found["difference"] is None:
         return ""
     p = found.get("p_holm")

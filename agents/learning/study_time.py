@@ -1,4 +1,4 @@
-"""How long a study takes on this machine: its environments are driven for a moment, as they will be."""
+"""The expected time of a study on this machine, from a short measurement of its environments."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MOMENT_S = 2.0
 
 
 class Pace(NamedTuple):
-    """What a decision takes in training and alone [s], and how many make an episode that lasts to its end."""
+    """Time of a decision in training and alone [s], and decisions of an episode that lasts to its end."""
 
     learning_s: float
     alone_s: float
@@ -30,7 +30,7 @@ class Pace(NamedTuple):
 
 
 def study_hours(study: LearningStudyConfig, course: Course) -> float:
-    """Time of a core for a whole study [h]: trainings, their evaluations, and the drivers beside them.
+    """Core time of a whole study [h]: trainings, their evaluations, and the drivers beside them.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def _seconds(planned: ExperimentConfig, pace: Pace, test_seeds: int) -> float:
 
 
 def measured(planned: ExperimentConfig) -> Pace:
-    """How fast an experiment's environments are driven here and now, by actions at random."""
+    """Speed of an experiment's environments on this machine, with random actions."""
     with one_thread(), closing(for_learning(planned, 1)) as many, closing(planned.open()) as single:
         many.reset()
         learning_s = _each(lambda: many.step(np.stack([many.action_space.sample() for _ in range(many.num_envs)])))
@@ -70,7 +70,7 @@ def measured(planned: ExperimentConfig) -> Pace:
 
 
 def _each(step: Callable[[], Any]) -> float:
-    """Time of the processor for a step [s], after a first one, in which all is made that is made once."""
+    """Processor time of a step [s], after a first one that is not counted."""
     step()
     begun, count = time.process_time(), 0
     while (passed := time.process_time() - begun) < MOMENT_S:

@@ -46,18 +46,18 @@ __all__ = ["Checkpoint", "is_best", "load_model", "one_thread", "train"]
 PROGRESS, BEST, CARD = "progress.json", "best.zip", "best.md"
 LAST, REPLAY, IMITATION = "last.zip", "last-replay.pkl", "imitation.pt"
 NOT_FINITE = ("Expected parameter", "without overflow")
-"""What torch says of distributions whose parameters are none, as NaN, and of steps that no float holds."""
+"""Parts of torch's messages about distributions with NaN parameters, and about overflow."""
 INTEGRITY = ("availability", "alert_share", "alerts", "mi_steps", "hmi_steps", "pl_at_mean_m", "pl_ct_mean_m")
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """How far training is, and what the policy of then came to.
+    """The progress of a training, and the evaluation of its policy.
 
     Attributes
     ----------
     steps : decisions so far; of : planned
-    evaluation : means over episodes on seeds kept for it
+    evaluation : means over episodes on seeds reserved for it
     best : whether it is the best so far
     """
 
@@ -71,17 +71,17 @@ def train(
     experiment: ExperimentConfig,
     out: Path,
     processes: int = 1,
-    told: Callable[[Checkpoint], None] = lambda checkpoint: None,
+    on_checkpoint: Callable[[Checkpoint], None] = lambda checkpoint: None,
     stepped: Callable[[int], None] = lambda steps: None,
     imitated: Callable[[int], None] = lambda decisions: None,
 ) -> list[dict[str, Any]]:
-    """Carry out an experiment, or what is left of it in ``out``; returns the evaluations.
+    """Carry out an experiment, or resume it in ``out``; returns the evaluations.
 
     Parameters
     ----------
     processes : of single environments, spawned; with 1, or in the vector engine, they run in this one
-    told : called after each checkpoint
-    stepped, imitated : called with the decisions so far at every step, of learning by reward and of imitation before it
+    on_checkpoint : called after each checkpoint
+    stepped, imitated : called with the number of decisions at every step, of learning by reward and of imitation
 
     Raises
     ------
@@ -103,8 +103,8 @@ def train(
                 imitate(teacher, model, shown, imitated, out / IMITATION)
             begun = True
         if begun and all(row["steps"] != model.num_timesteps for row in progress):
-            told(_checkpoint(experiment, model, out, progress))  # or it was kept when the last run was stopped
-        if model.num_timesteps:  # a loaded model is seeded as at its beginning: it would try the same noise again
+            on_checkpoint(_checkpoint(experiment, model, out, progress))  # an interrupted run may have it already
+        if model.num_timesteps:  # a loaded model has its first seed: it would repeat the same noise
             set_random_seed(episode_seeds(experiment, model.num_timesteps, "learning"))
         env.seed(episode_seeds(experiment, model.num_timesteps))  # stable-baselines3 has seeded it otherwise
         watch = _Watch(stepped)
@@ -112,14 +112,14 @@ def train(
             chunk = min(experiment.checkpoint_steps, experiment.steps - model.num_timesteps)
             with _converging(model, out, "settings.learning_rate"):
                 model.learn(chunk, callback=watch, reset_num_timesteps=model.num_timesteps == 0, tb_log_name="run")
-            told(_checkpoint(experiment, model, out, progress))
+            on_checkpoint(_checkpoint(experiment, model, out, progress))
     return progress
 
 
 def _shown(
     teacher: Teacher, env: VecEnv, experiment: ExperimentConfig, processes: int
 ) -> AbstractContextManager[VecEnv]:
-    """Environments that show what the teacher needs: those of the experiment, or others while it teaches."""
+    """Environments with the observations of the teacher: those of the experiment, or others during imitation."""
     if teacher.experiment == experiment:
         return nullcontext(env)
     return closing(for_learning(teacher.experiment, processes))
@@ -127,7 +127,7 @@ def _shown(
 
 @contextmanager
 def _converging(model: BaseAlgorithm, out: Path, rate: str) -> Iterator[None]:
-    """Within it what is learnt must stay finite, or InputError says so, names the ``rate`` and what is kept."""
+    """In this context parameters must stay finite; else InputError names the ``rate`` and the kept checkpoints."""
     try:
         yield
         lost = not _is_finite(model)
@@ -143,16 +143,16 @@ def _converging(model: BaseAlgorithm, out: Path, rate: str) -> Iterator[None]:
 
 
 def _is_finite(model: BaseAlgorithm) -> bool:
-    """Whether every parameter of every network is."""
+    """Whether all parameters of all networks are finite."""
     modules = (value for value in vars(model).values() if isinstance(value, torch.nn.Module))
     return all(bool(torch.isfinite(p).all()) for module in modules for p in module.parameters())
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Within it networks and the engine compute on one thread: both are so small that threads wait more than they do.
+    """In this context networks and the engine compute on one thread: they are so small that threads mostly wait.
 
-    Two trainings side by side are slowed fifteenfold by each other's threads.
+    With more threads two trainings side by side slow each other down fifteenfold.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -164,7 +164,7 @@ def one_thread() -> Iterator[None]:
 
 
 def load_model(path: Path, algorithm: Algorithm, env: VecEnv | None = None, device: str = "cpu") -> BaseAlgorithm:
-    """A checkpoint, on the processor if nothing else is wanted.
+    """Load a checkpoint, by default on the processor.
 
     Raises
     ------
@@ -190,7 +190,7 @@ def _model(experiment: ExperimentConfig, env: VecEnv, out: Path) -> BaseAlgorith
 
 
 def _recall(model: Any, path: Path) -> None:
-    """Give a model back the transitions that it had."""
+    """Restore the transitions of a model."""
     try:
         with path.open("rb") as stream:
             model.load_replay_buffer(stream)
@@ -199,7 +199,7 @@ def _recall(model: Any, path: Path) -> None:
 
 
 def _folder(experiment: ExperimentConfig, out: Path) -> ResultFolder:
-    """The folder of an experiment; more steps may be asked for than before."""
+    """The folder of an experiment; its steps may be raised."""
     config = experiment.to_dict()
     return ResultFolder(out, "training", config, fixed={key: config[key] for key in config if key != "steps"})
 
@@ -225,7 +225,7 @@ def _progress(experiment: ExperimentConfig, out: Path) -> list[dict[str, Any]]:
 def _checkpoint(
     experiment: ExperimentConfig, model: BaseAlgorithm, out: Path, progress: list[dict[str, Any]]
 ) -> Checkpoint:
-    """Judge the policy as it is now and keep it; ``progress`` grows by its evaluation."""
+    """Evaluate the present policy and store it; ``progress`` grows by its evaluation."""
     found = evaluate(experiment, model)
     progress.append({"steps": model.num_timesteps, **found})
     best = is_best(progress, _limit_of_best(experiment))
@@ -252,16 +252,16 @@ def _keep(experiment: ExperimentConfig, model: BaseAlgorithm, out: Path, best: b
 
 
 def _limit_of_best(experiment: ExperimentConfig) -> float:
-    """What the best checkpoint must keep: the limit where learning heeds one or one is named, else nothing."""
-    heeded = experiment.algorithm.constrained or experiment.cost_limit is not None
-    return experiment.limit() if heeded else math.inf
+    """The cost limit of the best checkpoint: that of a constrained algorithm or of the experiment, else infinity."""
+    limited = experiment.algorithm.constrained or experiment.cost_limit is not None
+    return experiment.limit() if limited else math.inf
 
 
 def is_best(progress: list[dict[str, Any]], limit: float) -> bool:
-    """Whether the last evaluation is: the largest return among those within the limit of cost, else the least cost.
+    """Whether the last evaluation is the best: the largest return within the cost limit, else the least cost.
 
-    Within it is who keeps it with the cost's standard error to spare: the best of many checkpoints is the luckiest too,
-    and costs more on other seeds than in its own evaluation.
+    Within the limit is a checkpoint whose cost plus its standard error is at most the limit: the best of many
+    checkpoints is also the luckiest, and its cost is higher on other seeds than in its own evaluation.
     """
 
     def worth(row: Mapping[str, float]) -> tuple[float, float]:
@@ -272,23 +272,23 @@ def is_best(progress: list[dict[str, Any]], limit: float) -> bool:
 
 
 class _Watch(BaseCallback):
-    """Tells how far training is, and logs of finished episodes what they cost by cause, and how far to be trusted."""
+    """Reports the progress of a training, and logs costs by cause and integrity figures of finished episodes."""
 
     def __init__(self, stepped: Callable[[int], None]) -> None:
         super().__init__()
-        self._told = stepped
+        self._stepped = stepped
 
     def _on_step(self) -> bool:
         for info in self.locals["infos"]:
             if EPISODE_KEY in info:
                 for name, value in _logged(info[EPISODE_KEY]):
                     self.logger.record_mean(name, value)
-        self._told(self.num_timesteps)
+        self._stepped(self.num_timesteps)
         return True
 
 
 def _logged(episode: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
-    """What is logged of an episode's statistics: names and values, without levels that are infinite."""
+    """Names and values of an episode's statistics for the log, without infinite levels."""
     for cause in CAUSES:
         yield f"cost/{cause.removeprefix('cost_')}", episode[cause]
     for name in INTEGRITY:

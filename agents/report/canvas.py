@@ -105,7 +105,7 @@ def to_svg(figure: Figure, label: str, notes: Mapping[str, str] | None = None, c
 
 
 def _element(element: ET.Element, notes: Mapping[str, str]) -> str:
-    """An element with what a page needs of it; groups only where they have a tooltip."""
+    """An element without superfluous parts; groups only where they have a tooltip."""
     name = element.tag.partition("}")[2]
     inside = "".join(_element(child, notes) for child in element)
     if name == "g":
@@ -121,7 +121,7 @@ def _element(element: ET.Element, notes: Mapping[str, str]) -> str:
 
 
 def _short(key: str, value: str) -> str:
-    """An attribute in few letters: tenths of a pixel, no fonts, no turns by nothing."""
+    """A shortened attribute: tenths of a pixel, no fonts, no rotations by 0."""
     if key == "style":
         return re.sub(r"font-family: [^;]*(; |$)|; stroke-linecap: square|(?<=[:;]) ", "", value)
     if key == "transform":
@@ -133,7 +133,7 @@ def _short(key: str, value: str) -> str:
 
 
 def span(values: Iterable[float | None], pad: float = 0.06) -> tuple[float, float]:
-    """From the least to the greatest finite value with some air, never empty.
+    """From the least to the greatest finite value with a margin, never empty.
 
     >>> span([1.0, 3.0], pad=0.5)
     (0.0, 4.0)

@@ -10,11 +10,11 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from lanebound.agents.benchmark.statistics import VERDICT_SEEDS, is_clear
+from lanebound.agents.benchmark.results import Paired
 from lanebound.agents.report.canvas import Box, colour, new_axes, new_figure, span, spread_out, to_svg
 from lanebound.agents.report.numbers import interval, plain, shorten, signed
 from lanebound.integrity.assessment.events import Zone
-from lanebound.integrity.assessment.plotting import MODE_COLOURS
+from lanebound.integrity.assessment.plotting import mode_colour
 from lanebound.integrity.assessment.record import AXES, Axis, Record
 from lanebound.integrity.assessment.stanford import ZoneCounts, count_zones
 from lanebound.integrity.positioning.modes import Mode
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "AXIS_NAMES", "CostBar", "EpisodeTrace", "PairedRow", "ParetoAxis", "ParetoPoint", "forest", "front", "pareto",
+    "AXIS_NAMES", "CostBar", "EpisodeTrace", "ParetoAxis", "ParetoPoint", "forest", "front", "pareto",
     "share_text", "stacked", "stanford", "trace",
 ]  # fmt: skip
 
@@ -36,54 +36,11 @@ AXIS_NAMES: dict[Axis, str] = {"at": "along the track", "ct": "across the track"
 # Paired differences
 
 
-@dataclass(frozen=True)
-class PairedRow:
-    """The difference of an agent from its reference, with its interval over so many seeds.
-
-    Attributes
-    ----------
-    low, high : None where the seeds give no interval
-    share_better : share of the seeds on which the agent does better; None where no direction is better
-    failed : episodes in which one of the two failed; the others may be the easy ones, so nothing is clear
-    """
-
-    agent: str
-    mean: float
-    low: float | None
-    high: float | None
-    seeds: int
-    share_better: float | None = None
-    failed: int = 0
-
-    @property
-    def clear(self) -> bool:
-        """Whether the interval excludes zero, the seeds suffice, and no agent failed."""
-        return not self.failed and is_clear(self.low, self.high, self.seeds)
-
-    def verdict(self, better: str | None) -> str:
-        """``better``, ``worse``, ``differs`` (no direction is better), ``unclear``, or why there is no verdict."""
-        if self.failed:
-            return f"no verdict, {self.failed} failed"
-        if self.seeds < VERDICT_SEEDS:
-            return "too few seeds"
-        if not self.clear:
-            return "unclear"
-        if better is None:
-            return "differs"
-        return "better" if (self.mean > 0.0) == (better == "higher") else "worse"
-
-    def words(self, unit: str) -> str:
-        """The difference and its interval."""
-        if self.low is None or self.high is None:
-            return f"{signed(self.mean, unit)}, no interval"
-        return interval(self.mean, self.low, self.high, unit, signed)
-
-
-def forest(title: str, unit: str, better: str | None, against: str, rows: Sequence[PairedRow]) -> Markup:
-    """A row for each agent: a filled diamond where the interval excludes zero, an empty circle elsewhere."""
+def forest(title: str, unit: str, better: str | None, against: str, rows: Mapping[str, Paired]) -> Markup:
+    """A row for each agent, by the name to show: a filled diamond where the difference is clear, else a circle."""
     width, height = 360.0, 50.0 + 25.0 * len(rows)
     figure, box = new_figure(width, height), Box(126.0, 10.0, width - 10.0, height - 40.0)
-    x = span([0.0, *(v for row in rows for v in (row.low, row.high, row.mean) if v is not None)])
+    x = span([0.0, *(v for row in rows.values() for v in (row.low, row.high, row.difference))])
     axes = new_axes(figure, box, x, (len(rows) - 0.5, -0.5), (4, 0), show=lambda value: signed(value, unit, short=True))
     axes.axvline(0.0, color=colour("soft"), linewidth=1.2)
     if better is not None:
@@ -91,25 +48,32 @@ def forest(title: str, unit: str, better: str | None, against: str, rows: Sequen
         axes.annotate(
             words, (at, 0.0), (0, -31), "axes fraction", "offset points", ha=side, fontsize=11, color=colour("soft")
         )
-    names = [shorten(row.agent, NAME_LETTERS) for row in rows]
+    names = [shorten(name, NAME_LETTERS) for name in rows]
     axes.set_yticks(range(len(rows)), names, fontsize=NAME_PX, color=colour("ink"))
     axes.grid(False, axis="y")
     notes = {}
-    for i, row in enumerate(rows):
-        verdict = row.verdict(better) if row.clear else "unclear"
+    for i, (name, row) in enumerate(rows.items()):
+        verdict = row.verdict(better)
         look: dict[str, Any] = {
-            "color": colour(verdict if verdict in ("better", "worse") else "soft"),
-            "gid": f"row-{i}",
-        }
+            "color": colour(verdict if verdict in ("better", "worse") else "soft"), "gid": f"row-{i}"
+        }  # fmt: skip
         if row.low is not None and row.high is not None:
             axes.plot([row.low, row.high], [i, i], linewidth=1.8, solid_capstyle="butt", **look)
         inside = look["color"] if row.clear else colour("card")
-        axes.plot([row.mean], [i], "D" if row.clear else "o", markersize=7.0, markerfacecolor=inside, mew=1.6, **look)
-        better_on = "" if row.share_better is None else f", better on {100.0 * row.share_better:.0f} % of the seeds"
-        failed = f", {row.verdict(better)}" if row.failed else ""
-        notes[f"row-{i}"] = f"{row.agent}: {row.words(unit)}, {row.seeds} seeds{failed}{better_on}"
-    said = "; ".join(f"{row.agent} {row.words(unit)}, {row.verdict(better)}" for row in rows)
+        mark: dict[str, Any] = {"marker": "D" if row.clear else "o", "markersize": 7.0, "mew": 1.6}
+        axes.plot(np.array([row.difference], dtype=float), [i], markerfacecolor=inside, **mark, **look)
+        better_on = "" if row.better is None else f", better on {100.0 * row.better:.0f} % of the seeds"
+        failed = f", {verdict}" if row.failed else ""
+        notes[f"row-{i}"] = f"{name}: {_words(row, unit)}, {row.n} seeds{failed}{better_on}"
+    said = "; ".join(f"{name} {_words(row, unit)}, {row.verdict(better)}" for name, row in rows.items())
     return to_svg(figure, f"{title}, difference against {against}, 95 % intervals: {said}", notes)
+
+
+def _words(row: Paired, unit: str) -> str:
+    """A difference and its interval."""
+    if row.low is None or row.high is None:
+        return f"{signed(row.difference, unit)}, no interval"
+    return interval(row.difference, row.low, row.high, unit, signed)
 
 
 # Gains against costs
@@ -303,7 +267,7 @@ def _draw_density(axes: Axes, error_m: NDArray[np.float64], pl_m: NDArray[np.flo
 
 
 def share_text(rate: float) -> str:
-    """A share as a percentage with enough digits to tell a rare event from none."""
+    """A share as a percentage with enough digits to distinguish a rare event from none."""
     if rate in (0.0, 1.0):
         return f"{100.0 * rate:.0f} %"
     return f"{100.0 * rate:.1f} %" if 0.001 <= rate <= 0.999 else f"{100.0 * rate:.3g} %"
@@ -352,9 +316,9 @@ def _draw_panel(figure: Figure, episode: EpisodeTrace, axis: Axis, box: Box, x_l
     axes.plot(time, error, color=colour("error"), linewidth=1.0)
     axes.plot(time, np.minimum(pl, top), color=colour("level"), linewidth=1.6)
     axes.plot([0.0, time[-1]], [al, al], color=colour("limit"), linewidth=1.3, dashes=(3, 2))
-    for mode, tone in MODE_COLOURS.items():
+    for mode in Mode:
         for a, b in _spans(record.mode == mode, time):
-            axes.axvspan(a, b, 1.0, 1.0 + 6.0 / (box.bottom - box.top), color=tone, linewidth=0)
+            axes.axvspan(a, b, 1.0, 1.0 + 6.0 / (box.bottom - box.top), color=mode_colour(mode), linewidth=0)
 
 
 def _spans(on: NDArray[np.bool_], time: NDArray[np.float64]) -> list[tuple[float, float]]:

@@ -1,4 +1,4 @@
-"""Short films of episodes, driven once more with pictures, small enough to lie inside a page."""
+"""Short films of episodes that are driven again, small enough for a page."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lanebound.agents.checkpointing.files import replace_file
 
 __all__ = ["Clip", "film_clip", "shrink"]
 
-LAST_S = 12.0  # of the episode: where it ends badly
+LAST_S = 12.0  # of the episode
 WIDTH_PX = 960
 FPS = 10
 POSTER_BEFORE_END_S = 1.0
@@ -45,9 +45,9 @@ class Clip:
 
 
 def film_clip(folder: Path, outcome: Outcome) -> Clip:
-    """Drive an episode of a folder of results again and keep its last seconds.
+    """Drive an episode of a result folder again and film its last seconds.
 
-    Trouble is told, not raised: the report is due in any case, and agents are anybody's code.
+    Errors are reported in the clip, not raised: a failing agent must not prevent the report.
     """
     try:
         kept = folder / CLIPS / f"{_name(outcome)}.mp4"
@@ -55,8 +55,8 @@ def film_clip(folder: Path, outcome: Outcome) -> Clip:
             return _clip(outcome, kept.read_bytes())
         film, other = _filmed(folder, outcome)
         if other:
-            return _clip(outcome, film, f"Driven again it did not come out as it had: {other} differ.")
-        with suppress(OSError):  # what cannot be kept is shown all the same
+            return _clip(outcome, film, f"The outcome differs from the stored one in {other}.")
+        with suppress(OSError):  # a film that cannot be stored is shown too
             kept.parent.mkdir(exist_ok=True)
             with replace_file(kept) as draft:
                 draft.write_bytes(film)
@@ -66,7 +66,7 @@ def film_clip(folder: Path, outcome: Outcome) -> Clip:
 
 
 def _filmed(folder: Path, outcome: Outcome) -> tuple[bytes, str]:
-    """The end of an episode that is driven again, and what of it is not as it was."""
+    """The end of an episode that is driven again, and the attributes that differ from the stored outcome."""
     with tempfile.TemporaryDirectory() as place:
         whole, small = Path(place) / "whole.mp4", Path(place) / "small.mp4"
         other = differences(*replay(folder, outcome.id, whole, FPS))
@@ -74,7 +74,7 @@ def _filmed(folder: Path, outcome: Outcome) -> tuple[bytes, str]:
 
 
 def _name(outcome: Outcome) -> str:
-    """By how the episode came out, the code that drives it again, and how it is filmed: else it is another film."""
+    """Name of a film: a digest of the outcome, the code, and the settings of filming."""
     made = (source_digest(), outcome.to_dict(), LAST_S, WIDTH_PX, FPS, QUALITY, LARGEST_BYTES)
     text = json.dumps(made, sort_keys=True)
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()

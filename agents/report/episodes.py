@@ -1,4 +1,4 @@
-"""What the stored episodes of a benchmark show beyond their outcomes: records to assess, and which were the worst."""
+"""Stored episodes of a benchmark: records for assessment, and the worst ones."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from lanebound.integrity.positioning.modes import Mode
 
 __all__ = ["badness", "pooled", "trace_of", "what_happened", "worst_of"]
 
-CODES = {mode.key: int(mode) for mode in Mode}
 BAD_ENDS = ("collision", "off road", "wrong way")
 SECONDS = "time_s"
 TAKEN = ("time_s", "mode", "err_at_m", "err_ct_m", "pl_at_m", "pl_ct_m", "al_at_m", "al_ct_m", "alert", "available")
@@ -26,19 +25,19 @@ Columns = dict[str, NDArray[Any]]
 
 
 def trace_of(results: Results, outcome: Outcome) -> EpisodeTrace | None:
-    """Belief and truth of an episode after every decision; None where nothing is kept of it."""
+    """Belief and truth of an episode after every decision; None without stored rows."""
     columns = _columns(results, outcome)
     return None if columns is None else _traced([columns])
 
 
 def pooled(results: Results, outcomes: Iterable[Outcome]) -> EpisodeTrace | None:
-    """The same of many episodes, one after the other; their time counts decisions and means nothing."""
+    """The same of many episodes, one after the other; their time counts decisions."""
     parts = [columns for outcome in outcomes if (columns := _columns(results, outcome)) is not None]
     return _traced(parts) if parts else None
 
 
 def _columns(results: Results, outcome: Outcome) -> Columns | None:
-    """Columns of the decisions whose errors are finite; no others are read, as episodes are many."""
+    """The needed columns of the decisions with finite errors."""
     if results.folder is None:
         return None
     import pyarrow.parquet as pq
@@ -53,7 +52,7 @@ def _columns(results: Results, outcome: Outcome) -> Columns | None:
 
 
 def _traced(parts: Sequence[Columns]) -> EpisodeTrace:
-    """One record; where alert limits change, errors and levels are scaled so that each keeps its ratio to its limit."""
+    """One record; where alert limits change, errors and levels are scaled to the first limit."""
     joined = {name: np.concatenate([part[name] for part in parts]) for name in TAKEN}
     limits = {axis: joined[f"al_{axis}_m"] for axis in AXES}
     first = {axis: float(limit[0]) for axis, limit in limits.items()}
@@ -61,7 +60,7 @@ def _traced(parts: Sequence[Columns]) -> EpisodeTrace:
     many = len(parts) > 1
     record = Record(
         time_s=np.arange(1.0, joined[SECONDS].size + 1.0) if many else joined[SECONDS],
-        mode=np.array([CODES[key] for key in joined["mode"]]),
+        mode=np.array([int(Mode.named(key)) for key in joined["mode"]]),
         error_at_m=joined["err_at_m"] * ratio["at"],
         error_ct_m=joined["err_ct_m"] * ratio["ct"],
         pl_at_m=joined["pl_at_m"] * ratio["at"],
@@ -73,7 +72,7 @@ def _traced(parts: Sequence[Columns]) -> EpisodeTrace:
 
 
 def what_happened(outcome: Outcome) -> str:
-    """Why an episode counts as a failure, in a few words; "" when it is none."""
+    """Why an episode counts as a failure; "" where it does not."""
     if outcome.failed:
         return f"{outcome.status.replace('_', ' ')}: {outcome.message}" if outcome.message else outcome.status
     if outcome.ended in BAD_ENDS:
@@ -82,14 +81,14 @@ def what_happened(outcome: Outcome) -> str:
 
 
 def badness(outcome: Outcome) -> tuple[int, float]:
-    """Order of the worst: those that ended badly first, then by cost."""
+    """Sort key of the worst episodes: bad ends first, then by cost."""
     return int(outcome.ended in BAD_ENDS), outcome.cost
 
 
 def worst_of(outcomes: Iterable[Outcome], actors: Mapping[str, Actor], count: int) -> list[Outcome]:
-    """The worst episode of each agent, the worst first, each drive once where agents did the same.
+    """The worst episode of each agent, the worst first; equal drives of several agents count once.
 
-    Agents that failed or act at random show nothing of interest; the latter are shown where nobody else drove.
+    Agents that failed are left out, and agents that act at random where others drove.
     """
     driven = [o for o in outcomes if not o.failed]
     serious = [o for o in driven if not actors[o.agent].chance] or driven

@@ -1,4 +1,4 @@
-"""Numbers as people read them: three digits that mean something, percentages, signs, intervals."""
+"""Numbers as text: three significant digits, percentages, signs, intervals."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _three(value: float, decimals_max: int, short: bool) -> str:
 
 
 def signed(value: float | None, unit: str = "", short: bool = False) -> str:
-    """The same with a sign before what is above zero.
+    """The same with a sign before positive values.
 
     >>> signed(0.5), signed(-0.02, "share")
     ('+0.500', '−2.0 %')
@@ -62,7 +62,7 @@ def interval(
 
 
 def shorten(words: str, letters: int) -> str:
-    """Words that fit, three dots in the middle of what is left out.
+    """Text of limited length, with dots in the middle.
 
     >>> shorten("my.package.module:policy", 12)
     'my.pac…olicy'

@@ -1,4 +1,4 @@
-"""Who is who in all pictures and tables of a report, and how figures of a metric are written."""
+"""Looks and names of agents in a report, and units of metrics."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ class Actor:
 
     Attributes
     ----------
-    name : what it goes by in the results
-    look : number of its colour and shape, the same everywhere
-    reference : the others are compared with it, and it with other references
-    bound : it sees the truth, and shows what is possible rather than competes
+    name : in the results
+    look : number of its colour and shape
+    reference : other agents are compared with it
+    bound : it observes the truth: a bound, no competitor
     chance : it acts at random
     """
 
@@ -35,7 +35,7 @@ class Actor:
 
     @property
     def remark(self) -> str:
-        """What is to be said of it beside its name."""
+        """Remark beside its name."""
         return "sees the truth" if self.bound else "reference" if self.reference else ""
 
 
@@ -49,7 +49,7 @@ def actors_of(suite: SuiteConfig) -> dict[str, Actor]:
 
 
 def unit_of(metric: Metric) -> str:
-    """Its unit, ``share`` for what is shown as a percentage."""
+    """The unit of a metric, ``share`` for percentages."""
     return SHARE if metric.bounds == SHARE_BOUNDS else metric.unit.replace("m/s2", "m/s²").replace("m/s3", "m/s³")
 
 
@@ -69,7 +69,7 @@ def slug_of(place: Place) -> str:
 
 
 def clear_best(intervals: Iterable[tuple[str, float | None, float | None]], better: str | None) -> str | None:
-    """Whose interval lies wholly on the better side of all others; None where nobody's does.
+    """The name whose interval lies wholly on the better side of all others; None without one.
 
     >>> clear_best([("a", 0.0, 0.2), ("b", 0.3, 0.5)], "lower"), clear_best([("a", 0.0, 0.3), ("b", 0.2, 0.5)], "lower")
     ('a', None)

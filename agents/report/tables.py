@@ -31,7 +31,7 @@ ARROWS = {"higher": "↑", "lower": "↓"}
 
 @dataclass(frozen=True)
 class Head:
-    """The head of a metric: its title, unit, the arrow to the good side, and what that says."""
+    """The head of a metric: its title, unit, the arrow of its good direction, and that in words."""
 
     key: str
     title: str
@@ -48,9 +48,9 @@ class Head:
 
 @dataclass(frozen=True)
 class TableEntry:
-    """A mean and its interval as text, or why it has none; ``best`` where it is clear of all others.
+    """A mean and its interval as text, or the reason for none; ``best`` where its interval is better than all others.
 
-    ``seeds`` says how many it is of, where they are fewer than those that were driven.
+    ``seeds`` is their number where it is smaller than that of the driven ones.
     """
 
     mean: str
@@ -63,7 +63,7 @@ class TableEntry:
 
 @dataclass(frozen=True)
 class TableRow:
-    """An agent, how many episodes it drove, its entries, and whether it is untuned here."""
+    """An agent, its number of episodes, its entries, and whether it is untuned here."""
 
     actor: Actor
     episodes: int
@@ -90,7 +90,7 @@ class Overview:
 
 
 def head_of(metric: Metric) -> Head:
-    """How a metric is headed."""
+    """The head of a metric."""
     unit = unit_of(metric)
     better = f"{metric.better} is better" if metric.better else ""
     return Head(
@@ -117,7 +117,7 @@ def means_table(results: Results, actors: Mapping[str, Actor]) -> Table:
 
 
 def all_metrics(cells: Sequence[Cell], actors: Mapping[str, Actor]) -> Table:
-    """All metrics that anybody has a figure of."""
+    """All metrics with a value of any agent."""
     return _table(cells, actors, [m for m in METRICS if any(cell.metrics[m.key].n for cell in cells)])
 
 
@@ -131,7 +131,7 @@ def _table(cells: Sequence[Cell], actors: Mapping[str, Actor], metrics: Sequence
 
 
 def _entries(metric: Metric, cells: Sequence[Cell], actors: Mapping[str, Actor]) -> list[TableEntry]:
-    """One metric of the agents at one place; those that see the truth do not compete, and who failed is not best."""
+    """One metric of the agents at one place; agents that observe the truth or failed are never best."""
     found = {cell.agent: cell.metrics[metric.key] for cell in cells}
     failed, seeds = {cell.agent for cell in cells if cell.failed}, max(cell.episodes for cell in cells)
     rivals = [
@@ -139,13 +139,13 @@ def _entries(metric: Metric, cells: Sequence[Cell], actors: Mapping[str, Actor])
         for name, e in found.items()
         if e.n and not actors[name].bound
     ]
-    known = all(low is not None for _, low, _ in rivals)  # else who has no interval may be better still
+    known = all(low is not None for _, low, _ in rivals)  # else an agent without interval may be better
     best = clear_best(rivals, metric.better) if known else None
     return [_entry(e, metric, name == best and name not in failed, seeds) for name, e in found.items()]
 
 
 def _entry(estimate: Estimate, metric: Metric, best: bool, seeds: int) -> TableEntry:
-    """One estimate; of what is 0 or 1 in each episode an interquartile mean says nothing."""
+    """One estimate; rates have no interquartile mean."""
     e, unit = estimate, unit_of(metric)
     iqm = "" if metric.rate else f"{plain(e.iqm, unit)} {_bare(e.iqm_low, e.iqm_high, unit)}"
     fewer = f"n = {e.n}" if 0 < e.n < seeds else ""
@@ -165,7 +165,7 @@ def _lacking(e: Estimate, metric: Metric) -> str:
 
 
 def _bare(low: float | None, high: float | None, unit: str) -> str:
-    """An interval in brackets; the percent sign stands with the mean already."""
+    """An interval in brackets, without the percent sign of the mean."""
     if low is None or high is None:
         return ""
     return f"[{plain(low, unit)}, {plain(high, unit)}]".replace(" %", "")

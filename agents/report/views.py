@@ -1,4 +1,4 @@
-"""One place of a benchmark as the page shows it: its tables and pictures, ready to be laid out."""
+"""The tables and pictures of one place of a benchmark."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from lanebound.agents.benchmark.results import Cell, Results
 from lanebound.agents.report.charts import (
     AXIS_NAMES,
     CostBar,
-    PairedRow,
     ParetoAxis,
     ParetoPoint,
     forest,
@@ -85,7 +84,7 @@ class TraceView:
 
 @dataclass(frozen=True)
 class PlaceView:
-    """All there is to see of a place."""
+    """All tables and pictures of a place."""
 
     slug: str
     title: str
@@ -123,20 +122,20 @@ def _forests(results: Results, cells: Sequence[Cell], against: str) -> Forests:
     found = []
     names = {cell.agent: f"{cell.agent}, untuned" if cell.untuned else cell.agent for cell in cells}
     for metric in (metric_named(key) for key in MAIN):
-        rows = [
-            PairedRow(names[pair.agent], pair.difference, pair.low, pair.high, pair.n, pair.better, pair.failed)
+        rows = {
+            names[pair.agent]: pair
             for pair in results.paired
             if (pair.place, pair.against, pair.metric) == (cells[0].place, against, metric.key)
             if pair.difference is not None
-        ]
-        if any(row.low is not None for row in rows):
+        }
+        if any(row.low is not None for row in rows.values()):
             picture = forest(metric.title, unit_of(metric), metric.better, names[against], rows)
             found.append(ChartChoice(metric.key, metric.title, picture))
     return Forests(names.get(against, against), found)
 
 
 def _fronts(cells: Sequence[Cell], actors: Mapping[str, Actor]) -> list[ChartChoice]:
-    """Cost against what may be gained by it."""
+    """Cost against gains."""
     return [choice for key in GAINS if (choice := _front(key, cells, actors)) is not None]
 
 
@@ -220,7 +219,7 @@ def _traces(results: Results, here: Sequence[Outcome], actors: Mapping[str, Acto
 
 
 def _figures(outcome: Outcome) -> str:
-    """How an episode went, in a line."""
+    """Main figures of an episode, in a line."""
     figures = [f"{outcome.ended} after {plain(outcome.time_s)} s", f"cost {plain(outcome.cost)}"]
     figures += [f"return {plain(outcome.total_return)}"]
     figures += [f"{outcome.hmi_steps} steps hazardously misleading"] if outcome.hmi_steps else []

@@ -1,4 +1,4 @@
-"""The report of a benchmark: one page that needs nothing beside it."""
+"""The report of a benchmark: one self-contained page."""
 
 from __future__ import annotations
 
@@ -29,14 +29,15 @@ from lanebound.agents.report.episodes import badness, what_happened, worst_of
 from lanebound.agents.report.style import Actor, actors_of, title_of
 from lanebound.agents.report.tables import head_of, means_table, overviews
 from lanebound.agents.report.views import causes, view_of
-from lanebound.integrity.assessment.plotting import MODE_COLOURS
+from lanebound.integrity.assessment.plotting import mode_colour
+from lanebound.integrity.positioning.modes import Mode
 
 __all__ = ["NAME", "render", "write_report"]
 
 NAME = "report.html"
 PACKAGES = ("lanebound", "gymnasium", "highway-env", "numpy", "numba", "scipy", "stable-baselines3", "torch")
-LISTED = 20  # failures of an agent at a place that are shown with their commands; of the others the seeds alone
-OPEN_PLACES = 3  # with more, each place is folded up
+LISTED = 20  # failures of an agent at a place with their commands; of others only the seeds
+OPEN_PLACES = 3  # with more places each one is folded
 
 
 @dataclass(frozen=True)
@@ -53,29 +54,29 @@ class Failures:
 
 
 def write_report(
-    results: Results, out: Path, clips: int = 3, told: Callable[[int, int], None] = lambda done, of: None
+    results: Results, out: Path, clips: int = 3, on_clip: Callable[[int, int], None] = lambda done, of: None
 ) -> Path:
     """Write the page ``report.html`` into the folder ``out``; returns its path.
 
     Parameters
     ----------
     results : of a suite, finished or not
-    out : a folder, made if need be
-    clips : how many of the worst episodes are driven again for a film, each at another place; 0 for none
-    told : called with how many clips are done, and of how many, before each and at the end
+    out : a folder, made if missing
+    clips : number of the worst episodes to be filmed, one for each place
+    on_clip : called with the number of finished clips and of all, before each clip and at the end
 
     Returns
     -------
-    The page: style, script, pictures and films lie inside it, and it asks nothing of any network.
+    The page, with style, script, pictures and films; it loads nothing from a network.
     """
     out.mkdir(parents=True, exist_ok=True)
     path = out / NAME
     with replace_file(path) as draft:
-        draft.write_text(render(results, clips, told), encoding="utf-8")
+        draft.write_text(render(results, clips, on_clip), encoding="utf-8")
     return path
 
 
-def render(results: Results, clips: int = 0, told: Callable[[int, int], None] = lambda done, of: None) -> str:
+def render(results: Results, clips: int = 0, on_clip: Callable[[int, int], None] = lambda done, of: None) -> str:
     """The page as text."""
     actors = actors_of(results.suite)
     places = _places(results)
@@ -96,16 +97,16 @@ def render(results: Results, clips: int = 0, told: Callable[[int, int], None] = 
         episodes=len(results.outcomes),
         missing=len(results.missing),
         left_out=results.left_out,
-        clips=_clips(results, places, actors, clips, told),
+        clips=_clips(results, places, actors, clips, on_clip),
         failures=_failures(results),
         failed_agents=len(results.failures),
         metrics=[head_of(metric) for metric in METRICS],
         causes=causes(),
-        modes=[(mode.label, colour) for mode, colour in MODE_COLOURS.items()],
+        modes=[(mode.label, mode_colour(mode)) for mode in Mode],
         definition=json.dumps(results.suite.to_dict(), indent=2, ensure_ascii=False),
         versions=_versions(results.folder),
         title_of=title_of,
-        breakable=Markup("_<wbr>"),  # long names may go on in a new line
+        breakable=Markup("_<wbr>"),  # long names may be broken
         replay=lambda outcome: replay_command(results.folder, outcome),
     )
 
@@ -116,7 +117,7 @@ def _part(name: str) -> str:
 
 
 def _places(results: Results) -> dict[Place, list[Cell]]:
-    """The places where somebody has driven, in the order of the suite."""
+    """The places with results, in the order of the suite."""
     found: dict[Place, list[Cell]] = {}
     for cell in results.cells:
         found.setdefault(cell.place, []).append(cell)
@@ -128,9 +129,9 @@ def _clips(
     places: Mapping[Place, Any],
     actors: Mapping[str, Actor],
     count: int,
-    told: Callable[[int, int], None],
+    on_clip: Callable[[int, int], None],
 ) -> list[Clip]:
-    """Films of the worst episodes, the worst of all first, one at each place."""
+    """Films of the worst episodes, the worst first, one for each place."""
     if count < 1 or results.folder is None:
         return []
     worst: list[Outcome] = []
@@ -139,9 +140,9 @@ def _clips(
     chosen = sorted(worst, key=badness, reverse=True)[:count]
     clips = []
     for done, outcome in enumerate(chosen):
-        told(done, len(chosen))
+        on_clip(done, len(chosen))
         clips.append(film_clip(results.folder, outcome))
-    told(len(chosen), len(chosen))
+    on_clip(len(chosen), len(chosen))
     return clips
 
 
@@ -162,7 +163,7 @@ def _failures_of(results: Results, place: Place, agent: str, group: Sequence[Out
 
 
 def _versions(folder: Path | None) -> list[tuple[str, str]]:
-    """Versions that the episodes were driven with, as recorded; the present ones of packages that are not recorded."""
+    """Recorded versions of the episodes; present versions of packages that are not recorded."""
     manifest = {} if folder is None else EpisodeStore(folder).manifest()
     found: list[tuple[str, str]] = []
     if manifest:

@@ -167,7 +167,7 @@ def is_short(tables: dict[str, Any]) -> bool:
 
 
 def verdict(row: dict[str, Any], short: bool) -> str:
-    """Where our figure lies; a short run is told so rather than condemned."""
+    """Where our value lies; a short run is named as such."""
     if row["ours"] is None:
         return "none"
     if row["met"]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lanebound.envs.batch.lanes_kernel import local
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import record
-from lanebound.integrity.motion.truth_kernel import between
+from lanebound.integrity.motion.truth_kernel import EndRows, TrueMotion, between
 
 __all__ = ["MOTION", "TruthRows", "Whereabouts", "advance", "begin_motion", "fill_motion", "fill_whereabouts"]
 
@@ -92,10 +92,11 @@ def fill_motion(motions, rows, step_s, down, truth):  # type: ignore[no-untyped-
     for e in rows:
         _ends_of(motions[e], step_s, ends, headings)
         a, b = e * count, (e + 1) * count
-        between(
-            ends[0], ends[1], ends[2], ends[3], headings[0], headings[1], down, truth.position[a:b],
-            truth.velocity[a:b], truth.heading[a:b], truth.turn[a:b], truth.delta_v[a:b], truth.distance[a:b],
+        out = TrueMotion(
+            truth.position[a:b], truth.velocity[a:b], truth.heading[a:b], truth.turn[a:b], truth.delta_v[a:b],
+            truth.distance[a:b],
         )  # fmt: skip
+        between(EndRows(ends[0], ends[2], headings[0]), EndRows(ends[1], ends[3], headings[1]), down, out)
 
 
 @jit(borrows=True)

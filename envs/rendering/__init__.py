@@ -4,12 +4,13 @@ No display is opened before :meth:`Viewer.show`.
 """
 
 from lanebound.envs.rendering.config import Orientation, RenderingConfig, ThemeName
-from lanebound.envs.rendering.frame import Bodies, Frame, Satellites, Status
+from lanebound.envs.rendering.frame import Bodies, EpisodeCost, Frame, Satellites, Status
 from lanebound.envs.rendering.trace import Tape, Trace
 from lanebound.envs.rendering.viewer import Viewer
 
 __all__ = [
     "Bodies",
+    "EpisodeCost",
     "Frame",
     "Orientation",
     "RenderingConfig",

@@ -46,6 +46,11 @@ class Camera:
         ax, ay = self.anchor_px
         return float(np.hypot(max(ax, w - ax), max(ay, h - ay)) / self.scale_px_per_m)
 
+    def shows(self, corners_m: Array) -> NDArray[np.bool_]:
+        """Which shapes have a corner on the map.  (n, k, 2) -> (n,)."""
+        at = self.px(corners_m)
+        return np.asarray(((at >= 0.0) & (at <= self.size_px)).all(-1).any(-1))
+
     def sees(self, middle_m: Array, radius_m: Array) -> NDArray[np.bool_]:
         """Which circles may appear on the map.  middle_m (n, 2), radius_m (n,) -> (n,)."""
         gap = middle_m - self.centre_m

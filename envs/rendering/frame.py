@@ -15,7 +15,7 @@ from lanebound.envs.rendering.trace import Trace
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.scene import City
 
-__all__ = ["CAUTION_SHARE", "Bodies", "Frame", "Satellites", "Status"]
+__all__ = ["CAUTION_SHARE", "Bodies", "EpisodeCost", "Frame", "Satellites", "Status"]
 
 Array = NDArray[np.float64]
 
@@ -28,6 +28,15 @@ class Status(Enum):
     NORMAL = "NORMAL"
     CAUTION = "NEAR LIMIT"
     ALERT = "ALERT"
+
+
+@dataclass(frozen=True)
+class EpisodeCost:
+    """The weighted cost ``info["cost"]`` [-] of the last step, its sum since the reset, and the limit of that sum."""
+
+    step: float
+    episode: float
+    limit: float
 
 
 @dataclass(frozen=True)
@@ -98,7 +107,7 @@ class Frame:
     route : lanes that the ego follows after its own, for the corridor of the alert limit; found on the map when empty
     city : buildings, in East and North of the plane (E = x, N = -y); satellites : the sky now
     trace : error, protection level and alert limit of the last seconds
-    title : the environment's id; time_s : since the reset; speed_mps : true; cost : of the last step, None to hide it
+    title : the environment's id; time_s : since the reset; speed_mps : true; cost : None to hide it
     """
 
     network: Any
@@ -113,7 +122,7 @@ class Frame:
     satellites: Satellites | None = None
     trace: Trace = field(default_factory=Trace.empty)
     title: str = ""
-    cost: float | None = None
+    cost: EpisodeCost | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.ego < len(self.bodies):

@@ -23,6 +23,7 @@ HEAD_PX = 14
 LETTERS = {System.GPS: "G", System.GALILEO: "E", System.GLONASS: "R", System.BEIDOU: "C", System.QZSS: "J"}  # RINEX 4
 BOX_REACH = 1.6  # the error box shows this many alert limits
 STRIP_REACH = 1.6
+POINTER_PX, POINTER_STEP_PX = 6.0, 18.0
 
 
 @dataclass(frozen=True)
@@ -121,8 +122,10 @@ def _draw_satellites(
 
 
 def draw_error_box(canvas: Canvas, at: PanelPlace, frame: Frame, theme: Theme) -> None:
-    """The estimate in the middle with its levels and limits; the dot is the truth, ahead is up. Each axis has its
-    own scale: the limits always form the same square."""
+    """The estimate in the middle with its levels and limits; the dot is the truth, ahead is up.
+
+    Each axis has its own scale: the limits always form the same square. Triangles mark what lies beyond the edge.
+    """
     outside = frame.misleading
     head, ink = ("truth is outside PL", theme.crashed) if outside else ("truth in PL", theme.muted)
     canvas.text(at.x, at.y + 4, head if frame.belief.available else "truth", 11, ink, bold=outside)
@@ -132,7 +135,8 @@ def draw_error_box(canvas: Canvas, at: PanelPlace, frame: Frame, theme: Theme) -
     canvas.line([[plot.x, plot.middle], [plot.right, plot.middle]], theme.grid, 0.5)
     canvas.line([[middle[0], plot.y], [middle[0], plot.bottom]], theme.grid, 0.5)
     limit = reach / BOX_REACH
-    half = np.minimum(np.array([b.pl_ct_m / b.al_ct_m, b.pl_at_m / b.al_at_m]) * limit, reach - 1.0)
+    level = np.array([b.pl_ct_m / b.al_ct_m, b.pl_at_m / b.al_at_m]) * limit
+    half = np.minimum(level, reach - 1.0)
     colour = status_colour(frame.status, theme)
     canvas.blend(_square(middle, *half)[None], colour, 0.3)
     canvas.line(_square(middle, *half), colour, 1.5, closed=True)
@@ -140,9 +144,24 @@ def draw_error_box(canvas: Canvas, at: PanelPlace, frame: Frame, theme: Theme) -
     canvas.text(middle[0] + limit - 3, middle[1] - limit - 6, "AL", 9, theme.limit, anchor="right")
     at_m, ct_m = frame.error_m
     offset = np.array([-ct_m / b.al_ct_m, at_m / b.al_at_m]) * limit
-    dot = middle + np.clip(offset, 6.0 - reach, reach - 6.0)
+    shown = np.clip(offset, 10.0 - reach, reach - 10.0)
+    dot = middle + shown
     canvas.circle(dot, 5.0, theme.crashed if outside else theme.plot)
     canvas.circle(dot, 4.0 if not outside else 3.0, theme.ego)
+    for axis, unit in enumerate(np.eye(2)):
+        if level[axis] > half[axis]:
+            for sign in (-1.0, 1.0):
+                draw_pointer(canvas, middle + sign * (reach - 1.0) * unit, sign * unit, colour)
+        if offset[axis] != shown[axis]:
+            sign = float(np.sign(offset[axis]))
+            draw_pointer(canvas, dot + sign * 10.0 * unit, sign * unit, theme.ego)
+
+
+def draw_pointer(canvas: Canvas, tip_px: Array, toward: Array, colour: Colour) -> None:
+    """A triangle with its tip at a point: what it marks lies beyond, in the direction of a unit vector (2,)."""
+    base = tip_px - POINTER_PX * toward
+    across = 0.6 * POINTER_PX * np.array([-toward[1], toward[0]])
+    canvas.polygons(np.stack([tip_px, base + across, base - across])[None], colour)
 
 
 def _square(middle: Array, half_x: float, half_y: float) -> Array:
@@ -159,7 +178,10 @@ def draw_strip(
     window_s: float,
     theme: Theme,
 ) -> None:
-    """|error| as an area, PL as a line, AL in dashes; times of alert have a tinted ground."""
+    """|error| as an area, PL as a line, AL in dashes; times of alert have a tinted ground.
+
+    Triangles at the upper edge mark the times of an error or a level above the scale.
+    """
     head = canvas.text(at.x, at.y + 4, name, 11, theme.muted)
     plot = at.below_head()
     canvas.box(plot.x, plot.y, plot.width, plot.height, theme.plot, round_px=4)
@@ -175,11 +197,23 @@ def draw_strip(
             canvas.polygons(np.concatenate([upper, lower[::-1]])[None], mix(theme.plot, theme.ego, 0.6))
         canvas.dashes(np.stack([x, _height(plot, al, top)], 1), theme.limit, 1.0)
         canvas.line(np.stack([x, y_pl], 1), theme.caution, 1.75)
+        _draw_pointers(canvas, plot.y + 2.0, x[pl > top], theme.caution)
+        _draw_pointers(canvas, plot.y + POINTER_PX + 4.0, x[np.abs(error) > top], theme.ego)
     key = at.right
-    for words, colour in (("AL", theme.limit), ("PL", theme.caution), ("|error|", theme.ego)):
+    pl_key = "PL (▲ above)" if (pl > top).any() else "PL"
+    for words, colour in (("AL", theme.limit), (pl_key, theme.caution), ("|error|", theme.ego)):
         key -= canvas.text(key, at.y + 4, words, 10, colour, anchor="right") + 8
     if len(al):
-        canvas.text(at.x + head + 8, at.y + 4, f"0 to {top:.1f} m, last {window_s:g} s", 10, theme.muted)
+        canvas.text(at.x + head + 8, at.y + 4, f"0 to {top:.1f} m, {window_s:g} s", 10, theme.muted)
+
+
+def _draw_pointers(canvas: Canvas, y: float, x: Array, colour: Colour) -> None:
+    """Triangles upwards at some of these places, not closer than ``POINTER_STEP_PX``."""
+    last = -np.inf
+    for place in x[::-1]:  # from now backwards
+        if abs(place - last) >= POINTER_STEP_PX:
+            draw_pointer(canvas, np.array([place - 0.6 * POINTER_PX, y]), np.array([0.0, -1.0]), colour)
+            last = place
 
 
 def _draw_alerts(canvas: Canvas, plot: PanelPlace, x: Array, alert: NDArray[np.bool_], theme: Theme) -> None:

@@ -10,15 +10,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from lanebound.envs.records import Traffic
 from lanebound.envs.rendering.camera import Camera, oriented_box, quads_along
 from lanebound.envs.rendering.canvas import Canvas
 from lanebound.envs.rendering.config import Orientation, RenderingConfig
-from lanebound.envs.rendering.frame import Frame, Status
+from lanebound.envs.rendering.frame import Bodies, Frame, Status
 from lanebound.envs.rendering.roads import RoadDrawing, corridor
 from lanebound.envs.rendering.scenery import Scenery
 from lanebound.envs.rendering.theme import Colour, Theme, mix
 
-__all__ = ["camera_of", "draw_map"]
+__all__ = ["SHOWN_LEVEL_M", "body_corners", "camera_of", "draw_map", "perceived_corners", "status_colour"]
 
 Array = NDArray[np.float64]
 
@@ -121,11 +122,19 @@ def _draw_corridor(canvas: Canvas, frame: Frame, camera: Camera, theme: Theme) -
             canvas.dashes(side, theme.limit, 2.0, on_px=6.0)
 
 
+def body_corners(bodies: Bodies) -> Array:
+    """Corners of the true vehicles, (N, 4, 2) [m]."""
+    return oriented_box(bodies.position_m, bodies.heading_rad, 0.5 * bodies.length_m, 0.5 * bodies.width_m)
+
+
+def perceived_corners(traffic: Traffic) -> Array:
+    """Corners of the perceived vehicles without their levels, (V, 4, 2) [m]."""
+    return oriented_box(traffic.position_m, traffic.heading_rad, 0.5 * traffic.length_m, 0.5 * traffic.width_m)
+
+
 def _draw_bodies(canvas: Canvas, frame: Frame, camera: Camera, theme: Theme) -> None:
     bodies = frame.bodies
-    corners = camera.px(
-        oriented_box(bodies.position_m, bodies.heading_rad, 0.5 * bodies.length_m, 0.5 * bodies.width_m)
-    )
+    corners = camera.px(body_corners(bodies))
     seen = camera.sees(bodies.position_m, bodies.length_m)
     for row in np.flatnonzero(seen):
         colour = theme.ego if row == frame.ego else theme.other
@@ -161,19 +170,26 @@ def _across(corners: Array, begin: float, end: float, inset: float) -> Array:
 
 
 def _draw_traffic(canvas: Canvas, frame: Frame, camera: Camera, theme: Theme) -> None:
-    """Perceived vehicles: an outline and a box grown by its levels, or an outline in dashes when there are none."""
+    """Perceived vehicles: an outline and a box grown by its levels, or an outline in dashes when there are none.
+
+    The edge of the box is in dashes where a level is larger than the box shows.
+    """
     t = frame.traffic
     half = 0.5 * t.length_m, 0.5 * t.width_m
-    outline = camera.px(oriented_box(t.position_m, t.heading_rad, *half))
+    outline = camera.px(perceived_corners(t))
     grown = camera.px(
         oriented_box(t.position_m, t.heading_rad, half[0] + _shown(t.pl_at_m), half[1] + _shown(t.pl_ct_m))
     )
     bounded = np.isfinite(t.pl_at_m + t.pl_ct_m)
+    clipped = np.maximum(t.pl_at_m, t.pl_ct_m) > SHOWN_LEVEL_M
     for row in np.flatnonzero(camera.sees(t.position_m, t.length_m + SHOWN_LEVEL_M)):
         if bounded[row]:
             canvas.line(outline[row], theme.other_belief, 1.5, closed=True)
             canvas.blend(grown[row][None], theme.other_belief, 0.12)
-            canvas.line(grown[row], theme.other_belief, 0.5, closed=True)
+            if clipped[row]:
+                canvas.dashes(grown[row], theme.other_belief, 1.0, on_px=6.0, closed=True)
+            else:
+                canvas.line(grown[row], theme.other_belief, 0.5, closed=True)
         else:
             canvas.dashes(outline[row], theme.other_belief, 1.5, on_px=3.0, closed=True)
 

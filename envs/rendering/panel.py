@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+import numpy as np
 
 from lanebound.envs.records import EgoBelief
+from lanebound.envs.rendering.camera import Camera
 from lanebound.envs.rendering.canvas import Canvas
 from lanebound.envs.rendering.config import RenderingConfig
-from lanebound.envs.rendering.frame import CAUTION_SHARE, Frame, Status
+from lanebound.envs.rendering.frame import CAUTION_SHARE, EpisodeCost, Frame, Status
 from lanebound.envs.rendering.instruments import PanelPlace, draw_error_box, draw_sky, draw_strip
-from lanebound.envs.rendering.map_view import camera_of, status_colour
+from lanebound.envs.rendering.map_view import (
+    SHOWN_LEVEL_M,
+    body_corners,
+    camera_of,
+    perceived_corners,
+    status_colour,
+)
 from lanebound.envs.rendering.theme import Colour, Theme, mix
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.positioning.modes import Mode
@@ -19,6 +29,7 @@ __all__ = ["draw_legend", "draw_panel"]
 
 MARGIN = 10
 LEAST_STRIP_PX = 56
+FIGURES_PX = 82
 REASONS = {
     AlertReason.PL_AT: "along-track PL over limit",
     AlertReason.PL_CT: "cross-track PL over limit",
@@ -32,6 +43,14 @@ REASONS = {
 }
 
 
+class LegendEntry(NamedTuple):
+    """One key of the legend: its name, how the map draws it, and its colour."""
+
+    name: str
+    kind: str
+    colour: Colour
+
+
 def draw_panel(canvas: Canvas, frame: Frame, config: RenderingConfig, theme: Theme) -> None:
     """Status, figures, sky and error box, strip charts; as many as the height holds."""
     if not config.panel_width_px:
@@ -41,13 +60,13 @@ def draw_panel(canvas: Canvas, frame: Frame, config: RenderingConfig, theme: The
     x, width = x + MARGIN, width - 2 * MARGIN
     _draw_head(canvas, PanelPlace(x, 8, width, 16), frame, theme)
     _draw_badge(canvas, PanelPlace(x, 30, width, 34), frame, theme)
-    _draw_figures(canvas, PanelPlace(x, 72, width, 66), frame, theme)
-    side = 0.5 * (width - MARGIN)
-    plots_end = 146 + side + 14
+    _draw_figures(canvas, PanelPlace(x, 72, width, FIGURES_PX), frame, theme)
+    side, plots = 0.5 * (width - MARGIN), 80 + FIGURES_PX
+    plots_end = plots + side + 14
     if plots_end <= height:
         up = camera_of(frame, config).up_rad
-        draw_sky(canvas, PanelPlace(x, 146, side, side + 14), frame.satellites, up, theme)
-        draw_error_box(canvas, PanelPlace(x + side + MARGIN, 146, side, side + 14), frame, theme)
+        draw_sky(canvas, PanelPlace(x, plots, side, side + 14), frame.satellites, up, theme)
+        draw_error_box(canvas, PanelPlace(x + side + MARGIN, plots, side, side + 14), frame, theme)
     each = 0.5 * (height - plots_end - 8) - 8
     if each >= LEAST_STRIP_PX:
         t, now = frame.trace, frame.time_s
@@ -90,27 +109,33 @@ def _why(frame: Frame) -> str:
 
 
 def _draw_figures(canvas: Canvas, at: PanelPlace, frame: Frame, theme: Theme) -> None:
-    """Two columns of names and values."""
-    b = frame.belief
+    """Two columns of names and values; costs have no unit."""
+    b, cost = frame.belief, frame.cost
     left = (
         ("speed", f"{3.6 * frame.speed_mps:.0f} km/h", theme.text),
         ("PL AT", _level(b.pl_at_m, b.al_at_m), _level_colour(b.pl_at_m, b.al_at_m, theme)),
         ("PL CT", _level(b.pl_ct_m, b.al_ct_m), _level_colour(b.pl_ct_m, b.al_ct_m, theme)),
-        ("cost", "–" if frame.cost is None else f"{frame.cost:.2f}", theme.text),
+        ("cost, last step", "–" if cost is None else f"{cost.step:.2f}", theme.text),
+        ("cost, episode", "–" if cost is None else f"{cost.episode:.2f}", _cost_colour(cost, theme)),
     )
     right = (
         ("mode", Mode(b.mode).label, theme.text),
         ("RTK", _rtk(b), theme.text),
         ("satellites used", f"{_used(b)}", theme.text),
         ("corrections", _age(b.corrections_age_s), theme.text),
+        ("cost limit", "–" if cost is None else f"{cost.limit:g}", theme.text),
     )
-    row = at.height / 4.0
+    row = at.height / len(left)
     half = 0.5 * (at.width - 2 * MARGIN)
     for x, column in ((at.x, left), (at.right - half, right)):
         for k, (name, value, colour) in enumerate(column):
             y = at.y + (k + 0.5) * row
             canvas.text(x, y, name, 11, theme.muted)
             canvas.text(x + half, y, value, 11, colour, anchor="right")
+
+
+def _cost_colour(cost: EpisodeCost | None, theme: Theme) -> Colour:
+    return theme.alert if cost is not None and cost.episode > cost.limit else theme.text
 
 
 def _used(b: EgoBelief) -> int:
@@ -139,28 +164,48 @@ def _age(age_s: float) -> str:
     return "none" if math.isinf(age_s) else f"{age_s:.1f} s old"
 
 
-def draw_legend(canvas: Canvas, status: Status, config: RenderingConfig, theme: Theme) -> None:
-    """One line at the foot of the map, in the colours of this very picture."""
-    entries = (
-        ("ego", "body", theme.ego),
-        ("believed", "outline", theme.ego_belief),
-        ("its PL", "blend", status_colour(status, theme)),
-        ("alert limit", "dashes", theme.limit),
-        ("traffic", "body", theme.other),
-        ("perceived + PL", "levels", theme.other_belief),
-        ("crashed", "body", theme.crashed),
-    )
-    widths = [canvas.width_of(name, 11) + 34 for name, _, _ in entries]
-    total = sum(widths) + 6
-    if total > config.map_width_px - 16:
+def draw_legend(canvas: Canvas, frame: Frame, camera: Camera, config: RenderingConfig, theme: Theme) -> None:
+    """The key to what is on the map, at its foot, in one or two lines; none where two lines do not hold it."""
+    lines: list[list[tuple[LegendEntry, int]]] = [[]]
+    left = most = config.map_width_px - 22
+    for entry in legend_entries(frame, camera, theme):
+        width = canvas.width_of(entry.name, 11) + 34
+        if width > left:
+            lines, left = [*lines, []], most
+        lines[-1].append((entry, width))
+        left -= width
+    if len(lines) > 2 or not all(lines):
         return
-    y, x = config.height_px - 19.0, 8.0
-    canvas.box(x, y - 11, total, 22, theme.panel, round_px=5)
-    x += 10
-    for (name, kind, colour), width in zip(entries, widths, strict=True):
-        _draw_key(canvas, PanelPlace(x, y - 4.5, 16, 9), kind, colour, theme)
-        canvas.text(x + 21, y, name, 11, theme.text)
-        x += width
+    for k, line in enumerate(reversed(lines)):
+        y, x = config.height_px - 19.0 - 24.0 * k, 8.0
+        canvas.box(x, y - 11, sum(width for _, width in line) + 6, 22, theme.panel, round_px=5)
+        x += 10
+        for entry, width in line:
+            _draw_key(canvas, PanelPlace(x, y - 4.5, 16, 9), entry.kind, entry.colour, theme)
+            canvas.text(x + 21, y, entry.name, 11, theme.text)
+            x += width
+
+
+def legend_entries(frame: Frame, camera: Camera, theme: Theme) -> list[LegendEntry]:
+    """What the map shows, and how it is drawn."""
+    b, bodies, t = frame.belief, frame.bodies, frame.traffic
+    shown, status = camera.shows(body_corners(bodies)), status_colour(frame.status, theme)
+    perceived = camera.shows(perceived_corners(t))
+    bounded = np.isfinite(t.pl_at_m + t.pl_ct_m)
+    level = max(b.pl_at_m, b.pl_ct_m)
+    name = "no PL" if math.isinf(level) else "its PL" if level <= SHOWN_LEVEL_M else f"its PL, over {SHOWN_LEVEL_M:g} m"
+    others = np.arange(len(bodies)) != frame.ego
+    entries = (
+        (not bodies.crashed[frame.ego], LegendEntry("ego", "body", theme.ego)),
+        (True, LegendEntry("believed", "outline", theme.ego_belief)),
+        (True, LegendEntry(name, "blend" if level <= SHOWN_LEVEL_M else "broken", status)),
+        (True, LegendEntry("alert limit", "dashes", theme.limit)),
+        ((shown & others & ~bodies.crashed).any(), LegendEntry("traffic", "body", theme.other)),
+        ((perceived & bounded).any(), LegendEntry("perceived + PL", "levels", theme.other_belief)),
+        ((perceived & ~bounded).any(), LegendEntry("perceived, no PL", "broken", theme.other_belief)),
+        ((shown & bodies.crashed).any(), LegendEntry("crashed", "body", theme.crashed)),
+    )
+    return [entry for present, entry in entries if present]
 
 
 def _draw_key(canvas: Canvas, at: PanelPlace, kind: str, colour: Colour, theme: Theme) -> None:
@@ -171,6 +216,8 @@ def _draw_key(canvas: Canvas, at: PanelPlace, kind: str, colour: Colour, theme: 
         canvas.box(at.x, at.y, at.width, at.height, colour, round_px=2)
     elif kind == "outline":
         canvas.line(at.corners, colour, 1.5, closed=True)
+    elif kind == "broken":
+        canvas.dashes(at.corners, colour, 1.5, on_px=3.0, closed=True)
     elif kind == "blend":
         canvas.blend(at.corners[None], colour, 0.3)
         canvas.line(at.corners, colour, 1.5, closed=True)

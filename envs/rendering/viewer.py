@@ -87,7 +87,7 @@ class Viewer:
         camera = camera_of(frame, self.config)
         draw_map(self._canvas, frame, camera, self._roads_of(frame), self._scenery_of(frame), self._theme)
         if self.config.legend:
-            draw_legend(self._canvas, frame.status, self.config, self._theme)
+            draw_legend(self._canvas, frame, camera, self.config, self._theme)
         draw_panel(self._canvas, frame, self.config, self._theme)
         return self._canvas.finish()
 

@@ -14,7 +14,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.legend import Legend
 
-__all__ = ["INK", "MODE_COLOURS", "PL_COLOUR", "legend", "mode_key", "new_figure", "risk_text", "save", "tidy"]
+__all__ = [
+    "INK",
+    "MODE_COLOURS",
+    "PL_COLOUR",
+    "legend",
+    "mode_colour",
+    "mode_key",
+    "new_figure",
+    "risk_text",
+    "save",
+    "tidy",
+]
 
 # Okabe and Ito (2008), distinguishable with every common colour vision deficiency.
 MODE_COLOURS = {
@@ -24,11 +35,18 @@ MODE_COLOURS = {
     Mode.IMU_ODOMETER: "#CC79A7",
     Mode.CODE: "#56B4E9",
 }
+FURTHER_COLOURS = ("#8C564B", "#17BECF", "#BCBD22", "#7F3C8D")
 PL_COLOUR = "#0072B2"
 LIMIT_COLOUR = "#D55E00"
 INK = "#2B2B2B"
 GRID = "#DDDDDD"
 DPI = 150
+
+
+def mode_colour(mode: Mode) -> str:
+    """Colour of a mode; those that users add take further ones in turn."""
+    further = FURTHER_COLOURS[int(mode) % len(FURTHER_COLOURS)]
+    return MODE_COLOURS.get(mode, further)
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
@@ -65,7 +83,7 @@ def mode_key(figure: Figure, modes: Iterable[Mode], lead: str, loc: Any) -> None
     from matplotlib.patches import Patch
 
     handles = [Patch(facecolor="none", edgecolor="none", label=lead)]
-    handles += [Patch(facecolor=MODE_COLOURS[mode], label=mode.label) for mode in modes]
+    handles += [Patch(facecolor=mode_colour(mode), label=mode.label) for mode in modes]
     look: dict[str, Any] = {"fontsize": 9, "frameon": False, "handlelength": 1.6, "handleheight": 0.7}
     figure.legend(handles=handles, loc=loc, ncols=len(handles), columnspacing=1.4, **look)
 

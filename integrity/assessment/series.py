@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from lanebound.integrity.assessment.plotting import (
     INK,
     LIMIT_COLOUR,
-    MODE_COLOURS,
     PL_COLOUR,
     legend,
+    mode_colour,
     mode_key,
     new_figure,
     risk_text,
@@ -109,14 +109,14 @@ def _mode_strip(axes: Axes, minutes: Array, record: Record) -> None:
     for mode in Mode:
         bars = [(minutes[k], last) for k, last in zip(begins, lasts, strict=True) if record.mode[k] == mode]
         axes.broken_barh(
-            bars, (0.965, 0.035), linewidth=0, color=MODE_COLOURS[mode], transform=axes.get_xaxis_transform(), zorder=4
+            bars, (0.965, 0.035), linewidth=0, color=mode_colour(mode), transform=axes.get_xaxis_transform(), zorder=4
         )
 
 
 def _one_mode(axes: Axes, record: Record, axis: Axis, mode: Mode) -> None:
     keep = np.asarray(record.mode == mode)
     top = RTK_SCALE_M if mode is Mode.RTK else _scale(record, axis, keep)
-    _draw(axes, _minutes(record), record.error(axis), record.pl(axis), keep, MODE_COLOURS[mode], "error")
+    _draw(axes, _minutes(record), record.error(axis), record.pl(axis), keep, mode_colour(mode), "error")
     tidy(axes, ylabel=f"{mode.label}, {axis.upper()} (m)", ylim=(0, top))  # type: ignore[arg-type]
     above = int((keep & ((record.error(axis) > top) | (record.pl(axis) > top))).sum())
     share = f"{100.0 * keep.mean():.1f} % of epochs" + (f", {above:,} above the scale" if above else "")
@@ -167,7 +167,7 @@ def map_figure(
         at = modes == present
         label = f"{present.label} ({100.0 * at.mean():.1f} %)"
         axes.scatter(
-            position[at, 0], position[at, 1], s=12, color=MODE_COLOURS[present], linewidths=0, label=label, zorder=3
+            position[at, 0], position[at, 1], s=12, color=mode_colour(present), linewidths=0, label=label, zorder=3
         )
     if alert is not None and np.any(alert):
         on = np.asarray(alert, dtype=np.bool_)

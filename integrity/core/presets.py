@@ -158,7 +158,8 @@ def preset_names() -> list[str]:
 def load_preset(name: str, overrides: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """The values of preset ``name`` with those it extends below it and ``overrides`` on top.
 
-    A preset may say ``extends: other`` (or a list, later ones win). ``kind``, when present, stays in the result.
+    A preset may say ``extends: other`` (or a list, later ones win), and so may a mapping inside it, for instance
+    ``imu: {extends: sensors/imu_tactical}``. ``kind``, when present at the top, stays in the result.
 
     Raises
     ------
@@ -241,4 +242,23 @@ def _extended(
             merged = deep_merge(merged, _read(folder / parent, f"what {source} extends", presets, seen))
         else:
             merged = deep_merge(merged, _resolve(parent, presets, seen))
-    return deep_merge(merged, own)
+    return deep_merge(merged, _parts_extended(own, source, presets, seen))
+
+
+def _parts_extended(
+    data: Mapping[str, Any], source: str, presets: Mapping[str, Traversable], seen: tuple[str, ...]
+) -> dict[str, Any]:
+    """The data with the mappings inside them over the packaged presets that these extend, without their kinds."""
+    out: dict[str, Any] = {}
+    for key, value in data.items():
+        if isinstance(value, Mapping):
+            below = dict(value)
+            parent = below.pop("extends", None)
+            if parent is not None and not isinstance(parent, str):
+                raise ConfigError(f"extends of '{key}' in {source} must be a name, got {parent!r}: correct it")
+            base = {} if parent is None else _resolve(parent, presets, seen)
+            base.pop("kind", None)
+            out[key] = deep_merge(base, _parts_extended(below, source, presets, seen))
+        else:
+            out[key] = value
+    return out

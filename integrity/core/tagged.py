@@ -19,12 +19,13 @@ import importlib
 from collections.abc import Mapping
 from typing import Any, ClassVar, Literal, Self, TypeVar
 
-from pydantic import GetCoreSchemaHandler
+from pydantic import GetCoreSchemaHandler, model_validator
 from pydantic_core import core_schema
 
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import ConfigError
-from lanebound.integrity.core.presets import nearest
+from lanebound.integrity.core.plugins import bare_name, unknown
+from lanebound.integrity.core.presets import load_preset
 
 __all__ = ["Literal", "Tagged"]
 
@@ -78,20 +79,26 @@ class Tagged(Config):
         return kind
 
     @classmethod
+    def withdraw(cls, kind: type[Tagged]) -> None:
+        """Take back a kind that was registered."""
+        del cls.kinds[kind.model_fields[cls.tag].default]
+
+    @classmethod
     def kind_named(cls, name: str) -> type[Self]:
-        """The class of a kind.
+        """The class of a kind; ``package.module:kind`` imports the module first.
 
         Raises
         ------
         ConfigError
             There is no such kind.
         """
+        name = bare_name(name) if isinstance(name, str) else name
         if name not in cls.kinds and name in cls.modules:
             importlib.import_module(cls.modules[name])
         found = cls.kinds.get(name) if isinstance(name, str) else None
         if found is None:
-            known = sorted({*cls.kinds, *cls.modules})
-            raise ConfigError(f"{cls.tag} must be one of {', '.join(known)}, got {name!r}: {nearest(str(name), known)}")
+            known = {kind: kind for kind in sorted({*cls.kinds, *cls.modules})}
+            raise ConfigError(f"{cls.tag} must be one of {', '.join(known)}, got {name!r}: {unknown(str(name), known)}")
         return found  # type: ignore[return-value]
 
     @classmethod
@@ -139,13 +146,31 @@ class Tagged(Config):
 
     @classmethod
     def _validate(cls, value: Any) -> Any:
-        """A configuration of the family from one, from data, or from the name of a kind."""
+        """A configuration of the family from one, from data, or from the name of a kind or preset."""
         if isinstance(value, cls):
             return value
-        data = {cls.tag: value} if isinstance(value, str) else value
+        data = cls.data_of(value)
         if not isinstance(data, Mapping):
             raise ConfigError(f"must be a mapping, got {value!r}: write keys and values")
         return cls._kind_of(data).model_validate(dict(data))
+
+    @classmethod
+    def data_of(cls, value: Any) -> Any:
+        """Plain data from a name: with a ``/`` that of a preset, else that of a kind. Everything else stays."""
+        if not isinstance(value, str):
+            return value
+        if "/" not in value:
+            return {cls.tag: value}
+        data = load_preset(value)
+        data.pop("kind", None)  # that of the file, not of the family
+        return data
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_module(cls, data: Any) -> Any:
+        """The tag ``package.module:kind`` as ``kind``."""
+        name = data.get(cls.tag) if isinstance(data, Mapping) else None
+        return {**data, cls.tag: bare_name(name)} if isinstance(name, str) and ":" in name else data
 
 
 def _written(value: Tagged, info: Any) -> Any:

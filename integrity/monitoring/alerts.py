@@ -9,16 +9,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import model_validator
 
-from lanebound.integrity.core.advice import Advice
+from lanebound.integrity.core.advice import OpenAdvice
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.records import Records, one_record
+from lanebound.integrity.monitoring import alerts_kernel as kernel
 from lanebound.integrity.monitoring.alerts_kernel import ALERT_RULES
 
 __all__ = [
@@ -39,19 +40,44 @@ K_ACCURACY = 1.96  # two-sided 95 % of N(0, 1), S1 eq 22
 EPS_S = 1e-9  # a hold of 1 s lasts ten epochs of 0.1 s, whatever they sum to
 
 
-class AlertReason(Advice):
-    """Why an alert is on, one reason for each epoch: causes known from elsewhere first, then levels, then accuracy."""
+class AlertReason(OpenAdvice):
+    """Why an alert is on, one reason for each epoch: causes known from elsewhere first, then levels, then accuracy.
 
-    NONE = 0, "no alert; the position may be used within its protection levels"
-    PL_AT = 1, "along-track protection level exceeds its alert limit; keep a longer headway"
-    PL_CT = 2, "cross-track protection level exceeds its alert limit; do not rely on the lane position"
-    BOTH = 3, "both protection levels exceed their alert limits; do not use the position"
-    NO_SOLUTION = 4, "no position or no protection level; do not use the position"
-    INTEGRITY_TEST_FAILED = 5, "a fault was detected and could not be excluded; do not use the position"
-    ACCURACY = 6, "95 % accuracy is worse than required; use the position for coarse guidance only"
-    INITIALISING = 7, "no absolute position has been reached yet; wait for the first fix"
-    NOT_CONVERGED = 8, "the estimate has not converged; wait or re-initialise"
-    HOLDING = 9, "limits are met again; the alert clears when they have been met for the hold time"
+    ``AlertReason.register`` adds a reason for a monitor from outside.
+    """
+
+    NONE: ClassVar[AlertReason]
+    PL_AT: ClassVar[AlertReason]
+    PL_CT: ClassVar[AlertReason]
+    BOTH: ClassVar[AlertReason]
+    NO_SOLUTION: ClassVar[AlertReason]
+    INTEGRITY_TEST_FAILED: ClassVar[AlertReason]
+    ACCURACY: ClassVar[AlertReason]
+    INITIALISING: ClassVar[AlertReason]
+    NOT_CONVERGED: ClassVar[AlertReason]
+    HOLDING: ClassVar[AlertReason]
+
+
+BUILT_IN = {
+    kernel.NONE: ("NONE", "no alert; the position may be used within its protection levels"),
+    kernel.PL_AT: ("PL_AT", "along-track protection level exceeds its alert limit; keep a longer headway"),
+    kernel.PL_CT: ("PL_CT", "cross-track protection level exceeds its alert limit; do not rely on the lane position"),
+    kernel.BOTH: ("BOTH", "both protection levels exceed their alert limits; do not use the position"),
+    kernel.NO_SOLUTION: ("NO_SOLUTION", "no position or no protection level; do not use the position"),
+    kernel.TEST_FAILED: (
+        "INTEGRITY_TEST_FAILED", "a fault was detected and could not be excluded; do not use the position",
+    ),
+    kernel.ACCURACY: (
+        "ACCURACY", "95 % accuracy is worse than required; use the position for coarse guidance only",
+    ),
+    kernel.INITIALISING: ("INITIALISING", "no absolute position has been reached yet; wait for the first fix"),
+    kernel.NOT_CONVERGED: ("NOT_CONVERGED", "the estimate has not converged; wait or re-initialise"),
+    kernel.HOLDING: (
+        "HOLDING", "limits are met again; the alert clears when they have been met for the hold time",
+    ),
+}  # fmt: skip
+for _code in sorted(BUILT_IN):
+    AlertReason.register(*BUILT_IN[_code])
 
 
 class AlertLimits(Config):

@@ -12,7 +12,7 @@ from lanebound.integrity.core.records import record
 __all__ = ["ALERT", "ALERT_RULES", "alert_step", "find_reason"]
 
 EPS_S = 1e-9  # a hold of 1 s lasts ten epochs of 0.1 s, whatever they sum to
-NONE, PL_AT, PL_CT, BOTH, NO_SOLUTION, TEST_FAILED, ACCURACY, INITIALISING, HOLDING = 0, 1, 2, 3, 4, 5, 6, 7, 9
+NONE, PL_AT, PL_CT, BOTH, NO_SOLUTION, TEST_FAILED, ACCURACY, INITIALISING, NOT_CONVERGED, HOLDING = range(10)
 
 ALERT = record(
     alert=("?", "the alert is on"),

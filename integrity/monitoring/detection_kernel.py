@@ -4,7 +4,12 @@ The receiver clocks are eliminated analytically: centring each group's rows on t
 matrix A. Letters: ``z = e - mean(e)`` of the row's group, ``w`` weight, ``r`` residual,
 ``M_ii = w - w^2 (1 / sum(w) + z'A^-1 z)``, ``w-statistic = w r / sqrt(M_ii)``. Removing row k from a group of weight V
 is the rank-one downdate ``A -= w V / (V - w) z z'``. For single-row modes the AT and CT separation tests and the
-direction test all equal the w-statistic; only their thresholds differ (:class:`Thresholds`).
+direction test all equal the w-statistic: ``d = S c (c'Mc)^-1 c'We`` has rank 1, so ``abs(d_q) / sigma_dq = abs(w)``
+wherever it moves d_q. Only their thresholds differ (:class:`Thresholds`).
+
+The rows of a constellation are a mode too, where ``rules.constellations``: the solution without them gives
+``d = x - x_i``, ``Q_d = Q_i - Q`` and ``T = e'We - e_i'W e_i``, which is chi-square of the lost redundancy. By
+Cauchy-Schwarz ``d_q^2 / sigma_dq^2 <= d'Q_d^+ d <= T <= e'We``: a test of any of them bounds the separation.
 Reference: :func:`lanebound.integrity.monitoring.exclusion.detect_and_exclude`.
 """
 
@@ -18,23 +23,29 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
-from lanebound.integrity.core.small_matrix_kernel import invert_3x3
+from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, invert_3x3
 from lanebound.integrity.positioning.rows_kernel import Rows
 
 __all__ = ["FDE_RULES", "Thresholds", "detect_and_exclude"]
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 CLEAN, EXCLUDED, UNRESOLVED, NO_REDUNDANCY, SINGULAR = 0, 1, 2, 3, 4  # codes of FdeOutcome
 
+W_TEST, SEPARATION, DIRECTION = 0, 1, 2  # codes of Search
+
 MAX_CLOCKS = 16
 RANK_TOLERANCE = 1e-9  # as in detection.py: a row with less redundancy cannot be checked
+STILL_BELOW = 1e-12  # variance of a separation, of the variance without the mode: the mode does not move the solution
 
 FDE_RULES = record(
     global_first=("?", "search only after the global test has failed"),
     max_excluded=("i8", "fault modes excluded at most"),
     min_redundancy=("i8", "redundancy that an exclusion must leave"),
     by_tests=("?", "local thresholds depend on the number of tests, not on the redundancy"),
+    constellations=("?", "the rows of a constellation are a mode too"),
+    search=("i8", "code of Search: the test that names the mode"),
 )
 """FdeConfig as the kernel takes it."""
 
@@ -44,10 +55,17 @@ GROUP = record(
 
 
 class Thresholds(NamedTuple):
-    """global_chi2 (N + 1,) by redundancy; local (N + 1,) of the w-statistic, by number of tests or redundancy."""
+    """Thresholds of the tests; the first axis is the redundancy (global_chi2), or the number of tests or redundancy.
+
+    global_chi2 (N + 1,); local (N + 1,) of the w-statistic of one row; factor (N + 1, R) of the normalised separation
+    of a mode by its rank, the last column for all higher ranks; chi2 (N + 1, C) of the statistic T of a mode by its
+    rank, which only modes of several rows need.
+    """
 
     global_chi2: Array
     local: Array
+    factor: Array
+    chi2: Array
 
 
 @jit(borrows=True)
@@ -132,14 +150,106 @@ def _worst_row(rows: Rows, groups: Records, Q: Array, x: Array) -> tuple[float, 
 
 
 @jit
+def _worst_constellation(
+    rows: Rows, system: Ints, heading: float, fit: Any, limits: tuple[Array, Array], search: int, x: Array, Q: Array
+) -> tuple[float, float, int, int]:
+    """Test each constellation whose removal leaves a solution.
+
+    Parameters
+    ----------
+    fit : global statistic and redundancy of all rows in use.
+    limits : rows of ``Thresholds.factor`` and ``Thresholds.chi2``.
+
+    Returns
+    -------
+    largest statistic of the search over its threshold, both squared; the same of the mode to name, which T confirms;
+    its system (-1: none can be tested); redundancy without it.
+    """
+    total, df = fit
+    factor, chi2 = limits
+    groups, rest = np.empty(MAX_CLOCKS, GROUP), Rows(rows.los, rows.group, rows.variance, rows.y, rows.used.copy())
+    A, b, x_i, Q_i = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty((3, 3))
+    sin_h, cos_h = math.sin(heading), math.cos(heading)
+    suspicion, largest, at, df_left = 0.0, 0.0, -1, 0
+    for g in range(MAX_GROUPS):
+        removed = 0
+        for i in range(system.size):
+            rest.used[i] = rows.used[i] and system[i] != g
+            removed += rows.used[i] and system[i] == g
+        if removed == 0:
+            continue
+        left, present = _centre_groups(rest, groups)
+        _normal_equations(rest, groups, A, b)
+        df_i = left - 3 - present
+        rank = df - df_i
+        if df_i < 0 or rank < 1 or not invert_3x3(A, Q_i):
+            continue
+        for p in range(3):
+            x_i[p] = Q_i[p, 0] * b[0] + Q_i[p, 1] * b[1] + Q_i[p, 2] * b[2]
+        total_i, _, _ = _worst_row(rest, groups, Q_i, x_i)
+        drop = max(total - total_i, 0.0)
+        confirmed = drop / chi2[rank]
+        if search == W_TEST:
+            suspected = confirmed
+        else:
+            suspected = _separation(x, x_i, Q, Q_i, sin_h, cos_h, factor, search)
+        suspicion = max(suspicion, suspected)
+        excess = min(suspected, confirmed)
+        if at < 0 or excess > largest:
+            largest, at, df_left = excess, g, df_i
+    return suspicion, largest, at, df_left
+
+
+@jit(borrows=True)
+def _separation(
+    x: Array, x_i: Array, Q: Array, Q_i: Array, sin_h: float, cos_h: float, factor: Array, search: int
+) -> float:
+    """Squared separation over squared threshold (R,): the larger of AT and CT, or the direction of maximum error."""
+    e, n = x[0] - x_i[0], x[1] - x_i[1]
+    ee, en, nn = Q_i[0, 0] - Q[0, 0], Q_i[0, 1] - Q[0, 1], Q_i[1, 1] - Q[1, 1]
+    still = STILL_BELOW * (Q_i[0, 0] + Q_i[1, 1])
+    if search == SEPARATION:
+        at, ct = sin_h * e + cos_h * n, cos_h * e - sin_h * n
+        cross = 2.0 * sin_h * cos_h * en
+        v_at, v_ct = sin_h * sin_h * ee + cross + cos_h * cos_h * nn, cos_h * cos_h * ee - cross + sin_h * sin_h * nn
+        worst = at * at / v_at if v_at > still else 0.0
+        worst = max(worst, ct * ct / v_ct if v_ct > still else 0.0)
+        return float(worst / factor[1] ** 2)
+    half, det = 0.5 * (ee + nn), ee * nn - en * en
+    major = half + math.sqrt(max(half * half - det, 0.0))
+    if not major > still:
+        return 0.0
+    if det > RANK_TOLERANCE * major * major:
+        return float((nn * e * e - 2.0 * en * e * n + ee * n * n) / (det * factor[2] ** 2))
+    a, c = (major - nn, en) if ee > nn else (en, major - ee)
+    along = (a * e + c * n) ** 2 / (a * a + c * c)
+    return float(along / (major * factor[1] ** 2))
+
+
+@jit(borrows=True)
+def _systems_in_use(used: Any, system: Ints) -> int:
+    """Number of constellations with rows in use."""
+    seen = 0
+    for i in range(system.size):
+        if used[i]:
+            seen |= 1 << system[i]
+    count = 0
+    for g in range(MAX_GROUPS):
+        count += seen >> g & 1
+    return count
+
+
+@jit
 def detect_and_exclude(
-    rows: Rows, thresholds: Thresholds, rules: Any, x: Array, Q: Array
+    rows: Rows, system: Ints, heading: float, thresholds: Thresholds, rules: Any, x: Array, Q: Array
 ) -> tuple[int, float, float, int, int]:
-    """Test, exclude the row with the largest w-statistic above its threshold, test again.
+    """Test, exclude the mode that exceeds its threshold most, test again.
 
     Parameters
     ----------
     rows : rows in use; ``used`` of excluded rows is cleared in place; groups 0 to MAX_CLOCKS - 1.
+    system : (S,) constellation of each row, 0 to MAX_GROUPS - 1.
+    heading : azimuth of motion [rad], along and across which constellations are tested.
     rules : of FDE_RULES.
     x (3,), Q (3, 3) : receive the solution and its covariance (East, North, Up).
 
@@ -153,7 +263,7 @@ def detect_and_exclude(
     Q[:] = 0.0
     count, present = _centre_groups(rows, groups)
     _normal_equations(rows, groups, A, b)
-    excluded = 0
+    modes, excluded = 0, 0
     while True:
         df = count - 3 - present
         if count < 4 or not invert_3x3(A, Q):
@@ -163,13 +273,33 @@ def detect_and_exclude(
         total, largest, at = _worst_row(rows, groups, Q, x)
         if df < 1:
             return NO_REDUNDANCY, 0.0, 0.0, 0, excluded
-        limit = thresholds.local[count if rules.by_tests else df]
-        detected = total >= thresholds.global_chi2[df] or (not rules.global_first and largest >= limit)
+        tests = count + (_systems_in_use(rows.used, system) if rules.constellations else 0)
+        index = tests if rules.by_tests else df
+        limit = thresholds.local[index]
+        suspicion, excess, failed, df_left = 0.0, 0.0, -1, 0
+        if rules.constellations:
+            limits = (thresholds.factor[index], thresholds.chi2[index])
+            suspicion, excess, failed, df_left = _worst_constellation(
+                rows, system, heading, (total, df), limits, rules.search, x, Q
+            )
+        beyond = total >= thresholds.global_chi2[df]
+        detected = beyond or (not rules.global_first and (largest >= limit or suspicion >= 1.0))
         if not detected:
-            return (EXCLUDED if excluded > 0 else CLEAN), total, largest, df, excluded
-        if at < 0 or largest < limit or excluded >= rules.max_excluded or df - 1 < rules.min_redundancy:
-            return UNRESOLVED, total, largest, df, excluded
-        _remove_row(at, rows, groups[rows.group[at]], A, b)
-        rows.used[at] = False
-        count, present = _centre_groups(rows, groups)
-        excluded += 1
+            return (EXCLUDED if modes > 0 else CLEAN), total, largest, df, excluded
+        if failed >= 0 and excess > (largest / limit) ** 2:
+            if excess < 1.0 or modes >= rules.max_excluded or df_left < rules.min_redundancy:
+                return UNRESOLVED, total, largest, df, excluded
+            for i in range(system.size):
+                if rows.used[i] and system[i] == failed:
+                    rows.used[i] = False
+                    excluded += 1
+            count, present = _centre_groups(rows, groups)
+            _normal_equations(rows, groups, A, b)
+        else:
+            if at < 0 or largest < limit or modes >= rules.max_excluded or df - 1 < rules.min_redundancy:
+                return UNRESOLVED, total, largest, df, excluded
+            _remove_row(at, rows, groups[rows.group[at]], A, b)
+            rows.used[at] = False
+            excluded += 1
+            count, present = _centre_groups(rows, groups)
+        modes += 1

@@ -139,20 +139,28 @@ def advance_separation(dt: float, integrates: bool, had: bool, phi: float, last:
 
 
 @jit(borrows=True)
-def exposure(satellites: Records, separations: Records) -> tuple[float, float, float]:
+def exposure(satellites: Records, constellation: Array, separations: Records) -> tuple[float, float, float]:
     """Sum of the priors and of their squares over all satellites used since the fix, and the sum of the LOST.
 
-    satellites (S,) of SATELLITE or another record with a ``prior``.
+    The fault of a whole constellation is not separated: where one of its satellites was used, its prior (G,) counts as
+    LOST, so that the levels spend it. satellites (S,) of SATELLITE or another record with ``prior`` and ``system``.
     """
-    total, squares, lost = 0.0, 0.0, 0.0
+    total, squares, lost, seen = 0.0, 0.0, 0.0, 0
     for k in range(separations.shape[0]):
         state = separations[k].state
         if state > IDLE:
             p = satellites[k].prior
             total += p
             squares += p * p
+            seen |= 1 << satellites[k].system
             if state == LOST:
                 lost += p
+    for g in range(constellation.shape[0]):
+        if seen >> g & 1:
+            p = constellation[g]
+            total += p
+            squares += p * p
+            lost += p
     return total, squares, lost
 
 

@@ -10,12 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 from lanebound.integrity.core.advice import Advice
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.records import Records, one_record
+from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
 from lanebound.integrity.monitoring.detection import (
     Adjustment,
     Separation,
     TestResult,
     adjust,
     checked_modes,
+    chi2_threshold,
     direction_test,
     global_test,
     mode_statistics,
@@ -79,22 +81,37 @@ class FdeConfig(Config):
         return threshold_tables(self.alpha, n_max, self.linking, self.power, axes)
 
 
-def fde_parameters(config: FdeConfig) -> Records:
-    """FDE_RULES (1,) of :mod:`.detection_kernel`."""
+def fde_parameters(config: FdeConfig, constellations: bool = False) -> Records:
+    """FDE_RULES (1,) of :mod:`.detection_kernel`; ``constellations``: the rows of a constellation are a mode too."""
     return one_record(
         FDE_RULES,
         global_first=config.global_first,
         max_excluded=config.max_excluded,
         min_redundancy=config.min_redundancy,
         by_tests=config.linking is Linking.BONFERRONI,
+        constellations=constellations,
+        search=config.search.code,
     )
 
 
-def fde_thresholds(config: FdeConfig, n_max: int) -> Thresholds:
-    """Thresholds of :mod:`.detection_kernel` for up to ``n_max`` rows."""
-    tables = config.tables(n_max)
-    local = tables.local_normal[-1] if config.linking is Linking.BONFERRONI else tables.local_normal[:, -1]
-    return Thresholds(tables.global_chi2.copy(), local.copy())
+def fde_thresholds(config: FdeConfig, n_max: int, constellations: bool = False) -> Thresholds:
+    """Thresholds of :mod:`.detection_kernel` for up to ``n_max`` rows, and as many constellations as there are groups.
+
+    A normalised separation has the threshold ``Qinv(a / 4)`` (AT and CT), ``sqrt(chi2_{1-a}(rank Q_d))`` (direction) or
+    ``sqrt(chi2_{1-a}(rank))`` (w-test) with the size a of one local test.
+    """
+    tables = config.tables(n_max + MAX_GROUPS)
+    bonferroni = config.linking is Linking.BONFERRONI
+    local = (tables.local_normal[-1] if bonferroni else tables.local_normal[:, -1]).copy()
+    size = tables.local_significance[-1] if bonferroni else tables.local_significance[:, -1]
+    factor, chi2 = np.repeat(local[:, None], 2, axis=1), np.full((1, 1), np.inf)
+    if constellations:
+        chi2 = chi2_threshold(np.where(size > 0.0, size, 0.5)[:, None], np.arange(n_max + 1))
+        chi2[size <= 0.0] = np.inf
+        ranks = {Search.SEPARATION: 0, Search.DIRECTION: 3, Search.W_TEST: n_max + 1}[config.search]
+        if ranks:
+            factor = np.sqrt(chi2[:, :ranks])
+    return Thresholds(tables.global_chi2.copy(), local, factor, chi2)
 
 
 @dataclass(frozen=True)

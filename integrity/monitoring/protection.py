@@ -285,7 +285,7 @@ def protection_levels_batch(
     removed, prior = _subset_columns(subsets, shape[1])
     wanted = require_in_range("risks", config.risks(risks), 0.0, 1.0, low_open=True, high_open=True)
     tables = kernel.RiskTables(
-        *config.priors(), removed, prior, config.false_alarm_factors(shape[1] + MAX_GROUPS + len(prior)),
+        *config.priors(), removed, prior, _factors_by_rank(config, shape[1] + MAX_GROUPS + len(prior)),
         np.ascontiguousarray(wanted),
     )  # fmt: skip
     rules = one_record(
@@ -306,6 +306,11 @@ def protection_levels_batch(
     if bad.size:
         _refuse(int(bad[0]), epochs)
     return out
+
+
+def _factors_by_rank(config: RiskConfig, largest: int) -> Array:
+    """K_fa by the number of fault modes and by rank 0 to 2, a separation's highest.  (largest + 1, 3)."""
+    return np.stack([config.false_alarm_factors(largest, max(rank, 1)) for rank in range(3)], -1)
 
 
 def _subset_columns(subsets: FaultModes | None, satellites: int) -> tuple[NDArray[np.bool_], Array]:

@@ -50,6 +50,7 @@ from lanebound.integrity.monitoring.separation_kernel import (
     find_modes,
     mode_scratch,
     moment_scratch,
+    set_factors,
     set_priors,
 )
 
@@ -135,12 +136,12 @@ def _third_order(g: float, slope: float, curvature: float, twist: float) -> floa
 
 
 @jit(borrows=True, forceinline=True)
-def _find_offsets(k_fa: float, count: int, modes: Modes) -> None:
+def _find_offsets(count: int, modes: Modes) -> None:
     """Offset and rate of both axes; entries without effect to the next multiple of WIDTH."""
     for axis in range(AXES):
         for k in range(0, count, WIDTH):
             store(1.0 / load(modes.sigma, axis, k), modes.rate, axis, k)
-            offset = fma(load(modes.delta, axis, k), k_fa, load(modes.bias, axis, k))
+            offset = fma(load(modes.delta, axis, k), load(modes.k_fa, k), load(modes.bias, axis, k))
             store(offset, modes.offset, axis, k)
     for k in range(count, padded(count)):
         modes.weight[k], modes.log_prior[k] = 0.0, -np.inf
@@ -283,20 +284,17 @@ def _remaining(budget: float, sigma: float, lost: float, tolerate: bool) -> floa
 
 
 @jit(borrows=True)
-def multi_hypothesis_pl(
-    count: int, k_fa: float, budgets: Array, lost: float, tolerate: bool, modes: Modes, out: Array
-) -> None:
-    """Multi-hypothesis protection levels (S2 eq 10-11) of ``count`` modes with priors set.
+def multi_hypothesis_pl(count: int, budgets: Array, lost: float, tolerate: bool, modes: Modes, out: Array) -> None:
+    """Multi-hypothesis protection levels (S2 eq 10-11) of ``count`` modes with priors and factors set.
 
     Parameters
     ----------
-    k_fa : threshold of the separation test, in sigmas.
     budgets : (R, 2) integrity risk of AT and CT, less what is spent on unmonitored faults; one row for each risk.
     lost : total prior of the modes without a solution.
     tolerate : move that prior into the unmonitored risk; otherwise such a mode makes PL inf.
     out : (R, 2) protection levels [m], never below the root and above it by at most 5e-10 relative; inf without one.
     """
-    _find_offsets(k_fa, count, modes)
+    _find_offsets(count, modes)
     for r in range(budgets.shape[0]):
         at = _remaining(budgets[r, 0], modes.sigma[0, 0], lost, tolerate)
         ct = _remaining(budgets[r, 1], modes.sigma[1, 0], lost, tolerate)
@@ -305,7 +303,7 @@ def multi_hypothesis_pl(
 
 @jit(borrows=True)
 def closed_form(
-    count: int, k_fa: float, budgets: Array, share0: float, lost: float, tolerate: bool, modes: Modes, out: Array
+    count: int, budgets: Array, share0: float, lost: float, tolerate: bool, modes: Modes, out: Array
 ) -> None:
     """``max_i K_fa sigma_di + K_md,i sigma_i + b_i``, ``K_md,i = Qinv(w_i budget / P_i)`` (S1 eq 17, exact factors).
 
@@ -314,7 +312,7 @@ def closed_form(
     """
     first = 1.0 / count if share0 <= 0.0 or count == 1 else share0
     other = (1.0 - first) / max(count - 1, 1)
-    _find_offsets(k_fa, count, modes)
+    _find_offsets(count, modes)
     for axis in range(AXES):
         for r in range(budgets.shape[0]):
             budget = _remaining(budgets[r, axis], modes.sigma[axis, 0], lost, tolerate)
@@ -333,9 +331,9 @@ def closed_form(
 
 
 @jit(borrows=True)
-def closed_form_published(count: int, k_fa: float, k_md: Array, modes: Modes, out: Array) -> None:
+def closed_form_published(count: int, k_md: Array, modes: Modes, out: Array) -> None:
     """S1 eq 17 as printed, one unsplit ``k_md`` (R,) for each risk and every mode; out (R, 2) [m]."""
-    _find_offsets(k_fa, count, modes)
+    _find_offsets(count, modes)
     for axis in range(AXES):
         for r in range(k_md.shape[0]):
             level = 0.0
@@ -385,7 +383,7 @@ class Epochs(NamedTuple):
 
 class RiskTables(NamedTuple):
     """satellite, constellation (MAX_GROUPS,) priors [-]; subset (M, N) bool and subset_prior (M,) of further modes;
-    k_fa (C,) threshold by the number of fault modes; risks (R,) [-]."""
+    k_fa (C, K) threshold by the number of fault modes and by rank, as set_factors takes it; risks (R,) [-]."""
 
     satellite: Array
     constellation: Array
@@ -484,8 +482,8 @@ def find_levels(
             lost += unsolved
         spent = epochs.unmonitored[i] + (pair_risk(count, modes.prior) if rule.multiple else 0.0)
         split_budgets(tables.risks, rule.at_share, spent, budgets)
-        k_fa = tables.k_fa[count - 1]
+        set_factors(n, count, tables.k_fa[count - 1], 0.0, geo.clocks, modes)
         if rule.root:
-            multi_hypothesis_pl(count, k_fa, budgets, lost, rule.tolerate, modes, results.root[i])
+            multi_hypothesis_pl(count, budgets, lost, rule.tolerate, modes, results.root[i])
         if rule.closed:
-            closed_form(count, k_fa, budgets, rule.fault_free_share, lost, rule.tolerate, modes, results.closed[i])
+            closed_form(count, budgets, rule.fault_free_share, lost, rule.tolerate, modes, results.closed[i])

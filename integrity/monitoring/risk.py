@@ -58,7 +58,9 @@ class RiskConfig(Config):
     false_alarm: float = Field(
         0.01, gt=0, lt=1, description="significance alpha of the separation test [-]; S1 section 3.2"
     )
-    direction_test: bool = Field(False, description="test the direction of largest separation, not AT and CT; S2 eq 9")
+    direction_test: bool = Field(
+        False, description="test the direction of largest separation, not AT and CT, as fde.search DIRECTION; S2 eq 9"
+    )
     satellite_prior: tuple[float, ...] = Field(
         SATELLITE_PRIORS,
         min_length=5,
@@ -117,11 +119,11 @@ class RiskConfig(Config):
         """The given risks or, without any, the configured one.  (R,)."""
         return np.atleast_1d(np.asarray(self.integrity_risk if risks is None else risks, dtype=np.float64))
 
-    def false_alarm_factors(self, largest: int) -> Array:
-        """K_fa for 0 to ``largest`` fault modes.  (largest + 1,)."""
+    def false_alarm_factors(self, largest: int, rank: int = 1) -> Array:
+        """K_fa for 0 to ``largest`` fault modes, of a mode with separations of this rank.  (largest + 1,)."""
         counts = np.arange(largest + 1)
         if self.direction_test:
-            return direction_factor(self.false_alarm, counts, 1)
+            return direction_factor(self.false_alarm, counts, rank)
         return false_alarm_factor(self.false_alarm, counts, self.variant)
 
 

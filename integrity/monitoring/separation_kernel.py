@@ -35,7 +35,16 @@ from lanebound.integrity.core.simd_kernel import (
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, invert_upper
 from lanebound.integrity.monitoring.geometry_kernel import Geometry, capacity, normal_matrix
 
-__all__ = ["Modes", "Moments", "add_subset", "find_modes", "mode_scratch", "moment_scratch", "set_priors"]
+__all__ = [
+    "Modes",
+    "Moments",
+    "add_subset",
+    "find_modes",
+    "mode_scratch",
+    "moment_scratch",
+    "set_factors",
+    "set_priors",
+]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -51,8 +60,9 @@ class Modes(NamedTuple):
 
     sigma (2, W) standard deviation of the mode's solution [m], inf without one; delta (2, W) of its separation from the
     fault-free solution; bias (2, W) bound of its nominal bias; separation (2, W) ``x - x_i`` [m]; prior, log_prior (W,)
-    fault probability; weight (W,) the prior of the modes with a solution, 0 of the others; offset (2, W)
-    ``K_fa sigma_d + b`` and rate (2, W) ``1 / sigma``, filled by :mod:`.protection_kernel`.
+    fault probability; weight (W,) the prior of the modes with a solution, 0 of the others; k_fa (W,) the normalised
+    separation that passes the fault test, filled by :func:`set_factors`; offset (2, W) ``K_fa sigma_d + b`` and
+    rate (2, W) ``1 / sigma``, filled by :mod:`.protection_kernel`.
     """
 
     sigma: Array
@@ -64,6 +74,7 @@ class Modes(NamedTuple):
     weight: Array
     offset: Array
     rate: Array
+    k_fa: Array
 
 
 class Moments(NamedTuple):
@@ -88,7 +99,7 @@ def mode_scratch(n: int, subsets: int = 0) -> Modes:
     w = capacity(n, subsets)
     return Modes(
         np.zeros((2, w)), np.zeros((2, w)), np.zeros((2, w)), np.zeros((2, w)), np.zeros(w), np.zeros(w), np.zeros(w),
-        np.zeros((2, w)), np.zeros((2, w)),
+        np.zeros((2, w)), np.zeros((2, w)), np.zeros(w),
     )  # fmt: skip
 
 
@@ -418,6 +429,29 @@ def set_priors(
             lost += prior[k]
             weight[k], log_prior[k] = 0.0, -np.inf
     return lost
+
+
+@jit(borrows=True)
+def set_factors(n: int, count: int, factors: Array, least: float, clocks: Records, modes: Modes) -> None:
+    """Fill k_fa of ``count`` modes of n satellites: the threshold of the test by the rank of the mode.
+
+    ``factors`` (R,) by rank from 0, the last for all higher ranks; R = 2 where the rank does not matter. The rank of a
+    satellite is 1, that of a constellation one less than its satellites, as its clock takes one row; a subset counts
+    as of the highest rank. ``least``: lower bound of every factor.
+    """
+    k_fa, highest = modes.k_fa, factors.shape[0] - 1
+    single = max(factors[1], least)
+    k_fa[0] = 0.0
+    for k in range(1, n + 1):
+        k_fa[k] = single
+    column = n + 1
+    for g in range(MAX_GROUPS):
+        if column < count and clocks[g].satellites > 0.0:
+            rank = min(max(int(clocks[g].satellites) - 1, 1), highest)
+            k_fa[column] = max(factors[rank], least)
+            column += 1
+    for k in range(column, count):
+        k_fa[k] = max(factors[highest], least)
 
 
 @jit

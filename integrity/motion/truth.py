@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.errors import InputError, require_finite, require_shape
 from lanebound.integrity.core.frames import GRAVITY_MPS2
-from lanebound.integrity.motion.truth_kernel import between
+from lanebound.integrity.motion.truth_kernel import EndRows, TrueMotion, between
 
 __all__ = ["Truth", "truth_between"]
 
@@ -73,10 +73,9 @@ class Truth:
         batch = heading_rad[1].shape[0]
         position, velocity, turn, delta_v = np.empty((4, batch, 3))
         heading, distance = np.empty((2, batch))
-        between(
-            *position_m, *velocity_mps, *heading_rad, -GRAVITY_MPS2 * dt_s,
-            position, velocity, heading, turn, delta_v, distance,
-        )  # fmt: skip
+        start, end = (EndRows(position_m[k], velocity_mps[k], heading_rad[k]) for k in range(2))
+        out = TrueMotion(position, velocity, heading, turn, delta_v, distance)
+        between(start, end, -GRAVITY_MPS2 * dt_s, out)
         return cls(time_s, dt_s, position, velocity, heading, turn, delta_v, distance, arc_m, lane)
 
 

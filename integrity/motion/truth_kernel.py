@@ -3,8 +3,35 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
+
+__all__ = ["EndRows", "TrueMotion", "all_finite", "between", "wrap"]
+
+Array = NDArray[np.float64]
+
+
+class EndRows(NamedTuple):
+    """B vehicles at one end of an epoch: position, velocity (B, 2) East, North; heading (B,) azimuth."""
+
+    position: Array
+    velocity: Array
+    heading: Array
+
+
+class TrueMotion(NamedTuple):
+    """Arrays of a :class:`~lanebound.integrity.motion.truth.Truth`: (B, 3), heading and distance (B,)."""
+
+    position: Array
+    velocity: Array
+    heading: Array
+    turn: Array
+    delta_v: Array
+    distance: Array
 
 
 @jit
@@ -13,24 +40,25 @@ def wrap(angle):  # type: ignore[no-untyped-def]
     return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
-@jit
-def between(p0, p1, v0, v1, h0, h1, down, position, velocity, heading, turn, delta_v, distance):  # type: ignore[no-untyped-def]
-    """Fill the arrays of a Truth: p, v (B, 2) East, North; h (B,) azimuths; ``down`` [m/s] what gravity adds.
+@jit(borrows=True)
+def between(start, end, down, out):  # type: ignore[no-untyped-def]
+    """Fill ``out`` (TrueMotion) from both ends (EndRows) of an epoch; ``down`` [m/s] is what gravity adds.
 
-    ``turn`` (B, 3) and ``delta_v`` (B, 3) are in body axes, forward, right, down, of the middle of the epoch.
+    ``turn`` and ``delta_v`` are in body axes, forward, right, down, of the middle of the epoch.
     """
-    for b in range(h1.shape[0]):
-        turned = wrap(h1[b] - h0[b])
-        s, c = math.sin(h0[b] + 0.5 * turned), math.cos(h0[b] + 0.5 * turned)
+    for b in range(end.heading.shape[0]):
+        h0, p0, p1, v0, v1 = start.heading[b], start.position, end.position, start.velocity, end.velocity
+        turned = wrap(end.heading[b] - h0)
+        s, c = math.sin(h0 + 0.5 * turned), math.cos(h0 + 0.5 * turned)
         de, dn = p1[b, 0] - p0[b, 0], p1[b, 1] - p0[b, 1]
         we, wn = v1[b, 0] - v0[b, 0], v1[b, 1] - v0[b, 1]
         for k in range(2):
-            position[b, k], velocity[b, k] = p1[b, k], v1[b, k]
-        position[b, 2] = velocity[b, 2] = turn[b, 0] = turn[b, 1] = 0.0
-        heading[b] = wrap(h1[b])
-        turn[b, 2] = turned
-        delta_v[b, 0], delta_v[b, 1], delta_v[b, 2] = s * we + c * wn, c * we - s * wn, down
-        distance[b] = math.copysign(math.hypot(de, dn), s * de + c * dn)
+            out.position[b, k], out.velocity[b, k] = p1[b, k], v1[b, k]
+        out.position[b, 2] = out.velocity[b, 2] = out.turn[b, 0] = out.turn[b, 1] = 0.0
+        out.heading[b] = wrap(end.heading[b])
+        out.turn[b, 2] = turned
+        out.delta_v[b, 0], out.delta_v[b, 1], out.delta_v[b, 2] = s * we + c * wn, c * we - s * wn, down
+        out.distance[b] = math.copysign(math.hypot(de, dn), s * de + c * dn)
 
 
 @jit

@@ -54,7 +54,9 @@ __all__ = [
     "NavigatorConfig",
     "NavigatorState",
     "PlCase",
+    "navigator_class",
     "register_navigator",
+    "withdraw_navigator",
 ]
 
 Array = NDArray[np.float64]
@@ -141,6 +143,27 @@ def register_navigator(config: type[NavigatorConfig], navigator: type[Navigator]
     KINDS[config] = navigator
 
 
+def withdraw_navigator(config: type[NavigatorConfig]) -> None:
+    """Take back a kind that was registered."""
+    NavigatorConfig.withdraw(config)
+    del KINDS[config]
+
+
+def navigator_class(config: type[Any]) -> type[Navigator]:
+    """The class of the navigators of a configuration class, or of the nearest one that it derives from.
+
+    Raises
+    ------
+    ConfigError
+        No such class has one.
+    """
+    for base in config.__mro__:
+        if base in KINDS:
+            return KINDS[base]
+    known = ", ".join(kind.__name__ for kind in KINDS)
+    raise ConfigError(f"config must be of {known} or of a class from one, got {config.__name__}: register_navigator it")
+
+
 class Navigator:
     """Sensing and belief of a batch of vehicles; an object of the class of its configuration's kind.
 
@@ -165,7 +188,7 @@ class Navigator:
 
     def __new__(cls, config: NavigatorConfig | None = None, *rest: Any, **more: Any) -> Self:
         """An object of the class of the configuration's kind."""
-        kind = KINDS[type(config)] if cls is Navigator and config is not None else cls
+        kind = navigator_class(type(config)) if cls is Navigator and config is not None else cls
         return super().__new__(kind)  # type: ignore[return-value]
 
     def __init__(
@@ -306,7 +329,7 @@ class Navigator:
         self.place_rows(rows, position, heading, sigma_m, sigma_heading_rad)
         for name, fresh in self.initial_extensions(1).items():
             self.state.extensions[name][rows] = fresh
-        self.state.odometer.last_true_mps[rows] = np.nan  # no acceleration, so no slip, in the first epoch
+        self.state.odometer.wheels["last_true_mps"][rows] = np.nan  # no acceleration, so no slip, in the first epoch
 
     def snapshot(self) -> NavigatorState:
         """An independent copy of everything that lasts."""

@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
+
+from lanebound.integrity.monitoring.alerts import AlertReason
+from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.positioning.rtk_status import RtkStatus
+
+if TYPE_CHECKING:
+    from lanebound.integrity.sensors.instruments import Measurements
 
 __all__ = ["Solution"]
 
@@ -69,6 +76,21 @@ class Solution:
     wrong_fix_risk: Array
     held: NDArray[np.bool_]
     doubt_en_m: Array
+
+    @classmethod
+    def blank(cls, m: Measurements, levels: int) -> Self:
+        """Solutions without a position and with R levels; a navigator replaces what it knows."""
+        batch, satellites = m.gnss.tracked.shape
+        zero, inf, none = np.zeros(batch), np.full(batch, np.inf), np.zeros(batch, np.int64)
+        return cls(
+            time_s=m.time_s, position_en_m=np.zeros((batch, 2)), heading_rad=zero, velocity_en_mps=np.zeros((batch, 2)),
+            speed_mps=m.odometer.speed_mps, covariance_en_m2=np.zeros((batch, 2, 2)), sigma_at_m=inf, sigma_ct_m=inf,
+            pl_at_m=inf, pl_ct_m=inf, pl_cases_m=np.full((batch, levels, 2), np.inf), mode=none + int(Mode.NONE),
+            rtk=none + RtkStatus.TOO_FEW.code, alert=np.ones(batch, np.bool_), available=np.zeros(batch, np.bool_),
+            reason=none + AlertReason.INITIALISING.code, hdop=inf, satellites=none, satellites_doppler=none,
+            excluded=none, since_rtk_s=inf, since_calibration_s=inf, corrections_age_s=m.gnss.corrections_age_s,
+            wrong_fix_risk=zero, held=np.zeros((batch, satellites), np.bool_), doubt_en_m=np.zeros((batch, 2)),
+        )  # fmt: skip
 
     def rows(self, rows: NDArray[np.int64]) -> Solution:
         """The solutions of some vehicles."""

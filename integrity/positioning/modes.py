@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any, ClassVar
 
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.positioning import codes_kernel as codes
 
 __all__ = ["Mode"]
 
@@ -58,10 +59,32 @@ class Mode(int, metaclass=_Table):
                 if mode.label != label:
                     raise InputError(f"label of mode {key!r} must be {mode.label!r}, got {label!r}: choose another key")
                 return mode
-        mode = int.__new__(cls, len(cls))
+        mode = int.__new__(cls, len(cls))  # codes are rows of tables, so they leave no gap
         mode.key, mode.label = key, label
         cls.members[int(mode)] = mode
         return mode
+
+    @classmethod
+    def withdraw(cls, mode: Mode) -> None:
+        """Take back the mode that was registered last.
+
+        Raises
+        ------
+        InputError
+            It is a mode of this package, or another one was registered after it.
+        """
+        if int(mode) <= codes.CODE or int(mode) != len(cls) - 1:
+            raise InputError(f"mode must be the one registered last, got {mode.key!r}: withdraw in reverse order")
+        del cls.members[int(mode)]
+
+    @classmethod
+    def named(cls, key: str) -> Mode:
+        """The mode of a key, or InputError."""
+        for mode in cls:
+            if mode.key == key:
+                return mode
+        known = ", ".join(mode.key for mode in cls)
+        raise InputError(f"mode must be one of {known}, got {key!r}: import the module that registers it")
 
     @property
     def value(self) -> int:
@@ -79,12 +102,16 @@ class Mode(int, metaclass=_Table):
     __str__ = int.__repr__
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Mode, (int(self),)
+        return Mode.named, (self.key,)
 
 
 Mode.members = {}
-Mode.NONE = Mode.register("none", "no solution")
-Mode.RTK = Mode.register("rtk", "RTK")
-Mode.DOPPLER = Mode.register("doppler", "Doppler")
-Mode.IMU_ODOMETER = Mode.register("imu_odometer", "IMU + odometer")
-Mode.CODE = Mode.register("code", "code")
+BUILT_IN = {
+    codes.NONE: ("none", "no solution"),
+    codes.RTK: ("rtk", "RTK"),
+    codes.DOPPLER: ("doppler", "Doppler"),
+    codes.IMU_ODOMETER: ("imu_odometer", "IMU + odometer"),
+    codes.CODE: ("code", "code"),
+}
+for _code in sorted(BUILT_IN):
+    setattr(Mode, BUILT_IN[_code][0].upper(), Mode.register(*BUILT_IN[_code]))

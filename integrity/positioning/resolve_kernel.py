@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, invert_3x3, multiply_3
+from lanebound.integrity.positioning.codes_kernel import FIXED, NOT_CONVERGED, RATIO_FAILED, SEARCH_FAILED, TOO_FEW
 from lanebound.integrity.positioning.lambda_kernel import (
     OK,
     SearchScratch,
@@ -56,7 +57,6 @@ Bools = NDArray[np.bool_]
 
 NODE_LIMIT = 20_000
 FIRST_SHARE = 0.5  # of the risk, for the set of all candidates; the rest is for the sets that lack one of them
-FIXED, TOO_FEW, NOT_CONVERGED, RATIO_FAILED, SEARCH_FAILED = 0, 2, 3, 4, 6  # codes of RtkStatus
 
 
 class Floats(NamedTuple):

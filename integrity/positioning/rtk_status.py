@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from lanebound.integrity.core.advice import Advice
+from lanebound.integrity.positioning import codes_kernel as codes
 
 __all__ = ["RtkStatus"]
 
@@ -10,10 +11,10 @@ __all__ = ["RtkStatus"]
 class RtkStatus(Advice):
     """Outcome of one RTK epoch; ``code`` is what arrays carry."""
 
-    FIXED = 0, "ambiguities fixed and the fixed position passed its tests"
-    NO_CORRECTIONS = 1, "the reference data are missing or too old: wait for the link"
-    TOO_FEW = 2, "too few satellites with carrier lock: wait for a better view of the sky"
-    NOT_CONVERGED = 3, "the risk of a wrong fix is above its limit: wait for more satellites"
-    RATIO_FAILED = 4, "the second best integers fit nearly as well: wait for the next epoch"
-    FAULT = 5, "the fixed position failed its fault test: the ambiguities are on trial"
-    SEARCH_FAILED = 6, "the integer search did not finish: the float solution is too loose"
+    FIXED = codes.FIXED, "ambiguities fixed and the fixed position passed its tests"
+    NO_CORRECTIONS = codes.NO_CORRECTIONS, "the reference data are missing or too old: wait for the link"
+    TOO_FEW = codes.TOO_FEW, "too few satellites with carrier lock: wait for a better view of the sky"
+    NOT_CONVERGED = codes.NOT_CONVERGED, "the risk of a wrong fix is above its limit: wait for more satellites"
+    RATIO_FAILED = codes.RATIO_FAILED, "the second best integers fit nearly as well: wait for the next epoch"
+    FAULT = codes.FAULT, "the fixed position failed its fault test: the ambiguities are on trial"
+    SEARCH_FAILED = codes.SEARCH_FAILED, "the integer search did not finish: the float solution is too loose"

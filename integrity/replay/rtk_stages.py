@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lanebound.integrity.core.bundle_kernel import Bundle
 from lanebound.integrity.core.chain_kernel import Chain
-from lanebound.integrity.monitoring.exclusion import FdeConfig, fde_thresholds
+from lanebound.integrity.monitoring.exclusion import FdeConfig
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant
 from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConfig
 from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import find_fixed_position
@@ -21,7 +22,7 @@ from lanebound.integrity.navigators.rtk_reckoning.parameters import (
     satellite_table,
     separation_thresholds,
 )
-from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch, Measured, Tables
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch, EpochInputs, Lasting, Measured, Tables
 from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import resolve_integers
 from lanebound.integrity.positioning.config import RtkConfig
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
@@ -67,7 +68,7 @@ class RtkStages:
         parameters["modes"]["rtk_max_hdop"] = math.inf  # levels are wanted of every fixed position
         tables = Tables(
             satellite_table(system, wavelength_m, fixable, exact), case_table(config.cases, exact, 0.0),
-            fde_thresholds(fde, len(system)), separation_thresholds(exact, len(system)),
+            *separation_thresholds(config, len(system)),
         )  # fmt: skip
         n = len(system)
         state, work, out = blank_state(1, n, 1), blank_work(1, n, 1), blank_outputs(1, n, 1)
@@ -76,12 +77,12 @@ class RtkStages:
             np.zeros((1, n, 2)), np.zeros((1, n, 2)), np.zeros((1, n)), np.zeros((1, n), np.bool_), np.zeros(1),
             np.zeros((1, 3)), np.zeros((1, 3)), np.zeros(1),
         )  # fmt: skip
-        self._epoch = Epoch(parameters, tables, state, measured, work, out)
-        self._stages = Chain(follow_carriers, resolve_integers, find_fixed_position)
+        self._lasting, self._inputs = Bundle(Lasting(parameters, tables, state, work)), EpochInputs(measured, out)
+        self._stages = Chain(Epoch, follow_carriers, resolve_integers, find_fixed_position)
 
     def release(self) -> None:
         """Release all integers."""
-        self._epoch.state.ambiguities["held"] = False
+        self._lasting.values.state.ambiguities["held"] = False
 
     def step(
         self, signals: Signals, age_s: float, dt_s: float, near_m: Array, sin_h: float, cos_h: float
@@ -91,18 +92,18 @@ class RtkStages:
         Returns the solution (FIXED_SOLUTION of :mod:`~lanebound.integrity.navigators.rtk_reckoning.records_kernel`) and
         its levels (2,) AT, CT [m], zeros unless it is fixed.
         """
-        e = self._epoch
-        e.parameters["dt"] = dt_s
-        e.work.quality[0] = signals.quality
-        m = e.measured
+        lasting: Lasting = self._lasting.values
+        lasting.parameters["dt"] = dt_s
+        lasting.work.quality[0] = signals.quality
+        m = self._inputs.measured
         for target, value in (
             (m.los, signals.los), (m.tracked, signals.tracked), (m.cn0, signals.cn0), (m.code, signals.code),
             (m.phase, signals.phase), (m.lock_lost, signals.lost),
         ):  # fmt: skip
             target[0] = value
         m.age[0] = age_s
-        e.state.vehicles["position"][0] = near_m
-        w = e.work.vehicles
+        lasting.state.vehicles["position"][0] = near_m
+        w = lasting.work.vehicles
         w["sin_h"], w["cos_h"] = sin_h, cos_h
-        self._stages(0, 1, e)
-        return w["fixed"][0], e.work.fixed_levels[0, 0]
+        self._stages(0, 1, self._lasting, self._inputs)
+        return w["fixed"][0], lasting.work.fixed_levels[0, 0]

@@ -17,17 +17,18 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.core.streams import Streams
+from lanebound.integrity.core.lasting import LastingBundle
+from lanebound.integrity.core.records import Records, one_record
+from lanebound.integrity.core.streams import ZIGGURAT, Streams
 from lanebound.integrity.sensors import area_kernel as kernel
 from lanebound.integrity.sensors import gnss_kernel as gk
 from lanebound.integrity.sensors.clock import clock_gains
-from lanebound.integrity.sensors.corrections import CorrectionsConfig, NetworkState, advance_network, initial_network
-from lanebound.integrity.sensors.gnss import AreaSignals, GnssConfig
+from lanebound.integrity.sensors.corrections import CorrectionsConfig, NetworkState, initial_network, link_parameters
+from lanebound.integrity.sensors.gnss import AreaSignals, GnssConfig, flat
 
 __all__ = ["AreaState", "advance_area", "initial_area"]
 
 Array = NDArray[np.float64]
-NO_NOISE = np.empty((0, 0, gk.N_NOISE))  # of the station, between two messages
 
 
 @dataclass
@@ -45,6 +46,9 @@ class AreaState:
     signals: AreaSignals
     network: NetworkState
 
+    def __post_init__(self) -> None:
+        self.bundle = LastingBundle()
+
     def copy(self) -> AreaState:
         """An independent copy."""
         return copy.deepcopy(self)
@@ -55,13 +59,15 @@ def initial_area(
 ) -> AreaState:
     """``streams.batch`` areas at zero of the clock: stationary errors, the network as it is found at any time."""
     azimuth = 2.0 * np.pi * streams.uniform("station")
-    memory, noise = (
-        streams.normal("atmosphere", satellites, gk.N_SLOW),
-        streams.normal("station", satellites, gk.N_NOISE),
-    )
+    slow = streams.normal("atmosphere", satellites, kernel.PROCESSES).view(gk.SLOW)[..., 0]
+    noise = streams.normal("station", satellites, gk.STATION_NOISE.itemsize // 8).view(gk.STATION_NOISE)[..., 0]
+    message = np.zeros(slow.shape, gk.STATION)
+    for part, names in ((slow, ("code_multipath", "phase_multipath")), (noise, ("code", "phase"))):
+        for name in names:
+            message[name] = part[name]
     signals = AreaSignals(
-        memory=memory,
-        message=np.concatenate([memory[..., gk.A_CODE_MP :], noise], -1),
+        memory=slow,
+        message=message,
         clock=np.zeros((streams.batch, 2)),
         reference_enu_m=config.reference_offset_m
         * np.stack([np.sin(azimuth), np.cos(azimuth), np.zeros_like(azimuth)], -1),
@@ -74,32 +80,45 @@ def advance_area(config: GnssConfig, link: CorrectionsConfig, state: AreaState, 
 
     Ionosphere, satellites' clocks, troposphere and the station's multipath last for minutes: one of them advances in
     each epoch, by as many epochs as there are of them. The station's noise is new with each of its messages, which a
-    receiver keeps until it receives another (:mod:`.corrections`).
+    receiver holds until it receives another (:mod:`.corrections`).
     """
-    epoch = round(time_s / dt_s)
-    while state.network.epoch < epoch:
-        _advance(config, link, state, dt_s)
+    epoch, network = round(time_s / dt_s), state.network
+    rules, link_rules = area_parameters(config, dt_s), link_parameters(link, dt_s)
+    owners = rules, link_rules, state.streams, state.signals, network
+    bundle = state.bundle.of(owners, lambda: _rows_of(rules, link_rules, state))
+    while network.epoch < epoch:
+        network.epoch += 1
+        kernel.advance(network.epoch, bundle.handle)
 
 
-def _advance(config: GnssConfig, link: CorrectionsConfig, state: AreaState, dt_s: float) -> None:
-    advance_network(link, state.network, dt_s, state.streams)
-    signals, network, satellites = state.signals, state.network, state.signals.memory.shape[1]
-    decays, gains, clock = _figures(config, dt_s)
-    noise = NO_NOISE
-    if network.fresh.any():
-        noise = state.streams.normal("station", satellites, gk.N_NOISE, where=network.fresh)
-    kernel.advance(
-        signals.memory, signals.message, signals.clock, dt_s, network.own_epoch % gk.N_SLOW, decays, gains,
-        state.streams.normal("atmosphere", satellites), network.fresh, noise, *clock,
-        state.streams.normal("station", 2),
-    )  # fmt: skip
+def _rows_of(rules: Records, link_rules: Records, state: AreaState) -> kernel.AreaRows:
+    """The areas as the kernel takes them."""
+    signals, states = state.signals, state.streams.states
+    areas, satellites = signals.memory.shape
+    noise = np.zeros((areas, satellites), gk.STATION_NOISE)
+    draws = kernel.AreaDraws(
+        table=ZIGGURAT,
+        atmosphere_states=states("atmosphere"),
+        station_states=states("station"),
+        network_states=states("network"),
+        atmosphere=np.empty((areas, satellites)),
+        noise=noise,
+        noise_normals=flat(noise),
+        clock=np.empty((areas, 2)),
+        outages=np.empty((areas, 2)),
+    )
+    return kernel.AreaRows(rules, link_rules, state.network.rows, signals.memory, signals.message, signals.clock, draws)
 
 
 @lru_cache(maxsize=64)
-def _figures(config: GnssConfig, dt_s: float) -> tuple[Array, Array, tuple[float, float, float]]:
-    """Decay and gain of each slow state over N_SLOW epochs, and the gains of the station's clock."""
-    tau_s = np.full(gk.N_SLOW, config.station_multipath_tau_s)
-    tau_s[[gk.A_IONO, gk.A_AGE, gk.A_TROPO]] = config.iono_tau_s, config.age_tau_s, config.tropo_tau_s
-    steps = gk.N_SLOW * dt_s / tau_s
-    clock = clock_gains(config.station_clock_h0, config.station_clock_hm2, dt_s)
-    return np.exp(-steps), np.sqrt(-np.expm1(-2.0 * steps)), clock
+def area_parameters(config: GnssConfig, dt_s: float) -> Records:
+    """Decay and gain of each slow process over PROCESSES epochs, and the gains of the station's clock."""
+    tau_s = {"iono": config.iono_tau_s, "age": config.age_tau_s, "tropo": config.tropo_tau_s}
+    decay, gain = np.zeros(1, gk.SLOW), np.zeros(1, gk.SLOW)
+    for name in gk.SLOW.names or ():
+        steps = kernel.PROCESSES * dt_s / np.array(tau_s.get(name, config.station_multipath_tau_s))
+        decay[name], gain[name] = np.exp(-steps), np.sqrt(-np.expm1(-2.0 * steps))
+    clock_11, clock_21, clock_22 = clock_gains(config.station_clock_h0, config.station_clock_hm2, dt_s)
+    return one_record(
+        kernel.AREA_RULES, dt=dt_s, decay=decay, gain=gain, clock_11=clock_11, clock_21=clock_21, clock_22=clock_22
+    )

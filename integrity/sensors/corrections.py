@@ -28,9 +28,10 @@ from scipy.special import ndtri
 
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.sensors import corrections_kernel as kernel
-from lanebound.integrity.sensors.gnss_kernel import N_STATION
+from lanebound.integrity.sensors.gnss_kernel import STATION
 
 __all__ = [
     "CorrectionsConfig",
@@ -43,7 +44,6 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-NO_DRAWS: Array = np.empty(0)
 QUANTILES = 1024  # of the length of an outage, for what is found at the start
 
 
@@ -89,6 +89,11 @@ class NetworkState:
         return copy.deepcopy(self)
 
     @property
+    def rows(self) -> kernel.NetworkRows:
+        """The arrays as kernels take them."""
+        return kernel.NetworkRows(self.begun, self.message, self.fresh, self.up, self.outage_left, self.until)
+
+    @property
     def own_epoch(self) -> NDArray[np.int64]:
         """(A,) epochs since zero of each area's own clock."""
         return self.epoch - self.begun
@@ -100,16 +105,12 @@ class CorrectionsState:
 
     Attributes
     ----------
-    newest : (B,) int64, number of the newest reference epoch received, -1 before the first
-    outage_left : (B,) int64, epochs for which the present outage of one's own still lasts
-    up : (B,) bool, the link carried messages in the last epoch
-    held : (B, S, N_STATION) the station's own errors in that message, columns ``S_*`` of :mod:`.gnss_kernel`
+    links : (B,) of LINK, a record of :mod:`.corrections_kernel`
+    held : (B, S) of STATION, the station's own errors in the message held (:mod:`.gnss_kernel`)
     """
 
-    newest: NDArray[np.int64]
-    outage_left: NDArray[np.int64]
-    up: NDArray[np.bool_]
-    held: Array
+    links: Records
+    held: Records
 
     def copy(self) -> CorrectionsState:
         """An independent copy."""
@@ -118,9 +119,9 @@ class CorrectionsState:
 
 @dataclass(frozen=True)
 class _Law:
-    """Outages in epochs: the kernel's columns, lengths by quantile, and how likely one is found at the start."""
+    """Outages in epochs: the kernel's figures, lengths by quantile, and how likely one is found at the start."""
 
-    par: Array
+    rules: Records
     length: NDArray[np.int64]
     network_down: float
     own_down: float
@@ -138,9 +139,19 @@ def _law(config: CorrectionsConfig, dt_s: float) -> _Law:
     own = (rate - network) / ((1.0 + network * mean) * kappa)
     odds = own * mean * kappa
     lasts = float((-np.expm1(-network * dt_s * length)).mean()) / (network * mean) if network > 0.0 else 1.0
-    outage = (config.outage_median_s, config.outage_log_sd, config.outage_max_s)
     return _Law(
-        par=np.array([config.latency_s, config.interval_s, -math.expm1(-own * dt_s), network, *outage]),
+        rules=one_record(
+            kernel.LINK_RULES,
+            dt=dt_s,
+            latency=config.latency_s,
+            interval=config.interval_s,
+            outages=config.outage_per_h > 0.0,
+            onset=-math.expm1(-own * dt_s),
+            network_rate=network,
+            median=config.outage_median_s,
+            log_sd=config.outage_log_sd,
+            longest=config.outage_max_s,
+        ),
         length=length.astype(np.int64),
         network_down=network * mean / (1.0 + network * mean),
         own_down=odds / (1.0 + odds) / lasts,
@@ -173,20 +184,15 @@ def initial_network(config: CorrectionsConfig, dt_s: float, streams: Streams) ->
         fresh=np.zeros(down.size, dtype=np.bool_),
         up=~down,
         outage_left=np.where(down, _residual(law, u[:, 1:]), 0),
-        until=np.array([0 if d else 1 + kernel.quiet_epochs(law.par, dt_s, q) for d, q in zip(down, z, strict=True)]),
+        until=np.array([0 if d else 1 + kernel.quiet_epochs(law.rules[0], q) for d, q in zip(down, z, strict=True)]),
     )
 
 
 def advance_network(config: CorrectionsConfig, network: NetworkState, dt_s: float, streams: Streams) -> None:
     """Advance the networks by one epoch, in place; ``streams`` are those of the areas."""
-    law = _law(config, dt_s)
     network.epoch += 1
-    arrived = np.floor((network.own_epoch * dt_s - config.latency_s) / config.interval_s + kernel.ROUNDING)
-    network.fresh = arrived > network.message
-    network.message = np.maximum(arrived.astype(np.int64), network.message)
-    if config.outage_per_h > 0.0:
-        z = streams.normal("network", 2)
-        kernel.advance_network(law.par, dt_s, z, network.outage_left, network.until, network.up)
+    z = streams.normal("network", 2) if config.outage_per_h > 0.0 else np.empty((0, 2))
+    kernel.advance_network(network.epoch, link_parameters(config, dt_s)[0], z, network.rows)
 
 
 def initial_state(
@@ -205,19 +211,16 @@ def initial_state(
     law, u = _law(config, dt_s), streams.uniform("corrections", 3)
     left = _residual(law, u[:, 1:])
     down = (u[:, 0] < law.own_down) & network.up & (left <= network.until)
-    return CorrectionsState(
-        newest=np.full(batch, -1, dtype=np.int64),
-        outage_left=np.where(down, left, 0),
-        up=network.up & ~down,
-        held=np.zeros((batch, satellites, N_STATION)),
-    )
+    links = np.zeros(batch, kernel.LINK)
+    links["newest"], links["outage_left"], links["up"] = -1, np.where(down, left, 0), network.up & ~down
+    return CorrectionsState(links, np.zeros((batch, satellites), STATION))
 
 
 def step(
     config: CorrectionsConfig,
     state: CorrectionsState,
     network: NetworkState,
-    sent: Array,
+    sent: Records,
     dt_s: float,
     lost: NDArray[np.bool_],
     streams: Streams,
@@ -231,7 +234,7 @@ def step(
     ----------
     network : NetworkState
         Of one area or one for each vehicle, advanced to this epoch.
-    sent : (A, S, N_STATION), what the newest message of each area says; who receives it keeps it in ``state.held``
+    sent : (A, S) of STATION, the newest message of each area; a vehicle that receives it keeps it in ``state.held``
     dt_s : float, length of an epoch, the same in every call
     lost : (B,) bool, the link is cut by a fault
 
@@ -244,7 +247,7 @@ def step(
     InputError
         When ``lost``, the streams, the networks or messages serve another number of vehicles than ``state``.
     """
-    batch = state.newest.shape[0]
+    batch = state.links.shape[0]
     if lost.shape != (batch,) or streams.batch != batch or network.up.shape[0] not in (1, batch):
         raise InputError(
             f"lost, streams and network must serve {batch} vehicles, got {lost.shape}, {streams.batch} and "
@@ -252,17 +255,15 @@ def step(
         )
     if sent.shape != (network.up.shape[0], *state.held.shape[1:]):
         raise InputError(f"sent must be of {network.up.shape[0]} areas with {state.held.shape[1:]}, got {sent.shape}")
-    u = z = NO_DRAWS
+    u = z = np.empty((0, 1))
     if config.outage_per_h > 0.0:
-        u, z = streams.uniform("corrections"), streams.normal("corrections")
+        u, z = streams.uniform("corrections", 1), streams.normal("corrections", 1)
+    rows = kernel.LinkRows(link_parameters(config, dt_s), network.rows, sent, state.links, state.held, u, z)
     age = np.empty(batch)
-    kernel.advance(
-        parameters(config, dt_s), network.own_epoch * dt_s, dt_s, network.message, network.fresh, u, z, lost,
-        network.up, network.until, state.newest, state.outage_left, state.up, sent, state.held, age,
-    )  # fmt: skip
+    kernel.advance(0, batch, network.epoch, rows, lost, age)
     return age
 
 
-def parameters(config: CorrectionsConfig, dt_s: float) -> Array:
-    """The configuration in the kernel's columns."""
-    return _law(config, dt_s).par
+def link_parameters(config: CorrectionsConfig, dt_s: float) -> Records:
+    """The figures of the link as the kernel takes them, (1,) of LINK_RULES."""
+    return _law(config, dt_s).rules

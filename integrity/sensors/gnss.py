@@ -14,6 +14,7 @@ from pydantic import Field
 
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.sensors import gnss_kernel as gk
@@ -60,13 +61,12 @@ class GnssEpoch:
 class AreaSignals:
     """What reaches all receivers of an area alike; A is 1, or the number of vehicles when each has an area of its own.
 
-    memory (A, S, N_SLOW) are the columns ``A_*`` of :mod:`.gnss_kernel`, message (A, S, N_STATION) those ``S_*`` of the
-    station's newest message, clock (A, 2) the station's clock [m], [m/s], reference_enu_m (A, 3) the error of its
-    coordinates.
+    memory (A, S) of SLOW (:mod:`.gnss_kernel`), message (A, S) of STATION, the station's newest message, clock (A, 2)
+    the station's clock [m], [m/s], reference_enu_m (A, 3) the error of its coordinates.
     """
 
-    memory: Array
-    message: Array
+    memory: Records
+    message: Records
     clock: Array
     reference_enu_m: Array
 
@@ -171,66 +171,81 @@ class GnssConfig(Config):
     )
 
     @property
-    def station_parts(self) -> dict[int, float]:
-        """1-sigma of the station's part of code, phase and their multipath [m], by column of the kernel's ``cfg``."""
+    def station_parts(self) -> dict[str, float]:
+        """1-sigma of the station's part of code, phase and their multipath [m], by field of GNSS_RULES."""
         half = math.sqrt(0.5)
         return {
-            gk.STATION_CODE: min(self.station_code_m, half * self.code_sigma_m),
-            gk.STATION_PHASE: min(self.station_phase_m, half * self.phase_sigma_m),
-            gk.STATION_CODE_MP: min(self.station_code_multipath_m, half * self.code_multipath_m),
-            gk.STATION_PHASE_MP: min(self.station_phase_multipath_m, half * self.phase_multipath_m),
+            "station_code": min(self.station_code_m, half * self.code_sigma_m),
+            "station_phase": min(self.station_phase_m, half * self.phase_sigma_m),
+            "station_code_multipath": min(self.station_code_multipath_m, half * self.code_multipath_m),
+            "station_phase_multipath": min(self.station_phase_multipath_m, half * self.phase_multipath_m),
         }
-
-    def packed(self, dt_s: float) -> Array:
-        """The figures in the columns of the kernel's ``cfg``."""
-        cfg = np.zeros(gk.NC)
-        values = {
-            gk.DT: dt_s, gk.BANDS: len(self.bands), gk.CN0_ZENITH: self.cn0_zenith_dbhz,
-            gk.CN0_HORIZON: self.cn0_horizon_dbhz, gk.CN0_SIGMA: self.cn0_sigma_db,
-            gk.FOLIAGE_LOSS: self.foliage_loss_db, gk.REFLECTION_LOSS: self.reflection_loss_db,
-            gk.TRACK_MIN: self.track_min_dbhz, gk.PHASE_MIN: self.phase_min_dbhz,
-            gk.CODE_DELAY: self.code_delay_s - 1e-9, gk.PHASE_DELAY: self.phase_delay_s - 1e-9,
-            gk.CODE_SIGMA: self.code_sigma_m, gk.PHASE_SIGMA: self.phase_sigma_m,
-            gk.RATE_SIGMA: self.range_rate_sigma_mps, gk.CODE_MULTIPATH: self.code_multipath_m,
-            gk.PHASE_MULTIPATH: self.phase_multipath_m, gk.MULTIPATH_DECAY: np.exp(-dt_s / self.multipath_tau_s),
-            gk.MULTIPATH_PER_M: self.multipath_per_m, gk.NLOS_SCALE: self.nlos_scale,
-            gk.IONO_SIGMA: 1e-3 * self.iono_ppm * self.baseline_km, gk.AGE_RATE: self.age_rate_mps,
-            gk.TROPO_SIGMA: 1e-3 * self.tropo_ppm * self.baseline_km,
-            gk.ORBIT_SIGMA: 1e-3 * self.orbit_ppm * self.baseline_km, gk.SLIP_RATE: self.slips_per_h / 3600.0,
-            gk.SLIP_CN0: 40.0, gk.SLIP_DECADE: self.slip_decade_db, gk.UNANNOUNCED: self.unannounced,
-            gk.HALF_SHARE: self.half_share, gk.HALF_RESOLVE: self.half_cycle_resolve_s + 1e-9, **self.station_parts,
-        }  # fmt: skip
-        cfg[list(values)] = list(values.values())
-        weakest_db = (cfg[gk.SLIP_CN0] - self.phase_min_dbhz) / self.slip_decade_db
-        cfg[gk.SLIP_MOST] = dt_s * cfg[gk.SLIP_RATE] * 10.0**weakest_db
-        cfg[[gk.CLOCK_11, gk.CLOCK_21, gk.CLOCK_22]] = clock_gains(self.clock_h0, self.clock_hm2, dt_s)
-        for decay, gain, tau_s in (
-            (gk.CN0_DECAY, gk.CN0_GAIN, self.cn0_tau_s),
-            (gk.RATE_DECAY, gk.RATE_GAIN, self.range_rate_tau_s),
-        ):
-            cfg[decay], cfg[gain] = np.exp(-dt_s / tau_s), np.sqrt(-np.expm1(-2.0 * dt_s / tau_s))
-        return cfg
 
 
 @lru_cache(maxsize=64)
-def tables(config: GnssConfig, dt_s: float) -> tuple[Array, Array, Array]:
-    """The kernel's figures, and wavelengths and ionospheric delays (first band = 1) of the bands tracked."""
-    wavelength = np.ascontiguousarray(WAVELENGTH_M[:, list(config.bands)])
-    return config.packed(dt_s), wavelength, (wavelength / wavelength[:, :1]) ** 2
+def gnss_parameters(config: GnssConfig, dt_s: float) -> Records:
+    """The figures of the receiver as the kernel takes them, (1,) of GNSS_RULES."""
+    c, slip_cn0, slip_rate = config, 40.0, config.slips_per_h / 3600.0
+    weakest_db = (slip_cn0 - c.phase_min_dbhz) / c.slip_decade_db
+    clock_11, clock_21, clock_22 = clock_gains(c.clock_h0, c.clock_hm2, dt_s)
+    bands = len(c.bands)
+    wavelength, dispersion = np.zeros((2, N_SYSTEMS, gk.BANDS))
+    wavelength[:, :bands] = WAVELENGTH_M[:, list(c.bands)]
+    dispersion[:, :bands] = (wavelength[:, :bands] / wavelength[:, :1]) ** 2
+    return one_record(
+        gk.GNSS_RULES,
+        dt=dt_s,
+        bands=bands,
+        cn0_zenith=c.cn0_zenith_dbhz,
+        cn0_horizon=c.cn0_horizon_dbhz,
+        cn0_sigma=c.cn0_sigma_db,
+        cn0_decay=np.exp(-dt_s / c.cn0_tau_s),
+        cn0_gain=np.sqrt(-np.expm1(-2.0 * dt_s / c.cn0_tau_s)),
+        foliage_loss=c.foliage_loss_db,
+        reflection_loss=c.reflection_loss_db,
+        track_min=c.track_min_dbhz,
+        phase_min=c.phase_min_dbhz,
+        code_delay=c.code_delay_s - 1e-9,
+        phase_delay=c.phase_delay_s - 1e-9,
+        code_sigma=c.code_sigma_m,
+        phase_sigma=c.phase_sigma_m,
+        rate_sigma=c.range_rate_sigma_mps,
+        rate_decay=np.exp(-dt_s / c.range_rate_tau_s),
+        rate_gain=np.sqrt(-np.expm1(-2.0 * dt_s / c.range_rate_tau_s)),
+        code_multipath=c.code_multipath_m,
+        phase_multipath=c.phase_multipath_m,
+        multipath_decay=np.exp(-dt_s / c.multipath_tau_s),
+        multipath_per_m=c.multipath_per_m,
+        nlos_scale=c.nlos_scale,
+        iono_sigma=1e-3 * c.iono_ppm * c.baseline_km,
+        age_rate=c.age_rate_mps,
+        tropo_sigma=1e-3 * c.tropo_ppm * c.baseline_km,
+        orbit_sigma=1e-3 * c.orbit_ppm * c.baseline_km,
+        slip_rate=slip_rate,
+        slip_cn0=slip_cn0,
+        slip_decade=c.slip_decade_db,
+        slip_most=dt_s * slip_rate * 10.0**weakest_db,
+        unannounced=c.unannounced,
+        half_share=c.half_share,
+        half_resolve=c.half_cycle_resolve_s + 1e-9,
+        clock_11=clock_11,
+        clock_21=clock_21,
+        clock_22=clock_22,
+        wavelength=wavelength,
+        dispersion=dispersion,
+        **c.station_parts,
+    )
 
 
 @dataclass
 class GnssState:
     """What lasts in the signals from epoch to epoch; never shown to positioning.
 
-    memory (B, S, NM) are the columns of :mod:`.gnss_kernel`, ambiguity (B, S, 2) counts half cycles, clock (B, systems,
-    4) holds the delays of code and phase of both bands [m], oscillator (B, 2) offset [m] and drift [m/s].
+    signals (B, S) of SIGNAL and vehicles (B,) of RECEIVER (:mod:`.gnss_kernel`).
     """
 
-    memory: Array
-    ambiguity: Array
-    clock: Array
-    oscillator: Array
+    signals: Records
+    vehicles: Records
 
     def copy(self) -> GnssState:
         """An independent copy."""
@@ -239,13 +254,17 @@ class GnssState:
 
 def initial_state(config: GnssConfig, sky: SkyView, streams: Streams) -> GnssState:
     """Stationary error processes, random integers and clocks; the receiver has just been switched on."""
-    z = streams.normal("gnss", len(sky.system), gk.N_INITIAL + 2)
-    memory = np.zeros((*z.shape[:-1], gk.NM))
-    memory[..., : gk.N_INITIAL] = z[..., : gk.N_INITIAL]
-    clock = streams.normal("clock", N_SYSTEMS * 4 + 1)
-    oscillator = np.column_stack([np.zeros(streams.batch), config.drift_mps * clock[:, -1]])
-    delays = config.clock_m * clock[:, :-1].reshape(-1, N_SYSTEMS, 4)
-    return GnssState(memory, 2.0 * np.floor(1000.0 * z[..., gk.N_INITIAL :]), delays, oscillator)
+    n_sat = len(sky.system)
+    z = streams.normal("gnss", n_sat, 6 + gk.BANDS)
+    signals = np.zeros((streams.batch, n_sat), gk.SIGNAL)
+    signals["cn0"], signals["code_multipath"], signals["phase_multipath"] = z[..., 0], z[..., 1], z[..., 2:4]
+    signals["rate"], signals["excess"] = z[..., 4], z[..., 5]
+    signals["ambiguity"] = 2.0 * np.floor(1000.0 * z[..., 6:])
+    vehicles, clock = np.zeros(streams.batch, gk.RECEIVER), streams.normal("clock", N_SYSTEMS * 2 * gk.BANDS + 1)
+    delays = config.clock_m * clock[:, :-1].reshape(-1, N_SYSTEMS, 2 * gk.BANDS)
+    vehicles["code_delay"], vehicles["phase_delay"] = delays[..., : gk.BANDS], delays[..., gk.BANDS :]
+    vehicles["drift"] = config.drift_mps * clock[:, -1]
+    return GnssState(signals, vehicles)
 
 
 def observe(
@@ -255,7 +274,7 @@ def observe(
     reception: Reception,
     truth: Truth,
     age_s: Array,
-    message: Array,
+    message: Records,
     effects: FaultEffects,
     streams: Streams,
     area: AreaSignals,
@@ -267,7 +286,7 @@ def observe(
     reception : how each signal arrives, (B, S)
     truth : position and velocity of the antenna
     age_s : (B,) age of the reference data
-    message : (B, S, N_STATION) the station's own errors in these data, columns ``S_*`` of :mod:`.gnss_kernel`
+    message : (B, S) of STATION, the station's own errors in these data
     area : what this epoch brings to all receivers of an area
 
     Draws a fixed number of normals and uniforms from streams "gnss" and "clock", whatever is in view.
@@ -287,21 +306,51 @@ def observe(
         raise InputError(
             f"area must hold 1 or {batch} areas and {n_sat} satellites, got {area.memory.shape}: make both agree"
         )
-    if message.shape != (batch, n_sat, gk.N_STATION):
-        raise InputError(
-            f"message must have shape {(batch, n_sat, gk.N_STATION)}, got {message.shape}: one for each vehicle"
-        )
-    z, u = streams.normal("gnss", n_sat, gk.N_NORMAL), streams.uniform("gnss", n_sat, gk.N_UNIFORM)
-    tracked, lock_lost = np.zeros((2, batch, n_sat), dtype=np.bool_)
-    code, phase = np.zeros((2, batch, n_sat, 2))
-    range_rate, cn0 = np.zeros((2, batch, n_sat))
-    cfg, wavelength, dispersion = tables(config, truth.dt_s)
-    gk.observe_serial(
-        cfg, wavelength, dispersion, sky.los_enu, sky.above, sky.system, sky.index,
-        reception.path, reception.excess_m, truth.position_enu_m + effects.spoof_enu_m, truth.velocity_enu_mps,
-        area.reference_enu_m + effects.reference_enu_m, age_s, effects.code_bias_m, effects.phase_bias_m,
-        effects.range_rate_bias_mps, effects.cn0_drop_db, effects.slip_cycles, state.clock,
-        streams.normal("clock", 2), area.clock, z, u, area.memory, message, state.oscillator, state.memory,
-        state.ambiguity, tracked, code, phase, range_rate, cn0, lock_lost,
+    if message.shape != (batch, n_sat):
+        raise InputError(f"message must have shape {(batch, n_sat)}, got {message.shape}: one for each vehicle")
+    receivers = gk.Receivers(
+        gnss_parameters(config, truth.dt_s), state.signals, state.vehicles,
+        streams.normal("gnss", n_sat, gk.NORMALS.itemsize // 8).view(gk.NORMALS)[..., 0],
+        streams.uniform("gnss", n_sat, gk.UNIFORMS.itemsize // 8).view(gk.UNIFORMS)[..., 0],
+        streams.normal("clock", 2), message, area.memory, area.clock, area.reference_enu_m,
     )  # fmt: skip
-    return GnssEpoch(tracked, code, phase, range_rate, cn0, lock_lost, age_s)
+    out = blank_gnss(batch, n_sat)
+    out.age[:] = age_s
+    path, excess, motion = reception.path, reception.excess_m, motion_rows(truth)
+    gk.observe(path, excess, receivers, sky.rows, motion, effect_rows(effects), out)
+    return gnss_epoch(out)
+
+
+def blank_gnss(batch: int, satellites: int) -> gk.GnssOutputs:
+    """Outputs of receivers, to be filled."""
+    code, phase = np.empty((2, batch, satellites, gk.BANDS))
+    range_rate, cn0 = np.empty((2, batch, satellites))
+    tracked, lock_lost = np.empty((2, batch, satellites), np.bool_)
+    return gk.GnssOutputs(tracked, code, phase, range_rate, cn0, lock_lost, np.empty(batch))
+
+
+def gnss_epoch(out: gk.GnssOutputs) -> GnssEpoch:
+    """The filled outputs."""
+    return GnssEpoch(out.tracked, out.code, out.phase, out.range_rate, out.cn0, out.lock_lost, out.age)
+
+
+def flat(records: Records) -> Array:
+    """Records of float64 (B, S) as (B, numbers), in the same memory."""
+    return records.view(np.float64).reshape(records.shape[0], -1)
+
+
+def motion_rows(truth: Truth) -> gk.MotionRows:
+    """True motion as kernels take it."""
+    t = truth
+    return gk.MotionRows(
+        t.position_enu_m, t.velocity_enu_mps, t.delta_theta_rad, t.delta_v_mps, t.distance_m, t.arc_m, t.lane
+    )
+
+
+def effect_rows(effects: FaultEffects) -> gk.EffectRows:
+    """Effects of faults as kernels take them."""
+    e = effects
+    return gk.EffectRows(
+        e.code_bias_m, e.phase_bias_m, e.range_rate_bias_mps, e.cn0_drop_db, e.slip_cycles, e.spoof_enu_m,
+        e.reference_enu_m, e.corrections_lost, e.gyro_bias_radps, e.odometer_scale, e.odometer_frozen,
+    )  # fmt: skip

@@ -1,46 +1,144 @@
-"""Signals of one receiver at one epoch: who is tracked, how strongly, and with which errors.
-
-``cfg`` (NC,) holds the figures of :class:`~lanebound.integrity.sensors.gnss.GnssConfig`; ``z`` (S, N_NORMAL) standard
-normal and ``u`` (S, N_UNIFORM) uniform draws of this epoch; ``memory`` (S, NM) what lasts from epoch to epoch;
-``area`` (S, N_SLOW) what all receivers of an area have in common, and ``station`` (S, N_STATION) what the station's
-message that the receiver holds brings of the station's own errors, both of unit variance (:mod:`.area` makes them).
-"""
+"""Signals of receivers over one epoch: which satellites are tracked, how strongly, and with which errors."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.records import Records, record
+from lanebound.integrity.sky.systems import N_SYSTEMS
 
-# figures
-(
-    DT, BANDS, CN0_ZENITH, CN0_HORIZON, CN0_SIGMA, CN0_DECAY, CN0_GAIN, FOLIAGE_LOSS, REFLECTION_LOSS,
-    TRACK_MIN, PHASE_MIN, CODE_DELAY, PHASE_DELAY, CODE_SIGMA, PHASE_SIGMA, RATE_SIGMA, RATE_DECAY, RATE_GAIN,
-    CODE_MULTIPATH, PHASE_MULTIPATH, MULTIPATH_DECAY, MULTIPATH_PER_M, NLOS_SCALE, IONO_SIGMA, AGE_RATE, TROPO_SIGMA,
-    ORBIT_SIGMA, SLIP_RATE, SLIP_CN0, SLIP_DECADE, SLIP_MOST, UNANNOUNCED, HALF_SHARE, HALF_RESOLVE,
-    STATION_CODE, STATION_PHASE, STATION_CODE_MP, STATION_PHASE_MP, CLOCK_11, CLOCK_21, CLOCK_22,
-) = range(41)  # fmt: skip
-NC = 41
+__all__ = [
+    "GNSS_RULES",
+    "NORMALS",
+    "RECEIVER",
+    "SIGNAL",
+    "SLOW",
+    "STATION",
+    "STATION_NOISE",
+    "UNIFORMS",
+    "EffectRows",
+    "GnssOutputs",
+    "MotionRows",
+    "Receivers",
+    "observe",
+    "observe_vehicle",
+    "urban_code_error",
+    "urban_excess",
+    "urban_share",
+]
 
-# draws
-Z_CN0, Z_CODE0, Z_CODE1, Z_PHASE0, Z_PHASE1, Z_CODE_MP, Z_PHASE_MP0, Z_PHASE_MP1, Z_RATE, Z_EXCESS = range(10)
-N_NORMAL = 10
-U_SLIP, U_KIND = range(2)
-N_UNIFORM = 2
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
-# memory: AR(1) states of unit variance, time with the code, with the carrier and with a half cycle in doubt
-M_CN0, M_CODE_MP, M_PHASE_MP0, M_PHASE_MP1, M_RATE, M_EXCESS, M_CODE_S, M_PHASE_S, M_HALF_S = range(9)
-N_INITIAL = 6  # columns that start from a draw
-NM = 9
+BANDS = 2  # that a receiver has at most
 
-# area: AR(1) states that last for minutes, of the atmosphere, the satellite's clock and the station's multipath
-A_IONO, A_AGE, A_TROPO, A_CODE_MP, A_PHASE_MP0, A_PHASE_MP1 = range(6)
-N_SLOW = 6
+GNSS_RULES = record(
+    dt="length of an epoch [s]",
+    bands=("i8", "number of bands"),
+    cn0_zenith="C/N0 at the zenith [dB-Hz]",
+    cn0_horizon="C/N0 at the horizon [dB-Hz]",
+    cn0_sigma="fading, 1 sigma [dB]",
+    cn0_decay="its decay over an epoch [-]",
+    cn0_gain="its gain on a new draw [-]",
+    foliage_loss="[dB]",
+    reflection_loss="[dB]",
+    track_min="lowest C/N0 of code tracking [dB-Hz]",
+    phase_min="lowest C/N0 of carrier tracking [dB-Hz]",
+    code_delay="time to reacquire the code [s]",
+    phase_delay="time to reacquire the carrier [s]",
+    code_sigma="code noise, zenith [m]",
+    phase_sigma="phase noise, zenith [m]",
+    rate_sigma="range-rate error, zenith [m/s]",
+    rate_decay="its decay over an epoch [-]",
+    rate_gain="its gain on a new draw [-]",
+    code_multipath="zenith, 1 sigma [m]",
+    phase_multipath="zenith, 1 sigma [m]",
+    multipath_decay="decay of multipath over an epoch at rest [-]",
+    multipath_per_m="faster decay by the speed [1/m]",
+    nlos_scale="share of a detour that reaches the code [-]",
+    iono_sigma="differential ionosphere, 1 sigma [m]",
+    age_rate="growth of a satellite's error with the age of corrections [m/s]",
+    tropo_sigma="differential troposphere, zenith, 1 sigma [m]",
+    orbit_sigma="differential orbit error [m]",
+    slip_rate="cycle slips at the reference C/N0 [1/s]",
+    slip_cn0="the reference C/N0 [dB-Hz]",
+    slip_decade="loss that makes slips ten times as frequent [dB]",
+    slip_most="probability of a slip in an epoch at the weakest C/N0 [-]",
+    unannounced="share of slips that the receiver does not notice [-]",
+    half_share="share of half-cycle slips [-]",
+    half_resolve="time until a half cycle is corrected [s]",
+    station_code="the station's part of code_sigma [m]",
+    station_phase="the station's part of phase_sigma [m]",
+    station_code_multipath="the station's part of code_multipath [m]",
+    station_phase_multipath="the station's part of phase_multipath [m]",
+    clock_11="gains of the receiver's clock on two draws: offset [m]",
+    clock_21="drift on the first [m/s]",
+    clock_22="drift on the second [m/s]",
+    wavelength=("f8", (N_SYSTEMS, BANDS), "of the bands tracked [m]"),
+    dispersion=("f8", (N_SYSTEMS, BANDS), "ionospheric delay, first band = 1 [-]"),
+)
+"""Figures of :class:`~lanebound.integrity.sensors.gnss.GnssConfig`."""
 
-# station: its multipath when it measured, in the area's order, and its noise
-S_CODE_MP, S_PHASE_MP0, S_PHASE_MP1, S_CODE0, S_CODE1, S_PHASE0, S_PHASE1 = range(7)
-N_NOISE = 4  # columns that are new with each message
-N_STATION = 7
+SIGNAL = record(
+    cn0="fading, Gauss-Markov of unit variance [-]",
+    code_multipath="the same of code multipath [-]",
+    phase_multipath=("f8", (BANDS,), "the same of phase multipath, by band [-]"),
+    rate="the same of the range-rate error [-]",
+    excess="the same of the excess delay [-]",
+    code_s="time since the code is received [s]",
+    phase_s="time since the carrier is received [s]",
+    half_cycle_s="time for which a half cycle is in doubt [s]",
+    ambiguity=("f8", (BANDS,), "half cycles, by band"),
+)
+"""What lasts of a satellite's signal from epoch to epoch."""
+
+RECEIVER = record(
+    offset="of the clock [m]",
+    drift="of the clock [m/s]",
+    code_delay=("f8", (N_SYSTEMS, BANDS), "delay of codes, by system and band [m]"),
+    phase_delay=("f8", (N_SYSTEMS, BANDS), "delay of phases [m]"),
+)
+"""What lasts of a receiver from epoch to epoch."""
+
+NORMALS = record(
+    cn0="[-]",
+    code=("f8", (BANDS,), "noise of codes [-]"),
+    phase=("f8", (BANDS,), "noise of phases [-]"),
+    code_multipath="[-]",
+    phase_multipath=("f8", (BANDS,), "[-]"),
+    rate="[-]",
+    excess="[-]",
+)
+"""Standard normal draws of a satellite and epoch."""
+
+UNIFORMS = record(slip="whether the carrier slips [-]", kind="how it slips [-]")
+"""Uniform draws of a satellite and epoch."""
+
+SLOW = record(
+    iono="ionosphere",
+    age="rate of the satellite's error",
+    tropo="troposphere and orbit",
+    code_multipath="code multipath of the station",
+    phase_multipath=("f8", (BANDS,), "phase multipath of the station, by band"),
+)
+"""Processes of unit variance that last for minutes, of a satellite in an area."""
+
+STATION = record(
+    code_multipath="code multipath when the station measured",
+    phase_multipath=("f8", (BANDS,), "phase multipath, by band"),
+    code=("f8", (BANDS,), "noise of codes"),
+    phase=("f8", (BANDS,), "noise of phases"),
+)
+"""The station's own errors in a message, of unit variance, of a satellite."""
+
+STATION_NOISE = record(code=("f8", (BANDS,), "[-]"), phase=("f8", (BANDS,), "[-]"))
+"""Standard normal draws of a satellite in a message."""
 
 LN10 = math.log(10.0)
 
@@ -55,13 +153,93 @@ URBAN_SIZE, URBAN_SIZE_SLOPE, URBAN_SIZE_CURVE = 3.6588, 0.07552, -0.0012285
 URBAN_SHAPE, URBAN_SHAPE_SLOPE = 0.25544, 0.042607
 
 
-@jit
+class MotionRows(NamedTuple):
+    """True motion of B vehicles, as in :class:`~lanebound.integrity.motion.truth.Truth`.
+
+    position, velocity, turn, delta_v (B, 3); distance, arc (B,) [m]; lane (B,).
+    """
+
+    position: Array
+    velocity: Array
+    turn: Array
+    delta_v: Array
+    distance: Array
+    arc: Array
+    lane: Ints
+
+
+class EffectRows(NamedTuple):
+    """Effects of faults, as in :class:`~lanebound.integrity.sensors.effects.FaultEffects`.
+
+    code_bias, phase_bias, rate_bias, cn0_drop (B, S); slips (B, S, 2) cycles; spoof, reference (B, 3); lost, gyro_bias,
+    odometer_scale, odometer_frozen (B,).
+    """
+
+    code_bias: Array
+    phase_bias: Array
+    rate_bias: Array
+    cn0_drop: Array
+    slips: Ints
+    spoof: Array
+    reference: Array
+    lost: Bools
+    gyro_bias: Array
+    odometer_scale: Array
+    odometer_frozen: Bools
+
+
+class Receivers(NamedTuple):
+    """B receivers in A areas, A is 1 or B.
+
+    rules (1,) of GNSS_RULES; signals (B, S) of SIGNAL; vehicles (B,) of RECEIVER; normals (B, S) of NORMALS, uniforms
+    (B, S) of UNIFORMS and clock_normals (B, 2), the draws of the epoch; held (B, S) of STATION, the message held; area
+    (A, S) of SLOW; station_clock (A, 2) its offset [m] and drift [m/s]; reference (A, 3) error of its coordinates [m].
+    """
+
+    rules: Records
+    signals: Records
+    vehicles: Records
+    normals: Records
+    uniforms: Records
+    clock_normals: Array
+    held: Records
+    area: Records
+    station_clock: Array
+    reference: Array
+
+
+class GnssOutputs(NamedTuple):
+    """Arrays of a :class:`~lanebound.integrity.sensors.gnss.GnssEpoch`.
+
+    code, phase (B, S, 2); age (B,); all others (B, S).
+    """
+
+    tracked: Bools
+    code: Array
+    phase: Array
+    range_rate: Array
+    cn0: Array
+    lock_lost: Bools
+    age: Array
+
+
+class _Path(NamedTuple):
+    """What all bands of a signal have in common [m]; power and clear of :func:`noise_power`."""
+
+    common: float
+    code_error: float
+    phase_error: float
+    power: float
+    clear: float
+
+
+@jit(borrows=True)
 def urban_share(cn0):  # type: ignore[no-untyped-def]
     """Probability that a code at ``cn0`` [dB-Hz] carries an excess delay."""
     return 1.0 / (1.0 + math.exp((cn0 - URBAN_P_CENTRE) / URBAN_P_SCALE))
 
 
-@jit
+@jit(borrows=True)
 def urban_excess(cn0, z):  # type: ignore[no-untyped-def]
     """Excess delay [m] at ``cn0`` [dB-Hz] for a standard normal ``z`` (Gaussian copula): 0 or a Weibull quantile."""
     if (z < 0.0 and cn0 > URBAN_P_CENTRE) or (z < 1.0 and cn0 > URBAN_P_CENTRE + 1.7 * URBAN_P_SCALE):
@@ -77,121 +255,118 @@ def urban_excess(cn0, z):  # type: ignore[no-untyped-def]
     return size * (-math.log(max(tail / share, 1e-12))) ** (1.0 / shape)
 
 
-@jit
+@jit(borrows=True)
 def urban_code_error(cn0, z_core, z_excess):  # type: ignore[no-untyped-def]
     """Code error [m] of a consumer receiver in a city at ``cn0`` [dB-Hz] from two standard normals."""
     return URBAN_OFFSET_M + URBAN_CORE_M * z_core + urban_excess(cn0, z_excess)
 
 
-@jit
-def ar1(memory, s, m, decay, gain, z):  # type: ignore[no-untyped-def]
-    """Advance state m of satellite s, a Gauss-Markov process of unit variance: ``gain = sqrt(1 - decay^2)``."""
-    memory[s, m] = decay * memory[s, m] + gain * z
+@jit(inline=True)
+def gauss_markov(value, decay, gain, z):  # type: ignore[no-untyped-def]
+    """The next value of a Gauss-Markov process of unit variance: ``gain = sqrt(1 - decay^2)``."""
+    return decay * value + gain * z
 
 
-@jit
-def advance(cfg, s, decay, gain, z, memory):  # type: ignore[no-untyped-def]
-    """Advance what lasts in the signal of satellite s; ``decay`` and ``gain`` are those of multipath."""
-    ar1(memory, s, M_CN0, cfg[CN0_DECAY], cfg[CN0_GAIN], z[s, Z_CN0])
-    ar1(memory, s, M_RATE, cfg[RATE_DECAY], cfg[RATE_GAIN], z[s, Z_RATE])
-    ar1(memory, s, M_CODE_MP, decay, gain, z[s, Z_CODE_MP])
-    ar1(memory, s, M_PHASE_MP0, decay, gain, z[s, Z_PHASE_MP0])
-    ar1(memory, s, M_PHASE_MP1, decay, gain, z[s, Z_PHASE_MP1])
-    ar1(memory, s, M_EXCESS, decay, gain, z[s, Z_EXCESS])
+@jit(borrows=True)
+def advance(rules, decay, gain, z, signal):  # type: ignore[no-untyped-def]
+    """Advance what lasts in a signal by the draws ``z`` (NORMALS); ``decay`` and ``gain`` are those of multipath."""
+    signal.cn0 = gauss_markov(signal.cn0, rules.cn0_decay, rules.cn0_gain, z.cn0)
+    signal.rate = gauss_markov(signal.rate, rules.rate_decay, rules.rate_gain, z.rate)
+    signal.code_multipath = gauss_markov(signal.code_multipath, decay, gain, z.code_multipath)
+    for b in range(BANDS):
+        signal.phase_multipath[b] = gauss_markov(signal.phase_multipath[b], decay, gain, z.phase_multipath[b])
+    signal.excess = gauss_markov(signal.excess, decay, gain, z.excess)
 
 
-@jit
-def carrier_to_noise(cfg, sine, path, drop, fluctuation):  # type: ignore[no-untyped-def]
+@jit(borrows=True)
+def carrier_to_noise(rules, sine, path, drop, fluctuation):  # type: ignore[no-untyped-def]
     """C/N0 [dB-Hz]: antenna pattern over elevation, losses of foliage and reflection, slow fading."""
-    cn0 = cfg[CN0_HORIZON] + (cfg[CN0_ZENITH] - cfg[CN0_HORIZON]) * sine - drop
+    cn0 = rules.cn0_horizon + (rules.cn0_zenith - rules.cn0_horizon) * sine - drop
     if path == FOLIAGE:
-        cn0 -= cfg[FOLIAGE_LOSS] + 2.0 * fluctuation
+        cn0 -= rules.foliage_loss + 2.0 * fluctuation
     if path == REFLECTED:
-        cn0 -= cfg[REFLECTION_LOSS] + 2.0 * fluctuation
-    return cn0 + cfg[CN0_SIGMA] * fluctuation
+        cn0 -= rules.reflection_loss + 2.0 * fluctuation
+    return cn0 + rules.cn0_sigma * fluctuation
 
 
-@jit
+@jit(borrows=True)
 def digits(u, place):  # type: ignore[no-untyped-def]
     """A further uniform draw out of the lower digits of another one."""
     return (u * place) % 1.0
 
 
-@jit
-def slip(cfg, kind, s, ambiguity):  # type: ignore[no-untyped-def]
+@jit(borrows=True)
+def slip(rules, kind, signal):  # type: ignore[no-untyped-def]
     """Let the carrier slip by one half or by 1 to 4 whole cycles, on one or both bands; whether that is noticed."""
     size = math.floor(8.0 * digits(kind, 1e6)) - 4.0
-    half_cycles = 1.0 if kind < cfg[HALF_SHARE] else 2.0 * (size if size < 0.0 else size + 1.0)
-    ambiguity[s, 0] += half_cycles
+    half_cycles = 1.0 if kind < rules.half_share else 2.0 * (size if size < 0.0 else size + 1.0)
+    signal.ambiguity[0] += half_cycles
     if digits(kind, 1e2) > 0.5:
-        ambiguity[s, 1] += half_cycles
-    return digits(kind, 1e4) >= cfg[UNANNOUNCED]
+        signal.ambiguity[1] += half_cycles
+    return digits(kind, 1e4) >= rules.unannounced
 
 
-@jit
+@jit(borrows=True)
 def whole(half_cycles):  # type: ignore[no-untyped-def]
     """The next even number of half cycles at or below."""
     return 2.0 * math.floor(0.5 * half_cycles)
 
 
-@jit
-def settle_half_cycle(cfg, s, memory, ambiguity):  # type: ignore[no-untyped-def]
+@jit(borrows=True)
+def settle_half_cycle(rules, signal):  # type: ignore[no-untyped-def]
     """Count how long a half cycle is in doubt; once the data have shown their sign, correct it and return True."""
-    if whole(ambiguity[s, 0]) == ambiguity[s, 0] and whole(ambiguity[s, 1]) == ambiguity[s, 1]:
-        memory[s, M_HALF_S] = 0.0
+    if whole(signal.ambiguity[0]) == signal.ambiguity[0] and whole(signal.ambiguity[1]) == signal.ambiguity[1]:
+        signal.half_cycle_s = 0.0
         return False
-    memory[s, M_HALF_S] += cfg[DT]
-    if memory[s, M_HALF_S] <= cfg[HALF_RESOLVE]:
+    signal.half_cycle_s += rules.dt
+    if signal.half_cycle_s <= rules.half_resolve:
         return False
-    memory[s, M_HALF_S] = 0.0
-    for b in range(2):
-        ambiguity[s, b] = whole(ambiguity[s, b])
+    signal.half_cycle_s = 0.0
+    for b in range(BANDS):
+        signal.ambiguity[b] = whole(signal.ambiguity[b])
     return True
 
 
-@jit
-def weakness(cfg, level):  # type: ignore[no-untyped-def]
+@jit(borrows=True)
+def weakness(rules, level):  # type: ignore[no-untyped-def]
     """Rate of slips at ``level`` [dB-Hz] against that at the reference C/N0."""
-    return math.exp(LN10 * (cfg[SLIP_CN0] - level) / cfg[SLIP_DECADE])
+    return math.exp(LN10 * (rules.slip_cn0 - level) / rules.slip_decade)
 
 
-@jit
-def follow(cfg, s, level, path, slips, u, memory, ambiguity, lock_lost):  # type: ignore[no-untyped-def]
-    """Advance the tracking of satellite s; whether its (code, carrier) are followed now.
+@jit(borrows=True)
+def follow(rules, level, path, u, signal):  # type: ignore[no-untyped-def]
+    """Advance the tracking of a signal; whether code and carrier are followed now, and whether a lock was lost.
 
     A carrier that comes back brings new integers, and the receiver knows; so it does when it corrects a half cycle. A
-    weak signal slips more often.
+    weak signal slips more often. ``u`` are UNIFORMS.
     """
-    received = path != BLOCKED and level >= cfg[TRACK_MIN]
-    locked = received and path != REFLECTED and level >= cfg[PHASE_MIN]
-    had_phase = memory[s, M_PHASE_S] >= cfg[PHASE_DELAY]
-    memory[s, M_CODE_S] = memory[s, M_CODE_S] + cfg[DT] if received else 0.0
-    memory[s, M_PHASE_S] = memory[s, M_PHASE_S] + cfg[DT] if locked else 0.0
-    has_phase = memory[s, M_PHASE_S] >= cfg[PHASE_DELAY]
-    kind = u[s, U_KIND]
-    for b in range(2):
-        ambiguity[s, b] += 2.0 * slips[s, b]
+    received = path != BLOCKED and level >= rules.track_min
+    locked = received and path != REFLECTED and level >= rules.phase_min
+    had_phase = signal.phase_s >= rules.phase_delay
+    signal.code_s = signal.code_s + rules.dt if received else 0.0
+    signal.phase_s = signal.phase_s + rules.dt if locked else 0.0
+    has_phase, lost = signal.phase_s >= rules.phase_delay, False
     if has_phase and not had_phase:
-        lock_lost[s] = True
-        ambiguity[s, 0] = whole(ambiguity[s, 0]) + 2.0 * math.floor(2000.0 * digits(kind, 1e6) - 1000.0)
-        ambiguity[s, 1] = whole(ambiguity[s, 1]) + 2.0 * math.floor(2000.0 * digits(kind, 1e3) - 1000.0)
+        lost = True
+        signal.ambiguity[0] = whole(signal.ambiguity[0]) + 2.0 * math.floor(2000.0 * digits(u.kind, 1e6) - 1000.0)
+        signal.ambiguity[1] = whole(signal.ambiguity[1]) + 2.0 * math.floor(2000.0 * digits(u.kind, 1e3) - 1000.0)
     elif has_phase:
-        chance = cfg[DT] * cfg[SLIP_RATE]
-        if u[s, U_SLIP] < cfg[SLIP_MOST] and u[s, U_SLIP] < chance * weakness(cfg, level):
-            lock_lost[s] = slip(cfg, kind, s, ambiguity)
-        if settle_half_cycle(cfg, s, memory, ambiguity):
-            lock_lost[s] = True
-    return memory[s, M_CODE_S] >= cfg[CODE_DELAY], has_phase
+        chance = rules.dt * rules.slip_rate
+        if u.slip < rules.slip_most and u.slip < chance * weakness(rules, level):
+            lost = slip(rules, u.kind, signal)
+        if settle_half_cycle(rules, signal):
+            lost = True
+    return signal.code_s >= rules.code_delay, has_phase, lost
 
 
-@jit
-def advance_clock(cfg, z, oscillator):  # type: ignore[no-untyped-def]
+@jit(borrows=True)
+def advance_clock(rules, z, receiver):  # type: ignore[no-untyped-def]
     """Advance a clock of two states, offset [m] and drift [m/s], by an epoch with two standard normals."""
-    oscillator[0] += cfg[DT] * oscillator[1] + cfg[CLOCK_11] * z[0]
-    oscillator[1] += cfg[CLOCK_21] * z[0] + cfg[CLOCK_22] * z[1]
+    receiver.offset += rules.dt * receiver.drift + rules.clock_11 * z[0]
+    receiver.drift += rules.clock_21 * z[0] + rules.clock_22 * z[1]
 
 
-@jit
+@jit(borrows=True)
 def noise_power(slant, level):  # type: ignore[no-untyped-def]
     """Noise variance against that of a strong signal at the zenith, and what elevation alone makes of it.
 
@@ -201,102 +376,98 @@ def noise_power(slant, level):  # type: ignore[no-untyped-def]
     return clear * (1.0 + math.exp(LN10 * 0.1 * (35.0 - level))), clear
 
 
-@jit
+@jit(borrows=True)
 def own_part(sigma, station, power, clear):  # type: ignore[no-untyped-def]
     """The receiver's part of a single difference of ``sigma``, whose other part is the station's, in the clear."""
     return math.sqrt(sigma * sigma * power - station * station * clear)
 
 
-@jit
-def common_delay(cfg, s, slant, age, area):  # type: ignore[no-untyped-def]
+@jit(borrows=True)
+def common_delay(rules, slant, age, slow):  # type: ignore[no-untyped-def]
     """What delays code and carrier of all bands alike [m]: ageing corrections, troposphere and orbit."""
-    mapped = cfg[TROPO_SIGMA] * slant
-    delay = math.sqrt(mapped * mapped + cfg[ORBIT_SIGMA] * cfg[ORBIT_SIGMA])
-    return cfg[AGE_RATE] * age * area[s, A_AGE] + delay * area[s, A_TROPO]
+    mapped = rules.tropo_sigma * slant
+    delay = math.sqrt(mapped * mapped + rules.orbit_sigma * rules.orbit_sigma)
+    return rules.age_rate * age * slow.age + delay * slow.tropo
 
 
-@jit
-def fill_bands(  # type: ignore[no-untyped-def]
-    cfg, wavelength, dispersion, s, c, common, power, clear, code_error, phase_error, has_phase, clock, z, area,
-    station, memory, ambiguity, code, phase,
-):  # fmt: skip
-    """Code and phase of satellite s of system c: what is common to all, and what each band adds."""
-    iono, root = cfg[IONO_SIGMA] * area[s, A_IONO], math.sqrt(clear)
-    code_error -= cfg[STATION_CODE_MP] * root * station[s, S_CODE_MP]
-    own_code = own_part(cfg[CODE_SIGMA], cfg[STATION_CODE], power, clear)
-    own_phase = own_part(cfg[PHASE_SIGMA], cfg[STATION_PHASE], power, clear)
-    own_multipath = own_part(cfg[PHASE_MULTIPATH], cfg[STATION_PHASE_MP], power, clear)
-    for b in range(int(cfg[BANDS])):
-        delay = iono * dispersion[c, b]
-        noise = own_code * z[s, Z_CODE0 + b] - cfg[STATION_CODE] * root * station[s, S_CODE0 + b]
-        code[s, b] = common + clock[c, b] + delay + code_error + noise
+@jit(borrows=True)
+def fill_bands(c, has_phase, path, rules, receiver, signal, z, slow, station, code, phase):  # type: ignore[no-untyped-def]
+    """Code and phase (2,) of a satellite of system c: what is common to all, and what each band adds."""
+    iono, root = rules.iono_sigma * slow.iono, math.sqrt(path.clear)
+    code_error = path.code_error - rules.station_code_multipath * root * station.code_multipath
+    own_code = own_part(rules.code_sigma, rules.station_code, path.power, path.clear)
+    own_phase = own_part(rules.phase_sigma, rules.station_phase, path.power, path.clear)
+    own_multipath = own_part(rules.phase_multipath, rules.station_phase_multipath, path.power, path.clear)
+    for b in range(rules.bands):
+        delay = iono * rules.dispersion[c, b]
+        noise = own_code * z.code[b] - rules.station_code * root * station.code[b]
+        code[b] = path.common + receiver.code_delay[c, b] + delay + code_error + noise
         if has_phase:
-            noise = own_phase * z[s, Z_PHASE0 + b] + own_multipath * memory[s, M_PHASE_MP0 + b]
-            theirs = cfg[STATION_PHASE] * station[s, S_PHASE0 + b] + cfg[STATION_PHASE_MP] * station[s, S_PHASE_MP0 + b]
-            whole = 0.5 * wavelength[c, b] * ambiguity[s, b]
-            phase[s, b] = common + clock[c, 2 + b] - delay + phase_error + whole + noise - root * theirs
+            noise = own_phase * z.phase[b] + own_multipath * signal.phase_multipath[b]
+            theirs = rules.station_phase * station.phase[b] + rules.station_phase_multipath * station.phase_multipath[b]
+            cycles = 0.5 * rules.wavelength[c, b] * signal.ambiguity[b]
+            phase[b] = (
+                path.common + receiver.phase_delay[c, b] - delay + path.phase_error + cycles + noise - root * theirs
+            )
 
 
-@jit
-def observe_vehicle(  # type: ignore[no-untyped-def]
-    cfg, wavelength, dispersion, e, above, system, path, excess, position, velocity, reference, age,
-    code_bias, phase_bias, rate_bias, cn0_drop, slips, clock, z_clock, station_clock, z, u, area, station, oscillator,
-    memory, ambiguity, tracked, code, phase, range_rate, cn0, lock_lost,
-):  # fmt: skip
-    """Fill the outputs of one vehicle, zeros before: tracked (S,), code, phase (S, 2), range_rate, cn0, lock_lost (S,).
+@jit(borrows=True)
+def observe_vehicle(v, path, excess, receivers, sky, truth, effects, out):  # type: ignore[no-untyped-def]
+    """Advance the receiver of vehicle v and fill its outputs, but for the age, which is read; untracked entries are 0.
 
-    position (3,) is what the signals describe, ``reference`` (3,) the error of the reference coordinates; clock
-    (systems, 4) holds the delays of code and phase of both bands, ``oscillator`` (2,) and ``station_clock`` (2,) offset
-    and drift of the two clocks. ``ambiguity`` (S, 2) in half cycles is advanced by slips in place. Untracked entries
-    stay 0.
+    path, excess (S,): how each signal arrives. The signals describe the position plus the spoofing.
     """
-    used_age = age if age < 1e6 else 0.0
-    speed = math.sqrt(velocity[0] * velocity[0] + velocity[1] * velocity[1])
-    decay = cfg[MULTIPATH_DECAY] * math.exp(-cfg[DT] * speed * cfg[MULTIPATH_PER_M])
+    rules, receiver, k = receivers.rules[0], receivers.vehicles[v], sky.row[v]
+    a = v % receivers.area.shape[0]
+    used_age = out.age[v] if out.age[v] < 1e6 else 0.0
+    vx, vy, vz = truth.velocity[v, 0], truth.velocity[v, 1], truth.velocity[v, 2]
+    speed = math.sqrt(vx * vx + vy * vy)
+    decay = rules.multipath_decay * math.exp(-rules.dt * speed * rules.multipath_per_m)
     gain = math.sqrt(1.0 - decay * decay)
-    advance_clock(cfg, z_clock, oscillator)
-    offset = oscillator[0] - station_clock[0]
-    x, y, h = position[0] + reference[0], position[1] + reference[1], position[2] + reference[2]
-    for s in range(e.shape[0]):
-        if not above[s]:
-            memory[s, M_CODE_S], memory[s, M_PHASE_S] = 0.0, 0.0
+    advance_clock(rules, receivers.clock_normals[v], receiver)
+    offset = receiver.offset - receivers.station_clock[a, 0]
+    spoof, reference, moved = effects.spoof, receivers.reference, effects.reference
+    x = (truth.position[v, 0] + spoof[v, 0]) + (reference[a, 0] + moved[v, 0])
+    y = (truth.position[v, 1] + spoof[v, 1]) + (reference[a, 1] + moved[v, 1])
+    h = (truth.position[v, 2] + spoof[v, 2]) + (reference[a, 2] + moved[v, 2])
+    for s in range(path.shape[0]):
+        signal = receivers.signals[v, s]
+        out.tracked[v, s] = out.lock_lost[v, s] = False
+        out.cn0[v, s] = out.range_rate[v, s] = 0.0
+        for b in range(BANDS):
+            out.code[v, s, b] = out.phase[v, s, b] = 0.0
+        if not sky.above[k, s]:
+            signal.code_s, signal.phase_s = 0.0, 0.0
             continue
-        advance(cfg, s, decay, gain, z, memory)
-        slant, drop = 1.0 / e[s, 2], cn0_drop[s]
-        level = carrier_to_noise(cfg, e[s, 2], path[s], drop, memory[s, M_CN0])
-        has_code, has_phase = follow(cfg, s, level, path[s], slips, u, memory, ambiguity, lock_lost)
+        z, slow = receivers.normals[v, s], receivers.area[a, s]
+        advance(rules, decay, gain, z, signal)
+        e, n, u = sky.los[k, s, 0], sky.los[k, s, 1], sky.los[k, s, 2]
+        slant, drop = 1.0 / u, effects.cn0_drop[v, s]
+        level = carrier_to_noise(rules, u, path[s], drop, signal.cn0)
+        for b in range(BANDS):
+            signal.ambiguity[b] += 2.0 * effects.slips[v, s, b]
+        has_code, has_phase, lost = follow(rules, level, path[s], receivers.uniforms[v, s], signal)
+        out.lock_lost[v, s] = lost
         if not has_code:
             continue
-        tracked[s], cn0[s] = True, level
+        out.tracked[v, s], out.cn0[v, s] = True, level
         power, clear = noise_power(slant, level)
         # jamming weakens a signal but sends it on no detour
-        late = (
-            excess[s] if path[s] == REFLECTED and excess[s] > 0.0 else urban_excess(level + drop, memory[s, M_EXCESS])
-        )
-        multipath = own_part(cfg[CODE_MULTIPATH], cfg[STATION_CODE_MP], power, clear) * memory[s, M_CODE_MP]
-        code_error = multipath + cfg[NLOS_SCALE] * late + code_bias[s]
-        common = common_delay(cfg, s, slant, used_age, area) - (e[s, 0] * x + e[s, 1] * y + e[s, 2] * h) + offset
+        late = excess[s] if path[s] == REFLECTED and excess[s] > 0.0 else urban_excess(level + drop, signal.excess)
+        multipath = own_part(rules.code_multipath, rules.station_code_multipath, power, clear) * signal.code_multipath
+        code_error = multipath + rules.nlos_scale * late + effects.code_bias[v, s]
+        common = common_delay(rules, slant, used_age, slow) - (e * x + n * y + u * h) + offset
         fill_bands(
-            cfg, wavelength, dispersion, s, system[s], common, power, clear, code_error, phase_bias[s], has_phase,
-            clock, z, area, station, memory, ambiguity, code, phase,
+            sky.system[s], has_phase, _Path(common, code_error, effects.phase_bias[v, s], power, clear), rules,
+            receiver, signal, z, slow, receivers.held[v, s], out.code[v, s], out.phase[v, s],
         )  # fmt: skip
-        motion = e[s, 0] * velocity[0] + e[s, 1] * velocity[1] + e[s, 2] * velocity[2]
-        range_rate[s] = oscillator[1] - motion + rate_bias[s] + cfg[RATE_SIGMA] * math.sqrt(power) * memory[s, M_RATE]
+        motion = e * vx + n * vy + u * vz
+        rate_error = rules.rate_sigma * math.sqrt(power) * signal.rate
+        out.range_rate[v, s] = receiver.drift - motion + effects.rate_bias[v, s] + rate_error
 
 
-@jit
-def observe_serial(  # type: ignore[no-untyped-def]
-    cfg, wavelength, dispersion, los, above, system, index, path, excess, position, velocity, reference, age,
-    code_bias, phase_bias, rate_bias, cn0_drop, slips, clock, z_clock, station_clock, z, u, area, station, oscillator,
-    memory, ambiguity, tracked, code, phase, range_rate, cn0, lock_lost,
-):  # fmt: skip
-    """:func:`observe_vehicle` for B vehicles, one after another, in one area or each in its own."""
-    areas = area.shape[0]
-    for v in range(index.shape[0]):
-        k, a = index[v], v % areas
-        observe_vehicle(
-            cfg, wavelength, dispersion, los[k], above[k], system, path[v], excess[v], position[v], velocity[v],
-            reference[v], age[v], code_bias[v], phase_bias[v], rate_bias[v], cn0_drop[v], slips[v], clock[v],
-            z_clock[v], station_clock[a], z[v], u[v], area[a], station[v], oscillator[v], memory[v], ambiguity[v],
-            tracked[v], code[v], phase[v], range_rate[v], cn0[v], lock_lost[v],
-        )  # fmt: skip
+@jit(borrows=True)
+def observe(path, excess, receivers, sky, truth, effects, out):  # type: ignore[no-untyped-def]
+    """:func:`observe_vehicle` for B vehicles, path and excess (B, S)."""
+    for v in range(path.shape[0]):
+        observe_vehicle(v, path[v], excess[v], receivers, sky, truth, effects, out)

@@ -18,10 +18,12 @@ from pydantic import Field
 
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.sensors import imu_kernel as kernel
 from lanebound.integrity.sensors.effects import FaultEffects
+from lanebound.integrity.sensors.gnss import motion_rows
 
 __all__ = [
     "AxisNoise",
@@ -90,12 +92,12 @@ class ImuConfig(Config):
 
 @dataclass
 class ImuState:
-    """Errors that persist: biases and scale (B, 2, 3) with gyro first, the motion bias (B,) and the age in epochs."""
+    """Errors that persist: axes (B, 2, 3) of AXIS with gyro first, the motion bias (B,) and the time since switch-on.
 
-    turn_on: Array
-    scale: Array
-    instability: Array
-    walk: Array
+    AXIS is a record of :mod:`.imu_kernel`.
+    """
+
+    axes: Records
     moving_bias_radps: Array
     on_s: Array
 
@@ -167,30 +169,38 @@ def initial_imu(config: ImuConfig, streams: Streams) -> ImuState:
     """Draw what is fixed at switch-on for each of ``streams.batch`` vehicles, from stream ``imu``."""
     z = streams.normal("imu", 3, 2, 3)
     u = streams.uniform("imu", 1)[:, 0]
-    return ImuState(
-        turn_on=z[:, 0] * _pair(config, "turn_on"),
-        scale=z[:, 1] * _pair(config, "scale"),
-        instability=z[:, 2] * _pair(config, "instability"),
-        walk=np.zeros_like(z[:, 0]),
-        moving_bias_radps=(2.0 * u - 1.0) * config.moving_gyro_bias_degps * DEG,
-        on_s=np.zeros(streams.batch),
-    )
+    axes = np.zeros((streams.batch, 2, 3), kernel.AXIS)
+    for k, name in enumerate(("turn_on", "scale", "instability")):
+        axes[name] = z[:, k] * _pair(config, name)
+    return ImuState(axes, (2.0 * u - 1.0) * config.moving_gyro_bias_degps * DEG, np.zeros(streams.batch))
 
 
 @lru_cache(maxsize=64)
-def coefficients(config: ImuConfig, dt_s: float) -> Array:
-    """What the kernel multiplies states and draws with, (2, NC): the steps above, applied to unit vectors."""
-    coef = np.zeros((2, kernel.NC))
+def imu_parameters(config: ImuConfig, dt_s: float) -> Records:
+    """The figures of the sensor as the kernel takes them, (1,) of IMU_RULES."""
+    gyro, accel = (_triad(triad, dt_s) for triad in (config.gyro, config.accel))
+    return one_record(kernel.IMU_RULES, dt=dt_s, moving=MOVING_MPS * dt_s, gyro=gyro, accel=accel)
+
+
+def _triad(triad: AxisNoise, dt_s: float) -> Records:
+    """What the kernel multiplies states and draws of a triad with: the steps above, applied to unit vectors."""
     zero, unit = np.zeros(3), np.eye(3, 2, k=-1)  # one state and two draws, each 1 in its turn
     state = np.array([1.0, 0.0, 0.0])
-    for row, triad in zip(coef, (config.gyro, config.accel), strict=True):
-        end, integral = gauss_markov_step(state, triad.instability, triad.instability_s, dt_s, unit)
-        walk_end, walk = random_walk_step(zero, triad.random_walk, dt_s, unit)
-        row[[kernel.TURN_ON, kernel.WHITE]] = dt_s, triad.density * math.sqrt(dt_s)
-        row[[kernel.DECAY, kernel.END_1]] = end[:2]
-        row[[kernel.INTEGRAL, kernel.INTEGRAL_1, kernel.INTEGRAL_2]] = integral
-        row[[kernel.WALK_END_1, kernel.WALK_1, kernel.WALK_2]] = walk_end[1], walk[1], walk[2]
-    return coef
+    end, integral = gauss_markov_step(state, triad.instability, triad.instability_s, dt_s, unit)
+    walk_end, walk = random_walk_step(zero, triad.random_walk, dt_s, unit)
+    return one_record(
+        kernel.TRIAD,
+        turn_on=dt_s,
+        white=triad.density * math.sqrt(dt_s),
+        decay=end[0],
+        end_1=end[1],
+        integral=integral[0],
+        integral_1=integral[1],
+        integral_2=integral[2],
+        walk_end_1=walk_end[1],
+        walk_1=walk[1],
+        walk_2=walk[2],
+    )
 
 
 def sample_imu(config: ImuConfig, state: ImuState, truth: Truth, effects: FaultEffects, streams: Streams) -> ImuSample:
@@ -203,14 +213,17 @@ def sample_imu(config: ImuConfig, state: ImuState, truth: Truth, effects: FaultE
     """
     if truth.batch != streams.batch:
         raise InputError(f"truth holds {truth.batch} vehicles, streams {streams.batch}: make both the same batch")
-    dt = truth.dt_s
-    theta, delta_v = np.empty((2, truth.batch, 3))
-    kernel.measure(
-        coefficients(config, dt), dt, MOVING_MPS * dt,
-        warm_up(config, state.on_s, dt),
-        streams.normal("imu", 2, 3, 5), state.turn_on, state.scale, state.instability, state.walk,
-        state.moving_bias_radps, effects.gyro_bias_radps, truth.distance_m, truth.delta_theta_rad, truth.delta_v_mps,
-        theta, delta_v,
+    dt, out = truth.dt_s, blank_imu(truth.batch)
+    rows = kernel.ImuRows(
+        imu_parameters(config, dt), state.axes, state.moving_bias_radps, warm_up(config, state.on_s, dt),
+        streams.normal("imu", 2, 3, 5),
     )  # fmt: skip
     state.on_s += dt
-    return ImuSample(theta, delta_v)
+    kernel.measure(0, truth.batch, rows, motion_rows(truth), effects.gyro_bias_radps, out)
+    return ImuSample(*out)
+
+
+def blank_imu(batch: int) -> kernel.ImuOutputs:
+    """Increments to be filled."""
+    turn, delta_v = np.empty((2, batch, 3))
+    return kernel.ImuOutputs(turn, delta_v)

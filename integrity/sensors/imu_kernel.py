@@ -1,38 +1,94 @@
-"""Inertial increments of one vehicle as a linear map of its error state and the draws of the epoch."""
+"""Inertial increments of vehicles as a linear map of their error state and the draws of the epoch."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.records import Records, record
 
-# coefficients of a triad: rows of ``coef`` (2, NC), gyro first
-TURN_ON, WHITE, DECAY, END_1, INTEGRAL, INTEGRAL_1, INTEGRAL_2, WALK_END_1, WALK_1, WALK_2 = range(10)
-NC = 10
+__all__ = ["AXIS", "IMU_RULES", "TRIAD", "ImuOutputs", "ImuRows", "measure"]
+
+Array = NDArray[np.float64]
+
+TRIAD = record(
+    turn_on="of the turn-on bias and the random walk [s]",
+    white="of the white noise [sqrt(s)]",
+    decay="of the wandering bias over an epoch [-]",
+    end_1="of the first draw in the wandering bias at the end",
+    integral="of the wandering bias in the increment [s]",
+    integral_1="of the first draw in the increment",
+    integral_2="of the second draw in the increment",
+    walk_end_1="of the third draw in the random walk at the end",
+    walk_1="of the third draw in the increment",
+    walk_2="of the fourth draw in the increment",
+)
+"""Coefficients of a triad."""
+
+IMU_RULES = record(
+    dt="length of an epoch [s]",
+    moving="distance in an epoch from which on a vehicle moves [m]",
+    gyro=(TRIAD, "gyros"),
+    accel=(TRIAD, "accelerometers"),
+)
+
+AXIS = record(
+    turn_on="bias drawn at switch-on [u]",
+    scale="error of the scale [-]",
+    instability="wandering bias [u]",
+    walk="random walk [u]",
+)
+"""Errors of an axis in the unit u of its rate."""
 
 
-@jit
-def measure_triad(v, t, coef, z, turn_on, scale, instability, walk, truth, out):  # type: ignore[no-untyped-def]
-    """Increments ``out`` of triad t of vehicle v; ``instability`` and ``walk`` advance in place, z are the draws."""
+class ImuRows(NamedTuple):
+    """Inertial sensors of B vehicles.
+
+    rules (1,) of IMU_RULES; axes (B, 2, 3) of AXIS, gyro first; moving_bias (B,) [rad/s] of the yaw gyro in motion;
+    warm_up (B,) [m/s] on the accelerometers in this epoch; normals (B, 2, 3, 5), the draws of the epoch.
+    """
+
+    rules: Records
+    axes: Records
+    moving_bias: Array
+    warm_up: Array
+    normals: Array
+
+
+class ImuOutputs(NamedTuple):
+    """Increments turn, delta_v (B, 3), as in :class:`~lanebound.integrity.sensors.imu.ImuSample`."""
+
+    turn: Array
+    delta_v: Array
+
+
+@jit(borrows=True)
+def measure_triad(triad, axes, z, truth, out):  # type: ignore[no-untyped-def]
+    """Increments ``out`` (3,) of a triad by the draws z (3, 5); the axes (3,) advance in place."""
     for i in range(3):
-        error = coef[t, TURN_ON] * (turn_on[v, t, i] + walk[v, t, i]) + coef[t, WHITE] * z[v, t, i, 0]
-        error += coef[t, INTEGRAL] * instability[v, t, i]
-        error += coef[t, INTEGRAL_1] * z[v, t, i, 1] + coef[t, INTEGRAL_2] * z[v, t, i, 2]
-        error += coef[t, WALK_1] * z[v, t, i, 3] + coef[t, WALK_2] * z[v, t, i, 4]
-        instability[v, t, i] = coef[t, DECAY] * instability[v, t, i] + coef[t, END_1] * z[v, t, i, 1]
-        walk[v, t, i] += coef[t, WALK_END_1] * z[v, t, i, 3]
-        out[v, i] = truth[v, i] * (1.0 + scale[v, t, i]) + error
+        axis = axes[i]
+        error = triad.turn_on * (axis.turn_on + axis.walk) + triad.white * z[i, 0]
+        error += triad.integral * axis.instability
+        error += triad.integral_1 * z[i, 1] + triad.integral_2 * z[i, 2]
+        error += triad.walk_1 * z[i, 3] + triad.walk_2 * z[i, 4]
+        axis.instability = triad.decay * axis.instability + triad.end_1 * z[i, 1]
+        axis.walk += triad.walk_end_1 * z[i, 3]
+        out[i] = truth[i] * (1.0 + axis.scale) + error
 
 
-@jit
-def measure(  # type: ignore[no-untyped-def]
-    coef, dt, moving_m, warm_up_mps, z, turn_on, scale, instability, walk, moving_bias, fault, distance, theta, delta_v,
-    theta_out, delta_v_out,
-):  # fmt: skip
-    """All vehicles: ``theta``, ``delta_v`` (B, 3) true, z (B, 2, 3, 5), states (B, 2, 3), yaw gyro biases (B,)."""
-    for v in range(theta.shape[0]):
-        measure_triad(v, 0, coef, z, turn_on, scale, instability, walk, theta, theta_out)
-        measure_triad(v, 1, coef, z, turn_on, scale, instability, walk, delta_v, delta_v_out)
-        theta_out[v, 2] += fault[v] * dt
-        if abs(distance[v]) > moving_m:
-            theta_out[v, 2] += moving_bias[v] * dt
+@jit(borrows=True)
+def measure(first, last, imu, motion, gyro_bias, out):  # type: ignore[no-untyped-def]
+    """Vehicles ``first`` to ``last - 1``; gyro_bias (B,) [rad/s] is a fault of the yaw gyro."""
+    rules = imu.rules[0]
+    for v in range(first, last):
+        turn, delta_v = out.turn[v], out.delta_v[v]
+        measure_triad(rules.gyro, imu.axes[v, 0], imu.normals[v, 0], motion.turn[v], turn)
+        measure_triad(rules.accel, imu.axes[v, 1], imu.normals[v, 1], motion.delta_v[v], delta_v)
+        turn[2] += gyro_bias[v] * rules.dt
+        if abs(motion.distance[v]) > rules.moving:
+            turn[2] += imu.moving_bias[v] * rules.dt
         for i in range(3):
-            delta_v_out[v, i] += warm_up_mps[v]
+            delta_v[i] += imu.warm_up[v]

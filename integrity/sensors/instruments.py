@@ -9,28 +9,49 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import run_rows
-from lanebound.integrity.core.streams import Streams
+from lanebound.integrity.core.lasting import LastingBundle
+from lanebound.integrity.core.records import Records
+from lanebound.integrity.core.streams import ZIGGURAT, Streams
 from lanebound.integrity.motion.truth import Truth
-from lanebound.integrity.sensors import gnss_kernel as gk
-from lanebound.integrity.sensors import instruments_kernel as sk
 from lanebound.integrity.sensors.area import AreaState, advance_area
-from lanebound.integrity.sensors.corrections import NO_DRAWS, CorrectionsConfig, CorrectionsState
-from lanebound.integrity.sensors.corrections import parameters as link_parameters
+from lanebound.integrity.sensors.corrections import CorrectionsConfig, CorrectionsState, link_parameters
+from lanebound.integrity.sensors.corrections_kernel import LinkRows
 from lanebound.integrity.sensors.effects import FaultEffects
-from lanebound.integrity.sensors.gnss import GnssConfig, GnssEpoch, GnssState
-from lanebound.integrity.sensors.gnss import tables as receiver_tables
-from lanebound.integrity.sensors.imu import MOVING_MPS, ImuConfig, ImuSample, ImuState, coefficients, warm_up
-from lanebound.integrity.sensors.odometer import OdometerConfig, OdometerSample, OdometerState
-from lanebound.integrity.sensors.odometer import parameters as odometer_parameters
+from lanebound.integrity.sensors.gnss import (
+    GnssConfig,
+    GnssEpoch,
+    GnssState,
+    blank_gnss,
+    effect_rows,
+    flat,
+    gnss_epoch,
+    gnss_parameters,
+    motion_rows,
+)
+from lanebound.integrity.sensors.gnss_kernel import NORMALS, UNIFORMS, Receivers
+from lanebound.integrity.sensors.imu import ImuConfig, ImuSample, ImuState, blank_imu, imu_parameters, warm_up
+from lanebound.integrity.sensors.imu_kernel import ImuRows
+from lanebound.integrity.sensors.instruments_kernel import (
+    Draws,
+    InstrumentRows,
+    SensedEpoch,
+    draw,
+    sense,
+)
+from lanebound.integrity.sensors.odometer import (
+    OdometerConfig,
+    OdometerSample,
+    OdometerState,
+    blank_odometer,
+    odometer_parameters,
+)
+from lanebound.integrity.sensors.odometer_kernel import OdometerRows
 from lanebound.integrity.sky.view import SkyView
-from lanebound.integrity.sky.visibility import SkyMask
+from lanebound.integrity.sky.visibility import SkyMask, blank_reception
 
 __all__ = ["InstrumentState", "Instruments", "Measurements"]
-
-Array = NDArray[np.float64]
 
 SENSE_US = 6.0  # of one thread for a vehicle and epoch, measured
 
@@ -57,19 +78,22 @@ class InstrumentState:
     imu: ImuState
     odometer: OdometerState
 
+    def __post_init__(self) -> None:
+        self.sensing, self.locating = LastingBundle(), LastingBundle()
+
 
 @dataclass(frozen=True)
 class Instruments:
-    """The instruments of a vehicle, with their figures as the arrays that the kernel takes."""
+    """The instruments of a vehicle, with their figures as the kernels take them, (1,) each."""
 
     dt_s: float
     gnss: GnssConfig
     corrections: CorrectionsConfig
-    link: Array
-    receiver: tuple[Array, Array, Array]
-    imu_config: ImuConfig
-    imu: Array
-    odometer: Array
+    imu: ImuConfig
+    link_rules: Records
+    gnss_rules: Records
+    imu_rules: Records
+    odometer_rules: Records
 
     @classmethod
     def of(
@@ -80,11 +104,11 @@ class Instruments:
             dt_s=dt_s,
             gnss=gnss,
             corrections=corrections,
-            link=link_parameters(corrections, dt_s),
-            receiver=receiver_tables(gnss, dt_s),
-            imu_config=imu,
-            imu=coefficients(imu, dt_s),
-            odometer=odometer_parameters(odometer, dt_s),
+            imu=imu,
+            link_rules=link_parameters(corrections, dt_s),
+            gnss_rules=gnss_parameters(gnss, dt_s),
+            imu_rules=imu_parameters(imu, dt_s),
+            odometer_rules=odometer_parameters(odometer, dt_s),
         )
 
     def sense(
@@ -95,36 +119,51 @@ class Instruments:
         The same as ``advance_area``, ``look`` of the mask, ``step`` of the link, ``observe``, ``sample_imu`` and
         ``sample_odometer`` one after another. All arrays are finite, of B rows and contiguous.
         """
-        batch, n_sat, draw, dt = truth.batch, sky.satellites, s.streams, self.dt_s
-        link_u = link_z = NO_DRAWS
-        if self.corrections.outage_per_h > 0.0:
-            link_u, link_z = draw.uniform("corrections"), draw.normal("corrections")
-        age, range_rate, cn0 = np.empty(batch), np.zeros((batch, n_sat)), np.zeros((batch, n_sat))
-        tracked, lock_lost = np.zeros((batch, n_sat), dtype=np.bool_), np.zeros((batch, n_sat), dtype=np.bool_)
-        code, phase = np.zeros((batch, n_sat, 2)), np.zeros((batch, n_sat, 2))
-        theta, delta_v, distance, speed = np.empty((batch, 3)), np.empty((batch, 3)), np.empty(batch), np.empty(batch)
-        advance_area(self.gnss, self.corrections, s.area, truth.time_s, dt)
-        g, c, i, o, area, network = s.gnss, s.corrections, s.imu, s.odometer, s.area.signals, s.area.network
-        run_rows(
-            sk.sense_some, batch, dt, sky.los_enu, sky.elevation_rad, sky.azimuth_rad, sky.above, sky.system, sky.index,
-            mask.path, mask.excess_m, mask.spacing_m, mask.length_m, mask.closed, mask.azimuths, mask.elevations,
-            truth.position_enu_m, truth.velocity_enu_mps, truth.delta_theta_rad, truth.delta_v_mps, truth.distance_m,
-            truth.arc_m, truth.lane,
-            self.link, network.own_epoch * dt, network.message, network.fresh, link_u, link_z, effects.corrections_lost,
-            network.up, network.until, c.newest, c.outage_left, c.up, area.message, c.held,
-            self.receiver[0], self.receiver[1], self.receiver[2], effects.spoof_enu_m,
-            area.reference_enu_m, effects.reference_enu_m, effects.code_bias_m, effects.phase_bias_m,
-            effects.range_rate_bias_mps, effects.cn0_drop_db, effects.slip_cycles, g.clock,
-            draw.normal("clock", 2), area.clock, draw.normal("gnss", n_sat, gk.N_NORMAL),
-            draw.uniform("gnss", n_sat, gk.N_UNIFORM), area.memory, g.oscillator, g.memory, g.ambiguity,
-            self.imu, MOVING_MPS * dt, warm_up(self.imu_config, i.on_s, dt), draw.normal("imu", 2, 3, 5), i.turn_on,
-            i.scale, i.instability, i.walk, i.moving_bias_radps, effects.gyro_bias_radps,
-            self.odometer, draw.normal("odometer"), o.scale, effects.odometer_scale, effects.odometer_frozen,
-            o.noise_mps, o.carry_m, o.last_distance_m, o.last_true_mps,
-            age, tracked, code, phase, range_rate, cn0, lock_lost, theta, delta_v, distance, speed, row_us=SENSE_US,
-        )  # fmt: skip
-        i.on_s += dt
-        return Measurements(
-            truth.time_s, sky, GnssEpoch(tracked, code, phase, range_rate, cn0, lock_lost, age),
-            ImuSample(theta, delta_v), OdometerSample(distance, speed),
+        batch = truth.batch
+        advance_area(self.gnss, self.corrections, s.area, truth.time_s, self.dt_s)
+        owners = self, mask, s.streams, s.area, s.gnss, s.corrections, s.imu, s.odometer
+        bundle = s.sensing.of(owners, lambda: self._rows(s, mask))
+        rows: InstrumentRows = bundle.values
+        if self.imu.mems_exponential:
+            rows.imu.warm_up[:] = warm_up(self.imu, s.imu.on_s, self.dt_s)
+        s.imu.on_s += self.dt_s
+        gnss, imu, odometer = blank_gnss(batch, sky.satellites), blank_imu(batch), blank_odometer(batch)
+        epoch = SensedEpoch(
+            s.area.network.epoch, sky.rows, motion_rows(truth), effect_rows(effects), gnss, imu, odometer
+        )
+        if rows.draws.gnss.shape[0] != batch:
+            draw(0, batch, bundle.handle)
+        run_rows(sense, batch, bundle.handle, epoch, row_us=SENSE_US)
+        return Measurements(truth.time_s, sky, gnss_epoch(gnss), ImuSample(*imu), OdometerSample(*odometer))
+
+    def _rows(self, s: InstrumentState, mask: SkyMask) -> InstrumentRows:
+        """The states as the kernel takes them."""
+        batch, satellites = s.gnss.signals.shape
+        normals, uniforms = (np.zeros((batch, satellites), kind) for kind in (NORMALS, UNIFORMS))
+        imu_normals, signals, states = np.empty((batch, 2, 3, 5)), s.area.signals, s.streams.states
+        uniform, normal = np.empty((2, batch, 1))
+        return InstrumentRows(
+            draws=Draws(
+                table=ZIGGURAT,
+                gnss=states("gnss"),
+                clock=states("clock"),
+                corrections=states("corrections"),
+                imu=states("imu"),
+                odometer=states("odometer"),
+                gnss_normals=flat(normals),
+                gnss_uniforms=flat(uniforms),
+                imu_normals=imu_normals.reshape(batch, -1),
+            ),
+            mask=mask.rows,
+            reception=blank_reception(batch, satellites),
+            link=LinkRows(
+                self.link_rules, s.area.network.rows, signals.message, s.corrections.links, s.corrections.held, uniform,
+                normal,
+            ),
+            receivers=Receivers(
+                self.gnss_rules, s.gnss.signals, s.gnss.vehicles, normals, uniforms, np.empty((batch, 2)),
+                s.corrections.held, signals.memory, signals.clock, signals.reference_enu_m,
+            ),
+            imu=ImuRows(self.imu_rules, s.imu.axes, s.imu.moving_bias_radps, np.zeros(batch), imu_normals),
+            odometer=OdometerRows(self.odometer_rules, s.odometer.wheels, np.empty((batch, 1))),
         )  # fmt: skip

@@ -1,54 +1,112 @@
-"""All instruments of a run of vehicles over one epoch, in one call: sky mask, link, receiver, gyros, wheels."""
+"""All instruments of vehicles over one epoch, in one call: draws, sky mask, link, receiver, gyros, wheels."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.sensors import corrections_kernel as links
-from lanebound.integrity.sensors import imu_kernel as inertial
-from lanebound.integrity.sensors import odometer_kernel as wheels
-from lanebound.integrity.sensors.gnss_kernel import observe_serial
-from lanebound.integrity.sky.raytrace_kernel import look_up
+from lanebound.integrity.core.bundle_kernel import unbundle
+from lanebound.integrity.sensors import corrections_kernel as link_kernel
+from lanebound.integrity.sensors import imu_kernel, odometer_kernel
+from lanebound.integrity.sensors.corrections_kernel import LinkRows
+from lanebound.integrity.sensors.draws_kernel import draw_normals, draw_uniforms
+from lanebound.integrity.sensors.gnss_kernel import (
+    EffectRows,
+    GnssOutputs,
+    MotionRows,
+    Receivers,
+    observe_vehicle,
+)
+from lanebound.integrity.sensors.imu_kernel import ImuOutputs, ImuRows
+from lanebound.integrity.sensors.odometer_kernel import OdometerOutputs, OdometerRows
+from lanebound.integrity.sky.raytrace_kernel import MaskRows, ReceptionRows, SkyRows, look_up
+
+__all__ = ["Draws", "InstrumentRows", "SensedEpoch", "draw", "sense"]
+
+Array = NDArray[np.float64]
+Words = NDArray[np.uint64]
 
 
-@jit
-def sense_some(  # type: ignore[no-untyped-def]
-    a, b, dt, los, elevation, azimuth, above, system, index,
-    table_path, table_excess, spacing, length, closed, azimuths, elevations,
-    position, velocity, turn, delta_v, distance, arc, lane,
-    link, now, message, fresh, link_u, link_z, lost, network_up, until, newest, outage_left, up, sent, held,
-    receiver, wavelength, dispersion, spoof, reference, reference_fault, code_bias, phase_bias, rate_bias,
-    cn0_drop, slips, clock, z_clock, station_clock, z, u, area, oscillator, memory, ambiguity,
-    imu, moving_m, warm_up_mps, imu_z, turn_on, scale, instability, walk, moving_bias, gyro_fault,
-    odometer, odometer_z, odometer_scale, wheel_fault, frozen, odometer_noise, carry, last_distance, last_true,
-    age, tracked, code, phase, range_rate, cn0, lock_lost, theta_out, delta_v_out, distance_out, speed_out,
-):  # fmt: skip
-    """Vehicles ``a`` to ``b - 1``: states advance in place, the last eleven arrays, (B, ...) of zeros, are filled.
+class Draws(NamedTuple):
+    """Generators of B vehicles (B, 4), or one for all (1, 4), and the draws of the receiver as flat arrays.
 
-    The arguments are those of :func:`look_up`, of ``advance`` of the link, :func:`observe_serial` and of ``measure`` of
-    gyros and wheels; ``link_u`` and ``link_z`` are empty where the link has no outages.
+    table of :func:`~lanebound.integrity.core.streams_kernel.fill`; gnss_normals (B, 10 S), gnss_uniforms (B, 2 S),
+    imu_normals (B, 30): the same memory as the draws of the receivers and of the inertial sensors.
     """
-    path, excess = look_up(
-        table_path, table_excess, arc[a:b], lane[a:b], azimuth, elevation, index[a:b], spacing, length, closed,
-        azimuths, elevations,
-    )  # fmt: skip
-    first, last = (0, 1) if area.shape[0] == 1 else (a, b)  # one area for all, or one for each
-    links.advance(
-        link, now[first:last], dt, message[first:last], fresh[first:last], link_u[a:b], link_z[a:b], lost[a:b],
-        network_up[first:last], until[first:last], newest[a:b], outage_left[a:b], up[a:b], sent[first:last], held[a:b],
-        age[a:b],
-    )  # fmt: skip
-    observe_serial(
-        receiver, wavelength, dispersion, los, above, system, index[a:b], path, excess,
-        position[a:b] + spoof[a:b], velocity[a:b], reference[first:last] + reference_fault[a:b], age[a:b],
-        code_bias[a:b], phase_bias[a:b], rate_bias[a:b], cn0_drop[a:b], slips[a:b], clock[a:b], z_clock[a:b],
-        station_clock[first:last], z[a:b], u[a:b], area[first:last], held[a:b], oscillator[a:b], memory[a:b],
-        ambiguity[a:b], tracked[a:b], code[a:b], phase[a:b], range_rate[a:b], cn0[a:b], lock_lost[a:b],
-    )  # fmt: skip
-    inertial.measure(
-        imu, dt, moving_m, warm_up_mps[a:b], imu_z[a:b], turn_on[a:b], scale[a:b], instability[a:b], walk[a:b],
-        moving_bias[a:b], gyro_fault[a:b], distance[a:b], turn[a:b], delta_v[a:b], theta_out[a:b], delta_v_out[a:b],
-    )  # fmt: skip
-    wheels.measure(
-        odometer, dt, odometer_z[a:b], odometer_scale[a:b], wheel_fault[a:b], frozen[a:b], odometer_noise[a:b],
-        carry[a:b], last_distance[a:b], last_true[a:b], distance[a:b], distance_out[a:b], speed_out[a:b],
-    )  # fmt: skip
+
+    table: Array
+    gnss: Words
+    clock: Words
+    corrections: Words
+    imu: Words
+    odometer: Words
+    gnss_normals: Array
+    gnss_uniforms: Array
+    imu_normals: Array
+
+
+class InstrumentRows(NamedTuple):
+    """What lasts of the instruments of B vehicles from epoch to epoch, with their parameters."""
+
+    draws: Draws
+    mask: MaskRows
+    reception: ReceptionRows
+    link: LinkRows
+    receivers: Receivers
+    imu: ImuRows
+    odometer: OdometerRows
+
+
+class SensedEpoch(NamedTuple):
+    """One epoch: its number on the clock of the areas, what is measured, and the outputs."""
+
+    number: int
+    sky: SkyRows
+    motion: MotionRows
+    effects: EffectRows
+    gnss: GnssOutputs
+    imu: ImuOutputs
+    odometer: OdometerOutputs
+
+
+@jit(borrows=True)
+def draw_rows(first, last, rows):  # type: ignore[no-untyped-def]
+    """The draws of an epoch for vehicles ``first`` to ``last - 1``, of each stream in its order."""
+    draws, link = rows.draws, rows.link
+    if link.rules[0].outages:
+        draw_uniforms(first, last, draws.corrections, link.uniforms)
+        draw_normals(first, last, draws.corrections, draws.table, link.normals)
+    draw_normals(first, last, draws.clock, draws.table, rows.receivers.clock_normals)
+    draw_normals(first, last, draws.gnss, draws.table, draws.gnss_normals)
+    draw_uniforms(first, last, draws.gnss, draws.gnss_uniforms)
+    draw_normals(first, last, draws.imu, draws.table, draws.imu_normals)
+    draw_normals(first, last, draws.odometer, draws.table, rows.odometer.normals)
+
+
+@jit(borrows=True)
+def draw(first, last, handle):  # type: ignore[no-untyped-def]
+    """:func:`draw_rows` of a bundle of InstrumentRows."""
+    draw_rows(first, last, unbundle(handle))
+
+
+@jit(borrows=True)
+def sense(first, last, handle, epoch):  # type: ignore[no-untyped-def]
+    """Measure vehicles ``first`` to ``last - 1``; ``handle`` of a bundle of InstrumentRows, whose states advance.
+
+    Vehicles with one generator for all have drawn before.
+    """
+    rows, sky, motion, effects = unbundle(handle), epoch.sky, epoch.motion, epoch.effects
+    if rows.draws.gnss.shape[0] == rows.receivers.vehicles.shape[0]:
+        draw_rows(first, last, rows)
+    path, excess = rows.reception.path, rows.reception.excess
+    look_up(first, last, rows.mask, sky, motion.arc, motion.lane, rows.reception)
+    link_kernel.advance(first, last, epoch.number, rows.link, effects.lost, epoch.gnss.age)
+    for v in range(first, last):
+        observe_vehicle(v, path[v], excess[v], rows.receivers, sky, motion, effects, epoch.gnss)
+    imu_kernel.measure(first, last, rows.imu, motion, effects.gyro_bias, epoch.imu)
+    odometer_kernel.measure(
+        first, last, rows.odometer, motion.distance, effects.odometer_scale, effects.odometer_frozen, epoch.odometer
+    )

@@ -12,6 +12,7 @@ from pydantic import Field
 
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.sensors import odometer_kernel as kernel
@@ -61,39 +62,38 @@ class OdometerConfig(Config):
 
 @dataclass
 class OdometerState:
-    """Scale (B,), correlated noise (B,), distance not yet paid out in pulses (B,), last message and speed (B,)."""
+    """What lasts of the odometers, wheels (B,) of WHEELS, a record of :mod:`.odometer_kernel`."""
 
-    scale: Array
-    noise_mps: Array
-    carry_m: Array
-    last_distance_m: Array
-    last_true_mps: Array
+    wheels: Records
 
     def copy(self) -> OdometerState:
         """An independent copy."""
-        return OdometerState(*(getattr(self, f).copy() for f in self.__dataclass_fields__))
+        return OdometerState(self.wheels.copy())
 
 
 def initial_odometer(config: OdometerConfig, streams: Streams) -> OdometerState:
     """Draw the scale of each of ``streams.batch`` vehicles, from stream ``odometer``."""
-    z = streams.normal("odometer", 2)
-    still = np.zeros(streams.batch)
-    return OdometerState(
-        scale=config.scale_mean + config.scale_sigma * z[:, 0],
-        noise_mps=config.noise_mps * z[:, 1] if config.noise_tau_s > 0 else still.copy(),
-        carry_m=still.copy(),
-        last_distance_m=still.copy(),
-        last_true_mps=np.full(streams.batch, np.nan),
-    )
+    z, wheels = streams.normal("odometer", 2), np.zeros(streams.batch, kernel.WHEELS)
+    wheels["scale"] = config.scale_mean + config.scale_sigma * z[:, 0]
+    if config.noise_tau_s > 0:
+        wheels["noise_mps"] = config.noise_mps * z[:, 1]
+    wheels["last_true_mps"] = np.nan
+    return OdometerState(wheels)
 
 
 @lru_cache(maxsize=64)
-def parameters(config: OdometerConfig, dt_s: float) -> Array:
-    """The configuration in the kernel's columns; noise is white, or first-order Gauss-Markov."""
+def odometer_parameters(config: OdometerConfig, dt_s: float) -> Records:
+    """The figures of the sensor as the kernel takes them, (1,) of ODOMETER_RULES; white or Gauss-Markov noise."""
     a = math.exp(-dt_s / config.noise_tau_s) if config.noise_tau_s > 0 else 0.0
-    innovation = config.noise_mps * math.sqrt(1.0 - a * a)
-    pulse = config.circumference_m / config.pulses_per_revolution
-    return np.array([a, innovation, pulse, config.slip_s2_per_m, config.dropout_mps])
+    return one_record(
+        kernel.ODOMETER_RULES,
+        dt=dt_s,
+        decay=a,
+        innovation=config.noise_mps * math.sqrt(1.0 - a * a),
+        pulse=config.circumference_m / config.pulses_per_revolution,
+        slip=config.slip_s2_per_m,
+        dropout=config.dropout_mps,
+    )
 
 
 def sample_odometer(
@@ -111,10 +111,13 @@ def sample_odometer(
     """
     if truth.batch != streams.batch:
         raise InputError(f"truth holds {truth.batch} vehicles, streams {streams.batch}: make both the same batch")
-    distance, speed = np.empty((2, truth.batch))
-    kernel.measure(
-        parameters(config, truth.dt_s), truth.dt_s, streams.normal("odometer"), state.scale, effects.odometer_scale,
-        effects.odometer_frozen, state.noise_mps, state.carry_m, state.last_distance_m, state.last_true_mps,
-        truth.distance_m, distance, speed,
-    )  # fmt: skip
-    return OdometerSample(distance, speed)
+    rows = kernel.OdometerRows(odometer_parameters(config, truth.dt_s), state.wheels, streams.normal("odometer", 1))
+    out, e = blank_odometer(truth.batch), effects
+    kernel.measure(0, truth.batch, rows, truth.distance_m, e.odometer_scale, e.odometer_frozen, out)
+    return OdometerSample(*out)
+
+
+def blank_odometer(batch: int) -> kernel.OdometerOutputs:
+    """Messages to be filled."""
+    distance, speed = np.empty((2, batch))
+    return kernel.OdometerOutputs(distance, speed)

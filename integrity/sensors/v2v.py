@@ -12,6 +12,7 @@ from pydantic import Field
 
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import InputError, require_finite, require_shape
+from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.sensors.effects import FaultEffects
 
@@ -19,8 +20,16 @@ __all__ = ["V2vConfig", "V2vInbox", "V2vMessage", "V2vState", "exchange", "forge
 
 Array = NDArray[np.float64]
 ROUNDING = 1e-9
-EAST, NORTH, HEADING, SPEED, PL_AT, PL_CT, TIME = range(7)
-N_FIELDS = 7
+
+MESSAGE = record(
+    position=("f8", (2,), "East, North [m]"),
+    heading="azimuth [rad]",
+    speed="[m/s]",
+    pl_at="protection level along track, inf: none [m]",
+    pl_ct="protection level across track, inf: none [m]",
+    time="at which the state was valid [s]",
+)
+"""What a vehicle broadcasts of itself."""
 
 
 class V2vConfig(Config):
@@ -84,18 +93,18 @@ class V2vState:
     ----------
     epoch : epochs since the start
     sent : number of the newest transmission slot used
-    broadcasts : (L, B, 7) what was broadcast in the last L epochs
+    broadcasts : (L, B) of MESSAGE, what was broadcast in the last L epochs
     arriving : (L, R, B) int64, epoch of origin of the message that arrives in a coming epoch, -1 for none
     origin : (R, B) int64, epoch of origin of the message held, -1 for none
-    held : (R, B, 7) its content; for none zeros, levels of inf and a time of -inf
+    held : (R, B) of MESSAGE, its content; for none zeros, levels of inf and a time of -inf
     """
 
     epoch: int
     sent: int
-    broadcasts: Array
+    broadcasts: Records
     arriving: NDArray[np.int64]
     origin: NDArray[np.int64]
-    held: Array
+    held: Records
 
     def copy(self) -> V2vState:
         """An independent copy."""
@@ -119,17 +128,17 @@ def initial_v2v(config: V2vConfig, batch: int, dt_s: float, receivers: int | Non
     return V2vState(
         epoch=0,
         sent=-1,
-        broadcasts=np.zeros((slots, batch, N_FIELDS)),
+        broadcasts=np.zeros((slots, batch), MESSAGE),
         arriving=np.full((slots, rows, batch), -1, dtype=np.int64),
         origin=np.full((rows, batch), -1, dtype=np.int64),
         held=_unheard(rows, batch),
     )
 
 
-def _unheard(*shape: int) -> Array:
-    held = np.zeros((*shape, N_FIELDS))
-    held[..., PL_AT : PL_CT + 1] = np.inf
-    held[..., TIME] = -np.inf
+def _unheard(*shape: int) -> Records:
+    held = np.zeros(shape, MESSAGE)
+    held["pl_at"] = held["pl_ct"] = np.inf
+    held["time"] = -np.inf
     return held
 
 
@@ -140,14 +149,13 @@ def forget(state: V2vState, senders: NDArray[np.int64]) -> None:
     state.held[:, senders] = _unheard(state.origin.shape[0], senders.size)
 
 
-def _write(content: Array, message: V2vMessage, effects: FaultEffects, time_s: float) -> None:
-    """Fill in the messages as sent (B, 7): liars displace their position and scale their protection levels."""
-    content[:, EAST : NORTH + 1] = message.position_en_m + effects.v2v_offset_enu_m[:, :2]
-    content[:, HEADING] = message.heading_rad
-    content[:, SPEED] = message.speed_mps
-    content[:, PL_AT] = message.pl_at_m * effects.v2v_pl_scale
-    content[:, PL_CT] = message.pl_ct_m * effects.v2v_pl_scale
-    content[:, TIME] = time_s
+def _write(content: Records, message: V2vMessage, effects: FaultEffects, time_s: float) -> None:
+    """Fill in the messages as sent (B,): liars displace their position and scale their protection levels."""
+    content["position"] = message.position_en_m + effects.v2v_offset_enu_m[:, :2]
+    content["heading"], content["speed"] = message.heading_rad, message.speed_mps
+    content["pl_at"] = message.pl_at_m * effects.v2v_pl_scale
+    content["pl_ct"] = message.pl_ct_m * effects.v2v_pl_scale
+    content["time"] = time_s
 
 
 def _reaches(
@@ -250,10 +258,10 @@ def _inbox(state: V2vState, time_s: float) -> V2vInbox:
     held = state.held.copy()
     return V2vInbox(
         heard=state.origin >= 0,
-        age_s=time_s - held[..., TIME],
-        position_en_m=held[..., EAST : NORTH + 1],
-        heading_rad=held[..., HEADING],
-        speed_mps=held[..., SPEED],
-        pl_at_m=held[..., PL_AT],
-        pl_ct_m=held[..., PL_CT],
+        age_s=time_s - held["time"],
+        position_en_m=held["position"],
+        heading_rad=held["heading"],
+        speed_mps=held["speed"],
+        pl_at_m=held["pl_at"],
+        pl_ct_m=held["pl_ct"],
     )

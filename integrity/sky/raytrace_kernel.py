@@ -13,9 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.records import Records, record
 
 __all__ = [
+    "MASK_RULES",
     "Grid",
+    "MaskRows",
+    "ReceptionRows",
+    "SkyRows",
     "count_free",
     "free_rows",
     "look_up",
@@ -29,6 +34,48 @@ GRAZING = 1e-12  # sine of the angle to the plane below which a ray counts as pa
 LIFT_M = 1e-6  # a reflected ray starts this far off the wall
 TWO_PI = 2.0 * math.pi
 LOS, FOLIAGE, REFLECTED, BLOCKED = 0, 1, 2, 3  # the values of visibility.Path
+
+
+MASK_RULES = record(
+    spacing="of the stations [m]",
+    length="of the street [m]",
+    closed=("?", "the street is a loop"),
+    azimuths=("i8", "number of bins"),
+    elevations=("i8", "number of bins"),
+)
+
+
+class MaskRows(NamedTuple):
+    """A :class:`~lanebound.integrity.sky.visibility.SkyMask`.
+
+    rules (1,) of MASK_RULES; path, excess (stations, lanes, cells).
+    """
+
+    rules: Records
+    path: NDArray[np.uint8]
+    excess: NDArray[np.float32]
+
+
+class SkyRows(NamedTuple):
+    """Satellites of an epoch, as in :class:`~lanebound.integrity.sky.view.SkyView`.
+
+    los (K, S, 3); elevation, azimuth (K, S) [rad]; above (K, S); system (S,); row (B,) the k of each vehicle.
+    """
+
+    los: NDArray[np.float64]
+    elevation: NDArray[np.float64]
+    azimuth: NDArray[np.float64]
+    above: NDArray[np.bool_]
+    system: NDArray[np.int64]
+    row: NDArray[np.int64]
+
+
+class ReceptionRows(NamedTuple):
+    """How signals arrive: path (B, S) of visibility.Path, excess (B, S) [m]; cells (B, S) is work."""
+
+    path: NDArray[np.uint8]
+    excess: NDArray[np.float64]
+    cells: NDArray[np.int64]
 
 
 class Grid(NamedTuple):
@@ -228,35 +275,31 @@ def count_free(free, arc, lane, azimuth, elevation, above, spacing, n_az, n_el):
     return count
 
 
-@jit
-def look_up(table_path, table_excess, arc, lane, azimuth, elevation, index, spacing, length, closed, n_az, n_el):  # type: ignore[no-untyped-def]
-    """Reception of B vehicles from the tables (stations, lanes, cells): nearest station, lane clamped, cell of each S.
+@jit(borrows=True)
+def look_up(first, last, mask, sky, arc, lane, out):  # type: ignore[no-untyped-def]
+    """Reception of vehicles ``first`` to ``last - 1``: nearest station, lane clamped, cell of each satellite.
 
-    arc (B,) [m], lane (B,), azimuth and elevation (K, S) [rad], index (B,). Returns path (B, S), excess (B, S) [m].
+    mask of MaskRows, sky of SkyRows; arc (B,) [m], lane (B,); ``out`` of ReceptionRows is filled.
     """
-    b_count, s_count = arc.shape[0], azimuth.shape[1]
-    stations, lanes = table_path.shape[0], table_path.shape[1]
-    cell = np.empty(s_count, dtype=np.int64)
-    path = np.empty((b_count, s_count), dtype=np.uint8)
-    excess = np.empty((b_count, s_count))
-    for b in range(b_count):
-        place = arc[b] / spacing
-        if closed:
-            place -= math.floor(arc[b] / length) * (length / spacing)
+    rules, cells = mask.rules[0], out.cells[first]
+    stations, lanes = mask.path.shape[0], mask.path.shape[1]
+    for b in range(first, last):
+        place = arc[b] / rules.spacing
+        if rules.closed:
+            place -= math.floor(arc[b] / rules.length) * (rules.length / rules.spacing)
             n = int(place + 0.5) % stations
         else:
             n = int(min(max(place, 0.0), stations - 1.0) + 0.5)
         row = min(max(lane[b], 0), lanes - 1)
-        k = index[b]
-        if b == 0 or k != index[b - 1]:
-            for s in range(s_count):
-                cell[s] = bin_of(azimuth[k, s], elevation[k, s], n_az, n_el)
-        for s in range(s_count):
-            c = cell[s]
+        k = sky.row[b]
+        if b == first or k != sky.row[b - 1]:
+            for s in range(cells.shape[0]):
+                cells[s] = bin_of(sky.azimuth[k, s], sky.elevation[k, s], rules.azimuths, rules.elevations)
+        for s in range(cells.shape[0]):
+            c = cells[s]
             if c < 0:
-                path[b, s] = BLOCKED
-                excess[b, s] = 0.0
+                out.path[b, s] = BLOCKED
+                out.excess[b, s] = 0.0
             else:
-                path[b, s] = table_path[n, row, c]
-                excess[b, s] = table_excess[n, row, c]
-    return path, excess
+                out.path[b, s] = mask.path[n, row, c]
+                out.excess[b, s] = mask.excess[n, row, c]

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lanebound.integrity.sky.raytrace_kernel import SkyRows
+
 __all__ = ["SkyView"]
 
 Array = NDArray[np.float64]
@@ -49,6 +51,11 @@ class SkyView:
     def satellites(self) -> int:
         """Number of satellites S, in view or not."""
         return int(self.system.shape[0])
+
+    @property
+    def rows(self) -> SkyRows:
+        """The arrays as kernels take them."""
+        return SkyRows(self.los_enu, self.elevation_rad, self.azimuth_rad, self.above, self.system, self.index)
 
     def for_vehicles(self, index: ArrayLike) -> SkyView:
         """The same sky for other vehicles: ``index`` (B,) names the row k of each."""

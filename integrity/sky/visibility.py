@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 from pathlib import Path as FilePath
 from zipfile import BadZipFile
 
@@ -17,8 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.errors import InputError, require_finite, require_in_range, require_shape
+from lanebound.integrity.core.records import one_record
 from lanebound.integrity.sky.raytrace import first_hits
-from lanebound.integrity.sky.raytrace_kernel import look_up, mask_rows
+from lanebound.integrity.sky.raytrace_kernel import MASK_RULES, MaskRows, ReceptionRows, look_up, mask_rows
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.scene import City
 from lanebound.integrity.sky.view import SkyView
@@ -50,6 +52,12 @@ class Reception:
 
     path: NDArray[np.uint8]
     excess_m: Array
+
+
+def blank_reception(batch: int, satellites: int) -> ReceptionRows:
+    """Reception to be filled."""
+    shape = batch, satellites
+    return ReceptionRows(np.empty(shape, np.uint8), np.empty(shape), np.empty(shape, np.int64))
 
 
 @dataclass(frozen=True)
@@ -202,21 +210,22 @@ class SkyMask:
         rows = sky.azimuth_rad.shape[0]
         if batch[0] and not (sky.index.min() >= 0 and sky.index.max() < rows):
             raise InputError(f"sky.index must lie in [0, {rows - 1}], got {sky.index.max()}: name existing rows")
-        path, excess = look_up(
-            self.path,
-            self.excess_m,
-            arc,
-            lanes,
-            sky.azimuth_rad,
-            sky.elevation_rad,
-            sky.index,
-            self.spacing_m,
-            self.length_m,
-            self.closed,
-            self.azimuths,
-            self.elevations,
+        out = blank_reception(batch[0], sky.azimuth_rad.shape[1])
+        look_up(0, batch[0], self.rows, sky.rows, arc, lanes, out)
+        return Reception(out.path, out.excess)
+
+    @cached_property
+    def rows(self) -> MaskRows:
+        """The mask as kernels take it."""
+        rules = one_record(
+            MASK_RULES,
+            spacing=self.spacing_m,
+            length=self.length_m,
+            closed=self.closed,
+            azimuths=self.azimuths,
+            elevations=self.elevations,
         )
-        return Reception(path, excess)
+        return MaskRows(rules, self.path, self.excess_m)
 
     def save(self, path: str | FilePath) -> None:
         """Write the mask to an ``.npz`` file."""

@@ -41,7 +41,7 @@ def driven(monkeypatch, results):
         return results
 
     monkeypatch.setattr(running, "run_plan", made_up)
-    monkeypatch.setattr(report, "write_report", lambda results, out, told: out / "report.html")
+    monkeypatch.setattr(report, "write_report", lambda results, out, on_clip: out / "report.html")
     return plans
 
 
@@ -88,7 +88,7 @@ def test_an_overview_comes_first_and_is_short(driven, tmp_path):
 
 
 def test_tables_stand_there_before_the_page_is_written(driven, tmp_path, monkeypatch, capsys):
-    def broken(results, out, told):
+    def broken(results, out, on_clip):
         raise InputError("no page")
 
     monkeypatch.setattr(report, "write_report", broken)
@@ -102,7 +102,7 @@ def test_nothing_is_announced_where_nothing_is_to_be_driven(driven, results, tmp
     monkeypatch.setattr(running.BenchmarkPlan, "of", lambda *arguments: plan)
     told = run("benchmark", "quick", "--out", str(tmp_path))
     assert told.exit_code == 0
-    assert told.stderr == "36 episodes, all there already: nothing to drive.\n"
+    assert told.stderr == "36 episodes, all stored already: nothing to drive.\n"
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.base import Reader
-from lanebound.agents.drivers.horizon import GrowthConfig, predicted_levels, upper_levels, upper_told
+from lanebound.agents.drivers.horizon import GrowthConfig, predicted_levels, upper_broadcast, upper_levels
 from lanebound.agents.episodes import open_env
 from lanebound.envs.observation import ObservationConfig
 from lanebound.integrity.sensors.faults import Fault
@@ -105,7 +105,7 @@ def _outgrown(reader: Reader, rows: Any) -> tuple[Any, Any]:
     upper, expected = [], []
     for i in range(len(rows) - times.size):
         at, ct = upper_levels(reader, rows[i], v[i] * times, DT_S, G)
-        also = at + upper_told(reader, rows[i], told[i], gap[i] + lead[i] * times, DT_S, G)
+        also = at + upper_broadcast(reader, rows[i], told[i], gap[i] + lead[i] * times, DT_S, G)
         mean = predicted_levels(reader, rows[i], v[i] * times, DT_S, G)
         later = (own[0][i + 1 :], own[1][i + 1 :], both[i + 1 :])
         for k in (4, 9, 19):
@@ -131,14 +131,15 @@ def test_upper_levels_grow_wherever_rtk_may_be_lost_and_never_fall():
 
 def test_a_leaders_level_grows_by_what_it_tells_and_by_the_sky_where_it_is():
     way = 30.0 + np.arange(1.0, 21.0)
-    held = upper_told(READER, seen(), 0.2, way, DT_S, G)
-    assert np.allclose(held, 0.2 + G.told_spare_m)
-    out = upper_told(READER, seen(), 2.0, way, DT_S, G)
+    held = upper_broadcast(READER, seen(), 0.2, way, DT_S, G)
+    assert np.allclose(held, 0.2 + G.broadcast_spare_m)
+    out = upper_broadcast(READER, seen(), 2.0, way, DT_S, G)
     assert np.all(np.diff(out) > 0.0)
-    assert out[-1] - out[0] < G.upper_told_m * 4.0**G.growth_power  # it has been out for a while
+    assert out[-1] - out[0] < G.upper_broadcast_m * 4.0**G.growth_power  # it has been out for a while
     here, there = seen(road__sky_0m_own=3.0), seen(road__sky_40m_own=3.0)
-    assert np.allclose(upper_told(READER, here, 0.2, way, DT_S, G), held)
-    assert upper_told(READER, there, 0.2, way, DT_S, G)[4] == pytest.approx(0.2 + G.told_spare_m + G.upper_told_m)
+    assert np.allclose(upper_broadcast(READER, here, 0.2, way, DT_S, G), held)
+    lost = 0.2 + G.broadcast_spare_m + G.upper_broadcast_m
+    assert upper_broadcast(READER, there, 0.2, way, DT_S, G)[4] == pytest.approx(lost)
 
 
 def test_levels_are_a_sawtooth():

@@ -63,5 +63,5 @@ def test_a_leaders_own_level_is_what_it_adds_to_the_egos():
     assert found is not None
     assert found == pytest.approx((35.0, 9.0, 0.3, 2.0, 1.5), abs=1e-3)
     by_sensor = seen(cars[0] | {"sensor": 1.0}, integrity__pl_at=0.5)
-    assert leader_of(READER, by_sensor, in_way(READER, by_sensor, 20.0)).told_m == pytest.approx(2.0, abs=1e-3)
+    assert leader_of(READER, by_sensor, in_way(READER, by_sensor, 20.0)).broadcast_m == pytest.approx(2.0, abs=1e-3)
     assert leader_of(READER, observation, np.zeros(3, dtype=bool)) is None

@@ -6,6 +6,8 @@ import functools
 import inspect
 import pickle
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import gymnasium as gym
@@ -162,3 +164,15 @@ def test_the_manual_names_every_key_and_kind_of_a_fault() -> None:
         words = [kind.summary, *kind.profiles, *kind.needs, *(m.field for m in kind.magnitudes)]
         assert [word for word in words if word not in row] == []
     assert [key for key in Fault.model_fields if f"`{key}`" not in text and f'"{key}"' not in text] == []
+
+
+def test_gymnasium_imports_the_package_that_an_id_names() -> None:
+    """In a process of its own: importing Gymnasium alone does not import ours, and registers nothing."""
+    code = (
+        "import gymnasium, sys\n"
+        "assert not any(name.startswith('lanebound') for name in [*sys.modules, *gymnasium.registry])\n"
+        "print(gymnasium.make('lanebound.envs:lanebound/LaneKeeping-v0').spec.id)\n"
+        "print(gymnasium.make_vec('lanebound.envs:lanebound/LaneKeeping-v0', 2).num_envs)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert done.stdout.split() == ["lanebound/LaneKeeping-v0", "2"]

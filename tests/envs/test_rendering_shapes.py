@@ -73,6 +73,13 @@ def test_whatever_is_on_the_map_is_seen(up, u, v):
     assert camera.sees(point[None], np.array([1e-6])).all()
 
 
+def test_a_shape_with_a_corner_on_the_map_is_shown():
+    camera = Camera(np.array([0.0, 0.0]), -np.pi / 2, 10.0, (100.0, 100.0), (200.0, 200.0))  # 10 m to each edge
+    boxes = oriented_box([[0.0, 0.0], [11.5, 0.0], [12.5, 0.0], [0.0, -12.5], [11.5, 11.5]], 0.0, 2.0, 1.0)
+    assert camera.shows(boxes).tolist() == [True, True, False, False, False]
+    assert camera.shows(np.zeros((0, 4, 2))).shape == (0,)
+
+
 def test_north_up_is_the_plane_as_it_is():
     camera = camera_of(frame(0.7), RenderingConfig(orientation="north_up"))
     here = camera.px([20.0, 0.0])

@@ -6,6 +6,7 @@ import copy
 import pickle
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -14,8 +15,11 @@ import pytest
 from highway_env.road.road import RoadNetwork
 
 from beliefs import believe
+from lanebound.envs.pictures import Pictures
 from lanebound.envs.records import EgoBelief, Traffic
-from lanebound.envs.rendering import Bodies, Frame, RenderingConfig, Satellites, Tape, Viewer
+from lanebound.envs.rendering import Bodies, EpisodeCost, Frame, RenderingConfig, Satellites, Tape, Viewer
+from lanebound.envs.rendering.map_view import camera_of
+from lanebound.envs.rendering.panel import legend_entries
 from lanebound.envs.rendering.roads import RoadDrawing
 from lanebound.envs.rendering.theme import THEMES
 from lanebound.integrity.monitoring.alerts import AlertReason
@@ -68,8 +72,9 @@ def frame(city) -> Frame:
         np.array([[100.0, 4.0], [120.0, 8.0]]), np.zeros(2), np.full(2, 5.0), np.full(2, 2.0), np.array([False, True])
     )
     network = RoadNetwork.straight_road_network(3, length=300)
+    cost = EpisodeCost(0.5, 3.25, 15.0)
     return Frame(
-        network, bodies, 0, belief(), 3.9, 12.0, traffic(0.5), (), city, sky(), tape().trace, "lanebound/Test-v0", 0.5
+        network, bodies, 0, belief(), 3.9, 12.0, traffic(0.5), (), city, sky(), tape().trace, "lanebound/Test-v0", cost
     )
 
 
@@ -176,11 +181,97 @@ def test_the_legend_shows_the_colours_of_the_picture(viewer, frame):
     """The key to the levels: 16 px wide at the foot of the map, its edge in the colour of the status."""
     for colour, state in ((DARK.ok, belief()), (DARK.alert, belief(alert=True, reason=2))):
         foot = viewer.render(replace(frame, belief=state, city=None, traffic=Traffic.none()))[505:, :570]
-        assert (np.abs(foot.astype(int) - colour).max(-1) <= 12).sum() > 20
-        assert (np.abs(foot.astype(int) - DARK.crashed).max(-1) <= 12).sum() > 80
+        assert count(foot, colour) > 20
+        assert count(foot, DARK.crashed) > 80
 
 
-def test_who_drives_under_a_tree_is_drawn_on_top_of_it(viewer, frame):
+def entries(frame: Frame, theme=DARK) -> dict[str, str]:
+    """Names of the legend, and how each is drawn."""
+    return {entry.name: entry.kind for entry in legend_entries(frame, camera_of(frame, RenderingConfig()), theme)}
+
+
+def test_the_legend_lists_what_is_on_the_map(frame):
+    alone = replace(frame, bodies=Bodies(*(rows[:1] for rows in vars(frame.bodies).values())), traffic=Traffic.none())
+    assert list(entries(alone)) == ["ego", "believed", "its PL", "alert limit"]
+    assert list(entries(frame)) == [*entries(alone), "perceived + PL", "crashed"]
+    whole = replace(frame, bodies=replace(frame.bodies, crashed=np.zeros(2, dtype=bool)), traffic=traffic(np.inf))
+    assert list(entries(whole)) == [*entries(alone), "traffic", "perceived, no PL"]
+    far = replace(frame.bodies, position_m=frame.bodies.position_m + np.array([[0.0, 0.0], [200.0, 0.0]]))
+    assert list(entries(replace(alone, bodies=far))) == list(entries(alone))
+    wreck = replace(alone, bodies=replace(alone.bodies, crashed=np.ones(1, dtype=bool)))
+    assert list(entries(wreck)) == ["believed", "its PL", "alert limit", "crashed"]
+
+
+def test_the_legend_names_a_level_that_the_map_clips(frame):
+    for level, name, kind in (
+        (12.0, "its PL", "blend"),
+        (12.1, "its PL, over 12 m", "broken"),
+        (np.inf, "no PL", "broken"),
+    ):
+        found = entries(replace(frame, belief=belief(pl_ct_m=level)))
+        assert found[name] == kind
+        assert sum("PL" in key and "perceived" not in key for key in found) == 1
+
+
+def test_a_long_legend_takes_a_second_line(frame):
+    both = traffic(0.5)
+    rows = {name: np.concatenate([column, column]) for name, column in vars(both).items() if np.ndim(column)}
+    rows["pl_at_m"] = np.array([0.5, np.inf])
+    bodies = Bodies(*(np.concatenate([column, column[:1]]) for column in vars(frame.bodies).values()))
+    full = replace(frame, traffic=Traffic(*rows.values()), bodies=bodies, city=None, belief=belief(pl_ct_m=13.0))
+    assert {"traffic", "crashed", "perceived + PL", "perceived, no PL"} <= set(entries(full))
+    with_legend, without = (Viewer(RenderingConfig(legend=legend)).render(full) for legend in (True, False))
+    changed = np.argwhere((with_legend != without).any(-1))
+    assert changed[:, 0].min() == pytest.approx(540 - 19 - 24 - 11, abs=1)
+    assert changed[:, 1].max() < 660
+
+
+def count(picture, colour) -> int:
+    """Pixels of about this colour."""
+    return int((np.abs(picture.astype(int) - colour).max(-1) <= 12).sum())
+
+
+def test_triangles_mark_what_lies_beyond_an_edge(viewer, frame):
+    """On the strip charts, whose upper edge lies at 334 px, and at the edges of the error box."""
+    inside, beyond = Tape(), Tape()
+    row = {"pl_at_m": 0.5, "al_at_m": 1.5, "err_ct_m": 0.1, "pl_ct_m": 0.4, "al_ct_m": 1.0, "alert": False}
+    for k in range(200):
+        inside.add(0.1 * k, err_at_m=2.39, **row)
+        beyond.add(0.1 * k, err_at_m=2.41, **row)
+    drawn, marked = (viewer.render(replace(frame, time_s=19.9, trace=tape.trace)) for tape in (inside, beyond))
+    changed = np.argwhere((drawn[:424] != marked[:424]).any(-1))
+    assert len(changed) > 50
+    assert changed[:, 0].max() < 360
+    levels = {"pl_at_m": 0.6, "pl_ct_m": 1.5}, {"pl_at_m": 0.6, "pl_ct_m": 1.7}
+    boxes = [viewer.render(replace(frame, belief=belief(alert=True, **level)))[178:312, 816:950] for level in levels]
+    edge = slice(3, 9), slice(None)
+    middle = slice(60, 75), slice(0, 12)
+    assert count(boxes[1][middle], DARK.alert) > count(boxes[0][middle], DARK.alert)
+    assert count(boxes[1][edge], DARK.alert) == count(boxes[0][edge], DARK.alert), "along track nothing is beyond"
+
+
+def test_the_episode_s_cost_is_shown_and_coloured_beyond_its_limit(viewer, frame):
+    """The fifth row of figures, at 140 to 152 px."""
+
+    def row(cost):
+        return viewer.render(replace(frame, cost=cost))[140:153, 670:800]
+
+    assert count(row(EpisodeCost(0.5, 15.0, 15.0)), DARK.alert) == 0
+    assert count(row(EpisodeCost(0.5, 15.5, 15.0)), DARK.alert) > 10
+    assert (row(EpisodeCost(0.5, 15.0, 15.0)) != row(EpisodeCost(0.5, 14.0, 15.0))).any()
+    assert (row(EpisodeCost(0.5, 15.0, 15.0)) == row(EpisodeCost(0.7, 15.0, 15.0))).all()
+
+
+def test_the_cost_of_an_episode_is_summed_from_its_reset():
+    pictures = Pictures(RenderingConfig(), "lanebound/Test-v0", 20.0, 15.0)
+    levels = {"err_at_m": 0.1, "pl_at_m": 0.5, "al_at_m": 1.5, "err_ct_m": 0.1, "pl_ct_m": 0.5, "al_ct_m": 1.0}
+    for _ in range(2):
+        for step, cost in enumerate((0.0, 0.5, 0.25)):
+            pictures.note(SimpleNamespace(time_s=0.2 * step), {**levels, "alert": False, "cost": cost})
+        assert pictures._cost == EpisodeCost(0.25, 0.75, 15.0)
+
+
+def test_a_vehicle_under_a_tree_is_drawn_on_top_of_it(viewer, frame):
     tree = City.of(prisms(0.6 * SQUARE[None] + [100.0, -4.0], 4.5, 9.0), Surface.FOLIAGE)
     picture = viewer.render(replace(frame, city=tree))
     assert near(picture[EGO_PX[1] + 6, EGO_PX[0] - 6], viewer.render(replace(frame, city=None))[362, 324])

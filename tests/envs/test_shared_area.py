@@ -33,8 +33,8 @@ def test_the_navigators_of_ego_and_others_have_the_same_area(warm_up_s: float) -
     for name in ("message", "until", "outage_left"):
         ego, other = getattr(network, name)
         np.testing.assert_array_equal(ego, other, err_msg=name)
-    assert not np.array_equal(*state.gnss.memory)
-    assert state.gnss.oscillator[0, 1] != state.gnss.oscillator[1, 1]
+    assert not np.array_equal(*state.gnss.signals)
+    assert state.gnss.vehicles["drift"][0] != state.gnss.vehicles["drift"][1]
 
 
 def _navigator(env: DrivingEnv) -> Navigator:

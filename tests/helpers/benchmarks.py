@@ -10,7 +10,7 @@ import numpy as np
 
 from lanebound.agents.benchmark.outcome import Outcome, Task
 from lanebound.agents.benchmark.results import Results
-from lanebound.agents.benchmark.store import STORED, EpisodeStore
+from lanebound.agents.benchmark.store import EpisodeStore, stored_columns
 from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.envs.costs import CAUSES
 from lanebound.integrity.core.streams import named_generator
@@ -88,7 +88,7 @@ def made_up_rows(outcome: Outcome) -> list[dict[str, Any]]:
         level = math.inf if 0.5 < k / (outcome.steps + 1) < 0.53 else (1.8 if outage else 0.3) + 0.01 * rng.random()
         error = rng.normal(0.0, 0.2 if outage else 0.05, 2)
         rows.append(
-            {column.name: plain[column.kind] for column in STORED}
+            {column.name: plain[column.kind] for column in stored_columns()}
             | {
                 "step": k, "time_s": DT_S * k, "action": [0.0, 0.0] if k else [],
                 "mode": "doppler" if outage else "rtk",

@@ -87,3 +87,9 @@ def test_a_file_that_cannot_be_written_is_refused(tmp_path):
         (tmp_path / "file").touch()
         with pytest.raises(InputError, match=r"^out must be a file that can be written, got .*: choose another one$"):
             runner.claim(path)
+
+
+def test_a_benchmark_of_minutes_runs_only_when_it_is_named(monkeypatch):
+    monkeypatch.setattr(runner, "ON_REQUEST", {"good"})
+    assert runner.select([]) == ["broken", "helper"]
+    assert runner.select(["good"]) == ["good"]

@@ -38,11 +38,16 @@ def test_lanebound_itself_is_a_namespace():
     assert getattr(lanebound, "__file__", None) is None
 
 
-def test_preset_files_are_packaged():
-    patterns = PROJECT["tool"]["setuptools"]["package-data"]["lanebound.configs"]
-    packaged = {path for pattern in patterns for path in (ROOT / "configs").glob(pattern)}
-    data = {path for path in (ROOT / "configs").rglob("*") if path.is_file() and "__pycache__" not in path.parts}
-    assert {path for path in data if path.suffix != ".py"} <= packaged
+def test_data_files_are_packaged():
+    patterns = PROJECT["tool"]["setuptools"]["package-data"]
+    folders = {package: ROOT.joinpath(*package.split(".")[1:]) for package in patterns}
+    packaged = {
+        path for package in patterns for pattern in patterns[package] for path in folders[package].glob(pattern)
+    }
+    files = (path for layer in LAYERS for path in (ROOT / layer).rglob("*") if path.is_file())
+    data = {path for path in files if path.suffix != ".py" and "__pycache__" not in path.parts}
+    assert data
+    assert data <= packaged
 
 
 def test_versions_agree():

@@ -41,9 +41,20 @@ def test_the_pages_with_code_have_snippets_that_run() -> None:
 
 @every_page
 def test_code_in_python_is_a_snippet_that_runs(page: Path) -> None:
-    """Blocks are of kinds that tests read: ``pycon`` here, ``console`` and ``yaml`` below."""
+    """Blocks are of kinds that tests read: ``pycon`` here, ``console`` and ``yaml`` below, ``python`` from files."""
     kinds = set(re.findall(r"^```(\w+)$", page.read_text(encoding="utf-8"), re.MULTILINE))
-    assert kinds <= {"pycon", "console", "yaml"}
+    assert kinds <= {"pycon", "console", "yaml"} | ({"python"} if page.name == "extending.md" else set())
+
+
+def test_the_code_of_extensions_is_that_of_the_files_it_names() -> None:
+    text = (ROOT / "docs/extending.md").read_text(encoding="utf-8")
+    shown = re.findall(r"^`(\S+\.py)`:\n\n```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    assert len(shown) == text.count("```python")
+    assert sorted(name for name, _ in shown) == sorted(
+        str(path.relative_to(ROOT)) for path in (ROOT / "tests/plugins").glob("*.py")
+    )
+    for name, code in shown:
+        assert (ROOT / name).read_text(encoding="utf-8") == code, name
 
 
 @every_page

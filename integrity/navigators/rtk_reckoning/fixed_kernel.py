@@ -36,6 +36,7 @@ from lanebound.integrity.monitoring.separation_kernel import (
     find_modes,
     mode_scratch,
     moment_scratch,
+    set_factors,
     set_priors,
 )
 from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import heading_bias
@@ -47,14 +48,13 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import (
     Ints,
     Tables,
 )
-from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import NO_CORRECTIONS, find_members
+from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import find_members
+from lanebound.integrity.positioning.codes_kernel import FAULT, FIXED, NO_CORRECTIONS, TOO_FEW
 from lanebound.integrity.positioning.mode_kernel import rtk_usable
 from lanebound.integrity.positioning.rows_kernel import Rows
 from lanebound.integrity.positioning.rtk_kernel import Carriers, collapse_phase, held_risk
 
 __all__ = ["find_fixed_position"]
-
-FIXED, TOO_FEW, FAULT = 0, 2, 5  # codes of RtkStatus
 
 
 class FixedScratch(NamedTuple):
@@ -107,7 +107,7 @@ def find_fixed_position(first: int, last: int, epoch: Epoch) -> None:
             if positioned:
                 carriers = Carriers(los, satellites, measured.phase[v], work.factor[v])
                 here = Rows(los, system, rows.variance, rows.y, rows.used)
-                _solve_fixed(carriers, here, ambiguities, measured.age[v], tables, par, vehicle.rtk, w, scratch)
+                _solve_fixed(carriers, here, ambiguities, measured.age[v], tables, par, vehicle, w, scratch)
             elif fixed.status == FIXED:
                 fixed.status = TOO_FEW
         fixed.wrong = held_risk(ambiguities)
@@ -117,7 +117,7 @@ def find_fixed_position(first: int, last: int, epoch: Epoch) -> None:
         fixed.usable = confirmed and rtk_usable(fixed.hdop, par.modes)
         if fixed.usable:
             levels = work.fixed_levels[v]
-            levels_of_fix(fixed.satellites, fixed.wrong, w.sin_h, w.cos_h, tables, par.risk, scratch, levels)
+            levels_of_fix(fixed.satellites, fixed.wrong, w.sin_h, w.cos_h, tables, par, scratch, levels)
             lever_at, lever_ct = lever_bounds(vehicle, par)
             for r in range(levels.shape[0]):
                 levels[r, 0] += lever_at
@@ -126,20 +126,22 @@ def find_fixed_position(first: int, last: int, epoch: Epoch) -> None:
 
 @jit
 def _solve_fixed(
-    carriers: Carriers, rows: Rows, ambiguities: Records, age: float, tables: Tables, par: Any, rtk: Any, w: Any,
+    carriers: Carriers, rows: Rows, ambiguities: Records, age: float, tables: Tables, par: Any, vehicle: Any, w: Any,
     scratch: FixedScratch,
 ) -> None:  # fmt: skip
     """Test the rows in use, release the integers of what is excluded, and solve with the rest.
 
     ``carriers.variance`` holds the variance factors.
     """
-    rules, fixed, factor, n_sat = par.rtk, w.fixed, carriers.variance, rows.y.shape[0]
+    rules, rtk, fixed, factor, n_sat = par.rtk, vehicle.rtk, w.fixed, carriers.variance, rows.y.shape[0]
     position, q, tried = np.empty(3), np.empty((3, 3)), rows.used.copy()
     aged = (rules.age_sigma * age) ** 2  # of the whole range, common to the bands
     collapse_phase(carriers, ambiguities, rules.bands, rows.y)
     for s in range(n_sat):
         rows.variance[s] = factor[s] * (rules.sigma_phase**2 / rules.bands) + aged
-    outcome, _, _, _, fixed.excluded = detect_and_exclude(rows, tables.thresholds, par.fde, position, q)
+    outcome, _, _, _, fixed.excluded = detect_and_exclude(
+        rows, rows.group, vehicle.heading.angle, tables.thresholds, par.fde, position, q
+    )
     if outcome == UNRESOLVED:
         rtk.rejected += 1
         if rtk.rejected >= rules.hold_failures:
@@ -177,14 +179,17 @@ def _solve_fixed(
 
 @jit
 def levels_of_fix(
-    n: int, wrong: float, sin_h: float, cos_h: float, tables: Tables, risk: Any, scratch: FixedScratch, pl: Array
+    n: int, wrong: float, sin_h: float, cos_h: float, tables: Tables, par: Any, scratch: FixedScratch, pl: Array
 ) -> None:
     """Protection levels pl (R, 2) of the fixed position of n satellites, for every case in its form.
 
     The reference bias bounds the common shift by a wrong reference, which every mode shares. Published:
     ``b_E = b_N`` of that length, so ``B = b / sqrt 2``. ``wrong`` is the risk of wrong integers, which is spent first.
+    K_fa is the threshold of the fault test. Where only a failed global test leads to a local one, it is at least
+    ``sqrt(chi2)`` of the global test, as ``w^2 <= e'We``.
     """
-    cases, geo, moments, modes, group = tables.cases, scratch.geo, scratch.moments, scratch.modes, scratch.group
+    risk, cases, geo, group = par.risk, tables.cases, scratch.geo, scratch.group
+    moments, modes = scratch.moments, scratch.modes
     one, budget, found = np.empty(1), np.empty((1, 2)), np.empty((1, 2))
     count, lost = 0, 0.0
     for form in range(3):
@@ -199,21 +204,28 @@ def levels_of_fix(
                     group, scratch.accuracy, n, sin_h, cos_h, risk.constellations, published, geo, moments, modes
                 )
                 lost = set_priors(group, n, count, risk.satellite_prior, risk.constellation_prior, geo.clocks, modes)
+                if published:
+                    set_factors(n, count, tables.k_published[count - 1], 0.0, geo.clocks, modes)
+                else:
+                    df, k_fa = n - 3 - geo.fix[0].groups, tables.k_fa
+                    least = math.sqrt(k_fa.global_chi2[df]) if par.fde.global_first else 0.0
+                    factors = k_fa.factor[count - 1 if par.fde.by_tests else df]
+                    set_factors(n, count, factors, least, geo.clocks, modes)
                 filled = True
             if form == PUBLISHED:
                 one[0] = case.k_published
-                closed_form_published(count, tables.k_fa[1, count - 1], one, modes, found)
+                closed_form_published(count, one, modes, found)
                 shift = risk.reference_bias / math.sqrt(2.0)
             else:
-                one[0], k_fa = case.risk, tables.k_fa[0, count - 1]
+                one[0] = case.risk
                 spent = risk.spent + wrong
                 spent = spent + (pair_risk(count, modes.prior) if risk.multiple else 0.0)
                 split_budgets(one, risk.at_share, spent, budget)
                 if form == MULTI_HYPOTHESIS:
-                    multi_hypothesis_pl(count, k_fa, budget, lost, risk.tolerate, modes, found)
+                    multi_hypothesis_pl(count, budget, lost, risk.tolerate, modes, found)
                 else:
                     share0 = risk.fault_free_share
-                    closed_form(count, k_fa, budget, share0, lost, risk.tolerate, modes, found)
+                    closed_form(count, budget, share0, lost, risk.tolerate, modes, found)
                 shift = risk.reference_bias
             pl[r, 0], pl[r, 1] = found[0, 0] + shift, found[0, 1] + shift
 

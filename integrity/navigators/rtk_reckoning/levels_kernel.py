@@ -70,7 +70,7 @@ def levels_since_fix(
     on each axis, published ones equal components on E and N.
     """
     growth, starts, separations, cases = reckoning.growth, reckoning.starts, reckoning.separations, tables.cases
-    total, squares, lost = exposure(tables.satellites, separations)
+    total, squares, lost = exposure(tables.satellites, risk.constellation_prior, separations)
     total, squares, lost = later * total, later * later * squares, later * lost
     pair = 0.5 * (total * total - squares) if risk.multiple else 0.0
     axis_sine, axis_cosine = (sin_h, cos_h), (cos_h, -sin_h)

@@ -1,4 +1,4 @@
-"""Stages 6: the positioning modes that bridge the time since an RTK position, in their order of preference.
+"""Stages of the positioning modes that bridge the time since an RTK position.
 
 A mode moves the positions of the vehicles that it is usable for and that no mode before it has moved: both dead
 reckonings, LATEST and BACKUP, with the growth of their errors. At rest every mode leaves the position; the bound grows
@@ -15,11 +15,9 @@ from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import step_doppler, step_odometer, step_still
 from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import heading_bias
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
+from lanebound.integrity.positioning.codes_kernel import DOPPLER, IMU_ODOMETER, NONE, UNDECIDED
 
 __all__ = ["advance_doppler", "advance_imu_odometer", "advance_nothing", "move", "stand"]
-
-UNDECIDED = -1
-NONE, RTK, DOPPLER, IMU_ODOMETER = 0, 1, 2, 3  # codes of positioning.modes.Mode
 
 
 @jit
@@ -28,8 +26,9 @@ def advance_doppler(first: int, last: int, epoch: Epoch) -> None:
     par, state = epoch.parameters[0], epoch.state
     for v in range(first, last):
         vehicle, w, growth = state.vehicles[v], epoch.work.vehicles[v], state.growth[v]
-        w.mode, w.integrates = UNDECIDED, False
-        if not (vehicle.initialised and w.measured and vehicle.since_rtk <= par.modes.doppler_max_s):
+        if w.mode != UNDECIDED or not (vehicle.initialised and w.measured):
+            continue
+        if not vehicle.since_rtk <= par.modes.doppler_max_s:
             continue
         w.mode, w.integrates = DOPPLER, not w.resting
         if w.resting:
@@ -63,11 +62,12 @@ def advance_imu_odometer(first: int, last: int, epoch: Epoch) -> None:
 
 @jit
 def advance_nothing(first: int, last: int, epoch: Epoch) -> None:
-    """No mode is usable: the position stays."""
+    """No mode is usable: the position stays, and no level holds for it before the next RTK position."""
     for v in range(first, last):
-        w = epoch.work.vehicles[v]
+        vehicle, w = epoch.state.vehicles[v], epoch.work.vehicles[v]
         if w.mode == UNDECIDED:
             w.mode = NONE
+            vehicle.unbounded = vehicle.unbounded or vehicle.initialised
             stand(epoch.parameters[0], w, epoch.state.growth[v])
 
 

@@ -26,11 +26,11 @@ from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import (
     levels_since_fix,
 )
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import BACKUP, LATEST, Array, Epoch, State, Tables
+from lanebound.integrity.positioning.codes_kernel import FAULT
 from lanebound.integrity.positioning.odometer_watch_kernel import watch_odometer
 
 __all__ = ["judge_fix", "separate_doppler", "watch_speeds", "widen_levels"]
 
-FAULT = 5  # code of RtkStatus
 CONFLICT_LIMIT_S = 0.5  # of contradiction between Doppler and odometer
 
 

@@ -6,30 +6,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import run_rows
-from lanebound.integrity.core.chain_kernel import Chain
+from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, Rows, register_navigator
 from lanebound.integrity.navigators.rtk_reckoning.attitude_kernel import find_attitude
 from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConfig
-from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import find_fixed_position
+from lanebound.integrity.navigators.rtk_reckoning.extension_kernel import begin
 from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import find_levels
 from lanebound.integrity.navigators.rtk_reckoning.lock_kernel import follow_carriers
-from lanebound.integrity.navigators.rtk_reckoning.modes_kernel import (
-    advance_doppler,
-    advance_imu_odometer,
-    advance_nothing,
-)
-from lanebound.integrity.navigators.rtk_reckoning.monitors_kernel import (
-    judge_fix,
-    separate_doppler,
-    watch_speeds,
-    widen_levels,
-)
+from lanebound.integrity.navigators.rtk_reckoning.modes_kernel import advance_nothing
+from lanebound.integrity.navigators.rtk_reckoning.monitors import BUILT_IN, Point
 from lanebound.integrity.navigators.rtk_reckoning.parameters import epoch_parameters, epoch_tables
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import (
     RECORDS,
     WORK,
-    Epoch,
+    EpochInputs,
+    Lasting,
     Measured,
     Outputs,
     State,
@@ -37,7 +29,7 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import (
 )
 from lanebound.integrity.navigators.rtk_reckoning.report_kernel import report, take_fix
 from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import resolve_integers
-from lanebound.integrity.navigators.rtk_reckoning.velocity_kernel import find_velocity
+from lanebound.integrity.navigators.rtk_reckoning.stages import OutsideStage, Stage, StageList
 from lanebound.integrity.navigators.solution import Solution
 
 __all__ = ["RtkReckoningNavigator"]
@@ -55,24 +47,8 @@ class RtkReckoningNavigator(Navigator):
         """The parameters, and the list of stages."""
         self._parameters = epoch_parameters(self.config)
         self._tables = epoch_tables(self.config, self.track.system)
-        self._stages = Chain(
-            find_velocity,
-            find_attitude,
-            follow_carriers,
-            resolve_integers,
-            find_fixed_position,
-            advance_doppler,
-            advance_imu_odometer,
-            advance_nothing,
-            separate_doppler,
-            watch_speeds,
-            find_levels,
-            judge_fix,
-            take_fix,
-            widen_levels,
-            report,
-        )
-        self._work: Work | None = None
+        self._stages = StageList(stages_of(self.config))
+        self._excludes = any(Point.MEASURED in monitor.stages for monitor in self.config.chosen_monitors)
 
     def initial_belief(self, batch: int) -> State:
         """Nothing is known but the bounds of the heading and of the gyro bias."""
@@ -84,6 +60,13 @@ class RtkReckoningNavigator(Navigator):
         vehicles["alert"]["alert"], vehicles["alert"]["reason"] = True, AlertReason.INITIALISING.code
         vehicles["alert"]["onset_s"] = -1.0
         return belief
+
+    def initial_extensions(self, batch: int) -> dict[str, Records]:
+        """The states of the modes and monitors from outside."""
+        modes = {f"mode {mode.mode.key}": mode.initial for mode in self.config.chosen_modes}
+        monitors = {f"monitor {monitor.name}": monitor.initial for monitor in self.config.chosen_monitors}
+        given = {**modes, **monitors}.items()
+        return {name: np.repeat(initial, batch) for name, initial in given if initial is not None}
 
     def align(self, heading_rad: Array, sigma_rad: float) -> None:
         """Give the vehicles a prior heading, (B,) azimuth and its 1-sigma, as from a compass or the last drive."""
@@ -114,13 +97,49 @@ class RtkReckoningNavigator(Navigator):
 
     def locate(self, m: Measurements) -> Solution:
         """The belief after the measurements of one epoch; reads nothing else."""
-        batch, satellites, levels = self.batch, len(self.track.system), self._tables.cases.shape[0]
-        out = blank_outputs(batch, satellites, levels)
-        if self._work is None or self._work.vehicles.shape[0] != batch:
-            self._work = blank_work(batch, satellites, levels)
-        epoch = Epoch(self._parameters, self._tables, self.state.belief, measured_of(m), self._work, out)
-        run_rows(self._stages, batch, epoch, row_us=LOCATE_US)
+        batch, belief = self.batch, self.state.belief
+        out = blank_outputs(batch, len(self.track.system), self._tables.cases.shape[0])
+        measured = measured_of(m)
+        if self._excludes:
+            measured = measured._replace(tracked=measured.tracked.copy())
+        owners = self._parameters, self._tables, belief
+        lasting = self.state.locating.of(owners, lambda: self._lasting(belief))
+        inputs = EpochInputs(measured, out)
+        run_rows(self._stages, batch, lasting, inputs, self.state.extensions, row_us=LOCATE_US)
         return solution_of(m, out)
+
+    def _lasting(self, belief: State) -> Lasting:
+        """What the stages work on in every epoch."""
+        batch, satellites = belief.ambiguities.shape
+        work = blank_work(batch, satellites, self._tables.cases.shape[0])
+        return Lasting(self._parameters, self._tables, belief, work)
+
+
+def stages_of(config: RtkReckoningConfig) -> list[Stage | OutsideStage]:
+    """The stages of an epoch, in their order."""
+    monitors = [*BUILT_IN.values(), *config.chosen_monitors]
+
+    def monitored(point: Point) -> list[Stage | OutsideStage]:
+        return [monitor.stages[point] for monitor in monitors if point in monitor.stages]
+
+    return [
+        begin,
+        *monitored(Point.MEASURED),
+        *monitored(Point.VELOCITY),
+        find_attitude,
+        follow_carriers,
+        resolve_integers,
+        *monitored(Point.FIX),
+        *monitored(Point.ESTIMATED),
+        *(mode.stage for mode in config.chosen_modes),
+        advance_nothing,
+        *monitored(Point.MOVED),
+        find_levels,
+        *monitored(Point.JUDGED),
+        take_fix,
+        *monitored(Point.BOUNDED),
+        report,
+    ]
 
 
 def blank_state(batch: int, satellites: int, cases: int) -> State:
@@ -148,20 +167,16 @@ def blank_work(batch: int, satellites: int, cases: int) -> Work:
 def blank_outputs(batch: int, satellites: int, cases: int) -> Outputs:
     """Outputs of vehicles, to be filled."""
 
-    def real(*shape: int) -> Array:
-        return np.empty((batch, *shape))
-
-    def whole() -> NDArray[np.int64]:
-        return np.empty(batch, np.int64)
-
-    def flag(*shape: int) -> NDArray[np.bool_]:
-        return np.empty((batch, *shape), np.bool_)
-
+    heading, sigma_at, sigma_ct, hdop, since_rtk, since_calibration, wrong = np.empty((7, batch))
+    position, velocity, difference = np.empty((3, batch, 2))
+    mode, rtk, reason, used, used_doppler, excluded = np.empty((6, batch), np.int64)
+    alert, available = np.empty((2, batch), np.bool_)
     return Outputs(
-        position=real(2), heading=real(), velocity=real(2), covariance=real(2, 2), sigma_at=real(), sigma_ct=real(),
-        levels=real(cases, 2), mode=whole(), rtk=whole(), alert=flag(), available=flag(), reason=whole(), hdop=real(),
-        satellites=whole(), satellites_doppler=whole(), excluded=whole(), since_rtk=real(), since_calibration=real(),
-        wrong=real(), held=flag(satellites), difference=real(2),
+        position=position, heading=heading, velocity=velocity, covariance=np.empty((batch, 2, 2)), sigma_at=sigma_at,
+        sigma_ct=sigma_ct, levels=np.empty((batch, cases, 2)), mode=mode, rtk=rtk, alert=alert, available=available,
+        reason=reason, hdop=hdop, satellites=used, satellites_doppler=used_doppler, excluded=excluded,
+        since_rtk=since_rtk, since_calibration=since_calibration, wrong=wrong,
+        held=np.empty((batch, satellites), np.bool_), difference=difference,
     )  # fmt: skip
 
 

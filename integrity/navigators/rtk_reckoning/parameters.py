@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.monitoring.alerts import alert_parameters
+from lanebound.integrity.monitoring.detection_kernel import Thresholds
 from lanebound.integrity.monitoring.exclusion import fde_parameters, fde_thresholds
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor, upper_quantile
 from lanebound.integrity.navigators.navigator import LevelForm, PlCase
@@ -28,8 +29,9 @@ if TYPE_CHECKING:
 
 __all__ = ["LEVER_RISK_SHARE", "epoch_parameters", "epoch_tables", "satellite_table"]
 
+Array = NDArray[np.float64]
+
 LEVER_RISK_SHARE = 0.01  # of the smallest risk, for the heading that turns the lever arm
-FURTHER_MODES = 10  # fault modes beside one for each satellite
 
 
 def epoch_parameters(c: RtkReckoningConfig) -> Records:
@@ -85,7 +87,7 @@ def epoch_parameters(c: RtkReckoningConfig) -> Records:
             backup=p.rtk.backup_s,
         ),
         risk=risk_parameters(c.risk, of_lever, p.rtk.reference_bias_m),
-        fde=fde_parameters(c.fde),
+        fde=fde_parameters(c.tests, c.risk.monitors_constellations),
         alert=alert_parameters(c.alert),
     )
 
@@ -119,8 +121,7 @@ def epoch_tables(c: RtkReckoningConfig, system: NDArray[np.int64]) -> rk.Tables:
     return rk.Tables(
         satellite_table(system, wavelength, FIXABLE[system], c.risk),
         case_table(c.cases, c.risk, spent),
-        fde_thresholds(c.fde, len(system)),
-        separation_thresholds(c.risk, len(system)),
+        *separation_thresholds(c, len(system)),
     )
 
 
@@ -152,7 +153,12 @@ def _form(case: PlCase) -> int:
     return rk.MULTI_HYPOTHESIS if case.form is LevelForm.ROOT else rk.CLOSED
 
 
-def separation_thresholds(risk: RiskConfig, satellites: int) -> NDArray[np.float64]:
-    """``K_fa`` (2, C) by the number of fault modes, exact and published."""
-    modes = np.arange(satellites + FURTHER_MODES)
-    return np.stack([false_alarm_factor(risk.false_alarm, modes, v) for v in (Variant.EXACT, Variant.PUBLISHED)])
+def separation_thresholds(c: RtkReckoningConfig, satellites: int) -> tuple[Thresholds, Thresholds, Array]:
+    """Thresholds of the tests; those of the same tests at ``risk.false_alarm``, which the levels count on; and S1's.
+
+    Tests of a larger ``fde.alpha`` have lower thresholds, so the levels hold for them too.
+    """
+    systems = c.risk.monitors_constellations
+    counted = fde_thresholds(c.tests.replace(alpha=c.risk.false_alarm), satellites, systems)
+    published = false_alarm_factor(c.risk.false_alarm, np.arange(counted.local.size), Variant.PUBLISHED)
+    return fde_thresholds(c.tests, satellites, systems), counted, np.repeat(published[:, None], 2, axis=1)

@@ -27,8 +27,11 @@ __all__ = [
     "VEHICLE",
     "WORK",
     "Epoch",
+    "EpochInputs",
+    "Lasting",
     "Measured",
     "Outputs",
+    "Own",
     "State",
     "Tables",
 ]
@@ -120,14 +123,15 @@ CASE = record(
 class Tables(NamedTuple):
     """Parameters in arrays.
 
-    satellites (S,) of SATELLITE; cases (R,) of CASE, the operative one first; thresholds of the fault tests;
-    k_fa (2, C) threshold of the separation test by the number of fault modes, exact and published.
+    satellites (S,) of SATELLITE; cases (R,) of CASE, the operative one first; thresholds of the fault tests; k_fa those
+    that the levels count on, of the same tests; k_published (C, 2) S1's factor by the number of fault modes.
     """
 
     satellites: Records
     cases: Records
     thresholds: Thresholds
-    k_fa: Array
+    k_fa: Thresholds
+    k_published: Array
 
 
 # State
@@ -251,6 +255,8 @@ WORK = record(
     integrates=("?", "the position moved by the Doppler velocity"),
     accepted=("?", "the RTK position is accepted"),
     fixed=(FIXED_SOLUTION, "RTK solution"),
+    excluded=("i8", "satellites excluded by monitors from outside"),
+    cause=("i8", "code of AlertReason that a monitor from outside raises, 0 for none"),
 )
 """What stages hand on to later stages of the same epoch."""
 
@@ -296,14 +302,40 @@ class Outputs(NamedTuple):
     difference: Array
 
 
+class Own(NamedTuple):
+    """What belongs to one mode or monitor from outside.
+
+    code of its Mode or AlertReason; state (B,) of its own record, which lasts.
+    """
+
+    code: int
+    state: Records
+
+
 class Epoch(NamedTuple):
     """One epoch of a batch: what every stage ``stage(first, last, epoch)`` takes. parameters (1,) of PARAMETERS."""
 
     parameters: Records
     tables: Tables
     state: State
-    measured: Measured
     work: Work
+    measured: Measured
+    out: Outputs
+
+
+class Lasting(NamedTuple):
+    """The fields of an Epoch that last."""
+
+    parameters: Records
+    tables: Tables
+    state: State
+    work: Work
+
+
+class EpochInputs(NamedTuple):
+    """The fields of an Epoch that are of one epoch alone."""
+
+    measured: Measured
     out: Outputs
 
 

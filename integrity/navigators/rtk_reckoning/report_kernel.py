@@ -7,13 +7,12 @@ from typing import Any
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.monitoring.alerts_kernel import INITIALISING, TEST_FAILED, alert_step
-from lanebound.integrity.monitoring.alerts_kernel import NONE as NO_CAUSE
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import remember_velocity, sigma_and_bias
 from lanebound.integrity.monitoring.jump_kernel import is_suspicious
 from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import DeadReckoningState, restart
-from lanebound.integrity.navigators.rtk_reckoning.modes_kernel import NONE, RTK
 from lanebound.integrity.navigators.rtk_reckoning.monitors_kernel import copy_reckoning, reference_point
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import BACKUP, LATEST, Epoch, Outputs
+from lanebound.integrity.positioning.codes_kernel import NONE, RTK
 
 __all__ = ["report", "take_fix"]
 
@@ -58,7 +57,7 @@ def report(first: int, last: int, epoch: Epoch) -> None:
             sigma_h = math.sqrt(vehicle.heading.p_hh)
             sigma_at = math.hypot(w.fixed.sigma[0], par.lever.right * sigma_h)
             sigma_ct = math.hypot(w.fixed.sigma[1], par.lever.forward * sigma_h)
-        cause, doubted = INITIALISING if w.mode == NONE else NO_CAUSE, is_suspicious(vehicle.jump)
+        cause, doubted = w.cause if vehicle.initialised else INITIALISING, is_suspicious(vehicle.jump)
         if doubted or (vehicle.unbounded and w.mode != RTK and w.mode != NONE):
             cause = TEST_FAILED
         at, ct = out.levels[v, 0, 0], out.levels[v, 0, 1]
@@ -89,6 +88,6 @@ def _report_state(v: int, vehicle: Any, w: Any, out: Outputs) -> None:
     out.mode[v], out.rtk[v] = w.mode, w.fixed.status
     out.hdop[v] = w.fixed.hdop if w.mode == RTK else w.hdop_doppler
     out.satellites[v], out.satellites_doppler[v] = w.fixed.satellites, w.satellites_doppler
-    out.excluded[v] = w.fixed.excluded + w.excluded_doppler
+    out.excluded[v] = w.excluded + w.fixed.excluded + w.excluded_doppler
     out.since_rtk[v], out.since_calibration[v] = vehicle.since_rtk, vehicle.since_calibration
     out.wrong[v] = w.fixed.wrong

@@ -10,13 +10,12 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED, Thresholds, detect_and_exclude
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Bools, Epoch
-from lanebound.integrity.positioning.resolve_kernel import FIXED, NOT_CONVERGED, resolve
+from lanebound.integrity.positioning.codes_kernel import FIXED, NO_CORRECTIONS, NOT_CONVERGED
+from lanebound.integrity.positioning.resolve_kernel import resolve
 from lanebound.integrity.positioning.rows_kernel import Rows
 from lanebound.integrity.positioning.rtk_kernel import Carriers, collapse_code, drop_small_systems
 
 __all__ = ["resolve_integers"]
-
-NO_CORRECTIONS = 1  # code of RtkStatus
 
 
 @jit
@@ -30,12 +29,8 @@ def resolve_integers(first: int, last: int, epoch: Epoch) -> None:
     for s in range(n):
         system[s] = satellites[s].system
     for v in range(first, last):
-        rtk, fixed, age, ambiguities = (
-            state.vehicles[v].rtk,
-            work.vehicles[v].fixed,
-            measured.age[v],
-            state.ambiguities[v],
-        )
+        vehicle, fixed, ambiguities = state.vehicles[v], work.vehicles[v].fixed, state.ambiguities[v]
+        rtk, age = vehicle.rtk, measured.age[v]
         used, phase_ok = work.used[v], work.phase_ok[v]
         fixed.status = FIXED
         if not age <= rules.max_age:
@@ -52,7 +47,7 @@ def resolve_integers(first: int, last: int, epoch: Epoch) -> None:
             code, los, factor = measured.code[v], measured.los[measured.sight[v]], work.factor[v]
             carriers = Carriers(los, satellites, measured.phase[v], np.empty(n))
             rows = Rows(los, system, np.empty(n), np.empty(n), used.copy())
-            fixed.status = _resolve(carriers, rows, code, factor, age, candidate, ambiguities, thresholds, par, rtk)
+            fixed.status = _resolve(carriers, rows, code, factor, age, candidate, ambiguities, thresholds, par, vehicle)
             rtk.refused_s = rules.retry if fixed.status != FIXED else 0.0
 
 
@@ -68,16 +63,17 @@ def find_members(ambiguities: Records, used: Bools, satellites: Records, rules: 
 @jit
 def _resolve(
     carriers: Carriers, rows: Rows, code: Any, factor: Any, age: float, candidate: Bools, ambiguities: Records,
-    thresholds: Thresholds, par: Any, rtk: Any,
+    thresholds: Thresholds, par: Any, vehicle: Any,
 ) -> int:  # fmt: skip
     """Check the code by its own residuals, then fix what the risk allows; returns a status."""
-    rules, position, q = par.rtk, np.empty(3), np.empty((3, 3))
+    rules, rtk, position, q = par.rtk, vehicle.rtk, np.empty(3), np.empty((3, 3))
     aged = (rules.age_sigma * age) ** 2  # of the whole range, common to the bands
     collapse_code(code, rules.bands, rows.y)
     for s in range(factor.shape[0]):
         rows.variance[s] = factor[s] * (rules.sigma_code**2 / rules.bands)
         carriers.variance[s] = factor[s] * rules.sigma_phase**2 + aged
-    outcome, _, _, _, _ = detect_and_exclude(rows, thresholds, par.fde, position, q)
+    heading = vehicle.heading.angle
+    outcome, _, _, _, _ = detect_and_exclude(rows, rows.group, heading, thresholds, par.fde, position, q)
     if outcome > EXCLUDED:
         return NOT_CONVERGED
     rtk.fixes += 1

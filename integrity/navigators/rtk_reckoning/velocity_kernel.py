@@ -9,7 +9,7 @@ import numpy as np
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.small_matrix_kernel import hdop_of
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED, NO_REDUNDANCY, detect_and_exclude
-from lanebound.integrity.monitoring.doppler_separation_kernel import AFFORDABLE, LOST, find_influences
+from lanebound.integrity.monitoring.doppler_separation_kernel import AFFORDABLE, IDLE, LOST, find_influences
 from lanebound.integrity.monitoring.jump_kernel import begin_epoch, suspects_signals
 from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import later_by
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import LATEST, Epoch
@@ -26,6 +26,9 @@ def find_velocity(first: int, last: int, epoch: Epoch) -> None:
     satellites, thresholds, operative = epoch.tables.satellites, epoch.tables.thresholds, epoch.tables.cases[0]
     n = satellites.shape[0]
     clock, variance, used = np.zeros(n, dtype=np.int64), np.empty(n), np.empty(n, dtype=np.bool_)
+    system, constellation = np.empty(n, dtype=np.int64), par.risk.constellation_prior
+    for s in range(n):
+        system[s] = satellites[s].system
     for v in range(first, last):
         vehicle, w, los = state.vehicles[v], work.vehicles[v], measured.los[measured.sight[v]]
         epoch.out.levels[v, :, :] = math.inf
@@ -40,7 +43,9 @@ def find_velocity(first: int, last: int, epoch: Epoch) -> None:
         for s in range(n):
             variance[s] *= par.doppler.sigma**2
         rows = Rows(los, clock, variance, measured.range_rate[v], used)
-        outcome, _, _, _, w.excluded_doppler = detect_and_exclude(rows, thresholds, par.fde, w.velocity, w.q)
+        outcome, _, _, _, w.excluded_doppler = detect_and_exclude(
+            rows, system, vehicle.heading.angle, thresholds, par.fde, w.velocity, w.q
+        )
         w.satellites_doppler = 0
         for s in range(n):
             w.satellites_doppler += used[s]
@@ -48,10 +53,15 @@ def find_velocity(first: int, last: int, epoch: Epoch) -> None:
         w.solved = outcome <= EXCLUDED or outcome == NO_REDUNDANCY
         influences, separations = state.influences[v, 1], state.separations[v, LATEST]
         find_influences(los, used, variance, measured.range_rate[v], w.velocity, w.q, w.solved, influences)
-        lost = 0.0
+        lost, seen = 0.0, 0
         for s in range(n):
-            if influences[s].state == LOST or separations[s].state == LOST:
+            of_s = max(influences[s].state, separations[s].state)
+            if of_s > IDLE:
+                seen |= 1 << system[s]
+            if of_s == LOST:
                 lost += satellites[s].prior
+        for g in range(constellation.shape[0]):
+            lost += constellation[g] if seen >> g & 1 else 0.0
         w.later = later_by(vehicle.since_rtk, par.risk.fault_duration)
         affordable = w.later * lost <= AFFORDABLE * (operative.budget[0] + operative.budget[1])
         w.checked = w.solved and not w.suspect and (par.risk.published or affordable)

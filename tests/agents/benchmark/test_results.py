@@ -16,7 +16,7 @@ from lanebound.agents.benchmark.metrics import MAIN, METRICS, harm_of, metric_na
 from lanebound.agents.benchmark.outcome import Outcome
 from lanebound.agents.benchmark.results import Results
 from lanebound.agents.benchmark.source import source_digest
-from lanebound.agents.benchmark.store import STORED, EpisodeStore
+from lanebound.agents.benchmark.store import EpisodeStore, stored_columns
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import MANIFEST, code_digest
 from lanebound.integrity.core.errors import InputError
@@ -146,7 +146,7 @@ def test_a_folder_gives_back_what_was_put_in(folder):
     assert [o.id for o in results.failures] == ["CarFollowing-v0/dense-none/integrity_aware/10002"]
     assert results.outcomes[:-1] == [made_up_outcome(task) for task in results.suite.tasks()][:-1]
     rows = results.rows(results.outcomes[0])
-    assert rows.column_names == [column.name for column in STORED]
+    assert rows.column_names == [column.name for column in stored_columns()]
     assert rows.num_rows == results.outcomes[0].steps + 1
 
 

@@ -10,15 +10,15 @@ from benchmarks import made_up_outcome, made_up_suite
 from typer.testing import CliRunner
 
 from lanebound.agents.benchmark.seeds import TRAIN
-from lanebound.agents.benchmark.tuning import GOAL, LADDER, Measured, cautious_at, choose, tuning_suite
+from lanebound.agents.benchmark.tuning import GOAL, LADDER, cautious_at, choose, measured, tuning_suite
 from lanebound.agents.cli import app
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.episodes import open_env
 from lanebound.integrity.core.errors import ConfigError, InputError
 
 
-def _measured(harm: float, throughput_mps: float) -> Measured:
-    return Measured(harm, 0.0, 0.0, 0.0, harm, throughput_mps, 9.0, 1)
+def _measured(harm: float, throughput_mps: float) -> dict[str, float]:
+    return {"harm": harm, "throughput": throughput_mps}
 
 
 def test_caution_slows_and_widens_from_the_nominal_driver_on():
@@ -64,12 +64,12 @@ def test_what_is_measured_is_not_distorted_by_early_ends_nor_by_the_weights_of_c
     early = {"collision": True, "mean_speed_mps": 20.0, "throughput_mps": 1.0, "costs": {"cost_lane": 3.0}}
     late = {"collision": False, "mean_speed_mps": 8.0, "throughput_mps": 8.0, "costs": {"cost_lane": 1.0}}
     outcomes = [made_up_outcome(task, cost=7.0, **given) for task, given in zip(tasks, (early, late), strict=True)]
-    found = Measured.of(outcomes)
-    assert (found.harm, found.throughput_mps, found.speed_mps) == (27.0, 4.5, 14.0)
-    assert (found.collision_rate, found.off_road_rate, found.cost_lane, found.episodes) == (0.5, 0.0, 2.0, 2)
+    found = measured(outcomes)
+    assert (found["harm"], found["throughput"], found["mean_speed"]) == (27.0, 4.5, 14.0)
+    assert (found["collision"], found["off_road"], found["cost_lane"], found["episodes"]) == (0.5, 0.0, 2.0, 2)
     failed = replace(outcomes[0], status="raised", message="no idea")
     with pytest.raises(InputError, match=r"got 1 of 2 that failed, LaneKeeping-v0/.* \(no idea\): mend the driver"):
-        Measured.of([failed, outcomes[1]])
+        measured([failed, outcomes[1]])
 
 
 def test_figures_that_an_agent_does_not_have_are_refused():
@@ -95,5 +95,5 @@ def test_the_command_drives_and_says_what_it_chose(tmp_path, monkeypatch):
     assert set(found) == {
         "environment", "base", "sky", "seeds", GOAL, "ladder", "caution", "matched", "figures",
     }  # fmt: skip
-    assert set(found[GOAL]) >= {"harm", "collision_rate", "departure_rate", "cost_lane", "speed_mps", "throughput_mps"}
+    assert set(found[GOAL]) >= {"harm", "collision", "lane_departure", "cost_lane", "mean_speed", "throughput"}
     assert found["figures"]["speed_share"] == pytest.approx(1.0 - 0.7 * found["caution"], abs=1e-3)

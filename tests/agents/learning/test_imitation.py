@@ -81,7 +81,7 @@ def test_the_policy_comes_to_do_what_the_driver_does(env: str, driver: str, epoc
 def test_learning_goes_on_from_there_and_imitates_once(tmp_path: Path) -> None:
     told: list[Checkpoint] = []
     config = experiment(algorithm="ppo_lagrangian", imitation=SMALL)
-    rows = train(config, tmp_path, told=told.append)
+    rows = train(config, tmp_path, on_checkpoint=told.append)
     assert [row["steps"] for row in rows] == [0, 64, 128] == [checkpoint.steps for checkpoint in told]
     assert "after imitating `integrity_aware`" in (tmp_path / "best.md").read_text()
     rows = train(experiment(algorithm="ppo_lagrangian", imitation=SMALL, steps=192), tmp_path)
@@ -189,8 +189,8 @@ def test_what_the_driver_is_shown_must_hold_all_that_the_policy_sees() -> None:
     for shown, reason in [
         ({"vehicles": 2}, "traffic.v2_present, traffic.v2_ahead"),
         ({"speed_max_mps": 50.0}, "ego.speed"),
-        ({"integrity": "oracle"}, "whether the truth is shown"),
-        ({"history": 2}, "must keep history"),
+        ({"integrity": "oracle"}, "integrity: oracle of the policy"),
+        ({"history": 2}, "must have the history"),
     ]:
         with pytest.raises(InputError, match=reason):
             teacher_of(experiment(imitation={**SMALL, "observation": shown}))
@@ -201,13 +201,14 @@ def test_a_stop_loses_no_finished_round(tmp_path: Path, monkeypatch: pytest.Monk
     states: list[dict[str, Any]] = []
     fit = imitation._fit
 
-    def noted(model: Any, heard: Any, lessons: Any, optimiser: Any) -> float:
-        before = {"seen": np.stack(heard.seen), "said": np.stack(heard.said), "draws": torch.get_rng_state()}
+    def noted(model: Any, labels: Any, lessons: Any, optimiser: Any) -> float:
+        stacked = {"observations": np.stack(labels.observations), "actions": np.stack(labels.actions)}
+        before = {**stacked, "draws": torch.get_rng_state()}
         weights = {name: value.clone() for name, value in model.policy.state_dict().items()}
         states.append({**before, "weights": weights, "fit": deepcopy(optimiser.state_dict()["state"])})
         if len(states) == 3:
             raise KeyboardInterrupt
-        return fit(model, heard, lessons, optimiser)
+        return fit(model, labels, lessons, optimiser)
 
     monkeypatch.setattr(imitation, "_fit", noted)
     with pytest.raises(KeyboardInterrupt):
@@ -217,8 +218,8 @@ def test_a_stop_loses_no_finished_round(tmp_path: Path, monkeypatch: pytest.Monk
     assert len(states) == 4  # the third again, and no other
     assert steps[0] == steps[-1] // 3 * 2 + config.count
     cut, again = states[2:]
-    finished = len(cut["seen"]) // 3 * 2
-    for name in ("seen", "said"):
+    finished = len(cut["observations"]) // 3 * 2
+    for name in ("observations", "actions"):
         np.testing.assert_array_equal(again[name][:finished], cut[name][:finished])
     assert again["draws"].equal(cut["draws"])
     assert all(again["weights"][name].equal(value) for name, value in cut["weights"].items())

@@ -33,7 +33,7 @@ class StoppedError(Exception):
 
 def test_an_experiment_leaves_checkpoints_a_card_and_its_progress(tmp_path: Path) -> None:
     told: list[Checkpoint] = []
-    rows = train(experiment(algorithm="ppo_lagrangian"), tmp_path, told=told.append)
+    rows = train(experiment(algorithm="ppo_lagrangian"), tmp_path, on_checkpoint=told.append)
     assert [row["steps"] for row in rows] == [64, 128] == [checkpoint.steps for checkpoint in told]
     assert json.loads((tmp_path / "progress.json").read_text()) == rows
     assert told[0].best
@@ -47,9 +47,9 @@ def test_a_stop_loses_no_checkpoint_and_the_same_call_goes_on(tmp_path: Path) ->
         raise StoppedError
 
     with pytest.raises(StoppedError):
-        train(experiment(), tmp_path, told=stop)
+        train(experiment(), tmp_path, on_checkpoint=stop)
     told: list[Checkpoint] = []
-    rows = train(experiment(), tmp_path, told=told.append)
+    rows = train(experiment(), tmp_path, on_checkpoint=told.append)
     assert [row["steps"] for row in rows] == [64, 128]
     assert [checkpoint.steps for checkpoint in told] == [128]
     assert train(experiment(), tmp_path) == rows
@@ -220,7 +220,7 @@ def test_what_diverges_after_a_checkpoint_leaves_it(tmp_path: Path, monkeypatch:
         monkeypatch.setattr("stable_baselines3.PPO.train", lambda model: model.policy.log_std.data.fill_(np.nan))
 
     with pytest.raises(InputError, match=r"at step 128: .* \(the checkpoints before are kept in "):
-        train(experiment(), tmp_path, told=spoil)
+        train(experiment(), tmp_path, on_checkpoint=spoil)
     assert [row["steps"] for row in json.loads((tmp_path / "progress.json").read_text())] == [64]
     assert load_model(tmp_path / "last.zip", experiment().algorithm).num_timesteps == 64
 
@@ -264,7 +264,7 @@ def test_a_training_that_is_done_says_so(tmp_path: Path) -> None:
     arguments = ["train", str(tmp_path / "planned.yaml"), "--out", str(tmp_path / "out"), "--set", "steps=64"]
     told = CliRunner().invoke(app, arguments)
     assert told.exit_code == 0, told.output
-    assert "all 64 decisions are done already (so far 128): raise steps to go on" in told.output
+    assert "all 64 decisions are made (now 128): raise steps to continue" in told.output
 
 
 @pytest.mark.parametrize("engine", [True, False])

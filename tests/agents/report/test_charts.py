@@ -8,10 +8,10 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
+from lanebound.agents.benchmark.results import Paired
 from lanebound.agents.report.charts import (
     CostBar,
     EpisodeTrace,
-    PairedRow,
     ParetoAxis,
     ParetoPoint,
     forest,
@@ -27,6 +27,13 @@ from lanebound.integrity.assessment.record import Record
 from lanebound.integrity.positioning.modes import Mode
 
 COST, RETURN = ParetoAxis("cost", "", "lower"), ParetoAxis("return", "", "higher")
+
+
+def paired(
+    difference: float, low: float | None, high: float | None, n: int = 50, better: float | None = None, failed: int = 0
+) -> Paired:
+    place = ("LaneKeeping-v0", "urban", "none")
+    return Paired(*place, "a", "nominal", "return", difference, low, high, n, better, failed=failed)
 
 
 def spot(agent: str, x: float, y: float, look: int = 0, bound: bool = False) -> ParetoPoint:
@@ -50,16 +57,16 @@ def notes(picture: str) -> list[str]:
 
 
 def test_verdicts_follow_the_interval_and_the_better_side():
-    up, down, unclear = (PairedRow("a", *d, 50) for d in ((1, 0.5, 2), (-1, -2, -0.5), (1, -0.5, 2)))
+    up, down, unclear = (paired(*d) for d in ((1, 0.5, 2), (-1, -2, -0.5), (1, -0.5, 2)))
     assert [d.verdict("higher") for d in (up, down, unclear)] == ["better", "worse", "unclear"]
     assert [d.verdict("lower") for d in (up, down, unclear)] == ["worse", "better", "unclear"]
     assert [d.verdict(None) for d in (up, unclear)] == ["differs", "unclear"]
 
 
 def test_few_seeds_or_none_that_differ_give_no_verdict():
-    few, alike = PairedRow("a", 1, 0.5, 2, 7), PairedRow("b", 0.5, None, None, 50)
+    few, alike = paired(1, 0.5, 2, 7), paired(0.5, None, None)
     assert [d.verdict("higher") for d in (few, alike)] == ["too few seeds", "unclear"]
-    drawn = forest("return", "", "higher", "nominal", [few, alike])
+    drawn = forest("return", "", "higher", "nominal", {"a": few, "b": alike})
     assert len(drawn_with(drawn, "stroke:var(--soft)", "stroke-width:1.8")) == 1  # one has no interval
     assert not drawn_with(drawn, "var(--better)")
     assert notes(drawn)[0] == "a: +1.00 [+0.500, +2.00], 7 seeds"
@@ -67,16 +74,16 @@ def test_few_seeds_or_none_that_differ_give_no_verdict():
 
 
 def test_a_forest_has_no_verdict_on_who_failed():
-    sound, failed = (PairedRow("a", -1, -2, -0.5, 50, failed=count) for count in (0, 3))
+    sound, failed = (paired(-1, -2, -0.5, failed=count) for count in (0, 3))
     assert (sound.verdict("lower"), failed.verdict("lower")) == ("better", "no verdict, 3 failed")
-    drawn = forest("return", "", "lower", "nominal", [failed])
+    drawn = forest("return", "", "lower", "nominal", {"a": failed})
     assert not drawn_with(drawn, "var(--better)")
     assert drawn_with(drawn, "fill:var(--card)", "stroke:var(--soft)")
     assert notes(drawn)[-1] == "a: −1.00 [−2.00, −0.500], 50 seeds, no verdict, 3 failed"
 
 
 def test_a_forest_tells_clear_differences_by_shape_not_by_colour_alone():
-    rows = [PairedRow("mine", -0.2, -0.3, -0.1, 50, 0.9), PairedRow("other", 0.1, -0.1, 0.3, 50, 0.2)]
+    rows = {"mine": paired(-0.2, -0.3, -0.1, better=0.9), "other": paired(0.1, -0.1, 0.3, better=0.2)}
     drawn = forest("collision", "share", "lower", "nominal", rows)
     parsed = ET.fromstring(drawn)
     marks = [e.attrib["style"] for e in parsed.iter("use")]

@@ -24,17 +24,22 @@ def unwritable(tmp_path):
     return file / "below"
 
 
+def _run(code, **environment):
+    """Run ``code`` in a new process without this one's cache settings; returns its standard output and error."""
+    env = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA_", "XDG_"))} | environment
+    done = subprocess.run([sys.executable, "-W", "error", "-c", code], env=env, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout, done.stderr
+
+
 def _run_kernel(code, **environment):
-    """Run ``code`` and a small kernel in a new process; returns the cache directory and the kernel's answer."""
+    """Run ``code`` and a small kernel in a new process; returns the cache directory."""
     code += (
         "\nfrom lanebound.integrity.core import accel"
         "\nfrom lanebound.integrity.positioning.heading_kernel import wrap"
         "\nprint(accel.cache_directory(), wrap(7.0))"
     )
-    env = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA_", "XDG_"))} | environment
-    done = subprocess.run([sys.executable, "-W", "error", "-c", code], env=env, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    directory, answer = done.stdout.split()
+    directory, answer = _run(code, **environment)[0].split()
     assert float(answer) == pytest.approx(7.0 - 2.0 * math.pi, abs=1e-12)
     return directory
 
@@ -323,3 +328,30 @@ def test_kernels_of_versions_that_nobody_has_used_for_a_month_are_removed(only_t
     os.utime(young, (then, then))
     accel.cache_directory.__wrapped__()  # one that is there already: nothing is looked for
     assert young.exists()
+
+
+NOTICE = """
+from lanebound.integrity.core import accel
+accel.NOTICE_S = {threshold_s}
+from lanebound.integrity.positioning.heading_kernel import doppler_heading_variance, wrap
+print(wrap(7.0), doppler_heading_variance(3.0, 4.0, 1.0, 0.0, 1.0))
+"""
+
+
+def test_only_a_process_that_compiles_for_longer_than_the_threshold_logs_one_line(tmp_path):
+    cache = {"NUMBA_CACHE_DIR": str(tmp_path / "short")}
+    assert _run(NOTICE.format(threshold_s=600.0), **cache)[1] == ""
+    cache = {"NUMBA_CACHE_DIR": str(tmp_path / "long")}
+    answers, message = _run(NOTICE.format(threshold_s=1e-6), **cache)
+    assert message == "lanebound: compiling kernels, once for this version. This takes some minutes.\n"
+    assert list((tmp_path / "long").rglob("*.nbi"))
+    assert _run(NOTICE.format(threshold_s=1e-6), **cache) == (answers, ""), "kernels of the cache are not compiled"
+
+
+def test_a_process_without_a_cache_logs_how_to_have_one(unwritable):
+    nowhere = str(unwritable)
+    code = f"import tempfile; tempfile.tempdir = {nowhere!r}" + NOTICE.format(threshold_s=1e-6)
+    _, message = _run(code, HOME=nowhere, NUMBA_CACHE_DIR=nowhere, TMPDIR=nowhere)
+    assert message.splitlines() == [
+        "lanebound: compiling kernels, in every process: set NUMBA_CACHE_DIR to a folder. This takes some minutes."
+    ]

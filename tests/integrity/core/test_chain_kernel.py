@@ -4,20 +4,43 @@ from __future__ import annotations
 
 import copy
 import pickle
+import sys
 from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 import pytest
 
-from lanebound.integrity.core import accel
+from lanebound.integrity.core import accel, bundle_kernel
 from lanebound.integrity.core.accel import jit, run_rows
+from lanebound.integrity.core.bundle_kernel import Bundle
 from lanebound.integrity.core.chain_kernel import Chain
+
+
+@pytest.fixture(autouse=True)
+def _in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compile what writes bundles in memory: types of a test must not come into the cache that processes share."""
+    for name in ("_size", "_write"):
+        kernel = getattr(bundle_kernel, name).py_func
+        monkeypatch.setattr(bundle_kernel, name, numba.njit(**{"_nrt": False})(kernel))
 
 
 class Pair(NamedTuple):
     """Two arrays with a row for each vehicle."""
 
     a: Any
+    b: Any
+
+
+class Sums(NamedTuple):
+    """The array that lasts."""
+
+    a: Any
+
+
+class Terms(NamedTuple):
+    """The array of one call."""
+
     b: Any
 
 
@@ -34,21 +57,45 @@ def double(first, last, pair):
 
 
 @jit
+def add_slices(first, last, pair):
+    for v in range(first, last):
+        own = pair.a[v : v + 1].copy() + pair.b[v : v + 1]
+        pair.a[v] = own[0]
+
+
+@jit
 def fail(first, last, pair):
     if pair.a[first] > 2.5:
         raise ValueError("too large")
 
 
-def _pair() -> Pair:
-    return Pair(np.arange(4.0), np.ones(4))
+def _data(size: int = 4) -> tuple[Bundle, Terms]:
+    return Bundle(Sums(np.arange(float(size)))), Terms(np.ones(size))
 
 
 def test_kernels_run_in_their_order_on_the_rows_given() -> None:
-    pair = _pair()
-    Chain(add, double)(1, 3, pair)
-    np.testing.assert_array_equal(pair.a, [0.0, 4.0, 6.0, 3.0])
-    Chain(double, add)(0, 1, pair)
-    np.testing.assert_array_equal(pair.a, [1.0, 4.0, 6.0, 3.0])
+    sums, terms = _data()
+    Chain(Pair, add, double)(1, 3, sums, terms)
+    np.testing.assert_array_equal(sums.values.a, [0.0, 4.0, 6.0, 3.0])
+    Chain(Pair, double, add)(0, 1, sums, terms)
+    np.testing.assert_array_equal(sums.values.a, [1.0, 4.0, 6.0, 3.0])
+
+
+def test_the_arrays_of_a_call_may_differ_from_call_to_call() -> None:
+    (sums, _), chain = _data(), Chain(Pair, add)
+    for k in range(3):
+        chain(0, 4, sums, Terms(np.full(4, float(k))))
+    np.testing.assert_array_equal(sums.values.a, np.arange(4.0) + 3.0)
+
+
+def test_arrays_outlive_the_slices_that_kernels_take() -> None:
+    sums, terms = _data()
+    references = sys.getrefcount(sums.values.a), sys.getrefcount(terms.b)
+    chain = Chain(Pair, add_slices)
+    for _ in range(100):
+        chain(0, 4, sums, terms)
+    assert (sys.getrefcount(sums.values.a), sys.getrefcount(terms.b)) == references
+    np.testing.assert_array_equal(sums.values.a, np.arange(4.0) + 100.0)
 
 
 def test_python_functions_take_their_turn() -> None:
@@ -57,45 +104,49 @@ def test_python_functions_take_their_turn() -> None:
     def note(first: int, last: int, pair: Pair) -> None:
         seen.append((first, last, pair.a.copy().tolist()))
 
-    pair = _pair()
-    Chain(add, note, double, note)(0, 4, pair)
+    Chain(Pair, add, note, double, note)(0, 4, *_data())
     assert [s[:2] for s in seen] == [(0, 4)] * 2
     assert [s[2] for s in seen] == [[1.0, 2.0, 3.0, 4.0], [2.0, 4.0, 6.0, 8.0]]
 
 
 def test_data_of_another_type_get_kernels_of_their_own() -> None:
-    chain = Chain(add, double)
-    for pair in (
-        _pair(),
-        Pair(np.arange(4), np.ones(4, dtype=np.int64)),
-        Pair(np.arange(8.0)[::2], np.ones(4)),
-        _pair(),
+    chain = Chain(Pair, add, double)
+    for a, b in (
+        (np.arange(4.0), np.ones(4)),
+        (np.arange(4), np.ones(4, dtype=np.int64)),
+        (np.arange(8.0)[::2], np.ones(4)),
+        (np.arange(4.0), np.ones(4)),
     ):
-        before = pair.a.copy()
-        chain(0, 4, pair)
-        np.testing.assert_array_equal(pair.a, 2 * (before + 1))
+        before = a.copy()
+        chain(0, 4, Bundle(Sums(a)), Terms(b))
+        np.testing.assert_array_equal(a, 2 * (before + 1))
+
+
+def test_a_whole_of_other_fields_is_refused() -> None:
+    with pytest.raises(TypeError, match=r"Pair must have the fields \('b', 'a'\), got \('a', 'b'\)"):
+        Chain(Pair, add)(0, 4, Bundle(Terms(np.ones(4))), Sums(np.ones(4)))
 
 
 def test_an_error_of_a_kernel_is_raised_and_ends_the_chain() -> None:
-    pair, chain = _pair(), Chain(fail, add)
+    (sums, terms), chain = _data(), Chain(Pair, fail, add)
     with pytest.raises(ValueError, match="too large"):
-        chain(3, 4, pair)
-    np.testing.assert_array_equal(pair.a, np.arange(4.0))
-    chain(0, 1, pair)
-    assert pair.a[0] == 1.0
+        chain(3, 4, sums, terms)
+    np.testing.assert_array_equal(sums.values.a, np.arange(4.0))
+    chain(0, 1, sums, terms)
+    assert sums.values.a[0] == 1.0
 
 
 def test_copies_do_the_same() -> None:
-    chain = Chain(add, double)
-    chain(0, 4, _pair())
+    chain = Chain(Pair, add, double)
+    chain(0, 4, *_data())
     for again in (copy.deepcopy(chain), pickle.loads(pickle.dumps(chain))):
-        pair = _pair()
-        again(0, 4, pair)
-        np.testing.assert_array_equal(pair.a, 2.0 * (np.arange(4.0) + 1.0))
+        sums, terms = _data()
+        again(0, 4, sums, terms)
+        np.testing.assert_array_equal(sums.values.a, 2.0 * (np.arange(4.0) + 1.0))
 
 
 def test_threads_share_a_chain(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(accel, "thread_count", lambda pieces: 3)
-    pair = Pair(np.arange(1000.0), np.ones(1000))
-    run_rows(Chain(add, double), 1000, pair, row_us=10.0)
-    np.testing.assert_array_equal(pair.a, 2.0 * (np.arange(1000.0) + 1.0))
+    sums, terms = _data(1000)
+    run_rows(Chain(Pair, add, double), 1000, sums, terms, row_us=10.0)
+    np.testing.assert_array_equal(sums.values.a, 2.0 * (np.arange(1000.0) + 1.0))

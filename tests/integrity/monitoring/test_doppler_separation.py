@@ -12,8 +12,10 @@ from lanebound.integrity.monitoring import doppler_separation_kernel as dk
 
 Array = NDArray[np.float64]
 DT, PHI = 0.1, float(np.exp(-0.1 / 0.54))
-SATELLITES = np.zeros(7, record(prior="[-]"))
+SATELLITES = np.zeros(7, record(prior="[-]", system=("i8", "")))
 SATELLITES["prior"] = [1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-4, 1e-4]
+SATELLITES["system"] = [0, 0, 0, 0, 0, 2, 2]
+SOUND = np.zeros(8)  # prior of a fault of each constellation
 ALL = np.ones(7, dtype=np.bool_)
 
 
@@ -126,9 +128,21 @@ def test_a_satellite_that_the_velocity_needs_is_lost() -> None:
     few[[1, 3, 5]] = False
     a.step(los, few, variance, y, *_velocity(los, variance, y, few))
     assert (a.now["state"] == np.where(few, dk.LOST, dk.IDLE)).all()
-    total, squares, lost = dk.exposure(SATELLITES, a.separations)
+    total, squares, lost = dk.exposure(SATELLITES, SOUND, a.separations)
     assert total == lost == pytest.approx(1e-5 * 3 + 1e-4)
     assert squares == pytest.approx(1e-10 * 3 + 1e-8)
+
+
+def test_the_prior_of_a_constellation_in_use_counts_as_lost() -> None:
+    separations = np.zeros(7, dk.SEPARATION)
+    separations["state"][[0, 1, 2, 3]] = dk.MONITORED
+    priors = np.array([1e-6, 2e-6, 4e-6, 0.0, 0.0, 0.0, 0.0, 0.0])
+    total, squares, lost = dk.exposure(SATELLITES, priors, separations)
+    assert lost == 1e-6
+    assert total == pytest.approx(4e-5 + 1e-6)
+    assert squares == pytest.approx(4e-10 + 1e-12)
+    separations["state"][6] = dk.MONITORED
+    assert dk.exposure(SATELLITES, priors, separations)[2] == pytest.approx(5e-6)
 
 
 def test_at_rest_the_separation_stays_and_its_correlation_fades() -> None:

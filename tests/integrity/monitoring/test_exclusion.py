@@ -110,24 +110,42 @@ def test_kernel_codes_are_the_enums() -> None:
         assert getattr(detection_kernel, member.name) == member.code
 
 
+def _informative(used: NDArray[np.bool_], group: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Rows (B, n) in use but those alone with their clock.
+
+    Of a constellation of two satellites with a clock of its own, either satellite and both are modes of one statistic
+    and one solution; rounding decides which of them is excluded.
+    """
+    alone = (used[:, None, :] & (group == group[:, None])).sum(-1) == 1
+    return used & ~alone
+
+
 def compare(
-    los: Array, group: NDArray[np.int64], variance: Array, y: Array, used: NDArray[np.bool_], config: FdeConfig
-) -> None:
-    """Kernel against reference, every output."""
+    los: Array, group: NDArray[np.int64], variance: Array, y: Array, used: NDArray[np.bool_], config: FdeConfig,
+    system: NDArray[np.int64] | None = None, heading: float = 0.0,
+) -> NDArray[np.int64]:  # fmt: skip
+    """Kernel against reference, every output; with ``system`` its constellations are modes too. Returns outcomes."""
     B, n = y.shape
-    tables = config.tables(n)
+    whole = system is not None
+    owner = group if system is None else system
+    modes = np.concatenate([np.eye(n, dtype=bool), owner == np.unique(owner)[:, None]]) if whole else None
+    tables, thresholds, rules = config.tables(n), fde_thresholds(config, n, whole), fde_parameters(config, whole)[0]
     mask, x, Q = used.copy(), np.empty((B, 3)), np.empty((B, 3, 3))
     code, df, count = (np.empty(B, dtype=np.int64) for _ in range(3))
     statistic, worst = np.empty(B), np.empty(B)
     for v in range(B):
         rows = Rows(los[v], group, variance[v], y[v], mask[v])
         code[v], statistic[v], worst[v], df[v], count[v] = detection_kernel.detect_and_exclude(
-            rows, fde_thresholds(config, n), fde_parameters(config)[0], x[v], Q[v]
+            rows, owner, heading, thresholds, rules, x[v], Q[v]
         )
-    ref = detect_and_exclude(config, design_of(los, group), diagonal_covariance(variance), y, used)
+    ref = detect_and_exclude(
+        config, design_of(los, group), diagonal_covariance(variance), y, used, modes=modes, heading_rad=heading
+    )
     assert np.array_equal(code, ref.outcome)
-    assert np.array_equal(mask, ref.used)
-    assert np.array_equal(count, ref.n_excluded)
+    same = (mask == ref.used).all(1)
+    assert np.array_equal(_informative(mask, group), _informative(ref.used, group))
+    assert whole or same.all()
+    assert np.array_equal(count[same], (used & ~ref.used).sum(1)[same])
     assert np.allclose(x, ref.adjustment.x[:, :3], rtol=1e-9, atol=1e-9)
     S = ref.adjustment.gain[:, :3]
     assert np.allclose(
@@ -136,13 +154,15 @@ def compare(
     tested = code <= FdeOutcome.UNRESOLVED.code
     assert np.allclose(statistic[tested], ref.overall.statistic[tested], rtol=1e-9)
     assert np.array_equal(df[tested], ref.adjustment.df[tested])
-    limit = tables.local_normal[df, mask.sum(1)]
-    assert np.allclose((worst / limit)[tested] ** 2, ref.worst[tested], rtol=1e-9, atol=1e-9)
+    if not whole:
+        limit = tables.local_normal[df, mask.sum(1)]
+        assert np.allclose((worst / limit)[tested] ** 2, ref.worst[tested], rtol=1e-9, atol=1e-9)
+    return code
 
 
 @pytest.mark.parametrize("groups", [1, 3])
 @pytest.mark.parametrize("global_first", [True, False])
-@pytest.mark.parametrize("search", [Search.W_TEST, Search.SEPARATION])
+@pytest.mark.parametrize("search", list(Search))
 @pytest.mark.parametrize("linking", list(Linking))
 def test_kernel_equals_reference(groups: int, global_first: bool, search: Search, linking: Linking) -> None:
     rng = np.random.default_rng(12)
@@ -153,6 +173,29 @@ def test_kernel_equals_reference(groups: int, global_first: bool, search: Search
     y = rng.normal(size=(B, n)) * np.sqrt(variance) + (rng.random((B, n)) < 0.1) * rng.normal(size=(B, n)) * 30
     used = rng.random((B, n)) < rng.uniform(0.2, 1.0, (B, 1))
     compare(los, group, variance, y, used, FdeConfig(global_first=global_first, search=search, linking=linking))
+
+
+@pytest.mark.parametrize("own_clocks", [True, False])
+@pytest.mark.parametrize("global_first", [True, False])
+@pytest.mark.parametrize("search", list(Search))
+@pytest.mark.parametrize("linking", list(Linking))
+def test_kernel_equals_reference_for_constellations(
+    own_clocks: bool, global_first: bool, search: Search, linking: Linking
+) -> None:
+    """Faults of satellites and of constellations, with a clock for each (positions) and one for all (velocities)."""
+    rng = np.random.default_rng(14)
+    B, n = 60, 16
+    los, system = directions(rng, B, n), np.sort(rng.integers(0, 3, n))
+    system[[0, -1]] = 0, 2
+    variance, heading = rng.uniform(0.5, 3.0, (B, n)), 0.8
+    ramp = rng.normal(size=(B, n)) * 15 * (system == rng.integers(0, 3, (B, 1))) * (rng.random((B, 1)) < 0.7)
+    y = rng.normal(size=(B, n)) * np.sqrt(variance) + ramp
+    y += (rng.random((B, n)) < 0.03) * rng.normal(size=(B, n)) * 40
+    used = rng.random((B, n)) < rng.uniform(0.5, 1.0, (B, 1))
+    group = system if own_clocks else np.zeros(n, dtype=np.int64)
+    config = FdeConfig(global_first=global_first, search=search, linking=linking)
+    code = compare(los, group, variance, y, used, config, system, heading)
+    assert set(code) >= {FdeOutcome.CLEAN.code, FdeOutcome.EXCLUDED.code, FdeOutcome.UNRESOLVED.code}
 
 
 def test_kernel_when_a_constellation_has_one_satellite() -> None:

@@ -28,7 +28,13 @@ from lanebound.integrity.monitoring.risk import (
     multiple_fault_risk,
 )
 from lanebound.integrity.monitoring.separation import Separation, constellation_modes, separate
-from lanebound.integrity.monitoring.separation_kernel import find_modes, mode_scratch, moment_scratch, set_priors
+from lanebound.integrity.monitoring.separation_kernel import (
+    find_modes,
+    mode_scratch,
+    moment_scratch,
+    set_factors,
+    set_priors,
+)
 from lanebound.integrity.positioning.least_squares import design_matrix
 
 PRIORS = (1e-5, 1e-6, 1e-5, 3e-5, 1e-5)
@@ -127,7 +133,8 @@ def test_araim_example_in_the_kernel() -> None:
     assert count == 13
     lost = set_priors(group, 10, count, np.full(8, 1e-5), np.full(8, 1e-4), geo.clocks, modes)
     budget = np.full((1, 2), 1e-9 * (1.0 - multiple_fault_risk([1e-5] * 10 + [1e-4] * 2) / 1e-7))
-    pk.multi_hypothesis_pl(count, 5.894859640911244, budget, lost, False, modes, out)
+    set_factors(10, count, np.full(2, 5.894859640911244), 0.0, geo.clocks, modes)
+    pk.multi_hypothesis_pl(count, budget, lost, False, modes, out)
     assert np.hypot(*out[0]) == pytest.approx(13.406290984, abs=1e-6)
 
 
@@ -219,7 +226,8 @@ def test_published_closed_form() -> None:
     modes, out = mode_scratch(12), np.empty((1, 2))
     for name in ("sigma", "delta", "bias"):
         getattr(modes, name)[:, :13] = getattr(separation, f"{name}_m").T
-    pk.closed_form_published(13, k_fa, np.array([k_md]), modes, out)
+    modes.k_fa[:13] = k_fa
+    pk.closed_form_published(13, np.array([k_md]), modes, out)
     np.testing.assert_allclose(out[0], expected, rtol=1e-12)
 
 

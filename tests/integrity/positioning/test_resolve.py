@@ -11,12 +11,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2, poisson
 
+from lanebound.integrity.positioning.codes_kernel import FIXED, NOT_CONVERGED, RATIO_FAILED, TOO_FEW
 from lanebound.integrity.positioning.config import RtkConfig, rtk_parameters
 from lanebound.integrity.positioning.resolve_kernel import (
-    FIXED,
-    NOT_CONVERGED,
-    RATIO_FAILED,
-    TOO_FEW,
     base_of,
     float_solution,
     resolve,

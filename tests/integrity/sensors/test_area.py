@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from lanebound.integrity.core.streams import Streams
-from lanebound.integrity.sensors import gnss_kernel as gk
 from lanebound.integrity.sensors.area import advance_area, initial_area
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
 from lanebound.integrity.sensors.gnss import GnssConfig
@@ -19,6 +18,11 @@ def _area(seeds=(5,), gnss=GNSS, link=LINK, satellites=N_SAT):
 def _bits(state):
     s, n = state.signals, state.network
     return [s.memory, s.message, s.clock, s.reference_enu_m, n.epoch, n.message, n.fresh, n.up, n.outage_left, n.until]
+
+
+def _numbers(memory):
+    """(A, S) records of six numbers as (A, S, 6): ionosphere, satellite, troposphere, then the station's multipath."""
+    return memory.view(np.float64).reshape(*memory.shape, 6)
 
 
 def _assert_same(one, two):
@@ -49,8 +53,8 @@ def test_the_stations_noise_is_new_with_each_message_and_the_rest_lasts():
     area, noise, slow = _area(), [], []
     for k in range(1, 41):
         advance_area(GNSS, LINK, area, k * DT, DT)
-        noise.append(area.signals.message[0, 0, gk.S_CODE0])
-        slow.append(area.signals.memory[0, 0, gk.A_CODE_MP])
+        noise.append(area.signals.message["code"][0, 0, 0])
+        slow.append(area.signals.memory["code_multipath"][0, 0])
     changes = np.flatnonzero(np.diff(noise))
     np.testing.assert_array_equal(changes, [1, 11, 21, 31])  # messages of 0, 1, 2, 3 s, 0.3 s later
     assert np.abs(np.diff(slow)).max() < 0.6
@@ -61,26 +65,27 @@ def test_a_message_has_the_multipath_of_its_time_beside_its_noise():
     for k in range(1, 41):
         advance_area(GNSS, LINK, area, k * DT, DT)
         if area.network.fresh:
-            sent = area.signals.memory[..., gk.A_CODE_MP :].copy()
+            sent = area.signals.memory.copy()
         if area.network.message >= 0:
-            np.testing.assert_array_equal(area.signals.message[..., : gk.S_CODE0], sent)
-    assert area.signals.message.shape == (1, N_SAT, gk.N_STATION)
+            for name in ("code_multipath", "phase_multipath"):
+                np.testing.assert_array_equal(area.signals.message[name], sent[name])
+    assert area.signals.message.shape == (1, N_SAT)
 
 
 def test_what_lasts_keeps_unit_variance_and_its_correlation():
     """2000 values of each of six states: of chi-square 4.5 sigma, and 4.5 sigma of a correlation, once in 10,000."""
     area = _area(satellites=2000)
-    before = area.signals.memory[..., : gk.N_SLOW].copy()
+    before = _numbers(area.signals.memory).copy()
     advance_area(GNSS, LINK, area, 60.0, DT)
-    after = area.signals.memory[..., : gk.N_SLOW]
+    after = _numbers(area.signals.memory)
     assert np.abs((after**2).mean((0, 1)) - 1.0).max() < 4.5 * np.sqrt(2.0 / 2000)
     tau_s = np.full(6, GNSS.station_multipath_tau_s)
-    tau_s[[gk.A_IONO, gk.A_AGE, gk.A_TROPO]] = GNSS.iono_tau_s, GNSS.age_tau_s, GNSS.tropo_tau_s
+    tau_s[:3] = GNSS.iono_tau_s, GNSS.age_tau_s, GNSS.tropo_tau_s
     np.testing.assert_allclose((before * after).mean((0, 1)), np.exp(-60.0 / tau_s), atol=4.5 / np.sqrt(2000))
 
 
 @pytest.mark.parametrize("sigma_m", [0.0, 0.05, 0.15, 2.0])
 def test_a_station_never_brings_more_than_half_the_variance(sigma_m):
     parts = GNSS.replace(code_sigma_m=sigma_m, code_multipath_m=sigma_m).station_parts
-    for column in (gk.STATION_CODE, gk.STATION_CODE_MP):
-        assert parts[column] == pytest.approx(min(0.1, np.sqrt(0.5) * sigma_m))
+    for name in ("station_code", "station_code_multipath"):
+        assert parts[name] == pytest.approx(min(0.1, np.sqrt(0.5) * sigma_m))

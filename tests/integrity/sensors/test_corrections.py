@@ -20,17 +20,17 @@ class _Link:
         self.area_streams = own if area is None else Streams([area])
         self.network = corrections.initial_network(config, dt, self.area_streams)
         self.state = corrections.initial_state(config, self.network, 2, dt, self.streams)
-        self.sent = np.zeros((self.area_streams.batch, 2, gk.N_STATION))
+        self.sent = np.zeros((self.area_streams.batch, 2), gk.STATION)
 
     def step(self, lost=False):
         corrections.advance_network(self.config, self.network, self.dt, self.area_streams)
-        self.sent[:] = self.network.message[:, None, None]  # every message says its number
+        self.sent["code_multipath"] = self.network.message[:, None]  # every message says its number
         lost = np.broadcast_to(lost, self.batch).copy()
         return corrections.step(self.config, self.state, self.network, self.sent, self.dt, lost, self.streams)
 
     def up(self, epochs):
         """(epochs, B) bool, whether the link carries messages."""
-        return np.array([self.step() is not None and self.state.up.copy() for _ in range(epochs)])
+        return np.array([self.step() is not None and self.state.links["up"].copy() for _ in range(epochs)])
 
 
 def _ages(config, epochs, dt=0.1, batch=1, lost=lambda n: False, seed=1):
@@ -48,7 +48,7 @@ def test_age_is_a_sawtooth_from_the_latency_on():
 def test_nothing_drifts_in_ten_hours():
     link = _Link(CorrectionsConfig())
     link.network.epoch, link.network.message[:] = 360_000, 35_999
-    link.state.newest[:] = 35_999
+    link.state.links["newest"] = 35_999
     for n in range(20):
         assert link.step()[0] == pytest.approx(0.3 + 0.1 * ((n - 2) % 10), abs=1e-9)
 
@@ -87,10 +87,10 @@ def test_what_is_held_is_the_newest_message_received():
     link = _Link(CorrectionsConfig(outage_per_h=200.0), 3, area=1)
     for n in range(1, 600):
         link.step(np.array([n % 70 < 40, False, n < 100]))
-        received = link.state.newest >= 0
-        expected = np.where(received, link.state.newest, 0)[:, None, None]
-        np.testing.assert_array_equal(link.state.held, np.broadcast_to(expected, link.state.held.shape))
-    assert len(set(link.state.newest)) > 1
+        newest, held = link.state.links["newest"], link.state.held["code_multipath"]
+        expected = np.where(newest >= 0, newest, 0)[:, None]
+        np.testing.assert_array_equal(held, np.broadcast_to(expected, held.shape))
+    assert len(set(newest)) > 1
 
 
 def _runs(down):
@@ -193,7 +193,7 @@ def test_an_area_fails_alike_for_links_that_were_made_apart():
 def test_an_outage_is_silent_for_its_length():
     config = CorrectionsConfig(interval_s=0.1, latency_s=0.0)
     link = _Link(config)
-    link.state.outage_left[:] = 50
+    link.state.links["outage_left"] = 50
     ages = np.array([link.step()[0] for _ in range(60)])
     assert np.isinf(ages[:50]).all()
     np.testing.assert_allclose(ages[50:], 0.0, atol=1e-12)

@@ -1,4 +1,4 @@
-"""A fault kind from outside the package: one record with an effect function, registered in one call."""
+"""A fault kind from outside the package, tests/plugins/clock_jump.py: one record with an effect function."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from clock_jump import CLOCK_JUMP, METRES_PER_NS
 
 import lanebound.envs  # noqa: F401 - registers the ids
 from lanebound.agents.assess.faults import FaultsConfig, assess_faults
@@ -17,31 +18,12 @@ from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.navigators.navigator import Measurements, Navigator
 from lanebound.integrity.sensors.campaign import FaultPriors, random_campaign
-from lanebound.integrity.sensors.effects import FaultEffects
-from lanebound.integrity.sensors.fault_kinds import FaultKind, FaultMoment, FaultPrior, Magnitude
 from lanebound.integrity.sensors.fault_registry import register_fault, unregister_fault
 from lanebound.integrity.sensors.faults import Fault
 from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.track import SkyTrack
 
-METRES_PER_NS = 0.299792458  # speed of light
-
-
-def clock_jump(effects: FaultEffects, now: FaultMoment) -> None:
-    """The receiver clock jumps by t: code and phase ranges of all satellites grow by ``c t``."""
-    effects.code_bias_m[now.rows] += METRES_PER_NS * now.magnitude
-    effects.phase_bias_m[now.rows] += METRES_PER_NS * now.magnitude
-
-
-CLOCK_JUMP = FaultKind(
-    name="clock_jump",
-    summary="the clock of the receiver: code and phase ranges of all satellites",
-    apply=clock_jump,
-    magnitudes=(Magnitude("ns"),),
-    profiles=("step",),
-    sizes_tried=(30.0, 300.0),
-    prior=FaultPrior(per_h=0.01, median_s=60.0, low=10.0, high=1000.0),
-)
+unregister_fault("clock_jump")  # each test registers it anew
 
 
 @pytest.fixture(autouse=True)

@@ -240,7 +240,7 @@ def test_slips_come_at_their_rate_in_half_and_whole_cycles_some_unannounced() ->
 def test_a_half_cycle_is_corrected_after_a_while_and_the_receiver_knows() -> None:
     receiver = _Receiver(PERFECT.replace(half_cycle_resolve_s=0.5))
     before = receiver.step()
-    receiver.state.ambiguity[0, 2] += [1.0, 3.0]
+    receiver.state.signals["ambiguity"][0, 2] += [1.0, 3.0]
     epochs = [receiver.step() for _ in range(8)]
     cycles = [(epoch.phase_m - before.phase_m)[0] / WAVELENGTH_M[SYSTEM, :2] for epoch in epochs]
     for k in range(5):
@@ -257,7 +257,7 @@ def test_a_half_cycle_is_corrected_after_a_while_and_the_receiver_knows() -> Non
 def test_no_half_cycle_outlasts_its_time() -> None:
     config = PERFECT.replace(slips_per_h=360.0, slip_decade_db=1e6, half_share=1.0, half_cycle_resolve_s=0.5)
     receiver = _Receiver(config, batch=50)
-    doubt = np.array([receiver.step() and receiver.state.ambiguity % 2.0 for _ in range(60)])
+    doubt = np.array([receiver.step() and receiver.state.signals["ambiguity"] % 2.0 for _ in range(60)])
     assert doubt.any()
     assert not (np.lib.stride_tricks.sliding_window_view(doubt.any(-1), 7, axis=0).all(-1)).any()
 
@@ -360,7 +360,7 @@ def test_same_seed_same_bits_a_copy_goes_on_alike_and_other_streams_move_nothing
     twin = two.state.copy()
     a, b = one.step(), two.step()
     np.testing.assert_array_equal(a.code_m, b.code_m)
-    assert not np.array_equal(twin.memory, two.state.memory)
+    assert not np.array_equal(twin.signals, two.state.signals)
 
 
 def test_a_copy_of_the_state_goes_on_with_the_same_bits() -> None:
@@ -400,22 +400,30 @@ def test_code_noise_has_its_size_whatever_part_of_it_is_the_stations(code_sigma_
     assert low < (z**2).sum() < high
 
 
-@pytest.mark.parametrize("column", range(gk.N_STATION))
-def test_the_stations_errors_are_those_of_the_message_held(column: int) -> None:
+@pytest.mark.parametrize(
+    ("name", "band", "size_m"),
+    [
+        ("code_multipath", None, 0.1),
+        ("phase_multipath", 0, 0.001),
+        ("phase_multipath", 1, 0.001),
+        ("code", 0, 0.1),
+        ("code", 1, 0.1),
+        ("phase", 0, 0.002),
+        ("phase", 1, 0.002),
+    ],
+)
+def test_the_stations_errors_are_those_of_the_message_held(name: str, band: int | None, size_m: float) -> None:
     """Nothing but that message is noisy: by its sizes, over the elevation, in the band or both of the observable."""
     config = PERFECT.replace(code_sigma_m=0.15, code_multipath_m=0.15, phase_sigma_m=0.003, phase_multipath_m=0.002)
     receiver = _Receiver(config, 2)
-    message = np.zeros((2, N_SAT, gk.N_STATION))
-    message[1, :, column] = 1.0
+    message = np.zeros((2, N_SAT), gk.STATION)
+    message[name][(1, slice(None)) if band is None else (1, slice(None), band)] = 1.0
     receiver.state = _twice(receiver.state)
     receiver.streams, receiver.area = _Same(receiver.streams), initial_area(config, LINK, N_SAT, DT, Streams([1]))
     epoch = receiver.step(message=message)
     root = np.sqrt(0.5 * (1.0 + 1.0 / np.sin(np.deg2rad(ELEVATION_DEG)) ** 2))
-    sizes = {gk.S_CODE_MP: 0.1, gk.S_PHASE_MP0: 0.001, gk.S_PHASE_MP1: 0.001, gk.S_CODE0: 0.1, gk.S_CODE1: 0.1}
     expected = np.zeros((2, N_SAT, 2))  # code, phase
-    bands = {gk.S_CODE_MP: [0, 1]}.get(column, [(column - 1) % 2])
-    kind = 0 if column in (gk.S_CODE_MP, gk.S_CODE0, gk.S_CODE1) else 1
-    expected[kind][:, bands] = -sizes.get(column, 0.002) * root[:, None]
+    expected[int(name.startswith("phase"))][:, [0, 1] if band is None else [band]] = -size_m * root[:, None]
     np.testing.assert_allclose(epoch.code_m[1] - epoch.code_m[0], expected[0], atol=1e-9)
     np.testing.assert_allclose(epoch.phase_m[1] - epoch.phase_m[0], expected[1], atol=1e-9)
 

@@ -167,13 +167,15 @@ def test_increments_are_those_of_the_plain_steps() -> None:
         expected = []
         for i, (triad, true) in enumerate(rows):
             end, wander = gauss_markov_step(
-                plain.instability[:, i], triad.instability, triad.instability_s, dt, z[:, i, :, 1:3]
+                plain.axes["instability"][:, i], triad.instability, triad.instability_s, dt, z[:, i, :, 1:3]
             )
-            walk_end, walk = random_walk_step(plain.walk[:, i], triad.random_walk, dt, z[:, i, :, 3:5])
-            np.testing.assert_allclose(state.instability[:, i], end, rtol=1e-12, atol=1e-18)
-            np.testing.assert_allclose(state.walk[:, i], walk_end, rtol=1e-12, atol=1e-18)
+            walk_end, walk = random_walk_step(plain.axes["walk"][:, i], triad.random_walk, dt, z[:, i, :, 3:5])
+            np.testing.assert_allclose(state.axes["instability"][:, i], end, rtol=1e-12, atol=1e-18)
+            np.testing.assert_allclose(state.axes["walk"][:, i], walk_end, rtol=1e-12, atol=1e-18)
             white = triad.density * np.sqrt(dt) * z[:, i, :, 0]
-            expected.append(true * (1 + plain.scale[:, i]) + plain.turn_on[:, i] * dt + white + wander + walk)
+            expected.append(
+                true * (1 + plain.axes["scale"][:, i]) + plain.axes["turn_on"][:, i] * dt + white + wander + walk
+            )
         expected[0][:, 2] += state.moving_bias_radps * dt
         np.testing.assert_allclose(sample.delta_theta_rad, expected[0], rtol=1e-12, atol=1e-15)
         np.testing.assert_allclose(sample.delta_v_mps, expected[1], rtol=1e-12, atol=1e-15)

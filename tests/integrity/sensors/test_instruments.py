@@ -111,7 +111,7 @@ def test_a_rover_holds_what_the_station_said_in_the_last_message_it_received() -
     newest, held = [], []
     for k in range(1, 81):
         navigator.measure(_truth(k, 3))
-        newest.append(navigator.state.corrections.newest.copy())
+        newest.append(navigator.state.corrections.links["newest"].copy())
         held.append(navigator.state.corrections.held.copy())
     assert [n[1] for n in newest[20:60]] == 40 * [1]
     for station in held[20:60]:

@@ -1,0 +1,61 @@
+"""The first stage of an epoch, and what the stages of modes and monitors from outside call.
+
+A stage from outside is ``stage(first, last, epoch, own)`` with ``own`` of :class:`~.records_kernel.Own`, compiled by
+:func:`~lanebound.integrity.core.accel.jit` or plain Python.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from lanebound.integrity.core.accel import jit
+from lanebound.integrity.monitoring.alerts_kernel import NONE
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
+from lanebound.integrity.positioning.codes_kernel import UNDECIDED
+
+__all__ = ["begin", "exclude_satellite", "raise_alert", "raise_level", "refuse_doppler", "refuse_fix"]
+
+
+@jit
+def begin(first: int, last: int, epoch: Epoch) -> None:
+    """No mode has moved the position yet, and no monitor from outside has found anything."""
+    for v in range(first, last):
+        w = epoch.work.vehicles[v]
+        w.mode, w.integrates, w.excluded, w.cause = UNDECIDED, False, 0, NONE
+
+
+@jit(borrows=True)
+def exclude_satellite(epoch: Epoch, v: int, s: int) -> None:
+    """Exclude satellite s from this epoch of vehicle v; before anything is estimated (Point.MEASURED)."""
+    if epoch.measured.tracked[v, s]:
+        epoch.measured.tracked[v, s] = False
+        epoch.work.vehicles[v].excluded += 1
+
+
+@jit(borrows=True)
+def refuse_doppler(w: Any) -> None:
+    """The Doppler velocity does not move the position in this epoch (Point.ESTIMATED)."""
+    w.measured = False
+
+
+@jit(borrows=True)
+def refuse_fix(w: Any) -> None:
+    """The RTK position is not used in this epoch (Point.ESTIMATED)."""
+    w.fixed.usable = False
+
+
+@jit(borrows=True)
+def raise_alert(w: Any, code: int) -> None:
+    """The alert is on in this epoch, whatever the levels are, with a code of AlertReason."""
+    w.cause = code
+
+
+@jit(borrows=True)
+def raise_level(epoch: Epoch, v: int, case: int, axis: int, level: float) -> None:
+    """Raise the protection level of vehicle v, of one case along (0) or across track (1), to ``level`` [m] at least.
+
+    A NaN counts as no level, ``inf`` (Point.BOUNDED).
+    """
+    if not level <= epoch.out.levels[v, case, axis]:
+        epoch.out.levels[v, case, axis] = level if level == level else math.inf

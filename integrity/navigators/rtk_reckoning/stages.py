@@ -1,0 +1,80 @@
+"""The stages of an epoch as one callable: compiled chains, and between them stages of modes and monitors from outside.
+
+A stage of this package is ``stage(first, last, epoch)``. A stage from outside is ``stage(first, last, epoch, own)``,
+compiled or plain Python, where ``own`` (:class:`~.records_kernel.Own`) holds its code and its own state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+
+from lanebound.integrity.core.bundle_kernel import Bundle
+from lanebound.integrity.core.chain_kernel import Chain
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.records import Records, record
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch, EpochInputs, Own
+
+__all__ = ["STATELESS", "OutsideStage", "Stage", "StageList"]
+
+Stage = Callable[..., None]
+STATELESS = np.zeros(1, record(nothing="not used"))
+"""State of a mode or monitor that has none."""
+
+
+@dataclass(frozen=True)
+class OutsideStage:
+    """A stage of a mode or monitor from outside: its name, code of Mode or AlertReason, and the function."""
+
+    name: str
+    code: int
+    function: Stage
+
+    def __call__(self, first: int, last: int, epoch: Epoch, states: Mapping[str, Records]) -> None:
+        """Run it, and refuse a protection level that it lowered.
+
+        Raises
+        ------
+        InputError
+            A protection level is lower than before, or NaN.
+        """
+        before = epoch.out.levels[first:last].copy()
+        self.function(first, last, epoch, Own(self.code, states[self.name]))
+        lowered = ~(epoch.out.levels[first:last] >= before)
+        if lowered.any():
+            v, case, axis = np.argwhere(lowered)[0]
+            raise InputError(
+                f"a protection level after {self.name!r} must be >= {before[v, case, axis]:.3f} m as before, "
+                f"got {epoch.out.levels[first + v, case, axis]:.3f} m: change levels by raise_level"
+            )
+
+
+class StageList:
+    """Stages called in their order: ``stages(first, last, lasting, inputs, states)``.
+
+    ``lasting`` is the bundle of the fields of an Epoch that last, ``inputs`` holds the others; states (B,) of records
+    by name.
+    """
+
+    def __init__(self, stages: Sequence[Stage | OutsideStage]) -> None:
+        self._stages = tuple(stages)
+        self._parts: list[Any] = []
+        for outside, group in groupby(stages, key=lambda stage: isinstance(stage, OutsideStage)):
+            members = list(group)
+            self._parts += members if outside else [Chain(Epoch, *members)]
+
+    def __call__(
+        self, first: int, last: int, lasting: Bundle, inputs: EpochInputs, states: Mapping[str, Records]
+    ) -> None:
+        for part in self._parts:
+            if isinstance(part, OutsideStage):
+                part(first, last, Epoch._make((*lasting.values, *inputs)), states)
+            else:
+                part(first, last, lasting, inputs)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return StageList, (self._stages,)

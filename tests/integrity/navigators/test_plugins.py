@@ -1,0 +1,288 @@
+"""A positioning mode, a monitor and a kind of navigator from outside: registered, driven, taken back.
+
+The modules stand in tests/plugins; docs/extending.md shows them.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import pickle
+import sys
+from collections.abc import Iterator
+from types import ModuleType
+
+import gymnasium
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from typer.testing import CliRunner
+
+import lanebound.envs  # noqa: F401 - registers the ids
+from lanebound.agents.cli import app
+from lanebound.envs.observation import ObservationConfig, entries
+from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.core.streams import Streams
+from lanebound.integrity.monitoring.alerts import AlertReason
+from lanebound.integrity.motion.truth import Truth, truth_between
+from lanebound.integrity.navigators.navigator import (
+    Navigator,
+    NavigatorConfig,
+    navigator_class,
+    withdraw_navigator,
+)
+from lanebound.integrity.navigators.rtk_reckoning import modes, monitors
+from lanebound.integrity.navigators.rtk_reckoning.monitors import Point
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Measured
+from lanebound.integrity.navigators.solution import Solution
+from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.sensors.faults import Fault, FaultSchedule
+from lanebound.integrity.sky.track import SkyTrack
+from lanebound.integrity.sky.visibility import Path, SkyMask
+
+DT_S, MPS = 0.1, 10.0
+KEEPING = "lanebound/LaneKeeping-v0"
+
+
+def _load(name: str) -> ModuleType:
+    """Import a plug-in anew, as a first import does."""
+    sys.modules.pop(name, None)
+    return importlib.import_module(name)
+
+
+@pytest.fixture
+def inertial() -> Iterator[Mode]:
+    yield _load("inertial").INERTIAL
+    modes.withdraw_mode("inertial")
+
+
+@pytest.fixture
+def interference() -> Iterator[AlertReason]:
+    yield _load("interference").REASON
+    monitors.withdraw_monitor("interference")
+    AlertReason.withdraw("interference")
+
+
+@pytest.fixture
+def odometer_gyro() -> Iterator[ModuleType]:
+    module = _load("odometer_gyro")
+    yield module
+    withdraw_navigator(module.OdometerGyroConfig)
+
+
+def _drive(navigator: Navigator, epochs: range) -> list[Solution]:
+    """Straight on to the North."""
+    return [navigator.step(_truth(navigator.batch, epoch)) for epoch in epochs]
+
+
+def _truth(batch: int, epoch: int) -> Truth:
+    before, after = (np.tile([0.0, MPS * DT_S * n], (batch, 1)) for n in (epoch, epoch + 1))
+    velocity, heading = np.tile([0.0, MPS], (batch, 1)), np.zeros(batch)
+    arc = np.full(batch, MPS * DT_S * (epoch + 1))
+    return truth_between((epoch + 1) * DT_S, DT_S, (before, after), (velocity, velocity), (heading, heading), arc_m=arc)
+
+
+def _error_m(solution: Solution, epoch: int) -> NDArray[np.float64]:
+    """Absolute errors (B, 2) along and across."""
+    return np.abs(solution.position_en_m - [0.0, MPS * DT_S * (epoch + 1)])[:, ::-1]
+
+
+def _tunnel(config: NavigatorConfig, seeds: list[int], faults: tuple[Fault, ...] = ()) -> Navigator:
+    """An open road with a tunnel from 100 m on."""
+    path = np.zeros((61, 1, 1), dtype=np.uint8)
+    path[10:] = Path.BLOCKED
+    mask = SkyMask(path, np.zeros(path.shape, dtype=np.float32), 1, 1, 10.0, 600.0, False)
+    return Navigator(config, SkyTrack.from_config(config.sky, 60.0), mask, seeds, faults=FaultSchedule(faults))
+
+
+# A positioning mode
+
+
+def test_a_mode_takes_its_place_among_the_others(inertial: Mode) -> None:
+    config = NavigatorConfig.load({"modes": ["doppler", "inertial", "imu_odometer"]})
+    run = _drive(_tunnel(config, [1, 2, 3]), range(200))
+    used = np.array([s.mode for s in run])
+    assert (used[60:90] == Mode.RTK).all()
+    assert (used[100:140] == inertial).all()
+    assert (used[150:] == Mode.IMU_ODOMETER).all()
+    for epoch, solution in enumerate(run):
+        level = np.stack([solution.pl_at_m, solution.pl_ct_m], -1)
+        assert (_error_m(solution, epoch)[solution.mode != Mode.NONE] <= level[solution.mode != Mode.NONE]).all()
+    assert (run[139].pl_at_m < np.inf).all()
+    assert (run[139].pl_at_m > run[110].pl_at_m).all()
+
+
+def test_its_state_is_kept_and_begins_anew_with_a_vehicle(inertial: Mode) -> None:
+    navigator = _tunnel(NavigatorConfig.load({"modes": ["inertial", "imu_odometer"]}), [1, 2])
+    _drive(navigator, range(50))
+    np.testing.assert_allclose(navigator.state.extensions["mode inertial"]["speed"], MPS, atol=0.3)
+    navigator.place(np.zeros((1, 2)), np.zeros(1), 0.1, 0.01, rows=np.array([1]))
+    assert navigator.state.extensions["mode inertial"]["age"].tolist() == [0.0, np.inf]
+
+
+def test_without_any_mode_a_moving_vehicle_has_no_level_between_fixes() -> None:
+    run = _drive(_tunnel(NavigatorConfig.load({"modes": []}), [1, 2]), range(130))
+    assert (run[-1].mode == Mode.NONE).all()
+    assert np.isinf(run[-1].pl_cases_m).all()
+    assert (run[-1].reason == AlertReason.NO_SOLUTION.code).all()
+
+
+def test_environments_and_the_engine_show_the_mode(inertial: Mode) -> None:
+    config = {"sky": "open", "navigator": {"modes": ["inertial:inertial"]}, "observation": {"form": "flat"}}
+    column = [entry.column for entry in entries(ObservationConfig())].index("integrity.mode_inertial")
+    loss = [{"kind": "jamming", "start_s": 0.0, "magnitude_db": 40.0}]
+    env = gymnasium.make(KEEPING, config=config)
+    env.reset(seed=1, options={"faults": loss})
+    steps = [env.step(np.zeros(2, dtype=np.float32)) for _ in range(4)]
+    env.close()
+    assert [bool(obs[column]) for obs, *_ in steps] == [info["mode"] == inertial for *_, info in steps]
+    assert any(info["mode"] == inertial for *_, info in steps)
+    engine = gymnasium.make_vec(KEEPING, num_envs=2, config=config)
+    engine.reset(seed=1)
+    obs, _, _, _, info = engine.step(np.zeros((2, 2), dtype=np.float32))
+    engine.close()
+    assert (obs[:, column] == (info["mode"] == inertial)).all()
+    assert set(info["mode"].tolist()) <= {int(Mode.RTK), int(inertial)}
+
+
+def test_a_mode_that_is_not_registered_is_refused_with_the_way_to_do_so() -> None:
+    with pytest.raises(ConfigError, match=r"modes must be among doppler, imu_odometer, got 'inertal': import the modu"):
+        NavigatorConfig.load({"modes": ["doppler", "inertal"]})
+    with pytest.raises(ConfigError, match=r"modes must name each one once, got \['doppler', 'doppler'\]"):
+        NavigatorConfig.load({"modes": ["doppler", "doppler"]})
+
+
+# A monitor
+
+
+def _jammed(db: float) -> tuple[Fault, ...]:
+    return (Fault.load({"kind": "jamming", "magnitude_db": db, "start_s": 8.0, "vehicle": 1}),)
+
+
+def test_a_monitor_raises_levels_and_alerts_with_its_own_reason(interference: AlertReason) -> None:
+    config = NavigatorConfig.load({"monitors": ["interference"]})
+    watched, plain = (_tunnel(c, [1, 2], _jammed(8.0)) for c in (config, NavigatorConfig()))
+    runs = _drive(watched, range(88)), _drive(plain, range(88))
+    for with_it, without in zip(*runs, strict=True):
+        np.testing.assert_array_equal(with_it.position_en_m, without.position_en_m)
+        assert (with_it.pl_cases_m >= without.pl_cases_m).all()
+    with_it, without = (run[-1] for run in runs)
+    assert with_it.reason.tolist() == [AlertReason.NONE.code, interference.code]
+    assert with_it.alert.tolist() == [False, True]
+    assert not with_it.available[1]
+    assert with_it.pl_at_m[1] > 1.5 * without.pl_at_m[1]
+    assert AlertReason.from_code(int(with_it.reason[1])).value.startswith("the signals lose strength")
+
+
+def test_a_monitor_excludes_satellites(interference: AlertReason, monkeypatch: pytest.MonkeyPatch) -> None:
+    navigator = _tunnel(NavigatorConfig.load({"monitors": ["interference"]}), [1])
+    _drive(navigator, range(60))
+    m = navigator.measure(_truth(1, 60))
+    strongest = int(m.gnss.cn0_dbhz[0].argmax())
+    m.gnss.cn0_dbhz[0, strongest] = 60.0
+    before = m.gnss.tracked.copy()
+    solution = navigator.locate(m)
+    assert solution.excluded.tolist() == [1]
+    assert not solution.held[0, strongest]
+    assert solution.mode[0] == Mode.RTK
+    np.testing.assert_array_equal(m.gnss.tracked, before)  # the measurements stay as they are
+
+
+def test_the_state_of_a_monitor_is_kept_restored_and_handed_over(interference: AlertReason) -> None:
+    navigator = _tunnel(NavigatorConfig.load({"monitors": ["interference"]}), [1, 2])
+    _drive(navigator, range(40))
+    kept = pickle.loads(pickle.dumps(navigator.snapshot()))
+    first = _drive(navigator, range(40, 60))
+    usual = navigator.state.extensions["monitor interference"]["usual"].copy()
+    assert (usual > 40.0).all()
+    navigator.restore(kept)
+    again = _drive(navigator, range(40, 60))
+    np.testing.assert_array_equal(first[-1].pl_cases_m, again[-1].pl_cases_m)
+    np.testing.assert_array_equal(navigator.state.extensions["monitor interference"]["usual"], usual)
+    other = navigator.another(Streams([8, 9]))
+    assert not other.state.extensions["monitor interference"]["usual"].any()
+    other.adopt(np.array([0]), navigator, np.array([1]))
+    assert other.state.extensions["monitor interference"]["usual"].tolist() == [usual[1], 0.0]
+
+
+def test_a_level_that_a_monitor_lowers_is_refused() -> None:
+    def lower(first: int, last: int, epoch: object, own: object) -> None:
+        epoch.out.levels[first:last] = 0.0  # type: ignore[attr-defined]
+
+    monitors.register_monitor("optimist", "nothing", (), {Point.BOUNDED: lower})
+    try:
+        navigator = _tunnel(NavigatorConfig.load({"monitors": ["optimist"]}), [1])
+        with pytest.raises(InputError, match=r"after 'monitor optimist' must be >= inf m as before, got 0.000 m"):
+            _drive(navigator, range(1))
+    finally:
+        monitors.withdraw_monitor("optimist")
+
+
+def test_the_table_lists_the_monitors_of_the_package() -> None:
+    assert list(monitors.BUILT_IN) == [
+        "doppler_fde", "phase_separation", "doppler_separation", "odometer_watch", "jump",
+    ]  # fmt: skip
+    for monitor in monitors.BUILT_IN.values():
+        assert monitor.stages
+        assert set(monitor.needs) <= set(Measured._fields)
+    for name, needs, message in (
+        ("jump", (), "must not be taken"), ("own", ("radar",), "needs must be among"), ("own", (), "must hold one"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=message):
+            monitors.register_monitor(name, "", needs, {})
+
+
+# A kind of navigator
+
+
+def test_a_kind_drives_within_its_levels(odometer_gyro: ModuleType) -> None:
+    config = NavigatorConfig.load({"kind": "odometer_gyro", "scale": 0.03})
+    assert NavigatorConfig.from_json(config.to_json()) == config
+    navigator = Navigator.nominal(config, [1, 2, 3], duration_s=30.0)
+    assert isinstance(navigator, odometer_gyro.OdometerGyroNavigator)
+    assert np.isinf(_drive(navigator, range(1))[0].pl_at_m).all()
+    navigator.place(np.zeros((3, 2)), np.zeros(3), 0.05, 0.005)
+    run = _drive(navigator, range(100))
+    for epoch, solution in enumerate(run):
+        assert (_error_m(solution, epoch) <= solution.pl_ct_m[:, None]).all()
+    assert (run[-1].pl_ct_m > run[0].pl_ct_m).all()
+    assert run[-1].pl_ct_m.max() < 40.0
+
+
+def test_a_configuration_derived_from_one_of_a_kind_makes_a_navigator_of_that_kind(odometer_gyro: ModuleType) -> None:
+    class Derived(odometer_gyro.OdometerGyroConfig):  # type: ignore[name-defined, misc]
+        pass
+
+    assert type(Navigator.nominal(Derived(), [1], duration_s=10.0)) is odometer_gyro.OdometerGyroNavigator
+    with pytest.raises(ConfigError, match="config must be of RtkReckoningConfig, OdometerGyroConfig or of"):
+        navigator_class(int)
+
+
+def test_a_kind_drives_environments_the_engine_and_the_command(odometer_gyro: ModuleType) -> None:
+    config = {"navigator": {"kind": "odometer_gyro"}}
+    env = gymnasium.make(KEEPING, config=config)
+    env.reset(seed=1)
+    info = [env.step(np.zeros(2, dtype=np.float32))[4] for _ in range(3)][-1]
+    env.close()
+    assert info["mode"] == Mode.IMU_ODOMETER
+    assert abs(info["err_at_m"]) <= info["pl_at_m"] < 10.0
+    engine = gymnasium.make_vec(KEEPING, num_envs=3, config=config)
+    engine.reset(seed=1)
+    for _ in range(3):
+        infos = engine.step(np.zeros((3, 2), dtype=np.float32))[4]
+    engine.close()
+    assert (np.abs(infos["err_ct_m"]) <= infos["pl_ct_m"]).all()
+    np.testing.assert_allclose(infos["pl_ct_m"][0], info["pl_ct_m"], rtol=1e-3)
+    done = CliRunner().invoke(
+        app, ["drive", "LaneKeeping", "--set", "navigator=odometer_gyro", "--set", "duration_s=2", "--json"]
+    )
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["all"]["share of imu_odometer"] == 1.0
+
+
+def test_an_unknown_kind_is_refused_with_the_way_to_register_it() -> None:
+    for kind in ("compass", {"kind": "compass"}):
+        with pytest.raises(ConfigError, match=r"kind must be one of rtk_reckoning, got 'compass': import"):
+            gymnasium.make(KEEPING, config={"navigator": kind}).reset(seed=1)
+    with pytest.raises(ConfigError, match="'no_such:kind' must name a module that can be imported"):
+        NavigatorConfig.load({"kind": "no_such:kind"})
