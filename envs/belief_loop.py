@@ -172,7 +172,7 @@ class BeliefLoop:
         return {"steering": steering, "acceleration": acceleration}
 
     def _lane_onward(self) -> int:
-        """The lane beyond the end of the target lane, ``NONE`` where no road goes on."""
+        """The lane beyond the end of the target lane, ``NONE`` without one."""
         car = self.believed
         key = car.target_lane_index, tuple(car.route or ())
         found = self._onward.get(key)

@@ -208,7 +208,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
 
         Parameters
         ----------
-        seed : seeds everything; without one the environment goes on from where its generators are
+        seed : seeds all random numbers; without a seed the generators continue
         options : ``{"faults": [...]}`` with faults (or their plain data) that take the place of the random campaign
 
         Raises

@@ -36,7 +36,7 @@ Started = tuple[Any, dict[str, Any]]
 
 
 class _OfLanebound(Wrapper):
-    """A wrapper that reads what our environments put into ``info``, and says so to any other."""
+    """A wrapper that reads the ``info`` of lanebound's environments and refuses other environments."""
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Started:
         """Begin an episode.

@@ -106,7 +106,7 @@ class NavigationBatch:
     ----------
     config, settings : how the egos know their positions, and the navigator's own configuration
     skies, cities : that episodes may draw
-    forecast : what the map says of the cities, at the distances that are shown
+    forecast : prediction of satellites from the map of the cities, at the distances of the observation
     lanes : of the road network
     count, vehicles : N environments of M vehicles
     step_s, steps : length of a simulation step, and steps in an epoch

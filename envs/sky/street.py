@@ -108,7 +108,7 @@ class Street:
     Attributes
     ----------
     mask : reception by station and lane, as it is: for instruments and pictures
-    forecast : what a map of the city says of it: for all that plans
+    forecast : prediction from a map of the city, for planning
     city : the obstacles behind the mask, for drawing
     lanes : how lane indices map to stations
     """
@@ -146,8 +146,8 @@ class Street:
     ) -> tuple[LaneIndex, float]:
         """The lane and longitudinal position ``distance_m`` further along the route, or the first way on without one.
 
-        A route is highway-env's list of lane indices; where it says nothing or ends, the first edge onward is taken,
-        and at the end of the last lane its end.
+        A route is highway-env's list of lane indices. Without an entry, or after its end, the first edge onward is
+        taken; at the end of the last lane, its end.
         """
         place = longitudinal_m + distance_m
         onward = {} if route is None else {step[0]: step for step in route}

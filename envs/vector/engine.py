@@ -113,7 +113,10 @@ class Engine:
         vehicles = self.support.vehicles(single.world)
         episodes = make_batch(single.world, config, count, vehicles)
         if not episodes.table.goes_one_way:
-            raise ConfigError("base must have roads that go on in one way with as many lanes: choose another id")
+            raise ConfigError(
+                "base must have roads without forks and without ending lanes in the vector engine, got "
+                f"{config.base!r}: choose another id, or make single environments"
+            )
         self._start = self.support.starter(single.world, episodes.table)
         self._stage = Stage(self, episodes)
         self._next: Stage | None = None

@@ -96,7 +96,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
 
         Parameters
         ----------
-        seed : of the first environment, the others have the following ones; or one for each, None to go on
+        seed : of the first environment, the others have the following ones; or one for each, None to continue
 
         Raises
         ------
@@ -241,7 +241,7 @@ def __getattr__(name: str) -> type[VectorDrivingEnv]:
 
 
 def _bounds_of(space: Space[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Lowest and highest commands: what ``contains`` looks at, sooner."""
+    """Lowest and highest commands, for a faster ``contains``."""
     if isinstance(space, Box):
         return space.low, space.high
     if isinstance(space, MultiDiscrete):
