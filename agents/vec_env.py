@@ -19,7 +19,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 
 from lanebound.envs import IDS
 from lanebound.envs.batch.infos import NAMES, single_info
-from lanebound.envs.tally import EPISODE_KEY, Tally
+from lanebound.envs.episode_totals import EPISODE_KEY, EpisodeTotals
 from lanebound.envs.vector.env import engines
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import nearest
@@ -77,7 +77,7 @@ class EngineVecEnv(VecEnv):
         self._keys = tuple(keys)
         self._actions: NDArray[Any] | None = None
         self._returns, self._lengths, self._begun = np.zeros(num_envs), np.zeros(num_envs, np.int64), time.time()
-        self._tally = Tally(num_envs) if statistics else None
+        self._totals = EpisodeTotals(num_envs) if statistics else None
 
     def reset(self) -> Any:
         """Begin an episode in every environment, under the seeds given by ``seed``."""
@@ -107,8 +107,8 @@ class EngineVecEnv(VecEnv):
         self._actions, self.arrays = None, _as_ended(infos, over)
         self._returns += rewards
         self._lengths += 1
-        if self._tally is not None:
-            self._tally.add(rewards, self.arrays)
+        if self._totals is not None:
+            self._totals.add(rewards, self.arrays)
         columns = [infos[key].tolist() for key in self._keys]
         found = [dict(zip(self._keys, row, strict=True)) for row in zip(*columns, strict=True)]
         found = found or [{} for _ in range(self.num_envs)]
@@ -125,15 +125,15 @@ class EngineVecEnv(VecEnv):
         """Statistics of the episode that ends in an environment."""
         length, seconds = int(self._lengths[row]), round(time.time() - self._begun, 6)
         found: dict[str, Any] = {"episode": {"r": float(self._returns[row]), "l": length, "t": seconds}}
-        if self._tally is not None:
-            found[EPISODE_KEY] = self._tally.report(row, bool(self.arrays["is_success"][row]))
+        if self._totals is not None:
+            found[EPISODE_KEY] = self._totals.report(row, bool(self.arrays["is_success"][row]))
         return found
 
     def _clear(self, rows: Any) -> None:
         """Begin the statistics of episodes."""
         self._returns[rows], self._lengths[rows] = 0.0, 0
-        if self._tally is not None:
-            self._tally.clear(rows)
+        if self._totals is not None:
+            self._totals.clear(rows)
 
     def close(self) -> None:
         """Close the engine."""

@@ -1,8 +1,8 @@
-"""The loop of a single environment from the true world to what its ego believes, and from there to its commands.
+"""The loop of a single environment from the true world to the belief of the ego, and from the belief to commands.
 
-When the car has moved, :meth:`BeliefLoop.look` brings the belief up to date before anything is decided: measure,
-locate, track, perceive traffic, place the believed vehicle. Truth enters as the poses of the vehicles alone, from which
-instruments measure. The formulas are those of :mod:`lanebound.envs.batch`, at one row.
+After each motion of the car, :meth:`BeliefLoop.look` updates the belief before any decision: measure, locate, track,
+perceive traffic, place the believed vehicle. The only true values that it reads are the poses of the vehicles, from
+which sensor data are simulated. The formulas are those of :mod:`lanebound.envs.batch`, at one row.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ ROUTE_M = 2.0  # half a lane of highway-env's: by so much a lane of the route ma
 
 
 class BeliefLoop:
-    """What the ego senses, believes and commands during one episode.
+    """Sensing, belief and commands of the ego during one episode.
 
     Attributes
     ----------
@@ -89,23 +89,23 @@ class BeliefLoop:
 
     @property
     def route(self) -> list[Any] | None:
-        """The route intended, None for wherever the lane leads."""
+        """The planned route; None to follow the lane."""
         route: list[Any] | None = self.believed.route
         return route
 
     @property
     def measurements(self) -> Measurements | None:
-        """Of all navigating vehicles at the last epoch, the ego first; None where none navigates."""
+        """Measurements of all navigating vehicles at the last epoch, the ego first; None without any."""
         return None if self.episodes.navigation is None else self.episodes.navigation.measurements
 
     # What the physical ego calls
 
     def moved(self) -> None:
-        """The car has moved; the others are about to."""
+        """Count a simulation step of the car; the other vehicles move after it."""
         self._moved += 1
 
     def look(self) -> None:
-        """Bring the belief up to date with what has moved since."""
+        """Update the belief after the motion since the last call."""
         if self._moved == self._seen:
             return
         e, self._seen = self.episodes, self._moved
@@ -129,7 +129,7 @@ class BeliefLoop:
         _run(e.epoch_links(ROW, fixes, np.array([self.time_s]), self._lies()))
 
     def _lies(self) -> Array | None:
-        """What faults do to what the others say, (C, 4); None without such faults."""
+        """Errors that faults add to broadcasts of the other vehicles, (C, 4); None without such faults."""
         faults, navigation = self.context.faults, self.episodes.navigation
         if navigation is None or navigation.vehicles == 1 or not faults.faults:
             return None
@@ -172,7 +172,7 @@ class BeliefLoop:
         return {"steering": steering, "acceleration": acceleration}
 
     def _lane_onward(self) -> int:
-        """The lane beyond the end of the target lane, ``NONE`` where no road goes on."""
+        """The lane beyond the end of the target lane, ``NONE`` without one."""
         car = self.believed
         key = car.target_lane_index, tuple(car.route or ())
         found = self._onward.get(key)
@@ -220,7 +220,7 @@ class BeliefLoop:
     # Read-outs
 
     def belief(self) -> EgoBelief:
-        """All that the ego knows of itself now."""
+        """The belief of the ego about itself."""
         e = self.episodes
         self._intents()
         locate_rows(0, 1, ROW, e.batch)

@@ -14,7 +14,6 @@ from lanebound.envs.worlds.base import META
 
 __all__ = ["world_of"]
 
-OTHER_FORM = {"intersection-v2": "intersection-v1"}  # highway-env keeps another id for continuous actions
 TYPES = {ActionKind.META: "DiscreteMetaAction", ActionKind.CONTINUOUS: "ContinuousAction"}
 
 
@@ -27,7 +26,8 @@ def world_of(config: EnvConfig) -> AbstractEnv:
         See :func:`lanebound.envs.world.make_world`.
     """
     continuous = config.action is ActionKind.CONTINUOUS
-    name = OTHER_FORM.get(config.base, config.base) if continuous else config.base
+    declared = world_kind(config.base)
+    name = (declared.continuous if declared is not None and continuous else "") or config.base
     defaults = world_defaults(name)
     kind = world_kind(name)
     ours = kind is not None and kind.world is not None

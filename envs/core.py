@@ -23,6 +23,7 @@ from lanebound.integrity.sensors.faults import Fault
 __all__ = ["DrivingEnv"]
 
 OPTIONS = ("faults",)
+WORLD_SEEDS, EPISODE_SEEDS = 2**31, 2**62  # ends of the ranges from which seeds are drawn
 
 
 class DrivingEnv(gymnasium.Env[Any, Any]):
@@ -207,7 +208,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
 
         Parameters
         ----------
-        seed : seeds everything; without one the environment goes on from where its generators are
+        seed : seeds all random numbers; without a seed the generators continue
         options : ``{"faults": [...]}`` with faults (or their plain data) that take the place of the random campaign
 
         Raises
@@ -217,8 +218,8 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
         """
         super().reset(seed=seed)
         faults = _faults_in(options)
-        episode_seed = int(self.np_random.integers(2**62))
-        self.world.reset(seed=seed if seed is not None else int(self.np_random.integers(2**31)))
+        episode_seed = int(self.np_random.integers(EPISODE_SEEDS))
+        self.world.reset(seed=seed if seed is not None else int(self.np_random.integers(WORLD_SEEDS)))
         self._duration_s = duration_s(self.config, self.world)
         context = set_scene(self.world, self.config, episode_seed, faults)
         self.belief_loop = BeliefLoop(self.world, self.config, context)

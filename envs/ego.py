@@ -1,8 +1,8 @@
-"""The ego car: a physical vehicle that is controlled by way of a believed one.
+"""The ego car: a physical vehicle that is controlled through a believed one.
 
 highway-env's low-level control, lane indices and routes read the vehicle's own pose, which is the truth. Here the
-physical vehicle has the truth and the dynamics; what it intends and commands comes from a believed vehicle, placed on a
-perceived road where navigation says that the car is.
+physical vehicle has the true state and the dynamics; intents and commands come from a believed vehicle at the estimated
+pose on a perceived road.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ HOLD = "hold"  # in a command: the brake works, with so many m/s2 at most
 
 
 class Loop(Protocol):
-    """What the physical ego calls."""
+    """Interface that the physical ego calls."""
 
     believed: BelievedVehicle
     actuated: bool
 
     def look(self) -> None:
-        """Bring the belief up to date; called before anything is decided."""
+        """Update the belief; called before each decision."""
 
     def moved(self) -> None:
-        """The car has moved by one simulation step; called before the others have."""
+        """Count a simulation step; called before the other vehicles move."""
 
     def intend(self) -> dict[str, float]:
         """Steering and acceleration that carry meta-actions out from the believed pose."""
@@ -44,13 +44,13 @@ class Loop(Protocol):
 
 
 class BelievedVehicle(MDPVehicle):  # type: ignore[misc]
-    """The car where its navigation says it is; never stepped, only placed."""
+    """The car at its estimated pose; it is placed and never stepped."""
 
     lane_index: LaneIndex
 
     @property
     def planned(self) -> set[tuple[str, str]]:
-        """Roads of the lane that it is on, of the lane that it wants, and of its route."""
+        """Roads of its lane, of its target lane, and of its route."""
         return {self.lane_index[:2], self.target_lane_index[:2], *(step[:2] for step in self.route or ())}
 
     def place(self, position_m: Array, heading_rad: float, speed_mps: float, lane_index: LaneIndex) -> None:

@@ -56,7 +56,7 @@ ELSEWHERE = {
 
 
 def refuse_misplaced(misplaced: Mapping[str, Any], allowed: str) -> None:
-    """Say where an argument belongs that an environment does not take.
+    """Refuse unknown arguments, with the place where each one belongs.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def refuse_misplaced(misplaced: Mapping[str, Any], allowed: str) -> None:
 
 
 class Preset(DrivingEnv):
-    """An environment with a configuration of its own, over which a user's is merged deeply."""
+    """An environment with a preset configuration; the user's configuration is merged deeply over it."""
 
     PRESET: ClassVar[Mapping[str, Any]]
     ID: ClassVar[str | None] = None
@@ -455,7 +455,7 @@ _registered: list[type[Preset]] = []
 
 
 def presets() -> tuple[type[Preset], ...]:
-    """The classes of all ids, those registered from outside last."""
+    """The classes of all ids; those from outside come last."""
     return (*CLASSES, *_registered)
 
 
@@ -478,7 +478,7 @@ def register_id(kind: type[Preset]) -> str:
 
 
 def withdraw_id(kind: type[Preset]) -> None:
-    """Take back an id that was registered."""
+    """Remove a registered id."""
     _registered.remove(kind)
     del IDS[id_of(kind)], gymnasium.registry[id_of(kind)]
 
@@ -493,11 +493,11 @@ def enter(kind: type[Preset]) -> None:
 
 
 def has_engine(kind: type[Preset]) -> bool:
-    """Whether the vector engine drives an id."""
+    """Whether an id has engine support."""
     world = world_kind(str(kind.PRESET["base"]))
     return world is not None and world.support is not None
 
 
 def id_of(kind: type[Preset]) -> str:
-    """The id of a class: ``lanebound/Name-v0``, or what it says itself."""
+    """The id of a class: its ``ID``, or ``lanebound/Name-v0``."""
     return kind.ID or f"lanebound/{kind.__name__}-v0"

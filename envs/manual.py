@@ -271,9 +271,9 @@ def _index() -> str:
         places.setdefault((entry.group, _pattern(entry.name)), []).append((place, entry))
     parts = [
         "## Observation index",
-        f"{len(OBSERVATION_INDEX)} entries by default. An entry is a quantity over the end of its range. `flat` is"
-        " the\nposition in the flat form; in the dict form positions count from the first entry of the group. i is the "
-        "number of a\nvehicle (0: the nearest) or of a distance d, from 0. Select entries by name:",
+        f"{len(OBSERVATION_INDEX)} entries by default. An entry is a quantity divided by the end of its range. `flat`"
+        " is the\nposition in the flat form; in the dict form positions count from the first entry of the group. i is"
+        " the number of a\nvehicle (0: the nearest) or of a distance d, from 0. Select entries by name:",
         "```pycon\n>>> from lanebound.envs.observation import OBSERVATION_INDEX\n"
         '>>> names = [entry.name for entry in OBSERVATION_INDEX if entry.group == "integrity"]\n'
         '>>> float(observation["integrity"][names.index("available")])\n1.0\n\n```',
@@ -303,7 +303,8 @@ def _row(pattern: str, members: list[tuple[int, Entry]]) -> list[str]:
         meaning = meaning.replace(f"{found[1]} m", "d")
     scale = f"{entry.scale:.4g}" if len({other.scale for _, other in members}) == 1 else "d"
     reach = f"0 to {scale}" if entry.low == 0.0 else f"±{scale}"
-    shown = "flag" if (entry.low, entry.scale, entry.unit) == (0.0, 1.0, "") else f"{reach} {entry.unit}".strip()
+    is_flag = (entry.low, entry.scale, entry.unit) == (0.0, 1.0, "") and not entry.name.endswith("_share")
+    shown = "flag" if is_flag else f"{reach} {entry.unit}".strip()
     return [flat, f"`{pattern}`", shown, meaning]
 
 

@@ -1,4 +1,4 @@
-"""How the ego knows its position: perfect knowledge, a constant offset, or the whole navigator."""
+"""Source of the position of the ego: the true pose, a constant offset from it, or the navigator."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["NavigationConfig", "Source"]
 
 
 class Source(Enum):
-    """What the belief comes from."""
+    """Source of the belief."""
 
     NAVIGATOR = "navigator"
     PERFECT = "perfect"
@@ -25,7 +25,7 @@ class Source(Enum):
 
 
 class NavigationConfig(Config):
-    """How the ego knows its position."""
+    """Source of the position of the ego, and the start of its navigation."""
 
     source: Source = Field(
         Source.NAVIGATOR,
@@ -52,7 +52,7 @@ class NavigationConfig(Config):
 
     @property
     def clock_start_s(self) -> float:
-        """What the navigators' clock shows at the start of an episode: the warm-up, and an epoch to spare."""
+        """Time of the clock of the navigators at the start of an episode: the warm-up plus one epoch."""
         return self.warm_up_s + 1.0 / self.rate_hz
 
     def steps_per_epoch(self, simulation_hz: int) -> int:

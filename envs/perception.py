@@ -1,4 +1,4 @@
-"""How the ego perceives traffic: what others broadcast of themselves, what its own sensor sees, or both.
+"""Perception of traffic: broadcasts of the other vehicles, the sensor of the ego, or both.
 
 The formulas are in :mod:`lanebound.envs.batch.perception_kernel`.
 """
@@ -17,7 +17,7 @@ __all__ = ["PerceptionConfig", "SensorConfig"]
 
 
 class SensorConfig(Config):
-    """The ego's own look at the vehicles around it: a fused set of radars or lidars that reports whole vehicles."""
+    """The sensor of the ego: a fused set of radars or lidars that reports whole vehicles."""
 
     range_m: float = Field(80.0, gt=0, description="farthest vehicle seen [m]; near-range mode of 77 GHz radars, 70 m")
     field_of_view_deg: float = Field(
@@ -42,7 +42,7 @@ class SensorConfig(Config):
 
 
 class PerceptionConfig(Config):
-    """Which sources the ego has, and how long their measurements count."""
+    """Sources of perceived traffic, and how long their measurements are used."""
 
     source: Literal["v2v", "sensor", "both", "none", "truth"] = Field(
         "v2v", description="source of the traffic; truth: every vehicle as it is, at no age"

@@ -1,4 +1,4 @@
-"""What is read off an episode: the belief of an ego, and the traffic that it perceives.
+"""Read-outs of an episode: the belief of the ego, and the perceived traffic.
 
 Frame ``xy``: highway-env's plane, x ahead along the first road, y to its right, headings clockwise from x seen from
 above. It is East-South: ``E = x``, ``N = -y``, azimuth = heading + pi / 2. Lateral offsets are positive to the right.
@@ -48,7 +48,7 @@ def heading_of(azimuth_rad: Angle) -> Angle:
 
 @dataclass(frozen=True)
 class EgoBelief:
-    """All that the ego knows of itself at one instant: the estimate, where that is on its map, and how far to trust it.
+    """The belief of the ego about itself at one instant: the estimate, its place on the map, and its integrity.
 
     Attributes
     ----------
@@ -110,11 +110,11 @@ class EgoBelief:
 
 @dataclass(frozen=True)
 class Traffic:
-    """The N vehicles that the ego perceives now, nearest first, each brought forward to now at its last known velocity.
+    """The N perceived vehicles, nearest first, each extrapolated to now with its last known velocity.
 
     Attributes
     ----------
-    key : (N,) int64, names a vehicle for as long as it is perceived
+    key : (N,) int64, identifies a vehicle while it is perceived
     position_m : (N, 2) x, y; heading_rad, speed_mps : (N,)
     pl_at_m, pl_ct_m : (N,) bounds of the position's error along and across *its* heading, age included; inf if missing
     age_s : (N,) since the measurement behind it

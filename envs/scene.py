@@ -8,7 +8,6 @@ from functools import lru_cache
 
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
-from highway_env.envs.intersection_env import IntersectionEnv
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
@@ -20,6 +19,7 @@ from lanebound.envs.batch.rules import rules_of
 from lanebound.envs.batch.skies import HOURS, Cities, Skies
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.sky import SkyLevel, Street, build_street
+from lanebound.envs.worlds import world_kind
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.monitoring.risk import upper_quantile
 from lanebound.integrity.navigators.navigator import NavigatorConfig
@@ -32,7 +32,6 @@ __all__ = ["MAP_SHARE", "EpisodeContext", "alert_limits_m", "begin_all", "durati
 ENDLESS_S = 300.0  # of sky for worlds that set no duration
 MARGIN_S = 60.0  # of sky beyond what an episode is expected to last
 MAP_SHARE = 0.1  # of the integrity risk, for the map: of both, its Gaussian level pays less for a small share
-NEWCOMERS = 24  # slots kept for vehicles that appear later, where the world makes some
 
 
 def map_bound_m(config: EnvConfig, navigator: NavigatorConfig) -> float:
@@ -147,7 +146,8 @@ def set_scene(
     vehicle 0 is the ego, 1 and up the slots of the others, None all of them.
     """
     others = sum(v is not world.vehicle for v in world.road.vehicles)
-    capacity = min(config.slots, others + (NEWCOMERS if isinstance(world, IntersectionEnv) else 0))
+    kind = world_kind(config.base)
+    capacity = min(config.slots, others + (0 if kind is None else kind.newcomers))
     hears = config.perception.source in ("v2v", "both")
     crew = np.ones((1, capacity if hears else 0), dtype=np.bool_)
     starts = draw_starts([seed], config.layouts, HOURS, crew, config.navigation.source.senses)

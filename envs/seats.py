@@ -47,7 +47,7 @@ class Seats:
         return [v for v in self.world.road.vehicles if v is not ego]
 
     def _seat(self, others: list[Vehicle]) -> list[Vehicle]:
-        """Free the slots of vehicles that are gone, and give slots to new ones; returns those."""
+        """Free the slots of vehicles that left, and assign slots to new ones; returns the new ones."""
         there = set(others)
         for vehicle in [v for v in self.slot if v not in there]:
             self._free.append(self.slot.pop(vehicle))
@@ -64,12 +64,12 @@ class Seats:
         return fresh
 
     def _make_room(self, count: int) -> None:
-        """Longer rows, where more vehicles appear than there has been room for."""
+        """Make the rows longer when there are more vehicles than columns."""
         if count > self.episodes.cars.x.shape[1]:
             self.episodes.replace_cars(empty_cars(1, 2 * count))
 
     def follow(self, passed: int) -> None:
-        """Take note of vehicles that have appeared or gone; ``passed``: steps of the epoch before this one."""
+        """Update the slots after vehicles appeared or left; ``passed``: steps of the epoch before this one."""
         others = self._others()
         if others == self.vehicles[1:]:
             return

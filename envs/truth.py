@@ -1,4 +1,4 @@
-"""The true state in the form of a belief: for scoring and for columns of logs. Nothing that decides may be given it."""
+"""The true state in the form of a belief, for scoring and for columns of logs only. Agents must not use it."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ class TrueLead(NamedTuple):
 
 
 def true_belief(loop: BeliefLoop) -> EgoBelief:
-    """What the ego would believe if it knew everything: its true pose, no protection level needed."""
+    """The belief of an ego with perfect knowledge: the true pose and protection levels of 0."""
     return EgoBelief.of(_true_belief(loop), 0, loop.episodes.table)
 
 
 def true_traffic(loop: BeliefLoop) -> Traffic:
-    """All vehicles as they are, nearest first."""
+    """The true state of all other vehicles, nearest first."""
     return Traffic.of(_true_traffic(loop))
 
 

@@ -1,8 +1,8 @@
-"""The true world: a highway-env environment, made to measure, that carries the ego and everyone else.
+"""The true world: an environment of highway-env with the ego and all other vehicles.
 
-Its dynamics, traffic, rewards and endings are highway-env's own, untouched. What is set here is the observation (none:
-ours is built elsewhere), reward terms that choke on an array (merge, roundabout), and the drivers of intersections (a
-class of our own, as highway-env rewrites that class's constants).
+Its dynamics, traffic, rewards and end rules are unchanged. Three things are set here: the observation (none, because
+lanebound makes its own), reward terms that fail for array actions (merge, roundabout), and the class of the drivers at
+intersections (a separate one, because highway-env changes constants of the class in use).
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.intersection_env import IntersectionEnv
 from highway_env.envs.parking_env import ParkingEnv
 
+from lanebound.envs.batch.ego_kernel import IDLE
 from lanebound.envs.worlds import world_kind, world_kinds
 from lanebound.envs.worlds.drivers import IntersectionDriver
 from lanebound.envs.worlds.highway import IDM_PATH
@@ -30,7 +31,6 @@ __all__ = ["checked_command", "guard", "make_world", "world_defaults"]
 NOTHING = {"type": "AttributesObservation", "attributes": []}
 RESERVED = ("observation", "action", "simulation_frequency", "policy_frequency", "manual_control")
 DIRECT = "ContinuousAction"
-IDLE = 1
 
 
 def _guarded_rewards(world: AbstractEnv, action: Any) -> dict[str, float]:

@@ -23,7 +23,7 @@ import gymnasium
 from gymnasium.utils import RecordConstructorArgs
 
 from lanebound.envs.costs import CAUSES
-from lanebound.envs.tally import EPISODE_KEY, Tally
+from lanebound.envs.episode_totals import EPISODE_KEY, EpisodeTotals
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.presets import nearest
 
@@ -36,7 +36,7 @@ Started = tuple[Any, dict[str, Any]]
 
 
 class _OfLanebound(Wrapper):
-    """A wrapper that reads what our environments put into ``info``, and says so to any other."""
+    """A wrapper that reads the ``info`` of lanebound's environments and refuses other environments."""
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Started:
         """Begin an episode.
@@ -137,18 +137,18 @@ class EpisodeStatistics(_OfLanebound, RecordConstructorArgs):
     def __init__(self, env: Env) -> None:
         RecordConstructorArgs.__init__(self)
         super().__init__(env)
-        self._tally = Tally(1)
+        self._totals = EpisodeTotals(1)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Started:
         """Begin an episode, and its statistics."""
         observation, info = super().reset(seed=seed, options=options)
-        self._tally.clear()
+        self._totals.clear()
         return observation, info
 
     def step(self, action: Any) -> FiveTuple:
         """Carry out a command; the last step of an episode brings the statistics."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        self._tally.add(float(reward), info)
+        self._totals.add(float(reward), info)
         if terminated or truncated:
-            info[EPISODE_KEY] = self._tally.report(0, info["is_success"])
+            info[EPISODE_KEY] = self._totals.report(0, info["is_success"])
         return observation, reward, terminated, truncated, info

@@ -23,7 +23,7 @@ from lanebound.agents.drivers.origin import experiment_in
 from lanebound.agents.learning.algorithms import CLASSES
 from lanebound.agents.learning.experiment import FLAT, ExperimentConfig, Shield
 from lanebound.agents.learning.opening import for_judging
-from lanebound.envs.tally import EPISODE_KEY
+from lanebound.envs.episode_totals import EPISODE_KEY
 from lanebound.integrity.core.config import deep_merge
 from lanebound.integrity.core.errors import InputError
 

@@ -37,7 +37,7 @@ from lanebound.agents.learning.experiment import Algorithm, ExperimentConfig
 from lanebound.agents.learning.imitation import Teacher, imitate, teacher_of
 from lanebound.agents.learning.opening import episode_seeds, for_learning
 from lanebound.envs.costs import CAUSES
-from lanebound.envs.tally import EPISODE_KEY
+from lanebound.envs.episode_totals import EPISODE_KEY
 from lanebound.integrity.core.accel import serial
 from lanebound.integrity.core.errors import InputError
 

@@ -1,4 +1,4 @@
-"""N episodes of one configuration: what each ego knows, whom it perceives, how it is scored and what its agent sees.
+"""N episodes of one configuration: beliefs of the egos, perceived vehicles, scores and observations.
 
 The same code serves a single environment, which is one row, and the vector engine. The wrapped world moves the cars
 (highway-env or compiled traffic), writes their poses into ``cars`` and says in ``ego.facts`` how a step ended; all else

@@ -44,7 +44,7 @@ class LaneTable:
 
     @property
     def goes_one_way(self) -> bool:
-        """Whether no road forks, and every road that goes on does so with as many lanes or more."""
+        """Whether no road forks, and each continuation of a road has as many lanes or more."""
         starts = {start for start, _, _ in self.index}
         onward = self.lanes.table["onward"].tolist()
         return all(n >= 0 or end not in starts for n, (_, end, _) in zip(onward, self.index, strict=True))

@@ -1,6 +1,6 @@
-"""What N egos sense: one navigator locates all vehicles that navigate, each in its own city at its own hour.
+"""Navigation of N environments: one navigator locates all navigating vehicles, each in its own city at its own hour.
 
-A row of environment e holds M vehicles, the ego first, then the others by slot; M is 1 where nobody broadcasts. The
+A row of environment e holds M vehicles, the ego first, then the others by slot; M is 1 without broadcasts. The
 navigation of an episode begins some seconds before it, on a straight approach.
 """
 
@@ -100,13 +100,13 @@ class Approach:
 class NavigationBatch:
     """The navigators of N environments.
 
-    Every environment goes by a time of its own, so that all its episodes are as those of a single one.
+    Every environment has its own time, so its episodes equal those of a single environment.
 
     Parameters
     ----------
     config, settings : how the egos know their positions, and the navigator's own configuration
     skies, cities : that episodes may draw
-    forecast : what the map says of the cities, at the distances that are shown
+    forecast : prediction of satellites from the map of the cities, at the distances of the observation
     lanes : of the road network
     count, vehicles : N environments of M vehicles
     step_s, steps : length of a simulation step, and steps in an epoch
@@ -254,7 +254,7 @@ class NavigationBatch:
         """Vehicles appear in slots (n,) of a single environment, after going straight on at their speed.
 
         position_m (n, 2) is where each is now; ``passed``: steps of the epoch before this one; noise (n, 3) standard
-        normal, of the positions that they know.
+        normal, of their first estimated positions.
         """
         chord = self.step_s * speed_mps[:, None] * np.stack([np.cos(heading_rad), np.sin(heading_rad)], -1)
         before, rows = position_m - chord, slots + 1
@@ -297,7 +297,7 @@ class NavigationBatch:
         return navigator.locate(self.measurements)
 
     def view(self) -> Any:
-        """The skies over all vehicles at the last epoch; where there is no vehicle, none."""
+        """The skies over all vehicles at the last epoch; no satellites for a missing vehicle."""
         if self._index is None:
             self._index = np.where(self._there, self._kept[:, None], self.count).ravel()
         return self.skies.view(self.sky, self._index)

@@ -1,4 +1,4 @@
-"""Whom N egos perceive, epoch after epoch: their radios, their sensors, and the state of both."""
+"""The vehicles that N egos perceive in each epoch: radios, sensors, and the state of both."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ GIVEN = ("truth", "none")
 
 
 def perceives(config: PerceptionConfig) -> bool:
-    """Whether traffic is measured or heard of, not given."""
+    """Whether traffic is perceived by sensor or radio, not given."""
     return config.source not in GIVEN
 
 
@@ -110,7 +110,7 @@ class PerceptionBatch:
         return p.picture, p.perceived, p.tracks, p.slots, *p.radio, self._there
 
     def begin(self, rows: Rows, seeds: Sequence[int], there: Flags, cars: Cars) -> None:
-        """Start with silent radios and sensors that have seen nobody, under the episodes' seeds.
+        """Start radios without messages and sensors without tracks, with the seeds of the episodes.
 
         there (n, C): places of others, by slot, that draw.
         """
@@ -148,7 +148,7 @@ class PerceptionBatch:
             self.vehicles, self.pictures = vehicles, self.pictures._replace(perceived=longer)
 
     def enter(self, slot: int, key: int, length_m: float, width_m: float) -> None:
-        """Another vehicle takes a slot of a single environment over: nothing of the last one remains."""
+        """Assign a slot of a single environment to another vehicle and clear what was known of the last one."""
         if not (self.hears or self.looks):
             return
         p = self.pictures
@@ -188,7 +188,7 @@ class PerceptionBatch:
 
 
 def _silence(sightings: Records, rows: Rows, time_s: float) -> None:
-    """Nothing is known of vehicles, :func:`.perception_kernel.silence`."""
+    """Clear sightings, :func:`.perception_kernel.silence`."""
     sightings[rows] = np.zeros((), pk.SIGHTING)
     for name, value in (("pl_at_m", np.inf), ("pl_ct_m", np.inf), ("time_s", time_s)):
         sightings[name][rows] = value

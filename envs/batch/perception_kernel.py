@@ -1,4 +1,4 @@
-"""Whom each ego perceives: broadcasts of the others' own beliefs, its own sensor, or everybody as they are.
+"""The vehicles that each ego perceives: by broadcasts of their beliefs, by its own sensor, or as they truly are.
 
 A broadcast says where its sender believes to be on the globe; a sensor tells where another vehicle is from here. The
 first is wrong by the sender's error, the second is put on the ego's believed pose and shares its error, so that the
@@ -33,7 +33,7 @@ CLAIM = record(
     speed_mps="by the odometer",
     pl_at_m="protection level along the heading, inf when missing",
     pl_ct_m="protection level across the heading, inf when missing",
-    sends=("i8", "1 where the vehicle knows its position and broadcasts it"),
+    sends=("i8", "1 where the vehicle has a position and broadcasts it"),
 )
 SIGHTING = record(
     x_m="position at the time of the measurement",
@@ -98,7 +98,7 @@ class Radio(NamedTuple):
 
 
 class Pictures(NamedTuple):
-    """Whom N egos perceive.
+    """The vehicles that N egos perceive.
 
     picture (N,) PICTURE; perceived (N, P) PERCEIVED, nearest first; tracks (N, C + 1) SIGHTING of the sensor; slots
     (N, C + 1) SLOT; spoken (N, C) CLAIM and radio: of C slots, of none where the ego has no radio; of_radio (1,) RADIO,
@@ -118,7 +118,7 @@ class Pictures(NamedTuple):
 
 @jit(borrows=True)
 def silence(sighting, time):  # type: ignore[no-untyped-def]
-    """Nothing is known of a vehicle: levels of inf; a time of -inf for messages, an age of inf for the sensor."""
+    """Clear a sighting: levels of inf; a time of -inf for messages, an age of inf for the sensor."""
     sighting.x_m = sighting.y_m = sighting.heading_rad = sighting.speed_mps = 0.0
     sighting.pl_at_m = sighting.pl_ct_m = math.inf
     sighting.time_s = time
@@ -126,7 +126,7 @@ def silence(sighting, time):  # type: ignore[no-untyped-def]
 
 @jit(borrows=True)
 def forget_slot(radio, tracks, e, slot):  # type: ignore[no-untyped-def]
-    """Drop what is known of a slot and what is under way from it: another vehicle takes it over."""
+    """Clear the sightings and the messages under way of a slot, for another vehicle."""
     if slot < radio.origin.shape[1]:
         radio.arriving[e, :, slot] = -1
         radio.origin[e, slot] = -1
@@ -267,11 +267,11 @@ def sum_up(radio, tracks, slots, e, figures, time, b, square, seen):  # type: ig
     count, heard = 0, radio.origin.shape[1]
     for slot in range(tracks.shape[0]):
         age = tracks[slot].time_s
-        told = time - radio.held[e, slot].time_s if slot < heard else math.inf
-        sensed = age <= told + ROUNDING
+        heard_s = time - radio.held[e, slot].time_s if slot < heard else math.inf
+        sensed = age <= heard_s + ROUNDING
         source = tracks[slot]
         if not sensed:
-            source, age = radio.held[e, slot], told
+            source, age = radio.held[e, slot], heard_s
         if not age <= figures.drop_after_s + ROUNDING:
             continue
         x = source.x_m + source.speed_mps * age * math.cos(source.heading_rad)

@@ -30,7 +30,7 @@ __all__ = ["Batch", "Sensed", "approach_step", "begin_rows", "carry_on", "coast_
 
 
 class Batch(NamedTuple):
-    """N episodes: what their cars are, what egos know, whom they perceive, and what agents see.
+    """N episodes: cars, beliefs of the egos, perceived vehicles, and observations.
 
     rules (1,) RULES; lanes and routes of the egos' map; path_of (L,): row of the path from each lane by the present
     route; sources (E,) SOURCE, words and frame (N, E) of observations; integrity: what of it is shown (FULL, BLIND,
@@ -154,7 +154,7 @@ def count_rows(first, last, rows, batch):  # type: ignore[no-untyped-def]
 
 @jit(borrows=True)
 def hear_rows(first, last, rows, at, fixes, batch, time, u, lies):  # type: ignore[no-untyped-def]
-    """One epoch of the radio: the others say what their solutions say of them.
+    """One epoch of the radio: the other vehicles broadcast their solutions.
 
     Row ``at[n] + 1 + slot`` of fixes belongs to the vehicle in a slot of environment ``rows[n]``; time (n,): of the
     episodes; u (n, C + 1, 2) uniform draws; lies: see :func:`.perception_kernel.hear`.
@@ -180,7 +180,7 @@ def look_rows(first, last, rows, batch, noise):  # type: ignore[no-untyped-def]
 
 @jit
 def sum_up_rows(first, last, rows, batch, time):  # type: ignore[no-untyped-def]
-    """Whom the egos perceive by radio and sensor at ``time`` (n,) of their episodes."""
+    """The vehicles that the egos perceive by radio and sensor at ``time`` (n,) of their episodes."""
     a = unbundle(batch)
     p, square = a.pictures, np.empty(a.pictures.perceived.shape[1] + 1)
     for n in range(first, last):

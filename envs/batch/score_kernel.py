@@ -63,7 +63,7 @@ def count_epoch(b, sc, car):  # type: ignore[no-untyped-def]
 def score(b, sc, car, seen, count, lanes, facts, rules, start, out):  # type: ignore[no-untyped-def]
     """The verdict on a step, or at a start, where no time has passed: fills ``out`` and remembers in ``sc``.
 
-    ``seen``, ``count``: whom the ego perceives; ``facts``: what the wrapped world says of the step.
+    ``seen``, ``count``: the vehicles that the ego perceives; ``facts``: ends and reward of the wrapped world.
     """
     policy, speed = rules.policy_s, car.speed[0]
     dt = 0.0 if start else policy

@@ -8,15 +8,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.envs.batch.lanes_kernel import local
+from lanebound.envs.batch.lanes_kernel import TWO_PI, local
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.sky.raytrace_kernel import bin_of
 
 __all__ = ["Forecast", "HourTable", "SkyRows", "fill_sky", "predict"]
 
-TWO_PI = 2.0 * math.pi
 BELOW_RAD = -0.5 * math.pi  # elevation of satellites below the horizon, whose directions are not used
-NO_LANE = -1.0
+NO_LANE = -1.0  # number of satellites where there is no lane
 
 
 class HourTable(NamedTuple):

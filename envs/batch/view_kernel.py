@@ -1,4 +1,4 @@
-"""What an agent sees: the numbers behind every entry of an observation, and the bounded frame that is made of them.
+"""Observations: the quantities of all entries, and the bounded frame that is made of them.
 
 :func:`derive` fills the records VIEW, AHEAD and BESIDE of an ego; :func:`fill_frame` picks the entries from these, from
 the belief and from the predicted sky, by the table that :mod:`..observation.index` declares, and scales and bounds
@@ -126,7 +126,7 @@ def _flag(condition):  # type: ignore[no-untyped-def]
 
 @jit(borrows=True)
 def true_view(b, car, lanes, path_of, rules, view):  # type: ignore[no-untyped-def]
-    """Make ``view``, a copy of the belief, that of an ego that knows everything: its true pose, no level needed."""
+    """Make ``view``, a copy of the belief, that of an ego with perfect knowledge: the true pose and levels of 0."""
     n = car.lane[0]
     s, r, direction = local(lanes, n, car.x[0], car.y[0])
     view.x_m, view.y_m, view.heading_rad, view.speed_mps = car.x[0], car.y[0], car.heading[0], car.speed[0]
@@ -174,7 +174,7 @@ def _derive_ego(b, lanes, routes, view):  # type: ignore[no-untyped-def]
 
 @jit(inline=True)
 def _derive_levels(b, rules, shown, observed, trail, view):  # type: ignore[no-untyped-def]
-    """Levels, what they are to their limits, their trend, and the alert; an oracle trusts its state."""
+    """Levels, their ratio and margin to the limits, their trend, and the alert; an oracle has levels of 0."""
     oracle, size = shown == ORACLE, trail.shape[0]
     view.trend_at_m = view.trend_ct_m = 0.0
     if shown == FULL:

@@ -1,13 +1,13 @@
 """The published index: every entry of an observation with its unit, scale, bounds, meaning and source.
 
-An entry is ``clip(quantity / scale, low, high)``, float32; nothing is NaN or infinite. What is missing reads as said in
-its meaning: a missing protection level is the clipped maximum with its ``exists`` flag 0, never 0.
+An entry is ``clip(quantity / scale, low, high)``, float32, never NaN or infinite. Its meaning states the value of a
+missing quantity: a missing protection level is 1 with its ``exists`` flag 0.
 
 The source of an entry names a field of a record: ``belief.speed_mps`` (BELIEF of :mod:`..batch.records_kernel`),
 ``view.ratio_at`` (VIEW of :mod:`..batch.view_kernel`), ``preview[2].ahead_m`` (AHEAD at the third preview distance),
 ``sky[4]`` (satellites predicted: left, own and right lane of each distance in turn), ``vehicle[0].age_s`` (BESIDE of
-the nearest vehicle). ``belief.mode == 2`` is 1 where a code is that number. So a new entry is a line here; for a
-quantity that no record has yet, a field in VIEW or BESIDE and its formula there come first.
+the nearest vehicle). ``belief.mode == 2`` is 1 where the code has that value. A new entry is a line here; a quantity
+that is in no record needs a field in VIEW or BESIDE and its formula there first.
 
 :func:`register_entry` adds an entry from outside; its source may also be a function of :class:`Observed`.
 """
@@ -42,7 +42,7 @@ LANES = ("left", "own", "right")
 
 
 class Observed(NamedTuple):
-    """What the entries of N environments come from: records (N,) BELIEF and VIEW, (N, D) AHEAD, (N, R) BESIDE.
+    """Inputs of the entries of N environments: records (N,) BELIEF and VIEW, (N, D) AHEAD, (N, R) BESIDE.
 
     sky (N, 3 D): satellites predicted on the lanes left, own and right, negative for unknown.
     """
@@ -55,7 +55,7 @@ class Observed(NamedTuple):
 
 
 Source = str | Callable[[Observed], NDArray[np.float64]]
-"""Where an entry comes from: a field by name, or a function of N environments that returns (N,) numbers."""
+"""Source of an entry: the name of a field, or a function that returns (N,) numbers for N environments."""
 
 
 @dataclass(frozen=True)
@@ -64,12 +64,12 @@ class Entry:
 
     Attributes
     ----------
-    name, group : what it is called, unique in its group, and the group it belongs to
+    name, group : name, unique in its group, and the group
     unit : of the quantity, "" for a pure number
-    scale : of which one is shown [unit]
+    scale : quantity at which the entry is 1 [unit]
     low, high : bounds of the entry
-    meaning : what it is, its sign, and how it reads when missing
-    source : where the quantity comes from
+    meaning : the quantity, its sign, and its value when missing
+    source : source of the quantity
     """
 
     name: str
@@ -108,24 +108,28 @@ def _ego(c: ObservationConfig) -> list[Entry]:
     fast = c.speed_max_mps
     return [
         g.signed("speed", "m/s", fast, "speed by the odometer", "belief.speed_mps"),
-        g.signed("target_speed", "m/s", fast, "speed set by meta-actions, else the speed itself",
+        g.signed("target_speed", "m/s", fast, "target speed of meta-actions; the speed itself under continuous actions",
                  "belief.target_speed_mps"),
-        g.signed("acceleration", "m/s^2", c.acceleration_max_mps2, "along the heading", "belief.acceleration_mps2"),
-        g.signed("yaw_rate", "rad/s", c.yaw_rate_max_radps, "positive turning right", "belief.yaw_rate_radps"),
-        g.signed("steering", "rad", STEERING_MOST_RAD, "angle commanded last, positive right", "belief.steering_rad"),
-        g.signed("heading_sin", "", 1.0, "sine of the heading less the lane's, positive pointing right",
+        g.signed("acceleration", "m/s^2", c.acceleration_max_mps2, "acceleration along the heading",
+                 "belief.acceleration_mps2"),
+        g.signed("yaw_rate", "rad/s", c.yaw_rate_max_radps, "yaw rate, positive for right turns",
+                 "belief.yaw_rate_radps"),
+        g.signed("steering", "rad", STEERING_MOST_RAD, "last commanded steering angle, positive to the right",
+                 "belief.steering_rad"),
+        g.signed("heading_sin", "", 1.0, "sine of the heading relative to the lane, positive to the right",
                  "view.heading_sin"),
-        g.signed("heading_cos", "", 1.0, "cosine of the heading less the lane's", "view.heading_cos"),
-        g.signed("lateral_offset", "m", c.offset_max_m, "from the lane's centreline, positive right",
+        g.signed("heading_cos", "", 1.0, "cosine of the heading relative to the lane", "view.heading_cos"),
+        g.signed("lateral_offset", "m", c.offset_max_m, "offset from the centreline of the lane, positive to the right",
                  "belief.lateral_m"),
-        g.signed("lateral_share", "", 2.0, "lateral offset over half the lane's width", "view.lateral_share"),
+        g.signed("lateral_share", "", 2.0, "lateral offset divided by half the width of the lane",
+                 "view.lateral_share"),
         g.positive("lane_width", "m", c.lane_width_max_m, "width of the lane", "belief.lane_width_m"),
-        g.positive("lane_share", "", 1.0, "lane number over the road's last one: 0 leftmost or alone, 1 rightmost",
+        g.positive("lane_share", "", 1.0, "position among the lanes of the road: 0 leftmost or single, 1 rightmost",
                    "view.lane_share"),
-        g.flag("left_exists", "a lane that may be entered lies to the left", "view.left_exists"),
-        g.flag("right_exists", "a lane that may be entered lies to the right", "view.right_exists"),
-        g.flag("target_left", "a change to a lane on the left is commanded", "view.target_left"),
-        g.flag("target_right", "a change to a lane on the right is commanded", "view.target_right"),
+        g.flag("left_exists", "the car may change to a lane on its left", "view.left_exists"),
+        g.flag("right_exists", "the car may change to a lane on its right", "view.right_exists"),
+        g.flag("target_left", "a lane change to the left is commanded", "view.target_left"),
+        g.flag("target_right", "a lane change to the right is commanded", "view.target_right"),
     ]  # fmt: skip
 
 
@@ -133,35 +137,38 @@ def _integrity(c: ObservationConfig) -> list[Entry]:
     if not c.shows_levels:
         return []
     g, pl, most = _Group("integrity"), c.pl_max_m, c.elapsed_max_s
-    change = f"change of the clipped level in the last {c.trend_window_s:g} s"
+    change = f"change of the protection level, limited to {pl:g} m, in the last {c.trend_window_s:g} s"
     out = []
     for axis, name in (("at", "along track"), ("ct", "across track")):
         out += [
             g.positive(f"pl_{axis}", "m", pl, f"protection level {name}; 1 when missing", f"view.pl_{axis}_m"),
-            g.flag(f"pl_{axis}_exists", f"there is a protection level {name}", f"view.pl_{axis}_exists"),
+            g.flag(f"pl_{axis}_exists", f"a protection level {name} exists", f"view.pl_{axis}_exists"),
             g.positive(f"al_{axis}", "m", pl, f"alert limit {name}", f"belief.al_{axis}_m"),
             g.positive(f"ratio_{axis}", "", c.ratio_max, f"PL / AL {name}; 1 when missing", f"view.ratio_{axis}"),
             g.signed(f"margin_{axis}", "m", pl, f"AL - PL {name}, safe when >= 0; -1 when missing",
                      f"view.margin_{axis}_m"),
-            g.signed(f"trend_{axis}", "m", pl, f"{change}, {name}; the first one counts as constant before",
+            g.signed(f"trend_{axis}", "m", pl, f"{change}, {name}; early in an episode since its start",
                      f"view.trend_{axis}_m"),
         ]  # fmt: skip
     return [
         *out,
-        g.flag("available", "no protection level exceeds its limit now", "view.available"),
+        g.flag("available", "no protection level exceeds its alert limit", "view.available"),
         g.flag("alert", "the alert is on", "view.alert"),
-        g.positive("alert_age", "s", most, "how long the alert has been on; 0 without", "view.alert_age_s"),
+        g.positive("alert_age", "s", most, "time since the start of the alert; 0 without an alert", "view.alert_age_s"),
         *(g.flag(f"reason_{r.name.lower()}", r.value, f"view.reason == {r.code}") for r in AlertReason),
         *(g.flag(f"mode_{m.key}", f"source of the position: {m.label}", f"belief.mode == {int(m)}") for m in Mode),
         *(g.flag(f"rtk_{r.name.lower()}", r.value, f"belief.rtk == {r.code}") for r in RtkStatus),
-        g.positive("since_rtk", "s", most, "time since the last RTK position; 1 when never", "belief.since_rtk_s"),
-        g.positive("since_calibration", "s", most, "time since the heading was calibrated; 1 when never",
+        g.positive("since_rtk", "s", most, "time since the last RTK position; 1 before the first one",
+                   "belief.since_rtk_s"),
+        g.positive("since_calibration", "s", most, "time since the last heading calibration; 1 before the first one",
                    "belief.since_calibration_s"),
-        g.positive("corrections_age", "s", most, "age of the reference data; 1 when the link is out",
+        g.positive("corrections_age", "s", most,
+                   "age of the data of the reference station; 1 during an outage of the link",
                    "belief.corrections_age_s"),
-        g.positive("satellites", "", c.satellites_max, "used by RTK", "belief.satellites"),
-        g.positive("satellites_doppler", "", c.satellites_max, "used by the velocity", "belief.satellites_doppler"),
-        g.positive("excluded", "", c.excluded_max, "satellites excluded by fault detection in this epoch",
+        g.positive("satellites", "", c.satellites_max, "number of satellites used by RTK", "belief.satellites"),
+        g.positive("satellites_doppler", "", c.satellites_max, "number of satellites used for the Doppler velocity",
+                   "belief.satellites_doppler"),
+        g.positive("excluded", "", c.excluded_max, "number of satellites excluded by fault detection in this epoch",
                    "belief.excluded"),
         g.positive("hdop", "", c.hdop_max, "horizontal dilution of precision; 1 without satellites", "belief.hdop"),
     ]  # fmt: skip
@@ -170,28 +177,30 @@ def _integrity(c: ObservationConfig) -> list[Entry]:
 def _road(c: ObservationConfig) -> list[Entry]:
     g = _Group("road")
     out = [
-        g.positive("speed_limit", "m/s", c.speed_max_mps, "of the lane; 1 when the map gives none",
+        g.positive("speed_limit", "m/s", c.speed_max_mps, "speed limit of the lane; 1 if the map has none",
                    "view.speed_limit_mps"),
-        g.positive("junction", "m", c.range_m, "distance to the end of the lane's own stretch of road",
+        g.positive("junction", "m", c.range_m, "distance to the end of this section of the road",
                    "view.junction_m"),
-        g.positive("lane_end", "m", c.range_m, "distance to where no lane goes on from this one; 1 if beyond reach",
+        g.positive("lane_end", "m", c.range_m,
+                   "distance to the end of the lane without a continuation; 1 beyond the range",
                    "view.lane_end_m"),
     ]  # fmt: skip
     for n, d in enumerate(c.preview_m):
-        where = f"of the route's centreline {d:g} m ahead"
+        where = f"of the centreline of the route {d:g} m ahead"
         out += [
-            g.flag(f"preview_{d:g}m_exists", f"the map goes on {d:g} m ahead; else the road is drawn on straight",
+            g.flag(f"preview_{d:g}m_exists", f"the map has the route {d:g} m ahead; else it is extended straight",
                    f"preview[{n}].exists"),
-            g.signed(f"preview_{d:g}m_ahead", "m", d, f"point {where}, along the ego's heading",
+            g.signed(f"preview_{d:g}m_ahead", "m", d, f"point {where}: distance along the heading of the car",
                      f"preview[{n}].ahead_m"),
-            g.signed(f"preview_{d:g}m_right", "m", d, f"point {where}, to the ego's right", f"preview[{n}].right_m"),
-            g.signed(f"preview_{d:g}m_heading", "rad", pi, f"direction {where} less the ego's heading",
+            g.signed(f"preview_{d:g}m_right", "m", d, f"point {where}: distance to the right of the car",
+                     f"preview[{n}].right_m"),
+            g.signed(f"preview_{d:g}m_heading", "rad", pi, f"direction {where} relative to the heading of the car",
                      f"preview[{n}].heading_rad"),
-            g.signed(f"preview_{d:g}m_curvature", "1/m", c.curvature_max_per_m, f"{where}, positive turning right",
-                     f"preview[{n}].curvature_pm"),
+            g.signed(f"preview_{d:g}m_curvature", "1/m", c.curvature_max_per_m,
+                     f"curvature {where}, positive for right turns", f"preview[{n}].curvature_pm"),
         ]  # fmt: skip
     for n, d in enumerate(c.satellites_m):
-        text = f"satellites predicted in line of sight {d:g} m ahead; -1 without a prediction or without that lane"
+        text = f"predicted number of satellites in line of sight {d:g} m ahead; -1 without a prediction or lane"
         out += [
             g.signed(f"sky_{d:g}m_{lane}", "", c.satellites_max, f"{lane} lane: {text}", f"sky[{3 * n + k}]")
             for k, lane in enumerate(LANES)
@@ -205,34 +214,37 @@ def _traffic(c: ObservationConfig) -> list[Entry]:
 
 def _vehicle(c: ObservationConfig, row: int) -> list[Entry]:
     g, p, v = _Group("traffic"), f"v{row}_", f"vehicle[{row}]"
-    text = "the ego's level (not for a vehicle seen by sensor) and half the extent of its own box on that axis"
+    text = "own level (0 for a vehicle perceived by the sensor) plus half the extent of the box of its levels"
     out = [
-        g.flag(p + "present", "a vehicle is perceived here; else ahead, lane_gap, age and levels read 1, the rest 0",
+        g.flag(p + "present", "a vehicle is perceived; if not: ahead, lane_gap, age and levels are 1, the rest 0",
                f"{v}.present"),
-        g.signed(p + "ahead", "m", c.range_m, "middle to middle along the ego's heading", f"{v}.ahead_m"),
-        g.signed(p + "right", "m", c.range_m, "middle to middle to the ego's right", f"{v}.right_m"),
-        g.signed(p + "velocity_ahead", "m/s", c.speed_max_mps, "relative velocity along the ego's heading",
+        g.signed(p + "ahead", "m", c.range_m, "distance between the middles along the heading of the car",
+                 f"{v}.ahead_m"),
+        g.signed(p + "right", "m", c.range_m, "distance between the middles to the right of the car", f"{v}.right_m"),
+        g.signed(p + "velocity_ahead", "m/s", c.speed_max_mps, "relative velocity along the heading of the car",
                  f"{v}.velocity_ahead_mps"),
-        g.signed(p + "velocity_right", "m/s", c.speed_max_mps, "relative velocity to the ego's right",
+        g.signed(p + "velocity_right", "m/s", c.speed_max_mps, "relative velocity to the right of the car",
                  f"{v}.velocity_right_mps"),
-        g.signed(p + "heading_sin", "", 1.0, "sine of its heading less the ego's", f"{v}.heading_sin"),
-        g.signed(p + "heading_cos", "", 1.0, "cosine of its heading less the ego's", f"{v}.heading_cos"),
-        g.signed(p + "lane_gap", "m", c.range_m, "middle to middle along the ego's route; +-1 when not beside it",
+        g.signed(p + "heading_sin", "", 1.0, "sine of its heading relative to the car", f"{v}.heading_sin"),
+        g.signed(p + "heading_cos", "", 1.0, "cosine of its heading relative to the car", f"{v}.heading_cos"),
+        g.signed(p + "lane_gap", "m", c.range_m,
+                 "distance between the middles along the route; -1 or 1 if not beside it",
                  f"{v}.lane_gap_m"),
-        g.signed(p + "lane_offset", "m", c.offset_max_m, "from the route's centreline; +-1 when not beside it",
+        g.signed(p + "lane_offset", "m", c.offset_max_m,
+                 "offset from the centreline of the route; -1 or 1 if not beside it",
                  f"{v}.lane_offset_m"),
-        g.flag(p + "own_lane", "within half a lane width of the route's centreline", f"{v}.own_lane"),
-        g.flag(p + "left_lane", "within the next lane width to the left, whichever way that lane goes",
+        g.flag(p + "own_lane", "within half a lane width of the centreline of the route", f"{v}.own_lane"),
+        g.flag(p + "left_lane", "within the next lane width to the left, whatever the direction of that lane",
                f"{v}.left_lane"),
         g.flag(p + "right_lane", "within the next lane width to the right", f"{v}.right_lane"),
-        g.positive(p + "length", "m", c.length_max_m, "of the vehicle", f"{v}.length_m"),
-        g.positive(p + "width", "m", c.width_max_m, "of the vehicle", f"{v}.width_m"),
-        g.positive(p + "age", "s", c.age_max_s, "since the measurement behind it", f"{v}.age_s"),
-        g.flag(p + "sensor", "seen by the ego's own sensor, else by its broadcasts", f"{v}.sensor"),
-        g.flag(p + "pl_exists", "both have the protection levels that the next two need", f"{v}.pl_exists"),
-        g.positive(p + "pl_at", "m", 2.0 * c.pl_max_m, f"along the ego's heading, {text}; 1 when missing",
+        g.positive(p + "length", "m", c.length_max_m, "length of the vehicle", f"{v}.length_m"),
+        g.positive(p + "width", "m", c.width_max_m, "width of the vehicle", f"{v}.width_m"),
+        g.positive(p + "age", "s", c.age_max_s, "age of the measurement", f"{v}.age_s"),
+        g.flag(p + "sensor", "1: perceived by the sensor of the car; 0: by broadcasts of the vehicle", f"{v}.sensor"),
+        g.flag(p + "pl_exists", "the two protection levels below exist", f"{v}.pl_exists"),
+        g.positive(p + "pl_at", "m", 2.0 * c.pl_max_m, f"along the heading of the car: {text}; 1 when missing",
                    f"{v}.pl_at_m"),
-        g.positive(p + "pl_ct", "m", 2.0 * c.pl_max_m, f"across the ego's heading, {text}; 1 when missing",
+        g.positive(p + "pl_ct", "m", 2.0 * c.pl_max_m, f"across the heading of the car: {text}; 1 when missing",
                    f"{v}.pl_ct_m"),
     ]  # fmt: skip
     return out if c.shows_levels else out[:-3]
@@ -248,7 +260,7 @@ def register_entry(entry: Entry) -> None:
     Raises
     ------
     InputError
-        There is no such group or field, an entry of that name is there already, or bounds or scale are out of range.
+        An unknown group or field, a name that is taken, or bounds or a scale out of range.
     """
     if entry.group not in GROUPS:
         raise InputError(
@@ -266,7 +278,7 @@ def register_entry(entry: Entry) -> None:
 
 
 def withdraw_entry(entry: Entry) -> None:
-    """Take back an entry that was registered; environments that have been made keep it."""
+    """Remove a registered entry; environments that exist already still show it."""
     _registered.remove(entry)
 
 
@@ -324,7 +336,7 @@ def _word_of(source: str) -> tuple[int, int, float]:
 
 
 def sources_of(index: tuple[Entry, ...]) -> Records:
-    """The table by which the kernel fills a frame, (E,) SOURCE; entries of functions are left to their functions."""
+    """The table by which the kernel fills a frame, (E,) SOURCE; entries of functions are filled outside of it."""
     table = np.zeros(len(index), vk.SOURCE)
     for row, entry in zip(table, index, strict=True):
         row["block"], row["word"], row["code"] = -1, 0, nan

@@ -70,7 +70,7 @@ class SkyLevel(Config):
         Raises
         ------
         ConfigError
-            There is no such preset or file, or what it says is refused.
+            An unknown preset or file, or a refused value in it.
         """
         if name.endswith(FILES):
             return cls.load(load_file(Path(name), "sky", "sky_level"), name)

@@ -10,6 +10,7 @@ import numpy as np
 from highway_env.road.road import RoadNetwork
 from numpy.typing import ArrayLike, NDArray
 
+from lanebound.envs.batch.sky_ahead_kernel import NO_LANE
 from lanebound.envs.records import LaneIndex
 from lanebound.envs.sky.corridors import Edge, edges_of, lane_points
 from lanebound.integrity.core.errors import InputError
@@ -22,8 +23,6 @@ __all__ = ["NO_LANE", "LaneMap", "Street"]
 
 Array = NDArray[np.float64]
 Route = Sequence[tuple[str, str, int | None]]
-
-NO_LANE = -1  # number of satellites where there is no lane
 
 
 @dataclass(frozen=True)
@@ -109,7 +108,7 @@ class Street:
     Attributes
     ----------
     mask : reception by station and lane, as it is: for instruments and pictures
-    forecast : what a map of the city says of it: for all that plans
+    forecast : prediction from a map of the city, for planning
     city : the obstacles behind the mask, for drawing
     lanes : how lane indices map to stations
     """
@@ -147,8 +146,8 @@ class Street:
     ) -> tuple[LaneIndex, float]:
         """The lane and longitudinal position ``distance_m`` further along the route, or the first way on without one.
 
-        A route is highway-env's list of lane indices; where it says nothing or ends, the first edge onward is taken,
-        and at the end of the last lane its end.
+        A route is highway-env's list of lane indices. Without an entry, or after its end, the first edge onward is
+        taken; at the end of the last lane, its end.
         """
         place = longitudinal_m + distance_m
         onward = {} if route is None else {step[0]: step for step in route}
@@ -184,4 +183,4 @@ class Street:
                 there.append(lane is not None)
                 places.append(self.where(lane or own, share * self.lanes.length_m[lane or own]))
         arcs, ids = np.array([p[0] for p in places]), np.array([p[1] for p in places], dtype=np.int64)
-        return np.where(there, self.forecast.count(arcs, ids, sky), NO_LANE).reshape(-1, 3)
+        return np.where(there, self.forecast.count(arcs, ids, sky), int(NO_LANE)).reshape(-1, 3)

@@ -1,13 +1,13 @@
 """Traffic of city streets that join end to end: ``CityDriver``, which slows down for bends, on lanes of any shape.
 
-A road ends where another goes on, so that the vehicle ahead or behind may be on the next one or the one before, and a
-driver that comes to an end takes the lane of the same number there. Every vehicle is placed once a step on all lanes
-that hold it. Vehicle 0 is the ego, which the others see as it truly is.
+Roads continue each other: the vehicle ahead or behind may be on the next or the previous road, and a vehicle at the end
+of a road takes the lane of the same number on the next one. Each step finds the station of every vehicle on all lanes
+that hold it. Vehicle 0 is the ego; the others react to its true pose.
 
-Two things are highway-env's but for rounding, and rounding is enough to part them. Of exact ties one may be broken the
-other way: between two lanes as near, or where a change is worth exactly its least gain. And the steering of
-ControlledVehicle swings out below ``L dt / (4 tau_heading tau_lateral)``, at 20 Hz 0.52 m/s: drivers that crawl sway by
-up to some centimetres, which the last bits decide.
+Rounding can change two results against highway-env. An exact tie may have the other outcome: two lanes at the same
+distance, or a lane change with exactly the least gain. And below ``L dt / (4 tau_heading tau_lateral)``, 0.52 m/s at
+20 Hz, the steering of ControlledVehicle is unstable: slow vehicles oscillate by some centimetres, depending on the last
+bits.
 """
 
 from __future__ import annotations
@@ -19,19 +19,16 @@ from lanebound.envs.vector.drivers_kernel import SPEED_MOST_MPS, roll, steer_alo
 from lanebound.envs.vector.idm_kernel import (
     ACC_MOST,
     BRAKING_IMPOSED,
-    IdmParameters,
     braking,
     free,
     gap_wanted,
     wanted_speed,
 )
+from lanebound.envs.worlds.idm_parameters_kernel import BESIDE_M, CALM, REACTION_S
 from lanebound.integrity.core.accel import jit
 
-__all__ = ["CALM", "decide_all", "drive_city", "place_all"]
+__all__ = ["decide_all", "drive_city", "place_all"]
 
-CALM = IdmParameters(8.0, 1.0, 1.5, 2.0 * math.sqrt(3.0), 2.0, 0.4)  # of CityDriver
-REACTION_S = 0.8  # CityDriver.REACTION_S
-BESIDE_M = 1.0  # of a lane, to be on it for drivers that look for neighbours
 WALKING_MPS = 1.0  # slower vehicles do not change lanes
 
 

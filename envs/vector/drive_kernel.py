@@ -1,8 +1,8 @@
-"""Simulation steps of compiled traffic: all decide by where all are, then all move, then they may crash.
+"""Simulation steps of compiled traffic: all vehicles decide by the poses of all, then move; then crashes are found.
 
 One entry kernel for each kind of traffic, so that only those that a configuration needs are compiled. After each step
-the egos' own knowledge follows: given positions at once; sensed ones are carried on, but not at the end of an epoch,
-which :mod:`..batch.rows_kernel` concludes.
+the beliefs of the egos are updated: given positions at once; sensed ones are carried on, except at the end of an epoch,
+which :mod:`..batch.rows_kernel` completes.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Traffic(NamedTuple):
 
 @jit(inline=True)
 def _conclude(e, final, a, motions, tracks):  # type: ignore[no-untyped-def]
-    """Bring the ego's knowledge up to date with a step; the final one of an epoch is concluded elsewhere."""
+    """Update the belief of the ego after a step; :mod:`..batch.rows_kernel` completes the final one of an epoch."""
     if tracks is None:
         take_given(a.ego.belief[e], cars_of(a.cars, e), a.lanes, a.rules[0].step_s, a.rules[0])
     elif not final:

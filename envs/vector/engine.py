@@ -1,4 +1,4 @@
-"""The vector engine: N environments of one configuration in compiled traffic, equal to as many single ones."""
+"""The vector engine: N environments of one configuration in compiled traffic, equal to N single environments."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lanebound.envs.batch.episodes import Episodes
 from lanebound.envs.batch.lanes_kernel import PAST_END_M
 from lanebound.envs.batch.navigation import fixes_of
 from lanebound.envs.batch.records_kernel import cars_of
-from lanebound.envs.core import DrivingEnv
+from lanebound.envs.core import EPISODE_SEEDS, WORLD_SEEDS, DrivingEnv
 from lanebound.envs.scene import begin_all, duration_s, make_batch
 from lanebound.envs.vector.drive_kernel import Traffic
 from lanebound.envs.vector.drivers_kernel import Drivers, clear, drivers_of, seat
@@ -33,18 +33,17 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 LOG = logging.getLogger(__name__)
 VEHICLE_FRAME_US, FINISH_US, EPOCH_US = 0.06, 5.0, 4.0  # of one thread, measured
-WORLD_SEEDS, EPISODE_SEEDS = 2**31, 2**62  # as DrivingEnv.reset draws them
 META_CODES = {"LANE_LEFT": LEFT, "IDLE": IDLE, "LANE_RIGHT": RIGHT, "FASTER": FASTER, "SLOWER": SLOWER}
 
 
 class Stage:
-    """Where N episodes take place, or wait to: everything that changes.
+    """All state of N episodes, running or waiting.
 
     Attributes
     ----------
-    episodes : what egos know, and how they are scored
-    traffic : the vehicles beyond their poses, and what they drive by
-    bundle : the traffic as kernels take it
+    episodes : beliefs and scores of the egos
+    traffic : state of the vehicles beyond their poses, and parameters of their motion
+    bundle : the traffic as an argument of kernels
     """
 
     def __init__(self, engine: Engine, episodes: Episodes) -> None:
@@ -64,7 +63,7 @@ class Stage:
         return self.episodes.nbytes + sum(array.nbytes for array in moved)
 
     def adopt(self, rows: Rows, other: Stage) -> None:
-        """Go on with the episodes ``rows`` of another stage."""
+        """Continue with the episodes ``rows`` of another stage."""
         self._copier.copy(rows, other._copier)
         self.episodes.adopt(rows, other.episodes)
 
@@ -72,26 +71,26 @@ class Stage:
 class Engine:
     """N environments that step together.
 
-    Episodes that follow on others are made ready beforehand, those of all environments that have none waiting at once:
-    navigation starts some seconds before an episode does, and many vehicles take hardly longer than one. So most resets
-    copy arrays, and one in many takes long.
+    The next episodes of all environments without a waiting one are prepared together: navigation starts some seconds
+    before an episode, and many vehicles take hardly longer than one. So most resets only copy arrays, and a few are
+    slow.
 
     Parameters
     ----------
-    single : one environment of the configuration, asked for spaces, roads and figures; it is not driven
+    single : one environment of the configuration, the source of spaces, roads and parameters; it is not stepped
     count : number N of environments
 
     Attributes
     ----------
-    episodes : what egos know, and how they are scored
-    drivers : what the vehicles are about
+    episodes : beliefs and scores of the egos
+    drivers : state of the vehicles beyond their poses
     codes : (A,) code of each meta-action of the action space, none under continuous actions
     speeds : target speeds of meta-actions
 
     Raises
     ------
     ConfigError
-        A configuration that the engine cannot do as a single environment does.
+        A configuration that the engine does not support.
     """
 
     def __init__(self, single: DrivingEnv, count: int) -> None:
@@ -114,7 +113,10 @@ class Engine:
         vehicles = self.support.vehicles(single.world)
         episodes = make_batch(single.world, config, count, vehicles)
         if not episodes.table.goes_one_way:
-            raise ConfigError("base must have roads that go on in one way with as many lanes: choose another id")
+            raise ConfigError(
+                "base must have roads without forks and without ending lanes in the vector engine, got "
+                f"{config.base!r}: choose another id, or make single environments"
+            )
         self._start = self.support.starter(single.world, episodes.table)
         self._stage = Stage(self, episodes)
         self._next: Stage | None = None
@@ -142,7 +144,7 @@ class Engine:
 
     @property
     def episodes(self) -> Episodes:
-        """What egos know, and how they are scored."""
+        """Beliefs and scores of the egos."""
         return self._stage.episodes
 
     @property
@@ -152,7 +154,7 @@ class Engine:
 
     @property
     def drivers(self) -> Drivers:
-        """What the vehicles are about."""
+        """State of the vehicles beyond their poses."""
         return self._stage.traffic.drivers
 
     @property
@@ -244,7 +246,7 @@ class Engine:
         return self._drive, (rows, frames, codes, e.batch, self._stage.bundle.handle, motions, e.tracks)
 
     def _judge_link(self, stage: Stage, rows: Rows, start: bool) -> Any:
-        """What the wrapped world says of a step, as a link of a chain."""
+        """End rules and reward of the wrapped world after a step, as a link of a chain."""
         return judge_rows, (rows, stage.episodes.batch, stage.bundle.handle, start)
 
     def _take_up(self, actions: NDArray[Any]) -> None:
@@ -270,9 +272,9 @@ class Engine:
     # Starts
 
     def _draw(self, e: int, seed: int | None) -> tuple[int, int]:
-        """The seeds of an episode and of its world, as :meth:`DrivingEnv.reset` draws them.
+        """The seeds of an episode and of its world, drawn as by :meth:`DrivingEnv.reset`.
 
-        They are kept until it is ready, so that one whose making was interrupted is made again and not left out.
+        They are stored until the episode is ready, so that an interrupted preparation is repeated with the same seeds.
         """
         generator = self._generators[e]
         if seed is not None or generator is None:

@@ -96,7 +96,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
 
         Parameters
         ----------
-        seed : of the first environment, the others have the following ones; or one for each, None to go on
+        seed : of the first environment, the others have the following ones; or one for each, None to continue
 
         Raises
         ------
@@ -241,7 +241,7 @@ def __getattr__(name: str) -> type[VectorDrivingEnv]:
 
 
 def _bounds_of(space: Space[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Lowest and highest commands: what ``contains`` looks at, sooner."""
+    """Lowest and highest commands, for a faster ``contains``."""
     if isinstance(space, Box):
         return space.low, space.high
     if isinstance(space, MultiDiscrete):
@@ -282,7 +282,7 @@ def _seeds_of(seed: int | Sequence[int | None] | None, count: int) -> list[int |
 
 
 def _mask_of(options: dict[str, Any] | None, count: int) -> Flags:
-    """Who is to be reset."""
+    """Environments to reset."""
     unknown = [key for key in options or {} if key != MASK]
     if unknown:
         raise InputError(f"options must hold {MASK} alone in the vector engine, got {unknown[0]!r}: "
@@ -292,5 +292,5 @@ def _mask_of(options: dict[str, Any] | None, count: int) -> Flags:
     mask = np.array(options[MASK])  # infos give it back
     if mask.shape != (count,) or mask.dtype != np.bool_ or not mask.any():
         raise InputError(f"options.{MASK} must be ({count},) bool with one True at least, got {mask!r}: "
-                         "pass np.array of True for whom to reset")  # fmt: skip
+                         "pass np.array with True for environments to reset")  # fmt: skip
     return mask

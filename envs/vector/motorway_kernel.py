@@ -4,10 +4,9 @@ An environment's vehicles are kept in order along x, so that neighbours are foun
 enter by their sines and cosines: steering commands ``sin(beta)``, and by ``tan(beta) = tan(steering) / 2`` arctangent
 and tangent cancel. Lanes are straight along x, of one width, side by side.
 
-Below ``L dt / (4 tau_heading tau_lateral)``, at 20 Hz 0.52 m/s, the steering of ControlledVehicle multiplies whatever
-rounding there is. Angles are wrapped with highway-env's rounding, so that drivers in the middle of their lane stay
-there; an ego that crawls while it changes lanes by meta-actions sways by up to some millimetres, which the last bits
-decide.
+Below ``L dt / (4 tau_heading tau_lateral)``, 0.52 m/s at 20 Hz, the steering of ControlledVehicle amplifies rounding.
+Angles are wrapped with highway-env's rounding, so vehicles in the middle of their lane stay there; an ego at such
+speeds that changes lanes by meta-actions oscillates by some millimetres, depending on the last bits.
 """
 
 from __future__ import annotations
@@ -21,18 +20,16 @@ from lanebound.envs.vector.drivers_kernel import SPEED_MOST_MPS
 from lanebound.envs.vector.idm_kernel import (
     ACC_MOST,
     BRAKING_IMPOSED,
-    IdmParameters,
     braking,
     free,
     gap_wanted,
     wanted_speed,
 )
+from lanebound.envs.worlds.idm_parameters_kernel import BESIDE_M, BRISK
 from lanebound.integrity.core.accel import jit
 
-__all__ = ["BRISK", "SIN_SLIP_MOST", "accelerate", "change_lanes", "drive_others", "sort_along", "survey"]
+__all__ = ["SIN_SLIP_MOST", "accelerate", "change_lanes", "drive_others", "sort_along", "survey"]
 
-BRISK = IdmParameters(10.0, 1.5, 3.0, 2.0 * math.sqrt(15.0), 1.0, 0.2)  # of highway-env's IDMVehicle
-MARGIN_M = 1.0  # beside a lane, to be on it for drivers that look for neighbours
 SIN_COURSE_MOST = math.sin(0.25 * math.pi)
 TAN_SLIP_MOST = 0.5 * math.tan(math.pi / 3.0)
 SIN_SLIP_MOST = math.sin(math.atan(TAN_SLIP_MOST))
@@ -40,14 +37,14 @@ SIN_SLIP_MOST = math.sin(math.atan(TAN_SLIP_MOST))
 
 @jit(inline=True)
 def _braking(car, drv, i, j):  # type: ignore[no-untyped-def]
-    """What vehicle j ahead takes off IDM's acceleration of vehicle i."""
+    """Reduction of IDM's acceleration of vehicle i by vehicle j ahead."""
     return braking(car, drv, i, j, car.x[j] - car.x[i], BRISK)
 
 
 @jit(inline=True)
 def _stands_on(car, k, table, lane):  # type: ignore[no-untyped-def]
     """Whether a vehicle is on a lane, or beside it by no more than the margin."""
-    beside = abs(car.y[k] - table[lane].y_m) <= 0.5 * table[lane].width_m + MARGIN_M
+    beside = abs(car.y[k] - table[lane].y_m) <= 0.5 * table[lane].width_m + BESIDE_M
     return beside & (-PAST_END_M <= car.x[k]) & (car.x[k] < table[lane].length_m + PAST_END_M)
 
 
@@ -105,7 +102,7 @@ def survey(car, drv, table, newest, held):  # type: ignore[no-untyped-def]
 def _occupy(car, table, held):  # type: ignore[no-untyped-def]
     """The lanes that every vehicle stands on, ``held`` (2, V): its own, and the one on its side of it; L for none."""
     lowest, width, end, none = table[0].y_m, table[0].width_m, table[0].length_m + PAST_END_M, table.shape[0]
-    reach = 0.5 * width + MARGIN_M
+    reach = 0.5 * width + BESIDE_M
     for i in range(car.present):
         lane, along = car.lane[i], (-PAST_END_M <= car.x[i]) & (car.x[i] < end)
         aside = car.y[i] - (lowest + lane * width)

@@ -1,4 +1,4 @@
-"""What the engine can do, and the refusal of all else: nothing is done otherwise than in a single environment."""
+"""The options that the engine has; any other is refused, so that results equal those of single environments."""
 
 from __future__ import annotations
 
@@ -7,11 +7,9 @@ from typing import Any
 
 from lanebound.envs.config import ActionKind, EnvConfig, FaultLevel
 from lanebound.envs.core import DrivingEnv
-from lanebound.envs.vector.city_kernel import CALM
 from lanebound.envs.vector.drive_kernel import run_city, run_course, run_motorway
-from lanebound.envs.vector.idm_kernel import IdmParameters
-from lanebound.envs.vector.motorway_kernel import BRISK
 from lanebound.envs.worlds import Support, world_kind, world_kinds
+from lanebound.envs.worlds.idm_parameters_kernel import BRISK, CALM, IdmParameters
 from lanebound.integrity.core.errors import ConfigError
 
 __all__ = ["require_supported", "support_of", "traffic_of"]
@@ -26,12 +24,12 @@ TRAFFIC: dict[str, tuple[Any, IdmParameters | None]] = {
 
 
 def support_of(config: EnvConfig) -> Support:
-    """How the engine drives the world of a configuration.
+    """The engine support of the world of a configuration.
 
     Raises
     ------
     ConfigError
-        It does not.
+        The world has none.
     """
     kind = world_kind(config.base)
     if kind is None or kind.support is None:
@@ -50,7 +48,7 @@ def traffic_of(support: Support) -> Any:
 
 
 def require_supported(single: DrivingEnv) -> None:
-    """Raise ConfigError for what the engine does not do, naming what it does and the alternative."""
+    """Raise ConfigError for an option that the engine does not have; the message names the alternatives."""
     config, world = single.config, single.world
     support = support_of(config)
     _require_sources(config)
@@ -76,17 +74,16 @@ def _require_sources(config: EnvConfig) -> None:
 
 
 def _require_drivers(kind: type, idm: IdmParameters) -> None:
-    """Drivers must have the parameters that are compiled in: highway-env's plain intersection rewrites them for all."""
-    slowing = -0.25 * idm.twice_root**2 / idm.comfort
+    """Refuse drivers whose parameters are not the compiled ones: highway-env's intersection changes class constants."""
     figures = {
-        "DISTANCE_WANTED": idm.gap_m, "COMFORT_ACC_MAX": idm.comfort, "COMFORT_ACC_MIN": round(slowing, 9),
+        "DISTANCE_WANTED": idm.gap_m, "COMFORT_ACC_MAX": idm.comfort, "COMFORT_ACC_MIN": -idm.deceleration,
         "TIME_WANTED": idm.headway_s, "LANE_CHANGE_DELAY": idm.delay_s, "LANE_CHANGE_MIN_ACC_GAIN": idm.gain,
     }  # fmt: skip
     for name, figure in figures.items():
         if (found := getattr(kind, name)) != figure:
             raise ConfigError(
                 f"{kind.__name__}.{name} must be {figure:g} in the vector engine, got {found:g}: make the engine in "
-                f"a process without highway-env's own intersection, which rewrites it, {INSTEAD}"
+                f"a process without highway-env's own intersection, which changes it, {INSTEAD}"
             )
 
 

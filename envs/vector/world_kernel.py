@@ -1,4 +1,4 @@
-"""What the wrapped worlds say of a step, compiled: whether they end the episode, and their own reward."""
+"""End rules and rewards of the wrapped worlds, compiled."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Worlds of our own: plain highway-env scenarios that know nothing of belief; and what is declared of all worlds."""
+"""Worlds of lanebound, plain scenarios of highway-env without navigation, and the declarations of all worlds."""
 
 from lanebound.envs.worlds.car_following import CarFollowingWorld
 from lanebound.envs.worlds.highway import motorway_support
@@ -30,5 +30,8 @@ for _kind in (
     WorldKind("CarFollowingWorld", CarFollowingWorld, CarFollowingWorld.support),
     WorldKind("UrbanCanyonWorld", UrbanCanyonWorld, UrbanCanyonWorld.support),
     WorldKind("highway-v0", None, motorway_support),
+    WorldKind("intersection-v0", None, newcomers=24),
+    WorldKind("intersection-v1", None, newcomers=24),
+    WorldKind("intersection-v2", None, newcomers=24, continuous="intersection-v1"),
 ):
     register_world(_kind)

@@ -8,11 +8,10 @@ import numpy as np
 
 from lanebound.envs.worlds.base import Array, Seat, World
 from lanebound.envs.worlds.drivers import LeadVehicle, SpeedProfileConfig, speed_profile
+from lanebound.envs.worlds.lane_keeping import END_M
 from lanebound.envs.worlds.networks import StreetNetwork, long_road
 
 __all__ = ["CarFollowingWorld"]
-
-END_M = 40.0
 
 
 class CarFollowingWorld(World):

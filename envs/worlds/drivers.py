@@ -1,4 +1,4 @@
-"""Those who drive: a lead vehicle in stop-and-go traffic, city drivers, drivers at an intersection."""
+"""The other vehicles: a lead vehicle in stop-and-go traffic, city drivers, drivers at an intersection."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 from pydantic import field_validator
 
+from lanebound.envs.worlds.idm_parameters_kernel import CALM, REACTION_S
 from lanebound.integrity.core.config import Config, Field
 
 __all__ = ["CityDriver", "IntersectionDriver", "LeadVehicle", "SpeedProfileConfig", "speed_profile"]
@@ -17,9 +18,9 @@ Array = NDArray[np.float64]
 
 
 class SpeedProfileConfig(Config):
-    """How a lead vehicle drives in town: it speeds up, cruises, brakes and stands, in phases drawn one after another.
+    """Speed of a lead vehicle in town: acceleration, cruise, braking and standstill, in random phases.
 
-    Ranges are those of the uniform laws that the phases are drawn from.
+    Ranges are those of uniform distributions from which the phases are drawn.
     """
 
     cruise_mps: tuple[float, float] = Field((5.0, 13.9), description="speed of a cruise; at most 50 km/h [m/s]")
@@ -83,16 +84,16 @@ def _towards(
 
 
 class LeadVehicle(ControlledVehicle):  # type: ignore[misc]
-    """A vehicle that keeps its lane and drives a speed profile, whoever is behind it."""
+    """A vehicle that keeps its lane and drives a speed profile; it ignores all other vehicles."""
 
     def follow(self, speeds_mps: Array) -> None:
-        """Drive these speeds from now on, one a simulation step, and the last one ever after."""
+        """Set the speeds of the simulation steps from now on; the last one is held."""
         self.profile_mps: Array = speeds_mps
         self.steps_driven = 0
         self.speed = float(speeds_mps[0])
 
     def step(self, dt: float) -> None:
-        """Move, with the acceleration that leads to the profile's next speed; a wreck brakes as all wrecks do."""
+        """Move with the acceleration to the next speed of the profile; a crashed vehicle brakes as in highway-env."""
         profile = getattr(self, "profile_mps", None)
         if profile is not None:
             self.steps_driven = min(self.steps_driven + 1, len(profile) - 1)
@@ -101,39 +102,33 @@ class LeadVehicle(ControlledVehicle):  # type: ignore[misc]
 
 
 class CityDriver(IDMVehicle):  # type: ignore[misc]
-    """An IDM driver at town distances who slows down for the bends ahead where the lane advises a speed.
+    """An IDM driver with the parameters :data:`CALM` that slows down for bends where the lane advises a speed."""
 
-    The time gap is that of M. Treiber and A. Kesting, Traffic Flow Dynamics, 2013, table 11.2, for city traffic, with
-    somewhat livelier accelerations. The distance is from middle to middle of cars 5 m long; braking to a stop they come
-    about 2 m nearer than it.
-    """
-
-    DISTANCE_WANTED = 8.0
-    TIME_WANTED = 1.0
-    COMFORT_ACC_MAX = 1.5
-    COMFORT_ACC_MIN = -2.0
-    LANE_CHANGE_DELAY = 2.0
-    LANE_CHANGE_MIN_ACC_GAIN = 0.4
-    REACTION_S = 0.8
+    DISTANCE_WANTED = CALM.gap_m
+    TIME_WANTED = CALM.headway_s
+    COMFORT_ACC_MAX = CALM.comfort
+    COMFORT_ACC_MIN = -CALM.deceleration
+    LANE_CHANGE_DELAY = CALM.delay_s
+    LANE_CHANGE_MIN_ACC_GAIN = CALM.gain
 
     def acceleration(
         self, ego_vehicle: Vehicle | None, front_vehicle: Vehicle | None = None, rear_vehicle: Vehicle | None = None
     ) -> float:
-        """IDM's, or less where that leads to the speed advised for where the driver will be after its reaction time."""
+        """The acceleration of IDM, limited by the advised speed at the place after the reaction time."""
         free = float(super().acceleration(ego_vehicle, front_vehicle, rear_vehicle))
         advised_speed = getattr(self.lane, "advised_speed", None)
         if ego_vehicle is not self or advised_speed is None:
             return free
         s = self.lane.local_coordinates(self.position)[0]
-        advised = advised_speed(s + max(self.speed, 0.0) * self.REACTION_S)
-        return min(free, float((advised - self.speed) / self.REACTION_S))
+        advised = advised_speed(s + max(self.speed, 0.0) * REACTION_S)
+        return min(free, float((advised - self.speed) / REACTION_S))
 
     def step(self, dt: float) -> None:
-        """Move; braking ends at standstill, where IDM alone would reverse."""
+        """Move; braking ends at standstill, because IDM alone would reverse."""
         if not self.crashed:
             self.action["acceleration"] = max(self.action["acceleration"], -self.speed / dt)
         super().step(dt)
 
 
 class IntersectionDriver(IDMVehicle):  # type: ignore[misc]
-    """An IDM driver of its own class: highway-env's intersection changes class constants of whoever drives there."""
+    """An IDM driver of a separate class, because highway-env's intersection changes constants of the class in use."""

@@ -1,8 +1,8 @@
-"""The worlds that configurations may name, each declared once: its class, and how the vector engine drives it.
+"""Declarations of worlds: the class of each world, and how the vector engine drives it.
 
-:func:`register_world` adds one from outside. A subclass of :class:`~lanebound.envs.worlds.base.World` that makes a
-network and draws the seats of an episode needs nothing else for the single environment and the engine. A world of
-highway-env has a :class:`Support` of its own.
+:func:`register_world` adds one from outside. A subclass of :class:`~lanebound.envs.worlds.base.World` with a network
+and the seats of an episode runs in single environments and in the engine. A world of highway-env needs a
+:class:`Support`.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ __all__ = [
 ]
 
 Starter = Callable[[np.random.Generator, "Cars", "Drivers", np.ndarray[Any, Any]], int]
-"""Fills the vehicles of one environment and its profile of speeds (S,) from a generator; returns their number."""
+"""Fills the vehicles of one environment and its speed profile (S,) from a generator; returns the number of vehicles."""
 Refusal = tuple[str, str, object]
-"""An option that the engine does not take: its name, what is allowed, and the value given."""
+"""An option that the engine does not have: its name, the allowed values, and the value given."""
 
 
 @dataclass(frozen=True)
@@ -45,12 +45,12 @@ class Support:
     Attributes
     ----------
     traffic : kind of compiled traffic, ``course``, ``city`` or ``motorway``, or ``package.module:kernel`` of one's own
-    vehicles : how many vehicles an episode may have, the ego included
-    starter : the start of episodes; the world is asked for its configuration and lanes alone
-    ends : fields of the record WORLD: what ends an episode, and the world's own reward
-    profile_steps : length of the profile of speeds that vehicles drive, 1 for none
-    refusals : options of the world that the engine does not take
-    drivers : class of the others, with the parameters that are compiled in and must not have been rewritten
+    vehicles : largest number of vehicles in an episode, the ego included
+    starter : the start of episodes; it uses only the configuration and the lanes of the world
+    ends : fields of the record WORLD: end rules and the reward of the world
+    profile_steps : length of the speed profile of other vehicles, 1 for none
+    refusals : options of the world that the engine does not have
+    drivers : class of the other vehicles, whose constants must equal the compiled ones
     """
 
     traffic: str
@@ -68,26 +68,30 @@ class WorldKind:
 
     Attributes
     ----------
-    name : what ``base`` of a configuration names: an id of highway-env, or the name of a class of our own
-    world : its class; None for the class behind the id of highway-env
-    support : makes how the engine drives it, None where it does not
+    name : value of ``base`` in a configuration: an id of highway-env, or the name of a class
+    world : its class; None for the class of that id of highway-env
+    support : returns how the engine drives it; None without engine support
+    newcomers : slots for vehicles that enter after the start of an episode
+    continuous : id of the variant of highway-env for continuous actions, "" for the same id
     """
 
     name: str
     world: type[AbstractEnv] | None
     support: Callable[[], Support] | None = None
+    newcomers: int = 0
+    continuous: str = ""
 
 
 _kinds: dict[str, WorldKind] = {}
 
 
 def register_world(kind: WorldKind) -> None:
-    """Add a world that ``base`` of a configuration may name.
+    """Add a world, which ``base`` of a configuration then selects.
 
     Raises
     ------
     InputError
-        There is another one of that name.
+        The name is taken.
     """
     if kind.name in _kinds:
         raise InputError(f"name of a world must not be taken, got {kind.name!r}: choose another")
@@ -95,7 +99,7 @@ def register_world(kind: WorldKind) -> None:
 
 
 def withdraw_world(name: str) -> None:
-    """Take back a world that was registered."""
+    """Remove a registered world."""
     del _kinds[name]
 
 

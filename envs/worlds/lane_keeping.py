@@ -11,7 +11,7 @@ from lanebound.envs.worlds.networks import StreetNetwork, winding_road
 
 __all__ = ["LaneKeepingWorld"]
 
-END_M = 40.0
+END_M = 40.0  # of the road are left when an episode at the speed limit ends
 
 
 class LaneKeepingWorld(World):

@@ -1,4 +1,4 @@
-"""A road that finds the vehicles ahead and behind without projecting everybody on every lane."""
+"""A road that finds the vehicles ahead and behind without projecting every vehicle on every lane."""
 
 from __future__ import annotations
 

@@ -16,5 +16,5 @@ class RtkStatus(Advice):
     TOO_FEW = codes.TOO_FEW, "too few satellites with carrier lock: wait for a better view of the sky"
     NOT_CONVERGED = codes.NOT_CONVERGED, "the risk of a wrong fix is above its limit: wait for more satellites"
     RATIO_FAILED = codes.RATIO_FAILED, "the second best integers fit nearly as well: wait for the next epoch"
-    FAULT = codes.FAULT, "the fixed position failed its fault test: the ambiguities are on trial"
+    FAULT = codes.FAULT, "the fixed position failed its fault test: wait for the next epoch"
     SEARCH_FAILED = codes.SEARCH_FAILED, "the integer search did not finish: the float solution is too loose"

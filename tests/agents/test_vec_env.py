@@ -15,7 +15,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 from lanebound.agents.vec_env import EngineVecEnv
-from lanebound.envs.tally import EPISODE_KEY
+from lanebound.envs.episode_totals import EPISODE_KEY
 from lanebound.envs.wrappers import EpisodeStatistics
 from lanebound.integrity.core.errors import InputError
 

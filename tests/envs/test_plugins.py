@@ -6,6 +6,7 @@ The modules stand in tests/plugins; docs/extending.md shows them.
 from __future__ import annotations
 
 import importlib
+import pickle
 import sys
 from collections.abc import Iterator
 from types import ModuleType
@@ -16,12 +17,15 @@ import numpy as np
 import pytest
 
 from lanebound.agents.episodes import open_env
-from lanebound.envs import IDS, make_config
+from lanebound.envs import IDS, DrivingEnv, make_config
 from lanebound.envs.ids import CONTINUOUS, Preset, register_id, withdraw_id
 from lanebound.envs.observation import Entry, ObservationConfig, describe, entries, register_entry, withdraw_entry
+from lanebound.envs.vector.engine import Engine
 from lanebound.envs.vector.env import engines
 from lanebound.envs.worlds import WorldKind, register_world, withdraw_world
 from lanebound.envs.worlds.base import World
+from lanebound.envs.worlds.networks import StreetNetwork
+from lanebound.envs.worlds.paths import Path, straight
 from lanebound.integrity.core.errors import ConfigError, InputError
 from side_by_side import PERFECT, Tally, drive, pair, require_equal
 
@@ -81,6 +85,14 @@ def test_entries_are_shown_by_the_single_environment_and_the_engine(two_entries:
     engine.close()
 
 
+def test_an_environment_with_them_is_pickled(two_entries: dict[str, Entry]) -> None:
+    env = open_env("LaneKeeping", {**PERFECT, "observation": {"form": "flat"}})
+    env.reset(seed=2)
+    again = pickle.loads(pickle.dumps(env))
+    action = np.array([1.0, 0.0], np.float32)
+    np.testing.assert_array_equal(again.step(action)[0], env.step(action)[0])
+
+
 def test_the_index_lists_them_until_they_are_withdrawn(two_entries: dict[str, Entry]) -> None:
     assert "| ego | 15 | elapsed_time | s | 60 | [0, 1] | time since the start of the episode |" in describe()
     assert "| ego | 16 | stopping_distance | m | 50 | [0, 1] | distance until the car stands at 3 m/s2," in describe()
@@ -128,6 +140,26 @@ def test_its_navigation_is_the_same_as_well(hairpin: ModuleType) -> None:
     drive(single, engine, 5, tally, 25)
     require_equal(tally)
     assert tally.steps == 25
+
+
+def test_the_engine_refuses_roads_that_fork(hairpin: ModuleType) -> None:
+    class ForkWorld(hairpin.HairpinWorld):  # type: ignore[name-defined, misc]
+        def _network(self) -> StreetNetwork:
+            network = super()._network()
+            end = network.get_lane(("start", "end", 0)).path.pose[-1]
+            for node in ("left", "right"):
+                network.add_road(("end", node), Path.of(end, straight(100.0)), 1, 3.25)
+            return network
+
+    register_world(WorldKind("ForkWorld", ForkWorld, ForkWorld.support))
+    try:
+        made = DrivingEnv({"base": "ForkWorld", **CONTINUOUS, **PERFECT})
+        with pytest.raises(
+            ConfigError, match=r"base must have roads without forks .*, got 'ForkWorld': choose another"
+        ):
+            Engine(made, 1)
+    finally:
+        withdraw_world("ForkWorld")
 
 
 def test_its_id_is_one_as_others_until_it_is_withdrawn(hairpin: ModuleType) -> None:

@@ -12,8 +12,8 @@ from lanebound.agents.benchmark.metrics import metric_named
 from lanebound.agents.benchmark.outcome import LEVEL_MAX_M
 from lanebound.agents.benchmark.scoring import outcome_of, outcome_of_statistics
 from lanebound.agents.learning.evaluation import JUDGED
+from lanebound.envs.episode_totals import EpisodeTotals
 from lanebound.envs.observation.config import ObservationConfig
-from lanebound.envs.tally import Tally
 from lanebound.integrity.positioning.modes import Mode
 
 DT_S = 0.2
@@ -106,10 +106,10 @@ def test_statistics_of_the_engine_give_the_metrics_of_rows():
     """Without the rows the way is the speed times the time."""
     driven = rows(50, speed_mps=10.0, true_y_m=0.0, cost_lane=[0.0] * 40 + [0.1] * 11, cost=0.5, crashed=True)
     wanted = outcome_of(driven, 40.0, cost_limit=15.0)
-    tally = Tally(1)
+    totals = EpisodeTotals(1)
     for row in driven[1:]:
-        tally.add(row["reward"], row | {"mode": int(next(mode for mode in Mode if mode.key == row["mode"]))})
-    statistics = tally.report(0, True)
+        totals.add(row["reward"], row | {"mode": int(next(mode for mode in Mode if mode.key == row["mode"]))})
+    statistics = totals.report(0, True)
     more = {"time_s": wanted.time_s, "allotted_s": 40.0, "cost_limit": 15.0}
     found = outcome_of_statistics(driven[-1], statistics, wanted.task, **more)
     for key in JUDGED:

@@ -1,4 +1,4 @@
-"""An episode's statistics, kept for N environments side by side."""
+"""Totals of the running episodes of N environments, from which their statistics are computed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lanebound.envs.costs import CAUSES
 from lanebound.integrity.positioning.modes import Mode
 
-__all__ = ["EPISODE_KEY", "Tally"]
+__all__ = ["EPISODE_KEY", "EpisodeTotals"]
 
 EPISODE_KEY = "episode_integrity"
 SUMS = ("cost", *CAUSES)
@@ -19,8 +19,8 @@ COUNTS = ("available", "mi", "hmi", "alert")
 AXES = ("at", "ct")
 
 
-class Tally:
-    """Sums over the steps of the episodes under way.
+class EpisodeTotals:
+    """Sums over the steps of the running episodes.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class Tally:
         self._levelled = np.zeros((count, len(AXES)), dtype=np.int64)
 
     def add(self, reward: float | NDArray[Any], info: Mapping[str, Any]) -> None:
-        """A step: its rewards (N,), and ``info`` whose entries are (N,), or plain values of a single environment."""
+        """Add a step: rewards (N,), and ``info`` with entries (N,), or plain values of a single environment."""
         self._steps += 1
         self._reward += reward
         self._speed_mps += info["speed_mps"]
@@ -59,7 +59,7 @@ class Tally:
         self._levelled += there
 
     def report(self, row: int, is_success: bool) -> dict[str, Any]:
-        """What is told of the episode of an environment: plain values."""
+        """Statistics of the episode of an environment, as plain values."""
         steps = int(self._steps[row])
         available, mi, hmi, alert = self._counts[row].tolist()
         levelled = self._levelled[row]
@@ -83,12 +83,12 @@ class Tally:
         }
 
     def clear(self, rows: Any = slice(None)) -> None:
-        """Begin episodes, in all environments or in ``rows``."""
+        """Reset the totals of all environments or of ``rows``."""
         for array in vars(self).values():
             if array is not self._rows:
                 array[rows] = 0
 
 
 def _columns(info: Mapping[str, Any], names: Any) -> NDArray[np.float64]:
-    """Entries side by side, (N, names) or (names,)."""
+    """Entries as columns, (N, names) or (names,)."""
     return np.stack([np.asarray(info[name], dtype=np.float64) for name in names], axis=-1)

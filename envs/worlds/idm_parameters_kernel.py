@@ -1,0 +1,44 @@
+"""Parameters of the classes of drivers, for highway-env's vehicles and for compiled traffic."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+__all__ = ["BESIDE_M", "BRISK", "CALM", "REACTION_S", "IdmParameters", "idm_parameters"]
+
+BESIDE_M = 1.0  # margin beside a lane within which a vehicle counts as a neighbour on it, Road.neighbour_vehicles
+
+
+class IdmParameters(NamedTuple):
+    """Parameters of a class of drivers.
+
+    gap_m: wanted at standstill, middle to middle; headway_s: time gap; comfort, deceleration: comfortable acceleration
+    a and deceleration b [m/s2]; twice_root: ``2 sqrt(a b)`` [m/s2]; delay_s: time between decisions on lane changes;
+    gain: least advantage of a lane change [m/s2].
+    """
+
+    gap_m: float
+    headway_s: float
+    comfort: float
+    deceleration: float
+    twice_root: float
+    delay_s: float
+    gain: float
+
+
+def idm_parameters(
+    gap_m: float, headway_s: float, comfort: float, deceleration: float, delay_s: float, gain: float
+) -> IdmParameters:
+    """Parameters with ``2 sqrt(a b)``."""
+    root = 2.0 * math.sqrt(comfort * deceleration)
+    return IdmParameters(gap_m, headway_s, comfort, deceleration, root, delay_s, gain)
+
+
+CALM = idm_parameters(gap_m=8.0, headway_s=1.0, comfort=1.5, deceleration=2.0, delay_s=2.0, gain=0.4)
+"""Of city drivers. The time gap is that of M. Treiber and A. Kesting, Traffic Flow Dynamics, 2013, table 11.2, for city
+traffic, with somewhat higher accelerations. The distance is from middle to middle of cars 5 m long; cars that brake to
+a stop come about 2 m nearer."""
+BRISK = idm_parameters(gap_m=10.0, headway_s=1.5, comfort=3.0, deceleration=5.0, delay_s=1.0, gain=0.2)
+"""Of IDMVehicle of highway-env, whose class constants are compared with these when an engine is made."""
+REACTION_S = 0.8  # of city drivers before bends
