@@ -1,4 +1,4 @@
-"""Outcomes that carry their own advice: an enum whose value is a sentence and whose code is a small integer."""
+"""Enums of outcomes: the value of a member is a sentence for the user, its code is a small integer."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ __all__ = ["Advice"]
 
 
 class Advice(Enum):
-    """Base of outcomes: members are declared ``NAME = code, "advice to print"``.
+    """Base class of outcomes; members are declared as ``NAME = code, "advice to print"``.
 
-    ``member.value`` is the advice, ``member.code`` the integer that arrays and observations carry.
+    ``member.value`` is the advice; ``member.code`` is the integer in arrays and observations.
     """
 
     code: int
@@ -29,7 +29,13 @@ class Advice(Enum):
 
     @classmethod
     def from_code(cls, code: int) -> Self:
-        """The member with this code, or InputError."""
+        """The member with a code.
+
+        Raises
+        ------
+        InputError
+            No member has the code.
+        """
         for member in cls:
             if member.code == int(code):
                 return member
@@ -38,6 +44,6 @@ class Advice(Enum):
 
     @classmethod
     def count(cls, codes: ArrayLike) -> dict[str, int]:
-        """How often each member occurs in an array of codes, by lower-case name."""
+        """Number of occurrences of each member in an array of codes, by lower-case name."""
         found: NDArray[Any] = np.asarray(codes)
         return {member.name.lower(): int((found == member.code).sum()) for member in cls}

@@ -1,8 +1,8 @@
 """A chain of kernels that run one after another over the same rows, at the cost of one call from Python.
 
-A call of a kernel from Python costs some 3 us for a NamedTuple of 20 arrays. A :class:`Chain` makes one such call: a
-small compiled function calls the kernels by their addresses. The kernels stay compiled by themselves, so that a chain
-of any length costs no compile time.
+A call of a kernel from Python costs about 3 us for a NamedTuple of 20 arrays. A :class:`Chain` needs one such call: a
+small compiled function calls the kernels by their addresses. Each kernel is compiled separately; a chain therefore adds
+no compile time.
 """
 
 # mypy: allow-untyped-calls, allow-untyped-decorators
@@ -26,7 +26,7 @@ __all__ = ["Chain"]
 
 @intrinsic
 def _call_at(typingctx: Any, address: Any, first: Any, last: Any, data: Any) -> Any:
-    """Call the kernel ``kernel(first, last, data)`` whose machine code begins at ``address``."""
+    """Call the kernel ``kernel(first, last, data)`` whose machine code starts at ``address``."""
     taken = (types.int64, types.int64, data)
 
     def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -47,11 +47,11 @@ def _run(addresses, first, last, data):  # type: ignore[no-untyped-def]
 
 
 class Chain:
-    """Kernels with the signature ``kernel(first, last, data)``, called in their order as one kernel.
+    """Kernels with the signature ``kernel(first, last, data)``, called in order as one kernel.
 
     Parameters
     ----------
-    stages : functions that :func:`~lanebound.integrity.core.accel.jit` compiled, or any Python functions of the same
+    stages : functions compiled by :func:`~lanebound.integrity.core.accel.jit`, or Python functions of the same
         signature, which are called from Python
     """
 
@@ -69,7 +69,7 @@ class Chain:
 
 
 class _Compiled:
-    """Kernels called by one compiled function, which takes no data but those of the type it was made for."""
+    """Kernels called by one compiled function for each type of data."""
 
     def __init__(self, kernels: tuple[Any, ...]) -> None:
         self._kernels, self._lock = kernels, threading.Lock()
@@ -82,7 +82,7 @@ class _Compiled:
             driver, addresses = latest
             try:
                 driver(addresses, first, last, data)
-            except TypeError:  # data of another type, which the driver refuses
+            except TypeError:  # the driver refuses data of another type
                 if numba.typeof(data) in self._bound and self._bound[numba.typeof(data)] is latest:
                     raise
             else:
@@ -110,7 +110,7 @@ def _is_ours(kind: Any) -> bool:
 
 
 def _address(kernel: Any, signature: tuple[Any, ...]) -> np.uintp:
-    """Where the machine code of a kernel for a signature begins; compiled now if it is not yet."""
+    """Address of the machine code of a kernel for a signature; the kernel is compiled if necessary."""
     kernel.compile(signature)
     compiled = kernel.overloads[signature]
     return np.uintp(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
