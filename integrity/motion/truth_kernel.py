@@ -1,4 +1,4 @@
-"""The true motion of an epoch from the poses at its two ends, vehicle by vehicle."""
+"""Numba kernels that compute the true motion of an epoch from the poses at its start and end."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from lanebound.integrity.core.accel import jit
 
 @jit
 def wrap(angle):  # type: ignore[no-untyped-def]
-    """Wrap to [-pi, pi); rounding can give pi itself."""
+    """Wrap an angle [rad] to [-pi, pi); rounding can give pi."""
     return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
 @jit
 def between(p0, p1, v0, v1, h0, h1, down, position, velocity, heading, turn, delta_v, distance):  # type: ignore[no-untyped-def]
-    """Fill the arrays of a Truth: p, v (B, 2) East, North; h (B,) azimuths; ``down`` [m/s] what gravity adds.
+    """Write the arrays of a Truth: p, v (B, 2) East, North; h (B,) azimuths; ``down`` [m/s] downward part of delta_v.
 
-    ``turn`` (B, 3) and ``delta_v`` (B, 3) are in body axes, forward, right, down, of the middle of the epoch.
+    ``turn`` (B, 3) and ``delta_v`` (B, 3) are in the body axes (forward, right, down) at the middle of the epoch.
     """
     for b in range(h1.shape[0]):
         turned = wrap(h1[b] - h0[b])
@@ -40,6 +40,6 @@ def all_finite(position, velocity, heading, arc):  # type: ignore[no-untyped-def
         total = heading[b] + arc[b]
         for k in range(3):
             total += position[b, k] + velocity[b, k]
-        if not math.isfinite(total):  # an infinity or a NaN stays in a sum
+        if not math.isfinite(total):  # a sum with an infinity or NaN is not finite
             return False
     return True
