@@ -49,7 +49,7 @@ def replay(
 
     changes = parse_assignments(assignments or [])
     kind = "RTK solution" if kind_of(dataset) == "rinex" else "replayed drive"
-    found, written = _solve(out, kind, lambda told: replay_folder(dataset, out, changes, told))
+    found, written = _solve(out, kind, lambda progress: replay_folder(dataset, out, changes, progress))
     if as_json:
         print_json(found)
         return
@@ -93,7 +93,9 @@ def rtk(
         for name, text in (("base_ecef_m", base_position), ("rover_ecef_m", rover_position))
     }
     found, written = _solve(
-        out, "RTK solution", lambda told: run_baseline(rover, base, nav, out, config=config, told=told, **places)
+        out,
+        "RTK solution",
+        lambda progress: run_baseline(rover, base, nav, out, config=config, progress=progress, **places),
     )
     if as_json:
         print_json(found)
@@ -121,11 +123,11 @@ def _epochs(on_progress: OnProgress) -> Progress:
 
     counter = Counter(on_progress, RunProgress(0))
 
-    def told(done: int, of: int) -> None:
+    def progress(done: int, of: int) -> None:
         counter.progress.of = of
         counter(done)
 
-    return told
+    return progress
 
 
 def record_sky(

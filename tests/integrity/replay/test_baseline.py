@@ -149,7 +149,7 @@ def test_epochs_without_satellites_have_no_position() -> None:
     found = summarise(solved, PLACE)
     assert found["fixed"] == 2
     assert found["wrong_fix_risk_max"] == solved.wrong_fix_risk[[0, 2]].max()
-    assert "narrower than the truth" in found["caution"]
+    assert "too narrow" in found["caution"]
     assert not {"errors", "caution"} & set(summarise(solved))  # no intervals, nothing to be cautious about
 
 
