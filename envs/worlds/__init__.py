@@ -1,4 +1,4 @@
-"""Worlds of our own: plain highway-env scenarios that know nothing of belief; and what is declared of all worlds."""
+"""Scenarios in the style of highway-env without estimated states, and the declarations of all worlds."""
 
 from lanebound.envs.worlds.car_following import CarFollowingWorld
 from lanebound.envs.worlds.highway import motorway_support

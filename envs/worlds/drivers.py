@@ -1,4 +1,4 @@
-"""Those who drive: a lead vehicle in stop-and-go traffic, city drivers, drivers at an intersection."""
+"""Driver models: a lead vehicle in stop-and-go traffic, city drivers, drivers at an intersection."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ Array = NDArray[np.float64]
 
 
 class SpeedProfileConfig(Config):
-    """How a lead vehicle drives in town: it speeds up, cruises, brakes and stands, in phases drawn one after another.
+    """Speed profile of a lead vehicle in town: random phases of acceleration, cruise, braking and standstill.
 
-    Ranges are those of the uniform laws that the phases are drawn from.
+    Ranges are those of the uniform distributions of the phases.
     """
 
     cruise_mps: tuple[float, float] = Field((5.0, 13.9), description="speed of a cruise; at most 50 km/h [m/s]")
@@ -45,10 +45,10 @@ class SpeedProfileConfig(Config):
 def speed_profile(
     rng: np.random.Generator, duration_s: float, dt_s: float, config: SpeedProfileConfig | None = None
 ) -> Array:
-    """Speeds of a lead vehicle at 0, dt, 2 dt, ... until the duration has passed.  -> (n + 1,) [m/s].
+    """Draw speeds of a lead vehicle at 0, dt, 2 dt, ... until the duration has passed.  -> (n + 1,) [m/s].
 
-    The vehicle cruises first. The acceleration follows the phase's within the jerk, and is eased as the speed comes
-    near the phase's, so that speeds are reached without overshoot; standing is exactly 0.
+    The first phase is a cruise. The acceleration follows that of the phase within the jerk limit, and decreases near
+    the target speed of the phase to avoid overshoot; the speed at standstill is exactly 0.
     """
     c = config or SpeedProfileConfig()
     count = int(np.ceil(duration_s / dt_s)) + 1
@@ -71,7 +71,7 @@ def speed_profile(
 def _towards(
     speed: float, acceleration: float, target: float, rate: float, jerk: float, dt: float
 ) -> tuple[float, float]:
-    """One step of speed and acceleration to a target: ``a^2 / (2 j)`` is what easing off still changes the speed by."""
+    """One step of speed and acceleration to a target; ``a^2 / (2 j)`` is the change of speed until ``a`` is 0."""
     sign = 1.0 if target > speed else -1.0
     left = abs(target - speed)
     pace = max(sign * acceleration, 0.0)
@@ -83,16 +83,16 @@ def _towards(
 
 
 class LeadVehicle(ControlledVehicle):  # type: ignore[misc]
-    """A vehicle that keeps its lane and drives a speed profile, whoever is behind it."""
+    """A vehicle that stays in its lane and follows a speed profile, independent of the vehicles behind."""
 
     def follow(self, speeds_mps: Array) -> None:
-        """Drive these speeds from now on, one a simulation step, and the last one ever after."""
+        """Set the speed profile, one value for each simulation step; the last speed is kept after its end."""
         self.profile_mps: Array = speeds_mps
         self.steps_driven = 0
         self.speed = float(speeds_mps[0])
 
     def step(self, dt: float) -> None:
-        """Move, with the acceleration that leads to the profile's next speed; a wreck brakes as all wrecks do."""
+        """Move with the acceleration to the next speed of the profile; after a collision brake as in highway-env."""
         profile = getattr(self, "profile_mps", None)
         if profile is not None:
             self.steps_driven = min(self.steps_driven + 1, len(profile) - 1)
@@ -101,11 +101,11 @@ class LeadVehicle(ControlledVehicle):  # type: ignore[misc]
 
 
 class CityDriver(IDMVehicle):  # type: ignore[misc]
-    """An IDM driver at town distances who slows down for the bends ahead where the lane advises a speed.
+    """An IDM driver with parameters for towns that slows down to the advised speed of bends ahead.
 
     The time gap is that of M. Treiber and A. Kesting, Traffic Flow Dynamics, 2013, table 11.2, for city traffic, with
-    somewhat livelier accelerations. The distance is from middle to middle of cars 5 m long; braking to a stop they come
-    about 2 m nearer than it.
+    slightly larger accelerations. The distance is between the centres of cars of 5 m; at a stop the cars are about 2 m
+    closer.
     """
 
     DISTANCE_WANTED = 8.0
@@ -119,7 +119,7 @@ class CityDriver(IDMVehicle):  # type: ignore[misc]
     def acceleration(
         self, ego_vehicle: Vehicle | None, front_vehicle: Vehicle | None = None, rear_vehicle: Vehicle | None = None
     ) -> float:
-        """IDM's, or less where that leads to the speed advised for where the driver will be after its reaction time."""
+        """Acceleration of IDM, limited by the advised speed at the position after the reaction time."""
         free = float(super().acceleration(ego_vehicle, front_vehicle, rear_vehicle))
         advised_speed = getattr(self.lane, "advised_speed", None)
         if ego_vehicle is not self or advised_speed is None:
@@ -129,11 +129,11 @@ class CityDriver(IDMVehicle):  # type: ignore[misc]
         return min(free, float((advised - self.speed) / self.REACTION_S))
 
     def step(self, dt: float) -> None:
-        """Move; braking ends at standstill, where IDM alone would reverse."""
+        """Move; braking ends at standstill, while plain IDM would reverse."""
         if not self.crashed:
             self.action["acceleration"] = max(self.action["acceleration"], -self.speed / dt)
         super().step(dt)
 
 
 class IntersectionDriver(IDMVehicle):  # type: ignore[misc]
-    """An IDM driver of its own class: highway-env's intersection changes class constants of whoever drives there."""
+    """A separate class of IDM driver, because highway-env's intersection changes constants of the class it uses."""

@@ -1,8 +1,8 @@
-"""The worlds that configurations may name, each declared once: its class, and how the vector engine drives it.
+"""Registry of the worlds available in configurations, with their classes and their support by the vector engine.
 
-:func:`register_world` adds one from outside. A subclass of :class:`~lanebound.envs.worlds.base.World` that makes a
-network and draws the seats of an episode needs nothing else for the single environment and the engine. A world of
-highway-env has a :class:`Support` of its own.
+:func:`register_world` adds a world of the user. A subclass of :class:`~lanebound.envs.worlds.base.World` with a network
+and initial states is sufficient for the single environment and for the engine. A world of highway-env needs a separate
+:class:`Support`.
 """
 
 from __future__ import annotations
@@ -40,17 +40,17 @@ Refusal = tuple[str, str, object]
 
 @dataclass(frozen=True)
 class Support:
-    """How the vector engine drives a world as highway-env does.
+    """Data with which the vector engine simulates a world as highway-env does.
 
     Attributes
     ----------
-    traffic : kind of compiled traffic, ``course``, ``city`` or ``motorway``, or ``package.module:kernel`` of one's own
-    vehicles : how many vehicles an episode may have, the ego included
-    starter : the start of episodes; the world is asked for its configuration and lanes alone
-    ends : fields of the record WORLD: what ends an episode, and the world's own reward
-    profile_steps : length of the profile of speeds that vehicles drive, 1 for none
-    refusals : options of the world that the engine does not take
-    drivers : class of the others, with the parameters that are compiled in and must not have been rewritten
+    traffic : kind of compiled traffic, ``course``, ``city`` or ``motorway``, or ``package.module:kernel`` of the user
+    vehicles : largest number of vehicles in an episode, including the ego
+    starter : start of episodes; uses only the configuration and the lanes of the world
+    ends : fields of the record WORLD: end conditions of an episode, and reward of the world
+    profile_steps : length of the speed profile of vehicles, 1 for none
+    refusals : options of the world that the engine does not support
+    drivers : class of the other vehicles, whose parameters are compiled in and must not be changed
     """
 
     traffic: str
@@ -68,9 +68,9 @@ class WorldKind:
 
     Attributes
     ----------
-    name : what ``base`` of a configuration names: an id of highway-env, or the name of a class of our own
-    world : its class; None for the class behind the id of highway-env
-    support : makes how the engine drives it, None where it does not
+    name : value of ``base`` in configurations: an id of highway-env, or the name of a class of this package
+    world : class of the world; None for the class of the highway-env id
+    support : creates the support by the vector engine, None without support
     """
 
     name: str
@@ -82,12 +82,12 @@ _kinds: dict[str, WorldKind] = {}
 
 
 def register_world(kind: WorldKind) -> None:
-    """Add a world that ``base`` of a configuration may name.
+    """Register a world under the name used as ``base`` in configurations.
 
     Raises
     ------
     InputError
-        There is another one of that name.
+        The name is in use.
     """
     if kind.name in _kinds:
         raise InputError(f"name of a world must not be taken, got {kind.name!r}: choose another")
@@ -95,15 +95,15 @@ def register_world(kind: WorldKind) -> None:
 
 
 def withdraw_world(name: str) -> None:
-    """Take back a world that was registered."""
+    """Remove a registered world."""
     del _kinds[name]
 
 
 def world_kind(name: str) -> WorldKind | None:
-    """The world of a name, None for one that is only an id of highway-env."""
+    """The registered world with a name, None for other ids of highway-env."""
     return _kinds.get(name)
 
 
 def world_kinds() -> tuple[WorldKind, ...]:
-    """All worlds that are declared."""
+    """All registered worlds."""
     return tuple(_kinds.values())
