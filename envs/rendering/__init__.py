@@ -1,6 +1,6 @@
-"""Pictures of an environment: the road from above, what the ego believes, and how far that can be trusted.
+"""Pictures of an environment: the road from above, true and estimated positions, and protection levels.
 
-No display is opened before :meth:`Viewer.show`.
+A display is opened only by :meth:`Viewer.show`.
 """
 
 from lanebound.envs.rendering.config import Orientation, RenderingConfig, ThemeName

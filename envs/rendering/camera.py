@@ -1,4 +1,4 @@
-"""From metres in the plane to pixels on the map, and shapes in the plane."""
+"""Transformation from metres in the plane to pixels on the map, and shapes in the plane."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Camera:
-    """Looks down on the plane with ``up_rad`` (a heading) towards the top edge; x right and y down when it is North.
+    """View of the plane from above; the heading ``up_rad`` points to the top edge (North: x right, y down).
 
     Attributes
     ----------
-    centre_m : (2,) point of the plane that appears at ``anchor_px``
+    centre_m : (2,) point of the plane at ``anchor_px``
     size_px : width and height of the map
     """
 
@@ -30,7 +30,7 @@ class Camera:
 
     @property
     def matrix(self) -> Array:
-        """Rotation and scale from the plane to the screen, (2, 2) [px/m]; the heading ``up_rad`` goes to (0, -1)."""
+        """Rotation and scale from the plane to the screen, (2, 2) [px/m]; heading ``up_rad`` is mapped to (0, -1)."""
         turn = -0.5 * np.pi - self.up_rad
         c, s = np.cos(turn), np.sin(turn)
         return np.asarray(self.scale_px_per_m * np.array([[c, -s], [s, c]]))
@@ -52,7 +52,7 @@ class Camera:
         return np.asarray(((at >= 0.0) & (at <= self.size_px)).all(-1).any(-1))
 
     def sees(self, middle_m: Array, radius_m: Array) -> NDArray[np.bool_]:
-        """Which circles may appear on the map.  middle_m (n, 2), radius_m (n,) -> (n,)."""
+        """Whether circles may be visible on the map.  middle_m (n, 2), radius_m (n,) -> (n,)."""
         gap = middle_m - self.centre_m
         return np.asarray(np.hypot(gap[:, 0], gap[:, 1]) < self.reach_m + radius_m)
 
@@ -72,5 +72,5 @@ def oriented_box(middle_m: ArrayLike, heading_rad: ArrayLike, ahead_m: ArrayLike
 
 
 def quads_along(left_m: Array, right_m: Array) -> Array:
-    """Quadrilaterals between two lines of as many points.  (n, 2) each -> (n - 1, 4, 2)."""
+    """Quadrilaterals between two lines with n points.  (n, 2) each -> (n - 1, 4, 2)."""
     return np.stack([left_m[:-1], left_m[1:], right_m[1:], right_m[:-1]], 1)

@@ -1,7 +1,7 @@
-"""A sheet to draw on with smooth edges; the only file, with window.py, that knows pygame.
+"""A canvas with anti-aliased shapes; only this file and window.py use pygame.
 
-Shapes are drawn on a sheet larger by the supersampling and averaged down; words are set on the result. No display is
-opened, so that no driver has to be chosen and a window of the user's own is left alone.
+Shapes are drawn with supersampling and averaged; text is drawn on the result. No display is opened: no video driver is
+needed, and windows of the user are not affected.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ __all__ = ["Anchor", "Canvas", "load_pygame"]
 Array = NDArray[np.float64]
 Anchor = Literal["left", "centre", "right"]
 
-FONTS = {False: "DejaVuSans.ttf", True: "DejaVuSans-Bold.ttf"}  # matplotlib brings them: the same on every machine
+FONTS = {False: "DejaVuSans.ttf", True: "DejaVuSans-Bold.ttf"}  # fonts of matplotlib, the same on every machine
 KEPT_WORDS = 512
 
 
 def load_pygame() -> ModuleType:
-    """Pygame, or the error that Gymnasium's users know."""
+    """Import pygame, or raise Gymnasium's error for a missing dependency."""
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
     try:
         import pygame
@@ -43,7 +43,7 @@ def load_pygame() -> ModuleType:
 
 
 class Canvas:
-    """A picture of ``width_px`` by ``height_px``; coordinates are its pixels, x right and y down, as floats."""
+    """A picture of ``width_px`` by ``height_px``; coordinates are pixels as floats, x right and y down."""
 
     def __init__(self, width_px: int, height_px: int, supersampling: int) -> None:
         self._pg = load_pygame()
@@ -61,7 +61,7 @@ class Canvas:
 
     @contextmanager
     def clip(self, x: float, y: float, width: float, height: float) -> Iterator[None]:
-        """Nothing is drawn outside this rectangle; words are not clipped."""
+        """Restrict drawing to this rectangle; text is not clipped."""
         k = self._k
         self._large.set_clip((round(x * k), round(y * k), round(width * k), round(height * k)))
         try:
@@ -70,17 +70,17 @@ class Canvas:
             self._large.set_clip(None)
 
     def fill(self, colour: Colour) -> None:
-        """Cover all, or all of the clip."""
+        """Fill the picture, or the clip rectangle."""
         self._large.fill(colour)
 
     def polygons(self, corners_px: ArrayLike, colour: Colour) -> None:
-        """Filled polygons (n, k, 2)."""
+        """Draw filled polygons (n, k, 2)."""
         draw = self._pg.draw.polygon
         for polygon in self._scaled(corners_px).tolist():
             draw(self._large, colour, polygon)
 
     def blend(self, corners_px: ArrayLike, colour: Colour, opacity: float) -> None:
-        """Filled polygons (n, k, 2) that let through what is below; where they overlap they count once."""
+        """Draw transparent polygons (n, k, 2); the opacity is the same where they overlap."""
         polygons = self._scaled(corners_px)
         if not polygons.size:
             return
@@ -94,7 +94,7 @@ class Canvas:
         self._large.blit(layer, box)
 
     def line(self, points_px: ArrayLike, colour: Colour, width_px: float = 1.0, *, closed: bool = False) -> None:
-        """A line through points (n, 2)."""
+        """Draw a line through points (n, 2)."""
         points = np.asarray(points_px, dtype=np.float64) * self._k
         if len(points) > 1:
             self._pg.draw.lines(self._large, colour, closed, points.tolist(), max(round(width_px * self._k), 1))
@@ -102,7 +102,7 @@ class Canvas:
     def dashes(
         self, points_px: ArrayLike, colour: Colour, width_px: float = 1.0, *, on_px: float = 4.0, closed: bool = False
     ) -> None:
-        """A line through points (n, 2), drawn for ``on_px`` and left out for as long, throughout."""
+        """Draw a dashed line through points (n, 2); dashes and gaps have the length ``on_px``."""
         points = np.asarray(points_px, dtype=np.float64)
         if closed and len(points):
             points = np.concatenate([points, points[:1]])
@@ -116,13 +116,13 @@ class Canvas:
             self._pg.draw.line(self._large, colour, a, b, max(round(width_px * self._k), 1))
 
     def circle(self, middle_px: Iterable[float], radius_px: float, colour: Colour, width_px: float = 0.0) -> None:
-        """A disc, or a ring of this width."""
+        """Draw a disc, or a ring of a given width."""
         k, (x, y) = self._k, middle_px
         width = max(round(width_px * k), 1) if width_px else 0
         self._pg.draw.circle(self._large, colour, (float(x) * k, float(y) * k), radius_px * k, width)
 
     def box(self, x: float, y: float, width: float, height: float, colour: Colour, *, round_px: float = 0.0) -> None:
-        """A filled upright rectangle with round corners."""
+        """Draw a filled axis-parallel rectangle with round corners."""
         k = self._k
         rect = self._pg.Rect(round(x * k), round(y * k), round(width * k), round(height * k))
         self._pg.draw.rect(self._large, colour, rect, border_radius=round(round_px * k))
@@ -138,18 +138,18 @@ class Canvas:
         anchor: Anchor = "left",
         bold: bool = False,
     ) -> int:
-        """Words beside, on or before x, middle at height y, set when the picture is done; returns their width."""
+        """Add text right of, at or left of x with its middle at y, drawn by :meth:`finish`; returns its width [px]."""
         word = self._word(words, size_px, colour, bold)
         left = {"left": x, "centre": x - 0.5 * word.get_width(), "right": x - word.get_width()}[anchor]
         self._waiting.append((word, (round(left), round(y - 0.5 * word.get_height()))))
         return word.get_width()
 
     def width_of(self, words: str, size_px: int, *, bold: bool = False) -> int:
-        """How many pixels these words take."""
+        """Width of a text [px]."""
         return int(self._font(size_px, bold).size(words)[0])
 
     def finish(self) -> pygame.Surface:
-        """The picture as a surface, valid until the next one is drawn."""
+        """Finish the picture; the returned surface is valid until the next picture is drawn."""
         if self._k > 1:
             self._pg.transform.smoothscale(self._large, self.size_px, self._small)
         self._small.blits(self._waiting, doreturn=False)
@@ -161,7 +161,7 @@ class Canvas:
         width, height = self.size_px
         rgb = np.empty((height, width, 3), dtype=np.uint8)
         view = self._pg.surfarray.pixels3d(self._small)
-        for channel in range(3):  # one at a time is five times as fast as all at once
+        for channel in range(3):  # one channel at a time is five times as fast
             rgb[..., channel] = view[..., channel].T
         return rgb
 

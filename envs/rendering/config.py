@@ -1,4 +1,4 @@
-"""Options of pictures."""
+"""Options of the rendering."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["Orientation", "RenderingConfig", "ThemeName"]
 
 
 class Orientation(StrEnum):
-    """What points up on the map."""
+    """Direction of the top edge of the map."""
 
     HEADING_UP = "heading_up"
     NORTH_UP = "north_up"
@@ -24,12 +24,12 @@ class ThemeName(StrEnum):
 
 
 class RenderingConfig(Config):
-    """Size, scale and style of a rendered frame. The defaults fit a README and a video."""
+    """Size, scale and style of a rendered frame; the defaults are suitable for a README and a video."""
 
     width_px: int = Field(960, ge=320, le=7680, description="width of the picture [px]")
     height_px: int = Field(540, ge=240, le=4320, description="height of the picture [px]")
     scale_px_per_m: float = Field(8.0, gt=0.2, le=100, description="zoom of the map [px/m]; a car is then 40 px long")
-    orientation: Orientation = Field(Orientation.HEADING_UP, description="what points up on the map")
+    orientation: Orientation = Field(Orientation.HEADING_UP, description="direction of the top edge of the map")
     theme: ThemeName = Field(ThemeName.DARK, description="dark or light colours")
     panel: bool = Field(True, description="instruments on the right: status, sky, error box and strip charts")
     legend: bool = Field(True, description="legend of the colours at the bottom of the map")
@@ -38,12 +38,12 @@ class RenderingConfig(Config):
 
     @property
     def map_width_px(self) -> int:
-        """Width left to the map beside the panel."""
+        """Width of the map without the panel [px]."""
         return self.width_px - self.panel_width_px
 
     @property
     def panel_width_px(self) -> int:
-        """Width of the panel: none when it is switched off or would leave the map less than half."""
+        """Width of the panel [px]; 0 if it is switched off or would leave less than half of the width to the map."""
         return PANEL_WIDTH_PX if self.panel and self.width_px >= 2 * PANEL_WIDTH_PX else 0
 
 

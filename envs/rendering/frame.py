@@ -1,4 +1,4 @@
-"""All that one picture shows: truth as filled shapes, belief as outlines, and what lies between them."""
+"""Contents of one picture: true states (filled shapes), estimated states (outlines), and their differences."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ __all__ = ["CAUTION_SHARE", "Bodies", "EpisodeCost", "Frame", "Satellites", "Sta
 
 Array = NDArray[np.float64]
 
-CAUTION_SHARE = 0.75  # of an alert limit: from here on a protection level is shown as close to it
+CAUTION_SHARE = 0.75  # share of an alert limit above which a protection level is shown as close to it
 
 
 class Status(Enum):
-    """The three lights of the panel; the value is the word shown."""
+    """The three states of the panel's status light; the value is the displayed word."""
 
     NORMAL = "NORMAL"
     CAUTION = "NEAR LIMIT"
@@ -65,7 +65,7 @@ class Bodies:
 
     @classmethod
     def of(cls, vehicles: Iterable[Any]) -> Bodies:
-        """A copy of what highway-env's vehicles (or other objects of its road) are now."""
+        """Copy the current states of highway-env's vehicles (or other objects of its road)."""
         rows = list(vehicles)
         return cls(
             np.array([v.position for v in rows], dtype=np.float64).reshape(-1, 2),
@@ -78,13 +78,13 @@ class Bodies:
 
 @dataclass(frozen=True)
 class Satellites:
-    """The sky as the receiver meets it.
+    """Satellites and their reception at the receiver.
 
     Attributes
     ----------
     azimuth_rad : (S,) clockwise from North; elevation_rad : (S,)
     path : (S,) values of :class:`lanebound.integrity.sky.visibility.Path`
-    tracked : (S,) bool, measured by the receiver; how many of them the position uses the belief says
+    tracked : (S,) bool, measured by the receiver; the number used for the position is in the estimated state
     system : (S,) values of :class:`lanebound.integrity.sky.systems.System`
     """
 
@@ -97,15 +97,15 @@ class Satellites:
 
 @dataclass(frozen=True)
 class Frame:
-    """One picture.
+    """Contents of one picture.
 
     Attributes
     ----------
-    network : highway-env's RoadNetwork; its lanes are traced once, as long as it is the same object
-    bodies : the true vehicles; ego : which of them is the ego
-    belief, traffic : what the ego knows of itself and perceives of others
-    route : lanes that the ego follows after its own, for the corridor of the alert limit; found on the map when empty
-    city : buildings, in East and North of the plane (E = x, N = -y); satellites : the sky now
+    network : highway-env's RoadNetwork; its lanes are traced once for each network object
+    bodies : the true vehicles; ego : index of the ego in them
+    belief, traffic : estimated state of the ego, and perceived states of other vehicles
+    route : lanes of the ego after its current lane, for the corridor of the alert limit; taken from the map if empty
+    city : buildings, in East and North of the plane (E = x, N = -y); satellites : current reception
     trace : error, protection level and alert limit of the last seconds
     title : the environment's id; time_s : since the reset; speed_mps : true; cost : None to hide it
     """
@@ -130,30 +130,30 @@ class Frame:
 
     @property
     def ego_position_m(self) -> Array:
-        """True middle of the ego, (2,)."""
+        """True centre of the ego, (2,) [m]."""
         return np.asarray(self.bodies.position_m[self.ego])
 
     @property
     def ego_heading_rad(self) -> float:
-        """True heading of the ego."""
+        """True heading of the ego [rad]."""
         return float(self.bodies.heading_rad[self.ego])
 
     @property
     def error_m(self) -> tuple[float, float]:
-        """Belief less truth along and across the true track (right positive)."""
+        """Estimate minus truth along and across the true track [m], positive to the right."""
         east, south = self.belief.position_m - self.ego_position_m
         c, s = np.cos(self.ego_heading_rad), np.sin(self.ego_heading_rad)
         return float(c * east + s * south), float(c * south - s * east)
 
     @property
     def misleading(self) -> bool:
-        """Whether an error exceeds its protection level while the position is offered for use."""
+        """Whether an error exceeds its protection level while the position is declared available."""
         at, ct = self.error_m
         return self.belief.available and (abs(at) > self.belief.pl_at_m or abs(ct) > self.belief.pl_ct_m)
 
     @property
     def status(self) -> Status:
-        """The light: alert, a level close to its limit, or neither."""
+        """State of the status light: alert, a level close to its limit, or neither."""
         b = self.belief
         if b.alert or not b.available:
             return Status.ALERT

@@ -1,4 +1,4 @@
-"""Three plots: the sky, the error within its box, and strip charts of the last seconds."""
+"""Three plots: sky plot, error box and strip charts of the last seconds."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 HEAD_PX = 14
 LETTERS = {System.GPS: "G", System.GALILEO: "E", System.GLONASS: "R", System.BEIDOU: "C", System.QZSS: "J"}  # RINEX 4
-BOX_REACH = 1.6  # the error box shows this many alert limits
+BOX_REACH = 1.6  # range of the error box in alert limits
 STRIP_REACH = 1.6
 POINTER_PX, POINTER_STEP_PX = 6.0, 18.0
 
@@ -37,17 +37,17 @@ class PanelPlace:
 
     @property
     def right(self) -> float:
-        """Right edge."""
+        """Right edge [px]."""
         return self.x + self.width
 
     @property
     def bottom(self) -> float:
-        """Lower edge."""
+        """Lower edge [px]."""
         return self.y + self.height
 
     @property
     def middle(self) -> float:
-        """Height of the middle."""
+        """Vertical coordinate of the middle [px]."""
         return self.y + 0.5 * self.height
 
     @property
@@ -56,21 +56,22 @@ class PanelPlace:
         return np.array([[self.x, self.y], [self.right, self.y], [self.right, self.bottom], [self.x, self.bottom]])
 
     def below_head(self) -> PanelPlace:
-        """What is left under a line of words."""
+        """The part below a line of text."""
         return PanelPlace(self.x, self.y + HEAD_PX, self.width, self.height - HEAD_PX)
 
 
 def path_colour(path: int, theme: Theme) -> Colour:
-    """How well a satellite is received."""
+    """Colour of a propagation path."""
     return {
         Path.LOS: theme.ok, Path.FOLIAGE: theme.caution, Path.REFLECTED: theme.alert, Path.BLOCKED: theme.muted,
     }[Path(path)]  # fmt: skip
 
 
 def draw_sky(canvas: Canvas, at: PanelPlace, satellites: Satellites | None, up_rad: float, theme: Theme) -> None:
-    """Zenith in the middle and horizon at the ring, turned as the map is.
+    """Draw the sky plot with the zenith in the middle and the horizon at the ring, in the orientation of the map.
 
-    Discs are received (filled when tracked), crosses are blocked; letters are those of RINEX; a key is in the corners.
+    Discs are received satellites (filled if tracked), crosses are blocked ones; letters are those of RINEX; the key is
+    in the corners.
     """
     head = "sky" if satellites is None else f"sky: {int(satellites.tracked.sum())} of {len(satellites.tracked)} tracked"
     canvas.text(at.x, at.y + 4, head, 11, theme.muted)
@@ -98,7 +99,7 @@ def _draw_sky_key(canvas: Canvas, plot: PanelPlace, theme: Theme) -> None:
 
 
 def _toward(azimuth_rad: float, up_rad: float) -> Array:
-    """Unit vector on the screen of an azimuth, (2,)."""
+    """Unit vector on the screen in the direction of an azimuth, (2,)."""
     turn = azimuth_rad + NORTH_RAD - up_rad
     return np.array([np.sin(turn), -np.cos(turn)])
 
@@ -225,7 +226,7 @@ def _draw_alerts(canvas: Canvas, plot: PanelPlace, x: Array, alert: NDArray[np.b
 
 
 def _draw_scale(canvas: Canvas, plot: PanelPlace, top: float, theme: Theme) -> None:
-    """A line at each whole or half metre."""
+    """Draw a line at each whole or half metre."""
     step = 0.5 if top < 3.0 else np.ceil(top / 5.0)
     for value in np.arange(step, top, step):
         y = float(plot.bottom - value / top * plot.height)
@@ -233,5 +234,5 @@ def _draw_scale(canvas: Canvas, plot: PanelPlace, top: float, theme: Theme) -> N
 
 
 def _height(plot: PanelPlace, values: Array, top: float) -> Array:
-    """Heights on the plot; what is above it is drawn along its upper edge."""
+    """Vertical coordinates of values; values above the scale are at the upper edge."""
     return np.asarray(plot.bottom - np.minimum(values / top, 1.0 - 1.5 / plot.height) * plot.height)

@@ -1,8 +1,8 @@
-"""The map: roads and buildings, true vehicles as filled bodies, beliefs as outlines with their protection levels.
+"""The map: roads, buildings, true vehicles as filled bodies, estimated vehicles as outlines with protection levels.
 
-Boxes are those of whole vehicles: a body is drawn where it is believed to be and grown by the protection levels, and
-the corridor is the body's swept width grown by the alert limit. The true body lies in the box unless an error exceeds
-its level; the box lies in the corridor as long as the cross-track level is below its limit.
+A box is the body at the estimated position, enlarged by the protection levels. The corridor is the swept width of the
+body, enlarged by the alert limit. The true body is inside the box unless an error exceeds its level. The box is inside
+the corridor while the cross-track level is below its limit.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ __all__ = ["SHOWN_LEVEL_M", "body_corners", "camera_of", "draw_map", "perceived_
 Array = NDArray[np.float64]
 
 NORTH_RAD = -0.5 * np.pi
-EGO_FROM_TOP = 0.66  # heading-up, more of the road ahead is shown than of the road behind
-TALL_M = 45.0  # from this height a roof has its brightest colour
+EGO_FROM_TOP = 0.66  # with heading up, more of the road ahead is visible than behind
+TALL_M = 45.0  # height above which a roof has the brightest colour
 SHADOW_M = 0.14  # per metre of height
 SHADOW_MAX_M = 4.0
 BEHIND_M, AHEAD_M = 12.0, 45.0
-SHOWN_LEVEL_M = 12.0  # a larger level is drawn as this one, in dashes
+SHOWN_LEVEL_M = 12.0  # larger levels are drawn with this size as dashed lines
 ROUND = np.stack([np.cos(np.linspace(0.0, 2.0 * np.pi, 17)[:-1]), np.sin(np.linspace(0.0, 2.0 * np.pi, 17)[:-1])], -1)
 
 
 def camera_of(frame: Frame, config: RenderingConfig) -> Camera:
-    """Follows the true ego."""
+    """Camera at the true ego."""
     w, h = config.map_width_px, config.height_px
     turning = config.orientation is Orientation.HEADING_UP
     up = frame.ego_heading_rad if turning else NORTH_RAD
@@ -43,14 +43,14 @@ def camera_of(frame: Frame, config: RenderingConfig) -> Camera:
 
 
 def status_colour(status: Status, theme: Theme) -> Colour:
-    """Green, amber or red."""
+    """Colour of the status: green, amber or red."""
     return {Status.NORMAL: theme.ok, Status.CAUTION: theme.caution, Status.ALERT: theme.alert}[status]
 
 
 def draw_map(
     canvas: Canvas, frame: Frame, camera: Camera, roads: RoadDrawing, scenery: Scenery | None, theme: Theme
 ) -> None:
-    """All layers, from the ground up."""
+    """Draw all layers, from the ground up."""
     with canvas.clip(0, 0, *camera.size_px):
         canvas.fill(theme.ground)
         if scenery is not None:
@@ -71,14 +71,14 @@ def draw_map(
 
 
 def _draw_shadows(canvas: Canvas, scenery: Scenery, camera: Camera, theme: Theme) -> None:
-    """To the lower right of the picture, whatever points up."""
+    """Draw shadows to the lower right of the picture for all orientations."""
     which = _standing(scenery, camera)
     cast = np.minimum(SHADOW_M * scenery.height_m[which], SHADOW_MAX_M) * camera.scale_px_per_m
     canvas.polygons(camera.px(scenery.roof_m[which]) + cast[:, None, None] * np.array([0.8, 0.6]), theme.shadow)
 
 
 def _draw_roofs(canvas: Canvas, scenery: Scenery, camera: Camera, theme: Theme) -> None:
-    """The higher the brighter."""
+    """Draw roofs; higher ones are brighter."""
     which = _standing(scenery, camera)
     for triangle, height in zip(camera.px(scenery.roof_m[which]), scenery.height_m[which], strict=True):
         canvas.polygons(triangle[None], mix(theme.building_low, theme.building_high, height / TALL_M))
@@ -87,19 +87,19 @@ def _draw_roofs(canvas: Canvas, scenery: Scenery, camera: Camera, theme: Theme) 
 
 
 def _standing(scenery: Scenery, camera: Camera) -> NDArray[np.bool_]:
-    """Roofs on the map, or whose shadows are, of what stands on the ground."""
+    """Roofs of objects on the ground that are on the map or whose shadows are."""
     seen = camera.sees(scenery.middle_m, scenery.radius_m + SHADOW_MAX_M)
     return np.asarray(seen & ~scenery.leaves & ~scenery.overhead)
 
 
 def _draw_overhead(canvas: Canvas, scenery: Scenery, camera: Camera, theme: Theme) -> None:
-    """What the road passes under lets it be seen."""
+    """Draw overpasses transparently over the road."""
     seen = camera.sees(scenery.middle_m, scenery.radius_m)
     canvas.blend(camera.px(scenery.roof_m[seen & scenery.overhead]), theme.overhead, 0.3)
 
 
 def _draw_trees(canvas: Canvas, scenery: Scenery, camera: Camera, theme: Theme) -> None:
-    """Crowns reach over the road and let it be seen; whoever drives there is drawn on top."""
+    """Draw crowns transparently over the road; vehicles are drawn above them."""
     seen = camera.sees(scenery.middle_m, scenery.radius_m)
     canvas.blend(camera.px(scenery.roof_m[seen & scenery.leaves]), theme.tree, 0.5)
     near = camera.sees(scenery.crown_m, scenery.crown_radius_m)
@@ -109,7 +109,7 @@ def _draw_trees(canvas: Canvas, scenery: Scenery, camera: Camera, theme: Theme) 
 
 
 def _draw_corridor(canvas: Canvas, frame: Frame, camera: Camera, theme: Theme) -> None:
-    """Where the ego's body may be while it keeps its believed distance from the lane's middle and its alert limit."""
+    """Draw the corridor: the ego's body at its estimated lateral offset, enlarged by the alert limit."""
     b = frame.belief
     half = 0.5 * float(frame.bodies.width_m[frame.ego]) + b.al_ct_m
     near, far = b.longitudinal_m - BEHIND_M, b.longitudinal_m + AHEAD_M
@@ -118,7 +118,7 @@ def _draw_corridor(canvas: Canvas, frame: Frame, camera: Camera, theme: Theme) -
     if len(left) > 1:
         canvas.blend(quads_along(left, right), theme.limit, 0.10)
         for side in (left, right):
-            canvas.line(side, theme.road, 2.5)  # where the limit is the lane's own edge, its marking gives way
+            canvas.line(side, theme.road, 2.5)  # covers the lane marking where both coincide
             canvas.dashes(side, theme.limit, 2.0, on_px=6.0)
 
 
@@ -142,7 +142,7 @@ def _draw_bodies(canvas: Canvas, frame: Frame, camera: Camera, theme: Theme) -> 
 
 
 def _draw_car(canvas: Canvas, corners: Array, colour: Colour, theme: Theme) -> None:
-    """A body with cut corners, a windscreen and a rear window."""
+    """Draw a body with cut corners, a windscreen and a rear window."""
     canvas.polygons(_cut(corners)[None], colour)
     canvas.polygons(_across(corners, 0.24, 0.38, 0.12)[None], theme.glass)
     canvas.polygons(_across(corners, 0.80, 0.88, 0.14)[None], theme.glass)
@@ -162,7 +162,7 @@ def _cut(corners: Array) -> Array:
 
 
 def _across(corners: Array, begin: float, end: float, inset: float) -> Array:
-    """A band across a body, between two shares of its length from the front, this share narrower on each side."""
+    """A band across a body between two shares of its length from the front, narrower by ``inset`` on each side."""
     left, right = corners[3] - corners[0], corners[2] - corners[1]
     side = corners[1] - corners[0]
     a, b = corners[0] + inset * side, corners[1] - inset * side
@@ -195,13 +195,13 @@ def _draw_traffic(canvas: Canvas, frame: Frame, camera: Camera, theme: Theme) ->
 
 
 def _draw_level(canvas: Canvas, frame: Frame, camera: Camera, theme: Theme) -> None:
-    """The tinted ground of the ego's box; none when it has no levels."""
+    """Draw the coloured area of the ego's box, if the ego has levels."""
     if np.isfinite([frame.belief.pl_at_m, frame.belief.pl_ct_m]).all():
         canvas.blend(_ego_box(frame, camera)[None], status_colour(frame.status, theme), 0.3)
 
 
 def _draw_belief(canvas: Canvas, frame: Frame, camera: Camera, theme: Theme) -> None:
-    """The believed ego with its heading, and the edge of its box: dashes where a level is missing or very large."""
+    """Draw the estimated ego with its heading, and the edge of its box, dashed if a level is missing or very large."""
     b, colour = frame.belief, status_colour(frame.status, theme)
     box = _ego_box(frame, camera)
     if max(b.pl_at_m, b.pl_ct_m) <= SHOWN_LEVEL_M:
@@ -216,7 +216,7 @@ def _draw_belief(canvas: Canvas, frame: Frame, camera: Camera, theme: Theme) -> 
 
 
 def _ego_box(frame: Frame, camera: Camera) -> Array:
-    """The believed body grown by its levels, along and across the true track, (4, 2) px."""
+    """The estimated body enlarged by its levels along and across the true track, (4, 2) [px]."""
     b = frame.belief
     at, ct = _shown(np.array([b.pl_at_m, b.pl_ct_m]))
     half = 0.5 * float(frame.bodies.length_m[frame.ego]) + at, 0.5 * float(frame.bodies.width_m[frame.ego]) + ct
@@ -224,5 +224,5 @@ def _ego_box(frame: Frame, camera: Camera) -> Array:
 
 
 def _shown(level_m: Array) -> Array:
-    """A level as long as it fits the map."""
+    """A level limited to the size of the map."""
     return np.minimum(level_m, SHOWN_LEVEL_M)

@@ -1,4 +1,4 @@
-"""The instruments at the right of the map, from top to bottom, and the key to the colours."""
+"""The instruments to the right of the map, from top to bottom, and the legend of the colours."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class LegendEntry(NamedTuple):
 
 
 def draw_panel(canvas: Canvas, frame: Frame, config: RenderingConfig, theme: Theme) -> None:
-    """Status, figures, sky and error box, strip charts; as many as the height holds."""
+    """Draw status, figures, sky plot, error box and strip charts, as far as the height allows."""
     if not config.panel_width_px:
         return
     x, width, height = config.map_width_px, config.panel_width_px, config.height_px
@@ -86,19 +86,19 @@ def _draw_head(canvas: Canvas, at: PanelPlace, frame: Frame, theme: Theme) -> No
 
 
 def _draw_badge(canvas: Canvas, at: PanelPlace, frame: Frame, theme: Theme) -> None:
-    """The light with its word and why: what the ego itself knows."""
+    """Draw the status light with its word and reason, from the estimated state."""
     status = frame.status
     colour = status_colour(status, theme)
     canvas.box(at.x, at.y, at.width, at.height, mix(theme.panel, colour, 0.28), round_px=6)
     canvas.box(at.x, at.y, 6, at.height, colour, round_px=3)
     width = canvas.text(at.x + 16, at.middle, status.value, 15, theme.text, bold=True)
     left = at.width - width - 40
-    why = _why(frame)
+    why = _reason(frame)
     size = 11 if canvas.width_of(why, 11) <= left else 10
     canvas.text(at.right - 10, at.middle, why, size, theme.text, anchor="right")
 
 
-def _why(frame: Frame) -> str:
+def _reason(frame: Frame) -> str:
     b = frame.belief
     if frame.status is Status.CAUTION:
         return f"a PL is over {CAUTION_SHARE:.0%} of its limit"
@@ -139,7 +139,7 @@ def _cost_colour(cost: EpisodeCost | None, theme: Theme) -> Colour:
 
 
 def _used(b: EgoBelief) -> int:
-    """Satellites that the position comes from: none between fixes by IMU and odometer."""
+    """Number of satellites used for the position; none between fixes with IMU and odometer."""
     return {Mode.RTK: b.satellites, Mode.DOPPLER: b.satellites_doppler}.get(Mode(b.mode), 0)
 
 
@@ -209,7 +209,7 @@ def legend_entries(frame: Frame, camera: Camera, theme: Theme) -> list[LegendEnt
 
 
 def _draw_key(canvas: Canvas, at: PanelPlace, kind: str, colour: Colour, theme: Theme) -> None:
-    """As the map draws it, on the colour of the road."""
+    """Draw a symbol of the legend as on the map, on the colour of the road."""
     if kind != "body":
         canvas.box(at.x - 2, at.y - 2, at.width + 4, at.height + 4, theme.road)
     if kind == "body":

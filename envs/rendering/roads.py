@@ -1,4 +1,4 @@
-"""A road network as quadrilaterals: asphalt, kerb and markings, traced once."""
+"""A road network as quadrilaterals of asphalt, kerb and markings, computed once."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ KERB_M = 0.35
 
 @dataclass(frozen=True)
 class Quads:
-    """Quadrilaterals (n, 4, 2) with the circles around them."""
+    """Quadrilaterals (n, 4, 2) with their bounding circles."""
 
     corners_m: Array
     middle_m: Array
@@ -33,19 +33,19 @@ class Quads:
 
     @classmethod
     def of(cls, pieces: Sequence[Array]) -> Quads:
-        """All pieces (k, 4, 2) in order."""
+        """Concatenate all pieces (k, 4, 2)."""
         corners = np.concatenate([np.zeros((0, 4, 2)), *pieces])
         middle = corners.mean(1)
         return cls(corners, middle, np.linalg.norm(corners - middle[:, None], axis=-1).max(-1, initial=0.0))
 
     def seen_px(self, camera: Camera) -> Array:
-        """Those that may appear on the map, in pixels."""
+        """The quadrilaterals that may be visible on the map, in pixels."""
         return camera.px(self.corners_m[camera.sees(self.middle_m, self.radius_m)])
 
 
 @dataclass(frozen=True)
 class RoadDrawing:
-    """The network that was traced, and what is drawn of it from below to above."""
+    """A road network and its drawing, from the lowest to the highest layer."""
 
     network: Any
     kerb: Quads
@@ -54,7 +54,7 @@ class RoadDrawing:
 
     @classmethod
     def of(cls, network: Any) -> RoadDrawing:
-        """Trace every lane."""
+        """Compute the drawing of every lane."""
         lanes = [lane for exits in network.graph.values() for edge in exits.values() for lane in edge]
         strips = [(lane, _stations(lane, 0.0, float(lane.length))) for lane in lanes]
         kerb = [_strip(lane, at, KERB_M) for lane, at in strips]
@@ -68,7 +68,8 @@ def corridor(
     """Lines along a lane and the lanes after it.
 
     From ``behind_m`` to ``ahead_m`` (both from the start of lane ``start``, the first not before it) at each lateral
-    offset: (k,) -> (k, n, 2). After the lane come those of ``route``, else the only way on; the line ends at a fork.
+    offset: (k,) -> (k, n, 2). The next lanes are those of ``route``, otherwise the only continuation; without a route
+    the line ends at a fork.
     """
     pieces: list[Array] = []
     begin, left = max(behind_m, 0.0), ahead_m
@@ -85,7 +86,7 @@ def corridor(
 
 
 def _ahead(network: Any, start: LaneIndex, route: Sequence[LaneIndex]) -> Iterator[LaneIndex]:
-    """The lane, then the lanes of the route after it, then the only way on; a lane met again ends the walk."""
+    """Iterate over the lane, the following lanes of the route, and then the only continuation, until a lane repeats."""
     seen: set[LaneIndex] = set()
     rest = list(route)
     at: LaneIndex | None = start

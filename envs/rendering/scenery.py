@@ -17,9 +17,9 @@ __all__ = ["Scenery"]
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-LEAST_AREA_M2 = 0.01  # a wall covers no ground
-CROWN_M2 = 200.0  # smaller leaves are one tree, drawn round; larger ones are a wood, drawn as it is
-OVERHEAD_M = 2.0  # a solid that begins above this can be driven under
+LEAST_AREA_M2 = 0.01  # vertical walls have no area in the plan
+CROWN_M2 = 200.0  # smaller foliage is one tree, drawn as a disc; larger foliage is drawn with its outline
+OVERHEAD_M = 2.0  # vehicles can drive under a solid whose bottom is above this
 MILLIMETRES = 1000.0
 
 
@@ -29,7 +29,7 @@ class Scenery:
 
     Attributes
     ----------
-    city : what was traced
+    city : the city of the drawing
     roof_m : (n, 3, 2); middle_m, radius_m : circles around them, (n, 2) and (n,)
     height_m : (n,) of the whole body; leaves, overhead : (n,) bool
     edge_m : (e, 2, 2) outer edges of the roofs; edge_roof : (e,) the roof that each belongs to
@@ -50,7 +50,7 @@ class Scenery:
 
     @classmethod
     def of(cls, city: City) -> Scenery:
-        """Trace a city: triangles that share corners are one body, of which the upper faces are its roof."""
+        """Compute the drawing of a city: triangles with common corners are one body, whose upper faces are its roof."""
         triangles = city.triangles_enu_m
         plan = np.asarray(xy_of(triangles[..., :2]), dtype=np.float64)
         corner, body = _bodies(triangles)
@@ -77,13 +77,13 @@ class Scenery:
 
 
 def _area(plan: Array) -> Array:
-    """Ground that triangles (t, 3, 2) cover, (t,) [m^2]."""
+    """Area of triangles (t, 3, 2) in the plan, (t,) [m^2]."""
     u, v = plan[:, 1] - plan[:, 0], plan[:, 2] - plan[:, 0]
     return np.asarray(0.5 * np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]))
 
 
 def _crowns(middle: Array, area: Array, body: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Middle and radius of the disc as large as each body of triangles, (k, 2) and (k,)."""
+    """Centre and radius of the disc with the area of each body of triangles, (k, 2) and (k,)."""
     _, label = np.unique(body, return_inverse=True)
     total = np.bincount(label, area)
     weighted = np.stack([np.bincount(label, area * middle[:, axis]) for axis in (0, 1)], -1)
@@ -91,7 +91,7 @@ def _crowns(middle: Array, area: Array, body: NDArray[np.int64]) -> tuple[Array,
 
 
 def _bodies(triangles: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Number of each corner (t, 3), equal to the millimetre, and of the body that each triangle belongs to (t,)."""
+    """Number of each corner (t, 3), with a tolerance of 1 mm, and of the body of each triangle (t,)."""
     if not len(triangles):
         return np.zeros((0, 3), dtype=np.int64), np.zeros(0, dtype=np.int64)
     grid = np.round(triangles.reshape(-1, 3) * MILLIMETRES).astype(np.int64)
@@ -113,7 +113,7 @@ def _extent(z: Array, body: NDArray[np.int64]) -> tuple[Array, Array]:
 
 
 def _outline(roof: Array, corner: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
-    """Edges that one roof triangle alone has, and which one."""
+    """Edges that belong to only one roof triangle, and the index of this triangle."""
     if not len(roof):
         return np.zeros((0, 2, 2)), np.zeros(0, dtype=np.int64)
     ends = np.stack([corner, np.roll(corner, -1, axis=1)], -1).reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""The colours. Those that carry meaning are told apart by colour-blind readers too, and never stand without words.
+"""The colours. Colours with a meaning are distinguishable with colour blindness and always accompanied by text.
 
 M. Okabe and K. Ito, Color Universal Design, 2008: bluish green, orange, vermillion, sky blue, yellow, reddish purple.
 """
@@ -19,7 +19,7 @@ SKY_BLUE, PURPLE = (86, 180, 233), (204, 121, 167)
 
 @dataclass(frozen=True)
 class Theme:
-    """Colours by what they stand for: ``ok``, ``caution`` and ``alert`` of the status; the rest as named."""
+    """Colours by meaning: ``ok``, ``caution`` and ``alert`` are those of the status."""
 
     ground: Colour
     kerb: Colour
@@ -69,6 +69,6 @@ THEMES = {
 
 
 def mix(a: Colour, b: Colour, share: float) -> Colour:
-    """The colour ``share`` of the way from ``a`` to ``b``; a share outside [0, 1] gives the nearer end."""
+    """Interpolate between colours ``a`` (share 0) and ``b`` (share 1); the share is clamped to [0, 1]."""
     s = min(max(share, 0.0), 1.0)
     return (round(a[0] + s * (b[0] - a[0])), round(a[1] + s * (b[1] - a[1])), round(a[2] + s * (b[2] - a[2])))

@@ -1,4 +1,4 @@
-"""The last seconds of errors, protection levels and alert limits, for the strip charts."""
+"""Errors, protection levels and alert limits of the last seconds, for the strip charts."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ class Trace:
 
     @classmethod
     def empty(cls) -> Trace:
-        """Nothing yet."""
+        """A trace without epochs."""
         return _trace(np.zeros((8, 0)))
 
 
 class Tape:
-    """Records one epoch after another and forgets what is older than ``window_s``."""
+    """Record of the epochs of the last ``window_s``."""
 
     def __init__(self, window_s: float = 30.0) -> None:
         self.window_s = window_s
         self._rows: deque[tuple[float, ...]] = deque()
 
     def clear(self) -> None:
-        """Forget all, at a reset."""
+        """Delete all epochs, at a reset."""
         self._rows.clear()
 
     def add(
@@ -58,14 +58,14 @@ class Tape:
         al_ct_m: float,
         alert: bool,
     ) -> None:
-        """Append one epoch; errors may have a sign."""
+        """Append one epoch; errors may be signed."""
         self._rows.append((time_s, err_at_m, pl_at_m, al_at_m, err_ct_m, pl_ct_m, al_ct_m, float(alert)))
         while self._rows[0][0] < time_s - self.window_s:
             self._rows.popleft()
 
     @property
     def trace(self) -> Trace:
-        """What is on the tape."""
+        """The recorded epochs."""
         if not self._rows:
             return Trace.empty()
         return _trace(np.array(self._rows, dtype=np.float64).T)

@@ -1,4 +1,4 @@
-"""The viewer: one frame in, one picture out, to an array or to a window."""
+"""The viewer: renders a frame to an array or to a window."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ __all__ = ["Viewer"]
 
 
 class Viewer:
-    """Draws frames; equal frames give equal pictures.
+    """Renders frames; equal frames give equal pictures.
 
     >>> viewer = Viewer(RenderingConfig(orientation="north_up"))  # doctest: +SKIP
     >>> rgb = viewer.render(frame)  # doctest: +SKIP
 
     Parameters
     ----------
-    config : size, zoom and looks
+    config : size, zoom and style
     title, fps : of the window that :meth:`show` opens
 
     Raises
@@ -53,12 +53,12 @@ class Viewer:
         self._scenery: Scenery | None = None
 
     def render(self, frame: Frame) -> NDArray[np.uint8]:
-        """The picture as an array of its own, (height, width, 3)."""
+        """Render a frame to a new array (height, width, 3)."""
         self._draw(frame)
         return self._canvas.pixels()
 
     def show(self, frame: Frame) -> bool:
-        """Show the picture in a window, opened the first time; False once the user has closed it."""
+        """Show the picture in a window, which the first call opens; returns False after the user has closed it."""
         if self._window is None:
             self._window = Window(self.config.width_px, self.config.height_px, self._title, self._fps)
         if self._window.is_open:
@@ -66,13 +66,13 @@ class Viewer:
         return self._window.is_open
 
     def close(self) -> None:
-        """Close the window; the viewer can be used again."""
+        """Close the window; the viewer remains usable."""
         if self._window is not None:
             self._window.close()
             self._window = None
 
     def __reduce__(self) -> tuple[Callable[[], Self], tuple[()]]:
-        """A copied or pickled viewer is a new one of the same looks: surfaces and windows stay where they are."""
+        """A copied or pickled viewer is a new one with the same options, without surfaces and windows."""
         return partial(type(self), self.config, title=self._title, fps=self._fps), ()
 
     def __enter__(self) -> Self:

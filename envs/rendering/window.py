@@ -1,4 +1,4 @@
-"""A window of our own, beside whatever windows the user has."""
+"""A separate window, independent of other windows of the user."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["Window"]
 
 
 class Window:
-    """Shows pictures at no more than ``fps`` a second until the user closes it."""
+    """Window that shows at most ``fps`` pictures per second until the user closes it."""
 
     def __init__(self, width_px: int, height_px: int, title: str, fps: float) -> None:
         self._pg = load_pygame()
@@ -26,11 +26,11 @@ class Window:
 
     @property
     def is_open(self) -> bool:
-        """False once the user or :meth:`close` has closed it."""
+        """Whether the window is open; False after the user or :meth:`close` has closed it."""
         return self._window is not None
 
     def show(self, picture: pygame.Surface) -> None:
-        """Show a picture and wait for the time of the next; nothing happens when closed."""
+        """Show a picture and wait until the time of the next picture; without effect if the window is closed."""
         if self._window is not None and self._asked_to_close(self._window):
             self.close()
         if self._window is None:
@@ -40,7 +40,7 @@ class Window:
         self._clock.tick(self._fps)
 
     def _asked_to_close(self, window: pygame.Window) -> bool:
-        """Take our own requests from the queue, and leave those of other windows on it."""
+        """Process the close requests of this window; events of other windows remain in the queue."""
         ours = False
         for event in self._pg.event.get([self._pg.WINDOWCLOSE]):
             if getattr(event, "window", None) == window:
@@ -50,7 +50,7 @@ class Window:
         return ours
 
     def close(self) -> None:
-        """Close it; the display too, when nobody had opened it before."""
+        """Close the window, and the display if this window has opened it."""
         if self._window is None:
             return
         self._window.destroy()

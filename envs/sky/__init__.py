@@ -1,4 +1,4 @@
-"""From a lane network to what can be received on it: levels of difficulty, and the streets built by them."""
+"""Signal reception on lane networks: levels of difficulty, and generated streets with their sky masks."""
 
 from lanebound.envs.sky.build import Section, build_street
 from lanebound.envs.sky.level import RECORDING, SKY_LEVELS, SkyLevel

@@ -1,4 +1,4 @@
-"""Streets made up along any lane network: houses, trees, overpasses and tunnels, and the sky they leave."""
+"""Generated streets along any lane network: houses, trees, overpasses and tunnels, and the sky masks."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Section = tuple[str, str, float, float, str]  # edge from, edge to, start [m], e
 
 ANTENNA_HEIGHT_M = 1.5
 SPACING_M = 5.0
-LEAST_STRETCH_M = 6.0  # the rest of a stretch at the end of an edge is left open when it is shorter
+LEAST_STRETCH_M = 6.0  # a shorter rest of a stretch at the end of an edge is left open
 AZIMUTH_STEP_DEG, ELEVATION_STEP_DEG = 4.0, 3.0
 
 
@@ -38,25 +38,25 @@ def build_street(
     *,
     reuse: bool = True,
 ) -> Street:
-    """The street of a network at a level; the same inputs give the same bits.
+    """Build the street of a network at a level; the same inputs give the same bits.
 
     Parameters
     ----------
     network : any highway-env network
-    layout_seed : which of the made-up cities
-    sections : stretches that a world names, ``(edge from, edge to, start [m], end [m], kind)``; heights and the rest of
-        the edges are the level's
-    extent_m : longer edges are lined up to here, and what lies beyond is as their last station
-    reuse : take a street that has been built before, from memory or from disk, and keep this one
+    layout_seed : seed of the generated city
+    sections : stretches given by a world, ``(edge from, edge to, start [m], end [m], kind)``; heights and the rest of
+        the edges are those of the level
+    extent_m : largest length of an edge with buildings; the last station is used beyond
+    reuse : use a street from the cache in memory or on disk, and store this one
 
     Raises
     ------
     InputError
-        No lanes, an unknown edge or kind in ``sections``, an extent that is not positive, or a recorded sky that cannot
-        be read whole.
+        There are no lanes, ``sections`` has an unknown edge or kind, the extent is not positive, or a recorded sky
+        cannot be read completely.
     """
     if not extent_m > 0.0:
-        raise InputError(f"extent_m must be positive, got {extent_m}: pass how far edges are lined, in metres")
+        raise InputError(f"extent_m must be positive, got {extent_m}: pass a length in metres")
     if not any(edges_of(network)):
         raise InputError("network must have lanes, got none: pass env.unwrapped.road.network after reset")
     sections = tuple(sections or ())
@@ -103,7 +103,7 @@ def _city(
     named: dict[Edge, list[Stretch]],
     extent_m: float,
 ) -> City:
-    """Both sides of every edge lined by the level's kinds of street, or by those that are named."""
+    """Obstacles on both sides of every edge, of the level's kinds of street or of the named ones."""
     cycle = sum(section.length_m for section in level.city.sections)
     phase = cycle * named_generator(layout_seed, "city").random(max(c.chain for c in members) + 1)
     ground = LaneGround(network, members, extent_m)
@@ -120,14 +120,14 @@ def _city(
 
 
 def _cut(config: CityConfig, at_m: float, length_m: float) -> list[Stretch]:
-    """The stretches between two arcs of an endless street, counted from the first."""
+    """The stretches between two arcs of an endless street, with arcs from the first."""
     whole = config.stretches(at_m + length_m)
     inside = [Stretch(max(s.start_m - at_m, 0.0), s.end_m - at_m, s.kind, s.left_kind) for s in whole]
     return [s for s in inside if s.end_m - s.start_m >= LEAST_STRETCH_M]
 
 
 def _overlaid(below: list[Stretch], above: list[Stretch]) -> list[Stretch]:
-    """``above``, and what it leaves of ``below``."""
+    """The stretches ``above``, and the uncovered parts of ``below``."""
     out = list(above)
     for s in below:
         at = s.start_m
@@ -141,7 +141,7 @@ def _overlaid(below: list[Stretch], above: list[Stretch]) -> list[Stretch]:
 
 
 def _named(members: list[Corridor], sections: Sequence[Section]) -> dict[Edge, list[Stretch]]:
-    """The stretches that a world names, by edge, within the edges' lengths."""
+    """The stretches given by a world, by edge, limited to the lengths of the edges."""
     lengths = {corridor.edge: corridor.road.length_m for corridor in members}
     out: dict[Edge, list[Stretch]] = {}
     for start, end, low, high, name in sections:

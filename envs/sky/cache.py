@@ -1,7 +1,7 @@
-"""Streets that have been built before: a few in memory, more on disk beside the compiled kernels.
+"""Cache of streets: a few in memory, more on disk next to the compiled kernels.
 
-A file's name is a digest of everything that the street follows from, the sources of both sky packages included. Without
-a place to write, or with a damaged file, streets are built anew.
+The name of a file is a digest of all inputs of the street, including the sources of both sky packages. Without a
+writable directory, or with a damaged file, streets are built again.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _recent: OrderedDict[str, Street] = OrderedDict()
 
 
 def key_of(network: RoadNetwork, level: SkyLevel, *more: Any) -> str:
-    """A name for the inputs of a street: equal inputs, equal name."""
+    """Digest of the inputs of a street; equal inputs give equal digests."""
     h = hashlib.blake2b(digest_size=16)
     h.update(repr((_sources(), np.__version__, level.to_json(), more)).encode())
     for edge, lanes in edges_of(network):
@@ -51,7 +51,7 @@ def key_of(network: RoadNetwork, level: SkyLevel, *more: Any) -> str:
 
 @cache
 def _sources() -> str:
-    """A digest of the code that streets are made by."""
+    """Digest of the code that builds streets."""
     h = hashlib.blake2b(digest_size=8)
     for module in (__file__, str(sky.__file__)):
         for source in sorted(Path(module).parent.glob("*.py")):
@@ -60,7 +60,7 @@ def _sources() -> str:
 
 
 def remember(key: str, street: Street | None = None) -> Street | None:
-    """The street of that name that is in memory, after ``street`` has been put there if one is given."""
+    """Store ``street``, if given, under a key in memory, and return the stored street of the key."""
     if street is not None:
         _recent[key] = street
     if key in _recent:
@@ -71,13 +71,13 @@ def remember(key: str, street: Street | None = None) -> Street | None:
 
 
 def folder() -> Path | None:
-    """Where streets are kept on disk, None without a place to write."""
+    """Directory of the streets on disk, None without a writable directory."""
     kernels = cache_directory()
     return None if kernels is None else Path(kernels).parent / "streets"
 
 
 def load(key: str, lanes: LaneMap) -> Street | None:
-    """The street of that name from disk, None when there is none that can be read."""
+    """Load the street of a key from disk, None if there is no readable file."""
     place = folder()
     if place is None or not (place / f"{key}.npz").exists():
         return None
@@ -95,7 +95,7 @@ def load(key: str, lanes: LaneMap) -> Street | None:
 
 
 def save(key: str, street: Street) -> None:
-    """Keep a street on disk: whole or not at all; of 300 the newest stay."""
+    """Write a street to disk atomically; only the newest 300 files are kept."""
     place, mask = folder(), street.mask
     if place is None:
         return

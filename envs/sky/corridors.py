@@ -1,4 +1,4 @@
-"""A lane network as roads of the sky's own kind: what lines each edge, and which ground the lanes leave free.
+"""Conversion of a lane network to :class:`~lanebound.integrity.sky.road.Road`, and the ground without lanes.
 
 Positions are East, North [m]: ``E = x``, ``N = -y`` of highway-env's plane.
 """
@@ -25,15 +25,15 @@ Edge = tuple[str, str]
 
 SAMPLE_M = 1.0  # between the points that stand for a lane
 CENTRE_M = 2.0  # between the points of a centre line
-BEYOND_M = 100.0  # a street goes on so far past the last station
-JOINT_M = 6.0  # middles of edges that continue each other lie this close: one lane may begin or end there
+BEYOND_M = 100.0  # length of a street beyond the last station
+JOINT_M = 6.0  # largest distance between the centres of consecutive edges, where one lane may begin or end
 JOINT_RAD = 0.5
-OVERLAP_M = 0.3  # what reaches less far into something does not count
+OVERLAP_M = 0.3  # smaller overlaps are ignored
 
 
 @dataclass(frozen=True)
 class Corridor:
-    """One edge of a network as a road, and its place in the chain of edges that continue each other."""
+    """One edge of a network as a road, and its place in a chain of consecutive edges."""
 
     edge: Edge
     road: Road
@@ -42,7 +42,7 @@ class Corridor:
 
 
 def edges_of(network: RoadNetwork) -> Iterator[tuple[Edge, list[AbstractLane]]]:
-    """All edges with their lanes, in the network's order."""
+    """All edges with their lanes, in the order of the network."""
     for start, ends in network.graph.items():
         for end, lanes in ends.items():
             if lanes:
@@ -50,12 +50,12 @@ def edges_of(network: RoadNetwork) -> Iterator[tuple[Edge, list[AbstractLane]]]:
 
 
 def lane_points(lane: AbstractLane, longitudinal_m: Array) -> Array:
-    """The middle of a lane at longitudinal positions.  (n,) -> (n, 2) East, North."""
+    """Points of a lane's centre at longitudinal positions.  (n,) [m] -> (n, 2) East, North [m]."""
     return enu_of(np.array([lane.position(float(s), 0.0) for s in longitudinal_m]).reshape(-1, 2))
 
 
 def corridors(network: RoadNetwork, extent_m: float) -> list[Corridor]:
-    """Every edge as a road, up to ``extent_m``, chained to those that go on in its direction."""
+    """Convert every edge to a road, up to ``extent_m``, in chains of edges with the same direction."""
     roads = {edge: _road(lanes, extent_m) for edge, lanes in edges_of(network)}
     out: list[Corridor] = []
     for number, chain in enumerate(_chains(roads)):
@@ -68,7 +68,7 @@ def corridors(network: RoadNetwork, extent_m: float) -> list[Corridor]:
 
 
 def _road(lanes: list[AbstractLane], extent_m: float) -> Road:
-    """The middle of an edge's lanes as a road, wide enough for all of them."""
+    """The centre of an edge's lanes as a road with the width of all lanes."""
     outer = (lanes[0], lanes[-1])
     longest = max(float(lane.length) for lane in outer)
     share = np.linspace(0.0, min(1.0, (extent_m + BEYOND_M) / longest), max(2, int(min(longest, extent_m) / CENTRE_M)))
@@ -84,7 +84,7 @@ def _road(lanes: list[AbstractLane], extent_m: float) -> Road:
 
 
 def _chains(roads: dict[Edge, Road]) -> list[list[Edge]]:
-    """Edges in sequences that go on as straight as can be; each edge in one of them."""
+    """Chains of edges with the smallest bends; each edge is in one chain."""
     following: dict[Edge, Edge] = {}
     taken: set[Edge] = set()
     for edge, road in roads.items():
@@ -108,14 +108,14 @@ def _chains(roads: dict[Edge, Road]) -> list[list[Edge]]:
 
 
 def _bend(road: Road, onward: Road) -> float:
-    """How far the second road is from continuing the first [rad], inf when it does not."""
+    """Angle between the end of a road and the start of the next [rad], inf if the roads are not connected."""
     turn = abs(float(np.remainder(onward.tangent_rad[0] - road.tangent_rad[-1] + np.pi, 2.0 * np.pi) - np.pi))
     apart = float(np.linalg.norm(onward.vertices_en_m[0] - road.vertices_en_m[-1]))
     return turn if turn < JOINT_RAD and apart < JOINT_M else np.inf
 
 
 class LaneGround:
-    """The ground that the lanes of a network take: points along every lane, 1 m apart, with the lane's half width."""
+    """The ground of the lanes of a network: points along every lane, 1 m apart, with half of the lane width."""
 
     def __init__(self, network: RoadNetwork, members: list[Corridor], extent_m: float) -> None:
         chain_of = {corridor.edge: corridor.chain for corridor in members}
@@ -139,22 +139,22 @@ class LaneGround:
         return CorridorPlot(self, corridor)
 
     def clear(self, foot: Array) -> NDArray[np.bool_]:
-        """Whether no lane comes within 1 m of footprints.  (n, 4, 2) -> (n,)."""
+        """Whether no lane is within 1 m of footprints.  (n, 4, 2) [m] -> (n,)."""
         return ~self._meets(foot, self.half_m + CLEARANCE_M)
 
     def crossed(self, strip: Array, chain: int) -> NDArray[np.bool_]:
-        """Whether a lane of another chain of edges runs through strips.  (n, 4, 2) -> (n,)."""
+        """Whether a lane of another chain of edges crosses strips.  (n, 4, 2) [m] -> (n,)."""
         return self._meets(strip, np.where(self.chain == chain, -np.inf, self.half_m - OVERLAP_M))
 
     def claim(self, foot: Array) -> bool:
-        """Take the ground of one building (4, 2), unless another one stands there."""
+        """Reserve the ground of one building (4, 2) unless it is occupied; returns whether it was free."""
         if len(self._taken) and _overlap(foot, self._taken).any():
             return False
         self._taken = np.concatenate([self._taken, foot[None]])
         return True
 
     def _meets(self, foot: Array, reach_m: Array) -> NDArray[np.bool_]:
-        """Whether any point comes closer than its reach to the rectangles (n, 4, 2)."""
+        """Whether a point is closer than its reach to the rectangles (n, 4, 2).  -> (n,)."""
         if not len(foot):
             return np.zeros(0, dtype=np.bool_)
         radius = np.linalg.norm(foot - foot.mean(1, keepdims=True), axis=-1).max(-1) + self._widest_m + 2 * CLEARANCE_M
@@ -167,19 +167,19 @@ class LaneGround:
 
 @dataclass(frozen=True)
 class CorridorPlot:
-    """Where something may stand beside a corridor: a :class:`~lanebound.integrity.sky.city.Plot`."""
+    """The free ground beside a corridor: a :class:`~lanebound.integrity.sky.city.Plot`."""
 
     ground: LaneGround
     corridor: Corridor
 
     def clear(self, foot: Array) -> NDArray[np.bool_]:
-        """Whether no lane comes within 1 m."""
+        """Whether no lane is within 1 m of footprints.  (n, 4, 2) [m] -> (n,)."""
         return self.ground.clear(foot)
 
     def take(self, foot: Array, strip: Array) -> NDArray[np.bool_]:
-        """Whether a building may stand: clear of lanes and of other buildings, and no other road runs in front of it.
+        """Whether a building fits: no overlap with lanes and other buildings, and no other road in front of it.
 
-        What lies beyond another road is lined by that road.
+        The buildings beyond another road belong to that road.
         """
         may = self.ground.clear(foot) & ~self.ground.crossed(strip, self.corridor.chain)
         for k in np.flatnonzero(may):
@@ -188,7 +188,7 @@ class CorridorPlot:
 
 
 def _overlap(one: Array, many: Array) -> NDArray[np.bool_]:
-    """Whether a rectangle (4, 2) reaches more than 0.3 m into others (n, 4, 2): no axis separates them."""
+    """Whether a rectangle (4, 2) overlaps others (n, 4, 2) by more than 0.3 m (separating axis test).  -> (n,)."""
     apart = np.zeros(len(many), dtype=np.bool_)
     for a, b in ((0, 1), (1, 2)):
         for sides in (one[None], many):
@@ -200,7 +200,7 @@ def _overlap(one: Array, many: Array) -> NDArray[np.bool_]:
 
 
 def _distance(rectangle: Array, point: Array) -> Array:
-    """From rectangles (n, 4, 2), corners in order, to points (n, 2).  -> (n,) [m], 0 inside."""
+    """Distance from rectangles (n, 4, 2), corners in order, to points (n, 2).  -> (n,) [m], 0 inside."""
     d = point - rectangle.mean(1)
     square = np.zeros(len(d))
     for a, b in ((0, 1), (1, 2)):

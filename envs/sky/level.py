@@ -1,4 +1,4 @@
-"""How much of the sky a scenario leaves: kinds of street, and how well the corrections arrive."""
+"""Levels of difficulty for positioning: kinds of street, and quality of the reference link."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ AS_RECORDED = "urban"  # the level whose link and instruments go with a recorded
 
 
 class SkyLevel(Config):
-    """A grade of difficulty for positioning, the same for any lane network.
+    """A level of difficulty for positioning, for any lane network.
 
     >>> SkyLevel.named("urban").navigator().corrections.outage_per_h > 0.0
     True
@@ -54,7 +54,7 @@ class SkyLevel(Config):
     )
 
     def streets_along(self, road_width_m: float) -> CityConfig:
-        """The city along a road of this width: setbacks that are too small for ``street_width_m`` are widened."""
+        """The city configuration for a road of this width; setbacks too small for ``street_width_m`` are increased."""
         least = 0.5 * (self.street_width_m - road_width_m)
         kinds = {kind: self.city.street(kind) for kind in SectionKind}
         streets = {kind: street.replace(setback_m=max(street.setback_m, least)) for kind, street in kinds.items()}
@@ -62,10 +62,10 @@ class SkyLevel(Config):
 
     @classmethod
     def named(cls, name: str) -> SkyLevel:
-        """A packaged level: ``open``, ``suburban``, ``urban`` or ``dense``; or the full name of another preset.
+        """Load a packaged level: ``open``, ``suburban``, ``urban`` or ``dense``; or the full name of another preset.
 
-        The name of a recorded sky, a ``.csv`` file, is that sky with the link and the instruments of ``urban``. A
-        ``.yaml`` file is a level of one's own, which may say ``extends: skies/urban``.
+        A ``.csv`` file is a recorded sky, used with the link and the instruments of ``urban``. A ``.yaml`` file is a
+        level of the user and can contain ``extends: skies/urban``.
 
         Raises
         ------
@@ -83,6 +83,6 @@ class SkyLevel(Config):
         return cls.preset(f"skies/{name}" if name in SKY_LEVELS else name)
 
     def navigator(self, base: NavigatorConfig | None = None) -> NavigatorConfig:
-        """The navigator of ``base``, or of the defaults, with this level's reference link and instruments."""
+        """The navigator configuration ``base`` (or the default) with reference link and instruments of this level."""
         link = {"corrections": self.corrections.to_dict(), "positioning": {"rtk": {"max_age_s": self.max_age_s}}}
         return (base or NavigatorConfig()).replace(**deep_merge(link, self.instruments))

@@ -1,8 +1,8 @@
-"""A recorded sky played along a lane network: what stood beside the recorded car stands beside the lanes.
+"""A recorded sky along a lane network: the obstacles beside the recorded car are placed beside the lanes.
 
-The recorded drive goes round and round, from a place that the layout's number draws: distance along the road for
-distance driven, azimuths from the direction of the lane for azimuths from that of travel. Each cell of the sky is
-answered by the recorded signal that is nearest in place and direction. All lanes of an edge see the same.
+The recorded drive is repeated as a loop, with a start drawn by the layout seed. Distance along the road replaces the
+distance driven, and the direction of the lane replaces the direction of travel. Each cell of the sky has the recorded
+signal that is nearest in place and direction. All lanes of an edge have the same sky.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ AZIMUTHS, ELEVATIONS = 60, 18  # cells of 6 by 5 degrees: a recording of some 20
 
 
 def recording_of(path: str) -> SkyRecording:
-    """The recording in a file, read again only when the file has changed.
+    """Read the recording of a file; a file is read again only after a change.
 
     Raises
     ------
     InputError
-        It cannot be read, or ends early.
+        The file cannot be read, or is truncated.
     """
     try:
         state = FilePath(path).stat()
@@ -57,9 +57,9 @@ def _read(path: str, changed_ns: int, size: int) -> SkyRecording:
 def recorded_street(
     network: RoadNetwork, members: list[Corridor], lanes: LaneMap, recording: SkyRecording, layout_seed: int
 ) -> Street:
-    """The street over a network whose sky is that of a recording.
+    """Build the street of a network with the sky of a recording.
 
-    What a planner may know of it is the recording itself: an earlier drive serves as the map.
+    The forecast for a planner is the recording itself: an earlier drive is used as the map.
     """
     chains = max(corridor.chain for corridor in members) + 1
     phase_m = recording.length_m * named_generator(layout_seed, "city").random(chains)

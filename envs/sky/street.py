@@ -1,4 +1,4 @@
-"""What can be received along the lanes of a network, and what a planner may know of it ahead."""
+"""Signal reception along the lanes of a network, and its forecast for a planner."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ Route = Sequence[tuple[str, str, int | None]]
 
 @dataclass(frozen=True)
 class LaneMap:
-    """Where the stations of a network's edges lie in one long row, and which lanes follow which.
+    """Order of the stations of all edges in one row, and connections of the lanes.
 
     Attributes
     ----------
-    spacing_m : between stations along a lane
-    offset_m : arc of the beginning of each edge
+    spacing_m : distance between stations along a lane
+    offset_m : arc of the start of each edge
     length_m : length of each lane
-    reach_m : up to where a lane has stations
+    reach_m : largest longitudinal position of a lane with stations
     beside : left and right neighbours of each lane, None for none
-    following : for each lane, by the next edge's end: the lane taken there
+    following : for each lane, by the end node of the next edge: the next lane
     """
 
     spacing_m: float
@@ -48,7 +48,7 @@ class LaneMap:
 
     @classmethod
     def of(cls, network: RoadNetwork, extent_m: float, spacing_m: float) -> LaneMap:
-        """The map of a network whose lanes have stations from their beginning up to ``extent_m``."""
+        """Build the map of a network whose lanes have stations from their start up to ``extent_m``."""
         offset: dict[Edge, float] = {}
         length: dict[LaneIndex, float] = {}
         beside: dict[LaneIndex, tuple[LaneIndex | None, LaneIndex | None]] = {}
@@ -64,11 +64,11 @@ class LaneMap:
         return cls(spacing_m, offset, length, reach, beside, _following(network))
 
     def stations(self, edge: Edge, lanes: int) -> int:
-        """Number of stations along an edge of so many lanes."""
+        """Number of stations along an edge with a number of lanes."""
         return _stations(max(self.reach_m[(*edge, i)] for i in range(lanes)), self.spacing_m)
 
     def antennas(self, network: RoadNetwork, height_m: float) -> Array:
-        """Antenna positions ENU over the middle of each lane, (N, L, 3); lanes that an edge lacks repeat its last."""
+        """Antenna positions ENU above the centre of each lane, (N, L, 3) [m]; missing lanes repeat the last lane."""
         rows = []
         widest = max(len(lanes) for _, lanes in edges_of(network))
         for edge, lanes in edges_of(network):
@@ -84,7 +84,7 @@ def _stations(reach_m: float, spacing_m: float) -> int:
 
 
 def _following(network: RoadNetwork) -> dict[LaneIndex, dict[str, LaneIndex]]:
-    """The same lane where the next edge has as many, else the one that begins nearest: highway-env's own rule."""
+    """Next lanes by highway-env's rule: the same lane if the next edge has as many lanes, otherwise the nearest one."""
     out: dict[LaneIndex, dict[str, LaneIndex]] = {}
     for (start, end), lanes in edges_of(network):
         for i, lane in enumerate(lanes):
@@ -103,7 +103,7 @@ def _following(network: RoadNetwork) -> dict[LaneIndex, dict[str, LaneIndex]]:
 
 @dataclass(frozen=True)
 class Street:
-    """The sky over a network: what :class:`~lanebound.integrity.sky.visibility.SkyMask` answers, by highway-env lanes.
+    """The sky of a network: :class:`~lanebound.integrity.sky.visibility.SkyMask` with highway-env's lane indices.
 
     Attributes
     ----------
@@ -119,13 +119,13 @@ class Street:
     lanes: LaneMap
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Street:
-        """The street itself: nothing in it changes, and it is large."""
+        """Return the street itself, which is immutable and large."""
         return self
 
     def where(self, lane_index: tuple[str, str, int | None], longitudinal_m: float) -> tuple[float, int]:
-        """Arc [m] and lane for ``SkyMask.look`` and ``Truth``, of a place on a highway-env lane.
+        """Convert a place on a highway-env lane to arc [m] and lane for ``SkyMask.look`` and ``Truth``.
 
-        Places before the beginning, past the end and beyond the stations are those of the nearest station.
+        Places before the start, after the end and beyond the stations are mapped to the nearest station.
 
         Raises
         ------
@@ -144,7 +144,7 @@ class Street:
     def ahead(
         self, lane_index: LaneIndex, longitudinal_m: float, distance_m: float, route: Route | None = None
     ) -> tuple[LaneIndex, float]:
-        """The lane and longitudinal position ``distance_m`` further along the route, or the first way on without one.
+        """Find the lane and longitudinal position ``distance_m`` further along the route.
 
         A route is highway-env's list of lane indices. Without an entry, or after its end, the first edge onward is
         taken; at the end of the last lane, its end.
@@ -168,10 +168,10 @@ class Street:
         sky: SkyView,
         route: Route | None = None,
     ) -> NDArray[np.int64]:
-        """Satellites that the map has in line of sight at distances ahead along the route.  (D,) [m] -> (D, 3).
+        """Predict the number of satellites in line of sight at distances ahead along the route.  (D,) [m] -> (D, 3).
 
-        For the lane to the left, this one and the one to the right; -1 where there is no lane. The neighbours are those
-        of the lane that the route takes at that distance, at the same share of its length.
+        The columns are the lane to the left, the lane of the route and the lane to the right; -1 for no lane. The
+        places on the neighbouring lanes are at the same share of the length.
         """
         places: list[tuple[float, int]] = []
         there: list[bool] = []

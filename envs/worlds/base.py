@@ -1,4 +1,4 @@
-"""What the worlds share: rates, the ego, rewards, and how an episode ends."""
+"""Common parts of the worlds: rates, ego vehicle, rewards, and the end of episodes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ __all__ = ["TARGET_SPEEDS_MPS", "Seat", "World"]
 
 Array = NDArray[np.float64]
 
-# Of meta-actions; evenly spaced, as MDPVehicle asks. Steps of 2 m/s would not brake in time for a lead vehicle.
+# Target speeds of meta-actions; evenly spaced, as MDPVehicle requires. Steps of 2 m/s would brake too late for a lead
+# vehicle.
 TARGET_SPEEDS_MPS = [0.0, 2.8, 5.6, 8.4, 11.2, 14.0]
 CONTINUOUS: dict[str, Any] = {
     "type": "ContinuousAction",
@@ -41,11 +42,11 @@ META: dict[str, Any] = {"type": "DiscreteMetaAction", "target_speeds": TARGET_SP
 
 
 class Seat(NamedTuple):
-    """How a vehicle starts an episode: its lane, how far along it, its speed, and what its driver wants.
+    """Initial state of a vehicle in an episode: lane, longitudinal position, speed, and parameters of its driver.
 
     Attributes
     ----------
-    target_mps, exponent : speed on a free road, and by which power of it the acceleration falls off (IDM drivers)
+    target_mps, exponent : desired speed and acceleration exponent of IDM drivers
     """
 
     lane_index: LaneIndex
@@ -56,24 +57,24 @@ class Seat(NamedTuple):
 
 
 class World(AbstractEnv):  # type: ignore[misc]
-    """A scenario of highway-env on a road of our own.
+    """A highway-env scenario on a road of this package.
 
-    A subclass makes the road (``_network``) and draws the seats of an episode (``draw_seats``); ``OTHERS`` is the class
-    of the vehicles beside the ego, ``TRAFFIC`` the engine's kind of traffic for them, ``ENDS_M`` how far before the end
-    of the road an episode is over (None for roads without an end).
+    A subclass creates the road (``_network``) and draws the initial states of an episode (``draw_seats``). ``OTHERS``
+    is the class of the other vehicles, ``TRAFFIC`` the kind of traffic of the vector engine, ``ENDS_M`` the distance
+    from the end of the road at which an episode ends (None for roads without an end).
 
     Action
-        highway-env's, by ``config["action"]``: ``ContinuousAction`` (acceleration within 6 m/s2, steering within
-        0.4 rad) at 5 Hz, or ``DiscreteMetaAction`` (speeds from 0 to 14 m/s in steps of 2.8) at 2 Hz.
+        As in highway-env, set by ``config["action"]``: ``ContinuousAction`` (acceleration within 6 m/s2, steering
+        within 0.4 rad) at 5 Hz, or ``DiscreteMetaAction`` (speeds from 0 to 14 m/s in steps of 2.8) at 2 Hz.
     Observation
-        highway-env's, by ``config["observation"]``.
+        As in highway-env, set by ``config["observation"]``.
     Reward
-        Weighted sum of progress, centring and collision, brought to [0, 1]; see :meth:`_rewards`.
+        Weighted sum of progress, centring and collision, scaled to [0, 1]; see :meth:`_rewards`.
     Episode end
-        Terminated by a collision, by the vehicle's middle leaving the road, or by driving against its direction;
-        truncated after ``duration``.
+        Terminated by a collision, when the centre of the vehicle leaves the road, or by driving against the direction
+        of the lane; truncated after ``duration``.
     Configuration, besides highway-env's keys
-        ``simulation_frequency`` 20 Hz; ``lane_width`` [m]: 3.25 in towns, 4 is easy, 3 hard for cars 2 m wide;
+        ``simulation_frequency`` 20 Hz; ``lane_width`` [m]: 3.25 in towns, 4 is easy and 3 difficult for cars of 2 m;
         ``duration`` [s]; ``progress_reward``, ``centring_reward``, ``collision_reward``: weights of the terms.
     """
 
@@ -103,7 +104,7 @@ class World(AbstractEnv):  # type: ignore[misc]
 
     @property
     def sections(self) -> tuple[Section, ...]:
-        """What lines the road, where the world itself says so: edge from, edge to, start, end [m], kind of section."""
+        """Surroundings of the road given by the world: edge from, edge to, start, end [m], kind of section."""
         return ()
 
     def _network(self) -> StreetNetwork:
@@ -111,12 +112,12 @@ class World(AbstractEnv):  # type: ignore[misc]
         raise NotImplementedError
 
     def draw_seats(self, rng: np.random.Generator) -> tuple[list[Seat], Array | None]:
-        """The seats of an episode, the ego's first, and the speeds that the others drive step by step, if any."""
+        """Draw the initial states of an episode, the ego first, and the speed profile of the others, if any."""
         raise NotImplementedError
 
     @classmethod
     def most_vehicles(cls, config: dict[str, Any]) -> int:
-        """How many vehicles an episode may have, the ego included."""
+        """Largest number of vehicles in an episode, including the ego."""
         return 1
 
     def _populate(self) -> None:
@@ -141,7 +142,7 @@ class World(AbstractEnv):  # type: ignore[misc]
         self._populate()
 
     def _place_ego(self, index: LaneIndex, longitudinal_m: float, speed_mps: float) -> None:
-        """The ego, in the middle of a lane; one that takes meta-actions tracks the nearest of its target speeds."""
+        """Create the ego in the middle of a lane; with meta-actions it tracks the nearest target speed."""
         lane = self.road.network.get_lane(index)
         vehicle = self.action_type.vehicle_class(
             self.road, lane.position(longitudinal_m, 0.0), heading=lane.heading_at(longitudinal_m), speed=speed_mps
@@ -160,7 +161,7 @@ class World(AbstractEnv):  # type: ignore[misc]
         return s, r, float(wrap_to_pi(self.vehicle.heading - direction))
 
     def _reward(self, action: Any) -> float:
-        """Weighted sum of the terms, brought to [0, 1]."""
+        """Weighted sum of the terms, scaled to [0, 1]."""
         weights = {name: self.config[f"{name}_reward"] for name in ("progress", "centring", "collision")}
         terms = self._rewards(action)
         total = 0.0
@@ -170,9 +171,9 @@ class World(AbstractEnv):  # type: ignore[misc]
         return float(np.clip(lmap(total, [weights["collision"], best], [0.0, 1.0]), 0.0, 1.0))
 
     def _rewards(self, action: Any) -> dict[str, float]:
-        """Terms in [0, 1]: speed along the lane over its limit, nearness to its middle while moving, and a collision.
+        """Terms in [0, 1]: speed along the lane over its limit, closeness to its centre while moving, and collision.
 
-        Neither reversing nor spinning counts as progress, and a vehicle at rest is not rewarded for its place.
+        Reversing and spinning are no progress, and a vehicle at rest gets no reward for its position.
         """
         _, lateral, angle = self._along()
         lane, vehicle = self.vehicle.lane, self.vehicle
@@ -186,20 +187,20 @@ class World(AbstractEnv):  # type: ignore[misc]
         }
 
     def _is_terminated(self) -> bool:
-        """A collision, the vehicle's middle off the road, or driving against its direction."""
+        """Whether there is a collision, the centre is off the road, or the vehicle drives against its lane."""
         off_road = self.config["offroad_terminal"] and not self.vehicle.on_road
         return bool(self.vehicle.crashed or off_road or abs(self._along()[2]) > 0.5 * pi)
 
     def _is_truncated(self) -> bool:
-        """Time is up, half a step of it left to rounding; or the road is at its end."""
+        """Whether the duration has passed (half a step of tolerance), or the end of the road is reached."""
         late = bool(self.time >= self.config["duration"] - 0.5 / self.config["policy_frequency"])
         return late or (self.ENDS_M is not None and bool(self._along()[0] > self.vehicle.lane.length - self.ENDS_M))
 
-    # In the vector engine
+    # Support for the vector engine
 
     @classmethod
     def support(cls) -> Support:
-        """How the engine drives this world: by the same seats, compiled traffic, and the ends and reward above."""
+        """Support for the vector engine: the same initial states, compiled traffic, and the same ends and reward."""
         return Support(
             traffic=cls.TRAFFIC,
             vehicles=lambda world: cls.most_vehicles(world.config),
@@ -212,7 +213,7 @@ class World(AbstractEnv):  # type: ignore[misc]
 
     @staticmethod
     def _ends(world: AbstractEnv) -> dict[str, float]:
-        """Fields of the engine's record WORLD."""
+        """Fields of the record WORLD of the engine."""
         from lanebound.envs.vector.world_kernel import OF_ROADS
 
         c = world.config
@@ -225,21 +226,21 @@ class World(AbstractEnv):  # type: ignore[misc]
 
     @staticmethod
     def _profile_steps(world: AbstractEnv) -> int:
-        """Length of the profile of speeds that vehicles drive."""
+        """Length of the speed profile of the other vehicles."""
         if not issubclass(world.OTHERS, LeadVehicle) or world.most_vehicles(world.config) < 2:
             return 1
         return int(np.ceil(world.config["duration"] / (1.0 / world.config["simulation_frequency"]))) + 1
 
     @staticmethod
     def _refusals(world: AbstractEnv) -> list[tuple[str, str, object]]:
-        """Options that the engine does not take."""
+        """Options that the engine does not support."""
         name = "neighbour_vehicles_connected_lanes"
         joined = world.TRAFFIC != "city" or bool(world.config[name])
         return [] if joined else [(f"world.{name}", "True", False)]
 
 
 def _seated(world: AbstractEnv, table: LaneTable) -> Starter:
-    """The start of episodes by the seats that a world draws, into the records of the engine."""
+    """Starter that writes the initial states drawn by a world to the records of the engine."""
     from lanebound.envs.batch.lanes_kernel import nearest
 
     network, delay = world.road.network, getattr(world.OTHERS, "LANE_CHANGE_DELAY", 1.0)

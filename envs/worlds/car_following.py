@@ -1,4 +1,4 @@
-"""A long road and one vehicle ahead that speeds up, brakes and stands as in town traffic."""
+"""A long road and one vehicle ahead that accelerates, brakes and stops as in town traffic."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ class CarFollowingWorld(World):
     Start
         Behind the lead vehicle at its speed, with a gap of ``standstill_gap + T v`` between bumpers, T uniform.
     Episode end
-        That of :class:`World`; truncated at the end of the road too.
+        That of :class:`World`; also truncated at the end of the road.
     Configuration
-        ``layout`` (0 to 3: which road), ``standstill_gap`` [m], ``time_gap`` [s] (range of T), ``lead`` (keys of
-        :class:`SpeedProfileConfig` to be changed).
+        ``layout`` (0 to 3: which road), ``standstill_gap`` [m], ``time_gap`` [s] (range of T), ``lead`` (changes to
+        :class:`SpeedProfileConfig`).
     """
 
     @classmethod
@@ -52,7 +52,7 @@ class CarFollowingWorld(World):
         return 2
 
     def draw_seats(self, rng: np.random.Generator) -> tuple[list[Seat], Array | None]:
-        """Anywhere from where the episode's time does not reach the end of the road at the limit."""
+        """Draw a start from which the end of the road is not reached within the episode at the speed limit."""
         c = self.config
         law = SpeedProfileConfig.load(c["lead"], "lead")
         speeds = speed_profile(rng, c["duration"], 1.0 / c["simulation_frequency"], law)

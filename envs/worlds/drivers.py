@@ -46,10 +46,10 @@ class SpeedProfileConfig(Config):
 def speed_profile(
     rng: np.random.Generator, duration_s: float, dt_s: float, config: SpeedProfileConfig | None = None
 ) -> Array:
-    """Speeds of a lead vehicle at 0, dt, 2 dt, ... until the duration has passed.  -> (n + 1,) [m/s].
+    """Draw speeds of a lead vehicle at 0, dt, 2 dt, ... until the duration has passed.  -> (n + 1,) [m/s].
 
-    The vehicle cruises first. The acceleration follows the phase's within the jerk, and is eased as the speed comes
-    near the phase's, so that speeds are reached without overshoot; standing is exactly 0.
+    The first phase is a cruise. The acceleration follows that of the phase within the jerk limit, and decreases near
+    the target speed of the phase to avoid overshoot; the speed at standstill is exactly 0.
     """
     c = config or SpeedProfileConfig()
     count = int(np.ceil(duration_s / dt_s)) + 1
@@ -72,7 +72,7 @@ def speed_profile(
 def _towards(
     speed: float, acceleration: float, target: float, rate: float, jerk: float, dt: float
 ) -> tuple[float, float]:
-    """One step of speed and acceleration to a target: ``a^2 / (2 j)`` is what easing off still changes the speed by."""
+    """One step of speed and acceleration to a target; ``a^2 / (2 j)`` is the change of speed until ``a`` is 0."""
     sign = 1.0 if target > speed else -1.0
     left = abs(target - speed)
     pace = max(sign * acceleration, 0.0)

@@ -1,4 +1,4 @@
-"""highway-env's motorway in the vector engine: how its episodes start and end."""
+"""Support of highway-env's motorway by the vector engine: start and end of episodes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ IDM_PATH = "highway_env.vehicle.behavior.IDMVehicle"
 
 
 def motorway_support() -> Support:
-    """How the engine drives ``highway-v0``."""
+    """Support of ``highway-v0`` by the vector engine."""
     return Support(
         traffic="motorway",
         vehicles=lambda world: len(world.road.vehicles),
@@ -35,7 +35,7 @@ def motorway_support() -> Support:
 
 
 def _lined_up(world: AbstractEnv, table: LaneTable) -> Starter:
-    """The draws of ``HighwayEnv``, in their order."""
+    """Starter with the random draws of ``HighwayEnv`` in the same order."""
     from lanebound.envs.vector.start_kernel import line_up
 
     c, lane = world.config, world.config["initial_lane_id"]

@@ -40,7 +40,7 @@ Refusal = tuple[str, str, object]
 
 @dataclass(frozen=True)
 class Support:
-    """How the vector engine drives a world as highway-env does.
+    """Data with which the vector engine simulates a world as highway-env does.
 
     Attributes
     ----------
@@ -104,10 +104,10 @@ def withdraw_world(name: str) -> None:
 
 
 def world_kind(name: str) -> WorldKind | None:
-    """The world of a name, None for one that is only an id of highway-env."""
+    """The registered world with a name, None for other ids of highway-env."""
     return _kinds.get(name)
 
 
 def world_kinds() -> tuple[WorldKind, ...]:
-    """All worlds that are declared."""
+    """All registered worlds."""
     return tuple(_kinds.values())

@@ -1,4 +1,4 @@
-"""A curved road through streets, to be driven in the middle of the lane."""
+"""A curved road through streets, on which the ego stays in the middle of the lane."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ class LaneKeepingWorld(World):
     Action, observation, reward
         Those of :class:`World`.
     Start
-        On a random lane, anywhere from where the episode's time at the limit of 50 km/h does not reach the end of the
-        road, at ``initial_speed`` or that which the bends ahead allow.
+        On a random lane, at a place from which the end of the road is not reached within the episode at the limit of
+        50 km/h, with ``initial_speed`` or the smaller speed that the bends ahead allow.
     Episode end
-        That of :class:`World`; truncated at the end of the road too.
+        That of :class:`World`; also truncated at the end of the road.
     Configuration
         ``layout`` (0 to 3: which road), ``lanes_count`` (in the same direction), ``initial_speed`` [m/s].
     """
@@ -37,7 +37,7 @@ class LaneKeepingWorld(World):
         return winding_road(self.config["layout"], self.config["lanes_count"], self.config["lane_width"])
 
     def draw_seats(self, rng: np.random.Generator) -> tuple[list[Seat], Array | None]:
-        """Anywhere from where the episode's time does not reach the end of the road at the limit."""
+        """Draw a start from which the end of the road is not reached within the episode at the speed limit."""
         index = ("start", "end", int(rng.integers(self.config["lanes_count"])))
         lane = self.road.network.get_lane(index)
         latest = lane.length - END_M - lane.speed_limit * self.config["duration"]

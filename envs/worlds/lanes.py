@@ -1,4 +1,4 @@
-"""A lane that runs beside a path, and the speed at which its bends can be taken."""
+"""A lane at a constant offset from a path, and the advised speed in its bends."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ DECELERATION_MPS2 = 1.2
 
 
 class CurveLane(AbstractLane):  # type: ignore[misc]
-    """A lane at a constant offset from a path, measured along its own middle.
+    """A lane at a constant offset from a path; longitudinal positions are arc lengths of its centre line.
 
-    A parallel curve at offset o to the right has the arc length ``l = s - o (theta(s) - theta(0))``, the same normals,
-    and no other approximation is made: lanes of one path keep their distance exactly.
+    A parallel curve at offset o to the right has the arc length ``l = s - o (theta(s) - theta(0))`` and the same
+    normals. There is no other approximation: the distance between lanes of one path is exactly constant.
 
     Parameters
     ----------
-    path : the line that the road's lanes share
-    offset_m : of the lane's middle, to the right of the path
-    width_m : of the lane
+    path : the common line of the lanes of a road
+    offset_m : offset of the lane's centre to the right of the path
+    width_m : width of the lane
     line_types : left and right marking
-    speed_limit : legal limit [m/s]; bends may ask for less, see :meth:`advised_speed`
+    speed_limit : legal limit [m/s]; in bends see :meth:`advised_speed`
     """
 
     def __init__(
@@ -65,9 +65,9 @@ class CurveLane(AbstractLane):  # type: ignore[misc]
         self._low, self._high = (path.low_m - reach).tolist(), (path.high_m + reach).tolist()
 
     def _into(self, longitudinal: float) -> tuple[int, float]:
-        """Cell and distance along the path into it, of a distance along the lane.
+        """Cell of the path, and distance along the path in it, for a longitudinal position on the lane.
 
-        From ``l = (1 - o kappa) u - o slope u^2 / 2`` the root that does not cancel.
+        Solves ``l = (1 - o kappa) u - o slope u^2 / 2`` with the numerically stable root.
         """
         cell = min(max(bisect_right(self._station, longitudinal) - 1, 0), self._last)
         rest = longitudinal - self._station[cell]
@@ -79,7 +79,7 @@ class CurveLane(AbstractLane):  # type: ignore[misc]
         return self.path.at(*self._into(longitudinal))
 
     def position(self, longitudinal: float, lateral: float) -> Array:
-        """Point at a distance along the lane and to the right of it.  -> (2,) [m]."""
+        """Point at a longitudinal position and an offset to the right.  -> (2,) [m]."""
         x, y, heading = self._pose(longitudinal)
         aside = lateral + self.offset_m
         return np.array([x - aside * sin(heading), y + aside * cos(heading)])
@@ -100,7 +100,7 @@ class CurveLane(AbstractLane):  # type: ignore[misc]
         return self._pose(longitudinal).heading
 
     def curvature_at(self, longitudinal: float) -> float:
-        """Curvature of the lane's middle [1/m], positive to the right: ``kappa / (1 - o kappa)``."""
+        """Curvature of the lane's centre line [1/m], positive to the right: ``kappa / (1 - o kappa)``."""
         cell, into = self._into(longitudinal)
         kappa = self.path.kappa[cell] + self.path.slope[cell] * into
         return kappa / (1.0 - self.offset_m * kappa)
@@ -112,18 +112,18 @@ class CurveLane(AbstractLane):  # type: ignore[misc]
     def on_lane(
         self, position: Array, longitudinal: float | None = None, lateral: float | None = None, margin: float = 0.0
     ) -> bool:
-        """Whether a point lies on the lane; the base class's rule without numpy."""
+        """Whether a point lies on the lane, by the rule of the base class without NumPy."""
         if longitudinal is None or lateral is None:
             longitudinal, lateral = self.local_coordinates(position)
         beside = abs(lateral) <= self.width / 2 + margin
         return beside and -self.VEHICLE_LENGTH <= longitudinal < self.length + self.VEHICLE_LENGTH
 
     def may_hold(self, x: float, y: float) -> bool:
-        """Whether a point lies in a box about the lane: elsewhere :meth:`on_lane` with 1 m of margin is false."""
+        """Whether a point lies in the bounding box of the lane; outside :meth:`on_lane` with 1 m margin is False."""
         return bool(self._low[0] <= x <= self._high[0] and self._low[1] <= y <= self._high[1])
 
     def distance_with_heading(self, position: Array, heading: float | None, heading_weight: float = 1.0) -> float:
-        """Distance beside the lane and beyond its ends, plus the weighted angle to it; the base class's rule."""
+        """Distance from the lane and its ends plus the weighted angle to the lane, by the rule of the base class."""
         path, offset = self.path, self.offset_m
         cell, into, lateral = path.project(float(position[0]), float(position[1]))
         turned = (path.kappa[cell] + 0.5 * path.slope[cell] * into) * into
@@ -135,7 +135,7 @@ class CurveLane(AbstractLane):  # type: ignore[misc]
         return distance + heading_weight * abs(angle)
 
     def advised_speed(self, longitudinal: float) -> float:
-        """Speed [m/s] at which the bends here and ahead on this lane can be taken in comfort.
+        """Largest comfortable speed [m/s] with respect to the bends here and ahead on this lane.
 
         ``min over s' >= s of sqrt(v(s')^2 + 2 b (s' - s))`` with ``v(s) = min(limit, sqrt(a / |kappa(s)|))``.
         """
@@ -144,11 +144,11 @@ class CurveLane(AbstractLane):  # type: ignore[misc]
 
     @classmethod
     def from_config(cls, config: dict[str, Any]) -> CurveLane:
-        """The lane that :meth:`to_config` described."""
+        """The lane from the output of :meth:`to_config`."""
         return _lane(**config)
 
     def to_config(self) -> dict[str, Any]:
-        """The lane in plain values."""
+        """The lane as plain data."""
         return {
             "class_path": get_class_path(_lane),
             "config": {
@@ -163,14 +163,14 @@ class CurveLane(AbstractLane):  # type: ignore[misc]
 
 
 def _lane(start: Sequence[float], pieces: Sequence[Sequence[float]], **rest: Any) -> CurveLane:
-    """A lane from plain values, as highway-env's ``lane_from_config`` calls for it."""
+    """A lane from plain data, for highway-env's ``lane_from_config``."""
     path = Path.of(Pose(*start), [Piece(*piece) for piece in pieces])
     return CurveLane(path, **{**rest, "line_types": tuple(rest["line_types"])})
 
 
 @lru_cache(maxsize=128)
 def _advice(path: Path, offset_m: float, speed_limit: float) -> list[float]:
-    """Advised speed at every step of a lane, from its end backwards."""
+    """Advised speed at every step of a lane, computed backwards from its end."""
     lane = CurveLane(path, offset_m, 1.0, speed_limit=speed_limit)
     stations = np.arange(0.0, lane.length + ADVICE_STEP_M, ADVICE_STEP_M).tolist()
     out, ahead = [], speed_limit

@@ -1,7 +1,7 @@
-"""The roads of the worlds: winding roads through streets, a long gently curved one, and a loop through a city.
+"""The roads of the worlds: winding roads through streets, a long road with large radii, and a loop through a city.
 
-Roads are fixed by their layout number, so that what stands beside them can be built once; they are not drawn anew each
-episode. Lane 0 is the leftmost, as everywhere in highway-env.
+A road is determined by its layout number and is the same in all episodes; the obstacles beside it are built once. Lane
+0 is the leftmost lane, as in highway-env.
 """
 
 from __future__ import annotations
@@ -56,10 +56,10 @@ CITY_SECTIONS: tuple[Section, ...] = (
 
 
 class StreetNetwork(RoadNetwork):  # type: ignore[misc]
-    """A road network of :class:`CurveLane` that finds the closest lane without asking those that are too far away.
+    """A road network of :class:`CurveLane` with a fast search for the closest lane.
 
-    The answer is that of ``RoadNetwork``, ties included: a road is passed over only when the box about its lanes is
-    farther than the best lane so far, and no distance to a lane is less than that to its box.
+    The result is that of ``RoadNetwork``, including ties: a road is skipped only if the bounding box of its lanes is
+    farther than the best lane found, and the distance to a lane is at least that to its box.
     """
 
     def __init__(self) -> None:
@@ -67,12 +67,12 @@ class StreetNetwork(RoadNetwork):  # type: ignore[misc]
         self._boxes: list[Box] = []
 
     def add_lane(self, _from: str, _to: str, lane: CurveLane) -> None:
-        """Append a lane, to the right of those that are there, to the road between two nodes."""
+        """Append a lane to the right of the existing lanes between two nodes."""
         super().add_lane(_from, _to, lane)
         self._boxes = []
 
     def add_road(self, edge: tuple[str, str], path: Path, lanes: int, width_m: float) -> None:
-        """Parallel lanes about a path, with broken lines between them and whole ones outside."""
+        """Add parallel lanes centred on a path, with broken lines between them and solid lines outside."""
         if lanes < 1 or width_m <= 0.0:
             raise InputError(f"a road needs lanes >= 1 and width_m > 0, got {lanes} and {width_m}")
         for k in range(lanes):
@@ -81,7 +81,7 @@ class StreetNetwork(RoadNetwork):  # type: ignore[misc]
             self.add_lane(*edge, CurveLane(path, (k - 0.5 * (lanes - 1)) * width_m, width_m, (left, right)))
 
     def _box_up(self) -> None:
-        """Boxes about the middles of each road's lanes; a metre covers what bulges out between a path's samples."""
+        """Compute bounding boxes of the centre lines of each road; a margin of 1 m covers the error of sampling."""
         for a, ends in self.graph.items():
             for b, lanes in ends.items():
                 margin = np.array([[abs(lane.offset_m) + 1.0] for lane in lanes])
@@ -90,7 +90,7 @@ class StreetNetwork(RoadNetwork):  # type: ignore[misc]
                 self._boxes.append((a, b, lanes, (low[0], low[1], high[0], high[1])))
 
     def get_closest_lane_index(self, position: Array, heading: float | None = None) -> LaneIndex:
-        """Index of the lane with the least distance, weighted angle included; roads whose box is nearest come first."""
+        """Index of the lane with the smallest distance (including the weighted angle); nearest boxes are first."""
         if not self._boxes:
             self._box_up()
         x, y = float(position[0]), float(position[1])
@@ -109,7 +109,7 @@ class StreetNetwork(RoadNetwork):  # type: ignore[misc]
 
 
 def winding_road(layout: int, lanes: int, width_m: float) -> StreetNetwork:
-    """1.7 to 2.1 km through streets: straights, bends of 40 to 160 m radius, S-bends; edge ("start", "end")."""
+    """Road of 1.7 to 2.1 km: straights, bends of 40 to 160 m radius, S-bends; edge ("start", "end")."""
     network = StreetNetwork()
     path = _winding(layout, 1700.0, (40.0, 160.0), (0.4, 1.5), (30.0, 120.0))
     network.add_road(("start", "end"), path, lanes, width_m)
@@ -117,7 +117,7 @@ def winding_road(layout: int, lanes: int, width_m: float) -> StreetNetwork:
 
 
 def long_road(layout: int, width_m: float) -> StreetNetwork:
-    """2.6 to 3.1 km of one lane: straights and gentle bends of 200 to 600 m radius; edge ("start", "end")."""
+    """Road of 2.6 to 3.1 km with one lane: straights and bends of 200 to 600 m radius; edge ("start", "end")."""
     network = StreetNetwork()
     path = _winding(layout, 2600.0, (200.0, 600.0), (0.1, 0.5), (80.0, 300.0))
     network.add_road(("start", "end"), path, 1, width_m)
@@ -125,7 +125,7 @@ def long_road(layout: int, width_m: float) -> StreetNetwork:
 
 
 def city_loop(width_m: float) -> StreetNetwork:
-    """Two lanes once around a city, clockwise, in four edges that meet on straights: a, b, c, d and a again."""
+    """Clockwise loop of two lanes around a city, in four edges that are connected on straights: a, b, c, d, a."""
     network = StreetNetwork()
     sides = rounded_polygon([(x, y, r) for x, y, r in CITY_CORNERS], CITY_TRANSITION_M)
     for k, node in enumerate(CITY_NODES):
@@ -138,7 +138,7 @@ def city_loop(width_m: float) -> StreetNetwork:
 
 
 def _joined(pieces: list[Piece]) -> list[Piece]:
-    """Neighbouring straights as one."""
+    """Join adjacent straights."""
     out: list[Piece] = []
     for piece in pieces:
         if out and piece.start == piece.end == out[-1].start == out[-1].end == 0.0:
@@ -156,10 +156,10 @@ def _winding(
     angle_rad: tuple[float, float],
     straight_m: tuple[float, float],
 ) -> Path:
-    """A road by rule: straights and bends in turn, one bend in three at once followed by its opposite.
+    """Random road of alternating straights and bends; one of three bends is directly followed by the opposite bend.
 
-    The layout number seeds the rule; it is geometry, not an episode's chance. Radii are log-uniform. Bends turn back
-    towards the x axis where they would leave it by more than ``TURN_LIMIT_RAD``.
+    The layout number is the seed; the road does not depend on the seed of an episode. Radii are log-uniform. A bend
+    turns back towards the x axis if the angle to it would exceed ``TURN_LIMIT_RAD``.
     """
     rng = np.random.default_rng(layout)
     pieces, heading = straight(80.0), 0.0
@@ -180,9 +180,9 @@ def _winding(
 def advance(
     network: RoadNetwork, index: LaneIndex, longitudinal_m: float, distance_m: float
 ) -> tuple[LaneIndex, float]:
-    """The lane and place on it a distance further on, or back, along the only road there is.
+    """Lane and longitudinal position at a (signed) distance along a road without forks.
 
-    At the end of the road the distance runs on beyond the last lane.
+    Beyond the end of the road the position is extrapolated on the last lane.
     """
     s = longitudinal_m + distance_m
     while s >= network.get_lane(index).length and index[1] in network.graph:

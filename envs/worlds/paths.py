@@ -1,7 +1,7 @@
-"""Plane curves whose curvature is linear piece by piece: straights, arcs and the clothoids between them.
+"""Plane curves with piecewise linear curvature: straights, arcs and clothoids.
 
-Frame ``xy`` of highway-env: x ahead, y to the right, headings clockwise from x seen from above, curvature positive when
-the road turns right. A curve ends on straights at both sides and is prolonged by them.
+Frame ``xy`` of highway-env: x forward, y to the right, headings clockwise from x seen from above, curvature positive to
+the right. A curve starts and ends with straights, which continue it beyond its ends.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Pose(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """A stretch of length [m] along which the curvature runs linearly between two values [1/m]."""
+    """A piece of length [m] with a curvature that is linear between two values [1/m]."""
 
     length: float
     start: float
@@ -44,7 +44,7 @@ class Piece(NamedTuple):
 
 
 class Foot(NamedTuple):
-    """The nearest point of a curve: its cell, the distance into the cell [m], and how far to the right of it [m]."""
+    """The nearest point of a curve: its cell, the distance in the cell [m], and the offset to the right [m]."""
 
     cell: int
     into: float
@@ -52,15 +52,15 @@ class Foot(NamedTuple):
 
 
 def straight(length_m: float) -> list[Piece]:
-    """A straight."""
+    """A straight piece."""
     return [Piece(length_m, 0.0, 0.0)]
 
 
 def bend(angle_rad: float, radius_m: float, transition_m: float) -> list[Piece]:
     """A turn to the right (angle > 0) or left: clothoid, arc, clothoid.
 
-    A clothoid of length L between a straight and radius R turns by L / (2 R), so the arc turns by the rest; where the
-    angle is too small for that, the clothoids are shortened and no arc is left.
+    A clothoid of length L between a straight and radius R turns by L / (2 R); the arc turns by the rest. If the angle
+    is too small, the clothoids are shortened and there is no arc.
     """
     if radius_m <= 0.0 or transition_m < 0.0 or angle_rad == 0.0:
         raise InputError(
@@ -76,9 +76,9 @@ def bend(angle_rad: float, radius_m: float, transition_m: float) -> list[Piece]:
 def rounded_polygon(
     corners: Sequence[tuple[float, float, float]], transition_m: float
 ) -> list[tuple[Pose, list[Piece]]]:
-    """A closed curve through a polygon's sides, its corners (x, y, radius) rounded by bends.
+    """A closed curve along the sides of a polygon with corners (x, y, radius) rounded by bends.
 
-    One entry a side: the pose at the middle of the side, and what leads from there to the middle of the next side.
+    Each entry has the pose at the middle of a side and the pieces from there to the middle of the next side.
     """
     count = len(corners)
     points = [np.array(corner[:2]) for corner in corners]
@@ -101,7 +101,7 @@ def rounded_polygon(
 
 
 def _tangent(pieces: Sequence[Piece], turn: float) -> float:
-    """Distance from a corner to where its bend begins, from the bend's chord (X, Y): X - Y / tan(turn)."""
+    """Distance from a corner to the start of its bend, from the chord (X, Y) of the bend: X - Y / tan(turn)."""
     pose = Pose(0.0, 0.0, 0.0)
     for piece in pieces:
         pose = _advance_far(pose, piece)
@@ -109,7 +109,7 @@ def _tangent(pieces: Sequence[Piece], turn: float) -> float:
 
 
 def _advance(pose: Pose, kappa: float, slope: float, into: float) -> Pose:
-    """Pose at a distance into a cell, whose curvature is ``kappa + slope into``.
+    """Pose at a distance ``into`` a cell with the curvature ``kappa + slope into``.
 
     Closed form on straights and arcs: the chord of an arc of angle a is ``s sin(a / 2) / (a / 2)``.
     """
@@ -127,7 +127,7 @@ def _advance(pose: Pose, kappa: float, slope: float, into: float) -> Pose:
 
 
 def _cells(piece: Piece) -> list[Piece]:
-    """A clothoid in short cells; straights and arcs as they are."""
+    """Cells of a piece: short cells of a clothoid, one cell for a straight or an arc."""
     if piece.start == piece.end:
         return [piece]
     count = int(np.ceil(piece.length / CLOTHOID_CELL_M))
@@ -143,9 +143,9 @@ def _advance_far(pose: Pose, piece: Piece) -> Pose:
 
 
 class Path:
-    """A curve of pieces from a pose: points on it, and the nearest point to any other.
+    """A curve of pieces that starts at a pose, with poses along it and projection of points onto it.
 
-    Immutable; equal ones are the same object, in copies and after pickling too.
+    Immutable; equal paths are the same object, also after copying and pickling.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ class Path:
     Raises
     ------
     InputError
-        Without a straight at either end, or with a piece that has no length.
+        The first or last piece is not straight, or a piece has no length.
     """
 
     def __init__(self, start: Pose, pieces: tuple[Piece, ...]) -> None:
@@ -179,7 +179,7 @@ class Path:
 
     @staticmethod
     def of(start: Pose, pieces: Sequence[Piece]) -> Path:
-        """The path of these pieces, made once and shared."""
+        """The shared path of these pieces."""
         return _shared(Pose(*start), tuple(Piece(*piece) for piece in pieces))
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -192,7 +192,7 @@ class Path:
         return self
 
     def _index(self) -> None:
-        """In every square of the plane about the path, the cell to begin a search at."""
+        """The start cell of a search for each square of the plane around the path."""
         station = np.linspace(0.0, self.length, int(self.length / SAMPLE_M) + 2)
         cell = np.searchsorted(np.array(self.station[1:-1]), station, side="right")
         points = np.array([self.at(k, s - self.station[k])[:2] for k, s in zip(cell.tolist(), station, strict=True)])
@@ -211,19 +211,19 @@ class Path:
 
     @property
     def near(self) -> list[list[int]]:
-        """The cell to begin a search at, by column and row of squares."""
+        """The start cell of a search, by column and row of squares."""
         return self._near
 
     def cell_of(self, station_m: float) -> int:
-        """The cell of an arc length; the first and the last hold what lies before and after."""
+        """The cell of an arc length; the first and last cells extend beyond the ends."""
         return min(max(bisect_right(self.station, station_m) - 1, 0), self._last)
 
     def at(self, cell: int, into_m: float) -> Pose:
-        """Pose at a distance into a cell."""
+        """Pose at a distance in a cell."""
         return _advance(self.pose[cell], self.kappa[cell], self.slope[cell], into_m)
 
     def pose_at(self, station_m: float) -> Pose:
-        """Pose at an arc length, on the prolonged ends too."""
+        """Pose at an arc length, also beyond the ends."""
         cell = self.cell_of(station_m)
         return self.at(cell, station_m - self.station[cell])
 
@@ -233,7 +233,7 @@ class Path:
         return self.kappa[cell] + self.slope[cell] * (station_m - self.station[cell])
 
     def project(self, x: float, y: float) -> Foot:
-        """The nearest point of the path, to rounding, for points nearer than half the way to another part of it."""
+        """The nearest point of the path, exact up to rounding, for points closer to this part than to any other."""
         key = (x, y)
         foot = self._memory.get(key)
         if foot is None:
@@ -243,7 +243,7 @@ class Path:
         return foot
 
     def _search(self, x: float, y: float) -> Foot:
-        """Walk from the indexed cell to the one in which the foot lies; a foot between two cells is their joint."""
+        """Search from the indexed cell for the cell of the foot; a foot between two cells is their common point."""
         column = min(max(floor((x - self._x0) / SQUARE_M), 0), self._columns)
         row = min(max(floor((y - self._y0) / SQUARE_M), 0), self._rows)
         cell, way = self._near[column][row], 0
@@ -262,15 +262,16 @@ class Path:
                 return Foot(cell, into, lateral)
 
     def _offset(self, cell: int, x: float, y: float) -> float:
-        """How far to the right of a cell's first point."""
+        """Offset to the right of the first point of a cell."""
         x0, y0, heading = self.pose[cell]
         return (y - y0) * cos(heading) - (x - x0) * sin(heading)
 
     def _foot(self, cell: int, x: float, y: float) -> tuple[float, float]:
-        """Distance into a cell of the foot of the normal, which may lie outside it, and the offset to the right.
+        """Distance in a cell of the foot of the normal, which may lie outside of it, and the offset to the right.
 
-        On an arc the angle about its middle gives both. On a clothoid Newton's rule goes on from the arc that touches
-        the cell's start: the distance t ahead of a point at s and n to its right changes as ``t' = kappa n - 1``.
+        On an arc both follow from the angle about its centre. On a clothoid Newton's method starts at the result for
+        the arc tangent to the start of the cell: with the offset n, the distance t from s to the point changes as
+        ``t' = kappa n - 1``.
         """
         x0, y0, heading = self.pose[cell]
         c, s = cos(heading), sin(heading)

@@ -15,7 +15,7 @@ __all__ = ["StreetRoad"]
 
 
 class StreetRoad(Road):  # type: ignore[misc]
-    """A road on a :class:`StreetNetwork`; its answers are those of ``Road``."""
+    """A road on a :class:`StreetNetwork` with the same results as ``Road``."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -24,7 +24,7 @@ class StreetRoad(Road):  # type: ignore[misc]
     def neighbour_vehicles(
         self, vehicle: RoadObject, lane_index: LaneIndex | None = None
     ) -> tuple[RoadObject | None, RoadObject | None]:
-        """The nearest ahead of and behind a vehicle on a lane, its own by default, and on those joined to it."""
+        """Nearest vehicles ahead and behind on a lane (by default that of the vehicle) and on connected lanes."""
         index = lane_index or vehicle.lane_index
         if not index:
             return None, None
@@ -45,7 +45,7 @@ class StreetRoad(Road):  # type: ignore[misc]
         return front, rear
 
     def _chain(self, index: LaneIndex) -> list[tuple[CurveLane, float]]:
-        """A lane and those that follow and precede it, with where they begin along it [m]."""
+        """A lane with its following and preceding lanes, and their starts along it [m]."""
         if not self.neighbour_vehicles_connected_lanes:
             return [(self.network.get_lane(index), 0.0)]
         chain = self._chains.get(index)
@@ -60,7 +60,7 @@ class StreetRoad(Road):  # type: ignore[misc]
 
 
 def _place(other: RoadObject, chain: list[tuple[CurveLane, float]]) -> float | None:
-    """Where an object is along a chain of lanes: on the first that it stands on, 1 m beside it included [m]."""
+    """Position of an object along a chain of lanes [m], on the first lane within 1 m of it; None for no lane."""
     position = other.position
     x, y = float(position[0]), float(position[1])
     for lane, start in chain:

@@ -1,4 +1,4 @@
-"""Round a city: a loop of open road, canyons, overpasses and a tunnel, among other traffic."""
+"""A city loop with open road, canyons, overpasses, a tunnel and traffic."""
 
 from __future__ import annotations
 
@@ -13,21 +13,22 @@ from lanebound.envs.worlds.networks import CITY_SECTIONS, Section, StreetNetwork
 
 __all__ = ["UrbanCanyonWorld"]
 
-ROOM_M = 20.0  # from middle to middle of two vehicles at the start
+ROOM_M = 20.0  # smallest distance between the centres of two vehicles at the start
 
 
 class UrbanCanyonWorld(World):
-    """Drive round a loop of 3 km with two lanes and corners of 24 m radius upwards, among city drivers.
+    """Drive along a loop of 3 km with two lanes and corners of at least 24 m radius among city drivers.
 
     Action, observation, reward
         Those of :class:`World`; meta-actions at 2 Hz by default.
     Start
-        Anywhere on the loop, at ``initial_speed`` or that which the bends ahead allow; the others about the ego.
+        Anywhere on the loop, with ``initial_speed`` or the smaller speed that the bends ahead allow; the others start
+        around the ego.
     Episode end
         That of :class:`World`; the loop has no end.
     Configuration
-        ``vehicles_count`` (other vehicles at most; places already taken stay single), ``spread`` [m] (range along the
-        road, from the ego, in which they start), ``initial_speed`` [m/s].
+        ``vehicles_count`` (largest number of other vehicles; a vehicle whose place is occupied is left out), ``spread``
+        [m] (range along the road around the ego for their starts), ``initial_speed`` [m/s].
     """
 
     OTHERS: ClassVar[type[Vehicle]] = CityDriver
@@ -48,7 +49,7 @@ class UrbanCanyonWorld(World):
 
     @property
     def sections(self) -> tuple[Section, ...]:
-        """What lines the loop; ends are clipped to the edges' lengths."""
+        """Surroundings of the loop; ends are limited to the lengths of the edges."""
         graph = self.road.network.graph
         return tuple((a, b, start, min(end, graph[a][b][0].length), kind) for a, b, start, end, kind in CITY_SECTIONS)
 
@@ -57,11 +58,11 @@ class UrbanCanyonWorld(World):
 
     @classmethod
     def most_vehicles(cls, config: dict[str, Any]) -> int:
-        """The ego and the others, of which some may be left out."""
+        """Number of the ego and all others, some of which may be left out."""
         return 1 + int(config["vehicles_count"])
 
     def draw_seats(self, rng: np.random.Generator) -> tuple[list[Seat], Array | None]:
-        """Anywhere on the loop; others that would start too near to one are left out."""
+        """Draw places on the loop; vehicles that would start too close to another are left out."""
         c, network = self.config, self.road.network
         start, end, side = network.random_lane_index(rng)
         index = (str(start), str(end), int(side))

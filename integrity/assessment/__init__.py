@@ -1,1 +1,1 @@
-"""."""
+"""Assessment of errors, protection levels, alerts and availability against the truth."""

@@ -1,4 +1,4 @@
-"""Size of the position errors, mode by mode: median, RMSE, percentiles (S1 table 2, S3 II.A)."""
+"""Statistics of position errors by mode: median, RMSE, percentiles (S1 table 2, S3 II.A)."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ class AxisAccuracy:
 
 
 def measure_accuracy(error_m: ArrayLike) -> AxisAccuracy:
-    """Statistics of signed errors of any shape.
+    """Compute statistics of signed errors of any shape.
 
     Raises
     ------
     InputError
-        No errors, or a non-finite one.
+        There are no errors, or an error is not finite.
     """
     error = require_finite("error_m", error_m).ravel()
     if error.size == 0:
-        raise InputError("error_m must have at least one entry, got none: check the mode before measuring it")
+        raise InputError("error_m must have at least one entry, got none: select a mode that occurs")
     p50, p75, p95 = np.percentile(np.abs(error), [50.0, 75.0, 95.0])
     rmse = np.sqrt(np.mean(error**2))
     figures = (float(v) for v in (p50, p75, p95, rmse, error.mean(), np.abs(error).max()))
@@ -46,7 +46,7 @@ def measure_accuracy(error_m: ArrayLike) -> AxisAccuracy:
 
 
 def accuracy_by_mode(record: Record) -> dict[str, dict[str, dict[str, Any]]]:
-    """``{mode key or "all": {"at": {...}, "ct": {...}}}``; modes that do not occur are left out, JSON-able."""
+    """``{mode key or "all": {"at": {...}, "ct": {...}}}``; modes that do not occur are left out; JSON data."""
     selections = {mode.key: record.mode == mode for mode in record.modes_present()}
     positioned = record.mode != Mode.NONE
     if positioned.any():
@@ -58,5 +58,5 @@ def accuracy_by_mode(record: Record) -> dict[str, dict[str, dict[str, Any]]]:
 
 
 def mode_share(record: Record) -> dict[str, float]:
-    """Share of the epochs spent in each mode, by key; they add up to 1."""
+    """Share of the epochs in each mode, by key; the sum is 1."""
     return {mode.key: float((record.mode == mode).mean()) for mode in Mode}

@@ -1,4 +1,4 @@
-"""How often, and how long at a stretch, the position may be used: availability, continuity, outages."""
+"""Availability, continuity and outages of the position."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Bools = NDArray[np.bool_]
 
 
 def integrity_available(record: Record, al_at_m: float, al_ct_m: float) -> Bools:
-    """``PL <= AL`` on both axes (S3 II.B), shaped like the record."""
+    """Whether ``PL <= AL`` on both axes (S3 II.B), with the shape of the record."""
     limits = (al_at_m, al_ct_m)
     for axis, limit in zip(AXES, limits, strict=True):
         require_in_range(f"al_{axis}_m", limit, 0.0, np.inf, low_open=True, high_open=True)
@@ -27,17 +27,17 @@ def integrity_available(record: Record, al_at_m: float, al_ct_m: float) -> Bools
 
 
 def availability_by_mode(record: Record, al_at_m: float, al_ct_m: float) -> dict[str, float]:
-    """Share of available epochs in each mode that occurs, by key, and in ``all`` epochs (no solution included)."""
+    """Share of available epochs in each occurring mode, by key, and in ``all`` epochs (also those without solution)."""
     usable = integrity_available(record, al_at_m, al_ct_m)
     shares = {mode.key: float(usable[record.mode == mode].mean()) for mode in record.modes_present()}
     return {**shares, "all": float(usable.mean())}
 
 
 def continuity(available: ArrayLike, time_s: ArrayLike, window_s: float) -> float:
-    """Probability of staying available for ``window_s``, given availability at its start (S3 II.A).
+    """Probability of availability throughout ``window_s``, given availability at its start (S3 II.A).
 
-    available (T,) or (T, B), time_s (T,). Windows that run past the end of the record are not counted; 0 when the
-    position is never available at the start of a window.
+    available (T,) or (T, B), time_s (T,). Windows beyond the end of the record are not counted; 0 if the position is
+    never available at the start of a window.
 
     Raises
     ------
@@ -57,13 +57,13 @@ def continuity(available: ArrayLike, time_s: ArrayLike, window_s: float) -> floa
 
 @dataclass(frozen=True)
 class Outages:
-    """Uninterrupted stretches without service: start [s] and length [s], both (R,), over all vehicles."""
+    """Uninterrupted intervals without service: start [s] and length [s], both (R,), of all vehicles."""
 
     start_s: Array
     length_s: Array
 
     def summary(self) -> dict[str, Any]:
-        """Number, and shortest, median, longest and total length [s], JSON-able; 0 when there is none."""
+        """Number, and shortest, median, longest and total length [s], as JSON data; 0 without outages."""
         length = self.length_s if self.length_s.size else np.zeros(1)
         return {
             "count": int(self.length_s.size),
@@ -75,9 +75,9 @@ class Outages:
 
 
 def find_outages(service: ArrayLike, time_s: ArrayLike) -> Outages:
-    """Stretches where ``service`` is False: epoch i stands for the time from epoch i to i + 1.
+    """Find intervals in which ``service`` is False; epoch i represents the time from epoch i to i + 1.
 
-    service (T,) or (T, B), time_s (T,). In an outage that lasts to the end, the last epoch counts one median interval.
+    service (T,) or (T, B), time_s (T,). In an outage at the end, the last epoch has the length of a median interval.
 
     >>> find_outages([True, False, False, True], [0.0, 0.5, 1.0, 1.5]).length_s
     array([1.])

@@ -1,4 +1,4 @@
-"""Does the protection level bound the error? Exceedance rates with exact intervals, and how tight the bound is."""
+"""Bounding of errors by protection levels: exceedance rates with exact intervals, and ratios of level and error."""
 
 from __future__ import annotations
 
@@ -18,19 +18,21 @@ RATIO_QUANTILES = (0.001, 0.01, 0.05, 0.5)
 
 
 def clopper_pearson(events: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Exact two-sided interval of a probability after ``events`` in ``trials`` (Clopper and Pearson 1934).
+    """Exact two-sided confidence interval of a probability after ``events`` in ``trials`` (Clopper and Pearson 1934).
 
-    ``B(a/2; k, n - k + 1)`` and ``B(1 - a/2; k + 1, n - k)``, B the quantile of the beta distribution. It assumes
-    independent trials: epochs closer than the errors' correlation time carry less than they count.
+    ``B(a/2; k, n - k + 1)`` and ``B(1 - a/2; k + 1, n - k)``, B the quantile of the beta distribution. Trials are
+    assumed independent; for epochs within the correlation time of the errors the interval is too narrow.
 
     Raises
     ------
     InputError
-        ``events`` outside [0, trials], no trials, or a confidence outside (0, 1).
+        ``events`` is outside [0, trials], there are no trials, or the confidence is outside (0, 1).
     """
     require_probability("confidence", confidence)
     if trials < 1 or not 0 <= events <= trials:
-        raise InputError(f"events must lie in [0, trials] with trials >= 1, got {events} of {trials}: recount them")
+        raise InputError(
+            f"events must lie in [0, trials] with trials >= 1, got {events} of {trials}: correct the counts"
+        )
     tail = 0.5 * (1.0 - confidence)
     low = float(betaincinv(events, trials - events + 1, tail)) if events > 0 else 0.0
     high = float(betaincinv(events + 1, trials - events, 1.0 - tail)) if events < trials else 1.0
@@ -39,10 +41,10 @@ def clopper_pearson(events: int, trials: int, confidence: float = 0.95) -> tuple
 
 @dataclass(frozen=True)
 class Bounding:
-    """How often ``|error| > PL``, its interval, and quantiles of ``PL / |error|`` (1 and more: bounded).
+    """Rate of ``|error| > PL`` with its interval, and quantiles of ``PL / |error|`` (1 and more: bounded).
 
-    ``pl_median_m`` is None where less than half of the epochs have a protection level; ratios count a missing level as
-    infinite, and are None when they are.
+    ``pl_median_m`` is None if less than half of the epochs have a protection level. A missing level is an infinite
+    ratio; infinite ratios are given as None.
     """
 
     epochs: int
@@ -56,12 +58,12 @@ class Bounding:
 
 
 def measure_bounding(error_m: ArrayLike, pl_m: ArrayLike, confidence: float = 0.95) -> Bounding:
-    """Bounding of errors by protection levels, arrays of one shape [m].
+    """Measure the bounding of errors by protection levels, arrays of the same shape [m].
 
     Raises
     ------
     InputError
-        No epochs, or shapes that differ.
+        There are no epochs, or the shapes differ.
     """
     error, pl = np.abs(np.asarray(error_m, dtype=np.float64)), np.asarray(pl_m, dtype=np.float64)
     if error.shape != pl.shape or error.size == 0:
@@ -88,7 +90,7 @@ def _finite(value: float) -> float | None:
 
 
 def bounding_by_mode(record: Record, confidence: float = 0.95) -> dict[str, dict[Axis, dict[str, Any]]]:
-    """``{mode key: {"at": {...}, "ct": {...}}}`` for the modes that occur, JSON-able."""
+    """``{mode key: {"at": {...}, "ct": {...}}}`` for the modes that occur, as JSON data."""
     return {
         mode.key: {
             axis: asdict(measure_bounding(record.error(axis)[keep], record.pl(axis)[keep], confidence)) for axis in AXES

@@ -1,7 +1,7 @@
-"""Errors between fixes, drawn at random, against the levels of modes without redundancy (S1 eq 18-21).
+"""Monte Carlo of errors between fixes, compared with the levels of modes without redundancy (S1 eq 18-21).
 
-A run is one outage: a steady speed, a steady turn, and either Doppler velocities or odometer and heading. The errors of
-many vehicles follow the processes that the levels assume, with biases at their bounds.
+A run is one outage with constant speed and turn rate, and either Doppler velocities or odometer and heading. The errors
+of many vehicles follow the processes assumed by the levels, with biases at their bounds.
 """
 
 from __future__ import annotations
@@ -30,24 +30,24 @@ Ints = NDArray[np.int64]
 
 
 class DriftConfig(Config):
-    """The processes of the errors between fixes."""
+    """Parameters of the error processes between fixes."""
 
     dt_s: float = Field(0.1, gt=0, description="length of an epoch [s]; 10 Hz GNSS, S1 section 4")
     fix_sigma_m: float = Field(0.01, gt=0, description="1-sigma of the last fix, each axis [m]")
     doppler_sigma_mps: float = Field(0.10, gt=0, description="Doppler velocity, 1-sigma [m/s]; S1 section 3")
-    doppler_tau_s: float = Field(0.54, gt=0, description="its correlation time [s]; fits S1's Doppler levels")
-    doppler_bias_mps: float = Field(0.01, ge=0, description="bound of its bias, East and North [m/s]")
+    doppler_tau_s: float = Field(0.54, gt=0, description="correlation time of Doppler [s]; fits S1's Doppler levels")
+    doppler_bias_mps: float = Field(0.01, ge=0, description="bound of the Doppler bias, East and North [m/s]")
     odometer_sigma_mps: float = Field(0.05, gt=0, description="odometer, 1-sigma [m/s]; S1 section 3")
-    odometer_tau_s: float = Field(1.0, gt=0, description="its correlation time [s]")
-    odometer_bias_mps: float = Field(0.01, ge=0, description="bound of its bias [m/s]")
+    odometer_tau_s: float = Field(1.0, gt=0, description="correlation time of the odometer error [s]")
+    odometer_bias_mps: float = Field(0.01, ge=0, description="bound of the odometer bias [m/s]")
     heading_sigma_deg: float = Field(0.3, gt=0, description="heading at the start, 1-sigma [deg]")
-    heading_walk_degps: float = Field(0.02, gt=0, description="its random walk [deg/sqrt(s)]")
-    heading_bias_deg: float = Field(0.1, ge=0, description="bound of its bias [deg]")
+    heading_walk_degps: float = Field(0.02, gt=0, description="random walk of the heading [deg/sqrt(s)]")
+    heading_bias_deg: float = Field(0.1, ge=0, description="bound of the heading bias [deg]")
 
 
 @dataclass(frozen=True)
 class Outage:
-    """One outage: by which source, how long [s], at which speed [m/s], from which heading [rad], turning [rad/s]."""
+    """One outage: source of the velocity, length [s], speed [m/s], initial heading [rad] and turn rate [rad/s]."""
 
     source: Literal["doppler", "odometer"]
     length_s: float
@@ -59,8 +59,8 @@ class Outage:
 def draw_drift(
     outage: Outage, config: DriftConfig, vehicles: int, generator: np.random.Generator
 ) -> tuple[Array, dict[Variant, Growth], float]:
-    """Errors of the vehicles at the end of an outage (V, 2) East and North [m], how the layer sees them, and the
-    heading then [rad]."""
+    """Draw errors of V vehicles at the end of an outage (V, 2) East and North [m]; also returns the error growth
+    assumed by the levels, by variant, and the final heading [rad]."""
     steps = max(round(outage.length_s / config.dt_s), 1)
     heading = outage.heading_rad + outage.turn_radps * config.dt_s * np.arange(1, steps + 1)
     error = _Errors(config, vehicles, generator, heading[-1])
@@ -77,7 +77,7 @@ def draw_drift(
 def drift_exceedance(
     outage: Outage, config: DriftConfig, risks: ArrayLike, vehicles: int, generator: np.random.Generator
 ) -> dict[Variant, Ints]:
-    """How many of ``vehicles`` exceed the level at the end, along, across and either, by variant: (R, 3)."""
+    """Count vehicles whose error exceeds the level at the end, along, across and on either axis, by variant: (R, 3)."""
     error, growths, heading = draw_drift(outage, config, vehicles, generator)
     track = np.abs(error @ track_from_enu_matrix(heading).T)
     out = {}
@@ -89,7 +89,7 @@ def drift_exceedance(
 
 
 class _Errors:
-    """Errors of many vehicles: unit processes, heading and position; and how their covariance grows."""
+    """Errors of many vehicles (unit processes, heading and position) and the growth of their covariance."""
 
     def __init__(self, config: DriftConfig, vehicles: int, generator: np.random.Generator, last_rad: float) -> None:
         self.config, self._generator = config, generator
@@ -102,13 +102,13 @@ class _Errors:
         self._phi_d = float(np.exp(-config.dt_s / config.doppler_tau_s))
         self._phi_o = float(np.exp(-config.dt_s / config.odometer_tau_s))
         self._first = True
-        self._bias_en = config.doppler_bias_mps * np.sign(track_from_enu_matrix(last_rad)[0])  # worst along the end
+        self._bias_en = config.doppler_bias_mps * np.sign(track_from_enu_matrix(last_rad)[0])  # worst sign at the end
 
     def _draw(self, *shape: int) -> Array:
         return self._generator.standard_normal(shape)
 
     def grow(self, growth: Growth, outage: Outage, heading_rad: float, variant: Variant) -> Growth:
-        """The covariance and biases that the layer would carry on; to be called before :meth:`step`."""
+        """Covariance and biases of the levels after one more epoch; called before :meth:`step`."""
         c = self.config
         phi = {"phi_doppler": self._phi_d, "phi_odometer": self._phi_o}
         ahead = self.heading_variance + self._walk
@@ -125,7 +125,7 @@ class _Errors:
         )  # fmt: skip
 
     def step(self, outage: Outage, heading_rad: float) -> None:
-        """One epoch of errors."""
+        """Advance the errors by one epoch."""
         c, n = self.config, len(self.position)
         before, heading_before = self._velocity, self._heading
         self._velocity = self._phi_d * before + np.sqrt(1.0 - self._phi_d**2) * self._draw(n, 2)

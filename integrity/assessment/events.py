@@ -45,7 +45,7 @@ class Zone(IntEnum):
 
     @property
     def label(self) -> str:
-        """What the zone means, in a few words."""
+        """Short description of the zone."""
         return _ZONE_LABELS[self]
 
 
@@ -59,7 +59,7 @@ _ZONE_LABELS = {
 
 
 def classify(error_m: ArrayLike, pl_m: ArrayLike, al_m: float) -> NDArray[np.int64]:
-    """Zone codes of errors and protection levels.  (...,) [m] -> (...,); PE = PL is nominal, PL = inf unavailable."""
+    """Classify errors and protection levels (...,) [m] into zones (...,); PE = PL is nominal, PL = inf unavailable."""
     al = float(require_in_range("al_m", al_m, 0.0, np.inf, low_open=True, high_open=True))
     pe, pl = np.abs(np.asarray(error_m, dtype=np.float64)), np.asarray(pl_m, dtype=np.float64)
     unavailable = np.where(pe > pl, Zone.UNAVAILABLE_MISLEADING, Zone.UNAVAILABLE)
@@ -69,13 +69,13 @@ def classify(error_m: ArrayLike, pl_m: ArrayLike, al_m: float) -> NDArray[np.int
 
 @dataclass(frozen=True)
 class AxisEvents:
-    """Events of one axis, bool arrays shaped like the record's (T,) or (T, B).
+    """Events of one axis, bool arrays (T,) or (T, B) as in the record.
 
     Attributes
     ----------
-    available : ``PL <= AL`` and the system declared itself available.
+    available : ``PL <= AL`` and the position is declared available.
     mi, hmi : misleading and hazardously misleading information.
-    failure : positioning failure, ``PE > AL``, whatever was said about it.
+    failure : positioning failure, ``PE > AL``, with or without an alert.
     integrity_failure : the failure has lasted longer than the TTA and no alarm has been raised since its onset.
     false_alert : an alert without a positioning failure on this axis.
     """
@@ -88,7 +88,7 @@ class AxisEvents:
     false_alert: Bools
 
     def counts(self) -> dict[str, int]:
-        """Epochs with each event, and under ``..._events`` the number of uninterrupted runs of them."""
+        """Number of epochs with each event, and under ``..._events`` the number of uninterrupted runs."""
         named = {name: getattr(self, name) for name in ("available", "mi", "hmi", "failure", "integrity_failure")}
         named["false_alert"] = self.false_alert
         epochs = {name: int(mask.sum()) for name, mask in named.items()}
@@ -102,7 +102,7 @@ class AxisEvents:
 
 @dataclass(frozen=True)
 class Events:
-    """Events of both axes; a vehicle epoch is misleading when either axis is."""
+    """Events of both axes; an epoch of a vehicle is misleading if one of the axes is misleading."""
 
     at: AxisEvents
     ct: AxisEvents
@@ -110,7 +110,7 @@ class Events:
 
     @property
     def mi(self) -> Bools:
-        """Misleading on either axis and hazardous on neither."""
+        """Misleading on one axis or both, and hazardous on neither."""
         return np.asarray((self.at.mi | self.ct.mi) & ~self.hmi)
 
     @property
@@ -134,7 +134,7 @@ class Events:
         return np.asarray(self.at.false_alert & self.ct.false_alert)
 
     def summary(self) -> dict[str, Any]:
-        """Counts and rates of each axis and of both, JSON-able."""
+        """Counts and rates of each axis and of both, as JSON data."""
         axes: dict[str, Any] = {
             axis: {"counts": e.counts(), "rates": e.rates()} for axis, e in zip(AXES, (self.at, self.ct), strict=True)
         }
@@ -144,7 +144,7 @@ class Events:
 
 
 def find_events(record: Record, al_at_m: float, al_ct_m: float, time_to_alert_s: float = 1.0) -> Events:
-    """All events of a record, both axes.  Alert limits [m], time to alert [s]; S3 II.C."""
+    """Find all events of a record on both axes (S3 II.C); alert limits [m], time to alert [s]."""
     tta = float(require_in_range("time_to_alert_s", time_to_alert_s, 0.0, np.inf, high_open=True))
     at, ct = (_axis_events(record, axis, al, tta) for axis, al in zip(AXES, (al_at_m, al_ct_m), strict=True))
     return Events(at, ct, tta)
@@ -154,19 +154,19 @@ def _axis_events(record: Record, axis: Axis, al_m: float, tta_s: float) -> AxisE
     zone = classify(record.error(axis), record.pl(axis), al_m)
     declared, alert = np.asarray(record.available, dtype=np.bool_), np.asarray(record.alert, dtype=np.bool_)
     failure = record.error(axis) > al_m
-    silent = running_age_s(record.time_s, failure) > tta_s + EPS_S
+    overdue = running_age_s(record.time_s, failure) > tta_s + EPS_S
     return AxisEvents(
         available=(zone <= Zone.HAZARDOUS) & declared,
         mi=(zone == Zone.MISLEADING) & declared,
         hmi=(zone == Zone.HAZARDOUS) & declared,
         failure=failure,
-        integrity_failure=silent & ~_seen_since_onset(failure, alert),
+        integrity_failure=overdue & ~_true_since_onset(failure, alert),
         false_alert=alert & ~failure,
     )
 
 
 def running_age_s(time_s: Array, active: Bools) -> Array:
-    """Time since the present run of ``active`` began, -1 outside runs.  (T,), (T, ...) -> (T, ...)."""
+    """Time since the start of the current run of ``active`` [s], -1 outside runs.  (T,), (T, ...) -> (T, ...)."""
     start = _run_start(active)
     time = np.asarray(time_s, dtype=np.float64)
     now = time.reshape((-1,) + (1,) * (active.ndim - 1))
@@ -174,15 +174,15 @@ def running_age_s(time_s: Array, active: Bools) -> Array:
 
 
 def _run_start(active: Bools) -> NDArray[np.int64]:
-    """Index of the first epoch of the run each active epoch belongs to (any value outside runs)."""
+    """Index of the first epoch of the run of each active epoch (undefined outside runs)."""
     begins = active.copy()
     begins[1:] &= ~active[:-1]
     index = np.arange(active.shape[0]).reshape((-1,) + (1,) * (active.ndim - 1))
     return np.asarray(np.maximum.accumulate(np.where(begins, index, 0), axis=0))
 
 
-def _seen_since_onset(active: Bools, signal: Bools) -> Bools:
-    """Whether ``signal`` has been true at any epoch since the present run of ``active`` began."""
+def _true_since_onset(active: Bools, signal: Bools) -> Bools:
+    """Whether ``signal`` has been true at any epoch since the start of the current run of ``active``."""
     total = np.cumsum(signal, axis=0)
     before = np.concatenate([np.zeros_like(total[:1]), total[:-1]])
     return np.asarray(active & (total > np.take_along_axis(before, _run_start(active), axis=0)))
@@ -196,9 +196,9 @@ def _runs(mask: Bools) -> int:
 
 
 def alert_delays(time_s: Array, alert: Bools, onset_s: ArrayLike, until_s: ArrayLike | None = None) -> Array:
-    """Time from each fault's onset to the first alert at or after it, ``inf`` when none comes before ``until_s``.
+    """Time from the onset of each fault to the first alert at or after it, ``inf`` without an alert until ``until_s``.
 
-    time_s (T,), alert (T,), onset_s (F,) -> (F,) [s]. An alert that is on at the onset counts as delay 0.
+    time_s (T,), alert (T,), onset_s (F,) -> (F,) [s]. An alert that is active at the onset has delay 0.
 
     Raises
     ------
@@ -217,12 +217,12 @@ def alert_delays(time_s: Array, alert: Bools, onset_s: ArrayLike, until_s: Array
 
 @dataclass
 class FailureClock:
-    """The same accounting one epoch at a time, for scoring a simulation as it runs.
+    """Detection of integrity failures epoch by epoch, during a simulation.
 
     Attributes
     ----------
-    age_s : (B,) time since the onset of the present positioning failure, -1 while there is none [s].
-    tta_s : (B,) time the alert took after that onset, ``inf`` while it has not come [s].
+    age_s : (B,) time since the onset of the current positioning failure, -1 without failure [s].
+    tta_s : (B,) time from this onset to the alert, ``inf`` without an alert [s].
     """
 
     age_s: Array
@@ -230,7 +230,7 @@ class FailureClock:
 
     @classmethod
     def initial(cls, vehicles: int) -> FailureClock:
-        """No failure yet."""
+        """The state without failures."""
         return cls(np.full(vehicles, -1.0), np.full(vehicles, np.inf))
 
     def copy(self) -> FailureClock:
@@ -238,9 +238,9 @@ class FailureClock:
         return FailureClock(self.age_s.copy(), self.tta_s.copy())
 
     def advance(self, failure: Bools, alert: Bools, dt_s: float, time_to_alert_s: float) -> Bools:
-        """Advance in place by one epoch; returns (B,) which vehicles are in integrity failure."""
-        going_on = failure & (self.age_s >= 0.0)
-        self.age_s[:] = np.where(failure, np.where(going_on, self.age_s + dt_s, 0.0), -1.0)
-        silent = ~(going_on & (self.tta_s < np.inf))
-        self.tta_s[:] = np.where(failure & alert & silent, self.age_s, np.where(silent, np.inf, self.tta_s))
+        """Advance in place by one epoch; returns whether each vehicle has an integrity failure (B,)."""
+        continued = failure & (self.age_s >= 0.0)
+        self.age_s[:] = np.where(failure, np.where(continued, self.age_s + dt_s, 0.0), -1.0)
+        no_alert = ~(continued & (self.tta_s < np.inf))
+        self.tta_s[:] = np.where(failure & alert & no_alert, self.age_s, np.where(no_alert, np.inf, self.tta_s))
         return np.asarray(failure & (self.tta_s == np.inf) & (self.age_s > time_to_alert_s + EPS_S))

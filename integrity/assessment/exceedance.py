@@ -1,9 +1,9 @@
-"""How often errors exceed protection levels unnoticed: plain Monte Carlo of the measurement model.
+"""Rate of undetected errors above the protection levels, by plain Monte Carlo of the measurement model.
 
-An epoch is *misleading* on an axis when the separation test finds nothing and the error exceeds the level there. Nature
-is drawn as the levels assume it: no fault, one faulty satellite, two at once, or a wrong fix that no test can see. A
-fault is drawn with any size up to twice the threshold's: most of them harmless, others found (the worst ones are the
-business of :mod:`lanebound.integrity.assessment.importance`).
+An epoch is *misleading* on an axis if the separation test detects nothing and the error exceeds the level. Faults are
+drawn as assumed by the levels: none, one faulty satellite, two at once, or a wrong fix that the test cannot detect. The
+size of a fault is uniform up to twice the size at the threshold: most faults are harmless or detected. The worst sizes
+are the subject of :mod:`lanebound.integrity.assessment.importance`.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ Ints = NDArray[np.int64]
 
 STRATA = ("no fault", "one fault", "two faults", "wrong fix")
 AXES = 2
-BLOCK = 4096  # epochs drawn at once: they stay in the cache
-LARGEST_FAULT = 2.0  # of the size whose separation lies at the threshold
+BLOCK = 4096  # epochs drawn at once, which fit into the processor cache
+LARGEST_FAULT = 2.0  # in units of the size whose separation is at the threshold
 WAVELENGTH_M = 0.19029367279836487  # L1
 
 
@@ -33,7 +33,7 @@ WAVELENGTH_M = 0.19029367279836487  # L1
 class ExceedanceCounts:
     """Counts of misleading epochs: ``misleading[form]`` (R, 3, strata) along, across, either; ``epochs`` (strata,).
 
-    ``available[form]`` (R,) epochs with a finite level, ``alarms`` (strata,) epochs in which the test found something.
+    ``available[form]`` (R,) epochs with a finite level, ``alarms`` (strata,) epochs with a detection.
     """
 
     misleading: dict[Form, Ints]
@@ -43,7 +43,7 @@ class ExceedanceCounts:
 
     @staticmethod
     def empty(risks: int) -> ExceedanceCounts:
-        """Nothing counted yet."""
+        """Counts of zero."""
         return ExceedanceCounts(
             {form: np.zeros((risks, AXES + 1, len(STRATA)), np.int64) for form in Form},
             {form: np.zeros(risks, np.int64) for form in Form},
@@ -54,7 +54,7 @@ class ExceedanceCounts:
 def tally(
     prepared: Prepared, epochs: int, wrong_fix: float, generator: np.random.Generator, into: ExceedanceCounts
 ) -> None:
-    """Draw ``epochs`` of a case and add what is counted to ``into``; a wrong fix has probability ``wrong_fix``."""
+    """Draw ``epochs`` of a case and add the counts to ``into``; ``wrong_fix`` is the probability of a wrong fix."""
     strata = _numbers_of_strata(prepared, epochs, wrong_fix, generator)
     for form, levels in prepared.levels_m.items():
         into.available[form] += epochs * np.isfinite(levels).all(-1)
@@ -65,7 +65,7 @@ def tally(
 
 
 def _numbers_of_strata(prepared: Prepared, epochs: int, wrong_fix: float, generator: np.random.Generator) -> Ints:
-    """How many of the epochs have no fault, one, two, or a wrong fix."""
+    """Draw the numbers of epochs without fault, with one fault, with two, and with a wrong fix."""
     none, more = float(np.prod(1.0 - prepared.prior)), float(multiple_fault_risk(prepared.prior))
     faults = np.array([none, max(1.0 - none - more, 0.0), more])
     return np.asarray(generator.multinomial(epochs, [*(1.0 - wrong_fix) * faults, wrong_fix]))
@@ -97,7 +97,7 @@ def _count_block(
 
 
 def _add_faults(prepared: Prepared, error: Array, statistic: Array, generator: np.random.Generator) -> None:
-    """A fault in one satellite of each epoch, up to twice the size whose separation lies at the threshold."""
+    """Add a fault in one satellite of each epoch, up to twice the size whose separation is at the threshold."""
     chance = prepared.prior / prepared.prior.sum()
     which = generator.choice(len(prepared.case), size=len(error), p=chance)
     reach = prepared.threshold * prepared.sigma_of_fault_m
@@ -107,16 +107,16 @@ def _add_faults(prepared: Prepared, error: Array, statistic: Array, generator: n
 
 
 def expected_fault_free(prepared: Prepared, form: Form) -> Array:
-    """Probability that a fault-free error exceeds the level, tested or not, in closed form.  (R, 2)."""
+    """Probability in closed form that a fault-free error exceeds the level, without regard to the test.  (R, 2)."""
     sigma = np.linalg.norm(prepared.error_rows, axis=-1)
     level = prepared.levels_m[form]
     return np.asarray(ndtr((prepared.shift - level) / sigma) + ndtr((-prepared.shift - level) / sigma))
 
 
 def least_fault_free(prepared: Prepared, budgets: ArrayLike) -> Array:
-    """The smallest levels that fault-free errors exceed no more often than ``budgets`` (R, 2).  -> (R, 2) [m].
+    """Smallest levels that fault-free errors exceed with at most the probabilities ``budgets`` (R, 2).  -> (R, 2) [m].
 
-    Whatever a level is above it guards against faults, or is caution.
+    The difference to a protection level is the margin for faults, or conservatism.
     """
     sigma, shift = np.linalg.norm(prepared.error_rows, axis=-1), np.abs(prepared.shift)
     wanted = np.asarray(budgets, dtype=np.float64)

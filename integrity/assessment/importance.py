@@ -1,13 +1,13 @@
-"""Rates of misleading epochs that are too small to be counted: in closed form, and by importance sampling.
+"""Rates of misleading epochs that are too small for counting: in closed form, and by importance sampling.
 
-Errors and separations of one epoch are independent, for a solution of least variance has nothing in common with its
-residuals. So a fault of ``f`` in satellite k misleads with the product
+Errors and separations of one epoch are independent, because a minimum-variance solution is uncorrelated with its
+residuals. A fault of size ``f`` in satellite k is therefore misleading with the probability
 
     P(|x + f g_k| > PL) P(quiet | f) <= P(|x + f g_k| > PL) P(|t_k + f h_k| < threshold),
 
-where ``g_k`` and ``h_k`` are what 1 m of it does to the error and to the satellite's own separation; the other
-separations can only find it too. Levels promise this for any size, so the default here is the size that makes the
-product largest.
+where ``g_k`` and ``h_k`` are the effects of 1 m on the error and on the separation of the satellite itself; the other
+separations can only increase the detection. Levels must hold for any size. The default is therefore the size with the
+largest product.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-DRAWN = ("no fault", "one fault")  # strata; the others are bounded by their probability
+DRAWN = ("no fault", "one fault")  # sampled strata; the others are bounded by their probability
 GRID = 401  # sizes tried at first, a tenth of a sigma of the separation apart or closer
 BEYOND = 4.0  # sigmas of the separation, past which no size can be the worst
 
 
 class FaultSize(Enum):
-    """The size that a fault has, where one is drawn."""
+    """Size of a simulated fault."""
 
     WORST = "worst"
     UNIFORM = "uniform"
 
 
 def fault_chance(prepared: Prepared, axis: int, level_m: float, size_m: Array) -> Array:
-    """Probability that a fault of ``size_m`` (n, ...) in each satellite misleads, tested by its own separation."""
+    """Probability that a fault of ``size_m`` (n, ...) in each satellite is misleading, tested by its own separation."""
     column = (slice(None),) + (None,) * (size_m.ndim - 1)
     sigma = np.linalg.norm(prepared.error_rows[axis])
     error = prepared.shift[axis] + size_m * prepared.fault_error[:, axis][column]
@@ -57,11 +57,11 @@ def fault_chance(prepared: Prepared, axis: int, level_m: float, size_m: Array) -
 
 
 def worst_fault(prepared: Prepared, axis: int, level_m: float) -> tuple[Array, Array]:
-    """The size of a fault in each satellite that misleads most often, and how often.  (n,) [m], (n,) [-].
+    """Size of a fault in each satellite with the largest misleading probability, and this probability.  (n,) [m], (n,).
 
-    A grid of either sign is tried, and twice a finer one around the best. The most likely noise that misleads leaves
-    the separation at the threshold and the rest of the error to the solution without the satellite: no size far beyond
-    what that takes is the worst.
+    A grid of both signs is evaluated, then twice a finer grid around the best size. In the most likely misleading case
+    the separation is at the threshold and the rest of the error is in the solution without the satellite; this limits
+    the range of the grid.
     """
     unit = prepared.sigma_of_fault_m
     apart = np.abs(unit * prepared.fault_error[:, axis])
@@ -79,9 +79,9 @@ def worst_fault(prepared: Prepared, axis: int, level_m: float) -> tuple[Array, A
 
 
 def expected_one_fault(prepared: Prepared, form: Form, sizes: FaultSize = FaultSize.WORST) -> Array:
-    """Probability of a fault in one satellite that misleads along and across, in closed form.  (R, 2).
+    """Probability of a misleading fault in one satellite, along and across, in closed form.  (R, 2).
 
-    The tests of the other satellites are left out, so that it is an upper bound; 0 where there is no level.
+    The tests of the other satellites are ignored; the result is an upper bound, and 0 without a level.
     """
     out = np.zeros_like(prepared.levels_m[form])
     most = LARGEST_FAULT * prepared.threshold * prepared.sigma_of_fault_m
@@ -107,9 +107,9 @@ def importance_rates(
 ) -> tuple[Array, Array]:
     """Rates of misleading epochs without a fault and with one, along and across, and their variances, (2, 2) each.
 
-    In each stratum (no fault, each single fault) the errors are drawn around the level, half of them on either side:
-    the draws ``e`` are shifted by ``m`` along the gain of the solution (of the one without the faulty satellite, which
-    the fault cannot move), and count with ``phi(e) / (phi(e - m)/2 + phi(e + m)/2)``, no more than 2.
+    In each stratum (no fault, each single fault) the errors are drawn around plus and minus the level, half of them on
+    each side. The draws ``e`` are shifted by ``m`` along the gain of the solution (with a fault: of the solution
+    without the faulty satellite), and have the weight ``phi(e) / (phi(e - m)/2 + phi(e + m)/2)``, at most 2.
     """
     level = prepared.levels_m[form][row]
     rate, variance = np.zeros((len(DRAWN), AXES)), np.zeros((len(DRAWN), AXES))
@@ -145,7 +145,7 @@ def _weighted(
     faulty: int = 0,
     size_m: Array | None = None,
 ) -> tuple[float, float]:
-    """Mean and variance of the mean of one stratum, errors of ``rows`` drawn around plus and minus ``away_m``."""
+    """Mean of one stratum and its variance, with errors of ``rows`` drawn around plus and minus ``away_m``."""
     mean = rows * (max(away_m, 0.0) / float(rows @ rows))
     side = np.where(np.arange(draws) % 2 == 0, 1.0, -1.0)
     normal = generator.standard_normal((draws, rows.size)) + side[:, None] * mean
@@ -158,12 +158,12 @@ def _weighted(
         statistic += np.outer(size_m, prepared.fault_test[faulty])
     misleading = (np.abs(error) > level_m) & (np.abs(statistic).max(-1) < prepared.threshold)
     value = weight * misleading
-    half = value.reshape(-1, 2).mean(-1)  # one draw of each side: a stratified pair
+    half = value.reshape(-1, 2).mean(-1)  # one draw on each side, as a stratified pair
     return float(half.mean()), float(half.var(ddof=1) / half.size)
 
 
 def mean_and_deviation(rates: Sequence[Array], variances: Sequence[Array]) -> tuple[Array, Array, Array]:
-    """Mean over cases, its standard deviation from the spread of cases, and that of the draws alone.  (...,) each."""
+    """Mean over cases, its standard deviation from the spread of cases, and that of the draws only.  (...,) each."""
     r, v = np.stack(rates), np.stack(variances)
     between = r.std(0, ddof=1) / np.sqrt(len(r)) if len(r) > 1 else np.sqrt(v.mean(0))
     return r.mean(0), between, np.sqrt(v.sum(0)) / len(r)

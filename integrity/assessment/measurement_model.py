@@ -1,8 +1,8 @@
-"""The measurement model that protection levels promise something about, drawn at random: geometries and their levels.
+"""Random cases of the measurement model that protection levels assume: geometries and their levels.
 
-A case is one geometry of one epoch: satellites, clocks, standard deviations, bounds of the nominal biases and the
-biases themselves (at their bounds, with the signs that hurt most), and a heading. Of each case the levels of several
-*forms* are computed: the exact ones of the layer, and what the papers print, as a whole and one formula at a time.
+A case is the geometry of one epoch: satellites, clocks, standard deviations, bounds of the nominal biases, the biases
+(at their bounds, with the worst signs), and a heading. For each case the levels of several *forms* are computed: the
+exact levels of this package and those printed in the papers, completely and with one printed formula at a time.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ Ints = NDArray[np.int64]
 
 LOWEST_RAD = np.deg2rad(10.0)
 ZENITH_SIGMA_M = 0.003 * np.sqrt(2.0)  # carrier phase, single difference; RTKLIB's default 3 mm + 3 mm / sin E
-NO_ROW = 1e-12  # share of the largest separation, below which a mode separates nothing
+NO_ROW = 1e-12  # share of the largest separation below which a separation is zero
 
 
 class Form(Enum):
-    """A way to compute a protection level: the layer's, the papers', and the papers' one formula at a time."""
+    """Form of a protection level: that of this package, of the papers, or with one printed formula."""
 
     ROOT = "exact root"
     CLOSED = "exact closed form"
@@ -43,7 +43,7 @@ class Form(Enum):
 
     @property
     def meaning(self) -> str:
-        """What the form does, with its source."""
+        """Description of the form with its source."""
         return MEANINGS[self]
 
 
@@ -58,7 +58,7 @@ MEANINGS = {
 
 
 class Worst(Enum):
-    """Which axis the nominal biases hurt most."""
+    """Axis for which the signs of the nominal biases are the worst."""
 
     ALONG = 0
     ACROSS = 1
@@ -87,21 +87,21 @@ class Case:
 
 @dataclass(frozen=True)
 class Prepared:
-    """A case with what its draws need.
+    """A case with the matrices for its draws.
 
     Attributes
     ----------
     error_rows : (2, n) ``R S diag(sigma)``: error along and across of unit normal draws
-    shift : (2,) error that the nominal biases make [m]
+    shift : (2,) error due to the nominal biases [m]
     test_rows : (n, n) the same of the normalised separations, one row for each satellite
-    test_shift : (n,) normalised separations that the biases make
+    test_shift : (n,) normalised separations due to the biases
     fault_error : (n, 2) error of a fault of 1 m in each satellite
     fault_test : (n, n) normalised separations of that fault, one row for each faulty satellite
     threshold : of the separation test, in sigmas
     tolerant_rows : (n, 2, n) ``R S_k diag(sigma)``
-    tolerant_shift : (n, 2) error that the biases make in the solution without satellite k [m]
+    tolerant_shift : (n, 2) error due to the biases in the solution without satellite k [m]
     prior : (n,) fault probability of each satellite
-    levels_m : by form (R, 2), inf where none
+    levels_m : by form (R, 2) [m], inf for none
     """
 
     case: Case
@@ -119,21 +119,21 @@ class Prepared:
 
     @property
     def sigma_of_fault_m(self) -> Array:
-        """Size of a fault in each satellite that moves its own separation by a sigma, 0 where none does.  (n,) [m]."""
+        """Size of a fault in each satellite with a separation of one sigma, 0 if there is none.  (n,) [m]."""
         own = np.abs(np.diag(self.fault_test))  # of either sign: of the error on the axis that it moves most
         return np.where(own > 0.0, 1.0 / np.where(own > 0.0, own, 1.0), 0.0)
 
 
 def draw_case(generator: np.random.Generator, satellites: int, bias_share: float = 0.5) -> Case:
-    """A sky of ``satellites`` with 1 to 4 clocks, any heading; bounds of biases up to ``bias_share`` sigma.
+    """Draw a case of ``satellites`` with 1 to 4 clocks and any heading; bias bounds are up to ``bias_share`` sigma.
 
     Raises
     ------
     InputError
-        Fewer than 5 satellites: none could be removed.
+        There are fewer than 5 satellites, so that none can be excluded.
     """
     if satellites < 5:
-        raise InputError(f"satellites must be at least 5, got {satellites}: with fewer no fault can be found")
+        raise InputError(f"satellites must be at least 5, got {satellites}: fewer satellites allow no fault detection")
     most = min(4, 1 + (satellites - 5) // 3)  # S1 section 2: 3 more for each further system
     clocks = int(generator.integers(1, most + 1))
     group = np.sort(np.concatenate([np.arange(clocks).repeat(2), generator.integers(0, clocks, satellites)]))
@@ -154,20 +154,20 @@ def draw_case(generator: np.random.Generator, satellites: int, bias_share: float
 
 
 def _separation(los: Array, group: Ints, sigma: Array, bound: Array, heading: float) -> Separation:
-    """Solutions without each satellite, the plain way."""
+    """Solutions without each satellite, by the plain NumPy implementation."""
     design = design_matrix(los, group, int(group.max()) + 1)
     return separate(design, np.diag(sigma**2), np.eye(group.size, dtype=bool), heading, bias=bound)
 
 
 def prepare(cases: Sequence[Case], config: RiskConfig, risks: ArrayLike, spent: float = 0.0) -> list[Prepared]:
-    """Levels of every form and risk (R,), and the matrices that turn draws into errors and separations."""
+    """Compute levels of every form and risk (R,), and the matrices from draws to errors and separations."""
     wanted = config.risks(risks)
     exact = _exact_levels(cases, config, wanted, spent)
     return [_prepared(case, config, wanted, spent, levels) for case, levels in zip(cases, exact, strict=True)]
 
 
 def _exact_levels(cases: Sequence[Case], config: RiskConfig, risks: Array, spent: float) -> list[dict[Form, Array]]:
-    """Root and closed form of all cases by the kernels, padded to the largest."""
+    """Multi-hypothesis and closed-form levels of all cases by the kernels, padded to the largest case."""
     size = max(map(len, cases))
 
     def padded(name: str, fill: float) -> Array:
@@ -221,7 +221,7 @@ def _prepared(case: Case, config: RiskConfig, risks: Array, spent: float, levels
 def _printed_levels(
     case: Case, found: Separation, config: RiskConfig, risks: Array, spent: float, prior: Array
 ) -> dict[Form, Array]:
-    """Levels with the papers' formulas, all of them and one at a time; where the exact ones exist."""
+    """Levels with the printed formulas, all of them and one at a time, where exact levels exist."""
     n = len(case)
     enu = track_from_enu_matrix(case.heading_rad) @ found.gain_track  # the rotation is its own inverse
     signed = published_bias(enu, np.broadcast_to(case.bias_bound_m, (n + 1, n)), np.full(n + 1, case.heading_rad))

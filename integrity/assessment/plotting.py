@@ -1,4 +1,4 @@
-"""One look for all figures: a colour-blind safe palette, quiet axes, files without a display."""
+"""Common style of all figures: a colour-blind safe palette, plain axes, output without a display."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def mode_colour(mode: Mode) -> str:
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
-    """A figure of its own, outside pyplot: no display, no global state, nothing to close."""
+    """Create a figure without pyplot: no display, no global state, no close necessary."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -60,7 +60,7 @@ def new_figure(width_in: float, height_in: float) -> Figure:
 
 
 def tidy(axes: Axes, **labels: str) -> None:
-    """Quiet frame, light grid, readable ticks; ``labels`` go to ``Axes.set``."""
+    """Apply the common style to axes (frame, grid, ticks); ``labels`` are passed to ``Axes.set``."""
     axes.set(**labels)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
@@ -74,12 +74,12 @@ def tidy(axes: Axes, **labels: str) -> None:
 
 
 def legend(axes: Axes, **options: Any) -> Legend:
-    """A small legend with a light frame."""
+    """Add a small legend with a light frame."""
     return axes.legend(**({"fontsize": 8, "framealpha": 0.9, "edgecolor": GRID, "fancybox": False} | options))
 
 
 def mode_key(figure: Figure, modes: Iterable[Mode], lead: str, loc: Any) -> None:
-    """A legend of the figure itself, in one line after ``lead``: which colour stands for which mode."""
+    """Add a legend of the mode colours to the figure, in one line after the text ``lead``."""
     from matplotlib.patches import Patch
 
     handles = [Patch(facecolor="none", edgecolor="none", label=lead)]
@@ -89,7 +89,7 @@ def mode_key(figure: Figure, modes: Iterable[Mode], lead: str, loc: Any) -> None
 
 
 def risk_text(risk: float | None) -> str:
-    """``", integrity risk 10^-6"`` as a title goes on; nothing for None."""
+    """Suffix of a title, for example ``", integrity risk 10^-6"``; "" for None."""
     if risk is None:
         return ""
     exponent = round(math.log10(risk))
@@ -98,7 +98,7 @@ def risk_text(risk: float | None) -> str:
 
 
 def save(figure: Figure, path: str | Path) -> Path:
-    """Write a figure, making its folder; returns the path."""
+    """Write a figure and create its folder if necessary; returns the path."""
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(target, dpi=DPI)

@@ -1,4 +1,4 @@
-"""What an assessment looks at: belief and truth of a drive, epoch by epoch."""
+"""Input of an assessment: errors, protection levels, modes and alerts of a drive at each epoch."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Record:
     time_s : (T,) strictly increasing.
     mode : integer codes of :class:`~lanebound.integrity.positioning.modes.Mode`.
     error_at_m, error_ct_m : signed position error, estimate minus truth, along and across the track.
-    pl_at_m, pl_ct_m : protection levels; ``inf`` where there is none.
-    alert : the system warned at this epoch.
-    available : the system declared its position usable at this epoch.
+    pl_at_m, pl_ct_m : protection levels; ``inf`` for none.
+    alert : there is an alert at this epoch.
+    available : the position is declared available at this epoch.
     """
 
     time_s: Array
@@ -79,7 +79,7 @@ class Record:
         return np.asarray(getattr(self, f"pl_{_checked(axis)}_m"))
 
     def modes_present(self) -> list[Mode]:
-        """The modes that occur, in order of preference; ``NONE`` left out."""
+        """The modes that occur, in order of preference, without ``NONE``."""
         return [mode for mode in Mode if mode is not Mode.NONE and bool((self.mode == mode).any())]
 
 

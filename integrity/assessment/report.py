@@ -1,4 +1,4 @@
-"""A drive assessed in one call: figures and one JSON file of everything counted."""
+"""Assessment of a drive in one call: figures and one JSON file with all statistics."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["assess", "write_report"]
 
 
 def assess(record: Record, al_at_m: float, al_ct_m: float, time_to_alert_s: float = 1.0) -> dict[str, Any]:
-    """Everything countable about a record, JSON-able: shares, accuracy, bounding, availability, events, zones."""
+    """Compute all statistics of a record as JSON data: shares, accuracy, bounding, availability, events, zones."""
     limits = zip(AXES, (al_at_m, al_ct_m), strict=True)
     return {
         "epochs": record.epochs,

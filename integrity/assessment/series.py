@@ -1,4 +1,4 @@
-"""Errors and protection levels over time, mode by mode (the form of S1 Figs. 3-4), and a map coloured by mode."""
+"""Figures of errors and protection levels over time by mode (as in S1 Figs. 3-4), and a map coloured by mode."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ PANELS = (Mode.RTK, Mode.DOPPLER, Mode.IMU_ODOMETER)  # of S1; a drive by code s
 def series_figure(
     record: Record, *, risk: float | None = None, al_at_m: float | None = None, al_ct_m: float | None = None
 ) -> Figure:
-    """Absolute error and protection level of one vehicle against time: AT left, CT right; all modes, then each of them.
+    """Plot absolute error and protection level of one vehicle over time: AT left, CT right; all modes, then each mode.
 
-    These are the paper's three modes, used or not; where positions come from code, the modes that were used.
+    The modes are the three of the paper; for code positions the modes that occur.
 
     Raises
     ------
     InputError
-        The record holds more than one vehicle.
+        The record has more than one vehicle.
     """
     if np.ndim(record.error_at_m) != 1:
         raise InputError(
@@ -81,7 +81,7 @@ def _minutes(record: Record) -> Array:
 
 
 def _scale(record: Record, axis: Axis, keep: NDArray[np.bool_], al: float | None = None) -> float:
-    """Top of a panel: everything but the wildest 0.5 % of the levels, all errors, and the alert limit."""
+    """Upper limit of a panel: contains 99.5 % of the levels, all errors, and the alert limit."""
     error, pl = record.error(axis)[keep], record.pl(axis)[keep]
     finite = pl[np.isfinite(pl)]
     highest = [1e-3, 1.2 * al if al else 0.0]
@@ -104,7 +104,7 @@ def _all_modes(axes: Axes, record: Record, axis: Axis, al: float | None, top: fl
 
 def _mode_strip(axes: Axes, minutes: Array, record: Record) -> None:
     """A band of mode colours along the top of the panel."""
-    begins = np.flatnonzero(np.diff(record.mode, prepend=-1))  # a mode lasts to the next epoch, if only for one
+    begins = np.flatnonzero(np.diff(record.mode, prepend=-1))  # a mode lasts until the next epoch
     lasts = np.diff(minutes[begins], append=minutes[-1])
     for mode in Mode:
         bars = [(minutes[k], last) for k, last in zip(begins, lasts, strict=True) if record.mode[k] == mode]
@@ -128,7 +128,7 @@ def _one_mode(axes: Axes, record: Record, axis: Axis, mode: Mode) -> None:
 def _draw(
     axes: Axes, minutes: Array, error: Array, pl: Array, keep: NDArray[np.bool_], colour: str, label: str
 ) -> None:
-    """Level as a line over the filled error; epochs of other modes leave gaps."""
+    """Draw the level as a line over the filled error, with gaps at epochs of other modes."""
     shown = np.where(keep, error, np.nan)
     axes.fill_between(minutes, 0.0, shown, color=colour, alpha=0.35, linewidth=0, step="mid")
     dots = {"marker": ".", "markersize": 2.2} if keep.mean() < SPARSE else {}
@@ -146,15 +146,15 @@ def map_figure(
     alert: ArrayLike | None = None,
     truth_en_m: ArrayLike | None = None,
 ) -> Figure:
-    """Trajectory coloured by mode over building outlines, its start and end marked.
+    """Plot a trajectory coloured by mode over building outlines, with start and end.
 
     position_en_m (T, 2) East, North; mode (T,); obstacles are outlines (P, 2) [m]; alert (T,) marks epochs with a ring;
-    truth_en_m (K, 2) is where the vehicle was, a line over it all.
+    truth_en_m (K, 2) is the true trajectory, drawn as a line above all.
 
     Raises
     ------
     InputError
-        Shapes that do not fit, or non-finite positions.
+        Shapes do not fit, or positions are not finite.
     """
     position, modes = require_finite("position_en_m", position_en_m), np.asarray(mode)
     require_shape("mode", modes, (position.shape[0],))
@@ -197,7 +197,7 @@ def map_figure(
 
 
 def _draw_obstacles(axes: Axes, outlines: list[Array]) -> None:
-    """Plain grey shapes under everything, the seams between them closed."""
+    """Draw obstacles as grey shapes below everything, without gaps between them."""
     from matplotlib.collections import PolyCollection
 
     look = {"facecolor": BUILDING, "edgecolor": BUILDING, "linewidth": 0.4, "zorder": 0.5}
@@ -205,14 +205,14 @@ def _draw_obstacles(axes: Axes, outlines: list[Array]) -> None:
 
 
 def _mark_ends(axes: Axes, position: Array) -> None:
-    """Where the drive begins and where it ends."""
+    """Mark start and end of the drive."""
     for at, marker, label in ((position[0], "o", "start"), (position[-1], "s", "end")):
         look: dict[str, Any] = {"s": 64, "facecolors": "white", "edgecolors": INK, "linewidths": 1.6, "zorder": 5}
         axes.scatter(at[0], at[1], marker=marker, label=label, **look)
 
 
 def _map_size(position: Array) -> tuple[float, float]:
-    """Inches that suit the extent of a trajectory."""
+    """Figure size [inch] for the extent of a trajectory."""
     east, north = np.maximum(np.ptp(position, axis=0), 1.0)
     height = float(np.clip(7.5 * north / east, 3.5, 9.0))
     return float(np.clip(height * east / north, 4.0, 7.5)) + 2.2, height

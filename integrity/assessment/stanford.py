@@ -1,4 +1,4 @@
-"""The Stanford diagram: protection level against error, with the zones of S3 Fig. 4, per axis."""
+"""The Stanford diagram: protection level against error with the zones of S3 Fig. 4, for each axis."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ AXIS_NAMES = {"at": "along track", "ct": "cross track"}
 
 @dataclass(frozen=True)
 class ZoneCounts:
-    """Epochs in each zone of one axis."""
+    """Numbers of epochs in each zone of one axis."""
 
     counts: dict[Zone, int]
 
     @property
     def total(self) -> int:
-        """All epochs."""
+        """Number of all epochs."""
         return sum(self.counts.values())
 
     def rate(self, zone: Zone) -> float:
@@ -45,12 +45,12 @@ class ZoneCounts:
         return self.counts[zone] / self.total
 
     def to_dict(self) -> dict[str, dict[str, float]]:
-        """``{zone: {"count", "rate"}}`` with lower-case zone names, JSON-able."""
+        """``{zone: {"count", "rate"}}`` with lower-case zone names, as JSON data."""
         return {z.name.lower(): {"count": n, "rate": self.rate(z)} for z, n in self.counts.items()}
 
 
 def count_zones(record: Record, axis: Axis, al_m: float) -> ZoneCounts:
-    """Epochs of a record in each zone of one axis; epochs without a position count as unavailable.  al_m [m]."""
+    """Count the epochs of a record in each zone of one axis; epochs without position are unavailable.  al_m [m]."""
     pl = np.where(record.mode == Mode.NONE, np.inf, record.pl(axis))
     zone = classify(record.error(axis), pl, al_m)
     return ZoneCounts({z: int((zone == z).sum()) for z in Zone})
@@ -60,7 +60,7 @@ def stanford_figure(
     record: Record, al_at_m: float, al_ct_m: float, *, title: str = "Stanford diagram", risk: float | None = None,
     extent: float = 2.0, counted: str = "epochs",
 ) -> Figure:  # fmt: skip
-    """Both axes side by side: epochs, or what is ``counted``, up to ``extent`` alert limits; zones with their rates."""
+    """Plot both axes side by side, up to ``extent`` alert limits; ``counted`` is the name of the counted units."""
     figure = new_figure(13.0, 4.9)
     figure.suptitle(title + risk_text(risk), fontsize=12, color=INK)
     for column, (axis, al) in enumerate(zip(AXES, (al_at_m, al_ct_m), strict=True)):
@@ -85,7 +85,7 @@ def _panel(axes: Axes, record: Record, axis: Axis, al: float, top: float, counte
 
 
 def _paint_zones(axes: Axes, zones: ZoneCounts, al: float, top: float) -> None:
-    """Polygons of the zones in the (error, PL) plane, each labelled with its count and rate."""
+    """Draw polygons of the zones in the (error, PL) plane, labelled with counts and rates."""
     outlines = {
         Zone.NOMINAL: [(0, 0), (al, al), (0, al)],
         Zone.MISLEADING: [(0, 0), (al, 0), (al, al)],
@@ -103,7 +103,7 @@ def _paint_zones(axes: Axes, zones: ZoneCounts, al: float, top: float) -> None:
 
 
 def _density(axes: Axes, error: NDArray[np.float64], pl: NDArray[np.float64], top: float) -> None:
-    """Counts of epochs per cell on a logarithmic scale; a single epoch stays visible."""
+    """Draw counts of epochs for each cell on a logarithmic scale; single epochs are visible."""
     from matplotlib.colors import LogNorm
 
     edges = np.linspace(0.0, top, 91)
@@ -114,7 +114,7 @@ def _density(axes: Axes, error: NDArray[np.float64], pl: NDArray[np.float64], to
 
 
 def _percent(rate: float) -> str:
-    """A share as a percentage with enough digits to tell a rare event from none."""
+    """A share as a percentage with enough digits to distinguish a rare event from none."""
     if rate == 0.0 or rate == 1.0:
         return f"{100.0 * rate:.0f} %"
     return f"{100.0 * rate:.1f} %" if 0.001 <= rate <= 0.999 else f"{100.0 * rate:.3g} %"

@@ -1,1 +1,1 @@
-"""What every other part stands on: configuration, errors, random streams, compiled code, frames."""
+"""Basics of the integrity layer: configuration, errors, random streams, frames, compiled kernels and their data."""

@@ -1,14 +1,14 @@
-"""Numba, set up once: a versioned on-disk cache, and threads of our own where they pay.
+"""Configuration of Numba: options of all kernels, a versioned on-disk cache, and threads.
 
-Kernels run in threads of Python's, which wait for work without using a processor: Numba's own threads spin between
-kernels, and a second busy process on the machine would slow them fiftyfold. A kernel that :func:`run_rows` may share
-among threads has the signature ``kernel(first, last, *arguments)``, treats the rows ``first`` to ``last - 1`` alone and
-releases the interpreter's lock.
+Kernels run in Python threads, which wait for work without using a processor. Numba's own threads spin between kernels;
+a second busy process on the machine makes them about fifty times slower. A kernel for :func:`run_rows` has the
+signature ``kernel(first, last, *arguments)``, processes only the rows ``first`` to ``last - 1``, and releases the
+interpreter lock.
 
-Numba's cache hashes the file of a kernel but not the files of its callees, so the cache directory of a layer is
-versioned by a digest of every kernel file (``*_kernel.py``) of this package and of that layer. What lies in it is
-loaded as machine code, so below the temporary directory, which all users share, only a directory that is ours alone is
-used. Without a writable cache the kernels are compiled anew in each process.
+Numba's cache depends on the source file of a kernel but not on the source files of its callees. The cache directory of
+a layer is therefore versioned by a digest of all kernel files (``*_kernel.py``) of this package and of that layer. The
+cache contains machine code. Below the temporary directory, which all users share, a directory is used only if it is
+private to the user. Without a writable cache the kernels are compiled in each process.
 """
 
 from __future__ import annotations
@@ -38,20 +38,20 @@ from numba.core import event
 __all__ = ["LOGGER", "is_compiled", "jit", "kernels_are_cached", "run_chain", "run_rows", "serial", "thread_count"]
 
 F = TypeVar("F", bound=Callable[..., Any])
-FASTMATH = {"nsz"}  # more would let a kernel compiled now and one loaded from the cache differ in the last bit
-PIECE_US = 80.0  # to wake a thread and to hear from it takes some 40 us
+FASTMATH = {"nsz"}  # with more flags a fresh kernel and a cached one could differ in the last bit
+PIECE_US = 80.0  # a thread needs about 40 us to start and to report its end
 PIECES_PER_THREAD = 4
-FORGOTTEN_S = 30 * 86400.0
+UNUSED_S = 30 * 86400.0
 LOGGER = logging.getLogger("lanebound")
 NOTICE_S = 2.0  # a shorter compilation is not reported
-CACHED_AT_LEAST = 100  # kernels in the cache after any drive; about 200
+CACHED_AT_LEAST = 100  # lower bound of the kernels in the cache after a drive; there are about 200
 
 
 @cache
 def cache_directory(layer: str = "integrity") -> str | None:
-    """A writable directory for this version of a layer's kernel sources (``*_kernel.py``), or None.
+    """A writable directory for this version of the kernel sources (``*_kernel.py``) of a layer, or None.
 
-    Kernels of another layer call those of this one, so both count there.
+    Kernels of other layers call kernels of this layer; their digest includes the sources of both layers.
     """
     digest = hashlib.blake2b(repr(("nogil", *sorted(FASTMATH))).encode(), digest_size=8)
     here = Path(__file__).parents[1]
@@ -65,31 +65,31 @@ def cache_directory(layer: str = "integrity") -> str | None:
         try:
             path = place() / name
             if not path.exists():
-                _forget(path.parent)
+                _remove_unused(path.parent)
             path.mkdir(parents=True, exist_ok=True)
             os.utime(path)
-        except (OSError, RuntimeError):  # not writable, not ours, no temporary directory, or a user without a home
+        except (OSError, RuntimeError):  # not writable, not private, no temporary directory or no home directory
             continue
         if os.access(path, os.W_OK):
             return str(path)
     return None
 
 
-def _forget(folder: Path) -> None:
-    """Remove the kernels of other versions that no process has begun with for a month; each begins with a touch."""
+def _remove_unused(folder: Path) -> None:
+    """Remove kernels of other versions that no process has used for a month; each start updates the folder's time."""
     for old in folder.glob("kernels-*"):
         with suppress(OSError):
-            if time.time() - old.stat().st_mtime > FORGOTTEN_S:
+            if time.time() - old.stat().st_mtime > UNUSED_S:
                 shutil.rmtree(old, ignore_errors=True)
 
 
 def _shared() -> Path:
-    """This user's directory below the temporary directory, made when missing.
+    """The directory of this user below the temporary directory; it is created if it is missing.
 
     Raises
     ------
     OSError
-        It cannot be made, or another user could have put something into it.
+        The directory cannot be created, or another user can write into it.
     """
     path = Path(tempfile.gettempdir()) / f"lanebound-{_user()}"
     with suppress(FileExistsError):
@@ -100,12 +100,12 @@ def _shared() -> Path:
 
 
 def _user() -> int:
-    """Number of the user, 0 where users have none (Windows, whose temporary directory is not shared)."""
+    """Number of the user; 0 on Windows, where the temporary directory is not shared."""
     return os.getuid() if hasattr(os, "getuid") else 0
 
 
 def _is_private(path: Path) -> bool:
-    """Whether path is itself a directory, no link to one, that belongs to this user with mode 0700."""
+    """Whether a path is a directory (not a link) of this user with mode 0700."""
     found = path.lstat()
     if not stat.S_ISDIR(found.st_mode):
         return False
@@ -126,7 +126,7 @@ def _fresh() -> Path:
 
 
 def _layer_of(function: Callable[..., Any]) -> str:
-    """The layer of lanebound that a kernel belongs to."""
+    """Layer of lanebound that contains a kernel."""
     package, _, rest = (function.__module__ or "").partition(".")
     return rest.partition(".")[0] if package == "lanebound" else "integrity"
 
@@ -136,17 +136,17 @@ def jit(function: F) -> Any: ...
 @overload
 def jit(*, inline: bool = False, forceinline: bool = False, borrows: bool = False) -> Callable[[F], Any]: ...
 def jit(function: F | None = None, *, inline: bool = False, forceinline: bool = False, borrows: bool = False) -> Any:
-    """``numba.njit`` with this package's options: cached, C division, no loss of NaN or inf, sums in their order.
+    """Compile with ``numba.njit`` and the options of this package: cached, C division, NaN and inf kept, sums in order.
 
-    Kernels release the interpreter's lock while they run. They are compiled at their first call by one thread.
+    Kernels release the interpreter lock while they run. They are compiled by one thread at their first call.
 
     Parameters
     ----------
-    inline : Numba inlines the function before type inference and does not compile it by itself; for small functions
-    forceinline : LLVM inlines the function; for a function with a NamedTuple of many arrays and few callers, as each
-        array passed costs some 2 ns
-    borrows : do not count references to arrays, which costs some 5 ns for each array that a function takes or finds in
-        a NamedTuple; for functions that allocate no array and return none
+    inline : Numba inlines the function before type inference and does not compile it separately; for small functions
+    forceinline : LLVM inlines the function; for functions with a NamedTuple of many arrays and few callers, because
+        each array costs about 2 ns in a call
+    borrows : no reference counting of arrays, which costs about 5 ns for each array of the arguments or their
+        NamedTuples; only for functions that neither allocate nor return an array
     """
 
     def wrap(f: F) -> Any:
@@ -173,35 +173,35 @@ def jit(function: F | None = None, *, inline: bool = False, forceinline: bool = 
 
 
 def is_compiled(kernel: Any) -> bool:
-    """Whether a kernel, as :func:`jit` returns it, lies in the cache; its callees do then as well."""
+    """Whether a kernel that :func:`jit` returned is in the cache; then its callees are in the cache as well."""
     directory, source = cache_directory(_layer_of(kernel)), Path(kernel.__code__.co_filename)
     return directory is not None and any(Path(directory).glob(f"*/{source.stem}.{kernel.__name__}-*.nbi"))
 
 
 def kernels_are_cached() -> bool:
-    """Whether kernels of this version were compiled before, so that work starts without a long compilation."""
+    """Whether kernels of this version are in the cache, so that no long compilation is necessary."""
     directory = cache_directory()
     return directory is not None and sum(1 for _ in Path(directory).glob("*/*.nbi")) >= CACHED_AT_LEAST
 
 
 class _CompilationNotice(event.Listener):
-    """Logs one warning when this process has compiled kernels for ``NOTICE_S``; loading from the cache is no event.
+    """Logs one warning after ``NOTICE_S`` of compilation in this process; loading from the cache is not an event.
 
-    Kernels that call kernels are compiled within each other.
+    The compilation of a callee is nested in that of its caller.
     """
 
     def __init__(self) -> None:
         self._depth, self._begun, self._spent_s, self._logged = 0, 0.0, 0.0, False
 
     def on_start(self, event: Any) -> None:
-        """A compilation begins."""
+        """Record the start of a compilation."""
         if self._depth == 0:
             self._begun = time.monotonic()
         self._depth += 1
         self._notice()
 
     def on_end(self, event: Any) -> None:
-        """A compilation ends."""
+        """Record the end of a compilation."""
         self._notice()
         self._depth -= 1
         if self._depth == 0:
@@ -222,7 +222,7 @@ _serial: ContextVar[bool] = ContextVar("serial", default=False)
 
 @contextmanager
 def serial() -> Iterator[None]:
-    """Inside this context :func:`run_rows` uses no threads: to measure one core, or for several trainings at once."""
+    """Context in which :func:`run_rows` uses no threads, for measurements of one core and for parallel trainings."""
     token = _serial.set(True)
     try:
         yield
@@ -231,9 +231,9 @@ def serial() -> Iterator[None]:
 
 
 def thread_count(pieces: int) -> int:
-    """Threads for so many pieces of work: one for a single piece, in a :func:`serial` context and in worker processes.
+    """Number of threads for some pieces of work: 1 for one piece, in a :func:`serial` context and in worker processes.
 
-    At most ``NUMBA_NUM_THREADS``, which is the number of processors unless the environment says otherwise.
+    Otherwise ``NUMBA_NUM_THREADS``, which is by default the number of processors.
     """
     most = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
     if pieces < 2 or _serial.get() or most == 1 or multiprocessing.parent_process() is not None:
@@ -242,25 +242,25 @@ def thread_count(pieces: int) -> int:
 
 
 def run_rows(kernel: Any, rows: int, *arguments: Any, row_us: float) -> None:
-    """Call ``kernel(first, last, *arguments)`` for all rows: at once, or in pieces that threads take in turn.
+    """Call ``kernel(first, last, *arguments)`` for all rows, in one call or in pieces on several threads.
 
-    The pieces are smaller than a thread's share, so that a thread that is held up by another process leaves its work
-    to the others. What comes out does not depend on the number of threads, as rows do not depend on each other.
+    There are more pieces than threads: if another process delays one thread, the other threads process its pieces. The
+    result does not depend on the number of threads, because rows are independent of each other.
 
     Parameters
     ----------
-    row_us : about how long a row takes on one thread [us]; a piece is to be worth waking a thread for
+    row_us : approximate time of a row on one thread [us]; it determines the size of a piece
     """
     run_chain([(kernel, arguments)], rows, row_us=row_us)
 
 
 def run_chain(links: Sequence[tuple[Any, tuple[Any, ...]]], rows: int, *, row_us: float) -> None:
-    """:func:`run_rows` of several kernels one after another, for each piece of rows: threads are woken once for all.
+    """Call several kernels one after another for each piece of rows, as :func:`run_rows`; threads start only once.
 
     Parameters
     ----------
     links : kernels with their arguments after ``first`` and ``last``
-    row_us : about how long a row takes in all kernels together on one thread [us]
+    row_us : approximate time of a row in all kernels together on one thread [us]
     """
     pieces = int(rows * row_us / PIECE_US)
     threads = thread_count(pieces)
@@ -269,18 +269,18 @@ def run_chain(links: Sequence[tuple[Any, tuple[Any, ...]]], rows: int, *, row_us
             kernel(0, rows, *arguments)
         return
     pieces = min(threads * PIECES_PER_THREAD, pieces, rows)
-    turn = itertools.count()
+    numbers = itertools.count()
 
     def work() -> None:
-        while (piece := next(turn)) < pieces:
+        while (piece := next(numbers)) < pieces:
             for kernel, arguments in links:
                 kernel(piece * rows // pieces, (piece + 1) * rows // pieces, *arguments)
 
-    _crew(threads - 1, os.getpid()).share(work)
+    _thread_pool(threads - 1, os.getpid()).run(work)
 
 
-class _Crew:
-    """Threads that wait for work; they end with the process."""
+class _ThreadPool:
+    """Daemon threads that wait for work."""
 
     def __init__(self, size: int) -> None:
         self._size = size
@@ -298,8 +298,8 @@ class _Crew:
                 error = caught
             done.put(error)
 
-    def share(self, work: Callable[[], None]) -> None:
-        """Run ``work`` in every thread and in the caller's; raises what any of them raised."""
+    def run(self, work: Callable[[], None]) -> None:
+        """Run ``work`` in every thread and in the calling thread; an exception of any thread is raised."""
         done: SimpleQueue[BaseException | None] = SimpleQueue()
         for _ in range(self._size):
             self._tasks.put((work, done))
@@ -313,6 +313,6 @@ class _Crew:
 
 
 @cache
-def _crew(size: int, process: int) -> _Crew:
-    """The threads of a process: a forked one does not inherit any."""
-    return _Crew(size)
+def _thread_pool(size: int, process: int) -> _ThreadPool:
+    """The threads of a process; a forked process needs new ones."""
+    return _ThreadPool(size)

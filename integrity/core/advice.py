@@ -1,4 +1,4 @@
-"""Outcomes that carry their own advice: an enum whose value is a sentence and whose code is a small integer."""
+"""Enums of outcomes: the value of a member is a sentence for the user, its code is a small integer."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class _Coded:
 class Advice(_Coded, Enum):
     """Base of outcomes: members are declared ``NAME = code, "advice to print"``.
 
-    ``member.value`` is the advice, ``member.code`` the integer that arrays and observations carry.
+    ``member.value`` is the advice; ``member.code`` is the integer in arrays and observations.
     """
 
     code: int

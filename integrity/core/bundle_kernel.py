@@ -1,15 +1,15 @@
-"""Many arrays as one argument: NamedTuples that are passed to kernels by their address.
+"""NamedTuples of many arrays that are passed to kernels by one address.
 
-To hand an array to a kernel costs 0.1 to 0.3 us, so that the arrays of an environment cost more than a step of it. A
-:class:`Bundle` writes a NamedTuple of arrays (and of such NamedTuples) once as the kernel has it in memory, and
-passes the place alone:
+An array argument of a kernel costs 0.1 to 0.3 us; the arrays of an environment would cost more than one of its steps. A
+:class:`Bundle` writes a NamedTuple of arrays (and of such NamedTuples) once in the memory layout of kernels, and passes
+its address:
 
 >>> bundle = Bundle(POSES)              # POSES: a NamedTuple of arrays
 >>> kernel(0, 3, bundle.handle)         # in the kernel: poses = unbundle(handle)
 
-The name of the handle's only field holds a digest of the types in it, so that a kernel is compiled for them and for no
-others. Arrays are borrowed: whoever has the bundle has them too, and they must stay where they are; where one is
-replaced, another bundle is made.
+The name of the only field of the handle contains a digest of the types, so that a kernel is compiled separately for
+different types. The bundle refers to the arrays and holds references to them. The arrays must not move; a replaced
+array needs a new bundle.
 """
 
 # mypy: allow-untyped-calls, allow-untyped-decorators
@@ -38,11 +38,11 @@ _intrinsic: Callable[[Any], Any] = intrinsic
 
 
 class Bundle:
-    """A NamedTuple of arrays for kernels; copies and pickles are bundles of the copied arrays.
+    """A NamedTuple of arrays for kernels; a copy or pickle is a bundle of copied arrays.
 
     Parameters
     ----------
-    values : arrays, numbers and NamedTuples of them
+    values : a NamedTuple of arrays, numbers and such NamedTuples
     """
 
     def __init__(self, values: Any) -> None:
@@ -51,22 +51,22 @@ class Bundle:
 
     @property
     def handle(self) -> Records:
-        """The argument of kernels."""
+        """The argument for kernels."""
         if self._handle is None:
             self._handle = _written(self.values)
         return self._handle
 
     def __getstate__(self) -> dict[str, Any]:
-        """Everything but the addresses."""
+        """The state without the addresses."""
         return {"values": self.values, "_handle": None}
 
 
 class RowCopier:
-    """Copies rows of many arrays to the same rows of others in one call.
+    """Copies rows of many arrays to the same rows of other arrays in one call.
 
     Parameters
     ----------
-    arrays : contiguous, each with a row for each of N environments; they must stay where they are
+    arrays : contiguous arrays with one row for each of N environments; they must not move in memory
     """
 
     def __init__(self, arrays: tuple[NDArray[Any], ...]) -> None:
@@ -75,7 +75,7 @@ class RowCopier:
 
     @property
     def places(self) -> NDArray[np.int64]:
-        """(n, 2) address of each array, and bytes of a row."""
+        """(n, 2) address of each array, and size of a row in bytes."""
         if self._places is None:
             self._places = np.array([(a.ctypes.data, a.nbytes // len(a)) for a in self.arrays], dtype=np.int64)
         return self._places
@@ -85,12 +85,12 @@ class RowCopier:
         _copy_rows(self.places, other.places, rows)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Everything but the addresses."""
+        """The state without the addresses."""
         return {"arrays": self.arrays, "_places": None}
 
 
 def _written(values: Any) -> Records:
-    """The values as kernels have them in memory."""
+    """The values in the memory layout of kernels."""
     kind = numba.typeof(values)
     name = f"b{hashlib.blake2b(str(kind).encode(), digest_size=12).hexdigest()}"
     if name not in _types:
@@ -114,13 +114,13 @@ def is_ours(kind: Any) -> bool:
 
 
 def _kind_of(handle: Any) -> Any:
-    """The type of what a handle holds."""
+    """The Numba type of the values behind a handle."""
     return _types[next(iter(handle.dtype.fields))]
 
 
 @_intrinsic
 def _size_of(typingctx: Any, values: Any) -> Any:
-    """Bytes that a value takes in memory."""
+    """Size of a value in bytes."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return context.get_constant(types.int64, context.get_abi_sizeof(context.get_data_type(values)))
@@ -130,7 +130,7 @@ def _size_of(typingctx: Any, values: Any) -> Any:
 
 @_intrinsic
 def _store(typingctx: Any, values: Any, handle: Any) -> Any:
-    """Write a value to where a handle points."""
+    """Write a value to the address of a handle."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         place = context.make_array(handle)(context, builder, args[1]).data
@@ -143,7 +143,7 @@ def _store(typingctx: Any, values: Any, handle: Any) -> Any:
 
 @_intrinsic
 def unbundle(typingctx: Any, handle: Any) -> Any:
-    """The NamedTuple behind a handle, inside a kernel."""
+    """The NamedTuple that a handle refers to, inside a kernel."""
     kind = _kind_of(handle)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -168,11 +168,11 @@ def _copy(typingctx: Any, target: Any, source: Any, size: Any) -> Any:
 
 
 @jit(borrows=True)
-def _copy_rows(mine, theirs, rows):  # type: ignore[no-untyped-def]
-    for n in range(mine.shape[0]):
-        size = mine[n, 1]
+def _copy_rows(targets, sources, rows):  # type: ignore[no-untyped-def]
+    for n in range(targets.shape[0]):
+        size = targets[n, 1]
         for e in rows:
-            _copy(mine[n, 0] + e * size, theirs[n, 0] + e * size, size)
+            _copy(targets[n, 0] + e * size, sources[n, 0] + e * size, size)
 
 
 @jit(borrows=True)

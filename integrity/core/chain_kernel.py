@@ -34,7 +34,7 @@ BORROWING: dict[str, Any] = {**IN_MEMORY, "_nrt": False}
 
 @_intrinsic
 def _call_at(typingctx: Any, address: Any, first: Any, last: Any, data: Any) -> Any:
-    """Call the kernel ``kernel(first, last, data)`` whose machine code begins at ``address``."""
+    """Call the kernel ``kernel(first, last, data)`` whose machine code starts at ``address``."""
     taken = (types.int64, types.int64, data)
 
     def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -69,7 +69,7 @@ def _run(addresses, first, last, handle, inputs):  # type: ignore[no-untyped-def
 
 
 class Chain:
-    """Kernels with the signature ``kernel(first, last, data)``, called in their order as one kernel.
+    """Kernels with the signature ``kernel(first, last, data)``, called in order as one kernel.
 
     Parameters
     ----------

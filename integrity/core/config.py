@@ -1,4 +1,4 @@
-"""Typed configuration: frozen models that refuse unknown keys, wrong types and values out of range, with advice.
+"""Typed configuration: frozen models that refuse unknown keys, wrong types and values out of range with clear messages.
 
 >>> class Receiver(Config):
 ...     rate_hz: float = Field(10.0, gt=0, description="epochs in a second [Hz]; S1 section 4")
@@ -57,16 +57,16 @@ UNITS = {
     "s": "s",
     "us": "us",
 }
-HASH = "_hash"  # beside the fields, as a cached property would be
+HASH = "_hash"  # key of the cached hash in ``__dict__``
 ROOTS = {f"sqrt_{name}": f"sqrt({unit})" for name, unit in UNITS.items()}
 
 
 class Config(BaseModel):
-    """Base of every configuration: frozen, no unknown keys, finite numbers, defaults checked too.
+    """Base class of all configurations: frozen, no unknown keys, finite numbers, defaults also validated.
 
-    Any mistake raises :class:`~lanebound.integrity.core.errors.ConfigError` with one line for each problem. Text is
-    never read as a number, nor a truth value as one; an int may stand for a float and a list for a tuple, as YAML
-    needs.
+    An invalid value raises :class:`~lanebound.integrity.core.errors.ConfigError` with one line for each problem. Text
+    and booleans are not converted to numbers. An int is accepted as a float and a list as a tuple, because YAML needs
+    this.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
@@ -77,11 +77,11 @@ class Config(BaseModel):
         except ValidationError as error:
             raise ConfigError(explain(type(self), error)) from None
 
-    # Tells pydantic that nested models may be validated without a call of this __init__, so that paths stay whole.
+    # pydantic then validates nested models without a call of this __init__, and paths in messages are complete
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 
     def __hash__(self) -> int:
-        """Of type and values, found once: configurations are keys of caches in inner loops."""
+        """Hash of type and values, computed once: configurations are cache keys in inner loops."""
         found = self.__dict__.get(HASH)
         if found is None:
             found = hash((type(self), *(self.__dict__[name] for name in type(self).model_fields)))
@@ -89,7 +89,7 @@ class Config(BaseModel):
         return int(found)
 
     def __getstate__(self) -> dict[Any, Any]:
-        """Without the hash: another process hashes text otherwise."""
+        """State without the hash, because hashes of text differ between processes."""
         state = super().__getstate__()
         return {**state, "__dict__": {name: value for name, value in state["__dict__"].items() if name != HASH}}
 
@@ -102,9 +102,9 @@ class Config(BaseModel):
 
     @classmethod
     def load(cls, data: Mapping[str, Any], path: str = "", unchanged: Mapping[str, Any] | None = None) -> Self:
-        """The configuration from plain data; ``path`` goes in front of every key in messages.
+        """Build the configuration from plain data; ``path`` is the prefix of every key in messages.
 
-        ``unchanged`` is what the data were before a user changed them, for messages to name its values.
+        ``unchanged`` is the data before the changes of a user; messages give its values.
 
         Raises
         ------
@@ -120,7 +120,7 @@ class Config(BaseModel):
 
     @classmethod
     def build(cls, data: Mapping[str, Any] | Self | None = None, overrides: Mapping[str, Any] | None = None) -> Self:
-        """The configuration from plain data (or another configuration, or nothing) with ``overrides`` merged deeply.
+        """Build the configuration from plain data, another configuration or nothing, with ``overrides`` merged deeply.
 
         Raises
         ------
@@ -134,36 +134,36 @@ class Config(BaseModel):
 
     @classmethod
     def kept(cls, base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-        """What of ``base`` holds beside ``changes`` that are merged over it: all, unless they change its kind."""
+        """The part of ``base`` that remains valid with ``changes``: all of it, unless the kind changes."""
         return dict(base)
 
     @classmethod
     def preset(cls, name: str, overrides: Mapping[str, Any] | None = None) -> Self:
-        """The configuration of a packaged preset with ``overrides`` merged deeply."""
+        """Build the configuration of a packaged preset with ``overrides`` merged deeply."""
         data = load_preset(name, overrides)
         data.pop("kind", None)
         return cls.load(data)
 
     def replace(self, **changes: Any) -> Self:
-        """A checked copy with ``changes``; a mapping changes only the keys it names."""
+        """A validated copy with ``changes``; a mapping changes only its own keys."""
         return type(self).build(self, changes)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data (numbers, text, lists, mappings) that ``load`` and JSON take."""
+        """Plain data (numbers, text, lists, mappings) for ``load`` and JSON."""
         return self.model_dump(mode="json")
 
     def to_json(self) -> str:
-        """JSON text that ``from_json`` takes."""
+        """JSON text for ``from_json``."""
         return self.model_dump_json()
 
     @classmethod
     def from_json(cls, text: str | bytes) -> Self:
-        """The configuration from JSON text.
+        """Build the configuration from JSON text.
 
         Raises
         ------
         ConfigError
-            The text is not JSON, or its values are refused.
+            The text is not JSON, or a value is invalid.
         """
         import json
 
@@ -175,7 +175,7 @@ class Config(BaseModel):
 
 
 def _merged(model: type[BaseModel] | None, base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """As ``deep_merge``, with configurations that may change their kind."""
+    """``deep_merge`` that also handles configurations whose kind changes."""
     merged = deep_merge(model.kept(base, changes) if model is not None and issubclass(model, Config) else base, {})
     for key, value in changes.items():
         old = merged.get(key)
@@ -189,7 +189,7 @@ def _merged(model: type[BaseModel] | None, base: Mapping[str, Any], changes: Map
 
 
 def _check_same_kind(raw: Any, value: Any) -> None:
-    """Refuse a number that was read from text or from a truth value, at any depth of a sequence or mapping."""
+    """Refuse a number converted from text or from a boolean, at any depth of a sequence or mapping."""
     if isinstance(value, Config | Enum | str) or value is raw:
         return
     if isinstance(value, bool) and not isinstance(raw, bool):
@@ -205,7 +205,7 @@ def _check_same_kind(raw: Any, value: Any) -> None:
 
 
 class Entry(NamedTuple):
-    """One value of a configuration: dotted path, value, unit ("" for a pure number) and what it is."""
+    """One value of a configuration: dotted path, value, unit ("" for a dimensionless number) and description."""
 
     path: str
     value: Any
@@ -214,7 +214,7 @@ class Entry(NamedTuple):
 
 
 def unit_of(name: str) -> str:
-    """The unit that a field's name ends in: ``"speed_mps"`` -> ``"m/s"``, ``"faults_per_h"`` -> ``"1/h"``."""
+    """Unit in the suffix of a field name: ``"speed_mps"`` -> ``"m/s"``, ``"faults_per_h"`` -> ``"1/h"``."""
     head, *below = name.split("_per_")
     top = _suffix(head)
     if not below:
@@ -227,9 +227,9 @@ def _suffix(name: str) -> str:
 
 
 def describe(config: BaseModel, path: str = "") -> list[Entry]:
-    """Every value of a configuration, in the order of its fields.
+    """List every value of a configuration, in the order of its fields.
 
-    The unit is the one in brackets in the field's description, or else the one its name ends in.
+    The unit is the one in brackets in the description of the field, otherwise the one in the suffix of its name.
     """
     return list(_entries(config, path))
 
@@ -253,7 +253,7 @@ def _entries(config: BaseModel, path: str) -> Iterator[Entry]:
 
 
 def _nested(value: Any, path: str) -> list[tuple[str, BaseModel]]:
-    """The configurations inside a value, each with its path."""
+    """The configurations inside a value, with their paths."""
     if isinstance(value, BaseModel):
         return [(path, value)]
     if isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""Pydantic's findings in this package's words: the dotted path, the bound, the value found and the remedy."""
+"""Messages for pydantic's validation errors: the dotted path, the bound, the value found and the remedy."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ NUMBERS = {"float_type", "float_parsing", "int_type", "int_parsing"}
 def explain(
     model: type[BaseModel], error: ValidationError, path: str = "", unchanged: Mapping[str, Any] | None = None
 ) -> str:
-    """One line for each problem that ``error`` found in ``model``, with ``path`` in front of each key.
+    """One line for each problem of ``error`` in ``model``, with ``path`` in front of each key.
 
-    ``unchanged`` is what a user's changes were merged over: its values are named in place of a field's default.
+    ``unchanged`` is the data before the changes of a user; its values are given instead of the default of a field.
     """
     found = error.errors()
     places = [problem["loc"] for problem in found]
-    told = [p for p in found if not (p["type"] == "too_short" and _holds(p["loc"], places))]
-    return "\n".join(_line(model, problem, path, unchanged or {}) for problem in told)
+    reported = [p for p in found if not (p["type"] == "too_short" and _contains_one(p["loc"], places))]
+    return "\n".join(_line(model, problem, path, unchanged or {}) for problem in reported)
 
 
-def _holds(loc: Sequence[int | str], places: Sequence[Sequence[int | str]]) -> bool:
-    """Whether one of the places lies within ``loc``: what is too short for values that were refused is no finding."""
+def _contains_one(loc: Sequence[int | str], places: Sequence[Sequence[int | str]]) -> bool:
+    """Whether a place lies within ``loc``: a list that is too short only because of invalid entries is not reported."""
     return any(len(place) > len(loc) and tuple(place[: len(loc)]) == tuple(loc) for place in places)
 
 
@@ -58,7 +58,7 @@ def _line(model: type[BaseModel], problem: Mapping[str, Any], path: str, unchang
 
 
 def _demand(problem: Mapping[str, Any], field: FieldInfo | None) -> str:
-    """What the value must do, in words."""
+    """The requirement on the value, in words."""
     kind, context = problem["type"], problem.get("ctx", {})
     if kind in BOUNDS:
         return _interval(field) or _one_bound(context)
@@ -87,7 +87,7 @@ def _one_bound(context: Mapping[str, Any]) -> str:
 
 
 def _interval(field: FieldInfo | None) -> str | None:
-    """``"lie in (0, 1)"`` when the field has both bounds."""
+    """``"lie in (0, 1)"`` if the field has both bounds, otherwise None."""
     limits = {
         key: getattr(item, key) for item in (field.metadata if field else ()) for key in SIGNS if hasattr(item, key)
     }
@@ -100,13 +100,13 @@ def _interval(field: FieldInfo | None) -> str | None:
 
 
 def _found(value: Any) -> str:
-    """The value, a long one without its middle: of a path the end tells most."""
+    """The value as text; the middle of a long value is left out, because the end of a path matters most."""
     shown = repr(value)
     return shown if len(shown) <= 80 else f"{shown[:30]}...{shown[-45:]}"
 
 
 def _before(unchanged: Any, loc: Sequence[int | str]) -> Any:
-    """The value at a path of plain data, None where there is none."""
+    """The value at a path of plain data, None if there is no value."""
     for key in loc:
         unchanged = unchanged.get(key) if isinstance(unchanged, Mapping) else None
     return unchanged
@@ -141,12 +141,12 @@ def _plain(value: Any) -> bool:
 
 
 def _find(model: type[BaseModel], loc: Sequence[int | str]) -> tuple[type[BaseModel] | None, FieldInfo | None]:
-    """The model that owns the last key of ``loc``, and that key's field; None where the path leaves the models."""
+    """The model that owns the last key of ``loc``, and the field of the key; None if the path leaves the models."""
     owner: type[BaseModel] | None = model
     inside: type[BaseModel] | None = model
     field: FieldInfo | None = None
     for key in loc:
-        owner = _having(inside, key)
+        owner = _model_with(inside, key)
         field = owner.model_fields.get(key) if owner is not None and isinstance(key, str) else None
         if field is not None:
             inside = model_in(field.annotation)
@@ -155,8 +155,8 @@ def _find(model: type[BaseModel], loc: Sequence[int | str]) -> tuple[type[BaseMo
     return owner, field
 
 
-def _having(model: type[BaseModel] | None, key: int | str) -> type[BaseModel] | None:
-    """The model, or of a family of models (:mod:`.tagged`) the first kind that has the key."""
+def _model_with(model: type[BaseModel] | None, key: int | str) -> type[BaseModel] | None:
+    """The model, or the first kind of a family of models (:mod:`.tagged`) that has the key."""
     kinds: list[type[BaseModel] | None] = [*getattr(model, "kinds", {}).values()] or [model]
     return next((kind for kind in kinds if kind is not None and key in kind.model_fields), kinds[0])
 

@@ -1,6 +1,6 @@
-"""The two errors a user can meet, and the checks that raise them.
+"""The two exceptions of the integrity layer for invalid input, and the checks that raise them.
 
-Each message names the field, the bound, the value found and the remedy.
+Each message gives the field, the bound, the value found and the remedy.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ __all__ = ["ConfigError", "InputError", "require_finite", "require_in_range", "r
 
 
 class InputError(ValueError):
-    """An argument cannot be used as given."""
+    """An argument is invalid."""
 
 
 class ConfigError(InputError):
@@ -22,7 +22,7 @@ class ConfigError(InputError):
 
 
 def require_finite(name: str, value: ArrayLike) -> NDArray[np.float64]:
-    """Return ``value`` as float64, or raise InputError when an entry is NaN, infinite, text or no number at all."""
+    """Return ``value`` as float64; raise InputError if an entry is NaN, infinite or not a number."""
     try:
         raw = np.asarray(value)
         if raw.dtype.kind not in "biufO" or (raw.dtype.kind == "O" and any(map(_is_text, raw.flat))):
@@ -33,7 +33,7 @@ def require_finite(name: str, value: ArrayLike) -> NDArray[np.float64]:
     if not np.isfinite(array).all():
         bad = np.argwhere(~np.isfinite(array))[0]
         at = f"{name}[{', '.join(map(str, bad))}]" if array.ndim else name
-        raise InputError(f"{name} must be finite, got {at} = {array[tuple(bad)]}: mask or drop that entry first")
+        raise InputError(f"{name} must be finite, got {at} = {array[tuple(bad)]}: mask or remove that entry")
     return array
 
 
@@ -42,7 +42,7 @@ def _is_text(entry: object) -> bool:
 
 
 def _shown(value: object) -> str:
-    """The type, and a short text itself."""
+    """The type of a value, with the value if it is a short text."""
     kind = type(value).__name__
     return f"{kind} {value!r}" if isinstance(value, str) and len(value) <= 40 else kind
 
@@ -64,7 +64,7 @@ def require_in_range(
     low_open: bool = False,
     high_open: bool = False,
 ) -> NDArray[np.float64]:
-    """Return ``value`` as float64, or raise InputError unless every entry lies between ``low`` and ``high``."""
+    """Return ``value`` as float64; raise InputError unless every entry lies between ``low`` and ``high``."""
     array = require_finite(name, value)
     below = array <= low if low_open else array < low
     above = array >= high if high_open else array > high
@@ -75,5 +75,5 @@ def require_in_range(
 
 
 def require_probability(name: str, value: float) -> float:
-    """Return ``value``, or raise InputError unless it lies in the open interval (0, 1)."""
+    """Return ``value``; raise InputError unless it lies in the open interval (0, 1)."""
     return float(require_in_range(name, value, 0.0, 1.0, low_open=True, high_open=True))

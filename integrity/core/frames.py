@@ -1,4 +1,4 @@
-"""Frames: geodetic, ECEF, local ENU and the vehicle's track frame."""
+"""Transformations between frames: geodetic, ECEF, local ENU and the track frame of a vehicle."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ WGS84_E2 = WGS84_F * (2.0 - WGS84_F)
 
 
 def wrap_angle(angle_rad: ArrayLike) -> Array:
-    """Wrap to [-pi, pi); rounding can give pi itself.  angle_rad (...,) -> (...,)."""
+    """Wrap angles to [-pi, pi); rounding can give pi.  angle_rad (...,) -> (...,)."""
     return np.asarray((np.asarray(angle_rad) + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 def track_from_enu_matrix(heading_rad: ArrayLike) -> Array:
-    """R of S1 eq 16: ``[AT, CT] = R [E, N]``.  heading_rad (...,) clockwise from North -> (..., 2, 2).
+    """Matrix R of S1 eq 16: ``[AT, CT] = R [E, N]``.  heading_rad (...,) clockwise from North -> (..., 2, 2).
 
     R is a reflection: symmetric, determinant -1 and its own inverse.
     """
@@ -42,13 +42,13 @@ def track_from_enu_matrix(heading_rad: ArrayLike) -> Array:
 
 
 def rotate_covariance(cov_en_m2: Array, heading_rad: ArrayLike) -> Array:
-    """``Q_track = R Q_EN R'`` (S1 eq 16).  cov_en_m2 (..., 2, 2) -> (..., 2, 2) [m^2]."""
+    """Rotate a covariance: ``Q_track = R Q_EN R'`` (S1 eq 16).  cov_en_m2 (..., 2, 2) -> (..., 2, 2) [m^2]."""
     r = track_from_enu_matrix(heading_rad)
     return np.asarray(r @ cov_en_m2 @ np.swapaxes(r, -1, -2))
 
 
 def ecef_from_geodetic(lat_rad: ArrayLike, lon_rad: ArrayLike, height_m: ArrayLike) -> Array:
-    """WGS-84 geodetic to ECEF.  (...,) each -> (..., 3) [m]."""
+    """Convert WGS-84 latitude, longitude [rad] and ellipsoidal height [m] to ECEF.  (...,) each -> (..., 3) [m]."""
     lat, lon, h = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (lat_rad, lon_rad, height_m)))
     n = WGS84_A_M / np.sqrt(1.0 - WGS84_E2 * np.sin(lat) ** 2)
     x = (n + h) * np.cos(lat) * np.cos(lon)
@@ -57,7 +57,7 @@ def ecef_from_geodetic(lat_rad: ArrayLike, lon_rad: ArrayLike, height_m: ArrayLi
 
 
 def geodetic_from_ecef(position_ecef_m: ArrayLike) -> tuple[Array, Array, Array]:
-    """ECEF to WGS-84 latitude, longitude [rad] and ellipsoidal height [m], by Bowring's fixed point.  (..., 3)."""
+    """Convert ECEF (..., 3) [m] to WGS-84 latitude, longitude [rad] and height [m] by Bowring's iteration."""
     p = np.asarray(position_ecef_m, dtype=np.float64)
     x, y, z = p[..., 0], p[..., 1], p[..., 2]
     r = np.hypot(x, y)
@@ -73,7 +73,7 @@ def geodetic_from_ecef(position_ecef_m: ArrayLike) -> tuple[Array, Array, Array]
 
 
 def ecef_from_enu_matrix(lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
-    """Columns are the East, North and Up unit vectors in ECEF.  (...,) -> (..., 3, 3)."""
+    """Matrix whose columns are the East, North and Up unit vectors in ECEF.  (...,) [rad] -> (..., 3, 3)."""
     lat, lon = np.broadcast_arrays(np.asarray(lat_rad, dtype=np.float64), np.asarray(lon_rad, dtype=np.float64))
     sp, cp, sl, cl = np.sin(lat), np.cos(lat), np.sin(lon), np.cos(lon)
     east = np.stack([-sl, cl, np.zeros_like(sl)], -1)

@@ -1,4 +1,4 @@
-"""Presets: YAML files packaged with :mod:`lanebound.configs`, merged deeply, as plain data."""
+"""Presets: YAML files of the package :mod:`lanebound.configs`, merged deeply, as plain data."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ __all__ = [
 ]  # fmt: skip
 
 PRESET_PACKAGE = "lanebound.configs"
-FEW = 8  # presets that a message may name
-SIMILAR = 0.6  # ratio of difflib, above which words are similar
+FEW = 8  # largest number of presets listed in a message
+SIMILAR = 0.6  # ratio of difflib above which words are similar
 FILES = (".yaml", ".yml")
 YAML_FLOAT = re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$")  # YAML 1.1 reads 1e-7 as text
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Advice that names the closest known word, or all of them when none is close.
+    """Advice with the closest known word, or with all known words if none is close.
 
-    Close words share most of their letters, and are about as long or contained in each other.
+    Close words share most letters, and have a similar length or contain each other.
 
     >>> nearest("nope", ["np"]), nearest("urbn", ["urban", "dense"])
     ('known are np', "did you mean 'urban'?")
@@ -42,7 +42,7 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
 
 def deep_merge(base: Mapping[str, Any], override: Mapping[str, Any]) -> dict[str, Any]:
-    """A copy of ``base`` in which mappings are merged key by key and every other value is replaced."""
+    """Merge ``override`` into a copy of ``base``: mappings key by key; every other value is replaced."""
     merged = {key: deep_merge(value, {}) if isinstance(value, Mapping) else value for key, value in base.items()}
     for key, value in override.items():
         old = merged.get(key)
@@ -59,16 +59,16 @@ MOST_VALUES = 20_000
 
 @cache
 def _yaml_loader() -> Any:
-    """PyYAML's safe loader, which also reads 1e-7 as a number and refuses a key given twice."""
+    """PyYAML's safe loader, extended to read 1e-7 as a number and to refuse repeated keys."""
     import yaml
 
     class Loader(yaml.SafeLoader):
         def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
             seen = set()
-            own = (key for key, _ in node.value if key.tag != "tag:yaml.org,2002:merge")  # not <<, which names no key
+            own = (key for key, _ in node.value if key.tag != "tag:yaml.org,2002:merge")  # << is not a key
             for key in (self.construct_object(key, deep=True) for key in own):
                 if not isinstance(key, Hashable):
-                    continue  # refused by the safe loader itself
+                    continue  # the safe loader refuses it
                 if key in seen:
                     raise yaml.constructor.ConstructorError(None, None, f"key '{key}' twice", node.start_mark)
                 seen.add(key)
@@ -79,12 +79,12 @@ def _yaml_loader() -> Any:
 
 
 def parse_yaml(text: str, source: str) -> Any:
-    """Plain data from YAML text; ``source`` names it in errors.
+    """Parse YAML text to plain data; ``source`` is the name of the text in errors.
 
     Raises
     ------
     ConfigError
-        The text is not YAML, is nested too deeply, or holds too much once its aliases are written out.
+        The text is not YAML, is nested too deeply, or has too many values after expansion of its aliases.
     """
     import yaml
 
@@ -99,7 +99,7 @@ def parse_yaml(text: str, source: str) -> Any:
 
 
 def _require_moderate(data: Any, source: str) -> None:
-    """Refuse data so deep or so large that a check would not end: a few aliases can stand for a billion values."""
+    """Refuse data that is too deep or too large to validate: a few aliases can expand to a billion values."""
     count, level = 0, [data]
     for _ in range(DEEPEST):
         below: list[Any] = []
@@ -115,14 +115,14 @@ def _require_moderate(data: Any, source: str) -> None:
 
 
 def _inside(part: Any) -> Collection[Any]:
-    """The values in a mapping, a list or a set; nothing in others."""
+    """The values in a mapping, list, set or tuple; empty for other types."""
     if isinstance(part, Mapping):
         return part.values()
     return part if isinstance(part, list | set | tuple) else ()
 
 
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
-    """Nested overrides from texts such as ``"navigator.dt_s=0.2"``; values are read as YAML."""
+    """Parse texts such as ``"navigator.dt_s=0.2"`` to nested overrides; values are read as YAML."""
     overrides: dict[str, Any] = {}
     for text in assignments:
         if not isinstance(text, str):
@@ -130,7 +130,7 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
         path, equals, value = text.partition("=")
         keys = [key.strip() for key in path.split(".")]
         if not equals or not all(keys):
-            raise ConfigError(f"an override must read key=value, got '{text}': 'lanebound config show' names the keys")
+            raise ConfigError(f"an override must read key=value, got '{text}': 'lanebound config show' lists the keys")
         nested: Any = parse_yaml(value, f"the value of '{path}'")
         for key in reversed(keys):
             nested = {key: nested}
@@ -156,7 +156,7 @@ def preset_names() -> list[str]:
 
 
 def load_preset(name: str, overrides: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """The values of preset ``name`` with those it extends below it and ``overrides`` on top.
+    """Load the values of preset ``name``, merged over the presets that it extends, with ``overrides`` merged over them.
 
     A preset may say ``extends: other`` (or a list, later ones win), and so may a mapping inside it, for instance
     ``imu: {extends: sensors/imu_tactical}``. ``kind``, when present at the top, stays in the result.
@@ -170,15 +170,15 @@ def load_preset(name: str, overrides: Mapping[str, Any] | None = None) -> dict[s
 
 
 def load_file(path: Path, what: str, kind: str | None = None) -> dict[str, Any]:
-    """The values of a preset that is a file of one's own; ``what`` it is in messages.
+    """Load the values of a user's preset file; ``what`` describes the file in messages.
 
-    It may extend packaged ones by name, and other files by their paths from its own folder. With ``kind`` a file that
-    names another, itself or by what it extends, is refused; the values are then without it.
+    The file can extend packaged presets by name, and other files by their paths relative to its folder. With ``kind``,
+    a file of another kind is refused, and the key ``kind`` is removed from the values.
 
     Raises
     ------
     ConfigError
-        It cannot be read, is not a mapping of YAML, is of another kind, or extends what there is not, or itself.
+        The file cannot be read, is not a mapping of YAML, is of another kind, or extends itself or an unknown preset.
     """
     data = _read(path, what, _presets(), ())
     if kind is not None and (found := data.pop("kind", kind)) != kind:
@@ -203,17 +203,17 @@ def _read(path: Path, what: str, presets: Mapping[str, Traversable], seen: tuple
 
 def _require_new(name: str, seen: tuple[str, ...]) -> None:
     if name in seen:
-        raise ConfigError(f"preset '{name}' extends itself, by way of {' -> '.join((*seen, name))}: break the circle")
+        raise ConfigError(f"preset '{name}' extends itself: {' -> '.join((*seen, name))}: remove one 'extends'")
 
 
 def _nearest_preset(name: str, presets: Iterable[str]) -> str:
-    """Advice that names one preset, of which a part may be meant, or says where the many are listed."""
+    """Advice with the closest preset (by full name or last part), or with the command that lists all presets."""
     names = list(presets)
     by_last = {preset.rpartition("/")[2]: preset for preset in names}
     close = difflib.get_close_matches(name, [*names, *by_last], n=1, cutoff=0.6)
     if close:
         return f"did you mean '{by_last.get(close[0], close[0])}'?"
-    return nearest(name, names) if len(names) <= FEW else "'lanebound config list' names all of them"
+    return nearest(name, names) if len(names) <= FEW else "'lanebound config list' lists all of them"
 
 
 def _resolve(name: str, presets: Mapping[str, Traversable], seen: tuple[str, ...]) -> dict[str, Any]:
@@ -227,7 +227,7 @@ def _resolve(name: str, presets: Mapping[str, Traversable], seen: tuple[str, ...
 def _extended(
     text: str, source: str, presets: Mapping[str, Traversable], seen: tuple[str, ...], folder: Path | None = None
 ) -> dict[str, Any]:
-    """What a text says over what it extends, which are presets, and files where it is one itself in ``folder``."""
+    """The values of a text, merged over what it extends: presets, and files if the text is a file in ``folder``."""
     data = parse_yaml(text, source)
     if not isinstance(data, Mapping):
         raise ConfigError(f"{source} must be a mapping, got {type(data).__name__}: write lines 'key: value'")
@@ -239,7 +239,7 @@ def _extended(
     merged: dict[str, Any] = {}
     for parent in parents:
         if folder is not None and parent.endswith(FILES):
-            merged = deep_merge(merged, _read(folder / parent, f"what {source} extends", presets, seen))
+            merged = deep_merge(merged, _read(folder / parent, f"the base of {source}", presets, seen))
         else:
             merged = deep_merge(merged, _resolve(parent, presets, seen))
     return deep_merge(merged, _parts_extended(own, source, presets, seen))

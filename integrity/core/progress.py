@@ -1,4 +1,4 @@
-"""How far long work is: whoever wants to know is told how much is done, and of how much."""
+"""Callbacks for the progress of long work: ``progress(done, of)`` is called with two numbers of units."""
 
 from __future__ import annotations
 
@@ -10,4 +10,4 @@ Progress = Callable[[int, int], None]
 
 
 def silent(done: int, of: int) -> None:
-    """Nobody wants to know."""
+    """Ignore the progress."""

@@ -1,13 +1,13 @@
-"""Named records: structured arrays in which kernels keep many scalars of a vehicle, an environment or a lane.
+"""Named records: structured arrays with many scalars of a vehicle, an environment or a lane for kernels.
 
 >>> POSE = record(east_m="position, East", north_m="position, North", laps=("i8", "rounds driven"))
->>> poses = np.zeros(3, POSE)                  # a row for each of three vehicles
->>> poses["east_m"] = 1.0, 2.0, 3.0            # outside of kernels: an array for each field
+>>> poses = np.zeros(3, POSE)                  # one row for each of three vehicles
+>>> poses["east_m"] = 1.0, 2.0, 3.0            # outside of kernels: one array for each field
 >>> one_record(POSE, east_m=1.0, north_m=2.0, laps=0)["north_m"]
 array([2.])
 
-Inside a kernel ``pose = poses[v]`` is a record whose fields are attributes (``pose.east_m += 1.0``); it refers to the
-array and is passed on as one pointer. Arrays of several axes travel in a NamedTuple beside them.
+Inside a kernel ``pose = poses[v]`` is a record whose fields are attributes (``pose.east_m += 1.0``). It refers to the
+array and is passed as one pointer. Arrays of several axes are passed in a separate NamedTuple.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ Field = str | tuple[Any, str] | tuple[Any, tuple[int, ...], str]
 
 
 def record(**fields: Field) -> np.dtype[np.void]:
-    """The type of a record from its fields, in their order.
+    """Declare the type of a record from its fields, in order.
 
-    A field is what it means (a float64); or its type and meaning; or type, shape and meaning. The type of a field may
-    be that of another record.
+    A field is given as its meaning (for a float64), as (type, meaning), or as (type, shape, meaning). The type of a
+    field can be another record.
     """
     return np.dtype([(name, *_kind(field)) for name, field in fields.items()], align=True)
 
@@ -38,12 +38,12 @@ def _kind(field: Field) -> tuple[Any, ...]:
 
 
 def one_record(kind: DTypeLike, **values: Any) -> Records:
-    """An array (1,) of one record: a kernel's parameters.
+    """Build an array (1,) of one record, for example the parameters of a kernel.
 
     Raises
     ------
     TypeError
-        A field is left out, or there is none of that name.
+        A field is missing or unknown.
     """
     out = np.zeros(1, kind)
     names = set(out.dtype.names or ())

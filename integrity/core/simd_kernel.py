@@ -1,12 +1,12 @@
-"""Eight numbers at a time: a vector type for kernels, whose arithmetic has the same bits on every path.
+"""A vector type of eight numbers for kernels, whose arithmetic gives the same bits on every processor.
 
-A compiler vectorises a loop that adds up a row only when it may change the order of the sum; the last bits then depend
-on the code around the loop. Here the kernel states which operations run side by side. ``Lanes`` add, subtract, multiply
-and divide lane by lane, with each other and with plain numbers; the functions below give the other operations. Each is
-one machine operation on 2, 4 or 8 lanes, depending on the processor, with the same result.
+A compiler vectorises the sum of a row only if it may change the order of the sum; the last bits then depend on the code
+around the loop. Here the kernel states explicitly which operations run in parallel. ``Lanes`` are added, subtracted,
+multiplied and divided lane by lane, with other ``Lanes`` or with numbers; the functions below are the other operations.
+Each operation is one machine operation on 2, 4 or 8 lanes, depending on the processor, with the same result.
 
-For use inside kernels. ``load`` and ``store`` move ``WIDTH`` entries at a time without bounds checks: arrays must be
-C-contiguous and long enough for whole vectors (:func:`padded`).
+For use inside kernels only. ``load`` and ``store`` move ``WIDTH`` entries at a time without bounds checks: arrays must
+be C-contiguous and long enough for whole vectors (:func:`padded`).
 """
 
 # mypy: allow-untyped-calls, allow-untyped-decorators
@@ -46,7 +46,7 @@ VECTOR, NUMBER, INDEX = ir.VectorType(ir.DoubleType(), WIDTH), ir.DoubleType(), 
 
 
 class LanesType(types.Type):
-    """Numba's type of ``Lanes``; a plain number becomes one by filling all lanes."""
+    """Numba type of ``Lanes``; a number is converted by a copy to all lanes."""
 
     def __init__(self) -> None:
         super().__init__(name="Lanes")
@@ -60,7 +60,7 @@ lanes = LanesType()
 
 @register_model(LanesType)
 class LanesModel(models.PrimitiveModel):
-    """Lanes live in a vector register."""
+    """Data model of ``Lanes``: a vector register."""
 
     def __init__(self, manager: Any, fe_type: Any) -> None:
         super().__init__(manager, fe_type, VECTOR)
@@ -81,7 +81,7 @@ def _takes_lanes(arguments: tuple[Any, ...]) -> bool:
 
 
 def _operator(function: Any, instruction: str) -> None:
-    """Teach Numba ``function`` of two ``Lanes``, or of ``Lanes`` and a number."""
+    """Register ``function`` of two ``Lanes``, or of ``Lanes`` and a number, with Numba."""
 
     @infer_global(function)
     class Template(AbstractTemplate):
@@ -99,12 +99,12 @@ for _name, _llvm_name in {"add": "fadd", "sub": "fsub", "mul": "fmul", "truediv"
 
 
 def _instruction(function: Any) -> Any:
-    """A function of kernels that stands for the LLVM code which ``function`` emits."""
+    """Kernel function whose LLVM code ``function`` emits."""
     return intrinsic(function)
 
 
 def _llvm(builder: Any, name: str, *args: Any) -> Any:
-    """Call of the LLVM function ``name``, which takes and gives vectors or numbers of one type."""
+    """Call of the LLVM function ``name``, whose arguments and result are vectors or numbers of one type."""
     kind = args[0].type
     suffix = f"v{WIDTH}f64" if kind == VECTOR else "f64"
     signature = ir.FunctionType(kind, [kind] * len(args))
@@ -113,7 +113,7 @@ def _llvm(builder: Any, name: str, *args: Any) -> Any:
 
 @_instruction
 def fma(typingctx: Any, a: Any, b: Any, c: Any) -> Any:
-    """``a b + c`` rounded once, of lanes or numbers."""
+    """``a b + c`` of lanes or numbers with a single rounding."""
     kind = lanes if lanes in (a, b, c) else types.float64
     return kind(kind, kind, kind), lambda context, builder, signature, args: _llvm(builder, "fma", *args)
 
@@ -132,7 +132,7 @@ def root_of(typingctx: Any, a: Any) -> Any:
 
 @_instruction
 def where_less(typingctx: Any, a: Any, b: Any, then: Any, otherwise: Any) -> Any:
-    """``then if a < b else otherwise`` in each lane; NaN is not less."""
+    """``then if a < b else otherwise`` in each lane; the comparison with NaN is False."""
 
     def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.select(builder.fcmp_ordered("<", args[0], args[1]), args[2], args[3])
@@ -147,7 +147,7 @@ def spread(typingctx: Any, number: Any) -> Any:
 
 
 def _address(context: Any, builder: Any, array_type: Any, array: Any, indices: Any) -> Any:
-    """Vector pointer to the entry ``indices`` of an array of one axis or two."""
+    """Vector pointer to the entry ``indices`` of an array with one or two axes."""
     fields = context.make_array(array_type)(context, builder, array)
     offset = indices[0]
     if array_type.ndim == 2:
@@ -156,7 +156,7 @@ def _address(context: Any, builder: Any, array_type: Any, array: Any, indices: A
 
 
 def _indices(array: Any, j: Any) -> tuple[Any, Any] | None:
-    """Types of the two indices, the second one possibly left out; None where they do not fit the array's axes."""
+    """Types of the one or two indices; None if they do not fit the axes of the array."""
     axes = 1 if j is None else 2
     if not isinstance(array, types.Array) or array.ndim != axes:
         return None
@@ -178,7 +178,7 @@ def load(typingctx: Any, array: Any, i: Any, j: Any = None) -> Any:
 
 @_instruction
 def store(typingctx: Any, value: Any, array: Any, i: Any, j: Any = None) -> Any:
-    """Write the lanes to the entries that :func:`load` reads."""
+    """Write the lanes to the same entries that :func:`load` reads."""
     indices = _indices(array, j)
     if indices is None:
         return None
@@ -191,7 +191,7 @@ def store(typingctx: Any, value: Any, array: Any, i: Any, j: Any = None) -> Any:
 
 
 def _folded(builder: Any, vector: Any, combine: Any) -> Any:
-    """One number of all lanes: the upper half on the lower, until one is left."""
+    """Reduce all lanes to one number: combine the upper half with the lower half until one number remains."""
     width = WIDTH
     while width > 1:
         width //= 2
@@ -203,7 +203,7 @@ def _folded(builder: Any, vector: Any, combine: Any) -> Any:
 
 @_instruction
 def total(typingctx: Any, a: Any) -> Any:
-    """Sum of the lanes, by pairs in a fixed order."""
+    """Sum of the lanes, in pairs in a fixed order."""
 
     def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return _folded(builder, args[0], builder.fadd)
@@ -213,7 +213,7 @@ def total(typingctx: Any, a: Any) -> Any:
 
 @_instruction
 def largest(typingctx: Any, a: Any) -> Any:
-    """Largest of the lanes, none of them NaN."""
+    """Largest of the lanes, none of which may be NaN."""
 
     def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         def greater(x: Any, y: Any) -> Any:
@@ -226,17 +226,17 @@ def largest(typingctx: Any, a: Any) -> Any:
 
 @jit
 def minimum(a: Any, limit: Any) -> Any:
-    """The smaller one in each lane; a NaN in ``a`` stays."""
+    """The smaller value in each lane; a NaN in ``a`` is preserved."""
     return where_less(limit, a, limit, a)
 
 
 @jit
 def maximum(a: Any, limit: Any) -> Any:
-    """The larger one in each lane; a NaN in ``a`` stays."""
+    """The larger value in each lane; a NaN in ``a`` is preserved."""
     return where_less(a, limit, limit, a)
 
 
 @jit
 def padded(n: int) -> int:
-    """The next multiple of WIDTH: the columns that whole vectors reach."""
+    """``n`` rounded up to a multiple of WIDTH: the number of columns for whole vectors."""
     return (n + WIDTH - 1) // WIDTH * WIDTH

@@ -1,4 +1,4 @@
-"""Symmetric 3x3 matrices, which is what is left of a position once the clocks are eliminated, and their HDOP."""
+"""Symmetric 3x3 matrices (normal matrices of a position after elimination of the clocks), and HDOP."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["MAX_GROUPS", "hdop_of", "invert_3x3", "invert_upper", "multiply_3"]
 Array = NDArray[np.float64]
 
 MAX_GROUPS = 8  # clocks of a receiver
-SINGULAR_BELOW = 1e-12  # of the determinant of the matrix scaled to a unit diagonal, and of the diagonal's own spread
+SINGULAR_BELOW = 1e-12  # limit of the determinant after scaling to a unit diagonal, and of the ratio in the diagonal
 
 
 @jit
@@ -34,7 +34,7 @@ def invert_upper(
 
 @jit
 def invert_3x3(matrix: Array, out: Array) -> bool:
-    """Inverse of a symmetric positive definite 3x3 matrix; False (and ``out`` undefined) when it is not one."""
+    """Inverse of a symmetric positive definite 3x3 matrix; returns False (``out`` undefined) for other matrices."""
     ok, out[0, 0], out[0, 1], out[0, 2], out[1, 1], out[1, 2], out[2, 2] = invert_upper(
         matrix[0, 0], matrix[0, 1], matrix[0, 2], matrix[1, 1], matrix[1, 2], matrix[2, 2]
     )
@@ -51,7 +51,7 @@ def multiply_3(matrix: Array, vector: Array, out: Array) -> None:
 
 @jit
 def hdop_of(e: Array, group: NDArray[np.int64], member: NDArray[np.bool_]) -> float:
-    """HDOP ``sqrt(Q_EE + Q_NN)`` of the members, ``Q`` from ``(G'G)^-1`` with one clock for each group; inf: singular.
+    """HDOP ``sqrt(Q_EE + Q_NN)`` of the members, ``Q`` from ``(G'G)^-1`` with one clock for each group; singular: inf.
 
     e (S, 3) unit vectors in ENU, group (S,) below MAX_GROUPS, member (S,) bool.
     """

@@ -1,6 +1,7 @@
-"""Named random streams: one generator per vehicle and purpose, all spawned from one seed by name.
+"""Named random streams: one generator for each vehicle and purpose, derived by name from the seed of the vehicle.
 
-Adding a stream, or a draw in one stream, never moves another; the same seed gives the same bits in any process.
+A new stream, or a draw from one stream, does not change the draws of other streams. The same seed gives the same bits
+in every process.
 """
 
 from __future__ import annotations
@@ -24,18 +25,18 @@ STREAM_NAMES = (
     "traffic", "gnss", "clock", "corrections", "imu", "odometer", "v2v", "sensor", "faults", "start", "scene",
     "atmosphere", "station", "network",
 )  # fmt: skip
-"""All streams; the last three are what the vehicles of an area have in common."""
+"""Names of all streams; the vehicles of an area share the last three."""
 ZIGGURAT: NDArray[np.float64] = np.load(str(resources.files("lanebound.integrity.core") / "ziggurat.npy"))
-"""(3, 256) tables of normal draws (:func:`~lanebound.integrity.core.streams_kernel.fill`), rounded as NumPy's are."""
+"""(3, 256) tables of normal draws (:func:`~lanebound.integrity.core.streams_kernel.fill`), rounded as in NumPy."""
 
 
 def _name_key(name: str) -> int:
-    """A stable 64-bit key of a stream's name (Python's own ``hash`` changes from process to process)."""
+    """A stable 64-bit key of a stream's name (Python's ``hash`` differs between processes)."""
     return int.from_bytes(hashlib.blake2b(name.encode(), digest_size=8).digest(), "little")
 
 
 def _entropy(seed: int | Sequence[int]) -> list[int]:
-    """One seed, or several, as plain non-negative ints."""
+    """One or several seeds as a list of non-negative ints."""
     entropy = [int(seed)] if isinstance(seed, int | np.integer) else [int(s) for s in seed]
     if any(e < 0 for e in entropy):
         raise InputError(f"seed must be non-negative, got {seed}: choose 0 or a positive integer")
@@ -47,12 +48,12 @@ def _sequence(seed: int | Sequence[int], name: str) -> np.random.SeedSequence:
 
 
 def named_generator(seed: int | Sequence[int], name: str) -> np.random.Generator:
-    """The generator of stream ``name`` under ``seed`` (a non-negative int, or a sequence of them)."""
+    """Create the generator of stream ``name`` for ``seed`` (a non-negative int or a sequence of them)."""
     return np.random.Generator(np.random.SFC64(_sequence(seed, name)))
 
 
 def named_states(seeds: Sequence[int], name: str) -> NDArray[np.uint64]:
-    """The states (n, 4) of those generators, for compiled draws of the same bits."""
+    """States (n, 4) of the generators of stream ``name`` for n seeds, for compiled draws of the same bits."""
     words = np.stack([_sequence(seed, name).generate_state(3, np.uint64) for seed in seeds])
     states = np.empty((len(seeds), 4), dtype=np.uint64)
     sk.begin(words, states)
@@ -65,17 +66,17 @@ class Streams:
     Parameters
     ----------
     seeds
-        One seed for each vehicle, or one int that seeds ``batch`` vehicles jointly (row b of a draw then belongs to
-        vehicle b, but the rows come from one generator: the fastest form, for Monte Carlo).
+        One seed for each vehicle, or one int that seeds ``batch`` vehicles jointly. With joint seeding row b of a draw
+        belongs to vehicle b, but all rows come from one generator; this is the fastest form, for Monte Carlo.
     batch
         Number of vehicles; needed only with a single seed.
 
-    A draw is always shaped ``(B, *shape)``.
+    All draws have the shape ``(B, *shape)``.
 
     Raises
     ------
     InputError
-        When a seed is negative, none is given, or ``batch`` is missing or contradicts the number of seeds.
+        A seed is negative, no seed is given, or ``batch`` is missing or differs from the number of seeds.
     """
 
     def __init__(self, seeds: int | Sequence[int], batch: int | None = None) -> None:
@@ -94,11 +95,11 @@ class Streams:
 
     @property
     def seeds(self) -> tuple[int, ...] | None:
-        """Of each vehicle; None where one serves all."""
+        """Seed of each vehicle; None with joint seeding."""
         return None if self._joint else tuple(self._seeds)
 
     def states(self, name: str) -> NDArray[np.uint64]:
-        """The states (n, 4) of the generators of one stream, n vehicles or a single joint one; draws change them."""
+        """States (n, 4) of the generators of one stream, n vehicles or 1 with joint seeding; draws change them."""
         found = self._states.get(name)
         if found is None:
             self._require_undrawn(name, self._generators)
@@ -106,12 +107,12 @@ class Streams:
         return found
 
     def generator(self, name: str) -> np.random.Generator:
-        """The first vehicle's generator of a stream, or the joint one, for laws that are not drawn in batches.
+        """Generator of a stream of the first vehicle (or the joint one), for distributions without batch draws.
 
         Raises
         ------
         InputError
-            The stream is drawn from in batches: the same numbers would be drawn twice.
+            The stream has batch draws: the same numbers would be drawn twice.
         """
         found = self._generators.get(name)
         if found is None:
@@ -122,12 +123,13 @@ class Streams:
     def normal(self, name: str, *shape: int, where: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
         """Standard normal draws ``(B, *shape)`` from stream ``name``.
 
-        ``where`` (B,) names the vehicles that draw; the rows of others hold anything, and their generators stay.
+        ``where`` (B,) selects the vehicles that draw. The rows of the others are undefined, and their generators do not
+        advance.
 
         Raises
         ------
         InputError
-            Some but not all draw, of vehicles that are seeded jointly.
+            With joint seeding ``where`` selects some but not all vehicles.
         """
         out = np.empty((self.batch, *shape))
         if where is None or where.all():
@@ -148,7 +150,7 @@ class Streams:
         return out
 
     def reseed(self, index: int, seed: int) -> None:
-        """Start vehicle ``index`` anew under ``seed`` (all its streams); refused for joint seeding."""
+        """Reset all streams of vehicle ``index`` to ``seed``; refused with joint seeding."""
         if self._joint:
             raise InputError("streams seeded jointly cannot reseed one vehicle: give one seed for each vehicle")
         self._seeds[index] = _entropy(seed)[0]
@@ -157,32 +159,32 @@ class Streams:
         if index == 0:
             self._generators.clear()
 
-    def adopt(self, rows: NDArray[np.int64], other: Streams, theirs: NDArray[np.int64]) -> None:
-        """Go on with the generators of the vehicles ``theirs`` (n,) of other streams as ``rows`` (n,).
+    def adopt(self, rows: NDArray[np.int64], other: Streams, other_rows: NDArray[np.int64]) -> None:
+        """Copy seeds and generators of the vehicles ``other_rows`` (n,) of ``other`` to the vehicles ``rows`` (n,).
 
         Raises
         ------
         InputError
-            Either are seeded jointly.
+            One of the two is seeded jointly.
         """
         if self._joint or other._joint:
-            raise InputError("streams seeded jointly cannot hand over a vehicle: give one seed for each vehicle")
+            raise InputError("streams seeded jointly cannot copy a vehicle: give one seed for each vehicle")
         if 0 in rows:
             self._generators.clear()
-        for row, of in zip(rows.tolist(), theirs.tolist(), strict=True):
-            self._seeds[row] = other._seeds[of]
+        for row, other_row in zip(rows.tolist(), other_rows.tolist(), strict=True):
+            self._seeds[row] = other._seeds[other_row]
         for name in {*self._states, *other._states}:
-            self.states(name)[rows] = other.states(name)[theirs]
+            self.states(name)[rows] = other.states(name)[other_rows]
 
     def snapshot(self) -> Streams:
-        """An independent copy that will produce the same draws."""
+        """An independent copy that produces the same draws."""
         return copy.deepcopy(self)
 
     def _by_generator(self, out: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The same array with a row for each generator."""
+        """The same array with one row for each generator."""
         return out.reshape(len(self._seeds), math.prod(out.shape) // len(self._seeds))
 
     @staticmethod
     def _require_undrawn(name: str, other: dict[str, Any]) -> None:
         if name in other:
-            raise InputError(f"stream {name!r} must be drawn from in one way, got two: name another stream")
+            raise InputError(f"stream {name!r} must be drawn from in one way, got two: use another stream")

@@ -1,4 +1,4 @@
-"""Configurations of several kinds: a tag in the data chooses the class, and new kinds register themselves.
+"""Configurations of several kinds: a tag in the data selects the class; new kinds are registered with a decorator.
 
 >>> class Shape(Tagged, tag="kind"):
 ...     area_m2: float = 0.0
@@ -9,8 +9,8 @@
 >>> Shape.load({"kind": "circle", "radius_m": 2.0}).radius_m
 2.0
 
-Fields typed ``Shape`` take, check and write any registered kind. Data without a tag are of the default kind, if the
-family has one.
+Fields of type ``Shape`` accept, validate and serialize every registered kind. Data without a tag have the default kind,
+if the family has one.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ C = TypeVar("C", bound="Tagged")
 
 
 class Tagged(Config):
-    """Base of a family of configurations.
+    """Base class of a family of configurations.
 
     Class arguments of a family
     ---------------------------
-    tag : name of the field that names the kind
-    default : kind of data without a tag; none by default
-    modules : modules that register built-in kinds, by kind, imported when the kind is first needed
+    tag : name of the field with the name of the kind
+    default : kind of data without a tag; no default kind if None
+    modules : modules that register built-in kinds, by kind; they are imported at the first use of the kind
     """
 
     family: ClassVar[type[Tagged] | None] = None
@@ -61,20 +61,20 @@ class Tagged(Config):
 
     @classmethod
     def register(cls, kind: type[C]) -> type[C]:
-        """Add a kind to the family; a decorator.
+        """Add a kind to the family (class decorator).
 
         Raises
         ------
         ConfigError
-            The kind has no tag, or another class has it.
+            The kind has no tag, or another class has the same tag.
         """
         field = kind.model_fields.get(cls.tag)
         name = field.default if field is not None else None
         if not isinstance(name, str):
-            raise ConfigError(f"{kind.__name__}.{cls.tag} must have a default, got none: write its name")
+            raise ConfigError(f"{kind.__name__}.{cls.tag} must have a default, got none: give the name of the kind")
         other = cls.kinds.get(name)
         if other is not None and (other.__module__, other.__qualname__) != (kind.__module__, kind.__qualname__):
-            raise ConfigError(f"{cls.tag} must be new, got {name!r}, which {other.__name__} has: choose another name")
+            raise ConfigError(f"{cls.tag} must be unused, got {name!r} of {other.__name__}: choose another name")
         cls.kinds[name] = kind
         return kind
 
@@ -90,7 +90,7 @@ class Tagged(Config):
         Raises
         ------
         ConfigError
-            There is no such kind.
+            The kind is unknown.
         """
         name = bare_name(name) if isinstance(name, str) else name
         if name not in cls.kinds and name in cls.modules:
@@ -111,7 +111,7 @@ class Tagged(Config):
 
     @classmethod
     def load(cls, data: Mapping[str, Any], path: str = "", unchanged: Mapping[str, Any] | None = None) -> Self:
-        """As :meth:`Config.load`, of the kind that the data name."""
+        """Build the configuration of the kind given in the data; see :meth:`Config.load`."""
         if cls.family is not cls or not isinstance(data, Mapping):
             return super().load(data, path, unchanged)
         try:
@@ -122,7 +122,7 @@ class Tagged(Config):
 
     @classmethod
     def kept(cls, base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-        """Of another kind, the values that both kinds have."""
+        """``base`` itself, or, if the kind changes, the values that both kinds have."""
         family, tag = cls.family or cls, cls.tag
         name = changes.get(tag, base.get(tag))
         if name == base.get(tag, cls.default) or name is None:
@@ -131,12 +131,12 @@ class Tagged(Config):
         return {key: value for key, value in base.items() if key in fields and key != tag}
 
     def replace(self, **changes: Any) -> Self:
-        """A checked copy with ``changes``; a mapping changes only the keys it names. The kind may change."""
+        """A validated copy with ``changes``; a mapping changes only its own keys. The kind can change."""
         return (self.family or type(self)).build(self, changes)  # type: ignore[return-value]
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
-        """Of a family: dispatch to the kind; of a kind: the usual one."""
+        """The schema of a family dispatches to the kind; a kind has the usual schema."""
         if cls.family is not cls:
             return handler(source)
         return core_schema.no_info_plain_validator_function(
@@ -174,6 +174,6 @@ class Tagged(Config):
 
 
 def _written(value: Tagged, info: Any) -> Any:
-    """Plain data of a configuration; the name of its kind where the kind has nothing else to say."""
+    """Plain data of a configuration; only the name of the kind if the kind has no other fields."""
     data = value.model_dump(mode=info.mode)
     return data[value.tag] if set(data) == {value.tag} else data

@@ -1,1 +1,1 @@
-"""What really happens to vehicles: the truth that instruments measure, and scripted drives that make it."""
+"""True motion of vehicles, which is the input of all sensors, and scripted drives."""

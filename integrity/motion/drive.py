@@ -1,7 +1,7 @@
-"""Scripted drives: vehicles that follow a road with speed limits, curves and traffic lights, and give their truth.
+"""Scripted drives: true motion of vehicles on a road with speed limits, curves and traffic lights.
 
-They exist to exercise the navigation on its own, without a driving environment. Longitudinal motion only: each vehicle
-keeps the middle of its lane, accelerates and brakes within comfortable limits and stops at red lights.
+They are inputs for the navigation without a driving environment. The motion is longitudinal only: each vehicle stays in
+the middle of its lane, accelerates and brakes within comfortable limits, and stops at red lights.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 class DriveConfig(Config):
-    """How the scripted drivers behave."""
+    """Parameters of scripted drives."""
 
     speed_limit_mps: float = Field(13.9, gt=0, description="speed limit [m/s]; 50 km/h, Tokyo city streets")
     acceleration_mps2: float = Field(
@@ -34,15 +34,15 @@ class DriveConfig(Config):
     braking_mps2: float = Field(2.0, gt=0, description="comfortable braking [m/s^2]; ISO 15622 allows up to 3.5")
     lateral_mps2: float = Field(2.0, gt=0, description="lateral acceleration that limits the speed in curves [m/s^2]")
     light_spacing_m: float = Field(250.0, gt=20, description="distance between traffic lights [m]; city blocks")
-    red_share: float = Field(0.45, ge=0, le=1, description="share of lights met at red [-]")
+    red_share: float = Field(0.45, ge=0, le=1, description="share of traffic lights that are red [-]")
     red_min_s: float = Field(5.0, ge=0, description="shortest wait at a red light [s]")
     red_max_s: float = Field(50.0, ge=0, description="longest wait at a red light [s]")
-    lane: int = Field(0, ge=0, description="lane driven in, 0 is the rightmost")
+    lane: int = Field(0, ge=0, description="lane of the vehicles, 0 is the rightmost")
 
 
 @dataclass
 class DriveState:
-    """Where the vehicles are along the road: all arrays (B,)."""
+    """State of B vehicles along the road, arrays (B,); ``position_m`` is (B, 2)."""
 
     time_s: float
     arc_m: Array
@@ -59,12 +59,12 @@ class DriveState:
 
 
 class CityDrive:
-    """A batch of vehicles driving along ``road``.
+    """A batch of vehicles on ``road``.
 
     Parameters
     ----------
     road : Road
-        Its centre line; closed roads are driven lap after lap, open ones to their end, where the vehicles stop.
+        On a closed road the vehicles drive lap after lap, on an open one they stop at its end.
     config : DriveConfig
     dt_s : float
         Length of a navigation epoch.
@@ -72,7 +72,7 @@ class CityDrive:
     Raises
     ------
     InputError
-        When ``dt_s`` is not positive, or the lane lies beyond the centre of a curve.
+        ``dt_s`` is not positive, or the lane lies beyond the centre of a curve.
     """
 
     def __init__(self, road: Road, config: DriveConfig, dt_s: float = 0.1) -> None:
@@ -81,7 +81,7 @@ class CityDrive:
         self.road, self.config, self.dt_s = road, config, dt_s
         tangent = road.tangent_rad - road.tangent_rad[0]
         lateral = float(road.lane_lateral_m(config.lane))
-        self._lane_at_m = road.arc_at_m - lateral * tangent  # exact: the tangent turns evenly between vertices
+        self._lane_at_m = road.arc_at_m - lateral * tangent  # exact, because the tangent is linear between vertices
         if not (np.diff(self._lane_at_m) > 0.0).all():
             raise InputError(
                 f"road must bend less than lane {config.lane}, got a radius below {lateral} m: widen its curves"
@@ -89,14 +89,14 @@ class CityDrive:
         self._limit_mps = self._curve_limits()
 
     def _curve_limits(self) -> Array:
-        """Speed limit at each vertex: the legal one, or what the curve ahead allows with comfortable braking."""
+        """Speed limit at each vertex: the legal limit or the limit of the curves ahead with comfortable braking."""
         c, step = self.config, np.diff(self.road.arc_at_m)
         bend = np.maximum(np.abs(np.diff(self.road.tangent_rad)), 1e-9)
         in_curve = np.maximum(np.sqrt(c.lateral_mps2 * np.diff(self._lane_at_m) / bend), 3.0)
         limit = np.full(step.size + 1, c.speed_limit_mps)
         limit[:-1] = np.minimum(limit[:-1], in_curve)
         limit[1:] = np.minimum(limit[1:], in_curve)
-        for _ in range(2):  # twice, so that a closed road's end sees its beginning
+        for _ in range(2):  # twice, so that on a closed road the limits at the start act on the end
             if self.road.closed:
                 limit[-1] = min(limit[-1], limit[0])
             for i in range(step.size - 1, -1, -1):
@@ -104,14 +104,14 @@ class CityDrive:
         return limit
 
     def _along_lane(self, arc_m: Array) -> Array:
-        """Length of the lane from the road's beginning: ``s - lateral (heading(s) - heading(0))``."""
+        """Length of the lane from the start of the road: ``s - lateral (heading(s) - heading(0))``."""
         lap = np.floor(arc_m / self.road.length_m) if self.road.closed else np.zeros_like(arc_m)
         within = self.road.wrap_arc(arc_m) if self.road.closed else np.minimum(arc_m, self.road.length_m)
         lane = np.interp(within, self.road.arc_at_m, self._lane_at_m)
         return np.asarray(lane + lap * self._lane_at_m[-1] + (arc_m - within - lap * self.road.length_m))
 
     def _advance_arc(self, arc_m: Array, distance_m: Array) -> Array:
-        """The arc after ``distance_m`` along the lane; exactly the same arc for a vehicle that stands."""
+        """The arc after ``distance_m`` along the lane; exactly the same arc for a vehicle at rest."""
         lane = self._along_lane(arc_m) + distance_m
         lap = np.floor(lane / self._lane_at_m[-1]) if self.road.closed else np.zeros_like(lane)
         arc = lap * self.road.length_m
@@ -119,12 +119,12 @@ class CityDrive:
         return np.asarray(np.where(distance_m > 0.0, arc, arc_m))
 
     def start(self, streams: Streams, spread_m: float = 0.0) -> DriveState:
-        """Vehicles at rest, spread uniformly over the first ``spread_m`` of the road.
+        """Create vehicles at rest, uniformly distributed over the first ``spread_m`` of the road.
 
         Raises
         ------
         InputError
-            When ``streams`` is no :class:`Streams`, or ``spread_m`` is negative or beyond the end of an open road.
+            ``streams`` is not of class :class:`Streams`, or ``spread_m`` is negative or beyond the end of an open road.
         """
         _require_streams(streams)
         require_in_range("spread_m", spread_m, 0.0, np.inf if self.road.closed else self.road.length_m)
@@ -152,7 +152,7 @@ class CityDrive:
         Raises
         ------
         InputError
-            When ``streams`` is not for as many vehicles as ``state`` holds.
+            ``streams`` and ``state`` have different numbers of vehicles.
         """
         _require_streams(streams, state.arc_m.size)
         c, dt = self.config, self.dt_s
@@ -182,7 +182,7 @@ class CityDrive:
         return truth
 
     def _allowed_speed(self, state: DriveState, to_light: Array) -> Array:
-        """Speed that still allows to stop for a red light, or at the end of an open road, with comfortable braking."""
+        """Largest speed that allows a comfortable stop at a red light or at the end of an open road."""
         gap = np.where(state.red, to_light - 1.0, np.inf)
         if not self.road.closed:
             gap = np.minimum(gap, self.road.length_m - 1.0 - state.arc_m)
@@ -191,7 +191,7 @@ class CityDrive:
         return np.minimum(limit, np.where(gap < 0.3, 0.0, stopping))
 
     def _lights(self, state: DriveState, to_light: Array, speed: Array, u: Array) -> None:
-        """Count down the wait at a red light; draw the next light when one is passed."""
+        """Count down the wait at a red light; after a light is passed, draw the colour of the next one."""
         c = self.config
         waiting = state.red & (speed == 0.0) & (to_light < 3.0)
         begins = waiting & (state.wait_s <= 0.0)
@@ -204,11 +204,11 @@ class CityDrive:
 
 
 def _require_streams(streams: Streams, batch: int | None = None) -> None:
-    """Raise InputError unless ``streams`` are random streams, for ``batch`` vehicles when a number is given."""
+    """Raise InputError unless ``streams`` are random streams, and for ``batch`` vehicles if it is not None."""
     if not isinstance(streams, Streams):
         raise InputError(f"streams must be of class Streams, got {type(streams).__name__}: pass Streams(seeds)")
     if batch not in (None, streams.batch):
         raise InputError(
             f"streams must be for the {batch} vehicles of state, got streams for {streams.batch}: "
-            "pass those that start() was given"
+            "pass the streams of start()"
         )

@@ -1,4 +1,4 @@
-"""What really happens to a batch of vehicles during one navigation epoch: the only input that sensors may read."""
+"""The true motion of a batch of vehicles during one navigation epoch, which is the only input of sensor models."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Truth:
-    """The true motion of B vehicles over one epoch of length ``dt_s`` that ends at ``time_s``.
+    """The true motion of B vehicles over one epoch of length ``dt_s`` with the end ``time_s``.
 
     Attributes
     ----------
-    position_enu_m, velocity_enu_mps : (B, 3) of the vehicle's reference point, at the end of the epoch
+    position_enu_m, velocity_enu_mps : (B, 3) of the reference point of the vehicle, at the end of the epoch
     heading_rad : (B,) azimuth of the body's x axis, clockwise from North, at the end
     delta_theta_rad : (B, 3) rotation over the epoch in body axes (forward, right, down)
-    delta_v_mps : (B, 3) integrated specific force over the epoch in the body axes of its middle
-    distance_m : (B,) signed length of the chord, which is the path's to second order in the turn
+    delta_v_mps : (B, 3) integrated specific force over the epoch in the body axes at its middle
+    distance_m : (B,) signed length of the chord; equal to the path length up to second order in the turn
     arc_m : (B,) position along the street's centre line, for the sky mask
     lane : (B,) lane index there, 0 is the rightmost
     """
@@ -49,7 +49,7 @@ class Truth:
         return int(self.heading_rad.shape[0])
 
     def at(self, forward_m: float, right_m: float) -> Self:
-        """The same motion with position and velocity of another point of the body, as far off the reference point."""
+        """The motion of another point of the body at an offset from the reference point (position and velocity)."""
         sine, cosine = np.sin(self.heading_rad), np.cos(self.heading_rad)
         turning = self.delta_theta_rad[:, 2] / self.dt_s
         off = np.zeros_like(self.position_enu_m)
@@ -69,7 +69,7 @@ class Truth:
         arc_m: Array,
         lane: NDArray[np.int64],
     ) -> Self:
-        """:func:`truth_between` for arrays that are known to be finite float64 of the right shapes."""
+        """:func:`truth_between` without checks, for finite float64 arrays of the correct shapes."""
         batch = heading_rad[1].shape[0]
         position, velocity, turn, delta_v = np.empty((4, batch, 3))
         heading, distance = np.empty((2, batch))
@@ -95,18 +95,18 @@ def truth_between(
     arc_m: ArrayLike = 0.0,
     lane: ArrayLike = 0,
 ) -> Truth:
-    """Truth of an epoch from the (E, N) poses at its two ends, for vehicles on a plane.
+    """Compute the truth of an epoch from the (E, N) poses at its start and end, for vehicles on a plane.
 
     Parameters
     ----------
     position_m, velocity_mps : pairs of (B, 2) East, North at the start and at the end
     heading_rad : pair of (B,) azimuths at the start and at the end
-    arc_m, lane : (B,) or scalar, where on the street the epoch ends
+    arc_m, lane : (B,) or scalar, place on the street at the end
 
     Raises
     ------
     InputError
-        When an entry is not finite, a shape does not fit the others, or ``dt_s`` is not positive.
+        An entry is not finite, a shape does not fit the others, or ``dt_s`` is not positive.
     """
     if not dt_s > 0.0:
         raise InputError(f"dt_s must be positive, got {dt_s}: pass the length of the epoch in seconds")

@@ -1,4 +1,4 @@
-"""The true motion of an epoch from the poses at its two ends, vehicle by vehicle."""
+"""Numba kernels that compute the true motion of an epoch from the poses at its start and end."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class TrueMotion(NamedTuple):
 
 @jit
 def wrap(angle):  # type: ignore[no-untyped-def]
-    """Wrap to [-pi, pi); rounding can give pi itself."""
+    """Wrap an angle [rad] to [-pi, pi); rounding can give pi."""
     return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
 
 
@@ -68,6 +68,6 @@ def all_finite(position, velocity, heading, arc):  # type: ignore[no-untyped-def
         total = heading[b] + arc[b]
         for k in range(3):
             total += position[b, k] + velocity[b, k]
-        if not math.isfinite(total):  # an infinity or a NaN stays in a sum
+        if not math.isfinite(total):  # a sum with an infinity or NaN is not finite
             return False
     return True

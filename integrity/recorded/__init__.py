@@ -1,7 +1,7 @@
-"""Drives and static sessions that others recorded: readers, nothing else.
+"""Readers of public data sets: recorded drives and static sessions.
 
-Every reader returns a frozen record of arrays with ``stopped``: None when the file was read to its end, otherwise a
-:class:`~lanebound.integrity.recorded.source.Stop` that says where and why reading ended; what came before is returned.
-A file that is wrong elsewhere than at its end, or of which nothing can be used, is refused with an ``InputError`` that
-names file, line and field.
+Every reader returns a frozen record of arrays with ``stopped``: None if the file was read to its end, otherwise a
+:class:`~lanebound.integrity.recorded.source.Stop` with the place and the reason; the data before this place are
+returned. A file with an error before its end, or without usable data, is refused with an ``InputError`` that gives
+file, line and field.
 """

@@ -1,9 +1,9 @@
-"""comma2k19 segments: a minute of highway with wheel speeds, inertial sensors, receiver fixes and a reference pose.
+"""Reader of comma2k19 segments: one minute of highway with wheel speeds, IMU, receiver fixes and a reference pose.
 
 Source of the layout: Schafer et al. 2018, "A Commute in Data: The comma2k19 Dataset" (arXiv 1812.05752). A segment is a
-folder of NumPy arrays, in the original without the ending ``.npy``. Reference poses come from a smoothed solution of
-raw GNSS and vision, in ECEF; orientations are quaternions that turn the frame of the phone (x forward, y right, z down)
-into ECEF.
+folder of NumPy arrays, in the original without the suffix ``.npy``. Reference poses are a smoothed solution of raw GNSS
+and vision, in ECEF; orientations are quaternions that rotate the frame of the phone (x forward, y right, z down) to
+ECEF.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Series:
     value: Array
 
     def at(self, time_s: Array) -> Array:
-        """Values (T,) or (T, k) at times (T,), linear between samples and constant beyond."""
+        """Interpolate values (T,) or (T, k) at times (T,): linear between samples, constant beyond them."""
         if self.value.ndim == 1:
             return np.interp(time_s, self.time_s, self.value)
         return np.stack([np.interp(time_s, self.time_s, column) for column in self.value.T], -1)
@@ -50,7 +50,7 @@ class Reference:
 
 @dataclass(frozen=True)
 class ReceiverFixes:
-    """Fixes of the u-blox: time (N,) [s], latitude and longitude [deg], speed [m/s], course [deg]."""
+    """Fixes of the u-blox receiver: time (N,) [s], latitude and longitude [deg], speed [m/s], course [deg]."""
 
     time_s: Array
     latitude_deg: Array
@@ -61,7 +61,7 @@ class ReceiverFixes:
 
 @dataclass(frozen=True)
 class Comma:
-    """A segment: reference, speed of the car [m/s], of its four wheels [m/s], acceleration [m/s^2] and rotation rate
+    """A segment: reference, speed of the car [m/s] and of its four wheels [m/s], acceleration [m/s^2] and rotation rate
     [rad/s] (forward, right, down), and fixes or None."""
 
     reference: Reference
@@ -73,12 +73,12 @@ class Comma:
 
 
 def read_comma(folder: str | Path) -> Comma:
-    """A segment from its folder (``global_pose``, ``CAN``, ``IMU`` and, when there, ``GNSS/live_gnss_ublox``).
+    """Read a segment from its folder (``global_pose``, ``CAN``, ``IMU`` and, optionally, ``GNSS/live_gnss_ublox``).
 
     Raises
     ------
     InputError
-        A needed array is missing or malformed, names the file; or times do not increase.
+        A required array is missing or malformed, or times do not increase; the message gives the file.
     """
     reader = _Reader(Path(folder))
     pose = Path("global_pose")
@@ -96,13 +96,13 @@ def read_comma(folder: str | Path) -> Comma:
 
 
 def read_rows(path: str | Path, columns: int | None, max_bytes: int = MAX_BYTES) -> Array:
-    """Rows (N,) or, with ``columns``, (N, columns), of a NumPy array file, as float64.
+    """Read rows (N,) or, with ``columns``, (N, columns) of a NumPy array file as float64.
 
     Raises
     ------
     InputError
-        The file cannot be read, is cut or too large, is no array of real numbers of that shape, or holds a number that
-        is not finite.
+        The file cannot be read, is truncated or too large, is not an array of real numbers of this shape, or contains a
+        number that is not finite.
     """
     source = Path(path)
     try:
@@ -110,14 +110,14 @@ def read_rows(path: str | Path, columns: int | None, max_bytes: int = MAX_BYTES)
         if size > max_bytes:
             raise InputError(f"{path} must have at most {max_bytes} bytes, has {size}: split it")
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of headers that Python 2 wrote
-            # mapped, so that a header that declares more than the file holds allocates nothing
+            warnings.simplefilter("ignore")  # about headers written by Python 2
+            # memory-mapped: a header that declares more than the file contains allocates no memory
             found = np.load(source, mmap_mode="r", allow_pickle=False, max_header_size=MAX_HEADER)
     except OSError as error:
         raise InputError(f"{path} must be a readable file, got: {error}") from error
     except InputError:
         raise
-    except Exception as error:  # NumPy's parser of headers raises many kinds
+    except Exception as error:  # NumPy's header parser raises errors of many types
         raise InputError(f"{path} must be a complete NumPy array file (.npy), got: {str(error)[:200]}") from error
     if not isinstance(found, np.ndarray):
         found.close()
@@ -132,7 +132,7 @@ def read_rows(path: str | Path, columns: int | None, max_bytes: int = MAX_BYTES)
     numbers = np.array(rows, dtype=np.float64)
     if not np.isfinite(numbers).all():
         bad = int(np.argwhere(~np.isfinite(numbers))[0][0])
-        raise InputError(f"{path} must be finite, got {numbers[bad]} in row {bad}: drop that row from all its arrays")
+        raise InputError(f"{path} must be finite, got {numbers[bad]} in row {bad}: remove this row from all arrays")
     return numbers
 
 
@@ -150,26 +150,26 @@ class _Reader:
 
     def __init__(self, folder: Path) -> None:
         if not folder.is_dir():
-            raise InputError(f"{folder} must be a folder of a comma2k19 segment: give the one that holds global_pose")
+            raise InputError(f"{folder} must be a folder of a comma2k19 segment: give the folder with global_pose")
         self.folder = folder
 
     def path(self, name: Path) -> Path | None:
-        """The file of an array, with or without its ending; None where there is none."""
+        """The file of an array, with or without the suffix; None if the file does not exist."""
         plain = self.folder / name
         return next((p for p in (plain.with_name(f"{plain.name}.npy"), plain) if p.is_file()), None)
 
     def rows(self, name: Path, columns: int | None = None) -> Array:
-        """Rows of an array that must be there."""
+        """Rows of a required array."""
         path = self.path(name)
         if path is None:
-            raise InputError(f"{self.folder / name}(.npy) must be there, is not: is {self.folder} a comma2k19 segment?")
+            raise InputError(f"{self.folder / name}(.npy) must exist, got none: is {self.folder} a comma2k19 segment?")
         found = read_rows(path, columns)
         if not len(found):
-            raise InputError(f"{path} must hold at least one row, got none: fetch it again")
+            raise InputError(f"{path} must hold at least one row, got none: download it again")
         return found
 
     def series(self, name: str, columns: int | None = None) -> Series:
-        """``NAME/t`` and ``NAME/value``, as long as both are."""
+        """The series of ``NAME/t`` and ``NAME/value``, cut to the shorter of the two."""
         time, value = self.rows(Path(name) / "t"), self.rows(Path(name) / "value", columns)
         n = min(len(time), len(value))
         later = np.concatenate([[True], np.diff(np.maximum.accumulate(time[:n])) > 0.0])

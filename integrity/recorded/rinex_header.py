@@ -1,4 +1,4 @@
-"""The header of a RINEX 3 observation file (IGS/RTCM RINEX Version 3.04, tables A1-A2)."""
+"""Parser of the header of a RINEX 3 observation file (IGS/RTCM RINEX Version 3.04, tables A1-A2)."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ MAX_CODES = 999
 SYSTEMS = "GRESCJI"
 TIME_SYSTEMS = ("GPS", "GLO", "GAL", "QZS", "BDT", "IRN", "UTC")
 KINDS = "CLDSXI"  # code, phase, Doppler, strength, channel number, ionospheric delay
-B1_IN_BAND_1 = 3.02  # the one version that writes BeiDou's B1I (1561.098 MHz) as band 1, all others as band 2
+B1_IN_BAND_1 = 3.02  # the only version in which BeiDou's B1I (1561.098 MHz) is band 1; it is band 2 in all others
 
 
 @dataclass(frozen=True)
 class Header:
-    """What later lines need, and what a user wants to know.
+    """Contents of the header.
 
-    ``codes`` are the observation codes of each system letter in the order of their columns, BeiDou's B1I in band 2
-    whatever the version (:func:`b1_in_band_2`); ``scale`` divides the stored values of (system, code); ``channel`` is
-    the frequency number of a GLONASS satellite; position [m] of the marker or None; ``antenna_delta_enu_m`` leads from
-    the marker to the antenna reference point.
+    ``codes`` are the observation codes of each system letter in the order of their columns, BeiDou's B1I in band 2 for
+    all versions (:func:`b1_in_band_2`); ``scale`` divides the stored values of (system, code); ``channel`` is the
+    frequency number of a GLONASS satellite; ``position_ecef_m`` is the position of the marker or None;
+    ``antenna_delta_enu_m`` is the vector from the marker to the antenna reference point.
     """
 
     version: float
@@ -46,8 +46,7 @@ class Header:
 
     @property
     def antenna_ecef_m(self) -> NDArray[np.float64] | None:
-        """Antenna reference point (3,) [m]: marker and ANTENNA: DELTA H/E/N (RINEX 3.04 table A2); None without a
-        marker's position."""
+        """Antenna reference point (3,) [m]: marker plus ANTENNA: DELTA H/E/N (RINEX 3.04 table A2), or None."""
         if self.position_ecef_m is None:
             return None
         marker = np.array(self.position_ecef_m)
@@ -57,7 +56,7 @@ class Header:
 
 @dataclass
 class HeaderBuilder:
-    """Takes header lines one by one; ``build`` when END OF HEADER was seen. All errors are ValueErrors."""
+    """Parses header lines one by one; ``build`` is called after END OF HEADER. All errors are ValueErrors."""
 
     version: float | None = None
     marker: str = ""
@@ -78,7 +77,7 @@ class HeaderBuilder:
     scaled: tuple[str, float, int] = ("", 1.0, 0)
 
     def take(self, line: str) -> None:
-        """One line of the header, also of one in the middle of a file."""
+        """Parse one line of the header."""
         label, text = line[LABEL_AT:].strip(), line[:LABEL_AT]
         if self.version is None and label != "RINEX VERSION / TYPE":
             raise ValueError(f"the first line must be 'RINEX VERSION / TYPE', got {line[:80]!r}: is it a RINEX file?")
@@ -87,7 +86,7 @@ class HeaderBuilder:
             reader(self, text)
 
     def build(self) -> Header:
-        """The whole header."""
+        """The header from all lines."""
         assert self.version is not None
         for system, count in self.counts.items():
             if len(self.codes[system]) != count:
@@ -104,13 +103,13 @@ class HeaderBuilder:
         )  # fmt: skip
 
     def _columns(self, system: str, codes: list[str]) -> tuple[str, ...]:
-        """Codes as most versions name them; refused where two columns become one."""
+        """Codes in the names of most versions; refused if two columns get the same name."""
         named = tuple(self._named(system, code) for code in codes)
         for old, new in zip(codes, named, strict=True):
             if old != new and named.count(new) > 1:
                 raise ValueError(
                     f"SYS / # / OBS TYPES of {system} must have BeiDou's B1I in one column, got {old} and {new}, which "
-                    "both mean it: drop one (for instance gfzrnx)"
+                    "are both B1I: remove one (for instance with gfzrnx)"
                 )
         return named
 
@@ -123,7 +122,7 @@ class HeaderBuilder:
         kind = text[20:21].upper()
         if not 3.0 <= self.version < 5.0:
             raise ValueError(
-                f"RINEX version must be 3 or 4, got {self.version:g}: convert the file (for instance gfzrnx)"
+                f"RINEX version must be 3 or 4, got {self.version:g}: convert the file (for instance with gfzrnx)"
             )
         if kind != "O":
             raise ValueError(f"the file must hold observations ('O'), got {text[20:40].strip()!r}")
@@ -151,7 +150,7 @@ class HeaderBuilder:
             self.codes[self.system].append(code)
         if len(self.codes[self.system]) > self.counts[self.system]:
             raise ValueError(
-                f"SYS / # / OBS TYPES of {self.system}: more codes than the {self.counts[self.system]} told"
+                f"SYS / # / OBS TYPES of {self.system}: more codes than the declared {self.counts[self.system]}"
             )
 
     def _scale(self, text: str) -> None:
@@ -198,10 +197,11 @@ class HeaderBuilder:
 
 
 def b1_in_band_2(code: str, version: float) -> str:
-    """A BeiDou code as all versions but 3.02 write it: its 1I, 1Q and 1X (1561.098 MHz) become 2I, 2Q and 2X.
+    """Convert a BeiDou code to the name in all versions but 3.02: 1I, 1Q and 1X (1561.098 MHz) become 2I, 2Q and 2X.
 
-    RINEX 3.05, note of table 19: readers of 3.02 take both alike. Other versions know no 1I and 1Q, and B1C
-    (1575.42 MHz, band 1 from 3.04 on) has no such channels: these mean B1I there too. 1X stays, which is B1C's.
+    RINEX 3.05, note of table 19: readers of 3.02 treat both names alike. In the other versions 1I and 1Q are undefined,
+    and B1C (1575.42 MHz, band 1 from 3.04 on) has no such channels; they are B1I as well. 1X is B1C there and does not
+    change.
     """
     channels = "IQX" if round(version, 2) == B1_IN_BAND_1 else "IQ"
     return f"{code[0]}2{code[2]}" if code[1:2] == "1" and code[2:] in tuple(channels) else code

@@ -1,8 +1,8 @@
-"""RINEX 3 and 4 observation files: code, phase, Doppler and strength of every signal, epoch by epoch.
+"""Reader of RINEX 3 and 4 observation files: code, phase, Doppler and strength of every signal at every epoch.
 
 IGS/RTCM RINEX Version 3.04, table A3: an epoch line ``> year month day hour minute second flag number [clock]``, then
 one line for each satellite with 16 characters for each observation code: F14.3, loss-of-lock indicator, strength. Times
-are those of the file's own time system; GLONASS and UTC files are refused, for their leap seconds.
+are in the time system of the file; files in GLONASS time or UTC are refused because of their leap seconds.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ WEEK_S = 604_800
 ORIGIN = date(1980, 1, 6)
 GOOD, POWER_FAILURE, CYCLE_SLIPS, MAX_FLAG = 0, 1, 6, 6
 MAX_SATELLITES = 999
-BDT_BEHIND_GPS_S = 14.0  # BeiDou time counts from 2006-01-01 and lacks the leap seconds up to then
+BDT_BEHIND_GPS_S = 14.0  # BeiDou time starts at 2006-01-01 without the leap seconds before that date
 SAME_TIME = ("GPS", "GAL", "QZS", "IRN", "BDT")
 
 
 @dataclass(frozen=True)
 class SystemRows:
-    """Satellite epochs (N,) of one system: index of the epoch, number of the satellite, values (N, codes), 0.0 where
-    there is none (phases in cycles), and what is told of the lock (N, codes): lost, half a cycle in doubt."""
+    """Satellite epochs (N,) of one system: index of the epoch, number of the satellite, values (N, codes), 0.0 for none
+    (phases in cycles), and flags (N, codes): lock lost, half-cycle ambiguity possible."""
 
     codes: tuple[str, ...]
     epoch: Ints
@@ -47,21 +47,21 @@ class SystemRows:
     half: NDArray[np.bool_]
 
     def column(self, code: str) -> Array:
-        """Values of a code, zeros when the file does not have it.  (N,)."""
+        """Values of a code, zeros if the file does not contain the code.  (N,)."""
         return self.value[:, self.codes.index(code)] if code in self.codes else np.zeros(len(self.epoch))
 
     def lost_lock(self, code: str) -> NDArray[np.bool_]:
-        """Whether lock of a code was lost since the last epoch.  (N,)."""
+        """Whether lock of a code was lost since the previous epoch.  (N,)."""
         return self.lost[:, self.codes.index(code)] if code in self.codes else np.zeros(len(self.epoch), np.bool_)
 
     def half_cycle(self, code: str) -> NDArray[np.bool_]:
-        """Whether a phase may be off by half a cycle.  (N,)."""
+        """Whether a phase may be wrong by half a cycle.  (N,)."""
         return self.half[:, self.codes.index(code)] if code in self.codes else np.zeros(len(self.epoch), np.bool_)
 
 
 @dataclass(frozen=True)
 class Observations:
-    """Header, GPS week (T,) and time of week (T,) [s], whether power failed before an epoch, rows by system letter."""
+    """Header, GPS week (T,), time of week (T,) [s], power failure before an epoch (T,), and rows by system letter."""
 
     header: Header
     week: Ints
@@ -81,14 +81,14 @@ class Observations:
 
 
 def read_observations(path: str | Path, max_bytes: int = MAX_BYTES) -> Observations:
-    """Observations of a RINEX 3 or 4 file, plain or gzip.
+    """Read the observations of a RINEX 3 or 4 file, plain or gzip.
 
-    An epoch that is not whole at the end of the file is left out and told in ``stopped``.
+    An incomplete epoch at the end of the file is left out and reported in ``stopped``.
 
     Raises
     ------
     InputError
-        The file cannot be read, is no RINEX 3 or 4 observation file, is malformed before its last epoch, or has no
+        The file cannot be read, is not a RINEX 3 or 4 observation file, is malformed before its last epoch, or has no
         epoch.
     """
     lines = Lines(path, max_bytes)
@@ -106,7 +106,7 @@ def read_observations(path: str | Path, max_bytes: int = MAX_BYTES) -> Observati
         doubt = Stop(lines.number, parser.unfinished())
     stopped = lines.stop or doubt
     if parser.header is None:
-        raise InputError(f"{path} must have a whole RINEX header, {stopped or 'it has none'}: is it a RINEX 3 file?")
+        raise InputError(f"{path} must have a complete RINEX header, {stopped or 'it has none'}: is it a RINEX 3 file?")
     return parser.result(path, stopped)
 
 
@@ -119,7 +119,7 @@ class _Rows:
         self.value, self.lost = array("d"), array("b")
 
     def finished(self, epochs: int) -> SystemRows:
-        """Arrays of the rows of whole epochs."""
+        """Arrays of the rows of complete epochs."""
         epoch = np.array(self.epoch, dtype=np.int64)
         keep = epoch < epochs
         shape = (len(epoch), len(self.codes))
@@ -130,7 +130,7 @@ class _Rows:
 
 
 class _Parser:
-    """State of reading: header, then epochs; ``left`` satellite (or event) lines of the present epoch to come."""
+    """Parser state: header, then epochs; ``left`` is the number of remaining lines of the current epoch."""
 
     def __init__(self) -> None:
         self.builder = HeaderBuilder()
@@ -140,13 +140,13 @@ class _Parser:
         self.left, self.flag, self.done = 0, GOOD, 0
 
     def unfinished(self) -> str:
-        """What is missing at the end of the file, or nothing."""
+        """The missing part at the end of the file, "" for none."""
         if self.header is None:
             return "END OF HEADER is missing"
         return f"the last epoch lacks {self.left} of its lines" if self.left else ""
 
     def take(self, text: str) -> None:
-        """One line, not blank."""
+        """Parse one non-blank line."""
         if self.header is None:
             self.builder.take(text)
             if self.builder.ended:
@@ -178,7 +178,7 @@ class _Parser:
             assert self.header is not None
             week, tow = _gps_time(text[1:29], BDT_BEHIND_GPS_S if self.header.time_system == "BDT" else 0.0)
             if self.tow and (week, tow) <= (self.week[-1], self.tow[-1]):
-                raise ValueError(f"epochs must follow each other in time, got {text[1:29].strip()}")
+                raise ValueError(f"epochs must increase in time, got {text[1:29].strip()}")
             self.week.append(week)
             self.tow.append(tow)
             self.power.append(self.flag == POWER_FAILURE)
@@ -204,16 +204,16 @@ class _Parser:
         rows.epoch.append(len(self.tow) - 1)
 
     def _event_header(self, text: str) -> None:
-        """Header lines inside the file may not change the columns."""
+        """Refuse header lines inside the file that change the columns."""
         if text[60:].strip() in ("SYS / # / OBS TYPES", "SYS / SCALE FACTOR"):
             raise ValueError("observation codes must not change inside the file: split it there")
 
     def result(self, path: str | Path, stopped: Stop | None) -> Observations:
-        """Arrays of all whole epochs."""
+        """Arrays of all complete epochs."""
         assert self.header is not None
         n = self.done
         if n == 0:
-            raise InputError(f"{path} must hold at least one whole epoch, got none ({stopped or 'the file ends'})")
+            raise InputError(f"{path} must hold at least one complete epoch, got none ({stopped or 'the file ends'})")
         week, tow = np.array(self.week[:n], dtype=np.int64), np.array(self.tow[:n])
         power = np.array(self.power[:n], dtype=np.bool_)
         rows = {system: r.finished(n) for system, r in self.rows.items()}
@@ -221,7 +221,7 @@ class _Parser:
 
 
 def _gps_time(text: str, ahead_s: float) -> tuple[int, float]:
-    """Week and time of week [s] of an epoch line's date; ``ahead_s`` is added."""
+    """Week and time of week [s] of the date of an epoch line plus ``ahead_s``."""
     words = text.split()
     if len(words) != 6:
         raise ValueError(f"an epoch must have year, month, day, hour, minute and second, got {text.strip()[:40]!r}")

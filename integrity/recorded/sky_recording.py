@@ -1,13 +1,13 @@
-"""The sky along a recorded drive: how signals arrived from each direction, by distance driven. A text file of commas.
+"""Recorded skies: reception of signals by direction and distance along a recorded drive, as a CSV file.
 
 ::
 
     satellite,arc_m,azimuth_deg,elevation_deg,path,excess_m,cn0_dbhz
     G12,2.5,141.2,85.1,los,0.0,50.0
 
-Azimuths are clockwise from the direction of travel, so that what stood to the left of the car stays to the left on
-another road. ``path`` is ``los``, ``foliage`` (weak, but not late), ``reflected`` (late by ``excess_m``) or ``blocked``
-(above the horizon and not received; the C/N0 is 0). Any receiver's drive may be written down so.
+Azimuths are clockwise from the direction of travel: an obstacle to the left of the car is also on the left on another
+road. ``path`` is ``los``, ``foliage`` (weak but not delayed), ``reflected`` (delayed by ``excess_m``) or ``blocked``
+(above the horizon and not received; the C/N0 is 0). The drive of any receiver can be written in this format.
 """
 
 from __future__ import annotations
@@ -40,28 +40,28 @@ NUMBERS = (
 )
 PATHS = {path.name.lower(): int(path) for path in Path}
 LONGEST_NAME = 8
-MOST_BYTES = 32 * 2**20  # some 600,000 rows, 3,000 km of street
-# How far apart rows are that differ in one thing alone and tell as little of each other: half a front of a house along
-# the street, and directions, of which elevation says more than azimuth. In Berlin, with one satellite after another
-# left out, these foretell 79 % of its rows, half or twice any of them 72 to 80 %.
+MOST_BYTES = 32 * 2**20  # about 600,000 rows, 3,000 km of street
+# Scales of the distance between rows: half a house front along the street, and angles; elevation has more influence
+# than azimuth. In Berlin (leave-one-satellite-out) these scales predict 79 % of the rows correctly; with half or twice
+# any of them it is 72 to 80 %.
 ALONG_M, ELEVATION_RAD, AZIMUTH_RAD = 10.0, np.deg2rad(8.0), np.deg2rad(16.0)
 
 
 @dataclass(frozen=True)
 class SkyRecording:
-    """Rows (N,), one for each satellite and stretch of the drive; what is asked is answered by the nearest of them.
+    """Rows (N,), one for each satellite and stretch of the drive; look-ups use the nearest row.
 
     Attributes
     ----------
     satellite : name, as ``G12``
     arc_m : distance driven [m]
-    azimuth_rad : from the direction of travel, clockwise
+    azimuth_rad : clockwise from the direction of travel
     elevation_rad : above the horizon
     path : uint8, values of :class:`~lanebound.integrity.sky.visibility.Path`
-    excess_m : by how much a reflected signal was late; 0 for others
-    cn0_dbhz : as received, 0 where it was not
-    length_m : of the drive; it is played as a loop
-    stopped : where a cut file ended
+    excess_m : excess path of a reflected signal; 0 for others
+    cn0_dbhz : C/N0, 0 if not received
+    length_m : length of the drive, which is used as a loop
+    stopped : the place where a truncated file ended
     """
 
     satellite: NDArray[np.str_]
@@ -76,26 +76,26 @@ class SkyRecording:
 
     @cached_property
     def digest(self) -> str:
-        """A name for what is in it: equal recordings, equal name."""
+        """Digest of the contents; equal recordings have equal digests."""
         h = hashlib.blake2b(repr(self.length_m).encode(), digest_size=16)
         for name in ("arc_m", "azimuth_rad", "elevation_rad", "path", "excess_m"):
             h.update(np.ascontiguousarray(getattr(self, name)).tobytes())
         return h.hexdigest()
 
     def rows(self, chosen: Bools) -> SkyRecording:
-        """The recording of some rows (N,) alone, of the same length."""
+        """A recording of the chosen rows (N,) with the same length."""
         columns = {f.name: getattr(self, f.name)[chosen] for f in fields(self) if f.name not in ("length_m", "stopped")}
         return replace(self, **columns)
 
     def nearest(self, arc_m: Array, azimuth_rad: Array, elevation_rad: Array) -> NDArray[np.int64]:
-        """The row that answers for distances (n,) along the drive, which is a loop, and directions (n,).  -> (n,)."""
-        asked = _coordinates(np.mod(arc_m, self.length_m), azimuth_rad, elevation_rad)
-        _, row = self._tree.query(asked)
+        """Find the nearest row for distances (n,) along the drive, which is a loop, and directions (n,).  -> (n,)."""
+        wanted = _coordinates(np.mod(arc_m, self.length_m), azimuth_rad, elevation_rad)
+        _, row = self._tree.query(wanted)
         return np.asarray(row % self.arc_m.size, dtype=np.int64)
 
     @cached_property
     def _tree(self) -> cKDTree:
-        """All rows three times: the drive, and what comes before and after it where it is a loop."""
+        """All rows three times: the drive, and the laps before and after it."""
         laps = [self.arc_m + k * self.length_m for k in (0, -1, 1)]
         return cKDTree(np.concatenate([_coordinates(arc, self.azimuth_rad, self.elevation_rad) for arc in laps]))
 
@@ -105,7 +105,7 @@ class SkyRecording:
         Raises
         ------
         InputError
-            It cannot be written.
+            The file cannot be written.
         """
         names = [kind.name.lower() for kind in Path]
         columns = (np.degrees(self.azimuth_rad), np.degrees(self.elevation_rad), self.excess_m, self.cn0_dbhz)
@@ -121,19 +121,19 @@ class SkyRecording:
 
 
 def _coordinates(arc_m: Array, azimuth_rad: Array, elevation_rad: Array) -> Array:
-    """Places and directions as points whose distance says how little they tell of each other.  (n,) -> (n, 4)."""
+    """Places and directions as points with a meaningful Euclidean distance.  (n,) -> (n, 4)."""
     flat = np.cos(elevation_rad) / AZIMUTH_RAD
     parts = (arc_m / ALONG_M, elevation_rad / ELEVATION_RAD, flat * np.cos(azimuth_rad), flat * np.sin(azimuth_rad))
     return np.stack(np.broadcast_arrays(*parts), -1)
 
 
 def read_sky_recording(path: str | FilePath) -> SkyRecording:
-    """A recording from its file, plain or gzip. A malformed last line counts as cut off.
+    """Read a recording from its file, plain or gzip; a malformed last line is treated as truncated.
 
     Raises
     ------
     InputError
-        The file cannot be read, a line before the last is malformed, or it holds nothing.
+        The file cannot be read, a line before the last is malformed, or there are no rows.
     """
     lines, doubt = Lines(path, MOST_BYTES), ""
     stop: Stop | None = None
@@ -161,7 +161,7 @@ def read_sky_recording(path: str | FilePath) -> SkyRecording:
     table = np.array(values)
     if not length > table[:, 0].max() * (1.0 - 1e-6):
         raise InputError(
-            f"{path} must say '# length_m=' of the drive, at least its largest arc_m {table[:, 0].max():g}, got "
+            f"{path} must give '# length_m=' of the drive, at least its largest arc_m {table[:, 0].max():g}, got "
             f"{length:g}: correct the first line"
         )
     return SkyRecording(
@@ -171,9 +171,9 @@ def read_sky_recording(path: str | FilePath) -> SkyRecording:
 
 
 def _length(text: str) -> float:
-    """The length that a remark says, 0 for any other."""
-    said, _, value = text.lstrip("# ").partition("=")
-    if said.strip() != "length_m":
+    """The length given in a comment line, 0 for other comments."""
+    key, _, value = text.lstrip("# ").partition("=")
+    if key.strip() != "length_m":
         return 0.0
     return finite_number(value, 1.0, 1e6)
 
@@ -185,9 +185,9 @@ def _is_head(text: str) -> bool:
 
 
 def _row(cells: list[str]) -> tuple[str, int, list[float]]:
-    """Satellite, kind of path and numbers of a line, or ValueError naming the column."""
+    """Satellite, kind of path and numbers of a line; ValueError with the column."""
     if len(cells) != len(HEAD.split(",")):
-        raise ValueError(f"the line must have {len(HEAD.split(','))} columns, got {len(cells)}: it is cut")
+        raise ValueError(f"the line must have {len(HEAD.split(','))} columns, got {len(cells)}: it is truncated")
     name, kind = cells[0].strip(), cells[4].strip()
     if not 0 < len(name) <= LONGEST_NAME:
         raise ValueError(f"satellite must have 1 to {LONGEST_NAME} letters, got {name[:40]!r}")

@@ -1,8 +1,8 @@
-"""smartLoc drives: pseudoranges, odometry and ground truth of a car in a city (Reisdorf et al. 2016).
+"""Reader of smartLoc drives: pseudoranges, odometry and ground truth of a car in a city (Reisdorf et al. 2016).
 
-Two published forms: the preprocessed one of TUC-ProAut/libRSF (:func:`read_smartloc`, lines ``pseudorange3``, ``odom3``
-and ``point3``; atmosphere and satellite clocks already removed, Earth rotation not) and the receiver's raw table with a
-label for reflected signals (:func:`.smartloc_raw.read_smartloc_raw`).
+There are two published formats: the preprocessed one of TUC-ProAut/libRSF (:func:`read_smartloc`, lines
+``pseudorange3``, ``odom3`` and ``point3``; corrected for atmosphere and satellite clocks, not for Earth rotation), and
+the raw table of the receiver with a label for reflected signals (:func:`.smartloc_raw.read_smartloc_raw`).
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ COLUMNS = {
     ),
     "point3": (("time", *TIME), ("position x", *ANY), ("position y", *ANY), ("position z", *ANY)),
 }  # fmt: skip
-NEARER_S = 0.02  # a truth this near to an epoch is of that epoch; the rate is 5 Hz
+NEARER_S = 0.02  # largest time between a true position and the epoch it belongs to; the rate is 5 Hz
 
 
 @dataclass(frozen=True)
 class Pseudoranges:
-    """Rows (N,): time [s], range and its variance as the receiver gives it [m, m^2], satellite (N, 3) ECEF [m] at the
-    time of transmission, id, system letter, elevation [rad], C/N0 [dB-Hz]."""
+    """Rows (N,): time [s], range [m] and its variance from the receiver [m^2], satellite position (N, 3) ECEF [m] at
+    transmission, id, system letter, elevation [rad], C/N0 [dB-Hz]."""
 
     time_s: Array
     range_m: Array
@@ -78,7 +78,7 @@ class GroundTruth:
     position_ecef_m: Array
 
     def at(self, time_s: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Position (T, 3) at times (T,) by linear interpolation, and whether a true one is within 0.3 s."""
+        """Position (T, 3) at times (T,) by linear interpolation, and whether a true position is within 0.3 s (T,)."""
         inside = (time_s >= self.time_s[0] - NEARER_S) & (time_s <= self.time_s[-1] + NEARER_S)
         after = np.clip(np.searchsorted(self.time_s, time_s), 0, self.time_s.size - 1)
         before = np.maximum(after - 1, 0)
@@ -89,7 +89,7 @@ class GroundTruth:
 
 @dataclass(frozen=True)
 class SmartLoc:
-    """A drive; ``truth`` is None when no file of it was given, ``stopped`` says where a cut file ends."""
+    """A drive; ``truth`` is None without a ground truth file, ``stopped`` is the place where a truncated file ends."""
 
     ranges: Pseudoranges
     odometry: Odometry
@@ -98,7 +98,7 @@ class SmartLoc:
 
 
 def read_smartloc(path: str | Path, truth: str | Path | None = None) -> SmartLoc:
-    """A drive from its ``*_Input`` file, plain or gzip, and its ``*_GT`` file.
+    """Read a drive from its ``*_Input`` file, plain or gzip, and its ``*_GT`` file.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def read_smartloc(path: str | Path, truth: str | Path | None = None) -> SmartLoc
 
 
 def _read(path: str | Path, wanted: tuple[str, ...]) -> tuple[dict[str, Array], Stop | None]:
-    """Numbers of each kind of line (n, columns), and where reading stopped."""
+    """Numbers of each kind of line (n, columns), and the place where reading stopped."""
     found = {name: array("d") for name in wanted}
     lines, doubt = Lines(path), None
     for text in lines:
@@ -138,10 +138,10 @@ def _read(path: str | Path, wanted: tuple[str, ...]) -> tuple[dict[str, Array], 
 
 
 def _numbers(words: list[str]) -> list[float]:
-    """All columns of a line within their bounds, or ValueError naming the column."""
+    """All columns of a line, checked against their bounds; ValueError with the column."""
     columns = COLUMNS[words[0]]
     if len(words) <= len(columns):
-        raise ValueError(f"{words[0]} must have {len(columns)} columns, got {len(words) - 1}: the line is cut")
+        raise ValueError(f"{words[0]} must have {len(columns)} columns, got {len(words) - 1}: the line is truncated")
     values = []
     for (name, low, high), text in zip(columns, words[1:], strict=False):
         try:
@@ -152,7 +152,7 @@ def _numbers(words: list[str]) -> list[float]:
 
 
 def _sorted(rows: Array) -> Array:
-    """In order of time; rows of one time stay as they come."""
+    """Sort rows by time; rows of the same time stay in order."""
     return np.asarray(rows[np.argsort(rows[:, 0], kind="stable")])
 
 

@@ -1,8 +1,8 @@
-"""smartLoc raw tables: every signal the u-blox tracked, a label of whether it was reflected, and the truth beside it.
+"""Reader of smartLoc raw tables: every signal of the u-blox receiver, a label for reflected signals, and the truth.
 
-Semicolon-separated, one signal a line, UTF-8 head (Reisdorf et al. 2016, "The problem of comparable GNSS results - an
-approach for a uniform dataset with low-cost and reference data"). Satellite positions are not in it: they need the
-navigation messages of that day.
+Semicolon-separated, one signal in each line, UTF-8 header (Reisdorf et al. 2016, "The problem of comparable GNSS
+results - an approach for a uniform dataset with low-cost and reference data"). The tables contain no satellite
+positions; these need the navigation messages of the day.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Ints = NDArray[np.int64]
 
 UNKNOWN = -1
 LETTERS = {"gps": "G", "glonass": "R", "galileo": "E", "beidou": "C", "sbas": "S", "qzss": "J", "imes": "I"}
-# start of the column's head, lower case: (name, low, high)
+# start of the column header in lower case: (name, low, high)
 NUMBERS = {
     "gpsweek": ("week", 0, 10_000),
     "gpssecondsofweek": ("tow_s", 0.0, 604_800.0),
@@ -48,9 +48,9 @@ SYSTEM, LABEL = "gnss identifier", "nlos"
 @dataclass(frozen=True)
 class SmartLocRaw:
     """Signals (N,): week and time of week [s] (GPS), true position and motion of the car, range, carrier and Doppler,
-    satellite and system letter, C/N0, the receiver's sigma, and ``reflected``: 1, 0 or -1 where nobody knows.
+    satellite and system letter, C/N0, sigma of the receiver, and ``reflected``: 1, 0, or -1 for unknown.
 
-    The heading is that of the file: from East, to the left [rad].
+    The heading is as in the file: counterclockwise from East [rad].
     """
 
     week: Ints
@@ -73,7 +73,7 @@ class SmartLocRaw:
 
 
 def read_smartloc_raw(path: str | Path) -> SmartLocRaw:
-    """A raw table, plain or gzip.
+    """Read a raw table, plain or gzip.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def read_smartloc_raw(path: str | Path) -> SmartLocRaw:
 
 
 def _columns(heads: list[str], path: str | Path) -> dict[str, int]:
-    """Position of every wanted column."""
+    """Index of every required column."""
     found = {}
     for wanted in (*NUMBERS, SYSTEM, LABEL):
         at = [i for i, head in enumerate(heads) if head.strip().lower().startswith(wanted)]
@@ -124,9 +124,9 @@ def _columns(heads: list[str], path: str | Path) -> dict[str, int]:
 
 
 def _row(cells: list[str], columns: dict[str, int], width: int) -> tuple[dict[str, float], str, int]:
-    """Numbers by name, system letter and label of one line, or ValueError naming the column."""
+    """Numbers by name, system letter and label of one line; ValueError with the column."""
     if len(cells) != width:
-        raise ValueError(f"the line must have {width} columns, got {len(cells)}: it is cut")
+        raise ValueError(f"the line must have {width} columns, got {len(cells)}: it is truncated")
     row = {}
     for head, (name, low, high) in NUMBERS.items():
         try:

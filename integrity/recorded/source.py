@@ -1,4 +1,4 @@
-"""Lines of a text file that may be compressed, cut short, enormous or no text at all: bounded in time and memory."""
+"""Lines of a text file that may be compressed, truncated, very large or binary, read with bounded time and memory."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from lanebound.integrity.core.errors import InputError
 
 __all__ = ["MAX_BYTES", "Lines", "Stop", "finite_number", "whole_number"]
 
-MAX_BYTES = 256 * 2**20  # of text, uncompressed: arrays made of it and the lists on the way stay below 1 GiB
-MAX_LINE = 65_536  # bytes; the longest line of any of the formats is some thousands
+MAX_BYTES = 256 * 2**20  # of uncompressed text; its arrays and the temporary lists need less than 1 GiB
+MAX_LINE = 65_536  # bytes; the longest line of the formats has some thousands
 GZIP_MAGIC = b"\x1f\x8b"
 
 
 @dataclass(frozen=True)
 class Stop:
-    """Where reading ended before the end of the file: line, or row of an array (1 is the first), and reason."""
+    """Place and reason of an end of reading before the end of the file: line, or row of an array, from 1."""
 
     line: int
     reason: str
@@ -31,10 +31,10 @@ class Stop:
 
 
 class Lines:
-    """Numbered lines of a file, plain or gzip (told by its first bytes), as Latin-1 text without line ends.
+    """Numbered lines of a file, plain or gzip (detected by its first bytes), as Latin-1 text without line ends.
 
-    ``stop`` is set when the file ends where it should not: a broken compressed stream, an endless line, or a last line
-    without a line end. That one is not given out: who can tell whether its last number has lost digits?
+    ``stop`` is set if the file ends unexpectedly: a damaged compressed stream, a line that is too long, or a last line
+    without a line end. Such a last line is left out, because its last number may have lost digits.
 
     Raises
     ------
@@ -49,7 +49,7 @@ class Lines:
         self.stop: Stop | None = None
 
     def __iter__(self) -> Iterator[str]:
-        """The lines, in order; ``number`` is that of the last one given."""
+        """Iterate over the lines; ``number`` is the number of the latest line."""
         read = 0
         try:
             with self._open() as stream:
@@ -62,12 +62,12 @@ class Lines:
                         )
                     if not raw.endswith(b"\n"):
                         endless = len(raw) == MAX_LINE
-                        reason = f"it is longer than {MAX_LINE} bytes" if endless else "it has no end and may be cut"
+                        reason = f"it is longer than {MAX_LINE} bytes" if endless else "it has no line end"
                         self.stop = Stop(self.number, reason)
                         return
                     yield raw.decode("latin-1").rstrip("\r\n")
         except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-            self.stop = Stop(self.number + 1, f"the compressed stream breaks off ({error})")
+            self.stop = Stop(self.number + 1, f"the compressed stream is damaged ({error})")
         except OSError as error:
             raise InputError(f"{self.path} must be a readable file, got: {error}") from error
 
@@ -77,17 +77,17 @@ class Lines:
         return cast(IO[bytes], gzip.open(self.path, "rb") if magic == GZIP_MAGIC else self.path.open("rb"))
 
     def where(self) -> str:
-        """File and line, as messages begin."""
+        """File and line, for the start of messages."""
         return f"{self.path}, line {self.number}"
 
 
 def finite_number(text: str, low: float = -math.inf, high: float = math.inf) -> float:
-    """A finite number within bounds.
+    """Convert text to a finite number within bounds.
 
     Raises
     ------
     ValueError
-        Says what was expected; readers put file, line and field in front.
+        The text is not such a number; readers put file, line and field in front of the message.
     """
     try:
         value = float(text)
@@ -99,7 +99,7 @@ def finite_number(text: str, low: float = -math.inf, high: float = math.inf) -> 
 
 
 def whole_number(text: str, low: int, high: int) -> int:
-    """A whole number within bounds, in decimal digits.
+    """Convert text to an integer within bounds.
 
     Raises
     ------

@@ -1,1 +1,1 @@
-"""Recorded drives through the same rooms as simulated ones: real measurements in, belief against truth out."""
+"""Replay of recorded measurements through the same positioning and monitoring as simulated ones, with assessment."""

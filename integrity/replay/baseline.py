@@ -1,8 +1,9 @@
-"""RTK of recorded receivers: any rover, base and navigation file through the RTK stage of the navigator.
+"""RTK of recorded receivers: processes any rover, base and navigation file with the RTK stages of the navigator.
 
-Epoch by epoch: single differences, a code position, then the stage that keeps lock, resolves integers (LAMBDA, ratio of
-a fixed failure rate), detects and excludes, and bounds. Where no fix is held the position is that of the code, with
-levels of its own. There is no model of motion: static and moving rovers are solved alike.
+Each epoch: single differences, a code position, then the RTK stages, which track carrier lock, resolve integers
+(LAMBDA, ratio test with fixed failure rate), detect and exclude faults, and compute protection levels. Without a fix
+the position is the code position with its own levels. There is no motion model: static and moving rovers are processed
+alike.
 """
 
 from __future__ import annotations
@@ -37,14 +38,14 @@ __all__ = ["Baseline", "BaselineConfig", "solve_baseline"]
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-MIN_MOVE_M = 0.3  # between epochs, for a heading
-POSITION_ROUNDS = 6  # of the code position, from the base
+MIN_MOVE_M = 0.3  # distance between fixed positions for a new heading
+POSITION_ROUNDS = 6  # iterations of the code position, which start at the base
 
 
 class BaselineConfig(Config):
-    """How recorded baselines are solved and bounded."""
+    """Parameters of the solution of recorded baselines and of its protection levels."""
 
-    bands: int | None = Field(None, ge=1, le=2, description="bands; None takes two where both receivers have them [-]")
+    bands: int | None = Field(None, ge=1, le=2, description="number of bands; None: two if both receivers have two [-]")
     rtk: RtkConfig = RtkConfig()
     slips: CycleSlipConfig = CycleSlipConfig()
     fde: FdeConfig = FdeConfig()
@@ -53,12 +54,13 @@ class BaselineConfig(Config):
 
 @dataclass(frozen=True)
 class Baseline:
-    """Epochs (T,) of the rover: GPS week, time of week [s], mode, status codes of RtkStatus, position from the base in
-    E, N, U (T, 3) and in ECEF [m], heading [rad], levels and sigmas (T, 2) on AT, CT [m], satellites, excluded, risk of
-    wrong integers, age of the base's epoch [s]; ``choice`` of signals; ``base_ecef_m`` (3,) from which E, N, U count.
+    """Epochs (T,) of the rover: GPS week, time of week [s], mode, status codes of RtkStatus, position relative to the
+    base in E, N, U (T, 3) and in ECEF [m], heading [rad], levels and sigmas (T, 2) on AT, CT [m], numbers of satellites
+    and of excluded ones, risk of wrong integers, age of the base epoch [s]; ``choice`` of signals; ``base_ecef_m``
+    (3,), origin of E, N, U.
 
-    Positions are those of the rover's antenna reference point, from the base's; its marker is away from it by the
-    ANTENNA: DELTA H/E/N of its own header. Phase centres are taken for reference points (no calibrations).
+    Positions are those of the antenna reference points of rover and base. The offset to the marker is ANTENNA: DELTA
+    H/E/N of the header. Phase centres are assumed at the reference points (no calibrations).
     """
 
     week: Ints
@@ -85,20 +87,20 @@ class Baseline:
 
 def solve_baseline(
     rover: Observations, base: Observations, table: Ephemerides, base_ecef_m: Array | None = None,
-    config: BaselineConfig | None = None, told: Progress = silent,
+    config: BaselineConfig | None = None, progress: Progress = silent,
 ) -> Baseline:  # fmt: skip
-    """Solve all epochs of the rover for which the base has one that is not too old.
+    """Solve all epochs of the rover with a base epoch that is not too old.
 
     Parameters
     ----------
-    base_ecef_m : (3,) position of the base's antenna reference point [m], to which nothing is added; by default that
-        of its header, marker and ANTENNA: DELTA H/E/N. Its error is the rover's.
-    told : called with the epochs solved and their number
+    base_ecef_m : (3,) position of the antenna reference point of the base [m]; by default marker plus ANTENNA: DELTA
+        H/E/N of its header. Its error is an error of the rover position.
+    progress : called with the number of solved epochs and the total number
 
     Raises
     ------
     InputError
-        No position of the base, no common epochs, signals or satellites.
+        There is no position of the base, or no common epochs, signals or satellites.
     """
     config = config or BaselineConfig()
     place = _base_antenna(base, base_ecef_m)
@@ -106,8 +108,7 @@ def solve_baseline(
     epochs, partners, age = matched(rover, base, config.rtk.max_age_s)
     if not epochs.size:
         raise InputError(
-            f"rover and base must share time, the rover has {_span(rover)}, the base {_span(base)}: pass files of one "
-            "session"
+            f"rover and base must overlap in time, got {_span(rover)} and {_span(base)}: pass files of one session"
         )
     if not len(table):
         raise InputError(
@@ -121,16 +122,16 @@ def solve_baseline(
         choice,
         config,
     )
-    return run.solve(rover, epochs, partners, age, told)
+    return run.solve(rover, epochs, partners, age, progress)
 
 
 def on_earth(place_ecef_m: Array) -> bool:
-    """Whether a place (3,) [m] is near the Earth's surface; coordinates in other units or axes are not."""
+    """Whether a place (3,) [m] is near the Earth's surface, unlike coordinates in other units or axes."""
     return 6.0e6 < float(np.linalg.norm(place_ecef_m)) < 7.0e6
 
 
 def _base_antenna(base: Observations, given_ecef_m: Array | None) -> Array:
-    """The base's antenna reference point (3,) [m]: as given, else that of its header."""
+    """Antenna reference point of the base (3,) [m]: the given one, otherwise that of its header."""
     place = base.header.antenna_ecef_m if given_ecef_m is None else given_ecef_m
     if place is None:
         raise InputError(
@@ -139,9 +140,7 @@ def _base_antenna(base: Observations, given_ecef_m: Array | None) -> Array:
     place = require_finite("base_ecef_m", place)
     require_shape("base_ecef_m", place, (3,))
     if not on_earth(place):
-        raise InputError(
-            f"base_ecef_m must lie near the Earth's surface, got {place.tolist()} m: is it ECEF in metres?"
-        )
+        raise InputError(f"base_ecef_m must lie near the Earth's surface, got {place.tolist()} m: give ECEF in metres")
     return place
 
 
@@ -151,7 +150,7 @@ def _span(observations: Observations) -> str:
 
 
 class _Session:
-    """Tables and state of one session."""
+    """Data and state of one session."""
 
     def __init__(
         self, rover: Arc, base: Arc, table: Ephemerides, place: Array, choice: Choice, config: BaselineConfig
@@ -170,8 +169,8 @@ class _Session:
         self.before: Array | None = None
         self.passed: Array | None = None
 
-    def solve(self, rover: Observations, epochs: Ints, partners: Ints, age: Array, told: Progress) -> Baseline:
-        """All matched epochs."""
+    def solve(self, rover: Observations, epochs: Ints, partners: Ints, age: Array, progress: Progress) -> Baseline:
+        """Solve all matched epochs."""
         n = epochs.size
         out = Baseline(
             rover.week[epochs], rover.tow_s[epochs], np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros((n, 3)),
@@ -182,12 +181,12 @@ class _Session:
         for k in range(n):
             dt = float(time[k] - time[k - 1]) if k else 1.0
             self._epoch(k, int(epochs[k]), int(partners[k]), float(age[k]), dt, out)
-            told(k + 1, n)
+            progress(k + 1, n)
         out.ecef_m[:] = np.where((out.mode != Mode.NONE)[:, None], self.place + out.enu_m @ self.axes.T, 0.0)
         return out
 
     def _epoch(self, k: int, i: int, j: int, age: float, dt: float, out: Baseline) -> None:
-        """Code position, RTK stage, levels."""
+        """Solve one epoch: code position, RTK stages, levels."""
         found = self._code_position(i, j)
         if found is None:
             self.stages.release()
@@ -208,7 +207,7 @@ class _Session:
             out.enu_m[k], out.pl_m[k], out.sigma_m[k] = near, code_levels[0], code_levels[1]
 
     def _turn(self, fixed_m: Array) -> None:
-        """The heading of the next epoch follows the fixed positions once they are far enough apart."""
+        """Compute the heading of the next epoch from two fixed positions that are far enough apart."""
         if self.passed is not None:
             step = fixed_m[:2] - self.passed[:2]
             if float(np.hypot(*step)) < MIN_MOVE_M:
@@ -217,7 +216,8 @@ class _Session:
         self.passed = fixed_m.copy()
 
     def _code_position(self, i: int, j: int) -> tuple[Signals, Reduced, Array, tuple[Array, Array] | None] | None:
-        """Signals about the code position, that position (3,), and its levels where its test passes; or None."""
+        """Signals relative to the code position, the reduced epoch, that position (3,), and its levels if its test
+        passes; None without a position."""
         near = self.before if self.before is not None else np.zeros(3)
         for _ in range(POSITION_ROUNDS):
             reduced = reduce_epoch(
@@ -230,7 +230,7 @@ class _Session:
             moved, near = float(np.linalg.norm(solved[0] - near)), solved[0]
             if moved < 1e-3:
                 break
-        assert solved is not None  # there was at least a round
+        assert solved is not None  # there is at least one iteration
         return signals, reduced, near, solved[1]
 
     def _signals(self, reduced: Reduced) -> Signals:
@@ -246,7 +246,7 @@ class _Session:
         )  # fmt: skip
 
     def _code_solution(self, signals: Signals) -> tuple[Array, tuple[Array, Array] | None] | None:
-        """Position (3,) from the differenced code, with levels and sigmas (2,) on AT, CT; None where it is singular."""
+        """Position (3,) from the differenced code, with levels and sigmas (2,) on AT, CT; None if it is singular."""
         r, bands = self.config.rtk, self.choice.bands
         factor, used = np.empty(len(self.system)), np.empty(len(self.system), np.bool_)
         select(

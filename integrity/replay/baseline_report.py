@@ -1,4 +1,4 @@
-"""RTK of recorded files written down: positions and levels, what is counted, and, with a truth, the errors."""
+"""Files of an RTK solution of recorded files: positions, levels and statistics, and errors if the truth is known."""
 
 from __future__ import annotations
 
@@ -38,38 +38,41 @@ HEAD = (
 )  # fmt: skip
 
 CAUTION = (
-    "epochs of one session are not independent: neighbouring ones share satellites, multipath and integers, so that "
-    "the exact intervals are narrower than the truth"
+    "epochs of one session are not independent: adjacent epochs share satellites, multipath and integers. The exact "
+    "intervals are therefore too narrow"
 )
 
 
 def run_baseline(
     rover: Path, base: Path, navigation: Path, out: Path, *, base_ecef_m: Array | None = None,
     rover_ecef_m: Array | None = None, config: BaselineConfig | None = None,
-    told: Progress = silent,
+    progress: Progress = silent,
 ) -> tuple[dict[str, Any], list[Path]]:  # fmt: skip
     """Solve a rover, base and navigation triple of RINEX files; write ``solution.csv`` and ``rtk.json`` into ``out``.
 
-    ``base_ecef_m`` and ``rover_ecef_m`` (3,) are antenna reference points: by default the base's of its header, and the
-    true one of a rover that stands, when it is known: errors are then counted. ``told`` is called with the epochs
-    solved and their number.
+    ``base_ecef_m`` and ``rover_ecef_m`` (3,) are antenna reference points: of the base, by default that of its header,
+    and of a static rover, if its true position is known; errors are then reported. ``progress`` is called with the
+    number of solved epochs and the total number.
 
     Raises
     ------
     InputError
-        A file is refused, or the three do not belong together.
+        A file is invalid, or the three files do not belong together.
     """
     if Path(rover).resolve() == Path(base).resolve():
         raise InputError(f"rover and base must be files of two receivers, got {rover} twice: correct one of the paths")
-    ours, theirs, table = read_observations(rover), read_observations(base), read_navigation(navigation)
-    solved = solve_baseline(ours, theirs, table, base_ecef_m, config, told)
-    stops = {"rover": ours.stopped, "base": theirs.stopped, "navigation": table.stopped or None}
+    rover_data, base_data, table = read_observations(rover), read_observations(base), read_navigation(navigation)
+    solved = solve_baseline(rover_data, base_data, table, base_ecef_m, config, progress)
+    stops = {"rover": rover_data.stopped, "base": base_data.stopped, "navigation": table.stopped or None}
     summary = {
         "stopped": {name: str(stop) for name, stop in stops.items() if stop is not None},
         "signals": {"rover": solved.choice.rover, "base": solved.choice.base},
         "base_antenna_ecef_m": solved.base_ecef_m.tolist(),
-        "base_from_header_m": _apart(solved.base_ecef_m, theirs.header.antenna_ecef_m),
-        "antenna_delta_enu_m": {"rover": ours.header.antenna_delta_enu_m, "base": theirs.header.antenna_delta_enu_m},
+        "base_from_header_m": _distance_to_header(solved.base_ecef_m, base_data.header.antenna_ecef_m),
+        "antenna_delta_enu_m": {
+            "rover": rover_data.header.antenna_delta_enu_m,
+            "base": base_data.header.antenna_delta_enu_m,
+        },
         **summarise(solved, rover_ecef_m),
     }
     out.mkdir(parents=True, exist_ok=True)
@@ -82,13 +85,13 @@ def run_baseline(
     return summary, written
 
 
-def _apart(place: Array, header: Array | None) -> float | None:
-    """How far the base is from where its header has it [m], None where that says nothing (or 0, 0, 0)."""
+def _distance_to_header(place: Array, header: Array | None) -> float | None:
+    """Distance of the base from the position in its header [m], None if the header has no position or 0, 0, 0."""
     return float(np.linalg.norm(place - header)) if header is not None and np.any(header) else None
 
 
 def _rows(solved: Baseline) -> Iterator[list[Any]]:
-    """One row for each epoch; empty cells where there is no position or level."""
+    """One row for each epoch; empty cells for missing positions and levels."""
     for k in range(len(solved.tow_s)):
         there = solved.mode[k] != Mode.NONE
         place = [*solved.ecef_m[k], *solved.enu_m[k]]
@@ -103,7 +106,7 @@ def _rows(solved: Baseline) -> Iterator[list[Any]]:
 
 
 def summarise(solved: Baseline, rover_ecef_m: Array | None = None) -> dict[str, Any]:
-    """Everything counted about a solution, JSON-able."""
+    """Statistics of a solution as JSON data."""
     fixed, modes = solved.fixed, np.bincount(solved.mode, minlength=len(Mode))
     found: dict[str, Any] = {
         "epochs": len(solved.tow_s), "fixed": int(fixed.sum()), "modes": {m.key: int(modes[m]) for m in Mode},
@@ -123,7 +126,7 @@ def summarise(solved: Baseline, rover_ecef_m: Array | None = None) -> dict[str, 
 
 
 def _errors(solved: Baseline, rover_ecef_m: Array) -> dict[str, Any]:
-    """Errors against the true position, for fixed epochs and all with a position."""
+    """Errors against the true position, for fixed epochs and for all epochs with a position."""
     latitude, longitude, _ = geodetic_from_ecef(solved.base_ecef_m)
     true = (rover_ecef_m - solved.base_ecef_m) @ ecef_from_enu_matrix(latitude, longitude)
     out: dict[str, Any] = {}
@@ -142,12 +145,12 @@ def _errors(solved: Baseline, rover_ecef_m: Array) -> dict[str, Any]:
 
 
 def read_coordinates(text: str) -> Array:
-    """ECEF (3,) [m] of ``x,y,z`` in metres or ``latitude,longitude,height`` [deg, m], or of a file of them.
+    """Parse ``x,y,z`` [m] or ``latitude,longitude,height`` [deg, m], or a file with them, to ECEF (3,) [m].
 
     Raises
     ------
     InputError
-        There are not three numbers, or they are neither.
+        There are not three numbers, or they are not coordinates near the Earth's surface.
     """
     words = text.replace(",", " ").split()
     if len(words) != 3 and Path(text).is_file():
@@ -170,12 +173,12 @@ def read_coordinates(text: str) -> Array:
 
 
 def read_solution(path: str | Path) -> tuple[Array, Array, NDArray[np.int64]]:
-    """RTKLIB's solution in ECEF (``out-solformat=xyz``): time of day (T,) [s], position (T, 3) [m], quality (T,).
+    """Read an RTKLIB solution in ECEF (``out-solformat=xyz``): time of day (T,) [s], position (T, 3) [m], quality (T,).
 
     Raises
     ------
     InputError
-        The file is no such solution.
+        The file is not such a solution.
     """
     time, place, quality = [], [], []
     lines = Lines(path)

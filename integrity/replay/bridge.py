@@ -1,4 +1,4 @@
-"""Protection levels while only wheel speed and yaw rate go on: the sawtooth between solutions."""
+"""Growth of protection levels between solutions, while only wheel speed and yaw rate are available."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ Array = NDArray[np.float64]
 
 
 class BridgeConfig(Config):
-    """Declared errors of wheel speed and yaw rate between solutions."""
+    """Assumed errors of wheel speed and yaw rate between solutions."""
 
     speed_sigma_mps: float = Field(0.05, gt=0, description="wheel speed, 1 sigma [m/s]; S1 section 4")
-    speed_tau_s: float = Field(1.0, gt=0, description="correlation time of its error [s]")
+    speed_tau_s: float = Field(1.0, gt=0, description="correlation time of the speed error [s]")
     speed_bias_mps: float = Field(
         0.01, ge=0, description="bound of a constant error of the speed [m/s]; b_v of S1 eq 19"
     )
-    speed_scale: float = Field(0.02, ge=0, description="bound of the error of the wheels' scale [-]")
+    speed_scale: float = Field(0.02, ge=0, description="bound of the scale error of the wheel speed [-]")
     heading_sigma_deg: float = Field(2.0, ge=0, description="heading at the last solution, 1 sigma [deg]")
-    heading_bias_deg: float = Field(0.2, ge=0, description="bound of its constant error [deg]; b_theta0 of S1")
+    heading_bias_deg: float = Field(0.2, ge=0, description="bound of the constant heading error [deg]; b_theta0 of S1")
     heading_drift_degps: float = Field(0.05, ge=0, description="growth of that bound [deg/s]; bias of a MEMS gyro")
     heading_walk_deg_per_sqrt_s: float = Field(0.05, ge=0, description="random walk of the heading [deg/sqrt(s)]")
 
@@ -40,10 +40,10 @@ class BridgeConfig(Config):
 class Bridge:
     """Growth of the protection levels from those of a solution.
 
-    The solution's own levels stay below: a bound of either sign makes up for what ``K sigma`` of the fault-free
-    covariance (..., 2, 2) in E, N [m^2] lacks of ``levels_m`` (..., 2) on AT, CT. ``with_heading`` (..., 3) are the
-    covariances of E and N with the solution's heading [m rad] and its variance [rad^2], which counts where it is more
-    than the declared one.
+    The growth starts at the levels of the solution: the part of ``levels_m`` (..., 2) on AT, CT that exceeds
+    ``K sigma`` of the fault-free covariance (..., 2, 2) in E, N [m^2] becomes a bias bound of either sign.
+    ``with_heading`` (..., 3) are the covariances of E and N with the heading of the solution [m rad] and the variance
+    of this heading [rad^2]; the larger of this variance and the configured one is used.
     """
 
     def __init__(
@@ -51,14 +51,14 @@ class Bridge:
         heading_rad: ArrayLike, with_heading: Array | None = None,
     ) -> None:  # fmt: skip
         self.config, self.risk, self.elapsed_s = config, risk, 0.0
-        lack = np.maximum(levels_m - missed_detection_factors(risk)[0] * sigma_m, 0.0)
-        box = (np.abs(track_from_enu_matrix(heading_rad)) @ lack[..., None])[..., 0]
+        excess = np.maximum(levels_m - missed_detection_factors(risk)[0] * sigma_m, 0.0)
+        box = (np.abs(track_from_enu_matrix(heading_rad)) @ excess[..., None])[..., 0]
         own = np.zeros(3) if with_heading is None else with_heading
         self.heading_variance = np.maximum(math.radians(config.heading_sigma_deg) ** 2, own[..., 2])
         self.growth = initial_growth(covariance_m2, box, self.heading_variance, own[..., :2])
 
     def step(self, dt_s: float, speed_mps: ArrayLike, heading_rad: ArrayLike) -> tuple[Array, Array]:
-        """Levels and sigmas (..., 2) on AT, CT [m] after ``dt_s`` more at these means (...,)."""
+        """Levels and sigmas (..., 2) on AT, CT [m] after another ``dt_s`` with mean speed and heading (...,)."""
         c = self.config
         self.elapsed_s += dt_s
         self.heading_variance = self.heading_variance + math.radians(c.heading_walk_deg_per_sqrt_s) ** 2 * dt_s

@@ -1,11 +1,11 @@
-"""A drive through a city by code alone: position, protection levels, exclusions and alerts from recorded signals.
+"""Code-only navigation of a recorded city drive: position, protection levels, exclusions and alerts.
 
-Each epoch solves the window of the last seconds (:mod:`.window`), detects and excludes satellites, and bounds the error
-by solution separation with every satellite a fault mode. Where that fails, wheel speed and yaw rate carry on from the
-last solution, with the protection level growing as :mod:`lanebound.integrity.monitoring.dead_reckoning_pl` says.
+Each epoch solves the window of the last seconds (:mod:`.window`), detects and excludes satellites, and computes levels
+by solution separation with each satellite as a fault mode. If this fails, the position is propagated from the last
+solution with wheel speed and yaw rate, and the level grows (:mod:`lanebound.integrity.monitoring.dead_reckoning_pl`).
 
-Danish re-weighting can be switched on. It chooses its weights by the data, which no level knows of, and may settle on
-the wrong signals: it is off where levels are to be trusted.
+Danish re-weighting is optional. Its weights depend on the data, which the levels do not account for, and it can
+converge to the wrong signals. Switch it off where the levels must hold.
 """
 
 from __future__ import annotations
@@ -42,18 +42,18 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 GOOD_ENOUGH = (FdeOutcome.CLEAN.code, FdeOutcome.EXCLUDED.code)
-TURNS = 8  # first guesses of the heading
+TURNS = 8  # number of initial values of the heading
 
 
 class CodeReplayConfig(Config):
-    """How a drive by code is solved and bounded."""
+    """Parameters of code-only navigation and of its protection levels."""
 
     window_s: float = Field(40.0, ge=0.0, le=300.0, description="length of a window [s]; 200 m at 5 m/s")
-    spacing_s: float = Field(1.0, ge=0.0, description="time between the epochs of a window [s]; errors last longer")
+    spacing_s: float = Field(1.0, ge=0.0, description="time between epochs of a window [s]; below the errors' duration")
     cn0_min_dbhz: float = Field(20.0, ge=0.0, description="lowest C/N0 used [dB-Hz]")
-    path_error: float = Field(0.02, ge=0.0, description="error of the reckoned path by its length [-]; 1 sigma")
-    axle_m: float = Field(0.0, ge=0.0, le=20.0, description="antenna ahead of the rear axle [m]; not told by smartLoc")
-    minimum_satellites: int = Field(5, ge=5, description="satellites now, fewer are bridged [-]")
+    path_error: float = Field(0.02, ge=0.0, description="error of the dead-reckoned path over its length [-]; 1 sigma")
+    axle_m: float = Field(0.0, ge=0.0, le=20.0, description="antenna ahead of the rear axle [m]; unknown for smartLoc")
+    minimum_satellites: int = Field(5, ge=5, description="fewer satellites at an epoch: dead reckoning [-]")
     satellite_prior: float = Field(1e-3, gt=0.0, lt=1.0, description="P(a satellite's errors exceed their bound) [-]")
     danish: DanishConfig = DanishConfig(iterations=0)
     fde: FdeConfig = FdeConfig()
@@ -64,7 +64,7 @@ class CodeReplayConfig(Config):
 @dataclass(frozen=True)
 class CodeReplay:
     """Epochs (T,): time [s], position (T, 3) in ``frame`` [m], heading [rad], mode, levels and sigmas (T, 2) on AT and
-    CT [m], satellites now, satellites excluded, share of rows without full weight."""
+    CT [m], numbers of satellites and of excluded satellites, share of rows with reduced weight."""
 
     frame: LocalFrame
     time_s: Array
@@ -80,7 +80,7 @@ class CodeReplay:
     def record(
         self, drive: SmartLoc, alerts: AlertConfig, after_s: float = -math.inf, before_s: float = math.inf
     ) -> Record:
-        """Belief against truth for epochs in [after, before) that have a position; errors in the believed track frame.
+        """Record of estimate and truth for epochs in [after, before) with a position; errors in the estimated track.
 
         Raises
         ------
@@ -103,7 +103,7 @@ class CodeReplay:
         )  # fmt: skip
 
     def alerts(self, config: AlertConfig) -> tuple[Bools, Bools]:
-        """Whether the alert was on, and whether the limits were met, at every epoch.  (T,) each."""
+        """Whether there is an alert, and whether the position is available, at every epoch.  (T,) each."""
         state, steps = AlertState.initial(1), np.diff(self.time_s, prepend=2.0 * self.time_s[0] - self.time_s[1])
         found = [step(config, state, pl[:1], pl[1:], float(dt)) for pl, dt in zip(self.pl_m, steps, strict=True)]
         return np.array([s.alert[0] for s in found]), np.array([s.available[0] for s in found])
@@ -112,24 +112,25 @@ class CodeReplay:
 def drive_city(
     drive: SmartLoc, errors: CodeErrors | None, config: CodeReplayConfig,
     outages_s: tuple[tuple[float, float], ...] = (), every: int = 1, first: int = 0,
-    told: Progress = silent,
+    progress: Progress = silent,
 ) -> CodeReplay:  # fmt: skip
     """Solve a drive epoch by epoch.
 
-    ``errors`` are trained bounds; None takes the receiver's own variances as independent Gaussian noise around 0.
-    ``outages_s`` are (start, end) in which no signal is used; only each ``every``-th epoch is solved, from number
-    ``first`` on. ``told`` is called with the epochs solved and their number.
+    ``errors`` are trained bounds; with None the errors are independent zero-mean Gaussian noise with the variances
+    given by the receiver. ``outages_s`` are intervals (start, end) in which no signal is used. Only each ``every``-th
+    epoch is solved, from number ``first`` on. ``progress`` is called with the number of solved epochs and the total
+    number.
 
     Raises
     ------
     InputError
-        No odometry, or no epoch with enough satellites for a first fix.
+        There is no odometry, or no epoch has enough satellites for a first fix.
     """
-    return _Run(drive, errors, config, outages_s).drive(every, first, told)
+    return _Run(drive, errors, config, outages_s).drive(every, first, progress)
 
 
 class _Run:
-    """State of one drive: last unknowns, bridge, and what is put out."""
+    """Data and state of one drive: last unknowns and growth of the levels."""
 
     def __init__(
         self,
@@ -162,7 +163,7 @@ class _Run:
         self.bridge: Bridge | None = None
 
     def _first_frame(self) -> LocalFrame:
-        """Axes at the fix of the first epoch with enough signals, found from the centre of the Earth."""
+        """Local frame at the fix of the first epoch with enough signals; the iteration starts at the Earth's centre."""
         count = np.bincount(self.epoch[self.usable], minlength=self.time.size)
         enough = np.flatnonzero(count >= self.config.minimum_satellites)
         if not enough.size:
@@ -181,8 +182,8 @@ class _Run:
         self.first_clock = float(x[3])
         return LocalFrame(x[:3], ecef_from_enu_matrix(latitude, longitude))
 
-    def drive(self, every: int, first: int, told: Progress) -> CodeReplay:
-        """Each ``every``-th epoch from ``first`` on."""
+    def drive(self, every: int, first: int, progress: Progress) -> CodeReplay:
+        """Solve each ``every``-th epoch from ``first`` on."""
         chosen = np.arange(first, self.time.size, every)
         n = chosen.size
         out = CodeReplay(
@@ -192,20 +193,20 @@ class _Run:
         before = first
         for i, k in enumerate(map(int, chosen)):
             if not self._solve(k, i, out):
-                self._carry(before, k, i, out)
+                self._propagate(before, k, i, out)
             before = k
-            told(i + 1, n)
+            progress(i + 1, n)
         return out
 
     def _solve(self, k: int, i: int, out: CodeReplay) -> bool:
-        """One epoch from its window; False where there is no solution to be used."""
+        """Solve one epoch with its window; False without a usable solution."""
         now = self.usable & (self.epoch == k)
         out.satellites[i] = int(now.sum())
         if out.satellites[i] < self.config.minimum_satellites:
             return False
         rows = self._rows(k)
-        system = self._settled(rows)
-        fde = self._tested(system, system.x[PSI] + self.now_path[k, 2])
+        system = self._solve_window(rows)
+        fde = self._detect(system, system.x[PSI] + self.now_path[k, 2])
         out.excluded[i], out.reweighted[i] = int(fde.excluded.sum()), float((system.factor > 1.0).mean())
         if int(fde.outcome) not in GOOD_ENOUGH:
             return False
@@ -244,8 +245,8 @@ class _Run:
             satellite.astype(np.int64), np.searchsorted(self.systems, r.system[own]), way, length,
         )  # fmt: skip
 
-    def _settled(self, rows: WindowRows) -> WhitenedSystem:
-        """The settled window: from the last solution, or from several headings where none is known."""
+    def _solve_window(self, rows: WindowRows) -> WhitenedSystem:
+        """The solved window, started at the last solution, or at several headings if there is none."""
         size = FIXED_UNKNOWNS + max(self.systems.size - 1, 0)
         if self.x is not None:
             return settle(rows, self.frame, self.x.copy(), self.tau, self.config.danish)
@@ -259,8 +260,8 @@ class _Run:
         assert best is not None
         return best
 
-    def _tested(self, system: WhitenedSystem, heading: float) -> FdeResult:
-        """Detection and exclusion with each satellite a mode."""
+    def _detect(self, system: WhitenedSystem, heading: float) -> FdeResult:
+        """Detection and exclusion with each satellite as a fault mode."""
         rows = len(system.y)
         modes = system.owner == np.arange(int(system.owner.max()) + 1)[:, None]
         return detect_and_exclude(
@@ -277,8 +278,8 @@ class _Run:
         levels = protection_levels(parts, priors, self.config.risk)[0]
         return levels, parts.sigma_m[0]
 
-    def _carry(self, before: int, k: int, i: int, out: CodeReplay) -> None:
-        """Wheel speed and yaw rate from the last epoch on."""
+    def _propagate(self, before: int, k: int, i: int, out: CodeReplay) -> None:
+        """Propagate from the last epoch with wheel speed and yaw rate."""
         if self.bridge is None or self.x is None:
             return
         heading = float(self.x[PSI] + self.now_path[k, 2])

@@ -1,4 +1,4 @@
-"""A drive by code written down: trained on its first part, measured on the rest, beside the plain model."""
+"""Files of a code-only drive: trained on its first part, assessed on the rest, compared with simpler error models."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ from lanebound.integrity.replay.training import train
 __all__ = ["CityReplay", "CityResult", "find_smartloc", "read_city", "replay_city", "write_city"]
 
 CAUTION = (
-    "epochs of one drive are not independent: neighbouring ones share most of their signals, so that the exact "
-    "intervals are narrower than the truth"
+    "epochs of one drive are not independent: adjacent epochs share most of their signals. The exact intervals are "
+    "therefore too narrow"
 )
 
 
 class CityReplay(Config):
-    """What to train on, how to solve, and when to alert."""
+    """Parameters of training, solution and alerts."""
 
-    training_share: float = Field(0.4, gt=0, lt=1, description="first part of the drive, for fitting the bounds [-]")
-    every: int = Field(1, ge=1, description="solve each so many-th epoch [-]")
-    first: int = Field(0, ge=0, le=100, description="epochs left out before the first that is solved [-]")
+    training_share: float = Field(0.4, gt=0, lt=1, description="first part of the drive, used to fit the bounds [-]")
+    every: int = Field(1, ge=1, description="every n-th epoch is solved [-]")
+    first: int = Field(0, ge=0, le=100, description="number of the first solved epoch [-]")
     solution: CodeReplayConfig = CodeReplayConfig()
     alerts: AlertConfig = AlertConfig(limits=AlertLimits(al_at_m=25.0, al_ct_m=25.0))
 
 
 @dataclass(frozen=True)
 class CityResult:
-    """The drive with trained bounds, the same re-weighted, and with the receiver's own variances as Gaussian noise:
-    ``overbound``, ``danish``, ``gaussian`` and, without the window, ``gaussian_epoch``."""
+    """Solutions of a drive: ``overbound`` (trained bounds), ``danish`` (the same with re-weighting), ``gaussian``
+    (variances of the receiver as Gaussian noise) and ``gaussian_epoch`` (the same without the window)."""
 
     config: CityReplay
     drive: SmartLoc
@@ -55,14 +55,14 @@ class CityResult:
     solutions: dict[str, CodeReplay]
 
     def parts(self) -> dict[str, tuple[float, float]]:
-        """[from, to) [s] of training, of what comes after, and of windows that lie wholly after."""
+        """Intervals [from, to) [s] of the training, of the time after it, and of windows completely after it."""
         clear = self.until_s + self.config.solution.window_s
         return {
             "training": (-np.inf, self.until_s), "after_training": (self.until_s, np.inf), "unshared": (clear, np.inf)
         }  # fmt: skip
 
     def record(self, name: str, part: str) -> Record | None:
-        """Belief against truth of a solution in a part; None where it has no epoch."""
+        """Record of a solution in a part; None if the part has no epoch."""
         after, before = self.parts()[part]
         try:
             return self.solutions[name].record(self.drive, self.config.alerts, after, before)
@@ -70,7 +70,7 @@ class CityResult:
             return None
 
     def summary(self) -> dict[str, Any]:
-        """Everything counted, JSON-able."""
+        """Statistics as JSON data."""
         limits = self.config.alerts.limits
         parts = {}
         for name, solution in self.solutions.items():
@@ -96,14 +96,14 @@ class CityResult:
 
 
 def _bounds(record: Record) -> dict[str, Any]:
-    """Errors above their level on each axis, whatever the mode."""
+    """Exceedances of the levels on each axis, over all modes."""
     return {"all_modes": {a: asdict(measure_bounding(record.error(a), record.pl(a))) for a in AXES}}
 
 
-def replay_city(drive: SmartLoc, config: CityReplay | None = None, told: Progress = silent) -> CityResult:
-    """Train on the first part of a drive, then solve all of it with the trained bounds and with the plain model.
+def replay_city(drive: SmartLoc, config: CityReplay | None = None, progress: Progress = silent) -> CityResult:
+    """Train on the first part of a drive, then solve all of it with the trained bounds and with simpler models.
 
-    ``told`` is called with the epochs solved and their number, of all four solutions.
+    ``progress`` is called with the number of solved epochs and the total number, over all four solutions.
 
     Raises
     ------
@@ -126,47 +126,47 @@ def replay_city(drive: SmartLoc, config: CityReplay | None = None, told: Progres
     for name, (bounds, solution) in models.items():
 
         def count(done: int, of: int, before: int = len(solutions)) -> None:
-            told(before * of + done, of * len(models))
+            progress(before * of + done, of * len(models))
 
-        solutions[name] = drive_city(drive, bounds, solution, every=config.every, first=config.first, told=count)
+        solutions[name] = drive_city(drive, bounds, solution, every=config.every, first=config.first, progress=count)
     return CityResult(config, drive, until, errors, solutions)
 
 
 def find_smartloc(folder: Path) -> tuple[Path, Path | None] | None:
-    """The input and the truth file of a smartLoc folder, None when it is none."""
+    """The input file and the truth file (or None) of a smartLoc folder; None for other folders."""
     inputs = sorted(folder.glob("*_Input.txt*"))
     truths = sorted(folder.glob("*_GT.txt*"))
     return (inputs[0], truths[0] if truths else None) if inputs else None
 
 
 def read_city(folder: Path) -> SmartLoc:
-    """The smartLoc drive of a folder, with its truth.
+    """Read the smartLoc drive of a folder with its truth.
 
     Raises
     ------
     InputError
-        The folder holds none.
+        The folder does not contain both files.
     """
     found = find_smartloc(folder)
     if found is None or found[1] is None:
-        raise InputError(f"{folder} must hold *_Input.txt(.gz) and *_GT.txt of smartLoc, does not: give another folder")
+        raise InputError(f"{folder} must hold *_Input.txt(.gz) and *_GT.txt of smartLoc: give another folder")
     return read_smartloc(*found)
 
 
 def write_city(
-    folder: Path, out: Path, config: CityReplay | None = None, told: Progress = silent
+    folder: Path, out: Path, config: CityReplay | None = None, progress: Progress = silent
 ) -> tuple[dict[str, Any], list[Path]]:
     """Replay a smartLoc folder and write ``replay.json``, Stanford diagrams, series and map into ``out``.
 
-    ``told`` is called with the epochs solved and their number.
+    ``progress`` is called with the number of solved epochs and the total number.
 
     Raises
     ------
     InputError
-        The folder holds no smartLoc drive with its truth.
+        The folder contains no smartLoc drive with its truth.
     """
     drive = read_city(folder)
-    result = replay_city(drive, config, told)
+    result = replay_city(drive, config, progress)
     summary = {"dataset": "smartloc", "stopped": drive.stopped and str(drive.stopped), **result.summary()}
     out.mkdir(parents=True, exist_ok=True)
     written = [out / "replay.json"]
@@ -175,7 +175,7 @@ def write_city(
 
 
 def _figures(result: CityResult, out: Path) -> list[Path]:
-    """A Stanford diagram of each solution after training, series and map of the trained one."""
+    """A Stanford diagram of each solution after training; time series and map of the solution with trained bounds."""
     limits, risk = result.config.alerts.limits, result.config.solution.risk.integrity_risk
     written = []
     for name in result.solutions:
@@ -190,10 +190,10 @@ def _figures(result: CityResult, out: Path) -> list[Path]:
         save(series_figure(whole, risk=risk, al_at_m=limits.al_at_m, al_ct_m=limits.al_ct_m), out / "series.png")
     )
     alert, _ = best.alerts(result.config.alerts)
-    assert result.drive.truth is not None  # the record has asked for it
+    assert result.drive.truth is not None  # checked by record
     true, known = result.drive.truth.at(best.time_s)
     figure = map_figure(
-        best.position_enu_m[:, :2], best.mode, title="believed and true positions", alert=alert,
+        best.position_enu_m[:, :2], best.mode, title="estimated and true positions", alert=alert,
         truth_en_m=best.frame.local(true)[known, :2],
     )  # fmt: skip
     return [*written, save(figure, out / "map.png")]

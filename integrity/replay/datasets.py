@@ -1,4 +1,4 @@
-"""A folder of a recorded data set, told by what it holds, replayed and written down."""
+"""Replay of a folder with a recorded data set, whose kind is detected from its files."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ POSITION_FILE = "{}_position.txt"  # latitude and longitude [deg], ellipsoidal h
 
 
 def kind_of(folder: Path) -> str:
-    """``smartloc``, ``comma2k19`` or ``rinex``.
+    """Detect the kind of data set in a folder: ``smartloc``, ``comma2k19`` or ``rinex``.
 
     Raises
     ------
     InputError
-        The folder is none of them.
+        The folder is of no known kind.
     """
     if list(folder.glob("*_Input.txt*")):
         return "smartloc"
@@ -33,57 +33,59 @@ def kind_of(folder: Path) -> str:
         return "comma2k19"
     if (folder / "rover.obs").is_file() and (folder / "base.obs").is_file():
         return "rinex"
-    told = "; ".join(f"{what} ({name})" for name, what in KINDS.items())
-    raise InputError(f"{folder} must be a folder of a recorded data set, is none: {told}")
+    known = "; ".join(f"{what} ({name})" for name, what in KINDS.items())
+    raise InputError(f"{folder} must be a folder of a recorded data set, is none: {known}")
 
 
 def replay_folder(
     folder: Path,
     out: Path,
     changes: Mapping[str, Any] | None = None,
-    told: Progress = silent,
+    progress: Progress = silent,
 ) -> tuple[dict[str, Any], list[Path]]:
-    """Replay a data set; returns what was counted and the files written into ``out``.
+    """Replay a data set; returns the statistics and the files written into ``out``.
 
-    ``changes`` are those to the configuration of the kind: :class:`~.city_report.CityReplay`,
-    :class:`~.outages.OutageConfig` or :class:`~.baseline.BaselineConfig`. ``told`` is called with the epochs solved and
-    their number.
+    ``changes`` are overrides of the configuration of the kind: :class:`~.city_report.CityReplay`,
+    :class:`~.outages.OutageConfig` or :class:`~.baseline.BaselineConfig`. ``progress`` is called with the number of
+    solved epochs and the total number.
 
     Raises
     ------
     InputError
-        The folder is of no known kind, a file is refused, or a change is.
+        The folder is of no known kind, or a file or a change is invalid.
     """
     kind, changed = kind_of(folder), dict(changes or {})
     if kind == "smartloc":
         from lanebound.integrity.replay.city_report import CityReplay, write_city
 
-        return write_city(folder, out, CityReplay.build(None, changed), told)
+        return write_city(folder, out, CityReplay.build(None, changed), progress)
     if kind == "comma2k19":
         from lanebound.integrity.replay.outages import OutageConfig
         from lanebound.integrity.replay.outages_report import write_outages
 
         return write_outages(folder, out, OutageConfig.build(None, changed))
-    return _replay_rinex(folder, out, changed, told)
+    return _replay_rinex(folder, out, changed, progress)
 
 
 def _replay_rinex(
-    folder: Path, out: Path, changes: dict[str, Any], told: Progress
+    folder: Path, out: Path, changes: dict[str, Any], progress: Progress
 ) -> tuple[dict[str, Any], list[Path]]:
-    """The pair of a folder, with the positions that lie beside it."""
+    """Replay the rover and base of a folder, with the positions in its position files."""
     from lanebound.integrity.replay.baseline import BaselineConfig
     from lanebound.integrity.replay.baseline_report import read_coordinates, run_baseline
 
     navigation = [path for name in ("base.nav", "rover.nav") if (path := folder / name).is_file()]
     if not navigation:
-        raise InputError(f"{folder} must hold base.nav or rover.nav beside rover.obs, has neither: add the messages")
+        raise InputError(
+            f"{folder} must hold base.nav or rover.nav beside rover.obs, has neither: add a navigation file"
+        )
     known = {}
-    for who in ("base", "rover"):
-        path = folder / POSITION_FILE.format(who)
-        known[f"{who}_ecef_m"] = read_coordinates(str(path)) if path.is_file() else None
+    for receiver in ("base", "rover"):
+        path = folder / POSITION_FILE.format(receiver)
+        known[f"{receiver}_ecef_m"] = read_coordinates(str(path)) if path.is_file() else None
     config = BaselineConfig.build(None, changes)
     found, written = run_baseline(
         folder / "rover.obs", folder / "base.obs", navigation[0], out, base_ecef_m=known["base_ecef_m"],
-        rover_ecef_m=known["rover_ecef_m"], config=config, told=told,
+        rover_ecef_m=known["rover_ecef_m"], config=config, progress=progress,
     )  # fmt: skip
     return {"dataset": "rinex", **found}, written

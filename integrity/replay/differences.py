@@ -1,8 +1,8 @@
-"""Single differences of two receivers, reduced to what the position and the clocks leave.
+"""Single differences of two receivers, reduced to position and clock terms.
 
-For each receiver and satellite ``u = P - |s - x| + c dt_s - T`` with the satellite s at transmission by its broadcast
-message, turned by the Earth's rotation, and T the troposphere; the difference of rover and base, about a nominal
-position ``x_0`` of the rover and brought to the base as origin, is ``y = -e.x + clock (+ lambda N)``.
+For each receiver and satellite ``u = P - |s - x| + c dt_s - T`` with the satellite position s at transmission from its
+broadcast message, rotated with the Earth, and the troposphere T. The difference of rover and base, linearized at a
+nominal position ``x_0`` of the rover and with the base as origin, is ``y = -e.x + clock (+ lambda N)``.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
-LOWEST_RAD = np.deg2rad(3.0)  # below it the simple troposphere has no meaning
-USUAL_CN0_DBHZ = 45.0  # of a receiver that does not tell
+LOWEST_RAD = np.deg2rad(3.0)  # the simple troposphere model is not valid below
+USUAL_CN0_DBHZ = 45.0  # for receivers that do not record the C/N0
 
 
 @dataclass(frozen=True)
 class Arc:
-    """What one receiver saw of the satellites of a navigation file, epochs T, satellites S, bands 2.
+    """Observations of one receiver of the satellites of a navigation file: T epochs, S satellites, 2 bands.
 
     ``code`` [m], ``phase`` [m] (T, S, 2), 0 for none; ``lost`` and ``half`` (T, S); C/N0 (T, S); satellite at
     transmission (T, S, 3) ECEF [m], its clock [m] and whether there is a message (T, S).
@@ -49,8 +49,8 @@ class Arc:
 
 @dataclass(frozen=True)
 class Reduced:
-    """One epoch, satellites S: sights (S, 3) from the rover in E, N, U of the base, code and phase (S, 2) [m] as
-    ``-e.x + clock`` with x from the base, C/N0, tracked on every band, and lock lost (S,)."""
+    """One epoch of S satellites: unit vectors (S, 3) from the rover in E, N, U of the base; code and phase (S, 2) [m],
+    ``-e.x + clock`` with x relative to the base, C/N0, tracked on every band, and lock lost (S,)."""
 
     sight_enu: Array
     code_m: Array
@@ -61,7 +61,7 @@ class Reduced:
 
 
 def arc_of(observations: Observations, codes: dict[str, tuple[str, ...]], choice: Choice, table: Ephemerides) -> Arc:
-    """Observations on the grid of epochs and satellites, with the satellites' positions at transmission."""
+    """Arrange observations by epoch and satellite, with the satellite positions at transmission."""
     satellites = table.satellites
     shape = (observations.epochs, len(satellites))
     code, phase = np.zeros((*shape, 2)), np.zeros((*shape, 2))
@@ -84,7 +84,7 @@ def arc_of(observations: Observations, codes: dict[str, tuple[str, ...]], choice
 
 
 def _at_transmission(observations: Observations, range_m: Array, table: Ephemerides) -> tuple[Array, Array, Bools]:
-    """Position (T, S, 3), clock [m] and whether they are known: ``t = t_receiver - P/c - dt_s``."""
+    """Satellite position (T, S, 3), clock [m] and whether they are known, at ``t = t_receiver - P/c - dt_s``."""
     time = (observations.week * WEEK_S + observations.tow_s)[:, None] * np.ones((1, range_m.shape[1]))
     travel = range_m / SPEED_OF_LIGHT_MPS
     first = positions(table, time, travel)
@@ -94,11 +94,11 @@ def _at_transmission(observations: Observations, range_m: Array, table: Ephemeri
 
 
 def matched(rover: Observations, base: Observations, oldest_s: float) -> tuple[Ints, Ints, Array]:
-    """Epochs of the rover, the newest of the base not after each (half a millisecond allowed), and the age [s]."""
+    """Match epochs: indices of rover epochs and of the newest base epoch not after each (0.5 ms tolerance), age [s]."""
     week = int(min(rover.week[0], base.week[0]))
-    ours, theirs = rover.since(week), base.since(week)
-    last = np.searchsorted(theirs, ours + 5e-4, side="right") - 1
-    age = np.where(last >= 0, ours - theirs[np.maximum(last, 0)], np.inf)
+    rover_s, base_s = rover.since(week), base.since(week)
+    last = np.searchsorted(base_s, rover_s + 5e-4, side="right") - 1
+    age = np.where(last >= 0, rover_s - base_s[np.maximum(last, 0)], np.inf)
     keep = np.flatnonzero(age <= oldest_s)
     return keep, last[keep], np.maximum(age[keep], 0.0)
 
@@ -106,13 +106,13 @@ def matched(rover: Observations, base: Observations, oldest_s: float) -> tuple[I
 def reduce_epoch(
     rover: Arc, base: Arc, i: int, j: int, nominal_ecef_m: Array, base_ecef_m: Array, bands: int
 ) -> Reduced:
-    """Differences of rover epoch i and base epoch j about a nominal position of the rover."""
+    """Difference rover epoch i and base epoch j at a nominal position of the rover."""
     latitude, longitude, _ = geodetic_from_ecef(base_ecef_m)
     axes = ecef_from_enu_matrix(latitude, longitude)
     far, sight = ranges_and_sights(rover.satellite_ecef_m[i], nominal_ecef_m)
     near, seen = ranges_and_sights(base.satellite_ecef_m[j], base_ecef_m)
     e, elevation = sight @ axes, np.arcsin(np.clip((seen @ axes)[:, 2], -1.0, 1.0))
-    air = troposphere_m(nominal_ecef_m, _own_elevation(sight, nominal_ecef_m)) - troposphere_m(base_ecef_m, elevation)
+    air = troposphere_m(nominal_ecef_m, _elevation_at(sight, nominal_ecef_m)) - troposphere_m(base_ecef_m, elevation)
     model = (far - rover.clock_m[i]) - (near - base.clock_m[j]) + air
     model = model + e @ ((nominal_ecef_m - base_ecef_m) @ axes)
     both = rover.known[i] & base.known[j]
@@ -127,14 +127,14 @@ def reduce_epoch(
     )  # fmt: skip
 
 
-def _own_elevation(sight_ecef: Array, place_ecef_m: Array) -> Array:
-    """Elevation of sights (S, 3) at a place (3,)."""
+def _elevation_at(sight_ecef: Array, place_ecef_m: Array) -> Array:
+    """Elevation [rad] of unit vectors (S, 3) at a place (3,)."""
     latitude, longitude, _ = geodetic_from_ecef(place_ecef_m)
     return np.asarray(np.arcsin(np.clip((sight_ecef @ ecef_from_enu_matrix(latitude, longitude))[:, 2], -1.0, 1.0)))
 
 
 def troposphere_m(place_ecef_m: Array, elevation_rad: Array) -> Array:
-    """Slant delay of Saastamoinen's model in the standard atmosphere, humidity 50 %.  (S,) [m].
+    """Slant tropospheric delay of Saastamoinen's model in the standard atmosphere, humidity 50 %.  (S,) [m].
 
     Saastamoinen 1973 (Bulletin Geodesique 107): ``0.002277 / cos z (p + (1255 / T + 0.05) e - tan^2 z)``.
     """

@@ -1,8 +1,8 @@
-"""Dead reckoning through artificial outages of a recorded drive: drift and protection level against the reference.
+"""Dead reckoning in artificial outages of a recorded drive: drift and protection level against the reference.
 
-Before each outage the solution is that of the reference: its position, and its track turned by ``heading_error_deg`` in
-both signs. During it speed and gyro carry on (:func:`.reckoning.reckon`), and the level grows from that of a fix as
-:mod:`lanebound.integrity.monitoring.dead_reckoning_pl` says.
+An outage starts at the reference solution: its position, and its track rotated by ``heading_error_deg`` with both
+signs. During the outage the position is propagated with speed and gyro (:func:`.reckoning.reckon`), and the level grows
+from the level of a fix (:mod:`lanebound.integrity.monitoring.dead_reckoning_pl`).
 """
 
 from __future__ import annotations
@@ -28,19 +28,21 @@ Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 AXES_OF_GYRO = 2  # z, down: positive to the right
-SLOWEST_MPS = 0.5  # below which a velocity has no direction
+SLOWEST_MPS = 0.5  # the direction of a smaller velocity is not defined
 
 
 class OutageConfig(Config):
-    """Which outages, and what is declared of the sensors."""
+    """Parameters of the outages and assumed errors of the sensors."""
 
     rate_hz: float = Field(10.0, gt=0.0, le=100.0, description="epochs in a second [Hz]")
     longest_s: float = Field(20.0, gt=0.0, description="length of an outage [s]; S1 section 5, IMU and odometer")
     every_s: float = Field(0.5, gt=0.0, description="time between the starts of outages [s]")
-    calibration_s: float = Field(15.0, gt=0.0, description="first part, for wheel scale and gyro bias only [s]")
-    heading_error_deg: float = Field(0.0, ge=0.0, description="error given to the heading, in both signs [deg]")
+    calibration_s: float = Field(
+        15.0, gt=0.0, description="first part, used only to calibrate wheel scale and gyro bias [s]"
+    )
+    heading_error_deg: float = Field(0.0, ge=0.0, description="heading error at the start, with both signs [deg]")
     axle_m: float = Field(
-        0.0, ge=0.0, le=20.0, description="reference point ahead of the rear axle [m]; not told by comma2k19"
+        0.0, ge=0.0, le=20.0, description="reference point ahead of the rear axle [m]; unknown for comma2k19"
     )
     fix_sigma_m: float = Field(0.02, gt=0.0, description="position of the fix, 1 sigma on each axis [m]")
     risk: RiskConfig = RiskConfig(integrity_risk=1e-3)
@@ -51,8 +53,8 @@ class OutageConfig(Config):
 
 @dataclass(frozen=True)
 class Motion:
-    """Epochs (T,): time from the start [s], reference position (T, 2) E, N [m], the rear axle's track [rad] and true
-    speed [m/s]; measured speed [m/s] and yaw rate to the right [rad/s], calibrated."""
+    """Epochs (T,): time from the start [s], reference position (T, 2) E, N [m], track of the rear axle [rad], true
+    speed [m/s]; measured speed [m/s] and yaw rate, positive to the right [rad/s], calibrated."""
 
     time_s: Array
     position_m: Array
@@ -64,8 +66,8 @@ class Motion:
 
 @dataclass(frozen=True)
 class OutageErrors:
-    """N outages of M ages (M,) [s]: signed error (N, M, 2) along and across the track [m], level (N, M, 2), speed at
-    the start (N,) [m/s] and given heading error (N,) [rad]."""
+    """N outages with M ages (M,) [s]: signed error (N, M, 2) along and across the track [m], level (N, M, 2) [m], speed
+    at the start (N,) [m/s], heading error at the start (N,) [rad] and start time (N,) [s]."""
 
     age_s: Array
     error_m: Array
@@ -76,12 +78,12 @@ class OutageErrors:
 
 
 def motion_of(segment: Comma, config: OutageConfig) -> tuple[Motion, dict[str, float]]:
-    """Reference and sensors on one clock, and the calibration, from the first ``calibration_s`` alone.
+    """Resample reference and sensors to common times, and calibrate with the first ``calibration_s`` only.
 
     Raises
     ------
     InputError
-        The segment is too short, or stands still while it is calibrated.
+        The segment is too short, or the vehicle is at rest during the calibration.
     """
     r = segment.reference
     start = max(float(s[0]) for s in (r.time_s, segment.speed.time_s, segment.rotation_rate.time_s))
@@ -100,7 +102,7 @@ def motion_of(segment: Comma, config: OutageConfig) -> tuple[Motion, dict[str, f
     moving = np.stack([np.interp(at, r.time_s, velocity[:, k]) for k in range(2)], -1)
     rate = _averaged(segment.rotation_rate.time_s, segment.rotation_rate.value[:, AXES_OF_GYRO], at, config.rate_hz)
     speed = np.hypot(*moving.T)
-    # the rear axle goes where the car points, the reference point at an angle to it
+    # the rear axle moves in the direction of the heading, the reference point at an angle to it
     slip = np.arcsin(np.clip(config.axle_m * rate / np.maximum(speed, SLOWEST_MPS), -1.0, 1.0))
     track = np.unwrap(np.arctan2(moving[:, 0], moving[:, 1])) - slip
     motion = Motion(time, place, track, speed, segment.speed.at(at), rate)
@@ -108,7 +110,7 @@ def motion_of(segment: Comma, config: OutageConfig) -> tuple[Motion, dict[str, f
 
 
 def _averaged(time_s: Array, value: Array, at_s: Array, rate_hz: float) -> Array:
-    """Mean of a signal over an interval around each time: the slope of its integral."""
+    """Mean of a signal over an interval around each time, computed as slope of the integral."""
     total = np.concatenate([[0.0], np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(time_s))])
     half = 0.5 / rate_hz
     low, high = np.maximum(at_s - half, time_s[0]), np.minimum(at_s + half, time_s[-1])
@@ -116,17 +118,17 @@ def _averaged(time_s: Array, value: Array, at_s: Array, rate_hz: float) -> Array
 
 
 def calibrate(motion: Motion, seconds: float) -> tuple[Motion, dict[str, float]]:
-    """Wheel scale and gyro bias from the first seconds, as RTK would calibrate them, applied to all.
+    """Calibrate wheel scale and gyro bias with the first seconds, as RTK would, and apply them to the whole drive.
 
     Raises
     ------
     InputError
-        The vehicle does not move there.
+        The vehicle does not move in these seconds.
     """
     first = motion.time_s < seconds
     travelled = float((motion.speed_mps[first] ** 2).sum())
     if travelled < 1.0:
-        raise InputError(f"the segment must move in its first {seconds:g} s, it stands: choose another segment")
+        raise InputError(f"the segment must move in its first {seconds:g} s, is at rest: choose another segment")
     scale = float((motion.speed_mps[first] * motion.true_speed_mps[first]).sum()) / travelled
     turned = float(motion.track_rad[first][-1] - motion.track_rad[first][0])
     span = float(motion.time_s[first][-1] - motion.time_s[first][0])
@@ -139,7 +141,7 @@ def calibrate(motion: Motion, seconds: float) -> tuple[Motion, dict[str, float]]
 
 
 def run_outages(motion: Motion, config: OutageConfig) -> OutageErrors:
-    """All outages that begin after the calibration and end before the drive does."""
+    """Simulate all outages that start after the calibration and end before the end of the drive."""
     n = round(config.longest_s * config.rate_hz)
     first = math.ceil(config.calibration_s * config.rate_hz)
     step = max(round(config.every_s * config.rate_hz), 1)
@@ -148,28 +150,30 @@ def run_outages(motion: Motion, config: OutageConfig) -> OutageErrors:
     signs = (1.0, -1.0) if given > 0.0 else (0.0,)
     cases = [(int(s), sign * given) for s in starts for sign in signs]
     starts, errors = np.array([s for s, _ in cases]), np.array([e for _, e in cases], dtype=np.float64)
-    off, levels = _driven(motion, starts, errors, n, config)
+    off, levels = _dead_reckoned(motion, starts, errors, n, config)
     age = np.asarray((np.arange(n) + 1.0) / config.rate_hz, dtype=np.float64)
     return OutageErrors(age, off, levels, motion.true_speed_mps[starts], errors, motion.time_s[starts])
 
 
-def _driven(motion: Motion, starts: Ints, heading_error: Array, n: int, config: OutageConfig) -> tuple[Array, Array]:
-    """Errors and levels (N, n, 2) of outages that begin at epochs ``starts`` (N,)."""
-    believed, heading = np.zeros((starts.size, n, 2)), np.zeros((starts.size, n))
+def _dead_reckoned(
+    motion: Motion, starts: Ints, heading_error: Array, n: int, config: OutageConfig
+) -> tuple[Array, Array]:
+    """Errors and levels (N, n, 2) of outages that start at epochs ``starts`` (N,)."""
+    estimated, heading = np.zeros((starts.size, n, 2)), np.zeros((starts.size, n))
     for i, s in enumerate(starts):
         part = slice(s, s + n + 1)
         path = reckon(motion.time_s[part], motion.speed_mps[part], motion.yaw_rate_radps[part], config.axle_m)
         initial = float(motion.track_rad[s] + heading_error[i])
-        believed[i] = motion.position_m[s] + turned(path.position_m[1:], initial)
+        estimated[i] = motion.position_m[s] + turned(path.position_m[1:], initial)
         heading[i] = initial + path.heading_rad[1:]
     epochs = starts[:, None] + np.arange(1, n + 1)
-    off = believed - motion.position_m[epochs]
+    off = estimated - motion.position_m[epochs]
     error = (track_from_enu_matrix(heading) @ off[..., None])[..., 0]
     return error, _levels(motion.speed_mps[epochs], heading, config)
 
 
 def _levels(speed_mps: Array, heading_rad: Array, config: OutageConfig) -> Array:
-    """The growing levels (N, n, 2) of outages with speeds and headings (N, n)."""
+    """Levels (N, n, 2) [m] of outages with speeds and headings (N, n)."""
     fix = np.broadcast_to(np.eye(2) * config.fix_sigma_m**2, (len(speed_mps), 2, 2))
     sigma = np.full((len(speed_mps), 2), config.fix_sigma_m)
     bridge = Bridge(config.bridge, config.risk, fix, np.zeros_like(sigma), sigma, heading_rad[:, 0])
@@ -179,9 +183,9 @@ def _levels(speed_mps: Array, heading_rad: Array, config: OutageConfig) -> Array
 
 
 def sawtooth(motion: Motion, config: OutageConfig, fixed_s: float = 5.0) -> dict[str, Array]:
-    """One drive of fixes and outages in turn: time (K,), error and level (K, 2), and whether there is a fix (K,).
+    """One drive with alternating fixes and outages: time (K,), error and level (K, 2), and whether there is a fix (K,).
 
-    While there is a fix its error counts as 0: the reference stands for it.
+    The error of a fix is 0, because the reference is used as fix.
     """
     n = round(config.longest_s * config.rate_hz)
     gap = max(round(fixed_s * config.rate_hz), 1)
@@ -190,7 +194,7 @@ def sawtooth(motion: Motion, config: OutageConfig, fixed_s: float = 5.0) -> dict
     while at + n < motion.time_s.size:
         fixed = np.arange(at - gap + 1, at + 1)
         parts.append((motion.time_s[fixed], np.zeros((gap, 2)), fix, np.ones(gap, np.bool_)))
-        error, level = _driven(motion, np.array([at]), np.radians([config.heading_error_deg]), n, config)
+        error, level = _dead_reckoned(motion, np.array([at]), np.radians([config.heading_error_deg]), n, config)
         parts.append((motion.time_s[at + 1 : at + n + 1], error[0], level[0], np.zeros(n, np.bool_)))
         at += n + gap
     return {

@@ -1,4 +1,4 @@
-"""Artificial outages of a highway drive, counted and drawn: drift against S1's, levels against errors."""
+"""Statistics and figures of artificial outages of a highway drive: drift compared with S1, errors and levels."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ __all__ = ["S1_AGE_S", "S1_DRIFT_M", "S1_HEADING_DEG", "S1_SPEED_MPS", "by_age",
 Array = NDArray[np.float64]
 
 AGES_S = (1.0, 2.0, 4.0, 8.0, 12.0, 16.0, 20.0)
-TOOTH_S, FIXED_S = 8.0, 3.0  # outages and fixes of the drawn sawtooth
+TOOTH_S, FIXED_S = 8.0, 3.0  # duration of outages and fixes in the sawtooth figure
 S1_DRIFT_M, S1_AGE_S = 0.53, 4.0  # S1 section 5, largest error of IMU and odometer after 4 s
-S1_SPEED_MPS = 10.0  # of an urban drive; S1 does not tell its speed
-S1_HEADING_DEG = math.degrees(math.asin(S1_DRIFT_M / (S1_SPEED_MPS * S1_AGE_S)))  # what explains it, 0.76 deg
-CAUTION = "outages overlap and stem from one minute of one drive: the exact intervals are narrower than the truth"
+S1_SPEED_MPS = 10.0  # assumed for an urban drive; S1 does not give the speed
+S1_HEADING_DEG = math.degrees(math.asin(S1_DRIFT_M / (S1_SPEED_MPS * S1_AGE_S)))  # explains the drift; 0.76 deg
+CAUTION = "outages overlap and are from one minute of one drive: the exact intervals are too narrow"
 
 
 def by_age(outages: OutageErrors, ages_s: tuple[float, ...] = AGES_S) -> list[dict[str, Any]]:
-    """Errors, levels and exceedances at some ages, JSON-able."""
+    """Errors, levels and exceedances at some ages as JSON data."""
     rows = []
     for age in ages_s:
         k = int(np.argmin(np.abs(outages.age_s - age)))
@@ -49,7 +49,7 @@ def by_age(outages: OutageErrors, ages_s: tuple[float, ...] = AGES_S) -> list[di
 
 
 def _against_s1(motion: Motion, config: OutageConfig) -> dict[str, Any]:
-    """Cross-track error after 4 s with S1's heading error, over S1's figure scaled by the distance gone."""
+    """Cross-track error after 4 s with the heading error of S1, compared with S1's error scaled by the distance."""
     given = config.replace(heading_error_deg=S1_HEADING_DEG)
     outages = run_outages(motion, given)
     k = int(np.argmin(np.abs(outages.age_s - S1_AGE_S)))
@@ -76,7 +76,7 @@ def write_outages(folder: Path, out: Path, config: OutageConfig | None = None) -
     Raises
     ------
     InputError
-        The folder is no comma2k19 segment, or too short a one.
+        The folder is not a comma2k19 segment, or the segment is too short.
     """
     config = config or OutageConfig()
     segment = read_comma(folder)
@@ -97,7 +97,7 @@ def write_outages(folder: Path, out: Path, config: OutageConfig | None = None) -
 
 
 def _drift_figure(outages: OutageErrors, config: OutageConfig) -> Figure:
-    """Every outage's error against its age, and the levels."""
+    """Error of every outage and median level against the age of the outage."""
     figure = new_figure(11.0, 4.4)
     figure.suptitle(
         "Dead reckoning in artificial outages" + risk_text(config.risk.integrity_risk), fontsize=12, color=INK
@@ -113,10 +113,10 @@ def _drift_figure(outages: OutageErrors, config: OutageConfig) -> Figure:
 
 
 def _sawtooth_figure(motion: Motion, config: OutageConfig) -> Figure:
-    """Fixes and outages in turn: the level rises and falls."""
+    """Errors and levels of a drive with alternating fixes and outages."""
     found = sawtooth(motion, config.replace(longest_s=min(TOOTH_S, config.longest_s)), FIXED_S)
     figure = new_figure(11.0, 4.4)
-    figure.suptitle("Fixes and outages in turn" + risk_text(config.risk.integrity_risk), fontsize=12, color=INK)
+    figure.suptitle("Alternating fixes and outages" + risk_text(config.risk.integrity_risk), fontsize=12, color=INK)
     for q, name in enumerate(("along track", "cross track")):
         axes = figure.add_subplot(1, 2, q + 1)
         axes.plot(found["time_s"], found["pl_m"][:, q], color=PL_COLOUR, label="PL")

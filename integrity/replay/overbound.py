@@ -1,12 +1,12 @@
-"""Gaussian bounds of one-sided code errors, fitted to recorded errors: by C/N0, with a centre of their own.
+"""Gaussian overbounds of code errors, fitted to recorded errors in classes of C/N0, with a free centre.
 
-A reflected signal is late, never early, so that its errors lie between a few metres below zero and a hundred above. In
-each class of C/N0 the bound is the normal law ``N(mu, s^2)`` of least s with every empirical tail inside it,
+A reflected signal is always delayed; its errors lie between a few metres below zero and a hundred metres above. In each
+class of C/N0 the bound is the normal distribution ``N(mu, s^2)`` with the smallest s that bounds the empirical tails,
 
 ``F_emp(mu - s z) <= Q(z)`` and ``1 - F_emp(mu + s z) <= Q(z)`` for all z with ``Q(z) <= tail``
 
-(two-sided overbounding of the distribution function as DeCleene 2000, ION GPS, with the centre free). Its centre is
-taken from the measurement: what remains is as likely early as late.
+(two-sided overbounding of the distribution function as in DeCleene 2000, ION GPS, with a free centre). The centre is
+subtracted from the measurement.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ __all__ = ["CodeErrors", "fit_overbound", "gaussian_bound", "lasting_s"]
 Array = NDArray[np.float64]
 
 EDGES_DBHZ = (0.0, 25.0, 30.0, 35.0, 40.0, 43.0, 46.0, 49.0, 60.0)
-TAIL = 0.25  # the bound holds for tails up to this; the core may be of any shape
-FEWEST = 25  # errors of a class
+TAIL = 0.25  # the bound holds for tails up to this probability; the core of the distribution is not constrained
+FEWEST = 25  # smallest number of errors in a class
 FLOOR_M = 1.0
-MOST_PAIRED = 1000  # errors of one satellite, for memory
+MOST_PAIRED = 1000  # largest number of errors of one satellite in the autocorrelation, limits the memory
 
 
 @dataclass(frozen=True)
 class CodeErrors:
-    """Bounds of the code errors: centre and sigma (K,) [m] at C/N0 knots (K,) [dB-Hz], and how long they last [s]."""
+    """Bounds of code errors: centre and sigma (K,) [m] at C/N0 knots (K,) [dB-Hz], and correlation time [s]."""
 
     cn0_dbhz: Array
     centre_m: Array
@@ -42,15 +42,21 @@ class CodeErrors:
     tau_s: float
 
     def at(self, cn0_dbhz: ArrayLike) -> tuple[Array, Array]:
-        """Centre and sigma, linear between the knots and constant beyond.  (...,) -> (...,), (...,)."""
+        """Centre and sigma at C/N0 values, linear between the knots, constant beyond.  (...,) -> (...,), (...,)."""
         c = np.asarray(cn0_dbhz, dtype=np.float64)
         return np.interp(c, self.cn0_dbhz, self.centre_m), np.interp(c, self.cn0_dbhz, self.sigma_m)
 
 
 def gaussian_bound(error_m: ArrayLike, outside: float = 0.0) -> tuple[float, float]:
-    """Centre and least sigma of a normal law that holds both empirical tails of errors (n,) [m].
+    """Centre and smallest sigma of a normal distribution that bounds both empirical tails of errors (n,) [m].
 
-    The k-th largest of n errors stands for the tail ``k / (n + 1)``; of each tail the share ``outside`` is left out.
+    The k-th largest of n errors has the tail probability ``k / (n + 1)``. The share ``outside`` of each tail is
+    ignored.
+
+    Raises
+    ------
+    InputError
+        There are fewer than two errors, or one is not finite.
     """
     error = np.sort(require_finite("error_m", error_m).ravel())
     n = error.size
@@ -69,10 +75,10 @@ def gaussian_bound(error_m: ArrayLike, outside: float = 0.0) -> tuple[float, flo
 
 
 def lasting_s(time_s: Array, owner: NDArray[np.int64], normalised: Array, longest_s: float = 60.0) -> float:
-    """Time after which errors of one satellite agree by 1/e, from products of its normalised errors at all lags (n,).
+    """Correlation time (1/e) of errors of one satellite, from products of its normalised errors (n,) at all lags.
 
-    The autocorrelation is estimated in lags of a second without taking off each satellite's mean, so that what stays
-    for the whole recording counts as lasting; without a crossing it is ``longest_s``.
+    The autocorrelation is estimated at lags of whole seconds. The mean of each satellite is not subtracted: constant
+    errors increase the correlation time. Without a crossing of 1/e the result is ``longest_s``.
     """
     bins = np.arange(int(longest_s) + 1)
     total, number = np.zeros(bins.size), np.zeros(bins.size)
@@ -92,9 +98,9 @@ def lasting_s(time_s: Array, owner: NDArray[np.int64], normalised: Array, longes
 def fit_overbound(
     error_m: Array, cn0_dbhz: Array, time_s: Array, owner: NDArray[np.int64], outside: float = 0.0
 ) -> CodeErrors:
-    """Bounds of errors (n,) by their C/N0; classes with few errors are left out, sigma never falls with less C/N0.
+    """Fit bounds of errors (n,) by C/N0; classes with few errors are left out, sigma does not decrease with lower C/N0.
 
-    ``outside`` is the share of each tail that re-weighting has to meet, and not the bound.
+    ``outside`` is the share of each tail that the bound ignores; re-weighting must handle these errors.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The path that wheel speed and yaw rate draw, in a frame of its own: start at the origin, heading 0 is its North."""
+"""Dead-reckoned path from wheel speed and yaw rate in its own frame: it starts at the origin with heading 0 (North)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DeadReckonedPath:
-    """Times (T,) [s], heading clockwise from the start's (T,) [rad], position (T, 2) [m], distance (T,) [m]."""
+    """Times (T,) [s], heading clockwise from the initial one (T,) [rad], position (T, 2) [m], distance (T,) [m]."""
 
     time_s: Array
     heading_rad: Array
@@ -25,8 +25,8 @@ class DeadReckonedPath:
 def reckon(time_s: Array, speed_mps: Array, yaw_rate_radps: Array, axle_m: float = 0.0) -> DeadReckonedPath:
     """``dp = V dt [sin t, cos t]`` with the means of speed and heading over each interval (inverse of S1 eq 4).
 
-    All (T,); the yaw rate is positive to the right (clockwise). The rear axle goes where the car points; the path is
-    that of a point ``axle_m`` ahead of it, which swings sideways in a bend.
+    All (T,); the yaw rate is positive to the right (clockwise). The rear axle moves in the direction of the heading.
+    The path is that of a point ``axle_m`` ahead of it, which also moves sideways in a bend.
     """
     dt = np.diff(time_s)
     turn = 0.5 * (yaw_rate_radps[1:] + yaw_rate_radps[:-1]) * dt
@@ -40,7 +40,7 @@ def reckon(time_s: Array, speed_mps: Array, yaw_rate_radps: Array, axle_m: float
 
 
 def turned(offset_m: Array, angle_rad: float) -> Array:
-    """Offsets (..., 2) turned clockwise by an angle: a path drawn with that much more heading."""
+    """Rotate offsets (..., 2) clockwise by an angle, which increases the headings of a path by this angle."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     east, north = offset_m[..., 0], offset_m[..., 1]
     return np.stack([c * east + s * north, c * north - s * east], -1)

@@ -1,4 +1,4 @@
-"""The RTK stages of ``rtk_reckoning`` for one recorded receiver, without the other sensors of a vehicle."""
+"""The RTK stages of ``rtk_reckoning`` for one recorded receiver without other sensors."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class RtkStages:
         positioning = {"rtk": rtk.to_dict(), "slips": slips.to_dict()}
         config = RtkReckoningConfig(positioning=positioning, fde=fde, risk=exact, gnss={"bands": tuple(range(bands))})
         parameters = epoch_parameters(config)
-        parameters["modes"]["rtk_max_hdop"] = math.inf  # levels are wanted of every fixed position
+        parameters["modes"]["rtk_max_hdop"] = math.inf  # compute levels of every fixed position
         tables = Tables(
             satellite_table(system, wavelength_m, fixable, exact), case_table(config.cases, exact, 0.0),
             *separation_thresholds(config, len(system)),

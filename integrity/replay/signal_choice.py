@@ -1,8 +1,8 @@
-"""Which two signals of each system a pair of receivers is solved with.
+"""Selection of the signals of each system for a pair of receivers.
 
-A rover and its base may track a band by different codes (L2W here, L2L there): what is constant between codes goes into
-the clock that single differences keep for each system, band and observable. So a band, the digit of the code, is chosen
-for both, and a code of that band for each.
+Rover and base can track a band with different codes (for example L2W and L2L). Constant differences between codes are
+absorbed by the clock, which single differences estimate for each system, band and observable. Therefore a band (the
+digit of the code) is selected for both receivers, and a code of this band for each receiver.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS, System
 __all__ = ["BAND_MHZ", "LETTERS", "Choice", "choose_signals"]
 
 LETTERS = {"G": System.GPS, "E": System.GALILEO, "C": System.BEIDOU, "J": System.QZSS}
-# RINEX 3.04 tables 4 to 10; GLONASS is left out: its channels differ, so that differences are no integers
+# RINEX 3.04 tables 4 to 10; without GLONASS, whose differences are not integers because its channels differ
 BAND_MHZ = {
     "G": {"1": 1575.42, "2": 1227.60, "5": 1176.45},
     "E": {"1": 1575.42, "5": 1176.45, "7": 1207.14, "8": 1191.795, "6": 1278.75},
@@ -32,8 +32,8 @@ B1C_SINCE = 3.04  # version of the first table with B1C; the reader has moved B1
 
 @dataclass(frozen=True)
 class Choice:
-    """By system letter: codes of the rover and of the base without their first letter, one for each band; wavelengths
-    (systems, 2) [m] by the numbers of :class:`~lanebound.integrity.sky.systems.System`; bands, 1 or 2."""
+    """By system letter: codes of rover and base without their first letter, one for each band; wavelengths (systems, 2)
+    [m] in the order of :class:`~lanebound.integrity.sky.systems.System`; number of bands, 1 or 2."""
 
     rover: dict[str, tuple[str, ...]]
     base: dict[str, tuple[str, ...]]
@@ -42,7 +42,7 @@ class Choice:
 
 
 def choose_signals(rover: Observations, base: Observations, bands: int | None = None) -> Choice:
-    """The bands with the most satellites: two where any system has two on both receivers, else one.
+    """Select the bands with the most satellites: two if a system has two bands on both receivers, otherwise one.
 
     Raises
     ------
@@ -64,30 +64,30 @@ def choose_signals(rover: Observations, base: Observations, bands: int | None = 
             )  # fmt: skip
     raise InputError(
         f"rover and base must share a band of {', '.join(LETTERS)} with code and phase, rover has "
-        f"{_told(rover)}, base {_told(base)}: record both observables"
+        f"{_codes_of(rover)}, base {_codes_of(base)}: record both observables"
     )
 
 
-def _told(observations: Observations) -> str:
+def _codes_of(observations: Observations) -> str:
     return "; ".join(f"{s} {' '.join(c)}" for s, c in observations.header.codes.items()) or "nothing"
 
 
 def _best(letter: str, rover: Observations, base: Observations, count: int) -> list[tuple[str, str]] | None:
-    """Pairs (rover's code, base's code) of the ``count`` bands with the most satellite epochs, or None."""
+    """Pairs (code of rover, code of base) of the ``count`` bands with the most satellite epochs, or None."""
     if letter not in rover.rows or letter not in base.rows:
         return None
-    ours, theirs = _by_band(letter, rover), _by_band(letter, base)
-    shared = [band for band in BAND_MHZ[letter] if band in ours and band in theirs]
+    of_rover, of_base = _by_band(letter, rover), _by_band(letter, base)
+    shared = [band for band in BAND_MHZ[letter] if band in of_rover and band in of_base]
     best, most = None, 0
     for group in combinations(shared, count):
-        epochs = min(int(np.logical_and.reduce([side[b][1] for b in group]).sum()) for side in (ours, theirs))
+        epochs = min(int(np.logical_and.reduce([side[b][1] for b in group]).sum()) for side in (of_rover, of_base))
         if epochs > most:
-            best, most = [(ours[b][0], theirs[b][0]) for b in group], epochs
+            best, most = [(of_rover[b][0], of_base[b][0]) for b in group], epochs
     return best
 
 
 def _by_band(letter: str, observations: Observations) -> dict[str, tuple[str, NDArray[np.bool_]]]:
-    """The code of each band with the most rows that have code and phase, and which those are."""
+    """For each band the code with the most rows that have code and phase, and a mask of these rows."""
     rows, version = observations.rows[letter], observations.header.version
     found: dict[str, tuple[str, NDArray[np.bool_]]] = {}
     for code in rows.codes:
@@ -95,7 +95,7 @@ def _by_band(letter: str, observations: Observations) -> dict[str, tuple[str, ND
         if code[0] != "L" or len(name) != 2 or name[0] not in BAND_MHZ[letter]:
             continue
         if letter == "C" and name == "1X" and version < B1C_SINCE:
-            continue  # B1C or B1I: no table before tells
+            continue  # B1C or B1I: not defined in older tables
         whole = (rows.column(f"C{name}") != 0.0) & (rows.column(code) != 0.0)
         if whole.any() and (name[0] not in found or whole.sum() > found[name[0]][1].sum()):
             found[name[0]] = (name, whole)

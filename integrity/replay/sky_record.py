@@ -1,8 +1,8 @@
-"""From a drive through a city to the sky along it: who was received where, and how late.
+"""Conversion of a recorded city drive to a recorded sky: received satellites and their delays along the street.
 
-Satellites that are received now and then are known to be up: while they are missing something stands in front of them.
-Their directions then follow from a parabola through the positions that were recorded. A satellite that was never
-received is not known of: where low ones are lost all the way, the recording is kinder than the street was.
+A satellite that is received at some times is assumed above the horizon between them; while it is missing, it is
+blocked. Its direction is then computed from a parabola through the recorded positions. A satellite that is never
+received is not in the recording: if low satellites are blocked along the whole drive, the recording is too optimistic.
 """
 
 from __future__ import annotations
@@ -26,42 +26,42 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
-TANGENT_M = 2.0  # ahead and behind, between which the direction of travel is taken
-PARABOLA_S = 20.0  # a shorter record of a satellite is taken for straight
+TANGENT_M = 2.0  # the direction of travel is that of the chord from this distance behind to this distance ahead
+PARABOLA_S = 20.0  # the track of a satellite recorded for a shorter time is assumed straight
 
 
 class SkyRecordConfig(Config):
-    """What counts as what."""
+    """Thresholds of the classification of signals."""
 
-    spacing_m: float = Field(5.0, gt=0.0, le=100.0, description="stretches of the drive [m]; stations of streets")
+    spacing_m: float = Field(5.0, gt=0.0, le=100.0, description="length of a stretch of the drive [m]; as in streets")
     late_m: float = Field(
-        10.0, gt=0.0, description="a code error above this is a reflection [m]; 3 sigma of the receiver's code, 3.2 m"
+        10.0, gt=0.0, description="smallest code error of a reflection [m]; 3 sigma of the receiver's code, 3.2 m"
     )
     weak_db: float = Field(
-        4.0, gt=0.0, description="C/N0 below that of the open by this is foliage [dB]; half the loss of a tree, 8 dB"
+        4.0, gt=0.0, description="smallest loss of C/N0 in foliage [dB]; half of the loss of a tree, 8 dB"
     )
     cn0_zenith_dbhz: float = Field(48.0, description="C/N0 at the zenith in the open [dB-Hz]; the receiver's")
     cn0_horizon_dbhz: float = Field(38.0, description="C/N0 at the horizon in the open [dB-Hz]; the receiver's")
     lowest_deg: float = Field(5.0, ge=0.0, lt=90.0, description="lower satellites are left out [deg]")
     expected_s: float = Field(
-        300.0, ge=0.0, description="a satellite is up for so long before and after it is received [s]; 2 deg of its way"
+        300.0, ge=0.0, description="assumed visibility before and after the reception [s]; 2 deg of the orbit"
     )
 
 
 def record_sky(drive: SmartLoc, config: SkyRecordConfig | None = None) -> SkyRecording:
-    """The sky along a drive whose truth is known.
+    """Compute the recorded sky along a drive with known truth.
 
-    A satellite's row of a stretch is what most of the stretch's epochs say: blocked when fewer than half of them have
-    the signal; else by the median of its code errors, which are those of :func:`.training.code_errors`.
+    A signal is blocked in a stretch if fewer than half of its epochs have the signal. Otherwise it is classified by the
+    median of its code errors (:func:`.training.code_errors`) and of its C/N0.
 
     Raises
     ------
     InputError
-        There is no truth, too few strong signals for the receiver's clock, or the car does not move.
+        There is no truth, there are too few strong signals for the receiver clock, or the car does not move.
     """
     config = config or SkyRecordConfig()
     known, error = code_errors(drive, np.inf)
-    assert drive.truth is not None  # code_errors has refused that
+    assert drive.truth is not None  # checked by code_errors
     r = _taken(drive.ranges, known)
     time = np.unique(r.time_s)
     place, arc, heading = _way(drive.truth, time)
@@ -96,7 +96,9 @@ def _way(truth: GroundTruth, time_s: Array) -> tuple[Array, Array, Array]:
     step = np.linalg.norm(np.diff(path, axis=0) @ axes[:, :2], axis=-1)
     driven = np.concatenate([[0.0], np.cumsum(step)])
     if driven[-1] < 10.0 * TANGENT_M:
-        raise InputError(f"drive must be at least {10.0 * TANGENT_M:g} m long, got {driven[-1]:.1f}: give a moving car")
+        raise InputError(
+            f"drive must be at least {10.0 * TANGENT_M:g} m long, got {driven[-1]:.1f}: give a longer drive"
+        )
     moved = np.concatenate([[True], step > 0.0])
     local = (path - path[0]) @ axes
     arc = np.interp(time_s, truth.time_s, driven)
@@ -109,12 +111,12 @@ def _way(truth: GroundTruth, time_s: Array) -> tuple[Array, Array, Array]:
 
 
 def _directions(seen_s: Array, ecef_m: Array, time_s: Array, place: Array, heading: Array) -> tuple[Array, Array]:
-    """Azimuth from the direction of travel and elevation (T,) of a satellite seen at some times (n,)."""
+    """Azimuth from the direction of travel and elevation (T,) [rad] of a satellite observed at some times (n,)."""
     middle, degree = seen_s.mean(), 2 if np.ptp(seen_s) >= PARABOLA_S else min(1, np.unique(seen_s).size - 1)
     terms = np.polynomial.polynomial.polyvander(seen_s - middle, degree)
     law = np.linalg.lstsq(terms, ecef_m, rcond=None)[0]
     there = np.polynomial.polynomial.polyvander(time_s - middle, degree) @ law
-    axes = ecef_from_enu_matrix(*geodetic_from_ecef(place[0])[:2])  # a drive is so short that its axes are one
+    axes = ecef_from_enu_matrix(*geodetic_from_ecef(place[0])[:2])  # one local frame is sufficient for a short drive
     sight = (there - place) @ axes
     sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
     azimuth = np.arctan2(sight[:, 0], sight[:, 1]) - heading
@@ -125,7 +127,7 @@ def _rows(
     name: str, config: SkyRecordConfig, arc: Array, stretch: Ints, azimuth: Array, elevation: Array, received: Ints,
     up: Bools, error: Array, cn0: Array,
 ) -> list[tuple[Any, ...]]:  # fmt: skip
-    """A row for each stretch in which a satellite is up."""
+    """One row for each stretch in which a satellite is above the horizon."""
     found: list[tuple[Any, ...]] = []
     for k in np.unique(stretch[up]):
         epochs = np.flatnonzero(up & (stretch == k))
@@ -143,7 +145,7 @@ def _rows(
 
 
 def _kind_of(config: SkyRecordConfig, error_m: float, cn0_dbhz: float, elevation_rad: float) -> Path:
-    """What a received signal with this error and C/N0 came by."""
+    """Propagation path of a received signal with this error and C/N0."""
     if error_m > config.late_m:
         return Path.REFLECTED
     rise = config.cn0_zenith_dbhz - config.cn0_horizon_dbhz
@@ -152,21 +154,20 @@ def _kind_of(config: SkyRecordConfig, error_m: float, cn0_dbhz: float, elevation
 
 
 def agreement(recording: SkyRecording) -> tuple[float, float]:
-    """How well a recording foretells a satellite that is taken out of it, from the others.
+    """Leave-one-satellite-out test: prediction of a satellite's line of sight from the rows of the other satellites.
 
-    Returns the share of rows whose clear line of sight, or lack of it, is right, and that of the best guess without
-    looking (the more frequent of the two).
+    Returns the share of rows with a correct prediction (clear or not clear), and that of the best constant prediction.
     """
     right = 0
     for name in np.unique(recording.satellite):
         own = recording.satellite == name
         if own.all():
             continue
-        rest, asked = recording.rows(~own), recording.rows(own)
-        row = rest.nearest(asked.arc_m, asked.azimuth_rad, asked.elevation_rad)
-        right += int((_clear(rest.path[row]) == _clear(asked.path)).sum())
-    blind = float(_clear(recording.path).mean())
-    return right / recording.path.size, max(blind, 1.0 - blind)
+        rest, tested = recording.rows(~own), recording.rows(own)
+        row = rest.nearest(tested.arc_m, tested.azimuth_rad, tested.elevation_rad)
+        right += int((_clear(rest.path[row]) == _clear(tested.path)).sum())
+    clear = float(_clear(recording.path).mean())
+    return right / recording.path.size, max(clear, 1.0 - clear)
 
 
 def _clear(path: NDArray[np.uint8]) -> Bools:
@@ -174,9 +175,9 @@ def _clear(path: NDArray[np.uint8]) -> Bools:
 
 
 def summary(recording: SkyRecording) -> dict[str, Any]:
-    """Plain figures of a recording."""
+    """Statistics of a recording as JSON data."""
     late = recording.excess_m[recording.path == Path.REFLECTED]
-    right, blind = agreement(recording)
+    right, constant = agreement(recording)
     return {
         "length_m": recording.length_m,
         "satellites": int(np.unique(recording.satellite).size),
@@ -185,5 +186,5 @@ def summary(recording: SkyRecording) -> dict[str, Any]:
         "late_median_m": float(np.median(late)) if late.size else None,
         "late_95_m": float(np.quantile(late, 0.95)) if late.size else None,
         "foretold": right,
-        "guessed": blind,
+        "guessed": constant,
     }

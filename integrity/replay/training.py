@@ -1,4 +1,4 @@
-"""Code errors of a part of a drive whose truth is known: what bounds are fitted on, and on nothing else."""
+"""Code errors of the training part of a drive with known truth, to which the error bounds are fitted."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ __all__ = ["code_errors", "train"]
 
 Array = NDArray[np.float64]
 
-STRONG_DBHZ = 42.0  # signals that tell of the clock: mostly direct
-SECONDS_PER_TERM = 10.0  # of the polynomial of the receiver's clock
-EARLY_M, LATE_M = 6.0, 3.0  # scales beyond which an error does not move the clock: late ones say less
+STRONG_DBHZ = 42.0  # stronger signals, mostly direct ones, determine the clock
+SECONDS_PER_TERM = 10.0  # duration for each term of the clock polynomial
+EARLY_M, LATE_M = 6.0, 3.0  # scales of negative and positive errors in the robust fit; positive ones get less weight
 ROUNDS = 50
 
 
 def code_errors(drive: SmartLoc, until_s: float) -> tuple[NDArray[np.bool_], Array]:
-    """Which pseudoranges are before a time and have a truth, and the errors of those (n,) [m].
+    """Compute the code errors (n,) [m] of pseudoranges before a time with a known truth; also returns their mask.
 
     Errors are ``range - distance - clock``. The clock of the receiver is a polynomial in time and an offset for each
-    further system, fitted robustly to strong signals: a reflection makes a range too long, so that late ones count less
-    (a Cauchy law with two scales). What it has wrong is common to all satellites, as the clock of a solution is.
+    further system. It is fitted robustly to strong signals: reflections make ranges too long, therefore positive errors
+    get less weight (Cauchy weights with two scales). An error of the fit is common to all satellites, like the clock of
+    a solution.
 
     Raises
     ------
@@ -56,7 +57,7 @@ def code_errors(drive: SmartLoc, until_s: float) -> tuple[NDArray[np.bool_], Arr
 
 
 def _clock_terms(time_s: Array, system: NDArray[np.str_]) -> Array:
-    """Columns of the clock: Chebyshev polynomials and one step for each system after the first."""
+    """Columns of the clock: Chebyshev polynomials and one offset for each system after the first."""
     span = max(float(np.ptp(time_s)), 1.0)
     terms = np.polynomial.chebyshev.chebvander(2.0 * (time_s - time_s.min()) / span - 1.0, int(span / SECONDS_PER_TERM))
     others = [(system == letter).astype(np.float64) for letter in np.unique(system)[1:]]
@@ -64,7 +65,7 @@ def _clock_terms(time_s: Array, system: NDArray[np.str_]) -> Array:
 
 
 def train(drive: SmartLoc, until_s: float, outside: float = 0.0) -> CodeErrors:
-    """Bounds of the code errors from the part before ``until_s``; ``outside`` as in :func:`.fit_overbound`."""
+    """Fit bounds of the code errors to the part before ``until_s``; ``outside`` as in :func:`.fit_overbound`."""
     keep, error = code_errors(drive, until_s)
     r = drive.ranges
     return fit_overbound(error, r.cn0_dbhz[keep], r.time_s[keep], r.satellite[keep], outside)

@@ -1,12 +1,13 @@
-"""The last seconds of pseudoranges as one adjustment, tied together by wheel speed and yaw rate.
+"""Least-squares adjustment of the pseudoranges of the last seconds, connected by wheel speed and yaw rate.
 
-Unknowns: position now (E, N, U), clock now, its rate and its curvature, the turn psi of the reckoned path against
-North, its scale kappa, and one offset for each further system. A pseudorange of age ``a <= 0`` was measured where the
-path says, ``p = p_now + (1 + kappa) R(psi) (X - X_now)``, and reads
+Unknowns: current position (E, N, U), current clock, its rate and curvature, rotation psi of the dead-reckoned path
+against North, its scale kappa, and one offset for each further system. A pseudorange of age ``a <= 0`` is measured at
+the position ``p = p_now + (1 + kappa) R(psi) (X - X_now)`` on the path and equals
 ``|s - p| + c + c' a + c'' a^2 / 2 + offset + mu(C/N0)``.
 
-Errors of one satellite last (Gauss-Markov), those of different satellites are independent. Rows that do not fit lose
-weight (Danish); each satellite is then condensed to a few independent rows: a fault mode is a satellite's rows.
+Errors of one satellite are correlated in time (Gauss-Markov), errors of different satellites are independent. Outliers
+get less weight (Danish method). The rows of each satellite are then condensed to a few independent rows, which form a
+fault mode.
 """
 
 from __future__ import annotations
@@ -28,9 +29,9 @@ Ints = NDArray[np.int64]
 
 CLOCK, RATE, CURVATURE, PSI, KAPPA = 3, 4, 5, 6, 7
 FIXED_UNKNOWNS = 8
-PRIOR_SIGMA = {CURVATURE: 0.05, PSI: 1.8, KAPPA: 0.01}  # [m/s^2] of a cheap oscillator, [rad] any, [-] of wheels
+PRIOR_SIGMA = {CURVATURE: 0.05, PSI: 1.8, KAPPA: 0.01}  # [m/s^2] low-cost oscillator, [rad] unknown, [-] wheels
 PRIOR_RATE_MPS = 3e3  # 10 ppm
-STEPS = 3  # Gauss-Newton at first; each Danish round adds one
+STEPS = 3  # initial Gauss-Newton steps; each Danish iteration adds one
 
 
 @dataclass(frozen=True)
@@ -41,18 +42,18 @@ class LocalFrame:
     axes: Array
 
     def ecef(self, enu_m: Array) -> Array:
-        """Local (..., 3) to ECEF."""
+        """Convert local coordinates (..., 3) to ECEF [m]."""
         return np.asarray(self.origin_ecef_m + enu_m @ self.axes.T)
 
     def local(self, ecef_m: Array) -> Array:
-        """ECEF (..., 3) to local."""
+        """Convert ECEF (..., 3) to local coordinates [m]."""
         return np.asarray((ecef_m - self.origin_ecef_m) @ self.axes)
 
 
 @dataclass(frozen=True)
 class WindowRows:
-    """Pseudoranges of a window, (m,): age <= 0 [s], range less its expected error and sigma [m], satellite (m, 3) ECEF,
-    index of the satellite, of its system (0 has no offset), and the reckoned way to now (m, 2) with its length [m]."""
+    """Pseudoranges of a window, (m,): age <= 0 [s], range minus expected error and sigma [m], satellite (m, 3) ECEF,
+    index of the satellite and of its system (0: no offset), dead-reckoned displacement (m, 2) and path length [m]."""
 
     age_s: Array
     range_m: Array
@@ -66,9 +67,9 @@ class WindowRows:
 
 @dataclass(frozen=True)
 class WhitenedSystem:
-    """Independent rows of unit variance: design (r, n), y (r,) against ``x``, owner (r,): satellite or -1 for priors.
+    """Independent rows of unit variance: design (r, n), y (r,) at ``x``, owner (r,): satellite or -1 for priors.
 
-    ``misfit`` and ``freedom`` (satellites,) are what the rows of one satellite say against each other.
+    ``misfit`` and ``freedom`` (satellites,): residual sum of squares and degrees of freedom within each satellite.
     """
 
     design: Array
@@ -81,7 +82,7 @@ class WhitenedSystem:
 
 
 def build(rows: WindowRows, frame: LocalFrame, x: Array) -> tuple[Array, Array]:
-    """Design (m, n) at x (n,) and observed minus computed (m,)."""
+    """Compute the design matrix (m, n) at x (n,) and observed minus computed (m,) [m]."""
     way = turned(rows.way_m, x[PSI])
     place = np.zeros((len(way), 3))
     place[:, :2] = x[:2] + (1.0 + x[KAPPA]) * way
@@ -101,16 +102,16 @@ def build(rows: WindowRows, frame: LocalFrame, x: Array) -> tuple[Array, Array]:
 
 
 def settle(rows: WindowRows, frame: LocalFrame, start: Array, tau_s: float, danish: DanishConfig) -> WhitenedSystem:
-    """Gauss-Newton with Danish re-weighting from ``start``; the system at its end."""
+    """Solve by Gauss-Newton with Danish re-weighting from ``start``; returns the system at the solution."""
     whitener = _whitener(rows, tau_s)
     x, factor = start.copy(), np.ones(len(rows.age_s))
     for _ in range(STEPS):
         x = x + _step(rows, frame, x, factor, whitener)
     for _ in range(danish.iterations):
         _, left = build(rows, frame, x)
-        fresh = variance_factor(left / rows.sigma_m, danish)
-        settled = bool((np.abs(fresh - factor) <= danish.settled * factor).all())
-        factor = fresh
+        new = variance_factor(left / rows.sigma_m, danish)
+        settled = bool((np.abs(new - factor) <= danish.settled * factor).all())
+        factor = new
         x = x + _step(rows, frame, x, factor, whitener)
         if settled:
             break
@@ -118,7 +119,7 @@ def settle(rows: WindowRows, frame: LocalFrame, start: Array, tau_s: float, dani
 
 
 def _whitener(rows: WindowRows, tau_s: float) -> Array:
-    """``L^-1`` of the correlation matrix ``L L'`` of all rows: satellites are independent.  (m, m)."""
+    """``L^-1`` of the correlation matrix ``L L'`` of all rows; different satellites are independent.  (m, m)."""
     out = np.zeros((len(rows.age_s), len(rows.age_s)))
     for s in range(int(rows.satellite.max()) + 1):
         own = np.flatnonzero(rows.satellite == s)
@@ -128,7 +129,7 @@ def _whitener(rows: WindowRows, tau_s: float) -> Array:
 
 
 def _white(rows: WindowRows, frame: LocalFrame, x: Array, factor: Array, whitener: Array) -> Array:
-    """Rows of unit variance (m, n + 1), the right-hand side last."""
+    """Rows of unit variance (m, n + 1); the last column is the right-hand side."""
     design, left = build(rows, frame, x)
     sigma = rows.sigma_m * np.sqrt(factor)
     return np.asarray(whitener @ (np.column_stack([design, left]) / sigma[:, None]))
@@ -136,13 +137,13 @@ def _white(rows: WindowRows, frame: LocalFrame, x: Array, factor: Array, whitene
 
 def _step(rows: WindowRows, frame: LocalFrame, x: Array, factor: Array, whitener: Array) -> Array:
     """The Gauss-Newton step (n,)."""
-    prior, told = _priors(x)
-    white = np.concatenate([_white(rows, frame, x, factor, whitener), np.column_stack([prior, told])])
+    prior, target = _priors(x)
+    white = np.concatenate([_white(rows, frame, x, factor, whitener), np.column_stack([prior, target])])
     return np.asarray(np.linalg.lstsq(white[:, :-1], white[:, -1], rcond=None)[0])
 
 
 def _condensed(rows: WindowRows, frame: LocalFrame, x: Array, factor: Array, whitener: Array) -> WhitenedSystem:
-    """Rows of each satellite, condensed, and those of the priors."""
+    """The condensed rows of each satellite, and the rows of the priors."""
     white = _white(rows, frame, x, factor, whitener)
     parts, owner, misfit, freedom = [], [], [], []
     for s in range(int(rows.satellite.max()) + 1):
@@ -151,18 +152,18 @@ def _condensed(rows: WindowRows, frame: LocalFrame, x: Array, factor: Array, whi
         owner += [s] * len(part.y)
         misfit.append(part.misfit)
         freedom.append(part.freedom)
-    prior, told = _priors(x)
+    prior, target = _priors(x)
     return WhitenedSystem(
-        np.concatenate([p[0] for p in parts] + [prior]), np.concatenate([p[1] for p in parts] + [told]),
-        np.array(owner + [-1] * len(told)), x, factor, np.array(misfit), np.array(freedom),
+        np.concatenate([p[0] for p in parts] + [prior]), np.concatenate([p[1] for p in parts] + [target]),
+        np.array(owner + [-1] * len(target)), x, factor, np.array(misfit), np.array(freedom),
     )  # fmt: skip
 
 
 def _priors(x: Array) -> tuple[Array, Array]:
-    """Rows that keep curvature and scale near 0, psi within the circle and the clock's rate near that of a clock."""
+    """Prior rows for curvature, scale, psi and clock rate: design (r, n) and right-hand side (r,)."""
     sigma = {**PRIOR_SIGMA, RATE: PRIOR_RATE_MPS}
-    rows, told = np.zeros((len(sigma), x.size)), np.zeros(len(sigma))
+    rows, target = np.zeros((len(sigma), x.size)), np.zeros(len(sigma))
     for i, (column, spread) in enumerate(sigma.items()):
         rows[i, column] = 1.0 / spread
-        told[i] = 0.0 if column == PSI else -x[column] / spread
-    return rows, told
+        target[i] = 0.0 if column == PSI else -x[column] / spread
+    return rows, target

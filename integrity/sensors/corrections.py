@@ -1,17 +1,17 @@
-"""The reference station's radio link: how old the newest reference data are when the rover needs them.
+"""Radio link of the reference station: age of the newest reference data at the rover.
 
-The reference measures every ``interval_s``; each message arrives ``latency_s`` later unless the link is in an outage.
-What the rover holds then ages, and the rover itself decides how old is too old.
+The reference station measures every ``interval_s``. Each message arrives ``latency_s`` later unless the link is in an
+outage. The data at the rover then age; the largest usable age is a parameter of the rover.
 
-Outages are of the network, which all vehicles of an area suffer at once, or of a vehicle's own reception. Together they
-keep one law: the link is down for ``lambda m / (1 + lambda m)`` of the time, lambda the rate of outages while it is up
-and m their mean length. With a share of the rate lambda_1 = share lambda in the network, receptions fail at
+An outage affects either the network, for all vehicles of an area at once, or the reception of one vehicle. In total the
+link is down for ``lambda m / (1 + lambda m)`` of the time, with the rate lambda of outages while the link is up and
+their mean length m. With the rate lambda_1 = share lambda of the network, the receptions fail at the rate
 
     lambda_2 = (lambda - lambda_1) / ((1 + lambda_1 m) kappa),   kappa = E[D exp(-lambda_1 D)] / m
 
-of which the share kappa takes place, the rest would overlap an outage of the network. A link begins as it is found at
-any time: in an outage with the probability above, of which a residual life is left (lengths drawn in proportion to
-themselves, the place in them uniform). The rover has just been switched on: it holds nothing until the first message.
+of which the share kappa takes place; the rest would overlap an outage of the network. The initial state of a link is
+stationary: it is in an outage with the probability above, and the residual length follows from a length-biased draw
+with a uniform position in the outage. The rover starts without data and waits for the first message.
 """
 
 from __future__ import annotations
@@ -55,24 +55,27 @@ class CorrectionsConfig(Config):
     outage_per_h: float = Field(0.0, ge=0, description="rate at which outages begin while the link is up [1/h]")
     outage_median_s: float = Field(11.5, gt=0, description="median length of an outage [s]; fits S1 section 5")
     outage_log_sd: float = Field(0.8, ge=0, description="1-sigma of the length's logarithm [-]; fits S1 section 5")
-    outage_max_s: float = Field(49.2, gt=0, description="longest outage [s]; S1 section 5, longer draws are cut off")
+    outage_max_s: float = Field(49.2, gt=0, description="longest outage [s]; S1 section 5, longer draws are limited")
     network_share: float = Field(
-        0.5, ge=0, le=1, description="share of outages that strike all vehicles of an area [-]; argued: server or radio"
+        0.5,
+        ge=0,
+        le=1,
+        description="share of outages that affect all vehicles of an area [-]; argued: server, radio",
     )
 
 
 @dataclass
 class NetworkState:
-    """The networks of A areas, counted in whole epochs so that nothing drifts.
+    """Networks of A areas; times are counted in whole epochs to avoid accumulated rounding.
 
     Attributes
     ----------
-    epoch : of the clock that all areas go by
-    begun : (A,) int64, what that clock showed at zero of each area's own
-    message : (A,) int64, number of the newest reference epoch whose message has been due, -1 before the first
-    fresh : (A,) bool, that message was due in the last epoch
-    up : (A,) bool, the network carried messages in the last epoch
-    outage_left : (A,) int64, epochs for which the present outage still lasts
+    epoch : epoch of the common clock of all areas
+    begun : (A,) int64, epoch of the common clock at the start of each area's own clock
+    message : (A,) int64, number of the newest reference epoch whose message was due, -1 before the first
+    fresh : (A,) bool, this message was due in the last epoch
+    up : (A,) bool, the network transmitted messages in the last epoch
+    outage_left : (A,) int64, remaining epochs of the current outage
     until : (A,) int64, epochs until the next outage
     """
 
@@ -95,13 +98,13 @@ class NetworkState:
 
     @property
     def own_epoch(self) -> NDArray[np.int64]:
-        """(A,) epochs since zero of each area's own clock."""
+        """Epochs since the start of each area's own clock.  (A,)."""
         return self.epoch - self.begun
 
 
 @dataclass
 class CorrectionsState:
-    """The reception of B vehicles.
+    """Reception of reference data by B vehicles.
 
     Attributes
     ----------
@@ -128,7 +131,7 @@ class _Law:
 
 
 @lru_cache(maxsize=64)
-def _law(config: CorrectionsConfig, dt_s: float) -> _Law:
+def _outage_model(config: CorrectionsConfig, dt_s: float) -> _OutageModel:
     normal = ndtri((np.arange(QUANTILES) + 0.5) / QUANTILES)
     length_s = np.minimum(config.outage_median_s * np.exp(config.outage_log_sd * normal), config.outage_max_s)
     length = np.maximum(np.ceil(length_s / dt_s - kernel.ROUNDING), 1.0)
@@ -158,24 +161,24 @@ def _law(config: CorrectionsConfig, dt_s: float) -> _Law:
     )
 
 
-def _residual(law: _Law, u: Array) -> NDArray[np.int64]:
-    """Epochs left of an outage that is under way, from two uniforms: u (..., 2) -> (...,)."""
+def _residual(law: _OutageModel, u: Array) -> NDArray[np.int64]:
+    """Remaining epochs of an outage at the start, from two uniform draws: u (..., 2) -> (...,)."""
     share = np.cumsum(law.length) / law.length.sum()
     length = law.length[np.minimum(np.searchsorted(share, u[..., 0], side="right"), QUANTILES - 1)]
     return np.asarray(1 + np.floor(u[..., 1] * length), dtype=np.int64)
 
 
 def initial_network(config: CorrectionsConfig, dt_s: float, streams: Streams) -> NetworkState:
-    """The networks of ``streams.batch`` areas at zero of the clock, as they are found at any time.
+    """Create the networks of ``streams.batch`` areas at time 0 in their stationary state.
 
     Raises
     ------
     InputError
-        When ``dt_s`` is not positive.
+        ``dt_s`` is not positive.
     """
     if not dt_s > 0.0:
         raise InputError(f"dt_s must be positive, got {dt_s}: pass the length of the epoch in seconds")
-    law, u, z = _law(config, dt_s), streams.uniform("network", 3), streams.normal("network")
+    law, u, z = _outage_model(config, dt_s), streams.uniform("network", 3), streams.normal("network")
     down = u[:, 0] < law.network_down
     return NetworkState(
         epoch=0,
@@ -198,17 +201,17 @@ def advance_network(config: CorrectionsConfig, network: NetworkState, dt_s: floa
 def initial_state(
     config: CorrectionsConfig, network: NetworkState, satellites: int, dt_s: float, streams: Streams
 ) -> CorrectionsState:
-    """The reception of ``streams.batch`` vehicles that are switched on in these networks.
+    """Create the reception of ``streams.batch`` vehicles that start in these networks.
 
     Raises
     ------
     InputError
-        When there are neither one network nor as many as vehicles.
+        The number of networks is neither 1 nor the number of vehicles.
     """
     batch = streams.batch
     if network.up.shape[0] not in (1, batch):
         raise InputError(f"network must be of 1 or {batch} areas, got {network.up.shape[0]}: make both agree")
-    law, u = _law(config, dt_s), streams.uniform("corrections", 3)
+    law, u = _outage_model(config, dt_s), streams.uniform("corrections", 3)
     left = _residual(law, u[:, 1:])
     down = (u[:, 0] < law.own_down) & network.up & (left <= network.until)
     links = np.zeros(batch, kernel.LINK)
@@ -225,10 +228,10 @@ def step(
     lost: NDArray[np.bool_],
     streams: Streams,
 ) -> Array:
-    """Age of the newest reference data at the end of an epoch; ``state`` advances in place.
+    """Compute the age of the newest reference data at the end of an epoch; ``state`` advances in place.
 
-    Outages last ``min(median exp(sd z), max)``. With no outage the age runs from ``latency`` to
-    ``latency + interval - dt``, again and again.
+    The length of an outage is ``min(median exp(sd z), max)``. Without outages the age increases from ``latency`` to
+    ``latency + interval - dt`` in each interval.
 
     Parameters
     ----------
@@ -245,7 +248,7 @@ def step(
     Raises
     ------
     InputError
-        When ``lost``, the streams, the networks or messages serve another number of vehicles than ``state``.
+        ``lost``, streams, networks or messages do not fit the number of vehicles of ``state``.
     """
     batch = state.links.shape[0]
     if lost.shape != (batch,) or streams.batch != batch or network.up.shape[0] not in (1, batch):

@@ -1,4 +1,4 @@
-"""The GNSS receiver with its reference station: what it puts out each epoch."""
+"""Model of a GNSS receiver with a reference station: measurements of each epoch."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class GnssEpoch:
-    """A receiver's output at one epoch; every entry is finite, untracked ones are 0.
+    """Output of a receiver at one epoch; all entries are finite, those of untracked signals are 0.
 
-    ``x`` is the rover's ENU position from the street's origin, ``e`` the unit vector to the satellite:
+    ``x`` is the ENU position of the rover relative to the origin of the street, ``e`` the unit vector to the satellite:
     ``code = -e.x + clk[sys, band] + errors``, ``phase = -e.x + clk'[sys, band] + lambda N + errors``,
     ``range_rate = -e.v + drift + errors``.
 
     Attributes
     ----------
     tracked : (B, S) bool, the code is tracked
-    code_m, phase_m : (B, S, 2) rover minus reference single differences by band; a band that the receiver lacks is 0,
-        and a phase is 0 where the carrier is not locked
-    range_rate_mps : (B, S) Doppler with the satellite's motion taken out
+    code_m, phase_m : (B, S, 2) rover minus reference single differences by band; a band without tracking is 0, and a
+        phase without carrier lock is 0
+    range_rate_mps : (B, S) Doppler without the motion of the satellite
     cn0_dbhz : (B, S) carrier-to-noise density
-    lock_lost : (B, S) bool, carrier lock was interrupted since the previous epoch, as far as the receiver knows
-    corrections_age_s : (B,) age of the reference data, inf when the link is out
+    lock_lost : (B, S) bool, the receiver detected a loss of carrier lock since the previous epoch
+    corrections_age_s : (B,) age of the reference data, inf without data
     """
 
     tracked: NDArray[np.bool_]
@@ -59,7 +59,7 @@ class GnssEpoch:
 
 @dataclass
 class AreaSignals:
-    """What reaches all receivers of an area alike; A is 1, or the number of vehicles when each has an area of its own.
+    """Errors common to all receivers of an area; A is 1, or the number of vehicles if each has its own area.
 
     memory (A, S) of SLOW (:mod:`.gnss_kernel`), message (A, S) of STATION, the station's newest message, clock (A, 2)
     the station's clock [m], [m/s], reference_enu_m (A, 3) the error of its coordinates.
@@ -72,12 +72,12 @@ class AreaSignals:
 
 
 class GnssConfig(Config):
-    """What the receiver and its signals really do (positioning declares its own bounds of these).
+    """True properties of the receiver and its signals (the positioning configuration has separate assumed bounds).
 
-    Figures called differenced are of rover minus station. Of their variance the station brings its own share, the
-    ``station_`` figures, or half where that is less: the share of two equal receivers, as RTKLIB takes them (``varerr``
-    in rtkpos.c doubles the variance of one). It depends on the elevation alone, for the station stands in the open;
-    the rover has the rest, so that the whole is as stated.
+    Values described as differenced are for rover minus station. The station contributes the ``station_`` values, but at
+    most half of the variance, which is the share of two equal receivers as assumed by RTKLIB (``varerr`` in rtkpos.c
+    doubles the variance of one receiver). The part of the station depends only on the elevation, because the station
+    has an open sky. The rover contributes the rest of the stated variance.
     """
 
     bands: tuple[Literal[0, 1, 2], ...] = Field(
@@ -105,38 +105,38 @@ class GnssConfig(Config):
     multipath_per_m: float = Field(
         0.0,
         ge=0,
-        description="faster decay in motion: adds this times the speed to 1/tau [1/m]; 0.1 = a facade's width of 10 m",
+        description="faster decay in motion: this value times the speed is added to 1/tau [1/m]; 0.1: facades of 10 m",
     )
     nlos_scale: float = Field(
         0.05,
         ge=0,
-        description="share of a late signal's excess that reaches the code [-]; 1 = consumer single-frequency",
+        description="share of the excess path of a reflection in the code [-]; 1: consumer single-frequency",
     )
     station_code_m: float = Field(
         0.1, ge=0, description="the station's part of code_sigma_m [m]; argued: a survey receiver"
     )
-    station_phase_m: float = Field(0.002, ge=0, description="the station's part of phase_sigma_m [m]; argued likewise")
+    station_phase_m: float = Field(0.002, ge=0, description="the station's part of phase_sigma_m [m]; argued as well")
     station_code_multipath_m: float = Field(
         0.1, ge=0, description="the station's part of code_multipath_m [m]; argued: survey antenna on a roof"
     )
     station_phase_multipath_m: float = Field(
-        0.001, ge=0, description="the station's part of phase_multipath_m [m]; argued likewise"
+        0.001, ge=0, description="the station's part of phase_multipath_m [m]; argued as well"
     )
     station_multipath_tau_s: float = Field(
-        120.0, gt=0, description="its correlation time [s]; argued: minutes, nothing moves but the satellites"
+        120.0, gt=0, description="correlation time of station multipath [s]; argued: only satellites move"
     )
     baseline_km: float = Field(3.0, ge=0, description="distance to the reference station [km]; S1: a few kilometres")
     iono_ppm: float = Field(
         0.5, ge=0, description="differential ionosphere, 1 sigma [mm/km]; quiet days at mid-latitudes"
     )
-    iono_tau_s: float = Field(600.0, gt=0, description="its correlation time [s]")
+    iono_tau_s: float = Field(600.0, gt=0, description="correlation time of the ionosphere [s]")
     tropo_ppm: float = Field(
         0.4,
         ge=0,
         description="differential troposphere at the zenith after a model, 1 sigma [mm/km]; equal heights, up to 1 ppm",
     )
     tropo_tau_s: float = Field(
-        1800.0, gt=0, description="its correlation time [s]; 900-2700 s, Joerger and Pervan 2016"
+        1800.0, gt=0, description="correlation time of the troposphere [s]; 900-2700 s, Joerger and Pervan 2016"
     )
     orbit_ppm: float = Field(
         0.05, ge=0, description="broadcast orbits, differenced [mm/km]; 1 m error over 20,000 km of range"
@@ -144,30 +144,30 @@ class GnssConfig(Config):
     age_rate_mps: float = Field(
         0.0015, ge=0, description="growth of a satellite's error with the age [m/s]; 5e-12 s/s clocks"
     )
-    age_tau_s: float = Field(300.0, gt=0, description="correlation time of that rate [s]")
+    age_tau_s: float = Field(300.0, gt=0, description="correlation time of age_rate_mps [s]")
     slips_per_h: float = Field(0.5, ge=0, description="slips of one satellite at 40 dB-Hz [1/h]")
     slip_decade_db: float = Field(5.0, gt=0, description="loss of C/N0 that makes slips ten times as frequent [dB]")
-    unannounced: float = Field(0.1, ge=0, le=1, description="share of slips that the receiver does not notice [-]")
+    unannounced: float = Field(0.1, ge=0, le=1, description="share of slips that the receiver does not detect [-]")
     half_share: float = Field(0.2, ge=0, le=1, description="share of half-cycle slips [-]")
     half_cycle_resolve_s: float = Field(
         6.0,
         ge=0,
-        description="time until a half cycle is corrected [s]; a subframe, whose preamble shows the sign, IS-GPS-200",
+        description="time until a half cycle is corrected [s]; one subframe, whose preamble gives the sign, IS-GPS-200",
     )
     clock_m: float = Field(100.0, ge=0, description="delays of each system, band and observable, 1 sigma [m]")
     drift_mps: float = Field(
         100.0,
         ge=0,
-        description="receiver clock drift at the start, 1 sigma [m/s]; 0.3 ppm, a TCXO keeps within 0.5 to 2",
+        description="receiver clock drift at the start, 1 sigma [m/s]; 0.3 ppm; a TCXO is within 0.5 to 2 ppm",
     )
     clock_h0: float = Field(TCXO_H0, ge=0, description="white frequency noise of the receiver's clock [s]; TCXO")
-    clock_hm2: float = Field(TCXO_HM2, ge=0, description="its random walk of frequency, h-2 [Hz]; TCXO")
+    clock_hm2: float = Field(TCXO_HM2, ge=0, description="frequency random walk of its clock, h-2 [Hz]; TCXO")
     station_clock_h0: float = Field(OCXO_H0, ge=0, description="white frequency noise of the station's clock [s]; OCXO")
-    station_clock_hm2: float = Field(OCXO_HM2, ge=0, description="its random walk of frequency, h-2 [Hz]; OCXO")
+    station_clock_hm2: float = Field(OCXO_HM2, ge=0, description="frequency random walk of its clock, h-2 [Hz]; OCXO")
     reference_offset_m: float = Field(
         0.0,
         ge=0,
-        description="horizontal error of the reference coordinates, in a direction of chance [m]; datum, antenna",
+        description="horizontal error of the reference coordinates, in a random direction [m]; datum, antenna",
     )
 
     @property
@@ -239,7 +239,7 @@ def gnss_parameters(config: GnssConfig, dt_s: float) -> Records:
 
 @dataclass
 class GnssState:
-    """What lasts in the signals from epoch to epoch; never shown to positioning.
+    """True state of the signals between epochs, which positioning must not use.
 
     signals (B, S) of SIGNAL and vehicles (B,) of RECEIVER (:mod:`.gnss_kernel`).
     """
@@ -279,17 +279,17 @@ def observe(
     streams: Streams,
     area: AreaSignals,
 ) -> GnssEpoch:
-    """The receiver's output at the end of the epoch; advances ``state`` in place.
+    """Compute the output of the receiver at the end of the epoch; ``state`` advances in place.
 
     Parameters
     ----------
-    reception : how each signal arrives, (B, S)
+    reception : propagation of each signal, (B, S)
     truth : position and velocity of the antenna
     age_s : (B,) age of the reference data
     message : (B, S) of STATION, the station's own errors in these data
     area : what this epoch brings to all receivers of an area
 
-    Draws a fixed number of normals and uniforms from streams "gnss" and "clock", whatever is in view.
+    The number of draws from streams "gnss" and "clock" is fixed; it does not depend on the satellites in view.
 
     Raises
     ------

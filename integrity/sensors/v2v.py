@@ -1,4 +1,4 @@
-"""Vehicle-to-vehicle broadcasts: every vehicle tells where it believes it is; some messages come late, some never."""
+"""Vehicle-to-vehicle broadcasts of estimated states over a radio channel with delay and loss."""
 
 from __future__ import annotations
 
@@ -36,20 +36,20 @@ class V2vConfig(Config):
     """The radio channel of one street."""
 
     rate_hz: float = Field(
-        10.0, gt=0, description="messages of a vehicle in a second; SAE J2735 BSM, ETSI CAM up to 10 Hz"
+        10.0, gt=0, description="messages of a vehicle per second; SAE J2735 BSM, ETSI CAM up to 10 Hz"
     )
     latency_s: float = Field(
-        0.05, ge=0, description="shortest delay of a message [s]; 3GPP TS 22.185 asks for <= 100 ms"
+        0.05, ge=0, description="shortest delay of a message [s]; 3GPP TS 22.185 requires <= 100 ms"
     )
-    jitter_s: float = Field(0.03, ge=0, description="mean of the exponential delay on top [s]; congestion")
-    latency_max_s: float = Field(0.5, gt=0, description="later messages are dropped [s]")
-    loss: float = Field(0.05, ge=0, le=1, description="share lost at close range [-]; C-V2X field tests: 90 % at 300 m")
-    range_m: float = Field(300.0, gt=0, description="nothing is heard beyond [m]; urban street, line of sight")
+    jitter_s: float = Field(0.03, ge=0, description="mean of the additional exponential delay [s]; congestion")
+    latency_max_s: float = Field(0.5, gt=0, description="messages with a longer delay are dropped [s]")
+    loss: float = Field(0.05, ge=0, le=1, description="loss rate at close range [-]; C-V2X field tests: 90 % at 300 m")
+    range_m: float = Field(300.0, gt=0, description="radio range [m]; urban street, line of sight")
 
 
 @dataclass(frozen=True)
 class V2vMessage:
-    """What B vehicles broadcast of themselves: their belief, never the truth.
+    """Broadcast states of B vehicles: estimates, not true values.
 
     Attributes
     ----------
@@ -66,12 +66,12 @@ class V2vMessage:
 
 @dataclass(frozen=True)
 class V2vInbox:
-    """The newest message that each of R receivers (row) holds of each of B senders (column).
+    """The newest message that each of R receivers (rows) has from each of B senders (columns).
 
     Attributes
     ----------
-    heard : (R, B) bool; entries never heard hold zeros, and age and protection levels inf
-    age_s : (R, B) time since the sender's state was valid
+    heard : (R, B) bool, a message was received; without one the entries are 0, age and protection levels are inf
+    age_s : (R, B) time since the time of validity of the state
     position_en_m : (R, B, 2)
     heading_rad, speed_mps, pl_at_m, pl_ct_m : (R, B)
     """
@@ -87,7 +87,7 @@ class V2vInbox:
 
 @dataclass
 class V2vState:
-    """Messages under way to R receivers, and held by them.
+    """Messages in transmission to R receivers, and the newest received ones.
 
     Attributes
     ----------
@@ -112,18 +112,18 @@ class V2vState:
 
 
 def initial_v2v(config: V2vConfig, batch: int, dt_s: float, receivers: int | None = None) -> V2vState:
-    """A silent channel from ``batch`` vehicles to ``receivers`` of them (None: to all), for epochs of ``dt_s``.
+    """Create a channel without messages from ``batch`` vehicles to ``receivers`` of them (None: all), epochs ``dt_s``.
 
     Raises
     ------
     InputError
-        When ``batch`` or ``dt_s`` is not positive, or there are no receivers or more than vehicles.
+        ``batch`` or ``dt_s`` is not positive, or the number of receivers is not in [1, batch].
     """
     if batch < 1 or not dt_s > 0.0:
         raise InputError(f"batch and dt_s must be positive, got {batch} and {dt_s}: pass vehicles and seconds")
     rows = batch if receivers is None else receivers
     if not 1 <= rows <= batch:
-        raise InputError(f"receivers must lie in [1, {batch}], got {rows}: pass how many of the vehicles listen")
+        raise InputError(f"receivers must lie in [1, {batch}], got {rows}: pass the number of receiving vehicles")
     slots = math.ceil(config.latency_max_s / dt_s) + 2
     return V2vState(
         epoch=0,
@@ -131,7 +131,7 @@ def initial_v2v(config: V2vConfig, batch: int, dt_s: float, receivers: int | Non
         broadcasts=np.zeros((slots, batch), MESSAGE),
         arriving=np.full((slots, rows, batch), -1, dtype=np.int64),
         origin=np.full((rows, batch), -1, dtype=np.int64),
-        held=_unheard(rows, batch),
+        held=_no_messages(rows, batch),
     )
 
 
@@ -143,10 +143,10 @@ def _unheard(*shape: int) -> Records:
 
 
 def forget(state: V2vState, senders: NDArray[np.int64]) -> None:
-    """Drop what is held of ``senders`` (rows) and what they have under way: other vehicles take their rows over."""
+    """Delete all messages from ``senders`` (rows), because other vehicles use these rows from now on."""
     state.arriving[:, :, senders] = -1
     state.origin[:, senders] = -1
-    state.held[:, senders] = _unheard(state.origin.shape[0], senders.size)
+    state.held[:, senders] = _no_messages(state.origin.shape[0], senders.size)
 
 
 def _write(content: Records, message: V2vMessage, effects: FaultEffects, time_s: float) -> None:
@@ -166,7 +166,7 @@ def _reaches(
     receivers: NDArray[np.int64],
     u: Array,
 ) -> NDArray[np.bool_]:
-    """Whether a message gets through (receiver, sender): ``P = (1 - loss) (1 - (d / range)^4)`` within the range."""
+    """Whether each message is received (R, B), with ``P = (1 - loss) (1 - (d / range)^4)`` within the range."""
     gap = (antenna_en_m[receivers, None] - antenna_en_m) / config.range_m
     gap *= gap
     fade = np.minimum(gap[..., 0] + gap[..., 1], 1.0)
@@ -179,7 +179,7 @@ def _reaches(
 
 
 def _send(config: V2vConfig, state: V2vState, dt_s: float, through: NDArray[np.bool_], u: Array) -> None:
-    """Put this epoch's messages under way; a message of a later epoch replaces one that would arrive with it."""
+    """Schedule the messages of this epoch; of two messages that arrive together only the later one is kept."""
     delay_s = config.latency_s - config.jitter_s * np.log1p(-u)
     through &= delay_s <= config.latency_max_s
     receiver, sender = np.nonzero(through)
@@ -188,7 +188,7 @@ def _send(config: V2vConfig, state: V2vState, dt_s: float, through: NDArray[np.b
 
 
 def _receive(state: V2vState) -> None:
-    """Take what arrives now, unless something newer is held."""
+    """Store the messages that arrive in this epoch, unless a newer one is stored."""
     slot = state.epoch % state.arriving.shape[0]
     arriving = state.arriving[slot]
     newer = arriving > state.origin
@@ -211,32 +211,33 @@ def exchange(
     receivers: ArrayLike | None = None,
     sending: ArrayLike = True,
 ) -> V2vInbox:
-    """One epoch of the channel: send, carry, receive; ``state`` advances in place.
+    """Simulate one epoch of the channel (sending, delay, reception); ``state`` advances in place.
 
     Parameters
     ----------
     time_s, dt_s : end and length of the epoch
-    message : what each vehicle says of itself
-    antenna_en_m : (B, 2) where the antennas really are, for the radio range only
-    streams : one row for each receiver
-    street : (B,) or scalar; vehicles on different streets do not hear each other
-    receivers : (R,) rows of the vehicles that listen; None for all
-    sending : (B,) bool or scalar; the others keep silent, and their rows of ``message`` need only be finite
+    message : broadcast state of each vehicle
+    antenna_en_m : (B, 2) true positions of the antennas, used only for the radio range
+    streams : random streams, one row for each receiver
+    street : (B,) or scalar; there is no reception between different streets
+    receivers : (R,) rows of the receiving vehicles; None for all
+    sending : (B,) bool or scalar; rows of ``message`` of vehicles that do not send must only be finite
 
     Returns
     -------
     V2vInbox
-        What every receiver holds at ``time_s``. A message that takes longer than an epoch arrives in a later one.
+        Newest messages of every receiver at ``time_s``. A message with a delay above one epoch arrives in a later
+        epoch.
 
     Raises
     ------
     InputError
-        When shapes disagree or a position is not finite.
+        Shapes do not agree, or a position is not finite.
     """
     listening, batch = state.origin.shape
     rows = np.arange(batch) if receivers is None else np.asarray(receivers, dtype=np.int64)
     if rows.size != listening:
-        raise InputError(f"receivers must be {listening} rows, got {rows.size}: name as many as the state was made for")
+        raise InputError(f"receivers must be {listening} rows, got {rows.size}: use the number in initial_v2v")
     antenna = require_finite("antenna_en_m", antenna_en_m)
     require_shape("antenna_en_m", antenna, (batch, 2))
     require_shape("message.position_en_m", require_finite("message.position_en_m", message.position_en_m), (batch, 2))

@@ -1,6 +1,6 @@
-"""YUMA almanacs: the text form in which GPS, and by custom other systems, publish their orbits.
+"""Reader of YUMA almanacs, the text format in which orbits of GPS (and often of other systems) are published.
 
-A file cut short gives the satellites before the cut, and where that was; text that is no almanac is refused.
+A truncated file gives the satellites before the truncation and the place of it. Text that is not an almanac is refused.
 """
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ WEEKS_OF_ROLLOVER = 1024
 
 
 def read_yuma(path: str | FilePath, near: date, *, healthy_only: bool = True) -> SatelliteTable:
-    """Satellites of a YUMA file; see :func:`parse_yuma`.
+    """Read the satellites of a YUMA file; see :func:`parse_yuma` for the parameters.
 
     Raises
     ------
     InputError
-        The file cannot be read, is too large, is no text, or malformed.
+        The file cannot be read, is too large, is not ASCII text, or is malformed.
     """
     try:
         if (size := FilePath(path).stat().st_size) > LARGEST_BYTES:
@@ -67,22 +67,23 @@ def read_yuma(path: str | FilePath, near: date, *, healthy_only: bool = True) ->
 
 
 def parse_yuma(text: str, near: date, *, healthy_only: bool = True, source: str = "text") -> SatelliteTable:
-    """Satellites of an almanac in YUMA form, in the order of the text.
+    """Parse the satellites of an almanac in YUMA format, in the order of the text.
 
     Parameters
     ----------
     text : blocks of 13 lines ``label: value``, each after a line ``**** Week N almanac for SYS-NN ****``
-    near : a date within ten years of the almanac's; it resolves weeks given modulo 1024
-    healthy_only : leave out satellites with a health word other than 0
-    source : named in error messages
+    near : a date within ten years of the almanac's date; it resolves weeks that are given modulo 1024
+    healthy_only : leave out satellites whose health word is not 0
+    source : name of the text in error messages
 
     The right ascension is the Earth-fixed longitude of the node at the start of the week (IS-GPS-200N 20.3.3.5.2.1).
+    An incomplete last satellite of a truncated text is left out, and ``stopped`` of the table describes the place.
 
     Raises
     ------
     InputError
-        Names the line, the field and how many satellites had been read; or ``near`` is no date. The last satellite
-        of a text cut short is none: it is left out and ``stopped`` says so, unless it is the only one.
+        The text is malformed (the message gives the line, the field and the number of satellites read so far), the only
+        satellite is incomplete, or ``near`` is not a date.
     """
     day = _day(near)
     system: list[int] = []
@@ -109,7 +110,7 @@ def parse_yuma(text: str, near: date, *, healthy_only: bool = True, source: str 
     elif current is not None and len(current) < len(FIELDS):
         stopped = f"{end}: it ends in the middle of a satellite, whose {_missing(current)!r} is missing"
     elif cut:
-        stopped = f"{end}: the last line has no end and may be cut"
+        stopped = f"{end}: the last line has no line end and may be truncated"
     if not blocks:
         raise InputError(f"almanac {source} must hold at least one satellite, got none: is it a YUMA file?")
     keep = [i for i, b in enumerate(blocks) if b["health"] == 0 or not healthy_only]
@@ -136,29 +137,30 @@ def _system_of(label: str, where: str) -> System:
 
 
 def _whole_lines(text: str) -> tuple[list[str], bool]:
-    """The lines, and whether a last one was left out because it has no end: it may have lost digits, or more.
+    """Split the text into lines; the flag says whether the last line was left out.
 
-    One without an end stays when it is the line of the week, and says the week that the last header says.
+    A last line without a line end may be truncated and is left out. It stays if it is the week line and its week
+    equals the week of the last header.
     """
     lines = text.splitlines()
     if not lines or text.endswith(("\n", "\r")):
         return lines, False
     name, _, value = lines[-1].partition(":")
-    said = WEEK_OF_HEADER.findall(text)
-    if name.strip().lower() == FIELDS["week"][0] and said and value.strip().lstrip("0") == said[-1].lstrip("0"):
+    weeks = WEEK_OF_HEADER.findall(text)
+    if name.strip().lower() == FIELDS["week"][0] and weeks and value.strip().lstrip("0") == weeks[-1].lstrip("0"):
         return lines, False
     return lines[:-1], True
 
 
 def _missing(block: dict[str, float]) -> str:
-    """The label of the first field that a satellite lacks."""
+    """The label of the first missing field of a satellite."""
     return next(label for key, (label, _, _) in FIELDS.items() if key not in block)
 
 
 def _require_complete(block: dict[str, float] | None, where: str) -> None:
     if block is not None and len(block) < len(FIELDS):
         raise InputError(
-            f"{where}: field {_missing(block)!r} is missing, got {len(block)} of {len(FIELDS)}: is the file cut short?"
+            f"{where}: field {_missing(block)!r} is missing, got {len(block)} of {len(FIELDS)}: is the file truncated?"
         )
 
 
@@ -190,7 +192,7 @@ def _table(system: list[int], blocks: list[dict[str, float]], near: date) -> Sat
         semi_major_m=column["root_a"] ** 2,
         eccentricity=column["eccentricity"],
         inclination_rad=column["inclination"],
-        # at the week's start the node is at ``node``; until the time of applicability the Earth turns beneath it
+        # ``node`` refers to the start of the week; until the time of applicability the Earth rotates below the node
         node_longitude_rad=column["node"] - EARTH_RATE_RADPS * column["toa"],
         node_rate_radps=column["node_rate"],
         perigee_rad=column["perigee"],

@@ -1,6 +1,6 @@
-"""Where the satellites of a navigation file are, and what their clocks show, at any time.
+"""Position, velocity and clock of satellites at any time, computed from their broadcast ephemerides.
 
-Constants and steps differ a little from system to system: IS-GPS-200N table 20-IV, Galileo OS SIS ICD 2.1 5.1,
+Constants and steps differ slightly between the systems: IS-GPS-200N table 20-IV, Galileo OS SIS ICD 2.1 5.1,
 BDS-SIS-ICD-2.1 5.2.4.12, IS-QZSS-PNT-005 5.5. All times are GPS time, seconds since 1980-01-06.
 """
 
@@ -13,37 +13,37 @@ from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.errors import InputError, require_finite
 from lanebound.integrity.sky.ephemeris import Ephemerides
-from lanebound.integrity.sky.orbit import solve_kepler
+from lanebound.integrity.sky.orbit import rotated_with_earth, solve_kepler
 from lanebound.integrity.sky.rinex_navigation import parse_navigation, read_navigation
 from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS, System
 
-__all__ = ["BroadcastStates", "Ephemerides", "parse_navigation", "positions", "read_navigation", "turned_by_travel"]
+__all__ = ["BroadcastStates", "Ephemerides", "parse_navigation", "positions", "read_navigation"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
-# GPS, Galileo, GLONASS, BeiDou, QZSS; GLONASS sends no Keplerian elements
+# GPS, Galileo, GLONASS, BeiDou, QZSS; GLONASS does not transmit Keplerian elements
 MU_M3PS2 = np.array([3.986005e14, 3.986004418e14, 3.986004418e14, 3.986004418e14, 3.986005e14])
 EARTH_RATE_RADPS = np.array([7.2921151467e-5, 7.2921151467e-5, 7.292115e-5, 7.292115e-5, 7.2921151467e-5])
 VALID_FOR_S = np.array([7200.0, 14_400.0, 900.0, 21_600.0, 7200.0])
-"""How long before and after its reference time a message may be used: half the fit interval, and as customary."""
+"""Largest time between the reference time of a message and its use: half the fit interval, or the customary value."""
 GEO_TILT_RAD = np.deg2rad(-5.0)  # BDS-SIS-ICD-2.1 table 5-11
-WGS84_RATE_RADPS = 7.2921151467e-5
+
 FNAV = 2  # bit 1 of Galileo's source word
 
 
 @dataclass(frozen=True)
 class BroadcastStates:
-    """Satellites at epochs: the columns are the rows of ``Ephemerides.satellites``.
+    """States of S satellites at T epochs; satellite s is row s of ``Ephemerides.satellites``.
 
     Attributes
     ----------
-    position_ecef_m, velocity_ecef_mps : (T, S, 3), in the Earth-fixed frame of the time itself (no Sagnac turn)
+    position_ecef_m, velocity_ecef_mps : (T, S, 3), in the Earth-fixed frame at the same time (no Sagnac rotation)
     clock_s : (T, S) offset of the satellite's clock, polynomial and eccentricity (relativity), without group delays
-    clock_rate_sps : (T, S) its rate [s/s]
+    clock_rate_sps : (T, S) rate of ``clock_s`` [s/s]
     group_delay_s : (T, S, 2) as in :class:`Ephemerides`
-    usable : (T, S) whether there is a healthy message near enough; elsewhere everything is 0
+    usable : (T, S) whether a valid message exists for the time; where it is False all other values are 0
     satellite : (S, 2) system and prn
     message : (T, S) row of the message used, -1 for none
     """
@@ -61,21 +61,21 @@ class BroadcastStates:
 def positions(
     ephemerides: Ephemerides, gps_time_s: ArrayLike, earlier_s: ArrayLike = 0.0, *, healthy_only: bool = True
 ) -> BroadcastStates:
-    """Position, velocity and clock of every satellite at ``gps_time_s - earlier_s``, by the nearest message.
+    """Compute position, velocity and clock of every satellite at ``gps_time_s - earlier_s`` from the nearest message.
 
     Parameters
     ----------
-    gps_time_s : (T,), or (T, S) for a time of its own for each satellite [s since 1980-01-06].
-    earlier_s : broadcast to (T, S), travel times of signals for instance; apart, as GPS time in one number is only
-        exact to 2e-7 s, 1 mm of orbit [s].
-    healthy_only : satellites that say that they are not healthy are not usable.
+    gps_time_s : (T,), or (T, S) for different times of the satellites [s since 1980-01-06].
+    earlier_s : broadcast to (T, S) [s], for example the travel time of the signal. A separate argument, because GPS
+        time as one float64 resolves only 2e-7 s, which is 1 mm of orbit.
+    healthy_only : satellites with a health word that is not healthy are not usable.
 
-    Galileo's I/NAV message goes before F/NAV.
+    Galileo's I/NAV message is preferred to F/NAV.
 
     Raises
     ------
     InputError
-        Times that are not finite, or of a shape that does not fit the satellites.
+        A time is not finite, or the shapes do not fit the number of satellites.
     """
     satellite = ephemerides.satellites
     time = require_finite("gps_time_s", gps_time_s)
@@ -91,26 +91,15 @@ def positions(
             "one column for each satellite"
         )
     time, earlier = np.broadcast_to(time, shape), np.broadcast_to(earlier, shape)
-    message = _nearest(ephemerides, satellite, time - earlier, healthy_only)
+    message = _nearest_messages(ephemerides, satellite, time - earlier, healthy_only)
     usable = message >= 0
     if not len(ephemerides):
-        return _none(shape, satellite)
+        return _unusable_states(shape, satellite)
     return _states(ephemerides, satellite, message, usable, time, earlier)
 
 
-def turned_by_travel(vector_ecef: ArrayLike, travel_s: ArrayLike) -> Array:
-    """A vector of the Earth-fixed frame at transmission in that at reception (the Sagnac turn).
-
-    vector_ecef (..., 3), travel_s (...,) -> (..., 3): ``R3(omega travel) v``.
-    """
-    v = np.asarray(vector_ecef, dtype=np.float64)
-    angle = WGS84_RATE_RADPS * np.asarray(travel_s, dtype=np.float64)
-    sine, cosine = np.sin(angle), np.cos(angle)
-    return np.stack([cosine * v[..., 0] + sine * v[..., 1], cosine * v[..., 1] - sine * v[..., 0], v[..., 2]], -1)
-
-
-def _none(shape: tuple[int, ...], satellite: Ints) -> BroadcastStates:
-    """States of no satellite."""
+def _unusable_states(shape: tuple[int, ...], satellite: Ints) -> BroadcastStates:
+    """States of ``shape`` (T, S) that are all zero and not usable."""
     empty = np.zeros(shape)
     vectors = np.zeros((*shape, 3))
     return BroadcastStates(
@@ -118,8 +107,8 @@ def _none(shape: tuple[int, ...], satellite: Ints) -> BroadcastStates:
     )
 
 
-def _nearest(ephemerides: Ephemerides, satellite: Ints, time: Array, healthy_only: bool) -> Ints:
-    """The message of each satellite with the nearest reference time, -1 where none is near enough.  (T, S)."""
+def _nearest_messages(ephemerides: Ephemerides, satellite: Ints, time: Array, healthy_only: bool) -> Ints:
+    """Row of each satellite's message with the nearest reference time, -1 where no message is valid.  (T, S)."""
     out = np.full(time.shape, -1, np.int64)
     for s, (system, prn) in enumerate(satellite):
         of = (ephemerides.system == system) & (ephemerides.prn == prn)
@@ -128,7 +117,7 @@ def _nearest(ephemerides: Ephemerides, satellite: Ints, time: Array, healthy_onl
             continue
         away = np.abs(time[:, s, None] - ephemerides.toe_s[rows])
         late = system == System.GALILEO and (ephemerides.source[rows] & FNAV) > 0
-        best = np.argmin(away + 0.5 * np.asarray(late), -1)  # half a second decides between equals only
+        best = np.argmin(away + 0.5 * np.asarray(late), -1)  # 0.5 s matters only between equal reference times
         near = np.take_along_axis(away, best[:, None], -1)[:, 0] <= VALID_FOR_S[system]
         out[:, s] = np.where(near, rows[best], -1)
     return out
@@ -137,7 +126,7 @@ def _nearest(ephemerides: Ephemerides, satellite: Ints, time: Array, healthy_onl
 def _states(
     table: Ephemerides, satellite: Ints, message: Ints, usable: Bools, time: Array, earlier: Array
 ) -> BroadcastStates:
-    """The states by the messages chosen; rows without one are computed with the first and blanked."""
+    """States from the chosen messages; entries without a message are computed from message 0 and set to zero."""
     el = table.take(np.where(usable, message, 0).ravel())
     dt = np.where(usable, (time - el.toe_s.reshape(time.shape)) - earlier, 0.0).ravel()
     position, velocity, anomaly, anomaly_rate = _orbit(el, dt)
@@ -146,8 +135,8 @@ def _states(
     keep = usable.ravel()
 
     def shaped(column: Array) -> Array:
-        blank = np.where(keep.reshape(-1, *[1] * (column.ndim - 1)), column, 0.0)
-        return blank.reshape(*time.shape, *column.shape[1:])
+        masked = np.where(keep.reshape(-1, *[1] * (column.ndim - 1)), column, 0.0)
+        return masked.reshape(*time.shape, *column.shape[1:])
 
     return BroadcastStates(
         position_ecef_m=shaped(position),
@@ -170,7 +159,7 @@ def _clock(el: Ephemerides, since: Array, anomaly: Array, anomaly_rate: Array) -
 
 
 def _orbit(el: Ephemerides, dt: Array) -> tuple[Array, Array, Array, Array]:
-    """Position and velocity (N, 3), eccentric anomaly and its rate (N,), ``dt`` after the reference time."""
+    """Position and velocity (N, 3), eccentric anomaly and its rate (N,), ``dt`` [s] after the reference time."""
     a, e = el.root_a**2, el.eccentricity
     motion = np.sqrt(MU_M3PS2[el.system] / a**3) + el.motion_correction_radps
     anomaly = solve_kepler(el.mean_anomaly_rad + motion * dt, e)
@@ -191,14 +180,14 @@ def _orbit(el: Ephemerides, dt: Array) -> tuple[Array, Array, Array, Array]:
     i, i_rate = el.inclination_rad + di + el.inclination_rate_radps * dt, el.inclination_rate_radps + i_rate
     su, cu = np.sin(u), np.cos(u)
     plane = (r * cu, r * su, r_rate * cu - r * su * u_rate, r_rate * su + r * cu * u_rate)
-    position, velocity = _turned(el, dt, plane, i, i_rate)
+    position, velocity = _ecef_from_plane(el, dt, plane, i, i_rate)
     return position, velocity, anomaly, rate
 
 
-def _turned(
+def _ecef_from_plane(
     el: Ephemerides, dt: Array, plane: tuple[Array, Array, Array, Array], i: Array, i_rate: Array
 ) -> tuple[Array, Array]:
-    """From the orbit's plane to the Earth-fixed frame; BeiDou's geostationary satellites by a tilted one."""
+    """Rotate from the orbital plane to ECEF; BeiDou's geostationary satellites need a second rotation."""
     x, y, vx, vy = plane
     earth, geo = EARTH_RATE_RADPS[el.system], el.geostationary
     node_rate = el.node_rate_radps - np.where(geo, 0.0, earth)
@@ -217,13 +206,12 @@ def _turned(
 
 
 def _geostationary(position: Array, velocity: Array, earth: Array, dt: Array) -> tuple[Array, Array]:
-    """``R3(omega dt) R1(-5 deg)`` of the tilted frame's vectors (BDS-SIS-ICD-2.1 table 5-11), and the rate."""
+    """``R3(omega dt) R1(-5 deg)`` of vectors in the tilted frame (BDS-SIS-ICD-2.1 table 5-11), and the rate."""
     st, ct = np.sin(GEO_TILT_RAD), np.cos(GEO_TILT_RAD)
-    sa, ca = np.sin(earth * dt), np.cos(earth * dt)
 
     def fixed(v: Array) -> Array:
-        x, y, z = v[..., 0], ct * v[..., 1] + st * v[..., 2], ct * v[..., 2] - st * v[..., 1]
-        return np.stack([ca * x + sa * y, ca * y - sa * x, z], -1)
+        upright = np.stack([v[..., 0], ct * v[..., 1] + st * v[..., 2], ct * v[..., 2] - st * v[..., 1]], -1)
+        return rotated_with_earth(upright, earth * dt)
 
     place, rate = fixed(position), fixed(velocity)
     rate[..., 0] += earth * place[..., 1]

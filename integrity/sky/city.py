@@ -1,7 +1,7 @@
-"""Streets made up by rule: buildings, trees, overpasses and tunnels along any road.
+"""Procedural streets: buildings, trees, overpasses and tunnels along any road.
 
-Heights are lognormal, as measured for Westminster (median 20.6 m, log sd 0.44) and Guildford (7.1 m, 0.27): C. Tzaras,
-B. G. Evans and S. R. Saunders, Electronics Letters 34(13), 1998.
+Building heights are lognormal, as measured for Westminster (median 20.6 m, log sd 0.44) and Guildford (7.1 m, 0.27): C.
+Tzaras, B. G. Evans and S. R. Saunders, Electronics Letters 34(13), 1998.
 """
 
 from __future__ import annotations
@@ -38,26 +38,26 @@ Array = NDArray[np.float64]
 RIGHT, LEFT = 1.0, -1.0
 CLEARANCE_M = 1.0  # no building stands closer than this to any lane of the road
 WALL_M = 1.0
-PIECE_M = 4.0  # tunnels are made of straight pieces this long
+PIECE_M = 4.0  # length of the straight pieces of a tunnel
 LEAST_FRONTAGE_M = 4.0
 TRUNK_M = 0.25  # half a trunk
 
 
 class Plot(Protocol):
-    """The ground beside a road that is one of many."""
+    """The ground beside one road of a network of roads."""
 
     def clear(self, foot: Array) -> NDArray[np.bool_]:
-        """Whether no road needs the ground of footprints (n, 4, 2)."""
+        """Whether footprints (n, 4, 2) [m] overlap no road.  -> (n,)."""
 
     def take(self, foot: Array, strip: Array) -> NDArray[np.bool_]:
-        """Whether buildings may stand on footprints, given the strips between the road and them; if so they do.
+        """Whether buildings fit on footprints, given the strips between road and building; those that fit are reserved.
 
-        (n, 4, 2), (n, 4, 2) -> (n,).
+        foot (n, 4, 2) [m], strip (n, 4, 2) [m] -> (n,).
         """
 
 
 class SectionKind(StrEnum):
-    """What lines a stretch of the road."""
+    """Kind of surroundings along a stretch of road."""
 
     OPEN = "open"
     SUBURBAN = "suburban"
@@ -69,13 +69,13 @@ class SectionKind(StrEnum):
 
 
 class StreetConfig(Config):
-    """What lines one side of a street. A median height of 0 means no buildings; a spacing of 0 none of that thing."""
+    """Surroundings of one side of a street. A median height of 0 means no buildings; a spacing of 0 means no object."""
 
     height_median_m: float = Field(0.0, ge=0, le=500, description="median building height")
     height_log_sd: float = Field(0.3, ge=0, le=2, description="standard deviation of log height [-]")
-    height_max_m: float = Field(150.0, gt=0, le=1000, description="heights are cut off here")
+    height_max_m: float = Field(150.0, gt=0, le=1000, description="upper limit of building heights")
     setback_m: float = Field(4.0, ge=CLEARANCE_M, le=200, description="from the edge of the lanes to the facades")
-    setback_spread_m: float = Field(0.0, ge=0, le=50, description="facades stand back up to this much more, uniformly")
+    setback_spread_m: float = Field(0.0, ge=0, le=50, description="largest additional setback, uniform")
     frontage_m: float = Field(18.0, ge=LEAST_FRONTAGE_M, le=300, description="mean length of a facade")
     depth_m: float = Field(15.0, gt=1, le=200, description="depth of a building")
     gap_probability: float = Field(0.1, ge=0, le=1, description="probability of a gap after a building [-]")
@@ -84,15 +84,17 @@ class StreetConfig(Config):
     cross_street_m: float = Field(10.0, ge=0, le=100, description="width of a side street between facades")
     tree_spacing_m: float = Field(0.0, ge=0, le=200, description="distance between trees, 0 for none")
     tree_base_m: float = Field(
-        4.5, ge=0, le=30, description="under the crown; clearance of Japan's Road Structure Order"
+        4.5, ge=0, le=30, description="bottom of the crown; clearance of Japan's Road Structure Order"
     )
     tree_top_m: float = Field(9.0, gt=0, le=60, description="top of the crown")
     tree_crown_m: float = Field(6.0, gt=0, le=30, description="width of the crown")
     tree_offset_m: float = Field(1.5, ge=0, le=50, description="from the edge of the lanes to the trunks")
     slab_spacing_m: float = Field(0.0, ge=0, le=5000, description="distance between overpasses, 0 for none")
-    slab_length_m: float = Field(14.0, gt=0, le=500, description="extent of an overpass along the road; four lanes")
-    clearance_m: float = Field(6.0, ge=3, le=50, description="under overpasses and tunnel roofs; above the legal 4.5 m")
-    enclosed: bool = Field(False, description="a tunnel")
+    slab_length_m: float = Field(14.0, gt=0, le=500, description="length of an overpass along the road; four lanes")
+    clearance_m: float = Field(
+        6.0, ge=3, le=50, description="clearance of overpasses and tunnels; above the legal 4.5 m"
+    )
+    enclosed: bool = Field(False, description="the street is a tunnel")
 
 
 STREETS: dict[SectionKind, StreetConfig] = {
@@ -122,15 +124,15 @@ STREETS: dict[SectionKind, StreetConfig] = {
 
 
 class SectionConfig(Config):
-    """A stretch of road with one kind of street, or with another kind on its left."""
+    """A stretch of road with one kind of street, or with different kinds on its two sides."""
 
-    kind: SectionKind = Field(SectionKind.OPEN, description="what lines the stretch")
+    kind: SectionKind = Field(SectionKind.OPEN, description="kind of street on both sides of the stretch")
     length_m: float = Field(200.0, ge=10, description="length of the stretch")
-    left_kind: SectionKind | None = Field(None, description="what lines its left side; the same when not given")
+    left_kind: SectionKind | None = Field(None, description="kind of street on the left side; none: the same as kind")
 
 
 class CityConfig(Config):
-    """The streets along a road: sections in order, again and again until the road ends."""
+    """The streets along a road: sections in order, repeated until the road ends."""
 
     sections: tuple[SectionConfig, ...] = Field(
         (
@@ -143,20 +145,20 @@ class CityConfig(Config):
         min_length=1,
         description="stretches in order; the semi-urban and urban Tokyo roads of S2 section 5",
     )
-    streets: dict[SectionKind, StreetConfig] = Field({}, description="kinds of street that differ from the standard")
+    streets: dict[SectionKind, StreetConfig] = Field({}, description="kinds of street that replace the standard ones")
 
     @classmethod
     def uniform(cls, kind: SectionKind, **changes: float | bool) -> CityConfig:
-        """One kind of street all along, with ``changes`` to its :class:`StreetConfig`."""
+        """A single kind of street along the whole road, with ``changes`` to its :class:`StreetConfig`."""
         streets = {kind: STREETS[kind].replace(**changes)} if changes else {}
         return cls(sections=(SectionConfig(kind=kind),), streets=streets)
 
     def street(self, kind: SectionKind) -> StreetConfig:
-        """The street of a kind: the one given here, or the standard one."""
+        """The street of a kind: the one of ``streets``, otherwise the standard one."""
         return self.streets.get(kind, STREETS[kind])
 
     def stretches(self, length_m: float) -> list[Stretch]:
-        """The stretches of a road of this length; neighbours of the same kinds are joined."""
+        """Divide a road of this length into stretches; neighbours of the same kinds are joined."""
         out: list[Stretch] = []
         at, k = 0.0, 0
         while at < length_m:
@@ -173,7 +175,7 @@ class CityConfig(Config):
 
 @dataclass(frozen=True)
 class Stretch:
-    """A stretch of a road, from and to arc lengths, and the kinds on its right and left."""
+    """A stretch of a road between two arc lengths, and the kinds of street on its right and left."""
 
     start_m: float
     end_m: float
@@ -182,10 +184,10 @@ class Stretch:
 
 
 def build_city(road: Road, config: CityConfig, rng: np.random.Generator) -> City:
-    """Obstacles along a road; the same generator state gives the same city.
+    """Generate the obstacles along a road; the same generator state gives the same city.
 
-    A building that would stand on the road elsewhere (inside a bend, at a crossing of the road with itself) is made
-    shallower or left out. The frame is the road's.
+    A building that would overlap the road (inside a bend, or where the road crosses itself) is made less deep or is
+    left out. Coordinates are in the frame of the road.
     """
     return line_street(road, config.stretches(road.length_m), config, rng)
 
@@ -193,12 +195,12 @@ def build_city(road: Road, config: CityConfig, rng: np.random.Generator) -> City
 def line_street(
     road: Road, stretches: Sequence[Stretch], config: CityConfig, rng: np.random.Generator, plot: Plot | None = None
 ) -> City:
-    """Obstacles along the given stretches of a road, as :func:`build_city` makes them along all of it.
+    """Generate obstacles along the given stretches of a road, as :func:`build_city` does for the whole road.
 
-    ``plot`` tells which of the ground beside the road other roads leave free; by default there are none.
+    ``plot`` excludes the ground of other roads; without it there are no other roads.
     """
     solid: list[Array] = [np.zeros((0, 3, 3))]
-    leaves: list[Array] = [np.zeros((0, 3, 3))]
+    foliage: list[Array] = [np.zeros((0, 3, 3))]
     feet: list[Array] = [np.zeros((0, 4, 2))]
     heights: list[Array] = [np.zeros(0)]
     for stretch in stretches:
@@ -210,13 +212,13 @@ def line_street(
             foot, height = _buildings(road, _blocks(stretch, whole, cross), side, street, rng, plot)
             feet.append(foot)
             heights.append(height)
-            leaves.append(_trees(road, stretch, side, street, rng, plot))
+            foliage.append(_trees(road, stretch, side, street, rng, plot))
     houses = City.of_buildings(np.concatenate(feet), np.concatenate(heights))
-    return City.of(np.concatenate(solid)) + houses + City.of(np.concatenate(leaves), Surface.FOLIAGE)
+    return City.of(np.concatenate(solid)) + houses + City.of(np.concatenate(foliage), Surface.FOLIAGE)
 
 
 def _blocks(stretch: Stretch, street: StreetConfig, spread: Array) -> list[tuple[float, float]]:
-    """The arcs between side streets, which open on both sides at the same place."""
+    """Arcs (start, end) between side streets; both sides of the road have side streets at the same places."""
     if street.block_m <= 0.0:
         return [(stretch.start_m, stretch.end_m)]
     blocks, at = [], stretch.start_m
@@ -236,7 +238,7 @@ def _buildings(
     rng: np.random.Generator,
     plot: Plot | None,
 ) -> tuple[Array, Array]:
-    """Footprints (n, 4, 2) and heights (n,) of buildings wall to wall along one side, with gaps here and there."""
+    """Footprints (n, 4, 2) and heights (n,) of adjacent buildings along one side, with random gaps."""
     if street.height_median_m <= 0.0:
         return np.zeros((0, 4, 2)), np.zeros(0)
     spans: list[tuple[float, float]] = []
@@ -257,15 +259,15 @@ def _buildings(
 def _footprints(
     road: Road, arcs: Array, side: float, offset: Array, depth_m: float, plot: Plot | None
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Rectangles (n, 4, 2) beside the road, as deep as fits, and whether any depth does."""
+    """Rectangles (n, 4, 2) beside the road with the largest of three depths that fits, and whether one fits (n,)."""
     n = arcs.shape[0]
     foot, fits = np.zeros((n, 4, 2)), np.zeros(n, dtype=np.bool_)
     grid = np.stack(np.meshgrid(np.linspace(0, 1, 5), np.linspace(0, 1, 3), indexing="ij"), -1).reshape(-1, 1, 2)
     for share in (1.0, 0.5, 0.25):
-        left = np.flatnonzero(~fits)
-        if left.size == 0:
+        unplaced = np.flatnonzero(~fits)
+        if unplaced.size == 0:
             break
-        front = [road.pose_at(arcs[left, i], side * offset[left])[0] for i in (0, 1)]
+        front = [road.pose_at(arcs[unplaced, i], side * offset[unplaced])[0] for i in (0, 1)]
         along = front[1] - front[0]
         length = np.hypot(along[:, 0], along[:, 1])[:, None]
         outward = side * np.stack([along[:, 1], -along[:, 0]], -1) / np.where(length > 0.0, length, 1.0)
@@ -273,19 +275,19 @@ def _footprints(
         points = front[0] + grid[..., :1] * along + grid[..., 1:] * back
         _, lateral = road.project(points)
         good = (np.abs(lateral).min(0) >= road.edge_m + CLEARANCE_M - 1e-6) & (length[:, 0] >= LEAST_FRONTAGE_M / 2)
-        foot[left] = np.stack([front[0], front[1], front[1] + back, front[0] + back], 1)
+        foot[unplaced] = np.stack([front[0], front[1], front[1] + back, front[0] + back], 1)
         if plot is not None:
-            kerb = (offset[left] - road.edge_m)[:, None] * outward
+            kerb = (offset[unplaced] - road.edge_m)[:, None] * outward
             strip = np.stack([front[0], front[1], front[1] - kerb, front[0] - kerb], 1)
-            good[good] = plot.take(foot[left[good]], strip[good])
-        fits[left] = good
+            good[good] = plot.take(foot[unplaced[good]], strip[good])
+        fits[unplaced] = good
     return foot, fits
 
 
 def _trees(
     road: Road, stretch: Stretch, side: float, street: StreetConfig, rng: np.random.Generator, plot: Plot | None
 ) -> Array:
-    """Crowns as boxes in a row, their places and sizes a little irregular."""
+    """Crowns as a row of boxes with random variations of place and size."""
     if street.tree_spacing_m <= 0.0:
         return np.zeros((0, 3, 3))
     arc = np.arange(stretch.start_m + 0.5 * street.tree_spacing_m, stretch.end_m, street.tree_spacing_m)
@@ -300,7 +302,7 @@ def _trees(
 
 
 def _slabs(road: Road, stretch: Stretch, street: StreetConfig, *, straight: bool) -> Array:
-    """Overpasses across the road, 1.5 m thick, evenly spaced; ``straight`` ones have parallel sides in a bend too."""
+    """Overpasses across the road, 1.5 m thick, evenly spaced; with ``straight`` their sides are parallel in a bend."""
     if street.slab_spacing_m <= 0.0:
         return np.zeros((0, 3, 3))
     length = stretch.end_m - stretch.start_m
@@ -318,7 +320,7 @@ def _slabs(road: Road, stretch: Stretch, street: StreetConfig, *, straight: bool
 
 
 def _tunnel(road: Road, stretch: Stretch, street: StreetConfig, plot: Plot | None) -> Array:
-    """Two walls and a roof in short pieces that overlap; no wall where another road leaves or joins."""
+    """Two walls and a roof in short overlapping pieces; no wall where another road leaves or joins."""
     if not street.enclosed:
         return np.zeros((0, 3, 3))
     count = int(np.ceil((stretch.end_m - stretch.start_m) / PIECE_M))
@@ -333,7 +335,7 @@ def _tunnel(road: Road, stretch: Stretch, street: StreetConfig, plot: Plot | Non
 
 
 def _across(road: Road, start: Array, end: Array, lateral_m: float, half_m: float | Array) -> Array:
-    """Footprints (n, 4, 2) between two arcs, as wide as ``2 half_m`` about a lateral offset."""
+    """Footprints (n, 4, 2) between two arcs, ``2 half_m`` wide and centred at a lateral offset."""
     near, far = lateral_m - np.asarray(half_m), lateral_m + np.asarray(half_m)
     corners = ((start, near), (end, near), (end, far), (start, far))
     return np.stack([road.pose_at(arc, lateral)[0] for arc, lateral in corners], 1)

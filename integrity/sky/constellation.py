@@ -1,7 +1,7 @@
-"""Nominal constellations of the five systems, and what they look like from a street.
+"""Nominal constellations of the five systems, and the view of their satellites from a place on the Earth.
 
-Nominal orbits give the number, spread and motion of satellites that a receiver meets, not where a named satellite is on
-a date: the almanac reader (:mod:`lanebound.integrity.sky.almanac`) does that.
+Nominal orbits reproduce number, geometry and motion of the satellites in view. They do not give the position of a named
+satellite at a date: the almanac reader (:mod:`lanebound.integrity.sky.almanac`) does.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ GPS_PLANES_DEG = {
     "F": (212.847, (238.886, 345.226, 105.206, 135.346)),
 }
 GPS_HOUR_ANGLE_DEG = 15.0 * (18.0 + 36.0 / 60.0 + 14.4 / 3600.0)
-# Table 3.2-2, expandable slots: (plane, slot to be replaced) -> fore and aft arguments of latitude.
+# Table 3.2-2, expandable slots: (plane, replaced slot) -> fore and aft arguments of latitude.
 GPS_EXPANDED_DEG = {("B", 0): (94.916, 66.356), ("D", 1): (282.676, 257.976), ("F", 1): (0.456, 334.016)}
-GPS_SPARES_DEG = (("A", 330.0), ("C", 290.0), ("D", 80.0), ("E", 130.0))  # in wide gaps of the planes; a free choice
+GPS_SPARES_DEG = (("A", 330.0), ("C", 290.0), ("D", 80.0), ("E", 130.0))  # in wide gaps of the planes; our choice
 GPS_SEMI_MAJOR_M = 26_559_700.0  # the same table
 
 GALILEO_ANCHOR_DEG = (
@@ -58,7 +58,7 @@ GEOSYNCHRONOUS_M = (MU_M3PS2 / EARTH_RATE_RADPS**2) ** (1.0 / 3.0)
 
 
 def gps_seconds_of(day: date) -> float:
-    """GPS time at the start of a calendar day [s since 1980-01-06] (leap seconds left out)."""
+    """GPS time at the start of a calendar day [s since 1980-01-06], leap seconds ignored."""
     return (day - date(1980, 1, 6)).days * 86_400.0
 
 
@@ -113,7 +113,7 @@ def _qzss(count: int) -> OrbitElements:
         eccentricity=[0.075, 0.075, 0.075, 0.0],
         inclination_rad=np.deg2rad([41.0, 41.0, 41.0, 0.0]),
         node_longitude_rad=np.deg2rad(node),
-        node_rate_radps=0.0,  # station keeping holds the ground track
+        node_rate_radps=0.0,  # station keeping maintains the ground track
         perigee_rad=np.deg2rad(perigee),
         mean_anomaly_rad=np.deg2rad(centre - perigee - node),
         epoch_s=gps_seconds_of(date(2018, 11, 1)),
@@ -124,9 +124,9 @@ _NOMINAL: dict[System, tuple[tuple[int, ...], Callable[[int], OrbitElements]]] =
     System.GPS: ((24, 27, 31), _gps),
     # Galileo OS SDD 1.3, 3.1: Walker 24/3/1, 29 599.8 km, 56 deg
     System.GALILEO: ((24,), lambda _: _walker_24_3_1(29_599_800.0, 56.0, GALILEO_ANCHOR_DEG)),
-    # GLONASS ICD L1, L2 ed. 5.1, 3.3: Walker 24/3/1, 25 510 km, 64.8 deg; the phase is a free choice
+    # GLONASS ICD L1, L2 ed. 5.1, 3.3: Walker 24/3/1, 25 510 km, 64.8 deg; the phase is our choice
     System.GLONASS: ((24,), lambda _: _walker_24_3_1(25_510_000.0, 64.8, (0.0, 0.0))),
-    # BDS-SIS-ICD-B1C-1.0, 3.1: 24 MEO, Walker 24/3/1, 27 906 km, 55 deg; the phase is a free choice
+    # BDS-SIS-ICD-B1C-1.0, 3.1: 24 MEO, Walker 24/3/1, 27 906 km, 55 deg; the phase is our choice
     System.BEIDOU: ((24,), lambda _: _walker_24_3_1(27_906_000.0, 55.0, (20.0, 5.0))),
     System.QZSS: ((4,), _qzss),
 }
@@ -135,13 +135,13 @@ _QZSS_PRN = (193, 194, 195, 199)  # IS-QZSS-PNT-005 table 3.2.2-1
 
 @dataclass(frozen=True)
 class SatelliteTable:
-    """The satellites of a scene: which they are and how they move.
+    """Identities and orbits of S satellites.
 
     Attributes
     ----------
     system, prn : (S,)
-    elements : of S satellites
-    stopped : where reading a file cut short ended, empty for a whole one
+    elements : orbital elements of the S satellites
+    stopped : the place where a truncated file ended, empty for a complete file
     """
 
     system: NDArray[np.int64]
@@ -153,7 +153,7 @@ class SatelliteTable:
         return len(self.elements)
 
     def position_ecef(self, gps_time_s: ArrayLike) -> Array:
-        """Positions at ``gps_time_s`` (T,) [s since 1980-01-06] -> (T, S, 3) [m]."""
+        """Earth-fixed positions at ``gps_time_s`` (T,) [s since 1980-01-06] -> (T, S, 3) [m]."""
         return propagate(self.elements, gps_time_s)[0]
 
     def velocity_ecef(self, gps_time_s: ArrayLike) -> Array:
@@ -161,12 +161,12 @@ class SatelliteTable:
         return propagate(self.elements, gps_time_s)[1]
 
     def take(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> SatelliteTable:
-        """Some of the satellites, by mask or by index."""
+        """The satellites that a mask or an index array selects."""
         return SatelliteTable(self.system[rows], self.prn[rows], self.elements.take(rows), self.stopped)
 
     @staticmethod
     def join(tables: list[SatelliteTable]) -> SatelliteTable:
-        """The satellites of several tables, in order."""
+        """Concatenate the satellites of several tables."""
         return SatelliteTable(
             np.concatenate([t.system for t in tables]),
             np.concatenate([t.prn for t in tables]),
@@ -177,9 +177,9 @@ class SatelliteTable:
     def relative_enu(
         self, gps_time_s: ArrayLike, lat_rad: ArrayLike, lon_rad: ArrayLike, height_m: ArrayLike
     ) -> tuple[Array, Array]:
-        """Vectors from a place (scalars, or one for each epoch) to the satellites, and their rates.
+        """Compute the vectors from a place (scalars, or one place for each epoch) to the satellites, and their rates.
 
-        gps_time_s (K,) -> (K, S, 3) [m], (K, S, 3) [m/s], both ENU. Geometric: no light time, no refraction.
+        gps_time_s (K,) -> (K, S, 3) [m], (K, S, 3) [m/s], both ENU. Geometric: no light time and no refraction.
         """
         t = np.atleast_1d(require_finite("gps_time_s", gps_time_s))
         lat, lon, height = (
@@ -199,14 +199,14 @@ class SatelliteTable:
         mask_rad: float = 0.0,
         index: ArrayLike | None = None,
     ) -> SkyView:
-        """The sky at epochs ``gps_time_s`` (K,) from one place, or from one place for each epoch.
+        """Compute the view at epochs ``gps_time_s`` (K,) from one place, or from one place for each epoch.
 
-        ``index`` (B,) says which row each vehicle uses; by default one vehicle for each row.
+        ``index`` (B,) is the row that each vehicle uses; by default there is one vehicle for each row.
 
         Raises
         ------
         InputError
-            Entries that are not finite, a latitude or mask angle outside [-pi/2, pi/2], or a row that does not exist.
+            An entry is not finite, a latitude or mask angle is outside [-pi/2, pi/2], or a row does not exist.
         """
         require_in_range("lat_rad", lat_rad, -0.5 * np.pi, 0.5 * np.pi)
         require_in_range("mask_rad", mask_rad, -0.5 * np.pi, 0.5 * np.pi)
@@ -214,7 +214,7 @@ class SatelliteTable:
         rows = offset.shape[0]
         which = np.arange(rows) if index is None else np.atleast_1d(np.asarray(index, dtype=np.int64))
         if which.size and not (which.min() >= 0 and which.max() < rows):
-            raise InputError(f"index must lie in [0, {rows - 1}], got {which.min()}..{which.max()}: name existing rows")
+            raise InputError(f"index must lie in [0, {rows - 1}], got {which.min()}..{which.max()}: use existing rows")
         distance = np.linalg.norm(offset, axis=-1)
         los = offset / distance[..., None]
         elevation = np.arcsin(np.clip(los[..., 2], -1.0, 1.0))
@@ -233,18 +233,18 @@ class SatelliteTable:
     def rising(
         self, gps_time_s: ArrayLike, lat_rad: float, lon_rad: float, height_m: float = 0.0, mask_rad: float = 0.0
     ) -> SatelliteTable:
-        """Only the satellites above the mask at one of the epochs at least: what a street needs to carry along."""
+        """Select the satellites that are above the mask angle at one or more of the epochs."""
         above = self.view(gps_time_s, lat_rad, lon_rad, height_m, mask_rad).above
         return self.take(np.flatnonzero(above.any(0)))
 
 
 def nominal_satellites(counts: dict[System, int]) -> SatelliteTable:
-    """Nominal constellations: GPS 24, 27 or 31, Galileo 24, GLONASS 24, BeiDou MEO 24, QZSS 4; 0 leaves one out.
+    """Build nominal constellations: GPS 24, 27 or 31, Galileo 24, GLONASS 24, BeiDou MEO 24, QZSS 4; 0 for none.
 
     Raises
     ------
     InputError
-        A count for which there is no nominal constellation, or no satellite at all.
+        No nominal constellation has the given count, or there is no satellite at all.
     """
     tables = []
     for system in System:
@@ -261,7 +261,7 @@ def nominal_satellites(counts: dict[System, int]) -> SatelliteTable:
 
 
 class SkyConfig(Config):
-    """Which satellites fly, where the street is and when the scene starts."""
+    """Numbers of satellites, place of the street and start time of the scene."""
 
     gps: Literal[0, 24, 27, 31] = Field(31, description="GPS satellites [-]; SPS Performance Standard 2020 slots")
     galileo: Literal[0, 24] = Field(24, description="Galileo satellites [-]; Walker 24/3/1, OS SDD 1.3")
@@ -291,11 +291,11 @@ class SkyConfig(Config):
         return float(np.deg2rad(self.mask_deg))
 
     def satellites(self) -> SatelliteTable:
-        """The nominal satellites.
+        """Build the nominal satellites.
 
         Raises
         ------
         InputError
-            When every system is left out.
+            All counts are 0.
         """
         return nominal_satellites({system: int(getattr(self, system.name.lower())) for system in System})

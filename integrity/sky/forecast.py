@@ -1,6 +1,7 @@
-"""How many satellites a map of the city promises at places along a street: what a planner may know of the sky ahead.
+"""Forecast of the number of visible satellites along a street from a map of the city, as input of a planner.
 
-Built from the city as mapped (:mod:`.survey`), apart from the mask that decides what is received.
+The forecast is computed from the mapped city (:mod:`.survey`). It is separate from the mask that determines the
+received signals.
 """
 
 from __future__ import annotations
@@ -24,13 +25,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SkyForecast:
-    """Which cells of the sky nothing stands in front of, by station and lane.
+    """Cells of the sky without an obstacle, by station and lane.
 
     Attributes
     ----------
-    free : (N, L, A E) bool; cells as those of :class:`~lanebound.integrity.sky.visibility.SkyMask`
+    free : (N, L, A E) bool; the cells are those of :class:`~lanebound.integrity.sky.visibility.SkyMask`
     azimuths, elevations : numbers of bins A over 2 pi and E over pi / 2
-    spacing_m : station n answers for the arc ``n spacing_m``
+    spacing_m : distance between stations; station n lies at the arc ``n spacing_m``
     """
 
     free: NDArray[np.bool_]
@@ -40,7 +41,7 @@ class SkyForecast:
 
     @classmethod
     def open(cls) -> SkyForecast:
-        """A sky without obstacles, for any street."""
+        """The forecast of a sky without obstacles, for any street."""
         return cls(np.ones((1, 1, 1), dtype=np.bool_), 1, 1, 1.0)
 
     @classmethod
@@ -52,12 +53,13 @@ class SkyForecast:
         az_step_deg: float = 3.0,
         el_step_deg: float = 3.0,
     ) -> SkyForecast:
-        """Cast rays to the centre of every cell from antennas (N, L, 3) ENU [m] over L lanes each (S2 eq 1-2).
+        """Cast rays to the centre of every cell from antennas (N, L, 3) ENU [m] above the L lanes (S2 eq 1-2).
 
         Raises
         ------
         InputError
-            Antennas that are not finite or of another shape, a step that does not divide, a spacing out of range.
+            Antennas are not finite or have another shape, a step does not divide the circle, or the spacing is out of
+            range.
         """
         each, rows = distinct_antennas(antenna_enu_m)
         require_in_range("spacing_m", spacing_m, 0.0, 1e4, low_open=True)
@@ -67,9 +69,9 @@ class SkyForecast:
         return cls(free[rows], azimuths, elevations, spacing_m)
 
     def count(self, arc_m: Array, lane: NDArray[np.int64], sky: SkyView) -> NDArray[np.int64]:
-        """Satellites in line of sight above the mask angle at D places, by the first row of ``sky``'s index.
+        """Count the satellites in line of sight above the mask angle at D places, for the first row of ``sky.index``.
 
-        arc_m (D,) [m], lane (D,) -> (D,). The nearest station answers; lanes that do not exist are clamped.
+        arc_m (D,) [m], lane (D,) -> (D,). The nearest station is used; lanes are clamped to the existing ones.
         """
         row = int(sky.index[0])
         found: NDArray[np.int64] = count_free(

@@ -1,4 +1,4 @@
-"""Keplerian satellites in the Earth-fixed frame: position and velocity for any number of epochs at once."""
+"""Position and velocity of satellites on Keplerian orbits in the Earth-fixed frame, for any number of epochs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from lanebound.integrity.core.errors import require_in_range
 from lanebound.integrity.core.frames import WGS84_A_M
 
-__all__ = ["EARTH_RATE_RADPS", "MU_M3PS2", "OrbitElements", "nodal_regression_radps", "propagate", "solve_kepler"]
+__all__ = [
+    "EARTH_RATE_RADPS", "MU_M3PS2", "OrbitElements", "nodal_regression_radps", "propagate", "rotated_with_earth",
+    "solve_kepler",
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 
@@ -27,7 +30,7 @@ class OrbitElements:
     ----------
     semi_major_m, eccentricity, inclination_rad
     node_longitude_rad : Earth-fixed longitude of the ascending node at ``epoch_s``
-    node_rate_radps : inertial drift of the node
+    node_rate_radps : drift of the node in inertial space
     perigee_rad : argument of perigee
     mean_anomaly_rad : at ``epoch_s``
     epoch_s : GPS time of the elements [s since 1980-01-06]
@@ -51,7 +54,7 @@ class OrbitElements:
         return np.asarray(np.sqrt(MU_M3PS2 / self.semi_major_m**3))
 
     def take(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> OrbitElements:
-        """The elements of some satellites, by mask or by index."""
+        """Elements of the satellites that a mask or an index array selects."""
         return OrbitElements(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
     @staticmethod
@@ -62,7 +65,7 @@ class OrbitElements:
 
     @staticmethod
     def join(parts: list[OrbitElements]) -> OrbitElements:
-        """The satellites of several sets, in order."""
+        """Concatenate the satellites of several sets."""
         return OrbitElements(
             **{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(OrbitElements)}
         )
@@ -77,14 +80,14 @@ def nodal_regression_radps(semi_major_m: ArrayLike, eccentricity: ArrayLike, inc
 
 
 def solve_kepler(mean_anomaly_rad: ArrayLike, eccentricity: ArrayLike) -> Array:
-    """Eccentric anomaly E of ``E - e sin E = M``, by Halley's iteration; E - M lies in [-e, e].
+    """Solve ``E - e sin E = M`` for the eccentric anomaly E by Halley's iteration; E - M lies in [-e, e].
 
     mean_anomaly_rad (...,), eccentricity (...,) in [0, 1) -> (...,) [rad].
 
     Raises
     ------
     InputError
-        An eccentricity outside [0, 1), or an entry that is not finite.
+        An eccentricity is outside [0, 1) or is not finite.
     """
     e = require_in_range("eccentricity", eccentricity, 0.0, 1.0, high_open=True)
     whole = np.asarray(mean_anomaly_rad, dtype=np.float64)
@@ -100,8 +103,19 @@ def solve_kepler(mean_anomaly_rad: ArrayLike, eccentricity: ArrayLike) -> Array:
     return np.asarray(whole + (big - m))
 
 
+def rotated_with_earth(vector_ecef: ArrayLike, angle_rad: ArrayLike) -> Array:
+    """Express an Earth-fixed vector in the Earth-fixed frame of a later time: ``R3(angle) v``.
+
+    vector_ecef (..., 3), angle_rad (...,) rotation of the Earth in between -> (..., 3). With the angle ``omega tau``,
+    tau the travel time of a signal, this is the Sagnac correction (IS-GPS-200N 20.3.3.4.3.3).
+    """
+    v, angle = np.asarray(vector_ecef, dtype=np.float64), np.asarray(angle_rad, dtype=np.float64)
+    s, c = np.sin(angle), np.cos(angle)
+    return np.stack([c * v[..., 0] + s * v[..., 1], c * v[..., 1] - s * v[..., 0], v[..., 2]], -1)
+
+
 def propagate(elements: OrbitElements, gps_time_s: ArrayLike) -> tuple[Array, Array]:
-    """Earth-fixed position and velocity by Kepler's laws with a drifting node (IS-GPS-200N table 20-IV).
+    """Compute Earth-fixed position and velocity from Kepler's laws with a drifting node (IS-GPS-200N table 20-IV).
 
     gps_time_s (T,) [s since 1980-01-06] -> position (T, S, 3) [m], velocity (T, S, 3) [m/s], both ECEF.
     """

@@ -1,4 +1,4 @@
-"""Rays and triangles: the plain form for reading and checking, and a scene that traces rays quickly."""
+"""Intersection of rays with triangles: a plain reference, and fast tracing through a grid of cells."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ MAX_CELLS = 4_000_000
 
 @dataclass(frozen=True)
 class Hits:
-    """What N rays meet, each array (N,).
+    """First hits of N rays, each array (N,).
 
     Attributes
     ----------
     t : ray parameter of the first solid hit, inf for none
-    triangle : which triangle that is, -1 for none
-    foliage_t : ray parameter of the first leaf before it; beyond the solid hit the value has no meaning
+    triangle : index of the triangle hit, -1 for none
+    foliage_t : ray parameter of the first foliage hit; a value larger than ``t`` has no meaning
     """
 
     t: Array
@@ -35,7 +35,7 @@ class Hits:
 
     @property
     def clear(self) -> NDArray[np.bool_]:
-        """Whether nothing solid is in the way."""
+        """Whether no solid triangle is hit.  (N,)."""
         return self.triangle < 0
 
 
@@ -45,7 +45,7 @@ def moller_trumbore(
     """Intersect rays with triangles: ``o + t d = v0 + u e1 + v e2`` (Moeller & Trumbore 1997; S2 eq 1-2).
 
     A hit needs t > 0, u >= 0, v >= 0 and u + v <= 1 (edges belong to the triangle, to 1e-12). The direction need not be
-    of unit length; t counts in its length.
+    of unit length; t is in units of its length.
 
     origin (..., 3), direction (..., 3), triangle (..., 3, 3) vertices by row -> hit, t, u, v, each (...,). For a ray
     parallel to the plane t, u and v are inf or meaningless, and hit is False.
@@ -67,26 +67,26 @@ def moller_trumbore(
 
 
 def first_hits_reference(origin: ArrayLike, direction: ArrayLike, triangles: Array, foliage: NDArray[np.bool_]) -> Hits:
-    """First hits of N rays by testing every triangle (T, 3, 3).  origin, direction (N, 3)."""
+    """Find the first hits of N rays by a test of every triangle (T, 3, 3).  origin, direction (N, 3)."""
     o, d = np.asarray(origin, dtype=np.float64), np.asarray(direction, dtype=np.float64)
     hit, t, _, _ = moller_trumbore(o[:, None], d[:, None], triangles[None])
     t = np.where(hit, t, np.inf)
     solid = np.where(foliage, np.inf, t)
-    leaf = np.where(foliage, t, np.inf).min(-1, initial=np.inf)
+    foliage_t = np.where(foliage, t, np.inf).min(-1, initial=np.inf)
     best = solid.min(-1, initial=np.inf)
     which = np.where(np.isfinite(best), solid.argmin(-1) if solid.shape[1] else 0, -1)
-    return Hits(best, which.astype(np.int64), leaf)
+    return Hits(best, which.astype(np.int64), foliage_t)
 
 
 def build_grid(triangles: ArrayLike, foliage: ArrayLike, cell_m: float = 10.0) -> Grid:
-    """Sort triangles (T, 3, 3) [m] into square cells; ``foliage`` (T,) tells leaves from solids. T may be 0.
+    """Sort triangles (T, 3, 3) [m] into square cells; ``foliage`` (T,) is True for foliage. T may be 0.
 
-    Triangles without area are left out of the search.
+    Triangles without area are ignored.
 
     Raises
     ------
     InputError
-        Entries that are not finite, or wrong shapes.
+        An entry is not finite, or a shape is wrong.
     """
     tri = require_finite("triangles", triangles)
     require_shape("triangles", tri, (3, 3))
@@ -106,7 +106,9 @@ def build_grid(triangles: ArrayLike, foliage: ArrayLike, cell_m: float = 10.0) -
     cell = max(cell_m, float(np.sqrt(extent[0] * extent[1] / MAX_CELLS)))
     nx, ny = (int(np.ceil(x / cell)) or 1 for x in extent)
     used = np.flatnonzero(size[:, 0] > 0.0)
-    first, item = _cells_of(low3[used, :2] - margin - low[:2], high3[used, :2] + margin - low[:2], used, cell, nx, ny)
+    first, item = _triangles_by_cell(
+        low3[used, :2] - margin - low[:2], high3[used, :2] + margin - low[:2], used, cell, nx, ny
+    )
     owner = np.repeat(np.arange(nx * ny), np.diff(first))
     floor, roof = np.full(nx * ny, np.inf), np.full(nx * ny, -np.inf)
     np.minimum.at(floor, owner, low3[item, 2] - margin)
@@ -114,10 +116,10 @@ def build_grid(triangles: ArrayLike, foliage: ArrayLike, cell_m: float = 10.0) -
     return Grid(np.hstack([v0, e1, e2, normal, size]), leaf, low, high, cell, nx, ny, first, item, floor, roof)
 
 
-def _cells_of(
+def _triangles_by_cell(
     low: Array, high: Array, ids: NDArray[np.int64], cell: float, nx: int, ny: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Which triangles touch each cell, by their bounding boxes (n, 2) from the grid's corner, in CSR form."""
+    """Triangles that touch each cell, in CSR form; ``low`` and ``high`` (n, 2): bounding boxes from the grid corner."""
     size = np.array([nx, ny])
     a = np.clip(np.floor(low / cell).astype(np.int64), 0, size - 1)
     b = np.clip(np.floor(high / cell).astype(np.int64), 0, size - 1)
@@ -134,12 +136,14 @@ def _cells_of(
 
 
 def first_hits(grid: Grid, origin: ArrayLike, direction: ArrayLike) -> Hits:
-    """First hits of rays through a grid.  origin (..., 3), direction (..., 3), broadcast -> N = all of them, in order.
+    """Find the first hits of rays through a grid.
+
+    origin (..., 3) and direction (..., 3) are broadcast; N is the number of rays after broadcasting, in C order.
 
     Raises
     ------
     InputError
-        Entries that are not finite, or wrong shapes.
+        An entry is not finite, or a shape is wrong.
     """
     o, d = require_finite("origin", origin), require_finite("direction", direction)
     require_shape("origin", o, (3,))

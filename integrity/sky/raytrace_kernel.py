@@ -1,4 +1,4 @@
-"""Numba kernels: rays through a uniform grid of triangles, and the sky masks cast with them.
+"""Numba kernels that trace rays through a uniform grid of triangles and compute sky masks.
 
 Letters of Moeller & Trumbore (1997), S2 eq 1-2: origin ``o``, direction ``d``, triangle ``v0, v0 + e1, v0 + e2``, hit
 at ``o + t d = v0 + u e1 + v e2``.
@@ -30,8 +30,8 @@ __all__ = [
 ]
 
 EDGE = 1e-12  # edges belong to the triangle, up to rounding
-GRAZING = 1e-12  # sine of the angle to the plane below which a ray counts as parallel
-LIFT_M = 1e-6  # a reflected ray starts this far off the wall
+GRAZING = 1e-12  # a ray is parallel to a plane if the sine of the angle between them is smaller
+LIFT_M = 1e-6  # distance from the wall at which a reflected ray starts
 TWO_PI = 2.0 * math.pi
 LOS, FOLIAGE, REFLECTED, BLOCKED = 0, 1, 2, 3  # the values of visibility.Path
 
@@ -81,10 +81,10 @@ class ReceptionRows(NamedTuple):
 class Grid(NamedTuple):
     """Triangles sorted into square cells of the horizontal plane.
 
-    tri (T, 13): corner v0, edges e1 and e2, unit normal n along ``e1 x e2`` (3 each), ``|e1 x e2|``; leaf (T,) foliage
-    rather than solid;
-    low, high (3,) bounding box; cell [m]; nx, ny cells; first (nx ny + 1,), item: triangles of each cell (CSR);
-    floor, roof (nx ny,) heights between which the cell's triangles lie.
+    tri (T, 13): corner v0, edges e1 and e2, unit normal n along ``e1 x e2`` (3 each), ``|e1 x e2|``; leaf (T,) True for
+    foliage, False for solid; low, high (3,) bounding box [m]; cell size [m]; nx, ny numbers of cells; first (nx ny +
+    1,) and item: triangles of each cell (CSR); floor, roof (nx ny,) lowest and highest point of the cell's triangles
+    [m].
     """
 
     tri: NDArray[np.float64]
@@ -102,7 +102,7 @@ class Grid(NamedTuple):
 
 @jit(inline=True)
 def _hit(tri, k, ox, oy, oz, dx, dy, dz, length):  # type: ignore[no-untyped-def]
-    """Ray parameter t of the hit on triangle k, inf for a miss; ``length`` is that of the direction."""
+    """Ray parameter t of the hit on triangle k, inf for a miss; ``length`` is the norm of the direction."""
     e1x, e1y, e1z = tri[k, 3], tri[k, 4], tri[k, 5]
     e2x, e2y, e2z = tri[k, 6], tri[k, 7], tri[k, 8]
     px, py, pz = dy * e2z - dz * e2y, dz * e2x - dx * e2z, dx * e2y - dy * e2x
@@ -125,7 +125,7 @@ def _hit(tri, k, ox, oy, oz, dx, dy, dz, length):  # type: ignore[no-untyped-def
 
 @jit
 def _span(o, d, low, high, start, end):  # type: ignore[no-untyped-def]
-    """The part of [start, end] in which ``o + t d`` lies in [low, high]; empty when start > end."""
+    """Part of [start, end] in which ``o + t d`` lies in [low, high]; it is empty if start > end."""
     if d == 0.0:
         return (start, end) if low <= o <= high else (1.0, 0.0)
     a, b = (low - o) / d, (high - o) / d
@@ -134,9 +134,9 @@ def _span(o, d, low, high, start, end):  # type: ignore[no-untyped-def]
 
 @jit
 def trace(grid, ox, oy, oz, dx, dy, dz, any_hit):  # type: ignore[no-untyped-def]
-    """Follow one ray from cell to cell: (t of the first solid hit, its triangle, t of the first foliage hit).
+    """Trace one ray from cell to cell: (t of the first solid hit, its triangle, t of the first foliage hit).
 
-    Misses are inf and -1. With ``any_hit`` the first hit found of either kind ends the search.
+    Without a hit the values are inf and -1. With ``any_hit`` the search ends at the first hit of either kind.
     """
     best, which, leaf = math.inf, -1, math.inf
     start, end = _span(ox, dx, grid.low[0], grid.high[0], 0.0, math.inf)
@@ -186,7 +186,7 @@ def trace(grid, ox, oy, oz, dx, dy, dz, any_hit):  # type: ignore[no-untyped-def
 
 @jit
 def trace_rows(first, last, grid, origin, direction, t, which, leaf):  # type: ignore[no-untyped-def]
-    """Rays (N, 3), (N, 3) into t (N,), which (N,), leaf (N,)."""
+    """Trace rays with origin (N, 3) and direction (N, 3); write t (N,), which (N,) and leaf (N,)."""
     for r in range(first, last):
         o, d = origin[r], direction[r]
         t[r], which[r], leaf[r] = trace(grid, o[0], o[1], o[2], d[0], d[1], d[2], False)
@@ -194,7 +194,7 @@ def trace_rows(first, last, grid, origin, direction, t, which, leaf):  # type: i
 
 @jit
 def bin_of(azimuth, elevation, n_az, n_el):  # type: ignore[no-untyped-def]
-    """The cell of a direction, -1 below the horizon; azimuth in any turn."""
+    """Cell of a direction, -1 below the horizon; the azimuth [rad] need not lie in [0, 2 pi)."""
     if not elevation >= 0.0:
         return -1
     turn = azimuth / TWO_PI
@@ -204,10 +204,10 @@ def bin_of(azimuth, elevation, n_az, n_el):  # type: ignore[no-untyped-def]
 
 @jit
 def _mask_at(grid, ox, oy, oz, direction, n_az, n_el, path, excess):  # type: ignore[no-untyped-def]
-    """The mask of one antenna: path and excess, (cells,), for rays to the cell centres ``direction`` (cells, 3).
+    """Mask of one antenna: path and excess, (cells,), for rays to the cell centres ``direction`` (cells, 3).
 
-    A blocked ray is mirrored at the first solid face, ``d' = d - 2 (d.n) n``; when d' leaves freely, a satellite in
-    that direction arrives by the reflection with the excess ``t (1 - d.d')`` (image method).
+    A blocked ray is mirrored at the first solid face, ``d' = d - 2 (d.n) n``. If the ray along d' is free, the signal
+    of a satellite in that direction arrives by the reflection with the excess ``t (1 - d.d')`` (image method).
     """
     cells = direction.shape[0]
     for c in range(cells):
@@ -242,7 +242,7 @@ def _mask_at(grid, ox, oy, oz, direction, n_az, n_el, path, excess):  # type: ig
 
 @jit
 def mask_rows(first, last, grid, antenna, direction, n_az, n_el, path, excess):  # type: ignore[no-untyped-def]
-    """Masks of antennas (P, 3) into path (P, cells) uint8 and excess (P, cells) float32 [m]."""
+    """Compute the masks of antennas (P, 3); write path (P, cells) uint8 and excess (P, cells) float32 [m]."""
     for p in range(first, last):
         o = antenna[p]
         _mask_at(grid, o[0], o[1], o[2], direction, n_az, n_el, path[p], excess[p])
@@ -250,7 +250,7 @@ def mask_rows(first, last, grid, antenna, direction, n_az, n_el, path, excess): 
 
 @jit
 def free_rows(first, last, grid, antenna, direction, free):  # type: ignore[no-untyped-def]
-    """Which rays from antennas (P, 3) along ``direction`` (cells, 3) meet nothing, into free (P, cells) bool."""
+    """Trace rays from antennas (P, 3) along ``direction`` (cells, 3); write free (P, cells) bool: no hit."""
     for p in range(first, last):
         o = antenna[p]
         for c in range(direction.shape[0]):
@@ -261,7 +261,7 @@ def free_rows(first, last, grid, antenna, direction, free):  # type: ignore[no-u
 
 @jit
 def count_free(free, arc, lane, azimuth, elevation, above, spacing, n_az, n_el):  # type: ignore[no-untyped-def]
-    """How many of S satellites ``above`` lie in free cells at D places; nearest station, lane clamped.  -> (D,)."""
+    """Number of the S satellites with ``above`` in free cells at D places; nearest station, lane clamped.  -> (D,)."""
     stations, lanes = free.shape[0], free.shape[1]
     count = np.zeros(arc.shape[0], dtype=np.int64)
     for s in range(azimuth.shape[0]):

@@ -1,7 +1,7 @@
-"""RINEX 3 navigation files: GPS, Galileo, BeiDou and QZSS messages as :class:`Ephemerides`.
+"""Reader of RINEX 3 navigation files: GPS, Galileo, BeiDou and QZSS messages as :class:`Ephemerides`.
 
-Messages of other systems (GLONASS, SBAS, NavIC) are passed over and counted. A file cut short gives the messages before
-the cut, and where that was; text that is no RINEX is refused.
+Messages of other systems (GLONASS, SBAS, NavIC) are skipped and counted. A truncated file gives the messages before the
+truncation and the place of it. Text that is not RINEX is refused.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ __all__ = ["parse_navigation", "read_navigation"]
 
 SYSTEMS = {"G": System.GPS, "E": System.GALILEO, "C": System.BEIDOU, "J": System.QZSS}
 OTHERS = {"R": "GLONASS", "S": "SBAS", "I": "NavIC"}
-LARGEST_BYTES = 96 * 2**20  # read in 0.7 GiB; a day of all receivers of the IGS is below 20 MiB
+LARGEST_BYTES = 96 * 2**20  # reading needs 0.7 GiB; one day of all IGS receivers is below 20 MiB
 GPS_START = datetime(1980, 1, 6)
 SECONDS_PER_WEEK = 604_800.0
 BEIDOU_BEHIND_S = 14.0  # BDT was UTC at 2006-01-01, 14 leap seconds after GPS time's start; BDS-SIS-ICD-2.1 3.3
@@ -31,7 +31,7 @@ QZSS_PRN_BEFORE = 192  # J01 is PRN 193, RINEX 3.04 table 5
 LINES = 8
 WIDTH = 19
 
-# Where a column stands: line of the message, field on the line, and the range that it must lie in.
+# Position of a column (line of the message, field on the line) and its allowed range.
 FIELDS: dict[str, tuple[int, int, float, float]] = {
     "issue": (1, 0, 0.0, 4095.0),
     "crs_m": (1, 1, -1e5, 1e5),
@@ -52,29 +52,29 @@ FIELDS: dict[str, tuple[int, int, float, float]] = {
     "inclination_rate_radps": (5, 0, -1e-5, 1e-5),
     "health": (6, 1, 0.0, 1e6),
 }
-SPARE = {  # fields that may be blank
+OPTIONAL = {  # fields that may be blank
     "source": (5, 1, 0.0, 1e6),
     "delay": (6, 2, -1e-3, 1e-3),
     "delay_2": (6, 3, -1e-3, 1e-3),
 }
-WHOLE = ("health", "source", "issue", "prn", "system")
+INTEGERS = ("health", "source", "issue", "prn", "system")
 
 
 @dataclass(frozen=True)
 class _Message:
-    """The lines of one message and the number of its first."""
+    """The lines of one message and the number of its first line."""
 
     number: int
     lines: list[str]
 
 
 def read_navigation(path: str | FilePath) -> Ephemerides:
-    """Messages of a RINEX 3 navigation file; see :func:`parse_navigation`.
+    """Read the messages of a RINEX 3 navigation file; see :func:`parse_navigation`.
 
     Raises
     ------
     InputError
-        The file cannot be read, is too large, is no RINEX 3 navigation file or has a malformed line.
+        The file cannot be read, is too large, is not a RINEX 3 navigation file, or has a malformed line.
     """
     file = FilePath(path)
     try:
@@ -89,15 +89,16 @@ def read_navigation(path: str | FilePath) -> Ephemerides:
 
 
 def parse_navigation(text: str, source: str = "text") -> Ephemerides:
-    """Messages of GPS, Galileo, BeiDou and QZSS in RINEX 3 (RINEX 3.04, tables A6 to A14), in the order of the text.
+    """Parse messages of GPS, Galileo, BeiDou and QZSS (RINEX 3.04, tables A6 to A14), in the order of the text.
 
-    Times are turned into GPS time (BeiDou's runs 14 s behind). The week of the orbit's reference time is the one that
-    brings it closest to the clock's, so that week numbers of any rollover serve.
+    Times are converted to GPS time (BeiDou time is 14 s behind it). The week of the orbit's reference time is chosen
+    such that this time is closest to the reference time of the clock. Week numbers with any rollover are therefore
+    valid.
 
     Raises
     ------
     InputError
-        Names the line and the field, and how many messages had been read.
+        A line is malformed; the message gives the line, the field and the number of messages read so far.
     """
     lines = text.splitlines()
     body = _after_header(lines, source)
@@ -130,7 +131,7 @@ def _after_header(lines: list[str], source: str) -> int:
     where = f"navigation file {source}, line 1"
     first = lines[0] if lines else ""
     if first[60:80].strip() != "RINEX VERSION / TYPE":
-        raise InputError(f"{where}: the label 'RINEX VERSION / TYPE' must stand in column 61, got {first[:80]!r}")
+        raise InputError(f"{where}: the label 'RINEX VERSION / TYPE' must start in column 61, got {first[:80]!r}")
     version, kind = first[:9].strip(), first[20:21].upper()
     if not version.startswith("3.") or kind != "N":
         raise InputError(
@@ -139,11 +140,11 @@ def _after_header(lines: list[str], source: str) -> int:
     for i, line in enumerate(lines):
         if line[60:80].strip() == "END OF HEADER":
             return i + 1
-    raise InputError(f"navigation file {source}: 'END OF HEADER' is missing in {len(lines)} lines: is it cut short?")
+    raise InputError(f"navigation file {source}: 'END OF HEADER' is missing in {len(lines)} lines: is it truncated?")
 
 
 def _messages(lines: list[str], body: int, source: str) -> Iterator[_Message]:
-    """The messages: a line that starts in column 1, and the indented ones after it."""
+    """Iterate over the messages: a line that starts in column 1 and the indented lines after it."""
     current: _Message | None = None
     for number, line in enumerate(lines[body:], start=body + 1):
         if not line.strip():
@@ -161,13 +162,13 @@ def _messages(lines: list[str], body: int, source: str) -> Iterator[_Message]:
 
 
 def _is_cut(message: _Message) -> bool:
-    """Whether the text ended before its last message did: too few lines, or a line that breaks off within a field."""
+    """Whether the last message is truncated: too few lines, or the last line ends within a field."""
     last = message.lines[-1].rstrip()
     return len(message.lines) < LINES or len(last) < 4 + WIDTH or (len(last) - 4) % WIDTH != 0
 
 
 def _row(message: _Message, where: str) -> tuple[dict[str, float], str]:
-    """Columns of a message, or the reason to leave it out."""
+    """The columns of a message, and the reason to omit it ("" for none)."""
     lines = message.lines
     if len(lines) != LINES:
         raise InputError(f"{where}: a message must have {LINES} lines, got {len(lines)}: is one missing?")
@@ -176,13 +177,13 @@ def _row(message: _Message, where: str) -> tuple[dict[str, float], str]:
     row = {"system": float(system), "prn": prn + (QZSS_PRN_BEFORE if system is System.QZSS else 0)}
     for k in range(3):
         row[f"clock_{k}"] = _number(lines[0], 23 + k * WIDTH, f"clock term {k}", where)
-    bounds = {name: place for part in (FIELDS, SPARE) for name, place in part.items()}
+    bounds = {name: place for part in (FIELDS, OPTIONAL) for name, place in part.items()}
     for name, (line, field, _, _) in bounds.items():
         at = 4 + field * WIDTH
-        blank = name in SPARE and not lines[line][at : at + WIDTH].strip()
+        blank = name in OPTIONAL and not lines[line][at : at + WIDTH].strip()
         row[name] = 0.0 if blank else _number(lines[line], at, name, f"{where}, {line} lines on")
     if system in (System.GPS, System.QZSS):
-        row["delay_2"] = 0.0  # there the field is the issue of the clock's data
+        row["delay_2"] = 0.0  # for these systems the field is the issue of data of the clock
     for name, (_, _, low, high) in bounds.items():
         if not low <= row[name] <= high:
             return row, f"{where}: {name} must lie in [{low:g}, {high:g}], got {row[name]:g}"
@@ -192,7 +193,7 @@ def _row(message: _Message, where: str) -> tuple[dict[str, float], str]:
 
 
 def _heading(line: str, where: str) -> tuple[int, float]:
-    """Number of the satellite, and the clock's reference time in the system's own scale [s since 1980-01-06]."""
+    """Satellite number, and the clock's reference time in the time scale of the system [s since 1980-01-06]."""
     try:
         prn = int(line[1:3])
         year, month, day, hour, minute, second = (int(word) for word in line[3:23].split())
@@ -205,7 +206,7 @@ def _heading(line: str, where: str) -> tuple[int, float]:
 
 
 def _number(line: str, at: int, name: str, where: str) -> float:
-    """The Fortran number of 19 columns at ``at``."""
+    """The Fortran number in the 19 columns from ``at``."""
     word = line[at : at + WIDTH].strip().replace("D", "E").replace("d", "e")
     try:
         value = float(word)
@@ -219,10 +220,10 @@ def _number(line: str, at: int, name: str, where: str) -> float:
 
 
 def _table(rows: list[dict[str, float]], stopped: str, left_out: tuple[str, ...]) -> Ephemerides:
-    """The rows as columns."""
+    """Convert rows to columns."""
 
     def column(name: str) -> np.ndarray:
-        return np.array([row[name] for row in rows], dtype=np.int64 if name in WHOLE else np.float64)
+        return np.array([row[name] for row in rows], dtype=np.int64 if name in INTEGERS else np.float64)
 
     def columns(names: Iterable[str]) -> np.ndarray:
         return np.stack([column(name) for name in names], -1)

@@ -1,4 +1,4 @@
-"""A road as a smooth centre line with lanes: poses along it, and back from a position to the road."""
+"""A road as a smooth reference line with lanes: poses along the road, and projection of positions onto it."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ NEWTON_STEPS = 5
 
 @dataclass(frozen=True)
 class Road:
-    """A reference line with lanes on it.
+    """A reference line with lanes.
 
-    Positions are East, North [m]; lateral offsets are positive to the right of the direction of travel. Lane 0 is the
-    rightmost; the lanes' middle lies ``shift_m`` to the right of the reference line, so that the reference line may be
-    the middle of a street with two directions (``shift_m = lane_count * lane_width_m / 2``).
+    Positions are East, North [m]. Lateral offsets are positive to the right of the direction of travel. Lane 0 is the
+    rightmost lane. The centre of the lanes lies ``shift_m`` to the right of the reference line: the reference line is
+    the centre of a street with two directions if ``shift_m = lane_count * lane_width_m / 2``.
 
     Attributes
     ----------
     vertices_en_m : (M, 2) points at most 2 m apart; for a closed road the last repeats the first
-    tangent_rad : (M,) azimuths there, continuous (unwrapped)
-    arc_at_m : (M,) arc length, from 0
+    tangent_rad : (M,) azimuths of the line at the vertices, continuous (unwrapped)
+    arc_at_m : (M,) arc lengths of the vertices, from 0
     """
 
     vertices_en_m: Array
@@ -53,15 +53,16 @@ class Road:
         shift_m: float = 0.0,
         spacing_m: float = 1.0,
     ) -> Road:
-        """A road along a polyline (P, 2), its corners rounded by arcs that touch both sides.
+        """Build a road along a polyline (P, 2) whose corners are rounded by arcs tangent to both sides.
 
-        An arc's radius is at most ``corner_radius_m``, and smaller where a side is too short for it. For a finely
-        sampled curve pass ``corner_radius_m=np.inf``: then arcs meet half way along each side.
+        The radius of an arc is at most ``corner_radius_m``, and smaller where a side is too short. For a finely sampled
+        curve use ``corner_radius_m=np.inf``: the arcs then meet at the middle of each side.
 
         Raises
         ------
         InputError
-            Fewer than two points (three when closed), repeated points, a turn back on itself, or bad lane geometry.
+            There are fewer than two points (three if closed), points are repeated, the line turns back on itself, or
+            the lane geometry is invalid.
         """
         points = require_finite("points_en_m", points_en_m)
         require_shape("points_en_m", points, (None, 2))
@@ -69,7 +70,7 @@ class Road:
         if points.ndim != 2 or points.shape[0] < least:
             raise InputError(f"points_en_m must be (P, 2) with P >= {least}, got {points.shape}: add points")
         if lane_count < 1:
-            raise InputError(f"lane_count must be at least 1, got {lane_count}: a road has lanes")
+            raise InputError(f"lane_count must be at least 1, got {lane_count}: use 1 or more")
         require_in_range("lane_width_m", lane_width_m, 0.0, 100.0, low_open=True)
         require_in_range("shift_m", shift_m, -1e4, 1e4)
         require_in_range("spacing_m", spacing_m, 0.0, MAX_SPACING_M, low_open=True)
@@ -82,7 +83,7 @@ class Road:
     def straight(
         cls, length_m: float, heading_rad: float = 0.0, *, lane_count: int = 1, lane_width_m: float = 3.5
     ) -> Road:
-        """A straight road from the origin."""
+        """Build a straight road from the origin."""
         end = (length_m * np.sin(heading_rad), length_m * np.cos(heading_rad))
         return cls.through([(0.0, 0.0), end], lane_count=lane_count, lane_width_m=lane_width_m)
 
@@ -93,31 +94,34 @@ class Road:
 
     @property
     def edge_m(self) -> float:
-        """Half the width of the street: the farther edge of the lanes, taken on both sides of the reference line."""
+        """Distance from the reference line to the farther edge of the lanes; half the width of the street."""
         return abs(self.shift_m) + 0.5 * self.lane_count * self.lane_width_m
 
     def lane_lateral_m(self, lane: ArrayLike) -> Array:
-        """Lateral offset of lane centres, lanes clamped to those that exist.  (...,) -> (...,) [m]."""
+        """Lateral offset of lane centres; lanes are clamped to the existing ones.  (...,) -> (...,) [m]."""
         k = np.clip(np.asarray(lane), 0, self.lane_count - 1)
         return np.asarray(self.shift_m + (0.5 * (self.lane_count - 1) - k) * self.lane_width_m, dtype=np.float64)
 
     def lane_at(self, lateral_m: ArrayLike) -> NDArray[np.int64]:
-        """The nearest lane at a lateral offset.  (...,) [m] -> (...,)."""
+        """Index of the lane nearest to a lateral offset.  (...,) [m] -> (...,)."""
         k = 0.5 * (self.lane_count - 1) - (np.asarray(lateral_m) - self.shift_m) / self.lane_width_m
         return np.clip(np.rint(k), 0, self.lane_count - 1).astype(np.int64)
 
     def wrap_arc(self, arc_m: ArrayLike) -> Array:
-        """The arc within the road: modulo its length when closed, clamped to its ends when open."""
+        """Wrap arcs (...,) [m]: modulo the length of a closed road, clamped to the ends of an open road."""
         arc = np.asarray(arc_m, dtype=np.float64)
         return np.asarray(np.remainder(arc, self.length_m) if self.closed else np.clip(arc, 0.0, self.length_m))
 
     def pose_at(self, arc_m: ArrayLike, lateral_m: ArrayLike = 0.0) -> tuple[Array, Array]:
-        """Position and azimuth at an arc length and lateral offset.  (...,) -> (..., 2) [m], (...,) [rad].
+        """Position and azimuth at an arc length and lateral offset.  (...,) [m] -> (..., 2) [m], (...,) [rad].
 
-        Between vertices the line is a cubic with the vertices' tangents; an open road goes on straight past its ends.
+        Between vertices the line is a cubic with the tangents of the vertices. An open road continues straight beyond
+        its ends.
         """
-        asked, lateral = np.broadcast_arrays(np.asarray(arc_m, dtype=np.float64), np.asarray(lateral_m, dtype=float))
-        arc = self.wrap_arc(asked)
+        requested, lateral = np.broadcast_arrays(
+            np.asarray(arc_m, dtype=np.float64), np.asarray(lateral_m, dtype=float)
+        )
+        arc = self.wrap_arc(requested)
         k = np.clip(np.searchsorted(self.arc_at_m, arc, side="right") - 1, 0, self.arc_at_m.size - 2)
         ds = self.arc_at_m[k + 1] - self.arc_at_m[k]
         u = ((arc - self.arc_at_m[k]) / ds)[..., None]
@@ -129,13 +133,13 @@ class Road:
         p = p + u * (1.0 - u) * ((1.0 - u) * m0 - u * m1)
         s, c = np.sin(heading), np.cos(heading)
         if not self.closed:
-            p = p + (asked - arc)[..., None] * np.stack([s, c], -1)
+            p = p + (requested - arc)[..., None] * np.stack([s, c], -1)
         return p + lateral[..., None] * np.stack([c, -s], -1), heading
 
     def project(self, position_en_m: ArrayLike) -> tuple[Array, Array]:
         """Arc length and lateral offset of the nearest point of the line.  (..., 2) [m] -> (...,), (...,) [m].
 
-        Past the ends of an open road the arc lies outside [0, length].
+        Beyond the ends of an open road the arc lies outside [0, length].
         """
         p = require_finite("position_en_m", position_en_m)
         require_shape("position_en_m", p, (2,))
@@ -148,7 +152,7 @@ class Road:
             step = (d[..., 0] * s + d[..., 1] * c) / np.maximum(slope, 0.2)
             arc = arc + np.clip(step, -MAX_SPACING_M, MAX_SPACING_M)
         if not self.closed:
-            first, last = (self._beyond(p, end) for end in (0, -1))
+            first, last = (self._arc_beyond(p, end) for end in (0, -1))
             arc = np.where(first < 0.0, np.minimum(arc, first), arc)
             arc = np.where(last > self.length_m, np.maximum(arc, last), arc)
         foot, heading = self.pose_at(arc)
@@ -156,8 +160,8 @@ class Road:
         lateral = d[..., 0] * np.cos(heading) - d[..., 1] * np.sin(heading)
         return (self.wrap_arc(arc) if self.closed else arc), lateral
 
-    def _beyond(self, p: Array, end: int) -> Array:
-        """Arc of a point by the straight continuation of the road at one end; inside the road for all other points."""
+    def _arc_beyond(self, p: Array, end: int) -> Array:
+        """Arc on the straight continuation of the road at one end; points not nearest to this end get an inner arc."""
         t, near = self.tangent_rad[end], self.arc_at_m[self._tree.query(p)[1]]
         d = p - self.vertices_en_m[end]
         at_end = np.abs(near - self.arc_at_m[end]) < 1e-9
@@ -177,12 +181,12 @@ class Road:
 
 
 def _rounded(points: Array, radius_m: float, closed: bool, spacing_m: float) -> tuple[Array, Array, Array]:
-    """Vertices, continuous azimuths and arc lengths of the polyline with rounded corners, sampled evenly by piece."""
+    """Vertices, continuous azimuths and arc lengths of the polyline with rounded corners, each piece sampled evenly."""
     ring = points if not closed or not np.array_equal(points[0], points[-1]) else points[:-1]
     side = (np.roll(ring, -1, 0) - ring) if closed else np.diff(ring, axis=0)
     length = np.hypot(side[:, 0], side[:, 1])
     if (length <= 0.0).any():
-        raise InputError(f"points_en_m must not repeat, got point {int(np.argmin(length))} twice: drop it")
+        raise InputError(f"points_en_m must not repeat, got point {int(np.argmin(length))} twice: remove it")
     azimuth = np.arctan2(side[:, 0], side[:, 1])
     turn = np.zeros(ring.shape[0])
     inner = slice(0, None) if closed else slice(1, -1)
@@ -199,7 +203,7 @@ def _wrapped(angle: Array) -> Array:
 
 
 def _tangent_lengths(turn: Array, length: Array, radius_m: float, closed: bool) -> Array:
-    """How far before and after each point its arc begins and ends: ``r tan(turn / 2)``, at most half of a side."""
+    """Distance from each point to both ends of its arc: ``r tan(turn / 2)``, at most half of a side."""
     before = np.roll(length, 1) if closed else np.concatenate([[np.inf], length])
     after = length if closed else np.concatenate([length, [np.inf]])
     half = np.tan(0.5 * np.abs(turn))
@@ -210,7 +214,7 @@ def _tangent_lengths(turn: Array, length: Array, radius_m: float, closed: bool) 
 def _sample(
     ring: Array, azimuth: Array, length: Array, turn: Array, cut: Array, spacing_m: float
 ) -> tuple[Array, Array, Array]:
-    """Walk the sides and arcs in turn; each piece gets evenly spaced vertices with its exact azimuth and arc length."""
+    """Sample sides and arcs in order; each piece has evenly spaced vertices with exact azimuth and arc length."""
     count, sides = ring.shape[0], length.shape[0]
     position = ring[0] + cut[0] * np.array([np.sin(azimuth[0]), np.cos(azimuth[0])])
     heading, arc = azimuth[0], 0.0
@@ -218,7 +222,7 @@ def _sample(
     for k in range(sides):
         following = (k + 1) % count
         for piece, bend in ((length[k] - cut[k] - cut[following], 0.0), (None, turn[following])):
-            if piece is None:  # the arc at the next point; an open road has none at its ends
+            if piece is None:  # the arc at the next point; an open road has no arcs at its ends
                 half = np.tan(0.5 * abs(bend))
                 piece = abs(bend) * cut[following] / half if half > 0.0 and cut[following] > 0.0 else 0.0
             if piece <= 1e-9:

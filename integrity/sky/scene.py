@@ -1,4 +1,4 @@
-"""The obstacles around a street, as triangles that are solid or leaves."""
+"""The obstacles around a street, as triangles that are solid or foliage."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _UNNAMED: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
 
 
 class Surface(IntEnum):
-    """What a triangle does to a signal: a solid stops and reflects it, foliage attenuates it."""
+    """Effect of a triangle on a signal: a solid blocks and reflects it, foliage attenuates it."""
 
     SOLID = 0
     FOLIAGE = 1
@@ -36,9 +36,9 @@ class City:
 
     Attributes
     ----------
-    triangles_enu_m : (T, 3, 3), vertices by row
+    triangles_enu_m : (T, 3, 3) [m], vertices by row
     surface : (T,) uint8, values of :class:`Surface`
-    building : (T,) int64, which building on the ground a triangle belongs to, -1 for none (the default)
+    building : (T,) int64, number of the building that a triangle belongs to, -1 for none (the default)
     """
 
     triangles_enu_m: Array
@@ -61,39 +61,39 @@ class City:
 
     @classmethod
     def empty(cls) -> City:
-        """No obstacle at all."""
+        """A city without obstacles."""
         return cls(np.zeros((0, 3, 3)), np.zeros(0, dtype=np.uint8))
 
     @classmethod
     def of(cls, triangles_enu_m: ArrayLike, surface: Surface = Surface.SOLID) -> City:
-        """Triangles (T, 3, 3) that are all of one kind."""
+        """A city of triangles (T, 3, 3) [m] with the same surface."""
         triangles = np.asarray(triangles_enu_m, dtype=np.float64)
         return cls(triangles, np.full(triangles.shape[0], int(surface), dtype=np.uint8))
 
     @classmethod
     def of_buildings(cls, footprint_en_m: ArrayLike, height_m: ArrayLike) -> City:
-        """Upright buildings on four-cornered footprints (n, 4, 2), heights (n,), told apart."""
+        """A city of vertical, numbered buildings on four-cornered footprints (n, 4, 2) [m] with heights (n,) [m]."""
         walls = prisms(footprint_en_m, 0.0, height_m)
         each = len(_SIDES) + len(_ENDS[:2])
         return cls(walls, np.zeros(len(walls), dtype=np.uint8), np.arange(len(walls)) // each)
 
     def __add__(self, other: City) -> City:
-        """The obstacles of both; the other's buildings are counted on."""
-        theirs = np.where(other.building < 0, -1, other.building + self.buildings)
+        """The obstacles of both cities; the building numbers of ``other`` continue those of this city."""
+        renumbered = np.where(other.building < 0, -1, other.building + self.buildings)
         return City(
             np.concatenate([self.triangles_enu_m, other.triangles_enu_m]),
             np.concatenate([self.surface, other.surface]),
-            np.concatenate([self.building, theirs]),
+            np.concatenate([self.building, renumbered]),
         )
 
     @property
     def buildings(self) -> int:
-        """How many buildings are told apart."""
+        """Number of numbered buildings."""
         return int(self.building.max(initial=-1)) + 1
 
     @property
     def foliage(self) -> NDArray[np.bool_]:
-        """Which triangles are leaves, (T,)."""
+        """Whether each triangle is foliage, (T,)."""
         return np.asarray(self.surface == Surface.FOLIAGE)
 
     @cached_property
@@ -103,10 +103,10 @@ class City:
 
 
 def prisms(footprint_en_m: ArrayLike, bottom_m: ArrayLike, top_m: ArrayLike, *, floor: bool = False) -> Array:
-    """Upright prisms on four-cornered footprints.
+    """Build vertical prisms on four-cornered footprints.
 
-    footprint_en_m (n, 4, 2) corners in order, bottom_m and top_m (n,) -> (n k, 3, 3) triangles: four walls and a roof
-    (k = 10), and the underside with ``floor`` (k = 12).
+    footprint_en_m (n, 4, 2) corners in order, bottom_m and top_m (n,) -> (n k, 3, 3) triangles [m]: four walls and a
+    roof (k = 10), and with ``floor`` the underside (k = 12).
     """
     foot = np.asarray(footprint_en_m, dtype=np.float64).reshape(-1, 4, 2)
     n = foot.shape[0]

@@ -1,8 +1,8 @@
-"""The city as a map has it: heights and facades that are a little off, and no trees.
+"""The city as represented in a map: heights and facades with errors, without trees.
 
-S2 predicted satellites by a model whose heights, from aerial photographs, are good to 2-3 m; the numbers differed from
-those observed by two on average, within five. That model had vegetation too. Most maps have buildings only, and where
-crowns hang over a road changes from year to year.
+S2 predicted satellites with a model whose heights, from aerial photographs, have errors of 2-3 m. The predicted numbers
+differed from the observed ones by two on average and by at most five. That model included vegetation. Most maps contain
+only buildings, and the crowns above a road change from year to year.
 """
 
 from __future__ import annotations
@@ -18,33 +18,33 @@ LEAST_HEIGHT_M = 1.0
 
 
 class MapConfig(Config):
-    """How well a map knows what stands beside the road; bridges and tunnels are as they are."""
+    """Errors of a map of the buildings beside the road; bridges and tunnels have no errors."""
 
     height_sigma_m: float = Field(
-        2.5, ge=0, le=20, description="error of a building's height, 1 sigma [m]; S2 section 5: good to 2-3 m"
+        2.5, ge=0, le=20, description="error of a building's height, 1 sigma [m]; S2 section 5: 2-3 m"
     )
     position_sigma_m: float = Field(
         0.7,
         ge=0,
         le=1.5,
-        description="error of its place on each axis, 1 sigma [m]; maps at 1:1000, Japan's rules for public surveys",
+        description="error of its position on each axis, 1 sigma [m]; maps at 1:1000, Japan's rules for public surveys",
     )
-    trees: bool = Field(False, description="the map has trees, each where it stands; argued: maps of buildings do not")
+    trees: bool = Field(False, description="the map has trees, without errors; argued: maps of buildings have none")
 
 
 def as_mapped(city: City, config: MapConfig, rng: np.random.Generator) -> City:
-    """The city as a map has it: each building higher or lower, and moved, by errors of its own.
+    """Build the mapped city: independent random errors of height and position for each building.
 
-    Draws three normals for each building, whatever the configuration. What a city does not tell apart as buildings
-    stays as it is.
+    Three normals are drawn for each building, with every configuration. Triangles without a building number do not
+    change.
     """
     z = rng.standard_normal((city.buildings, 3))
-    triangles, ours = city.triangles_enu_m.copy(), city.building >= 0
-    which = city.building[ours]
+    triangles, numbered = city.triangles_enu_m.copy(), city.building >= 0
+    which = city.building[numbered]
     height = np.zeros(city.buildings)
-    np.maximum.at(height, which, triangles[ours, :, 2].max(1))
+    np.maximum.at(height, which, triangles[numbered, :, 2].max(1))
     mapped = np.maximum(height + config.height_sigma_m * z[:, 0], LEAST_HEIGHT_M)
-    triangles[ours, :, 2] *= (mapped / np.where(height > 0.0, height, 1.0))[which, None]
-    triangles[ours, :, :2] += config.position_sigma_m * z[which, None, 1:]
+    triangles[numbered, :, 2] *= (mapped / np.where(height > 0.0, height, 1.0))[which, None]
+    triangles[numbered, :, :2] += config.position_sigma_m * z[which, None, 1:]
     kept = slice(None) if config.trees else ~city.foliage
     return City(triangles[kept], city.surface[kept], city.building[kept])

@@ -1,4 +1,4 @@
-"""Satellite systems and their carriers."""
+"""Satellite systems and their carrier frequencies."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ CARRIER_HZ: NDArray[np.float64] = 1e6 * np.array(
 """Carrier frequencies [Hz], (N_SYSTEMS, N_BANDS): band 0 = L1/E1/B1I, 1 = L2/E5b/B2I, 2 = L5/E5a/B2a."""
 
 WAVELENGTH_M: NDArray[np.float64] = SPEED_OF_LIGHT_MPS / CARRIER_HZ
-"""Carrier wavelengths [m], (N_SYSTEMS, N_BANDS). GLONASS at its nominal centre frequencies (channel 0)."""
+"""Carrier wavelengths [m], (N_SYSTEMS, N_BANDS); GLONASS at its nominal centre frequencies (channel 0)."""
 
 FIXABLE: NDArray[np.bool_] = np.array([True, True, False, True, True])
-"""Whether ambiguities of a system are integers after differencing, (N_SYSTEMS,). GLONASS FDMA ones are not."""
+"""Whether double-differenced ambiguities of a system are integers, (N_SYSTEMS,); those of GLONASS FDMA are not."""
 
 for _table in (CARRIER_HZ, WAVELENGTH_M, FIXABLE):
     _table.setflags(write=False)

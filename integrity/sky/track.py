@@ -1,4 +1,4 @@
-"""The sky over a whole drive: computed at knots once, interpolated at every epoch."""
+"""Satellite vectors over a whole drive: computed once at knots, interpolated at every epoch."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SkyTrack:
-    """Relative vectors and rates at equally spaced knots; cubic Hermite in between.
+    """Relative vectors and rates at equally spaced knots, with cubic Hermite interpolation between the knots.
 
-    With knots 20 s apart the interpolated range is good to 1e-5 m.
+    With knots 20 s apart the error of the interpolated range is 1e-5 m.
 
     Attributes
     ----------
@@ -48,14 +48,14 @@ class SkyTrack:
         mask_rad: float = 0.0,
         step_s: float = 20.0,
     ) -> SkyTrack:
-        """The sky at one place (lat [rad], lon [rad], height [m]) from ``start_s`` for ``duration_s``.
+        """Compute the track at one place (lat [rad], lon [rad], height [m]) from ``start_s`` for ``duration_s``.
 
-        Satellites that never rise above the mask in that time are left out, so that S stays small.
+        Satellites that never rise above the mask in this time are left out, which reduces S.
 
         Raises
         ------
         InputError
-            A duration or step that is not positive, or no satellite above the mask.
+            Duration or step is not positive, or no satellite is above the mask.
         """
         require_in_range("duration_s", duration_s, 0.0, np.inf, low_open=True)
         require_in_range("step_s", step_s, 0.0, 120.0, low_open=True)
@@ -70,7 +70,7 @@ class SkyTrack:
 
     @classmethod
     def from_config(cls, config: SkyConfig, duration_s: float, step_s: float = 20.0) -> SkyTrack:
-        """The nominal sky of a configuration, from its start for ``duration_s``."""
+        """Compute the track of the nominal satellites of a configuration, from its start time for ``duration_s``."""
         return cls.build(config.satellites(), config.start_gps_s, duration_s, config.place_rad, config.mask_rad, step_s)
 
     @property
@@ -79,12 +79,12 @@ class SkyTrack:
         return self.start_s + self.step_s * float(self.offset_enu_m.shape[0] - 1)
 
     def at(self, gps_time_s: float, index: ArrayLike = 0) -> SkyView:
-        """The sky at one instant (K = 1); ``index`` is zeros (B,), one for each vehicle.
+        """Interpolate the view at one time (K = 1); ``index`` is an array of zeros (B,), one for each vehicle.
 
         Raises
         ------
         InputError
-            A time outside the track.
+            The time is outside the track.
         """
         place = (gps_time_s - self.start_s) / self.step_s
         last = self.offset_enu_m.shape[0] - 2

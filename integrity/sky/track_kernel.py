@@ -1,4 +1,4 @@
-"""Numba kernel: the sky between two knots of a track."""
+"""Numba kernel that interpolates the sky between two knots of a track."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ TWO_PI = 2.0 * math.pi
 
 @jit
 def sky_at(offset, rate, k, step, u, mask):  # type: ignore[no-untyped-def]
-    """Cubic Hermite interpolation of S relative vectors, and what follows from it.
+    """Cubic Hermite interpolation of S relative vectors, and the angles and ranges derived from it.
 
-    offset (N, S, 3) [m] and rate (N, S, 3) [m/s] at the knots; k the knot before and u in [0, 1] the place after it;
-    step [s] between knots; mask [rad]. Returns los (1, S, 3), (4, 1, S) elevation, azimuth, range and range rate,
-    above (1, S).
+    offset (N, S, 3) [m] and rate (N, S, 3) [m/s] at the knots; k index of the knot before the epoch; u in [0, 1] time
+    since that knot over ``step`` [s]; mask [rad]. Returns los (1, S, 3), (4, 1, S) elevation [rad], azimuth [rad],
+    range [m] and range rate [m/s], above (1, S).
     """
     s_count = offset.shape[1]
     los = np.empty((1, s_count, 3))

@@ -1,4 +1,4 @@
-"""The sky seen from one street: what every vehicle of that street shares."""
+"""Satellite directions and ranges from one street, shared by all vehicles of the street."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ Array = NDArray[np.float64]
 class SkyView:
     """Directions and ranges of S satellites at K epochs (or places), shared by B vehicles.
 
-    The line of sight is taken at the street's origin: the wave is plane over a street, and the direction is wrong by
-    baseline over range, 5e-5 rad per km.
+    The line of sight is computed at the origin of the street: the wavefront is assumed plane over a street. The error
+    of the direction is baseline over range, 5e-5 rad per km.
 
     Attributes
     ----------
     los_enu : (K, S, 3) unit vectors from receiver to satellite
     elevation_rad, azimuth_rad : (K, S), azimuth clockwise from North in [0, 2 pi)
     range_m : (K, S) geometric range
-    range_rate_mps : (K, S) the satellite's part of the range rate, positive when the range grows
+    range_rate_mps : (K, S) range rate due to the motion of the satellite, positive if the range increases
     above : (K, S) whether the elevation is above the mask angle
     system, prn : (S,)
     index : (B,) the row k that each vehicle uses
@@ -58,5 +58,5 @@ class SkyView:
         return SatelliteRows(self.los_enu, self.elevation_rad, self.azimuth_rad, self.above, self.system, self.index)
 
     def for_vehicles(self, index: ArrayLike) -> SkyView:
-        """The same sky for other vehicles: ``index`` (B,) names the row k of each."""
+        """The same view for other vehicles: ``index`` (B,) is the row k of each vehicle."""
         return replace(self, index=np.atleast_1d(np.asarray(index, dtype=np.int64)))

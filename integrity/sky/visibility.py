@@ -1,7 +1,8 @@
-"""What stands between a lane and the satellites: line of sight, foliage, a reflection, or nothing at all.
+"""Signal reception in a street: line of sight, foliage, reflection or blockage of each satellite.
 
-A street does not move, so what a vehicle can receive depends on where it is and on the direction alone. The mask holds
-that for stations along the road, lanes and cells of the sky; a look-up costs a few nanoseconds a satellite.
+The obstacles are static: reception depends only on the position of the vehicle and the direction of the satellite. A
+sky mask contains the reception for stations along the road, lanes and cells of the sky. A look-up costs a few
+nanoseconds for each satellite.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ Array = NDArray[np.float64]
 
 
 class Path(IntEnum):
-    """How a satellite's signal reaches the antenna."""
+    """Propagation path of a satellite signal to the antenna."""
 
     LOS = 0
     FOLIAGE = 1
@@ -41,13 +42,13 @@ class Path(IntEnum):
 
 @dataclass(frozen=True)
 class Reception:
-    """How S signals reach B antennas.
+    """Reception of S signals by B antennas.
 
     Attributes
     ----------
     path : (B, S) uint8, values of :class:`Path`
-    excess_m : (B, S) extra path of the strongest one-bounce reflection, 0 for none. A LOS satellite with an excess
-        has multipath; a REFLECTED one is received only by way of that detour.
+    excess_m : (B, S) excess path of the strongest one-bounce reflection, 0 for none. A LOS signal with an excess has
+        multipath; a REFLECTED signal is received only by this reflection.
     """
 
     path: NDArray[np.uint8]
@@ -69,8 +70,8 @@ class SkyMask:
     path : (N, L, A E) uint8, values of :class:`Path`; cell ``a E + e`` for azimuth bin a and elevation bin e
     excess_m : (N, L, A E) float32, shortest one-bounce excess, 0 for none
     azimuths, elevations : numbers of bins A over 2 pi and E over pi / 2
-    spacing_m, length_m, closed : stations along the road
-    digest : names the inputs, see :meth:`digest_of`
+    spacing_m, length_m, closed : distance between stations, length of the road, whether the road is closed
+    digest : digest of the inputs, see :meth:`digest_of`
     """
 
     path: NDArray[np.uint8]
@@ -84,7 +85,7 @@ class SkyMask:
 
     @classmethod
     def open(cls) -> SkyMask:
-        """A sky without obstacles, for any road."""
+        """The mask of a sky without obstacles, for any road."""
         return cls(np.zeros((1, 1, 1), dtype=np.uint8), np.zeros((1, 1, 1), dtype=np.float32), 1, 1, 1.0, 1.0, True)
 
     @classmethod
@@ -100,26 +101,27 @@ class SkyMask:
     ) -> SkyMask:
         """Cast rays to the centre of every cell from every station and lane (S2 section 3).
 
-        Reflections: mirror the direction d of a blocked ray at the first solid face, ``d' = d - 2 (d.n) n``; when d'
-        leaves freely, satellites in the cell of d' arrive with the excess ``t (1 - d.d')``, t the distance to the face.
+        Reflections: the direction d of a blocked ray is mirrored at the first solid face, ``d' = d - 2 (d.n) n``. If
+        the ray along d' is free, signals from the cell of d' arrive with the excess ``t (1 - d.d')``, t the distance to
+        the face.
 
         Parameters
         ----------
-        lanes : lanes from the right, all of the road's by default
-        antenna_height_m : above the road, which lies at height 0
-        az_step_deg, el_step_deg : size of a cell; whole numbers of them make 360 and 90 degrees
+        lanes : number of lanes from the right, by default all lanes of the road
+        antenna_height_m : height above the road, which lies at height 0
+        az_step_deg, el_step_deg : size of a cell; must divide 360 and 90 degrees
 
         Raises
         ------
         InputError
-            A step that does not divide, a spacing or height out of range.
+            A step does not divide 360 or 90 degrees, or a spacing or height is out of range.
         """
         require_in_range("station_spacing_m", station_spacing_m, 0.0, 1e4, low_open=True)
         require_in_range("antenna_height_m", antenna_height_m, 0.0, 50.0)
         azimuths, elevations = cells_of(az_step_deg, el_step_deg)
         lane_count = road.lane_count if lanes is None else lanes
         if not 1 <= lane_count <= road.lane_count:
-            raise InputError(f"lanes must lie in [1, {road.lane_count}], got {lanes}: the road has no more")
+            raise InputError(f"lanes must lie in [1, {road.lane_count}], got {lanes}: use the lanes of the road")
         count = max(1, int(np.ceil(road.length_m / station_spacing_m)))
         spacing = road.length_m / count
         arc = spacing * np.arange(count if road.closed else count + 1, dtype=np.float64)
@@ -148,15 +150,16 @@ class SkyMask:
         el_step_deg: float = 3.0,
         digest: str = "",
     ) -> SkyMask:
-        """The mask of any stations, antennas (N, L, 3) ENU [m] over L lanes each.
+        """Compute the mask of given stations, antennas (N, L, 3) ENU [m] above the L lanes of each station.
 
-        Station n answers for the arc ``n spacing_m``. Cells and reflections are those of :meth:`build`. Antennas given
-        twice are cast once: where a station has fewer lanes than L, repeat one.
+        Station n lies at the arc ``n spacing_m``. Cells and reflections are those of :meth:`build`. Repeated antennas
+        are computed once: if a station has fewer lanes than L, repeat one of them.
 
         Raises
         ------
         InputError
-            Antennas that are not finite or of another shape, a step that does not divide, a spacing out of range.
+            Antennas are not finite or have another shape, a step does not divide 360 or 90 degrees, or the spacing is
+            out of range.
         """
         each, rows = distinct_antennas(antenna_enu_m)
         require_in_range("spacing_m", spacing_m, 0.0, 1e4, low_open=True)
@@ -175,7 +178,7 @@ class SkyMask:
         az_step_deg: float = 3.0,
         el_step_deg: float = 3.0,
     ) -> str:
-        """A name for the inputs of :meth:`build`: equal inputs, equal name. For file names of saved masks."""
+        """Digest of the inputs of :meth:`build`, for file names of saved masks; equal inputs give equal digests."""
         h = hashlib.blake2b(digest_size=16)
         for array in (road.vertices_en_m, road.tangent_rad, city.triangles_enu_m, city.surface):
             h.update(np.ascontiguousarray(array).tobytes())
@@ -186,15 +189,15 @@ class SkyMask:
         return h.hexdigest()
 
     def look(self, arc_m: ArrayLike, lane: ArrayLike, sky: SkyView) -> Reception:
-        """Reception of vehicles at ``arc_m`` (B,) in ``lane`` (B,), for the B rows of ``sky.index``.
+        """Look up the reception of vehicles at ``arc_m`` (B,) in ``lane`` (B,), for the B rows of ``sky.index``.
 
-        The nearest station answers; lanes that do not exist are clamped; a closed road wraps. Satellites below the
-        horizon are BLOCKED; the mask angle is left to the caller.
+        The nearest station is used; lanes are clamped to the existing ones; the arc of a closed road wraps. Satellites
+        below the horizon are BLOCKED. The mask angle is not applied.
 
         Raises
         ------
         InputError
-            An arc that is not finite, shapes that do not agree, or an index without a row.
+            An arc is not finite, shapes do not agree, or an index has no row.
         """
         arc = np.asarray(arc_m, dtype=np.float64)
         if not np.isfinite(arc).all():
@@ -240,12 +243,12 @@ class SkyMask:
 
     @classmethod
     def load(cls, path: str | FilePath, digest: str | None = None) -> SkyMask:
-        """Read a mask; with ``digest`` only when it was built from those inputs.
+        """Read a mask from an ``.npz`` file; a given ``digest`` must agree with that of the file.
 
         Raises
         ------
         InputError
-            The file cannot be read, holds no mask, or one of other inputs.
+            The file cannot be read, contains no mask, or its digest differs.
         """
         try:
             with FilePath(path).open("rb") as file, np.load(file, allow_pickle=False) as data:
@@ -264,15 +267,15 @@ class SkyMask:
 
 
 def line_of_sight(city: City, antenna_enu_m: ArrayLike, los_enu: ArrayLike) -> NDArray[np.bool_]:
-    """Whether nothing solid stands between antennas and directions, triangle by triangle (S2 eq 1-2).
+    """Whether no solid triangle blocks the directions from the antennas (S2 eq 1-2).
 
-    antenna_enu_m (P, 3) [m]; los_enu (S, 3) for all of them or (P, S, 3) -> (P, S). Directions below the horizon count
-    as blocked by the ground.
+    antenna_enu_m (P, 3) [m]; los_enu (S, 3) for all antennas or (P, S, 3) -> (P, S). Directions below the horizon are
+    blocked by the ground.
 
     Raises
     ------
     InputError
-        Entries that are not finite, or wrong shapes.
+        An entry is not finite, or a shape is wrong.
     """
     antenna = np.atleast_2d(require_finite("antenna_enu_m", antenna_enu_m))
     los = require_finite("los_enu", los_enu)
@@ -284,12 +287,12 @@ def line_of_sight(city: City, antenna_enu_m: ArrayLike, los_enu: ArrayLike) -> N
 
 
 def distinct_antennas(antenna_enu_m: ArrayLike) -> tuple[Array, NDArray[np.int64]]:
-    """Antennas without repetition (P, 3), and which of them stands where (N, L), from all of them (N, L, 3) [m].
+    """Find the distinct antennas (P, 3) among antennas (N, L, 3) [m], and the index (N, L) of each antenna in them.
 
     Raises
     ------
     InputError
-        Entries that are not finite, another shape, or none at all.
+        An entry is not finite, the shape is wrong, or there are no antennas.
     """
     antenna = require_finite("antenna_enu_m", antenna_enu_m)
     require_shape("antenna_enu_m", antenna, (None, None, 3))
@@ -300,12 +303,12 @@ def distinct_antennas(antenna_enu_m: ArrayLike) -> tuple[Array, NDArray[np.int64
 
 
 def cells_of(az_step_deg: float, el_step_deg: float) -> tuple[int, int]:
-    """Numbers of cells of these sizes over 360 and 90 degrees.
+    """Numbers of cells over 360 degrees of azimuth and 90 degrees of elevation.
 
     Raises
     ------
     InputError
-        A step that does not divide.
+        A step does not divide its range.
     """
     return _bins("az_step_deg", az_step_deg, 360.0), _bins("el_step_deg", el_step_deg, 90.0)
 
@@ -319,7 +322,7 @@ def _bins(name: str, step_deg: float, whole_deg: float) -> int:
 
 
 def cell_centres(azimuths: int, elevations: int) -> Array:
-    """Unit vectors ENU to the cell centres, (A E, 3)."""
+    """Unit vectors ENU towards the cell centres, (A E, 3)."""
     az = 2.0 * np.pi * (np.arange(azimuths) + 0.5) / azimuths
     el = 0.5 * np.pi * (np.arange(elevations) + 0.5) / elevations
     c, s = np.cos(el), np.sin(el)
@@ -329,7 +332,7 @@ def cell_centres(azimuths: int, elevations: int) -> Array:
 
 
 def _cast(city: City, antenna: Array, azimuths: int, elevations: int) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Paths and excesses (P, A E) of antennas (P, 3)."""
+    """Compute paths and excesses (P, A E) of antennas (P, 3)."""
     path = np.empty((antenna.shape[0], azimuths * elevations), dtype=np.uint8)
     excess = np.empty(path.shape, dtype=np.float32)
     cells = cell_centres(azimuths, elevations)
@@ -338,7 +341,7 @@ def _cast(city: City, antenna: Array, azimuths: int, elevations: int) -> tuple[N
 
 
 def _antennas(road: Road, arc_m: Array, lanes: int, height_m: float) -> Array:
-    """Antenna positions (N, L, 3)."""
+    """Antenna positions (N, L, 3) [m] at arcs (N,) above L lanes."""
     lateral = road.lane_lateral_m(np.arange(lanes))
     en, _ = road.pose_at(arc_m[:, None], lateral[None, :])
     return np.concatenate([en, np.full((*en.shape[:2], 1), height_m)], -1)

@@ -18,7 +18,8 @@ from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_
 from lanebound.integrity.positioning.ambiguity import integer_least_squares
 from lanebound.integrity.positioning.least_squares import design_matrix
 from lanebound.integrity.replay.baseline_report import read_coordinates, read_solution, run_baseline
-from lanebound.integrity.sky.broadcast import positions, read_navigation, turned_by_travel
+from lanebound.integrity.sky.broadcast import positions, read_navigation
+from lanebound.integrity.sky.orbit import EARTH_RATE_RADPS, rotated_with_earth
 from lanebound.integrity.sky.rinex_navigation import QZSS_PRN_BEFORE
 from lanebound.integrity.sky.systems import System
 from plain_least_squares import dilution
@@ -58,7 +59,7 @@ def sights(place: np.ndarray, time_s: float) -> dict[str, np.ndarray]:
     table = read_navigation(real("rtk_matrtklib_1m_static_30s") / "base.nav")
     states = positions(table, np.array([time_s]), TRAVEL_S)
     axes = ecef_from_enu_matrix(*geodetic_from_ecef(place)[:2])
-    there = turned_by_travel(states.position_ecef_m[0], np.full(len(states.satellite), TRAVEL_S))
+    there = rotated_with_earth(states.position_ecef_m[0], np.full(len(states.satellite), EARTH_RATE_RADPS * TRAVEL_S))
     sight = (there - place) @ axes
     sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
     letters = {system: letter for letter, system in LETTERS.items()}

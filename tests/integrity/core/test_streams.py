@@ -67,7 +67,7 @@ def test_a_stream_is_drawn_from_in_one_way():
     with pytest.raises(InputError, match="stream 'scene' must be drawn from in one way"):
         streams.normal("scene")
     streams.normal("imu")
-    with pytest.raises(InputError, match="name another stream"):
+    with pytest.raises(InputError, match="use another stream"):
         streams.generator("imu")
 
 

@@ -191,7 +191,9 @@ def test_streams_of_another_batch_and_other_things_are_refused_before_anything_m
     car, streams = CityDrive(BLOCK, FREE, DT), Streams(1, 3)
     state = car.start(streams, 100.0)
     before = state.copy()
-    with pytest.raises(InputError, match=r"streams must be for the 3 vehicles of state, got streams for 5: pass those"):
+    with pytest.raises(
+        InputError, match=r"streams must be for the 3 vehicles of state, got streams for 5: pass the streams"
+    ):
         car.step(state, Streams(1, 5))
     for call in (lambda: car.step(state, 7), lambda: car.start([1, 2])):  # type: ignore[arg-type]
         with pytest.raises(InputError, match=r"streams must be of class Streams, got (int|list): pass "):

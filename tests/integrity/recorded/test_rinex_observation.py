@@ -133,7 +133,7 @@ def test_a_cut_file_gives_whole_epochs(tmp_path: Path) -> None:
         ("2024 06 24 08 20  0", "2024 13 24 08 20  0", "must lie in"),
         ("20000000.000", "2000000x.000", "C1C of G05 must be a number"),
         ("G05", "X05", "must be of a system"),
-        ("20  1.0", "20  0.0", "must follow each other"),
+        ("20  1.0", "20  0.0", "must increase in time"),
     ],
 )
 def test_damage_is_named(tmp_path: Path, old: str, new: str, message: str) -> None:

@@ -66,7 +66,7 @@ def test_towards_the_zenith_azimuth_says_less_than_at_the_horizon(tmp_path: File
         ("G02,2.50,90.00", "G02,2.50,east", "line 5, azimuth_deg must be a number, got 'east'"),
         ("satellite,arc_m", "satellite,arc", "line 2, the head must be"),
         ("length_m=20.00", "length_m=2.00", "at least its largest arc_m 12.5, got 2"),
-        ("# length_m=20.00\n", "", "must say '# length_m=' of the drive"),
+        ("# length_m=20.00\n", "", "must give '# length_m=' of the drive"),
         ("G01,2.50", ",2.50", "satellite must have 1 to 8 letters"),
         (",46.0", "", "must have 7 columns, got 6"),
     ],

@@ -70,7 +70,7 @@ def test_the_sawtooth_falls_back_to_the_fix() -> None:
 def test_too_short_a_segment_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="must last 35 s"):
         motion_of(read_comma(comma_folder(tmp_path)), OutageConfig())
-    with pytest.raises(InputError, match="it stands"):
+    with pytest.raises(InputError, match="is at rest"):
         calibrate(straight(0.0), 15.0)
 
 

@@ -85,7 +85,7 @@ def test_unhealthy_satellites_are_left_out_on_request() -> None:
     [
         ("", "none: is it a YUMA file"),
         ("hello: 3\n", "line 1 .*header"),
-        (block("PRN-02").rsplit("Mean Anom", 1)[0], r"end of text \(0 satellites read\).*'mean anom'.*cut short"),
+        (block("PRN-02").rsplit("Mean Anom", 1)[0], r"end of text \(0 satellites read\).*'mean anom'.*truncated"),
         (block().rsplit("week", 1)[0] + block("PRN-02"), r"line 14 \(0 satellites read\).*'week' is missing"),
         (block(ID="x"), "line 2 .*'id' must be a number, got 'x'"),
         (block(Eccentricity="1.5"), r"line 4 .*'eccentricity' must lie in \[0, 0.9\], got 1.5"),

@@ -11,7 +11,8 @@ from broadcast_cases import CASES, MESSAGES, NAMES
 from navigation_texts import GPS_RECORD, HEADER, record
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.sky.broadcast import parse_navigation, positions, read_navigation, turned_by_travel
+from lanebound.integrity.sky.broadcast import parse_navigation, positions, read_navigation
+from lanebound.integrity.sky.orbit import EARTH_RATE_RADPS, rotated_with_earth
 from lanebound.integrity.sky.systems import System
 
 WEEK_START = {"G": 2111 * 604_800.0, "E": 2111 * 604_800.0, "C": 2111 * 604_800.0 + 14.0}
@@ -127,7 +128,7 @@ def test_times_of_a_wrong_shape_are_refused(times: tuple[np.ndarray, object]) ->
 
 
 def test_the_earth_turns_while_a_signal_travels() -> None:
-    turned = turned_by_travel(np.array([2.6e7, 0.0, 1.0]), 0.086)
+    turned = rotated_with_earth(np.array([2.6e7, 0.0, 1.0]), EARTH_RATE_RADPS * 0.086)
     # 7.292e-5 rad/s for 86 ms at 26,000 km: 163 m towards the west
     np.testing.assert_allclose(turned, [2.6e7, -163.05, 1.0], atol=0.1)
 
