@@ -88,7 +88,9 @@ def rtk(
         for name, text in (("base_ecef_m", base_position), ("rover_ecef_m", rover_position))
     }
     found, written = _solve(
-        out, "RTK solution", lambda report: run_baseline(rover, base, nav, out, config=config, told=report, **places)
+        out,
+        "RTK solution",
+        lambda report: run_baseline(rover, base, nav, out, config=config, progress=report, **places),
     )
     if as_json:
         print_json(found)

@@ -121,7 +121,7 @@ class CorrectionsState:
 
 
 @dataclass(frozen=True)
-class _Law:
+class _OutageModel:
     """Outages in epochs: the kernel's figures, lengths by quantile, and how likely one is found at the start."""
 
     rules: Records
@@ -142,7 +142,7 @@ def _outage_model(config: CorrectionsConfig, dt_s: float) -> _OutageModel:
     own = (rate - network) / ((1.0 + network * mean) * kappa)
     odds = own * mean * kappa
     lasts = float((-np.expm1(-network * dt_s * length)).mean()) / (network * mean) if network > 0.0 else 1.0
-    return _Law(
+    return _OutageModel(
         rules=one_record(
             kernel.LINK_RULES,
             dt=dt_s,
@@ -269,4 +269,4 @@ def step(
 
 def link_parameters(config: CorrectionsConfig, dt_s: float) -> Records:
     """The figures of the link as the kernel takes them, (1,) of LINK_RULES."""
-    return _law(config, dt_s).rules
+    return _outage_model(config, dt_s).rules

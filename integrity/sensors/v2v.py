@@ -135,7 +135,7 @@ def initial_v2v(config: V2vConfig, batch: int, dt_s: float, receivers: int | Non
     )
 
 
-def _unheard(*shape: int) -> Records:
+def _no_messages(*shape: int) -> Records:
     held = np.zeros(shape, MESSAGE)
     held["pl_at"] = held["pl_ct"] = np.inf
     held["time"] = -np.inf
