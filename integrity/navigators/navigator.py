@@ -315,8 +315,8 @@ class Navigator:
     ) -> None:
         """Give the vehicles of ``rows`` (all by default) a prior position and heading, as from a drive before.
 
-        position_en_m (n, 2), heading_rad (n,) azimuths; 1-sigma on each horizontal axis and of the heading. Everything
-        else that lasts of these vehicles begins anew: a slot can so be handed to another vehicle.
+        position_en_m (n, 2), heading_rad (n,) azimuths; 1-sigma on each horizontal axis and of the heading. The
+        errors since the last position begin anew; what describes sensors (gyro bias), and the alert, may stay.
 
         Raises
         ------

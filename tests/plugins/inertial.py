@@ -1,4 +1,7 @@
-"""Positioning mode ``inertial``: for some seconds after Doppler, speed by the accelerometer and not by the wheels."""
+"""Positioning mode ``inertial``: for some seconds after Doppler, speed by the accelerometer and not by the wheels.
+
+An example: 5 sigma for all risks, and no bound for a satellite fault in the last Doppler velocity.
+"""
 
 import math
 from typing import Any
@@ -38,7 +41,9 @@ def advance(first: int, last: int, epoch: Any, own: Any) -> None:
         s, c, b_theta = math.sin(w.middle), math.cos(w.middle), heading_bias(vehicle, par.odometer)
         move(vehicle, par.dt * speed * s, par.dt * speed * c)
         for k in range(growth.shape[0]):
-            step_odometer(w.step, speed, s, c, 0.0, bias, b_theta, growth[k])
+            step_odometer(w.step, speed, s, c, 0.0, 0.0, b_theta, growth[k])
+            growth[k].box_e += par.dt * abs(s) * bias  # of either sign: a later turn does not cancel it
+            growth[k].box_n += par.dt * abs(c) * bias
 
 
 INERTIAL = register_mode("inertial", "inertial", advance, one_record(STATE, speed=0.0, bound=0.0, age=math.inf))

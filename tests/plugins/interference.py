@@ -1,4 +1,7 @@
-"""Monitor ``interference``: satellites far too strong are excluded; a loss of C/N0 raises levels and alerts."""
+"""Monitor ``interference``: satellites far too strong are excluded; a loss of C/N0 raises levels and alerts.
+
+An example: jamming that begins before the drive, grows slowly or removes all signals is not detected.
+"""
 
 from typing import Any
 

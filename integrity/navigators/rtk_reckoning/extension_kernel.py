@@ -47,15 +47,19 @@ def refuse_fix(w: Any) -> None:
 
 @jit(borrows=True)
 def raise_alert(w: Any, code: int) -> None:
-    """The alert is on in this epoch, whatever the levels are, with a code of AlertReason."""
-    w.cause = code
+    """Ask for an alert in this epoch, whatever the levels are, with a code of AlertReason; the first code stays.
+
+    The alert follows ``alert.raise_after_s`` as any other.
+    """
+    if w.cause == NONE:
+        w.cause = code
 
 
 @jit(borrows=True)
 def raise_level(epoch: Epoch, v: int, case: int, axis: int, level: float) -> None:
     """Raise the protection level of vehicle v, of one case along (0) or across track (1), to ``level`` [m] at least.
 
-    A NaN counts as no level, ``inf`` (Point.BOUNDED).
+    A NaN counts as no level, ``inf``. Only at Point.BOUNDED: earlier stages come before the levels are computed.
     """
     if not level <= epoch.out.levels[v, case, axis]:
         epoch.out.levels[v, case, axis] = level if level == level else math.inf

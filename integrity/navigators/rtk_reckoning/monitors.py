@@ -108,7 +108,7 @@ def register_monitor(
     needs: tuple[str, ...],
     stages: Mapping[Point, Stage],
     initial: Records | None = None,
-    reason: AlertReason = AlertReason.NONE,
+    reason: AlertReason = AlertReason.INTEGRITY_TEST_FAILED,
 ) -> Monitor:
     """Add a monitor, which configurations may then name.
 
@@ -117,7 +117,7 @@ def register_monitor(
     name, about, needs : as of :class:`Monitor`
     stages : functions ``stage(first, last, epoch, own)``; ``own.code`` is the code of ``reason``
     initial : (1,) record of its own state for a vehicle that begins
-    reason : of the alerts that it raises, from ``AlertReason.register``
+    reason : of the alerts that it raises; ``AlertReason.register`` makes one of its own
 
     Raises
     ------
@@ -131,7 +131,14 @@ def register_monitor(
         raise InputError(f"needs must be among {', '.join(Measured._fields)}, got {unknown[0]!r}: correct it")
     if not stages:
         raise InputError(f"stages of monitor {name!r} must hold one at least, got none: give a function for a Point")
-    own = {point: OutsideStage(f"monitor {name}", reason.code, stage) for point, stage in stages.items()}
+    if reason.code == AlertReason.NONE.code:
+        raise InputError(
+            f"reason of monitor {name!r} must not be NONE: an alert of that code would be none, register one"
+        )
+    own = {
+        point: OutsideStage(f"monitor {name}", reason.code, stage, point is Point.BOUNDED)
+        for point, stage in stages.items()
+    }
     MONITORS[name] = Monitor(name, about, needs, own, STATELESS if initial is None else initial)
     return MONITORS[name]
 

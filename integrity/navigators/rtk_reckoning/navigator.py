@@ -173,7 +173,8 @@ def blank_outputs(batch: int, satellites: int, cases: int) -> Outputs:
     alert, available = np.empty((2, batch), np.bool_)
     return Outputs(
         position=position, heading=heading, velocity=velocity, covariance=np.empty((batch, 2, 2)), sigma_at=sigma_at,
-        sigma_ct=sigma_ct, levels=np.empty((batch, cases, 2)), mode=mode, rtk=rtk, alert=alert, available=available,
+        sigma_ct=sigma_ct, levels=np.full((batch, cases, 2), np.inf),
+        mode=mode, rtk=rtk, alert=alert, available=available,
         reason=reason, hdop=hdop, satellites=satellites_rtk, satellites_doppler=satellites_doppler, excluded=excluded,
         since_rtk=since_rtk, since_calibration=since_calibration, wrong=wrong,
         held=np.empty((batch, satellites), np.bool_), difference=difference,

@@ -12,6 +12,7 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lanebound.integrity.core.bundle_kernel import Bundle
 from lanebound.integrity.core.chain_kernel import Chain
@@ -21,6 +22,7 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch, E
 
 __all__ = ["STATELESS", "OutsideStage", "Stage", "StageList"]
 
+Array = NDArray[np.float64]
 Stage = Callable[..., None]
 STATELESS = np.zeros(1, record(nothing="not used"))
 """State of a mode or monitor that has none."""
@@ -28,28 +30,39 @@ STATELESS = np.zeros(1, record(nothing="not used"))
 
 @dataclass(frozen=True)
 class OutsideStage:
-    """A stage of a mode or monitor from outside: its name, code of Mode or AlertReason, and the function."""
+    """A stage of a mode or monitor from outside: its name, code of Mode or AlertReason, and the function.
+
+    ``bounds`` marks a stage that runs after all protection levels and may raise them.
+    """
 
     name: str
     code: int
     function: Stage
+    bounds: bool = False
 
     def __call__(self, first: int, last: int, epoch: Epoch, states: Mapping[str, Records]) -> None:
-        """Run it, and refuse a protection level that it lowered.
+        """Run it, and refuse a change of protection levels that would be unsafe or lost.
 
         Raises
         ------
         InputError
-            A protection level is lower than before, or NaN.
+            A protection level is lower than before, or NaN, or raised where levels are not final.
         """
-        before = epoch.out.levels[first:last].copy()
+        levels, fixed = epoch.out.levels[first:last], epoch.work.fixed_levels[first:last]
+        before, fixed_before = levels.copy(), fixed.copy()
         self.function(first, last, epoch, Own(self.code, states[self.name]))
-        lowered = ~(epoch.out.levels[first:last] >= before)
-        if lowered.any():
-            v, case, axis = np.argwhere(lowered)[0]
+        self._refuse(~(levels >= before), before, levels, "change levels by raise_level")
+        self._refuse(~(fixed >= fixed_before), fixed_before, fixed, "levels of the RTK position may only grow")
+        if not self.bounds:
+            self._refuse(levels != before, before, levels, "raise levels at Point.BOUNDED, when they are final")
+
+    def _refuse(self, wrong: NDArray[np.bool_], before: Array, after: Array, remedy: str) -> None:
+        """Raise InputError for the first wrong level (n, R, 2)."""
+        if wrong.any():
+            v, case, axis = np.argwhere(wrong)[0]
             raise InputError(
-                f"a protection level after {self.name!r} must be >= {before[v, case, axis]:.3f} m as before, "
-                f"got {epoch.out.levels[first + v, case, axis]:.3f} m: change levels by raise_level"
+                f"a protection level after {self.name!r} must be that before, {before[v, case, axis]:.3f} m, or more "
+                f"at Point.BOUNDED, got {after[v, case, axis]:.3f} m: {remedy}"
             )
 
 

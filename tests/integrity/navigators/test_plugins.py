@@ -223,10 +223,49 @@ def test_a_level_that_a_monitor_lowers_is_refused() -> None:
     monitors.register_monitor("optimist", "nothing", (), {Point.BOUNDED: lower})
     try:
         navigator = _tunnel(NavigatorConfig.load({"monitors": ["optimist"]}), [1])
-        with pytest.raises(InputError, match=r"after 'monitor optimist' must be >= inf m as before, got 0.000 m"):
+        with pytest.raises(InputError, match=r"after 'monitor optimist' .* inf m, or more .* got 0.000 m"):
             _drive(navigator, range(1))
     finally:
         monitors.withdraw_monitor("optimist")
+
+
+@pytest.mark.parametrize("point", [Point.MEASURED, Point.FIX, Point.JUDGED])
+def test_levels_are_raised_at_the_end_alone(point: Point) -> None:
+    def widen(first: int, last: int, epoch: object, own: object) -> None:
+        epoch.out.levels[first:last] = 7.0 + np.abs(np.nan_to_num(epoch.out.levels[first:last], posinf=1e9))  # type: ignore[attr-defined]
+
+    monitors.register_monitor("early", "nothing", (), {point: widen})
+    try:
+        navigator = _tunnel(NavigatorConfig.load({"monitors": ["early"]}), [1])
+        with pytest.raises(InputError, match=r"after 'monitor early'"):
+            _drive(navigator, range(20))
+    finally:
+        monitors.withdraw_monitor("early")
+
+
+def test_levels_of_rtk_are_not_lowered_by_a_monitor() -> None:
+    def shrink(first: int, last: int, epoch: object, own: object) -> None:
+        epoch.work.fixed_levels[first:last] *= 0.01  # type: ignore[attr-defined]
+
+    monitors.register_monitor("shrinking", "nothing", (), {Point.ESTIMATED: shrink})
+    try:
+        navigator = _tunnel(NavigatorConfig.load({"monitors": ["shrinking"]}), [1])
+        with pytest.raises(InputError, match="levels of the RTK position may only grow"):
+            _drive(navigator, range(60))
+    finally:
+        monitors.withdraw_monitor("shrinking")
+
+
+def test_a_monitor_that_does_nothing_changes_nothing_and_one_without_a_reason_is_refused() -> None:
+    monitors.register_monitor("idle", "nothing", (), {Point.MEASURED: lambda first, last, epoch, own: None})
+    try:
+        with_it = _drive(_tunnel(NavigatorConfig.load({"monitors": ["idle"]}), [1]), range(5))
+        without = _drive(_tunnel(NavigatorConfig(), [1]), range(5))
+        np.testing.assert_array_equal([s.pl_ct_m for s in with_it], [s.pl_ct_m for s in without])
+    finally:
+        monitors.withdraw_monitor("idle")
+    with pytest.raises(InputError, match="reason of monitor 'mute' must not be NONE"):
+        monitors.register_monitor("mute", "", (), {Point.BOUNDED: lambda *_: None}, reason=AlertReason.NONE)
 
 
 def test_the_table_lists_the_monitors_of_the_package() -> None:
