@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
-from lanebound.integrity.sky.systems import N_SYSTEMS
+from lanebound.integrity.sky.systems_kernel import N_SYSTEMS
 
 __all__ = [
     "GNSS_RULES",

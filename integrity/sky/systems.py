@@ -7,6 +7,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from lanebound.integrity.sky.systems_kernel import N_SYSTEMS
+
 __all__ = ["CARRIER_HZ", "FIXABLE", "N_BANDS", "N_SYSTEMS", "SPEED_OF_LIGHT_MPS", "WAVELENGTH_M", "System"]
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0  # SI definition of the metre
@@ -22,7 +24,6 @@ class System(IntEnum):
     QZSS = 4
 
 
-N_SYSTEMS = len(System)
 N_BANDS = 3
 
 CARRIER_HZ: NDArray[np.float64] = 1e6 * np.array(

@@ -170,3 +170,7 @@ def test_config_round_trip_and_refusals() -> None:
 def test_tables_pickle(everything: SatelliteTable) -> None:
     again = pickle.loads(pickle.dumps(everything))
     np.testing.assert_array_equal(again.position_ecef(1e9), everything.position_ecef(1e9))
+
+
+def test_tables_have_a_row_for_each_system() -> None:
+    assert len(System) == N_SYSTEMS
