@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-from importlib import import_module
 from pathlib import Path
 
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.plugins import import_from
 
 __all__ = ["load_plugin"]
 
@@ -18,22 +17,16 @@ def load_plugin(name: str) -> None:
 
     Raises
     ------
+    ConfigError
+        There is no such module, or it fails to import.
     InputError
-        There is no such module, it fails to import, or another module has the name of the file.
+        There is no such file, or another module has the name of the file.
     """
     file = Path(name).resolve() if name.endswith(".py") else None
     if file is not None and not file.is_file():
         raise InputError(f"plugin must be a module or the path of its file, got {name}, which does not exist")
-    folder = str(Path.cwd() if file is None else file.parent)
-    if folder not in sys.path:
-        sys.path.append(folder)
-    try:
-        module = import_module(name if file is None else file.stem)
-    except Exception as error:
-        raise InputError(
-            f"plugin must be a module that can be imported, got {name} ({type(error).__name__}: {error}): correct the "
-            "name or the module"
-        ) from error
+    folder, module_name = (Path.cwd(), name) if file is None else (file.parent, file.stem)
+    module = import_from(folder, module_name, name)
     if file is not None and Path(module.__file__ or "").resolve() != file:
         raise InputError(
             f"plugin must have a name of its own, got {name}, but {module.__file__} is imported: rename it"

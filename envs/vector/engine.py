@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from lanebound.envs.vector.drive_kernel import Traffic
 from lanebound.envs.vector.drivers_kernel import Drivers, clear, drivers_of, seat
 from lanebound.envs.vector.support import require_supported, support_of, traffic_of
 from lanebound.envs.vector.world_kernel import WORLD, judge_rows
-from lanebound.integrity.core.accel import is_compiled, run_chain
+from lanebound.integrity.core.accel import run_chain
 from lanebound.integrity.core.bundle_kernel import Bundle, RowCopier
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.records import Records, one_record
@@ -31,7 +30,6 @@ __all__ = ["Engine"]
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
-LOG = logging.getLogger(__name__)
 VEHICLE_FRAME_US, FINISH_US, EPOCH_US = 0.06, 5.0, 4.0  # of one thread, measured
 META_CODES = {"LANE_LEFT": LEFT, "IDLE": IDLE, "LANE_RIGHT": RIGHT, "FASTER": FASTER, "SLOWER": SLOWER}
 
@@ -97,8 +95,6 @@ class Engine:
         require_supported(single)
         self.single, self.count, self.support = single, count, support_of(single.config)
         self._drive = traffic_of(self.support)
-        if not is_compiled(self._drive):
-            LOG.warning("compiling the vector engine for this machine: some minutes, once")
         config, inner = single.config, single.world.action_type
         self.frames = config.simulation_hz // config.policy_hz
         meta = isinstance(inner, DiscreteMetaAction)

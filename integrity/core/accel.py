@@ -35,7 +35,7 @@ from typing import Any, TypeVar, overload
 import numba
 from numba.core import event
 
-__all__ = ["LOGGER", "is_compiled", "jit", "kernels_are_cached", "run_chain", "run_rows", "serial", "thread_count"]
+__all__ = ["LOGGER", "jit", "kernels_are_cached", "run_chain", "run_rows", "serial", "thread_count"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 FASTMATH = {"nsz"}  # with more flags a fresh kernel and a cached one could differ in the last bit
@@ -170,12 +170,6 @@ def jit(function: F | None = None, *, inline: bool = False, forceinline: bool = 
             numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
 
     return wrap if function is None else wrap(function)
-
-
-def is_compiled(kernel: Any) -> bool:
-    """Whether a kernel that :func:`jit` returned is in the cache; then its callees are in the cache as well."""
-    directory, source = cache_directory(_layer_of(kernel)), Path(kernel.__code__.co_filename)
-    return directory is not None and any(Path(directory).glob(f"*/{source.stem}.{kernel.__name__}-*.nbi"))
 
 
 def kernels_are_cached() -> bool:

@@ -7,15 +7,16 @@ on the command line, where nothing else imports the module.
 from __future__ import annotations
 
 import importlib
-import os
 import sys
 from collections.abc import Mapping
+from pathlib import Path
+from types import ModuleType
 from typing import TypeVar
 
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.presets import nearest
 
-__all__ = ["bare_name", "find"]
+__all__ = ["bare_name", "find", "import_from"]
 
 T = TypeVar("T")
 
@@ -31,14 +32,27 @@ def bare_name(name: str) -> str:
     module, colon, rest = name.rpartition(":")
     if not colon:
         return name
-    here = os.getcwd()
-    if here not in sys.path and "" not in sys.path:
-        sys.path.append(here)
-    try:
-        importlib.import_module(module)
-    except ImportError as error:
-        raise ConfigError(f"{name!r} must name a module that can be imported, got {error}: correct it") from error
+    import_from(Path.cwd(), module, name)
     return rest
+
+
+def import_from(folder: Path, module: str, name: str) -> ModuleType:
+    """A module, found also in ``folder``, which stays on the search path; messages call it ``name``.
+
+    Raises
+    ------
+    ConfigError
+        The module cannot be imported, for whatever reason.
+    """
+    if str(folder) not in sys.path:
+        sys.path.append(str(folder))
+    try:
+        return importlib.import_module(module)
+    except Exception as error:
+        raise ConfigError(
+            f"{name!r} must name a module that can be imported, got {type(error).__name__}: {error}: correct the name "
+            "or the module"
+        ) from error
 
 
 def find(name: str, table: Mapping[str, T], what: str) -> T:

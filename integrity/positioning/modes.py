@@ -11,7 +11,7 @@ from lanebound.integrity.positioning import codes_kernel as codes
 __all__ = ["Mode"]
 
 
-class _Table(type):
+class _ModeTable(type):
     """Lets the class be used as the table of its members, in the order of their codes."""
 
     members: dict[int, Mode]
@@ -23,7 +23,7 @@ class _Table(type):
         return len(cls.members)
 
 
-class Mode(int, metaclass=_Table):
+class Mode(int, metaclass=_ModeTable):
     """Source of the position of an epoch (S1 Fig. 1); ``CODE`` is the metre-level start-up fix before any RTK.
 
     A mode is the integer code that arrays hold. ``key`` is its name in tables and JSON, for instance ``imu_odometer``,

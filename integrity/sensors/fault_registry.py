@@ -12,7 +12,7 @@ from lanebound.integrity.core.presets import nearest
 from lanebound.integrity.sensors.fault_kinds import FaultKind
 from lanebound.integrity.sensors.fault_table import FAULT_TABLE
 
-__all__ = ["BUILT_IN", "KindName", "fault_kind", "fault_kinds", "register_fault", "unregister_fault"]
+__all__ = ["BUILT_IN", "KindName", "fault_kind", "fault_kinds", "register_fault", "withdraw_fault"]
 
 _kinds: dict[str, FaultKind] = {kind.name: kind for kind in FAULT_TABLE}
 BUILT_IN = frozenset(_kinds)
@@ -55,12 +55,12 @@ def register_fault(kind: FaultKind) -> FaultKind:
     if _kinds.setdefault(kind.name, kind) != kind:
         raise InputError(
             f"the name of a fault kind must be new, got {kind.name!r}: choose another name, or call "
-            f"unregister_fault({kind.name!r}) before"
+            f"withdraw_fault({kind.name!r}) before"
         )
     return kind
 
 
-def unregister_fault(name: str) -> None:
+def withdraw_fault(name: str) -> None:
     """Remove a registered kind.
 
     Raises

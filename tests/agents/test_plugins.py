@@ -12,7 +12,7 @@ from lanebound.agents.assess.faults import FaultsConfig, assess_faults
 from lanebound.agents.plugins import load_plugin
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.sensors.fault_kinds import FaultKind
-from lanebound.integrity.sensors.fault_registry import register_fault, unregister_fault
+from lanebound.integrity.sensors.fault_registry import register_fault, withdraw_fault
 
 MODULE = """
 from lanebound.integrity.sensors.fault_kinds import FaultKind
@@ -55,7 +55,7 @@ def test_worker_processes_need_an_effect_function_that_they_can_import(tmp_path:
         with pytest.raises(InputError, match="jobs must be 1 for fault kind 'local', because worker processes cannot"):
             assess_faults(FaultsConfig(kinds=("local",)), tmp_path, jobs=2)
     finally:
-        unregister_fault("local")
+        withdraw_fault("local")
 
 
 def test_the_campaign_refuses_a_kind_that_declares_why_it_is_not_tried() -> None:
@@ -67,4 +67,4 @@ def test_the_campaign_refuses_a_kind_that_declares_why_it_is_not_tried() -> None
         with pytest.raises(ConfigError, match="kinds must be tried in the campaign, got 'rare': it has no effect"):
             FaultsConfig(kinds=("rare",))
     finally:
-        unregister_fault("rare")
+        withdraw_fault("rare")

@@ -149,19 +149,6 @@ def test_many_run_as_few() -> None:
     _same({group: part[:3] for group, part in a.items()}, b)
 
 
-def test_it_says_that_compiling_takes_a_while_when_it_is_to_come(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.setattr("lanebound.envs.vector.engine.is_compiled", lambda kernel: kernel.__name__ == "run_motorway")
-    VectorHighway(1, SHORT)
-    assert not caplog.records
-    monkeypatch.setattr("lanebound.envs.vector.engine.is_compiled", lambda kernel: False)
-    VectorHighway(1, SHORT)
-    assert [record.message for record in caplog.records] == [
-        "compiling the vector engine for this machine: some minutes, once"
-    ]
-
-
 def test_drivers_that_something_has_rewritten_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(IDMVehicle, "COMFORT_ACC_MAX", 6)
     with pytest.raises(ConfigError, match="COMFORT_ACC_MAX must be 3 in the vector engine, got 6: make the engine in"):

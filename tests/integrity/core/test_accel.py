@@ -177,16 +177,6 @@ def test_kernels_divide_as_c_does_and_keep_nan_and_inf():
     assert (is_nan, is_inf) == (True, False)
 
 
-def test_a_kernel_is_compiled_when_it_lies_in_the_cache(monkeypatch, tmp_path):
-    monkeypatch.setattr(accel, "cache_directory", lambda layer="integrity": str(tmp_path))
-    fast = accel.jit(_divide)
-    assert not accel.is_compiled(fast)
-    fast(1.0, 2.0)
-    assert accel.is_compiled(fast)
-    monkeypatch.setattr(accel, "cache_directory", lambda layer="integrity": None)
-    assert not accel.is_compiled(fast)
-
-
 def test_the_global_cache_setting_is_left_as_it_was():
     before = numba.config.CACHE_DIR
     accel.jit(_divide)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -19,31 +21,45 @@ from lanebound.integrity.sky.visibility import Path, SkyMask
 Array = NDArray[np.float64]
 DT_S, MPS, GRADES = 0.1, 12.0, ("consumer", "automotive", "tactical")
 OPEN_S, TUNNEL_S, VEHICLES = 60.0, 60.0, 300
+SHOWN_M = {"consumer": [5.3, 13.9], "automotive": [4.5, 11.0], "tactical": [3.2, 7.4]}
+"""Median levels after 30 and 60 s in the tunnel, as docs/navigation.md shows them."""
 
 
-def _drive(config: NavigatorConfig) -> tuple[Array, Array]:
-    """Across-track error and level of vehicles in a straight tunnel, (T, B) of each epoch."""
+def _drive(config: NavigatorConfig, turn_radps: float = 0.0, turned_rad: float = np.pi) -> tuple[Array, Array]:
+    """Across-track error and level of vehicles in a tunnel, (T, B) of each epoch; 5 s inside the road may turn."""
     cell_m, length_m = 10.0, MPS * (OPEN_S + TUNNEL_S) + 100.0
     path = np.zeros((int(length_m / cell_m) + 1, 1, 1), dtype=np.uint8)
     path[int(MPS * OPEN_S / cell_m) :] = Path.BLOCKED
     mask = SkyMask(path, np.zeros(path.shape, dtype=np.float32), 1, 1, cell_m, length_m, False)
     track = SkyTrack.from_config(config.sky, OPEN_S + TUNNEL_S + 1.0)
     navigator = Navigator(config, track, mask, list(range(VEHICLES)))
-    velocity, heading = np.tile([0.0, MPS], (VEHICLES, 1)), np.zeros(VEHICLES)
+    ends = _poses(turn_radps, turned_rad)
     error, level = [], []
-    for epoch in range(round((OPEN_S + TUNNEL_S) / DT_S)):
-        before, after = (np.tile([0.0, MPS * DT_S * n], (VEHICLES, 1)) for n in (epoch, epoch + 1))
-        time_s, arc = (epoch + 1) * DT_S, after[:, 1].copy()
-        solution = navigator.step(
-            truth_between(time_s, DT_S, (before, after), (velocity, velocity), (heading, heading), arc_m=arc)
-        )
+    for epoch, (before, after) in enumerate(pairwise(ends)):
+        time_s, arc = (epoch + 1) * DT_S, np.full(VEHICLES, (epoch + 1) * MPS * DT_S)
+        poses, velocities, headings = zip(before, after, strict=True)
+        solution = navigator.step(truth_between(time_s, DT_S, poses, velocities, headings, arc_m=arc))
         if time_s > OPEN_S:
-            east, north = (solution.position_en_m - after).T
+            east, north = (solution.position_en_m - after[0]).T
             sine, cosine = np.sin(solution.heading_rad), np.cos(solution.heading_rad)
             error.append(np.abs(east * cosine - north * sine))
             level.append(solution.pl_ct_m)
     assert (solution.mode == Mode.IMU_ODOMETER).all()
     return np.array(error), np.array(level)
+
+
+def _poses(turn_radps: float, turned_rad: float) -> list[tuple[Array, Array, Array]]:
+    """Position, velocity (B, 2) and heading (B,) at the ends of all epochs, by exact arcs."""
+    position, heading, ends = np.zeros(2), 0.0, []
+    for n in range(round((OPEN_S + TUNNEL_S) / DT_S) + 1):
+        velocity = MPS * np.array([np.sin(heading), np.cos(heading)])
+        ends.append((np.tile(position, (VEHICLES, 1)), np.tile(velocity, (VEHICLES, 1)), np.full(VEHICLES, heading)))
+        turns = n * DT_S >= OPEN_S + 5.0 and abs(heading) < turned_rad
+        turn = turn_radps * DT_S if turns else 0.0
+        chord = MPS * DT_S * np.sinc(turn / (2.0 * np.pi))
+        position = position + chord * np.array([np.sin(heading + 0.5 * turn), np.cos(heading + 0.5 * turn)])
+        heading += turn
+    return ends
 
 
 def test_consumer_is_the_default() -> None:
@@ -63,13 +79,18 @@ def test_a_preset_pairs_the_sensor_with_what_is_declared_of_it(grade: str) -> No
 
 
 def test_a_better_imu_lowers_the_levels_in_a_tunnel_and_they_hold() -> None:
-    end_m = {}
-    for grade in GRADES:
+    for grade, shown_m in SHOWN_M.items():
         error, level = _drive(NavigatorConfig.preset(f"navigators/{grade}"))
         assert (error > level).mean() <= NavigatorConfig().risk.integrity_risk, grade
-        end_m[grade] = float(np.median(level[-1]))
-    assert end_m["automotive"] < 0.85 * end_m["consumer"]
-    assert end_m["tactical"] < 0.6 * end_m["consumer"]
+        half = len(level) // 2 - 1
+        assert [float(np.median(level[n])) for n in (half, -1)] == pytest.approx(shown_m, abs=0.051), grade
+
+
+@pytest.mark.xfail(strict=True, reason="no declared figure bounds the scale error of the gyro (docs/limits.md)")
+@pytest.mark.parametrize("grade", ["consumer", "automotive"])
+def test_levels_hold_after_a_u_turn_in_a_tunnel(grade: str) -> None:
+    error, level = _drive(NavigatorConfig.preset(f"navigators/{grade}"), turn_radps=0.5)
+    assert (error > level).mean() <= NavigatorConfig().risk.integrity_risk
 
 
 def test_environments_take_a_preset_by_its_name() -> None:

@@ -18,19 +18,19 @@ from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.navigators.navigator import Measurements, Navigator
 from lanebound.integrity.sensors.campaign import FaultPriors, random_campaign
-from lanebound.integrity.sensors.fault_registry import register_fault, unregister_fault
+from lanebound.integrity.sensors.fault_registry import register_fault, withdraw_fault
 from lanebound.integrity.sensors.faults import Fault
 from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.track import SkyTrack
 
-unregister_fault("clock_jump")  # each test registers it anew
+withdraw_fault("clock_jump")  # each test registers it anew
 
 
 @pytest.fixture(autouse=True)
 def _registered() -> Iterator[None]:
     register_fault(CLOCK_JUMP)
     yield
-    unregister_fault("clock_jump")
+    withdraw_fault("clock_jump")
 
 
 def test_an_environment_drives_with_the_fault_and_measurements_show_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -86,7 +86,7 @@ def test_random_faults_draw_it_after_the_kinds_of_the_package() -> None:
     jumps = [fault for fault in drawn if fault.kind == "clock_jump"]
     assert len(jumps) > 3
     assert all(10.0 <= abs(fault.magnitude) <= 1000.0 for fault in jumps)
-    unregister_fault("clock_jump")
+    withdraw_fault("clock_jump")
     others = random_campaign(FaultPriors(), 2e6, named_generator(1, "faults"), sky)
     register_fault(CLOCK_JUMP)
     assert [fault for fault in drawn if fault not in jumps] == list(others)
@@ -108,7 +108,7 @@ def test_the_manual_lists_it() -> None:
 
 
 def test_it_is_unknown_once_it_is_removed() -> None:
-    unregister_fault("clock_jump")
+    withdraw_fault("clock_jump")
     with pytest.raises(ConfigError, match="kind must be one of"):
         Fault(kind="clock_jump", magnitude=1.0)
     register_fault(CLOCK_JUMP)

@@ -13,7 +13,7 @@ from lanebound.integrity.motion.truth import truth_between
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.fault_kinds import MAGNITUDE_FIELDS, FaultKind, FaultMoment, Magnitude
-from lanebound.integrity.sensors.fault_registry import fault_kind, fault_kinds, register_fault, unregister_fault
+from lanebound.integrity.sensors.fault_registry import fault_kind, fault_kinds, register_fault, withdraw_fault
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
 from lanebound.integrity.sensors.v2v import V2vConfig, V2vMessage, exchange, initial_v2v
 from lanebound.integrity.sky.track import SkyTrack
@@ -83,14 +83,14 @@ def test_a_name_is_registered_once_and_kinds_of_the_package_stay() -> None:
     kind = FaultKind(name="other", summary="nothing", apply=_nothing)
     assert register_fault(kind) is register_fault(kind) is fault_kinds()[-1]
     try:
-        with pytest.raises(InputError, match=r"must be new, got 'other': .*unregister_fault\('other'\)"):
+        with pytest.raises(InputError, match=r"must be new, got 'other': .*withdraw_fault\('other'\)"):
             register_fault(FaultKind(name="other", summary="nothing else", apply=_nothing))
     finally:
-        unregister_fault("other")
+        withdraw_fault("other")
     with pytest.raises(InputError, match="got 'other'"):
-        unregister_fault("other")
+        withdraw_fault("other")
     with pytest.raises(InputError, match="got 'jamming'"):
-        unregister_fault("jamming")
+        withdraw_fault("jamming")
     with pytest.raises(InputError, match="must be new, got 'jamming'"):
         register_fault(FaultKind(name="jamming", summary="nothing", apply=_nothing))
 
