@@ -1,6 +1,7 @@
 """Smoke test of an installed wheel: run it with the interpreter of a clean environment, outside the source tree.
 
-``python smoke_wheel.py`` tests a wheel with its extras, ``python smoke_wheel.py integrity`` one without any.
+``python smoke_wheel.py all`` tests a wheel with its extras, ``python smoke_wheel.py integrity`` one without any, where
+no simulator and no learner may be installed. Without an argument what is installed decides.
 """
 
 from __future__ import annotations
@@ -61,10 +62,14 @@ def check_command_line() -> None:
     assert answer.stdout.split() == ["lanebound", metadata.version("lanebound")]
 
 
-def check_integrity_alone() -> None:
-    """The navigation layer works where neither simulators nor learners are installed, and the command says so."""
+def check_absence() -> None:
+    """No package of the layers above the navigation layer is installed."""
     for name in ("gymnasium", "highway_env", "torch", "stable_baselines3", "typer"):
         assert find_spec(name) is None, f"{name} is installed"
+
+
+def check_integrity_alone() -> None:
+    """The navigation layer works without the packages of the layers above it, and the command names the extra."""
     import numpy as np
 
     from lanebound.integrity.core.streams import Streams
@@ -89,12 +94,15 @@ def check_integrity_alone() -> None:
 
 
 if __name__ == "__main__":
+    part = sys.argv[1] if len(sys.argv) > 1 else "all" if find_spec("gymnasium") else "integrity"
     check_layout()
-    if sys.argv[1:] == ["integrity"]:
+    if part == "integrity":
+        if len(sys.argv) > 1:
+            check_absence()
         modules = check_imports(["integrity", "configs"])
         check_integrity_alone()
     else:
         modules = check_imports(LAYERS)
         check_presets()
         check_command_line()
-    print(f"the wheel works: {modules} modules")
+    print(f"the wheel works ({part}): {modules} modules")
