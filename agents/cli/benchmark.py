@@ -173,7 +173,7 @@ def _next(results: Results, out: Path) -> str:
     if worst is not None:
         lines.append(f"  lanebound replay-episode {out} {worst.id} --video out/replay.mp4")
     lines += [
-        "  lanebound benchmark quick --out out/mine --agents nominal,mine=my_agent:make   # your own, see docs/training.md",
+        "  lanebound benchmark quick --out out/mine --agents nominal,mine=my_agent:make   # own: docs/training.md",
         "  lanebound benchmark standard --out out/standard --budget 1                     # every environment and sky",
     ]
     return "\n".join(lines)
