@@ -82,7 +82,8 @@ def test_workers_are_replaced_and_errors_come_to_the_parent(capfd: pytest.Captur
 
 
 def test_a_lost_part_ends_a_study(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"part [12] of .* but its process died with exit code 3: run the same command"):
+    message = r"part [12] of .* but its process died with exit code 3: run the same command"
+    with pytest.raises(InputError, match=message):
         run_parts(tmp_path, ["1", "2"], leave, jobs=2)
 
 
