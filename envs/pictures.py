@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lanebound.envs.belief_loop import BeliefLoop
 from lanebound.envs.rendering import Bodies, EpisodeCost, Frame, RenderingConfig, Satellites, Tape, Viewer
-from lanebound.integrity.sky.visibility import Path
+from lanebound.integrity.sky.visibility import SignalPath
 
 __all__ = ["Pictures"]
 
@@ -73,5 +73,5 @@ def _satellites(loop: BeliefLoop) -> Satellites | None:
     ego = loop.ego
     arc, lane = loop.street.where(ego.lane_index, ego.lane.local_coordinates(ego.position)[0])
     path = loop.street.mask.look(np.array([arc]), np.array([lane]), m.sky).path[0]
-    tracked = m.gnss.tracked[0] & (path != Path.BLOCKED)
+    tracked = m.gnss.tracked[0] & (path != SignalPath.BLOCKED)
     return Satellites(m.sky.azimuth_rad[0, up], m.sky.elevation_rad[0, up], path[up], tracked[up], m.sky.system[up])

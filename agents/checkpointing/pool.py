@@ -23,7 +23,7 @@ from typing import Any, Literal, Protocol
 
 from lanebound.integrity.core.errors import InputError
 
-__all__ = ["STARTING", "InProcess", "Lost", "PartStatus", "Pool", "Work", "one_thread"]
+__all__ = ["STARTING", "Computation", "InProcess", "Lost", "PartStatus", "Pool", "one_thread"]
 
 Lost = Literal["died", "timeout"]
 STARTING = Lock()
@@ -97,7 +97,7 @@ class PartStatus:
         return bool(self._shared[3] > 0.0)
 
 
-class Work(Protocol):
+class Computation(Protocol):
     """What is computed for each part; pickled once for each worker.
 
     Attributes
@@ -120,7 +120,7 @@ class InProcess:
 
     compiling = 0  # accel logs a compilation in this process
 
-    def __init__(self, work: Work) -> None:
+    def __init__(self, work: Computation) -> None:
         self.work = work
         self._part: tuple[Any, PartStatus] | None = None
 
@@ -151,7 +151,7 @@ class Pool:
     jobs : number of processes
     """
 
-    def __init__(self, work: Work, jobs: int) -> None:
+    def __init__(self, work: Computation, jobs: int) -> None:
         self.work, self.jobs = work, jobs
         self._workers: list[_Worker] = []
 
@@ -203,7 +203,7 @@ class Pool:
 class _Worker:
     """A worker process, seen from its parent."""
 
-    def __init__(self, work: Work) -> None:
+    def __init__(self, work: Computation) -> None:
         self.work = work
         self.part: Any = None
         self.alive = False
@@ -326,7 +326,7 @@ def _serve(pipe: Connection[Any, Any], shared: Any, serves: Any) -> None:
             pipe.send(_answer(work, pipe.recv(), status))
 
 
-def _answer(work: Work, part: Any, status: PartStatus) -> tuple[Any, Exception | None]:
+def _answer(work: Computation, part: Any, status: PartStatus) -> tuple[Any, Exception | None]:
     """The result of a part, or the exception that it raised, with its traceback as a note."""
     try:
         return work.do(part, status), None

@@ -12,7 +12,7 @@ from typing import Any
 
 from lanebound.agents.checkpointing.files import read_json, write_json
 from lanebound.agents.checkpointing.folder import locked
-from lanebound.agents.checkpointing.pool import InProcess, Lost, PartStatus, Pool, Work
+from lanebound.agents.checkpointing.pool import Computation, InProcess, Lost, PartStatus, Pool
 from lanebound.integrity.core.errors import InputError
 
 __all__ = ["Advance", "Counter", "OnProgress", "RunProgress", "available_cores", "ignore", "run_parts", "run_work"]
@@ -79,7 +79,7 @@ class Counter:
 
 def run_work(
     parts: Sequence[Any],
-    work: Work,
+    work: Computation,
     jobs: int,
     counter: Counter,
     *,

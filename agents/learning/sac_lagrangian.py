@@ -23,7 +23,7 @@ from lanebound.agents.learning.multiplier import Multiplier, MultiplierConfig
 __all__ = ["CostReplayBuffer", "SACLagrangian"]
 
 
-class Batch(NamedTuple):
+class CostTransitions(NamedTuple):
     """Transitions, (B, ...) each."""
 
     observations: torch.Tensor
@@ -54,7 +54,7 @@ class CostReplayBuffer(ReplayBuffer):
         self.costs[self.pos] = costs_in(infos)
         super().add(obs, next_obs, action, reward, done, infos)
 
-    def draw(self, count: int) -> Batch:
+    def draw(self, count: int) -> CostTransitions:
         """A batch drawn evenly."""
         rows = np.random.randint(0, self.size(), size=count)  # noqa: NPY002 - the stream that SB3 seeds
         columns = np.random.randint(0, self.n_envs, size=count)  # noqa: NPY002
@@ -67,7 +67,7 @@ class CostReplayBuffer(ReplayBuffer):
             self.rewards[rows, columns][:, None],
             self.costs[rows, columns][:, None],
         )
-        return Batch(*(torch.as_tensor(array, dtype=torch.float32, device=self.device) for array in arrays))
+        return CostTransitions(*(torch.as_tensor(array, dtype=torch.float32, device=self.device) for array in arrays))
 
 
 class SACLagrangian(SAC):
@@ -147,7 +147,7 @@ class SACLagrangian(SAC):
         _step(self.ent_coef_optimizer, loss)
         return alpha
 
-    def _step_critics(self, batch: Batch, alpha: torch.Tensor) -> None:
+    def _step_critics(self, batch: CostTransitions, alpha: torch.Tensor) -> None:
         with torch.no_grad():
             action, log_prob = self.actor.action_log_prob(batch.next_observations)
             worth = torch.cat(self.critic_target(batch.next_observations, action), dim=1).min(dim=1, keepdim=True)[0]
@@ -159,7 +159,9 @@ class SACLagrangian(SAC):
         given = torch.cat([batch.observations, batch.actions], dim=1)
         _step(self.cost_optimizer, self.cost_critic.loss(given, due[:, 0]))
 
-    def _step_actor(self, batch: Batch, action: torch.Tensor, log_prob: torch.Tensor, alpha: torch.Tensor) -> None:
+    def _step_actor(
+        self, batch: CostTransitions, action: torch.Tensor, log_prob: torch.Tensor, alpha: torch.Tensor
+    ) -> None:
         weight = self.multiplier.value
         worth = torch.cat(self.critic(batch.observations, action), dim=1).min(dim=1, keepdim=True)[0]
         cost = self.cost_critic(torch.cat([batch.observations, action], dim=1))[:, None]

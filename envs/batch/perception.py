@@ -79,7 +79,7 @@ class PerceptionBatch:
             np.full((n, heard), -1, dtype=np.int64),
             np.zeros((n, heard), pk.SIGHTING),
         )
-        self.pictures = pk.Pictures(
+        self.pictures = pk.PerceptionArrays(
             picture=np.zeros(n, pk.PICTURE),
             perceived=np.zeros((n, max(slots, self.vehicles - 1, 1)), PERCEIVED),
             tracks=np.zeros((n, slots), pk.SIGHTING),

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
 
-__all__ = ["CLAIM", "PICTURE", "RADIO", "SENSOR", "SIGHTING", "SLOT", "TRACKING", "Pictures", "Radio", "claim",
+__all__ = ["CLAIM", "PICTURE", "RADIO", "SENSOR", "SIGHTING", "SLOT", "TRACKING", "PerceptionArrays", "Radio", "claim",
            "forget_slot",
            "hear", "in_sight", "look", "see_truth", "silence", "sum_up"]  # fmt: skip
 
@@ -97,7 +97,7 @@ class Radio(NamedTuple):
     held: Records
 
 
-class Pictures(NamedTuple):
+class PerceptionArrays(NamedTuple):
     """The vehicles that N egos perceive.
 
     picture (N,) PICTURE; perceived (N, P) PERCEIVED, nearest first; tracks (N, C + 1) SIGHTING of the sensor; slots

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lanebound.envs.batch.belief_kernel import begin, coast, locate, settle, take, take_given
 from lanebound.envs.batch.lanes_kernel import Lanes
 from lanebound.envs.batch.motion_kernel import Whereabouts, advance, fill_motion, fill_whereabouts
-from lanebound.envs.batch.perception_kernel import Pictures, claim, hear, look, see_truth, sum_up
+from lanebound.envs.batch.perception_kernel import PerceptionArrays, claim, hear, look, see_truth, sum_up
 from lanebound.envs.batch.records_kernel import Cars, Ego, cars_of
 from lanebound.envs.batch.route_map_kernel import RouteMap
 from lanebound.envs.batch.score_kernel import count_epoch, score
@@ -39,7 +39,7 @@ class Batch(NamedTuple):
 
     cars: Cars
     ego: Ego
-    pictures: Pictures
+    pictures: PerceptionArrays
     views: Views
     words: Words
     sources: Records

@@ -83,7 +83,7 @@ class Satellites:
     Attributes
     ----------
     azimuth_rad : (S,) clockwise from North; elevation_rad : (S,)
-    path : (S,) values of :class:`lanebound.integrity.sky.visibility.Path`
+    path : (S,) values of :class:`lanebound.integrity.sky.visibility.SignalPath`
     tracked : (S,) bool, measured by the receiver; the number used for the position is in the estimated state
     system : (S,) values of :class:`lanebound.integrity.sky.systems.System`
     """

@@ -13,7 +13,7 @@ from lanebound.envs.rendering.map_view import NORTH_RAD, status_colour
 from lanebound.envs.rendering.theme import Colour, Theme, mix
 from lanebound.envs.rendering.trace import Trace
 from lanebound.integrity.sky.systems import System
-from lanebound.integrity.sky.visibility import Path
+from lanebound.integrity.sky.visibility import SignalPath
 
 __all__ = ["PanelPlace", "draw_error_box", "draw_sky", "draw_strip"]
 
@@ -63,8 +63,11 @@ class PanelPlace:
 def path_colour(path: int, theme: Theme) -> Colour:
     """Colour of a propagation path."""
     return {
-        Path.LOS: theme.ok, Path.FOLIAGE: theme.caution, Path.REFLECTED: theme.alert, Path.BLOCKED: theme.muted,
-    }[Path(path)]  # fmt: skip
+        SignalPath.LOS: theme.ok,
+        SignalPath.FOLIAGE: theme.caution,
+        SignalPath.REFLECTED: theme.alert,
+        SignalPath.BLOCKED: theme.muted,
+    }[SignalPath(path)]
 
 
 def draw_sky(canvas: Canvas, at: PanelPlace, satellites: Satellites | None, up_rad: float, theme: Theme) -> None:
@@ -92,10 +95,10 @@ def draw_sky(canvas: Canvas, at: PanelPlace, satellites: Satellites | None, up_r
 
 def _draw_sky_key(canvas: Canvas, plot: PanelPlace, theme: Theme) -> None:
     upper, lower = plot.y + 5, plot.bottom - 5
-    canvas.text(plot.x, upper, "LOS", 9, path_colour(Path.LOS, theme))
-    canvas.text(plot.right, upper, "leaves", 9, path_colour(Path.FOLIAGE, theme), anchor="right")
-    canvas.text(plot.x, lower, "NLOS", 9, path_colour(Path.REFLECTED, theme))
-    canvas.text(plot.right, lower, "× blocked", 9, path_colour(Path.BLOCKED, theme), anchor="right")
+    canvas.text(plot.x, upper, "LOS", 9, path_colour(SignalPath.LOS, theme))
+    canvas.text(plot.right, upper, "leaves", 9, path_colour(SignalPath.FOLIAGE, theme), anchor="right")
+    canvas.text(plot.x, lower, "NLOS", 9, path_colour(SignalPath.REFLECTED, theme))
+    canvas.text(plot.right, lower, "× blocked", 9, path_colour(SignalPath.BLOCKED, theme), anchor="right")
 
 
 def _toward(azimuth_rad: float, up_rad: float) -> Array:
@@ -112,7 +115,7 @@ def _draw_satellites(
         share = 1.0 - float(s.elevation_rad[row]) / (0.5 * np.pi)
         x, y = (middle + 0.95 * share * radius * _toward(float(s.azimuth_rad[row]), up_rad)).tolist()
         colour = path_colour(int(s.path[row]), theme)
-        if s.path[row] == Path.BLOCKED:
+        if s.path[row] == SignalPath.BLOCKED:
             for sign in (-1.0, 1.0):
                 canvas.line([[x - 3, y - 3 * sign], [x + 3, y + 3 * sign]], colour, 1.0)
             continue

@@ -8,7 +8,7 @@ signal that is nearest in place and direction. All lanes of an edge have the sam
 from __future__ import annotations
 
 from functools import lru_cache
-from pathlib import Path as FilePath
+from pathlib import Path
 
 import numpy as np
 from highway_env.road.lane import AbstractLane
@@ -22,7 +22,7 @@ from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.recorded.sky_recording import SkyRecording, read_sky_recording
 from lanebound.integrity.sky.forecast import SkyForecast
 from lanebound.integrity.sky.scene import City
-from lanebound.integrity.sky.visibility import Path, SkyMask
+from lanebound.integrity.sky.visibility import SignalPath, SkyMask
 
 __all__ = ["recorded_street", "recording_of"]
 
@@ -40,7 +40,7 @@ def recording_of(path: str) -> SkyRecording:
         The file cannot be read, or is truncated.
     """
     try:
-        state = FilePath(path).stat()
+        state = Path(path).stat()
     except OSError as error:
         raise InputError(f"sky must name a recorded sky, got {path}, which cannot be read: {error}") from error
     return _read(path, state.st_mtime_ns, state.st_size)
@@ -74,7 +74,7 @@ def recorded_street(
     path, excess = np.repeat(path[:, None], widest, 1), np.repeat(excess[:, None], widest, 1)
     length = lanes.spacing_m * len(path)
     mask = SkyMask(path, excess, AZIMUTHS, ELEVATIONS, lanes.spacing_m, length, False, recording.digest)
-    free = (path == Path.LOS) | (path == Path.FOLIAGE)
+    free = (path == SignalPath.LOS) | (path == SignalPath.FOLIAGE)
     return Street(mask, SkyForecast(free, AZIMUTHS, ELEVATIONS, lanes.spacing_m), City.empty(), lanes)
 
 

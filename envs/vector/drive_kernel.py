@@ -25,10 +25,10 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.bundle_kernel import unbundle
 from lanebound.integrity.core.records import Records
 
-__all__ = ["Traffic", "run_city", "run_course", "run_motorway"]
+__all__ = ["TrafficBatch", "run_city", "run_course", "run_motorway"]
 
 
-class Traffic(NamedTuple):
+class TrafficBatch(NamedTuple):
     """The vehicles of N environments, and the parameters of their motion.
 
     world (1,) WORLD; speeds: target speeds of meta-actions; profile (N, S): prescribed speeds of other vehicles [m/s],
@@ -57,8 +57,8 @@ def _conclude(e, final, a, motions, tracks):  # type: ignore[no-untyped-def]
 def run_course(first, last, rows, frames, actions, batch, traffic, motions, tracks):  # type: ignore[no-untyped-def]
     """``frames`` steps among vehicles that drive profiles of speeds, or alone.
 
-    actions (N,): codes of meta-actions taken up before, None for none; batch, traffic: handles of Batch and Traffic;
-    motions, tracks: None where nothing is sensed, or the egos' positions are given.
+    actions (N,): codes of meta-actions taken up before, None for none; batch, traffic: handles of Batch and
+    TrafficBatch; motions, tracks: None where nothing is sensed, or the egos' positions are given.
     """
     a, t = unbundle(batch), unbundle(traffic)
     for n in range(first, last):

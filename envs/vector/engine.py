@@ -17,7 +17,7 @@ from lanebound.envs.batch.navigation import fixes_of
 from lanebound.envs.batch.records_kernel import cars_of
 from lanebound.envs.core import EPISODE_SEEDS, WORLD_SEEDS, DrivingEnv
 from lanebound.envs.scene import begin_all, duration_s, make_batch
-from lanebound.envs.vector.drive_kernel import Traffic
+from lanebound.envs.vector.drive_kernel import TrafficBatch
 from lanebound.envs.vector.drivers_kernel import Drivers, clear, drivers_of, seat
 from lanebound.envs.vector.support import require_supported, support_of, traffic_of
 from lanebound.envs.vector.world_kernel import WORLD, judge_rows
@@ -50,7 +50,7 @@ class Stage:
         wholes: list[Any] = [np.zeros((n, vehicles), dtype=np.int64) for _ in range(5)]
         profile = np.zeros((n, engine.support.profile_steps(engine.single.world)))
         self.episodes = episodes
-        self.traffic = Traffic(Drivers(*numbers, *wholes), engine.world, engine.speeds, profile)
+        self.traffic = TrafficBatch(Drivers(*numbers, *wholes), engine.world, engine.speeds, profile)
         self.bundle = Bundle(self.traffic)
         self._copier = RowCopier((*episodes.arrays, *self.traffic.drivers, profile))
 

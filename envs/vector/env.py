@@ -21,7 +21,7 @@ __all__ = ["VectorDrivingEnv", "engine_class", "engines"]
 
 Rows = NDArray[np.int64]
 Flags = NDArray[np.bool_]
-Batch = Any  # observations: an array (N, E), or a dict of them
+Observations = Any  # observations: an array (N, E), or a dict of them
 MASK = "reset_mask"
 NOBODY = np.empty(0, dtype=np.int64)
 
@@ -91,7 +91,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Batch, dict[str, Any]]:
+    ) -> tuple[Observations, dict[str, Any]]:
         """Begin episodes, in all environments or in those of ``options["reset_mask"]`` (N,) bool.
 
         Parameters
@@ -113,7 +113,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         self._restart(rows, [seeds[e] for e in rows])
         return self._observations(), infos_of(results(self.engine.outcome, mask), form_of(mask))
 
-    def step(self, actions: Any) -> tuple[Batch, NDArray[np.float64], Flags, Flags, dict[str, Any]]:
+    def step(self, actions: Any) -> tuple[Observations, NDArray[np.float64], Flags, Flags, dict[str, Any]]:
         """Carry out a command in each environment until the next decision.
 
         Raises
@@ -184,7 +184,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
 
     # Forms
 
-    def _observations(self) -> Batch:
+    def _observations(self) -> Observations:
         """Of all environments, a copy."""
         stack, count = self._history, self.num_envs
         if self._slices is None:

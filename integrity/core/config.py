@@ -23,7 +23,7 @@ from lanebound.integrity.core.config_errors import explain, model_in
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.presets import deep_merge, load_preset, preset_names
 
-__all__ = ["Config", "Entry", "Field", "deep_merge", "describe", "load_preset", "preset_names", "unit_of"]
+__all__ = ["Config", "ConfigValue", "Field", "deep_merge", "describe", "load_preset", "preset_names", "unit_of"]
 
 UNITS = {
     "bps": "bit/s",
@@ -204,7 +204,7 @@ def _check_same_kind(raw: Any, value: Any) -> None:
             _check_same_kind(old, new)
 
 
-class Entry(NamedTuple):
+class ConfigValue(NamedTuple):
     """One value of a configuration: dotted path, value, unit ("" for a dimensionless number) and description."""
 
     path: str
@@ -226,7 +226,7 @@ def _suffix(name: str) -> str:
     return UNITS.get(name.rpartition("_")[2], "") if "_" in name else ""
 
 
-def describe(config: BaseModel, path: str = "") -> list[Entry]:
+def describe(config: BaseModel, path: str = "") -> list[ConfigValue]:
     """List every value of a configuration, in the order of its fields.
 
     The unit is the one in brackets in the description of the field, otherwise the one in the suffix of its name.
@@ -234,7 +234,7 @@ def describe(config: BaseModel, path: str = "") -> list[Entry]:
     return list(_entries(config, path))
 
 
-def _entries(config: BaseModel, path: str) -> Iterator[Entry]:
+def _entries(config: BaseModel, path: str) -> Iterator[ConfigValue]:
     fields = type(config).model_fields
     for name in [*fields, *(config.model_extra or ())]:
         value = getattr(config, name)
@@ -249,7 +249,7 @@ def _entries(config: BaseModel, path: str) -> Iterator[Entry]:
         unit = bracket[1] if bracket else unit_of(name)
         if bracket:
             text = text[: bracket.start()] + text[bracket.end() :]
-        yield Entry(where, value, "" if unit == "-" else unit, text)
+        yield ConfigValue(where, value, "" if unit == "-" else unit, text)
 
 
 def _nested(value: Any, path: str) -> list[tuple[str, BaseModel]]:

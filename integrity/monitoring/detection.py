@@ -20,7 +20,7 @@ from lanebound.integrity.core.frames import track_from_enu_matrix
 
 __all__ = [
     "Adjustment",
-    "Separation",
+    "ModeSeparation",
     "TestOutcome",
     "TestResult",
     "adjust",
@@ -299,7 +299,7 @@ def w_test(adjustment: Adjustment, significance: ArrayLike, modes: ArrayLike | N
 
 
 @dataclass(frozen=True)
-class Separation:
+class ModeSeparation:
     """Separations ``d_i = x - x_i`` of k modes.
 
     Attributes
@@ -321,7 +321,7 @@ class Separation:
         return np.asarray(np.maximum(self.active.sum(-1), 1))
 
 
-def separate(adjustment: Adjustment, modes: ArrayLike | None = None) -> Separation:
+def separate(adjustment: Adjustment, modes: ArrayLike | None = None) -> ModeSeparation:
     """Separation in East and North, the first two unknowns, of each mode (S1 eq 10-12).  modes (k, m) row sets."""
     blocks = _mode_blocks(adjustment, checked_modes(modes, adjustment.used.shape[-1]))
     gain = adjustment.gain[..., None, :2, :]
@@ -333,11 +333,11 @@ def separate(adjustment: Adjustment, modes: ArrayLike | None = None) -> Separati
     size = np.abs(adjustment.gain[..., :2, :] * sigma[..., None, :]).max((-2, -1))[..., None]
     feasible = undetermined <= np.sqrt(RANK_TOLERANCE) * size
     monitored = blocks.active & feasible & adjustment.solvable[..., None]
-    return Separation(d, Q, blocks.active, monitored, adjustment.solvable)
+    return ModeSeparation(d, Q, blocks.active, monitored, adjustment.solvable)
 
 
 def separation_test(
-    separation: Separation, heading_rad: ArrayLike, alpha: ArrayLike, n_modes: ArrayLike | None = None
+    separation: ModeSeparation, heading_rad: ArrayLike, alpha: ArrayLike, n_modes: ArrayLike | None = None
 ) -> TestResult:
     """AT and CT test: fault when ``|d_i| / sigma_di >= Qinv(a / (2 * 2 * n_modes))`` on either (S2 eq 8 with "or").
 
@@ -361,7 +361,7 @@ def normal_threshold(tail: ArrayLike) -> Array:
     return np.asarray(-ndtri(np.asarray(tail, dtype=np.float64)))
 
 
-def direction_test(separation: Separation, alpha: ArrayLike, n_modes: ArrayLike | None = None) -> TestResult:
+def direction_test(separation: ModeSeparation, alpha: ArrayLike, n_modes: ArrayLike | None = None) -> TestResult:
     """Maximum-direction test ``d' Q_di^+ d >= chi2_{1-a/n_modes}(rank Q_di)`` (S2 eq 9), for turns.
 
     A single-satellite Q_di has rank 1, where the published eigenvalue form divides by zero. -> (..., k).

@@ -14,7 +14,7 @@ from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
 from lanebound.integrity.monitoring import detection_kernel as kernel
 from lanebound.integrity.monitoring.detection import (
     Adjustment,
-    Separation,
+    ModeSeparation,
     TestResult,
     adjust,
     checked_modes,
@@ -215,7 +215,7 @@ def _run_tests(
 
 
 def _suspicion(
-    search: Search, separation: Separation, confirmed: TestResult, heading_rad: ArrayLike, size: Array
+    search: Search, separation: ModeSeparation, confirmed: TestResult, heading_rad: ArrayLike, size: Array
 ) -> Array:
     """Squared statistic over squared threshold of each mode (..., k), in the test that names the mode."""
     if search is Search.SEPARATION:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from pathlib import Path as FilePath
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.source import Lines, Stop, finite_number
-from lanebound.integrity.sky.visibility import Path
+from lanebound.integrity.sky.visibility import SignalPath
 
 __all__ = ["SkyRecording", "read_sky_recording"]
 
@@ -38,7 +38,7 @@ NUMBERS = (
     ("excess_m", 0.0, 1e4),
     ("cn0_dbhz", 0.0, 100.0),
 )
-PATHS = {path.name.lower(): int(path) for path in Path}
+PATHS = {path.name.lower(): int(path) for path in SignalPath}
 LONGEST_NAME = 8
 MOST_BYTES = 32 * 2**20  # about 600,000 rows, 3,000 km of street
 # Scales of the distance between rows: half a house front along the street, and angles; elevation has more influence
@@ -57,7 +57,7 @@ class SkyRecording:
     arc_m : distance driven [m]
     azimuth_rad : clockwise from the direction of travel
     elevation_rad : above the horizon
-    path : uint8, values of :class:`~lanebound.integrity.sky.visibility.Path`
+    path : uint8, values of :class:`~lanebound.integrity.sky.visibility.SignalPath`
     excess_m : excess path of a reflected signal; 0 for others
     cn0_dbhz : C/N0, 0 if not received
     length_m : length of the drive, which is used as a loop
@@ -99,7 +99,7 @@ class SkyRecording:
         laps = [self.arc_m + k * self.length_m for k in (0, -1, 1)]
         return cKDTree(np.concatenate([_coordinates(arc, self.azimuth_rad, self.elevation_rad) for arc in laps]))
 
-    def save(self, path: str | FilePath) -> None:
+    def save(self, path: str | Path) -> None:
         """Write the file.
 
         Raises
@@ -107,7 +107,7 @@ class SkyRecording:
         InputError
             The file cannot be written.
         """
-        names = [kind.name.lower() for kind in Path]
+        names = [kind.name.lower() for kind in SignalPath]
         columns = (np.degrees(self.azimuth_rad), np.degrees(self.elevation_rad), self.excess_m, self.cn0_dbhz)
         lines = [
             f"{self.satellite[i]},{self.arc_m[i]:.2f},{columns[0][i]:.2f},{columns[1][i]:.2f},{names[self.path[i]]},"
@@ -115,7 +115,7 @@ class SkyRecording:
             for i in np.argsort(self.arc_m, kind="stable")
         ]
         try:
-            FilePath(path).write_text("\n".join([f"# length_m={self.length_m:.2f}", HEAD, *lines, ""]), "utf-8")
+            Path(path).write_text("\n".join([f"# length_m={self.length_m:.2f}", HEAD, *lines, ""]), "utf-8")
         except OSError as error:
             raise InputError(f"{path} must be a file that can be written, got: {error}; choose another") from error
 
@@ -127,7 +127,7 @@ def _coordinates(arc_m: Array, azimuth_rad: Array, elevation_rad: Array) -> Arra
     return np.stack(np.broadcast_arrays(*parts), -1)
 
 
-def read_sky_recording(path: str | FilePath) -> SkyRecording:
+def read_sky_recording(path: str | Path) -> SkyRecording:
     """Read a recording from its file, plain or gzip; a malformed last line is treated as truncated.
 
     Raises

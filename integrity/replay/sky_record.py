@@ -18,7 +18,7 @@ from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_
 from lanebound.integrity.recorded.sky_recording import SkyRecording
 from lanebound.integrity.recorded.smartloc import GroundTruth, Pseudoranges, SmartLoc
 from lanebound.integrity.replay.training import code_errors
-from lanebound.integrity.sky.visibility import Path
+from lanebound.integrity.sky.visibility import SignalPath
 
 __all__ = ["SkyRecordConfig", "agreement", "record_sky", "summary"]
 
@@ -136,21 +136,21 @@ def _rows(
         middle = epochs[len(epochs) // 2]
         where = (name, arc[epochs].mean(), azimuth[middle], elevation[middle])
         if 2 * got.size < epochs.size:
-            found.append((*where, Path.BLOCKED, 0.0, 0.0))
+            found.append((*where, SignalPath.BLOCKED, 0.0, 0.0))
             continue
         level, late = float(np.median(cn0[got])), float(np.median(error[got]))
         path = _kind_of(config, late, level, float(elevation[middle]))
-        found.append((*where, path, late if path == Path.REFLECTED else 0.0, level))
+        found.append((*where, path, late if path == SignalPath.REFLECTED else 0.0, level))
     return found
 
 
-def _kind_of(config: SkyRecordConfig, error_m: float, cn0_dbhz: float, elevation_rad: float) -> Path:
+def _kind_of(config: SkyRecordConfig, error_m: float, cn0_dbhz: float, elevation_rad: float) -> SignalPath:
     """Propagation path of a received signal with this error and C/N0."""
     if error_m > config.late_m:
-        return Path.REFLECTED
+        return SignalPath.REFLECTED
     rise = config.cn0_zenith_dbhz - config.cn0_horizon_dbhz
     open_dbhz = config.cn0_horizon_dbhz + rise * np.sin(elevation_rad)
-    return Path.FOLIAGE if cn0_dbhz < open_dbhz - config.weak_db else Path.LOS
+    return SignalPath.FOLIAGE if cn0_dbhz < open_dbhz - config.weak_db else SignalPath.LOS
 
 
 def agreement(recording: SkyRecording) -> tuple[float, float]:
@@ -171,18 +171,18 @@ def agreement(recording: SkyRecording) -> tuple[float, float]:
 
 
 def _clear(path: NDArray[np.uint8]) -> Bools:
-    return np.asarray((path == Path.LOS) | (path == Path.FOLIAGE))
+    return np.asarray((path == SignalPath.LOS) | (path == SignalPath.FOLIAGE))
 
 
 def summary(recording: SkyRecording) -> dict[str, Any]:
     """Statistics of a recording as JSON data."""
-    late = recording.excess_m[recording.path == Path.REFLECTED]
+    late = recording.excess_m[recording.path == SignalPath.REFLECTED]
     right, constant = agreement(recording)
     return {
         "length_m": recording.length_m,
         "satellites": int(np.unique(recording.satellite).size),
         "rows": int(recording.path.size),
-        "shares": {kind.name.lower(): float((recording.path == kind).mean()) for kind in Path},
+        "shares": {kind.name.lower(): float((recording.path == kind).mean()) for kind in SignalPath},
         "late_median_m": float(np.median(late)) if late.size else None,
         "late_95_m": float(np.quantile(late, 0.95)) if late.size else None,
         "foretold": right,

@@ -142,7 +142,7 @@ STATION_NOISE = record(code=("f8", (BANDS,), "[-]"), phase=("f8", (BANDS,), "[-]
 
 LN10 = math.log(10.0)
 
-LOS, FOLIAGE, REFLECTED, BLOCKED = 0, 1, 2, 3  # values of visibility.Path
+LOS, FOLIAGE, REFLECTED, BLOCKED = 0, 1, 2, 3  # values of visibility.SignalPath
 
 # Code error of a consumer receiver in a city given its C/N0: N(0, CORE^2) plus, with probability p, a Weibull excess.
 # Fitted to medians, robust sigmas, quantiles and shares above 15 m of 15,780 pseudoranges of a single-frequency u-blox

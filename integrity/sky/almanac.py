@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from datetime import date, datetime
-from pathlib import Path as FilePath
+from pathlib import Path
 
 import numpy as np
 
@@ -49,7 +49,7 @@ LARGEST_BYTES = 8 * 2**20  # an almanac of all systems is below 100 kB
 WEEKS_OF_ROLLOVER = 1024
 
 
-def read_yuma(path: str | FilePath, near: date, *, healthy_only: bool = True) -> SatelliteTable:
+def read_yuma(path: str | Path, near: date, *, healthy_only: bool = True) -> SatelliteTable:
     """Read the satellites of a YUMA file; see :func:`parse_yuma` for the parameters.
 
     Raises
@@ -58,9 +58,9 @@ def read_yuma(path: str | FilePath, near: date, *, healthy_only: bool = True) ->
         The file cannot be read, is too large, is not ASCII text, or is malformed.
     """
     try:
-        if (size := FilePath(path).stat().st_size) > LARGEST_BYTES:
+        if (size := Path(path).stat().st_size) > LARGEST_BYTES:
             raise InputError(f"almanac {path} must have at most {LARGEST_BYTES} bytes, has {size}: is it a YUMA file?")
-        text = FilePath(path).read_text(encoding="ascii", errors="strict")
+        text = Path(path).read_text(encoding="ascii", errors="strict")
     except (OSError, UnicodeDecodeError) as exc:
         raise InputError(f"almanac {path} must be a readable ASCII text file, got: {exc}") from exc
     return parse_yuma(text, near, healthy_only=healthy_only, source=str(path))

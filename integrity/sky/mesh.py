@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path as FilePath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ LARGEST_BYTES = 48 * 2**20  # about 2.5 million triangles of a binary file; read
 
 
 def city_from_mesh(
-    path: str | FilePath,
+    path: str | Path,
     *,
     y_up: bool = False,
     origin_enu_m: ArrayLike = (0.0, 0.0, 0.0),
@@ -42,7 +42,7 @@ def city_from_mesh(
         The file is missing, of another format, too large, truncated, empty, or without a face of positive area. A
         truncated file is refused because a part of the city would leave too much sky free.
     """
-    file = FilePath(path)
+    file = Path(path)
     offset = require_finite("origin_enu_m", origin_enu_m)
     require_shape("origin_enu_m", offset, (3,))
     if file.suffix.lower() not in MESH_SUFFIXES:
@@ -71,7 +71,7 @@ def city_from_mesh(
     return City.of(triangles[sound], surface)
 
 
-def _load(file: FilePath) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _load(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Vertices (V, 3) and faces (F, 3) of a file, all parts of its scene merged."""
     import trimesh
 

@@ -33,7 +33,7 @@ EDGE = 1e-12  # edges belong to the triangle, up to rounding
 GRAZING = 1e-12  # a ray is parallel to a plane if the sine of the angle between them is smaller
 LIFT_M = 1e-6  # distance from the wall at which a reflected ray starts
 TWO_PI = 2.0 * math.pi
-LOS, FOLIAGE, REFLECTED, BLOCKED = 0, 1, 2, 3  # the values of visibility.Path
+LOS, FOLIAGE, REFLECTED, BLOCKED = 0, 1, 2, 3  # the values of visibility.SignalPath
 
 
 MASK_RULES = record(
@@ -71,7 +71,7 @@ class SatelliteRows(NamedTuple):
 
 
 class ReceptionRows(NamedTuple):
-    """How signals arrive: path (B, S) of visibility.Path, excess (B, S) [m]; cells (B, S) is work."""
+    """How signals arrive: path (B, S) of visibility.SignalPath, excess (B, S) [m]; cells (B, S) is work."""
 
     path: NDArray[np.uint8]
     excess: NDArray[np.float64]

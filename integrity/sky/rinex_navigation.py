@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
-from pathlib import Path as FilePath
+from pathlib import Path
 
 import numpy as np
 
@@ -68,7 +68,7 @@ class _Message:
     lines: list[str]
 
 
-def read_navigation(path: str | FilePath) -> Ephemerides:
+def read_navigation(path: str | Path) -> Ephemerides:
     """Read the messages of a RINEX 3 navigation file; see :func:`parse_navigation`.
 
     Raises
@@ -76,7 +76,7 @@ def read_navigation(path: str | FilePath) -> Ephemerides:
     InputError
         The file cannot be read, is too large, is not a RINEX 3 navigation file, or has a malformed line.
     """
-    file = FilePath(path)
+    file = Path(path)
     try:
         if file.stat().st_size > LARGEST_BYTES:
             raise InputError(f"navigation file {path} must have at most {LARGEST_BYTES} bytes: cut it into days")

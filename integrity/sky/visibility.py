@@ -11,7 +11,7 @@ import hashlib
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
-from pathlib import Path as FilePath
+from pathlib import Path
 from zipfile import BadZipFile
 
 import numpy as np
@@ -26,12 +26,12 @@ from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.scene import City
 from lanebound.integrity.sky.view import SkyView
 
-__all__ = ["Path", "Reception", "SkyMask", "cell_centres", "cells_of", "distinct_antennas", "line_of_sight"]
+__all__ = ["Reception", "SignalPath", "SkyMask", "cell_centres", "cells_of", "distinct_antennas", "line_of_sight"]
 
 Array = NDArray[np.float64]
 
 
-class Path(IntEnum):
+class SignalPath(IntEnum):
     """Propagation path of a satellite signal to the antenna."""
 
     LOS = 0
@@ -46,7 +46,7 @@ class Reception:
 
     Attributes
     ----------
-    path : (B, S) uint8, values of :class:`Path`
+    path : (B, S) uint8, values of :class:`SignalPath`
     excess_m : (B, S) excess path of the strongest one-bounce reflection, 0 for none. A LOS signal with an excess has
         multipath; a REFLECTED signal is received only by this reflection.
     """
@@ -67,7 +67,7 @@ class SkyMask:
 
     Attributes
     ----------
-    path : (N, L, A E) uint8, values of :class:`Path`; cell ``a E + e`` for azimuth bin a and elevation bin e
+    path : (N, L, A E) uint8, values of :class:`SignalPath`; cell ``a E + e`` for azimuth bin a and elevation bin e
     excess_m : (N, L, A E) float32, shortest one-bounce excess, 0 for none
     azimuths, elevations : numbers of bins A over 2 pi and E over pi / 2
     spacing_m, length_m, closed : distance between stations, length of the road, whether the road is closed
@@ -230,7 +230,7 @@ class SkyMask:
         )
         return MaskRows(rules, self.path, self.excess_m)
 
-    def save(self, path: str | FilePath) -> None:
+    def save(self, path: str | Path) -> None:
         """Write the mask to an ``.npz`` file."""
         np.savez(
             path,
@@ -242,7 +242,7 @@ class SkyMask:
         )
 
     @classmethod
-    def load(cls, path: str | FilePath, digest: str | None = None) -> SkyMask:
+    def load(cls, path: str | Path, digest: str | None = None) -> SkyMask:
         """Read a mask from an ``.npz`` file; a given ``digest`` must agree with that of the file.
 
         Raises
@@ -251,7 +251,7 @@ class SkyMask:
             The file cannot be read, contains no mask, or its digest differs.
         """
         try:
-            with FilePath(path).open("rb") as file, np.load(file, allow_pickle=False) as data:
+            with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as data:
                 table, excess, found = data["path"], data["excess_m"], str(data["digest"])
                 azimuths, elevations, closed = (int(v) for v in data["bins"])
                 spacing, length = (float(v) for v in data["stations"])

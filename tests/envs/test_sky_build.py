@@ -18,7 +18,7 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.city import CityConfig, SectionConfig, SectionKind
 from lanebound.integrity.sky.forecast import SkyForecast
 from lanebound.integrity.sky.raytrace import first_hits
-from lanebound.integrity.sky.visibility import Path, SkyMask
+from lanebound.integrity.sky.visibility import SignalPath, SkyMask
 
 ENVS = {"intersection": IntersectionEnv, "merge": MergeEnv, "racetrack": RacetrackEnv, "roundabout": RoundaboutEnv}
 BUILT = ("semi_urban", "dense_canyon", "suburban", "trees")
@@ -103,15 +103,15 @@ def test_a_canyon_along_the_road_leaves_the_sky_ahead_and_takes_the_sides() -> N
     table = street.mask.path.reshape(*street.mask.path.shape[:2], street.mask.azimuths, street.mask.elevations)
     low = 3  # 9 to 12 deg
     east, north = street.mask.azimuths // 4, 0  # the road runs along x, which is East
-    assert (table[:12, 0, east, low] == Path.LOS).all()
-    assert (table[:, 0, north, low] != Path.LOS).mean() > 0.7
+    assert (table[:12, 0, east, low] == SignalPath.LOS).all()
+    assert (table[:, 0, north, low] != SignalPath.LOS).mean() > 0.7
 
 
 def test_named_sections_lie_where_they_are_named_unless_the_level_ignores_them() -> None:
     level = canyon(SectionKind.OPEN)
     named = [("0", "1", 40.0, 80.0, "tunnel")]
     street = build_street(straight(), level, 0, named, reuse=False)
-    zenith = street.mask.path[:, 0, street.mask.elevations - 1] != Path.LOS
+    zenith = street.mask.path[:, 0, street.mask.elevations - 1] != SignalPath.LOS
     at = 5.0 * np.arange(zenith.size)
     inside, outside = (at > 40.0) & (at < 80.0), (at < 40.0) | (at > 80.0)
     assert zenith[inside].all()

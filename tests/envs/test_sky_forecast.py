@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lanebound.envs.sky import SkyLevel, Street, build_street
 from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.track import SkyTrack
-from lanebound.integrity.sky.visibility import Path
+from lanebound.integrity.sky.visibility import SignalPath
 
 HOURS = (0.0, 1.0, 2.0, 3.0)
 
@@ -32,7 +32,7 @@ def differences(street: Street) -> NDArray[np.int64]:
     out = []
     for hour in HOURS:
         sky = track.at(track.start_s + 3600.0 * hour, np.zeros(stations, dtype=np.int64))
-        seen = (street.mask.look(arc, lane, sky).path == Path.LOS) & sky.above[0]
+        seen = (street.mask.look(arc, lane, sky).path == SignalPath.LOS) & sky.above[0]
         out.append(street.forecast.count(arc, lane, sky) - seen.sum(-1))
     return np.array(out)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lanebound.integrity.recorded.sky_recording import SkyRecording
-from lanebound.integrity.sky.visibility import Path
+from lanebound.integrity.sky.visibility import SignalPath
 
 LENGTH_M = 400.0
 
@@ -18,8 +18,8 @@ def wall_on_the_left() -> SkyRecording:
                              np.radians([15.0, 45.0, 75.0]))
     )  # fmt: skip
     beside, right = (arc > 100.0) & (arc < 300.0), np.sin(azimuth) > 0.0
-    path = np.where(beside & ~right, Path.BLOCKED, Path.LOS)
-    path = np.where(beside & right & (elevation < np.radians(30.0)), Path.REFLECTED, path).astype(np.uint8)
-    excess = np.where(path == Path.REFLECTED, 25.0, 0.0)
+    path = np.where(beside & ~right, SignalPath.BLOCKED, SignalPath.LOS)
+    path = np.where(beside & right & (elevation < np.radians(30.0)), SignalPath.REFLECTED, path).astype(np.uint8)
+    excess = np.where(path == SignalPath.REFLECTED, 25.0, 0.0)
     name = np.full(arc.size, "G01")
     return SkyRecording(name, arc, azimuth, elevation, path, excess, np.full(arc.size, 45.0), LENGTH_M)

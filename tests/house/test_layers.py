@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import subprocess
 import sys
+from collections import defaultdict
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -29,3 +31,14 @@ def test_kernels_know_kernels_alone():
         if not (module.endswith(("_kernel", ".accel", ".records")) or "_kernel" in names)
     ]
     assert not strangers
+
+
+def test_class_names_are_unique():
+    """A public class has a name of its own: a reader finds what a name means without its module."""
+    places = defaultdict(list)
+    for layer in ("integrity", "envs", "agents"):
+        for path in sorted((ROOT / layer).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                    places[node.name].append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    assert not {name: where for name, where in places.items() if len(where) > 1}

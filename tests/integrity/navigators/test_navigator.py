@@ -33,7 +33,7 @@ from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.systems import System
 from lanebound.integrity.sky.track import SkyTrack
-from lanebound.integrity.sky.visibility import Path, SkyMask
+from lanebound.integrity.sky.visibility import SignalPath, SkyMask
 
 Array = NDArray[np.float64]
 DT = 0.1
@@ -144,7 +144,7 @@ LOSS = Fault(kind="corrections_loss", start_s=10.0, duration_s=50.0)
 def _tunnel(start_m: float, end_m: float) -> SkyMask:
     """A straight road of 2 km with no sky between two places."""
     path = np.zeros((201, 1, 1), dtype=np.uint8)
-    path[round(start_m / 10.0) : round(end_m / 10.0)] = Path.BLOCKED
+    path[round(start_m / 10.0) : round(end_m / 10.0)] = SignalPath.BLOCKED
     return SkyMask(path, np.zeros(path.shape, dtype=np.float32), 1, 1, 10.0, 2000.0, False)
 
 
@@ -510,7 +510,7 @@ def test_levels_hold_what_an_unknown_heading_does_to_a_lever(forward_m: float, r
 
 def test_without_a_sky_there_is_no_position_and_no_exception() -> None:
     blocked = SkyMask(
-        np.full((1, 1, 1), Path.BLOCKED, dtype=np.uint8), np.zeros((1, 1, 1), np.float32), 1, 1, 1.0, 1.0, True
+        np.full((1, 1, 1), SignalPath.BLOCKED, dtype=np.uint8), np.zeros((1, 1, 1), np.float32), 1, 1, 1.0, 1.0, True
     )
     run = _Cars(_navigator(mask=blocked)).drive(5.0)
     assert (run.mode == Mode.NONE).all()

@@ -16,7 +16,7 @@ from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sensors.imu import ImuConfig
 from lanebound.integrity.sky.track import SkyTrack
-from lanebound.integrity.sky.visibility import Path, SkyMask
+from lanebound.integrity.sky.visibility import SignalPath, SkyMask
 
 Array = NDArray[np.float64]
 DT_S, MPS, GRADES = 0.1, 12.0, ("consumer", "automotive", "tactical")
@@ -29,7 +29,7 @@ def _drive(config: NavigatorConfig, turn_radps: float = 0.0, turned_rad: float =
     """Across-track error and level of vehicles in a tunnel, (T, B) of each epoch; 5 s inside the road may turn."""
     cell_m, length_m = 10.0, MPS * (OPEN_S + TUNNEL_S) + 100.0
     path = np.zeros((int(length_m / cell_m) + 1, 1, 1), dtype=np.uint8)
-    path[int(MPS * OPEN_S / cell_m) :] = Path.BLOCKED
+    path[int(MPS * OPEN_S / cell_m) :] = SignalPath.BLOCKED
     mask = SkyMask(path, np.zeros(path.shape, dtype=np.float32), 1, 1, cell_m, length_m, False)
     track = SkyTrack.from_config(config.sky, OPEN_S + TUNNEL_S + 1.0)
     navigator = Navigator(config, track, mask, list(range(VEHICLES)))

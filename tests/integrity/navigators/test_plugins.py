@@ -39,7 +39,7 @@ from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
 from lanebound.integrity.sky.track import SkyTrack
-from lanebound.integrity.sky.visibility import Path, SkyMask
+from lanebound.integrity.sky.visibility import SignalPath, SkyMask
 
 DT_S, MPS = 0.1, 10.0
 KEEPING = "lanebound/LaneKeeping-v0"
@@ -91,7 +91,7 @@ def _error_m(solution: Solution, epoch: int) -> NDArray[np.float64]:
 def _tunnel(config: NavigatorConfig, seeds: list[int], faults: tuple[Fault, ...] = ()) -> Navigator:
     """An open road with a tunnel from 100 m on."""
     path = np.zeros((61, 1, 1), dtype=np.uint8)
-    path[10:] = Path.BLOCKED
+    path[10:] = SignalPath.BLOCKED
     mask = SkyMask(path, np.zeros(path.shape, dtype=np.float32), 1, 1, 10.0, 600.0, False)
     return Navigator(config, SkyTrack.from_config(config.sky, 60.0), mask, seeds, faults=FaultSchedule(faults))
 

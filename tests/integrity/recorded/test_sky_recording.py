@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import gzip
-from pathlib import Path as FilePath
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,24 +11,24 @@ from recordings import SKY
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.sky_recording import SkyRecording, read_sky_recording
-from lanebound.integrity.sky.visibility import Path
+from lanebound.integrity.sky.visibility import SignalPath
 
 
-def written(folder: FilePath, text: str = SKY) -> FilePath:
+def written(folder: Path, text: str = SKY) -> Path:
     path = folder / "sky.csv"
     path.write_text(text, encoding="utf-8")
     return path
 
 
-def asked(recording: SkyRecording, arc_m: float, azimuth_deg: float, elevation_deg: float = 40.0) -> Path:
+def asked(recording: SkyRecording, arc_m: float, azimuth_deg: float, elevation_deg: float = 40.0) -> SignalPath:
     row = recording.nearest(np.array([arc_m]), np.radians([azimuth_deg]), np.radians([elevation_deg]))
-    return Path(recording.path[row[0]])
+    return SignalPath(recording.path[row[0]])
 
 
-def test_a_file_is_read_and_written_back(tmp_path: FilePath) -> None:
+def test_a_file_is_read_and_written_back(tmp_path: Path) -> None:
     first = read_sky_recording(written(tmp_path))
     assert first.satellite.tolist() == ["G01", "G01", "G02", "G02"]
-    assert first.path.tolist() == [Path.BLOCKED, Path.LOS, Path.REFLECTED, Path.FOLIAGE]
+    assert first.path.tolist() == [SignalPath.BLOCKED, SignalPath.LOS, SignalPath.REFLECTED, SignalPath.FOLIAGE]
     assert first.excess_m.tolist() == [0.0, 0.0, 35.25, 0.0]
     assert (first.length_m, first.stopped) == (20.0, None)
     first.save(tmp_path / "again.csv")
@@ -41,21 +41,21 @@ def test_a_file_is_read_and_written_back(tmp_path: FilePath) -> None:
     assert read_sky_recording(packed).digest == first.digest
 
 
-def test_what_is_nearest_answers_and_the_drive_is_a_loop(tmp_path: FilePath) -> None:
+def test_what_is_nearest_answers_and_the_drive_is_a_loop(tmp_path: Path) -> None:
     sky = read_sky_recording(written(tmp_path))
-    assert asked(sky, 2.0, 265.0) is Path.BLOCKED
-    assert asked(sky, 12.0, 275.0) is Path.LOS
-    assert asked(sky, 3.0, 90.0) is Path.REFLECTED
-    assert asked(sky, 13.0, 90.0) is Path.FOLIAGE
-    assert asked(sky, 19.0, 270.0) is Path.BLOCKED  # 3.5 m on the drive begins anew
-    assert asked(sky, 42.5, 270.0 - 720.0) is Path.BLOCKED
-    assert asked(sky, -17.5, 270.0) is Path.BLOCKED
+    assert asked(sky, 2.0, 265.0) is SignalPath.BLOCKED
+    assert asked(sky, 12.0, 275.0) is SignalPath.LOS
+    assert asked(sky, 3.0, 90.0) is SignalPath.REFLECTED
+    assert asked(sky, 13.0, 90.0) is SignalPath.FOLIAGE
+    assert asked(sky, 19.0, 270.0) is SignalPath.BLOCKED  # 3.5 m on the drive begins anew
+    assert asked(sky, 42.5, 270.0 - 720.0) is SignalPath.BLOCKED
+    assert asked(sky, -17.5, 270.0) is SignalPath.BLOCKED
 
 
-def test_towards_the_zenith_azimuth_says_less_than_at_the_horizon(tmp_path: FilePath) -> None:
+def test_towards_the_zenith_azimuth_says_less_than_at_the_horizon(tmp_path: Path) -> None:
     rows = "G01,2.5,10.0,85.0,blocked,0,0\nG02,2.5,100.0,60.0,los,0,48\n"
     sky = read_sky_recording(written(tmp_path, SKY[: SKY.index("G01")] + rows))
-    assert asked(sky, 2.5, 190.0, 85.0) is Path.BLOCKED
+    assert asked(sky, 2.5, 190.0, 85.0) is SignalPath.BLOCKED
 
 
 @pytest.mark.parametrize(
@@ -71,12 +71,12 @@ def test_towards_the_zenith_azimuth_says_less_than_at_the_horizon(tmp_path: File
         (",46.0", "", "must have 7 columns, got 6"),
     ],
 )
-def test_what_is_wrong_is_named(tmp_path: FilePath, old: str, new: str, message: str) -> None:
+def test_what_is_wrong_is_named(tmp_path: Path, old: str, new: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read_sky_recording(written(tmp_path, SKY.replace(old, new, 1)))
 
 
-def test_a_cut_file_gives_what_was_read(tmp_path: FilePath) -> None:
+def test_a_cut_file_gives_what_was_read(tmp_path: Path) -> None:
     cut = read_sky_recording(written(tmp_path, SKY[:-8]))
     assert cut.path.size == 3
     assert "line 6" in str(cut.stopped)
@@ -87,7 +87,7 @@ def test_a_cut_file_gives_what_was_read(tmp_path: FilePath) -> None:
         read_sky_recording(written(tmp_path, SKY[:90]))
 
 
-def test_what_decides_names_a_recording(tmp_path: FilePath) -> None:
+def test_what_decides_names_a_recording(tmp_path: Path) -> None:
     plain = read_sky_recording(written(tmp_path)).digest
     assert read_sky_recording(written(tmp_path, SKY.replace("35.25", "35.26"))).digest != plain
     assert read_sky_recording(written(tmp_path, SKY.replace("20.00", "21.00"))).digest != plain

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import fields, replace
-from pathlib import Path as FilePath
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from lanebound.integrity.recorded.sky_recording import SkyRecording, read_sky_re
 from lanebound.integrity.recorded.smartloc import Pseudoranges, SmartLoc
 from lanebound.integrity.replay.city_report import read_city
 from lanebound.integrity.replay.sky_record import SkyRecordConfig, agreement, record_sky, summary
-from lanebound.integrity.sky.visibility import Path
+from lanebound.integrity.sky.visibility import SignalPath
 
 FROM_S, UNTIL_S = 8.0, 16.0
 
@@ -40,13 +40,13 @@ def test_walls_are_where_they_are() -> None:
     right_low = beside(sky) & (right > 0.0) & (elevation < 40.0) & clear_of_edges
     assert left_low.sum() > 20
     assert right_low.sum() > 10
-    assert (sky.path[left_low] == Path.BLOCKED).all()
+    assert (sky.path[left_low] == SignalPath.BLOCKED).all()
     assert (sky.cn0_dbhz[left_low] == 0.0).all()
-    assert (sky.path[right_low] == Path.REFLECTED).all()
+    assert (sky.path[right_low] == SignalPath.REFLECTED).all()
     np.testing.assert_allclose(sky.excess_m[right_low], 40.0, atol=6.0)  # 2 sigma of the noise
     away = (sky.arc_m < FROM_S * SPEED_MPS - 5.0) | (sky.arc_m > UNTIL_S * SPEED_MPS + 5.0)
-    assert (sky.path[away] == Path.LOS).all()
-    assert (sky.excess_m[sky.path != Path.REFLECTED] == 0.0).all()
+    assert (sky.path[away] == SignalPath.LOS).all()
+    assert (sky.excess_m[sky.path != SignalPath.REFLECTED] == 0.0).all()
 
 
 def test_directions_are_those_from_the_car() -> None:
@@ -66,8 +66,8 @@ def test_weak_signals_that_are_not_late_came_through_leaves() -> None:
     weak = (drive.ranges.satellite == 1) & (drive.ranges.time_s > 12.0)
     sky = record_sky(replace(drive, ranges=replace(drive.ranges, cn0_dbhz=np.where(weak, 35.0, 45.0))))
     behind = (sky.satellite == "G1") & (sky.arc_m > 12.0 * SPEED_MPS + 5.0)
-    assert (sky.path[behind] == Path.FOLIAGE).all()
-    assert (sky.path[~behind & (sky.satellite != "G1")] == Path.LOS).all()
+    assert (sky.path[behind] == SignalPath.FOLIAGE).all()
+    assert (sky.path[~behind & (sky.satellite != "G1")] == SignalPath.LOS).all()
 
 
 def test_nobody_is_expected_long_before_and_after() -> None:
@@ -75,8 +75,8 @@ def test_nobody_is_expected_long_before_and_after() -> None:
     r = drive.ranges
     late_riser = only(drive, (r.satellite != 3) | ((r.time_s > 10.0) & (r.time_s < 14.0)))
     always, soon = record_sky(late_riser), record_sky(late_riser, SkyRecordConfig(expected_s=0.0))
-    assert (always.path[always.satellite == "G3"] == Path.BLOCKED).mean() > 0.7
-    assert (soon.path[soon.satellite == "G3"] == Path.LOS).all()
+    assert (always.path[always.satellite == "G3"] == SignalPath.BLOCKED).mean() > 0.7
+    assert (soon.path[soon.satellite == "G3"] == SignalPath.LOS).all()
     low = record_sky(drive, SkyRecordConfig(lowest_deg=30.0))
     assert "G1" not in low.satellite
 
@@ -100,7 +100,7 @@ def test_what_makes_no_recording_is_named() -> None:
         record_sky(drive, SkyRecordConfig(lowest_deg=80.0))
 
 
-def test_the_command_writes_a_file(tmp_path: FilePath) -> None:
+def test_the_command_writes_a_file(tmp_path: Path) -> None:
     from lanebound.agents.cli import app
 
     as_files(walled(simulated(), FROM_S, UNTIL_S), tmp_path)
@@ -113,7 +113,7 @@ def test_the_command_writes_a_file(tmp_path: FilePath) -> None:
     assert found == summary(sky) | rounded
     shown = CliRunner().invoke(app, ["record-sky", str(tmp_path), "--out", str(out), "--set", "late_m=60"])
     assert "reflected, share of rows" in shown.stdout
-    assert not (read_sky_recording(out).path == Path.REFLECTED).any()
+    assert not (read_sky_recording(out).path == SignalPath.REFLECTED).any()
     refused = CliRunner().invoke(app, ["record-sky", str(tmp_path), "--out", str(tmp_path / "town.txt")])
     assert refused.exit_code == 2
     nothing = CliRunner().invoke(app, ["record-sky", str(tmp_path / "none"), "--out", str(out)])
@@ -128,4 +128,4 @@ def test_the_sky_of_the_berlin_drive() -> None:
     assert found["shares"]["los"] > 0.2
     assert found["foretold"] > found["guessed"] + 0.15
     high = sky.elevation_rad > np.deg2rad(70.0)
-    assert (sky.path[high] == Path.BLOCKED).mean() < 0.01
+    assert (sky.path[high] == SignalPath.BLOCKED).mean() < 0.01

@@ -19,7 +19,7 @@ from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.gnss import GnssConfig, GnssEpoch, initial_state, observe
 from lanebound.integrity.sky.systems import WAVELENGTH_M
 from lanebound.integrity.sky.view import SkyView
-from lanebound.integrity.sky.visibility import Path, Reception
+from lanebound.integrity.sky.visibility import Reception, SignalPath
 
 DT = 0.1
 SYSTEM = np.array([0, 0, 1, 2, 3, 0, 1, 3])
@@ -60,7 +60,7 @@ def _truth(
     return truth_between(DT, DT, (p - v * DT, p), (v, v), (heading, heading))
 
 
-def _reception(batch: int = 1, path: Path = Path.LOS, excess_m: float = 0.0) -> Reception:
+def _reception(batch: int = 1, path: SignalPath = SignalPath.LOS, excess_m: float = 0.0) -> Reception:
     return Reception(np.full((batch, N_SAT), path, dtype=np.uint8), np.full((batch, N_SAT), excess_m))
 
 
@@ -181,7 +181,7 @@ def test_blockage_silences_then_code_then_phase_with_new_integers() -> None:
     config = PERFECT.replace(code_delay_s=0.2, phase_delay_s=1.0)
     receiver = _Receiver(config)
     before = receiver.step()
-    gone = receiver.step(reception=_reception(path=Path.BLOCKED))
+    gone = receiver.step(reception=_reception(path=SignalPath.BLOCKED))
     assert not gone.tracked.any()
     for name in ("code_m", "phase_m", "range_rate_mps", "cn0_dbhz"):
         assert not getattr(gone, name).any()
@@ -203,9 +203,9 @@ def test_jamming_drops_the_signal_and_then_the_satellite() -> None:
     assert not jammed.tracked[0, 1]
 
 
-@pytest.mark.parametrize("path", [Path.FOLIAGE, Path.REFLECTED])
-def test_obstructed_signals_are_weaker_by_the_declared_loss(path: Path) -> None:
-    loss = {Path.FOLIAGE: PERFECT.foliage_loss_db, Path.REFLECTED: PERFECT.reflection_loss_db}[path]
+@pytest.mark.parametrize("path", [SignalPath.FOLIAGE, SignalPath.REFLECTED])
+def test_obstructed_signals_are_weaker_by_the_declared_loss(path: SignalPath) -> None:
+    loss = {SignalPath.FOLIAGE: PERFECT.foliage_loss_db, SignalPath.REFLECTED: PERFECT.reflection_loss_db}[path]
     receiver, twin = _Receiver(PERFECT.replace(cn0_sigma_db=1.0), 4000), _Receiver(PERFECT, 4000)
     drop = twin.step().cn0_dbhz - receiver.step(reception=_reception(4000, path)).cn0_dbhz
     assert drop[:, 0].mean() == pytest.approx(loss, abs=4.0 * 3.0 / np.sqrt(4000))  # fails once in 15000 seeds
@@ -214,7 +214,7 @@ def test_obstructed_signals_are_weaker_by_the_declared_loss(path: Path) -> None:
 def test_a_late_signal_delays_the_code_by_its_detour_and_gives_no_phase() -> None:
     config = PERFECT.replace(nlos_scale=0.5)
     receiver, twin = _Receiver(config), _Receiver(PERFECT)
-    late, plain = receiver.step(reception=_reception(path=Path.REFLECTED, excess_m=40.0)), twin.step()
+    late, plain = receiver.step(reception=_reception(path=SignalPath.REFLECTED, excess_m=40.0)), twin.step()
     seen = late.tracked[0]
     assert seen.sum() > 3
     np.testing.assert_allclose((late.code_m - plain.code_m)[0][seen], 20.0)
@@ -393,7 +393,7 @@ def test_code_noise_has_its_size_whatever_part_of_it_is_the_stations(code_sigma_
     n = 400
     config = PERFECT.replace(code_sigma_m=code_sigma_m, code_multipath_m=2.0 * code_sigma_m, foliage_loss_db=4.0)
     receiver, twin = _Receiver(config, n), _Receiver(PERFECT.replace(foliage_loss_db=4.0), n)
-    noisy, plain = (r.step(reception=_reception(n, Path.FOLIAGE)) for r in (receiver, twin))
+    noisy, plain = (r.step(reception=_reception(n, SignalPath.FOLIAGE)) for r in (receiver, twin))
     scale = signals.elevation_scale(np.deg2rad(ELEVATION_DEG), plain.cn0_dbhz)
     z = (noisy.code_m - plain.code_m)[..., 0] / (np.sqrt(5.0) * code_sigma_m * scale)
     low, high = chi2.ppf([5e-4, 1 - 5e-4], z.size)  # fails by chance once in 1000 seeds
@@ -444,7 +444,7 @@ def test_the_receivers_clock_moves_codes_phases_and_rates_alike() -> None:
 
 def test_what_is_in_view_does_not_move_the_draws() -> None:
     one, two = _Receiver(GnssConfig(), settle=30), _Receiver(GnssConfig(), settle=29)
-    two.step(reception=_reception(path=Path.BLOCKED))
+    two.step(reception=_reception(path=SignalPath.BLOCKED))
     np.testing.assert_array_equal(one.streams.normal("gnss", 3), two.streams.normal("gnss", 3))
 
 
@@ -466,7 +466,9 @@ def test_a_consumer_receiver_shows_the_measured_city_errors() -> None:
     )
     receiver = _Receiver(config, batch, settle=0)
     receiver.sky = _sky(batch, np.linspace(15.0, 80.0, N_SAT))
-    path = np.where(np.random.default_rng(1).random((batch, N_SAT)) < 0.48, Path.REFLECTED, Path.LOS).astype(np.uint8)
+    path = np.where(
+        np.random.default_rng(1).random((batch, N_SAT)) < 0.48, SignalPath.REFLECTED, SignalPath.LOS
+    ).astype(np.uint8)
     for _ in range(4):
         epoch = receiver.step(reception=Reception(path, np.zeros(path.shape)))
     truth = -(receiver.sky.los_enu[0] @ np.array([3.0, -4.0, 0.0]))

@@ -19,7 +19,7 @@ from lanebound.integrity.sensors.imu import sample_imu
 from lanebound.integrity.sensors.odometer import sample_odometer
 from lanebound.integrity.sky.constellation import SkyConfig
 from lanebound.integrity.sky.track import SkyTrack
-from lanebound.integrity.sky.visibility import Path, SkyMask
+from lanebound.integrity.sky.visibility import SignalPath, SkyMask
 
 DT = 0.1
 TRACK = SkyTrack.from_config(SkyConfig(), 60.0)
@@ -40,7 +40,9 @@ FAULTS = tuple(
 
 def _mask() -> SkyMask:
     """A street whose sky changes every 10 m: open, trees, nothing, open."""
-    path = np.array([Path.LOS, Path.FOLIAGE, Path.BLOCKED, Path.REFLECTED], dtype=np.uint8).reshape(-1, 1, 1)
+    path = np.array(
+        [SignalPath.LOS, SignalPath.FOLIAGE, SignalPath.BLOCKED, SignalPath.REFLECTED], dtype=np.uint8
+    ).reshape(-1, 1, 1)
     return SkyMask(path, np.full(path.shape, 20.0, dtype=np.float32), 1, 1, 10.0, 40.0, True)
 
 

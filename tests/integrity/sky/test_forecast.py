@@ -13,7 +13,7 @@ from lanebound.integrity.sky.forecast import SkyForecast
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.scene import City
 from lanebound.integrity.sky.view import SkyView
-from lanebound.integrity.sky.visibility import Path, SkyMask
+from lanebound.integrity.sky.visibility import SignalPath, SkyMask
 
 STREET = Road.straight(100.0, 0.3, lane_count=2)
 CITY = build_city(STREET, CityConfig.uniform(SectionKind.SEMI_URBAN, tree_spacing_m=12.0), np.random.default_rng(1))
@@ -33,15 +33,15 @@ def sky(hours: float = 0.0) -> SkyView:
 def test_free_cells_are_those_that_the_mask_of_the_same_city_has_in_sight() -> None:
     mask = SkyMask.of_stations(antennas(), CITY, 10.0)
     found = SkyForecast.of_stations(antennas(), CITY, 10.0)
-    assert (mask.path == Path.FOLIAGE).any()
-    np.testing.assert_array_equal(found.free, mask.path == Path.LOS)
+    assert (mask.path == SignalPath.FOLIAGE).any()
+    np.testing.assert_array_equal(found.free, mask.path == SignalPath.LOS)
     assert (found.azimuths, found.elevations) == (mask.azimuths, mask.elevations)
 
 
 def test_places_count_what_the_mask_of_the_same_city_receives_directly() -> None:
     mask, view = SkyMask.of_stations(antennas(), CITY, 10.0), sky(2.0)
     arc, lane = np.array([-5.0, 0.0, 33.0, 80.0, 100.0, 400.0]), np.array([0, -1, 1, 7, 1, 0])
-    received = mask.look(arc, lane, view.for_vehicles(np.ones(arc.size))).path == Path.LOS
+    received = mask.look(arc, lane, view.for_vehicles(np.ones(arc.size))).path == SignalPath.LOS
     expected = (received & view.above[1]).sum(-1)
     found = SkyForecast.of_stations(antennas(), CITY, 10.0).count(arc, lane, view)
     np.testing.assert_array_equal(found, expected)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import replace
-from pathlib import Path as FilePath
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from lanebound.integrity.sky.city import CityConfig, SectionKind, build_city
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.scene import City, Surface, prisms
 from lanebound.integrity.sky.view import SkyView
-from lanebound.integrity.sky.visibility import Path, SkyMask, line_of_sight
+from lanebound.integrity.sky.visibility import SignalPath, SkyMask, line_of_sight
 
 Array = NDArray[np.float64]
 STREET = Road.straight(100.0, 0.5 * np.pi, lane_count=3)  # eastward
@@ -58,9 +58,9 @@ def test_reflection_off_one_wall_has_the_closed_form_delay() -> None:
     height = np.tan(np.deg2rad(el)) * 12.0 / np.abs(np.cos(np.deg2rad(az))) + 1.5
     reflected = south & (height < 199.0)
     np.testing.assert_allclose(got.excess_m[0, reflected], delay[reflected], rtol=1e-5)
-    assert (got.path[0, reflected] == Path.LOS).all()
+    assert (got.path[0, reflected] == SignalPath.LOS).all()
     assert (got.excess_m[0, ~south] == 0.0).all()
-    assert (got.path[0, ~south & (height < 199.0)] == Path.BLOCKED).all()
+    assert (got.path[0, ~south & (height < 199.0)] == SignalPath.BLOCKED).all()
 
 
 def test_two_walls_make_a_blocked_satellite_arrive_by_reflection() -> None:
@@ -69,7 +69,7 @@ def test_two_walls_make_a_blocked_satellite_arrive_by_reflection() -> None:
     mask = SkyMask.build(Road.straight(10.0, 0.5 * np.pi), city)
     got = mask.look(5.0, 0, sky_of(np.array([1.5, 1.5, 181.5, 181.5]), np.array([55.5, 85.5, 40.5, 88.5])))
     # 55.5 deg northward: under the 20 m eave (61.6 deg), free by way of the south wall (83 deg)
-    assert got.path[0].tolist() == [Path.REFLECTED, Path.LOS, Path.BLOCKED, Path.LOS]
+    assert got.path[0].tolist() == [SignalPath.REFLECTED, SignalPath.LOS, SignalPath.BLOCKED, SignalPath.LOS]
     expected = 2.0 * 10.0 * np.cos(np.deg2rad(55.5)) * np.cos(np.deg2rad(1.5))
     assert got.excess_m[0, 0] == pytest.approx(expected, rel=1e-5)
 
@@ -93,7 +93,7 @@ def test_mask_agrees_with_exact_line_of_sight_away_from_cell_edges(canyon: tuple
                 e = np.clip(el + de, 0.01, 89.99)
                 exact.append(line_of_sight(city, [*position, 1.5], sky_of(az + da, e).los_enu[0])[0])
             sure = (np.array(exact) == exact[0]).all(0)
-            seen = mask.look(10.0 * station, lane, sky_of(az, el)).path[0] == Path.LOS
+            seen = mask.look(10.0 * station, lane, sky_of(az, el)).path[0] == SignalPath.LOS
             assert sure.mean() > 0.7
             np.testing.assert_array_equal(seen[sure], exact[0][sure])
 
@@ -112,7 +112,7 @@ def test_lane_nearest_the_buildings_sees_less() -> None:
     config = CityConfig.load({"sections": [{"kind": "dense_canyon", "left_kind": "open"}]})
     road = Road.straight(500.0, 0.3, lane_count=3)
     mask = SkyMask.build(road, build_city(road, config, np.random.default_rng(2)), az_step_deg=6.0, el_step_deg=5.0)
-    seen = (mask.path == Path.LOS).mean((0, 2))
+    seen = (mask.path == SignalPath.LOS).mean((0, 2))
     assert seen[0] < seen[1] < seen[2]
 
 
@@ -122,10 +122,10 @@ def test_overpass_and_tunnel_block(kind: SectionKind, share: float) -> None:
     city = build_city(road, CityConfig.uniform(kind), np.random.default_rng(0))
     mask = SkyMask.build(road, city, station_spacing_m=10.0)
     middle = mask.path[5]
-    assert (middle == Path.LOS).mean() < share
-    assert (middle[:, mask.elevations - 1 :: mask.elevations] == Path.BLOCKED).all()  # the zenith
+    assert (middle == SignalPath.LOS).mean() < share
+    assert (middle[:, mask.elevations - 1 :: mask.elevations] == SignalPath.BLOCKED).all()  # the zenith
     if kind is SectionKind.OVERPASS:
-        assert (mask.path[0] == Path.LOS).mean() > 0.9
+        assert (mask.path[0] == SignalPath.LOS).mean() > 0.9
 
 
 def test_leaves_are_seen_through_and_solids_behind_them_are_not() -> None:
@@ -134,10 +134,10 @@ def test_leaves_are_seen_through_and_solids_behind_them_are_not() -> None:
     road = Road.straight(10.0, 0.5 * np.pi)
     low, high = sky_of(np.array([1.0]), np.array([30.0])), sky_of(np.array([1.0]), np.array([80.0]))
     alone = SkyMask.build(road, trees)
-    assert alone.look(0.0, 0, low).path == Path.FOLIAGE
-    assert alone.look(0.0, 0, high).path == Path.LOS
+    assert alone.look(0.0, 0, low).path == SignalPath.FOLIAGE
+    assert alone.look(0.0, 0, high).path == SignalPath.LOS
     behind = SkyMask.build(road, trees + wall(20.0))
-    assert behind.look(0.0, 0, low).path == Path.BLOCKED
+    assert behind.look(0.0, 0, low).path == SignalPath.BLOCKED
 
 
 def test_closed_roads_wrap() -> None:
@@ -155,7 +155,7 @@ def test_closed_roads_wrap() -> None:
 def test_open_sky_and_satellites_below_the_horizon() -> None:
     sky = sky_of(np.array([0.0, 90.0, 359.9]), np.array([-3.0, 0.0, 90.0]), vehicles=2)
     got = SkyMask.open().look([1e5, -3.0], [7, 0], sky)
-    assert got.path.tolist() == [[Path.BLOCKED, Path.LOS, Path.LOS]] * 2
+    assert got.path.tolist() == [[SignalPath.BLOCKED, SignalPath.LOS, SignalPath.LOS]] * 2
     assert not got.excess_m.any()
     negative = replace(sky, azimuth_rad=sky.azimuth_rad - 4.0 * np.pi)
     np.testing.assert_array_equal(SkyMask.open().look(0.0, 0, negative).path, got.path)
@@ -171,7 +171,7 @@ def test_threads_and_one_core_build_the_same_mask() -> None:
     np.testing.assert_array_equal(threads.excess_m, alone.excess_m)
 
 
-def test_saved_masks_come_back_and_know_their_inputs(tmp_path: FilePath, canyon: tuple[City, SkyMask]) -> None:
+def test_saved_masks_come_back_and_know_their_inputs(tmp_path: Path, canyon: tuple[City, SkyMask]) -> None:
     city, mask = canyon
     file = tmp_path / "mask.npz"
     mask.save(file)
