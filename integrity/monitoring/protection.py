@@ -207,10 +207,9 @@ def protection_levels_batch(
     bias_m: ArrayLike = 0.0,
     spent: ArrayLike = 0.0,
     subsets: FaultModes | None = None,
-    root: bool = True,
     closed: bool = False,
 ) -> BatchLevels:
-    """Protection levels of E epochs with one row for each satellite, by the kernels and exact biases.
+    """Multi-hypothesis levels of E epochs with one row for each satellite, by the kernels and exact biases.
 
     Parameters
     ----------
@@ -223,7 +222,7 @@ def protection_levels_batch(
     spent : (E,) or scalar risk already spent [-].
     subsets : further modes of several satellites at once, columns as those of ``in_view``; single satellites and
         constellations have their priors in ``config``.
-    root, closed : which levels to compute; the other is inf.
+    closed : compute the closed form too; else its levels are inf.
 
     Raises
     ------
@@ -256,7 +255,6 @@ def protection_levels_batch(
         constellations=config.monitors_constellations,
         multiple=config.subtract_multiple,
         tolerate=config.spend_unsolvable,
-        root=root,
         closed=closed,
     )
     level = (shape[0], wanted.size, 2)

@@ -399,7 +399,6 @@ RULES = record(
     constellations=("?", "add a mode for each constellation"),
     multiple=("?", "spend risk on two or more faults at once"),
     tolerate=("?", "spend the prior of modes without a solution"),
-    root=("?", "compute the multi-hypothesis level"),
     closed=("?", "compute the closed form"),
 )
 """Rules of :func:`find_levels`."""
@@ -483,7 +482,6 @@ def find_levels(
         spent = epochs.unmonitored[i] + (pair_risk(count, modes.prior) if rule.multiple else 0.0)
         split_budgets(tables.risks, rule.at_share, spent, budgets)
         set_factors(n, count, tables.k_fa[count - 1], 0.0, geo.clocks, modes)
-        if rule.root:
-            multi_hypothesis_pl(count, budgets, lost, rule.tolerate, modes, results.root[i])
+        multi_hypothesis_pl(count, budgets, lost, rule.tolerate, modes, results.root[i])
         if rule.closed:
             closed_form(count, budgets, rule.fault_free_share, lost, rule.tolerate, modes, results.closed[i])

@@ -42,3 +42,16 @@ def test_class_names_are_unique():
                 if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                     places[node.name].append(f"{path.relative_to(ROOT)}:{node.lineno}")
     assert not {name: where for name, where in places.items() if len(where) > 1}
+
+
+def test_functions_take_twelve_arguments_at_most():
+    """More belong into a record."""
+    long = []
+    for layer in ("integrity", "envs", "agents"):
+        for path in sorted((ROOT / layer).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.FunctionDef):
+                    names = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
+                    if len([name for name in names if name not in ("self", "cls")]) > 12:
+                        long.append(f"{path.relative_to(ROOT)}:{node.lineno} {node.name}")
+    assert not long
