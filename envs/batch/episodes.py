@@ -28,7 +28,7 @@ from lanebound.envs.batch.route_map import Reach, Routes
 from lanebound.envs.batch.route_map_kernel import RouteMap
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.observation.index import Observed, entries, sources_of
-from lanebound.integrity.core.accel import run_chain
+from lanebound.integrity.core.accel import call_links, run_rows
 from lanebound.integrity.core.bundle_kernel import Bundle
 from lanebound.integrity.core.records import Records
 
@@ -213,13 +213,14 @@ class Episodes:
             for time_s, solution in heard:
                 self._perceive(rows, local, np.full(rows.size, time_s), solution)
         if navigation is not None:
-            run_chain([navigation.sky_link(rows)], rows.size, row_us=EPOCH_US)
+            kernel, arguments = navigation.sky_link(rows)
+            run_rows(kernel, rows.size, *arguments, row_us=EPOCH_US)
 
     def _perceive(self, rows: Rows, local: Rows, time_s: Array, solution: Any) -> None:
         fixes = None if solution is None else fixes_of(solution)
         at = local * self.navigation.vehicles if self.navigation is not None else local
         links = self.perception.links(rows, at, time_s, fixes, self.batch)
-        run_chain(links, rows.size, row_us=EPOCH_US)
+        run_rows(call_links, rows.size, links, row_us=EPOCH_US)
 
     def replace_cars(self, cars: Cars) -> None:
         """Other vehicles in place of those there have been, perhaps more of them."""

@@ -272,11 +272,11 @@ class NavigationBatch:
         self.navigator.faults = faults
 
     def coast_link(self, rows: Rows, batch: Records, tracks: Records | None) -> Any:
-        """A simulation step has passed that ends no epoch, as a link of a chain."""
+        """A simulation step has passed that ends no epoch, as a link."""
         return rk.coast_rows, (rows, batch, self.motions, tracks)
 
     def epoch_link(self, rows: Rows, batch: Records) -> tuple[Any, TruthRows]:
-        """A simulation step has passed that ends an epoch, as a link of a chain, and the truth that it fills."""
+        """A simulation step has passed that ends an epoch, as a link, and the truth that it fills."""
         self._age += 1
         truth, times = _truth_rows(self.motions.size), self.skies.times(self._hour, self.clock_s)
         return (rk.end_epoch, (rows, batch, self.sensed.handle, self.motions, self._down, times, truth)), truth
@@ -303,7 +303,7 @@ class NavigationBatch:
         return self.skies.view(self.sky, self._index)
 
     def sky_link(self, rows: Rows) -> Any:
-        """The skies over egos now, as a link of a chain."""
+        """The skies over egos now, as a link."""
         return rk.sky_rows, (rows, self.sensed.handle, self.skies.times(self._hour, self.clock_s))
 
     @property

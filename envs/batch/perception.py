@@ -158,7 +158,7 @@ class PerceptionBatch:
     def links(
         self, rows: Rows, at: Rows, time_s: Array, fixes: Fixes | None, batch: Records, lies: Array | None = None
     ) -> list[Any]:
-        """One epoch of the egos ``rows`` (n,), as links of a chain.
+        """One epoch of the egos ``rows`` (n,), as links.
 
         at (n,): rows of the egos in ``fixes``, after which those of the others follow by slot; time_s (n,) of the
         episodes; batch: the bundle of the episodes; lies (C, 4): see :func:`.perception_kernel.hear`.

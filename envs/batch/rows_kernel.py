@@ -1,6 +1,6 @@
 """Entry kernels, each for environments ``rows[first:last]`` at the end of a simulation, epoch or policy step.
 
-They are the links of ``run_chain``; the formulas are in the other files of this package. ``batch`` is the handle of a
+They are the links of ``call_links``; the formulas are in the other files of this package. ``batch`` is the handle of a
 bundle of :class:`Batch`, ``sensed`` that of :class:`Sensed`.
 """
 

@@ -21,7 +21,7 @@ from lanebound.envs.vector.drive_kernel import TrafficBatch
 from lanebound.envs.vector.drivers_kernel import Drivers, clear, drivers_of, seat
 from lanebound.envs.vector.support import require_supported, support_of, traffic_of
 from lanebound.envs.vector.world_kernel import WORLD, judge_rows
-from lanebound.integrity.core.accel import run_chain
+from lanebound.integrity.core.accel import call_links, run_rows
 from lanebound.integrity.core.bundle_kernel import Bundle, RowCopier
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.records import Records, one_record
@@ -195,7 +195,7 @@ class Engine:
         nearest = np.clip(np.round(share * (speeds.size - 1)), 0, speeds.size - 1).astype(np.int64)
         episodes.ego.belief["target_speed_mps"][rows] = speeds[nearest]
         links = [self._judge_link(stage, rows, start=True), *episodes.finish_links(rows, start=True)]
-        run_chain(links, rows.size, row_us=FINISH_US)
+        run_rows(call_links, rows.size, links, row_us=FINISH_US)
         episodes.fill_extra(rows)
         for e in rows.tolist():
             del self._drawn[e]
@@ -228,21 +228,21 @@ class Engine:
             if e.navigation is not None:
                 link, truth = e.navigation.epoch_link(where, e.batch)
                 links.append(link)
-            run_chain(links, n, row_us=cost_us + EPOCH_US)
+            run_rows(call_links, n, links, row_us=cost_us + EPOCH_US)
             fixes = None if truth is None or e.navigation is None else fixes_of(e.navigation.locate(truth))
             links, cost_us = e.epoch_links(where, fixes, e.times_s[where]), EPOCH_US
         links += [self._judge_link(self._stage, where, start=False), *e.finish_links(where, start=False)]
-        run_chain(links, n, row_us=cost_us + FINISH_US)
+        run_rows(call_links, n, links, row_us=cost_us + FINISH_US)
         e.fill_extra(where)
 
     def _drive_link(self, rows: Rows, frames: int, codes: Rows | None) -> Any:
-        """Simulation steps as a link of a chain."""
+        """Simulation steps as a link."""
         e = self.episodes
         motions = None if e.navigation is None else e.navigation.motions
         return self._drive, (rows, frames, codes, e.batch, self._stage.bundle.handle, motions, e.tracks)
 
     def _judge_link(self, stage: Stage, rows: Rows, start: bool) -> Any:
-        """End rules and reward of the wrapped world after a step, as a link of a chain."""
+        """End rules and reward of the wrapped world after a step, as a link."""
         return judge_rows, (rows, stage.episodes.batch, stage.bundle.handle, start)
 
     def _take_up(self, actions: NDArray[Any]) -> None:

@@ -35,7 +35,7 @@ from typing import Any, TypeVar, overload
 import numba
 from numba.core import event
 
-__all__ = ["LOGGER", "jit", "kernels_are_cached", "run_chain", "run_rows", "serial", "thread_count"]
+__all__ = ["LOGGER", "call_links", "jit", "kernels_are_cached", "run_rows", "serial", "thread_count"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 FASTMATH = {"nsz"}  # with more flags a fresh kernel and a cached one could differ in the last bit
@@ -238,6 +238,10 @@ def thread_count(pieces: int) -> int:
 def run_rows(kernel: Any, rows: int, *arguments: Any, row_us: float) -> None:
     """Call ``kernel(first, last, *arguments)`` for all rows, in one call or in pieces on several threads.
 
+    The only place where rows are handed to threads, which costs about 40 us. Several kernels share one call as one
+    callable: :func:`call_links` for kernels with arguments of their own, and
+    :class:`~lanebound.integrity.core.chain_kernel.Chain` for kernels that all take the same data.
+
     There are more pieces than threads: if another process delays one thread, the other threads process its pieces. The
     result does not depend on the number of threads, because rows are independent of each other.
 
@@ -245,32 +249,25 @@ def run_rows(kernel: Any, rows: int, *arguments: Any, row_us: float) -> None:
     ----------
     row_us : approximate time of a row on one thread [us]; it determines the size of a piece
     """
-    run_chain([(kernel, arguments)], rows, row_us=row_us)
-
-
-def run_chain(links: Sequence[tuple[Any, tuple[Any, ...]]], rows: int, *, row_us: float) -> None:
-    """Call several kernels one after another for each piece of rows, as :func:`run_rows`; threads start only once.
-
-    Parameters
-    ----------
-    links : kernels with their arguments after ``first`` and ``last``
-    row_us : approximate time of a row in all kernels together on one thread [us]
-    """
     pieces = int(rows * row_us / PIECE_US)
     threads = thread_count(pieces)
     if threads == 1:
-        for kernel, arguments in links:
-            kernel(0, rows, *arguments)
+        kernel(0, rows, *arguments)
         return
     pieces = min(threads * PIECES_PER_THREAD, pieces, rows)
     numbers = itertools.count()
 
     def work() -> None:
         while (piece := next(numbers)) < pieces:
-            for kernel, arguments in links:
-                kernel(piece * rows // pieces, (piece + 1) * rows // pieces, *arguments)
+            kernel(piece * rows // pieces, (piece + 1) * rows // pieces, *arguments)
 
     _thread_pool(threads - 1, os.getpid()).run(work)
+
+
+def call_links(first: int, last: int, links: Sequence[tuple[Any, tuple[Any, ...]]]) -> None:
+    """Call kernels one after another for the same rows; ``links`` are kernels with their arguments after ``last``."""
+    for kernel, arguments in links:
+        kernel(first, last, *arguments)
 
 
 class _ThreadPool:

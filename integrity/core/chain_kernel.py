@@ -1,5 +1,8 @@
 """A chain of kernels that run one after another over the same rows, at the cost of one call from Python.
 
+A chain is itself a kernel for :func:`~lanebound.integrity.core.accel.run_rows`. All its kernels take the same data;
+kernels with arguments of their own are called by :func:`~lanebound.integrity.core.accel.call_links` instead.
+
 To hand an array to a kernel costs 0.1 to 0.3 us. A :class:`Chain` takes the arrays that last as a bundle, which is one
 argument, and the arrays of the epoch as a NamedTuple; a small compiled function joins both and calls the kernels by
 their addresses. The kernels stay compiled by themselves, so that a chain of any length costs no compile time.
@@ -11,7 +14,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from itertools import groupby
 from typing import Any
 
 import numba
@@ -71,11 +73,12 @@ def _run(addresses, first, last, handle, inputs):  # type: ignore[no-untyped-def
 class Chain:
     """Kernels with the signature ``kernel(first, last, data)``, called in order as one kernel.
 
+    Each type of data gets a compiled function of its own, at its first call.
+
     Parameters
     ----------
     whole : the class of ``data``, a NamedTuple of the fields of the bundle and of the inputs, in this order
-    stages : functions that :func:`~lanebound.integrity.core.accel.jit` compiled, or any Python functions of the same
-        signature, which are called from Python
+    kernels : functions that :func:`~lanebound.integrity.core.accel.jit` compiled
 
     Raises
     ------
@@ -83,28 +86,7 @@ class Chain:
         At a call, when ``whole`` has other fields.
     """
 
-    def __init__(self, whole: type[Any], *stages: Callable[..., Any]) -> None:
-        self._whole, self._stages = whole, stages
-        parts = groupby(stages, key=lambda stage: hasattr(stage, "py_func"))
-        self._parts = [
-            p for compiled, group in parts for p in ([_Compiled(whole, tuple(group))] if compiled else [*group])
-        ]
-
-    def __call__(self, first: int, last: int, lasting: Bundle, inputs: Any) -> None:
-        for part in self._parts:
-            if isinstance(part, _Compiled):
-                part(first, last, lasting, inputs)
-            else:
-                part(first, last, self._whole(*lasting.values, *inputs))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Chain, (self._whole, *self._stages)
-
-
-class _Compiled:
-    """Kernels called by one compiled function, which takes no data but those of the types it was made for."""
-
-    def __init__(self, whole: type[Any], kernels: tuple[Any, ...]) -> None:
+    def __init__(self, whole: type[Any], *kernels: Any) -> None:
         self._whole, self._kernels, self._lock = whole, kernels, threading.Lock()
         self._bound: dict[Any, tuple[Any, np.ndarray[Any, Any]]] = {}
         self._latest: tuple[Any, np.ndarray[Any, Any]] | None = None
@@ -142,6 +124,9 @@ class _Compiled:
             driver.disable_compile()
             found = self._bound[key] = driver, addresses
         return found
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Chain, (self._whole, *self._kernels)
 
 
 def _address(kernel: Any, signature: tuple[Any, ...]) -> np.uintp:

@@ -92,30 +92,20 @@ def advance_area(config: GnssConfig, link: CorrectionsConfig, state: AreaState, 
         if type(state.streams) is Streams:
             kernel.advance(network.epoch, bundle.handle)
         else:
-            _advance_by_draws(bundle.values, state)
+            _draw(bundle.values, state)
+            kernel.advance_drawn(network.epoch, bundle.handle)
 
 
-def _advance_by_draws(area: kernel.AreaRows, state: AreaState) -> None:
-    """The same as the kernel, by the draws of streams that draw in a way of their own."""
-    rules, link_rules, network, streams = area.rules[0], area.link_rules[0], state.network, state.streams
-    satellites = area.memory.shape[1]
-    outages = streams.normal("network", 2) if link_rules["outages"] else area.draws.outages
-    advance_network(network.epoch, link_rules, outages, area.network)
-    noise = flat(area.draws.noise)
-    if network.fresh.any():
-        noise = streams.normal("station", satellites, gk.STATION_NOISE.itemsize // 8, where=network.fresh)
-    z, clock = streams.normal("atmosphere", satellites), streams.normal("station", 2)
-    memory, process = area.memory.view(np.float64).reshape(*area.memory.shape, -1), network.own_epoch % kernel.PROCESSES
-    decay, gain = (np.ascontiguousarray(area.rules[name]).view(np.float64) for name in ("decay", "gain"))
-    rows = np.arange(process.size)
-    memory[rows, :, process] = decay[process, None] * memory[rows, :, process] + gain[process, None] * z
-    fresh = network.fresh
-    for name in ("code_multipath", "phase_multipath"):
-        area.message[name][fresh] = area.memory[name][fresh]
-    news = noise.reshape(*area.memory.shape, -1)[fresh]
-    area.message["code"][fresh], area.message["phase"][fresh] = news[..., : gk.BANDS], news[..., gk.BANDS :]
-    area.clock[:, 0] += rules["dt"] * area.clock[:, 1] + rules["clock_11"] * clock[:, 0]
-    area.clock[:, 1] += rules["clock_21"] * clock[:, 0] + rules["clock_22"] * clock[:, 1]
+def _draw(area: kernel.AreaRows, state: AreaState) -> None:
+    """Advance the networks, and draw from streams that draw in a way of their own, for the kernel."""
+    rules, draws, streams, satellites = area.link_rules[0], area.draws, state.streams, area.memory.shape[1]
+    if rules["outages"]:
+        draws.outages[:] = streams.normal("network", 2)
+    advance_network(state.network.epoch, rules, draws.outages, area.network)
+    if state.network.fresh.any():
+        noise = streams.normal("station", satellites, gk.STATION_NOISE.itemsize // 8, where=state.network.fresh)
+        draws.noise_normals[:] = noise.reshape(draws.noise_normals.shape)
+    draws.atmosphere[:], draws.clock[:] = streams.normal("atmosphere", satellites), streams.normal("station", 2)
 
 
 def _rows_of(rules: Records, link_rules: Records, state: AreaState) -> kernel.AreaRows:

@@ -93,14 +93,21 @@ def write_message(slow, noise, message):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def advance_station(epoch, first, last, area):  # type: ignore[no-untyped-def]
-    """Areas ``first`` to ``last - 1`` after their network: slow processes, a fresh message, and the station's clock."""
-    rules, draws, network = area.rules[0], area.draws, area.network
+def draw_stations(first, last, area):  # type: ignore[no-untyped-def]
+    """The draws of areas ``first`` to ``last - 1`` after their network."""
+    draws = area.draws
     draw_normals(first, last, draws.atmosphere_states, draws.table, draws.atmosphere)
-    if network.fresh[first]:
+    if area.network.fresh[first]:
         draw_normals(first, last, draws.station_states, draws.table, draws.noise_normals)
     draw_normals(first, last, draws.station_states, draws.table, draws.clock)
-    for a in range(first, last):
+
+
+@jit(borrows=True)
+def advance_drawn(epoch, handle):  # type: ignore[no-untyped-def]
+    """All areas after their network and their draws: slow processes, fresh messages, and the stations' clocks."""
+    area = unbundle(handle)
+    rules, draws, network = area.rules[0], area.draws, area.network
+    for a in range(area.memory.shape[0]):
         process = (epoch - network.begun[a]) % PROCESSES
         for s in range(area.memory.shape[1]):
             advance_process(process, rules, draws.atmosphere[a, s], area.memory[a, s])
@@ -113,7 +120,7 @@ def advance_station(epoch, first, last, area):  # type: ignore[no-untyped-def]
 
 @jit(borrows=True)
 def advance(epoch, handle):  # type: ignore[no-untyped-def]
-    """All areas to ``epoch`` of the clock, the one after the present; ``handle`` of a bundle of AreaRows.
+    """All areas to ``epoch`` of the clock, the one after the present, with their draws; ``handle`` of AreaRows.
 
     Areas with one generator for all have one clock, so that all or none have a fresh message.
     """
@@ -124,6 +131,7 @@ def advance(epoch, handle):  # type: ignore[no-untyped-def]
     advance_network(epoch, link_rules, draws.outages, area.network)
     if draws.station_states.shape[0] == areas:
         for a in range(areas):
-            advance_station(epoch, a, a + 1, area)
+            draw_stations(a, a + 1, area)
     else:
-        advance_station(epoch, 0, areas, area)
+        draw_stations(0, areas, area)
+    advance_drawn(epoch, handle)

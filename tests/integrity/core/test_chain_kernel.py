@@ -89,17 +89,6 @@ def test_arrays_outlive_the_slices_that_kernels_take() -> None:
     np.testing.assert_array_equal(sums.values.a, np.arange(4.0) + 100.0)
 
 
-def test_python_functions_take_their_turn() -> None:
-    seen = []
-
-    def note(first: int, last: int, pair: Pair) -> None:
-        seen.append((first, last, pair.a.copy().tolist()))
-
-    Chain(Pair, add, note, double, note)(0, 4, *_data())
-    assert [s[:2] for s in seen] == [(0, 4)] * 2
-    assert [s[2] for s in seen] == [[1.0, 2.0, 3.0, 4.0], [2.0, 4.0, 6.0, 8.0]]
-
-
 def test_data_of_another_type_get_kernels_of_their_own() -> None:
     chain = Chain(Pair, add, double)
     for a, b in (

@@ -49,6 +49,17 @@ def test_an_area_is_the_same_among_others():
     np.testing.assert_array_equal(alone.network.until[0], among.network.until[1])
 
 
+class _DrawnOutside(Streams):
+    """Streams whose draws are handed to the kernel."""
+
+
+def test_draws_from_outside_the_kernel_give_the_same_bits():
+    inside, outside = _area([5, 6]), initial_area(GNSS, LINK, N_SAT, DT, _DrawnOutside([5, 6]))
+    advance_area(GNSS, LINK, inside, 30.0, DT)
+    advance_area(GNSS, LINK, outside, 30.0, DT)
+    _assert_same(inside, outside)
+
+
 def test_the_stations_noise_is_new_with_each_message_and_the_rest_lasts():
     area, noise, slow = _area(), [], []
     for k in range(1, 41):
