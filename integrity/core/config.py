@@ -21,7 +21,7 @@ from pydantic_core import PydanticCustomError
 
 from lanebound.integrity.core.config_errors import explain, model_in
 from lanebound.integrity.core.errors import ConfigError
-from lanebound.integrity.core.presets import deep_merge, load_preset, preset_names
+from lanebound.integrity.core.presets import deep_merge, load_preset, mapping_of, preset_names, preset_values
 
 __all__ = ["Config", "ConfigValue", "Field", "deep_merge", "describe", "load_preset", "preset_names", "unit_of"]
 
@@ -140,9 +140,7 @@ class Config(BaseModel):
     @classmethod
     def preset(cls, name: str, overrides: Mapping[str, Any] | None = None) -> Self:
         """Build the configuration of a packaged preset with ``overrides`` merged deeply."""
-        data = load_preset(name, overrides)
-        data.pop("kind", None)
-        return cls.load(data)
+        return cls.load(deep_merge(preset_values(name), overrides or {}))
 
     def replace(self, **changes: Any) -> Self:
         """A validated copy with ``changes``; a mapping changes only its own keys."""
@@ -182,7 +180,7 @@ def _merged(model: type[BaseModel] | None, base: Mapping[str, Any], changes: Map
         field = model.model_fields.get(key) if model is not None else None
         inside = model_in(field.annotation) if field is not None else None
         if isinstance(value, Mapping):
-            merged[key] = _merged(inside, old if isinstance(old, Mapping) else {}, value)
+            merged[key] = _merged(inside, mapping_of(old), value)
         else:
             merged[key] = value
     return merged

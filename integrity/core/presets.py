@@ -15,7 +15,8 @@ from typing import Any
 from lanebound.integrity.core.errors import ConfigError
 
 __all__ = [
-    "FILES", "deep_merge", "load_file", "load_preset", "nearest", "parse_assignments", "parse_yaml", "preset_names",
+    "FILES", "deep_merge", "load_file", "load_preset", "mapping_of", "nearest", "parse_assignments", "parse_yaml",
+    "preset_names", "preset_values",
 ]  # fmt: skip
 
 PRESET_PACKAGE = "lanebound.configs"
@@ -42,15 +43,22 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
 
 def deep_merge(base: Mapping[str, Any], override: Mapping[str, Any]) -> dict[str, Any]:
-    """Merge ``override`` into a copy of ``base``: mappings key by key; every other value is replaced."""
+    """Merge ``override`` into a copy of ``base``: mappings key by key; every other value is replaced.
+
+    A mapping over the name of a preset is merged over the values of the preset.
+    """
     merged = {key: deep_merge(value, {}) if isinstance(value, Mapping) else value for key, value in base.items()}
     for key, value in override.items():
         old = merged.get(key)
-        if isinstance(value, Mapping):
-            merged[key] = deep_merge(old if isinstance(old, Mapping) else {}, value)
-        else:
-            merged[key] = value
+        merged[key] = deep_merge(mapping_of(old), value) if isinstance(value, Mapping) else value
     return merged
+
+
+def mapping_of(value: Any) -> Mapping[str, Any]:
+    """A mapping as it is, the values of a preset for its name, nothing for every other value."""
+    if isinstance(value, Mapping):
+        return value
+    return preset_values(value) if isinstance(value, str) and "/" in value and value in _presets() else {}
 
 
 DEEPEST = 50
@@ -122,20 +130,47 @@ def _inside(part: Any) -> Collection[Any]:
 
 
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
-    """Parse texts such as ``"navigator.dt_s=0.2"`` to nested overrides; values are read as YAML."""
+    """Parse texts such as ``"navigator.dt_s=0.2"`` to nested overrides; values are read as YAML.
+
+    Keys inside a value apply over the value, in any order of the texts: over a mapping, or over a preset by its name.
+
+    Raises
+    ------
+    ConfigError
+        A text is no assignment, or has keys inside another value.
+    """
     overrides: dict[str, Any] = {}
-    for text in assignments:
-        if not isinstance(text, str):
-            raise ConfigError(f"an override must be text, got {text!r}: write KEY=VALUE")
-        path, equals, value = text.partition("=")
-        keys = [key.strip() for key in path.split(".")]
-        if not equals or not all(keys):
-            raise ConfigError(f"an override must read key=value, got '{text}': 'lanebound config show' lists the keys")
-        nested: Any = parse_yaml(value, f"the value of '{path}'")
+    for keys, value in sorted(map(_assignment, assignments), key=lambda parsed: len(parsed[0])):
+        _require_inside(overrides, keys)
         for key in reversed(keys):
-            nested = {key: nested}
-        overrides = deep_merge(overrides, nested)
+            value = {key: value}
+        overrides = deep_merge(overrides, value)
     return overrides
+
+
+def _assignment(text: Any) -> tuple[list[str], Any]:
+    """The keys and the value of a text."""
+    if not isinstance(text, str):
+        raise ConfigError(f"an override must be text, got {text!r}: write KEY=VALUE")
+    path, equals, value = text.partition("=")
+    keys = [key.strip() for key in path.split(".")]
+    if not equals or not all(keys):
+        raise ConfigError(f"an override must read key=value, got '{text}': 'lanebound config show' lists the keys")
+    return keys, parse_yaml(value, f"the value of '{path}'")
+
+
+def _require_inside(overrides: Any, keys: list[str]) -> None:
+    """Refuse keys inside a value that is neither a mapping nor the name of a preset."""
+    for count, key in enumerate(keys[:-1], 1):
+        if key not in overrides:
+            return
+        value, overrides = overrides[key], mapping_of(overrides[key])
+        if not isinstance(value, Mapping) and not overrides:
+            path = ".".join(keys[:count])
+            raise ConfigError(
+                f"{path} must be a mapping or a preset's name where '{'.'.join(keys)}' is set, got {value!r}: "
+                f"set its keys alone (a kind as {path}.kind)"
+            )
 
 
 def _walk(folder: Traversable, prefix: str = "") -> Iterable[tuple[str, Traversable]]:
@@ -167,6 +202,13 @@ def load_preset(name: str, overrides: Mapping[str, Any] | None = None) -> dict[s
         A preset is unknown, is not a mapping of YAML, or extends itself.
     """
     return deep_merge(_resolve(name, _presets(), ()), overrides or {})
+
+
+def preset_values(name: str) -> dict[str, Any]:
+    """The values of preset ``name`` without its kind, as :func:`load_preset`."""
+    data = load_preset(name)
+    data.pop("kind", None)
+    return data
 
 
 def load_file(path: Path, what: str, kind: str | None = None) -> dict[str, Any]:

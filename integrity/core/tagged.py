@@ -25,7 +25,7 @@ from pydantic_core import core_schema
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.plugins import bare_name, unknown
-from lanebound.integrity.core.presets import load_preset
+from lanebound.integrity.core.presets import preset_values
 
 __all__ = ["Literal", "Tagged"]
 
@@ -159,11 +159,7 @@ class Tagged(Config):
         """Plain data from a name: with a ``/`` that of a preset, else that of a kind. Everything else stays."""
         if not isinstance(value, str):
             return value
-        if "/" not in value:
-            return {cls.tag: value}
-        data = load_preset(value)
-        data.pop("kind", None)  # that of the file, not of the family
-        return data
+        return preset_values(value) if "/" in value else {cls.tag: value}
 
     @model_validator(mode="before")
     @classmethod

@@ -109,6 +109,22 @@ def test_assignments_nest_and_merge():
     assert parse_assignments(texts) == wanted
 
 
+@pytest.mark.parametrize("backwards", [False, True])
+def test_keys_apply_over_the_preset_that_is_named_beside_them(backwards):
+    texts = ["toy=city/dense", "toy.rtk.age_s=1"]
+    wanted = {"toy": {"risk": 1e-7, "rtk": {"age_s": 1, "bands": [1, 2]}}}
+    assert parse_assignments(texts[::-1] if backwards else texts) == wanted
+    assert deep_merge({"toy": "city/dense"}, {"toy": {"rtk": {"age_s": 1}}}) == wanted
+
+
+@pytest.mark.parametrize("value", ["odometer_gyro", "3", "null", "no/preset"])
+def test_keys_inside_other_values_are_refused(value):
+    message = r"navigator must be a mapping or a preset's name where 'navigator\.dt_s' is set, got .*: set its keys"
+    for texts in ([f"navigator={value}", "navigator.dt_s=0.2"], ["navigator.dt_s=0.2", f"navigator={value}"]):
+        with pytest.raises(ConfigError, match=message):
+            parse_assignments(texts)
+
+
 @pytest.mark.parametrize("text", ["rtk.age_s", "=3", "rtk..age_s=1", ""])
 def test_assignments_must_read_key_equals_value(text):
     with pytest.raises(ConfigError, match="an override must read key=value, got"):

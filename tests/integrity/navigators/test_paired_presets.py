@@ -103,6 +103,13 @@ def test_environments_take_a_preset_by_its_name() -> None:
     assert NavigatorConfig().replace(**config.navigator) == NavigatorConfig.preset("navigators/tactical")
 
 
+def test_keys_apply_over_a_preset_that_is_named_in_other_data() -> None:
+    given = {"base": "LaneKeeping", "navigator": "navigators/tactical"}
+    made = EnvConfig.build(given, {"navigator": {"imu": {"gyro": {"scale": 0.004}}}})
+    tactical = NavigatorConfig.preset("navigators/tactical")
+    assert NavigatorConfig.load(made.navigator) == tactical.replace(imu={"gyro": {"scale": 0.004}}) != tactical
+
+
 def test_a_part_of_a_preset_extends_another_one() -> None:
     data = load_preset("navigators/tactical")
     assert data["kind"] == "navigator"
