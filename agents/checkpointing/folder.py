@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from lanebound.agents.checkpointing.files import make_folder, read_json, write_json
+from lanebound.agents.plugins import loaded_plugins
 from lanebound.integrity.core.errors import InputError
 
 try:
@@ -213,7 +214,7 @@ def _short(value: Any) -> str:
 
 @cache
 def code_digest(*sources: str) -> str:
-    """Digest of Python and YAML files, as they are at the first call.
+    """Digest of Python and YAML files and of the plug-ins that are loaded, as they are at the first call.
 
     Parameters
     ----------
@@ -227,6 +228,8 @@ def code_digest(*sources: str) -> str:
         for path in sorted(files):
             if "suites" not in path.parts:
                 found.update(path.read_bytes())
+    for file in sorted(filter(None, loaded_plugins().values())):
+        found.update(Path(file).read_bytes())
     return found.hexdigest()
 
 

@@ -21,6 +21,7 @@ from multiprocessing.connection import Connection, wait
 from threading import Lock, Thread
 from typing import Any, Literal, Protocol
 
+from lanebound.agents.plugins import load_plugins, loaded_plugins
 from lanebound.integrity.core.errors import InputError
 
 __all__ = ["STARTING", "Computation", "InProcess", "Lost", "PartStatus", "Pool", "one_thread"]
@@ -214,7 +215,9 @@ class _Worker:
         self.serves = context.RawValue(c_bool, False)
         self.status = PartStatus(shared)
         self.pipe, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs, shared, self.serves), daemon=True)
+        self.process = context.Process(
+            target=_serve, args=(theirs, shared, self.serves, [*loaded_plugins()]), daemon=True
+        )
         with STARTING, one_thread(), _interrupts_blocked():
             self.process.start()
         theirs.close()
@@ -311,7 +314,7 @@ def _interrupts_blocked() -> Iterator[None]:
 # In the worker process
 
 
-def _serve(pipe: Connection[Any, Any], shared: Any, serves: Any) -> None:
+def _serve(pipe: Connection[Any, Any], shared: Any, serves: Any, plugins: list[str]) -> None:
     """Compute the parts that come through the pipe until it is closed."""
     serves.value = True
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # where it cannot be blocked
@@ -321,6 +324,7 @@ def _serve(pipe: Connection[Any, Any], shared: Any, serves: Any) -> None:
     status = PartStatus(shared)
     status.watch_compilation()
     with suppress(EOFError, ConnectionError):  # the parent has ended
+        load_plugins(plugins)
         work = pipe.recv()
         while True:
             pipe.send(_answer(work, pipe.recv(), status))

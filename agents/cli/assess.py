@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from lanebound.agents.cli.advice import AdvisingGroup
-from lanebound.agents.cli.options import AsJson, Assignments, Jobs, changes
+from lanebound.agents.cli.options import AsJson, Assignments, Jobs, Plugins, changes
 
 __all__ = ["app"]
 
@@ -67,12 +67,7 @@ def faults(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Change a value of the study; may be repeated."),
     ] = None,
-    plugins: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--plugin", metavar="MODULE", help="Module or .py file that registers fault kinds; may be repeated."
-        ),
-    ] = None,
+    _plugins: Plugins = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> None:
     """Every kind of fault in several sizes and lengths: is it noticed, how soon, and does it mislead?
@@ -81,12 +76,9 @@ def faults(
     """
     from lanebound.agents.assess.faults import FaultsConfig, assess_faults
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
-    from lanebound.agents.plugins import load_plugin
     from lanebound.integrity.core.presets import parse_assignments
 
     with resumable(lambda: kept_text(out, "parts/*.json", "part")):
-        for name in plugins or ():
-            load_plugin(name)
         given = {} if vehicles is None else {"vehicles": vehicles}
         config = FaultsConfig.load(parse_assignments(assignments or []) | given)
         result = with_bar("parts", lambda on_progress: assess_faults(config, out, jobs, on_progress))

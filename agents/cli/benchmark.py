@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from lanebound.agents.cli.options import AsJson, Assignments, Budget, Cores, Fresh, FullTables, changes
+from lanebound.agents.cli.options import AsJson, Assignments, Budget, Cores, Fresh, FullTables, Plugins, changes
 from lanebound.agents.cli.output import counted
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ def benchmark(
     fresh: Fresh = False,
     budget: Budget = None,
     assignments: Assignments = None,
+    _plugins: Plugins = None,
     full: FullTables = False,
     as_json: AsJson = False,
 ) -> None:

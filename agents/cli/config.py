@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from lanebound.agents.cli.advice import AdvisingGroup
-from lanebound.agents.cli.options import AsJson, Assignments, changes
+from lanebound.agents.cli.options import AsJson, Assignments, Plugins, changes
 
 __all__ = ["app"]
 
@@ -36,6 +36,7 @@ def show(
         str, typer.Argument(metavar="PRESET", help="As 'lanebound config list' prints it, or a YAML file.")
     ],
     assignments: Assignments = None,
+    _plugins: Plugins = None,
     as_json: AsJson = False,
 ) -> None:
     """Show the resolved values of a preset: its own, those of the preset that it extends, and defaults.

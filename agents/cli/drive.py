@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lanebound.agents.cli.options import AsJson, Assignments, EnvId, Faults, Fps, Seed, Sky, Video, changes
+from lanebound.agents.cli.options import AsJson, Assignments, EnvId, Faults, Fps, Plugins, Seed, Sky, Video, changes
 from lanebound.agents.cli.output import counted
 from lanebound.agents.drivers import AGENTS
 
@@ -40,6 +40,7 @@ def drive(
     fps: Fps = 10,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help=f"Folder for {LOG}, {COLUMNS} and {DIAGRAM}.")] = None,
     assignments: Assignments = None,
+    _plugins: Plugins = None,
     as_json: AsJson = False,
 ) -> None:
     """Drive with an agent, and print return, costs and the quality of its position.

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lanebound.agents.cli.options import AsJson, Assignments, changes
+from lanebound.agents.cli.options import AsJson, Assignments, Plugins, changes
 
 if TYPE_CHECKING:
     from lanebound.envs.core import DrivingEnv
@@ -21,6 +21,7 @@ def envs(
         str | None, typer.Argument(metavar="[ID]", help="Show this one: configuration, observation, info, costs.")
     ] = None,
     assignments: Assignments = None,
+    plugins: Plugins = None,
     as_json: AsJson = False,
 ) -> None:
     """List the environments, or show one: its configuration, and every entry of its observation.
@@ -34,7 +35,7 @@ def envs(
             from lanebound.integrity.core.errors import InputError
 
             raise InputError("--set needs an environment, got none: name one, as in 'lanebound envs LaneKeeping'")
-        _list(as_json)
+        _list(as_json, bool(plugins))
         return
     from lanebound.agents.episodes.opening import open_env
 
@@ -45,19 +46,31 @@ def envs(
         _show(env)
 
 
-def _list(as_json: bool) -> None:
+def _list(as_json: bool, more: bool) -> None:
+    """List our environments, which is fast, and those of plug-ins, which must be opened for it."""
     from lanebound.agents.cli.listing import LISTING
     from lanebound.agents.cli.output import print_json, print_table
 
+    rows = [*LISTING, *_registered()] if more else list(LISTING)
     if as_json:
-        print_json(list(LISTING))
+        print_json(rows)
         return
-    print_table("Environments", COLUMNS, (_short(row) for row in LISTING))
-    first = LISTING[0]
+    print_table("Environments", COLUMNS, map(_short, rows))
+    first = rows[0]
     groups = ", ".join(f"{name} {size}" for name, size in first["observation"].items())
     typer.echo(f"Observations: {groups}; flat {first['flat_size']}.")
     typer.echo(f"Navigation at {first['navigation_hz']:g} Hz, dynamics at {first['simulation_hz']} Hz.")
     typer.echo("'lanebound envs ID' shows one whole, with every entry.")
+
+
+def _registered() -> list[dict[str, Any]]:
+    """The entries of environments from outside."""
+    from lanebound.agents.cli.listing import LISTING
+    from lanebound.agents.episodes.opening import open_env
+    from lanebound.envs import IDS
+
+    known = {row["id"] for row in LISTING}
+    return [facts(open_env(env_id)) for env_id in IDS if env_id not in known]
 
 
 def _short(row: dict[str, Any]) -> list[Any]:

@@ -8,9 +8,19 @@ from typing import Annotated, Any
 import typer
 
 __all__ = [
-    "AsJson", "Assignments", "Budget", "Cores", "EnvId", "Faults", "Fps", "Fresh", "FullTables", "Jobs", "Seed", "Sky",
-    "Video", "changes",
+    "AsJson", "Assignments", "Budget", "Cores", "EnvId", "Faults", "Fps", "Fresh", "FullTables", "Jobs", "Plugins",
+    "Seed", "Sky", "Video", "changes",
 ]  # fmt: skip
+
+
+def _load(names: list[str] | None) -> list[str] | None:
+    """Import plug-ins before a command looks at its other options."""
+    if names:
+        from lanebound.agents.plugins import load_plugins
+
+        load_plugins(names)
+    return names
+
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 Assignments = Annotated[
@@ -24,6 +34,17 @@ Fps = Annotated[int, typer.Option(min=1, help="Pictures of the film in a second 
 Fresh = Annotated[bool, typer.Option("--fresh/--resume", help="Remove the results of an earlier run, or resume it.")]
 FullTables = Annotated[bool, typer.Option("--full", help="Print the tables of every cell, with intervals.")]
 Jobs = Annotated[int, typer.Option(min=1, help="Parts of the work at a time, a process each.")]
+Plugins = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--plugin",
+        metavar="FILE.py",
+        callback=_load,
+        is_eager=True,
+        help="File or module of your own that registers extensions; may be repeated.",
+    ),
+]
+"""The option itself loads the plug-ins: most commands do not read its value."""
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the first episode; each next one has the next.")]
 Sky = Annotated[str | None, typer.Option(help="Sky: open, suburban, urban, dense, a file of record-sky, or FILE.yaml.")]
 Video = Annotated[Path | None, typer.Option(metavar="FILE.mp4", help="Film the episodes.")]

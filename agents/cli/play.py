@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import typer
 
-from lanebound.agents.cli.options import Assignments, EnvId, Faults, Seed, Sky, changes
+from lanebound.agents.cli.options import Assignments, EnvId, Faults, Plugins, Seed, Sky, changes
 
 __all__ = ["play"]
 
 PLAY_HZ = 10  # decisions in a second, for a quick response to keys
 
 
-def play(name: EnvId, sky: Sky = None, faults: Faults = None, seed: Seed = 0, assignments: Assignments = None) -> None:
+def play(
+    name: EnvId,
+    sky: Sky = None,
+    faults: Faults = None,
+    seed: Seed = 0,
+    assignments: Assignments = None,
+    _plugins: Plugins = None,
+) -> None:
     """Drive by hand in a window that shows belief and truth.
 
     Example: lanebound play UrbanCanyon --sky dense

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lanebound.agents.cli.options import AsJson, Fps, Video
+from lanebound.agents.cli.options import AsJson, Fps, Plugins, Video
 
 if TYPE_CHECKING:
     from lanebound.agents.benchmark import Outcome
@@ -20,6 +20,7 @@ def replay_episode(
     ident: Annotated[str, typer.Argument(metavar="ID", help="Episode as it is listed: env/sky-faults/agent/seed.")],
     video: Video = None,
     fps: Fps = 10,
+    _plugins: Plugins = None,
     as_json: AsJson = False,
 ) -> None:
     """Drive an episode of a benchmark again, and check that it ends as it did. Exit code 1 when it does not.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lanebound.agents.cli.options import AsJson, Assignments, Budget, Jobs, changes
+from lanebound.agents.cli.options import AsJson, Assignments, Budget, Jobs, Plugins, changes
 from lanebound.agents.cli.output import counted
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ def study(
     jobs: Jobs = 1,
     budget: Budget = None,
     assignments: Assignments = None,
+    _plugins: Plugins = None,
     as_json: AsJson = False,
 ) -> None:
     """Train every arm of a study in every place with several seeds, and compare them on held-out seeds.

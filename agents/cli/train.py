@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lanebound.agents.cli.options import AsJson, Assignments, Cores, Fresh, FullTables, changes
+from lanebound.agents.cli.options import AsJson, Assignments, Cores, Fresh, FullTables, Plugins, changes
 from lanebound.agents.cli.output import counted
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ def train(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the checkpoints; the last one is resumed.")],
     jobs: Annotated[int, typer.Option(min=1, help="1: environments in this process; more: each in its own.")] = 1,
     assignments: Assignments = None,
+    _plugins: Plugins = None,
 ) -> None:
     """Train a policy, or resume its training; the best within the limit of cost is stored as best.zip, with a card.
 
@@ -97,6 +98,7 @@ def evaluate(
     env: Where = None,
     sky: Annotated[str | None, typer.Option(help="Level of the sky; that of the training by default.")] = None,
     assignments: Assignments = None,
+    _plugins: Plugins = None,
     agents: Annotated[str, typer.Option(metavar="A,B", help="Drive these beside it.")] = "nominal,integrity_aware",
     seeds: Annotated[int, typer.Option(min=1, help="Episodes of each, on test seeds.")] = 50,
     skip: Annotated[int, typer.Option(min=0, help="First test seeds left out, as ones that were looked at.")] = 0,
@@ -126,6 +128,7 @@ def export(
     ] = None,
     env: Where = None,
     assignments: Assignments = None,
+    _plugins: Plugins = None,
 ) -> None:
     """Write a learnt policy as a network alone, from flat observations to actions.
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from lanebound.agents.cli.advice import AdvisingGroup
-from lanebound.agents.cli.options import Cores, EnvId
+from lanebound.agents.cli.options import Cores, EnvId, Plugins
 
 __all__ = ["app"]
 
@@ -27,6 +27,7 @@ def cautious(
     sky: Annotated[str, typer.Option(help="Level of the sky.")] = "dense",
     seeds: Annotated[int, typer.Option(min=1, help="How many, from the first training seed on.")] = 40,
     jobs: Cores = None,
+    _plugins: Plugins = None,
 ) -> None:
     """Constant margins to compare the integrity-aware driver with; prints JSON.
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import ast
 import json
-import sys
 from collections.abc import Callable
 from functools import lru_cache
 from importlib import import_module
@@ -18,14 +17,14 @@ from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
-from lanebound.agents.drivers.base import Driver
+from lanebound.agents.drivers.base import Driver, Starts, StatelessDriver, States
 from lanebound.agents.drivers.inputs import INPUTS, PolicyInputs
 from lanebound.agents.drivers.learnt import open_arrays
 from lanebound.agents.drivers.origin import inputs_in, report_elsewhere
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.plugins import find_in, import_from
 from lanebound.integrity.core.presets import nearest
 
 __all__ = [
@@ -40,7 +39,6 @@ __all__ = [
     "require_foreign",
 ]
 
-States = tuple[NDArray[Any], ...] | None
 MODELS = (".zip", ".onnx", ".npz")
 ALGORITHMS = {
     "cost_gae_lambda": "lanebound.agents.learning.ppo_lagrangian:PPOLagrangian",
@@ -84,7 +82,7 @@ def require_foreign(name: str) -> None:
         return
     from importlib.util import find_spec
 
-    _look_here()
+    find_in(Path.cwd())
     module, _, attribute = name.partition(":")
     try:
         found = find_spec(module)
@@ -183,11 +181,7 @@ class SelectingDriver:
         self.driver, self.select = driver, select
 
     def predict(
-        self,
-        observation: Any,
-        state: States = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
+        self, observation: Any, state: States = None, episode_start: Starts = None, deterministic: bool = True
     ) -> tuple[Any, States]:
         """The action of that driver for its entries."""
         return self.driver.predict(self.select(observation), state, episode_start, deterministic)
@@ -256,7 +250,7 @@ def _shape(space: spaces.Space[Any]) -> str:
 # ONNX
 
 
-class OnnxDriver:
+class OnnxDriver(StatelessDriver):
     """A network in an ONNX file: inputs named like the groups of the observation, or one for flat observations.
 
     The metadata of a file of 'lanebound export' hold the names of its observation entries; a file without them takes
@@ -304,22 +298,16 @@ class OnnxDriver:
                 "choose the environment that it was made for"
             )
 
-    def predict(
-        self,
-        observation: Any,
-        state: States = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Any, States]:
+    def act(self, observation: Any) -> Any:
         """The action for one observation."""
         select = self._selection
         parts = select.grouped(observation) if self._named else {self.inputs[0]: select.flat(observation)}
         given = {name: np.asarray(parts[name], dtype=np.float32)[None] for name in self.inputs}
         found = np.asarray(self.session.run(None, given)[0])[0]
         if isinstance(self.space, spaces.Discrete):
-            return np.asarray(found if found.dtype.kind in "iu" else np.argmax(found)), state
+            return np.asarray(found if found.dtype.kind in "iu" else np.argmax(found))
         assert isinstance(self.space, spaces.Box)
-        return np.clip(found, self.space.low, self.space.high).astype(np.float32), state  # NaN stays NaN
+        return np.clip(found, self.space.low, self.space.high).astype(np.float32)  # NaN stays NaN
 
 
 def onnx_session(path: Path) -> Any:
@@ -354,27 +342,20 @@ def _runtime() -> Any:
 # Python
 
 
-class FunctionDriver:
+class FunctionDriver(StatelessDriver):
     """A function from observations to actions as a driver."""
 
     def __init__(self, function: Callable[[Any], Any]) -> None:
         self.function = function
 
-    def predict(
-        self,
-        observation: Any,
-        state: States = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Any, States]:
-        """What the function says."""
-        return self.function(observation), state
+    def act(self, observation: Any) -> Any:
+        """The action by the function."""
+        return self.function(observation)
 
 
 def _called(name: str, env: DrivingEnv) -> Driver:
-    _look_here()
     module, _, attribute = name.partition(":")
-    make = getattr(import_module(module), attribute, None)
+    make = getattr(import_from(Path.cwd(), module, name), attribute, None)
     if not callable(make):
         raise InputError(f"agent '{name}' must name a callable of {module}, got {make!r}: correct the name")
     _require_taking(make, name, env)
@@ -398,13 +379,6 @@ def _require_taking(make: Callable[..., Any], name: str, env: DrivingEnv) -> Non
         raise InputError(
             f"agent '{name}' must be callable with the environment, got {told}: give it one argument"
         ) from None
-
-
-def _look_here() -> None:
-    """Modules in the present folder count too, as they do for Python itself."""
-    here = str(Path.cwd())
-    if here not in sys.path and "" not in sys.path:
-        sys.path.append(here)
 
 
 def _changed(path: str) -> int:

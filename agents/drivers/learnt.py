@@ -20,7 +20,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lanebound.agents.drivers.base import Observation, in_a_row
+from lanebound.agents.drivers.base import Observation, StatelessDriver, in_a_row
 from lanebound.agents.drivers.inputs import PolicyInputs
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.errors import InputError
@@ -28,10 +28,9 @@ from lanebound.integrity.core.errors import InputError
 __all__ = ["LearntDriver", "make_ppo", "open_arrays", "policies"]
 
 Array = NDArray[np.float32]
-States = tuple[NDArray[Any], ...] | None
 
 
-class LearntDriver:
+class LearntDriver(StatelessDriver):
     """Applies the network without noise; gives the same result for one observation and for a batch.
 
     Parameters
@@ -49,20 +48,14 @@ class LearntDriver:
     ) -> None:
         self._layers, self._discrete, self._select = layers, discrete, select
 
-    def predict(
-        self,
-        observation: Observation,
-        state: States = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[Any], States]:
+    def act(self, observation: Observation) -> NDArray[Any]:
         """The action (..., A), or (...) of discrete ones, for an observation (..., n) or a dict of its groups."""
         whole = self._select(observation)
         found = np.stack([self._outputs(row) for row in whole.reshape(-1, whole.shape[-1])])
         found = found.reshape(*whole.shape[:-1], -1)
         if self._discrete:
-            return found.argmax(axis=-1), state
-        return np.clip(found, np.float32(-1.0), np.float32(1.0)), state
+            return np.asarray(found.argmax(axis=-1))
+        return np.clip(found, np.float32(-1.0), np.float32(1.0))
 
     def _outputs(self, row: Array) -> Array:
         for weight, bias in self._layers[:-1]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from stable_baselines3.common.monitor import Monitor
@@ -12,6 +12,7 @@ from lanebound.agents.benchmark.seeds import SPLITS
 from lanebound.agents.episodes.opening import full_id
 from lanebound.agents.learning.experiment import ExperimentConfig, Shield
 from lanebound.agents.learning.shield import VecShielded
+from lanebound.agents.plugins import load_plugins, loaded_plugins
 from lanebound.agents.vec_env import EngineVecEnv
 from lanebound.envs.wrappers import EpisodeStatistics
 from lanebound.integrity.core.errors import ConfigError, InputError
@@ -79,6 +80,8 @@ class _Maker:
     """Makes a single environment, in any process."""
 
     experiment: ExperimentConfig
+    plugins: tuple[str, ...] = field(default_factory=lambda: tuple(loaded_plugins()))
 
     def __call__(self) -> Any:
+        load_plugins(self.plugins)
         return Monitor(EpisodeStatistics(self.experiment.open()))

@@ -10,13 +10,14 @@ import importlib
 import sys
 from collections.abc import Mapping
 from pathlib import Path
+from traceback import extract_tb
 from types import ModuleType
 from typing import TypeVar
 
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.presets import nearest
 
-__all__ = ["bare_name", "find", "import_from"]
+__all__ = ["bare_name", "find", "find_in", "import_from"]
 
 T = TypeVar("T")
 
@@ -44,15 +45,22 @@ def import_from(folder: Path, module: str, name: str) -> ModuleType:
     ConfigError
         The module cannot be imported, for whatever reason.
     """
-    if str(folder) not in sys.path:
-        sys.path.append(str(folder))
+    find_in(folder)
     try:
         return importlib.import_module(module)
     except Exception as error:
+        frames = [frame for frame in extract_tb(error.__traceback__)[1:] if not frame.filename.startswith("<frozen")]
+        where = f" at {frames[-1].filename}:{frames[-1].lineno}" if frames[1:] else ""
         raise ConfigError(
-            f"{name!r} must name a module that can be imported, got {type(error).__name__}: {error}: correct the name "
-            "or the module"
+            f"{name!r} must name a module that can be imported, got {type(error).__name__}: {error}{where}: correct "
+            "the name or the module"
         ) from error
+
+
+def find_in(folder: Path) -> None:
+    """Modules in ``folder`` can be imported from now on, after all others of the same name."""
+    if str(folder) not in sys.path:
+        sys.path.append(str(folder))
 
 
 def find(name: str, table: Mapping[str, T], what: str) -> T:
