@@ -18,7 +18,7 @@ from lanebound.integrity.core.records import Records
 if TYPE_CHECKING:
     from lanebound.envs.batch.lanes import LaneTable
 
-__all__ = ["EgoBelief", "LaneIndex", "Traffic", "azimuth_of", "enu_of", "heading_of", "xy_of"]
+__all__ = ["EgoBelief", "LaneIndex", "Traffic", "azimuth_of", "enu_of", "xy_of"]
 
 Array = NDArray[np.float64]
 LaneIndex = tuple[str, str, int]
@@ -39,11 +39,6 @@ def xy_of(en: Array) -> Array:
 def azimuth_of(heading_rad: Angle) -> Angle:
     """Azimuth clockwise from North of a heading in the plane [rad]."""
     return heading_rad + 0.5 * np.pi
-
-
-def heading_of(azimuth_rad: Angle) -> Angle:
-    """Heading in the plane of an azimuth [rad], not wrapped."""
-    return azimuth_rad - 0.5 * np.pi
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,9 @@ from lanebound.envs.batch.perception_kernel import see_truth
 from lanebound.envs.batch.records_kernel import cars_of
 from lanebound.envs.batch.view_kernel import true_view
 from lanebound.envs.belief_loop import BeliefLoop
-from lanebound.envs.records import EgoBelief, Traffic
 from lanebound.integrity.core.records import Records
 
-__all__ = ["TrueLead", "true_belief", "true_lead", "true_traffic"]
+__all__ = ["TrueLead", "true_lead"]
 
 
 class TrueLead(NamedTuple):
@@ -22,16 +21,6 @@ class TrueLead(NamedTuple):
 
     gap_m: float
     speed_mps: float
-
-
-def true_belief(loop: BeliefLoop) -> EgoBelief:
-    """The belief of an ego with perfect knowledge: the true pose and protection levels of 0."""
-    return EgoBelief.of(_true_belief(loop), 0, loop.episodes.table)
-
-
-def true_traffic(loop: BeliefLoop) -> Traffic:
-    """The true state of all other vehicles, nearest first."""
-    return Traffic.of(_true_traffic(loop))
 
 
 def true_lead(loop: BeliefLoop) -> TrueLead | None:

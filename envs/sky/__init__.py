@@ -2,6 +2,6 @@
 
 from lanebound.envs.sky.build import Section, build_street
 from lanebound.envs.sky.level import RECORDING, SKY_LEVELS, SkyLevel
-from lanebound.envs.sky.street import NO_LANE, LaneMap, Street
+from lanebound.envs.sky.street import LaneMap, Street
 
-__all__ = ["NO_LANE", "RECORDING", "SKY_LEVELS", "LaneMap", "Section", "SkyLevel", "Street", "build_street"]
+__all__ = ["RECORDING", "SKY_LEVELS", "LaneMap", "Section", "SkyLevel", "Street", "build_street"]

@@ -99,21 +99,6 @@ class AlertLimits(Config):
             raise ConfigError(f"alert limits must be one of {', '.join(ALERT_LIMITS)}, got {name!r}: correct the name")
         return ALERT_LIMITS[name]
 
-    @classmethod
-    def lane_geometric(cls, lane_width_m: float, vehicle_width_m: float, al_at_m: float) -> AlertLimits:
-        """A vehicle centred in its lane must not reach the line: ``AL_CT = (lane - vehicle) / 2``.
-
-        Raises
-        ------
-        InputError
-            The vehicle is as wide as the lane.
-        """
-        if not lane_width_m > vehicle_width_m:
-            raise InputError(
-                f"lane_width_m must be > vehicle_width_m = {vehicle_width_m}, got {lane_width_m}: widen the lane"
-            )
-        return cls(al_at_m=al_at_m, al_ct_m=0.5 * (lane_width_m - vehicle_width_m))
-
 
 ALERT_LIMITS: Mapping[str, AlertLimits] = MappingProxyType(
     {
@@ -132,10 +117,10 @@ class AlertConfig(Config):
 
     limits: AlertLimits = Field(AlertLimits(), description="alert limits and required accuracy")
     clear_margin: float = Field(
-        0.9, gt=0, le=1, description="an alert clears below this share of the limit [-]; argued"
+        0.9, gt=0, le=1, description="an alert clears below this share of the limit [-]; chosen"
     )
     clear_hold_s: float = Field(
-        1.0, ge=0, description="and only after this long below it [s]; argued: ten 10 Hz epochs"
+        1.0, ge=0, description="and only after this long below it [s]; chosen: ten 10 Hz epochs"
     )
     time_to_alert_s: float = Field(1.0, ge=0, description="TTA, longest delay allowed from onset to alert [s]; S3 II.B")
     raise_after_s: float = Field(0.0, ge=0, description="persistence asked before an alert [s]; 0 raises it at once")

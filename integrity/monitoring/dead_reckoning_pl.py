@@ -19,7 +19,6 @@ from lanebound.integrity.monitoring.risk import RiskConfig, Variant, upper_quant
 
 __all__ = [
     "Growth",
-    "accurate",
     "bias_track",
     "doppler_step",
     "initial_growth",
@@ -199,8 +198,3 @@ def protection_levels(
     sigma = np.sqrt(np.maximum(variance, 0.0))[..., None, :]
     bias = bias_track(growth, heading_rad, config.variant)[..., None, :]
     return np.asarray(missed_detection_factors(config, risks) * sigma + bias)
-
-
-def accurate(sigma_m: ArrayLike, limit_m: ArrayLike) -> Bools:
-    """The accuracy test at 95 %: ``1.96 sigma_q < T_acc,q`` (S1 eq 22).  (...,) [m] -> (...,) bool."""
-    return np.asarray(ACCURACY_SIGMAS * np.asarray(sigma_m) < np.asarray(limit_m))

@@ -80,7 +80,7 @@ class FdeConfig(Config):
         False,
         description="search only after the global test has failed; false keeps K_fa of the protection level exact",
     )
-    max_excluded: int = Field(4, ge=0, description="fault modes excluded at most [-]; argued: a third of an urban sky")
+    max_excluded: int = Field(4, ge=0, description="fault modes excluded at most [-]; chosen: a third of an urban sky")
     min_redundancy: int = Field(1, ge=1, description="redundancy that an exclusion must leave for the re-test [-]")
 
     def tables(self, n_max: int) -> ThresholdTables:
@@ -141,11 +141,6 @@ class FdeResult:
     overall: TestResult
     worst: Array
     adjustment: Adjustment
-
-    @property
-    def n_excluded(self) -> Ints:
-        """Number of modes excluded (...,)."""
-        return np.asarray(self.excluded.sum(-1))
 
 
 def detect_and_exclude(

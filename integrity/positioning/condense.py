@@ -12,9 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.core.errors import InputError, require_finite, require_shape
-
-__all__ = ["Condensed", "condense", "condense_white", "gauss_markov_covariance"]
+__all__ = ["Condensed", "condense_white", "gauss_markov_covariance"]
 
 Array = NDArray[np.float64]
 
@@ -31,26 +29,8 @@ class Condensed:
     freedom: int
 
 
-def condense(design: Array, covariance: Array, y: Array) -> Condensed:
-    """At most n rows in place of m: design (m, n), covariance (m, m), y (m,).
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit, entries that are not finite, or a covariance that is not positive definite.
-    """
-    g, q, right = (require_finite(*pair) for pair in (("design", design), ("covariance", covariance), ("y", y)))
-    require_shape("covariance", q, (g.shape[0], g.shape[0]))
-    require_shape("y", right, (g.shape[0],))
-    try:
-        root = np.linalg.cholesky(q)
-    except np.linalg.LinAlgError:
-        raise InputError("covariance must be positive definite, it is not: give every row noise of its own") from None
-    return condense_white(np.linalg.solve(root, np.column_stack([g, right])))
-
-
 def condense_white(white: Array) -> Condensed:
-    """:func:`condense` of rows that already have unit variance: (m, n + 1), the right-hand side last."""
+    """At most n rows in place of m rows of unit variance: (m, n + 1), the right-hand side last."""
     left, size, across = np.linalg.svd(white[:, :-1], full_matrices=False)
     keep = size > NEGLIGIBLE * max(float(size.max(initial=0.0)), np.finfo(np.float64).tiny)
     told = left[:, keep].T @ white[:, -1]

@@ -24,11 +24,11 @@ from lanebound.integrity.core.progress import Progress, silent
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rtk_status import RtkStatus
 from lanebound.integrity.recorded.rinex_observation import read_observations
-from lanebound.integrity.recorded.source import Lines, finite_number
+from lanebound.integrity.recorded.source import finite_number
 from lanebound.integrity.replay.baseline import Baseline, BaselineConfig, on_earth, solve_baseline
 from lanebound.integrity.sky.broadcast import read_navigation
 
-__all__ = ["read_coordinates", "read_solution", "run_baseline", "summarise"]
+__all__ = ["read_coordinates", "run_baseline", "summarise"]
 
 Array = NDArray[np.float64]
 
@@ -170,29 +170,3 @@ def read_coordinates(text: str) -> Array:
             f"[-360, 360] deg with a height, got '{text[-60:]}': write latitude before longitude"
         )
     return place
-
-
-def read_solution(path: str | Path) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Read an RTKLIB solution in ECEF (``out-solformat=xyz``): time of day (T,) [s], position (T, 3) [m], quality (T,).
-
-    Raises
-    ------
-    InputError
-        The file is not such a solution.
-    """
-    time, place, quality = [], [], []
-    lines = Lines(path)
-    for text in lines:
-        if text.startswith("%") or not text.strip():
-            continue
-        words = text.split()
-        try:
-            hour, minute, second = (finite_number(w, 0.0, 61.0) for w in words[1].split(":"))
-            time.append(3600.0 * hour + 60.0 * minute + second)
-            place.append([finite_number(w, -1e8, 1e8) for w in words[2:5]])
-            quality.append(int(finite_number(words[5], 0, 9)))
-        except (ValueError, IndexError) as error:
-            raise InputError(f"{lines.where()} must be a line of an RTKLIB solution in x, y, z, got: {error}") from None
-    if not time:
-        raise InputError(f"{path} must hold solutions, got none: is it a .pos file of RTKLIB?")
-    return np.array(time), np.array(place), np.array(quality, dtype=np.int64)

@@ -32,7 +32,6 @@ __all__ = [
     "ImuState",
     "gauss_markov_step",
     "initial_imu",
-    "mems_exponential_error",
     "random_walk_step",
     "sample_imu",
 ]
@@ -145,15 +144,11 @@ def random_walk_step(bias: Array, density: Array | float, dt_s: float, z: Array)
     return end, integral
 
 
-def mems_exponential_error(
-    time_s: float, c1_mps2: float = -0.0043, c2_mps2: float = -0.007, tau_s: float = 500.0
-) -> float:
-    """``e(t) = C1 (1 - exp(-t/tau)) + C2`` of S4 section III-A, seconds since switch-on -> [m/s^2]."""
-    return -c1_mps2 * math.expm1(-time_s / tau_s) + c2_mps2
-
-
 def warm_up(config: ImuConfig, on_s: Array, dt_s: float) -> Array:
-    """Integral [m/s] of the exponential error over an epoch, ``on_s`` [s] after switch-on, both (B,); 0 if off."""
+    """Integral [m/s] of ``e(t) = C1 (1 - exp(-t/tau)) + C2`` (S4 section III-A) over an epoch; 0 if it is off.
+
+    on_s (B,): time since switch-on at the start of the epoch [s].
+    """
     if not config.mems_exponential:
         return np.zeros(on_s.shape)
     c1, c2, tau = config.mems_c1_mps2, config.mems_c2_mps2, config.mems_tau_s

@@ -152,14 +152,6 @@ class SatelliteTable:
     def __len__(self) -> int:
         return len(self.elements)
 
-    def position_ecef(self, gps_time_s: ArrayLike) -> Array:
-        """Earth-fixed positions at ``gps_time_s`` (T,) [s since 1980-01-06] -> (T, S, 3) [m]."""
-        return propagate(self.elements, gps_time_s)[0]
-
-    def velocity_ecef(self, gps_time_s: ArrayLike) -> Array:
-        """Earth-fixed velocities at ``gps_time_s`` (T,) -> (T, S, 3) [m/s]."""
-        return propagate(self.elements, gps_time_s)[1]
-
     def take(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> SatelliteTable:
         """The satellites that a mask or an index array selects."""
         return SatelliteTable(self.system[rows], self.prn[rows], self.elements.take(rows), self.stopped)

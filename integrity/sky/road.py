@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from lanebound.integrity.core.errors import InputError, require_finite, require_in_range, require_shape
+from lanebound.integrity.core.frames import wrap_angle
 
 __all__ = ["Road"]
 
@@ -102,11 +103,6 @@ class Road:
         k = np.clip(np.asarray(lane), 0, self.lane_count - 1)
         return np.asarray(self.shift_m + (0.5 * (self.lane_count - 1) - k) * self.lane_width_m, dtype=np.float64)
 
-    def lane_at(self, lateral_m: ArrayLike) -> NDArray[np.int64]:
-        """Index of the lane nearest to a lateral offset.  (...,) [m] -> (...,)."""
-        k = 0.5 * (self.lane_count - 1) - (np.asarray(lateral_m) - self.shift_m) / self.lane_width_m
-        return np.clip(np.rint(k), 0, self.lane_count - 1).astype(np.int64)
-
     def wrap_arc(self, arc_m: ArrayLike) -> Array:
         """Wrap arcs (...,) [m]: modulo the length of a closed road, clamped to the ends of an open road."""
         arc = np.asarray(arc_m, dtype=np.float64)
@@ -190,16 +186,12 @@ def _rounded(points: Array, radius_m: float, closed: bool, spacing_m: float) -> 
     azimuth = np.arctan2(side[:, 0], side[:, 1])
     turn = np.zeros(ring.shape[0])
     inner = slice(0, None) if closed else slice(1, -1)
-    turn[inner] = _wrapped(azimuth - np.roll(azimuth, 1))[0 if closed else 1 :]
+    turn[inner] = wrap_angle(azimuth - np.roll(azimuth, 1))[0 if closed else 1 :]
     if (np.abs(turn) > np.deg2rad(170.0)).any():
         worst = int(np.argmax(np.abs(turn)))
         raise InputError(f"points_en_m must not turn back, got {np.rad2deg(turn[worst]):.0f} deg at point {worst}")
     tangent_length = _tangent_lengths(turn, length, radius_m, closed)
     return _sample(ring, azimuth, length, turn, tangent_length, spacing_m)
-
-
-def _wrapped(angle: Array) -> Array:
-    return np.asarray(np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi)
 
 
 def _tangent_lengths(turn: Array, length: Array, radius_m: float, closed: bool) -> Array:

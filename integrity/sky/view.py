@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from lanebound.integrity.sky.raytrace_kernel import SatelliteRows
 
@@ -56,7 +56,3 @@ class SkyView:
     def rows(self) -> SatelliteRows:
         """The arrays as kernels take them."""
         return SatelliteRows(self.los_enu, self.elevation_rad, self.azimuth_rad, self.above, self.system, self.index)
-
-    def for_vehicles(self, index: ArrayLike) -> SkyView:
-        """The same view for other vehicles: ``index`` (B,) is the row k of each vehicle."""
-        return replace(self, index=np.atleast_1d(np.asarray(index, dtype=np.int64)))

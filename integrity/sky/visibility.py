@@ -20,13 +20,12 @@ from numpy.typing import ArrayLike, NDArray
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.errors import InputError, require_finite, require_in_range, require_shape
 from lanebound.integrity.core.records import one_record
-from lanebound.integrity.sky.raytrace import first_hits
 from lanebound.integrity.sky.raytrace_kernel import MASK_RULES, MaskRows, ReceptionRows, look_up, mask_rows
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.scene import City
 from lanebound.integrity.sky.view import SkyView
 
-__all__ = ["Reception", "SignalPath", "SkyMask", "cell_centres", "cells_of", "distinct_antennas", "line_of_sight"]
+__all__ = ["Reception", "SignalPath", "SkyMask", "cell_centres", "cells_of", "distinct_antennas"]
 
 Array = NDArray[np.float64]
 
@@ -264,26 +263,6 @@ class SkyMask:
         if table.ndim != 3 or table.shape != excess.shape or table.shape[2] != azimuths * elevations:
             raise InputError(f"sky mask {path} must hold tables (N, L, {azimuths * elevations}), got {table.shape}")
         return cls(table, excess, azimuths, elevations, spacing, length, bool(closed), found)
-
-
-def line_of_sight(city: City, antenna_enu_m: ArrayLike, los_enu: ArrayLike) -> NDArray[np.bool_]:
-    """Whether no solid triangle blocks the directions from the antennas (S2 eq 1-2).
-
-    antenna_enu_m (P, 3) [m]; los_enu (S, 3) for all antennas or (P, S, 3) -> (P, S). Directions below the horizon are
-    blocked by the ground.
-
-    Raises
-    ------
-    InputError
-        An entry is not finite, or a shape is wrong.
-    """
-    antenna = np.atleast_2d(require_finite("antenna_enu_m", antenna_enu_m))
-    los = require_finite("los_enu", los_enu)
-    require_shape("antenna_enu_m", antenna, (3,))
-    require_shape("los_enu", los, (None, 3))
-    los = np.broadcast_to(los, (antenna.shape[0], *los.shape[-2:]))
-    clear = first_hits(city.grid, antenna[:, None], los).clear.reshape(los.shape[:2])
-    return np.asarray(clear & (los[..., 2] >= 0.0))
 
 
 def distinct_antennas(antenna_enu_m: ArrayLike) -> tuple[Array, NDArray[np.int64]]:

@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recordings import real
+from rtklib_solution import read_solution
 
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
 from lanebound.integrity.positioning.ambiguity import integer_least_squares
 from lanebound.integrity.positioning.least_squares import design_matrix
-from lanebound.integrity.replay.baseline_report import read_coordinates, read_solution, run_baseline
+from lanebound.integrity.replay.baseline_report import read_coordinates, run_baseline
 from lanebound.integrity.sky.broadcast import positions, read_navigation
 from lanebound.integrity.sky.orbit import EARTH_RATE_RADPS, rotated_with_earth
 from lanebound.integrity.sky.rinex_navigation import QZSS_PRN_BEFORE

@@ -11,8 +11,11 @@ import pytest
 from highway_env.envs import RoundaboutEnv
 from highway_env.road.lane import StraightLane
 from highway_env.road.road import RoadNetwork
+from plain_sky_ahead import ahead, predicted_beside
 
-from lanebound.envs.sky import NO_LANE, SkyLevel, Street, build_street
+from lanebound.agents.episodes import open_env
+from lanebound.envs.batch.sky_ahead_kernel import NO_LANE
+from lanebound.envs.sky import SkyLevel, Street, build_street
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.city import CityConfig, SectionKind
 from lanebound.integrity.sky.constellation import SkyConfig
@@ -78,29 +81,27 @@ def test_the_mask_answers_at_stations_as_it_does_for_the_antennas() -> None:
 
 
 def test_the_way_ahead_follows_the_route_or_the_first_edge() -> None:
-    s = street()
-    assert s.ahead(("a", "b", 0), 10.0, 50.0) == (("a", "b", 0), 60.0)
-    assert s.ahead(("a", "b", 0), 93.0, 30.0) == (("b", "c", 0), 20.0)
+    assert ahead(fork(), ("a", "b", 0), 10.0, 50.0) == (("a", "b", 0), 60.0)
+    assert ahead(fork(), ("a", "b", 0), 93.0, 30.0) == (("b", "c", 0), 20.0)
     route = [("a", "b", 0), ("b", "d", None)]
-    assert s.ahead(("a", "b", 0), 93.0, 30.0, route) == (("b", "d", 0), 20.0)
-    assert s.ahead(("a", "b", 1), 93.0, 30.0, route) == (("b", "d", 1), 20.0)
-    assert s.ahead(("a", "b", 1), 93.0, 900.0) == (("b", "c", 0), 57.0)
+    assert ahead(fork(), ("a", "b", 0), 93.0, 30.0, route) == (("b", "d", 0), 20.0)
+    assert ahead(fork(), ("a", "b", 1), 93.0, 30.0, route) == (("b", "d", 1), 20.0)
+    assert ahead(fork(), ("a", "b", 1), 93.0, 900.0) == (("b", "c", 0), 57.0)
 
 
 def test_a_ring_has_no_end() -> None:
     env = RoundaboutEnv()
     env.reset(seed=0)
-    ring = build_street(env.road.network, SkyLevel.named("open"), 0)
-    index, place = ring.ahead(("se", "ex", 0), 0.0, 1e4)
-    assert 0.0 <= place <= ring.lanes.length_m[index]
+    index, place = ahead(env.road.network, ("se", "ex", 0), 0.0, 1e4)
+    assert 0.0 <= place <= env.road.network.get_lane(index).length
 
 
 def test_predicted_satellites_are_what_the_map_has_there() -> None:
     s, view = street(), sky()
     distances = np.array([0.0, 20.0, 60.0, 90.0])
-    found = s.predicted_beside(("a", "b", 0), 30.0, distances, view)[:, 1]
+    found = predicted_beside(s, fork(), ("a", "b", 0), 30.0, distances, view)[:, 1]
     for d, count in zip(distances, found, strict=True):
-        arc, lane = s.where(*s.ahead(("a", "b", 0), 30.0, float(d)))
+        arc, lane = s.where(*ahead(fork(), ("a", "b", 0), 30.0, float(d)))
         assert count == s.forecast.count(np.array([arc]), np.array([lane]), view)[0]
     assert (found < view.above[0].sum()).all()
     assert len(set(found)) > 1
@@ -110,14 +111,14 @@ def test_what_is_predicted_does_not_follow_from_what_is_received() -> None:
     s, view = street(), sky()
     blind = replace(s, mask=SkyMask.open())
     where = (("a", "b", 0), 30.0, [0.0, 20.0, 60.0], view)
-    np.testing.assert_array_equal(s.predicted_beside(*where), blind.predicted_beside(*where))
+    np.testing.assert_array_equal(predicted_beside(s, fork(), *where), predicted_beside(blind, fork(), *where))
 
 
 def test_lanes_beside_are_left_own_and_right() -> None:
     s, view = street(), sky()
     distances = [5.0, 40.0, 90.0]
-    left_lane = s.predicted_beside(("a", "b", 0), 20.0, distances, view)
-    right_lane = s.predicted_beside(("a", "b", 1), 20.0, distances, view)
+    left_lane = predicted_beside(s, fork(), ("a", "b", 0), 20.0, distances, view)
+    right_lane = predicted_beside(s, fork(), ("a", "b", 1), 20.0, distances, view)
     np.testing.assert_array_equal(left_lane[:2, 1:], right_lane[:2, :2])
     assert (left_lane[:, 0] == NO_LANE).all()
     assert (right_lane[:, 2] == NO_LANE).all()
@@ -126,7 +127,27 @@ def test_lanes_beside_are_left_own_and_right() -> None:
 
 def test_an_open_sky_predicts_all_that_is_above_the_mask() -> None:
     s = build_street(fork(), SkyLevel.named("open"), 0)
-    assert s.predicted_beside(("a", "b", 0), 0.0, [0.0, 150.0], sky())[:, 1].tolist() == 2 * [int(sky().above.sum())]
+    found = predicted_beside(s, fork(), ("a", "b", 0), 0.0, [0.0, 150.0], sky())
+    assert found[:, 1].tolist() == 2 * [int(sky().above.sum())]
+
+
+@pytest.mark.parametrize("name", ["Roundabout", "Highway"])
+def test_an_environment_observes_what_is_predicted_along_its_route(name: str) -> None:
+    env = open_env(name, {"sky": "dense", "duration_s": 6.0})
+    env.reset(seed=3)
+    lanes = set()
+    for _ in range(6):
+        *_, terminated, truncated, _ = env.step(env.action_space.sample())
+        loop, network = env.belief_loop, env.world.road.network
+        belief, measured = loop.belief(), loop.episodes.navigation.measurements
+        along = network.get_lane(belief.lane_index).local_coordinates(belief.position_m)[0]
+        given = (belief.lane_index, along, env.config.observation.satellites_m, measured.sky, loop.ego.route)
+        found = loop.episodes.views.sky[0].reshape(-1, 3)
+        np.testing.assert_array_equal(found, predicted_beside(loop.street, network, *given))
+        lanes |= {index for index in found.ravel().tolist() if index >= 0.0}
+        if terminated or truncated:
+            break
+    assert len(lanes) > 1
 
 
 def test_a_copy_shares_the_tables() -> None:

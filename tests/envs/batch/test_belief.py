@@ -13,7 +13,7 @@ from lanebound.envs.batch.belief_kernel import ACCELERATION_S, STANDSTILL_MPS, F
 from lanebound.envs.batch.lanes import lane_table
 from lanebound.envs.batch.records_kernel import BELIEF, RULES, TRACK
 from lanebound.envs.navigation import NavigationConfig
-from lanebound.envs.records import heading_of, xy_of
+from lanebound.envs.records import xy_of
 from lanebound.integrity.core.records import one_record
 from lanebound.integrity.monitoring.alerts import AlertReason
 
@@ -74,7 +74,7 @@ class Plain:
 def _fix(fixes: Fixes, n: int) -> dict[str, Any]:
     return {
         "position": xy_of(fixes.position_en_m[n]),
-        "heading": math.remainder(heading_of(float(fixes.heading_rad[n])), 2.0 * math.pi),
+        "heading": math.remainder(float(fixes.heading_rad[n]) - 0.5 * math.pi, 2.0 * math.pi),
         "speed": float(fixes.speed_mps[n]),
         "pl": (float(fixes.pl_at_m[n]), float(fixes.pl_ct_m[n])),
         "alert": bool(fixes.alert[n]),

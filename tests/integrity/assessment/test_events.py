@@ -6,12 +6,12 @@ import json
 
 import numpy as np
 import pytest
+from failure_clock import FailureClock
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from lanebound.integrity.assessment.events import (
-    FailureClock,
     Zone,
     alert_delays,
     classify,

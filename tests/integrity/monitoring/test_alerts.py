@@ -47,13 +47,8 @@ def test_presets() -> None:
     )
     freeway, local = ALERT_LIMITS["reid2019_freeway"], ALERT_LIMITS["reid2019_local"]
     assert (freeway.al_ct_m, freeway.al_at_m, local.al_ct_m, local.al_at_m) == (0.57, 1.40, 0.29, 0.29)
-    lane = AlertLimits.lane_geometric(3.5, 1.9, al_at_m=2.0)
-    assert lane.al_ct_m == pytest.approx(0.8)
-    assert lane.al_at_m == 2.0
     with pytest.raises(ConfigError, match="s1, s2"):
         AlertLimits.named("s3")
-    with pytest.raises(InputError, match="lane_width_m"):
-        AlertLimits.lane_geometric(1.9, 1.9, 1.0)
 
 
 def test_alert_is_raised_at_once_and_cleared_after_the_hold_time() -> None:

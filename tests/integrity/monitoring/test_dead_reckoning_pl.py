@@ -14,7 +14,6 @@ from lanebound.integrity.core.records import one_record
 from lanebound.integrity.monitoring import dead_reckoning_pl_kernel as dk
 from lanebound.integrity.monitoring.dead_reckoning_pl import (
     Growth,
-    accurate,
     bias_track,
     doppler_step,
     initial_growth,
@@ -235,12 +234,6 @@ def test_published_levels_by_hand() -> None:
 
 def test_no_risk_left_gives_no_level() -> None:
     assert np.isinf(protection_levels(start(), 0.0, RiskConfig(unmonitored_risk=1e-4), [1e-5])).all()
-
-
-def test_accuracy_test() -> None:
-    """1.96 sigma < T_acc (S1 eq 22)."""
-    assert accurate([0.1, 0.102, 0.0], 0.2).tolist() == [True, True, True]
-    assert not accurate(0.1021, 0.2)
 
 
 @settings(max_examples=25, deadline=None)

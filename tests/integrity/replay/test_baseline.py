@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from baselines import AXES, PLACE, receiver, sky
 from recordings import real
+from rtklib_solution import read_solution
 from typer.testing import CliRunner
 
 from lanebound.integrity.core.errors import InputError
@@ -18,7 +19,7 @@ from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.recorded.rinex_observation import Observations, SystemRows
 from lanebound.integrity.replay.baseline import Baseline, BaselineConfig, solve_baseline
-from lanebound.integrity.replay.baseline_report import read_coordinates, read_solution, run_baseline, summarise
+from lanebound.integrity.replay.baseline_report import read_coordinates, run_baseline, summarise
 from lanebound.integrity.replay.datasets import kind_of, replay_folder
 
 TABLE = sky()

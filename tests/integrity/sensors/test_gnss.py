@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import plain_signals as signals
 import pytest
 from scipy.stats import binom, chi2
 
@@ -12,7 +13,6 @@ from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.truth import Truth, truth_between
 from lanebound.integrity.sensors import gnss_kernel as gk
-from lanebound.integrity.sensors import signals
 from lanebound.integrity.sensors.area import advance_area, initial_area
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
 from lanebound.integrity.sensors.effects import FaultEffects

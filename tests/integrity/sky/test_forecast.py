@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -41,7 +43,7 @@ def test_free_cells_are_those_that_the_mask_of_the_same_city_has_in_sight() -> N
 def test_places_count_what_the_mask_of_the_same_city_receives_directly() -> None:
     mask, view = SkyMask.of_stations(antennas(), CITY, 10.0), sky(2.0)
     arc, lane = np.array([-5.0, 0.0, 33.0, 80.0, 100.0, 400.0]), np.array([0, -1, 1, 7, 1, 0])
-    received = mask.look(arc, lane, view.for_vehicles(np.ones(arc.size))).path == SignalPath.LOS
+    received = mask.look(arc, lane, replace(view, index=np.ones(arc.size, np.int64))).path == SignalPath.LOS
     expected = (received & view.above[1]).sum(-1)
     found = SkyForecast.of_stations(antennas(), CITY, 10.0).count(arc, lane, view)
     np.testing.assert_array_equal(found, expected)

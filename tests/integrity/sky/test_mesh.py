@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from line_of_sight import line_of_sight
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.city import Surface, city_from_mesh
-from lanebound.integrity.sky.visibility import line_of_sight
 
 SUFFIXES = ["obj", "ply", "glb", "stl"]
 

@@ -1,4 +1,4 @@
-"""Error models of satellite signals at the antenna: NumPy references of the models in :mod:`.gnss_kernel`.
+"""Error models of satellite signals at the antenna: the reference of the models in ``sensors/gnss_kernel.py``.
 
 Urban code errors
 -----------------
