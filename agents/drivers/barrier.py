@@ -37,6 +37,7 @@ from lanebound.agents.drivers.shares import share_of, value_of
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.core.frames import wrap_angle
 
 __all__ = ["BarrierConfig", "BarrierFilter", "CbfConfig", "make_cbf"]
 
@@ -52,11 +53,11 @@ WALK_MPS = 1.0  # at lower speeds steering has no effect
 class BarrierConfig(Config):
     """Bounds that the guarantee of the filter assumes, and how early it acts."""
 
-    gamma: float = Field(0.3, gt=0, le=1, description="share of the barrier that a step may use up [-]; argued")
+    gamma: float = Field(0.3, gt=0, le=1, description="share of the barrier that a step may use up [-]; chosen")
     brake_mps2: float = Field(5.0, gt=0, description="b, braking that the ego is sure to reach; dry road")
     lead_brake_mps2: float = Field(6.0, gt=0, description="B >= b, hardest braking of the leader; RSS, dry road")
-    standstill_m: float = Field(1.0, ge=0, description="gap when both vehicles have stopped; argued")
-    response_s: float = Field(0.1, ge=0, description="tau, reserve beyond the known ages; an epoch, argued")
+    standstill_m: float = Field(1.0, ge=0, description="gap when both vehicles have stopped; chosen")
+    response_s: float = Field(0.1, ge=0, description="tau, reserve beyond the known ages; an epoch, chosen")
     speed_error_mps: float = Field(0.25, ge=0, description="odometer's error at most; 5 sigma of 0.05 m/s")
     speed_share: float | None = Field(
         None, ge=0, description="and of its scale [-]; None: as declared, dead_reckoning.odometer_scale, 4.5 sigma"
@@ -72,13 +73,13 @@ class BarrierConfig(Config):
     lane_extra_m: float = Field(
         20.0, ge=0, description="the lane is widened by PL_CT, by this at most; the largest shown"
     )
-    preview_s: float = Field(1.0, gt=0, description="over which the lane barrier looks ahead; argued")
-    lane_floor_m: float = Field(0.15, gt=0, description="M at least, for the believed middle; a hand's breadth, argued")
+    preview_s: float = Field(1.0, gt=0, description="over which the lane barrier looks ahead; chosen")
+    lane_floor_m: float = Field(0.15, gt=0, description="M at least, for the believed middle; a hand's breadth, chosen")
     car_width_m: float = Field(2.0, gt=0, description="of highway-env's cars")
     bend_share: float = Field(
-        0.75, gt=0, le=1, description="of the grip, for bends; the rest is for corrections; argued"
+        0.75, gt=0, le=1, description="of the grip, for bends; the rest is for corrections; chosen"
     )
-    bend_brake_mps2: float = Field(3.0, gt=0, description="braking assumed before bends; argued")
+    bend_brake_mps2: float = Field(3.0, gt=0, description="braking assumed before bends; chosen")
     slow_share: float = Field(0.48, gt=0, le=1, description="of the limit, while the lane is kept with slack")
     slow_mps2: float = Field(2.0, gt=0, description="braking down to that; comfortable")
     speed_mps: float = Field(14.0, gt=0, description="limit where the map gives none; 50 km/h")
@@ -280,7 +281,7 @@ class BarrierFilter:
         found, at = [], 0.0
         for d in self.reader.previews_m:
             heading = read(observation, f"road.preview_{d:g}m_heading")
-            turn = (heading - turned + np.pi) % (2.0 * np.pi) - np.pi
+            turn = wrap_angle(heading - turned)
             found += [(at, np.abs(turn) / (d - at)), (d, np.abs(read(observation, f"road.preview_{d:g}m_curvature")))]
             turned, at = heading, d
         return found

@@ -17,6 +17,7 @@ from lanebound.agents.drivers.base import Observation, Reader
 from lanebound.agents.drivers.plans import EGO_LENGTH_M, CruiseConfig, pursuit_steering
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.frames import wrap_angle
 
 __all__ = ["LqrConfig", "LqrSteering", "PursuitSteering", "StanleyConfig", "StanleySteering", "Steering", "errors"]
 
@@ -35,10 +36,10 @@ class StanleyConfig(Config):
 class LqrConfig(Config):
     """Deviations that weigh alike (Bryson's rule), one policy step each."""
 
-    offset_m: float = Field(0.3, gt=0, description="offset; half of what a lane of 3.25 m leaves, argued")
-    heading_rad: float = Field(0.1, gt=0, description="heading; argued")
-    steering_rad: float = Field(0.05, gt=0, description="steering beyond that of the bend; 2 m/s2 at 14 m/s, argued")
-    aside_m: float = Field(1.5, gt=0, description="largest offset that counts on the way to another line; argued")
+    offset_m: float = Field(0.3, gt=0, description="offset; half of what a lane of 3.25 m leaves, chosen")
+    heading_rad: float = Field(0.1, gt=0, description="heading; chosen")
+    steering_rad: float = Field(0.05, gt=0, description="steering beyond that of the bend; 2 m/s2 at 14 m/s, chosen")
+    aside_m: float = Field(1.5, gt=0, description="largest offset that counts on the way to another line; chosen")
 
 
 def errors(reader: Reader, observation: Observation) -> tuple[Array, Array, Array, Array]:
@@ -50,8 +51,7 @@ def errors(reader: Reader, observation: Observation) -> tuple[Array, Array, Arra
     e = reader.value(observation, "ego.lateral_offset")
     psi = np.arctan2(reader.value(observation, "ego.heading_sin"), reader.value(observation, "ego.heading_cos"))
     d = reader.previews_m[0]
-    turn = reader.value(observation, f"road.preview_{d:g}m_heading") + psi
-    turn = (turn + np.pi) % (2.0 * np.pi) - np.pi
+    turn = wrap_angle(reader.value(observation, f"road.preview_{d:g}m_heading") + psi)
     beta = np.arcsin(np.clip(0.5 * EGO_LENGTH_M * turn / d, -0.7, 0.7))
     return e, psi + beta, beta, np.arctan(2.0 * np.tan(beta))
 

@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.envs.batch.lanes_kernel import local, nearest, remainder, width_at, wrap
+from lanebound.envs.batch.lanes_kernel import local, nearest, width_at
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.angles_kernel import remainder, wrap
 
 __all__ = ["Fixes", "adopt", "begin", "coast", "locate", "rates", "settle", "take", "take_given"]
 
@@ -50,7 +51,7 @@ class Fixes(NamedTuple):
 def adopt(t, b, fixes, v):  # type: ignore[no-untyped-def]
     """Take over the solution of vehicle v, position and heading in the plane, into a track and a belief."""
     t.x_m, t.y_m = fixes.position_en_m[v, 0], -fixes.position_en_m[v, 1]
-    t.fix_heading_rad = (fixes.heading_rad[v] - 0.5 * math.pi + math.pi) % (2.0 * math.pi) - math.pi
+    t.fix_heading_rad = wrap(fixes.heading_rad[v] - 0.5 * math.pi)
     t.fix_speed_mps, t.pl_at_m, t.pl_ct_m = fixes.speed_mps[v], fixes.pl_at_m[v], fixes.pl_ct_m[v]
     t.alert, t.available, t.reason = fixes.alert[v], fixes.available[v], fixes.reason[v]
     b.mode, b.rtk, b.hdop = fixes.mode[v], fixes.rtk[v], fixes.hdop[v]

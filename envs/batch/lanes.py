@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Iterable
 from dataclasses import dataclass
-from math import ceil, cos, hypot, pi, sin
+from math import ceil, cos, hypot, sin
 from typing import Any
 
 import numpy as np
@@ -17,8 +17,9 @@ from lanebound.envs.batch import lanes_kernel as lk
 from lanebound.envs.batch.lanes_kernel import Lanes
 from lanebound.envs.records import LaneIndex
 from lanebound.envs.worlds.lanes import CurveLane
+from lanebound.integrity.core.frames import wrap_angle
 
-__all__ = ["LaneTable", "lane_table", "wrap_angle"]
+__all__ = ["LaneTable", "lane_table"]
 
 NODE_STEP_M = 2.0  # of sampled centrelines: 1e-5 m of error on a radius of 15 m
 REMEMBERED = 64  # networks
@@ -196,11 +197,6 @@ def _nodes(lane: AbstractLane) -> list[Any]:
         curvature = turn / arc if arc > 0.0 else 0.0
         out.append((cubic_x, cubic_y, ha, turn, curvature, float(lane.width_at(k * step))))
     return out
-
-
-def wrap_angle(angle_rad: float) -> float:
-    """The angle in [-pi, pi)."""
-    return (angle_rad + pi) % (2.0 * pi) - pi
 
 
 def _joints(roads: list[tuple[str, str, Row]], first: list[int], k: int) -> list[tuple[int, bool]]:

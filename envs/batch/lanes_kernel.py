@@ -15,17 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.core.records import Records, record
 
 __all__ = [
     "ADVICE_STEP_M", "CELL", "CIRCLE", "CURVE", "JOINT", "LANE", "NODE", "NONE", "NOWHERE_M", "PAST_END_M", "SAMPLED",
     "SINE", "SQUARE_M", "STRAIGHT", "Lanes", "advised", "centre", "closest", "following", "heading_at", "local",
-    "nearest", "of_side", "on_lane", "place", "reachable", "remainder", "stations", "straight", "width_at", "wrap",
+    "nearest", "of_side", "on_lane", "place", "reachable", "stations", "straight", "width_at",
 ]  # fmt: skip
 
 STRAIGHT, SINE, CIRCLE, CURVE, SAMPLED = 0, 1, 2, 3, 4  # kinds of lanes
 NONE = -1  # no lane
-TWO_PI = 2.0 * math.pi
 PAST_END_M = 5.0  # AbstractLane.VEHICLE_LENGTH of highway-env: a lane holds vehicles so far past its ends
 NOWHERE_M = -math.inf  # station on a lane that does not hold a point
 CLOTHOID_STEPS, SAMPLED_STEPS = 6, 8
@@ -111,19 +111,6 @@ class Lanes(NamedTuple):
     near: NDArray[np.int64]
     joints: Records
     advice: NDArray[np.float64]
-
-
-@jit(inline=True)
-def wrap(angle):  # type: ignore[no-untyped-def]
-    """The angle in [-pi, pi), rounded as by highway-env, whose steering multiplies other rounding at a crawl."""
-    above = angle + math.pi
-    return above - TWO_PI * math.floor(above / TWO_PI) - math.pi
-
-
-@jit(inline=True)
-def remainder(angle):  # type: ignore[no-untyped-def]
-    """The angle in [-pi, pi], as ``math.remainder`` has it."""
-    return angle - TWO_PI * round(angle / TWO_PI)
 
 
 # Curves beside a path

@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from highway_env.road.road import RoadNetwork
 
-from lanebound.envs.batch.lanes import LaneTable, lane_table, wrap_angle
+from lanebound.envs.batch.lanes import LaneTable, lane_table
 from lanebound.envs.batch.lanes_kernel import centre
 from lanebound.envs.batch.route_map_kernel import PATH, PIECE, RouteMap
 from lanebound.envs.records import LaneIndex
+from lanebound.integrity.core.frames import wrap_angle
 
 __all__ = ["Reach", "Routes", "Step", "routes_of"]
 

@@ -13,8 +13,9 @@ from __future__ import annotations
 import math
 
 from lanebound.envs.batch.costs_kernel import begin_corridor, follow_corridor, price
-from lanebound.envs.batch.lanes_kernel import local, remainder, wrap
+from lanebound.envs.batch.lanes_kernel import local
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.angles_kernel import remainder, wrap
 
 __all__ = ["count_epoch", "score"]
 

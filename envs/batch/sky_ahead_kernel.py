@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.envs.batch.lanes_kernel import TWO_PI, local
+from lanebound.envs.batch.lanes_kernel import local
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.angles_kernel import TWO_PI
 from lanebound.integrity.sky.raytrace_kernel import bin_of
 
 __all__ = ["Forecast", "HourTable", "SkyRows", "fill_sky", "predict"]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from lanebound.envs.records import enu_of
+from lanebound.integrity.core.frames import wrap_angle
 from lanebound.integrity.sky.city import CLEARANCE_M
 from lanebound.integrity.sky.road import Road
 
@@ -109,7 +110,7 @@ def _chains(roads: dict[Edge, Road]) -> list[list[Edge]]:
 
 def _bend(road: Road, onward: Road) -> float:
     """Angle between the end of a road and the start of the next [rad], inf if the roads are not connected."""
-    turn = abs(float(np.remainder(onward.tangent_rad[0] - road.tangent_rad[-1] + np.pi, 2.0 * np.pi) - np.pi))
+    turn = abs(wrap_angle(float(onward.tangent_rad[0] - road.tangent_rad[-1])))
     apart = float(np.linalg.norm(onward.vertices_en_m[0] - road.vertices_en_m[-1]))
     return turn if turn < JOINT_RAD and apart < JOINT_M else np.inf
 

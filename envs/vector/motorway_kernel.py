@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 
 from lanebound.envs.batch.ego_kernel import KP_HEADING, KP_LATERAL, not_zero
-from lanebound.envs.batch.lanes_kernel import PAST_END_M, wrap
+from lanebound.envs.batch.lanes_kernel import PAST_END_M
 from lanebound.envs.vector.arithmetic_kernel import FLAT_MOST_RAD, arcsine, cosine, sine
 from lanebound.envs.vector.drivers_kernel import SPEED_MOST_MPS
 from lanebound.envs.vector.idm_kernel import (
@@ -27,6 +27,7 @@ from lanebound.envs.vector.idm_kernel import (
 )
 from lanebound.envs.worlds.idm_parameters_kernel import BESIDE_M, BRISK
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.angles_kernel import wrap
 
 __all__ = ["SIN_SLIP_MOST", "accelerate", "change_lanes", "drive_others", "sort_along", "survey"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Sequence
 from functools import lru_cache
-from math import cos, pi, sin, sqrt
+from math import cos, sin, sqrt
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from lanebound.envs.batch.lanes_kernel import ADVICE_STEP_M
 from lanebound.envs.worlds.paths import Path, Piece, Pose
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.frames import wrap_angle
 
 __all__ = ["CurveLane"]
 
@@ -131,7 +132,7 @@ class CurveLane(AbstractLane):  # type: ignore[misc]
         distance = abs(lateral - offset) + max(s - self.length, 0.0, -s)
         if heading is None:
             return distance
-        angle = (heading - path.pose[cell].heading - turned + pi) % (2.0 * pi) - pi
+        angle = wrap_angle(heading - path.pose[cell].heading - turned)
         return distance + heading_weight * abs(angle)
 
     def advised_speed(self, longitudinal: float) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Sequence
 from functools import lru_cache
-from math import atan2, cos, floor, pi, sin, sqrt, tan
+from math import atan2, cos, floor, sin, sqrt, tan
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 
 from lanebound.envs.batch.lanes_kernel import SQUARE_M
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.frames import wrap_angle
 
 __all__ = ["Foot", "Path", "Piece", "Pose", "bend", "rounded_polygon", "straight"]
 
@@ -88,7 +89,7 @@ def rounded_polygon(
     out = []
     for k in range(count):
         after = (k + 1) % count
-        turn = (headings[after] - headings[k] + pi) % (2.0 * pi) - pi
+        turn = wrap_angle(headings[after] - headings[k])
         pieces = bend(turn, corners[after][2], transition_m)
         near = _tangent(pieces, turn)
         ends = 0.5 * lengths[k] - near, 0.5 * lengths[after] - near

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -19,6 +22,7 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
+Angle = TypeVar("Angle", float, NDArray[np.float64])
 
 GRAVITY_MPS2 = 9.80665  # ISO 80000-3, standard gravity
 WGS84_A_M = 6378137.0  # NIMA TR8350.2, table 3.1
@@ -26,9 +30,9 @@ WGS84_F = 1.0 / 298.257223563  # NIMA TR8350.2, table 3.1
 WGS84_E2 = WGS84_F * (2.0 - WGS84_F)
 
 
-def wrap_angle(angle_rad: ArrayLike) -> Array:
-    """Wrap angles to [-pi, pi); rounding can give pi.  angle_rad (...,) -> (...,)."""
-    return np.asarray((np.asarray(angle_rad) + np.pi) % (2.0 * np.pi) - np.pi)
+def wrap_angle(angle_rad: Angle) -> Angle:
+    """An angle, or angles (...,), in [-pi, pi); rounding can give pi."""
+    return (angle_rad + math.pi) % (2.0 * math.pi) - math.pi
 
 
 def track_from_enu_matrix(heading_rad: ArrayLike) -> Array:

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.angles_kernel import remainder
 
-__all__ = ["EndRows", "TrueMotion", "all_finite", "between", "wrap"]
+__all__ = ["EndRows", "TrueMotion", "all_finite", "between"]
 
 Array = NDArray[np.float64]
 
@@ -34,12 +35,6 @@ class TrueMotion(NamedTuple):
     distance: Array
 
 
-@jit
-def wrap(angle):  # type: ignore[no-untyped-def]
-    """Wrap an angle [rad] to [-pi, pi); rounding can give pi."""
-    return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
-
-
 @jit(borrows=True)
 def between(start, end, down, out):  # type: ignore[no-untyped-def]
     """Fill ``out`` (TrueMotion) from both ends (EndRows) of an epoch; ``down`` [m/s] is what gravity adds.
@@ -48,14 +43,14 @@ def between(start, end, down, out):  # type: ignore[no-untyped-def]
     """
     for b in range(end.heading.shape[0]):
         h0, p0, p1, v0, v1 = start.heading[b], start.position, end.position, start.velocity, end.velocity
-        turned = wrap(end.heading[b] - h0)
+        turned = remainder(end.heading[b] - h0)
         s, c = math.sin(h0 + 0.5 * turned), math.cos(h0 + 0.5 * turned)
         de, dn = p1[b, 0] - p0[b, 0], p1[b, 1] - p0[b, 1]
         we, wn = v1[b, 0] - v0[b, 0], v1[b, 1] - v0[b, 1]
         for k in range(2):
             out.position[b, k], out.velocity[b, k] = p1[b, k], v1[b, k]
         out.position[b, 2] = out.velocity[b, 2] = out.turn[b, 0] = out.turn[b, 1] = 0.0
-        out.heading[b] = wrap(end.heading[b])
+        out.heading[b] = remainder(end.heading[b])
         out.turn[b, 2] = turned
         out.delta_v[b, 0], out.delta_v[b, 1], out.delta_v[b, 2] = s * we + c * wn, c * we - s * wn, down
         out.distance[b] = math.copysign(math.hypot(de, dn), s * de + c * dn)

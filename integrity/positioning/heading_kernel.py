@@ -11,6 +11,7 @@ import math
 from typing import Any
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.core.records import record
 
 __all__ = [
@@ -20,7 +21,6 @@ __all__ = [
     "doppler_heading_usable",
     "doppler_heading_variance",
     "predict_heading",
-    "wrap",
 ]
 
 HEADING = record(
@@ -39,12 +39,6 @@ CALIBRATION = record(
     max_jump="largest difference of the Doppler course and the heading [rad]",
 )
 """When Doppler calibrates the heading (S1 table 1, third column)."""
-
-
-@jit(borrows=True)
-def wrap(angle: float) -> float:
-    """Wrap to [-pi, pi); rounding can give pi itself."""
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
 @jit(borrows=True)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.angles_kernel import TWO_PI
 from lanebound.integrity.core.records import Records, record
 
 __all__ = [
@@ -32,7 +33,6 @@ __all__ = [
 EDGE = 1e-12  # edges belong to the triangle, up to rounding
 GRAZING = 1e-12  # a ray is parallel to a plane if the sine of the angle between them is smaller
 LIFT_M = 1e-6  # distance from the wall at which a reflected ray starts
-TWO_PI = 2.0 * math.pi
 LOS, FOLIAGE, REFLECTED, BLOCKED = 0, 1, 2, 3  # the values of visibility.SignalPath
 
 

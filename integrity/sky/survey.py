@@ -29,7 +29,7 @@ class MapConfig(Config):
         le=1.5,
         description="error of its position on each axis, 1 sigma [m]; maps at 1:1000, Japan's rules for public surveys",
     )
-    trees: bool = Field(False, description="the map has trees, without errors; argued: maps of buildings have none")
+    trees: bool = Field(False, description="the map has trees, without errors; chosen: maps of buildings have none")
 
 
 def as_mapped(city: City, config: MapConfig, rng: np.random.Generator) -> City:

@@ -7,10 +7,9 @@ import math
 import numpy as np
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.angles_kernel import TWO_PI
 
 __all__ = ["sky_at"]
-
-TWO_PI = 2.0 * math.pi
 
 
 @jit

@@ -6,13 +6,13 @@ import math
 from typing import Any
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
 from lanebound.integrity.positioning.heading_kernel import (
     correct,
     doppler_heading_usable,
     doppler_heading_variance,
     predict_heading,
-    wrap,
 )
 from lanebound.integrity.positioning.mode_kernel import doppler_usable
 from lanebound.integrity.positioning.odometer_watch_kernel import STANDING_MPS, turning_at_rest

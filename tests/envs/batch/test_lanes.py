@@ -11,11 +11,12 @@ from highway_env.road.lane import AbstractLane, CircularLane, PolyLaneFixedWidth
 from highway_env.road.road import RoadNetwork
 
 from lanebound.envs.batch import lanes_kernel as lk
-from lanebound.envs.batch.lanes import lane_table, wrap_angle
+from lanebound.envs.batch.lanes import lane_table
 from lanebound.envs.catalogue import world_of
 from lanebound.envs.config import EnvConfig
 from lanebound.envs.worlds.networks import city_loop, winding_road
 from lanebound.envs.worlds.paths import SQUARE_M
+from lanebound.integrity.core.frames import wrap_angle
 
 STRAIGHT = StraightLane([3.0, -2.0], [40.0, 30.0])
 CLOCKWISE = CircularLane([5.0, 4.0], 20.0, 0.3, 2.0, clockwise=True)
@@ -66,9 +67,9 @@ def test_places_on_lanes_and_nearest_lanes_are_the_same(name: str) -> None:
         x, y = point.tolist()
         s, r, direction = lk.local(lanes, n, x, y)
         assert (s, r) == pytest.approx(lane.local_coordinates(point), abs=1e-9)
-        assert lk.wrap(direction - lane.heading_at(s)) == pytest.approx(0.0, abs=1e-9)
+        assert wrap_angle(direction - lane.heading_at(s)) == pytest.approx(0.0, abs=1e-9)
         turned = lk.heading_at(lanes, n, s) - lane.heading_at(s)
-        assert lk.wrap(turned) == pytest.approx(0.0, abs=1e-9)
+        assert wrap_angle(turned) == pytest.approx(0.0, abs=1e-9)
         np.testing.assert_allclose(lk.place(lanes, n, s, r), lane.position(s, r), atol=1e-9)
         assert lk.width_at(lanes, n, s) == lane.width_at(s)
         assert lk.on_lane(lanes, n, s, r, 0.0) == lane.on_lane(point)

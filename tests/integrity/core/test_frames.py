@@ -77,13 +77,15 @@ def test_rotated_covariance_by_hand_and_in_batches():
 @few
 @given(angle=st.floats(-1e4, 1e4))
 def test_wrapping_keeps_the_direction_and_the_range(angle):
-    wrapped = float(wrap_angle(angle))
+    wrapped = wrap_angle(angle)
     assert -math.pi <= wrapped <= math.pi
     assert math.remainder(wrapped - angle, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-11)
 
 
 def test_wrapping_at_the_seam():
-    np.testing.assert_allclose(wrap_angle([math.pi, -math.pi, 3.0 * math.pi, 0.0]), [-math.pi, -math.pi, -math.pi, 0.0])
+    np.testing.assert_allclose(
+        wrap_angle(np.array([math.pi, -math.pi, 3.0 * math.pi, 0.0])), [-math.pi, -math.pi, -math.pi, 0.0]
+    )
     assert wrap_angle(np.zeros((2, 3))).shape == (2, 3)
 
 

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
+from lanebound.integrity.core.angles_kernel import wrap
 from lanebound.integrity.positioning.config import HeadingConfig, calibration_parameters
 from lanebound.integrity.positioning.heading_kernel import (
     HEADING,
@@ -13,7 +14,6 @@ from lanebound.integrity.positioning.heading_kernel import (
     doppler_heading_usable,
     doppler_heading_variance,
     predict_heading,
-    wrap,
 )
 
 DT_S = 0.1
