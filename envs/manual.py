@@ -137,8 +137,8 @@ the rest of the episode differs:
 - A vehicle that steers by highway-env's law is slower than 0.5 m/s: each simulation step multiplies rounding.
 - Two vehicles crash in line: rounding chooses along which body's side they are pushed apart.
 
-Measured with perfect navigation, dense traffic and random commands, in 584 episodes of up to 120 s. The slow tests
-bound the number of episodes that part:
+Measured with perfect navigation, dense traffic and random commands, in 584 episodes of up to 120 s
+(`.venv/bin/python tests/helpers/parted.py` prints the table; the slow tests bound the number of episodes that part):
 
 | id, action | episodes | with a vehicle that slow | parted |
 |---|---|---|---|
@@ -223,7 +223,8 @@ def _keys() -> str:
     parts = [
         "## Configuration keys",
         'A dot separates levels: `cost.response_s` is `config={"cost": {"response_s": 0.5}}`. The defaults are those\n'
-        "before the preset of an id. The sources of the numbers are in the code.",
+        "before the preset of an id. The descriptions in the code name the source of a number; *chosen* there means\n"
+        "that no source or data fix the value: it is plausible for the reason that is given, and yours to change.",
         _table(("key", "default", "meaning"), rows),
         "Keys that the sections above describe, and scales of observations, with their defaults:",
         "\n".join(textwrap.wrap(", ".join(short) + ".", 120, break_long_words=False, break_on_hyphens=False)),

@@ -8,11 +8,10 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from parted import COMPARISONS, CROWDED, DENSE, Comparison
 
 from side_by_side import PERFECT, Tally, drive, pair, require_equal
 
-DENSE: dict[str, Any] = {"world": {"vehicles_count": 16, "vehicles_density": 1.8}, **PERFECT}
-CROWDED: dict[str, Any] = {"world": {"vehicles_count": 24, "spread": [-80.0, 160.0]}, **PERFECT}
 CASES: list[tuple[str, dict[str, Any], int]] = [
     ("Highway", DENSE, 12),
     ("Highway", {**DENSE, "action": "continuous"}, 6),
@@ -32,18 +31,6 @@ OTHERS: list[tuple[str, dict[str, Any]]] = [
     ("Highway", {"simulation_hz": 4, "policy_hz": 1, "navigation": {"rate_hz": 4.0}, "duration_s": 12.0}),
     ("LaneKeeping", {"navigation": {"source": "offset", "offset_at_m": 0.7, "offset_ct_m": -0.4}}),
     ("LaneKeeping", {"off_road_ends": False, "wrong_way_s": 0.5, "actuators": {"steering_rate_radps": None}}),
-]
-SLOW: list[tuple[str, dict[str, Any], int, int]] = [  # world, configuration, episodes, and how many may part
-    ("Highway", {**DENSE, "duration_s": 20.0}, 240, 12),
-    ("Highway", {**PERFECT, "duration_s": 20.0}, 20, 2),
-    ("Highway", {**DENSE, "action": "continuous", "duration_s": 20.0}, 60, 0),
-    ("CarFollowing", {**PERFECT, "duration_s": 60.0}, 60, 0),
-    ("CarFollowing", {**PERFECT, "duration_s": 60.0, "action": "meta"}, 40, 6),
-    ("LaneKeeping", PERFECT, 60, 0),
-    ("LaneKeeping", {**PERFECT, "action": "meta", "world": {"lanes_count": 3}}, 40, 0),
-    ("UrbanCanyon", PERFECT, 100, 20),
-    ("UrbanCanyon", CROWDED, 60, 6),
-    ("UrbanCanyon", {**CROWDED, "action": "continuous"}, 60, 2),
 ]
 
 
@@ -93,11 +80,6 @@ def test_crashes_and_ends_are_the_same(name: str, config: dict[str, Any]) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "config", "episodes", "parted"), SLOW, ids=_named)
-def test_500_episodes(name: str, config: dict[str, Any], episodes: int, parted: int) -> None:
-    single, engine = pair(name, config)
-    tally = Tally()
-    for seed in range(episodes):
-        drive(single, engine, 1000 + seed, tally)
-    require_equal(tally, parted)
-    assert tally.episodes == episodes
+@pytest.mark.parametrize("comparison", COMPARISONS, ids=lambda c: f"{c.label}, {c.episodes}")
+def test_584_episodes(comparison: Comparison) -> None:
+    comparison.drive()
