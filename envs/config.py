@@ -119,7 +119,7 @@ class EnvConfig(Config):
                 f"policy_hz must divide simulation_hz = {self.simulation_hz}, got {self.policy_hz}: choose a divisor"
             )
         ratio = self.simulation_hz / self.navigation.rate_hz
-        sensed = self.navigation.source.senses or self.perception.source in ("v2v", "both")
+        sensed = self.navigation.source.uses_sensors or self.perception.source in ("v2v", "both")
         if sensed and abs(ratio - round(ratio)) > 1e-9:
             raise ConfigError(
                 f"navigation.rate_hz must divide simulation_hz = {self.simulation_hz}, "

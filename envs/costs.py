@@ -30,6 +30,6 @@ class CostConfig(Config):
     brake_min_mps2: float = Field(4.0, gt=0, description="braking that the ego is sure to reach; RSS, IEEE 2846 survey")
     brake_max_mps2: float = Field(6.0, gt=0, description="braking of the leader at most; our leads brake 2.5 to 6")
     alert_speed_share: float = Field(
-        0.5, ge=0, le=1, description="share of the lane's speed limit permitted while an alert is on [-]; argued"
+        0.5, ge=0, le=1, description="share of the lane's speed limit permitted while an alert is on [-]; chosen"
     )
     time_to_alert_s: float = Field(1.0, ge=0, description="TTA, allowed for a reaction to an alert; S3 II.B")

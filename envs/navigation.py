@@ -19,7 +19,7 @@ class Source(Enum):
     OFFSET = "offset"
 
     @property
-    def senses(self) -> bool:
+    def uses_sensors(self) -> bool:
         """Whether positions are sensed, not given."""
         return self is Source.NAVIGATOR
 
@@ -34,8 +34,8 @@ class NavigationConfig(Config):
     rate_hz: float = Field(10.0, gt=0, le=20, description="navigation epochs in a second; must divide simulation_hz")
     offset_at_m: float = Field(0.0, ge=-50, le=50, description="error along the track, forward, for source offset")
     offset_ct_m: float = Field(0.0, ge=-50, le=50, description="error across the track, to the right, for offset")
-    start_sigma_m: float = Field(0.05, gt=0, le=10, description="1-sigma of the position known at the start; argued")
-    start_heading_deg: float = Field(0.5, gt=0, le=45, description="1-sigma of the heading known at the start; argued")
+    start_sigma_m: float = Field(0.05, gt=0, le=10, description="1-sigma of the position known at the start; chosen")
+    start_heading_deg: float = Field(0.5, gt=0, le=45, description="1-sigma of the heading known at the start; chosen")
     warm_up_s: float = Field(
         3.0,
         ge=0,
@@ -46,7 +46,7 @@ class NavigationConfig(Config):
         0.03, ge=0, le=1, description="1-sigma of the map's shift on each axis; HD maps claim 0.1 m at 3 sigma"
     )
     jump_m: float = Field(
-        0.25, gt=0, description="a correction larger than this is smoothed; larger than RTK noise, argued"
+        0.25, gt=0, description="a correction larger than this is smoothed; larger than RTK noise, chosen"
     )
     smoothing_s: float = Field(1.0, ge=0, le=30, description="time constant of the smoothing; 0: none")
 

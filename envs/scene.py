@@ -93,7 +93,7 @@ def begin_all(episodes: Episodes, rows: NDArray[np.int64], seeds: Sequence[int])
     starts = None
     if navigation is not None:
         navigating = crew[:, : navigation.vehicles - 1]
-        starts = draw_starts(seeds, config.layouts, HOURS, navigating, config.navigation.source.senses)
+        starts = draw_starts(seeds, config.layouts, HOURS, navigating, config.navigation.source.uses_sensors)
     episodes.begin(rows, seeds, starts, crew)
 
 
@@ -108,21 +108,21 @@ def _episodes(
 ) -> Episodes:
     """N episodes in some cities at some hours, of up to V vehicles, of which C others have a slot."""
     settings = navigator_config(config, alert_limits_m(world, config))
-    senses, hears = config.navigation.source.senses, config.perception.source in ("v2v", "both")
+    uses_sensors, has_radio = config.navigation.source.uses_sensors, config.perception.source in ("v2v", "both")
     routes = routes_of(world.road.network, reach_of(config))
     steps = config.navigation.steps_per_epoch(config.simulation_hz)
     step_s = 1.0 / config.simulation_hz
     navigation = None
-    if senses or (hears and capacity > 0):
+    if uses_sensors or (has_radio and capacity > 0):
         span_s = config.navigation.warm_up_s + duration_s(config, world) + MARGIN_S
         skies, cities = Skies.of(settings.sky, span_s, hours), Cities.of(streets, routes.table)
-        members = 1 + (capacity if hears else 0)
+        members = 1 + (capacity if has_radio else 0)
         navigation = NavigationBatch(
             config.navigation, settings, skies, cities, cities.ahead(config.observation.satellites_m),
             routes.table.lanes, count, members, step_s, steps,
         )  # fmt: skip
     perception = PerceptionBatch(config.perception, count, capacity, vehicles, step_s * steps)
-    rules = rules_of(config, alert_limits_m(world, config), map_bound_m(config, settings) if senses else 0.0)
+    rules = rules_of(config, alert_limits_m(world, config), map_bound_m(config, settings) if uses_sensors else 0.0)
     return Episodes(config, rules, routes, empty_cars(count, vehicles), navigation, perception)
 
 
@@ -148,9 +148,9 @@ def set_scene(
     others = sum(v is not world.vehicle for v in world.road.vehicles)
     kind = world_kind(config.base)
     capacity = min(config.slots, others + (0 if kind is None else kind.newcomers))
-    hears = config.perception.source in ("v2v", "both")
-    crew = np.ones((1, capacity if hears else 0), dtype=np.bool_)
-    starts = draw_starts([seed], config.layouts, HOURS, crew, config.navigation.source.senses)
+    has_radio = config.perception.source in ("v2v", "both")
+    crew = np.ones((1, capacity if has_radio else 0), dtype=np.bool_)
+    starts = draw_starts([seed], config.layouts, HOURS, crew, config.navigation.source.uses_sensors)
     layout, hour = int(starts.layout[0]), int(starts.hour[0])
     street = build_street(world.road.network, config.level, layout, getattr(world, "sections", ()), config.extent_m)
     episodes = _episodes(world, config, [street], [hour], 1, 1 + others, capacity)

@@ -24,7 +24,7 @@ NOT_NEGATIVE: Bounds = (0.0, math.inf)
 SHARE: Bounds = (0.0, 1.0)
 Take = Callable[[Outcome], float | None]
 HARM_OF_AN_END = 50.0
-"""Harm of a crash or an end off the road, in square metres beyond the lane; argued, and no weight of a cost."""
+"""Harm of a crash or an end off the road, in square metres beyond the lane; chosen, and no weight of a cost."""
 
 
 @dataclass(frozen=True)

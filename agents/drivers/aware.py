@@ -26,7 +26,7 @@ class AwareConfig(RssConfig):
     """Thresholds for slowing down and stopping."""
 
     alert_share: float = Field(0.48, gt=0, le=1, description="of the limit while an alert is on; just below what costs")
-    ratio_calm: float = Field(0.6, ge=0, lt=1, description="PL / AL up to which the limit holds [-]; argued")
+    ratio_calm: float = Field(0.6, ge=0, lt=1, description="PL / AL up to which the limit holds [-]; chosen")
     slow_mps2: float = Field(4.0, gt=0, description="braking for an alert at most; as in RSS")
     satellites_needed: int = Field(17, ge=0, description="predicted, below which RTK is out in over 3 of 5 cases")
     dead_reckoning_s: float = Field(
@@ -35,8 +35,8 @@ class AwareConfig(RssConfig):
         description="without RTK under an alert until the car stops; on training seeds 12 s saved no departure and "
         "cost a sixth of the return",
     )
-    grace_s: float = Field(8.0, ge=0, description="longer by this where the open sky is reached within it; argued")
-    link_s: float = Field(1.0, gt=0, description="the same where the sky is open and the link is out; argued")
+    grace_s: float = Field(8.0, ge=0, description="longer by this where the open sky is reached within it; chosen")
+    link_s: float = Field(1.0, gt=0, description="the same where the sky is open and the link is out; chosen")
     link_age_s: float = Field(2.0, gt=0, description="age of the reference data from which the link counts as out")
     lane_extra_m: float = Field(1.0, ge=0, description="the own lane is widened by PL_CT, by this at most; half a car")
     sky_bonus_mps2: float = Field(0.5, ge=0, description="gain of a lane that sees the sky where the own does not")

@@ -33,7 +33,7 @@ class YieldConfig(Config):
     )
     length_m: float = Field(7.0, gt=0, description="distance before and behind the point; a car and a margin")
     angle_sin: float = Field(0.35, ge=0, le=1, description="sine of the angle from which a path crosses; 20 degrees")
-    moving_mps: float = Field(1.0, ge=0, description="slower vehicles count as standing; argued")
+    moving_mps: float = Field(1.0, ge=0, description="slower vehicles count as standing; chosen")
     accelerate_mps2: float = Field(1.5, gt=0, description="of the ego from rest; as the driver's")
     brake_mps2: float = Field(2.0, gt=0, description="of the ego giving way; comfortable")
 

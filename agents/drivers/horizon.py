@@ -44,7 +44,7 @@ class GrowthConfig(Config):
     )
     reset_at_m: float = Field(0.2, ge=0, description="PL_AT on RTK, likewise")
     reset_ct_m: float = Field(0.21, ge=0, description="PL_CT on RTK, likewise")
-    refix_s: float = Field(2.0, ge=0, description="under an open sky until RTK holds again; argued")
+    refix_s: float = Field(2.0, ge=0, description="under an open sky until RTK holds again; chosen")
     rtk_s: float = Field(0.05, ge=0, description="RTK is present when it was so within this time; half an epoch")
     link_age_s: float = Field(
         1.5, gt=0, description="age of reference data from which the link counts as out; 1.1 s at most while it holds"

@@ -34,8 +34,8 @@ class CautiousConfig(CruiseConfig):
     """Constant margins; :class:`TunedCaution` has those that were tuned on training seeds."""
 
     gap_m: float = Field(3.0, ge=0, description="taken off every gap; PL_AT of two cars a few seconds into an outage")
-    speed_share: float = Field(0.8, gt=0, le=1, description="share of the speed that the route allows [-]; argued")
-    lane_m: float = Field(0.3, ge=0, description="the own lane counts as wider by this on each side; argued")
+    speed_share: float = Field(0.8, gt=0, le=1, description="share of the speed that the route allows [-]; chosen")
+    lane_m: float = Field(0.3, ge=0, description="the own lane counts as wider by this on each side; chosen")
 
 
 class TunedCaution(Config):

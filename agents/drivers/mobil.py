@@ -26,10 +26,10 @@ class MobilConfig(Config):
     politeness: float = Field(0.2, ge=0, le=1, description="p, weight of the others' loss [-]; Kesting 2007, 0 to 0.5")
     threshold_mps2: float = Field(0.3, ge=0, description="gain that a change must exceed; Kesting 2007 has 0.1")
     brake_safe_mps2: float = Field(3.0, gt=0, description="hardest braking of any vehicle; Kesting 2007 has 4")
-    room_m: float = Field(3.0, ge=0, description="gap to leader and follower of the new lane at least; argued")
-    speed_min_mps: float = Field(3.0, ge=0, description="below it no lane is changed; argued")
-    bend_per_m: float = Field(0.02, gt=0, description="nor before bends tighter than this [1/m]; 50 m radius, argued")
-    way_m: float = Field(40.0, gt=0, description="that a change takes, over which bends and junctions count; argued")
+    room_m: float = Field(3.0, ge=0, description="gap to leader and follower of the new lane at least; chosen")
+    speed_min_mps: float = Field(3.0, ge=0, description="below it no lane is changed; chosen")
+    bend_per_m: float = Field(0.02, gt=0, description="nor before bends tighter than this [1/m]; 50 m radius, chosen")
+    way_m: float = Field(40.0, gt=0, description="that a change takes, over which bends and junctions count; chosen")
 
 
 class Neighbours(NamedTuple):

@@ -36,12 +36,12 @@ class CruiseConfig(Config):
     lateral_mps2: float = Field(2.0, gt=0, description="acceleration across the track in bends; comfort, ISO 2631-1")
     accelerate_mps2: float = Field(1.5, gt=0, description="acceleration on a free road; IDM, Treiber 2000, city")
     brake_mps2: float = Field(2.0, gt=0, description="comfortable braking; IDM, Treiber 2000")
-    brake_max_mps2: float = Field(5.0, gt=0, description="hardest braking; dry road, argued")
+    brake_max_mps2: float = Field(5.0, gt=0, description="hardest braking; dry road, chosen")
     lead_brake_mps2: float = Field(6.0, gt=0, description="hardest braking expected of a leader; RSS, dry road")
     time_gap_s: float = Field(1.2, gt=0, description="time gap to the leader; IDM, 1 to 1.5 s")
     response_s: float = Field(0.6, ge=0, description="until braking begins: a decision and the age of a broadcast")
     standstill_m: float = Field(2.0, gt=0, description="gap at rest; IDM, Treiber 2000")
-    lookahead_s: float = Field(0.8, gt=0, description="of the target point; longer is calmer, argued")
+    lookahead_s: float = Field(0.8, gt=0, description="of the target point; longer is calmer, chosen")
     lookahead_min_m: float = Field(5.0, gt=0, description="and at least this far; a car's length")
 
 

@@ -101,7 +101,7 @@ class ExperimentConfig(Config):
         1.0,
         ge=0,
         description="subtracted from the reward in training, times the mean square of the filter's change of an action "
-        "(shares, -1 to 1): without it a policy relies on the filter and does not learn the road; argued",
+        "(shares, -1 to 1): without it a policy relies on the filter and does not learn the road; chosen",
     )
     engine: bool | None = Field(None, description="whether the vector engine drives; None: where it can")
     steps: int = Field(200_000, ge=1, description="decisions of learning by reward, of all environments")

@@ -97,7 +97,7 @@ class Episodes:
         shown = np.zeros(n, BELIEF) if o.integrity == "oracle" else belief
         records: list[Records] = [np.zeros(n, kind) for kind in (COMMAND, SCORE, FACTS, OUTCOME)]
         self.ego = Ego(belief, *[*records, shown])
-        self.tracks: Records | None = np.zeros(n, TRACK) if config.navigation.source.senses else None
+        self.tracks: Records | None = np.zeros(n, TRACK) if config.navigation.source.uses_sensors else None
         self._forecasts = self.tracks is not None and bool(o.satellites_m)
         self.sky = np.full((n, 3 * len(o.satellites_m)), -1.0)
         trail = 1 + int(np.ceil((o.trend_window_s - EPS_S) * config.policy_hz))

@@ -32,7 +32,6 @@ from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig
 from lanebound.integrity.navigators.solution import Solution
-from lanebound.integrity.sensors.faults import FaultSchedule
 
 __all__ = ["HEARD_S", "Approach", "NavigationBatch", "Starts", "draw_starts", "fixes_of"]
 
@@ -266,10 +265,6 @@ class NavigationBatch:
         place_all(self.navigator, self.config, before, heading_rad, noise, rows)
 
     # Steps
-
-    def set_faults(self, faults: FaultSchedule) -> None:
-        """The faults of a single environment's vehicles: 0 the ego, 1 and up the slots."""
-        self.navigator.faults = faults
 
     def coast_link(self, rows: Rows, batch: Records, tracks: Records | None) -> Any:
         """A simulation step has passed that ends no epoch, as a link."""

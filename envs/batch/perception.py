@@ -43,15 +43,17 @@ class PerceptionBatch:
 
     Attributes
     ----------
-    hears, looks : whether the sources are the radio, a sensor, or both
+    has_radio, has_sensor : whether the sources are the radio, a sensor, or both
     pictures : the records, for kernels
     """
 
     def __init__(self, config: PerceptionConfig, count: int, capacity: int, vehicles: int, epoch_s: float) -> None:
         v, s = config.v2v, config.sensor
         self.config, self.count, self.capacity, self.vehicles = config, count, capacity, vehicles
-        self.hears, self.looks = (capacity > 0 and config.source in (name, "both") for name in ("v2v", "sensor"))
-        self._slots_late = math.ceil(v.latency_max_s / epoch_s) + 2 if self.hears else 0
+        self.has_radio, self.has_sensor = (
+            capacity > 0 and config.source in (name, "both") for name in ("v2v", "sensor")
+        )
+        self._slots_late = math.ceil(v.latency_max_s / epoch_s) + 2 if self.has_radio else 0
         self._radio = one_record(
             pk.RADIO, latency_s=v.latency_s, jitter_s=v.jitter_s, latency_max_s=v.latency_max_s, loss=v.loss,
             range_m=v.range_m, rate_hz=v.rate_hz, epoch_s=epoch_s,
@@ -69,8 +71,8 @@ class PerceptionBatch:
         self._make()
 
     def _make(self) -> None:
-        n, late, heard = self.count, self._slots_late, self.capacity if self.hears else 0
-        slots = self.capacity + 1 if self.hears or self.looks else 0
+        n, late, heard = self.count, self._slots_late, self.capacity if self.has_radio else 0
+        slots = self.capacity + 1 if self.has_radio or self.has_sensor else 0
         self._streams = Streams([0] * n)
         self._there = np.ones((n, slots), dtype=np.bool_)
         radio = pk.Radio(
@@ -116,13 +118,13 @@ class PerceptionBatch:
         """
         p = self.pictures
         p.picture["seen"][rows] = 0
-        if not (self.hears or self.looks):
+        if not (self.has_radio or self.has_sensor):
             return
         p.picture["epoch"][rows], p.picture["sent"][rows] = 0, -1
         p.picture["last_x_m"][rows] = p.picture["last_y_m"][rows] = 0.0
         p.slots[rows] = np.zeros((), pk.SLOT)
         _silence(p.tracks, rows, np.inf)
-        if self.hears:
+        if self.has_radio:
             _silence(p.radio.held, rows, -np.inf)
             p.radio.arriving[rows] = p.radio.origin[rows] = -1
         self._there[rows, : self.capacity], self._there[rows, self.capacity] = there, True
@@ -136,7 +138,7 @@ class PerceptionBatch:
 
     def adopt(self, rows: Rows, other: PerceptionBatch) -> None:
         """Go on with the draws of the egos ``rows`` of another batch, whose arrays have been copied."""
-        if self.hears or self.looks:
+        if self.has_radio or self.has_sensor:
             self._streams.adopt(rows, other._streams, rows)
 
     def make_room(self, vehicles: int) -> None:
@@ -149,7 +151,7 @@ class PerceptionBatch:
 
     def enter(self, slot: int, key: int, length_m: float, width_m: float) -> None:
         """Assign a slot of a single environment to another vehicle and clear what was known of the last one."""
-        if not (self.hears or self.looks):
+        if not (self.has_radio or self.has_sensor):
             return
         p = self.pictures
         pk.forget_slot(p.radio, p.tracks, 0, slot)
@@ -164,9 +166,9 @@ class PerceptionBatch:
         episodes; batch: the bundle of the episodes; lies (C, 4): see :func:`.perception_kernel.hear`.
         """
         out: list[Any] = []
-        if self.hears and fixes is not None:
+        if self.has_radio and fixes is not None:
             out.append((rk.hear_rows, (rows, at, fixes, batch, time_s, self._draw("v2v", rows, 2), lies)))
-        if self.looks:
+        if self.has_sensor:
             out.append((rk.look_rows, (rows, batch, self._draw("sensor", rows, 4))))
         if out:
             out.append((rk.sum_up_rows, (rows, batch, time_s)))

@@ -28,7 +28,7 @@ def rules_of(config: EnvConfig, limits_m: tuple[float, float], map_bound_m: floa
         epoch_s=step_s * n.steps_per_epoch(config.simulation_hz),
         policy_s=1.0 / config.policy_hz,
         meta=config.action is ActionKind.META,
-        source=SENSED if n.source.senses else GIVEN,
+        source=SENSED if n.source.uses_sensors else GIVEN,
         offset_at_m=at,
         offset_ct_m=ct,
         jump_m=n.jump_m,

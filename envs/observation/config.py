@@ -24,34 +24,34 @@ class ObservationConfig(Config):
     )
     vehicles: int = Field(6, ge=0, le=64, description="number of vehicles in traffic, the nearest first [-]")
     preview_m: tuple[float, ...] = Field(
-        (5.0, 10.0, 20.0, 40.0, 80.0), description="distances ahead at which the route's centreline is given; argued"
+        (5.0, 10.0, 20.0, 40.0, 80.0), description="distances ahead at which the route's centreline is given; chosen"
     )
     satellites_m: tuple[float, ...] = Field(
-        (0.0, 20.0, 40.0, 80.0, 160.0), description="distances ahead at which satellites are predicted; argued"
+        (0.0, 20.0, 40.0, 80.0, 160.0), description="distances ahead at which satellites are predicted; chosen"
     )
     speed_max_mps: float = Field(40.0, gt=0, description="scale of speeds; highway-env's fastest vehicle")
-    acceleration_max_mps2: float = Field(10.0, gt=0, description="scale of accelerations; dry road, argued")
-    yaw_rate_max_radps: float = Field(1.0, gt=0, description="scale of yaw rates; 10 m/s on 10 m radius, argued")
-    offset_max_m: float = Field(12.0, gt=0, description="scale of lateral offsets; three lanes of 4 m, argued")
-    lane_width_max_m: float = Field(6.0, gt=0, description="scale of lane widths; argued")
-    curvature_max_per_m: float = Field(0.1, gt=0, description="scale of curvatures; a turn of 10 m radius, argued")
-    range_m: float = Field(150.0, gt=0, description="scale of distances to vehicles and along the lane; argued")
+    acceleration_max_mps2: float = Field(10.0, gt=0, description="scale of accelerations; dry road, chosen")
+    yaw_rate_max_radps: float = Field(1.0, gt=0, description="scale of yaw rates; 10 m/s on 10 m radius, chosen")
+    offset_max_m: float = Field(12.0, gt=0, description="scale of lateral offsets; three lanes of 4 m, chosen")
+    lane_width_max_m: float = Field(6.0, gt=0, description="scale of lane widths; chosen")
+    curvature_max_per_m: float = Field(0.1, gt=0, description="scale of curvatures; a turn of 10 m radius, chosen")
+    range_m: float = Field(150.0, gt=0, description="scale of distances to vehicles and along the lane; chosen")
     pl_max_m: float = Field(
         10.0,
         gt=0,
-        description="scale of protection levels, and value of missing ones; argued: over two lanes",
+        description="scale of protection levels, and value of missing ones; chosen: over two lanes",
     )
-    ratio_max: float = Field(3.0, gt=1, description="scale of PL / AL [-]; argued")
-    trend_window_s: float = Field(1.0, gt=0, description="period of the trend of protection levels; argued")
-    hdop_max: float = Field(10.0, gt=0, description="scale of HDOP [-]; argued")
-    satellites_max: int = Field(40, ge=1, description="scale of numbers of satellites [-]; five systems, argued")
-    excluded_max: int = Field(5, ge=1, description="scale of the number of excluded satellites [-]; argued")
+    ratio_max: float = Field(3.0, gt=1, description="scale of PL / AL [-]; chosen")
+    trend_window_s: float = Field(1.0, gt=0, description="period of the trend of protection levels; chosen")
+    hdop_max: float = Field(10.0, gt=0, description="scale of HDOP [-]; chosen")
+    satellites_max: int = Field(40, ge=1, description="scale of numbers of satellites [-]; five systems, chosen")
+    excluded_max: int = Field(5, ge=1, description="scale of the number of excluded satellites [-]; chosen")
     elapsed_max_s: float = Field(
-        60.0, gt=0, description="scale of times since an event; argued: above the longest outage of 50 s"
+        60.0, gt=0, description="scale of times since an event; chosen: above the longest outage of 50 s"
     )
-    age_max_s: float = Field(5.0, gt=0, description="scale of the age of perceived vehicles; argued")
+    age_max_s: float = Field(5.0, gt=0, description="scale of the age of perceived vehicles; chosen")
     length_max_m: float = Field(20.0, gt=0, description="scale of the length of vehicles; an articulated lorry")
-    width_max_m: float = Field(4.0, gt=0, description="scale of the width of vehicles; argued")
+    width_max_m: float = Field(4.0, gt=0, description="scale of the width of vehicles; chosen")
 
     @model_validator(mode="after")
     def _distances_ascend(self) -> Self:

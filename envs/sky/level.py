@@ -35,7 +35,7 @@ class SkyLevel(Config):
         24.0,
         ge=0,
         le=200,
-        description="facades stand at least so far apart, so that narrow roads are no darker; argued",
+        description="facades stand at least so far apart, so that narrow roads are no darker; chosen",
     )
     map: MapConfig = Field(MapConfig(), description="the city as mapped, by which satellites are predicted")
     corrections: CorrectionsConfig = Field(CorrectionsConfig(), description="the reference link and its outages")

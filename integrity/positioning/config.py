@@ -102,7 +102,7 @@ class RtkConfig(Config):
         "dead reckoning is of no use",
     )
     return_quarantine_s: float = Field(
-        5.0, ge=0, description="and after it has come back from an outage elsewhere than expected [s]; argued"
+        5.0, ge=0, description="and after it has come back from an outage elsewhere than expected [s]; chosen"
     )
     backup_s: float = Field(
         10.0,
@@ -153,7 +153,7 @@ class OdometerWatchConfig(Config):
         0.10, ge=0, description="share of the accelerometer's increment that may be wrong [-]; pitch of 4 deg at 1 g"
     )
     misalignment_deg: float = Field(
-        2.0, ge=0, description="lateral force seen forward: mounting and side slip [deg]; argued"
+        2.0, ge=0, description="lateral force seen forward: mounting and side slip [deg]; chosen"
     )
     lever_m: float = Field(2.0, ge=0, description="IMU from the rear axle, for the force in turns [m]; half a car")
     sigmas: float = Field(5.5, gt=0, description="odometer noise tolerated, in its sigmas [-]; 4e-8 for each epoch")

@@ -60,7 +60,7 @@ class CorrectionsConfig(Config):
         0.5,
         ge=0,
         le=1,
-        description="share of outages that affect all vehicles of an area [-]; argued: server, radio",
+        description="share of outages that affect all vehicles of an area [-]; chosen: server, radio",
     )
 
 

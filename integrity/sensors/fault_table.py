@@ -1,6 +1,6 @@
 """The fault kinds of the package: an effect function for each, and the table that declares them.
 
-Priors of satellites and systems are commitments of their providers; those of vehicles and roads are argued.
+Priors of satellites and systems are commitments of their providers; those of vehicles and roads are chosen.
 """
 
 from __future__ import annotations
@@ -200,7 +200,7 @@ FAULT_TABLE: tuple[FaultKind, ...] = (
         sizes_tried=(0.5, 2.0, 10.0),
         broadcast=True,
         prior=FaultPrior(per_h=1e-3, median_s=60.0, low=1.0, high=20.0),
-        prior_source="wrong or malicious broadcasts; argued",
+        prior_source="wrong or malicious broadcasts; chosen",
     ),
 )
 """Random faults are drawn in this order: a new kind stands at the end, so that those before it stay the same."""

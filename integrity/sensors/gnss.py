@@ -113,17 +113,17 @@ class GnssConfig(Config):
         description="share of the excess path of a reflection in the code [-]; 1: consumer single-frequency",
     )
     station_code_m: float = Field(
-        0.1, ge=0, description="the station's part of code_sigma_m [m]; argued: a survey receiver"
+        0.1, ge=0, description="the station's part of code_sigma_m [m]; chosen: a survey receiver"
     )
-    station_phase_m: float = Field(0.002, ge=0, description="the station's part of phase_sigma_m [m]; argued as well")
+    station_phase_m: float = Field(0.002, ge=0, description="the station's part of phase_sigma_m [m]; chosen as well")
     station_code_multipath_m: float = Field(
-        0.1, ge=0, description="the station's part of code_multipath_m [m]; argued: survey antenna on a roof"
+        0.1, ge=0, description="the station's part of code_multipath_m [m]; chosen: survey antenna on a roof"
     )
     station_phase_multipath_m: float = Field(
-        0.001, ge=0, description="the station's part of phase_multipath_m [m]; argued as well"
+        0.001, ge=0, description="the station's part of phase_multipath_m [m]; chosen as well"
     )
     station_multipath_tau_s: float = Field(
-        120.0, gt=0, description="correlation time of station multipath [s]; argued: only satellites move"
+        120.0, gt=0, description="correlation time of station multipath [s]; chosen: only satellites move"
     )
     baseline_km: float = Field(3.0, ge=0, description="distance to the reference station [km]; S1: a few kilometres")
     iono_ppm: float = Field(

@@ -49,11 +49,11 @@ class Street:
         self.epoch += 1
         batch, p, time = self.picture, self.picture.pictures, self.epoch * DT
         ego = record_of(BELIEF, x_m=car.x[0], y_m=car.y[0], heading_rad=car.heading[0], speed_mps=car.speed[0])
-        if batch.hears:
+        if batch.has_radio:
             said = honest(car, self.capacity) if claims is None else claims
             u = batch._draw("v2v", ROW, 2)[0]
             pk.hear(p.picture[0], p.radio, 0, p.of_radio[0], time, said, car, u, self.lies)
-        if batch.looks:
+        if batch.has_sensor:
             noise, ahead = batch._draw("sensor", ROW, 4)[0], np.empty((car.x.size, 2))
             pk.look(p.picture[0], p.tracks[0], p.of_sensor[0], ego, car, noise, ahead)
         square = np.empty(self.capacity + 2)
