@@ -23,7 +23,6 @@ VARIABLES = (
 )  # fmt: skip
 STAND_INS = {name: f"#0101{k:02x}" for k, name in enumerate(VARIABLES)}
 KEPT = ("d", "style", "x", "y", "width", "height", "transform", "id", "href")  # attributes of elements
-LABEL_PX = 10.0  # of text on one line, above and below its middle
 
 
 class Box(NamedTuple):

@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 SHOWN = {"full": vk.FULL, "blind": vk.BLIND, "oracle": vk.ORACLE}
 EPS_S = 1e-6  # a window of 1 s holds ten steps of 0.1 s, whatever they sum to
-STEP_US, EPOCH_US, FINISH_US = 0.6, 6.0, 5.0  # of one thread for an environment, measured
+EPOCH_US, FINISH_US = 6.0, 5.0  # of one thread for an environment, measured
 
 
 def empty_cars(count: int, vehicles: int) -> Cars:

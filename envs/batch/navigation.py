@@ -42,7 +42,6 @@ Flags = NDArray[np.bool_]
 HEARD_S = 0.6  # of the approach with the radio on: the longest delay of a message
 FLEET_SEEDS = 2**62
 FLEET_STARTS = 2  # draws of the others' first positions: as they enter the world, and again for their approach
-MOTION_US = 0.5  # of one thread for a vehicle and step, measured
 
 
 class Starts(NamedTuple):

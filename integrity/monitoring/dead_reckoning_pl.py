@@ -31,7 +31,6 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 STATES = 6
-ACCURACY_SIGMAS = 1.96  # 95 % of a normal error, S1 eq 22
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from lanebound.integrity.recorded.source import finite_number, whole_number
 __all__ = ["Header", "HeaderBuilder", "b1_in_band_2"]
 
 LABEL_AT = 60
-CODES_PER_LINE = 13
 MAX_CODES = 999
 SYSTEMS = "GRESCJI"
 TIME_SYSTEMS = ("GPS", "GLO", "GAL", "QZS", "BDT", "IRN", "UTC")
