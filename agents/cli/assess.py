@@ -39,6 +39,17 @@ def bounding(
         ),
     ] = None,
     rare_risk: Annotated[float | None, typer.Option(help="Risk for importance sampling; the study has 1e-7.")] = None,
+    in_the_loop: Annotated[
+        bool,
+        typer.Option(
+            "--in-the-loop",
+            help="Drive the whole navigator in generated streets instead of drawing epochs; 1 million epochs a sky.",
+        ),
+    ] = False,
+    sky: Annotated[
+        list[str] | None,
+        typer.Option(help="With --in-the-loop: a level of sky; may be repeated. The study has urban and dense."),
+    ] = None,
     jobs: Jobs = 1,
     assignments: Assignments = None,
     as_json: AsJson = False,
@@ -50,6 +61,14 @@ def bounding(
     from lanebound.agents.assess.bounding import BoundingConfig, assess_bounding
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
 
+    if in_the_loop:
+        if rare_risk is not None:
+            raise typer.BadParameter("--rare-risk does not go with --in-the-loop: drives are counted, not weighted")
+        given = changes(assignments, risks=risk or None, epochs=epochs, skies=sky or None)
+        _bounding_in_the_loop(out, given, jobs, as_json)
+        return
+    if sky:
+        raise typer.BadParameter("--sky goes with --in-the-loop: add it, or leave --sky away")
     with resumable(lambda: kept_text(out, "parts/*.json", "part")):
         config = BoundingConfig.load(changes(assignments, risks=risk or None, epochs=epochs, rare_risk=rare_risk))
         result = with_bar("parts", lambda on_progress: assess_bounding(config, out, jobs, on_progress))
@@ -83,6 +102,46 @@ def faults(
         config = FaultsConfig.load(parse_assignments(assignments or []) | given)
         result = with_bar("parts", lambda on_progress: assess_faults(config, out, jobs, on_progress))
         _report_faults(result, out, as_json)
+
+
+@app.command("signals")
+def signals(
+    folder: Annotated[Path, typer.Argument(help="Folder of a drive of smartLoc: *_Input.txt(.gz) and *_GT.txt.")],
+    out: Annotated[Path, typer.Option(help="Folder for signals.json.")],
+    assignments: Assignments = None,
+    as_json: AsJson = False,
+) -> None:
+    """Code errors of a recorded drive beside those of a simulated receiver, by C/N0 and elevation.
+
+    Example: lanebound assess signals drives/potsdamer --out out/signals --set streets=8
+    """
+    from lanebound.agents.assess.signals import SignalsConfig, assess_signals, signal_rows
+    from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.cli.progress import with_bar
+
+    config = SignalsConfig.load(changes(assignments))
+    result = with_bar("streets", lambda on_progress: assess_signals(folder, config, out, on_progress))
+    if as_json:
+        print_json(result)
+        return
+    print_table("Share of the codes, and 50 / 75 / 90 / 95 % of their absolute errors [m]", *signal_rows(result))
+    typer.echo(f"signals.json: {out}")
+
+
+def _bounding_in_the_loop(out: Path, given: dict[str, Any], jobs: int, as_json: bool) -> None:
+    from lanebound.agents.assess.in_the_loop import InTheLoopConfig, assess_in_the_loop, exceedance_rows, mode_rows
+    from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
+
+    with resumable(lambda: kept_text(out, "parts/*.json", "street")):
+        config = InTheLoopConfig.load(given)
+        result = with_bar("streets", lambda on_progress: assess_in_the_loop(config, out, jobs, on_progress))
+    if as_json:
+        print_json(result)
+        return
+    print_table("In the loop: rate of errors beyond the level over the risk, 95 % by street", *exceedance_rows(result))
+    print_table(f"Modes, median levels and epochs beyond at {config.risks[0]:g}", *mode_rows(result))
+    typer.echo(f"A rate over the risk above 1 breaks the promise.\nresults.json: {out}")
 
 
 def _report_bounding(result: dict[str, Any], out: Path, as_json: bool) -> None:

@@ -16,6 +16,7 @@ from lanebound.envs.batch.sky_ahead_kernel import Forecast, HourTable, SkyRows
 from lanebound.envs.sky import Street
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.sky.constellation import SkyConfig
+from lanebound.integrity.sky.faces import Faces
 from lanebound.integrity.sky.forecast import SkyForecast
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.view import SkyView
@@ -173,6 +174,7 @@ class Cities:
             spacing,
             spacing * float(stations[-1]),
             False,
+            faces=Faces.join([m.faces for m in masks]),
         )
         free = np.concatenate([f.free for f in forecasts])
         shown = first.forecast

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from highway_env.road.road import RoadNetwork
 
@@ -15,6 +16,7 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.sky.city import CityConfig, SectionKind, Stretch, line_street
 from lanebound.integrity.sky.forecast import SkyForecast
+from lanebound.integrity.sky.materials import clad
 from lanebound.integrity.sky.scene import City
 from lanebound.integrity.sky.survey import as_mapped
 from lanebound.integrity.sky.visibility import SkyMask
@@ -116,7 +118,7 @@ def _city(
         rng = named_generator([layout_seed, number], "city")
         kinds = level.streets_along(2.0 * corridor.road.edge_m)
         city = city + line_street(corridor.road, stretches, kinds, rng, ground.plot(corridor))
-    return city
+    return replace(city, material=clad(city.building, level.material_shares, named_generator(layout_seed, "facades")))
 
 
 def _cut(config: CityConfig, at_m: float, length_m: float) -> list[Stretch]:

@@ -24,6 +24,7 @@ from lanebound.envs.sky.level import SkyLevel
 from lanebound.envs.sky.street import LaneMap, Street
 from lanebound.integrity import sky
 from lanebound.integrity.core.accel import cache_directory
+from lanebound.integrity.sky.faces import Faces
 from lanebound.integrity.sky.forecast import SkyForecast
 from lanebound.integrity.sky.scene import City
 from lanebound.integrity.sky.visibility import SkyMask
@@ -85,9 +86,11 @@ def load(key: str, lanes: LaneMap) -> Street | None:
         with (place / f"{key}.npz").open("rb") as file, np.load(file, allow_pickle=False) as data:
             azimuths, elevations, closed = (int(v) for v in data["bins"])
             spacing, length = (float(v) for v in data["stations"])
-            city = City(data["triangles"], data["surface"])
+            city = City(data["triangles"], data["surface"], material=data["material"])
             table, excess = data["path"], data["excess"]
-            mask = SkyMask(table, excess, azimuths, elevations, spacing, length, bool(closed), key)
+            mask = SkyMask(
+                table, excess, azimuths, elevations, spacing, length, bool(closed), key, Faces.of_arrays(data)
+            )
             forecast = SkyForecast(data["free"], azimuths, elevations, spacing)
     except (OSError, EOFError, KeyError, ValueError, BadZipFile):
         return None
@@ -113,6 +116,8 @@ def save(key: str, street: Street) -> None:
                     stations=np.array([mask.spacing_m, mask.length_m]),
                     triangles=street.city.triangles_enu_m,
                     surface=street.city.surface,
+                    material=street.city.material,
+                    **mask.faces.as_arrays(),
                 )
             os.replace(name, place / f"{key}.npz")
         except OSError:

@@ -37,6 +37,10 @@ class SkyLevel(Config):
         le=200,
         description="facades stand at least so far apart, so that narrow roads are no darker; chosen",
     )
+    material_shares: tuple[float, float, float, float] = Field(
+        (0.4, 0.2, 0.35, 0.05),
+        description="shares of buildings with facades of concrete, glass, brick and metal; chosen, not measured",
+    )
     map: MapConfig = Field(MapConfig(), description="the city as mapped, by which satellites are predicted")
     corrections: CorrectionsConfig = Field(CorrectionsConfig(), description="the reference link and its outages")
     max_age_s: float = Field(

@@ -18,11 +18,14 @@ from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.sensors import gnss_kernel as gk
+from lanebound.integrity.sensors.arrival_kernel import NOTHING, PATH_RULES, Work
 from lanebound.integrity.sensors.clock import OCXO_H0, OCXO_HM2, TCXO_H0, TCXO_HM2, clock_gains
 from lanebound.integrity.sensors.effects import FaultEffects
-from lanebound.integrity.sky.systems import N_SYSTEMS, WAVELENGTH_M
+from lanebound.integrity.sensors.multipath_kernel import ARRIVAL, MOST_ARRIVALS
+from lanebound.integrity.sky.materials import material_table, permittivities
+from lanebound.integrity.sky.systems import CHIP_M, N_SYSTEMS, WAVELENGTH_M
 from lanebound.integrity.sky.view import SkyView
-from lanebound.integrity.sky.visibility import Reception
+from lanebound.integrity.sky.visibility import RAY_HZ, Reception
 
 __all__ = ["AreaSignals", "GnssConfig", "GnssEpoch", "GnssState", "initial_state", "observe"]
 
@@ -93,6 +96,26 @@ class GnssConfig(Config):
     )
     track_min_dbhz: float = Field(22.0, ge=0, description="code tracking threshold [dB-Hz]")
     phase_min_dbhz: float = Field(32.0, ge=0, description="carrier tracking threshold [dB-Hz]")
+    propagation: Literal["law", "paths"] = Field(
+        "law",
+        description="errors of signals in streets: by a law of code errors given C/N0, or by the paths of ray casting",
+    )
+    correlator_chips: float = Field(
+        0.1, gt=0, le=1, description="spacing of early and late correlator [chips]; narrow correlator, van Dierendonck"
+    )
+    code_loop_hz: float = Field(1.0, gt=0, description="bandwidth of the carrier-aided code loop [Hz]")
+    carrier_loop_hz: float = Field(15.0, gt=0, description="bandwidth of the carrier loop [Hz]; Kaplan: 10 to 18 Hz")
+    cn0_loop_hz: float = Field(1.0, gt=0, description="bandwidth of the C/N0 estimate [Hz]")
+    cross_polar: float = Field(
+        0.4, ge=0, le=1, description="voltage response to left-handed signals over right-handed [-]; patch, 8 dB"
+    )
+    keep_lock: float = Field(
+        0.5,
+        ge=0,
+        le=1,
+        description="probability that the carrier loop keeps lock, unnoticed, when another arrival becomes stronger "
+        "[-]; chosen: no published figure is known",
+    )
     code_delay_s: float = Field(0.2, ge=0, description="time to reacquire the code [s]")
     phase_delay_s: float = Field(1.0, ge=0, description="time to reacquire the carrier [s]")
     code_sigma_m: float = Field(0.15, ge=0, description="white code noise, zenith, one band, differenced [m]")
@@ -189,7 +212,8 @@ def gnss_parameters(config: GnssConfig, dt_s: float) -> Records:
     weakest_db = (slip_cn0 - c.phase_min_dbhz) / c.slip_decade_db
     clock_11, clock_21, clock_22 = clock_gains(c.clock_h0, c.clock_hm2, dt_s)
     bands = len(c.bands)
-    wavelength, dispersion = np.zeros((2, N_SYSTEMS, gk.BANDS))
+    wavelength, dispersion, chip = np.zeros((3, N_SYSTEMS, gk.BANDS))
+    chip[:, :bands] = CHIP_M[:, list(c.bands)]
     wavelength[:, :bands] = WAVELENGTH_M[:, list(c.bands)]
     dispersion[:, :bands] = (wavelength[:, :bands] / wavelength[:, :1]) ** 2
     return one_record(
@@ -233,7 +257,28 @@ def gnss_parameters(config: GnssConfig, dt_s: float) -> Records:
         clock_22=clock_22,
         wavelength=wavelength,
         dispersion=dispersion,
+        chip=chip,
+        by_paths=c.propagation == "paths",
+        paths=_path_parameters(c, dt_s),
         **c.station_parts,
+    )
+
+
+def _path_parameters(c: GnssConfig, dt_s: float) -> Records:
+    """Figures of propagation and loops, (1,) of PATH_RULES."""
+    materials = material_table()
+    return one_record(
+        PATH_RULES,
+        permittivity=permittivities(materials, RAY_HZ),
+        roughness=materials["roughness_m"],
+        cross_polar=c.cross_polar,
+        reflection_loss=c.reflection_loss_db,
+        foliage_loss=c.foliage_loss_db,
+        spacing=c.correlator_chips,
+        code_loop=c.code_loop_hz,
+        carrier_loop=c.carrier_loop_hz,
+        fade_gain=-np.expm1(-2.0 * np.pi * c.cn0_loop_hz * dt_s),
+        keep_lock=c.keep_lock,
     )
 
 
@@ -260,6 +305,7 @@ def initial_state(config: GnssConfig, sky: SkyView, streams: Streams) -> GnssSta
     signals["cn0"], signals["code_multipath"], signals["phase_multipath"] = z[..., 0], z[..., 1], z[..., 2:4]
     signals["rate"], signals["excess"] = z[..., 4], z[..., 5]
     signals["ambiguity"] = 2.0 * np.floor(1000.0 * z[..., 6:])
+    signals["tracked"]["arrival"] = NOTHING
     vehicles, clock = np.zeros(streams.batch, gk.RECEIVER), streams.normal("clock", N_SYSTEMS * 2 * gk.BANDS + 1)
     delays = config.clock_m * clock[:, :-1].reshape(-1, N_SYSTEMS, 2 * gk.BANDS)
     vehicles["code_delay"], vehicles["phase_delay"] = delays[..., : gk.BANDS], delays[..., gk.BANDS :]
@@ -313,12 +359,18 @@ def observe(
         streams.normal("gnss", n_sat, gk.NORMALS.itemsize // 8).view(gk.NORMALS)[..., 0],
         streams.uniform("gnss", n_sat, gk.UNIFORMS.itemsize // 8).view(gk.UNIFORMS)[..., 0],
         streams.normal("clock", 2), message, area.memory, area.clock, area.reference_enu_m,
+        blank_work(batch),
     )  # fmt: skip
     out = blank_gnss(batch, n_sat)
     out.age[:] = age_s
-    path, excess, motion = reception.path, reception.excess_m, motion_rows(truth)
-    gk.observe(path, excess, receivers, sky.rows, motion, effect_rows(effects), out)
+    gk.observe(reception.rows, receivers, sky.rows, motion_rows(truth), effect_rows(effects), out)
     return gnss_epoch(out)
+
+
+def blank_work(batch: int) -> Work:
+    """Work of receivers for the signal at hand."""
+    shape = batch, MOST_ARRIVALS + 1  # and the arrival that was tracked before
+    return Work(np.zeros(shape, ARRIVAL), np.zeros(shape), *np.zeros((2, batch, gk.BANDS)))
 
 
 def blank_gnss(batch: int, satellites: int) -> gk.GnssOutputs:

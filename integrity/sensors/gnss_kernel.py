@@ -10,9 +10,23 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
+from lanebound.integrity.sensors.arrival_kernel import (
+    BANDS,
+    DIRECT,
+    MULTIPATH,
+    NOTHING,
+    PATH_RULES,
+    TRACKED,
+    Geometry,
+    Work,
+    find_arrivals,
+    track,
+)
+from lanebound.integrity.sky.raytrace_kernel import BLOCKED, FOLIAGE, LOS, REFLECTED
 from lanebound.integrity.sky.systems_kernel import N_SYSTEMS
 
 __all__ = [
+    "BANDS",
     "GNSS_RULES",
     "NORMALS",
     "RECEIVER",
@@ -34,8 +48,6 @@ __all__ = [
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-
-BANDS = 2  # that a receiver has at most
 
 GNSS_RULES = record(
     dt="length of an epoch [s]",
@@ -81,6 +93,9 @@ GNSS_RULES = record(
     clock_22="drift on the second [m/s]",
     wavelength=("f8", (N_SYSTEMS, BANDS), "of the bands tracked [m]"),
     dispersion=("f8", (N_SYSTEMS, BANDS), "ionospheric delay, first band = 1 [-]"),
+    chip=("f8", (N_SYSTEMS, BANDS), "length of a chip [m]"),
+    by_paths=("?", "signals arrive by the paths of ray casting; else by the urban law of code errors"),
+    paths=(PATH_RULES, "figures of propagation and loops"),
 )
 """Figures of :class:`~lanebound.integrity.sensors.gnss.GnssConfig`."""
 
@@ -94,6 +109,7 @@ SIGNAL = record(
     phase_s="time since the carrier is received [s]",
     half_cycle_s="time for which a half cycle is in doubt [s]",
     ambiguity=("f8", (BANDS,), "half cycles, by band"),
+    tracked=(TRACKED, "the arrival that is tracked"),
 )
 """What lasts of a satellite's signal from epoch to epoch."""
 
@@ -140,8 +156,6 @@ STATION_NOISE = record(code=("f8", (BANDS,), "[-]"), phase=("f8", (BANDS,), "[-]
 """Standard normal draws of a satellite in a message."""
 
 LN10 = math.log(10.0)
-
-LOS, FOLIAGE, REFLECTED, BLOCKED = 0, 1, 2, 3  # values of visibility.SignalPath
 
 # Code error of a consumer receiver in a city given its C/N0: N(0, CORE^2) plus, with probability p, a Weibull excess.
 # Fitted to medians, robust sigmas, quantiles and shares above 15 m of 15,780 pseudoranges of a single-frequency u-blox
@@ -195,7 +209,8 @@ class Receivers(NamedTuple):
 
     rules (1,) of GNSS_RULES; signals (B, S) of SIGNAL; vehicles (B,) of RECEIVER; normals (B, S) of NORMALS, uniforms
     (B, S) of UNIFORMS and clock_normals (B, 2), the draws of the epoch; held (B, S) of STATION, the message held; area
-    (A, S) of SLOW; station_clock (A, 2) its offset [m] and drift [m/s]; reference (A, 3) error of its coordinates [m].
+    (A, S) of SLOW; station_clock (A, 2) its offset [m] and drift [m/s]; reference (A, 3) error of its coordinates [m];
+    work of arrivals.
     """
 
     rules: Records
@@ -208,6 +223,7 @@ class Receivers(NamedTuple):
     area: Records
     station_clock: Array
     reference: Array
+    work: Work
 
 
 class GnssOutputs(NamedTuple):
@@ -226,13 +242,15 @@ class GnssOutputs(NamedTuple):
 
 
 class _Path(NamedTuple):
-    """What all bands of a signal have in common [m]; power and clear of :func:`noise_power`."""
+    """What all bands have in common [m]; power and clear of :func:`noise_power`; code and carrier (2,) by band [m]."""
 
     common: float
     code_error: float
     phase_error: float
     power: float
     clear: float
+    code: Array
+    carrier: Array
 
 
 @jit(borrows=True)
@@ -330,14 +348,13 @@ def weakness(rules, level):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def follow(rules, level, path, u, signal):  # type: ignore[no-untyped-def]
+def follow(rules, level, received, locked, u, signal):  # type: ignore[no-untyped-def]
     """Advance the tracking of a signal; whether code and carrier are followed now, and whether a lock was lost.
 
+    ``received``: the code is received, ``locked``: the carrier is strong enough.
     A carrier that comes back brings new integers, and the receiver knows; so it does when it corrects a half cycle. A
     weak signal slips more often. ``u`` are UNIFORMS.
     """
-    received = path != BLOCKED and level >= rules.track_min
-    locked = received and path != REFLECTED and level >= rules.phase_min
     had_phase = signal.phase_s >= rules.phase_delay
     signal.code_s = signal.code_s + rules.dt if received else 0.0
     signal.phase_s = signal.phase_s + rules.dt if locked else 0.0
@@ -397,26 +414,59 @@ def fill_bands(c, has_phase, path, rules, receiver, signal, z, slow, station, co
     for b in range(rules.bands):
         delay = iono * rules.dispersion[c, b]
         noise = own_code * z.code[b] - rules.station_code * root * station.code[b]
-        code[b] = path.common + receiver.code_delay[c, b] + delay + code_error + noise
+        code[b] = path.common + receiver.code_delay[c, b] + delay + code_error + noise + path.code[b]
         if has_phase:
             noise = own_phase * z.phase[b] + own_multipath * signal.phase_multipath[b]
             theirs = rules.station_phase * station.phase[b] + rules.station_phase_multipath * station.phase_multipath[b]
             cycles = 0.5 * rules.wavelength[c, b] * signal.ambiguity[b]
             phase[b] = (
-                path.common + receiver.phase_delay[c, b] - delay + path.phase_error + cycles + noise - root * theirs
+                path.common
+                + receiver.phase_delay[c, b]
+                - delay
+                + path.phase_error
+                + cycles
+                + noise
+                - root * theirs
+                + path.carrier[b]
             )
 
 
 @jit(borrows=True)
-def observe_vehicle(v, path, excess, receivers, sky, truth, effects, out):  # type: ignore[no-untyped-def]
+def by_paths(receivers, reception, v, s, way, system, u):  # type: ignore[no-untyped-def]
+    """Reception by the paths of ray casting: (received, lock broken, range rate error [m/s]); sets ``reception.path``.
+
+    The errors by band are in ``receivers.work``, the C/N0 in the smoothed fade of the signal.
+    """
+    rules, work, signal = receivers.rules[0], receivers.work, receivers.signals[v, s]
+    memory, wave = signal.tracked, rules.wavelength[system, 0]
+    count, kind = find_arrivals(rules.paths, reception, v, s, way, signal.cn0, wave, work.arrivals[v], work.sources[v])
+    if count == 0:
+        memory.arrival = NOTHING
+        reception.path[v, s] = BLOCKED
+        return False, False, 0.0
+    bands = rules.wavelength[system], rules.chip[system]
+    broken, strongest, rate = track(
+        rules.paths, bands, reception, way, count, work, v, digits(u.slip, 1e4), rules.bands, memory, signal
+    )
+    if work.sources[v, strongest] != DIRECT:
+        reception.path[v, s] = REFLECTED
+    else:
+        reception.path[v, s] = MULTIPATH if count > 1 and kind == LOS else kind
+    return True, broken, rate
+
+
+@jit(borrows=True)
+def observe_vehicle(v, reception, receivers, sky, truth, effects, out):  # type: ignore[no-untyped-def]
     """Advance the receiver of vehicle v and fill its outputs, but for the age, which is read; untracked entries are 0.
 
-    path, excess (S,): how each signal arrives. The signals describe the position plus the spoofing.
+    reception of ReceptionRows: how each signal arrives. The signals describe the position plus the spoofing.
     """
     rules, receiver, k = receivers.rules[0], receivers.vehicles[v], sky.row[v]
+    path, excess, work = reception.path[v], reception.excess[v], receivers.work
     a = v % receivers.area.shape[0]
     used_age = out.age[v] if out.age[v] < 1e6 else 0.0
     vx, vy, vz = truth.velocity[v, 0], truth.velocity[v, 1], truth.velocity[v, 2]
+    antenna, velocity = (truth.position[v, 0], truth.position[v, 1], truth.position[v, 2]), (vx, vy, vz)
     speed = math.sqrt(vx * vx + vy * vy)
     decay = rules.multipath_decay * math.exp(-rules.dt * speed * rules.multipath_per_m)
     gain = math.sqrt(1.0 - decay * decay)
@@ -426,6 +476,7 @@ def observe_vehicle(v, path, excess, receivers, sky, truth, effects, out):  # ty
     x = (truth.position[v, 0] + spoof[v, 0]) + (reference[a, 0] + moved[v, 0])
     y = (truth.position[v, 1] + spoof[v, 1]) + (reference[a, 1] + moved[v, 1])
     h = (truth.position[v, 2] + spoof[v, 2]) + (reference[a, 2] + moved[v, 2])
+    work.code[v], work.carrier[v] = 0.0, 0.0
     for s in range(path.shape[0]):
         signal = receivers.signals[v, s]
         out.tracked[v, s] = out.lock_lost[v, s] = False
@@ -433,37 +484,47 @@ def observe_vehicle(v, path, excess, receivers, sky, truth, effects, out):  # ty
         for b in range(BANDS):
             out.code[v, s, b] = out.phase[v, s, b] = 0.0
         if not sky.above[k, s]:
-            signal.code_s, signal.phase_s = 0.0, 0.0
+            signal.code_s, signal.phase_s, signal.tracked.arrival = 0.0, 0.0, NOTHING
             continue
-        z, slow = receivers.normals[v, s], receivers.area[a, s]
+        z, slow, uniform = receivers.normals[v, s], receivers.area[a, s], receivers.uniforms[v, s]
         advance(rules, decay, gain, z, signal)
         e, n, u = sky.los[k, s, 0], sky.los[k, s, 1], sky.los[k, s, 2]
-        slant, drop = 1.0 / u, effects.cn0_drop[v, s]
-        level = carrier_to_noise(rules, u, path[s], drop, signal.cn0)
+        slant, drop, late, late_rate, broken = 1.0 / u, effects.cn0_drop[v, s], 0.0, 0.0, False
+        if rules.by_paths:
+            way = Geometry((e, n, u), sky.elevation[k, s], antenna, velocity)
+            arrives, broken, late_rate = by_paths(receivers, reception, v, s, way, sky.system[s], uniform)
+            level = carrier_to_noise(rules, u, LOS, drop, signal.cn0) + signal.tracked.fade
+            received = arrives and level >= rules.track_min
+            locked = received and not broken and level >= rules.phase_min
+        else:
+            level = carrier_to_noise(rules, u, path[s], drop, signal.cn0)
+            received = path[s] != BLOCKED and level >= rules.track_min
+            locked = received and path[s] != REFLECTED and level >= rules.phase_min
         for b in range(BANDS):
             signal.ambiguity[b] += 2.0 * effects.slips[v, s, b]
-        has_code, has_phase, lost = follow(rules, level, path[s], receivers.uniforms[v, s], signal)
+        has_code, has_phase, lost = follow(rules, level, received, locked, uniform, signal)
         out.lock_lost[v, s] = lost
         if not has_code:
             continue
         out.tracked[v, s], out.cn0[v, s] = True, level
         power, clear = noise_power(slant, level)
-        # jamming weakens a signal but sends it on no detour
-        late = excess[s] if path[s] == REFLECTED and excess[s] > 0.0 else urban_excess(level + drop, signal.excess)
+        if not rules.by_paths:  # jamming weakens a signal but sends it on no detour
+            late = excess[s] if path[s] == REFLECTED and excess[s] > 0.0 else urban_excess(level + drop, signal.excess)
         multipath = own_part(rules.code_multipath, rules.station_code_multipath, power, clear) * signal.code_multipath
         code_error = multipath + rules.nlos_scale * late + effects.code_bias[v, s]
         common = common_delay(rules, slant, used_age, slow) - (e * x + n * y + u * h) + offset
         fill_bands(
-            sky.system[s], has_phase, _Path(common, code_error, effects.phase_bias[v, s], power, clear), rules,
-            receiver, signal, z, slow, receivers.held[v, s], out.code[v, s], out.phase[v, s],
+            sky.system[s], has_phase,
+            _Path(common, code_error, effects.phase_bias[v, s], power, clear, work.code[v], work.carrier[v]),
+            rules, receiver, signal, z, slow, receivers.held[v, s], out.code[v, s], out.phase[v, s],
         )  # fmt: skip
         motion = e * vx + n * vy + u * vz
         rate_error = rules.rate_sigma * math.sqrt(power) * signal.rate
-        out.range_rate[v, s] = receiver.drift - motion + effects.rate_bias[v, s] + rate_error
+        out.range_rate[v, s] = receiver.drift - motion + effects.rate_bias[v, s] + rate_error + late_rate
 
 
 @jit(borrows=True)
-def observe(path, excess, receivers, sky, truth, effects, out):  # type: ignore[no-untyped-def]
-    """:func:`observe_vehicle` for B vehicles, path and excess (B, S)."""
-    for v in range(path.shape[0]):
-        observe_vehicle(v, path[v], excess[v], receivers, sky, truth, effects, out)
+def observe(reception, receivers, sky, truth, effects, out):  # type: ignore[no-untyped-def]
+    """:func:`observe_vehicle` for B vehicles."""
+    for v in range(reception.path.shape[0]):
+        observe_vehicle(v, reception, receivers, sky, truth, effects, out)

@@ -101,11 +101,10 @@ def sense(first, last, handle, epoch):  # type: ignore[no-untyped-def]
     rows, sky, motion, effects = unbundle(handle), epoch.sky, epoch.motion, epoch.effects
     if rows.draws.gnss.shape[0] == rows.receivers.vehicles.shape[0]:
         draw_rows(first, last, rows)
-    path, excess = rows.reception.path, rows.reception.excess
     look_up(first, last, rows.mask, sky, motion.arc, motion.lane, rows.reception)
     link_kernel.advance(first, last, epoch.number, rows.link, effects.lost, epoch.gnss.age)
     for v in range(first, last):
-        observe_vehicle(v, path[v], excess[v], rows.receivers, sky, motion, effects, epoch.gnss)
+        observe_vehicle(v, rows.reception, rows.receivers, sky, motion, effects, epoch.gnss)
     imu_kernel.measure(first, last, rows.imu, motion, effects.gyro_bias, epoch.imu)
     odometer_kernel.measure(
         first, last, rows.odometer, motion.distance, effects.odometer_scale, effects.odometer_frozen, epoch.odometer

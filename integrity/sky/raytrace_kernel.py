@@ -15,14 +15,19 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.angles_kernel import TWO_PI
 from lanebound.integrity.core.records import Records, record
+from lanebound.integrity.sky.propagation_kernel import arrival_direction, reflection_coefficients
 
 __all__ = [
+    "FACE",
     "MASK_RULES",
+    "NO_EDGE",
+    "STRONGEST",
     "Grid",
     "MaskRows",
     "ReceptionRows",
     "SatelliteRows",
     "count_free",
+    "edge_rows",
     "free_rows",
     "look_up",
     "mask_rows",
@@ -32,6 +37,7 @@ __all__ = [
 
 EDGE = 1e-12  # edges belong to the triangle, up to rounding
 GRAZING = 1e-12  # a ray is parallel to a plane if the sine of the angle between them is smaller
+HALVINGS = 7  # leave 3 degrees / 2^7 = 0.02 degrees
 LIFT_M = 1e-6  # distance from the wall at which a reflected ray starts
 LOS, FOLIAGE, REFLECTED, BLOCKED = 0, 1, 2, 3  # the values of visibility.SignalPath
 
@@ -45,15 +51,32 @@ MASK_RULES = record(
 )
 
 
+FACE = record(
+    normal=("f8", (3,), "unit vector ENU [-]"),
+    offset="normal . x of the points x of the plane [m]",
+    material=("i8", "value of materials.Material"),
+)
+"""The plane of a reflecting face."""
+
+STRONGEST = 2  # reflections of a cell that are kept
+NO_EDGE = -0.5 * math.pi
+
+
 class MaskRows(NamedTuple):
     """A :class:`~lanebound.integrity.sky.visibility.SkyMask`.
 
-    rules (1,) of MASK_RULES; path, excess (stations, lanes, cells).
+    rules (1,) of MASK_RULES; path, excess (stations, lanes, cells); face (stations, lanes, cells, 2) indices of
+    ``faces`` (F,) of FACE, -1 for none; skyline, edge (stations, lanes, azimuths). Without faces the last four have no
+    stations.
     """
 
     rules: Records
     path: NDArray[np.uint8]
     excess: NDArray[np.float32]
+    face: NDArray[np.int32]
+    skyline: NDArray[np.float32]
+    edge: NDArray[np.float32]
+    faces: Records
 
 
 class SatelliteRows(NamedTuple):
@@ -71,11 +94,19 @@ class SatelliteRows(NamedTuple):
 
 
 class ReceptionRows(NamedTuple):
-    """How signals arrive: path (B, S) of visibility.SignalPath, excess (B, S) [m]; cells (B, S) is work."""
+    """How signals arrive: path (B, S) of visibility.SignalPath, excess (B, S) [m]; cells (B, S) is work.
+
+    face (B, S, 2) indices of reflecting ``faces`` (F,) of FACE, -1 for none; skyline, edge (B, S): elevation [rad] of
+    the highest obstacle in the satellite's azimuth, -pi/2 for none, and the distance of its edge [m].
+    """
 
     path: NDArray[np.uint8]
     excess: NDArray[np.float64]
     cells: NDArray[np.int64]
+    face: NDArray[np.int32]
+    skyline: NDArray[np.float32]
+    edge: NDArray[np.float32]
+    faces: Records
 
 
 class Grid(NamedTuple):
@@ -203,15 +234,35 @@ def bin_of(azimuth, elevation, n_az, n_el):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _mask_at(grid, ox, oy, oz, direction, n_az, n_el, path, excess):  # type: ignore[no-untyped-def]
+def _keep_strongest(triangle, power, path, found, strength):  # type: ignore[no-untyped-def]
+    """Enter a reflection at ``triangle`` among the strongest of a cell; of equal ones the shorter path is first.
+
+    found (2,) triangles, -1 for none; strength (2, 2): power [-] and excess path [m] of each.
+    """
+    for k in range(STRONGEST):
+        if found[k] < 0 or power > strength[k, 0] or (power == strength[k, 0] and path < strength[k, 1]):
+            for later in range(STRONGEST - 1, k, -1):
+                found[later] = found[later - 1]
+                strength[later] = strength[later - 1]
+            found[k] = triangle
+            strength[k, 0], strength[k, 1] = power, path
+            return
+
+
+@jit
+def _mask_at(grid, ox, oy, oz, direction, n_az, n_el, permittivity, path, excess, found):  # type: ignore[no-untyped-def]
     """Mask of one antenna: path and excess, (cells,), for rays to the cell centres ``direction`` (cells, 3).
 
     A blocked ray is mirrored at the first solid face, ``d' = d - 2 (d.n) n``. If the ray along d' is free, the signal
     of a satellite in that direction arrives by the reflection with the excess ``t (1 - d.d')`` (image method).
+    ``found`` (cells, 2): triangles of the two reflections of most power, -1 for none; ``permittivity`` (T,) complex, of
+    the triangles.
     """
     cells = direction.shape[0]
+    strength = np.zeros((cells, STRONGEST, 2))
     for c in range(cells):
         excess[c] = math.inf
+        found[c] = -1
     for c in range(cells):
         dx, dy, dz = direction[c, 0], direction[c, 1], direction[c, 2]
         t, k, leaf = trace(grid, ox, oy, oz, dx, dy, dz, False)
@@ -223,16 +274,20 @@ def _mask_at(grid, ox, oy, oz, direction, n_az, n_el, path, excess):  # type: ig
             continue
         nx, ny, nz = grid.tri[k, 9], grid.tri[k, 10], grid.tri[k, 11]
         along = dx * nx + dy * ny + dz * nz
-        rx, ry, rz = dx - 2.0 * along * nx, dy - 2.0 * along * ny, dz - 2.0 * along * nz
+        rx, ry, rz = arrival_direction((dx, dy, dz), (nx, ny, nz))
         target = bin_of(math.atan2(rx, ry), math.asin(min(1.0, max(-1.0, rz))), n_az, n_el)
-        extra = 2.0 * t * along * along
-        if target < 0 or extra >= excess[target]:
+        if target < 0:
             continue
+        extra = 2.0 * t * along * along
         lift = -LIFT_M if along > 0.0 else LIFT_M
         x, y, z = ox + t * dx + lift * nx, oy + t * dy + lift * ny, oz + t * dz + lift * nz
         solid, _, leaves = trace(grid, x, y, z, rx, ry, rz, True)
-        if min(solid, leaves) == math.inf:
-            excess[target] = extra
+        if min(solid, leaves) < math.inf:
+            continue
+        excess[target] = min(excess[target], extra)
+        co, cross = reflection_coefficients(abs(along), permittivity[k])
+        power = abs(co) ** 2 + abs(cross) ** 2
+        _keep_strongest(k, power, extra, found[target], strength[target])
     for c in range(cells):
         if excess[c] == math.inf:
             excess[c] = 0.0
@@ -241,11 +296,53 @@ def _mask_at(grid, ox, oy, oz, direction, n_az, n_el, path, excess):  # type: ig
 
 
 @jit
-def mask_rows(first, last, grid, antenna, direction, n_az, n_el, path, excess):  # type: ignore[no-untyped-def]
-    """Compute the masks of antennas (P, 3); write path (P, cells) uint8 and excess (P, cells) float32 [m]."""
+def mask_rows(first, last, grid, antenna, direction, n_az, n_el, permittivity, path, excess, found):  # type: ignore[no-untyped-def]
+    """Compute the masks of antennas (P, 3): path, excess (P, cells) [m] and triangles found (P, cells, 2)."""
     for p in range(first, last):
         o = antenna[p]
-        _mask_at(grid, o[0], o[1], o[2], direction, n_az, n_el, path[p], excess[p])
+        _mask_at(grid, o[0], o[1], o[2], direction, n_az, n_el, permittivity, path[p], excess[p], found[p])
+
+
+@jit
+def edge_rows(first, last, grid, antenna, n_az, n_el, path, skyline, edge):  # type: ignore[no-untyped-def]
+    """Find the upper edge of the highest obstacle in each azimuth: skyline [rad] and distance edge [m], (P, n_az).
+
+    ``path`` (P, cells) of the same antennas gives the highest blocked cell; the edge lies between its centre and that
+    of the next cell, and is found by halving. Without an obstacle the skyline is NO_EDGE; where the zenith is blocked
+    it is pi / 2.
+    """
+    step = 0.5 * math.pi / n_el
+    for p in range(first, last):
+        for a in range(n_az):
+            azimuth = TWO_PI * (a + 0.5) / n_az
+            top = n_el - 1
+            while top >= 0 and path[p, a * n_el + top] != BLOCKED and path[p, a * n_el + top] != REFLECTED:
+                top -= 1
+            skyline[p, a], edge[p, a] = NO_EDGE, 0.0
+            if top < 0:
+                continue
+            low = (top + 0.5) * step
+            high = min(low + step, 0.5 * math.pi)
+            t = _solid_at(grid, antenna[p], azimuth, low)
+            if top < n_el - 1:
+                for _ in range(HALVINGS):
+                    middle = 0.5 * (low + high)
+                    there = _solid_at(grid, antenna[p], azimuth, middle)
+                    if there < math.inf:
+                        low, t = middle, there
+                    else:
+                        high = middle
+            else:
+                low = 0.5 * math.pi
+            skyline[p, a], edge[p, a] = low, t
+
+
+@jit
+def _solid_at(grid, o, azimuth, elevation):  # type: ignore[no-untyped-def]
+    """Distance [m] to the first solid face in a direction, inf for none."""
+    flat = math.cos(elevation)
+    d = math.sin(azimuth) * flat, math.cos(azimuth) * flat, math.sin(elevation)
+    return trace(grid, o[0], o[1], o[2], d[0], d[1], d[2], False)[0]
 
 
 @jit
@@ -303,3 +400,18 @@ def look_up(first, last, mask, sky, arc, lane, out):  # type: ignore[no-untyped-
             else:
                 out.path[b, s] = mask.path[n, row, c]
                 out.excess[b, s] = mask.excess[n, row, c]
+        if mask.face.shape[0] > 0:
+            _look_up_faces(mask, n, row, cells, rules.elevations, out.face[b], out.skyline[b], out.edge[b])
+
+
+@jit
+def _look_up_faces(mask, n, row, cells, elevations, face, skyline, edge):  # type: ignore[no-untyped-def]
+    """Faces that reflect and edges that diffract at station n and lane ``row``, for the cells of the satellites."""
+    for s in range(cells.shape[0]):
+        c = cells[s]
+        if c < 0:
+            face[s] = -1
+            skyline[s], edge[s] = NO_EDGE, 0.0
+        else:
+            face[s, 0], face[s, 1] = mask.face[n, row, c, 0], mask.face[n, row, c, 1]
+            skyline[s], edge[s] = mask.skyline[n, row, c // elevations], mask.edge[n, row, c // elevations]

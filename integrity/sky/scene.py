@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.errors import InputError, require_finite, require_shape
+from lanebound.integrity.sky.materials import Material
 from lanebound.integrity.sky.raytrace import build_grid
 from lanebound.integrity.sky.raytrace_kernel import Grid
 
@@ -39,18 +40,22 @@ class City:
     triangles_enu_m : (T, 3, 3) [m], vertices by row
     surface : (T,) uint8, values of :class:`Surface`
     building : (T,) int64, number of the building that a triangle belongs to, -1 for none (the default)
+    material : (T,) int64, values of :class:`~lanebound.integrity.sky.materials.Material`; concrete is the default
     """
 
     triangles_enu_m: Array
     surface: NDArray[np.uint8]
     building: NDArray[np.int64] = field(default_factory=lambda: _UNNAMED)
+    material: NDArray[np.int64] = field(default_factory=lambda: _UNNAMED)
 
     def __post_init__(self) -> None:
         triangles = require_finite("triangles_enu_m", self.triangles_enu_m)
         require_shape("triangles_enu_m", triangles, (3, 3))
         if self.building is _UNNAMED:
             object.__setattr__(self, "building", np.full(triangles.shape[0], -1))
-        for name, array in (("surface", self.surface), ("building", self.building)):
+        if self.material is _UNNAMED:
+            object.__setattr__(self, "material", np.full(triangles.shape[0], int(Material.CONCRETE)))
+        for name, array in (("surface", self.surface), ("building", self.building), ("material", self.material)):
             if triangles.ndim != 3 or array.shape != triangles.shape[:1]:
                 raise InputError(
                     f"{name} must have shape ({triangles.shape[0]},), got {array.shape}: one for each triangle"
@@ -84,6 +89,7 @@ class City:
             np.concatenate([self.triangles_enu_m, other.triangles_enu_m]),
             np.concatenate([self.surface, other.surface]),
             np.concatenate([self.building, renumbered]),
+            np.concatenate([self.material, other.material]),
         )
 
     @property

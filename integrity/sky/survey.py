@@ -47,4 +47,4 @@ def as_mapped(city: City, config: MapConfig, rng: np.random.Generator) -> City:
     triangles[numbered, :, 2] *= (mapped / np.where(height > 0.0, height, 1.0))[which, None]
     triangles[numbered, :, :2] += config.position_sigma_m * z[which, None, 1:]
     kept = slice(None) if config.trees else ~city.foliage
-    return City(triangles[kept], city.surface[kept], city.building[kept])
+    return City(triangles[kept], city.surface[kept], city.building[kept], city.material[kept])

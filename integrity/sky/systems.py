@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.sky.systems_kernel import N_SYSTEMS
 
-__all__ = ["CARRIER_HZ", "FIXABLE", "N_BANDS", "N_SYSTEMS", "SPEED_OF_LIGHT_MPS", "WAVELENGTH_M", "System"]
+__all__ = ["CARRIER_HZ", "CHIP_M", "FIXABLE", "N_BANDS", "N_SYSTEMS", "SPEED_OF_LIGHT_MPS", "WAVELENGTH_M", "System"]
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0  # SI definition of the metre
 
@@ -40,8 +40,22 @@ CARRIER_HZ: NDArray[np.float64] = 1e6 * np.array(
 WAVELENGTH_M: NDArray[np.float64] = SPEED_OF_LIGHT_MPS / CARRIER_HZ
 """Carrier wavelengths [m], (N_SYSTEMS, N_BANDS); GLONASS at its nominal centre frequencies (channel 0)."""
 
+CHIP_M: NDArray[np.float64] = SPEED_OF_LIGHT_MPS / (
+    1e6
+    * np.array(
+        [
+            [1.023, 1.023, 10.23],  # L1 C/A, L2C, L5: IS-GPS-200N, IS-GPS-705J
+            [1.023, 10.23, 10.23],  # E1 BOC(1,1), E5b, E5a: Galileo OS SIS ICD 2.1
+            [0.511, 0.511, 10.23],  # GLONASS ICD 5.1; L3 CDMA ICD 1.0
+            [2.046, 2.046, 10.23],  # B1I, B2I, B2a: BDS-SIS-ICD
+            [1.023, 1.023, 10.23],  # IS-QZSS-PNT-005
+        ]
+    )
+)
+"""Length of a chip of the code [m], (N_SYSTEMS, N_BANDS)."""
+
 FIXABLE: NDArray[np.bool_] = np.array([True, True, False, True, True])
 """Whether double-differenced ambiguities of a system are integers, (N_SYSTEMS,); those of GLONASS FDMA are not."""
 
-for _table in (CARRIER_HZ, WAVELENGTH_M, FIXABLE):
+for _table in (CARRIER_HZ, CHIP_M, WAVELENGTH_M, FIXABLE):
     _table.setflags(write=False)

@@ -8,7 +8,7 @@ nanoseconds for each satellite.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
 from pathlib import Path
@@ -19,8 +19,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.errors import InputError, require_finite, require_in_range, require_shape
-from lanebound.integrity.core.records import one_record
-from lanebound.integrity.sky.raytrace_kernel import MASK_RULES, MaskRows, ReceptionRows, look_up, mask_rows
+from lanebound.integrity.core.records import Records, one_record
+from lanebound.integrity.sky.faces import Faces
+from lanebound.integrity.sky.materials import material_table, permittivities
+from lanebound.integrity.sky.raytrace_kernel import (
+    FACE,
+    MASK_RULES,
+    NO_EDGE,
+    STRONGEST,
+    MaskRows,
+    ReceptionRows,
+    edge_rows,
+    look_up,
+    mask_rows,
+)
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.scene import City
 from lanebound.integrity.sky.view import SkyView
@@ -28,15 +40,21 @@ from lanebound.integrity.sky.view import SkyView
 __all__ = ["Reception", "SignalPath", "SkyMask", "cell_centres", "cells_of", "distinct_antennas"]
 
 Array = NDArray[np.float64]
+RAY_HZ = 1575.42e6  # of the first band: which reflections are the strongest
 
 
 class SignalPath(IntEnum):
-    """Propagation path of a satellite signal to the antenna."""
+    """Propagation path of a satellite signal to the antenna.
+
+    Masks contain the first four. A receiver with ``propagation: paths`` finds the last two from faces and edges.
+    """
 
     LOS = 0
     FOLIAGE = 1
     REFLECTED = 2
     BLOCKED = 3
+    MULTIPATH = 4
+    DIFFRACTED = 5
 
 
 @dataclass(frozen=True)
@@ -48,16 +66,33 @@ class Reception:
     path : (B, S) uint8, values of :class:`SignalPath`
     excess_m : (B, S) excess path of the strongest one-bounce reflection, 0 for none. A LOS signal with an excess has
         multipath; a REFLECTED signal is received only by this reflection.
+    given : the same with reflecting faces and diffracting edges as kernels take it, None for none of them
     """
 
     path: NDArray[np.uint8]
     excess_m: Array
+    given: ReceptionRows | None = None
+
+    @property
+    def rows(self) -> ReceptionRows:
+        """The reception as kernels take it."""
+        if self.given is not None:
+            return self.given
+        return blank_reception(*self.path.shape)._replace(path=self.path.copy(), excess=self.excess_m)
 
 
-def blank_reception(batch: int, satellites: int) -> ReceptionRows:
-    """Reception to be filled."""
+def blank_reception(batch: int, satellites: int, faces: Records | None = None) -> ReceptionRows:
+    """Reception to be filled, without reflecting faces and edges; ``faces`` (F,) of FACE: the table of a mask."""
     shape = batch, satellites
-    return ReceptionRows(np.empty(shape, np.uint8), np.empty(shape), np.empty(shape, np.int64))
+    return ReceptionRows(
+        np.empty(shape, np.uint8),
+        np.empty(shape),
+        np.empty(shape, np.int64),
+        np.full((*shape, STRONGEST), -1, np.int32),
+        np.full(shape, NO_EDGE, np.float32),
+        np.zeros(shape, np.float32),
+        np.zeros(0, FACE) if faces is None else faces,
+    )
 
 
 @dataclass(frozen=True)
@@ -71,6 +106,7 @@ class SkyMask:
     azimuths, elevations : numbers of bins A over 2 pi and E over pi / 2
     spacing_m, length_m, closed : distance between stations, length of the road, whether the road is closed
     digest : digest of the inputs, see :meth:`digest_of`
+    faces : what reflects and diffracts signals; without stations for a mask that is not made by ray casting
     """
 
     path: NDArray[np.uint8]
@@ -81,6 +117,7 @@ class SkyMask:
     length_m: float
     closed: bool
     digest: str = ""
+    faces: Faces = field(default_factory=Faces.none)
 
     @classmethod
     def open(cls) -> SkyMask:
@@ -125,18 +162,19 @@ class SkyMask:
         spacing = road.length_m / count
         arc = spacing * np.arange(count if road.closed else count + 1, dtype=np.float64)
         antenna = _antennas(road, arc, lane_count, antenna_height_m)
-        path, excess = _cast(city, antenna.reshape(-1, 3), azimuths, elevations)
-        shape = (arc.size, lane_count, azimuths * elevations)
+        rows = np.arange(arc.size * lane_count).reshape(arc.size, lane_count)
+        path, excess, faces = _cast(city, antenna.reshape(-1, 3), rows, azimuths, elevations)
         digest = cls.digest_of(road, city, station_spacing_m, lanes, antenna_height_m, az_step_deg, el_step_deg)
         return cls(
-            path.reshape(shape),
-            excess.reshape(shape),
+            path,
+            excess,
             azimuths,
             elevations,
             spacing,
             road.length_m,
             road.closed,
             digest,
+            faces,
         )
 
     @classmethod
@@ -163,9 +201,9 @@ class SkyMask:
         each, rows = distinct_antennas(antenna_enu_m)
         require_in_range("spacing_m", spacing_m, 0.0, 1e4, low_open=True)
         azimuths, elevations = cells_of(az_step_deg, el_step_deg)
-        path, excess = _cast(city, each, azimuths, elevations)
+        path, excess, faces = _cast(city, each, rows, azimuths, elevations)
         length = spacing_m * rows.shape[0]
-        return cls(path[rows], excess[rows], azimuths, elevations, spacing_m, length, False, digest)
+        return cls(path, excess, azimuths, elevations, spacing_m, length, False, digest, faces)
 
     @staticmethod
     def digest_of(
@@ -179,7 +217,7 @@ class SkyMask:
     ) -> str:
         """Digest of the inputs of :meth:`build`, for file names of saved masks; equal inputs give equal digests."""
         h = hashlib.blake2b(digest_size=16)
-        for array in (road.vertices_en_m, road.tangent_rad, city.triangles_enu_m, city.surface):
+        for array in (road.vertices_en_m, road.tangent_rad, city.triangles_enu_m, city.surface, city.material):
             h.update(np.ascontiguousarray(array).tobytes())
         lane_count = road.lane_count if lanes is None else lanes
         layout = (road.lane_count, road.lane_width_m, road.shift_m, road.closed, lane_count)
@@ -212,9 +250,9 @@ class SkyMask:
         rows = sky.azimuth_rad.shape[0]
         if batch[0] and not (sky.index.min() >= 0 and sky.index.max() < rows):
             raise InputError(f"sky.index must lie in [0, {rows - 1}], got {sky.index.max()}: name existing rows")
-        out = blank_reception(batch[0], sky.azimuth_rad.shape[1])
+        out = blank_reception(batch[0], sky.azimuth_rad.shape[1], self.faces.table)
         look_up(0, batch[0], self.rows, sky.rows, arc, lanes, out)
-        return Reception(out.path, out.excess)
+        return Reception(out.path, out.excess, out)
 
     @cached_property
     def rows(self) -> MaskRows:
@@ -227,7 +265,8 @@ class SkyMask:
             azimuths=self.azimuths,
             elevations=self.elevations,
         )
-        return MaskRows(rules, self.path, self.excess_m)
+        faces = self.faces
+        return MaskRows(rules, self.path, self.excess_m, faces.face, faces.skyline_rad, faces.edge_m, faces.table)
 
     def save(self, path: str | Path) -> None:
         """Write the mask to an ``.npz`` file."""
@@ -238,6 +277,7 @@ class SkyMask:
             bins=np.array([self.azimuths, self.elevations, int(self.closed)]),
             stations=np.array([self.spacing_m, self.length_m]),
             digest=np.array(self.digest),
+            **self.faces.as_arrays(),
         )
 
     @classmethod
@@ -254,6 +294,7 @@ class SkyMask:
                 table, excess, found = data["path"], data["excess_m"], str(data["digest"])
                 azimuths, elevations, closed = (int(v) for v in data["bins"])
                 spacing, length = (float(v) for v in data["stations"])
+                faces = Faces.of_arrays(data)
         except (OSError, EOFError, KeyError, ValueError, BadZipFile) as exc:
             raise InputError(
                 f"sky mask {path} must be an .npz file written by save, got: {exc}; build it again"
@@ -262,7 +303,7 @@ class SkyMask:
             raise InputError(f"sky mask {path} must be of inputs {digest}, got {found}: build it again")
         if table.ndim != 3 or table.shape != excess.shape or table.shape[2] != azimuths * elevations:
             raise InputError(f"sky mask {path} must hold tables (N, L, {azimuths * elevations}), got {table.shape}")
-        return cls(table, excess, azimuths, elevations, spacing, length, bool(closed), found)
+        return cls(table, excess, azimuths, elevations, spacing, length, bool(closed), found, faces)
 
 
 def distinct_antennas(antenna_enu_m: ArrayLike) -> tuple[Array, NDArray[np.int64]]:
@@ -310,13 +351,21 @@ def cell_centres(azimuths: int, elevations: int) -> Array:
     return out.reshape(-1, 3)
 
 
-def _cast(city: City, antenna: Array, azimuths: int, elevations: int) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Compute paths and excesses (P, A E) of antennas (P, 3)."""
-    path = np.empty((antenna.shape[0], azimuths * elevations), dtype=np.uint8)
+def _cast(
+    city: City, antenna: Array, rows: NDArray[np.int64], azimuths: int, elevations: int
+) -> tuple[NDArray[np.uint8], NDArray[np.float32], Faces]:
+    """Compute paths and excesses (N, L, A E), and faces, for antennas (P, 3) and the index (N, L) of each in them."""
+    count = antenna.shape[0]
+    path = np.empty((count, azimuths * elevations), dtype=np.uint8)
     excess = np.empty(path.shape, dtype=np.float32)
+    found = np.empty((*path.shape, STRONGEST), dtype=np.int32)
+    skyline, edge = np.empty((2, count, azimuths), dtype=np.float32)
     cells = cell_centres(azimuths, elevations)
-    run_rows(mask_rows, antenna.shape[0], city.grid, antenna, cells, azimuths, elevations, path, excess, row_us=1000.0)
-    return path, excess
+    permittivity = permittivities(material_table(), RAY_HZ)[city.material]
+    arguments = cells, azimuths, elevations, permittivity, path, excess, found
+    run_rows(mask_rows, count, city.grid, antenna, *arguments, row_us=1000.0)
+    run_rows(edge_rows, count, city.grid, antenna, azimuths, elevations, path, skyline, edge, row_us=300.0)
+    return path[rows], excess[rows], Faces.of_triangles(city, found[rows], skyline[rows], edge[rows])
 
 
 def _antennas(road: Road, arc_m: Array, lanes: int, height_m: float) -> Array:

@@ -1,0 +1,211 @@
+"""How often errors exceed their protection levels in drives of the whole navigator, by sky, mode and risk.
+
+Vehicles of one street share its city, its satellites and its faults, so that the spread between streets limits the
+accuracy of a rate: its interval is that of the mean over streets, by resampling whole streets. Where no street has an
+exceedance, the interval is the exact one of the share of streets that have any.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.agents.assess.street_drives import Moment, StreetDrivesConfig, drive_street
+from lanebound.agents.checkpointing.files import write_json
+from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
+from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
+from lanebound.integrity.assessment.bounding import clopper_pearson
+from lanebound.integrity.core.config import Field
+from lanebound.integrity.core.streams import named_generator
+from lanebound.integrity.positioning.modes import Mode
+
+__all__ = ["AXES", "InTheLoopConfig", "assess_in_the_loop", "exceedance_rows", "mode_rows", "work_part"]
+
+PACKAGES = ("lanebound.integrity", "lanebound.agents.assess", "lanebound.envs.sky")
+AXES = ("along", "across")
+RESAMPLES, CONFIDENCE = 2000, 0.95
+SAMPLE_S = 1.0  # between the levels and errors that medians are taken of
+NO_LEVEL_M = 1e4  # in place of a missing level, for medians
+
+
+class InTheLoopConfig(StreetDrivesConfig):
+    """Drives, and the risks at which exceedances are counted."""
+
+    risks: tuple[Annotated[float, Field(gt=0, lt=1)], ...] = Field(
+        (1e-3, 1e-4, 1e-5), min_length=1, description="total horizontal risks counted [-]"
+    )
+    epochs: int = Field(1_000_000, ge=1, description="epochs under each sky, rounded up to whole streets")
+
+    @property
+    def streets(self) -> int:
+        """Number of streets of each sky."""
+        return -(-self.epochs // (self.vehicles * round(self.duration_s / self.navigator.dt_s)))
+
+    def with_levels(self) -> InTheLoopConfig:
+        """The same with protection levels at all the risks, the first one operative."""
+        first, *more = self.risks
+        risk = {"risk": {"integrity_risk": first}, "more_levels": [{"integrity_risk": other} for other in more]}
+        return self.replace(navigator=self.navigator.replace(**risk).to_dict())
+
+
+def assess_in_the_loop(
+    config: InTheLoopConfig, out: Path, jobs: int = 1, on_progress: OnProgress = ignore
+) -> dict[str, Any]:
+    """Drive the missing streets, and write ``results.json``; returns its data.
+
+    Raises
+    ------
+    InputError
+        ``out`` cannot be claimed: it holds other work, results of another version or foreign files.
+    """
+    ResultFolder(out, "bounding in the loop", config.to_dict(), code_digest(*PACKAGES)).claim()
+    names = [f"{k}-{i}" for k in range(len(config.skies)) for i in range(config.streets)]
+    parts = run_parts(out, names, partial(work_part, config), jobs, on_progress)
+    skies = {
+        sky: _summary(config, [part for name, part in parts.items() if name.startswith(f"{k}-")])
+        for k, sky in enumerate(config.skies)
+    }
+    result = {"config": config.to_dict(), "skies": skies}
+    write_json(out / "results.json", result)
+    return result
+
+
+def work_part(config: InTheLoopConfig, name: str, advance: Advance = ignore) -> dict[str, Any]:
+    """Drive one street; it does not depend on others."""
+    sky, number = (int(text) for text in name.split("-"))
+    tally, sampled = _Tally(config), []
+    every = round(SAMPLE_S / config.navigator.dt_s)
+    for k, moment in enumerate(drive_street(config.with_levels(), config.skies[sky], number, advance)):
+        tally.count(moment)
+        if k % every == 0:
+            sampled.append(_sample(moment))
+    return tally.counts() | {"samples": np.concatenate(sampled).T.tolist()}
+
+
+class _Tally:
+    """Counts of a street by mode: epochs, exceedances by risk and axis, usable and misleading epochs."""
+
+    def __init__(self, config: InTheLoopConfig) -> None:
+        modes, risks = max(Mode) + 1, len(config.risks)
+        self.epochs, self.usable, self.misleading = np.zeros((3, modes), dtype=np.int64)
+        self.exceed = np.zeros((modes, risks, 2), dtype=np.int64)
+        self.vehicles = np.zeros((config.vehicles, risks, 2), dtype=np.int64)
+
+    def count(self, moment: Moment) -> None:
+        """Add an epoch."""
+        s = moment.solution
+        beyond = np.abs(moment.error_m)[:, None, :] > s.pl_cases_m
+        np.add.at(self.epochs, s.mode, 1)
+        np.add.at(self.exceed, s.mode, beyond)
+        np.add.at(self.usable, s.mode, s.available & ~s.alert)
+        np.add.at(self.misleading, s.mode, s.available & ~s.alert & beyond[:, 0].any(-1))
+        self.vehicles += beyond
+
+    def counts(self) -> dict[str, Any]:
+        """The counts as plain data."""
+        return {
+            "epochs": self.epochs.tolist(),
+            "usable": self.usable.tolist(),
+            "misleading": self.misleading.tolist(),
+            "exceed": self.exceed.tolist(),
+            "vehicles_exceed": (self.vehicles > 0).sum(0).tolist(),
+        }
+
+
+def _sample(moment: Moment) -> NDArray[np.float64]:
+    """Mode, errors and levels at the operative risk of B vehicles, (B, 5), rounded to a tenth of a millimetre."""
+    s = moment.solution
+    levels = np.minimum(np.stack([s.pl_at_m, s.pl_ct_m], -1), NO_LEVEL_M)
+    return np.round(np.column_stack([s.mode, moment.error_m, levels]), 4)
+
+
+def _summary(config: InTheLoopConfig, streets: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Rates, modes and medians of a sky."""
+    epochs = np.array([street["epochs"] for street in streets])
+    exceed = np.array([street["exceed"] for street in streets])
+    mode, *_, along, across = np.concatenate([np.array(street["samples"]).T for street in streets]).T
+    found = {
+        "streets": len(streets),
+        "epochs": int(epochs.sum()),
+        "usable": float(sum(sum(street["usable"]) for street in streets) / epochs.sum()),
+        "misleading": _rate(np.array([sum(street["misleading"]) for street in streets]), epochs.sum(1)),
+        "level_m": [float(np.median(along)), float(np.median(across))],
+        "rates": {
+            f"{risk:g}": {axis: _rate(exceed[:, :, r, a].sum(1), epochs.sum(1)) for a, axis in enumerate(AXES)}
+            for r, risk in enumerate(config.risks)
+        },
+    }
+    return found | {"modes": _modes(config, epochs, exceed, mode, along, across)}
+
+
+def _modes(config: InTheLoopConfig, epochs: Any, exceed: Any, mode: Any, along: Any, across: Any) -> dict[str, Any]:
+    """Share, median levels and rates at the first risk by mode."""
+    return {
+        m.name.lower(): {
+            "share": float(epochs[:, m].sum() / epochs.sum()),
+            "level_m": [float(np.median(level[mode == m])) if (mode == m).any() else None for level in (along, across)],
+            "rates": {axis: _rate(exceed[:, m, 0, a], epochs[:, m]) for a, axis in enumerate(AXES)},
+        }
+        for m in Mode
+        if epochs[:, m].any()
+    }
+
+
+def _rate(events: NDArray[np.int64], epochs: NDArray[np.int64]) -> dict[str, Any]:
+    """Rate of events per epoch with its interval by street; streets with an event, and the interval of their share."""
+    streets, total = int((events > 0).sum()), int(events.sum())
+    low, high = clopper_pearson(streets, len(events), CONFIDENCE)
+    found: dict[str, Any] = {
+        "events": total,
+        "rate": total / int(epochs.sum()),
+        "streets": streets,
+        "streets_low": low,
+        "streets_high": high,
+        "low": None,
+        "high": None,
+    }
+    if streets > 1:
+        chosen = named_generator(0, "resamples").integers(len(events), size=(RESAMPLES, len(events)))
+        rates = events[chosen].sum(1) / np.maximum(epochs[chosen].sum(1), 1)
+        tail = 0.5 * (1.0 - CONFIDENCE)
+        found["low"], found["high"] = (float(q) for q in np.quantile(rates, (tail, 1.0 - tail)))
+    return found
+
+
+Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
+
+
+def exceedance_rows(result: Mapping[str, Any]) -> Table:
+    """Rate over the risk by sky, axis and risk, with streets that have any."""
+    rows = []
+    for sky, found in result["skies"].items():
+        for axis in AXES:
+            cells = [_cell(rates[axis], float(risk)) for risk, rates in found["rates"].items()]
+            rows.append((sky, axis, f"{found['epochs']:,}", *cells))
+    risks = next(iter(result["skies"].values()))["rates"]
+    return ("sky", "axis", "epochs", *(f"at {risk}" for risk in risks)), rows
+
+
+def _cell(rate: Mapping[str, Any], risk: float) -> str:
+    if not rate["events"]:
+        return f"0 in any street (share of streets below {rate['streets_high']:.2g})"
+    band = "" if rate["low"] is None else f" ({rate['low'] / risk:.3g} .. {rate['high'] / risk:.3g})"
+    return f"{rate['rate'] / risk:.3g}{band} in {rate['streets']} streets"
+
+
+def mode_rows(result: Mapping[str, Any]) -> Table:
+    """Share, median levels and exceedances of each mode, at the first risk."""
+    rows = []
+    for sky, found in result["skies"].items():
+        everything = {"share": 1.0, "level_m": found["level_m"], "rates": next(iter(found["rates"].values()))}
+        for name, mode in ({"all": everything} | found["modes"]).items():
+            levels = ["-" if level is None or level >= NO_LEVEL_M else f"{level:.2f} m" for level in mode["level_m"]]
+            events = [str(mode["rates"][axis]["events"]) for axis in AXES]
+            usable = f"{100.0 * found['usable']:.1f} %" if name == "all" else ""
+            rows.append((sky, name, f"{100.0 * mode['share']:.1f} %", usable, *levels, *events))
+    return ("sky", "mode", "epochs", "usable", "PL along", "PL across", "beyond along", "beyond across"), rows

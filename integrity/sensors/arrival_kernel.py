@@ -1,0 +1,217 @@
+"""How the signal of one satellite arrives: direct or diffracted, and by reflections; and what a receiver makes of it.
+
+Letters: ``e`` unit vector to the satellite, ``x`` antenna [m] and ``v`` its velocity [m/s], all in the frame of the
+street; ``n . x = c`` the plane of a face.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.records import Records, record
+from lanebound.integrity.sensors.multipath_kernel import ARRIVAL, Loops, combine, strongest_of
+from lanebound.integrity.sky.propagation_kernel import (
+    antenna_amplitude,
+    diffraction_loss_db,
+    excess_path,
+    excess_rate,
+    fresnel_parameter,
+)
+from lanebound.integrity.sky.raytrace_kernel import BLOCKED, FOLIAGE, LOS, REFLECTED, STRONGEST
+
+__all__ = ["ARRIVAL", "BANDS", "DIFFRACTED", "MULTIPATH", "PATH_RULES", "TRACKED", "Geometry", "find_arrivals", "track"]
+
+BANDS = 2  # that a receiver has at most
+MATERIALS = 4  # members of materials.Material
+MULTIPATH, DIFFRACTED = 4, 5  # further values of visibility.SignalPath
+NOTHING, DIRECT = -2.0, -1.0  # values of TRACKED.arrival beside indices of faces
+UNKNOWN_FACE = -0.5  # a reflection whose face is not known
+CELL_RAD = 0.06  # the mask says 'free' or 'blocked' for a cell of 3 degrees: so near the edge decides
+MOST_LOSS_DB = 30.0  # of a diffracted ray that is followed
+ZENITH = 0.5 * math.pi - 1e-6  # a skyline here is a roof overhead
+
+PATH_RULES = record(
+    permittivity=("c16", (MATERIALS,), "of the materials, complex and relative [-]"),
+    roughness=("f8", (MATERIALS,), "of the materials [m]"),
+    cross_polar="voltage response of the antenna to left-handed signals, over that to right-handed ones [-]",
+    reflection_loss="loss of a reflection at an unknown face [dB]",
+    foliage_loss="mean loss of a tree [dB]",
+    spacing="of early and late correlator [chips]",
+    code_loop="bandwidth of the code loop [Hz]",
+    carrier_loop="bandwidth of the carrier loop [Hz]",
+    fade_gain="of the smoothed C/N0 on that of an epoch [-]",
+    keep_lock="probability that the carrier loop keeps lock when the tracked arrival changes [-]",
+)
+"""Figures of the propagation and of the receiver's loops."""
+
+TRACKED = record(
+    arrival="what the receiver tracks: NOTHING, DIRECT, or the index of the face of a reflection",
+    fade="amplitude over that of the unobstructed signal, smoothed [dB]",
+)
+"""What lasts of a satellite's arrival from epoch to epoch."""
+
+
+class Geometry(NamedTuple):
+    """A signal at an antenna: unit vector to the satellite, elevation [rad], antenna [m], velocity [m/s]."""
+
+    e: tuple[float, float, float]
+    elevation: float
+    x: tuple[float, float, float]
+    v: tuple[float, float, float]
+
+
+class Work(NamedTuple):
+    """Work of B vehicles for the signal at hand.
+
+    arrivals (B, 4) of ARRIVAL; sources (B, 4) values of TRACKED.arrival; code, carrier (B, 2): errors by band [m].
+    """
+
+    arrivals: Records
+    sources: NDArray[np.float64]
+    code: NDArray[np.float64]
+    carrier: NDArray[np.float64]
+
+
+@jit(borrows=True)
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@jit(borrows=True)
+def _edge_loss_db(elevation, skyline, edge, clear, wavelength):  # type: ignore[no-untyped-def]
+    """Loss [dB] of the ray over the edge of the skyline, inf where it is blocked; and whether it goes over that edge.
+
+    The mask says free (``clear``) or blocked for a whole cell; within a cell of the edge the skyline itself decides.
+    """
+    above = skyline - elevation
+    if skyline < 0.0 or skyline >= ZENITH:
+        return (0.0 if clear else math.inf), False
+    if clear and above > CELL_RAD:
+        return 0.0, False  # below a bridge: the edge above is not that of this ray
+    return diffraction_loss_db(fresnel_parameter(above, edge, wavelength)), True
+
+
+@jit(borrows=True)
+def _add_direct(rules, path, skyline, edge, way, fluctuation, wavelength, arrival):  # type: ignore[no-untyped-def]
+    """Fill the arrival of the direct or diffracted ray; its kind, BLOCKED for none.
+
+    Beyond the edge the ray comes from the edge: detour ``d angle^2 / 2``, rate ``(e - e_edge) . v``.
+    """
+    clear = path == LOS or path == FOLIAGE
+    loss, over = _edge_loss_db(way.elevation, skyline, edge, clear, wavelength)
+    if loss > MOST_LOSS_DB:
+        return BLOCKED
+    kind = path if clear else LOS
+    above = skyline - way.elevation
+    arrival.excess_m = arrival.rate_mps = arrival.phase_rad = 0.0
+    if over and above > 0.0:
+        kind = DIFFRACTED
+        flat, here = math.cos(skyline) / max(math.cos(way.elevation), 1e-9), way.e
+        from_edge = here[0] * flat, here[1] * flat, math.sin(skyline)
+        arrival.excess_m = 0.5 * edge * above * above
+        arrival.rate_mps = _dot(here, way.v) - _dot(from_edge, way.v)
+    if path == FOLIAGE:
+        loss += rules.foliage_loss + 2.0 * fluctuation
+    arrival.amplitude = 10.0 ** (-0.05 * loss)
+    return kind
+
+
+@jit(borrows=True)
+def _add_reflection(rules, face, way, wavelength, arrival):  # type: ignore[no-untyped-def]
+    """Fill the arrival of a reflection at a face (FACE): ``L = 2 d (e.n)``, ``dL/dt = 2 (e.n)(n.v)``; False for none.
+
+    The normal is turned to the side of the antenna, which is ``d`` in front of the face.
+    """
+    d = face.normal[0] * way.x[0] + face.normal[1] * way.x[1] + face.normal[2] * way.x[2] - face.offset
+    side = 1.0 if d >= 0.0 else -1.0
+    n = side * face.normal[0], side * face.normal[1], side * face.normal[2]
+    cosine = _dot(way.e, n)
+    if cosine <= 0.0:
+        return False
+    m = face.material
+    gamma = antenna_amplitude(cosine, rules.permittivity[m], rules.cross_polar, rules.roughness[m], wavelength)
+    arrival.amplitude, arrival.phase_rad = abs(gamma), -math.atan2(gamma.imag, gamma.real)
+    arrival.excess_m, arrival.rate_mps = excess_path(way.e, n, abs(d)), excess_rate(way.e, n, way.v)
+    return arrival.amplitude > 0.0
+
+
+@jit(borrows=True)
+def find_arrivals(rules, reception, v, s, way, fluctuation, wavelength, arrivals, sources):  # type: ignore[no-untyped-def]
+    """Fill arrivals and sources, at most 3, of satellite s at vehicle v: their number, and the kind of the direct one.
+
+    reception of ReceptionRows, way of Geometry. A reflection at an unknown face keeps the excess of the mask.
+    """
+    path = reception.path[v, s]
+    kind = _add_direct(
+        rules, path, reception.skyline[v, s], reception.edge[v, s], way, fluctuation, wavelength, arrivals[0]
+    )
+    count = 0
+    if kind != BLOCKED:
+        sources[0], count = DIRECT, 1
+    for k in range(STRONGEST):
+        face = reception.face[v, s, k]
+        if face >= 0 and _add_reflection(rules, reception.faces[face], way, wavelength, arrivals[count]):
+            sources[count] = face
+            count += 1
+    if path == REFLECTED and count == 0 and reception.face[v, s, 0] < 0:
+        last = arrivals[0]
+        last.amplitude, last.excess_m = 10.0 ** (-0.05 * rules.reflection_loss), reception.excess[v, s]
+        last.phase_rad = last.rate_mps = 0.0
+        sources[0], count = UNKNOWN_FACE, 1
+    return count, kind
+
+
+@jit(borrows=True)
+def _carrier_path(arrival, wavelength):  # type: ignore[no-untyped-def]
+    """Delay of the carrier of an arrival [m]: extra path and phase at the face."""
+    return arrival.excess_m + wavelength * arrival.phase_rad / (2.0 * math.pi)
+
+
+@jit(borrows=True)
+def _old_path(old, reception, way, arrivals, sources, count, rules, wavelength):  # type: ignore[no-untyped-def]
+    """Delay of the carrier by the arrival that was tracked before, at the present place [m]."""
+    for i in range(count):
+        if sources[i] == old:
+            return _carrier_path(arrivals[i], wavelength)
+    if old >= 0.0 and _add_reflection(rules, reception.faces[int(old)], way, wavelength, arrivals[count]):
+        return _carrier_path(arrivals[count], wavelength)
+    return 0.0
+
+
+@jit(borrows=True)
+def track(rules, band, reception, way, count, work, v, chance, bands, memory, signal):  # type: ignore[no-untyped-def]
+    """Track the strongest of the arrivals; whether the lock of the carrier breaks, which arrival, error of range rate.
+
+    band: wavelength and chip [m], (2,) each; ``work`` of vehicle v gets the errors of code and carrier by band. When
+    another arrival becomes the strongest, the lock is kept with probability ``rules.keep_lock`` (``chance``, a uniform
+    draw): the loop pulls in at the nearest cycle, so that the ambiguity changes unnoticed and the carrier goes on
+    without a jump of more than half a cycle. Otherwise the receiver notices.
+    """
+    arrivals, sources = work.arrivals[v], work.sources[v]
+    r = strongest_of(arrivals, count)
+    old, broken, rate = memory.arrival, False, 0.0
+    changed = old != NOTHING and old != sources[r]
+    if changed and chance >= rules.keep_lock:
+        broken = True
+    memory.arrival = sources[r]
+    for b in range(bands):
+        wave = band[0][b]
+        loops = Loops(wave, band[1][b], rules.spacing, rules.code_loop, rules.carrier_loop)
+        sum_ = combine(arrivals, count, r, loops)
+        work.code[v, b] = sum_.code_m
+        path = _carrier_path(arrivals[r], wave)
+        work.carrier[v, b] = path + sum_.carrier_m
+        if changed and not broken:
+            before = _old_path(old, reception, way, arrivals, sources, count, rules, wave)
+            signal.ambiguity[b] -= 2.0 * math.floor((path - before) / wave + 0.5)
+        if b == 0:
+            rate = sum_.rate_mps
+            fade = 20.0 * math.log10(max(sum_.amplitude, 1e-6))
+            gain = 1.0 if old == NOTHING else rules.fade_gain
+            memory.fade += gain * (fade - memory.fade)
+    return broken, r, rate

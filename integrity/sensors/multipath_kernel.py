@@ -1,0 +1,151 @@
+"""What several arrivals of one signal do to code, carrier, Doppler and C/N0.
+
+An arrival is the direct ray, a diffracted ray or a reflection: its amplitude over that of an unobstructed direct ray,
+its extra path L and rate dL/dt, and the phase of its reflection. The receiver tracks the strongest arrival r; the
+others disturb it. With ``a_i = A_i / A_r``, ``l_i = L_i - L_r`` and ``p_i = 2 pi l_i / lambda + phase_i - phase_r``:
+
+- code: ``L_r + t``, t the zero of the coherent early-minus-late discriminator of the sum (:func:`code_delay`); for one
+  short reflection ``a l cos p / (1 + a cos p)``, at most ``a D / 2`` chips, 0 beyond ``1 + D / 2`` chips;
+- carrier: ``L_r`` beyond the cycles at lock, and ``lambda / 2 pi atan2(sum a_i sin p_i, 1 + sum a_i cos p_i)``;
+- range rate: the time derivative of the carrier;
+- amplitude: ``A_r abs(1 + sum a_i exp(j p_i))``.
+
+In motion the phases turn by ``f_i = (dl_i/dt) / lambda`` cycles a second. A tracking loop of noise bandwidth B averages
+over turns that are faster than it follows: the loop sees ``a_i / sqrt(1 + (f_i / B)^2)``, the gain of a first-order low
+pass. Sources: van Nee 1993; Braasch 1996 (code and carrier error of one reflection); Kaplan and Hegarty 2017, ch. 9.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.records import record
+
+__all__ = ["ARRIVAL", "MOST_ARRIVALS", "Composite", "Loops", "arrivals_of", "code_delay", "combine", "strongest_of"]
+
+ARRIVAL = record(
+    amplitude="over that of an unobstructed direct ray [-]",
+    phase_rad="delay of the phase at the face [rad]",
+    excess_m="extra path L [m]",
+    rate_mps="dL/dt [m/s]",
+)
+TWO_PI = 2.0 * math.pi
+MOST_ARRIVALS = 3  # the direct or diffracted ray, and two reflections
+STEPS, SETTLED, LEAST_SLOPE = 8, 1e-12, 0.05
+LEAST_POWER = 1e-6  # of a complete fade: 60 dB, no receiver tracks it
+
+
+class Loops(NamedTuple):
+    """Figures of a receiver: wavelength and chip [m], correlator spacing D [chips], bandwidths of the loops [Hz]."""
+
+    wavelength_m: Any
+    chip_m: Any
+    spacing_chips: Any
+    code_hz: Any
+    carrier_hz: Any
+
+
+class Composite(NamedTuple):
+    """Errors of code, carrier [m] and range rate [m/s] of the sum of arrivals, and its amplitude [-].
+
+    The code includes the extra path of the tracked arrival; ``carrier_m`` is the part that the others add to it.
+    """
+
+    code_m: Any
+    carrier_m: Any
+    rate_mps: Any
+    amplitude: Any
+
+
+@jit
+def _early_less_late(x, half):  # type: ignore[no-untyped-def]
+    """``R(x - D/2) - R(x + D/2)`` of the triangular correlation R, and its slope; x and D/2 = ``half`` in chips."""
+    early, late = abs(x - half), abs(x + half)
+    value = max(1.0 - early, 0.0) - max(1.0 - late, 0.0)
+    slope = 0.0
+    if early < 1.0:
+        slope += 1.0 if x < half else -1.0
+    if late < 1.0:
+        slope -= 1.0 if x < -half else -1.0
+    return value, slope
+
+
+@jit
+def code_delay(weights, delays, half):  # type: ignore[no-untyped-def]
+    """Delay at which a code loop settles, in chips after the tracked arrival; weights and delays are tuples.
+
+    Zero of ``S(t) = E(t) + sum w_i E(t - l_i)`` nearest to 0, E the discriminator's curve, ``w_i = a_i cos p_i``, l_i
+    in chips; by Newton's method on straight pieces. A loop cannot be farther off than half the spacing for each unit
+    of relative amplitude, which bounds what an almost complete cancellation would give.
+    """
+    t, most = 0.0, 0.0
+    for weight in weights:
+        most += abs(weight) * half
+    if most == 0.0:
+        return 0.0
+    for _ in range(STEPS):
+        value, slope = _early_less_late(t, half)
+        for i in range(len(weights)):
+            v, s = _early_less_late(t - delays[i], half)
+            value += weights[i] * v
+            slope += weights[i] * s
+        if abs(value) < SETTLED or not slope > LEAST_SLOPE:
+            break
+        t -= value / slope
+    return min(max(t, -most), most)
+
+
+@jit
+def strongest_of(arrivals, count):  # type: ignore[no-untyped-def]
+    """Index of the arrival of most amplitude among the first ``count`` >= 1."""
+    best = 0
+    for i in range(1, count):
+        if arrivals[i].amplitude > arrivals[best].amplitude:
+            best = i
+    return best
+
+
+@jit
+def _disturbance(other, main, loops):  # type: ignore[no-untyped-def]
+    """Effect of another arrival on the tracked one: (amplitude in the carrier loop, weight in the code loop, delay
+    [chips], cosine and sine of its phase, turns of its phase [1/s])."""
+    a = other.amplitude / main.amplitude
+    delay, turns = other.excess_m - main.excess_m, (other.rate_mps - main.rate_mps) / loops.wavelength_m
+    phase = TWO_PI * (delay / loops.wavelength_m) + other.phase_rad - main.phase_rad
+    cosine, sine = math.cos(phase), math.sin(phase)
+    weight = a / math.sqrt(1.0 + (turns / loops.code_hz) ** 2) * cosine
+    seen = a / math.sqrt(1.0 + (turns / loops.carrier_hz) ** 2)
+    return seen, weight, delay / loops.chip_m, cosine, sine, turns
+
+
+@jit
+def combine(arrivals, count, tracked, loops):  # type: ignore[no-untyped-def]
+    """The composite of the first ``count`` arrivals (records ARRIVAL), 1 to MOST_ARRIVALS, of which one is tracked."""
+    main, wave = arrivals[tracked], loops.wavelength_m
+    re, im, re_rate, im_rate = 1.0, 0.0, 0.0, 0.0
+    weights, delays = (0.0, 0.0), (0.0, 0.0)
+    for i in range(count):
+        if i == tracked:
+            continue
+        seen, weight, delay, cosine, sine, turns = _disturbance(arrivals[i], main, loops)
+        weights, delays = (weights[1], weight), (delays[1], delay)
+        re += seen * cosine
+        im += seen * sine
+        re_rate -= seen * sine * TWO_PI * turns
+        im_rate += seen * cosine * TWO_PI * turns
+    power = max(re * re + im * im, LEAST_POWER)
+    code = loops.chip_m * code_delay(weights, delays, 0.5 * loops.spacing_chips)
+    rate = wave / TWO_PI * (re * im_rate - im * re_rate) / power
+    return Composite(
+        main.excess_m + code, wave / TWO_PI * math.atan2(im, re), main.rate_mps + rate,
+        main.amplitude * math.sqrt(power),
+    )  # fmt: skip
+
+
+def arrivals_of(*rows: tuple[float, float, float, float]) -> Any:
+    """Records ARRIVAL from rows (amplitude, phase, excess, rate), for tests and notebooks."""
+    return np.array(list(rows), dtype=ARRIVAL)

@@ -1,0 +1,109 @@
+"""Bounding in the loop: what is counted, by street, and what a run of the command leaves."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lanebound.agents.assess import in_the_loop as loop
+from lanebound.agents.assess.street_drives import StreetDrivesConfig, _staircase, drive_street
+from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.streams import named_generator
+from lanebound.integrity.positioning.modes import Mode
+
+SHORT: dict[str, Any] = {
+    "skies": ["dense"], "vehicles": 3, "duration_s": 6.0, "warm_up_s": 2.0, "length_m": 500.0, "propagation": "paths",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
+    out = tmp_path_factory.mktemp("loop")
+    config = loop.InTheLoopConfig.load({**SHORT, "epochs": 200, "risks": [0.5, 1e-3]})
+    assert config.streets == 2
+    return loop.assess_in_the_loop(config, out), out
+
+
+def test_counts_are_those_of_the_drives(result: tuple[dict[str, Any], Path]) -> None:
+    config = loop.InTheLoopConfig.load({**SHORT, "epochs": 200, "risks": [0.5, 1e-3]})
+    beyond, epochs, usable = np.zeros((2, 2)), 0, 0
+    for number in range(2):
+        for moment in drive_street(config.with_levels(), "dense", number):
+            s = moment.solution
+            beyond += (np.abs(moment.error_m)[:, None] > s.pl_cases_m).sum(0)
+            epochs += s.batch
+            usable += int((s.available & ~s.alert).sum())
+    found = result[0]["skies"]["dense"]
+    assert found["epochs"] == epochs == 2 * 3 * 60
+    assert found["usable"] == pytest.approx(usable / epochs)
+    for r, risk in enumerate(("0.5", "0.001")):
+        for a, axis in enumerate(loop.AXES):
+            assert found["rates"][risk][axis]["events"] == beyond[r, a]
+    assert sum(mode["share"] for mode in found["modes"].values()) == pytest.approx(1.0)
+    assert set(found["modes"]) <= {mode.name.lower() for mode in Mode}
+
+
+def test_an_error_beyond_its_level_is_counted_where_it_belongs() -> None:
+    config = loop.InTheLoopConfig.load({**SHORT, "risks": [1e-3, 1e-5]})
+    moment = next(drive_street(config.with_levels(), "dense", 0))
+    levels = np.array([[[1.0, 1.0], [2.0, 2.0]]] * 3)
+    usable = np.array([True, True, False])
+    solution = replace(
+        moment.solution, pl_cases_m=levels, mode=np.array([Mode.RTK, Mode.DOPPLER, Mode.DOPPLER]), available=usable,
+        alert=np.zeros(3, dtype=np.bool_),
+    )  # fmt: skip
+    tally = loop._Tally(config)
+    tally.count(replace(moment, error_m=np.array([[0.5, -1.5], [-2.5, 0.0], [0.0, 3.0]]), solution=solution))
+    counts = tally.counts()
+    assert counts["exceed"][Mode.RTK] == [[0, 1], [0, 0]]  # by risk and axis
+    assert counts["exceed"][Mode.DOPPLER] == [[1, 1], [1, 1]]
+    assert (counts["misleading"][Mode.RTK], counts["misleading"][Mode.DOPPLER]) == (1, 1)
+    assert counts["vehicles_exceed"] == [[1, 2], [1, 1]]
+
+
+def test_a_second_run_reads_what_the_first_left(result: tuple[dict[str, Any], Path]) -> None:
+    found, out = result
+    before = {file.name: file.stat().st_mtime_ns for file in (out / "parts").iterdir()}
+    config = loop.InTheLoopConfig.load({**SHORT, "epochs": 200, "risks": [0.5, 1e-3]})
+    assert loop.assess_in_the_loop(config, out) == found
+    assert {file.name: file.stat().st_mtime_ns for file in (out / "parts").iterdir()} == before
+    assert json.loads((out / "results.json").read_text()) == json.loads(json.dumps(found))
+
+
+def test_tables_name_skies_modes_and_risks(result: tuple[dict[str, Any], Path]) -> None:
+    heads, rows = loop.exceedance_rows(result[0])
+    assert heads[-2:] == ("at 0.5", "at 0.001")
+    assert [row[:2] for row in rows] == [("dense", "along"), ("dense", "across")]
+    assert loop.mode_rows(result[0])[1][0][1] == "all"
+
+
+def test_the_interval_of_a_rate_is_that_of_streets() -> None:
+    """Ten streets with 100 epochs: all events in one of them tell less than one event in each."""
+    epochs = np.full(10, 100)
+    one, spread = np.zeros(10, dtype=np.int64), np.ones(10, dtype=np.int64)
+    one[3] = 10
+    clustered, even, none = loop._rate(one, epochs), loop._rate(spread, epochs), loop._rate(0 * one, epochs)
+    assert clustered["rate"] == even["rate"] == 0.01
+    assert clustered["low"] is None
+    assert (even["low"], even["high"]) == (0.01, 0.01)
+    assert none["streets_high"] == pytest.approx(1.0 - 0.025 ** (1.0 / 10.0))  # Clopper-Pearson without events
+    two = loop._rate(one + np.roll(one, 1), epochs)
+    assert two["low"] < two["rate"] < two["high"]
+
+
+def test_streets_differ_and_do_not_cross_themselves() -> None:
+    roads = [_staircase(2000.0, named_generator([1, number], "road")) for number in range(2)]
+    assert roads[0].vertices_en_m.shape != roads[1].vertices_en_m.shape
+    for road in roads:
+        assert (np.diff(road.vertices_en_m, axis=0) >= -1e-9).all()  # always east or north
+        assert road.length_m > 1700.0
+
+
+def test_a_wrong_sky_is_named() -> None:
+    with pytest.raises(ConfigError, match="lunar"):
+        next(drive_street(StreetDrivesConfig(skies=("lunar",)), "lunar", 0))

@@ -1,0 +1,117 @@
+"""Reflecting faces and diffracting edges of a mask: against the geometry of plain walls."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lanebound.integrity.sky.faces import Faces
+from lanebound.integrity.sky.materials import Material, clad
+from lanebound.integrity.sky.raytrace_kernel import NO_EDGE
+from lanebound.integrity.sky.road import Road
+from lanebound.integrity.sky.scene import City
+from lanebound.integrity.sky.visibility import SignalPath, SkyMask
+
+HIGH_M, ANTENNA_M = 20.0, 1.5
+
+
+def wall(
+    north_m: float, height_m: float = HIGH_M, material: Material = Material.CONCRETE, half_m: float = 500.0
+) -> City:
+    """A wall along East, ``north_m`` north of the street, of two triangles."""
+    y = north_m
+    c = [[-half_m, y, 0.0], [half_m, y, 0.0], [half_m, y, height_m], [-half_m, y, height_m]]
+    plain = City.of([[c[0], c[1], c[2]], [c[0], c[2], c[3]]])
+    return City(plain.triangles_enu_m, plain.surface, plain.building, np.full(2, int(material)))
+
+
+def mask_of(city: City) -> SkyMask:
+    return SkyMask.of_stations(np.array([[[0.0, 0.0, ANTENNA_M]]]), city, az_step_deg=3.0, el_step_deg=3.0)
+
+
+def cell(mask: SkyMask, azimuth_deg: float, elevation_deg: float) -> int:
+    return int(azimuth_deg / 360.0 * mask.azimuths) * mask.elevations + int(elevation_deg / 90.0 * mask.elevations)
+
+
+def test_the_triangles_of_a_wall_are_one_face_that_reflects_the_sky_across_the_street() -> None:
+    mask = mask_of(wall(12.0))
+    table, face = mask.faces.table, mask.faces.face[0, 0]
+    assert len(table) == 1
+    np.testing.assert_allclose(np.abs(table["normal"][0]), [0.0, 1.0, 0.0], atol=1e-12)
+    assert table["offset"][0] * table["normal"][0, 1] == pytest.approx(12.0, abs=1e-9)
+    assert face[cell(mask, 181.0, 40.0)].tolist() == [0, -1]
+    assert face[cell(mask, 1.0, 40.0)].tolist() == [-1, -1]  # no wall in the south
+    reflected = face[:, 0] >= 0
+    np.testing.assert_array_equal(reflected, mask.excess_m[0, 0] > 0.0)
+
+
+@pytest.mark.parametrize(("north_m", "height_m"), [(12.0, 20.0), (30.0, 200.0)])
+def test_the_path_by_the_face_is_the_excess_of_the_mask_at_the_station(north_m: float, height_m: float) -> None:
+    mask = mask_of(wall(north_m, height_m))
+    at, az, el = cell(mask, 181.5, 40.5), np.radians(181.5), np.radians(40.5)  # the centre of a cell
+    plane = mask.faces.table[mask.faces.face[0, 0, at, 0]]
+    e = np.array([np.sin(az) * np.cos(el), np.cos(az) * np.cos(el), np.sin(el)])
+    d = abs(plane["normal"] @ [0.0, 0.0, ANTENNA_M] - plane["offset"])
+    assert d == pytest.approx(north_m, abs=1e-9)
+    assert 2.0 * d * abs(e @ plane["normal"]) == pytest.approx(mask.excess_m[0, 0, at], rel=1e-6)
+
+
+def test_the_two_reflections_of_most_power_are_kept_in_order() -> None:
+    """A concrete and a metal wall at a corner both reflect one satellite: metal comes first, though it is farther."""
+    corner = wall(10.0) + City(
+        wall(10.0).triangles_enu_m[..., [1, 0, 2]] + np.array([14.0, 0.0, 0.0]),
+        np.zeros(2, np.uint8),
+        material=np.full(2, int(Material.METAL)),
+    )
+    mask = mask_of(corner)
+    found = mask.faces.face[0, 0, cell(mask, 226.0, 20.0)]
+    assert [Material(mask.faces.table["material"][k]) for k in found] == [Material.METAL, Material.CONCRETE]
+
+
+@pytest.mark.parametrize("azimuth_deg", [1.5, 31.5, 61.5])
+def test_the_skyline_is_the_eave_of_the_wall(azimuth_deg: float) -> None:
+    mask = mask_of(wall(12.0))
+    a = int(azimuth_deg / 3.0)
+    flat = 12.0 / np.cos(np.radians(azimuth_deg))
+    assert mask.faces.skyline_rad[0, 0, a] == pytest.approx(np.arctan2(HIGH_M - ANTENNA_M, flat), abs=np.radians(0.03))
+    assert mask.faces.edge_m[0, 0, a] == pytest.approx(np.hypot(HIGH_M - ANTENNA_M, flat), rel=2e-3)
+    assert mask.faces.skyline_rad[0, 0, 60] == np.float32(NO_EDGE)  # southward
+
+
+def test_faces_survive_a_file_and_are_renumbered_when_joined(tmp_path: Path) -> None:
+    one, two = mask_of(wall(12.0)), mask_of(wall(-9.0) + wall(12.0))
+    one.save(tmp_path / "mask.npz")
+    again = SkyMask.load(tmp_path / "mask.npz")
+    np.testing.assert_array_equal(again.faces.face, one.faces.face)
+    np.testing.assert_array_equal(again.faces.table, one.faces.table)
+    both = Faces.join([one.faces, two.faces])
+    at = cell(two, 1.0, 70.0)
+    assert both.table[both.face[1, 0, at, 0]] == two.faces.table[two.faces.face[0, 0, at, 0]]
+    assert len(both.table) == 3
+    assert both.face[0, 0, at, 0] == -1
+
+
+def test_an_open_sky_has_no_faces() -> None:
+    assert SkyMask.open().faces.face.shape[0] == 0
+    road = mask_of(City.empty())
+    assert len(road.faces.table) == 0
+    assert (road.path == SignalPath.LOS).all()
+
+
+def test_buildings_are_clad_by_the_shares_and_the_rest_is_concrete() -> None:
+    building = np.repeat(np.arange(4000), 3)
+    material = clad(np.append(building, -1), (0.4, 0.2, 0.35, 0.05), np.random.default_rng(3))
+    assert material[-1] == Material.CONCRETE
+    each = material[:-1].reshape(-1, 3)
+    assert (each == each[:, :1]).all()
+    shares = np.bincount(each[:, 0], minlength=4) / 4000.0
+    np.testing.assert_allclose(shares, (0.4, 0.2, 0.35, 0.05), atol=4.0 * 0.5 / np.sqrt(4000.0))  # 4 sigma each
+
+
+def test_roads_and_stations_give_the_same_faces() -> None:
+    city = wall(12.0)
+    built = SkyMask.build(Road.straight(10.0, 0.5 * np.pi), city, station_spacing_m=10.0)
+    assert built.faces.face.shape == (2, built.path.shape[1], built.path.shape[2], 2)
+    assert len(built.faces.table) == 1
