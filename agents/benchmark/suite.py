@@ -114,6 +114,12 @@ class SuiteConfig(Config):
         if not isinstance(given, Mapping):
             example = given if isinstance(given, str) else "nominal"
             raise ConfigError(f"agents must be a list or a mapping, got {given!r}: write [{example}]")
+        for place, (name, agent) in enumerate(given.items()):
+            if not isinstance(name, str) or not isinstance(agent, str | Mapping | AgentConfig):
+                raise ConfigError(
+                    f"agents must be names or mappings {{NAME: agent}}, got {agent!r} as entry {place + 1}: "
+                    "write the name of an agent"
+                )
         return {name: {"agent": agent} if isinstance(agent, str) else agent for name, agent in given.items()}
 
     @field_validator("agents")

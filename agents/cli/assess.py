@@ -60,7 +60,7 @@ def bounding(
 def faults(
     out: Annotated[Path, typer.Option(help="Folder for results.json and figures; an interrupted run goes on.")],
     vehicles: Annotated[
-        int | None, typer.Option(min=1, help="Vehicles that meet each fault; the study has 16.")
+        int | None, typer.Option(min=1, help="Vehicles that meet each fault; the study has 64.")
     ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Processes that drive at a time.")] = 1,
     assignments: Annotated[
@@ -75,9 +75,9 @@ def faults(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> None:
-    """Every kind of fault in several sizes and lengths: is it noticed, how soon, and does it mislead?
+    r"""Every kind of fault in several sizes and lengths: is it noticed, how soon, and does it mislead?
 
-    Example: lanebound assess faults --out out/faults --vehicles 4 --set 'kinds=[spoofing,jamming]'
+    Example: lanebound assess faults --out out/faults --vehicles 4 --set 'kinds=\[spoofing,jamming]'
     """
     from lanebound.agents.assess.faults import FaultsConfig, assess_faults
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar

@@ -23,6 +23,7 @@ from pydantic import GetCoreSchemaHandler, model_validator
 from pydantic_core import core_schema
 
 from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.config_errors import joined
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.plugins import bare_name, unknown
 from lanebound.integrity.core.presets import load_preset
@@ -117,7 +118,7 @@ class Tagged(Config):
         try:
             kind = cls._kind_of(data)
         except ConfigError as error:
-            raise ConfigError(f"{path}.{error}" if path else str(error)) from None
+            raise ConfigError(joined(path, (str(error),))) from None
         return kind.load(data, path, unchanged)
 
     @classmethod

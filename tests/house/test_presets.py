@@ -67,7 +67,7 @@ def test_extends_merges_parents_below_the_preset_and_overrides_on_top():
         ("orphan", r"^preset 'bse' \(extended by 'orphan'\) is unknown: did you mean 'base'\?$"),
         ("circle_a", r"extends itself: circle_a -> circle_b -> circle_a: remove one 'extends'$"),
         ("list", r"^preset 'list' must be a mapping, got list: "),
-        ("twice", r"^preset 'twice' is not valid YAML, got key 'a' twice in .* line 1"),
+        ("twice", r"^preset 'twice' is not valid YAML, got key 'a' twice in line 1"),
         ("number", r"^extends of preset 'number' must be a name or a list of names, got 5: correct it$"),
         ("broken", r"^preset 'broken' is not valid YAML, got "),
         ("../base", r"^preset '\.\./base' is unknown"),
