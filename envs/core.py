@@ -184,7 +184,9 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
 
     def __init__(self, config: EnvConfig | Mapping[str, Any], render_mode: str | None = None) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise InputError(f"render_mode must be one of {self.metadata['render_modes']}, got {render_mode!r}: correct it")
+            raise InputError(
+                f"render_mode must be one of {self.metadata['render_modes']}, got {render_mode!r}: correct it"
+            )
         self.config = config if isinstance(config, EnvConfig) else EnvConfig.load(config)
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": self.config.policy_hz}

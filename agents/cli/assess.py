@@ -82,13 +82,11 @@ def faults(
     from lanebound.agents.assess.faults import FaultsConfig, assess_faults
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
     from lanebound.agents.plugins import load_plugin
-    from lanebound.integrity.core.presets import parse_assignments
 
     with resumable(lambda: kept_text(out, "parts/*.json", "part")):
         for name in plugins or ():
             load_plugin(name)
-        given = {} if vehicles is None else {"vehicles": vehicles}
-        config = FaultsConfig.load(parse_assignments(assignments or []) | given)
+        config = FaultsConfig.load(changes(assignments, vehicles=vehicles))
         result = with_bar("parts", lambda on_progress: assess_faults(config, out, jobs, on_progress))
         _report_faults(result, out, as_json)
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lanebound.agents.cli.options import AsJson, Assignments, Cores, Fresh, FullTables, changes
+from lanebound.agents.cli.options import AsJson, Assignments, Cores, Fresh, FullTables, changes, require_one_source
 from lanebound.agents.cli.output import counted
 
 if TYPE_CHECKING:
@@ -147,4 +147,6 @@ def export(
 def _changes(sky: str | None, assignments: list[str] | None) -> dict[str, Any]:
     """Values of an experiment that the options change."""
     overrides = changes(assignments)
+    if sky is not None:
+        require_one_source(overrides, "sky", "--sky")
     return ({"overrides": overrides} if overrides else {}) | ({} if sky is None else {"sky": sky})

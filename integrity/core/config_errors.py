@@ -114,6 +114,8 @@ def _demand(problem: Mapping[str, Any], field: FieldInfo | None) -> str:
         return "be a list"
     if kind in MAPPINGS:
         return "be a mapping"
+    if kind == "string_type":
+        return "be text"
     text = str(problem["msg"])
     text = text.removeprefix("Input should be ")
     return f"be {text}" if text != problem["msg"] else f"satisfy: {text}"
