@@ -58,7 +58,8 @@ class NavigationConfig(Config):
             value = getattr(self, name)
             if value != 0.0 and self.source is not Source.OFFSET:
                 raise ConfigError(
-                    f"{name} must be 0 with source {self.source.value}, got {value}: leave it out, or set source to offset"
+                    f"{name} must be 0 with source {self.source.value}, got {value}: leave it out, or set "
+                    "source to offset"
                 )
         return self
 

@@ -132,8 +132,8 @@ def unfit(suite: SuiteConfig) -> list[tuple[str, str, str]]:
     Raises
     ------
     InputError
-        An agent, or the agent that it filters, does not exist or cannot be imported, its figures are refused, or an environment refuses its
-        configuration.
+        An agent, or the agent that it filters, does not exist or cannot be imported, its figures are refused, or an
+        environment refuses its configuration.
     """
     for name, chosen in suite.agents.items():
         _require_agent(chosen.agent)
