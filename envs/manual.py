@@ -129,7 +129,8 @@ A kind of your own is a `FaultKind` (`lanebound.integrity.sensors.fault_kinds`),
 
 `gymnasium.make_vec(id, num_envs=N, config={...})` steps N environments in compiled code where the table above says so.
 With seed s, environment i behaves as a single environment with seed s + i. Faults and rendering need single
-environments (`vectorization_mode="sync"` or `"async"`). Options that the engine does not support are refused with a message.
+environments (`vectorization_mode="sync"` or `"async"`). Options that the engine does not support are refused with a
+message.
 [Training](training.md#many-environments-at-once) describes reset modes and Stable-Baselines3.
 
 Given the same poses of all vehicles, observations, rewards, costs and infos have equal bits. The compiled dynamics

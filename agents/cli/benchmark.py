@@ -132,10 +132,13 @@ def _suite(name: str, agents: str | None, seeds: int | None, changed: dict[str, 
 
 def _announce(plan: BenchmarkPlan, jobs: int | None, budget: float | None, cold: bool) -> None:
     """Print the planned episodes and about how long they take."""
+    from lanebound.agents.benchmark.suite import flat_changes
     from lanebound.agents.checkpointing.runner import available_cores
 
     for env, agent, why in plan.left_out:
         typer.echo(f"left out: {agent} in {env} ({why.partition(': ')[0]})", err=True)
+    if changed := ", ".join(f"{key} = {value}" for key, value in flat_changes(plan.suite.overrides).items()):
+        typer.echo(f"changed in all environments of this suite: {changed}", err=True)
     for warning in plan.warnings:
         typer.echo(f"warning: {warning}", err=True)
     if not plan.tasks:

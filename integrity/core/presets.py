@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 import os
 import re
 from collections.abc import Collection, Hashable, Iterable, Mapping
@@ -15,7 +16,8 @@ from typing import Any
 from lanebound.integrity.core.errors import ConfigError
 
 __all__ = [
-    "FILES", "deep_merge", "load_file", "load_preset", "nearest", "parse_assignments", "parse_yaml", "preset_names",
+    "FILES", "about_preset", "deep_merge", "load_file", "load_preset", "nearest", "parse_assignments", "parse_yaml",
+    "preset_names",
 ]  # fmt: skip
 
 PRESET_PACKAGE = "lanebound.configs"
@@ -176,6 +178,17 @@ def _presets() -> dict[str, Traversable]:
 def preset_names() -> list[str]:
     """Names of the packaged presets: their paths below ``configs/`` without ``.yaml``, sorted."""
     return list(_presets())
+
+
+def about_preset(name: str) -> str:
+    """What a preset configures: its own title, or the first sentence of the comment at the head of its file."""
+    text = _presets()[name].read_text(encoding="utf-8")
+    data = parse_yaml(text, f"preset '{name}'")
+    if isinstance(data, Mapping) and isinstance(data.get("title"), str):
+        return str(data["title"])
+    head = itertools.takewhile(lambda line: line.startswith("#"), text.splitlines())
+    comment = " ".join(line.lstrip("# ").rstrip() for line in head)
+    return re.split(r"(?<=[.;:])\s", comment, maxsplit=1)[0].rstrip(".;:")
 
 
 def load_preset(name: str, overrides: Mapping[str, Any] | None = None) -> dict[str, Any]:

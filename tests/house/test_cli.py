@@ -66,8 +66,8 @@ def test_config_list():
     table = run("config", "list").stdout
     assert all(word in table for word in ("calm", "rush", "toy"))
     rows = json.loads(run("config", "list", "--json").stdout)
-    assert {"preset": "rush", "kind": "toy"} in rows
-    assert {"preset": "bare", "kind": None} in rows
+    assert {"preset": "rush", "kind": "toy", "about": ""} in rows
+    assert {"preset": "bare", "kind": None, "about": ""} in rows
 
 
 @pytest.mark.usefixtures("toy_presets")
