@@ -27,8 +27,8 @@ __all__ = ["drive"]
 WEIGHTED = "cost, weighted"
 LOG, COLUMNS, DIAGRAM = "episodes.parquet", "columns.md", "stanford.png"
 MEANT = (
-    "Success: no crash, still on the road, and fast enough; it does not depend on the cost. Harm: 50 for a crash or an "
-    "end off the road, and m2 of the true body beyond its lane."
+    "Success: no crash, still on the road, fast enough; it does not depend on cost.\n"
+    "Harm: 50 for a crash or an end off the road, and m2 of the body beyond its lane."
 )
 AGENT_HELP = f"Agent: {', '.join(AGENTS)} (see 'lanebound agents'); FILE.zip, .onnx, .npz, or module:callable."
 

@@ -26,7 +26,7 @@ from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.config_errors import joined
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.plugins import bare_name, unknown
-from lanebound.integrity.core.presets import load_preset
+from lanebound.integrity.core.presets import load_preset, preset_names
 
 __all__ = ["Literal", "Tagged"]
 
@@ -157,14 +157,26 @@ class Tagged(Config):
 
     @classmethod
     def data_of(cls, value: Any) -> Any:
-        """Plain data from a name: with a ``/`` that of a preset, else that of a kind. Everything else stays."""
+        """Plain data from a name of a preset or of a kind; everything else is unchanged.
+
+        A name with a ``/`` is that of a preset. The folder may be left out, unless a kind has the same name.
+        """
         if not isinstance(value, str):
             return value
-        if "/" not in value:
+        if "/" not in value and not cls._names_preset(value):
             return {cls.tag: value}
         data = load_preset(value)
         data.pop("kind", None)  # that of the file, not of the family
         return data
+
+    @classmethod
+    def _names_preset(cls, name: str) -> bool:
+        """Whether a name without folder is that of a preset of this family, and of no kind."""
+        if name in cls.kinds or name in cls.modules or ":" in name:
+            return False
+        found = [preset for preset in preset_names() if preset.rpartition("/")[2] == name]
+        family = cls.__name__.removesuffix("Config").lower()
+        return len(found) == 1 and load_preset(found[0]).get("kind") == family
 
     @model_validator(mode="before")
     @classmethod

@@ -109,7 +109,7 @@ def test_prints_tables():
         (["LaneKeeping", "--video", f"{__file__}/a.mp4"], "error: video must be a file that can be written, got"),
         (["Merge", "--agent", "lqr"], "error: action must be continuous for agent 'lqr', got meta-actions: choose one"),
         (["LaneKeeping", "--set", "navigator.rate_hz=5"], "error: navigator.rate_hz is not a known key: did you mean"),
-        (["LaneKeeping", "--set", "navigator.dt_s=0.2"], "error: EnvConfig: navigator.dt_s must be 1 / navig"),
+        (["LaneKeeping", "--set", "navigator.dt_s=0.2"], "error: navigator.dt_s must be 1 / navig"),
         (["LaneKeeping", "--out", __file__], "error: out must be a folder that can be written"),
         (["LaneKeeping", "--episodes", "0"], "error: --episodes must be >= 1, got 0"),
     ],

@@ -162,7 +162,7 @@ def test_keys_and_heads_stand_whole_in_eighty_characters_or_as_few_more_as_they_
     [
         ("LaneKeeping", "it is an environment, see 'lanebound envs LaneKeeping'"),
         ("lanebound/Merge-v0", "it is an environment, see 'lanebound envs Merge'"),
-        ("urban", "did you mean 'skies/urban'?"),
+        ("urbn", "did you mean 'skies/urban'?"),
         ("zzz", "'lanebound config list' lists all of them"),
     ],
 )

@@ -14,8 +14,9 @@ from lanebound.agents.assess.faults import FaultsConfig
 from lanebound.agents.cli import app
 from lanebound.agents.cli.options import film_rate
 from lanebound.agents.cli.output import format_value
-from lanebound.envs import FaultLevel
+from lanebound.envs import EnvConfig, FaultLevel
 from lanebound.integrity.core.presets import parse_assignments
+from lanebound.integrity.navigators.navigator import NavigatorConfig
 
 
 def run(*arguments: str):
@@ -107,3 +108,17 @@ def test_presets_are_listed_with_what_they_are_for():
     assert all(rows.values())
     assert rows["suites/claim"] == "what integrity adds to caution"
     assert rows["sensors/gnss_consumer"].startswith("Single-band u-blox class")
+
+
+@pytest.mark.parametrize("name", ["tactical", "navigators/tactical"])
+def test_a_navigator_is_named_with_and_without_its_folder(name):
+    config = EnvConfig.build({"base": "highway-v0"}, {"navigator": name})
+    assert config.navigator["imu"]["grade"] == NavigatorConfig.preset("navigators/tactical").imu.grade
+    assert NavigatorConfig.data_of("no_such_navigator") == {"kind": "no_such_navigator"}
+    assert NavigatorConfig.data_of("dense") == {"kind": "dense"}
+
+
+@pytest.mark.parametrize("name", ["dense", "skies/dense"])
+def test_a_sky_is_named_with_and_without_its_folder(name):
+    config = EnvConfig.build({"base": "highway-v0"}, {"sky": name})
+    assert config.level == EnvConfig.build({"base": "highway-v0"}, {"sky": "dense"}).level
