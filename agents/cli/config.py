@@ -29,7 +29,7 @@ def list_presets(as_json: AsJson = False) -> None:
     if as_json:
         print_json(found)
     else:
-        print_table("Presets", ("preset", "kind", "about"), (row.values() for row in found))
+        print_table("Presets", ("preset", "kind", "about"), (tuple(row.values()) for row in found))
         typer.echo("'lanebound config show PRESET' prints the keys of one. Its folder may be left out of the name.")
 
 
