@@ -19,7 +19,7 @@ def load_named(
     kind: type[C], what: str, folder: str, name: str, overrides: Mapping[str, Any] | None = None,
     called: str | None = None,
 ) -> C:  # fmt: skip
-    """A configuration by its preset name below ``folder``, or by the path of a YAML file.
+    """A configuration by its preset name, with or without ``folder``, or by the path of a YAML file.
 
     Parameters
     ----------
@@ -36,8 +36,9 @@ def load_named(
         return kind.build(load_file(Path(name), what, called or what), changes)
     presets = [preset for preset in preset_names() if preset.startswith(folder)]
     known = [p.removeprefix(folder) for p in presets if called is None or load_preset(p).get("kind") == called]
-    if name not in known:
+    short = name.removeprefix(folder)
+    if short not in known:
         raise ConfigError(
-            f"{what} '{name}' is unknown: {nearest(name, known)} (or the path of a YAML file of your own)"
+            f"{what} '{name}' is unknown: {nearest(short, known)} (or the path of a YAML file of your own)"
         )
-    return kind.preset(folder + name, changes)
+    return kind.preset(folder + short, changes)

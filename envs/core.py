@@ -102,16 +102,17 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `cost_alert` | 0.5 | dt while an alert is older than 1 s and the car changes lane or exceeds half the limit |
     | `cost_hmi` | 5 | dt times the share of navigation epochs with hazardously misleading information |
 
-    - `cost_headway` is at least `max(0, 1 - gap / d_RSS) dt` with the true gap and true speeds.
+    - `cost_headway` is computed with estimated values as in the table, and as `max(0, 1 - gap / d_RSS) dt` with the
+      true gap and true speeds. The larger one counts.
     - Safe distance: `d_RSS = v rho + a rho^2 / 2 + (v + a rho)^2 / (2 b_min) - v_lead^2 / (2 b_max)`, at least 0, with
       rho = 0.5 s, a = 2, b_min = 4 and b_max = 6 m/s2.
     - A missing protection level counts as 2 m across the track and as 40 m of the gap. A vehicle ahead that is nearer
       than `d_RSS` and is not perceived costs dt.
     - During a commanded lane change both lanes count as the lane. Where lanes meet or fork the body may stand on each
       of them. With `keep_lane=False` the whole road counts, and `cost_lane_integrity` is 0.
-    - A car at rest in its lane can only have `cost_hmi`. A crash or leaving the road (200) costs more than any
-      `cost_limit` and more than an average drive of `nominal` (at most 190, in UrbanCanyon): an early end does not
-      save costs.
+    - A car at rest in its lane can only have `cost_hmi`. Ending an episode early by a crash or off the road (200)
+      never pays: that costs more than any `cost_limit` and more than an average drive of `nominal` (at most 190, in
+      UrbanCanyon).
     - `cost_limit` is the limit of an episode's cost for constrained learning. It is not enforced.
 
     ## Info
@@ -184,7 +185,9 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
 
     def __init__(self, config: EnvConfig | Mapping[str, Any], render_mode: str | None = None) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise InputError(f"render_mode must be one of {self.metadata['render_modes']}, got {render_mode!r}")
+            raise InputError(
+                f"render_mode must be one of {self.metadata['render_modes']}, got {render_mode!r}: correct it"
+            )
         self.config = config if isinstance(config, EnvConfig) else EnvConfig.load(config)
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": self.config.policy_hz}

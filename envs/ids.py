@@ -282,9 +282,16 @@ class Roundabout(Preset):
 
     ## Costs
     As above. During an alert up to 10 m/s are free of `cost_alert`. `cost_limit` is 3. Mean costs over 24 training
-    seeds: 1.4 for `integrity_aware`, 3.6 for a driver that ignores alerts plus a crash in one of 24 drives (8.3 on
-    average), 1.1 for `stop_on_alert` plus a crash in one of 8 drives (25 on average). With perfect navigation
-    `cost_lane` is still 1.5, because highway-env's steering leaves the lane where the approach meets the circle.
+    seeds:
+
+    | agent | cost without crashes | drives with a crash | mean cost of the crashes |
+    |---|---|---|---|
+    | `integrity_aware` | 1.4 | 0 of 24 | 0 |
+    | a driver that ignores alerts | 3.6 | 1 of 24 | 8.3 |
+    | `stop_on_alert` | 1.1 | 3 of 24 | 25 |
+
+    With perfect navigation `cost_lane` is still 1.5, because highway-env's steering leaves the lane where the approach
+    meets the circle.
 
     ## Starting State
     On the southern approach, 2.5 m before it bends towards the circle, at 8 m/s; one vehicle on the eastern approach,
@@ -326,8 +333,8 @@ class Intersection(Preset):
     ## Costs
     As above. During an alert up to 5 m/s are free of `cost_alert`. `cost_limit` is 8. Mean costs over 24 training seeds
     without crashes: 0.8 for `stop_on_alert`, 3 for `integrity_aware`, 6 for a driver that ignores alerts. All of them
-    crash in a quarter of the drives or more, which adds 50 and more; within the limit a driver may crash in one of 40
-    drives.
+    crash in a quarter of the drives or more, which adds 50 and more. A driver stays within the limit only if it crashes
+    in at most one of 40 drives.
 
     ## Starting State
     About 65 m along the southern approach of 100 m (standard deviation 5 m), at 10 m/s.

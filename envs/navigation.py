@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from enum import Enum
+from typing import Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.errors import ConfigError
 
 __all__ = ["NavigationConfig", "Source"]
 
@@ -49,6 +51,17 @@ class NavigationConfig(Config):
         0.25, gt=0, description="a correction larger than this is smoothed; larger than RTK noise, chosen"
     )
     smoothing_s: float = Field(1.0, ge=0, le=30, description="time constant of the smoothing; 0: none")
+
+    @model_validator(mode="after")
+    def _offset_is_used(self) -> Self:
+        for name in ("offset_at_m", "offset_ct_m"):
+            value = getattr(self, name)
+            if value != 0.0 and self.source is not Source.OFFSET:
+                raise ConfigError(
+                    f"{name} must be 0 with source {self.source.value}, got {value}: leave it out, or set "
+                    "source to offset"
+                )
+        return self
 
     @property
     def clock_start_s(self) -> float:

@@ -15,6 +15,10 @@ from lanebound.integrity.sky.visibility import SignalPath
 __all__ = ["Pictures"]
 
 
+INCIDENTS = {"crashed": "CRASHED", "off_road": "OFF ROAD", "wrong_way": "WRONG WAY"}
+"""What is shown of the true car, by the entry of ``info``."""
+
+
 class Pictures:
     """A viewer and the tape of the last seconds."""
 
@@ -22,12 +26,14 @@ class Pictures:
         self.viewer = Viewer(config, title=title, fps=fps)
         self.tape = Tape(config.window_s)
         self._cost = EpisodeCost(0.0, 0.0, cost_limit)
+        self._incident = ""
 
     def note(self, loop: BeliefLoop, info: dict[str, Any]) -> None:
         """Record a step for the strip charts."""
         if loop.time_s == 0.0:
             self.tape.clear()
             self._cost = replace(self._cost, episode=0.0)
+        self._incident = next((word for name, word in INCIDENTS.items() if info[name]), "")
         cost = float(info["cost"])
         self._cost = replace(self._cost, step=cost, episode=self._cost.episode + cost)
         names = ("err_at_m", "pl_at_m", "al_at_m", "err_ct_m", "pl_ct_m", "al_ct_m", "alert")
@@ -61,6 +67,7 @@ class Pictures:
             trace=self.tape.trace,
             title=title,
             cost=self._cost,
+            incident=self._incident,
         )
 
 

@@ -103,10 +103,12 @@ def make_world(
     try:
         return guard(kind, config)
     except AttributeError as error:  # highway-env's racetracks make the ego by a method that meta-actions lack
-        taken = defaults["action"]["type"]
-        raise ConfigError(f"action must be a {taken} in {kind.__name__}, got {config['action']['type']}") from error
+        taken, given = (ACTION_NAMES.get(name, name) for name in (defaults["action"]["type"], config["action"]["type"]))
+        raise ConfigError(f"action must be '{taken}' in {base}, got '{given}': leave it out") from error
 
 
+ACTION_NAMES = {"DiscreteMetaAction": "meta", DIRECT: "continuous"}
+"""Values of ``action`` of an environment, by the action types of highway-env."""
 WHOLE = {"lanes_count": (1, 20), "vehicles_count": (0, 1000), "layout": (0, 10**6)}
 """Keys of worlds that are whole numbers, with the least and most: highway-env fails far from what is wrong."""
 NUMBERS = {"vehicles_density": (0.01, 10.0), "initial_speed": (0.0, 60.0), "lane_width": (2.0, 20.0),

@@ -168,7 +168,7 @@ INTEGRITY = (
     _any("any_mi", "any MI", "any step had misleading but not hazardous information", "mi_steps"),
     _any("any_hmi", "any HMI", "any step had hazardously misleading information", "hmi_steps"),
     _plain("time_to_alert", "time to alert", "s", "lower",
-           "mean time from an error above its limit to the alert, or to the end of the error without one",
+           "mean time from an error above its limit to the alert; if no alert comes, to the end of that error",
            "time_to_alert_s"),
     _plain("missed_alerts", "missed alerts", "", "lower",
            "number of errors above their limits that ended without an alert"),

@@ -69,8 +69,8 @@ class Outcome:
     pe_at_median_m, pe_ct_median_m, pe_at_max_m, pe_ct_max_m : absolute errors along and across the track
     availability, alert_share, alerts : shares of steps; number of alerts
     mi_steps, hmi_steps : steps with misleading but not hazardous, and with hazardously misleading information
-    time_to_alert_s : mean time from an error above its alert limit to the alert, or to the end of the error where none
-        came; None when no error was above its limit
+    time_to_alert_s : mean time from an error above its alert limit to the alert; if no alert comes, to the end of that
+        error; None when no error was above its limit
     missed_alerts : number of errors above their limits that ended without an alert
     continuity : share of available steps after which the next one is available; 0 without any
     solve_ms_median, solve_ms_p99 : time of a decision [ms]

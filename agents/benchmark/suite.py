@@ -16,7 +16,7 @@ from lanebound.envs import FaultLevel
 from lanebound.integrity.core.config import Config, Field, deep_merge
 from lanebound.integrity.core.errors import ConfigError, InputError
 
-__all__ = ["AgentConfig", "SeedsConfig", "SuiteConfig", "load_suite", "parse_agents"]
+__all__ = ["AgentConfig", "SeedsConfig", "SuiteConfig", "flat_changes", "load_suite", "parse_agents"]
 
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*")
 FOLDER = "suites/"
@@ -114,6 +114,12 @@ class SuiteConfig(Config):
         if not isinstance(given, Mapping):
             example = given if isinstance(given, str) else "nominal"
             raise ConfigError(f"agents must be a list or a mapping, got {given!r}: write [{example}]")
+        for place, (name, agent) in enumerate(given.items()):
+            if not isinstance(name, str) or not isinstance(agent, str | Mapping | AgentConfig):
+                raise ConfigError(
+                    f"agents must be names or mappings {{NAME: agent}}, got {agent!r} as entry {place + 1}: "
+                    "write the name of an agent"
+                )
         return {name: {"agent": agent} if isinstance(agent, str) else agent for name, agent in given.items()}
 
     @field_validator("agents")
@@ -155,6 +161,18 @@ class SuiteConfig(Config):
         chosen = self.agents[agent]
         needed = deep_merge(NEEDS.get(chosen.agent, {}), chosen.config)
         return deep_merge(deep_merge(self.overrides, {"sky": place.sky, "faults": place.faults}), needed)
+
+
+def flat_changes(overrides: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    """The changes of a configuration by dotted keys.
+
+    >>> flat_changes({"duration_s": 30.0, "cost": {"hmi": 1}})
+    {'duration_s': 30.0, 'cost.hmi': 1}
+    """
+    flat: dict[str, Any] = {}
+    for key, value in overrides.items():
+        flat |= flat_changes(value, f"{path}{key}.") if isinstance(value, Mapping) else {f"{path}{key}": value}
+    return flat
 
 
 def _require_once(field: str, names: Sequence[str], remedy: str) -> None:

@@ -13,6 +13,7 @@ from lanebound.agents.benchmark.suite import SuiteConfig
 from lanebound.agents.checkpointing.pool import Lost, PartStatus
 from lanebound.agents.drivers import AGENTS, load_figures, make_agent, unknown_agent
 from lanebound.agents.drivers.foreign import MODELS, is_foreign, require_foreign
+from lanebound.agents.drivers.importing import require_importable
 from lanebound.agents.drivers.origin import elsewhere
 from lanebound.agents.episodes import open_env
 from lanebound.agents.episodes.film import Film
@@ -125,13 +126,14 @@ class FilmedEpisodes(DrivenEpisodes):
 def unfit(suite: SuiteConfig) -> list[tuple[str, str, str]]:
     """Agents of ours that cannot drive an environment of a suite, as ``(env, agent, reason)``.
 
-    Agents from files and modules are made at their episodes only, so that none of their code runs here.
+    Agents from files and modules are made at their episodes only, so that none of their code runs here. Modules are
+    imported once in another process, to refuse those that fail.
 
     Raises
     ------
     InputError
-        An agent, or the agent that it filters, does not exist, its figures are refused, or an environment refuses its
-        configuration.
+        An agent, or the agent that it filters, does not exist or cannot be imported, its figures are refused, or an
+        environment refuses its configuration.
     """
     for name, chosen in suite.agents.items():
         _require_agent(chosen.agent)
@@ -171,6 +173,8 @@ def strangers(suite: SuiteConfig) -> list[str]:
 def _require_agent(agent: str) -> None:
     if is_foreign(agent):
         require_foreign(agent)
+        if not agent.endswith(MODELS):
+            require_importable(agent)
     elif agent not in AGENTS:
         raise unknown_agent(agent)
 

@@ -58,7 +58,20 @@ class AdvisingGroup(TyperGroup):
             from lanebound.integrity.core.errors import InputError
 
             raise InputError(f"command '{args[0]}' is unknown: {_nearest(args[0], self.list_commands(ctx))}")
-        return super().resolve_command(ctx, args)
+        found = super().resolve_command(ctx, args)
+        _require_no_opposites(found[1], found[2])
+        return found
+
+
+def _require_no_opposites(command: Any, args: Sequence[str]) -> None:
+    """Refuse the two names of a switch together, such as ``--fresh --resume``: the last one would win."""
+    for parameter in getattr(command, "params", ()):
+        on = [name for name in getattr(parameter, "opts", ()) if name in args]
+        off = [name for name in getattr(parameter, "secondary_opts", ()) if name in args]
+        if on and off:
+            from lanebound.integrity.core.errors import InputError
+
+            raise InputError(f"{on[0]} and {off[0]} must not be given together, got both: leave one of them out")
 
 
 def explain(error: Any) -> str:

@@ -79,7 +79,7 @@ def bounding(
 def faults(
     out: Annotated[Path, typer.Option(help="Folder for results.json and figures; an interrupted run goes on.")],
     vehicles: Annotated[
-        int | None, typer.Option(min=1, help="Vehicles that meet each fault; the study has 16.")
+        int | None, typer.Option(min=1, help="Vehicles that meet each fault; the study has 64.")
     ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Processes that drive at a time.")] = 1,
     assignments: Annotated[
@@ -89,17 +89,15 @@ def faults(
     _plugins: Plugins = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> None:
-    """Every kind of fault in several sizes and lengths: is it noticed, how soon, and does it mislead?
+    r"""Every kind of fault in several sizes and lengths: is it noticed, how soon, and does it mislead?
 
-    Example: lanebound assess faults --out out/faults --vehicles 4 --set 'kinds=[spoofing,jamming]'
+    Example: lanebound assess faults --out out/faults --vehicles 4 --set 'kinds=\[spoofing,jamming]'
     """
     from lanebound.agents.assess.faults import FaultsConfig, assess_faults
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
-    from lanebound.integrity.core.presets import parse_assignments
 
     with resumable(lambda: kept_text(out, "parts/*.json", "part")):
-        given = {} if vehicles is None else {"vehicles": vehicles}
-        config = FaultsConfig.load(parse_assignments(assignments or []) | given)
+        config = FaultsConfig.load(changes(assignments, vehicles=vehicles))
         result = with_bar("parts", lambda on_progress: assess_faults(config, out, jobs, on_progress))
         _report_faults(result, out, as_json)
 

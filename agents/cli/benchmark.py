@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from lanebound.agents.cli.options import AsJson, Assignments, Budget, Cores, Fresh, FullTables, Plugins, changes
+from lanebound.agents.cli.options import (
+    AsJson,
+    Assignments,
+    Budget,
+    Cores,
+    Fresh,
+    FullTables,
+    Plugins,
+    changes,
+    require_one_source,
+)
 from lanebound.agents.cli.output import counted
 
 if TYPE_CHECKING:
@@ -70,9 +81,16 @@ def carry_out(
         page = _while(f"writing {out / PAGE}", lambda say: _write(results, out, say))
         if not as_json:
             _point_to(results, out, page)
-        if results.outcomes and len(results.failures) == len(results.outcomes):
-            typer.echo("every episode failed: see the messages above", err=True)
+        if useless := _always_failing(results):
+            typer.echo(f"every episode of {', '.join(useless)} failed: see the messages above", err=True)
             raise typer.Exit(1)
+
+
+def _always_failing(results: Results) -> list[str]:
+    """Agents that failed in all their episodes."""
+    driven = Counter(outcome.agent for outcome in results.outcomes)
+    failed = Counter(outcome.agent for outcome in results.failures)
+    return [agent for agent, count in driven.items() if failed[agent] == count]
 
 
 def _while(doing: str, work: Callable[[Callable[[str], None]], T]) -> T:
@@ -104,6 +122,8 @@ def _suite(name: str, agents: str | None, seeds: int | None, changed: dict[str, 
     from lanebound.agents.benchmark.suite import load_suite, parse_agents
     from lanebound.integrity.core.presets import deep_merge
 
+    if seeds is not None:
+        require_one_source(changed, "seeds.count", "--seeds")
     found = load_suite(name, changed if seeds is None else deep_merge(changed, {"seeds": {"count": seeds}}))
     if agents is None:
         return found
@@ -114,10 +134,13 @@ def _suite(name: str, agents: str | None, seeds: int | None, changed: dict[str, 
 
 def _announce(plan: BenchmarkPlan, jobs: int | None, budget: float | None, cold: bool) -> None:
     """Print the planned episodes and about how long they take."""
+    from lanebound.agents.benchmark.suite import flat_changes
     from lanebound.agents.checkpointing.runner import available_cores
 
     for env, agent, why in plan.left_out:
         typer.echo(f"left out: {agent} in {env} ({why.partition(': ')[0]})", err=True)
+    if changed := ", ".join(f"{key} = {value}" for key, value in flat_changes(plan.suite.overrides).items()):
+        typer.echo(f"changed in all environments of this suite: {changed}", err=True)
     for warning in plan.warnings:
         typer.echo(f"warning: {warning}", err=True)
     if not plan.tasks:
@@ -126,13 +149,15 @@ def _announce(plan: BenchmarkPlan, jobs: int | None, budget: float | None, cold:
     count = min(available_cores() if jobs is None else jobs, len(plan.tasks))
     there = f", {plan.stored} more {'is' if plan.stored == 1 else 'are'} stored already" if plan.stored else ""
     line = f"{counted(len(plan.tasks), 'episode')} to drive with {counted(count, 'process')}{there}"
-    line += f": about {_length(plan.hours(count))}"
-    line += ", and some minutes more to compile kernels, once" if cold else ""
+    line += f": {_length(plan.hours(count))}"
+    line += ", and two to four minutes more to compile kernels, once" if cold else ""
     typer.echo(f"{line}{'' if budget is None else f', of which {budget:g} h may be used'}.", err=True)
 
 
 def _length(hours: float) -> str:
-    return f"{hours:.2g} h" if hours >= 1.0 else f"{max(1, round(60.0 * hours))} min"
+    if hours >= 1.0:
+        return f"about {hours:.2g} h"
+    return f"about {round(60.0 * hours)} min" if hours > 1.5 / 60.0 else "a minute or less"
 
 
 def _print(results: Results, budget: float | None, full: bool, as_json: bool) -> None:

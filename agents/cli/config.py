@@ -21,13 +21,16 @@ def list_presets(as_json: AsJson = False) -> None:
     Example: lanebound config list --json
     """
     from lanebound.agents.cli.output import print_json, print_table
-    from lanebound.integrity.core.presets import load_preset, preset_names
+    from lanebound.integrity.core.presets import about_preset, load_preset, preset_names
 
-    found = [{"preset": name, "kind": load_preset(name).get("kind")} for name in preset_names()]
+    found = [
+        {"preset": name, "kind": load_preset(name).get("kind"), "about": about_preset(name)} for name in preset_names()
+    ]
     if as_json:
         print_json(found)
     else:
-        print_table("Presets", ("preset", "kind"), ((row["preset"], row["kind"]) for row in found))
+        print_table("Presets", ("preset", "kind", "about"), (tuple(row.values()) for row in found))
+        typer.echo("'lanebound config show PRESET' prints the keys of one. Its folder may be left out of the name.")
 
 
 @app.command("show")

@@ -10,7 +10,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lanebound.agents.cli.options import AsJson, Assignments, EnvId, Faults, Fps, Plugins, Seed, Sky, Video, changes
+from lanebound.agents.cli.options import (
+    AsJson,
+    Assignments,
+    EnvId,
+    Faults,
+    Fps,
+    Plugins,
+    Seed,
+    Sky,
+    Video,
+    changes,
+    film_rate,
+)  # fmt: skip
 from lanebound.agents.cli.output import counted
 from lanebound.agents.drivers import AGENTS
 
@@ -26,6 +38,10 @@ __all__ = ["drive"]
 
 WEIGHTED = "cost, weighted"
 LOG, COLUMNS, DIAGRAM = "episodes.parquet", "columns.md", "stanford.png"
+MEANT = (
+    "Success: no crash, still on the road, fast enough; it does not depend on cost.\n"
+    "Harm: 50 for a crash or an end off the road, and m2 of the body beyond its lane."
+)
 AGENT_HELP = f"Agent: {', '.join(AGENTS)} (see 'lanebound agents'); FILE.zip, .onnx, .npz, or module:callable."
 
 
@@ -37,7 +53,7 @@ def drive(
     seed: Seed = 0,
     episodes: Annotated[int, typer.Option(min=1, help="How many episodes.")] = 1,
     video: Video = None,
-    fps: Fps = 10,
+    fps: Fps = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help=f"Folder for {LOG}, {COLUMNS} and {DIAGRAM}.")] = None,
     assignments: Assignments = None,
     _plugins: Plugins = None,
@@ -50,12 +66,10 @@ def drive(
     from lanebound.agents.cli.progress import resumable, with_bar
 
     finished: list[int] = []
-    seeds = range(seed, seed + episodes)
+    seeds, film = range(seed, seed + episodes), (video, film_rate(video, fps))
     with resumable(lambda: _kept(len(finished), out, video)), failing(agent):
         changed = changes(assignments, sky=sky, faults=faults)
-        drove = with_bar(
-            "episodes", lambda report: _drive(name, agent, changed, seeds, (video, fps), out, finished, report)
-        )
+        drove = with_bar("episodes", lambda report: _drive(name, agent, changed, seeds, film, out, finished, report))
     files = {"log": out and out / LOG, "diagram": out and out / DIAGRAM, "video": video}
     _report(f"{agent} in {name}", *drove, files, as_json)
 
@@ -72,7 +86,7 @@ def failing(agent: str) -> Iterator[None]:
         cause = failure.__cause__
         if isinstance(cause, InputError):
             raise cause from None
-        ours = str(Path(__file__).parents[1])
+        ours = (str(Path(__file__).parents[1]), "<frozen ")  # Python's import machinery has frozen modules
         frames = [f for f in extract_tb(cause.__traceback__ if cause else None) if not f.filename.startswith(ours)]
         typer.echo("".join(format_list(frames)), err=True, nl=False)
         when = "".join(f", {note}" for note in getattr(failure, "__notes__", ()))
@@ -190,6 +204,7 @@ def _report(
     over = "" if len(outcomes) == 1 else f", means over {len(outcomes)} episodes"
     lines = ((*_label(key), _value(key, value, limit)) for key, value in measures(outcomes).items())
     print_table(f"Measures{over}", ("measure", "unit", "value"), lines)
+    typer.echo(MEANT)
     for what, path in written.items():
         typer.echo(f"{what}: {path}")
 
@@ -198,6 +213,7 @@ def measures(outcomes: Sequence[Outcome]) -> dict[str, float]:
     """Means over episodes; shares are of the steps of all episodes together."""
     import numpy as np
 
+    from lanebound.agents.benchmark.metrics import harm_of
     from lanebound.envs.costs import CAUSES
 
     steps = np.array([o.steps for o in outcomes], dtype=np.float64)
@@ -214,6 +230,7 @@ def measures(outcomes: Sequence[Outcome]) -> dict[str, float]:
         "success rate": mean("success"),
         "collision rate": mean("collision"),
         "return": mean("total_return"),
+        "harm": float(np.mean([harm_of(o) for o in outcomes])),
         "cost": mean("cost"),
         **{cause: float(np.mean([o.costs[cause] for o in outcomes])) for cause in CAUSES},
         **{f"share of {mode}": of_steps([o.mode_shares.get(mode, 0.0) for o in outcomes]) for mode in modes},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,8 +10,12 @@ import typer
 
 __all__ = [
     "AsJson", "Assignments", "Budget", "Cores", "EnvId", "Faults", "Fps", "Fresh", "FullTables", "Jobs", "Plugins",
-    "Seed", "Sky", "Video", "changes",
+    "Seed", "Sky", "Video", "changes", "film_rate", "require_one_source",
 ]  # fmt: skip
+
+DEFAULT_FPS = 10
+OPTION_OF = {"risks": "--risk"}
+"""Options whose names differ from the keys that they set."""
 
 
 def _load(names: list[str] | None) -> list[str] | None:
@@ -30,7 +35,7 @@ Budget = Annotated[float | None, typer.Option(min=0.0, metavar="HOURS", help="St
 Cores = Annotated[int | None, typer.Option(min=1, help="Processes; one for each core by default.")]
 EnvId = Annotated[str, typer.Argument(metavar="ID", help="An environment, as 'lanebound envs' lists them.")]
 Faults = Annotated[str | None, typer.Option(help="How often instruments fail: none, nominal or stress.")]
-Fps = Annotated[int, typer.Option(min=1, help="Pictures of the film in a second of the drive.")]
+Fps = Annotated[int | None, typer.Option(min=1, help="Pictures of the film in a second of the drive; 10 by default.")]
 Fresh = Annotated[bool, typer.Option("--fresh/--resume", help="Remove the results of an earlier run, or resume it.")]
 FullTables = Annotated[bool, typer.Option("--full", help="Print the tables of every cell, with intervals.")]
 Jobs = Annotated[int, typer.Option(min=1, help="Parts of the work at a time, a process each.")]
@@ -51,7 +56,56 @@ Video = Annotated[Path | None, typer.Option(metavar="FILE.mp4", help="Film the e
 
 
 def changes(assignments: list[str] | None, **named: Any) -> dict[str, Any]:
-    """Values that ``--set`` and other options change; an option of its own, where it is given, wins."""
+    """Values that ``--set`` and other options change.
+
+    Parameters
+    ----------
+    named : by key, values of options; None for options that are not given
+
+    Raises
+    ------
+    ConfigError
+        An assignment is refused.
+    InputError
+        An option and an assignment set the same key.
+    """
     from lanebound.integrity.core.presets import parse_assignments
 
-    return parse_assignments(assignments or []) | {key: value for key, value in named.items() if value is not None}
+    changed = parse_assignments(assignments or [])
+    given = {key: value for key, value in named.items() if value is not None}
+    for key in given:
+        require_one_source(changed, key, OPTION_OF.get(key, f"--{key.replace('_', '-')}"))
+    return changed | given
+
+
+def require_one_source(changed: Mapping[str, Any], path: str, option: str) -> None:
+    """Refuse an assignment of ``path`` beside the option that sets it.
+
+    Raises
+    ------
+    InputError
+        Both are given.
+    """
+    from lanebound.integrity.core.errors import InputError
+
+    value: Any = changed
+    for key in path.split("."):
+        if not isinstance(value, Mapping) or key not in value:
+            return
+        value = value[key]
+    raise InputError(f"{option} and --set {path}=... must not be given together, got both: leave one of them out")
+
+
+def film_rate(video: Path | None, fps: int | None) -> int:
+    """Pictures of a film in a second.
+
+    Raises
+    ------
+    InputError
+        A rate is given, but no film.
+    """
+    from lanebound.integrity.core.errors import InputError
+
+    if fps is not None and video is None:
+        raise InputError(f"--fps needs --video, got --fps {fps} alone: add --video FILE.mp4, or leave --fps out")
+    return DEFAULT_FPS if fps is None else fps

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Iterable, Sequence
+from enum import Enum
 from typing import TYPE_CHECKING, Any, Literal
 
 from lanebound.agents.serialization import counted
@@ -26,6 +27,8 @@ def format_value(value: Any) -> str:
         return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:.6g}"
+    if isinstance(value, Enum):
+        return str(value.value)
     if isinstance(value, list | tuple):
         return ", ".join(map(format_value, value))
     return str(value)

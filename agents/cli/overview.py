@@ -8,6 +8,7 @@ import typer
 
 from lanebound.agents.benchmark.metrics import metric_named
 from lanebound.agents.benchmark.results import Results
+from lanebound.agents.benchmark.suite import flat_changes
 from lanebound.agents.benchmark.verdicts import mean_over_cells, opening
 from lanebound.agents.cli.benchmark_tables import number, print_failures
 from lanebound.agents.cli.output import counted, open_console, print_table
@@ -42,10 +43,16 @@ def print_overview(results: Results) -> None:
     for line in opening(results):
         typer.echo(line)
     print_table(title, ("agent", *SHOWN.values()), overview_rows(results), numbers=SHOWN.values())
-    for line in (MEANT, *_partial(results, len(places)), *_untuned(results), *_failing(results)):
+    for line in (MEANT, *_changed(results), *_partial(results, len(places)), *_untuned(results), *_failing(results)):
         typer.echo(line)
     typer.echo("Each cell with its intervals: the same command with --full.\n")
     print_failures(open_console(), results)
+
+
+def _changed(results: Results) -> list[str]:
+    """The changes of all environments, with which figures differ from those of other suites."""
+    changed = ", ".join(f"{key} = {value}" for key, value in flat_changes(results.suite.overrides).items())
+    return [f"Changed in all environments: {changed}. Compare with no other suite."] if changed else []
 
 
 def overview_rows(results: Results) -> list[list[str]]:

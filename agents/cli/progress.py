@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
@@ -22,6 +23,7 @@ __all__ = ["EXIT_INTERRUPTED", "counts", "kept_text", "resumable", "wait_for", "
 T = TypeVar("T")
 EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells count
 MOST_S = 5.0  # to start a process
+QUIET_S = 10.0  # between lines of a file that report no other part done
 
 
 def wait_for(work: Callable[[], T]) -> T:
@@ -106,20 +108,26 @@ def with_bar(what: str, work: Callable[[Callable[[RunProgress], None]], T]) -> T
 
 
 class _Lines:
-    """Progress in a file: a line for each tenth, and one when kernels are compiled."""
+    """Progress in a file: a line for each tenth, and one when kernels are compiled.
+
+    A line without another part done follows at least ten seconds after the last one.
+    """
 
     def __init__(self, what: str) -> None:
         self._what = what
         self._tenths: int | None = None
         self._compiling = False
+        self._shown, self._at = "", time.monotonic()
 
     def __call__(self, progress: RunProgress) -> None:
         if progress.compiling and not self._compiling:
             self._compiling = True
             typer.echo("compiling kernels, once: this takes some minutes", err=True)
         tenths = int(10.0 * progress.done / progress.of) if progress.of else 10
-        if self._tenths is not None and tenths > self._tenths:
-            typer.echo(f"{counts(progress)} {progress.stage or self._what}, {rest_text(progress)}", err=True)
+        now, done = time.monotonic(), counts(progress)
+        if self._tenths is not None and tenths > self._tenths and (done != self._shown or now > self._at + QUIET_S):
+            self._shown, self._at = done, now
+            typer.echo(f"{done} {progress.stage or self._what}, {rest_text(progress)}", err=True)
         self._tenths = max(tenths, self._tenths or 0)
 
 

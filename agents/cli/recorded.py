@@ -34,7 +34,7 @@ def replay(
     """Replay a recorded drive: positions, protection levels, exclusions and alerts against the truth.
 
     smartLoc: a city by code, wheel speed and yaw rate. comma2k19: dead reckoning in artificial outages. A RINEX pair
-    (rover.obs, base.obs, base.nav): RTK.
+    (rover.obs, base.obs, base.nav): RTK. docs/navigation.md says where to get the recordings.
 
     Keys for --set, of smartLoc: every, first, training_share, solution.*, alerts.*; of comma2k19: every_s, longest_s,
     heading_error_deg, bridge.*; of RINEX: bands, rtk.*, fde.*, risk.*.
@@ -79,9 +79,13 @@ def rtk(
     Example: lanebound rtk --rover rover.obs --base base.obs --nav base.nav --out out/rtk
     """
     from lanebound.agents.cli.output import print_json
+    from lanebound.integrity.core.errors import InputError
     from lanebound.integrity.replay.baseline import BaselineConfig
     from lanebound.integrity.replay.baseline_report import read_coordinates, run_baseline
 
+    for option, path in (("--rover", rover), ("--base", base), ("--nav", nav)):
+        if not path.is_file():
+            raise InputError(f"{option} must be a file that exists, got {path}: correct the path")
     config = BaselineConfig.build(None, changes(assignments))
     places = {
         name: None if text is None else read_coordinates(text)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lanebound.agents.cli.options import AsJson, Fps, Plugins, Video
+from lanebound.agents.cli.options import AsJson, Fps, Plugins, Video, film_rate
 
 if TYPE_CHECKING:
     from lanebound.agents.benchmark import Outcome
@@ -19,7 +19,7 @@ def replay_episode(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder that 'lanebound benchmark' wrote.")],
     ident: Annotated[str, typer.Argument(metavar="ID", help="Episode as it is listed: env/sky-faults/agent/seed.")],
     video: Video = None,
-    fps: Fps = 10,
+    fps: Fps = None,
     _plugins: Plugins = None,
     as_json: AsJson = False,
 ) -> None:
@@ -30,8 +30,9 @@ def replay_episode(
     from lanebound.agents.cli.output import print_json
     from lanebound.agents.cli.progress import resumable, wait_for
 
+    rate = film_rate(video, fps)
     with resumable(lambda: "nothing is kept"):
-        stored, now, differing = wait_for(lambda: _replayed(folder, ident, video, fps))
+        stored, now, differing = wait_for(lambda: _replayed(folder, ident, video, rate))
     film = None if video is None or not video.exists() else str(video)
     if as_json:
         print_json({"stored": stored.to_dict(), "now": now.to_dict(), "differing": differing, "video": film})

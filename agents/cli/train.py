@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lanebound.agents.cli.options import AsJson, Assignments, Cores, Fresh, FullTables, Plugins, changes
+from lanebound.agents.cli.options import (
+    AsJson,
+    Assignments,
+    Cores,
+    Fresh,
+    FullTables,
+    Plugins,
+    changes,
+    require_one_source,
+)  # fmt: skip
 from lanebound.agents.cli.output import counted
 
 if TYPE_CHECKING:
@@ -150,4 +159,6 @@ def export(
 def _changes(sky: str | None, assignments: list[str] | None) -> dict[str, Any]:
     """Values of an experiment that the options change."""
     overrides = changes(assignments)
+    if sky is not None:
+        require_one_source(overrides, "sky", "--sky")
     return ({"overrides": overrides} if overrides else {}) | ({} if sky is None else {"sky": sky})

@@ -135,6 +135,11 @@ def unknown_agent(name: str) -> InputError:
 
     if (Path(name) / "best.zip").is_file():
         return InputError(f"agent must be a name or a file, got the folder {name}: give {Path(name) / 'best.zip'}")
+    module, dot, attribute = name.rpartition(".")
+    if dot and module and attribute.isidentifier():
+        return InputError(
+            f"agent '{name}' is unknown: write '{module}:{attribute}' for a callable of a module of yours"
+        )
     return InputError(f"agent '{name}' is unknown: {nearest(name, AGENTS)} (see 'lanebound agents'), or give a file")
 
 

@@ -136,7 +136,7 @@ def guarded(make: Callable[[DrivingEnv], Driver], env: DrivingEnv, seed: int, cl
 def error_text(error: BaseException) -> str:
     """Kind, text and place of an error, in a line."""
     text = _short(str(error) or "no message", shown=str)
-    frames = traceback.extract_tb(error.__traceback__)
+    frames = [] if isinstance(error, SyntaxError) else traceback.extract_tb(error.__traceback__)  # its text has a place
     where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
     return f"{type(error).__name__}: {text}{where}"
 

@@ -10,6 +10,7 @@ import gymnasium
 
 from lanebound.envs import IDS, DrivingEnv, make_config, wrap
 from lanebound.envs.navigation import NavigationConfig
+from lanebound.integrity.core.config_errors import below
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.presets import nearest
 
@@ -72,7 +73,7 @@ def naming(sources: Mapping[str, Mapping[str, Any]]) -> Iterator[None]:
     >>> with naming({"overrides": {"duraton_s": 5}}):
     ...     raise ConfigError("duraton_s is not a known key: did you mean 'duration_s'?")
     Traceback (most recent call last):
-    lanebound.integrity.core.errors.ConfigError: overrides.duraton_s is not a known key: did you mean 'duration_s'?
+    lanebound.integrity.core.errors.ConfigError: overrides.duraton_s is not ...: did you mean 'overrides.duration_s'?
     """
     try:
         yield
@@ -84,7 +85,7 @@ def naming(sources: Mapping[str, Mapping[str, Any]]) -> Iterator[None]:
 def _from_source(line: str, sources: Mapping[str, Mapping[str, Any]]) -> str:
     path = line.split()[0].rstrip(":").split(".") if line.split() else []
     source = next((name for name, given in sources.items() if _has(given, path)), "")
-    return f"{source}.{line}" if source else line
+    return below(source, line) if source else line
 
 
 def _has(given: Any, path: Sequence[str]) -> bool:
@@ -108,6 +109,8 @@ def _in_full(message: str, given: Mapping[str, Any]) -> str:
     for line in message.splitlines():
         key = line.split()[0]
         if key in given and key in NavigationConfig.model_fields and "is not a known key" in line:
-            line = f"{key} is not a known key: did you mean 'navigation.{key}'?"
-        lines.append(f"navigator.{line}" if key.partition(".")[0] in given else line)
+            line = f"navigator.{key} is not a known key: did you mean 'navigation.{key}'?"
+        elif key.partition(".")[0] in given:
+            line = below("navigator", line)
+        lines.append(line)
     return "\n".join(lines)

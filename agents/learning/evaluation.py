@@ -18,8 +18,10 @@ from lanebound.agents.benchmark.scoring import UNNAMED, outcome_of_statistics
 from lanebound.agents.benchmark.seeds import SPLITS
 from lanebound.agents.benchmark.suite import SuiteConfig, parse_agents
 from lanebound.agents.checkpointing.folder import ResultFolder
+from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.foreign import load_checkpoint, require_foreign
 from lanebound.agents.drivers.origin import experiment_in
+from lanebound.agents.episodes import open_env
 from lanebound.agents.learning.algorithms import CLASSES
 from lanebound.agents.learning.experiment import FLAT, ExperimentConfig, Shield
 from lanebound.agents.learning.opening import for_judging
@@ -142,12 +144,13 @@ def evaluation_suite(
     Raises
     ------
     InputError
-        As :func:`trained`; ConfigError for an agent that is unknown.
+        As :func:`trained`, or the policy has other actions or observations than the environment; ConfigError for an
+        agent that is unknown.
     """
     experiment, best = trained(source, env, changes)
     others = parse_agents(agents)
     reference = next(iter(others), "learnt")
-    return SuiteConfig.load(
+    suite = SuiteConfig.load(
         {
             "title": f"{experiment.algorithm} in {experiment.env}",
             "envs": [experiment.env],
@@ -158,3 +161,12 @@ def evaluation_suite(
             "overrides": dict(experiment.overrides),
         }
     )
+    _require_fitting(suite)
+    return suite
+
+
+def _require_fitting(suite: SuiteConfig) -> None:
+    """Refuse a policy that cannot drive in its environment, such as one with other actions."""
+    chosen, place = suite.agents["learnt"], suite.places[0]
+    with closing(open_env(place.env, suite.env_overrides(place, "learnt"))) as env:
+        make_agent(chosen.agent, env, chosen.figures)

@@ -14,6 +14,7 @@ from lanebound.agents.learning.experiment import ExperimentConfig, Shield
 from lanebound.agents.learning.shield import VecShielded
 from lanebound.agents.plugins import load_plugins, loaded_plugins
 from lanebound.agents.vec_env import EngineVecEnv
+from lanebound.envs.vector.env import engines
 from lanebound.envs.wrappers import EpisodeStatistics
 from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.core.streams import named_generator
@@ -67,6 +68,11 @@ def _in_engine(experiment: ExperimentConfig, count: int) -> VecEnv | None:
         return EngineVecEnv(full_id(experiment.env), count, experiment.env_overrides, statistics=True)
     except (ConfigError, InputError) as error:
         if experiment.engine:
+            if full_id(experiment.env) not in engines():
+                known = ", ".join(env_id.removeprefix("lanebound/").removesuffix("-v0") for env_id in engines())
+                raise ConfigError(
+                    f"engine must be left out for {experiment.env}, got true: the vector engine supports {known}"
+                ) from None
             raise ConfigError(f"engine must be left out here, got true: {error}") from None
         return None
 

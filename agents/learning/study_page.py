@@ -107,7 +107,10 @@ def markdown(name: str, study: LearningStudyConfig, trainings: Sequence[Mapping[
     """The page."""
     places, kept, tests = summed_up(study, trainings)
     episodes = sum(len(one["episodes"]) for one in trainings)
-    of = ", ".join(f"{count} of the family `{family}`" if family else str(count) for family, count in tests.items())
+    of = " and ".join(
+        f"the {count} tests of the {f'family `{family}`' if family else 'first family'}"
+        for family, count in tests.items()
+    )
     lines = [
         f"# {study.title[:1].upper()}{study.title[1:]}",
         "",
@@ -119,7 +122,8 @@ def markdown(name: str, study: LearningStudyConfig, trainings: Sequence[Mapping[
         "- Values are means over trainings with 95 % intervals: Student's, or Clopper-Pearson over all episodes where",
         "  a share is the same in all trainings.",
         "- A training keeps the limit if the mean cost of its episodes is at most `cost_limit`.",
-        f"- Differences are paired by seed. p is corrected by Holm's method over all tests ({of}).",
+        "- Differences are paired by seed. p is corrected by Holm's method over",
+        f"  {of}.",
         "",
         "Arms, with the commits of their trainings:",
         "",

@@ -347,8 +347,19 @@ def sources_of(index: tuple[Entry, ...]) -> Records:
 
 
 def describe(config: ObservationConfig | None = None) -> str:
-    """The index as a table in Markdown: position in the flat form, position in its group, and the entry."""
+    """The index as a table in Markdown: position in the flat form, position in its group, and the entry.
+
+    Raises
+    ------
+    InputError
+        ``config`` is another configuration, such as that of an environment.
+    """
     config = ObservationConfig() if config is None else config
+    if not isinstance(config, ObservationConfig):
+        raise InputError(
+            f"config must be an ObservationConfig, got {type(config).__name__}: "
+            "pass that of an environment, env.unwrapped.config.observation"
+        )
     slices = group_slices(config)
     lines = ["| flat | group | at | entry | unit | scale | bounds | meaning |", "|" + "---|" * 8]
     for place, e in enumerate(entries(config)):

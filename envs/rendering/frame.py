@@ -108,6 +108,7 @@ class Frame:
     city : buildings, in East and North of the plane (E = x, N = -y); satellites : current reception
     trace : error, protection level and alert limit of the last seconds
     title : the environment's id; time_s : since the reset; speed_mps : true; cost : None to hide it
+    incident : what has happened to the true car, such as ``CRASHED``; "" for nothing
     """
 
     network: Any
@@ -123,6 +124,7 @@ class Frame:
     trace: Trace = field(default_factory=Trace.empty)
     title: str = ""
     cost: EpisodeCost | None = None
+    incident: str = ""
 
     def __post_init__(self) -> None:
         if not 0 <= self.ego < len(self.bodies):

@@ -81,12 +81,14 @@ def draw_panel(canvas: Canvas, frame: Frame, config: RenderingConfig, theme: The
 
 
 def _draw_head(canvas: Canvas, at: PanelPlace, frame: Frame, theme: Theme) -> None:
-    canvas.text(at.x, at.middle, frame.title, 12, theme.text, bold=True)
+    width = canvas.text(at.x, at.middle, frame.title, 12, theme.text, bold=True)
+    if frame.incident:
+        canvas.text(at.x + width + 12, at.middle, frame.incident, 12, theme.alert, bold=True)
     canvas.text(at.right, at.middle, f"{frame.time_s:.1f} s", 12, theme.muted, anchor="right")
 
 
 def _draw_badge(canvas: Canvas, at: PanelPlace, frame: Frame, theme: Theme) -> None:
-    """Draw the status light with its word and reason, from the estimated state."""
+    """Draw the status light with its word and reason: of the navigation only, from the estimated state."""
     status = frame.status
     colour = status_colour(status, theme)
     canvas.box(at.x, at.y, at.width, at.height, mix(theme.panel, colour, 0.28), round_px=6)
@@ -103,7 +105,7 @@ def _reason(frame: Frame) -> str:
     if frame.status is Status.CAUTION:
         return f"a PL is over {CAUTION_SHARE:.0%} of its limit"
     if frame.status is Status.NORMAL:
-        return "PLs within limits"
+        return "navigation within limits"
     reason = AlertReason.from_code(b.reason)
     return REASONS.get(reason, "position not available")
 

@@ -67,7 +67,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
     ) -> None:
         refuse_misplaced(misplaced, "num_envs, config, autoreset_mode and render_mode")
         if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer) or num_envs < 1:
-            raise InputError(f"num_envs must be a positive int, got {num_envs!r}")
+            raise InputError(f"num_envs must be a positive int, got {num_envs!r}: give 1 or more")
         if render_mode is not None:
             raise InputError(f"render_mode must be None, got {render_mode!r}: draw pictures of a single environment")
         single = self.KIND(config)

@@ -25,7 +25,7 @@ class _Coded:
             if member.code == int(code):
                 return member  # type: ignore[no-any-return]
         known = ", ".join(f"{m.code} {m.name}" for m in members)
-        raise InputError(f"{cls.__name__} code must be one of ({known}), got {code}")
+        raise InputError(f"{cls.__name__} code must be one of ({known}), got {code}: use a code of the table")
 
     @classmethod
     def count(cls, codes: ArrayLike) -> dict[str, int]:
@@ -63,12 +63,18 @@ class _Table(type):
     def __len__(cls) -> int:
         return len(cls.members)
 
+    def __call__(cls, code: int) -> Any:
+        return cls.from_code(code)  # type: ignore[attr-defined]
+
     def __getitem__(cls, name: str) -> Any:
         return cls.members[name]
 
 
 class OpenAdvice(_Coded, metaclass=_Table):
-    """As :class:`Advice`, of a table that may grow: members are added by :meth:`register`."""
+    """As :class:`Advice`, of a table that may grow: members are added by :meth:`register`.
+
+    A call with a code gives the member, as that of an enum does.
+    """
 
     members: ClassVar[dict[str, Any]]
     name: str

@@ -5,22 +5,23 @@ from __future__ import annotations
 import math
 import typing
 from collections.abc import Mapping, Sequence
-from enum import Enum
+from enum import Enum, IntEnum
 from typing import TYPE_CHECKING, Any
 
-from lanebound.integrity.core.presets import nearest
+from lanebound.integrity.core.presets import FILES, nearest
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
     from pydantic.fields import FieldInfo
 
-__all__ = ["explain", "model_in"]
+__all__ = ["below", "explain", "joined", "model_in"]
 
 BOUNDS = {"greater_than", "greater_than_equal", "less_than", "less_than_equal"}
 SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 LISTS = {"tuple_type", "list_type"}
 SIZES = {"too_short": "at least", "too_long": "at most"}
 MAPPINGS = {"model_type", "model_attributes_type", "dict_type", "mapping_type"}
+OFFER = "did you mean '"  # how the advice of ``nearest`` begins where a word is close
 NUMBERS = {"float_type", "float_parsing", "int_type", "int_parsing"}
 
 
@@ -45,16 +46,52 @@ def _contains_one(loc: Sequence[int | str], places: Sequence[Sequence[int | str]
 def _line(model: type[BaseModel], problem: Mapping[str, Any], path: str, unchanged: Mapping[str, Any]) -> str:
     loc, kind = problem["loc"], problem["type"]
     owner, field = _find(model, loc)
-    dotted = ".".join(filter(None, (path, *map(str, loc)))) or model.__name__
+    dotted = joined(path, loc) or model.__name__
     if kind == "extra_forbidden":
-        return f"{dotted} is not a known key: {nearest(str(loc[-1]), owner.model_fields if owner else ())}"
+        advice = nearest(str(loc[-1]), owner.model_fields if owner else ())
+        inside = joined("" if path.endswith(FILES) else path, loc[:-1])
+        return f"{dotted} is not a known key: {_with_path(advice, inside)}"
     if kind == "missing":
         return f"{dotted} is required, got nothing: add it"
     if kind in ("value_error", "assertion_error"):
-        text = str(problem["ctx"]["error"])
-        return text if text.startswith(dotted) else f"{dotted}: {text}"
+        return _in_place(str(problem["ctx"]["error"]), dotted, model, path, loc)
     remedy = _remedy(problem, field, _before(unchanged, loc))
     return f"{dotted} must {_demand(problem, field)}, got {_found(problem['input'])}: {remedy}"
+
+
+def below(path: str, line: str) -> str:
+    """A message about a key, with ``path`` in front of the key, and in front of the close key that it offers.
+
+    >>> below("overrides", "duraton_s is not a known key: did you mean 'duration_s'?")
+    "overrides.duraton_s is not a known key: did you mean 'overrides.duration_s'?"
+    """
+    head, colon, advice = line.partition(" is not a known key: ")
+    return f"{path}.{head}{colon}{_with_path(advice, path)}"
+
+
+def _with_path(advice: str, path: str) -> str:
+    return advice.replace(OFFER, f"{OFFER}{path}.", 1) if path and advice.startswith(OFFER) else advice
+
+
+def joined(path: str, keys: Sequence[int | str]) -> str:
+    """Keys below a path, with dots; a path that is the name of a file ends with a colon.
+
+    >>> joined("navigator", ["rtk", "bands", 0]), joined("sky.yaml", ["corrections", "outage"])
+    ('navigator.rtk.bands.0', 'sky.yaml: corrections.outage')
+    """
+    inside = ".".join(map(str, keys))
+    return f"{path}{': ' if path.endswith(FILES) else '.'}{inside}" if path and inside else path or inside
+
+
+def _in_place(text: str, dotted: str, model: type[BaseModel], path: str, loc: Sequence[int | str]) -> str:
+    """The message of a validator with the place of its model; a message that begins with a key has its whole path."""
+    if text.startswith(dotted):
+        return text
+    inside = _inside(model, loc)
+    word = text.split(maxsplit=1)[0].rstrip(":") if text else ""
+    if inside is not None and word.partition(".")[0] in inside.model_fields:
+        return joined(joined(path, loc), (text,))
+    return f"{dotted}: {text}"
 
 
 def _demand(problem: Mapping[str, Any], field: FieldInfo | None) -> str:
@@ -69,7 +106,7 @@ def _demand(problem: Mapping[str, Any], field: FieldInfo | None) -> str:
     if kind == "int_from_float":
         return "be an integer"
     if kind in ("enum", "literal_error"):
-        return f"be one of {context['expected']}"
+        return f"be one of {_numbered(field) or context['expected']}"
     if kind in SIZES:
         count = context.get("min_length", context.get("max_length"))
         return f"have {SIZES[kind]} {count} {'entry' if count == 1 else 'entries'}"
@@ -77,9 +114,18 @@ def _demand(problem: Mapping[str, Any], field: FieldInfo | None) -> str:
         return "be a list"
     if kind in MAPPINGS:
         return "be a mapping"
+    if kind == "string_type":
+        return "be text"
     text = str(problem["msg"])
     text = text.removeprefix("Input should be ")
     return f"be {text}" if text != problem["msg"] else f"satisfy: {text}"
+
+
+def _numbered(field: FieldInfo | None) -> str:
+    """Numbers and names of an enum of integers, ``"0 (GPS), 1 (GALILEO)"``; "" for other fields."""
+    kinds = (field.annotation, *typing.get_args(field.annotation)) if field is not None else ()
+    kind = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, IntEnum)), None)
+    return "" if kind is None else ", ".join(f"{int(member)} ({member.name})" for member in kind)
 
 
 def _one_bound(context: Mapping[str, Any]) -> str:
@@ -119,7 +165,9 @@ def _remedy(problem: Mapping[str, Any], field: FieldInfo | None, before: Any) ->
     if kind in LISTS and isinstance(value, int | float | str):
         return f"write [{value}]"
     if kind in ("enum", "literal_error"):
-        return nearest(str(value), str(problem["ctx"]["expected"]).replace(" or ", ", ").replace("'", "").split(", "))
+        words = str(problem["ctx"]["expected"]).replace(" or ", ", ").replace("'", "").split(", ")
+        advice = nearest(str(value), words)
+        return advice if advice.startswith(OFFER) else "choose one of them"
     default = field.get_default() if field is not None and not field.is_required() else None
     if _plain(before) and before not in (default, problem["input"]):
         return f"correct that value (unchanged it is {before})"
@@ -142,6 +190,18 @@ def _plain(value: Any) -> bool:
 
 def _find(model: type[BaseModel], loc: Sequence[int | str]) -> tuple[type[BaseModel] | None, FieldInfo | None]:
     """The model that owns the last key of ``loc``, and the field of the key; None if the path leaves the models."""
+    owner, field, _ = _walk(model, loc)
+    return owner, field
+
+
+def _inside(model: type[BaseModel], loc: Sequence[int | str]) -> type[BaseModel] | None:
+    """The model at ``loc``; None if the path leaves the models."""
+    return _walk(model, loc)[2]
+
+
+def _walk(
+    model: type[BaseModel], loc: Sequence[int | str]
+) -> tuple[type[BaseModel] | None, FieldInfo | None, type[BaseModel] | None]:
     owner: type[BaseModel] | None = model
     inside: type[BaseModel] | None = model
     field: FieldInfo | None = None
@@ -152,7 +212,7 @@ def _find(model: type[BaseModel], loc: Sequence[int | str]) -> tuple[type[BaseMo
             inside = model_in(field.annotation)
         elif owner is not None and owner.model_config.get("extra") == "allow":
             inside = model_in(typing.get_type_hints(owner)["__pydantic_extra__"])
-    return owner, field
+    return owner, field, inside
 
 
 def _model_with(model: type[BaseModel] | None, key: int | str) -> type[BaseModel] | None:

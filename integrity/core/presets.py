@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 import os
 import re
 from collections.abc import Collection, Hashable, Iterable, Mapping
@@ -15,8 +16,8 @@ from typing import Any
 from lanebound.integrity.core.errors import ConfigError
 
 __all__ = [
-    "FILES", "deep_merge", "load_file", "load_preset", "mapping_of", "nearest", "parse_assignments", "parse_yaml",
-    "preset_names", "preset_values",
+    "FILES", "about_preset", "deep_merge", "load_file", "load_preset", "mapping_of", "nearest", "parse_assignments",
+    "parse_yaml", "preset_names", "preset_values",
 ]  # fmt: skip
 
 PRESET_PACKAGE = "lanebound.configs"
@@ -61,6 +62,12 @@ def mapping_of(value: Any) -> Mapping[str, Any]:
     return preset_values(value) if isinstance(value, str) and "/" in value and value in _presets() else {}
 
 
+UNCLOSED = {
+    "while parsing a flow sequence": "[",
+    "while parsing a flow mapping": "{",
+    "while scanning a quoted scalar": "quote",
+}
+"""What is not closed, by PyYAML's description of what it was reading when it found an error."""
 DEEPEST = 50
 MOST_VALUES = 20_000
 
@@ -99,11 +106,28 @@ def parse_yaml(text: str, source: str) -> Any:
     try:
         data = yaml.load(text, Loader=_yaml_loader())  # a SafeLoader
     except yaml.YAMLError as exc:
-        raise ConfigError(f"{source} is not valid YAML, got {' '.join(str(exc).split())}: correct that line") from exc
+        raise ConfigError(_not_yaml(exc, source)) from exc
     except RecursionError as exc:
         raise ConfigError(f"{source} must be nested at most {DEEPEST} levels, got more: flatten it") from exc
     _require_moderate(data, source)
     return data
+
+
+def _not_yaml(error: Any, source: str) -> str:
+    """The message of an error of PyYAML: the place, what PyYAML read there, and the remedy.
+
+    A bracket or a quotation mark that is not closed is named with its own place, where the remedy applies.
+    """
+    problem = " ".join(str(getattr(error, "problem", None) or error).split())
+    context, begin, mark = (getattr(error, name, None) for name in ("context", "context_mark", "problem_mark"))
+    unclosed = UNCLOSED.get(str(context)) if begin is not None else None
+    if begin is not None and unclosed is not None:
+        sign = begin.get_snippet(indent=0, max_length=1_000_000) if unclosed == "quote" else ""
+        opened = (sign.splitlines()[0][begin.column : begin.column + 1] or "'") if unclosed == "quote" else unclosed
+        place = f"line {begin.line + 1}, column {begin.column + 1}"
+        return f"{source} is not valid YAML, got {opened!r} that is not closed in {place}: close it"
+    where = "" if mark is None else f" in line {mark.line + 1}, column {mark.column + 1}"
+    return f"{source} is not valid YAML, got {problem}{where}: correct that line"
 
 
 def _require_moderate(data: Any, source: str) -> None:
@@ -190,11 +214,23 @@ def preset_names() -> list[str]:
     return list(_presets())
 
 
+def about_preset(name: str) -> str:
+    """What a preset configures: its own title, or the first sentence of the comment at the head of its file."""
+    text = _presets()[name].read_text(encoding="utf-8")
+    data = parse_yaml(text, f"preset '{name}'")
+    if isinstance(data, Mapping) and isinstance(data.get("title"), str):
+        return str(data["title"])
+    head = itertools.takewhile(lambda line: line.startswith("#"), text.splitlines())
+    comment = " ".join(line.lstrip("# ").rstrip() for line in head)
+    return re.split(r"(?<=[.;:])\s", comment, maxsplit=1)[0].rstrip(".;:")
+
+
 def load_preset(name: str, overrides: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Load the values of preset ``name``, merged over the presets that it extends, with ``overrides`` merged over them.
 
     A preset may say ``extends: other`` (or a list, later ones win), and so may a mapping inside it, for instance
-    ``imu: {extends: sensors/imu_tactical}``. ``kind``, when present at the top, stays in the result.
+    ``imu: {extends: sensors/imu_tactical}``. ``kind``, when present at the top, stays in the result. The folder in the
+    name of a preset may be left out where only one preset has the rest of the name.
 
     Raises
     ------
@@ -258,7 +294,15 @@ def _nearest_preset(name: str, presets: Iterable[str]) -> str:
     return nearest(name, names) if len(names) <= FEW else "'lanebound config list' lists all of them"
 
 
+def _with_folder(name: str, presets: Iterable[str]) -> str:
+    """The full name of a preset that is named without its folder, if it is the only one; other names are unchanged."""
+    names = list(presets)
+    found = [preset for preset in names if preset.rpartition("/")[2] == name]
+    return found[0] if name not in names and len(found) == 1 else name
+
+
 def _resolve(name: str, presets: Mapping[str, Traversable], seen: tuple[str, ...]) -> dict[str, Any]:
+    name = _with_folder(name, presets)
     _require_new(name, seen)
     if name not in presets:
         where = f" (extended by '{seen[-1]}')" if seen else ""

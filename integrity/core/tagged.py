@@ -23,9 +23,10 @@ from pydantic import GetCoreSchemaHandler, model_validator
 from pydantic_core import core_schema
 
 from lanebound.integrity.core.config import Config
+from lanebound.integrity.core.config_errors import joined
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.plugins import bare_name, unknown
-from lanebound.integrity.core.presets import preset_values
+from lanebound.integrity.core.presets import load_preset, preset_names, preset_values
 
 __all__ = ["Literal", "Tagged"]
 
@@ -117,7 +118,7 @@ class Tagged(Config):
         try:
             kind = cls._kind_of(data)
         except ConfigError as error:
-            raise ConfigError(f"{path}.{error}" if path else str(error)) from None
+            raise ConfigError(joined(path, (str(error),))) from None
         return kind.load(data, path, unchanged)
 
     @classmethod
@@ -156,10 +157,24 @@ class Tagged(Config):
 
     @classmethod
     def data_of(cls, value: Any) -> Any:
-        """Plain data from a name: with a ``/`` that of a preset, else that of a kind. Everything else stays."""
+        """Plain data from a name of a preset or of a kind; everything else is unchanged.
+
+        A name with a ``/`` is that of a preset. The folder may be left out, unless a kind has the same name.
+        """
         if not isinstance(value, str):
             return value
-        return preset_values(value) if "/" in value else {cls.tag: value}
+        if "/" not in value and not cls._names_preset(value):
+            return {cls.tag: value}
+        return preset_values(value)
+
+    @classmethod
+    def _names_preset(cls, name: str) -> bool:
+        """Whether a name without folder is that of a preset of this family, and of no kind."""
+        if name in cls.kinds or name in cls.modules or ":" in name:
+            return False
+        found = [preset for preset in preset_names() if preset.rpartition("/")[2] == name]
+        family = cls.__name__.removesuffix("Config").lower()
+        return len(found) == 1 and load_preset(found[0]).get("kind") == family
 
     @model_validator(mode="before")
     @classmethod

@@ -114,7 +114,7 @@ def read_rows(path: str | Path, columns: int | None, max_bytes: int = MAX_BYTES)
             # memory-mapped: a header that declares more than the file contains allocates no memory
             found = np.load(source, mmap_mode="r", allow_pickle=False, max_header_size=MAX_HEADER)
     except OSError as error:
-        raise InputError(f"{path} must be a readable file, got: {error}") from error
+        raise InputError(f"{path} must be a readable file, got {error.strerror or error}: correct the path") from error
     except InputError:
         raise
     except Exception as error:  # NumPy's header parser raises errors of many types

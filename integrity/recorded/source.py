@@ -69,7 +69,9 @@ class Lines:
         except (EOFError, zlib.error, gzip.BadGzipFile) as error:
             self.stop = Stop(self.number + 1, f"the compressed stream is damaged ({error})")
         except OSError as error:
-            raise InputError(f"{self.path} must be a readable file, got: {error}") from error
+            raise InputError(
+                f"{self.path} must be a readable file, got {error.strerror or error}: correct the path"
+            ) from error
 
     def _open(self) -> IO[bytes]:
         with self.path.open("rb") as plain:

@@ -6,7 +6,7 @@ The kinds are declared in :mod:`.fault_table`; :func:`~.fault_registry.register_
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.sensors.effects import FaultEffects
-from lanebound.integrity.sensors.fault_kinds import MAGNITUDE_FIELDS, FaultKind, FaultMoment, Profile
+from lanebound.integrity.sensors.fault_kinds import MAGNITUDE_FIELDS, FaultKind, FaultMoment, Magnitude, Profile
 from lanebound.integrity.sensors.fault_registry import KindName, fault_kind
 from lanebound.integrity.sky.systems import System
 from lanebound.integrity.sky.view import SkyView
@@ -24,6 +24,13 @@ __all__ = ["Fault", "FaultSchedule"]
 
 Array = NDArray[np.float64]
 ROUNDING_S = 1e-6  # epochs are sums of floating-point steps
+
+
+NEEDED = {
+    "system": f"give one of {', '.join(f'{int(system)} ({system.name})' for system in System)}",
+    "prn": "give the number of the satellite, or use constellation for a whole system",
+}
+"""Remedies for fields without a value that a kind needs."""
 
 
 class Fault(Config):
@@ -66,15 +73,14 @@ class Fault(Config):
         given = {name: getattr(self, name) for name in MAGNITUDE_FIELDS if getattr(self, name) != 0}
         for name, value in given.items():
             if name not in of:
-                raise ValueError(f"{kind.name} has no {name}: leave it 0")
+                raise ValueError(f"{kind.name} has no {name}: {_remedy(of)}")
             if not of[name].admits(value):
                 raise ValueError(f"{name} must be {of[name].bounds}, got {value}: correct that value")
         if of and not given:
-            raise ValueError(f"{kind.name} needs {' or '.join(of)} other than 0")
+            raise ValueError(f"{kind.name} needs {' or '.join(of)} other than 0: {_remedy(of)}")
         for name in kind.needs:
             if getattr(self, name) is None:
-                remedy = ": use constellation for a whole system" if name == "prn" else ""
-                raise ValueError(f"{kind.name} needs a {name}{remedy}")
+                raise ValueError(f"{kind.name} needs a {name}: {NEEDED.get(name, 'give it')}")
         return self
 
     @property
@@ -113,6 +119,12 @@ class Fault(Config):
         """Unit vector of a displacement, (3,)."""
         azimuth = math.radians(self.azimuth_deg)
         return np.array([math.sin(azimuth), math.cos(azimuth), 0.0])
+
+
+def _remedy(of: Mapping[str, Magnitude]) -> str:
+    """The field in which a kind has its magnitude, with its unit."""
+    fields = " or ".join(f"{name} [{magnitude.unit}]" for name, magnitude in of.items())
+    return f"give its size as {fields}" if of else "leave it out, this kind has no size"
 
 
 class FaultSchedule:

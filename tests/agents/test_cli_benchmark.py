@@ -16,6 +16,7 @@ from lanebound.agents.benchmark import Results, running
 from lanebound.agents.benchmark.metrics import metric_named
 from lanebound.agents.checkpointing.runner import RunProgress
 from lanebound.agents.cli import app
+from lanebound.agents.cli import benchmark as command
 from lanebound.agents.cli.benchmark_tables import number, print_results, with_interval
 from lanebound.agents.cli.progress import kept_text, rest_text
 from lanebound.integrity.core.errors import InputError
@@ -64,7 +65,7 @@ def test_options_choose_agents_seeds_and_budget(driven, tmp_path):
         "mine": "bad_agents:draws",
     }
     assert (plan.suite.seeds.count, plan.suite.skies) == (2, ("open",))
-    assert "8 episodes to drive with 3 processes: about" in told.stderr
+    assert "8 episodes to drive with 3 processes: a minute or less, of which" in told.stderr
     assert "of which 1.5 h may be used" in told.stderr
 
 
@@ -247,3 +248,28 @@ def test_unknown_episodes_are_answered_with_the_nearest(results):
 
     with pytest.raises(InputError, match=r"is not in .*: did you mean 'LaneKeeping-v0/urban-none/random/10000'"):
         find_task(EpisodeStore(results.folder), "LaneKeeping-v0/urban-none/randm/10000")
+
+
+def test_a_run_in_which_one_agent_always_fails_does_not_end_well(driven, results, tmp_path, monkeypatch):
+    agent = results.outcomes[0].agent
+    outcomes = [replace(o, status="raised") if o.agent == agent else o for o in results.outcomes]
+    failing = replace(results, outcomes=outcomes)
+    assert command._always_failing(results) == []
+    assert command._always_failing(failing) == [agent]
+    monkeypatch.setattr(running, "run_plan", lambda plan, jobs, budget_h, on_progress: failing)
+    told = run("benchmark", "quick", "--out", str(tmp_path), "--seeds", "2", "--set", "skies=[open]")
+    assert told.exit_code == 1
+    assert f"every episode of {agent} failed" in told.stderr
+
+
+@pytest.mark.parametrize("agents", ["[3]", "[nominal, 3]", "{mine: 3}"])
+def test_an_agent_that_is_no_name_is_refused_in_one_line(agents, tmp_path):
+    told = run("benchmark", "quick", "--out", str(tmp_path), "--set", f"agents={agents}")
+    assert told.exit_code == 2
+    assert told.stderr.startswith("error: agents must be names or mappings {NAME: agent}, got 3 as entry ")
+    assert told.stderr.count("\n") == 1
+
+
+def test_changes_of_all_environments_are_told(driven, tmp_path):
+    told = run("benchmark", "quick", "--out", str(tmp_path), "--seeds", "2", "--set", "skies=[open]")
+    assert "changed in all environments of this suite: duration_s = 30.0" in told.stderr

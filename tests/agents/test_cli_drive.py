@@ -17,8 +17,10 @@ from typer.testing import CliRunner
 
 from lanebound.agents.benchmark.outcome import Outcome
 from lanebound.agents.benchmark.scoring import UNNAMED, outcome_of
+from lanebound.agents.checkpointing.runner import RunProgress
 from lanebound.agents.cli import app
 from lanebound.agents.cli import drive as command
+from lanebound.agents.cli.progress import _Lines
 from lanebound.agents.drivers import AGENTS, make_agent
 from lanebound.agents.episodes import COLUMNS, EpisodeLog, drive, open_env
 from lanebound.agents.episodes.film import Film
@@ -107,7 +109,7 @@ def test_prints_tables():
         (["LaneKeeping", "--video", f"{__file__}/a.mp4"], "error: video must be a file that can be written, got"),
         (["Merge", "--agent", "lqr"], "error: action must be continuous for agent 'lqr', got meta-actions: choose one"),
         (["LaneKeeping", "--set", "navigator.rate_hz=5"], "error: navigator.rate_hz is not a known key: did you mean"),
-        (["LaneKeeping", "--set", "navigator.dt_s=0.2"], "error: EnvConfig: navigator.dt_s must be 1 / navig"),
+        (["LaneKeeping", "--set", "navigator.dt_s=0.2"], "error: navigator.dt_s must be 1 / navig"),
         (["LaneKeeping", "--out", __file__], "error: out must be a folder that can be written"),
         (["LaneKeeping", "--episodes", "0"], "error: --episodes must be >= 1, got 0"),
     ],
@@ -219,3 +221,25 @@ def test_gymnasium_records_the_environments_too(tmp_path):
 def test_help_names_every_agent():
     shown = "".join(run("--help").stdout.split()).replace("│", "")
     assert [agent for agent in AGENTS if agent not in shown] == []
+
+
+def test_one_episode_is_no_column_of_equal_lines(capsys):
+    lines = _Lines("episodes")
+    for tenth in range(11):
+        lines(RunProgress(of=1, done=tenth / 10, left_s=5.0))
+    assert capsys.readouterr().err.splitlines() == ["0 of 1 episodes, 0:00:05 left", "1 of 1 episodes, 0:00:05 left"]
+
+
+def test_a_syntax_error_of_an_agent_is_one_line(tmp_path, monkeypatch):
+    (tmp_path / "spelt_so_wrong.py").write_text("def make(env):\n    return )\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    result = run("Merge", *GIVEN, "--agent", "spelt_so_wrong:make")
+    assert result.exit_code == 1
+    assert result.stderr.startswith("error: agent spelt_so_wrong:make: SyntaxError: ")
+    assert "frozen" not in result.stderr
+    assert "spelt_so_wrong.py, line 2" in result.stderr
+
+
+def test_harm_is_among_the_measures(driven):
+    _, shown = driven
+    assert shown["all"]["harm"] == pytest.approx(np.mean([e["costs"]["cost_lane"] for e in shown["episodes"]]))

@@ -14,10 +14,13 @@ from gymnasium import spaces
 from stable_baselines3 import A2C, DQN, PPO, SAC
 from typer.testing import CliRunner
 
+from lanebound.agents.benchmark import SuiteConfig
+from lanebound.agents.benchmark.running import BenchmarkPlan
 from lanebound.agents.cli import app
 from lanebound.agents.drivers import make_agent
 from lanebound.agents.drivers.base import in_a_row
 from lanebound.agents.drivers.foreign import require_foreign
+from lanebound.agents.drivers.importing import require_importable
 from lanebound.agents.episodes import open_env
 from lanebound.envs.core import DrivingEnv
 from lanebound.integrity.core.config import deep_merge
@@ -224,3 +227,41 @@ def test_modules_of_the_present_folder_can_be_driven_from_the_command_line(tmp_p
          "--agent", "my_agent:make", "--json"],
     )  # fmt: skip
     assert told.exit_code == 0, told.output
+
+
+@pytest.fixture
+def broken(tmp_path, monkeypatch):
+    """Modules that cannot be imported, and one that can."""
+    (tmp_path / "spelt_wrong.py").write_text("def make(env)\n    return None\n", encoding="utf-8")
+    (tmp_path / "lacking.py").write_text("import no_such_module_here\ndef make(env): ...\n", encoding="utf-8")
+    (tmp_path / "leaving.py").write_text("import os\nos._exit(3)\ndef make(env): ...\n", encoding="utf-8")
+    (tmp_path / "sound_agent.py").write_text("print('hello')\ndef make(env): ...\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+
+
+@pytest.mark.usefixtures("broken")
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("spelt_wrong", r"SyntaxError: .*spelt_wrong\.py, line 1"),
+        ("lacking", r"ModuleNotFoundError: No module named 'no_such_module_here' \(.*lacking\.py, line 1\)"),
+        ("leaving", "a process that ends with code 3"),
+    ],
+)
+def test_modules_that_cannot_be_imported_are_refused_before_a_benchmark(name, why, tmp_path):
+    suite = SuiteConfig.load({"envs": ["Merge"], "agents": ["nominal", {"mine": f"{name}:make"}]})
+    with pytest.raises(InputError, match=rf"^agent '{name}:make' must be in a module that can be imported, got {why}"):
+        BenchmarkPlan.of(suite, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.usefixtures("broken")
+def test_modules_are_tried_in_another_process(tmp_path, capfd):
+    require_importable("sound_agent:make")
+    assert "sound_agent" not in sys.modules
+    assert capfd.readouterr().out == ""
+
+
+def test_a_dot_in_place_of_a_colon_is_told():
+    with pytest.raises(InputError, match=r"agent 'my_agent\.make' is unknown: write 'my_agent:make' for a callable"):
+        make_agent("my_agent.make", open_env("Merge"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from lanebound.envs import EnvConfig
 from lanebound.envs.observation import (
     GROUPS,
     OBSERVATION_INDEX,
@@ -13,7 +14,7 @@ from lanebound.envs.observation import (
     entries,
     group_slices,
 )
-from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.errors import ConfigError, InputError
 
 VARIANTS = [
     ObservationConfig(),
@@ -92,3 +93,11 @@ def test_the_space_follows_the_index():
 def test_a_mistaken_configuration_is_refused(change, message):
     with pytest.raises(ConfigError, match=message):
         ObservationConfig.load(change)
+
+
+def test_the_index_of_another_configuration_is_refused_with_the_way_to_its_own():
+    config = EnvConfig(base="highway-v0", observation={"vehicles": 2})
+    with pytest.raises(InputError, match=r"got EnvConfig: pass .* env\.unwrapped\.config\.observation$"):
+        describe(config)  # type: ignore[arg-type]
+    assert "v1_" in describe(config.observation)
+    assert "v2_" not in describe(config.observation)

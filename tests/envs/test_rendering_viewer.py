@@ -15,7 +15,7 @@ import pytest
 from highway_env.road.road import RoadNetwork
 
 from beliefs import believe
-from lanebound.envs.pictures import Pictures
+from lanebound.envs.pictures import INCIDENTS, Pictures
 from lanebound.envs.records import EgoBelief, Traffic
 from lanebound.envs.rendering import Bodies, EpisodeCost, Frame, RenderingConfig, Satellites, Tape, Viewer
 from lanebound.envs.rendering.map_view import camera_of
@@ -28,6 +28,7 @@ from lanebound.integrity.sky.scene import City, Surface, prisms
 
 DARK = THEMES["dark"]
 EGO_PX = (330, 356)  # middle of the true ego in the default picture
+LEVELS = {"err_at_m": 0.1, "pl_at_m": 0.5, "al_at_m": 1.5, "err_ct_m": 0.1, "pl_ct_m": 0.5, "al_ct_m": 1.0}
 SQUARE = np.array([[-5.0, -5.0], [5.0, -5.0], [5.0, 5.0], [-5.0, 5.0]])
 
 
@@ -264,11 +265,31 @@ def test_the_episode_s_cost_is_shown_and_coloured_beyond_its_limit(viewer, frame
 
 def test_the_cost_of_an_episode_is_summed_from_its_reset():
     pictures = Pictures(RenderingConfig(), "lanebound/Test-v0", 20.0, 15.0)
-    levels = {"err_at_m": 0.1, "pl_at_m": 0.5, "al_at_m": 1.5, "err_ct_m": 0.1, "pl_ct_m": 0.5, "al_ct_m": 1.0}
+    levels = {**LEVELS, **dict.fromkeys(INCIDENTS, False)}
     for _ in range(2):
         for step, cost in enumerate((0.0, 0.5, 0.25)):
             pictures.note(SimpleNamespace(time_s=0.2 * step), {**levels, "alert": False, "cost": cost})
         assert pictures._cost == EpisodeCost(0.25, 0.75, 15.0)
+
+
+@pytest.mark.parametrize(
+    ("happened", "shown"),
+    [({}, ""), ({"crashed": True, "off_road": True}, "CRASHED"), ({"off_road": True}, "OFF ROAD")],
+)
+def test_what_has_happened_to_the_true_car_is_gathered(happened, shown):
+    pictures = Pictures(RenderingConfig(), "lanebound/Test-v0", 20.0, 15.0)
+    info = {**LEVELS, **dict.fromkeys(INCIDENTS, False), "alert": False, "cost": 0.0, **happened}
+    pictures.note(SimpleNamespace(time_s=0.2), info)
+    assert pictures._incident == shown
+
+
+def test_what_has_happened_stands_beside_the_title_in_the_colour_of_alerts(viewer, frame):
+    def count(incident: str) -> int:
+        head = viewer.render(replace(frame, incident=incident))[:26, 640:].reshape(-1, 3)
+        return sum(near(pixel, DARK.alert) for pixel in head)
+
+    assert count("") == 0
+    assert count("OFF ROAD") > 20
 
 
 def test_a_vehicle_under_a_tree_is_drawn_on_top_of_it(viewer, frame):

@@ -66,8 +66,8 @@ def test_config_list():
     table = run("config", "list").stdout
     assert all(word in table for word in ("calm", "rush", "toy"))
     rows = json.loads(run("config", "list", "--json").stdout)
-    assert {"preset": "rush", "kind": "toy"} in rows
-    assert {"preset": "bare", "kind": None} in rows
+    assert {"preset": "rush", "kind": "toy", "about": ""} in rows
+    assert {"preset": "bare", "kind": None, "about": ""} in rows
 
 
 @pytest.mark.usefixtures("toy_presets")
@@ -162,7 +162,7 @@ def test_keys_and_heads_stand_whole_in_eighty_characters_or_as_few_more_as_they_
     [
         ("LaneKeeping", "it is an environment, see 'lanebound envs LaneKeeping'"),
         ("lanebound/Merge-v0", "it is an environment, see 'lanebound envs Merge'"),
-        ("urban", "did you mean 'skies/urban'?"),
+        ("urbn", "did you mean 'skies/urban'?"),
         ("zzz", "'lanebound config list' lists all of them"),
     ],
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import pickle
-from enum import Enum
+from enum import Enum, IntEnum
 
 import pytest
 from hypothesis import given
@@ -88,13 +88,13 @@ def refusal(data: dict, path: str = "", model: type[Config] = Receiver) -> list[
             {"clock": {"enabled": "yes"}},
             "clock.enabled must be true or false, got 'yes': correct that value (the default is True)",
         ),
-        ({"clock": {"drfit_mps": 1}}, "clock.drfit_mps is not a known key: did you mean 'drift_mps'?"),
+        ({"clock": {"drfit_mps": 1}}, "clock.drfit_mps is not a known key: did you mean 'clock.drift_mps'?"),
         ({"colck": {}}, "colck is not a known key: did you mean 'clock'?"),
         (
             {"spare": {"q": 1}},
             "spare.q is not a known key: known are channels, drift_mps, enabled, risk",
         ),
-        ({"others": [{}, {"chanels": 3}]}, "others.1.chanels is not a known key: did you mean 'channels'?"),
+        ({"others": [{}, {"chanels": 3}]}, "others.1.chanels is not a known key: did you mean 'others.1.channels'?"),
         (
             {"named": {"left": {"risk": 0}}},
             "named.left.risk must lie in (0, 1), got 0: correct that value (the default is 1e-06)",
@@ -128,7 +128,7 @@ def test_long_values_are_cut():
 
 def test_required_key_and_rule_between_keys():
     assert refusal({}, model=Window) == ["end_s is required, got nothing: add it"]
-    assert refusal({"end_s": -1.0}, "drive", Window) == ["drive: end_s must be > start_s = 0.0, got -1.0: swap them"]
+    assert refusal({"end_s": -1.0}, "drive", Window) == ["drive.end_s must be > start_s = 0.0, got -1.0: swap them"]
 
 
 def test_direct_construction_refuses_in_the_same_words():
@@ -259,3 +259,44 @@ def test_equal_configurations_hash_alike_and_carry_no_hash_into_another_process(
     assert again == one
     assert "_hash" not in vars(again)
     assert len({one, other, again}) == 1
+
+
+def test_a_file_and_the_keys_in_it_are_told_apart():
+    lines = refusal({"clock": {"drfit_mps": 1, "channels": 0}}, "my/sky.yaml")
+    assert sorted(line.partition(" must")[0] for line in lines) == [
+        "my/sky.yaml: clock.channels",
+        "my/sky.yaml: clock.drfit_mps is not a known key: did you mean 'clock.drift_mps'?",
+    ]
+
+
+class Kind(IntEnum):
+    GPS = 0
+    GALILEO = 1
+
+
+class Ruled(Config):
+    kind: Kind = Kind.GPS
+    rate_hz: int = 10
+
+    @model_validator(mode="after")
+    def _divides(self) -> Ruled:
+        if 20 % self.rate_hz:
+            raise ConfigError(f"rate_hz must divide 20, got {self.rate_hz}: choose a divisor")
+        if self.kind is Kind.GALILEO:
+            raise ConfigError("today is no day for that: wait")
+        return self
+
+
+class Around(Config):
+    inner: Ruled = Ruled()
+
+
+def test_a_rule_between_keys_names_the_whole_path_of_a_key():
+    assert refusal({"rate_hz": 3}, model=Ruled) == ["rate_hz must divide 20, got 3: choose a divisor"]
+    assert refusal({"inner": {"rate_hz": 3}}, model=Around) == ["inner.rate_hz must divide 20, got 3: choose a divisor"]
+    assert refusal({"inner": {"kind": 1}}, model=Around) == ["inner: today is no day for that: wait"]
+
+
+def test_enums_of_numbers_are_shown_with_their_names():
+    (line,) = refusal({"inner": {"kind": 9}}, model=Around)
+    assert line.startswith("inner.kind must be one of 0 (GPS), 1 (GALILEO), got 9")

@@ -222,7 +222,10 @@ def test_agents_that_cannot_drive_an_environment_are_left_out(tmp_path):
 @pytest.mark.parametrize(
     ("agent", "message"),
     [
-        ({"agent": "cbf", "figures": {"ovr": "integrity_aware"}}, r"agents\.mine\.figures\.ovr is not .* 'over'\?"),
+        (
+            {"agent": "cbf", "figures": {"ovr": "integrity_aware"}},
+            r"agents\.mine\.figures\.ovr is not .*figures\.over'\?",
+        ),
         ({"agent": "cautious", "figures": {"speed_share": -1}}, r"agents\.mine\.figures\.speed_share must "),
         ({"agent": "cbf", "figures": {"over": "nominl"}}, "agent 'nominl' is unknown: did you mean 'nominal'?"),
         ({"agent": "cbf", "figures": {"over": "cbf"}}, "over must be another agent than cbf"),

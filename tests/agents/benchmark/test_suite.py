@@ -19,7 +19,10 @@ SMALL = {"envs": ["lanekeeping", "Merge-v0"], "skies": ["urban", "open"], "agent
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"overrides": {"duraton_s": 5}}, r"^overrides\.duraton_s is not a known key: did you mean 'duration_s'"),
+        (
+            {"overrides": {"duraton_s": 5}},
+            r"^overrides\.duraton_s is not a known key: did you mean 'overrides\.duration_s'",
+        ),
         ({"overrides": {"observation": {"histry": 2}}}, r"^overrides\.observation\.histry is not a known key"),
         ({"overrides": {"navigator": {"rate_hz": 2}}}, r"^overrides\.navigator\.rate_hz is not a known key"),
         (

@@ -202,3 +202,13 @@ def test_the_command_says_what_is_missing(tmp_path: Path) -> None:
     told = CliRunner().invoke(app, ["export", str(tmp_path)])
     assert told.exit_code == 2
     assert "train first" in told.stderr
+
+
+def test_a_checkpoint_with_other_actions_is_not_evaluated(saved: Path, tmp_path: Path) -> None:
+    told = CliRunner().invoke(
+        app, ["evaluate", str(saved / "PPO.zip"), "--env", "Merge", "--out", str(tmp_path / "out"), "--seeds", "1"]
+    )
+    assert told.exit_code == 2
+    assert "Discrete(5)" in told.stderr
+    assert told.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()

@@ -8,6 +8,7 @@ from experiments import experiment
 
 from lanebound.agents.benchmark.seeds import SPLITS
 from lanebound.agents.learning.opening import episode_seeds, for_judging, for_learning
+from lanebound.integrity.core.errors import ConfigError
 
 GIVEN = {"navigation": {"source": "perfect"}, "perception": {"source": "truth"}, "duration_s": 2.0}
 
@@ -48,3 +49,10 @@ def test_what_the_filter_changes_costs_reward_in_training_alone() -> None:
     free, dear, dearer = (rewards(penalty) for penalty in (0.0, 1.0, 3.0))
     assert (free - dear > 0.01).all()
     np.testing.assert_allclose(free - dearer, 3.0 * (free - dear), rtol=1e-5)
+
+
+def test_an_engine_where_there_is_none_is_refused_in_the_words_of_an_experiment() -> None:
+    with pytest.raises(
+        ConfigError, match=r"^engine must be left out for Merge, got true: the vector engine supports .*Highway"
+    ):
+        for_judging(experiment(env="Merge", engine=True), 1)

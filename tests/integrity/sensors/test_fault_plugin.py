@@ -112,3 +112,13 @@ def test_it_is_unknown_once_it_is_removed() -> None:
     with pytest.raises(ConfigError, match="kind must be one of"):
         Fault(kind="clock_jump", magnitude=1.0)
     register_fault(CLOCK_JUMP)
+
+
+def test_a_size_in_the_wrong_field_is_refused_with_the_right_one() -> None:
+    register_fault(CLOCK_JUMP)
+    with pytest.raises(ConfigError, match=r"clock_jump has no magnitude_m: give its size as magnitude \[ns\]$"):
+        Fault.load({"kind": "clock_jump", "magnitude_m": 20.0})
+    with pytest.raises(
+        ConfigError, match=r"clock_jump needs magnitude other than 0: give its size as magnitude \[ns\]$"
+    ):
+        Fault.load({"kind": "clock_jump"})

@@ -214,14 +214,23 @@ def test_faults_survive_json() -> None:
     ("data", "message"),
     [
         ({"kind": "jaming"}, "did you mean 'jamming'"),
-        ({"kind": 3}, "kind must be one of 'satellite_range', .*got 3: known are constellation"),
+        ({"kind": 3}, "kind must be one of 'satellite_range', .*got 3: choose one of them"),
         ({"kind": "wheel_slip", "magnitude_ratio": -1.0}, "magnitude_ratio must be > -1, got -1"),
         ({"kind": "v2v_lie"}, "v2v_lie needs magnitude_m or magnitude_ratio"),
-        ({"kind": "jamming", "magnitude": 3.0, "magnitude_db": 1.0}, "jamming has no magnitude: leave it 0"),
+        (
+            {"kind": "jamming", "magnitude": 3.0, "magnitude_db": 1.0},
+            "jamming has no magnitude: give its size as magnitude_db \\[dB\\]",
+        ),
         ({"kind": "jamming"}, "jamming needs magnitude_db"),
         ({"kind": "jamming", "magnitude_m": 3.0}, "jamming has no magnitude_m"),
-        ({"kind": "odometer_frozen", "magnitude_ratio": 2.0}, "odometer_frozen has no magnitude_ratio"),
-        ({"kind": "constellation", "magnitude_m": 1.0}, "constellation needs a system"),
+        (
+            {"kind": "odometer_frozen", "magnitude_ratio": 2.0},
+            "odometer_frozen has no magnitude_ratio: leave it out, this kind has no size$",
+        ),
+        (
+            {"kind": "constellation", "magnitude_m": 1.0},
+            "constellation needs a system: give one of 0 .GPS., 1 .GALILEO., .* 4 .QZSS.$",
+        ),
         ({"kind": "satellite_range", "magnitude_m": 1.0, "system": 0}, "satellite_range needs a prn"),
         ({"kind": "jamming", "magnitude_db": -1.0}, "magnitude_db must be >= 0"),
         ({"kind": "corrections_loss", "duration_s": 0.0}, "duration_s must be > 0"),
