@@ -6,6 +6,8 @@ configured in :mod:`lanebound.integrity.sensors`; a protection level is honest w
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from pydantic import Field
 from scipy.special import chdtri
@@ -30,6 +32,7 @@ __all__ = [
     "RtkConfig",
     "calibration_parameters",
     "mode_parameters",
+    "overbounding_walk",
     "rtk_parameters",
     "slip_parameters",
     "watch_parameters",
@@ -135,7 +138,18 @@ class HeadingConfig(Config):
         2.5e-4, gt=0, description="angle random walk [rad/sqrt(s)]; BMI088 0.014 dps/rtHz"
     )
     bias_initial_radps: float = Field(7e-3, gt=0, description="gyro bias at turn-on, 1 sigma [rad/s]; 0.4 deg/s MEMS")
-    bias_walk_radps: float = Field(1e-6, gt=0, description="random walk of the gyro bias [rad/s/sqrt(s)]")
+    bias_walk_radps: float = Field(
+        4.7e-6,
+        gt=0,
+        description="random walk of the gyro bias [rad/s/sqrt(s)]; overbounding_walk of BMI088, 6 deg/h over 100 s and "
+        "a rate random walk of 2e-6",
+    )
+    gyro_scale: float = Field(
+        3.8e-3,
+        ge=0,
+        lt=0.1,
+        description="error of the gyro's scale, 1 sigma [-]; 0.3 % after calibration, and a quarter for its change",
+    )
     min_speed_mps: float = Field(0.5, gt=0, description="odometer speed for Doppler calibration [m/s]; S1 table 1")
     speed_agreement_mps: float = Field(1.5, gt=0, description="Doppler against odometer speed [m/s]; S1 table 1")
     max_hdop: float = Field(2.5, gt=0, description="HDOP for Doppler calibration [-]; S1 table 1")
@@ -215,11 +229,24 @@ class PositioningConfig(Config):
     axle_m: float = Field(
         0.0, ge=0, le=20, description="reference point ahead of the rear axle, which does not slip sideways [m]"
     )
+    axle_bound_m: float = Field(
+        0.05, ge=0, le=20, description="bound of the error of axle_m [m]; measured on the vehicle with a tape"
+    )
 
     @property
     def lever_arm_m(self) -> tuple[float, float]:
         """Antenna position in the body frame: forward, right [m]."""
         return self.antenna_forward_m, self.antenna_right_m
+
+
+def overbounding_walk(sigma: float, tau_s: float, random_walk: float = 0.0) -> float:
+    """Random walk that overbounds a gyro's wander [rad/s/sqrt(s)]: ``sqrt(2 sigma^2 / tau + K^2)``.
+
+    The wander is a Gauss-Markov bias of 1-sigma ``sigma`` [rad/s] and of a correlation time of at least ``tau_s``,
+    and a rate random walk K. The initial variance of the bias must hold ``2 sigma^2`` beside the turn-on bias
+    (:mod:`.heading_kernel`).
+    """
+    return math.sqrt(2.0 * sigma**2 / tau_s + random_walk**2)
 
 
 def rtk_parameters(config: RtkConfig, bands: int, smallest_risk: float) -> Records:

@@ -11,7 +11,10 @@ from lanebound.integrity.positioning.heading_kernel import (
     correct,
     doppler_heading_usable,
     doppler_heading_variance,
+    expect_turn,
+    observe,
     predict_heading,
+    raise_uncertainty,
     wrap,
 )
 from lanebound.integrity.positioning.mode_kernel import doppler_usable
@@ -32,20 +35,18 @@ def find_attitude(first: int, last: int, epoch: Epoch) -> None:
     for v in range(first, last):
         vehicle, w = epoch.state.vehicles[v], epoch.work.vehicles[v]
         heading, speed = vehicle.heading, measured.speed[v]
-        w.turning = measured.turn[v, 2] / par.dt - heading.gyro_bias
+        w.turning = measured.turn[v, 2] * (1.0 - heading.gyro_scale) / par.dt - heading.gyro_bias
         _move_velocity(vehicle, par, w)
         w.resting = _find_rest(vehicle, par, speed, w)
         w.slip = side_slip(par.lever.axle, w.turning, speed)
-        before = heading.p_hh
-        w.middle = wrap(_advance_heading(heading, par, measured.turn[v, 2], w.resting) + w.slip)
-        after = heading.p_hh
-        carry = math.sqrt(after / before)  # growth as one error: the bound of its effect on the position
-        if w.solved and not w.resting and not w.suspect and _calibrate(vehicle, par, speed, w):
-            carry *= heading.p_hh / after
+        slip_rate = w.turning / (speed * math.cos(w.slip)) if abs(speed) > MOVING_MPS else 0.0
+        expect_turn(measured.turn[v, 2], par.dt, par.heading.angle_random_walk, slip_rate, heading, w.step.turn)
+        w.middle = wrap(_advance_heading(heading, par, measured.turn[v, 2], w) + w.slip)
+        if w.solved and not w.resting and not w.suspect and _calibrate(vehicle, par, speed, slip_rate, w):
             vehicle.since_calibration = 0.0
         w.sin_h, w.cos_h = math.sin(heading.angle), math.cos(heading.angle)
         step = w.step
-        step.dt_s, step.heading_variance, step.carry = par.dt, heading.p_hh, carry
+        step.dt_s, step.axle_bias = par.dt, par.lever.axle_bound * step.turn.axle
         step.phi_doppler, step.phi_odometer = math.exp(-par.dt / par.doppler.tau), math.exp(-par.dt / par.odometer.tau)
         w.measured = doppler_usable(w.checked, w.v_gnss, speed, w.hdop_doppler, par.modes)
 
@@ -82,22 +83,23 @@ def side_slip(axle: float, turning: float, speed: float) -> float:
 
 
 @jit(borrows=True)
-def _advance_heading(heading: Any, par: Any, delta_theta: float, resting: bool) -> float:
+def _advance_heading(heading: Any, par: Any, delta_theta: float, w: Any) -> float:
     """Advance the heading by the gyro; at rest hold it and learn the gyro bias instead (ZUPT, S1 figure 1).
 
     Returns the mean heading over the epoch [rad].
     """
     dt, rules, before = par.dt, par.heading, heading.angle
-    if resting:
+    if w.resting:
         innovation = delta_theta / dt - heading.gyro_bias
-        correct(innovation, 0.0, 1.0, rules.angle_random_walk**2 / dt, heading)
+        gains = correct(innovation, 0.0, 1.0, rules.angle_random_walk**2 / dt, heading)
+        observe(gains, True, 0.0, heading, w.step.turn)
         return float(heading.angle)
     predict_heading(delta_theta, dt, rules.angle_random_walk, rules.bias_walk, heading)
     return float(wrap(before + 0.5 * wrap(heading.angle - before)))
 
 
 @jit(borrows=True)
-def _calibrate(vehicle: Any, par: Any, speed: float, w: Any) -> bool:
+def _calibrate(vehicle: Any, par: Any, speed: float, slip_rate: float, w: Any) -> bool:
     """Calibrate heading and gyro bias by the Doppler course where S1 table 1 allows it; True when done.
 
     The limit of the jump is widened to 3 sigma while the filter itself is less certain than the limit. Courses refused
@@ -117,10 +119,9 @@ def _calibrate(vehicle: Any, par: Any, speed: float, w: Any) -> bool:
         beyond = abs(jump) > allowed + 3.0 * math.sqrt(variance)
         vehicle.course_refused_s = vehicle.course_refused_s + par.dt if beyond else 0.0
         if vehicle.course_refused_s > REACQUIRE_S:
-            heading.p_hh, heading.p_hb = max(heading.p_hh, jump * jump), 0.0
-            heading.p_bb = par.heading.bias_initial**2
+            raise_uncertainty(jump, par.heading.bias_initial, par.heading.gyro_scale, heading)
         return False
     vehicle.course_refused_s = 0.0
     variance *= max(1.0, 2.0 * par.doppler.tau / par.dt)
-    correct(jump, 1.0, 0.0, variance, heading)
+    observe(correct(jump, 1.0, 0.0, variance, heading), False, -slip_rate, heading, w.step.turn)
     return True

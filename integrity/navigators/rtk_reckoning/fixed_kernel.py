@@ -237,7 +237,9 @@ def lever_bounds(vehicle: Any, par: Any) -> tuple[float, float]:
     A lever (f, r) turned by theta moves ``f (cos theta - 1) - r sin theta`` along, ``f sin theta + r (cos theta - 1)``
     across, and by twice its length at most.
     """
-    theta = min(par.lever.k * math.sqrt(vehicle.heading.p_hh) + heading_bias(vehicle, par.odometer), math.pi)
+    heading = vehicle.heading
+    theta = par.lever.k * math.sqrt(heading.p_hh) + heading_bias(vehicle, par.odometer)
+    theta = min(theta + par.lever.axle_bound * abs(heading.axle_h), math.pi)
     f, r = abs(par.lever.forward), abs(par.lever.right)
     most, turned = 2.0 * math.hypot(f, r), 0.5 * theta * theta
     return min(r * theta + f * turned, most), min(f * theta + r * turned, most)

@@ -107,7 +107,7 @@ def restart(
     (R, 2) of a case holds beyond ``K sigma`` of the fault-free solution remains as a bound on E and N. The published
     form starts from the fault-free covariance alone, as S1 does.
     """
-    reset(fixed.p_ee, fixed.p_en, fixed.p_nn, 0.0, 0.0, vehicle.heading.p_hh, reckoning.growth)
+    reset(fixed.p_ee, fixed.p_en, fixed.p_nn, 0.0, 0.0, reckoning.growth)
     if vehicle.separated:
         for k in range(reckoning.separations.shape[0]):
             clear_separation(reckoning.separations[k])

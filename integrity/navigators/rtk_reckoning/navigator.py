@@ -58,6 +58,7 @@ class RtkReckoningNavigator(Navigator):
         vehicles, heading = belief.vehicles, self.config.positioning.heading
         vehicles["heading"]["p_hh"] = np.deg2rad(heading.initial_sigma_deg) ** 2
         vehicles["heading"]["p_bb"] = heading.bias_initial_radps**2
+        vehicles["heading"]["p_ss"] = heading.gyro_scale**2
         vehicles["since_rtk"] = vehicles["since_calibration"] = vehicles["backup"]["age"] = np.inf
         vehicles["alert"]["alert"], vehicles["alert"]["reason"] = True, AlertReason.INITIALISING.code
         vehicles["alert"]["onset_s"] = -1.0
@@ -73,7 +74,7 @@ class RtkReckoningNavigator(Navigator):
     def align(self, heading_rad: Array, sigma_rad: float) -> None:
         """Give the vehicles a prior heading, (B,) azimuth and its 1-sigma, as from a compass or the last drive."""
         vehicles = self.state.belief.vehicles
-        vehicles["heading"]["angle"], vehicles["heading"]["p_hh"] = heading_rad, sigma_rad**2
+        give_heading(vehicles["heading"], heading_rad, sigma_rad)
         vehicles["since_calibration"] = 0.0
 
     def place_rows(
@@ -85,8 +86,7 @@ class RtkReckoningNavigator(Navigator):
         fresh["position"][:, :2], fresh["position"][:, 2] = position_en_m, old["position"][:, 2]
         fresh["velocity"] = old["velocity"]
         fresh["heading"], fresh["alert"], fresh["rtk"] = old["heading"], old["alert"], old["rtk"]
-        fresh["heading"]["angle"], fresh["heading"]["p_hh"] = heading_rad, sigma_heading_rad**2
-        fresh["heading"]["p_hb"] = 0.0
+        give_heading(fresh["heading"], heading_rad, sigma_heading_rad)
         fresh["initialised"], fresh["backup"]["age"] = True, np.inf
         fresh["backup"]["position"] = old["backup"]["position"]
         belief.vehicles[rows] = fresh
@@ -95,7 +95,6 @@ class RtkReckoningNavigator(Navigator):
         belief.ambiguities["held"][rows], belief.ambiguities["last_phase"][rows] = False, 0.0
         for axis in ("p_ee", "p_nn"):
             belief.growth[axis][rows] = sigma_m**2
-        belief.growth["var_th"][rows] = sigma_heading_rad**2
 
     def locate(self, m: Measurements) -> Solution:
         """The belief after the measurements of one epoch; reads nothing else."""
@@ -114,6 +113,13 @@ class RtkReckoningNavigator(Navigator):
         cases = self._tables.cases.shape[0]
         work, out = blank_work(batch, satellites, cases), blank_outputs(batch, satellites, cases)
         return Lasting(self._parameters, self._tables, belief, work, out)
+
+
+def give_heading(heading: Records, angle_rad: Array, sigma_rad: float) -> None:
+    """Set heading filters (n,) to a heading (n,) and its 1-sigma; what they know of the gyro stays."""
+    heading["angle"], heading["p_hh"] = angle_rad, sigma_rad**2
+    for name in ("p_hb", "p_hs", "axle_h", "axle_b", "axle_s"):
+        heading[name] = 0.0
 
 
 def stages_of(config: RtkReckoningConfig) -> list[Stage | OutsideStage]:

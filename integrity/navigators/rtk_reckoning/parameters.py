@@ -59,6 +59,7 @@ def epoch_parameters(c: RtkReckoningConfig) -> Records:
             angle_random_walk=h.angle_random_walk_rad,
             bias_walk=h.bias_walk_radps,
             bias_initial=h.bias_initial_radps,
+            gyro_scale=h.gyro_scale,
             calibration=calibration_parameters(h),
         ),
         odometer=one_record(
@@ -79,6 +80,7 @@ def epoch_parameters(c: RtkReckoningConfig) -> Records:
             right=p.antenna_right_m,
             k=upper_quantile(0.5 * share * of_lever) if of_lever else 0.0,
             axle=p.axle_m,
+            axle_bound=p.axle_bound_m,
         ),
         jump=one_record(
             rk.JUMP_RULES,

@@ -56,6 +56,7 @@ HEADING_RULES = record(
     angle_random_walk="[rad/sqrt(s)]",
     bias_walk="random walk of the gyro bias [rad/s/sqrt(s)]",
     bias_initial="gyro bias at turn-on, 1 sigma [rad/s]",
+    gyro_scale="error of the gyro's scale, 1 sigma [-]",
     calibration=(CALIBRATION, "when Doppler calibrates"),
 )
 ODOMETER_RULES = record(
@@ -73,6 +74,7 @@ LEVER = record(
     right="antenna to the right of it [m]",
     k="factor on the heading's sigma in the bound of the lever arm [-]",
     axle="reference point ahead of the rear axle [m]",
+    axle_bound="bound of the error of that distance [m]",
 )
 JUMP_RULES = record(
     after_jump="quarantine after a jump [s]",

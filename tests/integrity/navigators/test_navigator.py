@@ -632,6 +632,7 @@ def test_levels_in_a_tunnel_are_those_of_the_plain_form() -> None:
             growth,
             by_heading_m=np.stack([g["cth_e"], g["cth_n"]], -1),
             by_speed_m=np.stack([g["cv_e"], g["cv_n"]], -1),
+            by_axle_m=np.stack([g["axle_e"], g["axle_n"]], -1),
             box_m=np.stack([g["box_e"] + start["bias_e"][:, r], g["box_n"] + start["bias_n"][:, r]], -1),
         )
         config = RiskConfig(variant=case.variant, unmonitored_risk=wrong)
@@ -739,8 +740,8 @@ def test_a_placed_vehicle_starts_from_its_prior_and_leaves_the_others_alone() ->
     np.testing.assert_array_equal(vehicles[[0, 2]], before[[0, 2]])
     assert (growth["p_ee"] == 0.05**2).all()
     assert (growth["p_nn"] == 0.05**2).all()
-    assert (growth["var_th"] == 0.01**2).all()
-    assert not any(growth[name].any() for name in growth.dtype.names if name not in ("p_ee", "p_nn", "var_th"))
+    assert vehicles["heading"]["p_hh"][1] == 0.01**2
+    assert not any(growth[name].any() for name in growth.dtype.names if name not in ("p_ee", "p_nn"))
 
 
 def test_a_prior_without_spread_is_refused() -> None:
