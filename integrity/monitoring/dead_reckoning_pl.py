@@ -2,8 +2,8 @@
 
 ``PL_q = K_md sigma_q + B_q`` (S1 eq 18-19). The joint covariance of position, Doppler error, odometer error and
 errors of the heading filter follows ``C = F C F' + N``; nothing is lost when the source changes. The state is
-``x = [p_E, p_N, n_E, n_N, m, d, b, c]`` as in :mod:`lanebound.integrity.monitoring.dead_reckoning_pl_kernel`, which
-does the same in closed form.
+``x = [p_E, p_N, n_E, n_N, m, d, b, c, w_E, w_N]`` as in :mod:`lanebound.integrity.monitoring.dead_reckoning_pl_kernel`,
+which does the same in closed form.
 """
 
 from __future__ import annotations
@@ -32,13 +32,14 @@ __all__ = [
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-STATES = 8
+STATES = 10
+X, W = slice(5, 8), slice(8, 10)  # errors of the heading filter, white part of the Doppler error
 ACCURACY_SIGMAS = 1.96  # 95 % of a normal error, S1 eq 22
 
 
 @dataclass(frozen=True)
 class Growth:
-    """Joint covariance (..., 8, 8) and accumulated biases (..., 2) in EN [m]: by heading, speed, axle, either sign."""
+    """Joint covariance (..., 10, 10), accumulated biases (..., 2) in EN [m]: by heading, speed, axle, either sign."""
 
     covariance: Array
     by_heading_m: Array
@@ -61,6 +62,7 @@ class HeadingStep:
     walk : (...,) variance of n [rad^2]
     delta_rad, dt_s : measured turn and length, ``F = [[1, -dt, -D], [0, 1, 0], [0, 0, 1]]``; 0 at rest
     correction : (3, 3) A of the filter's update at the end
+    course : (3, 2) gain times error of the course by a unit Doppler error in E and N, ``k a'``
     covariance : (3, 3) of the filter after it; None: that of F alone, for a heading without a filter
     """
 
@@ -68,6 +70,7 @@ class HeadingStep:
     delta_rad: float = 0.0
     dt_s: float = 0.0
     correction: Array = field(default_factory=lambda: np.eye(3))
+    course: Array = field(default_factory=lambda: np.zeros((3, 2)))
     covariance: Array | None = None
 
     @property
@@ -102,16 +105,21 @@ def initial_growth(
     return Growth(c, np.zeros((*lead, 2)), np.zeros((*lead, 2)), np.zeros((*lead, 2)), box)
 
 
-def _processes(growth: Growth, phi_doppler: float, phi_odometer: float, heading: HeadingStep) -> tuple[Array, Array]:
-    """Transition (..., 8, 8) and noise factor (..., 8, 4) of the error processes; the position stays."""
+def _processes(
+    growth: Growth, phi_doppler: float, white: float, phi_odometer: float, heading: HeadingStep
+) -> tuple[Array, Array]:
+    """Transition (..., 10, 10) and noise factor (..., 10, 6) of the error processes; the position stays."""
     lead = growth.covariance.shape[:-2]
-    f, n = np.zeros((*lead, STATES, STATES)), np.zeros((*lead, STATES, 4))
+    f, n = np.zeros((*lead, STATES, STATES)), np.zeros((*lead, STATES, 6))
     f[..., [0, 1], [0, 1]] = 1.0
     f[..., [2, 3, 4], [2, 3, 4]] = [phi_doppler, phi_doppler, phi_odometer]
-    f[..., 5:, 5:] = heading.correction @ heading.transition
-    n[..., [2, 3], [0, 1]] = np.sqrt(1.0 - phi_doppler**2)
+    f[..., X, X] = heading.correction @ heading.transition
+    f[..., X, 2:4] = phi_doppler * heading.course
+    n[..., [2, 3], [0, 1]] = fresh = np.sqrt(1.0 - phi_doppler**2)
     n[..., 4, 2] = np.sqrt(1.0 - phi_odometer**2)
-    n[..., 5:, 3] = np.sqrt(np.asarray(heading.walk))[..., None] * heading.correction[:, 0]
+    n[..., X, 3] = np.sqrt(np.asarray(heading.walk))[..., None] * heading.correction[:, 0]
+    n[..., X, :2], n[..., X, 4:] = fresh * heading.course, np.sqrt(white) * heading.course
+    n[..., [8, 9], [4, 5]] = np.sqrt(white)
     return f, n
 
 
@@ -123,6 +131,7 @@ def doppler_step(
     *,
     bias_mps: ArrayLike = 0.0,
     phi_doppler: float = 0.0,
+    white: float = 0.0,
     phi_odometer: float = 0.0,
     heading: HeadingStep = STRAIGHT,
     variant: Variant = Variant.EXACT,
@@ -130,14 +139,16 @@ def doppler_step(
     """``p += dt/2 (v_{t-1} + v_t)`` (S1 eq 20), or ``p += dt v_t`` without a previous velocity.
 
     ``factor`` (..., 2, 2) is the lower Cholesky factor L of this epoch's velocity covariance [m/s], ``previous_factor``
-    that of the last. ``phi = exp(-dt/tau)``. PUBLISHED grows by ``dt^2/4 (Q_{t-1} + Q_t)`` (S1 eq 21).
+    that of the last. ``phi = exp(-dt/tau)``, ``white`` the variance of the white part. PUBLISHED grows by ``dt^2/4
+    (Q_{t-1} + Q_t)`` (S1 eq 21).
     """
     now = np.asarray(factor, dtype=np.float64) * (dt_s if previous_factor is None else 0.5 * dt_s)
     before = np.zeros((2, 2)) if previous_factor is None else 0.5 * dt_s * np.asarray(previous_factor)
-    f, n = _processes(growth, phi_doppler, phi_odometer, heading)
+    f, n = _processes(growth, phi_doppler, white, phi_odometer, heading)
     if variant is Variant.EXACT:
         f[..., :2, 2:4] = before + now * phi_doppler
         n[..., :2, :2] = now * np.sqrt(1.0 - phi_doppler**2)
+        f[..., :2, W], n[..., :2, 4:] = before, now * np.sqrt(white)
     added = now @ np.swapaxes(now, -1, -2) + before @ np.swapaxes(before, -1, -2)
     covariance = _propagate(growth.covariance, f, n, added if variant is Variant.PUBLISHED else None, heading)
     box = growth.box_m + dt_s * np.asarray(bias_mps, dtype=np.float64)[..., None]
@@ -155,6 +166,7 @@ def odometer_step(
     heading_bias_rad: ArrayLike = 0.0,
     axle_bias_rad: ArrayLike = 0.0,
     phi_doppler: float = 0.0,
+    white: float = 0.0,
     phi_odometer: float = 0.0,
     heading: HeadingStep = STRAIGHT,
     variant: Variant = Variant.EXACT,
@@ -167,14 +179,14 @@ def odometer_step(
     """
     r = track_from_enu_matrix(heading_rad)
     along, across = dt_s * r[..., 0, :], dt_s * np.asarray(speed_mps, dtype=np.float64)[..., None] * r[..., 1, :]
-    f, n = _processes(growth, phi_doppler, phi_odometer, heading)
+    f, n = _processes(growth, phi_doppler, white, phi_odometer, heading)
     if variant is Variant.EXACT:
         f[..., :2, 4] = along * sigma_mps * phi_odometer
         n[..., :2, 2] = along * sigma_mps * n[..., 4, 2][..., None]
         mean = 0.5 * (np.eye(3)[0] + heading.transition[0])  # of the errors at the begin, in the mean heading
-        f[..., :2, 5:] = across[..., :, None] * mean
+        f[..., :2, X] = across[..., :, None] * mean
         n[..., :2, 3] = 0.5 * across * np.sqrt(np.asarray(heading.walk))[..., None]
-    ahead = (f[..., 5:, 5:] @ growth.covariance[..., 5:, 5:] @ np.swapaxes(f[..., 5:, 5:], -1, -2))[..., 0, 0]
+    ahead = (f[..., X, X] @ growth.covariance[..., X, X] @ np.swapaxes(f[..., X, X], -1, -2))[..., 0, 0]
     variance = (ahead + n[..., 5, 3] ** 2)[..., None, None]
     added = (
         variance * across[..., :, None] * across[..., None, :]
@@ -196,7 +208,7 @@ def _propagate(covariance: Array, f: Array, n: Array, added: Array | None, headi
     if added is not None:
         out[..., :2, :2] += added
     if heading.covariance is not None:
-        out[..., 5:, 5:] = heading.covariance
+        out[..., X, X] = heading.covariance
     return np.asarray(out)
 
 

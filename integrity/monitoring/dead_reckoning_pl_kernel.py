@@ -5,10 +5,10 @@ correlated in time, so the position error is correlated with them; these correla
 a change of source.
 
 Letters: ``p`` position error in E and N; ``L n`` error of the Doppler velocity and ``sigma m`` of the odometer's speed,
-n and m Gauss-Markov processes of variance 1; ``x = [d, b, c]`` errors of the heading filter
-(:mod:`lanebound.integrity.positioning.heading_kernel`), whose own covariance the filter holds. The covariance of p and
-x is exact: an error of the gyro's scale adds up over a circle, and a turn there and back cancels it. Only RTK resets
-the growth (:func:`reset`).
+n and m Gauss-Markov processes of variance 1, n with a white part w beside it; ``x = [d, b, c]`` errors of the heading
+filter (:mod:`lanebound.integrity.positioning.heading_kernel`), whose own covariance the filter holds. The covariance of
+p and x is exact: an error of the gyro's scale adds up over a circle, and a turn there and back cancels it. Only RTK
+resets the growth (:func:`reset`).
 
 An error of the axle distance turns the course by a known angle per metre in every epoch. Its effect on the position
 adds up with its sign and is bounded by the declared bound of that distance.
@@ -21,6 +21,7 @@ from typing import Any
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import record
+from lanebound.integrity.core.small_matrix_kernel import cholesky_2
 from lanebound.integrity.positioning.heading_kernel import TURN
 
 __all__ = ["GROWTH", "STEP", "reset", "sigma_and_bias", "step_doppler", "step_odometer", "step_still"]
@@ -44,6 +45,7 @@ GROWTH = record(
     l_ee="Cholesky factor of the covariance of the last Doppler velocity, East East [m/s]",
     l_ne="the same, North East [m/s]",
     l_nn="the same, North North [m/s]",
+    l_s="weight with which that velocity stands in the position [s]",
     have_l=("?", "the last epoch had a Doppler velocity"),
     cth_e="accumulated bias by heading, East, signed for a bias of one sign [m]",
     cth_n="the same, North [m]",
@@ -59,6 +61,7 @@ GROWTH = record(
 STEP = record(
     dt_s="length of the epoch [s]",
     phi_doppler="exp(-dt/tau) of the Doppler error, 0 for white noise",
+    white_doppler="variance of the white part w of the Doppler error",
     phi_odometer="exp(-dt/tau) of the odometer error",
     axle_bias="error of the mean heading by the bound of the axle distance, signed [rad]",
     turn=(TURN, "the errors of the heading filter"),
@@ -72,39 +75,39 @@ def reset(cov_ee: float, cov_en: float, cov_nn: float, bias_e: float, bias_n: fl
     g.p_ee, g.p_en, g.p_nn = cov_ee, cov_en, cov_nn
     g.ne_e, g.ne_n, g.nn_e, g.nn_n, g.od_e, g.od_n, g.th_e, g.th_n = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     g.gb_e, g.gb_n, g.gs_e, g.gs_n, g.axle_e, g.axle_n = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    g.l_ee, g.l_ne, g.l_nn, g.have_l = 0.0, 0.0, 0.0, False
+    g.l_ee, g.l_ne, g.l_nn, g.l_s, g.have_l = 0.0, 0.0, 0.0, 0.0, False
     g.cth_e, g.cth_n, g.cv_e, g.cv_n, g.box_e, g.box_n = 0.0, 0.0, 0.0, 0.0, bias_e, bias_n
 
 
 @jit(borrows=True)
 def remember_velocity(q_ee: float, q_en: float, q_nn: float, g: Any) -> None:
     """Store this epoch's Doppler covariance [m^2/s^2] for the next trapezoid; all zero when there was no velocity."""
-    g.have_l = q_ee > 0.0
-    g.l_ee = math.sqrt(max(q_ee, 0.0))
-    g.l_ne = q_en / g.l_ee if q_ee > 0.0 else 0.0
-    g.l_nn = math.sqrt(max(q_nn - g.l_ne * g.l_ne, 0.0))
+    g.have_l, g.l_s = q_ee > 0.0, 0.0
+    g.l_ee, g.l_ne, g.l_nn = cholesky_2(q_ee, q_en, q_nn)
 
 
 @jit(borrows=True)
 def _decay(step: Any, g: Any) -> None:
-    """One epoch of the error processes that do not move the position."""
+    """One epoch of the error processes that do not move the position; a course calibrates with ``a (n + w)``."""
+    turn = step.turn
+    a_e, a_n = step.phi_doppler * turn.course[0], step.phi_doppler * turn.course[1]
+    by_e, by_n = a_e * g.ne_e + a_n * g.ne_n, a_e * g.nn_e + a_n * g.nn_n  # Cov(p, error of the course)
     g.ne_e *= step.phi_doppler
     g.ne_n *= step.phi_doppler
     g.nn_e *= step.phi_doppler
     g.nn_n *= step.phi_doppler
     g.od_e *= step.phi_odometer
     g.od_n *= step.phi_odometer
-    turn = step.turn
     if not turn.rests:
         g.th_e -= turn.dt * g.gb_e + turn.delta * g.gs_e
         g.th_n -= turn.dt * g.gb_n + turn.delta * g.gs_n
     seen_e, seen_n = (g.gb_e, g.gb_n) if turn.rests else (g.th_e, g.th_n)
-    g.th_e -= turn.k_h * seen_e
-    g.th_n -= turn.k_h * seen_n
-    g.gb_e -= turn.k_b * seen_e
-    g.gb_n -= turn.k_b * seen_n
-    g.gs_e -= turn.k_s * seen_e
-    g.gs_n -= turn.k_s * seen_n
+    g.th_e += turn.k_h * (by_e - seen_e)
+    g.th_n += turn.k_h * (by_n - seen_n)
+    g.gb_e += turn.k_b * (by_e - seen_e)
+    g.gb_n += turn.k_b * (by_n - seen_n)
+    g.gs_e += turn.k_s * (by_e - seen_e)
+    g.gs_n += turn.k_s * (by_n - seen_n)
 
 
 @jit(borrows=True)
@@ -126,7 +129,7 @@ def step_doppler(step: Any, q_ee: float, q_en: float, q_nn: float, bias: float, 
     g : of GROWTH.
     """
     dt, phi = step.dt_s, step.phi_doppler
-    had, l_ee, l_ne, l_nn = g.have_l, g.l_ee, g.l_ne, g.l_nn
+    had, l_ee, l_ne, l_nn, weight, white = g.have_l, g.l_ee, g.l_ne, g.l_nn, g.l_s, step.white_doppler
     remember_velocity(q_ee, q_en, q_nn, g)
     now = 0.5 * dt if had else dt
     before = dt - now
@@ -142,7 +145,19 @@ def step_doppler(step: Any, q_ee: float, q_en: float, q_nn: float, bias: float, 
     g.p_ee += 2.0 * a * k_ee + k_ee * k_ee + fresh * m_ee * m_ee
     g.p_en += a * k_ne + b * k_nn + c * k_ee + k_ee * k_ne + fresh * m_ee * m_ne
     g.p_nn += 2.0 * (c * k_ne + d * k_nn) + k_ne * k_ne + k_nn * k_nn + fresh * (m_ne * m_ne + m_nn * m_nn)
+    inner, outer = white * (2.0 * weight + before) * before, white * now * now
+    g.p_ee += inner * l_ee * l_ee + outer * g.l_ee * g.l_ee
+    g.p_en += inner * l_ee * l_ne + outer * g.l_ee * g.l_ne
+    g.p_nn += inner * (l_ne * l_ne + l_nn * l_nn) + outer * (g.l_ne * g.l_ne + g.l_nn * g.l_nn)
+    g.l_s = now
     _decay(step, g)
+    x0, x1 = step.turn.before, step.turn.now
+    g.th_e += before * l_ee * x0[0, 0] + now * g.l_ee * x1[0, 0]
+    g.gb_e += before * l_ee * x0[0, 1] + now * g.l_ee * x1[0, 1]
+    g.gs_e += before * l_ee * x0[0, 2] + now * g.l_ee * x1[0, 2]
+    g.th_n += before * (l_ne * x0[0, 0] + l_nn * x0[1, 0]) + now * (g.l_ne * x1[0, 0] + g.l_nn * x1[1, 0])
+    g.gb_n += before * (l_ne * x0[0, 1] + l_nn * x0[1, 1]) + now * (g.l_ne * x1[0, 1] + g.l_nn * x1[1, 1])
+    g.gs_n += before * (l_ne * x0[0, 2] + l_nn * x0[1, 2]) + now * (g.l_ne * x1[0, 2] + g.l_nn * x1[1, 2])
     g.ne_e += phi * k_ee + fresh * m_ee
     g.nn_e += phi * k_ne + fresh * m_ne
     g.nn_n += phi * k_nn + fresh * m_nn
@@ -190,6 +205,10 @@ def step_odometer(
     g.gb_n += across_n * turn.joint_b
     g.gs_e += across_e * turn.joint_s
     g.gs_n += across_n * turn.joint_s
+    g.ne_e += across_e * turn.mean_noise[0]
+    g.ne_n += across_e * turn.mean_noise[1]
+    g.nn_e += across_n * turn.mean_noise[0]
+    g.nn_n += across_n * turn.mean_noise[1]
     g.od_e += along_e * sigma
     g.od_n += along_n * sigma
 

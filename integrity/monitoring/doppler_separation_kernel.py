@@ -14,7 +14,7 @@ too small, because ``sigma_k`` and ``K_f`` do not depend on the measurements.
 Removing row k of the velocity (design row ``[-e, 1]``, z = e less the weighted mean, w weight, ``f = 1 - h_kk``):
 ``d_k = u_k n_k``, ``u_k = -Q z_k sqrt(w_k / f_k)``, with the w-statistic ``n_k = r_k sqrt(w_k / f_k)`` of variance 1.
 The separation of one epoch does not correlate with v (least squares), so ``Q_k = Q + u_k u_k'`` and, with n_k
-Gauss-Markov as the velocity error itself, ``sigma_k^2 = sigma_0^2 + Var(D_k)``.
+Gauss-Markov with a white part as the velocity error itself, ``sigma_k^2 = sigma_0^2 + Var(D_k)``.
 """
 
 from __future__ import annotations
@@ -61,6 +61,7 @@ SEPARATION = record(
     s_nn="variance of D, North [m^2]",
     c_e="Cov(D_E, n) [m]",
     c_n="Cov(D_N, n) [m]",
+    last_s="weight with which the last velocity stands in the position [s]",
     state=("i8", "since the fix: IDLE, MONITORED or LOST"),
 )
 """The separation that one satellite has caused since an RTK fix."""
@@ -109,14 +110,16 @@ def find_influences(
 
 
 @jit(borrows=True)
-def advance_separation(dt: float, integrates: bool, had: bool, phi: float, last: Any, now: Any, s: Any) -> None:
+def advance_separation(
+    dt: float, integrates: bool, had: bool, phi: float, white: float, last: Any, now: Any, s: Any
+) -> None:
     """``D += dt/2 (d_{t-1} + d_t)`` where the position integrates Doppler, as S1 eq 20.
 
     Parameters
     ----------
     integrates : the position moved by the Doppler velocity in this epoch.
     had : the trapezoid had a velocity at its beginning; without one ``D += dt d_t``.
-    phi : ``exp(-dt/tau)`` of the velocity error.
+    phi, white : decay of the correlated part of the velocity error and variance of its white part.
     last, now : INFLUENCE of the velocities at the beginning and at the end of the epoch.
     s : SEPARATION of this satellite.
     """
@@ -131,11 +134,17 @@ def advance_separation(dt: float, integrates: bool, had: bool, phi: float, last:
         s.s_ee += 2.0 * s.c_e * k_e + k_e * k_e + fresh * m_e * m_e
         s.s_en += s.c_e * k_n + s.c_n * k_e + k_e * k_n + fresh * m_e * m_n
         s.s_nn += 2.0 * s.c_n * k_n + k_n * k_n + fresh * m_n * m_n
+        inner, outer = white * (2.0 * s.last_s + before) * before, white * part * part
+        s.s_ee += inner * last.u_e * last.u_e + outer * now.u_e * now.u_e
+        s.s_en += inner * last.u_e * last.u_n + outer * now.u_e * now.u_n
+        s.s_nn += inner * last.u_n * last.u_n + outer * now.u_n * now.u_n
+        s.last_s = part
         s.c_e = phi * (s.c_e + k_e) + fresh * m_e
         s.c_n = phi * (s.c_n + k_n) + fresh * m_n
     elif s.state > IDLE:
         s.c_e *= phi
         s.c_n *= phi
+        s.last_s = 0.0
 
 
 @jit(borrows=True)

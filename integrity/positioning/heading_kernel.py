@@ -13,8 +13,11 @@ Gauss-Markov noise with uncertain parameters", 2019, with an upper limit of the 
 two covariance functions is positive semidefinite, so the bound holds for every linear filter
 (:func:`lanebound.integrity.positioning.config.overbounding_walk`).
 
-Doppler headings carry errors correlated over a time tau, much longer than one epoch: their variance is multiplied by
-``2 tau / dt``, the white noise of equal power at low frequency, so that repeating them does not feign precision.
+Doppler headings carry errors correlated over a time that is known only within a range. In the filter a white error
+bounds them, of the power that the largest correlation time has at low frequency
+(:func:`lanebound.integrity.positioning.config.bound_correlation`), so that repeating them does not feign precision. The
+same errors move a position that integrates the Doppler velocity. ``n`` and ``w`` are the correlated and the white part
+of a unit error in E and N; their covariances with x show how far heading and position are wrong in the same sense.
 
 ``a``, the part of ``x`` that an error of the declared axle distance causes, follows the same equations without noise:
 in a turn at rate ``w`` and speed ``V`` the side slip is wrong by ``w / V`` per metre, and so is every course that
@@ -34,6 +37,7 @@ __all__ = [
     "HEADING",
     "TURN",
     "correct",
+    "correlate",
     "doppler_heading_usable",
     "doppler_heading_variance",
     "expect_turn",
@@ -56,6 +60,8 @@ HEADING = record(
     axle_h="heading error by an error of the axle distance [rad/m]",
     axle_b="bias error by it [rad/s/m]",
     axle_s="scale error by it [1/m]",
+    noise=("f8", (2, 3), "Cov(n, x) of the correlated Doppler error in E and N [rad], [rad/s], [-]"),
+    white=("f8", (2, 3), "Cov(w, x) of the white Doppler error of the last epoch"),
 )
 """State of the heading filter."""
 
@@ -71,6 +77,10 @@ TURN = record(
     k_b="gain of the bias [1/s] or [-]",
     k_s="gain of the scale [1/rad] or [s/rad]",
     axle="error of the mean heading by an error of the axle distance [rad/m]",
+    course=("f8", (2,), "error of the course that calibrates, by a unit Doppler error in E and N [rad]"),
+    mean_noise=("f8", (2,), "Cov(n of this epoch, error of the mean heading) [rad]"),
+    before=("f8", (2, 3), "Cov(n + w of the last epoch, x at the end)"),
+    now=("f8", (2, 3), "Cov(n + w of this epoch, x at the end)"),
 )
 """What an epoch does to the errors of the filter: ``x' = (I - k H)(F x)``, H the heading, or the bias at rest."""
 
@@ -121,6 +131,9 @@ def expect_turn(delta_theta: float, dt: float, arw: float, slip_rate: float, h: 
     turn.joint_h, turn.joint_b, turn.joint_s = h_j - dt * b_j - delta_theta * s_j + 0.5 * q, b_j, s_j
     turn.k_h, turn.k_b, turn.k_s = 0.0, 0.0, 0.0
     turn.axle = slip_rate + h.axle_h - half_t * h.axle_b - half_d * h.axle_s
+    for i in range(2):
+        turn.course[i] = 0.0
+        turn.mean_noise[i] = h.noise[i, 0] - half_t * h.noise[i, 1] - half_d * h.noise[i, 2]
 
 
 @jit(borrows=True)
@@ -157,6 +170,34 @@ def observe(gains: tuple[float, float, float], rests: bool, axle: float, h: Any,
     h.axle_h += gains[0] * off
     h.axle_b += gains[1] * off
     h.axle_s += gains[2] * off
+
+
+@jit(borrows=True)
+def correlate(decay: float, white: float, h: Any, turn: Any) -> None:
+    """Advance the covariances of the Doppler errors with x by an epoch, after its correction.
+
+    ``Cov(n', x') = decay Cov(n, x) T' + a k'`` with ``T = (I - k H) F`` and a the part of a unit error in the course
+    that calibrates; ``Cov(w', x') = white a k'``.
+    """
+    for i in range(2):
+        a = turn.course[i]
+        turn.mean_noise[i] *= decay
+        turn.joint_h += turn.k_h * a * turn.mean_noise[i]
+        turn.joint_b += turn.k_b * a * turn.mean_noise[i]
+        turn.joint_s += turn.k_s * a * turn.mean_noise[i]
+        seen = 0.0
+        for part in (h.noise[i], h.white[i]):
+            if not turn.rests:
+                part[0] -= turn.dt * part[1] + turn.delta * part[2]
+            seen = part[1] if turn.rests else part[0]
+            part[0] -= turn.k_h * seen
+            part[1] -= turn.k_b * seen
+            part[2] -= turn.k_s * seen
+        for j, k in enumerate((turn.k_h, turn.k_b, turn.k_s)):
+            turn.before[i, j] = h.noise[i, j] + h.white[i, j] + decay * a * k
+            h.noise[i, j] = decay * h.noise[i, j] + a * k
+            h.white[i, j] = white * a * k
+            turn.now[i, j] = h.noise[i, j] + h.white[i, j]
 
 
 @jit(borrows=True)

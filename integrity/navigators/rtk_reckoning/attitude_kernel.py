@@ -6,9 +6,11 @@ import math
 from typing import Any
 
 from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.small_matrix_kernel import cholesky_2
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
 from lanebound.integrity.positioning.heading_kernel import (
     correct,
+    correlate,
     doppler_heading_usable,
     doppler_heading_variance,
     expect_turn,
@@ -47,7 +49,9 @@ def find_attitude(first: int, last: int, epoch: Epoch) -> None:
         w.sin_h, w.cos_h = math.sin(heading.angle), math.cos(heading.angle)
         step = w.step
         step.dt_s, step.axle_bias = par.dt, par.lever.axle_bound * step.turn.axle
-        step.phi_doppler, step.phi_odometer = math.exp(-par.dt / par.doppler.tau), math.exp(-par.dt / par.odometer.tau)
+        step.phi_doppler, step.phi_odometer = par.doppler.decay, math.exp(-par.dt / par.odometer.tau)
+        step.white_doppler = par.doppler.white
+        correlate(par.doppler.decay, par.doppler.white, heading, step.turn)
         w.measured = doppler_usable(w.checked, w.v_gnss, speed, w.hdop_doppler, par.modes)
 
 
@@ -122,6 +126,10 @@ def _calibrate(vehicle: Any, par: Any, speed: float, slip_rate: float, w: Any) -
             raise_uncertainty(jump, par.heading.bias_initial, par.heading.gyro_scale, heading)
         return False
     vehicle.course_refused_s = 0.0
-    variance *= max(1.0, 2.0 * par.doppler.tau / par.dt)
+    variance *= par.doppler.course
+    turn, signed = w.step.turn, math.copysign(magnitude, speed)
+    right_e, right_n = math.cos(course) / signed, -math.sin(course) / signed
+    l_ee, l_ne, l_nn = cholesky_2(w.q[0, 0], w.q[0, 1], w.q[1, 1])
+    turn.course[0], turn.course[1] = right_e * l_ee + right_n * l_ne, right_n * l_nn
     observe(correct(jump, 1.0, 0.0, variance, heading), False, -slip_rate, heading, w.step.turn)
     return True

@@ -128,7 +128,7 @@ def restart(
 @jit(borrows=True)
 def clear_separation(s: Any) -> None:
     """No separation since the fix."""
-    s.d_e, s.d_n, s.s_ee, s.s_en, s.s_nn, s.c_e, s.c_n, s.state = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, IDLE
+    s.d_e, s.d_n, s.s_ee, s.s_en, s.s_nn, s.c_e, s.c_n, s.last_s, s.state = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, IDLE
 
 
 @jit(borrows=True)

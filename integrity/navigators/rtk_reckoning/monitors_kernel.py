@@ -38,14 +38,14 @@ CONFLICT_LIMIT_S = 0.5  # of contradiction between Doppler and odometer
 def separate_doppler(first: int, last: int, epoch: Epoch) -> None:
     """Advance the separations of both dead reckonings; this epoch's influences are then the last ones."""
     par, state, vehicles = epoch.parameters[0], epoch.state, epoch.work.vehicles
-    phi = math.exp(-par.dt / par.doppler.tau)
+    phi, white = par.doppler.decay, par.doppler.white
     for v in range(first, last):
         vehicle, w, influences = state.vehicles[v], vehicles[v], state.influences[v]
         for reckoning in range(state.separations.shape[1]):
             separations = state.separations[v, reckoning]
             for k in range(separations.shape[0]):
                 before, now = influences[0, k], influences[1, k]
-                advance_separation(par.dt, w.integrates, vehicle.has_velocity, phi, before, now, separations[k])
+                advance_separation(par.dt, w.integrates, vehicle.has_velocity, phi, white, before, now, separations[k])
         for k in range(influences.shape[1]):
             before, now = influences[0, k], influences[1, k]
             before.u_e = now.u_e if w.measured else 0.0

@@ -118,7 +118,7 @@ class RtkReckoningNavigator(Navigator):
 def give_heading(heading: Records, angle_rad: Array, sigma_rad: float) -> None:
     """Set heading filters (n,) to a heading (n,) and its 1-sigma; what they know of the gyro stays."""
     heading["angle"], heading["p_hh"] = angle_rad, sigma_rad**2
-    for name in ("p_hb", "p_hs", "axle_h", "axle_b", "axle_s"):
+    for name in ("p_hb", "p_hs", "axle_h", "axle_b", "axle_s", "noise", "white"):
         heading[name] = 0.0
 
 

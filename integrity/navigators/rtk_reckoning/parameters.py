@@ -15,6 +15,7 @@ from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm
 from lanebound.integrity.navigators.navigator import LevelForm, PlCase
 from lanebound.integrity.navigators.rtk_reckoning import records_kernel as rk
 from lanebound.integrity.positioning.config import (
+    bound_correlation,
     calibration_parameters,
     mode_parameters,
     rtk_parameters,
@@ -40,6 +41,7 @@ def epoch_parameters(c: RtkReckoningConfig) -> Records:
     of_lever = LEVER_RISK_SHARE * smallest if any(p.lever_arm_m) else 0.0
     share = min(c.risk.at_share, 1.0 - c.risk.at_share)
     d, h, o = p.doppler, p.heading, p.dead_reckoning
+    correlation = bound_correlation(*d.tau_range_s, c.dt_s)
     return one_record(
         rk.PARAMETERS,
         dt=c.dt_s,
@@ -49,7 +51,9 @@ def epoch_parameters(c: RtkReckoningConfig) -> Records:
         doppler=one_record(
             rk.DOPPLER_RULES,
             sigma=d.sigma_mps,
-            tau=d.tau_s,
+            decay=correlation.decay,
+            white=correlation.white,
+            course=correlation.course,
             bias=d.bias_mps,
             sin_mask=np.sin(np.deg2rad(d.elevation_mask_deg)),
             cn0_min=d.cn0_min_dbhz,

@@ -47,7 +47,9 @@ MULTI_HYPOTHESIS, CLOSED, PUBLISHED = 0, 1, 2  # forms of a protection level
 
 DOPPLER_RULES = record(
     sigma="range rate, zenith [m/s]",
-    tau="correlation time of the velocity error [s]",
+    decay="of the correlated part of a unit error over an epoch [-]",
+    white="variance of the white part of it [-]",
+    course="variance of a white error that bounds both [-]",
     bias="bound of a constant velocity bias in E and in N [m/s]",
     sin_mask="sine of the lowest elevation used",
     cn0_min="lowest C/N0 used [dB-Hz]",

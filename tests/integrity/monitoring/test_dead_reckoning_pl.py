@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,13 +30,15 @@ DT = 0.1
 PHI_D, PHI_O = float(np.exp(-DT / 0.54)), float(np.exp(-DT / 1.0))
 FACTOR = np.array([[0.10, 0.0], [0.03, 0.08]])  # Cholesky factor of the Doppler velocity covariance [m/s]
 SIGMA_ODOMETER = 0.05  # m/s
+WHITE = 3.0  # variance of the white part of the Doppler error
 ARW, BIAS_WALK, COURSE_SIGMA = 6e-3, 2e-4, 0.02  # rad/sqrt(s), rad/s/sqrt(s), rad
+COURSE = np.array([0.006, -0.003])  # error of the course by a unit Doppler error in E and N [rad]
 HEADING_P = np.diag([1e-4, 4e-6, 1e-4])  # of heading [rad^2], gyro bias and scale at the fix
 
 
 def start() -> Growth:
     growth = initial_growth(np.diag([1e-4, 2e-4]), [0.01, 0.02], 0.0)
-    growth.covariance[5:, 5:] = HEADING_P
+    growth.covariance[5:8, 5:8] = HEADING_P
     return growth
 
 
@@ -62,7 +65,7 @@ def blank() -> Any:
 def blank_step() -> Any:
     """An epoch without a turn, in the kernel."""
     step = np.zeros(1, dk.STEP)[0]
-    step["dt_s"], step["phi_doppler"], step["phi_odometer"] = DT, PHI_D, PHI_O
+    step["dt_s"], step["phi_doppler"], step["phi_odometer"], step["white_doppler"] = DT, PHI_D, PHI_O, WHITE
     return step
 
 
@@ -85,25 +88,33 @@ def covariance_of_filter(h: Any) -> np.ndarray:
     return np.array([[h[name] for name in row] for row in rows])
 
 
-def step_of(epoch: int, h: Any) -> tuple[Any, HeadingStep]:
+def step_of(epoch: int, h: Any, bias_walk: float = BIAS_WALK) -> tuple[Any, HeadingStep]:
     """What an epoch does to the error processes, in the kernel and in the reference; the filter advances."""
     step = blank_step()
     hk.expect_turn(turn_at(epoch), DT, ARW, 0.0, h, step["turn"])
-    hk.predict_heading(turn_at(epoch), DT, ARW, BIAS_WALK, h)
+    hk.predict_heading(turn_at(epoch), DT, ARW, bias_walk, h)
     gains = np.zeros(3)
     if calibrates(epoch):
         gains = hk.correct(0.0, 1.0, 0.0, COURSE_SIGMA**2, h)
         hk.observe(gains, False, 0.0, h, step["turn"])
+        step["turn"]["course"][:] = COURSE
+    hk.correlate(PHI_D, WHITE, h, step["turn"])
     correction = np.eye(3) - np.outer(gains, [1.0, 0.0, 0.0])
-    return step, HeadingStep(ARW**2 * DT, turn_at(epoch), DT, correction, covariance_of_filter(h))
+    course = np.outer(gains, COURSE)
+    return step, HeadingStep(ARW**2 * DT, turn_at(epoch), DT, correction, course, covariance_of_filter(h))
 
 
-def drive(sources: str) -> tuple[Growth, Any]:
-    """One letter for each epoch, d or o, in the reference and in the kernel."""
+def drive(sources: str, bias_walk: float = BIAS_WALK) -> tuple[Growth, Any]:
+    """One letter for each epoch, d or o, in the reference and in the kernel.
+
+    Without a walk of the bias the reference has the covariance of the heading errors themselves, not that of the
+    filter, which bounds the course as white.
+    """
     growth, g, before, h = start(), blank(), None, heading_filter()
     for epoch, source in enumerate(sources):
-        step, heading = step_of(epoch, h)
-        common = {"phi_doppler": PHI_D, "phi_odometer": PHI_O, "heading": heading}
+        step, heading = step_of(epoch, h, bias_walk)
+        heading = heading if bias_walk else replace(heading, covariance=None)
+        common = {"phi_doppler": PHI_D, "white": WHITE, "phi_odometer": PHI_O, "heading": heading}
         t, v = heading_at(epoch), speed_at(epoch)
         if source == "d":
             now = FACTOR * (1.0 + 0.1 * (epoch % 3))
@@ -133,22 +144,23 @@ def simulate(sources: str, draws: int) -> np.ndarray:
         rng.normal(size=(draws, 3)) * np.sqrt(np.diag(HEADING_P)),
     )
     before: np.ndarray | None = None
-    h = heading_filter()
+    h, w = heading_filter(), np.zeros((draws, 2))
     for epoch, source in enumerate(sources):
-        last_n, last_d = n, x[:, 0]
-        _, heading = step_of(epoch, h)
+        last_n, last_d = n + w, x[:, 0]
+        _, heading = step_of(epoch, h, 0.0)
         n = PHI_D * n + np.sqrt(1.0 - PHI_D**2) * rng.normal(size=(draws, 2))
+        w = np.sqrt(WHITE) * rng.normal(size=(draws, 2))
         m = PHI_O * m + np.sqrt(1.0 - PHI_O**2) * rng.normal(size=draws)
         x = x @ heading.transition.T
         x[:, 0] += ARW * np.sqrt(DT) * rng.normal(size=draws)
-        x[:, 1] += BIAS_WALK * np.sqrt(DT) * rng.normal(size=draws)
         d = x[:, 0]
         if calibrates(epoch):
-            gains = np.eye(3)[:, 0] - heading.correction[:, 0]
-            x = x @ heading.correction.T + COURSE_SIGMA * rng.normal(size=draws)[:, None] * gains
+            x = x @ heading.correction.T + (n + w) @ heading.course.T
         if source == "d":
             now = FACTOR * (1.0 + 0.1 * (epoch % 3))
-            error = error + (DT * n @ now.T if before is None else 0.5 * DT * (last_n @ before.T + n @ now.T))
+            error = error + (
+                DT * (n + w) @ now.T if before is None else 0.5 * DT * (last_n @ before.T + (n + w) @ now.T)
+            )
             before = now
         else:
             t, v = heading_at(epoch), speed_at(epoch)
@@ -184,7 +196,9 @@ def test_kernel_equals_reference(sources: str) -> None:
 def test_covariance_is_that_of_simulated_errors(sources: str) -> None:
     """Variances of 40,000 whitened errors in both directions; fails by chance once in 1000 runs for each case."""
     draws = 40_000
-    white = np.linalg.solve(np.linalg.cholesky(drive(sources)[0].position_covariance_m2), simulate(sources, draws).T)
+    white = np.linalg.solve(
+        np.linalg.cholesky(drive(sources, 0.0)[0].position_covariance_m2), simulate(sources, draws).T
+    )
     low, high = chi2.ppf([2.5e-4, 1.0 - 2.5e-4], df=draws)
     assert ((low < (white**2).sum(-1)) & ((white**2).sum(-1) < high)).all()
     assert abs(np.corrcoef(white)[0, 1]) < norm.isf(2.5e-4) / np.sqrt(draws)
@@ -279,7 +293,7 @@ def test_a_stop_freezes_the_error_and_a_fix_clears_it() -> None:
 def test_published_levels_by_hand() -> None:
     """S1 eq 18: K_md = Qinv(risk) unsplit, bias by the signed sum."""
     growth = Growth(
-        np.diag([0.04, 0.09, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0]), np.zeros(2), np.array([0.3, 0.4]), *np.zeros((2, 2))
+        np.diag([0.04, 0.09, 1.0, 1.0, 1.0, *np.zeros(5)]), np.zeros(2), np.array([0.3, 0.4]), *np.zeros((2, 2))
     )
     levels = protection_levels(growth, np.pi / 6, RiskConfig(variant=Variant.PUBLISHED), [1e-5])[0]
     sine, cosine = 0.5, np.sqrt(0.75)
@@ -296,6 +310,25 @@ def test_accuracy_test() -> None:
     """1.96 sigma < T_acc (S1 eq 22)."""
     assert accurate([0.1, 0.102, 0.0], 0.2).tolist() == [True, True, True]
     assert not accurate(0.1021, 0.2)
+
+
+@pytest.mark.parametrize("sources", SOURCES)
+def test_the_filters_covariance_bounds_the_position_after_correlated_courses(sources: str) -> None:
+    """The white error that bounds a course gives the larger position covariance, whatever moves the position."""
+    h = heading_filter()
+    exact = inflated = start()
+    for epoch, source in enumerate(sources):
+        _, heading = step_of(epoch, h, 0.0)
+        step = {"phi_doppler": PHI_D, "white": WHITE, "phi_odometer": PHI_O}
+        exact, inflated = (
+            doppler_step(growth, DT, None, FACTOR, heading=way, **step)
+            if source == "d"
+            else odometer_step(growth, DT, 10.0, 0.3, sigma_mps=0.05, heading=way, **step)
+            for growth, way in ((exact, replace(heading, covariance=None)), (inflated, heading))
+        )
+    more = inflated.position_covariance_m2 - exact.position_covariance_m2
+    assert np.linalg.eigvalsh(more).min() > -1e-12
+    assert sources[0] == "d" or np.trace(more) > 0.0
 
 
 @settings(max_examples=25, deadline=None)

@@ -11,7 +11,7 @@ from lanebound.integrity.core.records import record
 from lanebound.integrity.monitoring import doppler_separation_kernel as dk
 
 Array = NDArray[np.float64]
-DT, PHI = 0.1, float(np.exp(-0.1 / 0.54))
+DT, PHI, WHITE = 0.1, float(np.exp(-0.1 / 0.54)), 0.5
 SATELLITES = np.zeros(7, record(prior="[-]", system=("i8", "")))
 SATELLITES["prior"] = [1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-4, 1e-4]
 SATELLITES["system"] = [0, 0, 0, 0, 0, 2, 2]
@@ -48,7 +48,7 @@ class _Monitor:
 
     def advance(self, integrates: bool) -> None:
         for k in range(7):
-            dk.advance_separation(DT, integrates, self.had, PHI, self.last[k], self.now[k], self.separations[k])
+            dk.advance_separation(DT, integrates, self.had, PHI, WHITE, self.last[k], self.now[k], self.separations[k])
         self.last, self.had = self.now.copy(), True
 
 
@@ -91,14 +91,15 @@ def test_covariance_without_a_satellite_is_the_fault_free_one_and_that_of_the_se
 
 
 def test_covariance_is_that_of_simulated_separations() -> None:
-    """1500 drives of 40 epochs with Gauss-Markov errors; fails by chance once in 1000 runs."""
+    """1500 drives of 40 epochs with Gauss-Markov and white errors; fails by chance once in 1000 runs."""
     rng, drives = np.random.default_rng(2), 1500
     los, variance = _sky()
     error = rng.normal(size=(drives, 7))
     monitors = [_Monitor() for _ in range(drives)]
     for _ in range(40):
         error = PHI * error + np.sqrt(1.0 - PHI**2) * rng.normal(size=(drives, 7))
-        for a, y in zip(monitors, np.sqrt(variance) * error, strict=True):
+        both = error + np.sqrt(WHITE) * rng.normal(size=error.shape)
+        for a, y in zip(monitors, np.sqrt(variance) * both, strict=True):
             a.step(los, ALL, variance, y, *_velocity(los, variance, y, ALL))
     states = np.stack([a.separations for a in monitors])
     low, high = chi2.ppf([0.5e-3 / 14, 1.0 - 0.5e-3 / 14], df=drives)

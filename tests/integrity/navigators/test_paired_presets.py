@@ -22,7 +22,7 @@ from lanebound.integrity.sky.visibility import Path, SkyMask
 Array = NDArray[np.float64]
 DT_S, MPS, GRADES = 0.1, 12.0, ("consumer", "automotive", "tactical")
 OPEN_S, TUNNEL_S, VEHICLES = 60.0, 60.0, 300
-SHOWN_M = {"consumer": [5.3, 14.0], "automotive": [4.4, 11.0], "tactical": [3.2, 7.3]}
+SHOWN_M = {"consumer": [14.5, 37.3], "automotive": [14.0, 35.6], "tactical": [6.2, 12.9]}
 """Median levels after 30 and 60 s in the tunnel, as docs/navigation.md shows them."""
 
 
