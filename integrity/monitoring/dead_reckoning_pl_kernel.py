@@ -51,6 +51,15 @@ GROWTH = record(
     cth_n="the same, North [m]",
     cv_e="accumulated bias by odometer speed, East, signed [m]",
     cv_n="the same, North [m]",
+    f_ee="variance of the part of the separations that the heading caused, East [m^2]",
+    f_en="covariance of it, East and North [m^2]",
+    f_nn="variance of it, North [m^2]",
+    fh_e="Cov(that part, h), East [m rad]",
+    fh_n="the same, North [m rad]",
+    fb_e="Cov(that part, b), East [m rad/s]",
+    fb_n="the same, North [m rad/s]",
+    fs_e="Cov(that part, s), East [m]",
+    fs_n="the same, North [m]",
     axle_e="bound of the accumulated bias by the axle distance, East, signed [m]",
     axle_n="the same, North [m]",
     box_e="accumulated bias of either sign, East: Doppler, and that of the last RTK fix [m]",
@@ -75,6 +84,8 @@ def reset(cov_ee: float, cov_en: float, cov_nn: float, bias_e: float, bias_n: fl
     g.p_ee, g.p_en, g.p_nn = cov_ee, cov_en, cov_nn
     g.ne_e, g.ne_n, g.nn_e, g.nn_n, g.od_e, g.od_n, g.th_e, g.th_n = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     g.gb_e, g.gb_n, g.gs_e, g.gs_n, g.axle_e, g.axle_n = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    g.f_ee, g.f_en, g.f_nn = 0.0, 0.0, 0.0
+    g.fh_e, g.fh_n, g.fb_e, g.fb_n, g.fs_e, g.fs_n = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     g.l_ee, g.l_ne, g.l_nn, g.l_s, g.have_l = 0.0, 0.0, 0.0, 0.0, False
     g.cth_e, g.cth_n, g.cv_e, g.cv_n, g.box_e, g.box_n = 0.0, 0.0, 0.0, 0.0, bias_e, bias_n
 

@@ -77,6 +77,7 @@ TURN = record(
     k_b="gain of the bias [1/s] or [-]",
     k_s="gain of the scale [1/rad] or [s/rad]",
     axle="error of the mean heading by an error of the axle distance [rad/m]",
+    right=("f8", (2,), "error of the course that calibrates, by a velocity error in E and N [rad s/m]"),
     course=("f8", (2,), "error of the course that calibrates, by a unit Doppler error in E and N [rad]"),
     mean_noise=("f8", (2,), "Cov(n of this epoch, error of the mean heading) [rad]"),
     before=("f8", (2, 3), "Cov(n + w of the last epoch, x at the end)"),
@@ -132,7 +133,7 @@ def expect_turn(delta_theta: float, dt: float, arw: float, slip_rate: float, h: 
     turn.k_h, turn.k_b, turn.k_s = 0.0, 0.0, 0.0
     turn.axle = slip_rate + h.axle_h - half_t * h.axle_b - half_d * h.axle_s
     for i in range(2):
-        turn.course[i] = 0.0
+        turn.course[i], turn.right[i] = 0.0, 0.0
         turn.mean_noise[i] = h.noise[i, 0] - half_t * h.noise[i, 1] - half_d * h.noise[i, 2]
 
 

@@ -44,8 +44,10 @@ def find_attitude(first: int, last: int, epoch: Epoch) -> None:
         slip_rate = w.turning / (speed * math.cos(w.slip)) if abs(speed) > MOVING_MPS else 0.0
         expect_turn(measured.turn[v, 2], par.dt, par.heading.angle_random_walk, slip_rate, heading, w.step.turn)
         w.middle = wrap(_advance_heading(heading, par, measured.turn[v, 2], w) + w.slip)
-        if w.solved and not w.resting and not w.suspect and _calibrate(vehicle, par, speed, slip_rate, w):
+        vehicle.memory_s += par.dt
+        if w.checked and not w.resting and _calibrate(vehicle, par, speed, slip_rate, w):
             vehicle.since_calibration = 0.0
+            vehicle.memory_s *= 1.0 - w.step.turn.k_h
         w.sin_h, w.cos_h = math.sin(heading.angle), math.cos(heading.angle)
         step = w.step
         step.dt_s, step.axle_bias = par.dt, par.lever.axle_bound * step.turn.axle
@@ -104,7 +106,7 @@ def _advance_heading(heading: Any, par: Any, delta_theta: float, w: Any) -> floa
 
 @jit(borrows=True)
 def _calibrate(vehicle: Any, par: Any, speed: float, slip_rate: float, w: Any) -> bool:
-    """Calibrate heading and gyro bias by the Doppler course where S1 table 1 allows it; True when done.
+    """Calibrate the heading filter by the checked Doppler course where S1 table 1 allows it; True when done.
 
     The limit of the jump is widened to 3 sigma while the filter itself is less certain than the limit. Courses refused
     for REACQUIRE_S for their jump alone show that the filter is wrong: its variance is raised to accept a new heading.
@@ -129,6 +131,7 @@ def _calibrate(vehicle: Any, par: Any, speed: float, slip_rate: float, w: Any) -
     variance *= par.doppler.course
     turn, signed = w.step.turn, math.copysign(magnitude, speed)
     right_e, right_n = math.cos(course) / signed, -math.sin(course) / signed
+    turn.right[0], turn.right[1] = right_e, right_n
     l_ee, l_ne, l_nn = cholesky_2(w.q[0, 0], w.q[0, 1], w.q[1, 1])
     turn.course[0], turn.course[1] = right_e * l_ee + right_n * l_ne, right_n * l_nn
     observe(correct(jump, 1.0, 0.0, variance, heading), False, -slip_rate, heading, w.step.turn)

@@ -12,7 +12,7 @@ from lanebound.integrity.monitoring.alerts import alert_parameters
 from lanebound.integrity.monitoring.detection_kernel import Thresholds
 from lanebound.integrity.monitoring.exclusion import fde_parameters, fde_thresholds
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor, upper_quantile
-from lanebound.integrity.navigators.navigator import LevelForm, PlCase
+from lanebound.integrity.navigators.navigator import LevelForm, PlCase, Start
 from lanebound.integrity.navigators.rtk_reckoning import records_kernel as rk
 from lanebound.integrity.positioning.config import (
     bound_correlation,
@@ -32,6 +32,7 @@ __all__ = ["LEVER_RISK_SHARE", "epoch_parameters", "epoch_tables", "satellite_ta
 
 Array = NDArray[np.float64]
 
+SPENDABLE_SHARE = 0.005  # of the risk, for the fault of a system whose separation would make a level useless
 LEVER_RISK_SHARE = 0.01  # of the smallest risk, for the heading that turns the lever arm
 
 
@@ -45,6 +46,7 @@ def epoch_parameters(c: RtkReckoningConfig) -> Records:
     return one_record(
         rk.PARAMETERS,
         dt=c.dt_s,
+        cold=c.start is Start.COLD,
         confirm=p.rtk.confirm_s,
         rtk=rtk_parameters(p.rtk, len(c.gnss.bands), smallest),
         slips=slip_parameters(p.slips),
@@ -114,6 +116,8 @@ def risk_parameters(risk: RiskConfig, of_lever: float, reference_bias_m: float) 
         published=risk.variant is Variant.PUBLISHED,
         satellite_prior=satellite,
         constellation_prior=constellation,
+        doppler_constellation_prior=risk.doppler_priors(),
+        spendable=SPENDABLE_SHARE * risk.integrity_risk,
     )
 
 
