@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.navigators.navigator import Start
 
 __all__ = ["NavigationConfig", "Source"]
 
@@ -36,6 +37,11 @@ class NavigationConfig(Config):
     rate_hz: float = Field(10.0, gt=0, le=20, description="navigation epochs in a second; must divide simulation_hz")
     offset_at_m: float = Field(0.0, ge=-50, le=50, description="error along the track, forward, for source offset")
     offset_ct_m: float = Field(0.0, ge=-50, le=50, description="error across the track, to the right, for offset")
+    start: Start = Field(
+        Start.TOLD,
+        description="told: the ego knows its pose at the start; cold: it does not, and has no level before its heading "
+        "is known",
+    )
     start_sigma_m: float = Field(0.05, gt=0, le=10, description="1-sigma of the position known at the start; chosen")
     start_heading_deg: float = Field(0.5, gt=0, le=45, description="1-sigma of the heading known at the start; chosen")
     warm_up_s: float = Field(

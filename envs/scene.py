@@ -63,7 +63,11 @@ def _navigator_config(text: str, level: str, limits_m: tuple[float, float]) -> N
     base = (
         SkyLevel.from_json(level)
         .navigator()
-        .replace(dt_s=1.0 / config.navigation.rate_hz, positioning={"axle_m": 0.5 * Vehicle.LENGTH})
+        .replace(
+            dt_s=1.0 / config.navigation.rate_hz,
+            start=config.navigation.start,
+            positioning={"axle_m": 0.5 * Vehicle.LENGTH},
+        )
     )
     given = base.replace(**config.navigator)
     limits = [max(limit - map_bound_m(config, given), 0.01) for limit in limits_m]

@@ -30,7 +30,7 @@ from lanebound.integrity.core.frames import GRAVITY_MPS2
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.motion.truth import Truth
-from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig
+from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig, Start
 from lanebound.integrity.navigators.solution import Solution
 
 __all__ = ["HEARD_S", "Approach", "NavigationBatch", "Starts", "draw_starts", "fixes_of"]
@@ -226,7 +226,9 @@ class NavigationBatch:
         begin_motion(
             0, rows.size, rows, cars, self.lanes, self.where, self.step_s, before_s, motions, end, ahead, truth
         )
-        begin, present = motions["position"].copy(), np.flatnonzero(_present(rows, cars, self.vehicles))
+        begin, known = motions["position"].copy(), _present(rows, cars, self.vehicles)
+        known[:, 0] &= self.config.start is Start.TOLD  # the others have driven before
+        present = np.flatnonzero(known)
         heading, noise = motions["heading_rad"].ravel()[present], starts.noise.reshape(-1, 3)[present]
         place_all(navigator, self.config, begin.reshape(-1, 2)[present], heading, noise, present)
         sky, index = self.skies.empty(rows.size), np.where(self._there[rows], every[:, None], rows.size).ravel()

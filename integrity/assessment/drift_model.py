@@ -16,6 +16,7 @@ from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.monitoring.dead_reckoning_pl import (
     Growth,
+    HeadingStep,
     doppler_step,
     initial_growth,
     odometer_step,
@@ -111,16 +112,16 @@ class _Errors:
         """Covariance and biases of the levels after one more epoch; called before :meth:`step`."""
         c = self.config
         phi = {"phi_doppler": self._phi_d, "phi_odometer": self._phi_o}
-        ahead = self.heading_variance + self._walk
         if outage.source == "doppler":
             factor = c.doppler_sigma_mps * np.eye(2)
             return doppler_step(
                 growth, c.dt_s, None if self._first else factor, factor, bias_mps=c.doppler_bias_mps,
-                heading_variance=ahead, variant=variant, **phi,
+                heading=HeadingStep(self._walk), variant=variant, **phi,
             )  # fmt: skip
         return odometer_step(
             growth, c.dt_s, outage.speed_mps, heading_rad, sigma_mps=c.odometer_sigma_mps,
-            bias_mps=c.odometer_bias_mps, heading_bias_rad=np.deg2rad(c.heading_bias_deg), heading_variance=ahead,
+            bias_mps=c.odometer_bias_mps, heading_bias_rad=np.deg2rad(c.heading_bias_deg),
+            heading=HeadingStep(self._walk),
             variant=variant, **phi,
         )  # fmt: skip
 
@@ -131,7 +132,6 @@ class _Errors:
         self._velocity = self._phi_d * before + np.sqrt(1.0 - self._phi_d**2) * self._draw(n, 2)
         self._speed = self._phi_o * self._speed + np.sqrt(1.0 - self._phi_o**2) * self._draw(n, 1)[:, 0]
         self._heading = heading_before + np.sqrt(self._walk) * self._draw(n, 1)[:, 0]
-        self.heading_variance += self._walk
         if outage.source == "doppler":
             mean = self._velocity if self._first else 0.5 * (before + self._velocity)
             self.position = self.position + c.dt_s * (c.doppler_sigma_mps * mean + self._bias_en)

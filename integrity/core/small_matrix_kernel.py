@@ -9,12 +9,22 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
 
-__all__ = ["MAX_GROUPS", "hdop_of", "invert_3x3", "invert_upper", "multiply_3"]
+__all__ = ["MAX_GROUPS", "cholesky_2", "hdop_of", "invert_3x3", "invert_upper", "multiply_3"]
 
 Array = NDArray[np.float64]
 
 MAX_GROUPS = 8  # clocks of a receiver
 SINGULAR_BELOW = 1e-12  # limit of the determinant after scaling to a unit diagonal, and of the ratio in the diagonal
+
+
+@jit(borrows=True)
+def cholesky_2(a: float, b: float, c: float) -> tuple[float, float, float]:
+    """``l_11, l_21, l_22`` of [[a, b], [b, c]] = L L'; zeros where a is not positive."""
+    if not a > 0.0:
+        return 0.0, 0.0, math.sqrt(max(c, 0.0))
+    first = math.sqrt(a)
+    second = b / first
+    return first, second, math.sqrt(max(c - second * second, 0.0))
 
 
 @jit

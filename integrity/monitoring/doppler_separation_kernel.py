@@ -11,10 +11,13 @@ No test is needed, and no detection threshold accumulates: a persistent drift sh
 exceeds the noise of the integral, long before it would show in one epoch. Noise makes ``D_k`` larger, never the bound
 too small, because ``sigma_k`` and ``K_f`` do not depend on the measurements.
 
+A whole system g is left out in the same way. Its separation ``d_g = v - v_g`` has the covariance ``Q_g - Q = L L'`` of
+rank 2 in E and N.
+
 Removing row k of the velocity (design row ``[-e, 1]``, z = e less the weighted mean, w weight, ``f = 1 - h_kk``):
 ``d_k = u_k n_k``, ``u_k = -Q z_k sqrt(w_k / f_k)``, with the w-statistic ``n_k = r_k sqrt(w_k / f_k)`` of variance 1.
 The separation of one epoch does not correlate with v (least squares), so ``Q_k = Q + u_k u_k'`` and, with n_k
-Gauss-Markov as the velocity error itself, ``sigma_k^2 = sigma_0^2 + Var(D_k)``.
+Gauss-Markov with a white part as the velocity error itself, ``sigma_k^2 = sigma_0^2 + Var(D_k)``.
 """
 
 from __future__ import annotations
@@ -27,15 +30,20 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
+from lanebound.integrity.core.small_matrix_kernel import cholesky_2, invert_upper
 from lanebound.integrity.monitoring.protection_kernel import q_inverse
 
 __all__ = [
     "AFFORDABLE",
     "INFLUENCE",
     "SEPARATION",
+    "SYSTEM_INFLUENCE",
+    "SYSTEM_SEPARATION",
     "advance_separation",
+    "advance_system",
     "exposure",
     "find_influences",
+    "find_system_influences",
     "risk_factors",
     "worst_separation",
 ]
@@ -61,10 +69,37 @@ SEPARATION = record(
     s_nn="variance of D, North [m^2]",
     c_e="Cov(D_E, n) [m]",
     c_n="Cov(D_N, n) [m]",
+    last_s="weight with which the last velocity stands in the position [s]",
     state=("i8", "since the fix: IDLE, MONITORED or LOST"),
 )
 """The separation that one satellite has caused since an RTK fix."""
 
+SYSTEM_INFLUENCE = record(
+    d_e="d, velocity less that without the system, East [m/s]",
+    d_n="d, North [m/s]",
+    l_ee="Cholesky factor of its covariance, East East [m/s]",
+    l_ne="the same, North East [m/s]",
+    l_nn="the same, North North [m/s]",
+    state=("i8", "IDLE, MONITORED or LOST"),
+)
+"""What one system does to the velocity of one epoch; zeros where there was no velocity or it was not used."""
+
+SYSTEM_SEPARATION = record(
+    d_e="D, separation of the positions since the fix, East [m]",
+    d_n="D, North [m]",
+    s_ee="variance of D, East [m^2]",
+    s_en="covariance of D, East and North [m^2]",
+    s_nn="variance of D, North [m^2]",
+    ne_e="Cov(D_E, n_E) with the unit error of d [m]",
+    ne_n="Cov(D_E, n_N) [m]",
+    nn_e="Cov(D_N, n_E) [m]",
+    nn_n="Cov(D_N, n_N) [m]",
+    last_s="weight with which the last velocity stands in the position [s]",
+    state=("i8", "since the fix: IDLE, MONITORED or LOST"),
+)
+"""The separation that one system has caused since an RTK fix."""
+
+POOR = 16.0  # variance without a system over that with it, from which on its prior is spent if it is small
 UNSOLVABLE_BELOW = 1e-6  # of 1 - h_kk: without this satellite the velocity is a thousand times worse
 FAULT_SHARE = 0.25  # of the budget, for all single faults together; the rest is the fault-free mode's
 AFFORDABLE = 0.5  # of the budget, for the priors of satellites that cannot be left out
@@ -109,14 +144,112 @@ def find_influences(
 
 
 @jit(borrows=True)
-def advance_separation(dt: float, integrates: bool, had: bool, phi: float, last: Any, now: Any, s: Any) -> None:
+def find_system_influences(
+    los: Array, used: Bools, variance: Array, y: Array, v: Array, q: Array, solved: bool, system: Array, prior: Array,
+    spendable: float, sums: Array, influences: Records,
+) -> None:  # fmt: skip
+    """Fill influences (G,) from the same velocity, of the systems (S,) of its satellites.
+
+    ``prior`` (G,) of a fault of each; one of at most ``spendable`` is LOST where the velocity without it is POOR. sums
+    (>= G + 1, 15) is scratch.
+    """
+    systems = influences.shape[0]
+    for g in range(systems):
+        i = influences[g]
+        i.d_e, i.d_n, i.l_ee, i.l_ne, i.l_nn, i.state = 0.0, 0.0, 0.0, 0.0, 0.0, IDLE
+    if not solved:
+        return
+    sums[: systems + 1] = 0.0
+    for k in range(y.size):
+        if used[k]:
+            s, w, a, b, c = sums[system[k]], 1.0 / variance[k], los[k, 0], los[k, 1], los[k, 2]
+            wa, wb, wc, wy = w * a, w * b, w * c, w * y[k]
+            s[0] += w
+            s[1] += wa
+            s[2] += wb
+            s[3] += wc
+            s[4] += wy
+            s[5] += wa * a
+            s[6] += wa * b
+            s[7] += wa * c
+            s[8] += wb * b
+            s[9] += wb * c
+            s[10] += wc * c
+            s[11] += wy * a
+            s[12] += wy * b
+            s[13] += wy * c
+            s[14] += 1.0
+    total = sums[systems]
+    for g in range(systems):
+        for j in range(15):
+            total[j] += sums[g, j]
+    for g in range(systems):
+        s, i = sums[g], influences[g]
+        if not s[0] > 0.0:
+            continue
+        i.state = LOST
+        if total[14] - s[14] < 4.0:
+            continue
+        w = total[0] - s[0]
+        a, b, c, m = (total[1] - s[1]) / w, (total[2] - s[2]) / w, (total[3] - s[3]) / w, (total[4] - s[4]) / w
+        ok, q00, q01, q02, q11, q12, _ = invert_upper(
+            total[5] - s[5] - w * a * a, total[6] - s[6] - w * a * b, total[7] - s[7] - w * a * c,
+            total[8] - s[8] - w * b * b, total[9] - s[9] - w * b * c, total[10] - s[10] - w * c * c,
+        )  # fmt: skip
+        if not ok or (prior[g] <= spendable and q00 + q11 > POOR * (q[0, 0] + q[1, 1])):
+            continue
+        r0, r1, r2 = total[11] - s[11] - w * a * m, total[12] - s[12] - w * b * m, total[13] - s[13] - w * c * m
+        i.d_e = v[0] + q00 * r0 + q01 * r1 + q02 * r2
+        i.d_n = v[1] + q01 * r0 + q11 * r1 + q12 * r2
+        i.l_ee, i.l_ne, i.l_nn = cholesky_2(q00 - q[0, 0], q01 - q[0, 1], q11 - q[1, 1])
+        i.state = MONITORED
+
+
+@jit(borrows=True)
+def advance_system(
+    dt: float, integrates: bool, had: bool, phi: float, white: float, last: Any, now: Any, s: Any
+) -> None:
+    """:func:`advance_separation` of a system: last, now of SYSTEM_INFLUENCE, s of SYSTEM_SEPARATION."""
+    part = 0.5 * dt if had else dt
+    before, fresh = dt - part, 1.0 - phi * phi
+    if integrates and (now.state > IDLE or s.state > IDLE):
+        s.state = max(s.state, now.state)
+        k_ee = before * last.l_ee + part * phi * now.l_ee
+        k_ne = before * last.l_ne + part * phi * now.l_ne
+        k_nn = before * last.l_nn + part * phi * now.l_nn
+        m_ee, m_ne, m_nn = part * now.l_ee, part * now.l_ne, part * now.l_nn
+        s.d_e += before * last.d_e + part * now.d_e
+        s.d_n += before * last.d_n + part * now.d_n
+        inner, outer = white * (2.0 * s.last_s + before) * before, white + fresh
+        s.s_ee += 2.0 * s.ne_e * k_ee + k_ee * k_ee + outer * m_ee * m_ee + inner * last.l_ee * last.l_ee
+        s.s_en += s.ne_e * k_ne + s.ne_n * k_nn + s.nn_e * k_ee + k_ee * k_ne + outer * m_ee * m_ne
+        s.s_en += inner * last.l_ee * last.l_ne
+        s.s_nn += 2.0 * (s.nn_e * k_ne + s.nn_n * k_nn) + k_ne * k_ne + k_nn * k_nn
+        s.s_nn += outer * (m_ne * m_ne + m_nn * m_nn) + inner * (last.l_ne * last.l_ne + last.l_nn * last.l_nn)
+        s.last_s = part
+        s.ne_e = phi * (s.ne_e + k_ee) + fresh * m_ee
+        s.ne_n *= phi
+        s.nn_e = phi * (s.nn_e + k_ne) + fresh * m_ne
+        s.nn_n = phi * (s.nn_n + k_nn) + fresh * m_nn
+    elif s.state > IDLE:
+        s.ne_e *= phi
+        s.ne_n *= phi
+        s.nn_e *= phi
+        s.nn_n *= phi
+        s.last_s = 0.0
+
+
+@jit(borrows=True)
+def advance_separation(
+    dt: float, integrates: bool, had: bool, phi: float, white: float, last: Any, now: Any, s: Any
+) -> None:
     """``D += dt/2 (d_{t-1} + d_t)`` where the position integrates Doppler, as S1 eq 20.
 
     Parameters
     ----------
     integrates : the position moved by the Doppler velocity in this epoch.
     had : the trapezoid had a velocity at its beginning; without one ``D += dt d_t``.
-    phi : ``exp(-dt/tau)`` of the velocity error.
+    phi, white : decay of the correlated part of the velocity error and variance of its white part.
     last, now : INFLUENCE of the velocities at the beginning and at the end of the epoch.
     s : SEPARATION of this satellite.
     """
@@ -131,36 +264,42 @@ def advance_separation(dt: float, integrates: bool, had: bool, phi: float, last:
         s.s_ee += 2.0 * s.c_e * k_e + k_e * k_e + fresh * m_e * m_e
         s.s_en += s.c_e * k_n + s.c_n * k_e + k_e * k_n + fresh * m_e * m_n
         s.s_nn += 2.0 * s.c_n * k_n + k_n * k_n + fresh * m_n * m_n
+        inner, outer = white * (2.0 * s.last_s + before) * before, white * part * part
+        s.s_ee += inner * last.u_e * last.u_e + outer * now.u_e * now.u_e
+        s.s_en += inner * last.u_e * last.u_n + outer * now.u_e * now.u_n
+        s.s_nn += inner * last.u_n * last.u_n + outer * now.u_n * now.u_n
+        s.last_s = part
         s.c_e = phi * (s.c_e + k_e) + fresh * m_e
         s.c_n = phi * (s.c_n + k_n) + fresh * m_n
     elif s.state > IDLE:
         s.c_e *= phi
         s.c_n *= phi
+        s.last_s = 0.0
 
 
 @jit(borrows=True)
-def exposure(satellites: Records, constellation: Array, separations: Records) -> tuple[float, float, float]:
-    """Sum of the priors and of their squares over all satellites used since the fix, and the sum of the LOST.
+def exposure(satellites: Records, prior: Array, separations: Records, systems: Records) -> tuple[float, float, float]:
+    """Sum of the priors and of their squares over all that was used since the fix, and the sum of the LOST.
 
-    The fault of a whole constellation is not separated: where one of its satellites was used, its prior (G,) counts as
-    LOST, so that the levels spend it. satellites (S,) of SATELLITE or another record with ``prior`` and ``system``.
+    satellites (S,) of SATELLITE or another record with ``prior``, with separations (S,); systems (G,) of
+    SYSTEM_SEPARATION, with the ``prior`` (>= G,) of a fault of each.
     """
-    total, squares, lost, seen = 0.0, 0.0, 0.0, 0
+    total, squares, lost = 0.0, 0.0, 0.0
     for k in range(separations.shape[0]):
         state = separations[k].state
         if state > IDLE:
             p = satellites[k].prior
             total += p
             squares += p * p
-            seen |= 1 << satellites[k].system
             if state == LOST:
                 lost += p
-    for g in range(constellation.shape[0]):
-        if seen >> g & 1:
-            p = constellation[g]
+    for g in range(systems.shape[0]):
+        if systems[g].state > IDLE:
+            p = prior[g]
             total += p
             squares += p * p
-            lost += p
+            if systems[g].state == LOST:
+                lost += p
     return total, squares, lost
 
 
@@ -187,13 +326,19 @@ def risk_factors(budget: float, share: float, pair: float, total: float, lost: f
 
 
 @jit(borrows=True)
-def worst_separation(sine: float, cosine: float, sigma: float, k_f: float, separations: Records) -> float:
-    """``max_k abs(D_k,q) + K_f sigma_k,q`` [m] on the axis ``q = [sine, cosine]`` with fault-free ``sigma`` [m]."""
-    largest = 0.0
+def worst_separation(
+    sine: float, cosine: float, sigma: float, by_heading: float, k_f: float, separations: Records, largest: float
+) -> float:
+    """``max_k abs(D_k,q) + K_f sigma_k,q`` [m] on the axis ``q = [sine, cosine]``, at least ``largest``.
+
+    ``sigma_k^2 = sigma^2 + (sigma_D + sigma_h)^2``: fault-free, of the separation by velocities, and ``by_heading`` of
+    that by the heading, which may correlate [m].
+    """
     for k in range(separations.shape[0]):
         s = separations[k]
         if s.state == MONITORED:
             d = abs(sine * s.d_e + cosine * s.d_n)
             more = sine * sine * s.s_ee + 2.0 * sine * cosine * s.s_en + cosine * cosine * s.s_nn
-            largest = max(largest, d + k_f * math.sqrt(sigma * sigma + max(more, 0.0)))
+            apart = math.sqrt(max(more, 0.0)) + by_heading
+            largest = max(largest, d + k_f * math.sqrt(sigma * sigma + apart * apart))
     return largest

@@ -33,6 +33,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 SATELLITE_PRIORS = (1e-5, 1e-5, 1e-4, 1e-5, 1e-5)
+DOPPLER_CONSTELLATION_PRIORS = (1e-8, 1e-4, 1e-4, 1e-4, 1e-4)
 
 
 class Variant(Enum):
@@ -78,6 +79,13 @@ class RiskConfig(Config):
         max_length=8,
         description="fault probability of a whole system [-]; 0: common to rover and reference, so it cancels in RTK",
     )
+    doppler_constellation_prior: tuple[float, ...] = Field(
+        DOPPLER_CONSTELLATION_PRIORS,
+        min_length=5,
+        max_length=8,
+        description="fault probability of a whole system in Doppler, which no reference shares, by system [-]; "
+        "WG-C ARAIM ADD v3.1: GPS 1e-8, others 1e-4",
+    )
     unmonitored_risk: float = Field(0.0, ge=0, lt=1, description="risk spent on events outside the fault modes [-]")
     subtract_multiple: bool = Field(
         True, description="spend risk on two or more faults at once, which no mode covers; S1 and S2 neglect it"
@@ -87,7 +95,7 @@ class RiskConfig(Config):
     )
     variant: Variant = Field(Variant.EXACT, description="exact or published factors and biases; equations.md section 6")
 
-    @field_validator("satellite_prior", "constellation_prior")
+    @field_validator("satellite_prior", "constellation_prior", "doppler_constellation_prior")
     @classmethod
     def _priors_are_probabilities(cls, value: tuple[float, ...]) -> tuple[float, ...]:
         if not all(0.0 <= p < 1.0 for p in value):
@@ -101,10 +109,11 @@ class RiskConfig(Config):
 
     def priors(self) -> tuple[Array, Array]:
         """Priors of the satellites and of the constellation of each group, for the kernels.  (8,) each [-]."""
-        out = np.zeros((2, 8))
-        out[0, : len(self.satellite_prior)] = self.satellite_prior
-        out[1, : len(self.constellation_prior)] = self.constellation_prior
-        return out[0], out[1]
+        return _by_group(self.satellite_prior), _by_group(self.constellation_prior)
+
+    def doppler_priors(self) -> Array:
+        """Priors of the constellation of each group in Doppler, for the kernels.  (8,) [-]."""
+        return _by_group(self.doppler_constellation_prior)
 
     def axis_budgets(self, risks: ArrayLike | None = None, spent: ArrayLike = 0.0) -> Array:
         """``(risk - spent) (at_share, 1 - at_share)``.
@@ -125,6 +134,11 @@ class RiskConfig(Config):
         if self.direction_test:
             return direction_factor(self.false_alarm, counts, rank)
         return false_alarm_factor(self.false_alarm, counts, self.variant)
+
+
+def _by_group(priors: tuple[float, ...]) -> Array:
+    """Priors, 0 for groups without one.  (8,)."""
+    return np.array([*priors, *(0.0,) * (8 - len(priors))])
 
 
 def upper_quantile(p: ArrayLike) -> Array:

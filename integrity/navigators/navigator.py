@@ -54,6 +54,7 @@ __all__ = [
     "NavigatorConfig",
     "NavigatorState",
     "PlCase",
+    "Start",
     "navigator_class",
     "register_navigator",
     "withdraw_navigator",
@@ -70,6 +71,13 @@ class LevelForm(Enum):
 
     ROOT = "root"
     CLOSED = "closed"
+
+
+class Start(Enum):
+    """What a navigator knows when it is switched on."""
+
+    TOLD = "told"
+    COLD = "cold"
 
 
 class PlCase(Config):
@@ -94,6 +102,10 @@ class NavigatorConfig(Tagged, tag="kind", default="rtk_reckoning", modules=BUILT
     fde: FdeConfig = FdeConfig()
     risk: RiskConfig = RiskConfig()
     form: LevelForm = Field(LevelForm.ROOT, description="form of the operative RTK protection level")
+    start: Start = Field(
+        Start.TOLD,
+        description="told: a prior pose may be given; cold: position from codes, no level before the heading is known",
+    )
     more_levels: tuple[PlCase, ...] = Field(
         (), description="further protection levels to report beside the operative one"
     )

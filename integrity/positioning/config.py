@@ -6,8 +6,11 @@ configured in :mod:`lanebound.integrity.sensors`; a protection level is honest w
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 from scipy.special import chdtri
 
 from lanebound.integrity.core.config import Config
@@ -21,6 +24,7 @@ from lanebound.integrity.positioning.rtk_kernel import MOST_AMBIGUITIES, RTK_RUL
 from lanebound.integrity.positioning.slip_watch_kernel import SLIP_RULES
 
 __all__ = [
+    "CorrelationBound",
     "DeadReckoningConfig",
     "DopplerConfig",
     "HeadingConfig",
@@ -28,8 +32,10 @@ __all__ = [
     "OdometerWatchConfig",
     "PositioningConfig",
     "RtkConfig",
+    "bound_correlation",
     "calibration_parameters",
     "mode_parameters",
+    "overbounding_walk",
     "rtk_parameters",
     "slip_parameters",
     "watch_parameters",
@@ -119,10 +125,21 @@ class DopplerConfig(Config):
     """Declared errors of the range rates and of the velocity they give."""
 
     sigma_mps: float = Field(0.10, gt=0, description="range rate, zenith [m/s]; S1 section 4 (10 cm/s)")
-    tau_s: float = Field(0.54, gt=0, description="correlation time of the velocity error [s]; fits S1 tables 4 and 5")
+    tau_range_s: tuple[float, float] = Field(
+        (0.1, 10.0),
+        description="shortest and longest correlation time of the range-rate errors, which the levels bound [s]; "
+        "0.54 fits S1 tables 4 and 5",
+    )
     bias_mps: float = Field(0.002, ge=0, description="bound of a constant velocity bias in E and in N [m/s]")
     elevation_mask_deg: float = Field(10.0, ge=0, lt=90, description="lowest elevation used [deg]")
     cn0_min_dbhz: float = Field(28.0, ge=0, description="lowest C/N0 used for the velocity [dB-Hz]")
+
+    @field_validator("tau_range_s")
+    @classmethod
+    def _a_range_ascends(cls, value: tuple[float, float]) -> tuple[float, float]:
+        if not 0.0 < value[0] <= value[1]:
+            raise ValueError(f"tau_range_s must be two times > 0 in ascending order, got {value}")
+        return value
 
 
 class HeadingConfig(Config):
@@ -135,7 +152,18 @@ class HeadingConfig(Config):
         2.5e-4, gt=0, description="angle random walk [rad/sqrt(s)]; BMI088 0.014 dps/rtHz"
     )
     bias_initial_radps: float = Field(7e-3, gt=0, description="gyro bias at turn-on, 1 sigma [rad/s]; 0.4 deg/s MEMS")
-    bias_walk_radps: float = Field(1e-6, gt=0, description="random walk of the gyro bias [rad/s/sqrt(s)]")
+    bias_walk_radps: float = Field(
+        4.7e-6,
+        gt=0,
+        description="random walk of the gyro bias [rad/s/sqrt(s)]; overbounding_walk of BMI088, 6 deg/h over 100 s and "
+        "a rate random walk of 2e-6",
+    )
+    gyro_scale: float = Field(
+        3.8e-3,
+        ge=0,
+        lt=0.1,
+        description="error of the gyro's scale, 1 sigma [-]; 0.3 % after calibration, and a quarter for its change",
+    )
     min_speed_mps: float = Field(0.5, gt=0, description="odometer speed for Doppler calibration [m/s]; S1 table 1")
     speed_agreement_mps: float = Field(1.5, gt=0, description="Doppler against odometer speed [m/s]; S1 table 1")
     max_hdop: float = Field(2.5, gt=0, description="HDOP for Doppler calibration [-]; S1 table 1")
@@ -215,11 +243,63 @@ class PositioningConfig(Config):
     axle_m: float = Field(
         0.0, ge=0, le=20, description="reference point ahead of the rear axle, which does not slip sideways [m]"
     )
+    axle_bound_m: float = Field(
+        0.05, ge=0, le=20, description="bound of the error of axle_m [m]; measured on the vehicle with a tape"
+    )
 
     @property
     def lever_arm_m(self) -> tuple[float, float]:
         """Antenna position in the body frame: forward, right [m]."""
         return self.antenna_forward_m, self.antenna_right_m
+
+
+@dataclass(frozen=True)
+class CorrelationBound:
+    """Errors that overbound unit Gauss-Markov errors of every correlation time in a range: Gauss-Markov plus white.
+
+    Attributes
+    ----------
+    decay : of the Gauss-Markov part over an epoch, variance 1
+    white : variance of the white part of an epoch
+    course : variance of a white error alone that bounds both
+    """
+
+    decay: float
+    white: float
+    course: float
+
+
+def bound_correlation(shortest_s: float, longest_s: float, dt_s: float) -> CorrelationBound:
+    """Overbound of a stationary unit Gauss-Markov error with a correlation time in [shortest, longest].
+
+    The variance of a linear filter's output is ``int |W|^2 S / 2 pi``, whatever its weights, so an error with a larger
+    power spectral density at every frequency has the larger variance in every linear filter, a time-varying one too,
+    and the errors of satellites may have different correlation times. With ``g = tanh(dt / (2 tau))`` and ``t =
+    tan(omega / 2)`` the density of a sampled Gauss-Markov error is ``S = (1 + t^2) g / (g^2 + t^2)``. At a frequency it
+    is largest for ``g = t``, or for the nearest end of the range. The longest correlation time bounds it at ``t <= g``
+    and misses ``(1 + t^2) (1 / (2 t) - g / (g^2 + t^2))`` beyond; a white error of the largest such difference
+    (``0.1349 tau / dt`` at ``t = 3.383 g`` for long correlation times) completes the bound. The same density at
+    frequency 0 plus this white part, ``1 / g + white``, bounds both by a white error alone.
+
+    The spectral form of the bound of Langel, Crespillo and Joerger, "Bounding sequential estimation errors due to
+    Gauss-Markov noise with uncertain parameters", ION GNSS+ 2019, who bound by one process of larger variance.
+    """
+    slow, fast = math.tanh(0.5 * dt_s / longest_s), math.tanh(0.5 * dt_s / shortest_s)
+    t = np.geomspace(slow, 1e3, 20_001)
+    g = np.clip(t, slow, fast)
+    missed = (1.0 + t**2) * (g / (g**2 + t**2) - slow / (slow**2 + t**2))
+    white = max(1.0001 * float(missed.max()), 0.0)
+    return CorrelationBound((1.0 - slow) / (1.0 + slow), white, 1.0 / slow + white)
+
+
+def overbounding_walk(sigma: float, tau_s: float, random_walk: float = 0.0) -> float:
+    """Random walk that overbounds a gyro's wander [rad/s/sqrt(s)]: ``sqrt(2 sigma^2 / tau + K^2)``.
+
+    The wander is a Gauss-Markov bias of 1-sigma ``sigma`` [rad/s] and of a correlation time of at least ``tau_s``,
+    and a rate random walk K. The initial variance of the bias must hold ``2 sigma^2`` beside the turn-on bias
+    (:mod:`.heading_kernel`).
+    """
+    return math.sqrt(2.0 * sigma**2 / tau_s + random_walk**2)
 
 
 def rtk_parameters(config: RtkConfig, bands: int, smallest_risk: float) -> Records:

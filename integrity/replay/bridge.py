@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.frames import rotate_covariance, track_from_enu_matrix
 from lanebound.integrity.monitoring.dead_reckoning_pl import (
+    HeadingStep,
     initial_growth,
     missed_detection_factors,
     odometer_step,
@@ -34,6 +35,9 @@ class BridgeConfig(Config):
     heading_sigma_deg: float = Field(2.0, ge=0, description="heading at the last solution, 1 sigma [deg]")
     heading_bias_deg: float = Field(0.2, ge=0, description="bound of the constant heading error [deg]; b_theta0 of S1")
     heading_drift_degps: float = Field(0.05, ge=0, description="growth of that bound [deg/s]; bias of a MEMS gyro")
+    axle_bound_m: float = Field(
+        0.05, ge=0, le=20, description="bound of the error of the distance to the rear axle [m]; measured with a tape"
+    )
     heading_walk_deg_per_sqrt_s: float = Field(0.05, ge=0, description="random walk of the heading [deg/sqrt(s)]")
 
 
@@ -44,6 +48,9 @@ class Bridge:
     ``K sigma`` of the fault-free covariance (..., 2, 2) in E, N [m^2] becomes a bias bound of either sign.
     ``with_heading`` (..., 3) are the covariances of E and N with the heading of the solution [m rad] and the variance
     of this heading [rad^2]; the larger of this variance and the configured one is used.
+
+    A distance to the rear axle that is wrong by ``a`` moves the path since the solution by ``a (h - h_0)``, h the unit
+    vectors of the headings: ``a abs(1 - cos t)`` along and ``a abs(sin t)`` across the track after a turn t.
     """
 
     def __init__(
@@ -53,21 +60,24 @@ class Bridge:
         self.config, self.risk, self.elapsed_s = config, risk, 0.0
         excess = np.maximum(levels_m - missed_detection_factors(risk)[0] * sigma_m, 0.0)
         box = (np.abs(track_from_enu_matrix(heading_rad)) @ excess[..., None])[..., 0]
+        self.start_rad = np.asarray(heading_rad, dtype=np.float64)
         own = np.zeros(3) if with_heading is None else with_heading
-        self.heading_variance = np.maximum(math.radians(config.heading_sigma_deg) ** 2, own[..., 2])
-        self.growth = initial_growth(covariance_m2, box, self.heading_variance, own[..., :2])
+        heading_variance = np.maximum(math.radians(config.heading_sigma_deg) ** 2, own[..., 2])
+        self.growth = initial_growth(covariance_m2, box, heading_variance, own[..., :2])
 
     def step(self, dt_s: float, speed_mps: ArrayLike, heading_rad: ArrayLike) -> tuple[Array, Array]:
         """Levels and sigmas (..., 2) on AT, CT [m] after another ``dt_s`` with mean speed and heading (...,)."""
         c = self.config
         self.elapsed_s += dt_s
-        self.heading_variance = self.heading_variance + math.radians(c.heading_walk_deg_per_sqrt_s) ** 2 * dt_s
+        walk = math.radians(c.heading_walk_deg_per_sqrt_s) ** 2 * dt_s
         drift = math.radians(c.heading_bias_deg + c.heading_drift_degps * self.elapsed_s)
         self.growth = odometer_step(
             self.growth, dt_s, speed_mps, heading_rad, sigma_mps=c.speed_sigma_mps,
             bias_mps=c.speed_bias_mps + c.speed_scale * np.abs(speed_mps), heading_bias_rad=drift,
-            phi_odometer=math.exp(-dt_s / c.speed_tau_s), heading_variance=self.heading_variance,
+            phi_odometer=math.exp(-dt_s / c.speed_tau_s), heading=HeadingStep(walk),
         )  # fmt: skip
-        levels = protection_levels(self.growth, heading_rad, self.risk)[..., 0, :]
+        turn = np.asarray(heading_rad) - self.start_rad
+        axle = c.axle_bound_m * np.abs(np.stack([1.0 - np.cos(turn), np.sin(turn)], -1))
+        levels = protection_levels(self.growth, heading_rad, self.risk)[..., 0, :] + axle
         variance = np.diagonal(rotate_covariance(self.growth.position_covariance_m2, heading_rad), axis1=-2, axis2=-1)
         return levels, np.sqrt(np.maximum(variance, 0.0))

@@ -71,7 +71,7 @@ class RtkStages:
             *separation_thresholds(config, len(system)),
         )  # fmt: skip
         n = len(system)
-        state, work, out = blank_state(1, n, 1), blank_work(1, n, 1), blank_outputs(1, n, 1)
+        state, work, out = blank_state(1, n, 0, 1), blank_work(1, n, 1), blank_outputs(1, n, 1)
         measured = Measured(
             np.zeros((1, n, 3)), np.zeros(1, np.int64), np.zeros((1, n), np.bool_), np.zeros((1, n)),
             np.zeros((1, n, 2)), np.zeros((1, n, 2)), np.zeros((1, n)), np.zeros((1, n), np.bool_), np.zeros(1),

@@ -39,7 +39,8 @@ def advance(first: int, last: int, epoch: Any, own: Any) -> None:
             continue
         speed, bias = mine.speed - 0.5 * gained, mine.bound + mine.age * par.odometer.watch.allowed
         s, c, b_theta = math.sin(w.middle), math.cos(w.middle), heading_bias(vehicle, par.odometer)
-        move(vehicle, par.dt * speed * s, par.dt * speed * c)
+        w.run = par.dt * speed
+        move(vehicle, w.run * s, w.run * c)
         for k in range(growth.shape[0]):
             step_odometer(w.step, speed, s, c, 0.0, 0.0, b_theta, growth[k])
             growth[k].box_e += par.dt * abs(s) * bias  # of either sign: a later turn does not cancel it

@@ -7,12 +7,17 @@ from typing import Any
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.angles_kernel import wrap
+from lanebound.integrity.core.small_matrix_kernel import cholesky_2
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
 from lanebound.integrity.positioning.heading_kernel import (
     correct,
+    correlate,
     doppler_heading_usable,
     doppler_heading_variance,
+    expect_turn,
+    observe,
     predict_heading,
+    raise_uncertainty,
 )
 from lanebound.integrity.positioning.mode_kernel import doppler_usable
 from lanebound.integrity.positioning.odometer_watch_kernel import STANDING_MPS, turning_at_rest
@@ -32,21 +37,23 @@ def find_attitude(first: int, last: int, epoch: Epoch) -> None:
     for v in range(first, last):
         vehicle, w = epoch.state.vehicles[v], epoch.work.vehicles[v]
         heading, speed = vehicle.heading, measured.speed[v]
-        w.turning = measured.turn[v, 2] / par.dt - heading.gyro_bias
+        w.turning = measured.turn[v, 2] * (1.0 - heading.gyro_scale) / par.dt - heading.gyro_bias
         _move_velocity(vehicle, par, w)
         w.resting = _find_rest(vehicle, par, speed, w)
         w.slip = side_slip(par.lever.axle, w.turning, speed)
-        before = heading.p_hh
-        w.middle = wrap(_advance_heading(heading, par, measured.turn[v, 2], w.resting) + w.slip)
-        after = heading.p_hh
-        carry = math.sqrt(after / before)  # growth as one error: the bound of its effect on the position
-        if w.solved and not w.resting and not w.suspect and _calibrate(vehicle, par, speed, w):
-            carry *= heading.p_hh / after
+        slip_rate = w.turning / (speed * math.cos(w.slip)) if abs(speed) > MOVING_MPS else 0.0
+        expect_turn(measured.turn[v, 2], par.dt, par.heading.angle_random_walk, slip_rate, heading, w.step.turn)
+        w.middle = wrap(_advance_heading(heading, par, measured.turn[v, 2], w) + w.slip)
+        vehicle.memory_s += par.dt
+        if w.checked and not w.resting and _calibrate(vehicle, par, speed, slip_rate, w):
             vehicle.since_calibration = 0.0
+            vehicle.memory_s *= 1.0 - w.step.turn.k_h
         w.sin_h, w.cos_h = math.sin(heading.angle), math.cos(heading.angle)
         step = w.step
-        step.dt_s, step.heading_variance, step.carry = par.dt, heading.p_hh, carry
-        step.phi_doppler, step.phi_odometer = math.exp(-par.dt / par.doppler.tau), math.exp(-par.dt / par.odometer.tau)
+        step.dt_s, step.axle_bias = par.dt, par.lever.axle_bound * step.turn.axle
+        step.phi_doppler, step.phi_odometer = par.doppler.decay, math.exp(-par.dt / par.odometer.tau)
+        step.white_doppler = par.doppler.white
+        correlate(par.doppler.decay, par.doppler.white, heading, step.turn)
         w.measured = doppler_usable(w.checked, w.v_gnss, speed, w.hdop_doppler, par.modes)
 
 
@@ -82,23 +89,24 @@ def side_slip(axle: float, turning: float, speed: float) -> float:
 
 
 @jit(borrows=True)
-def _advance_heading(heading: Any, par: Any, delta_theta: float, resting: bool) -> float:
+def _advance_heading(heading: Any, par: Any, delta_theta: float, w: Any) -> float:
     """Advance the heading by the gyro; at rest hold it and learn the gyro bias instead (ZUPT, S1 figure 1).
 
     Returns the mean heading over the epoch [rad].
     """
     dt, rules, before = par.dt, par.heading, heading.angle
-    if resting:
+    if w.resting:
         innovation = delta_theta / dt - heading.gyro_bias
-        correct(innovation, 0.0, 1.0, rules.angle_random_walk**2 / dt, heading)
+        gains = correct(innovation, 0.0, 1.0, rules.angle_random_walk**2 / dt, heading)
+        observe(gains, True, 0.0, heading, w.step.turn)
         return float(heading.angle)
     predict_heading(delta_theta, dt, rules.angle_random_walk, rules.bias_walk, heading)
     return float(wrap(before + 0.5 * wrap(heading.angle - before)))
 
 
 @jit(borrows=True)
-def _calibrate(vehicle: Any, par: Any, speed: float, w: Any) -> bool:
-    """Calibrate heading and gyro bias by the Doppler course where S1 table 1 allows it; True when done.
+def _calibrate(vehicle: Any, par: Any, speed: float, slip_rate: float, w: Any) -> bool:
+    """Calibrate the heading filter by the checked Doppler course where S1 table 1 allows it; True when done.
 
     The limit of the jump is widened to 3 sigma while the filter itself is less certain than the limit. Courses refused
     for REACQUIRE_S for their jump alone show that the filter is wrong: its variance is raised to accept a new heading.
@@ -117,10 +125,14 @@ def _calibrate(vehicle: Any, par: Any, speed: float, w: Any) -> bool:
         beyond = abs(jump) > allowed + 3.0 * math.sqrt(variance)
         vehicle.course_refused_s = vehicle.course_refused_s + par.dt if beyond else 0.0
         if vehicle.course_refused_s > REACQUIRE_S:
-            heading.p_hh, heading.p_hb = max(heading.p_hh, jump * jump), 0.0
-            heading.p_bb = par.heading.bias_initial**2
+            raise_uncertainty(jump, par.heading.bias_initial, par.heading.gyro_scale, heading)
         return False
     vehicle.course_refused_s = 0.0
-    variance *= max(1.0, 2.0 * par.doppler.tau / par.dt)
-    correct(jump, 1.0, 0.0, variance, heading)
+    variance *= par.doppler.course
+    turn, signed = w.step.turn, math.copysign(magnitude, speed)
+    right_e, right_n = math.cos(course) / signed, -math.sin(course) / signed
+    turn.right[0], turn.right[1] = right_e, right_n
+    l_ee, l_ne, l_nn = cholesky_2(w.q[0, 0], w.q[0, 1], w.q[1, 1])
+    turn.course[0], turn.course[1] = right_e * l_ee + right_n * l_ne, right_n * l_nn
+    observe(correct(jump, 1.0, 0.0, variance, heading), False, -slip_rate, heading, w.step.turn)
     return True

@@ -22,7 +22,7 @@ def begin(first: int, last: int, epoch: Epoch) -> None:
     """No mode has moved the position yet, and no monitor from outside has found anything."""
     for v in range(first, last):
         w = epoch.work.vehicles[v]
-        w.mode, w.integrates, w.excluded, w.cause = UNDECIDED, False, 0, NONE
+        w.mode, w.integrates, w.run, w.excluded, w.cause = UNDECIDED, False, 0.0, 0, NONE
 
 
 @jit(borrows=True)

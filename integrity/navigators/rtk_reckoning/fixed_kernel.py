@@ -107,6 +107,7 @@ def find_fixed_position(first: int, last: int, epoch: Epoch) -> None:
             if positioned:
                 carriers = Carriers(los, satellites, measured.phase[v], work.factor[v])
                 here = Rows(los, system, rows.variance, rows.y, rows.used)
+                fixed.coded = False  # its position gives way to that of the phases
                 _solve_fixed(carriers, here, ambiguities, measured.age[v], tables, par, vehicle, w, scratch)
             elif fixed.status == FIXED:
                 fixed.status = TOO_FEW
@@ -118,7 +119,7 @@ def find_fixed_position(first: int, last: int, epoch: Epoch) -> None:
         if fixed.usable:
             levels = work.fixed_levels[v]
             levels_of_fix(fixed.satellites, fixed.wrong, w.sin_h, w.cos_h, tables, par, scratch, levels)
-            lever_at, lever_ct = lever_bounds(vehicle, par)
+            lever_at, lever_ct = lever_bounds(vehicle, state.courses[v], par)
             for r in range(levels.shape[0]):
                 levels[r, 0] += lever_at
                 levels[r, 1] += lever_ct
@@ -231,13 +232,19 @@ def levels_of_fix(
 
 
 @jit(borrows=True)
-def lever_bounds(vehicle: Any, par: Any) -> tuple[float, float]:
+def lever_bounds(vehicle: Any, courses: Records, par: Any) -> tuple[float, float]:
     """Bounds on the shift of the reference point against the antenna by a wrong heading, along and across [m].
 
     A lever (f, r) turned by theta moves ``f (cos theta - 1) - r sin theta`` along, ``f sin theta + r (cos theta - 1)``
-    across, and by twice its length at most.
+    across, and by twice its length at most. The fault of a satellite or system turns the heading by its separation.
     """
-    theta = min(par.lever.k * math.sqrt(vehicle.heading.p_hh) + heading_bias(vehicle, par.odometer), math.pi)
     f, r = abs(par.lever.forward), abs(par.lever.right)
+    if f == 0.0 and r == 0.0:
+        return 0.0, 0.0
+    heading, fault = vehicle.heading, 0.0
+    for k in range(courses.shape[0]):
+        fault = max(fault, abs(courses[k].h))
+    theta = par.lever.k * math.sqrt(heading.p_hh + vehicle.spread.hh) + heading_bias(vehicle, par.odometer)
+    theta = min(theta + fault + par.lever.axle_bound * abs(heading.axle_h), math.pi)
     most, turned = 2.0 * math.hypot(f, r), 0.5 * theta * theta
     return min(r * theta + f * turned, most), min(f * theta + r * turned, most)

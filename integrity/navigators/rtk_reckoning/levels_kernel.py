@@ -25,12 +25,13 @@ __all__ = ["DeadReckoningState", "find_levels", "heading_bias", "later_by", "lev
 class DeadReckoningState(NamedTuple):
     """What has been added to an RTK position: growth of its errors, what it left to the cases, the separations.
 
-    growth of GROWTH, starts (R,) of START, separations (S,) of SEPARATION.
+    growth of GROWTH, starts (R,) of START, separations (S,) of SEPARATION, systems (G,) of SYSTEM_SEPARATION.
     """
 
     growth: Any
     starts: Records
     separations: Records
+    systems: Records
 
 
 @jit(borrows=True)
@@ -42,9 +43,12 @@ def heading_bias(vehicle: Any, rules: Any) -> float:
 
 
 @jit(borrows=True)
-def later_by(since: float, duration: float) -> float:
-    """Factor by which a fault since some time [s] ago is likelier than at one moment, for a mean duration [s]."""
-    return 1.0 + since / duration if since < math.inf else 1.0
+def later_by(since: float, memory: float, duration: float) -> float:
+    """Factor by which a fault since some time [s] ago is likelier than at one moment, for a mean duration [s].
+
+    ``memory`` is the mean age of the courses in the heading [s]. Three times as long ago, their weight is e^-3.
+    """
+    return 1.0 + (since + 3.0 * memory) / duration if since < math.inf else 1.0
 
 
 @jit
@@ -54,7 +58,10 @@ def find_levels(first: int, last: int, epoch: Epoch) -> None:
     for v in range(first, last):
         vehicle, w = state.vehicles[v], epoch.work.vehicles[v]
         if vehicle.initialised and not vehicle.unbounded and vehicle.since_calibration < math.inf:
-            latest = DeadReckoningState(state.growth[v, LATEST], state.starts[v, LATEST], state.separations[v, LATEST])
+            latest = DeadReckoningState(
+                state.growth[v, LATEST], state.starts[v, LATEST], state.separations[v, LATEST],
+                state.system_separations[v, LATEST],
+            )  # fmt: skip
             levels_since_fix(latest, tables, par.risk, w.sin_h, w.cos_h, w.later, epoch.out.levels[v])
 
 
@@ -64,13 +71,15 @@ def levels_since_fix(
 ) -> None:
     """``PL_q = K_md sigma_q + B_q`` (S1 eq 18-19) of every case, into pl (R, 2) [m].
 
-    Exact levels also bound each single satellite fault in the Doppler velocities since the fix, by the separation that
-    it has caused (:mod:`~lanebound.integrity.monitoring.doppler_separation_kernel`). ``later`` >= 1 raises the priors
-    by the faults that began since. Of the error that the reference gave to the RTK position exact levels take the bound
-    on each axis, published ones equal components on E and N.
+    Exact levels also bound a fault of any satellite or system in the Doppler velocities since the fix and in the
+    heading that they calibrated, by the separation that it has caused
+    (:mod:`~lanebound.integrity.monitoring.doppler_separation_kernel`). ``later`` >= 1 raises the priors by the faults
+    that began since. Of the error that the reference gave to the RTK position exact levels take the bound on each axis,
+    published ones equal components on E and N.
     """
     growth, starts, separations, cases = reckoning.growth, reckoning.starts, reckoning.separations, tables.cases
-    total, squares, lost = exposure(tables.satellites, risk.constellation_prior, separations)
+    prior, systems = risk.doppler_constellation_prior, reckoning.systems
+    total, squares, lost = exposure(tables.satellites, prior, separations, systems)
     total, squares, lost = later * total, later * later * squares, later * lost
     pair = 0.5 * (total * total - squares) if risk.multiple else 0.0
     axis_sine, axis_cosine = (sin_h, cos_h), (cos_h, -sin_h)
@@ -92,7 +101,13 @@ def levels_since_fix(
             level = k_0 * sigma_bias[q] + abs(sine) * start.bias_e + abs(cosine) * start.bias_n
             if -math.inf < k_f < math.inf:
                 whole = abs(sine) * start.whole_e + abs(cosine) * start.whole_n
-                level = max(level, worst_separation(sine, cosine, sigma_bias[q], k_f, separations) + whole)
+                by_heading = (
+                    sine * sine * growth.f_ee + 2.0 * sine * cosine * growth.f_en + cosine * cosine * growth.f_nn
+                )
+                by_heading = math.sqrt(max(by_heading, 0.0))
+                worst = worst_separation(sine, cosine, sigma_bias[q], by_heading, k_f, separations, 0.0)
+                worst = worst_separation(sine, cosine, sigma_bias[q], by_heading, k_f, systems, worst)
+                level = max(level, worst + whole)
             pl[r, q] = level + sigma_bias[2 + q] + risk.reference_bias
 
 
@@ -107,10 +122,12 @@ def restart(
     (R, 2) of a case holds beyond ``K sigma`` of the fault-free solution remains as a bound on E and N. The published
     form starts from the fault-free covariance alone, as S1 does.
     """
-    reset(fixed.p_ee, fixed.p_en, fixed.p_nn, 0.0, 0.0, vehicle.heading.p_hh, reckoning.growth)
+    reset(fixed.p_ee, fixed.p_en, fixed.p_nn, 0.0, 0.0, reckoning.growth)
     if vehicle.separated:
         for k in range(reckoning.separations.shape[0]):
             clear_separation(reckoning.separations[k])
+        for g in range(reckoning.systems.shape[0]):
+            clear_system(reckoning.systems[g])
         vehicle.separated = False
     for r in range(level.shape[0]):
         start, case = reckoning.starts[r], tables.cases[r]
@@ -128,7 +145,14 @@ def restart(
 @jit(borrows=True)
 def clear_separation(s: Any) -> None:
     """No separation since the fix."""
-    s.d_e, s.d_n, s.s_ee, s.s_en, s.s_nn, s.c_e, s.c_n, s.state = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, IDLE
+    s.d_e, s.d_n, s.s_ee, s.s_en, s.s_nn, s.c_e, s.c_n, s.last_s, s.state = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, IDLE
+
+
+@jit(borrows=True)
+def clear_system(s: Any) -> None:
+    """No separation by a system since the fix."""
+    s.d_e, s.d_n, s.s_ee, s.s_en, s.s_nn, s.last_s, s.state = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, IDLE
+    s.ne_e, s.ne_n, s.nn_e, s.nn_n = 0.0, 0.0, 0.0, 0.0
 
 
 @jit(borrows=True)

@@ -54,7 +54,8 @@ def advance_imu_odometer(first: int, last: int, epoch: Epoch) -> None:
             stand(par, w, growth)
             continue
         s, c, speed = math.sin(w.middle), math.cos(w.middle), epoch.measured.speed[v]
-        move(vehicle, par.dt * speed * s, par.dt * speed * c)
+        w.run = par.dt * speed
+        move(vehicle, w.run * s, w.run * c)
         b_theta, bias = heading_bias(vehicle, rules), rules.bias + rules.scale * abs(speed)
         for k in range(growth.shape[0]):
             step_odometer(w.step, speed, s, c, rules.sigma, bias, b_theta, growth[k])

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.alerts import AlertReason
+from lanebound.integrity.monitoring.heading_separation_kernel import COURSE, SPREAD
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, Rows, register_navigator
 from lanebound.integrity.navigators.rtk_reckoning.attitude_kernel import find_attitude
 from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConfig
@@ -54,10 +55,13 @@ class RtkReckoningNavigator(Navigator):
 
     def initial_belief(self, batch: int) -> State:
         """Nothing is known but the bounds of the heading and of the gyro bias."""
-        belief = blank_state(batch, len(self.track.system), len(self.config.cases))
+        belief = blank_state(
+            batch, len(self.track.system), int(self.track.system.max(initial=-1)) + 1, len(self.config.cases)
+        )
         vehicles, heading = belief.vehicles, self.config.positioning.heading
         vehicles["heading"]["p_hh"] = np.deg2rad(heading.initial_sigma_deg) ** 2
         vehicles["heading"]["p_bb"] = heading.bias_initial_radps**2
+        vehicles["heading"]["p_ss"] = heading.gyro_scale**2
         vehicles["since_rtk"] = vehicles["since_calibration"] = vehicles["backup"]["age"] = np.inf
         vehicles["alert"]["alert"], vehicles["alert"]["reason"] = True, AlertReason.INITIALISING.code
         vehicles["alert"]["onset_s"] = -1.0
@@ -73,8 +77,10 @@ class RtkReckoningNavigator(Navigator):
     def align(self, heading_rad: Array, sigma_rad: float) -> None:
         """Give the vehicles a prior heading, (B,) azimuth and its 1-sigma, as from a compass or the last drive."""
         vehicles = self.state.belief.vehicles
-        vehicles["heading"]["angle"], vehicles["heading"]["p_hh"] = heading_rad, sigma_rad**2
-        vehicles["since_calibration"] = 0.0
+        give_heading(vehicles["heading"], heading_rad, sigma_rad)
+        vehicles["since_calibration"], vehicles["memory_s"] = 0.0, 0.0
+        self.state.belief.courses[:] = np.zeros((), COURSE)
+        vehicles["spread"] = np.zeros((), SPREAD)
 
     def place_rows(
         self, rows: Rows | slice, position_en_m: Array, heading_rad: Array, sigma_m: float, sigma_heading_rad: float
@@ -85,17 +91,15 @@ class RtkReckoningNavigator(Navigator):
         fresh["position"][:, :2], fresh["position"][:, 2] = position_en_m, old["position"][:, 2]
         fresh["velocity"] = old["velocity"]
         fresh["heading"], fresh["alert"], fresh["rtk"] = old["heading"], old["alert"], old["rtk"]
-        fresh["heading"]["angle"], fresh["heading"]["p_hh"] = heading_rad, sigma_heading_rad**2
-        fresh["heading"]["p_hb"] = 0.0
+        give_heading(fresh["heading"], heading_rad, sigma_heading_rad)
         fresh["initialised"], fresh["backup"]["age"] = True, np.inf
         fresh["backup"]["position"] = old["backup"]["position"]
         belief.vehicles[rows] = fresh
-        for array in (belief.starts, belief.growth, belief.separations, belief.influences):
+        for array in belief[2:]:  # all but vehicles and ambiguities
             array[rows] = np.zeros((), array.dtype)
         belief.ambiguities["held"][rows], belief.ambiguities["last_phase"][rows] = False, 0.0
         for axis in ("p_ee", "p_nn"):
             belief.growth[axis][rows] = sigma_m**2
-        belief.growth["var_th"][rows] = sigma_heading_rad**2
 
     def locate(self, m: Measurements) -> Solution:
         """The belief after the measurements of one epoch; reads nothing else."""
@@ -114,6 +118,13 @@ class RtkReckoningNavigator(Navigator):
         cases = self._tables.cases.shape[0]
         work, out = blank_work(batch, satellites, cases), blank_outputs(batch, satellites, cases)
         return Lasting(self._parameters, self._tables, belief, work, out)
+
+
+def give_heading(heading: Records, angle_rad: Array, sigma_rad: float) -> None:
+    """Set heading filters (n,) to a heading (n,) and its 1-sigma; what they know of the gyro stays."""
+    heading["angle"], heading["p_hh"] = angle_rad, sigma_rad**2
+    for name in ("p_hb", "p_hs", "axle_h", "axle_b", "axle_s", "noise", "white"):
+        heading[name] = 0.0
 
 
 def stages_of(config: RtkReckoningConfig) -> list[Stage | OutsideStage]:
@@ -143,7 +154,7 @@ def stages_of(config: RtkReckoningConfig) -> list[Stage | OutsideStage]:
     ]
 
 
-def blank_state(batch: int, satellites: int, cases: int) -> State:
+def blank_state(batch: int, satellites: int, systems: int, cases: int) -> State:
     """The state of vehicles, all zeros."""
     shapes = {
         "vehicles": (batch,),
@@ -152,6 +163,9 @@ def blank_state(batch: int, satellites: int, cases: int) -> State:
         "starts": (batch, 2, cases),
         "influences": (batch, 2, satellites),
         "separations": (batch, 2, satellites),
+        "system_influences": (batch, 2, systems),
+        "system_separations": (batch, 2, systems),
+        "courses": (batch, satellites + systems),
     }
     return State(**{name: np.zeros(shape, RECORDS[name]) for name, shape in shapes.items()})
 

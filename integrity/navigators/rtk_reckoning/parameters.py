@@ -12,9 +12,10 @@ from lanebound.integrity.monitoring.alerts import alert_parameters
 from lanebound.integrity.monitoring.detection_kernel import Thresholds
 from lanebound.integrity.monitoring.exclusion import fde_parameters, fde_thresholds
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor, upper_quantile
-from lanebound.integrity.navigators.navigator import LevelForm, PlCase
+from lanebound.integrity.navigators.navigator import LevelForm, PlCase, Start
 from lanebound.integrity.navigators.rtk_reckoning import records_kernel as rk
 from lanebound.integrity.positioning.config import (
+    bound_correlation,
     calibration_parameters,
     mode_parameters,
     rtk_parameters,
@@ -31,6 +32,7 @@ __all__ = ["LEVER_RISK_SHARE", "epoch_parameters", "epoch_tables", "satellite_ta
 
 Array = NDArray[np.float64]
 
+SPENDABLE_SHARE = 0.005  # of the risk, for the fault of a system whose separation would make a level useless
 LEVER_RISK_SHARE = 0.01  # of the smallest risk, for the heading that turns the lever arm
 
 
@@ -40,16 +42,20 @@ def epoch_parameters(c: RtkReckoningConfig) -> Records:
     of_lever = LEVER_RISK_SHARE * smallest if any(p.lever_arm_m) else 0.0
     share = min(c.risk.at_share, 1.0 - c.risk.at_share)
     d, h, o = p.doppler, p.heading, p.dead_reckoning
+    correlation = bound_correlation(*d.tau_range_s, c.dt_s)
     return one_record(
         rk.PARAMETERS,
         dt=c.dt_s,
+        cold=c.start is Start.COLD,
         confirm=p.rtk.confirm_s,
         rtk=rtk_parameters(p.rtk, len(c.gnss.bands), smallest),
         slips=slip_parameters(p.slips),
         doppler=one_record(
             rk.DOPPLER_RULES,
             sigma=d.sigma_mps,
-            tau=d.tau_s,
+            decay=correlation.decay,
+            white=correlation.white,
+            course=correlation.course,
             bias=d.bias_mps,
             sin_mask=np.sin(np.deg2rad(d.elevation_mask_deg)),
             cn0_min=d.cn0_min_dbhz,
@@ -59,6 +65,7 @@ def epoch_parameters(c: RtkReckoningConfig) -> Records:
             angle_random_walk=h.angle_random_walk_rad,
             bias_walk=h.bias_walk_radps,
             bias_initial=h.bias_initial_radps,
+            gyro_scale=h.gyro_scale,
             calibration=calibration_parameters(h),
         ),
         odometer=one_record(
@@ -79,6 +86,7 @@ def epoch_parameters(c: RtkReckoningConfig) -> Records:
             right=p.antenna_right_m,
             k=upper_quantile(0.5 * share * of_lever) if of_lever else 0.0,
             axle=p.axle_m,
+            axle_bound=p.axle_bound_m,
         ),
         jump=one_record(
             rk.JUMP_RULES,
@@ -108,6 +116,8 @@ def risk_parameters(risk: RiskConfig, of_lever: float, reference_bias_m: float) 
         published=risk.variant is Variant.PUBLISHED,
         satellite_prior=satellite,
         constellation_prior=constellation,
+        doppler_constellation_prior=risk.doppler_priors(),
+        spendable=SPENDABLE_SHARE * risk.integrity_risk,
     )
 
 

@@ -12,7 +12,13 @@ from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
 from lanebound.integrity.monitoring.alerts_kernel import ALERT, ALERT_RULES
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import GROWTH, STEP
 from lanebound.integrity.monitoring.detection_kernel import FDE_RULES, Thresholds
-from lanebound.integrity.monitoring.doppler_separation_kernel import INFLUENCE, SEPARATION
+from lanebound.integrity.monitoring.doppler_separation_kernel import (
+    INFLUENCE,
+    SEPARATION,
+    SYSTEM_INFLUENCE,
+    SYSTEM_SEPARATION,
+)
+from lanebound.integrity.monitoring.heading_separation_kernel import COURSE, SPREAD
 from lanebound.integrity.monitoring.jump_kernel import JUMP
 from lanebound.integrity.positioning.heading_kernel import CALIBRATION, HEADING
 from lanebound.integrity.positioning.mode_kernel import MODE_LIMITS
@@ -47,7 +53,9 @@ MULTI_HYPOTHESIS, CLOSED, PUBLISHED = 0, 1, 2  # forms of a protection level
 
 DOPPLER_RULES = record(
     sigma="range rate, zenith [m/s]",
-    tau="correlation time of the velocity error [s]",
+    decay="of the correlated part of a unit error over an epoch [-]",
+    white="variance of the white part of it [-]",
+    course="variance of a white error that bounds both [-]",
     bias="bound of a constant velocity bias in E and in N [m/s]",
     sin_mask="sine of the lowest elevation used",
     cn0_min="lowest C/N0 used [dB-Hz]",
@@ -56,6 +64,7 @@ HEADING_RULES = record(
     angle_random_walk="[rad/sqrt(s)]",
     bias_walk="random walk of the gyro bias [rad/s/sqrt(s)]",
     bias_initial="gyro bias at turn-on, 1 sigma [rad/s]",
+    gyro_scale="error of the gyro's scale, 1 sigma [-]",
     calibration=(CALIBRATION, "when Doppler calibrates"),
 )
 ODOMETER_RULES = record(
@@ -73,6 +82,7 @@ LEVER = record(
     right="antenna to the right of it [m]",
     k="factor on the heading's sigma in the bound of the lever arm [-]",
     axle="reference point ahead of the rear axle [m]",
+    axle_bound="bound of the error of that distance [m]",
 )
 JUMP_RULES = record(
     after_jump="quarantine after a jump [s]",
@@ -90,10 +100,13 @@ RISK_RULES = record(
     tolerate=("?", "spend the prior of modes without a solution"),
     published=("?", "the operative level is of the published form"),
     satellite_prior=("f8", (MAX_GROUPS,), "fault probability of one satellite, by system [-]"),
-    constellation_prior=("f8", (MAX_GROUPS,), "fault probability of a whole system [-]"),
+    constellation_prior=("f8", (MAX_GROUPS,), "fault probability of a whole system, in the RTK position [-]"),
+    doppler_constellation_prior=("f8", (MAX_GROUPS,), "fault probability of a whole system, in Doppler [-]"),
+    spendable="prior of a system that is spent where its separation is poor [-]",
 )
 PARAMETERS = record(
     dt="length of an epoch [s]",
+    cold=("?", "position from codes before the first fix, and no level before the heading is known"),
     confirm="how long a regained fix must pass its tests [s]",
     rtk=(RTK_RULES, "RTK"),
     slips=(SLIP_RULES, "cycle slips"),
@@ -147,6 +160,8 @@ VEHICLE = record(
     position=("f8", (3,), "East, North, Up of the reference point [m]"),
     heading=(HEADING, "heading filter"),
     since_calibration="time since the heading was last calibrated [s]",
+    memory_s="mean age of the courses in the heading [s]",
+    spread=(SPREAD, "covariance of what one satellite or system did to the heading"),
     course_refused_s="how long Doppler courses have been refused for their jump [s]",
     rest_s="how long the vehicle has been at rest [s]",
     velocity=("f8", (2,), "East, North at the end of the last epoch [m/s]"),
@@ -179,7 +194,8 @@ class State(NamedTuple):
 
     vehicles (B,) of VEHICLE; ambiguities (B, S) of AMBIGUITY; growth (B, 2) of GROWTH and starts (B, 2, R) of START,
     for LATEST and BACKUP; influences (B, 2, S) of INFLUENCE at the beginning and at the end of the epoch; separations
-    (B, 2, S) of SEPARATION.
+    (B, 2, S) of SEPARATION; system_influences (B, 2, G) and system_separations (B, 2, G) the same of whole systems;
+    courses (B, S + G) of COURSE, satellites first.
     """
 
     vehicles: Records
@@ -188,6 +204,9 @@ class State(NamedTuple):
     starts: Records
     influences: Records
     separations: Records
+    system_influences: Records
+    system_separations: Records
+    courses: Records
 
 
 # Measurements
@@ -218,10 +237,11 @@ class Measured(NamedTuple):
 
 FIXED_SOLUTION = record(
     status=("i8", "code of RtkStatus"),
+    coded=("?", "the codes give a tested position, in a cold start"),
     satellites=("i8", "in the solution"),
     excluded=("i8", "by its fault test"),
     hdop="[-]",
-    position=("f8", (3,), "East, North, Up of the antenna [m]"),
+    position=("f8", (3,), "East, North, Up of the antenna, by phases or, in a cold start, by codes [m]"),
     p_ee="covariance, East East [m^2]",
     p_en="East North [m^2]",
     p_nn="North North [m^2]",
@@ -251,6 +271,7 @@ WORK = record(
     sin_h="sine of the heading",
     cos_h="cosine of the heading",
     step=(STEP, "what the epoch does to the error processes"),
+    run="distance that the position moved along the heading in this epoch, else 0 [m]",
     mode=("i8", "code of the positioning mode, UNDECIDED before one is found"),
     integrates=("?", "the position moved by the Doppler velocity"),
     accepted=("?", "the RTK position is accepted"),
@@ -341,7 +362,8 @@ class EpochInputs(NamedTuple):
 
 RECORDS: dict[str, Any] = {
     "vehicles": VEHICLE, "ambiguities": AMBIGUITY, "growth": GROWTH, "starts": START, "influences": INFLUENCE,
-    "separations": SEPARATION,
+    "separations": SEPARATION, "system_influences": SYSTEM_INFLUENCE, "system_separations": SYSTEM_SEPARATION,
+    "courses": COURSE,
 }  # fmt: skip
 """Types of the arrays of State."""
 SATELLITE_RECORD = SATELLITE

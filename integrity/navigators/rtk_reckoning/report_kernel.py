@@ -12,14 +12,14 @@ from lanebound.integrity.monitoring.jump_kernel import is_suspicious
 from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import DeadReckoningState, restart
 from lanebound.integrity.navigators.rtk_reckoning.monitors_kernel import copy_reckoning, reference_point
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import BACKUP, LATEST, Epoch, Outputs
-from lanebound.integrity.positioning.codes_kernel import NONE, RTK
+from lanebound.integrity.positioning.codes_kernel import CODE, NONE, RTK
 
 __all__ = ["report", "take_fix"]
 
 
 @jit
 def take_fix(first: int, last: int, epoch: Epoch) -> None:
-    """Replace the position by an accepted RTK position and restart dead reckoning there."""
+    """Replace the position by an accepted RTK position and restart dead reckoning there; before, by that of codes."""
     par, state, tables, levels = epoch.parameters[0], epoch.state, epoch.tables, epoch.out.levels
     for v in range(first, last):
         vehicle, w, growth = state.vehicles[v], epoch.work.vehicles[v], state.growth[v]
@@ -30,12 +30,20 @@ def take_fix(first: int, last: int, epoch: Epoch) -> None:
             vehicle.position[0], vehicle.position[1] = reference_point(w.fixed, par.lever, w.sin_h, w.cos_h)
             vehicle.position[2] = w.fixed.position[2]
             vehicle.since_rtk, vehicle.initialised, vehicle.unbounded = 0.0, True, False
-            latest = DeadReckoningState(growth[LATEST], state.starts[v, LATEST], state.separations[v, LATEST])
+            latest = DeadReckoningState(
+                growth[LATEST], state.starts[v, LATEST], state.separations[v, LATEST],
+                state.system_separations[v, LATEST],
+            )  # fmt: skip
             restart(latest, tables, par.risk, vehicle, w.fixed, w.sin_h, w.cos_h, levels[v])
             if not (w.fixed.lasting and vehicle.backup.age < par.jump.backup):
                 vehicle.backup.position[0], vehicle.backup.position[1] = vehicle.position[0], vehicle.position[1]
                 vehicle.backup.age = 0.0
                 copy_reckoning(v, state, LATEST, BACKUP)
+        elif par.cold and w.fixed.coded and not vehicle.initialised:
+            w.mode, g = CODE, growth[LATEST]
+            vehicle.position[0], vehicle.position[1] = reference_point(w.fixed, par.lever, w.sin_h, w.cos_h)
+            vehicle.position[2] = w.fixed.position[2]
+            g.p_ee, g.p_en, g.p_nn = w.fixed.p_ee, w.fixed.p_en, w.fixed.p_nn
         vehicle.has_velocity = w.measured
         if w.mode == RTK and w.measured:
             for k in range(growth.shape[0]):
@@ -57,7 +65,10 @@ def report(first: int, last: int, epoch: Epoch) -> None:
             sigma_h = math.sqrt(vehicle.heading.p_hh)
             sigma_at = math.hypot(w.fixed.sigma[0], par.lever.right * sigma_h)
             sigma_ct = math.hypot(w.fixed.sigma[1], par.lever.forward * sigma_h)
-        cause, doubted = w.cause if vehicle.initialised else INITIALISING, is_suspicious(vehicle.jump)
+        known = vehicle.initialised and not (par.cold and vehicle.since_calibration == math.inf)
+        if not known and par.cold:
+            out.levels[v, :, :] = math.inf
+        cause, doubted = w.cause if known else INITIALISING, is_suspicious(vehicle.jump)
         if doubted or (vehicle.unbounded and w.mode != RTK and w.mode != NONE):
             cause = TEST_FAILED
         at, ct = out.levels[v, 0, 0], out.levels[v, 0, 1]

@@ -32,7 +32,7 @@ def resolve_integers(first: int, last: int, epoch: Epoch) -> None:
         vehicle, fixed, ambiguities = state.vehicles[v], work.vehicles[v].fixed, state.ambiguities[v]
         rtk, age = vehicle.rtk, measured.age[v]
         used, phase_ok = work.used[v], work.phase_ok[v]
-        fixed.status = FIXED
+        fixed.status, fixed.coded = FIXED, False
         if not age <= rules.max_age:
             rtk.rejected, fixed.status = 0, NO_CORRECTIONS
             continue
@@ -43,12 +43,20 @@ def resolve_integers(first: int, last: int, epoch: Epoch) -> None:
         _, positioned = find_members(ambiguities, used, satellites, rules, member)
         rtk.refused_s = max(rtk.refused_s - par.dt, 0.0)
         due = not positioned or not rtk.refused_s > 0.5 * par.dt
-        if due and new and age <= rules.fix_max_age:
+        searched = due and new and age <= rules.fix_max_age
+        if searched or (par.cold and not vehicle.initialised):
             code, los, factor = measured.code[v], measured.los[measured.sight[v]], work.factor[v]
             carriers = Carriers(los, satellites, measured.phase[v], np.empty(n))
             rows = Rows(los, system, np.empty(n), np.empty(n), used.copy())
-            fixed.status = _resolve(carriers, rows, code, factor, age, candidate, ambiguities, thresholds, par, vehicle)
-            rtk.refused_s = rules.retry if fixed.status != FIXED else 0.0
+            q, tests = np.empty((3, 3)), (thresholds, par, vehicle)
+            if not find_code_position(rows, code, factor, tests, fixed.position, q):
+                fixed.status = NOT_CONVERGED if searched else fixed.status
+            else:
+                fixed.coded, fixed.p_ee, fixed.p_en, fixed.p_nn = True, q[0, 0], q[0, 1], q[1, 1]
+                if searched:
+                    fixed.status = _resolve(carriers, rows, factor, age, candidate, ambiguities, par, vehicle, fixed, q)
+            if searched:
+                rtk.refused_s = rules.retry if fixed.status != FIXED else 0.0
 
 
 @jit
@@ -61,20 +69,32 @@ def find_members(ambiguities: Records, used: Bools, satellites: Records, rules: 
 
 
 @jit
-def _resolve(
-    carriers: Carriers, rows: Rows, code: Any, factor: Any, age: float, candidate: Bools, ambiguities: Records,
-    thresholds: Thresholds, par: Any, vehicle: Any,
-) -> int:  # fmt: skip
-    """Check the code by its own residuals, then fix what the risk allows; returns a status."""
-    rules, rtk, position, q = par.rtk, vehicle.rtk, np.empty(3), np.empty((3, 3))
-    aged = (rules.age_sigma * age) ** 2  # of the whole range, common to the bands
+def find_code_position(
+    rows: Rows, code: Any, factor: Any, tests: tuple[Thresholds, Any, Any], position: Any, q: Any
+) -> bool:
+    """Solve the codes for position (3,) with covariance q (3, 3), checked by their own residuals; True when usable.
+
+    tests : thresholds, parameters and vehicle
+    """
+    thresholds, par, vehicle = tests
+    rules = par.rtk
     collapse_code(code, rules.bands, rows.y)
     for s in range(factor.shape[0]):
         rows.variance[s] = factor[s] * (rules.sigma_code**2 / rules.bands)
-        carriers.variance[s] = factor[s] * rules.sigma_phase**2 + aged
     heading = vehicle.heading.angle
     outcome, _, _, _, _ = detect_and_exclude(rows, rows.group, heading, thresholds, par.fde, position, q)
-    if outcome > EXCLUDED:
-        return NOT_CONVERGED
+    return bool(outcome <= EXCLUDED)
+
+
+@jit
+def _resolve(
+    carriers: Carriers, rows: Rows, factor: Any, age: float, candidate: Bools, ambiguities: Records, par: Any,
+    vehicle: Any, fixed: Any, q: Any,
+) -> int:  # fmt: skip
+    """Fix what the risk allows, from the position of the codes; returns a status."""
+    rules, rtk = par.rtk, vehicle.rtk
+    aged = (rules.age_sigma * age) ** 2  # of the whole range, common to the bands
+    for s in range(factor.shape[0]):
+        carriers.variance[s] = factor[s] * rules.sigma_phase**2 + aged
     rtk.fixes += 1
-    return int(resolve(carriers, candidate, ambiguities, rules, position, q, rtk.fixes))
+    return int(resolve(carriers, candidate, ambiguities, rules, fixed.position, q, rtk.fixes))

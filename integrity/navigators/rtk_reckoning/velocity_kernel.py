@@ -9,7 +9,13 @@ import numpy as np
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.small_matrix_kernel import hdop_of
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED, NO_REDUNDANCY, detect_and_exclude
-from lanebound.integrity.monitoring.doppler_separation_kernel import AFFORDABLE, IDLE, LOST, find_influences
+from lanebound.integrity.monitoring.doppler_separation_kernel import (
+    AFFORDABLE,
+    LOST,
+    find_influences,
+    find_system_influences,
+)
+from lanebound.integrity.monitoring.heading_separation_kernel import course_state
 from lanebound.integrity.monitoring.jump_kernel import begin_epoch, suspects_signals
 from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import later_by
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import LATEST, Epoch
@@ -26,7 +32,9 @@ def find_velocity(first: int, last: int, epoch: Epoch) -> None:
     satellites, thresholds, operative = epoch.tables.satellites, epoch.tables.thresholds, epoch.tables.cases[0]
     n = satellites.shape[0]
     clock, variance, used = np.zeros(n, dtype=np.int64), np.empty(n), np.empty(n, dtype=np.bool_)
-    system, constellation = np.empty(n, dtype=np.int64), par.risk.constellation_prior
+    system, prior = np.empty(n, dtype=np.int64), par.risk.doppler_constellation_prior
+    systems = state.system_influences.shape[2]
+    sums = np.empty((systems + 1, 15))
     for s in range(n):
         system[s] = satellites[s].system
     for v in range(first, last):
@@ -53,15 +61,22 @@ def find_velocity(first: int, last: int, epoch: Epoch) -> None:
         w.solved = outcome <= EXCLUDED or outcome == NO_REDUNDANCY
         influences, separations = state.influences[v, 1], state.separations[v, LATEST]
         find_influences(los, used, variance, measured.range_rate[v], w.velocity, w.q, w.solved, influences)
-        lost, seen = 0.0, 0
+        of_systems, apart, courses = (
+            state.system_influences[v, 1],
+            state.system_separations[v, LATEST],
+            state.courses[v],
+        )
+        find_system_influences(
+            los, used, variance, measured.range_rate[v], w.velocity, w.q, w.solved, system, prior, par.risk.spendable,
+            sums, of_systems,
+        )  # fmt: skip
+        lost = 0.0
         for s in range(n):
-            of_s = max(influences[s].state, separations[s].state)
-            if of_s > IDLE:
-                seen |= 1 << system[s]
-            if of_s == LOST:
+            if max(influences[s].state, separations[s].state, course_state(courses[s])) == LOST:
                 lost += satellites[s].prior
-        for g in range(constellation.shape[0]):
-            lost += constellation[g] if seen >> g & 1 else 0.0
-        w.later = later_by(vehicle.since_rtk, par.risk.fault_duration)
+        for g in range(systems):
+            if max(of_systems[g].state, apart[g].state, course_state(courses[n + g])) == LOST:
+                lost += prior[g]
+        w.later = later_by(vehicle.since_rtk, vehicle.memory_s, par.risk.fault_duration)
         affordable = w.later * lost <= AFFORDABLE * (operative.budget[0] + operative.budget[1])
         w.checked = w.solved and not w.suspect and (par.risk.published or affordable)

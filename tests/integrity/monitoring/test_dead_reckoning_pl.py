@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2, norm
 
-from lanebound.integrity.core.records import one_record
 from lanebound.integrity.monitoring import dead_reckoning_pl_kernel as dk
 from lanebound.integrity.monitoring.dead_reckoning_pl import (
     Growth,
+    HeadingStep,
     bias_track,
     doppler_step,
     initial_growth,
@@ -22,15 +23,22 @@ from lanebound.integrity.monitoring.dead_reckoning_pl import (
     protection_levels,
 )
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant
+from lanebound.integrity.positioning import heading_kernel as hk
 
 DT = 0.1
 PHI_D, PHI_O = float(np.exp(-DT / 0.54)), float(np.exp(-DT / 1.0))
 FACTOR = np.array([[0.10, 0.0], [0.03, 0.08]])  # Cholesky factor of the Doppler velocity covariance [m/s]
-SIGMA_ODOMETER, WALK = 0.05, 2e-3  # m/s, rad per epoch
+SIGMA_ODOMETER = 0.05  # m/s
+WHITE = 3.0  # variance of the white part of the Doppler error
+ARW, BIAS_WALK, COURSE_SIGMA = 6e-3, 2e-4, 0.02  # rad/sqrt(s), rad/s/sqrt(s), rad
+COURSE = np.array([0.006, -0.003])  # error of the course by a unit Doppler error in E and N [rad]
+HEADING_P = np.diag([1e-4, 4e-6, 1e-4])  # of heading [rad^2], gyro bias and scale at the fix
 
 
 def start() -> Growth:
-    return initial_growth(np.diag([1e-4, 2e-4]), [0.01, 0.02], 1e-4)
+    growth = initial_growth(np.diag([1e-4, 2e-4]), [0.01, 0.02], 0.0)
+    growth.covariance[5:8, 5:8] = HEADING_P
+    return growth
 
 
 def covariance_of(factor: np.ndarray) -> tuple[float, float, float]:
@@ -49,38 +57,78 @@ def speed_at(epoch: int) -> float:
 def blank() -> Any:
     """Growth after a fix, in the kernel."""
     g = np.zeros(1, dk.GROWTH)[0]
-    dk.reset(1e-4, 0.0, 2e-4, 0.01, 0.02, 1e-4, g)
+    dk.reset(1e-4, 0.0, 2e-4, 0.01, 0.02, g)
     return g
 
 
-def step_of(variance: float, carry: float) -> Any:
-    """What an epoch does to the error processes, in the kernel."""
-    return one_record(dk.STEP, dt_s=DT, phi_doppler=PHI_D, phi_odometer=PHI_O, heading_variance=variance, carry=carry)[
-        0
-    ]
+def blank_step() -> Any:
+    """An epoch without a turn, in the kernel."""
+    step = np.zeros(1, dk.STEP)[0]
+    step["dt_s"], step["phi_doppler"], step["phi_odometer"], step["white_doppler"] = DT, PHI_D, PHI_O, WHITE
+    return step
 
 
-def drive(sources: str) -> tuple[Growth, Any]:
-    """One letter for each epoch, d or o, in the reference and in the kernel."""
-    growth, g, before = start(), blank(), None
-    variance = 1e-4
+def turn_at(epoch: int) -> float:
+    return 0.05 if epoch % 20 < 12 else -0.08
+
+
+def calibrates(epoch: int) -> bool:
+    return epoch % 7 == 6
+
+
+def heading_filter() -> Any:
+    h = np.zeros(1, hk.HEADING)[0]
+    h["p_hh"], h["p_bb"], h["p_ss"] = np.diag(HEADING_P)
+    return h
+
+
+def covariance_of_filter(h: Any) -> np.ndarray:
+    rows = (("p_hh", "p_hb", "p_hs"), ("p_hb", "p_bb", "p_bs"), ("p_hs", "p_bs", "p_ss"))
+    return np.array([[h[name] for name in row] for row in rows])
+
+
+def step_of(epoch: int, h: Any, bias_walk: float = BIAS_WALK) -> tuple[Any, HeadingStep]:
+    """What an epoch does to the error processes, in the kernel and in the reference; the filter advances."""
+    step = blank_step()
+    hk.expect_turn(turn_at(epoch), DT, ARW, 0.0, h, step["turn"])
+    hk.predict_heading(turn_at(epoch), DT, ARW, bias_walk, h)
+    gains = np.zeros(3)
+    if calibrates(epoch):
+        gains = hk.correct(0.0, 1.0, 0.0, COURSE_SIGMA**2, h)
+        hk.observe(gains, False, 0.0, h, step["turn"])
+        step["turn"]["course"][:] = COURSE
+    hk.correlate(PHI_D, WHITE, h, step["turn"])
+    correction = np.eye(3) - np.outer(gains, [1.0, 0.0, 0.0])
+    course = np.outer(gains, COURSE)
+    return step, HeadingStep(ARW**2 * DT, turn_at(epoch), DT, correction, course, covariance_of_filter(h))
+
+
+def drive(sources: str, bias_walk: float = BIAS_WALK) -> tuple[Growth, Any]:
+    """One letter for each epoch, d or o, in the reference and in the kernel.
+
+    Without a walk of the bias the reference has the covariance of the heading errors themselves, not that of the
+    filter, which bounds the course as white.
+    """
+    growth, g, before, h = start(), blank(), None, heading_filter()
     for epoch, source in enumerate(sources):
-        carry = 0.8 if epoch % 7 == 6 else 1.0
-        variance = carry**2 * variance + WALK**2
-        common = {"phi_doppler": PHI_D, "phi_odometer": PHI_O, "heading_variance": variance, "carry": carry}
+        step, heading = step_of(epoch, h, bias_walk)
+        heading = heading if bias_walk else replace(heading, covariance=None)
+        common = {"phi_doppler": PHI_D, "white": WHITE, "phi_odometer": PHI_O, "heading": heading}
         t, v = heading_at(epoch), speed_at(epoch)
         if source == "d":
             now = FACTOR * (1.0 + 0.1 * (epoch % 3))
             growth = doppler_step(growth, DT, before, now, bias_mps=0.004, **common)
-            dk.step_doppler(step_of(variance, carry), *covariance_of(now), 0.004, g)
+            dk.step_doppler(step, *covariance_of(now), 0.004, g)
             before = now
         else:
             bias = 1e-3 + 1e-4 * epoch
             growth = odometer_step(
-                growth, DT, v, t, sigma_mps=SIGMA_ODOMETER, bias_mps=0.01, heading_bias_rad=bias, **common
-            )
+                growth, DT, v, t, sigma_mps=SIGMA_ODOMETER, bias_mps=0.01, heading_bias_rad=bias,
+                axle_bias_rad=0.1 * turn_at(epoch), **common
+            )  # fmt: skip
             turn = np.sin(t), np.cos(t)
-            dk.step_odometer(step_of(variance, carry), v, *turn, SIGMA_ODOMETER, 0.01, bias, g)
+            step["axle_bias"] = 0.1 * turn_at(epoch)
+            dk.step_odometer(step, v, *turn, SIGMA_ODOMETER, 0.01, bias, g)
             before = None
     return growth, g
 
@@ -89,17 +137,29 @@ def simulate(sources: str, draws: int) -> np.ndarray:
     """Position errors after the same epochs, drawn from the error processes.  (draws, 2) [m]."""
     rng = np.random.default_rng(7)
     error = rng.normal(size=(draws, 2)) * np.sqrt([1e-4, 2e-4])
-    n, m, d = rng.normal(size=(draws, 2)), rng.normal(size=draws), rng.normal(size=draws) * 1e-2
+    n, m, x = (
+        rng.normal(size=(draws, 2)),
+        rng.normal(size=draws),
+        rng.normal(size=(draws, 3)) * np.sqrt(np.diag(HEADING_P)),
+    )
     before: np.ndarray | None = None
+    h, w = heading_filter(), np.zeros((draws, 2))
     for epoch, source in enumerate(sources):
-        carry = 0.8 if epoch % 7 == 6 else 1.0
-        last_n, last_d = n, d
+        last_n, last_d = n + w, x[:, 0]
+        _, heading = step_of(epoch, h, 0.0)
         n = PHI_D * n + np.sqrt(1.0 - PHI_D**2) * rng.normal(size=(draws, 2))
+        w = np.sqrt(WHITE) * rng.normal(size=(draws, 2))
         m = PHI_O * m + np.sqrt(1.0 - PHI_O**2) * rng.normal(size=draws)
-        d = carry * d + WALK * rng.normal(size=draws)
+        x = x @ heading.transition.T
+        x[:, 0] += ARW * np.sqrt(DT) * rng.normal(size=draws)
+        d = x[:, 0]
+        if calibrates(epoch):
+            x = x @ heading.correction.T + (n + w) @ heading.course.T
         if source == "d":
             now = FACTOR * (1.0 + 0.1 * (epoch % 3))
-            error = error + (DT * n @ now.T if before is None else 0.5 * DT * (last_n @ before.T + n @ now.T))
+            error = error + (
+                DT * (n + w) @ now.T if before is None else 0.5 * DT * (last_n @ before.T + (n + w) @ now.T)
+            )
             before = now
         else:
             t, v = heading_at(epoch), speed_at(epoch)
@@ -118,7 +178,8 @@ def test_kernel_equals_reference(sources: str) -> None:
     c = growth.covariance
     expected = {
         "p_ee": c[0, 0], "p_en": c[0, 1], "p_nn": c[1, 1], "ne_e": c[0, 2], "ne_n": c[0, 3], "nn_e": c[1, 2],
-        "nn_n": c[1, 3], "od_e": c[0, 4], "od_n": c[1, 4], "th_e": c[0, 5], "th_n": c[1, 5], "var_th": c[5, 5],
+        "nn_n": c[1, 3], "od_e": c[0, 4], "od_n": c[1, 4], "th_e": c[0, 5], "th_n": c[1, 5], "gb_e": c[0, 6],
+        "gb_n": c[1, 6], "gs_e": c[0, 7], "gs_n": c[1, 7],
     }  # fmt: skip
     for name, value in expected.items():
         np.testing.assert_allclose(g[name], value, rtol=1e-10, atol=1e-15, err_msg=name)
@@ -134,7 +195,9 @@ def test_kernel_equals_reference(sources: str) -> None:
 def test_covariance_is_that_of_simulated_errors(sources: str) -> None:
     """Variances of 40,000 whitened errors in both directions; fails by chance once in 1000 runs for each case."""
     draws = 40_000
-    white = np.linalg.solve(np.linalg.cholesky(drive(sources)[0].position_covariance_m2), simulate(sources, draws).T)
+    white = np.linalg.solve(
+        np.linalg.cholesky(drive(sources, 0.0)[0].position_covariance_m2), simulate(sources, draws).T
+    )
     low, high = chi2.ppf([2.5e-4, 1.0 - 2.5e-4], df=draws)
     assert ((low < (white**2).sum(-1)) & ((white**2).sum(-1) < high)).all()
     assert abs(np.corrcoef(white)[0, 1]) < norm.isf(2.5e-4) / np.sqrt(draws)
@@ -180,7 +243,7 @@ def test_constant_heading_error_is_a_lever() -> None:
     """Straight drive with a heading error of 1 degree: CT error is distance times the angle, AT none."""
     growth = initial_growth(np.zeros((2, 2)), [0.0, 0.0], np.radians(1.0) ** 2)
     for _ in range(40):
-        growth = odometer_step(growth, DT, 10.0, 0.8, sigma_mps=0.0, heading_variance=np.radians(1.0) ** 2)
+        growth = odometer_step(growth, DT, 10.0, 0.8, sigma_mps=0.0)
     levels = protection_levels(growth, 0.8, RiskConfig(integrity_risk=2e-3), None)[0]
     assert levels[1] == pytest.approx(norm.isf(0.5e-3) * 40.0 * np.radians(1.0), rel=1e-9)
     assert levels[0] == pytest.approx(0.0, abs=1e-6)
@@ -214,17 +277,23 @@ def test_exact_bias_turns_with_the_vehicle_and_published_does_not() -> None:
 def test_a_stop_freezes_the_error_and_a_fix_clears_it() -> None:
     _, g = drive("d" * 10 + "o" * 10)
     before = g.copy()
-    dk.step_still(step_of(before["var_th"], 1.0), g)
+    h = heading_filter()
+    step = blank_step()
+    hk.observe(hk.correct(0.0, 0.0, 1.0, 1e-6, h), True, 0.0, h, step["turn"])
+    dk.step_still(step, g)
     for name in ("p_ee", "p_en", "p_nn", "cth_e", "cth_n", "cv_e", "cv_n", "box_e", "box_n"):
         assert g[name] == before[name]
-    assert abs(g["ne_e"]) < abs(before["ne_e"])
-    dk.reset(1e-4, 0.0, 2e-4, 0.01, 0.02, 1e-4, g)
+    for name in ("ne_e", "gb_e", "gb_n"):
+        assert abs(g[name]) < abs(before[name])
+    dk.reset(1e-4, 0.0, 2e-4, 0.01, 0.02, g)
     assert g == blank()
 
 
 def test_published_levels_by_hand() -> None:
     """S1 eq 18: K_md = Qinv(risk) unsplit, bias by the signed sum."""
-    growth = Growth(np.diag([0.04, 0.09, 1.0, 1.0, 1.0, 0.0]), np.zeros(2), np.array([0.3, 0.4]), np.zeros(2))
+    growth = Growth(
+        np.diag([0.04, 0.09, 1.0, 1.0, 1.0, *np.zeros(5)]), np.zeros(2), np.array([0.3, 0.4]), *np.zeros((2, 2))
+    )
     levels = protection_levels(growth, np.pi / 6, RiskConfig(variant=Variant.PUBLISHED), [1e-5])[0]
     sine, cosine = 0.5, np.sqrt(0.75)
     k = norm.isf(1e-5)
@@ -234,6 +303,25 @@ def test_published_levels_by_hand() -> None:
 
 def test_no_risk_left_gives_no_level() -> None:
     assert np.isinf(protection_levels(start(), 0.0, RiskConfig(unmonitored_risk=1e-4), [1e-5])).all()
+
+
+@pytest.mark.parametrize("sources", SOURCES)
+def test_the_filters_covariance_bounds_the_position_after_correlated_courses(sources: str) -> None:
+    """The white error that bounds a course gives the larger position covariance, whatever moves the position."""
+    h = heading_filter()
+    exact = inflated = start()
+    for epoch, source in enumerate(sources):
+        _, heading = step_of(epoch, h, 0.0)
+        step = {"phi_doppler": PHI_D, "white": WHITE, "phi_odometer": PHI_O}
+        exact, inflated = (
+            doppler_step(growth, DT, None, FACTOR, heading=way, **step)
+            if source == "d"
+            else odometer_step(growth, DT, 10.0, 0.3, sigma_mps=0.05, heading=way, **step)
+            for growth, way in ((exact, replace(heading, covariance=None)), (inflated, heading))
+        )
+    more = inflated.position_covariance_m2 - exact.position_covariance_m2
+    assert np.linalg.eigvalsh(more).min() > -1e-12
+    assert sources[0] == "d" or np.trace(more) > 0.0
 
 
 @settings(max_examples=25, deadline=None)

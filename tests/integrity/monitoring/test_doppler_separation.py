@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -11,7 +13,7 @@ from lanebound.integrity.core.records import record
 from lanebound.integrity.monitoring import doppler_separation_kernel as dk
 
 Array = NDArray[np.float64]
-DT, PHI = 0.1, float(np.exp(-0.1 / 0.54))
+DT, PHI, WHITE = 0.1, float(np.exp(-0.1 / 0.54)), 0.5
 SATELLITES = np.zeros(7, record(prior="[-]", system=("i8", "")))
 SATELLITES["prior"] = [1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-4, 1e-4]
 SATELLITES["system"] = [0, 0, 0, 0, 0, 2, 2]
@@ -48,7 +50,7 @@ class _Monitor:
 
     def advance(self, integrates: bool) -> None:
         for k in range(7):
-            dk.advance_separation(DT, integrates, self.had, PHI, self.last[k], self.now[k], self.separations[k])
+            dk.advance_separation(DT, integrates, self.had, PHI, WHITE, self.last[k], self.now[k], self.separations[k])
         self.last, self.had = self.now.copy(), True
 
 
@@ -91,14 +93,15 @@ def test_covariance_without_a_satellite_is_the_fault_free_one_and_that_of_the_se
 
 
 def test_covariance_is_that_of_simulated_separations() -> None:
-    """1500 drives of 40 epochs with Gauss-Markov errors; fails by chance once in 1000 runs."""
+    """1500 drives of 40 epochs with Gauss-Markov and white errors; fails by chance once in 1000 runs."""
     rng, drives = np.random.default_rng(2), 1500
     los, variance = _sky()
     error = rng.normal(size=(drives, 7))
     monitors = [_Monitor() for _ in range(drives)]
     for _ in range(40):
         error = PHI * error + np.sqrt(1.0 - PHI**2) * rng.normal(size=(drives, 7))
-        for a, y in zip(monitors, np.sqrt(variance) * error, strict=True):
+        both = error + np.sqrt(WHITE) * rng.normal(size=error.shape)
+        for a, y in zip(monitors, np.sqrt(variance) * both, strict=True):
             a.step(los, ALL, variance, y, *_velocity(los, variance, y, ALL))
     states = np.stack([a.separations for a in monitors])
     low, high = chi2.ppf([0.5e-3 / 14, 1.0 - 0.5e-3 / 14], df=drives)
@@ -128,21 +131,68 @@ def test_a_satellite_that_the_velocity_needs_is_lost() -> None:
     few[[1, 3, 5]] = False
     a.step(los, few, variance, y, *_velocity(los, variance, y, few))
     assert (a.now["state"] == np.where(few, dk.LOST, dk.IDLE)).all()
-    total, squares, lost = dk.exposure(SATELLITES, SOUND, a.separations)
+    total, squares, lost = dk.exposure(SATELLITES, SOUND, a.separations, np.zeros(5, dk.SYSTEM_SEPARATION))
     assert total == lost == pytest.approx(1e-5 * 3 + 1e-4)
     assert squares == pytest.approx(1e-10 * 3 + 1e-8)
 
 
-def test_the_prior_of_a_constellation_in_use_counts_as_lost() -> None:
-    separations = np.zeros(7, dk.SEPARATION)
+def test_the_prior_of_a_system_in_use_counts_and_is_lost_where_it_has_no_separation() -> None:
+    separations, systems = np.zeros(7, dk.SEPARATION), np.zeros(3, dk.SYSTEM_SEPARATION)
     separations["state"][[0, 1, 2, 3]] = dk.MONITORED
     priors = np.array([1e-6, 2e-6, 4e-6, 0.0, 0.0, 0.0, 0.0, 0.0])
-    total, squares, lost = dk.exposure(SATELLITES, priors, separations)
-    assert lost == 1e-6
-    assert total == pytest.approx(4e-5 + 1e-6)
-    assert squares == pytest.approx(4e-10 + 1e-12)
-    separations["state"][6] = dk.MONITORED
-    assert dk.exposure(SATELLITES, priors, separations)[2] == pytest.approx(5e-6)
+    systems["state"] = dk.MONITORED, dk.IDLE, dk.LOST
+    total, squares, lost = dk.exposure(SATELLITES, priors, separations, systems)
+    assert lost == 4e-6
+    assert total == pytest.approx(4e-5 + 5e-6)
+    assert squares == pytest.approx(4e-10 + 17e-12)
+
+
+SYSTEM = np.array([0, 0, 0, 0, 0, 2, 2])
+
+
+def _systems(los: Array, variance: Array, y: Array, spendable: float = 0.0) -> tuple[Any, Array, Array]:
+    """Influences of the systems on one velocity, that velocity and its covariance."""
+    v, q = _velocity(los, variance, y, ALL)
+    out, sums = np.zeros(3, dk.SYSTEM_INFLUENCE), np.empty((4, 15))
+    priors = np.array([1e-8, 1e-4, 1e-4])
+    dk.find_system_influences(los, ALL, variance, y, v, q, True, SYSTEM, priors, spendable, sums, out)
+    return out, v, q
+
+
+def test_a_velocity_without_a_system_is_that_without_its_rows() -> None:
+    los, variance = _sky()
+    y = np.random.default_rng(6).normal(size=7)
+    found, v, q = _systems(los, variance, y)
+    without, more = _velocity(los, variance, y, SYSTEM == 0)
+    assert found["state"].tolist() == [dk.LOST, dk.IDLE, dk.MONITORED]  # two satellites give no velocity
+    np.testing.assert_allclose([found["d_e"][2], found["d_n"][2]], (v - without)[:2], rtol=1e-9)
+    factor = np.array([[found["l_ee"][2], 0.0], [found["l_ne"][2], found["l_nn"][2]]])
+    np.testing.assert_allclose(q[:2, :2] + factor @ factor.T, more[:2, :2], rtol=1e-9)
+    poor, _, _ = _systems(los, variance, y, 1.0)
+    limit = dk.POOR * (q[0, 0] + q[1, 1])
+    assert poor["state"][2] == (dk.LOST if more[0, 0] + more[1, 1] > limit else dk.MONITORED)
+
+
+def test_covariance_is_that_of_simulated_separations_by_a_system() -> None:
+    """1500 drives of 40 epochs with Gauss-Markov and white errors; fails by chance once in 1000 runs."""
+    rng, drives = np.random.default_rng(9), 1500
+    los, variance = _sky()
+    error, separations = rng.normal(size=(drives, 7)), np.zeros((drives, 1), dk.SYSTEM_SEPARATION)
+    last = np.zeros((drives, 3), dk.SYSTEM_INFLUENCE)
+    for epoch in range(40):
+        error = PHI * error + np.sqrt(1.0 - PHI**2) * rng.normal(size=(drives, 7))
+        both = error + np.sqrt(WHITE) * rng.normal(size=error.shape)
+        for k, y in enumerate(np.sqrt(variance) * both):
+            now, _, _ = _systems(los, variance, y)
+            dk.advance_system(DT, True, epoch > 0, PHI, WHITE, last[k, 2], now[2], separations[k, 0])
+            last[k] = now
+    s = separations[0, 0]
+    covariance = np.array([[s["s_ee"], s["s_en"]], [s["s_en"], s["s_nn"]]])
+    apart = np.column_stack([separations["d_e"][:, 0], separations["d_n"][:, 0]])
+    white = np.linalg.solve(np.linalg.cholesky(covariance), apart.T)
+    low, high = chi2.ppf([0.25e-3, 1.0 - 0.25e-3], df=drives)
+    assert ((low < (white**2).sum(-1)) & ((white**2).sum(-1) < high)).all()
+    assert abs(np.corrcoef(white)[0, 1]) < norm.isf(0.25e-3) / np.sqrt(drives)
 
 
 def test_at_rest_the_separation_stays_and_its_correlation_fades() -> None:

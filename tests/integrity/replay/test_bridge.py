@@ -34,4 +34,17 @@ def test_the_larger_of_the_declared_and_the_solutions_own_variance_counts() -> N
     declared = STILL.replace(heading_sigma_deg=10.0)
     for own in (0.0, 0.01):
         bridge = Bridge(declared, RiskConfig(), np.eye(2), np.zeros(2), SIGMA, 0.0, with_heading=np.array([0, 0, own]))
-        assert bridge.heading_variance == pytest.approx(max(np.radians(10.0) ** 2, own))
+        assert bridge.growth.covariance[5, 5] == pytest.approx(max(np.radians(10.0) ** 2, own))
+
+
+@pytest.mark.parametrize("turn", [0.5, np.pi, 2.0 * np.pi])
+def test_a_wrong_axle_distance_is_bounded_through_a_turn(turn: float) -> None:
+    """The reference point is off by the lever's error times the change of the heading's unit vector."""
+    bound, level = 0.5, {}
+    for declared in (0.0, bound):
+        config = STILL.replace(axle_bound_m=declared)
+        bridge = Bridge(config, RiskConfig(), 1e-9 * np.eye(2), np.zeros(2), SIGMA, 0.0)
+        for heading in np.linspace(0.0, turn, 20):
+            level[declared] = bridge.step(0.1, 0.0, heading)[0]
+    along, across = bound * (1.0 - np.cos(turn)), bound * np.sin(turn)
+    np.testing.assert_allclose(level[bound] - level[0.0], np.abs([along, across]), atol=1e-9)
