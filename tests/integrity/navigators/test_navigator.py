@@ -165,7 +165,7 @@ def test_an_outage_runs_through_the_modes_and_the_levels_saw() -> None:
     level = np.stack([run.pl_at_m, run.pl_ct_m], -1)
     growth = np.diff(level[outage], axis=0)
     assert growth.min() > -0.01  # the track axes turn a little with the estimated heading
-    assert (growth > 0.0).mean() > 0.98
+    assert (growth > 0.0).mean() > 0.95  # the separations are measured, so they may shrink
     assert (level[outage][-1] > 5.0 * level[385]).all()
     assert (level[-1] < 0.1).all()
     np.testing.assert_array_less(run.error_m[30:], np.hypot(*np.moveaxis(level[30:], -1, 0)))

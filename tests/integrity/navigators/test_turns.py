@@ -48,12 +48,13 @@ def test_levels_hold_while_the_bias_wanders(tau_s: float) -> None:
     assert max(beyond) <= allowed(VEHICLES, RISK, times=2), beyond
 
 
+KNOWN = {"tau_range_s": (0.54, 0.54)}  # the true correlation time, for levels without slack
 WEAVE = [(0.2, 5.0), (-0.2, 5.0)] * 3
 
 
 @pytest.mark.parametrize("wrong_m", [0.5, -0.5])
 def test_a_bound_of_the_axle_distance_bounds_a_wrong_one_in_turns(wrong_m: float) -> None:
-    declared = {"axle_m": 2.5, "axle_bound_m": 0.5}
+    declared = {"axle_m": 2.5, "axle_bound_m": 0.5, "doppler": KNOWN}
     config = with_risk(NavigatorConfig(), RISK).replace(positioning=declared)
     rates = yaw_rates((0.0, 10.0), *WEAVE, (0.25, 6.0), (0.25, 6.0), *U_TURN, (0.0, 10.0))
     open_s, end = 46.0, len(rates) * 0.1
@@ -64,7 +65,9 @@ def test_a_bound_of_the_axle_distance_bounds_a_wrong_one_in_turns(wrong_m: float
 
 
 def test_without_that_bound_the_level_across_breaks() -> None:
-    config = with_risk(NavigatorConfig(), RISK).replace(positioning={"axle_m": 2.5, "axle_bound_m": 0.0})
+    config = with_risk(NavigatorConfig(), RISK).replace(
+        positioning={"axle_m": 2.5, "axle_bound_m": 0.0, "doppler": KNOWN}
+    )
     rates = yaw_rates((0.0, 10.0), *WEAVE, (0.25, 12.0), (0.0, 4.0))
     run = drive(config, rates, 52.0, VEHICLES, axle_m=3.0, from_s=50.0)
     assert run.exceeding(1, len(rates) * 0.1) > allowed(VEHICLES, RISK)
