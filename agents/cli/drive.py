@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -86,7 +87,7 @@ def failing(agent: str) -> Iterator[None]:
         cause = failure.__cause__
         if isinstance(cause, InputError):
             raise cause from None
-        ours = (str(Path(__file__).parents[1]), "<frozen ")  # Python's import machinery has frozen modules
+        ours = (str(Path(__file__).parents[1]), importlib.__file__, "<frozen ")  # and Python's import machinery
         frames = [f for f in extract_tb(cause.__traceback__ if cause else None) if not f.filename.startswith(ours)]
         typer.echo("".join(format_list(frames)), err=True, nl=False)
         when = "".join(f", {note}" for note in getattr(failure, "__notes__", ()))

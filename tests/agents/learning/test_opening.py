@@ -53,6 +53,6 @@ def test_what_the_filter_changes_costs_reward_in_training_alone() -> None:
 
 def test_an_engine_where_there_is_none_is_refused_in_the_words_of_an_experiment() -> None:
     with pytest.raises(
-        ConfigError, match=r"^engine must be left out for Merge, got true: the vector engine supports .*Highway"
+        ConfigError, match=r"^engine must be left out for Merge-v0, got true: the vector engine supports .*Highway"
     ):
         for_judging(experiment(env="Merge", engine=True), 1)
