@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.agents.assess.street_drives import Moment, StreetDrivesConfig, drive_street
+from lanebound.agents.assess.street_drives import DriveMoment, StreetDrivesConfig, drive_street
 from lanebound.agents.checkpointing.files import write_json
 from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
@@ -47,10 +47,9 @@ class InTheLoopConfig(StreetDrivesConfig):
         return -(-self.epochs // (self.vehicles * round(self.duration_s / self.navigator.dt_s)))
 
     def with_levels(self) -> InTheLoopConfig:
-        """The same with protection levels at all the risks, the first one operative."""
-        first, *more = self.risks
-        risk = {"risk": {"integrity_risk": first}, "more_levels": [{"integrity_risk": other} for other in more]}
-        return self.replace(navigator=self.navigator.replace(**risk).to_dict())
+        """The same with further protection levels at all the risks; the operative one stays that of the navigator."""
+        more = [{"integrity_risk": risk} for risk in self.risks]
+        return self.replace(navigator=self.navigator.replace(more_levels=more).to_dict())
 
 
 def assess_in_the_loop(
@@ -96,15 +95,15 @@ class _Tally:
         self.exceed = np.zeros((modes, risks, 2), dtype=np.int64)
         self.vehicles = np.zeros((config.vehicles, risks, 2), dtype=np.int64)
 
-    def count(self, moment: Moment) -> None:
+    def count(self, moment: DriveMoment) -> None:
         """Add an epoch."""
         s = moment.solution
         beyond = np.abs(moment.error_m)[:, None, :] > s.pl_cases_m
         np.add.at(self.epochs, s.mode, 1)
-        np.add.at(self.exceed, s.mode, beyond)
+        np.add.at(self.exceed, s.mode, beyond[:, 1:])
         np.add.at(self.usable, s.mode, s.available & ~s.alert)
         np.add.at(self.misleading, s.mode, s.available & ~s.alert & beyond[:, 0].any(-1))
-        self.vehicles += beyond
+        self.vehicles += beyond[:, 1:]
 
     def counts(self) -> dict[str, Any]:
         """The counts as plain data."""
@@ -117,7 +116,7 @@ class _Tally:
         }
 
 
-def _sample(moment: Moment) -> NDArray[np.float64]:
+def _sample(moment: DriveMoment) -> NDArray[np.float64]:
     """Mode, errors and levels at the operative risk of B vehicles, (B, 5), rounded to a tenth of a millimetre."""
     s = moment.solution
     levels = np.minimum(np.stack([s.pl_at_m, s.pl_ct_m], -1), NO_LEVEL_M)
@@ -144,7 +143,7 @@ def _summary(config: InTheLoopConfig, streets: Sequence[Mapping[str, Any]]) -> d
 
 
 def _modes(config: InTheLoopConfig, epochs: Any, exceed: Any, mode: Any, along: Any, across: Any) -> dict[str, Any]:
-    """Share, median levels and rates at the first risk by mode."""
+    """Share, median operative levels, and rates at the first risk, by mode."""
     return {
         m.name.lower(): {
             "share": float(epochs[:, m].sum() / epochs.sum()),

@@ -33,7 +33,7 @@ CLOCK_DBHZ, OFFSET_DBHZ = 40.0, 42.0
 LEAST_GPS = 3  # codes for the clock of an epoch
 LEAST_CODES = 20  # of a class that is shown
 CN0_DBHZ = (0.0, 25.0, 32.0, 38.0, 43.0, 60.0)
-ELEVATION_DEG = (0.0, 30.0, 60.0, 90.0)
+ELEVATION_DEG = (0.0, 30.0, 60.0, 90.1)
 QUANTILES = (0.5, 0.75, 0.9, 0.95)
 EVERY = 5  # epochs of the simulation between those that count
 SYSTEMS = {"G": System.GPS, "R": System.GLONASS, "E": System.GALILEO, "C": System.BEIDOU, "J": System.QZSS}
@@ -67,7 +67,8 @@ def assess_signals(folder: Path, config: SignalsConfig, out: Path, on_progress: 
     half = recorded[:, 0] < 0.5 * (recorded[0, 0] + recorded[-1, 0])
     seen = sorted({int(system) for system in np.unique(recorded[:, 1])})
     simulated = _simulated(config, seen, on_progress)
-    sides = {"first half": recorded[half], "second half": recorded[~half], "simulated": simulated}
+    halves = {"first half": _without_clock(recorded[half]), "second half": _without_clock(recorded[~half])}
+    sides = {**halves, "simulated": simulated}
     result = {"config": config.to_dict(), "codes": {name: len(rows) for name, rows in sides.items()}} | {
         "classes": [
             {"cn0_dbhz": list(cn0), "elevation_deg": list(elevation)}
@@ -86,7 +87,7 @@ def _pairs(edges: Sequence[float]) -> list[tuple[float, float]]:
 
 
 def _recorded(folder: Path) -> Array:
-    """Time, system, residual [m], elevation [deg] and C/N0 of the codes of a drive, (N, 5), in order of time."""
+    """Time, system, residual with clock [m], elevation [deg] and C/N0 of the codes of a drive, (N, 5), by time."""
     inputs, truths = sorted(folder.glob("*_Input.txt*")), sorted(folder.glob("*_GT.txt"))
     if not inputs or not truths:
         raise InputError(f"{folder} must hold *_Input.txt(.gz) and *_GT.txt of smartLoc: name the folder of a drive")
@@ -99,7 +100,7 @@ def _recorded(folder: Path) -> Array:
     residual = codes.range_m - ranges_and_sights(codes.satellite_ecef_m, position)[0]
     columns = codes.time_s, system, residual, np.degrees(codes.elevation_rad), codes.cn0_dbhz
     rows = np.column_stack(columns)[known & (system >= 0)]
-    return _without_clock(rows[np.argsort(rows[:, 0], kind="stable")])
+    return np.asarray(rows[np.argsort(rows[:, 0], kind="stable")])
 
 
 def _simulated(config: SignalsConfig, systems: Sequence[int], on_progress: OnProgress) -> Array:
@@ -152,7 +153,7 @@ def _without_clock(rows: Array) -> Array:
 def _quantiles(rows: Array, cn0: tuple[float, float], elevation: tuple[float, float]) -> dict[str, Any] | None:
     """Share of a class and quantiles of its absolute residuals [m], None for a class with few codes."""
     here = (rows[:, 4] >= cn0[0]) & (rows[:, 4] < cn0[1])
-    here &= (rows[:, 3] >= elevation[0]) & (rows[:, 3] <= elevation[1])
+    here &= (rows[:, 3] >= elevation[0]) & (rows[:, 3] < elevation[1])
     if here.sum() < LEAST_CODES:
         return None
     return {"share": float(here.mean()), "quantiles_m": np.quantile(np.abs(rows[here, 2]), QUANTILES).tolist()}

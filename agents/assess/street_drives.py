@@ -27,7 +27,7 @@ from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import SkyMask
 
-__all__ = ["Moment", "StreetDrivesConfig", "drive_street", "street_of"]
+__all__ = ["DriveMoment", "StreetDrivesConfig", "drive_street", "street_of"]
 
 Array = NDArray[np.float64]
 
@@ -52,7 +52,9 @@ class StreetDrivesConfig(Config):
     vehicles: int = Field(16, ge=1, le=4096, description="vehicles in a street; they share its city and its satellites")
     duration_s: float = Field(180.0, gt=0, description="length of a drive after the warm-up [s]")
     warm_up_s: float = Field(20.0, ge=0, description="time before the first epoch that counts [s]")
-    length_m: float = Field(2500.0, ge=500, le=20_000, description="length of a street [m]")
+    length_m: float = Field(
+        4000.0, ge=500, le=20_000, description="length of a street [m]; vehicles that reach its end stand there"
+    )
     seed: int = Field(1, ge=0, description="of streets, skies, instruments, drives and faults")
     navigator: NavigatorConfig = NavigatorConfig()
     drive: DriveConfig = DriveConfig()
@@ -69,7 +71,7 @@ class StreetDrivesConfig(Config):
 
 
 @dataclass(frozen=True)
-class Moment:
+class DriveMoment:
     """One epoch of B vehicles: error_m (B, 2) along and across the true heading, and the solution."""
 
     time_s: float
@@ -77,7 +79,7 @@ class Moment:
     solution: Solution
 
 
-def drive_street(config: StreetDrivesConfig, sky: str, number: int, advance: Advance = ignore) -> Iterator[Moment]:
+def drive_street(config: StreetDrivesConfig, sky: str, number: int, advance: Advance = ignore) -> Iterator[DriveMoment]:
     """Drive the vehicles of street ``number`` under a sky; each street has a city, an hour and draws of its own."""
     navigator, drive = street_of(config, sky, number)
     first, epochs = (round(time_s / navigator.config.dt_s) for time_s in (config.warm_up_s, config.span_s))
@@ -86,7 +88,7 @@ def drive_street(config: StreetDrivesConfig, sky: str, number: int, advance: Adv
         error = solution.position_en_m - truth.position_enu_m[:, :2]
         if k >= first:
             turned = np.einsum("bij,bj->bi", track_from_enu_matrix(truth.heading_rad), error)
-            yield Moment(truth.time_s, turned, solution)
+            yield DriveMoment(truth.time_s, turned, solution)
         advance((k + 1) / epochs)
 
 
@@ -101,8 +103,13 @@ def street_of(config: StreetDrivesConfig, sky: str, number: int) -> tuple[Naviga
     )
     navigator = _navigator(config, sky, number, mask)
     car, traffic = CityDrive(road, config.drive, navigator.config.dt_s), Streams(_vehicle_seeds(config, number)[:-1])
-    state = car.start(traffic, spread_m=0.5 * config.length_m)
+    state = car.start(traffic, spread_m=_spread_m(config, road))
     return navigator, (car.step(state, traffic) for _ in count())
+
+
+def _spread_m(config: StreetDrivesConfig, road: Road) -> float:
+    """Length over which vehicles start, so that none reaches the end of a street that is long enough."""
+    return max(road.length_m - config.drive.speed_limit_mps * config.span_s, 0.1 * road.length_m)
 
 
 def _navigator(config: StreetDrivesConfig, sky: str, number: int, mask: SkyMask) -> Navigator:

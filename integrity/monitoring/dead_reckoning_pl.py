@@ -62,6 +62,7 @@ class HeadingStep:
     correction : (3, 3) A of the filter's update at the end
     course : (3, 2) gain times error of the course by a unit Doppler error in E and N, ``k a'``
     covariance : (3, 3) of the filter after it; None: that of F alone, for a heading without a filter
+    axle_bias_rad : (...,) error of the course by the bound of the axle distance, signed
     """
 
     walk: ArrayLike = 0.0
@@ -70,6 +71,7 @@ class HeadingStep:
     correction: Array = field(default_factory=lambda: np.eye(3))
     course: Array = field(default_factory=lambda: np.zeros((3, 2)))
     covariance: Array | None = None
+    axle_bias_rad: ArrayLike = 0.0
 
     @property
     def transition(self) -> Array:
@@ -162,7 +164,6 @@ def odometer_step(
     sigma_mps: float,
     bias_mps: ArrayLike = 0.0,
     heading_bias_rad: ArrayLike = 0.0,
-    axle_bias_rad: ArrayLike = 0.0,
     phi_doppler: float = 0.0,
     white: float = 0.0,
     phi_odometer: float = 0.0,
@@ -172,8 +173,7 @@ def odometer_step(
     """``p += V dt [sin t, cos t]`` with the interval's means (inverse of S1 eq 4; equations.md 3).
 
     Biases: ``c_th += v dt b_theta [cos t, -sin t]'``, ``c_v += dt b_v [sin t, cos t]'``. Parameters as in
-    :func:`doppler_step`; ``heading_bias_rad`` is ``b_theta0 + db (t - t_cal)``, ``axle_bias_rad`` the error of
-    the course by the bound of the axle distance, signed.
+    :func:`doppler_step`; ``heading_bias_rad`` is ``b_theta0 + db (t - t_cal)``.
     """
     r = track_from_enu_matrix(heading_rad)
     along, across = dt_s * r[..., 0, :], dt_s * np.asarray(speed_mps, dtype=np.float64)[..., None] * r[..., 1, :]
@@ -195,7 +195,7 @@ def odometer_step(
         covariance,
         growth.by_heading_m + across * np.asarray(heading_bias_rad, dtype=np.float64)[..., None],
         growth.by_speed_m + along * np.asarray(bias_mps, dtype=np.float64)[..., None],
-        growth.by_axle_m + across * np.asarray(axle_bias_rad, dtype=np.float64)[..., None],
+        growth.by_axle_m + across * np.asarray(heading.axle_bias_rad, dtype=np.float64)[..., None],
         growth.box_m,
     )
 

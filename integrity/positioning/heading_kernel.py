@@ -45,6 +45,7 @@ __all__ = [
     "observe",
     "predict_heading",
     "raise_uncertainty",
+    "rest_heading",
 ]
 
 HEADING = record(
@@ -107,6 +108,13 @@ def predict_heading(delta_theta: float, dt: float, arw: float, bias_walk: float,
     h.p_bb += bias_walk * bias_walk * dt
     h.angle = wrap(h.angle + delta_theta * (1.0 - h.gyro_scale) - h.gyro_bias * dt)
     h.axle_h -= dt * h.axle_b + delta_theta * h.axle_s
+
+
+@jit(borrows=True)
+def rest_heading(delta_theta: float, dt: float, arw: float, bias_walk: float, h: Any) -> Any:
+    """Learn the gyro bias at rest (ZUPT, S1 figure 1), where it walks as well. Returns the gains of the update."""
+    h.p_bb += bias_walk * bias_walk * dt
+    return correct(delta_theta / dt - h.gyro_bias, 0.0, 1.0, arw * arw / dt, h)
 
 
 @jit(borrows=True)

@@ -38,7 +38,7 @@ NUMBERS = (
     ("excess_m", 0.0, 1e4),
     ("cn0_dbhz", 0.0, 100.0),
 )
-PATHS = {path.name.lower(): int(path) for path in SignalPath}
+PATHS = {path.name.lower(): int(path) for path in SignalPath if path <= SignalPath.BLOCKED}  # those of masks
 LONGEST_NAME = 8
 MOST_BYTES = 32 * 2**20  # about 600,000 rows, 3,000 km of street
 # Scales of the distance between rows: half a house front along the street, and angles; elevation has more influence

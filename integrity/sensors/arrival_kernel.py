@@ -24,7 +24,18 @@ from lanebound.integrity.sky.propagation_kernel import (
 )
 from lanebound.integrity.sky.raytrace_kernel import BLOCKED, FOLIAGE, LOS, REFLECTED, STRONGEST
 
-__all__ = ["ARRIVAL", "BANDS", "DIFFRACTED", "MULTIPATH", "PATH_RULES", "TRACKED", "Geometry", "find_arrivals", "track"]
+__all__ = [
+    "ARRIVAL",
+    "BANDS",
+    "DIFFRACTED",
+    "MULTIPATH",
+    "PATH_RULES",
+    "TRACKED",
+    "SignalGeometry",
+    "SignalWork",
+    "find_arrivals",
+    "track",
+]
 
 BANDS = 2  # that a receiver has at most
 MATERIALS = 4  # members of materials.Material
@@ -56,7 +67,7 @@ TRACKED = record(
 """What lasts of a satellite's arrival from epoch to epoch."""
 
 
-class Geometry(NamedTuple):
+class SignalGeometry(NamedTuple):
     """A signal at an antenna: unit vector to the satellite, elevation [rad], antenna [m], velocity [m/s]."""
 
     e: tuple[float, float, float]
@@ -65,7 +76,7 @@ class Geometry(NamedTuple):
     v: tuple[float, float, float]
 
 
-class Work(NamedTuple):
+class SignalWork(NamedTuple):
     """Work of B vehicles for the signal at hand.
 
     arrivals (B, 4) of ARRIVAL; sources (B, 4) values of TRACKED.arrival; code, carrier (B, 2): errors by band [m].
@@ -116,7 +127,7 @@ def _add_direct(rules, path, skyline, edge, way, fluctuation, wavelength, arriva
         arrival.excess_m = 0.5 * edge * above * above
         arrival.rate_mps = _dot(here, way.v) - _dot(from_edge, way.v)
     if path == FOLIAGE:
-        loss += rules.foliage_loss + 2.0 * fluctuation
+        loss += rules.foliage_loss - 2.0 * fluctuation  # with cn0_sigma of the receiver: tripled below trees
     arrival.amplitude = 10.0 ** (-0.05 * loss)
     return kind
 
@@ -144,7 +155,7 @@ def _add_reflection(rules, face, way, wavelength, arrival):  # type: ignore[no-u
 def find_arrivals(rules, reception, v, s, way, fluctuation, wavelength, arrivals, sources):  # type: ignore[no-untyped-def]
     """Fill arrivals and sources, at most 3, of satellite s at vehicle v: their number, and the kind of the direct one.
 
-    reception of ReceptionRows, way of Geometry. A reflection at an unknown face keeps the excess of the mask.
+    reception of ReceptionRows, way of SignalGeometry. A reflection at an unknown face keeps the excess of the mask.
     """
     path = reception.path[v, s]
     kind = _add_direct(

@@ -18,7 +18,7 @@ from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.sensors import gnss_kernel as gk
-from lanebound.integrity.sensors.arrival_kernel import NOTHING, PATH_RULES, Work
+from lanebound.integrity.sensors.arrival_kernel import NOTHING, PATH_RULES, SignalWork
 from lanebound.integrity.sensors.clock import OCXO_H0, OCXO_HM2, TCXO_H0, TCXO_HM2, clock_gains
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.multipath_kernel import ARRIVAL, MOST_ARRIVALS
@@ -367,10 +367,10 @@ def observe(
     return gnss_epoch(out)
 
 
-def blank_work(batch: int) -> Work:
+def blank_work(batch: int) -> SignalWork:
     """Work of receivers for the signal at hand."""
     shape = batch, MOST_ARRIVALS + 1  # and the arrival that was tracked before
-    return Work(np.zeros(shape, ARRIVAL), np.zeros(shape), *np.zeros((2, batch, gk.BANDS)))
+    return SignalWork(np.zeros(shape, ARRIVAL), np.zeros(shape), *np.zeros((2, batch, gk.BANDS)))
 
 
 def blank_gnss(batch: int, satellites: int) -> gk.GnssOutputs:

@@ -17,8 +17,8 @@ from lanebound.integrity.sensors.arrival_kernel import (
     NOTHING,
     PATH_RULES,
     TRACKED,
-    Geometry,
-    Work,
+    SignalGeometry,
+    SignalWork,
     find_arrivals,
     track,
 )
@@ -223,7 +223,7 @@ class Receivers(NamedTuple):
     area: Records
     station_clock: Array
     reference: Array
-    work: Work
+    work: SignalWork
 
 
 class GnssOutputs(NamedTuple):
@@ -358,7 +358,7 @@ def follow(rules, level, received, locked, u, signal):  # type: ignore[no-untype
     had_phase = signal.phase_s >= rules.phase_delay
     signal.code_s = signal.code_s + rules.dt if received else 0.0
     signal.phase_s = signal.phase_s + rules.dt if locked else 0.0
-    has_phase, lost = signal.phase_s >= rules.phase_delay, False
+    has_phase, lost = locked and signal.phase_s >= rules.phase_delay, False
     if has_phase and not had_phase:
         lost = True
         signal.ambiguity[0] = whole(signal.ambiguity[0]) + 2.0 * math.floor(2000.0 * digits(u.kind, 1e6) - 1000.0)
@@ -369,7 +369,7 @@ def follow(rules, level, received, locked, u, signal):  # type: ignore[no-untype
             lost = slip(rules, u.kind, signal)
         if settle_half_cycle(rules, signal):
             lost = True
-    return signal.code_s >= rules.code_delay, has_phase, lost
+    return received and signal.code_s >= rules.code_delay, has_phase, lost
 
 
 @jit(borrows=True)
@@ -442,6 +442,7 @@ def by_paths(receivers, reception, v, s, way, system, u):  # type: ignore[no-unt
     count, kind = find_arrivals(rules.paths, reception, v, s, way, signal.cn0, wave, work.arrivals[v], work.sources[v])
     if count == 0:
         memory.arrival = NOTHING
+        work.code[v], work.carrier[v] = 0.0, 0.0
         reception.path[v, s] = BLOCKED
         return False, False, 0.0
     bands = rules.wavelength[system], rules.chip[system]
@@ -491,7 +492,7 @@ def observe_vehicle(v, reception, receivers, sky, truth, effects, out):  # type:
         e, n, u = sky.los[k, s, 0], sky.los[k, s, 1], sky.los[k, s, 2]
         slant, drop, late, late_rate, broken = 1.0 / u, effects.cn0_drop[v, s], 0.0, 0.0, False
         if rules.by_paths:
-            way = Geometry((e, n, u), sky.elevation[k, s], antenna, velocity)
+            way = SignalGeometry((e, n, u), sky.elevation[k, s], antenna, velocity)
             arrives, broken, late_rate = by_paths(receivers, reception, v, s, way, sky.system[s], uniform)
             level = carrier_to_noise(rules, u, LOS, drop, signal.cn0) + signal.tracked.fade
             received = arrives and level >= rules.track_min

@@ -36,7 +36,7 @@ ARRIVAL = record(
 TWO_PI = 2.0 * math.pi
 MOST_ARRIVALS = 3  # the direct or diffracted ray, and two reflections
 STEPS, SETTLED, LEAST_SLOPE = 8, 1e-12, 0.05
-LEAST_POWER = 1e-6  # of a complete fade: 60 dB, no receiver tracks it
+LEAST_POWER = 0.01  # a loop of some 15 Hz follows no deeper fade: the rate of its phase would exceed the bandwidth
 
 
 class Loops(NamedTuple):

@@ -334,7 +334,8 @@ def edge_rows(first, last, grid, antenna, n_az, n_el, path, skyline, edge):  # t
                         high = middle
             else:
                 low = 0.5 * math.pi
-            skyline[p, a], edge[p, a] = low, t
+            if t < math.inf:  # else rounding let the ray pass
+                skyline[p, a], edge[p, a] = low, t
 
 
 @jit

@@ -234,8 +234,10 @@ def test_a_syntax_error_of_an_agent_is_one_line(tmp_path, monkeypatch):
     (tmp_path / "spelt_so_wrong.py").write_text("def make(env):\n    return )\n", encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     result = run("Merge", *GIVEN, "--agent", "spelt_so_wrong:make")
-    assert result.exit_code == 1
-    assert result.stderr.startswith("error: agent spelt_so_wrong:make: SyntaxError: ")
+    assert result.exit_code == 2
+    assert result.stderr.startswith(
+        "error: 'spelt_so_wrong:make' must name a module that can be imported, got SyntaxError"
+    )
     assert "frozen" not in result.stderr
     assert "spelt_so_wrong.py, line 2" in result.stderr
 

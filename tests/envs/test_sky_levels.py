@@ -59,7 +59,7 @@ def test_a_level_of_ones_own_extends_a_packaged_one(tmp_path: Path) -> None:
         assert config.level.corrections.outage_per_h == per_h
     assert outages == [100.0, 100.0, 200.0, 200.0]
     path.write_text("extends: skies/urban\nstreet_width_m: -1\n")
-    with pytest.raises(ConfigError, match=r"mine\.yaml\.street_width_m must lie in \[0, 200\], got -1"):
+    with pytest.raises(ConfigError, match=r"mine\.yaml: street_width_m must lie in \[0, 200\], got -1"):
         EnvConfig.build({"base": "highway-v0"}, {"sky": str(path)})
     path.write_text("extends: suites/quick\n")
     with pytest.raises(ConfigError, match=r"sky must be a file of kind sky_level, got .*mine\.yaml of kind suite"):

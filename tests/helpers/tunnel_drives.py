@@ -13,7 +13,7 @@ from lanebound.integrity.motion.truth import truth_between
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.sensors.faults import FaultSchedule
 from lanebound.integrity.sky.track import SkyTrack
-from lanebound.integrity.sky.visibility import Path, SkyMask
+from lanebound.integrity.sky.visibility import SignalPath, SkyMask
 
 Array = NDArray[np.float64]
 DT_S, MPS = 0.1, 12.0
@@ -46,7 +46,7 @@ def drive(
     """
     cell_m, length_m = 10.0, MPS * DT_S * len(rate_radps) + 100.0
     path = np.zeros((int(length_m / cell_m) + 1, 1, 1), dtype=np.uint8)
-    path[int(MPS * open_s / cell_m) :] = Path.BLOCKED
+    path[int(MPS * open_s / cell_m) :] = SignalPath.BLOCKED
     mask = SkyMask(path, np.zeros(path.shape, dtype=np.float32), 1, 1, cell_m, length_m, False)
     track = SkyTrack.from_config(config.sky, DT_S * len(rate_radps) + 1.0)
     navigator = Navigator(config, track, mask, list(range(seed, seed + vehicles)), faults=faults)

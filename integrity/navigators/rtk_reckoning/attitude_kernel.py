@@ -18,6 +18,7 @@ from lanebound.integrity.positioning.heading_kernel import (
     observe,
     predict_heading,
     raise_uncertainty,
+    rest_heading,
 )
 from lanebound.integrity.positioning.mode_kernel import doppler_usable
 from lanebound.integrity.positioning.odometer_watch_kernel import STANDING_MPS, turning_at_rest
@@ -96,8 +97,7 @@ def _advance_heading(heading: Any, par: Any, delta_theta: float, w: Any) -> floa
     """
     dt, rules, before = par.dt, par.heading, heading.angle
     if w.resting:
-        innovation = delta_theta / dt - heading.gyro_bias
-        gains = correct(innovation, 0.0, 1.0, rules.angle_random_walk**2 / dt, heading)
+        gains = rest_heading(delta_theta, dt, rules.angle_random_walk, rules.bias_walk, heading)
         observe(gains, True, 0.0, heading, w.step.turn)
         return float(heading.angle)
     predict_heading(delta_theta, dt, rules.angle_random_walk, rules.bias_walk, heading)

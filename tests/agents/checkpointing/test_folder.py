@@ -178,7 +178,7 @@ def test_kinds_of_work_share_no_folder(tmp_path: Path) -> None:
 def recorded(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
     """The present folder holds files with the names of a recorded pair."""
     folder = tmp_path_factory.mktemp("recorded")
-    for name in ("rover.obs", "base.obs"):
+    for name in ("rover.obs", "base.obs", "base.nav"):
         (folder / name).touch()
     monkeypatch.chdir(folder)
 
@@ -216,7 +216,7 @@ def test_commands_write_into_no_folder_with_foreign_files_and_show_no_bar_before
     assert (out / "episodes.parquet").read_text(encoding="utf-8") == "mine"
 
 
-@pytest.mark.parametrize("command", [["replay", "."], ["rtk", "--rover", "r", "--base", "b", "--nav", "n"]])
+@pytest.mark.parametrize("command", [["replay", "."], COMMANDS[2]])
 def test_recorded_drives_refuse_a_file_as_their_folder_first(
     tmp_path: Path, recorded: None, command: list[str]
 ) -> None:

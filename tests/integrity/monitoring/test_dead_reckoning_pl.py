@@ -122,10 +122,10 @@ def drive(sources: str, bias_walk: float = BIAS_WALK) -> tuple[Growth, Any]:
             before = now
         else:
             bias = 1e-3 + 1e-4 * epoch
+            common["heading"] = replace(heading, axle_bias_rad=0.1 * turn_at(epoch))
             growth = odometer_step(
-                growth, DT, v, t, sigma_mps=SIGMA_ODOMETER, bias_mps=0.01, heading_bias_rad=bias,
-                axle_bias_rad=0.1 * turn_at(epoch), **common
-            )  # fmt: skip
+                growth, DT, v, t, sigma_mps=SIGMA_ODOMETER, bias_mps=0.01, heading_bias_rad=bias, **common
+            )
             turn = np.sin(t), np.cos(t)
             step["axle_bias"] = 0.1 * turn_at(epoch)
             dk.step_odometer(step, v, *turn, SIGMA_ODOMETER, 0.01, bias, g)

@@ -16,6 +16,7 @@ from lanebound.integrity.positioning.heading_kernel import (
     doppler_heading_variance,
     expect_turn,
     predict_heading,
+    rest_heading,
 )
 
 DT_S = 0.1
@@ -137,6 +138,22 @@ def test_standstill_teaches_the_bias_and_leaves_the_heading():
     assert h["p_bb"] == pytest.approx(1.0 / (1.0 / BIAS_SIGMA**2 + n / variance))
     assert (h["p_hh"], h["p_hb"]) == (HEADING_SIGMA**2, 0.0)
     assert abs(h["gyro_bias"] - true_bias) < 3.29 * math.sqrt(h["p_bb"])  # fails by chance once in 1000 seeds
+
+
+def test_the_bias_wanders_at_a_long_stop_as_declared():
+    """A Gauss-Markov bias of 100 s; a stop of 300 s. The mean square over the variance fails by chance once in 1000."""
+    rng, vehicles, tau_s, sigma = np.random.default_rng(8), 400, 100.0, 3e-5
+    walk = overbounding_walk(sigma, tau_s, 0.0)
+    decay = math.exp(-DT_S / tau_s)
+    bias = sigma * rng.standard_normal(vehicles)
+    filters = [_filter(p=np.diag([1e-8, 2.0 * sigma**2, 0.0])) for _ in range(vehicles)]
+    for _ in range(3000):
+        bias = decay * bias + sigma * math.sqrt(1.0 - decay**2) * rng.standard_normal(vehicles)
+        noise = ARW * math.sqrt(DT_S) * rng.standard_normal(vehicles)
+        for b, n, h in zip(bias, noise, filters, strict=True):
+            rest_heading(b * DT_S + n, DT_S, ARW, walk, h)
+    share = np.mean([(h["gyro_bias"] - b) ** 2 / h["p_bb"] for b, h in zip(bias, filters, strict=True)])
+    assert share < chi2.ppf(1.0 - 1e-3, vehicles) / vehicles
 
 
 def test_standstill_while_drifting_stops_the_heading_too():
