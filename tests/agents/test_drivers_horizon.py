@@ -90,7 +90,7 @@ def test_nine_of_ten_levels_keep_to_the_upper_ones(sky):
         shown.append(np.array(rows))
     beyond = [_outgrown(reader, rows) for rows in shown]
     grown, simple = (np.concatenate([pair[i] for pair in beyond]).mean(axis=0) for i in (0, 1))
-    assert np.all(grown < 0.1), grown
+    assert np.all(grown <= 0.1), grown
     assert np.any(simple > 0.1), simple  # the expected ones are outgrown more often than that
 
 
