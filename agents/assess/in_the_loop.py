@@ -29,7 +29,7 @@ __all__ = ["AXES", "InTheLoopConfig", "assess_in_the_loop", "exceedance_rows", "
 PACKAGES = ("lanebound.integrity", "lanebound.agents.assess", "lanebound.envs.sky")
 AXES = ("along", "across")
 RESAMPLES, CONFIDENCE = 2000, 0.95
-SAMPLE_S = 1.0  # between the levels and errors that medians are taken of
+SAMPLE_S = 1.0  # between the levels that medians are taken of
 NO_LEVEL_M = 1e4  # in place of a missing level, for medians
 
 
@@ -93,7 +93,6 @@ class _Tally:
         modes, risks = max(Mode) + 1, len(config.risks)
         self.epochs, self.usable, self.misleading = np.zeros((3, modes), dtype=np.int64)
         self.exceed = np.zeros((modes, risks, 2), dtype=np.int64)
-        self.vehicles = np.zeros((config.vehicles, risks, 2), dtype=np.int64)
 
     def count(self, moment: DriveMoment) -> None:
         """Add an epoch."""
@@ -103,7 +102,6 @@ class _Tally:
         np.add.at(self.exceed, s.mode, beyond[:, 1:])
         np.add.at(self.usable, s.mode, s.available & ~s.alert)
         np.add.at(self.misleading, s.mode, s.available & ~s.alert & beyond[:, 0].any(-1))
-        self.vehicles += beyond[:, 1:]
 
     def counts(self) -> dict[str, Any]:
         """The counts as plain data."""
@@ -112,22 +110,21 @@ class _Tally:
             "usable": self.usable.tolist(),
             "misleading": self.misleading.tolist(),
             "exceed": self.exceed.tolist(),
-            "vehicles_exceed": (self.vehicles > 0).sum(0).tolist(),
         }
 
 
 def _sample(moment: DriveMoment) -> NDArray[np.float64]:
-    """Mode, errors and levels at the operative risk of B vehicles, (B, 5), rounded to a tenth of a millimetre."""
+    """Mode and levels [m] at the operative risk of B vehicles, (B, 3), rounded to a tenth of a millimetre."""
     s = moment.solution
     levels = np.minimum(np.stack([s.pl_at_m, s.pl_ct_m], -1), NO_LEVEL_M)
-    return np.round(np.column_stack([s.mode, moment.error_m, levels]), 4)
+    return np.round(np.column_stack([s.mode, levels]), 4)
 
 
 def _summary(config: InTheLoopConfig, streets: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Rates, modes and medians of a sky."""
     epochs = np.array([street["epochs"] for street in streets])
     exceed = np.array([street["exceed"] for street in streets])
-    mode, *_, along, across = np.concatenate([np.array(street["samples"]).T for street in streets]).T
+    mode, along, across = np.concatenate([np.array(street["samples"]).T for street in streets]).T
     found = {
         "streets": len(streets),
         "epochs": int(epochs.sum()),
@@ -198,7 +195,7 @@ def _cell(rate: Mapping[str, Any], risk: float) -> str:
 
 
 def mode_rows(result: Mapping[str, Any]) -> Table:
-    """Share, median levels and exceedances of each mode, at the first risk."""
+    """Share, median levels and exceedances of each mode at the first risk; misleading epochs are usable ones beyond."""
     rows = []
     for sky, found in result["skies"].items():
         everything = {"share": 1.0, "level_m": found["level_m"], "rates": next(iter(found["rates"].values()))}
@@ -206,5 +203,7 @@ def mode_rows(result: Mapping[str, Any]) -> Table:
             levels = ["-" if level is None or level >= NO_LEVEL_M else f"{level:.2f} m" for level in mode["level_m"]]
             events = [str(mode["rates"][axis]["events"]) for axis in AXES]
             usable = f"{100.0 * found['usable']:.1f} %" if name == "all" else ""
-            rows.append((sky, name, f"{100.0 * mode['share']:.1f} %", usable, *levels, *events))
-    return ("sky", "mode", "epochs", "usable", "PL along", "PL across", "beyond along", "beyond across"), rows
+            misleading = str(found["misleading"]["events"]) if name == "all" else ""
+            rows.append((sky, name, f"{100.0 * mode['share']:.1f} %", usable, misleading, *levels, *events))
+    heads = "sky", "mode", "epochs", "usable", "misleading", "PL along", "PL across", "beyond along", "beyond across"
+    return heads, rows

@@ -23,6 +23,7 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.recorded.smartloc import read_smartloc
 from lanebound.integrity.replay.sagnac import ranges_and_sights
+from lanebound.integrity.replay.signal_choice import LETTERS
 from lanebound.integrity.sensors.gnss import GnssConfig
 from lanebound.integrity.sky.systems import System
 
@@ -33,10 +34,10 @@ CLOCK_DBHZ, OFFSET_DBHZ = 40.0, 42.0
 LEAST_GPS = 3  # codes for the clock of an epoch
 LEAST_CODES = 20  # of a class that is shown
 CN0_DBHZ = (0.0, 25.0, 32.0, 38.0, 43.0, 60.0)
-ELEVATION_DEG = (0.0, 30.0, 60.0, 90.1)
+ELEVATION_DEG = (0.0, 30.0, 60.0, 90.0)
 QUANTILES = (0.5, 0.75, 0.9, 0.95)
 EVERY = 5  # epochs of the simulation between those that count
-SYSTEMS = {"G": System.GPS, "R": System.GLONASS, "E": System.GALILEO, "C": System.BEIDOU, "J": System.QZSS}
+SYSTEMS = {**LETTERS, "R": System.GLONASS}
 Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
 
@@ -73,17 +74,13 @@ def assess_signals(folder: Path, config: SignalsConfig, out: Path, on_progress: 
         "classes": [
             {"cn0_dbhz": list(cn0), "elevation_deg": list(elevation)}
             | {name: _quantiles(rows, cn0, elevation) for name, rows in sides.items()}
-            for cn0 in _pairs(CN0_DBHZ)
-            for elevation in _pairs(ELEVATION_DEG)
+            for cn0 in pairwise(CN0_DBHZ)
+            for elevation in pairwise(ELEVATION_DEG)
         ]
     }
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "signals.json", result)
     return result
-
-
-def _pairs(edges: Sequence[float]) -> list[tuple[float, float]]:
-    return list(pairwise(edges))
 
 
 def _recorded(folder: Path) -> Array:
@@ -153,7 +150,7 @@ def _without_clock(rows: Array) -> Array:
 def _quantiles(rows: Array, cn0: tuple[float, float], elevation: tuple[float, float]) -> dict[str, Any] | None:
     """Share of a class and quantiles of its absolute residuals [m], None for a class with few codes."""
     here = (rows[:, 4] >= cn0[0]) & (rows[:, 4] < cn0[1])
-    here &= (rows[:, 3] >= elevation[0]) & (rows[:, 3] < elevation[1])
+    here &= (rows[:, 3] >= elevation[0]) & ((rows[:, 3] < elevation[1]) | (elevation[1] == ELEVATION_DEG[-1]))
     if here.sum() < LEAST_CODES:
         return None
     return {"share": float(here.mean()), "quantiles_m": np.quantile(np.abs(rows[here, 2]), QUANTILES).tolist()}

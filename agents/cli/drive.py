@@ -23,7 +23,7 @@ from lanebound.agents.cli.options import (
     Video,
     changes,
     film_rate,
-)  # fmt: skip
+)
 from lanebound.agents.cli.output import counted
 from lanebound.agents.drivers import AGENTS
 

@@ -16,7 +16,7 @@ from lanebound.agents.cli.options import (
     Plugins,
     changes,
     require_one_source,
-)  # fmt: skip
+)
 from lanebound.agents.cli.output import counted
 
 if TYPE_CHECKING:

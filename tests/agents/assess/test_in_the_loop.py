@@ -63,7 +63,6 @@ def test_an_error_beyond_its_level_is_counted_where_it_belongs() -> None:
     assert counts["exceed"][Mode.RTK] == [[0, 1], [0, 0]]  # by risk and axis
     assert counts["exceed"][Mode.DOPPLER] == [[1, 1], [1, 1]]
     assert (counts["misleading"][Mode.RTK], counts["misleading"][Mode.DOPPLER]) == (1, 0)  # the third is not usable
-    assert counts["vehicles_exceed"] == [[1, 2], [1, 1]]
 
 
 def test_a_second_run_reads_what_the_first_left(result: tuple[dict[str, Any], Path]) -> None:
