@@ -7,8 +7,9 @@ a change of source.
 Letters: ``p`` position error in E and N; ``L n`` error of the Doppler velocity and ``sigma m`` of the odometer's speed,
 n and m Gauss-Markov processes of variance 1, n with a white part w beside it; ``x = [d, b, c]`` errors of the heading
 filter (:mod:`lanebound.integrity.positioning.heading_kernel`), whose own covariance the filter holds. The covariance of
-p and x is exact: an error of the gyro's scale adds up over a circle, and a turn there and back cancels it. Only RTK
-resets the growth (:func:`reset`).
+p and x is carried along: an error of the gyro's scale adds up over a circle, and a turn there and back cancels it. It
+belongs to Gauss-Markov errors, the filter's own covariance to their white bound: that both together bound the position
+is shown by simulation, not proven. Only RTK resets the growth (:func:`reset`).
 
 An error of the axle distance turns the course by a known angle per metre in every epoch. Its effect on the position
 adds up with its sign and is bounded by the declared bound of that distance.
