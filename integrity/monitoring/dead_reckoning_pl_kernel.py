@@ -48,6 +48,7 @@ GROWTH = record(
     l_nn="the same, North North [m/s]",
     l_s="weight with which that velocity stands in the position [s]",
     have_l=("?", "the last epoch had a Doppler velocity"),
+    apart_s="weight with which the last Doppler velocity stands in the separations [s]",
     cth_e="accumulated bias by heading, East, signed for a bias of one sign [m]",
     cth_n="the same, North [m]",
     cv_e="accumulated bias by odometer speed, East, signed [m]",
@@ -87,7 +88,7 @@ def reset(cov_ee: float, cov_en: float, cov_nn: float, bias_e: float, bias_n: fl
     g.gb_e, g.gb_n, g.gs_e, g.gs_n, g.axle_e, g.axle_n = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     g.f_ee, g.f_en, g.f_nn = 0.0, 0.0, 0.0
     g.fh_e, g.fh_n, g.fb_e, g.fb_n, g.fs_e, g.fs_n = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    g.l_ee, g.l_ne, g.l_nn, g.l_s, g.have_l = 0.0, 0.0, 0.0, 0.0, False
+    g.l_ee, g.l_ne, g.l_nn, g.l_s, g.have_l, g.apart_s = 0.0, 0.0, 0.0, 0.0, False, 0.0
     g.cth_e, g.cth_n, g.cv_e, g.cv_n, g.box_e, g.box_n = 0.0, 0.0, 0.0, 0.0, bias_e, bias_n
 
 

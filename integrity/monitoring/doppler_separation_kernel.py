@@ -1,9 +1,9 @@
-"""Solution separation of a position that is integrated from Doppler velocities, satellite by satellite.
+"""Solution separation of a position that is integrated from Doppler velocities, one fault mode at a time.
 
-A fault of satellite k that drifts below the threshold of each epoch's test adds up in the position. Let p be the
-position and p_k the position from the velocities without satellite k, both since the same RTK fix. Only their
-difference is stored: ``D_k = p - p_k``, the integral of ``d_k = v - v_k``, which is *known*. If k is the faulty
-satellite, p_k does not depend on the fault, whatever it did and when, so that
+A fault mode k is a satellite or a whole system: its range rates may be wrong together. A fault that drifts below the
+threshold of each epoch's test adds up in the position. Let p be the position and p_k the position from the velocities
+without k, both since the same RTK fix. Only their difference is stored: ``D_k = p - p_k``, the integral of ``d_k = v -
+v_k``, which is *known*. If k is faulty, p_k does not depend on the fault, whatever it did and when, so that
 
     abs(p - true) <= abs(D_k) + abs(p_k - true),   PL_k,q = abs(D_k,q) + K_f sigma_k,q + B_q.
 
@@ -11,300 +11,399 @@ No test is needed, and no detection threshold accumulates: a persistent drift sh
 exceeds the noise of the integral, long before it would show in one epoch. Noise makes ``D_k`` larger, never the bound
 too small, because ``sigma_k`` and ``K_f`` do not depend on the measurements.
 
-A whole system g is left out in the same way. Its separation ``d_g = v - v_g`` has the covariance ``Q_g - Q = L L'`` of
-rank 2 in E and N.
+The separation of one epoch has the covariance ``Q_k - Q = L L'`` in E and N and does not correlate with v (least
+squares). Its error is Gauss-Markov with a white part, as the velocity error itself, so ``sigma_k^2 = sigma_0^2 +
+Var(D_k)``. With the residuals r of v (design row ``[-e, 1]``, z = e less the weighted mean, w weight, W their sum) no
+solution is computed a second time:
 
-Removing row k of the velocity (design row ``[-e, 1]``, z = e less the weighted mean, w weight, ``f = 1 - h_kk``):
-``d_k = u_k n_k``, ``u_k = -Q z_k sqrt(w_k / f_k)``, with the w-statistic ``n_k = r_k sqrt(w_k / f_k)`` of variance 1.
-The separation of one epoch does not correlate with v (least squares), so ``Q_k = Q + u_k u_k'`` and, with n_k
-Gauss-Markov with a white part as the velocity error itself, ``sigma_k^2 = sigma_0^2 + Var(D_k)``.
+- a satellite: ``L = u = -Q z sqrt(w / f)``, ``f = 1 - w (1 / W + z'Q z)``, and ``d = u r sqrt(w / f)``;
+- a system with the sums ``W_g, s = sum w z, c = sum w r`` of its satellites: ``Q_g^-1 = Q^-1 - sum w z z' - s s' / (W -
+  W_g)`` and ``d = -Q_g (sum w z r + s c / (W - W_g))``.
+
+Fault modes stand in one order everywhere: satellites first, then systems; arrays have W entries, a multiple of WIDTH,
+and zeros behind the last mode.
 """
 
 from __future__ import annotations
 
-import math
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
-from lanebound.integrity.core.small_matrix_kernel import cholesky_2, invert_upper
+from lanebound.integrity.core.simd_kernel import (
+    WIDTH,
+    absolute,
+    largest,
+    load,
+    maximum,
+    padded,
+    root_of,
+    spread,
+    store,
+    total,
+    where_less,
+)
+from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, cholesky_2, invert_upper
 from lanebound.integrity.monitoring.protection_kernel import q_inverse
+from lanebound.integrity.positioning.rows_kernel import Rows
 
 __all__ = [
     "AFFORDABLE",
-    "INFLUENCE",
-    "SEPARATION",
-    "SYSTEM_INFLUENCE",
-    "SYSTEM_SEPARATION",
-    "advance_separation",
-    "advance_system",
+    "IDLE",
+    "LOST",
+    "MONITORED",
+    "Influences",
+    "Separations",
+    "Trapezoid",
+    "advance_separations",
+    "centre_rows",
+    "centred_scratch",
+    "clear_influences",
+    "clear_separations",
+    "copy_influences",
+    "copy_separations",
     "exposure",
-    "find_influences",
+    "fade_separations",
+    "find_satellite_influences",
     "find_system_influences",
+    "influences_of",
     "risk_factors",
+    "separations_of",
+    "trapezoid",
     "worst_separation",
 ]
 
 Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 
-IDLE, MONITORED, LOST = 0, 1, 2  # not used; monitored; a velocity had no solution without this satellite
-
-INFLUENCE = record(
-    u_e="u of the satellite, East [m/s]",
-    u_n="u of the satellite, North [m/s]",
-    statistic="n, its w-statistic [-]",
-    state=("i8", "IDLE, MONITORED or LOST"),
-)
-"""What one satellite does to the velocity of one epoch; zeros where there was no velocity or it was not used."""
-
-SEPARATION = record(
-    d_e="D, separation of the positions since the fix, East [m]",
-    d_n="D, North [m]",
-    s_ee="variance of D, East [m^2]",
-    s_en="covariance of D, East and North [m^2]",
-    s_nn="variance of D, North [m^2]",
-    c_e="Cov(D_E, n) [m]",
-    c_n="Cov(D_N, n) [m]",
-    last_s="weight with which the last velocity stands in the position [s]",
-    state=("i8", "since the fix: IDLE, MONITORED or LOST"),
-)
-"""The separation that one satellite has caused since an RTK fix."""
-
-SYSTEM_INFLUENCE = record(
-    d_e="d, velocity less that without the system, East [m/s]",
-    d_n="d, North [m/s]",
-    l_ee="Cholesky factor of its covariance, East East [m/s]",
-    l_ne="the same, North East [m/s]",
-    l_nn="the same, North North [m/s]",
-    state=("i8", "IDLE, MONITORED or LOST"),
-)
-"""What one system does to the velocity of one epoch; zeros where there was no velocity or it was not used."""
-
-SYSTEM_SEPARATION = record(
-    d_e="D, separation of the positions since the fix, East [m]",
-    d_n="D, North [m]",
-    s_ee="variance of D, East [m^2]",
-    s_en="covariance of D, East and North [m^2]",
-    s_nn="variance of D, North [m^2]",
-    ne_e="Cov(D_E, n_E) with the unit error of d [m]",
-    ne_n="Cov(D_E, n_N) [m]",
-    nn_e="Cov(D_N, n_E) [m]",
-    nn_n="Cov(D_N, n_N) [m]",
-    last_s="weight with which the last velocity stands in the position [s]",
-    state=("i8", "since the fix: IDLE, MONITORED or LOST"),
-)
-"""The separation that one system has caused since an RTK fix."""
+IDLE, MONITORED, LOST = 0.0, 1.0, 2.0  # not used; monitored; a velocity had no solution without this mode
 
 POOR = 16.0  # variance without a system over that with it, from which on its prior is spent if it is small
-UNSOLVABLE_BELOW = 1e-6  # of 1 - h_kk: without this satellite the velocity is a thousand times worse
+UNSOLVABLE_BELOW = 1e-6  # of f: without this satellite the velocity is a thousand times worse
 FAULT_SHARE = 0.25  # of the budget, for all single faults together; the rest is the fault-free mode's
-AFFORDABLE = 0.5  # of the budget, for the priors of satellites that cannot be left out
+AFFORDABLE = 0.5  # of the budget, for the priors of modes that cannot be left out
 
 
-@jit(borrows=True)
-def find_influences(
-    los: Array, used: Bools, variance: Array, y: Array, v: Array, q: Array, solved: bool, influences: Records
-) -> None:
-    """Fill influences (S,) from this epoch's velocity v (3,) with covariance q (3, 3), of the range rates y (S,)."""
-    for k in range(y.size):
-        influence = influences[k]
-        influence.u_e, influence.u_n, influence.statistic, influence.state = 0.0, 0.0, 0.0, IDLE
-    if not solved:
-        return
-    total, m0, m1, m2, my = 0.0, 0.0, 0.0, 0.0, 0.0
-    for k in range(y.size):
-        if used[k]:
-            w = 1.0 / variance[k]
-            total += w
-            m0 += w * los[k, 0]
-            m1 += w * los[k, 1]
-            m2 += w * los[k, 2]
-            my += w * y[k]
-    m0, m1, m2, my = m0 / total, m1 / total, m2 / total, my / total
-    for k in range(y.size):
-        if not used[k]:
-            continue
-        influence = influences[k]
-        w, z0, z1, z2 = 1.0 / variance[k], los[k, 0] - m0, los[k, 1] - m1, los[k, 2] - m2
-        qe = q[0, 0] * z0 + q[0, 1] * z1 + q[0, 2] * z2
-        qn = q[1, 0] * z0 + q[1, 1] * z1 + q[1, 2] * z2
-        qu = q[2, 0] * z0 + q[2, 1] * z1 + q[2, 2] * z2
-        free = 1.0 - w * (1.0 / total + qe * z0 + qn * z1 + qu * z2)
-        if not free > UNSOLVABLE_BELOW:
-            influence.state = LOST
-            continue
-        scale = math.sqrt(w / free)
-        influence.u_e, influence.u_n = -qe * scale, -qn * scale
-        influence.statistic = (y[k] - my + z0 * v[0] + z1 * v[1] + z2 * v[2]) * scale
-        influence.state = MONITORED
+class Influences(NamedTuple):
+    """What each fault mode does to the velocity of one epoch; zeros where there is no velocity or it is not used.
 
-
-@jit(borrows=True)
-def find_system_influences(
-    los: Array, used: Bools, variance: Array, y: Array, v: Array, q: Array, solved: bool, system: Array, prior: Array,
-    spendable: float, sums: Array, influences: Records,
-) -> None:  # fmt: skip
-    """Fill influences (G,) from the same velocity, of the systems (S,) of its satellites.
-
-    ``prior`` (G,) of a fault of each; one of at most ``spendable`` is LOST where the velocity without it is POOR. sums
-    (>= G + 1, 15) is scratch.
+    (W,) each, or (B, W): d_e, d_n velocity less that without the mode [m/s]; l_ee, l_ne, l_nn Cholesky factor of the
+    covariance of d [m/s]; state IDLE, MONITORED or LOST.
     """
-    systems = influences.shape[0]
-    for g in range(systems):
-        i = influences[g]
-        i.d_e, i.d_n, i.l_ee, i.l_ne, i.l_nn, i.state = 0.0, 0.0, 0.0, 0.0, 0.0, IDLE
-    if not solved:
-        return
-    sums[: systems + 1] = 0.0
-    for k in range(y.size):
-        if used[k]:
-            s, w, a, b, c = sums[system[k]], 1.0 / variance[k], los[k, 0], los[k, 1], los[k, 2]
-            wa, wb, wc, wy = w * a, w * b, w * c, w * y[k]
-            s[0] += w
-            s[1] += wa
-            s[2] += wb
-            s[3] += wc
-            s[4] += wy
-            s[5] += wa * a
-            s[6] += wa * b
-            s[7] += wa * c
-            s[8] += wb * b
-            s[9] += wb * c
-            s[10] += wc * c
-            s[11] += wy * a
-            s[12] += wy * b
-            s[13] += wy * c
-            s[14] += 1.0
-    total = sums[systems]
-    for g in range(systems):
-        for j in range(15):
-            total[j] += sums[g, j]
-    for g in range(systems):
-        s, i = sums[g], influences[g]
-        if not s[0] > 0.0:
+
+    d_e: Array
+    d_n: Array
+    l_ee: Array
+    l_ne: Array
+    l_nn: Array
+    state: Array
+
+
+class Separations(NamedTuple):
+    """The separation that each fault mode has caused since an RTK fix.
+
+    (W,) each, or (B, W): d_e, d_n separation D [m]; s_ee, s_en, s_nn its covariance [m^2]; ne_e, ne_n, nn_e, nn_n the
+    covariances Cov(D_E, n_E), Cov(D_E, n_N), Cov(D_N, n_E), Cov(D_N, n_N) with the unit error of d [m]; state IDLE,
+    MONITORED or LOST.
+    """
+
+    d_e: Array
+    d_n: Array
+    s_ee: Array
+    s_en: Array
+    s_nn: Array
+    ne_e: Array
+    ne_n: Array
+    nn_e: Array
+    nn_n: Array
+    state: Array
+
+
+@jit(forceinline=True)
+def influences_of(a: Influences, v: int) -> Influences:
+    """Row v, (W,) each, of influences (B, W)."""
+    return Influences(a.d_e[v], a.d_n[v], a.l_ee[v], a.l_ne[v], a.l_nn[v], a.state[v])
+
+
+@jit(forceinline=True)
+def separations_of(a: Separations, v: int) -> Separations:
+    """Row v, (W,) each, of separations (B, W)."""
+    return Separations(
+        a.d_e[v], a.d_n[v], a.s_ee[v], a.s_en[v], a.s_nn[v], a.ne_e[v], a.ne_n[v], a.nn_e[v], a.nn_n[v], a.state[v]
+    )
+
+
+@jit(borrows=True)
+def clear_influences(a: Influences) -> None:
+    """No velocity."""
+    for array in a:
+        array[:] = 0.0
+
+
+@jit(borrows=True)
+def copy_influences(source: Influences, a: Influences) -> None:
+    """Copy the influences of one velocity to another."""
+    for array, values in zip(a, source):  # noqa: B905 (kernels know no strict)
+        for k in range(array.size):
+            array[k] = values[k]
+
+
+# The velocity of one epoch without each mode
+
+SUMS = record(
+    count="satellites",
+    w="sum of w",
+    r="sum of w r",
+    e="sum of w z, East",
+    n="the same, North",
+    u="the same, Up",
+    ee="sum of w z z', East East",
+    en="the same, East North",
+    eu="the same, East Up",
+    nn="the same, North North",
+    nu="the same, North Up",
+    uu="the same, Up Up",
+    er="sum of w z r, East",
+    nr="the same, North",
+    ur="the same, Up",
+)
+"""Sums over the satellites of a system, or over all."""
+
+
+class Centred(NamedTuple):
+    """The rows of one velocity: z (3, V), weight w (V,), 0 where not used, residual r (V,); sums of SUMS.
+
+    sums (MAX_GROUPS + 1,) of each system and, last, of all.
+    """
+
+    row: Array
+    weight: Array
+    residual: Array
+    sums: Records
+
+
+@jit(forceinline=True)
+def centred_scratch(satellites: int) -> Centred:
+    """Allocate for velocities of so many satellites; entries behind the last stay 0."""
+    w = padded(satellites)
+    return Centred(np.zeros((3, w)), np.zeros(w), np.zeros(w), np.zeros(MAX_GROUPS + 1, SUMS))
+
+
+@jit(borrows=True)
+def centre_rows(rows: Rows, velocity: Array, c: Centred) -> None:
+    """Fill z, w and the residuals of the velocity (3,) found from these rows."""
+    row, weight, residual, n = c.row, c.weight, c.residual, rows.y.size
+    for k in range(n):
+        row[0, k], row[1, k], row[2, k] = rows.los[k, 0], rows.los[k, 1], rows.los[k, 2]
+        weight[k], residual[k] = (1.0 / rows.variance[k], rows.y[k]) if rows.used[k] else (0.0, 0.0)
+    w, e, north, up, y = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    for k in range(0, n, WIDTH):
+        here = load(weight, k)
+        w, y = w + here, y + here * load(residual, k)
+        e, north, up = e + here * load(row, 0, k), north + here * load(row, 1, k), up + here * load(row, 2, k)
+    inverse = 1.0 / total(w)
+    m_e, m_n, m_u, m_y = total(e) * inverse, total(north) * inverse, total(up) * inverse, total(y) * inverse
+    for k in range(0, n, WIDTH):
+        z_e, z_n, z_u = load(row, 0, k) - m_e, load(row, 1, k) - m_n, load(row, 2, k) - m_u
+        store(z_e, row, 0, k)
+        store(z_n, row, 1, k)
+        store(z_u, row, 2, k)
+        store(load(residual, k) - m_y + z_e * velocity[0] + z_n * velocity[1] + z_u * velocity[2], residual, k)
+    c.sums[MAX_GROUPS].w = total(w)
+
+
+@jit(borrows=True)
+def find_satellite_influences(q: Array, c: Centred, out: Influences) -> None:
+    """Fill the influences of the satellites on a velocity of covariance q (3, 3), of centred rows."""
+    one = 1.0 / c.sums[MAX_GROUPS].w
+    for k in range(0, c.weight.size, WIDTH):
+        w, z_e, z_n, z_u = load(c.weight, k), load(c.row, 0, k), load(c.row, 1, k), load(c.row, 2, k)
+        q_e = z_e * q[0, 0] + z_n * q[0, 1] + z_u * q[0, 2]
+        q_n = z_e * q[1, 0] + z_n * q[1, 1] + z_u * q[1, 2]
+        q_u = z_e * q[2, 0] + z_n * q[2, 1] + z_u * q[2, 2]
+        free = 1.0 - w * (q_e * z_e + q_n * z_n + q_u * z_u + one)
+        solvable = where_less(UNSOLVABLE_BELOW, free, 1.0, 0.0)
+        scale = solvable * root_of(w / where_less(UNSOLVABLE_BELOW, free, free, 1.0))
+        u_e, u_n, statistic = 0.0 - q_e * scale, 0.0 - q_n * scale, load(c.residual, k) * scale
+        store(u_e * statistic, out.d_e, k)
+        store(u_n * statistic, out.d_n, k)
+        store(u_e, out.l_ee, k)
+        store(u_n, out.l_ne, k)
+        store(spread(0.0), out.l_nn, k)
+        store(where_less(0.0, w, LOST - solvable * (LOST - MONITORED), IDLE), out.state, k)
+
+
+@jit(borrows=True)
+def find_system_influences(q: Array, system: Ints, prior: Array, spendable: float, c: Centred, out: Influences) -> None:
+    """Fill the influences of the systems, after those of the satellites, whose ``system`` (S,) is given.
+
+    prior (W,) of a fault of each mode. A system of a prior of at most ``spendable`` is LOST where the velocity without
+    it is POOR.
+    """
+    _sum_systems(system, c)
+    everything, first = c.sums[MAX_GROUPS], system.size
+    for g in range(min(MAX_GROUPS, prior.size - first)):
+        s, at = c.sums[g], first + g
+        out.d_e[at], out.d_n[at], out.l_ee[at], out.l_ne[at], out.l_nn[at] = 0.0, 0.0, 0.0, 0.0, 0.0
+        out.state[at] = IDLE if s.count == 0.0 else LOST
+        if s.count == 0.0 or everything.count - s.count < 4.0:
             continue
-        i.state = LOST
-        if total[14] - s[14] < 4.0:
-            continue
-        w = total[0] - s[0]
-        a, b, c, m = (total[1] - s[1]) / w, (total[2] - s[2]) / w, (total[3] - s[3]) / w, (total[4] - s[4]) / w
-        ok, q00, q01, q02, q11, q12, _ = invert_upper(
-            total[5] - s[5] - w * a * a, total[6] - s[6] - w * a * b, total[7] - s[7] - w * a * c,
-            total[8] - s[8] - w * b * b, total[9] - s[9] - w * b * c, total[10] - s[10] - w * c * c,
+        rest = 1.0 / (everything.w - s.w)
+        a = everything
+        ok, ee, en, eu, nn, nu, _ = invert_upper(
+            a.ee - s.ee - rest * s.e * s.e, a.en - s.en - rest * s.e * s.n, a.eu - s.eu - rest * s.e * s.u,
+            a.nn - s.nn - rest * s.n * s.n, a.nu - s.nu - rest * s.n * s.u, a.uu - s.uu - rest * s.u * s.u,
         )  # fmt: skip
-        if not ok or (prior[g] <= spendable and q00 + q11 > POOR * (q[0, 0] + q[1, 1])):
+        if not ok or (prior[at] <= spendable and ee + nn > POOR * (q[0, 0] + q[1, 1])):
             continue
-        r0, r1, r2 = total[11] - s[11] - w * a * m, total[12] - s[12] - w * b * m, total[13] - s[13] - w * c * m
-        i.d_e = v[0] + q00 * r0 + q01 * r1 + q02 * r2
-        i.d_n = v[1] + q01 * r0 + q11 * r1 + q12 * r2
-        i.l_ee, i.l_ne, i.l_nn = cholesky_2(q00 - q[0, 0], q01 - q[0, 1], q11 - q[1, 1])
-        i.state = MONITORED
+        r_e, r_n, r_u = s.er + rest * s.e * s.r, s.nr + rest * s.n * s.r, s.ur + rest * s.u * s.r
+        out.d_e[at], out.d_n[at] = -(ee * r_e + en * r_n + eu * r_u), -(en * r_e + nn * r_n + nu * r_u)
+        out.l_ee[at], out.l_ne[at], out.l_nn[at] = cholesky_2(ee - q[0, 0], en - q[0, 1], nn - q[1, 1])
+        out.state[at] = MONITORED
 
 
 @jit(borrows=True)
-def advance_system(
-    dt: float, integrates: bool, had: bool, phi: float, white: float, last: Any, now: Any, s: Any
-) -> None:
-    """:func:`advance_separation` of a system: last, now of SYSTEM_INFLUENCE, s of SYSTEM_SEPARATION."""
-    part = 0.5 * dt if had else dt
-    before, fresh = dt - part, 1.0 - phi * phi
-    if integrates and (now.state > IDLE or s.state > IDLE):
-        s.state = max(s.state, now.state)
-        k_ee = before * last.l_ee + part * phi * now.l_ee
-        k_ne = before * last.l_ne + part * phi * now.l_ne
-        k_nn = before * last.l_nn + part * phi * now.l_nn
-        m_ee, m_ne, m_nn = part * now.l_ee, part * now.l_ne, part * now.l_nn
-        s.d_e += before * last.d_e + part * now.d_e
-        s.d_n += before * last.d_n + part * now.d_n
-        inner, outer = white * (2.0 * s.last_s + before) * before, white + fresh
-        s.s_ee += 2.0 * s.ne_e * k_ee + k_ee * k_ee + outer * m_ee * m_ee + inner * last.l_ee * last.l_ee
-        s.s_en += s.ne_e * k_ne + s.ne_n * k_nn + s.nn_e * k_ee + k_ee * k_ne + outer * m_ee * m_ne
-        s.s_en += inner * last.l_ee * last.l_ne
-        s.s_nn += 2.0 * (s.nn_e * k_ne + s.nn_n * k_nn) + k_ne * k_ne + k_nn * k_nn
-        s.s_nn += outer * (m_ne * m_ne + m_nn * m_nn) + inner * (last.l_ne * last.l_ne + last.l_nn * last.l_nn)
-        s.last_s = part
-        s.ne_e = phi * (s.ne_e + k_ee) + fresh * m_ee
-        s.ne_n *= phi
-        s.nn_e = phi * (s.nn_e + k_ne) + fresh * m_ne
-        s.nn_n = phi * (s.nn_n + k_nn) + fresh * m_nn
-    elif s.state > IDLE:
-        s.ne_e *= phi
-        s.ne_n *= phi
-        s.nn_e *= phi
-        s.nn_n *= phi
-        s.last_s = 0.0
+def _sum_systems(system: Ints, c: Centred) -> None:
+    """Fill the sums of each system and of all satellites."""
+    for g in range(MAX_GROUPS + 1):
+        s = c.sums[g]
+        s.count, s.w, s.r, s.e, s.n, s.u = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        s.ee, s.en, s.eu, s.nn, s.nu, s.uu, s.er, s.nr, s.ur = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(system.size):
+        w = c.weight[k]
+        if w > 0.0:
+            e, n, u, r = c.row[0, k], c.row[1, k], c.row[2, k], c.residual[k]
+            s, w_e, w_n, w_u = c.sums[system[k]], w * e, w * n, w * u
+            s.count += 1.0
+            s.w += w
+            s.r += w * r
+            s.e += w_e
+            s.n += w_n
+            s.u += w_u
+            s.ee += w_e * e
+            s.en += w_e * n
+            s.eu += w_e * u
+            s.nn += w_n * n
+            s.nu += w_n * u
+            s.uu += w_u * u
+            s.er += w_e * r
+            s.nr += w_n * r
+            s.ur += w_u * r
+    everything = c.sums[MAX_GROUPS]
+    for g in range(MAX_GROUPS):
+        s = c.sums[g]
+        everything.count += s.count
+        everything.w += s.w
+        everything.ee += s.ee
+        everything.en += s.en
+        everything.eu += s.eu
+        everything.nn += s.nn
+        everything.nu += s.nu
+        everything.uu += s.uu
 
 
-@jit(borrows=True)
-def advance_separation(
-    dt: float, integrates: bool, had: bool, phi: float, white: float, last: Any, now: Any, s: Any
-) -> None:
-    """``D += dt/2 (d_{t-1} + d_t)`` where the position integrates Doppler, as S1 eq 20.
+# The separation of the position
 
-    Parameters
-    ----------
-    integrates : the position moved by the Doppler velocity in this epoch.
-    had : the trapezoid had a velocity at its beginning; without one ``D += dt d_t``.
-    phi, white : decay of the correlated part of the velocity error and variance of its white part.
-    last, now : INFLUENCE of the velocities at the beginning and at the end of the epoch.
-    s : SEPARATION of this satellite.
+
+class Trapezoid(NamedTuple):
+    """How an epoch integrates velocities: ``p += before v_{t-1} + now v_t`` [s] (S1 eq 20), and their error.
+
+    ``phi`` is the decay of the correlated part of a unit error over the epoch, ``white`` the variance of the white
+    part.
     """
-    part = 0.5 * dt if had else dt
-    before, fresh = dt - part, 1.0 - phi * phi
-    if integrates and (now.state > IDLE or s.state > IDLE):
-        s.state = max(s.state, now.state)
-        k_e, k_n = before * last.u_e + part * phi * now.u_e, before * last.u_n + part * phi * now.u_n
-        m_e, m_n = part * now.u_e, part * now.u_n
-        s.d_e += before * last.u_e * last.statistic + m_e * now.statistic
-        s.d_n += before * last.u_n * last.statistic + m_n * now.statistic
-        s.s_ee += 2.0 * s.c_e * k_e + k_e * k_e + fresh * m_e * m_e
-        s.s_en += s.c_e * k_n + s.c_n * k_e + k_e * k_n + fresh * m_e * m_n
-        s.s_nn += 2.0 * s.c_n * k_n + k_n * k_n + fresh * m_n * m_n
-        inner, outer = white * (2.0 * s.last_s + before) * before, white * part * part
-        s.s_ee += inner * last.u_e * last.u_e + outer * now.u_e * now.u_e
-        s.s_en += inner * last.u_e * last.u_n + outer * now.u_e * now.u_n
-        s.s_nn += inner * last.u_n * last.u_n + outer * now.u_n * now.u_n
-        s.last_s = part
-        s.c_e = phi * (s.c_e + k_e) + fresh * m_e
-        s.c_n = phi * (s.c_n + k_n) + fresh * m_n
-    elif s.state > IDLE:
-        s.c_e *= phi
-        s.c_n *= phi
-        s.last_s = 0.0
+
+    before: float
+    now: float
+    phi: float
+    white: float
+
+
+@jit(borrows=True, forceinline=True)
+def trapezoid(dt: float, had: bool, phi: float, white: float) -> Trapezoid:
+    """``p += dt/2 (v_{t-1} + v_t)``, or ``p += dt v_t`` where there ``had`` been no velocity before."""
+    now = 0.5 * dt if had else dt
+    return Trapezoid(dt - now, now, phi, white)
 
 
 @jit(borrows=True)
-def exposure(satellites: Records, prior: Array, separations: Records, systems: Records) -> tuple[float, float, float]:
-    """Sum of the priors and of their squares over all that was used since the fix, and the sum of the LOST.
+def advance_separations(t: Trapezoid, weight: float, last: Influences, now: Influences, s: Separations) -> None:
+    """Advance the separations where Doppler moves the position: ``D += before d_{t-1} + now d_t`` and its covariance.
 
-    satellites (S,) of SATELLITE or another record with ``prior``, with separations (S,); systems (G,) of
-    SYSTEM_SEPARATION, with the ``prior`` (>= G,) of a fault of each.
+    ``D' = D + K n + M r`` with ``K = before L_{t-1} + now phi L_t`` and ``M = now L_t``, as the position itself
+    (:func:`~.dead_reckoning_pl_kernel.step_doppler`). ``weight`` [s] is that of the last velocity in the position.
     """
-    total, squares, lost = 0.0, 0.0, 0.0
-    for k in range(separations.shape[0]):
-        state = separations[k].state
-        if state > IDLE:
-            p = satellites[k].prior
-            total += p
-            squares += p * p
-            if state == LOST:
-                lost += p
-    for g in range(systems.shape[0]):
-        if systems[g].state > IDLE:
-            p = prior[g]
-            total += p
-            squares += p * p
-            if systems[g].state == LOST:
-                lost += p
-    return total, squares, lost
+    fresh = 1.0 - t.phi * t.phi
+    inner, outer = t.white * (2.0 * weight + t.before) * t.before, t.white + fresh
+    for k in range(0, s.state.size, WIDTH):
+        a_ee, a_ne, a_nn = load(last.l_ee, k), load(last.l_ne, k), load(last.l_nn, k)
+        m_ee, m_ne, m_nn = load(now.l_ee, k) * t.now, load(now.l_ne, k) * t.now, load(now.l_nn, k) * t.now
+        k_ee, k_ne, k_nn = (
+            a_ee * t.before + m_ee * t.phi,
+            a_ne * t.before + m_ne * t.phi,
+            a_nn * t.before + m_nn * t.phi,
+        )
+        a, b, c, d = load(s.ne_e, k), load(s.ne_n, k), load(s.nn_e, k), load(s.nn_n, k)
+        store(load(s.d_e, k) + load(last.d_e, k) * t.before + load(now.d_e, k) * t.now, s.d_e, k)
+        store(load(s.d_n, k) + load(last.d_n, k) * t.before + load(now.d_n, k) * t.now, s.d_n, k)
+        ee = 2.0 * a * k_ee + k_ee * k_ee + outer * m_ee * m_ee + inner * a_ee * a_ee
+        en = a * k_ne + b * k_nn + c * k_ee + k_ee * k_ne + outer * m_ee * m_ne + inner * a_ee * a_ne
+        nn = 2.0 * (c * k_ne + d * k_nn) + k_ne * k_ne + k_nn * k_nn
+        nn += outer * (m_ne * m_ne + m_nn * m_nn) + inner * (a_ne * a_ne + a_nn * a_nn)
+        store(load(s.s_ee, k) + ee, s.s_ee, k)
+        store(load(s.s_en, k) + en, s.s_en, k)
+        store(load(s.s_nn, k) + nn, s.s_nn, k)
+        store(t.phi * (a + k_ee) + fresh * m_ee, s.ne_e, k)
+        store(t.phi * b, s.ne_n, k)
+        store(t.phi * (c + k_ne) + fresh * m_ne, s.nn_e, k)
+        store(t.phi * (d + k_nn) + fresh * m_nn, s.nn_n, k)
+        store(maximum(load(s.state, k), maximum(load(last.state, k), load(now.state, k))), s.state, k)
 
 
 @jit(borrows=True)
-def risk_factors(budget: float, share: float, pair: float, total: float, lost: float) -> tuple[float, float]:
+def fade_separations(phi: float, s: Separations) -> None:
+    """An epoch in which Doppler does not move the position: the correlation with the errors of d fades."""
+    for k in range(0, s.state.size, WIDTH):
+        store(phi * load(s.ne_e, k), s.ne_e, k)
+        store(phi * load(s.ne_n, k), s.ne_n, k)
+        store(phi * load(s.nn_e, k), s.nn_e, k)
+        store(phi * load(s.nn_n, k), s.nn_n, k)
+
+
+@jit(borrows=True)
+def clear_separations(s: Separations) -> None:
+    """No separation since the fix."""
+    for array in s:
+        array[:] = 0.0
+
+
+@jit(borrows=True)
+def copy_separations(source: Separations, s: Separations) -> None:
+    """Copy the separations of one position to another."""
+    for array, values in zip(s, source):  # noqa: B905 (kernels know no strict)
+        for k in range(array.size):
+            array[k] = values[k]
+
+
+# The bound
+
+
+@jit(borrows=True)
+def exposure(prior: Array, state: Array) -> tuple[float, float, float]:
+    """Sum of the priors (W,) and of their squares over the modes used since the fix, and the sum of the LOST."""
+    used, squares, lost = spread(0.0), spread(0.0), spread(0.0)
+    for k in range(0, state.size, WIDTH):
+        here, p = load(state, k), load(prior, k)
+        p = where_less(IDLE, here, p, 0.0)
+        used, squares = used + p, squares + p * p
+        lost += where_less(MONITORED, here, p, 0.0)
+    return total(used), total(squares), total(lost)
+
+
+@jit(borrows=True)
+def risk_factors(budget: float, share: float, pair: float, everything: float, lost: float) -> tuple[float, float]:
     """``K_0`` of the fault-free mode and ``K_f`` of every single fault; (inf, inf) when no risk is left.
 
     ``2 Q(K_0) + sum_k P_k 2 Q(K_f) = budget``: the faults get FAULT_SHARE, each in proportion to its prior, so that one
@@ -313,32 +412,32 @@ def risk_factors(budget: float, share: float, pair: float, total: float, lost: f
     Parameters
     ----------
     budget : risk of this axis [-], ``share`` of the total; ``pair``: risk of two faults at once, of the total.
-    total, lost : prior of all satellites used since the fix, and of the LOST; both of the total risk.
+    everything, lost : prior of all modes used since the fix, and of the LOST; both of the total risk.
     """
     left = budget - share * pair
     if left <= 0.0 or share * lost > AFFORDABLE * left:
         return np.inf, np.inf
-    if share * total <= FAULT_SHARE * left:
-        return q_inverse(0.5 * (left - share * total)), -np.inf
+    if share * everything <= FAULT_SHARE * left:
+        return q_inverse(0.5 * (left - share * everything)), -np.inf
     left -= share * lost
-    faults = FAULT_SHARE * left
-    return q_inverse(0.5 * (left - faults)), q_inverse(min(0.5 * faults / (total - lost), 0.5)) if total > lost else 0.0
+    faults, monitored = FAULT_SHARE * left, everything - lost
+    return q_inverse(0.5 * (left - faults)), q_inverse(min(0.5 * faults / monitored, 0.5)) if monitored > 0.0 else 0.0
 
 
 @jit(borrows=True)
-def worst_separation(
-    sine: float, cosine: float, sigma: float, by_heading: float, k_f: float, separations: Records, largest: float
-) -> float:
-    """``max_k abs(D_k,q) + K_f sigma_k,q`` [m] on the axis ``q = [sine, cosine]``, at least ``largest``.
+def worst_separation(sine: float, cosine: float, sigma: float, by_heading: float, k_f: float, s: Separations) -> float:
+    """``max_k abs(D_k,q) + K_f sigma_k,q`` [m] of the monitored modes on the axis ``q = [sine, cosine]``; 0 for none.
 
     ``sigma_k^2 = sigma^2 + (sigma_D + sigma_h)^2``: fault-free, of the separation by velocities, and ``by_heading`` of
     that by the heading, which may correlate [m].
     """
-    for k in range(separations.shape[0]):
-        s = separations[k]
-        if s.state == MONITORED:
-            d = abs(sine * s.d_e + cosine * s.d_n)
-            more = sine * sine * s.s_ee + 2.0 * sine * cosine * s.s_en + cosine * cosine * s.s_nn
-            apart = math.sqrt(max(more, 0.0)) + by_heading
-            largest = max(largest, d + k_f * math.sqrt(sigma * sigma + apart * apart))
-    return largest
+    worst = spread(0.0)
+    for k in range(0, s.state.size, WIDTH):
+        state, d = load(s.state, k), absolute(load(s.d_e, k) * sine + load(s.d_n, k) * cosine)
+        more = load(s.s_ee, k) * (sine * sine) + load(s.s_en, k) * (2.0 * sine * cosine)
+        more += load(s.s_nn, k) * (cosine * cosine)
+        apart = root_of(maximum(more, 0.0)) + by_heading
+        level = d + k_f * root_of(apart * apart + sigma * sigma)
+        monitored = where_less(IDLE, state, where_less(MONITORED, state, 0.0, level), 0.0)
+        worst = maximum(worst, monitored)
+    return float(largest(worst))

@@ -20,24 +20,59 @@ How much of the heading rests on courses with k fades as later courses arrive. B
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import record
-from lanebound.integrity.monitoring.doppler_separation_kernel import IDLE, LOST, MONITORED
+from lanebound.integrity.core.simd_kernel import WIDTH, absolute, largest, load, maximum, spread, store, where_less
+from lanebound.integrity.monitoring.doppler_separation_kernel import (
+    IDLE,
+    LOST,
+    MONITORED,
+    Influences,
+    Separations,
+)
 
-__all__ = ["COURSE", "SPREAD", "advance_course", "advance_spread", "course_state"]
+__all__ = [
+    "SPREAD",
+    "Courses",
+    "advance_courses",
+    "advance_spread",
+    "courses_of",
+    "largest_course",
+    "move_by_courses",
+    "raise_states",
+]
+
+Array = NDArray[np.float64]
 
 FADED = 1e-4  # share of the heading
 
-COURSE = record(
-    h="heading of the filter less that without this one [rad]",
-    b="the same of the gyro bias [rad/s]",
-    s="the same of the gyro scale [-]",
-    used="share of the heading that rests on courses with it [-]",
-    lost="share that rests on courses that had no solution without it [-]",
-)
-"""Separation of the heading filter by one satellite or system."""
+
+class Courses(NamedTuple):
+    """Separation of the heading filter by each fault mode (:mod:`.doppler_separation_kernel`).
+
+    (W,) each, or (B, W): h, b, s heading [rad], gyro bias [rad/s] and gyro scale [-] of the filter less those without
+    the mode; used, lost share of the heading [-] that rests on courses with it, and on courses that had no solution
+    without it; mean the mean of h over the last epoch [rad].
+    """
+
+    h: Array
+    b: Array
+    s: Array
+    used: Array
+    lost: Array
+    mean: Array
+
+
+@jit(forceinline=True)
+def courses_of(a: Courses, v: int) -> Courses:
+    """Row v, (W,) each, of courses (B, W)."""
+    return Courses(a.h[v], a.b[v], a.s[v], a.used[v], a.lost[v], a.mean[v])
+
 
 SPREAD = record(
     hh="variance of h [rad^2]",
@@ -51,38 +86,71 @@ SPREAD = record(
 
 
 @jit(borrows=True)
-def course_state(c: Any) -> int:
-    """IDLE, MONITORED or LOST."""
-    if c.lost > FADED:
-        return LOST
-    return MONITORED if c.used > FADED else IDLE
+def advance_courses(turn: Any, now: Influences, c: Courses) -> float:
+    """Advance the separations by an epoch of the filter, ``turn`` of TURN.
+
+    ``c_k = right'd_k`` where a course calibrates. Returns the largest variance of any ``c_k`` [rad^2].
+    """
+    r_e, r_n, k_h, keep = turn.right[0], turn.right[1], turn.k_h, 1.0 - turn.k_h
+    calibrates = r_e != 0.0 or r_n != 0.0
+    dt, delta = (0.0, 0.0) if turn.rests else (turn.dt, turn.delta)
+    most = spread(0.0)
+    for k in range(0, c.h.size, WIDTH):
+        h, b, s, used, lost = load(c.h, k), load(c.b, k), load(c.s, k), load(c.used, k), load(c.lost, k)
+        seen, state = spread(0.0), spread(IDLE)
+        if calibrates:
+            seen, state = load(now.d_e, k) * r_e + load(now.d_n, k) * r_n, load(now.state, k)
+            first, second = load(now.l_ee, k) * r_e + load(now.l_ne, k) * r_n, load(now.l_nn, k) * r_n
+            most = maximum(most, first * first + second * second)
+        turned = b * dt + s * delta
+        store(h - 0.5 * turned, c.mean, k)
+        h -= turned
+        if not turn.rests:
+            used = keep * used + where_less(IDLE, state, k_h, 0.0)
+            lost = keep * lost + where_less(MONITORED, state, k_h, 0.0)
+        off = seen - (b if turn.rests else h)
+        h, b, s = h + k_h * off, b + turn.k_b * off, s + turn.k_s * off
+        if k_h > 0.0:
+            stays = where_less(used, FADED, where_less(IDLE, state, 1.0, 0.0), 1.0)
+            h, b, s, used, lost = h * stays, b * stays, s * stays, used * stays, lost * stays
+        store(h, c.h, k)
+        store(b, c.b, k)
+        store(s, c.s, k)
+        store(used, c.used, k)
+        store(lost, c.lost, k)
+    return float(largest(most))
+
+
+@jit(borrows=True, forceinline=True)
+def _state_of(c: Courses, k: int) -> Any:
+    """IDLE, MONITORED or LOST of the modes k to k + WIDTH - 1."""
+    return where_less(FADED, load(c.lost, k), LOST, where_less(FADED, load(c.used, k), MONITORED, IDLE))
 
 
 @jit(borrows=True)
-def advance_course(turn: Any, seen: float, state: int, c: Any) -> float:
-    """Advance a separation by an epoch; its mean heading in the epoch [rad].
+def move_by_courses(across_e: float, across_n: float, c: Courses, s: Separations) -> None:
+    """Add to separations what the last epoch moved along the heading: ``D_k += across h_mean`` [m]."""
+    for k in range(0, c.h.size, WIDTH):
+        mean = load(c.mean, k)
+        store(load(s.d_e, k) + across_e * mean, s.d_e, k)
+        store(load(s.d_n, k) + across_n * mean, s.d_n, k)
+        store(maximum(load(s.state, k), _state_of(c, k)), s.state, k)
 
-    Parameters
-    ----------
-    turn : TURN of the heading filter
-    seen : course less that without this satellite or system [rad]
-    state : of this satellite or system in the velocity, IDLE where no course calibrates
-    c : COURSE
-    """
-    mean = c.h
-    if not turn.rests:
-        mean -= 0.5 * (turn.dt * c.b + turn.delta * c.s)
-        c.h -= turn.dt * c.b + turn.delta * c.s
-        keep = 1.0 - turn.k_h
-        c.used = keep * c.used + (turn.k_h if state > IDLE else 0.0)
-        c.lost = keep * c.lost + (turn.k_h if state == LOST else 0.0)
-    off = seen - (c.b if turn.rests else c.h)
-    c.h += turn.k_h * off
-    c.b += turn.k_b * off
-    c.s += turn.k_s * off
-    if c.used < FADED and turn.k_h > 0.0 and state == IDLE:
-        c.h, c.b, c.s, c.used, c.lost = 0.0, 0.0, 0.0, 0.0, 0.0
-    return float(mean)
+
+@jit(borrows=True)
+def raise_states(now: Influences, s: Separations, c: Courses, state: Array) -> None:
+    """The state (W,) of each mode: in the velocity now, in the position since the fix, or in the heading."""
+    for k in range(0, state.size, WIDTH):
+        store(maximum(maximum(load(now.state, k), load(s.state, k)), _state_of(c, k)), state, k)
+
+
+@jit(borrows=True)
+def largest_course(c: Courses) -> float:
+    """Largest separation of the heading by any mode [rad]."""
+    most = spread(0.0)
+    for k in range(0, c.h.size, WIDTH):
+        most = maximum(most, absolute(load(c.h, k)))
+    return float(largest(most))
 
 
 @jit(borrows=True)

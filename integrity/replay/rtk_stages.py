@@ -19,6 +19,7 @@ from lanebound.integrity.navigators.rtk_reckoning.navigator import blank_outputs
 from lanebound.integrity.navigators.rtk_reckoning.parameters import (
     case_table,
     epoch_parameters,
+    mode_priors,
     satellite_table,
     separation_thresholds,
 )
@@ -67,11 +68,11 @@ class RtkStages:
         parameters = epoch_parameters(config)
         parameters["modes"]["rtk_max_hdop"] = math.inf  # compute levels of every fixed position
         tables = Tables(
-            satellite_table(system, wavelength_m, fixable, exact), case_table(config.cases, exact, 0.0),
-            *separation_thresholds(config, len(system)),
+            satellite_table(system, wavelength_m, fixable, exact), system, mode_priors(system, exact),
+            case_table(config.cases, exact, 0.0), *separation_thresholds(config, len(system)),
         )  # fmt: skip
         n = len(system)
-        state, work, out = blank_state(1, n, 0, 1), blank_work(1, n, 1), blank_outputs(1, n, 1)
+        state, work, out = blank_state(1, n, tables.prior.size, 1), blank_work(1, n, 1), blank_outputs(1, n, 1)
         measured = Measured(
             np.zeros((1, n, 3)), np.zeros(1, np.int64), np.zeros((1, n), np.bool_), np.zeros((1, n)),
             np.zeros((1, n, 2)), np.zeros((1, n, 2)), np.zeros((1, n)), np.zeros((1, n), np.bool_), np.zeros(1),

@@ -23,6 +23,7 @@ from lanebound.integrity.monitoring.geometry_kernel import (
     geometry_scratch,
     solve,
 )
+from lanebound.integrity.monitoring.heading_separation_kernel import Courses, courses_of, largest_course
 from lanebound.integrity.monitoring.protection_kernel import (
     closed_form,
     closed_form_published,
@@ -119,7 +120,7 @@ def find_fixed_position(first: int, last: int, epoch: Epoch) -> None:
         if fixed.usable:
             levels = work.fixed_levels[v]
             levels_of_fix(fixed.satellites, fixed.wrong, w.sin_h, w.cos_h, tables, par, scratch, levels)
-            lever_at, lever_ct = lever_bounds(vehicle, state.courses[v], par)
+            lever_at, lever_ct = lever_bounds(vehicle, courses_of(state.courses, v), par)
             for r in range(levels.shape[0]):
                 levels[r, 0] += lever_at
                 levels[r, 1] += lever_ct
@@ -232,7 +233,7 @@ def levels_of_fix(
 
 
 @jit(borrows=True)
-def lever_bounds(vehicle: Any, courses: Records, par: Any) -> tuple[float, float]:
+def lever_bounds(vehicle: Any, courses: Courses, par: Any) -> tuple[float, float]:
     """Bounds on the shift of the reference point against the antenna by a wrong heading, along and across [m].
 
     A lever (f, r) turned by theta moves ``f (cos theta - 1) - r sin theta`` along, ``f sin theta + r (cos theta - 1)``
@@ -241,9 +242,7 @@ def lever_bounds(vehicle: Any, courses: Records, par: Any) -> tuple[float, float
     f, r = abs(par.lever.forward), abs(par.lever.right)
     if f == 0.0 and r == 0.0:
         return 0.0, 0.0
-    heading, fault = vehicle.heading, 0.0
-    for k in range(courses.shape[0]):
-        fault = max(fault, abs(courses[k].h))
+    heading, fault = vehicle.heading, largest_course(courses)
     theta = par.lever.k * math.sqrt(heading.p_hh + vehicle.spread.hh) + heading_bias(vehicle, par.odometer)
     theta = min(theta + fault + par.lever.axle_bound * abs(heading.axle_h), math.pi)
     most, turned = 2.0 * math.hypot(f, r), 0.5 * theta * theta

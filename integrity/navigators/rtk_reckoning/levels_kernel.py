@@ -12,9 +12,11 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import reset, sigma_and_bias
 from lanebound.integrity.monitoring.doppler_separation_kernel import (
-    IDLE,
+    Separations,
+    clear_separations,
     exposure,
     risk_factors,
+    separations_of,
     worst_separation,
 )
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import LATEST, Array, Epoch, Tables
@@ -25,13 +27,12 @@ __all__ = ["DeadReckoningState", "find_levels", "heading_bias", "later_by", "lev
 class DeadReckoningState(NamedTuple):
     """What has been added to an RTK position: growth of its errors, what it left to the cases, the separations.
 
-    growth of GROWTH, starts (R,) of START, separations (S,) of SEPARATION, systems (G,) of SYSTEM_SEPARATION.
+    growth of GROWTH, starts (R,) of START, separations (W,).
     """
 
     growth: Any
     starts: Records
-    separations: Records
-    systems: Records
+    separations: Separations
 
 
 @jit(borrows=True)
@@ -59,9 +60,8 @@ def find_levels(first: int, last: int, epoch: Epoch) -> None:
         vehicle, w = state.vehicles[v], epoch.work.vehicles[v]
         if vehicle.initialised and not vehicle.unbounded and vehicle.since_calibration < math.inf:
             latest = DeadReckoningState(
-                state.growth[v, LATEST], state.starts[v, LATEST], state.separations[v, LATEST],
-                state.system_separations[v, LATEST],
-            )  # fmt: skip
+                state.growth[v, LATEST], state.starts[v, LATEST], separations_of(state.latest, v)
+            )
             levels_since_fix(latest, tables, par.risk, w.sin_h, w.cos_h, w.later, epoch.out.levels[v])
 
 
@@ -78,8 +78,7 @@ def levels_since_fix(
     published ones equal components on E and N.
     """
     growth, starts, separations, cases = reckoning.growth, reckoning.starts, reckoning.separations, tables.cases
-    prior, systems = risk.doppler_constellation_prior, reckoning.systems
-    total, squares, lost = exposure(tables.satellites, prior, separations, systems)
+    total, squares, lost = exposure(tables.prior, separations.state)
     total, squares, lost = later * total, later * later * squares, later * lost
     pair = 0.5 * (total * total - squares) if risk.multiple else 0.0
     axis_sine, axis_cosine = (sin_h, cos_h), (cos_h, -sin_h)
@@ -105,8 +104,7 @@ def levels_since_fix(
                     sine * sine * growth.f_ee + 2.0 * sine * cosine * growth.f_en + cosine * cosine * growth.f_nn
                 )
                 by_heading = math.sqrt(max(by_heading, 0.0))
-                worst = worst_separation(sine, cosine, sigma_bias[q], by_heading, k_f, separations, 0.0)
-                worst = worst_separation(sine, cosine, sigma_bias[q], by_heading, k_f, systems, worst)
+                worst = worst_separation(sine, cosine, sigma_bias[q], by_heading, k_f, separations)
                 level = max(level, worst + whole)
             pl[r, q] = level + sigma_bias[2 + q] + risk.reference_bias
 
@@ -124,10 +122,7 @@ def restart(
     """
     reset(fixed.p_ee, fixed.p_en, fixed.p_nn, 0.0, 0.0, reckoning.growth)
     if vehicle.separated:
-        for k in range(reckoning.separations.shape[0]):
-            clear_separation(reckoning.separations[k])
-        for g in range(reckoning.systems.shape[0]):
-            clear_system(reckoning.systems[g])
+        clear_separations(reckoning.separations)
         vehicle.separated = False
     for r in range(level.shape[0]):
         start, case = reckoning.starts[r], tables.cases[r]
@@ -140,19 +135,6 @@ def restart(
             at = max(at - case.k_dead[0] * fixed.sigma[0], 0.0)
             ct = max(ct - case.k_dead[1] * fixed.sigma[1], 0.0)
             start.bias_e, start.bias_n = _box(at, ct, sin_h, cos_h)
-
-
-@jit(borrows=True)
-def clear_separation(s: Any) -> None:
-    """No separation since the fix."""
-    s.d_e, s.d_n, s.s_ee, s.s_en, s.s_nn, s.c_e, s.c_n, s.last_s, s.state = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, IDLE
-
-
-@jit(borrows=True)
-def clear_system(s: Any) -> None:
-    """No separation by a system since the fix."""
-    s.d_e, s.d_n, s.s_ee, s.s_en, s.s_nn, s.last_s, s.state = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, IDLE
-    s.ne_e, s.ne_n, s.nn_e, s.nn_n = 0.0, 0.0, 0.0, 0.0
 
 
 @jit(borrows=True)

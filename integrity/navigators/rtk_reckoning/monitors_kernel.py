@@ -8,8 +8,23 @@ from typing import Any
 import numpy as np
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.monitoring.doppler_separation_kernel import IDLE, advance_separation, advance_system
-from lanebound.integrity.monitoring.heading_separation_kernel import advance_course, advance_spread, course_state
+from lanebound.integrity.monitoring.doppler_separation_kernel import (
+    Separations,
+    advance_separations,
+    clear_influences,
+    copy_influences,
+    copy_separations,
+    fade_separations,
+    influences_of,
+    separations_of,
+    trapezoid,
+)
+from lanebound.integrity.monitoring.heading_separation_kernel import (
+    advance_courses,
+    advance_spread,
+    courses_of,
+    move_by_courses,
+)
 from lanebound.integrity.monitoring.jump_kernel import (
     ACCEPTED,
     QUARANTINED,
@@ -39,71 +54,35 @@ CONFLICT_LIMIT_S = 0.5  # of contradiction between Doppler and odometer
 def separate_doppler(first: int, last: int, epoch: Epoch) -> None:
     """Advance the separations of both dead reckonings and of the heading; this epoch's influences become the last."""
     par, state, vehicles = epoch.parameters[0], epoch.state, epoch.work.vehicles
-    phi, white = par.doppler.decay, par.doppler.white
     for v in range(first, last):
-        vehicle, w, influences = state.vehicles[v], vehicles[v], state.influences[v]
-        of_systems = state.system_influences[v]
-        for reckoning in range(state.separations.shape[1]):
-            separations = state.separations[v, reckoning]
-            for k in range(separations.shape[0]):
-                before, now = influences[0, k], influences[1, k]
-                advance_separation(par.dt, w.integrates, vehicle.has_velocity, phi, white, before, now, separations[k])
-            systems = state.system_separations[v, reckoning]
-            for g in range(systems.shape[0]):
-                before, now = of_systems[0, g], of_systems[1, g]
-                advance_system(par.dt, w.integrates, vehicle.has_velocity, phi, white, before, now, systems[g])
-        _separate_heading(v, state, par, w)
-        for g in range(of_systems.shape[1]):
-            before, now = of_systems[0, g], of_systems[1, g]
-            before.d_e, before.d_n = (now.d_e, now.d_n) if w.measured else (0.0, 0.0)
-            before.l_ee, before.l_ne, before.l_nn = (now.l_ee, now.l_ne, now.l_nn) if w.measured else (0.0, 0.0, 0.0)
-            before.state = IDLE
-        for k in range(influences.shape[1]):
-            before, now = influences[0, k], influences[1, k]
-            before.u_e = now.u_e if w.measured else 0.0
-            before.u_n = now.u_n if w.measured else 0.0
-            before.statistic = now.statistic if w.measured else 0.0
-            before.state = IDLE
+        vehicle, w, turn = state.vehicles[v], vehicles[v], vehicles[v].step.turn
+        before, now = influences_of(state.last_influences, v), influences_of(state.influences, v)
+        courses, growth = courses_of(state.courses, v), state.growth[v]
+        across_e, across_n = w.run * math.cos(w.middle), -w.run * math.sin(w.middle)
+        largest = advance_courses(turn, now, courses)
+        advance_spread(turn, par.doppler.course * largest, across_e, across_n, vehicle.spread, growth)
+        t = trapezoid(par.dt, vehicle.has_velocity, par.doppler.decay, par.doppler.white)
+        for reckoning in range(growth.shape[0]):
+            g, s = growth[reckoning], _separations_of(state, v, reckoning)
+            if w.integrates:
+                advance_separations(t, g.apart_s, before, now, s)
+            else:
+                fade_separations(t.phi, s)
+            if w.run != 0.0:
+                move_by_courses(across_e, across_n, courses, s)
+            g.apart_s = t.now if w.integrates else 0.0
+        if w.measured:
+            copy_influences(now, before)
+        else:
+            clear_influences(before)
         vehicle.separated = vehicle.separated or w.integrates or w.run != 0.0
 
 
-@jit(borrows=True)
-def _separate_heading(v: int, state: State, par: Any, w: Any) -> None:
-    """Advance what each satellite and system has done to the heading, and to positions that moved along it."""
-    vehicle, courses, turn = state.vehicles[v], state.courses[v], w.step.turn
-    influences, of_systems = state.influences[v, 1], state.system_influences[v, 1]
-    satellites, calibrates = influences.shape[0], turn.right[0] != 0.0 or turn.right[1] != 0.0
-    across_e, across_n = w.run * math.cos(w.middle), -w.run * math.sin(w.middle)
-    largest = 0.0
-    for k in range(courses.shape[0]):
-        seen, of_k = 0.0, IDLE
-        if calibrates and k < satellites:
-            i = influences[k]
-            of_k, size = i.state, turn.right[0] * i.u_e + turn.right[1] * i.u_n
-            seen, largest = size * i.statistic, max(largest, size * size)
-        elif calibrates:
-            j = of_systems[k - satellites]
-            of_k, seen = j.state, turn.right[0] * j.d_e + turn.right[1] * j.d_n
-            first = turn.right[0] * j.l_ee + turn.right[1] * j.l_ne
-            largest = max(largest, first * first + (turn.right[1] * j.l_nn) ** 2)
-        c = courses[k]
-        if of_k == IDLE and c.used == 0.0:
-            continue
-        mean = advance_course(turn, seen, of_k, c)
-        if w.run != 0.0:
-            found = course_state(c)
-            for reckoning in range(state.separations.shape[1]):
-                if k < satellites:
-                    s = state.separations[v, reckoning, k]
-                    s.d_e += across_e * mean
-                    s.d_n += across_n * mean
-                    s.state = max(s.state, found)
-                else:
-                    t = state.system_separations[v, reckoning, k - satellites]
-                    t.d_e += across_e * mean
-                    t.d_n += across_n * mean
-                    t.state = max(t.state, found)
-    advance_spread(turn, par.doppler.course * largest, across_e, across_n, vehicle.spread, state.growth[v])
+@jit(forceinline=True)
+def _separations_of(state: State, v: int, reckoning: int) -> Separations:
+    """The separations (W,) of the LATEST or BACKUP dead reckoning."""
+    found: Separations = separations_of(state.latest if reckoning == LATEST else state.backup, v)
+    return found
 
 
 @jit
@@ -187,10 +166,7 @@ def _use_backup(v: int, state: State, tables: Tables, par: Any, w: Any, found: A
     known = backup.age < math.inf and vehicle.since_calibration < math.inf
     if not (known and (at > found[0, 0] or ct > found[0, 1])):
         return
-    reckoning = DeadReckoningState(
-        state.growth[v, BACKUP], state.starts[v, BACKUP], state.separations[v, BACKUP],
-        state.system_separations[v, BACKUP],
-    )  # fmt: skip
+    reckoning = DeadReckoningState(state.growth[v, BACKUP], state.starts[v, BACKUP], separations_of(state.backup, v))
     levels, later = np.empty_like(pl), later_by(backup.age, vehicle.memory_s, par.risk.fault_duration)
     levels_since_fix(reckoning, tables, par.risk, sin_h, cos_h, later, levels)
     if contradicts(east, north, sin_h, cos_h, levels[0], found[0]):
@@ -206,10 +182,7 @@ def copy_reckoning(v: int, state: State, source: int, to: int) -> None:
     state.growth[v, to] = state.growth[v, source]
     for r in range(state.starts.shape[2]):
         state.starts[v, to, r] = state.starts[v, source, r]
-    for k in range(state.separations.shape[2]):
-        state.separations[v, to, k] = state.separations[v, source, k]
-    for g in range(state.system_separations.shape[2]):
-        state.system_separations[v, to, g] = state.system_separations[v, source, g]
+    copy_separations(_separations_of(state, v, source), _separations_of(state, v, to))
 
 
 @jit

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,9 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.alerts import AlertReason
-from lanebound.integrity.monitoring.heading_separation_kernel import COURSE, SPREAD
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import GROWTH
+from lanebound.integrity.monitoring.doppler_separation_kernel import Influences, Separations
+from lanebound.integrity.monitoring.heading_separation_kernel import SPREAD, Courses
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, Rows, register_navigator
 from lanebound.integrity.navigators.rtk_reckoning.attitude_kernel import find_attitude
 from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConfig
@@ -21,7 +24,8 @@ from lanebound.integrity.navigators.rtk_reckoning.modes_kernel import advance_no
 from lanebound.integrity.navigators.rtk_reckoning.monitors import BUILT_IN, Point
 from lanebound.integrity.navigators.rtk_reckoning.parameters import epoch_parameters, epoch_tables
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import (
-    RECORDS,
+    START,
+    VEHICLE,
     WORK,
     EpochInputs,
     Lasting,
@@ -34,6 +38,7 @@ from lanebound.integrity.navigators.rtk_reckoning.report_kernel import report, t
 from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import resolve_integers
 from lanebound.integrity.navigators.rtk_reckoning.stages import OutsideStage, Stage, StageList
 from lanebound.integrity.navigators.solution import Solution
+from lanebound.integrity.positioning.rtk_kernel import AMBIGUITY
 
 __all__ = ["RtkReckoningNavigator"]
 
@@ -55,9 +60,7 @@ class RtkReckoningNavigator(Navigator):
 
     def initial_belief(self, batch: int) -> State:
         """Nothing is known but the bounds of the heading and of the gyro bias."""
-        belief = blank_state(
-            batch, len(self.track.system), int(self.track.system.max(initial=-1)) + 1, len(self.config.cases)
-        )
+        belief = blank_state(batch, len(self.track.system), self._tables.prior.size, len(self.config.cases))
         vehicles, heading = belief.vehicles, self.config.positioning.heading
         vehicles["heading"]["p_hh"] = np.deg2rad(heading.initial_sigma_deg) ** 2
         vehicles["heading"]["p_bb"] = heading.bias_initial_radps**2
@@ -79,7 +82,8 @@ class RtkReckoningNavigator(Navigator):
         vehicles = self.state.belief.vehicles
         give_heading(vehicles["heading"], heading_rad, sigma_rad)
         vehicles["since_calibration"], vehicles["memory_s"] = 0.0, 0.0
-        self.state.belief.courses[:] = np.zeros((), COURSE)
+        for array in self.state.belief.courses:
+            array[:] = 0.0
         vehicles["spread"] = np.zeros((), SPREAD)
 
     def place_rows(
@@ -95,7 +99,7 @@ class RtkReckoningNavigator(Navigator):
         fresh["initialised"], fresh["backup"]["age"] = True, np.inf
         fresh["backup"]["position"] = old["backup"]["position"]
         belief.vehicles[rows] = fresh
-        for array in belief[2:]:  # all but vehicles and ambiguities
+        for array in arrays_of(belief[2:]):  # all but vehicles and ambiguities
             array[rows] = np.zeros((), array.dtype)
         belief.ambiguities["held"][rows], belief.ambiguities["last_phase"][rows] = False, 0.0
         for axis in ("p_ee", "p_nn"):
@@ -154,20 +158,26 @@ def stages_of(config: RtkReckoningConfig) -> list[Stage | OutsideStage]:
     ]
 
 
-def blank_state(batch: int, satellites: int, systems: int, cases: int) -> State:
-    """The state of vehicles, all zeros."""
-    shapes = {
-        "vehicles": (batch,),
-        "ambiguities": (batch, satellites),
-        "growth": (batch, 2),
-        "starts": (batch, 2, cases),
-        "influences": (batch, 2, satellites),
-        "separations": (batch, 2, satellites),
-        "system_influences": (batch, 2, systems),
-        "system_separations": (batch, 2, systems),
-        "courses": (batch, satellites + systems),
-    }
-    return State(**{name: np.zeros(shape, RECORDS[name]) for name, shape in shapes.items()})
+def blank_state(batch: int, satellites: int, modes: int, cases: int) -> State:
+    """The state of vehicles, all zeros; ``modes`` is the width of the arrays of fault modes."""
+
+    def blank(kind: type[Any]) -> Any:
+        return kind(*(np.zeros((batch, modes)) for _ in kind._fields))
+
+    return State(
+        np.zeros(batch, VEHICLE), np.zeros((batch, satellites), AMBIGUITY), np.zeros((batch, 2), GROWTH),
+        np.zeros((batch, 2, cases), START), blank(Influences), blank(Influences), blank(Separations),
+        blank(Separations), blank(Courses),
+    )  # fmt: skip
+
+
+def arrays_of(values: tuple[Any, ...]) -> Iterator[NDArray[Any]]:
+    """The arrays of NamedTuples, at any depth."""
+    for value in values:
+        if isinstance(value, np.ndarray):
+            yield value
+        else:
+            yield from arrays_of(value)
 
 
 def blank_work(batch: int, satellites: int, cases: int) -> Work:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.records import Records, one_record
+from lanebound.integrity.core.simd_kernel import padded
 from lanebound.integrity.monitoring.alerts import alert_parameters
 from lanebound.integrity.monitoring.detection_kernel import Thresholds
 from lanebound.integrity.monitoring.exclusion import fde_parameters, fde_thresholds
@@ -116,7 +117,6 @@ def risk_parameters(risk: RiskConfig, of_lever: float, reference_bias_m: float) 
         published=risk.variant is Variant.PUBLISHED,
         satellite_prior=satellite,
         constellation_prior=constellation,
-        doppler_constellation_prior=risk.doppler_priors(),
         spendable=SPENDABLE_SHARE * risk.integrity_risk,
     )
 
@@ -130,6 +130,8 @@ def epoch_tables(c: RtkReckoningConfig, system: NDArray[np.int64]) -> rk.Tables:
     wavelength = np.ascontiguousarray(WAVELENGTH_M[:, list(c.gnss.bands)])
     return rk.Tables(
         satellite_table(system, wavelength, FIXABLE[system], c.risk),
+        np.ascontiguousarray(system, dtype=np.int64),
+        mode_priors(system, c.risk),
         case_table(c.cases, c.risk, spent),
         *separation_thresholds(c, len(system)),
     )
@@ -143,6 +145,12 @@ def satellite_table(
     out["system"], out["fixable"], out["prior"] = system, fixable, risk.priors()[0][system]
     out["wavelength"][:, : wavelength_m.shape[1]] = wavelength_m[system]
     return out
+
+
+def mode_priors(system: NDArray[np.int64], risk: RiskConfig) -> NDArray[np.float64]:
+    """Fault probability of each fault mode of Doppler (W,): satellites, systems, zeros up to whole vectors."""
+    modes = np.concatenate([risk.priors()[0][system], risk.doppler_priors()[: int(system.max(initial=-1)) + 1]])
+    return np.pad(modes, (0, padded(modes.size) - modes.size))
 
 
 def case_table(cases: tuple[PlCase, ...], risk: RiskConfig, spent: float) -> Records:

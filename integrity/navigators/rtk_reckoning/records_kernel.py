@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,20 +10,15 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
 from lanebound.integrity.monitoring.alerts_kernel import ALERT, ALERT_RULES
-from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import GROWTH, STEP
+from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import STEP
 from lanebound.integrity.monitoring.detection_kernel import FDE_RULES, Thresholds
-from lanebound.integrity.monitoring.doppler_separation_kernel import (
-    INFLUENCE,
-    SEPARATION,
-    SYSTEM_INFLUENCE,
-    SYSTEM_SEPARATION,
-)
-from lanebound.integrity.monitoring.heading_separation_kernel import COURSE, SPREAD
+from lanebound.integrity.monitoring.doppler_separation_kernel import Influences, Separations
+from lanebound.integrity.monitoring.heading_separation_kernel import SPREAD, Courses
 from lanebound.integrity.monitoring.jump_kernel import JUMP
 from lanebound.integrity.positioning.heading_kernel import CALIBRATION, HEADING
 from lanebound.integrity.positioning.mode_kernel import MODE_LIMITS
 from lanebound.integrity.positioning.odometer_watch_kernel import ODOMETER_WATCH, WATCH_LIMITS
-from lanebound.integrity.positioning.rtk_kernel import AMBIGUITY, RTK_RULES, SATELLITE
+from lanebound.integrity.positioning.rtk_kernel import RTK_RULES
 from lanebound.integrity.positioning.slip_watch_kernel import SLIP_RULES, SLIP_WATCH
 
 __all__ = [
@@ -101,7 +96,6 @@ RISK_RULES = record(
     published=("?", "the operative level is of the published form"),
     satellite_prior=("f8", (MAX_GROUPS,), "fault probability of one satellite, by system [-]"),
     constellation_prior=("f8", (MAX_GROUPS,), "fault probability of a whole system, in the RTK position [-]"),
-    doppler_constellation_prior=("f8", (MAX_GROUPS,), "fault probability of a whole system, in Doppler [-]"),
     spendable="prior of a system that is spent where its separation is poor [-]",
 )
 PARAMETERS = record(
@@ -136,11 +130,14 @@ CASE = record(
 class Tables(NamedTuple):
     """Parameters in arrays.
 
-    satellites (S,) of SATELLITE; cases (R,) of CASE, the operative one first; thresholds of the fault tests; k_fa those
-    that the levels count on, of the same tests; k_published (C, 2) S1's factor by the number of fault modes.
+    satellites (S,) of SATELLITE; system (S,) of each; prior (W,) of each fault mode of Doppler, satellites first, then
+    systems; cases (R,) of CASE, the operative one first; thresholds of the fault tests; k_fa those that the levels
+    count on, of the same tests; k_published (C, 2) S1's factor by the number of fault modes.
     """
 
     satellites: Records
+    system: Ints
+    prior: Array
     cases: Records
     thresholds: Thresholds
     k_fa: Thresholds
@@ -193,20 +190,19 @@ class State(NamedTuple):
     """What lasts of B vehicles.
 
     vehicles (B,) of VEHICLE; ambiguities (B, S) of AMBIGUITY; growth (B, 2) of GROWTH and starts (B, 2, R) of START,
-    for LATEST and BACKUP; influences (B, 2, S) of INFLUENCE at the beginning and at the end of the epoch; separations
-    (B, 2, S) of SEPARATION; system_influences (B, 2, G) and system_separations (B, 2, G) the same of whole systems;
-    courses (B, S + G) of COURSE, satellites first.
+    for LATEST and BACKUP, whose separations are ``latest`` and ``backup``; last_influences and influences of the
+    velocities at the beginning and at the end of the epoch; courses. Arrays of fault modes are (B, W).
     """
 
     vehicles: Records
     ambiguities: Records
     growth: Records
     starts: Records
-    influences: Records
-    separations: Records
-    system_influences: Records
-    system_separations: Records
-    courses: Records
+    last_influences: Influences
+    influences: Influences
+    latest: Separations
+    backup: Separations
+    courses: Courses
 
 
 # Measurements
@@ -358,12 +354,3 @@ class EpochInputs(NamedTuple):
     """The fields of an Epoch that are of one epoch alone."""
 
     measured: Measured
-
-
-RECORDS: dict[str, Any] = {
-    "vehicles": VEHICLE, "ambiguities": AMBIGUITY, "growth": GROWTH, "starts": START, "influences": INFLUENCE,
-    "separations": SEPARATION, "system_influences": SYSTEM_INFLUENCE, "system_separations": SYSTEM_SEPARATION,
-    "courses": COURSE,
-}  # fmt: skip
-"""Types of the arrays of State."""
-SATELLITE_RECORD = SATELLITE

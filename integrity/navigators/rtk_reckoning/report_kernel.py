@@ -8,6 +8,7 @@ from typing import Any
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.monitoring.alerts_kernel import INITIALISING, TEST_FAILED, alert_step
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import remember_velocity, sigma_and_bias
+from lanebound.integrity.monitoring.doppler_separation_kernel import separations_of
 from lanebound.integrity.monitoring.jump_kernel import is_suspicious
 from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import DeadReckoningState, restart
 from lanebound.integrity.navigators.rtk_reckoning.monitors_kernel import copy_reckoning, reference_point
@@ -30,10 +31,7 @@ def take_fix(first: int, last: int, epoch: Epoch) -> None:
             vehicle.position[0], vehicle.position[1] = reference_point(w.fixed, par.lever, w.sin_h, w.cos_h)
             vehicle.position[2] = w.fixed.position[2]
             vehicle.since_rtk, vehicle.initialised, vehicle.unbounded = 0.0, True, False
-            latest = DeadReckoningState(
-                growth[LATEST], state.starts[v, LATEST], state.separations[v, LATEST],
-                state.system_separations[v, LATEST],
-            )  # fmt: skip
+            latest = DeadReckoningState(growth[LATEST], state.starts[v, LATEST], separations_of(state.latest, v))
             restart(latest, tables, par.risk, vehicle, w.fixed, w.sin_h, w.cos_h, levels[v])
             if not (w.fixed.lasting and vehicle.backup.age < par.jump.backup):
                 vehicle.backup.position[0], vehicle.backup.position[1] = vehicle.position[0], vehicle.position[1]

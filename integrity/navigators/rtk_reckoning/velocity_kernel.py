@@ -11,14 +11,19 @@ from lanebound.integrity.core.small_matrix_kernel import hdop_of
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED, NO_REDUNDANCY, detect_and_exclude
 from lanebound.integrity.monitoring.doppler_separation_kernel import (
     AFFORDABLE,
-    LOST,
-    find_influences,
+    centre_rows,
+    centred_scratch,
+    clear_influences,
+    exposure,
+    find_satellite_influences,
     find_system_influences,
+    influences_of,
+    separations_of,
 )
-from lanebound.integrity.monitoring.heading_separation_kernel import course_state
+from lanebound.integrity.monitoring.heading_separation_kernel import courses_of, raise_states
 from lanebound.integrity.monitoring.jump_kernel import begin_epoch, suspects_signals
 from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import later_by
-from lanebound.integrity.navigators.rtk_reckoning.records_kernel import LATEST, Epoch
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
 from lanebound.integrity.positioning.rows_kernel import Rows
 from lanebound.integrity.positioning.rtk_kernel import select, weigh
 
@@ -32,11 +37,8 @@ def find_velocity(first: int, last: int, epoch: Epoch) -> None:
     satellites, thresholds, operative = epoch.tables.satellites, epoch.tables.thresholds, epoch.tables.cases[0]
     n = satellites.shape[0]
     clock, variance, used = np.zeros(n, dtype=np.int64), np.empty(n), np.empty(n, dtype=np.bool_)
-    system, prior = np.empty(n, dtype=np.int64), par.risk.doppler_constellation_prior
-    systems = state.system_influences.shape[2]
-    sums = np.empty((systems + 1, 15))
-    for s in range(n):
-        system[s] = satellites[s].system
+    system, prior, centred = epoch.tables.system, epoch.tables.prior, centred_scratch(n)
+    modes = np.empty(prior.size)
     for v in range(first, last):
         vehicle, w, los = state.vehicles[v], work.vehicles[v], measured.los[measured.sight[v]]
         epoch.out.levels[v, :, :] = math.inf
@@ -59,24 +61,15 @@ def find_velocity(first: int, last: int, epoch: Epoch) -> None:
             w.satellites_doppler += used[s]
         w.hdop_doppler = hdop_of(los, clock, used)
         w.solved = outcome <= EXCLUDED or outcome == NO_REDUNDANCY
-        influences, separations = state.influences[v, 1], state.separations[v, LATEST]
-        find_influences(los, used, variance, measured.range_rate[v], w.velocity, w.q, w.solved, influences)
-        of_systems, apart, courses = (
-            state.system_influences[v, 1],
-            state.system_separations[v, LATEST],
-            state.courses[v],
-        )
-        find_system_influences(
-            los, used, variance, measured.range_rate[v], w.velocity, w.q, w.solved, system, prior, par.risk.spendable,
-            sums, of_systems,
-        )  # fmt: skip
-        lost = 0.0
-        for s in range(n):
-            if max(influences[s].state, separations[s].state, course_state(courses[s])) == LOST:
-                lost += satellites[s].prior
-        for g in range(systems):
-            if max(of_systems[g].state, apart[g].state, course_state(courses[n + g])) == LOST:
-                lost += prior[g]
+        influences = influences_of(state.influences, v)
+        if w.solved:
+            centre_rows(rows, w.velocity, centred)
+            find_satellite_influences(w.q, centred, influences)
+            find_system_influences(w.q, system, prior, par.risk.spendable, centred, influences)
+        else:
+            clear_influences(influences)
+        raise_states(influences, separations_of(state.latest, v), courses_of(state.courses, v), modes)
+        _, _, lost = exposure(prior, modes)
         w.later = later_by(vehicle.since_rtk, vehicle.memory_s, par.risk.fault_duration)
         affordable = w.later * lost <= AFFORDABLE * (operative.budget[0] + operative.budget[1])
         w.checked = w.solved and not w.suspect and (par.risk.published or affordable)
