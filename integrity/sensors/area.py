@@ -22,6 +22,7 @@ from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import ZIGGURAT, Streams
 from lanebound.integrity.sensors import area_kernel as kernel
 from lanebound.integrity.sensors import gnss_kernel as gk
+from lanebound.integrity.sensors.broadcast import BroadcastState, initial_broadcast
 from lanebound.integrity.sensors.clock import clock_gains
 from lanebound.integrity.sensors.corrections import CorrectionsConfig, NetworkState, initial_network, link_parameters
 from lanebound.integrity.sensors.corrections_kernel import advance_network
@@ -38,14 +39,16 @@ class AreaState:
 
     Attributes
     ----------
-    streams : of the areas, of which "atmosphere", "station" and "network" are drawn from
+    streams : of the areas, of which "atmosphere", "station", "network" and "broadcast" are drawn from
     signals : what the receivers get
     network : what carries the messages of the station; its epochs are the area's
+    broadcast : errors that a difference cancels, where undifferenced observables are computed
     """
 
     streams: Streams
     signals: AreaSignals
     network: NetworkState
+    broadcast: BroadcastState | None = None
 
     def __post_init__(self) -> None:
         self.bundle = LastingBundle()
@@ -73,7 +76,8 @@ def initial_area(
         reference_enu_m=config.reference_offset_m
         * np.stack([np.sin(azimuth), np.cos(azimuth), np.zeros_like(azimuth)], -1),
     )
-    return AreaState(streams, signals, initial_network(link, dt_s, streams))
+    broadcast = initial_broadcast(satellites, streams) if config.undifferenced else None
+    return AreaState(streams, signals, initial_network(link, dt_s, streams), broadcast)
 
 
 def advance_area(config: GnssConfig, link: CorrectionsConfig, state: AreaState, time_s: float, dt_s: float) -> None:
@@ -89,6 +93,8 @@ def advance_area(config: GnssConfig, link: CorrectionsConfig, state: AreaState, 
     bundle = state.bundle.of(owners, lambda: _rows_of(rules, link_rules, state))
     while network.epoch < epoch:
         network.epoch += 1
+        if state.broadcast is not None:
+            config.broadcast.advance(state.broadcast, dt_s, state.streams)
         if type(state.streams) is Streams:
             kernel.advance(network.epoch, bundle.handle)
         else:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal
 
@@ -19,6 +19,7 @@ from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.sensors import gnss_kernel as gk
 from lanebound.integrity.sensors.arrival_kernel import NOTHING, PATH_RULES, SignalWork
+from lanebound.integrity.sensors.broadcast import BroadcastConfig, BroadcastState
 from lanebound.integrity.sensors.clock import OCXO_H0, OCXO_HM2, TCXO_H0, TCXO_HM2, clock_gains
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.multipath_kernel import ARRIVAL, MOST_ARRIVALS
@@ -27,9 +28,10 @@ from lanebound.integrity.sky.systems import CHIP_M, N_SYSTEMS, WAVELENGTH_M
 from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.sky.visibility import RAY_HZ, Reception
 
-__all__ = ["AreaSignals", "GnssConfig", "GnssEpoch", "GnssState", "initial_state", "observe"]
+__all__ = ["AreaSignals", "GnssConfig", "GnssEpoch", "GnssState", "initial_state", "observe", "undifferenced"]
 
 Array = NDArray[np.float64]
+MOST_AGE_S = 1e6  # older corrections do not age a signal further
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,9 @@ class GnssEpoch:
     cn0_dbhz : (B, S) carrier-to-noise density
     lock_lost : (B, S) bool, the receiver detected a loss of carrier lock since the previous epoch
     corrections_age_s : (B,) age of the reference data, inf without data
+    raw_code_m, raw_phase_m : (B, S, 2) undifferenced, corrected by broadcast ephemerides and models
+        (:mod:`.broadcast`): ``-e.x`` relative to the true origin, receiver clock, errors; None unless
+        ``gnss.undifferenced``. ``range_rate_mps`` is undifferenced in any case.
     """
 
     tracked: NDArray[np.bool_]
@@ -58,6 +63,8 @@ class GnssEpoch:
     cn0_dbhz: Array
     lock_lost: NDArray[np.bool_]
     corrections_age_s: Array
+    raw_code_m: Array | None = None
+    raw_phase_m: Array | None = None
 
 
 @dataclass
@@ -192,6 +199,11 @@ class GnssConfig(Config):
         ge=0,
         description="horizontal error of the reference coordinates, in a random direction [m]; datum, antenna",
     )
+
+    undifferenced: bool = Field(
+        False, description="compute undifferenced observables too, for services without a station"
+    )
+    broadcast: BroadcastConfig = Field(BroadcastConfig(), description="their errors after broadcast corrections")
 
     @property
     def station_parts(self) -> dict[str, float]:
@@ -365,6 +377,42 @@ def observe(
     out.age[:] = age_s
     gk.observe(reception.rows, receivers, sky.rows, motion_rows(truth), effect_rows(effects), out)
     return gnss_epoch(out)
+
+
+def undifferenced(
+    config: GnssConfig,
+    rules: Records,
+    epoch: GnssEpoch,
+    sky: SkyView,
+    held: Records,
+    effects: FaultEffects,
+    area: AreaSignals,
+    broadcast: BroadcastState,
+) -> GnssEpoch:
+    """Add the undifferenced observables of an epoch, for S satellites and B vehicles.
+
+    Parameters
+    ----------
+    rules : of GNSS_RULES, with which the epoch was observed
+    held : (B, S) of STATION, the station's own errors in the data that each vehicle holds
+    area, broadcast : of one area or of B
+    """
+    los, batch, r = sky.los_enu[sky.index], epoch.tracked.shape[0], rules[0]
+    row, sine = np.arange(batch) % area.memory.shape[0], np.where(epoch.tracked, los[..., 2], 1.0)
+    alike, iono = config.broadcast.delays(broadcast, sine, row)
+    offset = area.reference_enu_m[row] + effects.reference_enu_m
+    alike += np.einsum("bsk,bk->bs", los, offset) + area.clock[row, None, 0]
+    aged = np.isfinite(epoch.corrections_age_s) & (epoch.corrections_age_s < MOST_AGE_S)
+    age_s = np.where(aged, epoch.corrections_age_s, 0.0)
+    alike -= r["age_rate"] * age_s[:, None] * area.memory["age"][row]
+    iono = iono[..., None] * r["dispersion"][sky.system]
+    root = np.sqrt(0.5 * (1.0 + 1.0 / np.square(sine)))[..., None]
+    of_code = r["station_code_multipath"] * held["code_multipath"][..., None] + r["station_code"] * held["code"]
+    of_phase = r["station_phase_multipath"] * held["phase_multipath"] + r["station_phase"] * held["phase"]
+    code = epoch.code_m + alike[..., None] + iono + root * of_code
+    phase = epoch.phase_m + alike[..., None] - iono + root * of_phase
+    there = epoch.tracked[..., None] & (np.arange(gk.BANDS) < r["bands"])
+    return replace(epoch, raw_code_m=np.where(there, code, 0.0), raw_phase_m=np.where(epoch.phase_m != 0.0, phase, 0.0))
 
 
 def blank_work(batch: int) -> SignalWork:

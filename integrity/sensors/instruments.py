@@ -32,6 +32,7 @@ from lanebound.integrity.sensors.gnss import (
     gnss_epoch,
     gnss_parameters,
     motion_rows,
+    undifferenced,
 )
 from lanebound.integrity.sensors.gnss_kernel import NORMALS, UNIFORMS, Receivers
 from lanebound.integrity.sensors.imu import ImuConfig, ImuSample, ImuState, blank_imu, imu_parameters, warm_up
@@ -140,7 +141,12 @@ class Instruments:
         elif rows.draws.gnss.shape[0] != batch:
             draw(0, batch, bundle.handle)
         run_rows(sense, batch, bundle.handle, epoch, row_us=SENSE_US)
-        return Measurements(truth.time_s, sky, gnss_epoch(gnss), ImuSample(*imu), OdometerSample(*odometer))
+        signals = gnss_epoch(gnss)
+        if s.area.broadcast is not None:
+            signals = undifferenced(
+                self.gnss, self.gnss_rules, signals, sky, s.corrections.held, effects, s.area.signals, s.area.broadcast
+            )
+        return Measurements(truth.time_s, sky, signals, ImuSample(*imu), OdometerSample(*odometer))
 
     def _draw(self, streams: Streams, rows: InstrumentRows) -> None:
         """The draws of an epoch from streams that draw in a way of their own."""
