@@ -102,6 +102,41 @@ def faults(
         _report_faults(result, out, as_json)
 
 
+@app.command("informativeness")
+def informativeness(
+    out: Annotated[Path, typer.Option(help="Folder for results.json and the figure; a run is resumed there.")],
+    sky: Annotated[
+        list[str] | None,
+        typer.Option(help="A level of sky; may be repeated. The study has urban, dense and skies/plaza."),
+    ] = None,
+    streets: Annotated[int | None, typer.Option(min=2, help="Streets of each sky; the study has 12.")] = None,
+    jobs: Jobs = 1,
+    assignments: Assignments = None,
+    as_json: AsJson = False,
+) -> None:
+    """Whether protection levels foretell large errors better than mode and age of RTK, on streets held out.
+
+    Example: lanebound assess informativeness --out out/informative --sky urban --streets 4 --jobs 2
+    """
+    from lanebound.agents.assess.informativeness import (
+        InformativenessConfig,
+        assess_informativeness,
+        informativeness_rows,
+    )
+    from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
+
+    with resumable(lambda: kept_text(out, "parts/*.json", "street")):
+        config = InformativenessConfig.load(changes(assignments, skies=sky or None, streets=streets))
+        result = with_bar("streets", lambda on_progress: assess_informativeness(config, out, jobs, on_progress))
+    if as_json:
+        print_json(result)
+        return
+    title = f"Errors across the track above {config.error_m:g} m, foretold for streets held out; 95 % by street"
+    print_table(title, *informativeness_rows(result))
+    typer.echo(f"results.json, informativeness.svg: {out}")
+
+
 @app.command("signals")
 def signals(
     folder: Annotated[Path, typer.Argument(help="Folder of a drive of smartLoc: *_Input.txt(.gz) and *_GT.txt.")],
