@@ -5,8 +5,8 @@ the track. Two models of one form predict whether the error is large, one from m
 and level. The area under the ROC curve (AUC) of predictions for streets that the model has not seen compares them. A
 third model predicts the logarithm of the level from mode and age; its R^2 says how much of a level is a clock.
 
-The models are piecewise (bi)linear in the logarithms of age and level for each mode (tensor products of linear
-B-splines), fitted by ridge regression: logistic for the error, least squares for the level.
+The models are piecewise (bi)linear in the logarithms of age and level (tensor products of linear B-splines), one for
+each mode, fitted by ridge regression: logistic for the error, least squares for the level.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ PACKAGES = ("lanebound.integrity", "lanebound.agents.assess", "lanebound.envs.sk
 SAMPLE_S = 1.0  # between samples of a vehicle
 LONGEST_S = 1e4  # in place of the age of an RTK position that never was
 RESAMPLES, CONFIDENCE = 2000, 0.95
-AGE_KNOTS, LEVEL_KNOTS = 6, 6  # of a mode, at quantiles of the streets that are fitted
+AGE_KNOTS, LEVEL_KNOTS = 6, 6  # at quantiles of the streets that are fitted
 RIDGE = 1.0  # penalty of a squared coefficient, in samples
-NEWTON_STEPS, SETTLED = 30, 1e-8
+NEWTON_STEPS, LONGEST_STEP, SETTLED = 30, 5.0, 1e-4
 
 
 class InformativenessConfig(StreetDrivesConfig):
@@ -120,15 +120,21 @@ def compare(streets: Sequence[Mapping[str, Any]], error_m: float) -> dict[str, A
     columns = {key: np.concatenate([np.asarray(s[key], float) for s in streets]) for key in streets[0]}
     street = np.repeat(np.arange(len(streets)), [len(s["mode"]) for s in streets])
     large, level = columns["error_m"] > error_m, np.log(columns["pl_m"])
-    features = columns["mode"], np.log1p(columns["age_s"]), level
     clock, whole, foretold = np.zeros((3, street.size))
     for held in np.unique(street):
-        fitted, asked = street != held, street == held
-        with_level = _Basis(*features, fitted, LEVEL_KNOTS)
-        without = _Basis(*features, fitted, 1)
-        for basis, scores in ((without, clock), (with_level, whole)):
-            scores[asked] = basis.at(asked) @ fit_logistic(basis.at(fitted), large[fitted])
-        foretold[asked] = without.at(asked) @ fit_linear(without.at(fitted), level[fitted])
+        for mode in np.unique(columns["mode"]):
+            own = columns["mode"] == mode
+            fitted, asked = own & (street != held), own & (street == held)
+            if not fitted.any() or not asked.any():
+                fitted = street != held  # a mode that no other street has
+            features = np.log1p(columns["age_s"]), level
+            for scores, knots in ((clock, 1), (whole, LEVEL_KNOTS)):
+                basis = _Basis(*(f[fitted] for f in features), knots)
+                known = basis.at(*(f[fitted] for f in features))
+                new = basis.at(*(f[asked] for f in features))
+                scores[asked] = new @ fit_logistic(known, large[fitted])
+                if knots == 1:
+                    foretold[asked] = new @ fit_linear(known, level[fitted])
     chosen = named_generator(0, "resamples").integers(len(streets), size=(RESAMPLES, len(streets)))
     weight = np.stack([np.bincount(row, minlength=len(streets)) for row in chosen]).astype(float)
     every = np.concatenate([np.ones((1, len(streets))), weight])
@@ -145,24 +151,18 @@ def compare(streets: Sequence[Mapping[str, Any]], error_m: float) -> dict[str, A
 
 
 class _Basis:
-    """Columns of the models: an intercept, and products of hat functions of age and level for each mode.
+    """Columns of a model: an intercept, and products of hat functions of age and level with knots at their quantiles.
 
-    Knots are quantiles of the ``fitted`` samples of a mode; with one level knot the level does not enter.
+    With one level knot the level does not enter.
     """
 
-    def __init__(self, mode: Array, age: Array, level: Array, fitted: Bools, level_knots: int) -> None:
-        parts = [np.ones((mode.size, 1))]
-        for m in np.unique(mode[fitted]):
-            own = fitted & (mode == m)
-            of_age = _hats(age, _knots(age[own], AGE_KNOTS))
-            of_level = _hats(level, _knots(level[own], level_knots))
-            products = (of_age[:, :, None] * of_level[:, None, :]).reshape(mode.size, -1)
-            parts.append(products * (mode == m)[:, None])
-        self._columns = np.concatenate(parts, 1)
+    def __init__(self, age: Array, level: Array, level_knots: int) -> None:
+        self._age, self._level = _knots(age, AGE_KNOTS), _knots(level, level_knots)
 
-    def at(self, rows: Bools) -> Array:
-        """The columns of some samples."""
-        return np.asarray(self._columns[rows])
+    def at(self, age: Array, level: Array) -> Array:
+        """The columns (n, k) of samples."""
+        products = _hats(age, self._age)[:, :, None] * _hats(level, self._level)[:, None, :]
+        return np.concatenate([np.ones((age.size, 1)), products.reshape(age.size, -1)], 1)
 
 
 def _knots(values: Array, count: int) -> Array:
@@ -193,9 +193,8 @@ def fit_logistic(columns: Array, target: Bools) -> Array:
     for _ in range(NEWTON_STEPS):
         p = expit(columns @ x)
         slope = columns.T @ (target - p) - ridge * x
-        curve = (columns * (p * (1.0 - p))[:, None]).T @ columns + np.diag(ridge)
-        step = np.linalg.solve(curve, slope)
-        x += step
+        step = np.linalg.solve((columns * (p * (1.0 - p))[:, None]).T @ columns + np.diag(ridge), slope)
+        x += np.clip(step, -LONGEST_STEP, LONGEST_STEP)
         if np.abs(step).max() < SETTLED:
             break
     return x
