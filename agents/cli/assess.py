@@ -140,24 +140,31 @@ def informativeness(
 @app.command("signals")
 def signals(
     folder: Annotated[Path, typer.Argument(help="Folder of a drive of smartLoc: *_Input.txt(.gz) and *_GT.txt.")],
-    out: Annotated[Path, typer.Option(help="Folder for signals.json.")],
+    out: Annotated[Path, typer.Option(help="Folder for signals.json and the figure.")],
+    labels: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="Raw table of a part of the drive: adds Doppler, and errors by path."),
+    ] = None,
     assignments: Assignments = None,
     as_json: AsJson = False,
 ) -> None:
-    """Code errors of a recorded drive beside those of a simulated receiver, by C/N0 and elevation.
+    """Errors of code and Doppler of a recorded drive beside simulated ones, by C/N0 and elevation, and by path.
 
     Example: lanebound assess signals drives/potsdamer --out out/signals --set streets=8
     """
+    from lanebound.agents.assess.labelled_signals import path_rows
     from lanebound.agents.assess.signals import SignalsConfig, assess_signals, signal_rows
     from lanebound.agents.cli.output import print_json, print_table
     from lanebound.agents.cli.progress import with_bar
 
     config = SignalsConfig.load(changes(assignments))
-    result = with_bar("streets", lambda on_progress: assess_signals(folder, config, out, on_progress))
+    result = with_bar("streets", lambda on_progress: assess_signals(folder, config, out, on_progress, labels))
     if as_json:
         print_json(result)
         return
     print_table("Share of the codes, and 50 / 75 / 90 / 95 % of their absolute errors [m]", *signal_rows(result))
+    if "paths" in result:
+        print_table("Absolute errors by path: recorded, with 95 % by satellite; simulated", *path_rows(result))
     typer.echo(f"signals.json: {out}")
 
 

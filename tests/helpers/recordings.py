@@ -27,14 +27,15 @@ RAW_HEAD = (
     "Height above ellipsoid (GT Height) [m];Heading (0° = East, counterclockwise) - (GT Heading) [rad];"
     "Velocity (GT Velocity) [m/s];Yaw-Rate (GT Yaw-rate) [rad/s];Pseudorange measurement (prMes) [m];"
     "Carrier phase measurement (cpMes) [cycles];Doppler measurement (doMes) [Hz];GNSS identifier (gnssId) [];"
-    "Satellite identifier (svId) [];Carrier-to-noise density ratio (cno) [dbHz];"
+    "Satellite identifier (svId) [];Frequency slot - only Glonass (freqId) [];"
+    "Carrier-to-noise density ratio (cno) [dbHz];"
     "Estimated pseudorange measurement standard deviation (prStdev) [m];NLOS (0 == no, 1 == yes, # == No Information)"
 )
 RAW = (
     f"{RAW_HEAD}\n"
-    "1900;126641.5;13.37;52.50;76.0;1.24;5.7;0.001;19834597.8;104231506.0;222.1;GPS;12;50;0.32;0\n"
-    "1900;126641.5;13.37;52.50;76.0;1.24;5.7;0.001;19784715.1;105797774.1;2219.3;Glonass;20;39;2.56;1\n"
-    "1900;126641.7;13.37;52.50;76.0;1.24;5.7;0.001;19784715.1;105797774.1;2219.3;SBAS;120;39;2.56;#\n"
+    "1900;126641.5;13.37;52.50;76.0;1.24;5.7;0.001;19834597.8;104231506.0;222.1;GPS;12;0;50;0.32;0\n"
+    "1900;126641.5;13.37;52.50;76.0;1.24;5.7;0.001;19784715.1;105797774.1;2219.3;Glonass;20;9;39;2.56;1\n"
+    "1900;126641.7;13.37;52.50;76.0;1.24;5.7;0.001;19784715.1;105797774.1;2219.3;SBAS;120;0;39;2.56;#\n"
 )
 
 
