@@ -137,6 +137,41 @@ def informativeness(
     typer.echo(f"results.json, informativeness.svg: {out}")
 
 
+@app.command("rtk")
+def rtk(
+    folder: Annotated[Path, typer.Argument(help="Folder of a recorded drive: rover_rtk.pos and reference.csv.")],
+    out: Annotated[Path, typer.Option(help="Folder for results.json; a run is resumed there.")],
+    streets: Annotated[int | None, typer.Option(min=1, help="Streets of each sky; the study has 6.")] = None,
+    jobs: Jobs = 1,
+    assignments: Assignments = None,
+    as_json: AsJson = False,
+) -> None:
+    """Conventional RTK on simulated signals beside a recorded drive, and the navigator on the same signals.
+
+    Example: lanebound assess rtk drives/nagoya --out out/rtk --jobs 2
+    """
+    from lanebound.agents.assess.conventional import (
+        RtkRealismConfig,
+        assess_rtk,
+        navigator_rows,
+        rtk_rows,
+        sky_rows,
+    )
+    from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
+
+    with resumable(lambda: kept_text(out, "parts/*.json", "street")):
+        config = RtkRealismConfig.load(changes(assignments, streets=streets))
+        result = with_bar("streets", lambda on_progress: assess_rtk(folder, config, out, jobs, on_progress))
+    if as_json:
+        print_json(result)
+        return
+    print_table("Satellites that conventional RTK can use, by sky", *sky_rows(result))
+    print_table(f"The sky nearest in usable satellites ({result['nearest']}) beside the recording", *rtk_rows(result))
+    print_table("The navigator on the same signals: epochs beyond a level, 95 % by street", *navigator_rows(result))
+    typer.echo(f"results.json: {out}")
+
+
 @app.command("signals")
 def signals(
     folder: Annotated[Path, typer.Argument(help="Folder of a drive of smartLoc: *_Input.txt(.gz) and *_GT.txt.")],
