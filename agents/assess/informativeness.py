@@ -120,6 +120,7 @@ def compare(streets: Sequence[Mapping[str, Any]], error_m: float) -> dict[str, A
     columns = {key: np.concatenate([np.asarray(s[key], float) for s in streets]) for key in streets[0]}
     street = np.repeat(np.arange(len(streets)), [len(s["mode"]) for s in streets])
     large, level = columns["error_m"] > error_m, np.log(columns["pl_m"])
+    age = np.log1p(columns["age_s"])
     clock, whole, foretold = np.zeros((3, street.size))
     for held in np.unique(street):
         for mode in np.unique(columns["mode"]):
@@ -127,11 +128,9 @@ def compare(streets: Sequence[Mapping[str, Any]], error_m: float) -> dict[str, A
             fitted, asked = own & (street != held), own & (street == held)
             if not fitted.any() or not asked.any():
                 fitted = street != held  # a mode that no other street has
-            features = np.log1p(columns["age_s"]), level
             for scores, knots in ((clock, 1), (whole, LEVEL_KNOTS)):
-                basis = _Basis(*(f[fitted] for f in features), knots)
-                known = basis.at(*(f[fitted] for f in features))
-                new = basis.at(*(f[asked] for f in features))
+                basis = _Basis(age[fitted], level[fitted], knots)
+                known, new = basis.at(age[fitted], level[fitted]), basis.at(age[asked], level[asked])
                 scores[asked] = new @ fit_logistic(known, large[fitted])
                 if knots == 1:
                     foretold[asked] = new @ fit_linear(known, level[fitted])

@@ -26,6 +26,7 @@ Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 PATHS = {"direct": 0, "blocked": 1}  # values of SignalResiduals.blocked
 OBSERVABLES = {"code_m": ("code", "m"), "rate_mps": ("Doppler", "m/s")}
 QUANTILES = (0.5, 0.75, 0.9, 0.95)
+SHARES = np.linspace(0.005, 0.995, 199)  # of signals, in the figure
 RESAMPLES, CONFIDENCE = 2000, 0.95
 COLOURS = {"direct": "#009E73", "blocked": "#D55E00"}
 
@@ -47,12 +48,12 @@ def compare_paths(recorded: SignalResiduals, simulated: SignalResiduals) -> list
 
 
 def _rows(signals: SignalResiduals, name: str, path: str) -> NDArray[np.bool_]:
-    return (signals.blocked == PATHS[path]) & np.isfinite(getattr(signals, name))
+    return np.asarray((signals.blocked == PATHS[path]) & np.isfinite(getattr(signals, name)))
 
 
 def _of(signals: SignalResiduals, name: str, path: str) -> Array:
     """Absolute residuals of an observable and a path."""
-    return np.abs(getattr(signals, name)[_rows(signals, name, path)])
+    return np.asarray(np.abs(getattr(signals, name)[_rows(signals, name, path)]))
 
 
 def _quantiles(values: Array) -> list[float] | None:
@@ -93,9 +94,10 @@ def paths_figure(recorded: SignalResiduals, simulated: SignalResiduals) -> Figur
     for axes, (name, (observable, unit)) in zip(figure.subplots(1, 2), OBSERVABLES.items(), strict=True):
         for path, colour in COLOURS.items():
             for what, signals, line in (("recorded", recorded, "-"), ("simulated", simulated, "--")):
-                values = np.sort(_of(signals, name, path))
-                share = (np.arange(values.size) + 0.5) / max(values.size, 1)
-                axes.plot(values, share, line, color=colour, label=f"{path} ray, {what}")
+                values = _of(signals, name, path)
+                if values.size:
+                    label = f"direct ray {path}" if path == "blocked" else "direct ray received"
+                    axes.plot(np.quantile(values, SHARES), SHARES, line, color=colour, label=f"{label}, {what}")
         axes.set_xscale("log")
         axes.set_ylim(0.0, 1.0)
         tidy(axes, xlabel=f"absolute error of {observable} [{unit}]", ylabel="share of signals below")

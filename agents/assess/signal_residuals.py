@@ -7,7 +7,7 @@ from the code residuals of every other system their median at 42 dB-Hz and more 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +56,8 @@ class SignalResiduals(NamedTuple):
 
     def take(self, rows: Bools | Ints) -> SignalResiduals:
         """Some of the signals."""
-        return SignalResiduals(*(column[rows] for column in self))
+        columns: Any = (column[rows] for column in self)
+        return SignalResiduals(*columns)
 
     @staticmethod
     def join(parts: Sequence[SignalResiduals]) -> SignalResiduals:
