@@ -24,7 +24,7 @@ from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, r
 from lanebound.integrity.assessment.availability import find_outages
 from lanebound.integrity.assessment.conventional_rtk import (
     ConventionalRtkConfig,
-    Outcome,
+    RtkOutcome,
     RtkSignals,
     solve_epoch,
 )
@@ -118,7 +118,7 @@ def recorded_figures(folder: Path) -> dict[str, Any]:
     axes = ecef_from_enu_matrix(latitude, longitude)
     off = (solution.position_ecef_m[at] - truth.position_ecef_m) @ axes
     quality = np.where(known, solution.quality[at], 0)
-    outcome = np.select([quality == FIXED, quality == FLOAT], [int(Outcome.FIXED), int(Outcome.FLOAT)], 0)
+    outcome = np.select([quality == FIXED, quality == FLOAT], [int(RtkOutcome.FIXED), int(RtkOutcome.FLOAT)], 0)
     speed = np.linalg.norm(np.gradient(truth.position_ecef_m, truth.tow_s, axis=0), axis=-1)
     satellites = np.where(known, solution.satellites[at], 0)
     return figures(truth.tow_s, outcome[:, None], off[:, None, :2], satellites[:, None], speed[:, None])
@@ -203,7 +203,7 @@ def figures(time_s: Array, outcome: Ints, error_en_m: Array, satellites: Array, 
     Shares are of all epochs, ``satellites.share`` is the median number over the greatest one. Errors are horizontal;
     those of fixed positions also without their median vector, which a recording has from the coordinates of its base.
     """
-    fixed, floated = outcome == Outcome.FIXED, outcome == Outcome.FLOAT
+    fixed, floated = outcome == RtkOutcome.FIXED, outcome == RtkOutcome.FLOAT
     outages = find_outages(fixed, time_s).length_s
     most = float(satellites.max())
     error_m = np.hypot(error_en_m[..., 0], error_en_m[..., 1])

@@ -21,7 +21,7 @@ from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.positioning.ambiguity import resolve
 from lanebound.integrity.sky.systems import FIXABLE
 
-__all__ = ["ConventionalRtkConfig", "ConventionalSolution", "Outcome", "RtkSignals", "solve_epoch"]
+__all__ = ["ConventionalRtkConfig", "ConventionalSolution", "RtkOutcome", "RtkSignals", "solve_epoch"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -45,7 +45,7 @@ class ConventionalRtkConfig(Config):
     most_innovation_m: float = Field(30.0, gt=0, description="code residual that excludes a satellite [m]; RTKLIB")
 
 
-class Outcome(IntEnum):
+class RtkOutcome(IntEnum):
     """Result of an epoch."""
 
     NONE = 0
@@ -71,7 +71,7 @@ class RtkSignals(NamedTuple):
 class ConventionalSolution:
     """Outcome, position (3,) [m] (the float one unless fixed), ratio [-] and satellites of an epoch."""
 
-    outcome: Outcome
+    outcome: RtkOutcome
     position_m: Array
     ratio: float
     satellites: int
@@ -96,16 +96,16 @@ def solve_epoch(config: ConventionalRtkConfig, signals: RtkSignals) -> Conventio
     variance = 2.0 * config.phase_sigma_m**2 * (1.0 + 1.0 / np.sin(np.maximum(s.elevation, 0.01)) ** 2)
     found = _by_code(config, s, usable, config.code_ratio**2 * variance)
     if found is None:
-        return ConventionalSolution(Outcome.NONE, np.zeros(UNKNOWNS), 0.0, int(usable.any(1).sum()))
+        return ConventionalSolution(RtkOutcome.NONE, np.zeros(UNKNOWNS), 0.0, int(usable.any(1).sum()))
     position, cofactor, usable = found
     count = int(usable.any(1).sum())
     phases = _differences(s, s.phase, usable & (s.phase != 0.0) & FIXABLE[s.system][:, None], variance)
     if not phases.y.size:
-        return ConventionalSolution(Outcome.FLOAT, position, 0.0, count)
+        return ConventionalSolution(RtkOutcome.FLOAT, position, 0.0, count)
     fixed, ratio = _fix(phases, position, cofactor)
     if ratio < config.ratio_min:
-        return ConventionalSolution(Outcome.FLOAT, position, ratio, count)
-    return ConventionalSolution(Outcome.FIXED, fixed, ratio, count)
+        return ConventionalSolution(RtkOutcome.FLOAT, position, ratio, count)
+    return ConventionalSolution(RtkOutcome.FIXED, fixed, ratio, count)
 
 
 def _by_code(

@@ -7,7 +7,7 @@ import pytest
 
 from lanebound.integrity.assessment.conventional_rtk import (
     ConventionalRtkConfig,
-    Outcome,
+    RtkOutcome,
     RtkSignals,
     _by_code,
     solve_epoch,
@@ -36,7 +36,7 @@ def signals(seed: int = 1, noise: float = 1.0, satellites: int = 16) -> RtkSigna
 
 def test_good_signals_are_fixed_to_millimetres() -> None:
     found = solve_epoch(CONFIG, signals())
-    assert found.outcome == Outcome.FIXED
+    assert found.outcome == RtkOutcome.FIXED
     assert found.ratio > 2.5
     assert found.satellites == 16
     assert np.abs(found.position_m - TRUE_M).max() < 0.02
@@ -51,7 +51,7 @@ def test_the_fixed_position_is_least_squares_of_codes_and_phases_with_their_inte
 def test_a_ratio_below_the_threshold_leaves_the_position_of_the_codes() -> None:
     s = signals()
     found = solve_epoch(CONFIG.replace(ratio_min=1e9), s)
-    assert found.outcome == Outcome.FLOAT
+    assert found.outcome == RtkOutcome.FLOAT
     usable = np.ones((16, 2), bool)
     variance = 1e4 * 2.0 * 0.003**2 * (1.0 + 1.0 / np.sin(s.elevation) ** 2)
     by_code = _by_code(CONFIG, s, usable, variance)
@@ -77,7 +77,7 @@ def test_weak_low_and_lost_satellites_are_left_out() -> None:
     low = s.elevation.copy()
     low[:3] = 0.3
     assert solve_epoch(CONFIG, s._replace(elevation=low)).satellites == 13
-    assert solve_epoch(CONFIG, s._replace(tracked=np.arange(16) < 3)).outcome == Outcome.NONE
+    assert solve_epoch(CONFIG, s._replace(tracked=np.arange(16) < 3)).outcome == RtkOutcome.NONE
 
 
 def test_a_code_far_off_excludes_its_satellite_and_a_smaller_one_misleads() -> None:
@@ -98,5 +98,5 @@ def test_a_code_far_off_excludes_its_satellite_and_a_smaller_one_misleads() -> N
 def test_signals_without_phases_stay_afloat() -> None:
     s = signals()
     found = solve_epoch(CONFIG, s._replace(phase=np.zeros_like(s.phase)))
-    assert found.outcome == Outcome.FLOAT
+    assert found.outcome == RtkOutcome.FLOAT
     assert found.ratio == pytest.approx(0.0)
