@@ -22,10 +22,11 @@ from lanebound.integrity.core.errors import InputError
 __all__ = ["STREAM_NAMES", "ZIGGURAT", "Streams", "named_generator", "named_states"]
 
 STREAM_NAMES = (
+    "ephemeris", "ionosphere", "troposphere",
     "traffic", "gnss", "clock", "corrections", "imu", "odometer", "v2v", "sensor", "faults", "start", "scene",
-    "atmosphere", "station", "network", "ephemeris", "ionosphere", "troposphere",
+    "atmosphere", "station", "network",
 )  # fmt: skip
-"""Names of all streams; the vehicles of an area share the last six."""
+"""Names of all streams; the vehicles of an area share the last three."""
 ZIGGURAT: NDArray[np.float64] = np.load(str(resources.files("lanebound.integrity.core") / "ziggurat.npy"))
 """(3, 256) tables of normal draws (:func:`~lanebound.integrity.core.streams_kernel.fill`), rounded as in NumPy."""
 
