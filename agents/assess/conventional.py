@@ -149,22 +149,26 @@ def work_part(config: RtkRealismConfig, name: str, advance: Advance = ignore) ->
             counted[key] += int(which.sum())
         if k % every == 0:
             speed = np.linalg.norm(truth.velocity_enu_mps, axis=-1)
-            solved.append(np.column_stack([_conventional(config, m, truth.position_enu_m), speed]))
+            solved.append(
+                np.column_stack(
+                    [_conventional(config.solution, navigator.config.gnss.bands, m, truth.position_enu_m), speed]
+                )
+            )
     table = np.round(np.stack(solved), 4)
     names = "outcome", "error_east_m", "error_north_m", "satellites", "speed_mps"
     return {"navigator": counted} | {key: table[..., i].tolist() for i, key in enumerate(names)}
 
 
-def _conventional(config: RtkRealismConfig, m: Measurements, position_m: Array) -> Array:
+def _conventional(config: ConventionalRtkConfig, bands: tuple[int, ...], m: Measurements, position_m: Array) -> Array:
     """Outcome, error East and North [m] and number of satellites of each vehicle, (B, 4)."""
-    sky, g, bands = m.sky, m.gnss, list(config.navigator.gnss.bands)
+    sky, g, width = m.sky, m.gnss, len(bands)
     rows = []
     for v, at in enumerate(sky.index):
         found = solve_epoch(
-            config.solution,
+            config,
             RtkSignals(
                 sky.los_enu[at], sky.elevation_rad[at], sky.system, g.cn0_dbhz[v], g.tracked[v],
-                g.code_m[v, :, : len(bands)], g.phase_m[v, :, : len(bands)], WAVELENGTH_M[sky.system][:, bands],
+                g.code_m[v, :, : width], g.phase_m[v, :, : width], WAVELENGTH_M[sky.system][:, list(bands)],
             ),
         )  # fmt: skip
         off = found.position_m[:2] - position_m[v, :2]

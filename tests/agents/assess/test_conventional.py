@@ -78,7 +78,7 @@ def test_both_solutions_are_of_the_same_measurements() -> None:
     for _, truth in zip(range(150), drive, strict=False):
         m = navigator.measure(truth)
         s = navigator.locate(m)
-    outcome, east, north, satellites = rtk._conventional(config, m, truth.position_enu_m).T
+    outcome, east, north, satellites = rtk._conventional(config.solution, (0, 1), m, truth.position_enu_m).T
     assert (outcome == 1).all()
     assert np.hypot(east, north).max() < 0.1
     fixed = s.mode == Mode.RTK  # a vehicle that has stood until now may know no heading
