@@ -55,7 +55,8 @@ class RtkOutcome(IntEnum):
 
 class RtkSignals(NamedTuple):
     """Signals of S satellites at a vehicle: los (S, 3) unit vectors, elevation (S,) [rad], system (S,), cn0 (S,)
-    [dB-Hz], tracked (S,), code and phase (S, 2) single differences by band [m], 0 for none, wavelength (S, 2) [m]."""
+    [dB-Hz], tracked (S,), code and phase (S, F) single differences of one or two bands [m], 0 for none, wavelength (S, F)
+    [m]."""
 
     los: Array
     elevation: Array
@@ -91,7 +92,7 @@ def solve_epoch(config: ConventionalRtkConfig, signals: RtkSignals) -> Conventio
     """Solve one epoch; without four satellites, or with a singular geometry, the outcome is NONE."""
     s = signals
     high = s.tracked & (s.elevation >= np.deg2rad(config.elevation_mask_deg))
-    strong = high[:, None] & (s.cn0[:, None] >= np.asarray(config.cn0_min_dbhz))
+    strong = high[:, None] & (s.cn0[:, None] >= np.asarray(config.cn0_min_dbhz)[: s.code.shape[1]])
     usable = strong & (s.code != 0.0)
     variance = 2.0 * config.phase_sigma_m**2 * (1.0 + 1.0 / np.sin(np.maximum(s.elevation, 0.01)) ** 2)
     found = _by_code(config, s, usable, config.code_ratio**2 * variance)

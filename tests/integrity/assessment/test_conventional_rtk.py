@@ -100,3 +100,11 @@ def test_signals_without_phases_stay_afloat() -> None:
     found = solve_epoch(CONFIG, s._replace(phase=np.zeros_like(s.phase)))
     assert found.outcome == RtkOutcome.FLOAT
     assert found.ratio == pytest.approx(0.0)
+
+
+def test_one_band_is_solved_too() -> None:
+    s = signals(noise=0.05)
+    found = solve_epoch(CONFIG, s._replace(code=s.code[:, :1], phase=s.phase[:, :1], wavelength=s.wavelength[:, :1]))
+    assert found.outcome == RtkOutcome.FIXED
+    assert found.satellites == 16
+    assert np.abs(found.position_m - TRUE_M).max() < 0.005
