@@ -55,8 +55,8 @@ class RtkOutcome(IntEnum):
 
 class RtkSignals(NamedTuple):
     """Signals of S satellites at a vehicle: los (S, 3) unit vectors, elevation (S,) [rad], system (S,), cn0 (S,)
-    [dB-Hz], tracked (S,), code and phase (S, F) single differences of one or two bands [m], 0 for none, wavelength (S, F)
-    [m]."""
+    [dB-Hz], tracked (S,), code and phase (S, F) single differences of F = 1 or 2 bands [m], 0 for none, wavelength
+    (S, F) [m]."""
 
     los: Array
     elevation: Array
