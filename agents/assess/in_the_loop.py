@@ -24,7 +24,15 @@ from lanebound.integrity.core.config import Field
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.positioning.modes import Mode
 
-__all__ = ["AXES", "InTheLoopConfig", "assess_in_the_loop", "exceedance_rows", "mode_rows", "work_part"]
+__all__ = [
+    "AXES",
+    "InTheLoopConfig",
+    "assess_in_the_loop",
+    "exceedance_rows",
+    "mode_rows",
+    "rate_by_street",
+    "work_part",
+]
 
 PACKAGES = ("lanebound.integrity", "lanebound.agents.assess", "lanebound.envs.sky")
 AXES = ("along", "across")
@@ -129,10 +137,10 @@ def _summary(config: InTheLoopConfig, streets: Sequence[Mapping[str, Any]]) -> d
         "streets": len(streets),
         "epochs": int(epochs.sum()),
         "usable": float(sum(sum(street["usable"]) for street in streets) / epochs.sum()),
-        "misleading": _rate(np.array([sum(street["misleading"]) for street in streets]), epochs.sum(1)),
+        "misleading": rate_by_street(np.array([sum(street["misleading"]) for street in streets]), epochs.sum(1)),
         "level_m": [float(np.median(along)), float(np.median(across))],
         "rates": {
-            f"{risk:g}": {axis: _rate(exceed[:, :, r, a].sum(1), epochs.sum(1)) for a, axis in enumerate(AXES)}
+            f"{risk:g}": {axis: rate_by_street(exceed[:, :, r, a].sum(1), epochs.sum(1)) for a, axis in enumerate(AXES)}
             for r, risk in enumerate(config.risks)
         },
     }
@@ -145,20 +153,20 @@ def _modes(config: InTheLoopConfig, epochs: Any, exceed: Any, mode: Any, along: 
         m.name.lower(): {
             "share": float(epochs[:, m].sum() / epochs.sum()),
             "level_m": [float(np.median(level[mode == m])) if (mode == m).any() else None for level in (along, across)],
-            "rates": {axis: _rate(exceed[:, m, 0, a], epochs[:, m]) for a, axis in enumerate(AXES)},
+            "rates": {axis: rate_by_street(exceed[:, m, 0, a], epochs[:, m]) for a, axis in enumerate(AXES)},
         }
         for m in Mode
         if epochs[:, m].any()
     }
 
 
-def _rate(events: NDArray[np.int64], epochs: NDArray[np.int64]) -> dict[str, Any]:
+def rate_by_street(events: NDArray[np.int64], epochs: NDArray[np.int64]) -> dict[str, Any]:
     """Rate of events per epoch with its interval by street; streets with an event, and the interval of their share."""
     streets, total = int((events > 0).sum()), int(events.sum())
     low, high = clopper_pearson(streets, len(events), CONFIDENCE)
     found: dict[str, Any] = {
         "events": total,
-        "rate": total / int(epochs.sum()),
+        "rate": total / max(int(epochs.sum()), 1),
         "streets": streets,
         "streets_low": low,
         "streets_high": high,

@@ -102,27 +102,104 @@ def faults(
         _report_faults(result, out, as_json)
 
 
-@app.command("signals")
-def signals(
-    folder: Annotated[Path, typer.Argument(help="Folder of a drive of smartLoc: *_Input.txt(.gz) and *_GT.txt.")],
-    out: Annotated[Path, typer.Option(help="Folder for signals.json.")],
+@app.command("informativeness")
+def informativeness(
+    out: Annotated[Path, typer.Option(help="Folder for results.json and the figure; a run is resumed there.")],
+    sky: Annotated[
+        list[str] | None,
+        typer.Option(help="A level of sky; may be repeated. The study has urban, dense and skies/plaza."),
+    ] = None,
+    streets: Annotated[int | None, typer.Option(min=2, help="Streets of each sky; the study has 12.")] = None,
+    jobs: Jobs = 1,
     assignments: Assignments = None,
     as_json: AsJson = False,
 ) -> None:
-    """Code errors of a recorded drive beside those of a simulated receiver, by C/N0 and elevation.
+    """Whether protection levels foretell large errors better than mode and age of RTK, on streets held out.
+
+    Example: lanebound assess informativeness --out out/informative --sky urban --streets 4 --jobs 2
+    """
+    from lanebound.agents.assess.informativeness import (
+        InformativenessConfig,
+        assess_informativeness,
+        informativeness_rows,
+    )
+    from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
+
+    with resumable(lambda: kept_text(out, "parts/*.json", "street")):
+        config = InformativenessConfig.load(changes(assignments, skies=sky or None, streets=streets))
+        result = with_bar("streets", lambda on_progress: assess_informativeness(config, out, jobs, on_progress))
+    if as_json:
+        print_json(result)
+        return
+    title = f"Errors across the track above {config.error_m:g} m, foretold for streets held out; 95 % by street"
+    print_table(title, *informativeness_rows(result))
+    typer.echo(f"results.json, informativeness.svg: {out}")
+
+
+@app.command("rtk")
+def rtk(
+    folder: Annotated[Path, typer.Argument(help="Folder of a recorded drive: rover_rtk.pos and reference.csv.")],
+    out: Annotated[Path, typer.Option(help="Folder for results.json; a run is resumed there.")],
+    streets: Annotated[int | None, typer.Option(min=1, help="Streets of each sky; the study has 6.")] = None,
+    jobs: Jobs = 1,
+    assignments: Assignments = None,
+    as_json: AsJson = False,
+) -> None:
+    """Conventional RTK on simulated signals beside a recorded drive, and the navigator on the same signals.
+
+    Example: lanebound assess rtk drives/nagoya --out out/rtk --jobs 2
+    """
+    from lanebound.agents.assess.conventional import (
+        RtkRealismConfig,
+        assess_rtk,
+        navigator_rows,
+        rtk_rows,
+        sky_rows,
+    )
+    from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
+
+    with resumable(lambda: kept_text(out, "parts/*.json", "street")):
+        config = RtkRealismConfig.load(changes(assignments, streets=streets))
+        result = with_bar("streets", lambda on_progress: assess_rtk(folder, config, out, jobs, on_progress))
+    if as_json:
+        print_json(result)
+        return
+    print_table("Satellites that conventional RTK can use, by sky", *sky_rows(result))
+    print_table(f"The sky nearest in usable satellites ({result['nearest']}) beside the recording", *rtk_rows(result))
+    print_table("The navigator on the same signals: epochs beyond a level, 95 % by street", *navigator_rows(result))
+    typer.echo(f"results.json: {out}")
+
+
+@app.command("signals")
+def signals(
+    folder: Annotated[Path, typer.Argument(help="Folder of a drive of smartLoc: *_Input.txt(.gz) and *_GT.txt.")],
+    out: Annotated[Path, typer.Option(help="Folder for signals.json and the figure.")],
+    labels: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="Raw table of a part of the drive: adds Doppler, and errors by path."),
+    ] = None,
+    assignments: Assignments = None,
+    as_json: AsJson = False,
+) -> None:
+    """Errors of code and Doppler of a recorded drive beside simulated ones, by C/N0 and elevation, and by path.
 
     Example: lanebound assess signals drives/potsdamer --out out/signals --set streets=8
     """
+    from lanebound.agents.assess.labelled_signals import path_rows
     from lanebound.agents.assess.signals import SignalsConfig, assess_signals, signal_rows
     from lanebound.agents.cli.output import print_json, print_table
     from lanebound.agents.cli.progress import with_bar
 
     config = SignalsConfig.load(changes(assignments))
-    result = with_bar("streets", lambda on_progress: assess_signals(folder, config, out, on_progress))
+    result = with_bar("streets", lambda on_progress: assess_signals(folder, config, out, on_progress, labels))
     if as_json:
         print_json(result)
         return
     print_table("Share of the codes, and 50 / 75 / 90 / 95 % of their absolute errors [m]", *signal_rows(result))
+    if "paths" in result:
+        print_table("Absolute errors by path: recorded, with 95 % by satellite; simulated", *path_rows(result))
     typer.echo(f"signals.json: {out}")
 
 

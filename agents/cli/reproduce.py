@@ -29,6 +29,9 @@ def urban_drive(
     out: Annotated[Path, typer.Option(help="Folder for tables.json and the figures; a run is resumed there.")],
     seeds: Annotated[int | None, typer.Option(min=1, help="Number of drives; the study has 100.")] = None,
     minutes: Annotated[float | None, typer.Option(min=1.0, help="Length of a drive; the study has 26.")] = None,
+    ablate: Annotated[
+        bool, typer.Option("--ablate", help="Count the cells met when each chosen constant is taken away; 10 studies.")
+    ] = False,
     assignments: Assignments = None,
     as_json: AsJson = False,
 ) -> None:
@@ -37,10 +40,14 @@ def urban_drive(
     Example: lanebound reproduce urban-drive --out out/urban --seeds 10
     """
     from lanebound.agents.cli.progress import kept_text, resumable, with_bar
-    from lanebound.agents.reproduce.study import run_study
+    from lanebound.agents.reproduce.study import check, run_study
 
+    if ablate:
+        _ablate(out, changes(assignments, seeds=seeds, minutes=minutes), as_json)
+        return
     with resumable(lambda: kept_text(out, "parts/*.json", "part")):
-        config = _checked(changes(assignments, seeds=seeds, minutes=minutes), out)
+        config = _config(changes(assignments, seeds=seeds, minutes=minutes))
+        check(config, out)
         tables = with_bar("epochs", lambda on_progress: run_study(config, out, on_progress))
         _report(tables, out, as_json)
 
@@ -102,16 +109,30 @@ def _interval(share: Sequence[float]) -> str:
     return f"{100.0 * share[0]:.1f} to {100.0 * share[1]:.1f} %"
 
 
-def _checked(changed: dict[str, Any], out: Path) -> UrbanDriveConfig:
-    """The configuration, checked before the work begins."""
+def _config(changed: dict[str, Any]) -> UrbanDriveConfig:
+    """The configuration of the study with changes."""
     from lanebound.agents.cli.kinds import resolve
-    from lanebound.agents.reproduce.study import check
     from lanebound.agents.reproduce.urban_drive import UrbanDriveConfig
 
     _, config = resolve("studies/urban_drive", changed)
     assert isinstance(config, UrbanDriveConfig)
-    check(config, out)
     return config
+
+
+def _ablate(out: Path, changed: dict[str, Any], as_json: bool) -> None:
+    from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
+    from lanebound.agents.reproduce.ablation import ablation_rows, run_ablation
+
+    with resumable(lambda: kept_text(out, "*/parts/*.json", "part")):
+        config = _config(changed)
+        result = with_bar("epochs", lambda on_progress: run_ablation(config, out, on_progress))
+    if as_json:
+        print_json(result)
+        return
+    title = f"Cells of S1 met without a constant: {result['seeds']} drives of {result['minutes']:g} min"
+    print_table(title, *ablation_rows(result))
+    typer.echo(f"ablation.json, and tables and figures of each: {out}")
 
 
 def _report(tables: dict[str, Any], out: Path, as_json: bool) -> None:

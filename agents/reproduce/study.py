@@ -23,19 +23,22 @@ from lanebound.integrity.assessment.stanford import stanford_figure
 from lanebound.integrity.motion.drive import CityDrive
 from lanebound.integrity.sky.city import City
 
-__all__ = ["check", "is_short", "lookup", "rows_against_paper", "run_study", "summarise", "verdict"]
+__all__ = ["check", "check_drive", "is_short", "lookup", "rows_against_paper", "run_study", "summarise", "verdict"]
 
 PACKAGES = ("lanebound.integrity", "lanebound.agents.reproduce")
 ALERT_LIMIT_M = 1.0  # S1 section 5
 FIGURE_RISKS = {"1e-4": 1, "1e-6": 3}  # S1 figures 3 and 4
 
 
-def run_study(config: UrbanDriveConfig, out: Path, on_progress: OnProgress = ignore) -> dict[str, Any]:
+def run_study(
+    config: UrbanDriveConfig, out: Path, on_progress: OnProgress = ignore, masks: Path | None = None
+) -> dict[str, Any]:
     """Drive the missing batches, and write ``tables.json`` and the figures into ``out``; returns the tables.
 
     Parameters
     ----------
     on_progress : called with the number of epochs
+    masks : folder of cached sky masks; by default that of the parts
 
     Raises
     ------
@@ -46,7 +49,7 @@ def run_study(config: UrbanDriveConfig, out: Path, on_progress: OnProgress = ign
     batches = _batches(config)
     epochs = round(60.0 * config.minutes / config.navigator.dt_s)
     found = run_parts(
-        out, list(batches), partial(_drive_batch, config, out), 1, on_progress,
+        out, list(batches), partial(_drive_batch, config, out, masks or out / "parts"), 1, on_progress,
         size=lambda name: len(batches[name]) * epochs, infinite=True,
     )  # fmt: skip
     statistics = [drive_ for part in found.values() for drive_ in part]
@@ -63,10 +66,10 @@ def _batches(config: UrbanDriveConfig) -> dict[str, list[int]]:
     return {f"seeds-{batch[0]}-{batch[-1]}": list(batch) for batch in seeds}
 
 
-def _drive_batch(config: UrbanDriveConfig, out: Path, name: str, advance: Advance) -> list[dict[str, Any]]:
+def _drive_batch(config: UrbanDriveConfig, out: Path, masks: Path, name: str, advance: Advance) -> list[dict[str, Any]]:
     """Statistics of the drives of a part; the figures are of the first drive."""
     seeds = _batches(config)[name]
-    road, city, mask = street(config, out / "parts")
+    road, city, mask = street(config, masks)
     drives = drive(config, road, mask, seeds, advance)
     if seeds[0] == config.first_seed:
         _figures(drives, city, out)
@@ -81,9 +84,20 @@ def check(config: UrbanDriveConfig, out: Path) -> None:
     InputError
         The road cannot be driven, there is no satellite, or ``out`` cannot be claimed.
     """
+    check_drive(config)
+    ResultFolder(out, "urban drive study", config.to_dict(), code_digest(*PACKAGES)).claim()
+
+
+def check_drive(config: UrbanDriveConfig) -> None:
+    """Refuse a configuration that cannot be driven.
+
+    Raises
+    ------
+    InputError
+        The road cannot be driven, or there is no satellite.
+    """
     CityDrive(config.road(), config.drive, config.navigator.dt_s)
     config.navigator.sky.satellites()
-    ResultFolder(out, "urban drive study", config.to_dict(), code_digest(*PACKAGES)).claim()
 
 
 def _leaves(tree: dict[str, Any], path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:

@@ -17,8 +17,9 @@ __all__ = ["CrewStreams"]
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
-COMMON = ("atmosphere", "station", "network")  # to the vehicles of an environment, which share its area
-BY_SATELLITE = ("gnss", "atmosphere", "station")
+COMMON = ("atmosphere", "station", "network", "broadcast")  # to the vehicles of an environment, which share its area
+BY_SATELLITE = ("gnss", "atmosphere", "station", "broadcast")
+ALSO_OTHERS = ("station", "broadcast")  # from which an area draws other numbers as well, of one axis
 
 
 class CrewStreams(Streams):
@@ -72,7 +73,7 @@ class CrewStreams(Streams):
 
     def _draw(self, name: str, shape: tuple[int, ...], normal: bool, draws: NDArray[np.bool_] | None) -> Array:
         """What every vehicle draws; ``draws`` (N,): the environments that do, None for all."""
-        by_satellite = name in BY_SATELLITE and len(shape) > (name == "station") and shape[0] == self._used.shape[1]
+        by_satellite = name in BY_SATELLITE and len(shape) > (name in ALSO_OTHERS) and shape[0] == self._used.shape[1]
         used = self._used if by_satellite else None
         if draws is not None:
             used = draws[:, None] if used is None else used & draws[:, None]

@@ -38,13 +38,13 @@ def condense_white(white: Array) -> Condensed:
     return Condensed(size[keep, None] * across[keep], told, misfit, white.shape[0] - int(keep.sum()))
 
 
-def gauss_markov_covariance(time_s: Array, sigma: Array, tau_s: float, white_share: float = 0.05) -> Array:
-    """``sigma_i sigma_j ((1 - w) exp(-|t_i - t_j| / tau) + w [i = j])``: an error that lasts, and noise.
+def gauss_markov_covariance(time_s: Array, sigma: Array, tau_s: float, white: float = 0.0) -> Array:
+    """``sigma_i sigma_j (exp(-|t_i - t_j| / tau) + white [i = j])``: an error that lasts, and noise.
 
-    time_s, sigma (m,), tau_s 0 for noise alone, ``white_share`` w of the variance -> (m, m).
+    time_s, sigma (m,), white over the variance of the lasting error -> (m, m); tau_s 0 for noise of ``sigma`` alone.
     """
     if tau_s <= 0.0:
         return np.diag(sigma**2)
     apart = np.abs(time_s[:, None] - time_s[None, :])
-    lasting = (1.0 - white_share) * np.exp(-apart / tau_s) + white_share * np.eye(len(time_s))
-    return np.asarray(sigma[:, None] * sigma[None, :] * lasting)
+    correlation = np.exp(-apart / tau_s) + white * np.eye(len(time_s))
+    return np.asarray(sigma[:, None] * sigma[None, :] * correlation)

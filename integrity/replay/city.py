@@ -1,8 +1,11 @@
 """Code-only navigation of a recorded city drive: position, protection levels, exclusions and alerts.
 
 Each epoch solves the window of the last seconds (:mod:`.window`), detects and excludes satellites, and computes levels
-by solution separation with each satellite as a fault mode. If this fails, the position is propagated from the last
-solution with wheel speed and yaw rate, and the level grows (:mod:`lanebound.integrity.monitoring.dead_reckoning_pl`).
+by solution separation with each satellite as a fault mode. The correlation time of code errors is not assumed: levels
+bound every one between the spacing of the window and that of the trained errors, because a code that jumps between
+direct and reflected signal would otherwise turn the heading of the window unnoticed. If no solution passes, the
+position is propagated from the last solution with wheel speed and yaw rate, and the level grows
+(:mod:`lanebound.integrity.monitoring.dead_reckoning_pl`).
 
 Danish re-weighting is optional. Its weights depend on the data, which the levels do not account for, and it can
 converge to the wrong signals. Switch it off where the levels must hold.
@@ -33,7 +36,15 @@ from lanebound.integrity.replay.bridge import Bridge, BridgeConfig
 from lanebound.integrity.replay.overbound import CodeErrors
 from lanebound.integrity.replay.reckoning import DeadReckonedPath, reckon, turned
 from lanebound.integrity.replay.sagnac import ranges_and_sights
-from lanebound.integrity.replay.window import FIXED_UNKNOWNS, PSI, LocalFrame, WhitenedSystem, WindowRows, settle
+from lanebound.integrity.replay.window import (
+    FIXED_UNKNOWNS,
+    PSI,
+    ErrorCourse,
+    LocalFrame,
+    WhitenedSystem,
+    WindowRows,
+    settle,
+)
 
 __all__ = ["CodeReplay", "CodeReplayConfig", "drive_city"]
 
@@ -42,6 +53,7 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 GOOD_ENOUGH = (FdeOutcome.CLEAN.code, FdeOutcome.EXCLUDED.code)
+EPOCH_S = 0.2  # of smartLoc, the least time between epochs of a window
 TURNS = 8  # number of initial values of the heading
 
 
@@ -50,6 +62,12 @@ class CodeReplayConfig(Config):
 
     window_s: float = Field(40.0, ge=0.0, le=300.0, description="length of a window [s]; 200 m at 5 m/s")
     spacing_s: float = Field(1.0, ge=0.0, description="time between epochs of a window [s]; below the errors' duration")
+    shortest_s: float = Field(
+        1.0,
+        gt=0.0,
+        description="shortest correlation time of code errors that levels bound [s]; jumps between paths within the "
+        "spacing of a window; the longest one is that of the trained errors",
+    )
     cn0_min_dbhz: float = Field(20.0, ge=0.0, description="lowest C/N0 used [dB-Hz]")
     path_error: float = Field(0.02, ge=0.0, description="error of the dead-reckoned path over its length [-]; 1 sigma")
     axle_m: float = Field(0.0, ge=0.0, le=20.0, description="antenna ahead of the rear axle [m]; unknown for smartLoc")
@@ -149,10 +167,11 @@ class _Run:
         self.now_path = _path_at(self.path, self.time)
         self.speed = np.interp(self.time, o.time_s, o.speed_mps)
         if errors is None:
-            self.centre, self.sigma, self.tau = np.zeros(r.time_s.size), np.sqrt(r.variance_m2), 0.0
+            self.centre, self.sigma, tau_s = np.zeros(r.time_s.size), np.sqrt(r.variance_m2), 0.0
         else:
             self.centre, self.sigma = errors.at(r.cn0_dbhz)
-            self.tau = errors.tau_s
+            tau_s = errors.tau_s
+        self.course = ErrorCourse.between(config.shortest_s, tau_s, max(config.spacing_s, EPOCH_S))
         self.usable = (r.cn0_dbhz >= config.cn0_min_dbhz) & (self.sigma > 0.0)
         for start, end in outages:
             self.usable &= ~((r.time_s >= start) & (r.time_s < end))
@@ -249,12 +268,12 @@ class _Run:
         """The solved window, started at the last solution, or at several headings if there is none."""
         size = FIXED_UNKNOWNS + max(self.systems.size - 1, 0)
         if self.x is not None:
-            return settle(rows, self.frame, self.x.copy(), self.tau, self.config.danish)
+            return settle(rows, self.frame, self.x.copy(), self.course, self.config.danish)
         best: WhitenedSystem | None = None
         for turn in range(TURNS):
             start = np.zeros(size)
             start[3], start[PSI] = self.first_clock, 2.0 * np.pi * turn / TURNS
-            found = settle(rows, self.frame, start, self.tau, self.config.danish)
+            found = settle(rows, self.frame, start, self.course, self.config.danish)
             if best is None or _cost(found) < _cost(best):
                 best = found
         assert best is not None

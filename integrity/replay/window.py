@@ -5,7 +5,8 @@ against North, its scale kappa, and one offset for each further system. A pseudo
 the position ``p = p_now + (1 + kappa) R(psi) (X - X_now)`` on the path and equals
 ``|s - p| + c + c' a + c'' a^2 / 2 + offset + mu(C/N0)``.
 
-Errors of one satellite are correlated in time (Gauss-Markov), errors of different satellites are independent. Outliers
+Errors of one satellite are correlated in time (:class:`ErrorCourse`), errors of different satellites are independent.
+Outliers
 get less weight (Danish method). The rows of each satellite are then condensed to a few independent rows, which form a
 fault mode.
 """
@@ -18,11 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.positioning.condense import condense_white, gauss_markov_covariance
+from lanebound.integrity.positioning.config import bound_correlation
 from lanebound.integrity.positioning.danish import DanishConfig, variance_factor
 from lanebound.integrity.replay.reckoning import turned
 from lanebound.integrity.replay.sagnac import ranges_and_sights
 
-__all__ = ["FIXED_UNKNOWNS", "PSI", "LocalFrame", "WhitenedSystem", "WindowRows", "build", "settle"]
+__all__ = ["FIXED_UNKNOWNS", "PSI", "ErrorCourse", "LocalFrame", "WhitenedSystem", "WindowRows", "build", "settle"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -32,6 +34,32 @@ FIXED_UNKNOWNS = 8
 PRIOR_SIGMA = {CURVATURE: 0.05, PSI: 1.8, KAPPA: 0.01}  # [m/s^2] low-cost oscillator, [rad] unknown, [-] wheels
 PRIOR_RATE_MPS = 3e3  # 10 ppm
 STEPS = 3  # initial Gauss-Newton steps; each Danish iteration adds one
+
+
+@dataclass(frozen=True)
+class ErrorCourse:
+    """How code errors of unit variance of a satellite change with time: a Gauss-Markov error of correlation time
+    ``tau_s`` [s] and unit variance, plus a white one of variance ``white``; with ``tau_s`` 0 a white one of variance 1.
+    """
+
+    tau_s: float
+    white: float = 0.0
+
+    @classmethod
+    def between(cls, shortest_s: float, longest_s: float, step_s: float) -> ErrorCourse:
+        """Bound of errors whose correlation time lies in [shortest, longest], in any linear estimate of samples that
+        are ``step_s`` apart (:func:`~lanebound.integrity.positioning.config.bound_correlation`).
+
+        A code that jumps when the direct ray is lost or regained, as a random telegraph signal, has the spectrum of a
+        Gauss-Markov error of the mean time between jumps, and is covered.
+        """
+        if longest_s <= 0.0:
+            return cls(0.0)
+        return cls(longest_s, bound_correlation(min(shortest_s, longest_s), longest_s, step_s).white)
+
+    def correlation(self, age_s: Array) -> Array:
+        """Covariance (m, m) at ages (m,) [s]."""
+        return gauss_markov_covariance(age_s, np.ones(age_s.size), self.tau_s, self.white)
 
 
 @dataclass(frozen=True)
@@ -101,9 +129,11 @@ def build(rows: WindowRows, frame: LocalFrame, x: Array) -> tuple[Array, Array]:
     return design, rows.range_m - distance - clock
 
 
-def settle(rows: WindowRows, frame: LocalFrame, start: Array, tau_s: float, danish: DanishConfig) -> WhitenedSystem:
+def settle(
+    rows: WindowRows, frame: LocalFrame, start: Array, course: ErrorCourse, danish: DanishConfig
+) -> WhitenedSystem:
     """Solve by Gauss-Newton with Danish re-weighting from ``start``; returns the system at the solution."""
-    whitener = _whitener(rows, tau_s)
+    whitener = _whitener(rows, course)
     x, factor = start.copy(), np.ones(len(rows.age_s))
     for _ in range(STEPS):
         x = x + _step(rows, frame, x, factor, whitener)
@@ -118,13 +148,12 @@ def settle(rows: WindowRows, frame: LocalFrame, start: Array, tau_s: float, dani
     return _condensed(rows, frame, x, factor, whitener)
 
 
-def _whitener(rows: WindowRows, tau_s: float) -> Array:
+def _whitener(rows: WindowRows, course: ErrorCourse) -> Array:
     """``L^-1`` of the correlation matrix ``L L'`` of all rows; different satellites are independent.  (m, m)."""
     out = np.zeros((len(rows.age_s), len(rows.age_s)))
     for s in range(int(rows.satellite.max()) + 1):
         own = np.flatnonzero(rows.satellite == s)
-        correlation = gauss_markov_covariance(rows.age_s[own], np.ones(own.size), tau_s)
-        out[np.ix_(own, own)] = np.linalg.inv(np.linalg.cholesky(correlation))
+        out[np.ix_(own, own)] = np.linalg.inv(np.linalg.cholesky(course.correlation(rows.age_s[own])))
     return out
 
 

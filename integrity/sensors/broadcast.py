@@ -44,25 +44,26 @@ class BroadcastConfig(Config):
     clock_sigma_m: float = Field(1.1, ge=0, description="satellite clock [m]; S3 Table III, lower end")
     clock_tau_s: float = Field(1800.0, gt=0, description="correlation time of the satellite clock [s]; chosen")
     iono_zenith_m: float = Field(
-        2.0,
+        2.5,
         ge=0,
-        description="zenith delay on L1 after a broadcast model [m]; 4 m at obliquity 2, S3 Table III, lower end",
+        description="zenith delay on L1 after a broadcast model [m]; half of 5 m by day, as the model removes "
+        "at least half, IS-GPS-200 20.3.3.5.2.5; 2.5 to 7 m on a slant, S3 Table III 4 to 7",
     )
     iono_common: float = Field(
         0.8, ge=0, le=1, description="share of its variance that is common to all satellites [-]; chosen"
     )
     iono_tau_s: float = Field(3600.0, gt=0, description="correlation time of the ionosphere [s]; chosen")
     tropo_zenith_m: float = Field(
-        0.1, ge=0, description="zenith delay after a model [m]; 0.2 m at 30 degrees, S3 Table III, lower end"
+        0.12, ge=0, description="zenith delay after a model [m]; DO-229 A.4.2.4; 0.12 to 0.7 m on a slant, S3 Table III"
     )
     tropo_tau_s: float = Field(1800.0, gt=0, description="correlation time of the troposphere [s]; Joerger 2016")
 
     def advance(self, state: BroadcastState, dt_s: float, streams: Streams) -> None:
         """Advance the errors of all areas by an epoch, in place; stream "broadcast"."""
-        z = streams.normal("broadcast", state.own.shape[1] * OWN + COMMON)
+        own, common = streams.normal("broadcast", *state.own.shape[1:]), streams.normal("broadcast", COMMON)
         tau = np.array([self.orbit_tau_s, self.clock_tau_s, self.iono_tau_s])
-        _advance(state.own, tau, dt_s, z[:, COMMON:].reshape(state.own.shape))
-        _advance(state.common, np.array([self.iono_tau_s, self.tropo_tau_s]), dt_s, z[:, :COMMON])
+        _advance(state.own, tau, dt_s, own)
+        _advance(state.common, np.array([self.iono_tau_s, self.tropo_tau_s]), dt_s, common)
 
     def delays(self, state: BroadcastState, sine: Array, row: NDArray[np.int64]) -> tuple[Array, Array]:
         """Delay of all bands alike, and of the ionosphere on the first band, (B, S) each [m].
@@ -94,8 +95,7 @@ class BroadcastState:
 
 def initial_broadcast(satellites: int, streams: Streams) -> BroadcastState:
     """Stationary errors of ``streams.batch`` areas."""
-    z = streams.normal("broadcast", satellites * OWN + COMMON)
-    return BroadcastState(z[:, COMMON:].reshape(-1, satellites, OWN).copy(), z[:, :COMMON].copy())
+    return BroadcastState(streams.normal("broadcast", satellites, OWN), streams.normal("broadcast", COMMON))
 
 
 def _advance(values: Array, tau_s: Array, dt_s: float, z: Array) -> None:

@@ -27,14 +27,28 @@ RAW_HEAD = (
     "Height above ellipsoid (GT Height) [m];Heading (0° = East, counterclockwise) - (GT Heading) [rad];"
     "Velocity (GT Velocity) [m/s];Yaw-Rate (GT Yaw-rate) [rad/s];Pseudorange measurement (prMes) [m];"
     "Carrier phase measurement (cpMes) [cycles];Doppler measurement (doMes) [Hz];GNSS identifier (gnssId) [];"
-    "Satellite identifier (svId) [];Carrier-to-noise density ratio (cno) [dbHz];"
+    "Satellite identifier (svId) [];Frequency slot - only Glonass (freqId) [];"
+    "Carrier-to-noise density ratio (cno) [dbHz];"
     "Estimated pseudorange measurement standard deviation (prStdev) [m];NLOS (0 == no, 1 == yes, # == No Information)"
 )
 RAW = (
     f"{RAW_HEAD}\n"
-    "1900;126641.5;13.37;52.50;76.0;1.24;5.7;0.001;19834597.8;104231506.0;222.1;GPS;12;50;0.32;0\n"
-    "1900;126641.5;13.37;52.50;76.0;1.24;5.7;0.001;19784715.1;105797774.1;2219.3;Glonass;20;39;2.56;1\n"
-    "1900;126641.7;13.37;52.50;76.0;1.24;5.7;0.001;19784715.1;105797774.1;2219.3;SBAS;120;39;2.56;#\n"
+    "1900;126641.5;13.37;52.50;76.0;1.24;5.7;0.001;19834597.8;104231506.0;222.1;GPS;12;0;50;0.32;0\n"
+    "1900;126641.5;13.37;52.50;76.0;1.24;5.7;0.001;19784715.1;105797774.1;2219.3;Glonass;20;9;39;2.56;1\n"
+    "1900;126641.7;13.37;52.50;76.0;1.24;5.7;0.001;19784715.1;105797774.1;2219.3;SBAS;120;0;39;2.56;#\n"
+)
+RTK_SOLUTION = (
+    "% program   : RTKPOST\n"
+    "%  GPST          latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m) ... age(s)  ratio\n"
+    "2270 194670.000   35.165360868  136.881409540    41.4082   1  16 "
+    "  0.0049   0.0046   0.0102   0.0028   0.0018  -0.0033   0.03    6.4\n"
+    "2270 194670.200   35.165360869  136.881409516    41.4086   2   9 "
+    "  0.0049   0.0046   0.0103   0.0028   0.0018  -0.0033   0.22    1.2\n"
+)
+RTK_REFERENCE = (
+    "GPS TOW (s),GPS Week,Latitude (deg),ECEF X (m),ECEF Y (m),ECEF Z (m),Roll (deg)\n"
+    "194670.0, 2270, 35.16536109, -3810228.582, 3567868.547, 3652903.300,  0.329\n"
+    "194670.2, 2270, 35.16536109, -3810228.582, 3567868.547, 3652903.300,  0.331\n"
 )
 
 

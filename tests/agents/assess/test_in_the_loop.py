@@ -86,12 +86,16 @@ def test_the_interval_of_a_rate_is_that_of_streets() -> None:
     epochs = np.full(10, 100)
     one, spread = np.zeros(10, dtype=np.int64), np.ones(10, dtype=np.int64)
     one[3] = 10
-    clustered, even, none = loop._rate(one, epochs), loop._rate(spread, epochs), loop._rate(0 * one, epochs)
+    clustered, even, none = (
+        loop.rate_by_street(one, epochs),
+        loop.rate_by_street(spread, epochs),
+        loop.rate_by_street(0 * one, epochs),
+    )
     assert clustered["rate"] == even["rate"] == 0.01
     assert clustered["low"] is None
     assert (even["low"], even["high"]) == (0.01, 0.01)
     assert none["streets_high"] == pytest.approx(1.0 - 0.025 ** (1.0 / 10.0))  # Clopper-Pearson without events
-    two = loop._rate(one + np.roll(one, 1), epochs)
+    two = loop.rate_by_street(one + np.roll(one, 1), epochs)
     assert two["low"] < two["rate"] < two["high"]
 
 

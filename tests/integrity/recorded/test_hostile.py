@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recordings import RINEX, SKY, SMARTLOC, SMARTLOC_TRUTH, survives
+from recordings import RAW, RINEX, RTK_REFERENCE, RTK_SOLUTION, SKY, SMARTLOC, SMARTLOC_TRUTH, survives
 
 from lanebound.integrity.recorded.comma import read_rows
 from lanebound.integrity.recorded.rinex_observation import read_observations
+from lanebound.integrity.recorded.rtklib import read_reference, read_rtk_solution
 from lanebound.integrity.recorded.sky_recording import read_sky_recording
 from lanebound.integrity.recorded.smartloc import read_smartloc
+from lanebound.integrity.recorded.smartloc_raw import read_smartloc_raw
 
 ALL, SOME = 20_000, 500
 PIECES = (
@@ -42,6 +44,9 @@ def array_file(folder: Path) -> bytes:
 FORMS: dict[str, tuple[Callable[[Path], bytes], Callable[[Path], Any]]] = {
     "smartloc": (lambda _: SMARTLOC.encode(), read_smartloc),
     "truth": (lambda _: (SMARTLOC + SMARTLOC_TRUTH).encode(), lambda path: read_smartloc(path, path)),
+    "raw": (lambda _: RAW.encode(), read_smartloc_raw),
+    "rtk solution": (lambda _: RTK_SOLUTION.encode(), read_rtk_solution),
+    "reference": (lambda _: RTK_REFERENCE.encode(), read_reference),
     "rinex": (lambda _: RINEX.encode(), read_observations),
     "sky": (lambda _: SKY.encode(), read_sky_recording),
     "array": (array_file, lambda path: read_rows(path, 3)),

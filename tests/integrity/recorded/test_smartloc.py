@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from recordings import SMARTLOC, SMARTLOC_TRUTH, real, survives
+from recordings import RAW, SMARTLOC, SMARTLOC_TRUTH, real, survives
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.smartloc import read_smartloc
+from lanebound.integrity.recorded.smartloc_raw import read_smartloc_raw
 
 FUZZ = settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 
@@ -65,15 +66,35 @@ def test_the_wrong_files_are_named(tmp_path: Path) -> None:
         read_smartloc(written(tmp_path, SMARTLOC), written(tmp_path, SMARTLOC, "truth.txt"))
 
 
+def test_raw_signals(tmp_path: Path) -> None:
+    raw = read_smartloc_raw(written(tmp_path, RAW))
+    assert raw.stopped is None
+    assert raw.system.tolist() == ["G", "R", "S"]
+    assert raw.reflected.tolist() == [0, 1, -1]
+    assert raw.range_m[0] == 19834597.8
+    assert raw.week.tolist() == [1900] * 3
+
+
+def test_raw_damage_is_named_and_a_cut_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="line 2, column 'gnss identifier' must be one of"):
+        read_smartloc_raw(written(tmp_path, RAW.replace("GPS;12", "XYZ;12")))
+    with pytest.raises(InputError, match="line 1 must name a column"):
+        read_smartloc_raw(written(tmp_path, RAW.replace("NLOS", "LOS")))
+    cut = read_smartloc_raw(written(tmp_path, RAW[:-4]))
+    assert cut.range_m.size == 2
+    assert cut.stopped is not None
+
+
 @FUZZ
 @given(st.data())
 def test_no_damage_hangs_or_crashes(tmp_path: Path, data: st.DataObject) -> None:
-    text = bytearray(SMARTLOC.encode())
+    which = data.draw(st.booleans())
+    text = bytearray((SMARTLOC if which else RAW).encode())
     for _ in range(data.draw(st.integers(1, 6))):
         at = data.draw(st.integers(0, len(text)))
         text[at : at + data.draw(st.integers(0, 40))] = data.draw(st.binary(max_size=40))
     path = written(tmp_path, bytes(text))
-    survives(lambda: read_smartloc(path))
+    survives((lambda: read_smartloc(path)) if which else (lambda: read_smartloc_raw(path)))
 
 
 @FUZZ
@@ -81,6 +102,7 @@ def test_no_damage_hangs_or_crashes(tmp_path: Path, data: st.DataObject) -> None
 def test_no_noise_hangs_or_crashes(tmp_path: Path, noise: bytes) -> None:
     path = written(tmp_path, noise)
     survives(lambda: read_smartloc(path))
+    survives(lambda: read_smartloc_raw(path))
 
 
 def test_the_berlin_drive() -> None:
@@ -90,3 +112,10 @@ def test_the_berlin_drive() -> None:
     assert drive.ranges.time_s.size == 10_677
     assert drive.odometry.time_s.size == 724
     assert set(drive.ranges.system) == {"G", "R"}
+
+
+def test_the_berlin_excerpt() -> None:
+    raw = read_smartloc_raw(real("smartloc_berlin_excerpt") / "tu_chemnitz_berlin_1_raw.csv")
+    assert raw.range_m.size == 545
+    assert np.unique(raw.tow_s).size == 31
+    assert [(raw.reflected == k).sum() for k in (1, 0, -1)] == [263, 279, 3]

@@ -144,14 +144,13 @@ def test_a_folder_without_a_drive_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_fitted_bounds_fail_less_often_on_the_berlin_drive_than_the_plain_model(tmp_path: Path) -> None:
-    """Less than half as often, which is no promise kept: they fail too (docs/results.md)."""
+def test_levels_with_fitted_bounds_hold_on_the_berlin_drive_where_the_plain_model_fails(tmp_path: Path) -> None:
+    """At a risk of 1e-3 no epoch exceeds; the plain model fails in more than 1 % (docs/results.md)."""
     folder = real("smartloc_berlin_potsdamer")
     found, written = write_city(folder, tmp_path, CityReplay(every=5))
     trained, plain = found["solutions"]["overbound"], found["solutions"]["gaussian_epoch"]
     assert all(path.exists() for path in written)
     for axis in ("at", "ct"):
-        ours, theirs = (s["after_training"]["all_modes"][axis] for s in (trained, plain))
-        assert ours["rate"] < 0.5 * theirs["rate"]
-        assert theirs["rate_low"] > 1e-2  # of 88 epochs taken for independent, which those of one drive are not
-        assert trained["training"]["all_modes"][axis]["exceeded"] == 0
+        for part in ("training", "after_training"):
+            assert trained[part]["all_modes"][axis]["exceeded"] == 0
+        assert plain["after_training"]["all_modes"][axis]["rate_low"] > 1e-2  # as if its epochs were independent

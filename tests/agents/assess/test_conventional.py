@@ -1,0 +1,103 @@
+"""Conventional RTK beside a recorded drive: figures, the nearest sky, factors, and a run of the command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lanebound.agents.assess import conventional as rtk
+from lanebound.agents.assess.street_drives import street_of
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.positioning.modes import Mode
+from tests.helpers.recordings import RTK_REFERENCE, RTK_SOLUTION, real
+
+SHORT: dict[str, Any] = {
+    "skies": ["urban"], "vehicles": 2, "duration_s": 5.0, "warm_up_s": 2.0, "length_m": 500.0, "streets": 1,
+}  # fmt: skip
+
+
+def recording(folder: Path) -> Path:
+    (folder / "rover_rtk.pos").write_text(RTK_SOLUTION)
+    (folder / "reference.csv").write_text(RTK_REFERENCE)
+    return folder
+
+
+def test_figures_of_a_series() -> None:
+    """Ten epochs of 0.2 s: four fixed (one 2 m off), three float, three without a position in the middle."""
+    outcome = np.array([1, 1, 2, 0, 0, 0, 2, 2, 1, 1])[:, None]
+    error = np.zeros((10, 1, 2))
+    error[:, 0, 0] = [0.1, 0.1, 3.0, 0.0, 0.0, 0.0, 1.0, 5.0, 0.1, 2.1]
+    satellites = np.array([10.0] * 3 + [2.0] * 3 + [10.0] * 3 + [20.0])[:, None]
+    found = rtk.figures(0.2 * np.arange(10), outcome, error, satellites, np.full((10, 1), 3.0))
+    assert (found["fixed"], found["float"], found["wrong"]) == (0.4, 0.3, 0.25)
+    assert found["fixed_error_m"][0] == pytest.approx(0.1)
+    assert found["fixed_spread_m"][0] == pytest.approx(0.0)  # three of the four have the same offset
+    assert found["float_error_m"][0] == pytest.approx(3.0)
+    assert found["outage_s"]["count"] == 1
+    assert found["outage_s"]["longest"] == pytest.approx(1.2)
+    assert found["satellites"]["share"] == 0.5
+    assert found["moving"] == 1.0
+
+
+def test_epochs_without_a_solution_count_as_such(tmp_path: Path) -> None:
+    folder = recording(tmp_path)
+    (folder / "reference.csv").write_text(
+        RTK_REFERENCE + "194670.4, 2270, 35.1, -3810228.5, 3567868.5, 3652903.3, 0.3\n"
+    )
+    found = rtk.recorded_figures(folder)
+    assert found["epochs"] == 3
+    assert found["fixed"] == found["float"] == pytest.approx(1.0 / 3.0)
+    assert found["fixed_error_m"][0] < 0.2
+
+
+def test_a_run_compares_with_the_nearest_sky(tmp_path: Path) -> None:
+    folder = recording(tmp_path)
+    config = rtk.RtkRealismConfig.load(SHORT)
+    assert config.navigator_in("urban").corrections.outage_per_h == 0.0
+    result = rtk.assess_rtk(folder, config, tmp_path / "out")
+    assert result["nearest"] == "urban"
+    assert result["skies"]["urban"]["epochs"] == 2 * 25
+    assert result["skies"]["urban"]["navigator"]["epochs"] <= 2 * 50
+    assert json.loads((tmp_path / "out" / "results.json").read_text())["skies"] == result["skies"]
+    rows = {row[0]: row for row in rtk.rtk_rows(result)[1]}
+    fixed = rows["fixed, share of epochs"]
+    assert float(fixed[3]) == pytest.approx(result["skies"]["urban"]["fixed"] / 0.5, rel=0.05)
+    assert fixed[4] == ("yes" if 0.25 <= result["skies"]["urban"]["fixed"] <= 1.0 else "no")
+    assert [row[0] for row in rtk.sky_rows(result)[1]] == ["recorded", "urban"]
+    assert rtk.navigator_rows(result)[1][0][0] == "urban"
+
+
+def test_both_solutions_are_of_the_same_measurements() -> None:
+    """In the open both are right: the conventional position and that of the navigator differ by centimetres."""
+    config = rtk.RtkRealismConfig.load({**SHORT, "skies": ["open"], "duration_s": 20.0})
+    navigator, drive = street_of(config, "open", 0)
+    for _, truth in zip(range(150), drive, strict=False):
+        m = navigator.measure(truth)
+        s = navigator.locate(m)
+    outcome, east, north, satellites = rtk._conventional(config.solution, (0, 1), m, truth.position_enu_m).T
+    assert (outcome == 1).all()
+    assert np.hypot(east, north).max() < 0.1
+    fixed = s.mode == Mode.RTK  # a vehicle that has stood until now may know no heading
+    assert fixed.any()
+    assert np.hypot(*(s.position_en_m - truth.position_enu_m[:, :2])[fixed].T).max() < 0.1
+    assert satellites.min() > 10
+
+
+def test_a_folder_without_a_drive_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"has no rover_rtk\.pos"):
+        rtk.recorded_figures(tmp_path)
+    recording(tmp_path)
+    (tmp_path / "reference.csv").write_text(RTK_REFERENCE.replace("19467", "39467"))
+    with pytest.raises(InputError, match="must overlap in time"):
+        rtk.recorded_figures(tmp_path)
+
+
+def test_the_recorded_half_of_the_nagoya_drive() -> None:
+    found = rtk.recorded_figures(real("nagoya_drive_rtk"))
+    assert found["fixed"] == pytest.approx(1019 / 3075)
+    assert found["wrong"] == pytest.approx(0.0186, abs=1e-4)
+    assert found["fixed_spread_m"][0] == pytest.approx(0.03, abs=0.005)
