@@ -233,3 +233,19 @@ def test_levels_and_errors_are_those_of_navigation() -> None:
 def test_what_navigation_cannot_do_is_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         Engine(DrivingEnv(make_config("lanebound/Highway-v0", {**FEW, **change})), 2)
+
+
+def test_undifferenced_observables_are_those_of_the_single_environment() -> None:
+    """The engine has places for the satellites of all hours; those in view have the same bits."""
+    undifferenced = {"navigator": {"gnss": {"undifferenced": True}}}
+    pairs = Pairs("LaneKeeping", {"sky": "open", "layouts": 1, **undifferenced}, 2, 11)
+    pairs.step(3)
+    navigation: Any = pairs.engine.episodes.navigation
+    batch = navigation.measurements.gnss
+    for row, single in enumerate(pairs.singles):
+        loop: Any = single.belief_loop
+        alone = loop.episodes.navigation.measurements.gnss
+        assert alone.tracked[0].any()
+        for name in ("raw_code_m", "raw_phase_m"):
+            found = getattr(batch, name)[row][batch.tracked[row]]
+            np.testing.assert_array_equal(found, getattr(alone, name)[0][alone.tracked[0]])
