@@ -88,7 +88,12 @@ class EnvConfig(Config):
         0.25,
         ge=0,
         le=1,
-        description="mean speed over the speed limit that a success requires",
+        description="mean speed that a success requires, over the speed that limit, bends and the vehicle ahead allow",
+    )
+    success_behind_s: float = Field(
+        10.0,
+        ge=0,
+        description="time behind a car at that mean speed at which a success may end; a lead does not count; chosen",
     )
     reward: RewardConfig = Field(RewardConfig(), description="weights of the reward's terms")
     cost: CostConfig = Field(CostConfig(), description="weights and parameters of the costs")

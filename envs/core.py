@@ -68,6 +68,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `observation.integrity` | effect |
     |---|---|
     | `"full"` | everything |
+    | `"clock"` | of the group `integrity` the mode and the time since the last RTK position alone; no protection levels |
     | `"blind"` | no group `integrity`, no protection levels in `traffic` |
     | `"oracle"` | the true state with protection levels of 0 |
 

@@ -256,7 +256,7 @@ class Merge(Preset):
         **INSTANT,
         "sky": "suburban",
         **SPEEDS,
-        "duration_s": 60.0,
+        "duration_s": 26.0,
         "cost_limit": 0.7,
     }
 
@@ -307,7 +307,14 @@ class Roundabout(Preset):
     * v0: first version, on `roundabout-v1`.
     """
 
-    PRESET: ClassVar[Mapping[str, Any]] = {"base": "roundabout-v1", **META, **INSTANT, "cost_limit": 3.0}
+    PRESET: ClassVar[Mapping[str, Any]] = {
+        "base": "roundabout-v1",
+        **META,
+        **INSTANT,
+        "action_options": {"target_speeds": [0, 4, 8]},
+        "world": {"duration": 30},
+        "cost_limit": 3.0,
+    }
 
 
 class Intersection(Preset):
@@ -350,7 +357,14 @@ class Intersection(Preset):
     * v0: first version, on `intersection-v2`.
     """
 
-    PRESET: ClassVar[Mapping[str, Any]] = {"base": "intersection-v2", **META, **INSTANT, "cost_limit": 8.0}
+    PRESET: ClassVar[Mapping[str, Any]] = {
+        "base": "intersection-v2",
+        **META,
+        **INSTANT,
+        "action_options": {"target_speeds": [0, 2, 4, 6]},
+        "world": {"duration": 30},
+        "cost_limit": 8.0,
+    }
 
 
 class Racetrack(Preset):
