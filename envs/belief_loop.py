@@ -28,6 +28,7 @@ from lanebound.envs.records import EgoBelief, LaneIndex, Traffic
 from lanebound.envs.scene import EpisodeContext
 from lanebound.envs.seats import Seats
 from lanebound.envs.worlds import world_kind
+from lanebound.envs.worlds.wander import Wander
 from lanebound.integrity.navigators.navigator import Measurements
 from lanebound.integrity.navigators.solution import Solution
 
@@ -62,7 +63,8 @@ class BeliefLoop:
         ego = world.vehicle
         self.believed = BelievedVehicle.of(ego, self._perceived_road())
         take_over(ego, self)
-        self.seats = Seats(world, self.episodes, int(context.starts.fleet_seed[0]))
+        wander = Wander(config.wander, context.seed, self.step_s)
+        self.seats = Seats(world, self.episodes, int(context.starts.fleet_seed[0]), wander)
         self.seats.read(full=True)
         self.episodes.begin(ROW, [context.seed], context.starts, np.ones((1, self.seats.capacity), dtype=np.bool_))
         if self.meta:
