@@ -124,7 +124,12 @@ class LaneKeeping(Preset):
     * v0: first version.
     """
 
-    PRESET: ClassVar[Mapping[str, Any]] = {"base": "LaneKeepingWorld", **CONTINUOUS, "cost_limit": 15.0}
+    PRESET: ClassVar[Mapping[str, Any]] = {
+        "base": "LaneKeepingWorld",
+        **CONTINUOUS,
+        "success_share": 0.55,
+        "cost_limit": 15.0,
+    }
 
 
 class CarFollowing(Preset):
@@ -170,7 +175,12 @@ class CarFollowing(Preset):
     * v0: first version.
     """
 
-    PRESET: ClassVar[Mapping[str, Any]] = {"base": "CarFollowingWorld", **CONTINUOUS, "cost_limit": 15.0}
+    PRESET: ClassVar[Mapping[str, Any]] = {
+        "base": "CarFollowingWorld",
+        **CONTINUOUS,
+        "success_share": 0.5,
+        "cost_limit": 15.0,
+    }
 
 
 class Highway(Preset):
@@ -241,7 +251,8 @@ class Merge(Preset):
     road at 20 m/s.
 
     ## Episode End
-    Terminated on arrival, beyond 370 m. Truncated after 60 s (`duration_s`).
+    Terminated on arrival, beyond 370 m, without which there is no success. Truncated after 26 s (`duration_s`): a car
+    at half the limit does not arrive.
 
     ## Arguments
     `config["world"]`: keys of highway-env, all of them weights of its own reward.
@@ -271,8 +282,9 @@ class Roundabout(Preset):
     Difficulty: in the curve a heading error becomes an error across the track, and gaps are short.
 
     ## Action Space
-    `Discrete(5)` at 2 Hz: 0 lane left, 1 idle, 2 lane right, 3 faster, 4 slower, with the target speeds 0, 8 and 16
-    m/s.
+    `Discrete(5)` at 2 Hz: 0 lane left, 1 idle, 2 lane right, 3 faster, 4 slower, with the target speeds 0, 4 and 8
+    m/s. At 8 m/s the circle of 20 m needs 3.2 m/s2 across; at highway-env's 16 m/s it would need 12.8 m/s2, and the car
+    would leave the road.
 
     ## Observation Space
     As above; the preview in `road` follows the planned route.
@@ -298,10 +310,12 @@ class Roundabout(Preset):
     the others before and in the circle.
 
     ## Episode End
-    Truncated after 11 s.
+    Terminated on arrival, 10 m along the straight of the north exit, without which there is no success. Truncated after
+    24 s.
 
     ## Arguments
-    `config["world"]`: keys of highway-env, such as `incoming_vehicle_destination`, `duration` (11 s).
+    `config["world"]`: keys of highway-env, such as `incoming_vehicle_destination`, `duration` (24 s; highway-env has
+    11 s).
 
     ## Version History
     * v0: first version, on `roundabout-v1`.
@@ -312,7 +326,7 @@ class Roundabout(Preset):
         **META,
         **INSTANT,
         "action_options": {"target_speeds": [0, 4, 8]},
-        "world": {"duration": 30},
+        "world": {"duration": 24},
         "cost_limit": 3.0,
     }
 
@@ -328,8 +342,10 @@ class Intersection(Preset):
     receivers.
 
     ## Action Space
-    `Discrete(3)` at 2 Hz: 0 slower, 1 idle, 2 faster, with the target speeds 0, 4.5 and 9 m/s. With
-    `action="continuous"` the world is `intersection-v1`, whose car has tyre slip.
+    `Discrete(3)` at 2 Hz: 0 slower, 1 idle, 2 faster, with the target speeds 0, 2, 4 and 6 m/s. At 6 m/s the left turn
+    of 13 m radius needs 2.8 m/s2 across; at highway-env's 9 m/s it would need 6.2 m/s2, more than the limit of
+    steering, and the car would leave the road. With `action="continuous"` the world is `intersection-v1`, whose car has
+    tyre slip.
 
     ## Observation Space
     As above; the preview in `road` follows the planned route.
@@ -347,11 +363,12 @@ class Intersection(Preset):
     About 65 m along the southern approach of 100 m (standard deviation 5 m), at 10 m/s.
 
     ## Episode End
-    Terminated on arrival, 25 m beyond the crossing; truncated after 13 s.
+    Terminated on arrival, 25 m beyond the crossing on the exit to the destination, without which there is no success.
+    Truncated after 30 s.
 
     ## Arguments
     `config["world"]`: keys of highway-env, such as `destination` ("o1", the west), `initial_vehicle_count` (10
-    attempts), `spawn_probability` (0.6 at each decision), `duration` (13 s).
+    attempts), `spawn_probability` (0.6 at each decision), `duration` (30 s; highway-env has 13 s).
 
     ## Version History
     * v0: first version, on `intersection-v2`.
@@ -455,7 +472,12 @@ class UrbanCanyon(Preset):
     * v0: first version.
     """
 
-    PRESET: ClassVar[Mapping[str, Any]] = {"base": "UrbanCanyonWorld", **META, "cost_limit": 40.0}
+    PRESET: ClassVar[Mapping[str, Any]] = {
+        "base": "UrbanCanyonWorld",
+        **META,
+        "success_share": 0.48,
+        "cost_limit": 40.0,
+    }
 
 
 CLASSES: tuple[type[Preset], ...] = (

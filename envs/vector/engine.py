@@ -53,7 +53,7 @@ class Stage:
         weights = np.zeros((n, vehicles, engine.wander.shape[1]))
         profile = np.zeros((n, engine.support.profile_steps(engine.single.world)))
         self.episodes = episodes
-        drivers = Drivers(*numbers, *wholes, weights)
+        drivers = Drivers(*[*numbers, *wholes, weights])
         self.traffic = TrafficBatch(drivers, engine.world, engine.speeds, profile, engine.wander)
         self.bundle = Bundle(self.traffic)
         self._copier = RowCopier((*episodes.arrays, *self.traffic.drivers, profile))
