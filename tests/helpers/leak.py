@@ -11,20 +11,16 @@ from __future__ import annotations
 import sys
 from typing import Any, NamedTuple
 
-import gymnasium
 import numpy as np
+from drives import drives, single_of
 from numpy.typing import NDArray
 from sklearn.ensemble import HistGradientBoostingRegressor
 from threadpoolctl import threadpool_limits
 
-import lanebound.envs  # noqa: F401 - registers the ids
-from lanebound.agents.drivers import make_agent
-from lanebound.envs.core import DrivingEnv
 from lanebound.envs.observation import entries
 
 AXES = ("err_at_m", "err_ct_m")
 HELD_OUT = 0.4  # share of the episodes
-BATCH = 64  # environments of the engine
 
 
 class Samples(NamedTuple):
@@ -38,46 +34,13 @@ class Samples(NamedTuple):
 
 def samples(name: str, source: str, episodes: int, seed: int = 1000, **config: Any) -> Samples:
     """Drives of ``nominal`` under an id and a perception source, on consecutive seeds."""
-    made = {"observation": {"form": "flat"}, "perception": {"source": source}, **config}
-    env = gymnasium.make(f"lanebound/{name}-v0", config=made).unwrapped
-    assert isinstance(env, DrivingEnv)
-    columns = tuple(entry.column for entry in entries(env.config.observation))
-    compiled = gymnasium.spec(f"lanebound/{name}-v0").vector_entry_point is not None
-    rows = _compiled(name, made, env, episodes, seed) if compiled else _single(env, episodes, seed)
-    return Samples(*(np.concatenate(part) for part in zip(*rows, strict=True)), columns)
-
-
-def _single(env: DrivingEnv, episodes: int, seed: int) -> list[tuple[Any, Any, Any]]:
-    agent, rows = make_agent("nominal", env), []
-    for episode in range(episodes):
-        observation, _ = env.reset(seed=seed + episode)
-        over = False
-        while not over:
-            action, _ = agent.predict(observation)
-            observation, _, terminated, truncated, info = env.step(action)
-            over = terminated or truncated
-            rows.append((observation[None], np.array([[info[axis] for axis in AXES]]), np.array([episode])))
-    return rows
-
-
-def _compiled(
-    name: str, config: dict[str, Any], env: DrivingEnv, episodes: int, seed: int
-) -> list[tuple[Any, Any, Any]]:
-    agent, rows, count = make_agent("nominal", env), [], min(episodes, BATCH)
-    envs = gymnasium.make_vec(f"lanebound/{name}-v0", count, config=config, autoreset_mode="Disabled")
-    for first in range(0, episodes, count):
-        observations, _ = envs.reset(seed=seed + first)
-        live = np.ones(count, dtype=np.bool_)
-        while live.any():
-            actions, _ = agent.predict(observations)
-            observations, _, terminated, truncated, infos = envs.step(actions)
-            here = np.flatnonzero(live)
-            rows.append((observations[here], np.stack([infos[axis][here] for axis in AXES], -1), first + here))
-            over = terminated | truncated
-            live &= ~over
-            if over.any() and live.any():
-                observations, _ = envs.reset(options={"reset_mask": over})
-    return rows
+    made = {"perception": {"source": source}, **config}
+    columns = tuple(entry.column for entry in entries(single_of(name, made).config.observation))
+    found = [
+        (one.observations, np.stack([one.infos[axis] for axis in AXES], -1), one.episode)
+        for one in drives(name, made, "nominal", None, episodes, seed)
+    ]
+    return Samples(*(np.concatenate(part) for part in zip(*found, strict=True)), columns)
 
 
 def leak(data: Samples) -> dict[str, float]:
