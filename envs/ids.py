@@ -114,7 +114,8 @@ class LaneKeeping(Preset):
     or at the speed that the bends ahead allow.
 
     ## Episode End
-    Truncated after 60 s, or 20 m before the end of the road.
+    Truncated after 60 s, or 20 m before the end of the road. A success requires 0.55 of the allowed speed
+    (`success_share`).
 
     ## Arguments
     `config["world"]`: `layout` (number of the road, 0; the roads 0 to 3 have 1.83 to 1.94 km), `lanes_count` (1),
@@ -164,7 +165,8 @@ class CarFollowing(Preset):
     gap of 2 m + T v between bumpers; T is drawn from 0.8 to 1.0 s.
 
     ## Episode End
-    Truncated after 120 s, or 20 m before the end of the road.
+    Truncated after 120 s, or 20 m before the end of the road. A success requires 0.5 of the allowed speed
+    (`success_share`).
 
     ## Arguments
     `config["world"]`: `layout` (number of the road, 0; the roads 0 to 3 have 2.67 to 3.21 km), `lane_width` (3.25 m),
@@ -210,7 +212,7 @@ class Highway(Preset):
     On a random lane, about 180 m from its start, at 25 m/s; all other vehicles are ahead.
 
     ## Episode End
-    Truncated after 40 s.
+    Truncated after 40 s. A success requires 0.65 of the allowed speed (`success_share`): more than half of the limit.
 
     ## Arguments
     `config["world"]`: keys of highway-env, such as `lanes_count` (4), `vehicles_count` (50), `vehicles_density` (1),
@@ -220,7 +222,14 @@ class Highway(Preset):
     * v0: first version, on `highway-v0`.
     """
 
-    PRESET: ClassVar[Mapping[str, Any]] = {"base": "highway-v0", **META, **INSTANT, "sky": "suburban", **SPEEDS}
+    PRESET: ClassVar[Mapping[str, Any]] = {
+        "base": "highway-v0",
+        **META,
+        **INSTANT,
+        "sky": "suburban",
+        **SPEEDS,
+        "success_share": 0.65,
+    }
 
 
 class Merge(Preset):
@@ -462,7 +471,7 @@ class UrbanCanyon(Preset):
     vehicles from 200 m behind to 400 m ahead.
 
     ## Episode End
-    Truncated after 120 s.
+    Truncated after 120 s. A success requires 0.48 of the allowed speed (`success_share`).
 
     ## Arguments
     `config["world"]`: `vehicles_count` (10; fewer where drawn positions are too close), `spread` ([-200, 400] m),

@@ -90,11 +90,11 @@ class Weave(Nominal):
 class BankConfig(CruiseConfig):
     """Time after which the car stops."""
 
-    time_share: float = Field(0.6, gt=0, le=1, description="of the episode's longest time that is driven [-]")
+    time_share: float = Field(0.5, gt=0, le=1, description="of the episode's longest time that is driven [-]")
 
 
 class Bank:
-    """Drives as nominal for a share of the time, which suffices for the mean speed of a success, then stops for good.
+    """Drives as nominal for a share of the time, then stops for good.
 
     The number of decisions so far is the state of :meth:`predict`.
     """

@@ -22,7 +22,7 @@ from lanebound.envs.vector.drive_kernel import TrafficBatch
 from lanebound.envs.vector.drivers_kernel import Drivers, clear, drivers_of, seat
 from lanebound.envs.vector.support import require_supported, support_of, traffic_of
 from lanebound.envs.vector.world_kernel import WORLD, judge_rows
-from lanebound.envs.worlds.wander import line_m, moved_aside
+from lanebound.envs.worlds.wander import lines_m, moved_aside
 from lanebound.integrity.core.accel import call_links, run_rows
 from lanebound.integrity.core.bundle_kernel import Bundle, RowCopier
 from lanebound.integrity.core.errors import ConfigError
@@ -222,9 +222,10 @@ class Engine:
         if not config.wanders:
             return
         drv.wander[1:count] = config.weights(config.generator(episode), count - 1)
-        for i in range(1, count):
-            drv.aside[i] = line_m(self.wander[0], drv.wander[i])
-            car.x[i], car.y[i] = moved_aside(car.x[i], car.y[i], car.heading[i], drv.aside[i])
+        drv.aside[1:count] = lines_m(self.wander[0], drv.wander[1:count])
+        pose = (column[1:count].tolist() for column in (car.x, car.y, car.heading, drv.aside))
+        moved = [moved_aside(*one) for one in zip(*pose, strict=True)]
+        car.x[1:count], car.y[1:count] = np.array(moved).reshape(-1, 2).T
 
     def step(self, actions: NDArray[Any], rows: Rows | None = None) -> None:
         """Carry out commands (N,) or (N, A) until the next decision, in all environments or in ``rows`` of them."""

@@ -28,7 +28,7 @@ from lanebound.envs.worlds.idm_parameters_kernel import WANDER_MOST_M, WANDER_SL
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.streams import named_generator
 
-__all__ = ["Wander", "WanderConfig", "line_m", "moved_aside"]
+__all__ = ["Wander", "WanderConfig", "lines_m", "moved_aside"]
 
 Array = NDArray[np.float64]
 FREQUENCIES = 3
@@ -67,12 +67,15 @@ class WanderConfig(Config):
         return named_generator(seed, STREAM)
 
 
-def line_m(shape: Array, weights: Array) -> float:
-    """The line of a driver to the right of the middle [m], of a row (K,) of the shapes and its weights (K,)."""
-    goal = 0.0
-    for factor, weight in zip(shape.tolist(), weights.tolist(), strict=True):
-        goal += factor * weight
-    return min(max(goal, -WANDER_MOST_M), WANDER_MOST_M)
+def lines_m(shape: Array, weights: Array) -> Array:
+    """The lines of drivers to the right of the middle, of a row (K,) of the shapes and their weights (n, K).  [m].
+
+    The sum is taken in the order of the kernel, so that it has the same bits.
+    """
+    goal = np.zeros(len(weights))
+    for k, factor in enumerate(shape.tolist()):
+        goal += factor * weights[:, k]
+    return np.clip(goal, -WANDER_MOST_M, WANDER_MOST_M)
 
 
 def moved_aside(x: float, y: float, heading: float, aside: float) -> tuple[float, float]:
@@ -117,14 +120,16 @@ class _Line:
 
     def __init__(self, wander: Wander, vehicle: ControlledVehicle, weights: Array) -> None:
         self.wander, self.vehicle, self.weights, self.steps = wander, vehicle, weights, 0
-        self.aside_m = line_m(wander.shape(0), weights)
+        self.aside_m = self._goal_m()
 
     def follow(self) -> None:
         """Move towards the line of the end of this step, as fast as the car may move aside."""
         self.steps += 1
-        goal = line_m(self.wander.shape(self.steps), self.weights)
         most = WANDER_SLOPE * max(self.vehicle.speed, 0.0) * self.wander.dt_s
-        self.aside_m += min(max(goal - self.aside_m, -most), most)
+        self.aside_m += min(max(self._goal_m() - self.aside_m, -most), most)
+
+    def _goal_m(self) -> float:
+        return float(lines_m(self.wander.shape(self.steps), self.weights[None])[0])
 
 
 def _act(line: _Line, action: Any = None) -> None:

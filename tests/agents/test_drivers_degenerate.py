@@ -48,7 +48,7 @@ def test_full_throttle_ignores_the_vehicle_ahead() -> None:
 
 
 def test_the_bank_drives_and_then_stands() -> None:
-    rows, env = driven("LaneKeeping", "bank", None, 40.0)
+    rows, env = driven("LaneKeeping", "bank", {"time_share": 0.6}, 40.0)
     stops = int(0.6 * 40.0 / env.dt_s)
     assert rows[stops - 10 : stops, 0].min() > 5.0
     assert rows[-5:, 0].max() < 0.1

@@ -82,7 +82,7 @@ def test_who_stands_or_crawls_never_succeeds(env_id: str) -> None:
 def test_a_lead_of_progress_is_not_banked() -> None:
     env = made("LaneKeeping", duration_s=40.0)
     assert driven(env, make_agent("nominal", env), 2)["is_success"]
-    bank = make_agent("bank", env)
+    bank = make_agent("bank", env, {"time_share": 0.65})
     info = driven(env, bank, 2)
     score = env.belief_loop.episodes.ego.score[0]  # type: ignore[union-attr]
     assert score["progress_m"] > env.config.success_share * score["allowed_m"], "its mean speed suffices"
