@@ -131,7 +131,7 @@ SAFETY = (
           _driven(lambda o: None if o.cost_limit is None else float(o.cost > o.cost_limit))),
     _rate("success_within_limit", "success within limit", "higher",
           "success at a cost of at most cost_limit; compare it beside the mean speed",
-          _driven(lambda o: None if o.cost_limit is None else float(o.success and o.cost <= o.cost_limit))),
+          lambda o: None if o.cost_limit is None else float(o.success and o.cost <= o.cost_limit)),
     _rate("failed", "failed", "lower", "the agent failed", lambda o: float(o.failed)),
 )
 REWARD = (
