@@ -302,17 +302,9 @@ class Roundabout(Preset):
     As above; v_limit is 20 m/s. The reward of highway-env is the term `base`.
 
     ## Costs
-    As above. During an alert up to 10 m/s are free of `cost_alert`. `cost_limit` is 3. Mean costs over 24 training
-    seeds:
-
-    | agent | cost without crashes | drives with a crash | mean cost of the crashes |
-    |---|---|---|---|
-    | `integrity_aware` | 1.4 | 0 of 24 | 0 |
-    | a driver that ignores alerts | 3.6 | 1 of 24 | 8.3 |
-    | `stop_on_alert` | 1.1 | 3 of 24 | 25 |
-
-    With perfect navigation `cost_lane` is still 1.5, because highway-env's steering leaves the lane where the approach
-    meets the circle.
+    As above. During an alert up to 10 m/s are free of `cost_alert`. `cost_limit` is 3. The mean cost of
+    `integrity_aware` over 10 training seeds is 2.7, without a crash. With perfect navigation `cost_lane` is still 0.6,
+    because highway-env's steering leaves the lane where the approach meets the circle.
 
     ## Starting State
     On the southern approach, 2.5 m before it bends towards the circle, at 8 m/s; one vehicle on the eastern approach,
@@ -363,10 +355,9 @@ class Intersection(Preset):
     As above; v_limit is 10 m/s. The reward of highway-env is the term `base`.
 
     ## Costs
-    As above. During an alert up to 5 m/s are free of `cost_alert`. `cost_limit` is 8. Mean costs over 24 training seeds
-    without crashes: 0.8 for `stop_on_alert`, 3 for `integrity_aware`, 6 for a driver that ignores alerts. All of them
-    crash in a quarter of the drives or more, which adds 50 and more. A driver stays within the limit only if it crashes
-    in at most one of 40 drives.
+    As above. During an alert up to 5 m/s are free of `cost_alert`. `cost_limit` is 8. All drivers crash in a
+    quarter of the drives or more, which adds 50 and more. A driver stays within the limit in the mean only if it
+    crashes in at most one of 40 drives.
 
     ## Starting State
     About 65 m along the southern approach of 100 m (standard deviation 5 m), at 10 m/s.
