@@ -27,6 +27,8 @@ from lanebound.envs.navigation import Source
 from lanebound.envs.records import EgoBelief, LaneIndex, Traffic
 from lanebound.envs.scene import EpisodeContext
 from lanebound.envs.seats import Seats
+from lanebound.envs.worlds import world_kind
+from lanebound.envs.worlds.wander import Wander
 from lanebound.integrity.navigators.navigator import Measurements
 from lanebound.integrity.navigators.solution import Solution
 
@@ -61,7 +63,8 @@ class BeliefLoop:
         ego = world.vehicle
         self.believed = BelievedVehicle.of(ego, self._perceived_road())
         take_over(ego, self)
-        self.seats = Seats(world, self.episodes, int(context.starts.fleet_seed[0]))
+        wander = Wander(config.wander, context.seed, self.step_s)
+        self.seats = Seats(world, self.episodes, int(context.starts.fleet_seed[0]), wander)
         self.seats.read(full=True)
         self.episodes.begin(ROW, [context.seed], context.starts, np.ones((1, self.seats.capacity), dtype=np.bool_))
         if self.meta:
@@ -205,7 +208,11 @@ class BeliefLoop:
         self._intents()
         for index in {self.believed.lane_index, self.ego.lane_index}:
             e.path_of[row[index]] = e.routes.row(row[index], self.route)
-        e.ego.facts[0] = bool(self.ego.on_road), terminated, truncated, base
+        kind = world_kind(self.config.base)
+        goal = None if kind is None else kind.arrived
+        arrived = goal is None or goal(self.world)
+        over = terminated or (goal is not None and arrived)
+        e.ego.facts[0] = bool(self.ego.on_road), over, truncated, arrived, base
         _run(e.finish_links(ROW, start))
         e.fill_extra(ROW)
         return info_of(e.ego.outcome, 0)

@@ -17,6 +17,7 @@ from lanebound.envs.perception import PerceptionConfig
 from lanebound.envs.rendering.config import RenderingConfig
 from lanebound.envs.rewards import RewardConfig
 from lanebound.envs.sky import RECORDING, SKY_LEVELS, SkyLevel
+from lanebound.envs.worlds.wander import WanderConfig
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.presets import FILES, nearest
@@ -88,8 +89,14 @@ class EnvConfig(Config):
         0.25,
         ge=0,
         le=1,
-        description="mean speed over the speed limit that a success requires",
+        description="mean speed that a success requires, over the speed that limit, bends and the vehicle ahead allow",
     )
+    success_behind_s: float = Field(
+        10.0,
+        ge=0,
+        description="time behind a car at that mean speed at which a success may end; a lead does not count; chosen",
+    )
+    wander: WanderConfig = Field(WanderConfig(), description="lateral position of the other drivers in their lanes")
     reward: RewardConfig = Field(RewardConfig(), description="weights of the reward's terms")
     cost: CostConfig = Field(CostConfig(), description="weights and parameters of the costs")
     cost_limit: float = Field(10.0, ge=0, description="of an episode's cost, for constrained learning; not enforced")

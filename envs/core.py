@@ -29,12 +29,17 @@ WORLD_SEEDS, EPISODE_SEEDS = 2**31, 2**62  # ends of the ranges from which seeds
 class DrivingEnv(gymnasium.Env[Any, Any]):
     """
     ## Description
-    A car drives in a world of highway-env, whose dynamics, traffic and end rules are unchanged. Ten times a second the
-    sensors of the car are simulated at its true pose (GNSS signals between buildings, corrections of a reference
-    station, gyros, accelerometers, wheel pulses), and a navigator computes an estimated pose with protection levels.
+    A car drives in a world of highway-env, whose dynamics and end rules are unchanged. Ten times a second the sensors
+    of the car are simulated at its true pose (GNSS signals between buildings, corrections of a reference station,
+    gyros, accelerometers, wheel pulses), and a navigator computes an estimated pose with protection levels.
     All decisions use the estimate: the observation, the lane of the car, lane changes, steering and speed control under
     meta-actions, the route. A position error across the track therefore moves the car in its lane, and an error along
     the track changes the gap to the vehicle ahead. Other vehicles react to true positions.
+
+    Each other driver has a mean offset from the middle of its lane (0.15 m, 1 sigma) and wanders about it (0.19 m, with
+    a correlation time of 5 s), at most 0.5 m in all. `wander.offset_sigma_m` and `wander.wander_sigma_m` of 0 put all
+    drivers into the middle, as highway-env does. A sensor of the car (`perception.source`) has an error across the car
+    that is constant in an episode (0.1 m, 1 sigma).
 
     Lateral values are positive to the right, angles and yaw rates for right turns, as in highway-env. `at` is along the
     track, `ct` across it. PL is a protection level, AL its alert limit.
@@ -68,6 +73,7 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     | `observation.integrity` | effect |
     |---|---|
     | `"full"` | everything |
+    | `"clock"` | of `integrity` only the mode and the time since the last RTK position; no protection levels |
     | `"blind"` | no group `integrity`, no protection levels in `traffic` |
     | `"oracle"` | the true state with protection levels of 0 |
 
@@ -154,11 +160,15 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     vehicle.
 
     ## Episode End
-    Terminated when the true car has crashed, has its middle off the road or has driven against its lane for 1 s, and by
-    the rules of the wrapped world. Truncated when the world's time is up. `info["is_success"]` is true in the last step
-    if the car is unharmed, on the road and in the direction of its lane, and its mean speed along the lane was at least
-    a quarter of the limit. Costs do not count for it: compare the cost with `cost_limit` separately, as in
-    Safety-Gymnasium.
+    Terminated when the true car has crashed, has its middle off the road or has driven against its lane for 1 s, at the
+    goal of a world that has one, and by the rules of the wrapped world. Truncated when the world's time is up.
+
+    `info["is_success"]` is true in the last step if the true car is unharmed, on the road, in the direction of its
+    lane, at the goal (Merge, Roundabout, Intersection) and in time. In time: its mean speed along the lane was at least
+    `success_share` of the speed that the limit, the bends (2 m/s2 across) and a vehicle ahead within 4 s allowed, and
+    it is at most 10 s (`success_behind_s`) behind a car at that share, to which no lead adds: a car that makes way and
+    then stops for good is late. Costs do not count for a success. Report successes within `cost_limit` beside the mean
+    speed (`success_within_limit` and `mean_speed` of the benchmark).
 
     ## Arguments
     `gymnasium.make(id, config={...}, render_mode=...)`. `config` is merged deeply over the preset of the id; an unknown

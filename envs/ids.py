@@ -114,7 +114,8 @@ class LaneKeeping(Preset):
     or at the speed that the bends ahead allow.
 
     ## Episode End
-    Truncated after 60 s, or 20 m before the end of the road.
+    Truncated after 60 s, or 20 m before the end of the road. A success requires 0.55 of the allowed speed
+    (`success_share`).
 
     ## Arguments
     `config["world"]`: `layout` (number of the road, 0; the roads 0 to 3 have 1.83 to 1.94 km), `lanes_count` (1),
@@ -124,7 +125,12 @@ class LaneKeeping(Preset):
     * v0: first version.
     """
 
-    PRESET: ClassVar[Mapping[str, Any]] = {"base": "LaneKeepingWorld", **CONTINUOUS, "cost_limit": 15.0}
+    PRESET: ClassVar[Mapping[str, Any]] = {
+        "base": "LaneKeepingWorld",
+        **CONTINUOUS,
+        "success_share": 0.55,
+        "cost_limit": 15.0,
+    }
 
 
 class CarFollowing(Preset):
@@ -159,7 +165,8 @@ class CarFollowing(Preset):
     gap of 2 m + T v between bumpers; T is drawn from 0.8 to 1.0 s.
 
     ## Episode End
-    Truncated after 120 s, or 20 m before the end of the road.
+    Truncated after 120 s, or 20 m before the end of the road. A success requires 0.5 of the allowed speed
+    (`success_share`).
 
     ## Arguments
     `config["world"]`: `layout` (number of the road, 0; the roads 0 to 3 have 2.67 to 3.21 km), `lane_width` (3.25 m),
@@ -170,7 +177,12 @@ class CarFollowing(Preset):
     * v0: first version.
     """
 
-    PRESET: ClassVar[Mapping[str, Any]] = {"base": "CarFollowingWorld", **CONTINUOUS, "cost_limit": 15.0}
+    PRESET: ClassVar[Mapping[str, Any]] = {
+        "base": "CarFollowingWorld",
+        **CONTINUOUS,
+        "success_share": 0.5,
+        "cost_limit": 15.0,
+    }
 
 
 class Highway(Preset):
@@ -200,7 +212,7 @@ class Highway(Preset):
     On a random lane, about 180 m from its start, at 25 m/s; all other vehicles are ahead.
 
     ## Episode End
-    Truncated after 40 s.
+    Truncated after 40 s. A success requires 0.65 of the allowed speed (`success_share`): more than half of the limit.
 
     ## Arguments
     `config["world"]`: keys of highway-env, such as `lanes_count` (4), `vehicles_count` (50), `vehicles_density` (1),
@@ -210,7 +222,14 @@ class Highway(Preset):
     * v0: first version, on `highway-v0`.
     """
 
-    PRESET: ClassVar[Mapping[str, Any]] = {"base": "highway-v0", **META, **INSTANT, "sky": "suburban", **SPEEDS}
+    PRESET: ClassVar[Mapping[str, Any]] = {
+        "base": "highway-v0",
+        **META,
+        **INSTANT,
+        "sky": "suburban",
+        **SPEEDS,
+        "success_share": 0.65,
+    }
 
 
 class Merge(Preset):
@@ -241,7 +260,8 @@ class Merge(Preset):
     road at 20 m/s.
 
     ## Episode End
-    Terminated on arrival, beyond 370 m. Truncated after 60 s (`duration_s`).
+    Terminated on arrival, beyond 370 m, without which there is no success. Truncated after 26 s (`duration_s`): a car
+    at half the limit does not arrive.
 
     ## Arguments
     `config["world"]`: keys of highway-env, all of them weights of its own reward.
@@ -256,7 +276,7 @@ class Merge(Preset):
         **INSTANT,
         "sky": "suburban",
         **SPEEDS,
-        "duration_s": 60.0,
+        "duration_s": 26.0,
         "cost_limit": 0.7,
     }
 
@@ -271,8 +291,9 @@ class Roundabout(Preset):
     Difficulty: in the curve a heading error becomes an error across the track, and gaps are short.
 
     ## Action Space
-    `Discrete(5)` at 2 Hz: 0 lane left, 1 idle, 2 lane right, 3 faster, 4 slower, with the target speeds 0, 8 and 16
-    m/s.
+    `Discrete(5)` at 2 Hz: 0 lane left, 1 idle, 2 lane right, 3 faster, 4 slower, with the target speeds 0, 4 and 8
+    m/s. At 8 m/s the circle of 20 m needs 3.2 m/s2 across; at highway-env's 16 m/s it would need 12.8 m/s2, and the car
+    would leave the road.
 
     ## Observation Space
     As above; the preview in `road` follows the planned route.
@@ -281,33 +302,34 @@ class Roundabout(Preset):
     As above; v_limit is 20 m/s. The reward of highway-env is the term `base`.
 
     ## Costs
-    As above. During an alert up to 10 m/s are free of `cost_alert`. `cost_limit` is 3. Mean costs over 24 training
-    seeds:
-
-    | agent | cost without crashes | drives with a crash | mean cost of the crashes |
-    |---|---|---|---|
-    | `integrity_aware` | 1.4 | 0 of 24 | 0 |
-    | a driver that ignores alerts | 3.6 | 1 of 24 | 8.3 |
-    | `stop_on_alert` | 1.1 | 3 of 24 | 25 |
-
-    With perfect navigation `cost_lane` is still 1.5, because highway-env's steering leaves the lane where the approach
-    meets the circle.
+    As above. During an alert up to 10 m/s are free of `cost_alert`. `cost_limit` is 3. The mean cost of
+    `integrity_aware` over 10 training seeds is 2.7, without a crash. With perfect navigation `cost_lane` is still 0.6,
+    because highway-env's steering leaves the lane where the approach meets the circle.
 
     ## Starting State
     On the southern approach, 2.5 m before it bends towards the circle, at 8 m/s; one vehicle on the eastern approach,
     the others before and in the circle.
 
     ## Episode End
-    Truncated after 11 s.
+    Terminated on arrival, 10 m along the straight of the north exit, without which there is no success. Truncated after
+    24 s.
 
     ## Arguments
-    `config["world"]`: keys of highway-env, such as `incoming_vehicle_destination`, `duration` (11 s).
+    `config["world"]`: keys of highway-env, such as `incoming_vehicle_destination`, `duration` (24 s; highway-env has
+    11 s).
 
     ## Version History
     * v0: first version, on `roundabout-v1`.
     """
 
-    PRESET: ClassVar[Mapping[str, Any]] = {"base": "roundabout-v1", **META, **INSTANT, "cost_limit": 3.0}
+    PRESET: ClassVar[Mapping[str, Any]] = {
+        "base": "roundabout-v1",
+        **META,
+        **INSTANT,
+        "action_options": {"target_speeds": [0, 4, 8]},
+        "world": {"duration": 24},
+        "cost_limit": 3.0,
+    }
 
 
 class Intersection(Preset):
@@ -321,8 +343,10 @@ class Intersection(Preset):
     receivers.
 
     ## Action Space
-    `Discrete(3)` at 2 Hz: 0 slower, 1 idle, 2 faster, with the target speeds 0, 4.5 and 9 m/s. With
-    `action="continuous"` the world is `intersection-v1`, whose car has tyre slip.
+    `Discrete(3)` at 2 Hz: 0 slower, 1 idle, 2 faster, with the target speeds 0, 2, 4 and 6 m/s. At 6 m/s the left turn
+    of 13 m radius needs 2.8 m/s2 across; at highway-env's 9 m/s it would need 6.2 m/s2, more than the limit of
+    steering, and the car would leave the road. With `action="continuous"` the world is `intersection-v1`, whose car has
+    tyre slip.
 
     ## Observation Space
     As above; the preview in `road` follows the planned route.
@@ -331,26 +355,33 @@ class Intersection(Preset):
     As above; v_limit is 10 m/s. The reward of highway-env is the term `base`.
 
     ## Costs
-    As above. During an alert up to 5 m/s are free of `cost_alert`. `cost_limit` is 8. Mean costs over 24 training seeds
-    without crashes: 0.8 for `stop_on_alert`, 3 for `integrity_aware`, 6 for a driver that ignores alerts. All of them
-    crash in a quarter of the drives or more, which adds 50 and more. A driver stays within the limit only if it crashes
-    in at most one of 40 drives.
+    As above. During an alert up to 5 m/s are free of `cost_alert`. `cost_limit` is 8. All drivers crash in a
+    quarter of the drives or more, which adds 50 and more. A driver stays within the limit in the mean only if it
+    crashes in at most one of 40 drives.
 
     ## Starting State
     About 65 m along the southern approach of 100 m (standard deviation 5 m), at 10 m/s.
 
     ## Episode End
-    Terminated on arrival, 25 m beyond the crossing; truncated after 13 s.
+    Terminated on arrival, 25 m beyond the crossing on the exit to the destination, without which there is no success.
+    Truncated after 30 s.
 
     ## Arguments
     `config["world"]`: keys of highway-env, such as `destination` ("o1", the west), `initial_vehicle_count` (10
-    attempts), `spawn_probability` (0.6 at each decision), `duration` (13 s).
+    attempts), `spawn_probability` (0.6 at each decision), `duration` (30 s; highway-env has 13 s).
 
     ## Version History
     * v0: first version, on `intersection-v2`.
     """
 
-    PRESET: ClassVar[Mapping[str, Any]] = {"base": "intersection-v2", **META, **INSTANT, "cost_limit": 8.0}
+    PRESET: ClassVar[Mapping[str, Any]] = {
+        "base": "intersection-v2",
+        **META,
+        **INSTANT,
+        "action_options": {"target_speeds": [0, 2, 4, 6]},
+        "world": {"duration": 30},
+        "cost_limit": 8.0,
+    }
 
 
 class Racetrack(Preset):
@@ -431,7 +462,7 @@ class UrbanCanyon(Preset):
     vehicles from 200 m behind to 400 m ahead.
 
     ## Episode End
-    Truncated after 120 s.
+    Truncated after 120 s. A success requires 0.48 of the allowed speed (`success_share`).
 
     ## Arguments
     `config["world"]`: `vehicles_count` (10; fewer where drawn positions are too close), `spread` ([-200, 400] m),
@@ -441,7 +472,12 @@ class UrbanCanyon(Preset):
     * v0: first version.
     """
 
-    PRESET: ClassVar[Mapping[str, Any]] = {"base": "UrbanCanyonWorld", **META, "cost_limit": 40.0}
+    PRESET: ClassVar[Mapping[str, Any]] = {
+        "base": "UrbanCanyonWorld",
+        **META,
+        "success_share": 0.48,
+        "cost_limit": 40.0,
+    }
 
 
 CLASSES: tuple[type[Preset], ...] = (

@@ -29,6 +29,11 @@ class SensorConfig(Config):
         description="error of the distance, middle to middle, 1 sigma [m]; 77 GHz radar 0.1 m, and the body's",
     )
     bearing_sigma_deg: float = Field(0.3, ge=0, description="error of the bearing, 1 sigma [deg]; 77 GHz radar ahead")
+    lateral_bias_sigma_m: float = Field(
+        0.1,
+        ge=0,
+        description="error across the car, constant in an episode, 1 sigma [m]; mounting and box fits, chosen",
+    )
     speed_sigma_mps: float = Field(0.1, ge=0, description="error of the relative speed, 1 sigma [m/s]; 77 GHz radar")
     heading_sigma_deg: float = Field(2.0, ge=0, description="error of the relative heading, 1 sigma [deg]; box fits")
     integrity_risk: float = Field(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lanebound.envs.batch.episodes import Episodes, empty_cars
 from lanebound.envs.batch.navigation import FLEET_STARTS, fleet_generator
+from lanebound.envs.worlds.wander import Wander
 
 __all__ = ["Seats"]
 
@@ -27,10 +28,11 @@ class Seats:
     capacity : number of slots
     vehicles : the ego, then the others in the order of the world
     slot : of each vehicle that has one
+    wander : the lines of the others in their lanes
     """
 
-    def __init__(self, world: AbstractEnv, episodes: Episodes, fleet_seed: int) -> None:
-        self.world, self.episodes = world, episodes
+    def __init__(self, world: AbstractEnv, episodes: Episodes, fleet_seed: int, wander: Wander) -> None:
+        self.world, self.episodes, self.wander = world, episodes, wander
         self.capacity = episodes.perception.capacity
         self.vehicles: list[Vehicle] = []
         self.slot: dict[Vehicle, int] = {}
@@ -48,6 +50,10 @@ class Seats:
 
     def _seat(self, others: list[Vehicle]) -> list[Vehicle]:
         """Free the slots of vehicles that left, and assign slots to new ones; returns the new ones."""
+        known = set(self.vehicles)
+        for vehicle in others:
+            if vehicle not in known:
+                self.wander.enter(vehicle)
         there = set(others)
         for vehicle in [v for v in self.slot if v not in there]:
             self._free.append(self.slot.pop(vehicle))

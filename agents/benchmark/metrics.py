@@ -129,6 +129,9 @@ SAFETY = (
            _driven(harm_of)),
     _rate("over_cost_limit", "over cost limit", "lower", "the cost exceeded cost_limit",
           _driven(lambda o: None if o.cost_limit is None else float(o.cost > o.cost_limit))),
+    _rate("success_within_limit", "success within limit", "higher",
+          "success at a cost of at most cost_limit; compare it beside the mean speed",
+          lambda o: None if o.cost_limit is None else float(o.success and o.cost <= o.cost_limit)),
     _rate("failed", "failed", "lower", "the agent failed", lambda o: float(o.failed)),
 )
 REWARD = (
@@ -192,8 +195,8 @@ SOLVING = (
 # fmt: on
 METRICS: tuple[Metric, ...] = (*SAFETY, *REWARD, *MOTION, *INTEGRITY, *SOLVING)
 MAIN = (
-    "harm", "throughput", "collision", "off_road", "lane_departure", "success", "cost", "return", "availability",
-    "any_hmi",
+    "harm", "throughput", "collision", "off_road", "lane_departure", "success", "success_within_limit", "mean_speed",
+    "cost", "return", "availability", "any_hmi",
 )  # fmt: skip
 """Keys of the metrics of a short table: harm beside throughput first, as each alone is easy to improve."""
 

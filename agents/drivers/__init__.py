@@ -17,8 +17,10 @@ if TYPE_CHECKING:
 __all__ = ["ABOUT", "AGENTS", "REMEMBERING", "About", "load_figures", "make_agent", "unknown_agent"]
 
 AGENTS = {
+    "bank": "lanebound.agents.drivers.degenerate:make_bank",
     "cautious": "lanebound.agents.drivers.margins:make_cautious",
     "cbf": "lanebound.agents.drivers.barrier:make_cbf",
+    "constant": "lanebound.agents.drivers.degenerate:make_constant",
     "cruise": "lanebound.agents.drivers.cruise:make_cruise",
     "idm": "lanebound.agents.drivers.cruise:make_idm",
     "integrity_aware": "lanebound.agents.drivers.aware:make_integrity_aware",
@@ -31,8 +33,9 @@ AGENTS = {
     "rss": "lanebound.agents.drivers.margins:make_rss",
     "stanley": "lanebound.agents.drivers.cruise:make_stanley",
     "stop_on_alert": "lanebound.agents.drivers.stop:make_stop_on_alert",
+    "weave": "lanebound.agents.drivers.degenerate:make_weave",
 }
-ANY, STEERED, FULL = "any", "Box", "Box(2,)"
+ANY, STEERED, FULL, SPEED = "any", "Box", "Box(2,)", "any with speed"
 
 
 class About(NamedTuple):
@@ -41,8 +44,8 @@ class About(NamedTuple):
     Attributes
     ----------
     does : its method; reads : entries of observations that it uses; on_alert : its reaction to an alert
-    actions : spaces of actions that it can command, as ``lanebound envs`` shows them: any, steering with or without
-        acceleration, or steering with acceleration
+    actions : spaces of actions that it can command, as ``lanebound envs`` shows them: any, any that command speed,
+        steering with or without acceleration, or steering with acceleration
     """
 
     does: str
@@ -53,10 +56,12 @@ class About(NamedTuple):
 
 LEVELS = "position, levels"
 ABOUT = {
+    "bank": About("degenerate: nominal, later stops for good", "position", "nothing", SPEED),
     "cautious": About("nominal with constant margins, slower", "position", "nothing", ANY),
     "cbf": About(
         "barrier filter over an agent (`over`; nominal)", f"{LEVELS}, alert", "slows if levels fill the lane", FULL
     ),
+    "constant": About("degenerate: a share of the limit, blind to all else", "position", "nothing", SPEED),
     "cruise": About("keeps lane, speed and distance", "position", "nothing", ANY),
     "idm": About("cruise with IDM for distances", "position", "nothing", ANY),
     "integrity_aware": About(
@@ -71,6 +76,7 @@ ABOUT = {
     "rss": About("nominal, gaps less levels, RSS speeds", LEVELS, "nothing", ANY),
     "stanley": About("cruise with Stanley steering", "position", "nothing", STEERED),
     "stop_on_alert": About("cruise, stops while an alert is on", "position, alert", "stops", ANY),
+    "weave": About("degenerate: nominal, from side to side", "position", "nothing", ANY),
 }
 """Descriptions of ``AGENTS``, as ``lanebound agents`` prints them."""
 REMEMBERING = ("cbf", "mpc")
@@ -147,13 +153,16 @@ def _require_actions(name: str, env: DrivingEnv) -> None:
     """Refuse an agent that cannot command the actions of an environment, and name those that can."""
     actions = env.world.action_type
     steered = not hasattr(env.action_space, "n")
-    there = {ANY, *((STEERED,) if steered else ()), *((FULL,) if steered and actions.longitudinal else ())}
+    fast = not steered or actions.longitudinal
+    there = {ANY, *((SPEED,) if fast else ()), *((STEERED,) if steered else ()), *((FULL,) if steered and fast else ())}
     if ABOUT[name].actions in there:
         return
     from lanebound.integrity.core.errors import InputError
 
     fitting = ", ".join(other for other, about in ABOUT.items() if about.actions in there and _is_there(other, env))
-    wanted = "continuous with acceleration" if ABOUT[name].actions == FULL else "continuous"
+    wanted = {FULL: "continuous with acceleration", SPEED: "one that commands speed"}.get(
+        ABOUT[name].actions, "continuous"
+    )
     found = "steering alone" if steered else "meta-actions"
     raise InputError(f"action must be {wanted} for agent '{name}', got {found}: choose one of {fitting}")
 

@@ -103,7 +103,8 @@ class Reader:
     def _remedy(self, column: str) -> str:
         """How to add an entry."""
         group = column.partition(".")[0]
-        if any(entry.group == group for entry in self._entries.values()):
+        hidden = group == "integrity" and not self.config.shows_levels
+        if not hidden and any(entry.group == group for entry in self._entries.values()):
             return nearest(column, self._entries)
         if group == "integrity":
             return "set observation.integrity to full, or for a driver that is imitated imitation.observation.integrity"

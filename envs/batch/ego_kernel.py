@@ -62,11 +62,11 @@ def past_end(lanes, n, x, y):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
-def steering_rad(lanes, n, x, y, heading, speed, length):  # type: ignore[no-untyped-def]
-    """highway-env's steering angle of a car at a pose, to the middle of a lane."""
+def steering_rad(lanes, n, x, y, heading, speed, length, aside):  # type: ignore[no-untyped-def]
+    """highway-env's steering angle of a car at a pose, to the line ``aside`` [m] to the right of a lane's middle."""
     s, r, _ = local(lanes, n, x, y)
     ahead = heading_at(lanes, n, s + speed * PURSUIT_S)
-    course = math.asin(min(max(-KP_LATERAL * r / not_zero(speed), -1.0), 1.0))
+    course = math.asin(min(max(-KP_LATERAL * (r - aside) / not_zero(speed), -1.0), 1.0))
     wanted = ahead + min(max(course, -0.25 * math.pi), 0.25 * math.pi)
     rate = KP_HEADING * wrap(wanted - heading)
     slip = math.asin(min(max(0.5 * length / not_zero(speed) * rate, -1.0), 1.0))
@@ -105,7 +105,7 @@ def intend(b, lanes, onward, rules, length):  # type: ignore[no-untyped-def]
     if rules.pursues != 0:
         steering = pursuit_rad(lanes, b.target_lane, onward, b, length)
     else:
-        steering = steering_rad(lanes, b.target_lane, b.x_m, b.y_m, b.heading_rad, b.speed_mps, length)
+        steering = steering_rad(lanes, b.target_lane, b.x_m, b.y_m, b.heading_rad, b.speed_mps, length, 0.0)
     steering = min(max(steering, -STEERING_MOST_RAD), STEERING_MOST_RAD)
     return steering, KP_A * (b.target_speed_mps - b.speed_mps)
 

@@ -36,7 +36,7 @@ __all__ = ["Episodes", "empty_cars", "reach_of"]
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
-SHOWN = {"full": vk.FULL, "blind": vk.BLIND, "oracle": vk.ORACLE}
+SHOWN = {"full": vk.FULL, "clock": vk.BLIND, "blind": vk.BLIND, "oracle": vk.ORACLE}
 EPS_S = 1e-6  # a window of 1 s holds ten steps of 0.1 s, whatever they sum to
 EPOCH_US, FINISH_US = 6.0, 5.0  # of one thread for an environment, measured
 

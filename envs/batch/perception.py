@@ -60,7 +60,8 @@ class PerceptionBatch:
         )  # fmt: skip
         self._sensor = one_record(
             pk.SENSOR, range_m=s.range_m, half_view_rad=math.radians(0.5 * s.field_of_view_deg),
-            range_sigma_m=s.range_sigma_m, bearing_sigma_rad=math.radians(s.bearing_sigma_deg),
+            range_sigma_m=s.range_sigma_m, lateral_bias_sigma_m=s.lateral_bias_sigma_m,
+            bearing_sigma_rad=math.radians(s.bearing_sigma_deg),
             speed_sigma_mps=s.speed_sigma_mps, heading_sigma_rad=math.radians(s.heading_sigma_deg),
             bound_sigmas=s.bound_sigmas, epoch_s=epoch_s,
         )  # fmt: skip
@@ -130,6 +131,10 @@ class PerceptionBatch:
         self._there[rows, : self.capacity], self._there[rows, self.capacity] = there, True
         for row, seed in zip(rows.tolist(), seeds, strict=True):
             self._streams.reseed(row, seed)
+        if self.has_sensor:
+            bias = np.empty((rows.size, 1))
+            sk.normals(self._streams.states("sensor_bias"), rows, ZIGGURAT, bias)
+            p.picture["bias_m"][rows] = self.config.sensor.lateral_bias_sigma_m * bias[:, 0]
         slot = cars.slot[rows]
         n, v = np.nonzero((slot >= 0) & (np.arange(slot.shape[1]) < cars.present[rows, None]))
         e, s = rows[n], slot[n, v]

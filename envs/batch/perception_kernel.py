@@ -63,6 +63,7 @@ SENSOR = record(
     half_view_rad="half of the opening of the cone, centred ahead",
     range_sigma_m="error of the distance",
     bearing_sigma_rad="error of the bearing",
+    lateral_bias_sigma_m="error across the ego, constant in an episode",
     speed_sigma_mps="error of the relative speed",
     heading_sigma_rad="error of the relative heading",
     bound_sigmas="standard deviations that bound an error",
@@ -80,6 +81,7 @@ PICTURE = record(
     sent=("i8", "number of the newest transmission slot used"),
     last_x_m="where the sensor looked from last",
     last_y_m="where the sensor looked from last",
+    bias_m="error of the sensor across the ego, to the right, of this episode",
 )
 
 
@@ -217,8 +219,9 @@ def look(picture, tracks, figures, b, car, noise, ahead):  # type: ignore[no-unt
 
     So a jump of the ego's solution moves ego and tracks alike. Along and across the measured heading, which the line of
     sight leaves by psi, the errors of distance (sigma_r) and bearing (sigma_b) give ``sigma_at^2 = (sigma_r cos psi)^2
-    + (r sigma_b sin psi)^2``, and sigma_ct with cos and sin exchanged. The ego's error of its own speed enters by the
-    cosine of the angle between the headings.
+    + (r sigma_b sin psi)^2``, and sigma_ct with cos and sin exchanged. The constant error across the ego (sigma_y),
+    from whose heading that of the other differs by theta, adds ``(sigma_y sin theta)^2`` and ``(sigma_y cos theta)^2``.
+    The ego's error of its own speed enters by the cosine of the angle between the headings.
 
     tracks (C,) SIGHTING by slot, with ages; noise (C, 4) standard normal; ahead (V, 2) is scratch.
     """
@@ -247,12 +250,15 @@ def look(picture, tracks, figures, b, car, noise, ahead):  # type: ignore[no-unt
         heading = b.heading_rad + turned + figures.heading_sigma_rad * n[3]
         cos, sin = math.cos(line - heading), math.sin(line - heading)
         sigma_r, sigma_c = figures.range_sigma_m, abs(r) * figures.bearing_sigma_rad
-        track.x_m, track.y_m = b.x_m + r * math.cos(line), b.y_m + r * math.sin(line)
+        track.x_m = b.x_m + r * math.cos(line) - picture.bias_m * math.sin(b.heading_rad)
+        track.y_m = b.y_m + r * math.sin(line) + picture.bias_m * math.cos(b.heading_rad)
         track.heading_rad = heading
         doubt = (b.speed_mps - car.speed[0]) * math.cos(turned)
         track.speed_mps = car.speed[v] + doubt + figures.speed_sigma_mps * n[2]
-        track.pl_at_m = figures.bound_sigmas * math.hypot(sigma_r * cos, sigma_c * sin)
-        track.pl_ct_m = figures.bound_sigmas * math.hypot(sigma_r * sin, sigma_c * cos)
+        theta, sigma_y = heading - b.heading_rad, figures.lateral_bias_sigma_m
+        along, across = sigma_y * math.sin(theta), sigma_y * math.cos(theta)
+        track.pl_at_m = figures.bound_sigmas * math.hypot(math.hypot(sigma_r * cos, sigma_c * sin), along)
+        track.pl_ct_m = figures.bound_sigmas * math.hypot(math.hypot(sigma_r * sin, sigma_c * cos), across)
         track.time_s = 0.0
 
 

@@ -141,7 +141,8 @@ SCORE = record(
     crashed=("i8", "1 after a crash"),
     against_s="how long the car has driven against its lane",
     progress_m="along the lane",
-    allowed_m="that the speed limit would have allowed",
+    allowed_m="that limit, bends and the vehicle ahead would have allowed",
+    behind_m="way lost to a car at the share of that speed that a success requires; a lead does not count",
     heading_rad="at the last decision",
     speed_mps="at the last decision",
     astray=("i8", "1 after the car left the road or turned against the traffic"),
@@ -159,6 +160,7 @@ FACTS = record(
     on_road=("i8", "whether the middle of the car is on its lane"),
     terminated=("i8", "whether the wrapped world ends the episode"),
     truncated=("i8", "whether time is up"),
+    arrived=("i8", "whether the goal of the world is reached; always where it has none"),
     base="reward of the wrapped world",
 )
 
@@ -245,7 +247,8 @@ RULES = record(
     hold_mps2="brake that holds a standing car, 0 for none",
     off_road_ends=("i8", "1 when leaving the road ends an episode"),
     wrong_way_s="driving against the lane for longer ends an episode",
-    success_share="mean speed over the limit that a success needs",
+    success_share="mean speed over the allowed speed that a success requires",
+    behind_s="largest time behind a car at that speed at the end of a success",
     keep_lane=("i8", "1 when the car must keep its lane"),
     max_speed_mps="taken where a lane has no limit",
     reason_none=("i8", "code of AlertReason.NONE"),

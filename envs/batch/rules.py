@@ -44,6 +44,7 @@ def rules_of(config: EnvConfig, limits_m: tuple[float, float], map_bound_m: floa
         off_road_ends=config.off_road_ends,
         wrong_way_s=config.wrong_way_s,
         success_share=config.success_share,
+        behind_s=config.success_behind_s,
         keep_lane=config.keep_lane,
         max_speed_mps=Vehicle.MAX_SPEED,
         reason_none=AlertReason.NONE.code,

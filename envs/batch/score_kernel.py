@@ -6,6 +6,10 @@ Terms of the reward, of the TRUE car; v speed, psi heading less the lane's, d of
 ``lane_centre``  ``progress / (1 + (d / 0.5 m)^2)``, 0 at least: nothing for standing in the middle.
 ``comfort``  ``-min(1, (|a| / 2 m/s2)^2) dt``, a the acceleration along and across.
 ``collision``  1 in the step of a crash. ``base``  the wrapped world's own reward.
+
+An episode is a success if at its end the TRUE car is unharmed, on the road, in the direction of its lane, at the goal
+of a world that has one, and in time: its way is at least a share of the way that limit, bends and the vehicle ahead
+allowed, and it is no more than ``behind_s`` behind a car at that share, to which no lead adds.
 """
 
 from __future__ import annotations
@@ -13,7 +17,7 @@ from __future__ import annotations
 import math
 
 from lanebound.envs.batch.costs_kernel import begin_corridor, follow_corridor, price
-from lanebound.envs.batch.lanes_kernel import local
+from lanebound.envs.batch.lanes_kernel import CIRCLE, STRAIGHT, advised, local, straight, width_at
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.angles_kernel import remainder, wrap
 
@@ -22,6 +26,7 @@ __all__ = ["count_epoch", "score"]
 CREEP_MPS = 0.5  # driving backwards more slowly is no wrong way
 CENTRE_SCALE_M = 0.5  # offset at which the credit for the middle of the lane is halved
 COMFORT_MPS2 = 2.0  # ISO 2631-1: uncomfortable from 1.25 to 2.5 m/s2
+FOLLOWING_S = 4.0  # a vehicle nearer than so long at the limit is followed; twice the usual time gap
 
 
 @jit(inline=True)
@@ -61,6 +66,27 @@ def count_epoch(b, sc, car):  # type: ignore[no-untyped-def]
 
 
 @jit(borrows=True)
+def _allowed_mps(car, lanes, limit):  # type: ignore[no-untyped-def]
+    """Speed that the limit, the bend (``sqrt(a R)`` at a comfortable a) and the vehicle ahead allow, of the TRUE car.
+
+    A vehicle in the lane counts that is nearer than ``FOLLOWING_S`` at the limit, with its own speed.
+    """
+    n, allowed, nearest = car.lane[0], limit, FOLLOWING_S * limit
+    lane = lanes.table[n]
+    place, _, _ = local(lanes, n, car.x[0], car.y[0])
+    if lane.advice_last > lane.advice_first:
+        allowed = min(allowed, advised(lanes, n, place))
+    elif lane.kind == CIRCLE:
+        allowed = min(allowed, math.sqrt(COMFORT_MPS2 * lane.radius_m))
+    half, flat, leader = 0.5 * width_at(lanes, n, place), lane.kind == STRAIGHT, allowed
+    for i in range(1, car.present):
+        s, r = straight(lane, car.x[i], car.y[i]) if flat else local(lanes, n, car.x[i], car.y[i])[:2]
+        if (s > place) & (s - place < nearest) & (abs(r) <= half):
+            nearest, leader = s - place, max(car.speed[i], 0.0)
+    return min(allowed, leader)
+
+
+@jit(borrows=True)
 def score(b, sc, car, seen, count, lanes, facts, rules, start, out):  # type: ignore[no-untyped-def]
     """The verdict on a step, or at a start, where no time has passed: fills ``out`` and remembers in ``sc``.
 
@@ -78,13 +104,15 @@ def score(b, sc, car, seen, count, lanes, facts, rules, start, out):  # type: ig
         sc.heading_rad, sc.speed_mps = car.heading[0], speed
     else:
         follow_corridor(sc, b, car, lanes, rules, policy)
+        allowed = _allowed_mps(car, lanes, limit)
         sc.progress_m += along * policy
-        sc.allowed_m += limit * policy
+        sc.allowed_m += allowed * policy
+        sc.behind_m = max(sc.behind_m + (rules.success_share * allowed - along) * policy, 0.0)
         backwards = along < -CREEP_MPS or against
         sc.against_s = sc.against_s + policy if backwards else 0.0
     out.yaw_rate_radps = remainder(car.heading[0] - sc.heading_rad) / policy
     sc.heading_rad = car.heading[0]
-    _judge(b, sc, car, facts, against, rules, out)
+    _judge(b, sc, car, facts, against, limit, rules, out)
     price(b, sc, car, seen, count, lanes, rules, dt, out)
     rough = math.hypot((speed - sc.speed_mps) / policy, speed * out.yaw_rate_radps) / COMFORT_MPS2
     sc.speed_mps = speed
@@ -100,7 +128,7 @@ def score(b, sc, car, seen, count, lanes, facts, rules, start, out):  # type: ig
 
 
 @jit(inline=True)
-def _judge(b, sc, car, facts, against, rules, out):  # type: ignore[no-untyped-def]
+def _judge(b, sc, car, facts, against, limit, rules, out):  # type: ignore[no-untyped-def]
     """What truth says of the step."""
     crashed, on_road = car.crashed[0] != 0, facts.on_road != 0
     over = facts.terminated != 0 or facts.truncated != 0
@@ -111,13 +139,14 @@ def _judge(b, sc, car, facts, against, rules, out):  # type: ignore[no-untyped-d
     astray = off_road or wrong_way or (over and against)
     out.astray_now = _flag(astray and sc.astray == 0)
     sc.astray = 1 if astray or sc.astray != 0 else 0
-    good = over and on_road and not (sc.crashed != 0 or against)
+    good = over and on_road and facts.arrived != 0 and not (sc.crashed != 0 or against)
+    late = sc.behind_m > rules.behind_s * rules.success_share * limit
     out.err_at_m, out.err_ct_m = _errors(b, car)
     out.mi, out.hmi = _flag(sc.mi > 0), _flag(sc.hmi > 0)
     out.hmi_share = sc.hmi / max(sc.epochs, 1)
     sc.epochs = sc.mi = sc.hmi = 0
     out.crashed, out.off_road, out.wrong_way = _flag(sc.crashed != 0), _flag(off_road), _flag(wrong_way)
-    out.is_success = _flag(good and sc.progress_m >= rules.success_share * sc.allowed_m)
+    out.is_success = _flag(good and not late and sc.progress_m >= rules.success_share * sc.allowed_m)
     out.terminated = _flag(facts.terminated != 0 or sc.crashed != 0 or off_road or wrong_way)
     out.truncated = _flag(facts.truncated != 0)
 

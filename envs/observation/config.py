@@ -18,9 +18,10 @@ class ObservationConfig(Config):
 
     form: Literal["dict", "flat"] = Field("dict", description="one vector for each group, or all groups in one vector")
     history: int = Field(1, ge=1, le=64, description="number of stacked observations, the newest last [-]")
-    integrity: Literal["full", "blind", "oracle"] = Field(
+    integrity: Literal["full", "clock", "blind", "oracle"] = Field(
         "full",
-        description="full; blind: no group integrity and no levels in traffic; oracle: the true state with levels of 0",
+        description="full; clock: mode and time since RTK alone, no levels; blind: no group integrity and no levels in "
+        "traffic; oracle: the true state with levels of 0",
     )
     vehicles: int = Field(6, ge=0, le=64, description="number of vehicles in traffic, the nearest first [-]")
     preview_m: tuple[float, ...] = Field(
@@ -64,4 +65,4 @@ class ObservationConfig(Config):
     @property
     def shows_levels(self) -> bool:
         """Whether protection levels are shown at all."""
-        return self.integrity != "blind"
+        return self.integrity in ("full", "oracle")

@@ -134,8 +134,14 @@ def _ego(c: ObservationConfig) -> list[Entry]:
 
 
 def _integrity(c: ObservationConfig) -> list[Entry]:
-    if not c.shows_levels:
+    if c.integrity == "blind":
         return []
+    if c.integrity == "clock":
+        return [entry for entry in _levels(c) if entry.name.startswith(CLOCK)]
+    return _levels(c)
+
+
+def _levels(c: ObservationConfig) -> list[Entry]:
     g, pl, most = _Group("integrity"), c.pl_max_m, c.elapsed_max_s
     change = f"change of the protection level, limited to {pl:g} m, in the last {c.trend_window_s:g} s"
     out = []
@@ -250,6 +256,8 @@ def _vehicle(c: ObservationConfig, row: int) -> list[Entry]:
     return out if c.shows_levels else out[:-3]
 
 
+CLOCK = ("mode_", "since_rtk")
+"""Names, or their beginnings, of the entries of integrity that an observation shows as a clock."""
 DECLARED = {"ego": _ego, "integrity": _integrity, "road": _road, "traffic": _traffic}
 _registered: list[Entry] = []
 

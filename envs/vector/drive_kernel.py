@@ -19,7 +19,7 @@ from lanebound.envs.batch.rows_kernel import carry_on, follow_motion
 from lanebound.envs.vector.city_kernel import decide_all, drive_city, place_all
 from lanebound.envs.vector.collisions_kernel import collide_all, collide_sorted
 from lanebound.envs.vector.course_kernel import drive_profiles
-from lanebound.envs.vector.drivers_kernel import Drivers, command_ego, drivers_of, move_ego
+from lanebound.envs.vector.drivers_kernel import Drivers, command_ego, drivers_of, move_ego, wander_all
 from lanebound.envs.vector.motorway_kernel import accelerate, change_lanes, drive_others, sort_along, survey
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.bundle_kernel import unbundle
@@ -32,13 +32,14 @@ class TrafficBatch(NamedTuple):
     """The vehicles of N environments, and the parameters of their motion.
 
     world (1,) WORLD; speeds: target speeds of meta-actions; profile (N, S): prescribed speeds of other vehicles [m/s],
-    by simulation step.
+    by simulation step; wander (S, K) [m]: shapes over time of the others' lines in their lanes, by simulation step.
     """
 
     drivers: Drivers
     world: Records
     speeds: NDArray[np.float64]
     profile: NDArray[np.float64]
+    wander: NDArray[np.float64]
 
 
 @jit(inline=True)
@@ -76,6 +77,7 @@ def _course(e, frames, actions, a, t, motions, tracks):  # type: ignore[no-untyp
         steering, acceleration, hold = command_ego(b, a.ego.command[e], car, drv, lanes, rules)
         slowest, fastest = world.speed_least_mps, world.speed_most_mps
         move_ego(car, drv, steering, acceleration, hold, slowest, fastest, lanes, dt)
+        wander_all(car, drv, t.wander[min(sc.steps + 1, t.wander.shape[0] - 1)], dt)
         drive_profiles(car, drv, lanes, t.profile[e], sc.steps + 1, dt)
         collide_all(car, drv, dt)
         sc.steps += 1
@@ -108,6 +110,7 @@ def _motorway(e, frames, actions, a, t, motions, tracks, scratch):  # type: igno
         accelerate(car, drv, lanes.table)
         slowest, fastest = world.speed_least_mps, world.speed_most_mps
         move_ego(car, drv, steering, acceleration, hold, slowest, fastest, lanes, dt)
+        wander_all(car, drv, t.wander[min(sc.steps + 1, t.wander.shape[0] - 1)], dt)
         drive_others(car, drv, lanes.table, dt, slip)
         sort_along(car, drv)
         collide_sorted(car, drv, dt, pairs)
@@ -137,6 +140,7 @@ def _city(e, frames, actions, a, t, motions, tracks, places):  # type: ignore[no
         decide_all(car, drv, lanes, places, rules.meta != 0)
         slowest, fastest = world.speed_least_mps, world.speed_most_mps
         move_ego(car, drv, steering, acceleration, hold, slowest, fastest, lanes, dt)
+        wander_all(car, drv, t.wander[min(sc.steps + 1, t.wander.shape[0] - 1)], dt)
         drive_city(car, drv, lanes, dt)
         collide_all(car, drv, dt)
         sc.steps += 1

@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 
 from lanebound.envs.batch.ego_kernel import actuate, intend, steering_rad
 from lanebound.envs.batch.lanes_kernel import following, nearest
+from lanebound.envs.worlds.idm_parameters_kernel import WANDER_MOST_M, WANDER_SLOPE
 from lanebound.integrity.core.accel import jit
 
-__all__ = ["SPEED_MOST_MPS", "Drivers", "clear", "command_ego", "drivers_of", "move_ego", "roll", "seat", "steer_along"]
+__all__ = ["SPEED_MOST_MPS", "Drivers", "clear", "command_ego", "drivers_of", "move_ego", "roll", "seat", "steer_along",
+           "wander_all"]  # fmt: skip
 
 SPEED_MOST_MPS = 40.0  # Vehicle.MAX_SPEED of highway-env
 
@@ -25,6 +27,9 @@ Rows = NDArray[np.int64]
 
 class Drivers(NamedTuple):
     """State of the vehicles' control, of N environments (N, V), of one (V,).
+
+    aside [m]: where in its lane a vehicle wants to be, to the right of the middle; wander (N, V, K) [-]: its weights of
+    the rows of ``TrafficBatch.wander``, see :mod:`..worlds.wander`.
 
     cos, sin: of the heading; target_speed [m/s]; timer [s]: since a lane change was last considered; delta: exponent of
     the acceleration; acceleration [m/s2]: command; impact_x, impact_y [m]: displacement by a crash; target: row of the
@@ -40,11 +45,13 @@ class Drivers(NamedTuple):
     acceleration: Array
     impact_x: Array
     impact_y: Array
+    aside: Array
     target: Rows
     struck: Rows
     order: Rows
     rank: Rows
     front: Rows
+    wander: Array
 
 
 @jit(inline=True)
@@ -52,8 +59,8 @@ def drivers_of(drivers, e):  # type: ignore[no-untyped-def]
     """The vehicles of environment e."""
     return Drivers(
         drivers.cos[e], drivers.sin[e], drivers.target_speed[e], drivers.timer[e], drivers.delta[e],
-        drivers.acceleration[e], drivers.impact_x[e], drivers.impact_y[e], drivers.target[e], drivers.struck[e],
-        drivers.order[e], drivers.rank[e], drivers.front[e],
+        drivers.acceleration[e], drivers.impact_x[e], drivers.impact_y[e], drivers.aside[e], drivers.target[e],
+        drivers.struck[e], drivers.order[e], drivers.rank[e], drivers.front[e], drivers.wander[e],
     )  # fmt: skip
 
 
@@ -65,7 +72,7 @@ def clear(car, drv, length, width):  # type: ignore[no-untyped-def]
         car.length[i], car.width[i] = length, width
         car.lane[i] = car.crashed[i] = 0
         drv.target_speed[i] = drv.timer[i] = drv.delta[i] = drv.acceleration[i] = 0.0
-        drv.impact_x[i] = drv.impact_y[i] = 0.0
+        drv.impact_x[i] = drv.impact_y[i] = drv.aside[i] = 0.0
         drv.target[i] = drv.struck[i] = drv.rank[i] = drv.front[i] = 0
 
 
@@ -135,5 +142,22 @@ def roll(car, drv, i, steering, acceleration, slowest, fastest, lanes, dt):  # t
 
 @jit(inline=True)
 def steer_along(car, drv, lanes, i):  # type: ignore[no-untyped-def]
-    """highway-env's steering angle of vehicle i to the middle of the lane that it wants."""
-    return steering_rad(lanes, drv.target[i], car.x[i], car.y[i], car.heading[i], car.speed[i], car.length[i])
+    """highway-env's steering angle of vehicle i to its line in the lane that it wants."""
+    return steering_rad(
+        lanes, drv.target[i], car.x[i], car.y[i], car.heading[i], car.speed[i], car.length[i], drv.aside[i]
+    )
+
+
+@jit(inline=True)
+def wander_all(car, drv, shape, dt):  # type: ignore[no-untyped-def]
+    """Move the lines of all others in their lanes towards ``shape . weights``, as fast as their cars may move aside.
+
+    shape (K,): the row of ``TrafficBatch.wander`` of the end of this step.
+    """
+    for i in range(1, car.present):
+        goal = 0.0
+        for k in range(shape.size):
+            goal += shape[k] * drv.wander[i, k]
+        goal = min(max(goal, -WANDER_MOST_M), WANDER_MOST_M)
+        most = WANDER_SLOPE * max(car.speed[i], 0.0) * dt
+        drv.aside[i] += min(max(goal - drv.aside[i], -most), most)

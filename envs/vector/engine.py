@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -14,13 +15,14 @@ from lanebound.envs.batch.ego_kernel import FASTER, IDLE, LEFT, RIGHT, SLOWER
 from lanebound.envs.batch.episodes import Episodes
 from lanebound.envs.batch.lanes_kernel import PAST_END_M
 from lanebound.envs.batch.navigation import fixes_of
-from lanebound.envs.batch.records_kernel import cars_of
+from lanebound.envs.batch.records_kernel import Cars, cars_of
 from lanebound.envs.core import EPISODE_SEEDS, WORLD_SEEDS, DrivingEnv
 from lanebound.envs.scene import begin_all, duration_s, make_batch
 from lanebound.envs.vector.drive_kernel import TrafficBatch
 from lanebound.envs.vector.drivers_kernel import Drivers, clear, drivers_of, seat
 from lanebound.envs.vector.support import require_supported, support_of, traffic_of
 from lanebound.envs.vector.world_kernel import WORLD, judge_rows
+from lanebound.envs.worlds.wander import lines_m, moved_aside
 from lanebound.integrity.core.accel import call_links, run_rows
 from lanebound.integrity.core.bundle_kernel import Bundle, RowCopier
 from lanebound.integrity.core.errors import ConfigError
@@ -46,11 +48,13 @@ class Stage:
 
     def __init__(self, engine: Engine, episodes: Episodes) -> None:
         n, vehicles = episodes.cars.x.shape
-        numbers: list[Any] = [np.zeros((n, vehicles)) for _ in range(8)]
+        numbers: list[Any] = [np.zeros((n, vehicles)) for _ in range(9)]
         wholes: list[Any] = [np.zeros((n, vehicles), dtype=np.int64) for _ in range(5)]
+        weights = np.zeros((n, vehicles, engine.wander.shape[1]))
         profile = np.zeros((n, engine.support.profile_steps(engine.single.world)))
         self.episodes = episodes
-        self.traffic = TrafficBatch(Drivers(*numbers, *wholes), engine.world, engine.speeds, profile)
+        drivers = Drivers(*[*numbers, *wholes, weights])
+        self.traffic = TrafficBatch(drivers, engine.world, engine.speeds, profile, engine.wander)
         self.bundle = Bundle(self.traffic)
         self._copier = RowCopier((*episodes.arrays, *self.traffic.drivers, profile))
 
@@ -84,6 +88,7 @@ class Engine:
     drivers : state of the vehicles beyond their poses
     codes : (A,) code of each meta-action of the action space, none under continuous actions
     speeds : target speeds of meta-actions
+    wander : shapes over time of the other drivers' lines in their lanes (S, K), by simulation step
 
     Raises
     ------
@@ -103,6 +108,8 @@ class Engine:
         self.speeds = np.array(inner.target_speeds if meta else [0.0, 1.0], dtype=np.float64)
         self._ranges = _direct_ranges(inner)
         self.world = self._world()
+        steps = math.ceil(duration_s(config, single.world) * config.simulation_hz) + 1
+        self.wander = config.wander.shapes(0, steps, 1.0 / config.simulation_hz)
         self._everyone = np.arange(count)
         self._generators: list[np.random.Generator | None] = [None] * count
         self._drawn: dict[int, tuple[int, int]] = {}
@@ -187,8 +194,8 @@ class Engine:
         """Begin episodes on a stage."""
         drawn = [self._draw(e, seed) for e, seed in zip(rows.tolist(), seeds, strict=True)]
         episodes = stage.episodes
-        for e, (_, world) in zip(rows.tolist(), drawn, strict=True):
-            self._line_up(stage, e, seeding.np_random(world)[0])
+        for e, (episode, world) in zip(rows.tolist(), drawn, strict=True):
+            self._line_up(stage, e, seeding.np_random(world)[0], episode)
         begin_all(episodes, rows, [episode for episode, _ in drawn])
         speeds, speed = self.speeds, episodes.cars.speed[rows, 0]
         share = (speed - speeds[0]) / (speeds[-1] - speeds[0])
@@ -200,13 +207,25 @@ class Engine:
         for e in rows.tolist():
             del self._drawn[e]
 
-    def _line_up(self, stage: Stage, e: int, rng: np.random.Generator) -> None:
-        """Put the vehicles of an environment where its world's generator draws them."""
+    def _line_up(self, stage: Stage, e: int, rng: np.random.Generator, episode: int) -> None:
+        """Put the vehicles of an environment where its world's generator draws them, and others on their lines."""
         cars, drivers = stage.episodes.cars, stage.traffic.drivers
         own, theirs = cars_of.py_func(cars, e), drivers_of.py_func(drivers, e)
         clear(own, theirs, Vehicle.LENGTH, Vehicle.WIDTH)
         count = cars.present[e] = self._start(rng, own, theirs, stage.traffic.profile[e])
+        self._spread(own, theirs, count, episode)
         seat(own, theirs, count)
+
+    def _spread(self, car: Cars, drv: Drivers, count: int, episode: int) -> None:
+        """Put the others on their lines in their lanes."""
+        config = self.single.config.wander
+        if not config.wanders:
+            return
+        drv.wander[1:count] = config.weights(config.generator(episode), count - 1)
+        drv.aside[1:count] = lines_m(self.wander[0], drv.wander[1:count])
+        pose = (column[1:count].tolist() for column in (car.x, car.y, car.heading, drv.aside))
+        moved = [moved_aside(*one) for one in zip(*pose, strict=True)]
+        car.x[1:count], car.y[1:count] = np.array(moved).reshape(-1, 2).T
 
     def step(self, actions: NDArray[Any], rows: Rows | None = None) -> None:
         """Carry out commands (N,) or (N, A) until the next decision, in all environments or in ``rows`` of them."""

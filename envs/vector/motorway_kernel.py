@@ -5,7 +5,7 @@ enter by their sines and cosines: steering commands ``sin(beta)``, and by ``tan(
 and tangent cancel. Lanes are straight along x, of one width, side by side.
 
 Below ``L dt / (4 tau_heading tau_lateral)``, 0.52 m/s at 20 Hz, the steering of ControlledVehicle amplifies rounding.
-Angles are wrapped with highway-env's rounding, so vehicles in the middle of their lane stay there; an ego at such
+Angles are wrapped with highway-env's rounding, so vehicles on their line stay there; an ego at such
 speeds that changes lanes by meta-actions oscillates by some millimetres, depending on the last bits.
 """
 
@@ -198,9 +198,9 @@ def drive_others(car, drv, table, dt, slip):  # type: ignore[no-untyped-def]
 
 @jit(inline=True)
 def _steer(car, drv, table, slip):  # type: ignore[no-untyped-def]
-    """Sine of the slip angle that steers every vehicle to the middle of its lane; wrecks roll straight on."""
+    """Sine of the slip angle that steers every vehicle to its line in its lane; wrecks roll straight on."""
     for i in range(1, car.present):
-        slip[i] = table[drv.target[i]].y_m
+        slip[i] = table[drv.target[i]].y_m + drv.aside[i]
     for i in range(1, car.present):
         inverse = 1.0 / not_zero(car.speed[i])
         course = -KP_LATERAL * (car.y[i] - slip[i]) * inverse

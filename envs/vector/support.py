@@ -52,6 +52,9 @@ def require_supported(single: DrivingEnv) -> None:
     config, world = single.config, single.world
     support = support_of(config)
     _require_sources(config)
+    kind = world_kind(config.base)
+    if kind is not None and kind.arrived is not None:
+        raise _refusal("base", "a world without a goal", config.base)
     for name, allowed, value in support.refusals(world):
         raise _refusal(name, allowed, value)
     idm = TRAFFIC.get(support.traffic, (None, None))[1]

@@ -47,6 +47,7 @@ def judge_rows(first, last, rows, batch, traffic, start):  # type: ignore[no-unt
         s, r, direction = local(lanes, lane, car.x[0], car.y[0])
         angle, on_road = wrap(car.heading[0] - direction), on_lane(lanes, lane, s, r, 0.0)
         facts.on_road, facts.terminated, facts.truncated, facts.base = 1 if on_road else 0, 0, 0, 0.0
+        facts.arrived = 1
         if start:
             continue
         sc.time_s += policy

@@ -1,6 +1,7 @@
 """Worlds of lanebound, plain scenarios of highway-env without navigation, and the declarations of all worlds."""
 
 from lanebound.envs.worlds.car_following import CarFollowingWorld
+from lanebound.envs.worlds.goals import has_crossed, has_left_roundabout, has_merged
 from lanebound.envs.worlds.highway import motorway_support
 from lanebound.envs.worlds.kinds import (
     Support,
@@ -30,8 +31,12 @@ for _kind in (
     WorldKind("CarFollowingWorld", CarFollowingWorld, CarFollowingWorld.support),
     WorldKind("UrbanCanyonWorld", UrbanCanyonWorld, UrbanCanyonWorld.support),
     WorldKind("highway-v0", None, motorway_support),
-    WorldKind("intersection-v0", None, newcomers=24),
-    WorldKind("intersection-v1", None, newcomers=24),
-    WorldKind("intersection-v2", None, newcomers=24, continuous="intersection-v1"),
+    WorldKind("intersection-v0", None, newcomers=24, arrived=has_crossed),
+    WorldKind("intersection-v1", None, newcomers=24, arrived=has_crossed),
+    WorldKind("intersection-v2", None, newcomers=24, continuous="intersection-v1", arrived=has_crossed),
+    WorldKind("merge-v0", None, arrived=has_merged),
+    WorldKind("merge-v1", None, arrived=has_merged),
+    WorldKind("roundabout-v0", None, arrived=has_left_roundabout),
+    WorldKind("roundabout-v1", None, arrived=has_left_roundabout),
 ):
     register_world(_kind)

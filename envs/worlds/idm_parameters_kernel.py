@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-__all__ = ["BESIDE_M", "BRISK", "CALM", "REACTION_S", "IdmParameters", "idm_parameters"]
+__all__ = ["BESIDE_M", "BRISK", "CALM", "REACTION_S", "WANDER_MOST_M", "WANDER_SLOPE", "IdmParameters",
+           "idm_parameters"]  # fmt: skip
 
 BESIDE_M = 1.0  # margin beside a lane within which a vehicle counts as a neighbour on it, Road.neighbour_vehicles
 
@@ -42,3 +43,5 @@ a stop come about 2 m nearer."""
 BRISK = idm_parameters(gap_m=10.0, headway_s=1.5, comfort=3.0, deceleration=5.0, delay_s=1.0, gain=0.2)
 """Of IDMVehicle of highway-env, whose class constants are compared with these when an engine is made."""
 REACTION_S = 0.8  # of city drivers before bends
+WANDER_MOST_M = 0.5  # largest offset of a driver's line from the middle of its lane; chosen
+WANDER_SLOPE = 0.02  # change of that offset per way of the car at most, so that a standing car stays; chosen

@@ -73,6 +73,7 @@ class WorldKind:
     support : returns how the engine drives it; None without engine support
     newcomers : slots for vehicles that enter after the start of an episode
     continuous : id of the variant of highway-env for continuous actions, "" for the same id
+    arrived : whether the ego of the world is at its goal, where the episode ends; None for a world without a goal
     """
 
     name: str
@@ -80,6 +81,7 @@ class WorldKind:
     support: Callable[[], Support] | None = None
     newcomers: int = 0
     continuous: str = ""
+    arrived: Callable[[AbstractEnv], bool] | None = None
 
 
 _kinds: dict[str, WorldKind] = {}

@@ -15,7 +15,13 @@ from lanebound.envs.config import EnvConfig
 from lanebound.envs.core import DrivingEnv
 from lanebound.envs.world import IDM_PATH, guard
 
-PERFECT = {"sky": "open", "navigation": {"source": "perfect"}, "actuators": None, "perception": {"source": "none"}}
+PERFECT = {
+    "sky": "open",
+    "navigation": {"source": "perfect"},
+    "actuators": None,
+    "perception": {"source": "none"},
+    "wander": {"offset_sigma_m": 0.0, "wander_sigma_m": 0.0},
+}
 FEW = {"vehicles_count": 6}
 CASES: list[tuple[str, str, dict[str, Any]]] = [
     ("highway-v0", "meta", FEW),

@@ -15,10 +15,12 @@ from lanebound.envs.observation import (
     group_slices,
 )
 from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.positioning.modes import Mode
 
 VARIANTS = [
     ObservationConfig(),
     ObservationConfig(integrity="blind"),
+    ObservationConfig(integrity="clock"),
     ObservationConfig(integrity="oracle", vehicles=0),
     ObservationConfig(preview_m=(), satellites_m=(), vehicles=1),
 ]
@@ -55,6 +57,13 @@ def test_blind_leaves_out_integrity_and_levels_and_nothing_else():
         name for name in full if name.startswith("integrity.")
     }
     assert all(name.startswith("integrity.") or "_pl_" in name for name in gone)
+
+
+def test_clock_adds_mode_and_age_of_rtk_to_blind_and_nothing_else():
+    blind, clock = ({e.column for e in entries(ObservationConfig(integrity=i))} for i in ("blind", "clock"))
+    modes = {f"integrity.mode_{mode.key}" for mode in Mode}
+    assert clock - blind == modes | {"integrity.since_rtk"}
+    assert blind < clock
 
 
 def test_oracle_has_the_entries_of_full():

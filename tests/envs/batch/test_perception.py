@@ -23,7 +23,10 @@ from vehicles import cars_at, record_of
 
 DT, ROW = 0.1, np.zeros(1, dtype=np.int64)
 CLEAR = {"latency_s": 0.0, "jitter_s": 0.0, "loss": 0.0, "range_m": 1e9}
-EXACT = {"range_sigma_m": 0.0, "bearing_sigma_deg": 0.0, "speed_sigma_mps": 0.0, "heading_sigma_deg": 0.0}
+EXACT = {
+    "range_sigma_m": 0.0, "bearing_sigma_deg": 0.0, "lateral_bias_sigma_m": 0.0, "speed_sigma_mps": 0.0,
+    "heading_sigma_deg": 0.0,
+}  # fmt: skip
 
 
 def honest(car: Cars, capacity: int) -> Any:

@@ -19,7 +19,9 @@ from lanebound.envs.perception import PerceptionConfig, SensorConfig
 from vehicles import cars_at, record_of
 
 DT, ROW = 0.1, np.zeros(1, dtype=np.int64)
-EXACT = SensorConfig(range_sigma_m=0.0, bearing_sigma_deg=0.0, speed_sigma_mps=0.0, heading_sigma_deg=0.0)
+EXACT = SensorConfig(
+    range_sigma_m=0.0, bearing_sigma_deg=0.0, lateral_bias_sigma_m=0.0, speed_sigma_mps=0.0, heading_sigma_deg=0.0
+)
 Array = NDArray[np.float64]
 
 
@@ -129,7 +131,7 @@ def _errors(config: SensorConfig, looks: int, psi: float) -> tuple[Array, Array,
 @pytest.mark.parametrize("psi", [0.0, 0.6, 1.6])
 def test_errors_have_the_stated_size_and_break_their_bounds_as_often_as_stated(psi: float) -> None:
     looks, risk = 2000, 0.1
-    at, ct, tracks = _errors(SensorConfig(integrity_risk=risk), looks, psi)
+    at, ct, tracks = _errors(SensorConfig(integrity_risk=risk, lateral_bias_sigma_m=0.0), looks, psi)
     k = norm.isf(risk / 4)
     low, high = chi2.ppf([1e-4, 1 - 1e-4], looks)  # each of the six assertions fails by chance once in 5000 seeds
     for error, level in ((at, tracks["pl_at_m"]), (ct, tracks["pl_ct_m"])):
@@ -137,6 +139,27 @@ def test_errors_have_the_stated_size_and_break_their_bounds_as_often_as_stated(p
         assert binom.ppf(1e-4, looks, risk / 2) <= (np.abs(error) > level).sum() <= binom.isf(1e-4, looks, risk / 2)
     assert low < (((tracks["speed_mps"] - 8.0) / 0.1) ** 2).sum() < high
     assert low < (((tracks["heading_rad"] - psi) / np.radians(2.0)) ** 2).sum() < high
+
+
+@pytest.mark.parametrize("psi", [0.0, 0.6, 1.6])
+def test_the_error_across_the_ego_stays_for_an_episode_and_is_bounded(psi: float) -> None:
+    seeds, risk = 400, 0.1
+    config = EXACT.replace(lateral_bias_sigma_m=0.5, integrity_risk=risk)
+    vehicles, ego = cars_at([[0, 0], [40, 0]], [0.3, 0.3 + psi]), believe(heading_rad=0.3)
+    found = []
+    for seed in range(seeds):
+        sensor = Sensor(config, 1, seed)
+        first, again = (sensor.look(ego, vehicles)[0] for _ in range(2))
+        assert (first["x_m"], first["y_m"]) == (again["x_m"], again["y_m"])
+        x, y = first["x_m"] - 40.0, first["y_m"]
+        across = y * np.cos(0.3) - x * np.sin(0.3)
+        assert x * np.cos(0.3) + y * np.sin(0.3) == pytest.approx(0.0, abs=1e-9)
+        k = norm.isf(risk / 4)
+        levels = k * 0.5 * abs(np.sin(psi)), k * 0.5 * abs(np.cos(psi))
+        assert (first["pl_at_m"], first["pl_ct_m"]) == pytest.approx(levels, abs=1e-9)
+        found.append(across / 0.5)
+    low, high = chi2.ppf([1e-4, 1 - 1e-4], seeds)
+    assert low < np.square(found).sum() < high
 
 
 def test_a_track_out_of_sight_ages_and_moves_with_the_egos_odometry_not_with_its_jumps() -> None:

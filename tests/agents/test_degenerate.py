@@ -1,0 +1,38 @@
+"""No policy without sense does well beside integrity_aware; Intersection is named in docs/limits.md."""
+
+from __future__ import annotations
+
+import pytest
+from degenerate import SOUND, Score, lines, scores
+
+from lanebound.agents.benchmark.metrics import metric_named
+from lanebound.agents.benchmark.outcome import Outcome
+
+GOOD = Score(success=0.9, kept=0.6, mean_speed=10.0, cost=10.0, total_return=50.0, crashed=0.0, off_road=0.0)
+
+
+def test_what_does_too_well_is_named() -> None:
+    assert GOOD.outdone_by(GOOD._replace(kept=0.29, total_return=50.0)) == []
+    assert GOOD.outdone_by(GOOD._replace(kept=0.0, total_return=51.0)) == ["more return at equal or lower cost"]
+    assert GOOD.outdone_by(GOOD._replace(kept=0.0, total_return=51.0, cost=10.1)) == []
+    assert GOOD.outdone_by(GOOD._replace(kept=0.3)) == ["half of the successes within the limit"]
+    assert GOOD._replace(kept=0.0).outdone_by(GOOD._replace(kept=0.0)) == []
+    assert lines("X", {SOUND: GOOD, "crawl": GOOD})[1].endswith("| half of the successes within the limit |")
+
+
+@pytest.mark.parametrize(("success", "cost", "found"), [(True, 15.0, 1.0), (True, 15.1, 0.0), (False, 0.0, 0.0)])
+def test_a_success_within_the_limit_needs_both(success: bool, cost: float, found: float) -> None:
+    outcome = Outcome("LaneKeeping-v0", "urban", "none", "nominal", 1, success=success, cost=cost, cost_limit=15.0)
+    assert metric_named("success_within_limit").take(outcome) == found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "episodes"),
+    [("LaneKeeping", 24), ("CarFollowing", 24), ("UrbanCanyon", 24), ("Highway", 16), ("Merge", 16)],
+)
+def test_no_policy_without_sense_outdoes_a_sound_driver(name: str, episodes: int) -> None:
+    found = scores(name, episodes, 10_000)
+    assert {label: found[SOUND].outdone_by(score) for label, score in found.items() if label != SOUND} == {
+        label: [] for label in found if label != SOUND
+    }

@@ -1,0 +1,83 @@
+"""The suite ``degenerate`` through the vector engine where it has the world: a table of an id in minutes.
+
+    .venv/bin/python tests/helpers/degenerate.py LaneKeeping 32 10000      # id, episodes, first seed
+
+The agents, their figures and the changes of the environment are those of the suite; the seeds are consecutive.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any, NamedTuple
+
+import numpy as np
+from drives import drives, single_of
+
+from lanebound.agents.benchmark.suite import load_suite
+from lanebound.integrity.core.errors import InputError
+
+SOUND = "integrity_aware"
+
+
+class Score(NamedTuple):
+    """Means over the episodes of an agent: of ``kept`` those that are a success at a cost of at most the limit."""
+
+    success: float
+    kept: float
+    mean_speed: float
+    cost: float
+    total_return: float
+    crashed: float
+    off_road: float
+
+    def outdone_by(self, other: Score) -> list[str]:
+        """What another agent does too well, beside a sound driver with this score."""
+        out = []
+        if other.total_return > self.total_return and other.cost <= self.cost:
+            out.append("more return at equal or lower cost")
+        if other.kept > 0.0 and other.kept >= 0.5 * self.kept:
+            out.append("half of the successes within the limit")
+        return out
+
+
+def scores(name: str, episodes: int, seed: int) -> dict[str, Score]:
+    """The score of each agent of the suite that can drive an id."""
+    suite = load_suite("degenerate")
+    config = {"sky": suite.skies[0], **suite.overrides}
+    limit = single_of(name, config).config.cost_limit
+    found = {}
+    for label, chosen in suite.agents.items():
+        try:
+            found[label] = _score(drives(name, config, chosen.agent, chosen.figures, episodes, seed), episodes, limit)
+        except InputError:
+            continue  # no such command in this id
+    return found
+
+
+def _score(decisions: Any, episodes: int, limit: float) -> Score:
+    rows, ends = np.zeros((episodes, 4)), np.zeros((episodes, 3))
+    for one in decisions:
+        both = np.stack([one.infos["cost"], one.rewards, one.infos["speed_mps"], np.ones(one.episode.size)], -1)
+        rows[one.episode] += both
+        last = one.over
+        names = ("is_success", "crashed", "off_road")
+        ends[one.episode[last]] = np.stack([one.infos[name][last] for name in names], -1)
+    kept = ends[:, 0] * (rows[:, 0] <= limit)
+    speed = rows[:, 2] / rows[:, 3]
+    means = (ends[:, 0], kept, speed, rows[:, 0], rows[:, 1], ends[:, 1], ends[:, 2])
+    return Score(*(float(values.mean()) for values in means))
+
+
+def lines(name: str, found: dict[str, Score]) -> list[str]:
+    """Rows of a table in Markdown; what outdoes the sound driver is named in the last column."""
+    sound = found[SOUND]
+    return [
+        f"| {name} | `{label}` | {s.success:.2f} | {s.kept:.2f} | {s.mean_speed:.1f} | {s.cost:.1f} "
+        f"| {s.total_return:.1f} | {s.crashed:.2f}, {s.off_road:.2f} "
+        f"| {'' if label == SOUND else ', '.join(sound.outdone_by(s))} |"
+        for label, s in found.items()
+    ]
+
+
+if __name__ == "__main__":
+    print("\n".join(lines(sys.argv[1], scores(sys.argv[1], int(sys.argv[2]), int(sys.argv[3])))))
