@@ -369,7 +369,7 @@ def observe(
 
 def blank_work(batch: int) -> SignalWork:
     """Work of receivers for the signal at hand."""
-    shape = batch, MOST_ARRIVALS + 1  # and the arrival that was tracked before
+    shape = batch, MOST_ARRIVALS
     return SignalWork(np.zeros(shape, ARRIVAL), np.zeros(shape), *np.zeros((2, batch, gk.BANDS)))
 
 

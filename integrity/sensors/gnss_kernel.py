@@ -447,7 +447,7 @@ def by_paths(receivers, reception, v, s, way, system, u):  # type: ignore[no-unt
         return False, False, 0.0
     bands = rules.wavelength[system], rules.chip[system]
     broken, strongest, rate = track(
-        rules.paths, bands, reception, way, count, work, v, digits(u.slip, 1e4), rules.bands, memory, signal
+        rules.paths, bands, count, work, v, digits(u.slip, 1e4), rules.bands, memory
     )
     if work.sources[v, strongest] != DIRECT:
         reception.path[v, s] = REFLECTED
