@@ -201,7 +201,8 @@ def _recall(memory, arrivals, sources, count):  # type: ignore[no-untyped-def]
 
 @jit(borrows=True)
 def track(rules, band, count, work, v, chance, bands, memory):  # type: ignore[no-untyped-def]
-    """Track the strongest of the arrivals; whether the lock of the carrier breaks, which arrival, error of range rate.
+    """Track the strongest of the arrivals; whether the lock of the carrier breaks, which arrival, error of range rate,
+    and by how much the sum is below its smoothed C/N0 [dB].
 
     band: wavelength and chip [m], (2,) each; ``work`` of vehicle v gets the errors of code and carrier by band. When
     another arrival becomes the strongest, the lock is kept with probability ``rules.keep_lock`` (``chance``, a uniform
@@ -209,7 +210,7 @@ def track(rules, band, count, work, v, chance, bands, memory):  # type: ignore[n
     """
     arrivals, sources = work.arrivals[v], work.sources[v]
     r = strongest_of(arrivals, count)
-    old, rate = memory.arrival, 0.0
+    old, rate, deeper = memory.arrival, 0.0, 0.0
     broken = old != NOTHING and old != sources[r] and chance >= rules.keep_lock
     _recall(memory, arrivals, sources, count)
     memory.arrival = sources[r]
@@ -223,4 +224,5 @@ def track(rules, band, count, work, v, chance, bands, memory):  # type: ignore[n
             fade = 20.0 * math.log10(max(sum_.amplitude, 1e-6))
             gain = 1.0 if old == NOTHING else rules.fade_gain
             memory.fade += gain * (fade - memory.fade)
-    return broken, r, rate
+            deeper = memory.fade - fade
+    return broken, r, rate, deeper

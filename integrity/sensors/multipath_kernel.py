@@ -14,7 +14,8 @@ others disturb it. With ``a_i = A_i / A_r``, ``l_i = L_i - L_r`` and ``p_i = 2 p
 The carrier counts whole cycles: where reflections of a total amplitude above that of the tracked arrival encircle it,
 the phase of the sum turns on, and the loop with it. A cycle is lost only in a fade: while the sum is more than 20 dB
 below the tracked arrival, the loop holds its phase, and it pulls in at the nearest cycle when the fade is over. The
-same holds where an arrival begins or ends at the edge of an obstacle.
+same holds where an arrival begins or ends at the edge of an obstacle. A loop that the present C/N0 is too low for loses
+its lock, whatever the smoothed estimate still says.
 
 In motion the phases turn by ``f_i = (dl_i/dt) / lambda`` cycles a second. A tracking loop of noise bandwidth B averages
 over turns that are faster than it follows: the loop sees ``a_i / sqrt(1 + (f_i / B)^2)``, the gain of a first-order low

@@ -109,7 +109,10 @@ def test_motion_averages_what_a_loop_cannot_follow() -> None:
 SLOW_LOOP = LOOPS._replace(carrier_hz=1e6)  # follows all turns: the sum is that of the amplitudes
 
 
-def swept(sizes: tuple[float, float], starts: tuple[float, float], rates: tuple[float, float], times: np.ndarray) -> Any:
+Pair = tuple[float, float]  # of the two reflections
+
+
+def swept(sizes: Pair, starts: Pair, rates: Pair, times: np.ndarray) -> np.ndarray:
     """Carrier of a direct ray and two reflections at the given times [m], epoch by epoch."""
     last, found, before = math.nan, [], None
     for t in times:
@@ -123,7 +126,7 @@ def swept(sizes: tuple[float, float], starts: tuple[float, float], rates: tuple[
     return np.array(found)
 
 
-def phase_of_sum(sizes: tuple[float, float], starts: tuple[float, float], rates: tuple[float, float], t: Any) -> Any:
+def phase_of_sum(sizes: Pair, starts: Pair, rates: Pair, t: Any) -> Any:
     """The sum as a complex number, by definition."""
     turns = [(x + v * t) / L1_M + 0.3 * i / (2.0 * math.pi) for i, (x, v) in enumerate(zip(starts, rates, strict=True))]
     return 1.0 + sum(a * np.exp(2j * math.pi * n) for a, n in zip(sizes, turns, strict=True))
@@ -131,7 +134,7 @@ def phase_of_sum(sizes: tuple[float, float], starts: tuple[float, float], rates:
 
 @pytest.mark.parametrize("rates", [(0.6, 0.6), (1.3, -0.4), (4.0, 3.9), (9.0, 8.7)])
 @pytest.mark.parametrize("sizes", [(0.9, 0.8), (0.7, 0.6), (0.4, 0.5), (0.95, 0.3)])
-def test_the_carrier_follows_the_sum_around_the_origin(sizes: tuple[float, float], rates: tuple[float, float]) -> None:
+def test_the_carrier_follows_the_sum_around_the_origin(sizes: Pair, rates: Pair) -> None:
     """Against the unwrapped phase in steps of 0.1 ms, until the sum first fades below what a loop follows."""
     starts, fine = (4.0, 9.0), np.linspace(0.0, 12.0, 120_001)
     sums = phase_of_sum(sizes, starts, rates, fine)
@@ -143,7 +146,7 @@ def test_the_carrier_follows_the_sum_around_the_origin(sizes: tuple[float, float
 
 
 def test_reflections_stronger_than_the_tracked_arrival_take_the_carrier_along() -> None:
-    """Two that turn together encircle the direct ray: a cycle for each turn, in place of an angle within half a cycle."""
+    """Two that turn together encircle the direct ray: a cycle for each turn, not an angle within half a cycle."""
     found = swept((0.9, 0.8), (4.0, 4.0 - 0.3 * L1_M / (2.0 * math.pi)), (1.0, 1.0), np.arange(0.0, 20.0, 0.1))
     turns = 1.0 * 19.9 / L1_M
     assert abs(found[-1] - found[0]) > (turns - 1.0) * L1_M
