@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
+from lanebound.integrity.positioning.doubtful_kernel import DOUBT_RULES
 from lanebound.integrity.positioning.rows_kernel import Rows
 
 __all__ = [
@@ -61,6 +62,7 @@ AMBIGUITY = record(
     fix_id=("i8", "number of the fix that they came from"),
     fix_risk="failure rate of that whole fix [-]",
     last_phase=("f8", (2,), "phase of the last epoch relative to the anchor, 0: not followed [m]"),
+    odds="largest odds since its fix that the carrier is off, where hypotheses are monitored [-]",
 )
 """The ambiguities of one satellite."""
 
@@ -85,6 +87,7 @@ RTK_RULES = record(
     min_further=("i8", "satellites that a further system must bring"),
     hold_failures=("i8", "rejected epochs in a row after which all integers are released"),
     retry="after a refusal, time until the next attempt [s]",
+    doubt=(DOUBT_RULES, "carriers that may not be direct"),
 )
 """RtkConfig as kernels take it."""
 

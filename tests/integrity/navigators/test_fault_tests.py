@@ -29,6 +29,7 @@ from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConf
 from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import fixed_scratch, levels_of_fix
 from lanebound.integrity.navigators.rtk_reckoning.parameters import epoch_parameters, epoch_tables
 from lanebound.integrity.navigators.solution import Solution
+from lanebound.integrity.positioning.doubtful_kernel import LARGEST_SET, find_sets
 from lanebound.integrity.positioning.least_squares import design_matrix
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rows_kernel import Rows
@@ -124,7 +125,7 @@ def levels(config: NavigatorConfig, case: Case) -> Array:
     """PL_AT and PL_CT of the compiled navigator, less the bound of the reference's coordinates."""
     assert isinstance(config, RtkReckoningConfig)
     n, turn, par = case.n, (np.sin(case.heading), np.cos(case.heading)), epoch_parameters(config)[0]
-    scratch, out = fixed_scratch(n), np.empty((len(config.cases), 2))
+    scratch, out = fixed_scratch(n, 0), np.empty((len(config.cases), 2))
     assert gk.find_geometry(case.los, case.group, case.variance, case.bias, n, *turn, scratch.geo) == gk.SOLVED
     scratch.group[:n], scratch.accuracy[:n] = case.group, case.accuracy
     levels_of_fix(n, 0.0, *turn, epoch_tables(config, case.group), par, scratch, out)
@@ -153,6 +154,45 @@ def test_levels_count_on_the_threshold_of_the_test(name: str, form: LevelForm) -
         expected = plain_levels(config, case)
         assert np.isfinite(expected).all() == (not (systems == 1 and config.risk.monitors_constellations))
         np.testing.assert_allclose(levels(config, case), expected, rtol=1e-9)
+
+
+SETS = 60
+DOUBT = {"positioning": {"rtk": {"doubt": {"sets": SETS}}}}
+
+
+@pytest.mark.parametrize("form", list(LevelForm))
+@pytest.mark.parametrize("weak", [(), (2,), (2, 7)])
+def test_sets_of_doubtful_carriers_count_with_their_separation(weak: tuple[int, ...], form: LevelForm) -> None:
+    """By the plain form: a mode for each satellite with its odds, and one for each set with abs(x - x_A)."""
+    config, case = NavigatorConfig().replace(form=form, **DOUBT), Case.of(3, 12, 2)
+    odds, par = np.full(12, 1e-4), epoch_parameters(config)[0]
+    odds[list(weak)] = 0.02
+    y, turn = np.random.default_rng(8).normal(size=12), (np.sin(case.heading), np.cos(case.heading))
+    scratch, out = fixed_scratch(12, SETS), np.empty((len(config.cases), 2))
+    assert gk.find_geometry(case.los, case.group, case.variance, case.bias, 12, *turn, scratch.geo) == gk.SOLVED
+    y *= np.sqrt(case.variance)
+    gk.solve(y, case.group, 12, scratch.geo)
+    scratch.group[:12], scratch.accuracy[:12], scratch.odds[:12] = case.group, case.accuracy, odds
+    levels_of_fix(12, 0.0, *turn, epoch_tables(config, case.group), par, scratch, out)
+    found = np.full((SETS, LARGEST_SET), -1, dtype=np.int64)
+    count, left = find_sets(odds, 12, par["rtk"]["doubt"], found)
+    assert (count > 0) == bool(weak)
+    removed = np.zeros((count, 12), np.bool_)
+    for row, members in zip(removed, found, strict=False):
+        row[members[members >= 0]] = True
+    plain = separate(
+        design_matrix(case.los, case.group, gk.MAX_GROUPS), np.diag(case.variance),
+        np.concatenate([np.eye(12, dtype=bool), removed]), case.heading, accuracy=np.diag(case.accuracy),
+        bias=case.bias, y=y,
+    )  # fmt: skip
+    risk = config.risk.replace(subtract_multiple=False)
+    modes = 12 + count
+    assumed = plain.delta_m * (factors(config, case)[0] / risk.false_alarm_factors(modes)[modes])
+    assumed[13:] = np.abs(plain.separation_m[13:]) / risk.false_alarm_factors(modes)[modes]
+    priors = np.concatenate([odds, [odds[row].prod() for row in removed]])
+    plain = replace(plain, delta_m=assumed)
+    expected = protection_levels(plain, priors, risk, spent=left, root=form is LevelForm.ROOT)[0]
+    np.testing.assert_allclose(out[0] - par["risk"]["reference_bias"], expected, rtol=1e-8)
 
 
 def run_test(config: NavigatorConfig, case: Case, y: Array) -> NDArray[np.int64]:
