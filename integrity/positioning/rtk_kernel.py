@@ -9,7 +9,7 @@ one satellite collapse into one row of weight ``sum of weights`` without loss.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,7 @@ __all__ = [
     "held_base",
     "held_risk",
     "order_by_variance",
+    "range_of",
     "select",
     "weigh",
 ]
@@ -177,6 +178,15 @@ def collapse_phase(carriers: Carriers, ambiguities: Records, bands: int, out: Ar
         for b in range(bands):
             total += carriers.phase[s, b] - carriers.satellites[s].wavelength[b] * ambiguities[s].integers[b]
         out[s] = total / bands
+
+
+@jit(borrows=True)
+def range_of(cycles: Ints, satellite: Any, bands: int) -> float:
+    """Mean over the bands of ``lambda N`` [m], N (2,) integers."""
+    total = 0.0
+    for b in range(bands):
+        total += satellite.wavelength[b] * cycles[b]
+    return total / bands
 
 
 @jit(borrows=True)

@@ -49,6 +49,7 @@ class GnssEpoch:
     cn0_dbhz : (B, S) carrier-to-noise density
     lock_lost : (B, S) bool, the receiver detected a loss of carrier lock since the previous epoch
     corrections_age_s : (B,) age of the reference data, inf without data
+    integer_error : (B, S, 2) cycles by which a fault makes the integers wrong that positioning fixes; None: no faults
     """
 
     tracked: NDArray[np.bool_]
@@ -58,6 +59,7 @@ class GnssEpoch:
     cn0_dbhz: Array
     lock_lost: NDArray[np.bool_]
     corrections_age_s: Array
+    integer_error: NDArray[np.int64] | None = None
 
 
 @dataclass
@@ -364,7 +366,7 @@ def observe(
     out = blank_gnss(batch, n_sat)
     out.age[:] = age_s
     gk.observe(reception.rows, receivers, sky.rows, motion_rows(truth), effect_rows(effects), out)
-    return gnss_epoch(out)
+    return gnss_epoch(out, effects)
 
 
 def blank_work(batch: int) -> SignalWork:
@@ -381,9 +383,11 @@ def blank_gnss(batch: int, satellites: int) -> gk.GnssOutputs:
     return gk.GnssOutputs(tracked, code, phase, range_rate, cn0, lock_lost, np.empty(batch))
 
 
-def gnss_epoch(out: gk.GnssOutputs) -> GnssEpoch:
-    """The filled outputs."""
-    return GnssEpoch(out.tracked, out.code, out.phase, out.range_rate, out.cn0, out.lock_lost, out.age)
+def gnss_epoch(out: gk.GnssOutputs, effects: FaultEffects) -> GnssEpoch:
+    """The filled outputs, and the faults of what positioning makes of them."""
+    return GnssEpoch(
+        out.tracked, out.code, out.phase, out.range_rate, out.cn0, out.lock_lost, out.age, effects.integer_error
+    )
 
 
 def flat(records: Records) -> Array:

@@ -140,7 +140,7 @@ class Instruments:
         elif rows.draws.gnss.shape[0] != batch:
             draw(0, batch, bundle.handle)
         run_rows(sense, batch, bundle.handle, epoch, row_us=SENSE_US)
-        return Measurements(truth.time_s, sky, gnss_epoch(gnss), ImuSample(*imu), OdometerSample(*odometer))
+        return Measurements(truth.time_s, sky, gnss_epoch(gnss, effects), ImuSample(*imu), OdometerSample(*odometer))
 
     def _draw(self, streams: Streams, rows: InstrumentRows) -> None:
         """The draws of an epoch from streams that draw in a way of their own."""

@@ -54,7 +54,7 @@ from lanebound.integrity.positioning.codes_kernel import FAULT, FIXED, NO_CORREC
 from lanebound.integrity.positioning.doubtful_kernel import LARGEST_SET, find_sets
 from lanebound.integrity.positioning.mode_kernel import rtk_usable
 from lanebound.integrity.positioning.rows_kernel import Rows
-from lanebound.integrity.positioning.rtk_kernel import Carriers, collapse_phase, held_risk
+from lanebound.integrity.positioning.rtk_kernel import Carriers, collapse_phase, held_risk, range_of
 
 __all__ = ["find_fixed_position"]
 
@@ -112,7 +112,8 @@ def find_fixed_position(first: int, last: int, epoch: Epoch) -> None:
                 carriers = Carriers(los, satellites, measured.phase[v], work.factor[v])
                 here = Rows(los, system, rows.variance, rows.y, rows.used)
                 fixed.coded = False  # its position gives way to that of the phases
-                _solve_fixed(carriers, here, ambiguities, measured.age[v], tables, par, vehicle, w, scratch)
+                error = measured.integer_error[v]
+                _solve_fixed(carriers, error, here, ambiguities, measured.age[v], tables, par, vehicle, w, scratch)
             elif fixed.status == FIXED:
                 fixed.status = TOO_FEW
         fixed.wrong = held_risk(ambiguities)
@@ -131,18 +132,19 @@ def find_fixed_position(first: int, last: int, epoch: Epoch) -> None:
 
 @jit
 def _solve_fixed(
-    carriers: Carriers, rows: Rows, ambiguities: Records, age: float, tables: Tables, par: Any, vehicle: Any, w: Any,
-    scratch: FixedScratch,
+    carriers: Carriers, error: Ints, rows: Rows, ambiguities: Records, age: float, tables: Tables, par: Any,
+    vehicle: Any, w: Any, scratch: FixedScratch,
 ) -> None:  # fmt: skip
     """Test the rows in use, release the integers of what is excluded, and solve with the rest.
 
-    ``carriers.variance`` holds the variance factors.
+    ``carriers.variance`` holds the variance factors, ``error`` (S, 2) the fault of the integers [cycles].
     """
     rules, rtk, fixed, factor, n_sat = par.rtk, vehicle.rtk, w.fixed, carriers.variance, rows.y.shape[0]
     position, q, tried = np.empty(3), np.empty((3, 3)), rows.used.copy()
     aged = (rules.age_sigma * age) ** 2  # of the whole range, common to the bands
     collapse_phase(carriers, ambiguities, rules.bands, rows.y)
     for s in range(n_sat):
+        rows.y[s] -= range_of(error[s], carriers.satellites[s], rules.bands)
         rows.variance[s] = factor[s] * (rules.sigma_phase**2 / rules.bands) + aged
     outcome, _, _, _, fixed.excluded = detect_and_exclude(
         rows, rows.group, vehicle.heading.angle, tables.thresholds, par.fde, position, q

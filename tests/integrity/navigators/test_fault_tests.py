@@ -349,6 +349,41 @@ def test_a_navigator_drives_with_each_test(name: str) -> None:
     assert not faulty[101].held[0][held]
 
 
+@pytest.mark.parametrize("name", ["default", "doubt"])
+@pytest.mark.parametrize("size", [{"magnitude_m": 0.5}, {"magnitude_m": 2.0}, {"magnitude_cycles": 1}])
+def test_wrong_integers_are_detected_and_misled_by_no_level(name: str, size: dict[str, Any]) -> None:
+    """The integers of the fault are accepted; its residuals or its jump refuse the position, or exclude satellites."""
+    config = CALM.replace(**DOUBT) if name == "doubt" else CALM
+    clean, errors = drive(config, (), 12.0)
+    check_bounded(clean, errors)
+    held = int(np.flatnonzero(clean[-1].held[0] & (TRACK.system == System.GPS))[0])
+    place = {"system": System.GPS, "prn": int(TRACK.prn[held])} if "magnitude_cycles" in size else {}
+    fault = Fault(kind="wrong_fix", start_s=10.0, duration_s=2.0, **size, **place)
+    faulty, errors = drive(config, (fault,), 12.0)
+    check_bounded(faulty, errors)
+    assert all(s.mode[0] == Mode.RTK for s in faulty[90:99])
+    assert faulty[100].mode[0] != Mode.RTK or faulty[100].excluded[0] > 0
+    if "magnitude_m" in size:  # of all satellites: no position is left that would fit
+        assert all(s.mode[0] != Mode.RTK for s in faulty[101:119])
+
+
+@pytest.mark.parametrize("profile", ["step", "ramp"])
+@pytest.mark.parametrize("satellites", [1, 3])
+@pytest.mark.parametrize("start_s", [0.0, 10.0])
+def test_a_burst_of_reflections_misleads_no_level_of_the_doubtful(
+    profile: Any, satellites: int, start_s: float
+) -> None:
+    """From the first fix on, or while integers are held."""
+    config = CALM.replace(**DOUBT)
+    fault = Fault(
+        kind="nlos_burst", magnitude_m=20.0, satellites=satellites, profile=profile, ramp_s=3.0, start_s=start_s,
+        duration_s=8.0,
+    )  # fmt: skip
+    solutions, errors = drive(config, (fault,), 18.0)
+    check_bounded(solutions, errors)
+    assert solutions[-1].mode[0] == Mode.RTK
+
+
 def test_a_displaced_constellation_is_excluded() -> None:
     """More satellites go in one epoch than two tests exclude one by one; two that are left lie abreast the shift."""
     config = CALM.replace(risk=WHOLE)
