@@ -122,7 +122,8 @@ A kind of your own is a `FaultKind` (`lanebound.integrity.sensors.fault_kinds`),
 | `system`, `prn` | None | 0 GPS, 1 Galileo, 2 GLONASS, 3 BeiDou, 4 QZSS; number of the satellite |
 | `band` | None | band of a cycle slip, 0 or 1; None: both |
 | `vehicle` | None | 0: the ego; 1 and more: other vehicles; None: all |
-| `azimuth_deg` | 90 | direction of a displacement, clockwise from North |
+| `azimuth_deg` | 90 | direction of a displacement, or side of the sky of `nlos_burst`, clockwise from North |
+| `satellites` | 4 | number of satellites that `nlos_burst` strikes |
 | `magnitude` | 0 | size of a kind of your own, in the unit of its `Magnitude`, if that names no other field |
 
 ## Many environments at once

@@ -17,6 +17,7 @@ from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.frames import GRAVITY_MPS2
 from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
+from lanebound.integrity.positioning.doubtful_kernel import DOUBT_RULES
 from lanebound.integrity.positioning.heading_kernel import CALIBRATION
 from lanebound.integrity.positioning.mode_kernel import MODE_LIMITS
 from lanebound.integrity.positioning.odometer_watch_kernel import WATCH_LIMITS
@@ -27,6 +28,7 @@ __all__ = [
     "CorrelationBound",
     "DeadReckoningConfig",
     "DopplerConfig",
+    "DoubtConfig",
     "HeadingConfig",
     "ModeConfig",
     "OdometerWatchConfig",
@@ -40,6 +42,34 @@ __all__ = [
     "slip_parameters",
     "watch_parameters",
 ]
+
+
+class DoubtConfig(Config):
+    """Fault hypotheses of carriers that may be reflected or diffracted (:mod:`.doubtful_kernel`).
+
+    A carrier d [dB] below the C/N0 of an open sky is off with odds ``most / (1 + exp((centre - d) / scale))``.
+    """
+
+    sets: int = Field(
+        0,
+        ge=0,
+        le=200,
+        description="sets of two and three satellites that an RTK position is monitored without, at most; satellites "
+        "that would need more are not used; 0: no hypotheses beyond those of single faults [-]",
+    )
+    zenith_dbhz: float = Field(48.0, description="C/N0 of an open sky at the zenith [dB-Hz]; of the receiver")
+    horizon_dbhz: float = Field(38.0, description="C/N0 of an open sky at the horizon [dB-Hz]; of the receiver")
+    odds: float = Field(
+        0.03, gt=0, description="odds that a weak carrier is off by 3 cm and more [-]; fitted to simulated streets"
+    )
+    centre_db: float = Field(4.2, description="loss at which the odds are half of that [dB]; fitted alike")
+    scale_db: float = Field(0.5, gt=0, description="steepness of the odds [dB]; fitted alike")
+    confirm_from: float = Field(
+        1e-4, gt=0, description="odds from which on a fix is found again without the satellite before it is held [-]"
+    )
+    share: float = Field(
+        0.1, gt=0, lt=1, description="largest probability of sets not monitored as a share of the integrity risk [-]"
+    )
 
 
 class RtkConfig(Config):
@@ -119,6 +149,7 @@ class RtkConfig(Config):
     hold_failures: int = Field(
         2, ge=1, description="rejected epochs in a row after which all held ambiguities are given up [-]"
     )
+    doubt: DoubtConfig = DoubtConfig()
 
 
 class DopplerConfig(Config):
@@ -326,6 +357,17 @@ def rtk_parameters(config: RtkConfig, bands: int, smallest_risk: float) -> Recor
         min_further=config.min_further,
         hold_failures=config.hold_failures,
         retry=config.retry_s,
+        doubt=one_record(
+            DOUBT_RULES,
+            sets=config.doubt.sets,
+            zenith=config.doubt.zenith_dbhz,
+            horizon=config.doubt.horizon_dbhz,
+            most=config.doubt.odds,
+            centre=config.doubt.centre_db,
+            scale=config.doubt.scale_db,
+            limit=config.doubt.share * smallest_risk,
+            single=config.doubt.confirm_from,
+        ),
     )
 
 

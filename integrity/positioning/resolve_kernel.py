@@ -49,7 +49,7 @@ from lanebound.integrity.positioning.rtk_kernel import (
     order_by_variance,
 )
 
-__all__ = ["resolve"]
+__all__ = ["add_held", "attempt", "base_of", "resolve"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

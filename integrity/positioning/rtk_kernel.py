@@ -9,7 +9,7 @@ one satellite collapse into one row of weight ``sum of weights`` without loss.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
+from lanebound.integrity.positioning.doubtful_kernel import DOUBT_RULES
 from lanebound.integrity.positioning.rows_kernel import Rows
 
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
     "held_base",
     "held_risk",
     "order_by_variance",
+    "range_of",
     "select",
     "weigh",
 ]
@@ -61,6 +63,7 @@ AMBIGUITY = record(
     fix_id=("i8", "number of the fix that they came from"),
     fix_risk="failure rate of that whole fix [-]",
     last_phase=("f8", (2,), "phase of the last epoch relative to the anchor, 0: not followed [m]"),
+    odds="largest odds since its fix that the carrier is off, where hypotheses are monitored [-]",
 )
 """The ambiguities of one satellite."""
 
@@ -85,6 +88,7 @@ RTK_RULES = record(
     min_further=("i8", "satellites that a further system must bring"),
     hold_failures=("i8", "rejected epochs in a row after which all integers are released"),
     retry="after a refusal, time until the next attempt [s]",
+    doubt=(DOUBT_RULES, "carriers that may not be direct"),
 )
 """RtkConfig as kernels take it."""
 
@@ -174,6 +178,15 @@ def collapse_phase(carriers: Carriers, ambiguities: Records, bands: int, out: Ar
         for b in range(bands):
             total += carriers.phase[s, b] - carriers.satellites[s].wavelength[b] * ambiguities[s].integers[b]
         out[s] = total / bands
+
+
+@jit(borrows=True)
+def range_of(cycles: Ints, satellite: Any, bands: int) -> float:
+    """Mean over the bands of ``lambda N`` [m], N (2,) integers."""
+    total = 0.0
+    for b in range(bands):
+        total += satellite.wavelength[b] * cycles[b]
+    return total / bands
 
 
 @jit(borrows=True)

@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
-from lanebound.integrity.sensors.multipath_kernel import ARRIVAL, Loops, combine, strongest_of
+from lanebound.integrity.sensors.multipath_kernel import (
+    ARRIVAL,
+    MOST_ARRIVALS,
+    Loops,
+    combine,
+    follow_carrier,
+    strongest_of,
+)
 from lanebound.integrity.sky.propagation_kernel import (
     antenna_amplitude,
     diffraction_loss_db,
@@ -63,6 +70,9 @@ PATH_RULES = record(
 TRACKED = record(
     arrival="what the receiver tracks: NOTHING, DIRECT, or the index of the face of a reflection",
     fade="amplitude over that of the unobstructed signal, smoothed [dB]",
+    carrier=("f8", (BANDS,), "delay of the carrier that the loop follows, by band [m]"),
+    sources=("f8", (MOST_ARRIVALS,), "all arrivals of the last epoch, as arrival"),
+    excess=("f8", (MOST_ARRIVALS,), "their extra paths [m]"),
 )
 """What lasts of a satellite's arrival from epoch to epoch."""
 
@@ -178,51 +188,41 @@ def find_arrivals(rules, reception, v, s, way, fluctuation, wavelength, arrivals
 
 
 @jit(borrows=True)
-def _carrier_path(arrival, wavelength):  # type: ignore[no-untyped-def]
-    """Delay of the carrier of an arrival [m]: extra path and phase at the face."""
-    return arrival.excess_m + wavelength * arrival.phase_rad / (2.0 * math.pi)
-
-
-@jit(borrows=True)
-def _old_path(old, reception, way, arrivals, sources, count, rules, wavelength):  # type: ignore[no-untyped-def]
-    """Delay of the carrier by the arrival that was tracked before, at the present place [m]."""
+def _recall(memory, arrivals, sources, count):  # type: ignore[no-untyped-def]
+    """Set the extra paths of the last epoch in the arrivals, and remember the present ones."""
     for i in range(count):
-        if sources[i] == old:
-            return _carrier_path(arrivals[i], wavelength)
-    if old >= 0.0 and _add_reflection(rules, reception.faces[int(old)], way, wavelength, arrivals[count]):
-        return _carrier_path(arrivals[count], wavelength)
-    return 0.0
+        arrivals[i].before_m = arrivals[i].excess_m
+        for k in range(MOST_ARRIVALS):
+            if memory.arrival != NOTHING and memory.sources[k] == sources[i]:
+                arrivals[i].before_m = memory.excess[k]
+    for i in range(MOST_ARRIVALS):
+        memory.sources[i], memory.excess[i] = (sources[i], arrivals[i].excess_m) if i < count else (NOTHING, 0.0)
 
 
 @jit(borrows=True)
-def track(rules, band, reception, way, count, work, v, chance, bands, memory, signal):  # type: ignore[no-untyped-def]
-    """Track the strongest of the arrivals; whether the lock of the carrier breaks, which arrival, error of range rate.
+def track(rules, band, count, work, v, chance, bands, memory):  # type: ignore[no-untyped-def]
+    """Track the strongest of the arrivals; whether the lock of the carrier breaks, which arrival, error of range rate,
+    and by how much the sum is below its smoothed C/N0 [dB].
 
     band: wavelength and chip [m], (2,) each; ``work`` of vehicle v gets the errors of code and carrier by band. When
     another arrival becomes the strongest, the lock is kept with probability ``rules.keep_lock`` (``chance``, a uniform
-    draw): the loop pulls in at the nearest cycle, so that the ambiguity changes unnoticed and the carrier goes on
-    without a jump of more than half a cycle. Otherwise the receiver notices.
+    draw): the loop follows the phase of the sum. Otherwise the receiver notices.
     """
     arrivals, sources = work.arrivals[v], work.sources[v]
     r = strongest_of(arrivals, count)
-    old, broken, rate = memory.arrival, False, 0.0
-    changed = old != NOTHING and old != sources[r]
-    if changed and chance >= rules.keep_lock:
-        broken = True
+    old, rate, deeper = memory.arrival, 0.0, 0.0
+    broken = old != NOTHING and old != sources[r] and chance >= rules.keep_lock
+    _recall(memory, arrivals, sources, count)
     memory.arrival = sources[r]
     for b in range(bands):
-        wave = band[0][b]
-        loops = Loops(wave, band[1][b], rules.spacing, rules.code_loop, rules.carrier_loop)
-        sum_ = combine(arrivals, count, r, loops)
-        work.code[v, b] = sum_.code_m
-        path = _carrier_path(arrivals[r], wave)
-        work.carrier[v, b] = path + sum_.carrier_m
-        if changed and not broken:
-            before = _old_path(old, reception, way, arrivals, sources, count, rules, wave)
-            signal.ambiguity[b] -= 2.0 * math.floor((path - before) / wave + 0.5)
+        loops = Loops(band[0][b], band[1][b], rules.spacing, rules.code_loop, rules.carrier_loop)
+        sum_, last = combine(arrivals, count, r, loops), memory.carrier[b] if old != NOTHING else math.nan
+        memory.carrier[b] = follow_carrier(arrivals, count, r, loops, last)
+        work.code[v, b], work.carrier[v, b] = sum_.code_m, memory.carrier[b]
         if b == 0:
             rate = sum_.rate_mps
             fade = 20.0 * math.log10(max(sum_.amplitude, 1e-6))
             gain = 1.0 if old == NOTHING else rules.fade_gain
             memory.fade += gain * (fade - memory.fade)
-    return broken, r, rate
+            deeper = memory.fade - fade
+    return broken, r, rate, deeper

@@ -25,6 +25,7 @@ class FaultEffects:
     range_rate_bias_mps : (B, S) added to the Doppler range rate, the derivative of the phase bias
     cn0_drop_db : (B, S) subtracted from the carrier-to-noise density (jamming)
     slip_cycles : (B, S, 2) int64, jump of the ambiguity in this epoch, which the receiver does not detect
+    integer_error : (B, S, 2) int64, cycles by which the integers are wrong that positioning fixes and accepts
     spoof_enu_m : (B, 3) displacement of the position that the signals describe
     reference_enu_m : (B, 3) error of the reference coordinates, by which RTK positions move
     corrections_lost : (B,) bool, the reference link is cut
@@ -40,6 +41,7 @@ class FaultEffects:
     range_rate_bias_mps: Array
     cn0_drop_db: Array
     slip_cycles: NDArray[np.int64]
+    integer_error: NDArray[np.int64]
     spoof_enu_m: Array
     reference_enu_m: Array
     corrections_lost: NDArray[np.bool_]
@@ -72,6 +74,7 @@ class FaultEffects:
             range_rate_bias_mps=np.zeros((b, s)),
             cn0_drop_db=np.zeros((b, s)),
             slip_cycles=np.zeros((b, s, 2), dtype=np.int64),
+            integer_error=np.zeros((b, s, 2), dtype=np.int64),
             spoof_enu_m=np.zeros((b, 3)),
             reference_enu_m=np.zeros((b, 3)),
             corrections_lost=np.zeros(b, dtype=np.bool_),

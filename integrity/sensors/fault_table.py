@@ -13,10 +13,14 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.fault_kinds import FaultKind, FaultMoment, FaultPrior, FaultTarget, Magnitude
+from lanebound.integrity.sky.systems import WAVELENGTH_M
 
 __all__ = ["FAULT_TABLE"]
 
 Array = NDArray[np.float64]
+BURST_FROM_RAD = math.radians(10.0)  # lowest elevation of the satellites of a burst; receivers use those above
+LEAST_FACING = 1e-9  # e.n of a satellite that a facade reflects: beyond rounding
+BURST_LOSS_DB = 6.0  # of a strong reflection: right-handed to left-handed signals at a patch antenna, metal
 
 
 def _satellite_range(effects: FaultEffects, now: FaultMoment) -> None:
@@ -81,6 +85,37 @@ def _odometer_frozen(effects: FaultEffects, now: FaultMoment) -> None:
 def _v2v_lie(effects: FaultEffects, now: FaultMoment) -> None:
     effects.v2v_offset_enu_m[now.rows] += _displacement_m(now)
     effects.v2v_pl_scale[now.rows] *= 1.0 + now.fault.magnitude_ratio * now.level
+
+
+def _wrong_fix(effects: FaultEffects, now: FaultMoment) -> None:
+    """Integers are wrong by the cycles given, or by those that move the position by about a displacement d.
+
+    The cycles are ``-e.d / lambda``, rounded: up to half a cycle of each satellite remains as a residual.
+    """
+    cycles = -(now.sky.los_enu @ _displacement_m(now))[..., None] / WAVELENGTH_M[now.sky.system, :2]
+    effects.integer_error[now.rows] += np.round(cycles).astype(np.int64)[now.sky.index[now.rows]]
+    effects.integer_error[now.rows] += now.fault.magnitude_cycles * now.satellites[:, None]
+
+
+def _nlos_burst(effects: FaultEffects, now: FaultMoment) -> None:
+    """The lowest satellites on the side of the azimuth arrive by a facade on the other side alone.
+
+    Its normal n points to the azimuth, and the magnitude is twice its distance d, so that the extra path is ``L = 2 d
+    (e.n)``: the code has the whole of it, the carrier its change since the onset, the Doppler its rate. A step is a
+    drive along the facade; a ramp moves away from it.
+    """
+    sky, n = now.sky, now.fault.direction_enu
+    for k in np.unique(sky.index):
+        facing = sky.los_enu[k] @ n
+        lit = np.flatnonzero((facing > LEAST_FACING) & sky.above[k] & (sky.elevation_rad[k] > BURST_FROM_RAD))
+        struck = lit[np.argsort(sky.elevation_rad[k, lit], kind="stable")][: now.fault.satellites]
+        rows = np.arange(sky.batch)[now.rows]
+        where = np.ix_(rows[sky.index[rows] == k], struck)
+        twice_m = now.fault.magnitude_m * facing[struck]
+        effects.code_bias_m[where] += now.level * twice_m
+        effects.phase_bias_m[where] += (now.level - now.fault.level(now.fault.start_s)) * twice_m
+        effects.range_rate_bias_mps[where] += now.growth_per_s * twice_m
+        effects.cn0_drop_db[where] += BURST_LOSS_DB
 
 
 def _displacement_m(now: FaultMoment) -> Array:
@@ -201,6 +236,26 @@ FAULT_TABLE: tuple[FaultKind, ...] = (
         broadcast=True,
         prior=FaultPrior(per_h=1e-3, median_s=60.0, low=1.0, high=20.0),
         prior_source="wrong or malicious broadcasts; chosen",
+    ),
+    FaultKind(
+        name="wrong_fix",
+        summary="the integers that RTK fixes: off by cycles, or by those of a displacement towards the azimuth",
+        apply=_wrong_fix,
+        magnitudes=(METRES, Magnitude("cycles", "magnitude_cycles", whole=True)),
+        profiles=("step",),
+        sizes_tried=(0.2, 0.5, 2.0),
+        prior=FaultPrior(per_h=0.0, median_s=10.0, low=0.1, high=2.0, ramp_share=0.0),
+        prior_source="never: the navigator spends a tenth of its risk on them; a city drive by RTKLIB has 6 % of fixes",
+    ),
+    FaultKind(
+        name="nlos_burst",
+        summary="the lowest satellites on the side of the azimuth: reflections by a facade alone, unseen by the map; "
+        "code, carrier, Doppler and C/N0",
+        apply=_nlos_burst,
+        magnitudes=(Magnitude("m", "magnitude_m", gt=0.0, signed=False),),
+        sizes_tried=(5.0, 20.0, 60.0),
+        prior=FaultPrior(per_h=0.0, median_s=10.0, low=5.0, high=60.0),
+        prior_source="never: in streets the ray casting gives reflections; several at once are frequent there",
     ),
 )
 """Random faults are drawn in this order: a new kind stands at the end, so that those before it stay the same."""

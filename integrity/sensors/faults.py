@@ -57,10 +57,15 @@ class Fault(Config):
     prn: int | None = Field(None, ge=1, description="satellite of that system; None: all of them")
     band: Literal[0, 1] | None = Field(None, description="band of a cycle slip; None: both")
     vehicle: int | None = Field(None, ge=0, description="row of the vehicle; None: all")
-    azimuth_deg: float = Field(90.0, description="direction of a displacement, clockwise from North [deg]")
+    azimuth_deg: float = Field(
+        90.0, description="direction of a displacement, or side of the sky of nlos_burst, clockwise from North [deg]"
+    )
+    satellites: int = Field(4, ge=1, description="number of satellites that nlos_burst strikes")
     magnitude: float = Field(0.0, description="size of a kind whose unit has no field here, in the unit of the kind")
-    magnitude_m: float = Field(0.0, description="range error, or displacement towards the azimuth [m]")
-    magnitude_cycles: int = Field(0, description="size of a cycle slip [cycles]")
+    magnitude_m: float = Field(
+        0.0, description="range error, displacement towards the azimuth, or twice the distance of a facade [m]"
+    )
+    magnitude_cycles: int = Field(0, description="size of a cycle slip, or error of an integer [cycles]")
     magnitude_db: float = Field(0.0, description="loss of C/N0 by jamming [dB]")
     magnitude_degps: float = Field(0.0, description="yaw gyro bias, positive clockwise [deg/s]")
     magnitude_ratio: float = Field(

@@ -54,6 +54,7 @@ class GnssEpoch:
     raw_code_m, raw_phase_m : (B, S, 2) undifferenced, corrected by broadcast ephemerides and models
         (:mod:`.broadcast`): ``-e.x`` relative to the true origin, receiver clock, errors; None unless
         ``gnss.undifferenced``. ``range_rate_mps`` is undifferenced in any case.
+    integer_error : (B, S, 2) cycles by which a fault makes the integers wrong that positioning fixes; None: no faults
     """
 
     tracked: NDArray[np.bool_]
@@ -65,6 +66,7 @@ class GnssEpoch:
     corrections_age_s: Array
     raw_code_m: Array | None = None
     raw_phase_m: Array | None = None
+    integer_error: NDArray[np.int64] | None = None
 
 
 @dataclass
@@ -376,7 +378,7 @@ def observe(
     out = blank_gnss(batch, n_sat)
     out.age[:] = age_s
     gk.observe(reception.rows, receivers, sky.rows, motion_rows(truth), effect_rows(effects), out)
-    return gnss_epoch(out)
+    return gnss_epoch(out, effects)
 
 
 def undifferenced(
@@ -417,7 +419,7 @@ def undifferenced(
 
 def blank_work(batch: int) -> SignalWork:
     """Work of receivers for the signal at hand."""
-    shape = batch, MOST_ARRIVALS + 1  # and the arrival that was tracked before
+    shape = batch, MOST_ARRIVALS
     return SignalWork(np.zeros(shape, ARRIVAL), np.zeros(shape), *np.zeros((2, batch, gk.BANDS)))
 
 
@@ -429,9 +431,12 @@ def blank_gnss(batch: int, satellites: int) -> gk.GnssOutputs:
     return gk.GnssOutputs(tracked, code, phase, range_rate, cn0, lock_lost, np.empty(batch))
 
 
-def gnss_epoch(out: gk.GnssOutputs) -> GnssEpoch:
-    """The filled outputs."""
-    return GnssEpoch(out.tracked, out.code, out.phase, out.range_rate, out.cn0, out.lock_lost, out.age)
+def gnss_epoch(out: gk.GnssOutputs, effects: FaultEffects) -> GnssEpoch:
+    """The filled outputs, and the faults of what positioning makes of them."""
+    return GnssEpoch(
+        out.tracked, out.code, out.phase, out.range_rate, out.cn0, out.lock_lost, out.age,
+        integer_error=effects.integer_error,
+    )  # fmt: skip
 
 
 def flat(records: Records) -> Array:

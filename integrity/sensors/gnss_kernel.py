@@ -433,7 +433,8 @@ def fill_bands(c, has_phase, path, rules, receiver, signal, z, slow, station, co
 
 @jit(borrows=True)
 def by_paths(receivers, reception, v, s, way, system, u):  # type: ignore[no-untyped-def]
-    """Reception by the paths of ray casting: (received, lock broken, range rate error [m/s]); sets ``reception.path``.
+    """Reception by the paths of ray casting: (received, lock broken, range rate error [m/s], by how much the signal is
+    below its smoothed C/N0 [dB]); sets ``reception.path``.
 
     The errors by band are in ``receivers.work``, the C/N0 in the smoothed fade of the signal.
     """
@@ -444,16 +445,16 @@ def by_paths(receivers, reception, v, s, way, system, u):  # type: ignore[no-unt
         memory.arrival = NOTHING
         work.code[v], work.carrier[v] = 0.0, 0.0
         reception.path[v, s] = BLOCKED
-        return False, False, 0.0
+        return False, False, 0.0, 0.0
     bands = rules.wavelength[system], rules.chip[system]
-    broken, strongest, rate = track(
-        rules.paths, bands, reception, way, count, work, v, digits(u.slip, 1e4), rules.bands, memory, signal
+    broken, strongest, rate, deeper = track(
+        rules.paths, bands, count, work, v, digits(u.slip, 1e4), rules.bands, memory
     )
     if work.sources[v, strongest] != DIRECT:
         reception.path[v, s] = REFLECTED
     else:
         reception.path[v, s] = MULTIPATH if count > 1 and kind == LOS else kind
-    return True, broken, rate
+    return True, broken, rate, deeper
 
 
 @jit(borrows=True)
@@ -493,10 +494,12 @@ def observe_vehicle(v, reception, receivers, sky, truth, effects, out):  # type:
         slant, drop, late, late_rate, broken = 1.0 / u, effects.cn0_drop[v, s], 0.0, 0.0, False
         if rules.by_paths:
             way = SignalGeometry((e, n, u), sky.elevation[k, s], antenna, velocity)
-            arrives, broken, late_rate = by_paths(receivers, reception, v, s, way, sky.system[s], uniform)
+            arrives, broken, late_rate, deeper = by_paths(receivers, reception, v, s, way, sky.system[s], uniform)
             level = carrier_to_noise(rules, u, LOS, drop, signal.cn0) + signal.tracked.fade
             received = arrives and level >= rules.track_min
-            locked = received and not broken and level >= rules.phase_min
+            locked = (
+                received and not broken and level - max(deeper, 0.0) >= rules.phase_min
+            )  # quicker than the estimate
         else:
             level = carrier_to_noise(rules, u, path[s], drop, signal.cn0)
             received = path[s] != BLOCKED and level >= rules.track_min

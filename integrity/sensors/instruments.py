@@ -141,7 +141,7 @@ class Instruments:
         elif rows.draws.gnss.shape[0] != batch:
             draw(0, batch, bundle.handle)
         run_rows(sense, batch, bundle.handle, epoch, row_us=SENSE_US)
-        signals = gnss_epoch(gnss)
+        signals = gnss_epoch(gnss, effects)
         if s.area.broadcast is not None:
             signals = undifferenced(
                 self.gnss, self.gnss_rules, signals, sky, s.corrections.held, effects, s.area.signals, s.area.broadcast

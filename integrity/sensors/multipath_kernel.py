@@ -6,9 +6,16 @@ others disturb it. With ``a_i = A_i / A_r``, ``l_i = L_i - L_r`` and ``p_i = 2 p
 
 - code: ``L_r + t``, t the zero of the coherent early-minus-late discriminator of the sum (:func:`code_delay`); for one
   short reflection ``a l cos p / (1 + a cos p)``, at most ``a D / 2`` chips, 0 beyond ``1 + D / 2`` chips;
-- carrier: ``L_r`` beyond the cycles at lock, and ``lambda / 2 pi atan2(sum a_i sin p_i, 1 + sum a_i cos p_i)``;
+- carrier: the phase of the sum, ``L_r + lambda / 2 pi angle(1 + sum a_i exp(j p_i))``, followed from epoch to epoch
+  (:func:`follow_carrier`);
 - range rate: the time derivative of the carrier;
 - amplitude: ``A_r abs(1 + sum a_i exp(j p_i))``.
+
+The carrier counts whole cycles: where reflections of a total amplitude above that of the tracked arrival encircle it,
+the phase of the sum turns on, and the loop with it. A cycle is lost only in a fade: while the sum is more than 20 dB
+below the tracked arrival, the loop holds its phase, and it pulls in at the nearest cycle when the fade is over. The
+same holds where an arrival begins or ends at the edge of an obstacle. A loop that the present C/N0 is too low for loses
+its lock, whatever the smoothed estimate still says.
 
 In motion the phases turn by ``f_i = (dl_i/dt) / lambda`` cycles a second. A tracking loop of noise bandwidth B averages
 over turns that are faster than it follows: the loop sees ``a_i / sqrt(1 + (f_i / B)^2)``, the gain of a first-order low
@@ -25,18 +32,30 @@ import numpy as np
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import record
 
-__all__ = ["ARRIVAL", "MOST_ARRIVALS", "Composite", "Loops", "arrivals_of", "code_delay", "combine", "strongest_of"]
+__all__ = [
+    "ARRIVAL",
+    "MOST_ARRIVALS",
+    "Composite",
+    "Loops",
+    "arrivals_of",
+    "code_delay",
+    "combine",
+    "follow_carrier",
+    "strongest_of",
+]
 
 ARRIVAL = record(
     amplitude="over that of an unobstructed direct ray [-]",
     phase_rad="delay of the phase at the face [rad]",
     excess_m="extra path L [m]",
     rate_mps="dL/dt [m/s]",
+    before_m="L at the last epoch; of a new arrival L [m]",
 )
 TWO_PI = 2.0 * math.pi
 MOST_ARRIVALS = 3  # the direct or diffracted ray, and two reflections
 STEPS, SETTLED, LEAST_SLOPE = 8, 1e-12, 0.05
 LEAST_POWER = 0.01  # a loop of some 15 Hz follows no deeper fade: the rate of its phase would exceed the bandwidth
+STEP_RAD, MOST_STEPS = TWO_PI / 128.0, 2048  # of the phase of a sum that may encircle the origin
 
 
 class Loops(NamedTuple):
@@ -50,13 +69,9 @@ class Loops(NamedTuple):
 
 
 class Composite(NamedTuple):
-    """Errors of code, carrier [m] and range rate [m/s] of the sum of arrivals, and its amplitude [-].
-
-    The code includes the extra path of the tracked arrival; ``carrier_m`` is the part that the others add to it.
-    """
+    """Errors of code [m] and range rate [m/s] of the sum of arrivals, and its amplitude [-]."""
 
     code_m: Any
-    carrier_m: Any
     rate_mps: Any
     amplitude: Any
 
@@ -111,15 +126,14 @@ def strongest_of(arrivals, count):  # type: ignore[no-untyped-def]
 
 @jit
 def _disturbance(other, main, loops):  # type: ignore[no-untyped-def]
-    """Effect of another arrival on the tracked one: (amplitude in the carrier loop, weight in the code loop, delay
-    [chips], cosine and sine of its phase, turns of its phase [1/s])."""
+    """Effect of another arrival on the tracked one: (amplitude in the carrier loop, in the code loop, delay [m], phase,
+    turns of the phase [1/s])."""
     a = other.amplitude / main.amplitude
     delay, turns = other.excess_m - main.excess_m, (other.rate_mps - main.rate_mps) / loops.wavelength_m
     phase = TWO_PI * (delay / loops.wavelength_m) + other.phase_rad - main.phase_rad
-    cosine, sine = math.cos(phase), math.sin(phase)
-    weight = a / math.sqrt(1.0 + (turns / loops.code_hz) ** 2) * cosine
-    seen = a / math.sqrt(1.0 + (turns / loops.carrier_hz) ** 2)
-    return seen, weight, delay / loops.chip_m, cosine, sine, turns
+    in_code = a / math.sqrt(1.0 + (turns / loops.code_hz) ** 2)
+    in_carrier = a / math.sqrt(1.0 + (turns / loops.carrier_hz) ** 2)
+    return in_carrier, in_code, delay, phase, turns
 
 
 @jit
@@ -131,8 +145,9 @@ def combine(arrivals, count, tracked, loops):  # type: ignore[no-untyped-def]
     for i in range(count):
         if i == tracked:
             continue
-        seen, weight, delay, cosine, sine, turns = _disturbance(arrivals[i], main, loops)
-        weights, delays = (weights[1], weight), (delays[1], delay)
+        seen, in_code, delay, phase, turns = _disturbance(arrivals[i], main, loops)
+        cosine, sine = math.cos(phase), math.sin(phase)
+        weights, delays = (weights[1], in_code * cosine), (delays[1], delay / loops.chip_m)
         re += seen * cosine
         im += seen * sine
         re_rate -= seen * sine * TWO_PI * turns
@@ -140,12 +155,45 @@ def combine(arrivals, count, tracked, loops):  # type: ignore[no-untyped-def]
     power = max(re * re + im * im, LEAST_POWER)
     code = loops.chip_m * code_delay(weights, delays, 0.5 * loops.spacing_chips)
     rate = wave / TWO_PI * (re * im_rate - im * re_rate) / power
-    return Composite(
-        main.excess_m + code, wave / TWO_PI * math.atan2(im, re), main.rate_mps + rate,
-        main.amplitude * math.sqrt(power),
-    )  # fmt: skip
+    return Composite(main.excess_m + code, main.rate_mps + rate, main.amplitude * math.sqrt(power))
+
+
+@jit
+def follow_carrier(arrivals, count, tracked, loops, last_m):  # type: ignore[no-untyped-def]
+    """Delay of the carrier of the sum of arrivals [m], continued from that of the last epoch, ``last_m``; NaN: a new
+    lock.
+
+    The phase of the sum is followed from the extra paths of the last epoch to those of this one. One step is enough
+    unless the others together exceed the tracked arrival.
+    """
+    main, wave = arrivals[tracked], loops.wavelength_m
+    sizes, phases, changes = (0.0, 0.0), (0.0, 0.0), (0.0, 0.0)
+    for i in range(count):
+        if i == tracked:
+            continue
+        seen, _, delay, phase, _ = _disturbance(arrivals[i], main, loops)
+        change = TWO_PI * (delay - (arrivals[i].before_m - main.before_m)) / wave
+        sizes, phases, changes = (sizes[1], seen), (phases[1], phase - change), (changes[1], change)
+    steps = 1
+    if sizes[0] + sizes[1] >= 1.0:
+        steps = int(min(max(abs(changes[0]), abs(changes[1])) / STEP_RAD + 1.0, MOST_STEPS))
+    first, angle = 0.0, 0.0
+    for k in range(steps + 1):
+        p, q = phases[0] + changes[0] * k / steps, phases[1] + changes[1] * k / steps
+        re = 1.0 + sizes[0] * math.cos(p) + sizes[1] * math.cos(q)
+        im = sizes[0] * math.sin(p) + sizes[1] * math.sin(q)
+        if k == 0:
+            first = angle = math.atan2(im, re)
+        elif re * re + im * im >= LEAST_POWER:
+            turn = math.atan2(im, re) - angle
+            angle += turn - TWO_PI * math.floor(turn / TWO_PI + 0.5)
+    carrier = main.excess_m + wave * (main.phase_rad + angle) / TWO_PI
+    if not last_m == last_m:
+        return carrier
+    began = main.before_m + wave * (main.phase_rad + first) / TWO_PI
+    return carrier + wave * math.floor((last_m - began) / wave + 0.5)
 
 
 def arrivals_of(*rows: tuple[float, float, float, float]) -> Any:
-    """Records ARRIVAL from rows (amplitude, phase, excess, rate), for tests and notebooks."""
-    return np.array(list(rows), dtype=ARRIVAL)
+    """Records ARRIVAL from rows (amplitude, phase, excess, rate), new in this epoch, for tests and notebooks."""
+    return np.array([(*row, row[2]) for row in rows], dtype=ARRIVAL)

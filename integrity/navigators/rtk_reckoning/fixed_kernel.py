@@ -34,6 +34,7 @@ from lanebound.integrity.monitoring.protection_kernel import (
 from lanebound.integrity.monitoring.separation_kernel import (
     Modes,
     Moments,
+    add_subset,
     find_modes,
     mode_scratch,
     moment_scratch,
@@ -51,9 +52,10 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import (
 )
 from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import find_members
 from lanebound.integrity.positioning.codes_kernel import FAULT, FIXED, NO_CORRECTIONS, TOO_FEW
+from lanebound.integrity.positioning.doubtful_kernel import LARGEST_SET, find_sets
 from lanebound.integrity.positioning.mode_kernel import rtk_usable
 from lanebound.integrity.positioning.rows_kernel import Rows
-from lanebound.integrity.positioning.rtk_kernel import Carriers, collapse_phase, held_risk
+from lanebound.integrity.positioning.rtk_kernel import Carriers, collapse_phase, held_risk, range_of
 
 __all__ = ["find_fixed_position"]
 
@@ -61,8 +63,8 @@ __all__ = ["find_fixed_position"]
 class FixedScratch(NamedTuple):
     """Scratch of the fixed solution; W columns.
 
-    geo, moments, modes of its levels; los (W, 3), group (W,); variance for integrity, bias bound, measurement and
-    variance for accuracy (W,) of the satellites in it.
+    geo, moments, modes of its levels; los (W, 3), group (W,); variance for integrity, bias bound, measurement,
+    variance for accuracy and odds of a fault (W,) of the satellites in it; sets (D, LARGEST_SET) of them to monitor.
     """
 
     geo: Geometry
@@ -74,15 +76,17 @@ class FixedScratch(NamedTuple):
     bias: Array
     y: Array
     accuracy: Array
+    odds: Array
+    sets: Ints
 
 
 @jit
-def fixed_scratch(n: int) -> FixedScratch:
-    """Allocate the scratch for up to n satellites."""
+def fixed_scratch(n: int, sets: int) -> FixedScratch:
+    """Allocate the scratch for up to n satellites and so many sets of them."""
     w = capacity(n)
     return FixedScratch(
-        geometry_scratch(n), moment_scratch(n), mode_scratch(n), np.zeros((w, 3)), np.zeros(w, dtype=np.int64),
-        np.zeros(w), np.zeros(w), np.zeros(w), np.zeros(w),
+        geometry_scratch(n), moment_scratch(n), mode_scratch(n, sets), np.zeros((w, 3)), np.zeros(w, dtype=np.int64),
+        np.zeros(w), np.zeros(w), np.zeros(w), np.zeros(w), np.zeros(w), np.zeros((sets, LARGEST_SET), dtype=np.int64),
     )  # fmt: skip
 
 
@@ -92,7 +96,7 @@ def find_fixed_position(first: int, last: int, epoch: Epoch) -> None:
     par, state, measured, work = epoch.parameters[0], epoch.state, epoch.measured, epoch.work
     tables, rules = epoch.tables, par.rtk
     satellites = tables.satellites
-    n, scratch = satellites.shape[0], fixed_scratch(satellites.shape[0])
+    n, scratch = satellites.shape[0], fixed_scratch(satellites.shape[0], rules.doubt.sets)
     system = np.empty(n, dtype=np.int64)
     rows = Rows(np.empty((n, 3)), system, np.empty(n), np.empty(n), np.empty(n, dtype=np.bool_))
     for s in range(n):
@@ -109,7 +113,8 @@ def find_fixed_position(first: int, last: int, epoch: Epoch) -> None:
                 carriers = Carriers(los, satellites, measured.phase[v], work.factor[v])
                 here = Rows(los, system, rows.variance, rows.y, rows.used)
                 fixed.coded = False  # its position gives way to that of the phases
-                _solve_fixed(carriers, here, ambiguities, measured.age[v], tables, par, vehicle, w, scratch)
+                error = measured.integer_error[v]
+                _solve_fixed(carriers, error, here, ambiguities, measured.age[v], tables, par, vehicle, w, scratch)
             elif fixed.status == FIXED:
                 fixed.status = TOO_FEW
         fixed.wrong = held_risk(ambiguities)
@@ -128,18 +133,19 @@ def find_fixed_position(first: int, last: int, epoch: Epoch) -> None:
 
 @jit
 def _solve_fixed(
-    carriers: Carriers, rows: Rows, ambiguities: Records, age: float, tables: Tables, par: Any, vehicle: Any, w: Any,
-    scratch: FixedScratch,
+    carriers: Carriers, error: Ints, rows: Rows, ambiguities: Records, age: float, tables: Tables, par: Any,
+    vehicle: Any, w: Any, scratch: FixedScratch,
 ) -> None:  # fmt: skip
     """Test the rows in use, release the integers of what is excluded, and solve with the rest.
 
-    ``carriers.variance`` holds the variance factors.
+    ``carriers.variance`` holds the variance factors, ``error`` (S, 2) the fault of the integers [cycles].
     """
     rules, rtk, fixed, factor, n_sat = par.rtk, vehicle.rtk, w.fixed, carriers.variance, rows.y.shape[0]
     position, q, tried = np.empty(3), np.empty((3, 3)), rows.used.copy()
     aged = (rules.age_sigma * age) ** 2  # of the whole range, common to the bands
     collapse_phase(carriers, ambiguities, rules.bands, rows.y)
     for s in range(n_sat):
+        rows.y[s] -= range_of(error[s], carriers.satellites[s], rules.bands)
         rows.variance[s] = factor[s] * (rules.sigma_phase**2 / rules.bands) + aged
     outcome, _, _, _, fixed.excluded = detect_and_exclude(
         rows, rows.group, vehicle.heading.angle, tables.thresholds, par.fde, position, q
@@ -163,7 +169,7 @@ def _solve_fixed(
         if rows.used[s]:
             los[n, 0], los[n, 1], los[n, 2], group[n] = rows.los[s, 0], rows.los[s, 1], rows.los[s, 2], rows.group[s]
             scratch.variance[n], scratch.bias[n] = factor[s] * nominal + aged, rules.phase_bias
-            scratch.y[n], scratch.accuracy[n] = rows.y[s], rows.variance[s]
+            scratch.y[n], scratch.accuracy[n], scratch.odds[n] = rows.y[s], rows.variance[s], ambiguities[s].odds
             n += 1
     fixed.satellites = n
     geo = scratch.geo
@@ -193,7 +199,7 @@ def levels_of_fix(
     risk, cases, geo, group = par.risk, tables.cases, scratch.geo, scratch.group
     moments, modes = scratch.moments, scratch.modes
     one, budget, found = np.empty(1), np.empty((1, 2)), np.empty((1, 2))
-    count, lost = 0, 0.0
+    count, lost, apart = 0, 0.0, 0.0
     for form in range(3):
         filled = False
         for r in range(cases.shape[0]):
@@ -206,6 +212,7 @@ def levels_of_fix(
                     group, scratch.accuracy, n, sin_h, cos_h, risk.constellations, published, geo, moments, modes
                 )
                 lost = set_priors(group, n, count, risk.satellite_prior, risk.constellation_prior, geo.clocks, modes)
+                apart = pair_risk(count, modes.prior) if risk.multiple else 0.0
                 if published:
                     set_factors(n, count, tables.k_published[count - 1], 0.0, geo.clocks, modes)
                 else:
@@ -213,6 +220,8 @@ def levels_of_fix(
                     least = math.sqrt(k_fa.global_chi2[df]) if par.fde.global_first else 0.0
                     factors = k_fa.factor[count - 1 if par.fde.by_tests else df]
                     set_factors(n, count, factors, least, geo.clocks, modes)
+                    if par.rtk.doubt.sets > 0:
+                        count, lost, apart = add_doubts(n, count, sin_h, cos_h, par, scratch)
                 filled = True
             if form == PUBLISHED:
                 one[0] = case.k_published
@@ -221,8 +230,7 @@ def levels_of_fix(
             else:
                 one[0] = case.risk
                 spent = risk.spent + wrong
-                spent = spent + (pair_risk(count, modes.prior) if risk.multiple else 0.0)
-                split_budgets(one, risk.at_share, spent, budget)
+                split_budgets(one, risk.at_share, spent + apart, budget)
                 if form == MULTI_HYPOTHESIS:
                     multi_hypothesis_pl(count, budget, lost, risk.tolerate, modes, found)
                 else:
@@ -230,6 +238,45 @@ def levels_of_fix(
                     closed_form(count, budget, share0, lost, risk.tolerate, modes, found)
                 shift = risk.reference_bias
             pl[r, 0], pl[r, 1] = found[0, 0] + shift, found[0, 1] + shift
+
+
+@jit
+def add_doubts(
+    n: int, count: int, sin_h: float, cos_h: float, par: Any, scratch: FixedScratch
+) -> tuple[int, float, float]:
+    """Give the modes of n satellites the odds of their carriers, and add a mode for each set of doubtful ones.
+
+    The mode of a set bounds the error by the separation that is observed, ``abs(x - x_A) + b_A + K sigma_A``: no test
+    has a threshold for it. Returns the number of modes, the prior of single faults without a solution, and the
+    probability of two or more faults that no mode covers; 1 when too many sets would be needed.
+    """
+    geo, modes, odds, group, removed = scratch.geo, scratch.modes, scratch.odds, scratch.group, np.empty(n, np.bool_)
+    lost, constellations = 0.0, 0.0
+    for k in range(1, count):
+        if k > n:
+            constellations += modes.prior[k]
+        else:
+            solved = modes.sigma[0, k] < np.inf
+            modes.prior[k], modes.weight[k] = odds[k - 1], odds[k - 1] if solved else 0.0
+            modes.log_prior[k] = math.log(odds[k - 1]) if solved else -np.inf
+        lost += modes.prior[k] if not modes.sigma[0, k] < np.inf else 0.0
+    sets, apart = find_sets(odds, n, par.rtk.doubt, scratch.sets)
+    if sets < 0:
+        return count, lost, 1.0
+    for i in range(sets):
+        prior = 1.0
+        removed[:] = False
+        for k in scratch.sets[i]:
+            if k >= 0:
+                removed[k] = True
+                prior *= odds[k]
+        column = count
+        count, unsolved = add_subset(column, prior, removed, group, n, sin_h, cos_h, geo, scratch.moments, modes)
+        apart += unsolved
+        modes.k_fa[column] = 1.0
+        for q in range(2):
+            modes.delta[q, column] = abs(modes.separation[q, column])
+    return count, lost, apart + constellations * float(odds[:n].sum())
 
 
 @jit(borrows=True)

@@ -6,7 +6,8 @@ import numpy as np
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
-from lanebound.integrity.positioning.rtk_kernel import Carriers, select
+from lanebound.integrity.positioning.doubtful_kernel import find_doubts, keep_trusted
+from lanebound.integrity.positioning.rtk_kernel import UNUSED, Carriers, select
 from lanebound.integrity.positioning.slip_watch_kernel import DopplerMotion, watch_slips
 
 __all__ = ["follow_carriers"]
@@ -14,7 +15,7 @@ __all__ = ["follow_carriers"]
 
 @jit
 def follow_carriers(first: int, last: int, epoch: Epoch) -> None:
-    """Release the integers of carriers that lost their lock; repair or release those that slipped."""
+    """Release integers of carriers that lost their lock or are too doubtful; repair or release those that slipped."""
     par, state, measured, work = epoch.parameters[0], epoch.state, epoch.measured, epoch.work
     satellites, rules = epoch.tables.satellites, par.rtk
     n = satellites.shape[0]
@@ -33,7 +34,11 @@ def follow_carriers(first: int, last: int, epoch: Epoch) -> None:
             if not locked or lost[s]:
                 ambiguities[s].held = False
             phase_ok[s] = locked
-        select(los, tracked, measured.cn0[v], work.quality[v], rules.sin_mask, rules.cn0_min, factor, work.used[v])
+        cn0, used = measured.cn0[v], work.used[v]
+        select(los, tracked, cn0, work.quality[v], rules.sin_mask, rules.cn0_min, factor, used)
+        if rules.doubt.sets > 0:
+            find_doubts(los, cn0, tracked, satellites, rules.doubt, ambiguities)
+            keep_trusted(used, factor, UNUSED, rules.doubt, ambiguities)
         for s in range(n):
             variance[s] = factor[s] * rules.sigma_phase**2
         motion = DopplerMotion(par.dt, w.solved and vehicle.initialised, w.velocity, w.q, vehicle.position)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -207,11 +208,19 @@ def blank_outputs(batch: int, satellites: int, cases: int) -> Outputs:
 
 def measured_of(m: Measurements) -> Measured:
     """The measurements as the stages take them."""
-    g = m.gnss
+    g, wrong = m.gnss, m.gnss.integer_error
+    if wrong is None or not wrong.flags.writeable:  # compiled stages take arrays of one kind
+        wrong = _no_error(g.phase_m.shape)
     return Measured(
         m.sky.los_enu, m.sky.index, g.tracked, g.cn0_dbhz, g.code_m, g.phase_m, g.range_rate_mps, g.lock_lost,
-        g.corrections_age_s, m.imu.delta_theta_rad, m.imu.delta_v_mps, m.odometer.speed_mps,
+        g.corrections_age_s, m.imu.delta_theta_rad, m.imu.delta_v_mps, m.odometer.speed_mps, wrong,
     )  # fmt: skip
+
+
+@lru_cache(maxsize=16)
+def _no_error(shape: tuple[int, ...]) -> NDArray[np.int64]:
+    """No integer is wrong: shared by all epochs, which only read it."""
+    return np.zeros(shape, np.int64)
 
 
 def solution_of(m: Measurements, out: Outputs) -> Solution:

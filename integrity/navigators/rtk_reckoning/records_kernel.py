@@ -212,7 +212,8 @@ class Measured(NamedTuple):
     """Measurements of B vehicles, as in :class:`~lanebound.integrity.sensors.instruments.Measurements`.
 
     los (K, S, 3) and the row ``sight`` (B,) that each vehicle uses; tracked, cn0, range_rate, lock_lost (B, S); code,
-    phase (B, S, 2); age (B,) of the corrections; turn, delta_v (B, 3); speed (B,).
+    phase (B, S, 2); age (B,) of the corrections; turn, delta_v (B, 3); speed (B,); integer_error (B, S, 2) of a fault
+    [cycles].
     """
 
     los: Array
@@ -227,6 +228,7 @@ class Measured(NamedTuple):
     turn: Array
     delta_v: Array
     speed: Array
+    integer_error: Ints
 
 
 # Work and outputs

@@ -2,20 +2,35 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
+from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED, Thresholds, detect_and_exclude
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Bools, Epoch
-from lanebound.integrity.positioning.codes_kernel import FIXED, NO_CORRECTIONS, NOT_CONVERGED
-from lanebound.integrity.positioning.resolve_kernel import resolve
+from lanebound.integrity.positioning.codes_kernel import FIXED, NO_CORRECTIONS, NOT_CONVERGED, RATIO_FAILED
+from lanebound.integrity.positioning.doubtful_kernel import LARGEST_SET, find_sets
+from lanebound.integrity.positioning.resolve_kernel import add_held, attempt, base_of, resolve
 from lanebound.integrity.positioning.rows_kernel import Rows
 from lanebound.integrity.positioning.rtk_kernel import Carriers, collapse_code, drop_small_systems
 
 __all__ = ["resolve_integers"]
+
+
+CONFIRM_SHARE = 0.1  # of the risk of wrong integers, for the fixes that confirm another one
+MOST_FAILURES = 0.01  # failure rate of such a fix
+
+
+class Codes(NamedTuple):
+    """Codes of a vehicle: code (S, 2) [m], used (S,), variance factors (S,); thresholds, parameters and vehicle."""
+
+    code: Any
+    used: Bools
+    factor: Any
+    tests: tuple[Thresholds, Any, Any]
 
 
 @jit
@@ -54,7 +69,8 @@ def resolve_integers(first: int, last: int, epoch: Epoch) -> None:
             else:
                 fixed.coded, fixed.p_ee, fixed.p_en, fixed.p_nn = True, q[0, 0], q[0, 1], q[1, 1]
                 if searched:
-                    fixed.status = _resolve(carriers, rows, factor, age, candidate, ambiguities, par, vehicle, fixed, q)
+                    tests_of_codes = Codes(code, used, factor, tests)
+                    fixed.status = _resolve(carriers, rows, tests_of_codes, age, candidate, ambiguities, fixed, q)
             if searched:
                 rtk.refused_s = rules.retry if fixed.status != FIXED else 0.0
 
@@ -88,13 +104,110 @@ def find_code_position(
 
 @jit
 def _resolve(
-    carriers: Carriers, rows: Rows, factor: Any, age: float, candidate: Bools, ambiguities: Records, par: Any,
-    vehicle: Any, fixed: Any, q: Any,
-) -> int:  # fmt: skip
-    """Fix what the risk allows, from the position of the codes; returns a status."""
+    carriers: Carriers, rows: Rows, codes: Codes, age: float, candidate: Bools, ambiguities: Records, fixed: Any, q: Any
+) -> int:
+    """Fix what the risk allows, from the position of the codes; returns a status.
+
+    Where carriers may be off, a fix has to be found again without each of them (:func:`_confirm`).
+    """
+    _, par, vehicle = codes.tests
     rules, rtk = par.rtk, vehicle.rtk
     aged = (rules.age_sigma * age) ** 2  # of the whole range, common to the bands
-    for s in range(factor.shape[0]):
-        carriers.variance[s] = factor[s] * rules.sigma_phase**2 + aged
+    for s in range(codes.factor.shape[0]):
+        carriers.variance[s] = codes.factor[s] * rules.sigma_phase**2 + aged
     rtk.fixes += 1
-    return int(resolve(carriers, candidate, ambiguities, rules, fixed.position, q, rtk.fixes))
+    if rules.doubt.sets == 0:
+        return int(resolve(carriers, candidate, ambiguities, rules, fixed.position, q, rtk.fixes))
+    before = ambiguities.copy()
+    status = int(resolve(carriers, candidate, ambiguities, rules, fixed.position, q, rtk.fixes))
+    if status == FIXED and not _confirm(carriers, rows, codes, candidate, before, ambiguities):
+        ambiguities[:] = before
+        return RATIO_FAILED
+    return status
+
+
+@jit
+def _confirm(
+    carriers: Carriers, rows: Rows, codes: Codes, candidate: Bools, before: Records, ambiguities: Records
+) -> bool:
+    """Whether no doubtful carrier, and no set of them, is needed for the integers that are new since ``before``.
+
+    Each hypothesis takes its satellites out of codes, held and new carriers and resolves the rest. Other integers, or
+    a hypothesis without a fix, refute the new fix; a new satellite that a hypothesis cannot fix is released. The
+    hypotheses fail, each weighed by its odds, with CONFIRM_SHARE of the risk of wrong integers at most, which is added
+    to that of the fix.
+    """
+    _, par, vehicle = codes.tests
+    rules, n = par.rtk, candidate.shape[0]
+    member, odds, used, count = np.empty(n, dtype=np.int64), np.empty(n), np.empty(n, dtype=np.bool_), 0
+    for s in range(n):
+        if ambiguities[s].held and codes.used[s]:
+            member[count], odds[count] = s, ambiguities[s].odds
+            count += 1
+    sets = np.full((rules.doubt.sets + count, LARGEST_SET), -1, dtype=np.int64)
+    number, _ = find_sets(odds, count, rules.doubt, sets)
+    if number < 0:
+        return False
+    for i in range(count):
+        if odds[i] > rules.doubt.single:
+            sets[number, 0], sets[number, 1], sets[number, 2] = i, -1, -1
+            number += 1
+    position, q, trial = np.empty(3), np.empty((3, 3)), before.copy()
+    chosen, relieved, rest = np.empty(n, dtype=np.bool_), np.empty(n), np.empty(n, dtype=np.bool_)
+    rows = Rows(rows.los, rows.group, rows.variance, rows.y, used)
+    for h in range(number):
+        trial[:], used[:], rest[:], prior = before, codes.used, candidate, 1.0
+        for i in sets[h]:
+            if i >= 0:
+                used[member[i]], rest[member[i]], trial[member[i]].held = False, False, False
+                prior *= odds[i]
+        if not _any_new(before, ambiguities, rest):
+            continue
+        if not find_code_position(rows, codes.code, codes.factor, codes.tests, position, q):
+            return False
+        if not add_held(carriers, trial, rules, position, q):
+            return False
+        limit = min(CONFIRM_SHARE * rules.fix_limit / (prior * number), MOST_FAILURES)
+        base = base_of(carriers, trial, rules.bands)
+        status, _, _ = attempt(
+            carriers, rest, trial, base, rules, position, q, limit, vehicle.rtk.fixes, 0.0, chosen, relieved
+        )
+        if status != FIXED or not _agree(carriers.satellites, rest, trial, before, ambiguities, rules.bands):
+            return False
+    for s in range(n):
+        rest[s] = ambiguities[s].held
+        if rest[s] and not before[s].held:
+            ambiguities[s].fix_risk += CONFIRM_SHARE * rules.fix_limit
+    members, systems = drop_small_systems(rest, carriers.satellites, rules.min_further)
+    return bool(systems > 0 and members >= rules.min_satellites + rules.min_further * (systems - 1))
+
+
+@jit
+def _any_new(before: Records, ambiguities: Records, rest: Bools) -> bool:
+    """Whether any satellite of ``rest`` has integers that are new since ``before``."""
+    for s in range(rest.shape[0]):
+        if rest[s] and ambiguities[s].held and not before[s].held:
+            return True
+    return False
+
+
+@jit
+def _agree(satellites: Records, rest: Bools, trial: Records, before: Records, ambiguities: Records, bands: int) -> bool:
+    """Whether integers of ``trial`` equal those of ``ambiguities`` up to a number common to a system and band.
+
+    New satellites of ``rest`` that the trial has not fixed are released.
+    """
+    common, known = np.zeros((MAX_GROUPS, 2)), np.zeros(MAX_GROUPS, dtype=np.bool_)
+    for s in range(rest.shape[0]):
+        ours, theirs, c = ambiguities[s], trial[s], satellites[s].system
+        if ours.held and rest[s] and not before[s].held and not theirs.held:
+            ours.held = False
+        if not (ours.held and theirs.held):
+            continue
+        for b in range(bands):
+            difference = ours.integers[b] - theirs.integers[b]
+            if known[c] and difference != common[c, b]:
+                return False
+            common[c, b] = difference
+        known[c] = True
+    return True

@@ -29,6 +29,7 @@ from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConf
 from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import fixed_scratch, levels_of_fix
 from lanebound.integrity.navigators.rtk_reckoning.parameters import epoch_parameters, epoch_tables
 from lanebound.integrity.navigators.solution import Solution
+from lanebound.integrity.positioning.doubtful_kernel import LARGEST_SET, find_sets
 from lanebound.integrity.positioning.least_squares import design_matrix
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.positioning.rows_kernel import Rows
@@ -124,7 +125,7 @@ def levels(config: NavigatorConfig, case: Case) -> Array:
     """PL_AT and PL_CT of the compiled navigator, less the bound of the reference's coordinates."""
     assert isinstance(config, RtkReckoningConfig)
     n, turn, par = case.n, (np.sin(case.heading), np.cos(case.heading)), epoch_parameters(config)[0]
-    scratch, out = fixed_scratch(n), np.empty((len(config.cases), 2))
+    scratch, out = fixed_scratch(n, 0), np.empty((len(config.cases), 2))
     assert gk.find_geometry(case.los, case.group, case.variance, case.bias, n, *turn, scratch.geo) == gk.SOLVED
     scratch.group[:n], scratch.accuracy[:n] = case.group, case.accuracy
     levels_of_fix(n, 0.0, *turn, epoch_tables(config, case.group), par, scratch, out)
@@ -153,6 +154,45 @@ def test_levels_count_on_the_threshold_of_the_test(name: str, form: LevelForm) -
         expected = plain_levels(config, case)
         assert np.isfinite(expected).all() == (not (systems == 1 and config.risk.monitors_constellations))
         np.testing.assert_allclose(levels(config, case), expected, rtol=1e-9)
+
+
+SETS = 60
+DOUBT = {"positioning": {"rtk": {"doubt": {"sets": SETS}}}}
+
+
+@pytest.mark.parametrize("form", list(LevelForm))
+@pytest.mark.parametrize("weak", [(), (2,), (2, 7)])
+def test_sets_of_doubtful_carriers_count_with_their_separation(weak: tuple[int, ...], form: LevelForm) -> None:
+    """By the plain form: a mode for each satellite with its odds, and one for each set with abs(x - x_A)."""
+    config, case = NavigatorConfig().replace(form=form, **DOUBT), Case.of(3, 12, 2)
+    odds, par = np.full(12, 1e-4), epoch_parameters(config)[0]
+    odds[list(weak)] = 0.02
+    y, turn = np.random.default_rng(8).normal(size=12), (np.sin(case.heading), np.cos(case.heading))
+    scratch, out = fixed_scratch(12, SETS), np.empty((len(config.cases), 2))
+    assert gk.find_geometry(case.los, case.group, case.variance, case.bias, 12, *turn, scratch.geo) == gk.SOLVED
+    y *= np.sqrt(case.variance)
+    gk.solve(y, case.group, 12, scratch.geo)
+    scratch.group[:12], scratch.accuracy[:12], scratch.odds[:12] = case.group, case.accuracy, odds
+    levels_of_fix(12, 0.0, *turn, epoch_tables(config, case.group), par, scratch, out)
+    found = np.full((SETS, LARGEST_SET), -1, dtype=np.int64)
+    count, left = find_sets(odds, 12, par["rtk"]["doubt"], found)
+    assert (count > 0) == bool(weak)
+    removed = np.zeros((count, 12), np.bool_)
+    for row, members in zip(removed, found, strict=False):
+        row[members[members >= 0]] = True
+    plain = separate(
+        design_matrix(case.los, case.group, gk.MAX_GROUPS), np.diag(case.variance),
+        np.concatenate([np.eye(12, dtype=bool), removed]), case.heading, accuracy=np.diag(case.accuracy),
+        bias=case.bias, y=y,
+    )  # fmt: skip
+    risk = config.risk.replace(subtract_multiple=False)
+    modes = 12 + count
+    assumed = plain.delta_m * (factors(config, case)[0] / risk.false_alarm_factors(modes)[modes])
+    assumed[13:] = np.abs(plain.separation_m[13:]) / risk.false_alarm_factors(modes)[modes]
+    priors = np.concatenate([odds, [odds[row].prod() for row in removed]])
+    plain = replace(plain, delta_m=assumed)
+    expected = protection_levels(plain, priors, risk, spent=left, root=form is LevelForm.ROOT)[0]
+    np.testing.assert_allclose(out[0] - par["risk"]["reference_bias"], expected, rtol=1e-8)
 
 
 def run_test(config: NavigatorConfig, case: Case, y: Array) -> NDArray[np.int64]:
@@ -307,6 +347,41 @@ def test_a_navigator_drives_with_each_test(name: str) -> None:
     assert all(s.mode[0] == Mode.RTK for s in faulty[105:])
     assert all(s.excluded[0] >= 1 for s in faulty[101:])
     assert not faulty[101].held[0][held]
+
+
+@pytest.mark.parametrize("name", ["default", "doubt"])
+@pytest.mark.parametrize("size", [{"magnitude_m": 0.5}, {"magnitude_m": 2.0}, {"magnitude_cycles": 1}])
+def test_wrong_integers_are_detected_and_misled_by_no_level(name: str, size: dict[str, Any]) -> None:
+    """The integers of the fault are accepted; its residuals or its jump refuse the position, or exclude satellites."""
+    config = CALM.replace(**DOUBT) if name == "doubt" else CALM
+    clean, errors = drive(config, (), 12.0)
+    check_bounded(clean, errors)
+    held = int(np.flatnonzero(clean[-1].held[0] & (TRACK.system == System.GPS))[0])
+    place = {"system": System.GPS, "prn": int(TRACK.prn[held])} if "magnitude_cycles" in size else {}
+    fault = Fault(kind="wrong_fix", start_s=10.0, duration_s=2.0, **size, **place)
+    faulty, errors = drive(config, (fault,), 12.0)
+    check_bounded(faulty, errors)
+    assert all(s.mode[0] == Mode.RTK for s in faulty[90:99])
+    assert faulty[100].mode[0] != Mode.RTK or faulty[100].excluded[0] > 0
+    if "magnitude_m" in size:  # of all satellites: no position is left that would fit
+        assert all(s.mode[0] != Mode.RTK for s in faulty[101:119])
+
+
+@pytest.mark.parametrize("profile", ["step", "ramp"])
+@pytest.mark.parametrize("satellites", [1, 3])
+@pytest.mark.parametrize("start_s", [0.0, 10.0])
+def test_a_burst_of_reflections_misleads_no_level_of_the_doubtful(
+    profile: Any, satellites: int, start_s: float
+) -> None:
+    """From the first fix on, or while integers are held."""
+    config = CALM.replace(**DOUBT)
+    fault = Fault(
+        kind="nlos_burst", magnitude_m=20.0, satellites=satellites, profile=profile, ramp_s=3.0, start_s=start_s,
+        duration_s=8.0,
+    )  # fmt: skip
+    solutions, errors = drive(config, (fault,), 18.0)
+    check_bounded(solutions, errors)
+    assert solutions[-1].mode[0] == Mode.RTK
 
 
 def test_a_displaced_constellation_is_excluded() -> None:

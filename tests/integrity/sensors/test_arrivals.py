@@ -17,6 +17,7 @@ from tests.integrity.sensors.test_gnss import DT, N_SAT, PERFECT, SYSTEM, _Recei
 
 PATHS = PERFECT.replace(propagation="paths", cn0_zenith_dbhz=48.0, cn0_horizon_dbhz=48.0, cross_polar=1.0)
 FACE_SOUTH_M = 20.0
+ELEVATION_RAD = np.deg2rad([80.0, 60.0, 50.0, 45.0, 40.0, 35.0, 30.0, 70.0])
 
 
 def faces(*planes: tuple[tuple[float, float, float], float, int]) -> np.ndarray:
@@ -125,12 +126,12 @@ def test_multipath_stays_within_the_envelope_of_the_correlator_and_a_quarter_wav
 
 
 def test_a_ray_over_an_edge_fades_by_the_knife_edge_loss() -> None:
-    above_rad, edge_m, elevation = 0.02, 25.0, np.deg2rad([80.0, 60.0, 50.0, 45.0, 40.0, 35.0, 30.0, 70.0])
+    above_rad, edge_m = 0.02, 25.0
     where = truth(0.0, 0.0)
     blocked = [reception(SignalPath.BLOCKED, edge=edge_m) for _ in range(30)]
     for one in blocked:
         assert one.given is not None
-        one.given.skyline[:] = elevation + above_rad
+        one.given.skyline[:] = ELEVATION_RAD + above_rad
     receiver = _Receiver(PATHS, settle=0)
     for one in blocked:
         epoch = receiver.step(reception=one, truth=where)
@@ -139,6 +140,19 @@ def test_a_ray_over_an_edge_fades_by_the_knife_edge_loss() -> None:
     np.testing.assert_allclose(48.0 - epoch.cn0_dbhz[0], loss, atol=1e-4)
     np.testing.assert_allclose(errors(receiver, epoch, where)[0], 0.5 * edge_m * above_rad**2, atol=1e-6)
     assert (blocked[-1].path == SignalPath.DIFFRACTED).all()
+
+
+@pytest.mark.parametrize(("above_rad", "locked"), [(0.05, True), (0.1, False)])
+def test_a_deep_fade_breaks_the_lock_before_the_smoothed_cn0_shows_it(above_rad: float, locked: bool) -> None:
+    """Losses of 12 and 18 dB, from 48 dB-Hz to above and below the 32 dB-Hz of the carrier loop."""
+    config, where = PATHS.replace(cn0_loop_hz=0.05, phase_min_dbhz=32.0), truth(0.0, 0.0)
+    receiver = receiver_in(lambda: reception(SignalPath.LOS), where, config)
+    behind = reception(SignalPath.BLOCKED, edge=25.0)
+    assert behind.given is not None
+    behind.given.skyline[:] = ELEVATION_RAD + above_rad
+    epoch = receiver.step(reception=behind, truth=where)
+    assert (epoch.cn0_dbhz > 42.0).all()
+    assert ((epoch.phase_m[0] != 0.0).all(-1) == locked).all()
 
 
 def test_far_below_the_edge_nothing_arrives() -> None:

@@ -71,7 +71,7 @@ def test_a_measurement_shows_each_kind(kind: FaultKind, sound: list[list[np.ndar
 
 def test_names_are_looked_up_and_unknown_ones_refused_with_the_nearest() -> None:
     assert fault_kind("jamming").unit == "dB"
-    with pytest.raises(InputError, match=r"one of 'satellite_range', .* or 'v2v_lie', got 'jaming': did you mean"):
+    with pytest.raises(InputError, match=r"one of 'satellite_range', .* or 'nlos_burst', got 'jaming': did you mean"):
         fault_kind("jaming")
 
 

@@ -15,7 +15,7 @@ from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.fault_registry import fault_kinds
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
-from lanebound.integrity.sky.systems import System
+from lanebound.integrity.sky.systems import WAVELENGTH_M, System
 from lanebound.integrity.sky.view import SkyView
 
 DT = 0.1
@@ -56,6 +56,8 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "wheel_slip": {"magnitude_ratio": 0.5},
     "odometer_frozen": {},
     "v2v_lie": {"magnitude_m": 3.0, "magnitude_ratio": -0.75},
+    "wrong_fix": {"magnitude_m": 0.5},
+    "nlos_burst": {"magnitude_m": 20.0, "satellites": 2},
 }
 CHANGES = {
     "satellite_range": {"code_bias_m", "phase_bias_m"},
@@ -69,6 +71,8 @@ CHANGES = {
     "wheel_slip": {"odometer_scale"},
     "odometer_frozen": {"odometer_frozen"},
     "v2v_lie": {"v2v_offset_enu_m", "v2v_pl_scale"},
+    "wrong_fix": {"integer_error"},
+    "nlos_burst": {"code_bias_m", "cn0_drop_db"},
 }
 
 
@@ -144,7 +148,34 @@ def test_displacements_point_to_their_azimuth() -> None:
     np.testing.assert_allclose(_effects(_fault("spoofing")).spoof_enu_m[0], [4.0, 0.0, 0.0], atol=1e-12)
 
 
-@pytest.mark.parametrize("kind", ["satellite_range", "constellation"])
+def test_a_wrong_fix_has_the_integers_of_its_displacement() -> None:
+    cycles = _effects(_fault("wrong_fix", magnitude_m=2.0, azimuth_deg=0.0)).integer_error[0]
+    residual = cycles * WAVELENGTH_M[SYSTEM, :2] + 2.0 * SKY.los_enu[0, :, 1:2]
+    assert (np.abs(residual) <= 0.5 * WAVELENGTH_M[SYSTEM, :2] + 1e-12).all()
+    chosen = _effects(_fault("wrong_fix", magnitude_m=0.0, magnitude_cycles=-2, system=System.GPS, prn=7))
+    np.testing.assert_array_equal(chosen.integer_error[0], [[0, 0], [-2, -2], [0, 0], [0, 0], [0, 0]])
+
+
+def test_a_burst_strikes_the_lowest_satellites_of_its_side_by_the_mirror_image() -> None:
+    effects = _effects(_fault("nlos_burst"))
+    east = SKY.los_enu[0, :, 0]
+    struck = [1, 2]  # east of North-South: azimuths 1.3 and 2.6 rad; the two others stand in the west, one at North
+    expected = np.zeros(5)
+    expected[struck] = 20.0 * east[struck]
+    np.testing.assert_allclose(effects.code_bias_m, np.tile(expected, (3, 1)), atol=1e-12)
+    assert not effects.phase_bias_m.any()
+    assert not effects.range_rate_bias_mps.any()
+    (lowest,) = np.flatnonzero(_effects(_fault("nlos_burst", satellites=1)).code_bias_m[0])
+    assert lowest == 1
+
+
+def test_the_carrier_of_a_burst_follows_the_change_of_its_path() -> None:
+    effects = _effects(_fault("nlos_burst", profile="ramp", ramp_s=2.0), time_s=2.0)
+    np.testing.assert_allclose(effects.phase_bias_m, effects.code_bias_m)
+    np.testing.assert_allclose(effects.range_rate_bias_mps, effects.code_bias_m, atol=1e-12)  # 1 s after the onset
+
+
+@pytest.mark.parametrize("kind", ["satellite_range", "constellation", "nlos_burst"])
 def test_the_doppler_bias_is_the_derivative_of_the_phase_bias(kind: str) -> None:
     ramp = _fault(kind, profile="ramp", ramp_s=0.8)
     for time_s in (1.2, 1.6, 2.4):

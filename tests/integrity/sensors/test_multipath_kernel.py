@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lanebound.integrity.sensors.multipath_kernel import Loops, arrivals_of, code_delay, combine, strongest_of
+from lanebound.integrity.sensors.multipath_kernel import (
+    Loops,
+    arrivals_of,
+    code_delay,
+    combine,
+    follow_carrier,
+    strongest_of,
+)
 
 L1_M, CHIP_M = 0.190294, 293.05
 LOOPS = Loops(L1_M, CHIP_M, 0.1, 1.0, 15.0)
@@ -43,24 +51,27 @@ def test_the_code_settles_where_early_and_late_are_equal(others: list[tuple[floa
 def test_a_short_reflection_gives_the_closed_form(phase: float) -> None:
     a, excess = 0.3, 4.0
     shift = phase - 2.0 * math.pi * excess / L1_M  # so that the phase between the two is ``phase``
-    found = combine(arrivals_of((1.0, 0.0, 0.0, 0.0), (a, shift, excess, 0.0)), 2, 0, LOOPS)
+    arrivals = arrivals_of((1.0, 0.0, 0.0, 0.0), (a, shift, excess, 0.0))
+    found, carrier_m = combine(arrivals, 2, 0, LOOPS), follow_carrier(arrivals, 2, 0, LOOPS, math.nan)
     c, s = a * math.cos(phase), a * math.sin(phase)
     assert found.code_m == pytest.approx(c * excess / (1.0 + c), abs=1e-9)
-    assert found.carrier_m == pytest.approx(L1_M / (2 * math.pi) * math.atan2(s, 1.0 + c), abs=1e-12)
+    assert carrier_m == pytest.approx(L1_M / (2 * math.pi) * math.atan2(s, 1.0 + c), abs=1e-12)
     assert found.amplitude == pytest.approx(math.hypot(1.0 + c, s), abs=1e-12)
-    assert abs(found.carrier_m) < 0.25 * L1_M
+    assert abs(carrier_m) < 0.25 * L1_M
 
 
 def test_a_long_reflection_does_not_disturb_the_code_but_does_the_carrier() -> None:
     late = 1.06 * CHIP_M
-    found = combine(arrivals_of((1.0, 0.0, 0.0, 0.0), (0.5, 1.0, late, 0.0)), 2, 0, LOOPS)
-    assert found.code_m == 0.0
-    assert found.carrier_m != 0.0
+    arrivals = arrivals_of((1.0, 0.0, 0.0, 0.0), (0.5, 1.0, late, 0.0))
+    assert combine(arrivals, 2, 0, LOOPS).code_m == 0.0
+    assert follow_carrier(arrivals, 2, 0, LOOPS, math.nan) != 0.0
 
 
 def test_a_signal_without_its_direct_ray_is_late_by_the_whole_detour() -> None:
-    found = combine(arrivals_of((0.2, 2.0, 31.0, -3.0)), 1, 0, LOOPS)
-    assert (found.code_m, found.carrier_m, found.rate_mps) == (31.0, 0.0, -3.0)
+    arrivals = arrivals_of((0.2, 0.0, 31.0, -3.0))
+    found = combine(arrivals, 1, 0, LOOPS)
+    assert (found.code_m, found.rate_mps) == (31.0, -3.0)
+    assert follow_carrier(arrivals, 1, 0, LOOPS, math.nan) == 31.0
     assert found.amplitude == 0.2
 
 
@@ -77,8 +88,8 @@ def test_the_range_rate_is_the_derivative_of_the_carrier(a: float, phase: float,
     """While the loop follows: at this rate of turn its gain is the same on both sides of the moment."""
 
     def carrier(t: float) -> float:
-        found = combine(arrivals_of((1.0, 0.0, 0.0, 0.0), (a, phase, excess + rate * t, rate)), 2, 0, LOOPS)
-        return float(found.carrier_m)
+        arrivals = arrivals_of((1.0, 0.0, 0.0, 0.0), (a, phase, excess + rate * t, rate))
+        return float(follow_carrier(arrivals, 2, 0, LOOPS, math.nan))
 
     h = 1e-5
     numeric = (carrier(h) - carrier(-h)) / (2.0 * h)
@@ -87,7 +98,62 @@ def test_the_range_rate_is_the_derivative_of_the_carrier(a: float, phase: float,
 
 
 def test_motion_averages_what_a_loop_cannot_follow() -> None:
-    still = combine(arrivals_of((1.0, 0.0, 0.0, 0.0), (0.5, 0.3, 8.0, 0.0)), 2, 0, LOOPS)
-    fast = combine(arrivals_of((1.0, 0.0, 0.0, 0.0), (0.5, 0.3, 8.0, 15.0)), 2, 0, LOOPS)
-    assert abs(fast.code_m) < 0.05 * abs(still.code_m)
-    assert abs(fast.carrier_m) < 0.3 * abs(still.carrier_m)
+    still = arrivals_of((1.0, 0.0, 0.0, 0.0), (0.5, 0.3, 8.0, 0.0))
+    fast = arrivals_of((1.0, 0.0, 0.0, 0.0), (0.5, 0.3, 8.0, 15.0))
+    codes = [abs(combine(rays, 2, 0, LOOPS).code_m) for rays in (still, fast)]
+    carriers = [abs(follow_carrier(rays, 2, 0, LOOPS, math.nan)) for rays in (still, fast)]
+    assert codes[1] < 0.05 * codes[0]
+    assert carriers[1] < 0.3 * carriers[0]
+
+
+SLOW_LOOP = LOOPS._replace(carrier_hz=1e6)  # follows all turns: the sum is that of the amplitudes
+
+
+Pair = tuple[float, float]  # of the two reflections
+
+
+def swept(sizes: Pair, starts: Pair, rates: Pair, times: np.ndarray) -> np.ndarray:
+    """Carrier of a direct ray and two reflections at the given times [m], epoch by epoch."""
+    last, found, before = math.nan, [], None
+    for t in times:
+        rows = [(1.0, 0.0, 0.0, 0.0)]
+        rows += [(a, 0.3 * i, x + v * t, v) for i, (a, x, v) in enumerate(zip(sizes, starts, rates, strict=True))]
+        arrivals = arrivals_of(*rows)
+        if before is not None:
+            arrivals["before_m"] = before
+        last, before = float(follow_carrier(arrivals, 3, 0, SLOW_LOOP, last)), arrivals["excess_m"].copy()
+        found.append(last)
+    return np.array(found)
+
+
+def phase_of_sum(sizes: Pair, starts: Pair, rates: Pair, t: Any) -> Any:
+    """The sum as a complex number, by definition."""
+    turns = [(x + v * t) / L1_M + 0.3 * i / (2.0 * math.pi) for i, (x, v) in enumerate(zip(starts, rates, strict=True))]
+    return 1.0 + sum(a * np.exp(2j * math.pi * n) for a, n in zip(sizes, turns, strict=True))
+
+
+@pytest.mark.parametrize("rates", [(0.6, 0.6), (1.3, -0.4), (4.0, 3.9), (9.0, 8.7)])
+@pytest.mark.parametrize("sizes", [(0.9, 0.8), (0.7, 0.6), (0.4, 0.5), (0.95, 0.3)])
+def test_the_carrier_follows_the_sum_around_the_origin(sizes: Pair, rates: Pair) -> None:
+    """Against the unwrapped phase in steps of 0.1 ms, until the sum first fades below what a loop follows."""
+    starts, fine = (4.0, 9.0), np.linspace(0.0, 12.0, 120_001)
+    sums = phase_of_sum(sizes, starts, rates, fine)
+    faded = np.flatnonzero(np.abs(sums) < 0.11)
+    end = faded[0] // 1000 * 1000 if faded.size else 120_000
+    expected = L1_M / (2.0 * math.pi) * np.unwrap(np.angle(sums))[: end + 1 : 1000]
+    found = swept(sizes, starts, rates, fine[: end + 1 : 1000])
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+def test_reflections_stronger_than_the_tracked_arrival_take_the_carrier_along() -> None:
+    """Two that turn together encircle the direct ray: a cycle for each turn, not an angle within half a cycle."""
+    found = swept((0.9, 0.8), (4.0, 4.0 - 0.3 * L1_M / (2.0 * math.pi)), (1.0, 1.0), np.arange(0.0, 20.0, 0.1))
+    turns = 1.0 * 19.9 / L1_M
+    assert abs(found[-1] - found[0]) > (turns - 1.0) * L1_M
+
+
+def test_a_fade_that_no_loop_follows_ends_at_the_nearest_cycle() -> None:
+    times = np.arange(0.0, 3.0, 0.1)
+    together = 4.0, 4.0 - 0.3 * L1_M / (2.0 * math.pi)
+    found = swept((0.7, 0.35), together, (L1_M, L1_M), times)  # a turn a second, past the origin at 0.05
+    assert (np.abs(np.diff(found)) <= 0.5 * L1_M).all()
