@@ -48,9 +48,9 @@ class Stage:
 
     def __init__(self, engine: Engine, episodes: Episodes) -> None:
         n, vehicles = episodes.cars.x.shape
-        numbers: list[Any] = [np.zeros((n, vehicles)) for _ in range(9)]
+        numbers: list[Any] = [np.zeros((n, vehicles)) for _ in range(10)]
         wholes: list[Any] = [np.zeros((n, vehicles), dtype=np.int64) for _ in range(5)]
-        weights = np.zeros((n, vehicles, engine.wander.shape[1]))
+        weights = np.zeros((n, engine.wander.shape[1], vehicles))
         profile = np.zeros((n, engine.support.profile_steps(engine.single.world)))
         self.episodes = episodes
         drivers = Drivers(*[*numbers, *wholes, weights])
@@ -221,8 +221,8 @@ class Engine:
         config = self.single.config.wander
         if not config.wanders:
             return
-        drv.wander[1:count] = config.weights(config.generator(episode), count - 1)
-        drv.aside[1:count] = lines_m(self.wander[0], drv.wander[1:count])
+        drv.wander[:, 1:count] = config.weights(config.generator(episode), count - 1).T
+        drv.aside[1:count] = lines_m(self.wander[0].tolist(), drv.wander[:, 1:count])
         pose = (column[1:count].tolist() for column in (car.x, car.y, car.heading, drv.aside))
         moved = [moved_aside(*one) for one in zip(*pose, strict=True)]
         car.x[1:count], car.y[1:count] = np.array(moved).reshape(-1, 2).T

@@ -14,6 +14,7 @@ time are chosen: lane keeping has its power below some 0.2 Hz.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -32,6 +33,7 @@ __all__ = ["Wander", "WanderConfig", "lines_m", "moved_aside"]
 
 Array = NDArray[np.float64]
 FREQUENCIES = 3
+SHAPES_AT_ONCE = 256  # simulation steps
 WEIGHTS = 1 + 2 * FREQUENCIES  # of a driver
 STREAM = "wander"
 
@@ -67,14 +69,14 @@ class WanderConfig(Config):
         return named_generator(seed, STREAM)
 
 
-def lines_m(shape: Array, weights: Array) -> Array:
-    """The lines of drivers to the right of the middle, of a row (K,) of the shapes and their weights (n, K).  [m].
+def lines_m(shape: Sequence[float], weights: Array) -> Array:
+    """The lines of drivers to the right of the middle, of a row (K,) of the shapes and their weights (K, n).  [m].
 
     The sum is taken in the order of the kernel, so that it has the same bits.
     """
-    goal = np.zeros(len(weights))
-    for k, factor in enumerate(shape.tolist()):
-        goal += factor * weights[:, k]
+    goal = np.zeros(weights.shape[1])
+    for factor, column in zip(shape, weights, strict=True):
+        goal += factor * column
     return np.clip(goal, -WANDER_MOST_M, WANDER_MOST_M)
 
 
@@ -96,6 +98,7 @@ class Wander:
     def __init__(self, config: WanderConfig, seed: int, dt_s: float) -> None:
         self.config, self.dt_s = config, dt_s
         self._generator = config.generator(seed)
+        self._shapes: list[list[float]] = []
 
     def enter(self, vehicle: Vehicle) -> None:
         """Put the vehicle of a driver on its line, to which it steers from now on."""
@@ -110,16 +113,19 @@ class Wander:
         vehicle.act = partial(_act, line)
         vehicle.steering_control = partial(_steering, line)
 
-    def shape(self, step: int) -> Array:
-        """The shape at a simulation step (K,)."""
-        return np.asarray(self.config.shapes(step, 1, self.dt_s)[0])
+    def shape(self, step: int) -> list[float]:
+        """The shape at a simulation step (K,), the same for all drivers."""
+        known = len(self._shapes)
+        if step >= known:
+            self._shapes += self.config.shapes(known, max(step + 1 - known, SHAPES_AT_ONCE), self.dt_s).tolist()
+        return self._shapes[step]
 
 
 class _Line:
     """The line of one driver, ``aside_m`` to the right of the middle of its lane."""
 
     def __init__(self, wander: Wander, vehicle: ControlledVehicle, weights: Array) -> None:
-        self.wander, self.vehicle, self.weights, self.steps = wander, vehicle, weights, 0
+        self.wander, self.vehicle, self.weights, self.steps = wander, vehicle, weights.tolist(), 0
         self.aside_m = self._goal_m()
 
     def follow(self) -> None:
@@ -129,7 +135,10 @@ class _Line:
         self.aside_m += min(max(self._goal_m() - self.aside_m, -most), most)
 
     def _goal_m(self) -> float:
-        return float(lines_m(self.wander.shape(self.steps), self.weights[None])[0])
+        goal = 0.0
+        for factor, weight in zip(self.wander.shape(self.steps), self.weights, strict=True):
+            goal += factor * weight  # in the order of the kernel
+        return min(max(goal, -WANDER_MOST_M), WANDER_MOST_M)
 
 
 def _act(line: _Line, action: Any = None) -> None:
