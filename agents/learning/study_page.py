@@ -83,7 +83,7 @@ def summed_up(study: LearningStudyConfig, trainings: Sequence[Mapping[str, Any]]
 
 def overview(study: LearningStudyConfig, places: Sequence[Mapping[str, Any]]) -> str:
     """Return at cost, each with half of its interval, and trainings within the limit of constrained arms."""
-    arms = list(study.arms)
+    arms = [arm for arm in study.arms if any(arm in place["arms"] for place in places)]
     rows = [
         (f"{_named(place['env'])}, {place['sky']}", *(_at_cost(study, place["arms"].get(arm), arm) for arm in arms))
         for place in places
@@ -155,7 +155,7 @@ def markdown(name: str, study: LearningStudyConfig, trainings: Sequence[Mapping[
 def _arms(study: LearningStudyConfig, trainings: Sequence[Mapping[str, Any]]) -> Iterable[str]:
     for name, arm in study.arms.items():
         commits = sorted({one["commit"] for one in trainings if one["arm"] == name})
-        yield f"- `{name}`: {arm.title} ({', '.join(commits)})" if commits else f"- `{name}`: {arm.title}"
+        yield f"- `{name}`: {arm.title} ({', '.join(commits) or 'not trained yet'})"
 
 
 def _kept(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -36,11 +36,12 @@ def test_every_training_of_the_study_is_there_once_and_whole() -> None:
     study, trainings = load_study(NAME), unpacked(DOCS / f"{NAME}.json")
     there = [(one["env"], one["sky"], one["arm"], one["seed"]) for one in trainings]
     filtered = {"LaneKeeping-v0", "CarFollowing-v0"}  # the filter has no actions elsewhere
+    to_come = {"clock", "clock_lagrangian"}  # later than the study; the page says so
     wanted = {
         (env, sky, arm, seed)
         for env, sky in study.places
         for arm in study.arms
-        if arm != "filtered" or env in filtered
+        if arm not in to_come and (arm != "filtered" or env in filtered)
         for seed in range(study.seeds)
     }
     assert len(there) == len(set(there))

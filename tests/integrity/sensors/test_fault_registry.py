@@ -48,7 +48,8 @@ def _measured(faults: FaultSchedule, epochs: int = ONSET + 15) -> list[list[np.n
         said = V2vMessage(v * k * DT, heading, 8.0 * level, level, level)
         inbox = exchange(radio, state, truth.time_s, DT, said, np.zeros((VEHICLES, 2)), effects, streams)
         heard = (inbox.position_en_m.swapaxes(0, 1), inbox.pl_at_m.T)  # by sender
-        rows.append([*vars(m.gnss).values(), *vars(m.imu).values(), *vars(m.odometer).values(), *heard])
+        signals = [values for values in vars(m.gnss).values() if values is not None]
+        rows.append([*signals, *vars(m.imu).values(), *vars(m.odometer).values(), *heard])
     return rows
 
 

@@ -350,7 +350,7 @@ def test_a_vehicle_is_the_same_alone_and_in_a_parallel_batch() -> None:
     many, alone = _Receiver(GnssConfig(), 20, seeds), _Receiver(GnssConfig(), 1, [7])
     for _ in range(3):
         a, b = many.step(), alone.step()
-    for name in GnssEpoch.__dataclass_fields__:
+    for name in GnssEpoch.__dataclass_fields__.keys() - {"raw_code_m", "raw_phase_m"}:  # None by default
         np.testing.assert_allclose(getattr(a, name)[7], getattr(b, name)[0], rtol=1e-9, atol=1e-9)
 
 
