@@ -355,9 +355,9 @@ class Intersection(Preset):
     As above; v_limit is 10 m/s. The reward of highway-env is the term `base`.
 
     ## Costs
-    As above. During an alert up to 5 m/s are free of `cost_alert`. `cost_limit` is 8. All drivers crash in a
-    quarter of the drives or more, which adds 50 and more. A driver stays within the limit in the mean only if it
-    crashes in at most one of 40 drives.
+    As above. During an alert up to 5 m/s are free of `cost_alert`. `cost_limit` is 8. All drivers that enter the
+    crossing crash in a quarter of the drives or more, which adds 50 and more. A driver stays within the limit in the
+    mean only if it crashes in at most one of 40 drives.
 
     ## Starting State
     About 65 m along the southern approach of 100 m (standard deviation 5 m), at 10 m/s.

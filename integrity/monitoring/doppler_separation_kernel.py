@@ -187,7 +187,7 @@ class Centred(NamedTuple):
 
 @jit(forceinline=True)
 def centred_scratch(satellites: int) -> Centred:
-    """Allocate for velocities of so many satellites; entries behind the last stay 0."""
+    """Allocate for velocities of so many satellites; weights behind the last stay 0."""
     w = padded(satellites)
     return Centred(np.zeros((3, w)), np.zeros(w), np.zeros(w), np.zeros(MAX_GROUPS + 1, SUMS))
 

@@ -51,7 +51,8 @@ class ErrorCourse:
         are ``step_s`` apart (:func:`~lanebound.integrity.positioning.config.bound_correlation`).
 
         A code that jumps when the direct ray is lost or regained, as a random telegraph signal, has the spectrum of a
-        Gauss-Markov error of the mean time between jumps, and is covered.
+        Gauss-Markov error whose correlation time is half the mean time between jumps. It is covered if that lies in the
+        range.
         """
         if longest_s <= 0.0:
             return cls(0.0)

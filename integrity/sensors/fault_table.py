@@ -90,9 +90,10 @@ def _v2v_lie(effects: FaultEffects, now: FaultMoment) -> None:
 def _wrong_fix(effects: FaultEffects, now: FaultMoment) -> None:
     """Integers are wrong by the cycles given, or by those that move the position by about a displacement d.
 
-    The cycles are ``-e.d / lambda``, rounded: up to half a cycle of each satellite remains as a residual.
+    The cycles are ``e.d / lambda``, rounded: positioning subtracts them, and ``phase = -e.x`` then gives ``x + d``.
+    Up to half a cycle of each satellite remains as a residual.
     """
-    cycles = -(now.sky.los_enu @ _displacement_m(now))[..., None] / WAVELENGTH_M[now.sky.system, :2]
+    cycles = (now.sky.los_enu @ _displacement_m(now))[..., None] / WAVELENGTH_M[now.sky.system, :2]
     effects.integer_error[now.rows] += np.round(cycles).astype(np.int64)[now.sky.index[now.rows]]
     effects.integer_error[now.rows] += now.fault.magnitude_cycles * now.satellites[:, None]
 

@@ -15,8 +15,13 @@ LEAST = 0.05  # R^2 from which an observation leaks
 ROOT = Path(__file__).parents[2]
 SOURCES = ("v2v", "sensor", "both")
 TRAFFIC = ("CarFollowing", "Highway", "Merge", "Roundabout", "Intersection", "Racetrack", "UrbanCanyon")
-KNOWN = {(name, source, "err_ct_m") for name in TRAFFIC for source in ("sensor", "both")}
-"""Where the lane offsets of neighbours that a sensor sees tell the error across the track, see docs/limits.md."""
+KNOWN = {
+    "CarFollowing": 0.85, "UrbanCanyon": 0.6, "Merge": 0.6, "Roundabout": 0.6, "Intersection": 0.6, "Racetrack": 0.6,
+}  # fmt: skip
+"""Largest R^2 of the error across the track that is known where a sensor sees the lane offsets of neighbours.
+
+Measured: 0.71 in CarFollowing, 0.42 in UrbanCanyon, see docs/limits.md; in the other ids not yet.
+"""
 EPISODES = {"Highway": 48, "LaneKeeping": 96, "CarFollowing": 64, "UrbanCanyon": 48}
 
 
@@ -54,5 +59,7 @@ def test_known_leaks_are_documented() -> None:
 @pytest.mark.parametrize("source", SOURCES)
 @pytest.mark.parametrize("name", ["LaneKeeping", *TRAFFIC])
 def test_no_id_leaks_but_where_documented(name: str, source: str) -> None:
-    found = leaks(leak(samples(name, source, EPISODES.get(name, 32))))
-    assert found <= {axis for axis in AXES if (name, source, axis) in KNOWN}
+    found = leak(samples(name, source, EPISODES.get(name, 32)))
+    known = KNOWN.get(name, LEAST) if source in ("sensor", "both") else LEAST
+    assert leaks(found) <= ({"err_ct_m"} if known > LEAST else set())
+    assert found["err_ct_m"] <= known

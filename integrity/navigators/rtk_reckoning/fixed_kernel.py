@@ -274,6 +274,8 @@ def add_doubts(
         count, unsolved = add_subset(column, prior, removed, group, n, sin_h, cos_h, geo, scratch.moments, modes)
         apart += unsolved
         modes.k_fa[column] = 1.0
+        modes.weight[column] *= 2.0  # both tails: no test bounds the sign of the error against the separation
+        modes.log_prior[column] += math.log(2.0)
         for q in range(2):
             modes.delta[q, column] = abs(modes.separation[q, column])
     return count, lost, apart + constellations * float(odds[:n].sum())

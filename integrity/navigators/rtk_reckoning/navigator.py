@@ -209,8 +209,10 @@ def blank_outputs(batch: int, satellites: int, cases: int) -> Outputs:
 def measured_of(m: Measurements) -> Measured:
     """The measurements as the stages take them."""
     g, wrong = m.gnss, m.gnss.integer_error
-    if wrong is None or not wrong.flags.writeable:  # compiled stages take arrays of one kind
+    if wrong is None:
         wrong = _no_error(g.phase_m.shape)
+    elif not wrong.flags.writeable:  # compiled stages take arrays of one kind
+        wrong = wrong.copy()
     return Measured(
         m.sky.los_enu, m.sky.index, g.tracked, g.cn0_dbhz, g.code_m, g.phase_m, g.range_rate_mps, g.lock_lost,
         g.corrections_age_s, m.imu.delta_theta_rad, m.imu.delta_v_mps, m.odometer.speed_mps, wrong,

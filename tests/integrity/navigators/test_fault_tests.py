@@ -163,7 +163,7 @@ DOUBT = {"positioning": {"rtk": {"doubt": {"sets": SETS}}}}
 @pytest.mark.parametrize("form", list(LevelForm))
 @pytest.mark.parametrize("weak", [(), (2,), (2, 7)])
 def test_sets_of_doubtful_carriers_count_with_their_separation(weak: tuple[int, ...], form: LevelForm) -> None:
-    """By the plain form: a mode for each satellite with its odds, and one for each set with abs(x - x_A)."""
+    """By the plain form: a mode for each satellite with its odds, and one of both tails for each set, with abs(x - x_A)."""
     config, case = NavigatorConfig().replace(form=form, **DOUBT), Case.of(3, 12, 2)
     odds, par = np.full(12, 1e-4), epoch_parameters(config)[0]
     odds[list(weak)] = 0.02
@@ -189,7 +189,7 @@ def test_sets_of_doubtful_carriers_count_with_their_separation(weak: tuple[int, 
     modes = 12 + count
     assumed = plain.delta_m * (factors(config, case)[0] / risk.false_alarm_factors(modes)[modes])
     assumed[13:] = np.abs(plain.separation_m[13:]) / risk.false_alarm_factors(modes)[modes]
-    priors = np.concatenate([odds, [odds[row].prod() for row in removed]])
+    priors = np.concatenate([odds, [2.0 * odds[row].prod() for row in removed]])  # both tails of a set
     plain = replace(plain, delta_m=assumed)
     expected = protection_levels(plain, priors, risk, spent=left, root=form is LevelForm.ROOT)[0]
     np.testing.assert_allclose(out[0] - par["risk"]["reference_bias"], expected, rtol=1e-8)

@@ -150,8 +150,12 @@ def test_displacements_point_to_their_azimuth() -> None:
 
 def test_a_wrong_fix_has_the_integers_of_its_displacement() -> None:
     cycles = _effects(_fault("wrong_fix", magnitude_m=2.0, azimuth_deg=0.0)).integer_error[0]
-    residual = cycles * WAVELENGTH_M[SYSTEM, :2] + 2.0 * SKY.los_enu[0, :, 1:2]
-    assert (np.abs(residual) <= 0.5 * WAVELENGTH_M[SYSTEM, :2] + 1e-12).all()
+    los, waves = SKY.los_enu[0], WAVELENGTH_M[SYSTEM, :2]
+    assert (np.abs(cycles * waves - 2.0 * los[:, 1:2]) <= 0.5 * waves + 1e-12).all()
+    # positioning subtracts lambda N from the phase -e.x + clock: the position moves to the North
+    design = np.column_stack([-los, np.ones(5)])
+    moved = np.linalg.lstsq(design, -cycles[:, 0] * waves[:, 0], rcond=None)[0]
+    assert moved[1] == pytest.approx(2.0, abs=0.4)
     chosen = _effects(_fault("wrong_fix", magnitude_m=0.0, magnitude_cycles=-2, system=System.GPS, prn=7))
     np.testing.assert_array_equal(chosen.integer_error[0], [[0, 0], [-2, -2], [0, 0], [0, 0], [0, 0]])
 
