@@ -163,7 +163,7 @@ DOUBT = {"positioning": {"rtk": {"doubt": {"sets": SETS}}}}
 @pytest.mark.parametrize("form", list(LevelForm))
 @pytest.mark.parametrize("weak", [(), (2,), (2, 7)])
 def test_sets_of_doubtful_carriers_count_with_their_separation(weak: tuple[int, ...], form: LevelForm) -> None:
-    """By the plain form: a mode for each satellite with its odds, and one of both tails for each set, with abs(x - x_A)."""
+    """By the plain form: a mode for each satellite, and for each set one of both tails with abs(x - x_A)."""
     config, case = NavigatorConfig().replace(form=form, **DOUBT), Case.of(3, 12, 2)
     odds, par = np.full(12, 1e-4), epoch_parameters(config)[0]
     odds[list(weak)] = 0.02
