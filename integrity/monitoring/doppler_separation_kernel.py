@@ -61,10 +61,8 @@ __all__ = [
     "advance_separations",
     "centre_rows",
     "centred_scratch",
-    "clear_influences",
-    "clear_separations",
-    "copy_influences",
-    "copy_separations",
+    "clear_modes",
+    "copy_modes",
     "exposure",
     "fade_separations",
     "find_satellite_influences",
@@ -137,16 +135,16 @@ def separations_of(a: Separations, v: int) -> Separations:
 
 
 @jit(borrows=True)
-def clear_influences(a: Influences) -> None:
-    """No velocity."""
-    for array in a:
+def clear_modes(arrays: tuple[Array, ...]) -> None:
+    """No velocity, or no separation since the fix: zeros in all arrays (W,) of influences or separations."""
+    for array in arrays:
         array[:] = 0.0
 
 
 @jit(borrows=True)
-def copy_influences(source: Influences, a: Influences) -> None:
-    """Copy the influences of one velocity to another."""
-    for array, values in zip(a, source):  # noqa: B905 (kernels know no strict)
+def copy_modes(source: tuple[Array, ...], arrays: tuple[Array, ...]) -> None:
+    """Copy influences to influences, or separations to separations, (W,) each."""
+    for array, values in zip(arrays, source):  # noqa: B905 (kernels know no strict)
         for k in range(array.size):
             array[k] = values[k]
 
@@ -370,21 +368,6 @@ def fade_separations(phi: float, s: Separations) -> None:
         store(phi * load(s.ne_n, k), s.ne_n, k)
         store(phi * load(s.nn_e, k), s.nn_e, k)
         store(phi * load(s.nn_n, k), s.nn_n, k)
-
-
-@jit(borrows=True)
-def clear_separations(s: Separations) -> None:
-    """No separation since the fix."""
-    for array in s:
-        array[:] = 0.0
-
-
-@jit(borrows=True)
-def copy_separations(source: Separations, s: Separations) -> None:
-    """Copy the separations of one position to another."""
-    for array, values in zip(s, source):  # noqa: B905 (kernels know no strict)
-        for k in range(array.size):
-            array[k] = values[k]
 
 
 # The bound

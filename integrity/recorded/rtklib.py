@@ -68,7 +68,7 @@ def read_rtk_solution(path: str | Path) -> RtkSolution:
     InputError
         The file cannot be read, a line before the last is malformed, or there is no solution.
     """
-    rows, stop = _rows(path, COMMENT, lambda words: [_cell(words, *column) for column in POSITION_COLUMNS])
+    rows, stop = _rows(path, lambda words: [_cell(words, *column) for column in POSITION_COLUMNS])
     position = ecef_from_geodetic(np.radians(rows[:, 1]), np.radians(rows[:, 2]), rows[:, 3])
     return RtkSolution(rows[:, 0], position, rows[:, 4].astype(np.int64), rows[:, 5].astype(np.int64), rows[:, 6], stop)
 
@@ -90,7 +90,7 @@ def read_reference(path: str | Path) -> ReferenceTrack:
         bounds = zip(index, REFERENCE_COLUMNS.items(), strict=True)
         return [_cell(words, k, name, low, high) for k, (name, (low, high)) in bounds]
 
-    rows, stop = _rows(path, COMMENT, row, ",")
+    rows, stop = _rows(path, row, ",")
     return ReferenceTrack(rows[:, 0], rows[:, 1:], stop)
 
 
@@ -113,7 +113,7 @@ def _cell(words: list[str], index: int, name: str, low: float, high: float) -> f
         raise ValueError(f"{name} {error}") from None
 
 
-def _rows(path: str | Path, comment: str, row: Row, separator: str | None = None) -> tuple[Array, Stop | None]:
+def _rows(path: str | Path, row: Row, separator: str | None = None) -> tuple[Array, Stop | None]:
     """Numbers of all lines (n, columns) sorted by time, and the place where reading stopped."""
     lines, doubt, found = Lines(path), "", array("d")
     stop: Stop | None = None
@@ -121,7 +121,7 @@ def _rows(path: str | Path, comment: str, row: Row, separator: str | None = None
     for text in lines:
         if doubt:
             raise InputError(doubt)
-        if not text.strip() or text.startswith(comment):
+        if not text.strip() or text.startswith(COMMENT):
             continue
         try:
             numbers = row(text.split(separator))

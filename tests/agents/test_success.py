@@ -68,7 +68,7 @@ def test_stopping_in_the_approach_or_the_crossing_is_no_success(way_m: float) ->
 
 
 @pytest.mark.parametrize("env_id", list(IDS))
-def test_who_stands_or_crawls_never_succeeds(env_id: str) -> None:
+def test_standing_and_crawling_never_succeed(env_id: str) -> None:
     name = env_id.removeprefix("lanebound/").removesuffix("-v0")
     if name == "Racetrack":
         pytest.skip("Racetrack has no command of speed")

@@ -13,7 +13,7 @@ from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import reset, sigma_and_bias
 from lanebound.integrity.monitoring.doppler_separation_kernel import (
     Separations,
-    clear_separations,
+    clear_modes,
     exposure,
     risk_factors,
     separations_of,
@@ -122,7 +122,7 @@ def restart(
     """
     reset(fixed.p_ee, fixed.p_en, fixed.p_nn, 0.0, 0.0, reckoning.growth)
     if vehicle.separated:
-        clear_separations(reckoning.separations)
+        clear_modes(reckoning.separations)
         vehicle.separated = False
     for r in range(level.shape[0]):
         start, case = reckoning.starts[r], tables.cases[r]

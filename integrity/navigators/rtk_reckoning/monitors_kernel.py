@@ -11,9 +11,8 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.monitoring.doppler_separation_kernel import (
     Separations,
     advance_separations,
-    clear_influences,
-    copy_influences,
-    copy_separations,
+    clear_modes,
+    copy_modes,
     fade_separations,
     influences_of,
     separations_of,
@@ -72,9 +71,9 @@ def separate_doppler(first: int, last: int, epoch: Epoch) -> None:
                 move_by_courses(across_e, across_n, courses, s)
             g.apart_s = t.now if w.integrates else 0.0
         if w.measured:
-            copy_influences(now, before)
+            copy_modes(now, before)
         else:
-            clear_influences(before)
+            clear_modes(before)
         vehicle.separated = vehicle.separated or w.integrates or w.run != 0.0
 
 
@@ -182,7 +181,7 @@ def copy_reckoning(v: int, state: State, source: int, to: int) -> None:
     state.growth[v, to] = state.growth[v, source]
     for r in range(state.starts.shape[2]):
         state.starts[v, to, r] = state.starts[v, source, r]
-    copy_separations(_separations_of(state, v, source), _separations_of(state, v, to))
+    copy_modes(_separations_of(state, v, source), _separations_of(state, v, to))
 
 
 @jit

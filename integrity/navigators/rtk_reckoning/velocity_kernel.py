@@ -13,7 +13,7 @@ from lanebound.integrity.monitoring.doppler_separation_kernel import (
     AFFORDABLE,
     centre_rows,
     centred_scratch,
-    clear_influences,
+    clear_modes,
     exposure,
     find_satellite_influences,
     find_system_influences,
@@ -67,7 +67,7 @@ def find_velocity(first: int, last: int, epoch: Epoch) -> None:
             find_satellite_influences(w.q, centred, influences)
             find_system_influences(w.q, system, prior, par.risk.spendable, centred, influences)
         else:
-            clear_influences(influences)
+            clear_modes(influences)
         raise_states(influences, separations_of(state.latest, v), courses_of(state.courses, v), modes)
         _, _, lost = exposure(prior, modes)
         w.later = later_by(vehicle.since_rtk, vehicle.memory_s, par.risk.fault_duration)
