@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.rinex_header import Header, HeaderBuilder
 from lanebound.integrity.recorded.source import MAX_BYTES, Lines, Stop, finite_number, whole_number
+from lanebound.integrity.sky.systems import PRN_BEFORE
 
 __all__ = ["Observations", "SystemRows", "read_observations"]
 
@@ -36,8 +37,9 @@ SAME_TIME = ("GPS", "GAL", "QZS", "IRN", "BDT")
 
 @dataclass(frozen=True)
 class SystemRows:
-    """Satellite epochs (N,) of one system: index of the epoch, number of the satellite, values (N, codes), 0.0 for none
-    (phases in cycles), and flags (N, codes): lock lost, half-cycle ambiguity possible."""
+    """Satellite epochs (N,) of one system: index of the epoch, PRN as in navigation messages (J01 is 193), values
+    (N, codes), 0.0 for none (phases in cycles), and flags (N, codes): lock lost, half-cycle ambiguity possible.
+    """
 
     codes: tuple[str, ...]
     epoch: Ints
@@ -196,7 +198,7 @@ class _Parser:
             raise ValueError(
                 f"satellite {text[:3]!r} must be of a system in SYS / # / OBS TYPES ({''.join(self.rows)})"
             )
-        satellite = whole_number(text[1:3], 0, 99)
+        satellite = whole_number(text[1:3], 0, 99) + PRN_BEFORE.get(text[0], 0)
         values, lost = _fields(text, rows.codes)
         rows.value.extend(value / scale for value, scale in zip(values, rows.scales, strict=True))
         rows.lost.extend(lost)

@@ -104,7 +104,8 @@ def solve_baseline(
     """
     config = config or BaselineConfig()
     place = _base_antenna(base, base_ecef_m)
-    choice = choose_signals(rover, base, config.bands)
+    rtk = config.rtk
+    choice = choose_signals(rover, base, config.bands, cn0_min_dbhz=rtk.cn0_min_dbhz, cn0_knee_dbhz=rtk.cn0_knee_dbhz)
     epochs, partners, age = matched(rover, base, config.rtk.max_age_s)
     if not epochs.size:
         raise InputError(
@@ -221,8 +222,9 @@ class _Session:
         near = self.before if self.before is not None else np.zeros(3)
         for _ in range(POSITION_ROUNDS):
             reduced = reduce_epoch(
-                self.rover, self.base, i, j, self.place + self.axes @ near, self.place, self.choice.bands
-            )
+                self.rover, self.base, i, j, self.place + self.axes @ near, self.place, self.choice.bands,
+                self.config.rtk.cn0_min_dbhz,
+            )  # fmt: skip
             signals = self._signals(reduced)
             solved = self._code_solution(signals)
             if solved is None:

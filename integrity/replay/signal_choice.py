@@ -2,13 +2,14 @@
 
 Rover and base can track a band with different codes (for example L2W and L2L). Constant differences between codes are
 absorbed by the clock, which single differences estimate for each system, band and observable. Therefore a band (the
-digit of the code) is selected for both receivers, and a code of this band for each receiver.
+digit of the code) is selected for both receivers, and a code of this band for each receiver. All satellites of a system
+use the same codes: with different ones the constant differences would not be common to the clock.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,10 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.rinex_observation import Observations
 from lanebound.integrity.sky.systems import SPEED_OF_LIGHT_MPS, System
 
-__all__ = ["BAND_MHZ", "LETTERS", "Choice", "choose_signals"]
+__all__ = ["BAND_MHZ", "LETTERS", "USUAL_CN0_DBHZ", "Choice", "choose_signals"]
+
+Bools = NDArray[np.bool_]
+Strengths = dict[str, dict[str, NDArray[np.float64]]]
 
 LETTERS = {"G": System.GPS, "E": System.GALILEO, "C": System.BEIDOU, "J": System.QZSS}
 # RINEX 3.04 tables 4 to 10; without GLONASS, whose differences are not integers because its channels differ
@@ -27,6 +31,11 @@ BAND_MHZ = {
     "C": {"2": 1561.098, "1": 1575.42, "5": 1176.45, "7": 1207.14, "8": 1191.795, "6": 1268.52},
     "J": {"1": 1575.42, "2": 1227.60, "5": 1176.45, "6": 1278.75},
 }
+WIDE_MHZ, NEAR_SHARE = 100.0, 0.5  # E5a and E5b are 31 MHz apart, L1 and L2 348 MHz
+USUAL_CN0_DBHZ = 45.0  # for receivers that do not record the C/N0
+WEAK = 1e-6  # weight of a signal below the lowest C/N0: better than none
+MARGIN_S = 1.0  # of the overlap in time
+PRNS = 256
 B1C_SINCE = 3.04  # version of the first table with B1C; the reader has moved B1I to band 2
 
 
@@ -41,17 +50,33 @@ class Choice:
     bands: int
 
 
-def choose_signals(rover: Observations, base: Observations, bands: int | None = None) -> Choice:
-    """Select the bands with the most satellites: two if a system has two bands on both receivers, otherwise one.
+def choose_signals(
+    rover: Observations, base: Observations, bands: int | None = None, *, cn0_min_dbhz: float = 0.0,
+    cn0_knee_dbhz: float = 35.0,
+) -> Choice:  # fmt: skip
+    """Select the bands and codes with the strongest signals: two bands if a system has two on both receivers, else one.
+
+    A satellite counts with the weakest of its signals: the share of epochs in which it has code, phase and at least
+    ``cn0_min_dbhz``, each weighted by ``1 / (1 + 10^((knee - C/N0) / 10))``, the inverse of its variance in RTK. A weak
+    semi-codeless signal therefore counts less than a civil one of the same band. Two bands less than WIDE_MHZ apart
+    count NEAR_SHARE: they hold little more than one.
 
     Raises
     ------
     InputError
         The receivers share no band of GPS, Galileo, BeiDou or QZSS.
     """
-    wanted = (2, 1) if bands is None else (bands,)
+    wanted, limits, overlap = (
+        (2, 1) if bands is None else (bands,),
+        (cn0_min_dbhz, cn0_knee_dbhz),
+        _overlap(rover, base),
+    )
+    strengths = {
+        letter: [_strengths(letter, side, within, limits) for side, within in zip((rover, base), overlap, strict=True)]
+        for letter in LETTERS
+    }
     for count in wanted:
-        found = {letter: _best(letter, rover, base, count) for letter in LETTERS}
+        found = {letter: _best(letter, *strengths[letter], count) for letter in LETTERS}
         chosen = {letter: best for letter, best in found.items() if best is not None}
         if chosen:
             wavelength = np.ones((len(System), 2))
@@ -72,31 +97,49 @@ def _codes_of(observations: Observations) -> str:
     return "; ".join(f"{s} {' '.join(c)}" for s, c in observations.header.codes.items()) or "nothing"
 
 
-def _best(letter: str, rover: Observations, base: Observations, count: int) -> list[tuple[str, str]] | None:
-    """Pairs (code of rover, code of base) of the ``count`` bands with the most satellite epochs, or None."""
-    if letter not in rover.rows or letter not in base.rows:
-        return None
-    of_rover, of_base = _by_band(letter, rover), _by_band(letter, base)
-    shared = [band for band in BAND_MHZ[letter] if band in of_rover and band in of_base]
-    best, most = None, 0
+def _overlap(rover: Observations, base: Observations) -> tuple[Bools, Bools]:
+    """Epochs (T,) of each receiver within the time of the other; all where there are none."""
+    week = int(min(rover.week[0], base.week[0]))
+    times = rover.since(week), base.since(week)
+    first, last = max(t[0] for t in times) - MARGIN_S, min(t[-1] for t in times) + MARGIN_S
+    within = [(t >= first) & (t <= last) for t in times]
+    if not (within[0].any() and within[1].any()):
+        within = [np.ones(t.size, np.bool_) for t in times]
+    return within[0], within[1]
+
+
+def _best(letter: str, rover: Strengths, base: Strengths, count: int) -> list[tuple[str, str]] | None:
+    """Pairs (code of rover, code of base) of the ``count`` bands with the strongest satellites, or None."""
+    shared = [band for band in BAND_MHZ[letter] if band in rover and band in base]
+    best, most = None, 0.0
     for group in combinations(shared, count):
-        epochs = min(int(np.logical_and.reduce([side[b][1] for b in group]).sum()) for side in (of_rover, of_base))
-        if epochs > most:
-            best, most = [(of_rover[b][0], of_base[b][0]) for b in group], epochs
+        apart = abs(BAND_MHZ[letter][group[0]] - BAND_MHZ[letter][group[-1]])
+        share = 1.0 if count == 1 or apart >= WIDE_MHZ else NEAR_SHARE
+        for pairs in product(*(product(rover[band], base[band]) for band in group)):
+            sides = [side[code[0]][code] for pair in pairs for side, code in zip((rover, base), pair, strict=True)]
+            strength = share * float(np.minimum.reduce(sides).sum())
+            if strength > most:
+                best, most = list(pairs), strength
     return best
 
 
-def _by_band(letter: str, observations: Observations) -> dict[str, tuple[str, NDArray[np.bool_]]]:
-    """For each band the code with the most rows that have code and phase, and a mask of these rows."""
-    rows, version = observations.rows[letter], observations.header.version
-    found: dict[str, tuple[str, NDArray[np.bool_]]] = {}
+def _strengths(letter: str, observations: Observations, within: Bools, limits: tuple[float, float]) -> Strengths:
+    """By band and code, the weighted share of epochs of each PRN (PRNS,) that has code and phase."""
+    if letter not in observations.rows:
+        return {}
+    (least, knee), rows, version = limits, observations.rows[letter], observations.header.version
+    found: Strengths = {}
     for code in rows.codes:
         name = code[1:]
         if code[0] != "L" or len(name) != 2 or name[0] not in BAND_MHZ[letter]:
             continue
         if letter == "C" and name == "1X" and version < B1C_SINCE:
             continue  # B1C or B1I: not defined in older tables
-        whole = (rows.column(f"C{name}") != 0.0) & (rows.column(code) != 0.0)
-        if whole.any() and (name[0] not in found or whole.sum() > found[name[0]][1].sum()):
-            found[name[0]] = (name, whole)
+        whole = (rows.column(f"C{name}") != 0.0) & (rows.column(code) != 0.0) & within[rows.epoch]
+        if whole.any():
+            cn0 = rows.column(f"S{name}")
+            cn0 = np.where(cn0 > 0.0, cn0, USUAL_CN0_DBHZ)
+            weight = np.where(cn0 >= least, 1.0 / (1.0 + 10.0 ** (0.1 * (knee - cn0))), WEAK)
+            total = np.bincount(rows.satellite, np.where(whole, weight, 0.0), PRNS)
+            found.setdefault(name[0], {})[name] = total / np.count_nonzero(within)
     return found

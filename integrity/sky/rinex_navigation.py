@@ -17,7 +17,7 @@ import numpy as np
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.sky.ephemeris import Ephemerides
-from lanebound.integrity.sky.systems import System
+from lanebound.integrity.sky.systems import PRN_BEFORE, System
 
 __all__ = ["parse_navigation", "read_navigation"]
 
@@ -27,7 +27,6 @@ LARGEST_BYTES = 96 * 2**20  # reading needs 0.7 GiB; one day of all IGS receiver
 GPS_START = datetime(1980, 1, 6)
 SECONDS_PER_WEEK = 604_800.0
 BEIDOU_BEHIND_S = 14.0  # BDT was UTC at 2006-01-01, 14 leap seconds after GPS time's start; BDS-SIS-ICD-2.1 3.3
-QZSS_PRN_BEFORE = 192  # J01 is PRN 193, RINEX 3.04 table 5
 LINES = 8
 WIDTH = 19
 
@@ -174,7 +173,7 @@ def _row(message: _Message, where: str) -> tuple[dict[str, float], str]:
         raise InputError(f"{where}: a message must have {LINES} lines, got {len(lines)}: is one missing?")
     system = SYSTEMS[lines[0][0]]
     prn, toc = _heading(lines[0], where)
-    row = {"system": float(system), "prn": prn + (QZSS_PRN_BEFORE if system is System.QZSS else 0)}
+    row = {"system": float(system), "prn": prn + PRN_BEFORE.get(lines[0][0], 0)}
     for k in range(3):
         row[f"clock_{k}"] = _number(lines[0], 23 + k * WIDTH, f"clock term {k}", where)
     bounds = {name: place for part in (FIELDS, OPTIONAL) for name, place in part.items()}

@@ -9,7 +9,10 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.sky.systems_kernel import N_SYSTEMS
 
-__all__ = ["CARRIER_HZ", "CHIP_M", "FIXABLE", "N_BANDS", "N_SYSTEMS", "SPEED_OF_LIGHT_MPS", "WAVELENGTH_M", "System"]
+__all__ = [
+    "CARRIER_HZ", "CHIP_M", "FIXABLE", "N_BANDS", "N_SYSTEMS", "PRN_BEFORE", "SPEED_OF_LIGHT_MPS", "WAVELENGTH_M",
+    "System",
+]  # fmt: skip
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0  # SI definition of the metre
 
@@ -25,6 +28,8 @@ class System(IntEnum):
 
 
 N_BANDS = 3
+PRN_BEFORE = {"J": 192}
+"""By RINEX letter, the PRN before that of satellite 01: J01 is PRN 193 (RINEX 3.04 table 5); others 0."""
 
 CARRIER_HZ: NDArray[np.float64] = 1e6 * np.array(
     [
