@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -21,7 +22,7 @@ from lanebound.integrity.positioning.doubtful_kernel import DOUBT_RULES
 from lanebound.integrity.positioning.heading_kernel import CALIBRATION
 from lanebound.integrity.positioning.mode_kernel import MODE_LIMITS
 from lanebound.integrity.positioning.odometer_watch_kernel import WATCH_LIMITS
-from lanebound.integrity.positioning.rtk_kernel import MOST_AMBIGUITIES, RTK_RULES
+from lanebound.integrity.positioning.rtk_kernel import FILTER_RULES, MOST_AMBIGUITIES, RTK_RULES
 from lanebound.integrity.positioning.slip_watch_kernel import SLIP_RULES
 
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "DeadReckoningConfig",
     "DopplerConfig",
     "DoubtConfig",
+    "FloatConfig",
     "HeadingConfig",
     "ModeConfig",
     "OdometerWatchConfig",
@@ -70,6 +72,35 @@ class DoubtConfig(Config):
     share: float = Field(
         0.1, gt=0, lt=1, description="largest probability of sets not monitored as a share of the integrity risk [-]"
     )
+
+
+class FloatConfig(Config):
+    """Float ambiguities before the integer search: of one epoch, or of a filter (:mod:`.float_filter_kernel`)."""
+
+    kind: Literal["epoch", "sequential"] = Field(
+        "epoch", description="epoch: from one epoch; sequential: from a filter over the epochs before, too"
+    )
+    interval_s: float = Field(
+        1.0,
+        ge=0,
+        description="time between two epochs of the filter [s]; errors that last bring nothing new in between",
+    )
+    memory_s: float = Field(
+        100.0,
+        gt=0,
+        description="time in which what the filter knows fades to 1/e [s]; bounds what the mean of many epochs gains",
+    )
+    code_tau_s: float = Field(
+        30.0,
+        gt=0,
+        description="longest correlation time of code errors [s], shorter ones are bounded too; reflections at "
+        "receivers at rest last tens of seconds",
+    )
+    phase_tau_s: float = Field(30.0, gt=0, description="longest correlation time of phase errors [s]")
+    ionosphere_m: float = Field(
+        0.0, ge=0, description="residual vertical ionosphere of a single difference, 1 sigma on the first band [m]"
+    )
+    troposphere_m: float = Field(0.0, ge=0, description="residual zenith delay difference, 1 sigma [m]")
 
 
 class RtkConfig(Config):
@@ -150,6 +181,7 @@ class RtkConfig(Config):
         2, ge=1, description="rejected epochs in a row after which all held ambiguities are given up [-]"
     )
     doubt: DoubtConfig = DoubtConfig()
+    float_solution: FloatConfig = FloatConfig()
 
 
 class DopplerConfig(Config):
@@ -367,6 +399,16 @@ def rtk_parameters(config: RtkConfig, bands: int, smallest_risk: float) -> Recor
             scale=config.doubt.scale_db,
             limit=config.doubt.share * smallest_risk,
             single=config.doubt.confirm_from,
+        ),
+        filter=one_record(
+            FILTER_RULES,
+            sequential=config.float_solution.kind == "sequential",
+            interval=config.float_solution.interval_s,
+            memory=config.float_solution.memory_s,
+            code_tau=config.float_solution.code_tau_s,
+            phase_tau=config.float_solution.phase_tau_s,
+            ionosphere=config.float_solution.ionosphere_m,
+            troposphere=config.float_solution.troposphere_m,
         ),
     )
 

@@ -28,9 +28,11 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, invert_3x3, multiply_3
 from lanebound.integrity.positioning.codes_kernel import FIXED, NOT_CONVERGED, RATIO_FAILED, SEARCH_FAILED, TOO_FEW
+from lanebound.integrity.positioning.float_filter_kernel import FilterRow, filtered_ambiguities, find_searchable
 from lanebound.integrity.positioning.lambda_kernel import (
     OK,
     SearchScratch,
+    bootstrap_failure_rate,
     integer_least_squares,
     largest_prefix,
     search_scratch,
@@ -49,7 +51,7 @@ from lanebound.integrity.positioning.rtk_kernel import (
     order_by_variance,
 )
 
-__all__ = ["add_held", "attempt", "base_of", "resolve"]
+__all__ = ["FloatSource", "add_held", "attempt", "base_of", "resolve"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -57,6 +59,20 @@ Bools = NDArray[np.bool_]
 
 NODE_LIMIT = 20_000
 FIRST_SHARE = 0.5  # of the risk, for the set of all candidates; the rest is for the sets that lack one of them
+
+
+class FloatSource(NamedTuple):
+    """Where float ambiguities come from.
+
+    ``filtered``: from the filter ``own`` over epochs; otherwise from one epoch: its position ``x`` (3,) with covariance
+    ``q`` (3, 3), and the clocks ``base`` (MAX_GROUPS,) of BASE that the held satellites give.
+    """
+
+    x: Array
+    q: Array
+    base: Records
+    own: FilterRow
+    filtered: bool
 
 
 class Floats(NamedTuple):
@@ -109,14 +125,24 @@ def base_of(carriers: Carriers, ambiguities: Records, bands: int) -> Records:
 
 
 @jit
-def float_solution(carriers: Carriers, candidate: Bools, base: Records, rules: Any, x: Array, q: Array) -> Floats:
-    """Float ambiguities of the most precise candidates, given the position from everything else."""
+def float_solution(
+    carriers: Carriers, candidate: Bools, ambiguities: Records, source: FloatSource, rules: Any
+) -> Floats:
+    """Float ambiguities of the most precise candidates, from the filter or from the position of everything else."""
     bands, most = rules.bands, rules.max_candidates
     order = np.empty(most, dtype=np.int64)
+    if source.filtered:
+        searchable = np.empty(candidate.shape[0], dtype=np.bool_)
+        find_searchable(candidate, carriers.satellites, ambiguities, source.own.slots, searchable)
+        candidate = searchable
     count = order_by_variance(candidate, carriers.variance, most, order)
     c = bands * count
     owner, a_hat, q_a = np.empty(c, dtype=np.int64), np.empty(c), np.empty((c, c))
-    n = float_ambiguities(carriers, order, count, bands, x, q, base.copy(), a_hat, q_a, owner)
+    if source.filtered:
+        n = filtered_ambiguities(carriers, order, count, ambiguities, source.own, rules, a_hat, q_a, owner)
+    else:
+        x, q, base = source.x, source.q, source.base.copy()
+        n = float_ambiguities(carriers, order, count, bands, x, q, base, a_hat, q_a, owner)
     return Floats(count, order, n, owner, a_hat, q_a)
 
 
@@ -137,12 +163,13 @@ def choose(
     """The most precise candidates whose bootstrapped failure rate stays within ``limit``.
 
     Sets ``chosen`` (S,) to what would then be held; a system's reference is fixed with the first of its satellites.
-    Returns (status, satellites with ambiguities, P_IF): FIXED when the set is large enough for a position.
+    Returns (status, satellites with ambiguities, P_IF): FIXED when the set is large enough for a position. Where no set
+    is precise enough, P_IF is that of all candidates.
     """
     bands, owner, satellites = rules.bands, floats.owner, carriers.satellites
     groups, rate = largest_prefix(floats.n // bands, bands, floats.covariance, limit, scratch)
     if groups <= 0:
-        return NOT_CONVERGED, 0, 0.0
+        return NOT_CONVERGED, 0, bootstrap_failure_rate(0, floats.n, scratch.D) if groups == 0 and floats.n else 1.0
     for s in range(chosen.shape[0]):
         chosen[s] = ambiguities[s].held
     for j in range(groups):
@@ -245,14 +272,14 @@ def hold(
 
 @jit
 def attempt(
-    carriers: Carriers, candidate: Bools, ambiguities: Records, base: Records, rules: Any, x: Array, q: Array,
-    limit: float, next_id: int, further: float, chosen: Bools, relieved: Array,
+    carriers: Carriers, candidate: Bools, ambiguities: Records, source: FloatSource, rules: Any, limit: float,
+    next_id: int, further: float, chosen: Bools, relieved: Array,
 ) -> tuple[int, float, int]:  # fmt: skip
     """Fix one set of candidates within ``limit``, held with ``further`` risk beside its own.
 
     Returns (status, P_IF, satellites under suspicion); ``chosen`` is set, and ``relieved`` when the set is refused.
     """
-    floats = float_solution(carriers, candidate, base, rules, x, q)
+    floats = float_solution(carriers, candidate, ambiguities, source, rules)
     scratch = search_scratch(floats.ambiguity.shape[0], 2)
     status, groups, rate = choose(carriers, floats, ambiguities, rules, limit, scratch, chosen)
     if status != FIXED:
@@ -267,35 +294,37 @@ def attempt(
 
 @jit
 def resolve(
-    carriers: Carriers, candidate: Bools, ambiguities: Records, rules: Any, x: Array, q: Array, next_id: int
-) -> int:
+    carriers: Carriers, candidate: Bools, ambiguities: Records, rules: Any, x: Array, q: Array, own: FilterRow,
+    filtered: bool, next_id: int,
+) -> tuple[int, float]:  # fmt: skip
     """Fix the ambiguities of as many candidate satellites as the risk allows, and hold them.
 
-    The float solution takes the position ``x``, ``q`` of the code (completed in place) and the phases already held; the
-    most precise candidates whose bootstrapped failure rate stays within what is left of the limit are fixed together
+    The float solution is that of the filter ``own`` if ``filtered``; otherwise it takes the position ``x``,
+    ``q`` of the code (completed in place) and the phases already held. The most precise candidates whose bootstrapped
+    failure rate stays within what is left of the limit are fixed together
     by integer least squares and accepted by fit and ratio. Where these refuse, the sets that leave one satellite out
     are tried, beginning with the satellite that explains most of the misfit. A fix that would leave fewer than
     ``min_satellites`` (systems with fewer than ``min_further`` not counted) is not held.
 
     ambiguities (S,) of AMBIGUITY, advanced in place; rules of RTK_RULES. Returns a status of
-    :class:`~lanebound.integrity.positioning.rtk_status.RtkStatus` (FIXED: something new is held).
+    :class:`~lanebound.integrity.positioning.rtk_status.RtkStatus` (FIXED: something new is held) and the P_IF of the
+    first set.
     """
     if not add_held(carriers, ambiguities, rules, x, q):
-        return TOO_FEW
+        return TOO_FEW, 1.0
     base, n_sat = base_of(carriers, ambiguities, rules.bands), candidate.shape[0]
     chosen, relieved, unread = np.empty(n_sat, dtype=np.bool_), np.empty(n_sat), np.empty(n_sat)
+    source = FloatSource(x, q, base, own, filtered)
     left = rules.fix_limit - held_risk(ambiguities)
     first, rest = FIRST_SHARE * left, (1.0 - FIRST_SHARE) * left
-    status, rate, sets = attempt(
-        carriers, candidate, ambiguities, base, rules, x, q, first, next_id, 0.0, chosen, relieved
-    )
+    status, rate, sets = attempt(carriers, candidate, ambiguities, source, rules, first, next_id, 0.0, chosen, relieved)
     for _ in range(min(rules.attempts, sets)):
         s = np.argmax(relieved)
         relieved[s], candidate[s] = -1.0, False
         again, _, _ = attempt(
-            carriers, candidate, ambiguities, base, rules, x, q, rest / sets, next_id, rate + rest, chosen, unread
+            carriers, candidate, ambiguities, source, rules, rest / sets, next_id, rate + rest, chosen, unread
         )
         candidate[s] = True
         if again == FIXED:
-            return FIXED
-    return int(status)
+            return FIXED, rate
+    return int(status), rate

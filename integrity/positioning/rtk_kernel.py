@@ -23,18 +23,22 @@ from lanebound.integrity.positioning.rows_kernel import Rows
 __all__ = [
     "AMBIGUITY",
     "BASE",
+    "FILTER_RULES",
     "MOST_AMBIGUITIES",
     "RTK_RULES",
     "SATELLITE",
     "UNUSED",
     "Carriers",
     "add_layer",
+    "atmosphere_variance",
     "collapse_code",
     "collapse_phase",
     "drop_small_systems",
     "float_ambiguities",
+    "has_atmosphere",
     "held_base",
     "held_risk",
+    "obliquity",
     "order_by_variance",
     "range_of",
     "select",
@@ -48,6 +52,7 @@ Bools = NDArray[np.bool_]
 UNUSED = 1e6  # variance factor of a satellite that is not used; its ambiguities may still be held
 MOST_AMBIGUITIES = 80  # two bands of the most candidates that RtkConfig allows
 TENTH = math.log(10.0) / 10.0
+EARTH_RATIO = 6371.0 / (6371.0 + 350.0)  # Earth's radius over that of the ionospheric layer (IS-GPS-200: 350 km)
 
 SATELLITE = record(
     system=("i8", "its system, which is also its clock"),
@@ -66,6 +71,17 @@ AMBIGUITY = record(
     odds="largest odds since its fix that the carrier is off, where hypotheses are monitored [-]",
 )
 """The ambiguities of one satellite."""
+
+FILTER_RULES = record(
+    sequential=("?", "float ambiguities come from a filter over epochs, otherwise from one epoch"),
+    interval="time between two epochs of the filter [s]",
+    memory="time in which what it knows fades to 1/e [s]",
+    code_tau="longest correlation time of code errors [s]",
+    phase_tau="the same of phase errors [s]",
+    ionosphere="residual vertical ionosphere of a single difference, 1 sigma, first band [m]",
+    troposphere="residual zenith delay difference, 1 sigma [m]",
+)
+"""FloatConfig as kernels take it."""
 
 RTK_RULES = record(
     bands=("i8", "bands tracked"),
@@ -89,6 +105,7 @@ RTK_RULES = record(
     hold_failures=("i8", "rejected epochs in a row after which all integers are released"),
     retry="after a refusal, time until the next attempt [s]",
     doubt=(DOUBT_RULES, "carriers that may not be direct"),
+    filter=(FILTER_RULES, "float ambiguities"),
 )
 """RtkConfig as kernels take it."""
 
@@ -132,6 +149,34 @@ def select(
     for s in range(tracked.shape[0]):
         used[s] = tracked[s] and los[s, 2] > sin_mask and cn0[s] >= cn0_min
         factor[s] = quality[s] if used[s] else UNUSED
+
+
+@jit(borrows=True)
+def has_atmosphere(rules: Any) -> bool:
+    """Whether a residual atmosphere is declared."""
+    return bool(rules.filter.ionosphere > 0.0 or rules.filter.troposphere > 0.0)
+
+
+@jit(borrows=True)
+def atmosphere_variance(sine: float, satellite: Any, rules: Any) -> float:
+    """Variance of the residual atmosphere in the mean phase of all bands [m^2], 0 where none is declared.
+
+    ``(mean_b mu_b m_I sigma_I)^2 + ((m_Z - 1) sigma_Z)^2``; what is common to all elevations is in the clock.
+    """
+    sine, total = max(sine, 0.05), 0.0
+    if not has_atmosphere(rules):
+        return 0.0
+    for b in range(rules.bands):
+        total += (satellite.wavelength[b] / satellite.wavelength[0]) ** 2 / rules.bands
+    ionosphere = total * rules.filter.ionosphere * obliquity(sine)
+    troposphere = rules.filter.troposphere * (1.0 / sine - 1.0)
+    return float(ionosphere * ionosphere + troposphere * troposphere)
+
+
+@jit(borrows=True)
+def obliquity(sine: float) -> float:
+    """Slant over vertical ionosphere of a thin layer at 350 km, by the sine of the elevation."""
+    return 1.0 / math.sqrt(1.0 - EARTH_RATIO**2 * (1.0 - sine * sine))
 
 
 @jit

@@ -8,7 +8,10 @@ alike.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from datetime import datetime, timedelta
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +23,14 @@ from lanebound.integrity.core.progress import Progress, silent
 from lanebound.integrity.monitoring.exclusion import FdeConfig, FdeOutcome, detect_and_exclude
 from lanebound.integrity.monitoring.protection import protection_levels_batch
 from lanebound.integrity.monitoring.risk import RiskConfig
-from lanebound.integrity.positioning.config import RtkConfig
+from lanebound.integrity.positioning.config import FloatConfig, RtkConfig
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
 from lanebound.integrity.positioning.least_squares import design_matrix, gain, weights
 from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.positioning.resolve_kernel import FIRST_SHARE
 from lanebound.integrity.positioning.rtk_kernel import select, weigh
 from lanebound.integrity.positioning.rtk_status import RtkStatus
-from lanebound.integrity.recorded.rinex_observation import Observations
+from lanebound.integrity.recorded.rinex_observation import WEEK_S, Observations
 from lanebound.integrity.replay.differences import Arc, Reduced, arc_of, matched, reduce_epoch
 from lanebound.integrity.replay.rtk_stages import RtkStages, Signals
 from lanebound.integrity.replay.signal_choice import Choice, choose_signals
@@ -42,11 +46,40 @@ MIN_MOVE_M = 0.3  # distance between fixed positions for a new heading
 POSITION_ROUNDS = 6  # iterations of the code position, which start at the base
 
 
+class RecordedFloatConfig(FloatConfig):
+    """Float ambiguities of recorded receivers: sequential by default."""
+
+    kind: Literal["epoch", "sequential"] = Field(
+        "sequential", description="epoch: from one epoch; sequential: from a filter over the epochs before, too"
+    )
+
+
+class RecordedRtkConfig(RtkConfig):
+    """RTK of recorded receivers; the residual atmosphere is declared by the baseline, not in the phase."""
+
+    sigma_phase_m: float = Field(
+        0.0042, gt=0, description="phase, zenith, one band [m]; root 2 x 3 mm, RTKLIB's default of one receiver"
+    )
+    max_candidates: int = Field(
+        40, ge=4, le=40, description="satellites whose ambiguities are estimated and searched at once [-]"
+    )
+    float_solution: RecordedFloatConfig = RecordedFloatConfig()
+
+
 class BaselineConfig(Config):
     """Parameters of the solution of recorded baselines and of its protection levels."""
 
     bands: int | None = Field(None, ge=1, le=2, description="number of bands; None: two if both receivers have two [-]")
-    rtk: RtkConfig = RtkConfig()
+    ionosphere_ppm: float = Field(
+        0.5,
+        ge=0,
+        description="residual vertical ionosphere, 1 sigma, per length of the baseline [1e-6]; a quiet day "
+        "at middle latitudes, 0.4 to 1",
+    )
+    troposphere_ppm: float = Field(
+        0.5, ge=0, description="residual zenith delay, 1 sigma, per length of the baseline [1e-6]; 5 mm over 10 km"
+    )
+    rtk: RecordedRtkConfig = RecordedRtkConfig()
     slips: CycleSlipConfig = CycleSlipConfig()
     fde: FdeConfig = FdeConfig()
     risk: RiskConfig = RiskConfig()
@@ -56,8 +89,9 @@ class BaselineConfig(Config):
 class Baseline:
     """Epochs (T,) of the rover: GPS week, time of week [s], mode, status codes of RtkStatus, position relative to the
     base in E, N, U (T, 3) and in ECEF [m], heading [rad], levels and sigmas (T, 2) on AT, CT [m], numbers of satellites
-    and of excluded ones, risk of wrong integers, age of the base epoch [s]; ``choice`` of signals; ``base_ecef_m``
-    (3,), origin of E, N, U.
+    and of excluded ones, risk of wrong integers, age of the base epoch [s], number of satellites whose integers were
+    sought and the failure rate of their integers, whose limit is ``failure_limit``; ``choice`` of signals;
+    ``base_ecef_m`` (3,), origin of E, N, U.
 
     Positions are those of the antenna reference points of rover and base. The offset to the marker is ANTENNA: DELTA
     H/E/N of the header. Phase centres are assumed at the reference points (no calibrations).
@@ -76,6 +110,9 @@ class Baseline:
     excluded: Ints
     wrong_fix_risk: Array
     age_s: Array
+    searched: Ints
+    failure: Array
+    failure_limit: float
     choice: Choice
     base_ecef_m: Array
 
@@ -100,7 +137,7 @@ def solve_baseline(
     Raises
     ------
     InputError
-        There is no position of the base, or no common epochs, signals or satellites.
+        There is no position of the base, no common epochs, signals or satellites, or no navigation of that time.
     """
     config = config or BaselineConfig()
     place = _base_antenna(base, base_ecef_m)
@@ -115,14 +152,9 @@ def solve_baseline(
         raise InputError(
             "table must hold messages of GPS, Galileo, BeiDou or QZSS, has none: pass the day's navigation"
         )
-    run = _Session(
-        arc_of(rover, choice.rover, choice, table),
-        arc_of(base, choice.base, choice, table),
-        table,
-        place,
-        choice,
-        config,
-    )
+    arcs = [arc_of(data, codes, choice, table) for data, codes in ((rover, choice.rover), (base, choice.base))]
+    _require_messages(rover, arcs, table)
+    run = _Session(arcs[0], arcs[1], table, place, choice, config)
     return run.solve(rover, epochs, partners, age, progress)
 
 
@@ -143,6 +175,22 @@ def _base_antenna(base: Observations, given_ecef_m: Array | None) -> Array:
     if not on_earth(place):
         raise InputError(f"base_ecef_m must lie near the Earth's surface, got {place.tolist()} m: give ECEF in metres")
     return place
+
+
+def _require_messages(rover: Observations, arcs: list[Arc], table: Ephemerides) -> None:
+    """Raise InputError where no satellite that a receiver observed has a message for its time."""
+    if all(arc.known.any() for arc in arcs):
+        return
+    seen = (rover.week[[0, -1]] * WEEK_S + rover.tow_s[[0, -1]]).tolist()
+    sent = [float(table.toe_s.min()), float(table.toe_s.max())]
+    raise InputError(
+        f"navigation messages must be of the time of the observations, {' to '.join(map(_date, seen))}, got "
+        f"{' to '.join(map(_date, sent))} and none that fits: pass the navigation of that day"
+    )
+
+
+def _date(gps_time_s: float) -> str:
+    return f"{datetime(1980, 1, 6) + timedelta(seconds=round(gps_time_s)):%Y-%m-%d %H:%M}"
 
 
 def _span(observations: Observations) -> str:
@@ -176,7 +224,9 @@ class _Session:
         out = Baseline(
             rover.week[epochs], rover.tow_s[epochs], np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros((n, 3)),
             np.zeros((n, 3)), np.zeros(n), np.full((n, 2), np.inf), np.full((n, 2), np.inf), np.zeros(n, np.int64),
-            np.zeros(n, np.int64), np.zeros(n), age, self.choice, self.place,
+            np.zeros(n, np.int64), np.zeros(n), age, np.zeros(n, np.int64), np.zeros(n),
+            FIRST_SHARE * self.config.rtk.ambiguity_risk_share * self.config.risk.integrity_risk, self.choice,
+            self.place,
         )  # fmt: skip
         time = rover.since(int(rover.week[0]))[epochs]
         for k in range(n):
@@ -196,8 +246,10 @@ class _Session:
         signals, reduced, near, code_levels = found
         self.before = near
         sine, cosine = float(np.sin(self.heading)), float(np.cos(self.heading))
-        fixed, levels = self.stages.step(signals, age, dt, near, sine, cosine)
+        air = self._atmosphere(near)
+        fixed, levels = self.stages.step(signals, age, dt, near, sine, cosine, *air)
         out.status[k], out.excluded[k], out.heading_rad[k] = fixed["status"], fixed["excluded"], self.heading
+        out.searched[k], out.failure[k] = fixed["searched"], fixed["failure"]
         if fixed["status"] == RtkStatus.FIXED.code:
             out.mode[k], out.satellites[k] = int(Mode.RTK), fixed["satellites"]
             out.wrong_fix_risk[k] = fixed["wrong"]
@@ -206,6 +258,14 @@ class _Session:
         elif code_levels is not None:
             out.mode[k], out.satellites[k] = int(Mode.CODE), int(reduced.tracked.sum())
             out.enu_m[k], out.pl_m[k], out.sigma_m[k] = near, code_levels[0], code_levels[1]
+
+    def _atmosphere(self, near: Array) -> tuple[float, float]:
+        """Sigmas of the residual vertical ionosphere and zenith delay [m] at a place (3,) relative to the base."""
+        c, floats, away = self.config, self.config.rtk.float_solution, 1e-6 * float(np.linalg.norm(near))
+        return (
+            math.hypot(floats.ionosphere_m, c.ionosphere_ppm * away),
+            math.hypot(floats.troposphere_m, c.troposphere_ppm * away),
+        )
 
     def _turn(self, fixed_m: Array) -> None:
         """Compute the heading of the next epoch from two fixed positions that are far enough apart."""

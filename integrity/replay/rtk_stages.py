@@ -14,8 +14,13 @@ from lanebound.integrity.monitoring.exclusion import FdeConfig
 from lanebound.integrity.monitoring.risk import RiskConfig, Variant
 from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConfig
 from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import find_fixed_position
-from lanebound.integrity.navigators.rtk_reckoning.lock_kernel import follow_carriers
-from lanebound.integrity.navigators.rtk_reckoning.navigator import blank_outputs, blank_state, blank_work
+from lanebound.integrity.navigators.rtk_reckoning.navigator import (
+    arrays_of,
+    blank_outputs,
+    blank_state,
+    blank_work,
+    carrier_stages,
+)
 from lanebound.integrity.navigators.rtk_reckoning.parameters import (
     case_table,
     epoch_parameters,
@@ -24,7 +29,6 @@ from lanebound.integrity.navigators.rtk_reckoning.parameters import (
     separation_thresholds,
 )
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch, EpochInputs, Lasting, Measured, Tables
-from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import resolve_integers
 from lanebound.integrity.positioning.config import RtkConfig
 from lanebound.integrity.positioning.cycle_slips import CycleSlipConfig
 
@@ -72,29 +76,37 @@ class RtkStages:
             case_table(config.cases, exact, 0.0), *separation_thresholds(config, len(system)),
         )  # fmt: skip
         n = len(system)
-        state, work, out = blank_state(1, n, tables.prior.size, 1), blank_work(1, n, 1), blank_outputs(1, n, 1)
+        state, work, out = blank_state(1, n, tables.prior.size, 1, rtk), blank_work(1, n, 1), blank_outputs(1, n, 1)
         measured = Measured(
             np.zeros((1, n, 3)), np.zeros(1, np.int64), np.zeros((1, n), np.bool_), np.zeros((1, n)),
             np.zeros((1, n, 2)), np.zeros((1, n, 2)), np.zeros((1, n)), np.zeros((1, n), np.bool_), np.zeros(1),
             np.zeros((1, 3)), np.zeros((1, 3)), np.zeros(1), np.zeros((1, n, 2), np.int64),
         )  # fmt: skip
         self._lasting, self._inputs = Bundle(Lasting(parameters, tables, state, work, out)), EpochInputs(measured)
-        self._stages = Chain(Epoch, follow_carriers, resolve_integers, find_fixed_position)
+        self._stages = Chain(Epoch, *carrier_stages(rtk), find_fixed_position)
 
     def release(self) -> None:
-        """Release all integers."""
-        self._lasting.values.state.ambiguities["held"] = False
+        """Release all integers and forget all float ambiguities."""
+        state = self._lasting.values.state
+        state.ambiguities["held"] = False
+        for array in arrays_of(state.filtered):
+            array[:] = np.zeros((), array.dtype)
 
     def step(
-        self, signals: Signals, age_s: float, dt_s: float, near_m: Array, sin_h: float, cos_h: float
-    ) -> tuple[np.void, Array]:
+        self, signals: Signals, age_s: float, dt_s: float, near_m: Array, sin_h: float, cos_h: float,
+        ionosphere_m: float, troposphere_m: float,
+    ) -> tuple[np.void, Array]:  # fmt: skip
         """Run the stages on one epoch; ``near_m`` (3,) is a point near the receiver.
+
+        ``ionosphere_m`` (vertical) and ``troposphere_m`` (zenith) are the sigmas of what the atmosphere leaves.
 
         Returns the solution (FIXED_SOLUTION of :mod:`~lanebound.integrity.navigators.rtk_reckoning.records_kernel`) and
         its levels (2,) AT, CT [m], zeros unless it is fixed.
         """
         lasting: Lasting = self._lasting.values
         lasting.parameters["dt"] = dt_s
+        filtered = lasting.parameters["rtk"]["filter"]
+        filtered["ionosphere"], filtered["troposphere"] = ionosphere_m, troposphere_m
         lasting.work.quality[0] = signals.quality
         m = self._inputs.measured
         for target, value in (

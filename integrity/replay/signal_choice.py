@@ -72,7 +72,10 @@ def choose_signals(
         _overlap(rover, base),
     )
     strengths = {
-        letter: [_strengths(letter, side, within, limits) for side, within in zip((rover, base), overlap, strict=True)]
+        letter: (
+            _strengths(letter, rover, overlap[0], limits),
+            _strengths(letter, base, overlap[1], limits),
+        )
         for letter in LETTERS
     }
     for count in wanted:

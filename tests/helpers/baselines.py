@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from datetime import datetime, timedelta
+
 import numpy as np
+from navigation_texts import record
 
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, ecef_from_geodetic
 from lanebound.integrity.recorded.rinex_header import Header
@@ -48,11 +51,12 @@ def sky(seed: int = 3, wanted: int = 7) -> Ephemerides:
 def receiver(
     table: Ephemerides, time_s: np.ndarray, place_ecef_m: np.ndarray, *, clock_s: float, seed: int,
     code_m: float = 0.3, phase_m: float = 0.002, slips: dict[tuple[int, int], float] | None = None,
+    delay_m: np.ndarray | None = None,
 ) -> Observations:  # fmt: skip
     """What a receiver at places (T, 3) records at times (T,) after TOW by a clock that is off.
 
     ``slips`` are cycles (1 on both bands each) added to the phase of satellite s from epoch k on, with the receiver's
-    indicator set at that epoch: {(s, k): cycles}.
+    indicator set at that epoch: {(s, k): cycles}. ``delay_m`` (n,) is a slant ionosphere on the first band.
     """
     rng, n = np.random.default_rng(seed), len(table.satellites)
     shape = (time_s.size, n)
@@ -74,8 +78,9 @@ def receiver(
             for (s, k), size in (slips or {}).items():
                 cycles[k:, s] += size
                 lost[k, s, 3 * band + 1] = True
-            columns[..., 3 * band] = whole + rng.normal(0.0, code_m, shape)
-            columns[..., 3 * band + 1] = (whole + rng.normal(0.0, phase_m, shape)) / wavelength + cycles
+            late = 0.0 if delay_m is None else delay_m * (WAVELENGTH_M[letter][0] / WAVELENGTH_M[letter][band]) ** 2
+            columns[..., 3 * band] = whole + late + rng.normal(0.0, code_m, shape)
+            columns[..., 3 * band + 1] = (whole - late + rng.normal(0.0, phase_m, shape)) / wavelength + cycles
             columns[..., 3 * band + 2] = 45.0
         epoch, column = (v.ravel() for v in np.meshgrid(np.arange(time_s.size), own, indexing="ij"))
         rows[letter] = SystemRows(
@@ -87,4 +92,51 @@ def receiver(
     return Observations(header, week, TOW + time_s, np.zeros(time_s.size, np.bool_), rows, None)
 
 
-__all__ = ["AXES", "PLACE", "receiver", "sky"]
+def slant(table: Ephemerides, vertical_m: np.ndarray) -> np.ndarray:
+    """Slant delays (n,) of a thin layer at 350 km for vertical ones, at the place and time of the session."""
+    place = positions(table, [WEEK * 604_800.0 + TOW]).position_ecef_m[0]
+    sine = (ranges_and_sights(place, PLACE)[1] @ AXES)[:, 2]
+    return np.asarray(vertical_m / np.sqrt(1.0 - (6371.0 / 6721.0) ** 2 * (1.0 - sine**2)))
+
+
+def observation_text(observations: Observations) -> str:
+    """The observations as a RINEX 3.04 file."""
+    header = {
+        "RINEX VERSION / TYPE": "     3.04           OBSERVATION DATA    M",
+        "APPROX POSITION XYZ": "".join(f"{v:14.4f}" for v in observations.header.position_ecef_m or ()),
+        **{f"{letter}": f"{letter}{len(codes):5d} {' '.join(codes)}" for letter, codes in CODES.items()},
+        "TIME OF FIRST OBS": "  2024     6    24     8    20    0.0000000     GPS",
+        "END OF HEADER": "",
+    }
+    labels = {letter: "SYS / # / OBS TYPES" for letter in CODES}
+    lines = [f"{text:<60}{labels.get(label, label)}" for label, text in header.items()]
+    for k, tow in enumerate(observations.tow_s):
+        rows = [(letter, r, i) for letter, r in observations.rows.items() for i in np.flatnonzero(r.epoch == k)]
+        time = datetime(1980, 1, 6) + timedelta(weeks=int(observations.week[k]), seconds=float(tow))
+        lines.append(f"> {time:%Y %m %d %H %M} {time.second:10.7f}  0{len(rows):3d}")
+        for letter, r, i in rows:
+            cells = (f"{v:14.3f}{int(lost)} " for v, lost in zip(r.value[i], r.lost[i], strict=True))
+            lines.append(f"{letter}{r.satellite[i]:02d}" + "".join(cells))
+    return "\n".join(lines) + "\n"
+
+
+def navigation_text(table: Ephemerides) -> str:
+    """The messages as a RINEX 3.04 navigation file; numbers are 1 to 99 within a system."""
+    lines = [
+        f"{'     3.04           N: GNSS NAV DATA    M: MIXED':<60}RINEX VERSION / TYPE",
+        " " * 60 + "END OF HEADER",
+    ]
+    for i in range(len(table.system)):
+        time = datetime(1980, 1, 6) + timedelta(seconds=float(table.toc_s[i]))
+        elements = {
+            "crs": 0.0, "delta_n": 0.0, "m0": table.mean_anomaly_rad[i], "cuc": 0.0, "e": table.eccentricity[i],
+            "cus": 0.0, "sqrt_a": table.root_a[i], "toe_sow": table.toe_of_week_s[i], "cic": 0.0,
+            "omega0": table.node_rad[i], "cis": 0.0, "i0": table.inclination_rad[i], "crc": 0.0,
+            "omega": table.perigee_rad[i], "omega_dot": table.node_rate_radps[i], "idot": 0.0,
+        }  # fmt: skip
+        name = f"{LETTER[System(int(table.system[i]))]}{table.prn[i]:02d}"
+        lines.append(record(name, f"{time:%Y %m %d %H %M %S}", tuple(table.clock[i]), elements, 0.0).rstrip())
+    return "\n".join(lines) + "\n"
+
+
+__all__ = ["AXES", "PLACE", "navigation_text", "observation_text", "receiver", "sky", "slant"]

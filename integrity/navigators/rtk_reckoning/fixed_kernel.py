@@ -55,7 +55,13 @@ from lanebound.integrity.positioning.codes_kernel import FAULT, FIXED, NO_CORREC
 from lanebound.integrity.positioning.doubtful_kernel import LARGEST_SET, find_sets
 from lanebound.integrity.positioning.mode_kernel import rtk_usable
 from lanebound.integrity.positioning.rows_kernel import Rows
-from lanebound.integrity.positioning.rtk_kernel import Carriers, collapse_phase, held_risk, range_of
+from lanebound.integrity.positioning.rtk_kernel import (
+    Carriers,
+    atmosphere_variance,
+    collapse_phase,
+    held_risk,
+    range_of,
+)
 
 __all__ = ["find_fixed_position"]
 
@@ -141,12 +147,13 @@ def _solve_fixed(
     ``carriers.variance`` holds the variance factors, ``error`` (S, 2) the fault of the integers [cycles].
     """
     rules, rtk, fixed, factor, n_sat = par.rtk, vehicle.rtk, w.fixed, carriers.variance, rows.y.shape[0]
-    position, q, tried = np.empty(3), np.empty((3, 3)), rows.used.copy()
+    position, q, tried, air = np.empty(3), np.empty((3, 3)), rows.used.copy(), np.empty(n_sat)
     aged = (rules.age_sigma * age) ** 2  # of the whole range, common to the bands
     collapse_phase(carriers, ambiguities, rules.bands, rows.y)
     for s in range(n_sat):
         rows.y[s] -= range_of(error[s], carriers.satellites[s], rules.bands)
-        rows.variance[s] = factor[s] * (rules.sigma_phase**2 / rules.bands) + aged
+        air[s] = aged + atmosphere_variance(rows.los[s, 2], carriers.satellites[s], rules)
+        rows.variance[s] = factor[s] * (rules.sigma_phase**2 / rules.bands) + air[s]
     outcome, _, _, _, fixed.excluded = detect_and_exclude(
         rows, rows.group, vehicle.heading.angle, tables.thresholds, par.fde, position, q
     )
@@ -168,7 +175,7 @@ def _solve_fixed(
             ambiguities[s].held = False
         if rows.used[s]:
             los[n, 0], los[n, 1], los[n, 2], group[n] = rows.los[s, 0], rows.los[s, 1], rows.los[s, 2], rows.group[s]
-            scratch.variance[n], scratch.bias[n] = factor[s] * nominal + aged, rules.phase_bias
+            scratch.variance[n], scratch.bias[n] = factor[s] * nominal + air[s], rules.phase_bias
             scratch.y[n], scratch.accuracy[n], scratch.odds[n] = rows.y[s], rows.variance[s], ambiguities[s].odds
             n += 1
     fixed.satellites = n

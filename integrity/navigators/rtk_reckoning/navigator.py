@@ -19,6 +19,7 @@ from lanebound.integrity.navigators.navigator import Measurements, Navigator, Ro
 from lanebound.integrity.navigators.rtk_reckoning.attitude_kernel import find_attitude
 from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConfig
 from lanebound.integrity.navigators.rtk_reckoning.extension_kernel import begin
+from lanebound.integrity.navigators.rtk_reckoning.float_stage_kernel import add_to_filter
 from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import find_levels
 from lanebound.integrity.navigators.rtk_reckoning.lock_kernel import follow_carriers
 from lanebound.integrity.navigators.rtk_reckoning.modes_kernel import advance_nothing
@@ -39,6 +40,8 @@ from lanebound.integrity.navigators.rtk_reckoning.report_kernel import report, t
 from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import resolve_integers
 from lanebound.integrity.navigators.rtk_reckoning.stages import OutsideStage, Stage, StageList
 from lanebound.integrity.navigators.solution import Solution
+from lanebound.integrity.positioning.config import RtkConfig
+from lanebound.integrity.positioning.float_filter_kernel import FILTER_ROW, MEASURED, SLOT, STATES, Filtered
 from lanebound.integrity.positioning.rtk_kernel import AMBIGUITY
 
 __all__ = ["RtkReckoningNavigator"]
@@ -61,7 +64,8 @@ class RtkReckoningNavigator(Navigator):
 
     def initial_belief(self, batch: int) -> State:
         """Nothing is known but the bounds of the heading and of the gyro bias."""
-        belief = blank_state(batch, len(self.track.system), self._tables.prior.size, len(self.config.cases))
+        rtk = self.config.positioning.rtk
+        belief = blank_state(batch, len(self.track.system), self._tables.prior.size, len(self.config.cases), rtk)
         vehicles, heading = belief.vehicles, self.config.positioning.heading
         vehicles["heading"]["p_hh"] = np.deg2rad(heading.initial_sigma_deg) ** 2
         vehicles["heading"]["p_bb"] = heading.bias_initial_radps**2
@@ -144,8 +148,7 @@ def stages_of(config: RtkReckoningConfig) -> list[Stage | OutsideStage]:
         *monitored(Point.MEASURED),
         *monitored(Point.VELOCITY),
         find_attitude,
-        follow_carriers,
-        resolve_integers,
+        *carrier_stages(config.positioning.rtk),
         *monitored(Point.FIX),
         *monitored(Point.ESTIMATED),
         *(mode.stage for mode in config.chosen_modes),
@@ -159,16 +162,34 @@ def stages_of(config: RtkReckoningConfig) -> list[Stage | OutsideStage]:
     ]
 
 
-def blank_state(batch: int, satellites: int, modes: int, cases: int) -> State:
+def carrier_stages(rtk: RtkConfig) -> list[Stage]:
+    """The stages that follow carriers and resolve their integers."""
+    if rtk.float_solution.kind == "sequential":
+        return [follow_carriers, add_to_filter, resolve_integers]
+    return [follow_carriers, resolve_integers]
+
+
+def blank_state(batch: int, satellites: int, modes: int, cases: int, rtk: RtkConfig) -> State:
     """The state of vehicles, all zeros; ``modes`` is the width of the arrays of fault modes."""
 
     def blank(kind: type[Any]) -> Any:
         return kind(*(np.zeros((batch, modes)) for _ in kind._fields))
 
     return State(
-        np.zeros(batch, VEHICLE), np.zeros((batch, satellites), AMBIGUITY), np.zeros((batch, 2), GROWTH),
+        np.zeros(batch, VEHICLE), np.zeros((batch, satellites), AMBIGUITY), blank_filters(batch, rtk),
+        np.zeros((batch, 2), GROWTH),
         np.zeros((batch, 2, cases), START), blank(Influences), blank(Influences), blank(Separations),
         blank(Separations), blank(Courses),
+    )  # fmt: skip
+
+
+def blank_filters(batch: int, rtk: RtkConfig) -> Filtered:
+    """Filters of float ambiguities that know nothing; without a slot where floats come from single epochs."""
+    slots = rtk.max_candidates if rtk.float_solution.kind == "sequential" else 0
+    n = STATES * slots + 1
+    return Filtered(
+        np.zeros(batch, FILTER_ROW), np.zeros((batch, slots), SLOT), np.zeros((batch, n, n)), np.zeros((batch, n)),
+        np.zeros((batch, n, n)), np.zeros((batch, MEASURED * slots, n)),
     )  # fmt: skip
 
 

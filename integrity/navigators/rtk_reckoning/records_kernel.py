@@ -15,6 +15,7 @@ from lanebound.integrity.monitoring.detection_kernel import FDE_RULES, Threshold
 from lanebound.integrity.monitoring.doppler_separation_kernel import Influences, Separations
 from lanebound.integrity.monitoring.heading_separation_kernel import SPREAD, Courses
 from lanebound.integrity.monitoring.jump_kernel import JUMP
+from lanebound.integrity.positioning.float_filter_kernel import Filtered
 from lanebound.integrity.positioning.heading_kernel import CALIBRATION, HEADING
 from lanebound.integrity.positioning.mode_kernel import MODE_LIMITS
 from lanebound.integrity.positioning.odometer_watch_kernel import ODOMETER_WATCH, WATCH_LIMITS
@@ -189,13 +190,15 @@ START = record(
 class State(NamedTuple):
     """What lasts of B vehicles.
 
-    vehicles (B,) of VEHICLE; ambiguities (B, S) of AMBIGUITY; growth (B, 2) of GROWTH and starts (B, 2, R) of START,
-    for LATEST and BACKUP, whose separations are ``latest`` and ``backup``; last_influences and influences of the
-    velocities at the beginning and at the end of the epoch; courses. Arrays of fault modes are (B, W).
+    vehicles (B,) of VEHICLE; ambiguities (B, S) of AMBIGUITY; filtered: filters of the float ambiguities; growth (B, 2)
+    of GROWTH and starts (B, 2, R) of START, for LATEST and BACKUP, whose separations are ``latest`` and ``backup``;
+    last_influences and influences of the velocities at the beginning and at the end of the epoch; courses. Arrays of
+    fault modes are (B, W).
     """
 
     vehicles: Records
     ambiguities: Records
+    filtered: Filtered
     growth: Records
     starts: Records
     last_influences: Influences
@@ -245,6 +248,8 @@ FIXED_SOLUTION = record(
     p_nn="North North [m^2]",
     sigma=("f8", (2,), "standard deviation along and across track [m]"),
     wrong="probability that the held integers are wrong [-]",
+    searched=("i8", "satellites whose integers were sought"),
+    failure="failure rate of their integers: of the set that was tried, or of all where none is precise enough [-]",
     lasting=("?", "the epoch before had an RTK position"),
     usable=("?", "confirmed, and of good geometry: levels are filled"),
 )

@@ -13,9 +13,10 @@ from lanebound.integrity.monitoring.detection_kernel import EXCLUDED, Thresholds
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Bools, Epoch
 from lanebound.integrity.positioning.codes_kernel import FIXED, NO_CORRECTIONS, NOT_CONVERGED, RATIO_FAILED
 from lanebound.integrity.positioning.doubtful_kernel import LARGEST_SET, find_sets
-from lanebound.integrity.positioning.resolve_kernel import add_held, attempt, base_of, resolve
+from lanebound.integrity.positioning.float_filter_kernel import FilterRow, filter_of
+from lanebound.integrity.positioning.resolve_kernel import FloatSource, add_held, attempt, base_of, resolve
 from lanebound.integrity.positioning.rows_kernel import Rows
-from lanebound.integrity.positioning.rtk_kernel import Carriers, collapse_code, drop_small_systems
+from lanebound.integrity.positioning.rtk_kernel import Carriers, collapse_code, drop_small_systems, has_atmosphere
 
 __all__ = ["resolve_integers"]
 
@@ -47,7 +48,8 @@ def resolve_integers(first: int, last: int, epoch: Epoch) -> None:
         vehicle, fixed, ambiguities = state.vehicles[v], work.vehicles[v].fixed, state.ambiguities[v]
         rtk, age = vehicle.rtk, measured.age[v]
         used, phase_ok = work.used[v], work.phase_ok[v]
-        fixed.status, fixed.coded = FIXED, False
+        own, filtered = filter_of(state.filtered, v), state.filtered.rows[v].added
+        fixed.status, fixed.coded, fixed.searched, fixed.failure = FIXED, False, 0, 0.0
         if not age <= rules.max_age:
             rtk.rejected, fixed.status = 0, NO_CORRECTIONS
             continue
@@ -59,6 +61,8 @@ def resolve_integers(first: int, last: int, epoch: Epoch) -> None:
         rtk.refused_s = max(rtk.refused_s - par.dt, 0.0)
         due = not positioned or not rtk.refused_s > 0.5 * par.dt
         searched = due and new and age <= rules.fix_max_age
+        if searched and rules.filter.sequential and not filtered and has_atmosphere(rules):
+            searched, fixed.status = False, NOT_CONVERGED  # one epoch alone would ignore the atmosphere
         if searched or (par.cold and not vehicle.initialised):
             code, los, factor = measured.code[v], measured.los[measured.sight[v]], work.factor[v]
             carriers = Carriers(los, satellites, measured.phase[v], np.empty(n))
@@ -70,7 +74,9 @@ def resolve_integers(first: int, last: int, epoch: Epoch) -> None:
                 fixed.coded, fixed.p_ee, fixed.p_en, fixed.p_nn = True, q[0, 0], q[0, 1], q[1, 1]
                 if searched:
                     tests_of_codes = Codes(code, used, factor, tests)
-                    fixed.status = _resolve(carriers, rows, tests_of_codes, age, candidate, ambiguities, fixed, q)
+                    fixed.status = _resolve(
+                        carriers, rows, tests_of_codes, age, candidate, ambiguities, fixed, q, own, filtered
+                    )
             if searched:
                 rtk.refused_s = rules.retry if fixed.status != FIXED else 0.0
 
@@ -104,9 +110,10 @@ def find_code_position(
 
 @jit
 def _resolve(
-    carriers: Carriers, rows: Rows, codes: Codes, age: float, candidate: Bools, ambiguities: Records, fixed: Any, q: Any
-) -> int:
-    """Fix what the risk allows, from the position of the codes; returns a status.
+    carriers: Carriers, rows: Rows, codes: Codes, age: float, candidate: Bools, ambiguities: Records, fixed: Any,
+    q: Any, own: FilterRow, filtered: bool,
+) -> int:  # fmt: skip
+    """Fix what the risk allows, from the codes of this epoch or, if ``filtered``, from the filter; returns a status.
 
     Where carriers may be off, a fix has to be found again without each of them (:func:`_confirm`).
     """
@@ -116,23 +123,29 @@ def _resolve(
     for s in range(codes.factor.shape[0]):
         carriers.variance[s] = codes.factor[s] * rules.sigma_phase**2 + aged
     rtk.fixes += 1
+    fixed.searched = np.count_nonzero(candidate)
     if rules.doubt.sets == 0:
-        return int(resolve(carriers, candidate, ambiguities, rules, fixed.position, q, rtk.fixes))
+        status, rate = resolve(carriers, candidate, ambiguities, rules, fixed.position, q, own, filtered, rtk.fixes)
+        fixed.failure = rate
+        return int(status)
     before = ambiguities.copy()
-    status = int(resolve(carriers, candidate, ambiguities, rules, fixed.position, q, rtk.fixes))
-    if status == FIXED and not _confirm(carriers, rows, codes, candidate, before, ambiguities):
+    status, rate = resolve(carriers, candidate, ambiguities, rules, fixed.position, q, own, filtered, rtk.fixes)
+    fixed.failure = rate
+    if status == FIXED and not _confirm(carriers, rows, codes, candidate, before, ambiguities, own):
         ambiguities[:] = before
         return RATIO_FAILED
-    return status
+    return int(status)
 
 
 @jit
 def _confirm(
-    carriers: Carriers, rows: Rows, codes: Codes, candidate: Bools, before: Records, ambiguities: Records
-) -> bool:
+    carriers: Carriers, rows: Rows, codes: Codes, candidate: Bools, before: Records, ambiguities: Records,
+    own: FilterRow,
+) -> bool:  # fmt: skip
     """Whether no doubtful carrier, and no set of them, is needed for the integers that are new since ``before``.
 
-    Each hypothesis takes its satellites out of codes, held and new carriers and resolves the rest. Other integers, or
+    Each hypothesis takes its satellites out of codes, held and new carriers and resolves the rest from this epoch alone
+    (the filter ``own`` contains them). Other integers, or
     a hypothesis without a fix, refute the new fix; a new satellite that a hypothesis cannot fix is released. The
     hypotheses fail, each weighed by its odds, with CONFIRM_SHARE of the risk of wrong integers at most, which is added
     to that of the fix.
@@ -168,10 +181,8 @@ def _confirm(
         if not add_held(carriers, trial, rules, position, q):
             return False
         limit = min(CONFIRM_SHARE * rules.fix_limit / (prior * number), MOST_FAILURES)
-        base = base_of(carriers, trial, rules.bands)
-        status, _, _ = attempt(
-            carriers, rest, trial, base, rules, position, q, limit, vehicle.rtk.fixes, 0.0, chosen, relieved
-        )
+        source = FloatSource(position, q, base_of(carriers, trial, rules.bands), own, False)
+        status, _, _ = attempt(carriers, rest, trial, source, rules, limit, vehicle.rtk.fixes, 0.0, chosen, relieved)
         if status != FIXED or not _agree(carriers.satellites, rest, trial, before, ambiguities, rules.bands):
             return False
     for s in range(n):

@@ -25,9 +25,11 @@ CITY: dict[str, Any] = {
     "layouts": 2,
 }
 TRUTH, SENSOR, BOTH = ({"perception": {"source": source}} for source in ("truth", "sensor", "both"))
+SEQUENTIAL: dict[str, Any] = {"navigator": {"positioning": {"rtk": {"float_solution": {"kind": "sequential"}}}}}
 PERFECT: dict[str, Any] = {"navigation": {"source": "perfect"}}
 CASES: list[tuple[str, dict[str, Any], int]] = [
     ("LaneKeeping", {"sky": "dense", "layouts": 2}, 25),
+    ("LaneKeeping", {"sky": "urban", "layouts": 2, **SEQUENTIAL}, 15),
     ("LaneKeeping", {"sky": "open", "action": "meta", "observation": {"history": 2, "satellites_m": []}}, 8),
     ("CarFollowing", {"sky": "open"}, 15),
     ("Highway", {**FEW, **BOTH, "sky": "open"}, 6),

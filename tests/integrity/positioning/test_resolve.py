@@ -13,7 +13,8 @@ from scipy.stats import chi2, poisson
 
 from lanebound.integrity.positioning.codes_kernel import FIXED, NOT_CONVERGED, RATIO_FAILED, TOO_FEW
 from lanebound.integrity.positioning.config import RtkConfig, rtk_parameters
-from lanebound.integrity.positioning.resolve_kernel import base_of, float_solution, resolve, suspect
+from lanebound.integrity.positioning.float_filter_kernel import SLOT, FilterRow
+from lanebound.integrity.positioning.resolve_kernel import FloatSource, base_of, float_solution, resolve, suspect
 from lanebound.integrity.positioning.rows_kernel import Rows
 from lanebound.integrity.positioning.rtk_kernel import (
     AMBIGUITY,
@@ -32,6 +33,7 @@ Bools = NDArray[np.bool_]
 WAVES = np.ascontiguousarray(WAVELENGTH_M[:, :2])
 SYSTEM = np.array([0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 3, 3, 3])
 N_SAT = len(SYSTEM)
+NO_FILTER = FilterRow(np.zeros(0, SLOT), np.zeros((1, 1)), np.zeros(1), np.zeros((1, 1)), np.zeros((0, 1)))
 
 
 def fit_limits(false_rejection: float) -> Array:
@@ -84,7 +86,8 @@ class _Problem:
             attempts,
         )
         rules["max_candidates"], rules["min_satellites"], rules["min_further"] = most, least, further
-        return int(resolve(self.carriers, wanted, self.fixes, rules, x, q, fix))
+        status, _ = resolve(self.carriers, wanted, self.fixes, rules, x, q, NO_FILTER, False, fix)
+        return int(status)
 
     def _code_position(self, bands: int) -> tuple[Array, Array]:
         """Position and covariance from the code of all satellites."""
@@ -308,7 +311,8 @@ def test_the_norm_relieved_is_what_is_lost_when_the_satellite_is_left_out() -> N
     rules, carriers = rtk_parameters(RtkConfig(), 2, 1.0)[0], p.carriers
     x, q = p._code_position(2)
     everything = np.ones(N_SAT, dtype=np.bool_)
-    floats = float_solution(carriers, everything, base_of(carriers, p.fixes, 2), rules, x, q)
+    source = FloatSource(x, q, base_of(carriers, p.fixes, 2), NO_FILTER, False)
+    floats = float_solution(carriers, everything, p.fixes, source, rules)
     n, best, relieved = floats.n, np.round(floats.ambiguity), np.empty(N_SAT)
     count = suspect(floats, n // 2, p.fixes, everything, carriers, 2, best, relieved)
     assert count == N_SAT

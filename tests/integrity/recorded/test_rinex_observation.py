@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from navigation_texts import GPS_RECORD, HEADER
 from recordings import RINEX, real, rinex_epoch, rinex_header, rinex_line, rinex_satellite, survives
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.recorded.rinex_observation import read_observations
+from lanebound.integrity.sky.rinex_navigation import parse_navigation
 
 FUZZ = settings(max_examples=400, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 
@@ -36,6 +38,13 @@ def test_a_small_file(tmp_path: Path) -> None:
     assert rows.column("L5Q").tolist() == [0.0, 0.0, 0.0]
     assert rows.lost_lock("L1C").tolist() == [False, False, True]
     assert found.header.position_ecef_m == (-3817680.9841, 3562840.0688, 3650158.4543)
+
+
+def test_qzss_satellites_have_the_numbers_of_their_messages(tmp_path: Path) -> None:
+    head = rinex_header(**{"SYS / # / OBS TYPES": "J    2 C1C L1C"})
+    found = read_observations(written(tmp_path, head + rinex_epoch(0.0, rinex_satellite("J02", 3.7e7, 1.9e8))))
+    message = parse_navigation(HEADER + GPS_RECORD.replace("G04", "J02"))
+    assert found.rows["J"].satellite.tolist() == message.prn.tolist() == [194]
 
 
 def test_the_antenna_is_height_east_and_north_of_the_marker(tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from baselines import AXES, PLACE, receiver, sky
 
@@ -48,3 +50,32 @@ def test_the_troposphere_is_what_it_is_known_to_be() -> None:
     assert 5.0 < low / zenith < 6.0  # 1 / sin 10 degrees is 5.76
     high = troposphere_m(PLACE * (1.0 + 1000.0 / np.linalg.norm(PLACE)), np.array([np.pi / 2.0]))[0]
     assert 0.2 < zenith - high < 0.4
+
+
+def test_each_band_of_each_receiver_is_judged_by_its_own_strength() -> None:
+    table, time = sky(), np.arange(2.0)
+    rover, base = (receiver(table, time, np.tile(PLACE, (2, 1)), clock_s=0.0, seed=k) for k in (1, 2))
+    rows = base.rows["G"]
+    rows.value[rows.satellite == rows.satellite[0], 5] = 28.0  # the second band, at the base alone
+    choice = choose_signals(rover, base)
+    arcs = [arc_of(o, choice.rover, choice, table) for o in (rover, base)]
+    weak = int(np.flatnonzero((table.satellites == [0, rows.satellite[0]]).all(1))[0])
+    for least, tracked in ((0.0, True), (30.0, False)):
+        found = reduce_epoch(arcs[0], arcs[1], 0, 0, PLACE, PLACE, 2, least)
+        assert found.tracked[weak] == tracked
+        assert np.delete(found.tracked, weak).all()
+    # the mean variance of three signals of 45 dB-Hz and one of 28
+    assert abs(found.cn0_dbhz[weak] + 10.0 * np.log10((3 * 10**-4.5 + 10**-2.8) / 4.0)) < 1e-9
+    assert np.allclose(np.delete(found.cn0_dbhz, weak), 45.0)
+
+
+def test_observations_of_qzss_meet_their_messages() -> None:
+    table, time = sky(), np.arange(2.0)
+    as_qzss = np.where(table.system == 0, 4, table.system)
+    table = replace(table, system=as_qzss, prn=np.where(as_qzss == 4, 192 + table.prn % 10, table.prn))
+    rover = receiver(replace(table, system=np.where(as_qzss == 4, 0, as_qzss)), time, np.tile(PLACE, (2, 1)),
+                     clock_s=0.0, seed=1)  # fmt: skip
+    rover = replace(rover, rows={"J": rover.rows["G"], "E": rover.rows["E"]})
+    choice = choose_signals(rover, rover)
+    arc = arc_of(rover, choice.rover, choice, table)
+    assert (arc.code_m[0, table.satellites[:, 0] == 4] > 0.0).all()

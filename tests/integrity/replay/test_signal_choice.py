@@ -78,3 +78,41 @@ def test_phases_that_are_missing_do_not_count(one: Observations) -> None:
     bare = replace(one, rows={"G": replace(rows, value=value)})
     assert choose_signals(bare, one).rover == {"G": ("1C",)}
     assert np.count_nonzero(bare.rows["G"].column("L2W")) == 0
+
+
+def with_second(one: Observations, strength: dict[str, float], prns: dict[str, list[int]]) -> Observations:
+    """GPS rows with L1 and further codes of the second band, of these strengths, for these satellites."""
+    rows = one.rows["G"]
+    codes, columns = ["C1C", "L1C", "S1C"], [rows.value[:, :3]]
+    for name, cn0 in strength.items():
+        tracked = np.isin(rows.satellite, prns[name])[:, None]
+        codes += [f"C{name}", f"L{name}", f"S{name}"]
+        columns.append(np.where(tracked, [2e7, 8e7, cn0], 0.0))
+    value = np.concatenate(columns, axis=1)
+    none = np.zeros(value.shape, np.bool_)
+    return replace(one, rows={"G": replace(rows, codes=tuple(codes), value=value, lost=none, half=none)})
+
+
+def test_a_strong_signal_of_fewer_satellites_comes_before_a_weak_one(one: Observations) -> None:
+    """Semi-codeless L2W of every satellite at 20 dB-Hz, L2L of all but one at 45."""
+    prns = np.unique(one.rows["G"].satellite).tolist()
+    found = with_second(one, {"2W": 20.0, "2L": 45.0}, {"2W": prns, "2L": prns[1:]})
+    assert choose_signals(found, found, cn0_min_dbhz=30.0).rover == {"G": ("1C", "2L")}
+    strong = with_second(one, {"2W": 44.0, "2L": 45.0}, {"2W": prns, "2L": prns[3:]})
+    assert choose_signals(strong, strong, cn0_min_dbhz=30.0).rover == {"G": ("1C", "2W")}
+
+
+def test_the_weaker_receiver_decides(one: Observations) -> None:
+    prns = np.unique(one.rows["G"].satellite).tolist()
+    both = {"2W": prns, "5Q": prns}
+    rover, base = with_second(one, {"2W": 40.0, "5Q": 50.0}, both), with_second(one, {"2W": 40.0, "5Q": 25.0}, both)
+    assert choose_signals(rover, base, cn0_min_dbhz=30.0).rover == {"G": ("1C", "2W")}
+
+
+def test_two_near_bands_are_worth_less_than_two_far_ones(one: Observations) -> None:
+    rows = one.rows["E"]
+    value = np.concatenate([rows.value[:, :3] * [1, 1, 38 / 45], rows.value[:, 3:], rows.value[:, 3:]], axis=1)
+    codes = ("C1C", "L1C", "S1C", "C5Q", "L5Q", "S5Q", "C7Q", "L7Q", "S7Q")
+    none = np.zeros(value.shape, np.bool_)
+    found = replace(one, rows={"E": replace(rows, codes=codes, value=value, lost=none, half=none)})
+    assert choose_signals(found, found).rover == {"E": ("1C", "5Q")}
