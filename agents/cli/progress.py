@@ -24,6 +24,7 @@ T = TypeVar("T")
 EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells count
 MOST_S = 5.0  # to start a process
 QUIET_S = 10.0  # between lines of a file that report no other part done
+LONGEST_S = 30.0  # between lines of a file while parts are done
 
 
 def wait_for(work: Callable[[], T]) -> T:
@@ -108,7 +109,7 @@ def with_bar(what: str, work: Callable[[Callable[[RunProgress], None]], T]) -> T
 
 
 class _Lines:
-    """Progress in a file: a line for each tenth, and one when kernels are compiled.
+    """Progress in a file: a line for each tenth or half a minute, and one when kernels are compiled.
 
     A line without another part done follows at least ten seconds after the last one.
     """
@@ -125,7 +126,9 @@ class _Lines:
             typer.echo("compiling kernels, once: this takes some minutes", err=True)
         tenths = int(10.0 * progress.done / progress.of) if progress.of else 10
         now, done = time.monotonic(), counts(progress)
-        if self._tenths is not None and tenths > self._tenths and (done != self._shown or now > self._at + QUIET_S):
+        late = now > self._at + LONGEST_S and done != self._shown
+        further = self._tenths is not None and tenths > self._tenths
+        if late or (further and (done != self._shown or now > self._at + QUIET_S)):
             self._shown, self._at = done, now
             typer.echo(f"{done} {progress.stage or self._what}, {rest_text(progress)}", err=True)
         self._tenths = max(tenths, self._tenths or 0)

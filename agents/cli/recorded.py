@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
@@ -22,6 +24,8 @@ CITY_WORDS = (
     "gaussian: the receiver's own variances, taken for noise around 0; gaussian_epoch: the same without a window. "
     "training, after: before and after the fitting ends; unshared: windows that hold no signal of training."
 )
+RESULTS = (".json", ".csv", ".png")
+MANIFEST = ("run.json",)
 FAR_M = 1000.0  # between the given position of a base and that of its header, which may be coarse
 
 
@@ -33,14 +37,16 @@ def replay(
 ) -> None:
     """Replay a recorded drive: positions, protection levels, exclusions and alerts against the truth.
 
-    smartLoc: a city by code, wheel speed and yaw rate. comma2k19: dead reckoning in artificial outages. A RINEX pair
-    (rover.obs, base.obs, base.nav): RTK. docs/navigation.md says where to get the recordings.
+    smartLoc: a city by code, wheel speed and yaw rate. comma2k19: dead reckoning in artificial outages. A RINEX pair:
+    RTK. Its files are told apart by their names (rover, base) or by which receiver moves. docs/navigation.md says where
+    to get the recordings.
 
     Keys for --set, of smartLoc: every, first, training_share, solution.*, alerts.*; of comma2k19: every_s, longest_s,
-    heading_error_deg, bridge.*; of RINEX: bands, rtk.*, fde.*, risk.*.
+    heading_error_deg, bridge.*; of RINEX: bands, ionosphere_ppm, troposphere_ppm, rtk.*, fde.*, risk.*.
 
     Example: lanebound replay data/smartloc_berlin_potsdamer --out out/berlin
     """
+    _limit_blas_threads()
     from lanebound.agents.cli.output import print_json
     from lanebound.integrity.replay.datasets import kind_of, replay_folder
 
@@ -56,7 +62,9 @@ def replay(
 def rtk(
     rover: Annotated[Path, typer.Option(metavar="FILE.obs", help="RINEX 3 observations of the rover.")],
     base: Annotated[Path, typer.Option(metavar="FILE.obs", help="RINEX 3 observations of the base.")],
-    nav: Annotated[Path, typer.Option(metavar="FILE.nav", help="RINEX 3 navigation messages.")],
+    nav: Annotated[
+        list[Path], typer.Option(metavar="FILE.nav", help="RINEX 3 navigation messages; several files are merged.")
+    ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for solution.csv and rtk.json.")],
     base_position: Annotated[
         str | None,
@@ -78,12 +86,13 @@ def rtk(
 
     Example: lanebound rtk --rover rover.obs --base base.obs --nav base.nav --out out/rtk
     """
+    _limit_blas_threads()
     from lanebound.agents.cli.output import print_json
     from lanebound.integrity.core.errors import InputError
     from lanebound.integrity.replay.baseline import BaselineConfig
     from lanebound.integrity.replay.baseline_report import read_coordinates, run_baseline
 
-    for option, path in (("--rover", rover), ("--base", base), ("--nav", nav)):
+    for option, path in (("--rover", rover), ("--base", base), *(("--nav", path) for path in nav)):
         if not path.is_file():
             raise InputError(f"{option} must be a file that exists, got {path}: correct the path")
     config = BaselineConfig.build(None, changes(assignments))
@@ -111,9 +120,24 @@ def _solve(out: Path, kind: str, work: Callable[[Progress], T]) -> T:
     from lanebound.agents.checkpointing.folder import ResultFolder
     from lanebound.agents.cli.progress import resumable, with_bar
 
+    start = time.time()
     ResultFolder(out, kind).claim()
-    with resumable(lambda: "nothing is kept"):
+    with resumable(lambda: _written_text(out, start)):
         return with_bar("epochs", lambda on_progress: work(_epochs(on_progress)))
+
+
+def _written_text(out: Path, start_s: float) -> str:
+    """Which results an interrupted run has already written into its folder since ``start_s`` [s of the clock]."""
+    files = [path for path in sorted(out.glob("*.*")) if path.suffix in RESULTS and path.name not in MANIFEST]
+    new = [path.name for path in files if path.stat().st_mtime >= start_s - 1.0]
+    return f"{', '.join(new)} is written in {out}; later files are missing" if new else "nothing is kept"
+
+
+def _limit_blas_threads() -> None:
+    """Let linear algebra use one thread, unless the user says otherwise: its matrices are small, and threads that wait
+    for one another occupy processors. The libraries read the variables once, when they are loaded."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
 
 
 def _epochs(on_progress: OnProgress) -> Progress:
@@ -191,6 +215,8 @@ def _print_rtk(found: dict[str, Any]) -> None:
     keys = ("epochs", "fixed", "satellites_median", "excluded", "wrong_fix_risk_max", "base_from_header_m")
     rows = [(key, found[key]) for key in keys] + [(f"epochs {name}", n) for name, n in found["status"].items() if n]
     print_table("RTK", ("", "value"), rows)
+    if "not_converged" in found:
+        typer.echo(f"not_converged: {found['not_converged']['what']}")
     errors = found.get("errors", {})
     if errors:
         head = ("epochs", "axis", "n", "largest horizontal m", "above PL", "exact 95 % interval", "median PL m")

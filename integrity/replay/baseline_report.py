@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from lanebound.integrity.positioning.rtk_status import RtkStatus
 from lanebound.integrity.recorded.rinex_observation import read_observations
 from lanebound.integrity.recorded.source import finite_number
 from lanebound.integrity.replay.baseline import Baseline, BaselineConfig, on_earth, solve_baseline
-from lanebound.integrity.sky.broadcast import read_navigation
+from lanebound.integrity.sky.broadcast import Ephemerides, read_navigation
 
 __all__ = ["read_coordinates", "run_baseline", "summarise"]
 
@@ -44,12 +44,13 @@ CAUTION = (
 
 
 def run_baseline(
-    rover: Path, base: Path, navigation: Path, out: Path, *, base_ecef_m: Array | None = None,
+    rover: Path, base: Path, navigation: Sequence[Path], out: Path, *, base_ecef_m: Array | None = None,
     rover_ecef_m: Array | None = None, config: BaselineConfig | None = None,
     progress: Progress = silent,
 ) -> tuple[dict[str, Any], list[Path]]:  # fmt: skip
-    """Solve a rover, base and navigation triple of RINEX files; write ``solution.csv`` and ``rtk.json`` into ``out``.
+    """Solve RINEX files of a rover, a base and their navigation, which are merged.
 
+    Writes ``solution.csv`` and ``rtk.json`` into ``out``.
     ``base_ecef_m`` and ``rover_ecef_m`` (3,) are antenna reference points: of the base, by default that of its header,
     and of a static rover, if its true position is known; errors are then reported. ``progress`` is called with the
     number of solved epochs and the total number.
@@ -57,11 +58,12 @@ def run_baseline(
     Raises
     ------
     InputError
-        A file is invalid, or the three files do not belong together.
+        A file is invalid, or the files do not belong together.
     """
     if Path(rover).resolve() == Path(base).resolve():
         raise InputError(f"rover and base must be files of two receivers, got {rover} twice: correct one of the paths")
-    rover_data, base_data, table = read_observations(rover), read_observations(base), read_navigation(navigation)
+    rover_data, base_data = read_observations(rover), read_observations(base)
+    table = Ephemerides.merged([read_navigation(path) for path in navigation])
     solved = solve_baseline(rover_data, base_data, table, base_ecef_m, config, progress)
     stops = {"rover": rover_data.stopped, "base": base_data.stopped, "navigation": table.stopped or None}
     summary = {
@@ -114,6 +116,9 @@ def summarise(solved: Baseline, rover_ecef_m: Array | None = None) -> dict[str, 
         "excluded": int(solved.excluded.sum()),
         "wrong_fix_risk_max": float(solved.wrong_fix_risk[fixed].max()) if fixed.any() else None,
     }  # fmt: skip
+    waiting = solved.status == RtkStatus.NOT_CONVERGED.code
+    if waiting.any():
+        found["not_converged"] = _lacking(solved, waiting)
     if fixed.any():
         finite = solved.pl_m[fixed]
         found["pl_fixed_median_m"] = {
@@ -123,6 +128,23 @@ def summarise(solved: Baseline, rover_ecef_m: Array | None = None) -> dict[str, 
     if rover_ecef_m is not None:
         found |= {"errors": _errors(solved, rover_ecef_m), "caution": CAUTION}
     return found
+
+
+def _lacking(solved: Baseline, waiting: NDArray[np.bool_]) -> dict[str, Any]:
+    """What epochs that did not converge lacked: their failure rate and its limit, and their satellites."""
+    sought = waiting & (solved.searched > 0)
+    rate = float(np.median(solved.failure[sought])) if sought.any() else None
+    satellites = float(np.median(solved.searched[sought])) if sought.any() else 0.0
+    if rate is None:
+        what = "no position from the codes passed its test: more satellites with strong signals are needed"
+    else:
+        bands = "" if solved.choice.bands == 2 else ", a second band"
+        what = (
+            f"the failure rate of the integers of {satellites:g} satellites was {rate:.1e} (median), its limit is "
+            f"{solved.failure_limit:.1e}: more satellites{bands}, a shorter baseline or a longer time lower it"
+        )
+    return {"failure_rate_median": rate, "failure_limit": solved.failure_limit, "satellites_median": satellites,
+            "what": what}  # fmt: skip
 
 
 def _errors(solved: Baseline, rover_ecef_m: Array) -> dict[str, Any]:

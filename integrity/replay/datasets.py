@@ -8,13 +8,14 @@ from typing import Any
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.progress import Progress, silent
+from lanebound.integrity.replay.pair_files import find_pair, observation_files
 
 __all__ = ["kind_of", "replay_folder"]
 
 KINDS = {
     "smartloc": "*_Input.txt(.gz) and *_GT.txt of smartLoc",
     "comma2k19": "global_pose, CAN and IMU of a comma2k19 segment",
-    "rinex": "rover.obs, base.obs and base.nav (or rover.nav) in RINEX 3",
+    "rinex": "two observation files and navigation in RINEX 3, such as rover.obs, base.obs and base.nav",
 }
 POSITION_FILE = "{}_position.txt"  # latitude and longitude [deg], ellipsoidal height [m]
 
@@ -31,7 +32,7 @@ def kind_of(folder: Path) -> str:
         return "smartloc"
     if (folder / "global_pose").is_dir():
         return "comma2k19"
-    if (folder / "rover.obs").is_file() and (folder / "base.obs").is_file():
+    if observation_files(folder):
         return "rinex"
     known = "; ".join(f"{what} ({name})" for name, what in KINDS.items())
     raise InputError(f"{folder} must be a folder of a recorded data set, is none: {known}")
@@ -74,18 +75,14 @@ def _replay_rinex(
     from lanebound.integrity.replay.baseline import BaselineConfig
     from lanebound.integrity.replay.baseline_report import read_coordinates, run_baseline
 
-    navigation = [path for name in ("base.nav", "rover.nav") if (path := folder / name).is_file()]
-    if not navigation:
-        raise InputError(
-            f"{folder} must hold base.nav or rover.nav beside rover.obs, has neither: add a navigation file"
-        )
+    pair = find_pair(folder)
     known = {}
     for receiver in ("base", "rover"):
         path = folder / POSITION_FILE.format(receiver)
         known[f"{receiver}_ecef_m"] = read_coordinates(str(path)) if path.is_file() else None
     config = BaselineConfig.build(None, changes)
     found, written = run_baseline(
-        folder / "rover.obs", folder / "base.obs", navigation[0], out, base_ecef_m=known["base_ecef_m"],
+        pair.rover, pair.base, pair.navigation, out, base_ecef_m=known["base_ecef_m"],
         rover_ecef_m=known["rover_ecef_m"], config=config, progress=progress,
     )  # fmt: skip
     return {"dataset": "rinex", **found}, written

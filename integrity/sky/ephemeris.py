@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -90,6 +91,20 @@ class Ephemerides:
     def geostationary(self) -> NDArray[np.bool_]:
         """Whether the elements refer to BeiDou's inclined frame for geostationary satellites.  (N,)."""
         return np.asarray((self.system == System.BEIDOU) & np.isin(self.prn, BEIDOU_GEO))
+
+    @classmethod
+    def merged(cls, tables: Sequence[Ephemerides]) -> Ephemerides:
+        """The messages of one or more tables, in their order.
+
+        A message that two files contain is listed twice, which changes no position.
+        """
+        columns = {
+            f.name: np.concatenate([getattr(table, f.name) for table in tables])
+            for f in fields(cls)
+            if isinstance(getattr(tables[0], f.name), np.ndarray)
+        }
+        stopped = "; ".join(table.stopped for table in tables if table.stopped)
+        return cls(**columns, stopped=stopped, left_out=tuple(line for table in tables for line in table.left_out))
 
     def take(self, rows: NDArray[np.bool_] | Ints) -> Ephemerides:
         """The messages that a mask or an index array selects."""

@@ -28,6 +28,7 @@ GPS_START = datetime(1980, 1, 6)
 SECONDS_PER_WEEK = 604_800.0
 BEIDOU_BEHIND_S = 14.0  # BDT was UTC at 2006-01-01, 14 leap seconds after GPS time's start; BDS-SIS-ICD-2.1 3.3
 LINES = 8
+FIRST_LABEL = "RINEX VERSION / TYPE"
 WIDTH = 19
 
 # Position of a column (line of the message, field on the line) and its allowed range.
@@ -100,7 +101,7 @@ def parse_navigation(text: str, source: str = "text") -> Ephemerides:
         A line is malformed; the message gives the line, the field and the number of messages read so far.
     """
     lines = text.splitlines()
-    body = _after_header(lines, source)
+    body = _after_header(lines, 0, source)
     rows: list[dict[str, float]] = []
     left_out: list[str] = []
     others: Counter[str] = Counter()
@@ -125,28 +126,33 @@ def parse_navigation(text: str, source: str = "text") -> Ephemerides:
     return _table(rows, stopped, tuple(left_out))
 
 
-def _after_header(lines: list[str], source: str) -> int:
-    """Index of the first line after the header of a RINEX 3 navigation file."""
-    where = f"navigation file {source}, line 1"
-    first = lines[0] if lines else ""
-    if first[60:80].strip() != "RINEX VERSION / TYPE":
+def _after_header(lines: list[str], start: int, source: str) -> int:
+    """Index of the first line after the header of a RINEX 3 navigation file that begins at index ``start``."""
+    where = f"navigation file {source}, line {start + 1}"
+    first = lines[start] if lines else ""
+    if first[60:80].strip() != FIRST_LABEL:
         raise InputError(f"{where}: the label 'RINEX VERSION / TYPE' must start in column 61, got {first[:80]!r}")
     version, kind = first[:9].strip(), first[20:21].upper()
     if not version.startswith("3.") or kind != "N":
         raise InputError(
             f"{where}: version 3 and type N (navigation) are needed, got {version!r} and {kind!r}: convert the file"
         )
-    for i, line in enumerate(lines):
+    for i, line in enumerate(lines[start:], start):
         if line[60:80].strip() == "END OF HEADER":
             return i + 1
     raise InputError(f"navigation file {source}: 'END OF HEADER' is missing in {len(lines)} lines: is it truncated?")
 
 
 def _messages(lines: list[str], body: int, source: str) -> Iterator[_Message]:
-    """Iterate over the messages: a line that starts in column 1 and the indented lines after it."""
+    """Iterate over the messages: a line that starts in column 1 and the indented lines after it.
+
+    Headers of further files that were joined to the first one are passed over.
+    """
     current: _Message | None = None
     for number, line in enumerate(lines[body:], start=body + 1):
-        if not line.strip():
+        if line[60:80].strip() == FIRST_LABEL:
+            body = _after_header(lines, number - 1, source)
+        if number <= body or not line.strip():
             continue
         if not line[0].isspace():
             if current is not None:

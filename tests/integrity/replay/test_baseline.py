@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from baselines import AXES, PLACE, receiver, sky
+from baselines import AXES, PLACE, observation_text, receiver, sky
 from recordings import real
 from rtklib_solution import read_solution
 from typer.testing import CliRunner
@@ -167,9 +167,10 @@ def test_coordinates_in_both_forms_and_from_a_file(tmp_path: Path) -> None:
 def test_a_folder_of_nothing_known_is_told_what_there_could_be(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"smartloc.*comma2k19.*rinex"):
         kind_of(tmp_path)
-    (tmp_path / "rover.obs").touch()
-    (tmp_path / "base.obs").touch()
-    with pytest.raises(InputError, match=r"base\.nav or rover\.nav"):
+    for name in ("rover.obs", "base.obs"):
+        (tmp_path / name).write_text(observation_text(base_at(np.arange(2.0))))
+    assert kind_of(tmp_path) == "rinex"
+    with pytest.raises(InputError, match="must hold a RINEX navigation file"):
         replay_folder(tmp_path, tmp_path / "out")
 
 
@@ -233,18 +234,18 @@ def test_the_static_pair_in_version_3_02(tmp_path: Path) -> None:
         text = (folder / f"{name}.obs").read_text(encoding="utf-8").replace("     3.04 ", "     3.02 ", 1)
         (tmp_path / f"{name}.obs").write_text(text.replace("C2I L2I D2I S2I", "C1I L1I D1I S1I", 1), encoding="utf-8")
     for where, out in ((folder, "new"), (tmp_path, "old")):
-        found, _ = run_baseline(where / "rover.obs", where / "base.obs", folder / "base.nav", tmp_path / out)
+        found, _ = run_baseline(where / "rover.obs", where / "base.obs", [folder / "base.nav"], tmp_path / out)
         assert "2I" in found["signals"]["rover"]["C"]
     assert (tmp_path / "new/solution.csv").read_bytes() == (tmp_path / "old/solution.csv").read_bytes()
 
 
 def test_one_file_is_not_taken_for_two_receivers(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"files of two receivers, got .* twice"):
-        run_baseline(tmp_path / "a.obs", tmp_path / "below" / ".." / "a.obs", tmp_path / "a.nav", tmp_path)
+        run_baseline(tmp_path / "a.obs", tmp_path / "below" / ".." / "a.obs", [tmp_path / "a.nav"], tmp_path)
 
 
 def test_run_needs_no_truth(tmp_path: Path) -> None:
     folder = real("rtk_matrtklib_1m_static_30s")
-    found, _ = run_baseline(folder / "rover.obs", folder / "base.obs", folder / "base.nav", tmp_path)
+    found, _ = run_baseline(folder / "rover.obs", folder / "base.obs", [folder / "base.nav"], tmp_path)
     assert "errors" not in found
     assert found["fixed"] == 31

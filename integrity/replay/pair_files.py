@@ -1,0 +1,125 @@
+"""The files of a RINEX pair in a folder: which receiver is the rover, which the base, and the navigation.
+
+Files are recognized by their first line. Two observation files are told apart by their names (``rover``, ``rov``,
+``mobile``; ``base``, ``ref``, ``station``) and otherwise by their positions: the receiver that moves is the rover.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.recorded.rinex_observation import Observations, read_observations
+from lanebound.integrity.recorded.source import Lines
+from lanebound.integrity.replay.differences import Arc, arc_of
+from lanebound.integrity.replay.sagnac import ranges_and_sights
+from lanebound.integrity.replay.signal_choice import choose_signals
+from lanebound.integrity.sky.broadcast import Ephemerides, read_navigation
+
+__all__ = ["PairFiles", "find_pair", "observation_files"]
+
+NAMES = {"rover": ("rover", "rov", "mobile"), "base": ("base", "ref", "station")}
+MOVES_M = 15.0  # spread of code positions, 90 % of them, of a receiver that moves; noise is a few metres
+SAMPLES = 40  # epochs of which positions are computed
+ROUNDS = 8  # iterations of a code position, which start at the centre of the Earth
+
+
+@dataclass(frozen=True)
+class PairFiles:
+    """Paths of the observations of rover and base, and of all navigation files."""
+
+    rover: Path
+    base: Path
+    navigation: list[Path]
+
+
+def observation_files(folder: Path) -> list[Path]:
+    """The RINEX observation files in a folder, in the order of their names."""
+    return _of_type(folder, "O")
+
+
+def _of_type(folder: Path, kind: str) -> list[Path]:
+    """Files whose first line is that of a RINEX file of a type: O (observations) or N (navigation)."""
+    found = []
+    for path in sorted(folder.iterdir()) if folder.is_dir() else []:
+        if path.is_file() and not path.name.startswith("."):
+            first = next(iter(Lines(path)), "")
+            if first[60:80].strip() == "RINEX VERSION / TYPE" and first[20:21].upper() == kind:
+                found.append(path)
+    return found
+
+
+def find_pair(folder: Path) -> PairFiles:
+    """The files of a pair in a folder.
+
+    Raises
+    ------
+    InputError
+        There are not two observation files and a navigation file, or it is not clear which receiver is the rover.
+    """
+    files, navigation = observation_files(folder), _of_type(folder, "N")
+    if not navigation:
+        raise InputError(
+            f"{folder} must hold a RINEX navigation file beside its observations, has none: add one, such as base.nav"
+        )
+    named = {
+        role: [p for p in files if any(p.name.lower().startswith(n) for n in names)] for role, names in NAMES.items()
+    }
+    if all(len(paths) == 1 for paths in named.values()):
+        return PairFiles(named["rover"][0], named["base"][0], navigation)
+    if len(files) != 2:
+        raise InputError(
+            f"{folder} must hold observations of two receivers, has {_listed(files)}: name two of them rover.obs and "
+            "base.obs, or call lanebound rtk with --rover, --base and --nav"
+        )
+    moving = _moving(files, navigation)
+    if sum(moving) != 1:
+        raise InputError(
+            f"the rover of {folder} must be known by its name or as the receiver that moves, "
+            f"{'both' if all(moving) else 'neither'} of {_listed(files)} moves: name them rover.obs and base.obs, or "
+            "call lanebound rtk with --rover, --base and --nav"
+        )
+    rover = moving.index(True)
+    return PairFiles(files[rover], files[1 - rover], navigation)
+
+
+def _listed(files: list[Path]) -> str:
+    return ", ".join(path.name for path in files) or "none"
+
+
+def _moving(files: list[Path], navigation: list[Path]) -> list[bool]:
+    """Whether each of two receivers moves, by positions from its codes."""
+    table = Ephemerides.merged([read_navigation(path) for path in navigation])
+    first, second = (read_observations(path) for path in files)
+    choice = choose_signals(first, second, 1)
+    return [
+        _spread_m(data, arc_of(data, codes, choice, table)) > MOVES_M
+        for data, codes in ((first, choice.rover), (second, choice.base))
+    ]
+
+
+def _spread_m(observations: Observations, arc: Arc) -> float:
+    """The distance from their median within which 90 % of some code positions lie [m]; 0 without positions."""
+    epochs = np.unique(np.linspace(0, observations.epochs - 1, SAMPLES).astype(int))
+    places = [place for k in epochs if (place := _code_position(arc, int(k))) is not None]
+    if not places:
+        return 0.0
+    away = np.linalg.norm(np.array(places) - np.median(places, axis=0), axis=1)
+    return float(np.quantile(away, 0.9))
+
+
+def _code_position(arc: Arc, k: int) -> NDArray[np.float64] | None:
+    """Position (3,) of one receiver [m] from the codes of epoch k, by least squares; None from too few."""
+    rows = np.flatnonzero(arc.known[k] & (arc.code_m[k, :, 0] != 0.0))
+    if rows.size < 6:
+        return None
+    place = np.zeros(3)
+    for _ in range(ROUNDS):
+        distance, sight = ranges_and_sights(arc.satellite_ecef_m[k, rows], place)
+        left = arc.code_m[k, rows, 0] + arc.clock_m[k, rows] - distance
+        place = place + np.linalg.lstsq(np.column_stack([-sight, np.ones(rows.size)]), left, rcond=None)[0][:3]
+    return place
