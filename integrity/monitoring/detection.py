@@ -252,28 +252,43 @@ def checked_modes(modes: ArrayLike | None, rows: int) -> Bools:
 
 @dataclass(frozen=True)
 class _Blocks:
-    """Pseudo-inverse of C'MC of each mode, embedded in m rows, with what it leaves undetermined."""
+    """Pseudo-inverse of C'MC of each mode on the r rows of the largest one, with what it leaves undetermined.
 
+    member (k, r) indices of rows, 0 where a mode has fewer; inverse, null (..., k, r, r), zero there.
+    """
+
+    member: Ints
     inverse: Array
     rank: Ints
     null: Array
     active: Bools
 
 
+def _members(modes: Bools) -> tuple[Ints, Bools]:
+    """Row indices of each mode, filled up with 0 to those of the largest mode, and which of them count.  (k, r)."""
+    count = modes.sum(-1)
+    counts = np.arange(max(int(count.max(initial=0)), 1)) < count[:, None]
+    member = np.zeros(counts.shape, dtype=np.int64)
+    member[counts] = np.nonzero(modes)[1]
+    return member, counts
+
+
 def _mode_blocks(adjustment: Adjustment, modes: Bools) -> _Blocks:
-    rows = modes & adjustment.used[..., None, :]
-    scale = np.sqrt(np.where(adjustment.used, _diagonal(adjustment.weight), 1.0))
-    normalised = adjustment.reliability / (scale[..., :, None] * scale[..., None, :])
-    block = np.where(rows[..., :, None] & rows[..., None, :], normalised[..., None, :, :], 0.0)
-    value, vector = np.linalg.eigh(block)
+    member, counts = _members(modes)
+    rows = counts & adjustment.used[..., member]
+    scale = np.sqrt(np.where(adjustment.used, _diagonal(adjustment.weight), 1.0))[..., member]
+    block = adjustment.reliability[..., member[:, :, None], member[:, None, :]]
+    block = block / (scale[..., :, None] * scale[..., None, :])
+    value, vector = np.linalg.eigh(np.where(rows[..., :, None] & rows[..., None, :], block, 0.0))
     kept = value > RANK_TOLERANCE
     inverse = (vector * np.where(kept, 1.0 / np.where(kept, value, 1.0), 0.0)[..., None, :]) @ np.swapaxes(
         vector, -1, -2
     )
-    unit = 1.0 / scale[..., None, :]
+    unit = 1.0 / scale
     determined = (vector * kept[..., None, :]) @ np.swapaxes(vector, -1, -2)
     projector = np.where(rows[..., :, None], np.eye(rows.shape[-1]), 0.0) - determined
     return _Blocks(
+        member=member,
         inverse=inverse * unit[..., :, None] * unit[..., None, :],
         rank=kept.sum(-1),
         null=projector * unit[..., :, None],
@@ -287,8 +302,8 @@ def mode_statistics(adjustment: Adjustment, modes: ArrayLike | None = None) -> t
     For a single row it is w squared; for k rows the correlated form that tests code and phase of a satellite together.
     """
     blocks = _mode_blocks(adjustment, checked_modes(modes, adjustment.used.shape[-1]))
-    u = adjustment.score
-    return np.maximum(np.einsum("...i,...kij,...j->...k", u, blocks.inverse, u), 0.0), blocks.rank
+    u = adjustment.score[..., blocks.member]
+    return np.maximum(np.einsum("...ki,...kij,...kj->...k", u, blocks.inverse, u), 0.0), blocks.rank
 
 
 def w_test(adjustment: Adjustment, significance: ArrayLike, modes: ArrayLike | None = None) -> TestResult:
@@ -324,9 +339,9 @@ class ModeSeparation:
 def separate(adjustment: Adjustment, modes: ArrayLike | None = None) -> ModeSeparation:
     """Separation in East and North, the first two unknowns, of each mode (S1 eq 10-12).  modes (k, m) row sets."""
     blocks = _mode_blocks(adjustment, checked_modes(modes, adjustment.used.shape[-1]))
-    gain = adjustment.gain[..., None, :2, :]
+    gain = np.swapaxes(adjustment.gain[..., :2, blocks.member], -3, -2)  # (..., k, 2, r)
     step = gain @ blocks.inverse
-    d = np.einsum("...kij,...j->...ki", step, adjustment.score)
+    d = np.einsum("...kij,...kj->...ki", step, adjustment.score[..., blocks.member])
     Q = step @ np.swapaxes(gain, -1, -2)
     undetermined = np.abs(gain @ blocks.null).max((-2, -1))
     sigma = 1.0 / np.sqrt(np.where(adjustment.used, _diagonal(adjustment.weight), 1.0))
