@@ -166,9 +166,9 @@ class DopplerConfig(Config):
 
     sigma_mps: float = Field(0.10, gt=0, description="range rate, zenith [m/s]; S1 section 4 (10 cm/s)")
     tau_range_s: tuple[float, float] = Field(
-        (0.1, 10.0),
+        (0.1, 2.0),
         description="shortest and longest correlation time of the range-rate errors, which the levels bound [s]; "
-        "reflected signals last as long as their facades; (0.54, 0.54) fits S1 tables 4 and 5",
+        "0.54 fits S1 tables 4 and 5, a reflection lasts for a facade of 10 to 20 m; chosen on training streets",
     )
     bias_mps: float = Field(0.002, ge=0, description="bound of a constant velocity bias in E and in N [m/s]")
     elevation_mask_deg: float = Field(10.0, ge=0, lt=90, description="lowest elevation used [deg]")
