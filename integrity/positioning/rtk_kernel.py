@@ -139,7 +139,9 @@ def select(
 
 
 @jit(borrows=True)
-def leave_out_faded(cn0: Array, tracked: Bools, rules: Any, dt: float, factor: Array, used: Bools, ambiguities: Records) -> None:
+def leave_out_faded(
+    cn0: Array, tracked: Bools, rules: Any, dt: float, factor: Array, used: Bools, ambiguities: Records
+) -> None:
     """Do not use carriers whose C/N0 has just fallen: a ray that bends round an edge is late as soon as it is weak.
 
     Knife edge, ``v = angle sqrt(2 d / lambda)``: the detour ``d angle^2 / 2 = v^2 lambda / 4`` is 1 cm at a loss of
@@ -149,7 +151,8 @@ def leave_out_faded(cn0: Array, tracked: Bools, rules: Any, dt: float, factor: A
         ambiguity = ambiguities[s]
         ambiguity.peak -= rules.fade_decay * dt
         if tracked[s]:
-            ambiguity.peak = max(ambiguity.peak, cn0[s])
+            if cn0[s] > ambiguity.peak:
+                ambiguity.peak = cn0[s]
             if cn0[s] < ambiguity.peak - rules.fade:
                 used[s], factor[s] = False, UNUSED
 
