@@ -38,6 +38,7 @@ __all__ = [
     "has_atmosphere",
     "held_base",
     "held_risk",
+    "leave_out_faded",
     "obliquity",
     "order_by_variance",
     "range_of",
@@ -69,6 +70,7 @@ AMBIGUITY = record(
     fix_risk="failure rate of that whole fix [-]",
     last_phase=("f8", (2,), "phase of the last epoch relative to the anchor, 0: not followed [m]"),
     odds="largest odds since its fix that the carrier is off, where hypotheses are monitored [-]",
+    peak="C/N0 that its present one is compared with: the highest of late, which falls slowly [dB-Hz]",
 )
 """The ambiguities of one satellite."""
 
@@ -88,6 +90,8 @@ RTK_RULES = record(
     sin_mask="sine of the lowest elevation used",
     cn0_min="lowest C/N0 used [dB-Hz]",
     cn0_knee="C/N0 at which the variance doubles [dB-Hz]",
+    fade="fall of the C/N0 from its peak that a carrier in use may have [dB]",
+    fade_decay="fall of that peak [dB/s]",
     sigma_code="code, zenith, one band [m]",
     sigma_phase="phase, zenith, one band [m]",
     sigma_phase_integrity="phase of both bands for protection levels [m]",
@@ -177,6 +181,22 @@ def atmosphere_variance(sine: float, satellite: Any, rules: Any) -> float:
 def obliquity(sine: float) -> float:
     """Slant over vertical ionosphere of a thin layer at 350 km, by the sine of the elevation."""
     return 1.0 / math.sqrt(1.0 - EARTH_RATIO**2 * (1.0 - sine * sine))
+def leave_out_faded(
+    cn0: Array, tracked: Bools, rules: Any, dt: float, factor: Array, used: Bools, ambiguities: Records
+) -> None:
+    """Do not use carriers whose C/N0 has just fallen: a ray that bends round an edge is late as soon as it is weak.
+
+    Knife edge, ``v = angle sqrt(2 d / lambda)``: the detour ``d angle^2 / 2 = v^2 lambda / 4`` is 1 cm at a loss of
+    10 dB, 5 cm at 14 dB and 15 cm at 19 dB. A receiver sees the loss late, so that a fall counts by its beginning.
+    """
+    for s in range(tracked.shape[0]):
+        ambiguity = ambiguities[s]
+        ambiguity.peak -= rules.fade_decay * dt
+        if tracked[s]:
+            if cn0[s] > ambiguity.peak:
+                ambiguity.peak = cn0[s]
+            if cn0[s] < ambiguity.peak - rules.fade:
+                used[s], factor[s] = False, UNUSED
 
 
 @jit
