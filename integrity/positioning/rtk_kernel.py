@@ -181,6 +181,8 @@ def atmosphere_variance(sine: float, satellite: Any, rules: Any) -> float:
 def obliquity(sine: float) -> float:
     """Slant over vertical ionosphere of a thin layer at 350 km, by the sine of the elevation."""
     return 1.0 / math.sqrt(1.0 - EARTH_RATIO**2 * (1.0 - sine * sine))
+
+
 def leave_out_faded(
     cn0: Array, tracked: Bools, rules: Any, dt: float, factor: Array, used: Bools, ambiguities: Records
 ) -> None:
