@@ -183,6 +183,7 @@ def obliquity(sine: float) -> float:
     return 1.0 / math.sqrt(1.0 - EARTH_RATIO**2 * (1.0 - sine * sine))
 
 
+@jit(borrows=True)
 def leave_out_faded(
     cn0: Array, tracked: Bools, rules: Any, dt: float, factor: Array, used: Bools, ambiguities: Records
 ) -> None:
