@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +58,6 @@ class RtkRealismConfig(StreetDrivesConfig):
     skies: tuple[str, ...] = Field(
         ("suburban", "urban", "dense", "skies/plaza"), min_length=1, description="levels of sky that are compared"
     )
-    propagation: Literal["law", "paths"] | None = Field("paths", description="gnss.propagation of the receivers")
     streets: int = Field(6, ge=1, description="streets of each sky")
     vehicles: int = Field(8, ge=1, le=4096, description="vehicles in a street; they share its city and its satellites")
     faults: str | None = Field(None, description="preset of fault rates")

@@ -1,4 +1,4 @@
-"""Whether protection levels say more about large errors than positioning mode and age of RTK, by sky and propagation.
+"""Whether protection levels say more about large errors than positioning mode and age of RTK, by sky.
 
 Each second of each vehicle is a sample: mode, time since the last RTK position, level across the track and error across
 the track. Two models of one form predict whether the error is large, one from mode and age, the other from mode, age
@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,6 @@ __all__ = ["InformativenessConfig", "assess_informativeness", "informativeness_r
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
-Propagation = Literal["law", "paths"]
 
 PACKAGES = ("lanebound.integrity", "lanebound.agents.assess", "lanebound.envs.sky")
 SAMPLE_S = 1.0  # between samples of a vehicle
@@ -52,16 +51,8 @@ class InformativenessConfig(StreetDrivesConfig):
     skies: tuple[str, ...] = Field(
         ("urban", "dense", "skies/plaza"), min_length=1, description="levels of sky, with their instruments"
     )
-    propagation: Propagation | None = Field(
-        None, description="gnss.propagation of the receivers; none: law and paths in turn"
-    )
     streets: int = Field(12, ge=2, description="streets of each sky; each is predicted from all others")
     error_m: float = Field(0.3, gt=0, description="errors across the track above this value are to be predicted [m]")
-
-    @property
-    def propagations(self) -> tuple[Propagation, ...]:
-        """Propagations of the study."""
-        return ("law", "paths") if self.propagation is None else (self.propagation,)
 
 
 def assess_informativeness(
@@ -75,18 +66,12 @@ def assess_informativeness(
         ``out`` cannot be claimed: it holds other work, results of another version or foreign files.
     """
     ResultFolder(out, "informativeness of levels", config.to_dict(), code_digest(*PACKAGES)).claim()
-    names = [
-        f"{k}-{propagation}-{i}"
-        for k in range(len(config.skies))
-        for propagation in config.propagations
-        for i in range(config.streets)
-    ]
+    names = [f"{k}-{i}" for k in range(len(config.skies)) for i in range(config.streets)]
     parts = run_parts(out, names, partial(work_part, config), jobs, on_progress)
     cells = []
     for k, sky in enumerate(config.skies):
-        for propagation in config.propagations:
-            streets = [part for name, part in parts.items() if name.startswith(f"{k}-{propagation}-")]
-            cells.append({"sky": sky, "propagation": propagation} | compare(streets, config.error_m))
+        streets = [part for name, part in parts.items() if name.startswith(f"{k}-")]
+        cells.append({"sky": sky} | compare(streets, config.error_m))
     result = {"config": config.to_dict(), "cells": cells}
     write_json(out / "results.json", result)
     save(auc_figure(cells), out / "informativeness.svg")
@@ -95,10 +80,9 @@ def assess_informativeness(
 
 def work_part(config: InformativenessConfig, name: str, advance: Advance = ignore) -> dict[str, Any]:
     """Samples of one street; they do not depend on others."""
-    sky, propagation, number = name.split("-")
-    driven, found = config.replace(propagation=propagation), []
+    (sky, number), found = name.split("-"), []
     every = round(SAMPLE_S / config.navigator.dt_s)
-    for k, moment in enumerate(drive_street(driven, config.skies[int(sky)], int(number), advance)):
+    for k, moment in enumerate(drive_street(config, config.skies[int(sky)], int(number), advance)):
         if k % every == 0:
             found.append(_sample(moment))
     columns = np.concatenate(found).T
@@ -235,15 +219,15 @@ def _interval(values: Array) -> dict[str, float | None]:
 
 
 def informativeness_rows(result: Mapping[str, Any]) -> Table:
-    """Share of large errors, AUC without and with the level, their difference, and R^2, by sky and propagation."""
+    """Share of large errors, AUC without and with the level, their difference, and R^2, by sky."""
     rows = [
         (
-            cell["sky"], cell["propagation"], f"{cell['samples']:,}", f"{100.0 * cell['large']:.1f} %",
+            cell["sky"], f"{cell['samples']:,}", f"{100.0 * cell['large']:.1f} %",
             *(_cell(cell[key]) for key in ("auc_clock", "auc_level", "gain", "r2")),
         )
         for cell in result["cells"]
     ]  # fmt: skip
-    heads = "sky", "propagation", "samples", "large", "AUC: mode, age", "and level", "gain", "R^2 of log PL"
+    heads = "sky", "samples", "large", "AUC: mode, age", "and level", "gain", "R^2 of log PL"
     return heads, rows
 
 

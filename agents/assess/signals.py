@@ -48,9 +48,8 @@ class SignalsConfig(StreetDrivesConfig):
     duration_s: float = Field(60.0, gt=0, description="length of a drive after the warm-up [s]")
 
     def navigator_in(self, sky: str) -> NavigatorConfig:
-        """The navigator with the receiver, whose signals arrive by paths unless ``propagation`` says otherwise."""
-        receiver = GnssConfig.preset(self.receiver).replace(propagation=self.propagation or "paths")
-        return super().navigator_in(sky).replace(gnss=receiver.to_dict())
+        """The navigator with the receiver."""
+        return super().navigator_in(sky).replace(gnss=GnssConfig.preset(self.receiver).to_dict())
 
 
 def assess_signals(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import count
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,9 +43,6 @@ class StreetDrivesConfig(Config):
     skies: tuple[str, ...] = Field(
         ("urban", "dense"), min_length=1, description="levels of sky, with their instruments"
     )
-    propagation: Literal["law", "paths"] | None = Field(
-        None, description="gnss.propagation of the receivers; none: as the sky and the navigator say"
-    )
     faults: str | None = Field(
         "sensors/fault_priors_nominal", description="preset of fault rates; none: nothing but what the street does"
     )
@@ -66,8 +63,7 @@ class StreetDrivesConfig(Config):
 
     def navigator_in(self, sky: str) -> NavigatorConfig:
         """The navigator with the instruments of a sky."""
-        config = SkyLevel.named(sky).navigator(self.navigator)
-        return config if self.propagation is None else config.replace(gnss={"propagation": self.propagation})
+        return SkyLevel.named(sky).navigator(self.navigator)
 
 
 @dataclass(frozen=True)

@@ -22,9 +22,9 @@ __all__ = ["measure"]
 WARM_UP, EPOCHS = 40, 60
 
 
-def _drive(batch: int, propagation: str) -> tuple[Navigator, list[Truth]]:
+def _drive(batch: int) -> tuple[Navigator, list[Truth]]:
     """A navigator in a semi-urban street, and truth for it, prepared beforehand."""
-    config = NavigatorConfig().replace(gnss={"propagation": propagation})
+    config = NavigatorConfig()
     road = Road.straight(800.0, heading_rad=0.6)
     city = build_city(road, CityConfig.uniform(SectionKind.SEMI_URBAN), np.random.default_rng(1))
     navigator = Navigator(config, SkyTrack.from_config(config.sky, 600.0), SkyMask.build(road, city), 1, batch)
@@ -33,9 +33,9 @@ def _drive(batch: int, propagation: str) -> tuple[Navigator, list[Truth]]:
     return navigator, [car.step(state, traffic) for _ in range(WARM_UP + EPOCHS)]
 
 
-def _milliseconds(batch: int, rounds: int, propagation: str = "law") -> float:
+def _milliseconds(batch: int, rounds: int) -> float:
     """Median over the rounds of the cost of one simulated second of one vehicle [ms]."""
-    navigator, truth = _drive(batch, propagation)
+    navigator, truth = _drive(batch)
     for epoch in truth[:WARM_UP]:
         navigator.step(epoch)
     start = navigator.snapshot()
@@ -56,14 +56,6 @@ def measure(rounds: int = 5) -> list[Row]:
     return [
         Row(
             "navigator_ms_per_vehicle_second_b256", _milliseconds(256, rounds), unit, 0.31, 0.12, higher_is_better=False
-        ),
-        Row(
-            "navigator_paths_ms_per_vehicle_second_b256",
-            _milliseconds(256, rounds, "paths"),
-            unit,
-            0.31,
-            0.12,
-            higher_is_better=False,
         ),
         Row("navigator_ms_per_vehicle_second_b1", _milliseconds(1, rounds), unit, higher_is_better=False),
     ]

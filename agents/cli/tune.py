@@ -41,3 +41,22 @@ def cautious(
 
     with resumable(lambda: kept_text(out, "episodes/*/*/*/*.parquet", "episode")):
         print_json(with_bar("episodes", lambda on_progress: tune_cautious(name, sky, seeds, out, jobs, on_progress)))
+
+
+@app.command("growth")
+def growth(
+    name: EnvId,
+    skies: Annotated[list[str] | None, typer.Option("--sky", help="Level of the sky; may be repeated.")] = None,
+    seeds: Annotated[int, typer.Option(min=1, max=1000, help="Episodes a sky, from the first training seed on.")] = 40,
+    _plugins: Plugins = None,
+) -> None:
+    """How protection levels grow without RTK, for the drivers that predict them; prints JSON.
+
+    Example: lanebound tune growth CarFollowing --sky urban --sky dense
+    """
+    from lanebound.agents.benchmark.growth_fit import fit_growth, measure_growth
+    from lanebound.agents.cli.output import print_json
+    from lanebound.agents.cli.progress import with_bar
+
+    chosen = tuple(skies or ("urban", "dense"))
+    print_json(fit_growth(*with_bar("episodes", lambda on_progress: measure_growth(name, chosen, seeds, on_progress))))

@@ -12,7 +12,6 @@ from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import OnProgress, RunProgress, ignore
 from lanebound.agents.reproduce.study import PACKAGES, check_drive, lookup, rows_against_paper, run_study
 from lanebound.agents.reproduce.urban_drive import UrbanDriveConfig
-from lanebound.integrity.core.config import deep_merge
 from lanebound.integrity.positioning.config import DopplerConfig, RtkConfig
 from lanebound.integrity.sensors.gnss import GnssConfig
 
@@ -43,7 +42,6 @@ _DOPPLER_SIGMA = _positioning("doppler", sigma_mps=DopplerConfig().sigma_mps)
 _PHASE_SIGMA = _positioning("rtk", sigma_phase_integrity_m=RtkConfig().sigma_phase_integrity_m)
 _WHITE = {"gnss": {"range_rate_tau_s": WHITE_S}, **_positioning("doppler", tau_range_s=[WHITE_S, WHITE_S])}
 _NO_OFFSET = {"gnss": {"reference_offset_m": 0.0}, **_positioning("rtk", reference_bias_m=0.0)}
-_PATHS = {"gnss": {"propagation": "paths"}}
 
 ABLATIONS = (
     Ablation("shipped", "nothing"),
@@ -58,8 +56,6 @@ ABLATIONS = (
     Ablation("unknown-tau", "knowledge of that time: 0.1 to 10 s", _positioning("doppler", tau_range_s=[0.1, 10.0])),
     Ablation("no-outages", "outages of the link", {"corrections": {"outage_per_h": 0.0}}),
     Ablation("default-phase", "declared phase sigma of 27 mm: default", _PHASE_SIGMA),
-    Ablation("paths", "law of signals: errors by paths of ray casting", _PATHS),
-    Ablation("paths-no-offset", "that law, and the offset with its bound", deep_merge(_PATHS, _NO_OFFSET)),
 )
 """The study as shipped, and without each of its constants."""
 

@@ -102,6 +102,15 @@ class RtkConfig(Config):
     elevation_mask_deg: float = Field(10.0, ge=0, lt=90, description="lowest elevation used [deg]")
     cn0_min_dbhz: float = Field(30.0, ge=0, description="lowest C/N0 used in RTK [dB-Hz]; below it mostly reflections")
     cn0_knee_dbhz: float = Field(35.0, ge=0, description="C/N0 at which the variance doubles [dB-Hz]")
+    fade_db: float = Field(
+        5.0,
+        gt=0,
+        description="carriers whose C/N0 has fallen by more are not used [dB]; half of the loss at which a ray round "
+        "an edge is 1 cm late, because an estimate shows half of a fall in its first epoch",
+    )
+    fade_decay_dbps: float = Field(
+        1.0, gt=0, description="decay of the C/N0 that the present one is compared with [dB/s]; chosen"
+    )
     ambiguity_risk_share: float = Field(
         0.1, gt=0, le=1, description="largest failure rate of a fix as a share of the integrity risk [-]"
     )
@@ -157,9 +166,9 @@ class DopplerConfig(Config):
 
     sigma_mps: float = Field(0.10, gt=0, description="range rate, zenith [m/s]; S1 section 4 (10 cm/s)")
     tau_range_s: tuple[float, float] = Field(
-        (0.54, 0.54),
+        (0.1, 2.0),
         description="shortest and longest correlation time of the range-rate errors, which the levels bound [s]; "
-        "0.54 fits S1 tables 4 and 5, (0.1, 10) bounds reflected signals",
+        "0.54 fits S1 tables 4 and 5, a reflection lasts for a facade of 10 to 20 m; chosen on training streets",
     )
     bias_mps: float = Field(0.002, ge=0, description="bound of a constant velocity bias in E and in N [m/s]")
     elevation_mask_deg: float = Field(10.0, ge=0, lt=90, description="lowest elevation used [deg]")
@@ -341,6 +350,8 @@ def rtk_parameters(config: RtkConfig, bands: int, smallest_risk: float) -> Recor
         sin_mask=np.sin(np.deg2rad(config.elevation_mask_deg)),
         cn0_min=config.cn0_min_dbhz,
         cn0_knee=config.cn0_knee_dbhz,
+        fade=config.fade_db,
+        fade_decay=config.fade_decay_dbps,
         sigma_code=config.sigma_code_m,
         sigma_phase=config.sigma_phase_m,
         sigma_phase_integrity=config.sigma_phase_integrity_m,

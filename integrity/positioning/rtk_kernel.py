@@ -35,6 +35,7 @@ __all__ = [
     "float_ambiguities",
     "held_base",
     "held_risk",
+    "leave_out_faded",
     "order_by_variance",
     "range_of",
     "select",
@@ -64,6 +65,7 @@ AMBIGUITY = record(
     fix_risk="failure rate of that whole fix [-]",
     last_phase=("f8", (2,), "phase of the last epoch relative to the anchor, 0: not followed [m]"),
     odds="largest odds since its fix that the carrier is off, where hypotheses are monitored [-]",
+    peak="C/N0 that its present one is compared with: the highest of late, which falls slowly [dB-Hz]",
 )
 """The ambiguities of one satellite."""
 
@@ -72,6 +74,8 @@ RTK_RULES = record(
     sin_mask="sine of the lowest elevation used",
     cn0_min="lowest C/N0 used [dB-Hz]",
     cn0_knee="C/N0 at which the variance doubles [dB-Hz]",
+    fade="fall of the C/N0 from its peak that a carrier in use may have [dB]",
+    fade_decay="fall of that peak [dB/s]",
     sigma_code="code, zenith, one band [m]",
     sigma_phase="phase, zenith, one band [m]",
     sigma_phase_integrity="phase of both bands for protection levels [m]",
@@ -132,6 +136,25 @@ def select(
     for s in range(tracked.shape[0]):
         used[s] = tracked[s] and los[s, 2] > sin_mask and cn0[s] >= cn0_min
         factor[s] = quality[s] if used[s] else UNUSED
+
+
+@jit(borrows=True)
+def leave_out_faded(
+    cn0: Array, tracked: Bools, rules: Any, dt: float, factor: Array, used: Bools, ambiguities: Records
+) -> None:
+    """Do not use carriers whose C/N0 has just fallen: a ray that bends round an edge is late as soon as it is weak.
+
+    Knife edge, ``v = angle sqrt(2 d / lambda)``: the detour ``d angle^2 / 2 = v^2 lambda / 4`` is 1 cm at a loss of
+    10 dB, 5 cm at 14 dB and 15 cm at 19 dB. A receiver sees the loss late, so that a fall counts by its beginning.
+    """
+    for s in range(tracked.shape[0]):
+        ambiguity = ambiguities[s]
+        ambiguity.peak -= rules.fade_decay * dt
+        if tracked[s]:
+            if cn0[s] > ambiguity.peak:
+                ambiguity.peak = cn0[s]
+            if cn0[s] < ambiguity.peak - rules.fade:
+                used[s], factor[s] = False, UNUSED
 
 
 @jit

@@ -63,13 +63,15 @@ PATH_RULES = record(
     code_loop="bandwidth of the code loop [Hz]",
     carrier_loop="bandwidth of the carrier loop [Hz]",
     fade_gain="of the smoothed C/N0 on that of an epoch [-]",
+    lock_gain="of the lock detector on the power of an epoch [-]",
     keep_lock="probability that the carrier loop keeps lock when the tracked arrival changes [-]",
 )
 """Figures of the propagation and of the receiver's loops."""
 
 TRACKED = record(
     arrival="what the receiver tracks: NOTHING, DIRECT, or the index of the face of a reflection",
-    fade="amplitude over that of the unobstructed signal, smoothed [dB]",
+    fade="power over that of the unobstructed signal, as the C/N0 estimate smooths it [dB]",
+    power="the same in the window of the lock detector [-]",
     carrier=("f8", (BANDS,), "delay of the carrier that the loop follows, by band [m]"),
     sources=("f8", (MOST_ARRIVALS,), "all arrivals of the last epoch, as arrival"),
     excess=("f8", (MOST_ARRIVALS,), "their extra paths [m]"),
@@ -202,7 +204,7 @@ def _recall(memory, arrivals, sources, count):  # type: ignore[no-untyped-def]
 @jit(borrows=True)
 def track(rules, band, count, work, v, chance, bands, memory):  # type: ignore[no-untyped-def]
     """Track the strongest of the arrivals; whether the lock of the carrier breaks, which arrival, error of range rate,
-    and by how much the sum is below its smoothed C/N0 [dB].
+    and the present power over that of an unobstructed signal [dB].
 
     band: wavelength and chip [m], (2,) each; ``work`` of vehicle v gets the errors of code and carrier by band. When
     another arrival becomes the strongest, the lock is kept with probability ``rules.keep_lock`` (``chance``, a uniform
@@ -210,7 +212,7 @@ def track(rules, band, count, work, v, chance, bands, memory):  # type: ignore[n
     """
     arrivals, sources = work.arrivals[v], work.sources[v]
     r = strongest_of(arrivals, count)
-    old, rate, deeper = memory.arrival, 0.0, 0.0
+    old, rate, fade = memory.arrival, 0.0, 0.0
     broken = old != NOTHING and old != sources[r] and chance >= rules.keep_lock
     _recall(memory, arrivals, sources, count)
     memory.arrival = sources[r]
@@ -222,7 +224,7 @@ def track(rules, band, count, work, v, chance, bands, memory):  # type: ignore[n
         if b == 0:
             rate = sum_.rate_mps
             fade = 20.0 * math.log10(max(sum_.amplitude, 1e-6))
-            gain = 1.0 if old == NOTHING else rules.fade_gain
-            memory.fade += gain * (fade - memory.fade)
-            deeper = memory.fade - fade
-    return broken, r, rate, deeper
+            new = old == NOTHING
+            memory.fade += (1.0 if new else rules.fade_gain) * (fade - memory.fade)
+            memory.power += (1.0 if new else rules.lock_gain) * (sum_.amplitude * sum_.amplitude - memory.power)
+    return broken, r, rate, fade

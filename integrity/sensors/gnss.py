@@ -105,16 +105,18 @@ class GnssConfig(Config):
     )
     track_min_dbhz: float = Field(22.0, ge=0, description="code tracking threshold [dB-Hz]")
     phase_min_dbhz: float = Field(32.0, ge=0, description="carrier tracking threshold [dB-Hz]")
-    propagation: Literal["law", "paths"] = Field(
-        "law",
-        description="errors of signals in streets: by a law of code errors given C/N0, or by the paths of ray casting",
-    )
     correlator_chips: float = Field(
         0.1, gt=0, le=1, description="spacing of early and late correlator [chips]; narrow correlator, van Dierendonck"
     )
     code_loop_hz: float = Field(1.0, gt=0, description="bandwidth of the carrier-aided code loop [Hz]")
     carrier_loop_hz: float = Field(15.0, gt=0, description="bandwidth of the carrier loop [Hz]; Kaplan: 10 to 18 Hz")
     cn0_loop_hz: float = Field(1.0, gt=0, description="bandwidth of the C/N0 estimate [Hz]")
+    lock_window_s: float = Field(
+        0.1,
+        ge=0.02,
+        description="time constant of the lock detector of the carrier [s]; chosen: receivers publish none, software "
+        "receivers have 0.02 to 0.5 s",
+    )
     cross_polar: float = Field(
         0.4, ge=0, le=1, description="voltage response to left-handed signals over right-handed [-]; patch, 8 dB"
     )
@@ -138,11 +140,6 @@ class GnssConfig(Config):
         0.0,
         ge=0,
         description="faster decay in motion: this value times the speed is added to 1/tau [1/m]; 0.1: facades of 10 m",
-    )
-    nlos_scale: float = Field(
-        0.05,
-        ge=0,
-        description="share of the excess path of a reflection in the code [-]; 1: consumer single-frequency",
     )
     station_code_m: float = Field(
         0.1, ge=0, description="the station's part of code_sigma_m [m]; chosen: a survey receiver"
@@ -223,7 +220,6 @@ class GnssConfig(Config):
 def gnss_parameters(config: GnssConfig, dt_s: float) -> Records:
     """The figures of the receiver as the kernel takes them, (1,) of GNSS_RULES."""
     c, slip_cn0, slip_rate = config, 40.0, config.slips_per_h / 3600.0
-    weakest_db = (slip_cn0 - c.phase_min_dbhz) / c.slip_decade_db
     clock_11, clock_21, clock_22 = clock_gains(c.clock_h0, c.clock_hm2, dt_s)
     bands = len(c.bands)
     wavelength, dispersion, chip = np.zeros((3, N_SYSTEMS, gk.BANDS))
@@ -239,10 +235,9 @@ def gnss_parameters(config: GnssConfig, dt_s: float) -> Records:
         cn0_sigma=c.cn0_sigma_db,
         cn0_decay=np.exp(-dt_s / c.cn0_tau_s),
         cn0_gain=np.sqrt(-np.expm1(-2.0 * dt_s / c.cn0_tau_s)),
-        foliage_loss=c.foliage_loss_db,
-        reflection_loss=c.reflection_loss_db,
         track_min=c.track_min_dbhz,
         phase_min=c.phase_min_dbhz,
+        lock_intervals=c.lock_window_s / gk.COHERENT_S,
         code_delay=c.code_delay_s - 1e-9,
         phase_delay=c.phase_delay_s - 1e-9,
         code_sigma=c.code_sigma_m,
@@ -254,7 +249,6 @@ def gnss_parameters(config: GnssConfig, dt_s: float) -> Records:
         phase_multipath=c.phase_multipath_m,
         multipath_decay=np.exp(-dt_s / c.multipath_tau_s),
         multipath_per_m=c.multipath_per_m,
-        nlos_scale=c.nlos_scale,
         iono_sigma=1e-3 * c.iono_ppm * c.baseline_km,
         age_rate=c.age_rate_mps,
         tropo_sigma=1e-3 * c.tropo_ppm * c.baseline_km,
@@ -262,7 +256,6 @@ def gnss_parameters(config: GnssConfig, dt_s: float) -> Records:
         slip_rate=slip_rate,
         slip_cn0=slip_cn0,
         slip_decade=c.slip_decade_db,
-        slip_most=dt_s * slip_rate * 10.0**weakest_db,
         unannounced=c.unannounced,
         half_share=c.half_share,
         half_resolve=c.half_cycle_resolve_s + 1e-9,
@@ -272,7 +265,6 @@ def gnss_parameters(config: GnssConfig, dt_s: float) -> Records:
         wavelength=wavelength,
         dispersion=dispersion,
         chip=chip,
-        by_paths=c.propagation == "paths",
         paths=_path_parameters(c, dt_s),
         **c.station_parts,
     )
@@ -292,6 +284,7 @@ def _path_parameters(c: GnssConfig, dt_s: float) -> Records:
         code_loop=c.code_loop_hz,
         carrier_loop=c.carrier_loop_hz,
         fade_gain=-np.expm1(-2.0 * np.pi * c.cn0_loop_hz * dt_s),
+        lock_gain=-np.expm1(-dt_s / c.lock_window_s),
         keep_lock=c.keep_lock,
     )
 
@@ -314,11 +307,11 @@ class GnssState:
 def initial_state(config: GnssConfig, sky: SkyView, streams: Streams) -> GnssState:
     """Stationary error processes, random integers and clocks; the receiver has just been switched on."""
     n_sat = len(sky.system)
-    z = streams.normal("gnss", n_sat, 6 + gk.BANDS)
+    z = streams.normal("gnss", n_sat, 5 + gk.BANDS)
     signals = np.zeros((streams.batch, n_sat), gk.SIGNAL)
     signals["cn0"], signals["code_multipath"], signals["phase_multipath"] = z[..., 0], z[..., 1], z[..., 2:4]
-    signals["rate"], signals["excess"] = z[..., 4], z[..., 5]
-    signals["ambiguity"] = 2.0 * np.floor(1000.0 * z[..., 6:])
+    signals["rate"] = z[..., 4]
+    signals["ambiguity"] = 2.0 * np.floor(1000.0 * z[..., 5:])
     signals["tracked"]["arrival"] = NOTHING
     vehicles, clock = np.zeros(streams.batch, gk.RECEIVER), streams.normal("clock", N_SYSTEMS * 2 * gk.BANDS + 1)
     delays = config.clock_m * clock[:, :-1].reshape(-1, N_SYSTEMS, 2 * gk.BANDS)

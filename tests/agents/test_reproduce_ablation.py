@@ -24,9 +24,6 @@ def test_each_variant_takes_away_what_it_says() -> None:
     assert variant("shipped") == STUDY
     n = variant("no-offset").navigator
     assert n.gnss.reference_offset_m == n.positioning.rtk.reference_bias_m == 0.0
-    assert n.gnss.propagation == "law"
-    n = variant("paths-no-offset").navigator
-    assert (n.gnss.propagation, n.gnss.reference_offset_m, n.positioning.rtk.reference_bias_m) == ("paths", 0.0, 0.0)
     assert variant("default-doppler").navigator.positioning.doppler.sigma_mps == 0.10
     assert variant("default-doppler").navigator.gnss.range_rate_sigma_mps == 0.21
     assert variant("unknown-tau").navigator.positioning.doppler.tau_range_s == (0.1, 10.0)

@@ -17,7 +17,7 @@ from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.positioning.modes import Mode
 
 SHORT: dict[str, Any] = {
-    "skies": ["dense"], "vehicles": 3, "duration_s": 6.0, "warm_up_s": 2.0, "length_m": 500.0, "propagation": "paths",
+    "skies": ["dense"], "vehicles": 3, "duration_s": 6.0, "warm_up_s": 2.0, "length_m": 500.0,
 }  # fmt: skip
 
 

@@ -15,7 +15,6 @@ from lanebound.integrity.positioning.modes import Mode
 
 SHORT: dict[str, Any] = {
     "skies": ["dense"], "vehicles": 3, "duration_s": 6.0, "warm_up_s": 2.0, "length_m": 500.0, "streets": 2,
-    "propagation": "paths",
 }  # fmt: skip
 
 
@@ -84,9 +83,4 @@ def test_a_run_holds_the_samples_of_its_drives(tmp_path: Path) -> None:
     assert result["cells"][0]["samples"] == samples > 0
     assert json.loads((tmp_path / "results.json").read_text())["cells"] == result["cells"]
     assert (tmp_path / "informativeness.svg").stat().st_size > 1000
-    assert info.informativeness_rows(result)[1][0][:2] == ("dense", "paths")
-
-
-def test_law_and_paths_are_both_driven_unless_one_is_named() -> None:
-    assert info.InformativenessConfig().propagations == ("law", "paths")
-    assert info.InformativenessConfig(propagation="law").propagations == ("law",)
+    assert info.informativeness_rows(result)[1][0][0] == "dense"

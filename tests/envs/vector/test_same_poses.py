@@ -30,7 +30,6 @@ FEW = [  # every pair of two options
 ]
 OTHERS: list[tuple[str, dict[str, Any]]] = [
     ("LaneKeeping", {"sky": "dense", "layouts": 2, "observation": {"history": 2, "satellites_m": []}}),
-    ("LaneKeeping", {"sky": "dense", "layouts": 2, "navigator": {"gnss": {"propagation": "paths"}}}),
     ("LaneKeeping", {"navigation": {"source": "offset", "offset_at_m": 0.7, "offset_ct_m": -0.4}}),
     ("CarFollowing", {"sky": "open", "navigator": {"corrections": {"outage_per_h": 900.0}}}),
     ("Highway", {"action": "continuous", "actuators": None, "keep_lane": False, "reward": {"base": 0.5}}),

@@ -161,8 +161,9 @@ def _jammed(db: float) -> tuple[Fault, ...]:
 
 
 def test_a_monitor_raises_levels_and_alerts_with_its_own_reason(interference: AlertReason) -> None:
-    config = NavigatorConfig.load({"monitors": ["interference"]})
-    watched, plain = (_tunnel(c, [1, 2], _jammed(8.0)) for c in (config, NavigatorConfig()))
+    plain_config = NavigatorConfig.load({"positioning": {"rtk": {"fade_db": 20.0}}})  # RTK goes on while jammed
+    config = plain_config.replace(monitors=["interference"])
+    watched, plain = (_tunnel(c, [1, 2], _jammed(8.0)) for c in (config, plain_config))
     runs = _drive(watched, range(88)), _drive(plain, range(88))
     for with_it, without in zip(*runs, strict=True):
         np.testing.assert_array_equal(with_it.position_en_m, without.position_en_m)

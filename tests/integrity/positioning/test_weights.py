@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from lanebound.integrity.positioning.rtk_kernel import UNUSED, select, weigh
+from lanebound.integrity.positioning.config import RtkConfig, rtk_parameters
+from lanebound.integrity.positioning.rtk_kernel import AMBIGUITY, UNUSED, leave_out_faded, select, weigh
 
 SINE = np.array([1.0, 0.5, 0.5, 0.1, 0.0, 0.5])  # of the elevation: zenith, 30 degrees, ... an empty place
 KNEE = 35.0
@@ -28,3 +30,21 @@ def test_a_satellite_that_is_low_weak_or_untracked_is_not_used() -> None:
     assert used.tolist() == [False, False, True, False, False, False]
     assert factor[2] == quality[2]
     assert (factor[~used] == UNUSED).all()
+
+
+def test_a_carrier_that_has_just_faded_is_not_used_until_its_peak_has_fallen() -> None:
+    """5 dB below the highest C/N0, which falls by 1 dB/s; a gap without signal does not forget it."""
+    rules = rtk_parameters(RtkConfig(), 2, 1e-5)[0]
+    ambiguities = np.zeros(2, AMBIGUITY)
+    history = []
+    for cn0 in [45.0] * 5 + [0.0] * 10 + [36.0] * 40:
+        used, factor = np.array([cn0 > 0.0, True]), np.ones(2)
+        leave_out_faded(np.array([cn0, 45.0]), used.copy(), rules, 0.1, factor, used, ambiguities)
+        history.append(bool(used[0]))
+        assert (factor[0] == UNUSED) == (cn0 > 0.0 and not used[0])
+        assert used[1]
+        assert factor[1] == 1.0
+    assert all(history[:5])
+    left_out = history[15:].index(True)  # 45 - 1.0 after the gap, down to 41: 3 s
+    assert left_out == pytest.approx(29, abs=1)
+    assert all(history[15 + left_out :])

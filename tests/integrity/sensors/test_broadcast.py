@@ -32,7 +32,7 @@ NOISELESS = {
 
 
 def _navigator(seeds: Any, gnss: dict[str, Any], batch: int | None = None, area_seed: int | None = None) -> Navigator:
-    config = NavigatorConfig().replace(gnss={"undifferenced": True, "propagation": "paths", **gnss})
+    config = NavigatorConfig().replace(gnss={"undifferenced": True, **gnss})
     return Navigator(config, TRACK, SkyMask.open(), seeds, batch, area_seed=area_seed)
 
 

@@ -28,7 +28,7 @@ N_SAT = len(SYSTEM)
 LINK = CorrectionsConfig()
 PERFECT = GnssConfig(
     cn0_sigma_db=0.0, code_sigma_m=0.0, phase_sigma_m=0.0, range_rate_sigma_mps=0.0, code_multipath_m=0.0,
-    phase_multipath_m=0.0, nlos_scale=0.0, iono_ppm=0.0, tropo_ppm=0.0, orbit_ppm=0.0, age_rate_mps=0.0,
+    phase_multipath_m=0.0, iono_ppm=0.0, tropo_ppm=0.0, orbit_ppm=0.0, age_rate_mps=0.0,
     slips_per_h=0.0, clock_m=0.0, drift_mps=0.0, clock_h0=0.0, clock_hm2=0.0, station_clock_h0=0.0,
     station_clock_hm2=0.0,
 )  # fmt: skip
@@ -206,19 +206,18 @@ def test_jamming_drops_the_signal_and_then_the_satellite() -> None:
 @pytest.mark.parametrize("path", [SignalPath.FOLIAGE, SignalPath.REFLECTED])
 def test_obstructed_signals_are_weaker_by_the_declared_loss(path: SignalPath) -> None:
     loss = {SignalPath.FOLIAGE: PERFECT.foliage_loss_db, SignalPath.REFLECTED: PERFECT.reflection_loss_db}[path]
-    receiver, twin = _Receiver(PERFECT.replace(cn0_sigma_db=1.0), 4000), _Receiver(PERFECT, 4000)
+    quick = PERFECT.replace(cn0_loop_hz=1e3)
+    receiver, twin = _Receiver(quick.replace(cn0_sigma_db=1.0), 4000), _Receiver(quick, 4000)
     drop = twin.step().cn0_dbhz - receiver.step(reception=_reception(4000, path)).cn0_dbhz
     assert drop[:, 0].mean() == pytest.approx(loss, abs=4.0 * 3.0 / np.sqrt(4000))  # fails once in 15000 seeds
 
 
-def test_a_late_signal_delays_the_code_by_its_detour_and_gives_no_phase() -> None:
-    config = PERFECT.replace(nlos_scale=0.5)
-    receiver, twin = _Receiver(config), _Receiver(PERFECT)
+def test_a_late_signal_delays_the_code_by_its_detour() -> None:
+    receiver, twin = _Receiver(PERFECT), _Receiver(PERFECT)
     late, plain = receiver.step(reception=_reception(path=SignalPath.REFLECTED, excess_m=40.0)), twin.step()
     seen = late.tracked[0]
     assert seen.sum() > 3
-    np.testing.assert_allclose((late.code_m - plain.code_m)[0][seen], 20.0)
-    assert not late.phase_m.any()
+    np.testing.assert_allclose((late.code_m - plain.code_m)[0][seen], 40.0)
 
 
 def test_slips_come_at_their_rate_in_half_and_whole_cycles_some_unannounced() -> None:
@@ -446,39 +445,6 @@ def test_what_is_in_view_does_not_move_the_draws() -> None:
     one, two = _Receiver(GnssConfig(), settle=30), _Receiver(GnssConfig(), settle=29)
     two.step(reception=_reception(path=SignalPath.BLOCKED))
     np.testing.assert_array_equal(one.streams.normal("gnss", 3), two.streams.normal("gnss", 3))
-
-
-# Berlin, Potsdamer Platz (smartLoc): C/N0, median, robust sigma, share above 15 m of a single-frequency u-blox.
-BERLIN = [
-    (45, 0.0, 3.4, 0.02),
-    (40, 1.4, 4.9, 0.16),
-    (35, 17.4, 20.0, 0.55),
-    (30, 33.6, 28.2, 0.76),
-    (25, 48.9, 36.9, 0.85),
-]
-
-
-def test_a_consumer_receiver_shows_the_measured_city_errors() -> None:
-    """Half the signals are reflections of unknown detour, as in Berlin; each bin of C/N0 within 25 % or 1 m (1.5 %)."""
-    batch = 3000
-    config = GnssConfig.preset("sensors/gnss_consumer").replace(
-        clock_m=0.0, drift_mps=0.0, clock_h0=0.0, clock_hm2=0.0, station_clock_h0=0.0, station_clock_hm2=0.0
-    )
-    receiver = _Receiver(config, batch, settle=0)
-    receiver.sky = _sky(batch, np.linspace(15.0, 80.0, N_SAT))
-    path = np.where(
-        np.random.default_rng(1).random((batch, N_SAT)) < 0.48, SignalPath.REFLECTED, SignalPath.LOS
-    ).astype(np.uint8)
-    for _ in range(4):
-        epoch = receiver.step(reception=Reception(path, np.zeros(path.shape)))
-    truth = -(receiver.sky.los_enu[0] @ np.array([3.0, -4.0, 0.0]))
-    error, cn0 = (epoch.code_m[..., 0] - truth)[epoch.tracked], epoch.cn0_dbhz[epoch.tracked]
-    for low, median, sigma, share in BERLIN:
-        inside = error[(cn0 >= low) & (cn0 < (60 if low == 45 else low + 5))]
-        middle = np.median(inside)
-        assert middle == pytest.approx(median, rel=0.25, abs=1.0)
-        assert 1.4826 * np.median(np.abs(inside - middle)) == pytest.approx(sigma, rel=0.25, abs=1.0)
-        assert (inside > 15.0).mean() == pytest.approx(share, rel=0.25, abs=0.015)
 
 
 def test_everything_stays_finite_in_a_city() -> None:
