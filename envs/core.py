@@ -167,7 +167,8 @@ class DrivingEnv(gymnasium.Env[Any, Any]):
     lane, at the goal (Merge, Roundabout, Intersection) and in time. In time: its mean speed along the lane was at least
     `success_share` of the speed that the limit, the bends (2 m/s2 across) and a vehicle ahead within 4 s allowed, and
     it is at most 10 s (`success_behind_s`) behind a car at that share, to which no lead adds: a car that makes way and
-    then stops for good is late. Costs do not count for a success. Report successes within `cost_limit` beside the mean
+    then stops for good is late. With a wreck within these 4 s no vehicle ahead lowers the allowed speed, so that to
+    wait behind it is no success. Costs do not count for a success. Report successes within `cost_limit` beside the mean
     speed (`success_within_limit` and `mean_speed` of the benchmark).
 
     ## Arguments

@@ -69,21 +69,24 @@ def count_epoch(b, sc, car):  # type: ignore[no-untyped-def]
 def _allowed_mps(car, lanes, limit):  # type: ignore[no-untyped-def]
     """Speed that the limit, the bend (``sqrt(a R)`` at a comfortable a) and the vehicle ahead allow, of the TRUE car.
 
-    A vehicle in the lane counts that is nearer than ``FOLLOWING_S`` at the limit, with its own speed.
+    A vehicle in the lane counts that is nearer than ``FOLLOWING_S`` at the limit, with its own speed. With a wreck as
+    near as that none counts: to wait behind it is no success.
     """
-    n, allowed, nearest = car.lane[0], limit, FOLLOWING_S * limit
+    n, allowed, nearest, wreck = car.lane[0], limit, FOLLOWING_S * limit, False
     lane = lanes.table[n]
     place, _, _ = local(lanes, n, car.x[0], car.y[0])
     if lane.advice_last > lane.advice_first:
         allowed = min(allowed, advised(lanes, n, place))
     elif lane.kind == CIRCLE:
         allowed = min(allowed, math.sqrt(COMFORT_MPS2 * lane.radius_m))
-    half, flat, leader = 0.5 * width_at(lanes, n, place), lane.kind == STRAIGHT, allowed
+    half, flat, leader, near = 0.5 * width_at(lanes, n, place), lane.kind == STRAIGHT, allowed, nearest
     for i in range(1, car.present):
         s, r = straight(lane, car.x[i], car.y[i]) if flat else local(lanes, n, car.x[i], car.y[i])[:2]
-        if (s > place) & (s - place < nearest) & (abs(r) <= half):
+        ahead = (s > place) & (abs(r) <= half)
+        wreck |= ahead & (s - place < near) & (car.crashed[i] != 0)
+        if ahead & (s - place < nearest):
             nearest, leader = s - place, max(car.speed[i], 0.0)
-    return min(allowed, leader)
+    return allowed if wreck else min(allowed, leader)
 
 
 @jit(borrows=True)

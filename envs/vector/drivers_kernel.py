@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lanebound.envs.batch.ego_kernel import actuate, intend, steering_rad
 from lanebound.envs.batch.lanes_kernel import following, nearest
-from lanebound.envs.worlds.idm_parameters_kernel import WANDER_MOST_M, WANDER_SLOPE
+from lanebound.envs.worlds.idm_parameters_kernel import WANDER_MOST_M, WANDER_SHAPES, WANDER_SLOPE
 from lanebound.integrity.core.accel import jit
 
 __all__ = ["SPEED_MOST_MPS", "Drivers", "clear", "command_ego", "drivers_of", "move_ego", "roll", "seat", "steer_along",
@@ -28,8 +28,8 @@ Rows = NDArray[np.int64]
 class Drivers(NamedTuple):
     """State of the vehicles' control, of N environments (N, V), of one (V,).
 
-    aside [m]: where in its lane a vehicle wants to be, to the right of the middle; goal [m]: where that moves to;
-    wander (N, K, V) [-]: its weights of the rows of ``TrafficBatch.wander``, see :mod:`..worlds.wander`.
+    aside [m]: the line of a vehicle in its lane, to the right of the middle; wander (N, K, V) [-]: its weights
+    of the rows of ``TrafficBatch.wander``, see :mod:`..worlds.wander`.
 
     cos, sin: of the heading; target_speed [m/s]; timer [s]: since a lane change was last considered; delta: exponent of
     the acceleration; acceleration [m/s2]: command; impact_x, impact_y [m]: displacement by a crash; target: row of the
@@ -46,7 +46,6 @@ class Drivers(NamedTuple):
     impact_x: Array
     impact_y: Array
     aside: Array
-    goal: Array
     target: Rows
     struck: Rows
     order: Rows
@@ -60,8 +59,8 @@ def drivers_of(drivers, e):  # type: ignore[no-untyped-def]
     """The vehicles of environment e."""
     return Drivers(
         drivers.cos[e], drivers.sin[e], drivers.target_speed[e], drivers.timer[e], drivers.delta[e],
-        drivers.acceleration[e], drivers.impact_x[e], drivers.impact_y[e], drivers.aside[e], drivers.goal[e],
-        drivers.target[e], drivers.struck[e], drivers.order[e], drivers.rank[e], drivers.front[e], drivers.wander[e],
+        drivers.acceleration[e], drivers.impact_x[e], drivers.impact_y[e], drivers.aside[e], drivers.target[e],
+        drivers.struck[e], drivers.order[e], drivers.rank[e], drivers.front[e], drivers.wander[e],
     )  # fmt: skip
 
 
@@ -155,13 +154,10 @@ def wander_all(car, drv, shape, dt):  # type: ignore[no-untyped-def]
 
     shape (K,): the row of ``TrafficBatch.wander`` of the end of this step.
     """
-    goal = drv.goal
     for i in range(1, car.present):
-        goal[i] = 0.0
-    for k in range(shape.size):
-        for i in range(1, car.present):
-            goal[i] += shape[k] * drv.wander[k, i]
-    for i in range(1, car.present):
+        line = 0.0
+        for k in range(WANDER_SHAPES):  # a constant, so that the compiler takes several vehicles at once
+            line += shape[k] * drv.wander[k, i]
         most = WANDER_SLOPE * max(car.speed[i], 0.0) * dt
-        wanted = min(max(goal[i], -WANDER_MOST_M), WANDER_MOST_M) - drv.aside[i]
+        wanted = min(max(line, -WANDER_MOST_M), WANDER_MOST_M) - drv.aside[i]
         drv.aside[i] += min(max(wanted, -most), most)

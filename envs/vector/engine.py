@@ -15,18 +15,20 @@ from lanebound.envs.batch.ego_kernel import FASTER, IDLE, LEFT, RIGHT, SLOWER
 from lanebound.envs.batch.episodes import Episodes
 from lanebound.envs.batch.lanes_kernel import PAST_END_M
 from lanebound.envs.batch.navigation import fixes_of
-from lanebound.envs.batch.records_kernel import Cars, cars_of
+from lanebound.envs.batch.records_kernel import cars_of
 from lanebound.envs.core import EPISODE_SEEDS, WORLD_SEEDS, DrivingEnv
 from lanebound.envs.scene import begin_all, duration_s, make_batch
 from lanebound.envs.vector.drive_kernel import TrafficBatch
-from lanebound.envs.vector.drivers_kernel import Drivers, clear, drivers_of, seat
+from lanebound.envs.vector.drivers_kernel import Drivers, drivers_of
+from lanebound.envs.vector.start_kernel import clear_rows, seat_rows
 from lanebound.envs.vector.support import require_supported, support_of, traffic_of
 from lanebound.envs.vector.world_kernel import WORLD, judge_rows
-from lanebound.envs.worlds.wander import lines_m, moved_aside
+from lanebound.envs.worlds.idm_parameters_kernel import WANDER_SHAPES
 from lanebound.integrity.core.accel import call_links, run_rows
 from lanebound.integrity.core.bundle_kernel import Bundle, RowCopier
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.records import Records, one_record
+from lanebound.integrity.core.streams import ZIGGURAT
 
 __all__ = ["Engine"]
 
@@ -48,9 +50,9 @@ class Stage:
 
     def __init__(self, engine: Engine, episodes: Episodes) -> None:
         n, vehicles = episodes.cars.x.shape
-        numbers: list[Any] = [np.zeros((n, vehicles)) for _ in range(10)]
+        numbers: list[Any] = [np.zeros((n, vehicles)) for _ in range(9)]
         wholes: list[Any] = [np.zeros((n, vehicles), dtype=np.int64) for _ in range(5)]
-        weights = np.zeros((n, engine.wander.shape[1], vehicles))
+        weights = np.zeros((n, WANDER_SHAPES, vehicles))
         profile = np.zeros((n, engine.support.profile_steps(engine.single.world)))
         self.episodes = episodes
         drivers = Drivers(*[*numbers, *wholes, weights])
@@ -193,10 +195,9 @@ class Engine:
     def _begin(self, stage: Stage, rows: Rows, seeds: list[int | None]) -> None:
         """Begin episodes on a stage."""
         drawn = [self._draw(e, seed) for e, seed in zip(rows.tolist(), seeds, strict=True)]
-        episodes = stage.episodes
-        for e, (episode, world) in zip(rows.tolist(), drawn, strict=True):
-            self._line_up(stage, e, seeding.np_random(world)[0], episode)
-        begin_all(episodes, rows, [episode for episode, _ in drawn])
+        episodes, seeds_of_episodes = stage.episodes, [episode for episode, _ in drawn]
+        self._line_up(stage, rows, seeds_of_episodes, [world for _, world in drawn])
+        begin_all(episodes, rows, seeds_of_episodes)
         speeds, speed = self.speeds, episodes.cars.speed[rows, 0]
         share = (speed - speeds[0]) / (speeds[-1] - speeds[0])
         nearest = np.clip(np.round(share * (speeds.size - 1)), 0, speeds.size - 1).astype(np.int64)
@@ -207,25 +208,15 @@ class Engine:
         for e in rows.tolist():
             del self._drawn[e]
 
-    def _line_up(self, stage: Stage, e: int, rng: np.random.Generator, episode: int) -> None:
-        """Put the vehicles of an environment where its world's generator draws them, and others on their lines."""
-        cars, drivers = stage.episodes.cars, stage.traffic.drivers
-        own, theirs = cars_of.py_func(cars, e), drivers_of.py_func(drivers, e)
-        clear(own, theirs, Vehicle.LENGTH, Vehicle.WIDTH)
-        count = cars.present[e] = self._start(rng, own, theirs, stage.traffic.profile[e])
-        self._spread(own, theirs, count, episode)
-        seat(own, theirs, count)
-
-    def _spread(self, car: Cars, drv: Drivers, count: int, episode: int) -> None:
-        """Put the others on their lines in their lanes."""
-        config = self.single.config.wander
-        if not config.wanders:
-            return
-        drv.wander[:, 1:count] = config.weights(config.generator(episode), count - 1).T
-        drv.aside[1:count] = lines_m(self.wander[0].tolist(), drv.wander[:, 1:count])
-        pose = (column[1:count].tolist() for column in (car.x, car.y, car.heading, drv.aside))
-        moved = [moved_aside(*one) for one in zip(*pose, strict=True)]
-        car.x[1:count], car.y[1:count] = np.array(moved).reshape(-1, 2).T
+    def _line_up(self, stage: Stage, rows: Rows, seeds: list[int], world_seeds: list[int]) -> None:
+        """Put the vehicles of environments where the generator of their world draws them, and others on their lines."""
+        cars, drivers, profile = stage.episodes.cars, stage.traffic.drivers, stage.traffic.profile
+        batch, traffic, wander = stage.episodes.batch, stage.bundle.handle, self.single.config.wander
+        clear_rows(rows, batch, traffic, Vehicle.LENGTH, Vehicle.WIDTH)
+        for e, seed in zip(rows.tolist(), world_seeds, strict=True):
+            own, theirs = cars_of.py_func(cars, e), drivers_of.py_func(drivers, e)
+            cars.present[e] = self._start(seeding.np_random(seed)[0], own, theirs, profile[e])
+        seat_rows(rows, batch, traffic, wander.states(seeds) if wander.wanders else None, ZIGGURAT)
 
     def step(self, actions: NDArray[Any], rows: Rows | None = None) -> None:
         """Carry out commands (N,) or (N, A) until the next decision, in all environments or in ``rows`` of them."""

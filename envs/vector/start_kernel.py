@@ -1,12 +1,24 @@
-"""The start of an episode on a motorway: highway-env's draws in highway-env's order, so that seeds mean the same."""
+"""The start of an episode in compiled traffic.
+
+:func:`clear_rows` empties the places of vehicles, the starter of the world fills them, and :func:`seat_rows` puts the
+other drivers on their lines and completes the records. :func:`line_up` is the starter of a motorway: highway-env's
+draws in highway-env's order, so that a seed gives the same traffic.
+"""
 
 from __future__ import annotations
 
 import math
 
-from lanebound.integrity.core.accel import jit
+import numpy as np
 
-__all__ = ["line_up"]
+from lanebound.envs.batch.records_kernel import cars_of
+from lanebound.envs.vector.drivers_kernel import clear, drivers_of, seat
+from lanebound.envs.worlds.idm_parameters_kernel import WANDER_MOST_M
+from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.bundle_kernel import unbundle
+from lanebound.integrity.core.streams_kernel import fill
+
+__all__ = ["clear_rows", "line_up", "seat_rows"]
 
 EGO_MPS, PLACE_M = 25.0, 12.0  # of HighwayEnv and Vehicle.create_random
 DELTA_LOW, DELTA_HIGH = 3.5, 4.5  # IDMVehicle.DELTA_RANGE
@@ -29,3 +41,45 @@ def line_up(rng, car, drv, table, ego_lane, ego_spacing, spacing):  # type: igno
         if i > 0:
             drv.delta[i] = rng.uniform(DELTA_LOW, DELTA_HIGH)
         car.lane[i] = drv.target[i] = lane
+
+
+@jit(borrows=True)
+def clear_rows(rows, batch, traffic, length, width):  # type: ignore[no-untyped-def]
+    """Empty the places of all vehicles of the environments ``rows``; places are for vehicles of one size."""
+    a, t = unbundle(batch), unbundle(traffic)
+    for e in rows:
+        clear(cars_of(a.cars, e), drivers_of(t.drivers, e), length, width)
+
+
+@jit
+def seat_rows(rows, batch, traffic, states, table):  # type: ignore[no-untyped-def]
+    """Put the others of the environments ``rows`` on their lines, and complete the records from the poses.
+
+    states (n, 4): generators of the stream ``wander`` of the episodes, None where no driver leaves the middle of its
+    lane; table: of normal draws, see :func:`~lanebound.integrity.core.streams_kernel.fill`.
+    """
+    a, t = unbundle(batch), unbundle(traffic)
+    drawn = np.empty(t.wander.shape[1] * a.cars.x.shape[1])
+    for n in range(rows.shape[0]):
+        car, drv = cars_of(a.cars, rows[n]), drivers_of(t.drivers, rows[n])
+        if states is not None:
+            _spread(car, drv, t.wander[0], states[n], table, drawn)
+        seat(car, drv, car.present)
+
+
+@jit(inline=True)
+def _spread(car, drv, shape, state, table, drawn):  # type: ignore[no-untyped-def]
+    """Draw the weights of the others in the order of their places, and put them on their lines.
+
+    The sum is taken in the order of :func:`.drivers_kernel.wander_all`; shape (K,): the first row of the shapes.
+    """
+    kinds = shape.shape[0]
+    fill(state, table, drawn[: kinds * (car.present - 1)])
+    for i in range(1, car.present):
+        line = 0.0
+        for k in range(kinds):
+            drv.wander[k, i] = drawn[kinds * (i - 1) + k]
+            line += shape[k] * drv.wander[k, i]
+        drv.aside[i] = min(max(line, -WANDER_MOST_M), WANDER_MOST_M)
+        car.x[i] -= math.sin(car.heading[i]) * drv.aside[i]
+        car.y[i] += math.cos(car.heading[i]) * drv.aside[i]

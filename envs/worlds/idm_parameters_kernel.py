@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-__all__ = ["BESIDE_M", "BRISK", "CALM", "REACTION_S", "WANDER_MOST_M", "WANDER_SLOPE", "IdmParameters",
-           "idm_parameters"]  # fmt: skip
+__all__ = ["BESIDE_M", "BRISK", "CALM", "REACTION_S", "WANDER_MOST_M", "WANDER_SHAPES", "WANDER_SLOPE",
+           "IdmParameters", "idm_parameters"]  # fmt: skip
 
 BESIDE_M = 1.0  # margin beside a lane within which a vehicle counts as a neighbour on it, Road.neighbour_vehicles
 
@@ -44,4 +44,5 @@ BRISK = idm_parameters(gap_m=10.0, headway_s=1.5, comfort=3.0, deceleration=5.0,
 """Of IDMVehicle of highway-env, whose class constants are compared with these when an engine is made."""
 REACTION_S = 0.8  # of city drivers before bends
 WANDER_MOST_M = 0.5  # largest offset of a driver's line from the middle of its lane; chosen
+WANDER_SHAPES = 7  # of a line over time: an offset, and a cosine and a sine of three frequencies
 WANDER_SLOPE = 0.02  # change of that offset per way of the car at most, so that a standing car stays; chosen

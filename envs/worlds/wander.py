@@ -25,16 +25,15 @@ from highway_env.vehicle.controller import ControlledVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
-from lanebound.envs.worlds.idm_parameters_kernel import WANDER_MOST_M, WANDER_SLOPE
+from lanebound.envs.worlds.idm_parameters_kernel import WANDER_MOST_M, WANDER_SHAPES, WANDER_SLOPE
 from lanebound.integrity.core.config import Config, Field
-from lanebound.integrity.core.streams import named_generator
+from lanebound.integrity.core.streams import named_generator, named_states
 
-__all__ = ["Wander", "WanderConfig", "lines_m", "moved_aside"]
+__all__ = ["Wander", "WanderConfig", "moved_aside"]
 
 Array = NDArray[np.float64]
-FREQUENCIES = 3
 SHAPES_AT_ONCE = 256  # simulation steps
-WEIGHTS = 1 + 2 * FREQUENCIES  # of a driver
+FREQUENCIES = (WANDER_SHAPES - 1) // 2
 STREAM = "wander"
 
 
@@ -62,22 +61,15 @@ class WanderConfig(Config):
 
     def weights(self, generator: np.random.Generator, drivers: int) -> Array:
         """Weights of the next drivers of a generator (drivers, K), standard normal."""
-        return generator.standard_normal((drivers, WEIGHTS))
+        return generator.standard_normal((drivers, WANDER_SHAPES))
 
     def generator(self, seed: int) -> np.random.Generator:
         """The generator of an episode, which draws the weights of its drivers in the order of their entry."""
         return named_generator(seed, STREAM)
 
-
-def lines_m(shape: Sequence[float], weights: Array) -> Array:
-    """The lines of drivers to the right of the middle, of a row (K,) of the shapes and their weights (K, n).  [m].
-
-    The sum is taken in the order of the kernel, so that it has the same bits.
-    """
-    goal = np.zeros(weights.shape[1])
-    for factor, column in zip(shape, weights, strict=True):
-        goal += factor * column
-    return np.clip(goal, -WANDER_MOST_M, WANDER_MOST_M)
+    def states(self, seeds: Sequence[int]) -> NDArray[np.uint64]:
+        """States (n, 4) of the generators of n episodes, for compiled draws of the same weights."""
+        return named_states(seeds, STREAM)
 
 
 def moved_aside(x: float, y: float, heading: float, aside: float) -> tuple[float, float]:

@@ -10,6 +10,7 @@ import copy
 import hashlib
 import math
 from collections.abc import Sequence
+from functools import cache
 from importlib import resources
 from typing import Any
 
@@ -30,6 +31,7 @@ ZIGGURAT: NDArray[np.float64] = np.load(str(resources.files("lanebound.integrity
 """(3, 256) tables of normal draws (:func:`~lanebound.integrity.core.streams_kernel.fill`), rounded as in NumPy."""
 
 
+@cache
 def _name_key(name: str) -> int:
     """A stable 64-bit key of a stream's name (Python's ``hash`` differs between processes)."""
     return int.from_bytes(hashlib.blake2b(name.encode(), digest_size=8).digest(), "little")

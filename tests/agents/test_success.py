@@ -94,3 +94,23 @@ def test_the_vehicle_ahead_and_bends_lower_the_speed_that_is_expected() -> None:
     assert driven(env, make_agent("nominal", env), 4)["is_success"]
     score = env.belief_loop.episodes.ego.score[0]  # type: ignore[union-attr]
     assert score["allowed_m"] < 0.9 * env.world.vehicle.lane.speed_limit * 60.0
+
+
+def test_to_wait_behind_a_wreck_is_no_success() -> None:
+    """The lane is blocked after a third of the way; the wreck and a car that waits behind it lower nothing."""
+    env = made("Highway", world={"vehicles_count": 3, "lanes_count": 1}, duration_s=40.0)
+    successes = {}
+    for crashed in (False, True):
+        observation, _ = env.reset(seed=2)
+        ego, *others = env.world.road.vehicles
+        for place, other in zip((300.0, 290.0, 280.0), others, strict=False):
+            other.position[0], other.speed, other.target_speed = ego.position[0] + place, 0.0, 0.0
+            other.crashed = crashed and place == 300.0
+        agent, state, over = make_agent("nominal", env), None, False
+        while not over:
+            action, state = agent.predict(observation, state=state)
+            observation, _, terminated, truncated, info = env.step(action)
+            over = terminated or truncated
+        assert not info["crashed"]
+        successes[crashed] = info["is_success"]
+    assert successes == {False: True, True: False}

@@ -22,7 +22,7 @@ def record_of(kind: Any, **values: float) -> Any:
 
 def empty_rows(places: int, present: int) -> tuple[Cars, Drivers]:
     """Vehicles at rest at the origin in each of so many places, of which the first ``present`` are taken."""
-    return _cars(places, present), Drivers(*[*_columns(places, 10, 5), np.zeros((1, places))])
+    return _cars(places, present), Drivers(*[*_columns(places, 9, 5), np.zeros((1, places))])
 
 
 def cars_at(
