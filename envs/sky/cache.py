@@ -23,7 +23,7 @@ from lanebound.envs.sky.corridors import edges_of
 from lanebound.envs.sky.level import SkyLevel
 from lanebound.envs.sky.street import LaneMap, Street
 from lanebound.integrity import sky
-from lanebound.integrity.core.accel import cache_directory
+from lanebound.integrity.core.kernel_cache import cache_root
 from lanebound.integrity.sky.faces import Faces
 from lanebound.integrity.sky.forecast import SkyForecast
 from lanebound.integrity.sky.scene import City
@@ -73,8 +73,8 @@ def remember(key: str, street: Street | None = None) -> Street | None:
 
 def folder() -> Path | None:
     """Directory of the streets on disk, None without a writable directory."""
-    kernels = cache_directory()
-    return None if kernels is None else Path(kernels).parent / "streets"
+    root = cache_root()
+    return None if root is None else root / "streets"
 
 
 def load(key: str, lanes: LaneMap) -> Street | None:

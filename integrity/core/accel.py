@@ -1,31 +1,24 @@
-"""Configuration of Numba: options of all kernels, a versioned on-disk cache, and threads.
+"""Configuration of Numba: options of all kernels, and threads.
 
 Kernels run in Python threads, which wait for work without using a processor. Numba's own threads spin between kernels;
 a second busy process on the machine makes them about fifty times slower. A kernel for :func:`run_rows` has the
 signature ``kernel(first, last, *arguments)``, processes only the rows ``first`` to ``last - 1``, and releases the
 interpreter lock.
 
-Numba's cache depends on the source file of a kernel but not on the source files of its callees. The cache directory of
-a layer is therefore versioned by a digest of all kernel files (``*_kernel.py``) of this package and of that layer. The
-cache contains machine code. Below the temporary directory, which all users share, a directory is used only if it is
-private to the user. Without a writable cache the kernels are compiled in each process.
+Compiled kernels are cached on disk (:mod:`lanebound.integrity.core.kernel_cache`).
 """
 
 from __future__ import annotations
 
-import atexit
-import hashlib
+import inspect
 import itertools
 import logging
 import multiprocessing
 import os
-import shutil
-import stat
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
@@ -35,100 +28,16 @@ from typing import Any, TypeVar, overload
 import numba
 from numba.core import event
 
+from lanebound.integrity.core.kernel_cache import cache_directory, cache_root, locating
+
 __all__ = ["LOGGER", "call_links", "jit", "kernels_are_cached", "run_rows", "serial", "thread_count"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 FASTMATH = {"nsz"}  # with more flags a fresh kernel and a cached one could differ in the last bit
 PIECE_US = 80.0  # a thread needs about 40 us to start and to report its end
 PIECES_PER_THREAD = 4
-UNUSED_S = 30 * 86400.0
 LOGGER = logging.getLogger("lanebound")
 NOTICE_S = 2.0  # a shorter compilation is not reported
-CACHED_AT_LEAST = 100  # lower bound of the kernels in the cache after a drive; there are about 200
-
-
-@cache
-def cache_directory(layer: str = "integrity") -> str | None:
-    """A writable directory for this version of the kernel sources (``*_kernel.py``) of a layer, or None.
-
-    Kernels of other layers call kernels of this layer; their digest includes the sources of both layers.
-    """
-    digest = hashlib.blake2b(repr(("nogil", *sorted(FASTMATH))).encode(), digest_size=8)
-    here = Path(__file__).parents[1]
-    for folder in dict.fromkeys((here, here.parent / layer)):
-        for source in sorted(folder.rglob("*_kernel.py")):
-            digest.update(source.read_bytes())
-    name = f"kernels-{digest.hexdigest()}"
-    base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    places: tuple[Callable[[], Path], ...] = (lambda: Path(base).expanduser() / "lanebound", _shared, _fresh)
-    for place in places:
-        try:
-            path = place() / name
-            if not path.exists():
-                _remove_unused(path.parent)
-            path.mkdir(parents=True, exist_ok=True)
-            os.utime(path)
-        except (OSError, RuntimeError):  # not writable, not private, no temporary directory or no home directory
-            continue
-        if os.access(path, os.W_OK):
-            return str(path)
-    return None
-
-
-def _remove_unused(folder: Path) -> None:
-    """Remove kernels of other versions that no process has used for a month; each start updates the folder's time."""
-    for old in folder.glob("kernels-*"):
-        with suppress(OSError):
-            if time.time() - old.stat().st_mtime > UNUSED_S:
-                shutil.rmtree(old, ignore_errors=True)
-
-
-def _shared() -> Path:
-    """The directory of this user below the temporary directory; it is created if it is missing.
-
-    Raises
-    ------
-    OSError
-        The directory cannot be created, or another user can write into it.
-    """
-    path = Path(tempfile.gettempdir()) / f"lanebound-{_user()}"
-    with suppress(FileExistsError):
-        path.mkdir(mode=0o700)
-    if not _is_private(path):
-        raise PermissionError(f"{path} must be a directory of this user alone")
-    return path
-
-
-def _user() -> int:
-    """Number of the user; 0 on Windows, where the temporary directory is not shared."""
-    return os.getuid() if hasattr(os, "getuid") else 0
-
-
-def _is_private(path: Path) -> bool:
-    """Whether a path is a directory (not a link) of this user with mode 0700."""
-    found = path.lstat()
-    if not stat.S_ISDIR(found.st_mode):
-        return False
-    return os.name == "nt" or (found.st_uid == _user() and stat.S_IMODE(found.st_mode) == 0o700)
-
-
-def _fresh() -> Path:
-    """A new private directory of this process, removed when it ends."""
-    path = tempfile.mkdtemp(prefix="lanebound-")
-    owner = os.getpid()
-
-    def remove() -> None:
-        if os.getpid() == owner:  # not in a forked child
-            shutil.rmtree(path, ignore_errors=True)
-
-    atexit.register(remove)
-    return Path(path)
-
-
-def _layer_of(function: Callable[..., Any]) -> str:
-    """Layer of lanebound that contains a kernel."""
-    package, _, rest = (function.__module__ or "").partition(".")
-    return rest.partition(".")[0] if package == "lanebound" else "integrity"
 
 
 @overload
@@ -157,25 +66,34 @@ def jit(function: F | None = None, *, inline: bool = False, forceinline: bool = 
             options["forceinline"] = True
         if borrows:
             options["_nrt"] = False
-        directory = cache_directory(_layer_of(f))
+        directory = _directory(f)
         if directory is None:
             return numba.njit(**options)(f)
-        before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
-        numba.config.CACHE_DIR = directory  # type: ignore[attr-defined]
         try:
-            return numba.njit(cache=True, **options)(f)
+            with locating(directory):
+                return numba.njit(cache=True, **options)(f)
         except RuntimeError:  # no locator for this file (interactive use): compile in memory
             return numba.njit(**options)(f)
-        finally:
-            numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
 
     return wrap if function is None else wrap(function)
 
 
-def kernels_are_cached() -> bool:
-    """Whether kernels of this version are in the cache, so that no long compilation is necessary."""
-    directory = cache_directory()
-    return directory is not None and sum(1 for _ in Path(directory).glob("*/*.nbi")) >= CACHED_AT_LEAST
+@cache
+def _directory_of(file: str) -> str | None:
+    """Cache directory of the kernels of a file."""
+    return cache_directory(Path(file), repr(("nogil", *sorted(FASTMATH))))
+
+
+def _directory(function: Callable[..., Any]) -> str | None:
+    """Cache directory of a kernel; None without a file (interactive use) or without a writable directory."""
+    file = inspect.getfile(function)
+    return _directory_of(file) if Path(file).is_file() else None
+
+
+def kernels_are_cached(module: str) -> bool:
+    """Whether kernels of the file of a module are in the cache, so that they need no compilation."""
+    directory = _directory_of(module)
+    return directory is not None and any(Path(directory).glob("*.nbi"))
 
 
 class _CompilationNotice(event.Listener):
@@ -205,7 +123,7 @@ class _CompilationNotice(event.Listener):
         if self._logged or self._spent_s + time.monotonic() - self._begun < NOTICE_S:
             return
         self._logged = True
-        cached = "once for this version" if cache_directory() else "in every process: set NUMBA_CACHE_DIR to a folder"
+        cached = "once for this version" if cache_root() else "in every process: set NUMBA_CACHE_DIR to a folder"
         LOGGER.warning("lanebound: compiling kernels, %s. This takes some minutes.", cached)
 
 

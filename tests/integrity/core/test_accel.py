@@ -2,6 +2,7 @@ import functools
 import math
 import operator
 import os
+import shutil
 import stat
 import subprocess
 import sys
@@ -13,7 +14,7 @@ import numba
 import numpy as np
 import pytest
 
-from lanebound.integrity.core import accel
+from lanebound.integrity.core import accel, kernel_cache
 
 
 @pytest.fixture
@@ -37,7 +38,8 @@ def _run_kernel(code, **environment):
     code += (
         "\nfrom lanebound.integrity.core import accel"
         "\nfrom lanebound.integrity.core.angles_kernel import wrap"
-        "\nprint(accel.cache_directory(), wrap(7.0))"
+        "\nfrom lanebound.integrity.core.kernel_cache import cache_root"
+        "\nprint(cache_root(), wrap(7.0))"
     )
     directory, answer = _run(code, **environment)[0].split()
     assert float(answer) == pytest.approx(7.0 - 2.0 * math.pi, abs=1e-12)
@@ -50,7 +52,7 @@ def test_an_unwritable_cache_falls_back_to_the_temporary_directory(unwritable, t
     directory = _run_kernel(
         "", HOME=nowhere, NUMBA_CACHE_DIR=nowhere, XDG_CACHE_HOME=nowhere, TMPDIR=str(tmp_path / "tmp")
     )
-    assert directory.startswith(str(tmp_path / "tmp" / f"lanebound-{os.getuid()}" / "kernels-"))
+    assert directory.startswith(str(tmp_path / "tmp" / f"lanebound-{os.getuid()}"))
     assert list((tmp_path / "tmp").rglob("*.nbi")), "the kernel was not cached in the fallback"
 
 
@@ -60,16 +62,16 @@ def only_temporary(monkeypatch, unwritable, tmp_path):
     shared = tmp_path / "tmp"
     shared.mkdir()
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(unwritable))
-    monkeypatch.setattr(accel.tempfile, "tempdir", str(shared))
-    monkeypatch.setattr(accel.atexit, "register", lambda function: function)
+    monkeypatch.setattr(kernel_cache.tempfile, "tempdir", str(shared))
+    monkeypatch.setattr(kernel_cache.atexit, "register", lambda function: function)
     return shared / f"lanebound-{os.getuid()}"
 
 
 def test_the_shared_fallback_is_private_and_used_again(only_temporary):
-    first = accel.cache_directory.__wrapped__()
-    assert Path(first).parent == only_temporary
+    first = kernel_cache.cache_root.__wrapped__()
+    assert first == only_temporary
     assert stat.S_IMODE(only_temporary.lstat().st_mode) == 0o700
-    assert accel.cache_directory.__wrapped__() == first
+    assert kernel_cache.cache_root.__wrapped__() == first
 
 
 def _open_to_others(path, elsewhere):
@@ -95,20 +97,20 @@ def _a_file(path, elsewhere):
 def test_a_directory_that_others_could_fill_is_not_used(trap, only_temporary, tmp_path):
     elsewhere = tmp_path / "elsewhere"
     trap(only_temporary, elsewhere)
-    chosen = Path(accel.cache_directory.__wrapped__())
-    assert chosen.parent != only_temporary
-    assert chosen.parent.parent == only_temporary.parent
-    assert stat.S_IMODE(chosen.parent.lstat().st_mode) == 0o700
+    chosen = kernel_cache.cache_root.__wrapped__()
+    assert chosen != only_temporary
+    assert chosen.parent == only_temporary.parent
+    assert stat.S_IMODE(chosen.lstat().st_mode) == 0o700
     assert not elsewhere.exists() or not any(elsewhere.iterdir())
-    assert accel.cache_directory.__wrapped__() != str(chosen), "each process has a directory of its own"
+    assert kernel_cache.cache_root.__wrapped__() != chosen, "each process has a directory of its own"
 
 
 def test_a_directory_of_another_user_is_not_used(only_temporary, monkeypatch):
     only_temporary.mkdir(mode=0o700)
     me = os.getuid()
-    monkeypatch.setattr(accel, "_user", lambda: me + 1)
+    monkeypatch.setattr(kernel_cache, "_user", lambda: me + 1)
     only_temporary.rename(only_temporary.with_name(f"lanebound-{me + 1}"))
-    assert Path(accel.cache_directory.__wrapped__()).parent.name != f"lanebound-{me + 1}"
+    assert kernel_cache.cache_root.__wrapped__().name != f"lanebound-{me + 1}"
 
 
 def test_the_fresh_directory_goes_with_its_process(unwritable, tmp_path):
@@ -117,8 +119,8 @@ def test_the_fresh_directory_goes_with_its_process(unwritable, tmp_path):
     (shared / f"lanebound-{os.getuid()}").write_text("")
     nowhere = str(unwritable)
     directory = _run_kernel("", HOME=nowhere, NUMBA_CACHE_DIR=nowhere, TMPDIR=str(shared))
-    assert Path(directory).parent.parent == shared
-    assert not Path(directory).parent.exists()
+    assert Path(directory).parent == shared
+    assert not Path(directory).exists()
 
 
 def test_without_any_writable_directory_kernels_still_run(unwritable):
@@ -134,9 +136,9 @@ def test_neither_a_home_nor_a_temporary_directory_is_needed(monkeypatch):
     def no_temporary_directory():
         raise FileNotFoundError("No usable temporary directory found")
 
-    monkeypatch.setattr(accel.Path, "expanduser", no_home)
-    monkeypatch.setattr(accel.tempfile, "gettempdir", no_temporary_directory)
-    assert accel.cache_directory.__wrapped__() is None
+    monkeypatch.setattr(kernel_cache.Path, "expanduser", no_home)
+    monkeypatch.setattr(kernel_cache.tempfile, "gettempdir", no_temporary_directory)
+    assert kernel_cache.cache_root.__wrapped__() is None
 
 
 @pytest.mark.parametrize("variables", [("NUMBA_CACHE_DIR",), ("XDG_CACHE_HOME",), ("HOME",)])
@@ -146,22 +148,67 @@ def test_the_directory_follows_the_environment(variables, monkeypatch, tmp_path)
     for name in variables:
         monkeypatch.setenv(name, str(tmp_path))
     parent = tmp_path / ".cache" if variables == ("HOME",) else tmp_path
-    assert accel.cache_directory.__wrapped__().startswith(str(parent / "lanebound" / "kernels-"))
+    assert kernel_cache.cache_root.__wrapped__() == parent / "lanebound"
 
 
-def test_the_directory_changes_with_any_kernel_file_and_no_other(monkeypatch, tmp_path):
-    package = tmp_path / "package"
-    for room in ("room", "core"):
-        (package / room).mkdir(parents=True)
-    (package / "room" / "a_kernel.py").write_text("A = 1\n")
-    (package / "plain.py").write_text("B = 1\n")
-    monkeypatch.setattr(accel, "__file__", str(package / "core" / "accel.py"))
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
-    first = accel.cache_directory.__wrapped__()
-    (package / "plain.py").write_text("B = 2\n")
-    assert accel.cache_directory.__wrapped__() == first
-    (package / "room" / "a_kernel.py").write_text("A = 2\n")
-    assert accel.cache_directory.__wrapped__() != first
+@pytest.fixture
+def package(monkeypatch, tmp_path):
+    """A package of two layers and its kernels; returns a function that gives a kernel's directory."""
+    for folder in ("integrity/core", "envs"):
+        (tmp_path / folder).mkdir(parents=True)
+    files = {
+        "integrity/core/sum_kernel.py": "A = 1\n",
+        "integrity/core/far_kernel.py": "B = 1\n",
+        "integrity/core/constants.py": "C = 1\n",
+        "envs/step_kernel.py": "from lanebound.integrity.core.sum_kernel import (\n    A,\n)\n"
+        "from lanebound.integrity.core import constants\nfrom numpy import pi\n",
+    }
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    monkeypatch.setattr(kernel_cache, "__file__", str(tmp_path / "integrity/core/kernel_cache.py"))
+    monkeypatch.setattr(kernel_cache, "cache_root", lambda: tmp_path)
+
+    def directory(name):
+        for remembered in (
+            kernel_cache.sources_of,
+            kernel_cache._imports,
+            kernel_cache._bytes,
+            kernel_cache._named_tuples,
+        ):
+            remembered.cache_clear()
+        return kernel_cache.cache_directory(tmp_path / name)
+
+    return tmp_path, directory
+
+
+def test_the_directory_changes_with_the_sources_of_a_kernel_and_no_other(package):
+    root, directory = package
+    first = directory("envs/step_kernel.py")
+    for name, changes in (("sum_kernel", True), ("far_kernel", False), ("constants", True)):
+        (root / f"integrity/core/{name}.py").write_text("A = 2\n")
+        found = directory("envs/step_kernel.py")
+        assert (found != first) == changes, name
+        first = found
+    (root / "envs/step_kernel.py").write_text("D = 1\n")
+    assert directory("envs/step_kernel.py") != first
+
+
+def test_the_directory_changes_with_the_fields_of_any_named_tuple(package):
+    root, directory = package
+    before = directory("envs/step_kernel.py")
+    (root / "integrity/core/far_kernel.py").write_text("class Pose(NamedTuple):\n    x: int\n    y: int\n")
+    first = directory("envs/step_kernel.py")
+    (root / "integrity/core/far_kernel.py").write_text("class Pose(NamedTuple):\n    y: int\n    x: int\n")
+    assert len({before, first, directory("envs/step_kernel.py")}) == 3
+
+
+def test_copies_of_the_package_share_their_kernels(package, tmp_path, monkeypatch):
+    root, directory = package
+    first = directory("envs/step_kernel.py")
+    copy = tmp_path / "copy"
+    shutil.copytree(root, copy, ignore=shutil.ignore_patterns("copy", "kernels-*"))
+    monkeypatch.setattr(kernel_cache, "__file__", str(copy / "integrity/core/kernel_cache.py"))
+    assert directory("copy/envs/step_kernel.py") == first
 
 
 def _divide(a, b):
@@ -286,23 +333,7 @@ def test_a_compiled_sum_keeps_its_order_to_the_last_bit():
     assert total(x) == functools.reduce(operator.add, x.tolist(), 0.0)
 
 
-def test_kernels_of_another_layer_have_a_directory_of_their_own(monkeypatch, tmp_path):
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    for layer in ("integrity", "envs"):
-        (tmp_path / layer / "core").mkdir(parents=True)
-        (tmp_path / layer / "one_kernel.py").write_text("a = 1")
-    monkeypatch.setattr(accel, "__file__", str(tmp_path / "integrity" / "core" / "accel.py"))
-    find = accel.cache_directory.__wrapped__
-    own, other = find(), find("envs")
-    assert own != other
-    (tmp_path / "envs" / "one_kernel.py").write_text("a = 2")
-    assert find() == own, "kernels of integrity call none of other layers"
-    assert find("envs") not in (own, other)
-    (tmp_path / "integrity" / "one_kernel.py").write_text("a = 2")
-    assert find() != own
-
-
-def test_kernels_of_versions_that_nobody_has_used_for_a_month_are_removed(only_temporary):
+def test_kernels_of_versions_that_nobody_has_used_for_a_month_are_removed(only_temporary, monkeypatch, tmp_path):
     only_temporary.mkdir(mode=0o700)
     old, young, other = (only_temporary / name for name in ("kernels-old", "kernels-young", "notes"))
     for folder, days in ((old, 31), (young, 29), (other, 99)):
@@ -310,13 +341,16 @@ def test_kernels_of_versions_that_nobody_has_used_for_a_month_are_removed(only_t
         (folder / "file").write_text("")
         then = time.time() - days * 86400.0
         os.utime(folder, (then, then))
-    assert Path(accel.cache_directory.__wrapped__()).exists()
+    source = tmp_path / "one_kernel.py"
+    source.write_text("A = 1\n")
+    monkeypatch.setattr(kernel_cache, "cache_root", kernel_cache.cache_root.__wrapped__)
+    assert Path(kernel_cache.cache_directory(source)).parent == only_temporary
     assert not old.exists()
     assert young.exists()
     assert other.exists()
     then = time.time() - 31 * 86400.0
     os.utime(young, (then, then))
-    accel.cache_directory.__wrapped__()  # one that is there already: nothing is looked for
+    kernel_cache.cache_directory(source)  # one that is there already: nothing is looked for
     assert young.exists()
 
 
