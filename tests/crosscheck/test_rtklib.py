@@ -21,8 +21,7 @@ from lanebound.integrity.positioning.least_squares import design_matrix
 from lanebound.integrity.replay.baseline_report import read_coordinates, run_baseline
 from lanebound.integrity.sky.broadcast import positions, read_navigation
 from lanebound.integrity.sky.orbit import EARTH_RATE_RADPS, rotated_with_earth
-from lanebound.integrity.sky.rinex_navigation import QZSS_PRN_BEFORE
-from lanebound.integrity.sky.systems import System
+from lanebound.integrity.sky.systems import PRN_BEFORE, System
 from plain_least_squares import dilution
 
 Program = Callable[..., Path]
@@ -65,8 +64,8 @@ def sights(place: np.ndarray, time_s: float) -> dict[str, np.ndarray]:
     sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
     letters = {system: letter for letter, system in LETTERS.items()}
     return {
-        f"{letters[System(int(system))]}{prn - QZSS_PRN_BEFORE * (system == System.QZSS):02d}": sight[k]
-        for k, (system, prn) in enumerate(states.satellite)
+        f"{letter}{prn - PRN_BEFORE.get(letter, 0):02d}": sight[k]
+        for k, (letter, prn) in enumerate((letters[System(int(system))], prn) for system, prn in states.satellite)
         if states.usable[0, k]
     }
 

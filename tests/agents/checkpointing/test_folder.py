@@ -176,10 +176,15 @@ def test_kinds_of_work_share_no_folder(tmp_path: Path) -> None:
 
 @pytest.fixture
 def recorded(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The present folder holds files with the names of a recorded pair."""
+    """The present folder holds files with the names and first lines of a recorded pair."""
     folder = tmp_path_factory.mktemp("recorded")
-    for name in ("rover.obs", "base.obs", "base.nav"):
-        (folder / name).touch()
+    for name, kind in (
+        ("rover.obs", "OBSERVATION DATA"),
+        ("base.obs", "OBSERVATION DATA"),
+        ("base.nav", "N: GNSS NAV"),
+    ):
+        line = f"{'     3.04':20}{kind:20}{'M':20}RINEX VERSION / TYPE\n"
+        (folder / name).write_text(line, encoding="utf-8")
     monkeypatch.chdir(folder)
 
 
