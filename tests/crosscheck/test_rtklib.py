@@ -77,7 +77,7 @@ def test_the_fixed_baseline(rnx2rtkp: Program, tmp_path: Path) -> None:
     options |= {"ant2_pos1": x, "ant2_pos2": y, "ant2_pos3": z}
     time_s, theirs, quality = read_solution(rnx2rtkp(files=("rover.obs", "base.obs", "base.nav"), **options))
     assert (quality == 1).all()
-    run_baseline(folder / "rover.obs", folder / "base.obs", folder / "base.nav", tmp_path, base_ecef_m=base_place())
+    run_baseline(folder / "rover.obs", folder / "base.obs", [folder / "base.nav"], tmp_path, base_ecef_m=base_place())
     ours = np.genfromtxt(tmp_path / "solution.csv", delimiter=",", skip_header=1, usecols=(1, 4, 5, 6))
     np.testing.assert_allclose(ours[:, 0] % 86_400.0, time_s)
     assert np.linalg.norm(ours[:, 1:] - theirs, axis=1).max() < 0.015
