@@ -7,7 +7,7 @@ RTK; the gain of a level is counted from the last one on RTK.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -47,22 +47,22 @@ class _Recorder(StatelessDriver):
 
 
 def measure_growth(
-    name: str, skies: Sequence[str], seeds: int, on_progress: OnProgress = ignore
+    names: Sequence[str], skies: Sequence[str], seeds: int, on_progress: OnProgress = ignore
 ) -> tuple[list[Array], float]:
-    """What the nominal driver sees in ``seeds`` episodes under each sky, and the time between its decisions [s].
+    """What the nominal driver sees in ``seeds`` episodes of each id under each sky; the time between decisions [s].
 
     Each array (n, 5): time without RTK [s], levels along and across [m], age of corrections [s], satellites predicted.
     """
     found: list[Array] = []
     step_s = 0.0
-    for sky in skies:
+    for name, sky in product(names, skies):
         env = open_env(name, {"sky": sky})
         step_s = env.dt_s
         for seed in TRAIN[:seeds]:
             recorder = _Recorder(make_nominal(env), Reader(env.config.observation))
             drive(env, recorder, [seed])
             found.append(np.array(recorder.rows))
-            on_progress(RunProgress(of=len(skies) * seeds, done=len(found)))
+            on_progress(RunProgress(of=len(names) * len(skies) * seeds, done=len(found)))
         env.close()
     return found, step_s
 

@@ -45,18 +45,18 @@ def cautious(
 
 @app.command("growth")
 def growth(
-    name: EnvId,
+    names: Annotated[list[str], typer.Argument(metavar="ID...", help="Environments with decisions of one length.")],
     skies: Annotated[list[str] | None, typer.Option("--sky", help="Level of the sky; may be repeated.")] = None,
     seeds: Annotated[int, typer.Option(min=1, max=1000, help="Episodes a sky, from the first training seed on.")] = 40,
     _plugins: Plugins = None,
 ) -> None:
     """How protection levels grow without RTK, for the drivers that predict them; prints JSON.
 
-    Example: lanebound tune growth CarFollowing --sky urban --sky dense
+    Example: lanebound tune growth CarFollowing LaneKeeping --seeds 20
     """
     from lanebound.agents.benchmark.growth_fit import fit_growth, measure_growth
     from lanebound.agents.cli.output import print_json
     from lanebound.agents.cli.progress import with_bar
 
     chosen = tuple(skies or ("urban", "dense"))
-    print_json(fit_growth(*with_bar("episodes", lambda on_progress: measure_growth(name, chosen, seeds, on_progress))))
+    print_json(fit_growth(*with_bar("episodes", lambda on_progress: measure_growth(names, chosen, seeds, on_progress))))

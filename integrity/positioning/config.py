@@ -297,6 +297,11 @@ class ModeConfig(Config):
     doppler_agreement_mps: float = Field(0.5, gt=0, description="Doppler against odometer speed [m/s]; S1 table 1")
     doppler_max_hdop: float = Field(1.5, gt=0, description="HDOP for Doppler positioning [-]; S1 table 1")
     doppler_max_s: float = Field(60.0, gt=0, description="longest Doppler positioning without RTK [s]; S1 section 5")
+    doppler_when: Literal["tighter", "usable"] = Field(
+        "tighter",
+        description="tighter: Doppler where its velocity has a smaller bound than that of gyro and odometer; usable: "
+        "wherever it is usable, S1 figure 1",
+    )
 
 
 class PositioningConfig(Config):
@@ -446,14 +451,15 @@ def calibration_parameters(config: HeadingConfig) -> Records:
     )
 
 
-def mode_parameters(config: ModeConfig) -> Records:
-    """MODE_LIMITS (1,) of :mod:`.mode_kernel`."""
+def mode_parameters(config: ModeConfig, odometer_follows: bool = True) -> Records:
+    """MODE_LIMITS (1,) of :mod:`.mode_kernel`; ``odometer_follows``: gyro and odometer move what Doppler does not."""
     return one_record(
         MODE_LIMITS,
         rtk_max_hdop=config.rtk_max_hdop,
         doppler_agreement=config.doppler_agreement_mps,
         doppler_max_hdop=config.doppler_max_hdop,
         doppler_max_s=config.doppler_max_s,
+        doppler_if_tighter=config.doppler_when == "tighter" and odometer_follows,
     )
 
 

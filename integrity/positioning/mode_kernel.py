@@ -14,6 +14,7 @@ MODE_LIMITS = record(
     doppler_agreement="largest difference of Doppler and odometer speed [m/s]",
     doppler_max_hdop="largest HDOP for Doppler positioning [-]",
     doppler_max_s="longest Doppler positioning without RTK [s]",
+    doppler_if_tighter=("?", "Doppler only where its velocity has a smaller bound than that of gyro and odometer"),
 )
 """ModeConfig as kernels take it."""
 

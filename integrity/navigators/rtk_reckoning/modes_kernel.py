@@ -14,10 +14,10 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.dead_reckoning_pl_kernel import step_doppler, step_odometer, step_still
 from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import heading_bias
-from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Array, Epoch
 from lanebound.integrity.positioning.codes_kernel import DOPPLER, IMU_ODOMETER, NONE, UNDECIDED
 
-__all__ = ["advance_doppler", "advance_imu_odometer", "advance_nothing", "move", "stand"]
+__all__ = ["advance_doppler", "advance_imu_odometer", "advance_nothing", "doppler_is_tighter", "move", "stand"]
 
 
 @jit
@@ -30,6 +30,10 @@ def advance_doppler(first: int, last: int, epoch: Epoch) -> None:
             continue
         if not vehicle.since_rtk <= par.modes.doppler_max_s:
             continue
+        if par.modes.doppler_if_tighter and not doppler_is_tighter(
+            w, vehicle, epoch.measured.speed[v], epoch.tables.cases[0].k_dead, par
+        ):
+            continue
         w.mode, w.integrates = DOPPLER, not w.resting
         if w.resting:
             stand(par, w, growth)
@@ -38,6 +42,21 @@ def advance_doppler(first: int, last: int, epoch: Epoch) -> None:
         move(vehicle, 0.5 * par.dt * (before_e + w.v_e), 0.5 * par.dt * (before_n + w.v_n))
         for k in range(growth.shape[0]):
             step_doppler(w.step, w.q[0, 0], w.q[0, 1], w.q[1, 1], par.doppler.bias, growth[k])
+
+
+@jit(borrows=True)
+def doppler_is_tighter(w: Any, vehicle: Any, speed: float, k_md: Array, par: Any) -> bool:
+    """Whether the bound of the Doppler velocity is smaller than that of gyro and odometer, squared and over both axes.
+
+    Doppler: ``K^2 (q_EE + q_NN)`` and its bias; gyro and odometer: ``v (K_CT sigma_theta + b_theta)`` across and ``K_AT
+    sigma_v + b_v`` along. A reflected range rate moves a Doppler position by metres in seconds; the heading that it
+    calibrated averages it.
+    """
+    rules, k = par.odometer, max(k_md[0], k_md[1])
+    doppler = k * math.sqrt(w.q[0, 0] + w.q[1, 1]) + math.sqrt(2.0) * par.doppler.bias
+    across = abs(speed) * (k_md[1] * math.sqrt(vehicle.heading.p_hh) + heading_bias(vehicle, rules))
+    along = k_md[0] * rules.sigma + rules.bias + rules.scale * abs(speed)
+    return bool(doppler * doppler < across * across + along * along)
 
 
 @jit

@@ -80,7 +80,7 @@ def epoch_parameters(c: RtkReckoningConfig) -> Records:
             heading_drift=np.deg2rad(o.heading_drift_degps),
             watch=watch_parameters(o),
         ),
-        modes=mode_parameters(p.mode),
+        modes=mode_parameters(p.mode, "imu_odometer" in c.modes),
         lever=one_record(
             rk.LEVER,
             forward=p.antenna_forward_m,

@@ -46,7 +46,7 @@ def test_satellites_count_only_while_the_link_holds_and_the_sky_is_known() -> No
 
 def test_a_drive_gives_every_figure_of_the_law() -> None:
     seen = []
-    episodes, step_s = fit.measure_growth("LaneKeeping", ("dense",), 1, seen.append)
+    episodes, step_s = fit.measure_growth(("LaneKeeping",), ("dense",), 1, seen.append)
     assert (len(episodes), step_s, seen[-1].done, seen[-1].of) == (1, STEP_S, 1, 1)
     assert episodes[0].shape[1] == 5
     assert (episodes[0][:, fit.SINCE] >= 0.0).all()

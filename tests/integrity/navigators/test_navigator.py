@@ -576,7 +576,7 @@ def _sparse_outage(rate_mps: float, seconds: float) -> tuple[Array, Array, Array
         kind="satellite_range", start_s=8.0, duration_s=60.0, profile="ramp", ramp_s=60.0,
         magnitude_m=60.0 * rate_mps, system=System(int(TRACK.system[SPARSE[0]])), prn=int(TRACK.prn[SPARSE[0]]),
     )  # fmt: skip
-    config = CALM.replace(positioning=CALM.positioning.replace(rtk=rtk))
+    config = CALM.replace(positioning=CALM.positioning.replace(rtk=rtk, mode={"doppler_when": "usable"}))
     navigator = _navigator(config, 5, batch, faults=(LOSS.replace(start_s=5.0), drift))
     cars = _Cars(navigator, np.linspace(0.0, 2.0 * np.pi, batch, endpoint=False))
     hidden = np.setdiff1d(np.arange(len(TRACK.system)), SPARSE)
