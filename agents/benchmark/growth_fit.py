@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lanebound.agents.benchmark.seeds import TRAIN
 from lanebound.agents.checkpointing.runner import OnProgress, RunProgress, ignore
 from lanebound.agents.drivers.base import Reader, StatelessDriver
-from lanebound.agents.drivers.horizon import GrowthConfig
+from lanebound.agents.drivers.horizon import GROWTH_SPEED_MPS, GrowthConfig
 from lanebound.agents.drivers.nominal import make_nominal
 from lanebound.agents.episodes import drive, open_env
 
@@ -24,10 +24,11 @@ __all__ = ["fit_growth", "gains_of", "growth_of", "measure_growth", "most_satell
 
 Array = NDArray[np.float64]
 
-SHOWN = ("integrity.since_rtk", "integrity.pl_at", "integrity.pl_ct", "integrity.corrections_age")
-SINCE, AT, CT, AGE, SEEN = range(5)
+SHOWN = ("integrity.since_rtk", "integrity.pl_at", "integrity.pl_ct", "integrity.corrections_age", "ego.speed")
+SINCE, AT, CT, AGE, SPEED, SEEN = range(6)
 LONGEST_S = 12.0  # of an outage that counts for the law
 HORIZON_S = 4.0  # for which a level on RTK is predicted
+SLOWEST_MPS = 1.0  # mean speed of an outage that counts for the law
 BINS = 12  # of time, evenly in its logarithm
 FEWEST = 30  # outages, and decisions at a number of satellites, that a quantile is taken of
 OUT_SHARE = 0.6  # of decisions, where RTK counts as lost
@@ -51,7 +52,8 @@ def measure_growth(
 ) -> tuple[list[Array], float]:
     """What the nominal driver sees in ``seeds`` episodes of each id under each sky; the time between decisions [s].
 
-    Each array (n, 5): time without RTK [s], levels along and across [m], age of corrections [s], satellites predicted.
+    Each array (n, 6): time without RTK [s], levels along and across [m], age of corrections [s], speed [m/s],
+    satellites predicted.
     """
     found: list[Array] = []
     step_s = 0.0
@@ -68,30 +70,37 @@ def measure_growth(
 
 
 def gains_of(episodes: Sequence[Array], rtk_s: float) -> Array:
-    """Decisions without RTK (n, 3): time without it [s], gains of the levels along and across since then [m]."""
+    """Decisions without RTK (n, 4): time without it [s], gains of the levels along and across since then [m], and the
+    mean speed since then [m/s]."""
     gains = []
     for rows in episodes:
         on_rtk = rows[:, SINCE] <= rtk_s
         last = np.maximum.accumulate(np.where(on_rtk, np.arange(len(rows)), -1))
         out = ~on_rtk & (last >= 0) & np.isfinite(rows).all(-1)
-        gains.append(np.column_stack([rows[out, SINCE], rows[out, AT : CT + 1] - rows[last[out], AT : CT + 1]]))
+        way, now = np.cumsum(rows[:, SPEED]), np.flatnonzero(out)
+        mean = (way[now] - way[last[now]]) / (now - last[now])
+        gains.append(np.column_stack([rows[out, SINCE], rows[out, AT : CT + 1] - rows[last[out], AT : CT + 1], mean]))
     return np.concatenate(gains)
 
 
 def growth_of(gains: Array, bins: int = BINS) -> tuple[float, Array, Array]:
     """Power p of time, factors (2,) of the medians ``g t^p`` and of the quantiles of nine in ten, along and across [m].
 
+    The medians across are those at GROWTH_SPEED_MPS, to whose share of speed the gains are proportional.
     The power is that of both axes together, by least squares of the logarithms of the medians in bins of time; the
     upper factors are the largest over the bins.
     """
     edges = np.geomspace(0.25, LONGEST_S, bins + 1)
+    gains = gains[gains[:, 3] > SLOWEST_MPS]
+    scaled = gains[:, 1:3] / np.column_stack([np.ones(len(gains)), gains[:, 3] / GROWTH_SPEED_MPS])
     logs, upper = [], []
     for low, high in pairwise(edges):
-        inside = gains[(gains[:, 0] >= low) & (gains[:, 0] < high)]
+        chosen = (gains[:, 0] >= low) & (gains[:, 0] < high)
+        inside = gains[chosen]
         if len(inside) >= FEWEST:
             time = float(np.median(inside[:, 0]))
-            logs.append([np.log(time), *np.log(np.maximum(np.median(inside[:, 1:], axis=0), 1e-3))])
-            upper.append([time, *np.quantile(inside[:, 1:], 0.9, axis=0)])
+            logs.append([np.log(time), *np.log(np.maximum(np.median(scaled[chosen], axis=0), 1e-3))])
+            upper.append([time, *np.quantile(inside[:, 1:3], 0.9, axis=0)])
     t, medians = np.array(logs)[:, 0], np.array(logs)[:, 1:]
     centred = t - t.mean()
     power = float(np.clip((centred @ (medians - medians.mean(0))).mean() / (centred @ centred), 0.3, 1.0))

@@ -28,6 +28,9 @@ __all__ = [
 Array = NDArray[np.float64]
 
 
+GROWTH_SPEED_MPS = 10.0  # at which the law of PL_CT is stated
+
+
 class GrowthConfig(Config):
     """Growth of protection levels without RTK, and where RTK is expected.
 
@@ -37,7 +40,7 @@ class GrowthConfig(Config):
 
     satellites_needed: int = Field(17, ge=0, description="predicted, below which RTK is out in 3 of 5 cases")
     growth_at_m: float = Field(0.51, ge=0, description="PL_AT gained by 1 s without RTK; median")
-    growth_ct_m: float = Field(0.64, ge=0, description="PL_CT likewise")
+    growth_ct_m: float = Field(0.64, ge=0, description="PL_CT likewise, at 10 m/s")
     growth_power: float = Field(
         0.92,
         gt=0,
@@ -61,10 +64,13 @@ class GrowthConfig(Config):
     )
     broadcast_rtk_m: float = Field(0.35, ge=0, description="level of a leader up to which it has RTK; chosen")
 
-    def gained_m(self, since_s: float, for_s: float) -> tuple[float, float]:
-        """Growth along and across, ``g (t + T)^p - g t^p``, within T from ``since_s`` without RTK on."""
+    def gained_m(self, since_s: float, for_s: float, speed_mps: float) -> tuple[float, float]:
+        """Growth along and across, ``g (t + T)^p - g t^p``, within T from ``since_s`` without RTK on.
+
+        Across it is proportional to the speed: an error of the heading moves the car sideways.
+        """
         rise = (since_s + for_s) ** self.growth_power - since_s**self.growth_power
-        return self.growth_at_m * rise, self.growth_ct_m * rise
+        return self.growth_at_m * rise, self.growth_ct_m * rise * speed_mps / GROWTH_SPEED_MPS
 
 
 @dataclass(frozen=True)
@@ -136,6 +142,7 @@ def predicted_levels(
     dark = sky_ahead(reader, observation, way_m, c.satellites_needed)
     at, ct = (np.empty(way_m.size) for _ in range(2))
     level = [float(reader.value(observation, f"integrity.pl_{axis}")) for axis in ("at", "ct")]
+    speed = np.diff(way_m, prepend=0.0) / dt_s
     rtk, least = since_s <= c.rtk_s, (c.reset_at_m, c.reset_ct_m)
     open_s, since_s = (c.refix_s, 0.0) if rtk else (0.0, since_s)
     for k in range(way_m.size):
@@ -144,7 +151,8 @@ def predicted_levels(
             level = [min(now, low) if not rtk else now for now, low in zip(level, least, strict=True)]
             rtk, since_s = True, 0.0
         else:
-            level = [now + gain for now, gain in zip(level, c.gained_m(since_s, dt_s), strict=True)]
+            gains = c.gained_m(since_s, dt_s, speed[k])
+            level = [now + gain for now, gain in zip(level, gains, strict=True)]
             rtk, since_s = False, since_s + dt_s
         at[k], ct[k] = level
     return at, ct

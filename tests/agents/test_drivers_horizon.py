@@ -155,14 +155,14 @@ def test_levels_are_a_sawtooth():
 
 
 def test_a_second_without_rtk_gains_what_is_stated_and_later_ones_less():
-    way = np.zeros(20)
+    way = np.arange(1.0, 21.0) * 10.0 * DT_S  # at the speed for which the law is stated
     out = predicted_levels(READER, seen(integrity__corrections_age=5.0), way, DT_S, G)
     assert [level[4] - 0.2 for level in out] == pytest.approx([G.growth_at_m, G.growth_ct_m], abs=1e-6)
     values = {"integrity__since_rtk": 5.0, "integrity__corrections_age": 7.0}
     late = predicted_levels(READER, seen(**values), way, DT_S, G)
     assert late[0][4] - 0.2 == pytest.approx(G.growth_at_m * (6.0**G.growth_power - 5.0**G.growth_power), abs=1e-6)
-    whole = G.gained_m(0.0, 4.0)
-    assert np.add(G.gained_m(0.0, 1.0), G.gained_m(1.0, 3.0)) == pytest.approx(whole)
+    whole = G.gained_m(0.0, 4.0, 8.0)
+    assert np.add(G.gained_m(0.0, 1.0, 8.0), G.gained_m(1.0, 3.0, 8.0)) == pytest.approx(whole)
 
 
 def test_an_open_sky_ends_an_outage_and_a_link_that_is_out_does_not():
