@@ -379,7 +379,8 @@ class Intersection(Preset):
         **META,
         **INSTANT,
         "action_options": {"target_speeds": [0, 2, 4, 6]},
-        "world": {"duration": 30},
+        "observation": {"vehicles": 12},
+        "world": {"duration": 40},
         "cost_limit": 8.0,
     }
 
