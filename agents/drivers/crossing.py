@@ -10,6 +10,7 @@ circles that cover a vehicle on each of its courses.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -84,10 +85,34 @@ def yield_speed(
     across = _across(reader, observation, x, y, course, c)
     if not across.any():
         return np.full(v.shape, np.inf)
-    extra = np.asarray(extra_m, dtype=np.float64)
-    covered, straight = _covered(reader, observation, (x, y, course), across, extra, v, c)
+    there = across.any(axis=-1)
+    free = np.maximum(np.broadcast_to(np.asarray(free_mps, dtype=np.float64), v.shape), 2.0)
+    extra = np.broadcast_to(np.asarray(extra_m, dtype=np.float64), across.shape)
+    if v.ndim == 0:
+        return _cap(reader, observation, station, (x, y, course), across, free, extra, c)
+    chosen = (
+        {g: part[there] for g, part in observation.items()} if isinstance(observation, Mapping) else observation[there]
+    )
+    out = np.full(v.shape, np.inf)
+    route = x[there], y[there], course[there]
+    out[there] = _cap(reader, chosen, station, route, across[there], free[there], extra[there], c)
+    return out
+
+
+def _cap(
+    reader: Reader,
+    observation: Observation,
+    station: Array,
+    route: tuple[Array, Array, Array],
+    across: Bools,
+    top: Array,
+    extra: Array,
+    c: YieldConfig,
+) -> Array:
+    """The speed where some vehicle may cross."""
+    v = np.maximum(reader.value(observation, "ego.speed"), 0.0)
+    covered, straight = _covered(reader, observation, route, across, extra, v, c)
     when = _times(c)
-    top = np.maximum(np.broadcast_to(np.asarray(free_mps, dtype=np.float64), v.shape), 2.0)
     met = _met(covered, when, station, v, top, c)
     return _decision(station, when, met, straight, v, reader.value(observation, "road.junction"), c)
 
