@@ -349,26 +349,27 @@ class Intersection(Preset):
     tyre slip.
 
     ## Observation Space
-    As above; the preview in `road` follows the planned route.
+    As above, with 12 vehicles in `traffic`: with six, a crossing vehicle is often not among the nearest. The preview in
+    `road` follows the planned route.
 
     ## Rewards
     As above; v_limit is 10 m/s. The reward of highway-env is the term `base`.
 
     ## Costs
-    As above. During an alert up to 5 m/s are free of `cost_alert`. `cost_limit` is 8. All drivers that enter the
-    crossing crash in a quarter of the drives or more, which adds 50 and more. A driver stays within the limit in the
-    mean only if it crashes in at most one of 40 drives.
+    As above. During an alert up to 5 m/s are free of `cost_alert`. `cost_limit` is 8. A driver
+    stays within the limit in the mean only if it crashes in at most one of 40 drives.
 
     ## Starting State
     About 65 m along the southern approach of 100 m (standard deviation 5 m), at 10 m/s.
 
     ## Episode End
     Terminated on arrival, 25 m beyond the crossing on the exit to the destination, without which there is no success.
-    Truncated after 30 s.
+    Truncated after 40 s.
 
     ## Arguments
     `config["world"]`: keys of highway-env, such as `destination` ("o1", the west), `initial_vehicle_count` (10
-    attempts), `spawn_probability` (0.6 at each decision), `duration` (30 s; highway-env has 13 s).
+    attempts), `spawn_probability` (0.6 at each decision), `duration` (40 s; highway-env has 13 s). Other drivers
+    stop where highway-env's would reverse.
 
     ## Version History
     * v0: first version, on `intersection-v2`.
@@ -379,7 +380,8 @@ class Intersection(Preset):
         **META,
         **INSTANT,
         "action_options": {"target_speeds": [0, 2, 4, 6]},
-        "world": {"duration": 30},
+        "observation": {"vehicles": 12},
+        "world": {"duration": 40},
         "cost_limit": 8.0,
     }
 

@@ -39,6 +39,7 @@ class AwareConfig(RssConfig):
     link_s: float = Field(1.0, gt=0, description="the same where the sky is open and the link is out; chosen")
     link_age_s: float = Field(2.0, gt=0, description="age of the reference data from which the link counts as out")
     lane_extra_m: float = Field(1.0, ge=0, description="the own lane is widened by PL_CT, by this at most; half a car")
+    cross_extra_m: float = Field(0.5, ge=0, description="crossing vehicles are widened by PL_AT, by this at most")
     sky_bonus_mps2: float = Field(0.5, ge=0, description="gain of a lane that sees the sky where the own does not")
 
 
@@ -71,10 +72,16 @@ class IntegrityAware(Rss):
         across = np.minimum(self.reader.rows(observation, "pl_ct"), self.config.lane_extra_m)
         return self.reader.rows(observation, "pl_at"), across
 
-    def wanted_speed(self, observation: Observation) -> Array:
+    def widening(self, observation: Observation) -> Array | float:
+        """The combined level along the track, up to a bound."""
+        if not self.reader.config.vehicles:
+            return 0.0
+        return np.minimum(self.reader.rows(observation, "pl_at"), self.config.cross_extra_m)
+
+    def free_speed(self, observation: Observation) -> Array:
         """Speed that route, levels, predicted sky and alert allow."""
         c, reader = self.config, self.reader
-        route = super().wanted_speed(observation)
+        route = super().free_speed(observation)
         limit = reader.value(observation, "road.speed_limit")
         slow = c.alert_share * np.where(limit < reader.scale("road.speed_limit"), limit, c.speed_mps)
         worst = np.maximum(
@@ -112,7 +119,8 @@ class IntegrityAware(Rss):
         """Brakes as hard as nominal for the estimate alone, and within a bound for levels, sky and alert."""
         c, v = self.config, self.reader.value(observation, "ego.speed")
         careful = super().acceleration(observation)
-        bare = following_acceleration(v, super().wanted_speed(observation), *nearest_ahead(self.reader, observation), c)
+        plain = self.giving(observation, super().free_speed(observation))
+        bare = following_acceleration(v, plain, *nearest_ahead(self.reader, observation), c)
         return np.minimum(bare, np.maximum(careful, -c.slow_mps2))
 
     def change(self, observation: Observation) -> NDArray[np.int64]:

@@ -93,9 +93,9 @@ class Cautious(Nominal):
         """The constant margins."""
         return self.config.gap_m, self.config.lane_m
 
-    def wanted_speed(self, observation: Observation) -> Array:
+    def free_speed(self, observation: Observation) -> Array:
         """A share of the speed of the route."""
-        return self.config.speed_share * super().wanted_speed(observation)
+        return self.config.speed_share * super().free_speed(observation)
 
 
 def make_rss(env: DrivingEnv, config: RssConfig | None = None) -> ContinuousDriver | MetaDriver:

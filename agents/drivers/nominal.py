@@ -22,6 +22,8 @@ from lanebound.integrity.core.errors import InputError
 __all__ = ["Nominal", "make_nominal", "make_oracle"]
 
 Array = NDArray[np.float64]
+META_MPS2 = 2.0
+"""Acceleration from rest by meta-actions: highway-env's controller covers the first 10 m in 3.1 s."""
 
 
 class Nominal(Plan):
@@ -32,15 +34,31 @@ class Nominal(Plan):
     def __init__(self, env: DrivingEnv, config: CruiseConfig, mobil: MobilConfig | None = None) -> None:
         super().__init__(env, config)
         self.mobil = MobilConfig() if mobil is None else mobil
-        self.giving_way = YieldConfig()
+        levels = () if isinstance(env.action_space, spaces.Box) else env.world.action_type.target_speeds
+        self._fastest = max(map(float, levels), default=np.inf)
+        pace = META_MPS2 if len(levels) else config.accelerate_mps2
+        self.giving_way = YieldConfig(accelerate_mps2=pace)
         if self.reader.previews_m:
             law = LqrSteering(env, self.reader)
             self.steering = PassingSteering(law, self.reader, config) if _cannot_slow(env) else law
 
     def wanted_speed(self, observation: Observation) -> Array:
-        """The speed of the route, and of giving way to crossing traffic."""
-        free = super().wanted_speed(observation)
-        return np.minimum(free, yield_speed(self.reader, observation, self.giving_way))
+        """The free speed, and that of giving way to crossing traffic."""
+        return self.giving(observation, self.free_speed(observation))
+
+    def giving(self, observation: Observation, free_mps: Array) -> Array:
+        """A free speed, reduced for giving way [m/s]."""
+        top = np.minimum(free_mps, self._fastest)
+        cap = yield_speed(self.reader, observation, self.giving_way, top, self.widening(observation))
+        return np.minimum(free_mps, cap)
+
+    def free_speed(self, observation: Observation) -> Array:
+        """Speed without other vehicles [m/s]."""
+        return super().wanted_speed(observation)
+
+    def widening(self, observation: Observation) -> Array | float:
+        """Widening of each crossing vehicle for uncertain positions [m]."""
+        return 0.0
 
     def bonus(self, observation: Observation) -> tuple[Array | float, Array | float]:
         """Gains of the lanes left and right beside speed [m/s2]."""

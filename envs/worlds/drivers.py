@@ -125,10 +125,24 @@ class CityDriver(IDMVehicle):  # type: ignore[misc]
 
     def step(self, dt: float) -> None:
         """Move; braking ends at standstill, because IDM alone would reverse."""
-        if not self.crashed:
-            self.action["acceleration"] = max(self.action["acceleration"], -self.speed / dt)
+        _stop_at_rest(self, dt)
         super().step(dt)
 
 
 class IntersectionDriver(IDMVehicle):  # type: ignore[misc]
-    """An IDM driver of a separate class, because highway-env's intersection changes constants of the class in use."""
+    """An IDM driver that never reverses, of a class whose constants highway-env's intersection may change.
+
+    highway-env's own drivers reverse where the gap ahead is shorter than the desired one. At a crossing they then back
+    into those behind them.
+    """
+
+    def step(self, dt: float) -> None:
+        """Move; braking ends at standstill."""
+        _stop_at_rest(self, dt)
+        super().step(dt)
+
+
+def _stop_at_rest(vehicle: IDMVehicle, dt: float) -> None:
+    """Bound the braking of a vehicle that has not crashed, so that its speed is 0 at least after a step."""
+    if not vehicle.crashed:
+        vehicle.action["acceleration"] = max(vehicle.action["acceleration"], -vehicle.speed / dt)

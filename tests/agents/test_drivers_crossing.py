@@ -10,6 +10,7 @@ import pytest
 
 from lanebound.agents.drivers.base import Reader
 from lanebound.agents.drivers.crossing import YieldConfig, yield_speed
+from lanebound.envs import DrivingEnv, make_config
 from lanebound.envs.observation import ObservationConfig
 
 C = YieldConfig()
@@ -39,11 +40,25 @@ def seen(reader: Reader, v: float, ahead: float, right: float, speed: float, hea
     return out
 
 
+def stop_m(speed: float) -> float:
+    """Distance in which that speed ends, the response included."""
+    return speed * C.response_s + speed**2 / (2.0 * C.brake_mps2)
+
+
+def with_junction(reader: Reader, row: Any, distance: float) -> Any:
+    row[reader.columns.index("road.junction")] = distance / reader.scale("road.junction")
+    return row
+
+
 def test_whoever_crosses_when_the_ego_would_be_there_is_given_way(reader):
-    """Paths cross 30 m ahead, where both would be after 3 s: it stops a length and half the width short."""
-    speed = float(yield_speed(reader, seen(reader, 10.0, 30.0, 24.0, 8.0, -90.0), C))
-    stop = speed**2 / (2.0 * C.brake_mps2)
-    assert 30.0 - C.width_m - C.length_m - 2.0 <= stop <= 30.0 - C.length_m
+    """Paths cross 30 m ahead, where both would be after 3 s: it stops before the other's width."""
+    speed = float(yield_speed(reader, with_junction(reader, seen(reader, 10.0, 30.0, 24.0, 8.0, -90.0), 50.0), C, 10.0))
+    assert 30.0 - C.width_m - C.length_m - 2.0 <= stop_m(speed) <= 30.0 - C.length_m
+
+
+def test_it_waits_before_the_junction_not_inside(reader):
+    speed = float(yield_speed(reader, with_junction(reader, seen(reader, 10.0, 30.0, 24.0, 8.0, -90.0), 18.0), C, 10.0))
+    assert stop_m(speed) == pytest.approx(18.0, abs=0.1)
 
 
 @pytest.mark.parametrize(
@@ -51,25 +66,44 @@ def test_whoever_crosses_when_the_ego_would_be_there_is_given_way(reader):
     [
         (30.0, -30.0, 8.0, -90.0),  # has crossed and drives away
         (30.0, 24.0, 0.5, -90.0),  # waits beside the route
-        (30.0, 45.0, 4.0, -90.0),  # comes long after the ego has gone
+        (30.0, 80.0, 4.0, -90.0),  # comes long after the ego has gone
         (30.0, 0.0, 5.0, 0.0),  # leads
+        (-30.0, 0.0, 12.0, 0.0),  # follows
+        (20.0, 3.5, 12.0, 0.0),  # drives beside it
         (40.0, -4.0, 10.0, 180.0),  # comes towards it on the other lane
         (-20.0, 10.0, 8.0, -90.0),  # crosses behind
     ],
 )
 def test_nobody_else_is(reader, ahead, right, speed, heading_deg):
-    assert float(yield_speed(reader, seen(reader, 10.0, ahead, right, speed, heading_deg), C)) == np.inf
+    assert float(yield_speed(reader, seen(reader, 10.0, ahead, right, speed, heading_deg), C, 10.0)) == np.inf
 
 
 def test_whoever_stands_across_the_route_is_stopped_for_however_long_he_stands(reader):
     """He stands 30 m ahead and 1 m beside the route, from where the ego's time of arrival says nothing."""
-    speed = float(yield_speed(reader, seen(reader, 10.0, 30.0, 1.0, 0.0, -90.0), C))
-    stop = speed**2 / (2.0 * C.brake_mps2)
-    assert 30.0 - C.width_m - C.length_m - 2.0 <= stop <= 30.0 - C.length_m
+    row = with_junction(reader, seen(reader, 10.0, 30.0, 1.0, 0.0, -90.0), 50.0)
+    speed = float(yield_speed(reader, row, C, 10.0))
+    assert 30.0 - C.width_m - C.length_m - 2.0 <= stop_m(speed) <= 30.0 - C.length_m
+
+
+def test_whoever_turns_is_followed_along_the_turn(reader):
+    """His heading is between those of the roads: a turn to the right ends across the route, straight on does not."""
+    aligned, turning = (
+        with_junction(reader, seen(reader, 8.0, 15.0, -10.0, 6.0, degrees), 10.0) for degrees in (0.0, 20.0)
+    )
+    assert float(yield_speed(reader, aligned, C, 8.0)) == np.inf
+    assert float(yield_speed(reader, turning, C, 8.0)) < np.inf
+
+
+def test_uncertain_positions_widen_him(reader):
+    """He stands 3.2 m beside the route and faces away: too near only with a margin of a metre."""
+    row = with_junction(reader, seen(reader, 8.0, 30.0, 3.2, 0.0, 90.0), 50.0)
+    assert float(yield_speed(reader, row, C, 8.0)) == np.inf
+    assert float(yield_speed(reader, row, C, 8.0, 1.0)) < np.inf
 
 
 def test_within_the_crossing_the_ego_goes_on(reader):
-    assert float(yield_speed(reader, seen(reader, 5.0, 3.0, 8.0, 8.0, -90.0), C)) == np.inf
+    """It can no longer stop before him, so it clears the crossing."""
+    assert float(yield_speed(reader, seen(reader, 5.0, 3.0, 8.0, 8.0, -90.0), C, 10.0)) == np.inf
 
 
 def test_a_batch_and_nobody_to_see():
@@ -79,3 +113,15 @@ def test_a_batch_and_nobody_to_see():
     assert together.tolist() == [float(yield_speed(reader, row, C)) for row in rows]
     blind = Reader(ObservationConfig(form="flat", vehicles=0))
     assert float(yield_speed(blind, np.zeros(len(blind.columns), dtype=np.float32), C)) == np.inf
+
+
+def test_nobody_at_the_crossing_reverses():
+    """highway-env's drivers reverse where the gap ahead is shorter than the desired one, down to -3 m/s."""
+    env = DrivingEnv(make_config("lanebound/Intersection-v0", {"sky": "open", "navigation": {"source": "perfect"}}))
+    env.reset(seed=1008)
+    slowest = 0.0
+    for _ in range(24):
+        env.step(0)
+        sound = [v.speed for v in env.world.road.vehicles if not v.crashed]
+        slowest = min(slowest, *sound)
+    assert slowest > -1e-6
