@@ -16,6 +16,7 @@ from lanebound.agents.drivers.base import Observation, Reader
 from lanebound.integrity.core.config import Config, Field
 
 __all__ = [
+    "GROWTH_SPEED_MPS",
     "CondensedProblem",
     "GrowthConfig",
     "condense",
@@ -26,7 +27,6 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-
 
 GROWTH_SPEED_MPS = 10.0  # at which the law of PL_CT is stated
 
@@ -39,10 +39,10 @@ class GrowthConfig(Config):
     """
 
     satellites_needed: int = Field(17, ge=0, description="predicted, below which RTK is out in 3 of 5 cases")
-    growth_at_m: float = Field(0.51, ge=0, description="PL_AT gained by 1 s without RTK; median")
-    growth_ct_m: float = Field(0.64, ge=0, description="PL_CT likewise, at 10 m/s")
+    growth_at_m: float = Field(0.52, ge=0, description="PL_AT gained by 1 s without RTK; median")
+    growth_ct_m: float = Field(0.54, ge=0, description="PL_CT likewise, at 10 m/s")
     growth_power: float = Field(
-        0.92,
+        0.93,
         gt=0,
         le=1,
         description="of time, for both; between a random walk's 1/2 and 1 of a constant error",
@@ -55,9 +55,9 @@ class GrowthConfig(Config):
         1.5, gt=0, description="age of reference data from which the link counts as out; 1.1 s at most while it holds"
     )
 
-    upper_at_m: float = Field(0.79, ge=0, description="upper gain of PL_AT in 1 s without RTK; 9 of 10 lie below")
-    upper_ct_m: float = Field(1.22, ge=0, description="that of PL_CT likewise")
-    upper_broadcast_m: float = Field(0.79, ge=0, description="that of a leader's level as broadcast: of its PL_AT")
+    upper_at_m: float = Field(0.81, ge=0, description="upper gain of PL_AT in 1 s without RTK; 9 of 10 lie below")
+    upper_ct_m: float = Field(1.21, ge=0, description="that of PL_CT likewise")
+    upper_broadcast_m: float = Field(0.81, ge=0, description="that of a leader's level as broadcast: of its PL_AT")
     spare_m: float = Field(0.02, ge=0, description="rise of levels within 4 s on RTK; 9 of 10")
     broadcast_spare_m: float = Field(
         0.15, ge=0, description="variation of a leader's level, broadcast in steps; 9 of 10"
