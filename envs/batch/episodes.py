@@ -73,6 +73,7 @@ class Episodes:
     tracks : (N,) TRACK where the egos' positions are sensed, else None
     sky : (N, 3 D) satellites predicted ahead, negative for unknown
     frame : (N, E) float32, the newest observations
+    epoch_steps : simulation steps in an epoch; None where nothing is sensed, no position is off, and every step is alike
     """
 
     def __init__(
@@ -111,6 +112,9 @@ class Episodes:
         self.frame = np.zeros((n, len(self.index)), dtype=np.float32)
         self._words = self._all_words()
         self._bundle: tuple[Bundle, RouteMap] | None = None
+        exact = not (rules["offset_at_m"][0] or rules["offset_ct_m"][0])
+        alike = exact and navigation is None and not perceives(config.perception)
+        self.epoch_steps = None if alike else config.navigation.steps_per_epoch(config.simulation_hz)
 
     def _all_words(self) -> vk.Words:
         """The memory of the records that observations come from."""
@@ -165,14 +169,6 @@ class Episodes:
         return Episodes(self.config, self.rules, self.routes, empty_cars(n, vehicles), navigation, perception)
 
     @property
-    def epoch_steps(self) -> int | None:
-        """Simulation steps in an epoch; None where nothing is sensed, no position is off, and every step is alike."""
-        exact = not (self.rules["offset_at_m"][0] or self.rules["offset_ct_m"][0])
-        if exact and self.navigation is None and not perceives(self.config.perception):
-            return None
-        return self.config.navigation.steps_per_epoch(self.config.simulation_hz)
-
-    @property
     def times_s(self) -> Array:
         """(N,) time of the last epoch of each episode."""
         if self.navigation is not None:
@@ -195,7 +191,7 @@ class Episodes:
         """
         approach = None
         for records in (*self.ego[:-1], *([] if self.tracks is None else [self.tracks])):
-            records[rows] = np.zeros((), records.dtype)
+            _words(records)[rows] = 0.0
         self.ego.belief["target_lane"][rows] = self.cars.lane[rows, 0]
         local, navigation = np.arange(rows.size), self.navigation
         if navigation is not None and starts is not None:

@@ -200,7 +200,7 @@ class Engine:
         begin_all(episodes, rows, seeds_of_episodes)
         speeds, speed = self.speeds, episodes.cars.speed[rows, 0]
         share = (speed - speeds[0]) / (speeds[-1] - speeds[0])
-        nearest = np.clip(np.round(share * (speeds.size - 1)), 0, speeds.size - 1).astype(np.int64)
+        nearest = np.minimum(np.maximum(np.rint(share * (speeds.size - 1)), 0), speeds.size - 1).astype(np.int64)
         episodes.ego.belief["target_speed_mps"][rows] = speeds[nearest]
         links = [self._judge_link(stage, rows, start=True), *episodes.finish_links(rows, start=True)]
         run_rows(call_links, rows.size, links, row_us=FINISH_US)
