@@ -73,7 +73,7 @@ class Episodes:
     tracks : (N,) TRACK where the egos' positions are sensed, else None
     sky : (N, 3 D) satellites predicted ahead, negative for unknown
     frame : (N, E) float32, the newest observations
-    epoch_steps : simulation steps in an epoch; None where nothing is sensed, no position is off, and every step is alike
+    epoch_steps : simulation steps in an epoch; None where all steps are alike: nothing is sensed, no position is off
     """
 
     def __init__(
@@ -161,12 +161,11 @@ class Episodes:
         size = sum(array.nbytes for array in self.arrays)
         return size + (0 if self.navigation is None else self.navigation.nbytes)
 
-    def another(self) -> Episodes:
-        """As many episodes of the same configuration, before any start."""
-        n, vehicles = self.cars.x.shape
-        navigation = None if self.navigation is None else self.navigation.another()
-        perception = self.perception.another()
-        return Episodes(self.config, self.rules, self.routes, empty_cars(n, vehicles), navigation, perception)
+    def another(self, count: int) -> Episodes:
+        """``count`` episodes of the same configuration, before any start."""
+        cars = empty_cars(count, self.cars.x.shape[1])
+        navigation = None if self.navigation is None else self.navigation.another(count)
+        return Episodes(self.config, self.rules, self.routes, cars, navigation, self.perception.another(count))
 
     @property
     def times_s(self) -> Array:
@@ -176,11 +175,11 @@ class Episodes:
         steps = self.config.navigation.steps_per_epoch(self.config.simulation_hz)
         return np.asarray(self.ego.score["steps"] // steps * float(self.rules["epoch_s"][0]), dtype=np.float64)
 
-    def adopt(self, rows: Rows, other: Episodes) -> None:
-        """Go on with the navigators and draws of episodes ``rows`` of others, whose arrays have been copied."""
+    def adopt(self, rows: Rows, other: Episodes, theirs: Rows) -> None:
+        """Go on in ``rows`` with navigators and draws of others' episodes ``theirs``, whose arrays have been copied."""
         if self.navigation is not None and other.navigation is not None:
-            self.navigation.adopt(rows, other.navigation)
-        self.perception.adopt(rows, other.perception)
+            self.navigation.adopt(rows, other.navigation, theirs)
+        self.perception.adopt(rows, other.perception, theirs)
 
     # Starts
 

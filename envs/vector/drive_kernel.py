@@ -98,7 +98,10 @@ def run_motorway(first, last, rows, frames, actions, batch, traffic, motions, tr
 
 @jit(borrows=True)
 def _motorway(e, frames, actions, a, t, motions, tracks, scratch):  # type: ignore[no-untyped-def]
-    """:func:`run_motorway` for one environment; ``scratch``: newest (L + 1,), held (2, V), pairs (P,), slip (V,), front (5, V)."""
+    """:func:`run_motorway` for one environment.
+
+    ``scratch``: newest (L + 1,), held (2, V), pairs (P,), slip (V,), front (5, V).
+    """
     newest, held, pairs, slip, front = scratch
     lanes, rules, world, dt = a.lanes, a.rules[0], t.world[0], a.rules[0].step_s
     car, drv, b, sc = cars_of(a.cars, e), drivers_of(t.drivers, e), a.ego.belief[e], a.ego.score[e]

@@ -135,7 +135,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
             self._restart(again, [None] * again.size)
         found = latest = results(self.engine.outcome)
         self._over = found.terminated | found.truncated
-        self._some_over = np.count_nonzero(self._over) > 0
+        self._some_over = bool(np.count_nonzero(self._over))
         final: dict[str, Any] = {}
         if self._some_over and self.mode is AutoresetMode.SAME_STEP:
             ended = self._over.nonzero()[0]
