@@ -73,6 +73,7 @@ class Episodes:
     tracks : (N,) TRACK where the egos' positions are sensed, else None
     sky : (N, 3 D) satellites predicted ahead, negative for unknown
     frame : (N, E) float32, the newest observations
+    epoch_steps : simulation steps in an epoch; None where all steps are alike: nothing is sensed, no position is off
     """
 
     def __init__(
@@ -111,6 +112,9 @@ class Episodes:
         self.frame = np.zeros((n, len(self.index)), dtype=np.float32)
         self._words = self._all_words()
         self._bundle: tuple[Bundle, RouteMap] | None = None
+        exact = not (rules["offset_at_m"][0] or rules["offset_ct_m"][0])
+        alike = exact and navigation is None and not perceives(config.perception)
+        self.epoch_steps = None if alike else config.navigation.steps_per_epoch(config.simulation_hz)
 
     def _all_words(self) -> vk.Words:
         """The memory of the records that observations come from."""
@@ -157,20 +161,11 @@ class Episodes:
         size = sum(array.nbytes for array in self.arrays)
         return size + (0 if self.navigation is None else self.navigation.nbytes)
 
-    def another(self) -> Episodes:
-        """As many episodes of the same configuration, before any start."""
-        n, vehicles = self.cars.x.shape
-        navigation = None if self.navigation is None else self.navigation.another()
-        perception = self.perception.another()
-        return Episodes(self.config, self.rules, self.routes, empty_cars(n, vehicles), navigation, perception)
-
-    @property
-    def epoch_steps(self) -> int | None:
-        """Simulation steps in an epoch; None where nothing is sensed, no position is off, and every step is alike."""
-        exact = not (self.rules["offset_at_m"][0] or self.rules["offset_ct_m"][0])
-        if exact and self.navigation is None and not perceives(self.config.perception):
-            return None
-        return self.config.navigation.steps_per_epoch(self.config.simulation_hz)
+    def another(self, count: int) -> Episodes:
+        """``count`` episodes of the same configuration, before any start."""
+        cars = empty_cars(count, self.cars.x.shape[1])
+        navigation = None if self.navigation is None else self.navigation.another(count)
+        return Episodes(self.config, self.rules, self.routes, cars, navigation, self.perception.another(count))
 
     @property
     def times_s(self) -> Array:
@@ -180,11 +175,11 @@ class Episodes:
         steps = self.config.navigation.steps_per_epoch(self.config.simulation_hz)
         return np.asarray(self.ego.score["steps"] // steps * float(self.rules["epoch_s"][0]), dtype=np.float64)
 
-    def adopt(self, rows: Rows, other: Episodes) -> None:
-        """Go on with the navigators and draws of episodes ``rows`` of others, whose arrays have been copied."""
+    def adopt(self, rows: Rows, other: Episodes, theirs: Rows) -> None:
+        """Go on in ``rows`` with navigators and draws of others' episodes ``theirs``, whose arrays have been copied."""
         if self.navigation is not None and other.navigation is not None:
-            self.navigation.adopt(rows, other.navigation)
-        self.perception.adopt(rows, other.perception)
+            self.navigation.adopt(rows, other.navigation, theirs)
+        self.perception.adopt(rows, other.perception, theirs)
 
     # Starts
 
@@ -195,7 +190,7 @@ class Episodes:
         """
         approach = None
         for records in (*self.ego[:-1], *([] if self.tracks is None else [self.tracks])):
-            records[rows] = np.zeros((), records.dtype)
+            _words(records)[rows] = 0.0
         self.ego.belief["target_lane"][rows] = self.cars.lane[rows, 0]
         local, navigation = np.arange(rows.size), self.navigation
         if navigation is not None and starts is not None:

@@ -18,6 +18,7 @@ NUMBERS, FLAGS, CODES = FIELDS[COST:TERMINATED], FIELDS[TRUNCATED + 1 : MODE], F
 NAMES = (*NUMBERS, *FLAGS, *CODES)
 """Entries of infos that are arrays (N,)."""
 Infos = dict[str, Any]
+ZERO = np.zeros(())  # an array compares faster than a number
 
 
 class StepResult(NamedTuple):
@@ -32,12 +33,13 @@ class StepResult(NamedTuple):
 
 def results(outcome: Records, of: NDArray[np.bool_] | None = None) -> StepResult:
     """The outcomes (N,) OUTCOME of all environments; or of those ``of`` (N,), and zeros of the others."""
-    rows = outcome.view(np.float64).reshape(-1, len(FIELDS)).T.copy()
+    rows = np.ndarray((outcome.size, len(FIELDS)), np.float64, outcome).T.copy()
     if of is not None:
         rows[:, ~of] = 0.0
-    numbers, flags = list(rows[:TERMINATED]), list(rows[TERMINATED:MODE] > 0.0)
-    codes = list(rows[MODE:].astype(np.int64))
-    return StepResult(numbers[0], flags[0], flags[1], numbers[1:COST], numbers[COST:] + flags[2:] + codes)
+    reward, *terms = rows[:COST]
+    terminated, truncated, *flags = np.greater(rows[TERMINATED:MODE], ZERO)
+    rest = [*rows[COST:TERMINATED], *flags, *rows[MODE:].astype(np.int64)]
+    return StepResult(reward, terminated, truncated, terms, rest)
 
 
 def form_of(mask: NDArray[np.bool_]) -> tuple[Infos, Infos]:

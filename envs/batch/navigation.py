@@ -158,9 +158,10 @@ class NavigationBatch:
         """What the kernels read of skies and cities."""
         return Bundle(rk.Sensed(self.where, self._forecast, self.skies.table, sky))
 
-    def another(self) -> NavigationBatch:
-        """Navigators of as many environments under the same skies, before any start."""
+    def another(self, count: int) -> NavigationBatch:
+        """Navigators of ``count`` environments under the same skies, before any start."""
         other = copy.copy(self)
+        other.count = count
         other._make()
         return other
 
@@ -197,11 +198,12 @@ class NavigationBatch:
         self._age[rows], self._index = 0, None
         return approach
 
-    def adopt(self, rows: Rows, other: NavigationBatch) -> None:
-        """Go on with the environments ``rows`` of another batch."""
-        self._take_over(rows, other.navigator, other.motions, other._streams, rows)
-        self._there[rows], self._hour[rows], self._age[rows] = other._there[rows], other._hour[rows], other._age[rows]
-        self.where.city[rows], self._index = other.where.city[rows], None
+    def adopt(self, rows: Rows, other: NavigationBatch, theirs: Rows) -> None:
+        """Go on in the environments ``rows`` with the environments ``theirs`` of another batch."""
+        self._take_over(rows, other.navigator, other.motions, other._streams, theirs)
+        self._there[rows], self._hour[rows] = other._there[theirs], other._hour[theirs]
+        self._age[rows], self._index = other._age[theirs], None
+        self.where.city[rows] = other.where.city[theirs]
 
     def _take_over(
         self, rows: Rows, navigator: Navigator, motions: Records, streams: CrewStreams, theirs: Rows

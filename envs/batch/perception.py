@@ -94,10 +94,10 @@ class PerceptionBatch:
             of_tracks=self._tracking,
         )
 
-    def another(self) -> PerceptionBatch:
-        """Pictures of as many egos by the same sources, before any start."""
+    def another(self, count: int) -> PerceptionBatch:
+        """Pictures of ``count`` egos by the same sources, before any start."""
         other = object.__new__(PerceptionBatch)
-        other.__dict__.update(self.__dict__)
+        other.__dict__.update(self.__dict__, count=count)
         other._make()
         return other
 
@@ -141,10 +141,10 @@ class PerceptionBatch:
         p.slots["key"][e, s] = v
         p.slots["length_m"][e, s], p.slots["width_m"][e, s] = cars.length[e, v], cars.width[e, v]
 
-    def adopt(self, rows: Rows, other: PerceptionBatch) -> None:
-        """Go on with the draws of the egos ``rows`` of another batch, whose arrays have been copied."""
+    def adopt(self, rows: Rows, other: PerceptionBatch, theirs: Rows) -> None:
+        """Go on in ``rows`` with the draws of the egos ``theirs`` of another batch, whose arrays have been copied."""
         if self.has_radio or self.has_sensor:
-            self._streams.adopt(rows, other._streams, rows)
+            self._streams.adopt(rows, other._streams, theirs)
 
     def make_room(self, vehicles: int) -> None:
         """Room for as many vehicles, the ego included."""

@@ -15,6 +15,7 @@ from lanebound.integrity.core.accel import jit
 __all__ = ["collide_all", "collide_sorted"]
 
 SPARE_MPS = 20.0  # by which a step of full throttle may exceed the largest speed
+FIRST_BITS = 32  # a pair of vehicles in one number: the first one above, the second one below these bits
 
 
 @jit(inline=True)
@@ -113,11 +114,11 @@ def collide_sorted(car, drv, dt, pairs):  # type: ignore[no-untyped-def]
                 break
             i, j = min(k, m), max(k, m)
             if _near(car, i, j, dt, diagonal):
-                key, at = i * count + j, found
+                key, at = i << FIRST_BITS | j, found
                 while at > 0 and pairs[at - 1] > key:
                     pairs[at] = pairs[at - 1]
                     at -= 1
                 pairs[at] = key
                 found += 1
     for a in range(found):
-        collide(car, drv, pairs[a] // count, pairs[a] % count, dt)
+        collide(car, drv, pairs[a] >> FIRST_BITS, pairs[a] & (1 << FIRST_BITS) - 1, dt)

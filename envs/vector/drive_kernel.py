@@ -90,15 +90,19 @@ def run_motorway(first, last, rows, frames, actions, batch, traffic, motions, tr
     a, t = unbundle(batch), unbundle(traffic)
     vehicles = a.cars.x.shape[1]
     newest, held = np.empty(a.lanes.table.shape[0] + 1, np.int64), np.empty((2, vehicles), np.int64)
-    scratch = newest, held, np.empty(vehicles * vehicles // 2 + 1, np.int64), np.empty(vehicles)
+    pairs = np.empty(vehicles * vehicles // 2 + 1, np.int64)
+    scratch = newest, held, pairs, np.empty(vehicles), np.empty((5, vehicles))
     for n in range(first, last):
         _motorway(rows[n], frames, actions, a, t, motions, tracks, scratch)
 
 
 @jit(borrows=True)
 def _motorway(e, frames, actions, a, t, motions, tracks, scratch):  # type: ignore[no-untyped-def]
-    """:func:`run_motorway` for one environment; ``scratch``: newest (L + 1,), held (2, V), pairs (P,), slip (V,)."""
-    newest, held, pairs, slip = scratch
+    """:func:`run_motorway` for one environment.
+
+    ``scratch``: newest (L + 1,), held (2, V), pairs (P,), slip (V,), front (5, V).
+    """
+    newest, held, pairs, slip, front = scratch
     lanes, rules, world, dt = a.lanes, a.rules[0], t.world[0], a.rules[0].step_s
     car, drv, b, sc = cars_of(a.cars, e), drivers_of(t.drivers, e), a.ego.belief[e], a.ego.score[e]
     if actions is not None:
@@ -107,7 +111,7 @@ def _motorway(e, frames, actions, a, t, motions, tracks, scratch):  # type: igno
         steering, acceleration, hold = command_ego(b, a.ego.command[e], car, drv, lanes, rules)
         survey(car, drv, lanes.table, newest, held)
         change_lanes(car, drv, lanes.table, rules.meta != 0)
-        accelerate(car, drv, lanes.table)
+        accelerate(car, drv, lanes.table, front)
         slowest, fastest = world.speed_least_mps, world.speed_most_mps
         move_ego(car, drv, steering, acceleration, hold, slowest, fastest, lanes, dt)
         wander_all(car, drv, t.wander[min(sc.steps + 1, t.wander.shape[0] - 1)], dt)

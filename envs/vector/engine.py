@@ -35,11 +35,12 @@ __all__ = ["Engine"]
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 VEHICLE_FRAME_US, FINISH_US, EPOCH_US = 0.06, 5.0, 4.0  # of one thread, measured
+PREPARED = 8  # episodes at least that are prepared together; up to so many take hardly longer than one
 META_CODES = {"LANE_LEFT": LEFT, "IDLE": IDLE, "LANE_RIGHT": RIGHT, "FASTER": FASTER, "SLOWER": SLOWER}
 
 
 class Stage:
-    """All state of N episodes, running or waiting.
+    """All state of N episodes that run, or of A N that wait: the k-th of environment e is in row ``k N + e``.
 
     Attributes
     ----------
@@ -58,7 +59,8 @@ class Stage:
         drivers = Drivers(*[*numbers, *wholes, weights])
         self.traffic = TrafficBatch(drivers, engine.world, engine.speeds, profile, engine.wander)
         self.bundle = Bundle(self.traffic)
-        self._copier = RowCopier((*episodes.arrays, *self.traffic.drivers, profile))
+        arrays, count = (*episodes.arrays, *self.traffic.drivers, profile), engine.count
+        self._copiers = [RowCopier(tuple(a[k : k + count] for a in arrays)) for k in range(0, n, count)]
 
     @property
     def nbytes(self) -> int:
@@ -66,18 +68,18 @@ class Stage:
         moved = *self.traffic.drivers, self.traffic.profile
         return self.episodes.nbytes + sum(array.nbytes for array in moved)
 
-    def adopt(self, rows: Rows, other: Stage) -> None:
-        """Continue with the episodes ``rows`` of another stage."""
-        self._copier.copy(rows, other._copier)
-        self.episodes.adopt(rows, other.episodes)
+    def adopt(self, rows: Rows, other: Stage, k: int) -> None:
+        """Continue in environments ``rows`` with their k-th episodes of a stage of waiting ones."""
+        self._copiers[0].copy(rows, other._copiers[k])
+        self.episodes.adopt(rows, other.episodes, rows + k * self.episodes.cars.present.size)
 
 
 class Engine:
     """N environments that step together.
 
-    The next episodes of all environments without a waiting one are prepared together: navigation starts some seconds
-    before an episode, and many vehicles take hardly longer than one. So most resets only copy arrays, and a few are
-    slow.
+    The next episodes of all environments without a waiting one are prepared together, and several for each where there
+    are few: navigation starts some seconds before an episode, and many vehicles take hardly longer than one. So most
+    resets only copy arrays, and a few are slow.
 
     Parameters
     ----------
@@ -114,7 +116,7 @@ class Engine:
         self.wander = config.wander.shapes(0, steps, 1.0 / config.simulation_hz)
         self._everyone = np.arange(count)
         self._generators: list[np.random.Generator | None] = [None] * count
-        self._drawn: dict[int, tuple[int, int]] = {}
+        self._drawn: dict[tuple[bool, int], tuple[int, int]] = {}  # by whether it is to wait, and its row
         vehicles = self.support.vehicles(single.world)
         episodes = make_batch(single.world, config, count, vehicles)
         if not episodes.table.goes_one_way:
@@ -126,7 +128,8 @@ class Engine:
         self._stage = Stage(self, episodes)
         self._next: Stage | None = None
         self._begun = np.zeros(count, dtype=np.bool_)  # whether an environment has had an episode
-        self._waits = np.zeros(count, dtype=np.bool_)  # whether its next one is ready
+        self._ahead = max(1, PREPARED // count)
+        self._waits = np.zeros(count, dtype=np.int64)  # how many next ones are ready
 
     def __getstate__(self) -> dict[str, Any]:
         """Everything but the functions of the world."""
@@ -175,7 +178,7 @@ class Engine:
         follows = self._begun[rows] & np.array([seed is None for seed in seeds], dtype=np.bool_)
         first = rows[~follows]
         if first.size:
-            self._begun[first] = self._waits[first] = False
+            self._begun[first], self._waits[first] = False, 0
             self._begin(self._stage, first, [seed for seed, on in zip(seeds, follows, strict=True) if not on])
             self._begun[first] = True
         if first.size < rows.size:
@@ -184,29 +187,33 @@ class Engine:
     def _go_on(self, rows: Rows) -> None:
         """Take the next episodes of environments, which are made ready where there is none."""
         if self._next is None:
-            self._next = Stage(self, self.episodes.another())
+            self._next = Stage(self, self.episodes.another(self._ahead * self.count))
         if not self._waits[rows].all():
-            lacking = np.flatnonzero(self._begun & ~self._waits)
-            self._begin(self._next, lacking, [None] * lacking.size)
-            self._waits[lacking] = True
-        self._stage.adopt(rows, self._next)
-        self._waits[rows] = False
+            lacking = np.flatnonzero(self._begun & (self._waits == 0))
+            places = (self.count * np.arange(self._ahead)[:, None] + lacking).ravel()
+            self._begin(self._next, places, [None] * places.size)
+            self._waits[lacking] = self._ahead
+        turns = self._ahead - self._waits[rows]
+        for k in set(turns.tolist()):
+            self._stage.adopt(rows[turns == k], self._next, k)
+        self._waits[rows] -= 1
 
     def _begin(self, stage: Stage, rows: Rows, seeds: list[int | None]) -> None:
         """Begin episodes on a stage."""
-        drawn = [self._draw(e, seed) for e, seed in zip(rows.tolist(), seeds, strict=True)]
+        waits = stage is self._next
+        drawn = [self._draw(waits, row, seed) for row, seed in zip(rows.tolist(), seeds, strict=True)]
         episodes, seeds_of_episodes = stage.episodes, [episode for episode, _ in drawn]
         self._line_up(stage, rows, seeds_of_episodes, [world for _, world in drawn])
         begin_all(episodes, rows, seeds_of_episodes)
         speeds, speed = self.speeds, episodes.cars.speed[rows, 0]
         share = (speed - speeds[0]) / (speeds[-1] - speeds[0])
-        nearest = np.clip(np.round(share * (speeds.size - 1)), 0, speeds.size - 1).astype(np.int64)
+        nearest = np.minimum(np.maximum(np.rint(share * (speeds.size - 1)), 0), speeds.size - 1).astype(np.int64)
         episodes.ego.belief["target_speed_mps"][rows] = speeds[nearest]
         links = [self._judge_link(stage, rows, start=True), *episodes.finish_links(rows, start=True)]
         run_rows(call_links, rows.size, links, row_us=FINISH_US)
         episodes.fill_extra(rows)
-        for e in rows.tolist():
-            del self._drawn[e]
+        for row in rows.tolist():
+            del self._drawn[waits, row]
 
     def _line_up(self, stage: Stage, rows: Rows, seeds: list[int], world_seeds: list[int]) -> None:
         """Put the vehicles of environments where the generator of their world draws them, and others on their lines."""
@@ -277,20 +284,21 @@ class Engine:
 
     # Starts
 
-    def _draw(self, e: int, seed: int | None) -> tuple[int, int]:
-        """The seeds of an episode and of its world, drawn as by :meth:`DrivingEnv.reset`.
+    def _draw(self, waits: bool, row: int, seed: int | None) -> tuple[int, int]:
+        """The seeds of the episode in a row of a stage and of its world, drawn as by :meth:`DrivingEnv.reset`.
 
         They are stored until the episode is ready, so that an interrupted preparation is repeated with the same seeds.
         """
+        e = row % self.count
         generator = self._generators[e]
         if seed is not None or generator is None:
             generator = self._generators[e] = seeding.np_random(seed)[0]
-            self._drawn.pop(e, None)
-        if e not in self._drawn:
+            self._drawn = {key: seeds for key, seeds in self._drawn.items() if key[1] % self.count != e}
+        if (waits, row) not in self._drawn:
             episode = int(generator.integers(EPISODE_SEEDS))
             world = seed if seed is not None else int(generator.integers(WORLD_SEEDS))
-            self._drawn[e] = episode, world
-        return self._drawn[e]
+            self._drawn[waits, row] = episode, world
+        return self._drawn[waits, row]
 
 
 def _direct_ranges(inner: Any) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from gymnasium.spaces import Box, MultiDiscrete, Space
@@ -86,6 +86,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         self._form = form_of(everyone)
         self._over = np.zeros(self.num_envs, dtype=np.bool_)
         self._begun = np.zeros(self.num_envs, dtype=np.bool_)
+        self._some_over, self._all_begun = False, False
 
     # Gymnasium
 
@@ -124,7 +125,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         """
         commands = self._checked(actions)
         again, driving = NOBODY, None
-        if np.count_nonzero(self._over):
+        if self._some_over:
             again, driving = self._over.nonzero()[0], (~self._over).nonzero()[0]
             if self.mode is AutoresetMode.DISABLED:
                 raise InputError(f"environments {again} must be reset, their episodes are over: pass options.{MASK}")
@@ -134,8 +135,9 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
             self._restart(again, [None] * again.size)
         found = latest = results(self.engine.outcome)
         self._over = found.terminated | found.truncated
+        self._some_over = bool(np.count_nonzero(self._over))
         final: dict[str, Any] = {}
-        if self.mode is AutoresetMode.SAME_STEP and np.count_nonzero(self._over):
+        if self._some_over and self.mode is AutoresetMode.SAME_STEP:
             ended = self._over.nonzero()[0]
             final = self._final(ended, self._over.copy())
             self._restart(ended, [None] * ended.size)
@@ -163,6 +165,7 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         self.engine.reset(rows, seeds)
         self._history[rows] = self.engine.episodes.frame[rows, None]
         self._over[rows], self._begun[rows] = False, True
+        self._some_over, self._all_begun = bool(self._over.any()), bool(self._begun.all())
 
     def _remember(self, rows: Rows | None) -> None:
         """Put the newest observations at the end of the stack."""
@@ -189,24 +192,25 @@ class VectorDrivingEnv(VectorEnv[Any, Any, Any]):
         stack, count = self._history, self.num_envs
         if self._slices is None:
             return stack.reshape(count, -1).copy()
+        if count == 1 and stack.shape[1] == 1:
+            row = stack[0].copy()
+            return {group: row[:, part] for group, part in self._slices.items()}
         return {group: stack[:, :, part].copy().reshape(count, -1) for group, part in self._slices.items()}
 
     def _require_begun(self) -> None:
         if self.closed:
             raise InputError("environments must be open, got closed ones: make them anew")
-        if np.count_nonzero(self._begun) < self.num_envs:
+        if not self._all_begun:
             raise InputError("reset must come before everything else, got no episode: call reset() first")
 
     def _checked(self, actions: Any) -> NDArray[Any]:
         """Commands in the type of the action space."""
         self._require_begun()
-        given, space = np.asarray(actions), self.action_space
-        kinds = "iuf" if isinstance(space, Box) else "iu"
-        if given.dtype.kind not in kinds or given.shape != space.shape:
-            raise InputError(f"actions must be numbers of shape {space.shape}, got {given.dtype} {given.shape}: "
+        given, (low, high, kinds) = np.asarray(actions), self._bounds
+        if given.dtype.kind not in kinds or given.shape != low.shape:
+            raise InputError(f"actions must be numbers of shape {low.shape}, got {given.dtype} {given.shape}: "
                              "pass one for each environment")  # fmt: skip
-        commands = given.astype(space.dtype)
-        low, high = self._bounds
+        commands = given.astype(low.dtype)
         fits = (commands >= low) & (commands <= high)
         if np.count_nonzero(fits) < fits.size:
             e = int(np.flatnonzero(~fits.reshape(self.num_envs, -1).all(axis=1))[0])
@@ -240,12 +244,19 @@ def __getattr__(name: str) -> type[VectorDrivingEnv]:
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
-def _bounds_of(space: Space[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Lowest and highest commands, for a faster ``contains``."""
+class _Bounds(NamedTuple):
+    """Lowest and highest commands, and the kinds of numbers that commands may be, for a faster ``contains``."""
+
+    low: NDArray[Any]
+    high: NDArray[Any]
+    kinds: str
+
+
+def _bounds_of(space: Space[Any]) -> _Bounds:
     if isinstance(space, Box):
-        return space.low, space.high
+        return _Bounds(space.low, space.high, "iuf")
     if isinstance(space, MultiDiscrete):
-        return space.start, space.start + space.nvec - 1
+        return _Bounds(space.start.astype(space.dtype), (space.start + space.nvec - 1).astype(space.dtype), "iu")
     raise InputError(f"action_space must be a Box or MultiDiscrete, got {space}: choose an action of the environment")
 
 

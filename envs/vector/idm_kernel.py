@@ -10,7 +10,7 @@ from lanebound.envs.batch.ego_kernel import not_zero
 from lanebound.envs.vector.arithmetic_kernel import power
 from lanebound.integrity.core.accel import jit
 
-__all__ = ["ACC_MOST", "BRAKING_IMPOSED", "braking", "free", "gap_wanted", "wanted_speed"]
+__all__ = ["ACC_MOST", "BRAKING_IMPOSED", "braking", "braking_of", "free", "gap_wanted", "wanted_speed"]
 
 ACC_MOST, BRAKING_IMPOSED = 6.0, 2.0  # of IDMVehicle [m/s2], whatever the parameters
 
@@ -20,8 +20,13 @@ def gap_wanted(car, drv, i, j, idm):  # type: ignore[no-untyped-def]
     """The distance wanted of vehicle i behind j."""
     closing_x = car.speed[i] * drv.cos[i] - car.speed[j] * drv.cos[j]
     closing_y = car.speed[i] * drv.sin[i] - car.speed[j] * drv.sin[j]
-    closing = closing_x * drv.cos[i] + closing_y * drv.sin[i]
-    return idm.gap_m + car.speed[i] * idm.headway_s + car.speed[i] * closing / idm.twice_root
+    return _gap_of(car.speed[i], closing_x * drv.cos[i] + closing_y * drv.sin[i], idm)
+
+
+@jit(inline=True)
+def _gap_of(speed, closing, idm):  # type: ignore[no-untyped-def]
+    """The distance wanted, for a speed and the speed at which the gap closes."""
+    return idm.gap_m + speed * idm.headway_s + speed * closing / idm.twice_root
 
 
 @jit(inline=True)
@@ -39,5 +44,16 @@ def wanted_speed(drv, i, limit):  # type: ignore[no-untyped-def]
 @jit(inline=True)
 def braking(car, drv, i, j, gap, idm):  # type: ignore[no-untyped-def]
     """Reduction of the acceleration of vehicle i by vehicle j, a gap ahead."""
-    share = gap_wanted(car, drv, i, j, idm) / not_zero(gap)
+    return _braking_of(gap_wanted(car, drv, i, j, idm), gap, idm)
+
+
+@jit(inline=True)
+def braking_of(speed, closing, gap, idm):  # type: ignore[no-untyped-def]
+    """Reduction of the acceleration for a speed, the speed at which the gap closes, and the gap; 0 for gap inf."""
+    return _braking_of(_gap_of(speed, closing, idm), gap, idm)
+
+
+@jit(inline=True)
+def _braking_of(wanted, gap, idm):  # type: ignore[no-untyped-def]
+    share = wanted / not_zero(gap)
     return idm.comfort * share * share

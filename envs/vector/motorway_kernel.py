@@ -21,6 +21,7 @@ from lanebound.envs.vector.idm_kernel import (
     ACC_MOST,
     BRAKING_IMPOSED,
     braking,
+    braking_of,
     free,
     gap_wanted,
     wanted_speed,
@@ -167,20 +168,39 @@ def _consider(car, drv, i, table):  # type: ignore[no-untyped-def]
 
 
 @jit(inline=True)
-def accelerate(car, drv, table):  # type: ignore[no-untyped-def]
-    """IDM's acceleration of every driver, from the places at the beginning of the step; that of a wreck is not used."""
+def accelerate(car, drv, table, front):  # type: ignore[no-untyped-def]
+    """IDM's acceleration of every driver, from the places at the beginning of the step; that of a wreck is not used.
+
+    A loop for each quantity, so that the compiler takes several vehicles at once; ``front`` (5, V) is scratch.
+    """
+    _look_ahead(car, drv, front)
     for i in range(1, car.present):
         drv.acceleration[i] = wanted_speed(drv, i, table[car.lane[i]].speed_limit_mps)
     for i in range(1, car.present):
         drv.acceleration[i] = free(car.speed[i], drv.acceleration[i], drv.delta[i], BRISK)
     for i in range(1, car.present):
-        front = drv.front[i]
-        less = _braking(car, drv, i, front) if front >= 0 else 0.0
+        closing = (front[3, i] - front[0, i]) * drv.cos[i] + (front[4, i] - front[1, i]) * drv.sin[i]
+        front[2, i] = braking_of(car.speed[i], closing, front[2, i], BRISK)
+    for i in range(1, car.present):
         if car.lane[i] != drv.target[i]:
-            front = _ahead(car, drv, i, table, drv.target[i])
-            if front >= 0:
-                less = max(less, _braking(car, drv, i, front))
-        drv.acceleration[i] = min(max(drv.acceleration[i] - less, -ACC_MOST), ACC_MOST)
+            k = _ahead(car, drv, i, table, drv.target[i])
+            if k >= 0:
+                front[2, i] = max(front[2, i], _braking(car, drv, i, k))
+    for i in range(1, car.present):
+        drv.acceleration[i] = min(max(drv.acceleration[i] - front[2, i], -ACC_MOST), ACC_MOST)
+
+
+@jit(inline=True)
+def _look_ahead(car, drv, front):  # type: ignore[no-untyped-def]
+    """Velocity of the vehicle in front of each (rows 0, 1), its gap (2; inf for none), and the own velocity (3, 4)."""
+    for i in range(car.present):
+        front[3, i], front[4, i] = car.speed[i] * drv.cos[i], car.speed[i] * drv.sin[i]
+    for i in range(1, car.present):
+        k = drv.front[i]
+        if k >= 0:
+            front[0, i], front[1, i], front[2, i] = front[3, k], front[4, k], car.x[k] - car.x[i]
+        else:
+            front[0, i], front[1, i], front[2, i] = 0.0, 0.0, math.inf
 
 
 @jit(inline=True)

@@ -17,6 +17,7 @@ from tests.helpers.tunnel_drives import Drive, allowed, drive, with_risk, yaw_ra
 VEHICLES, RISK = 600, 1e-3
 FIXED_S, DOPPLER_S, TUNNEL_S = 20.0, 30.0, 20.0
 CALIBRATED_S = FIXED_S + DOPPLER_S
+ENDS = ((False, 0.1), (True, 2.0), (False, 10.0))  # both ends and the middle of the range; the others are slow tests
 NO_LINK = FaultSchedule((Fault(kind="corrections_loss", start_s=FIXED_S, duration_s=200.0),))
 TIMES_S = tuple(FIXED_S + after for after in (12.0, 20.0, 29.5, 40.0, 50.0))
 
@@ -31,9 +32,15 @@ def _run(true_tau_s: float, declared_s: tuple[float, float], turning: bool = Fal
     return drive(config, rates, CALIBRATED_S, VEHICLES, from_s=FIXED_S, faults=NO_LINK)
 
 
-@pytest.mark.parametrize("tau_s", [0.1, 0.5, 2.0, 5.0, 10.0])
-@pytest.mark.parametrize("turning", [False, True], ids=["straight", "turning"])
-def test_levels_hold_for_every_correlation_time_declared(tau_s: float, turning: bool) -> None:
+CASES = [
+    pytest.param(turning, tau_s, marks=() if (turning, tau_s) in ENDS else pytest.mark.slow)
+    for turning in (False, True)
+    for tau_s in (0.1, 0.5, 2.0, 5.0, 10.0)
+]
+
+
+@pytest.mark.parametrize(("turning", "tau_s"), CASES)
+def test_levels_hold_for_every_correlation_time_declared(turning: bool, tau_s: float) -> None:
     run = _run(tau_s, (0.1, 10.0), turning)
     assert (run.mode[run.time_s > CALIBRATED_S + 1.0] == Mode.IMU_ODOMETER).all()
     assert (run.mode[(run.time_s > FIXED_S + 12.0) & (run.time_s < CALIBRATED_S - 1.0)] == Mode.DOPPLER).mean() > 0.9

@@ -91,7 +91,10 @@ def test_a_better_imu_lowers_the_levels_in_a_tunnel_and_they_hold() -> None:
 
 
 @pytest.mark.parametrize("grade", ["consumer", "automotive"])
-@pytest.mark.parametrize("turned_rad", [np.pi, 4.0 * np.pi], ids=["u_turn", "two_circles"])
+@pytest.mark.parametrize(
+    "turned_rad",
+    [pytest.param(np.pi, id="u_turn", marks=pytest.mark.slow), pytest.param(4.0 * np.pi, id="two_circles")],
+)
 def test_levels_hold_after_turns_in_a_tunnel(grade: str, turned_rad: float) -> None:
     error, level = _drive(NavigatorConfig.preset(f"navigators/{grade}"), turn_radps=0.5, turned_rad=turned_rad)
     assert (error > level).mean() <= NavigatorConfig().risk.integrity_risk

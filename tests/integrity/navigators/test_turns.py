@@ -21,7 +21,10 @@ THERE_AND_BACK = pieces((0.0, 5.0), turning(0.5, np.pi), turning(0.5, -np.pi))
 MANOEUVRES = {"u_turn": U_TURN, "roundabout": ROUNDABOUT, "circles": CIRCLES, "there_and_back": THERE_AND_BACK}
 
 
-@pytest.mark.parametrize("name", MANOEUVRES)
+@pytest.mark.parametrize(
+    "name",
+    ["u_turn", "circles", *(pytest.param(name, marks=pytest.mark.slow) for name in ("roundabout", "there_and_back"))],
+)
 def test_levels_hold_after_turns_without_satellites(name: str) -> None:
     rates = yaw_rates((0.0, OPEN_S), *MANOEUVRES[name], (0.0, 20.0))
     end = len(rates) * 0.1
@@ -39,7 +42,7 @@ def test_without_a_declared_scale_the_same_levels_break() -> None:
     assert run.exceeding(1, len(rates) * 0.1) > allowed(VEHICLES, RISK)
 
 
-@pytest.mark.parametrize("tau_s", [100.0, 1000.0])
+@pytest.mark.parametrize("tau_s", [pytest.param(100.0, marks=pytest.mark.slow), 1000.0])
 def test_levels_hold_while_the_bias_wanders(tau_s: float) -> None:
     config = with_risk(NavigatorConfig(), RISK).replace(imu={"gyro": {"instability_s": tau_s}})
     rates = yaw_rates((0.0, OPEN_S), (0.0, 60.0))
@@ -52,7 +55,7 @@ KNOWN = {"tau_range_s": (0.54, 0.54)}  # the true correlation time, for levels w
 WEAVE = [(0.2, 5.0), (-0.2, 5.0)] * 3
 
 
-@pytest.mark.parametrize("wrong_m", [0.5, -0.5])
+@pytest.mark.parametrize("wrong_m", [0.5, pytest.param(-0.5, marks=pytest.mark.slow)])
 def test_a_bound_of_the_axle_distance_bounds_a_wrong_one_in_turns(wrong_m: float) -> None:
     declared = {"axle_m": 2.5, "axle_bound_m": 0.5, "doppler": KNOWN}
     config = with_risk(NavigatorConfig(), RISK).replace(positioning=declared)
