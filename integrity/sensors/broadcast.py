@@ -79,6 +79,15 @@ class BroadcastConfig(Config):
         zenith = np.sqrt(self.iono_common) * common[:, :1] + np.sqrt(1.0 - self.iono_common) * own[..., 2]
         return alike, self.iono_zenith_m * obliquity(sine) * zenith
 
+    def satellite_errors(self, state: BroadcastState) -> Array:
+        """Error of ephemeris and clock of each satellite of A areas, (A, S) [m]."""
+        return np.asarray(self.orbit_sigma_m * state.own[..., 0] + self.clock_sigma_m * state.own[..., 1])
+
+    def zenith_delays(self, state: BroadcastState) -> Array:
+        """Vertical ionosphere on the first band at each pierce point, (A, S) [m]."""
+        common = np.sqrt(self.iono_common) * state.common[:, :1]
+        return np.asarray(self.iono_zenith_m * (common + np.sqrt(1.0 - self.iono_common) * state.own[..., 2]))
+
 
 @dataclass
 class BroadcastState:

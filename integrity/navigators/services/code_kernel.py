@@ -1,0 +1,100 @@
+"""Corrected ranges of a code service in one epoch.
+
+A corrected range is ``y = sum_b a_b code_b - satellite - F dz``, with the shares of the bands a, F the obliquity of the
+ionosphere. Its variance is::
+
+    f (a sigma_code)^2 + sigma_sat^2 + g_sat age + F^2 (sigma_dz^2 + g_dz age_dz) + (m sigma_tropo)^2
+
+f by elevation and C/N0 as everywhere. A code that is weak for its elevation is off with the odds of
+:mod:`~lanebound.integrity.positioning.doubtful_kernel`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from lanebound.integrity.core.accel import jit
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
+from lanebound.integrity.navigators.services.records_kernel import (
+    ServiceInputs,
+    ServiceRows,
+    ServiceState,
+    ServiceTables,
+)
+from lanebound.integrity.positioning.rtk_kernel import UNUSED, obliquity
+from lanebound.integrity.positioning.smoothing_kernel import smooth
+
+__all__ = ["combine", "fill_code_ranges"]
+
+GATE_SIGMAS = 5.0  # of a code, beyond which carrier smoothing begins anew
+CORRELATION_S = 10.0  # of code errors: what smoothing gains over T is tau / (tau + T)
+
+
+@jit
+def fill_code_ranges(
+    first: int, last: int, epoch: Epoch, service: ServiceTables, inputs: ServiceInputs, state: ServiceState,
+    ranges: ServiceRows,
+) -> None:  # fmt: skip
+    """Fill y, variance, used and odds of all satellites, and ``due``: whether a position is to be found."""
+    rules, par = service.rules[0], service.parameters[0]
+    for v in range(first, last):
+        state.since[v] += par.dt
+        ranges.due[v] = not state.since[v] < rules.interval - 0.5 * par.dt
+        if not ranges.due[v] and not rules.smoothing > 0.0:
+            continue
+        if ranges.due[v]:
+            state.since[v] = 0.0
+        fill_vehicle(v, epoch, service, inputs, state, ranges)
+        ranges.due[v] = (
+            ranges.due[v] and inputs.age[v] <= rules.max_age and inputs.zenith_age[v] <= rules.zenith_max_age
+        )
+
+
+@jit
+def fill_vehicle(
+    v: int, epoch: Epoch, service: ServiceTables, inputs: ServiceInputs, state: ServiceState, ranges: ServiceRows
+) -> None:
+    """The ranges of vehicle v."""
+    rules, par, doubt = service.rules[0], service.parameters[0], service.parameters[0].rtk.doubt
+    measured, quality, los = epoch.measured, epoch.work.quality[v], epoch.measured.los[epoch.measured.sight[v]]
+    for s in range(service.allowed.shape[0]):
+        ranges.used[v, s] = False
+        if not (measured.tracked[v, s] and service.allowed[s] and quality[s] < UNUSED):
+            state.hatch[v, s].count = 0.0
+            continue
+        sine, cn0 = los[s, 2], measured.cn0[v, s]
+        loss = doubt.horizon + (doubt.zenith - doubt.horizon) * sine - cn0
+        odds = doubt.most / (1.0 + math.exp((doubt.centre - loss) / doubt.scale))
+        code, phase, there, locked = combine(inputs.code[v, s], inputs.phase[v, s], service.share[s])
+        sigma, smoothed = service.noise[s] * rules.code * math.sqrt(quality[s]), 0.0
+        locked = locked and not measured.lock_lost[v, s] and odds < doubt.single
+        if rules.smoothing > 0.0:
+            code = smooth(code, phase, locked, rules.smoothing, GATE_SIGMAS * sigma, state.hatch[v, s])
+            smoothed = max(state.hatch[v, s].count - 1.0, 0.0) * par.dt
+        used = there and sine > rules.sin_mask and cn0 >= rules.cn0_min and inputs.declared[s] < math.inf
+        if not used:
+            continue
+        ranges.used[v, s], ranges.odds[v, s] = True, odds + par.risk.satellite_prior[service.tables.system[s]]
+        y = code - inputs.satellite[v, s]
+        variance = sigma * sigma * CORRELATION_S / (CORRELATION_S + smoothed)
+        variance += inputs.declared[s] ** 2 + rules.satellite_growth * min(inputs.age[v], rules.max_age)
+        if not rules.combined:
+            slant = obliquity(sine)
+            grid = rules.zenith**2 + rules.zenith_growth * min(inputs.zenith_age[v], rules.zenith_max_age)
+            y -= slant * inputs.zenith[v, s]
+            variance += slant * slant * grid
+        ranges.y[v, s], ranges.variance[v, s] = y, variance + (rules.tropo * 1.001) ** 2 / (0.002001 + sine * sine)
+
+
+@jit(borrows=True)
+def combine(code: Any, phase: Any, share: Any) -> tuple[float, float, bool, bool]:
+    """Code and phase of a satellite (2,) combined by the shares of the bands, and whether each of them is there."""
+    y, carrier, there, locked = 0.0, 0.0, True, True
+    for b in range(share.shape[0]):
+        if share[b] != 0.0:
+            y += share[b] * code[b]
+            carrier += share[b] * phase[b]
+            there = there and code[b] != 0.0
+            locked = locked and phase[b] != 0.0
+    return y, carrier, there, there and locked
