@@ -17,13 +17,7 @@ __all__ = ["CrewStreams"]
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
-COMMON = (
-    "atmosphere",
-    "station",
-    "network",
-    "broadcast",
-    "augmentation",
-)  # to the vehicles of an environment, which share its area
+COMMON = ("atmosphere", "station", "network", "broadcast", "augmentation")  # shared by the vehicles of an environment
 BY_SATELLITE = ("gnss", "atmosphere", "station", "broadcast", "augmentation")
 ALSO_OTHERS = ("station", "broadcast", "augmentation")  # from which an area draws other numbers as well, of one axis
 

@@ -20,8 +20,8 @@ from lanebound.integrity.monitoring.jump_kernel import bounded, is_suspicious
 from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import (
     FixedScratch,
     fixed_scratch,
-    lever_bounds,
     levels_of_fix,
+    lever_bounds,
 )
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
 from lanebound.integrity.navigators.services.records_kernel import ServiceRows, ServiceTables
