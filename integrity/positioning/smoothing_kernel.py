@@ -16,9 +16,13 @@ from typing import Any
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import record
 
-__all__ = ["HATCH", "smooth"]
+__all__ = ["HATCH", "slips", "smooth"]
 
-HATCH = record(count="epochs in the mean, 0: none", mean="of code less phase [m]")
+HATCH = record(
+    count="epochs in the mean, 0: none",
+    mean="of code less phase [m]",
+    free="phase of the first band less that of the second in the last epoch, 0: none [m]",
+)
 """Carrier smoothing of one satellite's code."""
 
 
@@ -39,3 +43,14 @@ def smooth(code: float, phase: float, locked: bool, most: float, gate: float, ha
     hatch.count = min(hatch.count + 1.0, most)
     hatch.mean += (difference - hatch.mean) / hatch.count
     return float(phase + hatch.mean)
+
+
+@jit(borrows=True)
+def slips(free: float, gate: float, hatch: Any) -> bool:
+    """Whether the difference of both carriers, which knows no motion, jumps by more than ``gate`` [m] in an epoch.
+
+    free : 0 without both carriers; ``hatch.free`` becomes that of this epoch
+    """
+    jumped = bool(free != 0.0 and hatch.free != 0.0 and abs(free - hatch.free) > gate)
+    hatch.free = free
+    return jumped

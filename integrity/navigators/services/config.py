@@ -30,6 +30,13 @@ class CodeServiceConfig(Config):
     sigma_satellite_m: float = Field(
         0.0, ge=0, description="ephemeris and clock without a provider, 1 sigma [m]; else as the provider declares"
     )
+    sigma_phase_m: float = Field(
+        0.005, gt=0, description="carrier of one band, zenith, 1 sigma [m]; of slip tests, and of PPP beside its codes"
+    )
+    correlation_s: float = Field(
+        10.0, gt=0, description="longest correlation time of code errors [s]; smoothing over T leaves tau / (tau + T)"
+    )
+    zenith_state: bool = Field(False, description="estimate the zenith delay of the troposphere in a filter")
     satellite_growth_m2ps: float = Field(
         0.004, ge=0, description="growth of the variance of a satellite's correction with its age [m^2/s]; true 0.002"
     )
@@ -94,4 +101,15 @@ class ServicesConfig(Config):
     )
     sbas_dfmc: CodeServiceConfig = Field(
         CodeServiceConfig(systems=("GPS", "GALILEO")), description="satellite corrections, ionosphere-free codes"
+    )
+    ppp: CodeServiceConfig = Field(
+        CodeServiceConfig(
+            systems=("GPS", "GALILEO"),
+            smoothing_s=7200.0,
+            zenith_state=True,
+            code_bias_m=0.05,
+            satellite_growth_m2ps=0.004,
+            max_age_s=60.0,
+        ),
+        description="precise orbits and clocks; the float ambiguity of a satellite is its mean of code less carrier",
     )

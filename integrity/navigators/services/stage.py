@@ -26,6 +26,7 @@ from lanebound.integrity.navigators.services.records_kernel import (
     ServiceTables,
 )
 from lanebound.integrity.navigators.services.table import SERVICES, Service
+from lanebound.integrity.navigators.services.zenith_kernel import CARRIER_RULES, ZENITH, CarrierTables
 from lanebound.integrity.positioning.smoothing_kernel import HATCH
 from lanebound.integrity.sky.systems import WAVELENGTH_M, System
 
@@ -38,6 +39,7 @@ __all__ = ["BeginStage", "FixStage", "LabelStage", "ServiceSet", "band_shares", 
 Array = NDArray[np.float64]
 
 INPUTS, RANGES = "inputs of services", "ranges of services"  # names of what the stages share
+ZENITH_TAU_S = 1800.0  # of the troposphere, Joerger and Pervan 2016
 OFFERED, LATEST = "service offered", "service of the position"
 RECENT = 1.5  # intervals of a service for which its position, moved by Doppler, still counts as its own
 
@@ -109,6 +111,20 @@ def service_rules(declared: CodeServiceConfig, service: Service, dt_s: float) ->
     )
 
 
+def carrier_rules(declared: CodeServiceConfig) -> Records:
+    """CARRIER_RULES (1,) of a service's declared figures."""
+    d = declared
+    return one_record(
+        CARRIER_RULES,
+        correlation=d.correlation_s,
+        phase=d.sigma_phase_m,
+        zenith=d.zenith_state,
+        zenith_sigma=d.sigma_tropo_m,
+        zenith_tau=ZENITH_TAU_S,
+        lasting=max(2.0 * d.correlation_s / max(d.interval_s, 1e-3), 1.0),
+    )
+
+
 @dataclass(frozen=True)
 class BeginStage(SeparateStage):
     """No service has offered a position yet; without RTK among them there is no RTK position either."""
@@ -125,11 +141,13 @@ class FixStage(SeparateStage):
 
     name: str
     tables: ServiceTables
+    carrier: Records
 
     def __call__(self, first: int, last: int, epoch: Epoch, states: Mapping[str, Any]) -> None:
         state = ServiceState(states[f"hatch {self.name}"], states[f"since {self.name}"])
         ranges: ServiceRows = states[RANGES]
-        fill_code_ranges(first, last, epoch, self.tables, states[INPUTS][self.name], state, ranges)
+        carrier = CarrierTables(self.carrier, states[f"zenith {self.name}"])
+        fill_code_ranges(first, last, epoch, self.tables, states[INPUTS][self.name], state, ranges, carrier)
         find_fix(first, last, epoch, self.tables, ranges)
 
 
@@ -177,7 +195,7 @@ class ServiceSet:
 
     def fixes(self) -> list[SeparateStage]:
         """The stages of the positions, in order of preference."""
-        return [FixStage(service.name, self._tables[service.name]) for service in self._coded]
+        return [FixStage(s.name, self._tables[s.name], carrier_rules(self._declared[s.name])) for s in self._coded]
 
     def label(self) -> list[SeparateStage]:
         """The stage after the report."""
@@ -192,6 +210,7 @@ class ServiceSet:
         for service in self._coded:
             out[f"hatch {service.name}"] = np.zeros((batch, self._satellites), HATCH)
             out[f"since {service.name}"] = np.full(batch, np.inf)
+            out[f"zenith {service.name}"] = np.zeros(batch, ZENITH)
         return out
 
     def with_inputs(self, m: Measurements, states: Mapping[str, Any]) -> Mapping[str, Any]:
