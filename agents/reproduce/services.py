@@ -1,10 +1,10 @@
 """Positioning services side by side under open, half-open and urban skies, beside what S2 and S4 print.
 
 S2 section 6: in the open, lane identification and collision alert could be done about 80 % of the time with SBAS DFMC
-and nearly always with PPP; in the city hardly ever. S2 states no accuracy for them; here an application is possible while
-the horizontal error is at most 1.5 m, the alert limit of S2 section 8, and ``bounded`` while both protection levels
-are. S4 section III-A: a low-cost GPS receiver in the open without and with EGNOS, and how long EGNOS is available on a
-mixed circuit and in the city, by its satellites alone and with SISNeT.
+and nearly always with PPP; in the city hardly ever. S2 states no accuracy for them; here an application is possible
+while the horizontal error is at most 1.5 m, the alert limit of S2 section 8, and ``bounded`` while both protection
+levels are. S4 section III-A: a low-cost GPS receiver in the open without and with EGNOS, and how long EGNOS is
+available on a mixed circuit and in the city, by its satellites alone and with SISNeT.
 """
 
 from __future__ import annotations

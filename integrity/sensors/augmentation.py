@@ -3,8 +3,9 @@
 A provider measures the errors of satellites and sends what it finds as messages. A vehicle holds the newest messages
 that it has received. What remains in a corrected range follows from the same error processes (:mod:`.broadcast`):
 
-- **Common errors cancel.** A message holds the errors of satellites as they were when they were measured. The part of
-  the present error that has arisen since then remains, so corrections age.
+- **Common errors cancel.** Corrections of satellites have rates, so that what is common to all times cancels; they age
+  with the clocks of the satellites, ``age_rate age u`` with a process u of each satellite, as those of RTK do. The
+  ionosphere has no rate: what has changed since it was measured remains.
 - **A residual remains** at age 0: that of the provider's own estimates, a Gauss-Markov process for each satellite and
   for the ionosphere.
 - **DGPS** measures at one station: satellite, ionosphere and troposphere in one number, less what differs over the
@@ -136,9 +137,9 @@ class NetworkRtkConfig(Config):
     """What remains of the differential atmosphere at a virtual station: its errors are interpolated in the network."""
 
     iono_mm: float = Field(
-        4.0, ge=0, description="vertical ionosphere, 1 sigma [mm]; stations 50 to 70 km apart, quiet day"
+        2.5, ge=0, description="vertical ionosphere, 1 sigma [mm]; chosen: stations 50 km apart on a quiet day"
     )
-    tropo_mm: float = Field(5.0, ge=0, description="zenith troposphere, 1 sigma [mm]; the same, chosen")
+    tropo_mm: float = Field(3.0, ge=0, description="zenith troposphere, 1 sigma [mm]; the same, chosen")
     orbit_mm: float = Field(0.5, ge=0, description="orbit error, 1 sigma [mm]; a tenth of 1 m over 50 km of baseline")
 
 
@@ -174,9 +175,10 @@ class AugmentationAreas:
     """Providers over A areas.
 
     residual (A, S, P) and ionosphere (A, S) Gauss-Markov processes of unit variance, of each satellite; troposphere
-    (A,) of the zenith at the station. Messages measured and sent: satellite, zenith (A, S, P, 2: measured, sent) [m];
-    tropo (A, P, 2) [m]; measured, sent (A, P, 2 kinds): epoch of the area at which their content was measured; fresh
-    (A, P, 2) sent in this epoch; phase (A, P, 2) epochs by which messages come earlier than at multiples.
+    (A,) of the zenith at the station. Messages measured and sent, the last axis: satellite (A, S, P, 2), what is wrong
+    of its correction [m]; zenith (A, S, P, 2) and tropo (A, P, 2) [m]. measured, sent (A, P, 2 kinds): epoch of the
+    area at which their content was measured; fresh (A, P, 2): sent in this epoch; phase (A, P, 2): epochs by which
+    messages come earlier than at multiples of their interval.
     """
 
     residual: Array
@@ -197,8 +199,9 @@ class AugmentationAreas:
 
 @dataclass
 class AugmentationHeld:
-    """Messages that B vehicles hold: satellite, zenith (B, S, P), tropo (B, P) [m], epoch (B, P, 2) of the area at
-    which they were measured, NEVER without one; geo_s (B, G) time since each GEO satellite is in view."""
+    """Messages that B vehicles hold: satellite (what is wrong of it) and zenith (B, S, P), tropo (B, P) [m], epoch
+    (B, P, 2) of the area at which they were measured, NEVER without one; geo_s (B, G) time since each GEO satellite is
+    in view."""
 
     satellite: Array
     zenith: Array
@@ -310,7 +313,7 @@ def _measure(
     errors, state = broadcast
     zenith = errors.zenith_delays(state)  # (A, S)
     if kind == SATELLITE:
-        found = errors.satellite_errors(state)[..., None] + areas.residual * _residuals(config)
+        found = areas.residual * _residuals(config)
         areas.satellite[..., 0] = np.where(due[:, None, :], found, areas.satellite[..., 0])
         d = config.dgps
         apart = 1e-3 * d.baseline_km * d.iono_ppm * areas.ionosphere
@@ -366,19 +369,24 @@ def receive_messages(
 
 def corrections_of(
     config: AugmentationConfig, provider: str, held: AugmentationHeld, own_epoch: Ints, sky: tuple[Array, Ints],
-    dt_s: float,
+    satellite: tuple[Array, Array], dt_s: float,
 ) -> Corrections:  # fmt: skip
-    """What vehicles hold of a provider; own_epoch (A,) of their areas, sky: sine of elevations (B, S), system (S,)."""
+    """What vehicles hold of a provider.
+
+    own_epoch (A,) of their areas; sky: sine of elevations (B, S) and system (S,); satellite (A, S) each: errors of the
+    broadcast now [m], and how fast corrections of each satellite age [m/s]
+    """
     sine, system = sky
     p, declared = PROVIDERS.index(provider), getattr(config, provider)
     row = np.arange(sine.shape[0]) % own_epoch.shape[0]
     age = np.where(held.epoch[:, p] == NEVER, NEVER_S, dt_s * (own_epoch[row, None] - held.epoch[:, p]))
-    satellite, zenith = held.satellite[:, :, p], held.zenith[:, :, p]
+    since = np.where(np.isfinite(age[:, SATELLITE]), age[:, SATELLITE], 0.0)[:, None]
+    corrected, zenith = satellite[0][row] + held.satellite[:, :, p] - since * satellite[1][row], held.zenith[:, :, p]
     if p == DGPS:
-        satellite = satellite + obliquity(sine) * zenith + mapping(sine) * held.tropo[:, DGPS, None]
+        corrected = corrected + obliquity(sine) * zenith + mapping(sine) * held.tropo[:, DGPS, None]
         zenith = np.zeros_like(zenith)
     return Corrections(
-        satellite_m=np.ascontiguousarray(satellite),
+        satellite_m=np.ascontiguousarray(corrected),
         zenith_m=np.ascontiguousarray(zenith),
         declared_m=np.where(declared.corrected(system), declared.declared_m, np.inf),
         zenith_declared_m=declared.iono_declared_m if isinstance(declared, SbasConfig) else 0.0,

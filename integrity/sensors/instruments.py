@@ -163,16 +163,18 @@ class Instruments:
 
     def _corrections(self, s: InstrumentState, sky: SkyView, mask: SkyMask, truth: Truth) -> dict[str, Corrections]:
         """What vehicles hold of the providers of services after the messages of this epoch."""
-        config, held, areas = self.gnss.augmentation, s.gnss.augmentation, s.area.providers
+        config, held, areas, broadcast = self.gnss.augmentation, s.gnss.augmentation, s.area.providers, s.area.broadcast
         assert held is not None
         assert areas is not None
+        assert broadcast is not None
         geo = geostationary_view(config.geo_longitude_deg, self.place_rad, truth.batch)
         path = mask.look(truth.arc_m, truth.lane, geo).path
         in_view = ((path == SignalPath.LOS) | (path == SignalPath.FOLIAGE)) & geo.above[geo.index]
         receive_messages(config, areas, held, in_view, s.corrections.links["up"], self.dt_s)
-        sine = np.maximum(sky.los_enu[sky.index, :, 2], LOWEST_SINE)
-        seen, own_epoch = (sine, sky.system), s.area.network.own_epoch
-        return {name: corrections_of(config, name, held, own_epoch, seen, self.dt_s) for name in config.providers}
+        seen = np.maximum(sky.los_enu[sky.index, :, 2], LOWEST_SINE), sky.system
+        now = self.gnss.broadcast.satellite_errors(broadcast), self.gnss.age_rate_mps * s.area.signals.memory["age"]
+        epoch = s.area.network.own_epoch
+        return {name: corrections_of(config, name, held, epoch, seen, now, self.dt_s) for name in config.providers}
 
     def _draw(self, streams: Streams, rows: InstrumentRows) -> None:
         """The draws of an epoch from streams that draw in a way of their own."""

@@ -33,6 +33,7 @@ from lanebound.integrity.positioning.smoothing_kernel import slips, smooth
 __all__ = ["combine", "fill_code_ranges"]
 
 GATE_SIGMAS = 5.0  # of a code, beyond which carrier smoothing begins anew
+LEAST_ROWS = 5
 FREE_SIGMAS = 4.0  # of a carrier's noise, of the change of the difference of both carriers
 
 
@@ -48,12 +49,11 @@ def fill_code_ranges(
         ranges.due[v] = not state.since[v] < rules.interval - 0.5 * par.dt
         if not ranges.due[v] and not rules.smoothing > 0.0:
             continue
+        enough = fill_vehicle(v, epoch, service, inputs, state, ranges, carrier) >= LEAST_ROWS
+        in_time = inputs.age[v] <= rules.max_age and inputs.zenith_age[v] <= rules.zenith_max_age
+        ranges.due[v] = ranges.due[v] and enough and in_time
         if ranges.due[v]:
             state.since[v] = 0.0
-        fill_vehicle(v, epoch, service, inputs, state, ranges, carrier)
-        ranges.due[v] = (
-            ranges.due[v] and inputs.age[v] <= rules.max_age and inputs.zenith_age[v] <= rules.zenith_max_age
-        )
         if ranges.due[v] and carrier.rules[0].zenith:
             estimate_zenith(v, epoch, service, ranges, carrier)
 
@@ -62,8 +62,9 @@ def fill_code_ranges(
 def fill_vehicle(
     v: int, epoch: Epoch, service: ServiceTables, inputs: ServiceInputs, state: ServiceState, ranges: ServiceRows,
     carrier: CarrierTables,
-) -> None:  # fmt: skip
-    """The ranges of vehicle v."""
+) -> int:  # fmt: skip
+    """The ranges of vehicle v; how many are used."""
+    count = 0
     rules, par, doubt, own = service.rules[0], service.parameters[0], service.parameters[0].rtk.doubt, carrier.rules[0]
     measured, quality, los = epoch.measured, epoch.work.quality[v], epoch.measured.los[epoch.measured.sight[v]]
     for s in range(service.allowed.shape[0]):
@@ -86,6 +87,7 @@ def fill_vehicle(
         used = there and sine > rules.sin_mask and cn0 >= rules.cn0_min and inputs.declared[s] < math.inf
         if not used:
             continue
+        count += 1
         ranges.used[v, s], ranges.odds[v, s] = True, odds + par.risk.satellite_prior[service.tables.system[s]]
         y = code - inputs.satellite[v, s]
         variance = sigma * sigma * own.correlation / (own.correlation + smoothed) + (service.noise[s] * noise) ** 2
@@ -98,6 +100,7 @@ def fill_vehicle(
         if not own.zenith:
             variance += (map_zenith(sine) * rules.tropo) ** 2
         ranges.y[v, s], ranges.variance[v, s] = y, variance
+    return count
 
 
 @jit(borrows=True)

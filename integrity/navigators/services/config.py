@@ -19,8 +19,8 @@ BROADCAST_PRIOR = (1e-8, 1e-4, 1e-4, 1e-4, 1e-4)  # WG-C ARAIM ADD v3.1: GPS 1e-
 class CodeServiceConfig(Config):
     """Declared figures of a service that positions by codes, epoch by epoch.
 
-    Errors of satellites and of the ionosphere are those after correction, at age 0; variances grow with the age of
-    corrections as those of Gauss-Markov processes at first do, in proportion.
+    Errors of satellites and of the ionosphere are those after correction, at age 0; variances grow in proportion to
+    the age of corrections.
     """
 
     systems: tuple[str, ...] = Field(ALL_SYSTEMS, min_length=1, description="systems used")
@@ -38,13 +38,18 @@ class CodeServiceConfig(Config):
     )
     zenith_state: bool = Field(False, description="estimate the zenith delay of the troposphere in a filter")
     satellite_growth_m2ps: float = Field(
-        0.004, ge=0, description="growth of the variance of a satellite's correction with its age [m^2/s]; true 0.002"
+        1e-3,
+        ge=0,
+        description="growth of the variance of a satellite's correction with its age [m^2/s]; above (1.5 mm/s age)^2, "
+        "of clocks of 5e-12, up to 400 s",
     )
     sigma_zenith_m: float = Field(
         0.0, ge=0, description="vertical ionosphere on L1 without a provider, 1 sigma [m]; 0 where it cancels"
     )
     zenith_growth_m2ps: float = Field(
-        0.006, ge=0, description="growth of the variance of the vertical ionosphere [m^2/s]; true 0.0035 at noon"
+        0.006,
+        ge=0,
+        description="growth of the variance of the vertical ionosphere [m^2/s]; above (1.5 mm/s age)^2 to 600 s",
     )
     sigma_tropo_m: float = Field(0.15, ge=0, description="zenith troposphere after the model, 1 sigma [m]; DO-229 0.12")
     sigma_code_m: float = Field(
@@ -108,7 +113,7 @@ class ServicesConfig(Config):
             smoothing_s=7200.0,
             zenith_state=True,
             code_bias_m=0.05,
-            satellite_growth_m2ps=0.004,
+            satellite_growth_m2ps=2e-4,
             max_age_s=60.0,
         ),
         description="precise orbits and clocks; the float ambiguity of a satellite is its mean of code less carrier",

@@ -45,6 +45,7 @@ class Street:
         self.epoch = np.zeros(AREAS, np.int64)
         self.sine = np.linspace(0.2, 0.99, SATELLITES) * np.ones((AREAS, 1))
         self.system = np.zeros(SATELLITES, np.int64)
+        self.ageing = 0.0015 * np.random.default_rng(seed).standard_normal((AREAS, SATELLITES))
 
     def step(self, geo: bool = True, up: bool = True, epochs: int = 1) -> None:
         for _ in range(epochs):
@@ -55,7 +56,8 @@ class Street:
             receive_messages(self.config, self.areas, self.held, in_view, np.full(AREAS, up), DT)
 
     def corrections(self, name: str) -> Any:
-        return corrections_of(self.config, name, self.held, self.epoch, (self.sine, self.system), DT)
+        now = self.errors.satellite_errors(self.broadcast), self.ageing
+        return corrections_of(self.config, name, self.held, self.epoch, (self.sine, self.system), now, DT)
 
     def true_slant(self) -> np.ndarray:
         alike, iono = self.errors.delays(self.broadcast, self.sine, np.arange(AREAS))
@@ -81,17 +83,19 @@ def test_the_grid_and_the_satellite_corrections_of_sbas_are_parts_of_the_same_er
     np.testing.assert_allclose(slant + tropo, street.true_slant(), atol=1e-9)
 
 
-def test_corrections_age_and_the_error_grows_as_that_of_the_processes() -> None:
+def test_corrections_age_with_the_clocks_and_the_grid_with_the_ionosphere() -> None:
     street = Street(AugmentationConfig().replace(**PERFECT))
     street.step()
     street.step(up=False, geo=False, epochs=300)
     for name in ("dgps", "sbas_dfmc"):
         np.testing.assert_allclose(street.corrections(name).age_s, 30.0)
     left = street.errors.satellite_errors(street.broadcast) - street.corrections("sbas_dfmc").satellite_m
-    e = street.errors
-    expected = 2.0 * e.orbit_sigma_m**2 * -np.expm1(-30.0 / e.orbit_tau_s)
-    expected += 2.0 * e.clock_sigma_m**2 * -np.expm1(-30.0 / e.clock_tau_s)
-    assert left.var() == pytest.approx(expected, rel=5.0 * np.sqrt(2.0 / left.size))  # 5 sigma of 3,600 variances
+    np.testing.assert_allclose(left, 30.0 * street.ageing, atol=1e-9)
+    e, zenith = street.errors, street.errors.zenith_delays(street.broadcast)
+    grown = zenith - street.corrections("sbas_l1").zenith_m
+    expected = (2.146 * 30.0 * e.iono_zenith_m / e.iono_tau_s) ** 2  # a smooth process: 1.5 mm/s
+    assert grown.var() == pytest.approx(expected, rel=0.5)  # 80 % is common to the satellites of 300 areas
+    assert np.abs(left).max() < np.sqrt(1e-3 * 30.0) * 5.0
 
 
 def test_residuals_have_the_stated_sigma_and_the_declared_one_bounds_it() -> None:
