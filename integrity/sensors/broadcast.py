@@ -10,7 +10,8 @@ are taken back, and the errors that a difference cancels come in:
 These errors are what remains after the broadcast corrections. The ionosphere is a zenith delay times the obliquity ``F
 = (1 - (R cos(el) / (R + h))^2)^-1/2`` of a thin shell; a stated share of its variance is common to all satellites, the
 rest is each one's own pierce point. The troposphere is one zenith delay for all satellites times the mapping function
-``m = 1.001 (0.002001 + sin(el)^2)^-1/2``. Both functions: RTCA DO-229, appendix A.4. The budget is that of S3 Table III.
+``m = 1.001 (0.002001 + sin(el)^2)^-1/2``. Both functions: RTCA DO-229, appendix A.4. The budget is that of S3 Table
+III.
 
 All errors are Gauss-Markov processes of the second order of an area, which all its vehicles share. They are smooth: the
 ionosphere changes by about a millimetre in a second, so that carriers may be compared from one epoch to the next.
