@@ -68,7 +68,7 @@ class RtkReckoningConfig(NavigatorConfig):
         return self
 
     @cached_property
-    def receiver(self) -> GnssConfig:  # type: ignore[override]
+    def receiver(self) -> GnssConfig:
         """``gnss``, with the undifferenced observables and the providers that the services need.
 
         Against a virtual station of a network the differential errors are those of its interpolation.

@@ -222,8 +222,9 @@ class ServiceSet:
 
     def _ranges(self, offered: NDArray[np.int64]) -> ServiceRows:
         shape = offered.size, self._satellites
+        y, variance, odds = np.zeros((3, *shape))
         used, due = np.zeros(shape, np.bool_), np.zeros(shape[0], np.bool_)
-        return ServiceRows(*np.zeros((3, *shape)), used, due, offered)
+        return ServiceRows(y, variance, odds, used, due, offered)
 
     def _inputs(self, service: Service, m: Measurements) -> ServiceInputs:
         g, shape = m.gnss, m.gnss.tracked.shape
