@@ -107,6 +107,25 @@ class EnvConfig(Config):
     def _navigator_by_name(cls, value: Any) -> Any:
         return NavigatorConfig.data_of(value)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _services_are_observed(cls, data: Any) -> Any:
+        """The modes of the services of the navigator have entries in the observation."""
+        if not isinstance(data, Mapping) or not isinstance(data.get("observation", {}), Mapping):
+            return data
+        try:
+            navigator = NavigatorConfig.data_of(data.get("navigator", {}))
+        except ConfigError:
+            return data  # the field itself is refused, with its path
+        named = navigator.get("service", ()) if isinstance(navigator, Mapping) else ()
+        names = [named] if isinstance(named, str) else named
+        shown = [str(name) for name in names if name != "rtk"] if isinstance(names, list | tuple) else []
+        observation = dict(data.get("observation", {}))
+        if shown or observation.get("services"):
+            observation["services"] = tuple(shown)
+            return {**data, "observation": observation}
+        return data
+
     @field_validator("sky")
     @classmethod
     def _sky_exists(cls, name: str) -> str:

@@ -178,7 +178,10 @@ INTEGRITY = (
     _any("any_missed", "any missed alert", "any missed alert", "missed_alerts"),
     _share("continuity", "continuity", "higher",
            "share of available steps after which the next one is available; 0 without any"),
-    *(_mode(mode) for mode in Mode),
+    *(_mode(mode) for mode in Mode if not mode.is_service),
+    _share("share_service", "service share", None,
+           "share of steps with the position of a service other than RTK from one station",
+           lambda o: sum(o.mode_shares.get(mode.key, 0.0) for mode in Mode if mode.is_service)),
 )
 SOLVING = (
     Metric("solve_median", "solve time", "ms", "lower", "median time of a decision",

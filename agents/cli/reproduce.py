@@ -73,6 +73,33 @@ def barrier_promise(
         _report_promise(found, out, as_json)
 
 
+@app.command("services")
+def services(
+    out: Annotated[Path, typer.Option(help="Folder for services.json; a run is resumed there.")],
+    seeds: Annotated[int | None, typer.Option(min=1, help="Streets of each sky; the study has 100.")] = None,
+    jobs: Jobs = 1,
+    assignments: Assignments = None,
+    as_json: AsJson = False,
+) -> None:
+    """Positioning services under open, half-open and urban skies, beside S2 Table 1, S2 section 6 and S4 III-A.
+
+    Example: lanebound reproduce services --out out/services --seeds 10
+    """
+    from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
+    from lanebound.agents.reproduce.services import ServiceStudyConfig, run_services, service_rows
+
+    with resumable(lambda: kept_text(out, "parts/*.json", "part")):
+        config = ServiceStudyConfig.load(changes(assignments, seeds=seeds))
+        result = with_bar("streets", lambda on_progress: run_services(config, out, jobs, on_progress))
+    if as_json:
+        print_json(result)
+        return
+    heads, rows = service_rows(result)
+    print_table("Services, medians over streets; shares are means", heads, rows)
+    typer.echo(f"services.json: {out}")
+
+
 def _report_promise(result: dict[str, Any], out: Path, as_json: bool) -> None:
     from lanebound.agents.cli.output import print_json, print_table
 

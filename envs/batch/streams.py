@@ -17,9 +17,9 @@ __all__ = ["CrewStreams"]
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
-COMMON = ("atmosphere", "station", "network", "broadcast")  # to the vehicles of an environment, which share its area
-BY_SATELLITE = ("gnss", "atmosphere", "station", "broadcast")
-ALSO_OTHERS = ("station", "broadcast")  # from which an area draws other numbers as well, of one axis
+COMMON = ("atmosphere", "station", "network", "broadcast", "augmentation")  # shared by the vehicles of an environment
+BY_SATELLITE = ("gnss", "atmosphere", "station", "broadcast", "augmentation")
+ALSO_OTHERS = ("station", "broadcast", "augmentation")  # from which an area draws other numbers as well, of one axis
 
 
 class CrewStreams(Streams):

@@ -23,6 +23,9 @@ class ObservationConfig(Config):
         description="full; clock: mode and time since RTK alone, no levels; blind: no group integrity and no levels in "
         "traffic; oracle: the true state with levels of 0",
     )
+    services: tuple[str, ...] = Field(
+        (), description="services whose modes have entries; an environment sets those of navigator.service"
+    )
     vehicles: int = Field(6, ge=0, le=64, description="number of vehicles in traffic, the nearest first [-]")
     preview_m: tuple[float, ...] = Field(
         (5.0, 10.0, 20.0, 40.0, 80.0), description="distances ahead at which the route's centreline is given; chosen"

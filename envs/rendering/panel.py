@@ -142,6 +142,8 @@ def _cost_colour(cost: EpisodeCost | None, theme: Theme) -> Colour:
 
 def _used(b: EgoBelief) -> int:
     """Number of satellites used for the position; none between fixes with IMU and odometer."""
+    if Mode(b.mode).is_service:
+        return b.satellites
     return {Mode.RTK: b.satellites, Mode.DOPPLER: b.satellites_doppler}.get(Mode(b.mode), 0)
 
 

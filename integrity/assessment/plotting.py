@@ -34,6 +34,12 @@ MODE_COLOURS = {
     Mode.DOPPLER: "#E69F00",
     Mode.IMU_ODOMETER: "#CC79A7",
     Mode.CODE: "#56B4E9",
+    Mode.SPP: "#8B5E3C",
+    Mode.DGPS: "#C9A227",
+    Mode.SBAS_L1: "#5E81AC",
+    Mode.SBAS_DFMC: "#2F4B7C",
+    Mode.PPP: "#6A3D9A",
+    Mode.NRTK: "#1B7837",
 }
 FURTHER_COLOURS = ("#8C564B", "#17BECF", "#BCBD22", "#7F3C8D")
 PL_COLOUR = "#0072B2"

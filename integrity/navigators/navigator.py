@@ -121,6 +121,11 @@ class NavigatorConfig(Tagged, tag="kind", default="rtk_reckoning", modules=BUILT
         return self
 
     @property
+    def receiver(self) -> GnssConfig:
+        """What is simulated of receiver and signals: ``gnss``, and what the kind of navigator needs beside it."""
+        return self.gnss
+
+    @property
     def cases(self) -> tuple[PlCase, ...]:
         """All protection levels reported, the operative one first."""
         first = PlCase(integrity_risk=self.risk.integrity_risk, variant=self.risk.variant, form=self.form)
@@ -216,7 +221,9 @@ class Navigator:
         self.config, self.track, self.mask = config, track, mask
         self.faults = faults or FaultSchedule(())
         self._lever_m = config.positioning.lever_arm_m
-        self._instruments = Instruments.of(config.gnss, config.corrections, config.imu, config.odometer, config.dt_s)
+        self._instruments = Instruments.of(
+            config.receiver, config.corrections, config.imu, config.odometer, config.dt_s, config.sky.place_rad
+        )
         self.prepare()
         area = Streams(seeds, batch) if area_seed is None else Streams([area_seed])
         self.state = self._initial(Streams(seeds, batch), area)
@@ -260,12 +267,12 @@ class Navigator:
 
     def _initial(self, streams: Streams, area_streams: Streams) -> NavigatorState:
         c, batch, n_sat = self.config, streams.batch, len(self.track.system)
-        area = initial_area(c.gnss, c.corrections, n_sat, c.dt_s, area_streams)
+        area = initial_area(c.receiver, c.corrections, n_sat, c.dt_s, area_streams)
         sky = self.track.at(self.track.start_s, np.zeros(batch, dtype=np.int64))
         return NavigatorState(
             streams=streams,
             area=area,
-            gnss=receiver.initial_state(c.gnss, sky, streams),
+            gnss=receiver.initial_state(c.receiver, sky, streams),
             corrections=links.initial_state(c.corrections, area.network, n_sat, c.dt_s, streams),
             imu=initial_imu(c.imu, streams),
             odometer=initial_odometer(c.odometer, streams),

@@ -1,4 +1,4 @@
-"""How a position was obtained: the modes of S1 figure 1, in their order of preference, and those that users add."""
+"""How a position was obtained: the modes of S1 figure 1, the services of S2 Table 1, and those that users add."""
 
 from __future__ import annotations
 
@@ -35,6 +35,12 @@ class Mode(int, metaclass=_ModeTable):
     DOPPLER: ClassVar[Mode]
     IMU_ODOMETER: ClassVar[Mode]
     CODE: ClassVar[Mode]
+    SPP: ClassVar[Mode]
+    DGPS: ClassVar[Mode]
+    SBAS_L1: ClassVar[Mode]
+    SBAS_DFMC: ClassVar[Mode]
+    PPP: ClassVar[Mode]
+    NRTK: ClassVar[Mode]
 
     key: str
     label: str
@@ -73,7 +79,7 @@ class Mode(int, metaclass=_ModeTable):
         InputError
             It is a mode of this package, or another one was registered after it.
         """
-        if int(mode) <= codes.CODE or int(mode) != len(cls) - 1:
+        if int(mode) <= codes.NRTK or int(mode) != len(cls) - 1:
             raise InputError(f"mode must be the one registered last, got {mode.key!r}: withdraw in reverse order")
         del cls.members[int(mode)]
 
@@ -85,6 +91,11 @@ class Mode(int, metaclass=_ModeTable):
                 return mode
         known = ", ".join(mode.key for mode in cls)
         raise InputError(f"mode must be one of {known}, got {key!r}: import the module that registers it")
+
+    @property
+    def is_service(self) -> bool:
+        """Whether the position is that of a positioning service other than RTK from one station."""
+        return codes.SPP <= int(self) <= codes.NRTK
 
     @property
     def value(self) -> int:
@@ -112,6 +123,12 @@ BUILT_IN = {
     codes.DOPPLER: ("doppler", "Doppler"),
     codes.IMU_ODOMETER: ("imu_odometer", "IMU + odometer"),
     codes.CODE: ("code", "code"),
+    codes.SPP: ("spp", "SPP"),
+    codes.DGPS: ("dgps", "DGPS"),
+    codes.SBAS_L1: ("sbas_l1", "SBAS L1"),
+    codes.SBAS_DFMC: ("sbas_dfmc", "SBAS DFMC"),
+    codes.PPP: ("ppp", "PPP"),
+    codes.NRTK: ("nrtk", "network RTK"),
 }
 for _code in sorted(BUILT_IN):
     setattr(Mode, BUILT_IN[_code][0].upper(), Mode.register(*BUILT_IN[_code]))

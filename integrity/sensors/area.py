@@ -22,6 +22,7 @@ from lanebound.integrity.core.records import Records, one_record
 from lanebound.integrity.core.streams import ZIGGURAT, Streams
 from lanebound.integrity.sensors import area_kernel as kernel
 from lanebound.integrity.sensors import gnss_kernel as gk
+from lanebound.integrity.sensors.augmentation import AugmentationAreas, advance_providers, initial_providers
 from lanebound.integrity.sensors.broadcast import BroadcastState, initial_broadcast
 from lanebound.integrity.sensors.clock import clock_gains
 from lanebound.integrity.sensors.corrections import CorrectionsConfig, NetworkState, initial_network, link_parameters
@@ -39,16 +40,18 @@ class AreaState:
 
     Attributes
     ----------
-    streams : of the areas, of which "atmosphere", "station", "network" and "broadcast" are drawn from
+    streams : of the areas, of which "atmosphere", "station", "network", "broadcast" and "augmentation" are drawn from
     signals : what the receivers get
     network : what carries the messages of the station; its epochs are the area's
     broadcast : errors that a difference cancels, where undifferenced observables are computed
+    providers : of corrections, where there are any
     """
 
     streams: Streams
     signals: AreaSignals
     network: NetworkState
     broadcast: BroadcastState | None = None
+    providers: AugmentationAreas | None = None
 
     def __post_init__(self) -> None:
         self.bundle = LastingBundle()
@@ -77,7 +80,9 @@ def initial_area(
         * np.stack([np.sin(azimuth), np.cos(azimuth), np.zeros_like(azimuth)], -1),
     )
     broadcast = initial_broadcast(satellites, streams) if config.undifferenced else None
-    return AreaState(streams, signals, initial_network(link, dt_s, streams), broadcast)
+    given = config.augmentation
+    providers = initial_providers(given, satellites, dt_s, streams) if given.providers else None
+    return AreaState(streams, signals, initial_network(link, dt_s, streams), broadcast, providers)
 
 
 def advance_area(config: GnssConfig, link: CorrectionsConfig, state: AreaState, time_s: float, dt_s: float) -> None:
@@ -100,6 +105,9 @@ def advance_area(config: GnssConfig, link: CorrectionsConfig, state: AreaState, 
         else:
             _draw(bundle.values, state)
             kernel.advance_drawn(network.epoch, bundle.handle)
+        if state.providers is not None and state.broadcast is not None:
+            errors = config.broadcast, state.broadcast
+            advance_providers(config.augmentation, errors, state.providers, network.own_epoch, dt_s, state.streams)
 
 
 def _draw(area: kernel.AreaRows, state: AreaState) -> None:

@@ -10,8 +10,14 @@ are taken back, and the errors that a difference cancels come in:
 These errors are what remains after the broadcast corrections. The ionosphere is a zenith delay times the obliquity ``F
 = (1 - (R cos(el) / (R + h))^2)^-1/2`` of a thin shell; a stated share of its variance is common to all satellites, the
 rest is each one's own pierce point. The troposphere is one zenith delay for all satellites times the mapping function
-``m = 1.001 (0.002001 + sin(el)^2)^-1/2``. Both functions: RTCA DO-229, appendix A.4. All errors are Gauss-Markov
-processes of an area, which all its vehicles share. The budget is that of S3 Table III.
+``m = 1.001 (0.002001 + sin(el)^2)^-1/2``. Both functions: RTCA DO-229, appendix A.4. The budget is that of S3 Table
+III.
+
+All errors are Gauss-Markov processes of the second order of an area, which all its vehicles share. They are smooth: the
+ionosphere changes by about a millimetre in a second, so that carriers may be compared from one epoch to the next.
+
+A process of unit variance with a double pole a is ``y_k+1 = 2 a y_k - a^2 y_k-1 + sqrt((1 - a^2)^3 / (1 + a^2)) z``, of
+correlation ``(1 + k (1 - a^2) / (1 + a^2)) a^k``. With ``a = exp(-2.146 dt / tau)`` it falls to 1/e in tau.
 """
 
 from __future__ import annotations
@@ -31,6 +37,7 @@ __all__ = ["BroadcastConfig", "BroadcastState", "initial_broadcast", "mapping", 
 Array = NDArray[np.float64]
 EARTH_M, SHELL_M = 6378136.3, 350e3
 OWN = 3  # processes of a satellite: orbit, clock, ionosphere
+TO_A_TAU = 2.146193  # root of (1 + x) exp(-x) = 1/e
 COMMON = 2  # processes of an area: ionosphere, troposphere
 
 
@@ -62,8 +69,9 @@ class BroadcastConfig(Config):
         """Advance the errors of all areas by an epoch, in place; stream "broadcast"."""
         own, common = streams.normal("broadcast", *state.own.shape[1:]), streams.normal("broadcast", COMMON)
         tau = np.array([self.orbit_tau_s, self.clock_tau_s, self.iono_tau_s])
-        _advance(state.own, tau, dt_s, own)
-        _advance(state.common, np.array([self.iono_tau_s, self.tropo_tau_s]), dt_s, common)
+        _advance(state.own, state.own_before, tau, dt_s, own)
+        of_area = np.array([self.iono_tau_s, self.tropo_tau_s])
+        _advance(state.common, state.common_before, of_area, dt_s, common)
 
     def delays(self, state: BroadcastState, sine: Array, row: NDArray[np.int64]) -> tuple[Array, Array]:
         """Delay of all bands alike, and of the ionosphere on the first band, (B, S) each [m].
@@ -79,14 +87,26 @@ class BroadcastConfig(Config):
         zenith = np.sqrt(self.iono_common) * common[:, :1] + np.sqrt(1.0 - self.iono_common) * own[..., 2]
         return alike, self.iono_zenith_m * obliquity(sine) * zenith
 
+    def satellite_errors(self, state: BroadcastState) -> Array:
+        """Error of ephemeris and clock of each satellite of A areas, (A, S) [m]."""
+        return np.asarray(self.orbit_sigma_m * state.own[..., 0] + self.clock_sigma_m * state.own[..., 1])
+
+    def zenith_delays(self, state: BroadcastState) -> Array:
+        """Vertical ionosphere on the first band at each pierce point, (A, S) [m]."""
+        common = np.sqrt(self.iono_common) * state.common[:, :1]
+        return np.asarray(self.iono_zenith_m * (common + np.sqrt(1.0 - self.iono_common) * state.own[..., 2]))
+
 
 @dataclass
 class BroadcastState:
     """Errors of A areas in units of their sigma: own (A, S, 3) of orbit, clock, ionosphere; common (A, 2) of
-    ionosphere, troposphere."""
+    ionosphere, troposphere. own_before, common_before: what the step before adds to what follows from the present, in
+    units of its sigma."""
 
     own: Array
     common: Array
+    own_before: Array
+    common_before: Array
 
     def copy(self) -> BroadcastState:
         """An independent copy."""
@@ -95,12 +115,22 @@ class BroadcastState:
 
 def initial_broadcast(satellites: int, streams: Streams) -> BroadcastState:
     """Stationary errors of ``streams.batch`` areas."""
-    return BroadcastState(streams.normal("broadcast", satellites, OWN), streams.normal("broadcast", COMMON))
+    own, common = streams.normal("broadcast", satellites, OWN), streams.normal("broadcast", COMMON)
+    before = streams.normal("broadcast", satellites, OWN), streams.normal("broadcast", COMMON)
+    return BroadcastState(own, common, *before)
 
 
-def _advance(values: Array, tau_s: Array, dt_s: float, z: Array) -> None:
-    values *= np.exp(-dt_s / tau_s)
-    values += np.sqrt(-np.expm1(-2.0 * dt_s / tau_s)) * z
+def _advance(values: Array, before: Array, tau_s: Array, dt_s: float, z: Array) -> None:
+    """The next values of processes of the second order, in place; given a value y, the one before is ``r y + s u``
+    with their correlation r, ``s^2 = 1 - r^2`` and u of ``before``."""
+    a = np.exp(-TO_A_TAU * dt_s / tau_s)
+    r = 2.0 * a / (1.0 + a * a)
+    s = (1.0 - a * a) / (1.0 + a * a)
+    last = values.copy()
+    values *= 2.0 * a - a * a * r
+    values -= a * a * s * before
+    values += np.sqrt((1.0 - a * a) ** 3 / (1.0 + a * a)) * z
+    before[:] = (last - r * values) / s
 
 
 def obliquity(sine: Array) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal
@@ -19,6 +20,7 @@ from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.sensors import gnss_kernel as gk
 from lanebound.integrity.sensors.arrival_kernel import NOTHING, PATH_RULES, SignalWork
+from lanebound.integrity.sensors.augmentation import AugmentationConfig, AugmentationHeld, Corrections, initial_held
 from lanebound.integrity.sensors.broadcast import BroadcastConfig, BroadcastState
 from lanebound.integrity.sensors.clock import OCXO_H0, OCXO_HM2, TCXO_H0, TCXO_HM2, clock_gains
 from lanebound.integrity.sensors.effects import FaultEffects
@@ -55,6 +57,7 @@ class GnssEpoch:
         (:mod:`.broadcast`): ``-e.x`` relative to the true origin, receiver clock, errors; None unless
         ``gnss.undifferenced``. ``range_rate_mps`` is undifferenced in any case.
     integer_error : (B, S, 2) cycles by which a fault makes the integers wrong that positioning fixes; None: no faults
+    corrections : what the receiver holds of each provider of ``gnss.augmentation.providers``, by name
     """
 
     tracked: NDArray[np.bool_]
@@ -67,6 +70,7 @@ class GnssEpoch:
     raw_code_m: Array | None = None
     raw_phase_m: Array | None = None
     integer_error: NDArray[np.int64] | None = None
+    corrections: Mapping[str, Corrections] | None = None
 
 
 @dataclass
@@ -203,6 +207,7 @@ class GnssConfig(Config):
         False, description="compute undifferenced observables too, for services without a station"
     )
     broadcast: BroadcastConfig = Field(BroadcastConfig(), description="their errors after broadcast corrections")
+    augmentation: AugmentationConfig = Field(AugmentationConfig(), description="providers of corrections for services")
 
     @property
     def station_parts(self) -> dict[str, float]:
@@ -293,11 +298,13 @@ def _path_parameters(c: GnssConfig, dt_s: float) -> Records:
 class GnssState:
     """True state of the signals between epochs, which positioning must not use.
 
-    signals (B, S) of SIGNAL and vehicles (B,) of RECEIVER (:mod:`.gnss_kernel`).
+    signals (B, S) of SIGNAL and vehicles (B,) of RECEIVER (:mod:`.gnss_kernel`); augmentation: messages of providers
+    that are held, None without providers.
     """
 
     signals: Records
     vehicles: Records
+    augmentation: AugmentationHeld | None = None
 
     def copy(self) -> GnssState:
         """An independent copy."""
@@ -317,7 +324,8 @@ def initial_state(config: GnssConfig, sky: SkyView, streams: Streams) -> GnssSta
     delays = config.clock_m * clock[:, :-1].reshape(-1, N_SYSTEMS, 2 * gk.BANDS)
     vehicles["code_delay"], vehicles["phase_delay"] = delays[..., : gk.BANDS], delays[..., gk.BANDS :]
     vehicles["drift"] = config.drift_mps * clock[:, -1]
-    return GnssState(signals, vehicles)
+    held = initial_held(config.augmentation, n_sat, streams.batch) if config.augmentation.providers else None
+    return GnssState(signals, vehicles, held)
 
 
 def observe(

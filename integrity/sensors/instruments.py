@@ -6,7 +6,7 @@ The link, the receiver, gyros and wheels each have a file of their own in :mod:`
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -18,6 +18,7 @@ from lanebound.integrity.core.records import Records
 from lanebound.integrity.core.streams import ZIGGURAT, Streams
 from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.sensors.area import AreaState, advance_area
+from lanebound.integrity.sensors.augmentation import Corrections, corrections_of, receive_messages
 from lanebound.integrity.sensors.corrections import CorrectionsConfig, CorrectionsState, link_parameters
 from lanebound.integrity.sensors.corrections_kernel import LinkRows
 from lanebound.integrity.sensors.effects import FaultEffects
@@ -52,12 +53,14 @@ from lanebound.integrity.sensors.odometer import (
     odometer_parameters,
 )
 from lanebound.integrity.sensors.odometer_kernel import OdometerRows
+from lanebound.integrity.sky.geostationary import geostationary_view
 from lanebound.integrity.sky.view import SkyView
-from lanebound.integrity.sky.visibility import SkyMask, blank_reception
+from lanebound.integrity.sky.visibility import SignalPath, SkyMask, blank_reception
 
 __all__ = ["InstrumentState", "Instruments", "Measurements"]
 
 NO_STATES = np.empty((0, 4), np.uint64)  # of streams that draw in a way of their own
+LOWEST_SINE = 0.05  # of an elevation: lower satellites are not used
 SENSE_US = 6.0  # of one thread for a vehicle and epoch, measured
 
 
@@ -99,12 +102,19 @@ class Instruments:
     gnss_rules: Records
     imu_rules: Records
     odometer_rules: Records
+    place_rad: tuple[float, float, float]
 
     @classmethod
     def of(
-        cls, gnss: GnssConfig, corrections: CorrectionsConfig, imu: ImuConfig, odometer: OdometerConfig, dt_s: float
+        cls,
+        gnss: GnssConfig,
+        corrections: CorrectionsConfig,
+        imu: ImuConfig,
+        odometer: OdometerConfig,
+        dt_s: float,
+        place_rad: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> Self:
-        """The instruments of a configuration, read every ``dt_s``."""
+        """The instruments of a configuration, read every ``dt_s`` at a place (latitude, longitude, height)."""
         return cls(
             dt_s=dt_s,
             gnss=gnss,
@@ -114,6 +124,7 @@ class Instruments:
             gnss_rules=gnss_parameters(gnss, dt_s),
             imu_rules=imu_parameters(imu, dt_s),
             odometer_rules=odometer_parameters(odometer, dt_s),
+            place_rad=place_rad,
         )
 
     def sense(
@@ -146,7 +157,24 @@ class Instruments:
             signals = undifferenced(
                 self.gnss, self.gnss_rules, signals, sky, s.corrections.held, effects, s.area.signals, s.area.broadcast
             )
+            if s.area.providers is not None:
+                signals = replace(signals, corrections=self._corrections(s, sky, mask, truth))
         return Measurements(truth.time_s, sky, signals, ImuSample(*imu), OdometerSample(*odometer))
+
+    def _corrections(self, s: InstrumentState, sky: SkyView, mask: SkyMask, truth: Truth) -> dict[str, Corrections]:
+        """What vehicles hold of the providers of services after the messages of this epoch."""
+        config, held, areas, broadcast = self.gnss.augmentation, s.gnss.augmentation, s.area.providers, s.area.broadcast
+        assert held is not None
+        assert areas is not None
+        assert broadcast is not None
+        geo = geostationary_view(config.geo_longitude_deg, self.place_rad, truth.batch)
+        path = mask.look(truth.arc_m, truth.lane, geo).path
+        in_view = ((path == SignalPath.LOS) | (path == SignalPath.FOLIAGE)) & geo.above[geo.index]
+        receive_messages(config, areas, held, in_view, s.corrections.links["up"], self.dt_s)
+        seen = np.maximum(sky.los_enu[sky.index, :, 2], LOWEST_SINE), sky.system
+        now = self.gnss.broadcast.satellite_errors(broadcast), self.gnss.age_rate_mps * s.area.signals.memory["age"]
+        epoch = s.area.network.own_epoch
+        return {name: corrections_of(config, name, held, epoch, seen, now, self.dt_s) for name in config.providers}
 
     def _draw(self, streams: Streams, rows: InstrumentRows) -> None:
         """The draws of an epoch from streams that draw in a way of their own."""

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from functools import cached_property
+from typing import Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.plugins import find
 from lanebound.integrity.monitoring.exclusion import FdeConfig, Search
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.navigators.rtk_reckoning.modes import PositioningMode, mode_named
 from lanebound.integrity.navigators.rtk_reckoning.monitors import Monitor, monitor_named
+from lanebound.integrity.navigators.services.config import ServicesConfig
+from lanebound.integrity.navigators.services.table import SERVICES
+from lanebound.integrity.sensors.gnss import GnssConfig
 
 __all__ = ["RtkReckoningConfig"]
 
@@ -23,6 +28,36 @@ class RtkReckoningConfig(NavigatorConfig):
         ("doppler", "imu_odometer"), description="positioning modes between RTK positions, in order of preference"
     )
     monitors: tuple[str, ...] = Field((), description="monitors from outside, beside those that are always on")
+    service: tuple[str, ...] = Field(
+        ("rtk",),
+        min_length=1,
+        description="positioning services, in order of preference; S2 Table 1",
+    )
+    services: ServicesConfig = Field(ServicesConfig(), description="what is declared of services other than RTK")
+
+    @field_validator("service", mode="before")
+    @classmethod
+    def _one_service_is_a_list(cls, value: Any) -> Any:
+        return (value,) if isinstance(value, str) else value
+
+    @model_validator(mode="after")
+    def _services_are_known(self) -> Self:
+        for name in self.service:
+            service = find(name, SERVICES, "service")
+            if service.bands > len(self.gnss.bands):
+                raise ConfigError(
+                    f"gnss.bands must hold {service.bands} bands for the service {name}, got {list(self.gnss.bands)}: "
+                    "set [0, 2] for L1 and L5, or take the preset of the service"
+                )
+        if len(set(self.service)) < len(self.service) or {"rtk", "nrtk"} <= set(self.service):
+            raise ConfigError(
+                f"service must name each one once, and rtk or nrtk, got {list(self.service)}: remove one of them"
+            )
+        if any(SERVICES[name].fixes for name in self.service[1:]):
+            raise ConfigError(
+                f"service must name rtk or nrtk first, got {list(self.service)}: their level is the lowest by far"
+            )
+        return self
 
     @model_validator(mode="after")
     def _modes_and_monitors_are_known(self) -> Self:
@@ -31,6 +66,24 @@ class RtkReckoningConfig(NavigatorConfig):
                 raise ConfigError(f"{what} must name each one once, got {list(names)}: remove the repeated one")
         _ = self.chosen_modes, self.chosen_monitors
         return self
+
+    @cached_property
+    def receiver(self) -> GnssConfig:
+        """``gnss``, with the undifferenced observables and the providers that the services need.
+
+        Against a virtual station of a network the differential errors are those of its interpolation.
+        """
+        chosen, gnss = [SERVICES[name] for name in self.service], self.gnss
+        if "nrtk" in self.service:
+            left = gnss.augmentation.network
+            gnss = gnss.replace(
+                baseline_km=1.0, iono_ppm=left.iono_mm, tropo_ppm=left.tropo_mm, orbit_ppm=left.orbit_mm
+            )
+        if all(service.fixes for service in chosen):
+            return gnss
+        needed = [service.provider for service in chosen if service.provider is not None]
+        providers = list(dict.fromkeys([*gnss.augmentation.providers, *needed]))
+        return gnss.replace(undifferenced=True, augmentation={"providers": providers})
 
     @property
     def chosen_modes(self) -> list[PositioningMode]:

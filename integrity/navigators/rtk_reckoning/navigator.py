@@ -38,7 +38,8 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import (
 )
 from lanebound.integrity.navigators.rtk_reckoning.report_kernel import report, take_fix
 from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import resolve_integers
-from lanebound.integrity.navigators.rtk_reckoning.stages import OutsideStage, Stage, StageList
+from lanebound.integrity.navigators.rtk_reckoning.stages import OutsideStage, SeparateStage, Stage, StageList
+from lanebound.integrity.navigators.services.stage import ServiceSet
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.config import RtkConfig
 from lanebound.integrity.positioning.float_filter_kernel import FILTER_ROW, MEASURED, SLOT, STATES, Filtered
@@ -59,7 +60,8 @@ class RtkReckoningNavigator(Navigator):
         """The parameters, and the list of stages."""
         self._parameters = epoch_parameters(self.config)
         self._tables = epoch_tables(self.config, self.track.system)
-        self._stages = StageList(stages_of(self.config))
+        self._services = ServiceSet(self.config, self.track.system)
+        self._stages = StageList(stages_of(self.config, self._services))
         self._excludes = any(Point.MEASURED in monitor.stages for monitor in self.config.chosen_monitors)
 
     def initial_belief(self, batch: int) -> State:
@@ -76,11 +78,12 @@ class RtkReckoningNavigator(Navigator):
         return belief
 
     def initial_extensions(self, batch: int) -> dict[str, Records]:
-        """The states of the modes and monitors from outside."""
+        """The states of services, and of the modes and monitors from outside."""
         modes = {f"mode {mode.mode.key}": mode.initial for mode in self.config.chosen_modes}
         monitors = {f"monitor {monitor.name}": monitor.initial for monitor in self.config.chosen_monitors}
         given = {**modes, **monitors}.items()
-        return {name: np.repeat(initial, batch) for name, initial in given if initial is not None}
+        states = {name: np.repeat(initial, batch) for name, initial in given if initial is not None}
+        return states | self._services.initial(batch)
 
     def align(self, heading_rad: Array, sigma_rad: float) -> None:
         """Give the vehicles a prior heading, (B,) azimuth and its 1-sigma, as from a compass or the last drive."""
@@ -117,7 +120,7 @@ class RtkReckoningNavigator(Navigator):
             measured = measured._replace(tracked=measured.tracked.copy())
         owners = self._parameters, self._tables, belief
         lasting = self.state.locating.of(owners, lambda: self._lasting(belief))
-        inputs, states = EpochInputs(measured), self.state.extensions
+        inputs, states = EpochInputs(measured), self._services.with_inputs(m, self.state.extensions)
         run_rows(self._stages, self.batch, lasting, inputs, states, row_us=LOCATE_US)
         return solution_of(m, lasting.values.out)
 
@@ -136,7 +139,7 @@ def give_heading(heading: Records, angle_rad: Array, sigma_rad: float) -> None:
         heading[name] = 0.0
 
 
-def stages_of(config: RtkReckoningConfig) -> list[Stage | OutsideStage]:
+def stages_of(config: RtkReckoningConfig, services: ServiceSet) -> list[Stage | SeparateStage]:
     """The stages of an epoch, in their order."""
     monitors = [*BUILT_IN.values(), *config.chosen_monitors]
 
@@ -145,20 +148,23 @@ def stages_of(config: RtkReckoningConfig) -> list[Stage | OutsideStage]:
 
     return [
         begin,
+        *services.begin(),
         *monitored(Point.MEASURED),
         *monitored(Point.VELOCITY),
         find_attitude,
-        *carrier_stages(config.positioning.rtk),
-        *monitored(Point.FIX),
+        *(carrier_stages(config.positioning.rtk) if services.with_rtk else ()),
+        *(monitored(Point.FIX) if services.with_rtk else ()),
         *monitored(Point.ESTIMATED),
         *(mode.stage for mode in config.chosen_modes),
         advance_nothing,
         *monitored(Point.MOVED),
         find_levels,
+        *services.fixes(),
         *monitored(Point.JUDGED),
         take_fix,
         *monitored(Point.BOUNDED),
         report,
+        *services.label(),
     ]
 
 

@@ -20,7 +20,7 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch, EpochInputs, Own
 
-__all__ = ["STATELESS", "OutsideStage", "Stage", "StageList"]
+__all__ = ["STATELESS", "OutsideStage", "SeparateStage", "Stage", "StageList"]
 
 Array = NDArray[np.float64]
 Stage = Callable[..., None]
@@ -28,8 +28,16 @@ STATELESS = np.zeros(1, record(nothing="not used"))
 """State of a mode or monitor that has none."""
 
 
+class SeparateStage:
+    """A stage that is called from Python, by itself: ``stage(first, last, epoch, states)``."""
+
+    def __call__(self, first: int, last: int, epoch: Epoch, states: Mapping[str, Any]) -> None:
+        """Run it for the vehicles ``first`` to ``last - 1``; states (B,) by name."""
+        raise NotImplementedError
+
+
 @dataclass(frozen=True)
-class OutsideStage:
+class OutsideStage(SeparateStage):
     """A stage of a mode or monitor from outside: its name, code of Mode or AlertReason, and the function.
 
     ``bounds`` marks a stage that runs after all protection levels and may raise them.
@@ -73,18 +81,16 @@ class StageList:
     by name.
     """
 
-    def __init__(self, stages: Sequence[Stage | OutsideStage]) -> None:
+    def __init__(self, stages: Sequence[Stage | SeparateStage]) -> None:
         self._stages = tuple(stages)
         self._parts: list[Any] = []
-        for outside, group in groupby(stages, key=lambda stage: isinstance(stage, OutsideStage)):
+        for outside, group in groupby(stages, key=lambda stage: isinstance(stage, SeparateStage)):
             members = list(group)
             self._parts += members if outside else [Chain(Epoch, *members)]
 
-    def __call__(
-        self, first: int, last: int, lasting: Bundle, inputs: EpochInputs, states: Mapping[str, Records]
-    ) -> None:
+    def __call__(self, first: int, last: int, lasting: Bundle, inputs: EpochInputs, states: Mapping[str, Any]) -> None:
         for part in self._parts:
-            if isinstance(part, OutsideStage):
+            if isinstance(part, SeparateStage):
                 part(first, last, Epoch._make((*lasting.values, *inputs)), states)
             else:
                 part(first, last, lasting, inputs)

@@ -39,6 +39,8 @@ CASES: list[tuple[str, dict[str, Any], int]] = [
     ("Highway", {**FEW, **PERFECT, "sky": "open"}, 5),
     ("UrbanCanyon", {**CITY, "sky": "open"}, 8),
     ("UrbanCanyon", {**CITY, **BOTH}, 6),
+    ("LaneKeeping", {"sky": "urban", "layouts": 2, "navigator": "services/rtk_dfmc"}, 15),
+    ("CarFollowing", {"sky": "open", "navigator": "services/sbas_l1"}, 8),
 ]
 
 

@@ -1,0 +1,199 @@
+"""Positioning services side by side under open, half-open and urban skies, beside what S2 and S4 print.
+
+S2 section 6: in the open, lane identification and collision alert could be done about 80 % of the time with SBAS DFMC
+and nearly always with PPP; in the city hardly ever. S2 states no accuracy for them; here an application is possible
+while the horizontal error is at most 1.5 m, the alert limit of S2 section 8, and ``bounded`` while both protection
+levels are. S4 section III-A: a low-cost GPS receiver in the open without and with EGNOS, and how long EGNOS is
+available on a mixed circuit and in the city, by its satellites alone and with SISNeT.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.agents.assess.street_drives import StreetDrivesConfig, drive_street
+from lanebound.agents.checkpointing.files import write_json
+from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
+from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.navigators.navigator import NavigatorConfig
+from lanebound.integrity.positioning.modes import Mode
+
+__all__ = ["CASES", "PUBLISHED", "ServiceStudyConfig", "run_services", "service_rows"]
+
+PACKAGES = ("lanebound.integrity", "lanebound.envs.sky", "lanebound.agents.assess", "lanebound.agents.reproduce")
+NEEDED_M = 1.5  # of the applications, S2 section 8
+NO_LEVEL_M = 1e4
+MURCIA = {"lat_deg": 38.0, "lon_deg": -1.13, "height_m": 50.0, "galileo": 0, "glonass": 0, "beidou": 0, "qzss": 0}
+LOW_COST = {
+    "gnss": {
+        "code_sigma_m": 1.0,
+        "code_multipath_m": 1.0,
+        "augmentation": {"geo_longitude_deg": [-15.5, 21.5]},  # EGNOS in 2008: PRN 120 and 124
+    },
+    "sky": MURCIA,
+    "services": {
+        "spp": {"systems": ["GPS"], "sigma_code_m": 2.0, "constellation_prior": [0.0] * 5},
+        "sbas_l1": {"sigma_code_m": 2.0},
+    },
+}
+"""The GPS receiver of S4, of some metres of code error, in Murcia."""
+
+CASES: dict[str, tuple[str, Mapping[str, Any]]] = {
+    "spp": ("services/spp", {}),
+    "dgps": ("services/dgps", {}),
+    "sbas_l1": ("services/sbas_l1", {}),
+    "sisnet": ("services/sisnet", {}),
+    "sbas_dfmc": ("services/sbas_dfmc", {}),
+    "rtk": ("navigators/consumer", {}),
+    "nrtk": ("services/nrtk", {}),
+    "s4_gps": ("services/spp", LOW_COST),
+    "s4_egnos": ("services/sbas_l1", LOW_COST),
+    "s4_sisnet": ("services/sisnet", LOW_COST),
+}
+"""Preset of each case and what differs from it."""
+
+PUBLISHED = {
+    "spp": "1 to 6 m (S2 Table 1)",
+    "dgps": "sub-metre to a few metres (S2 Table 1)",
+    "sbas_l1": "sub-metre to 1.5 m (S2 Table 1); to more than 2 m (S2 6)",
+    "sisnet": "as sbas_l1 (S4 II-A)",
+    "sbas_dfmc": "slightly better than L1; applications 80 % in the open (S2 6)",
+    "rtk": "few cm (S2 Table 1)",
+    "nrtk": "few cm (S2 Table 1)",
+    "s4_gps": "open: CEP 3.2 m, HPE95 8.1 m; HDOP < 3 about 80 % urban, 95 % highway (S4 III-A)",
+    "s4_egnos": "open: CEP 1.9 m, HPE95 5.2 m; available 64.8 % mixed, 60 % city (S4 III-A)",
+    "s4_sisnet": "available 89.2 % mixed (S4 Table IV)",
+}
+
+
+class ServiceStudyConfig(Config):
+    """Which services, skies and drives."""
+
+    seeds: int = Field(100, ge=1, le=10_000, description="streets of each sky; each is a part")
+    cases: tuple[str, ...] = Field(tuple(CASES), min_length=1, description="services and receivers")
+    skies: tuple[str, ...] = Field(("open", "suburban", "urban"), min_length=1, description="levels of the sky")
+    vehicles: int = Field(4, ge=1, le=256, description="vehicles in a street, each in an hour of its street")
+    duration_s: float = Field(60.0, gt=0, description="length of a drive after the warm-up [s]")
+    warm_up_s: float = Field(20.0, ge=0, description="time before the first epoch that counts [s]")
+    first_seed: int = Field(401, ge=0, description="of the drives; nothing was fitted there")
+
+
+def run_services(
+    config: ServiceStudyConfig, out: Path, jobs: int = 1, on_progress: OnProgress = ignore
+) -> dict[str, Any]:
+    """Drive the missing streets, and write ``services.json``; returns its data.
+
+    Raises
+    ------
+    InputError
+        ``out`` cannot be claimed: it holds other work, results of another version or foreign files.
+    """
+    ResultFolder(out, "services study", config.to_dict(), code_digest(*PACKAGES)).claim()
+    names = [f"{k}-{n}" for k in range(len(config.skies)) for n in range(config.seeds)]
+    parts = run_parts(out, names, partial(work_street, config), jobs, on_progress)
+    result: dict[str, Any] = {"config": config.to_dict(), "skies": {}}
+    for k, sky in enumerate(config.skies):
+        mine = [part for name, part in parts.items() if name.startswith(f"{k}-")]
+        result["skies"][sky] = {case: _medians([part[case] for part in mine]) for case in config.cases}
+    write_json(out / "services.json", result)
+    return result
+
+
+def work_street(config: ServiceStudyConfig, name: str, advance: Advance = ignore) -> dict[str, Any]:
+    """One street with each service in turn; it does not depend on others."""
+    sky, number = (int(text) for text in name.split("-"))
+    found = {}
+    for n, case in enumerate(config.cases):
+        found[case] = _drive(config, config.skies[sky], number, case)
+        advance((n + 1) / len(config.cases))
+    return found
+
+
+def _drive(config: ServiceStudyConfig, sky: str, number: int, case: str) -> dict[str, float]:
+    """Figures of a drive: errors and levels [m], and shares of the epochs."""
+    preset, changes = CASES[case]
+    drives = StreetDrivesConfig(
+        skies=(sky,),
+        faults=None,
+        vehicles=config.vehicles,
+        duration_s=config.duration_s,
+        warm_up_s=config.warm_up_s,
+        seed=config.first_seed,
+        navigator=NavigatorConfig.preset(preset).replace(**changes),
+    )
+    rows = [
+        np.column_stack(
+            [
+                np.hypot(*moment.error_m.T),
+                np.abs(moment.error_m),
+                np.minimum(np.stack([moment.solution.pl_at_m, moment.solution.pl_ct_m], -1), NO_LEVEL_M),
+                moment.solution.mode,
+                moment.solution.hdop,
+            ]
+        )
+        for moment in drive_street(drives, sky, number)
+    ]
+    return _figures(np.concatenate(rows), _mode_of(case))
+
+
+def _mode_of(case: str) -> Mode:
+    """The mode of the service that a case is about."""
+    service = {"s4_gps": "spp", "s4_egnos": "sbas_l1", "s4_sisnet": "sbas_l1", "sisnet": "sbas_l1"}.get(case, case)
+    return Mode.named(service)
+
+
+def _figures(rows: NDArray[np.float64], mode: Mode) -> dict[str, float]:
+    """Statistics of epochs (N, 7): horizontal error, errors and levels along and across, mode, HDOP."""
+    error, both, levels, modes, hdop = rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5], rows[:, 6]
+    own = modes == int(mode)
+    return {
+        "cep_m": float(np.median(error)),
+        "hpe95_m": float(np.quantile(error, 0.95)),
+        "own_cep_m": float(np.median(error[own])) if own.any() else NO_LEVEL_M,
+        "own_hpe95_m": float(np.quantile(error[own], 0.95)) if own.any() else NO_LEVEL_M,
+        "pl_at_m": float(np.median(levels[:, 0])),
+        "pl_ct_m": float(np.median(levels[:, 1])),
+        "service": float(own.mean()),
+        "accurate": float((error <= NEEDED_M).mean()),
+        "bounded": float((levels <= NEEDED_M).all(-1).mean()),
+        "beyond": float((both > levels).any(-1).mean()),
+        "hdop_below_3": float((hdop < 3.0).mean()),
+    }
+
+
+def _medians(parts: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Medians over streets; of shares the mean, as a median of few zeros and ones hides them."""
+    shares = ("service", "accurate", "bounded", "beyond", "hdop_below_3")
+    return {key: float((np.mean if key in shares else np.median)([part[key] for part in parts])) for key in parts[0]}
+
+
+Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
+
+
+def service_rows(result: Mapping[str, Any]) -> Table:
+    """Errors, levels and shares of each case under each sky, with what the papers print."""
+    rows = []
+    for case in result["config"]["cases"]:
+        for sky, found in result["skies"].items():
+            of = found[case]
+            own = "-" if of["own_cep_m"] >= NO_LEVEL_M else f"{of['own_cep_m']:.2f} / {of['own_hpe95_m']:.2f}"
+            levels = ["-" if of[key] >= NO_LEVEL_M else f"{of[key]:.1f}" for key in ("pl_at_m", "pl_ct_m")]
+            shares = [f"{100.0 * of[key]:.0f} %" for key in ("service", "accurate", "bounded", "hdop_below_3")]
+            beyond = f"{of['beyond']:.1e}" if of["beyond"] else "0"
+            first = sky == next(iter(result["skies"]))
+            rows.append((
+                case if first else "", sky, f"{of['cep_m']:.2f} / {of['hpe95_m']:.2f}", own, *levels, *shares, beyond,
+                PUBLISHED[case] if first else "",
+            ))  # fmt: skip
+    heads = (
+        "case", "sky", "CEP / HPE95 [m]", "of its mode [m]", "PL along", "PL across", "of its mode", "error < 1.5 m",
+        "levels < 1.5 m", "HDOP < 3", "beyond", "published",
+    )  # fmt: skip
+    return heads, rows

@@ -1,0 +1,1 @@
+"""Positioning services: sources of an absolute position ahead of mode selection."""

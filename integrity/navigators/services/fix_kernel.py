@@ -1,0 +1,130 @@
+"""The position of a service from its corrected ranges: fault test, protection levels, and whether it is offered.
+
+Satellites are rows with a variance and the odds of a fault; sets of two and three of them are fault modes beside single
+satellites and systems. The position is offered where its level is lower than that of the position reckoned on.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.core.accel import jit
+from lanebound.integrity.core.small_matrix_kernel import hdop_of
+from lanebound.integrity.monitoring.detection_kernel import EXCLUDED, detect_and_exclude
+from lanebound.integrity.monitoring.geometry_kernel import SOLVED, find_geometry, solve
+from lanebound.integrity.monitoring.heading_separation_kernel import courses_of
+from lanebound.integrity.monitoring.jump_kernel import bounded, is_suspicious
+from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import (
+    FixedScratch,
+    fixed_scratch,
+    levels_of_fix,
+    lever_bounds,
+)
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
+from lanebound.integrity.navigators.services.records_kernel import ServiceRows, ServiceTables
+from lanebound.integrity.positioning.doubtful_kernel import find_sets
+from lanebound.integrity.positioning.rows_kernel import Rows
+
+__all__ = ["LEAST_ROWS", "find_fix"]
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+LEAST_ROWS = 5
+
+
+@jit
+def find_fix(first: int, last: int, epoch: Epoch, service: ServiceTables, ranges: ServiceRows) -> None:
+    """Offer the position of a service where no service before has, and where its level is the lowest."""
+    par, rules, tables = service.parameters[0], service.rules[0], service.tables
+    n = service.allowed.shape[0]
+    scratch = fixed_scratch(n, par.rtk.doubt.sets)
+    position, q = np.empty(3), np.empty((3, 3))
+    levels = np.empty((epoch.out.levels.shape[1], 2))
+    for v in range(first, last):
+        vehicle, w = epoch.state.vehicles[v], epoch.work.vehicles[v]
+        if not ranges.due[v] or w.fixed.usable:
+            continue
+        los, odds = epoch.measured.los[epoch.measured.sight[v]], ranges.odds[v]
+        here = Rows(los, tables.system, ranges.variance[v], ranges.y[v], ranges.used[v])
+        if keep_likely(here.used, odds, par.rtk.doubt, scratch) < LEAST_ROWS:
+            continue
+        heading = vehicle.heading.angle
+        outcome, _, _, _, excluded = detect_and_exclude(
+            here, here.group, heading, tables.thresholds, par.fde, position, q
+        )
+        if outcome > EXCLUDED:
+            continue
+        used = pack(here, odds, rules.bias, scratch)
+        hdop, geo = hdop_of(los, here.group, here.used), scratch.geo
+        if not hdop <= rules.max_hdop:
+            continue
+        found = find_geometry(scratch.los, scratch.group, scratch.variance, scratch.bias, used, w.sin_h, w.cos_h, geo)
+        if found != SOLVED:
+            continue
+        solve(scratch.y, scratch.group, used, geo)
+        levels_of_fix(used, 0.0, w.sin_h, w.cos_h, tables, par, scratch, levels)
+        lever_at, lever_ct = lever_bounds(vehicle, courses_of(epoch.state.courses, v), par)
+        levels[:, 0] += lever_at
+        levels[:, 1] += lever_ct
+        if is_lower(levels, epoch.out.levels[v]) or is_suspicious(vehicle.jump):
+            offer(w.fixed, geo.fix[0], used, excluded, hdop)
+            epoch.work.fixed_levels[v, :, :] = levels
+            ranges.offered[v] = rules.mode
+
+
+@jit
+def keep_likely(used: Bools, odds: Array, doubt: Any, scratch: FixedScratch) -> int:
+    """Take satellites out of use, the most doubtful first, until few enough sets remain to be monitored; how many
+    remain."""
+    member, own, n = np.empty(used.shape[0], dtype=np.int64), np.empty(used.shape[0]), 0
+    for s in range(used.shape[0]):
+        if used[s]:
+            member[n], own[n] = s, odds[s]
+            n += 1
+    while n > 0 and find_sets(own, n, doubt, scratch.sets)[0] < 0:
+        worst = 0
+        for i in range(1, n):
+            if own[i] > own[worst]:
+                worst = i
+        used[member[worst]] = False
+        n -= 1
+        member[worst], own[worst] = member[n], own[n]
+    return n
+
+
+@jit
+def pack(rows: Rows, odds: Array, bias: float, scratch: FixedScratch) -> int:
+    """Copy the rows in use into the scratch of the levels; how many."""
+    n = 0
+    for s in range(rows.y.shape[0]):
+        if rows.used[s]:
+            for k in range(3):
+                scratch.los[n, k] = rows.los[s, k]
+            scratch.group[n], scratch.variance[n], scratch.bias[n] = rows.group[s], rows.variance[s], bias
+            scratch.y[n], scratch.accuracy[n], scratch.odds[n] = rows.y[s], rows.variance[s], odds[s]
+            n += 1
+    return n
+
+
+@jit(borrows=True)
+def is_lower(found: Array, expected: Array) -> bool:
+    """Whether the operative levels found (R, 2) are lower than those expected, by the sum of their squares."""
+    if not bounded(found[0]):
+        return False
+    if not bounded(expected[0]):
+        return True
+    return bool(found[0, 0] ** 2 + found[0, 1] ** 2 < expected[0, 0] ** 2 + expected[0, 1] ** 2)
+
+
+@jit(borrows=True)
+def offer(fixed: Any, fix: Any, satellites: int, excluded: int, hdop: float) -> None:
+    """Make a position the one that the jump monitor judges in place of an RTK position."""
+    for k in range(3):
+        fixed.position[k] = fix.position[k]
+    fixed.p_ee, fixed.p_en, fixed.p_nn = fix.p_ee, fix.p_en, fix.p_nn
+    fixed.sigma[0], fixed.sigma[1] = fix.sigma[0], fix.sigma[1]
+    fixed.satellites, fixed.excluded, fixed.hdop, fixed.usable = satellites, excluded, hdop, True

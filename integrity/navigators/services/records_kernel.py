@@ -1,0 +1,102 @@
+"""What the stages of a positioning service work on."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.core.records import Records, record
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Tables
+
+__all__ = [
+    "SERVICE_RULES",
+    "ServiceInputs",
+    "ServiceLabels",
+    "ServiceRows",
+    "ServiceState",
+    "ServiceTables",
+]
+
+Array = NDArray[np.float64]
+
+SERVICE_RULES = record(
+    mode=("i8", "code of its Mode"),
+    combined=("?", "ranges are ionosphere-free combinations of both bands"),
+    interval="time between two positions [s]",
+    smoothing="epochs in the time constant of carrier smoothing [-]; 0: none",
+    sin_mask="sine of the lowest elevation used",
+    cn0_min="lowest C/N0 used [dB-Hz]",
+    max_hdop="largest HDOP of a position [-]",
+    satellite_growth="of the variance of a satellite's correction with its age [m^2/s]",
+    zenith="vertical ionosphere on the first band, 1 sigma [m]",
+    zenith_growth="of its variance with the age of the grid [m^2/s]",
+    tropo="zenith troposphere, 1 sigma [m]",
+    code="code of one band, zenith, 1 sigma [m]",
+    bias="bound of a lasting error of one code [m]",
+    max_age="oldest satellite corrections [s]",
+    zenith_max_age="oldest ionospheric grid [s]",
+)
+"""Declared figures of a service, from its CodeServiceConfig."""
+
+
+class ServiceTables(NamedTuple):
+    """Parameters of a service.
+
+    rules (1,) of SERVICE_RULES; parameters (1,) of PARAMETERS and tables with its risks, tests and fault priors;
+    share (S, 2) of each band in the range of a satellite; noise (S,) 1 sigma of the range over that of one band;
+    allowed (S,) satellites that may be used.
+    """
+
+    rules: Records
+    parameters: Records
+    tables: Tables
+    share: Array
+    noise: Array
+    allowed: NDArray[np.bool_]
+
+
+class ServiceInputs(NamedTuple):
+    """Measurements and corrections of an epoch.
+
+    code, phase (B, S, 2) undifferenced [m]; satellite (B, S) correction [m] and zenith (B, S) vertical ionosphere on
+    the first band [m]; declared (S,) 1 sigma of a satellite, inf without a correction [m]; age, zenith_age (B,) [s].
+    """
+
+    code: Array
+    phase: Array
+    satellite: Array
+    zenith: Array
+    declared: Array
+    age: Array
+    zenith_age: Array
+
+
+class ServiceState(NamedTuple):
+    """What lasts of a service: hatch (B, S) of HATCH; since (B,) time since the last attempt at a position [s]."""
+
+    hatch: Records
+    since: Array
+
+
+class ServiceRows(NamedTuple):
+    """Corrected ranges of an epoch, work of one service after another.
+
+    y, variance, odds (B, S); used (B, S); due (B,) a position is to be found; offered (B,) as in ServiceLabels.
+    """
+
+    y: Array
+    variance: Array
+    odds: Array
+    used: NDArray[np.bool_]
+    due: NDArray[np.bool_]
+    offered: NDArray[np.int64]
+
+
+class ServiceLabels(NamedTuple):
+    """offered (B,) mode whose position a service offers in this epoch, 0: none; latest (B,) that of the last position
+    that was taken, 0: RTK."""
+
+    offered: NDArray[np.int64]
+    latest: NDArray[np.int64]

@@ -1,0 +1,242 @@
+"""The stages of the services that a configuration names, and what they read in an epoch."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.core.records import Records, one_record
+from lanebound.integrity.navigators.rtk_reckoning import parameters as figures
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
+from lanebound.integrity.navigators.rtk_reckoning.stages import SeparateStage
+from lanebound.integrity.navigators.services.code_kernel import fill_code_ranges
+from lanebound.integrity.navigators.services.config import CodeServiceConfig
+from lanebound.integrity.navigators.services.fix_kernel import find_fix
+from lanebound.integrity.navigators.services.label_kernel import begin_services, begin_without_rtk, label_services
+from lanebound.integrity.navigators.services.records_kernel import (
+    SERVICE_RULES,
+    ServiceInputs,
+    ServiceLabels,
+    ServiceRows,
+    ServiceState,
+    ServiceTables,
+)
+from lanebound.integrity.navigators.services.table import SERVICES, Service
+from lanebound.integrity.navigators.services.zenith_kernel import CARRIER_RULES, ZENITH, CarrierTables
+from lanebound.integrity.positioning.smoothing_kernel import HATCH
+from lanebound.integrity.sky.systems import WAVELENGTH_M, System
+
+if TYPE_CHECKING:
+    from lanebound.integrity.navigators.navigator import Measurements
+    from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConfig
+
+__all__ = ["BeginStage", "FixStage", "LabelStage", "ServiceSet", "band_shares", "service_tables"]
+
+Array = NDArray[np.float64]
+
+INPUTS, RANGES = "inputs of services", "ranges of services"  # names of what the stages share
+ZENITH_TAU_S = 1800.0  # of the troposphere, Joerger and Pervan 2016
+OFFERED, LATEST = "service offered", "service of the position"
+RECENT = 1.5  # intervals of a service for which its position, moved by Doppler, still counts as its own
+
+
+def band_shares(wavelength_m: Array, combined: bool) -> Array:
+    """Shares of two bands in a range, (systems, 2) from wavelengths (systems, 2): the first, or ionosphere-free.
+
+    ``a_1 = f_1^2 / (f_1^2 - f_2^2)`` and ``a_2 = 1 - a_1``: the delay ``(f_1 / f)^2`` of the bands cancels.
+    """
+    share = np.zeros(wavelength_m.shape)
+    share[:, 0] = 1.0
+    if combined:
+        ratio = (wavelength_m[:, 1] / wavelength_m[:, 0]) ** 2
+        share[:, 0] = ratio / (ratio - 1.0)
+        share[:, 1] = -1.0 / (ratio - 1.0)
+    return share
+
+
+def service_tables(config: RtkReckoningConfig, service: Service, system: NDArray[np.int64]) -> ServiceTables:
+    """The parameters of a code service for satellites of these systems (S,)."""
+    declared: CodeServiceConfig = getattr(config.services, service.name)
+    share_of_risk = declared.risk_share
+    own = config.replace(
+        risk={
+            "integrity_risk": share_of_risk * config.risk.integrity_risk,
+            "unmonitored_risk": share_of_risk * config.risk.unmonitored_risk,
+            "constellation_prior": declared.constellation_prior,
+            "spend_unsolvable": True,
+        },
+        more_levels=[
+            case.replace(integrity_risk=share_of_risk * case.integrity_risk).to_dict() for case in config.more_levels
+        ],
+        positioning={"rtk": {"doubt": declared.doubt.to_dict(), "reference_bias_m": 0.0}},
+    )
+    wavelength = np.ones((len(WAVELENGTH_M), 2))
+    bands = list(config.gnss.bands)
+    wavelength[:, : len(bands)] = WAVELENGTH_M[:, bands]
+    share = band_shares(wavelength, service.combined)[system]
+    return ServiceTables(
+        rules=service_rules(declared, service, config.dt_s),
+        parameters=figures.epoch_parameters(own),
+        tables=figures.epoch_tables(own, system),
+        share=np.ascontiguousarray(share),
+        noise=np.sqrt((share**2).sum(-1)),
+        allowed=np.isin(system, [int(System[name]) for name in declared.systems]),
+    )
+
+
+def service_rules(declared: CodeServiceConfig, service: Service, dt_s: float) -> Records:
+    """SERVICE_RULES (1,) of a service's declared figures."""
+    d = declared
+    return one_record(
+        SERVICE_RULES,
+        mode=int(service.mode),
+        combined=service.combined,
+        interval=d.interval_s,
+        smoothing=d.smoothing_s / dt_s,
+        sin_mask=np.sin(np.deg2rad(d.elevation_mask_deg)),
+        cn0_min=d.cn0_min_dbhz,
+        max_hdop=d.max_hdop,
+        satellite_growth=d.satellite_growth_m2ps,
+        zenith=d.sigma_zenith_m,
+        zenith_growth=d.zenith_growth_m2ps,
+        tropo=d.sigma_tropo_m,
+        code=d.sigma_code_m,
+        bias=d.code_bias_m,
+        max_age=d.max_age_s,
+        zenith_max_age=d.zenith_max_age_s,
+    )
+
+
+def carrier_rules(declared: CodeServiceConfig) -> Records:
+    """CARRIER_RULES (1,) of a service's declared figures."""
+    d = declared
+    return one_record(
+        CARRIER_RULES,
+        correlation=d.correlation_s,
+        phase=d.sigma_phase_m,
+        zenith=d.zenith_state,
+        zenith_sigma=d.sigma_tropo_m,
+        zenith_tau=ZENITH_TAU_S,
+        lasting=max(2.0 * d.correlation_s / max(d.interval_s, 1e-3), 1.0),
+    )
+
+
+@dataclass(frozen=True)
+class BeginStage(SeparateStage):
+    """No service has offered a position yet; without RTK among them there is no RTK position either."""
+
+    with_rtk: bool
+
+    def __call__(self, first: int, last: int, epoch: Epoch, states: Mapping[str, Any]) -> None:
+        (begin_services if self.with_rtk else begin_without_rtk)(first, last, epoch, _labels(states))
+
+
+@dataclass(frozen=True)
+class FixStage(SeparateStage):
+    """The position of one service."""
+
+    name: str
+    tables: ServiceTables
+    carrier: Records
+
+    def __call__(self, first: int, last: int, epoch: Epoch, states: Mapping[str, Any]) -> None:
+        state = ServiceState(states[f"hatch {self.name}"], states[f"since {self.name}"])
+        ranges: ServiceRows = states[RANGES]
+        carrier = CarrierTables(self.carrier, states[f"zenith {self.name}"])
+        fill_code_ranges(first, last, epoch, self.tables, states[INPUTS][self.name], state, ranges, carrier)
+        find_fix(first, last, epoch, self.tables, ranges)
+
+
+@dataclass(frozen=True)
+class LabelStage(SeparateStage):
+    """The mode of the service that the position came from."""
+
+    network: bool
+    recent_s: float
+
+    def __call__(self, first: int, last: int, epoch: Epoch, states: Mapping[str, Any]) -> None:
+        label_services(first, last, epoch, _labels(states), self.network, self.recent_s)
+
+
+def _labels(states: Mapping[str, Any]) -> ServiceLabels:
+    return ServiceLabels(states[OFFERED], states[LATEST])
+
+
+class ServiceSet:
+    """The services of a navigator beside RTK from one station.
+
+    Parameters
+    ----------
+    config : of the navigator
+    system : (S,) system of each satellite
+    """
+
+    def __init__(self, config: RtkReckoningConfig, system: NDArray[np.int64]) -> None:
+        chosen = [SERVICES[name] for name in config.service]
+        self._coded = [service for service in chosen if not service.fixes]
+        self._satellites = len(system)
+        self._declared = {s.name: getattr(config.services, s.name) for s in self._coded}
+        self.with_rtk = any(service.fixes for service in chosen)
+        self._network = any(service.name == "nrtk" for service in chosen)
+        self._tables = {service.name: service_tables(config, service, system) for service in self._coded}
+
+    @property
+    def active(self) -> bool:
+        """Whether there is a service other than RTK from one station."""
+        return bool(self._coded) or self._network
+
+    def begin(self) -> list[SeparateStage]:
+        """The stage before any position."""
+        return [BeginStage(self.with_rtk)] if self.active else []
+
+    def fixes(self) -> list[SeparateStage]:
+        """The stages of the positions, in order of preference."""
+        return [FixStage(s.name, self._tables[s.name], carrier_rules(self._declared[s.name])) for s in self._coded]
+
+    def label(self) -> list[SeparateStage]:
+        """The stage after the report."""
+        recent = RECENT * max((declared.interval_s for declared in self._declared.values()), default=0.0)
+        return [LabelStage(self._network, recent)] if self.active else []
+
+    def initial(self, batch: int) -> dict[str, NDArray[Any]]:
+        """What lasts of the services, by name."""
+        if not self.active:
+            return {}
+        out: dict[str, NDArray[Any]] = {name: np.zeros(batch, np.int64) for name in (OFFERED, LATEST)}
+        for service in self._coded:
+            out[f"hatch {service.name}"] = np.zeros((batch, self._satellites), HATCH)
+            out[f"since {service.name}"] = np.full(batch, np.inf)
+            out[f"zenith {service.name}"] = np.zeros(batch, ZENITH)
+        return out
+
+    def with_inputs(self, m: Measurements, states: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The states, and beside them what the services measure and hold in this epoch."""
+        if not self.active:
+            return states
+        inputs = {service.name: self._inputs(service, m) for service in self._coded}
+        return {**states, INPUTS: inputs, RANGES: self._ranges(states[OFFERED])}
+
+    def _ranges(self, offered: NDArray[np.int64]) -> ServiceRows:
+        shape = offered.size, self._satellites
+        y, variance, odds = np.zeros((3, *shape))
+        used, due = np.zeros(shape, np.bool_), np.zeros(shape[0], np.bool_)
+        return ServiceRows(y, variance, odds, used, due, offered)
+
+    def _inputs(self, service: Service, m: Measurements) -> ServiceInputs:
+        g, shape = m.gnss, m.gnss.tracked.shape
+        assert g.raw_code_m is not None, "gnss.undifferenced is on wherever a service needs it"
+        assert g.raw_phase_m is not None
+        if service.provider is None:
+            nothing, now = np.zeros(shape), np.zeros(shape[0])
+            declared = np.full(shape[1], self._declared[service.name].sigma_satellite_m)
+            return ServiceInputs(g.raw_code_m, g.raw_phase_m, nothing, nothing, declared, now, now)
+        assert g.corrections is not None, "its provider is simulated"
+        held = g.corrections[service.provider]
+        zenith_age = held.zenith_age_s if held.zenith_declared_m > 0.0 else np.zeros(shape[0])
+        return ServiceInputs(
+            g.raw_code_m, g.raw_phase_m, held.satellite_m, held.zenith_m, held.declared_m, held.age_s, zenith_age
+        )
