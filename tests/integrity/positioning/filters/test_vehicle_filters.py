@@ -1,4 +1,4 @@
-"""Vehicle models and filters: derivatives by differences, exact linear cases, and consistency when models are matched."""
+"""Vehicle models and filters: derivatives by differences, exact linear cases, consistency of matched models."""
 
 import numpy as np
 from scipy.stats import chi2
