@@ -65,7 +65,10 @@ __all__ = [
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
-BUILT_IN = {"rtk_reckoning": "lanebound.integrity.navigators.rtk_reckoning.navigator"}
+BUILT_IN = {
+    "filter": "lanebound.integrity.navigators.vehicle_filter.navigator",
+    "rtk_reckoning": "lanebound.integrity.navigators.rtk_reckoning.navigator",
+}
 
 
 class LevelForm(Enum):

@@ -15,6 +15,7 @@ from lanebound.integrity.positioning.filters.vehicle_models import (
     S,
     jacobian,
     noise_gain,
+    scan_sigmas,
     transition,
 )
 
@@ -65,7 +66,7 @@ class SigmaWeights:
 
 def predict_extended(x: Array, p: Array, u: MotionInput, noise: ProcessNoise) -> tuple[Array, Array, Array]:
     """``f(x)``, ``F P F' + G Q G'`` and F.  x (..., r, STATES)."""
-    f, g = jacobian(x, u), noise_gain(x, u.dt_s, noise.curved) * noise.sigma[:, None, :]
+    f, g = jacobian(x, u), noise_gain(x, u.dt_s, noise.curved) * scan_sigmas(noise.sigma)[:, None, :]
     grown = f @ p @ np.swapaxes(f, -1, -2) + g @ np.swapaxes(g, -1, -2) + noise.errors
     return transition(x, u), symmetric(grown), f
 
@@ -84,13 +85,14 @@ def predict_unscented(
 ) -> tuple[Array, Array, Array]:
     """The unscented prediction with the noise as part of the state (S4 section II-E), and F for the bounds of biases.
 
-    The state has STATES + 4 dimensions. Errors of sensors change linearly, so their noise is added afterwards.
+    The noises of :func:`noise_gain` extend the state. Errors of sensors change linearly, so their noise is added afterwards.
     """
-    moving = STATES + noise.sigma.shape[-1]
+    sigma = scan_sigmas(noise.sigma)
+    moving = STATES + sigma.shape[-1]
     scale, mean_weight, covariance_weight = (weights or SigmaWeights()).of(moving)
     points = sigma_points(x, p, scale)
     spread = points[..., 1:, :]
-    of_noise = np.sqrt(scale) * noise.sigma
+    of_noise = np.sqrt(scale) * sigma
     inner = MotionInput(
         u.dt_s, u.turn_rad[..., None], u.acceleration_mps2[..., None], u.accelerated, u.gnss_decay, u.compass_decay
     )

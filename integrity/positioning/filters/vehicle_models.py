@@ -21,7 +21,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["NOISES", "STATES", "MotionInput", "S", "jacobian", "noise_gain", "transition"]
+__all__ = ["NOISES", "STATES", "MotionInput", "S", "jacobian", "noise_gain", "scan_sigmas", "transition"]
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,8 @@ class S(IntEnum):
 
 
 STATES = len(S)
-NOISES = 4
+NOISES = 4  # of S4 eq 2
+REST = 1.0 / np.sqrt(12.0)  # integral of white noise over a scan that is independent of its mean: sqrt(1/3 - 1/4)
 
 
 @dataclass(frozen=True)
@@ -114,12 +115,19 @@ def jacobian(x: Array, u: MotionInput) -> Array:
 
 
 def noise_gain(x: Array, dt_s: float, curved: NDArray[np.bool_]) -> Array:
-    """``G(x)`` of S4 eq 2 (..., STATES, NOISES); ``curved`` (r,) by model along the last axis but one of x."""
+    """``G(x)`` (..., STATES, NOISES + 3); ``curved`` (r,) by model along the last axis but one of x.
+
+    The first columns are those of S4 eq 2, accelerations that are constant over a scan. They leave heading and yaw rate
+    with one noise for two states: a filter that measures the heading precisely would find each acceleration exactly,
+    and would swing about a yaw rate that has stepped (the zero of the sampled model lies at -1). White accelerations
+    move the angle, the position and the slip by an independent part of ``T^2 / sqrt(12)`` beside: the last columns, for
+    yaw acceleration, acceleration and slip acceleration.
+    """
     t, half = dt_s, 0.5 * dt_s * dt_s
     course = x[..., S.HEADING] + x[..., S.SLIP] + x[..., S.SLIDE]
     s, c, speed = np.sin(course), np.cos(course), x[..., S.SPEED]
     bend = np.broadcast_to(curved, course.shape)
-    g = np.zeros((*x.shape, NOISES))
+    g = np.zeros((*x.shape, NOISES + 3))
     g[..., S.HEADING, 0], g[..., S.YAW_RATE, 0] = half, t
     g[..., S.EAST, 1], g[..., S.NORTH, 1], g[..., S.SPEED, 1] = half * s, half * c, t
     g[..., S.SLIP, 2], g[..., S.SLIP_RATE, 2] = np.where(bend, half, t), np.where(bend, t, 0.0)
@@ -127,6 +135,10 @@ def noise_gain(x: Array, dt_s: float, curved: NDArray[np.bool_]) -> Array:
     g[..., S.EAST, 2] = np.where(bend, 0.0, half * speed * c)  # a change of the slip turns the velocity
     g[..., S.NORTH, 2] = np.where(bend, 0.0, -half * speed * s)
     g[..., S.EAST, 3], g[..., S.NORTH, 3] = half * speed * c, -half * speed * s
+    rest = REST * t * t
+    g[..., S.HEADING, NOISES] = rest
+    g[..., S.EAST, NOISES + 1], g[..., S.NORTH, NOISES + 1] = rest * s, rest * c
+    g[..., S.SLIP, NOISES + 2] = np.where(bend, rest, 0.0)
     return g
 
 
@@ -136,3 +148,8 @@ def _displacement(x: Array, u: MotionInput) -> tuple[Array, Array, Array]:
     a = u.acceleration_mps2 - x[..., S.ACCEL_BIAS] if u.accelerated else np.zeros_like(speed)
     rate = x[..., S.YAW_RATE] + x[..., S.SLIP_RATE]
     return t * speed + 0.5 * t * t * a, 0.5 * t * t * speed * rate, a
+
+
+def scan_sigmas(sigma: Array) -> Array:
+    """1-sigma of the noises over a scan in the columns of :func:`noise_gain`.  (..., NOISES) -> (..., NOISES + 3)."""
+    return np.concatenate([sigma, sigma[..., :3]], -1)

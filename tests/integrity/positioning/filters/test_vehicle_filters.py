@@ -18,6 +18,7 @@ from lanebound.integrity.positioning.filters.vehicle_models import (
     S,
     jacobian,
     noise_gain,
+    scan_sigmas,
     transition,
 )
 
@@ -53,7 +54,7 @@ def test_noise_gain_is_the_motion_under_a_constant_acceleration():
     """A yaw acceleration, an acceleration, a slip acceleration over a scan, against the integral of the motion."""
     x, dt, steps = np.zeros((1, STATES)), 0.1, 20_000
     x[0, [S.HEADING, S.SPEED, S.SLIP]] = 0.4, 12.0, 0.05
-    push = np.array([0.02, 0.5, 0.01, 0.0])  # small, so that the gain is linear
+    push = np.array([0.02, 0.5, 0.01, 0.0, 0.0, 0.0, 0.0])  # small, so that the gain is linear
     pushed = transition(x, motion(False)) + (noise_gain(x, dt, np.array([True])) @ push[:, None])[..., 0]
     t = (np.arange(steps) + 0.5) * dt / steps
     course = 0.45 + 0.5 * push[0] * t**2 + 0.5 * push[2] * t**2
@@ -149,7 +150,7 @@ def simulate(predict, vehicles=400, epochs=60, seed=11):
     for _ in range(epochs):
         u = MotionInput(0.1, np.zeros(1), np.zeros(1), accelerated=False)
         g = noise_gain(truth, 0.1, noise.curved)
-        truth = transition(truth, u) + (g @ (sigma * rng.standard_normal((*shape, NOISES)))[..., None])[..., 0]
+        truth = transition(truth, u) + (g @ (scan_sigmas(sigma) * rng.standard_normal((*shape, NOISES + 3)))[..., None])[..., 0]
         truth[..., S.GYRO_ANGLE] += 1e-3 * rng.standard_normal(shape)
         x, p, _ = predict(x, p, u, noise)
         z = (h @ truth[..., None])[..., 0] + np.sqrt(np.diag(r)) * rng.standard_normal((*shape, 3))
