@@ -12,11 +12,12 @@ from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
 from lanebound.integrity.positioning.filters.code_position import CodePosition
 from lanebound.integrity.positioning.filters.vehicle_models import STATES, S
 
-__all__ = ["BIASES", "FilterBelief", "begin_at", "blank_belief", "give_heading", "take_slow_error"]
+__all__ = ["BIASES", "COMMON", "FilterBelief", "begin_at", "blank_belief", "give_heading", "slow_columns", "take_slow_error"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 BIASES = 4  # bounded constant errors: GNSS East, GNSS North, course, speed
+COMMON = 2  # slow errors common to all satellites: ionosphere, troposphere
 POSE = [S.EAST, S.NORTH, S.GNSS_EAST, S.GNSS_NORTH]
 EPS_RAD2 = 1e-10  # keeps the covariance of heading and integrated gyro regular
 
@@ -28,7 +29,8 @@ class FilterBelief:
     Attributes
     ----------
     x, p : (B, r, STATES), (B, r, STATES, STATES); probability (B, r)
-    influence : (B, r, STATES, BIASES) change of the state per unit of each constant error
+    influence : (B, r, STATES, BIASES + COMMON + S) change of the state per unit of each bounded constant error, and
+        per sigma of each slow error, common ones and those of the S satellites
     turned_rad : (B,) integrated gyro
     known, aligned : (B,) a position has been begun with; the heading is given
     biased : (B,) the slow error of GNSS positions has its prior
@@ -65,7 +67,7 @@ def blank_belief(config: FilterConfig, batch: int, satellites: int) -> FilterBel
         x=np.zeros((batch, models, STATES)),
         p=p,
         probability=np.full((batch, models), 1.0 / models),
-        influence=np.zeros((batch, models, STATES, BIASES)),
+        influence=np.zeros((batch, models, STATES, BIASES + COMMON + satellites)),
         turned_rad=np.zeros(batch),
         known=np.zeros(batch, np.bool_),
         aligned=np.zeros(batch, np.bool_),
@@ -173,3 +175,9 @@ def _turn_error(b: FilterBelief, k: NDArray[np.int64], a: Array, gained_m2: Arra
     influence = b.influence[k]
     influence[..., place, :] = a @ influence[..., place, :]
     b.influence[k] = influence
+
+
+def slow_columns(fix: CodePosition) -> Array:
+    """Change of the position E, N per sigma of each slow error, (B, 2, COMMON + S) [m]."""
+    own = fix.gain * np.sqrt(fix.own_m2)[..., None]
+    return np.concatenate([fix.common_m, np.swapaxes(own, -1, -2)], -1)

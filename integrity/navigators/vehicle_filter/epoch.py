@@ -36,8 +36,8 @@ class Observation:
 
     name; z (B, m); design (m, STATES); covariance (B, m, m) with which the state is corrected, and ``single`` (B, m, m)
     of one vector by itself, with which it is tested: smaller, where errors last and so bring less than they seem to;
-    there (B,): it exists; threshold of the NIS, None: not tested; bias (m, BIASES): which constant errors it has;
-    angular: z is an angle.
+    there (B,): it exists; threshold of the NIS, None: not tested; bias (m, BIASES): which bounded errors it has;
+    slow (B, m, COMMON + S): change per sigma of the slow errors; angular: z is an angle.
     """
 
     name: str
@@ -48,6 +48,7 @@ class Observation:
     there: Bools
     threshold: float | None = None
     bias: Array | None = None
+    slow: Array | None = None
     angular: bool = False
 
 
@@ -142,8 +143,12 @@ def observe(b: FilterBelief, seen: Observation, likelihood: Array, gated: bool) 
     found = innovate(b.x, b.p, z, seen.design, seen.covariance[:, None])
     b.x, b.p, gain = correct(b.x, b.p, seen.design, found, used[:, None])
     likelihood += np.where(used[:, None], found.log_likelihood, 0.0)
-    brought = np.zeros((z.shape[-1], BIASES)) if seen.bias is None else seen.bias
-    b.influence = b.influence + gain @ (brought - seen.design @ b.influence)
+    brought = -(seen.design @ b.influence)
+    if seen.bias is not None:
+        brought[..., :BIASES] += seen.bias
+    if seen.slow is not None:
+        brought[..., BIASES:] += seen.slow[:, None]
+    b.influence = b.influence + gain @ brought
     return Outcome(np.where(seen.there, best, 0.0), used, seen.there & ~passed)
 
 

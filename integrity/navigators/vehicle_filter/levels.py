@@ -1,7 +1,11 @@
 """Protection levels from the covariance of a filter, and S4's horizontal trust level.
 
 Exact: ``PL_q = Qinv(P_HMI,q / 2) sigma_q + B_q``, with the standard deviation along or across the heading and a bound
-``B_q = sum_j |t_q' influence_j| b_j`` of what constant errors b_j have done to the position through all gains.
+``B_q = sum_j |t_q' influence_j| b_j`` of what constant errors b_j have done to the position through all gains. The
+variance is that of the filter plus that of the slow errors of satellites through all gains, ``sum_s (t_q' influence_s)^2``.
+The filter takes the slow error of positions for a Markov process, and so believes that a position by other satellites
+brings new errors; where two sets of satellites take turns in a street, they bring the same two errors again and again,
+and the filter averages what does not average. That both parts are added counts slow errors twice, on the safe side.
 Published: the horizontal trust level ``HTL = 6 sqrt(lambda_max(P_xy))`` on both axes, at whatever risk (S4 section
 II-F). S4 takes it for the circle that holds all but 1e-7; six sigma on the longer axis of a normal law in the plane hold
 all but exp(-18) = 1.5e-8 if the covariance is right.
@@ -19,7 +23,7 @@ from lanebound.integrity.monitoring.risk import RiskConfig, Variant, upper_quant
 from lanebound.integrity.monitoring.sbas import semi_major_m
 from lanebound.integrity.navigators.navigator import PlCase
 
-__all__ = ["HTL_SIGMAS", "covariance_levels", "horizontal_trust_level"]
+__all__ = ["HTL_SIGMAS", "covariance_levels", "horizontal_trust_level", "with_slow_errors"]
 
 Array = NDArray[np.float64]
 HTL_SIGMAS = 6.0  # S4 section II-F
@@ -47,3 +51,9 @@ def covariance_levels(
     trust = np.broadcast_to(horizontal_trust_level(covariance_m2)[:, None, None], exact.shape)
     published = np.array([case.variant is Variant.PUBLISHED for case in cases])
     return np.where(published[None, :, None], trust, exact), sigma
+
+
+def with_slow_errors(covariance_m2: Array, slow_m: Array) -> Array:
+    """Covariance (B, 2, 2) of the filter with that of slow errors, of which each moves the position by slow_m (B, 2, J)
+    per sigma."""
+    return covariance_m2 + slow_m @ np.swapaxes(slow_m, -1, -2)

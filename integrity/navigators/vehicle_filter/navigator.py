@@ -16,14 +16,20 @@ from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.navigators.vehicle_filter import epoch as steps
 from lanebound.integrity.navigators.vehicle_filter import observations as seen
 from lanebound.integrity.navigators.vehicle_filter.belief import (
+    BIASES,
     FilterBelief,
     begin_at,
     blank_belief,
     give_heading,
+    slow_columns,
     take_slow_error,
 )
 from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
-from lanebound.integrity.navigators.vehicle_filter.levels import covariance_levels, horizontal_trust_level
+from lanebound.integrity.navigators.vehicle_filter.levels import (
+    covariance_levels,
+    horizontal_trust_level,
+    with_slow_errors,
+)
 from lanebound.integrity.positioning.filters.code_position import CodePosition, locate_by_codes
 from lanebound.integrity.positioning.filters.multiple_models import combine
 from lanebound.integrity.positioning.filters.vehicle_models import MotionInput, S
@@ -195,6 +201,7 @@ class FilterNavigator(Navigator):
         take_slow_error(b, fix, starting, self.config.position.slow_tau_s)
         b.p[k, :, :2, S.GNSS_EAST :] = -fix.slow_m2[k][:, None]
         b.p[k, :, S.GNSS_EAST :, :2] = -fix.slow_m2[k][:, None]
+        b.influence[k, :, :2, BIASES:] = slow_columns(fix)[k, None]
         b.fix_age_s[k] = b.moved_m[k] = 0.0
 
     def _report(
@@ -203,10 +210,10 @@ class FilterNavigator(Navigator):
         """Levels, alert and the solution; where no pose is known, the code position without levels."""
         c = self.config
         x, p = combine(b.x, b.p, b.probability)
-        covariance = p[:, :2, :2]
-        influence = (b.probability[..., None, None] * b.influence).sum(1)[:, :2]
+        influence = (b.probability[..., None, None] * b.influence[:, :, :2]).sum(1)
+        covariance = with_slow_errors(p[:, :2, :2], influence[..., BIASES:])
         heading = np.asarray(wrap_angle(x[:, S.HEADING]))
-        levels, sigma = covariance_levels(c.cases, c.risk, covariance, influence, self._bounds, heading)
+        levels, sigma = covariance_levels(c.cases, c.risk, covariance, influence[..., :BIASES], self._bounds, heading)
         known = b.known & b.aligned
         levels = np.where(known[:, None, None], levels, np.inf)
         cause = np.where(lost, AlertReason.INTEGRITY_TEST_FAILED.code, AlertReason.NONE.code)
@@ -222,14 +229,14 @@ class FilterNavigator(Navigator):
         velocity = x[:, S.SPEED, None] * np.stack([np.sin(course), np.cos(course)], -1)
         hpl = Operation.EN_ROUTE.value[0] * semi_major_m(*self._gnss_variances(fix))
         self.report = FilterReport(
-            htl_m=np.where(known, horizontal_trust_level(covariance), np.inf),
+            htl_m=np.where(known, horizontal_trust_level(p[:, :2, :2]), np.inf),
             hpl_sbas_m=np.where(fix.valid, hpl, np.inf), probability=b.probability.copy(), nis=nis, gnss_used=used,
             gnss_rejected=rejected,
         )  # fmt: skip
         position = np.where(known[:, None], x[:, :2], fix.position_m[:, :2])
         return replace(
             Solution.blank(m, len(c.cases)), position_en_m=position, heading_rad=heading, velocity_en_mps=velocity,
-            covariance_en_m2=covariance.copy(), sigma_at_m=sigma[:, 0], sigma_ct_m=sigma[:, 1],
+            covariance_en_m2=covariance, sigma_at_m=sigma[:, 0], sigma_ct_m=sigma[:, 1],
             pl_at_m=levels[:, 0, 0], pl_ct_m=levels[:, 0, 1], pl_cases_m=levels, mode=mode, alert=status.alert,
             available=status.available, reason=status.reason, hdop=fix.hdop, satellites=fix.satellites,
             excluded=fix.excluded + rejected,

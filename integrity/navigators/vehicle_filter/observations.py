@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.navigators.vehicle_filter.belief import BIASES, FilterBelief
+from lanebound.integrity.navigators.vehicle_filter.belief import BIASES, FilterBelief, slow_columns
 from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
 from lanebound.integrity.navigators.vehicle_filter.epoch import Observation, correlation_factor, gates
 from lanebound.integrity.positioning.filters.code_position import CodePosition
@@ -183,4 +183,6 @@ def gnss_position(config: FilterConfig, fix: CodePosition, heading_rad: Array, n
         h = design({S.EAST: 1.0}, {S.NORTH: 1.0})
         single = single + fix.slow_m2
         r = single
-    return Observation("gnss", fix.position_m[:, :2] - lever, h, r, single, now, gates(config, 2, gnss=True), bias)
+    slow = slow_columns(fix) if config.sensor_errors else None
+    z, threshold = fix.position_m[:, :2] - lever, gates(config, 2, gnss=True)
+    return Observation("gnss", z, h, r, single, now, threshold, bias, slow)
