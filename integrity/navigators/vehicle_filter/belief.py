@@ -37,6 +37,8 @@ class FilterBelief:
     gain, own_m2, common_m : of the last position used, :class:`CodePosition`; fix_age_s (B,) its age, inf before
     moved_m : (B,) distance driven since then
     rejected_s : (B, 2) how long GNSS positions and motion have been rejected throughout
+    doubt_m, doubt_s : (B,) distance to the positions that the filter has been moved to after it rejected them for long,
+        which the levels hold, and how much longer [s]
     alert : of the levels
     """
 
@@ -54,6 +56,8 @@ class FilterBelief:
     fix_age_s: Array
     moved_m: Array
     rejected_s: Array
+    doubt_m: Array
+    doubt_s: Array
     alert: AlertState
 
 
@@ -78,6 +82,8 @@ def blank_belief(config: FilterConfig, batch: int, satellites: int) -> FilterBel
         fix_age_s=np.full(batch, np.inf),
         moved_m=np.full(batch, np.inf),
         rejected_s=np.zeros((batch, 2)),
+        doubt_m=np.zeros(batch),
+        doubt_s=np.zeros(batch),
         alert=AlertState.initial(batch),
     )
 
@@ -134,7 +140,7 @@ def begin_at(b: FilterBelief, rows: NDArray[np.int64] | slice, position_m: Array
     b.influence[rows, :, :2] = b.influence[rows, :, S.GNSS_EAST :] = 0.0
     b.known[rows], b.biased[rows] = True, False
     b.fix_age_s[rows] = b.moved_m[rows] = np.inf
-    b.rejected_s[rows] = 0.0
+    b.rejected_s[rows] = b.doubt_m[rows] = b.doubt_s[rows] = 0.0
 
 
 def take_slow_error(b: FilterBelief, fix: CodePosition, now: Bools, slow_tau_s: float) -> None:

@@ -42,6 +42,9 @@ class GateConfig(Config):
         description="after this long without an accepted position though there are positions, the filter doubts itself: "
         "it takes the innovation into its covariance [s]; chosen",
     )
+    doubt_s: float = Field(
+        60.0, ge=0, description="and its levels hold the distance this long [s]; either side may be wrong; chosen"
+    )
 
 
 class GnssUpdateConfig(Config):

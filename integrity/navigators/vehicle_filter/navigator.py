@@ -117,10 +117,7 @@ class FilterNavigator(Navigator):
         if c.motion.accelerometer == "observation":
             x, p = combine(b.x, b.p, b.probability)
             printed = seen.printed_inertial(c, x, p, (b.probability * a).sum(-1))
-        deviation_decay = 1.0  # the compass's own error is constant
-        u = MotionInput(
-            c.dt_s, turn[:, None], a, c.motion.accelerometer == "input", compass_decay=deviation_decay
-        )
+        u = MotionInput(c.dt_s, turn[:, None], a, c.motion.accelerometer == "input")
         predicted = steps.advance(b, c, self._noise, u)
         if printed is not None:
             steps.observe(b, printed, likelihood, c.gate.enabled)
@@ -171,6 +168,8 @@ class FilterNavigator(Navigator):
         k = np.flatnonzero(lost)
         apart = observation.z[k, None] - b.x[k] @ observation.design.T
         b.p[k, :, :2, :2] += apart[..., :, None] * apart[..., None, :] + np.eye(2)
+        b.doubt_m[k] = np.maximum(b.doubt_m[k], np.linalg.norm(apart, axis=-1).max(-1))
+        b.doubt_s[k] = self.config.gate.doubt_s
 
     def _begin(self, b: FilterBelief, m: Measurements, fix: CodePosition) -> None:
         """Vehicles without a pose begin at a position from codes, with the heading of compass or Doppler velocity."""
@@ -191,7 +190,7 @@ class FilterNavigator(Navigator):
         starting = b.aligned & ~b.known & fix.valid
         if starting.any():
             k = np.flatnonzero(starting)
-            begin_at(b, k, fix.position_m[k, :2], 1.0 * (fix.fast_m2[k] + fix.slow_m2[k]))
+            begin_at(b, k, fix.position_m[k, :2], fix.fast_m2[k] + fix.slow_m2[k])
             self._share_slow_error(b, fix, starting, k)
 
     def _share_slow_error(self, b: FilterBelief, fix: CodePosition, starting: Bools, k: Rows) -> None:
@@ -215,6 +214,9 @@ class FilterNavigator(Navigator):
         heading = np.asarray(wrap_angle(x[:, S.HEADING]))
         levels, sigma = covariance_levels(c.cases, c.risk, covariance, influence[..., :BIASES], self._bounds, heading)
         known = b.known & b.aligned
+        levels = levels + b.doubt_m[:, None, None]
+        b.doubt_s = np.maximum(b.doubt_s - c.dt_s, 0.0)
+        b.doubt_m = np.where(b.doubt_s > 0.0, b.doubt_m, 0.0)
         levels = np.where(known[:, None, None], levels, np.inf)
         cause = np.where(lost, AlertReason.INTEGRITY_TEST_FAILED.code, AlertReason.NONE.code)
         cause = np.where(known, cause, AlertReason.INITIALISING.code)
