@@ -1,4 +1,4 @@
-"""Figures of S4's trials: paths, errors with bands over seeds, model probabilities, trust levels (S4 figures 7 to 21)."""
+"""Figures of S4's trials: paths, errors over seeds, model probabilities, trust levels (S4 figures 7 to 21)."""
 
 from __future__ import annotations
 
@@ -57,7 +57,9 @@ def _path(axes: Axes, series: Mapping[str, Any]) -> None:
     """The first drive on the map (S4 figures 7 to 10, 17 and 20)."""
     for name, points in series["path"].items():
         east, north = np.array(points).T
-        style = {"color": INK, "lw": 2.5, "alpha": 0.35} if name == "truth" else {"color": COLOURS.get(name, INK), "lw": 1}
+        style: dict[str, Any] = {"color": COLOURS.get(name, INK), "lw": 1}
+        if name == "truth":
+            style = {"color": INK, "lw": 2.5, "alpha": 0.35}
         axes.plot(east, north, label=name, **style)
     axes.set_aspect("equal")
     axes.set_xlabel("East [m]")

@@ -29,7 +29,6 @@ __all__ = ["FiltersConfig", "run_filters", "table_rows"]
 Array = NDArray[np.float64]
 PACKAGES = ("lanebound.integrity", "lanebound.agents.reproduce")
 EVERY = 10  # epochs between the moments kept for figures
-HEADING_SIGMA_DEG = 2.0  # of the start, MTi's dynamic accuracy
 
 
 class FiltersConfig(Config):
@@ -82,7 +81,7 @@ class _Trial:
         self.state = self.car.start(self.traffic)
         drawn = np.stack([named_generator(seed, "start").standard_normal(4) for seed in seeds])
         self.azimuth_rad = np.pi * np.tanh(drawn[:, 3])
-        sigma = np.deg2rad(HEADING_SIGMA_DEG)
+        sigma = np.deg2rad(scenario.heading_deg)
         start = self.state.position_m + scenario.start_sigma_m * drawn[:, :2]
         heading = self.state.heading_rad + sigma * drawn[:, 2]
         for navigator in built.values():
@@ -122,7 +121,9 @@ class _Trial:
             self.path["truth"].append(position[0].tolist())
         last = list(self.navigators.values())[-1].report
         if last is not None:
-            self.curved.append(last.probability[:, -1] if last.probability.shape[1] > 1 else np.zeros(position.shape[0]))
+            self.curved.append(
+                last.probability[:, -1] if last.probability.shape[1] > 1 else np.zeros(position.shape[0])
+            )
         self.quality.append(not any(low <= time_s < high for low, high in self.scenario.outages_s))
 
     def _count(self, time_s: float) -> None:
@@ -199,7 +200,7 @@ def _spread(values: Array) -> list[float]:
 
 def table_rows(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Rows: scenario, figure, paper, ours with 5 and 95 %."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for number, found in result["scenarios"].items():
         for key, value in found["figures"].items():
             stated = found["paper"].get(key)

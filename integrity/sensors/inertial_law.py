@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -73,7 +74,7 @@ def fit_inertial_law(time_s: ArrayLike, acceleration_mps2: ArrayLike) -> Inertia
         left = a - InertialErrorLaw(unit * p[0], unit * p[1], span * np.exp(p[2])).error_mps2(t)
         return float(np.mean(np.square(left))) / unit**2
 
-    options = {"xatol": 1e-10, "fatol": 1e-18, "maxiter": 20_000, "maxfev": 20_000}
+    options: Any = {"xatol": 1e-10, "fatol": 1e-18, "maxiter": 20_000, "maxfev": 20_000}
     starts = (np.array([(last - first) / unit, first / unit, np.log(share)]) for share in (0.1, 0.5, 2.0))
     best = min((minimize(squared, start, method="Nelder-Mead", options=options) for start in starts),
                key=lambda found: float(found.fun))  # fmt: skip

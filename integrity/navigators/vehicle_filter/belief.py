@@ -12,7 +12,16 @@ from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
 from lanebound.integrity.positioning.filters.code_position import CodePosition
 from lanebound.integrity.positioning.filters.vehicle_models import STATES, S
 
-__all__ = ["BIASES", "COMMON", "FilterBelief", "begin_at", "blank_belief", "give_heading", "slow_columns", "take_slow_error"]
+__all__ = [
+    "BIASES",
+    "COMMON",
+    "FilterBelief",
+    "begin_at",
+    "blank_belief",
+    "give_heading",
+    "slow_columns",
+    "take_slow_error",
+]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -110,7 +119,9 @@ def initial_sigmas(config: FilterConfig) -> dict[S, float]:
     return found
 
 
-def give_heading(b: FilterBelief, rows: NDArray[np.int64] | slice, heading_rad: Array, sigma_rad: Array | float) -> None:
+def give_heading(
+    b: FilterBelief, rows: NDArray[np.int64] | slice, heading_rad: Array, sigma_rad: Array | float
+) -> None:
     """Set the heading (n,) of vehicles and its 1-sigma; the gyro's integral begins anew, its bias stays."""
     for place in (S.HEADING, S.GYRO_ANGLE):
         b.p[rows, :, place, :] = 0.0

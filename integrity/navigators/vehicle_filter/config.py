@@ -14,7 +14,15 @@ from lanebound.integrity.positioning.filters.multiple_models import TRANSITION, 
 from lanebound.integrity.positioning.filters.prediction import Predictor
 from lanebound.integrity.sensors.gnss import GnssConfig
 
-__all__ = ["FilterConfig", "GateConfig", "GnssUpdateConfig", "ModelNoise", "MotionUpdateConfig"]
+__all__ = [
+    "CurvedNoise",
+    "FilterConfig",
+    "GateConfig",
+    "GnssUpdateConfig",
+    "ModelNoise",
+    "MotionUpdateConfig",
+    "StraightNoise",
+]
 
 Share = Annotated[float, Field(ge=0, le=1)]
 
@@ -28,6 +36,31 @@ class ModelNoise(Config):
     slide: float = Field(ge=0, description="rate of the slide correction [rad/s/sqrt(Hz)]")
 
 
+class StraightNoise(ModelNoise):
+    """Straight and mild ways."""
+
+    yaw_acceleration: float = Field(
+        0.3,
+        ge=0,
+        description="yaw acceleration [rad/s^2/sqrt(Hz)]; 0.9 rad/s^2 over 0.1 s; chosen so that the levels of this "
+        "model alone hold in turns of 10 m radius, where 0.1 breaks them",
+    )
+    acceleration: float = Field(0.3, ge=0, description="acceleration without accelerometer [m/s^2/sqrt(Hz)]; chosen")
+    slip: float = Field(0.01, ge=0, description="slip rate [rad/s/sqrt(Hz)]; chosen")
+    slide: float = Field(1e-4, ge=0, description="rate of the slide correction [rad/s/sqrt(Hz)]; chosen")
+
+
+class CurvedNoise(ModelNoise):
+    """Sharp turns."""
+
+    yaw_acceleration: float = Field(
+        1.0, ge=0, description="yaw acceleration [rad/s^2/sqrt(Hz)]; 3 rad/s^2 over 0.1 s, a turn at a junction; chosen"
+    )
+    acceleration: float = Field(1.0, ge=0, description="acceleration without accelerometer [m/s^2/sqrt(Hz)]; chosen")
+    slip: float = Field(0.3, ge=0, description="slip acceleration [rad/s^2/sqrt(Hz)]; chosen")
+    slide: float = Field(1e-4, ge=0, description="rate of the slide correction [rad/s/sqrt(Hz)]; chosen")
+
+
 class GateConfig(Config):
     """The test of innovations, one sensor vector at a time (S4 eq 8)."""
 
@@ -39,8 +72,8 @@ class GateConfig(Config):
     lost_s: float = Field(
         20.0,
         gt=0,
-        description="after this long without an accepted position though there are positions, the filter doubts itself: "
-        "it takes the innovation into its covariance [s]; chosen",
+        description="after this long without an accepted position though there are positions, the filter doubts "
+        "itself: it takes the innovation into its covariance [s]; chosen",
     )
     doubt_s: float = Field(
         60.0, ge=0, description="and its levels hold the distance this long [s]; either side may be wrong; chosen"
@@ -78,7 +111,9 @@ class MotionUpdateConfig(Config):
     accelerometer_bias_mps2: float = Field(
         0.08, ge=0, description="1-sigma of its bias [m/s^2]; BMI088 5 mg after calibration, and S4's warm-up"
     )
-    accelerometer_walk: float = Field(1e-3, ge=0, description="random walk of that bias [m/s^2/sqrt(s)]; slopes, chosen")
+    accelerometer_walk: float = Field(
+        1e-3, ge=0, description="random walk of that bias [m/s^2/sqrt(s)]; slopes, chosen"
+    )
     wheel_scale: float = Field(0.0035, ge=0, description="1-sigma of the scale of the wheels [-]; 0.3 % tyre wear")
     speed_sigma_mps: float = Field(0.06, gt=0, description="speed by the wheels, 1 sigma [m/s]; S1 section 4: 0.05")
     speed_tau_s: float = Field(0.2, ge=0, description="correlation time of its error [s]; slip, pulses")
@@ -106,14 +141,8 @@ class FilterConfig(NavigatorConfig):
     transition: tuple[tuple[Share, Share], tuple[Share, Share]] = Field(
         TRANSITION, description="P(model after | model before) at each epoch [-]; S4 eq 9"
     )
-    straight: ModelNoise = Field(
-        ModelNoise(yaw_acceleration=0.03, acceleration=0.3, slip=0.01, slide=1e-4),
-        description="noise of the straight model; chosen: bends of motorways, 0.1 rad/s^2 over 0.1 s",
-    )
-    curved: ModelNoise = Field(
-        ModelNoise(yaw_acceleration=0.3, acceleration=1.0, slip=0.3, slide=1e-4),
-        description="noise of the curved model; chosen: turns at junctions, 1 rad/s^2 over 0.1 s",
-    )
+    straight: StraightNoise = Field(StraightNoise(), description="noise of the straight model")
+    curved: CurvedNoise = Field(CurvedNoise(), description="noise of the curved model")
     gate: GateConfig = GateConfig()
     position: GnssUpdateConfig = GnssUpdateConfig()
     motion: MotionUpdateConfig = MotionUpdateConfig()

@@ -163,7 +163,7 @@ class FilterNavigator(Navigator):
         nis[:, GNSS] = outcome.nis
         return outcome.used, outcome.rejected, lost
 
-    def _doubt(self, b: FilterBelief, observation: seen.Observation, lost: Bools) -> None:
+    def _doubt(self, b: FilterBelief, observation: steps.Observation, lost: Bools) -> None:
         """Take the innovation into the covariance of the position: either it or the filter is wrong by that much."""
         k = np.flatnonzero(lost)
         apart = observation.z[k, None] - b.x[k] @ observation.design.T
@@ -180,7 +180,9 @@ class FilterNavigator(Navigator):
         moving = fix.valid & (speed > COURSE_MPS) & (m.odometer.speed_mps > 0.5 * COURSE_MPS) & ~b.aligned
         if moving.any():
             k = np.flatnonzero(moving)
-            sigma_v = self.config.positioning.doppler.sigma_mps * np.sqrt(np.trace(fix.velocity_m2[k], axis1=1, axis2=2))
+            sigma_v = self.config.positioning.doppler.sigma_mps * np.sqrt(
+                np.trace(fix.velocity_m2[k], axis1=1, axis2=2)
+            )
             give_heading(b, k, course[k], 3.0 * sigma_v / speed[k] + np.deg2rad(0.5))
         if m.compass is not None and not b.aligned.all():
             k = np.flatnonzero(~b.aligned)

@@ -43,7 +43,7 @@ def innovate(x: Array, p: Array, z: Array, h: Array, r: Array) -> Innovation:
     """The innovation of observations z (..., m) with design h (..., m, n) and covariance r (..., m, m)."""
     residual = z - (h @ x[..., None])[..., 0]
     s = h @ p @ np.swapaxes(h, -1, -2) + r
-    return Innovation(residual, s, np.linalg.inv(s))
+    return Innovation(residual, s, np.asarray(np.linalg.inv(s), dtype=np.float64))
 
 
 def correct(

@@ -150,7 +150,10 @@ def simulate(predict, vehicles=400, epochs=60, seed=11):
     for _ in range(epochs):
         u = MotionInput(0.1, np.zeros(1), np.zeros(1), accelerated=False)
         g = noise_gain(truth, 0.1, noise.curved)
-        truth = transition(truth, u) + (g @ (scan_sigmas(sigma) * rng.standard_normal((*shape, NOISES + 3)))[..., None])[..., 0]
+        truth = (
+            transition(truth, u)
+            + (g @ (scan_sigmas(sigma) * rng.standard_normal((*shape, NOISES + 3)))[..., None])[..., 0]
+        )
         truth[..., S.GYRO_ANGLE] += 1e-3 * rng.standard_normal(shape)
         x, p, _ = predict(x, p, u, noise)
         z = (h @ truth[..., None])[..., 0] + np.sqrt(np.diag(r)) * rng.standard_normal((*shape, 3))
