@@ -1,8 +1,8 @@
 """Sensors of the chassis: the steering angle of the front left wheel and the speeds of the four wheels (ABS).
 
 S4's odometry takes them in place of one distance counter. A wheel at an offset (x forward, y to the right) from the
-reference point of a body that moves with (u, w) forward and to the right, and turns with r clockwise, moves with ``u - r
-y`` and ``w + r x``. It rolls in that direction and does not slip sideways; the rear axle lies ``axle_m`` behind the
+reference point of a body that moves with (u, w) forward and to the right, and turns with r clockwise, moves with
+``u - r y`` and ``w + r x``. It rolls in that direction and does not slip sideways; the rear axle lies ``axle_m`` behind the
 reference point. Motion is taken at the end of the epoch, the yaw rate as the mean over the epoch.
 """
 

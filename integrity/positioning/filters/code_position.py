@@ -72,8 +72,9 @@ class CodePosition:
     """Position of the antenna of B vehicles by one epoch of codes.
 
     position_m (B, 3) E, N, U; velocity_mps (B, 2) E, N; fast_m2, slow_m2, velocity_m2 (B, 2, 2) covariances E, N;
-    valid (B,); satellites, excluded (B,); hdop (B,), inf where not solved. gain (B, S, 2): change of E, N per error of a
-    satellite's code; own_m2 (B, S) variance of its own slow error; common_m (B, 2, 2): E, N by each common slow error.
+    valid (B,); satellites, excluded (B,); hdop (B,), inf where not solved. gain (B, S, 2): change of E, N per error of
+    a satellite's code; own_m2 (B, S) variance of its own slow error; common_m (B, 2, 2): E, N by each common slow
+    error.
     """
 
     position_m: Array
@@ -93,7 +94,8 @@ class CodePosition:
 @dataclass(frozen=True)
 class _Rows:
     """Signals of B vehicles in K places: satellite (B, K) of S, line of sight (B, K, 3), clock (B, K), code, rate
-    (B, K), used (B, K), variance fast and slow of each satellite's own (B, K), and slow effects common to all (B, K, 2), all [m]."""
+    (B, K), used (B, K), variance fast and slow of each satellite's own (B, K), and slow effects common to all
+    (B, K, 2), all [m]."""
 
     place: NDArray[np.int64]
     satellites: int

@@ -85,7 +85,8 @@ def predict_unscented(
 ) -> tuple[Array, Array, Array]:
     """The unscented prediction with the noise as part of the state (S4 section II-E), and F for the bounds of biases.
 
-    The noises of :func:`noise_gain` extend the state. Errors of sensors change linearly, so their noise is added afterwards.
+    The noises of :func:`noise_gain` extend the state. Errors of sensors change linearly, so their noise is added
+    afterwards.
     """
     sigma = scan_sigmas(noise.sigma)
     moving = STATES + sigma.shape[-1]
