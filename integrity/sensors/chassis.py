@@ -2,8 +2,8 @@
 
 S4's odometry takes them in place of one distance counter. A wheel at an offset (x forward, y to the right) from the
 reference point of a body that moves with (u, w) forward and to the right, and turns with r clockwise, moves with
-``u - r y`` and ``w + r x``. It rolls in that direction and does not slip sideways; the rear axle lies ``axle_m`` behind the
-reference point. Motion is taken at the end of the epoch, the yaw rate as the mean over the epoch.
+``u - r y`` and ``w + r x``. It rolls in that direction and does not slip sideways; the rear axle lies ``axle_m`` behind
+the reference point. Motion is taken at the end of the epoch, the yaw rate as the mean over the epoch.
 """
 
 from __future__ import annotations
