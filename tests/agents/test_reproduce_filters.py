@@ -45,7 +45,9 @@ def test_a_static_log_is_fitted_by_the_command(tmp_path):
     done = CliRunner().invoke(app, ["fit-imu", str(log), "--json"])
     assert done.exit_code == 0, done.output
     found = json.loads(done.stdout)["forward"]
-    np.testing.assert_allclose([found["c1_mps2"], found["c2_mps2"], found["tau_s"]], [-0.0043, -0.007, 500.0], rtol=1e-3)
+    np.testing.assert_allclose(
+        [found["c1_mps2"], found["c2_mps2"], found["tau_s"]], [-0.0043, -0.007, 500.0], rtol=1e-3
+    )
     assert abs(abs(found["drift_before_m"]) - 12.9) < 0.1
     assert abs(found["drift_after_m"]) < 1e-3
     missing = CliRunner().invoke(app, ["fit-imu", str(tmp_path / "none.csv")])

@@ -38,11 +38,18 @@ def horizontal_trust_level(covariance_m2: Array) -> Array:
 
 
 def covariance_levels(
-    cases: Sequence[PlCase], risk: RiskConfig, covariance_m2: Array, influence: Array, bounds: Array, heading_rad: Array
+    cases: Sequence[PlCase],
+    risk: RiskConfig,
+    covariance_m2: Array,
+    influence: Array,
+    bounds: Array,
+    heading_rad: Array,
+    trust_m: Array,
 ) -> tuple[Array, Array]:
     """Levels (B, R, 2) along and across the heading, and the standard deviations (B, 2).
 
-    covariance_m2 (B, 2, 2) E, N; influence (B, 2, J) of constant errors with bounds (J,); heading_rad (B,).
+    covariance_m2 (B, 2, 2) E, N; influence (B, 2, J) of constant errors with bounds (J,); heading_rad (B,); trust_m
+    (B,) for published cases.
     """
     r = track_from_enu_matrix(heading_rad)
     variance = np.diagonal(r @ covariance_m2 @ np.swapaxes(r, -1, -2), axis1=-2, axis2=-1)
@@ -50,7 +57,7 @@ def covariance_levels(
     bias = np.abs(r @ influence) @ bounds
     budgets = risk.axis_budgets([case.integrity_risk for case in cases], risk.unmonitored_risk)
     exact = upper_quantile(0.5 * budgets) * sigma[:, None, :] + bias[:, None, :]
-    trust = np.broadcast_to(horizontal_trust_level(covariance_m2)[:, None, None], exact.shape)
+    trust = np.broadcast_to(trust_m[:, None, None], exact.shape)
     published = np.array([case.variant is Variant.PUBLISHED for case in cases])
     return np.where(published[None, :, None], trust, exact), sigma
 

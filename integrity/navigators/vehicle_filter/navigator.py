@@ -214,7 +214,10 @@ class FilterNavigator(Navigator):
         influence = (b.probability[..., None, None] * b.influence[:, :, :2]).sum(1)
         covariance = with_slow_errors(p[:, :2, :2], influence[..., BIASES:])
         heading = np.asarray(wrap_angle(x[:, S.HEADING]))
-        levels, sigma = covariance_levels(c.cases, c.risk, covariance, influence[..., :BIASES], self._bounds, heading)
+        trust = horizontal_trust_level(p[:, :2, :2])
+        levels, sigma = covariance_levels(
+            c.cases, c.risk, covariance, influence[..., :BIASES], self._bounds, heading, trust
+        )
         known = b.known & b.aligned
         levels = levels + b.doubt_m[:, None, None]
         b.doubt_s = np.maximum(b.doubt_s - c.dt_s, 0.0)
@@ -233,7 +236,7 @@ class FilterNavigator(Navigator):
         velocity = x[:, S.SPEED, None] * np.stack([np.sin(course), np.cos(course)], -1)
         hpl = Operation.EN_ROUTE.value[0] * semi_major_m(*self._gnss_variances(fix))
         self.report = FilterReport(
-            htl_m=np.where(known, horizontal_trust_level(p[:, :2, :2]), np.inf),
+            htl_m=np.where(known, trust, np.inf),
             hpl_sbas_m=np.where(fix.valid, hpl, np.inf), probability=b.probability.copy(), nis=nis, gnss_used=used,
             gnss_rejected=rejected,
         )  # fmt: skip

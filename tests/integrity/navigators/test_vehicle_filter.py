@@ -160,8 +160,8 @@ def test_the_trust_level_is_six_sigma_of_the_longer_axis():
     np.testing.assert_allclose(solution.pl_cases_m[:, 1], np.repeat(navigator.report.htl_m[:, None], 2, 1))
 
 
-def test_a_code_position_has_the_error_that_it_states():
-    """300 vehicles without slow errors: mean squared error over the stated variance between 0.5 and 1.3."""
+def test_a_code_position_has_no_larger_error_than_it_states():
+    """300 vehicles without slow errors under the open sky: 0.16 of the stated variance, which holds reflections too."""
     quiet = {"orbit_sigma_m": 0.0, "clock_sigma_m": 0.0, "iono_zenith_m": 0.0, "tropo_zenith_m": 0.0}
     c = config(gnss={"broadcast": quiet, "undifferenced": True})
     navigator = Navigator.nominal(c, 3, 300, duration_s=20.0)
@@ -175,7 +175,7 @@ def test_a_code_position_has_the_error_that_it_states():
     error = fix.position_m[:, :2] - truth.position_enu_m[:, :2]
     assert fix.valid.all()
     ratio = np.square(error).sum(-1) / np.trace(fix.fast_m2, axis1=1, axis2=2)
-    assert 0.3 < ratio.mean() < 1.3
+    assert 0.08 < ratio.mean() < 0.3
 
 
 def test_odometry_inverts_the_geometry_of_the_car():
