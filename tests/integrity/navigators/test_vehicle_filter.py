@@ -7,8 +7,8 @@ import pytest
 
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.streams import Streams
-from lanebound.integrity.motion.drive import CityDrive, DriveConfig
 from lanebound.integrity.monitoring.alerts import AlertReason
+from lanebound.integrity.motion.drive import CityDrive, DriveConfig
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.navigators.vehicle_filter.levels import HTL_SIGMAS, horizontal_trust_level
 from lanebound.integrity.navigators.vehicle_filter.navigator import FilterNavigator
