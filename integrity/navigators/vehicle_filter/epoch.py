@@ -24,7 +24,7 @@ from lanebound.integrity.positioning.filters.prediction import (
 )
 from lanebound.integrity.positioning.filters.vehicle_models import STATES, MotionInput, S
 
-__all__ = ["Observation", "Outcome", "advance", "conclude", "correlation_factor", "noise_of", "observe"]
+__all__ = ["Observation", "GateOutcome", "advance", "conclude", "correlation_factor", "noise_of", "observe"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -53,7 +53,7 @@ class Observation:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class GateOutcome:
     """Of one observation: NIS (B,) of the model that fits best, ``used`` and ``rejected`` (B,)."""
 
     nis: Array
@@ -125,7 +125,7 @@ def _drop_slip_rate(b: FilterBelief, curved: Bools) -> None:
         b.influence[:, k, S.SLIP_RATE] = 0.0
 
 
-def observe(b: FilterBelief, seen: Observation, likelihood: Array, gated: bool) -> Outcome:
+def observe(b: FilterBelief, seen: Observation, likelihood: Array, gated: bool) -> GateOutcome:
     """Correct all models by an observation, and add its logarithmic likelihood (B, r).
 
     A vector is rejected when it fails the gate of every model, so that the likelihoods of the models are of the same
@@ -149,7 +149,7 @@ def observe(b: FilterBelief, seen: Observation, likelihood: Array, gated: bool) 
     if seen.slow is not None:
         brought[..., BIASES:] += seen.slow[:, None]
     b.influence = b.influence + gain @ brought
-    return Outcome(np.where(seen.there, best, 0.0), used, seen.there & ~passed)
+    return GateOutcome(np.where(seen.there, best, 0.0), used, seen.there & ~passed)
 
 
 def conclude(b: FilterBelief, predicted: Array, likelihood: Array) -> None:

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.sensors.chassis import ChassisConfig
 
-__all__ = ["Odometry", "from_front_wheel", "rolling_slip"]
+__all__ = ["WheelOdometry", "from_front_wheel", "rolling_slip"]
 
 Array = NDArray[np.float64]
 SLOWEST_MPS = 1.0  # below, the slip follows from the geometry badly
 
 
 @dataclass(frozen=True)
-class Odometry:
+class WheelOdometry:
     """Observed yaw rate [rad/s], speed [m/s] and slip [rad] of the reference point, and their 1-sigma, (B,) each."""
 
     rate_radps: Array
@@ -33,7 +33,7 @@ class Odometry:
 
 def from_front_wheel(
     car: ChassisConfig, speed_mps: Array, angle_rad: Array, sigma_mps: float, sigma_rad: float
-) -> Odometry:
+) -> WheelOdometry:
     """S4 eq 3 and the formulas around it, from speed and angle (B,) of the front left wheel.
 
     ``rate = v_fl sin(delta) / l``, ``tan(slip) = a / d`` with ``d = l / tan(delta) - b / 2``,
@@ -45,7 +45,7 @@ def from_front_wheel(
     diagonal = np.arctan2(half, ahead)
     ratio = np.cos(diagonal + angle_rad) / np.cos(diagonal + slip)
     of_angle = np.abs(speed_mps) * np.cos(angle_rad) / length
-    return Odometry(
+    return WheelOdometry(
         rate_radps=speed_mps * np.sin(angle_rad) / length,
         speed_mps=speed_mps * ratio,
         slip_rad=slip,
