@@ -24,7 +24,7 @@ from lanebound.integrity.positioning.filters.prediction import (
 )
 from lanebound.integrity.positioning.filters.vehicle_models import STATES, MotionInput, S
 
-__all__ = ["Observation", "GateOutcome", "advance", "conclude", "correlation_factor", "noise_of", "observe"]
+__all__ = ["GateOutcome", "Observation", "advance", "conclude", "correlation_factor", "noise_of", "observe"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]

@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 
+import gymnasium
 import numpy as np
 import pytest
 
+import lanebound.envs  # noqa: F401 - registers the ids
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.monitoring.alerts import AlertReason
@@ -196,3 +198,22 @@ def test_wrong_configurations_are_refused():
         config(transition=[[0.7, 0.2], [0.4, 0.6]])
     with pytest.raises(ConfigError, match="name each one once"):
         config(models=["curved", "curved"])
+
+
+@pytest.mark.parametrize("preset", ["imm_differential", "imm_s4"])
+def test_the_engine_navigates_as_a_single_environment(preset):
+    """Presets drive environments and the vector engine, bit for bit alike in the same episode."""
+    settings = {"navigator": preset, "duration_s": 2.0, "sky": "open"}
+    env = gymnasium.make("lanebound/LaneKeeping-v0", config=settings)
+    env.reset(seed=1)
+    engine = gymnasium.make_vec("lanebound/LaneKeeping-v0", num_envs=2, config=settings)
+    engine.reset(seed=1)
+    for _ in range(3):
+        info = env.step(np.zeros(2, np.float32))[4]
+        infos = engine.step(np.zeros((2, 2), np.float32))[4]
+    for name in ("pl_at_m", "pl_ct_m", "err_at_m", "err_ct_m"):
+        assert info[name] == infos[name][0]
+    assert info["mode"] in (Mode.CODE, Mode.IMU_ODOMETER)
+    assert abs(info["err_ct_m"]) < info["pl_ct_m"] < 20.0
+    env.close()
+    engine.close()
