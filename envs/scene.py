@@ -67,6 +67,7 @@ def _navigator_config(text: str, level: str, limits_m: tuple[float, float]) -> N
             dt_s=1.0 / config.navigation.rate_hz,
             start=config.navigation.start,
             positioning={"axle_m": 0.5 * Vehicle.LENGTH},
+            chassis={"wheelbase_m": Vehicle.LENGTH, "axle_m": 0.5 * Vehicle.LENGTH},
         )
     )
     given = base.replace(**config.navigator)

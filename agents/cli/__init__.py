@@ -14,6 +14,7 @@ from lanebound.agents.cli import (
     config,
     drive,
     envs,
+    fit,
     play,
     recorded,
     replay,
@@ -55,6 +56,8 @@ EXAMPLES = """
 
   lanebound record-sky data/berlin --out b.csv   write its sky for drive --sky b.csv
 
+  lanebound fit-imu static.csv                 fit the warm-up error of accelerometers
+
   lanebound bench --json                       measure speed
 
 Help of a command: [bold]lanebound COMMAND --help[/bold]
@@ -82,6 +85,7 @@ app.command("study")(study.study)
 app.command("replay-episode")(replay.replay_episode)
 app.command("replay")(recorded.replay)
 app.command("rtk")(recorded.rtk)
+app.command("fit-imu")(fit.fit_imu)
 app.command("record-sky")(recorded.record_sky)
 app.command("envs")(envs.envs)
 app.command("agents")(agents.agents)

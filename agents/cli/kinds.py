@@ -50,7 +50,10 @@ def resolve(name: str, overrides: Mapping[str, Any] | None = None) -> tuple[str,
     kind = data.pop("kind", None)
     if kind is None:
         raise ConfigError(f"preset '{name}' names no kind: add a line such as 'kind: {min(KINDS)}'")
-    if not isinstance(kind, str) or kind not in KINDS:
+    kind, _, inner = str(kind).partition("/")  # "navigator/filter": a navigator of the kind filter
+    if inner:
+        data["kind"] = inner
+    if kind not in KINDS:
         raise ConfigError(f"kind '{kind}' of preset '{name}' is unknown: {nearest(str(kind), KINDS)}")
     module, _, attribute = KINDS[kind].partition(":")
     model: type[Config] = getattr(import_module(module), attribute)

@@ -52,6 +52,32 @@ def urban_drive(
         _report(tables, out, as_json)
 
 
+@app.command("filters")
+def filters(
+    out: Annotated[Path, typer.Option(help="Folder for tables.json and the figures; a run is resumed there.")],
+    seeds: Annotated[int | None, typer.Option(min=1, help="Drives of each trial; the study has 100.")] = None,
+    assignments: Assignments = None,
+    as_json: AsJson = False,
+) -> None:
+    """The trials of S4: EKF, UKF, IMM and dead reckoning through outages, spurious positions and sharp turns.
+
+    Example: lanebound reproduce filters --out out/filters --seeds 10
+    """
+    from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
+    from lanebound.agents.reproduce.filters import FiltersConfig, run_filters, table_rows
+
+    with resumable(lambda: kept_text(out, "parts/*.json", "part")):
+        config = FiltersConfig.load(changes(assignments, seeds=seeds))
+        result = with_bar("trials", lambda on_progress: run_filters(config, out, on_progress))
+    if as_json:
+        print_json(result)
+        return
+    heads = "trial", "figure", "paper", "ours", "5 .. 95 %"
+    print_table(f"S4 against ours: medians over {result['seeds']} drives [m]", heads, table_rows(result))
+    typer.echo(f"tables.json and figures: {out}")
+
+
 @app.command("barrier-promise")
 def barrier_promise(
     out: Annotated[Path, typer.Option(help="Folder for promise.json; a run is resumed there.")],

@@ -241,10 +241,13 @@ def load_preset(name: str, overrides: Mapping[str, Any] | None = None) -> dict[s
 
 
 def preset_values(name: str) -> dict[str, Any]:
-    """The values of preset ``name`` without its kind, as :func:`load_preset`."""
+    """The values of preset ``name`` without its kind, as :func:`load_preset`.
+
+    Of the kind ``navigator/filter`` the part after the slash remains: the ``kind`` of a configuration that has several.
+    """
     data = load_preset(name)
-    data.pop("kind", None)
-    return data
+    _, _, inner = str(data.pop("kind", "")).partition("/")
+    return {"kind": inner, **data} if inner else data
 
 
 def load_file(path: Path, what: str, kind: str | None = None) -> dict[str, Any]:

@@ -174,7 +174,7 @@ class Tagged(Config):
             return False
         found = [preset for preset in preset_names() if preset.rpartition("/")[2] == name]
         family = cls.__name__.removesuffix("Config").lower()
-        return len(found) == 1 and load_preset(found[0]).get("kind") == family
+        return len(found) == 1 and str(load_preset(found[0]).get("kind")).partition("/")[0] == family
 
     @model_validator(mode="before")
     @classmethod

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass, is_dataclass, replace
 from enum import Enum
 from functools import lru_cache
 from typing import Any, Self
@@ -35,6 +35,8 @@ from lanebound.integrity.positioning.config import PositioningConfig
 from lanebound.integrity.sensors import corrections as links
 from lanebound.integrity.sensors import gnss as receiver
 from lanebound.integrity.sensors.area import initial_area
+from lanebound.integrity.sensors.chassis import ChassisConfig, initial_chassis, sample_chassis
+from lanebound.integrity.sensors.compass import CompassConfig, initial_compass, sample_compass
 from lanebound.integrity.sensors.corrections import CorrectionsConfig
 from lanebound.integrity.sensors.effects import FaultEffects
 from lanebound.integrity.sensors.faults import FaultSchedule
@@ -63,7 +65,10 @@ __all__ = [
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
-BUILT_IN = {"rtk_reckoning": "lanebound.integrity.navigators.rtk_reckoning.navigator"}
+BUILT_IN = {
+    "filter": "lanebound.integrity.navigators.vehicle_filter.navigator",
+    "rtk_reckoning": "lanebound.integrity.navigators.rtk_reckoning.navigator",
+}
 
 
 class LevelForm(Enum):
@@ -98,6 +103,8 @@ class NavigatorConfig(Tagged, tag="kind", default="rtk_reckoning", modules=BUILT
     corrections: CorrectionsConfig = CorrectionsConfig()
     imu: ImuConfig = ImuConfig()
     odometer: OdometerConfig = OdometerConfig()
+    chassis: ChassisConfig = ChassisConfig()
+    compass: CompassConfig = CompassConfig()
     positioning: PositioningConfig = PositioningConfig()
     fde: FdeConfig = FdeConfig()
     risk: RiskConfig = RiskConfig()
@@ -276,6 +283,8 @@ class Navigator:
             corrections=links.initial_state(c.corrections, area.network, n_sat, c.dt_s, streams),
             imu=initial_imu(c.imu, streams),
             odometer=initial_odometer(c.odometer, streams),
+            chassis=initial_chassis(c.chassis, streams) if c.chassis.fitted else None,
+            compass=initial_compass(c.compass, streams) if c.compass.fitted else None,
             belief=self.initial_belief(batch),
             extensions=self.initial_extensions(batch),
         )
@@ -389,7 +398,16 @@ class Navigator:
         else:
             effects = _no_effects(self.batch, sky.satellites)
         at_antenna = truth.at(*self._lever_m) if any(self._lever_m) else truth
-        return self._instruments.sense(self.state, sky, self.mask, at_antenna, effects)
+        return self._with_body(self._instruments.sense(self.state, sky, self.mask, at_antenna, effects), truth, effects)
+
+    def _with_body(self, m: Measurements, truth: Truth, effects: FaultEffects) -> Measurements:
+        """The measurements with those of the chassis and of the compass, where they are fitted."""
+        c, s = self.config, self.state
+        if s.chassis is not None:
+            m = replace(m, chassis=sample_chassis(c.chassis, s.chassis, truth, effects, s.streams))
+        if s.compass is not None:
+            m = replace(m, compass=sample_compass(c.compass, s.compass, truth, s.streams))
+        return m
 
     def _require_fitting(self, truth: Truth) -> None:
         """Raise InputError unless the truth is finite, of this batch and of an epoch's length."""

@@ -19,6 +19,8 @@ from lanebound.integrity.core.streams import ZIGGURAT, Streams
 from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.sensors.area import AreaState, advance_area
 from lanebound.integrity.sensors.augmentation import Corrections, corrections_of, receive_messages
+from lanebound.integrity.sensors.chassis import ChassisSample, ChassisState
+from lanebound.integrity.sensors.compass import CompassSample, CompassState
 from lanebound.integrity.sensors.corrections import CorrectionsConfig, CorrectionsState, link_parameters
 from lanebound.integrity.sensors.corrections_kernel import LinkRows
 from lanebound.integrity.sensors.effects import FaultEffects
@@ -73,11 +75,16 @@ class Measurements:
     gnss: GnssEpoch
     imu: ImuSample
     odometer: OdometerSample
+    chassis: ChassisSample | None = None
+    compass: CompassSample | None = None
 
 
 @dataclass
 class InstrumentState:
-    """What lasts in the instruments of B vehicles from epoch to epoch, and where their draws come from."""
+    """What lasts in the instruments of B vehicles from epoch to epoch, and where their draws come from.
+
+    Instruments that are not fitted have no state.
+    """
 
     streams: Streams
     area: AreaState
@@ -85,6 +92,8 @@ class InstrumentState:
     corrections: CorrectionsState
     imu: ImuState
     odometer: OdometerState
+    chassis: ChassisState | None
+    compass: CompassState | None
 
     def __post_init__(self) -> None:
         self.sensing, self.locating = LastingBundle(), LastingBundle()

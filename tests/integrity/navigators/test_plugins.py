@@ -305,7 +305,7 @@ def test_a_configuration_derived_from_one_of_a_kind_makes_a_navigator_of_that_ki
         pass
 
     assert type(Navigator.nominal(Derived(), [1], duration_s=10.0)) is odometer_gyro.OdometerGyroNavigator
-    with pytest.raises(ConfigError, match="config must be of RtkReckoningConfig, OdometerGyroConfig or of"):
+    with pytest.raises(ConfigError, match=r"config must be of .*RtkReckoningConfig.*, OdometerGyroConfig or of"):
         navigator_class(int)
 
 
@@ -333,7 +333,7 @@ def test_a_kind_drives_environments_the_engine_and_the_command(odometer_gyro: Mo
 
 def test_an_unknown_kind_is_refused_with_the_way_to_register_it() -> None:
     for kind in ("compass", {"kind": "compass"}):
-        with pytest.raises(ConfigError, match=r"kind must be one of rtk_reckoning, got 'compass': import"):
+        with pytest.raises(ConfigError, match=r"kind must be one of filter, rtk_reckoning, got 'compass': import"):
             gymnasium.make(KEEPING, config={"navigator": kind}).reset(seed=1)
     with pytest.raises(ConfigError, match="'no_such:kind' must name a module that can be imported"):
         NavigatorConfig.load({"kind": "no_such:kind"})

@@ -1,0 +1,136 @@
+"""The trials of S4 (its scenarios 5 to 11) as simulated drives: routes, outages, spurious positions, filters.
+
+S4 prints neither maps nor times of its circuits beyond what its text states: lengths, speeds and lengths of outages are
+those of the text, shapes of roads are chosen. Positions are GPS alone with errors as EGNOS leaves them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.motion.drive import DriveConfig
+from lanebound.integrity.sensors.instruments import Measurements
+from lanebound.integrity.sky.road import Road
+
+__all__ = ["EQUIPMENT", "SCENARIOS", "Scenario", "disturbed"]
+
+Array = NDArray[np.float64]
+
+EQUIPMENT: Mapping[str, Any] = {
+    "sky": {"galileo": 0, "glonass": 0, "beidou": 0, "qzss": 0, "lat_deg": 38.02, "lon_deg": -1.17},  # Murcia
+    "gnss": {
+        "bands": [0],
+        "undifferenced": True,
+        "broadcast": {"orbit_sigma_m": 0.6, "clock_sigma_m": 0.6, "iono_zenith_m": 0.7},
+    },
+    "imu": {"mems_exponential": True},
+    "chassis": {"fitted": True},
+    "compass": {"fitted": True},
+    "position": {"codes": {"budget": {"orbit_sigma_m": 0.6, "clock_sigma_m": 0.6, "iono_zenith_m": 0.7}}},
+}
+"""Of the vehicles: GPS on one frequency; UDRE of 0.85 m and a zenith delay of 0.7 m stand for EGNOS's corrections
+(UDREI 5 to 6 and GIVEI 6 to 7 of DO-229D tables A-6 and A-17)."""
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One trial.
+
+    points_m : corners of the road (P, 2); corner_m : radius of its bends; length_s : duration; outages_s : spans
+    without GNSS; spurious_s : spans with a displaced position, by ``shift_m``; start_sigma_m, heading_deg : 1-sigma of
+    the pose known at the start; filters : configurations by name;
+    paper : what S4 states, by name of the figure (:mod:`.filters`)
+    """
+
+    number: str
+    title: str
+    points_m: tuple[tuple[float, float], ...]
+    length_s: float
+    drive: DriveConfig
+    filters: Mapping[str, Mapping[str, Any]]
+    corner_m: float = 15.0
+    outages_s: tuple[tuple[float, float], ...] = ()
+    spurious_s: tuple[tuple[float, float], ...] = ()
+    shift_m: float = 25.0
+    start_sigma_m: float = 1.5
+    heading_deg: float = 2.0
+    paper: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def road(self) -> Road:
+        """The road."""
+        return Road.through(np.array(self.points_m), corner_radius_m=self.corner_m)
+
+
+def disturbed(scenario: Scenario, m: Measurements, time_s: float, azimuth_rad: Array) -> Measurements:
+    """The measurements with the outages and spurious positions of a trial.
+
+    A spurious position is a displacement of all ranges alike, (B,) azimuths: consistent, so that no residual shows it.
+    """
+    from dataclasses import replace
+
+    g = m.gnss
+    if any(low <= time_s < high for low, high in scenario.outages_s):
+        return replace(m, gnss=replace(g, tracked=np.zeros_like(g.tracked)))
+    if any(low <= time_s < high for low, high in scenario.spurious_s) and g.raw_code_m is not None:
+        by = scenario.shift_m * np.stack([np.sin(azimuth_rad), np.cos(azimuth_rad), 0.0 * azimuth_rad], -1)
+        shift = -np.einsum("bsk,bk->bs", m.sky.los_enu[m.sky.index], by)
+        return replace(m, gnss=replace(g, raw_code_m=g.raw_code_m + np.where(g.raw_code_m != 0.0, shift[..., None], 0)))
+    return m
+
+
+def _campus() -> tuple[tuple[float, float], ...]:
+    """A semi-urban way of some 3 km with wide bends."""
+    return ((0, 0), (300, 0), (500, 180), (500, 520), (760, 700), (1100, 700), (1250, 950), (1250, 1500), (1250, 2400))
+
+
+def _yard() -> tuple[tuple[float, float], ...]:
+    """390 m with sharp turns at every 25 to 45 m."""
+    turns = (0, 0), (45, 0), (45, 30), (15, 30), (15, 60), (60, 60), (60, 90), (20, 90), (20, 120), (70, 120)
+    return (*turns, (70, 150), (200, 150))
+
+
+IMM: Mapping[str, Any] = {"filter": "imm"}
+SM: Mapping[str, Any] = {"filter": "ekf", "models": ["straight"]}
+FREE = {"red_share": 0.0}
+SCENARIOS = {
+    s.number: s
+    for s in (
+        Scenario(
+            "5", "dead reckoning and IMM-EKF, no gate", _campus(), 180.0, DriveConfig(speed_limit_mps=10.0, **FREE),
+            {"IMM-EKF": {**IMM, "gate": {"enabled": False}}}, corner_m=60.0, outages_s=((60, 102), (130, 150)),
+            spurious_s=((54, 60), (126, 130)), paper={"max DR": 50.0, "max IMM-EKF": 10.0},
+        ),
+        Scenario(
+            "6", "IMM-EKF with the gate", _campus(), 180.0, DriveConfig(speed_limit_mps=10.0, **FREE),
+            {"IMM-EKF": IMM}, corner_m=60.0, outages_s=((60, 102), (130, 150)), spurious_s=((54, 60), (126, 130)),
+            paper={"max IMM-EKF": 15.0},
+        ),
+        Scenario(
+            "7", "long outage: 5 min and 2.5 km", _campus(), 360.0, DriveConfig(speed_limit_mps=8.5, **FREE),
+            {"IMM-EKF": IMM}, corner_m=60.0, outages_s=((50, 350),),
+            paper={"max IMM-EKF": 35.0, "rms in outage IMM-EKF": 17.5},
+        ),
+        Scenario(
+            "8-9", "EKF and UKF, outages of 50 s at 40 km/h", _campus(), 270.0,
+            DriveConfig(speed_limit_mps=11.1, **FREE), {"EKF": SM, "UKF": {**SM, "filter": "ukf"}}, corner_m=60.0,
+            outages_s=((60, 110), (170, 220)),
+        ),
+        Scenario(
+            "10", "390 m of sharp turns without GNSS", _yard(), 110.0,
+            DriveConfig(speed_limit_mps=5.0, lateral_mps2=3.0, **FREE), {"SM-EKF": SM, "IMM-EKF": IMM}, corner_m=10.0,
+            outages_s=((0, 1e9),), start_sigma_m=0.3, heading_deg=0.5, paper={"max IMM-EKF": 3.0, "rms gained": 0.484},
+        ),
+        Scenario(
+            "11", "trust level in semi-urban traffic", _campus(), 240.0, DriveConfig(speed_limit_mps=10.0),
+            {"IMM-EKF": IMM}, corner_m=60.0, outages_s=((70, 80), (110, 122), (180, 187)), spurious_s=((105, 110),),
+            paper={"rms IMM-EKF": 3.55, "HTL median": 6.0, "HTL below 7 m": 0.5},
+        ),
+    )
+}  # fmt: skip
+"""The trials by number; what S4 states of each."""

@@ -1,0 +1,213 @@
+"""S4's trials over many seeds: errors of filters and of dead reckoning, trust levels, model probabilities."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import wilcoxon
+
+from lanebound.agents.checkpointing.files import write_json
+from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
+from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
+from lanebound.agents.reproduce.filter_figures import save_figures
+from lanebound.agents.reproduce.filter_scenarios import EQUIPMENT, SCENARIOS, Scenario, disturbed
+from lanebound.integrity.core.config import Config, Field, deep_merge
+from lanebound.integrity.core.streams import Streams, named_generator
+from lanebound.integrity.motion.drive import CityDrive
+from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
+from lanebound.integrity.navigators.vehicle_filter.navigator import FilterNavigator
+from lanebound.integrity.positioning.filters.code_position import locate_by_codes
+from lanebound.integrity.sensors.instruments import Measurements
+
+__all__ = ["FiltersConfig", "run_filters", "table_rows"]
+
+Array = NDArray[np.float64]
+PACKAGES = ("lanebound.integrity", "lanebound.agents.reproduce")
+EVERY = 10  # epochs between the moments kept for figures
+
+
+class FiltersConfig(Config):
+    """Numbers of the study."""
+
+    seeds: int = Field(100, ge=1, le=2000, description="drives of each trial [-]")
+    first_seed: int = Field(1, ge=0, description="of the drives")
+    scenarios: tuple[str, ...] = Field(tuple(SCENARIOS), min_length=1, description="numbers of S4's table I")
+
+
+def run_filters(config: FiltersConfig, out: Path, on_progress: OnProgress = ignore) -> dict[str, Any]:
+    """Drive the missing trials; write ``tables.json`` and the figures, and return the tables.
+
+    Raises
+    ------
+    InputError
+        ``out`` cannot be claimed: it holds other work, results of another version or foreign files.
+    """
+    ResultFolder(out, "filter study", config.to_dict(), code_digest(*PACKAGES)).claim()
+    found = run_parts(out, list(config.scenarios), partial(work_part, config), 1, on_progress)
+    tables = {number: {key: value for key, value in part.items() if key != "series"} for number, part in found.items()}
+    result = {"seeds": config.seeds, "scenarios": tables}
+    write_json(out / "tables.json", result)
+    save_figures(found, out)
+    return result
+
+
+def work_part(config: FiltersConfig, number: str, advance: Advance = ignore) -> dict[str, Any]:
+    """One trial: all drives side by side."""
+    scenario = SCENARIOS[number]
+    trial = _Trial(config, scenario)
+    epochs = round(scenario.length_s / trial.dt_s)
+    for k in range(epochs):
+        trial.step(k)
+        advance((k + 1) / epochs)
+    return trial.summary()
+
+
+class _Trial:
+    """The navigators of one trial, on the same measurements, and what is kept of them."""
+
+    def __init__(self, config: FiltersConfig, scenario: Scenario) -> None:
+        self.scenario, seeds = scenario, list(range(config.first_seed, config.first_seed + config.seeds))
+        built = {name: _navigator(scenario, change, seeds) for name, change in scenario.filters.items()}
+        self.navigators: dict[str, FilterNavigator] = built
+        self.first = next(iter(built.values()))
+        self.dt_s = self.first.config.dt_s
+        self.traffic = Streams(seeds)
+        self.car = CityDrive(scenario.road, scenario.drive, self.dt_s)
+        self.state = self.car.start(self.traffic)
+        drawn = np.stack([named_generator(seed, "start").standard_normal(4) for seed in seeds])
+        self.azimuth_rad = np.pi * np.tanh(drawn[:, 3])
+        sigma = np.deg2rad(scenario.heading_deg)
+        start = self.state.position_m + scenario.start_sigma_m * drawn[:, :2]
+        heading = self.state.heading_rad + sigma * drawn[:, 2]
+        for navigator in built.values():
+            navigator.place(start, heading, scenario.start_sigma_m, float(sigma))
+        self.reckoned = start.copy()
+        self.error: dict[str, list[Array]] = {name: [] for name in (*built, "DR")}
+        self.trust: dict[str, list[Array]] = {name: [] for name in built}
+        self.sigma: dict[str, list[Array]] = {name: [] for name in built}
+        self.beyond = {name: np.zeros(2, np.int64) for name in built}
+        self.curved: list[Array] = []
+        self.quality: list[bool] = []
+        self.rejected = np.zeros((2, 2), np.int64)  # right and spurious positions: rejected, used
+        self.path: dict[str, list[list[float]]] = {name: [] for name in (*built, "DR", "truth")}
+
+    def step(self, k: int) -> None:
+        """One epoch."""
+        truth = self.car.step(self.state, self.traffic)
+        time_s = (k + 1) * self.dt_s
+        m = disturbed(self.scenario, self.first.measure(truth), time_s, self.azimuth_rad)
+        position = truth.position_enu_m[:, :2]
+        self.reckoned = _reckoned(self.first, m, self.reckoned, self.dt_s)
+        self.error["DR"].append(np.linalg.norm(self.reckoned - position, axis=-1))
+        for name, navigator in self.navigators.items():
+            solution = navigator.locate(m)
+            error = np.linalg.norm(solution.position_en_m - position, axis=-1)
+            assert navigator.report is not None
+            self.error[name].append(error)
+            self.trust[name].append(navigator.report.htl_m)
+            self.sigma[name].append(np.sqrt(np.trace(solution.covariance_en_m2, axis1=-2, axis2=-1)))
+            level = np.hypot(solution.pl_at_m, solution.pl_ct_m)
+            self.beyond[name] += [int((error > navigator.report.htl_m).sum()), int((error > level).sum())]
+            if k % EVERY == 0:
+                self.path[name].append(solution.position_en_m[0].tolist())
+        self._count(time_s)
+        if k % EVERY == 0:
+            self.path["DR"].append(self.reckoned[0].tolist())
+            self.path["truth"].append(position[0].tolist())
+        last = list(self.navigators.values())[-1].report
+        if last is not None:
+            self.curved.append(
+                last.probability[:, -1] if last.probability.shape[1] > 1 else np.zeros(position.shape[0])
+            )
+        self.quality.append(not any(low <= time_s < high for low, high in self.scenario.outages_s))
+
+    def _count(self, time_s: float) -> None:
+        """Positions rejected and used, spurious ones apart."""
+        report = list(self.navigators.values())[-1].report
+        assert report is not None
+        kind = int(any(low <= time_s < high for low, high in self.scenario.spurious_s))
+        self.rejected[kind] += [int(report.gnss_rejected.sum()), int(report.gnss_used.sum())]
+
+    def summary(self) -> dict[str, Any]:
+        """Figures as medians over seeds with 5 and 95 %, and the series for figures."""
+        out = ~np.array(self.quality)
+        error = {name: np.array(rows) for name, rows in self.error.items()}
+        figures: dict[str, Any] = {}
+        for name, e in error.items():
+            figures[f"rms {name}"] = _spread(np.sqrt(np.square(e).mean(0)))
+            figures[f"max {name}"] = _spread(e.max(0))
+            if out.any():
+                figures[f"rms in outage {name}"] = _spread(np.sqrt(np.square(e[out]).mean(0)))
+        for name, rows in self.trust.items():
+            htl = np.array(rows)
+            figures[f"HTL exceeded {name}"] = float(self.beyond[name][0] / htl.size)
+            figures[f"level exceeded {name}"] = float(self.beyond[name][1] / htl.size)
+        htl = np.array(list(self.trust.values())[-1])
+        figures["HTL median"] = _spread(np.median(htl, axis=0))
+        figures["HTL below 7 m"] = _spread((htl < 7.0).mean(0))
+        names = list(self.navigators)
+        if len(names) == 2:
+            rms = [np.sqrt(np.square(error[name]).mean(0)) for name in names]
+            figures["rms gained"] = _spread(rms[0] - rms[1])
+            figures["paired p"] = float(wilcoxon(rms[0], rms[1]).pvalue) if rms[0].size > 5 else None
+        for kind, label in enumerate(("right", "spurious")):
+            total = int(self.rejected[kind].sum())
+            figures[f"{label} positions rejected"] = self.rejected[kind, 0] / total if total else None
+        return {"title": self.scenario.title, "paper": dict(self.scenario.paper), "figures": figures,
+                "series": self._series(error)}  # fmt: skip
+
+    def _series(self, error: Mapping[str, Array]) -> dict[str, Any]:
+        """Each second: quantiles of errors, median trust level and sigma, curved model of the first drive, coverage."""
+        part = slice(None, None, EVERY)
+        return {
+            "time_s": (self.dt_s * (1 + np.arange(len(self.quality)))[part]).tolist(),
+            "error_m": {name: np.quantile(e[part], [0.05, 0.5, 0.95], axis=1).tolist() for name, e in error.items()},
+            "one_m": {name: e[part, 0].tolist() for name, e in error.items()},
+            "htl_m": {name: np.median(np.array(rows)[part], axis=1).tolist() for name, rows in self.trust.items()},
+            "sigma_m": {name: np.array(rows)[part, 0].tolist() for name, rows in self.sigma.items()},
+            "curved": np.array(self.curved)[part, 0].tolist(),
+            "covered": [bool(q) for q in self.quality[part]],
+            "path": self.path,
+        }
+
+
+def _navigator(scenario: Scenario, change: Mapping[str, Any], seeds: list[int]) -> FilterNavigator:
+    """The navigator of a filter of a trial."""
+    data = deep_merge(deep_merge({"kind": "filter"}, EQUIPMENT), change)
+    navigator = Navigator.nominal(NavigatorConfig.load(data), seeds, duration_s=scenario.length_s + 20.0)
+    assert isinstance(navigator, FilterNavigator)
+    return navigator
+
+
+def _reckoned(navigator: FilterNavigator, m: Measurements, position_m: Array, dt_s: float) -> Array:
+    """S4's dead reckoning: the GNSS position where there is one, else odometer and compass from the last."""
+    assert m.compass is not None
+    fix = locate_by_codes(navigator.config.position.codes, m)
+    heading, run = m.compass.heading_rad, m.odometer.speed_mps * dt_s
+    moved = position_m + run[:, None] * np.stack([np.sin(heading), np.cos(heading)], -1)
+    return np.where(fix.valid[:, None], fix.position_m[:, :2], moved)
+
+
+def _spread(values: Array) -> list[float]:
+    """5 %, median and 95 % over seeds."""
+    return [float(q) for q in np.quantile(values, [0.05, 0.5, 0.95])]
+
+
+def table_rows(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Rows: scenario, figure, paper, ours with 5 and 95 %."""
+    rows: list[tuple[str, ...]] = []
+    for number, found in result["scenarios"].items():
+        for key, value in found["figures"].items():
+            stated = found["paper"].get(key)
+            paper = "-" if stated is None else f"{stated:g}"
+            if isinstance(value, list):
+                low, middle, high = (f"{v:.2f}" for v in value)
+                rows.append((number, key, paper, middle, f"{low} .. {high}"))
+            elif value is not None:
+                rows.append((number, key, paper, f"{value:.3g}", ""))
+    return rows

@@ -1,0 +1,54 @@
+"""The trials of S4: a short run through the command, its table and figures; and the fit of a static log."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from lanebound.agents.cli import app
+from lanebound.agents.reproduce import filter_scenarios, filters
+from lanebound.integrity.sensors.inertial_law import PUBLISHED
+
+
+@pytest.fixture
+def short(monkeypatch):
+    """Scenario 6 cut to some seconds, with an outage and a spurious position in them."""
+    trial = replace(
+        filter_scenarios.SCENARIOS["6"], length_s=9.0, outages_s=((5.0, 8.0),), spurious_s=((3.0, 5.0),), shift_m=60.0
+    )
+    monkeypatch.setitem(filter_scenarios.SCENARIOS, "6", trial)
+
+
+def test_a_trial_writes_its_table_and_figures(short, tmp_path):
+    out = tmp_path / "filters"
+    done = CliRunner().invoke(
+        app, ["reproduce", "filters", "--out", str(out), "--seeds", "2", "--set", 'scenarios=["6"]', "--json"]
+    )
+    assert done.exit_code == 0, done.output
+    found = json.loads((out / "tables.json").read_text())["scenarios"]["6"]["figures"]
+    low, middle, high = found["max IMM-EKF"]
+    assert 0.0 < low <= middle <= high < 15.0
+    assert found["max DR"][1] > 30.0  # it takes the spurious position
+    assert found["HTL exceeded IMM-EKF"] == 0.0
+    assert {path.name for path in out.glob("*.png")} == {f"scenario-6-{n}.png" for n in ("errors", "path", "integrity")}
+    rows = filters.table_rows(json.loads((out / "tables.json").read_text()))
+    assert rows[[r[1] for r in rows].index("max IMM-EKF")][:3] == ("6", "max IMM-EKF", "15")
+
+
+def test_a_static_log_is_fitted_by_the_command(tmp_path):
+    time_s = np.arange(0.0, 2000.0, 2.0)
+    log = tmp_path / "static.csv"
+    rows = [f"{t},{a}" for t, a in zip(time_s, PUBLISHED.error_mps2(time_s), strict=True)]
+    log.write_text("time_s,forward\n" + "\n".join(rows) + "\n")
+    done = CliRunner().invoke(app, ["fit-imu", str(log), "--json"])
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)["forward"]
+    np.testing.assert_allclose(
+        [found["c1_mps2"], found["c2_mps2"], found["tau_s"]], [-0.0043, -0.007, 500.0], rtol=1e-3
+    )
+    assert abs(abs(found["drift_before_m"]) - 12.9) < 0.1
+    assert abs(found["drift_after_m"]) < 1e-3
+    missing = CliRunner().invoke(app, ["fit-imu", str(tmp_path / "none.csv")])
+    assert missing.exit_code != 0

@@ -1,0 +1,219 @@
+"""The kind ``filter``: it locates, bounds, rejects, begins, resumes, and treats vehicles alone as in a batch."""
+
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+import pytest
+
+import lanebound.envs  # noqa: F401 - registers the ids
+from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.streams import Streams
+from lanebound.integrity.monitoring.alerts import AlertReason
+from lanebound.integrity.motion.drive import CityDrive, DriveConfig
+from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
+from lanebound.integrity.navigators.vehicle_filter.levels import HTL_SIGMAS, horizontal_trust_level
+from lanebound.integrity.navigators.vehicle_filter.navigator import FilterNavigator
+from lanebound.integrity.positioning.filters.code_position import locate_by_codes
+from lanebound.integrity.positioning.filters.odometry import from_front_wheel, rolling_slip
+from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.sensors.chassis import ChassisConfig
+from lanebound.integrity.sky.road import Road
+
+BEND = Road.through(np.array([[0.0, 0.0], [120.0, 0.0], [120.0, 200.0], [300.0, 200.0]]))
+
+
+def config(**more):
+    return NavigatorConfig.load({"kind": "filter", **more})
+
+
+def drives(seeds, start=True, **more):
+    """A navigator under an open sky and the truth of vehicles that follow a road with two bends."""
+    c = config(**more)
+    navigator = Navigator.nominal(c, seeds, duration_s=120.0)
+    traffic = Streams(seeds)
+    car = CityDrive(BEND, DriveConfig(red_share=0.0), c.dt_s)
+    state = car.start(traffic)
+    if start:
+        navigator.place(state.position_m.copy(), state.heading_rad.copy(), 0.05, np.deg2rad(0.5))
+    return navigator, (car.step(state, traffic) for _ in range(10_000))
+
+
+def errors(navigator, truths, epochs, change=lambda m, k: m):
+    """Horizontal errors (K, B) [m] and solutions of so many epochs; ``change`` alters the measurements."""
+    found, solutions = [], []
+    for k, truth in zip(range(epochs), truths, strict=False):
+        solution = navigator.locate(change(navigator.measure(truth), k))
+        solutions.append(solution)
+        found.append(np.linalg.norm(solution.position_en_m - truth.position_enu_m[:, :2], axis=-1))
+    return np.array(found), solutions
+
+
+def without_gnss(m, k):
+    """No satellites."""
+    return replace(m, gnss=replace(m.gnss, tracked=np.zeros_like(m.gnss.tracked)))
+
+
+@pytest.mark.parametrize("kind", ["ekf", "ukf", "imm"])
+def test_each_filter_locates_within_its_levels(kind):
+    navigator, truths = drives([1, 2, 3], filter=kind)
+    assert isinstance(navigator, FilterNavigator)
+    error, solutions = errors(navigator, truths, 130)
+    level = np.array([np.hypot(s.pl_at_m, s.pl_ct_m) for s in solutions])
+    assert (error <= level).all()
+    assert error.max() < 3.0
+    assert all(np.isfinite(s.pl_cases_m).all() for s in solutions)
+    assert (solutions[-1].mode != Mode.NONE).all()
+
+
+def test_chassis_and_compass_are_read():
+    navigator, truths = drives([1, 2], chassis={"fitted": True}, compass={"fitted": True})
+    error, _ = errors(navigator, truths, 80)
+    assert error.max() < 3.0
+    m = navigator.measure(next(truths))
+    assert m.chassis is not None
+    assert m.compass is not None
+
+
+def test_an_outage_grows_the_levels_and_ends():
+    navigator, truths = drives([4, 5])
+    errors(navigator, truths, 30)
+    before = navigator.report.htl_m.copy()
+    error, solutions = errors(navigator, truths, 80, without_gnss)
+    assert (solutions[-1].mode == Mode.IMU_ODOMETER).all()
+    assert (navigator.report.htl_m > before).all()
+    assert (error <= np.array([np.hypot(s.pl_at_m, s.pl_ct_m) for s in solutions])).all()
+
+
+def test_rows_are_independent_and_the_state_resumes():
+    navigator, truths = drives([7, 8, 9])
+    alone, own = drives([8])
+    for k in range(30):
+        together, single = navigator.step(next(truths)), alone.step(next(own))
+        assert np.array_equal(together.position_en_m[1], single.position_en_m[0])
+        assert np.array_equal(together.pl_cases_m[1], single.pl_cases_m[0])
+        if k == 20:
+            kept = navigator.snapshot()
+    ahead = [next(truths) for _ in range(5)]
+    navigator.restore(kept)
+    first = [navigator.step(t).position_en_m for t in ahead]
+    navigator.restore(kept)
+    again = [navigator.step(t).position_en_m for t in ahead]
+    assert np.array_equal(first, again)
+
+
+def test_a_vehicle_is_placed_without_touching_others():
+    navigator, truths = drives([1, 2])
+    errors(navigator, truths, 20)
+    before = navigator.state.belief.x[0].copy()
+    bias = navigator.state.belief.p[1, 0, 8, 8]
+    navigator.place(np.array([[5.0, 6.0]]), np.array([0.3]), 0.1, 0.01, rows=np.array([1]))
+    b = navigator.state.belief
+    assert np.array_equal(b.x[0], before)
+    np.testing.assert_allclose(b.x[1, :, :3], [[5.0, 6.0, 0.3]] * 2)
+    assert b.p[1, 0, 8, 8] == bias  # what is known of the gyro stays
+
+
+def test_a_cold_start_ends_with_levels():
+    """No level before the heading is known: by the Doppler velocity of a moving car."""
+    navigator, truths = drives([1, 2], start=False)
+    error, solutions = errors(navigator, truths, 100)
+    assert np.isinf(solutions[0].pl_at_m).all()
+    assert (solutions[0].reason == AlertReason.INITIALISING.code).all()
+    assert np.isfinite(solutions[-1].pl_at_m).all()
+    assert (error[-1] < np.hypot(solutions[-1].pl_at_m, solutions[-1].pl_ct_m)).all()
+    known = np.array([np.isfinite(s.pl_at_m) for s in solutions])
+    assert (np.diff(known.astype(int), axis=0) >= 0).all()
+
+
+def shifted(m, k):
+    """All codes of a position 40 m to the East from 6 s on: consistent among themselves, so no residual shows it."""
+    if not k >= 60:
+        return m
+    shift = -(m.sky.los_enu[m.sky.index] @ np.array([40.0, 0.0, 0.0]))
+    there = m.gnss.raw_code_m != 0.0
+    return replace(m, gnss=replace(m.gnss, raw_code_m=m.gnss.raw_code_m + np.where(there, shift[..., None], 0.0)))
+
+
+def test_the_gate_rejects_spurious_positions():
+    """S4 scenarios 5 and 6: with the gate a spurious position does nothing, without it the position follows."""
+    navigator, truths = drives([1, 2])
+    error, _ = errors(navigator, truths, 130, shifted)
+    assert error.max() < 3.0
+    assert (navigator.state.belief.rejected_s[:, 0] > 5.0).all()
+    open_gate, truths = drives([1, 2], gate={"enabled": False})
+    wrong, _ = errors(open_gate, truths, 130, shifted)
+    assert wrong.max() > 2.0 * error.max()
+
+
+def test_a_filter_that_rejects_for_long_doubts_itself():
+    navigator, truths = drives([1, 2], gate={"lost_s": 3.0})
+    _, solutions = errors(navigator, truths, 130, shifted)
+    reasons = np.array([s.reason for s in solutions])
+    assert (reasons == AlertReason.INTEGRITY_TEST_FAILED.code).any(0).all()
+    assert (solutions[-1].pl_at_m > 10.0).all()
+
+
+def test_the_trust_level_is_six_sigma_of_the_longer_axis():
+    covariance = np.array([[[4.0, 0.0], [0.0, 1.0]], [[2.5, 1.5], [1.5, 2.5]]])
+    np.testing.assert_allclose(horizontal_trust_level(covariance), HTL_SIGMAS * np.array([2.0, 2.0]))
+    navigator, truths = drives([1], more_levels=[{"integrity_risk": 1e-7, "variant": "published"}])
+    solution = errors(navigator, truths, 30)[1][-1]
+    np.testing.assert_allclose(solution.pl_cases_m[:, 1], np.repeat(navigator.report.htl_m[:, None], 2, 1))
+
+
+def test_a_code_position_has_no_larger_error_than_it_states():
+    """300 vehicles without slow errors under the open sky: 0.16 of the stated variance, which holds reflections too."""
+    quiet = {"orbit_sigma_m": 0.0, "clock_sigma_m": 0.0, "iono_zenith_m": 0.0, "tropo_zenith_m": 0.0}
+    c = config(gnss={"broadcast": quiet, "undifferenced": True})
+    navigator = Navigator.nominal(c, 3, 300, duration_s=20.0)
+    car = CityDrive(BEND, DriveConfig(), c.dt_s)
+    traffic = Streams(3, 300)
+    state = car.start(traffic)
+    for _ in range(5):
+        truth = car.step(state, traffic)
+        m = navigator.measure(truth)
+    fix = locate_by_codes(navigator.config.position.codes, m)
+    error = fix.position_m[:, :2] - truth.position_enu_m[:, :2]
+    assert fix.valid.all()
+    ratio = np.square(error).sum(-1) / np.trace(fix.fast_m2, axis1=1, axis2=2)
+    assert 0.08 < ratio.mean() < 0.3
+
+
+def test_odometry_inverts_the_geometry_of_the_car():
+    """A right turn of radius 20 m: yaw rate, speed and slip from the front left wheel (S4 eq 3)."""
+    car = ChassisConfig(wheelbase_m=3.0, track_m=1.6, axle_m=1.5)
+    rate, radius = 0.4, 20.0
+    angle = np.arctan(3.0 / (radius + 0.8))
+    wheel = rate * np.hypot(radius + 0.8, 3.0)
+    found = from_front_wheel(car, np.array([wheel]), np.array([angle]), 0.05, 0.002)
+    np.testing.assert_allclose(found.rate_radps, rate, rtol=1e-12)
+    np.testing.assert_allclose(found.speed_mps, rate * np.hypot(radius, 1.5), rtol=1e-12)
+    np.testing.assert_allclose(found.slip_rad, np.arctan(1.5 / radius), rtol=1e-12)
+    np.testing.assert_allclose(rolling_slip(1.5, np.array([rate]), found.speed_mps), found.slip_rad, rtol=1e-12)
+
+
+def test_wrong_configurations_are_refused():
+    with pytest.raises(ConfigError, match="rows of sum 1"):
+        config(transition=[[0.7, 0.2], [0.4, 0.6]])
+    with pytest.raises(ConfigError, match="name each one once"):
+        config(models=["curved", "curved"])
+
+
+@pytest.mark.parametrize("preset", ["imm_differential", "imm_s4"])
+def test_the_engine_navigates_as_a_single_environment(preset):
+    """Presets drive environments and the vector engine, bit for bit alike in the same episode."""
+    settings = {"navigator": preset, "duration_s": 2.0, "sky": "open"}
+    env = gymnasium.make("lanebound/LaneKeeping-v0", config=settings)
+    env.reset(seed=1)
+    engine = gymnasium.make_vec("lanebound/LaneKeeping-v0", num_envs=2, config=settings)
+    engine.reset(seed=1)
+    for _ in range(3):
+        info = env.step(np.zeros(2, np.float32))[4]
+        infos = engine.step(np.zeros((2, 2), np.float32))[4]
+    for name in ("pl_at_m", "pl_ct_m", "err_at_m", "err_ct_m"):
+        assert info[name] == infos[name][0]
+    assert info["mode"] in (Mode.CODE, Mode.IMU_ODOMETER)
+    assert abs(info["err_ct_m"]) < info["pl_ct_m"] < 20.0
+    env.close()
+    engine.close()
