@@ -133,10 +133,19 @@ class ContextMonitor:
         self.map.forget(rows)
         self._warned[rows], self._score[rows] = True, 0.0
 
-    def step(self, fix: CodeFix, wheel_mps: Array) -> ContextVerdict:
-        """The verdict of an epoch, from a code position with its rows and the wheel speed (B,)."""
-        position = check_position(fix.codes, self.config.position)
-        speed = self.speed.step(
+    def step(
+        self,
+        fix: CodeFix,
+        wheel_mps: Array,
+        position: PositionTest | None = None,
+        speed: SpeedTest | None = None,
+    ) -> ContextVerdict:
+        """The verdict of an epoch, from a code position with its rows and the wheel speed (B,).
+
+        ``position`` and ``speed`` are results of the first phases on the same fix, when another monitor has them.
+        """
+        position = position or check_position(fix.codes, self.config.position)
+        speed = speed or self.speed.step(
             fix.velocity_en_mps, fix.rates.cofactor[:, :2, :2], wheel_mps, fix.rates.solved
         )  # fmt: skip
         match, heading, sigma = self._match(fix, wheel_mps)

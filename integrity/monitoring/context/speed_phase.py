@@ -7,9 +7,10 @@ Which standard error is the question:
 
 - ``printed``: S5 equation 6, MASE / sqrt(N). The test then says N >= 9 and nothing about the measurements.
 - ``trend``: of the N + 1 measured speeds about their straight trend, ``s / sqrt(N)``. Uneven braking raises alarms.
-- ``wheel``: of the differences between Doppler and wheel speed, which contain no motion; and their mean must lie
-  within three standard errors of it, with what is declared of the wheels. Only this form sees slip, frozen wheels and
-  false Doppler. It is not in S5.
+- ``wheel``: of the differences between Doppler and the mean wheel speed of each interval, which contain no motion; and
+  their mean must lie within three standard errors and what is declared of the wheels. The standard error is that of
+  pairs of speeds that share one: ``sqrt(2) s / sqrt(N)``. Only this form sees slip, frozen wheels and false Doppler. It
+  is not in S5.
 """
 
 from __future__ import annotations
@@ -125,7 +126,7 @@ class SpeedPhase:
         Parameters
         ----------
         velocity_en_mps, covariance : (B, 2) and (B, 2, 2), by Doppler
-        wheel_mps : (B,), signed
+        wheel_mps : (B,), signed; the mean over the epoch, as a wheel sensor gives it
         known : (B,) there is a Doppler velocity; without one the average begins anew
         """
         c, n = self.config, self.config.intervals
@@ -154,8 +155,8 @@ class SpeedPhase:
         if c.form is SpeedForm.TREND:
             error = trend_error(doppler)
             return error, np.asarray(bound >= c.errors * error)
-        off = doppler - wheels
-        error, mean = trend_error(off), interval_mean(off)
+        off = 0.5 * (doppler[:, :-1] + doppler[:, 1:]) - wheels[:, 1:]  # wheels: means over the intervals
+        error, mean = np.sqrt(2.0) * off.std(-1, ddof=1) / np.sqrt(c.intervals), off.mean(-1)
         allowed = c.errors * np.maximum(error, bound / np.sqrt(c.intervals) / c.sdop_sigmas)
-        allowed = allowed + c.wheel_scale * interval_mean(wheels)
+        allowed = allowed + c.wheel_scale * wheels[:, 1:].mean(-1)
         return error, np.asarray((bound >= c.errors * error) & (np.abs(mean) <= allowed))

@@ -25,6 +25,7 @@ Ints = NDArray[np.int64]
 BLOCK_M, JITTER_M = 120.0, 12.0  # spacing of the streets of a town
 SERVICE_M = 15.0  # from an arterial road to the service road beside it
 DUAL_M = 6.0  # from the middle of a dual carriageway to each of its sides
+TAPER_M, SPACING_M = 25.0, 20.0  # of roads beside others: length of their ends, distance of points
 TOWN_MPS, COUNTRY_MPS, LANE_MPS = 13.4, 22.4, 13.4  # 30 and 50 mph
 SHARPEST_RAD = np.deg2rad(150.0)
 
@@ -164,10 +165,7 @@ def _town(builder: MapBuilder, size: int, corner: tuple[float, float], rng: np.r
 def _service(builder: MapBuilder, a: int, b: int, bend: Array) -> None:
     """A service road beside the road from ``a`` to ``b``, joined to its nodes."""
     line = np.concatenate([[builder.nodes[a]], bend, [builder.nodes[b]]])
-    beside = _beside(line, SERVICE_M)
-    beside[0] += 0.25 * (beside[1] - beside[0]) if len(beside) == 2 else 0.5 * (beside[1] - beside[0])
-    beside[-1] += 0.3 * (beside[-2] - beside[-1]) if len(beside) == 2 else 0.5 * (beside[-2] - beside[-1])
-    builder.street(a, b, limit_mps=8.9, kind=LinkKind.SERVICE, via=beside)
+    builder.street(a, b, limit_mps=8.9, kind=LinkKind.SERVICE, via=_beside(line, SERVICE_M))
 
 
 def _dual(builder: MapBuilder, a: int, b: int, bend: Array) -> None:
@@ -175,26 +173,28 @@ def _dual(builder: MapBuilder, a: int, b: int, bend: Array) -> None:
     line = np.concatenate([[builder.nodes[a]], bend, [builder.nodes[b]]])
     for start, end, way in ((a, b, line), (b, a, line[::-1])):
         via = _beside(way, DUAL_M)
-        near, far = way[0] + 0.1 * (way[1] - way[0]), way[-1] + 0.1 * (way[-2] - way[-1])
-        via = np.concatenate([[near + (via[0] - way[0])], via[1:-1], [far + (via[-1] - way[-1])]])
         builder.street(start, end, limit_mps=COUNTRY_MPS, kind=LinkKind.CARRIAGEWAY, via=via, one_way=True)
 
 
 def _beside(line: Array, right_m: float) -> Array:
-    """A line (P, 2) moved to the right of its direction."""
+    """Points (Q, 2) to the right of a line (P, 2), SPACING_M apart, without TAPER_M at its ends."""
     step = np.diff(line, axis=0)
-    unit = step / np.linalg.norm(step, axis=-1, keepdims=True)
-    along = np.concatenate([unit[:1], unit[:-1] + unit[1:], unit[-1:]])
-    along /= np.linalg.norm(along, axis=-1, keepdims=True)
-    return np.asarray(line + right_m * np.column_stack([along[:, 1], -along[:, 0]]))
+    length = np.linalg.norm(step, axis=-1)
+    arc = np.concatenate([[0.0], np.cumsum(length)])
+    count = max(2, round((arc[-1] - 2.0 * TAPER_M) / SPACING_M) + 1)
+    at = np.linspace(TAPER_M, arc[-1] - TAPER_M, count)
+    place = np.column_stack([np.interp(at, arc, line[:, k]) for k in range(2)])
+    unit = np.column_stack([np.interp(at, 0.5 * (arc[1:] + arc[:-1]), step[:, k] / length) for k in range(2)])
+    unit /= np.linalg.norm(unit, axis=-1, keepdims=True)
+    return np.asarray(place + right_m * np.column_stack([unit[:, 1], -unit[:, 0]]))
 
 
 def _winding(builder: MapBuilder, a: int, b: int, rng: np.random.Generator, sigma_m: float) -> Array:
-    """Points (P, 2) between two nodes, some 60 m apart, beside the straight line by a smooth random curve."""
+    """Points (P, 2) between two nodes, SPACING_M apart, beside the straight line by a smooth random curve."""
     p, q = np.array(builder.nodes[a]), np.array(builder.nodes[b])
     span = q - p
     length = float(np.linalg.norm(span))
-    count = max(2, round(length / 60.0))
+    count = max(2, round(length / SPACING_M))
     share = np.arange(1, count) / count
     waves = rng.standard_normal(2) * sigma_m
     off = waves[0] * np.sin(np.pi * share) + 0.5 * waves[1] * np.sin(2.0 * np.pi * share)

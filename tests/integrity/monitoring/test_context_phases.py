@@ -133,6 +133,11 @@ def drive(form: SpeedForm, doppler, wheels, sigma: float = 0.05, runs: int = 200
     return found
 
 
+def over_the_epoch(speeds):
+    """Mean of each interval, as wheels give it; the first is of the epoch before."""
+    return np.concatenate([speeds[:1], 0.5 * (speeds[1:] + speeds[:-1])])
+
+
 STEADY = np.full(11, 12.0)
 BRAKING = np.concatenate([np.full(5, 12.0), 12.0 - 1.8 * np.arange(1, 7)])
 FALSE_ALARMS = {  # share of windows that fail without a fault, steady and with uneven braking
@@ -145,7 +150,7 @@ FALSE_ALARMS = {  # share of windows that fail without a fault, steady and with 
 @pytest.mark.parametrize("form", list(SpeedForm))
 def test_false_alarms_of_the_speed_phase(form) -> None:
     for speeds, expected in zip((STEADY, BRAKING), FALSE_ALARMS[form], strict=True):
-        found = drive(form, speeds, speeds)
+        found = drive(form, speeds, over_the_epoch(speeds))
         assert found.known.all()
         alarms = 1.0 - found.consistent.mean()
         assert alarms == 1.0 if expected == 1.0 else alarms <= expected
