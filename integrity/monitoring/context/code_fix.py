@@ -102,8 +102,8 @@ def weighted_rows(design: Array, observed: Array, weight: Array) -> WeightedRows
     return WeightedRows(design, weight, residual, estimate, cofactor, redundancy, solved)
 
 
-def code_fix(m: Measurements, config: CodeErrorsConfig) -> CodeFix:
-    """Position and velocity of an epoch.
+def code_fix(m: Measurements, config: CodeErrorsConfig, rows: slice = slice(None)) -> CodeFix:
+    """Position and velocity of the vehicles in ``rows`` at an epoch.
 
     Raises
     ------
@@ -112,18 +112,18 @@ def code_fix(m: Measurements, config: CodeErrorsConfig) -> CodeFix:
     """
     if m.gnss.raw_code_m is None:
         raise InputError("gnss.undifferenced must be true, is false: a code position needs undifferenced codes")
-    los = m.sky.los_enu[m.sky.index]
-    sine, cn0 = np.maximum(los[..., 2], 1e-3), m.gnss.cn0_dbhz
-    used = m.gnss.tracked & (los[..., 2] >= np.sin(np.deg2rad(config.mask_deg))) & (cn0 >= config.least_cn0_dbhz)
+    los = m.sky.los_enu[m.sky.index[rows]]
+    sine, cn0 = np.maximum(los[..., 2], 1e-3), m.gnss.cn0_dbhz[rows]
+    used = m.gnss.tracked[rows] & (los[..., 2] >= np.sin(np.deg2rad(config.mask_deg))) & (cn0 >= config.least_cn0_dbhz)
     noise = 10.0 ** ((45.0 - np.minimum(cn0, 45.0)) / config.decade_db) / sine
     variance = config.ure_m**2 + np.square(config.iono_zenith_m * obliquity(sine))
     variance += np.square(config.tropo_zenith_m * mapping(sine)) + np.square(config.code_m * noise)
     systems = np.asarray(m.sky.system)[None, :, None] == np.unique(m.sky.system)
     clock = np.broadcast_to(systems, (*used.shape, systems.shape[-1])).astype(np.float64)
     codes = weighted_rows(
-        np.concatenate([-los, clock], -1), m.gnss.raw_code_m[..., 0], np.where(used, 1.0 / variance, 0.0)
+        np.concatenate([-los, clock], -1), m.gnss.raw_code_m[rows, :, 0], np.where(used, 1.0 / variance, 0.0)
     )
     rate_weight = np.where(used, 1.0 / np.square(config.range_rate_mps * noise), 0.0)
     drift = np.ones((*used.shape, 1))
-    rates = weighted_rows(np.concatenate([-los, drift], -1), m.gnss.range_rate_mps, rate_weight)
+    rates = weighted_rows(np.concatenate([-los, drift], -1), m.gnss.range_rate_mps[rows], rate_weight)
     return CodeFix(codes, rates)

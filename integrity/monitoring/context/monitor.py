@@ -149,7 +149,8 @@ class ContextMonitor:
             fix.velocity_en_mps, fix.rates.cofactor[:, :2, :2], wheel_mps, fix.rates.solved
         )  # fmt: skip
         match, heading, sigma = self._match(fix, wheel_mps)
-        tested = self.map.step(match, fix.position_en_m, sigma, heading, speed.average_mps, self.dt_s)
+        doppler = np.where(speed.known, speed.average_mps, np.hypot(*fix.velocity_en_mps.T))
+        tested = self.map.step(match, fix.position_en_m, sigma, heading, doppler, self.dt_s)
         reason = self._reason(fix.codes.solved, position, speed, tested)
         phases = _phases_passed(position, speed, tested)
         slow = reason == ContextReason.SLOW.code
