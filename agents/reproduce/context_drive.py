@@ -65,8 +65,9 @@ DRIVES = {
         drive=DriveConfig(speed_limit_mps=14.5, light_spacing_m=500.0, red_share=0.4),
     ),
 }  # fmt: skip
-"""Length and points of S5. Speeds are chosen so that the points cover the length. S5's rural drive does not: 3,335
-points at one a second over 6.5 km are 2 m/s, while 82.7 km in all leave it 67.7 km. It is driven as laps of a closed route."""
+"""Length and points of S5. Speeds are chosen so that the points cover the length. In S5's rural drive they do not:
+3,335 points at one a second over 6.5 km are 2 m/s, while 82.7 km in all leave it 67.7 km. It is driven as laps of a
+closed route."""
 
 
 @dataclass(frozen=True)

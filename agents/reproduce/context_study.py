@@ -42,7 +42,7 @@ Bools = NDArray[np.bool_]
 PACKAGES = ("lanebound.integrity", "lanebound.agents.reproduce", "lanebound.envs.sky")
 THRESHOLDS = np.arange(0.0, 101.0)
 MAPS = ("true", "with errors")
-S5_SKY = {"lat_deg": 52.95, "lon_deg": -1.15, "galileo": 0, "glonass": 0, "beidou": 0, "qzss": 0}
+S5_SKY = {"lat_deg": 52.95, "lon_deg": -1.15, "qzss": 0}
 
 
 class ContextStudyConfig(Config):
@@ -53,7 +53,10 @@ class ContextStudyConfig(Config):
     batch: int = Field(20, ge=1, description="drives that share a map, a city and satellites [-]")
     environments: tuple[DriveEnvironment, ...] = Field(tuple(DriveEnvironment), min_length=1)
     drives: dict[DriveEnvironment, DriveTable] = Field(DRIVES, description="S5 Table 2")
-    sky: SkyConfig = Field(SkyConfig(**S5_SKY), description="GPS over Nottingham: S5's receiver had no other system")
+    sky: SkyConfig = Field(
+        SkyConfig.load(S5_SKY),
+        description="all systems over Nottingham; S5 had GPS alone, whose level here never is below 15 m",
+    )
     gnss: GnssConfig = Field(
         default_factory=lambda: GnssConfig.preset("sensors/gnss_automotive"), description="receiver; its first band"
     )

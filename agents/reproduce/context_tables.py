@@ -61,7 +61,9 @@ def _monitor(found: list[Mapping[str, Any]]) -> dict[str, Any]:
 
 def _spread(values: Iterable[float]) -> list[float]:
     """Median, 5 and 95 %."""
-    return [float(q) for q in np.quantile(list(values), [0.5, 0.05, 0.95])]
+    found = np.array(list(values))
+    method: Any = "linear" if np.isfinite(found).all() else "higher"
+    return [float(q) for q in np.quantile(found, [0.5, 0.05, 0.95], method=method)]
 
 
 def _counts(rows: Sequence[Sequence[int]]) -> dict[str, Any]:

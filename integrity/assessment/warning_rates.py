@@ -82,7 +82,7 @@ class WarningCounts:
     def interval(self, events: int, confidence: float = 0.95) -> tuple[float, float]:
         """Clopper-Pearson interval of ``events`` over all points: for independent points, which those of a drive are
         not; the spread over drives is wider."""
-        return clopper_pearson(events, self.points, confidence)
+        return clopper_pearson(events, self.points, confidence) if self.points else (0.0, 1.0)
 
 
 @dataclass(frozen=True)
