@@ -143,11 +143,15 @@ class ContextMonitoring(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructor
     ----------
     env : an environment of lanebound with ``navigator.gnss.undifferenced``
     config : of the monitor
+    warning_cost : added to ``info["cost"]`` for each second of a warning; ``info["cost_context"]`` has the seconds
     """
 
-    def __init__(self, env: Env, config: ContextConfig | None = None) -> None:
-        RecordConstructorArgs.__init__(self, config=config)
+    def __init__(self, env: Env, config: ContextConfig | None = None, warning_cost: float = 0.0) -> None:
+        if not warning_cost >= 0.0:
+            raise InputError(f"warning_cost must be >= 0, got {warning_cost}: a warning costs something or nothing")
+        RecordConstructorArgs.__init__(self, config=config, warning_cost=warning_cost)
         super().__init__(env)
+        self.warning_cost = float(warning_cost)
         base = env.unwrapped
         if not isinstance(base, DrivingEnv):
             raise InputError(f"env must be an environment of lanebound, got {env}: make one of lanebound.envs")
@@ -172,7 +176,10 @@ class ContextMonitoring(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructor
         """Carry out a command until the next decision."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         observation = self._with(observation)
-        return observation, reward, terminated, truncated, {**info, "context": dict(self.context.now)}
+        now, warned_s = self.context.now, self.context.env.dt_s * self.context.now["warn"]
+        cost = float(info["cost"]) + self.warning_cost * warned_s
+        info = {**info, "context": dict(now), "cost_context": warned_s, "cost": cost}
+        return observation, reward, terminated, truncated, info
 
     def _with(self, observation: Any) -> Any:
         self.context.look()

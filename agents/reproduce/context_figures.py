@@ -47,12 +47,13 @@ def _rules(tables: Mapping[str, Any], path: Path) -> None:
     figure = new_figure(6.0, 4.6)
     axes = figure.subplots()
     for colour, (name, env) in zip(COLOURS, tables["environments"].items(), strict=False):
-        for k, rule in enumerate(RULES):
+        axes.plot([], [], "o", color=colour, label=name)
+        for rule in RULES:
             p = env["of"][MAIN]["rules"][rule]["pooled"]
             if p["per_right"] is None or p["per_wrong"] is None:
                 continue
             at = 100.0 * p["per_right"], 100.0 * p["per_wrong"]
-            axes.plot(*at, "o", color=colour, markersize=5, label=name if k == 0 else None)
+            axes.plot(*at, "o", color=colour, markersize=5)
             axes.annotate(rule, at, fontsize=6, xytext=(3, 3), textcoords="offset points", color=INK)
     tidy(axes, title="Rules of warning", xlabel="right points warned of [%]", ylabel="wrong points not warned of [%]")
     legend(axes)

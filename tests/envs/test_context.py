@@ -44,6 +44,22 @@ def test_observations_have_the_entries_and_follow_the_contract(form) -> None:
     np.testing.assert_allclose(last, [n["phases"] / 3, n["score"] / 100, n["link_probability"], n["warn"]], atol=1e-6)
 
 
+def test_warnings_cost_what_is_asked_for() -> None:
+    plain, dear = (
+        ContextMonitoring(gymnasium.make("lanebound/LaneKeeping-v0", config=RAW), warning_cost=cost)
+        for cost in (0.0, 2.0)
+    )
+    still = np.zeros(plain.action_space.shape, np.float32)
+    for env in (plain, dear):
+        env.reset(seed=1)
+    a, b = plain.step(still)[-1], dear.step(still)[-1]
+    assert a["context"]["warn"]
+    assert b["cost_context"] == plain.unwrapped.dt_s
+    assert b["cost"] - a["cost"] == pytest.approx(2.0 * plain.unwrapped.dt_s)
+    with pytest.raises(InputError, match="warning_cost must be >= 0"):
+        ContextMonitoring(gymnasium.make("lanebound/LaneKeeping-v0", config=RAW), warning_cost=-1.0)
+
+
 def test_without_undifferenced_codes_it_is_refused() -> None:
     env = ContextMonitoring(gymnasium.make("lanebound/LaneKeeping-v0", config={"sky": "open"}))
     with pytest.raises(InputError, match=r"navigator\.gnss\.undifferenced must be true"):

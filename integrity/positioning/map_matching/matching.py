@@ -46,7 +46,10 @@ class TopologicalConfig(Config):
     """
 
     heading: float = Field(0.4, ge=0, description="of the cosine of the difference of heading [-]; chosen")
-    distance: float = Field(0.35, ge=0, description="of 1 - distance / radius [-]; chosen")
+    distance: float = Field(0.35, ge=0, description="of 1 - distance / scale_m, -1 at least [-]; chosen")
+    scale_m: float = Field(
+        20.0, gt=0, description="distance that has no weight [m]; chosen, some 3 sigma of a position"
+    )
     connection: float = Field(0.25, ge=0, description="of links that the last link leads to [-]; chosen")
 
 
@@ -214,8 +217,9 @@ class NearestLink:
 class TopologicalMatcher:
     """Weight-based topological matching: heading, proximity and connection to the last link.
 
-    ``score = w_h cos(dtheta) + w_d (1 - d / radius) + w_c c`` with c = 1 on the last link and on links that it leads
-    to, -1 on others, 0 without a last link. A vehicle that is too slow to have a heading stays on its link.
+    ``score = w_h cos(dtheta) + w_d (1 - d / scale) + w_c c`` with c = 1 on the last link and on links that it leads
+    to, 0 on links that begin where it begins (a choice at a junction can be corrected) or without a last link, -1 on
+    others. A vehicle that is too slow to have a heading stays on its link.
     """
 
     def __init__(self, road_map: RoadMap, config: MatchingConfig, batch: int) -> None:
@@ -227,7 +231,7 @@ class TopologicalMatcher:
         c, w = self.config, self.config.topological
         near = self.road_map.near(inputs.position_en_m, c.radius_m, c.candidates)
         score = w.heading * heading_agreement(near, inputs)
-        score = score + w.distance * (1.0 - np.where(near.there, near.distance_m, 0.0) / c.radius_m)
+        score = score + w.distance * np.maximum(1.0 - np.where(near.there, near.distance_m, 0.0) / w.scale_m, -1.0)
         score = score + w.connection * connectivity(self.road_map, self.link, near.link)
         stays = (inputs.speed_mps[:, None] < STEADY_MPS) & (near.link == self.link[:, None])
         score = np.where(near.there, score + 10.0 * stays, -np.inf)
@@ -244,11 +248,15 @@ class TopologicalMatcher:
 
 
 def connectivity(road_map: RoadMap, last: Ints, link: Ints) -> Array:
-    """1 where the last link (B,) is this one of (B, K) or leads to it, -1 where not, 0 without a last link."""
+    """1 where the last link (B,) is this one of (B, K) or leads to it, 0 where both begin at one node, else -1.
+
+    Without a last link all are 0.
+    """
     at, to = np.maximum(last, 0)[:, None], np.maximum(link, 0)
     joined = (at == to) | (road_map.link_to[at] == road_map.link_from[to])
     joined &= road_map.twin[at] != to
-    return np.where(last[:, None] == NO_LINK, 0.0, np.where(joined, 1.0, -1.0))
+    beside = road_map.link_from[at] == road_map.link_from[to]
+    return np.where(last[:, None] == NO_LINK, 0.0, np.where(joined, 1.0, np.where(beside, 0.0, -1.0)))
 
 
 def require_batch(inputs: MatchInputs, batch: int) -> None:
