@@ -97,6 +97,7 @@ def context(
     print_table("Overall correct detection rate; medians over drives, 5 to 95 %", *made.ocdr_rows(tables))
     print_table("What each phase adds, and naive rules", *made.rule_rows(tables))
     print_table("Matchers, with the true map and with one that has errors", *made.matcher_rows(tables))
+    print_table("Speed phase: windows warned of", *made.speed_rows(tables))
     print_table("Charges by the matched link", *made.application_rows(tables))
     typer.echo(f"tables.json and figures: {out}")
 

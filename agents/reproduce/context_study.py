@@ -21,6 +21,7 @@ from lanebound.agents.reproduce.context_drive import DRIVES, ContextDrive, Conte
 from lanebound.agents.reproduce.context_tables import summarise
 from lanebound.agents.serialization import finite_or_none
 from lanebound.integrity.assessment.charging_rates import ChargingConfig, charging_counts
+from lanebound.integrity.assessment.speed_power import SpeedPowerConfig, speed_power
 from lanebound.integrity.assessment.warning_rates import WarningCounts, sweep_thresholds
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.streams import named_generator
@@ -66,6 +67,7 @@ class ContextStudyConfig(Config):
     node_m: float = Field(10.0, ge=0, description="distance from a node within which both links count as true [m]")
     monitor: ContextConfig = Field(default_factory=ContextConfig)
     charging: ChargingConfig = ChargingConfig()
+    speed_power: SpeedPowerConfig = SpeedPowerConfig()
 
 
 def run_context(config: ContextStudyConfig, out: Path, on_progress: OnProgress = ignore) -> dict[str, Any]:
@@ -84,7 +86,9 @@ def run_context(config: ContextStudyConfig, out: Path, on_progress: OnProgress =
         out, list(parts), partial(work_part, config), 1, on_progress,
         size=lambda name: len(parts[name]) * config.drives[DriveEnvironment(name.split("-")[0])].points, infinite=True,
     )  # fmt: skip
-    tables = finite_or_none(summarise(config.to_dict(), list(found.values())))
+    tables = summarise(config.to_dict(), list(found.values()))
+    tables["speed_power"] = speed_power(config.speed_power, config.monitor.speed)
+    tables = finite_or_none(tables)
     write_json(out / "tables.json", tables)
     write_figures(tables, out)
     return dict(tables)

@@ -9,7 +9,7 @@ import numpy as np
 
 from lanebound.integrity.assessment.warning_rates import PUBLISHED_COUNTS, WarningCounts, WarningSweep
 
-__all__ = ["PRINTED_PERCENT", "application_rows", "matcher_rows", "ocdr_rows", "rule_rows", "summarise"]
+__all__ = ["PRINTED_PERCENT", "application_rows", "matcher_rows", "ocdr_rows", "rule_rows", "speed_rows", "summarise"]
 
 Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
@@ -152,6 +152,16 @@ def matcher_rows(tables: Mapping[str, Any]) -> Table:
         "drive", "map", "matcher", "right link", "crossing of the score", "crossing of the probability",
         "best OCDR of the score", "best OCDR of the probability",
     ), rows  # fmt: skip
+
+
+def speed_rows(tables: Mapping[str, Any]) -> Table:
+    """Share of windows in which each form of the speed phase warns, by fault; and of the drives' points in motion."""
+    cases = tables["speed_power"]
+    forms = list(next(iter(cases.values())))
+    rows: list[tuple[str, ...]] = [(name, *(_percent(found[form]) for form in forms)) for name, found in cases.items()]
+    for name, env in tables["environments"].items():
+        rows.append((f"{name} drives, no fault", *(_with_spread(env["speed"][form]) for form in forms)))
+    return ("case", *forms), rows
 
 
 def application_rows(tables: Mapping[str, Any]) -> Table:

@@ -61,7 +61,7 @@ def test_a_short_study_counts_all_points_and_resumes(tmp_path) -> None:
     before = (tmp_path / "parts" / "mixed-0.json").stat().st_mtime_ns
     assert run_context(config, tmp_path) == tables
     assert (tmp_path / "parts" / "mixed-0.json").stat().st_mtime_ns == before
-    for rows in (made.ocdr_rows, made.rule_rows, made.matcher_rows, made.application_rows):
+    for rows in (made.ocdr_rows, made.rule_rows, made.matcher_rows, made.speed_rows, made.application_rows):
         head, cells = rows(tables)
         assert cells
         assert all(len(row) == len(head) for row in cells)
