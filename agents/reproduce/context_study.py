@@ -122,7 +122,7 @@ def work_part(config: ContextStudyConfig, name: str, advance: Advance = ignore) 
         for which, road_map in maps.items()
         for kind in MatcherKind
     }
-    series = Series.of(drive, table.points, monitors, config.monitor, advance)
+    series = MonitorSeries.of(drive, table.points, monitors, config.monitor, advance)
     return {
         "environment": str(environment),
         "seeds": [_drive_figures(config, series, maps, b) for b in range(len(seeds))],
@@ -133,7 +133,7 @@ def _with_matcher(config: ContextConfig, kind: MatcherKind) -> ContextConfig:
     return config.replace(matching={"kind": kind})
 
 
-class Series:
+class MonitorSeries:
     """What all monitors found at all points: arrays (T, B)."""
 
     def __init__(self) -> None:
@@ -148,7 +148,7 @@ class Series:
         monitors: Mapping[tuple[str, MatcherKind], ContextMonitor],
         config: ContextConfig,
         advance: Advance,
-    ) -> Series:
+    ) -> MonitorSeries:
         """Drive, and let every monitor judge every point."""
         out, batch = cls(), next(iter(monitors.values())).speed._count.size
         phases = {form: SpeedPhase(config.speed.replace(form=form), batch) for form in SpeedForm}
@@ -199,7 +199,7 @@ def _of_verdict(v: ContextVerdict, p: ContextPoint) -> dict[str, NDArray[Any]]:
     }  # fmt: skip
 
 
-def _drive_figures(config: ContextStudyConfig, s: Series, maps: Mapping[str, RoadMap], b: int) -> dict[str, Any]:
+def _drive_figures(config: ContextStudyConfig, s: MonitorSeries, maps: Mapping[str, RoadMap], b: int) -> dict[str, Any]:
     """Counts of one drive, of every matcher and map."""
     driving, moving = s.of_points("driving", b), s.of_points("moving", b)
     out: dict[str, Any] = {
@@ -218,9 +218,14 @@ def _drive_figures(config: ContextStudyConfig, s: Series, maps: Mapping[str, Roa
 
 
 def _judged(
-    config: ContextStudyConfig, s: Series, road_map: RoadMap, key: tuple[str, MatcherKind], b: int, driving: Bools,
+    config: ContextStudyConfig,
+    s: MonitorSeries,
+    road_map: RoadMap,
+    key: tuple[str, MatcherKind],
+    b: int,
+    driving: Bools,
     moving: Bools,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Counts of warnings of each rule of warning, the sweep, and what charging makes of the verdicts."""
     get = partial(s.of_found, key, b=b)
     wrong = ~get(name="right")
@@ -251,7 +256,7 @@ def _judged(
 
 
 def _rules(
-    config: ContextStudyConfig, s: Series, get: Any, moving: Bools, b: int
+    config: ContextStudyConfig, s: MonitorSeries, get: Any, moving: Bools, b: int
 ) -> Iterator[tuple[str, Bools]]:  # fmt: skip
     """Rules of warning (T,): the whole monitor, without each phase, each phase alone, and naive ones."""
     position = ~(get(name="available") & get(name="consistent"))
