@@ -64,7 +64,8 @@ def _rows(rng: np.random.Generator) -> np.ndarray:
 
 
 def _observe(design: np.ndarray, value: np.ndarray, sigma: float, rng: np.random.Generator) -> np.ndarray:
-    return np.einsum("bmi,bi->bm", design[..., :2], value) + sigma * rng.standard_normal(design.shape[:2])
+    noise = sigma * rng.standard_normal(design.shape[:2])
+    return np.asarray(np.einsum("bmi,bi->bm", design[..., :2], value) + noise)
 
 
 def _solve(design: np.ndarray, observed: np.ndarray, sigma: float) -> WeightedRows:

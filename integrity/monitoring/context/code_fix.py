@@ -83,7 +83,8 @@ class CodeFix(NamedTuple):
 def weighted_rows(design: Array, observed: Array, weight: Array) -> WeightedRows:
     """``x = (G'WG)^-1 G'W y`` of each vehicle with diagonal weights (B, m); columns without a row drop out."""
     weighted = design * weight[..., None]
-    normal = np.einsum("bmi,bmj->bij", weighted, design)
+    across = np.swapaxes(weighted, 1, 2)
+    normal = across @ design
     diagonal = np.diagonal(normal, axis1=1, axis2=2)
     live = diagonal > 0.0
     live[:, :3] = True
@@ -96,8 +97,8 @@ def weighted_rows(design: Array, observed: Array, weight: Array) -> WeightedRows
     inverse = np.linalg.inv(np.where(solved[:, None, None], scaled, unit)) * outer
     keep = solved[:, None, None] & live[:, :, None] & live[:, None, :]
     cofactor = np.where(keep, inverse, 0.0)
-    estimate = np.einsum("bij,bmj,bm->bi", cofactor, weighted, observed)
-    residual = np.where(weight > 0.0, observed - np.einsum("bmi,bi->bm", design, estimate), 0.0)
+    estimate = (cofactor @ (across @ observed[..., None]))[..., 0]
+    residual = np.where(weight > 0.0, observed - (design @ estimate[..., None])[..., 0], 0.0)
     redundancy = np.where(solved, rows - unknowns, 0)
     return WeightedRows(design, weight, residual, estimate, cofactor, redundancy, solved)
 

@@ -61,8 +61,8 @@ def _thresholds(false_alarm: float, most: int) -> Array:
 
 def check_position(codes: WeightedRows, config: PositionPhaseConfig) -> PositionTest:
     """Protection level and consistency of code positions."""
-    gained = np.einsum("bij,bmj,bm->bim", codes.cofactor, codes.design, codes.weight)
-    kept = np.einsum("bmi,bim->bm", codes.design, gained)
+    gained = codes.cofactor @ np.swapaxes(codes.design * codes.weight[..., None], 1, 2)
+    kept = (codes.design * np.swapaxes(gained, 1, 2)).sum(-1)
     used = codes.weight > 0.0
     sigma = np.where(used, 1.0 / np.sqrt(np.where(used, codes.weight, 1.0)), 0.0)
     pull = np.hypot(gained[:, 0], gained[:, 1]) * (1.0 if config.printed_slope else sigma)
