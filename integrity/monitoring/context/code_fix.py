@@ -24,7 +24,8 @@ __all__ = ["CodeErrorsConfig", "CodeFix", "WeightedRows", "code_fix", "weighted_
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-LEAST_PIVOT = 1e-9  # eigenvalue of the scaled normal matrix below which there is no solution
+MOST_SPREAD = 1e9  # variance in units of a single row's above which there is no solution
+RIDGE = 1e-13  # added to the scaled normal matrix, so that a singular one has an inverse, which is refused
 
 
 class CodeErrorsConfig(Config):
@@ -93,8 +94,11 @@ def weighted_rows(design: Array, observed: Array, weight: Array) -> WeightedRows
     unit = np.eye(design.shape[-1])
     scaled = np.where(live[:, :, None] & live[:, None, :], normal * outer, unit)
     rows, unknowns = (weight > 0.0).sum(-1), live.sum(-1)
-    solved = (rows >= unknowns) & (np.linalg.eigvalsh(scaled)[:, 0] > LEAST_PIVOT)
-    inverse = np.linalg.inv(np.where(solved[:, None, None], scaled, unit)) * outer
+    enough = rows >= unknowns
+    inverse = np.linalg.inv(np.where(enough[:, None, None], scaled + RIDGE * unit, unit))
+    spread = np.diagonal(inverse, axis1=1, axis2=2)
+    solved = enough & (spread > 0.0).all(-1) & (spread < MOST_SPREAD).all(-1)
+    inverse = inverse * outer
     keep = solved[:, None, None] & live[:, :, None] & live[:, None, :]
     cofactor = np.where(keep, inverse, 0.0)
     estimate = (cofactor @ (across @ observed[..., None]))[..., 0]

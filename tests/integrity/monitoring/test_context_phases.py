@@ -92,6 +92,16 @@ def test_too_few_satellites_have_no_level() -> None:
         assert not found.passed[0]
 
 
+def test_a_geometry_that_determines_no_position_is_not_solved() -> None:
+    design = np.tile(sky_design(6, np.random.default_rng(6))[:1], (6, 1))[None]  # six times one satellite
+    both = np.concatenate([design, sky_design(6, np.random.default_rng(6))[None]])
+    rows = weighted_rows(both, np.zeros((2, 6)), np.ones((2, 6)))
+    assert rows.solved.tolist() == [False, True]
+    assert (rows.estimate[0] == 0.0).all()
+    g = both[1]
+    np.testing.assert_allclose(rows.cofactor[1], np.linalg.inv(g.T @ g), rtol=1e-9)
+
+
 def test_rows_without_weight_do_not_count() -> None:
     rng = np.random.default_rng(5)
     g, y, weight = sky_design(9, rng)[None], rng.standard_normal((1, 9)), np.ones((1, 9))
