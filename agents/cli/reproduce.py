@@ -77,6 +77,7 @@ def barrier_promise(
 def context(
     out: Annotated[Path, typer.Option(help="Folder for tables.json and the figures; a run is resumed there.")],
     seeds: Annotated[int | None, typer.Option(min=1, help="Drives in each environment; the study has 100.")] = None,
+    assignments: Assignments = None,
     as_json: AsJson = False,
 ) -> None:
     """The context-aware monitor on urban, rural and mixed drives, and the rates of S5 beside ours.
@@ -89,7 +90,7 @@ def context(
     from lanebound.agents.reproduce.context_study import ContextStudyConfig, run_context
 
     with resumable(lambda: kept_text(out, "parts/*.json", "part")):
-        config = ContextStudyConfig.load(changes(None, seeds=seeds))
+        config = ContextStudyConfig().replace(**changes(assignments, seeds=seeds))
         tables = with_bar("points", lambda on_progress: run_context(config, out, on_progress))
     if as_json:
         print_json(tables)
