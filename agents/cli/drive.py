@@ -33,12 +33,13 @@ if TYPE_CHECKING:
     from lanebound.agents.benchmark.outcome import Outcome
     from lanebound.agents.checkpointing.runner import OnProgress
     from lanebound.agents.episodes import EpisodeLog
+    from lanebound.agents.episodes.display import DriverDisplay
     from lanebound.envs.core import DrivingEnv
 
 __all__ = ["drive"]
 
 WEIGHTED = "cost, weighted"
-LOG, COLUMNS, DIAGRAM = "episodes.parquet", "columns.md", "stanford.png"
+LOG, COLUMNS, DIAGRAM, WARNINGS = "episodes.parquet", "columns.md", "stanford.png", "warnings.csv"
 MEANT = (
     "Success: no crash, still on the road, fast enough; it does not depend on cost.\n"
     "Harm: 50 for a crash or an end off the road, and m2 of the body beyond its lane."
@@ -56,6 +57,9 @@ def drive(
     video: Video = None,
     fps: Fps = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help=f"Folder for {LOG}, {COLUMNS} and {DIAGRAM}.")] = None,
+    display: Annotated[
+        bool, typer.Option("--display", help=f"Monitor codes, speed and road; a light in the film, {WARNINGS} in DIR.")
+    ] = False,
     assignments: Assignments = None,
     _plugins: Plugins = None,
     as_json: AsJson = False,
@@ -69,10 +73,19 @@ def drive(
     finished: list[int] = []
     seeds, film = range(seed, seed + episodes), (video, film_rate(video, fps))
     with resumable(lambda: _kept(len(finished), out, video)), failing(agent):
-        changed = changes(assignments, sky=sky, faults=faults)
-        drove = with_bar("episodes", lambda report: _drive(name, agent, changed, seeds, film, out, finished, report))
+        changed = _with_codes(changes(assignments, sky=sky, faults=faults), display)
+        drove = with_bar("episodes", lambda report: _drive(name, agent, changed, seeds, film, out, finished, report,
+                                                           display))  # fmt: skip
     files = {"log": out and out / LOG, "diagram": out and out / DIAGRAM, "video": video}
+    files["warnings"] = out / WARNINGS if display and out else None
     _report(f"{agent} in {name}", *drove, files, as_json)
+
+
+def _with_codes(changed: dict[str, Any], display: bool) -> dict[str, Any]:
+    """The changes, with undifferenced codes for the display."""
+    from lanebound.integrity.core.presets import deep_merge
+
+    return deep_merge(changed, {"navigator": {"gnss": {"undifferenced": True}}}) if display else changed
 
 
 @contextmanager
@@ -112,6 +125,7 @@ def _drive(
     out: Path | None,
     finished: list[int],
     on_progress: OnProgress,
+    display: bool = False,
 ) -> tuple[list[Outcome], float | None]:
     """Outcomes of the episodes, and the limit of the cost; all refusals come before the first progress."""
     from lanebound.agents.benchmark.episode import allotted_s
@@ -121,6 +135,7 @@ def _drive(
     from lanebound.agents.drivers import make_agent
     from lanebound.agents.episodes import EpisodeLog, open_env
     from lanebound.agents.episodes import drive as drive_all
+    from lanebound.agents.episodes.display import DriverDisplay
     from lanebound.agents.episodes.film import Film
     from lanebound.agents.episodes.guard import guarded
 
@@ -130,6 +145,8 @@ def _drive(
         _claim(out)
     length_s = float(env.world.config.get("duration") or math.inf)
     watchers: list[Any] = [log, EpisodeProgress(Counter(on_progress, RunProgress(len(seeds))), length_s)]
+    shown: Any = DriverDisplay(env) if display else None
+    watchers += [shown] if display else []
 
     def keep(episode: int) -> None:
         if out is not None:
@@ -139,8 +156,10 @@ def _drive(
     with ExitStack() as stack:
         stack.callback(env.close)
         if film[0] is not None:
-            watchers.append(stack.enter_context(Film(env, film[0], film[1])))
+            watchers.append(stack.enter_context(Film(shown or env, film[0], film[1])))
         drive_all(env, driver, list(seeds), watchers, keep)
+    if display:
+        _tell(shown, out)
     if out is not None:
         driven = f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]} to {seeds[-1]}"
         sky = Path(env.config.sky).name
@@ -151,6 +170,14 @@ def _drive(
         for i, seed in enumerate(seeds)
     ]
     return outcomes, env.config.cost_limit
+
+
+def _tell(shown: DriverDisplay, out: Path | None) -> None:
+    """Write the log of the display, and say how long each light was on."""
+    if out is not None:
+        shown.write(out / WARNINGS)
+    lit = ", ".join(f"{light} {seconds:.0f} s" for light, seconds in shown.seconds.items())
+    typer.echo(f"display: {lit}; it changed {counted(len(shown.rows), 'time')}", err=True)
 
 
 def _claim(out: Path) -> None:

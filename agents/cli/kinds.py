@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["KINDS", "resolve"]
 
 KINDS = {
+    "context_rules": "lanebound.integrity.monitoring.context.fuzzy:RuleBase",
     "experiment": "lanebound.agents.learning.experiment:ExperimentConfig",
     "learning_study": "lanebound.agents.learning.study:LearningStudyConfig",
     "suite": "lanebound.agents.benchmark.suite:SuiteConfig",

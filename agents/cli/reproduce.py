@@ -125,6 +125,35 @@ def services(
     print_table("Services, medians over streets; shares are means", heads, rows)
     typer.echo(f"services.json: {out}")
 
+@app.command("context")
+def context(
+    out: Annotated[Path, typer.Option(help="Folder for tables.json and the figures; a run is resumed there.")],
+    seeds: Annotated[int | None, typer.Option(min=1, help="Drives in each environment; the study has 100.")] = None,
+    assignments: Assignments = None,
+    as_json: AsJson = False,
+) -> None:
+    """The context-aware monitor on urban, rural and mixed drives, and the rates of S5 beside ours.
+
+    Example: lanebound reproduce context --out out/context --seeds 5
+    """
+    from lanebound.agents.cli.output import print_json, print_table
+    from lanebound.agents.cli.progress import kept_text, resumable, with_bar
+    from lanebound.agents.reproduce import context_tables as made
+    from lanebound.agents.reproduce.context_study import ContextStudyConfig, run_context
+
+    with resumable(lambda: kept_text(out, "parts/*.json", "part")):
+        config = ContextStudyConfig().replace(**changes(assignments, seeds=seeds))
+        tables = with_bar("points", lambda on_progress: run_context(config, out, on_progress))
+    if as_json:
+        print_json(tables)
+        return
+    print_table("Overall correct detection rate; medians over drives, 5 to 95 %", *made.ocdr_rows(tables))
+    print_table("What each phase adds, and naive rules", *made.rule_rows(tables))
+    print_table("Matchers, with the true map and with one that has errors", *made.matcher_rows(tables))
+    print_table("Speed phase: windows warned of", *made.speed_rows(tables))
+    print_table("Charges by the matched link", *made.application_rows(tables))
+    typer.echo(f"tables.json and figures: {out}")
+
 
 def _report_promise(result: dict[str, Any], out: Path, as_json: bool) -> None:
     from lanebound.agents.cli.output import print_json, print_table

@@ -1,0 +1,223 @@
+"""Drives of S5: a generated road map, a street along the route, receivers with undifferenced codes, one point a second.
+
+The truth is the link of the route on which the vehicle is; within ``node_m`` of a node both links of the route count
+as true. Nothing that the monitor reads contains it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.envs.sky import SkyLevel
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.streams import Streams, named_generator
+from lanebound.integrity.monitoring.context.code_fix import CodeErrorsConfig, CodeFix, code_fix
+from lanebound.integrity.motion.drive import CityDrive, DriveConfig
+from lanebound.integrity.motion.truth import Truth, truth_between
+from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
+from lanebound.integrity.positioning.map_matching.generators import DriveEnvironment, MapWithRoute, generate_map
+from lanebound.integrity.positioning.map_matching.road_map import RoadMap
+from lanebound.integrity.sensors.faults import Fault, FaultSchedule
+from lanebound.integrity.sensors.gnss import GnssConfig
+from lanebound.integrity.sky.city import build_city
+from lanebound.integrity.sky.constellation import SkyConfig
+from lanebound.integrity.sky.road import Road
+from lanebound.integrity.sky.track import SkyTrack
+from lanebound.integrity.sky.visibility import SkyMask
+
+__all__ = ["DRIVES", "ContextDrive", "ContextPoint", "DriveTable", "TrueLinks", "drive_of", "navigator_config"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+HOUR_S, WEEK_S = 3600, 604_800
+LANE_M = 3.5
+SIDE_M, APART_M = 20.0, 6.0  # longest and shortest side of a driven line
+END_M = 5.0  # vehicles nearer to the end of their route have arrived
+SUBSTEPS = 5  # of the motion in a second
+
+
+class DriveTable(Config):
+    """A drive of S5 Table 2 and its surroundings."""
+
+    length_m: float = Field(gt=1000, description="length of the route [m]; S5 Table 2")
+    points: int = Field(gt=20, description="points at one a second [-]; S5 Table 2")
+    sky: str = Field(description="level of sky along the route")
+    drive: DriveConfig = DriveConfig()
+
+
+DRIVES = {
+    DriveEnvironment.URBAN: DriveTable(
+        length_m=6400.0, points=1245, sky="urban",
+        drive=DriveConfig(speed_limit_mps=11.5, light_spacing_m=240.0, red_share=0.5),
+    ),
+    DriveEnvironment.RURAL: DriveTable(
+        length_m=6500.0, points=3335, sky="suburban",
+        drive=DriveConfig(speed_limit_mps=22.0, light_spacing_m=3000.0, red_share=0.3),
+    ),
+    DriveEnvironment.MIXED: DriveTable(
+        length_m=8600.0, points=1105, sky="suburban",
+        drive=DriveConfig(speed_limit_mps=14.5, light_spacing_m=500.0, red_share=0.4),
+    ),
+}  # fmt: skip
+"""Length and points of S5. Speeds are chosen so that the points cover the length. In S5's rural drive they do not:
+3,335 points at one a second over 6.5 km are 2 m/s, while 82.7 km in all leave it 67.7 km. It is driven as laps of a
+closed route."""
+
+
+@dataclass(frozen=True)
+class TrueLinks:
+    """Where the links of a route begin along a road: start_m (R + 1,), identity (R,); ``closed``: lap after lap."""
+
+    start_m: Array
+    identity: Ints
+    closed: bool
+
+    @classmethod
+    def of(cls, road: Road, found: MapWithRoute) -> TrueLinks:
+        """Arcs of the nodes of the route: the vertex nearest to each node, one after another."""
+        arcs, at = [0.0], 0.0
+        for link in found.route[:-1]:
+            length = float(found.road_map.length_m[link])
+            node = found.road_map.node_en_m[found.road_map.link_to[link]]
+            inside = np.flatnonzero((road.arc_at_m > at) & (road.arc_at_m <= at + 1.05 * length + 2.0))
+            near = np.linalg.norm(road.vertices_en_m[inside] - node, axis=-1)
+            at = float(road.arc_at_m[inside[np.argmin(near)]])
+            arcs.append(at)
+        return cls(np.array([*arcs, road.length_m]), found.road_map.identity[found.route], found.closed)
+
+    def at(self, arc_m: Array, node_m: float) -> Ints:
+        """Identities (B, 2) of the link at arcs (B,), and of the neighbour within ``node_m`` of a node or the same."""
+        length = self.start_m[-1]
+        arc = np.remainder(arc_m, length) if self.closed else np.clip(arc_m, 0.0, length)
+        k = np.clip(np.searchsorted(self.start_m, arc, side="right") - 1, 0, self.identity.size - 1)
+        step = np.where(arc - self.start_m[k] < node_m, -1, np.where(self.start_m[k + 1] - arc < node_m, 1, 0))
+        other = k + step
+        count = self.identity.size
+        other = np.remainder(other, count) if self.closed else np.clip(other, 0, count - 1)
+        return np.stack([self.identity[k], self.identity[other]], -1)
+
+
+@dataclass(frozen=True)
+class ContextPoint:
+    """One second of B vehicles: what the monitor gets (fix, wheels), and the truth for scoring.
+
+    true_link (B, 2) identities that count as true; driving (B,) the end of the route is not reached.
+    """
+
+    time_s: float
+    fix: CodeFix
+    wheel_mps: Array
+    true_link: Ints
+    driving: Bools
+    error_m: Array
+    speed_mps: Array
+    position_en_m: Array
+
+
+@dataclass(frozen=True)
+class ContextDrive:
+    """A map, and the points of B vehicles on its route."""
+
+    road_map: RoadMap
+    route: Ints
+    points: Iterator[ContextPoint]
+
+
+def navigator_config(gnss: GnssConfig, sky: SkyConfig) -> NavigatorConfig:
+    """A receiver read once a second, without a reference link."""
+    return NavigatorConfig(dt_s=1.0).replace(gnss=gnss.replace(undifferenced=True).to_dict(), sky=sky.to_dict())
+
+
+def drive_of(
+    environment: DriveEnvironment,
+    table: DriveTable,
+    number: int,
+    seeds: list[int],
+    receiver: tuple[GnssConfig, SkyConfig],
+    codes: CodeErrorsConfig,
+    node_m: float,
+    faults: tuple[Fault, ...] = (),
+) -> ContextDrive:
+    """The drive of vehicles with these seeds on map ``number`` of an environment."""
+    key = [list(DriveEnvironment).index(environment), number]
+    found = generate_map(environment, table.length_m, named_generator(key, "road"))
+    road = route_road(found)
+    level = SkyLevel.named(table.sky)
+    city = build_city(road, level.streets_along(2.0 * road.edge_m), named_generator(key, "city"))
+    mask = SkyMask.build(road, city, az_step_deg=4.0, el_step_deg=3.0)
+    base = navigator_config(*receiver)
+    hour = int(named_generator(key, "sky").integers(24))
+    base = base.replace(sky={"week_second_s": (base.sky.week_second_s + HOUR_S * hour) % WEEK_S})
+    track = SkyTrack.from_config(base.sky, table.points + 60.0)
+    navigator = Navigator(base, track, mask, seeds, faults=FaultSchedule(faults))
+    points = _points(navigator, CityDrive(road, table.drive, 1.0 / SUBSTEPS), TrueLinks.of(road, found), table, codes,
+                     node_m)  # fmt: skip
+    return ContextDrive(found.road_map, found.route, points)
+
+
+def route_road(found: MapWithRoute) -> Road:
+    """The road along a route, with the lane to the right of the lines of the map."""
+    lines = [found.road_map.line(int(link)) for link in found.route]
+    points = np.concatenate([lines[0], *(line[1:] for line in lines[1:])])
+    if found.closed:
+        points = points[:-1]
+    points = _densified(_thinned(points), found.closed)
+    return Road.through(points, corner_radius_m=np.inf, closed=found.closed, lane_width_m=LANE_M, shift_m=0.3 * LANE_M)
+
+
+def _thinned(points: Array) -> Array:
+    """A polyline without the vertices nearer than APART_M to the one before: no kinks that a car cannot drive."""
+    kept = [points[0]]
+    for point in points[1:]:
+        if np.linalg.norm(point - kept[-1]) >= APART_M:
+            kept.append(point)
+    return np.array(kept)
+
+
+def _densified(points: Array, closed: bool) -> Array:
+    """A polyline with sides of at most SIDE_M: wide arcs in bends, and arcs of half of that at corners."""
+    ends = np.concatenate([points[1:], points[:1]]) if closed else points[1:]
+    parts = []
+    for a, b in zip(points, ends, strict=False):
+        count = max(1, int(np.ceil(np.linalg.norm(b - a) / SIDE_M)))
+        parts.append(a + np.arange(count)[:, None] / count * (b - a))
+    return np.concatenate(parts if closed else [*parts, points[-1:]])
+
+
+def _points(
+    navigator: Navigator, car: CityDrive, links: TrueLinks, table: DriveTable, codes: CodeErrorsConfig, node_m: float
+) -> Iterator[ContextPoint]:
+    traffic = Streams(list(navigator.state.streams.seeds or ()))
+    state = car.start(traffic, spread_m=car.road.length_m if car.road.closed else 150.0)
+    last: Truth | None = None
+    for k in range(table.points + 1):
+        for _ in range(SUBSTEPS):
+            now = car.step(state, traffic)
+        if last is not None:
+            truth = _second(last, now, float(k))
+            m = navigator.measure(truth)
+            fix = code_fix(m, codes)
+            driving = np.full(now.batch, True) if car.road.closed else now.arc_m < car.road.length_m - END_M
+            error = np.linalg.norm(fix.position_en_m - truth.position_enu_m[:, :2], axis=-1)
+            yield ContextPoint(
+                float(k), fix, m.odometer.speed_mps, links.at(now.arc_m, node_m), driving,
+                np.where(fix.codes.solved, error, np.inf), np.linalg.norm(now.velocity_enu_mps, axis=-1),
+                truth.position_enu_m[:, :2],
+            )  # fmt: skip
+        last = now
+
+
+def _second(before: Truth, now: Truth, time_s: float) -> Truth:
+    """The motion over the second between two truths."""
+    return truth_between(
+        time_s, 1.0,
+        (before.position_enu_m[:, :2], now.position_enu_m[:, :2]),
+        (before.velocity_enu_mps[:, :2], now.velocity_enu_mps[:, :2]),
+        (before.heading_rad, now.heading_rad), arc_m=now.arc_m, lane=now.lane,
+    )  # fmt: skip

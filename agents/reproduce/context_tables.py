@@ -1,0 +1,176 @@
+"""Tables of the context study: medians over drives, pooled counts, the crossing of the sweep, charges."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from lanebound.integrity.assessment.warning_rates import PUBLISHED_COUNTS, WarningCounts, WarningSweep
+
+__all__ = ["PRINTED_PERCENT", "application_rows", "matcher_rows", "ocdr_rows", "rule_rows", "speed_rows", "summarise"]
+
+Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
+
+PRINTED_PERCENT = {"urban": 98.24, "rural": 99.23, "mixed": 97.29}  # S5 Table 4
+MAIN = "with errors, topological"  # S5's matcher, with the map that a vehicle may have
+RULES = (
+    "as printed", "all phases", "without position", "without speed", "without map", "position alone", "speed alone",
+    "map alone", "level alone", "never", "always",
+)  # fmt: skip
+
+
+def summarise(config: Mapping[str, Any], parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """All tables from the figures of the drives."""
+    by_environment: dict[str, list[Mapping[str, Any]]] = {}
+    for part in parts:
+        by_environment.setdefault(part["environment"], []).extend(part["seeds"])
+    return {
+        "config": dict(config),
+        "environments": {name: _environment(drives) for name, drives in by_environment.items()},
+    }
+
+
+def _environment(drives: list[Mapping[str, Any]]) -> dict[str, Any]:
+    return {
+        "drives": len(drives),
+        "points": int(sum(d["points"] for d in drives)),
+        "moving": _spread(d["moving"] for d in drives),
+        "error_m": [_spread(d["error_m"][k] for d in drives) for k in range(2)],
+        "speed": {form: _spread(d["speed"][form] for d in drives) for form in drives[0]["speed"]},
+        "of": {key: _monitor([d["of"][key] for d in drives]) for key in drives[0]["of"]},
+    }
+
+
+def _monitor(found: list[Mapping[str, Any]]) -> dict[str, Any]:
+    return {
+        "right": _spread(f["right"] for f in found),
+        "available": _spread(f["available"] for f in found),
+        "passed": _spread(f["passed"] / max(f["judged"][0], 1) for f in found),
+        "rules": {rule: _counts([f["counts"][rule] for f in found]) for rule in RULES},
+        "judged": _counts([f["judged"] for f in found]),
+        "sweep": _sweep([f["sweep"] for f in found]),
+        "belief": _sweep([f["belief"] for f in found]),
+        "charging": {
+            kind: {what: _charges([f["charging"][kind][what] for f in found]) for what in ("toll", "speed")}
+            for kind in ("plain", "guarded")
+        },
+    }
+
+
+def _spread(values: Iterable[float]) -> list[float]:
+    """Median, 5 and 95 %."""
+    found = np.array(list(values))
+    method: Any = "linear" if np.isfinite(found).all() else "higher"
+    return [float(q) for q in np.quantile(found, [0.5, 0.05, 0.95], method=method)]
+
+
+def _counts(rows: Sequence[Sequence[int]]) -> dict[str, Any]:
+    """Rates of the drives, and of all their points together."""
+    each = [WarningCounts(*row) for row in rows]
+    total = sum(each[1:], each[0])
+    return {
+        "ocdr": _spread(c.ocdr for c in each), "far": _spread(c.far for c in each), "mdr": _spread(c.mdr for c in each),
+        "pooled": {
+            "points": total.points, "wrong": total.wrong, "false_alarms": total.false_alarms, "missed": total.missed,
+            "ocdr": total.ocdr, "per_right": total.per_right, "per_wrong": total.per_wrong,
+            "far_95": total.interval(total.false_alarms), "mdr_95": total.interval(total.missed),
+        },
+    }  # fmt: skip
+
+
+def _sweep(rows: Sequence[Sequence[Any]]) -> dict[str, Any]:
+    each = [WarningSweep(np.arange(float(len(a))), np.array(a), np.array(m), int(n)) for a, m, n in rows]
+    total = sum(each[1:], each[0])
+    threshold, ocdr = total.best()
+    return {
+        "false_alarms": total.false_alarms.tolist(), "missed": total.missed.tolist(), "points": total.points,
+        "crossing": total.crossing(), "best_threshold": threshold, "best_ocdr": ocdr,
+    }  # fmt: skip
+
+
+def _charges(rows: Sequence[Mapping[str, int]]) -> dict[str, Any]:
+    total = {key: sum(row[key] for row in rows) for key in ("due", "charged", "wrong", "missed")}
+    return {
+        **total,
+        "wrong_rate": total["wrong"] / total["charged"] if total["charged"] else None,
+        "missed_rate": total["missed"] / total["due"] if total["due"] else None,
+    }
+
+
+def _percent(value: float | None, digits: int = 1) -> str:
+    return "-" if value is None else f"{100.0 * value:.{digits}f} %"
+
+
+def _with_spread(values: Sequence[float]) -> str:
+    return f"{100 * values[0]:.1f} ({100 * values[1]:.1f} to {100 * values[2]:.1f}) %"
+
+
+def ocdr_rows(tables: Mapping[str, Any]) -> Table:
+    """OCDR of S5 beside ours, in motion and at rest, and of points that reached the third phase."""
+    rows: list[tuple[str, ...]] = []
+    for name, env in tables["environments"].items():
+        found, paper = env["of"][MAIN], WarningCounts(PUBLISHED_COUNTS[name][2], 0, *PUBLISHED_COUNTS[name][:2])
+        rows.append((
+            name, f"{100 * paper.ocdr:.2f} %", *(_with_spread(found["rules"][rule]["ocdr"]) for rule in
+            ("as printed", "all phases")), _with_spread(found["judged"]["ocdr"]),
+            _with_spread(found["rules"]["never"]["ocdr"]), _with_spread(found["available"]),
+        ))  # fmt: skip
+    return (
+        "drive", "S5", "warned at rest", "all phases", "third phase alone, of points that reach it", "never warn",
+        "HPL within limit",
+    ), rows  # fmt: skip
+
+
+def rule_rows(tables: Mapping[str, Any]) -> Table:
+    """What each phase adds, and what naive rules reach; all drives of an environment together."""
+    rows: list[tuple[str, ...]] = []
+    for name, env in tables["environments"].items():
+        for rule in RULES:
+            p = env["of"][MAIN]["rules"][rule]["pooled"]
+            rows.append(
+                (name, rule, _percent(p["ocdr"]), _percent(p["per_right"]), _percent(p["per_wrong"]), f"{p['wrong']:,}")
+            )
+    return ("drive", "rule", "OCDR", "warned of right points", "wrong points not warned of", "wrong points"), rows
+
+
+def matcher_rows(tables: Mapping[str, Any]) -> Table:
+    """Share of right links of each matcher and map; the crossing of its sweep; the same of its probability."""
+    rows: list[tuple[str, ...]] = []
+    for name, env in tables["environments"].items():
+        for key, found in env["of"].items():
+            which, kind = key.split(", ")
+            cells = [
+                "-" if found[of]["crossing"] is None else f"{found[of]['crossing']:.0f}" for of in ("sweep", "belief")
+            ]
+            rows.append((
+                name, which, kind, _with_spread(found["right"]), *cells, _percent(found["sweep"]["best_ocdr"]),
+                _percent(found["belief"]["best_ocdr"]),
+            ))  # fmt: skip
+    return (
+        "drive", "map", "matcher", "right link", "crossing of the score", "crossing of the probability",
+        "best OCDR of the score", "best OCDR of the probability",
+    ), rows  # fmt: skip
+
+
+def speed_rows(tables: Mapping[str, Any]) -> Table:
+    """Share of windows in which each form of the speed phase warns, by fault; and of the drives' points in motion."""
+    cases = tables["speed_power"]
+    forms = list(next(iter(cases.values())))
+    rows: list[tuple[str, ...]] = [(name, *(_percent(found[form]) for form in forms)) for name, found in cases.items()]
+    for name, env in tables["environments"].items():
+        rows.append((f"{name} drives, no fault", *(_with_spread(env["speed"][form]) for form in forms)))
+    return ("case", *forms), rows
+
+
+def application_rows(tables: Mapping[str, Any]) -> Table:
+    """Charges of both applications, plain and guarded by the warnings."""
+    rows: list[tuple[str, ...]] = []
+    for name, env in tables["environments"].items():
+        for what in ("toll", "speed"):
+            for kind in ("plain", "guarded"):
+                c = env["of"][MAIN]["charging"][kind][what]
+                rows.append((name, what, kind, f"{c['due']:,}", f"{c['charged']:,}", _percent(c["wrong_rate"]),
+                             _percent(c["missed_rate"])))  # fmt: skip
+    return ("drive", "charge", "", "due", "charged", "wrong of charged", "missed of due"), rows

@@ -1,0 +1,1 @@
+"""The context-aware monitor of S5: position, speed and map are checked one after another."""

@@ -1,0 +1,104 @@
+"""Third phase of S5: do matched positions move as the measured ones? S5 equations 9 to 13, and the fuzzy score.
+
+Over the last N epochs: ``DD = |D_map - D_gps|`` of the summed distances between matched and between measured positions,
+``DS = |D_map / (N dt) - AS_D|`` with the average Doppler speed, and ``DA`` the angle between the link and the motion.
+
+S5 equation 10 takes the errors of position and map, summed over the epochs, from D_map. With errors of metres DD then
+exceeds its bound of 8 m at every epoch; ``printed_allowance`` computes it nevertheless.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.frames import wrap_angle
+from lanebound.integrity.monitoring.context.fuzzy import RuleBase, s5_rules
+from lanebound.integrity.positioning.map_matching.matching import MapMatches
+from lanebound.integrity.positioning.map_matching.road_map import NO_LINK
+
+__all__ = ["MapPhase", "MapPhaseConfig", "MapTest"]
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+class MapPhaseConfig(Config):
+    """The third phase; S5 sections 3.3, 4.2 and 5."""
+
+    threshold: float = Field(71.0, ge=0, le=100, description="score below which the driver is warned; S5 section 4.3")
+    intervals: int = Field(10, ge=1, le=600, description="N, over which distances are summed [epochs]; as in phase 2")
+    printed_allowance: bool = Field(False, description="subtract errors of position and map as in S5 eq 10")
+    map_sigma_m: float = Field(5.0, ge=0, description="error of the map for printed_allowance [m]; chosen")
+    least_probability: float = Field(
+        0.0, ge=0, le=1, description="least probability of the matched link [-]; 0: as S5, which has none"
+    )
+    rules: RuleBase = Field(default_factory=s5_rules, description="the fuzzy system")
+
+
+class MapTest(NamedTuple):
+    """Results of B vehicles: score (B,) 0 without a match; the three differences (B,); matched (B,)."""
+
+    score: Array
+    heading_deg: Array
+    distance_m: Array
+    speed_mps: Array
+    matched: Bools
+    passed: Bools
+
+
+class MapPhase:
+    """Measured and matched positions of the last N epochs of B vehicles."""
+
+    def __init__(self, config: MapPhaseConfig, batch: int) -> None:
+        self.config = config
+        self._steps = np.zeros((batch, config.intervals, 4))  # distances: matched, measured; errors; time. A ring
+        self._count = np.zeros(batch, np.int64)
+        self._at = 0
+        self._last = np.full((batch, 4), np.nan)  # matched, measured position
+
+    def forget(self, rows: NDArray[np.int64] | slice) -> None:
+        """Begin anew with these vehicles."""
+        self._count[rows], self._last[rows] = 0, np.nan
+
+    def step(
+        self,
+        match: MapMatches,
+        position_en_m: Array,
+        sigma_m: Array,
+        heading_rad: Array,
+        average_mps: Array,
+        dt_s: float,
+    ) -> MapTest:
+        """Score the match of an epoch.
+
+        Parameters
+        ----------
+        match : of B vehicles
+        position_en_m, sigma_m, heading_rad : (B, 2), (B,), (B,) measured, with the 1 sigma of the position
+        average_mps : (B,) average Doppler speed of the second phase
+        dt_s : length of an epoch
+        """
+        c, matched = self.config, match.link != NO_LINK
+        here = np.concatenate([match.foot_en_m, position_en_m], -1)
+        moved = np.linalg.norm((here - self._last).reshape(-1, 2, 2), axis=-1)
+        joined = matched & np.isfinite(moved).all(-1)
+        sample = np.concatenate([moved, sigma_m[:, None], np.full((sigma_m.size, 1), dt_s)], -1)
+        self._steps[:, self._at] = np.where(joined[:, None], sample, 0.0)
+        self._at = (self._at + 1) % c.intervals
+        self._count = np.where(joined, np.minimum(self._count + 1, c.intervals), 0)
+        self._last = np.where(matched[:, None], here, np.nan)
+        age = (self._at - 1 - np.arange(c.intervals)) % c.intervals  # epochs since each place was written
+        recent = age[None] < self._count[:, None]
+        mapped, measured, errors, time = (np.where(recent, self._steps[..., k], 0.0).sum(-1) for k in range(4))
+        speed = np.where(time > 0.0, mapped / np.where(time > 0.0, time, 1.0), average_mps)
+        if c.printed_allowance:
+            mapped = mapped - errors - c.map_sigma_m * recent.sum(-1)
+        distance, off = np.abs(mapped - measured), np.abs(speed - average_mps)
+        angle = np.rad2deg(np.abs(wrap_angle(match.heading_rad - heading_rad)))
+        score = np.where(matched, c.rules.score(angle, distance, off), 0.0)
+        passed = matched & (score >= c.threshold) & (match.probability >= c.least_probability)
+        return MapTest(score, angle, distance, off, matched, passed)

@@ -1,0 +1,198 @@
+"""The context-aware monitor: position, then speed, then map; a verdict, a score and a light for the driver.
+
+S5 figure 2. Each phase is reached by those that passed the one before; every vehicle has a verdict at every epoch.
+
+>>> from lanebound.integrity.monitoring.context.monitor import ContextMonitor, ContextConfig   # doctest: +SKIP
+>>> monitor = ContextMonitor(ContextConfig(), road_map, batch=3, dt_s=1.0)                       # doctest: +SKIP
+>>> verdict = monitor.step(fix, wheel_mps)                                                       # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.core.advice import Advice
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.monitoring.context.code_fix import CodeErrorsConfig, CodeFix
+from lanebound.integrity.monitoring.context.map_phase import MapPhase, MapPhaseConfig, MapTest
+from lanebound.integrity.monitoring.context.position_phase import PositionPhaseConfig, PositionTest, check_position
+from lanebound.integrity.monitoring.context.speed_phase import SpeedPhase, SpeedPhaseConfig, SpeedTest
+from lanebound.integrity.positioning.map_matching.hidden_markov import make_matcher
+from lanebound.integrity.positioning.map_matching.matching import MapMatches, MatchingConfig, MatchInputs
+from lanebound.integrity.positioning.map_matching.road_map import NO_LINK, RoadMap
+
+__all__ = ["ContextConfig", "ContextMonitor", "ContextReason", "ContextVerdict", "Light", "light_of"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+
+class ContextReason(Advice):
+    """Why the driver is warned, or that the road and speed shown may be used."""
+
+    TRUSTED = 0, "position, speed and road agree"
+    NO_POSITION = 1, "no position: too few satellites"
+    UNAVAILABLE = 2, "the protection level exceeds the alert limit: the position may be wrong by more"
+    POSITION_FAULT = 3, "the satellites contradict each other: do not use the position"
+    SLOW = 4, "too slow for Doppler and a direction: the last verdict holds"
+    COLLECTING = 5, "the average speed is not known yet"
+    SPEED_FAULT = 6, "the Doppler speed is not to be trusted"
+    NO_ROAD = 7, "no road of the map near the position"
+    DOUBTFUL_ROAD = 8, "the road shown does not fit the motion"
+
+
+class Light(IntEnum):
+    """What the driver sees."""
+
+    GREEN = 0
+    AMBER = 1
+    RED = 2
+
+
+AMBER = (ContextReason.UNAVAILABLE, ContextReason.SLOW, ContextReason.COLLECTING)
+
+
+class ContextConfig(Config):
+    """The three phases, their matcher, and what holds at rest."""
+
+    codes: CodeErrorsConfig = CodeErrorsConfig()
+    position: PositionPhaseConfig = PositionPhaseConfig()
+    speed: SpeedPhaseConfig = SpeedPhaseConfig()
+    map: MapPhaseConfig = Field(default_factory=MapPhaseConfig)
+    matching: MatchingConfig = MatchingConfig()
+    warn_at_rest: bool = Field(
+        False, description="warn below the least speed, as S5's flow chart does; false: the last verdict holds"
+    )
+    position_phase: bool = Field(True, description="the first phase may warn; false: for ablations")
+    speed_phase: bool = Field(True, description="the second phase may warn")
+    map_phase: bool = Field(True, description="the third phase may warn")
+
+
+class ContextVerdict(NamedTuple):
+    """What the monitor says of B vehicles.
+
+    warn (B,) bool; reason (B,) codes of ContextReason; phases (B,) phases passed, 0 to 3; score (B,) 0 to 100; link
+    (B,) identity of the matched link, NO_LINK without; match, position, speed, map: what the phases found.
+    """
+
+    warn: Bools
+    reason: Ints
+    phases: Ints
+    score: Array
+    link: Ints
+    match: MapMatches
+    position: PositionTest
+    speed: SpeedTest
+    map: MapTest
+
+    @property
+    def light(self) -> Ints:
+        """Codes of Light, (B,)."""
+        return light_of(self.reason, self.warn)
+
+
+def light_of(reason: Ints, warn: Bools) -> Ints:
+    """Green without a warning, amber where nothing is known to be wrong, red where something is."""
+    amber = np.isin(reason, [member.code for member in AMBER])
+    return np.where(~warn, int(Light.GREEN), np.where(amber, int(Light.AMBER), int(Light.RED)))
+
+
+class ContextMonitor:
+    """Monitors B vehicles on one map.
+
+    Parameters
+    ----------
+    config : ContextConfig
+    road_map : RoadMap
+        The map that the vehicles have, with its errors.
+    batch : int
+    dt_s : float
+        Time between epochs.
+    """
+
+    def __init__(self, config: ContextConfig, road_map: RoadMap, batch: int, dt_s: float) -> None:
+        if not dt_s > 0.0 or batch < 1:
+            raise InputError(f"dt_s must be > 0 and batch >= 1, got {dt_s} and {batch}: give an epoch and vehicles")
+        self.config, self.road_map, self.dt_s = config, road_map, dt_s
+        self.matcher = make_matcher(road_map, config.matching, batch)
+        self.speed = SpeedPhase(config.speed, batch)
+        self.map = MapPhase(config.map, batch)
+        self._warned = np.ones(batch, np.bool_)  # by the last verdict in motion
+        self._score = np.zeros(batch)
+
+    def forget(self, rows: Ints | slice) -> None:
+        """Begin anew with these vehicles."""
+        self.matcher.forget(rows)
+        self.speed.forget(rows)
+        self.map.forget(rows)
+        self._warned[rows], self._score[rows] = True, 0.0
+
+    def step(
+        self,
+        fix: CodeFix,
+        wheel_mps: Array,
+        position: PositionTest | None = None,
+        speed: SpeedTest | None = None,
+    ) -> ContextVerdict:
+        """The verdict of an epoch, from a code position with its rows and the wheel speed (B,).
+
+        ``position`` and ``speed`` are results of the first phases on the same fix, when another monitor has them.
+        """
+        position = position or check_position(fix.codes, self.config.position)
+        speed = speed or self.speed.step(
+            fix.velocity_en_mps, fix.rates.cofactor[:, :2, :2], wheel_mps, fix.rates.solved
+        )  # fmt: skip
+        match, heading, sigma = self._match(fix, wheel_mps)
+        doppler = np.where(speed.known, speed.average_mps, np.hypot(*fix.velocity_en_mps.T))
+        tested = self.map.step(match, fix.position_en_m, sigma, heading, doppler, self.dt_s)
+        reason = self._reason(fix.codes.solved, position, speed, tested)
+        phases = _phases_passed(position, speed, tested)
+        slow = reason == ContextReason.SLOW.code
+        held = slow & (not self.config.warn_at_rest)
+        warn = np.where(held, self._warned, reason != ContextReason.TRUSTED.code)
+        score = np.where(slow, self._score, tested.score)
+        self._warned, self._score = np.asarray(warn, np.bool_), score
+        names = np.append(self.road_map.identity, NO_LINK)
+        return ContextVerdict(
+            self._warned.copy(), reason, phases, score, names[match.link], match, position, speed, tested
+        )  # fmt: skip
+
+    def _match(self, fix: CodeFix, wheel_mps: Array) -> tuple[MapMatches, Array, Array]:
+        """The match, the azimuth of motion and the 1 sigma of the position on one axis."""
+        east, north = fix.velocity_en_mps.T
+        heading = np.arctan2(east, north)
+        variance = 0.5 * np.trace(fix.covariance_en_m2, axis1=1, axis2=2)
+        sigma = np.sqrt(np.maximum(variance, 1.0))
+        moved = np.where(fix.rates.solved, np.hypot(east, north), np.abs(wheel_mps)) * self.dt_s
+        inputs = MatchInputs(fix.position_en_m, heading, np.abs(wheel_mps), moved, sigma, fix.codes.solved)
+        return self.matcher.step(inputs), heading, sigma
+
+    def _reason(self, located: Bools, position: PositionTest, speed: SpeedTest, tested: MapTest) -> Ints:
+        """The first phase that fails, in the order of S5 figure 2."""
+        c, everywhere = self.config, np.ones(located.size, np.bool_)
+        checks = (
+            (everywhere, ~located, ContextReason.NO_POSITION),
+            (c.position_phase, ~position.available, ContextReason.UNAVAILABLE),
+            (c.position_phase, ~position.consistent, ContextReason.POSITION_FAULT),
+            (everywhere, ~speed.moving, ContextReason.SLOW),
+            (c.speed_phase, ~speed.known, ContextReason.COLLECTING),
+            (c.speed_phase, ~speed.consistent, ContextReason.SPEED_FAULT),
+            (c.map_phase, ~tested.matched, ContextReason.NO_ROAD),
+            (c.map_phase, ~tested.passed, ContextReason.DOUBTFUL_ROAD),
+        )
+        return np.select([on & failed for on, failed, _ in checks], [why.code for *_, why in checks], 0).astype(
+            np.int64
+        )
+
+
+def _phases_passed(position: PositionTest, speed: SpeedTest, tested: MapTest) -> Ints:
+    """Phases passed one after another, 0 to 3."""
+    first = position.passed
+    second = first & speed.passed
+    return first.astype(np.int64) + second + (second & tested.passed)

@@ -1,0 +1,77 @@
+"""First phase of S5: weighted RAIM (Walter and Enge 1995), S5 equations 1 to 4.
+
+``HPL = max_i slope_i T + k(P_MD) HDOP_w``, ``slope_i = sigma_i |(K_1i, K_2i)| / sqrt(1 - P_ii)``, K = (G'WG)^-1 G'W,
+P = G K; the test statistic is sqrt(WSSE) = sqrt(r'Wr), its threshold T = sqrt(chi2_{1 - P_FA}(m - n)).
+
+S5 equation 2 lacks sigma_i, so that its slope is not in metres; ``printed_slope`` computes it nevertheless.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, norm
+
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.monitoring.context.code_fix import WeightedRows
+
+__all__ = ["PositionPhaseConfig", "PositionTest", "check_position", "raim_threshold"]
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+class PositionPhaseConfig(Config):
+    """Alert limit and risks of the first phase; S5 section 3.1."""
+
+    alert_limit_m: float = Field(15.0, gt=0, description="horizontal alert limit [m]; S5, after Velaga 2012")
+    false_alarm: float = Field(1e-3, gt=0, lt=1, description="P_FA of the WSSE test [-]; S5")
+    missed_detection: float = Field(1e-5, gt=0, lt=1, description="P_MD of the protection level [-]; S5")
+    printed_slope: bool = Field(False, description="slope without sigma_i, as printed in S5 eq 2 (not in metres)")
+
+
+class PositionTest(NamedTuple):
+    """Results of B vehicles: level_m (B,) inf without redundancy, statistic (B,), threshold (B,) inf without."""
+
+    level_m: Array
+    statistic: Array
+    threshold: Array
+    available: Bools
+    consistent: Bools
+
+    @property
+    def passed(self) -> Bools:
+        """The level is within the alert limit, and the residuals are consistent."""
+        return np.asarray(self.available & self.consistent)
+
+
+def raim_threshold(redundancy: NDArray[np.int64], false_alarm: float) -> Array:
+    """``T(N, P_FA) = sqrt(chi2_{1 - P_FA}(m - n))``; inf without redundancy.  (...,) -> (...,)."""
+    table = _thresholds(false_alarm, int(redundancy.max(initial=0)))
+    return table[np.maximum(redundancy, 0)]
+
+
+@lru_cache(maxsize=64)
+def _thresholds(false_alarm: float, most: int) -> Array:
+    return np.concatenate([[np.inf], np.sqrt(chi2.isf(false_alarm, np.arange(1, most + 1)))])
+
+
+def check_position(codes: WeightedRows, config: PositionPhaseConfig) -> PositionTest:
+    """Protection level and consistency of code positions."""
+    gained = codes.cofactor @ np.swapaxes(codes.design * codes.weight[..., None], 1, 2)
+    kept = (codes.design * np.swapaxes(gained, 1, 2)).sum(-1)
+    used = codes.weight > 0.0
+    sigma = np.where(used, 1.0 / np.sqrt(np.where(used, codes.weight, 1.0)), 0.0)
+    pull = np.hypot(gained[:, 0], gained[:, 1]) * (1.0 if config.printed_slope else sigma)
+    unseen = np.sqrt(np.maximum(1.0 - kept, 1e-12))
+    slope = np.where(used, pull / unseen, 0.0).max(-1)
+    threshold = raim_threshold(codes.redundancy, config.false_alarm)
+    tested = codes.solved & (codes.redundancy > 0)
+    hdop = np.sqrt(codes.cofactor[:, 0, 0] + codes.cofactor[:, 1, 1])
+    level = slope * np.where(tested, threshold, 0.0) + norm.isf(config.missed_detection) * hdop
+    level = np.where(tested, level, np.inf)
+    statistic = np.sqrt((codes.weight * np.square(codes.residual)).sum(-1))
+    return PositionTest(level, statistic, threshold, level <= config.alert_limit_m, statistic <= threshold)

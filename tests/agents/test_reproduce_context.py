@@ -1,0 +1,91 @@
+"""The context study: true links, counts of a short run, resumption, the command."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from lanebound.agents.cli import app
+from lanebound.agents.reproduce import context_tables as made
+from lanebound.agents.reproduce.context_drive import DRIVES, TrueLinks, route_road
+from lanebound.agents.reproduce.context_study import ContextStudyConfig, run_context
+from lanebound.integrity.core.streams import named_generator
+from lanebound.integrity.motion.drive import CityDrive
+from lanebound.integrity.positioning.map_matching.generators import DriveEnvironment, generate_map
+
+SHORT = {
+    "environments": ["mixed"], "seeds": 3, "batch": 3,
+    "drives": {"mixed": {"length_m": 1500.0, "points": 40, "sky": "open"}},
+}  # fmt: skip
+SETTINGS = (
+    "environments=[mixed]", "batch=3", "drives.mixed.length_m=1500", "drives.mixed.points=40", "drives.mixed.sky=open",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("environment", list(DriveEnvironment))
+def test_routes_can_be_driven_and_the_true_link_is_beside_the_car(environment) -> None:
+    table = DRIVES[environment]
+    found = generate_map(environment, table.length_m, named_generator([1, 1], "road"))
+    road = route_road(found)
+    CityDrive(road, table.drive, 0.2)  # refuses kinks
+    links = TrueLinks.of(road, found)
+    assert (np.diff(links.start_m) > 0.0).all()
+    arc = np.linspace(0.0, road.length_m, 400)[:-1]
+    true = links.at(arc, 10.0)
+    place, _ = road.pose_at(arc)
+    near = found.road_map.near(place, 15.0, 64)
+    names = np.append(found.road_map.identity, -1)[near.link]
+    beside = (names[:, :, None] == true[:, None, :]).any((1, 2))
+    assert beside.mean() > 0.995  # rounded corners leave the lines by some metres
+    distance = np.where(names == true[:, :1], near.distance_m, np.inf).min(-1)
+    assert np.median(distance[np.isfinite(distance)]) < 1.0
+
+
+def test_true_links_of_a_closed_route_wrap_and_of_an_open_one_end() -> None:
+    open_, closed = (TrueLinks(np.array([0.0, 50.0, 120.0]), np.array([7, 8]), closed) for closed in (False, True))
+    arc = np.array([20.0, 47.0, 53.0, 118.0, 130.0])
+    assert open_.at(arc, 5.0).tolist() == [[7, 7], [7, 8], [8, 7], [8, 8], [8, 8]]
+    assert closed.at(arc, 5.0).tolist() == [[7, 7], [7, 8], [8, 7], [8, 7], [7, 7]]
+
+
+def test_a_short_study_counts_all_points_and_resumes(tmp_path) -> None:
+    config = ContextStudyConfig().replace(**SHORT)
+    tables = run_context(config, tmp_path)
+    found = tables["environments"]["mixed"]
+    assert (found["drives"], found["points"]) == (3, 120)
+    for monitor in found["of"].values():
+        for counts in monitor["rules"].values():
+            assert counts["pooled"]["points"] == 120
+        rules = monitor["rules"]
+        assert rules["never"]["pooled"]["false_alarms"] == rules["always"]["pooled"]["missed"] == 0
+        assert rules["never"]["pooled"]["missed"] == rules["never"]["pooled"]["wrong"]
+        assert rules["all phases"]["pooled"]["false_alarms"] >= rules["without map"]["pooled"]["false_alarms"]
+        assert rules["all phases"]["pooled"]["missed"] <= rules["without map"]["pooled"]["missed"]
+    assert {path.name for path in tmp_path.glob("*.png")} == {"threshold.png", "rules.png", "matchers.png"}
+    before = (tmp_path / "parts" / "mixed-0.json").stat().st_mtime_ns
+    assert run_context(config, tmp_path) == tables
+    assert (tmp_path / "parts" / "mixed-0.json").stat().st_mtime_ns == before
+    told = CliRunner().invoke(app, [
+        "reproduce", "context", "--out", str(tmp_path), "--seeds", "3",
+        *(word for setting in SETTINGS for word in ("--set", setting)),
+    ])  # fmt: skip
+    assert told.exit_code == 0, told.output
+    for words in ("Overall correct detection rate", "What each phase adds", "Matchers", "Speed phase", "Charges"):
+        assert words in told.output
+    for rows in (made.ocdr_rows, made.rule_rows, made.matcher_rows, made.speed_rows, made.application_rows):
+        head, cells = rows(tables)
+        assert cells
+        assert all(len(row) == len(head) for row in cells)
+
+
+def test_drive_shows_the_light_and_logs_it(tmp_path) -> None:
+    out = tmp_path / "drive"
+    told = CliRunner().invoke(app, [
+        "drive", "LaneKeeping", "--sky", "open", "--set", "duration_s=14", "--display", "--out", str(out), "--json",
+    ])  # fmt: skip
+    assert told.exit_code == 0, told.output
+    rows = (out / "warnings.csv").read_text(encoding="utf-8").splitlines()
+    assert rows[0].startswith("episode,time_s,light,reason")
+    assert any(",green,TRUSTED,3," in row for row in rows)
+    assert json.loads(told.stdout)
