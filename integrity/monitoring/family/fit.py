@@ -2,8 +2,8 @@
 
 The clock of a system is the weighted mean of its codes less the rest. With rows ``a_i = -e_i - mean`` and values
 ``y_i - mean`` of each system, ``C = (sum w a a')^-1`` is the position block of ``(G'WG)^-1``, ``S_i = C a_i w_i`` its
-gain, and ``R_ii = 1 - w_i a_i'C a_i - w_i / sum of w of its system`` the redundancy number: the same figures as with clock
-columns, by 3 x 3 matrices only.
+gain, and ``R_ii = 1 - w_i a_i'C a_i - w_i / sum of w of its system`` the redundancy number: the same figures as with
+clock columns, by 3 x 3 matrices only.
 """
 
 from __future__ import annotations

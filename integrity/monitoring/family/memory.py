@@ -2,8 +2,8 @@
 
 The filters work on positions, on East and North apart: ``x^- = x + step``, ``K = P^- / (P^- + sigma^2)``. Errors of
 codes last for seconds to minutes, so that no filter of this module takes them as independent between epochs: deviations
-of old and new errors add up as they are, not as squares. That is exact for errors that do not change, and an upper bound
-of the deviation for every other correlation.
+of old and new errors add up as they are, not as squares. That is exact for errors that do not change, and an upper
+bound of the deviation for every other correlation.
 """
 
 from __future__ import annotations
