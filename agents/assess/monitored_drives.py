@@ -53,6 +53,19 @@ def stated_deviation_m(gnss: GnssConfig, elevation_rad: Array) -> Array:
     return np.asarray(np.sqrt(slow + (b.iono_zenith_m * obliquity(sine)) ** 2 + noise**2))
 
 
+def carrier_deviation_m(gnss: GnssConfig, elevation_rad: Array, span_s: float) -> Array:
+    """Deviation of the change of an undifferenced carrier over ``span_s``, by the same budget.  (...,) [m].
+
+    Slow errors are Gauss-Markov processes: they change by ``s sqrt(2 t / tau)``, which dominates.
+    """
+    b: BroadcastConfig = gnss.broadcast
+    sine = np.maximum(np.sin(elevation_rad), 0.05)
+    own = b.iono_zenith_m * obliquity(sine)
+    slow = b.orbit_sigma_m**2 / b.orbit_tau_s + b.clock_sigma_m**2 / b.clock_tau_s + np.square(own) / b.iono_tau_s
+    noise = np.hypot(gnss.phase_sigma_m, gnss.phase_multipath_m) / sine
+    return np.asarray(np.sqrt(2.0 * span_s * slow + 2.0 * np.square(noise)))
+
+
 def simulated_epochs(
     config: StreetDrivesConfig, sky: str, number: int, every: int = 5, advance: Advance = ignore
 ) -> TrackedEpochs:
@@ -111,6 +124,7 @@ class _Between:
             "y": code, "used": g.tracked & (code != 0.0), "los": los, "elevation": elevation, "cn0": g.cn0_dbhz,
             "sigma": stated_deviation_m(self.gnss, elevation), "step": self.step.copy(), "spread": sigma,
             "change": np.where(kept, change, 0.0), "kept": kept,
+            "loose": carrier_deviation_m(self.gnss, elevation, self.span_s),
         }  # fmt: skip
         self.phase, self.held = phase, g.tracked & (phase != 0.0)
         self.step[:], self.span_s = 0.0, 0.0
@@ -146,7 +160,7 @@ def _tracked(sampled: _Sampled, views: list[SkyView], mask: SkyMask, road: Road)
     change = np.where(kept, v["change"] + (turned @ before[..., None])[..., 0], 0.0)
     epochs = CodeEpochs(**{
         **vars(plain), "shadowed": shadowed, "step_enu_m": v["step"], "step_sigma_m": v["spread"],
-        "carrier_step_m": change, "carrier_kept": kept,
+        "carrier_step_m": change, "carrier_kept": kept, "carrier_sigma_m": v["loose"],
     })  # fmt: skip
     return TrackedEpochs(epochs.checked(), np.asarray(v["truth"], dtype=np.float64), np.ones(drive.size, bool))
 

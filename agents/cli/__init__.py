@@ -14,6 +14,7 @@ from lanebound.agents.cli import (
     config,
     drive,
     envs,
+    monitors,
     play,
     recorded,
     replay,
@@ -51,6 +52,8 @@ EXAMPLES = """
 
   lanebound assess bounding --out out/bounds   count errors above their levels
 
+  lanebound monitors                           list integrity monitors
+
   lanebound replay data/berlin --out out/b     process a recorded drive
 
   lanebound record-sky data/berlin --out b.csv   write its sky for drive --sky b.csv
@@ -85,6 +88,9 @@ app.command("rtk")(recorded.rtk)
 app.command("record-sky")(recorded.record_sky)
 app.command("envs")(envs.envs)
 app.command("agents")(agents.agents)
+app.command("monitors")(monitors.monitors)
+app.command("fit-errors")(monitors.fit_errors)
+assess.app.command("monitors")(monitors.assess_monitors)
 app.command("drive")(drive.drive)
 app.command("play")(play.play)
 

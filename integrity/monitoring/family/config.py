@@ -118,9 +118,6 @@ class FamilyMonitorConfig(Config):
     robust_rounds: int = Field(12, ge=1, le=100, description="repetitions of robust weights [-]")
     window_s: float = Field(30.0, gt=0, description="time over which residuals are split [s]; chosen")
     coast_s: float = Field(30.0, gt=0, description="longest time that RRAIM coasts on carriers [s]; GEAS: 30 to 300 s")
-    carrier_sigma_m: float = Field(
-        0.01, gt=0, description="deviation of the change of a carrier over an epoch [m]; 3 mm twice, and multipath"
-    )
     rayleigh_factor: float = Field(
         1.0, gt=0, description="scale of the Rayleigh law of error over the deviation in the plane [-]; fit-errors"
     )

@@ -40,7 +40,8 @@ class CodeEpochs:
     step_enu_m, step_sigma_m : (E, 3) displacement since the epoch before by wheels, gyro or Doppler, and (E,) its
         standard deviation on each axis, inf where unknown; None without such sensors.
     carrier_step_m : (E, m) observed minus computed change of the carrier since the epoch before, of the same form as
-        ``y`` with the displacement for x; ``carrier_kept`` (E, m) bool where the carrier was held. None without.
+        ``y`` with the displacement for x; ``carrier_sigma_m`` (E, m) its standard deviation, independent from step to
+        step; ``carrier_kept`` (E, m) bool where the carrier was held. None without.
     """
 
     time_s: Array
@@ -56,6 +57,7 @@ class CodeEpochs:
     step_enu_m: Array | None = None
     step_sigma_m: Array | None = None
     carrier_step_m: Array | None = None
+    carrier_sigma_m: Array | None = None
     carrier_kept: Bools | None = None
 
     @classmethod
@@ -150,7 +152,18 @@ def _shapes(epochs: int, columns: int) -> dict[str, tuple[int, ...]]:
     both = (epochs, columns)
     of_epoch = dict.fromkeys(("time_s", "drive", "step_sigma_m"), (epochs,))
     of_code = dict.fromkeys(
-        ("y_m", "sigma_m", "used", "cn0_dbhz", "elevation_rad", "shadowed", "carrier_step_m", "carrier_kept"), both
+        (
+            "y_m",
+            "sigma_m",
+            "used",
+            "cn0_dbhz",
+            "elevation_rad",
+            "shadowed",
+            "carrier_step_m",
+            "carrier_sigma_m",
+            "carrier_kept",
+        ),
+        both,
     )
     return {**of_epoch, **of_code, "los_enu": (*both, 3), "system": (columns,), "step_enu_m": (epochs, 3)}
 

@@ -30,9 +30,9 @@ Bools = NDArray[np.bool_]
 def _carrier_steps(work: LevelWork) -> tuple[CodeEpochs, CodeFit, Bools]:
     """Epochs of the changes of carriers with slips excluded, their solution, and where it may be used.  (E,)."""
     e, config = work.epochs, work.config
-    if e.carrier_step_m is None or e.carrier_kept is None:
+    if e.carrier_step_m is None or e.carrier_kept is None or e.carrier_sigma_m is None:
         raise InputError("carrier_step_m must be known for RRAIM, got None: the epochs must hold carriers")
-    sigma = np.full(e.y_m.shape, config.carrier_sigma_m)
+    sigma = np.where(e.carrier_kept, e.carrier_sigma_m, 1.0)
     steps = local_tests(replace(e, y_m=e.carrier_step_m, sigma_m=sigma, used=e.carrier_kept), config)
     fit = solve_codes(steps)
     passed = fit.solved & (fit.df > 0) & (fit.wsse <= global_threshold(fit.df, config.false_alarm)) & ~e.starts()
@@ -43,13 +43,15 @@ def relative_position(work: LevelWork) -> Remembered:
     """Position form: ``x_t = x_0 + sum of steps``, ``HPL = HPL_0 + K s_t + max slope sqrt(lambda)``."""
     _, fit, passed = _carrier_steps(work)
     own = root_level(work.epochs, work.fit, work.config, work.risks)
-    hidden = fit.slopes().max(-1)[:, None] * np.sqrt(noncentralities(fit.df, work.config.false_alarm, work.risks))
+    tested = np.where(passed, fit.df, 0)
+    least = np.where(tested[:, None] > 0, noncentralities(tested, work.config.false_alarm, work.risks), 0.0)
+    hidden = np.where(passed, fit.slopes().max(-1), 0.0)[:, None] * np.sqrt(least)
     z, time = normal_factor(work.risks), work.epochs.time_s
     position, level = work.fit.x_m.copy(), own.copy()
     x, base, variance, slip, since = np.zeros(3), np.full(z.size, np.inf), 0.0, np.zeros(z.size), -np.inf
     for k in range(time.size):
         variance, x = variance + float(fit.major_m[k]) ** 2, x + fit.x_m[k]
-        slip = np.maximum(slip, np.where(passed[k], hidden[k], 0.0))
+        slip = np.maximum(slip, hidden[k])
         coasting = base + z * np.sqrt(variance) + slip
         ends = not passed[k] or time[k] - since > work.config.coast_s
         if ends or not np.isfinite(coasting).any() or (own[k] <= coasting).all():
@@ -70,7 +72,7 @@ def relative_range(work: LevelWork) -> Remembered:
     for k in range(e.count):
         kept = kept & steps.used[k]
         carried[0] += np.where(kept, steps.y_m[k], 0.0)
-        carried[1] = np.sqrt(carried[1] ** 2 + work.config.carrier_sigma_m**2)
+        carried[1] = np.hypot(carried[1], steps.sigma_m[k])
         ends = not passed[k] or e.time_s[k] - since > work.config.coast_s or kept.sum() < work.fit.used[k].sum() // 2
         if ends or own[k, middle] <= base:
             base, x, since, kept = float(own[k, middle]), work.fit.x_m[k], e.time_s[k], work.fit.used[k]
