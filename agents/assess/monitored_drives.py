@@ -116,8 +116,7 @@ class _Between:
         los, elevation = sky.los_enu[sky.index], sky.elevation_rad[sky.index]
         code = g.raw_code_m[..., BAND]
         phase, held = _phase(m), self.held
-        begun = held is None or self.phase is None
-        change = np.zeros_like(phase) if begun else phase - self.phase
+        change = np.zeros_like(phase) if self.phase is None else phase - self.phase
         kept = np.zeros(phase.shape, bool) if held is None else held
         sigma = np.where(self.fixed, RATE_SIGMA_MPS * self.span_s, np.inf)
         out: dict[str, NDArray[np.generic]] = {

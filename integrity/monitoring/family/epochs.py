@@ -126,7 +126,7 @@ class CodeEpochs:
             raise InputError("los_enu must be unit vectors where used, some are not: normalise them")
         return self
 
-    def take(self, rows: ArrayLike) -> CodeEpochs:
+    def take(self, rows: ArrayLike | slice) -> CodeEpochs:
         """Some of the epochs, by mask, index or slice."""
         which: Any = rows if isinstance(rows, slice) else np.asarray(rows)
         changed = {

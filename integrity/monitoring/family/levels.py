@@ -132,8 +132,8 @@ def fixed_level_false_alarm(fit: CodeFit, level_m: float, risks: Array) -> tuple
     allowed = np.square(level_m / np.where(tested & (worst > 0.0), worst, np.inf))
     allowed = np.minimum(np.where(tested & (worst == 0.0), 1e4, allowed), 1e4)
     limit = chndtrix(np.broadcast_to(risks, (df.size, risks.size)), df[:, None], allowed[:, None])
-    limit = np.where(tested[:, None], np.nan_to_num(limit, nan=0.0), 0.0)
-    return limit, np.asarray(chdtrc(df[:, None], limit))
+    limit = np.asarray(np.where(tested[:, None] & np.isfinite(limit), limit, 0.0), dtype=np.float64)
+    return np.asarray(limit), np.asarray(chdtrc(df[:, None], limit))
 
 
 def road(work: LevelWork) -> Array:

@@ -56,10 +56,10 @@ def isotropic_kalman(work: LevelWork) -> Remembered:
     only moves the position.
     """
     fit, (step, spread) = work.fit, _steps(work.epochs)
-    factor = isotropic_factor(fit.df, work.risks) * np.sqrt(fit.wsse)[:, None]
+    good, major = fit.solved & (fit.df > 0), fit.major_m
+    factor = isotropic_factor(np.maximum(fit.df, 1), work.risks) * np.sqrt(fit.wsse)[:, None]
     z = normal_factor(work.risks)
     plane = np.diagonal(fit.cofactor, axis1=1, axis2=2)[:, :2]
-    good, major = fit.solved & (fit.df > 0), fit.major_m
     x, p, level = np.zeros(2), np.full(2, np.inf), np.full(work.risks.size, np.inf)
     position, found = fit.x_m.copy(), np.full((fit.df.size, work.risks.size), np.inf)
     for k in range(fit.df.size):

@@ -71,7 +71,7 @@ def _watch(epochs: CodeEpochs, config: FamilyMonitorConfig, risks: Array) -> Mon
         position, level, alarm = found.position_enu_m, found.hpl_m, alarm | found.alarm
     else:
         position, level = fit.x_m, LEVELS[config.level](work)
-    solved = fit.solved | ((config.level in COASTS) & np.isfinite(level).any(-1))
+    solved = fit.solved | np.isfinite(level).any(-1) if config.level in COASTS else fit.solved
     excluded = weighted.used & ~left.used
     outcome = _outcome(fit, solved, excluded.any(-1), alarm, level)
     none = (outcome > MonitorOutcome.EXCLUDED.code)[:, None]

@@ -21,6 +21,7 @@ __all__ = ["BoundForm", "ErrorSides", "Overbound", "overbound"]
 Array = NDArray[np.float64]
 
 FEWEST = 10
+MOST_TAIL = 0.49  # of a CDF bound: at the centre itself only errors with this median have a finite one
 LEAST_SIGMA_M = 1e-6
 
 
@@ -57,7 +58,7 @@ def overbound(
     """The smallest normal law that bounds errors (n,) [m].
 
     ===== =============================================================================================================
-    CDF   ``F(e) <= F_bound(e)`` below the centre, the reverse above (DeCleene 2000): sigma covers all quantiles
+    CDF   ``F(e) <= F_bound(e)`` below the centre, the reverse above (DeCleene 2000): sigma covers tails up to 0.49
     TAIL  the same for tails up to the probability ``tail`` only
     PAIRED all of F between the laws of two centres (Rife 2006), the pair of least ``bias + factor sigma``
     PDF   the density is above that of the errors, by histogram, beyond one sigma
@@ -85,7 +86,7 @@ def overbound(
         return _paired(centre, chosen, factor)
     if form is BoundForm.PDF:
         return Overbound(centre, _density(e - centre, sides))
-    largest = tail if form is BoundForm.TAIL else 0.5
+    largest = tail if form is BoundForm.TAIL else MOST_TAIL
     sigma = max(_slope(values, z, largest) for values, z in chosen)
     return Overbound(centre, max(sigma, LEAST_SIGMA_M))
 
@@ -97,7 +98,7 @@ def _side(e: Array) -> tuple[Array, Array]:
 
 def _slope(e: Array, z: Array, largest: float) -> float:
     """Least sigma with ``e_k <= sigma z_k`` for upper tails up to ``largest``."""
-    own = z >= max(float(-ndtri(largest)), 1e-3)
+    own = z >= -ndtri(largest)
     return float((e[own] / z[own]).max()) if own.any() else 0.0
 
 
