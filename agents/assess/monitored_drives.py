@@ -9,17 +9,16 @@ from numpy.typing import NDArray
 
 from lanebound.agents.assess.street_drives import StreetDrivesConfig, road_of, street_of
 from lanebound.agents.checkpointing.runner import Advance, ignore
+from lanebound.integrity.monitoring.family.budget import CodeBudget
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.replay.code_epochs import TrackedEpochs
-from lanebound.integrity.sensors.broadcast import BroadcastConfig, mapping, obliquity
-from lanebound.integrity.sensors.gnss import GnssConfig
 from lanebound.integrity.sensors.instruments import Measurements
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.view import SkyView
 from lanebound.integrity.sky.visibility import SignalPath, SkyMask
 
-__all__ = ["simulated_epochs", "stated_deviation_m"]
+__all__ = ["simulated_epochs"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -44,28 +43,6 @@ class _Sampled:
         return np.asarray(stacked.reshape(-1, *stacked.shape[2:]))
 
 
-def stated_deviation_m(gnss: GnssConfig, elevation_rad: Array) -> Array:
-    """Deviation of an undifferenced code by the budget of the simulation without reflections.  (...,) [m]."""
-    b: BroadcastConfig = gnss.broadcast
-    sine = np.maximum(np.sin(elevation_rad), 0.05)
-    noise = np.hypot(gnss.code_sigma_m, gnss.code_multipath_m) / sine
-    slow = b.orbit_sigma_m**2 + b.clock_sigma_m**2 + (b.tropo_zenith_m * mapping(sine)) ** 2
-    return np.asarray(np.sqrt(slow + (b.iono_zenith_m * obliquity(sine)) ** 2 + noise**2))
-
-
-def carrier_deviation_m(gnss: GnssConfig, elevation_rad: Array, span_s: float) -> Array:
-    """Deviation of the change of an undifferenced carrier over ``span_s``, by the same budget.  (...,) [m].
-
-    Slow errors are Gauss-Markov processes: they change by ``s sqrt(2 t / tau)``, which dominates.
-    """
-    b: BroadcastConfig = gnss.broadcast
-    sine = np.maximum(np.sin(elevation_rad), 0.05)
-    own = b.iono_zenith_m * obliquity(sine)
-    slow = b.orbit_sigma_m**2 / b.orbit_tau_s + b.clock_sigma_m**2 / b.clock_tau_s + np.square(own) / b.iono_tau_s
-    noise = np.hypot(gnss.phase_sigma_m, gnss.phase_multipath_m) / sine
-    return np.asarray(np.sqrt(2.0 * span_s * slow + 2.0 * np.square(noise)))
-
-
 def simulated_epochs(
     config: StreetDrivesConfig, sky: str, number: int, every: int = 5, advance: Advance = ignore
 ) -> TrackedEpochs:
@@ -75,9 +52,9 @@ def simulated_epochs(
     """
     wanted = config.replace(navigator={"gnss": {"undifferenced": True}})
     navigator, drive = street_of(wanted, sky, number)
-    dt, gnss = navigator.config.dt_s, navigator.config.gnss
+    dt, budget = navigator.config.dt_s, CodeBudget()
     first, epochs = (round(time_s / dt) for time_s in (wanted.warm_up_s, wanted.span_s))
-    sampled, views, state = _Sampled(), [], _Between(navigator.batch, gnss)
+    sampled, views, state = _Sampled(), [], _Between(navigator.batch, budget)
     for k, truth in zip(range(epochs), drive, strict=False):
         m = navigator.measure(truth)
         state.add(m, dt)
@@ -92,8 +69,8 @@ def simulated_epochs(
 class _Between:
     """What changes between samples: carriers that are held, and the displacement by Doppler."""
 
-    def __init__(self, batch: int, gnss: GnssConfig) -> None:
-        self.gnss, self.step, self.span_s = gnss, np.zeros((batch, 3)), 0.0
+    def __init__(self, batch: int, budget: CodeBudget) -> None:
+        self.budget, self.step, self.span_s = budget, np.zeros((batch, 3)), 0.0
         self.phase: Array | None = None
         self.held: Bools | None = None
         self.fixed = np.ones(batch, bool)
@@ -121,9 +98,9 @@ class _Between:
         sigma = np.where(self.fixed, RATE_SIGMA_MPS * self.span_s, np.inf)
         out: dict[str, NDArray[np.generic]] = {
             "y": code, "used": g.tracked & (code != 0.0), "los": los, "elevation": elevation, "cn0": g.cn0_dbhz,
-            "sigma": stated_deviation_m(self.gnss, elevation), "step": self.step.copy(), "spread": sigma,
+            "sigma": self.budget.code(elevation), "step": self.step.copy(), "spread": sigma,
             "change": np.where(kept, change, 0.0), "kept": kept,
-            "loose": carrier_deviation_m(self.gnss, elevation, self.span_s),
+            "loose": self.budget.carrier_step(elevation, self.span_s),
         }  # fmt: skip
         self.phase, self.held = phase, g.tracked & (phase != 0.0)
         self.step[:], self.span_s = 0.0, 0.0

@@ -63,7 +63,10 @@ __all__ = [
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
-BUILT_IN = {"rtk_reckoning": "lanebound.integrity.navigators.rtk_reckoning.navigator"}
+BUILT_IN = {
+    "rtk_reckoning": "lanebound.integrity.navigators.rtk_reckoning.navigator",
+    "monitored_codes": "lanebound.integrity.navigators.monitored_codes",
+}
 
 
 class LevelForm(Enum):
