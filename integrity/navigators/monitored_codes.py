@@ -7,6 +7,7 @@ axes. No reference station, no carriers: metres, not centimetres.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -75,6 +76,15 @@ class MonitoredCodesConfig(NavigatorConfig):
     speed_sigma_mps: float = Field(0.1, gt=0, description="error of wheel speed that lasts, 1 sigma [m/s]; S1: 0.05")
     gyro_bias_radps: float = Field(2e-3, gt=0, description="bias of the gyro, 1 sigma [rad/s]; a consumer's turn-on")
     longest_s: float = Field(30.0, gt=0, description="longest time by wheels and gyro with a level [s]")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_codes(cls, data: Any) -> Any:
+        """Undifferenced codes are computed, whatever the instruments of a sky say."""
+        given = data.get("gnss") if isinstance(data, Mapping) else None
+        if isinstance(given, Mapping):
+            return {**data, "gnss": {**given, "undifferenced": True}}
+        return {**data, "gnss": given.replace(undifferenced=True)} if isinstance(given, GnssConfig) else data
 
     @model_validator(mode="after")
     def _has_codes(self) -> MonitoredCodesConfig:

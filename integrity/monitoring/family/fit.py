@@ -107,7 +107,7 @@ def solve_codes(epochs: CodeEpochs) -> CodeFit:
     good = status == Solvability.SOLVED.code
     cofactor = np.where(good[:, None, None], cofactor, 0.0)
     gain = weighted @ cofactor
-    x = (np.swapaxes(gain, 1, 2) @ y[..., None])[..., 0]
+    x = (gain * y[..., None]).sum(1)
     residual = np.where(good[:, None] & epochs.used, y - (rows @ x[..., None])[..., 0], 0.0)
     redundancy = np.where(good[:, None] & epochs.used, 1.0 - (gain * rows).sum(-1) - share, 0.0)
     return CodeFit(
@@ -126,12 +126,12 @@ def _without_clocks(epochs: CodeEpochs, weight: Array) -> tuple[Array, Array, Ar
         own = np.flatnonzero(epochs.system == system)
         if not own.size:
             continue
-        w, seen = weight[:, own], epochs.used[:, own]
+        w, seen = np.take(weight, own, 1), np.take(epochs.used, own, 1)  # in C order: sums do not depend on E
         total = w.sum(-1)
         part = w / np.where(total > 0.0, total, 1.0)[:, None]
-        los = np.where(seen[..., None], epochs.los_enu[:, own], 0.0)
-        value = np.where(seen, epochs.y_m[:, own], 0.0)
-        centre = (part[:, None, :] @ los)[:, 0]
+        los = np.where(seen[..., None], np.take(epochs.los_enu, own, 1), 0.0)
+        value = np.where(seen, np.take(epochs.y_m, own, 1), 0.0)
+        centre = (part[..., None] * los).sum(1)
         rows[:, own] = np.where(seen[..., None], centre[:, None] - los, 0.0)
         y[:, own] = np.where(seen, value - (part * value).sum(-1)[:, None], 0.0)
         share[:, own] = part
