@@ -15,6 +15,7 @@ from lanebound.agents.assess.street_drives import StreetDrivesConfig
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig
+from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.error_classes import ErrorClasses, ErrorLaw
 from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.monitoring.family.laws import (
@@ -113,14 +114,22 @@ def code_errors_of(tracked: TrackedEpochs) -> tuple[Array, Bools]:
     """Errors of codes (E, m) [m] with known truth, and where they are known.
 
     The clock of each epoch is the median of strong codes less the offset of their system, the offset the median over
-    the drive. What strong codes have in common counts as clock.
+    the drive of each receiver. What strong codes have in common counts as clock.
     """
     e = tracked.epochs
-    away = e.y_m + (e.los_enu @ tracked.truth_enu_m[..., None])[..., 0]
     known = e.used & tracked.known[:, None]
+    error = np.zeros(e.y_m.shape)
+    for drive in np.unique(e.drive):  # each receiver has a clock of its own
+        own = e.drive == drive
+        error[own] = _errors_of_drive(e.take(own), tracked.truth_enu_m[own], known[own])
+    return error, known
+
+
+def _errors_of_drive(e: CodeEpochs, truth_enu_m: Array, known: Bools) -> Array:
+    """Errors of the codes of one receiver, 0 where not known.  (E, m) [m]."""
+    away = e.y_m + (e.los_enu @ truth_enu_m[..., None])[..., 0]
     strong = known & (e.cn0_dbhz >= STRONG_DBHZ)
-    few = strong.sum(-1) < ENOUGH_STRONG
-    strong = np.where(few[:, None], known, strong)
+    strong = np.where((strong.sum(-1) < ENOUGH_STRONG)[:, None], known, strong)
     offset = np.zeros(e.y_m.shape[1])
     for _ in range(3):
         clock = _median(np.where(strong, away - offset, np.nan))
@@ -128,7 +137,7 @@ def code_errors_of(tracked: TrackedEpochs) -> tuple[Array, Bools]:
             own = e.system == system
             values = (away - clock[:, None])[:, own][strong[:, own]]
             offset[own] = np.median(values) if values.size else 0.0
-    return np.where(known, away - offset - clock[:, None], 0.0), known
+    return np.where(known, away - offset - clock[:, None], 0.0)
 
 
 def _median(values: Array) -> Array:

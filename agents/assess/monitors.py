@@ -24,17 +24,22 @@ from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.monitoring.family.kinds import MonitorKind, applicable, monitor_named
+from lanebound.integrity.monitoring.family.levels import predicted_level
 from lanebound.integrity.monitoring.family.monitor import watch
 from lanebound.integrity.replay.city_report import read_city
 from lanebound.integrity.replay.code_epochs import TrackedEpochs, recorded_epochs
+from lanebound.integrity.sky.systems import System
 
-__all__ = ["MonitorsConfig", "assess_monitors", "monitor_rows", "place_counts", "work_part"]
+__all__ = ["MonitorsConfig", "assess_monitors", "monitor_rows", "place_counts", "predicted_rows", "work_part"]
 
 Array = NDArray[np.float64]
 PACKAGES = ("lanebound.integrity", "lanebound.agents.assess", "lanebound.envs.sky")
 WHOLE, AFTER = "whole drive", "after training"
 NO_LEVEL_M = 1e4  # in place of a missing level, for quantiles
+PREDICTED = {"GPS": (System.GPS,), "GPS and Galileo": (System.GPS, System.GALILEO), "all": tuple(System)}
+PUBLISHED_HAL_M, PUBLISHED_FALSE_ALARM, PUBLISHED_MISSED = 50.0, 5e-3, 5e-5  # S3 V-B1 [17], toll collection
 MOST_SAMPLES = 4000  # epochs of a part that diagrams show
 
 
@@ -128,7 +133,22 @@ def work_part(
         changes = fitted.changes() if fitted is not None and "fit" in kind.needs else {}
         found[kind.name] = place_counts(config, tracked, kind, changes, unit)
         advance(0.5 + 0.5 * (k + 1) / len(kinds))
-    return {"epochs": tracked.epochs.count, "satellites": float(tracked.epochs.used.sum(-1).mean()), "monitors": found}
+    return {
+        "epochs": tracked.epochs.count,
+        "satellites": float(tracked.epochs.used.sum(-1).mean()),
+        "predicted": {} if folder is not None else predicted_availability(tracked),
+        "monitors": found,
+    }
+
+
+def predicted_availability(tracked: TrackedEpochs) -> dict[str, float]:
+    """Share of epochs whose predicted HPL is below the published alert limit, by systems (S3: 50 m, 5e-3, 5e-5)."""
+    e, out = tracked.epochs, {}
+    for name, systems in PREDICTED.items():
+        fit = solve_codes(e.with_codes(used=e.used & np.isin(e.system, [int(s) for s in systems])))
+        level = predicted_level(fit, PUBLISHED_FALSE_ALARM, np.array([PUBLISHED_MISSED]))[:, 0]
+        out[name] = float((fit.solved & (level <= PUBLISHED_HAL_M)).mean())
+    return out
 
 
 def _after(tracked: TrackedEpochs, share: float) -> TrackedEpochs:
@@ -190,6 +210,7 @@ def _summary(config: MonitorsConfig, parts: Sequence[Mapping[str, Any]]) -> dict
     return {
         "epochs": sum(part["epochs"] for part in parts),
         "satellites": float(np.mean([part["satellites"] for part in parts])),
+        "predicted": {key: float(np.mean([part["predicted"][key] for part in parts])) for key in parts[0]["predicted"]},
         "monitors": {name: _figures(config, [part["monitors"][name] for part in parts]) for name in names},
     }
 
@@ -253,6 +274,16 @@ def monitor_rows(config: MonitorsConfig, place: Mapping[str, Any], bands: bool =
         "error [m]", f"at AL {' / '.join(shown)} m [%]", "usable [%]", "alarms (false) [%]", "HMI", "us",
     )  # fmt: skip
     return heads, rows
+
+
+def predicted_rows(result: Mapping[str, Any]) -> Table:
+    """Predicted availability by place and systems, beside the published figures; no rows for recorded drives."""
+    rows = [
+        (place, *(f"{100.0 * found['predicted'][key]:.1f} %" for key in PREDICTED))
+        for place, found in result["places"].items()
+        if found["predicted"]
+    ]
+    return ("sky", *PREDICTED), rows
 
 
 def _metres(value: float) -> str:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lanebound.agents.assess.monitors import MonitorsConfig, monitor_rows
+from lanebound.agents.assess.monitors import MonitorsConfig, monitor_rows, predicted_rows
 from lanebound.agents.checkpointing.files import replace_file
 from lanebound.integrity.assessment.events import Zone, classify
 from lanebound.integrity.assessment.plotting import INK, new_figure
@@ -51,6 +51,9 @@ def write_page(config: MonitorsConfig, result: Mapping[str, Any], out: Path) -> 
         title = f"{place}: {found['epochs']:,} epochs, {found['satellites']:.1f} satellites"
         body.append(f"<h2>{escape(title)}</h2><div>{_table(*monitor_rows(config, found, True))}</div>")
         body.append(f'<img alt="Stanford diagrams" src="data:image/png;base64,{source}">')
+    heads, rows = predicted_rows(result)
+    if rows:
+        body.append(f"<h2>Predicted HPL within 50 m</h2><div>{_table(heads, rows)}</div>")
     kinds = [(k.name, k.group, k.summary, k.source, ", ".join(k.needs), k.promise) for k in FAMILY.values()]
     table = _table(("monitor", "group", "does", "source", "needs", "promise"), kinds)
     body.append(f"<h2>The monitors</h2><div>{table}</div>")

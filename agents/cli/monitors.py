@@ -79,7 +79,7 @@ def assess_monitors(
 
     Example: lanebound assess monitors --data data/smartloc_berlin_potsdamer --out out/monitors
     """
-    from lanebound.agents.assess.monitors import MonitorsConfig, monitor_rows
+    from lanebound.agents.assess.monitors import MonitorsConfig, monitor_rows, predicted_rows
     from lanebound.agents.assess.monitors import assess_monitors as assess
     from lanebound.agents.assess.monitors_page import write_page
     from lanebound.agents.cli.output import print_json, print_table
@@ -97,4 +97,9 @@ def assess_monitors(
         if found["monitors"]:
             title = f"{place}, {found['epochs']:,} epochs: rate of errors beyond the level over the risk"
             print_table(title, *monitor_rows(config, found))
+    heads, rows = predicted_rows(result)
+    if rows:
+        print_table(
+            "Predicted HPL within 50 m, P_FA 5e-3, P_MD 5e-5; S3: GPS 50 to 7 %, two systems 100 to 55 %", heads, rows
+        )
     typer.echo(f"results.json, {', '.join(path.name for path in written)}: {out}")

@@ -107,9 +107,9 @@ def solve_codes(epochs: CodeEpochs) -> CodeFit:
     good = status == Solvability.SOLVED.code
     cofactor = np.where(good[:, None, None], cofactor, 0.0)
     gain = weighted @ cofactor
-    x = (gain * y[..., None]).sum(1)
+    x = np.einsum("emk,em->ek", gain, y)
     residual = np.where(good[:, None] & epochs.used, y - (rows @ x[..., None])[..., 0], 0.0)
-    redundancy = np.where(good[:, None] & epochs.used, 1.0 - (gain * rows).sum(-1) - share, 0.0)
+    redundancy = np.where(good[:, None] & epochs.used, 1.0 - np.einsum("emk,emk->em", gain, rows) - share, 0.0)
     return CodeFit(
         x, cofactor, rows, gain, residual, np.clip(redundancy, 0.0, 1.0), weight, share, np.where(good, df, 0),
         (weight * np.square(residual)).sum(-1), status,
@@ -131,7 +131,7 @@ def _without_clocks(epochs: CodeEpochs, weight: Array) -> tuple[Array, Array, Ar
         part = w / np.where(total > 0.0, total, 1.0)[:, None]
         los = np.where(seen[..., None], np.take(epochs.los_enu, own, 1), 0.0)
         value = np.where(seen, np.take(epochs.y_m, own, 1), 0.0)
-        centre = (part[..., None] * los).sum(1)
+        centre = np.einsum("em,emk->ek", part, los)
         rows[:, own] = np.where(seen[..., None], centre[:, None] - los, 0.0)
         y[:, own] = np.where(seen, value - (part * value).sum(-1)[:, None], 0.0)
         share[:, own] = part
