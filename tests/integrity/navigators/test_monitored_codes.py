@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import gymnasium
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+import lanebound.envs  # noqa: F401 - registers the environments
+from lanebound.agents.cli import app
 from lanebound.integrity import Fault, FaultSchedule, Navigator, NavigatorConfig, SkyMask, SkyTrack, truth_between
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.navigators.monitored_codes import MonitoredCodesConfig, MonitoredCodesNavigator
@@ -91,3 +95,23 @@ def test_the_configuration_asks_for_what_it_needs() -> None:
             config(kind)
     with pytest.raises(ConfigError, match="did you mean"):
         config("ibpll")
+
+
+def test_the_kind_drives_environments_the_engine_and_the_command() -> None:
+    chosen = {"sky": "urban", "navigator": {"kind": "monitored_codes", "monitor": {"kind": "ibpl"}}}
+    env = gymnasium.make("lanebound/LaneKeeping-v0", config=chosen)
+    env.reset(seed=5)
+    engine = gymnasium.make_vec("lanebound/LaneKeeping-v0", num_envs=2, config=chosen)
+    engine.reset(seed=5)
+    for _ in range(6):
+        info = env.step(np.zeros(2, dtype=np.float32))[4]
+        infos = engine.step(np.zeros((2, 2), dtype=np.float32))[4]
+        assert infos["pl_ct_m"][0] == info["pl_ct_m"]
+        assert infos["err_ct_m"][0] == info["err_ct_m"]
+    assert abs(info["err_ct_m"]) <= info["pl_ct_m"]
+    assert info["mode"] == Mode.CODE
+    env.close()
+    engine.close()
+    arguments = ["--set", "navigator.kind=monitored_codes", "--set", "navigator.monitor.kind=araim"]
+    done = CliRunner().invoke(app, ["drive", "LaneKeeping", *arguments, "--set", "duration_s=2", "--json"])
+    assert done.exit_code == 0, done.output
