@@ -163,7 +163,7 @@ class MonitoredCodesNavigator(Navigator):
         for since in (b.since_fix_s, b.since_calibration_s, b.due_s):
             since += c.dt_s
         b.level_m[b.since_fix_s > c.longest_s] = np.inf
-        return velocity
+        return np.asarray(velocity)
 
     def _calibrate(self, m: Measurements) -> NDArray[np.int64]:
         """Heading by Doppler where it agrees with the wheels; returns the number of its satellites."""
@@ -181,7 +181,7 @@ class MonitoredCodesNavigator(Navigator):
         b.heading_rad = b.heading_rad + share * off
         b.sigma_heading_rad = np.where(good, np.sqrt(share) * sigma, b.sigma_heading_rad)
         b.since_calibration_s[good] = 0.0
-        return fit.used.sum(-1)
+        return np.asarray(fit.used.sum(-1), dtype=np.int64)
 
     def _fix(self, m: Measurements) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
         """Code positions where due and allowed by the monitor; HDOP, satellites and exclusions (B,)."""

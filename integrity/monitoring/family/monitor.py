@@ -71,9 +71,11 @@ def _watch(epochs: CodeEpochs, config: FamilyMonitorConfig, risks: Array) -> Mon
         position, level, alarm = found.position_enu_m, found.hpl_m, alarm | found.alarm
     else:
         position, level = fit.x_m, LEVELS[config.level](work)
-    solved = fit.solved | np.isfinite(level).any(-1) if config.level in COASTS else fit.solved
+    solved: Bools = fit.solved
+    if config.level in COASTS:
+        solved = np.asarray(solved | np.isfinite(level).any(-1))
     excluded = weighted.used & ~left.used
-    outcome = _outcome(fit, solved, excluded.any(-1), alarm, level)
+    outcome = _outcome(fit, solved, np.asarray(excluded.any(-1)), alarm, level)
     none = (outcome > MonitorOutcome.EXCLUDED.code)[:, None]
     return MonitorVerdicts(
         np.where(solved[:, None], position, 0.0), np.where(none, np.inf, level), np.where(none, np.inf, vpl), outcome,
