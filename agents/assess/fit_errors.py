@@ -14,9 +14,8 @@ from lanebound.agents.assess.monitored_drives import simulated_epochs
 from lanebound.agents.assess.street_drives import StreetDrivesConfig
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
-from lanebound.integrity.monitoring.family.error_classes import ErrorClasses, ErrorLaw
+from lanebound.integrity.monitoring.family.error_classes import ErrorClasses, ErrorLaw, FittedErrors
 from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.monitoring.family.laws import (
     NormalMixture,
@@ -38,21 +37,6 @@ Bools = NDArray[np.bool_]
 STRONG_DBHZ = 42.0
 ENOUGH_STRONG = 3
 RISKS = (1e-1, 1e-2, 1e-3)
-
-
-class FittedErrors(Config):
-    """The preset of a fit: classes of code errors, and laws of the position error in units of its deviation."""
-
-    classes: ErrorClasses
-    rayleigh_factor: float = Field(gt=0, description="scale of the Rayleigh law over the deviation in the plane [-]")
-    pareto_threshold: float = Field(ge=0, description="error over deviation where the Pareto tail begins [-]")
-    pareto_share: float = Field(gt=0, le=1, description="share of errors beyond it [-]")
-    pareto_scale: float = Field(gt=0, description="scale of the Pareto tail [-]")
-    pareto_shape: float = Field(ge=-1, le=2, description="shape of the Pareto tail [-]")
-
-    def changes(self) -> dict[str, Any]:
-        """What a monitor of the family takes of it."""
-        return {key: value for key, value in self.to_dict().items() if key in FamilyMonitorConfig.model_fields}
 
 
 class FitErrorsConfig(Config):

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.agents.assess.fit_errors import FitErrorsConfig, FittedErrors, fit_errors
+from lanebound.agents.assess.fit_errors import FitErrorsConfig, fit_errors
 from lanebound.agents.assess.in_the_loop import rate_by_street
 from lanebound.agents.assess.monitored_drives import simulated_epochs
 from lanebound.agents.assess.street_drives import StreetDrivesConfig
@@ -24,6 +24,7 @@ from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
 from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.monitoring.family.error_classes import FittedErrors
 from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.monitoring.family.kinds import MonitorKind, applicable, monitor_named
 from lanebound.integrity.monitoring.family.levels import predicted_level
@@ -58,6 +59,7 @@ class MonitorsConfig(Config):
     streets: int = Field(6, ge=1, description="streets of each sky")
     every: int = Field(5, ge=1, description="every n-th epoch of simulated drives is used")
     block_s: float = Field(20.0, gt=0, description="length of a block of a recorded drive [s]")
+    errors: str | None = Field(None, description="preset or file of fit-errors, in place of a fit")
     fit: FitErrorsConfig = FitErrorsConfig()
     drives: StreetDrivesConfig = StreetDrivesConfig(vehicles=8, duration_s=60.0)
 
@@ -106,6 +108,8 @@ def _fit_names(config: MonitorsConfig, folder: Path | None) -> list[str]:
 
 def fit_part(config: MonitorsConfig, folder: Path | None, name: str, advance: Advance = ignore) -> dict[str, Any]:
     """The errors that monitors with fitted laws assume: of the first part of a drive, or of other streets of a sky."""
+    if config.errors is not None:
+        return {"fitted": FittedErrors.named(config.errors).to_dict()}
     sky = None if folder is not None else config.skies[int(name.rpartition("-")[2])]
     fitted, found = fit_errors(folder, sky, config.fit)
     advance(1.0)
@@ -119,7 +123,7 @@ def work_part(
     place, number = (int(text) for text in name.split("-"))
     if folder is not None:
         tracked = recorded_epochs(read_city(folder))
-        fitted = FittedErrors.load(fits["fit-0"]["fitted"]) if place else None
+        fitted = FittedErrors.load(fits["fit-0"]["fitted"]) if place or config.errors else None
         tracked = _after(tracked, config.fit.training_share) if place else tracked
         unit = ((tracked.epochs.time_s - tracked.epochs.time_s[0]) // config.block_s).astype(np.int64)
     else:

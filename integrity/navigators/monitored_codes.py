@@ -21,8 +21,9 @@ from lanebound.integrity.monitoring.alerts import AlertReason, AlertState, step
 from lanebound.integrity.monitoring.family.budget import CodeBudget
 from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
+from lanebound.integrity.monitoring.family.error_classes import FittedErrors
 from lanebound.integrity.monitoring.family.fit import solve_codes
-from lanebound.integrity.monitoring.family.kinds import FAMILY, monitor_named
+from lanebound.integrity.monitoring.family.kinds import monitor_named
 from lanebound.integrity.monitoring.family.levels import normal_factor
 from lanebound.integrity.monitoring.family.monitor import MEMORY, watch
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig, register_navigator
@@ -47,22 +48,27 @@ class MonitorChoice(Config):
     satellite_prior: float | None = Field(None, gt=0, lt=1, description="P(fault) of a code [-]")
     code_sigma_m: float | None = Field(None, gt=0, description="deviation of its weight model at 45 dB-Hz [m]")
     hal_m: float | None = Field(None, gt=0, description="alert limit of road RAIM [m]")
+    errors: str | None = Field(None, description="preset or file of fit-errors, of kinds with fitted laws")
 
     @model_validator(mode="after")
     def _guards_an_epoch_alone(self) -> MonitorChoice:
-        kind = monitor_named(self.kind)
-        drives = [name for name, other in FAMILY.items() if other.needs == ("codes",)]
-        if kind.needs != ("codes",) or kind.changes.get("level") in {level.value for level in MEMORY}:
+        kind, there = monitor_named(self.kind), {"codes", "fit"}
+        memory = {level.value for level in MEMORY}
+        if not there.issuperset(kind.needs) or kind.changes.get("level") in memory:
             raise ConfigError(
-                f"kind must be a monitor that needs codes alone and has no memory, got {self.kind!r}: choose one of "
-                f"{', '.join(name for name in drives if name != 'composite')}"
+                f"kind must be a monitor that needs codes alone and has no memory, got {self.kind!r}: choose another "
+                "one of 'lanebound monitors'"
             )
+        if "fit" in kind.needs and self.errors is None:
+            raise ConfigError(f"errors must be given for {self.kind!r}, got nothing: name a preset of fit-errors")
         return self
 
     def config(self) -> FamilyMonitorConfig:
         """The configuration of the monitor."""
-        changed = {key: value for key, value in self.to_dict().items() if key != "kind" and value is not None}
-        return monitor_named(self.kind).config(changed)
+        own = {key: value for key, value in self.to_dict().items() if value is not None}
+        changed = {key: value for key, value in own.items() if key not in ("kind", "errors")}
+        fitted = {} if self.errors is None else FittedErrors.named(self.errors).changes()
+        return monitor_named(self.kind).config(fitted | changed)
 
 
 class MonitoredCodesConfig(NavigatorConfig):

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import model_validator
 
 from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.presets import FILES, load_file, load_preset
 
-__all__ = ["ErrorClasses", "ErrorLaw"]
+__all__ = ["ErrorClasses", "ErrorLaw", "FittedErrors"]
 
 Array = NDArray[np.float64]
 
@@ -73,3 +77,34 @@ class ErrorClasses(Config):
             path = np.where(shadowed, self.paths.index("shadowed"), self.paths.index("direct") if "direct" in self.paths
                             else 0)  # fmt: skip
         return np.asarray((i * (len(e) - 1) + j) * len(self.paths) + path, dtype=np.int64)
+
+
+class FittedErrors(Config):
+    """The preset of a fit: classes of code errors, and laws of the position error in units of its deviation."""
+
+    classes: ErrorClasses
+    rayleigh_factor: float = Field(gt=0, description="scale of the Rayleigh law over the deviation in the plane [-]")
+    pareto_threshold: float = Field(ge=0, description="error over deviation where the Pareto tail begins [-]")
+    pareto_share: float = Field(gt=0, le=1, description="share of errors beyond it [-]")
+    pareto_scale: float = Field(gt=0, description="scale of the Pareto tail [-]")
+    pareto_shape: float = Field(ge=-1, le=2, description="shape of the Pareto tail [-]")
+
+    def changes(self) -> dict[str, Any]:
+        """What a monitor of the family takes of it."""
+        return self.to_dict()
+
+    @classmethod
+    def named(cls, name: str) -> FittedErrors:
+        """From a preset or a YAML file.
+
+        Raises
+        ------
+        ConfigError
+            There is none of this name, it is of another kind, or a value is refused.
+        """
+        data = load_file(Path(name), "errors") if name.endswith(FILES) else load_preset(name)
+        if data.get("kind") != "fitted_errors":
+            raise ConfigError(
+                f"errors must be a preset of fit-errors, got {name!r} of kind {data.get('kind')}: fit one"
+            )
+        return cls.load({key: value for key, value in data.items() if key != "kind"})

@@ -12,7 +12,7 @@ from city_drives import as_files, simulated
 from typer.testing import CliRunner
 
 from lanebound.agents.assess import monitors as module
-from lanebound.agents.assess.fit_errors import FitErrorsConfig, FittedErrors, code_errors_of, fit_errors
+from lanebound.agents.assess.fit_errors import FitErrorsConfig, code_errors_of, fit_errors
 from lanebound.agents.assess.monitored_drives import simulated_epochs
 from lanebound.agents.assess.monitors import MonitorsConfig, assess_monitors, monitor_rows
 from lanebound.agents.assess.monitors_page import write_page
@@ -20,6 +20,7 @@ from lanebound.agents.assess.street_drives import StreetDrivesConfig
 from lanebound.agents.cli import app
 from lanebound.agents.cli.kinds import resolve
 from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.monitoring.family.error_classes import FittedErrors
 from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.monitoring.family.kinds import FAMILY, monitor_named
 from lanebound.integrity.monitoring.family.monitor import watch

@@ -95,6 +95,20 @@ def test_the_configuration_asks_for_what_it_needs() -> None:
             config(kind)
     with pytest.raises(ConfigError, match="did you mean"):
         config("ibpll")
+    with pytest.raises(ConfigError, match="errors must be given for 'classes'"):
+        config("classes")
+
+
+def test_a_preset_of_fitted_errors_gives_the_deviations() -> None:
+    chosen = {"kind": "classes_normal", "errors": "errors/berlin_potsdamer"}
+    c = NavigatorConfig.load({"kind": "monitored_codes", "monitor": chosen})
+    assert isinstance(c, MonitoredCodesConfig)
+    laws = c.monitor.config().classes
+    assert laws is not None
+    assert len(laws.laws) == 15
+    wide = drive(Navigator.nominal(c, [1], duration_s=30.0), 15)[-1][1]
+    narrow = drive(Navigator.nominal(config("normal"), [1], duration_s=30.0), 15)[-1][1]
+    assert wide.pl_at_m[0] > 3.0 * narrow.pl_at_m[0]
 
 
 def test_the_kind_drives_environments_the_engine_and_the_command() -> None:
