@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.monitoring.family.epochs import MOST_SYSTEMS, CodeEpochs
+from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.sbas import semi_major_m
 from lanebound.integrity.positioning.least_squares import Solvability
 
@@ -119,24 +119,21 @@ def solve_codes(epochs: CodeEpochs) -> CodeFit:
 def _without_clocks(epochs: CodeEpochs, weight: Array) -> tuple[Array, Array, Array, Ints]:
     """Rows and observations less the weighted means of their systems, share of each weight in its system's sum, and
     the number of systems."""
-    rows = np.zeros((*weight.shape, 3))
-    y, share = np.zeros_like(weight), np.zeros_like(weight)
-    present = np.zeros(weight.shape[0], np.int64)
-    for system in range(MOST_SYSTEMS):
-        own = np.flatnonzero(epochs.system == system)
-        if not own.size:
-            continue
-        w, seen = np.take(weight, own, 1), np.take(epochs.used, own, 1)  # in C order: sums do not depend on E
-        total = w.sum(-1)
-        part = w / np.where(total > 0.0, total, 1.0)[:, None]
-        los = np.where(seen[..., None], np.take(epochs.los_enu, own, 1), 0.0)
-        value = np.where(seen, np.take(epochs.y_m, own, 1), 0.0)
-        centre = np.einsum("em,emk->ek", part, los)
-        rows[:, own] = np.where(seen[..., None], centre[:, None] - los, 0.0)
-        y[:, own] = np.where(seen, value - (part * value).sum(-1)[:, None], 0.0)
-        share[:, own] = part
-        present += total > 0.0
-    return rows, y, share, present
+    names, of = np.unique(epochs.system, return_inverse=True)
+    owns = (np.arange(names.size)[:, None] == of).astype(np.float64)
+    table = np.empty((*weight.shape, 5))
+    np.multiply(epochs.los_enu, weight[..., None], out=table[..., :3])
+    np.multiply(epochs.y_m, weight, out=table[..., 3])
+    table[..., 4] = weight
+    sums = owns @ table  # (E, systems, 5), a product for each epoch: its bits do not depend on the others
+    total = sums[..., 4]
+    mean = sums[..., :4] / np.where(total > 0.0, total, 1.0)[..., None]
+    centre = np.take(mean, of, 1)
+    used = epochs.used
+    rows = np.where(used[..., None], centre[..., :3] - epochs.los_enu, 0.0)
+    y = np.where(used, epochs.y_m - centre[..., 3], 0.0)
+    share = weight / np.take(np.where(total > 0.0, total, 1.0), of, 1)
+    return rows, y, share, np.asarray((total > 0.0).sum(-1), dtype=np.int64)
 
 
 def _inverse(normal: Array) -> tuple[Array, Bools]:
