@@ -126,6 +126,8 @@ def test_simulated_streets_hold_what_monitors_need_and_no_truth() -> None:
     kept = e.carrier_kept & (e.elevation_rad > 0.5)
     spread = [np.std(steps[k, kept[k]]) for k in range(e.count) if kept[k].sum() > 5]
     assert np.median(spread) < 0.15  # clocks apart, carriers tell the displacement to decimetres
+    error, known = code_errors_of(tracked)  # each receiver has clocks of its own, hundreds of metres apart
+    assert np.median(np.abs(error[known])) < 6.0
 
 
 def test_mistakes_are_refused(folder: Path, tmp_path: Path) -> None:
