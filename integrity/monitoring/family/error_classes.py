@@ -82,12 +82,14 @@ class ErrorClasses(Config):
 class FittedErrors(Config):
     """The preset of a fit: classes of code errors, and laws of the position error in units of its deviation."""
 
-    classes: ErrorClasses
-    rayleigh_factor: float = Field(gt=0, description="scale of the Rayleigh law over the deviation in the plane [-]")
-    pareto_threshold: float = Field(ge=0, description="error over deviation where the Pareto tail begins [-]")
-    pareto_share: float = Field(gt=0, le=1, description="share of errors beyond it [-]")
-    pareto_scale: float = Field(gt=0, description="scale of the Pareto tail [-]")
-    pareto_shape: float = Field(ge=-1, le=2, description="shape of the Pareto tail [-]")
+    classes: ErrorClasses = ErrorClasses()
+    rayleigh_factor: float = Field(
+        1.0, gt=0, description="scale of the Rayleigh law over the deviation in the plane [-]"
+    )
+    pareto_threshold: float = Field(1.0, ge=0, description="error over deviation where the Pareto tail begins [-]")
+    pareto_share: float = Field(0.6, gt=0, le=1, description="share of errors beyond it [-]")
+    pareto_scale: float = Field(1.0, gt=0, description="scale of the Pareto tail [-]")
+    pareto_shape: float = Field(0.0, ge=-1, le=2, description="shape of the Pareto tail [-]")
 
     def changes(self) -> dict[str, Any]:
         """What a monitor of the family takes of it."""
