@@ -83,9 +83,7 @@ class FittedErrors(Config):
     """The preset of a fit: classes of code errors, and laws of the position error in units of its deviation."""
 
     classes: ErrorClasses = ErrorClasses()
-    rayleigh_factor: float = Field(
-        1.0, gt=0, description="scale of the Rayleigh law over the plane deviation [-]"
-    )
+    rayleigh_factor: float = Field(1.0, gt=0, description="scale of the Rayleigh law over the plane deviation [-]")
     pareto_threshold: float = Field(1.0, ge=0, description="error over deviation where the Pareto tail begins [-]")
     pareto_share: float = Field(0.6, gt=0, le=1, description="share of errors beyond it [-]")
     pareto_scale: float = Field(1.0, gt=0, description="scale of the Pareto tail [-]")
