@@ -27,7 +27,7 @@ from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.track import SkyTrack
 from lanebound.integrity.sky.visibility import SkyMask
 
-__all__ = ["DriveMoment", "StreetDrivesConfig", "drive_street", "street_of"]
+__all__ = ["DriveMoment", "StreetDrivesConfig", "drive_street", "road_of", "street_of"]
 
 Array = NDArray[np.float64]
 
@@ -91,7 +91,7 @@ def drive_street(config: StreetDrivesConfig, sky: str, number: int, advance: Adv
 def street_of(config: StreetDrivesConfig, sky: str, number: int) -> tuple[Navigator, Iterator[Truth]]:
     """The navigator of the vehicles of a street, and their true motion without end."""
     level, seeds = SkyLevel.named(sky), [config.seed, number]
-    road = _staircase(config.length_m, named_generator(seeds, "road"))
+    road = road_of(config, number)
     city = build_city(road, level.streets_along(2.0 * road.edge_m), named_generator(seeds, "city"))
     facades = clad(city.building, level.material_shares, named_generator(seeds, "facades"))
     mask = SkyMask.build(
@@ -101,6 +101,11 @@ def street_of(config: StreetDrivesConfig, sky: str, number: int) -> tuple[Naviga
     car, traffic = CityDrive(road, config.drive, navigator.config.dt_s), Streams(_vehicle_seeds(config, number)[:-1])
     state = car.start(traffic, spread_m=_spread_m(config, road))
     return navigator, (car.step(state, traffic) for _ in count())
+
+
+def road_of(config: StreetDrivesConfig, number: int) -> Road:
+    """The road of street ``number``."""
+    return _staircase(config.length_m, named_generator([config.seed, number], "road"))
 
 
 def _spread_m(config: StreetDrivesConfig, road: Road) -> float:

@@ -15,6 +15,7 @@ from lanebound.agents.cli import (
     drive,
     envs,
     fit,
+    monitors,
     play,
     recorded,
     replay,
@@ -51,6 +52,8 @@ EXAMPLES = """
   lanebound reproduce urban-drive --out out    reproduce the tables of S1
 
   lanebound assess bounding --out out/bounds   count errors above their levels
+
+  lanebound monitors                           list integrity monitors
 
   lanebound replay data/berlin --out out/b     process a recorded drive
 
@@ -89,6 +92,9 @@ app.command("fit-imu")(fit.fit_imu)
 app.command("record-sky")(recorded.record_sky)
 app.command("envs")(envs.envs)
 app.command("agents")(agents.agents)
+app.command("monitors")(monitors.monitors)
+app.command("fit-errors")(monitors.fit_errors)
+assess.app.command("monitors")(monitors.assess_monitors)
 app.command("drive")(drive.drive)
 app.command("play")(play.play)
 

@@ -23,6 +23,7 @@ KINDS = {
     "urban_drive": "lanebound.agents.reproduce.urban_drive:UrbanDriveConfig",
     "navigator": "lanebound.integrity.navigators.navigator:NavigatorConfig",
     "corrections": "lanebound.integrity.sensors.corrections:CorrectionsConfig",
+    "fitted_errors": "lanebound.integrity.monitoring.family.error_classes:FittedErrors",
     "fault_priors": "lanebound.integrity.sensors.campaign:FaultPriors",
     "gnss": "lanebound.integrity.sensors.gnss:GnssConfig",
     "imu": "lanebound.integrity.sensors.imu:ImuConfig",

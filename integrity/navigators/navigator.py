@@ -68,6 +68,7 @@ Rows = NDArray[np.int64]
 BUILT_IN = {
     "filter": "lanebound.integrity.navigators.vehicle_filter.navigator",
     "rtk_reckoning": "lanebound.integrity.navigators.rtk_reckoning.navigator",
+    "monitored_codes": "lanebound.integrity.navigators.monitored_codes",
 }
 
 

@@ -1,0 +1,302 @@
+"""All monitors of the family on the same epochs, recorded or simulated: what each one promises, holds and permits.
+
+Units of a rate are streets of a sky; of one recorded drive they are blocks of 20 s, which are not independent drives,
+so that its intervals are too narrow.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.agents.assess.fit_errors import FitErrorsConfig, fit_errors
+from lanebound.agents.assess.in_the_loop import rate_by_street
+from lanebound.agents.assess.monitored_drives import simulated_epochs
+from lanebound.agents.assess.street_drives import StreetDrivesConfig
+from lanebound.agents.checkpointing.files import write_json
+from lanebound.agents.checkpointing.folder import ResultFolder, code_digest
+from lanebound.agents.checkpointing.runner import Advance, OnProgress, ignore, run_parts
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.monitoring.family.error_classes import FittedErrors
+from lanebound.integrity.monitoring.family.fit import solve_codes
+from lanebound.integrity.monitoring.family.kinds import MonitorKind, applicable, monitor_named
+from lanebound.integrity.monitoring.family.levels import predicted_level
+from lanebound.integrity.monitoring.family.monitor import watch
+from lanebound.integrity.replay.city_report import read_city
+from lanebound.integrity.replay.code_epochs import TrackedEpochs, recorded_epochs
+from lanebound.integrity.sky.systems import System
+
+__all__ = ["MonitorsConfig", "assess_monitors", "monitor_rows", "place_counts", "predicted_rows", "work_part"]
+
+Array = NDArray[np.float64]
+PACKAGES = ("lanebound.integrity", "lanebound.agents.assess", "lanebound.envs.sky")
+WHOLE, AFTER = "whole drive", "after training"
+NO_LEVEL_M = 1e4  # in place of a missing level, for quantiles
+PREDICTED = {"GPS": (System.GPS,), "GPS and Galileo": (System.GPS, System.GALILEO), "all": tuple(System)}
+PUBLISHED_HAL_M, PUBLISHED_FALSE_ALARM, PUBLISHED_MISSED = 50.0, 5e-3, 5e-5  # S3 V-B1 [17], toll collection
+MOST_SAMPLES = 4000  # epochs of a part that diagrams show
+
+
+class MonitorsConfig(Config):
+    """Which monitors, on which epochs, and what is counted."""
+
+    skies: tuple[str, ...] = Field((), description="levels of sky that are simulated; none with a data set")
+    monitors: tuple[str, ...] = Field((), description="kinds of the family; none: all that the epochs allow")
+    risks: tuple[Annotated[float, Field(gt=0, lt=1)], ...] = Field(
+        (1e-2, 1e-3, 1e-4, 1e-5), min_length=1, description="risks at which exceedances are counted [-]"
+    )
+    operative: int = Field(1, ge=0, description="number of the risk of levels, availability and diagrams, from 0")
+    alert_limits_m: tuple[Annotated[float, Field(gt=0)], ...] = Field(
+        (0.5, 1.5, 5.0, 10.0, 15.0, 25.0), min_length=1, description="alert limits [m]; lanes to the 25 m of a city"
+    )
+    streets: int = Field(6, ge=1, description="streets of each sky")
+    every: int = Field(5, ge=1, description="every n-th epoch of simulated drives is used")
+    block_s: float = Field(20.0, gt=0, description="length of a block of a recorded drive [s]")
+    errors: str | None = Field(None, description="preset or file of fit-errors, in place of a fit")
+    fit: FitErrorsConfig = FitErrorsConfig()
+    drives: StreetDrivesConfig = StreetDrivesConfig(vehicles=8, duration_s=60.0)
+
+    def kinds(self, tracked: TrackedEpochs, fitted: bool) -> list[MonitorKind]:
+        """The kinds that are wanted and apply."""
+        found = applicable(tracked.epochs, fitted)
+        wanted = [monitor_named(name).name for name in self.monitors]
+        return [kind for kind in found if not wanted or kind.name in wanted]
+
+
+def assess_monitors(
+    config: MonitorsConfig, folder: Path | None, out: Path, jobs: int = 1, on_progress: OnProgress = ignore
+) -> dict[str, Any]:
+    """Fit errors, run all monitors, and write ``results.json``; returns its data.
+
+    Raises
+    ------
+    InputError
+        Neither a data set nor a sky is given, or both; the folder holds no drive; ``out`` cannot be claimed.
+    """
+    if (folder is None) == (not config.skies):
+        raise InputError("assess monitors must have --data or --sky, got both or none: name one")
+    if config.operative >= len(config.risks):
+        raise InputError(f"operative must be < {len(config.risks)}, got {config.operative}: risks are numbered from 0")
+    claimed = {**config.to_dict(), "data": None if folder is None else folder.name}
+    ResultFolder(out, "monitors", claimed, code_digest(*PACKAGES)).claim()
+    places = [WHOLE, AFTER] if folder is not None else list(config.skies)
+    fits = run_parts(out, _fit_names(config, folder), partial(fit_part, config, folder), jobs, on_progress)
+    names = [f"{k}-{i}" for k in range(len(places)) for i in range(1 if folder is not None else config.streets)]
+    parts = run_parts(out, names, partial(work_part, config, folder, fits), jobs, on_progress)
+    result = {
+        "config": claimed,
+        "places": {
+            place: _summary(config, [part for name, part in parts.items() if name.startswith(f"{k}-")])
+            for k, place in enumerate(places)
+        },
+        "fits": fits,
+    }
+    write_json(out / "results.json", result)
+    return result
+
+
+def _fit_names(config: MonitorsConfig, folder: Path | None) -> list[str]:
+    return [f"fit-{k}" for k in range(1 if folder is not None else len(config.skies))]
+
+
+def fit_part(config: MonitorsConfig, folder: Path | None, name: str, advance: Advance = ignore) -> dict[str, Any]:
+    """The errors that monitors with fitted laws assume: of the first part of a drive, or of other streets of a sky."""
+    if config.errors is not None:
+        return {"fitted": FittedErrors.named(config.errors).to_dict()}
+    sky = None if folder is not None else config.skies[int(name.rpartition("-")[2])]
+    fitted, found = fit_errors(folder, sky, config.fit)
+    advance(1.0)
+    return {"fitted": fitted.to_dict(), **found}
+
+
+def work_part(
+    config: MonitorsConfig, folder: Path | None, fits: Mapping[str, Any], name: str, advance: Advance = ignore
+) -> dict[str, Any]:
+    """All monitors on one street, or on a part of a recorded drive; it depends on no other part."""
+    place, number = (int(text) for text in name.split("-"))
+    if folder is not None:
+        tracked = recorded_epochs(read_city(folder))
+        fitted = FittedErrors.load(fits["fit-0"]["fitted"]) if place or config.errors else None
+        tracked = _after(tracked, config.fit.training_share) if place else tracked
+        unit = ((tracked.epochs.time_s - tracked.epochs.time_s[0]) // config.block_s).astype(np.int64)
+    else:
+        tracked = simulated_epochs(
+            config.drives, config.skies[place], number, config.every, lambda share: advance(0.5 * share)
+        )
+        fitted = FittedErrors.load(fits[f"fit-{place}"]["fitted"])
+        unit = np.zeros(tracked.epochs.count, np.int64)
+    kinds, found = config.kinds(tracked, fitted is not None), {}
+    for k, kind in enumerate(kinds):
+        changes = fitted.changes() if fitted is not None and "fit" in kind.needs else {}
+        found[kind.name] = place_counts(config, tracked, kind, changes, unit)
+        advance(0.5 + 0.5 * (k + 1) / len(kinds))
+    return {
+        "epochs": tracked.epochs.count,
+        "satellites": float(tracked.epochs.used.sum(-1).mean()),
+        "predicted": {} if folder is not None else predicted_availability(tracked),
+        "monitors": found,
+    }
+
+
+def predicted_availability(tracked: TrackedEpochs) -> dict[str, float]:
+    """Share of epochs whose predicted HPL is below the published alert limit, by systems (S3: 50 m, 5e-3, 5e-5)."""
+    e, out = tracked.epochs, {}
+    for name, systems in PREDICTED.items():
+        fit = solve_codes(e.with_codes(used=e.used & np.isin(e.system, [int(s) for s in systems])))
+        level = predicted_level(fit, PUBLISHED_FALSE_ALARM, np.array([PUBLISHED_MISSED]))[:, 0]
+        out[name] = float((fit.solved & (level <= PUBLISHED_HAL_M)).mean())
+    return out
+
+
+def _after(tracked: TrackedEpochs, share: float) -> TrackedEpochs:
+    """The part of a drive after its training."""
+    clock = tracked.epochs.time_s
+    own = clock >= clock[0] + share * (clock[-1] - clock[0])
+    return TrackedEpochs(tracked.epochs.take(own), tracked.truth_enu_m[own], tracked.known[own])
+
+
+def place_counts(
+    config: MonitorsConfig, tracked: TrackedEpochs, kind: MonitorKind, changes: dict[str, Any], unit: NDArray[np.int64]
+) -> dict[str, Any]:
+    """Counts of one monitor by unit, and samples of errors and operative levels [m].
+
+    An epoch without truth does not count. An alarm is false if the position is within the largest alert limit.
+    """
+    begun = time.perf_counter()
+    v = watch(tracked.epochs, kind.config(changes), config.risks)
+    cost_us = 1e6 * (time.perf_counter() - begun) / max(tracked.epochs.count, 1)
+    error = np.hypot(*(v.position_enu_m - tracked.truth_enu_m)[:, :2].T)
+    level, usable = v.hpl_m[:, config.operative], v.usable & tracked.known
+    limits = np.array(config.alert_limits_m)
+    available = usable[:, None] & (level[:, None] <= limits)
+    alarm = v.alarm & tracked.known
+    per_epoch = {
+        "epochs": tracked.known,
+        "usable": usable,
+        "exceed": usable[:, None] & (error[:, None] > v.hpl_m),
+        "levels": usable & np.isfinite(level),
+        "alarms": alarm,
+        "false_alarms": alarm & (error <= limits[-1]),
+        "available": available,
+        "hmi": available & (error[:, None] > limits),
+        "excluded": v.excluded.any(-1) & tracked.known,
+    }
+    count = int(unit.max(initial=0)) + 1
+    totals = {name: _by_unit(values, unit, count) for name, values in per_epoch.items()}
+    shown = np.flatnonzero(tracked.known)
+    shown = shown[:: max(1, -(-shown.size // MOST_SAMPLES))]
+    return totals | {
+        "cost_us": cost_us,
+        "stated_false_alarm": float(v.false_alarm.mean()),
+        "sample_error_m": np.round(error[shown], 3).tolist(),
+        "sample_level_m": np.round(np.minimum(level, NO_LEVEL_M)[shown], 3).tolist(),
+        "sample_usable": usable[shown].tolist(),
+    }
+
+
+def _by_unit(values: NDArray[np.bool_], unit: NDArray[np.int64], count: int) -> list[Any]:
+    out = np.zeros((count, *values.shape[1:]), np.int64)
+    np.add.at(out, unit, values)
+    found: list[Any] = out.tolist()
+    return found
+
+
+def _summary(config: MonitorsConfig, parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Figures of all monitors at a place."""
+    names = list(parts[0]["monitors"]) if parts else []
+    return {
+        "epochs": sum(part["epochs"] for part in parts),
+        "satellites": float(np.mean([part["satellites"] for part in parts])),
+        "predicted": {key: float(np.mean([part["predicted"][key] for part in parts])) for key in parts[0]["predicted"]},
+        "monitors": {name: _figures(config, [part["monitors"][name] for part in parts]) for name in names},
+    }
+
+
+def _figures(config: MonitorsConfig, parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Rates with intervals, availability, levels and cost of one monitor."""
+
+    def joined(name: str) -> NDArray[np.int64]:
+        return np.concatenate([np.asarray(part[name], dtype=np.int64) for part in parts])
+
+    epochs, usable, total = joined("epochs"), joined("usable"), max(int(joined("epochs").sum()), 1)
+    exceed, hmi, available = joined("exceed"), joined("hmi"), joined("available")
+    error, level, good = (np.concatenate([np.asarray(part[f"sample_{name}"]) for part in parts])
+                          for name in ("error_m", "level_m", "usable"))  # fmt: skip
+    good = good.astype(bool)
+    return {
+        "usable": float(usable.sum() / total),
+        "alarms": float(joined("alarms").sum() / total),
+        "false_alarms": rate_by_street(joined("false_alarms"), epochs),
+        "stated_false_alarm": float(np.mean([part["stated_false_alarm"] for part in parts])),
+        "excluded": float(joined("excluded").sum() / total),
+        "exceed": {f"{risk:g}": rate_by_street(exceed[:, r], usable) for r, risk in enumerate(config.risks)},
+        "available": {f"{limit:g}": float(available[:, a].sum() / total)
+                      for a, limit in enumerate(config.alert_limits_m)},
+        "hmi": {f"{limit:g}": rate_by_street(hmi[:, a], epochs) for a, limit in enumerate(config.alert_limits_m)},
+        "level_m": _quantiles(level[good]),
+        "error_m": _quantiles(error[good]),
+        "cost_us": float(np.mean([part["cost_us"] for part in parts])),
+        "sample_error_m": error[good].tolist(),
+        "sample_level_m": level[good].tolist(),
+    }  # fmt: skip
+
+
+def _quantiles(values: Array) -> list[float] | None:
+    """Median and 95 %; None without values."""
+    return [float(q) for q in np.quantile(values, (0.5, 0.95))] if values.size else None
+
+
+Table = tuple[tuple[str, ...], list[tuple[Any, ...]]]
+
+
+def monitor_rows(config: MonitorsConfig, place: Mapping[str, Any], bands: bool = False) -> Table:
+    """One row for each monitor: exceedances over the risk, with ``bands`` their intervals, levels, availability at
+    three limits, alarms, HMI, cost."""
+    limits = [f"{limit:g}" for limit in config.alert_limits_m]
+    shown = limits[-3:]
+    risk = f"{config.risks[config.operative]:g}"
+    rows: list[tuple[Any, ...]] = []
+    for name, f in place["monitors"].items():
+        rates = [_over(f["exceed"][key], float(key), bands) for key in f["exceed"]]
+        level = "-" if f["level_m"] is None else " / ".join(_metres(v) for v in f["level_m"])
+        error = "-" if f["error_m"] is None else " / ".join(_metres(v) for v in f["error_m"])
+        shares = [f"{100.0 * f['available'][limit]:.0f}" for limit in shown]
+        hmi = max(f["hmi"][limit]["rate"] for limit in limits)
+        rows.append((
+            name, *rates, level, error, " / ".join(shares), f"{100.0 * f['usable']:.0f}",
+            f"{100.0 * f['alarms']:.1f} ({100.0 * f['false_alarms']['rate']:.1f})", f"{hmi:.2g}", f"{f['cost_us']:.0f}",
+        ))  # fmt: skip
+    heads = (
+        "monitor", *(f"at {key}" for key in next(iter(place["monitors"].values()))["exceed"]), f"HPL at {risk} [m]",
+        "error [m]", f"at AL {' / '.join(shown)} m [%]", "usable [%]", "alarms (false) [%]", "HMI", "us",
+    )  # fmt: skip
+    return heads, rows
+
+
+def predicted_rows(result: Mapping[str, Any]) -> Table:
+    """Predicted availability by place and systems, beside the published figures; no rows for recorded drives."""
+    rows = [
+        (place, *(f"{100.0 * found['predicted'][key]:.1f} %" for key in PREDICTED))
+        for place, found in result["places"].items()
+        if found["predicted"]
+    ]
+    return ("sky", *PREDICTED), rows
+
+
+def _metres(value: float) -> str:
+    return "none" if value >= NO_LEVEL_M else f"{value:.1f}"
+
+
+def _over(rate: Mapping[str, Any], risk: float, bands: bool) -> str:
+    """Rate over the risk, with its interval if wanted; 0 where none was exceeded."""
+    if not rate["events"]:
+        return "0"
+    band = "" if rate["low"] is None or not bands else f" ({rate['low'] / risk:.2g} .. {rate['high'] / risk:.2g})"
+    return f"{rate['rate'] / risk:.2g}{band}"

@@ -1,0 +1,177 @@
+"""One record of code epochs, which every monitor of the family takes: simulated or recorded, many epochs at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lanebound.integrity.core.errors import InputError, require_in_range, require_shape
+
+__all__ = ["MOST_SYSTEMS", "CodeEpochs"]
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+MOST_SYSTEMS = 8
+UNIT_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class CodeEpochs:
+    """E epochs of one or more drives over m satellites, each in a column of its own; nothing here is true state.
+
+    ``y = -e.x + clock of the system + errors`` with x the position in the East-North-Up frame of the drive [m].
+
+    Attributes
+    ----------
+    time_s : (E,) ascending within a drive.
+    y_m : (E, m) observed minus computed codes; any finite value where not used.
+    los_enu : (E, m, 3) unit vectors receiver to satellite; any finite value where not used.
+    sigma_m : (E, m) standard deviation stated for each code.
+    used : (E, m) bool, the code is there.
+    system : (m,) clock group of each satellite, 0 to 7.
+    cn0_dbhz, elevation_rad : (E, m).
+    drive : (E,) number of the drive of each epoch, ascending; methods with memory begin anew where it changes.
+    shadowed : (E, m) bool, a map predicts that the direct path is blocked; None without a map.
+    step_enu_m, step_sigma_m : (E, 3) displacement since the epoch before by wheels, gyro or Doppler, and (E,) its
+        standard deviation on each axis, inf where unknown; None without such sensors.
+    carrier_step_m : (E, m) observed minus computed change of the carrier since the epoch before, of the same form as
+        ``y`` with the displacement for x; ``carrier_sigma_m`` (E, m) its standard deviation, independent from step to
+        step; ``carrier_kept`` (E, m) bool where the carrier was held. None without.
+    """
+
+    time_s: Array
+    y_m: Array
+    los_enu: Array
+    sigma_m: Array
+    used: Bools
+    system: Ints
+    cn0_dbhz: Array
+    elevation_rad: Array
+    drive: Ints
+    shadowed: Bools | None = None
+    step_enu_m: Array | None = None
+    step_sigma_m: Array | None = None
+    carrier_step_m: Array | None = None
+    carrier_sigma_m: Array | None = None
+    carrier_kept: Bools | None = None
+
+    @classmethod
+    def of(
+        cls,
+        y_m: ArrayLike,
+        los_enu: ArrayLike,
+        sigma_m: ArrayLike = 1.0,
+        used: ArrayLike = True,
+        system: ArrayLike = 0,
+        **more: Any,
+    ) -> CodeEpochs:
+        """Epochs from the least that a monitor needs; the rest has neutral values (45 dB-Hz, time = number of epoch).
+
+        Raises
+        ------
+        InputError
+            As :meth:`checked`.
+        """
+        y = np.atleast_2d(np.asarray(y_m, dtype=np.float64))
+        shape = y.shape
+        los = np.broadcast_to(np.asarray(los_enu, dtype=np.float64), (*shape, 3))
+        rest: dict[str, Any] = {
+            "time_s": np.arange(shape[0], dtype=np.float64),
+            "cn0_dbhz": np.full(shape, 45.0),
+            "elevation_rad": np.arcsin(np.clip(los[..., 2], -1.0, 1.0)),
+            "drive": np.zeros(shape[0], np.int64),
+        } | more
+        return cls(
+            y_m=y,
+            los_enu=los,
+            sigma_m=np.broadcast_to(np.asarray(sigma_m, dtype=np.float64), shape),
+            used=np.broadcast_to(np.asarray(used, dtype=bool), shape),
+            system=np.broadcast_to(np.asarray(system, dtype=np.int64), shape[1:]),
+            **rest,
+        ).checked()
+
+    @property
+    def count(self) -> int:
+        """Number of epochs E."""
+        return int(self.y_m.shape[0])
+
+    def checked(self) -> CodeEpochs:
+        """The record itself.
+
+        Raises
+        ------
+        InputError
+            Shapes that do not fit, used entries that are not finite, no unit vectors, deviations that are not positive,
+            systems outside 0 to 7.
+        """
+        epochs, columns = self.y_m.shape
+        for name, shape in _shapes(epochs, columns).items():
+            value = getattr(self, name)
+            if value is not None:
+                require_shape(name, np.asarray(value), shape)
+        require_in_range("system", self.system, 0, MOST_SYSTEMS - 1)
+        used = self.used
+        for name in ("y_m", "sigma_m", "cn0_dbhz", "elevation_rad"):
+            _require_used(name, getattr(self, name), used)
+        _require_used("los_enu", self.los_enu.sum(-1), used)
+        if (self.sigma_m[used] <= 0.0).any():
+            raise InputError(f"sigma_m must be > 0, got {self.sigma_m[used].min()}: state a deviation, or clear used")
+        length = np.square(self.los_enu).sum(-1)[used]
+        if (np.abs(length - 1.0) > 2.0 * UNIT_TOLERANCE).any():
+            raise InputError("los_enu must be unit vectors where used, some are not: normalise them")
+        return self
+
+    def take(self, rows: ArrayLike | slice) -> CodeEpochs:
+        """Some of the epochs, by mask, index or slice."""
+        which: Any = rows if isinstance(rows, slice) else np.asarray(rows)
+        changed = {
+            f.name: getattr(self, f.name)[which]
+            for f in fields(self)
+            if f.name != "system" and getattr(self, f.name) is not None
+        }
+        return replace(self, **changed)
+
+    def with_codes(self, sigma_m: Array | None = None, used: Bools | None = None) -> CodeEpochs:
+        """The same epochs with other deviations or with fewer codes."""
+        return replace(
+            self, sigma_m=self.sigma_m if sigma_m is None else sigma_m, used=self.used if used is None else used
+        )
+
+    def starts(self) -> Bools:
+        """First epochs of drives.  (E,)."""
+        return np.asarray(np.diff(self.drive, prepend=self.drive[:1] - 1) != 0)
+
+
+def _shapes(epochs: int, columns: int) -> dict[str, tuple[int, ...]]:
+    """Shape of each field."""
+    both = (epochs, columns)
+    of_epoch = dict.fromkeys(("time_s", "drive", "step_sigma_m"), (epochs,))
+    of_code = dict.fromkeys(
+        (
+            "y_m",
+            "sigma_m",
+            "used",
+            "cn0_dbhz",
+            "elevation_rad",
+            "shadowed",
+            "carrier_step_m",
+            "carrier_sigma_m",
+            "carrier_kept",
+        ),
+        both,
+    )
+    return {**of_epoch, **of_code, "los_enu": (*both, 3), "system": (columns,), "step_enu_m": (epochs, 3)}
+
+
+def _require_used(name: str, value: Array, used: Bools) -> None:
+    bad = used & ~np.isfinite(value)
+    if bad.any():
+        at = np.argwhere(bad)[0]
+        raise InputError(
+            f"{name} must be finite where used, got {value[tuple(at)]} at {tuple(map(int, at))}: clear used"
+        )

@@ -1,0 +1,135 @@
+"""The monitors of the family by name, each with its source, what it needs and what it promises."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.presets import nearest
+from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig
+from lanebound.integrity.monitoring.family.epochs import CodeEpochs
+
+__all__ = ["FAMILY", "MonitorKind", "applicable", "monitor_named"]
+
+MISSED = "P(error > HPL and no alarm) <= risk under one faulty code of the worst size"
+RISK = "P(error > HPL) <= risk with faults of their priors"
+NOMINAL = "P(error > HPL) <= risk of normal errors without faults"
+CODES = "codes"
+
+
+@dataclass(frozen=True)
+class MonitorKind:
+    """One monitor: group of S3, what it does, source, needs, promise, and the changes of the configuration."""
+
+    name: str
+    group: str
+    summary: str
+    source: str
+    promise: str
+    changes: dict[str, Any]
+    needs: tuple[str, ...] = (CODES,)
+
+    def config(self, changes: dict[str, Any] | None = None) -> FamilyMonitorConfig:
+        """The configuration of the kind, with further changes."""
+        return FamilyMonitorConfig.load({**self.changes, **(changes or {})})
+
+
+def _kind(
+    name: str, group: str, summary: str, source: str, promise: str, needs: str = CODES, **changes: Any
+) -> MonitorKind:
+    return MonitorKind(name, group, summary, source, promise, changes, tuple(needs.split("+")))
+
+
+RESIDUAL, SEPARATION, FREE, CITY, LAWS, TIME = (
+    "residual RAIM", "separation", "no fault model", "rejection", "error laws", "carriers and time",
+)  # fmt: skip
+ROOT: dict[str, Any] = {"level": "separation_root", "test": "separation"}
+KINDS = (
+    _kind("residual", RESIDUAL, "global test of residuals, slope HPL", "S3 eq 6-14", MISSED, level="slope"),
+    _kind("residual_fde", RESIDUAL, "the same after exclusion by local tests", "S3 III-A, S1 3.1", MISSED,
+          level="slope", rejection="local_test"),
+    _kind("uncertainty", RESIDUAL, "HUL: the residuals found in place of the threshold", "S3 III-A", MISSED,
+          level="uncertainty"),
+    _kind("weighted", RESIDUAL, "weighted RAIM of Walter and Enge", "S5 eq 1-4; ION GPS 1995", MISSED,
+          level="weighted"),
+    _kind("baarda", RESIDUAL, "data snooping, external reliability", "Baarda 1968; S1 3.1",
+          "external reliability: effect of the least bias found with power 1 - risk", level="reliability",
+          rejection="local_test"),
+    _kind("road", RESIDUAL, "level fixed at the alert limit, false alarms vary", "S3 V-B1 [17]", MISSED, level="road"),
+    _kind("separation", SEPARATION, "closed form, exact factors", "S1 eq 17", RISK, level="separation",
+          test="separation"),
+    _kind("separation_published", SEPARATION, "closed form, printed factors", "S1 eq 13 and 17",
+          "as printed: factors smaller than those of its own test", level="separation_published", test="separation"),
+    _kind("separation_root", SEPARATION, "root of the sum over hypotheses", "S2 eq 10-11", RISK, **ROOT),
+    _kind("separation_fde", SEPARATION, "the same after exclusion by separations", "S2 4.1", RISK, **ROOT,
+          rejection="separation"),
+    _kind("araim", SEPARATION, "faults of satellites and systems, exclusion, road budget", "WG-C ARAIM ADD v3.1", RISK,
+          level="araim", test="separation", rejection="separation"),
+    _kind("araim_lpv200", SEPARATION, "the same with the budgets of LPV-200", "WG-C ARAIM ADD v3.1",
+          "P_HMI of LPV-200, whatever the risk", level="araim", test="separation", rejection="separation", araim={},
+          satellite_prior=1e-5),
+    _kind("sbas", SEPARATION, "K_H 6.0 times the largest deviation", "RTCA DO-229D J.1, S3 eq 5",
+          "the ground segment bounds every error: here nobody does", level="sbas", test="none"),
+    _kind("ibpl", FREE, "k |r| HDOP of isotropic errors", "S3 eq 15 [122]", "P(error > HPL) = risk of isotropic errors",
+          level="isotropic", test="none"),
+    _kind("kipl", FREE, "its Kalman form, levels of epochs add up", "S3 V-B2 [123]",
+          "P(error > HPL) <= risk of jointly elliptical errors", "codes+steps", level="isotropic_kalman", test="none"),
+    _kind("composite", FREE, "noise and bias split by an AR model of residuals", "S3 eq 16 [124]",
+          "none proven", level="composite", test="none"),
+    _kind("ransac", CITY, "RANSAC, then the root level", "S3 V-B1 [77]", RISK, **ROOT, rejection="ransac"),
+    _kind("p_ransac", CITY, "P-RANSAC, then the root level", "S3 V-B1 [77]", RISK, **ROOT, rejection="p_ransac"),
+    _kind("danish", CITY, "Danish weights, then the root level", "Krarup 1980; S3 V-B1", RISK,
+          level="separation_root", test="none", rejection="danish"),
+    _kind("huber", CITY, "weights of Huber, then the root level", "Huber 1964", RISK, level="separation_root",
+          test="none", rejection="huber"),
+    _kind("igg3", CITY, "weights of IGG-III, then the root level", "Yang 1994", RISK, level="separation_root",
+          test="none", rejection="igg3"),
+    _kind("separable", CITY, "exclusion only where the fault can be told apart", "S3 V-B1 [70]", RISK, **ROOT,
+          rejection="separable"),
+    _kind("elevation", CITY, "weights by elevation, exclusion, root level", "S3 V-A", RISK, **ROOT,
+          rejection="local_test", weights="elevation"),
+    _kind("cn0", CITY, "weights by C/N0, exclusion, root level", "S3 V-A", RISK, **ROOT, rejection="local_test",
+          weights="cn0"),
+    _kind("elevation_cn0", CITY, "weights by both, exclusion, root level", "S3 V-A", RISK, **ROOT,
+          rejection="local_test", weights="elevation_cn0"),
+    _kind("map_exclude", CITY, "codes predicted to be reflected are left out", "S3 V-B1, 3D-aided", RISK, "codes+map",
+          **ROOT, rejection="local_test", shadowed="exclude"),
+    _kind("map_deweight", CITY, "codes predicted to be reflected have less weight", "S3 V-B1, 3D-aided", RISK,
+          "codes+map", **ROOT, rejection="local_test", shadowed="deweight"),
+    _kind("normal", LAWS, "normal errors of the stated deviations", "S3 eq 5", NOMINAL, level="normal"),
+    _kind("classes", LAWS, "overbounds by C/N0 x elevation x path, exclusion, root level", "S3 V-A; fit-errors", RISK,
+          "codes+fit", **ROOT, rejection="local_test", weights="classes"),
+    _kind("classes_normal", LAWS, "the same overbounds, normal level, no test", "S3 V-A; fit-errors", NOMINAL,
+          "codes+fit", level="normal", test="none", weights="classes"),
+    _kind("rayleigh", LAWS, "Rayleigh law of the position error", "S3 V-A", "quantile of the fitted law", "codes+fit",
+          level="rayleigh", test="none"),
+    _kind("pareto", LAWS, "Pareto tail of the position error", "S3 V-A", "quantile of the fitted law", "codes+fit",
+          level="pareto", test="none"),
+    _kind("rraim_position", TIME, "an anchor of codes, positions carried on by carriers", "S3 III-A [60]", RISK,
+          "codes+carriers", level="relative_position", test="separation", rejection="separation"),
+    _kind("rraim_range", TIME, "an anchor of codes, ranges carried on by carriers", "S3 III-A [60]", RISK,
+          "codes+carriers", level="relative_range", test="separation", rejection="separation"),
+    _kind("eraim", TIME, "separation of filters aided by displacements", "S3 III-A [50]", RISK, "codes+steps",
+          level="extended", test="none", rejection="separation"),
+)  # fmt: skip
+
+
+FAMILY: dict[str, MonitorKind] = {kind.name: kind for kind in KINDS}
+
+
+def monitor_named(name: str) -> MonitorKind:
+    """The kind of this name, or ConfigError."""
+    if name not in FAMILY:
+        raise ConfigError(f"monitor must be one of the family, got {name!r}: {nearest(name, FAMILY)}")
+    return FAMILY[name]
+
+
+def applicable(epochs: CodeEpochs, fitted: bool = False) -> list[MonitorKind]:
+    """The kinds whose needs these epochs meet; ``fitted`` where error classes are at hand."""
+    there = {CODES}
+    there |= {"map"} if epochs.shadowed is not None else set()
+    there |= {"steps"} if epochs.step_enu_m is not None else set()
+    there |= {"carriers"} if epochs.carrier_step_m is not None else set()
+    there |= {"fit"} if fitted else set()
+    return [kind for kind in FAMILY.values() if there.issuperset(kind.needs)]

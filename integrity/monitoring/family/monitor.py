@@ -1,0 +1,120 @@
+"""A monitor of the family at work: weights, rejection, solution, test and level of many epochs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lanebound.integrity.core.errors import require_in_range
+from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig, LevelKind, TestKind
+from lanebound.integrity.monitoring.family.epochs import CodeEpochs
+from lanebound.integrity.monitoring.family.fit import CodeFit, solve_codes
+from lanebound.integrity.monitoring.family.levels import LEVELS, LevelWork, fixed_level_false_alarm, normal_factor
+from lanebound.integrity.monitoring.family.memory import Remembered, composite, extended, isotropic_kalman
+from lanebound.integrity.monitoring.family.outcome import MonitorOutcome, MonitorVerdicts
+from lanebound.integrity.monitoring.family.rejection import REJECTIONS, global_threshold, local_threshold
+from lanebound.integrity.monitoring.family.relative import relative_position, relative_range
+from lanebound.integrity.monitoring.family.separations import advanced_levels
+from lanebound.integrity.monitoring.family.weighting import weighted_codes
+from lanebound.integrity.monitoring.sbas import Operation
+from lanebound.integrity.positioning.least_squares import Solvability
+
+__all__ = ["watch"]
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+MEMORY: dict[LevelKind, Callable[[LevelWork], Remembered]] = {
+    LevelKind.ISOTROPIC_KALMAN: isotropic_kalman,
+    LevelKind.COMPOSITE: composite,
+    LevelKind.RELATIVE_POSITION: relative_position,
+    LevelKind.RELATIVE_RANGE: relative_range,
+    LevelKind.EXTENDED: extended,
+}
+COASTS = {LevelKind.ISOTROPIC_KALMAN, LevelKind.EXTENDED}  # have a position where an epoch has no solution
+AT_ONCE = 4096  # epochs of a snapshot monitor that are solved together; keeps arrays in the cache
+
+
+def watch(epochs: CodeEpochs, config: FamilyMonitorConfig, risks: ArrayLike = 1e-3) -> MonitorVerdicts:
+    """Verdicts of a monitor on epochs at one or more risks.
+
+    Raises
+    ------
+    InputError
+        The record is malformed, lacks what the kind needs, or a risk is outside (0, 1).
+    """
+    wanted = require_in_range(
+        "risks", np.atleast_1d(np.asarray(risks, dtype=np.float64)), 0.0, 1.0, low_open=True, high_open=True
+    )
+    epochs.checked()
+    if config.level in MEMORY or epochs.count <= AT_ONCE:
+        return _watch(epochs, config, wanted)
+    parts = [
+        _watch(epochs.take(slice(first, first + AT_ONCE)), config, wanted) for first in range(0, epochs.count, AT_ONCE)
+    ]
+    return MonitorVerdicts(
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in MonitorVerdicts.__dataclass_fields__)
+    )
+
+
+def _watch(epochs: CodeEpochs, config: FamilyMonitorConfig, risks: Array) -> MonitorVerdicts:
+    weighted = weighted_codes(epochs, config)
+    left = REJECTIONS[config.rejection](weighted, config)
+    fit = solve_codes(left)
+    work = LevelWork(left, fit, config, risks)
+    alarm, false_alarm = _test(work)
+    vpl = _vertical(work)
+    if config.level in MEMORY:
+        found = MEMORY[config.level](work)
+        position, level, alarm = found.position_enu_m, found.hpl_m, alarm | found.alarm
+    else:
+        position, level = fit.x_m, LEVELS[config.level](work)
+    solved: Bools = fit.solved
+    if config.level in COASTS:
+        solved = np.asarray(solved | np.isfinite(level).any(-1))
+    excluded = weighted.used & ~left.used
+    outcome = _outcome(fit, solved, np.asarray(excluded.any(-1)), alarm, level)
+    none = (outcome > MonitorOutcome.EXCLUDED.code)[:, None]
+    return MonitorVerdicts(
+        np.where(solved[:, None], position, 0.0), np.where(none, np.inf, level), np.where(none, np.inf, vpl), outcome,
+        excluded, false_alarm,
+    )  # fmt: skip
+
+
+def _test(work: LevelWork) -> tuple[Bools, Array]:
+    """Alarms (E,), and the probability of a false one (E,) at each epoch."""
+    fit, config = work.fit, work.config
+    if config.level is LevelKind.ROAD:
+        limit, chance = fixed_level_false_alarm(fit, config.hal_m, work.risks)
+        return np.asarray((fit.df > 0) & (fit.wsse >= limit.max(-1))), chance[:, int(limit.max(0).argmax())]
+    tested = fit.solved & (fit.df > 0)
+    chance = np.where(tested, config.false_alarm, 0.0)
+    if config.test is TestKind.GLOBAL:
+        return np.asarray(tested & (fit.wsse > global_threshold(fit.df, config.false_alarm))), chance
+    if config.test is TestKind.SEPARATION:  # |d_i,q| / sigma_di,q is the same on both axes: |w_i|
+        limit = local_threshold(fit.used.sum(-1), config.false_alarm)
+        return np.asarray(tested & (np.abs(fit.normalised).max(-1) > limit)), chance
+    return np.zeros(fit.df.size, bool), np.zeros(fit.df.size)
+
+
+def _vertical(work: LevelWork) -> Array:
+    """Vertical levels where the kind states them: ARAIM, SBAS, and the normal law.  (E, R)."""
+    fit, config, kind = work.fit, work.config, work.config.level
+    up = np.where(fit.solved, np.sqrt(fit.cofactor[:, 2, 2]), np.inf)[:, None]
+    if kind is LevelKind.ARAIM:
+        return advanced_levels(work.epochs, fit, config, work.risks)[1]
+    if kind is LevelKind.SBAS:
+        operation = Operation.EN_ROUTE if config.en_route else Operation.PRECISION_APPROACH
+        return np.repeat(operation.value[1] * up, work.risks.size, 1)
+    return normal_factor(work.risks) * up if kind is LevelKind.NORMAL else np.full((up.size, work.risks.size), np.inf)
+
+
+def _outcome(fit: CodeFit, solved: Bools, excluded: Bools, alarm: Bools, level: Array) -> NDArray[np.int64]:
+    code = np.where(excluded, MonitorOutcome.EXCLUDED.code, MonitorOutcome.USABLE.code)
+    code = np.where(np.isinf(level).all(-1), MonitorOutcome.NO_REDUNDANCY.code, code)
+    code = np.where(alarm, MonitorOutcome.ALARM.code, code)
+    few = fit.status == Solvability.TOO_FEW.code
+    code = np.where(~solved, np.where(few, MonitorOutcome.TOO_FEW.code, MonitorOutcome.SINGULAR.code), code)
+    return np.asarray(code, dtype=np.int64)

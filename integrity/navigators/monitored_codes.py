@@ -1,0 +1,252 @@
+"""Navigator kind ``monitored_codes``: positions by undifferenced codes under a monitor of the family.
+
+Between code positions, and where the monitor gives none, wheels and gyro move the position and the level grows. The
+heading is that of the gyro, calibrated by Doppler. The level bounds the horizontal error, so that it is that of both
+axes. No reference station, no carriers: metres, not centimetres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import model_validator
+
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.monitoring.alerts import AlertReason, AlertState, step
+from lanebound.integrity.monitoring.family.budget import CodeBudget
+from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig
+from lanebound.integrity.monitoring.family.epochs import CodeEpochs
+from lanebound.integrity.monitoring.family.error_classes import FittedErrors
+from lanebound.integrity.monitoring.family.fit import solve_codes
+from lanebound.integrity.monitoring.family.kinds import monitor_named
+from lanebound.integrity.monitoring.family.levels import normal_factor
+from lanebound.integrity.monitoring.family.monitor import MEMORY, watch
+from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig, register_navigator
+from lanebound.integrity.navigators.solution import Solution
+from lanebound.integrity.positioning.modes import Mode
+from lanebound.integrity.sensors.gnss import GnssConfig
+
+__all__ = ["MonitorChoice", "MonitoredCodesConfig", "MonitoredCodesNavigator"]
+
+Array = NDArray[np.float64]
+
+BAND = 0
+DOPPLER_MPS = 0.10  # of a Doppler velocity, 1 sigma; S1: 10 cm/s
+CALIBRATE_MPS, AGREE_MPS = 2.0, 1.5  # speed from which Doppler gives a heading, and agreement with wheels; S1 Table 1
+
+
+class MonitorChoice(Config):
+    """A monitor of the family, and the figures in which it differs from its kind; None: those of the kind."""
+
+    kind: str = Field("separation_fde", description="kind of the monitor; see 'lanebound monitors'")
+    false_alarm: float | None = Field(None, gt=0, lt=1, description="P_FA of its test at an epoch [-]")
+    satellite_prior: float | None = Field(None, gt=0, lt=1, description="P(fault) of a code [-]")
+    code_sigma_m: float | None = Field(None, gt=0, description="deviation of its weight model at 45 dB-Hz [m]")
+    hal_m: float | None = Field(None, gt=0, description="alert limit of road RAIM [m]")
+    errors: str | None = Field(None, description="preset or file of fit-errors, of kinds with fitted laws")
+
+    @model_validator(mode="after")
+    def _guards_an_epoch_alone(self) -> MonitorChoice:
+        kind, there = monitor_named(self.kind), {"codes", "fit"}
+        memory = {level.value for level in MEMORY}
+        if not there.issuperset(kind.needs) or kind.changes.get("level") in memory:
+            raise ConfigError(
+                f"kind must be a monitor that needs codes alone and has no memory, got {self.kind!r}: choose another "
+                "one of 'lanebound monitors'"
+            )
+        if "fit" in kind.needs and self.errors is None:
+            raise ConfigError(f"errors must be given for {self.kind!r}, got nothing: name a preset of fit-errors")
+        return self
+
+    def config(self) -> FamilyMonitorConfig:
+        """The configuration of the monitor."""
+        own = {key: value for key, value in self.to_dict().items() if value is not None}
+        changed = {key: value for key, value in own.items() if key not in ("kind", "errors")}
+        fitted = {} if self.errors is None else FittedErrors.named(self.errors).changes()
+        return monitor_named(self.kind).config(fitted | changed)
+
+
+class MonitoredCodesConfig(NavigatorConfig):
+    """Codes under a monitor; wheels and gyro in between."""
+
+    kind: Literal["monitored_codes"] = "monitored_codes"
+    gnss: GnssConfig = GnssConfig(undifferenced=True)
+    monitor: MonitorChoice = MonitorChoice()
+    budget: CodeBudget = CodeBudget()
+    interval_s: float = Field(1.0, ge=0, description="time between two code positions [s]")
+    speed_sigma_mps: float = Field(0.1, gt=0, description="error of wheel speed that lasts, 1 sigma [m/s]; S1: 0.05")
+    gyro_bias_radps: float = Field(2e-3, gt=0, description="bias of the gyro, 1 sigma [rad/s]; a consumer's turn-on")
+    longest_s: float = Field(30.0, gt=0, description="longest time by wheels and gyro with a level [s]")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_codes(cls, data: Any) -> Any:
+        """Undifferenced codes are computed, whatever the instruments of a sky say."""
+        given = data.get("gnss") if isinstance(data, Mapping) else None
+        if isinstance(given, Mapping):
+            return {**data, "gnss": {**given, "undifferenced": True}}
+        return {**data, "gnss": given.replace(undifferenced=True)} if isinstance(given, GnssConfig) else data
+
+    @model_validator(mode="after")
+    def _has_codes(self) -> MonitoredCodesConfig:
+        if not self.gnss.undifferenced:
+            raise ConfigError("gnss.undifferenced must be true, got false: this kind needs undifferenced codes")
+        return self
+
+
+@dataclass
+class CodeBelief:
+    """Position (B, 3) [m], heading and its deviation (B,) [rad], level at each risk (B, R) [m], times (B,) [s]."""
+
+    position_m: Array
+    heading_rad: Array
+    sigma_heading_rad: Array
+    level_m: Array
+    sigma_m: Array
+    since_fix_s: Array
+    since_calibration_s: Array
+    due_s: Array
+    alert: AlertState
+
+
+class MonitoredCodesNavigator(Navigator):
+    """See the module."""
+
+    config: MonitoredCodesConfig
+
+    def prepare(self) -> None:
+        """Risks, their factors and the monitor."""
+        self._monitor = self.config.monitor.config()
+        self._risks = np.array([case.integrity_risk for case in self.config.cases])
+        self._factor = normal_factor(self._risks)
+
+    def initial_belief(self, batch: int) -> CodeBelief:
+        """Nothing is known."""
+        zero, never = np.zeros(batch), np.full(batch, np.inf)
+        return CodeBelief(
+            np.zeros((batch, 3)), zero.copy(), np.full(batch, np.pi), np.full((batch, self._risks.size), np.inf),
+            never.copy(), never.copy(), never.copy(), zero.copy(), AlertState.initial(batch),
+        )  # fmt: skip
+
+    def align(self, heading_rad: Array, sigma_rad: float) -> None:
+        """A prior heading."""
+        self.state.belief.heading_rad[:], self.state.belief.sigma_heading_rad[:] = heading_rad, sigma_rad
+
+    def place_rows(
+        self, rows: Any, position_en_m: Array, heading_rad: Array, sigma_m: float, sigma_heading_rad: float
+    ) -> None:
+        """A prior pose, whose position has the level of a normal error."""
+        b = self.state.belief
+        b.position_m[rows, :2], b.heading_rad[rows], b.sigma_heading_rad[rows] = (
+            position_en_m, heading_rad, sigma_heading_rad,
+        )  # fmt: skip
+        b.level_m[rows], b.sigma_m[rows], b.since_fix_s[rows], b.due_s[rows] = self._factor * sigma_m, sigma_m, 0.0, 0.0
+
+    def locate(self, m: Measurements) -> Solution:
+        """Move, calibrate, fix where due, and report."""
+        velocity = self._move(m)
+        count = self._calibrate(m)
+        hdop, satellites, excluded = self._fix(m)
+        return self._report(m, velocity, count, hdop, satellites, excluded)
+
+    def _move(self, m: Measurements) -> Array:
+        """Dead reckoning over the epoch and the growth of levels; returns the velocity (B, 2)."""
+        c, b = self.config, self.state.belief
+        speed, turn = m.odometer.speed_mps, m.imu.delta_theta_rad[:, 2]
+        middle = b.heading_rad + 0.5 * turn
+        velocity = speed[:, None] * np.stack([np.sin(middle), np.cos(middle)], -1)
+        b.position_m[:, :2] += c.dt_s * velocity
+        b.heading_rad = np.mod(b.heading_rad + turn + np.pi, 2.0 * np.pi) - np.pi
+        b.sigma_heading_rad = np.minimum(b.sigma_heading_rad + c.dt_s * c.gyro_bias_radps, np.pi)
+        grown = c.dt_s * np.hypot(c.speed_sigma_mps * (np.abs(speed) > 0.0), np.abs(speed) * b.sigma_heading_rad)
+        b.level_m += self._factor * grown[:, None]
+        b.sigma_m += grown
+        for since in (b.since_fix_s, b.since_calibration_s, b.due_s):
+            since += c.dt_s
+        b.level_m[b.since_fix_s > c.longest_s] = np.inf
+        return np.asarray(velocity)
+
+    def _calibrate(self, m: Measurements) -> NDArray[np.int64]:
+        """Heading by Doppler where it agrees with the wheels; returns the number of its satellites."""
+        b, los = self.state.belief, m.sky.los_enu[m.sky.index]
+        rates = CodeEpochs.of(m.gnss.range_rate_mps, np.where(m.gnss.tracked[..., None], los, UP), DOPPLER_MPS,
+                              m.gnss.tracked, 0)  # fmt: skip
+        fit = solve_codes(rates)
+        speed, wheel = np.hypot(fit.x_m[:, 0], fit.x_m[:, 1]), m.odometer.speed_mps
+        good = fit.solved & (np.abs(wheel) > CALIBRATE_MPS) & (np.abs(speed - np.abs(wheel)) < AGREE_MPS)
+        back = np.where(wheel < 0.0, np.pi, 0.0)
+        off = np.arctan2(fit.x_m[:, 0], fit.x_m[:, 1]) + back - b.heading_rad
+        off = np.mod(off + np.pi, 2.0 * np.pi) - np.pi
+        sigma = np.where(good, fit.major_m / np.maximum(speed, 0.1), 1.0)
+        share = np.where(good, b.sigma_heading_rad**2 / (b.sigma_heading_rad**2 + sigma**2), 0.0)
+        b.heading_rad = b.heading_rad + share * off
+        b.sigma_heading_rad = np.where(good, np.sqrt(share) * sigma, b.sigma_heading_rad)
+        b.since_calibration_s[good] = 0.0
+        return np.asarray(fit.used.sum(-1), dtype=np.int64)
+
+    def _fix(self, m: Measurements) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+        """Code positions where due and allowed by the monitor; HDOP, satellites and exclusions (B,)."""
+        b, batch = self.state.belief, self.batch
+        hdop, none = np.full(batch, np.inf), np.zeros(batch, np.int64)
+        due = np.flatnonzero(b.due_s >= self.config.interval_s - 0.5 * self.config.dt_s)
+        if not due.size:
+            return hdop, none, none.copy()
+        epochs = code_epochs(m, self.config.budget, due)
+        found = watch(epochs, self._monitor, self._risks)
+        usable = found.usable & np.isfinite(found.hpl_m[:, 0])
+        rows = due[usable]
+        b.position_m[rows], b.level_m[rows] = found.position_enu_m[usable], found.hpl_m[usable]
+        fit = solve_codes(epochs.with_codes(used=epochs.used & ~found.excluded))
+        b.sigma_m[rows], b.since_fix_s[rows] = fit.major_m[usable], 0.0
+        b.due_s[due] = 0.0
+        unit = solve_codes(epochs.with_codes(sigma_m=np.ones_like(epochs.sigma_m)))
+        hdop[due] = np.where(unit.solved, unit.hdop_m, np.inf)
+        satellites, excluded = none.copy(), none.copy()
+        satellites[due], excluded[due] = fit.used.sum(-1), found.excluded.sum(-1)
+        return hdop, satellites, excluded
+
+    def _report(
+        self, m: Measurements, velocity: Array, count: NDArray[np.int64], hdop: Array, satellites: NDArray[np.int64],
+        excluded: NDArray[np.int64],
+    ) -> Solution:  # fmt: skip
+        """The belief as a solution; no position without a finite deviation."""
+        b, c = self.state.belief, self.config
+        level, there = b.level_m[:, 0].copy(), np.isfinite(b.sigma_m)
+        cause = np.where(there, AlertReason.NONE.code, AlertReason.INITIALISING.code)
+        status = step(c.alert, b.alert, level, level, c.dt_s, cause=cause)
+        recent = b.since_fix_s <= 1.5 * max(c.interval_s, c.dt_s)
+        mode = np.where(recent, int(Mode.CODE), int(Mode.IMU_ODOMETER))
+        sigma = np.where(there, b.sigma_m, 0.0)
+        return replace(
+            Solution.blank(m, self._risks.size),
+            position_en_m=b.position_m[:, :2].copy(), heading_rad=b.heading_rad.copy(), velocity_en_mps=velocity,
+            covariance_en_m2=np.square(sigma)[:, None, None] * np.eye(2), sigma_at_m=b.sigma_m.copy(),
+            sigma_ct_m=b.sigma_m.copy(), pl_at_m=level, pl_ct_m=level.copy(),
+            pl_cases_m=np.repeat(b.level_m[:, :, None], 2, axis=2), mode=np.where(there, mode, int(Mode.NONE)),
+            alert=status.alert, available=status.available, reason=status.reason, hdop=hdop, satellites=satellites,
+            satellites_doppler=count, excluded=excluded, since_calibration_s=b.since_calibration_s.copy(),
+        )  # fmt: skip
+
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def code_epochs(m: Measurements, budget: CodeBudget, rows: NDArray[np.int64]) -> CodeEpochs:
+    """The undifferenced codes of some vehicles as epochs of the monitor family."""
+    g, at = m.gnss, m.sky.index[rows]
+    assert g.raw_code_m is not None  # the configuration asks for it
+    code, elevation = g.raw_code_m[rows, :, BAND], m.sky.elevation_rad[at]
+    used = g.tracked[rows] & (code != 0.0)
+    los = np.where(used[..., None], m.sky.los_enu[at], UP)
+    return CodeEpochs.of(
+        code, los, budget.code(elevation), used, m.sky.system.astype(np.int64), cn0_dbhz=g.cn0_dbhz[rows],
+        elevation_rad=elevation, time_s=np.full(rows.size, m.time_s),
+    )  # fmt: skip
+
+
+register_navigator(MonitoredCodesConfig, MonitoredCodesNavigator)

@@ -1,0 +1,148 @@
+"""Recorded code-only drives as epochs of the monitor family, with the truth apart from what monitors see.
+
+The displacements are those of wheel speed and yaw rate, turned by the heading that fits the code positions of the last
+minute best. No truth enters the epochs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
+from lanebound.integrity.monitoring.family.epochs import CodeEpochs
+from lanebound.integrity.monitoring.family.fit import solve_codes
+from lanebound.integrity.recorded.smartloc import Odometry, SmartLoc
+from lanebound.integrity.replay.reckoning import reckon
+from lanebound.integrity.replay.sagnac import ranges_and_sights
+from lanebound.integrity.replay.window import LocalFrame
+
+__all__ = ["TrackedEpochs", "reckoned_steps", "recorded_epochs"]
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+LEAST_DBHZ = 20.0  # as the code-only replay
+FIRST_ROUNDS = 12
+WINDOW_S = 60.0  # code positions that the heading of displacements is fitted to
+PATH_ERROR = 0.02  # of the reckoned path over its length, 1 sigma; as the code-only replay
+LASTING_S = 10.0  # correlation time of code positions in the deviation of the heading
+LARGEST_TURN_RAD = 2.0  # deviation of a heading that is not known
+
+
+@dataclass(frozen=True)
+class TrackedEpochs:
+    """Epochs, and what only an assessment knows: true positions (E, 3) in their frame [m], and where known (E,)."""
+
+    epochs: CodeEpochs
+    truth_enu_m: Array
+    known: Bools
+
+
+def recorded_epochs(drive: SmartLoc, cn0_min_dbhz: float = LEAST_DBHZ) -> TrackedEpochs:
+    """The epochs of a smartLoc drive; deviations are those that the receiver states.
+
+    Raises
+    ------
+    InputError
+        No epoch determines a position.
+    """
+    r = drive.ranges
+    time, epoch = np.unique(r.time_s, return_inverse=True)
+    letters, system_of = np.unique(r.system, return_inverse=True)
+    names, column = np.unique(system_of * 100_000 + r.satellite, return_inverse=True)
+    good = (r.cn0_dbhz >= cn0_min_dbhz) & (r.variance_m2 > 0.0)
+    if letters.size > 8:
+        raise InputError(f"drive must have at most 8 systems, got {letters.size}: remove some")
+    shape = time.size, names.size
+
+    def table(value: Array, empty: float = 0.0) -> Array:
+        out = np.full((*shape, *value.shape[1:]), empty)
+        out[epoch[good], column[good]] = value[good]
+        return out
+
+    used = table(np.ones(r.time_s.size)) > 0.0
+    place, range_m = table(r.satellite_ecef_m), table(r.range_m)
+    frame = _frame(place, range_m, used, (names // 100_000).astype(np.int64))
+    plain = CodeEpochs(
+        time_s=time, y_m=np.zeros(shape), los_enu=np.zeros((*shape, 3)), sigma_m=np.sqrt(table(r.variance_m2, 1.0)),
+        used=used, system=(names // 100_000).astype(np.int64), cn0_dbhz=table(r.cn0_dbhz),
+        elevation_rad=table(r.elevation_rad), drive=np.zeros(time.size, np.int64),
+    )  # fmt: skip
+    epochs = _linearised(plain, place, range_m, frame, np.zeros((time.size, 3)))
+    epochs = _linearised(plain, place, range_m, frame, solve_codes(epochs).x_m)
+    step, sigma = reckoned_steps(drive.odometry, time, solve_codes(epochs).x_m[:, :2])
+    truth, known = np.zeros((time.size, 3)), np.zeros(time.size, bool)
+    if drive.truth is not None:
+        ecef, known = drive.truth.at(time)
+        truth = frame.local(ecef)
+    return TrackedEpochs(
+        CodeEpochs(**{**vars(epochs), "step_enu_m": step, "step_sigma_m": sigma}).checked(), truth, known
+    )
+
+
+def _frame(place: Array, range_m: Array, used: Bools, system: NDArray[np.int64]) -> LocalFrame:
+    """Local frame at the fix of the first epoch that has one; the iteration starts at the Earth's centre."""
+    for k in range(len(used)):
+        own = used[k]
+        clocks = (system[own][:, None] == np.unique(system[own])).astype(np.float64)
+        unknowns = 3 + clocks.shape[1]
+        if own.sum() < unknowns + 1:
+            continue
+        x = np.zeros(unknowns)
+        for _ in range(FIRST_ROUNDS):
+            distance, sight = ranges_and_sights(place[k, own], x[:3])
+            design = np.column_stack([-sight, clocks])
+            x += np.linalg.lstsq(design, range_m[k, own] - distance - clocks @ x[3:], rcond=None)[0]
+        latitude, longitude, height = geodetic_from_ecef(x[:3])
+        if abs(float(height)) < 1e4:
+            return LocalFrame(x[:3], ecef_from_enu_matrix(latitude, longitude))
+    raise InputError("drive must have an epoch with more codes than unknowns, has none: lower cn0_min_dbhz")
+
+
+def _linearised(plain: CodeEpochs, place: Array, range_m: Array, frame: LocalFrame, at_enu_m: Array) -> CodeEpochs:
+    """Observed minus computed at the positions ``at_enu_m`` (E, 3), as values of the whole frame."""
+    receiver = frame.origin_ecef_m + at_enu_m @ frame.axes.T
+    far = np.where(plain.used[..., None], place, np.array([0.0, 0.0, 2.6e7]))
+    distance, sight = ranges_and_sights(far, receiver[:, None, :])
+    los = sight @ frame.axes
+    y = range_m - distance - (los @ at_enu_m[..., None])[..., 0]
+    los = np.where(plain.used[..., None], los, np.array([0.0, 0.0, 1.0]))
+    return CodeEpochs(**{**vars(plain), "y_m": np.where(plain.used, y, 0.0), "los_enu": los})
+
+
+def reckoned_steps(odometry: Odometry, time_s: Array, fix_en_m: Array) -> tuple[Array, Array]:
+    """Displacements (T, 3) between epochs and their deviations (T,), by wheels, gyro, and the heading of past fixes."""
+    path = reckon(odometry.time_s, odometry.speed_mps, -odometry.yaw_rate_left_radps)
+    at = np.stack([np.interp(time_s, path.time_s, path.position_m[:, k]) for k in range(2)], -1)
+    length = np.diff(np.interp(time_s, path.time_s, path.distance_m), prepend=0.0)
+    turn, spread = _headings(time_s, at, fix_en_m)
+    own = np.diff(at, axis=0, prepend=at[:1])
+    c, s = np.cos(turn), np.sin(turn)
+    step = np.stack([c * own[:, 0] + s * own[:, 1], c * own[:, 1] - s * own[:, 0], np.zeros(time_s.size)], -1)
+    sigma = np.abs(length) * np.hypot(PATH_ERROR, np.minimum(spread, LARGEST_TURN_RAD))
+    sigma[0] = np.inf
+    return step, sigma
+
+
+def _headings(time_s: Array, path: Array, fix: Array) -> tuple[Array, Array]:
+    """Angle by which the path is turned clockwise to fit the fixes of the last ``WINDOW_S``, and its deviation."""
+    count = time_s.size
+    turn, spread = np.zeros(count), np.full(count, np.inf)
+    first = np.searchsorted(time_s, time_s - WINDOW_S)
+    for k in range(1, count):
+        own = slice(int(first[k]), k)  # the epoch itself stays out, so that its error is not in its own step
+        p, x = path[own] - path[own].mean(0), fix[own] - np.median(fix[own], 0)
+        along, across = float((x * p).sum()), float((x[:, 0] * p[:, 1] - x[:, 1] * p[:, 0]).sum())
+        size = float(np.square(p).sum())
+        if size <= 0.0:
+            continue
+        turn[k] = np.arctan2(across, along)
+        c, s = np.cos(turn[k]), np.sin(turn[k])
+        off = x - np.stack([c * p[:, 0] + s * p[:, 1], c * p[:, 1] - s * p[:, 0]], -1)
+        alike = max(1.0, LASTING_S / max(float(np.median(np.diff(time_s))), 1e-3))
+        spread[k] = np.sqrt(float(np.square(off).sum()) / max(len(p), 1) * alike / size)
+    return turn, spread

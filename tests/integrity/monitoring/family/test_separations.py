@@ -1,0 +1,67 @@
+"""Separations of single codes by residuals against adjustments without each code; levels against the vehicle's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from code_geometry import quiet
+
+from lanebound.integrity.monitoring.araim import AraimConfig, araim
+from lanebound.integrity.monitoring.family.fit import solve_codes
+from lanebound.integrity.monitoring.family.kinds import monitor_named
+from lanebound.integrity.monitoring.family.monitor import watch
+from lanebound.integrity.monitoring.family.separations import separations
+from lanebound.integrity.monitoring.protection import closed_form_published, protection_levels
+from lanebound.integrity.monitoring.risk import RiskConfig, Variant, false_alarm_factor
+from lanebound.integrity.monitoring.separation import separate
+from lanebound.integrity.positioning.least_squares import design_matrix
+
+EAST = 0.5 * np.pi
+
+
+def whole(seed: int = 31):
+    e = quiet(20, 10, 2, seed)
+    design = design_matrix(e.los_enu, np.broadcast_to(e.system, e.y_m.shape), 2)
+    covariance = np.eye(10) * e.sigma_m[:, :, None] ** 2
+    return e, separate(design, covariance, np.eye(10, dtype=bool), np.full(20, EAST), y=e.y_m)
+
+
+def test_separations_are_those_of_adjustments_without_each_code() -> None:
+    e, plain = whole()
+    found = separations(solve_codes(e))
+    sign = np.array([1.0, -1.0])  # across the track of a vehicle that drives East is minus North
+    np.testing.assert_allclose(found.sigma_m, plain.sigma_m, rtol=1e-9)
+    np.testing.assert_allclose(found.delta_m, plain.delta_m, atol=1e-9)
+    np.testing.assert_allclose(found.separation_m * sign, plain.separation_m, atol=1e-9)
+
+
+def test_levels_are_those_of_the_vehicle() -> None:
+    e, plain = whole()
+    rules = RiskConfig(satellite_prior=(1e-3,) * 8, false_alarm=1e-3, subtract_multiple=False, integrity_risk=1e-4)
+    root = protection_levels(plain, np.full((20, 10), 1e-3), rules)[:, 0]
+    found = watch(e, monitor_named("separation_root").config({"test": "none"}), 1e-4).hpl_m[:, 0]
+    np.testing.assert_allclose(found, np.hypot(root[..., 0], root[..., 1]), atol=2e-3)
+    k_fa = false_alarm_factor(1e-3, 10, Variant.PUBLISHED)
+    printed = closed_form_published(plain, k_fa, 1e-4)
+    published = watch(e, monitor_named("separation_published").config({"test": "none"}), 1e-4).hpl_m[:, 0]
+    np.testing.assert_allclose(published, np.hypot(printed[:, 0], printed[:, 1]), rtol=1e-9)
+
+
+def test_araim_is_that_of_the_package_with_budgets_of_aviation() -> None:
+    e = quiet(3, 14, 2, 33)
+    config = monitor_named("araim_lpv200").config({"rejection": "none", "test": "none"})
+    found = watch(e, config, 1e-3)
+    assert config.araim == AraimConfig()
+    plain = araim(e.los_enu, e.system, e.sigma_m**2, e.sigma_m**2, 0.0, AraimConfig())
+    np.testing.assert_allclose(found.hpl_m[:, 0], plain.hpl_m, rtol=1e-9)
+    np.testing.assert_allclose(found.vpl_m[:, 0], plain.vpl_m, rtol=1e-9)
+
+
+def test_sbas_levels_have_the_factors_of_their_operation() -> None:
+    e = quiet(5, 10, 1, 35)
+    fit = solve_codes(e)
+    approach = watch(e, monitor_named("sbas").config(), [1e-3, 1e-5])
+    route = watch(e, monitor_named("sbas").config({"en_route": True}), 1e-3)
+    np.testing.assert_allclose(approach.hpl_m, 6.0 * fit.major_m[:, None] * np.ones(2))
+    np.testing.assert_allclose(route.hpl_m[:, 0], 6.18 * fit.major_m)
+    assert approach.vpl_m[0, 0] == pytest.approx(5.33 * np.sqrt(fit.cofactor[0, 2, 2]))

@@ -1,0 +1,131 @@
+"""Navigator kind ``monitored_codes``: codes under a monitor of the family."""
+
+from __future__ import annotations
+
+import gymnasium
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import lanebound.envs  # noqa: F401 - registers the environments
+from lanebound.agents.cli import app
+from lanebound.integrity import Fault, FaultSchedule, Navigator, NavigatorConfig, SkyMask, SkyTrack, truth_between
+from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.navigators.monitored_codes import MonitoredCodesConfig, MonitoredCodesNavigator
+from lanebound.integrity.navigators.solution import Solution
+from lanebound.integrity.positioning.modes import Mode
+
+DT, SPEED = 0.1, 10.0
+
+
+def config(monitor: str = "ibpl", **more: object) -> NavigatorConfig:
+    return NavigatorConfig.load({"kind": "monitored_codes", "monitor": {"kind": monitor}, **more})
+
+
+def drive(navigator: Navigator, epochs: int, first: int = 0) -> list[tuple[np.ndarray, Solution]]:
+    """Errors (B,) and solutions of vehicles that drive to the North."""
+    batch, found = navigator.batch, []
+    velocity, heading = np.tile([0.0, SPEED], (batch, 1)), np.zeros(batch)
+    for k in range(first, first + epochs):
+        before, after = (np.column_stack([np.zeros(batch), np.full(batch, SPEED * DT * i)]) for i in (k, k + 1))
+        s = navigator.step(truth_between((k + 1) * DT, DT, (before, after), (velocity, velocity), (heading, heading)))
+        found.append((np.hypot(*(s.position_en_m - after).T), s))
+    return found
+
+
+@pytest.mark.parametrize("monitor", ["ibpl", "residual_fde", "separation_root", "sbas"])
+def test_a_vehicle_knows_its_position_within_its_level(monitor: str) -> None:
+    navigator = Navigator.nominal(config(monitor), [1, 2, 3], duration_s=60.0)
+    assert isinstance(navigator, MonitoredCodesNavigator)
+    found = drive(navigator, 120)[15:]
+    assert all((error <= s.pl_at_m).all() for error, s in found)
+    last = found[-1][1]
+    assert (last.mode == Mode.CODE).all()
+    assert np.abs(last.heading_rad).max() < 0.05
+    assert np.isfinite(last.pl_cases_m).all()
+    assert (last.satellites == 0).any() or (last.satellites > 5).all()
+
+
+def test_wheels_and_gyro_carry_on_without_codes_and_the_level_grows() -> None:
+    c = config()
+    track = SkyTrack.from_config(c.sky, 60.0)
+    jammed = FaultSchedule((Fault(kind="jamming", start_s=6.0, duration_s=20.0, magnitude_db=60.0),))
+    navigator = Navigator(c, track, SkyMask.open(), [1], faults=jammed)
+    found = drive(navigator, 110)
+    levels = np.array([s.pl_at_m[0] for _, s in found])
+    assert (np.diff(levels[85:]) > 0.0).all()
+    assert found[-1][1].mode[0] == Mode.IMU_ODOMETER
+    assert all((error <= s.pl_at_m).all() for error, s in found[15:])
+
+
+def test_a_snapshot_goes_on_with_the_same_bits() -> None:
+    navigator = Navigator.nominal(config(), [4, 5], duration_s=60.0)
+    drive(navigator, 30)
+    kept = navigator.snapshot()
+    first = drive(navigator, 15, 30)[-1][1]
+    navigator.restore(kept)
+    again = drive(navigator, 15, 30)[-1][1]
+    np.testing.assert_array_equal(first.position_en_m, again.position_en_m)
+    np.testing.assert_array_equal(first.pl_cases_m, again.pl_cases_m)
+
+
+def test_rows_of_a_batch_are_independent() -> None:
+    both = drive(Navigator.nominal(config(), [7, 8], duration_s=60.0), 40)[-1][1]
+    alone = drive(Navigator.nominal(config(), [8], duration_s=60.0), 40)[-1][1]
+    np.testing.assert_array_equal(both.position_en_m[1], alone.position_en_m[0])
+    np.testing.assert_array_equal(both.pl_at_m[1], alone.pl_at_m[0])
+
+
+def test_a_prior_pose_has_the_level_of_its_deviation() -> None:
+    navigator = Navigator.nominal(config(), [1], duration_s=30.0)
+    navigator.place(np.zeros((1, 2)), np.zeros(1), sigma_m=0.5, sigma_heading_rad=0.01)
+    error, s = drive(navigator, 1)[0]
+    assert 0.5 * 4.0 < s.pl_at_m[0] < 0.5 * 6.0
+    assert error[0] < 0.1
+
+
+def test_the_configuration_asks_for_what_it_needs() -> None:
+    c = config()
+    assert isinstance(c, MonitoredCodesConfig)
+    assert c.gnss.undifferenced
+    assert NavigatorConfig.load(c.to_dict()) == c
+    assert NavigatorConfig().replace(kind="monitored_codes").gnss.undifferenced
+    for kind in ("kipl", "composite", "rraim_range", "map_exclude"):
+        with pytest.raises(ConfigError, match="needs codes alone and has no memory"):
+            config(kind)
+    with pytest.raises(ConfigError, match="did you mean"):
+        config("ibpll")
+    with pytest.raises(ConfigError, match="errors must be given for 'classes'"):
+        config("classes")
+
+
+def test_a_preset_of_fitted_errors_gives_the_deviations() -> None:
+    chosen = {"kind": "classes_normal", "errors": "errors/berlin_potsdamer"}
+    c = NavigatorConfig.load({"kind": "monitored_codes", "monitor": chosen})
+    assert isinstance(c, MonitoredCodesConfig)
+    laws = c.monitor.config().classes
+    assert laws is not None
+    assert len(laws.laws) == 15
+    wide = drive(Navigator.nominal(c, [1], duration_s=30.0), 15)[-1][1]
+    narrow = drive(Navigator.nominal(config("normal"), [1], duration_s=30.0), 15)[-1][1]
+    assert wide.pl_at_m[0] > 3.0 * narrow.pl_at_m[0]
+
+
+def test_the_kind_drives_environments_the_engine_and_the_command() -> None:
+    chosen = {"sky": "urban", "navigator": {"kind": "monitored_codes", "monitor": {"kind": "ibpl"}}}
+    env = gymnasium.make("lanebound/LaneKeeping-v0", config=chosen)
+    env.reset(seed=5)
+    engine = gymnasium.make_vec("lanebound/LaneKeeping-v0", num_envs=2, config=chosen)
+    engine.reset(seed=5)
+    for _ in range(6):
+        info = env.step(np.zeros(2, dtype=np.float32))[4]
+        infos = engine.step(np.zeros((2, 2), dtype=np.float32))[4]
+        assert infos["pl_ct_m"][0] == info["pl_ct_m"]
+        assert infos["err_ct_m"][0] == info["err_ct_m"]
+    assert abs(info["err_ct_m"]) <= info["pl_ct_m"]
+    assert info["mode"] == Mode.CODE
+    env.close()
+    engine.close()
+    arguments = ["--set", "navigator.kind=monitored_codes", "--set", "navigator.monitor.kind=araim"]
+    done = CliRunner().invoke(app, ["drive", "LaneKeeping", *arguments, "--set", "duration_s=2", "--json"])
+    assert done.exit_code == 0, done.output
