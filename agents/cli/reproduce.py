@@ -125,6 +125,7 @@ def services(
     print_table("Services, medians over streets; shares are means", heads, rows)
     typer.echo(f"services.json: {out}")
 
+
 @app.command("context")
 def context(
     out: Annotated[Path, typer.Option(help="Folder for tables.json and the figures; a run is resumed there.")],
