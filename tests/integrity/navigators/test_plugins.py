@@ -305,7 +305,7 @@ def test_a_configuration_derived_from_one_of_a_kind_makes_a_navigator_of_that_ki
         pass
 
     assert type(Navigator.nominal(Derived(), [1], duration_s=10.0)) is odometer_gyro.OdometerGyroNavigator
-    with pytest.raises(ConfigError, match=r"config must be of .*RtkReckoningConfig.*, OdometerGyroConfig or of"):
+    with pytest.raises(ConfigError, match=r"config must be of .*OdometerGyroConfig.* or of a class"):
         navigator_class(int)
 
 
