@@ -37,6 +37,7 @@ def _threshold(tables: Mapping[str, Any], path: Path) -> None:
             axes.plot(np.arange(len(sweep[key])), 100.0 * np.array(sweep[key]) / points, color=colour, label=label)
         axes.axvline(S5_THRESHOLD, color=INK, linewidth=0.8, linestyle=":", label="71 (S5)")
         axes.set_yscale("symlog", linthresh=0.1)
+        axes.set_ylim(0.0, 100.0)
         tidy(axes, title=name, xlabel="threshold of the score", ylabel="share of points [%]")
         legend(axes)
     save(figure, path)
@@ -48,13 +49,18 @@ def _rules(tables: Mapping[str, Any], path: Path) -> None:
     axes = figure.subplots()
     for colour, (name, env) in zip(COLOURS, tables["environments"].items(), strict=False):
         axes.plot([], [], "o", color=colour, label=name)
+        names: dict[tuple[int, int], list[str]] = {}
         for rule in RULES:
             p = env["of"][MAIN]["rules"][rule]["pooled"]
-            if p["per_right"] is None or p["per_wrong"] is None:
-                continue
-            at = 100.0 * p["per_right"], 100.0 * p["per_wrong"]
-            axes.plot(*at, "o", color=colour, markersize=5)
-            axes.annotate(rule, at, fontsize=6, xytext=(3, 3), textcoords="offset points", color=INK)
+            if p["per_right"] is not None and p["per_wrong"] is not None:
+                at = round(50.0 * p["per_right"]), round(50.0 * p["per_wrong"])  # rules within 2 % share a label
+                names.setdefault(at, []).append(rule)
+                axes.plot(100.0 * p["per_right"], 100.0 * p["per_wrong"], "o", color=colour, markersize=5)
+        for (x, y), rules in names.items():
+            axes.annotate(
+                "\n".join(rules), (2.0 * x, 2.0 * y), fontsize=5.5, xytext=(5, -4), textcoords="offset points",
+                color=colour, va="top",
+            )  # fmt: skip
     tidy(axes, title="Rules of warning", xlabel="right points warned of [%]", ylabel="wrong points not warned of [%]")
     legend(axes)
     save(figure, path)
