@@ -13,6 +13,7 @@ from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.positioning.modes import Mode
 
 BASE = {"base": "LaneKeepingWorld"}
+COARSE = {"start_sigma_m": 8.0}  # a car that is told its place to 5 cm needs no service for minutes
 
 
 def _modes(config: EnvConfig) -> list[str]:
@@ -36,7 +37,9 @@ def test_a_service_that_does_not_exist_is_refused_where_it_is_named() -> None:
 
 @pytest.mark.parametrize("service", ["spp", "sbas_dfmc"])
 def test_a_car_drives_on_a_service_and_sees_it(service: str) -> None:
-    env = gymnasium.make("lanebound/LaneKeeping-v0", config={"navigator": f"services/{service}", "sky": "open"})
+    env = gymnasium.make(
+        "lanebound/LaneKeeping-v0", config={"navigator": f"services/{service}", "sky": "open", "navigation": COARSE}
+    )
     observation, info = env.reset(seed=3)
     seen, modes = [], []
     place = [e.name for e in entries(env.unwrapped.config.observation) if e.group == "integrity"].index(
