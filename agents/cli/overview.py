@@ -27,7 +27,7 @@ SHOWN = {
 }
 MEANT = (
     "Harm: 50 for a crash or an end off the road, and m2 of the true body beyond its lane. Ended well: no crash, still "
-    "on the road, and on average at least a quarter of the limit."
+    "on the road, and at the goal and in time where the task asks for it (success)."
 )
 
 
