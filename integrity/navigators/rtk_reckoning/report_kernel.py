@@ -13,7 +13,7 @@ from lanebound.integrity.monitoring.jump_kernel import is_suspicious
 from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import DeadReckoningState, restart
 from lanebound.integrity.navigators.rtk_reckoning.monitors_kernel import copy_reckoning, reference_point
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import BACKUP, LATEST, Epoch, Outputs
-from lanebound.integrity.positioning.codes_kernel import CODE, NONE, RTK
+from lanebound.integrity.positioning.codes_kernel import CODE, DOPPLER, NONE, RTK
 
 __all__ = ["report", "take_fix"]
 
@@ -43,7 +43,7 @@ def take_fix(first: int, last: int, epoch: Epoch) -> None:
             vehicle.position[2] = w.fixed.position[2]
             g.p_ee, g.p_en, g.p_nn = w.fixed.p_ee, w.fixed.p_en, w.fixed.p_nn
         vehicle.has_velocity = w.measured
-        if w.mode == RTK and w.measured:
+        if w.mode != DOPPLER and w.measured:  # the next epoch may begin a trapezoid with this velocity
             for k in range(growth.shape[0]):
                 remember_velocity(w.q[0, 0], w.q[0, 1], w.q[1, 1], growth[k])
         vehicle.velocity[0], vehicle.velocity[1] = w.v_e, w.v_n

@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 
 from lanebound.integrity.core.errors import ConfigError
-from lanebound.integrity.navigators.navigator import NavigatorConfig
+from lanebound.integrity.motion.truth import truth_between
+from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.navigators.rtk_reckoning import modes_kernel
 from lanebound.integrity.navigators.rtk_reckoning.parameters import epoch_parameters
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sensors.faults import Fault, FaultSchedule
+from lanebound.integrity.sky.track import SkyTrack
+from lanebound.integrity.sky.visibility import SkyMask
 from tests.helpers.tunnel_drives import drive, yaw_rates
 
 
@@ -37,6 +40,12 @@ K_MD = np.array([4.0, 4.5])
 LOSS = Fault(kind="corrections_loss", start_s=6.0, duration_s=60.0)
 
 
+def vehicle_of(sigma_heading: float, since_calibration: float, doubted: bool = False) -> Any:
+    """The fields of a vehicle that the comparison reads."""
+    heading, watch = SimpleNamespace(p_hh=sigma_heading**2), SimpleNamespace(doubted=doubted)
+    return SimpleNamespace(heading=heading, since_calibration=since_calibration, watch=watch)
+
+
 def bounds(sigma_v: float, sigma_heading: float, speed: float) -> tuple[float, float]:
     """The bounds of Doppler, and of gyro and odometer, by hand [m/s]."""
     par = declared()
@@ -52,7 +61,7 @@ def bounds(sigma_v: float, sigma_heading: float, speed: float) -> tuple[float, f
 def test_the_smaller_bound_decides(sigma_v: float, sigma_heading: float, speed: float, plain: Any) -> None:
     par = declared()
     w = SimpleNamespace(q=sigma_v**2 * np.eye(4))
-    vehicle = SimpleNamespace(heading=SimpleNamespace(p_hh=sigma_heading**2), since_calibration=5.0)
+    vehicle = vehicle_of(sigma_heading, 5.0)
     doppler, odometer = bounds(sigma_v, sigma_heading, speed)
     assert plain(w, vehicle, speed, K_MD, par) == (doppler < odometer)
 
@@ -60,8 +69,28 @@ def test_the_smaller_bound_decides(sigma_v: float, sigma_heading: float, speed: 
 def test_an_unknown_heading_leaves_the_position_to_doppler(plain: Any) -> None:
     par = declared()
     w = SimpleNamespace(q=np.eye(4))
-    vehicle = SimpleNamespace(heading=SimpleNamespace(p_hh=0.0), since_calibration=math.inf)
+    vehicle = vehicle_of(0.0, math.inf)
     assert plain(w, vehicle, 13.0, K_MD, par)
+
+
+def test_a_doubted_odometer_leaves_the_position_to_doppler(plain: Any) -> None:
+    w = SimpleNamespace(q=np.eye(4))
+    assert not plain(w, vehicle_of(1e-3, 5.0), 1.0, K_MD, declared())
+    assert plain(w, vehicle_of(1e-3, 5.0, doubted=True), 1.0, K_MD, declared())
+
+
+def test_the_velocity_of_an_epoch_by_odometer_counts_in_the_next_trapezoid() -> None:
+    """Doppler after gyro and odometer moves by ``dt/2 (v_- + v)``: the growth has to know the covariance of ``v_-``."""
+    config = NavigatorConfig.load({"positioning": {"doppler": {"sigma_mps": 1.0}, "rtk": {"max_age_s": 3.0}}})
+    navigator = Navigator(config, SkyTrack.from_config(config.sky, 30.0), SkyMask.open(), 3, 2, FaultSchedule((LOSS,)))
+    heading, velocity = np.zeros(2), np.tile([0.0, 13.0], (2, 1))
+    for k in range(150):
+        place = tuple(np.tile([0.0, 1.3 * n], (2, 1)) for n in (k, k + 1))
+        s = navigator.step(truth_between(0.1 * (k + 1), 0.1, place, (velocity, velocity), (heading, heading)))
+    growth = navigator.state.belief.growth
+    assert (s.mode == Mode.IMU_ODOMETER).all()
+    assert growth["have_l"].all()
+    assert (growth["l_ee"] > 0.0).all()
 
 
 def doppler_without_rtk(sigma_mps: float, **mode: str) -> float:
