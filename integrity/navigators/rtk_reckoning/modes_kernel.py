@@ -49,7 +49,7 @@ def doppler_is_tighter(w: Any, vehicle: Any, speed: float, k_md: Array, par: Any
     """Whether the bound of the Doppler velocity is smaller than that of gyro and odometer, squared and over both axes.
 
     Doppler: ``K^2 (q_EE + q_NN)`` and its bias; gyro and odometer: ``v (K_CT sigma_theta + b_theta)`` across and ``K_AT
-    sigma_v + b_v`` along, infinite while the odometer is doubted. Bounds of one epoch are compared: in a long outage the
+    sigma_v + b_v`` along, infinite while the odometer is doubted. Bounds of one epoch are compared: in long outages the
     error of Doppler grows with the root of time, that of the heading with time. Nothing of the errors themselves
     enters. A reflected range rate moves a Doppler position by metres in seconds; the heading that it calibrated
     averages it.
