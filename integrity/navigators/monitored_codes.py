@@ -38,7 +38,7 @@ __all__ = ["MonitorChoice", "MonitoredCodesConfig", "MonitoredCodesNavigator"]
 Array = NDArray[np.float64]
 
 BAND = 0
-DOPPLER_MPS = 0.10  # of a Doppler velocity, 1 sigma; S1: 10 cm/s
+LEAST_SINE = 0.05  # of an elevation, in deviations of range rates
 CALIBRATE_MPS, AGREE_MPS = 2.0, 1.5  # speed from which Doppler gives a heading, and agreement with wheels; S1 Table 1
 
 
@@ -186,8 +186,9 @@ class MonitoredCodesNavigator(Navigator):
         its satellites. Its deviation is that of a white error that bounds the correlation of range rates in time, so
         that repeating them does not feign precision."""
         b, los = self.state.belief, m.sky.los_enu[m.sky.index]
-        rates = CodeEpochs.of(m.gnss.range_rate_mps, np.where(m.gnss.tracked[..., None], los, UP), DOPPLER_MPS,
-                              m.gnss.tracked, 0)  # fmt: skip
+        los = np.where(m.gnss.tracked[..., None], los, UP)
+        deviation = self.config.positioning.doppler.sigma_mps / np.maximum(los[..., 2], LEAST_SINE)
+        rates = CodeEpochs.of(m.gnss.range_rate_mps, los, deviation, m.gnss.tracked, 0)
         fit = solve_codes(rates)
         speed, wheel = np.hypot(fit.x_m[:, 0], fit.x_m[:, 1]), m.odometer.speed_mps
         good = (fit.df > 0) & (fit.wsse <= global_threshold(fit.df, self._monitor.false_alarm))
