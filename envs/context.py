@@ -69,11 +69,11 @@ class DriveContext:
     def __init__(self, env: DrivingEnv, config: ContextConfig | None = None) -> None:
         self.env, self.config = env, config or ContextConfig()
         self.every = max(1, round(EPOCH_S / env.dt_s))
-        self.log: list[dict[str, Any]] = []
         self.begin()
 
     def begin(self) -> None:
-        """A new episode begins."""
+        """A new episode begins, with an empty log."""
+        self.log: list[dict[str, Any]] = []
         self._monitor: ContextMonitor | None = None
         self._step, self._wheels = 0, [0.0]
         self.now: dict[str, Any] = _blank()

@@ -139,7 +139,7 @@ def _classes(
     shape = len(config.cn0_edges_dbhz) - 1, len(config.elevation_edges_deg) - 1, len(paths)
     blank = {
         "source": source, "cn0_edges_dbhz": config.cn0_edges_dbhz, "elevation_edges_deg": config.elevation_edges_deg,
-        "paths": paths,
+        "paths": paths, "sides": config.sides.value,
     }  # fmt: skip
     table = ErrorClasses.load({**blank, "laws": [{"sigma_m": 1.0}] * int(np.prod(shape))})
     index = np.array(np.unravel_index(table.index(cn0, elevation, path), shape))

@@ -11,7 +11,7 @@ from enum import Enum
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 from scipy.special import chdtrc, chdtri, chndtr, chndtrix, ndtri
 
@@ -25,6 +25,7 @@ __all__ = [
     "noncentrality",
     "significances",
     "threshold_tables",
+    "two_sided_factor",
 ]
 
 Array = NDArray[np.float64]
@@ -88,6 +89,11 @@ def significances(alpha: float, df: int, tests: int, linking: Linking, power: fl
     if linking is Linking.BAARDA_FROM_GLOBAL:
         return alpha, baarda_local_significance(alpha, power, df)
     return baarda_global_significance(alpha, power, df), alpha
+
+
+def two_sided_factor(probability: ArrayLike) -> Array:
+    """``k`` with ``P(|z| > k) = p`` of a normal z.  (...,) -> (...,)."""
+    return np.asarray(-ndtri(0.5 * np.asarray(probability, dtype=np.float64)))
 
 
 @dataclass(frozen=True)

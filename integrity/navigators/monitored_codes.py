@@ -26,8 +26,10 @@ from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.monitoring.family.kinds import monitor_named
 from lanebound.integrity.monitoring.family.levels import normal_factor
 from lanebound.integrity.monitoring.family.monitor import MEMORY, watch
+from lanebound.integrity.monitoring.family.rejection import global_threshold
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig, register_navigator
 from lanebound.integrity.navigators.solution import Solution
+from lanebound.integrity.positioning.config import bound_correlation
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sensors.gnss import GnssConfig
 
@@ -36,7 +38,7 @@ __all__ = ["MonitorChoice", "MonitoredCodesConfig", "MonitoredCodesNavigator"]
 Array = NDArray[np.float64]
 
 BAND = 0
-DOPPLER_MPS = 0.10  # of a Doppler velocity, 1 sigma; S1: 10 cm/s
+LEAST_SINE = 0.05  # of an elevation, in deviations of range rates
 CALIBRATE_MPS, AGREE_MPS = 2.0, 1.5  # speed from which Doppler gives a heading, and agreement with wheels; S1 Table 1
 
 
@@ -96,6 +98,11 @@ class MonitoredCodesConfig(NavigatorConfig):
     def _has_codes(self) -> MonitoredCodesConfig:
         if not self.gnss.undifferenced:
             raise ConfigError("gnss.undifferenced must be true, got false: this kind needs undifferenced codes")
+        if any(self.positioning.lever_arm_m):
+            raise ConfigError(
+                "positioning.antenna_forward_m and antenna_right_m must be 0 for monitored_codes, got "
+                f"{self.positioning.lever_arm_m}: this kind positions the antenna; set both to 0"
+            )
         return self
 
 
@@ -124,6 +131,8 @@ class MonitoredCodesNavigator(Navigator):
         self._monitor = self.config.monitor.config()
         self._risks = np.array([case.integrity_risk for case in self.config.cases])
         self._factor = normal_factor(self._risks)
+        correlation = bound_correlation(*self.config.positioning.doppler.tau_range_s, self.config.dt_s)
+        self._lasting = float(np.sqrt(correlation.course))
 
     def initial_belief(self, batch: int) -> CodeBelief:
         """Nothing is known."""
@@ -162,7 +171,8 @@ class MonitoredCodesNavigator(Navigator):
         velocity = speed[:, None] * np.stack([np.sin(middle), np.cos(middle)], -1)
         b.position_m[:, :2] += c.dt_s * velocity
         b.heading_rad = np.mod(b.heading_rad + turn + np.pi, 2.0 * np.pi) - np.pi
-        b.sigma_heading_rad = np.minimum(b.sigma_heading_rad + c.dt_s * c.gyro_bias_radps, np.pi)
+        drift = c.dt_s * c.gyro_bias_radps + c.positioning.heading.gyro_scale * np.abs(turn)
+        b.sigma_heading_rad = np.minimum(b.sigma_heading_rad + drift, np.pi)
         grown = c.dt_s * np.hypot(c.speed_sigma_mps * (np.abs(speed) > 0.0), np.abs(speed) * b.sigma_heading_rad)
         b.level_m += self._factor * grown[:, None]
         b.sigma_m += grown
@@ -172,17 +182,21 @@ class MonitoredCodesNavigator(Navigator):
         return np.asarray(velocity)
 
     def _calibrate(self, m: Measurements) -> NDArray[np.int64]:
-        """Heading by Doppler where it agrees with the wheels; returns the number of its satellites."""
+        """Heading by Doppler where its residuals are consistent and it agrees with the wheels; returns the number of
+        its satellites. Its deviation is that of a white error that bounds the correlation of range rates in time, so
+        that repeating them does not feign precision."""
         b, los = self.state.belief, m.sky.los_enu[m.sky.index]
-        rates = CodeEpochs.of(m.gnss.range_rate_mps, np.where(m.gnss.tracked[..., None], los, UP), DOPPLER_MPS,
-                              m.gnss.tracked, 0)  # fmt: skip
+        los = np.where(m.gnss.tracked[..., None], los, UP)
+        deviation = self.config.positioning.doppler.sigma_mps / np.maximum(los[..., 2], LEAST_SINE)
+        rates = CodeEpochs.of(m.gnss.range_rate_mps, los, deviation, m.gnss.tracked, 0)
         fit = solve_codes(rates)
         speed, wheel = np.hypot(fit.x_m[:, 0], fit.x_m[:, 1]), m.odometer.speed_mps
-        good = fit.solved & (np.abs(wheel) > CALIBRATE_MPS) & (np.abs(speed - np.abs(wheel)) < AGREE_MPS)
+        good = (fit.df > 0) & (fit.wsse <= global_threshold(fit.df, self._monitor.false_alarm))
+        good &= fit.solved & (np.abs(wheel) > CALIBRATE_MPS) & (np.abs(speed - np.abs(wheel)) < AGREE_MPS)
         back = np.where(wheel < 0.0, np.pi, 0.0)
         off = np.arctan2(fit.x_m[:, 0], fit.x_m[:, 1]) + back - b.heading_rad
         off = np.mod(off + np.pi, 2.0 * np.pi) - np.pi
-        sigma = np.where(good, fit.major_m / np.maximum(speed, 0.1), 1.0)
+        sigma = np.where(good, self._lasting * fit.major_m / np.maximum(speed, 0.1), 1.0)
         share = np.where(good, b.sigma_heading_rad**2 / (b.sigma_heading_rad**2 + sigma**2), 0.0)
         b.heading_rad = b.heading_rad + share * off
         b.sigma_heading_rad = np.where(good, np.sqrt(share) * sigma, b.sigma_heading_rad)

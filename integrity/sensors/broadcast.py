@@ -32,7 +32,7 @@ from pydantic import Field
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.streams import Streams
 
-__all__ = ["BroadcastConfig", "BroadcastState", "initial_broadcast", "mapping", "obliquity"]
+__all__ = ["BroadcastConfig", "BroadcastState", "change_rate", "initial_broadcast", "mapping", "obliquity"]
 
 Array = NDArray[np.float64]
 EARTH_M, SHELL_M = 6378136.3, 350e3
@@ -131,6 +131,14 @@ def _advance(values: Array, before: Array, tau_s: Array, dt_s: float, z: Array) 
     values -= a * a * s * before
     values += np.sqrt((1.0 - a * a) ** 3 / (1.0 + a * a)) * z
     before[:] = (last - r * values) / s
+
+
+def change_rate(tau_s: float) -> float:
+    """Standard deviation of the rate of a process of unit variance, ``2.146 / tau`` [1/s].
+
+    The variance of its change over t is ``2 (1 - (1 + x) exp(-x))`` with ``x = 2.146 t / tau``, at most ``x^2``.
+    """
+    return TO_A_TAU / tau_s
 
 
 def obliquity(sine: Array) -> Array:

@@ -3,6 +3,8 @@
 ``HPL = max_i slope_i T + k(P_MD) HDOP_w``, ``slope_i = sigma_i |(K_1i, K_2i)| / sqrt(1 - P_ii)``, K = (G'WG)^-1 G'W,
 P = G K; the test statistic is sqrt(WSSE) = sqrt(r'Wr), its threshold T = sqrt(chi2_{1 - P_FA}(m - n)).
 
+``k`` is two-sided, ``P(|z| > k) = P_MD``, as in the monitors of S3: the error has no preferred side.
+
 S5 equation 2 lacks sigma_i, so that its slope is not in metres; ``printed_slope`` computes it nevertheless.
 """
 
@@ -13,10 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, norm
+from scipy.stats import chi2
 
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.monitoring.context.code_fix import WeightedRows
+from lanebound.integrity.monitoring.significance import two_sided_factor
 
 __all__ = ["PositionPhaseConfig", "PositionTest", "check_position", "raim_threshold"]
 
@@ -71,7 +74,7 @@ def check_position(codes: WeightedRows, config: PositionPhaseConfig) -> Position
     threshold = raim_threshold(codes.redundancy, config.false_alarm)
     tested = codes.solved & (codes.redundancy > 0)
     hdop = np.sqrt(codes.cofactor[:, 0, 0] + codes.cofactor[:, 1, 1])
-    level = slope * np.where(tested, threshold, 0.0) + norm.isf(config.missed_detection) * hdop
+    level = slope * np.where(tested, threshold, 0.0) + two_sided_factor(config.missed_detection) * hdop
     level = np.where(tested, level, np.inf)
     statistic = np.sqrt((codes.weight * np.square(codes.residual)).sum(-1))
     return PositionTest(level, statistic, threshold, level <= config.alert_limit_m, statistic <= threshold)

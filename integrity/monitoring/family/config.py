@@ -130,6 +130,11 @@ class FamilyMonitorConfig(Config):
     def _parts_fit(self) -> FamilyMonitorConfig:
         if self.weights is WeightKind.CLASSES and self.classes is None:
             raise ValueError("classes is required where weights is 'classes': fit them with 'lanebound fit-errors'")
+        if self.weights is WeightKind.CLASSES and self.classes is not None and not self.classes.symmetric:
+            raise ValueError(
+                "classes must bound both sides by one normal law each, got paired or one-sided laws, which a variance "
+                "does not bound: fit them with 'lanebound fit-errors --set form=tail --set sides=both'"
+            )
         if self.igg3_k1 <= self.igg3_k0:
             raise ValueError(f"igg3_k1 must be > igg3_k0 = {self.igg3_k0}, got {self.igg3_k1}: raise it")
         return self

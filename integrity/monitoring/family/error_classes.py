@@ -13,6 +13,7 @@ from pydantic import model_validator
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.presets import FILES, load_file, load_preset
+from lanebound.integrity.monitoring.family.overbounds import ErrorSides
 
 __all__ = ["ErrorClasses", "ErrorLaw", "FittedErrors"]
 
@@ -34,6 +35,7 @@ class ErrorClasses(Config):
     """A table of laws over C/N0 x elevation x path; classes with too few errors have the law of a wider class."""
 
     source: str = Field("", description="data, part of it, and the method of the fit")
+    sides: ErrorSides = Field(ErrorSides.BOTH, description="sides of the errors that the laws bound")
     cn0_edges_dbhz: tuple[float, ...] = Field((0.0, 60.0), min_length=2, description="edges of C/N0 classes [dB-Hz]")
     elevation_edges_deg: tuple[float, ...] = Field((0.0, 90.0), min_length=2, description="edges of elevation [deg]")
     paths: tuple[str, ...] = Field(("any",), min_length=1, description="paths: any, or direct and shadowed")
@@ -56,10 +58,18 @@ class ErrorClasses(Config):
             )
         return self
 
+    @property
+    def symmetric(self) -> bool:
+        """Whether ``N(centre, sigma^2)`` of each class bounds both sides: no paired and no one-sided law."""
+        return self.sides is ErrorSides.BOTH and all(law.bias_m == 0.0 for law in self.laws)
+
     def at(
         self, cn0_dbhz: ArrayLike, elevation_rad: ArrayLike, shadowed: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """Centre and deviation of codes; outside of the edges those of the outermost class.  (...,) each [m]."""
+        """Centre and deviation of codes; outside of the edges those of the outermost class.  (...,) each [m].
+
+        The deviation of a paired law is ``hypot(sigma, bias)``. It describes the spread and bounds nothing.
+        """
         index = self.index(cn0_dbhz, elevation_rad, shadowed)
         table = np.array([(law.centre_m, np.hypot(law.sigma_m, law.bias_m)) for law in self.laws])
         return table[index, 0], table[index, 1]

@@ -15,6 +15,7 @@ __all__ = ["FAMILY", "MonitorKind", "applicable", "monitor_named"]
 MISSED = "P(error > HPL and no alarm) <= risk under one faulty code of the worst size"
 RISK = "P(error > HPL) <= risk with faults of their priors"
 NOMINAL = "P(error > HPL) <= risk of normal errors without faults"
+NONE = "none proven"
 CODES = "codes"
 
 
@@ -76,15 +77,13 @@ KINDS = (
     _kind("kipl", FREE, "its Kalman form, levels of epochs add up", "S3 V-B2 [123]",
           "P(error > HPL) <= risk of jointly elliptical errors", "codes+steps", level="isotropic_kalman", test="none"),
     _kind("composite", FREE, "noise and bias split by an AR model of residuals", "S3 eq 16 [124]",
-          "none proven", level="composite", test="none"),
-    _kind("ransac", CITY, "RANSAC, then the root level", "S3 V-B1 [77]", RISK, **ROOT, rejection="ransac"),
-    _kind("p_ransac", CITY, "P-RANSAC, then the root level", "S3 V-B1 [77]", RISK, **ROOT, rejection="p_ransac"),
-    _kind("danish", CITY, "Danish weights, then the root level", "Krarup 1980; S3 V-B1", RISK,
-          level="separation_root", test="none", rejection="danish"),
-    _kind("huber", CITY, "weights of Huber, then the root level", "Huber 1964", RISK, level="separation_root",
-          test="none", rejection="huber"),
-    _kind("igg3", CITY, "weights of IGG-III, then the root level", "Yang 1994", RISK, level="separation_root",
-          test="none", rejection="igg3"),
+          NONE, level="composite", test="none"),
+    _kind("ransac", CITY, "RANSAC, then the root level", "S3 V-B1 [77]", NONE, **ROOT, rejection="ransac"),
+    _kind("p_ransac", CITY, "P-RANSAC, then the root level", "S3 V-B1 [77]", NONE, **ROOT, rejection="p_ransac"),
+    _kind("danish", CITY, "Danish weights, then the root level", "Krarup 1980; S3 V-B1", NONE, **ROOT,
+          rejection="danish"),
+    _kind("huber", CITY, "weights of Huber, then the root level", "Huber 1964", NONE, **ROOT, rejection="huber"),
+    _kind("igg3", CITY, "weights of IGG-III, then the root level", "Yang 1994", NONE, **ROOT, rejection="igg3"),
     _kind("separable", CITY, "exclusion only where the fault can be told apart", "S3 V-B1 [70]", RISK, **ROOT,
           rejection="separable"),
     _kind("elevation", CITY, "weights by elevation, exclusion, root level", "S3 V-A", RISK, **ROOT,

@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, chdtri, chndtrix, ndtri
+from scipy.special import chdtrc, chdtri, chndtrix
 
 from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig, LevelKind
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
@@ -25,7 +25,7 @@ from lanebound.integrity.monitoring.family.separations import (
     root_level,
 )
 from lanebound.integrity.monitoring.sbas import Operation
-from lanebound.integrity.monitoring.significance import noncentrality
+from lanebound.integrity.monitoring.significance import noncentrality, two_sided_factor
 
 __all__ = [
     "LEVELS", "LevelWork", "fixed_level_false_alarm", "isotropic_factor", "noncentralities", "normal_factor",
@@ -94,18 +94,14 @@ def weighted(work: LevelWork) -> Array:
     fit = work.fit
     worst = fit.slopes().max(-1)
     limit = np.sqrt(np.where(fit.df > 0, chdtri(np.maximum(fit.df, 1), work.config.false_alarm), np.inf))
-    return np.asarray(_times(limit, worst)[:, None] + _sided(work.risks) * fit.hdop_m[:, None])
+    return np.asarray(_times(limit, worst)[:, None] + two_sided_factor(work.risks) * fit.hdop_m[:, None])
 
 
 def uncertainty(work: LevelWork) -> Array:
     """HUL: as :func:`weighted` with the residuals found in place of their threshold (S3 III-A)."""
     fit = work.fit
     found = np.where(fit.df > 0, np.sqrt(fit.wsse), np.inf)
-    return np.asarray(_times(found, fit.slopes().max(-1))[:, None] + _sided(work.risks) * fit.hdop_m[:, None])
-
-
-def _sided(risks: Array) -> Array:
-    return np.asarray(-ndtri(0.5 * risks))
+    return np.asarray(_times(found, fit.slopes().max(-1))[:, None] + two_sided_factor(work.risks) * fit.hdop_m[:, None])
 
 
 def reliability(work: LevelWork) -> Array:

@@ -14,7 +14,7 @@ from lanebound.integrity.monitoring.family.fit import CodeFit, solve_codes
 from lanebound.integrity.monitoring.family.levels import LEVELS, LevelWork, fixed_level_false_alarm, normal_factor
 from lanebound.integrity.monitoring.family.memory import Remembered, composite, extended, isotropic_kalman
 from lanebound.integrity.monitoring.family.outcome import MonitorOutcome, MonitorVerdicts
-from lanebound.integrity.monitoring.family.rejection import REJECTIONS, global_threshold, local_threshold
+from lanebound.integrity.monitoring.family.rejection import REJECTIONS, ROBUST, global_threshold, local_threshold
 from lanebound.integrity.monitoring.family.relative import relative_position, relative_range
 from lanebound.integrity.monitoring.family.separations import advanced_levels
 from lanebound.integrity.monitoring.family.weighting import weighted_codes
@@ -64,7 +64,7 @@ def _watch(epochs: CodeEpochs, config: FamilyMonitorConfig, risks: Array) -> Mon
     left = REJECTIONS[config.rejection](weighted, config)
     fit = solve_codes(left)
     work = LevelWork(left, fit, config, risks)
-    alarm, false_alarm = _test(work)
+    alarm, false_alarm = _test(work, weighted)
     vpl = _vertical(work)
     if config.level in MEMORY:
         found = MEMORY[config.level](work)
@@ -83,8 +83,12 @@ def _watch(epochs: CodeEpochs, config: FamilyMonitorConfig, risks: Array) -> Mon
     )  # fmt: skip
 
 
-def _test(work: LevelWork) -> tuple[Bools, Array]:
-    """Alarms (E,), and the probability of a false one (E,) at each epoch."""
+def _test(work: LevelWork, declared: CodeEpochs) -> tuple[Bools, Array]:
+    """Alarms (E,), and the probability of a false one (E,) at each epoch.
+
+    Robust weights raise deviations where residuals are large. Separations are tested with the raised deviations, which
+    the level adds, and with the ``declared`` ones, by which a false alarm has its probability.
+    """
     fit, config = work.fit, work.config
     if config.level is LevelKind.ROAD:
         limit, chance = fixed_level_false_alarm(fit, config.hal_m, work.risks)
@@ -95,7 +99,11 @@ def _test(work: LevelWork) -> tuple[Bools, Array]:
         return np.asarray(tested & (fit.wsse > global_threshold(fit.df, config.false_alarm))), chance
     if config.test is TestKind.SEPARATION:  # |d_i,q| / sigma_di,q is the same on both axes: |w_i|
         limit = local_threshold(fit.used.sum(-1), config.false_alarm)
-        return np.asarray(tested & (np.abs(fit.normalised).max(-1) > limit)), chance
+        worst = np.abs(fit.normalised).max(-1)
+        if config.rejection in ROBUST:
+            own = solve_codes(declared.with_codes(used=work.epochs.used))
+            worst = np.maximum(worst, np.abs(own.normalised).max(-1))
+        return np.asarray(tested & (worst > limit)), chance
     return np.zeros(fit.df.size, bool), np.zeros(fit.df.size)
 
 

@@ -17,12 +17,13 @@ from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.fit import CodeFit, row_correlation, solve_codes
 from lanebound.integrity.positioning.danish import variance_factor
 
-__all__ = ["REJECTIONS", "global_threshold", "igg3_weight", "local_threshold"]
+__all__ = ["REJECTIONS", "ROBUST", "global_threshold", "igg3_weight", "local_threshold"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Robust = Callable[[Array, FamilyMonitorConfig], Array]
 
+ROBUST = {Rejection.DANISH, Rejection.HUBER, Rejection.IGG3}  # change deviations by residuals
 LEAST_WEIGHT = 1e-6  # robust weights below this leave the code out
 
 

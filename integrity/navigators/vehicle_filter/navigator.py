@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lanebound.integrity.core.frames import wrap_angle
+from lanebound.integrity.core.frames import track_from_enu_matrix, wrap_angle
 from lanebound.integrity.monitoring import alerts
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.monitoring.sbas import Operation, semi_major_m
@@ -26,8 +26,10 @@ from lanebound.integrity.navigators.vehicle_filter.belief import (
 )
 from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
 from lanebound.integrity.navigators.vehicle_filter.levels import (
+    ModelPositions,
     covariance_levels,
     horizontal_trust_level,
+    track_sigma,
     with_slow_errors,
 )
 from lanebound.integrity.positioning.filters.code_position import CodePosition, locate_by_codes
@@ -215,9 +217,13 @@ class FilterNavigator(Navigator):
         covariance = with_slow_errors(p[:, :2, :2], influence[..., BIASES:])
         heading = np.asarray(wrap_angle(x[:, S.HEADING]))
         trust = horizontal_trust_level(p[:, :2, :2])
-        levels, sigma = covariance_levels(
-            c.cases, c.risk, covariance, influence[..., :BIASES], self._bounds, heading, trust
-        )
+        sigma = track_sigma(covariance, track_from_enu_matrix(heading))
+        slow = b.influence[:, :, :2, BIASES:]
+        models = ModelPositions(
+            b.probability, b.x[..., :2] - x[:, None, :2], with_slow_errors(b.p[..., :2, :2], slow),
+            b.influence[:, :, :2, :BIASES],
+        )  # fmt: skip
+        levels = covariance_levels(c.cases, c.risk, models, self._bounds, heading, trust)
         known = b.known & b.aligned
         levels = levels + b.doubt_m[:, None, None]
         b.doubt_s = np.maximum(b.doubt_s - c.dt_s, 0.0)

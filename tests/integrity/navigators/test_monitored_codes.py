@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import gymnasium
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from lanebound.agents.cli import app
 from lanebound.integrity import Fault, FaultSchedule, Navigator, NavigatorConfig, SkyMask, SkyTrack, truth_between
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.navigators.monitored_codes import MonitoredCodesConfig, MonitoredCodesNavigator
+from lanebound.integrity.navigators.navigator import Measurements
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.modes import Mode
 
@@ -58,6 +61,53 @@ def test_wheels_and_gyro_carry_on_without_codes_and_the_level_grows() -> None:
     assert all((error <= s.pl_at_m).all() for error, s in found[15:])
 
 
+def test_the_deviation_of_the_heading_grows_with_bias_and_scale_of_the_gyro() -> None:
+    c = config(positioning={"heading": {"gyro_scale": 0.02}})
+    navigator = Navigator.nominal(c, [1], duration_s=30.0)
+    navigator.place(np.zeros((1, 2)), np.zeros(1), sigma_m=0.5, sigma_heading_rad=0.01)
+    still, turn = np.zeros((1, 2)), 0.2  # at rest there is no Doppler course
+    for k in range(10):
+        at = np.array([turn * k * DT]), np.array([turn * (k + 1) * DT])
+        navigator.step(truth_between((k + 1) * DT, DT, (still, still), (still, still), at))
+    grown = navigator.state.belief.sigma_heading_rad[0] - 0.01
+    assert grown == pytest.approx(10 * DT * 2e-3 + 0.02 * turn * 10 * DT, rel=0.1)
+
+
+def test_a_doppler_course_has_the_deviation_of_lasting_errors_and_a_test() -> None:
+    """Range rates of a correlation time of up to 2 s count as white errors of many times their variance."""
+    lasting = 1.0 / np.tanh(0.5 * DT / 2.0)
+    navigators = [
+        Navigator.nominal(config(positioning={"doppler": {"tau_range_s": tau}}), [1], duration_s=30.0)
+        for tau in ((1e-3, 1e-3), (2.0, 2.0))
+    ]
+    sigma = []
+    for navigator in navigators:
+        belief, epoch = navigator.state.belief, 0
+        while not np.isfinite(belief.since_calibration_s[0]) and epoch < 60:
+            drive(navigator, 1, epoch)
+            epoch += 1
+        sigma.append(belief.sigma_heading_rad[0])
+    assert max(sigma) < 0.5
+    assert sigma[1] / sigma[0] == pytest.approx(np.sqrt(lasting), rel=0.05)
+
+
+@pytest.mark.parametrize("rate_mps", [0.0, 5.0])
+def test_inconsistent_range_rates_give_no_course(rate_mps: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    navigator = Navigator.nominal(config(), [1, 2, 3, 4], duration_s=30.0)
+    assert isinstance(navigator, MonitoredCodesNavigator)
+    given = navigator._calibrate
+
+    def spoilt(m: Measurements) -> np.ndarray:
+        rates = m.gnss.range_rate_mps.copy()
+        rates[np.arange(4), m.gnss.tracked.argmax(-1)] += rate_mps
+        return given(replace(m, gnss=replace(m.gnss, range_rate_mps=rates)))
+
+    monkeypatch.setattr(navigator, "_calibrate", spoilt)
+    drive(navigator, 30)
+    since = navigator.state.belief.since_calibration_s
+    assert (since < 2.5 * DT).all() if rate_mps == 0.0 else np.isinf(since).all()
+
+
 def test_a_snapshot_goes_on_with_the_same_bits() -> None:
     navigator = Navigator.nominal(config(), [4, 5], duration_s=60.0)
     drive(navigator, 30)
@@ -93,6 +143,8 @@ def test_the_configuration_asks_for_what_it_needs() -> None:
     for kind in ("kipl", "composite", "rraim_range", "map_exclude"):
         with pytest.raises(ConfigError, match="needs codes alone and has no memory"):
             config(kind)
+    with pytest.raises(ConfigError, match="antenna_right_m must be 0"):
+        config(positioning={"antenna_forward_m": 1.0})
     with pytest.raises(ConfigError, match="did you mean"):
         config("ibpll")
     with pytest.raises(ConfigError, match="errors must be given for 'classes'"):

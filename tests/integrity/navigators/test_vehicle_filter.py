@@ -5,6 +5,8 @@ from dataclasses import replace
 import gymnasium
 import numpy as np
 import pytest
+from scipy.optimize import brentq
+from scipy.stats import binom, norm
 
 import lanebound.envs  # noqa: F401 - registers the ids
 from lanebound.integrity.core.errors import ConfigError
@@ -12,7 +14,7 @@ from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.motion.drive import CityDrive, DriveConfig
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
-from lanebound.integrity.navigators.vehicle_filter.levels import HTL_SIGMAS, horizontal_trust_level
+from lanebound.integrity.navigators.vehicle_filter.levels import HTL_SIGMAS, horizontal_trust_level, mixture_levels
 from lanebound.integrity.navigators.vehicle_filter.navigator import FilterNavigator
 from lanebound.integrity.positioning.filters.code_position import locate_by_codes
 from lanebound.integrity.positioning.filters.odometry import from_front_wheel, rolling_slip
@@ -73,6 +75,35 @@ def test_chassis_and_compass_are_read():
     m = navigator.measure(next(truths))
     assert m.chassis is not None
     assert m.compass is not None
+
+
+def test_the_level_of_several_models_is_the_root_of_their_mixture():
+    """Beside an independent root, one model's closed form, and the share of draws beyond the level."""
+    mu, far, sigma = (
+        np.array([[0.97, 0.03]]),
+        np.array([[[0.1, 0.0], [1.5, 0.0]]]),
+        np.array([[[0.4, 0.4], [1.2, 1.2]]]),
+    )
+    budgets = np.array([[1e-2, 5e-3], [1e-7, 1e-7], [0.0, 1e-3]])
+    found = mixture_levels(mu, far, sigma, budgets)
+    for k, q in np.ndindex(2, 2):
+        tail = brentq(
+            lambda x, k=k, q=q: mu[0] @ norm.sf((x - far[0, :, q]) / sigma[0, :, q]) - 0.5 * budgets[k, q], 0.0, 50.0
+        )
+        assert found[0, k, q] == pytest.approx(tail, rel=1e-6)
+    assert np.isinf(found[0, 2, 0])
+    mean, spread = mu[0] @ far[0, :, 0], np.sqrt(mu[0] @ (sigma[0, :, 0] ** 2 + far[0, :, 0] ** 2))
+    assert found[0, 1, 0] > 1.5 * (mean + norm.isf(0.5e-7) * spread)  # a normal law of the same moments is too small
+    same = mixture_levels(mu, far[:, :1].repeat(2, 1), sigma[:, :1].repeat(2, 1), budgets)
+    alone = mixture_levels(mu[:, :1] / mu[:, :1], far[:, :1], sigma[:, :1], budgets)
+    np.testing.assert_allclose(same, alone, rtol=1e-9)
+    assert alone[0, 1, 0] == pytest.approx(0.1 + norm.isf(0.5e-7) * 0.4)
+    rng = np.random.default_rng(1)
+    which = (rng.random(200_000) > mu[0, 0]).astype(int)
+    error = rng.choice([-1.0, 1.0], which.size) * far[0, which, 0] + sigma[0, which, 0] * rng.standard_normal(
+        which.size
+    )
+    assert np.sum(np.abs(error) > found[0, 0, 0]) <= binom.isf(1e-3, which.size, 1e-2)
 
 
 def test_an_outage_grows_the_levels_and_ends():

@@ -69,6 +69,10 @@ def test_mistakes_are_named() -> None:
         monitor_named("residuall")
     with pytest.raises(ConfigError, match="classes is required"):
         monitor_named("classes").config()
+    for laws in ({"laws": [{"sigma_m": 1.0, "bias_m": 0.5}]}, {"laws": [{"sigma_m": 1.0}], "sides": "late"}):
+        for kind in ("classes", "classes_normal"):
+            with pytest.raises(ConfigError, match="paired or one-sided laws"):
+                monitor_named(kind).config({"classes": laws})
     with pytest.raises(ConfigError, match="igg3_k1 must be > igg3_k0"):
         monitor_named("igg3").config({"igg3_k1": 1.0})
     with pytest.raises(InputError, match="risks must lie in"):

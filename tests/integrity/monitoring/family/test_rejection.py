@@ -8,10 +8,12 @@ from code_geometry import quiet, sky, with_everything
 
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
+from lanebound.integrity.monitoring.family.fit import solve_codes
 from lanebound.integrity.monitoring.family.kinds import monitor_named
 from lanebound.integrity.monitoring.family.monitor import watch
 from lanebound.integrity.monitoring.family.outcome import MonitorOutcome
-from lanebound.integrity.monitoring.family.rejection import igg3_weight
+from lanebound.integrity.monitoring.family.rejection import REJECTIONS, igg3_weight, local_threshold
+from lanebound.integrity.monitoring.family.separations import separations
 
 RISK = 1e-3
 
@@ -58,6 +60,27 @@ def test_robust_weights_bring_the_position_back(name: str) -> None:
     plain = watch(far, monitor_named("normal").config({"test": "none"}), RISK).position_enu_m
     robust = watch(far, monitor_named(name).config(), RISK).position_enu_m
     assert np.hypot(*robust[:, :2].T).mean() < 0.5 * np.hypot(*plain[:, :2].T).mean()
+
+
+@pytest.mark.parametrize("name", ["danish", "huber", "igg3"])
+def test_robust_weights_keep_the_test_that_their_level_counts_on(name: str) -> None:
+    """A separation above its threshold, by the declared deviations or by those of the level, leaves no level."""
+    e = quiet(4000, 8, 1, 22)
+    y = e.y_m.copy()
+    y[:, 2] += np.linspace(0.0, 40.0, 4000)
+    far, config = CodeEpochs.of(y, e.los_enu, 2.0), monitor_named(name).config()
+    found, left = watch(far, config, RISK), REJECTIONS[config.rejection](far, config)
+    beyond = np.zeros(4000, bool)
+    for sigma in (far.sigma_m, left.sigma_m):
+        parts = separations(solve_codes(left.with_codes(sigma_m=sigma)))
+        d, spread = np.abs(parts.separation_m[:, 1:]), parts.delta_m[:, 1:]
+        beyond |= (d > local_threshold(left.used.sum(-1), config.false_alarm)[:, None, None] * spread + 1e-9).any(
+            (1, 2)
+        )
+    assert beyond.any()
+    assert np.isinf(found.hpl_m[beyond]).all()
+    assert found.usable.any()
+    assert monitor_named(name).promise == "none proven"
 
 
 def test_weights_of_igg3() -> None:
