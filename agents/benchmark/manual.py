@@ -30,7 +30,7 @@ from lanebound.integrity.core.config import describe
 
 __all__ = ["SUITES", "markdown"]
 
-SUITES = ("quick", "standard", "claim", "faults", "look_ahead", "learnt", "degenerate")
+SUITES = ("quick", "standard", "claim", "faults", "look_ahead", "learnt", "degenerate", "services", "monitors")
 
 ARROWS = {"higher": "↑", "lower": "↓", None: ""}
 
