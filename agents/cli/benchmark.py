@@ -36,7 +36,10 @@ AGENTS_HELP = "Drive these alone: names ('lanebound agents'), or name=FILE.zip, 
 
 def benchmark(
     suite: Annotated[
-        str, typer.Argument(metavar="SUITE", help="A preset of suites/ (lanebound config list), such as quick or claim, or a YAML file.")
+        str,
+        typer.Argument(
+            metavar="SUITE", help="A preset of suites/ (lanebound config list), such as quick or claim, or a YAML file."
+        ),
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results; a run is resumed there.")],
     agents: Annotated[str | None, typer.Option(metavar="A,B", help=AGENTS_HELP)] = None,
