@@ -7,7 +7,10 @@ from types import SimpleNamespace as Of
 import numpy as np
 import pytest
 
+from lanebound.integrity.navigators.rtk_reckoning.records_kernel import FIXED_SOLUTION
 from lanebound.integrity.navigators.services import code_kernel
+from lanebound.integrity.navigators.services.fix_kernel import offer
+from lanebound.integrity.positioning.codes_kernel import FIXED, NO_CORRECTIONS
 
 
 def _variance(declared: float, age: float) -> float:
@@ -37,3 +40,16 @@ def test_the_declared_ionosphere_and_its_age_are_in_the_variance() -> None:
     assert _variance(0.912, 0.0) == pytest.approx(own + 0.912**2, rel=1e-9)  # GIVEI 9
     assert _variance(0.0, 20.0) == pytest.approx(own + 0.2, rel=1e-9)  # DGPS, its declared figure is 0
     assert _variance(0.912, 1000.0) == pytest.approx(own + 0.912**2 + 6.0, rel=1e-9)
+
+
+def test_nothing_of_a_failed_rtk_attempt_counts_for_the_position_of_a_service() -> None:
+    fixed = np.zeros(1, FIXED_SOLUTION)[0]
+    fixed["status"], fixed["coded"], fixed["lasting"], fixed["wrong"] = FIXED, True, True, 0.5
+    found = np.zeros(1, FIXED_SOLUTION)[0]
+    found["position"], found["p_ee"] = [1.0, 2.0, 3.0], 4.0
+    offer(fixed, found, 7, 1, 1.5)
+    assert fixed["usable"]
+    assert not fixed["lasting"]
+    assert not fixed["coded"]
+    assert (fixed["wrong"], fixed["status"]) == (0.0, NO_CORRECTIONS)
+    assert (fixed["position"].tolist(), fixed["p_ee"], fixed["satellites"]) == ([1.0, 2.0, 3.0], 4.0, 7)
