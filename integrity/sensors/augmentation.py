@@ -220,14 +220,16 @@ class Corrections:
 
     satellite_m (B, S) to be subtracted from code and phase of every band; zenith_m (B, S) vertical ionosphere on the
     first band; declared_m (S,) 1 sigma of a satellite that the provider declares, inf for satellites that it does not
-    correct; zenith_declared_m the same of the vertical ionosphere; age_s, zenith_age_s (B,) since they were measured,
-    inf without a message.
+    correct; zenith_declared_m the same of zenith_m, 0 where declared_m holds it; has_zenith: the ionosphere is
+    corrected, in zenith_m or, DGPS, within satellite_m; age_s, zenith_age_s (B,) since they were measured, inf
+    without a message.
     """
 
     satellite_m: Array
     zenith_m: Array
     declared_m: Array
     zenith_declared_m: float
+    has_zenith: bool
     age_s: Array
     zenith_age_s: Array
 
@@ -390,6 +392,7 @@ def corrections_of(
         zenith_m=np.ascontiguousarray(zenith),
         declared_m=np.where(declared.corrected(system), declared.declared_m, np.inf),
         zenith_declared_m=declared.iono_declared_m if isinstance(declared, SbasConfig) else 0.0,
+        has_zenith=p in (DGPS, SBAS_L1),
         age_s=age[:, SATELLITE],
         zenith_age_s=age[:, IONOSPHERE],
     )

@@ -5,10 +5,13 @@ ionosphere. Its variance is::
 
     f (a sigma_code)^2 + sigma_sat^2 + g_sat age + F^2 (sigma_dz^2 + g_dz age_dz) + (m sigma_tropo)^2
 
-f by elevation and C/N0 as everywhere. A code smoothed by its carrier for T has ``tau / (tau + T)`` of the variance of
-a code, and that of the carrier beside it. PPP is a code service of a long time constant with precise corrections: the
-mean of code less carrier is the float ambiguity of a satellite. Each satellite has its own, so that the fault of one
-stays in its row, and a satellite that was lost converges again by itself.
+sigma_sat and sigma_dz as the provider declares them (UDRE and GIVE of SBAS), or as configured without a provider.
+
+f by elevation and C/N0 as everywhere. A code smoothed by its carrier for T has ``min(1, 2 tau / (tau + T))`` of the
+variance of a code, which bounds the mean over T of a Gauss-Markov error, and that of the carrier beside it. PPP is a
+code service of a long time constant with precise corrections: the mean of code less carrier is the float ambiguity of a
+satellite. Each satellite has its own, and a satellite that was lost converges again by itself. The zenith delay is
+common to all: separation does not bound faults of the past in it.
 
 A code that is weak for its elevation is off with the odds of :mod:`~lanebound.integrity.positioning.doubtful_kernel`.
 """
@@ -30,7 +33,7 @@ from lanebound.integrity.navigators.services.zenith_kernel import CarrierTables,
 from lanebound.integrity.positioning.rtk_kernel import UNUSED, obliquity
 from lanebound.integrity.positioning.smoothing_kernel import slips, smooth
 
-__all__ = ["combine", "fill_code_ranges"]
+__all__ = ["combine", "fill_code_ranges", "smoothed_share"]
 
 GATE_SIGMAS = 5.0  # of a code, beyond which carrier smoothing begins anew
 LEAST_ROWS = 5
@@ -90,17 +93,25 @@ def fill_vehicle(
         count += 1
         ranges.used[v, s], ranges.odds[v, s] = True, odds + par.risk.satellite_prior[service.tables.system[s]]
         y = code - inputs.satellite[v, s]
-        variance = sigma * sigma * own.correlation / (own.correlation + smoothed) + (service.noise[s] * noise) ** 2
+        variance = sigma * sigma * smoothed_share(own.correlation, smoothed) + (service.noise[s] * noise) ** 2
         variance += inputs.declared[s] ** 2 + rules.satellite_growth * min(inputs.age[v], rules.max_age)
         if not rules.combined:
             slant = obliquity(sine)
-            grid = rules.zenith**2 + rules.zenith_growth * min(inputs.zenith_age[v], rules.zenith_max_age)
+            grid = rules.zenith**2 + inputs.zenith_declared**2
+            grid += rules.zenith_growth * min(inputs.zenith_age[v], rules.zenith_max_age)
             y -= slant * inputs.zenith[v, s]
             variance += slant * slant * grid
         if not own.zenith:
             variance += (map_zenith(sine) * rules.tropo) ** 2
         ranges.y[v, s], ranges.variance[v, s] = y, variance
     return count
+
+
+@jit(borrows=True)
+def smoothed_share(tau: float, smoothed: float) -> float:
+    """Bound of the variance of a mean over ``smoothed`` [s] of a Gauss-Markov error of correlation time tau [s], over
+    that of the error: ``2 x (1 - x (1 - exp(-1 / x))) <= 2 x / (1 + x)``, x = tau / T."""
+    return min(1.0, 2.0 * tau / (tau + smoothed))
 
 
 @jit(borrows=True)

@@ -34,7 +34,7 @@ class CodeServiceConfig(Config):
         0.005, gt=0, description="carrier of one band, zenith, 1 sigma [m]; of slip tests, and of PPP beside its codes"
     )
     correlation_s: float = Field(
-        10.0, gt=0, description="longest correlation time of code errors [s]; smoothing over T leaves tau / (tau + T)"
+        10.0, gt=0, description="longest correlation time of code errors [s]; smoothing over T leaves 2 tau / (tau + T)"
     )
     zenith_state: bool = Field(False, description="estimate the zenith delay of the troposphere in a filter")
     satellite_growth_m2ps: float = Field(

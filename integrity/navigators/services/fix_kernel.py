@@ -25,6 +25,7 @@ from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import (
 )
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
 from lanebound.integrity.navigators.services.records_kernel import ServiceRows, ServiceTables
+from lanebound.integrity.positioning.codes_kernel import NO_CORRECTIONS
 from lanebound.integrity.positioning.doubtful_kernel import find_sets
 from lanebound.integrity.positioning.rows_kernel import Rows
 
@@ -122,9 +123,10 @@ def is_lower(found: Array, expected: Array) -> bool:
 
 @jit(borrows=True)
 def offer(fixed: Any, fix: Any, satellites: int, excluded: int, hdop: float) -> None:
-    """Make a position the one that the jump monitor judges in place of an RTK position."""
+    """Make a position the one that the jump monitor judges; nothing of a failed RTK attempt counts for it."""
     for k in range(3):
         fixed.position[k] = fix.position[k]
     fixed.p_ee, fixed.p_en, fixed.p_nn = fix.p_ee, fix.p_en, fix.p_nn
     fixed.sigma[0], fixed.sigma[1] = fix.sigma[0], fix.sigma[1]
     fixed.satellites, fixed.excluded, fixed.hdop, fixed.usable = satellites, excluded, hdop, True
+    fixed.status, fixed.coded, fixed.lasting, fixed.wrong = NO_CORRECTIONS, False, False, 0.0

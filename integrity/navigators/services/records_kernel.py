@@ -61,7 +61,8 @@ class ServiceInputs(NamedTuple):
     """Measurements and corrections of an epoch.
 
     code, phase (B, S, 2) undifferenced [m]; satellite (B, S) correction [m] and zenith (B, S) vertical ionosphere on
-    the first band [m]; declared (S,) 1 sigma of a satellite, inf without a correction [m]; age, zenith_age (B,) [s].
+    the first band [m]; declared (S,) 1 sigma of a satellite, inf without a correction, and zenith_declared that of the
+    vertical ionosphere [m], both as the provider declares; age, zenith_age (B,) [s].
     """
 
     code: Array
@@ -69,6 +70,7 @@ class ServiceInputs(NamedTuple):
     satellite: Array
     zenith: Array
     declared: Array
+    zenith_declared: float
     age: Array
     zenith_age: Array
 

@@ -233,10 +233,11 @@ class ServiceSet:
         if service.provider is None:
             nothing, now = np.zeros(shape), np.zeros(shape[0])
             declared = np.full(shape[1], self._declared[service.name].sigma_satellite_m)
-            return ServiceInputs(g.raw_code_m, g.raw_phase_m, nothing, nothing, declared, now, now)
+            return ServiceInputs(g.raw_code_m, g.raw_phase_m, nothing, nothing, declared, 0.0, now, now)
         assert g.corrections is not None, "its provider is simulated"
         held = g.corrections[service.provider]
-        zenith_age = held.zenith_age_s if held.zenith_declared_m > 0.0 else np.zeros(shape[0])
+        zenith_age = held.zenith_age_s if held.has_zenith else np.zeros(shape[0])
         return ServiceInputs(
-            g.raw_code_m, g.raw_phase_m, held.satellite_m, held.zenith_m, held.declared_m, held.age_s, zenith_age
-        )
+            g.raw_code_m, g.raw_phase_m, held.satellite_m, held.zenith_m, held.declared_m,
+            float(held.zenith_declared_m), held.age_s, zenith_age,
+        )  # fmt: skip
