@@ -7,7 +7,7 @@ import math
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
 from lanebound.integrity.navigators.services.records_kernel import ServiceLabels
-from lanebound.integrity.positioning.codes_kernel import DOPPLER, NO_CORRECTIONS, NRTK, RTK
+from lanebound.integrity.positioning.codes_kernel import DOPPLER, IMU_ODOMETER, NO_CORRECTIONS, NRTK, RTK
 
 __all__ = ["begin_services", "begin_without_rtk", "label_services"]
 
@@ -32,7 +32,8 @@ def begin_without_rtk(first: int, last: int, epoch: Epoch, labels: ServiceLabels
 
 @jit
 def label_services(first: int, last: int, epoch: Epoch, labels: ServiceLabels, network: bool, recent_s: float) -> None:
-    """Report the service that the position came from, also where Doppler has moved it for ``recent_s`` at most.
+    """Report the service that the position came from, also where dead reckoning has moved it for ``recent_s`` at
+    most.
 
     The position of a service is no RTK position that lasts.
     """
@@ -45,5 +46,5 @@ def label_services(first: int, last: int, epoch: Epoch, labels: ServiceLabels, n
                 epoch.out.mode[v], vehicle.since_rtk = labels.offered[v], par.dt
             elif network:
                 epoch.out.mode[v] = NRTK
-        elif w.mode == DOPPLER and labels.latest[v] > 0 and vehicle.since_rtk <= recent_s:
+        elif labels.latest[v] > 0 and vehicle.since_rtk <= recent_s and (w.mode == DOPPLER or w.mode == IMU_ODOMETER):
             epoch.out.mode[v] = labels.latest[v]
