@@ -9,6 +9,7 @@ __all__ = ["INFO", "LISTING"]
 GROUPS = {"ego": 15, "integrity": 44, "road": 43, "traffic": 114}
 STEERED = {"action": "continuous", "action_space": "Box(-1.0, 1.0, (2,), float32)", "policy_hz": 5}
 CHOSEN = {"action": "meta", "action_space": "Discrete(5)", "policy_hz": 2}
+MANY = {**GROUPS, "traffic": 228}  # twelve vehicles instead of six
 SHARED = {"observation": GROUPS, "flat_size": sum(GROUPS.values()), "simulation_hz": 20, "navigation_hz": 10.0}
 
 
@@ -22,7 +23,15 @@ LISTING: tuple[dict[str, Any], ...] = (
     _line("Highway-v0", "highway-v0", CHOSEN, "suburban"),
     _line("Merge-v0", "merge-v1", CHOSEN, "suburban", cost_limit=0.7),
     _line("Roundabout-v0", "roundabout-v1", CHOSEN, cost_limit=3.0),
-    _line("Intersection-v0", "intersection-v2", CHOSEN, action_space="Discrete(3)", cost_limit=8.0),
+    _line(
+        "Intersection-v0",
+        "intersection-v2",
+        CHOSEN,
+        action_space="Discrete(3)",
+        cost_limit=8.0,
+        observation=MANY,
+        flat_size=sum(MANY.values()),
+    ),  # fmt: skip
     _line("Racetrack-v0", "racetrack-v1", STEERED, action_space="Box(-1.0, 1.0, (1,), float32)"),
     _line("UrbanCanyon-v0", "UrbanCanyonWorld", CHOSEN, cost_limit=40.0),
 )

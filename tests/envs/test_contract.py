@@ -303,7 +303,8 @@ def test_draws_of_the_ego_instruments_move_neither_world_nor_others(midway: Driv
     assert plain.world.np_random.bit_generator.state == other.world.np_random.bit_generator.state
     moved = not data_equivalence(before, after, exact=True)
     if name in COMMON:  # which all vehicles of the area share
-        assert moved or name in ("network", "broadcast"), "shows outages to come, and undifferenced observables alone"
+        # these show outages to come, undifferenced observables and corrections of services alone
+        assert moved or name in ("network", "broadcast", "augmentation")
         return
     fleets = [env.belief_loop.solution.position_en_m[1:] for env in (plain, other)]  # type: ignore[union-attr]
     np.testing.assert_array_equal(*fleets)

@@ -51,7 +51,9 @@ CASES: list[tuple[str, str, dict[str, Any]]] = [
 def _plain(config: EnvConfig) -> AbstractEnv:
     """highway-env's own environment with the same configuration; only array actions are guarded as ours are."""
     model = world_of(config)
-    settings = {**model.config, "other_vehicles_type": IDM_PATH}
+    settings = {**model.config}
+    if "IntersectionDriver" not in settings.get("other_vehicles_type", ""):  # who stops where highway-env's reverses
+        settings["other_vehicles_type"] = IDM_PATH
     return guard(type(model), settings)
 
 

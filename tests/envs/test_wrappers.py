@@ -142,7 +142,7 @@ def test_shares_and_counts_are_of_steps_without_the_reset() -> None:
     )
     assert (found["availability"], found["alert_share"], found["alerts"]) == (0.6, 0.6, 2)
     assert (found["mi_steps"], found["hmi_steps"]) == (1, 1)
-    assert found["mode_shares"] == {"none": 0.2, "rtk": 0.2, "doppler": 0.6, "imu_odometer": 0.0, "code": 0.0}
+    assert found["mode_shares"] == dict.fromkeys((m.key for m in Mode), 0.0) | {"none": 0.2, "rtk": 0.2, "doppler": 0.6}
     assert (found["err_at_max_m"], found["err_ct_max_m"]) == (0.6, 2.5)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from importlib import metadata
+from importlib import metadata, resources
 from pathlib import Path
 
 import pytest
@@ -193,6 +193,7 @@ NEEDED = {
     "suite": "envs: [Merge]\nagents: [cruise]\n",
     "experiment": "env: Merge\n",
     "learning_study": "arms: {one: {}}\nenvs: [Merge]\nskies: [open]\n",
+    "context_rules": (resources.files("lanebound.configs") / "monitors/context_rules.yaml").read_text("utf-8"),
 }  # all other kinds have a default for everything
 
 
@@ -201,7 +202,8 @@ def test_every_kind_names_a_configuration(kind, tmp_path, monkeypatch):
     package = tmp_path / f"kind_presets_{kind}"
     package.mkdir()
     (package / "__init__.py").touch()
-    (package / "plain.yaml").write_text(f"kind: {kind}\n{NEEDED.get(kind, '')}", encoding="utf-8")
+    text = NEEDED.get(kind, "")
+    (package / "plain.yaml").write_text(text if "kind:" in text else f"kind: {kind}\n{text}", encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(presets, "PRESET_PACKAGE", package.name)
     found, config = kinds.resolve("plain")

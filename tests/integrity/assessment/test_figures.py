@@ -66,7 +66,7 @@ def test_series_figure_has_the_papers_panels(drive: Record) -> None:
 def test_the_strip_of_modes_has_a_key_and_nothing_is_written_over_the_levels(drive: Record) -> None:
     figure = series_figure(drive, risk=1e-4)
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert labels == ["mode, as in the strip above the first row:", *(m.label for m in Mode if m is not Mode.CODE)]
+    assert labels == ["mode, as in the strip above the first row:", "no solution", "RTK", "Doppler", "IMU + odometer"]
     assert figure.axes[4].get_title(loc="left") == "25.0 % of epochs"
     assert not any(text.get_text() for axes in figure.axes for text in axes.texts)
 
@@ -147,5 +147,7 @@ def test_counting_needs_no_matplotlib() -> None:
 
 
 def test_modes_have_keys_and_labels() -> None:
-    assert [mode.key for mode in Mode] == ["none", "rtk", "doppler", "imu_odometer", "code"]
+    assert [mode.key for mode in Mode] == [
+        "none", "rtk", "doppler", "imu_odometer", "code", "spp", "dgps", "sbas_l1", "sbas_dfmc", "ppp", "nrtk",
+    ]  # fmt: skip
     assert Mode.IMU_ODOMETER.label == "IMU + odometer"
