@@ -31,7 +31,7 @@ LISTING: tuple[dict[str, Any], ...] = (
         cost_limit=8.0,
         observation=MANY,
         flat_size=sum(MANY.values()),
-    ),  # fmt: skip
+    ),
     _line("Racetrack-v0", "racetrack-v1", STEERED, action_space="Box(-1.0, 1.0, (1,), float32)"),
     _line("UrbanCanyon-v0", "UrbanCanyonWorld", CHOSEN, cost_limit=40.0),
 )
