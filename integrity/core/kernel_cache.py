@@ -22,6 +22,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
 import numba
@@ -67,7 +68,7 @@ def cache_directory(source: Path, options: str = "") -> str | None:
     root = cache_root()
     if root is None:
         return None
-    digest = hashlib.blake2b(options.encode() + _named_tuples(), digest_size=8)
+    digest = hashlib.blake2b(options.encode() + _named_tuples() + repr(_importable()).encode(), digest_size=8)
     for text in sorted(map(_bytes, sources_of(source))):
         digest.update(text)
     path = root / f"kernels-{source.stem}-{digest.hexdigest()}"
@@ -79,6 +80,15 @@ def cache_directory(source: Path, options: str = "") -> str | None:
     except OSError:
         return None
     return str(path)
+
+
+@cache
+def _importable() -> tuple[bool, ...]:
+    """Whether the packages that the environments need are installed.
+
+    The cache names NamedTuples by their module; with those of the environments no other installation could load it.
+    """
+    return tuple(find_spec(name) is not None for name in ("gymnasium", "highway_env"))
 
 
 @cache

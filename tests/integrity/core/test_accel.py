@@ -202,6 +202,13 @@ def test_the_directory_changes_with_the_fields_of_any_named_tuple(package):
     assert len({before, first, directory("envs/step_kernel.py")}) == 3
 
 
+def test_an_installation_without_environments_has_kernels_of_its_own(package, monkeypatch):
+    _, directory = package
+    first = directory("envs/step_kernel.py")
+    monkeypatch.setattr(kernel_cache, "_importable", lambda: (False, False))
+    assert directory("envs/step_kernel.py") != first
+
+
 def test_copies_of_the_package_share_their_kernels(package, tmp_path, monkeypatch):
     root, directory = package
     first = directory("envs/step_kernel.py")
