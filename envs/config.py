@@ -109,8 +109,8 @@ class EnvConfig(Config):
 
     @model_validator(mode="before")
     @classmethod
-    def _services_are_observed(cls, data: Any) -> Any:
-        """The modes of the services of the navigator have entries in the observation."""
+    def _navigator_is_observed(cls, data: Any) -> Any:
+        """The modes of the services of the navigator, and what a filter reports, have entries in the observation."""
         if not isinstance(data, Mapping) or not isinstance(data.get("observation", {}), Mapping):
             return data
         try:
@@ -121,10 +121,12 @@ class EnvConfig(Config):
         names = [named] if isinstance(named, str) else named
         shown = [str(name) for name in names if name != "rtk"] if isinstance(names, list | tuple) else []
         observation = dict(data.get("observation", {}))
+        filters = isinstance(navigator, Mapping) and navigator.get("kind") == "filter"
         if shown or observation.get("services"):
             observation["services"] = tuple(shown)
-            return {**data, "observation": observation}
-        return data
+        if filters or observation.get("filters"):
+            observation["filters"] = filters
+        return {**data, "observation": observation} if observation else data
 
     @field_validator("sky")
     @classmethod

@@ -58,6 +58,7 @@ class EgoBelief:
     alert, available : bool; alert_age_s : how long the alert has been on, 0 without
     hdop, satellites, satellites_doppler, excluded : as in Solution
     since_rtk_s, since_calibration_s, corrections_age_s : inf for never
+    model_curved, nis_position, nis_wheels, trust_m : as in Solution
     """
 
     time_s: float
@@ -91,6 +92,10 @@ class EgoBelief:
     since_rtk_s: float
     since_calibration_s: float
     corrections_age_s: float
+    model_curved: float
+    nis_position: float
+    nis_wheels: float
+    trust_m: float
 
     @classmethod
     def of(cls, beliefs: Records, row: int, table: LaneTable) -> EgoBelief:

@@ -32,6 +32,13 @@ FAR_M = 1000.0  # between the given position of a base and that of its header, w
 def replay(
     dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder: smartLoc, comma2k19, or a RINEX pair.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the figures and for replay.json or rtk.json.")],
+    navigator: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="A filter on vehicle models in place of the method of the data set: filter, or a preset as imm_s4.",
+        ),
+    ] = None,
     assignments: Assignments = None,
     as_json: AsJson = False,
 ) -> None:
@@ -42,7 +49,8 @@ def replay(
     to get the recordings.
 
     Keys for --set, of smartLoc: every, first, training_share, solution.*, alerts.*; of comma2k19: every_s, longest_s,
-    heading_error_deg, bridge.*; of RINEX: bands, ionosphere_ppm, troposphere_ppm, rtk.*, fde.*, risk.*.
+    heading_error_deg, bridge.*; of RINEX: bands, ionosphere_ppm, troposphere_ppm, rtk.*, fde.*, risk.*; with
+    --navigator: navigator.*, fix_slow_m, fix_fast_m, wheel_scale.
 
     Example: lanebound replay data/smartloc_berlin_potsdamer --out out/berlin
     """
@@ -51,7 +59,9 @@ def replay(
     from lanebound.integrity.replay.datasets import kind_of, replay_folder
 
     kind = "RTK solution" if kind_of(dataset) == "rinex" else "replayed drive"
-    found, written = _solve(out, kind, lambda report: replay_folder(dataset, out, changes(assignments), report))
+    found, written = _solve(
+        out, kind, lambda report: replay_folder(dataset, out, changes(assignments), report, navigator)
+    )
     if as_json:
         print_json(found)
         return
@@ -266,4 +276,25 @@ def _print_outages(found: dict[str, Any]) -> None:
     typer.echo(found["caution"])
 
 
-_PRINTERS = {"smartloc": _print_city, "comma2k19": _print_outages, "rinex": _print_rtk}
+def _print_filter(found: dict[str, Any]) -> None:
+    from lanebound.agents.cli.output import print_table
+
+    rows = [(key, found[key]) for key in ("epochs", "with_truth", "with_level", "first_level_s")]
+    rows += [(f"positions {key}", value) for key, value in found["positions"].items()]
+    for name in ("horizontal_m", "positions_m"):
+        rows += [(f"{name} {key}", value) for key, value in (found[name] or {}).items()]
+    rows += [(f"trust level {key}", value) for key, value in found["trust"].items()]
+    print_table(f"{found['navigator']} ({found['filter']}) on {found['recording']}", ("", "value"), rows)
+    levels = [
+        [risk, axis, c["epochs"], c["exceeded"], f"{c['rate_low']:.2g} to {c['rate_high']:.2g}", c["pl_median_m"]]
+        for risk, axes in found["levels"].items()
+        for axis, c in axes.items()
+    ]
+    print_table("Levels", ("risk", "axis", "epochs", "above PL", "exact 95 % interval", "median PL m"), levels)
+    typer.echo(f"The recording lacks: {'; '.join(found['lacking'])}.")
+    typer.echo(found["caution"])
+
+
+_PRINTERS = {
+    "smartloc": _print_city, "comma2k19": _print_outages, "rinex": _print_rtk, "filter": _print_filter
+}  # fmt: skip

@@ -45,6 +45,10 @@ class Fixes(NamedTuple):
     since_rtk_s: Array
     since_calibration_s: Array
     corrections_age_s: Array
+    model_curved: Array
+    nis_position: Array
+    nis_wheels: Array
+    trust_m: Array
 
 
 @jit(borrows=True)
@@ -58,6 +62,8 @@ def adopt(t, b, fixes, v):  # type: ignore[no-untyped-def]
     b.satellites, b.satellites_doppler = fixes.satellites[v], fixes.satellites_doppler[v]
     b.excluded, b.since_rtk_s = fixes.excluded[v], fixes.since_rtk_s[v]
     b.since_calibration_s, b.corrections_age_s = fixes.since_calibration_s[v], fixes.corrections_age_s[v]
+    b.model_curved, b.trust_m = fixes.model_curved[v], fixes.trust_m[v]
+    b.nis_position, b.nis_wheels = fixes.nis_position[v], fixes.nis_wheels[v]
 
 
 @jit(borrows=True)

@@ -108,6 +108,10 @@ BELIEF = record(
     since_rtk_s="since the last RTK position, inf for never",
     since_calibration_s="since the heading was calibrated, inf for never",
     corrections_age_s="of the reference data, inf when the link is out",
+    model_curved="probability of the curved model of a filter, 0 without",
+    nis_position="of the last position of a filter, 0 without",
+    nis_wheels="of the last wheel speed of a filter, 0 without",
+    trust_m="horizontal trust level of a filter, inf without",
 )
 
 TRACK = record(

@@ -26,6 +26,11 @@ class ObservationConfig(Config):
     services: tuple[str, ...] = Field(
         (), description="services whose modes have entries; an environment sets those of navigator.service"
     )
+    filters: bool = Field(
+        False,
+        description="model probability, NIS and trust level have entries; an environment sets it for navigator.kind: "
+        "filter",
+    )
     vehicles: int = Field(6, ge=0, le=64, description="number of vehicles in traffic, the nearest first [-]")
     preview_m: tuple[float, ...] = Field(
         (5.0, 10.0, 20.0, 40.0, 80.0), description="distances ahead at which the route's centreline is given; chosen"
@@ -49,6 +54,7 @@ class ObservationConfig(Config):
     trend_window_s: float = Field(1.0, gt=0, description="period of the trend of protection levels; chosen")
     hdop_max: float = Field(10.0, gt=0, description="scale of HDOP [-]; chosen")
     satellites_max: int = Field(40, ge=1, description="scale of numbers of satellites [-]; five systems, chosen")
+    nis_max: float = Field(20.0, gt=0, description="scale of NIS [-]; chosen: above the gate of positions, 13.8")
     excluded_max: int = Field(5, ge=1, description="scale of the number of excluded satellites [-]; chosen")
     elapsed_max_s: float = Field(
         60.0, gt=0, description="scale of times since an event; chosen: above the longest outage of 50 s"

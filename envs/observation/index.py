@@ -178,6 +178,18 @@ def _levels(c: ObservationConfig) -> list[Entry]:
         g.positive("excluded", "", c.excluded_max, "number of satellites excluded by fault detection in this epoch",
                    "belief.excluded"),
         g.positive("hdop", "", c.hdop_max, "horizontal dilution of precision; 1 without satellites", "belief.hdop"),
+        *(_filters(c, g) if c.filters else ()),
+    ]  # fmt: skip
+
+
+def _filters(c: ObservationConfig, g: _Group) -> list[Entry]:
+    nis, missing = "normalised innovation squared of the last", "0 before the first"
+    return [
+        g.positive("model_curved", "", 1.0, "probability of the curved vehicle model; 0 without that model",
+                   "belief.model_curved"),
+        g.positive("nis_position", "", c.nis_max, f"{nis} GNSS position; {missing}", "belief.nis_position"),
+        g.positive("nis_wheels", "", c.nis_max, f"{nis} wheel speed; {missing}", "belief.nis_wheels"),
+        g.positive("trust", "m", c.pl_max_m, "horizontal trust level of the filter; 1 when missing", "belief.trust_m"),
     ]  # fmt: skip
 
 

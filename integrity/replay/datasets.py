@@ -43,12 +43,14 @@ def replay_folder(
     out: Path,
     changes: Mapping[str, Any] | None = None,
     progress: Progress = silent,
+    navigator: str | None = None,
 ) -> tuple[dict[str, Any], list[Path]]:
     """Replay a data set; returns the statistics and the files written into ``out``.
 
     ``changes`` are overrides of the configuration of the kind: :class:`~.city_report.CityReplay`,
     :class:`~.outages.OutageConfig` or :class:`~.baseline.BaselineConfig`. ``progress`` is called with the number of
-    solved epochs and the total number.
+    solved epochs and the total number. ``navigator`` names a filter, by kind or preset, in place of the method of the
+    kind of data set; ``changes`` are then those of :class:`~.filter_drive.FilterReplayConfig`.
 
     Raises
     ------
@@ -56,6 +58,13 @@ def replay_folder(
         The folder is of no known kind, or a file or a change is invalid.
     """
     kind, changed = kind_of(folder), dict(changes or {})
+    if navigator is not None:
+        if kind == "rinex":
+            raise InputError("navigator must be left out for RINEX, which has no wheels and no gyro, "
+                             f"got {navigator}: give a smartLoc or comma2k19 folder")  # fmt: skip
+        from lanebound.integrity.replay.filter_report import write_filter
+
+        return write_filter(folder, kind, out, navigator, changed)
     if kind == "smartloc":
         from lanebound.integrity.replay.city_report import CityReplay, write_city
 

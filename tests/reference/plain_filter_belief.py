@@ -36,6 +36,7 @@ class FilterBelief:
     turned_rad : (B,) integrated gyro
     known : (B,) a position has been begun with
     biased : (B,) the slow error of GNSS positions has its prior
+    excess : (B,) mean of NIS / 2 of positions
     gain, own_m2, common_m : of the last position used, :class:`CodePosition`; fix_age_s (B,) its age, inf before
     moved_m : (B,) distance driven since then
     rejected_s : (B, 2) how long GNSS positions and motion have been rejected throughout
@@ -54,6 +55,7 @@ class FilterBelief:
     fix_age_s: Array
     moved_m: Array
     rejected_s: Array
+    excess: Array
 
 
 def take_slow_error(b: FilterBelief, fix: CodePosition, now: Bools, slow_tau_s: float) -> None:

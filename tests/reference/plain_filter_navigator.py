@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import plain_filter_epoch as steps
@@ -10,6 +10,7 @@ import plain_filter_observations as seen
 from numpy.typing import NDArray
 from plain_filter_belief import FilterBelief, take_slow_error
 from plain_filter_levels import ModelPositions, covariance_levels, horizontal_trust_level, with_slow_errors
+from plain_kalman import innovate
 from plain_multiple_models import combine
 from plain_vehicle_models import MotionInput
 
@@ -43,6 +44,7 @@ def belief_of(state: State) -> FilterBelief:
         state.x.copy(), state.p.copy(), state.probability.copy(), state.influence.copy(), v["turned"].copy(),
         v["known"].copy(), v["biased"].copy(), state.gain.copy(), state.own.copy(), state.common.copy(),
         v["fix_age"].copy(), v["moved"].copy(), v["rejected"].copy(),
+        v["excess"].copy(),
     )  # fmt: skip
 
 
@@ -71,11 +73,20 @@ def locate(c: FilterConfig, b: FilterBelief, m: Measurements, bounds: Array) -> 
         if c.sensor_errors:
             take_slow_error(b, fix, due, p.slow_tau_s)
         heading = (b.probability * b.x[..., S.HEADING]).sum(-1)
-        observation = seen.gnss_position(c, fix, heading, due)
+        observation = _grown(c, b, seen.gnss_position(c, fix, heading, due))
         nis[:, GNSS] = steps.observe(b, observation, likelihood, c.gate.enabled).nis
         b.fix_age_s, b.moved_m = np.where(due, 0.0, b.fix_age_s), np.where(due, 0.0, b.moved_m)
     steps.conclude(b, predicted, likelihood)
     return _levels(c, b, bounds, nis)
+
+
+def _grown(c: FilterConfig, b: FilterBelief, seen: steps.Observation) -> steps.Observation:
+    """The position with the noise that the NIS of the last positions shows."""
+    nis = innovate(b.x, b.p, seen.z[:, None], seen.design, seen.single[:, None]).nis.min(-1)
+    age = np.where(np.isfinite(b.fix_age_s), b.fix_age_s, c.position.interval_s)
+    kept = np.exp(-age / c.position.excess_tau_s)
+    b.excess = np.where(seen.there, kept * b.excess + (1.0 - kept) * 0.5 * nis, b.excess)
+    return replace(seen, covariance=seen.covariance * np.maximum(b.excess, 1.0)[:, None, None])
 
 
 def _levels(c: FilterConfig, b: FilterBelief, bounds: Array, nis: Array) -> PlainSolution:

@@ -92,6 +92,12 @@ class GnssUpdateConfig(Config):
         5.0, ge=0, description="correlation time of noise and multipath, bounded by more noise [s]; as tau of signals"
     )
     slow_tau_s: float = Field(1800.0, gt=0, description="correlation time of slow errors [s]; as BroadcastConfig")
+    excess_tau_s: float = Field(
+        15.0,
+        ge=0,
+        description="memory of the NIS of positions, rejected ones too; their noise grows by its mean; 0: it does not "
+        "[s]; chosen on dense streets of seed 101: reflections of a canyon last for some 100 m",
+    )
     bias_m: float = Field(
         0.1, ge=0, description="bound of a constant error of positions, on each axis [m]; datum and antenna, chosen"
     )

@@ -201,6 +201,14 @@ def _report(par: Any, filters: Filters, v: int, outcome: int, s: Scratch) -> Non
         out.level_sbas[v] = EN_ROUTE_SIGMAS * major_axis(q[0, 0], q[1, 1], q[0, 1])
     out.used[v], out.rejected[v] = outcome == USED, outcome == REJECTED
     out.probability[v] = state.probability[v]
+    out.curved[v] = 0.0
+    for j in range(state.x.shape[1]):
+        if par.curved[j] == 1:
+            out.curved[v] += state.probability[v, j]
+    for k in range(2):
+        if out.nis[v, k] > 0.0:
+            vehicle.nis[k] = out.nis[v, k]
+        out.last_nis[v, k] = vehicle.nis[k]
 
 
 @jit

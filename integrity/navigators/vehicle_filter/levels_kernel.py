@@ -50,7 +50,8 @@ def major_axis(east: float, north: float, cross: float) -> float:
 @jit
 def track_variance(covariance: Array, e: float, n: float) -> float:
     """``t' P t`` of a covariance (2, 2) along the direction t = (e, n)."""
-    return max(e * e * covariance[0, 0] + 2.0 * e * n * covariance[0, 1] + n * n * covariance[1, 1], 0.0)
+    variance = e * e * covariance[0, 0] + 2.0 * e * n * covariance[0, 1] + n * n * covariance[1, 1]
+    return float(max(variance, 0.0))
 
 
 @jit

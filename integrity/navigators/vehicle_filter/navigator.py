@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import run_rows
+from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, Rows, register_navigator
 from lanebound.integrity.navigators.solution import Solution
@@ -27,7 +29,7 @@ from lanebound.integrity.navigators.vehicle_filter.start_kernel import give_head
 from lanebound.integrity.positioning.filters.code_position import CodePosition, locate_by_codes
 from lanebound.integrity.positioning.filters.vehicle_models import STATES
 
-__all__ = ["FilterNavigator", "FilterReport"]
+__all__ = ["FilterNavigator", "FilterReport", "blank_state", "fix_of", "run_filters"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -67,19 +69,7 @@ class FilterNavigator(Navigator):
 
     def initial_belief(self, batch: int) -> State:
         """Nothing is known but the spread of sensor errors."""
-        models, satellites = len(self.config.chosen_models), len(self.track.system)
-        p = np.zeros((batch, models, STATES, STATES))
-        for place, sigma in initial_sigmas(self.config).items():
-            p[..., place, place] = sigma**2
-        vehicles = np.zeros(batch, VEHICLE)
-        vehicles["fix_age"] = vehicles["moved"] = np.inf
-        vehicles["alert"]["alert"], vehicles["alert"]["reason"] = True, AlertReason.INITIALISING.code
-        vehicles["alert"]["onset_s"] = -1.0
-        return State(
-            vehicles, np.zeros((batch, models, STATES)), p, np.full((batch, models), 1.0 / models),
-            np.zeros((batch, models, STATES, BIASES + COMMON + satellites)), np.zeros((batch, satellites, 2)),
-            np.zeros((batch, satellites)), np.zeros((batch, 2, 2)),
-        )  # fmt: skip
+        return blank_state(self.config, batch, len(self.track.system))
 
     def align(self, heading_rad: Array, sigma_rad: float) -> None:
         """Give the vehicles a prior heading, (B,) azimuth and its 1-sigma, as from a compass or the last drive."""
@@ -99,36 +89,63 @@ class FilterNavigator(Navigator):
     def locate(self, m: Measurements) -> Solution:
         """The belief after the measurements of one epoch; reads nothing else."""
         fix = locate_by_codes(self.config.position.codes, m)
-        out = _blank_outputs(self.batch, self._cases.size, len(self.config.chosen_models))
-        filters = Filters(self._parameters, self._cases, self.state.belief, _measured_of(m), _fix_of(fix), out)
-        run_rows(run_epoch, self.batch, filters, row_us=EPOCH_US)
+        out = run_filters(self._parameters, self._cases, self.state.belief, _measured_of(m), fix_of(fix))
         self.report = FilterReport(out.trust, out.level_sbas, out.probability, out.nis, out.used, out.rejected)
         return replace(
             Solution.blank(m, self._cases.size), position_en_m=out.position, heading_rad=out.heading,
             velocity_en_mps=out.velocity, covariance_en_m2=out.covariance, sigma_at_m=out.sigma[:, 0].copy(),
             sigma_ct_m=out.sigma[:, 1].copy(), pl_at_m=out.levels[:, 0, 0].copy(), pl_ct_m=out.levels[:, 0, 1].copy(),
             pl_cases_m=out.levels, mode=out.mode, alert=out.alert, available=out.available, reason=out.reason,
-            hdop=fix.hdop, satellites=fix.satellites, excluded=fix.excluded + out.rejected,
+            hdop=fix.hdop, satellites=fix.satellites, excluded=fix.excluded + out.rejected, model_curved=out.curved,
+            nis_position=out.last_nis[:, 0].copy(), nis_wheels=out.last_nis[:, 1].copy(), trust_m=out.trust,
         )  # fmt: skip
+
+
+def blank_state(config: FilterConfig, batch: int, satellites: int) -> State:
+    """Vehicles that have just been switched on: nothing is known but the spread of sensor errors."""
+    models = len(config.chosen_models)
+    p = np.zeros((batch, models, STATES, STATES))
+    for place, sigma in initial_sigmas(config).items():
+        p[..., place, place] = sigma**2
+    vehicles = np.zeros(batch, VEHICLE)
+    vehicles["fix_age"] = vehicles["moved"] = np.inf
+    vehicles["excess"] = 1.0
+    vehicles["alert"]["alert"], vehicles["alert"]["reason"] = True, AlertReason.INITIALISING.code
+    vehicles["alert"]["onset_s"] = -1.0
+    return State(
+        vehicles, np.zeros((batch, models, STATES)), p, np.full((batch, models), 1.0 / models),
+        np.zeros((batch, models, STATES, BIASES + COMMON + satellites)), np.zeros((batch, satellites, 2)),
+        np.zeros((batch, satellites)), np.zeros((batch, 2, 2)),
+    )  # fmt: skip
+
+
+def run_filters(parameters: Records, cases: Records, state: State, measured: Measured, fix: Fix) -> Outputs:
+    """Advance the state of B vehicles by an epoch; returns outputs in arrays of their own."""
+    batch, models = state.probability.shape
+    out = _blank_outputs(batch, cases.size, models)
+    run_rows(run_epoch, batch, Filters(parameters, cases, state, measured, fix, out), row_us=EPOCH_US)
+    return out
 
 
 def _measured_of(m: Measurements) -> Measured:
     """The motion sensors of an epoch."""
     batch, chassis = m.odometer.speed_mps.shape[0], m.chassis
-    return Measured(*(np.ascontiguousarray(a) for a in (
+    arrays: Any = (
         m.imu.delta_theta_rad, m.imu.delta_v_mps, m.odometer.speed_mps, m.odometer.distance_m,
         np.zeros((batch, 4)) if chassis is None else chassis.wheel_mps,
         np.zeros(batch) if chassis is None else chassis.steering_rad,
         np.zeros(batch) if m.compass is None else m.compass.heading_rad,
-    )))  # fmt: skip
+    )  # fmt: skip
+    return Measured(*map(np.ascontiguousarray, arrays))
 
 
-def _fix_of(fix: CodePosition) -> Fix:
+def fix_of(fix: CodePosition) -> Fix:
     """The position by codes of an epoch."""
-    return Fix(*(np.ascontiguousarray(a) for a in (
+    arrays: Any = (
         fix.position_m, fix.velocity_mps, fix.fast_m2, fix.slow_m2, fix.velocity_m2, fix.valid, fix.satellites,
         fix.gain, fix.own_m2, fix.common_m,
-    )))  # fmt: skip
+    )  # fmt: skip
+    return Fix(*map(np.ascontiguousarray, arrays))
 
 
 def _blank_outputs(batch: int, cases: int, models: int) -> Outputs:
@@ -138,7 +155,8 @@ def _blank_outputs(batch: int, cases: int, models: int) -> Outputs:
         position=np.zeros((batch, 2)), heading=np.zeros(batch), velocity=np.zeros((batch, 2)),
         covariance=np.zeros((batch, 2, 2)), sigma=np.zeros((batch, 2)), levels=np.zeros((batch, cases, 2)),
         mode=codes[0], alert=flags[0], available=flags[1], reason=codes[1], trust=np.zeros(batch),
-        level_sbas=np.zeros(batch), nis=np.zeros((batch, 2)), used=flags[2], rejected=flags[3],
+        level_sbas=np.zeros(batch), nis=np.zeros((batch, 2)),
+        last_nis=np.zeros((batch, 2)), curved=np.zeros(batch), used=flags[2], rejected=flags[3],
         probability=np.zeros((batch, models)),
     )  # fmt: skip
 

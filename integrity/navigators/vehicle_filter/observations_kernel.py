@@ -40,7 +40,7 @@ STEERING_MODEL_RADPS = 1e-2  # 1-sigma of the bicycle model in the test of the y
 def acceleration_along(x: Array, delta_v: Array, dt: float) -> float:
     """Measured acceleration along the velocity of a model [m/s^2] (S4 eq 6 and those after it)."""
     slip = x[SLIP] + x[SLIDE]
-    return delta_v[0] / dt * math.cos(slip) + delta_v[1] / dt * math.sin(slip)
+    return float(delta_v[0] / dt * math.cos(slip) + delta_v[1] / dt * math.sin(slip))
 
 
 @jit

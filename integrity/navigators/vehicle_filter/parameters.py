@@ -64,6 +64,7 @@ def filter_parameters(c: FilterConfig) -> Records:
         least_move=position.least_move_m,
         slow_tau=position.slow_tau_s,
         fast_factor=correlation_factor(position.fast_tau_s, position.interval_s),
+        excess_tau=position.excess_tau_s,
         forward=forward,
         right=right,
         accelerometer_density=motion.accelerometer_density,

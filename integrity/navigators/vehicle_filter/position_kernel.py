@@ -19,7 +19,7 @@ from lanebound.integrity.navigators.vehicle_filter.records_kernel import (
     Measured,
     State,
 )
-from lanebound.integrity.positioning.filters.correction_kernel import Models, Vector, clear, observe
+from lanebound.integrity.positioning.filters.correction_kernel import Models, Vector, best_nis, clear, observe
 from lanebound.integrity.positioning.filters.vehicle_models import EAST, GNSS_EAST, GNSS_NORTH, HEADING, NORTH, STATES
 
 __all__ = ["USED", "correct_by_position", "fill_slow_columns", "take_slow_error"]
@@ -51,6 +51,7 @@ def correct_by_position(
         _doubt(par, vehicle, models, w)
         outcome = LOST
     else:
+        _grow_noise(par, vehicle, models, w)
         nis[GNSS], used = observe(models, w, 2, par.gate_gnss, False)
         outcome = USED if used else REJECTED
     since = vehicle.fix_age if vehicle.fix_age < math.inf else par.interval
@@ -96,6 +97,23 @@ def fill_slow_columns(fix: Fix, v: int, errors: Array) -> None:
         sigma = math.sqrt(fix.own[v, k])
         for i in range(2):
             errors[i, BIASES + COMMON + k] = fix.gain[v, k, i] * sigma
+
+
+@jit
+def _grow_noise(par: Any, vehicle: Any, models: Models, w: Vector) -> None:
+    """``R <- R max(1, m)``, with m the fading mean of NIS / 2 of all positions, whose expectation is 1.
+
+    In a street the reflections that the residuals of codes do not show last. The gate rejects those positions that
+    differ most, and those that agree with an error of the filter pass. Rejected positions therefore count in the noise
+    of the next ones.
+    """
+    if par.excess_tau <= 0.0:
+        return
+    since = vehicle.fix_age if vehicle.fix_age < math.inf else par.interval
+    kept = math.exp(-since / par.excess_tau)
+    vehicle.excess = kept * vehicle.excess + (1.0 - kept) * 0.5 * best_nis(models, w, 2, False)
+    if vehicle.excess > 1.0:
+        w.r[:] *= vehicle.excess
 
 
 @jit

@@ -50,6 +50,7 @@ PARAMETERS = record(
     least_move="least distance driven between two [m]",
     slow_tau="correlation time of slow errors of positions [s]",
     fast_factor="variance factor of the lasting errors of positions [-]",
+    excess_tau="memory of the innovations of positions, 0: none [s]",
     forward="antenna ahead of the reference point [m]",
     right="antenna to the right of it [m]",
     accelerometer_density="[m/s^2/sqrt(Hz)]",
@@ -85,9 +86,11 @@ VEHICLE = record(
     aligned=("?", "the heading is given"),
     unconfirmed=("i8", "positions that must agree before there is a level"),
     biased=("?", "the slow error of positions has its prior"),
+    excess="mean of NIS / 2 of positions over the memory, rejected ones too; 1 when they are as declared [-]",
     fix_age="of the last position used, inf before [s]",
     moved="distance driven since then [m]",
     rejected=("f8", (2,), "how long positions and motion have been rejected throughout [s]"),
+    nis=("f8", (2,), "of the last position and of the last wheel speed [-]"),
     doubt="distance to the positions that the filter has begun anew with, which the levels hold [m]",
     doubt_left="and how much longer [s]",
     trial=(TRIAL, "of the first heading by Doppler"),
@@ -160,6 +163,8 @@ class Outputs(NamedTuple):
     trust: Array
     level_sbas: Array
     nis: Array
+    last_nis: Array
+    curved: Array
     used: Bools
     rejected: Bools
     probability: Array

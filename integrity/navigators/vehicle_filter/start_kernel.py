@@ -69,7 +69,7 @@ def begin(par: Any, state: State, v: int, measured: Measured, fix: Fix, w: Vecto
         else:
             _try_course(par, state, v, measured, fix)
     if vehicle.aligned and not vehicle.known and fix.valid[v]:
-        begin_at(state, v, fix.position[v], fix.fast[v] + fix.slow[v])
+        begin_at(state, v, fix.position[v], max(vehicle.excess, 1.0) * fix.fast[v] + fix.slow[v])
         vehicle.unconfirmed = CONFIRMATIONS
         if par.sensor_errors:
             _share_slow_error(par, state, v, fix, w)

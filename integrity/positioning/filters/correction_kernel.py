@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.positioning.filters.vehicle_models import STATES
 
-__all__ = ["MOST", "UNTESTED", "Models", "Vector", "clear", "observe", "vector_of"]
+__all__ = ["MOST", "UNTESTED", "Models", "Vector", "best_nis", "clear", "observe", "vector_of"]
 
 Array = NDArray[np.float64]
 MOST = 3  # components of a sensor vector
@@ -81,18 +81,25 @@ def observe(models: Models, v: Vector, size: int, threshold: float, angular: boo
     A vector is rejected when it fails the gate of every model, so that the likelihoods of the models are of the same
     measurements; the NIS is that of the model that fits best.
     """
-    r, best = models.x.shape[0], math.inf
-    for j in range(r):
-        _innovate(models, v, j, size, v.single, angular)
-        best = min(best, _nis(v, size))
+    best = best_nis(models, v, size, angular)
     if not best <= threshold:
         return best, False
-    for j in range(r):
+    for j in range(models.x.shape[0]):
         log_det = _innovate(models, v, j, size, v.r, angular)
         models.likelihood[j] -= 0.5 * (_nis(v, size) + size * LOG_2PI + log_det)
         _correct(models, v, j, size)
         _influence(models, v, j, size)
     return best, True
+
+
+@jit
+def best_nis(models: Models, v: Vector, size: int, angular: bool) -> float:
+    """NIS of a vector by itself, of the model that fits best."""
+    best = math.inf
+    for j in range(models.x.shape[0]):
+        _innovate(models, v, j, size, v.single, angular)
+        best = min(best, _nis(v, size))
+    return best
 
 
 @jit
@@ -119,7 +126,7 @@ def _innovate(models: Models, v: Vector, j: int, size: int, noise: Array, angula
             for k in range(STATES):
                 total += v.h[b, k] * v.ph[k, a]
             v.s[a, b] = v.s[b, a] = total
-    return _invert(v.s, v.inverse, size)
+    return float(_invert(v.s, v.inverse, size))
 
 
 @jit
