@@ -178,9 +178,22 @@ def test_the_gate_rejects_spurious_positions():
     error, _ = errors(navigator, truths, 130, shifted)
     assert error.max() < 3.0
     assert (navigator.state.belief.vehicles["rejected"][:, 0] > 5.0).all()
-    open_gate, truths = drives([1, 2], gate={"enabled": False})
+    open_gate, truths = drives([1, 2], gate={"enabled": False}, position={"excess_tau_s": 0.0})
     wrong, _ = errors(open_gate, truths, 130, shifted)
     assert wrong.max() > 2.0 * error.max()
+
+
+def test_the_noise_of_positions_grows_with_their_innovations():
+    """Without the gate, a filter that remembers innovations follows a spurious position less, with larger levels."""
+    forgetful, truths = drives([1, 2], gate={"enabled": False}, position={"excess_tau_s": 0.0})
+    follows, _ = errors(forgetful, truths, 130, shifted)
+    mindful, truths = drives([1, 2], gate={"enabled": False})
+    holds, _ = errors(mindful, truths, 130, shifted)
+    assert holds.max() < 0.7 * follows.max()
+    assert (mindful.state.belief.vehicles["excess"] > 3.0).all()
+    quiet, truths = drives([1, 2])
+    errors(quiet, truths, 130)
+    assert (quiet.state.belief.vehicles["excess"] < 2.0).all()
 
 
 def test_a_filter_that_rejects_for_long_doubts_itself():
@@ -257,16 +270,17 @@ def test_wrong_configurations_are_refused():
 @pytest.mark.parametrize("preset", ["imm_differential", "imm_s4"])
 def test_the_engine_navigates_as_a_single_environment(preset):
     """Presets drive environments and the vector engine, bit for bit alike in the same episode."""
-    settings = {"navigator": preset, "duration_s": 2.0, "sky": "open"}
+    settings = {"navigator": preset, "duration_s": 2.0, "sky": "open", "observation": {"form": "flat"}}
     env = gymnasium.make("lanebound/LaneKeeping-v0", config=settings)
     env.reset(seed=1)
     engine = gymnasium.make_vec("lanebound/LaneKeeping-v0", num_envs=2, config=settings)
     engine.reset(seed=1)
-    for _ in range(3):
-        info = env.step(np.zeros(2, np.float32))[4]
-        infos = engine.step(np.zeros((2, 2), np.float32))[4]
+    for _ in range(8):
+        seen, _, _, _, info = env.step(np.zeros(2, np.float32))
+        rows, _, _, _, infos = engine.step(np.zeros((2, 2), np.float32))
     for name in ("pl_at_m", "pl_ct_m", "err_at_m", "err_ct_m"):
         assert info[name] == infos[name][0]
+    assert np.array_equal(seen, rows[0])
     assert info["mode"] in (Mode.CODE, Mode.IMU_ODOMETER)
     assert abs(info["err_ct_m"]) < info["pl_ct_m"] < 20.0
     env.close()
