@@ -41,7 +41,7 @@ class AwareConfig(RssConfig):
     lane_extra_m: float = Field(
         3.0,
         ge=0,
-        description="the own lane is widened by PL_CT, by this at most; about a lane: broadcast positions can be a lane off",
+        description="the own lane is widened by PL_CT, by this at most; broadcasts can be a lane off",
     )
     cross_extra_m: float = Field(0.5, ge=0, description="crossing vehicles are widened by PL_AT, by this at most")
     sky_bonus_mps2: float = Field(0.5, ge=0, description="gain of a lane that sees the sky where the own does not")
