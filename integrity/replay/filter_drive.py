@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
 from lanebound.integrity.navigators.vehicle_filter.navigator import blank_state, fix_of, run_filters
 from lanebound.integrity.navigators.vehicle_filter.parameters import filter_parameters, level_cases
-from lanebound.integrity.navigators.vehicle_filter.records_kernel import Measured, Outputs
+from lanebound.integrity.navigators.vehicle_filter.records_kernel import Fix, Measured, Outputs
 from lanebound.integrity.navigators.vehicle_filter.start_kernel import give_headings
 from lanebound.integrity.positioning.filters.code_position import CodePosition, locate_by_codes
 from lanebound.integrity.recorded.comma import Comma
@@ -219,14 +220,14 @@ def drive_filter(sensors: SensorDrive, config: FilterReplayConfig) -> FilterDriv
     c = config.filter_of(sensors.dt_s)
     parameters, cases, fix = filter_parameters(c), level_cases(c), fix_of(sensors.fix)
     state = blank_state(c, 1, sensors.fix.own_m2.shape[1])
-    found: list[Outputs] = []
+    found, rows = list[Outputs](), cast("list[Any]", list(fix))
     for k in range(sensors.time_s.size):
         row = slice(k, k + 1)
         if not state.vehicles["aligned"][0] and sensors.course_sigma_rad[k] < WIDEST_RAD:
             give_headings(
                 state, np.zeros(1, np.int64), sensors.course_rad[row].copy(), float(sensors.course_sigma_rad[k])
             )
-        one = type(fix)(*(np.ascontiguousarray(a[row]) for a in fix))
+        one = Fix(*map(np.ascontiguousarray, [values[row] for values in rows]))
         found.append(run_filters(parameters, cases, state, _motion(sensors, row), one))
     return _gathered(c, sensors, found)
 
