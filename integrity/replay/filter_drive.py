@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
 from lanebound.integrity.navigators.vehicle_filter.navigator import blank_state, fix_of, run_filters
 from lanebound.integrity.navigators.vehicle_filter.parameters import filter_parameters, level_cases
-from lanebound.integrity.navigators.vehicle_filter.records_kernel import Fix, Measured, Outputs
+from lanebound.integrity.navigators.vehicle_filter.records_kernel import FilterOutputs, MeasuredMotion, PositionFix
 from lanebound.integrity.navigators.vehicle_filter.start_kernel import give_headings
 from lanebound.integrity.positioning.filters.code_position import CodePosition, locate_by_codes
 from lanebound.integrity.recorded.comma import Comma
@@ -220,26 +220,26 @@ def drive_filter(sensors: SensorDrive, config: FilterReplayConfig) -> FilterDriv
     c = config.filter_of(sensors.dt_s)
     parameters, cases, fix = filter_parameters(c), level_cases(c), fix_of(sensors.fix)
     state = blank_state(c, 1, sensors.fix.own_m2.shape[1])
-    found, rows = list[Outputs](), cast("list[Any]", list(fix))
+    found, rows = list[FilterOutputs](), list[Any](fix)
     for k in range(sensors.time_s.size):
         row = slice(k, k + 1)
         if not state.vehicles["aligned"][0] and sensors.course_sigma_rad[k] < WIDEST_RAD:
             give_headings(
                 state, np.zeros(1, np.int64), sensors.course_rad[row].copy(), float(sensors.course_sigma_rad[k])
             )
-        one = Fix(*map(np.ascontiguousarray, [values[row] for values in rows]))
+        one = PositionFix(*map(np.ascontiguousarray, [values[row] for values in rows]))
         found.append(run_filters(parameters, cases, state, _motion(sensors, row), one))
     return _gathered(c, sensors, found)
 
 
-def _motion(s: SensorDrive, row: slice) -> Measured:
+def _motion(s: SensorDrive, row: slice) -> MeasuredMotion:
     """The motion of one epoch."""
     speed, zero = s.speed_mps[row].copy(), np.zeros(1)
     turn = np.array([[0.0, 0.0, s.turn_rad[row][0]]])
-    return Measured(turn, np.zeros((1, 3)), speed, np.abs(speed) * s.dt_s, np.zeros((1, 4)), zero, zero)
+    return MeasuredMotion(turn, np.zeros((1, 3)), speed, np.abs(speed) * s.dt_s, np.zeros((1, 4)), zero, zero)
 
 
-def _gathered(c: FilterConfig, sensors: SensorDrive, found: Sequence[Outputs]) -> FilterDrive:
+def _gathered(c: FilterConfig, sensors: SensorDrive, found: Sequence[FilterOutputs]) -> FilterDrive:
     def rows(name: str) -> NDArray[np.generic]:
         return np.concatenate([getattr(out, name) for out in found])
 

@@ -17,7 +17,7 @@ from plain_vehicle_models import MotionInput
 from lanebound.integrity.core.frames import wrap_angle
 from lanebound.integrity.navigators.navigator import Measurements
 from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
-from lanebound.integrity.navigators.vehicle_filter.records_kernel import BIASES, State
+from lanebound.integrity.navigators.vehicle_filter.records_kernel import BIASES, FilterState
 from lanebound.integrity.positioning.filters.code_position import locate_by_codes
 from lanebound.integrity.positioning.filters.vehicle_models import S
 
@@ -37,7 +37,7 @@ class PlainSolution:
     nis: Array
 
 
-def belief_of(state: State) -> FilterBelief:
+def belief_of(state: FilterState) -> FilterBelief:
     """An independent copy of the state of the kernels."""
     v = state.vehicles
     return FilterBelief(

@@ -25,7 +25,13 @@ from lanebound.integrity.navigators.vehicle_filter.observations_kernel import (
     printed_inertial,
 )
 from lanebound.integrity.navigators.vehicle_filter.position_kernel import LOST, REJECTED, USED, correct_by_position
-from lanebound.integrity.navigators.vehicle_filter.records_kernel import BIASES, Fix, Measured, Outputs, State
+from lanebound.integrity.navigators.vehicle_filter.records_kernel import (
+    BIASES,
+    FilterOutputs,
+    FilterState,
+    MeasuredMotion,
+    PositionFix,
+)
 from lanebound.integrity.navigators.vehicle_filter.start_kernel import begin, judge_start
 from lanebound.integrity.positioning.filters.correction_kernel import Models, Vector, vector_of
 from lanebound.integrity.positioning.filters.mixing_kernel import combine, mix, mixing_weights, posterior
@@ -51,10 +57,10 @@ class Filters(NamedTuple):
 
     parameters: Records
     cases: Records
-    state: State
-    measured: Measured
-    fix: Fix
-    out: Outputs
+    state: FilterState
+    measured: MeasuredMotion
+    fix: PositionFix
+    out: FilterOutputs
 
 
 class Scratch(NamedTuple):
@@ -104,9 +110,15 @@ def _scratch(models: int, errors: int) -> Scratch:
 
 @jit
 def _predict(
-    par: Any, state: State, v: int, measured: Measured, rows: Models, prediction: PredictionWork, printed: Vector,
+    par: Any,
+    state: FilterState,
+    v: int,
+    measured: MeasuredMotion,
+    rows: Models,
+    prediction: PredictionWork,
+    printed: Vector,
     s: Scratch,
-) -> None:  # fmt: skip
+) -> None:
     """Interaction of the models and prediction of each; probabilities after interaction into the scratch."""
     turn, r = measured.turn[v, 2], rows.x.shape[0]
     state.vehicles[v].turned += turn
@@ -223,7 +235,7 @@ def _widen(par: Any, vehicle: Any, levels: Array) -> None:
 
 
 @jit
-def _covariance(state: State, v: int, covariance: Array, out: Array) -> None:
+def _covariance(state: FilterState, v: int, covariance: Array, out: Array) -> None:
     """The covariance of the position with that of slow errors through all gains."""
     for i in range(2):
         for k in range(2):

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import record
-from lanebound.integrity.navigators.vehicle_filter.records_kernel import BIASES, State
+from lanebound.integrity.navigators.vehicle_filter.records_kernel import BIASES, FilterState
 
 __all__ = ["CASE", "HTL_SIGMAS", "find_levels", "major_axis", "mixture_level", "track_variance"]
 
@@ -56,7 +56,7 @@ def track_variance(covariance: Array, e: float, n: float) -> float:
 
 @jit
 def find_levels(
-    cases: Any, bounds: Array, state: State, v: int, mean: Array, heading: float, trust: float, levels: Array
+    cases: Any, bounds: Array, state: FilterState, v: int, mean: Array, heading: float, trust: float, levels: Array
 ) -> None:
     """Levels (R, 2) along and across the heading of vehicle v; mean (2,) its position, trust the trust level."""
     r = state.x.shape[1]

@@ -20,10 +20,10 @@ from lanebound.integrity.navigators.vehicle_filter.records_kernel import (
     BIASES,
     COMMON,
     VEHICLE,
-    Fix,
-    Measured,
-    Outputs,
-    State,
+    FilterOutputs,
+    FilterState,
+    MeasuredMotion,
+    PositionFix,
 )
 from lanebound.integrity.navigators.vehicle_filter.start_kernel import give_headings, place_vehicles
 from lanebound.integrity.positioning.filters.code_position import CodePosition, locate_by_codes
@@ -67,7 +67,7 @@ class FilterNavigator(Navigator):
         """Figures that do not change."""
         self._parameters, self._cases = filter_parameters(self.config), level_cases(self.config)
 
-    def initial_belief(self, batch: int) -> State:
+    def initial_belief(self, batch: int) -> FilterState:
         """Nothing is known but the spread of sensor errors."""
         return blank_state(self.config, batch, len(self.track.system))
 
@@ -101,7 +101,7 @@ class FilterNavigator(Navigator):
         )  # fmt: skip
 
 
-def blank_state(config: FilterConfig, batch: int, satellites: int) -> State:
+def blank_state(config: FilterConfig, batch: int, satellites: int) -> FilterState:
     """Vehicles that have just been switched on: nothing is known but the spread of sensor errors."""
     models = len(config.chosen_models)
     p = np.zeros((batch, models, STATES, STATES))
@@ -112,14 +112,16 @@ def blank_state(config: FilterConfig, batch: int, satellites: int) -> State:
     vehicles["excess"] = 1.0
     vehicles["alert"]["alert"], vehicles["alert"]["reason"] = True, AlertReason.INITIALISING.code
     vehicles["alert"]["onset_s"] = -1.0
-    return State(
+    return FilterState(
         vehicles, np.zeros((batch, models, STATES)), p, np.full((batch, models), 1.0 / models),
         np.zeros((batch, models, STATES, BIASES + COMMON + satellites)), np.zeros((batch, satellites, 2)),
         np.zeros((batch, satellites)), np.zeros((batch, 2, 2)),
     )  # fmt: skip
 
 
-def run_filters(parameters: Records, cases: Records, state: State, measured: Measured, fix: Fix) -> Outputs:
+def run_filters(
+    parameters: Records, cases: Records, state: FilterState, measured: MeasuredMotion, fix: PositionFix
+) -> FilterOutputs:
     """Advance the state of B vehicles by an epoch; returns outputs in arrays of their own."""
     batch, models = state.probability.shape
     out = _blank_outputs(batch, cases.size, models)
@@ -127,7 +129,7 @@ def run_filters(parameters: Records, cases: Records, state: State, measured: Mea
     return out
 
 
-def _measured_of(m: Measurements) -> Measured:
+def _measured_of(m: Measurements) -> MeasuredMotion:
     """The motion sensors of an epoch."""
     batch, chassis = m.odometer.speed_mps.shape[0], m.chassis
     arrays: Any = (
@@ -136,22 +138,22 @@ def _measured_of(m: Measurements) -> Measured:
         np.zeros(batch) if chassis is None else chassis.steering_rad,
         np.zeros(batch) if m.compass is None else m.compass.heading_rad,
     )  # fmt: skip
-    return Measured(*map(np.ascontiguousarray, arrays))
+    return MeasuredMotion(*map(np.ascontiguousarray, arrays))
 
 
-def fix_of(fix: CodePosition) -> Fix:
+def fix_of(fix: CodePosition) -> PositionFix:
     """The position by codes of an epoch."""
     arrays: Any = (
         fix.position_m, fix.velocity_mps, fix.fast_m2, fix.slow_m2, fix.velocity_m2, fix.valid, fix.satellites,
         fix.gain, fix.own_m2, fix.common_m,
     )  # fmt: skip
-    return Fix(*map(np.ascontiguousarray, arrays))
+    return PositionFix(*map(np.ascontiguousarray, arrays))
 
 
-def _blank_outputs(batch: int, cases: int, models: int) -> Outputs:
+def _blank_outputs(batch: int, cases: int, models: int) -> FilterOutputs:
     """Memory of the outputs of an epoch."""
     flags, codes = np.zeros((4, batch), np.bool_), np.zeros((2, batch), np.int64)
-    return Outputs(
+    return FilterOutputs(
         position=np.zeros((batch, 2)), heading=np.zeros(batch), velocity=np.zeros((batch, 2)),
         covariance=np.zeros((batch, 2, 2)), sigma=np.zeros((batch, 2)), levels=np.zeros((batch, cases, 2)),
         mode=codes[0], alert=flags[0], available=flags[1], reason=codes[1], trust=np.zeros(batch),

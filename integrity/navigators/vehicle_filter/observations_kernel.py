@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.accel import jit
-from lanebound.integrity.navigators.vehicle_filter.records_kernel import COURSE_BIAS, MOTION, SPEED_BIAS, Measured
+from lanebound.integrity.navigators.vehicle_filter.records_kernel import COURSE_BIAS, MOTION, SPEED_BIAS, MeasuredMotion
 from lanebound.integrity.positioning.filters.correction_kernel import UNTESTED, Models, Vector, clear, observe
 from lanebound.integrity.positioning.filters.mixing_kernel import combine
 from lanebound.integrity.positioning.filters.odometry_kernel import WheelOdometry, from_front_wheel, rolling_slip
@@ -38,14 +38,14 @@ STEERING_MODEL_RADPS = 1e-2  # 1-sigma of the bicycle model in the test of the y
 
 @jit
 def acceleration_along(x: Array, delta_v: Array, dt: float) -> float:
-    """Measured acceleration along the velocity of a model [m/s^2] (S4 eq 6 and those after it)."""
+    """MeasuredMotion acceleration along the velocity of a model [m/s^2] (S4 eq 6 and those after it)."""
     slip = x[SLIP] + x[SLIDE]
     return float(delta_v[0] / dt * math.cos(slip) + delta_v[1] / dt * math.sin(slip))
 
 
 @jit
 def correct_by_motion(
-    par: Any, vehicle: Any, measured: Measured, v: int, models: Models, w: Vector, nis: Array
+    par: Any, vehicle: Any, measured: MeasuredMotion, v: int, models: Models, w: Vector, nis: Array
 ) -> None:
     """Gyro, wheels, steering, slip, compass and rest, in this order."""
     push = math.hypot(measured.delta_v[v, 0], measured.delta_v[v, 1]) / par.dt
@@ -64,7 +64,7 @@ def correct_by_motion(
 
 
 @jit
-def _wheel_odometry(par: Any, measured: Measured, v: int) -> WheelOdometry:
+def _wheel_odometry(par: Any, measured: MeasuredMotion, v: int) -> WheelOdometry:
     """Yaw rate, speed and slip by the front left wheel, or speed and slip by odometer and gyro.
 
     The odometer's speed is the mean over the epoch: half an epoch of the measured acceleration brings it to the end.

@@ -15,9 +15,9 @@ from lanebound.integrity.navigators.vehicle_filter.records_kernel import (
     GNSS,
     GNSS_EAST_BIAS,
     GNSS_NORTH_BIAS,
-    Fix,
-    Measured,
-    State,
+    FilterState,
+    MeasuredMotion,
+    PositionFix,
 )
 from lanebound.integrity.positioning.filters.correction_kernel import Models, Vector, best_nis, clear, observe
 from lanebound.integrity.positioning.filters.vehicle_models import EAST, GNSS_EAST, GNSS_NORTH, HEADING, NORTH, STATES
@@ -33,7 +33,14 @@ NONE, USED, REJECTED, LOST = range(4)
 
 @jit
 def correct_by_position(
-    par: Any, state: State, v: int, measured: Measured, fix: Fix, models: Models, w: Vector, nis: Array
+    par: Any,
+    state: FilterState,
+    v: int,
+    measured: MeasuredMotion,
+    fix: PositionFix,
+    models: Models,
+    w: Vector,
+    nis: Array,
 ) -> int:
     """The GNSS position, when it is due; returns the outcome."""
     vehicle = state.vehicles[v]
@@ -64,7 +71,7 @@ def correct_by_position(
 
 
 @jit
-def _position_vector(par: Any, state: State, v: int, fix: Fix, w: Vector) -> None:
+def _position_vector(par: Any, state: FilterState, v: int, fix: PositionFix, w: Vector) -> None:
     """The position of the antenna, brought to the reference point; its slow error is a state."""
     heading = 0.0
     for j in range(state.x.shape[1]):
@@ -88,7 +95,7 @@ def _position_vector(par: Any, state: State, v: int, fix: Fix, w: Vector) -> Non
 
 
 @jit
-def fill_slow_columns(fix: Fix, v: int, errors: Array) -> None:
+def fill_slow_columns(fix: PositionFix, v: int, errors: Array) -> None:
     """Change of the position E, N per sigma of each slow error into the columns after those of biases [m]."""
     for i in range(2):
         for k in range(COMMON):
@@ -131,7 +138,7 @@ def _doubt(par: Any, vehicle: Any, models: Models, w: Vector) -> None:
 
 
 @jit
-def take_slow_error(par: Any, state: State, v: int, fix: Fix) -> None:
+def take_slow_error(par: Any, state: FilterState, v: int, fix: PositionFix) -> None:
     """Bring the slow error of GNSS positions to the satellites of this fix.
 
     The error is ``K e`` of the satellites' own and common slow errors e with the gains K of the position. From one fix
@@ -154,7 +161,7 @@ def take_slow_error(par: Any, state: State, v: int, fix: Fix) -> None:
 
 
 @jit
-def _turn_error(state: State, v: int, fix: Fix, decay: float) -> None:
+def _turn_error(state: FilterState, v: int, fix: PositionFix, decay: float) -> None:
     """``g <- A g + w`` of the slow error g, with the variance of w that keeps it stationary."""
     c00, c01, c10, c11 = 0.0, 0.0, 0.0, 0.0  # of the errors now and then
     o00, o01, o11 = 0.0, 0.0, 0.0  # of the errors then

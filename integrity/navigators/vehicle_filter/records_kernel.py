@@ -13,8 +13,20 @@ from lanebound.integrity.positioning.filters.odometry_kernel import CAR
 from lanebound.integrity.positioning.filters.vehicle_models import STATES, WHITE
 
 __all__ = [
-    "BIASES", "COMMON", "COURSE_BIAS", "GNSS", "GNSS_EAST_BIAS", "GNSS_NORTH_BIAS", "MOTION", "PARAMETERS",
-    "SPEED_BIAS", "VEHICLE", "Fix", "Measured", "Outputs", "State",
+    "BIASES",
+    "COMMON",
+    "COURSE_BIAS",
+    "GNSS",
+    "GNSS_EAST_BIAS",
+    "GNSS_NORTH_BIAS",
+    "MOTION",
+    "PARAMETERS",
+    "SPEED_BIAS",
+    "VEHICLE",
+    "FilterOutputs",
+    "FilterState",
+    "MeasuredMotion",
+    "PositionFix",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -99,7 +111,7 @@ VEHICLE = record(
 """What lasts of a vehicle beside its filters."""
 
 
-class State(NamedTuple):
+class FilterState(NamedTuple):
     """Filters of B vehicles.
 
     vehicles (B,) VEHICLE; x (B, r, STATES), p (B, r, STATES, STATES), probability (B, r); influence (B, r, STATES,
@@ -118,7 +130,7 @@ class State(NamedTuple):
     common: Array
 
 
-class Measured(NamedTuple):
+class MeasuredMotion(NamedTuple):
     """Motion measured in an epoch: turn (B, 3) [rad], delta_v (B, 3) [m/s] increments; speed (B,) [m/s], distance (B,)
     [m] by the odometer; wheel (B, 4) [m/s], steering (B,) [rad]; compass (B,) azimuth [rad]. Zeros where not fitted."""
 
@@ -131,7 +143,7 @@ class Measured(NamedTuple):
     compass: Array
 
 
-class Fix(NamedTuple):
+class PositionFix(NamedTuple):
     """Position by codes: position (B, 3) [m], velocity (B, 2) [m/s]; fast, slow, velocity_m2 (B, 2, 2) covariances;
     valid (B,), satellites (B,); gain (B, S, 2), own (B, S), common (B, 2, 2)."""
 
@@ -147,7 +159,7 @@ class Fix(NamedTuple):
     common: Array
 
 
-class Outputs(NamedTuple):
+class FilterOutputs(NamedTuple):
     """Of an epoch: fields of a solution and of a report, (B, ...)."""
 
     position: Array

@@ -23,7 +23,12 @@ from lanebound.integrity.navigators.vehicle_filter.position_kernel import (
     fill_slow_columns,
     take_slow_error,
 )
-from lanebound.integrity.navigators.vehicle_filter.records_kernel import BIASES, Fix, Measured, State
+from lanebound.integrity.navigators.vehicle_filter.records_kernel import (
+    BIASES,
+    FilterState,
+    MeasuredMotion,
+    PositionFix,
+)
 from lanebound.integrity.positioning.filters.correction_kernel import Vector
 from lanebound.integrity.positioning.filters.vehicle_models import (
     EAST,
@@ -49,7 +54,7 @@ HEADING_RAD2 = 1e-10  # keeps the covariance of heading and integrated gyro regu
 
 
 @jit
-def judge_start(state: State, v: int, outcome: int) -> None:
+def judge_start(state: FilterState, v: int, outcome: int) -> None:
     """Confirm the filter by a position that fits, or let it begin anew."""
     vehicle = state.vehicles[v]
     if outcome == USED and vehicle.unconfirmed > 0:
@@ -60,7 +65,7 @@ def judge_start(state: State, v: int, outcome: int) -> None:
 
 
 @jit
-def begin(par: Any, state: State, v: int, measured: Measured, fix: Fix, w: Vector) -> None:
+def begin(par: Any, state: FilterState, v: int, measured: MeasuredMotion, fix: PositionFix, w: Vector) -> None:
     """Begin at a position from codes, with the heading of compass or Doppler velocity."""
     vehicle = state.vehicles[v]
     if not vehicle.aligned:
@@ -77,7 +82,7 @@ def begin(par: Any, state: State, v: int, measured: Measured, fix: Fix, w: Vecto
 
 
 @jit
-def _try_course(par: Any, state: State, v: int, measured: Measured, fix: Fix) -> None:
+def _try_course(par: Any, state: FilterState, v: int, measured: MeasuredMotion, fix: PositionFix) -> None:
     """Count a Doppler velocity in the trial of the first heading."""
     vehicle, odometer = state.vehicles[v], measured.speed[v]
     trial, speed = vehicle.trial, math.hypot(fix.velocity[v, 0], fix.velocity[v, 1])
@@ -102,7 +107,7 @@ def _try_course(par: Any, state: State, v: int, measured: Measured, fix: Fix) ->
 
 
 @jit
-def give_heading(state: State, v: int, heading: float, sigma: float) -> None:
+def give_heading(state: FilterState, v: int, heading: float, sigma: float) -> None:
     """Set the heading of a vehicle and its 1-sigma; the gyro's integral begins anew, its bias stays."""
     for j in range(state.x.shape[1]):
         x, p, influence = state.x[v, j], state.p[v, j], state.influence[v, j]
@@ -117,7 +122,7 @@ def give_heading(state: State, v: int, heading: float, sigma: float) -> None:
 
 
 @jit
-def begin_at(state: State, v: int, position: Array, covariance: Array) -> None:
+def begin_at(state: FilterState, v: int, position: Array, covariance: Array) -> None:
     """Set the position (2,) of a vehicle and its covariance (2, 2); slow errors of positions have no prior yet."""
     vehicle = state.vehicles[v]
     for j in range(state.x.shape[1]):
@@ -137,7 +142,7 @@ def begin_at(state: State, v: int, position: Array, covariance: Array) -> None:
 
 
 @jit
-def _share_slow_error(par: Any, state: State, v: int, fix: Fix, w: Vector) -> None:
+def _share_slow_error(par: Any, state: FilterState, v: int, fix: PositionFix, w: Vector) -> None:
     """The position that a vehicle begins with has the slow error of its GNSS position."""
     take_slow_error(par, state, v, fix)
     w.errors[:] = 0.0
@@ -151,14 +156,14 @@ def _share_slow_error(par: Any, state: State, v: int, fix: Fix, w: Vector) -> No
 
 
 @jit
-def give_headings(state: State, rows: Ints, heading: Array, sigma: float) -> None:
+def give_headings(state: FilterState, rows: Ints, heading: Array, sigma: float) -> None:
     """:func:`give_heading` to vehicles (n,)."""
     for k in range(rows.shape[0]):
         give_heading(state, rows[k], heading[k], sigma)
 
 
 @jit
-def place_vehicles(state: State, rows: Ints, position: Array, variance: float) -> None:
+def place_vehicles(state: FilterState, rows: Ints, position: Array, variance: float) -> None:
     """Begin at positions (n, 2) of vehicles (n,) with a variance on each axis; they need no confirmation."""
     for k in range(rows.shape[0]):
         begin_at(state, rows[k], position[k], variance * np.eye(2))
