@@ -242,7 +242,7 @@ class NavigationBatch:
                 continue
             ago = step // self.steps - self.epochs_before
             clock, time_s = self._clock_s(ago), ago * self.epoch_s
-            times = self.skies.times(hour, np.full(rows.size, clock))
+            times = hour, np.full(rows.size, clock)
             run_rows(rk.sky_rows, rows.size, every, sensed.handle, times, row_us=2.0)
             fill_motion(motions, every, self.step_s, self._down, truth)
             solution = self._locate(navigator, truth, self.skies.view(sky, index), clock)
@@ -276,7 +276,7 @@ class NavigationBatch:
     def epoch_link(self, rows: Rows, batch: Records) -> tuple[Any, TruthRows]:
         """A simulation step has passed that ends an epoch, as a link, and the truth that it fills."""
         self._age += 1
-        truth, times = _truth_rows(self.motions.size), self.skies.times(self._hour, self.clock_s)
+        truth, times = _truth_rows(self.motions.size), (self._hour, self.clock_s)
         return (rk.end_epoch, (rows, batch, self.sensed.handle, self.motions, self._down, times, truth)), truth
 
     def navigate(self, rows: Rows, batch: Records) -> Solution:
@@ -302,7 +302,7 @@ class NavigationBatch:
 
     def sky_link(self, rows: Rows) -> Any:
         """The skies over egos now, as a link."""
-        return rk.sky_rows, (rows, self.sensed.handle, self.skies.times(self._hour, self.clock_s))
+        return rk.sky_rows, (rows, self.sensed.handle, (self._hour, self.clock_s))
 
     @property
     def time_s(self) -> Array:
