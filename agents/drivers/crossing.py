@@ -167,8 +167,8 @@ def _covered(
     square = (courses.x[..., None] - x) ** 2 + (courses.y[..., None] - y) ** 2  # (..., K, P, T, C, D)
     width = c.width_m + np.broadcast_to(extra, across.shape)
     near = (square <= (width**2)[..., None, None, None, None]) & across[..., None, None, None, None]
-    turned = np.sin(courses.direction[..., None] - route[2][..., None, None, None, None, :])
-    near &= np.abs(turned) > c.join_sin  # one that has joined the route follows the ego
+    turned = courses.direction[..., None] - route[2][..., None, None, None, None, :]
+    near &= (np.abs(np.sin(turned)) > c.join_sin) | (np.cos(turned) < 0.0)  # one that has joined the route follows
     ahead = near[..., 1, :, : len(CIRCLES), :]
     return np.asarray(near.any(axis=(-5, -4, -2))), np.asarray(ahead.any(axis=(-4, -2)))
 
@@ -241,7 +241,7 @@ def _route(reader: Reader, observation: Observation, station: Array) -> tuple[Ar
 def _across(reader: Reader, observation: Observation, x: Array, y: Array, course: Array, c: YieldConfig) -> Bools:
     """Which vehicles may cross or join the route: not along it at its point nearest to them, or far beside it.
 
-    (..., K).
+    One that comes towards the ego along the road into which the route turns crosses the turn.  (..., K).
     """
     there = reader.rows(observation, "present") > 0.5
     dx = reader.rows(observation, "ahead")[..., None] - x[..., None, :]
@@ -251,6 +251,8 @@ def _across(reader: Reader, observation: Observation, x: Array, y: Array, course
     dx, dy = (np.take_along_axis(d, nearest, -1)[..., 0] for d in (dx, dy))
     sin, cos = reader.rows(observation, "heading_sin"), reader.rows(observation, "heading_cos")
     turned = np.abs(sin * np.cos(along) - cos * np.sin(along)) > c.angle_sin
+    bends = (np.abs(np.sin(course - course[..., :1])) > c.angle_sin).any(axis=-1)[..., None]
+    turned |= bends & (sin * np.sin(along) + cos * np.cos(along) < 0.0)
     beside = np.abs(dy * np.cos(along) - dx * np.sin(along)) > c.beside_m
     return np.asarray(there & (turned | beside))
 
