@@ -493,6 +493,7 @@ def drift_parameters(p: PositioningConfig, dt_s: float) -> Records:
     return one_record(
         DRIFT_RULES,
         spacing=c.window_s / c.windows,
+        window=c.window_s,
         k=-ndtri(c.false_alarms_per_h * dt_s / 3600.0 / (4.0 * c.windows)),
         scale=o.odometer_scale,
         scale_walk=c.scale_walk,

@@ -11,14 +11,14 @@ For a window of T seconds, of which the vehicle moves M, with path L, at every e
     across  |m_c - c L|  <=  K sqrt(var_rtk + L^2 (P_c + (W - W_0) / 3))     +  B_c
 
 ``var_o(M) = 2 sigma^2 tau (M - tau (1 - exp(-M / tau)))`` is of the odometer's correlated noise, P_s and P_c are the
-variances of s and c at the anchor, ``W`` is the variance by which the heading's error has walked (:func:`advance`), and
+variances of s and c at the anchor, ``W`` is the variance by which the gyro's heading has walked (:func:`walk_of`), and
 B holds the bounds: speed bias ``b |M - p L|``, of which s already holds ``b p`` (p the mean of 1 / v where it was
 learnt); slip ``g |v^2 - v_0^2| / 2`` of the wheels; creep at rest, axle distance, heading drift, phase biases. Where
 the window bends, along and across mix by the sine of the turn. K follows from the false alarms allowed for an hour by
 the union bound over epochs, anchors, axes and signs.
 
 The smallest drift that is found is the right side over T. Not found: a slower one, and one that has always been there,
-which s and c take for their own. Doppler enters by the corrections of the heading alone.
+which s and c take for their own. Doppler enters by what it tells of the gyro's bias and scale alone.
 """
 
 from __future__ import annotations
@@ -40,10 +40,12 @@ __all__ = [
     "find_drift",
     "learn",
     "odometer_variance",
+    "walk_of",
 ]
 
 DRIFT_RULES = record(
     spacing="time between two anchors [s]",
+    window="longest window [s]",
     k="threshold in sigmas [-]",
     scale="prior of the scale error, 1 sigma [-]",
     scale_walk="its random walk [1/sqrt(s)]",
@@ -61,11 +63,11 @@ DRIFT_RULES = record(
 DRIFT = record(
     path_e="path by gyro and odometer, East [m]",
     path_n="the same, North [m]",
+    heading="heading by the gyro alone, from that of the vehicle at the first anchor [rad]",
     turned="turn, signed [rad]",
     moving_s="time in motion [s]",
     rest_s="time at rest [s]",
-    walked="W, variance by which the heading's error has walked [rad^2]",
-    last_p="variance of the heading in the last epoch [rad^2]",
+    walked="W, variance by which the error of that heading has walked [rad^2]",
     scale="s, RTK over the odometer, less one [-]",
     p_scale="its variance [-]",
     has_scale=("?", "s begins with the prior"),
@@ -111,31 +113,39 @@ def begin_watch(d: Any) -> None:
 
 @jit(borrows=True)
 def advance(
-    dt: float, distance: float, course: float, turning: float, resting: bool, p_hh: float, memory: float, walk: float,
-    rules: Any, d: Any,
-) -> None:  # fmt: skip
+    dt: float, distance: float, slip: float, turning: float, resting: bool, walk: float, rules: Any, d: Any
+) -> None:
     """Advance the path by an epoch.
 
     Parameters
     ----------
-    distance : of the odometer [m], in the direction ``course`` [rad]; turning : yaw rate [rad/s].
-    p_hh, memory : variance of the heading [rad^2], and the mean age of what it was calibrated with [s]. An error of
-        that variance and correlation time walks by ``2 P dt / memory``, and by all of it where the variance falls.
-    walk : angle random walk of the gyro [rad/sqrt(s)].
+    distance : of the odometer [m]; slip : angle from the heading to the course of the reference point [rad].
+    turning : yaw rate less what is known of its bias and scale [rad/s].
+    walk : variance rate of the error that turning adds to the course, :func:`walk_of` [rad^2/s].
     """
     if resting:
         d.rest_s += dt
     else:
+        course = d.heading + 0.5 * dt * turning + slip
         d.path_e += distance * math.sin(course)
         d.path_n += distance * math.cos(course)
+        d.heading += turning * dt
         d.turned += turning * dt
         d.moving_s += dt
-    grown = dt * (walk * walk + 2.0 * p_hh / max(memory, dt)) + max(d.last_p - p_hh, 0.0)
-    d.walked += grown
-    d.p_course += grown
+        d.walked += dt * walk
+        d.p_course += dt * walk
     d.p_scale += dt * rules.scale_walk * rules.scale_walk
-    d.last_p = p_hh
     d.since_anchor += dt
+
+
+@jit(borrows=True)
+def walk_of(noise: float, p_bias: float, p_scale: float, turning: float, rules: Any) -> float:
+    """Variance rate of a random walk that bounds the gyro's error over any window [rad^2/s].
+
+    noise : angle random walk [rad/sqrt(s)]; p_bias, p_scale : variances of the gyro's bias [rad^2/s^2] and scale [-],
+    which last: ``(b T)^2 <= b^2 T_max T`` over windows of at most T_max, and ``(s a)^2 <= s^2 pi a`` for turns to pi.
+    """
+    return noise * noise + p_bias * rules.window + p_scale * math.pi * abs(turning)
 
 
 @jit(borrows=True)
@@ -197,15 +207,17 @@ def allowed(variance: float, speed: float, rules: Any, d: Any, anchor: Any) -> t
 
 @jit(borrows=True)
 def learn(
-    east: float, north: float, variance: float, speed: float, p_course: float, rules: Any, d: Any, anchors: Records
-) -> None:
+    east: float, north: float, variance: float, speed: float, heading: float, p_course: float, rules: Any, d: Any,
+    anchors: Records,
+) -> None:  # fmt: skip
     """After each spacing: learn s and c from the window since the last anchor, and set a new one at (east, north) [m].
 
-    Without an anchor c begins anew with the variance ``p_course`` [rad^2], s with what is known of it.
+    Without an anchor the path turns to ``heading`` [rad], whose variance ``p_course`` [rad^2] is that of c; of s
+    remains what is known.
     """
     n = anchors.shape[0]
     if d.anchors == 0:
-        d.course, d.p_course = 0.0, p_course
+        d.heading, d.course, d.p_course = heading, 0.0, p_course
         if not d.has_scale:
             d.scale, d.p_scale, d.pace, d.has_scale = 0.0, rules.scale * rules.scale, 0.0, True
     elif d.since_anchor < rules.spacing:

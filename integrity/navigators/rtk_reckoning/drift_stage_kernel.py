@@ -7,7 +7,7 @@ from lanebound.integrity.monitoring.jump_kernel import is_suspicious
 from lanebound.integrity.navigators.rtk_reckoning.levels_kernel import heading_bias
 from lanebound.integrity.navigators.rtk_reckoning.monitors_kernel import reference_point
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
-from lanebound.integrity.positioning.drift_watch_kernel import advance, begin_watch, find_drift, learn
+from lanebound.integrity.positioning.drift_watch_kernel import advance, begin_watch, find_drift, learn, walk_of
 
 __all__ = ["watch_drift"]
 
@@ -22,10 +22,8 @@ def watch_drift(first: int, last: int, epoch: Epoch) -> None:
     for v in range(first, last):
         vehicle, w, d, anchors = epoch.state.vehicles[v], epoch.work.vehicles[v], watch.rows[v], watch.anchors[v]
         fixed, speed, heading = w.fixed, measured.speed[v], vehicle.heading
-        advance(
-            par.dt, par.dt * speed, w.middle, w.turning, w.resting, heading.p_hh, vehicle.memory_s,
-            par.heading.angle_random_walk, rules, d,
-        )  # fmt: skip
+        walk = walk_of(par.heading.angle_random_walk, heading.p_bb, heading.p_ss, w.turning, rules)
+        advance(par.dt, par.dt * speed, w.slip, w.turning, w.resting, walk, rules, d)
         vehicle.jump.drifts = False
         followed = fixed.usable and fixed.lasting and not is_suspicious(vehicle.jump)
         if not followed or vehicle.watch.doubted or vehicle.unbounded:
@@ -39,4 +37,4 @@ def watch_drift(first: int, last: int, epoch: Epoch) -> None:
             begin_watch(d)
             continue
         bias = heading_bias(vehicle, par.odometer)
-        learn(east, north, variance, speed, heading.p_hh + bias * bias, rules, d, anchors)
+        learn(east, north, variance, speed, heading.angle, heading.p_hh + bias * bias, rules, d, anchors)

