@@ -42,6 +42,9 @@ class YieldConfig(Config):
     turning_rad: float = Field(
         0.14, ge=0, description="from the directions of the crossing, from which a vehicle turns; 8 deg"
     )
+    enter_mps: float = Field(
+        3.0, gt=0, description="at which the ego enters while others approach; it can still stop in a car's length"
+    )
     creep_mps: float = Field(1.0, ge=0, description="from which the ego can always stop; chosen")
     angle_sin: float = Field(0.35, ge=0, le=1, description="sine of the angle from which a path crosses; 20 degrees")
     join_sin: float = Field(
@@ -114,7 +117,10 @@ def _cap(
     covered, straight = _covered(reader, observation, route, across, extra, v, c)
     when = _times(c)
     met = _met(covered, when, station, v, top, c)
-    return _decision(station, when, met, straight, v, reader.value(observation, "road.junction"), c)
+    junction = reader.value(observation, "road.junction")
+    looks = np.sqrt(c.enter_mps**2 + 2.0 * c.brake_mps2 * np.maximum(junction, 0.0))
+    look = np.where(covered.any(axis=(-2, -1)) & (v > c.creep_mps), looks, np.inf)
+    return np.minimum(_decision(station, when, met, straight, v, junction, c), look)
 
 
 def _decision(
@@ -168,7 +174,9 @@ def _covered(
     width = c.width_m + np.broadcast_to(extra, across.shape)
     near = (square <= (width**2)[..., None, None, None, None]) & across[..., None, None, None, None]
     turned = courses.direction[..., None] - route[2][..., None, None, None, None, :]
-    near &= (np.abs(np.sin(turned)) > c.join_sin) | (np.cos(turned) < 0.0)  # one that has joined the route follows
+    joined = (np.abs(np.sin(turned)) <= c.join_sin) & (np.cos(turned) > 0.0)
+    already = (near & joined)[..., :1, :, :].any(axis=(-2, -1), keepdims=True)
+    near &= ~(joined & already)  # one that has joined the route follows the ego, or leads
     ahead = near[..., 1, :, : len(CIRCLES), :]
     return np.asarray(near.any(axis=(-5, -4, -2))), np.asarray(ahead.any(axis=(-4, -2)))
 

@@ -153,8 +153,8 @@ class IntersectionDriver(IDMVehicle):  # type: ignore[misc]
 
 
 def _comes_towards(vehicle: Vehicle, other: Vehicle) -> bool:
-    """Whether the other vehicle is on the approach that begins where the exit of a vehicle ends."""
-    return bool(vehicle.lane_index[1] == other.lane_index[0] and vehicle.lane_index[1].startswith("o"))
+    """Whether a vehicle on an exit of the crossing meets the other head on; all others on the exit drive as it does."""
+    return bool(vehicle.lane_index[1].startswith("o") and np.cos(vehicle.heading - other.heading) < 0.0)
 
 
 def _stop_at_rest(vehicle: IDMVehicle, dt: float) -> None:
