@@ -45,6 +45,7 @@ class YieldConfig(Config):
     enter_mps: float = Field(
         3.0, gt=0, description="at which the ego enters while others approach; it can still stop in a car's length"
     )
+    line_m: float = Field(1.0, ge=0, description="from the crossing to where the ego waits; a stop line is 1 m before")
     creep_mps: float = Field(1.0, ge=0, description="from which the ego can always stop; chosen")
     angle_sin: float = Field(0.35, ge=0, le=1, description="sine of the angle from which a path crosses; 20 degrees")
     join_sin: float = Field(
@@ -133,7 +134,7 @@ def _decision(
     """
     conflict = met.any(axis=-2)
     room = np.where(conflict, station, np.inf).min(axis=-1) - c.length_m
-    place = np.where(room + c.length_m >= junction_m, np.minimum(room, junction_m), room)
+    place = np.where(room + c.length_m >= junction_m, np.minimum(room, junction_m - c.line_m), room)
     possible = (room >= 0.5 * v**2 / c.hard_mps2) | (v <= c.creep_mps)
     stand = np.abs(station - place[..., None]) < c.length_m
     soon = [
