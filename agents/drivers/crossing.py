@@ -120,7 +120,7 @@ def _cap(
     met = _met(covered, when, station, v, top, c)
     junction = reader.value(observation, "road.junction")
     looks = np.sqrt(c.enter_mps**2 + 2.0 * c.brake_mps2 * np.maximum(junction, 0.0))
-    look = np.where(covered.any(axis=(-2, -1)) & (v > c.creep_mps), looks, np.inf)
+    look = np.where(covered.any(axis=(-2, -1)) & (v > c.creep_mps) & (junction > 0.0), looks, np.inf)
     return np.minimum(_decision(station, when, met, straight, v, junction, c), look)
 
 
@@ -176,7 +176,7 @@ def _covered(
     near = (square <= (width**2)[..., None, None, None, None]) & across[..., None, None, None, None]
     turned = courses.direction[..., None] - route[2][..., None, None, None, None, :]
     joined = (np.abs(np.sin(turned)) <= c.join_sin) & (np.cos(turned) > 0.0)
-    already = (near & joined)[..., :1, :, :].any(axis=(-2, -1), keepdims=True)
+    already = np.asarray(near & joined)[..., :1, :, :].any(axis=(-2, -1), keepdims=True)
     near &= ~(joined & already)  # one that has joined the route follows the ego, or leads
     ahead = near[..., 1, :, : len(CIRCLES), :]
     return np.asarray(near.any(axis=(-5, -4, -2))), np.asarray(ahead.any(axis=(-4, -2)))
