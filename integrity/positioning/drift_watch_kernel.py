@@ -145,7 +145,7 @@ def walk_of(noise: float, p_bias: float, p_scale: float, turning: float, rules: 
     noise : angle random walk [rad/sqrt(s)]; p_bias, p_scale : variances of the gyro's bias [rad^2/s^2] and scale [-],
     which last: ``(b T)^2 <= b^2 T_max T`` over windows of at most T_max, and ``(s a)^2 <= s^2 pi a`` for turns to pi.
     """
-    return noise * noise + p_bias * rules.window + p_scale * math.pi * abs(turning)
+    return float(noise * noise + p_bias * rules.window + p_scale * math.pi * abs(turning))
 
 
 @jit(borrows=True)
