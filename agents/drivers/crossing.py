@@ -260,7 +260,7 @@ def _across(reader: Reader, observation: Observation, x: Array, y: Array, course
     dx, dy = (np.take_along_axis(d, nearest, -1)[..., 0] for d in (dx, dy))
     sin, cos = reader.rows(observation, "heading_sin"), reader.rows(observation, "heading_cos")
     turned = np.abs(sin * np.cos(along) - cos * np.sin(along)) > c.angle_sin
-    bends = (np.abs(np.sin(course - course[..., :1])) > c.angle_sin).any(axis=-1)[..., None]
+    bends = np.any(np.abs(np.sin(course - course[..., :1])) > c.angle_sin, axis=-1, keepdims=True)
     turned |= bends & (sin * np.sin(along) + cos * np.cos(along) < 0.0)
     beside = np.abs(dy * np.cos(along) - dx * np.sin(along)) > c.beside_m
     return np.asarray(there & (turned | beside))
