@@ -9,16 +9,12 @@ from __future__ import annotations
 from enum import Enum
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
     "GIVE_M2",
     "UDRE_M2",
     "Operation",
-    "semi_major_m",
 ]
-
-Array = NDArray[np.float64]
 
 UDRE_M2 = np.array(
     [0.052, 0.0924, 0.1444, 0.283, 0.4678, 0.8315, 1.2992, 1.8709, 2.5465, 3.326, 5.1968, 20.787, 230.9661, 2078.695]
@@ -37,9 +33,3 @@ class Operation(Enum):
 
     EN_ROUTE = (6.18, 5.33)
     PRECISION_APPROACH = (6.0, 5.33)
-
-
-def semi_major_m(east_m2: ArrayLike, north_m2: ArrayLike, cross_m2: ArrayLike) -> Array:
-    """Largest standard deviation in the plane, ``sqrt((dE2+dN2)/2 + sqrt(((dE2-dN2)/2)^2 + dEN^2))``.  (...,)."""
-    e, n, c = (np.asarray(v, dtype=np.float64) for v in (east_m2, north_m2, cross_m2))
-    return np.asarray(np.sqrt(0.5 * (e + n) + np.hypot(0.5 * (e - n), c)))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.frames import track_from_enu_matrix, wrap_angle
 from lanebound.integrity.monitoring import alerts
 from lanebound.integrity.monitoring.alerts import AlertReason
-from lanebound.integrity.monitoring.sbas import Operation, semi_major_m
+from lanebound.integrity.monitoring.sbas import Operation
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, Rows, register_navigator
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.navigators.vehicle_filter import epoch as steps
@@ -32,6 +32,7 @@ from lanebound.integrity.navigators.vehicle_filter.levels import (
     track_sigma,
     with_slow_errors,
 )
+from lanebound.integrity.positioning.code_solution import semi_major_m
 from lanebound.integrity.positioning.filters.code_position import CodePosition, locate_by_codes
 from lanebound.integrity.positioning.filters.multiple_models import combine
 from lanebound.integrity.positioning.filters.vehicle_models import MotionInput, S
