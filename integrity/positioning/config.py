@@ -31,7 +31,7 @@ __all__ = [
     "DeadReckoningConfig",
     "DopplerConfig",
     "DoubtConfig",
-    "DriftConfig",
+    "DriftWatchConfig",
     "FloatConfig",
     "HeadingConfig",
     "ModeConfig",
@@ -106,7 +106,7 @@ class FloatConfig(Config):
     troposphere_m: float = Field(0.0, ge=0, description="residual zenith delay difference, 1 sigma [m]")
 
 
-class DriftConfig(Config):
+class DriftWatchConfig(Config):
     """The drift watch (:mod:`.drift_watch_kernel`)."""
 
     window_s: float = Field(
@@ -220,7 +220,7 @@ class RtkConfig(Config):
     hold_failures: int = Field(
         2, ge=1, description="rejected epochs in a row after which all held ambiguities are given up [-]"
     )
-    drift: DriftConfig = DriftConfig()
+    drift: DriftWatchConfig = DriftWatchConfig()
     doubt: DoubtConfig = DoubtConfig()
     float_solution: FloatConfig = FloatConfig()
 

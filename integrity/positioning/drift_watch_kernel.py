@@ -58,7 +58,7 @@ DRIFT_RULES = record(
     heading_drift="growth of the heading's bound [rad/s]",
     phase="bound of the position's error by phase biases, at both ends of a window [m]",
 )
-"""DriftConfig as the kernel takes it, with the declared figures of dead reckoning."""
+"""DriftWatchConfig as the kernel takes it, with the declared figures of dead reckoning."""
 
 DRIFT = record(
     path_e="path by gyro and odometer, East [m]",

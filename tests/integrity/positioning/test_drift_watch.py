@@ -9,7 +9,7 @@ import pytest
 
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.errors import ConfigError
-from lanebound.integrity.positioning.config import DriftConfig, PositioningConfig, drift_parameters
+from lanebound.integrity.positioning.config import DriftWatchConfig, PositioningConfig, drift_parameters
 from lanebound.integrity.positioning.drift_watch_kernel import (
     ANCHOR,
     DRIFT,
@@ -23,7 +23,7 @@ DT, SPEED = 0.1, 10.0
 RTK_M = 0.01
 WARM_S = 60.0
 BIAS_RADPS = 1e-4  # what is left of a gyro's bias
-WALK = 2.5e-4**2 + BIAS_RADPS**2 * DriftConfig().window_s
+WALK = 2.5e-4**2 + BIAS_RADPS**2 * DriftWatchConfig().window_s
 
 
 @jit
@@ -112,6 +112,6 @@ def test_the_variance_of_the_odometer_is_that_of_its_sum():
 
 
 def test_without_a_window_there_is_no_anchor():
-    assert DriftConfig(window_s=0.0).anchors == 0
+    assert DriftWatchConfig(window_s=0.0).anchors == 0
     with pytest.raises(ConfigError, match="false_alarms_per_h"):
-        DriftConfig.load({"false_alarms_per_h": 0.0})
+        DriftWatchConfig.load({"false_alarms_per_h": 0.0})
