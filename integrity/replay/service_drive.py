@@ -63,7 +63,8 @@ NEEDS = {
 @dataclass(frozen=True)
 class ServiceDrive:
     """T ticks: time [s], position in E, N (T, 2) [m], heading [rad], mode, levels (T, 2) on AT, CT [m], alert,
-    available; ``epoch`` (T,) the recorded epoch of a tick, -1 for none; since when the heading is known [s]."""
+    available; ``epoch`` (T,) the recorded epoch of a tick, -1 for none; ``begun_s`` of the first position with a known
+    heading."""
 
     config: NavigatorConfig
     epochs: ServiceEpochs
@@ -79,7 +80,7 @@ class ServiceDrive:
 
     @property
     def judged(self) -> NDArray[np.bool_]:
-        """Ticks (T,) with a recorded epoch, a true position and a position, since the heading is known."""
+        """Ticks (T,) with a recorded epoch, a true position and a position, from the first one with a known heading."""
         e = self.epochs
         return (self.epoch >= 0) & e.known[self.epoch] & (self.mode != Mode.NONE) & (self.time_s >= self.begun_s)
 
@@ -222,7 +223,7 @@ class _Run:
         self.nothing = np.zeros((1, satellites), np.bool_)
         self.los = np.zeros((1, satellites, 3))
         self.los[..., 2] = 1.0
-        self.begun_s = np.inf if epochs.odometry is not None else 0.0
+        self.steered, self.begun_s = False, np.inf if epochs.odometry is not None else 0.0
         self._prepare_odometry(config.dt_s * np.arange(count + 1) - config.dt_s)
         if epochs.odometry is None:
             self.navigator.align(np.zeros(1), SUREST_RAD)  # axes of the levels: along North, across East
@@ -249,6 +250,8 @@ class _Run:
         out.position_en_m[n], out.heading_rad[n] = solution.position_en_m[0], solution.heading_rad[0]
         out.mode[n], out.pl_m[n] = solution.mode[0], (solution.pl_at_m[0], solution.pl_ct_m[0])
         out.alert[n], out.available[n] = solution.alert[0], solution.available[0]
+        if self.steered and solution.since_rtk_s[0] <= self.config.dt_s:  # a position found here, not moved here
+            self.begun_s = min(self.begun_s, out.time_s[n])
         if self.epochs.odometry is not None and k >= 0:
             self._steer(n, k, out)
 
@@ -265,7 +268,7 @@ class _Run:
         own = float(np.sqrt(self.navigator.state.belief.vehicles["heading"]["p_hh"][0]))
         if sigma < min(own, KNOWN_RAD):
             self.navigator.align(np.array([self.path_heading[n] + turn]), sigma)
-            self.begun_s = min(self.begun_s, out.time_s[n])
+            self.steered = True
 
     def _measurements(self, n: int, k: int) -> Measurements:
         """What the instruments say at tick n."""
