@@ -13,7 +13,8 @@ from lanebound.integrity.motion.truth import truth_between
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.navigators.services.stage import band_shares
 from lanebound.integrity.navigators.services.table import SERVICES
-from lanebound.integrity.navigators.services.zenith_kernel import map_zenith, zenith_of_epoch
+from lanebound.integrity.navigators.services.zenith_kernel import zenith_of_epoch
+from lanebound.integrity.positioning.code_errors_kernel import troposphere_slant
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.sky.systems import WAVELENGTH_M, System
 
@@ -173,7 +174,7 @@ def test_the_zenith_delay_of_an_epoch_is_found_exactly() -> None:
     elevation, azimuth = np.deg2rad(rng.uniform(10, 85, 14)), rng.uniform(0, 2 * np.pi, 14)
     los = np.stack([np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth), np.sin(elevation)], -1)
     system, used = np.arange(14) % 2, np.ones(14, bool)
-    slant = np.array([map_zenith(s) for s in los[:, 2]])
+    slant = np.array([troposphere_slant(s) for s in los[:, 2]])
     y = -los @ np.array([3.0, -2.0, 1.0]) + 0.123 * slant + np.where(system == 0, 50.0, -20.0)
     variance = rng.uniform(0.5, 2.0, 14)
     found, value, spread = zenith_of_epoch(los, system, y, variance, used)
