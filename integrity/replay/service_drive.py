@@ -26,7 +26,7 @@ from lanebound.integrity.core.progress import Progress, silent
 from lanebound.integrity.navigators.navigator import Measurements, NavigatorConfig
 from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConfig
 from lanebound.integrity.navigators.rtk_reckoning.navigator import RtkReckoningNavigator
-from lanebound.integrity.navigators.services.table import SERVICES
+from lanebound.integrity.navigators.services.table import declared_of, service_named
 from lanebound.integrity.positioning.modes import Mode
 from lanebound.integrity.replay.bridge import BridgeConfig
 from lanebound.integrity.replay.code_epochs import WINDOW_S, fit_heading
@@ -119,21 +119,25 @@ def require_possible(names: Sequence[str], station: bool, where: str) -> None:
     ConfigError
         A service is unknown, or needs what the recording does not have.
     """
-    for name in names:
-        if name not in SERVICES:
-            raise ConfigError(f"--service must be among {', '.join(SERVICES)}, got {name!r}: correct the name")
-        if name in NEEDS:
-            raise ConfigError(
-                f"--service {name} needs {NEEDS[name]}, which {where} does not hold: take spp, or dgps where a base is "
-                "recorded, or drive a simulation with this service"
-            )
-        if name == "dgps" and not station:
-            raise ConfigError(
-                f"--service dgps needs the observations of a base, which {where} does not hold: take spp, or a pair"
-            )
+    for service in map(service_named, names):
+        name = service.name
         if name == "rtk":
             raise ConfigError(
                 "--service rtk is the replay of a pair without this option: leave it out, or take dgps or spp"
+            )
+        need = NEEDS.get("nrtk" if service.fixes else service.provider or "")
+        if need is not None:
+            raise ConfigError(
+                f"--service {name} needs {need}, which {where} does not hold: take spp, or dgps where a base is "
+                "recorded, or drive a simulation with this service"
+            )
+        if service.provider == "dgps" and not station:
+            raise ConfigError(
+                f"--service {name} needs the observations of a base, which {where} does not hold: take spp, or a pair"
+            )
+        if service.combined:
+            raise ConfigError(
+                f"--service {name} needs two bands, and recordings are used on the first one: take spp or dgps"
             )
 
 
@@ -167,14 +171,14 @@ def config_of(
         },
     }  # fmt: skip
     if epochs.odometry is None:  # nothing moves a position, so that each epoch needs its own
-        base["services"] = {name: {"interval_s": 0.0} for name in names}
+        base["services"] = {s.name: {"interval_s": 0.0} for s in map(service_named, names) if s.declared is None}
     config = RtkReckoningConfig.build(base, changes)
-    for name in config.service:
-        declared = getattr(config.services, name)
+    for service in map(service_named, config.service):
+        declared = declared_of(config, service)
         if declared.smoothing_s > 0.0 and not epochs.has_carrier:
             raise ConfigError(
-                f"services.{name}.smoothing_s must be 0 where no carrier is recorded, got {declared.smoothing_s:g}: "
-                "codes cannot be smoothed there"
+                f"services.{service.name}.smoothing_s must be 0 where no carrier is recorded, got "
+                f"{declared.smoothing_s:g}: codes cannot be smoothed there"
             )
     return config
 

@@ -38,8 +38,8 @@ HEAD = (
     "time_s", "mode", "east_m", "north_m", "heading_rad", "pl_at_m", "pl_ct_m", "alert", "error_e_m", "error_n_m",
 )  # fmt: skip
 CAUTION = (
-    "epochs of one drive are not independent: adjacent epochs share satellites and reflections. The exact intervals are "
-    "therefore too narrow"
+    "epochs of one drive are not independent: adjacent epochs share satellites and reflections. The exact intervals "
+    "are therefore too narrow"
 )
 
 
