@@ -74,7 +74,12 @@ def fill_vehicle(
 ) -> int:  # fmt: skip
     """The ranges of vehicle v; how many are used."""
     count = 0
-    rules, par, doubt, budget = service.rules[0], service.parameters[0], service.parameters[0].rtk.doubt, service.rules[0].errors
+    rules, par, doubt, budget = (
+        service.rules[0],
+        service.parameters[0],
+        service.parameters[0].rtk.doubt,
+        service.rules[0].errors,
+    )
     measured, quality, los = epoch.measured, epoch.work.quality[v], epoch.measured.los[epoch.measured.sight[v]]
     moves = abs(measured.speed[v]) > par.odometer.still_speed
     decay = math.exp(-par.dt / (budget.moving_tau if moves else budget.rest_tau))

@@ -17,8 +17,7 @@ NO_PRIOR = (0.0, 0.0, 0.0, 0.0, 0.0)
 BROADCAST_PRIOR = (1e-8, 1e-4, 1e-4, 1e-4, 1e-4)  # WG-C ARAIM ADD v3.1: GPS 1e-8, others 1e-4
 
 
-CORRECTED = CodeErrorBudget(reflections_m=1.0, satellite_m=0.0, iono_zenith_m=0.0)
-"""Of ranges whose satellites and ionosphere a provider corrects and declares."""
+IN_STREETS = CodeErrorBudget(reflections_m=1.0)
 
 
 class CodeServiceConfig(Config):
@@ -33,8 +32,8 @@ class CodeServiceConfig(Config):
         0.0, ge=0, description="time constant of carrier smoothing (Hatch) [s]; 0: none; DO-229 has 100"
     )
     errors: CodeErrorBudget = Field(
-        CodeErrorBudget(reflections_m=1.0),
-        description="error budget of ranges; its satellite and ionosphere are those without a provider. 1 m of "
+        IN_STREETS,
+        description="error budget of ranges; with a provider its satellite and ionosphere are the provider's. 1 m of "
         "reflections bounds the L1 codes of strong signals in simulated streets; an open sky has none",
     )
     zenith_state: bool = Field(False, description="estimate the zenith delay of the troposphere in a filter")
@@ -78,21 +77,21 @@ class ServicesConfig(Config):
         CodeServiceConfig(constellation_prior=BROADCAST_PRIOR), description="broadcast ephemerides and models alone"
     )
     dgps: CodeServiceConfig = Field(
-        CodeServiceConfig(errors=CORRECTED.replace(tropo_zenith_m=0.03, iono_growth_m2ps=0.02), max_age_s=30.0),
+        CodeServiceConfig(errors=IN_STREETS.replace(tropo_zenith_m=0.03, iono_growth_m2ps=0.02), max_age_s=30.0),
         description="corrections of one station",
     )
     sbas_l1: CodeServiceConfig = Field(
-        CodeServiceConfig(errors=CORRECTED, systems=("GPS",)),
+        CodeServiceConfig(systems=("GPS",)),
         description="satellite corrections and ionospheric grid",
     )
     sbas_dfmc: CodeServiceConfig = Field(
-        CodeServiceConfig(errors=CORRECTED, systems=("GPS", "GALILEO")),
+        CodeServiceConfig(systems=("GPS", "GALILEO")),
         description="satellite corrections, ionosphere-free codes",
     )
     ppp: CodeServiceConfig = Field(
         CodeServiceConfig(
             systems=("GPS", "GALILEO"),
-            errors=CORRECTED.replace(satellite_growth_m2ps=2e-4),
+            errors=IN_STREETS.replace(satellite_growth_m2ps=2e-4),
             smoothing_s=7200.0,
             zenith_state=True,
             code_bias_m=0.05,

@@ -101,7 +101,9 @@ def risk_share(config: RtkReckoningConfig, declared: CodeServiceConfig) -> float
 
 def service_rules(declared: CodeServiceConfig, service: Service, dt_s: float) -> Records:
     """SERVICE_RULES (1,) of a service's declared figures."""
-    d = declared
+    d, errors = declared, declared.errors
+    if service.provider is not None:
+        errors = errors.replace(satellite_m=0.0, iono_zenith_m=0.0)
     return one_record(
         SERVICE_RULES,
         mode=int(service.mode),
@@ -111,7 +113,7 @@ def service_rules(declared: CodeServiceConfig, service: Service, dt_s: float) ->
         sin_mask=np.sin(np.deg2rad(d.elevation_mask_deg)),
         cn0_min=d.cn0_min_dbhz,
         max_hdop=d.max_hdop,
-        errors=d.errors.rules()[0],
+        errors=errors.rules()[0],
         bias=d.code_bias_m,
         max_age=d.max_age_s,
         zenith_max_age=d.zenith_max_age_s,

@@ -24,7 +24,7 @@ from lanebound.integrity.positioning.code_errors import CodeErrorBudget
 from lanebound.integrity.positioning.code_solution import CodeFit, solve_ranges
 from lanebound.integrity.sensors.instruments import Measurements
 
-__all__ = ["CodePosition", "CodePositionConfig", "CodeSource", "locate_by_codes"]
+__all__ = ["CodePosition", "CodePositionConfig", "CodeSource", "DifferentialErrorBudget", "locate_by_codes"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -37,6 +37,14 @@ class CodeSource(Enum):
 
     UNDIFFERENCED = "undifferenced"
     DIFFERENTIAL = "differential"
+
+
+class DifferentialErrorBudget(CodeErrorBudget):
+    """Errors of codes that a near station corrects: no orbits, clocks and atmosphere, but the station's multipath."""
+
+    satellite_m: float = Field(0.15, ge=0, description="slow multipath of the station [m]; as GnssConfig")
+    iono_zenith_m: float = Field(0.0, ge=0, description="differential ionosphere, vertical [m]; 0.0015 m at 3 km")
+    tropo_zenith_m: float = Field(0.0, ge=0, description="differential troposphere, zenith [m]; 0.0012 m at 3 km")
 
 
 class CodePositionConfig(Config):
@@ -54,11 +62,8 @@ class CodePositionConfig(Config):
         CodeErrorBudget(reflections_m=0.3),
         description="errors of undifferenced codes; reflections of suburban and urban streets that pass the tests",
     )
-    differential_errors: CodeErrorBudget = Field(
-        CodeErrorBudget(
-            reflections_m=0.3, satellite_m=0.15, iono_zenith_m=0.0, tropo_zenith_m=0.0
-        ),
-        description="errors of codes corrected by the station: its multipath in the place of orbits and clocks",
+    differential_errors: DifferentialErrorBudget = Field(
+        DifferentialErrorBudget(reflections_m=0.3), description="errors of codes corrected by the station"
     )
     height_sigma_m: float | None = Field(
         None, gt=0, description="1 sigma of the height of the road over its origin, by a map [m]; none: not used"
