@@ -35,6 +35,8 @@ def require_fitting_services(config: RtkReckoningConfig) -> None:
     if any(service.fixes for service in chosen[1:]):
         raise ConfigError(f"service must name rtk or nrtk first, got {names}: their level is the lowest by far")
     for service in chosen:
+        if service.name == "nrtk":
+            _require_atmosphere(config)
         if service.fixes:
             continue
         _require_bands(config, service)
@@ -55,6 +57,17 @@ def _require_bands(config: RtkReckoningConfig, service: Service) -> None:
             f"gnss.bands must have {wanted} as its second band for the service {service.name}, got {bands}: {remedy}, "
             f"or take the preset of the service"
         )
+
+
+def _require_atmosphere(config: RtkReckoningConfig) -> None:
+    """The float solution has what the network leaves of the atmosphere as states; else its integers contradict."""
+    floats, left = config.positioning.rtk.float_solution, config.gnss.augmentation.network
+    for key, mm in (("ionosphere_m", left.iono_mm), ("troposphere_m", left.tropo_mm)):
+        if floats.kind != "sequential" or getattr(floats, key) < 1e-3 * mm:
+            raise ConfigError(
+                f"positioning.rtk.float_solution must be sequential with {key} >= {1e-3 * mm:g} for the service nrtk, "
+                f"got {floats.kind} with {getattr(floats, key):g}: take the preset services/nrtk"
+            )
 
 
 def _require_systems(config: RtkReckoningConfig, service: Service) -> None:

@@ -16,7 +16,8 @@ import pytest
 import lanebound.envs  # noqa: F401
 from lanebound.envs.observation import entries
 from lanebound.integrity.core.errors import ConfigError, InputError
-from lanebound.integrity.navigators.navigator import NavigatorConfig
+from lanebound.integrity.motion.truth import truth_between
+from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
 from lanebound.integrity.navigators.services.config import CodeServiceConfig
 from lanebound.integrity.navigators.services.table import SERVICES, register_service, withdraw_service
 from lanebound.integrity.positioning.modes import Mode
@@ -44,6 +45,7 @@ def galileo() -> Iterator[ModuleType]:
         (DFMC | {"services": {"sbas_dfmc": {"systems": ["GLONASS"]}}}, r"sbas_dfmc\.systems must be among .*'GLONASS'"),
         ({"service": "sbas_l1", "services": {"sbas_l1": {"systems": ["GPS", "BEIDOU"]}}}, "got 'BEIDOU': remove it"),
         ({"service": "sbas_l1", "services": {"sbas_l1": {"max_age_s": 8.0}}}, r"max_age_s must be >= 9, .*got 8"),
+        ({"service": "nrtk"}, r"float_solution must be sequential with ionosphere_m >= 0\.0025 .*, got epoch with 0"),
         ({"service": "sbas_l1", "sky": {"gps": 0}}, r"sky must have satellites of GPS for the service sbas_l1"),
     ],
 )
@@ -73,6 +75,21 @@ def test_a_mapping_of_a_service_leaves_its_other_declared_errors_as_they_are() -
     assert (sent.residual_m, sent.interval_s) == (0.03, 6.0)
 
 
+@pytest.mark.parametrize("hour", [0, 6, 13, 20])
+def test_network_rtk_fixes_without_a_known_place_at_any_hour(hour: int) -> None:
+    """With the atmosphere as states; integers of few satellites alone would exceed the risk of wrong ones."""
+    config = NavigatorConfig.preset("services/nrtk").replace(sky={"week_second_s": 180_000.0 + 3600.0 * hour})
+    navigator = Navigator.nominal(config, seeds=[1, 2, 3], duration_s=60.0)
+    zero, still = np.zeros((3, 2)), np.zeros(3)
+    fixed = np.zeros(3, bool)
+    for k in range(100):
+        truth = truth_between(0.1 * (k + 1), 0.1, (zero, zero), (zero, zero), (still, still))
+        solution = navigator.step(truth)
+        fixed |= solution.mode == Mode.NRTK
+    assert fixed.all()
+    assert np.abs(solution.position_en_m).max() < 0.05
+
+
 def test_a_service_from_outside_drives_alone_and_in_the_engine(galileo: ModuleType) -> None:
     navigator = {"service": "galileo", "gnss": {"bands": [0, 2]}}
     given = {"navigator": navigator, "sky": "open", "navigation": {"start_sigma_m": 10.0}}
@@ -95,9 +112,6 @@ def test_a_service_from_outside_drives_alone_and_in_the_engine(galileo: ModuleTy
 
 
 def test_a_service_from_outside_has_levels_that_hold_and_needs_its_second_band(galileo: ModuleType) -> None:
-    from lanebound.integrity.motion.truth import truth_between
-    from lanebound.integrity.navigators.navigator import Navigator
-
     with pytest.raises(ConfigError, match=r"2 \(L5\) as its second band for the service galileo, got \[0, 1\]"):
         NavigatorConfig(service="galileo")
     config = NavigatorConfig(service="galileo:galileo", gnss={"bands": [0, 2]})
