@@ -96,7 +96,7 @@ def converge(
     Returns lists by ``every_s``: the error on an axis (rms) and the largest on both axes [m], the median level of the
     larger axis [m], the share of vehicles with a position of PPP, and of errors beyond a level.
     """
-    base = NavigatorConfig.preset("services/ppp").replace(dt_s=1.0)
+    base = NavigatorConfig.preset("services/ppp").replace(dt_s=1.0, service=["ppp"])
     config = base.replace(sky={"week_second_s": (base.sky.week_second_s + HOUR_S * hour) % WEEK_S})
     seeds = [int(s) for s in np.random.SeedSequence([seed, hour]).generate_state(vehicles)]
     epochs = 60 * minutes

@@ -40,6 +40,7 @@ SYSTEM_OF = {"G": System.GPS, "E": System.GALILEO, "R": System.GLONASS, "C": Sys
 FIRST_BAND = {"G": "1", "E": "1", "C": "2", "J": "1"}  # L1, E1, B1I in RINEX 3.04
 ROUNDS, LEAST_CODES = 8, 6
 STATION_S, STATION_GATE_M = 100.0, 5.0  # smoothing of the station's codes (DO-229), and the change that ends it
+STATION_TAU_S = 300.0  # correlation of its multipath, as CodeErrorBudget.rest_tau_s
 OLDEST_S = 30.0  # of a correction, as of CodeServiceConfig of DGPS
 
 
@@ -180,11 +181,11 @@ def _corrections(
     observations, place = station
     wrong = np.zeros(base.tracked.shape)
     hatch = np.zeros(base.tracked.shape[1], HATCH)
-    rate = float(np.median(np.diff(observations.tow_s))) if observations.epochs > 1 else 1.0
+    spacing_s = float(np.median(np.diff(observations.tow_s))) if observations.epochs > 1 else 1.0
     for k in range(len(wrong)):
         _, of_code, of_phase = base.models(k, place)
         left = base.arc.code_m[k, :, 0] - of_code, base.arc.phase_m[k, :, 0] - of_phase
-        wrong[k] = _smoothed(left, base.tracked[k], base.locked[k] & ~base.arc.lost[k], STATION_S / rate, hatch)
+        wrong[k] = _smoothed(left, base.tracked[k], base.locked[k] & ~base.arc.lost[k], spacing_s, hatch)
     epochs, partners, age = matched(rover, observations, OLDEST_S)
     shape = own.tracked.shape
     out = StationCorrections(np.zeros(shape), np.zeros(shape, np.bool_), np.full(shape[0], np.inf))
@@ -192,13 +193,13 @@ def _corrections(
     return out
 
 
-def _smoothed(left: tuple[Array, Array], tracked: Bools, locked: Bools, most: float, hatch: Records) -> Array:
+def _smoothed(left: tuple[Array, Array], tracked: Bools, locked: Bools, spacing_s: float, hatch: Records) -> Array:
     """Codes (S,) of an epoch smoothed by carriers (S,) [m]; ``hatch`` (S,) advances."""
-    code, phase = left
+    (code, phase), most, decay = left, STATION_S / spacing_s, float(np.exp(-spacing_s / STATION_TAU_S))
     out = np.zeros(code.size)
     for s in range(code.size):
         if tracked[s]:
-            out[s] = smooth(float(code[s]), float(phase[s]), bool(locked[s]), most, STATION_GATE_M, hatch[s])
+            out[s] = smooth(float(code[s]), float(phase[s]), bool(locked[s]), most, STATION_GATE_M, decay, hatch[s])
         else:
             hatch[s]["count"] = 0.0
     return out
