@@ -119,7 +119,9 @@ class EnvConfig(Config):
             return data  # the field itself is refused, with its path
         named = navigator.get("service", ()) if isinstance(navigator, Mapping) else ()
         names = [named] if isinstance(named, str) else named
-        shown = [str(name) for name in names if name != "rtk"] if isinstance(names, list | tuple) else []
+        shown = (
+            [str(name).rpartition(":")[2] for name in names if name != "rtk"] if isinstance(names, list | tuple) else []
+        )
         observation = dict(data.get("observation", {}))
         if shown or observation.get("services"):
             observation["services"] = tuple(shown)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,8 +43,12 @@ def replay_folder(
     out: Path,
     changes: Mapping[str, Any] | None = None,
     progress: Progress = silent,
+    service: Sequence[str] = (),
 ) -> tuple[dict[str, Any], list[Path]]:
     """Replay a data set; returns the statistics and the files written into ``out``.
+
+    With ``service`` the recording runs through a navigator with these positioning services (:mod:`.service_report`),
+    and ``changes`` are those of its configuration.
 
     ``changes`` are overrides of the configuration of the kind: :class:`~.city_report.CityReplay`,
     :class:`~.outages.OutageConfig` or :class:`~.baseline.BaselineConfig`. ``progress`` is called with the number of
@@ -56,6 +60,10 @@ def replay_folder(
         The folder is of no known kind, or a file or a change is invalid.
     """
     kind, changed = kind_of(folder), dict(changes or {})
+    if service:
+        from lanebound.integrity.replay.service_report import write_service
+
+        return write_service(folder, kind, service, out, changed, progress)
     if kind == "smartloc":
         from lanebound.integrity.replay.city_report import CityReplay, write_city
 
