@@ -150,7 +150,7 @@ class MonitorSeries:
         advance: Advance,
     ) -> MonitorSeries:
         """Drive, and let every monitor judge every point."""
-        out, batch = cls(), next(iter(monitors.values())).speed._count.size
+        out, batch = cls(), next(iter(monitors.values())).speed.memory["count"].size
         phases = {form: SpeedPhase(config.speed.replace(form=form), batch) for form in SpeedForm}
         for k, p in enumerate(drive.points):
             position = check_position(p.fix.codes, config.position)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.monitoring.context.code_fix import WeightedRows
@@ -59,7 +59,7 @@ def raim_threshold(redundancy: NDArray[np.int64], false_alarm: float) -> Array:
 
 @lru_cache(maxsize=64)
 def _thresholds(false_alarm: float, most: int) -> Array:
-    return np.concatenate([[np.inf], np.sqrt(chi2.isf(false_alarm, np.arange(1, most + 1)))])
+    return np.concatenate([[np.inf], np.sqrt(chdtri(np.arange(1.0, most + 1), false_alarm))])
 
 
 def check_position(codes: WeightedRows, config: PositionPhaseConfig) -> PositionTest:
