@@ -39,7 +39,7 @@ class ContextReport(NamedTuple):
 
     def rows(self, rows: NDArray[np.int64]) -> ContextReport:
         """The reports of some vehicles."""
-        return ContextReport(*(value[rows] for value in self))
+        return ContextReport(**{name: value[rows] for name, value in self._asdict().items()})
 
     @classmethod
     @lru_cache(maxsize=16)

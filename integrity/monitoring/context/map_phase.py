@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.frames import wrap_angle
-from lanebound.integrity.monitoring.context.fuzzy import RuleBase, s5_rules
 from lanebound.integrity.core.row_memory import EVERY, Memory, Rows
+from lanebound.integrity.monitoring.context.fuzzy import RuleBase, s5_rules
 from lanebound.integrity.positioning.map_matching.matching import MapMatches
 from lanebound.integrity.positioning.map_matching.road_map import NO_LINK
 
