@@ -68,12 +68,17 @@ def drive(
 
     Example: lanebound drive LaneKeeping --sky dense --faults stress --seed 1 --video out/drive.mp4 --out out/drive
     """
+    from lanebound.agents.cli.early import refuse_early
+
+    if not _plugins:
+        refuse_early(name, agent, sky, faults)
+    given = changes(assignments, sky=sky, faults=faults)
     from lanebound.agents.cli.progress import resumable, with_bar
 
     finished: list[int] = []
     seeds, film = range(seed, seed + episodes), (video, film_rate(video, fps))
     with resumable(lambda: _kept(len(finished), out, video)), failing(agent):
-        changed = _with_context(changes(assignments, sky=sky, faults=faults), display)
+        changed = _with_context(given, display)
         drove = with_bar("episodes", lambda report: _drive(name, agent, changed, seeds, film, out, finished, report,
                                                            display))  # fmt: skip
     files = {"log": out and out / LOG, "diagram": out and out / DIAGRAM, "video": video}
