@@ -98,7 +98,7 @@ class _Between:
         sigma = np.where(self.fixed, RATE_SIGMA_MPS * self.span_s, np.inf)
         out: dict[str, NDArray[np.generic]] = {
             "y": code, "used": g.tracked & (code != 0.0), "los": los, "elevation": elevation, "cn0": g.cn0_dbhz,
-            "sigma": self.budget.code(elevation), "step": self.step.copy(), "spread": sigma,
+            "sigma": self.budget.code(elevation, g.cn0_dbhz), "step": self.step.copy(), "spread": sigma,
             "change": np.where(kept, change, 0.0), "kept": kept,
             "loose": self.budget.carrier_step(elevation, self.span_s),
         }  # fmt: skip

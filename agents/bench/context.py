@@ -12,8 +12,9 @@ import numpy as np
 
 from lanebound.agents.bench.rows import Row
 from lanebound.integrity.core.streams import named_generator
-from lanebound.integrity.monitoring.context.code_fix import CodeFix, WeightedRows, weighted_rows
+from lanebound.integrity.monitoring.context.code_fix import CodeFix
 from lanebound.integrity.monitoring.context.monitor import ContextConfig, ContextMonitor
+from lanebound.integrity.positioning.code_solution import CodeFit, solve_ranges
 from lanebound.integrity.positioning.map_matching.generators import DriveEnvironment, generate_map
 from lanebound.integrity.positioning.map_matching.matching import MatcherKind
 
@@ -53,20 +54,18 @@ def _vehicles_per_second(kind: MatcherKind, rounds: int) -> float:
 
 
 def _rows(rng: np.random.Generator) -> np.ndarray:
-    """Design (V, S, 3 + clocks) of a sky of its own for each vehicle."""
+    """Unit vectors (V, S, 3) to a sky of its own for each vehicle."""
     azimuth, elevation = (
         rng.uniform(0.0, 2.0 * np.pi, (VEHICLES, SATELLITES)),
         rng.uniform(0.2, 1.5, (VEHICLES, SATELLITES)),
     )
-    los = np.stack([np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.sin(elevation)], -1)
-    clock = np.broadcast_to(np.eye(CLOCKS)[np.arange(SATELLITES) % CLOCKS], (VEHICLES, SATELLITES, CLOCKS))
-    return np.concatenate([-los, clock], -1)
+    return np.stack([np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.sin(elevation)], -1)
 
 
-def _observe(design: np.ndarray, value: np.ndarray, sigma: float, rng: np.random.Generator) -> np.ndarray:
-    noise = sigma * rng.standard_normal(design.shape[:2])
-    return np.asarray(np.einsum("bmi,bi->bm", design[..., :2], value) + noise)
+def _observe(los: np.ndarray, value: np.ndarray, sigma: float, rng: np.random.Generator) -> np.ndarray:
+    noise = sigma * rng.standard_normal(los.shape[:2])
+    return np.asarray(noise - np.einsum("bmi,bi->bm", los[..., :2], value))
 
 
-def _solve(design: np.ndarray, observed: np.ndarray, sigma: float) -> WeightedRows:
-    return weighted_rows(design, observed, np.full(observed.shape, sigma**-2))
+def _solve(los: np.ndarray, observed: np.ndarray, sigma: float) -> CodeFit:
+    return solve_ranges(los, observed, sigma**2, np.ones(observed.shape, bool), np.arange(SATELLITES) % CLOCKS)

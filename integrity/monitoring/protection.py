@@ -19,7 +19,7 @@ from lanebound.integrity.core.errors import InputError, require_finite, require_
 from lanebound.integrity.core.records import one_record
 from lanebound.integrity.monitoring import protection_kernel as kernel
 from lanebound.integrity.monitoring.fault_modes import FaultModes
-from lanebound.integrity.monitoring.geometry_kernel import MAX_GROUPS
+from lanebound.integrity.positioning.geometry_kernel import MAX_GROUPS
 from lanebound.integrity.monitoring.risk import (
     RiskConfig,
     Variant,

@@ -37,7 +37,7 @@ from lanebound.integrity.core.simd_kernel import (
     total,
     where_less,
 )
-from lanebound.integrity.monitoring.geometry_kernel import (
+from lanebound.integrity.positioning.geometry_kernel import (
     MAX_GROUPS,
     SOLVED,
     capacity,

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.errors import require_in_range
+from lanebound.integrity.positioning.code_solution import semi_major_m
 from lanebound.integrity.positioning.least_squares import design_matrix, gain, weights
 
 __all__ = [
@@ -60,12 +61,6 @@ class SbasLevels:
     vpl_m: Array
     major_m: Array
     up_m: Array
-
-
-def semi_major_m(east_m2: ArrayLike, north_m2: ArrayLike, cross_m2: ArrayLike) -> Array:
-    """Largest standard deviation in the plane, ``sqrt((dE2+dN2)/2 + sqrt(((dE2-dN2)/2)^2 + dEN^2))``.  (...,)."""
-    e, n, c = (np.asarray(v, dtype=np.float64) for v in (east_m2, north_m2, cross_m2))
-    return np.asarray(np.sqrt(0.5 * (e + n) + np.hypot(0.5 * (e - n), c)))
 
 
 def sbas_levels(

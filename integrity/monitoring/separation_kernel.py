@@ -7,7 +7,7 @@ in their groups, which is exact because each group has a clock of its own.
 
 Order of the modes: 0 is fault-free, k = 1..n removes satellite k - 1, then one for each constellation present in
 ascending order of group if wanted, then the subsets that the caller adds with :func:`add_subset`. Letters:
-:mod:`lanebound.integrity.monitoring.geometry_kernel`.
+:mod:`lanebound.integrity.positioning.geometry_kernel`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from lanebound.integrity.core.simd_kernel import (
     total,
 )
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS, invert_upper
-from lanebound.integrity.monitoring.geometry_kernel import Geometry, capacity, normal_matrix
+from lanebound.integrity.positioning.geometry_kernel import Geometry, capacity, normal_matrix
 
 __all__ = [
     "Modes",

@@ -30,6 +30,7 @@ class Solvability(Advice):
     SOLVED = 0, "the measurements determine the position"
     TOO_FEW = 1, "fewer measurements than unknowns: wait for more satellites, or use fewer clocks"
     SINGULAR = 2, "the geometry does not determine the position: wait until the satellites spread out"
+    UNSETTLED = 3, "the iteration does not settle: begin nearer to the position, or leave out a wrong range"
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
+from lanebound.integrity.positioning.code_errors_kernel import variance_factor
 from lanebound.integrity.positioning.doubtful_kernel import DOUBT_RULES
 from lanebound.integrity.positioning.rows_kernel import Rows
 
@@ -52,7 +53,6 @@ Bools = NDArray[np.bool_]
 
 UNUSED = 1e6  # variance factor of a satellite that is not used; its ambiguities may still be held
 MOST_AMBIGUITIES = 80  # two bands of the most candidates that RtkConfig allows
-TENTH = math.log(10.0) / 10.0
 EARTH_RATIO = 6371.0 / (6371.0 + 350.0)  # Earth's radius over that of the ionospheric layer (IS-GPS-200: 350 km)
 
 SATELLITE = record(
@@ -141,8 +141,7 @@ def weigh(los: Array, tracked: Bools, cn0: Array, cn0_knee: float, quality: Arra
     for s in range(tracked.shape[0]):
         quality[s] = UNUSED
         if tracked[s]:
-            sine = los[s, 2]
-            quality[s] = 0.5 * (1.0 + 1.0 / (sine * sine)) * (1.0 + math.exp(TENTH * (cn0_knee - cn0[s])))
+            quality[s] = variance_factor(los[s, 2], cn0[s], cn0_knee)
 
 
 @jit(borrows=True)

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from lanebound.integrity.core.config import Config, Field
-from lanebound.integrity.monitoring.context.code_fix import WeightedRows
 from lanebound.integrity.monitoring.significance import two_sided_factor
+from lanebound.integrity.positioning.code_solution import CodeFit
 
 __all__ = ["PositionPhaseConfig", "PositionTest", "check_position", "raim_threshold"]
 
@@ -62,19 +62,14 @@ def _thresholds(false_alarm: float, most: int) -> Array:
     return np.concatenate([[np.inf], np.sqrt(chdtri(np.arange(1.0, most + 1), false_alarm))])
 
 
-def check_position(codes: WeightedRows, config: PositionPhaseConfig) -> PositionTest:
+def check_position(codes: CodeFit, config: PositionPhaseConfig) -> PositionTest:
     """Protection level and consistency of code positions."""
-    gained = codes.cofactor @ np.swapaxes(codes.design * codes.weight[..., None], 1, 2)
-    kept = (codes.design * np.swapaxes(gained, 1, 2)).sum(-1)
-    used = codes.weight > 0.0
-    sigma = np.where(used, 1.0 / np.sqrt(np.where(used, codes.weight, 1.0)), 0.0)
-    pull = np.hypot(gained[:, 0], gained[:, 1]) * (1.0 if config.printed_slope else sigma)
-    unseen = np.sqrt(np.maximum(1.0 - kept, 1e-12))
-    slope = np.where(used, pull / unseen, 0.0).max(-1)
-    threshold = raim_threshold(codes.redundancy, config.false_alarm)
-    tested = codes.solved & (codes.redundancy > 0)
-    hdop = np.sqrt(codes.cofactor[:, 0, 0] + codes.cofactor[:, 1, 1])
-    level = slope * np.where(tested, threshold, 0.0) + two_sided_factor(config.missed_detection) * hdop
-    level = np.where(tested, level, np.inf)
-    statistic = np.sqrt((codes.weight * np.square(codes.residual)).sum(-1))
+    slope = codes.slopes()
+    if config.printed_slope:
+        slope = slope * np.where(codes.used, np.sqrt(codes.weight), 1.0)
+    threshold = raim_threshold(codes.df, config.false_alarm)
+    tested = codes.solved & (codes.df > 0)
+    level = slope.max(-1, initial=0.0) * np.where(tested, threshold, 0.0)
+    level = np.where(tested, level + two_sided_factor(config.missed_detection) * codes.hdop_m, np.inf)
+    statistic = np.sqrt(codes.wsse)
     return PositionTest(level, statistic, threshold, level <= config.alert_limit_m, statistic <= threshold)

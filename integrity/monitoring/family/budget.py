@@ -1,4 +1,4 @@
-"""Declared deviations of undifferenced codes and carriers, by elevation (S3 Table III)."""
+"""Declared deviations of undifferenced codes and carriers, from the budget of all code positions."""
 
 from __future__ import annotations
 
@@ -6,47 +6,45 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.config import Config, Field
-from lanebound.integrity.sensors.broadcast import change_rate, mapping, obliquity
+from lanebound.integrity.positioning.code_errors import CodeErrorBudget, CodeErrors
+from lanebound.integrity.sensors.broadcast import change_rate
 
 __all__ = ["CodeBudget"]
 
 Array = NDArray[np.float64]
 
+STRONG_DBHZ = 45.0
 LEAST_SINE = 0.05
 
 
 class CodeBudget(Config):
-    """Deviations, 1 sigma, of what broadcast ephemerides and models leave, and of the receiver at the zenith."""
+    """Deviations, 1 sigma, of codes, and of the change of carriers from step to step."""
 
-    satellite_m: float = Field(1.6, ge=0, description="ephemeris and clock [m]; S3 Table III, 1.1 each")
-    zenith_iono_m: float = Field(2.5, ge=0, description="vertical ionosphere after the model [m]; half of 5 m by day")
-    zenith_tropo_m: float = Field(0.12, ge=0, description="zenith troposphere after the model [m]; DO-229 A.4.2.4")
-    code_m: float = Field(0.22, ge=0, description="noise and multipath of a code, zenith [m]; 0.15 m each")
+    errors: CodeErrorBudget = Field(
+        CodeErrorBudget(), description="errors of codes; no reflections, which are faults for a monitor to find"
+    )
     carrier_m: float = Field(0.004, ge=0, description="noise and multipath of a carrier, zenith [m]; 3 and 2 mm")
     lasting_s: float = Field(1800.0, gt=0, description="correlation time of what changes slowly [s]; satellite clocks")
     coast_s: float = Field(30.0, ge=0, description="longest time over which steps of carriers add up [s]; as RRAIM")
 
-    def code(self, elevation_rad: ArrayLike) -> Array:
+    def code(self, elevation_rad: ArrayLike, cn0_dbhz: ArrayLike = STRONG_DBHZ) -> Array:
         """Deviation of a code.  (...,) [m]."""
-        sine = _sine(elevation_rad)
-        slow = self.satellite_m**2 + np.square(self.zenith_iono_m * obliquity(sine))
-        return np.asarray(
-            np.sqrt(slow + np.square(self.zenith_tropo_m * mapping(sine)) + np.square(self.code_m / sine))
-        )
+        return np.asarray(np.sqrt(self._errors(elevation_rad, cn0_dbhz).variance_m2))
 
     def carrier_step(self, elevation_rad: ArrayLike, span_s: float) -> Array:
         """Deviation of the change of a carrier.  (...,) [m].
 
         Slow errors are smooth, of rate ``s 2.146 / tau``: their steps are alike and add up as they are, over n steps to
         n times one. Monitors add variances of steps. ``sqrt(t coast)`` in place of the time t of a step makes the sum
-        of the variances of a coast that of the whole change.
+        of the variances of a coast that of the whole change. What changes at all elevations alike is in the clocks.
         """
-        sine = _sine(elevation_rad)
-        slow = self.satellite_m**2 + np.square(self.zenith_iono_m * obliquity(sine))
-        slow = slow + np.square(self.zenith_tropo_m * mapping(sine))
-        time = np.sqrt(span_s * np.maximum(span_s, self.coast_s))
-        moved = change_rate(self.lasting_s) * time
+        found, sine = self._errors(elevation_rad, STRONG_DBHZ), _sine(elevation_rad)
+        slow = found.variance_m2 - found.fast_m2
+        moved = change_rate(self.lasting_s) * np.sqrt(span_s * np.maximum(span_s, self.coast_s))
         return np.asarray(np.sqrt(moved**2 * slow + 2.0 * np.square(self.carrier_m / sine)))
+
+    def _errors(self, elevation_rad: ArrayLike, cn0_dbhz: ArrayLike) -> CodeErrors:
+        return self.errors.errors(_sine(elevation_rad), cn0_dbhz)
 
 
 def _sine(elevation_rad: ArrayLike) -> Array:

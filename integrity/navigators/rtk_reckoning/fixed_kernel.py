@@ -15,7 +15,7 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.core.small_matrix_kernel import hdop_of
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED, UNRESOLVED, detect_and_exclude
-from lanebound.integrity.monitoring.geometry_kernel import (
+from lanebound.integrity.positioning.geometry_kernel import (
     SOLVED,
     Geometry,
     capacity,

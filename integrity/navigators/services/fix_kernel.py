@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.small_matrix_kernel import hdop_of
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED, detect_and_exclude
-from lanebound.integrity.monitoring.geometry_kernel import SOLVED, find_geometry, solve
+from lanebound.integrity.positioning.geometry_kernel import SOLVED, find_geometry, solve
 from lanebound.integrity.monitoring.heading_separation_kernel import courses_of
 from lanebound.integrity.monitoring.jump_kernel import bounded, is_suspicious
 from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import (

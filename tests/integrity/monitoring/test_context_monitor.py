@@ -1,5 +1,7 @@
 """The whole monitor: order of the phases, lights, rest, batch."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from code_rows import fix_at
@@ -13,6 +15,7 @@ from lanebound.integrity.monitoring.context.monitor import (
     Light,
     light_of,
 )
+from lanebound.integrity.positioning.least_squares import Solvability
 from lanebound.integrity.positioning.map_matching.road_map import NO_LINK, RoadMap
 
 NODES = np.array([(0.0, 0.0), (0.0, 500.0), (0.0, 1000.0)])
@@ -66,9 +69,9 @@ def test_each_phase_warns_in_the_order_of_the_flow_chart() -> None:
 def test_a_faulty_satellite_and_a_missing_position_are_named() -> None:
     monitor, rng = ContextMonitor(ContextConfig(), road(), 1, 1.0), np.random.default_rng(3)
     fix = fix_at([[0.0, 50.0]], [[0.0, 10.0]], rng)
-    wrong = fix.codes._replace(residual=fix.codes.residual + np.eye(12)[3] * 30.0)
+    wrong = replace(fix.codes, wsse=fix.codes.wsse + 900.0 / 0.7**2)
     assert reasons([monitor.step(CodeFix(wrong, fix.rates), np.array([10.0]))]) == ["POSITION_FAULT"]
-    none = fix.codes._replace(solved=np.array([False]))
+    none = replace(fix.codes, status=np.array([Solvability.TOO_FEW.code]))
     verdict = monitor.step(CodeFix(none, fix.rates), np.array([10.0]))
     assert reasons([verdict]) == ["NO_POSITION"]
     assert verdict.light[0] == Light.RED
@@ -104,8 +107,7 @@ def test_rows_do_not_depend_on_each_other() -> None:
         fix = fix_at(place, np.column_stack([0.0 * speed, speed]), rng, code_m=2.0)
         found = together.step(fix, speed)
         for v, monitor in enumerate(alone):
-            rows = (type(fix.codes)(*(value[v : v + 1] for value in part)) for part in fix)
-            own = monitor.step(CodeFix(*rows), speed[v : v + 1])
+            own = monitor.step(CodeFix(*(part.take([v]) for part in fix)), speed[v : v + 1])
             for name in ("warn", "reason", "phases", "link"):
                 assert getattr(own, name)[0] == getattr(found, name)[v]
             assert own.score[0] == pytest.approx(found.score[v], abs=1e-9)

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from code_rows import code_rows, sky_design
+from code_rows import code_rows, sky_design, solve_rows
 from scipy.stats import binom, chi2, ncx2, norm
 
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.monitoring.context.code_fix import weighted_rows
 from lanebound.integrity.monitoring.context.map_phase import MapPhase, MapPhaseConfig
 from lanebound.integrity.monitoring.context.position_phase import PositionPhaseConfig, check_position, raim_threshold
 from lanebound.integrity.monitoring.context.speed_phase import (
@@ -44,12 +43,12 @@ def test_the_level_is_that_of_walter_and_enge() -> None:
     # k(P_MD) is two-sided: the error of a normal law has no preferred side
     level = slope.max() * np.sqrt(chi2.isf(1e-3, 3)) + norm.isf(0.5e-5) * np.sqrt(q[0, 0] + q[1, 1])
     wsse = y @ w @ (np.eye(7) - p) @ y
-    found = check_position(weighted_rows(g[None], y[None], sigma[None] ** -2), PositionPhaseConfig())
+    found = check_position(solve_rows(g[None], y[None], sigma[None] ** -2), PositionPhaseConfig())
     assert found.level_m[0] == pytest.approx(level, rel=1e-9)
     assert found.statistic[0] == pytest.approx(np.sqrt(wsse), rel=1e-9)
     assert found.threshold[0] == pytest.approx(np.sqrt(chi2.isf(1e-3, 3)))
     printed = check_position(
-        weighted_rows(g[None], y[None], sigma[None] ** -2), PositionPhaseConfig(printed_slope=True)
+        solve_rows(g[None], y[None], sigma[None] ** -2), PositionPhaseConfig(printed_slope=True)
     )
     assert printed.level_m[0] != pytest.approx(level)
 
@@ -69,14 +68,13 @@ def test_an_undetected_fault_stays_within_the_level(bias_m) -> None:
     runs, rng = 20_000, np.random.default_rng(3)
     g = np.broadcast_to(sky_design(8, rng), (runs, 8, 4))
     y = 2.0 * rng.standard_normal((runs, 8))
-    clean = weighted_rows(g[:1], y[:1], np.full((1, 8), 0.25))
-    gain = np.einsum("ij,mj,m->im", clean.cofactor[0], g[0], clean.weight[0])
-    unseen = 1.0 - np.diag(g[0] @ gain)
-    worst = int(np.argmax(np.hypot(gain[0], gain[1]) / np.sqrt(unseen)))
+    clean = solve_rows(g[:1], y[:1], np.full((1, 8), 0.25))
+    unseen = clean.redundancy[0]
+    worst = int(np.argmax(clean.slopes()[0]))
     y[:, worst] += bias_m
-    rows = weighted_rows(g, y, np.full((runs, 8), 0.25))
+    rows = solve_rows(g, y, np.full((runs, 8), 0.25))
     found = check_position(rows, PositionPhaseConfig())
-    misleading = found.consistent & (np.hypot(*rows.estimate[:, :2].T) > found.level_m)
+    misleading = found.consistent & (np.hypot(*rows.x_m[:, :2].T) > found.level_m)
     assert misleading.mean() < 1e-3
     missed = ncx2.cdf(chi2.isf(1e-3, 4), 4, bias_m**2 * unseen[worst] / 4.0)
     low, high = binom.ppf([5e-4, 1 - 5e-4], runs, missed)
@@ -96,11 +94,11 @@ def test_too_few_satellites_have_no_level() -> None:
 def test_a_geometry_that_determines_no_position_is_not_solved() -> None:
     design = np.tile(sky_design(6, np.random.default_rng(6))[:1], (6, 1))[None]  # six times one satellite
     both = np.concatenate([design, sky_design(6, np.random.default_rng(6))[None]])
-    rows = weighted_rows(both, np.zeros((2, 6)), np.ones((2, 6)))
+    rows = solve_rows(both, np.zeros((2, 6)), np.ones((2, 6)))
     assert rows.solved.tolist() == [False, True]
-    assert (rows.estimate[0] == 0.0).all()
+    assert (rows.x_m[0] == 0.0).all()
     g = both[1]
-    np.testing.assert_allclose(rows.cofactor[1], np.linalg.inv(g.T @ g), rtol=1e-9)
+    np.testing.assert_allclose(rows.cofactor[1], np.linalg.inv(g.T @ g)[:3, :3], rtol=1e-9)
 
 
 def test_rows_without_weight_do_not_count() -> None:
@@ -108,8 +106,8 @@ def test_rows_without_weight_do_not_count() -> None:
     g, y, weight = sky_design(9, rng)[None], rng.standard_normal((1, 9)), np.ones((1, 9))
     weight[0, [2, 6]] = 0.0
     kept = weight[0] > 0.0
-    found = check_position(weighted_rows(g, y + 1e3 * (weight == 0.0), weight), PositionPhaseConfig())
-    alone = check_position(weighted_rows(g[:, kept], y[:, kept], weight[:, kept]), PositionPhaseConfig())
+    found = check_position(solve_rows(g, y + 1e3 * (weight == 0.0), weight), PositionPhaseConfig())
+    alone = check_position(solve_rows(g[:, kept], y[:, kept], weight[:, kept]), PositionPhaseConfig())
     np.testing.assert_allclose([v[0] for v in found[:3]], [v[0] for v in alone[:3]], rtol=1e-9)
 
 

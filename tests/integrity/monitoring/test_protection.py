@@ -11,7 +11,7 @@ from scipy.stats import binom, norm
 from fault_rows import constellation_modes
 from lanebound.integrity.core.accel import serial
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.monitoring import geometry_kernel as gk
+from lanebound.integrity.positioning import geometry_kernel as gk
 from lanebound.integrity.monitoring import protection_kernel as pk
 from lanebound.integrity.monitoring.protection import (
     closed_form_published,

@@ -12,7 +12,7 @@ from scipy.stats import binom, chi2, norm
 
 from fault_rows import constellation_modes
 from lanebound.integrity.core.frames import track_from_enu_matrix
-from lanebound.integrity.monitoring import geometry_kernel as gk
+from lanebound.integrity.positioning import geometry_kernel as gk
 from lanebound.integrity.monitoring.detection import adjust, diagonal_covariance
 from lanebound.integrity.monitoring.detection_kernel import detect_and_exclude
 from lanebound.integrity.monitoring.exclusion import FdeConfig, FdeOutcome, Search, fde_parameters, fde_thresholds

@@ -41,6 +41,8 @@ FIX = record(
     bias=("f8", (2,), "bound of its nominal bias, by axis [m]"),
     position=("f8", (3,), "solution, East North Up [m]"),
     chi2="sum of the squared normalised residuals [-]",
+    height="Up as known from elsewhere [m]",
+    height_weight="1 / variance of it [1/m^2]; 0: not known, as a new scratch has it",
     groups=("i8", "clocks in use"),
     status=("i8", "SOLVED, TOO_FEW or SINGULAR"),
 )
@@ -214,8 +216,9 @@ def find_geometry(
     fix.sigma[0], fix.sigma[1], fix.bias[0], fix.bias[1] = np.inf, np.inf, 0.0, 0.0
     fix.position[0], fix.position[1], fix.position[2], fix.chi2, fix.groups = 0.0, 0.0, 0.0, 0.0, groups
     status = TOO_FEW
-    if n >= 3 + groups:
+    if n + (1 if fix.height_weight > 0.0 else 0) >= 3 + groups:
         a, b, c, d, e, f = normal_matrix(row, weight, n)
+        f += fix.height_weight
         ok, fix.p_ee, fix.p_en, fix.p_eu, fix.p_nn, fix.p_nu, fix.p_uu = invert_upper(a, b, c, d, e, f)
         status = SOLVED if ok else SINGULAR
     fix.status = status
@@ -254,7 +257,7 @@ def solve(y: Array, group: Ints, n: int, geo: Geometry) -> float:
     """Least squares of ``y`` (n,) [m] after a SOLVED :func:`find_geometry`; fills the position and the residuals.
 
     Returns the sum of squared normalised residuals (also in the fix), chi-square with n - 3 - groups degrees of freedom
-    when fault-free (S1 eq 8 with ``Q_y^-1``).
+    when fault-free (S1 eq 8 with ``Q_y^-1``), one more where the height is known.
     """
     fix, clocks, row, lever, weight, residual = geo.fix[0], geo.clocks, geo.row, geo.lever, geo.weight, geo.residual
     for i in range(n):
@@ -270,11 +273,14 @@ def solve(y: Array, group: Ints, n: int, geo: Geometry) -> float:
         x, yy = fma(weighted, load(lever, 0, i), x), fma(weighted, load(lever, 1, i), yy)
         z = fma(weighted, load(lever, 2, i), z)
     east, north, up = total(x), total(yy), total(z)
+    pull = fix.height_weight * fix.height
+    east, north, up = east + pull * fix.p_eu, north + pull * fix.p_nu, up + pull * fix.p_uu
     squares = spread(0.0)
     for i in range(0, n, WIDTH):
         explained = fma(load(row, 0, i), east, fma(load(row, 1, i), north, load(row, 2, i) * up))
         r = load(residual, i) - explained
         store(r, residual, i)
         squares = fma(load(weight, i) * r, r, squares)
-    fix.position[0], fix.position[1], fix.position[2], fix.chi2 = east, north, up, total(squares)
+    fix.position[0], fix.position[1], fix.position[2] = east, north, up
+    fix.chi2 = total(squares) + fix.height_weight * (up - fix.height) ** 2
     return float(fix.chi2)
