@@ -19,7 +19,6 @@ from lanebound.integrity.core.errors import InputError, require_finite, require_
 from lanebound.integrity.core.records import one_record
 from lanebound.integrity.monitoring import protection_kernel as kernel
 from lanebound.integrity.monitoring.fault_modes import FaultModes
-from lanebound.integrity.positioning.geometry_kernel import MAX_GROUPS
 from lanebound.integrity.monitoring.risk import (
     RiskConfig,
     Variant,
@@ -29,6 +28,7 @@ from lanebound.integrity.monitoring.risk import (
     upper_quantile,
 )
 from lanebound.integrity.monitoring.separation import Separation
+from lanebound.integrity.positioning.geometry_kernel import MAX_GROUPS
 
 __all__ = [
     "BatchLevels",

@@ -37,13 +37,6 @@ from lanebound.integrity.core.simd_kernel import (
     total,
     where_less,
 )
-from lanebound.integrity.positioning.geometry_kernel import (
-    MAX_GROUPS,
-    SOLVED,
-    capacity,
-    find_geometry,
-    geometry_scratch,
-)
 from lanebound.integrity.monitoring.separation_kernel import (
     Modes,
     add_subset,
@@ -52,6 +45,13 @@ from lanebound.integrity.monitoring.separation_kernel import (
     moment_scratch,
     set_factors,
     set_priors,
+)
+from lanebound.integrity.positioning.geometry_kernel import (
+    MAX_GROUPS,
+    SOLVED,
+    capacity,
+    find_geometry,
+    geometry_scratch,
 )
 
 __all__ = [

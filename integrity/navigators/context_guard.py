@@ -124,8 +124,7 @@ class ContextGuard:
         """The verdicts of the vehicles that are due."""
         self._monitor.memory = state.monitor
         wheels = state.wheels_mps[due] / state.epochs[due]
-        fix = code_fix(m, self.config.codes, due)  # type: ignore[arg-type] # rows by number too
-        verdict = self._monitor.step(fix, wheels, rows=due)
+        verdict = self._monitor.step(code_fix(m, self.config.codes, due), wheels, rows=due)
         state.epochs[due], state.wheels_mps[due] = 0, 0.0
         for name, value in self._report(verdict)._asdict().items():
             state.last[name][due] = value

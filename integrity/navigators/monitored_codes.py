@@ -276,8 +276,8 @@ def code_epochs(m: Measurements, budget: CodeBudget, rows: NDArray[np.int64]) ->
     used = g.tracked[rows] & (code != 0.0)
     los = np.where(used[..., None], m.sky.los_enu[at], UP)
     return CodeEpochs.of(
-        code, los, budget.code(elevation, g.cn0_dbhz[rows]), used, m.sky.system.astype(np.int64), cn0_dbhz=g.cn0_dbhz[rows],
-        elevation_rad=elevation, time_s=np.full(rows.size, m.time_s),
+        code, los, budget.code(elevation, g.cn0_dbhz[rows]), used, m.sky.system.astype(np.int64),
+        cn0_dbhz=g.cn0_dbhz[rows], elevation_rad=elevation, time_s=np.full(rows.size, m.time_s),
     )  # fmt: skip
 
 

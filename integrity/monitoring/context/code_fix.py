@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import model_validator
 
 from lanebound.integrity.core.config import Config, Field
-from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.core.errors import ConfigError, InputError
 from lanebound.integrity.positioning.code_errors import CodeErrorBudget
 from lanebound.integrity.positioning.code_solution import CodeFit, solve_ranges
+from lanebound.integrity.sky.systems import System
 
 if TYPE_CHECKING:
     from lanebound.integrity.sensors.instruments import Measurements
@@ -34,11 +36,22 @@ class CodeErrorsConfig(Config):
     errors: CodeErrorBudget = Field(
         CodeErrorBudget(reflections_m=0.6), description="of codes; reflections between suburban and urban streets"
     )
+    equal_m: float | None = Field(
+        None, gt=0, description="one deviation for all codes in place of errors [m]; 1: S5 eq 1 and 2 as printed"
+    )
+    systems: tuple[str, ...] = Field(tuple(System.__members__), min_length=1, description="systems used; S5: GPS")
     range_rate_mps: float = Field(
         0.2,
         gt=0,
         description="range rate at the zenith, 1 sigma [m/s]; 0.08 in the open, and reflections in streets, S1",
     )
+
+    @model_validator(mode="after")
+    def _systems_are_known(self) -> CodeErrorsConfig:
+        unknown = [name for name in self.systems if name not in System.__members__]
+        if unknown:
+            raise ConfigError(f"systems must be among {', '.join(System.__members__)}, got {unknown[0]!r}: correct it")
+        return self
 
 
 class CodeFix(NamedTuple):
@@ -63,7 +76,7 @@ class CodeFix(NamedTuple):
         return np.asarray(self.rates.x_m[:, :2])
 
 
-def code_fix(m: Measurements, config: CodeErrorsConfig, rows: slice = slice(None)) -> CodeFix:
+def code_fix(m: Measurements, config: CodeErrorsConfig, rows: slice | NDArray[np.int64] = slice(None)) -> CodeFix:
     """Position and velocity of the vehicles in ``rows`` at an epoch.
 
     Raises
@@ -75,10 +88,12 @@ def code_fix(m: Measurements, config: CodeErrorsConfig, rows: slice = slice(None
         raise InputError("gnss.undifferenced must be true, is false: a code position needs undifferenced codes")
     los, cn0 = m.sky.los_enu[m.sky.index[rows]], m.gnss.cn0_dbhz[rows]
     used = m.gnss.tracked[rows] & (los[..., 2] >= np.sin(np.deg2rad(config.mask_deg))) & (cn0 >= config.least_cn0_dbhz)
+    system = np.asarray(m.sky.system, dtype=np.int64)
+    used &= np.isin(system, [System[name].value for name in config.systems])
     los = np.where(used[..., None], los, UP)
     found = config.errors.errors(los[..., 2], cn0)
-    system = np.asarray(m.sky.system, dtype=np.int64)
-    codes = solve_ranges(los, m.gnss.raw_code_m[rows, :, 0], found.variance_m2, used, system)
+    variance = found.variance_m2 if config.equal_m is None else config.equal_m**2
+    codes = solve_ranges(los, m.gnss.raw_code_m[rows, :, 0], variance, used, system)
     rates = solve_ranges(
         los, m.gnss.range_rate_mps[rows], config.range_rate_mps**2 * found.factor, used, np.zeros_like(system)
     )

@@ -69,7 +69,8 @@ def check_position(codes: CodeFit, config: PositionPhaseConfig) -> PositionTest:
         slope = slope * np.where(codes.used, np.sqrt(codes.weight), 1.0)
     threshold = raim_threshold(codes.df, config.false_alarm)
     tested = codes.solved & (codes.df > 0)
-    level = slope.max(-1, initial=0.0) * np.where(tested, threshold, 0.0)
-    level = np.where(tested, level + two_sided_factor(config.missed_detection) * codes.hdop_m, np.inf)
+    worst = np.where(tested, slope.max(-1, initial=0.0), 0.0)
+    level = worst * np.where(tested, threshold, 0.0) + two_sided_factor(config.missed_detection) * codes.hdop_m
+    level = np.where(tested, level, np.inf)
     statistic = np.sqrt(codes.wsse)
     return PositionTest(level, statistic, threshold, level <= config.alert_limit_m, statistic <= threshold)

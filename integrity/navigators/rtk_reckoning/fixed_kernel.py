@@ -15,14 +15,6 @@ from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.core.small_matrix_kernel import hdop_of
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED, UNRESOLVED, detect_and_exclude
-from lanebound.integrity.positioning.geometry_kernel import (
-    SOLVED,
-    Geometry,
-    capacity,
-    find_geometry,
-    geometry_scratch,
-    solve,
-)
 from lanebound.integrity.monitoring.heading_separation_kernel import Courses, courses_of, largest_course
 from lanebound.integrity.monitoring.protection_kernel import (
     closed_form,
@@ -53,6 +45,14 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import (
 from lanebound.integrity.navigators.rtk_reckoning.resolve_stage_kernel import find_members
 from lanebound.integrity.positioning.codes_kernel import FAULT, FIXED, NO_CORRECTIONS, TOO_FEW
 from lanebound.integrity.positioning.doubtful_kernel import LARGEST_SET, find_sets
+from lanebound.integrity.positioning.geometry_kernel import (
+    SOLVED,
+    Geometry,
+    capacity,
+    find_geometry,
+    geometry_scratch,
+    solve,
+)
 from lanebound.integrity.positioning.mode_kernel import rtk_usable
 from lanebound.integrity.positioning.rows_kernel import Rows
 from lanebound.integrity.positioning.rtk_kernel import (

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import jit
 from lanebound.integrity.core.small_matrix_kernel import hdop_of
 from lanebound.integrity.monitoring.detection_kernel import EXCLUDED, detect_and_exclude
-from lanebound.integrity.positioning.geometry_kernel import SOLVED, find_geometry, solve
 from lanebound.integrity.monitoring.heading_separation_kernel import courses_of
 from lanebound.integrity.monitoring.jump_kernel import bounded, is_suspicious
 from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import (
@@ -27,6 +26,7 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
 from lanebound.integrity.navigators.services.records_kernel import ServiceRows, ServiceTables
 from lanebound.integrity.positioning.codes_kernel import NO_CORRECTIONS
 from lanebound.integrity.positioning.doubtful_kernel import find_sets
+from lanebound.integrity.positioning.geometry_kernel import SOLVED, find_geometry, solve
 from lanebound.integrity.positioning.rows_kernel import Rows
 
 __all__ = ["LEAST_ROWS", "find_fix"]

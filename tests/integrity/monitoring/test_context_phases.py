@@ -47,9 +47,7 @@ def test_the_level_is_that_of_walter_and_enge() -> None:
     assert found.level_m[0] == pytest.approx(level, rel=1e-9)
     assert found.statistic[0] == pytest.approx(np.sqrt(wsse), rel=1e-9)
     assert found.threshold[0] == pytest.approx(np.sqrt(chi2.isf(1e-3, 3)))
-    printed = check_position(
-        solve_rows(g[None], y[None], sigma[None] ** -2), PositionPhaseConfig(printed_slope=True)
-    )
+    printed = check_position(solve_rows(g[None], y[None], sigma[None] ** -2), PositionPhaseConfig(printed_slope=True))
     assert printed.level_m[0] != pytest.approx(level)
 
 

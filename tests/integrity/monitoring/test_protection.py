@@ -11,7 +11,6 @@ from scipy.stats import binom, norm
 from fault_rows import constellation_modes
 from lanebound.integrity.core.accel import serial
 from lanebound.integrity.core.errors import InputError
-from lanebound.integrity.positioning import geometry_kernel as gk
 from lanebound.integrity.monitoring import protection_kernel as pk
 from lanebound.integrity.monitoring.protection import (
     closed_form_published,
@@ -35,6 +34,7 @@ from lanebound.integrity.monitoring.separation_kernel import (
     set_factors,
     set_priors,
 )
+from lanebound.integrity.positioning import geometry_kernel as gk
 from lanebound.integrity.positioning.least_squares import design_matrix
 
 PRIORS = (1e-5, 1e-6, 1e-5, 3e-5, 1e-5)

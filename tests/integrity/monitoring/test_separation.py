@@ -13,10 +13,10 @@ from fault_rows import constellation_modes, satellite_modes
 from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import track_from_enu_matrix
 from lanebound.integrity.core.small_matrix_kernel import hdop_of
-from lanebound.integrity.positioning import geometry_kernel as gk
 from lanebound.integrity.monitoring.risk import Variant
 from lanebound.integrity.monitoring.separation import Separation, published_bias, separate
 from lanebound.integrity.monitoring.separation_kernel import Modes, find_modes, mode_scratch, moment_scratch, set_priors
+from lanebound.integrity.positioning import geometry_kernel as gk
 from lanebound.integrity.positioning.least_squares import design_matrix
 from plain_least_squares import dilution, solve
 

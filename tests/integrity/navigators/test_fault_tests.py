@@ -12,7 +12,6 @@ from scipy.stats import binom, chi2, norm
 
 from fault_rows import constellation_modes
 from lanebound.integrity.core.frames import track_from_enu_matrix
-from lanebound.integrity.positioning import geometry_kernel as gk
 from lanebound.integrity.monitoring.detection import adjust, diagonal_covariance
 from lanebound.integrity.monitoring.detection_kernel import detect_and_exclude
 from lanebound.integrity.monitoring.exclusion import FdeConfig, FdeOutcome, Search, fde_parameters, fde_thresholds
@@ -29,6 +28,7 @@ from lanebound.integrity.navigators.rtk_reckoning.config import RtkReckoningConf
 from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import fixed_scratch, levels_of_fix
 from lanebound.integrity.navigators.rtk_reckoning.parameters import epoch_parameters, epoch_tables
 from lanebound.integrity.navigators.solution import Solution
+from lanebound.integrity.positioning import geometry_kernel as gk
 from lanebound.integrity.positioning.doubtful_kernel import LARGEST_SET, find_sets
 from lanebound.integrity.positioning.least_squares import design_matrix
 from lanebound.integrity.positioning.modes import Mode
