@@ -24,8 +24,8 @@ from lanebound.integrity.assessment.charging_rates import ChargingConfig, chargi
 from lanebound.integrity.assessment.speed_power import SpeedPowerConfig, speed_power
 from lanebound.integrity.assessment.warning_rates import WarningCounts, sweep_thresholds
 from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.presets import deep_merge
 from lanebound.integrity.core.streams import named_generator
-from lanebound.integrity.monitoring.context.code_fix import CodeErrorsConfig
 from lanebound.integrity.monitoring.context.monitor import ContextConfig, ContextMonitor, ContextVerdict
 from lanebound.integrity.monitoring.context.position_phase import check_position
 from lanebound.integrity.monitoring.context.speed_phase import SpeedForm, SpeedPhase, SpeedTest
@@ -50,13 +50,15 @@ Judge = tuple[str, str]
 S5_SKY = {"lat_deg": 52.95, "lon_deg": -1.15, "qzss": 0}
 
 
-ASSUMPTIONS = {
-    "GPS alone": CodeErrorsConfig(systems=("GPS",)),
-    "1 m for all codes": CodeErrorsConfig(equal_m=1.0),
-    "S5: GPS alone, 1 m, weak signals": CodeErrorsConfig(systems=("GPS",), equal_m=1.0, least_cn0_dbhz=20.0),
+PRINTED = {"position": {"printed_slope": True}, "codes": {"plain_hdop": True}}
+GPS = {"systems": ["GPS"]}
+ASSUMPTIONS: dict[str, dict[str, Any]] = {
+    "GPS alone": {"codes": GPS},
+    "level as printed": PRINTED,
+    "S5: level as printed, GPS alone, weak signals": deep_merge(PRINTED, {"codes": {**GPS, "least_cn0_dbhz": 20.0}}),
 }
-"""S5's receiver has GPS alone and tracks to -160 dBm (section 4.1). Its equations 1 and 2 have no deviation of a code:
-HPL is in metres if that is 1 m."""
+"""S5's receiver has GPS alone and tracks to -160 dBm (section 4.1). Its slope has no deviation of a code and its HDOP
+no weights (equations 1 and 2), so that HPL is in metres if every code has an error of 1 m; the WSSE test has weights."""
 
 
 class ContextStudyConfig(Config):
@@ -77,13 +79,18 @@ class ContextStudyConfig(Config):
     map_errors: MapErrorsConfig = Field(
         MapErrorsConfig(shift_m=3.0, missing=0.02, wrong_topology=0.02), description="errors of the second map; chosen"
     )
-    assumptions: dict[str, CodeErrorsConfig] = Field(
-        ASSUMPTIONS, description="what else a receiver may use and declare; the monitor with the second map judges each"
+    assumptions: dict[str, dict[str, Any]] = Field(
+        ASSUMPTIONS, description="changes of the monitor; each judges the same drives with the second map"
     )
     node_m: float = Field(10.0, ge=0, description="distance from a node within which both links count as true [m]")
     monitor: ContextConfig = Field(default_factory=ContextConfig)
     charging: ChargingConfig = ChargingConfig()
     speed_power: SpeedPowerConfig = SpeedPowerConfig()
+
+    @property
+    def assumed(self) -> dict[str, ContextConfig]:
+        """The monitor under each of the assumptions."""
+        return {name: self.monitor.replace(**changes) for name, changes in self.assumptions.items()}
 
 
 def run_context(config: ContextStudyConfig, out: Path, on_progress: OnProgress = ignore) -> dict[str, Any]:
@@ -127,7 +134,7 @@ def work_part(config: ContextStudyConfig, name: str, advance: Advance = ignore) 
     seeds, table = _parts(config)[name], config.drives[environment]
     drive = drive_of(
         environment, table, number, seeds, (config.gnss, config.sky),
-        {"": config.monitor.codes, **config.assumptions}, config.node_m,
+        {"": config.monitor.codes, **{name: assumed.codes for name, assumed in config.assumed.items()}}, config.node_m,
     )  # fmt: skip
     key = [list(DriveEnvironment).index(environment), number]
     maps = {
@@ -172,7 +179,7 @@ class MonitorSeries:
         out, batch = cls(), next(iter(monitors.values())).speed.memory["count"].size
         phases = {form: SpeedPhase(config.speed.replace(form=form), batch) for form in SpeedForm}
         for k, p in enumerate(drive.points):
-            position = check_position(p.fix.codes, config.position)
+            position = check_position(p.fix.codes, config.position, p.fix.hdop)
             tests = {form: _speed_test(phase, p) for form, phase in phases.items()}
             speed = tests[config.speed.form]
             _add(out.point, _of_point(p, tests))

@@ -36,8 +36,8 @@ class CodeErrorsConfig(Config):
     errors: CodeErrorBudget = Field(
         CodeErrorBudget(reflections_m=0.6), description="of codes; reflections between suburban and urban streets"
     )
-    equal_m: float | None = Field(
-        None, gt=0, description="one deviation for all codes in place of errors [m]; 1: S5 eq 1 and 2 as printed"
+    plain_hdop: bool = Field(
+        False, description="the level takes the HDOP without weights, as S5 names it (not in metres)"
     )
     systems: tuple[str, ...] = Field(tuple(System.__members__), min_length=1, description="systems used; S5: GPS")
     range_rate_mps: float = Field(
@@ -55,10 +55,14 @@ class CodeErrorsConfig(Config):
 
 
 class CodeFix(NamedTuple):
-    """Position and velocity of B vehicles; ``codes`` and ``rates`` hold solutions, covariances and residuals."""
+    """Position and velocity of B vehicles; ``codes`` and ``rates`` hold solutions, covariances and residuals.
+
+    hdop (B,): without weights, for levels that take it; None where they take the weighted one.
+    """
 
     codes: CodeFit
     rates: CodeFit
+    hdop: Array | None = None
 
     @property
     def position_en_m(self) -> Array:
@@ -92,9 +96,10 @@ def code_fix(m: Measurements, config: CodeErrorsConfig, rows: slice | NDArray[np
     used &= np.isin(system, [System[name].value for name in config.systems])
     los = np.where(used[..., None], los, UP)
     found = config.errors.errors(los[..., 2], cn0)
-    variance = found.variance_m2 if config.equal_m is None else config.equal_m**2
-    codes = solve_ranges(los, m.gnss.raw_code_m[rows, :, 0], variance, used, system)
+    observed = m.gnss.raw_code_m[rows, :, 0]
+    codes = solve_ranges(los, observed, found.variance_m2, used, system)
+    plain = solve_ranges(los, observed, 1.0, used, system).hdop_m if config.plain_hdop else None
     rates = solve_ranges(
         los, m.gnss.range_rate_mps[rows], config.range_rate_mps**2 * found.factor, used, np.zeros_like(system)
     )
-    return CodeFix(codes, rates)
+    return CodeFix(codes, rates, plain)

@@ -162,7 +162,7 @@ class ContextMonitor:
         ``position`` and ``speed`` are results of the first phases on the same fix, when another monitor has them. With
         ``rows`` only these vehicles have an epoch, and all arguments are theirs.
         """
-        position = position or check_position(fix.codes, self.config.position)
+        position = position or check_position(fix.codes, self.config.position, fix.hdop)
         speed = speed or self.speed.step(
             fix.velocity_en_mps, fix.rates.cofactor[:, :2, :2], wheel_mps, fix.rates.solved, rows
         )  # fmt: skip
