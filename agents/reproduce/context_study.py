@@ -58,7 +58,7 @@ ASSUMPTIONS: dict[str, dict[str, Any]] = {
     "S5: level as printed, GPS alone, weak signals": deep_merge(PRINTED, {"codes": {**GPS, "least_cn0_dbhz": 20.0}}),
 }
 """S5's receiver has GPS alone and tracks to -160 dBm (section 4.1). Its slope has no deviation of a code and its HDOP
-no weights (equations 1 and 2), so that HPL is in metres if every code has an error of 1 m; the WSSE test has weights."""
+no weights (equations 1 and 2), so that HPL is in metres if each code has an error of 1 m; the WSSE test has weights."""
 
 
 class ContextStudyConfig(Config):
