@@ -38,7 +38,11 @@ class AwareConfig(RssConfig):
     grace_s: float = Field(8.0, ge=0, description="longer by this where the open sky is reached within it; chosen")
     link_s: float = Field(1.0, gt=0, description="the same where the sky is open and the link is out; chosen")
     link_age_s: float = Field(2.0, gt=0, description="age of the reference data from which the link counts as out")
-    lane_extra_m: float = Field(1.0, ge=0, description="the own lane is widened by PL_CT, by this at most; half a car")
+    lane_extra_m: float = Field(
+        3.0,
+        ge=0,
+        description="the own lane is widened by PL_CT, by this at most; broadcasts can be a lane off",
+    )
     cross_extra_m: float = Field(0.5, ge=0, description="crossing vehicles are widened by PL_AT, by this at most")
     sky_bonus_mps2: float = Field(0.5, ge=0, description="gain of a lane that sees the sky where the own does not")
 
