@@ -39,8 +39,8 @@ LOW_COST = {
     },
     "sky": MURCIA,
     "services": {
-        "spp": {"systems": ["GPS"], "sigma_code_m": 2.0, "constellation_prior": [0.0] * 5},
-        "sbas_l1": {"sigma_code_m": 2.0},
+        "spp": {"systems": ["GPS"], "errors": {"reflections_m": 2.0}, "constellation_prior": [0.0] * 5},
+        "sbas_l1": {"errors": {"reflections_m": 2.0}},
     },
 }
 """The GPS receiver of S4, of some metres of code error, in Murcia."""

@@ -27,7 +27,7 @@ from lanebound.integrity.positioning.code_errors_kernel import (
     fill_parts,
 )
 
-__all__ = ["CodeErrorBudget", "CodeErrors"]
+__all__ = ["CodeErrorBudget", "CodeErrorParts"]
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ ROW_US = 0.05
 
 
 @dataclass(frozen=True)
-class CodeErrors:
+class CodeErrorParts:
     """Parts of the variance of codes (...,).
 
     fast_m2 noise and multipath, own_m2 each satellite's own slow errors; common_m (..., 2) effects per sigma of the
@@ -97,13 +97,13 @@ class CodeErrorBudget(Config):
         """As kernels take it, (1,) of CODE_ERRORS."""
         return _rules(self)
 
-    def errors(self, sine: ArrayLike, cn0_dbhz: ArrayLike) -> CodeErrors:
+    def errors(self, sine: ArrayLike, cn0_dbhz: ArrayLike) -> CodeErrorParts:
         """The parts of codes of one band by the sine of the elevation and C/N0 [dB-Hz], (...,) each."""
         level, cn0 = np.broadcast_arrays(np.asarray(sine, np.float64), np.asarray(cn0_dbhz, np.float64))
         parts = np.empty((level.size, PARTS))
         run_rows(fill_parts, level.size, self.rules(), level.ravel(), cn0.ravel(), parts, row_us=ROW_US)
         parts = parts.reshape(*level.shape, PARTS)
-        return CodeErrors(parts[..., FAST], parts[..., OWN], parts[..., [IONO, TROPO]], parts[..., FACTOR])
+        return CodeErrorParts(parts[..., FAST], parts[..., OWN], parts[..., [IONO, TROPO]], parts[..., FACTOR])
 
 
 @lru_cache(maxsize=64)

@@ -125,7 +125,7 @@ def solve_ranges(
     los_enu : (E, m, 3) unit vectors receiver to satellite; any finite value where not used
     y_m, variance_m2 : (E, m) observed minus computed codes and their variances, positive where used
     used : (E, m) bool
-    system : (m,) clock of each column, 0 to 7
+    system : (m,) or (E, m) clock of each code, 0 to 7
     height : Up (E,) as known from elsewhere and its 1 sigma (E,), inf for none [m]
     """
     mask = np.ascontiguousarray(used, dtype=np.bool_)
@@ -136,7 +136,7 @@ def solve_ranges(
         weight[:] = 1.0 / np.square(sigma)
     codes = CodeRows(
         _wide(los_enu, (epochs, m, 3)), _wide(y_m, (epochs, m)), _wide(variance_m2, (epochs, m)), mask,
-        np.ascontiguousarray(system, dtype=np.int64), up, weight,
+        np.ascontiguousarray(np.broadcast_to(np.asarray(system, dtype=np.int64), mask.shape)), up, weight,
     )  # fmt: skip
     both, wide = (epochs, m), (epochs, m, 3)
     out = CodeSolutions(

@@ -31,7 +31,7 @@ MOST_SPREAD = 1e9  # variance of the position over that of the best row, above w
 
 
 class CodeRows(NamedTuple):
-    """E epochs of m codes: los (E, m, 3), y and variance (E, m), used (E, m), system (m,); known height (E,) and its
+    """E epochs of m codes: los (E, m, 3), y and variance (E, m), used (E, m), system (E, m); known height (E,) and its
     weight (E,) [1/m^2], 0 for none."""
 
     los: Array
@@ -62,14 +62,14 @@ class CodeSolutions(NamedTuple):
 @jit
 def solve_epochs(first: int, last: int, codes: CodeRows, out: CodeSolutions) -> None:
     """Solve the epochs first to last - 1."""
-    m = codes.system.shape[0]
+    m = codes.system.shape[1]
     geo, place, los = geometry_scratch(m), np.empty(m, np.int64), np.empty((m, 3))
     group, variance, bias, y = np.empty(m, np.int64), np.empty(m), np.zeros(m), np.empty(m)
     for e in range(first, last):
         n = 0
         for s in range(m):
             if codes.used[e, s]:
-                place[n], group[n], variance[n], y[n] = s, codes.system[s], codes.variance[e, s], codes.y[e, s]
+                place[n], group[n], variance[n], y[n] = s, codes.system[e, s], codes.variance[e, s], codes.y[e, s]
                 los[n, 0], los[n, 1], los[n, 2] = codes.los[e, s, 0], codes.los[e, s, 1], codes.los[e, s, 2]
                 n += 1
         fix = geo.fix[0]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.core.config import Config, Field
-from lanebound.integrity.positioning.code_errors import CodeErrorBudget, CodeErrors
+from lanebound.integrity.positioning.code_errors import CodeErrorBudget, CodeErrorParts
 from lanebound.integrity.sensors.broadcast import change_rate
 
 __all__ = ["CodeBudget"]
@@ -43,7 +43,7 @@ class CodeBudget(Config):
         moved = change_rate(self.lasting_s) * np.sqrt(span_s * np.maximum(span_s, self.coast_s))
         return np.asarray(np.sqrt(moved**2 * slow + 2.0 * np.square(self.carrier_m / sine)))
 
-    def _errors(self, elevation_rad: ArrayLike, cn0_dbhz: ArrayLike) -> CodeErrors:
+    def _errors(self, elevation_rad: ArrayLike, cn0_dbhz: ArrayLike) -> CodeErrorParts:
         return self.errors.errors(_sine(elevation_rad), cn0_dbhz)
 
 

@@ -1,17 +1,14 @@
 """Corrected ranges of a code service in one epoch.
 
 A corrected range is ``y = sum_b a_b code_b - satellite - F dz``, with the shares of the bands a, F the obliquity of the
-ionosphere. Its variance is::
+ionosphere. Its variance is that of the budget of all code positions
+(:mod:`~lanebound.integrity.positioning.code_errors_kernel`), with the sigmas of satellite and ionosphere as the
+provider declares them (UDRE and GIVE of SBAS), or as configured without a provider, and with their ages.
 
-    f (a sigma_code)^2 + sigma_sat^2 + g_sat age + F^2 (sigma_dz^2 + g_dz age_dz) + (m sigma_tropo)^2
-
-sigma_sat and sigma_dz as the provider declares them (UDRE and GIVE of SBAS), or as configured without a provider.
-
-f by elevation and C/N0 as everywhere. A code smoothed by its carrier for T has ``min(1, 2 tau / (tau + T))`` of the
-variance of a code, which bounds the mean over T of a Gauss-Markov error, and that of the carrier beside it. PPP is a
-code service of a long time constant with precise corrections: the mean of code less carrier is the float ambiguity of a
-satellite. Each satellite has its own, and a satellite that was lost converges again by itself. The zenith delay is
-common to all: separation does not bound faults of the past in it.
+A code smoothed by its carrier has the shares of the variance that the mean leaves, and the variance of the carrier
+beside it. PPP is a code service of a long time constant with precise corrections: the mean of code less carrier is the
+float ambiguity of a satellite. Each satellite has its own, and a satellite that was lost converges again by itself. The
+zenith delay is common to all: separation does not bound faults of the past in it.
 
 A code that is weak for its elevation is off with the odds of :mod:`~lanebound.integrity.positioning.doubtful_kernel`.
 """
@@ -29,11 +26,19 @@ from lanebound.integrity.navigators.services.records_kernel import (
     ServiceState,
     ServiceTables,
 )
-from lanebound.integrity.navigators.services.zenith_kernel import CarrierTables, estimate_zenith, map_zenith
-from lanebound.integrity.positioning.rtk_kernel import UNUSED, obliquity
+from lanebound.integrity.navigators.services.zenith_kernel import CarrierTables, predict_zenith
+from lanebound.integrity.positioning.code_errors_kernel import (
+    ionosphere_slant,
+    ionosphere_variance,
+    receiver_variance,
+    satellite_variance,
+    troposphere_slant,
+    troposphere_variance,
+)
+from lanebound.integrity.positioning.rtk_kernel import UNUSED
 from lanebound.integrity.positioning.smoothing_kernel import slips, smooth
 
-__all__ = ["combine", "fill_code_ranges", "smoothed_share"]
+__all__ = ["combine", "fill_code_ranges"]
 
 GATE_SIGMAS = 5.0  # of a code, beyond which carrier smoothing begins anew
 LEAST_ROWS = 5
@@ -49,6 +54,7 @@ def fill_code_ranges(
     rules, par = service.rules[0], service.parameters[0]
     for v in range(first, last):
         state.since[v] += par.dt
+        ranges.consistent[v], ranges.excluded[v] = False, 0
         ranges.due[v] = not state.since[v] < rules.interval - 0.5 * par.dt
         if not ranges.due[v] and not rules.smoothing > 0.0:
             continue
@@ -58,7 +64,7 @@ def fill_code_ranges(
         if ranges.due[v]:
             state.since[v] = 0.0
         if ranges.due[v] and carrier.rules[0].zenith:
-            estimate_zenith(v, epoch, service, ranges, carrier)
+            predict_zenith(v, epoch, service, ranges, carrier)
 
 
 @jit
@@ -68,8 +74,15 @@ def fill_vehicle(
 ) -> int:  # fmt: skip
     """The ranges of vehicle v; how many are used."""
     count = 0
-    rules, par, doubt, own = service.rules[0], service.parameters[0], service.parameters[0].rtk.doubt, carrier.rules[0]
+    rules, par, doubt, budget = (
+        service.rules[0],
+        service.parameters[0],
+        service.parameters[0].rtk.doubt,
+        service.rules[0].errors,
+    )
     measured, quality, los = epoch.measured, epoch.work.quality[v], epoch.measured.los[epoch.measured.sight[v]]
+    moves = abs(measured.speed[v]) > par.odometer.still_speed
+    decay = math.exp(-par.dt / (budget.moving_tau if moves else budget.rest_tau))
     for s in range(service.allowed.shape[0]):
         ranges.used[v, s], hatch = False, state.hatch[v, s]
         if not (measured.tracked[v, s] and service.allowed[s] and quality[s] < UNUSED):
@@ -79,39 +92,34 @@ def fill_vehicle(
         loss = doubt.horizon + (doubt.zenith - doubt.horizon) * sine - cn0
         odds = doubt.most / (1.0 + math.exp((doubt.centre - loss) / doubt.scale))
         code, phase, there, locked = combine(inputs.code[v, s], inputs.phase[v, s], service.share[s])
-        factor, smoothed = math.sqrt(quality[s]), 0.0
-        sigma, noise = service.noise[s] * rules.code * factor, own.phase * factor
+        noise = budget.phase * math.sqrt(quality[s])
         locked = locked and not measured.lock_lost[v, s] and odds < doubt.single
+        white, lasting, of_carrier = 1.0, 1.0, 0.0
         if rules.smoothing > 0.0:
             free = inputs.phase[v, s, 0] - inputs.phase[v, s, 1] if locked and rules.combined else 0.0
             locked = locked and not slips(free, 2.0 * FREE_SIGMAS * noise, hatch)
-            code = smooth(code, phase, locked, rules.smoothing, GATE_SIGMAS * sigma, hatch)
-            smoothed = max(hatch.count - 1.0, 0.0) * par.dt
+            gate = GATE_SIGMAS * service.noise[s] * math.sqrt(receiver_variance(budget, quality[s], 1.0, 1.0))
+            code = smooth(code, phase, locked, rules.smoothing, gate, decay, hatch)
+            white, lasting, of_carrier = hatch.white, hatch.lasting, noise * noise
         used = there and sine > rules.sin_mask and cn0 >= rules.cn0_min and inputs.declared[s] < math.inf
         if not used:
             continue
         count += 1
         ranges.used[v, s], ranges.odds[v, s] = True, odds + par.risk.satellite_prior[service.tables.system[s]]
         y = code - inputs.satellite[v, s]
-        variance = sigma * sigma * smoothed_share(own.correlation, smoothed) + (service.noise[s] * noise) ** 2
-        variance += inputs.declared[s] ** 2 + rules.satellite_growth * min(inputs.age[v], rules.max_age)
+        variance = receiver_variance(budget, quality[s], white, lasting) + of_carrier
+        variance *= service.noise[s] ** 2
+        variance += satellite_variance(budget, inputs.declared[s], min(inputs.age[v], rules.max_age))
         if not rules.combined:
-            slant = obliquity(sine)
-            grid = rules.zenith**2 + inputs.zenith_declared**2
-            grid += rules.zenith_growth * min(inputs.zenith_age[v], rules.zenith_max_age)
+            slant = ionosphere_slant(sine)
+            age = min(inputs.zenith_age[v], rules.zenith_max_age)
+            own, common = ionosphere_variance(budget, slant, inputs.zenith_declared, age)
             y -= slant * inputs.zenith[v, s]
-            variance += slant * slant * grid
-        if not own.zenith:
-            variance += (map_zenith(sine) * rules.tropo) ** 2
+            variance += own + common * common
+        if not carrier.rules[0].zenith:
+            variance += troposphere_variance(budget, troposphere_slant(sine))
         ranges.y[v, s], ranges.variance[v, s] = y, variance
     return count
-
-
-@jit(borrows=True)
-def smoothed_share(tau: float, smoothed: float) -> float:
-    """Bound of the variance of a mean over ``smoothed`` [s] of a Gauss-Markov error of correlation time tau [s], over
-    that of the error: ``2 x (1 - x (1 - exp(-1 / x))) <= 2 x / (1 + x)``, x = tau / T."""
-    return min(1.0, 2.0 * tau / (tau + smoothed))
 
 
 @jit(borrows=True)

@@ -6,6 +6,7 @@ from pydantic import model_validator
 
 from lanebound.integrity.core.config import Config, Field
 from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.positioning.code_errors import CodeErrorBudget
 from lanebound.integrity.positioning.config import DoubtConfig
 from lanebound.integrity.sky.systems import System
 
@@ -14,6 +15,9 @@ __all__ = ["CodeServiceConfig", "ServicesConfig"]
 ALL_SYSTEMS = tuple(System.__members__)
 NO_PRIOR = (0.0, 0.0, 0.0, 0.0, 0.0)
 BROADCAST_PRIOR = (1e-8, 1e-4, 1e-4, 1e-4, 1e-4)  # WG-C ARAIM ADD v3.1: GPS 1e-8, others 1e-4
+
+
+IN_STREETS = CodeErrorBudget(reflections_m=1.0)
 
 
 class CodeServiceConfig(Config):
@@ -27,37 +31,12 @@ class CodeServiceConfig(Config):
     smoothing_s: float = Field(
         0.0, ge=0, description="time constant of carrier smoothing (Hatch) [s]; 0: none; DO-229 has 100"
     )
-    sigma_satellite_m: float = Field(
-        0.0, ge=0, description="ephemeris and clock without a provider, 1 sigma [m]; else as the provider declares"
-    )
-    sigma_phase_m: float = Field(
-        0.005, gt=0, description="carrier of one band, zenith, 1 sigma [m]; of slip tests, and of PPP beside its codes"
-    )
-    correlation_s: float = Field(
-        10.0, gt=0, description="longest correlation time of code errors [s]; smoothing over T leaves 2 tau / (tau + T)"
+    errors: CodeErrorBudget = Field(
+        IN_STREETS,
+        description="error budget of ranges; with a provider its satellite and ionosphere are the provider's. 1 m of "
+        "reflections bounds the L1 codes of strong signals in simulated streets; an open sky has none",
     )
     zenith_state: bool = Field(False, description="estimate the zenith delay of the troposphere in a filter")
-    satellite_growth_m2ps: float = Field(
-        1e-3,
-        ge=0,
-        description="growth of the variance of a satellite's correction with its age [m^2/s]; above (1.5 mm/s age)^2, "
-        "of clocks of 5e-12, up to 400 s",
-    )
-    sigma_zenith_m: float = Field(
-        0.0, ge=0, description="vertical ionosphere on L1 without a provider, 1 sigma [m]; 0 where it cancels"
-    )
-    zenith_growth_m2ps: float = Field(
-        0.006,
-        ge=0,
-        description="growth of the variance of the vertical ionosphere [m^2/s]; above (1.5 mm/s age)^2 to 600 s",
-    )
-    sigma_tropo_m: float = Field(0.15, ge=0, description="zenith troposphere after the model, 1 sigma [m]; DO-229 0.12")
-    sigma_code_m: float = Field(
-        1.0,
-        gt=0,
-        description="noise and multipath of the code of one band, zenith, 1 sigma [m]; bounds the L1 codes of strong "
-        "signals in simulated streets",
-    )
     code_bias_m: float = Field(0.3, ge=0, description="bound of a lasting error of one code [m]; antenna, correlator")
     max_age_s: float = Field(18.0, gt=0, description="oldest satellite corrections [s]; DO-229D, en route to NPA")
     zenith_max_age_s: float = Field(600.0, gt=0, description="oldest ionospheric grid [s]; DO-229D")
@@ -75,11 +54,12 @@ class CodeServiceConfig(Config):
     interval_s: float = Field(
         1.0, ge=0, description="time between two positions of the service [s]; Doppler moves them in between"
     )
-    risk_share: float = Field(
-        0.5,
+    risk_share: float | None = Field(
+        None,
         gt=0,
         le=1,
-        description="share of the integrity risk for one fix [-]; the fix of the lowest level of several is kept",
+        description="share of the integrity risk for one fix [-]; none: 1 / (1 + code services), as the lowest of so "
+        "many levels is kept (Bonferroni)",
     )
 
     @model_validator(mode="after")
@@ -94,26 +74,27 @@ class ServicesConfig(Config):
     """Declared figures of each service."""
 
     spp: CodeServiceConfig = Field(
-        CodeServiceConfig(sigma_satellite_m=2.0, sigma_zenith_m=3.0, constellation_prior=BROADCAST_PRIOR),
-        description="broadcast ephemerides and models alone; 1.3 and 1.2 times the errors of S3 Table III",
+        CodeServiceConfig(constellation_prior=BROADCAST_PRIOR), description="broadcast ephemerides and models alone"
     )
     dgps: CodeServiceConfig = Field(
-        CodeServiceConfig(sigma_tropo_m=0.03, zenith_growth_m2ps=0.02, max_age_s=30.0),
+        CodeServiceConfig(errors=IN_STREETS.replace(tropo_zenith_m=0.03, iono_growth_m2ps=0.02), max_age_s=30.0),
         description="corrections of one station",
     )
     sbas_l1: CodeServiceConfig = Field(
-        CodeServiceConfig(systems=("GPS",)), description="satellite corrections and ionospheric grid"
+        CodeServiceConfig(systems=("GPS",)),
+        description="satellite corrections and ionospheric grid",
     )
     sbas_dfmc: CodeServiceConfig = Field(
-        CodeServiceConfig(systems=("GPS", "GALILEO")), description="satellite corrections, ionosphere-free codes"
+        CodeServiceConfig(systems=("GPS", "GALILEO")),
+        description="satellite corrections, ionosphere-free codes",
     )
     ppp: CodeServiceConfig = Field(
         CodeServiceConfig(
             systems=("GPS", "GALILEO"),
+            errors=IN_STREETS.replace(satellite_growth_m2ps=2e-4),
             smoothing_s=7200.0,
             zenith_state=True,
             code_bias_m=0.05,
-            satellite_growth_m2ps=2e-4,
             max_age_s=60.0,
         ),
         description="precise orbits and clocks; the float ambiguity of a satellite is its mean of code less carrier",

@@ -24,12 +24,13 @@ from lanebound.integrity.navigators.rtk_reckoning.fixed_kernel import (
 )
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
 from lanebound.integrity.navigators.services.records_kernel import ServiceRows, ServiceTables
+from lanebound.integrity.navigators.services.zenith_kernel import CarrierTables, update_zenith
 from lanebound.integrity.positioning.codes_kernel import NO_CORRECTIONS
 from lanebound.integrity.positioning.doubtful_kernel import find_sets
 from lanebound.integrity.positioning.geometry_kernel import SOLVED, find_geometry, solve
 from lanebound.integrity.positioning.rows_kernel import Rows
 
-__all__ = ["LEAST_ROWS", "find_fix"]
+__all__ = ["LEAST_ROWS", "check_ranges", "find_fix"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -38,28 +39,45 @@ LEAST_ROWS = 5
 
 
 @jit
-def find_fix(first: int, last: int, epoch: Epoch, service: ServiceTables, ranges: ServiceRows) -> None:
-    """Offer the position of a service where no service before has, and where its level is the lowest."""
-    par, rules, tables = service.parameters[0], service.rules[0], service.tables
-    n = service.allowed.shape[0]
-    scratch = fixed_scratch(n, par.rtk.doubt.sets)
+def check_ranges(
+    first: int, last: int, epoch: Epoch, service: ServiceTables, ranges: ServiceRows, carrier: CarrierTables
+) -> None:
+    """Exclude doubtful and faulty ranges of vehicles that are due; the zenith delay learns from what remains.
+
+    Vehicles that have a position of a service before are tested only where there is a zenith delay to learn.
+    """
+    par, tables, learns = service.parameters[0], service.tables, carrier.rules[0].zenith
+    scratch = fixed_scratch(service.allowed.shape[0], par.rtk.doubt.sets)
     position, q = np.empty(3), np.empty((3, 3))
+    for v in range(first, last):
+        ranges.consistent[v] = False
+        if not ranges.due[v] or (epoch.work.vehicles[v].fixed.usable and not learns):
+            continue
+        los = epoch.measured.los[epoch.measured.sight[v]]
+        here = Rows(los, tables.system, ranges.variance[v], ranges.y[v], ranges.used[v])
+        if keep_likely(here.used, ranges.odds[v], par.rtk.doubt, scratch) < LEAST_ROWS:
+            continue
+        outcome, _, _, _, excluded = detect_and_exclude(
+            here, here.group, epoch.state.vehicles[v].heading.angle, tables.thresholds, par.fde, position, q
+        )
+        ranges.consistent[v], ranges.excluded[v] = outcome <= EXCLUDED, excluded
+        if ranges.consistent[v] and learns:
+            update_zenith(v, epoch, service, ranges, carrier)
+
+
+@jit
+def find_fix(first: int, last: int, epoch: Epoch, service: ServiceTables, ranges: ServiceRows) -> None:
+    """Offer the position of tested ranges where no service before has, and where its level is the lowest."""
+    par, rules, tables = service.parameters[0], service.rules[0], service.tables
+    scratch = fixed_scratch(service.allowed.shape[0], par.rtk.doubt.sets)
     levels = np.empty((epoch.out.levels.shape[1], 2))
     for v in range(first, last):
         vehicle, w = epoch.state.vehicles[v], epoch.work.vehicles[v]
-        if not ranges.due[v] or w.fixed.usable:
+        if not ranges.consistent[v] or w.fixed.usable:
             continue
-        los, odds = epoch.measured.los[epoch.measured.sight[v]], ranges.odds[v]
+        los = epoch.measured.los[epoch.measured.sight[v]]
         here = Rows(los, tables.system, ranges.variance[v], ranges.y[v], ranges.used[v])
-        if keep_likely(here.used, odds, par.rtk.doubt, scratch) < LEAST_ROWS:
-            continue
-        heading = vehicle.heading.angle
-        outcome, _, _, _, excluded = detect_and_exclude(
-            here, here.group, heading, tables.thresholds, par.fde, position, q
-        )
-        if outcome > EXCLUDED:
-            continue
-        used = pack(here, odds, rules.bias, scratch)
+        used = pack(here, ranges.odds[v], rules.bias, scratch)
         hdop, geo = hdop_of(los, here.group, here.used), scratch.geo
         if not hdop <= rules.max_hdop:
             continue
@@ -72,7 +90,7 @@ def find_fix(first: int, last: int, epoch: Epoch, service: ServiceTables, ranges
         levels[:, 0] += lever_at
         levels[:, 1] += lever_ct
         if is_lower(levels, epoch.out.levels[v]) or is_suspicious(vehicle.jump):
-            offer(w.fixed, geo.fix[0], used, excluded, hdop)
+            offer(w.fixed, geo.fix[0], used, ranges.excluded[v], hdop)
             epoch.work.fixed_levels[v, :, :] = levels
             ranges.offered[v] = rules.mode
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Tables
+from lanebound.integrity.positioning.code_errors_kernel import CODE_ERRORS
 
 __all__ = [
     "SERVICE_RULES",
@@ -29,11 +30,7 @@ SERVICE_RULES = record(
     sin_mask="sine of the lowest elevation used",
     cn0_min="lowest C/N0 used [dB-Hz]",
     max_hdop="largest HDOP of a position [-]",
-    satellite_growth="of the variance of a satellite's correction with its age [m^2/s]",
-    zenith="vertical ionosphere on the first band, 1 sigma [m]",
-    zenith_growth="of its variance with the age of the grid [m^2/s]",
-    tropo="zenith troposphere, 1 sigma [m]",
-    code="code of one band, zenith, 1 sigma [m]",
+    errors=(CODE_ERRORS, "error budget of its ranges"),
     bias="bound of a lasting error of one code [m]",
     max_age="oldest satellite corrections [s]",
     zenith_max_age="oldest ionospheric grid [s]",
@@ -85,7 +82,8 @@ class ServiceState(NamedTuple):
 class ServiceRows(NamedTuple):
     """Corrected ranges of an epoch, work of one service after another.
 
-    y, variance, odds (B, S); used (B, S); due (B,) a position is to be found; offered (B,) as in ServiceLabels.
+    y, variance, odds (B, S); used (B, S); due (B,) a position is to be found; consistent (B,) the fault test has
+    passed, with ``excluded`` (B,) ranges out of use; offered (B,) as in ServiceLabels.
     """
 
     y: Array
@@ -93,6 +91,8 @@ class ServiceRows(NamedTuple):
     odds: Array
     used: NDArray[np.bool_]
     due: NDArray[np.bool_]
+    consistent: NDArray[np.bool_]
+    excluded: NDArray[np.int64]
     offered: NDArray[np.int64]
 
 

@@ -15,7 +15,7 @@ from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
 from lanebound.integrity.navigators.rtk_reckoning.stages import SeparateStage
 from lanebound.integrity.navigators.services.code_kernel import fill_code_ranges
 from lanebound.integrity.navigators.services.config import CodeServiceConfig
-from lanebound.integrity.navigators.services.fix_kernel import find_fix
+from lanebound.integrity.navigators.services.fix_kernel import check_ranges, find_fix
 from lanebound.integrity.navigators.services.label_kernel import begin_services, begin_without_rtk, label_services
 from lanebound.integrity.navigators.services.records_kernel import (
     SERVICE_RULES,
@@ -61,7 +61,7 @@ def band_shares(wavelength_m: Array, combined: bool) -> Array:
 def service_tables(config: RtkReckoningConfig, service: Service, system: NDArray[np.int64]) -> ServiceTables:
     """The parameters of a code service for satellites of these systems (S,)."""
     declared: CodeServiceConfig = getattr(config.services, service.name)
-    share_of_risk = declared.risk_share
+    share_of_risk = risk_share(config, declared)
     own = config.replace(
         risk={
             "integrity_risk": share_of_risk * config.risk.integrity_risk,
@@ -88,9 +88,22 @@ def service_tables(config: RtkReckoningConfig, service: Service, system: NDArray
     )
 
 
+def risk_share(config: RtkReckoningConfig, declared: CodeServiceConfig) -> float:
+    """Share of the risk for one fix: as declared, or ``1 / (1 + n)`` with n code services.
+
+    The position of an epoch is chosen among that reckoned on and one of each service, by the lowest level. The bound of
+    Bonferroni over these candidates holds whatever the choice depends on; exclusions make levels depend on errors.
+    """
+    if declared.risk_share is not None:
+        return declared.risk_share
+    return 1.0 / (1.0 + sum(not SERVICES[name].fixes for name in config.service))
+
+
 def service_rules(declared: CodeServiceConfig, service: Service, dt_s: float) -> Records:
     """SERVICE_RULES (1,) of a service's declared figures."""
-    d = declared
+    d, errors = declared, declared.errors
+    if service.provider is not None:
+        errors = errors.replace(satellite_m=0.0, iono_zenith_m=0.0)
     return one_record(
         SERVICE_RULES,
         mode=int(service.mode),
@@ -100,11 +113,7 @@ def service_rules(declared: CodeServiceConfig, service: Service, dt_s: float) ->
         sin_mask=np.sin(np.deg2rad(d.elevation_mask_deg)),
         cn0_min=d.cn0_min_dbhz,
         max_hdop=d.max_hdop,
-        satellite_growth=d.satellite_growth_m2ps,
-        zenith=d.sigma_zenith_m,
-        zenith_growth=d.zenith_growth_m2ps,
-        tropo=d.sigma_tropo_m,
-        code=d.sigma_code_m,
+        errors=errors.rules()[0],
         bias=d.code_bias_m,
         max_age=d.max_age_s,
         zenith_max_age=d.zenith_max_age_s,
@@ -116,12 +125,10 @@ def carrier_rules(declared: CodeServiceConfig) -> Records:
     d = declared
     return one_record(
         CARRIER_RULES,
-        correlation=d.correlation_s,
-        phase=d.sigma_phase_m,
         zenith=d.zenith_state,
-        zenith_sigma=d.sigma_tropo_m,
+        zenith_sigma=d.errors.tropo_zenith_m,
         zenith_tau=ZENITH_TAU_S,
-        lasting=max(2.0 * d.correlation_s / max(d.interval_s, 1e-3), 1.0),
+        lasting=max(2.0 * d.errors.multipath_tau_s / max(d.interval_s, 1e-3), 1.0),
     )
 
 
@@ -148,6 +155,7 @@ class FixStage(SeparateStage):
         ranges: ServiceRows = states[RANGES]
         carrier = CarrierTables(self.carrier, states[f"zenith {self.name}"])
         fill_code_ranges(first, last, epoch, self.tables, states[INPUTS][self.name], state, ranges, carrier)
+        check_ranges(first, last, epoch, self.tables, ranges, carrier)
         find_fix(first, last, epoch, self.tables, ranges)
 
 
@@ -223,8 +231,8 @@ class ServiceSet:
     def _ranges(self, offered: NDArray[np.int64]) -> ServiceRows:
         shape = offered.size, self._satellites
         y, variance, odds = np.zeros((3, *shape))
-        used, due = np.zeros(shape, np.bool_), np.zeros(shape[0], np.bool_)
-        return ServiceRows(y, variance, odds, used, due, offered)
+        used, (due, consistent) = np.zeros(shape, np.bool_), np.zeros((2, shape[0]), np.bool_)
+        return ServiceRows(y, variance, odds, used, due, consistent, np.zeros(shape[0], np.int64), offered)
 
     def _inputs(self, service: Service, m: Measurements) -> ServiceInputs:
         g, shape = m.gnss, m.gnss.tracked.shape
@@ -232,7 +240,7 @@ class ServiceSet:
         assert g.raw_phase_m is not None
         if service.provider is None:
             nothing, now = np.zeros(shape), np.zeros(shape[0])
-            declared = np.full(shape[1], self._declared[service.name].sigma_satellite_m)
+            declared = np.full(shape[1], self._declared[service.name].errors.satellite_m)
             return ServiceInputs(g.raw_code_m, g.raw_phase_m, nothing, nothing, declared, 0.0, now, now)
         assert g.corrections is not None, "its provider is simulated"
         held = g.corrections[service.provider]

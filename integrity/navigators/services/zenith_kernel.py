@@ -2,7 +2,10 @@
 
 Least squares of an epoch with position, clocks and zenith delay as unknowns give the delay and its variance R. The
 filter predicts a Gauss-Markov process and takes the epoch with ``K = P / (P + R)``, R raised for errors that last.
-Ranges are corrected by ``m(el) z``, and their variance holds ``m^2 P``.
+Ranges are corrected by ``m(el) z``, and their variance holds ``(m - 1)^2 P``: what is common is in the clocks.
+
+Fault detection works on ranges that the predicted delay corrects. Only the ranges that it leaves in use, in an epoch
+that passes, change the delay; then all ranges have the new one.
 """
 
 from __future__ import annotations
@@ -18,15 +21,14 @@ from lanebound.integrity.core.records import Records, record
 from lanebound.integrity.core.small_matrix_kernel import MAX_GROUPS
 from lanebound.integrity.navigators.rtk_reckoning.records_kernel import Epoch
 from lanebound.integrity.navigators.services.records_kernel import ServiceRows, ServiceTables
+from lanebound.integrity.positioning.code_errors_kernel import troposphere_slant
 
-__all__ = ["CARRIER_RULES", "ZENITH", "CarrierTables", "estimate_zenith", "map_zenith", "zenith_of_epoch"]
+__all__ = ["CARRIER_RULES", "ZENITH", "CarrierTables", "predict_zenith", "update_zenith", "zenith_of_epoch"]
 
 Array = NDArray[np.float64]
 N = 4  # unknowns: position and zenith delay
 
 CARRIER_RULES = record(
-    correlation="time of code errors [s]",
-    phase="carrier of one band, zenith, 1 sigma [m]; 0 where no carrier is used",
     zenith=("?", "the zenith delay is a state"),
     zenith_sigma="its deviation, 1 sigma [m]",
     zenith_tau="its correlation time [s]",
@@ -42,34 +44,43 @@ class CarrierTables(NamedTuple):
     zenith: Records
 
 
-@jit(borrows=True)
-def map_zenith(sine: float) -> float:
-    """Slant over zenith delay, ``1.001 / sqrt(0.002001 + sin^2 E)`` (RTCA DO-229, A.4.2.4)."""
-    return 1.001 / math.sqrt(0.002001 + sine * sine)
-
-
 @jit
-def estimate_zenith(v: int, epoch: Epoch, service: ServiceTables, ranges: ServiceRows, carrier: CarrierTables) -> None:
+def predict_zenith(v: int, epoch: Epoch, service: ServiceTables, ranges: ServiceRows, carrier: CarrierTables) -> None:
     """Advance the zenith delay of vehicle v by an interval, and correct its ranges by it."""
-    rules, state, los = carrier.rules[0], carrier.zenith[v], epoch.measured.los[epoch.measured.sight[v]]
+    rules, state = carrier.rules[0], carrier.zenith[v]
     prior = rules.zenith_sigma**2
     if state.variance == 0.0:
         state.value, state.variance = 0.0, prior
     decay = math.exp(-service.rules[0].interval / rules.zenith_tau)
     state.value *= decay
     state.variance = decay * decay * state.variance + (1.0 - decay * decay) * prior
-    found, value, variance = zenith_of_epoch(
+    correct(epoch.measured.los[epoch.measured.sight[v]], v, state.value, state.variance, ranges)
+
+
+@jit
+def update_zenith(v: int, epoch: Epoch, service: ServiceTables, ranges: ServiceRows, carrier: CarrierTables) -> None:
+    """Take an epoch that has passed its fault test into the zenith delay of vehicle v, and correct its ranges anew."""
+    rules, state, los = carrier.rules[0], carrier.zenith[v], epoch.measured.los[epoch.measured.sight[v]]
+    value, variance = state.value, state.variance
+    correct(los, v, -value, -variance, ranges)
+    found, of_epoch, spread = zenith_of_epoch(
         los, service.tables.system, ranges.y[v], ranges.variance[v], ranges.used[v]
     )
     if found:
-        gain = state.variance / (state.variance + rules.lasting * variance)
-        state.value += gain * (value - state.value)
-        state.variance *= 1.0 - gain
+        gain = variance / (variance + rules.lasting * spread)
+        state.value = value + gain * (of_epoch - value)
+        state.variance = variance * (1.0 - gain)
+    correct(los, v, state.value, state.variance, ranges)
+
+
+@jit
+def correct(los: Array, v: int, value: float, variance: float, ranges: ServiceRows) -> None:
+    """Subtract a zenith delay from the ranges in use of vehicle v, and add its variance to theirs."""
     for s in range(los.shape[0]):
         if ranges.used[v, s]:
-            slant = map_zenith(los[s, 2])
-            ranges.y[v, s] -= slant * state.value
-            ranges.variance[v, s] += slant * slant * state.variance
+            slant = troposphere_slant(los[s, 2])
+            ranges.y[v, s] -= slant * value
+            ranges.variance[v, s] += (slant - 1.0) ** 2 * variance
 
 
 @jit
@@ -85,14 +96,14 @@ def zenith_of_epoch(
             weight[g] += w
             for k in range(3):
                 mean[g, k] -= w * los[s, k]
-            mean[g, 3] += w * map_zenith(los[s, 2])
+            mean[g, 3] += w * troposphere_slant(los[s, 2])
             mean[g, N] += w * y[s]
     for s in range(y.shape[0]):
         if used[s]:
             w, g = 1.0 / variance[s], system[s]
             for k in range(3):
                 row[k] = -los[s, k] - mean[g, k] / weight[g]
-            row[3] = map_zenith(los[s, 2]) - mean[g, 3] / weight[g]
+            row[3] = troposphere_slant(los[s, 2]) - mean[g, 3] / weight[g]
             row[N] = y[s] - mean[g, N] / weight[g]
             for i in range(N):
                 for j in range(N + 1):

@@ -11,7 +11,7 @@ satellites the sky of the batch holds.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
@@ -20,17 +20,16 @@ from pydantic import Field
 from scipy.special import chdtri
 
 from lanebound.integrity.core.config import Config
-from lanebound.integrity.sensors.broadcast import BroadcastConfig, mapping, obliquity
+from lanebound.integrity.positioning.code_errors import CodeErrorBudget
+from lanebound.integrity.positioning.code_solution import CodeFit, solve_ranges
 from lanebound.integrity.sensors.instruments import Measurements
-from lanebound.integrity.sky.systems import N_SYSTEMS
 
-__all__ = ["CodePosition", "CodePositionConfig", "CodeSource", "locate_by_codes"]
+__all__ = ["CodePosition", "CodePositionConfig", "CodeSource", "DifferentialErrorBudget", "locate_by_codes"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 PLACES = 48  # satellites of one epoch; further ones are left out
-UNKNOWNS = 3 + N_SYSTEMS
-NO_SIGMA_M2 = 1e12
+UP = np.array([0.0, 0.0, 1.0])
 
 
 class CodeSource(Enum):
@@ -38,6 +37,14 @@ class CodeSource(Enum):
 
     UNDIFFERENCED = "undifferenced"
     DIFFERENTIAL = "differential"
+
+
+class DifferentialErrorBudget(CodeErrorBudget):
+    """Errors of codes that a near station corrects: no orbits, clocks and atmosphere, but the station's multipath."""
+
+    satellite_m: float = Field(0.15, ge=0, description="slow multipath of the station [m]; as GnssConfig")
+    iono_zenith_m: float = Field(0.0, ge=0, description="differential ionosphere, vertical [m]; 0.0015 m at 3 km")
+    tropo_zenith_m: float = Field(0.0, ge=0, description="differential troposphere, zenith [m]; 0.0012 m at 3 km")
 
 
 class CodePositionConfig(Config):
@@ -51,13 +58,15 @@ class CodePositionConfig(Config):
     cn0_min_dbhz: float = Field(
         36.0, ge=0, description="lowest C/N0 used [dB-Hz]; chosen on streets of seed 1: reflections lie 12 dB below 48"
     )
-    cn0_knee_dbhz: float = Field(35.0, ge=0, description="C/N0 at which the variance doubles [dB-Hz]; as RTK")
-    sigma_code_m: float = Field(0.4, gt=0, description="noise and multipath at the zenith, 1 sigma [m]; RTKLIB 0.3 m")
-    budget: BroadcastConfig = Field(
-        BroadcastConfig(), description="slow errors of undifferenced codes, 1 sigma; S3 Table III"
+    errors: CodeErrorBudget = Field(
+        CodeErrorBudget(reflections_m=0.3),
+        description="errors of undifferenced codes; reflections of suburban and urban streets that pass the tests",
     )
-    differential_slow_m: float = Field(
-        0.15, ge=0, description="slow errors of differential codes, 1 sigma [m]; multipath of the station"
+    differential_errors: DifferentialErrorBudget = Field(
+        DifferentialErrorBudget(reflections_m=0.3), description="errors of codes corrected by the station"
+    )
+    height_sigma_m: float | None = Field(
+        None, gt=0, description="1 sigma of the height of the road over its origin, by a map [m]; none: not used"
     )
     max_age_s: float = Field(30.0, gt=0, description="oldest usable corrections [s]; RTKLIB default")
     false_rejection: float = Field(
@@ -95,7 +104,7 @@ class CodePosition:
 class _Rows:
     """Signals of B vehicles in K places: satellite (B, K) of S, line of sight (B, K, 3), clock (B, K), code, rate
     (B, K), used (B, K), variance fast and slow of each satellite's own (B, K), and slow effects common to all
-    (B, K, 2), all [m]."""
+    (B, K, 2), all [m]; known height (B,) and its 1 sigma (B,), inf for none."""
 
     place: NDArray[np.int64]
     satellites: int
@@ -107,6 +116,11 @@ class _Rows:
     fast: Array
     own: Array
     common: Array
+    height: tuple[Array, Array] | None
+
+    def solve(self, used: Bools) -> CodeFit:
+        """Least squares of some of the signals, weighted by what is not common to all."""
+        return solve_ranges(self.los, self.code, self.fast + self.own, used, self.system, self.height)
 
 
 def locate_by_codes(config: CodePositionConfig, m: Measurements) -> CodePosition:
@@ -115,48 +129,35 @@ def locate_by_codes(config: CodePositionConfig, m: Measurements) -> CodePosition
     used, count = rows.used.copy(), rows.used.sum(-1)
     excluded = np.zeros(used.shape[0], dtype=np.int64)
     for attempt in range(config.exclusions + 1):
-        design, gain, cofactor, solved = _solve(rows, used)
-        x = (gain @ rows.code[..., None])[..., 0]
-        left = np.where(used, rows.code - (design @ x[..., None])[..., 0], 0.0)
-        variance = np.where(used, rows.fast + rows.own, NO_SIGMA_M2)
-        freedom = used.sum(-1) - _clocks(rows, used) - 3
-        misfit = (np.square(left) / variance).sum(-1)
-        limit = chdtri(np.maximum(freedom, 1), config.false_rejection)
-        wrong = solved & (freedom > 0) & (misfit > limit)
-        if attempt == config.exclusions or not wrong.any():
+        fit = rows.solve(used)
+        limit = chdtri(np.maximum(fit.df, 1), config.false_rejection)
+        wrong = fit.solved & (fit.df > 0) & (fit.wsse > limit)
+        worst = np.where(used, np.abs(fit.normalised), -1.0).argmax(-1)
+        out = wrong & (fit.df > 1)
+        if attempt == config.exclusions or not out.any():
             break
-        of_residual = variance - np.einsum("bki,bij,bkj->bk", design, cofactor, design)
-        size = np.where(used, np.square(left) / np.maximum(of_residual, 1e-9), -1.0)
-        worst = size.argmax(-1)
-        out = wrong & (freedom > 1)
         used[out, worst[out]] = False
         excluded[out] += 1
-        if not out.any():
-            break
-    excess = np.maximum(misfit / np.maximum(freedom, 1), 1.0)
-    return _position(config, replace(rows, fast=rows.fast * excess[:, None]), used, design, gain, x, solved & ~wrong,
-                     count - excluded, excluded)  # fmt: skip
+    return _position(config, rows, used, fit, fit.solved & ~wrong, count - excluded, excluded)
 
 
 def _position(
     config: CodePositionConfig,
     rows: _Rows,
     used: Bools,
-    design: Array,
-    gain: Array,
-    x: Array,
+    fit: CodeFit,
     good: Bools,
     satellites: NDArray[np.int64],
     excluded: NDArray[np.int64],
 ) -> CodePosition:
-    """The solution and its covariances from the gains (B, UNKNOWNS, K)."""
-    plane = np.where(used[:, None, :], gain[:, :2], 0.0)
-    transposed = np.swapaxes(plane, -1, -2)
-    fast = (plane * rows.fast[:, None, :]) @ transposed
+    """The solution and its covariances; residuals larger than declared raise the noise by their ratio."""
+    excess = np.maximum(fit.wsse / np.maximum(fit.df, 1), 1.0)
+    transposed = fit.gain[..., :2]  # (B, K, 2)
+    plane = np.ascontiguousarray(np.swapaxes(transposed, -1, -2))
+    fast = (plane * (rows.fast * excess[:, None])[:, None, :]) @ transposed
     common = plane @ rows.common
     slow = (plane * rows.own[:, None, :]) @ transposed + common @ np.swapaxes(common, -1, -2)
-    plain = _inverse(np.swapaxes(design * used[..., None], -1, -2) @ design)
-    hdop = np.sqrt(np.maximum(plain[:, 0, 0] + plain[:, 1, 1], 0.0))
+    hdop = solve_ranges(rows.los, rows.code, 1.0, used, rows.system).hdop_m
     valid = good & (hdop <= config.max_hdop)
     rate = np.where(used, rows.rate, 0.0)
     by_satellite, own = np.zeros((*used.shape[:1], rows.satellites, 2)), np.zeros((used.shape[0], rows.satellites))
@@ -164,7 +165,7 @@ def _position(
     by_satellite[row, rows.place[row, column]] = transposed[row, column]
     own[row, rows.place[row, column]] = rows.own[row, column]
     return CodePosition(
-        position_m=np.where(valid[:, None], x[:, :3], 0.0),
+        position_m=np.where(valid[:, None], fit.x_m, 0.0),
         velocity_mps=np.where(valid[:, None], (plane @ rate[..., None])[..., 0], 0.0),
         fast_m2=fast,
         slow_m2=slow,
@@ -196,56 +197,19 @@ def _gather(config: CodePositionConfig, m: Measurements) -> _Rows:
     used = np.zeros((batch, PLACES), dtype=np.bool_)
     row = np.arange(batch)[:, None]
     used[:, :width] = usable[row, place[:, :width]]
-    los, cn0 = los[row, place], g.cn0_dbhz[row, place]
-    sine = np.where(used, los[..., 2], 1.0)
-    quality = 0.5 * (1.0 + 1.0 / np.square(sine)) * (1.0 + 10.0 ** (0.1 * (config.cn0_knee_dbhz - cn0)))
-    own, common = _slow(config, sine)
+    los, cn0 = np.where(used[..., None], los[row, place], UP), g.cn0_dbhz[row, place]
+    errors = (config.errors if standalone else config.differential_errors).errors(los[..., 2], cn0)
+    known = config.height_sigma_m
     return _Rows(
         place=place,
         satellites=usable.shape[1],
-        los=np.where(used[..., None], los, 0.0),
+        los=los,
         system=m.sky.system[place],
         code=np.where(used, codes[row, place, 0], 0.0),
         rate=np.where(used, g.range_rate_mps[row, place], 0.0),
         used=used,
-        fast=config.sigma_code_m**2 * quality,
-        own=own,
-        common=common,
+        fast=errors.fast_m2,
+        own=errors.own_m2,
+        common=errors.common_m,
+        height=None if known is None else (np.zeros(batch), np.full(batch, known)),
     )
-
-
-def _slow(config: CodePositionConfig, sine: Array) -> tuple[Array, Array]:
-    """Variance of slow errors of each satellite's own (B, K), and the effects of common ones (B, K, 2)."""
-    if config.source is CodeSource.DIFFERENTIAL:
-        return np.full(sine.shape, config.differential_slow_m**2), np.zeros((*sine.shape, 2))
-    b = config.budget
-    iono = b.iono_zenith_m * obliquity(sine)
-    own = b.orbit_sigma_m**2 + b.clock_sigma_m**2 + (1.0 - b.iono_common) * np.square(iono)
-    return own, np.stack([np.sqrt(b.iono_common) * iono, b.tropo_zenith_m * mapping(sine)], -1)
-
-
-def _clocks(rows: _Rows, used: Bools) -> NDArray[np.int64]:
-    """Number of clocks that the used rows have, (B,)."""
-    seen = used[..., None] & (rows.system[..., None] == np.arange(N_SYSTEMS))
-    return np.asarray(seen.any(-2).sum(-1), dtype=np.int64)
-
-
-def _solve(rows: _Rows, used: Bools) -> tuple[Array, Array, Array, Bools]:
-    """Design (B, K, n), gain (B, n, K), cofactor (B, n, n), and where they exist (B,)."""
-    one_hot = (rows.system[..., None] == np.arange(N_SYSTEMS)).astype(np.float64)
-    design = np.concatenate([-rows.los, one_hot], -1) * used[..., None]
-    weight = np.where(used, 1.0 / (rows.fast + rows.own), 0.0)
-    weighted = np.swapaxes(design * weight[..., None], -1, -2)
-    normal = weighted @ design
-    enough = used.sum(-1) >= 3 + _clocks(rows, used)
-    cofactor = _inverse(np.where(enough[:, None, None], normal, 0.0))
-    return design, cofactor @ weighted, cofactor, enough
-
-
-def _inverse(normal: Array) -> Array:
-    """Inverse of normal matrices (B, n, n), in which an unknown without rows has a zero row and column."""
-    diagonal = np.diagonal(normal, axis1=-2, axis2=-1)
-    lift = np.where(diagonal > 0.0, 1e-10 * diagonal, 1.0)
-    inverse = np.linalg.inv(normal + lift[..., None] * np.eye(UNKNOWNS))
-    there = diagonal > 0.0
-    return np.where(there[..., :, None] & there[..., None, :], inverse, 0.0)

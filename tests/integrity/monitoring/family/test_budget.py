@@ -7,6 +7,7 @@ import pytest
 
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.monitoring.family.budget import CodeBudget
+from lanebound.integrity.positioning.code_errors import CodeErrorBudget
 from lanebound.integrity.sensors.broadcast import BroadcastConfig, change_rate, initial_broadcast, obliquity
 
 STEP_S, COAST_S = 0.5, 30.0
@@ -14,9 +15,10 @@ LOW = np.radians(30.0)
 
 
 def test_clocks_change_by_a_millimetre_in_half_a_second() -> None:
-    clock = CodeBudget(satellite_m=1.1, zenith_iono_m=0.0, zenith_tropo_m=0.0, carrier_m=0.0, coast_s=0.0)
+    errors = {"satellite_m": 1.1, "iono_zenith_m": 0.0, "tropo_zenith_m": 0.0}
+    clock = CodeBudget(errors=CodeErrorBudget(**errors), carrier_m=0.0, coast_s=0.0)
     assert clock.carrier_step(LOW, STEP_S) == pytest.approx(1.1 * 2.146 / 1800.0 * 0.5, rel=1e-3)
-    ionosphere = clock.replace(satellite_m=0.0, zenith_iono_m=2.5)
+    ionosphere = clock.replace(errors={"satellite_m": 0.0, "iono_zenith_m": 2.5, "iono_common": 0.0})
     assert ionosphere.carrier_step(LOW, STEP_S) == pytest.approx(
         2.5 * obliquity(np.sin(LOW)) * change_rate(1800.0) * STEP_S
     )
@@ -25,11 +27,12 @@ def test_clocks_change_by_a_millimetre_in_half_a_second() -> None:
 def test_steps_declared_cover_a_step_and_a_coast_of_the_simulated_process() -> None:
     """400 areas of 25 satellites: variances of changes over one step and over a coast, as monitors add them up."""
     config, streams = BroadcastConfig(), Streams(np.arange(400))
-    state = initial_broadcast(25, streams)
+    state, common = initial_broadcast(25, streams), np.sqrt(config.iono_common)
 
     def slant() -> np.ndarray:
         alike, ionosphere = config.delays(state, np.full((400, 25), np.sin(LOW)), np.arange(400))
-        return alike - ionosphere  # of carriers
+        zenith = config.tropo_zenith_m * state.common[:, 1:] - config.iono_zenith_m * common * state.common[:, :1]
+        return alike - ionosphere - zenith  # of carriers, less what the clocks take of the common errors
 
     first = slant()
     config.advance(state, STEP_S, streams)
