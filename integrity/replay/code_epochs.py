@@ -7,6 +7,7 @@ minute best. No truth enters the epochs.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from lanebound.integrity.core.errors import InputError
 from lanebound.integrity.core.frames import ecef_from_enu_matrix, geodetic_from_ecef
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.fit import solve_codes
+from lanebound.integrity.positioning.code_solution import gauss_newton
 from lanebound.integrity.recorded.smartloc import Odometry, SmartLoc
 from lanebound.integrity.replay.reckoning import reckon
 from lanebound.integrity.replay.sagnac import ranges_and_sights
@@ -26,7 +28,7 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 LEAST_DBHZ = 20.0  # as the code-only replay
-FIRST_ROUNDS = 12
+FAR_M = np.array([0.0, 0.0, 2.6e7])  # a satellite in the place of none
 WINDOW_S = 60.0  # code positions that the heading of displacements is fitted to
 PATH_ERROR = 0.02  # of the reckoned path over its length, 1 sigma; as the code-only replay
 LASTING_S = 10.0  # correlation time of code positions in the deviation of the heading
@@ -72,8 +74,7 @@ def recorded_epochs(drive: SmartLoc, cn0_min_dbhz: float = LEAST_DBHZ) -> Tracke
         used=used, system=(names // 100_000).astype(np.int64), cn0_dbhz=table(r.cn0_dbhz),
         elevation_rad=table(r.elevation_rad), drive=np.zeros(time.size, np.int64),
     )  # fmt: skip
-    epochs = _linearised(plain, place, range_m, frame, np.zeros((time.size, 3)))
-    epochs = _linearised(plain, place, range_m, frame, solve_codes(epochs).x_m)
+    epochs = _settled(plain, place, range_m, frame)
     step, sigma = reckoned_steps(drive.odometry, time, solve_codes(epochs).x_m[:, :2])
     truth, known = np.zeros((time.size, 3)), np.zeros(time.size, bool)
     if drive.truth is not None:
@@ -87,26 +88,40 @@ def recorded_epochs(drive: SmartLoc, cn0_min_dbhz: float = LEAST_DBHZ) -> Tracke
 def _frame(place: Array, range_m: Array, used: Bools, system: NDArray[np.int64]) -> LocalFrame:
     """Local frame at the fix of the first epoch that has one; the iteration starts at the Earth's centre."""
     for k in range(len(used)):
-        own = used[k]
-        clocks = (system[own][:, None] == np.unique(system[own])).astype(np.float64)
-        unknowns = 3 + clocks.shape[1]
-        if own.sum() < unknowns + 1:
+        own = used[k : k + 1]
+        x, fit = gauss_newton(partial(_about, place[k : k + 1], range_m[k : k + 1]), np.zeros((1, 3)), 1.0, own, system)
+        if fit.df[0] < 1 or not fit.solved[0]:
             continue
-        x = np.zeros(unknowns)
-        for _ in range(FIRST_ROUNDS):
-            distance, sight = ranges_and_sights(place[k, own], x[:3])
-            design = np.column_stack([-sight, clocks])
-            x += np.linalg.lstsq(design, range_m[k, own] - distance - clocks @ x[3:], rcond=None)[0]
-        latitude, longitude, height = geodetic_from_ecef(x[:3])
+        x = x[0]
+        latitude, longitude, height = geodetic_from_ecef(x)
         if abs(float(height)) < 1e4:
-            return LocalFrame(x[:3], ecef_from_enu_matrix(latitude, longitude))
+            return LocalFrame(x, ecef_from_enu_matrix(latitude, longitude))
     raise InputError("drive must have an epoch with more codes than unknowns, has none: lower cn0_min_dbhz")
+
+
+def _about(place: Array, range_m: Array, at_ecef_m: Array) -> tuple[Array, Array]:
+    """Observed minus computed ranges (E, m) at positions (E, 3), and unit vectors; far up where there is no code."""
+    far = np.where((range_m != 0.0)[..., None], place, FAR_M)
+    distance, sight = ranges_and_sights(far, at_ecef_m[:, None, :])
+    return range_m - distance, sight
+
+
+def _settled(plain: CodeEpochs, place: Array, range_m: Array, frame: LocalFrame) -> CodeEpochs:
+    """The epochs linearised at their own least-squares positions."""
+
+    def about(at_enu_m: Array) -> tuple[Array, Array]:
+        there = _linearised(plain, place, range_m, frame, at_enu_m)
+        return there.y_m + (there.los_enu @ at_enu_m[..., None])[..., 0], there.los_enu
+
+    start = np.zeros((plain.count, 3))
+    at, _ = gauss_newton(about, start, np.square(plain.sigma_m), plain.used, plain.system)
+    return _linearised(plain, place, range_m, frame, at)
 
 
 def _linearised(plain: CodeEpochs, place: Array, range_m: Array, frame: LocalFrame, at_enu_m: Array) -> CodeEpochs:
     """Observed minus computed at the positions ``at_enu_m`` (E, 3), as values of the whole frame."""
     receiver = frame.origin_ecef_m + at_enu_m @ frame.axes.T
-    far = np.where(plain.used[..., None], place, np.array([0.0, 0.0, 2.6e7]))
+    far = np.where(plain.used[..., None], place, FAR_M)
     distance, sight = ranges_and_sights(far, receiver[:, None, :])
     los = sight @ frame.axes
     y = range_m - distance - (los @ at_enu_m[..., None])[..., 0]

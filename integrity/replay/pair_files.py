@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lanebound.integrity.core.errors import InputError
+from lanebound.integrity.positioning.code_solution import gauss_newton
 from lanebound.integrity.recorded.rinex_observation import Observations, read_observations
 from lanebound.integrity.recorded.source import Lines
 from lanebound.integrity.replay.differences import Arc, arc_of
@@ -25,7 +26,6 @@ __all__ = ["PairFiles", "find_pair", "observation_files"]
 NAMES = {"rover": ("rover", "rov", "mobile"), "base": ("base", "ref", "station")}
 MOVES_M = 15.0  # spread of code positions, 90 % of them, of a receiver that moves; noise is a few metres
 SAMPLES = 40  # epochs of which positions are computed
-ROUNDS = 8  # iterations of a code position, which start at the centre of the Earth
 
 
 @dataclass(frozen=True)
@@ -117,9 +117,12 @@ def _code_position(arc: Arc, k: int) -> NDArray[np.float64] | None:
     rows = np.flatnonzero(arc.known[k] & (arc.code_m[k, :, 0] != 0.0))
     if rows.size < 6:
         return None
-    place = np.zeros(3)
-    for _ in range(ROUNDS):
+    observed = arc.code_m[k, rows, 0] + arc.clock_m[k, rows]
+
+    def about(place: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         distance, sight = ranges_and_sights(arc.satellite_ecef_m[k, rows], place)
-        left = arc.code_m[k, rows, 0] + arc.clock_m[k, rows] - distance
-        place = place + np.linalg.lstsq(np.column_stack([-sight, np.ones(rows.size)]), left, rcond=None)[0][:3]
-    return place
+        return observed - distance, sight
+
+    one = np.zeros((1, 3))
+    place, fit = gauss_newton(about, one, 1.0, np.ones((1, rows.size), bool), np.zeros(rows.size, np.int64))
+    return place[0] if fit.solved[0] else None
