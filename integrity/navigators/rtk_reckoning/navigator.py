@@ -42,6 +42,7 @@ from lanebound.integrity.navigators.rtk_reckoning.stages import OutsideStage, Se
 from lanebound.integrity.navigators.services.stage import ServiceSet
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.config import RtkConfig
+from lanebound.integrity.positioning.drift_watch_kernel import ANCHOR, DRIFT, DriftWatch
 from lanebound.integrity.positioning.float_filter_kernel import FILTER_ROW, MEASURED, SLOT, STATES, Filtered
 from lanebound.integrity.positioning.rtk_kernel import AMBIGUITY
 
@@ -186,6 +187,7 @@ def blank_state(batch: int, satellites: int, modes: int, cases: int, rtk: RtkCon
         np.zeros((batch, 2), GROWTH),
         np.zeros((batch, 2, cases), START), blank(Influences), blank(Influences), blank(Separations),
         blank(Separations), blank(Courses),
+        DriftWatch(np.zeros(batch, DRIFT), np.zeros((batch, rtk.drift.anchors), ANCHOR)),
     )  # fmt: skip
 
 
