@@ -21,6 +21,7 @@ from lanebound.envs.worlds.wander import WanderConfig
 from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.core.presets import FILES, nearest
+from lanebound.integrity.navigators.context_guard import CONTEXT
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.sensors.campaign import FaultPriors
 
@@ -109,8 +110,8 @@ class EnvConfig(Config):
 
     @model_validator(mode="before")
     @classmethod
-    def _services_are_observed(cls, data: Any) -> Any:
-        """The modes of the services of the navigator have entries in the observation."""
+    def _navigator_is_observed(cls, data: Any) -> Any:
+        """The services of the navigator and its context monitor have entries in the observation."""
         if not isinstance(data, Mapping) or not isinstance(data.get("observation", {}), Mapping):
             return data
         try:
@@ -122,11 +123,12 @@ class EnvConfig(Config):
         shown = (
             [str(name).rpartition(":")[2] for name in names if name != "rtk"] if isinstance(names, list | tuple) else []
         )
+        if not isinstance(navigator, Mapping):
+            return data
         observation = dict(data.get("observation", {}))
-        if shown or observation.get("services"):
-            observation["services"] = tuple(shown)
-            return {**data, "observation": observation}
-        return data
+        shown = {"services": _services_in(navigator), "context": _has_context(navigator)}
+        changed = {name: value for name, value in shown.items() if value or observation.get(name)}
+        return {**data, "observation": {**observation, **changed}} if changed else data
 
     @field_validator("sky")
     @classmethod
@@ -175,3 +177,17 @@ class EnvConfig(Config):
         """Alert limits along and across the track, for the narrowest lane: ``AL_CT = (w - W) / 2``."""
         geometric = max(0.5 * (lane_width_m - car_width_m), 0.05)
         return self.al_at_m, geometric if self.al_ct_m is None else self.al_ct_m
+
+
+def _services_in(navigator: Mapping[str, Any]) -> tuple[str, ...]:
+    """Services of a navigator's data whose modes are observed: all but RTK."""
+    named = navigator.get("service", ())
+    names = [named] if isinstance(named, str) else named
+    return tuple(str(name) for name in names if name != "rtk") if isinstance(names, list | tuple) else ()
+
+
+def _has_context(navigator: Mapping[str, Any]) -> bool:
+    """Whether a navigator's data ask for a context monitor."""
+    monitor = navigator.get("monitor")
+    chosen = isinstance(monitor, Mapping) and monitor.get("kind") == CONTEXT
+    return chosen or navigator.get("context") is not None

@@ -18,6 +18,7 @@ from lanebound.envs.batch.route_map import routes_of
 from lanebound.envs.batch.rules import rules_of
 from lanebound.envs.batch.skies import HOURS, Cities, Skies
 from lanebound.envs.config import EnvConfig
+from lanebound.envs.road_map import road_map_of
 from lanebound.envs.sky import SkyLevel, Street, build_street
 from lanebound.envs.worlds import world_kind
 from lanebound.integrity.core.config_errors import joined
@@ -130,6 +131,7 @@ def _episodes(
         navigation = NavigationBatch(
             config.navigation, settings, skies, cities, cities.ahead(config.observation.satellites_m),
             routes.table.lanes, count, members, step_s, steps,
+            None if settings.context is None else road_map_of(world.road.network)[0],
         )  # fmt: skip
     perception = PerceptionBatch(config.perception, count, capacity, vehicles, step_s * steps)
     rules = rules_of(config, alert_limits_m(world, config), map_bound_m(config, settings) if uses_sensors else 0.0)

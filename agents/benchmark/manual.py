@@ -30,7 +30,18 @@ from lanebound.integrity.core.config import describe
 
 __all__ = ["SUITES", "markdown"]
 
-SUITES = ("quick", "standard", "claim", "faults", "look_ahead", "learnt", "degenerate", "services", "monitors")
+SUITES = (
+    "quick",
+    "standard",
+    "claim",
+    "faults",
+    "look_ahead",
+    "learnt",
+    "degenerate",
+    "services",
+    "monitors",
+    "context",
+)
 
 ARROWS = {"higher": "↑", "lower": "↓", None: ""}
 

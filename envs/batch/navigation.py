@@ -31,7 +31,8 @@ from lanebound.integrity.core.records import Records
 from lanebound.integrity.core.streams import named_generator
 from lanebound.integrity.motion.truth import Truth
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, NavigatorConfig, Start
-from lanebound.integrity.navigators.solution import Solution
+from lanebound.integrity.navigators.solution import ContextReport, Solution
+from lanebound.integrity.positioning.map_matching.road_map import RoadMap
 
 __all__ = ["HEARD_S", "Approach", "NavigationBatch", "Starts", "draw_starts", "fixes_of"]
 
@@ -39,6 +40,8 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
+OF_CONTEXT = ContextReport._fields[:4]
+OF_SOLUTION = tuple(name for name in Fixes._fields if name not in OF_CONTEXT)
 HEARD_S = 0.6  # of the approach with the radio on: the longest delay of a message
 FLEET_SEEDS = 2**62
 FLEET_STARTS = 2  # draws of the others' first positions: as they enter the world, and again for their approach
@@ -84,7 +87,8 @@ def fleet_generator(seed: int) -> np.random.Generator:
 
 def fixes_of(solution: Solution) -> Fixes:
     """The fields of a solution that kernels read."""
-    return Fixes(*[getattr(solution, name) for name in Fixes._fields])
+    context = solution.context or ContextReport.none(solution.batch)
+    return Fixes(*[getattr(solution, name) for name in OF_SOLUTION], *context[: len(OF_CONTEXT)])
 
 
 @dataclass(frozen=True)
@@ -108,6 +112,7 @@ class NavigationBatch:
     lanes : of the road network
     count, vehicles : N environments of M vehicles
     step_s, steps : length of a simulation step, and steps in an epoch
+    road_map : of the context monitor of the egos, if there is one
 
     Attributes
     ----------
@@ -130,6 +135,7 @@ class NavigationBatch:
         vehicles: int,
         step_s: float,
         steps: int,
+        road_map: RoadMap | None = None,
     ) -> None:
         self.config, self.skies, self.cities, self.lanes = config, skies, cities, lanes
         self._forecast = forecast
@@ -137,6 +143,8 @@ class NavigationBatch:
         self.epoch_s = step_s * steps
         self.epochs_before = max(1, round(config.warm_up_s / self.epoch_s))
         self._one = Navigator(settings, skies.track, cities.mask, 0, 1)
+        if road_map is not None:
+            self._one.use_map(road_map, one_in=vehicles)
         self._make()
 
     def _make(self) -> None:
@@ -292,7 +300,7 @@ class NavigationBatch:
 
     def _locate(self, navigator: Navigator, truth: TruthRows, sky: Any, clock_s: float) -> Solution:
         self.measurements = navigator.measure(Truth(clock_s, self.epoch_s, *truth), sky)
-        return navigator.locate(self.measurements)
+        return navigator.solve(self.measurements)
 
     def view(self) -> Any:
         """The skies over all vehicles at the last epoch; no satellites for a missing vehicle."""

@@ -26,6 +26,9 @@ class ObservationConfig(Config):
     services: tuple[str, ...] = Field(
         (), description="services whose modes have entries; an environment sets those of navigator.service"
     )
+    context: bool = Field(
+        False, description="entries of the context monitor; an environment sets it where the navigator has one"
+    )
     vehicles: int = Field(6, ge=0, le=64, description="number of vehicles in traffic, the nearest first [-]")
     preview_m: tuple[float, ...] = Field(
         (5.0, 10.0, 20.0, 40.0, 80.0), description="distances ahead at which the route's centreline is given; chosen"
