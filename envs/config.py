@@ -112,6 +112,7 @@ class EnvConfig(Config):
     @classmethod
     def _navigator_is_observed(cls, data: Any) -> Any:
         """The services of the navigator and its context monitor have entries in the observation."""
+        """The modes of the services of the navigator, and what a filter reports, have entries in the observation."""
         if not isinstance(data, Mapping) or not isinstance(data.get("observation", {}), Mapping):
             return data
         try:
@@ -129,6 +130,12 @@ class EnvConfig(Config):
         shown = {"services": _services_in(navigator), "context": _has_context(navigator)}
         changed = {name: value for name, value in shown.items() if value or observation.get(name)}
         return {**data, "observation": {**observation, **changed}} if changed else data
+        filters = isinstance(navigator, Mapping) and navigator.get("kind") == "filter"
+        if shown or observation.get("services"):
+            observation["services"] = tuple(shown)
+        if filters or observation.get("filters"):
+            observation["filters"] = filters
+        return {**data, "observation": observation} if observation else data
 
     @field_validator("sky")
     @classmethod

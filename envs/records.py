@@ -59,6 +59,7 @@ class EgoBelief:
     hdop, satellites, satellites_doppler, excluded : as in Solution
     since_rtk_s, since_calibration_s, corrections_age_s : inf for never
     context_warning, context_phases, context_score, link_probability : of the context monitor; 0 without one
+    model_curved, nis_position, nis_wheels, trust_m : as in Solution
     """
 
     time_s: float
@@ -96,6 +97,10 @@ class EgoBelief:
     context_phases: int = 0
     context_score: float = 0.0
     link_probability: float = 0.0
+    model_curved: float
+    nis_position: float
+    nis_wheels: float
+    trust_m: float
 
     @classmethod
     def of(cls, beliefs: Records, row: int, table: LaneTable) -> EgoBelief:

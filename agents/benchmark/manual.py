@@ -42,6 +42,8 @@ SUITES = (
     "monitors",
     "context",
 )
+    "quick", "standard", "claim", "faults", "look_ahead", "learnt", "degenerate", "services", "monitors", "filters"
+)  # fmt: skip
 
 ARROWS = {"higher": "↑", "lower": "↓", None: ""}
 

@@ -35,6 +35,12 @@ def replay(
     service: Annotated[
         str | None,
         typer.Option(metavar="NAME[,NAME]", help="Run it through a navigator with these services: spp, dgps."),
+    navigator: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="A filter on vehicle models in place of the method of the data set: filter, or a preset as imm_s4.",
+        ),
     ] = None,
     assignments: Assignments = None,
     as_json: AsJson = False,
@@ -50,7 +56,8 @@ def replay(
     services.spp.smoothing_s=100.
 
     Keys for --set, of smartLoc: every, first, training_share, solution.*, alerts.*; of comma2k19: every_s, longest_s,
-    heading_error_deg, bridge.*; of RINEX: bands, ionosphere_ppm, troposphere_ppm, rtk.*, fde.*, risk.*.
+    heading_error_deg, bridge.*; of RINEX: bands, ionosphere_ppm, troposphere_ppm, rtk.*, fde.*, risk.*; with
+    --navigator: navigator.*, fix_slow_m, fix_fast_m, wheel_scale.
 
     Example: lanebound replay data/smartloc_berlin_potsdamer --out out/berlin
     """
@@ -62,6 +69,9 @@ def replay(
     kind = "drive on a service" if names else "RTK solution" if kind_of(dataset) == "rinex" else "replayed drive"
     found, written = _solve(
         out, kind, lambda report: replay_folder(dataset, out, changes(assignments), report, service=names)
+    kind = "RTK solution" if kind_of(dataset) == "rinex" else "replayed drive"
+    found, written = _solve(
+        out, kind, lambda report: replay_folder(dataset, out, changes(assignments), report, navigator)
     )
     if as_json:
         print_json(found)
@@ -298,3 +308,25 @@ def _print_service(found: dict[str, Any]) -> None:
 
 
 _PRINTERS = {"service": _print_service, "smartloc": _print_city, "comma2k19": _print_outages, "rinex": _print_rtk}
+def _print_filter(found: dict[str, Any]) -> None:
+    from lanebound.agents.cli.output import print_table
+
+    rows = [(key, found[key]) for key in ("epochs", "with_truth", "with_level", "first_level_s")]
+    rows += [(f"positions {key}", value) for key, value in found["positions"].items()]
+    for name in ("horizontal_m", "positions_m"):
+        rows += [(f"{name} {key}", value) for key, value in (found[name] or {}).items()]
+    rows += [(f"trust level {key}", value) for key, value in found["trust"].items()]
+    print_table(f"{found['navigator']} ({found['filter']}) on {found['recording']}", ("", "value"), rows)
+    levels = [
+        [risk, axis, c["epochs"], c["exceeded"], f"{c['rate_low']:.2g} to {c['rate_high']:.2g}", c["pl_median_m"]]
+        for risk, axes in found["levels"].items()
+        for axis, c in axes.items()
+    ]
+    print_table("Levels", ("risk", "axis", "epochs", "above PL", "exact 95 % interval", "median PL m"), levels)
+    typer.echo(f"The recording lacks: {'; '.join(found['lacking'])}.")
+    typer.echo(found["caution"])
+
+
+_PRINTERS = {
+    "smartloc": _print_city, "comma2k19": _print_outages, "rinex": _print_rtk, "filter": _print_filter
+}  # fmt: skip

@@ -49,6 +49,10 @@ class Fixes(NamedTuple):
     context_phases: NDArray[np.int64]
     context_score: Array
     link_probability: Array
+    model_curved: Array
+    nis_position: Array
+    nis_wheels: Array
+    trust_m: Array
 
 
 @jit(borrows=True)
@@ -64,6 +68,8 @@ def adopt(t, b, fixes, v):  # type: ignore[no-untyped-def]
     b.since_calibration_s, b.corrections_age_s = fixes.since_calibration_s[v], fixes.corrections_age_s[v]
     b.context_warning, b.context_phases = fixes.context_warning[v], fixes.context_phases[v]
     b.context_score, b.link_probability = fixes.context_score[v], fixes.link_probability[v]
+    b.model_curved, b.trust_m = fixes.model_curved[v], fixes.trust_m[v]
+    b.nis_position, b.nis_wheels = fixes.nis_position[v], fixes.nis_wheels[v]
 
 
 @jit(borrows=True)

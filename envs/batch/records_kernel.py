@@ -113,6 +113,10 @@ BELIEF = record(
     context_phases=("i8", "phases of the context monitor that are passed, 0 to 3"),
     context_score="of the matched link, 0 to 100",
     link_probability="of the matched link",
+    model_curved="probability of the curved model of a filter, 0 without",
+    nis_position="of the last position of a filter, 0 without",
+    nis_wheels="of the last wheel speed of a filter, 0 without",
+    trust_m="horizontal trust level of a filter, inf without",
 )
 
 TRACK = record(

@@ -28,6 +28,10 @@ class ObservationConfig(Config):
     )
     context: bool = Field(
         False, description="entries of the context monitor; an environment sets it where the navigator has one"
+    filters: bool = Field(
+        False,
+        description="model probability, NIS and trust level have entries; an environment sets it for navigator.kind: "
+        "filter",
     )
     vehicles: int = Field(6, ge=0, le=64, description="number of vehicles in traffic, the nearest first [-]")
     preview_m: tuple[float, ...] = Field(
@@ -52,6 +56,7 @@ class ObservationConfig(Config):
     trend_window_s: float = Field(1.0, gt=0, description="period of the trend of protection levels; chosen")
     hdop_max: float = Field(10.0, gt=0, description="scale of HDOP [-]; chosen")
     satellites_max: int = Field(40, ge=1, description="scale of numbers of satellites [-]; five systems, chosen")
+    nis_max: float = Field(20.0, gt=0, description="scale of NIS [-]; chosen: above the gate of positions, 13.8")
     excluded_max: int = Field(5, ge=1, description="scale of the number of excluded satellites [-]; chosen")
     elapsed_max_s: float = Field(
         60.0, gt=0, description="scale of times since an event; chosen: above the longest outage of 50 s"

@@ -192,6 +192,18 @@ def _context(g: _Group) -> list[Entry]:
                    "belief.context_score"),
         g.positive("link_probability", "", 1.0, "probability of the matched link; 0 without a link",
                    "belief.link_probability"),
+        *(_filters(c, g) if c.filters else ()),
+    ]  # fmt: skip
+
+
+def _filters(c: ObservationConfig, g: _Group) -> list[Entry]:
+    nis, missing = "normalised innovation squared of the last", "0 before the first"
+    return [
+        g.positive("model_curved", "", 1.0, "probability of the curved vehicle model; 0 without that model",
+                   "belief.model_curved"),
+        g.positive("nis_position", "", c.nis_max, f"{nis} GNSS position; {missing}", "belief.nis_position"),
+        g.positive("nis_wheels", "", c.nis_max, f"{nis} wheel speed; {missing}", "belief.nis_wheels"),
+        g.positive("trust", "m", c.pl_max_m, "horizontal trust level of the filter; 1 when missing", "belief.trust_m"),
     ]  # fmt: skip
 
 

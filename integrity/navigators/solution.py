@@ -78,6 +78,10 @@ class Solution:
     doubt_en_m : (B, 2) RTK's position less the one reckoned while RTK is not believed, which the levels cover; else 0
         (:mod:`~lanebound.integrity.monitoring.jump_kernel`)
     context : of the context monitor, None without one
+    model_curved : (B,) probability of the curved vehicle model of a filter; 0 of other kinds
+    nis_position, nis_wheels : (B,) normalised innovation squared of the last GNSS position and of the last wheel speed
+        of a filter; 0 before, and of other kinds
+    trust_m : (B,) horizontal trust level of a filter; inf without one, and of other kinds
     """
 
     time_s: float
@@ -107,6 +111,10 @@ class Solution:
     held: NDArray[np.bool_]
     doubt_en_m: Array
     context: ContextReport | None = None
+    model_curved: Array
+    nis_position: Array
+    nis_wheels: Array
+    trust_m: Array
 
     @classmethod
     def blank(cls, m: Measurements, levels: int) -> Self:
@@ -121,6 +129,7 @@ class Solution:
             reason=none + AlertReason.INITIALISING.code, hdop=inf, satellites=none, satellites_doppler=none,
             excluded=none, since_rtk_s=inf, since_calibration_s=inf, corrections_age_s=m.gnss.corrections_age_s,
             wrong_fix_risk=zero, held=np.zeros((batch, satellites), np.bool_), doubt_en_m=np.zeros((batch, 2)),
+            model_curved=zero, nis_position=zero, nis_wheels=zero, trust_m=inf,
         )  # fmt: skip
 
     def rows(self, rows: NDArray[np.int64]) -> Solution:

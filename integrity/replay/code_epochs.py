@@ -23,6 +23,7 @@ from lanebound.integrity.replay.sagnac import ranges_and_sights
 from lanebound.integrity.replay.window import LocalFrame
 
 __all__ = ["WINDOW_S", "TrackedEpochs", "fit_heading", "reckoned_steps", "recorded_epochs"]
+__all__ = ["TrackedEpochs", "path_headings", "reckoned_steps", "recorded_epochs"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -134,7 +135,7 @@ def reckoned_steps(odometry: Odometry, time_s: Array, fix_en_m: Array) -> tuple[
     path = reckon(odometry.time_s, odometry.speed_mps, -odometry.yaw_rate_left_radps)
     at = np.stack([np.interp(time_s, path.time_s, path.position_m[:, k]) for k in range(2)], -1)
     length = np.diff(np.interp(time_s, path.time_s, path.distance_m), prepend=0.0)
-    turn, spread = _headings(time_s, at, fix_en_m)
+    turn, spread = path_headings(time_s, at, fix_en_m)
     own = np.diff(at, axis=0, prepend=at[:1])
     c, s = np.cos(turn), np.sin(turn)
     step = np.stack([c * own[:, 0] + s * own[:, 1], c * own[:, 1] - s * own[:, 0], np.zeros(time_s.size)], -1)
@@ -143,7 +144,7 @@ def reckoned_steps(odometry: Odometry, time_s: Array, fix_en_m: Array) -> tuple[
     return step, sigma
 
 
-def _headings(time_s: Array, path: Array, fix: Array) -> tuple[Array, Array]:
+def path_headings(time_s: Array, path: Array, fix: Array) -> tuple[Array, Array]:
     """Angle by which the path is turned clockwise to fit the fixes of the last ``WINDOW_S``, and its deviation."""
     count = time_s.size
     turn, spread = np.zeros(count), np.full(count, np.inf)

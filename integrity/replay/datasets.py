@@ -44,6 +44,7 @@ def replay_folder(
     changes: Mapping[str, Any] | None = None,
     progress: Progress = silent,
     service: Sequence[str] = (),
+    navigator: str | None = None,
 ) -> tuple[dict[str, Any], list[Path]]:
     """Replay a data set; returns the statistics and the files written into ``out``.
 
@@ -52,7 +53,8 @@ def replay_folder(
 
     ``changes`` are overrides of the configuration of the kind: :class:`~.city_report.CityReplay`,
     :class:`~.outages.OutageConfig` or :class:`~.baseline.BaselineConfig`. ``progress`` is called with the number of
-    solved epochs and the total number.
+    solved epochs and the total number. ``navigator`` names a filter, by kind or preset, in place of the method of the
+    kind of data set; ``changes`` are then those of :class:`~.filter_drive.FilterReplayConfig`.
 
     Raises
     ------
@@ -64,6 +66,13 @@ def replay_folder(
         from lanebound.integrity.replay.service_report import write_service
 
         return write_service(folder, kind, service, out, changed, progress)
+    if navigator is not None:
+        if kind == "rinex":
+            raise InputError("navigator must be left out for RINEX, which has no wheels and no gyro, "
+                             f"got {navigator}: give a smartLoc or comma2k19 folder")  # fmt: skip
+        from lanebound.integrity.replay.filter_report import write_filter
+
+        return write_filter(folder, kind, out, navigator, changed)
     if kind == "smartloc":
         from lanebound.integrity.replay.city_report import CityReplay, write_city
 

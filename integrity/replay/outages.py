@@ -22,7 +22,7 @@ from lanebound.integrity.recorded.comma import Comma
 from lanebound.integrity.replay.bridge import Bridge, BridgeConfig
 from lanebound.integrity.replay.reckoning import reckon, turned
 
-__all__ = ["Motion", "OutageConfig", "OutageErrors", "calibrate", "motion_of", "run_outages", "sawtooth"]
+__all__ = ["Motion", "OutageConfig", "OutageErrors", "averaged", "calibrate", "motion_of", "run_outages", "sawtooth"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -100,7 +100,7 @@ def motion_of(segment: Comma, config: OutageConfig) -> tuple[Motion, dict[str, f
     at = start + time
     place = np.stack([np.interp(at, r.time_s, enu[:, k]) for k in range(2)], -1)
     moving = np.stack([np.interp(at, r.time_s, velocity[:, k]) for k in range(2)], -1)
-    rate = _averaged(segment.rotation_rate.time_s, segment.rotation_rate.value[:, AXES_OF_GYRO], at, config.rate_hz)
+    rate = averaged(segment.rotation_rate.time_s, segment.rotation_rate.value[:, AXES_OF_GYRO], at, config.rate_hz)
     speed = np.hypot(*moving.T)
     # the rear axle moves in the direction of the heading, the reference point at an angle to it
     slip = np.arcsin(np.clip(config.axle_m * rate / np.maximum(speed, SLOWEST_MPS), -1.0, 1.0))
@@ -109,7 +109,7 @@ def motion_of(segment: Comma, config: OutageConfig) -> tuple[Motion, dict[str, f
     return calibrate(motion, config.calibration_s)
 
 
-def _averaged(time_s: Array, value: Array, at_s: Array, rate_hz: float) -> Array:
+def averaged(time_s: Array, value: Array, at_s: Array, rate_hz: float) -> Array:
     """Mean of a signal over an interval around each time, computed as slope of the integral."""
     total = np.concatenate([[0.0], np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(time_s))])
     half = 0.5 / rate_hz

@@ -284,8 +284,15 @@ def solution_of(m: Measurements, out: Outputs) -> Solution:
         m.time_s, position, heading, velocity, m.odometer.speed_mps, out.covariance.copy(), sigma_at, sigma_ct,
         levels[:, 0, 0], levels[:, 0, 1], levels, mode, rtk, alert, available, reason, hdop, satellites,
         satellites_doppler, excluded, since_rtk, since_calibration, m.gnss.corrections_age_s, wrong, out.held.copy(),
-        difference,
+        difference, *_no_filter(heading.size),
     )  # fmt: skip
+
+
+@lru_cache(maxsize=64)
+def _no_filter(batch: int) -> tuple[Array, Array, Array, Array]:
+    """Probability of a model, NIS twice and trust level of vehicles that have no filter, (B,); never written."""
+    zero = np.zeros(batch)
+    return zero, zero, zero, np.full(batch, np.inf)
 
 
 register_navigator(RtkReckoningConfig, RtkReckoningNavigator)

@@ -10,8 +10,7 @@ from lanebound.integrity.core.config import Config
 from lanebound.integrity.core.errors import ConfigError
 from lanebound.integrity.navigators.navigator import NavigatorConfig
 from lanebound.integrity.positioning.filters.code_position import CodePositionConfig, CodeSource
-from lanebound.integrity.positioning.filters.multiple_models import TRANSITION, Interaction
-from lanebound.integrity.positioning.filters.prediction import Predictor
+from lanebound.integrity.positioning.filters.vehicle_models import TRANSITION, Interaction, Predictor
 from lanebound.integrity.sensors.gnss import GnssConfig
 
 __all__ = [
@@ -24,6 +23,7 @@ __all__ = [
     "StraightNoise",
 ]
 
+SCALE_SIGMAS = 4.5  # of the declared bound of the odometer's scale, DeadReckoningConfig
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -92,6 +92,12 @@ class GnssUpdateConfig(Config):
         5.0, ge=0, description="correlation time of noise and multipath, bounded by more noise [s]; as tau of signals"
     )
     slow_tau_s: float = Field(1800.0, gt=0, description="correlation time of slow errors [s]; as BroadcastConfig")
+    excess_tau_s: float = Field(
+        15.0,
+        ge=0,
+        description="memory of the NIS of positions, rejected ones too; their noise grows by its mean; 0: it does not "
+        "[s]; chosen on dense streets of seed 101: reflections of a canyon last for some 100 m",
+    )
     bias_m: float = Field(
         0.1, ge=0, description="bound of a constant error of positions, on each axis [m]; datum and antenna, chosen"
     )
@@ -114,7 +120,12 @@ class MotionUpdateConfig(Config):
     accelerometer_walk: float = Field(
         1e-3, ge=0, description="random walk of that bias [m/s^2/sqrt(s)]; slopes, chosen"
     )
-    wheel_scale: float = Field(0.0035, ge=0, description="1-sigma of the scale of the wheels [-]; 0.3 % tyre wear")
+    wheel_scale: float | None = Field(
+        None,
+        ge=0,
+        description="1-sigma of the scale of the wheels [-]; none: that of positioning.dead_reckoning.odometer_scale, "
+        "a bound of 4.5 sigma",
+    )
     speed_sigma_mps: float = Field(0.06, gt=0, description="speed by the wheels, 1 sigma [m/s]; S1 section 4: 0.05")
     speed_tau_s: float = Field(0.2, ge=0, description="correlation time of its error [s]; slip, pulses")
     slip_sigma_deg: float = Field(0.3, gt=0, description="slip by the geometry, 1 sigma [deg]; chosen")
@@ -163,6 +174,12 @@ class FilterConfig(NavigatorConfig):
     def chosen_models(self) -> tuple[str, ...]:
         """Names of the models that run."""
         return self.models if self.filter == "imm" else self.models[:1]
+
+    @property
+    def wheel_scale(self) -> float:
+        """1-sigma of the scale of the wheels [-]."""
+        declared = self.motion.wheel_scale
+        return self.positioning.dead_reckoning.odometer_scale / SCALE_SIGMAS if declared is None else declared
 
     @property
     def predictor(self) -> Predictor:

@@ -1,4 +1,4 @@
-"""Motion of a road vehicle between two scans (S4 eq 1-2), with the errors of its sensors as further states.
+"""States of the vehicle models of S4 (eq 1-2), with the errors of its sensors as further states.
 
 S4's state is position, heading, yaw rate, speed, slip angle and slide correction; the curved model adds the rate of the
 slip angle. Both models are one function here: a straight model's slip rate is 0 with variance 0. They differ in their
@@ -15,15 +15,9 @@ initial variances and noise of 0 they vanish, and S4's own filter remains.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import IntEnum
+from enum import Enum, IntEnum
 
-import numpy as np
-from numpy.typing import NDArray
-
-__all__ = ["NOISES", "STATES", "MotionInput", "S", "jacobian", "noise_gain", "scan_sigmas", "transition"]
-
-Array = NDArray[np.float64]
+__all__ = ["NOISES", "STATES", "TRANSITION", "WHITE", "Interaction", "Predictor", "S"]
 
 
 class S(IntEnum):
@@ -50,106 +44,27 @@ class S(IntEnum):
 
 STATES = len(S)
 NOISES = 4  # of S4 eq 2
-REST = 1.0 / np.sqrt(12.0)  # integral of white noise over a scan that is independent of its mean: sqrt(1/3 - 1/4)
+WHITE = NOISES + 3  # with the independent parts of white accelerations
+
+# for kernels
+EAST, NORTH, HEADING, YAW_RATE, SPEED, SLIP, SLIDE, SLIP_RATE = (int(S(k)) for k in range(8))
+GYRO_BIAS, GYRO_SCALE, GYRO_ANGLE, WHEEL_SCALE, ACCEL_BIAS, COMPASS, GNSS_EAST, GNSS_NORTH = (
+    int(S(k)) for k in range(8, 16)
+)
+
+TRANSITION = ((0.7, 0.3), (0.4, 0.6))
+"""S4 eq 9: from straight and from curved, to straight and to curved, at each scan [-]."""
 
 
-@dataclass(frozen=True)
-class MotionInput:
-    """What is known of the motion over a scan of ``dt_s``.
+class Interaction(Enum):
+    """How the filters of the models begin a scan (:mod:`.mixing_kernel`)."""
 
-    turn_rad (...,) increment of the gyro; acceleration_mps2 (...,) measured along the velocity, 0 where it is not an
-    input; ``accelerated``: whether it is one, so that its bias counts; gnss_decay, compass_decay: of slow errors [-].
-    """
-
-    dt_s: float
-    turn_rad: Array
-    acceleration_mps2: Array
-    accelerated: bool = True
-    gnss_decay: float = 1.0
-    compass_decay: float = 1.0
+    STANDARD = "standard"
+    PUBLISHED = "published"
 
 
-def transition(x: Array, u: MotionInput) -> Array:
-    """``f(x)`` of S4 eq 1 without noise.  (..., STATES) -> (..., STATES)."""
-    t = u.dt_s
-    along, across, a = _displacement(x, u)
-    course = x[..., S.HEADING] + x[..., S.SLIP] + x[..., S.SLIDE]
-    s, c = np.sin(course), np.cos(course)
-    out = x.copy()
-    out[..., S.EAST] += s * along + c * across
-    out[..., S.NORTH] += c * along - s * across
-    out[..., S.HEADING] += t * x[..., S.YAW_RATE]
-    out[..., S.SPEED] += t * a
-    out[..., S.SLIP] += t * x[..., S.SLIP_RATE]
-    out[..., S.GYRO_ANGLE] += t * x[..., S.GYRO_BIAS] + u.turn_rad * x[..., S.GYRO_SCALE]
-    out[..., S.COMPASS] *= u.compass_decay
-    out[..., S.GNSS_EAST :] *= u.gnss_decay
-    return out
+class Predictor(Enum):
+    """Which prediction the filters use (:mod:`.prediction_kernel`)."""
 
-
-def jacobian(x: Array, u: MotionInput) -> Array:
-    """``F = df/dx`` (..., STATES, STATES)."""
-    t = u.dt_s
-    along, across, _ = _displacement(x, u)
-    course = x[..., S.HEADING] + x[..., S.SLIP] + x[..., S.SLIDE]
-    s, c = np.sin(course), np.cos(course)
-    speed, rate = x[..., S.SPEED], x[..., S.YAW_RATE] + x[..., S.SLIP_RATE]
-    f = np.zeros((*x.shape, STATES))
-    f[..., range(STATES), range(STATES)] = 1.0
-    for angle in (S.HEADING, S.SLIP, S.SLIDE):
-        f[..., S.EAST, angle] = c * along - s * across
-        f[..., S.NORTH, angle] = -s * along - c * across
-    f[..., S.EAST, S.SPEED] = t * s + 0.5 * t * t * rate * c
-    f[..., S.NORTH, S.SPEED] = t * c - 0.5 * t * t * rate * s
-    for turning in (S.YAW_RATE, S.SLIP_RATE):
-        f[..., S.EAST, turning] = 0.5 * t * t * speed * c
-        f[..., S.NORTH, turning] = -0.5 * t * t * speed * s
-    if u.accelerated:
-        f[..., S.EAST, S.ACCEL_BIAS], f[..., S.NORTH, S.ACCEL_BIAS] = -0.5 * t * t * s, -0.5 * t * t * c
-        f[..., S.SPEED, S.ACCEL_BIAS] = -t
-    f[..., S.HEADING, S.YAW_RATE] = f[..., S.SLIP, S.SLIP_RATE] = f[..., S.GYRO_ANGLE, S.GYRO_BIAS] = t
-    f[..., S.GYRO_ANGLE, S.GYRO_SCALE] = u.turn_rad
-    f[..., S.COMPASS, S.COMPASS] = u.compass_decay
-    f[..., S.GNSS_EAST, S.GNSS_EAST] = f[..., S.GNSS_NORTH, S.GNSS_NORTH] = u.gnss_decay
-    return f
-
-
-def noise_gain(x: Array, dt_s: float, curved: NDArray[np.bool_]) -> Array:
-    """``G(x)`` (..., STATES, NOISES + 3); ``curved`` (r,) by model along the last axis but one of x.
-
-    The first columns are those of S4 eq 2, accelerations that are constant over a scan. They leave heading and yaw rate
-    with one noise for two states: a filter that measures the heading precisely would find each acceleration exactly,
-    and would swing about a yaw rate that has stepped (the zero of the sampled model lies at -1). White accelerations
-    move the angle, the position and the slip by an independent part of ``T^2 / sqrt(12)`` beside: the last columns, for
-    yaw acceleration, acceleration and slip acceleration.
-    """
-    t, half = dt_s, 0.5 * dt_s * dt_s
-    course = x[..., S.HEADING] + x[..., S.SLIP] + x[..., S.SLIDE]
-    s, c, speed = np.sin(course), np.cos(course), x[..., S.SPEED]
-    bend = np.broadcast_to(curved, course.shape)
-    g = np.zeros((*x.shape, NOISES + 3))
-    g[..., S.HEADING, 0], g[..., S.YAW_RATE, 0] = half, t
-    g[..., S.EAST, 1], g[..., S.NORTH, 1], g[..., S.SPEED, 1] = half * s, half * c, t
-    g[..., S.SLIP, 2], g[..., S.SLIP_RATE, 2] = np.where(bend, half, t), np.where(bend, t, 0.0)
-    g[..., S.SLIDE, 3] = t
-    g[..., S.EAST, 2] = np.where(bend, 0.0, half * speed * c)  # a change of the slip turns the velocity
-    g[..., S.NORTH, 2] = np.where(bend, 0.0, -half * speed * s)
-    g[..., S.EAST, 3], g[..., S.NORTH, 3] = half * speed * c, -half * speed * s
-    rest = REST * t * t
-    g[..., S.HEADING, NOISES] = rest
-    g[..., S.EAST, NOISES + 1], g[..., S.NORTH, NOISES + 1] = rest * s, rest * c
-    g[..., S.SLIP, NOISES + 2] = np.where(bend, rest, 0.0)
-    return g
-
-
-def _displacement(x: Array, u: MotionInput) -> tuple[Array, Array, Array]:
-    """Displacement along and across (to the right) of the velocity [m], and the acceleration [m/s^2]."""
-    t, speed = u.dt_s, x[..., S.SPEED]
-    a = u.acceleration_mps2 - x[..., S.ACCEL_BIAS] if u.accelerated else np.zeros_like(speed)
-    rate = x[..., S.YAW_RATE] + x[..., S.SLIP_RATE]
-    return t * speed + 0.5 * t * t * a, 0.5 * t * t * speed * rate, a
-
-
-def scan_sigmas(sigma: Array) -> Array:
-    """1-sigma of the noises over a scan in the columns of :func:`noise_gain`.  (..., NOISES) -> (..., NOISES + 3)."""
-    return np.concatenate([sigma, sigma[..., :3]], -1)
+    EXTENDED = "ekf"
+    UNSCENTED = "ukf"

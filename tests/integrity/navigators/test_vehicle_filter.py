@@ -10,16 +10,16 @@ from scipy.stats import binom, norm
 
 import lanebound.envs  # noqa: F401 - registers the ids
 from lanebound.integrity.core.errors import ConfigError
+from lanebound.integrity.core.records import one_record
 from lanebound.integrity.core.streams import Streams
 from lanebound.integrity.monitoring.alerts import AlertReason
 from lanebound.integrity.motion.drive import CityDrive, DriveConfig
 from lanebound.integrity.navigators.navigator import Navigator, NavigatorConfig
-from lanebound.integrity.navigators.vehicle_filter.levels import HTL_SIGMAS, horizontal_trust_level, mixture_levels
+from lanebound.integrity.navigators.vehicle_filter.levels_kernel import major_axis, mixture_level
 from lanebound.integrity.navigators.vehicle_filter.navigator import FilterNavigator
 from lanebound.integrity.positioning.filters.code_position import locate_by_codes
-from lanebound.integrity.positioning.filters.odometry import from_front_wheel, rolling_slip
+from lanebound.integrity.positioning.filters.odometry_kernel import CAR, from_front_wheel, rolling_slip
 from lanebound.integrity.positioning.modes import Mode
-from lanebound.integrity.sensors.chassis import ChassisConfig
 from lanebound.integrity.sky.road import Road
 
 BEND = Road.through(np.array([[0.0, 0.0], [120.0, 0.0], [120.0, 200.0], [300.0, 200.0]]))
@@ -85,7 +85,13 @@ def test_the_level_of_several_models_is_the_root_of_their_mixture():
         np.array([[[0.4, 0.4], [1.2, 1.2]]]),
     )
     budgets = np.array([[1e-2, 5e-3], [1e-7, 1e-7], [0.0, 1e-3]])
-    found = mixture_levels(mu, far, sigma, budgets)
+
+    def levels(mu, far, sigma):
+        rows = [[mixture_level(mu[0], far[0, :, q], sigma[0, :, q], 0.5 * b[q], norm.isf(0.5 * b[q]))
+                 for q in range(2)] for b in budgets]  # fmt: skip
+        return np.array(rows)[None]
+
+    found = levels(mu, far, sigma)
     for k, q in np.ndindex(2, 2):
         tail = brentq(
             lambda x, k=k, q=q: mu[0] @ norm.sf((x - far[0, :, q]) / sigma[0, :, q]) - 0.5 * budgets[k, q], 0.0, 50.0
@@ -94,8 +100,8 @@ def test_the_level_of_several_models_is_the_root_of_their_mixture():
     assert np.isinf(found[0, 2, 0])
     mean, spread = mu[0] @ far[0, :, 0], np.sqrt(mu[0] @ (sigma[0, :, 0] ** 2 + far[0, :, 0] ** 2))
     assert found[0, 1, 0] > 1.5 * (mean + norm.isf(0.5e-7) * spread)  # a normal law of the same moments is too small
-    same = mixture_levels(mu, far[:, :1].repeat(2, 1), sigma[:, :1].repeat(2, 1), budgets)
-    alone = mixture_levels(mu[:, :1] / mu[:, :1], far[:, :1], sigma[:, :1], budgets)
+    same = levels(mu, far[:, :1].repeat(2, 1), sigma[:, :1].repeat(2, 1))
+    alone = levels(mu[:, :1] / mu[:, :1], far[:, :1], sigma[:, :1])
     np.testing.assert_allclose(same, alone, rtol=1e-9)
     assert alone[0, 1, 0] == pytest.approx(0.1 + norm.isf(0.5e-7) * 0.4)
     rng = np.random.default_rng(1)
@@ -171,10 +177,23 @@ def test_the_gate_rejects_spurious_positions():
     navigator, truths = drives([1, 2])
     error, _ = errors(navigator, truths, 130, shifted)
     assert error.max() < 3.0
-    assert (navigator.state.belief.rejected_s[:, 0] > 5.0).all()
-    open_gate, truths = drives([1, 2], gate={"enabled": False})
+    assert (navigator.state.belief.vehicles["rejected"][:, 0] > 5.0).all()
+    open_gate, truths = drives([1, 2], gate={"enabled": False}, position={"excess_tau_s": 0.0})
     wrong, _ = errors(open_gate, truths, 130, shifted)
     assert wrong.max() > 2.0 * error.max()
+
+
+def test_the_noise_of_positions_grows_with_their_innovations():
+    """Without the gate, a filter that remembers innovations follows a spurious position less, with larger levels."""
+    forgetful, truths = drives([1, 2], gate={"enabled": False}, position={"excess_tau_s": 0.0})
+    follows, _ = errors(forgetful, truths, 130, shifted)
+    mindful, truths = drives([1, 2], gate={"enabled": False})
+    holds, _ = errors(mindful, truths, 130, shifted)
+    assert holds.max() < 0.7 * follows.max()
+    assert (mindful.state.belief.vehicles["excess"] > 3.0).all()
+    quiet, truths = drives([1, 2])
+    errors(quiet, truths, 130)
+    assert (quiet.state.belief.vehicles["excess"] < 2.0).all()
 
 
 def test_a_filter_that_rejects_for_long_doubts_itself():
@@ -187,7 +206,8 @@ def test_a_filter_that_rejects_for_long_doubts_itself():
 
 def test_the_trust_level_is_six_sigma_of_the_longer_axis():
     covariance = np.array([[[4.0, 0.0], [0.0, 1.0]], [[2.5, 1.5], [1.5, 2.5]]])
-    np.testing.assert_allclose(horizontal_trust_level(covariance), HTL_SIGMAS * np.array([2.0, 2.0]))
+    for p in covariance:
+        assert major_axis(p[0, 0], p[1, 1], p[0, 1]) == pytest.approx(2.0)
     navigator, truths = drives([1], more_levels=[{"integrity_risk": 1e-7, "variant": "published"}])
     solution = errors(navigator, truths, 30)[1][-1]
     np.testing.assert_allclose(solution.pl_cases_m[:, 1], np.repeat(navigator.report.htl_m[:, None], 2, 1))
@@ -211,17 +231,33 @@ def test_a_code_position_has_no_larger_error_than_it_states():
     assert 0.08 < ratio.mean() < 0.3
 
 
+def test_a_wrong_first_heading_has_no_level():
+    """Doppler across the heading, as long as that of the wheels: the positions that must confirm it do not fit."""
+
+    def turned_doppler(m, k):
+        wrong = m.odometer.speed_mps[:, None] * m.sky.los_enu[m.sky.index][..., 1]  # as if driving South
+        return replace(m, gnss=replace(m.gnss, range_rate_mps=np.where(m.gnss.tracked, wrong, 0.0))) if k < 40 else m
+
+    navigator, truths = drives([1, 2, 3, 4], start=False)
+    error, solutions = errors(navigator, truths, 160, turned_doppler)
+    level = np.array([np.hypot(s.pl_at_m, s.pl_ct_m) for s in solutions])
+    assert (error <= level).all()
+    wrong = np.array([np.abs(s.heading_rad - np.pi / 2) > 1.0 for s in solutions[:50]])
+    assert wrong.any(0).all()
+    assert np.isfinite(level[-1]).all()
+
+
 def test_odometry_inverts_the_geometry_of_the_car():
     """A right turn of radius 20 m: yaw rate, speed and slip from the front left wheel (S4 eq 3)."""
-    car = ChassisConfig(wheelbase_m=3.0, track_m=1.6, axle_m=1.5)
+    car = one_record(CAR, wheelbase=3.0, track=1.6, axle=1.5)[0]
     rate, radius = 0.4, 20.0
     angle = np.arctan(3.0 / (radius + 0.8))
     wheel = rate * np.hypot(radius + 0.8, 3.0)
-    found = from_front_wheel(car, np.array([wheel]), np.array([angle]), 0.05, 0.002)
-    np.testing.assert_allclose(found.rate_radps, rate, rtol=1e-12)
-    np.testing.assert_allclose(found.speed_mps, rate * np.hypot(radius, 1.5), rtol=1e-12)
-    np.testing.assert_allclose(found.slip_rad, np.arctan(1.5 / radius), rtol=1e-12)
-    np.testing.assert_allclose(rolling_slip(1.5, np.array([rate]), found.speed_mps), found.slip_rad, rtol=1e-12)
+    found = from_front_wheel(car, wheel, angle, 0.05, 0.002)
+    assert found.rate == pytest.approx(rate, rel=1e-12)
+    assert found.speed == pytest.approx(rate * np.hypot(radius, 1.5), rel=1e-12)
+    assert found.slip == pytest.approx(np.arctan(1.5 / radius), rel=1e-12)
+    assert rolling_slip(1.5, rate, found.speed) == pytest.approx(found.slip, rel=1e-12)
 
 
 def test_wrong_configurations_are_refused():
@@ -234,16 +270,17 @@ def test_wrong_configurations_are_refused():
 @pytest.mark.parametrize("preset", ["imm_differential", "imm_s4"])
 def test_the_engine_navigates_as_a_single_environment(preset):
     """Presets drive environments and the vector engine, bit for bit alike in the same episode."""
-    settings = {"navigator": preset, "duration_s": 2.0, "sky": "open"}
+    settings = {"navigator": preset, "duration_s": 2.0, "sky": "open", "observation": {"form": "flat"}}
     env = gymnasium.make("lanebound/LaneKeeping-v0", config=settings)
     env.reset(seed=1)
     engine = gymnasium.make_vec("lanebound/LaneKeeping-v0", num_envs=2, config=settings)
     engine.reset(seed=1)
-    for _ in range(3):
-        info = env.step(np.zeros(2, np.float32))[4]
-        infos = engine.step(np.zeros((2, 2), np.float32))[4]
+    for _ in range(8):
+        seen, _, _, _, info = env.step(np.zeros(2, np.float32))
+        rows, _, _, _, infos = engine.step(np.zeros((2, 2), np.float32))
     for name in ("pl_at_m", "pl_ct_m", "err_at_m", "err_ct_m"):
         assert info[name] == infos[name][0]
+    assert np.array_equal(seen, rows[0])
     assert info["mode"] in (Mode.CODE, Mode.IMU_ODOMETER)
     assert abs(info["err_ct_m"]) < info["pl_ct_m"] < 20.0
     env.close()

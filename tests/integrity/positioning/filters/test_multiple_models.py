@@ -1,17 +1,17 @@
 """Mixing of models against a published two-model filter, and against the moments of the mixture itself."""
 
 import numpy as np
-
-from lanebound.integrity.positioning.filters.kalman import correct, innovate
-from lanebound.integrity.positioning.filters.multiple_models import (
-    TRANSITION,
-    Interaction,
+from plain_kalman import correct, innovate
+from plain_multiple_models import (
     combine,
     interact,
     mixing_weights,
     posterior,
     predicted_probabilities,
 )
+
+from lanebound.integrity.positioning.filters import mixing_kernel
+from lanebound.integrity.positioning.filters.vehicle_models import TRANSITION, Interaction
 
 
 def manoeuvre():
@@ -51,6 +51,30 @@ def test_it_equals_a_published_two_model_filter():
     np.testing.assert_allclose(last[1][0], [3.001175228867198, 2.0267970985976183], atol=1e-8)
     np.testing.assert_allclose(last[1][1], [2.0267970985976183, 4.567653602710711], atol=1e-8)
     np.testing.assert_allclose(last[2], [0.37861203669794946, 0.6213879633020506], atol=1e-8)
+
+
+def test_the_kernels_equal_the_published_filter():
+    """The same by the kernels that the navigator runs."""
+    f, q, zs = manoeuvre()
+    h, r, t = np.array([[1.0, 0.0]]), np.array([[4.0]]), np.array([[0.97, 0.03], [0.05, 0.95]])
+    x, p, mu = np.array([[0.0, 10.0]] * 2), np.array([np.diag([10.0, 4.0])] * 2), np.array([0.5, 0.5])
+    weight, predicted, mean, covariance = np.zeros((2, 2)), np.zeros(2), np.zeros(2), np.zeros((2, 2))
+    out = []
+    for z in zs:
+        x_own, p_own = np.zeros_like(x), np.zeros_like(p)
+        mixing_kernel.mixing_weights(mu, t, True, weight, predicted)
+        mixing_kernel.mix(x, p, weight, x_own, p_own)
+        x, p = (f @ x_own[..., None])[..., 0], f @ p_own @ f.T + q
+        found = innovate(x, p, np.array([z]), h, r)
+        x, p, _ = correct(x, p, h, found)
+        mixing_kernel.posterior(predicted, found.log_likelihood, mu)
+        mixing_kernel.combine(x, p, mu, mean, covariance, 2)
+        out.append((mean.copy(), covariance.copy(), mu.copy()))
+    for ours, reference in zip(out, run(), strict=True):
+        for part, other in zip(ours, reference, strict=True):
+            np.testing.assert_allclose(part, other, rtol=1e-10)
+    np.testing.assert_allclose(out[7][2], [0.13493643639157962, 0.8650635636084203], atol=1e-8)
+    np.testing.assert_allclose(out[-1][0], [302.7762133544565, 28.56090695625661], atol=1e-8)
 
 
 def test_the_published_form_differs_and_begins_from_one_state():

@@ -1,26 +1,16 @@
-"""Vehicle models and filters: derivatives by differences, exact linear cases, consistency of matched models."""
+"""The reference of vehicle filters: derivatives by differences, exact linear cases, consistency of matched models.
+
+The kernels equal the reference (``tests/integrity/navigators/test_filter_kernels.py``).
+"""
 
 import numpy as np
+from plain_kalman import correct, innovate
+from plain_vehicle_filters import ProcessNoise, SigmaWeights, predict_extended, predict_unscented, sigma_points
+from plain_vehicle_models import MotionInput, jacobian, noise_gain, scan_sigmas, transition
 from scipy.stats import chi2
 
-from lanebound.integrity.positioning.filters.kalman import correct, gate_threshold, innovate
-from lanebound.integrity.positioning.filters.prediction import (
-    ProcessNoise,
-    SigmaWeights,
-    predict_extended,
-    predict_unscented,
-    sigma_points,
-)
-from lanebound.integrity.positioning.filters.vehicle_models import (
-    NOISES,
-    STATES,
-    MotionInput,
-    S,
-    jacobian,
-    noise_gain,
-    scan_sigmas,
-    transition,
-)
+from lanebound.integrity.navigators.vehicle_filter.parameters import gate_threshold
+from lanebound.integrity.positioning.filters.vehicle_models import NOISES, STATES, S
 
 BOTH = np.array([False, True])
 

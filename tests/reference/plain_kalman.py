@@ -1,4 +1,4 @@
-"""Correction step of a Kalman filter with a linear observation, and the test of its innovation (S4 eq 8).
+"""Correction of any batch by a linear observation, in NumPy: the reference of ``correction_kernel``.
 
 ``z = H x + w``, ``w ~ N(0, R)``. All functions take any leading batch axes.
 """
@@ -8,12 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.special import chdtri
+from numpy.typing import NDArray
 
-from lanebound.integrity.core.errors import require_in_range
-
-__all__ = ["Innovation", "correct", "gate_threshold", "innovate", "symmetric"]
+__all__ = ["Innovation", "correct", "innovate", "symmetric"]
 
 Array = NDArray[np.float64]
 LOG_2PI = float(np.log(2.0 * np.pi))
@@ -64,9 +61,3 @@ def correct(
 def symmetric(p: Array) -> Array:
     """The symmetric part of matrices (..., n, n)."""
     return np.asarray(0.5 * (p + np.swapaxes(p, -1, -2)))
-
-
-def gate_threshold(false_rejection: ArrayLike, dimension: int) -> Array:
-    """``g^2`` of S4 eq 8: the chi-square quantile that a right observation exceeds with this probability.  (...,)."""
-    share = require_in_range("false_rejection", false_rejection, 0.0, 1.0, low_open=True, high_open=True)
-    return np.asarray(chdtri(dimension, share))

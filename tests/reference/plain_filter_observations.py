@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from plain_filter_belief import BIASES, FilterBelief, slow_columns
+from plain_filter_epoch import Observation, gates
+from plain_odometry import from_front_wheel, rolling_slip
 
-from lanebound.integrity.navigators.vehicle_filter.belief import BIASES, FilterBelief, slow_columns
 from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
-from lanebound.integrity.navigators.vehicle_filter.epoch import Observation, correlation_factor, gates
+from lanebound.integrity.navigators.vehicle_filter.parameters import correlation_factor
 from lanebound.integrity.positioning.filters.code_position import CodePosition
-from lanebound.integrity.positioning.filters.odometry import from_front_wheel, rolling_slip
 from lanebound.integrity.positioning.filters.vehicle_models import STATES, S
 from lanebound.integrity.sensors.instruments import Measurements
 

@@ -1,36 +1,27 @@
-"""Prediction of state and covariance: extended (S4 section II-D1) and unscented (section II-E)."""
+"""Extended and unscented prediction in NumPy, for any batch: the reference of ``prediction_kernel``."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
-
-from lanebound.integrity.positioning.filters.kalman import symmetric
-from lanebound.integrity.positioning.filters.vehicle_models import (
-    STATES,
+from plain_kalman import symmetric
+from plain_vehicle_models import (
     MotionInput,
-    S,
     jacobian,
     noise_gain,
     scan_sigmas,
     transition,
 )
 
-__all__ = ["Predictor", "ProcessNoise", "SigmaWeights", "predict_extended", "predict_unscented", "sigma_points"]
+from lanebound.integrity.positioning.filters.vehicle_models import STATES, S
+
+__all__ = ["ProcessNoise", "SigmaWeights", "predict_extended", "predict_unscented", "sigma_points"]
 
 Array = NDArray[np.float64]
 JITTER = 1e-16  # makes a singular covariance decomposable; a standard deviation of 1e-8
 RELATIVE = 1e-12  # likewise, of the variance of each state
-
-
-class Predictor(Enum):
-    """Which prediction the filters use."""
-
-    EXTENDED = "ekf"
-    UNSCENTED = "ukf"
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The steps of an epoch of vehicle filters: interaction, prediction, and corrections by one sensor vector at a time."""
+"""The steps of an epoch of vehicle filters in NumPy: interaction, prediction, corrections."""
 
 from __future__ import annotations
 
@@ -6,25 +6,26 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-
-from lanebound.integrity.navigators.vehicle_filter.belief import BIASES, FilterBelief
-from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
-from lanebound.integrity.positioning.filters.kalman import correct, gate_threshold, innovate
-from lanebound.integrity.positioning.filters.multiple_models import (
+from plain_filter_belief import BIASES, FilterBelief
+from plain_kalman import correct, innovate
+from plain_multiple_models import (
     interact,
     mixing_weights,
     posterior,
     predicted_probabilities,
 )
-from lanebound.integrity.positioning.filters.prediction import (
-    Predictor,
+from plain_vehicle_filters import (
     ProcessNoise,
     predict_extended,
     predict_unscented,
 )
-from lanebound.integrity.positioning.filters.vehicle_models import STATES, MotionInput, S
+from plain_vehicle_models import MotionInput
 
-__all__ = ["GateOutcome", "Observation", "advance", "conclude", "correlation_factor", "noise_of", "observe"]
+from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
+from lanebound.integrity.navigators.vehicle_filter.parameters import gate_threshold
+from lanebound.integrity.positioning.filters.vehicle_models import STATES, Predictor, S
+
+__all__ = ["GateOutcome", "Observation", "advance", "conclude", "gates", "noise_of", "observe"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -80,12 +81,6 @@ def noise_of(config: FilterConfig) -> ProcessNoise:
     errors[S.GYRO_ANGLE, S.GYRO_ANGLE] = heading.angle_random_walk_rad**2 * dt
     curved = np.array([name == "curved" for name in config.chosen_models])
     return ProcessNoise(curved, np.array(rows) / np.sqrt(dt), errors)
-
-
-def correlation_factor(tau_s: float, step_s: float) -> float:
-    """Variance factor of white noise that bounds a Gauss-Markov error of this correlation time in sums of many steps:
-    ``coth(step / 2 tau)``, the spectral density at frequency 0 over the variance."""
-    return 1.0 if tau_s <= 0.0 else float(1.0 / np.tanh(0.5 * step_s / tau_s))
 
 
 def advance(b: FilterBelief, config: FilterConfig, noise: ProcessNoise, u: MotionInput) -> Array:

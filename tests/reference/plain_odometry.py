@@ -1,4 +1,4 @@
-"""Odometry of a four-wheeled vehicle: yaw rate, speed and slip at its reference point (S4 section II-C4).
+"""In NumPy, the reference of ``odometry_kernel``: yaw rate, speed and slip at its reference point (S4 section II-C4).
 
 S4's geometrical centre lies in the middle between the axles; here the reference point lies ``axle_m`` ahead of the rear
 axle, which makes S4's formulas a case of ours. S4 turns to the left; here angles are positive to the right.

@@ -1,38 +1,17 @@
-"""Interacting multiple models: one filter for each model, mixed by the probabilities of the models (S4 section II-G).
-
-Axes: states (..., r, n), covariances (..., r, n, n), probabilities (..., r) of r models; the transition matrix (r, r)
-has the model before in its rows and the model after in its columns (S4 eq 9).
-
-S4's text says how the predictions are combined (with the probabilities after interaction), and neither from which state
-each filter predicts nor how the output is formed. Both readings are here:
-
-- standard (default): each filter begins with its own mixture ``mu_i|j = P_ij mu_i / C_j`` of states and covariances,
-  and the output is the mixture of the corrected filters (Blom and Bar-Shalom 1988);
-- published: each filter begins with the one state and covariance of the output before, so that the models differ in
-  their prediction alone. This is a generalised pseudo-Bayesian filter of first order, with S4's ``C_j``.
-"""
+"""Interacting multiple models in NumPy, for any batch: the reference of ``mixing_kernel``."""
 
 from __future__ import annotations
-
-from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["TRANSITION", "Interaction", "combine", "interact", "mixing_weights", "posterior", "predicted_probabilities"]
+from lanebound.integrity.positioning.filters.vehicle_models import Interaction
+
+__all__ = ["combine", "interact", "mixing_weights", "posterior", "predicted_probabilities"]
 
 Array = NDArray[np.float64]
 
-TRANSITION = ((0.7, 0.3), (0.4, 0.6))
-"""S4 eq 9: from straight and from curved, to straight and to curved, at each scan [-]."""
 LEAST = 1e-12  # probability below which no model falls, so that it can return
-
-
-class Interaction(Enum):
-    """How the filters of the models begin a scan."""
-
-    STANDARD = "standard"
-    PUBLISHED = "published"
 
 
 def predicted_probabilities(probability: Array, transition: Array) -> Array:

@@ -1,19 +1,4 @@
-"""Protection levels from the covariance of a filter, and S4's horizontal trust level.
-
-Exact: of one model ``PL_q = Qinv(P_HMI,q / 2) sigma_q + B_q``, with the standard deviation along or across the heading
-and a bound ``B_q = sum_j |t_q' influence_j| b_j`` of what constant errors b_j have done to the position through all
-gains. The law of several models is their mixture, whose tail can be larger than that of a normal law of the same
-moments: the level solves ``sum_j mu_j Q((PL_q - |m_j,q - m_q| - B_j,q) / sigma_j,q) = P_HMI,q / 2`` by bisection.
-Within it the probabilities mu_j count as right. The variance is that of the filter plus that of the slow errors of
-satellites through all gains, ``sum_s (t_q' influence_s)^2``. The filter takes the slow error of positions for a Markov
-process, and so believes that a position by other satellites brings new errors; where two sets of satellites take turns
-in a street, they bring the same two errors again and again, and the filter averages what does not average. The sum of
-both counts slow errors twice, on the safe side.
-
-Published: the horizontal trust level ``HTL = 6 sqrt(lambda_max(P_xy))`` on both axes, at whatever risk (S4 section
-II-F). S4 takes it for the circle that holds all but 1e-7. Six sigma on the longer axis of a normal law in the plane
-hold all but exp(-18) = 1.5e-8 if the covariance is right.
-"""
+"""Levels of vehicle filters in NumPy: the reference of ``levels_kernel``."""
 
 from __future__ import annotations
 

@@ -1,0 +1,181 @@
+"""What the motion sensors of a vehicle say of its states (S4 section II-C3), one sensor vector at a time."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.core.accel import jit
+from lanebound.integrity.navigators.vehicle_filter.records_kernel import COURSE_BIAS, MOTION, SPEED_BIAS, MeasuredMotion
+from lanebound.integrity.positioning.filters.correction_kernel import UNTESTED, Models, Vector, clear, observe
+from lanebound.integrity.positioning.filters.mixing_kernel import combine
+from lanebound.integrity.positioning.filters.odometry_kernel import WheelOdometry, from_front_wheel, rolling_slip
+from lanebound.integrity.positioning.filters.vehicle_models import (
+    COMPASS,
+    EAST,
+    GYRO_ANGLE,
+    GYRO_BIAS,
+    HEADING,
+    NORTH,
+    SLIDE,
+    SLIP,
+    SPEED,
+    STATES,
+    WHEEL_SCALE,
+    YAW_RATE,
+)
+
+__all__ = ["acceleration_along", "correct_by_motion", "correct_by_printed", "printed_inertial"]
+
+Array = NDArray[np.float64]
+HEADING_NOISE_RAD = 1e-5  # of the integrated gyro beside its random walk, rounding
+REST_SIGMA_MPS = 0.02
+STEERING_MODEL_RADPS = 1e-2  # 1-sigma of the bicycle model in the test of the yaw rate by steering
+
+
+@jit
+def acceleration_along(x: Array, delta_v: Array, dt: float) -> float:
+    """MeasuredMotion acceleration along the velocity of a model [m/s^2] (S4 eq 6 and those after it)."""
+    slip = x[SLIP] + x[SLIDE]
+    return float(delta_v[0] / dt * math.cos(slip) + delta_v[1] / dt * math.sin(slip))
+
+
+@jit
+def correct_by_motion(
+    par: Any, vehicle: Any, measured: MeasuredMotion, v: int, models: Models, w: Vector, nis: Array
+) -> None:
+    """Gyro, wheels, steering, slip, compass and rest, in this order."""
+    push = math.hypot(measured.delta_v[v, 0], measured.delta_v[v, 1]) / par.dt
+    rest = measured.distance[v] == 0.0 and push < par.rest_mps2
+    wheel = _wheel_odometry(par, measured, v)
+    _inertial_heading(vehicle.turned, models, w)
+    nis[MOTION], rejected = _speed(par, wheel, rest, models, w)
+    if par.chassis and not rest:
+        rejected = _steering(par, wheel, models, w) or rejected
+    _slip(par, wheel, models, w)
+    if par.compass:
+        _magnetic_heading(par, measured.compass[v], models, w)
+    if rest and par.sensor_errors:
+        _gyro_at_rest(par, measured.turn[v, 2] / par.dt, models, w)
+    vehicle.rejected[MOTION] = vehicle.rejected[MOTION] + par.dt if rejected else 0.0
+
+
+@jit
+def _wheel_odometry(par: Any, measured: MeasuredMotion, v: int) -> WheelOdometry:
+    """Yaw rate, speed and slip by the front left wheel, or speed and slip by odometer and gyro.
+
+    The odometer's speed is the mean over the epoch: half an epoch of the measured acceleration brings it to the end.
+    """
+    if par.chassis:
+        found = from_front_wheel(
+            par.car, measured.wheel[v, 0], measured.steering[v], par.speed_sigma, par.steering_sigma
+        )
+        sigma = math.hypot(par.slip_sigma, found.sigma_slip)
+        return WheelOdometry(found.rate, found.speed, found.slip, found.sigma_rate, found.sigma_speed, sigma)
+    slip = rolling_slip(par.axle, measured.turn[v, 2] / par.dt, measured.speed[v])
+    speed = measured.speed[v] + 0.5 * measured.delta_v[v, 0]
+    return WheelOdometry(0.0, speed, slip, 0.0, par.speed_sigma, par.slip_sigma)
+
+
+@jit
+def _inertial_heading(turned: float, models: Models, w: Vector) -> None:
+    """The integrated gyro observes the heading and the error that has been integrated with it: theta^I of S4.
+
+    An increment over an epoch is a difference of two headings; as a rate at its end it would be half an epoch late.
+    """
+    clear(w)
+    w.z[0], w.h[0, HEADING], w.h[0, GYRO_ANGLE] = turned, 1.0, 1.0
+    w.r[0, 0] = w.single[0, 0] = HEADING_NOISE_RAD**2
+    observe(models, w, 1, UNTESTED, False)
+
+
+@jit
+def _speed(par: Any, wheel: WheelOdometry, rest: bool, models: Models, w: Vector) -> tuple[float, bool]:
+    """Speed by the wheels, 0 at rest; NIS, and whether it was rejected. A crawling car has none."""
+    if abs(wheel.speed) < par.still_speed and not rest:
+        return 0.0, False
+    z, sigma = (0.0, REST_SIGMA_MPS) if rest else (wheel.speed, wheel.sigma_speed)
+    clear(w)
+    # the scale acts in proportion to the speed: linear in the product, with the speed as measured
+    w.z[0], w.h[0, SPEED], w.h[0, WHEEL_SCALE] = z, 1.0, z
+    w.single[0, 0] = sigma * sigma
+    w.r[0, 0] = sigma * sigma * (1.0 if rest else par.speed_factor)
+    w.errors[0, SPEED_BIAS] = 1.0
+    nis, used = observe(models, w, 1, par.gate_motion, False)
+    return nis, not used
+
+
+@jit
+def _steering(par: Any, wheel: WheelOdometry, models: Models, w: Vector) -> bool:
+    """Yaw rate by the steering sensor (S4 eq 3); returns whether it was rejected."""
+    clear(w)
+    variance = wheel.sigma_rate * wheel.sigma_rate
+    w.z[0], w.h[0, YAW_RATE], w.r[0, 0] = wheel.rate, 1.0, variance * par.steering_factor
+    w.single[0, 0] = variance + STEERING_MODEL_RADPS**2
+    return not observe(models, w, 1, par.gate_motion, False)[1]
+
+
+@jit
+def _slip(par: Any, wheel: WheelOdometry, models: Models, w: Vector) -> None:
+    """Slip by the geometry of the car."""
+    clear(w)
+    w.z[0], w.h[0, SLIP], w.h[0, SLIDE], w.errors[0, COURSE_BIAS] = wheel.slip, 1.0, 1.0, 1.0
+    w.r[0, 0] = w.single[0, 0] = wheel.sigma_slip * wheel.sigma_slip
+    observe(models, w, 1, UNTESTED, False)
+
+
+@jit
+def _magnetic_heading(par: Any, heading: float, models: Models, w: Vector) -> None:
+    """The compass observes the heading with a deviation; its disturbances last."""
+    clear(w)
+    w.z[0], w.h[0, HEADING], w.h[0, COMPASS] = heading, 1.0, 1.0
+    w.single[0, 0] = par.compass_sigma * par.compass_sigma
+    w.r[0, 0] = w.single[0, 0] * par.compass_factor
+    observe(models, w, 1, par.gate_compass, True)
+
+
+@jit
+def _gyro_at_rest(par: Any, rate: float, models: Models, w: Vector) -> None:
+    """At rest the gyro measures its own bias."""
+    clear(w)
+    w.z[0], w.h[0, GYRO_BIAS] = rate, 1.0
+    w.r[0, 0] = w.single[0, 0] = par.walk * par.walk / par.dt
+    observe(models, w, 1, par.gate_motion, False)
+
+
+@jit
+def printed_inertial(
+    par: Any, x: Array, p: Array, probability: Array, acceleration: Array, w: Vector, mean: Array, covariance: Array
+) -> None:
+    """``x^I``, ``y^I``, ``v^I`` of S4 eq 4-6 from the states before the epoch, as S4 prints them, into a vector.
+
+    Their errors are those of the state before and of the acceleration (S4 eq 7 and after): the state counts twice. The
+    observation is for comparison; ``accelerometer: input`` is the same information once. acceleration (r,) of each
+    model.
+    """
+    combine(x, p, probability, mean, covariance, STATES)
+    a = 0.0
+    for j in range(probability.shape[0]):
+        a += probability[j] * acceleration[j]
+    t, course = par.dt, mean[HEADING] + mean[SLIP] + mean[SLIDE]
+    along = t * mean[SPEED] + 0.5 * t * t * a
+    clear(w)
+    w.z[0], w.z[1] = mean[EAST] + math.sin(course) * along, mean[NORTH] + math.cos(course) * along
+    w.z[2] = mean[SPEED] + t * a
+    bias = par.accelerometer_bias**2 + par.accelerometer_density**2 / t
+    for i in range(3):
+        k = SPEED if i == 2 else i
+        w.h[i, k] = 1.0
+        for j in range(3):
+            w.r[i, j] = covariance[k, SPEED if j == 2 else j]
+        w.r[i, i] += t * t * bias if i == 2 else 0.25 * t**4 * bias
+    w.single[:] = w.r
+
+
+@jit
+def correct_by_printed(par: Any, models: Models, w: Vector) -> None:
+    """Correct by the vector of :func:`printed_inertial`."""
+    observe(models, w, 3, par.gate_printed, False)

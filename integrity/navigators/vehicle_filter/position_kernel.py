@@ -1,0 +1,214 @@
+"""Correction by the GNSS position: its slow error, the gate, and what follows when positions fail it for long."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.core.accel import jit
+from lanebound.integrity.navigators.vehicle_filter.records_kernel import (
+    BIASES,
+    COMMON,
+    GNSS,
+    GNSS_EAST_BIAS,
+    GNSS_NORTH_BIAS,
+    FilterState,
+    MeasuredMotion,
+    PositionFix,
+)
+from lanebound.integrity.positioning.filters.correction_kernel import Models, Vector, best_nis, clear, observe
+from lanebound.integrity.positioning.filters.vehicle_models import EAST, GNSS_EAST, GNSS_NORTH, HEADING, NORTH, STATES
+
+__all__ = ["USED", "correct_by_position", "fill_slow_columns", "take_slow_error"]
+
+Array = NDArray[np.float64]
+EPS_S = 1e-9
+NUMERIC_M2 = 1e-4  # keeps the innovation of a position regular
+NONE, USED, REJECTED, LOST = range(4)
+"""Outcomes: no position was due, it was used, it was rejected, or the filter has begun to doubt itself."""
+
+
+@jit
+def correct_by_position(
+    par: Any,
+    state: FilterState,
+    v: int,
+    measured: MeasuredMotion,
+    fix: PositionFix,
+    models: Models,
+    w: Vector,
+    nis: Array,
+) -> int:
+    """The GNSS position, when it is due; returns the outcome."""
+    vehicle = state.vehicles[v]
+    vehicle.fix_age += par.dt
+    vehicle.moved += abs(measured.distance[v])
+    if not (fix.valid[v] and vehicle.known):
+        return NONE
+    if vehicle.fix_age < par.interval - EPS_S or vehicle.moved < par.least_move:
+        return NONE
+    if par.sensor_errors:
+        take_slow_error(par, state, v, fix)
+    _position_vector(par, state, v, fix, w)
+    outcome = NONE
+    if vehicle.rejected[GNSS] >= par.lost:
+        _doubt(par, vehicle, models, w)
+        outcome = LOST
+    else:
+        _grow_noise(par, vehicle, models, w)
+        nis[GNSS], used = observe(models, w, 2, par.gate_gnss, False)
+        outcome = USED if used else REJECTED
+    since = vehicle.fix_age if vehicle.fix_age < math.inf else par.interval
+    if outcome == REJECTED:
+        vehicle.rejected[GNSS] += min(since, 2.0 * par.interval)
+    else:
+        vehicle.rejected[GNSS] = 0.0
+    vehicle.fix_age = vehicle.moved = 0.0
+    return outcome
+
+
+@jit
+def _position_vector(par: Any, state: FilterState, v: int, fix: PositionFix, w: Vector) -> None:
+    """The position of the antenna, brought to the reference point; its slow error is a state."""
+    heading = 0.0
+    for j in range(state.x.shape[1]):
+        heading += state.probability[v, j] * state.x[v, j, HEADING]
+    s, c = math.sin(heading), math.cos(heading)
+    clear(w)
+    w.z[0] = fix.position[v, 0] - (s * par.forward + c * par.right)
+    w.z[1] = fix.position[v, 1] - (c * par.forward - s * par.right)
+    w.h[0, EAST] = w.h[1, NORTH] = w.errors[0, GNSS_EAST_BIAS] = w.errors[1, GNSS_NORTH_BIAS] = 1.0
+    for i in range(2):
+        for j in range(2):
+            w.single[i, j] = fix.fast[v, i, j] + (NUMERIC_M2 if i == j else 0.0)
+            if par.sensor_errors:
+                w.r[i, j] = w.single[i, j] * par.fast_factor
+            else:
+                w.single[i, j] += fix.slow[v, i, j]
+                w.r[i, j] = w.single[i, j]
+    if par.sensor_errors:
+        w.h[0, GNSS_EAST] = w.h[1, GNSS_NORTH] = 1.0
+        fill_slow_columns(fix, v, w.errors)
+
+
+@jit
+def fill_slow_columns(fix: PositionFix, v: int, errors: Array) -> None:
+    """Change of the position E, N per sigma of each slow error into the columns after those of biases [m]."""
+    for i in range(2):
+        for k in range(COMMON):
+            errors[i, BIASES + k] = fix.common[v, i, k]
+    for k in range(fix.own.shape[1]):
+        sigma = math.sqrt(fix.own[v, k])
+        for i in range(2):
+            errors[i, BIASES + COMMON + k] = fix.gain[v, k, i] * sigma
+
+
+@jit
+def _grow_noise(par: Any, vehicle: Any, models: Models, w: Vector) -> None:
+    """``R <- R max(1, m)``, with m the fading mean of NIS / 2 of all positions, whose expectation is 1.
+
+    In a street the reflections that the residuals of codes do not show last. The gate rejects those positions that
+    differ most, and those that agree with an error of the filter pass. Rejected positions therefore count in the noise
+    of the next ones.
+    """
+    if par.excess_tau <= 0.0:
+        return
+    since = vehicle.fix_age if vehicle.fix_age < math.inf else par.interval
+    kept = math.exp(-since / par.excess_tau)
+    vehicle.excess = kept * vehicle.excess + (1.0 - kept) * 0.5 * best_nis(models, w, 2, False)
+    if vehicle.excess > 1.0:
+        w.r[:] *= vehicle.excess
+
+
+@jit
+def _doubt(par: Any, vehicle: Any, models: Models, w: Vector) -> None:
+    """The levels hold the distance to the rejected position for some time: either it or the filter is wrong by that."""
+    for j in range(models.x.shape[0]):
+        total = 0.0
+        for i in range(2):
+            expected = 0.0
+            for k in range(STATES):
+                expected += w.h[i, k] * models.x[j, k]
+            total += (w.z[i] - expected) ** 2
+        vehicle.doubt = max(vehicle.doubt, math.sqrt(total))
+    vehicle.doubt_left = par.doubt
+
+
+@jit
+def take_slow_error(par: Any, state: FilterState, v: int, fix: PositionFix) -> None:
+    """Bring the slow error of GNSS positions to the satellites of this fix.
+
+    The error is ``K e`` of the satellites' own and common slow errors e with the gains K of the position. From one fix
+    to the next it is ``A`` times the old one plus an independent part: ``A = K' C K_0' (K_0 V K_0')^-1`` with ``C = a
+    V`` the covariance of e then and now. The first fix gives the prior.
+    """
+    vehicle = state.vehicles[v]
+    if vehicle.biased:
+        decay = math.exp(-vehicle.fix_age / par.slow_tau)
+        _turn_error(state, v, fix, decay)
+    else:
+        for j in range(state.p.shape[1]):
+            for i in range(2):
+                for k in range(2):
+                    state.p[v, j, GNSS_EAST + i, GNSS_EAST + k] = fix.slow[v, i, k]
+    vehicle.biased = True
+    state.gain[v] = fix.gain[v]
+    state.own[v] = fix.own[v]
+    state.common[v] = fix.common[v]
+
+
+@jit
+def _turn_error(state: FilterState, v: int, fix: PositionFix, decay: float) -> None:
+    """``g <- A g + w`` of the slow error g, with the variance of w that keeps it stationary."""
+    c00, c01, c10, c11 = 0.0, 0.0, 0.0, 0.0  # of the errors now and then
+    o00, o01, o11 = 0.0, 0.0, 0.0  # of the errors then
+    for k in range(fix.own.shape[1]):
+        was = state.own[v, k]
+        if was == 0.0:
+            continue  # a new satellite
+        e, n = state.gain[v, k, 0], state.gain[v, k, 1]
+        o00 += was * e * e
+        o01 += was * e * n
+        o11 += was * n * n
+        both = math.sqrt(fix.own[v, k] * was)  # 0 where a satellite is gone
+        c00 += fix.gain[v, k, 0] * both * e
+        c01 += fix.gain[v, k, 0] * both * n
+        c10 += fix.gain[v, k, 1] * both * e
+        c11 += fix.gain[v, k, 1] * both * n
+    for k in range(COMMON):
+        e, n, e_now, n_now = state.common[v, 0, k], state.common[v, 1, k], fix.common[v, 0, k], fix.common[v, 1, k]
+        o00 += e * e
+        o01 += e * n
+        o11 += n * n
+        c00 += e_now * e
+        c01 += e_now * n
+        c10 += n_now * e
+        c11 += n_now * n
+    d00, d11 = o00 + EPS_S, o11 + EPS_S
+    det = d00 * d11 - o01 * o01
+    a00, a01 = decay * (c00 * d11 - c01 * o01) / det, decay * (c01 * d00 - c00 * o01) / det
+    a10, a11 = decay * (c10 * d11 - c11 * o01) / det, decay * (c11 * d00 - c10 * o01) / det
+    g00 = fix.slow[v, 0, 0] - (a00 * (a00 * o00 + a01 * o01) + a01 * (a00 * o01 + a01 * o11))
+    g01 = fix.slow[v, 0, 1] - (a00 * (a10 * o00 + a11 * o01) + a01 * (a10 * o01 + a11 * o11))
+    g11 = fix.slow[v, 1, 1] - (a10 * (a10 * o00 + a11 * o01) + a11 * (a10 * o01 + a11 * o11))
+    for j in range(state.x.shape[1]):
+        x, p, influence = state.x[v, j], state.p[v, j], state.influence[v, j]
+        x[GNSS_EAST], x[GNSS_NORTH] = (
+            a00 * x[GNSS_EAST] + a01 * x[GNSS_NORTH], a10 * x[GNSS_EAST] + a11 * x[GNSS_NORTH],
+        )  # fmt: skip
+        for k in range(STATES):
+            e, n = p[GNSS_EAST, k], p[GNSS_NORTH, k]
+            p[GNSS_EAST, k], p[GNSS_NORTH, k] = a00 * e + a01 * n, a10 * e + a11 * n
+        for k in range(STATES):
+            e, n = p[k, GNSS_EAST], p[k, GNSS_NORTH]
+            p[k, GNSS_EAST], p[k, GNSS_NORTH] = a00 * e + a01 * n, a10 * e + a11 * n
+        p[GNSS_EAST, GNSS_EAST] += g00
+        p[GNSS_NORTH, GNSS_NORTH] += g11
+        p[GNSS_EAST, GNSS_NORTH] += g01
+        p[GNSS_NORTH, GNSS_EAST] += g01
+        for k in range(influence.shape[1]):
+            e, n = influence[GNSS_EAST, k], influence[GNSS_NORTH, k]
+            influence[GNSS_EAST, k], influence[GNSS_NORTH, k] = a00 * e + a01 * n, a10 * e + a11 * n

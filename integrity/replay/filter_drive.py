@@ -1,0 +1,251 @@
+"""A recorded drive through the filters on vehicle models: epochs of the sensors that the recording has.
+
+The filter is the one of ``navigator.kind: filter``, with its own kernels, declared errors and levels. What a recording
+lacks is switched off and named. The heading is not told: it is found by the Doppler course of the receiver
+(comma2k19), or by the turn that fits the reckoned path of the last minute to the code positions (smartLoc).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lanebound.integrity.core.config import Config, Field
+from lanebound.integrity.core.errors import ConfigError, InputError
+from lanebound.integrity.core.frames import ecef_from_enu_matrix, ecef_from_geodetic, geodetic_from_ecef
+from lanebound.integrity.monitoring.family.epochs import CodeEpochs
+from lanebound.integrity.navigators.navigator import NavigatorConfig
+from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
+from lanebound.integrity.navigators.vehicle_filter.navigator import blank_state, fix_of, run_filters
+from lanebound.integrity.navigators.vehicle_filter.parameters import filter_parameters, level_cases
+from lanebound.integrity.navigators.vehicle_filter.records_kernel import FilterOutputs, MeasuredMotion, PositionFix
+from lanebound.integrity.navigators.vehicle_filter.start_kernel import give_headings
+from lanebound.integrity.positioning.filters.code_position import CodePosition, locate_by_codes
+from lanebound.integrity.recorded.comma import Comma
+from lanebound.integrity.recorded.smartloc import SmartLoc
+from lanebound.integrity.replay.code_epochs import path_headings, recorded_epochs
+from lanebound.integrity.replay.outages import averaged
+from lanebound.integrity.replay.reckoning import reckon
+from lanebound.integrity.sensors.gnss import GnssEpoch
+from lanebound.integrity.sensors.imu import ImuSample
+from lanebound.integrity.sensors.instruments import Measurements
+from lanebound.integrity.sensors.odometer import OdometerSample
+from lanebound.integrity.sky.view import SkyView
+
+__all__ = ["FilterDrive", "FilterReplayConfig", "SensorDrive", "comma_sensors", "drive_filter", "smartloc_sensors"]
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+WIDEST_RAD = np.deg2rad(10.0)  # deviation of a path's heading that begins a filter
+FRESH_S = 0.15  # age of a receiver's position that counts for an epoch; they come at 10 Hz
+
+
+class FilterReplayConfig(Config):
+    """The filter, and what it assumes of a recording."""
+
+    navigator: NavigatorConfig = Field(
+        NavigatorConfig.load({"kind": "filter"}), description="a filter; what the recording lacks is switched off"
+    )
+    fix_slow_m: float = Field(
+        2.1, gt=0, description="comma2k19: slow error of the receiver's positions, 1 sigma [m]; 2.5 m CEP, u-blox M8"
+    )
+    fix_fast_m: float = Field(0.5, gt=0, description="comma2k19: their noise, 1 sigma [m]; chosen")
+    fix_speed_mps: float = Field(0.3, gt=0, description="comma2k19: the receiver's velocity, 1 sigma [m/s]; chosen")
+    wheel_scale: float = Field(
+        0.01, ge=0, description="scale of the wheels of a car that nobody calibrated, 1 sigma [-]; chosen"
+    )
+    risks: tuple[float, ...] = Field((1e-2, 1e-3, 1e-4), min_length=1, description="risks of the levels counted [-]")
+
+    def filter_of(self, dt_s: float) -> FilterConfig:
+        """The filter at an epoch length, without the sensors that recordings lack.
+
+        Raises
+        ------
+        ConfigError
+            The navigator is of another kind.
+        """
+        c = self.navigator
+        if not isinstance(c, FilterConfig):
+            raise ConfigError(f"navigator must be of kind filter, got {c.kind}: give filter or imm_s4")
+        levels = [{"integrity_risk": risk} for risk in self.risks]
+        return c.replace(
+            dt_s=dt_s, chassis={"fitted": False}, compass={"fitted": False}, more_levels=levels,
+            motion={"accelerometer": "off", "wheel_scale": self.wheel_scale},
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SensorDrive:
+    """Epochs of a recorded drive, and what only an assessment knows.
+
+    time_s (T,), every dt_s; turn_rad (T,) increments to the right, speed_mps (T,) at the epochs; fix: positions by
+    codes or of the receiver, of T rows; course_rad, course_sigma_rad (T,): a heading that begins a filter, inf where
+    there is none; truth_m (T, 2), known (T,); lacking: sensors that the recording does not have.
+    """
+
+    time_s: Array
+    dt_s: float
+    turn_rad: Array
+    speed_mps: Array
+    fix: CodePosition
+    course_rad: Array
+    course_sigma_rad: Array
+    truth_m: Array
+    known: Bools
+    lacking: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class FilterDrive:
+    """Epochs (T,): estimate and truth E, N (T, 2), heading, levels (T, R, 2), trust level, NIS of positions (0 without
+    one), probability of the curved model, mode, alert, available; whether a position was used, rejected."""
+
+    config: FilterConfig
+    sensors: SensorDrive
+    position_m: Array
+    heading_rad: Array
+    levels_m: Array
+    trust_m: Array
+    nis: Array
+    curved: Array
+    mode: NDArray[np.int64]
+    alert: Bools
+    available: Bools
+    used: Bools
+    rejected: Bools
+
+
+def comma_sensors(segment: Comma, config: FilterReplayConfig, dt_s: float = 0.1) -> SensorDrive:
+    """The epochs of a comma2k19 segment; positions are those of its receiver, without their geometry.
+
+    Raises
+    ------
+    InputError
+        The segment has no positions of its receiver.
+    """
+    if segment.fixes is None:
+        raise InputError("segment must have GNSS/live_gnss_ublox, has none: the filter needs positions")
+    f, r, gyro = segment.fixes, segment.reference, segment.rotation_rate
+    start, end = (
+        pick(float(s[edge]) for s in (r.time_s, segment.speed.time_s, gyro.time_s, f.time_s))
+        for pick, edge in ((max, 0), (min, -1))
+    )
+    at = np.arange(start + dt_s, end, dt_s)
+    latitude, longitude, height = geodetic_from_ecef(r.position_ecef_m[0])
+    axes = ecef_from_enu_matrix(latitude, longitude)
+    truth = (r.position_ecef_m - r.position_ecef_m[0]) @ axes
+    ecef = ecef_from_geodetic(np.deg2rad(f.latitude_deg), np.deg2rad(f.longitude_deg), np.full(len(f.time_s), height))
+    place, course = ((ecef - r.position_ecef_m[0]) @ axes)[:, :2], np.deg2rad(f.course_deg)
+    velocity = f.speed_mps[:, None] * np.stack([np.sin(course), np.cos(course)], -1)
+    newest = np.searchsorted(f.time_s, at, side="right") - 1
+    age = at - f.time_s[newest]
+    turn = dt_s * averaged(gyro.time_s, gyro.value[:, 2], at - 0.5 * dt_s, 1.0 / dt_s)
+    return SensorDrive(
+        at - start, dt_s, turn, segment.speed.at(at),
+        _receiver_fix(config, place[newest] + age[:, None] * velocity[newest], velocity[newest], age <= FRESH_S),
+        np.zeros(at.size), np.full(at.size, np.inf),
+        np.stack([np.interp(at, r.time_s, truth[:, k]) for k in range(2)], -1), np.ones(at.size, np.bool_),
+        ("codes with ephemerides, so positions have no geometry and no test of residuals",
+         "wheel angle: that of the hand wheel is recorded, its ratio is not", "compass",
+         "accelerometers along the axes of the car: the phone is tilted by some 3 degrees", "lever arms"),
+    )  # fmt: skip
+
+
+def _receiver_fix(config: FilterReplayConfig, position_m: Array, velocity_mps: Array, valid: Bools) -> CodePosition:
+    """Positions of a receiver with declared errors: common to all of its satellites, as nothing is known of them."""
+    count, eye, none = len(valid), np.broadcast_to(np.eye(2), (len(valid), 2, 2)), np.zeros(len(valid), np.int64)
+    assert isinstance(config.navigator, FilterConfig)
+    doppler = config.fix_speed_mps / config.navigator.positioning.doppler.sigma_mps
+    return CodePosition(
+        position_m=np.column_stack([position_m, np.zeros(count)]), velocity_mps=velocity_mps,
+        fast_m2=config.fix_fast_m**2 * eye, slow_m2=config.fix_slow_m**2 * eye, velocity_m2=doppler**2 * eye,
+        valid=valid, satellites=none, excluded=none, hdop=np.ones(count), gain=np.zeros((count, 1, 2)),
+        own_m2=np.zeros((count, 1)), common_m=config.fix_slow_m * eye,
+    )  # fmt: skip
+
+
+def smartloc_sensors(drive: SmartLoc, config: FilterReplayConfig) -> SensorDrive:
+    """The epochs of a smartLoc drive; positions are those of its codes, as in simulated drives."""
+    tracked = recorded_epochs(drive)
+    e, o = tracked.epochs, drive.odometry
+    if o.time_s.size < 2:
+        raise InputError(f"drive must have odometry, got {o.time_s.size} lines 'odom3': give the whole file")
+    dt_s = float(np.round(np.median(np.diff(e.time_s)), 3))
+    c = config.filter_of(dt_s)
+    path = reckon(o.time_s, o.speed_mps, -o.yaw_rate_left_radps)
+    heading = np.interp(e.time_s, path.time_s, path.heading_rad)
+    fix = locate_by_codes(c.position.codes, _measurements(e.time_s, e))
+    at = np.stack([np.interp(e.time_s, path.time_s, path.position_m[:, k]) for k in range(2)], -1)
+    turn, spread = _path_courses(e.time_s, at, fix)
+    return SensorDrive(
+        e.time_s - e.time_s[0], dt_s, np.diff(heading, prepend=heading[0]),
+        np.interp(e.time_s, o.time_s, o.speed_mps), fix, turn + heading, spread, tracked.truth_enu_m[:, :2],
+        tracked.known,
+        ("accelerometers", "wheel angle", "compass", "range rates, for a first heading", "lever arms"),
+    )  # fmt: skip
+
+
+def _path_courses(time_s: Array, path_m: Array, fix: CodePosition) -> tuple[Array, Array]:
+    """Turn of the reckoned path that fits the valid positions of the last minute, and its deviation, (T,)."""
+    turn, spread = np.zeros(time_s.size), np.full(time_s.size, np.inf)
+    k = np.flatnonzero(fix.valid)
+    if k.size:
+        turn[k], spread[k] = path_headings(time_s[k], path_m[k], fix.position_m[k, :2])
+    return turn, spread
+
+
+def _measurements(time_s: Array, e: CodeEpochs) -> Measurements:
+    """All epochs at once, one row each, as codes of one band."""
+    shape = e.y_m.shape
+    code, none = np.zeros((*shape, 2)), np.zeros(shape)
+    code[..., 0] = np.where(e.used, np.where(e.y_m == 0.0, 1e-9, e.y_m), 0.0)
+    sky = SkyView(
+        e.los_enu, e.elevation_rad, none, none, none, e.used, e.system, np.arange(shape[1]), np.arange(shape[0])
+    )
+    gnss = GnssEpoch(
+        e.used, code, np.zeros_like(code), none, e.cn0_dbhz, np.zeros(shape, np.bool_), np.zeros(shape[0]), code
+    )
+    still = np.zeros((shape[0], 3))
+    return Measurements(
+        float(time_s[0]), sky, gnss, ImuSample(still, still), OdometerSample(np.zeros(shape[0]), np.zeros(shape[0]))
+    )
+
+
+def drive_filter(sensors: SensorDrive, config: FilterReplayConfig) -> FilterDrive:
+    """Run the filter of a configuration over a drive, from a cold start."""
+    c = config.filter_of(sensors.dt_s)
+    parameters, cases, fix = filter_parameters(c), level_cases(c), fix_of(sensors.fix)
+    state = blank_state(c, 1, sensors.fix.own_m2.shape[1])
+    found, rows = list[FilterOutputs](), list[Any](fix)
+    for k in range(sensors.time_s.size):
+        row = slice(k, k + 1)
+        if not state.vehicles["aligned"][0] and sensors.course_sigma_rad[k] < WIDEST_RAD:
+            give_headings(
+                state, np.zeros(1, np.int64), sensors.course_rad[row].copy(), float(sensors.course_sigma_rad[k])
+            )
+        one = PositionFix(*map(np.ascontiguousarray, [values[row] for values in rows]))
+        found.append(run_filters(parameters, cases, state, _motion(sensors, row), one))
+    return _gathered(c, sensors, found)
+
+
+def _motion(s: SensorDrive, row: slice) -> MeasuredMotion:
+    """The motion of one epoch."""
+    speed, zero = s.speed_mps[row].copy(), np.zeros(1)
+    turn = np.array([[0.0, 0.0, s.turn_rad[row][0]]])
+    return MeasuredMotion(turn, np.zeros((1, 3)), speed, np.abs(speed) * s.dt_s, np.zeros((1, 4)), zero, zero)
+
+
+def _gathered(c: FilterConfig, sensors: SensorDrive, found: Sequence[FilterOutputs]) -> FilterDrive:
+    def rows(name: str) -> NDArray[np.generic]:
+        return np.concatenate([getattr(out, name) for out in found])
+
+    values = {
+        "position_m": rows("position"), "heading_rad": rows("heading"), "levels_m": rows("levels"),
+        "trust_m": rows("trust"), "nis": rows("nis")[:, 0], "curved": rows("curved"), "mode": rows("mode"),
+        "alert": rows("alert"), "available": rows("available"), "used": rows("used"), "rejected": rows("rejected"),
+    }  # fmt: skip
+    return FilterDrive(c, sensors, **values)  # type: ignore[arg-type]

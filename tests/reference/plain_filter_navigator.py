@@ -1,0 +1,100 @@
+"""An epoch of vehicle filters that have a confirmed pose, in NumPy: the reference of ``epoch_kernel``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import plain_filter_epoch as steps
+import plain_filter_observations as seen
+from numpy.typing import NDArray
+from plain_filter_belief import FilterBelief, take_slow_error
+from plain_filter_levels import ModelPositions, covariance_levels, horizontal_trust_level, with_slow_errors
+from plain_kalman import innovate
+from plain_multiple_models import combine
+from plain_vehicle_models import MotionInput
+
+from lanebound.integrity.core.frames import wrap_angle
+from lanebound.integrity.navigators.navigator import Measurements
+from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
+from lanebound.integrity.navigators.vehicle_filter.records_kernel import BIASES, FilterState
+from lanebound.integrity.positioning.filters.code_position import locate_by_codes
+from lanebound.integrity.positioning.filters.vehicle_models import S
+
+__all__ = ["PlainSolution", "belief_of", "locate"]
+
+Array = NDArray[np.float64]
+GNSS, MOTION = 0, 1
+
+
+@dataclass(frozen=True)
+class PlainSolution:
+    """Position E, N (B, 2), levels (B, R, 2), trust level (B,), NIS (B, 2) of position and wheels."""
+
+    position_m: Array
+    levels_m: Array
+    trust_m: Array
+    nis: Array
+
+
+def belief_of(state: FilterState) -> FilterBelief:
+    """An independent copy of the state of the kernels."""
+    v = state.vehicles
+    return FilterBelief(
+        state.x.copy(), state.p.copy(), state.probability.copy(), state.influence.copy(), v["turned"].copy(),
+        v["known"].copy(), v["biased"].copy(), state.gain.copy(), state.own.copy(), state.common.copy(),
+        v["fix_age"].copy(), v["moved"].copy(), v["rejected"].copy(),
+        v["excess"].copy(),
+    )  # fmt: skip
+
+
+def locate(c: FilterConfig, b: FilterBelief, m: Measurements, bounds: Array) -> PlainSolution:
+    """Advance the belief by the measurements of an epoch."""
+    batch, turn = b.known.size, m.imu.delta_theta_rad[:, 2]
+    fix, likelihood, nis = locate_by_codes(c.position.codes, m), np.zeros_like(b.probability), np.zeros((batch, 2))
+    b.turned_rad = b.turned_rad + turn
+    a = seen.acceleration_along(m, b, c.dt_s)
+    printed = None
+    if c.motion.accelerometer == "observation":
+        x, p = combine(b.x, b.p, b.probability)
+        printed = seen.printed_inertial(c, x, p, (b.probability * a).sum(-1))
+    u = MotionInput(c.dt_s, turn[:, None], a, c.motion.accelerometer == "input")
+    predicted = steps.advance(b, c, steps.noise_of(c), u)
+    if printed is not None:
+        steps.observe(b, printed, likelihood, c.gate.enabled)
+    for observation in seen.motion_observations(c, m, b):
+        outcome = steps.observe(b, observation, likelihood, c.gate.enabled)
+        if observation.name == "wheels":
+            nis[:, MOTION] = outcome.nis
+    b.fix_age_s, b.moved_m = b.fix_age_s + c.dt_s, b.moved_m + np.abs(m.odometer.distance_m)
+    p = c.position
+    due = fix.valid & b.known & (b.fix_age_s >= p.interval_s - 1e-9) & (b.moved_m >= p.least_move_m)
+    if due.any():
+        if c.sensor_errors:
+            take_slow_error(b, fix, due, p.slow_tau_s)
+        heading = (b.probability * b.x[..., S.HEADING]).sum(-1)
+        observation = _grown(c, b, seen.gnss_position(c, fix, heading, due))
+        nis[:, GNSS] = steps.observe(b, observation, likelihood, c.gate.enabled).nis
+        b.fix_age_s, b.moved_m = np.where(due, 0.0, b.fix_age_s), np.where(due, 0.0, b.moved_m)
+    steps.conclude(b, predicted, likelihood)
+    return _levels(c, b, bounds, nis)
+
+
+def _grown(c: FilterConfig, b: FilterBelief, seen: steps.Observation) -> steps.Observation:
+    """The position with the noise that the NIS of the last positions shows."""
+    nis = innovate(b.x, b.p, seen.z[:, None], seen.design, seen.single[:, None]).nis.min(-1)
+    age = np.where(np.isfinite(b.fix_age_s), b.fix_age_s, c.position.interval_s)
+    kept = np.exp(-age / c.position.excess_tau_s)
+    b.excess = np.where(seen.there, kept * b.excess + (1.0 - kept) * 0.5 * nis, b.excess)
+    return replace(seen, covariance=seen.covariance * np.maximum(b.excess, 1.0)[:, None, None])
+
+
+def _levels(c: FilterConfig, b: FilterBelief, bounds: Array, nis: Array) -> PlainSolution:
+    x, p = combine(b.x, b.p, b.probability)
+    trust = horizontal_trust_level(p[:, :2, :2])
+    models = ModelPositions(
+        b.probability, b.x[..., :2] - x[:, None, :2],
+        with_slow_errors(b.p[..., :2, :2], b.influence[:, :, :2, BIASES:]), b.influence[:, :, :2, :BIASES],
+    )  # fmt: skip
+    heading = np.asarray(wrap_angle(x[:, S.HEADING]))
+    return PlainSolution(x[:, :2], covariance_levels(c.cases, c.risk, models, bounds, heading, trust), trust, nis)
