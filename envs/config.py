@@ -111,31 +111,23 @@ class EnvConfig(Config):
     @model_validator(mode="before")
     @classmethod
     def _navigator_is_observed(cls, data: Any) -> Any:
-        """The services of the navigator and its context monitor have entries in the observation."""
-        """The modes of the services of the navigator, and what a filter reports, have entries in the observation."""
+        """What services, context monitor and filter of the navigator report has entries in the observation."""
         if not isinstance(data, Mapping) or not isinstance(data.get("observation", {}), Mapping):
             return data
         try:
             navigator = NavigatorConfig.data_of(data.get("navigator", {}))
         except ConfigError:
             return data  # the field itself is refused, with its path
-        named = navigator.get("service", ()) if isinstance(navigator, Mapping) else ()
-        names = [named] if isinstance(named, str) else named
-        shown = (
-            [str(name).rpartition(":")[2] for name in names if name != "rtk"] if isinstance(names, list | tuple) else []
-        )
         if not isinstance(navigator, Mapping):
             return data
         observation = dict(data.get("observation", {}))
-        shown = {"services": _services_in(navigator), "context": _has_context(navigator)}
+        shown = {
+            "services": _services_in(navigator),
+            "context": _has_context(navigator),
+            "filters": navigator.get("kind") == "filter",
+        }
         changed = {name: value for name, value in shown.items() if value or observation.get(name)}
         return {**data, "observation": {**observation, **changed}} if changed else data
-        filters = isinstance(navigator, Mapping) and navigator.get("kind") == "filter"
-        if shown or observation.get("services"):
-            observation["services"] = tuple(shown)
-        if filters or observation.get("filters"):
-            observation["filters"] = filters
-        return {**data, "observation": observation} if observation else data
 
     @field_validator("sky")
     @classmethod
@@ -190,7 +182,9 @@ def _services_in(navigator: Mapping[str, Any]) -> tuple[str, ...]:
     """Services of a navigator's data whose modes are observed: all but RTK."""
     named = navigator.get("service", ())
     names = [named] if isinstance(named, str) else named
-    return tuple(str(name) for name in names if name != "rtk") if isinstance(names, list | tuple) else ()
+    if not isinstance(names, list | tuple):
+        return ()
+    return tuple(str(name).rpartition(":")[2] for name in names if name != "rtk")
 
 
 def _has_context(navigator: Mapping[str, Any]) -> bool:

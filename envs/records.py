@@ -93,14 +93,14 @@ class EgoBelief:
     since_rtk_s: float
     since_calibration_s: float
     corrections_age_s: float
-    context_warning: bool = False
-    context_phases: int = 0
-    context_score: float = 0.0
-    link_probability: float = 0.0
     model_curved: float
     nis_position: float
     nis_wheels: float
     trust_m: float
+    context_warning: bool = False
+    context_phases: int = 0
+    context_score: float = 0.0
+    link_probability: float = 0.0
 
     @classmethod
     def of(cls, beliefs: Records, row: int, table: LaneTable) -> EgoBelief:

@@ -41,9 +41,8 @@ SUITES = (
     "services",
     "monitors",
     "context",
+    "filters",
 )
-    "quick", "standard", "claim", "faults", "look_ahead", "learnt", "degenerate", "services", "monitors", "filters"
-)  # fmt: skip
 
 ARROWS = {"higher": "↑", "lower": "↓", None: ""}
 

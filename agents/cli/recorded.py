@@ -35,6 +35,7 @@ def replay(
     service: Annotated[
         str | None,
         typer.Option(metavar="NAME[,NAME]", help="Run it through a navigator with these services: spp, dgps."),
+    ] = None,
     navigator: Annotated[
         str | None,
         typer.Option(
@@ -68,10 +69,7 @@ def replay(
     names = [name.strip() for name in service.split(",")] if service else []
     kind = "drive on a service" if names else "RTK solution" if kind_of(dataset) == "rinex" else "replayed drive"
     found, written = _solve(
-        out, kind, lambda report: replay_folder(dataset, out, changes(assignments), report, service=names)
-    kind = "RTK solution" if kind_of(dataset) == "rinex" else "replayed drive"
-    found, written = _solve(
-        out, kind, lambda report: replay_folder(dataset, out, changes(assignments), report, navigator)
+        out, kind, lambda report: replay_folder(dataset, out, changes(assignments), report, names, navigator)
     )
     if as_json:
         print_json(found)
@@ -307,7 +305,6 @@ def _print_service(found: dict[str, Any]) -> None:
         typer.echo(found["caution"])
 
 
-_PRINTERS = {"service": _print_service, "smartloc": _print_city, "comma2k19": _print_outages, "rinex": _print_rtk}
 def _print_filter(found: dict[str, Any]) -> None:
     from lanebound.agents.cli.output import print_table
 
@@ -328,5 +325,6 @@ def _print_filter(found: dict[str, Any]) -> None:
 
 
 _PRINTERS = {
-    "smartloc": _print_city, "comma2k19": _print_outages, "rinex": _print_rtk, "filter": _print_filter
+    "service": _print_service, "filter": _print_filter, "smartloc": _print_city, "comma2k19": _print_outages,
+    "rinex": _print_rtk,
 }  # fmt: skip

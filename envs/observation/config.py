@@ -28,6 +28,7 @@ class ObservationConfig(Config):
     )
     context: bool = Field(
         False, description="entries of the context monitor; an environment sets it where the navigator has one"
+    )
     filters: bool = Field(
         False,
         description="model probability, NIS and trust level have entries; an environment sets it for navigator.kind: "

@@ -179,6 +179,7 @@ def _levels(c: ObservationConfig) -> list[Entry]:
                    "belief.excluded"),
         g.positive("hdop", "", c.hdop_max, "horizontal dilution of precision; 1 without satellites", "belief.hdop"),
         *(_context(g) if c.context else ()),
+        *(_filters(c, g) if c.filters else ()),
     ]  # fmt: skip
 
 
@@ -192,7 +193,6 @@ def _context(g: _Group) -> list[Entry]:
                    "belief.context_score"),
         g.positive("link_probability", "", 1.0, "probability of the matched link; 0 without a link",
                    "belief.link_probability"),
-        *(_filters(c, g) if c.filters else ()),
     ]  # fmt: skip
 
 

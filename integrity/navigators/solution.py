@@ -77,11 +77,11 @@ class Solution:
     held : (B, S) bool, satellites whose ambiguities are fixed and held
     doubt_en_m : (B, 2) RTK's position less the one reckoned while RTK is not believed, which the levels cover; else 0
         (:mod:`~lanebound.integrity.monitoring.jump_kernel`)
-    context : of the context monitor, None without one
     model_curved : (B,) probability of the curved vehicle model of a filter; 0 of other kinds
     nis_position, nis_wheels : (B,) normalised innovation squared of the last GNSS position and of the last wheel speed
         of a filter; 0 before, and of other kinds
     trust_m : (B,) horizontal trust level of a filter; inf without one, and of other kinds
+    context : of the context monitor, None without one
     """
 
     time_s: float
@@ -110,11 +110,11 @@ class Solution:
     wrong_fix_risk: Array
     held: NDArray[np.bool_]
     doubt_en_m: Array
-    context: ContextReport | None = None
     model_curved: Array
     nis_position: Array
     nis_wheels: Array
     trust_m: Array
+    context: ContextReport | None = None
 
     @classmethod
     def blank(cls, m: Measurements, levels: int) -> Self:

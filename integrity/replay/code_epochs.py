@@ -22,8 +22,7 @@ from lanebound.integrity.replay.reckoning import reckon
 from lanebound.integrity.replay.sagnac import ranges_and_sights
 from lanebound.integrity.replay.window import LocalFrame
 
-__all__ = ["WINDOW_S", "TrackedEpochs", "fit_heading", "reckoned_steps", "recorded_epochs"]
-__all__ = ["TrackedEpochs", "path_headings", "reckoned_steps", "recorded_epochs"]
+__all__ = ["WINDOW_S", "TrackedEpochs", "fit_heading", "path_headings", "reckoned_steps", "recorded_epochs"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from lanebound.integrity.core.accel import run_rows
 from lanebound.integrity.core.records import Records
 from lanebound.integrity.monitoring.alerts import AlertReason
-from lanebound.integrity.monitoring.sbas import Operation
 from lanebound.integrity.navigators.navigator import Measurements, Navigator, Rows, register_navigator
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.navigators.vehicle_filter.config import FilterConfig
@@ -26,7 +25,6 @@ from lanebound.integrity.navigators.vehicle_filter.records_kernel import (
     MeasuredMotion,
     PositionFix,
 )
-from lanebound.integrity.positioning.code_solution import semi_major_m
 from lanebound.integrity.navigators.vehicle_filter.start_kernel import give_headings, place_vehicles
 from lanebound.integrity.positioning.filters.code_position import CodePosition, locate_by_codes
 from lanebound.integrity.positioning.filters.vehicle_models import STATES
