@@ -11,6 +11,7 @@ from lanebound.integrity.core.errors import require_in_range
 from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig, LevelKind, TestKind
 from lanebound.integrity.monitoring.family.epochs import CodeEpochs
 from lanebound.integrity.monitoring.family.fit import CodeFit, solve_codes
+from lanebound.integrity.monitoring.family.fixed import fixed_carriers
 from lanebound.integrity.monitoring.family.levels import LEVELS, LevelWork, fixed_level_false_alarm, normal_factor
 from lanebound.integrity.monitoring.family.memory import Remembered, composite, extended, isotropic_kalman
 from lanebound.integrity.monitoring.family.outcome import MonitorOutcome, MonitorVerdicts
@@ -32,8 +33,13 @@ MEMORY: dict[LevelKind, Callable[[LevelWork], Remembered]] = {
     LevelKind.RELATIVE_POSITION: relative_position,
     LevelKind.RELATIVE_RANGE: relative_range,
     LevelKind.EXTENDED: extended,
+    LevelKind.FIXED_CARRIERS: fixed_carriers,
 }
-COASTS = {LevelKind.ISOTROPIC_KALMAN, LevelKind.EXTENDED}  # have a position where an epoch has no solution
+COASTS = {
+    LevelKind.ISOTROPIC_KALMAN,
+    LevelKind.EXTENDED,
+    LevelKind.FIXED_CARRIERS,
+}  # have a position where an epoch has no solution
 AT_ONCE = 4096  # epochs of a snapshot monitor that are solved together; keeps arrays in the cache
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lanebound.integrity.monitoring.araim import AraimConfig, levels_at
 from lanebound.integrity.monitoring.family.config import FamilyMonitorConfig
@@ -65,11 +65,13 @@ def _rules(config: FamilyMonitorConfig, spend: bool = False) -> RiskConfig:
     )  # fmt: skip
 
 
-def _exact(epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfig, risks: Array, closed: bool) -> Array:
+def _exact(
+    epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfig, risks: Array, closed: bool, spent: ArrayLike = 0.0
+) -> Array:
     los = np.where(fit.used[..., None], epochs.los_enu, np.array([0.0, 0.0, 1.0]))
     variance = np.where(fit.used, np.square(np.where(fit.used, epochs.sigma_m, 1.0)), 1.0)
     found = protection_levels_batch(
-        los, fit.used, epochs.system, variance, EAST_RAD, _rules(config), risks, closed=closed
+        los, fit.used, epochs.system, variance, EAST_RAD, _rules(config), risks, closed=closed, spent=spent
     )  # fmt: skip
     levels = found.closed_m if closed else found.root_m
     return np.hypot(levels[..., 0], levels[..., 1])
@@ -80,9 +82,11 @@ def closed_level(epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfig, 
     return _exact(epochs, fit, config, risks, True)
 
 
-def root_level(epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfig, risks: Array) -> Array:
-    """S2 eq 10-11, the root of the sum over hypotheses.  (E, R)."""
-    return _exact(epochs, fit, config, risks, False)
+def root_level(
+    epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfig, risks: Array, spent: Array | None = None
+) -> Array:
+    """S2 eq 10-11, the root of the sum over hypotheses, less a risk (E,) that is already spent.  (E, R)."""
+    return _exact(epochs, fit, config, risks, False, 0.0 if spent is None else spent)
 
 
 def published_level(epochs: CodeEpochs, fit: CodeFit, config: FamilyMonitorConfig, risks: Array) -> Array:
