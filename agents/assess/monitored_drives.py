@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,6 +17,7 @@ from lanebound.integrity.navigators.navigator import Navigator
 from lanebound.integrity.navigators.solution import Solution
 from lanebound.integrity.positioning.code_errors import CodeErrorBudget
 from lanebound.integrity.replay.code_epochs import TrackedEpochs
+from lanebound.integrity.sensors.faults import FaultSchedule
 from lanebound.integrity.sensors.instruments import Measurements
 from lanebound.integrity.sky.road import Road
 from lanebound.integrity.sky.systems import WAVELENGTH_M
@@ -48,14 +50,21 @@ class _Sampled:
 
 
 def simulated_epochs(
-    config: StreetDrivesConfig, sky: str, number: int, every: int = 5, advance: Advance = ignore
+    config: StreetDrivesConfig,
+    sky: str,
+    number: int,
+    every: int = 5,
+    advance: Advance = ignore,
+    faults: Callable[[Navigator], FaultSchedule] | None = None,
 ) -> TrackedEpochs:
-    """The vehicles of a street at each ``every``-th epoch after the warm-up.
+    """The vehicles of a street at each ``every``-th epoch after the warm-up, with ``faults`` of their sky.
 
     The map of the street predicts blocked paths at the place of the road that is nearest to the code position.
     """
     wanted = config.replace(navigator={"gnss": {"undifferenced": True}})
     navigator, drive = street_of(wanted, sky, number)
+    if faults is not None:
+        navigator.faults = faults(navigator)
     dt, budget = navigator.config.dt_s, CodeBudget()
     first, epochs = (round(time_s / dt) for time_s in (wanted.warm_up_s, wanted.span_s))
     sampled, views, state = _Sampled(), [], _Between(navigator.batch, budget)

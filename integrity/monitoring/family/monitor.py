@@ -35,11 +35,8 @@ MEMORY: dict[LevelKind, Callable[[LevelWork], Remembered]] = {
     LevelKind.EXTENDED: extended,
     LevelKind.FIXED_CARRIERS: fixed_carriers,
 }
-COASTS = {
-    LevelKind.ISOTROPIC_KALMAN,
-    LevelKind.EXTENDED,
-    LevelKind.FIXED_CARRIERS,
-}  # have a position where an epoch has no solution
+# have a position where the codes of an epoch have no solution
+COASTS = {LevelKind.ISOTROPIC_KALMAN, LevelKind.EXTENDED, LevelKind.FIXED_CARRIERS}
 AT_ONCE = 4096  # epochs of a snapshot monitor that are solved together; keeps arrays in the cache
 
 
