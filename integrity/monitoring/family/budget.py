@@ -22,8 +22,8 @@ class CodeBudget(Config):
 
     errors: CodeErrorBudget = Field(
         CodeErrorBudget(reflections_m=1.6),
-        description="errors of codes; reflections with the RMS of all tracked codes in urban streets, seed 101: as faults "
-        "of their priors alone they are too frequent",
+        description="errors of codes; reflections with the RMS of all tracked codes in urban streets, seed 101: as "
+        "faults of their priors alone they are too frequent",
     )
     carrier_m: float = Field(0.004, ge=0, description="noise and multipath of a carrier, zenith [m]; 3 and 2 mm")
     lasting_s: float = Field(1800.0, gt=0, description="correlation time of what changes slowly [s]; satellite clocks")
