@@ -57,6 +57,11 @@ class MonitorChoice(Config):
     @model_validator(mode="after")
     def _guards_an_epoch_alone(self) -> MonitorChoice:
         kind, there = monitor_named(self.kind), {"codes", "fit"}
+        if "fixed" in kind.needs:
+            raise ConfigError(
+                f"kind must be a monitor of codes, got {self.kind!r}, of fixed carriers: 'navigator: {{kind: "
+                "rtk_reckoning}' is that monitor in a drive, with the risk of its fixes"
+            )
         memory = {level.value for level in MEMORY}
         if not there.issuperset(kind.needs) or kind.changes.get("level") in memory:
             raise ConfigError(
