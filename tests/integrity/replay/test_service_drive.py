@@ -126,9 +126,7 @@ def test_a_service_that_the_recording_cannot_serve_is_refused(names: list[str], 
 
 def test_what_would_silently_do_nothing_is_refused() -> None:
     epochs = _recording()
-    with pytest.raises(
-        ConfigError, match=r"services\.spp\.smoothing_s must be 0 where no carrier .*, got 100"
-    ):
+    with pytest.raises(ConfigError, match=r"services\.spp\.smoothing_s must be 0 where no carrier .*, got 100"):
         config_of(epochs, ["spp"], DT_S, {"services": {"spp": {"smoothing_s": 100.0}}})
     with pytest.raises(InputError, match=r"dt_s must divide the time between epochs, got 0\.3 s"):
         drive_service(epochs, config_of(epochs, ["spp"], 0.3))
