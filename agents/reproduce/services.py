@@ -239,7 +239,7 @@ def _convergence(parts: Sequence[Mapping[str, list[float]]]) -> dict[str, list[f
 def mixed_rows(result: Mapping[str, Any]) -> Table:
     """How long corrections are available on the mean of all skies, beside S4 Table IV."""
     printed = {"s4_egnos": "64.8 %", "s4_sisnet": "89.2 %"}
-    rows = [
+    rows: list[tuple[str, ...]] = [
         (case, f"{100.0 * np.mean([sky[case]['corrected'] for sky in result['skies'].values()]):.1f} %", printed[case])
         for case in printed
         if case in result["config"]["cases"]
@@ -250,7 +250,7 @@ def mixed_rows(result: Mapping[str, Any]) -> Table:
 def convergence_rows(result: Mapping[str, Any]) -> Table:
     """Error and level of PPP by the time at rest; S2 Table 1: below 0.1 m after up to 30 min."""
     found, last = result["ppp"], result["config"]["ppp_minutes"]
-    rows = [
+    rows: list[tuple[str, ...]] = [
         (
             f"{minute}", f"{found['rms_m'][minute - 1]:.3f}", f"{found['largest_m'][minute - 1]:.3f}",
             f"{found['level_m'][minute - 1]:.2f}", f"{100.0 * found['beyond'][minute - 1]:.1f} %",

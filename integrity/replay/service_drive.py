@@ -82,7 +82,8 @@ class ServiceDrive:
     def judged(self) -> NDArray[np.bool_]:
         """Ticks (T,) with a recorded epoch, a true position and a position, from the first one with a known heading."""
         e = self.epochs
-        return (self.epoch >= 0) & e.known[self.epoch] & (self.mode != Mode.NONE) & (self.time_s >= self.begun_s)
+        there = (self.epoch >= 0) & e.known[self.epoch] & (self.mode != Mode.NONE)
+        return np.asarray(there & (self.time_s >= self.begun_s))
 
     def errors_en_m(self) -> Array:
         """Errors (N, 2) of the judged ticks in E and N [m]."""
@@ -202,9 +203,9 @@ def drive_service(epochs: ServiceEpochs, config: RtkReckoningConfig, progress: P
     count = int(tick[-1]) + 1
     at = np.full(count, -1)
     at[tick] = np.arange(tick.size)
-    run = _Run(epochs, config, count)
+    run, time = _Run(epochs, config, count), np.asarray(config.dt_s * np.arange(count), np.float64)
     out = ServiceDrive(
-        config, epochs, config.dt_s * np.arange(count), at, np.zeros((count, 2)), np.zeros(count),
+        config, epochs, time, at, np.zeros((count, 2)), np.zeros(count),
         np.full(count, int(Mode.NONE)), np.full((count, 2), np.inf), np.ones(count, np.bool_),
         np.zeros(count, np.bool_), 0.0,
     )  # fmt: skip
@@ -228,7 +229,7 @@ class _Run:
         self.los = np.zeros((1, satellites, 3))
         self.los[..., 2] = 1.0
         self.steered, self.begun_s = False, np.inf if epochs.odometry is not None else 0.0
-        self._prepare_odometry(config.dt_s * np.arange(count + 1) - config.dt_s)
+        self._prepare_odometry(np.asarray(config.dt_s * np.arange(count + 1) - config.dt_s, np.float64))
         if epochs.odometry is None:
             self.navigator.align(np.zeros(1), SUREST_RAD)  # axes of the levels: along North, across East
 

@@ -100,7 +100,7 @@ def read_service_epochs(
     if kind == "smartloc":
         require_possible(names, False, "a smartLoc drive")
         drive = read_city(folder)
-        return epochs_of_drive(drive), SMARTLOC_DT_S, drive.stopped and {"input": str(drive.stopped)}
+        return epochs_of_drive(drive), SMARTLOC_DT_S, {"input": str(drive.stopped)} if drive.stopped else None
     return _rinex_epochs(folder, names)
 
 
@@ -132,10 +132,15 @@ def _rinex_epochs(folder: Path, names: Sequence[str]) -> tuple[ServiceEpochs, fl
         tow = {round(t, 3): k for k, t in enumerate(rover.tow_s.tolist())}
         found = {tow[round(float(solved.tow_s[k]), 3)]: solved.ecef_m[k] for k in np.flatnonzero(solved.fixed)}
         truth = found, "fixed RTK positions of the pair"
-    stops = {"rover": rover.stopped, "base": None if base is None else base.stopped, "navigation": table.stopped}
+    stops: dict[str, Any] = {
+        "rover": rover.stopped,
+        "base": None if base is None else base.stopped,
+        "navigation": table.stopped,
+    }
     epochs = epochs_of_receiver(rover, table, ionosphere, station, truth)
     dt_s = round(float(np.median(np.diff(epochs.time_s))), 3) if rover.epochs > 1 else 1.0
-    return epochs, dt_s, {name: str(stop) for name, stop in stops.items() if stop} or None
+    early: dict[str, str] = {name: str(stop) for name, stop in stops.items() if stop}
+    return epochs, dt_s, early or None
 
 
 def summarise_service(drive: ServiceDrive) -> dict[str, Any]:
@@ -151,7 +156,7 @@ def summarise_service(drive: ServiceDrive) -> dict[str, Any]:
         return found
     record, errors = drive.record(), np.hypot(*drive.errors_en_m().T)
     service = np.array([Mode(int(m)).is_service for m in record.mode])
-    found |= {
+    figures: dict[str, Any] = {
         "horizontal": _quantiles(errors),
         "horizontal_of_service": _quantiles(errors[service]) if service.any() else None,
         "available": float(record.available.mean()),
@@ -160,7 +165,7 @@ def summarise_service(drive: ServiceDrive) -> dict[str, Any]:
         **{axis: asdict(measure_bounding(record.error(axis), record.pl(axis))) for axis in AXES},
         "caution": CAUTION,
     }
-    return found
+    return found | figures
 
 
 def _quantiles(error_m: Array) -> dict[str, float]:
