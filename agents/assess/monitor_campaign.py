@@ -9,6 +9,7 @@ alert limit and declared available.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -68,9 +69,7 @@ def run_campaign(
     wanted = drives.replace(duration_s=span, faults=None)
     quiet, found = simulated_epochs(wanted, sky, 0, config.every), {}
     for n, case in enumerate(config.chosen):
-        faulty = simulated_epochs(
-            wanted, sky, 0, config.every, faults=lambda navigator, case=case: _schedule(config, wanted, navigator, case)
-        )
+        faulty = simulated_epochs(wanted, sky, 0, config.every, faults=partial(_schedule, config, wanted, case))
         found[case] = {
             kind.name: alert_times(config, wanted, kind, changes if "fit" in kind.needs else {}, (quiet, faulty), risk)
             for kind in kinds
@@ -79,7 +78,7 @@ def run_campaign(
     return found
 
 
-def _schedule(config: CampaignConfig, drives: StreetDrivesConfig, navigator: Navigator, case: str) -> FaultSchedule:
+def _schedule(config: CampaignConfig, drives: StreetDrivesConfig, case: str, navigator: Navigator) -> FaultSchedule:
     """The fault of a case: for each vehicle another satellite, systems in turn, or the same for all."""
     start = drives.warm_up_s + config.onset_s
     base = {**CASES[case], "start_s": start, "duration_s": config.length_s, "ramp_s": config.length_s}
